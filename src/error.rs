@@ -1,0 +1,162 @@
+//! One error type: what was being done, on which file, where in it, what was expected, what was found,
+//! and what the user can do. `Display` is always a single line; the command line maps [`Error::exit_code`].
+
+use std::fmt;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// The result of every fallible function of this crate.
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// What went wrong.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum Error {
+    /// The operating system refused an operation on a file.
+    Io {
+        /// What was being done, as a verb phrase: "read the header of".
+        doing: String,
+        /// The file concerned.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// An input file, or an archive, is malformed, truncated, or of a kind that cannot be used.
+    BadInput {
+        /// The file concerned.
+        path: PathBuf,
+        /// Where in the file: a byte offset, a line, a field.
+        at: String,
+        /// What a good file would have there.
+        expected: String,
+        /// What was found.
+        got: String,
+        /// What to do about it; may be empty.
+        help: String,
+    },
+    /// Parameters that contradict each other or the input.
+    Usage(String),
+    /// The run needs more of a resource than it was given.
+    Budget {
+        /// The resource: "memory", "disk".
+        what: String,
+        /// Bytes that would suffice.
+        needed: u64,
+        /// Bytes that there are.
+        available: u64,
+    },
+    /// Segments of an archive are missing.
+    Incomplete {
+        /// The archive.
+        path: PathBuf,
+        /// What is missing, a name each.
+        missing: Vec<String>,
+    },
+    /// The run was cancelled; the same command continues it.
+    Cancelled,
+}
+
+impl Error {
+    /// An [`Error::Io`]; use as `.map_err(|e| Error::io("read", &path, e))`.
+    pub fn io(doing: impl Into<String>, path: impl AsRef<Path>, source: io::Error) -> Self {
+        Self::Io { doing: doing.into(), path: path.as_ref().to_path_buf(), source }
+    }
+
+    /// An [`Error::BadInput`] without advice; add some with [`Error::with_help`].
+    pub fn bad_input(
+        path: impl AsRef<Path>,
+        at: impl Into<String>,
+        expected: impl Into<String>,
+        got: impl Into<String>,
+    ) -> Self {
+        Self::BadInput {
+            path: path.as_ref().to_path_buf(),
+            at: at.into(),
+            expected: expected.into(),
+            got: got.into(),
+            help: String::new(),
+        }
+    }
+
+    /// An [`Error::Usage`].
+    pub fn usage(message: impl Into<String>) -> Self {
+        Self::Usage(message.into())
+    }
+
+    /// Adds what the user can do; only [`Error::BadInput`] carries it.
+    #[must_use]
+    pub fn with_help(mut self, advice: impl Into<String>) -> Self {
+        if let Self::BadInput { help, .. } = &mut self {
+            *help = advice.into();
+        }
+        self
+    }
+
+    /// The process exit code for this error: 1 failed, 2 usage, 3 incomplete, 4 budget, 5 bad input, 75 resumable.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Io { .. } => 1,
+            Self::Usage(_) => 2,
+            Self::Incomplete { .. } => 3,
+            Self::Budget { .. } => 4,
+            Self::BadInput { .. } => 5,
+            Self::Cancelled => 75,
+        }
+    }
+}
+
+/// Text from a file may hold anything; an error message is one printable line of bounded length.
+fn one_line(text: &str) -> String {
+    const MOST: usize = 200;
+    let clean: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).take(MOST + 1).collect();
+    if clean.chars().count() > MOST {
+        format!("{}…", clean.chars().take(MOST).collect::<String>())
+    } else {
+        clean
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Io { doing, path, source } => write!(f, "cannot {doing} {}: {source}", path.display()),
+            Self::BadInput { path, at, expected, got, help } => {
+                write!(
+                    f,
+                    "{}: {}: expected {}, got {}",
+                    path.display(),
+                    one_line(at),
+                    one_line(expected),
+                    one_line(got)
+                )?;
+                if help.is_empty() { Ok(()) } else { write!(f, "; {}", one_line(help)) }
+            }
+            Self::Usage(message) => f.write_str(message),
+            Self::Budget { what, needed, available } => {
+                write!(
+                    f,
+                    "not enough {what}: the run needs {needed} bytes and has {available}; give at least {needed}"
+                )
+            }
+            Self::Incomplete { path, missing } => {
+                write!(
+                    f,
+                    "{}: incomplete: {} missing: {}",
+                    path.display(),
+                    missing.len(),
+                    one_line(&missing.join(" "))
+                )
+            }
+            Self::Cancelled => f.write_str("stopped by a signal; the same command continues"),
+        }
+    }
+}
+
+impl std::error::Error for Error {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        match self {
+            Self::Io { source, .. } => Some(source),
+            _ => None,
+        }
+    }
+}

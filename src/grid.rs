@@ -1,0 +1,402 @@
+//! Index space: boxes of samples, the affine map to the world, and the grids of bricks and chunks.
+//!
+//! This is the only place that does brick, chunk and halo arithmetic.
+//!
+//! * A **brick** is a box of a fixed number of voxel cells that enumerates its own points (about a thousand).
+//! * A **chunk** is a box of bricks whose points are meshed together (about 250 000). Chunks tile the domain in
+//!   layers along z, each layer in rows along y, each row in chunks along x; the cuts balance the number of points, so
+//!   a set that crowds the middle (a hyperbolic cross) still gets chunks of equal work. Chunk ids run x fastest: a
+//!   volume stored slice by slice is read front to back.
+
+use crate::error::{Error, Result};
+use crate::geom::{Lattice, LatticeBox};
+use glam::{DMat3, DVec3};
+use serde::{Deserialize, Serialize};
+
+/// A half-open box of samples (voxels): `lo <= ijk < hi`, x first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IndexBox {
+    /// Smallest sample, inside.
+    pub lo: [u64; 3],
+    /// Largest corner, outside.
+    pub hi: [u64; 3],
+}
+
+impl IndexBox {
+    /// The box of a whole volume.
+    pub fn whole(dims: [u64; 3]) -> Self {
+        Self { lo: [0; 3], hi: dims }
+    }
+
+    /// Samples along each axis.
+    pub fn dims(&self) -> [u64; 3] {
+        std::array::from_fn(|a| self.hi[a].saturating_sub(self.lo[a]))
+    }
+
+    /// Samples in the box; `None` where the product does not fit 64 bits.
+    pub fn checked_len(&self) -> Option<u64> {
+        let d = self.dims();
+        d[0].checked_mul(d[1])?.checked_mul(d[2])
+    }
+
+    /// Samples in a box known to be small enough to hold in memory.
+    ///
+    /// # Panics
+    /// When the count does not fit `usize`.
+    pub fn len(&self) -> usize {
+        self.checked_len()
+            .and_then(|n| usize::try_from(n).ok())
+            .expect("a box held in memory has a countable size")
+    }
+
+    /// Whether the box has no sample.
+    pub fn is_empty(&self) -> bool {
+        (0..3).any(|a| self.lo[a] >= self.hi[a])
+    }
+
+    /// The common part of two boxes.
+    #[must_use]
+    pub fn intersect(&self, other: &Self) -> Self {
+        Self {
+            lo: std::array::from_fn(|a| self.lo[a].max(other.lo[a])),
+            hi: std::array::from_fn(|a| self.hi[a].min(other.hi[a])),
+        }
+    }
+
+    /// Position of `ijk` in an x-fastest array of this box.
+    #[inline]
+    pub fn offset(&self, ijk: [u64; 3]) -> usize {
+        let d = self.dims();
+        ((((ijk[2] - self.lo[2]) * d[1]) + (ijk[1] - self.lo[1])) * d[0] + (ijk[0] - self.lo[0])) as usize
+    }
+}
+
+/// The affine map from index space (voxel units) to the world: `origin + direction · (spacing ∘ ijk)`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Geometry {
+    /// World position of sample (0, 0, 0).
+    pub origin: [f64; 3],
+    /// World length of a voxel edge along each index axis.
+    pub spacing: [f64; 3],
+    /// World direction of each index axis: `direction[a]` is the unit vector of axis a.
+    pub direction: [[f64; 3]; 3],
+}
+
+impl Default for Geometry {
+    fn default() -> Self {
+        Self {
+            origin: [0.0; 3],
+            spacing: [1.0; 3],
+            direction: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        }
+    }
+}
+
+impl Geometry {
+    fn matrix(&self) -> DMat3 {
+        let axis = |a: usize| DVec3::from_array(self.direction[a]) * self.spacing[a];
+        DMat3::from_cols(axis(0), axis(1), axis(2))
+    }
+
+    /// World position of an index-space position.
+    pub fn to_world(&self, ijk: [f64; 3]) -> [f64; 3] {
+        (self.matrix() * DVec3::from_array(ijk) + DVec3::from_array(self.origin)).to_array()
+    }
+
+    /// Index-space position of a world position.
+    pub fn to_index(&self, world: [f64; 3]) -> [f64; 3] {
+        (self.matrix().inverse() * (DVec3::from_array(world) - DVec3::from_array(self.origin))).to_array()
+    }
+
+    /// A gradient in index space, as a covector, in the world.
+    pub fn gradient_to_world(&self, g: [f64; 3]) -> [f64; 3] {
+        (self.matrix().inverse().transpose() * DVec3::from_array(g)).to_array()
+    }
+
+    /// Whether the map mirrors: a right-handed triple of index axes becomes left-handed.
+    pub fn mirrors(&self) -> bool {
+        self.matrix().determinant() < 0.0
+    }
+
+    /// The determinant of the linear part: world volume of a voxel, signed.
+    pub fn determinant(&self) -> f64 {
+        self.matrix().determinant()
+    }
+
+    /// Whether the map can be inverted and has only finite numbers.
+    pub fn is_valid(&self) -> bool {
+        let m = self.matrix();
+        m.is_finite()
+            && DVec3::from_array(self.origin).is_finite()
+            && m.determinant() != 0.0
+            && m.inverse().is_finite()
+    }
+}
+
+/// Number of a brick, x fastest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct BrickId(pub u64);
+
+/// Number of a chunk, x fastest within its row, rows within its layer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct ChunkId(pub u64);
+
+/// The domain cut into bricks of `edge` voxel cells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BrickGrid {
+    /// The lattice of the domain.
+    pub lattice: Lattice,
+    /// Voxel cells along each edge of a brick.
+    pub edge: [u64; 3],
+}
+
+impl BrickGrid {
+    /// Bricks along each axis.
+    pub fn dims(&self) -> [u64; 3] {
+        std::array::from_fn(|a| (self.lattice.dims[a] - 1).div_ceil(self.edge[a]))
+    }
+
+    /// Number of bricks.
+    pub fn len(&self) -> u64 {
+        self.dims().iter().product()
+    }
+
+    /// Never true: a lattice has at least one cell.
+    pub fn is_empty(&self) -> bool {
+        false
+    }
+
+    /// Brick coordinates of a brick.
+    pub fn coords(&self, id: BrickId) -> [u64; 3] {
+        let d = self.dims();
+        [id.0 % d[0], id.0 / d[0] % d[1], id.0 / d[0] / d[1]]
+    }
+
+    /// The brick at brick coordinates.
+    pub fn id(&self, c: [u64; 3]) -> BrickId {
+        let d = self.dims();
+        BrickId((c[2] * d[1] + c[1]) * d[0] + c[0])
+    }
+
+    /// The lattice box of the bricks `lo <= c < hi`. The last brick of an axis includes the domain's far face.
+    pub fn lattice_box(&self, lo: [u64; 3], hi: [u64; 3]) -> LatticeBox {
+        let (max, d, s) = (self.lattice.max(), self.dims(), self.lattice.log2_steps);
+        LatticeBox {
+            lo: std::array::from_fn(|a| {
+                if lo[a] == d[a] { max[a] + 1 } else { ((lo[a] * self.edge[a]) << s) as u32 }
+            }),
+            hi: std::array::from_fn(|a| {
+                if hi[a] == d[a] { max[a] + 1 } else { ((hi[a] * self.edge[a]) << s) as u32 }
+            }),
+        }
+    }
+
+    /// The lattice box of one brick.
+    pub fn brick(&self, id: BrickId) -> LatticeBox {
+        let c = self.coords(id);
+        self.lattice_box(c, c.map(|x| x + 1))
+    }
+}
+
+/// One chunk of the domain.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Chunk {
+    /// Its number.
+    pub id: ChunkId,
+    /// First brick, in brick coordinates.
+    pub brick_lo: [u64; 3],
+    /// Past the last brick.
+    pub brick_hi: [u64; 3],
+    /// The lattice positions that the chunk owns.
+    pub core: LatticeBox,
+}
+
+impl Chunk {
+    /// The chunk's bricks, x fastest.
+    pub fn bricks(&self, grid: &BrickGrid) -> impl Iterator<Item = BrickId> + use<> {
+        let (grid, lo, hi) = (*grid, self.brick_lo, self.brick_hi);
+        (lo[2]..hi[2]).flat_map(move |z| {
+            (lo[1]..hi[1]).flat_map(move |y| (lo[0]..hi[0]).map(move |x| grid.id([x, y, z])))
+        })
+    }
+}
+
+/// The domain cut into chunks. Memory: a few bytes a chunk.
+#[derive(Clone, Debug)]
+pub struct ChunkGrid {
+    bricks: BrickGrid,
+    /// Cuts along z, in bricks.
+    z_cuts: Vec<u64>,
+    /// Cuts along y of each layer.
+    y_cuts: Vec<Vec<u64>>,
+    /// Cuts along x of each row of each layer.
+    x_cuts: Vec<Vec<Vec<u64>>>,
+    /// First chunk of each row, in chunk order, for the search by id.
+    row_start: Vec<(u64, usize, usize)>,
+    len: u64,
+}
+
+impl ChunkGrid {
+    /// Cuts the bricks into chunks of about `target` points, `count` telling (exactly or nearly, but always the same)
+    /// how many points a box holds. Cost: one call of `count` for each brick layer, brick row and brick at the most.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a target of 0.
+    pub fn new(bricks: BrickGrid, target: u64, count: impl Fn(&LatticeBox) -> u64) -> Result<Self> {
+        if target == 0 {
+            return Err(Error::usage("a chunk must hold at least one point"));
+        }
+        let d = bricks.dims();
+        let cells = bricks.lattice.dims.map(|n| (n - 1) as f64);
+        let counts = |axis: usize, lo: [u64; 3], hi: [u64; 3]| -> Vec<u64> {
+            (lo[axis]..hi[axis])
+                .map(|i| {
+                    let (mut l, mut h) = (lo, hi);
+                    (l[axis], h[axis]) = (i, i + 1);
+                    count(&bricks.lattice_box(l, h))
+                })
+                .collect()
+        };
+        let by_z = counts(2, [0; 3], d);
+        let total: u64 = by_z.iter().sum();
+        let wanted = total.div_ceil(target).max(1) as f64;
+        // Cubic chunks: the edge, in voxels, that cuts the box into `wanted` cubes.
+        let edge = (cells[0] * cells[1] * cells[2] / wanted).cbrt();
+        let layers = ((cells[2] / edge).round() as u64).clamp(1, d[2]);
+        let z_cuts = balanced_cuts(&by_z, layers);
+        let (mut y_cuts, mut x_cuts, mut row_start, mut len) = (vec![], vec![], vec![], 0u64);
+        for (layer, z) in z_cuts.windows(2).enumerate() {
+            let by_y = counts(1, [0, 0, z[0]], [d[0], d[1], z[1]]);
+            let in_layer: u64 = by_y.iter().sum();
+            let wanted = in_layer.div_ceil(target).max(1) as f64;
+            let rows = ((wanted * cells[1] / cells[0]).sqrt().round() as u64).clamp(1, d[1]);
+            let cuts = balanced_cuts(&by_y, rows);
+            let mut rows_x = vec![];
+            for (row, y) in cuts.windows(2).enumerate() {
+                let by_x = counts(0, [0, y[0], z[0]], [d[0], y[1], z[1]]);
+                let in_row: u64 = by_x.iter().sum();
+                let x = balanced_cuts(&by_x, in_row.div_ceil(target).clamp(1, d[0]));
+                row_start.push((len, layer, row));
+                len += x.len() as u64 - 1;
+                rows_x.push(x);
+            }
+            y_cuts.push(cuts);
+            x_cuts.push(rows_x);
+        }
+        Ok(Self { bricks, z_cuts, y_cuts, x_cuts, row_start, len })
+    }
+
+    /// Number of chunks.
+    pub fn len(&self) -> u64 {
+        self.len
+    }
+
+    /// Never true: there is always at least one chunk.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// The bricks that are cut.
+    pub fn bricks(&self) -> &BrickGrid {
+        &self.bricks
+    }
+
+    /// A chunk by its number.
+    ///
+    /// # Panics
+    /// When `id` is not below [`ChunkGrid::len`].
+    pub fn chunk(&self, id: ChunkId) -> Chunk {
+        assert!(id.0 < self.len, "chunk {} of {}", id.0, self.len);
+        let at = self.row_start.partition_point(|r| r.0 <= id.0) - 1;
+        let (first, layer, row) = self.row_start[at];
+        let x = (id.0 - first) as usize;
+        let (xs, ys, zs) = (&self.x_cuts[layer][row], &self.y_cuts[layer], &self.z_cuts);
+        let brick_lo = [xs[x], ys[row], zs[layer]];
+        let brick_hi = [xs[x + 1], ys[row + 1], zs[layer + 1]];
+        Chunk { id, brick_lo, brick_hi, core: self.bricks.lattice_box(brick_lo, brick_hi) }
+    }
+
+    /// All chunks in order.
+    pub fn iter(&self) -> impl Iterator<Item = Chunk> + '_ {
+        (0..self.len).map(|i| self.chunk(ChunkId(i)))
+    }
+}
+
+/// Cuts `counts` into `parts` runs of about equal sum, none empty of bricks; `parts <= counts.len()`.
+fn balanced_cuts(counts: &[u64], parts: u64) -> Vec<u64> {
+    let (n, parts) = (counts.len() as u64, parts.clamp(1, counts.len() as u64));
+    let total: u128 = counts.iter().map(|&c| u128::from(c)).sum();
+    let mut cuts = vec![0];
+    let (mut sum, mut i) = (0u128, 0u64);
+    for part in 1..parts {
+        let goal = total * u128::from(part) / u128::from(parts);
+        let last_allowed = n - (parts - part);
+        let first = cuts[cuts.len() - 1] + 1;
+        // Take bricks while that brings the sum nearer to the goal.
+        while i < last_allowed && (i < first || sum + u128::from(counts[i as usize]) / 2 < goal) {
+            sum += u128::from(counts[i as usize]);
+            i += 1;
+        }
+        cuts.push(i);
+    }
+    cuts.push(n);
+    cuts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tiles(grid: &ChunkGrid) {
+        let d = grid.bricks().dims();
+        let mut seen = vec![0u8; grid.bricks().len() as usize];
+        for c in grid.iter() {
+            assert!(!c.core.is_empty());
+            for b in c.bricks(grid.bricks()) {
+                seen[b.0 as usize] += 1;
+            }
+        }
+        assert!(seen.iter().all(|&s| s == 1), "chunks tile the {d:?} bricks");
+    }
+
+    #[test]
+    fn chunks_tile_the_domain_whatever_the_density() {
+        let lattice = Lattice::new([103, 94, 161]).unwrap();
+        for edge in [[4, 4, 4], [16, 8, 5], [200, 200, 200], [1, 90, 7]] {
+            let bricks = BrickGrid { lattice, edge };
+            for target in [1, 1000, 20_000, 250_000, u64::MAX] {
+                let uniform = |b: &LatticeBox| (b.volume() >> (3 * lattice.log2_steps)) as u64 / 8;
+                tiles(
+                    &ChunkGrid::new(bricks, target.max(if edge[0] < 5 { 500 } else { 1 }), uniform).unwrap(),
+                );
+                let crowded = |b: &LatticeBox| u64::from(b.contains([1 << 22, 1 << 22, 1 << 22])) * 100_000;
+                tiles(&ChunkGrid::new(bricks, target.max(500), crowded).unwrap());
+            }
+        }
+    }
+
+    #[test]
+    fn uniform_chunks_are_near_the_target() {
+        let lattice = Lattice::new([512, 512, 512]).unwrap();
+        let grid = ChunkGrid::new(BrickGrid { lattice, edge: [16; 3] }, 250_000, |b| {
+            (b.volume() >> (3 * lattice.log2_steps)) as u64 / 8
+        })
+        .unwrap();
+        for c in grid.iter() {
+            let points = (c.core.volume() >> (3 * lattice.log2_steps)) as u64 / 8;
+            assert!((125_000..500_000).contains(&points), "{points}");
+        }
+    }
+
+    #[test]
+    fn world_and_back() {
+        let g = Geometry {
+            origin: [1.0, -2.0, 3.0],
+            spacing: [0.5, 2.0, 3.0],
+            direction: [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+        };
+        assert!(g.mirrors() && g.is_valid());
+        assert_eq!(g.to_world([2.0, 1.0, 1.0]), [3.0, -1.0, 6.0]);
+        assert_eq!(g.to_index([3.0, -1.0, 6.0]), [2.0, 1.0, 1.0]);
+    }
+}

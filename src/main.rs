@@ -1,0 +1,3 @@
+//! The `isospan` program.
+
+fn main() {}

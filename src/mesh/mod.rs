@@ -1,0 +1,3 @@
+//! Exact Delaunay tetrahedralization of lattice points, chunk by chunk.
+
+pub mod tet;

@@ -1,0 +1,1 @@
+//! Quasi-Monte Carlo point sets, enumerated box by box.

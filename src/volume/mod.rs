@@ -1,0 +1,156 @@
+//! Volumes: what a reader tells of a structured scalar field, and how its samples are had.
+//!
+//! A format of `formats/` gives either random access (a mapped file, [`VolumeReader`]) or a sequence of slabs
+//! ([`SlabStream`]: compressed or text files). A stream is turned into random access by [`bricked`], once.
+
+pub mod bricked;
+
+use crate::error::Result;
+use crate::grid::{Geometry, IndexBox};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// The type of a stored sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+#[allow(missing_docs)]
+pub enum ScalarType {
+    U8,
+    I8,
+    U16,
+    I16,
+    U32,
+    I32,
+    U64,
+    I64,
+    F32,
+    F64,
+}
+
+impl ScalarType {
+    /// All of them, in the order of their names on the command line.
+    pub const ALL: [Self; 10] = [
+        Self::U8,
+        Self::I8,
+        Self::U16,
+        Self::I16,
+        Self::U32,
+        Self::I32,
+        Self::U64,
+        Self::I64,
+        Self::F32,
+        Self::F64,
+    ];
+
+    /// Bytes a sample.
+    pub fn bytes(self) -> usize {
+        match self {
+            Self::U8 | Self::I8 => 1,
+            Self::U16 | Self::I16 => 2,
+            Self::U32 | Self::I32 | Self::F32 => 4,
+            Self::U64 | Self::I64 | Self::F64 => 8,
+        }
+    }
+
+    /// Its name: "u8" … "f64".
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::U8 => "u8",
+            Self::I8 => "i8",
+            Self::U16 => "u16",
+            Self::I16 => "i16",
+            Self::U32 => "u32",
+            Self::I32 => "i32",
+            Self::U64 => "u64",
+            Self::I64 => "i64",
+            Self::F32 => "f32",
+            Self::F64 => "f64",
+        }
+    }
+
+    /// The type of a name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|t| t.name() == name)
+    }
+}
+
+/// A scalar field that a file offers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FieldInfo {
+    /// The name in the file; "data" where the format has no names.
+    pub name: String,
+    /// Type of a stored sample.
+    pub scalar: ScalarType,
+    /// Values a sample: 1 for a scalar field, 3 for a vector. Only scalar fields are read.
+    pub components: u32,
+}
+
+/// What a file says of the field that is read.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct VolumeInfo {
+    /// The file that was named.
+    pub path: PathBuf,
+    /// The format, as a person would call it: "NRRD (attached, gzip)".
+    pub format: String,
+    /// Samples along x, y, z.
+    pub dims: [u64; 3],
+    /// The field read.
+    pub field: FieldInfo,
+    /// All fields of the file, in file order, the one read included.
+    pub fields: Vec<FieldInfo>,
+    /// Index space to world.
+    pub geometry: Geometry,
+    /// A sample's value is `slope · stored + intercept`.
+    pub slope: f64,
+    /// See `slope`.
+    pub intercept: f64,
+    /// The stored value that the file declares to mean "no data".
+    pub missing: Option<f64>,
+}
+
+/// Random access to the samples of one scalar field.
+pub trait VolumeReader: Send + Sync {
+    /// What is read.
+    fn info(&self) -> &VolumeInfo;
+
+    /// Reads the samples of `voxels`, x fastest, slope and intercept applied (in `f64`, then rounded to `f32`), into
+    /// `out`, whose length is the box's. A declared missing value comes out as NaN.
+    ///
+    /// # Errors
+    /// When the file cannot be read or ends too early.
+    fn read_box(&self, voxels: IndexBox, out: &mut [f32]) -> Result<()>;
+
+    /// Tells that `voxels` will be read soon; a hint.
+    fn will_need(&self, _voxels: IndexBox) {}
+}
+
+/// The samples of one scalar field as a sequence of boxes that together tile the volume, each once.
+pub trait SlabStream: Send {
+    /// What is read.
+    fn info(&self) -> &VolumeInfo;
+
+    /// The next box, its stored samples (no slope applied) as **little-endian** bytes of [`FieldInfo::scalar`], x
+    /// fastest, in `out` (cleared first); `None` after the last. A box is at most a few MiB, or one row.
+    ///
+    /// # Errors
+    /// When the file cannot be read, decoded, or ends too early. Data beyond the last sample are an error too.
+    fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>>;
+}
+
+/// An opened volume.
+pub enum VolumeSource {
+    /// Random access, without a copy.
+    Random(Box<dyn VolumeReader>),
+    /// One pass, front to back.
+    Stream(Box<dyn SlabStream>),
+}
+
+impl VolumeSource {
+    /// What is read.
+    pub fn info(&self) -> &VolumeInfo {
+        match self {
+            Self::Random(r) => r.info(),
+            Self::Stream(s) => s.info(),
+        }
+    }
+}
