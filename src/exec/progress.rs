@@ -1,0 +1,21 @@
+//! How a run tells how far it is. The library draws nothing itself.
+
+/// Hears how far a run is; called from several threads.
+pub trait Progress: Send + Sync {
+    /// A stage of `total` units begins; it ends the one before.
+    fn begin(&self, stage: &str, total: u64, unit: &str);
+    /// `units` more are done.
+    fn advance(&self, units: u64);
+    /// The last stage is over.
+    fn end(&self);
+}
+
+/// Hears and says nothing.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Silent;
+
+impl Progress for Silent {
+    fn begin(&self, _stage: &str, _total: u64, _unit: &str) {}
+    fn advance(&self, _units: u64) {}
+    fn end(&self) {}
+}
