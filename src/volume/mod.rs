@@ -4,6 +4,7 @@
 //! ([`SlabStream`]: compressed or text files). A stream is turned into random access by [`bricked`], once.
 
 pub mod bricked;
+pub mod strided;
 
 use crate::error::Result;
 use crate::grid::{Geometry, IndexBox};
@@ -122,6 +123,29 @@ pub trait VolumeReader: Send + Sync {
 
     /// Tells that `voxels` will be read soon; a hint.
     fn will_need(&self, _voxels: IndexBox) {}
+
+    /// What [`VolumeReader::read_stored`] gives, for a copy without loss. A reader that cannot give the stored samples
+    /// gives its values: `f32`, slope 1, nothing missing.
+    fn stored_info(&self) -> VolumeInfo {
+        let mut info = self.info().clone();
+        info.field.scalar = ScalarType::F32;
+        (info.slope, info.intercept, info.missing) = (1.0, 0.0, None);
+        info
+    }
+
+    /// Reads the samples of `voxels`, x fastest, as **little-endian** bytes of the type that
+    /// [`VolumeReader::stored_info`] names, no slope applied.
+    ///
+    /// # Errors
+    /// When the file cannot be read or ends too early.
+    fn read_stored(&self, voxels: IndexBox, out: &mut [u8]) -> Result<()> {
+        let mut values = vec![0.0f32; voxels.len()];
+        self.read_box(voxels, &mut values)?;
+        for (bytes, value) in out.chunks_exact_mut(4).zip(values) {
+            bytes.copy_from_slice(&value.to_le_bytes());
+        }
+        Ok(())
+    }
 }
 
 /// The samples of one scalar field as a sequence of boxes that together tile the volume, each once.
