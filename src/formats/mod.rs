@@ -8,6 +8,8 @@ pub mod obj;
 pub mod ply;
 pub mod raw;
 pub mod stl;
+pub mod surface;
+mod text;
 pub mod vtk_legacy;
 pub mod vtk_xml;
 pub mod vtp;

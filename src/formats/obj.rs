@@ -1,1 +1,205 @@
-//! Placeholder.
+//! OBJ, the text format of Wavefront's Advanced Visualizer.
+//!
+//! A line is a statement: `v x y z` is a vertex, `vn x y z` a normal, `f a//a b//b c//c` a face of vertex and normal
+//! numbers, both counted from 1. We write the shortest decimals that read back as the same `f32`.
+//!
+//! Read: `v` and `f` in all their forms (`a`, `a/t`, `a//n`, `a/t/n`; negative numbers count back from the last
+//! vertex; polygons become fans; `\` continues a line). What cannot matter to the shape (normals, texture, groups,
+//! materials, curves) is passed over; a statement that OBJ does not have is an error.
+
+use crate::error::Result;
+use crate::formats::ply::check_indices;
+use crate::formats::surface::{Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, push_fan};
+use crate::formats::text::Words;
+use crate::surface::{SurfaceSource, TriMesh, Vertex};
+use std::fmt::Write;
+use std::path::Path;
+
+/// Statements that say nothing of vertices and faces.
+const IGNORED: [&str; 39] = [
+    "vt",
+    "vn",
+    "vp",
+    "l",
+    "p",
+    "o",
+    "g",
+    "s",
+    "mg",
+    "mtllib",
+    "usemtl",
+    "usemap",
+    "maplib",
+    "shadow_obj",
+    "trace_obj",
+    "bevel",
+    "c_interp",
+    "d_interp",
+    "lod",
+    "cstype",
+    "deg",
+    "bmat",
+    "step",
+    "curv",
+    "curv2",
+    "surf",
+    "parm",
+    "trim",
+    "hole",
+    "scrv",
+    "sp",
+    "end",
+    "con",
+    "ctech",
+    "stech",
+    "bsp",
+    "bzp",
+    "cdc",
+    "res",
+];
+
+/// Writes a surface as OBJ.
+pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceMeta) -> Result<()> {
+    sink.put(b"# isospan surface\n")?;
+    for line in meta.lines() {
+        // A backslash at the end would continue the comment into the data.
+        sink.put(format!("# {}\n", line.replace('\\', "/")).as_bytes())?;
+    }
+    let mut text = String::new();
+    each_vertex(source, sink, |sink, v| statement(sink, &mut text, "v", v.position))?;
+    each_vertex(source, sink, |sink, v| statement(sink, &mut text, "vn", v.normal))?;
+    each_triangle(source, sink, |sink, t| {
+        text.clear();
+        let [a, b, c] = t.map(|v| u64::from(v) + 1);
+        writeln!(text, "f {a}//{a} {b}//{b} {c}//{c}").expect("writing to a string cannot fail");
+        sink.put(text.as_bytes())
+    })
+}
+
+fn statement(sink: &mut Sink, text: &mut String, word: &str, numbers: [f32; 3]) -> Result<()> {
+    text.clear();
+    text.push_str(word);
+    for x in numbers {
+        text.push(' ');
+        push_decimal(text, x);
+    }
+    text.push('\n');
+    sink.put(text.as_bytes())
+}
+
+/// The shortest decimal that reads back as `x`; with an exponent where zeros would fill the line.
+fn push_decimal(text: &mut String, x: f32) {
+    let plain = x == 0.0 || (1e-5..1e9).contains(&x.abs()) || !x.is_finite();
+    let done = if plain { write!(text, "{x}") } else { write!(text, "{x:e}") };
+    done.expect("writing to a string cannot fail");
+}
+
+/// Reads an OBJ surface.
+pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
+    let mut words = Words::new(path, bytes, 0);
+    let mut mesh = TriMesh::default();
+    let mut polygon = vec![];
+    while let Some(line) = words.line() {
+        let mut line = line.into_owned();
+        while line.ends_with('\\') {
+            line.pop();
+            line.push(' ');
+            line += &words.line().unwrap_or_default();
+        }
+        // A comment may follow a statement.
+        let statement = line.split('#').next().unwrap_or_default();
+        let mut parts = statement.split_ascii_whitespace();
+        let wrong = |what: &str| words.wrong(what, format!("'{}'", statement.trim()));
+        match parts.next() {
+            None => {}
+            Some("v") => {
+                mesh.vertices.push(vertex(parts).ok_or_else(|| wrong("v and three finite numbers"))?)
+            }
+            Some("f") => {
+                let corners = face(parts, mesh.vertices.len(), &mut polygon);
+                corners.ok_or_else(|| wrong("f and the numbers of at least three vertices"))?;
+                push_fan(&mut mesh.triangles, &polygon);
+            }
+            Some(word) if IGNORED.contains(&word) => {}
+            Some(_) => return Err(wrong("an OBJ statement")),
+        }
+    }
+    check_indices(path, &mesh)?;
+    Ok(mesh)
+}
+
+/// x, y, z; a weight or a colour may follow.
+fn vertex<'a>(parts: impl Iterator<Item = &'a str>) -> Option<Vertex> {
+    let numbers: Vec<f32> = parts.map(|p| p.parse().ok()).collect::<Option<_>>()?;
+    let position: [f32; 3] = numbers.get(..3)?.try_into().ok()?;
+    is_finite(&position).then_some(Vertex { position, normal: [0.0; 3] })
+}
+
+/// The vertices of a face, counted from 0.
+fn face<'a>(parts: impl Iterator<Item = &'a str>, vertices: usize, polygon: &mut Vec<u32>) -> Option<()> {
+    polygon.clear();
+    for part in parts {
+        let number: i64 = part.split('/').next()?.parse().ok()?;
+        let index = match number {
+            1.. => number - 1,
+            // -1 is the last vertex so far.
+            _ => (number < 0).then(|| vertices as i64 + number)?,
+        };
+        polygon.push(u32::try_from(index).ok()?);
+    }
+    (polygon.len() >= 3).then_some(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::surface::tests::{source, survive, tetrahedron};
+    use crate::formats::surface::{SurfaceFormat, write_surface};
+
+    fn parse(text: &str) -> Result<TriMesh> {
+        read(Path::new("f.obj"), text.as_bytes())
+    }
+
+    #[test]
+    fn the_text_is_what_others_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("t.obj");
+        let mut mesh = tetrahedron();
+        mesh.vertices.iter_mut().for_each(|v| v.normal = [0.0, -1.0, 0.5]);
+        let meta = SurfaceMeta { isovalue: Some(0.1), comments: vec!["back\\".into()] };
+        write_surface(&source(mesh), &path, SurfaceFormat::Obj, &meta).unwrap();
+        let text = std::fs::read_to_string(path).unwrap();
+        assert!(text.starts_with("# isospan surface\n# isovalue 0.1\n# back/\nv 0.1 0.33333334 1e-20\n"));
+        assert!(text.contains("\nv 16777216 0 1.5e10\n") && text.contains("\nvn 0 -1 0.5\n"));
+        assert!(text.ends_with("\nf 3//3 1//1 4//4\n"));
+        survive(text.as_bytes(), |b| drop(read(Path::new("f"), b)));
+    }
+
+    #[test]
+    fn all_forms_of_a_face() {
+        let text = "# c\nmtllib x.mtl\nv 0 0 0\nv 1 0 0 1.0\nv 1 1 0 0.5 0.5 0.5 # grey\r\nvt 0 0\nvn 0 0 1\n\
+            f 1 2 3\nf 1/1 2/1 3/1\nf 1//1 2//1 3//1\nv 0 1 0\nf 1/1/1 2/1/1 \\\n 3/1/1 4/1/1\n\
+            g a\nf -4 -3 -1\ns off\nf 1 2 5\nv 5 5 5\n";
+        let mesh = parse(text).unwrap();
+        let expected = [[0, 1, 2], [0, 1, 2], [0, 1, 2], [0, 1, 2], [0, 2, 3], [0, 1, 3], [0, 1, 4]];
+        assert_eq!((mesh.vertices.len(), mesh.triangles), (5, expected.to_vec()));
+    }
+
+    #[test]
+    fn malformed_files_are_refused() {
+        for (text, says) in [
+            ("v 1 2\n", "line 1"),
+            ("\nv 1 2 nan\n", "line 2"),
+            ("v 1 2 x\n", "three finite"),
+            ("v 0 0 0\nf 1 1\n", "at least three"),
+            ("v 0 0 0\nf 1 1 0\n", "at least three"),
+            ("v 0 0 0\nf 1 1 -2\n", "at least three"),
+            ("v 0 0 0\nf 1 1 4294967297\n", "at least three"),
+            ("v 0 0 0\nf 1 1 2\n", "below 1"),
+            ("hello\n", "an OBJ statement"),
+        ] {
+            let error = parse(text).unwrap_err().to_string();
+            assert!(error.contains(says), "{error}");
+        }
+    }
+}

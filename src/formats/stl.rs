@@ -1,1 +1,311 @@
-//! Placeholder.
+//! STL, the stereolithography format of 3D Systems (1989).
+//!
+//! Triangles only, each with its three positions: shared vertices are repeated, and the reader joins those of equal
+//! bits (-0 being 0), which restores exactly the sharing of a surface whose vertices are distinct in `f32`.
+//!
+//! ```text
+//! 0   80 bytes of comment, not beginning with "solid"
+//! 80  u32 number of triangles, little-endian
+//! 84  a record of 50 bytes for each: normal 3 × f32, three positions 3 × f32 each, u16 attribute (0)
+//! ```
+//!
+//! The text form has `facet normal`, `outer loop`, three `vertex x y z`, `endloop`, `endfacet` for each triangle,
+//! between `solid NAME` and `endsolid`. Many binary files begin with "solid", so a file whose length agrees with the
+//! count at byte 80 is binary. The normals of a file are not read: they follow from the positions.
+
+use crate::bytes::ByteSource;
+use crate::error::{Error, Result};
+use crate::formats::surface::{Sink, SurfaceMeta, Welder, each_triangle, each_vertex, is_finite};
+use crate::formats::text::Words;
+use crate::surface::{SurfaceSource, TriMesh};
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+const HEADER: usize = 80;
+const RECORD: usize = 50;
+
+/// The count is 32 bits wide.
+pub(super) fn check_limits(triangles: u64) -> Result<()> {
+    if u32::try_from(triangles).is_err() {
+        return Err(Error::usage(format!(
+            "an STL file holds at most {} triangles, this surface has {triangles}; write PLY or VTP instead",
+            u32::MAX
+        )));
+    }
+    Ok(())
+}
+
+/// Writes a surface as binary STL. Triangles name vertices in any order, so the positions go to a mapped scratch file
+/// first (12 bytes each): memory stays that of a buffer.
+pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceMeta) -> Result<()> {
+    let positions = Positions::store(source, sink)?;
+    sink.put(&header(meta))?;
+    sink.put(&(source.triangle_count() as u32).to_le_bytes())?;
+    each_triangle(source, sink, |sink, t| {
+        let corners = [positions.at(t[0])?, positions.at(t[1])?, positions.at(t[2])?];
+        sink.put(&record(corners))
+    })
+}
+
+/// The comment: as many whole lines of it as there is room for.
+fn header(meta: &SurfaceMeta) -> [u8; HEADER] {
+    let mut text = String::from("binary STL, isospan surface");
+    for line in meta.lines() {
+        text += ", ";
+        text.extend(line.chars().map(|c| if c.is_ascii() { c } else { '?' }));
+    }
+    let mut out = [b' '; HEADER];
+    let n = text.len().min(HEADER);
+    out[..n].copy_from_slice(&text.as_bytes()[..n]);
+    out
+}
+
+fn record(corners: [[f32; 3]; 3]) -> [u8; RECORD] {
+    let mut out = [0; RECORD];
+    let numbers = std::iter::once(normal(corners)).chain(corners).flatten();
+    for (field, value) in out.chunks_exact_mut(4).zip(numbers) {
+        field.copy_from_slice(&value.to_le_bytes());
+    }
+    out
+}
+
+/// The unit normal of a triangle by the right-hand rule; zero for a triangle without area.
+fn normal(corners: [[f32; 3]; 3]) -> [f32; 3] {
+    let [a, b, c] = corners.map(|p| glam::DVec3::from_array(p.map(f64::from)));
+    (b - a).cross(c - a).normalize_or_zero().to_array().map(|x| x as f32)
+}
+
+/// The positions of all vertices, in a scratch file.
+struct Positions {
+    /// `None` for a surface without vertices: an empty file cannot be mapped.
+    mapped: Option<ByteSource>,
+    /// Removes the file when dropped.
+    _file: tempfile::NamedTempFile,
+}
+
+impl Positions {
+    fn store(source: &dyn SurfaceSource, sink: &mut Sink) -> Result<Self> {
+        let file = sink.scratch()?;
+        let fail = |e| Error::io("write the scratch file", file.path(), e);
+        let mut out = BufWriter::with_capacity(1 << 20, file.as_file());
+        each_vertex(source, sink, |_, v| {
+            v.position.iter().try_for_each(|c| out.write_all(&c.to_le_bytes())).map_err(fail)
+        })?;
+        out.flush().map_err(fail)?;
+        drop(out);
+        let mapped = if source.vertex_count() == 0 { None } else { Some(ByteSource::map(file.path())?) };
+        Ok(Self { mapped, _file: file })
+    }
+
+    /// The position of a vertex that is known to exist.
+    fn at(&self, vertex: u32) -> Result<[f32; 3]> {
+        let mapped = self.mapped.as_ref().expect("each_triangle hands only vertices that exist");
+        let start = u64::from(vertex) * 12;
+        Ok(position(mapped.slice(start..start + 12)?))
+    }
+}
+
+/// Three little-endian numbers.
+fn position(bytes: &[u8]) -> [f32; 3] {
+    std::array::from_fn(|a| f32::from_le_bytes(std::array::from_fn(|i| bytes[4 * a + i])))
+}
+
+/// The number of triangles that byte 80 tells.
+fn count(bytes: &[u8]) -> Option<u64> {
+    let field = bytes.get(HEADER..HEADER + 4)?;
+    Some(u32::from_le_bytes(field.try_into().expect("four bytes")).into())
+}
+
+/// Whether the length agrees with the count of a binary file.
+pub(super) fn is_binary(bytes: &[u8]) -> bool {
+    count(bytes).is_some_and(|n| bytes.len() as u64 == (HEADER + 4) as u64 + n * RECORD as u64)
+}
+
+/// Reads an STL surface, binary or text.
+pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
+    if !is_binary(bytes) {
+        if bytes.trim_ascii_start().starts_with(b"solid") {
+            return read_text(path, bytes);
+        }
+        let expected = match count(bytes) {
+            Some(n) => format!("{} bytes for {n} triangles", 84 + n * RECORD as u64),
+            None => "at least 84 bytes".to_string(),
+        };
+        return Err(Error::bad_input(path, "binary STL", expected, format!("{} bytes", bytes.len()))
+            .with_help("the file is cut short, or it is no STL file"));
+    }
+    let mut build = Build { path, mesh: TriMesh::default(), welder: Welder::default() };
+    for (n, record) in bytes[HEADER + 4..].chunks_exact(RECORD).enumerate() {
+        let corners = [12, 24, 36].map(|at| position(&record[at..]));
+        build.push(corners, || format!("triangle {n}"))?;
+    }
+    Ok(build.finish())
+}
+
+fn read_text(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
+    let mut build = Build { path, mesh: TriMesh::default(), welder: Welder::default() };
+    let mut words = Words::new(path, bytes, 0);
+    // The name of a solid is the rest of its line, and any text.
+    while let Some(first) = words.next() {
+        if first != b"solid" {
+            return Err(words.wrong("'solid' or the end of the file", String::from_utf8_lossy(first)));
+        }
+        words.line();
+        while facet_or_end(&mut words)? {
+            let corners = read_facet(&mut words)?;
+            build.push(corners, || words.place())?;
+        }
+    }
+    Ok(build.finish())
+}
+
+/// Whether a facet follows; otherwise the solid has ended.
+fn facet_or_end(words: &mut Words<'_>) -> Result<bool> {
+    match words.word("'facet' or 'endsolid'")? {
+        "facet" => Ok(true),
+        "endsolid" => {
+            words.line();
+            Ok(false)
+        }
+        other => Err(words.wrong("'facet' or 'endsolid'", format!("'{other}'"))),
+    }
+}
+
+/// A facet after its first word.
+fn read_facet(words: &mut Words<'_>) -> Result<[[f32; 3]; 3]> {
+    expect(words, "normal")?;
+    for _ in 0..3 {
+        words.parse::<f32>("a number of the facet's normal")?;
+    }
+    expect(words, "outer")?;
+    expect(words, "loop")?;
+    let mut corners = [[0.0; 3]; 3];
+    for corner in &mut corners {
+        expect(words, "vertex")?;
+        for c in corner.iter_mut() {
+            *c = words.parse("a coordinate")?;
+        }
+    }
+    expect(words, "endloop")?;
+    expect(words, "endfacet")?;
+    Ok(corners)
+}
+
+fn expect(words: &mut Words<'_>, word: &str) -> Result<()> {
+    let quoted = format!("'{word}'");
+    match words.word(&quoted)? {
+        found if found == word => Ok(()),
+        found => Err(words.wrong(quoted, format!("'{found}'"))),
+    }
+}
+
+struct Build<'a> {
+    path: &'a Path,
+    mesh: TriMesh,
+    welder: Welder,
+}
+
+impl Build<'_> {
+    fn push(&mut self, corners: [[f32; 3]; 3], at: impl Fn() -> String) -> Result<()> {
+        let mut triangle = [0; 3];
+        for (vertex, corner) in triangle.iter_mut().zip(corners) {
+            if !is_finite(&corner) {
+                return Err(Error::bad_input(self.path, at(), "finite coordinates", format!("{corner:?}")));
+            }
+            let number = self.welder.vertex(corner);
+            *vertex = number.ok_or_else(|| {
+                Error::bad_input(self.path, at(), "at most 2^32 different vertices", "more of them")
+            })?;
+        }
+        self.mesh.triangles.push(triangle);
+        Ok(())
+    }
+
+    fn finish(self) -> TriMesh {
+        TriMesh { vertices: self.welder.into_vertices(), ..self.mesh }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::surface::tests::{source, survive, tetrahedron};
+    use crate::formats::surface::{SurfaceFormat, write_surface};
+
+    fn parse(bytes: &[u8]) -> Result<TriMesh> {
+        read(Path::new("f.stl"), bytes)
+    }
+
+    fn written(mesh: TriMesh) -> Vec<u8> {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("t.stl");
+        let meta = SurfaceMeta { isovalue: Some(1.5), comments: vec!["é".repeat(80)] };
+        write_surface(&source(mesh), &path, SurfaceFormat::Stl, &meta).unwrap();
+        std::fs::read(path).unwrap()
+    }
+
+    fn flat() -> TriMesh {
+        let mut mesh = tetrahedron();
+        let corners = [[0.0, 0.0, 1.0], [2.0, 0.0, 1.0], [0.0, 3.0, 1.0], [4.0, 0.0, 1.0]];
+        for (v, position) in mesh.vertices.iter_mut().zip(corners) {
+            v.position = position;
+        }
+        mesh.triangles = vec![[0, 1, 2], [1, 0, 2], [0, 1, 3]];
+        mesh
+    }
+
+    #[test]
+    fn records_have_the_normal_of_their_triangle() {
+        let bytes = written(flat());
+        assert_eq!(bytes.len(), 84 + 3 * 50);
+        assert!(bytes.starts_with(b"binary STL, isospan surface, isovalue 1.5, ??") && is_binary(&bytes));
+        let normals: Vec<_> = bytes[84..].chunks(50).map(position).collect();
+        assert_eq!(normals, [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]);
+        assert_eq!(position(&bytes[84 + 24..]), [2.0, 0.0, 1.0]);
+    }
+
+    #[test]
+    fn equal_positions_become_one_vertex() {
+        let text = "solid a name with endsolid in it\n facet normal 0 0 1\n outer loop\n vertex 0 0 0\n\
+            vertex 1 0 0\n vertex 0 1e0 -0\n endloop\n endfacet\n facet normal 0 0 0\n outer loop\n\
+            vertex 1 -0.0 0\n vertex 1 1 0\n vertex 0 1 0\n endloop\n endfacet\nendsolid x\nsolid\nendsolid\n";
+        let mesh = parse(text.as_bytes()).unwrap();
+        assert_eq!((mesh.vertices.len(), mesh.triangles), (4, vec![[0, 1, 2], [1, 3, 2]]));
+        for (from, to, says) in [
+            ("facet", "fazet", "'facet' or"),
+            ("outer loop", "outer ring", "'loop'"),
+            ("1 1 0", "1 inf 0", "finite"),
+            ("1 1 0", "1 x 0", "a coordinate"),
+            ("endsolid\n", "", "end of the file"),
+            ("endsolid\n", "endsolid\nstray", "'solid'"),
+        ] {
+            let error = parse(text.replace(from, to).as_bytes()).unwrap_err().to_string();
+            assert!(error.contains(says), "{error}");
+        }
+        survive(text.as_bytes(), |b| drop(parse(b)));
+    }
+
+    #[test]
+    fn a_binary_file_may_begin_with_solid() {
+        let mut bytes = written(tetrahedron());
+        bytes[..5].copy_from_slice(b"solid");
+        let mesh = parse(&bytes).unwrap();
+        assert_eq!((mesh.vertices.len(), mesh.triangles.len()), (4, 4));
+    }
+
+    #[test]
+    fn damage_is_found() {
+        let bytes = written(tetrahedron());
+        survive(&bytes, |b| drop(parse(b)));
+        assert!((0..bytes.len()).all(|cut| parse(&bytes[..cut]).is_err()));
+        let mut nan = bytes.clone();
+        nan[84 + 12..84 + 16].copy_from_slice(&f32::NAN.to_le_bytes());
+        assert!(parse(&nan).unwrap_err().to_string().contains("triangle 0"));
+    }
+
+    #[test]
+    fn too_many_triangles_are_refused() {
+        assert!(check_limits(u32::MAX.into()).is_ok());
+        assert_eq!(check_limits(1 << 32).unwrap_err().exit_code(), 2);
+    }
+}

@@ -1,0 +1,473 @@
+//! Surface files, both ways: one face for PLY, STL, OBJ and VTP.
+//!
+//! **Writing** streams. A [`SurfaceSource`] knows its counts before its first vertex, so every header is final when it
+//! is written, and the memory used is that of a buffer, whatever the size of the surface. The bytes go to a
+//! temporary file beside the target, which is synced and then renamed: under the target's name there is either what
+//! was there before or a complete file, also after a crash.
+//!
+//! | format | stores | limit, refused before a byte is written |
+//! |---|---|---|
+//! | PLY, binary little-endian | vertices with normals, triangles | none here: counts are decimal text |
+//! | STL, binary | triangles with facet normals; no sharing | 2³²-1 triangles |
+//! | OBJ, text | vertices with normals, triangles | none |
+//! | VTP, appended raw, 64-bit headers | vertices with normals, triangles, the isovalue | none |
+//!
+//! **Reading** ([`read_surface`]) takes a whole surface into memory, for the checker: the four formats as we write
+//! them and as other programs do. Polygons are cut into fans. Vertex normals are kept where the format has them beside
+//! the vertices (PLY, VTP) and are zero otherwise. Positions are stored as `f32`; one that is not finite is an error.
+
+use crate::bytes::ByteSource;
+use crate::error::{Error, Result};
+use crate::formats::{obj, ply, stl, vtp};
+use crate::surface::{SurfaceSource, TriMesh, Vertex};
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use tempfile::NamedTempFile;
+
+/// A format that surfaces are written in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SurfaceFormat {
+    /// Polygon File Format (Stanford), binary little-endian.
+    Ply,
+    /// Stereolithography, binary.
+    Stl,
+    /// Wavefront OBJ, text.
+    Obj,
+    /// VTK XML PolyData, appended raw.
+    Vtp,
+}
+
+impl SurfaceFormat {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Ply, Self::Stl, Self::Obj, Self::Vtp];
+
+    /// The file name extension, lower case, without the dot.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Ply => "ply",
+            Self::Stl => "stl",
+            Self::Obj => "obj",
+            Self::Vtp => "vtp",
+        }
+    }
+
+    /// The format that a file name asks for, by its extension in any case.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when there is no extension or it is none of ours.
+    pub fn from_path(path: &Path) -> Result<Self> {
+        let extension = path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+        let found = Self::ALL.into_iter().find(|f| Some(f.extension()) == extension.as_deref());
+        found.ok_or_else(|| {
+            Error::usage(format!(
+                "cannot tell the surface format of {}: end its name in .ply, .stl, .obj or .vtp",
+                path.display()
+            ))
+        })
+    }
+}
+
+/// What a surface file tells of itself besides the surface.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SurfaceMeta {
+    /// The isovalue that the surface belongs to.
+    pub isovalue: Option<f64>,
+    /// Free text, a line each; characters that a format cannot hold in a comment are replaced.
+    pub comments: Vec<String>,
+}
+
+impl SurfaceMeta {
+    /// The comment lines of a file: printable, one line each, the isovalue first.
+    pub(super) fn lines(&self) -> Vec<String> {
+        let isovalue = self.isovalue.map(|v| format!("isovalue {v}"));
+        let clean = |line: &str| line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+        let texts = self.comments.iter().flat_map(|c| c.lines()).map(clean);
+        isovalue.into_iter().chain(texts).collect()
+    }
+}
+
+/// Writes a surface to `path` and returns the bytes of the file. An empty surface gives an empty, valid file.
+///
+/// # Errors
+/// [`Error::Usage`] when the target is a folder or lies in none, or the surface is beyond the format's limits;
+/// [`Error::Io`] when the system refuses to write, or the source does not hold what it announced; the source's own.
+/// After an error nothing new lies under `path`.
+pub fn write_surface(
+    source: &dyn SurfaceSource,
+    path: &Path,
+    format: SurfaceFormat,
+    meta: &SurfaceMeta,
+) -> Result<u64> {
+    if format == SurfaceFormat::Stl {
+        stl::check_limits(source.triangle_count())?;
+    }
+    let mut sink = Sink::create(path)?;
+    match format {
+        SurfaceFormat::Ply => ply::write(source, &mut sink, meta)?,
+        SurfaceFormat::Stl => stl::write(source, &mut sink, meta)?,
+        SurfaceFormat::Obj => obj::write(source, &mut sink, meta)?,
+        SurfaceFormat::Vtp => vtp::write(source, &mut sink, meta)?,
+    }
+    sink.publish()
+}
+
+/// Reads a surface; the format is told by the first bytes, then by the extension.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file, or one that is no surface; [`Error::Io`] when it cannot be read.
+pub fn read_surface(path: &Path) -> Result<TriMesh> {
+    let source = Arc::new(ByteSource::map(path)?);
+    let bytes = source.slice(0..source.len())?;
+    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes).trim_ascii_start();
+    match SurfaceFormat::from_path(path) {
+        _ if bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r") => ply::read(path, bytes),
+        _ if text.starts_with(b"<?xml") || text.starts_with(b"<VTKFile") => {
+            Err(Error::bad_input(path, "first bytes", "a PLY, STL or OBJ surface", "an XML file"))
+        }
+        _ if stl::is_binary(bytes) => stl::read(path, bytes),
+        Ok(SurfaceFormat::Stl) => stl::read(path, bytes),
+        Ok(SurfaceFormat::Obj) => obj::read(path, bytes),
+        _ if text.starts_with(b"solid") => stl::read(path, bytes),
+        _ => Err(Error::bad_input(path, "first bytes", "a PLY, STL, OBJ or VTP surface", "something else")
+            .with_help("convert it, or give the file the extension of its format")),
+    }
+}
+
+/// Whether all three coordinates are finite.
+pub(super) fn is_finite(p: &[f32; 3]) -> bool {
+    p.iter().all(|c| c.is_finite())
+}
+
+/// A file being written under a temporary name beside its target.
+pub(super) struct Sink {
+    out: BufWriter<NamedTempFile>,
+    target: PathBuf,
+    parent: PathBuf,
+    bytes: u64,
+}
+
+impl Sink {
+    fn create(path: &Path) -> Result<Self> {
+        let target = resolve(path)?;
+        let parent = match target.parent() {
+            Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
+            _ => PathBuf::from("."),
+        };
+        if !parent.is_dir() {
+            return Err(Error::usage(format!(
+                "cannot write {}: there is no folder {}; create it first",
+                path.display(),
+                parent.display()
+            )));
+        }
+        let file = temporary_beside(&parent).map_err(|e| Error::io("create a file beside", &target, e))?;
+        Ok(Self { out: BufWriter::with_capacity(1 << 20, file), target, parent, bytes: 0 })
+    }
+
+    /// Appends bytes.
+    pub(super) fn put(&mut self, bytes: &[u8]) -> Result<()> {
+        self.bytes += bytes.len() as u64;
+        self.out.write_all(bytes).map_err(|e| Error::io("write", &self.target, e))
+    }
+
+    /// A second temporary file beside the target, for data that a format needs in another order; gone when dropped.
+    pub(super) fn scratch(&self) -> Result<NamedTempFile> {
+        temporary_beside(&self.parent).map_err(|e| Error::io("create a scratch file beside", &self.target, e))
+    }
+
+    /// The error of a surface store that does not hold what it announced.
+    pub(super) fn broken_source(&self, what: String) -> Error {
+        Error::io("write", &self.target, io::Error::new(io::ErrorKind::InvalidData, what))
+    }
+
+    /// Makes the file durable, then visible.
+    fn publish(self) -> Result<u64> {
+        let Self { out, target, parent, bytes } = self;
+        let fail = |e| Error::io("write", &target, e);
+        let file = out.into_inner().map_err(|e| fail(e.into_error()))?;
+        file.as_file().sync_all().map_err(fail)?;
+        file.persist(&target).map_err(|e| fail(e.error))?;
+        // A rename is durable when its folder is; some file systems cannot sync a folder, and then need not.
+        #[cfg(unix)]
+        if let Ok(folder) = File::open(&parent) {
+            let _ = folder.sync_all();
+        }
+        #[cfg(not(unix))]
+        let _ = (parent, File::open::<&Path>);
+        Ok(bytes)
+    }
+}
+
+/// The file to write: a link is followed, what is no regular file is refused (a rename would replace a device).
+fn resolve(path: &Path) -> Result<PathBuf> {
+    let refuse = |what: &str| {
+        Err(Error::usage(format!("cannot write {}: it is {what}; give the name of a file", path.display())))
+    };
+    match std::fs::metadata(path) {
+        Ok(about) if about.is_dir() => refuse("a folder"),
+        Ok(about) if !about.is_file() => refuse("a pipe, socket or device"),
+        Ok(_) => std::fs::canonicalize(path).map_err(|e| Error::io("find", path, e)),
+        Err(_) if path.file_name().is_none() => refuse("no file name"),
+        Err(_) => Ok(path.to_path_buf()),
+    }
+}
+
+/// A new hidden file, with the permissions of any new file once it is renamed.
+fn temporary_beside(folder: &Path) -> io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".isospan-").suffix(".tmp");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
+    }
+    builder.tempfile_in(folder)
+}
+
+/// Hands every vertex to `each`; there are exactly as many as announced, or it is an error.
+pub(super) fn each_vertex(
+    source: &dyn SurfaceSource,
+    sink: &mut Sink,
+    mut each: impl FnMut(&mut Sink, &Vertex) -> Result<()>,
+) -> Result<()> {
+    let (mut count, announced) = (0u64, source.vertex_count());
+    source.vertices(&mut |batch| {
+        count += batch.len() as u64;
+        if count > announced {
+            return Err(sink.broken_source(format!("more than the {announced} vertices announced")));
+        }
+        batch.iter().try_for_each(|v| each(sink, v))
+    })?;
+    if count != announced {
+        return Err(sink.broken_source(format!("{count} vertices instead of the {announced} announced")));
+    }
+    Ok(())
+}
+
+/// Hands every triangle to `each`; there are exactly as many as announced, of vertices that exist, or it is an error.
+pub(super) fn each_triangle(
+    source: &dyn SurfaceSource,
+    sink: &mut Sink,
+    mut each: impl FnMut(&mut Sink, [u32; 3]) -> Result<()>,
+) -> Result<()> {
+    let (mut count, announced, vertices) = (0u64, source.triangle_count(), source.vertex_count());
+    source.triangles(&mut |batch| {
+        count += batch.len() as u64;
+        if count > announced {
+            return Err(sink.broken_source(format!("more than the {announced} triangles announced")));
+        }
+        for &t in batch {
+            if t.iter().any(|&v| u64::from(v) >= vertices) {
+                return Err(sink.broken_source(format!("triangle {t:?} of a surface of {vertices} vertices")));
+            }
+            each(sink, t)?;
+        }
+        Ok(())
+    })?;
+    if count != announced {
+        return Err(sink.broken_source(format!("{count} triangles instead of the {announced} announced")));
+    }
+    Ok(())
+}
+
+/// Joins vertices by exact position, -0 being 0, in order of first appearance. For formats that repeat positions.
+#[derive(Default)]
+pub(super) struct Welder {
+    vertices: Vec<Vertex>,
+    number: rustc_hash::FxHashMap<[u32; 3], u32>,
+}
+
+impl Welder {
+    /// The number of the vertex at `position`; `None` when there are 2³² already.
+    pub(super) fn vertex(&mut self, position: [f32; 3]) -> Option<u32> {
+        // -0 + 0 = 0: both zeros get the same bits.
+        let position = position.map(|c| c + 0.0);
+        let next = u32::try_from(self.vertices.len()).ok()?;
+        let number = *self.number.entry(position.map(f32::to_bits)).or_insert(next);
+        if number == next {
+            self.vertices.push(Vertex { position, normal: [0.0; 3] });
+        }
+        Some(number)
+    }
+
+    /// The vertices, in order of their numbers.
+    pub(super) fn into_vertices(self) -> Vec<Vertex> {
+        self.vertices
+    }
+}
+
+/// A triangle fan over a polygon's vertices: (0, 1, 2), (0, 2, 3), …
+pub(super) fn push_fan(triangles: &mut Vec<[u32; 3]>, polygon: &[u32]) {
+    triangles.extend(polygon[1..].windows(2).map(|edge| [polygon[0], edge[0], edge[1]]));
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// A surface in memory that hands itself out in batches of `batch`.
+    pub(in crate::formats) struct InMemory {
+        pub(in crate::formats) mesh: TriMesh,
+        pub(in crate::formats) batch: usize,
+        /// Announced beyond the truth.
+        pub(in crate::formats) lie: [u64; 2],
+    }
+
+    impl SurfaceSource for InMemory {
+        fn vertex_count(&self) -> u64 {
+            self.mesh.vertices.len() as u64 + self.lie[0]
+        }
+        fn triangle_count(&self) -> u64 {
+            self.mesh.triangles.len() as u64 + self.lie[1]
+        }
+        fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()> {
+            self.mesh.vertices.chunks(self.batch).try_for_each(each)
+        }
+        fn triangles(&self, each: &mut dyn FnMut(&[[u32; 3]]) -> Result<()>) -> Result<()> {
+            self.mesh.triangles.chunks(self.batch).try_for_each(each)
+        }
+    }
+
+    /// A tetrahedron whose coordinates are awkward as decimals; normals of unit length, nearly.
+    pub(in crate::formats) fn tetrahedron() -> TriMesh {
+        let v = |position: [f32; 3]| {
+            let length = position.iter().map(|c| c * c).sum::<f32>().sqrt();
+            Vertex { position, normal: position.map(|c| c / length) }
+        };
+        TriMesh {
+            vertices: vec![
+                v([0.1, 1.0 / 3.0, 1e-20]),
+                v([16_777_216.0, 0.0, 1.5e10]),
+                v([-0.0, 7.0, f32::MIN_POSITIVE]),
+                v([3.4e38, -2.5, 1e-7]),
+            ],
+            triangles: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]],
+        }
+    }
+
+    pub(in crate::formats) fn source(mesh: TriMesh) -> InMemory {
+        InMemory { mesh, batch: 3, lie: [0, 0] }
+    }
+
+    fn meta() -> SurfaceMeta {
+        SurfaceMeta { isovalue: Some(0.25), comments: vec!["a -- b\nsecond <line> ÿ".into()] }
+    }
+
+    fn same_shape(a: &TriMesh, b: &TriMesh) {
+        let corners = |m: &TriMesh| -> Vec<[[u32; 3]; 3]> {
+            let bits = |v: u32| m.vertices[v as usize].position.map(|c| (c + 0.0).to_bits());
+            m.triangles.iter().map(|t| t.map(bits)).collect()
+        };
+        assert_eq!(corners(a), corners(b));
+    }
+
+    #[test]
+    fn every_format_comes_back() {
+        let dir = tempfile::tempdir().unwrap();
+        for format in SurfaceFormat::ALL {
+            let path = dir.path().join("x").with_extension(format.extension());
+            assert_eq!(SurfaceFormat::from_path(&path).unwrap(), format);
+            for mesh in [tetrahedron(), TriMesh::default()] {
+                let bytes = write_surface(&source(mesh.clone()), &path, format, &meta()).unwrap();
+                assert_eq!(std::fs::metadata(&path).unwrap().len(), bytes);
+                if format == SurfaceFormat::Vtp {
+                    continue;
+                }
+                let back = read_surface(&path).unwrap();
+                same_shape(&mesh, &back);
+                if matches!(format, SurfaceFormat::Ply | SurfaceFormat::Vtp) {
+                    assert_eq!(mesh, back);
+                }
+            }
+        }
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 4, "no temporary file is left");
+    }
+
+    #[test]
+    fn batches_do_not_show() {
+        let dir = tempfile::tempdir().unwrap();
+        for format in SurfaceFormat::ALL {
+            let write = |batch: usize| {
+                let path = dir.path().join(format!("{batch}.{}", format.extension()));
+                let s = InMemory { mesh: tetrahedron(), batch, lie: [0, 0] };
+                write_surface(&s, &path, format, &meta()).unwrap();
+                std::fs::read(path).unwrap()
+            };
+            assert_eq!(write(1), write(100));
+        }
+    }
+
+    #[test]
+    fn a_source_that_lies_leaves_the_old_file() {
+        let dir = tempfile::tempdir().unwrap();
+        for format in SurfaceFormat::ALL {
+            let path = dir.path().join("kept").with_extension(format.extension());
+            std::fs::write(&path, "old").unwrap();
+            let mut wrong_index = source(tetrahedron());
+            wrong_index.mesh.triangles[2][1] = 4;
+            let lies = [[1, 0], [0, 1]].map(|lie| InMemory { lie, ..source(tetrahedron()) });
+            for s in lies.into_iter().chain([wrong_index]) {
+                assert!(write_surface(&s, &path, format, &meta()).is_err());
+                assert_eq!(std::fs::read(&path).unwrap(), b"old");
+            }
+        }
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 4, "no temporary file is left");
+    }
+
+    #[test]
+    fn impossible_targets_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let refused = |path: &Path| {
+            let e = write_surface(&source(tetrahedron()), path, SurfaceFormat::Ply, &meta()).unwrap_err();
+            assert_eq!(e.exit_code(), 2);
+            e.to_string()
+        };
+        assert!(refused(dir.path()).contains("a folder"));
+        assert!(refused(&dir.path().join("none/x.ply")).contains("no folder"));
+        #[cfg(unix)]
+        assert!(refused(Path::new("/dev/null")).contains("device"));
+        assert!(SurfaceFormat::from_path(Path::new("x.nrrd")).is_err());
+        assert!(SurfaceFormat::from_path(Path::new("ply")).is_err());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_is_followed_and_the_file_is_readable_by_others() {
+        use std::os::unix::fs::PermissionsExt;
+        let dir = tempfile::tempdir().unwrap();
+        let (real, link) = (dir.path().join("real.ply"), dir.path().join("link.ply"));
+        std::fs::write(&real, "old").unwrap();
+        std::os::unix::fs::symlink(&real, &link).unwrap();
+        write_surface(&source(tetrahedron()), &link, SurfaceFormat::Ply, &meta()).unwrap();
+        assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert!(std::fs::read(&real).unwrap().starts_with(b"ply"));
+        let plain = dir.path().join("plain");
+        std::fs::write(&plain, "").unwrap();
+        let mode = |p: &Path| std::fs::metadata(p).unwrap().permissions().mode();
+        assert_eq!(mode(&real), mode(&plain));
+    }
+
+    #[test]
+    fn a_file_that_is_no_surface_is_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("x.dat");
+        std::fs::write(&path, "# vtk DataFile Version 3.0\n").unwrap();
+        assert_eq!(read_surface(&path).unwrap_err().exit_code(), 5);
+    }
+
+    /// Cuts at every length and flips bytes: a reader gives an error or a surface, and does not panic.
+    pub(in crate::formats) fn survive(bytes: &[u8], read: impl Fn(&[u8])) {
+        for cut in 0..bytes.len() {
+            read(&bytes[..cut]);
+        }
+        for at in 0..bytes.len() {
+            for flip in [0x01, 0x10, 0x80, 0xff] {
+                let mut bad = bytes.to_vec();
+                bad[at] ^= flip;
+                read(&bad);
+            }
+        }
+    }
+}

@@ -1,0 +1,147 @@
+//! Text in data files: words divided by white space, numbers, and the line where something is wrong.
+
+use crate::error::{Error, Result};
+use crate::volume::ScalarType;
+use std::path::Path;
+
+/// Goes through the words of a text that may be larger than memory (a mapped file).
+#[derive(Clone, Debug)]
+pub(super) struct Words<'a> {
+    path: &'a Path,
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> Words<'a> {
+    /// The words of `bytes` from byte `at` on; `path` is for messages.
+    pub(super) fn new(path: &'a Path, bytes: &'a [u8], at: usize) -> Self {
+        Self { path, bytes, at }
+    }
+
+    /// The byte after what was read.
+    pub(super) fn at(&self) -> usize {
+        self.at
+    }
+
+    /// The bytes not read yet.
+    pub(super) fn rest(&self) -> &'a [u8] {
+        &self.bytes[self.at..]
+    }
+
+    /// The next word, if there is one.
+    pub(super) fn next(&mut self) -> Option<&'a [u8]> {
+        let (start, end) = word(self.bytes, self.at)?;
+        self.at = end;
+        Some(&self.bytes[start..end])
+    }
+
+    /// The next word as text; `what` is what it should be.
+    pub(super) fn word(&mut self, what: &str) -> Result<&'a str> {
+        let found = self.next().ok_or_else(|| self.wrong(what, "the end of the file"))?;
+        std::str::from_utf8(found).map_err(|_| self.wrong(what, "bytes that are not text"))
+    }
+
+    /// The next word as a number or anything else that parses; `what` is what it should be.
+    pub(super) fn parse<T: std::str::FromStr>(&mut self, what: &str) -> Result<T> {
+        let found = self.word(what)?;
+        found.parse().map_err(|_| self.wrong(what, format!("'{found}'")))
+    }
+
+    /// The rest of the line, without its end; `None` at the end of the text. Text that is not UTF-8 is shown with
+    /// replacement characters.
+    pub(super) fn line(&mut self) -> Option<std::borrow::Cow<'a, str>> {
+        let rest = self.rest();
+        if rest.is_empty() {
+            return None;
+        }
+        let len = rest.iter().position(|&b| b == b'\n').unwrap_or(rest.len());
+        self.at += (len + 1).min(rest.len());
+        Some(String::from_utf8_lossy(rest[..len].strip_suffix(b"\r").unwrap_or(&rest[..len])))
+    }
+
+    /// Goes over `n` bytes; `None` when there are fewer.
+    pub(super) fn take(&mut self, n: u64) -> Option<&'a [u8]> {
+        let bytes = self.rest().get(..usize::try_from(n).ok()?)?;
+        self.at += bytes.len();
+        Some(bytes)
+    }
+
+    /// "line n", n counted from 1, of the last byte read.
+    pub(super) fn place(&self) -> String {
+        place(self.bytes, self.at.saturating_sub(1))
+    }
+
+    /// An error at the last word read.
+    pub(super) fn wrong(&self, expected: impl Into<String>, got: impl Into<String>) -> Error {
+        Error::bad_input(self.path, self.place(), expected, got)
+    }
+}
+
+/// "line n" of byte `at`.
+pub(super) fn place(bytes: &[u8], at: usize) -> String {
+    let before = &bytes[..at.min(bytes.len())];
+    format!("line {}", before.iter().filter(|&&b| b == b'\n').count() + 1)
+}
+
+/// Where the next word at or after `at` starts and ends.
+pub(super) fn word(bytes: &[u8], at: usize) -> Option<(usize, usize)> {
+    let start = at + bytes.get(at..)?.iter().position(|b| !is_space(*b))?;
+    let len = bytes[start..].iter().position(|b| is_space(*b)).unwrap_or(bytes.len() - start);
+    Some((start, start + len))
+}
+
+/// White space as C's `isspace` has it.
+fn is_space(b: u8) -> bool {
+    b.is_ascii_whitespace() || b == 0x0b
+}
+
+/// A decimal number as the little-endian bytes of `scalar`, appended to `out`; `None` when it is none, or out of range.
+#[allow(dead_code)]
+pub(super) fn push_number(word: &[u8], scalar: ScalarType, out: &mut Vec<u8>) -> Option<()> {
+    let text = std::str::from_utf8(word).ok()?;
+    match scalar {
+        ScalarType::U8 => out.extend(text.parse::<u8>().ok()?.to_le_bytes()),
+        ScalarType::I8 => out.extend(text.parse::<i8>().ok()?.to_le_bytes()),
+        ScalarType::U16 => out.extend(text.parse::<u16>().ok()?.to_le_bytes()),
+        ScalarType::I16 => out.extend(text.parse::<i16>().ok()?.to_le_bytes()),
+        ScalarType::U32 => out.extend(text.parse::<u32>().ok()?.to_le_bytes()),
+        ScalarType::I32 => out.extend(text.parse::<i32>().ok()?.to_le_bytes()),
+        ScalarType::U64 => out.extend(text.parse::<u64>().ok()?.to_le_bytes()),
+        ScalarType::I64 => out.extend(text.parse::<i64>().ok()?.to_le_bytes()),
+        ScalarType::F32 => out.extend(text.parse::<f32>().ok()?.to_le_bytes()),
+        ScalarType::F64 => out.extend(text.parse::<f64>().ok()?.to_le_bytes()),
+    }
+    Some(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_and_lines() {
+        let text = b"  one\ttwo\r\nthree 4\n\nx";
+        let mut w = Words::new(Path::new("f"), text, 0);
+        assert_eq!((w.next(), w.next()), (Some(&b"one"[..]), Some(&b"two"[..])));
+        assert_eq!(w.line().unwrap(), "");
+        assert_eq!(w.word("a word").unwrap(), "three");
+        assert_eq!(w.parse::<u8>("a number").unwrap(), 4);
+        assert_eq!((w.line().unwrap().as_ref(), w.line().unwrap().as_ref()), ("", ""));
+        let error = w.parse::<f32>("a number").unwrap_err().to_string();
+        assert_eq!(error, "f: line 4: expected a number, got 'x'");
+        assert!(w.next().is_none() && w.line().is_none());
+        assert!(w.word("a word").unwrap_err().to_string().contains("the end of the file"));
+    }
+
+    #[test]
+    fn numbers_of_every_type() {
+        for scalar in ScalarType::ALL {
+            let mut out = vec![];
+            push_number(b"5", scalar, &mut out).unwrap();
+            assert_eq!(out.len(), scalar.bytes());
+            assert!(push_number(b"x", scalar, &mut out).is_none());
+        }
+        assert!(push_number(b"256", ScalarType::U8, &mut vec![]).is_none());
+        assert!(push_number(b"1e3", ScalarType::F32, &mut vec![]).is_some());
+    }
+}
