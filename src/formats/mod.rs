@@ -1,5 +1,14 @@
 //! Other programs' files, both ways.
+//!
+//! [`open_volume`] finds out what a file is, from its first bytes where they say it and from its name otherwise, and
+//! hands it to the module of that format. Each of them parses a header, checks every number of it against the file's
+//! length, and ends in one of two ways: samples that lie in the file as they are become a mapped
+//! [`StridedVolume`](crate::volume::strided::StridedVolume); compressed samples and text become a stream of slabs.
+//!
+//! World coordinates are the file's own: NRRD and MetaImage files usually say left-posterior-superior, NIfTI
+//! right-anterior-superior. They are not converted into one another.
 
+mod header;
 pub mod metaimage;
 pub mod nifti;
 pub mod npy;
@@ -8,11 +17,20 @@ pub mod obj;
 pub mod ply;
 pub mod raw;
 pub mod stl;
+pub mod stream;
 pub mod surface;
 mod text;
 pub mod vtk_legacy;
 pub mod vtk_xml;
 pub mod vtp;
+
+use crate::bytes::ByteSource;
+use crate::error::{Error, Result};
+use crate::volume::bricked::{self, BrickedVolume};
+use crate::volume::{FieldInfo, VolumeSource};
+use std::path::Path;
+use std::sync::Arc;
+use stream::Codec;
 
 /// How to open a volume.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -21,4 +39,293 @@ pub struct OpenOptions {
     pub field: Option<String>,
     /// The layout of a headerless file; required for those, refused for others.
     pub raw: Option<raw::RawLayout>,
+}
+
+/// What a file is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Bricks,
+    MetaImage,
+    Nifti,
+    Npy,
+    Npz,
+    Nrrd,
+    VtkLegacy,
+    VtkXml,
+}
+
+impl Kind {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Bricks => "an isospan .bricks file",
+            Self::MetaImage => "a MetaImage file",
+            Self::Nifti => "a NIfTI file",
+            Self::Npy => "an NPY file",
+            Self::Npz => "an NPZ file",
+            Self::Nrrd => "an NRRD file",
+            Self::VtkLegacy => "a legacy VTK file",
+            Self::VtkXml => "a VTK XML file",
+        }
+    }
+}
+
+/// Opens a volume of any format that is read.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file or an unknown kind; [`Error::Usage`] when several fields ask for a choice,
+/// when a headerless file comes without its layout, or another with one.
+pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    let source = Arc::new(ByteSource::map(path)?);
+    let kind = kind_of(&source);
+    if let (Some(kind), Some(_)) = (kind, &options.raw) {
+        return Err(Error::usage(format!(
+            "{} is {}, which tells its own layout: leave out --dims, --type, --endian, --offset and --spacing",
+            path.display(),
+            kind.name()
+        )));
+    }
+    match kind {
+        Some(Kind::Bricks) => {
+            let volume = BrickedVolume::open(path)?;
+            pick_field(path, &crate::volume::VolumeReader::info(&volume).fields, options.field.as_deref())?;
+            Ok(VolumeSource::Random(Box::new(volume)))
+        }
+        Some(Kind::MetaImage) => metaimage::open(path, options),
+        Some(Kind::Nifti) => nifti::open(path, options),
+        Some(Kind::Npy) => npy::open(path, options),
+        Some(Kind::Npz) => npy::open_zip(path, options),
+        Some(Kind::Nrrd) => nrrd::open(path, options),
+        Some(Kind::VtkLegacy) => vtk_legacy::open(path, options),
+        Some(Kind::VtkXml) => vtk_xml::open(path, options),
+        None if options.raw.is_some() => raw::open(path, options),
+        None if has_suffix(path, &[".raw", ".bin", ".dat", ".raw.gz"]) => Err(raw::no_layout(path)),
+        None => Err(unknown_kind(&source)),
+    }
+}
+
+/// What a file is: by its first bytes, then by its name.
+fn kind_of(source: &Arc<ByteSource>) -> Option<Kind> {
+    let head = source.slice(0..source.len().min(512)).expect("within the file");
+    let path = source.path();
+    let magic = [
+        (&b"NRRD000"[..], Kind::Nrrd),
+        (b"\x93NUMPY", Kind::Npy),
+        (b"PK\x03\x04", Kind::Npz),
+        (b"# vtk DataFile", Kind::VtkLegacy),
+        (b"<VTKFile", Kind::VtkXml),
+        (&bricked::MAGIC, Kind::Bricks),
+    ];
+    let text = head.strip_prefix(b"\xef\xbb\xbf").unwrap_or(head).trim_ascii_start();
+    if let Some((_, kind)) = magic.into_iter().find(|(m, _)| head.starts_with(m)) {
+        return Some(kind);
+    }
+    if text.starts_with(b"<?xml") || text.starts_with(b"<VTKFile") {
+        return Some(Kind::VtkXml);
+    }
+    if nifti::has_magic(head) || (head.starts_with(&[0x1f, 0x8b]) && nifti::has_magic(&unzipped_head(source)))
+    {
+        return Some(Kind::Nifti);
+    }
+    let by_name = [
+        (&[".nrrd", ".nhdr"][..], Kind::Nrrd),
+        (&[".mha", ".mhd"], Kind::MetaImage),
+        (&[".nii", ".nii.gz", ".hdr", ".hdr.gz", ".img", ".img.gz"], Kind::Nifti),
+        (&[".npy"], Kind::Npy),
+        (&[".npz"], Kind::Npz),
+        (&[".vtk"], Kind::VtkLegacy),
+        (&[".vti"], Kind::VtkXml),
+        (&[".bricks"], Kind::Bricks),
+    ];
+    by_name.into_iter().find(|(suffixes, _)| has_suffix(path, suffixes)).map(|(_, kind)| kind)
+}
+
+/// The first bytes of a gzip file, decoded; fewer where it is damaged, which its own reader will report.
+fn unzipped_head(source: &Arc<ByteSource>) -> Vec<u8> {
+    let mut head = vec![];
+    if let Ok(decoded) = Codec::Gzip.reader(source, 0..source.len()) {
+        // What was decoded before an error is enough to look at.
+        let _ = std::io::Read::read_to_end(&mut std::io::Read::take(decoded, 512), &mut head);
+    }
+    head
+}
+
+fn unknown_kind(source: &ByteSource) -> Error {
+    let head = source.slice(0..source.len().min(8)).expect("within the file");
+    let shown: Vec<String> = head.iter().map(|b| format!("{b:02x}")).collect();
+    Error::bad_input(
+        source.path(),
+        "kind of file",
+        "NRRD, MetaImage, NPY or NPZ, NIfTI, VTI, legacy VTK or .bricks",
+        format!("none of these by name or first bytes ({})", shown.join(" ")),
+    )
+    .with_help("a headerless file needs --dims and --type; of other compressed files, unpack them first")
+}
+
+/// Whether the file's name ends in one of `suffixes`, in any case.
+pub(crate) fn has_suffix(path: &Path, suffixes: &[&str]) -> bool {
+    let name = path.file_name().map(|n| n.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    suffixes.iter().any(|s| name.ends_with(s))
+}
+
+/// The index of the field to read: the one that is `wanted`, or the only scalar one.
+///
+/// # Errors
+/// [`Error::Usage`] listing the fields when `wanted` is not a scalar field of the file, or is needed and not given;
+/// [`Error::BadInput`] when there is no scalar field at all.
+pub fn pick_field(path: &Path, fields: &[FieldInfo], wanted: Option<&str>) -> Result<usize> {
+    let scalar: Vec<usize> = (0..fields.len()).filter(|&i| fields[i].components == 1).collect();
+    if scalar.is_empty() {
+        let got = if fields.is_empty() { "no field".into() } else { list_fields(fields) };
+        return Err(Error::bad_input(path, "fields", "a field with one number a sample", got)
+            .with_help("write the component or the magnitude to a field of its own"));
+    }
+    match (wanted, &scalar[..]) {
+        (None, &[only]) => Ok(only),
+        (None, _) => Err(Error::usage(format!(
+            "{}: several fields: {}; choose one with --field NAME",
+            path.display(),
+            list_fields(fields)
+        ))),
+        (Some(name), _) => scalar.into_iter().find(|&i| fields[i].name == name).ok_or_else(|| {
+            let fields = list_fields(fields);
+            Error::usage(format!("{}: no scalar field {name}; its fields: {fields}", path.display()))
+        }),
+    }
+}
+
+/// "speed (f32), velocity (3 x f32, not scalar)"; of very many, the first.
+fn list_fields(fields: &[FieldInfo]) -> String {
+    const MOST: usize = 40;
+    let one = |f: &FieldInfo| match f.components {
+        1 => format!("{} ({})", f.name, f.scalar.name()),
+        n => format!("{} ({n} x {}, not scalar)", f.name, f.scalar.name()),
+    };
+    let mut list: Vec<String> = fields.iter().take(MOST).map(one).collect();
+    if fields.len() > MOST {
+        list.push(format!("… {} in all", fields.len()));
+    }
+    list.join(", ")
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::grid::IndexBox;
+    use crate::volume::{ScalarType, VolumeInfo, strided::convert_row};
+    use std::path::PathBuf;
+
+    /// Writes a file in a temporary folder.
+    pub(crate) fn write(dir: &tempfile::TempDir, name: &str, bytes: &[u8]) -> PathBuf {
+        let path = dir.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        path
+    }
+
+    /// All values of a source, x fastest; panics on an error.
+    pub(crate) fn read_all(source: VolumeSource) -> (VolumeInfo, Vec<f32>) {
+        let info = source.info().clone();
+        (info, try_read_all(source).unwrap())
+    }
+
+    /// All values of a source, x fastest.
+    pub(crate) fn try_read_all(source: VolumeSource) -> Result<Vec<f32>> {
+        let info = source.info().clone();
+        let whole = IndexBox::whole(info.dims);
+        if let VolumeSource::Random(reader) = &source {
+            let mut values = vec![0.0; whole.len()];
+            reader.read_box(whole, &mut values)?;
+            return Ok(values);
+        }
+        let (mut stream, mut bytes, mut values) = (source.into_stream(), vec![], vec![]);
+        while let Some(slab) = stream.next_slab(&mut bytes)? {
+            let mut part = vec![0.0; slab.len()];
+            convert_row(
+                &bytes,
+                info.field.scalar,
+                false,
+                info.slope,
+                info.intercept,
+                info.missing,
+                &mut part,
+            );
+            assert_eq!(whole.offset(slab.lo), values.len());
+            values.extend(part);
+        }
+        assert_eq!(values.len(), whole.len());
+        Ok(values)
+    }
+
+    /// Whether a damaged file is refused, or read whole, in an orderly way; panics are the test's failures.
+    pub(crate) fn survives(path: &Path) -> bool {
+        let opened = open_volume(path, &OpenOptions::default());
+        match opened.and_then(try_read_all) {
+            Ok(_) => true,
+            Err(e) => {
+                let line = e.to_string();
+                assert!(!line.contains('\n') && line.contains(&path.display().to_string()), "{line}");
+                false
+            }
+        }
+    }
+
+    /// Cuts a small file at every length and flips bytes all over; every cut inside `needed` must be refused.
+    pub(crate) fn torture(name: &str, bytes: &[u8], needed: usize) {
+        let dir = tempfile::tempdir().unwrap();
+        assert!(survives(&write(&dir, name, bytes)), "the undamaged file is read");
+        for cut in 0..bytes.len() {
+            let read = survives(&write(&dir, name, &bytes[..cut]));
+            assert!(!(read && cut < needed), "{name} cut to {cut} bytes was read");
+        }
+        for at in 0..bytes.len().min(1500) {
+            for flip in [0x01, 0x10, 0x80, 0xff] {
+                let mut damaged = bytes.to_vec();
+                damaged[at] ^= flip;
+                survives(&write(&dir, name, &damaged));
+            }
+        }
+    }
+
+    fn field(name: &str, components: u32) -> FieldInfo {
+        FieldInfo { name: name.into(), scalar: ScalarType::F32, components }
+    }
+
+    #[test]
+    fn fields_are_picked_or_listed() {
+        let path = Path::new("f.vti");
+        let fields = [field("velocity", 3), field("speed", 1), field("heat", 1)];
+        assert_eq!(pick_field(path, &fields[..2], None).unwrap(), 1);
+        assert_eq!(pick_field(path, &fields, Some("heat")).unwrap(), 2);
+        for wanted in [None, Some("velocity"), Some("none")] {
+            let error = pick_field(path, &fields, wanted).unwrap_err();
+            assert_eq!(error.exit_code(), 2);
+            assert!(
+                error.to_string().contains("velocity (3 x f32, not scalar), speed (f32), heat (f32)"),
+                "{error}"
+            );
+        }
+        assert_eq!(pick_field(path, &fields[..1], None).unwrap_err().exit_code(), 5);
+        assert_eq!(pick_field(path, &[], None).unwrap_err().exit_code(), 5);
+    }
+
+    #[test]
+    fn unknown_kinds_are_told_what_is_read() {
+        let dir = tempfile::tempdir().unwrap();
+        let open = |name: &str, bytes: &[u8]| {
+            open_volume(&write(&dir, name, bytes), &OpenOptions::default()).err().expect("refused")
+        };
+        assert!(open("a.tif", b"II*\0").to_string().contains("MetaImage"));
+        assert_eq!(open("a.raw", b"1234").exit_code(), 2);
+        let layout = raw::RawLayout {
+            dims: [2; 3],
+            scalar: ScalarType::U8,
+            big_endian: false,
+            offset: 0,
+            spacing: [1.0; 3],
+        };
+        let options = OpenOptions { field: None, raw: Some(layout) };
+        let nrrd = write(&dir, "a.nrrd", b"NRRD0004\n");
+        let error = open_volume(&nrrd, &options).err().expect("refused");
+        assert_eq!(error.exit_code(), 2);
+        assert!(error.to_string().contains("an NRRD file"), "{error}");
+    }
 }

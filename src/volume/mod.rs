@@ -4,6 +4,7 @@
 //! ([`SlabStream`]: compressed or text files). A stream is turned into random access by [`bricked`], once.
 
 pub mod bricked;
+pub mod slabs;
 pub mod strided;
 
 use crate::error::Result;
@@ -175,6 +176,14 @@ impl VolumeSource {
         match self {
             Self::Random(r) => r.info(),
             Self::Stream(s) => s.info(),
+        }
+    }
+
+    /// The stored samples front to back, whatever the source.
+    pub fn into_stream(self) -> Box<dyn SlabStream> {
+        match self {
+            Self::Random(reader) => Box::new(slabs::ReaderSlabs::new(reader)),
+            Self::Stream(stream) => stream,
         }
     }
 }
