@@ -1,1 +1,226 @@
-//! Placeholder.
+//! Values at points: interpolation of a structured volume at lattice positions.
+//!
+//! # How it works
+//!
+//! A position is an integer number of lattice steps, 2^s to a voxel edge, so on each axis
+//!
+//! ```text
+//!   p  =  i · 2^s  +  r            cell i = p >> s,  fraction b = r / 2^s  (exact in f64),  a = 1 - b
+//!
+//!   voxel   i-1        i     p      i+1       i+2
+//!            ●─────────●─────×───────●─────────●
+//!                      ├─ b ─┤─ a ───┤
+//! ```
+//!
+//! and no search is needed: the cell is a shift, the fraction a mask. Each rule is one-dimensional, a few weights on
+//! consecutive voxels, and is applied along x, then y, then z (thesis, section 3.2; its two linear weights are printed
+//! swapped):
+//!
+//! | [`Interpolation`] | voxels an axis | exact for | error on a smooth field |
+//! |---|---|---|---|
+//! | `Linear` | 2 | linear fields | O(h²), and never outside the range of the 8 corners |
+//! | `Cubic` | 4 | cubic polynomials, at the border too | O(h⁴) |
+//! | `CubicThesis` | 6 | linear fields | O(h²), no better than `Linear` |
+//! | `Nearest` | 1 | constants | O(h) |
+//!
+//! The modules [`trilinear`], [`cubic`] and [`nearest`] derive them.
+//!
+//! # What holds
+//!
+//! * A position on a voxel gives that voxel's value, exactly, whatever its neighbours hold.
+//! * A NaN voxel with a weight other than zero makes the value NaN: a void point. One with weight zero does not count.
+//!   An infinite voxel does what arithmetic says; `--nan` treats infinities before they come here.
+//! * A value is computed in `f64` by `+ - *` and one `/` by a constant, in an order fixed by the position, and rounded to
+//!   `f32` once: the same bits on every machine, in whichever block the position is sampled. Finite voxels give a finite
+//!   value: what overshoots `f32` becomes the largest finite one.
+//!
+//! Cost: one pass over the positions, no allocation but the caller's output. `benches/sample.rs` measures it.
+
+pub mod cubic;
+pub mod nearest;
+pub mod trilinear;
+
+use crate::error::Error;
+use crate::geom::{Lattice, LatticePos};
+use crate::grid::IndexBox;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
+
+/// How a value between voxels is had from them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Interpolation {
+    /// Trilinear.
+    #[default]
+    Linear,
+    /// Tricubic: second derivatives by second differences.
+    Cubic,
+    /// Tricubic as the thesis prints it, a fourth difference in the place of the second derivative: for its tables.
+    CubicThesis,
+    /// The nearest voxel; half-way, the higher one.
+    Nearest,
+}
+
+impl Interpolation {
+    /// All of them, in the order of the command line's help.
+    pub const ALL: [Self; 4] = [Self::Linear, Self::Cubic, Self::CubicThesis, Self::Nearest];
+
+    /// Its name on the command line and in a manifest.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Linear => "linear",
+            Self::Cubic => "cubic",
+            Self::CubicThesis => "cubic-thesis",
+            Self::Nearest => "nearest",
+        }
+    }
+
+    /// The smallest box of voxels, within the volume, from which all of `positions` can be sampled; empty for none.
+    ///
+    /// The positions are within the lattice's domain.
+    pub fn voxels_for(&self, lattice: &Lattice, positions: &[LatticePos]) -> IndexBox {
+        let Some((lo, hi)) = bounds(positions) else { return IndexBox { lo: [0; 3], hi: [0; 3] } };
+        // Every rule's first and last voxel grow with the position, so two corners tell the box.
+        let span = |a: usize, p: u32| {
+            let axis = Axis::new(lattice, a);
+            match self {
+                Self::Linear => trilinear::span(&axis, p),
+                Self::Cubic => axis.stencil(axis.cell(p), cubic::CUBIC),
+                Self::CubicThesis => axis.stencil(axis.cell(p), cubic::THESIS),
+                Self::Nearest => nearest::span(&axis, p),
+            }
+        };
+        IndexBox {
+            lo: std::array::from_fn(|a| span(a, lo[a]).0),
+            hi: std::array::from_fn(|a| span(a, hi[a]).1),
+        }
+    }
+}
+
+impl fmt::Display for Interpolation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for Interpolation {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self, Error> {
+        Self::ALL.into_iter().find(|i| i.name() == name).ok_or_else(|| {
+            let names = Self::ALL.map(Self::name).join(", ");
+            Error::usage(format!("no interpolation is called {name:?}; give one of {names}"))
+        })
+    }
+}
+
+/// The samples of a box of voxels.
+#[derive(Clone, Copy, Debug)]
+pub struct VoxelBlock<'a> {
+    /// Which voxels.
+    pub voxels: IndexBox,
+    /// Their values, x fastest.
+    pub values: &'a [f32],
+}
+
+/// Appends the value at each of `positions` to `out`.
+///
+/// # Panics
+/// When `block` does not hold [`Interpolation::voxels_for`] these positions, or its length is not its box's: the
+/// caller made the block for them.
+pub fn sample(
+    how: Interpolation,
+    lattice: &Lattice,
+    block: &VoxelBlock<'_>,
+    positions: &[LatticePos],
+    out: &mut Vec<f32>,
+) {
+    let needed = how.voxels_for(lattice, positions);
+    assert_eq!(block.values.len(), block.voxels.len(), "a block holds every voxel of its box once");
+    assert!(
+        needed.is_empty() || needed.intersect(&block.voxels) == needed,
+        "the block {:?} lacks voxels of {needed:?}",
+        block.voxels
+    );
+    match how {
+        Interpolation::Linear => trilinear::sample(lattice, block, positions, out),
+        Interpolation::Cubic => cubic::sample(lattice, block, positions, out),
+        Interpolation::CubicThesis => cubic::sample_thesis(lattice, block, positions, out),
+        Interpolation::Nearest => nearest::sample(lattice, block, positions, out),
+    }
+}
+
+/// Smallest and largest coordinate on each axis; `None` without positions.
+fn bounds(positions: &[LatticePos]) -> Option<(LatticePos, LatticePos)> {
+    let first = *positions.first()?;
+    Some(positions.iter().fold((first, first), |(lo, hi), p| {
+        (std::array::from_fn(|a| lo[a].min(p[a])), std::array::from_fn(|a| hi[a].max(p[a])))
+    }))
+}
+
+/// One axis of a lattice: from a coordinate to cell and fraction.
+#[derive(Clone, Copy, Debug)]
+struct Axis {
+    log2_steps: u32,
+    /// The last cell: the far face belongs to it.
+    last_cell: u32,
+    /// 2^-s: the length of a step in voxel edges, exact.
+    step: f64,
+}
+
+impl Axis {
+    fn new(lattice: &Lattice, axis: usize) -> Self {
+        let log2_steps = lattice.log2_steps;
+        // A lattice has 2 to 2^24 + 1 samples an axis.
+        let last_cell = (lattice.dims[axis] - 2) as u32;
+        Self { log2_steps, last_cell, step: 1.0 / f64::from(1u32 << log2_steps) }
+    }
+
+    fn of(lattice: &Lattice) -> [Self; 3] {
+        std::array::from_fn(|a| Self::new(lattice, a))
+    }
+
+    /// Samples on the axis.
+    fn dim(&self) -> u64 {
+        u64::from(self.last_cell) + 2
+    }
+
+    /// The cell of a coordinate: its lower voxel.
+    #[inline]
+    fn cell(&self, p: u32) -> u32 {
+        (p >> self.log2_steps).min(self.last_cell)
+    }
+
+    /// The way from the cell's lower voxel to its upper one, 0 to 1, both included; exact.
+    #[inline]
+    fn fraction(&self, p: u32, cell: u32) -> f64 {
+        f64::from(p - (cell << self.log2_steps)) * self.step
+    }
+
+    /// The `size` voxels around a cell, moved inwards at a border; fewer only where the axis has fewer.
+    fn stencil(&self, cell: u32, size: usize) -> (u64, u64) {
+        let size = (size as u64).min(self.dim());
+        let first = (u64::from(cell) + 1).saturating_sub(size / 2).min(self.dim() - size);
+        (first, first + size)
+    }
+}
+
+/// Rounds to `f32`: to the largest finite value where a finite one overshoots, and to one NaN, since the bits of a
+/// computed NaN depend on the machine.
+#[inline]
+fn to_f32(v: f64) -> f32 {
+    let rounded = v as f32;
+    if rounded.is_finite() {
+        rounded
+    } else if v.is_nan() {
+        f32::NAN
+    } else if v.is_finite() {
+        f32::MAX.copysign(rounded)
+    } else {
+        rounded
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests;
