@@ -1,0 +1,207 @@
+//! The radical inverse Φ_b, exactly, and rounded to the lattice fast.
+//!
+//! Φ_b(k) mirrors the digits of k in base b at the radix point: 6 = 110₂, so Φ₂(6) = 0.011₂ = 3/8 (van der Corput
+//! 1935; Halton 1960; Hammersley 1960). It is a rational number of denominator b^e, e the number of digits of k, and
+//! [`radical_inverse`] gives it as two integers. A position on the lattice is *defined* by that rational number:
+//!
+//! ```text
+//! position = ⌊Φ·max + 1/2⌋ = ⌊(2·numerator·max + b^e) / (2·b^e)⌋
+//! ```
+//!
+//! Dividing for each point would cost more than all the rest. [`Base::position`] evaluates Φ in 64-bit fixed point
+//! instead, seven digits (base 3) or five (base 5) at a time by a table, base 2 by reversing bits. Such a fraction is
+//! never above the true one and less than [`ERROR`]·2^-64 below it; where that much could change the rounding, which
+//! is one time in 2^36, the exact formula decides. So the answer is always that of the definition.
+
+/// A radical inverse as an exact fraction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RadicalInverse {
+    /// The digits of k, mirrored.
+    pub numerator: u64,
+    /// b^e, e the number of digits of k; 1 for k = 0.
+    pub denominator: u64,
+}
+
+impl RadicalInverse {
+    /// The nearest lattice position of `self · max`, halves up.
+    pub fn round(self, max: u32) -> u32 {
+        let (num, den) = (u128::from(self.numerator), u128::from(self.denominator));
+        ((2 * num * u128::from(max) + den) / (2 * den)) as u32
+    }
+
+    /// The value as a floating-point number, for display and comparison.
+    pub fn to_f64(self) -> f64 {
+        self.numerator as f64 / self.denominator as f64
+    }
+}
+
+/// Φ_base(k) for `2 <= base <= 5` and `k < 2^60`: then base^e < 2^63.
+pub fn radical_inverse(base: u64, k: u64) -> RadicalInverse {
+    debug_assert!((2..=5).contains(&base) && k < 1 << 60);
+    let (mut rest, mut numerator, mut denominator) = (k, 0, 1);
+    while rest > 0 {
+        numerator = numerator * base + rest % base;
+        denominator *= base;
+        rest /= base;
+    }
+    RadicalInverse { numerator, denominator }
+}
+
+/// The last `digits` digits of `k` in `base`, mirrored as an integer.
+pub(super) fn mirror(base: u64, digits: u32, mut k: u64) -> u64 {
+    let mut mirrored = 0;
+    for _ in 0..digits {
+        mirrored = mirrored * base + k % base;
+        k /= base;
+    }
+    mirrored
+}
+
+/// The bases of the three axes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Base {
+    Two,
+    Three,
+    Five,
+}
+
+impl Base {
+    /// The base as a number.
+    pub(super) fn get(self) -> u64 {
+        match self {
+            Self::Two => 2,
+            Self::Three => 3,
+            Self::Five => 5,
+        }
+    }
+
+    /// The lattice position of Φ(k) on an axis that ends at `max`, exactly as [`RadicalInverse::round`] has it.
+    #[inline]
+    pub(super) fn position(self, k: u64, max: u32) -> u32 {
+        match self {
+            // Mirrored bits are Φ₂(k)·2^64 without error.
+            Self::Two => ((u128::from(k.reverse_bits()) * u128::from(max) + (1 << 63)) >> 64) as u32,
+            Self::Three => {
+                round_fraction(THREE.fraction(k), ERROR, max).unwrap_or_else(|| self.exact(k, max))
+            }
+            Self::Five => round_fraction(FIVE.fraction(k), ERROR, max).unwrap_or_else(|| self.exact(k, max)),
+        }
+    }
+
+    #[cold]
+    fn exact(self, k: u64, max: u32) -> u32 {
+        radical_inverse(self.get(), k).round(max)
+    }
+}
+
+/// ⌊x·max + 1/2⌋ for an `x` with `fraction <= x·2^64 < fraction + error`; `None` where that does not tell.
+#[inline]
+pub(super) fn round_fraction(fraction: u64, error: u64, max: u32) -> Option<u32> {
+    let scaled = u128::from(fraction) * u128::from(max) + (1 << 63);
+    // The true value is below scaled + error·max: the same integer part, unless that carries.
+    (scaled as u64).checked_add(error * u64::from(max))?;
+    Some((scaled >> 64) as u32)
+}
+
+/// Bound of the error of [`DigitTable::fraction`], in 2^-64: six groups of digits, of which the first is off by less
+/// than 1 and each other by less than 3 (table entry, scale and product are each rounded down).
+const ERROR: u64 = 16;
+
+/// Fractions of all numbers below N = base^digits, and what a group of digits further up is worth.
+struct DigitTable<const N: usize> {
+    /// ⌊Φ(i)·2^64⌋.
+    fraction: [u64; N],
+    /// ⌊2^64 / N^(g+1)⌋.
+    scale: [u64; 5],
+}
+
+static THREE: DigitTable<{ 3usize.pow(7) }> = DigitTable::new(3, 7);
+static FIVE: DigitTable<{ 5usize.pow(5) }> = DigitTable::new(5, 5);
+
+impl<const N: usize> DigitTable<N> {
+    const fn new(base: u64, digits: u32) -> Self {
+        let (mut fraction, mut scale) = ([0; N], [0; 5]);
+        let mut i = 0;
+        while i < N {
+            let (mut rest, mut mirrored, mut digit) = (i as u64, 0, 0);
+            while digit < digits {
+                mirrored = mirrored * base + rest % base;
+                rest /= base;
+                digit += 1;
+            }
+            fraction[i] = (((mirrored as u128) << 64) / N as u128) as u64;
+            i += 1;
+        }
+        let (mut g, mut power) = (0, 1u128);
+        while g < 5 {
+            power *= N as u128;
+            scale[g] = ((1u128 << 64) / power) as u64;
+            g += 1;
+        }
+        Self { fraction, scale }
+    }
+
+    /// Φ(k)·2^64 from below. Six groups of digits cover every 64-bit number.
+    #[inline]
+    fn fraction(&self, k: u64) -> u64 {
+        let n = N as u64;
+        let mut sum = self.fraction[(k % n) as usize];
+        let (mut rest, mut group) = (k / n, 0);
+        while rest > 0 {
+            let part = u128::from(self.fraction[(rest % n) as usize]) * u128::from(self.scale[group]);
+            sum += (part >> 64) as u64;
+            rest /= n;
+            group += 1;
+        }
+        sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn mirrored_digits() {
+        let f = |b, k| (radical_inverse(b, k).numerator, radical_inverse(b, k).denominator);
+        assert_eq!((f(2, 0), f(2, 1), f(2, 6)), ((0, 1), (1, 2), (3, 8)));
+        assert_eq!((f(3, 5), f(5, 7)), ((7, 9), (11, 25)));
+        assert_eq!(radical_inverse(2, 6).to_f64(), 0.375);
+        assert_eq!(mirror(3, 4, 5), 63);
+    }
+
+    #[test]
+    fn the_fast_position_is_the_exact_one() {
+        let numbers =
+            (0..3000).chain((0..3000u64).map(|i| i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> (5 + i % 45)));
+        for k in numbers.filter(|&k| k < 1 << 60) {
+            for max in [1, 2, 3, 254, 255 << 16, 81 * 625, 1 << 24] {
+                for base in [Base::Two, Base::Three, Base::Five] {
+                    let exact = radical_inverse(base.get(), k).round(max);
+                    assert_eq!(base.position(k, max), exact, "{base:?} {k} {max}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn fractions_keep_their_error_bound() {
+        for i in 0..20_000u64 {
+            let k = i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 4;
+            for (base, fraction) in [(3, THREE.fraction(k)), (5, FIVE.fraction(k))] {
+                let exact = radical_inverse(base, k);
+                let (num, den) = (u128::from(exact.numerator), u128::from(exact.denominator));
+                // num·2^64 needs up to 126 bits.
+                let floor = ((num << 64) / den) as u64;
+                assert!(fraction <= floor && floor - fraction < ERROR, "{base} {k}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_fraction_that_cannot_tell_says_so() {
+        assert_eq!(round_fraction(1 << 63, 16, 1), Some(1));
+        assert_eq!(round_fraction((1 << 63) - 1, 16, 1), None);
+        assert_eq!(round_fraction((1 << 63) - 17, 16, 1), Some(0));
+    }
+}
