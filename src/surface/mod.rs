@@ -1,6 +1,28 @@
 //! Isosurfaces: marching tetrahedra, welding, checking.
+//!
+//! ```text
+//!  tetrahedra of a chunk ──▶ ChunkSurface ──▶ SurfaceBuilder ──▶ StoredSurface ──▶ a writer of formats/
+//!                    extract (any thread)   push (chunk order)   finish
+//! ```
+//!
+//! * [`marching_tets`] turns the active tetrahedra of one chunk into triangles, welded inside the chunk. Any number of
+//!   chunks may be extracted at once.
+//! * [`weld`] joins the chunks, in chunk order, by edge key, and stores the result on disk beyond a given size.
+//! * [`check`] says of any triangle mesh whether it is closed, manifold and oriented.
+//!
+//! An edge of the mesh is the pair of its [`crate::geom::PointId`]s, the lower first. Everything about a surface vertex is a
+//! function of its edge, so neither the threads nor the cut into chunks show in the surface.
+
+pub mod check;
+pub mod marching_tets;
+mod store;
+#[cfg(test)]
+mod testing;
+pub mod weld;
 
 use crate::error::Result;
+use crate::geom::{Lattice, LatticePos};
+use crate::grid::Geometry;
 
 /// A vertex of an output surface, in world coordinates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -37,4 +59,99 @@ pub struct TriMesh {
     pub vertices: Vec<Vertex>,
     /// Triangles.
     pub triangles: Vec<[u32; 3]>,
+}
+
+impl TriMesh {
+    /// Reads a whole surface into memory: 24 bytes a vertex and 12 a triangle.
+    ///
+    /// # Errors
+    /// Those of reading the source.
+    pub fn from_source(source: &dyn SurfaceSource) -> Result<Self> {
+        let mut mesh = Self::default();
+        source.vertices(&mut |batch| {
+            mesh.vertices.extend_from_slice(batch);
+            Ok(())
+        })?;
+        source.triangles(&mut |batch| {
+            mesh.triangles.extend_from_slice(batch);
+            Ok(())
+        })?;
+        Ok(mesh)
+    }
+}
+
+impl SurfaceSource for TriMesh {
+    fn vertex_count(&self) -> u64 {
+        self.vertices.len() as u64
+    }
+
+    fn triangle_count(&self) -> u64 {
+        self.triangles.len() as u64
+    }
+
+    fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()> {
+        each(&self.vertices)
+    }
+
+    fn triangles(&self, each: &mut dyn FnMut(&[[u32; 3]]) -> Result<()>) -> Result<()> {
+        each(&self.triangles)
+    }
+}
+
+/// From the lattice to the world: positions as points, gradients as covectors.
+///
+/// All in `f64`; a surface vertex is rounded to `f32` once, at the end. Far from the world's origin (more than about a
+/// million voxels) that rounding is coarser than 1/16 of a voxel, and small triangles may lose their area; the
+/// connectivity is never touched.
+#[derive(Clone, Copy, Debug)]
+pub struct WorldMap {
+    geometry: Geometry,
+    /// Voxels a lattice step, a power of two.
+    step: f64,
+    /// World covectors of the three unit covectors of index space.
+    covectors: [[f64; 3]; 3],
+    mirrors: bool,
+}
+
+impl WorldMap {
+    /// The map of a structured volume.
+    pub fn new(lattice: &Lattice, geometry: &Geometry) -> Self {
+        let unit = |a: usize| std::array::from_fn(|b| if a == b { 1.0 } else { 0.0 });
+        Self {
+            geometry: *geometry,
+            step: 1.0 / f64::from(1u32 << lattice.log2_steps),
+            covectors: std::array::from_fn(|a| geometry.gradient_to_world(unit(a))),
+            mirrors: geometry.mirrors(),
+        }
+    }
+
+    /// Whether the map mirrors, so that triangles must be turned over.
+    pub fn mirrors(&self) -> bool {
+        self.mirrors
+    }
+
+    /// The world position of `a + t (b - a)`.
+    #[inline]
+    fn between(&self, a: LatticePos, b: LatticePos, t: f64) -> [f32; 3] {
+        let along = |k: usize| {
+            let (x, y) = (f64::from(a[k]), f64::from(b[k]));
+            (x + t * (y - x)) * self.step
+        };
+        self.geometry.to_world([along(0), along(1), along(2)]).map(|x| x as f32)
+    }
+
+    /// The unit world vector of minus the lattice covector `g`; `None` when that has no direction.
+    #[inline]
+    fn unit_normal(&self, g: [f64; 3]) -> Option<[f32; 3]> {
+        let c = &self.covectors;
+        let w: [f64; 3] = std::array::from_fn(|k| -(g[0] * c[0][k] + g[1] * c[1][k] + g[2] * c[2][k]));
+        // Scaled by the largest component first: spacings of 1e-200 are legal, and their squares vanish.
+        let largest = w[0].abs().max(w[1].abs()).max(w[2].abs());
+        if !(largest > 0.0 && largest.is_finite()) {
+            return None;
+        }
+        let w = w.map(|x| x / largest);
+        let length = (w[0] * w[0] + w[1] * w[1] + w[2] * w[2]).sqrt();
+        Some(w.map(|x| (x / length) as f32))
+    }
 }

@@ -1,0 +1,176 @@
+//! Fixed-size records, appended, patched, read front to back; on disk beyond a given size.
+
+use crate::error::{Error, Result};
+use bytemuck::Pod;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+/// Records handed out, and patched on disk, at a time.
+const BATCH: usize = 1 << 14;
+
+/// A list of records: the first `written` in a nameless file of the scratch folder, the others in `tail`.
+#[derive(Debug)]
+pub(super) struct Store<T> {
+    tail: Vec<T>,
+    /// Records that `tail` may hold.
+    most: usize,
+    file: Option<File>,
+    written: u64,
+    scratch: PathBuf,
+}
+
+impl<T: Pod> Store<T> {
+    /// A store that keeps up to about `memory_bytes` in memory.
+    pub(super) fn new(memory_bytes: usize, scratch: &Path) -> Self {
+        let most = (memory_bytes / size_of::<T>()).max(1);
+        Self { tail: Vec::new(), most, file: None, written: 0, scratch: scratch.to_path_buf() }
+    }
+
+    pub(super) fn len(&self) -> u64 {
+        self.written + self.tail.len() as u64
+    }
+
+    /// Appends a record.
+    pub(super) fn push(&mut self, record: T) -> Result<()> {
+        if self.tail.len() >= self.most {
+            self.spill()?;
+        }
+        self.tail.push(record);
+        Ok(())
+    }
+
+    /// Moves all records of the tail to the file.
+    fn spill(&mut self) -> Result<()> {
+        if self.file.is_none() {
+            let made = tempfile::tempfile_in(&self.scratch);
+            self.file = Some(made.map_err(|e| Error::io("make a temporary file in", &self.scratch, e))?);
+        }
+        let offset = self.written * size_of::<T>() as u64;
+        write_at(self.file(), bytemuck::cast_slice(&self.tail), offset)
+            .map_err(|e| Error::io("write surface records to a temporary file in", &self.scratch, e))?;
+        self.written += self.tail.len() as u64;
+        self.tail.clear();
+        Ok(())
+    }
+
+    fn file(&self) -> &File {
+        self.file.as_ref().expect("records are counted as written only after the file was made")
+    }
+
+    fn read(&self, first: u64, records: &mut [T]) -> Result<()> {
+        read_at(self.file(), bytemuck::cast_slice_mut(records), first * size_of::<T>() as u64)
+            .map_err(|e| Error::io("read surface records from a temporary file in", &self.scratch, e))
+    }
+
+    /// Hands out all records, in order, in batches.
+    pub(super) fn each(&self, each: &mut dyn FnMut(&[T]) -> Result<()>) -> Result<()> {
+        let mut batch = Vec::new();
+        let mut first = 0;
+        while first < self.written {
+            batch.resize((self.written - first).min(BATCH as u64) as usize, T::zeroed());
+            self.read(first, &mut batch)?;
+            each(&batch)?;
+            first += batch.len() as u64;
+        }
+        self.tail.chunks(BATCH).try_for_each(each)
+    }
+
+    /// Changes records in place. `patches` ascend by record number.
+    pub(super) fn patch<P>(&mut self, patches: &[(u32, P)], apply: impl Fn(&mut T, &P)) -> Result<()> {
+        let on_disk = patches.partition_point(|&(number, _)| u64::from(number) < self.written);
+        let (mut on_disk, in_memory) = patches.split_at(on_disk);
+        let mut batch = Vec::new();
+        while let Some(&(number, _)) = on_disk.first() {
+            let first = u64::from(number);
+            let past = (first + BATCH as u64).min(self.written);
+            let here = on_disk.partition_point(|&(n, _)| u64::from(n) < past);
+            batch.resize((past - first) as usize, T::zeroed());
+            self.read(first, &mut batch)?;
+            for (n, p) in &on_disk[..here] {
+                apply(&mut batch[(u64::from(*n) - first) as usize], p);
+            }
+            write_at(self.file(), bytemuck::cast_slice(&batch), first * size_of::<T>() as u64)
+                .map_err(|e| Error::io("write surface records to a temporary file in", &self.scratch, e))?;
+            on_disk = &on_disk[here..];
+        }
+        for (n, p) in in_memory {
+            apply(&mut self.tail[(u64::from(*n) - self.written) as usize], p);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(unix)]
+fn read_at(file: &File, bytes: &mut [u8], offset: u64) -> std::io::Result<()> {
+    std::os::unix::fs::FileExt::read_exact_at(file, bytes, offset)
+}
+
+#[cfg(unix)]
+fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
+    std::os::unix::fs::FileExt::write_all_at(file, bytes, offset)
+}
+
+#[cfg(windows)]
+fn read_at(file: &File, bytes: &mut [u8], offset: u64) -> std::io::Result<()> {
+    let mut done = 0;
+    while done < bytes.len() {
+        match std::os::windows::fs::FileExt::seek_read(file, &mut bytes[done..], offset + done as u64)? {
+            0 => return Err(std::io::ErrorKind::UnexpectedEof.into()),
+            n => done += n,
+        }
+    }
+    Ok(())
+}
+
+#[cfg(windows)]
+fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
+    let mut done = 0;
+    while done < bytes.len() {
+        match std::os::windows::fs::FileExt::seek_write(file, &bytes[done..], offset + done as u64)? {
+            0 => return Err(std::io::ErrorKind::WriteZero.into()),
+            n => done += n,
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn all(store: &Store<[u32; 3]>) -> Vec<[u32; 3]> {
+        let mut records = Vec::new();
+        store
+            .each(&mut |batch| {
+                records.extend_from_slice(batch);
+                Ok(())
+            })
+            .unwrap();
+        records
+    }
+
+    #[test]
+    fn records_come_back_from_memory_and_disk_patched() {
+        let scratch = tempfile::tempdir().unwrap();
+        let count = 3 * BATCH as u32 + 5;
+        for memory in [0, 12 * 1000, 12 * BATCH, 1 << 30] {
+            let mut store = Store::new(memory, scratch.path());
+            (0..count).for_each(|i| store.push([i, 0, i / 2]).unwrap());
+            assert_eq!(store.len(), u64::from(count));
+            let patches: Vec<(u32, u32)> = (0..count).filter(|i| i % 7 < 2).map(|i| (i, i * 3)).collect();
+            store.patch(&patches, |record, &p| record[1] = p).unwrap();
+            let wanted: Vec<[u32; 3]> =
+                (0..count).map(|i| [i, if i % 7 < 2 { i * 3 } else { 0 }, i / 2]).collect();
+            assert_eq!(all(&store), wanted, "{memory} bytes of memory");
+        }
+        assert_eq!(std::fs::read_dir(scratch.path()).unwrap().count(), 0, "the files have no names");
+    }
+
+    #[test]
+    fn no_scratch_folder_is_an_error_that_names_it() {
+        let mut store = Store::new(0, Path::new("/no/such/folder"));
+        store.push(1u32).unwrap();
+        let message = store.push(2).unwrap_err().to_string();
+        assert!(message.contains("/no/such/folder"), "{message}");
+    }
+}

@@ -1,0 +1,223 @@
+//! Welding the surfaces of chunks into one.
+//!
+//! A vertex belongs to an edge of the mesh, so two chunks have a vertex in common exactly when they have its edge in
+//! common, and only edges between two corners that other chunks use too can be that. The builder keeps a table of those
+//! *shared* edges: (lower id, higher id) -> vertex number and gradient sum. All other vertices pass straight to the store.
+//! Coordinates are never compared.
+//!
+//! # Guarantees
+//! * Vertices are numbered by first appearance: chunk by chunk in the order of the calls of [`SurfaceBuilder::push`], within a
+//!   chunk in the order of [`ChunkSurface::vertices`]. The result is a function of that sequence alone.
+//! * Position and normal of a vertex do not depend on the cut into chunks (see [`super::marching_tets`]): gradient sums
+//!   are integers, added as chunks come, and turned into normals once, at the end.
+//!
+//! # Memory
+//! Up to `memory_bytes` of finished records (24 bytes a vertex, 12 a triangle); what exceeds it goes to nameless files in
+//! the scratch folder, which vanish with the process. In addition about 100 bytes for every shared edge that is still open. By
+//! default all stay open until the end: O(surface on chunk borders). A caller that knows which corners later chunks can
+//! still use closes the others with [`SurfaceBuilder::keep_open`].
+//!
+//! # Example
+//! ```
+//! # use isospan::{geom::{Lattice, PointId}, grid::Geometry};
+//! # use isospan::surface::{SurfaceSource, WorldMap, marching_tets::*, weld::*};
+//! # fn main() -> isospan::Result<()> {
+//! let lattice = Lattice::new([2, 2, 2])?;
+//! let s = lattice.max()[0];
+//! let cells = CellSource {
+//!     positions: &[[0, 0, 0], [s, 0, 0], [0, s, 0], [0, 0, s]],
+//!     values: &[1.0, 0.0, 0.0, 0.0],
+//!     ids: &[PointId(7), PointId(3), PointId(5), PointId(1)],
+//!     shared: &[false; 4],
+//!     tets: &[[0, 1, 2, 3]],
+//! };
+//! let world = WorldMap::new(&lattice, &Geometry::default());
+//! let mut chunk = ChunkSurface::default();
+//! extract(&cells, 0.5, &world, &mut chunk);
+//!
+//! let mut builder = SurfaceBuilder::new(&world, &BuilderSettings::default());
+//! builder.push(&chunk)?;
+//! let surface = builder.finish()?;
+//! assert_eq!((surface.vertex_count(), surface.triangle_count()), (3, 1));
+//! # Ok(())
+//! # }
+//! ```
+
+use super::marching_tets::{ChunkSurface, SharedEdge};
+use super::store::Store;
+use super::{SurfaceSource, Vertex, WorldMap};
+use crate::error::{Error, Result};
+use crate::geom::PointId;
+use rustc_hash::FxHashMap;
+use std::path::PathBuf;
+
+/// Where a surface is kept while it is built.
+#[derive(Clone, Debug)]
+pub struct BuilderSettings {
+    /// Bytes of finished vertices and triangles to hold in memory before a file is used.
+    pub memory_bytes: usize,
+    /// Folder for that file.
+    pub scratch: PathBuf,
+}
+
+impl Default for BuilderSettings {
+    fn default() -> Self {
+        Self { memory_bytes: 256 << 20, scratch: std::env::temp_dir() }
+    }
+}
+
+/// A shared edge that later chunks may have too.
+#[derive(Clone, Copy, Debug)]
+struct OpenEdge {
+    key: (PointId, PointId),
+    number: u32,
+    gradient: [i64; 3],
+}
+
+/// Joins chunk surfaces, given in chunk order, into one surface.
+#[derive(Debug)]
+pub struct SurfaceBuilder {
+    vertices: Store<Vertex>,
+    triangles: Store<[u32; 3]>,
+    open: Vec<OpenEdge>,
+    /// Key to index in `open`; looked up, never iterated.
+    by_key: FxHashMap<(PointId, PointId), u32>,
+    world: WorldMap,
+    /// Chunk-local vertex number to global one; a buffer.
+    numbers: Vec<u32>,
+}
+
+impl SurfaceBuilder {
+    /// An empty surface. `world` is the map with which the chunks are finished.
+    pub fn new(world: &WorldMap, settings: &BuilderSettings) -> Self {
+        let half = settings.memory_bytes / 2;
+        Self {
+            vertices: Store::new(half, &settings.scratch),
+            triangles: Store::new(half, &settings.scratch),
+            open: Vec::new(),
+            by_key: FxHashMap::default(),
+            world: *world,
+            numbers: Vec::new(),
+        }
+    }
+
+    /// Adds the (finished) surface of the next chunk.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when the surface would have 2^32 vertices or more, [`Error::Io`] when the scratch file cannot be written.
+    pub fn push(&mut self, chunk: &ChunkSurface) -> Result<()> {
+        self.check_room(chunk.vertices().len() as u64)?;
+        self.numbers.clear();
+        let mut shared = chunk.shared_edges().iter().peekable();
+        for (i, vertex) in chunk.vertices().iter().enumerate() {
+            let edge = shared.next_if(|edge| edge.vertex as usize == i);
+            let number = match edge {
+                Some(edge) => self.weld(edge, vertex)?,
+                None => self.append(vertex)?,
+            };
+            self.numbers.push(number);
+        }
+        for triangle in chunk.triangles() {
+            self.triangles.push(triangle.map(|v| self.numbers[v as usize]))?;
+        }
+        Ok(())
+    }
+
+    /// Closes the shared edges for which `is_open` is false: no later chunk has them. Their normals are finished and their
+    /// memory is freed. Pushing such an edge again would give a second vertex.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the scratch file cannot be read or written.
+    pub fn keep_open(&mut self, is_open: impl Fn(PointId, PointId) -> bool) -> Result<()> {
+        let (kept, closed) = self.open.iter().partition::<Vec<OpenEdge>, _>(|e| is_open(e.key.0, e.key.1));
+        self.finish_normals(&closed)?;
+        self.by_key = kept.iter().enumerate().map(|(i, e)| (e.key, i as u32)).collect();
+        self.open = kept;
+        Ok(())
+    }
+
+    /// Shared edges still open.
+    pub fn open_edges(&self) -> usize {
+        self.open.len()
+    }
+
+    /// The finished surface.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the scratch file cannot be read or written.
+    pub fn finish(mut self) -> Result<StoredSurface> {
+        let open = std::mem::take(&mut self.open);
+        self.finish_normals(&open)?;
+        Ok(StoredSurface { vertices: self.vertices, triangles: self.triangles })
+    }
+
+    fn check_room(&self, more: u64) -> Result<()> {
+        // As if all were new: welding could only spare a chunk that is within one chunk of the limit.
+        if self.vertices.len() + more < u64::from(u32::MAX) {
+            return Ok(());
+        }
+        Err(Error::usage(format!(
+            "the surface has more than {} vertices, the most that files with 32-bit vertex numbers hold; extract a region \
+             of interest, another isovalue, or from an archive of fewer points",
+            u32::MAX
+        )))
+    }
+
+    fn append(&mut self, vertex: &Vertex) -> Result<u32> {
+        let number = self.vertices.len() as u32;
+        self.vertices.push(*vertex)?;
+        Ok(number)
+    }
+
+    fn weld(&mut self, edge: &SharedEdge, vertex: &Vertex) -> Result<u32> {
+        if let Some(&i) = self.by_key.get(&edge.key) {
+            let open = &mut self.open[i as usize];
+            for (sum, part) in open.gradient.iter_mut().zip(edge.gradient) {
+                *sum = sum.wrapping_add(part);
+            }
+            return Ok(open.number);
+        }
+        let number = self.append(vertex)?;
+        self.by_key.insert(edge.key, self.open.len() as u32);
+        self.open.push(OpenEdge { key: edge.key, number, gradient: edge.gradient });
+        Ok(number)
+    }
+
+    /// Writes the normals of edges whose gradient sums are complete. `edges` ascend by number, as `open` always does.
+    fn finish_normals(&mut self, edges: &[OpenEdge]) -> Result<()> {
+        let normals: Vec<(u32, [f32; 3])> = edges
+            .iter()
+            .filter_map(|e| Some((e.number, self.world.unit_normal(e.gradient.map(|x| x as f64))?)))
+            .collect();
+        self.vertices.patch(&normals, |vertex, &normal| vertex.normal = normal)
+    }
+}
+
+/// A welded surface, in memory or in a file that vanishes with it.
+#[derive(Debug)]
+pub struct StoredSurface {
+    vertices: Store<Vertex>,
+    triangles: Store<[u32; 3]>,
+}
+
+impl SurfaceSource for StoredSurface {
+    fn vertex_count(&self) -> u64 {
+        self.vertices.len()
+    }
+
+    fn triangle_count(&self) -> u64 {
+        self.triangles.len()
+    }
+
+    fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()> {
+        self.vertices.each(each)
+    }
+
+    fn triangles(&self, each: &mut dyn FnMut(&[[u32; 3]]) -> Result<()>) -> Result<()> {
+        self.triangles.each(each)
+    }
+}
+
+#[cfg(test)]
+#[path = "weld_tests.rs"]
+mod tests;
