@@ -43,8 +43,16 @@ impl ByteSource {
     /// [`Error::Io`] when the system refuses; [`Error::BadInput`] for a folder, a pipe or device, or an empty file.
     pub fn map(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let file = open_regular(path)?;
-        let mapping = mmap::Mapping::new(&file).map_err(|e| Error::io("map", path, e))?;
+        Self::of_file(path, &open_regular(path)?)
+    }
+
+    /// Maps an open file; `path` is the name used in messages.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the system refuses.
+    pub fn of_file(path: impl AsRef<Path>, file: &File) -> Result<Self> {
+        let path = path.as_ref();
+        let mapping = mmap::Mapping::new(file).map_err(|e| Error::io("map", path, e))?;
         Ok(Self { path: path.to_path_buf(), bytes: Bytes::Mapped(mapping) })
     }
 
