@@ -28,8 +28,8 @@
 //! # Ok::<(), isospan::Error>(())
 //! ```
 //!
-//! Cost of [`PointSet::sites_in`]: a few microseconds a box and about 50 ns a point, half of it the sort; memory for
-//! the answer and its sort. References: Hammersley (1960); Halton (1960); Temlyakov (1987); Niederreiter (1992).
+//! Cost of [`PointSet::sites_in`] for a box of a thousand points: 10 to 20 ns a point to find it, three times that to
+//! sort; memory for the answer and its sort. References: Hammersley (1960); Halton (1960); Temlyakov (1987); Niederreiter (1992).
 
 mod boundary;
 mod grids;
@@ -75,6 +75,7 @@ impl PointSet {
     /// As [`PointSpec::check`].
     pub fn new(spec: PointSpec, lattice: Lattice) -> Result<Self> {
         spec.check(&lattice)?;
+        let spec = spec.canonical();
         let interior = Interior::new(&spec, &lattice)
             .ok_or_else(|| Error::usage(format!("a {} set has at most {MOST_POINTS} points", spec.kind())))?;
         let spacing_q16 = mean_spacing_q16(&lattice, interior.len());

@@ -140,7 +140,17 @@ impl PointSpec {
             SetKind::Bcc => Self::Bcc { spacing: nearest_spacing(count, lattice) },
         };
         spec.check(lattice)?;
-        Ok(spec)
+        Ok(spec.canonical())
+    }
+
+    /// The same set with its shift rounded as it is used, a number that survives being written as decimal text.
+    pub(super) fn canonical(self) -> Self {
+        match self {
+            Self::Hammersley { n, shift } => {
+                Self::Hammersley { n, shift: f64::from(shift_q32(shift)) / 4_294_967_296.0 }
+            }
+            other => other,
+        }
     }
 
     /// The kind of the set.
@@ -355,6 +365,11 @@ mod tests {
 
     #[test]
     fn shifts_are_rounded() {
+        let third = SetSettings { shift: 1.0 / 3.0, ..SetSettings::default() };
+        let spec = PointSpec::with_count(SetKind::Hammersley, &lattice(), 9, &third).unwrap();
+        let PointSpec::Hammersley { shift, .. } = spec else { panic!("a Hammersley set") };
+        assert!((shift - 1.0 / 3.0).abs() < 2e-10 && (shift * 4_294_967_296.0).fract() == 0.0);
+        assert_eq!(spec.canonical(), spec);
         assert_eq!((shift_q32(0.0), shift_q32(0.5), shift_q32(1.0 - 1e-16)), (0, 1 << 31, u32::MAX));
     }
 }
