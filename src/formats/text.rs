@@ -1,7 +1,6 @@
 //! Text in data files: words divided by white space, numbers, and the line where something is wrong.
 
 use crate::error::{Error, Result};
-use crate::volume::ScalarType;
 use std::path::Path;
 
 /// Goes through the words of a text that may be larger than memory (a mapped file).
@@ -95,25 +94,6 @@ fn is_space(b: u8) -> bool {
     b.is_ascii_whitespace() || b == 0x0b
 }
 
-/// A decimal number as the little-endian bytes of `scalar`, appended to `out`; `None` when it is none, or out of range.
-#[allow(dead_code)]
-pub(super) fn push_number(word: &[u8], scalar: ScalarType, out: &mut Vec<u8>) -> Option<()> {
-    let text = std::str::from_utf8(word).ok()?;
-    match scalar {
-        ScalarType::U8 => out.extend(text.parse::<u8>().ok()?.to_le_bytes()),
-        ScalarType::I8 => out.extend(text.parse::<i8>().ok()?.to_le_bytes()),
-        ScalarType::U16 => out.extend(text.parse::<u16>().ok()?.to_le_bytes()),
-        ScalarType::I16 => out.extend(text.parse::<i16>().ok()?.to_le_bytes()),
-        ScalarType::U32 => out.extend(text.parse::<u32>().ok()?.to_le_bytes()),
-        ScalarType::I32 => out.extend(text.parse::<i32>().ok()?.to_le_bytes()),
-        ScalarType::U64 => out.extend(text.parse::<u64>().ok()?.to_le_bytes()),
-        ScalarType::I64 => out.extend(text.parse::<i64>().ok()?.to_le_bytes()),
-        ScalarType::F32 => out.extend(text.parse::<f32>().ok()?.to_le_bytes()),
-        ScalarType::F64 => out.extend(text.parse::<f64>().ok()?.to_le_bytes()),
-    }
-    Some(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -131,17 +111,5 @@ mod tests {
         assert_eq!(error, "f: line 4: expected a number, got 'x'");
         assert!(w.next().is_none() && w.line().is_none());
         assert!(w.word("a word").unwrap_err().to_string().contains("the end of the file"));
-    }
-
-    #[test]
-    fn numbers_of_every_type() {
-        for scalar in ScalarType::ALL {
-            let mut out = vec![];
-            push_number(b"5", scalar, &mut out).unwrap();
-            assert_eq!(out.len(), scalar.bytes());
-            assert!(push_number(b"x", scalar, &mut out).is_none());
-        }
-        assert!(push_number(b"256", ScalarType::U8, &mut vec![]).is_none());
-        assert!(push_number(b"1e3", ScalarType::F32, &mut vec![]).is_some());
     }
 }

@@ -16,10 +16,20 @@
 //! ```
 //!
 //! The isovalue is a field array `isovalue`.
+//!
+//! Read are the polygons of all pieces, with the points (and the point data's active normals) of any number type, in
+//! every encoding of [`vtk_xml`](super::vtk_xml). Vertices and lines are no surface and are passed over; triangle strips
+//! are refused.
 
+use crate::bytes::ByteSource;
 use crate::error::Result;
-use crate::formats::surface::{Sink, SurfaceMeta, each_triangle, each_vertex};
-use crate::surface::SurfaceSource;
+use crate::formats::ply::check_indices;
+use crate::formats::surface::{Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, push_fan};
+use crate::formats::vtk_xml::array::{ArrayStream, scalar_type};
+use crate::formats::vtk_xml::head::{Document, Element};
+use crate::surface::{SurfaceSource, TriMesh, Vertex};
+use crate::volume::ScalarType;
+use std::sync::Arc;
 
 /// Writes a surface as VTP.
 pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceMeta) -> Result<()> {
@@ -90,4 +100,215 @@ fn head(vertices: u64, triangles: u64, lengths: [u64; 4], meta: &SurfaceMeta) ->
 /// "--" may not stand in an XML comment.
 fn comment_text(line: &str) -> String {
     line.replace("--", "- -").replace("--", "- -")
+}
+
+/// Reads a VTP surface.
+pub(super) fn read(source: &Arc<ByteSource>) -> Result<TriMesh> {
+    let doc = Document::open(source, "PolyData")?;
+    let mut mesh = TriMesh::default();
+    for piece in doc.data.all("Piece") {
+        if doc.count(piece, "NumberOfStrips", 0)? > 0 {
+            let error = doc.wrong(piece, "polygons", "triangle strips");
+            return Err(error.with_help("convert strips to triangles first"));
+        }
+        let first = mesh.vertices.len();
+        read_points(&doc, piece, &mut mesh)?;
+        read_polygons(&doc, piece, first, &mut mesh)?;
+    }
+    check_indices(source.path(), &mesh)?;
+    Ok(mesh)
+}
+
+fn read_points(doc: &Document, piece: &Element, mesh: &mut TriMesh) -> Result<()> {
+    let count = doc.count(piece, "NumberOfPoints", 0)?;
+    let points = piece.child("Points").and_then(|p| p.child("DataArray"));
+    let points = match points {
+        Some(points) => floats(doc, points, 3, count)?,
+        None if count == 0 => vec![],
+        None => return Err(doc.wrong(piece, "an array in Points", "none")),
+    };
+    let normals = match normals(piece) {
+        Some(normals) => floats(doc, normals, 3, count)?,
+        None => vec![0.0; points.len()],
+    };
+    for (n, (p, normal)) in points.chunks_exact(3).zip(normals.chunks_exact(3)).enumerate() {
+        let position = [p[0], p[1], p[2]];
+        if !is_finite(&position) {
+            let got = format!("{position:?} for point {n}");
+            return Err(doc.wrong(piece, "finite coordinates", got));
+        }
+        mesh.vertices.push(Vertex { position, normal: [normal[0], normal[1], normal[2]] });
+    }
+    Ok(())
+}
+
+/// The point data's active normals.
+fn normals(piece: &Element) -> Option<&Element> {
+    let data = piece.child("PointData")?;
+    let name = data.attribute("Normals")?;
+    data.all("DataArray").find(|a| a.attribute("Name") == Some(name))
+}
+
+fn read_polygons(doc: &Document, piece: &Element, first: usize, mesh: &mut TriMesh) -> Result<()> {
+    let count = doc.count(piece, "NumberOfPolys", 0)?;
+    if count == 0 {
+        return Ok(());
+    }
+    let polys = piece.child("Polys").ok_or_else(|| doc.wrong(piece, "an element Polys", "none"))?;
+    let named = |name: &str| {
+        let found = polys.all("DataArray").find(|a| a.attribute("Name") == Some(name));
+        found.ok_or_else(|| doc.wrong(polys, format!("an array '{name}'"), "none"))
+    };
+    let offsets = integers(doc, named("offsets")?, count)?;
+    let corners = integers(doc, named("connectivity")?, offsets.last().copied().unwrap_or(0))?;
+    let vertices = (mesh.vertices.len() - first) as u64;
+    let (mut start, mut polygon) = (0, vec![]);
+    for end in offsets {
+        let wrong = |what: String| doc.wrong(polys, "polygons of at least 3 existing points", what);
+        if end < start || end - start < 3 || end > corners.len() as u64 {
+            return Err(wrong(format!("one from corner {start} to {end}")));
+        }
+        polygon.clear();
+        for &v in &corners[start as usize..end as usize] {
+            let number = Some(v).filter(|&v| v < vertices).and_then(|v| u32::try_from(v + first as u64).ok());
+            polygon.push(number.ok_or_else(|| wrong(format!("point {v} of {vertices}")))?);
+        }
+        push_fan(&mut mesh.triangles, &polygon);
+        start = end;
+    }
+    Ok(())
+}
+
+/// The raw values of an array of `tuples` tuples, and their type.
+fn values(doc: &Document, array: &Element, components: u64, tuples: u64) -> Result<(ScalarType, Vec<u8>)> {
+    let found = doc.count(array, "NumberOfComponents", 1)?;
+    if found != components {
+        return Err(doc.wrong(array, format!("{components} components"), found.to_string()));
+    }
+    let scalar = array.attribute("type").and_then(scalar_type);
+    let scalar = scalar.ok_or_else(|| doc.wrong(array, "an array of numbers", "another type"))?;
+    let bytes = tuples.checked_mul(components * scalar.bytes() as u64);
+    let bytes = bytes.ok_or_else(|| doc.wrong(array, "fewer than 2^64 bytes", format!("{tuples} tuples")))?;
+    Ok((scalar, ArrayStream::open(doc, array, scalar, bytes)?.read_all(bytes)?))
+}
+
+/// Floating-point numbers, as `f32`.
+fn floats(doc: &Document, array: &Element, components: u64, tuples: u64) -> Result<Vec<f32>> {
+    let (scalar, bytes) = values(doc, array, components, tuples)?;
+    match scalar {
+        ScalarType::F32 => Ok(bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect()),
+        ScalarType::F64 => Ok(bytes.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b) as f32).collect()),
+        _ => Err(doc.wrong(array, "type Float32 or Float64", scalar.name())),
+    }
+}
+
+/// Integers, none negative.
+fn integers(doc: &Document, array: &Element, tuples: u64) -> Result<Vec<u64>> {
+    let (scalar, bytes) = values(doc, array, 1, tuples)?;
+    let signed = matches!(scalar, ScalarType::I8 | ScalarType::I16 | ScalarType::I32 | ScalarType::I64);
+    if matches!(scalar, ScalarType::F32 | ScalarType::F64) {
+        return Err(doc.wrong(array, "integers", scalar.name()));
+    }
+    let size = scalar.bytes();
+    let mut out = Vec::with_capacity(bytes.len() / size);
+    for value in bytes.chunks_exact(size) {
+        let negative = signed && value[size - 1] & 0x80 != 0;
+        if negative {
+            return Err(doc.wrong(array, "no negative numbers", "one"));
+        }
+        let mut b = [0; 8];
+        b[..size].copy_from_slice(value);
+        out.push(u64::from_le_bytes(b));
+    }
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::surface::tests::{source, survive, tetrahedron};
+    use crate::formats::surface::{SurfaceFormat, write_surface};
+    use crate::formats::vtk_xml::tests::{Encoding, every_encoding};
+
+    fn parse(bytes: &[u8]) -> Result<TriMesh> {
+        read(&Arc::new(ByteSource::from_vec("f.vtp", bytes.to_vec())))
+    }
+
+    fn written() -> Vec<u8> {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("t.vtp");
+        let meta = SurfaceMeta { isovalue: Some(-1.5), comments: vec!["a--->b<é".into()] };
+        write_surface(&source(tetrahedron()), &path, SurfaceFormat::Vtp, &meta).unwrap();
+        std::fs::read(path).unwrap()
+    }
+
+    #[test]
+    fn what_we_write_is_found_where_its_offsets_say() {
+        let bytes = written();
+        let text = String::from_utf8_lossy(&bytes);
+        assert!(text.contains("  isovalue -1.5\n  a- - ->b<é\n") && text.contains(">-1.5</DataArray>"));
+        let start = bytes.windows(2).position(|w| w == b"_\x30").unwrap() + 1;
+        assert_eq!(bytes[start..start + 8], 48u64.to_le_bytes());
+        assert_eq!(bytes[start + 8..start + 12], 0.1f32.to_le_bytes());
+        assert_eq!(bytes[start + 2 * 56..start + 2 * 56 + 8], 96u64.to_le_bytes());
+        assert_eq!(parse(&bytes).unwrap(), tetrahedron());
+    }
+
+    /// A square and a triangle in two pieces.
+    fn two_pieces(encoding: Encoding) -> Vec<u8> {
+        let mut file = encoding.file("PolyData", "");
+        for (points, corners, offsets) in [
+            (
+                &[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.5][..],
+                &[0, 1, 2, 3][..],
+                &[4u16][..],
+            ),
+            (&[5.0, 0.0, 0.0, 6.0, 0.0, 0.0, 6.0, 1.0, 0.25], &[2, 0, 1], &[3]),
+        ] {
+            let (n, polys) = (points.len() / 3, offsets.len());
+            file.text(&format!("<Piece NumberOfPoints=\"{n}\" NumberOfPolys=\"{polys}\"><Points>"));
+            file.array("p", 3, points);
+            file.text("</Points><Polys>");
+            file.array("connectivity", 1, corners);
+            file.array("offsets", 1, offsets);
+            file.text("</Polys></Piece>");
+        }
+        file.finish()
+    }
+
+    #[test]
+    fn every_encoding_is_read() {
+        for encoding in every_encoding() {
+            let mesh = parse(&two_pieces(encoding)).unwrap();
+            assert_eq!(mesh.triangles, [[0, 1, 2], [0, 2, 3], [6, 4, 5]], "{encoding:?}");
+            assert_eq!(mesh.vertices[6].position, [6.0, 1.0, 0.25]);
+        }
+    }
+
+    #[test]
+    fn malformed_files_are_refused() {
+        let encoding = every_encoding().into_iter().next().unwrap();
+        let good = String::from_utf8(two_pieces(encoding)).unwrap();
+        for (from, to, says) in [
+            ("NumberOfPoints=\"4\"", "NumberOfPoints=\"5\"", "too short"),
+            ("NumberOfPoints=\"4\"", "NumberOfPoints=\"99999999999\"", "too short"),
+            ("NumberOfPoints=\"4\"", "NumberOfPoints=\"x\"", "1 numbers in NumberOfPoints"),
+            ("NumberOfPoints=\"4\"", "NumberOfStrips=\"1\"", "strips"),
+            ("type=\"PolyData\"", "type=\"ImageData\"", "an image (.vti)"),
+            ("Name=\"offsets\"", "Name=\"offset\"", "'offsets'"),
+            ("0 1 2 3", "0 1 2 4", "point 4 of 4"),
+            ("0 1 2 3", "0 1 2 -1", "negative"),
+            ("Int32", "Float32", "integers"),
+        ] {
+            let bad = good.replacen(from, to, 1);
+            assert_ne!(good, bad, "{from}");
+            let error = parse(bad.as_bytes()).unwrap_err().to_string();
+            assert!(error.contains(says), "{error}");
+        }
+    }
+
+    #[test]
+    fn damage_does_not_panic() {
+        survive(&written(), |b| drop(parse(b)));
+    }
 }

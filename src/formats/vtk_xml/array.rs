@@ -1,0 +1,473 @@
+//! The data of one `DataArray`, decoded front to back in constant memory.
+//!
+//! ```text
+//! ascii                    1 2 3 …
+//! binary, uncompressed     [length in bytes] [data]
+//! binary, compressed       [blocks n] [block length] [length of a shorter last block, or 0]
+//!                          [compressed length of block 0 … n-1] [block 0] … [block n-1]
+//! ```
+//!
+//! The numbers of the headers are 32 or 64 bits wide (`header_type`) in the byte order of the file. `format="binary"`
+//! is base64 text in the element; `format="appended"` lies behind the head, raw or base64.
+//!
+//! The lengths of the blocks are not kept: a second cursor walks over their table while the first walks over the
+//! blocks. A zlib block is inflated piece by piece; an LZ4 block must be decoded whole, so that its length is the one
+//! length of a header that memory is reserved for: at most 255 times its compressed length (what LZ4 can reach) and
+//! [`MOST_LZ4_BLOCK`].
+
+use super::head::{Compressor, Document, Element};
+use super::stored::Stored;
+use crate::bytes::ByteSource;
+use crate::error::{Error, Result};
+use crate::formats::stream::push_number;
+use crate::formats::text;
+use crate::volume::ScalarType;
+use flate2::{Decompress, FlushDecompress, Status};
+use std::sync::Arc;
+
+/// The largest LZ4 block that is decoded, in bytes; VTK writes blocks of 32 KiB.
+const MOST_LZ4_BLOCK: u64 = 1 << 28;
+
+/// No compressor does better: DEFLATE codes at most 258 bytes with two bits, LZ4 255 bytes with eight.
+const BEST_RATIO: u64 = 1032;
+
+/// Compressed bytes read at a time.
+const INPUT: usize = 1 << 14;
+
+/// The type of a VTK type name; `None` for `String` and `Bit`.
+pub(in crate::formats) fn scalar_type(name: &str) -> Option<ScalarType> {
+    Some(match name {
+        "UInt8" => ScalarType::U8,
+        "Int8" => ScalarType::I8,
+        "UInt16" => ScalarType::U16,
+        "Int16" => ScalarType::I16,
+        "UInt32" => ScalarType::U32,
+        "Int32" => ScalarType::I32,
+        "UInt64" => ScalarType::U64,
+        "Int64" => ScalarType::I64,
+        "Float32" => ScalarType::F32,
+        "Float64" => ScalarType::F64,
+        _ => return None,
+    })
+}
+
+/// The values of an array, front to back, as little-endian bytes.
+pub(in crate::formats) struct ArrayStream {
+    scalar: ScalarType,
+    big_endian: bool,
+    data: Data,
+}
+
+enum Data {
+    Text(TextNumbers),
+    Plain { stored: Stored, left: u64 },
+    Blocks(Box<Blocks>),
+    Empty,
+}
+
+/// Where an array's numbers are stored.
+enum Place {
+    Text(TextNumbers),
+    Binary(Stored),
+}
+
+impl ArrayStream {
+    /// The array of an element, which must hold `bytes` bytes.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] when the array is malformed, or longer or shorter than that.
+    pub(in crate::formats) fn open(
+        doc: &Document,
+        element: &Element,
+        scalar: ScalarType,
+        bytes: u64,
+    ) -> Result<Self> {
+        let data = match place(doc, element)? {
+            // Writers disagree on the header of an empty array, and some leave it out.
+            Place::Binary(_) if bytes == 0 => Data::Empty,
+            Place::Text(numbers) => {
+                // A digit and a space for each number.
+                let most = (numbers.end - numbers.at).div_ceil(2).saturating_mul(scalar.bytes() as u64);
+                check_room(doc, element, most, bytes)?;
+                Data::Text(numbers)
+            }
+            Place::Binary(mut stored) if doc.compressor == Compressor::None => {
+                let length = word(&mut stored, doc)?;
+                check_length(doc, element, length, bytes)?;
+                check_room(doc, element, stored.most_left(), bytes)?;
+                Data::Plain { stored, left: bytes }
+            }
+            Place::Binary(stored) => {
+                let blocks = Blocks::open(doc, stored)?;
+                check_length(doc, element, blocks.total(), bytes)?;
+                check_room(doc, element, blocks.data.most_left().saturating_mul(BEST_RATIO), bytes)?;
+                Data::Blocks(Box::new(blocks))
+            }
+        };
+        Ok(Self { scalar, big_endian: doc.big_endian, data })
+    }
+
+    /// Fills `out` with the next values; its length is a multiple of the value's size.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] when the data end, or cannot be decoded.
+    pub(in crate::formats) fn fill(&mut self, out: &mut [u8]) -> Result<()> {
+        match &mut self.data {
+            Data::Text(numbers) => return numbers.fill(self.scalar, out),
+            Data::Plain { stored, left } => {
+                let n = out.len() as u64;
+                *left = left.checked_sub(n).ok_or_else(|| stored.wrong("data", "the end of the array"))?;
+                stored.read_exact(out)?;
+            }
+            Data::Blocks(blocks) => blocks.fill(out)?,
+            Data::Empty => assert!(out.is_empty(), "an empty array was opened as such"),
+        }
+        if self.big_endian {
+            out.chunks_exact_mut(self.scalar.bytes()).for_each(<[u8]>::reverse);
+        }
+        Ok(())
+    }
+
+    /// To be called after the last value: text may go on, and a block's checksum follows its last byte.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] when there are more data.
+    pub(in crate::formats) fn finish(&mut self) -> Result<()> {
+        match &mut self.data {
+            Data::Text(numbers) => numbers.finish(),
+            Data::Blocks(blocks) => blocks.end_block(),
+            Data::Plain { .. } | Data::Empty => Ok(()),
+        }
+    }
+
+    /// The whole array, of `bytes` bytes, in memory, which grows as data arrive.
+    ///
+    /// # Errors
+    /// Those of [`ArrayStream::fill`] and [`ArrayStream::finish`].
+    pub(in crate::formats) fn read_all(mut self, bytes: u64) -> Result<Vec<u8>> {
+        const STEP: u64 = 1 << 20;
+        let mut out = vec![];
+        while (out.len() as u64) < bytes {
+            let old = out.len();
+            out.resize(old + (bytes - old as u64).min(STEP) as usize, 0);
+            self.fill(&mut out[old..])?;
+        }
+        self.finish()?;
+        Ok(out)
+    }
+}
+
+/// The byte of the file where the array's values lie one after another, where they do: appended, raw, uncompressed.
+pub(super) fn in_place(doc: &Document, element: &Element, bytes: u64) -> Result<Option<u64>> {
+    let raw = doc.appended.is_some_and(|a| !a.base64) && doc.compressor == Compressor::None;
+    if !raw || element.attribute("format") != Some("appended") {
+        return Ok(None);
+    }
+    let Place::Binary(mut stored) = place(doc, element)? else { return Ok(None) };
+    let start = doc.source.len() - stored.most_left();
+    let length = word(&mut stored, doc)?;
+    check_length(doc, element, length, bytes)?;
+    Ok(Some(start + if doc.wide { 8 } else { 4 }))
+}
+
+fn place(doc: &Document, element: &Element) -> Result<Place> {
+    let text = &element.text;
+    match element.attribute("format").unwrap_or("ascii") {
+        "ascii" => {
+            let numbers = TextNumbers { source: Arc::clone(&doc.source), at: text.start, end: text.end };
+            Ok(Place::Text(numbers))
+        }
+        "binary" => Ok(Place::Binary(Stored::base64(&doc.source, text.start, text.end))),
+        "appended" => {
+            let appended =
+                doc.appended.ok_or_else(|| doc.wrong(element, "an element AppendedData", "none"))?;
+            let offset: Option<[u64; 1]> = doc.numbers(element, "offset")?;
+            let [offset] = offset.ok_or_else(|| doc.wrong(element, "an attribute 'offset'", "none"))?;
+            let end = doc.source.len();
+            let start = appended.start.checked_add(offset).filter(|&at| at < end).ok_or_else(|| {
+                doc.wrong(element, format!("an offset within a file of {end} bytes"), offset.to_string())
+                    .with_help("the file is cut short or damaged")
+            })?;
+            Ok(Place::Binary(match appended.base64 {
+                true => Stored::base64(&doc.source, start, end),
+                false => Stored::plain(&doc.source, start, end),
+            }))
+        }
+        other => Err(doc.wrong(element, "format ascii, binary or appended", format!("'{other}'"))),
+    }
+}
+
+fn check_length(doc: &Document, element: &Element, found: u64, expected: u64) -> Result<()> {
+    if found == expected {
+        return Ok(());
+    }
+    let error =
+        doc.wrong(element, format!("{expected} bytes of data"), format!("a header that tells {found}"));
+    Err(match !doc.wide && expected > u32::MAX.into() {
+        true => {
+            error.with_help("a UInt32 header cannot tell this length: write the file with header_type UInt64")
+        }
+        false => error.with_help("the file is damaged, or its extent is wrong"),
+    })
+}
+
+/// Refuses a header that tells of more than the file can hold, before memory is reserved for a part of it.
+fn check_room(doc: &Document, element: &Element, most: u64, expected: u64) -> Result<()> {
+    if expected <= most {
+        return Ok(());
+    }
+    let error = doc.wrong(element, format!("{expected} bytes of data"), "a file too short for them");
+    Err(error.with_help("the file is cut short, or its extent is wrong"))
+}
+
+/// A number of a header.
+fn word(stored: &mut Stored, doc: &Document) -> Result<u64> {
+    let mut b = [0; 8];
+    let n = if doc.wide { 8 } else { 4 };
+    stored.read_exact(&mut b[..n])?;
+    if doc.big_endian {
+        b[..n].reverse();
+    }
+    Ok(u64::from_le_bytes(b))
+}
+
+/// Numbers in text.
+struct TextNumbers {
+    source: Arc<ByteSource>,
+    at: u64,
+    end: u64,
+}
+
+impl TextNumbers {
+    fn fill(&mut self, scalar: ScalarType, out: &mut [u8]) -> Result<()> {
+        let bytes = self.source.slice(0..self.end)?;
+        let (mut at, mut number) = (self.at as usize, Vec::with_capacity(8));
+        for value in out.chunks_exact_mut(scalar.bytes()) {
+            let Some((start, end)) = text::word(bytes, at) else {
+                return Err(self.wrong(at, "more numbers".into(), "their end".into()));
+            };
+            number.clear();
+            if !push_number(&bytes[start..end], scalar, &mut number) {
+                let found = String::from_utf8_lossy(&bytes[start..end.min(start + 40)]).into_owned();
+                return Err(self.wrong(start, format!("a number of type {}", scalar.name()), found));
+            }
+            value.copy_from_slice(&number);
+            at = end;
+        }
+        self.at = at as u64;
+        Ok(())
+    }
+
+    fn finish(&self) -> Result<()> {
+        match text::word(self.source.slice(0..self.end)?, self.at as usize) {
+            None => Ok(()),
+            Some((at, _)) => {
+                Err(self.wrong(at, "the end of the array's numbers".into(), "more numbers".into()))
+            }
+        }
+    }
+
+    fn wrong(&self, at: usize, expected: String, got: String) -> Error {
+        let place = match self.source.slice(0..self.end) {
+            Ok(bytes) => text::place(bytes, at),
+            Err(_) => format!("byte {at}"),
+        };
+        Error::bad_input(self.source.path(), place, expected, got)
+    }
+}
+
+/// A block-compressed array.
+struct Blocks {
+    /// The compressed lengths of the blocks to come.
+    lengths: Stored,
+    /// The blocks.
+    data: Stored,
+    /// The bytes of a block; the last may have fewer.
+    full: u64,
+    last: u64,
+    /// Blocks to come, the current one not counted.
+    to_come: u64,
+    wide: bool,
+    big_endian: bool,
+    codec: Codec,
+    /// Bytes of the current block not handed out yet.
+    left: u64,
+}
+
+enum Codec {
+    Zlib {
+        inflate: Box<Decompress>,
+        /// Compressed bytes of the current block not read yet.
+        compressed: u64,
+        input: Vec<u8>,
+        used: usize,
+    },
+    Lz4 {
+        block: Vec<u8>,
+        input: Vec<u8>,
+    },
+}
+
+impl Blocks {
+    fn open(doc: &Document, mut stored: Stored) -> Result<Self> {
+        let (count, full, partial) =
+            (word(&mut stored, doc)?, word(&mut stored, doc)?, word(&mut stored, doc)?);
+        let lengths = stored.clone();
+        let table = count.checked_mul(if doc.wide { 8 } else { 4 }).filter(|&t| t <= stored.most_left());
+        let table = table.ok_or_else(|| stored.wrong("a table of blocks", format!("{count} blocks")))?;
+        stored.skip(table)?;
+        let last = if partial == 0 { full } else { partial };
+        if partial > full || (count > 0 && last == 0) || full.checked_mul(count).is_none() {
+            let got = format!("{count} blocks of {full} bytes, the last of {partial}");
+            return Err(stored.wrong("lengths of blocks", got));
+        }
+        let codec = match doc.compressor {
+            Compressor::Lz4 => Codec::Lz4 { block: vec![], input: vec![] },
+            _ => {
+                let inflate = Box::new(Decompress::new(true));
+                Codec::Zlib { inflate, compressed: 0, input: vec![], used: 0 }
+            }
+        };
+        let (wide, big_endian) = (doc.wide, doc.big_endian);
+        Ok(Self { lengths, data: stored, full, last, to_come: count, wide, big_endian, codec, left: 0 })
+    }
+
+    /// The bytes of all blocks. Cannot overflow: `open` has seen the product.
+    fn total(&self) -> u64 {
+        match self.to_come {
+            0 => 0,
+            n => (n - 1) * self.full + self.last,
+        }
+    }
+
+    fn fill(&mut self, mut out: &mut [u8]) -> Result<()> {
+        while !out.is_empty() {
+            if self.left == 0 {
+                self.end_block()?;
+                self.next_block()?;
+            }
+            let n = self.left.min(out.len() as u64) as usize;
+            let (now, later) = out.split_at_mut(n);
+            self.decode(now)?;
+            self.left -= n as u64;
+            out = later;
+        }
+        Ok(())
+    }
+
+    fn next_block(&mut self) -> Result<()> {
+        if self.to_come == 0 {
+            return Err(self.data.wrong("another block", "the end of the array"));
+        }
+        self.to_come -= 1;
+        self.left = if self.to_come == 0 { self.last } else { self.full };
+        let length = self.length()?;
+        if length > self.data.most_left() {
+            let got = format!("{length} bytes, more than the file has left");
+            return Err(self.data.wrong("the compressed length of a block", got));
+        }
+        match &mut self.codec {
+            Codec::Zlib { inflate, compressed, input, used } => {
+                inflate.reset(true);
+                input.clear();
+                (*compressed, *used) = (length, 0);
+                Ok(())
+            }
+            Codec::Lz4 { block, input } => {
+                let most = length.saturating_mul(255).min(MOST_LZ4_BLOCK);
+                if self.left > most {
+                    let got = format!("one of {} bytes, {length} compressed", self.left);
+                    let error = self.data.wrong(format!("an LZ4 block of at most {most} bytes"), got);
+                    return Err(error.with_help("write the file with smaller blocks"));
+                }
+                input.resize(length as usize, 0);
+                self.data.read_exact(input)?;
+                block.resize(self.left as usize, 0);
+                match lz4_flex::block::decompress_into(input, block) {
+                    Ok(n) if n == block.len() => Ok(()),
+                    Ok(n) => Err(self.data.wrong(format!("a block of {} bytes", block.len()), n.to_string())),
+                    Err(e) => Err(self.data.wrong("an LZ4 block", e.to_string())),
+                }
+            }
+        }
+    }
+
+    /// The compressed length of the next block.
+    fn length(&mut self) -> Result<u64> {
+        let mut b = [0; 8];
+        let n = if self.wide { 8 } else { 4 };
+        self.lengths.read_exact(&mut b[..n])?;
+        if self.big_endian {
+            b[..n].reverse();
+        }
+        Ok(u64::from_le_bytes(b))
+    }
+
+    /// The next bytes of the current block.
+    fn decode(&mut self, out: &mut [u8]) -> Result<()> {
+        if let Codec::Lz4 { block, .. } = &self.codec {
+            let at = block.len() - self.left as usize;
+            out.copy_from_slice(&block[at..at + out.len()]);
+            return Ok(());
+        }
+        let mut filled = 0;
+        while filled < out.len() {
+            let (n, status) = self.inflate(&mut out[filled..])?;
+            filled += n;
+            if status == Status::StreamEnd && filled < out.len() {
+                return Err(self.data.wrong("a longer zlib block", "its end"));
+            }
+        }
+        Ok(())
+    }
+
+    /// One step of zlib: bytes put out, and whether the block has ended.
+    fn inflate(&mut self, out: &mut [u8]) -> Result<(usize, Status)> {
+        let Codec::Zlib { inflate, compressed, input, used } = &mut self.codec else {
+            unreachable!("only zlib blocks are inflated")
+        };
+        if *used == input.len() {
+            input.resize((*compressed).min(INPUT as u64) as usize, 0);
+            self.data.read_exact(input)?;
+            *compressed -= input.len() as u64;
+            *used = 0;
+        }
+        let (taken, put) = (inflate.total_in(), inflate.total_out());
+        let status = inflate.decompress(&input[*used..], out, FlushDecompress::None);
+        let status = status.map_err(|e| self.data.wrong("a zlib block", e.to_string()))?;
+        let (taken, put) = (inflate.total_in() - taken, inflate.total_out() - put);
+        *used += taken as usize;
+        if taken == 0 && put == 0 && status != Status::StreamEnd {
+            return Err(self.data.wrong("a whole zlib block", "one that ends too early"));
+        }
+        Ok((put as usize, status))
+    }
+
+    /// Checks the end of the current block, which has been handed out: its checksum, and that nothing follows.
+    fn end_block(&mut self) -> Result<()> {
+        match &self.codec {
+            // Before the first block.
+            Codec::Zlib { inflate, .. } if inflate.total_in() == 0 => return Ok(()),
+            Codec::Zlib { .. } => {}
+            Codec::Lz4 { .. } => return Ok(()),
+        }
+        loop {
+            let mut more = [0];
+            let (n, status) = self.inflate(&mut more)?;
+            if n > 0 {
+                return Err(self.data.wrong("the end of a zlib block", "more data"));
+            }
+            if status == Status::StreamEnd {
+                break;
+            }
+        }
+        let Codec::Zlib { inflate, compressed, input, used } = &mut self.codec else {
+            unreachable!("LZ4 was handled above")
+        };
+        if *compressed > 0 || *used < input.len() {
+            return Err(self.data.wrong("the end of a zlib block", "bytes after it"));
+        }
+        inflate.reset(true);
+        Ok(())
+    }
+}

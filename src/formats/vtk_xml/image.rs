@@ -1,0 +1,302 @@
+//! Images: extents, pieces, the choice of a field, and pieces as one stream of slabs.
+
+use super::array::{ArrayStream, in_place, scalar_type};
+use super::head::{Document, Element};
+use crate::bytes::ByteSource;
+use crate::error::Result;
+use crate::formats::stream::sample_bytes;
+use crate::formats::{header, pick_field};
+use crate::grid::{Geometry, IndexBox};
+use crate::volume::slabs::SlabWalk;
+use crate::volume::strided::StridedVolume;
+use crate::volume::{FieldInfo, SlabStream, VolumeInfo, VolumeSource};
+use std::sync::Arc;
+
+/// Pieces that are joined; the check that they cover the image is quadratic.
+const MOST_PIECES: usize = 1024;
+
+pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeSource> {
+    let doc = Document::open(source, "ImageData")?;
+    let whole = extent(&doc, &doc.data, "WholeExtent")?;
+    let pieces = pieces(&doc, &whole)?;
+    let (field, fields) = choose(&doc, pieces[0].element, wanted)?;
+    let info = VolumeInfo {
+        path: source.path().to_path_buf(),
+        format: format!("VTK XML ImageData ({}{})", how_stored(&doc, pieces[0].element, &field), doc.layout),
+        dims: whole.dims,
+        geometry: geometry(&doc, &whole)?,
+        field,
+        fields,
+        slope: 1.0,
+        intercept: 0.0,
+        missing: None,
+    };
+    sample_bytes(&info.path, info.dims, info.field.scalar)?;
+    if let [only] = &pieces[..] {
+        let element = array(&doc, only, &info.field)?;
+        if let Some(offset) = in_place(&doc, element, only.bytes(&info.field))? {
+            let strides = StridedVolume::packed_strides(info.dims, info.field.scalar);
+            let strides = strides.expect("the size of the samples was checked");
+            let volume = StridedVolume::new(info, Arc::clone(source), offset, doc.big_endian, strides)?;
+            return Ok(VolumeSource::Random(Box::new(volume)));
+        }
+    }
+    Ok(VolumeSource::Stream(Box::new(PieceSlabs::new(doc, info, &whole)?)))
+}
+
+/// Inclusive bounds, as a first sample and numbers of samples.
+#[derive(Clone, Copy, Debug)]
+struct Extent {
+    lo: [i64; 3],
+    dims: [u64; 3],
+}
+
+fn extent(doc: &Document, element: &Element, name: &str) -> Result<Extent> {
+    let bounds: Option<[i64; 6]> = doc.numbers(element, name)?;
+    let b = bounds.ok_or_else(|| doc.wrong(element, format!("an attribute '{name}'"), "none"))?;
+    let lo = [b[0], b[2], b[4]];
+    // Bounds of 32 bits are what VTK can write; they keep the arithmetic far from overflow.
+    let fits = b.iter().all(|&x| i32::try_from(x).is_ok());
+    if !fits || (0..3).any(|a| b[2 * a + 1] < lo[a]) {
+        let got = element.attribute(name).unwrap_or_default();
+        return Err(doc.wrong(
+            element,
+            format!("{name}: x0 <= x1 and so on, of 32 bits"),
+            format!("'{got}'"),
+        ));
+    }
+    Ok(Extent { lo, dims: std::array::from_fn(|a| (b[2 * a + 1] - lo[a]) as u64 + 1) })
+}
+
+/// A piece and the samples that it stores.
+struct Piece<'a> {
+    element: &'a Element,
+    voxels: IndexBox,
+}
+
+impl Piece<'_> {
+    /// Bytes of its samples; the caller has seen that those of the whole image can be counted.
+    fn bytes(&self, field: &FieldInfo) -> u64 {
+        self.voxels.dims().iter().product::<u64>() * field.scalar.bytes() as u64
+    }
+}
+
+/// The pieces, which together cover the whole extent.
+fn pieces<'a>(doc: &'a Document, whole: &Extent) -> Result<Vec<Piece<'a>>> {
+    let mut pieces = vec![];
+    for element in doc.data.all("Piece") {
+        let part = extent(doc, element, "Extent")?;
+        let lo = std::array::from_fn(|a| (part.lo[a] - whole.lo[a]) as u64);
+        let voxels = IndexBox { lo, hi: std::array::from_fn(|a| lo[a].wrapping_add(part.dims[a])) };
+        if (0..3).any(|a| part.lo[a] < whole.lo[a] || voxels.hi[a] > whole.dims[a]) {
+            let got = format!("'{}'", element.attribute("Extent").unwrap_or_default());
+            return Err(doc.wrong(element, "an Extent within WholeExtent", got));
+        }
+        pieces.push(Piece { element, voxels });
+    }
+    if pieces.is_empty() || pieces.len() > MOST_PIECES {
+        let expected = format!("1 to {MOST_PIECES} pieces");
+        return Err(doc.wrong(&doc.data, expected, format!("{}", pieces.len())));
+    }
+    match uncovered(whole.dims, &pieces) {
+        None => Ok(pieces),
+        Some(p) => {
+            let got = format!("none for sample ({}, {}, {})", p[0], p[1], p[2]);
+            Err(doc.wrong(&doc.data, "pieces that cover WholeExtent", got))
+        }
+    }
+}
+
+/// A sample that no piece stores, if there is one. Pieces change only where one begins or ends, so a few samples stand
+/// for all: those are tried plane by plane, row by row.
+fn uncovered(dims: [u64; 3], pieces: &[Piece<'_>]) -> Option<[u64; 3]> {
+    let starts = |axis: usize, of: &[&Piece<'_>]| {
+        let mut at: Vec<u64> = of.iter().flat_map(|p| [p.voxels.lo[axis], p.voxels.hi[axis]]).collect();
+        at.push(0);
+        at.retain(|&x| x < dims[axis]);
+        at.sort_unstable();
+        at.dedup();
+        at
+    };
+    let across = |of: &[&Piece<'_>], axis: usize, at: u64| -> Vec<usize> {
+        let holds = |p: &&Piece<'_>| (p.voxels.lo[axis]..p.voxels.hi[axis]).contains(&at);
+        (0..of.len()).filter(|&i| holds(&of[i])).collect()
+    };
+    let all: Vec<&Piece<'_>> = pieces.iter().collect();
+    for z in starts(2, &all) {
+        let plane: Vec<&Piece<'_>> = across(&all, 2, z).into_iter().map(|i| all[i]).collect();
+        for y in starts(1, &plane) {
+            let row: Vec<&Piece<'_>> = across(&plane, 1, y).into_iter().map(|i| plane[i]).collect();
+            for x in starts(0, &row) {
+                if across(&row, 0, x).is_empty() {
+                    return Some([x, y, z]);
+                }
+            }
+        }
+    }
+    None
+}
+
+/// VTK's `Direction` is a matrix, row by row, whose columns are the directions of the axes.
+fn geometry(doc: &Document, whole: &Extent) -> Result<Geometry> {
+    let origin: [f64; 3] = doc.numbers(&doc.data, "Origin")?.unwrap_or([0.0; 3]);
+    let spacing: [f64; 3] = doc.numbers(&doc.data, "Spacing")?.unwrap_or([1.0; 3]);
+    let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let rows: [f64; 9] = doc.numbers(&doc.data, "Direction")?.unwrap_or(identity);
+    let columns: [[f64; 3]; 3] =
+        std::array::from_fn(|a| std::array::from_fn(|i| rows[3 * i + a] * spacing[a]));
+    let step = |i: usize| -> f64 { (0..3).map(|a| columns[a][i] * whole.lo[a] as f64).sum() };
+    let origin = std::array::from_fn(|i| origin[i] + step(i));
+    header::geometry(doc.source.path(), "Origin, Spacing and Direction", origin, columns)
+}
+
+/// The field to read, and all that can be told of.
+fn choose(doc: &Document, piece: &Element, wanted: Option<&str>) -> Result<(FieldInfo, Vec<FieldInfo>)> {
+    let (points, cells) = (piece.child("PointData"), piece.child("CellData"));
+    let fields = fields(doc, points)?;
+    let named = |name: &str| fields.iter().find(|f| f.name == name && f.components == 1);
+    let cell_fields: Vec<String> = arrays(cells).map(name_of).collect();
+    if let Some(name) = wanted.filter(|n| named(n).is_none() && cell_fields.iter().any(|c| c == n)) {
+        let error = doc.wrong(piece, format!("point data '{name}'"), "cell data of that name");
+        return Err(error.with_help("convert cell data to point data first"));
+    }
+    if fields.is_empty() && !cell_fields.is_empty() {
+        let got = format!("cell data only: {}", cell_fields.join(", "));
+        let error = doc.wrong(piece, "point data", got);
+        return Err(error.with_help("convert cell data to point data first"));
+    }
+    let active = points.and_then(|p| p.attribute("Scalars")).and_then(named);
+    match active.filter(|_| wanted.is_none()) {
+        Some(field) => Ok((field.clone(), fields)),
+        None => Ok((fields[pick_field(doc.source.path(), &fields, wanted)?].clone(), fields)),
+    }
+}
+
+fn arrays(data: Option<&Element>) -> impl Iterator<Item = &Element> {
+    data.into_iter().flat_map(|d| d.all("DataArray"))
+}
+
+fn name_of(array: &Element) -> String {
+    array.attribute("Name").unwrap_or("data").to_string()
+}
+
+/// The numeric arrays of the point data.
+fn fields(doc: &Document, data: Option<&Element>) -> Result<Vec<FieldInfo>> {
+    let mut fields = vec![];
+    for array in arrays(data) {
+        let Some(scalar) = array.attribute("type").and_then(scalar_type) else { continue };
+        let components = doc.count(array, "NumberOfComponents", 1)?;
+        let components = u32::try_from(components).ok().filter(|&n| n > 0);
+        let components = components
+            .ok_or_else(|| doc.wrong(array, "a NumberOfComponents of 32 bits, not 0", "another"))?;
+        fields.push(FieldInfo { name: name_of(array), scalar, components });
+    }
+    Ok(fields)
+}
+
+/// The array of the field in a piece.
+fn array<'a>(doc: &Document, piece: &Piece<'a>, field: &FieldInfo) -> Result<&'a Element> {
+    let same = |a: &&Element| {
+        let components = doc.count(a, "NumberOfComponents", 1);
+        let scalar = a.attribute("type").and_then(scalar_type);
+        name_of(a) == field.name && scalar == Some(field.scalar) && components.is_ok_and(|n| n == 1)
+    };
+    arrays(piece.element.child("PointData")).find(same).ok_or_else(|| {
+        let expected = format!("an array '{}' of type {} in every piece", field.name, field.scalar.name());
+        doc.wrong(piece.element, expected, "none like it")
+    })
+}
+
+/// "appended raw, " and so on, for people.
+fn how_stored(doc: &Document, piece: &Element, field: &FieldInfo) -> String {
+    let element = arrays(piece.child("PointData")).find(|a| name_of(a) == field.name);
+    match element.and_then(|e| e.attribute("format")).unwrap_or("ascii") {
+        "binary" => "inline base64, ".into(),
+        "appended" if doc.appended.is_some_and(|a| a.base64) => "appended base64, ".into(),
+        "appended" => "appended raw, ".into(),
+        _ => "ascii, ".into(),
+    }
+}
+
+/// The samples of one or several pieces as slabs of the whole image, in its order. A piece is decoded front to back,
+/// and is open only while slabs pass through it: memory is that of a slab and of the decoders side by side.
+struct PieceSlabs {
+    doc: Document,
+    info: VolumeInfo,
+    walk: SlabWalk,
+    pieces: Vec<OpenPiece>,
+    row: Vec<u8>,
+}
+
+struct OpenPiece {
+    /// Which of the document's pieces it is.
+    number: usize,
+    voxels: IndexBox,
+    stream: Option<ArrayStream>,
+}
+
+impl PieceSlabs {
+    fn new(doc: Document, info: VolumeInfo, whole: &Extent) -> Result<Self> {
+        let found = pieces(&doc, whole)?;
+        for piece in &found {
+            // Every header is checked before the first slab.
+            let element = array(&doc, piece, &info.field)?;
+            ArrayStream::open(&doc, element, info.field.scalar, piece.bytes(&info.field))?;
+        }
+        let open = |(number, p): (usize, Piece<'_>)| OpenPiece { number, voxels: p.voxels, stream: None };
+        let pieces = found.into_iter().enumerate().map(open).collect();
+        let walk = SlabWalk::new(info.dims, info.field.scalar.bytes());
+        Ok(Self { doc, info, walk, pieces, row: vec![] })
+    }
+
+    /// Copies what piece `number` has of the slab into `out`.
+    fn copy(&mut self, number: usize, slab: &IndexBox, out: &mut [u8]) -> Result<()> {
+        let size = self.info.field.scalar.bytes();
+        let piece = &mut self.pieces[number];
+        let common = piece.voxels.intersect(slab);
+        if piece.stream.is_none() {
+            let element = self.doc.data.all("Piece").nth(piece.number).expect("pieces were listed from it");
+            let found = Piece { element, voxels: piece.voxels };
+            let element = array(&self.doc, &found, &self.info.field)?;
+            let bytes = found.bytes(&self.info.field);
+            piece.stream = Some(ArrayStream::open(&self.doc, element, self.info.field.scalar, bytes)?);
+        }
+        let stream = piece.stream.as_mut().expect("it was opened above");
+        if common == *slab {
+            // A piece as wide as the image: its part is one run.
+            stream.fill(out)?;
+        } else {
+            self.row.resize(piece.voxels.dims()[0] as usize * size, 0);
+            for z in common.lo[2]..common.hi[2] {
+                for y in common.lo[1]..common.hi[1] {
+                    stream.fill(&mut self.row)?;
+                    let at = slab.offset([common.lo[0], y, z]) * size;
+                    out[at..at + self.row.len()].copy_from_slice(&self.row);
+                }
+            }
+        }
+        if common.hi[1] == piece.voxels.hi[1] && common.hi[2] == piece.voxels.hi[2] {
+            stream.finish()?;
+            piece.stream = None;
+        }
+        Ok(())
+    }
+}
+
+impl SlabStream for PieceSlabs {
+    fn info(&self) -> &VolumeInfo {
+        &self.info
+    }
+
+    fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
+        out.clear();
+        let Some(slab) = self.walk.next() else { return Ok(None) };
+        out.resize(slab.len() * self.info.field.scalar.bytes(), 0);
+        for number in 0..self.pieces.len() {
+            if !self.pieces[number].voxels.intersect(&slab).is_empty() {
+                self.copy(number, &slab, out)?;
+            }
+        }
+        Ok(Some(slab))
+    }
+}

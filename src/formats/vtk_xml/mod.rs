@@ -1,0 +1,51 @@
+//! VTK XML files: the machinery for all of them, and images (`.vti`) as volumes.
+//!
+//! ```text
+//! <VTKFile type="ImageData" byte_order="LittleEndian" header_type="UInt64" compressor="vtkZLibDataCompressor">
+//!   <ImageData WholeExtent="x0 x1 y0 y1 z0 z1" Origin="…" Spacing="…" Direction="…">
+//!     <Piece Extent="x0 x1 y0 y1 z0 z1">
+//!       <PointData Scalars="density">
+//!         <DataArray type="Float32" Name="density" format="appended" offset="0"/>
+//!       </PointData>
+//!     </Piece>
+//!   </ImageData>
+//!   <AppendedData encoding="raw"> _… </AppendedData>
+//! </VTKFile>
+//! ```
+//!
+//! Read are ascii, base64 and raw data, inline and appended, uncompressed, zlib and LZ4, in both byte orders and with
+//! both widths of header numbers. Uncompressed raw data of one piece are mapped where they lie; everything else is a
+//! stream of slabs in constant memory. (LZMA is refused by its name.)
+//!
+//! **Extents.** They are inclusive, and need not begin at 0: sample (x0, y0, z0) of the whole extent is our (0, 0, 0),
+//! and its world position includes x0 steps of the spacing. Pieces are joined; neighbours usually share a layer of
+//! samples, which is stored twice.
+//!
+//! **Fields** are the arrays of the point data. Without `--field` the one that the file names as its active `Scalars`
+//! is read, else the only one with one component. Cell data are values of voxel cells, not of samples: refused.
+//!
+//! Modules: `head` (the XML), `array` (the data of an array), `stored` (raw bytes and base64), `image` (extents, pieces, fields).
+
+pub(in crate::formats) mod array;
+pub(in crate::formats) mod head;
+mod image;
+mod stored;
+
+#[cfg(test)]
+pub(in crate::formats) mod tests;
+
+use crate::bytes::ByteSource;
+use crate::error::Result;
+use crate::formats::OpenOptions;
+use crate::volume::VolumeSource;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Opens the image of a `.vti` file.
+///
+/// # Errors
+/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file, another VTK type, cell data, vectors;
+/// [`Error::Usage`](crate::Error::Usage) when several fields ask for a choice.
+pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    image::open(&Arc::new(ByteSource::map(path)?), options.field.as_deref())
+}

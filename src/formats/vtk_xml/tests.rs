@@ -1,0 +1,463 @@
+//! Fixtures in every encoding, made here, and tests of images.
+
+use super::*;
+use crate::formats::surface::tests::survive;
+use crate::formats::tests::{read_all, try_read_all};
+use crate::volume::ScalarType;
+use base64::prelude::{BASE64_STANDARD, Engine};
+use std::io::Write;
+
+/// How arrays are stored in a fixture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(in crate::formats) struct Encoding {
+    /// "ascii", "binary", "raw" or "base64" (appended).
+    format: &'static str,
+    /// "", "ZLib" or "LZ4".
+    compressor: &'static str,
+    big_endian: bool,
+    wide: bool,
+    /// Bytes of a block; some divide the arrays' lengths, some do not.
+    block: usize,
+}
+
+/// Ascii first, then all combinations of the binary ones.
+pub(in crate::formats) fn every_encoding() -> Vec<Encoding> {
+    let mut all =
+        vec![Encoding { format: "ascii", compressor: "", big_endian: false, wide: false, block: 0 }];
+    for format in ["binary", "raw", "base64"] {
+        for (compressor, block) in [("", 0), ("ZLib", 20), ("ZLib", 24), ("LZ4", 20), ("LZ4", 1 << 15)] {
+            for big_endian in [false, true] {
+                for wide in [false, true] {
+                    all.push(Encoding { format, compressor, big_endian, wide, block });
+                }
+            }
+        }
+    }
+    all
+}
+
+/// A number type of a fixture's array.
+pub(in crate::formats) trait Number: Copy + std::fmt::Display {
+    const NAME: &'static str;
+    fn le(self) -> Vec<u8>;
+}
+
+macro_rules! numbers {
+    ($($t:ty, $name:literal;)*) => {$(
+        impl Number for $t {
+            const NAME: &'static str = $name;
+            fn le(self) -> Vec<u8> {
+                self.to_le_bytes().to_vec()
+            }
+        }
+    )*};
+}
+numbers! {
+    u8, "UInt8"; i8, "Int8"; u16, "UInt16"; i16, "Int16"; u32, "UInt32"; i32, "Int32"; u64, "UInt64"; i64, "Int64";
+    f32, "Float32"; f64, "Float64";
+}
+
+/// A file being made.
+pub(in crate::formats) struct Fixture {
+    encoding: Encoding,
+    kind: String,
+    head: String,
+    appended: Vec<u8>,
+}
+
+impl Encoding {
+    /// Begins a file of a type; `attributes` are those of the element below `VTKFile`.
+    pub(in crate::formats) fn file(self, kind: &str, attributes: &str) -> Fixture {
+        let order = if self.big_endian { "BigEndian" } else { "LittleEndian" };
+        let header = if self.wide { "UInt64" } else { "UInt32" };
+        let compressor = match self.compressor {
+            "" => String::new(),
+            name => format!(" compressor=\"vtk{name}DataCompressor\""),
+        };
+        let head = format!(
+            "<?xml version=\"1.0\"?>\n<VTKFile type=\"{kind}\" version=\"1.0\" byte_order=\"{order}\" \
+             header_type=\"{header}\"{compressor}>\n<{kind} {attributes}>\n"
+        );
+        Fixture { encoding: self, kind: kind.into(), head, appended: vec![] }
+    }
+
+    fn word(self, n: usize) -> Vec<u8> {
+        let mut bytes = if self.wide { (n as u64).le() } else { (n as u32).le() };
+        if self.big_endian {
+            bytes.reverse();
+        }
+        bytes
+    }
+
+    /// The header and the data, which base64 encodes apart.
+    fn pack(self, data: &[u8]) -> [Vec<u8>; 2] {
+        if self.compressor.is_empty() {
+            return [vec![], [self.word(data.len()), data.to_vec()].concat()];
+        }
+        let blocks: Vec<&[u8]> = data.chunks(self.block).collect();
+        let packed: Vec<Vec<u8>> = blocks.iter().map(|b| self.compress(b)).collect();
+        let numbers = [blocks.len(), self.block, data.len() % self.block];
+        let lengths = packed.iter().map(Vec::len);
+        let header = numbers.into_iter().chain(lengths).flat_map(|n| self.word(n)).collect();
+        [header, packed.concat()]
+    }
+
+    fn compress(self, block: &[u8]) -> Vec<u8> {
+        if self.compressor == "LZ4" {
+            return lz4_flex::block::compress(block);
+        }
+        let mut zlib = flate2::write::ZlibEncoder::new(vec![], flate2::Compression::default());
+        zlib.write_all(block).unwrap();
+        zlib.finish().unwrap()
+    }
+}
+
+impl Fixture {
+    pub(in crate::formats) fn text(&mut self, text: &str) {
+        self.head += text;
+    }
+
+    pub(in crate::formats) fn array<T: Number>(&mut self, name: &str, components: u32, values: &[T]) {
+        let e = self.encoding;
+        let start = format!(
+            "<DataArray type=\"{}\" Name=\"{name}\" NumberOfComponents=\"{components}\" format=",
+            T::NAME
+        );
+        self.head += &start;
+        if e.format == "ascii" {
+            let words: Vec<String> = values.iter().map(ToString::to_string).collect();
+            self.head += &format!("\"ascii\">\n {}\n</DataArray>\n", words.join(" "));
+            return;
+        }
+        let stored = |v: &T| if e.big_endian { v.le().into_iter().rev().collect() } else { v.le() };
+        let parts = e.pack(&values.iter().flat_map(stored).collect::<Vec<u8>>());
+        let text = parts.each_ref().map(|p| BASE64_STANDARD.encode(p)).concat();
+        let offset = self.appended.len();
+        match e.format {
+            "binary" => self.head += &format!("\"binary\">\n  {text}\n<InformationKey/></DataArray>\n"),
+            "raw" => self.appended.extend(parts.concat()),
+            _ => self.appended.extend(text.into_bytes()),
+        }
+        if e.format != "binary" {
+            self.head += &format!("\"appended\" offset=\"{offset}\"/>\n");
+        }
+    }
+
+    pub(in crate::formats) fn finish(self) -> Vec<u8> {
+        let mut out = format!("{}</{}>\n", self.head, self.kind).into_bytes();
+        if matches!(self.encoding.format, "raw" | "base64") {
+            out.extend(format!("<AppendedData encoding=\"{}\">\n  _", self.encoding.format).into_bytes());
+            out.extend(self.appended);
+            out.extend(b"\n</AppendedData>\n");
+        }
+        out.extend(b"</VTKFile>\n");
+        out
+    }
+}
+
+const WHOLE: &str = "WholeExtent=\"-1 3 2 5 0 2\" Origin=\"1 2 3\" Spacing=\"0.5 2 4\"";
+
+/// 5 x 4 x 3 samples, no two alike; x counts ones, y tens, z hundreds.
+fn value(x: i64, y: i64, z: i64) -> i64 {
+    x + 10 * y + 100 * z
+}
+
+fn expected() -> Vec<f32> {
+    let mut out = vec![];
+    for z in 0..3 {
+        for y in 0..4 {
+            out.extend((0..5).map(|x| value(x, y, z) as f32));
+        }
+    }
+    out
+}
+
+/// An image in pieces, each with a decoy array before and after the one to read.
+fn image(encoding: Encoding, pieces: &[[i64; 6]]) -> Vec<u8> {
+    let mut file = encoding.file("ImageData", WHOLE);
+    file.text("<FieldData>");
+    file.array("t", 1, &[0.5f64]);
+    file.text("</FieldData>\n");
+    for p in pieces {
+        let text: Vec<String> = p.iter().map(ToString::to_string).collect();
+        file.text(&format!("<Piece Extent=\"{}\">\n<PointData Scalars=\"b\">\n", text.join(" ")));
+        let mut values = vec![];
+        for z in p[4]..=p[5] {
+            for y in p[2]..=p[3] {
+                values.extend((p[0]..=p[1]).map(|x| value(x + 1, y - 2, z) as i16));
+            }
+        }
+        file.array("a &amp; c", 1, &values.iter().map(|v| v + 1).collect::<Vec<i16>>());
+        file.array("b", 1, &values);
+        file.array("v", 2, &values.iter().flat_map(|&v| [f32::from(v), 0.5]).collect::<Vec<f32>>());
+        file.text("</PointData>\n<CellData>");
+        file.array("cell", 1, &[1u8]);
+        file.text("</CellData></Piece>\n");
+    }
+    file.finish()
+}
+
+const ONE: [[i64; 6]; 1] = [[-1, 3, 2, 5, 0, 2]];
+
+fn open_bytes(bytes: &[u8], field: Option<&str>) -> Result<VolumeSource> {
+    image::open(&Arc::new(ByteSource::from_vec("f.vti", bytes.to_vec())), field)
+}
+
+#[test]
+fn every_encoding_gives_the_samples_in_order() {
+    for encoding in every_encoding() {
+        let source = open_bytes(&image(encoding, &ONE), None).unwrap();
+        let mapped = encoding.format == "raw" && encoding.compressor.is_empty();
+        assert_eq!(matches!(source, VolumeSource::Random(_)), mapped);
+        let (info, values) = read_all(source);
+        assert_eq!((info.dims, &info.field.name[..]), ([5, 4, 3], "b"), "{encoding:?}");
+        assert_eq!((info.field.scalar, info.fields.len()), (ScalarType::I16, 3));
+        assert_eq!(values, expected(), "{encoding:?}");
+        let (_, other) = read_all(open_bytes(&image(encoding, &ONE), Some("a & c")).unwrap());
+        assert_eq!(other[7], expected()[7] + 1.0);
+    }
+}
+
+#[test]
+fn every_type_is_read() {
+    fn one<T: Number>(encoding: Encoding, values: [T; 4], scalar: ScalarType, read: [f32; 4]) {
+        let mut file = encoding.file("ImageData", "WholeExtent=\"0 3 0 0 0 0\"");
+        file.text("<Piece Extent=\"0 3 0 0 0 0\"><PointData>");
+        file.array("x", 1, &values);
+        file.text("</PointData></Piece>");
+        let (info, found) = read_all(open_bytes(&file.finish(), None).unwrap());
+        assert_eq!((info.field.scalar, &found[..]), (scalar, &read[..]), "{encoding:?}");
+    }
+    for e in every_encoding() {
+        one(e, [0u8, 1, 128, 255], ScalarType::U8, [0.0, 1.0, 128.0, 255.0]);
+        one(e, [0i8, 1, -128, 127], ScalarType::I8, [0.0, 1.0, -128.0, 127.0]);
+        one(e, [0u16, 1, 256, 65535], ScalarType::U16, [0.0, 1.0, 256.0, 65535.0]);
+        one(e, [0i16, 1, -256, 32767], ScalarType::I16, [0.0, 1.0, -256.0, 32767.0]);
+        one(e, [0u32, 1, 65536, 1 << 31], ScalarType::U32, [0.0, 1.0, 65536.0, 2147483648.0]);
+        one(e, [0i32, 1, -65536, -7], ScalarType::I32, [0.0, 1.0, -65536.0, -7.0]);
+        one(
+            e,
+            [0u64, 1, 1 << 40, 1 << 63],
+            ScalarType::U64,
+            [0.0, 1.0, 1099511627776.0, 9223372036854775808.0],
+        );
+        one(e, [0i64, 1, -1 << 40, -7], ScalarType::I64, [0.0, 1.0, -1099511627776.0, -7.0]);
+        one(e, [0f32, 1.5, -1e-20, 3e30], ScalarType::F32, [0.0, 1.5, -1e-20, 3e30]);
+        one(e, [0f64, 1.5, -1e-20, 0.1], ScalarType::F64, [0.0, 1.5, -1e-20, 0.1]);
+    }
+}
+
+#[test]
+fn pieces_are_joined_in_any_order_and_arrangement() {
+    let shared_layers = [
+        [1, 3, 4, 5, 1, 2],
+        [-1, 1, 4, 5, 1, 2],
+        [1, 3, 2, 4, 1, 2],
+        [-1, 1, 2, 4, 1, 2],
+        [1, 3, 4, 5, 0, 1],
+        [-1, 1, 4, 5, 0, 1],
+        [1, 3, 2, 4, 0, 1],
+        [-1, 1, 2, 4, 0, 1],
+    ];
+    let apart = [[-1, 3, 2, 5, 0, 0], [-1, 3, 2, 5, 1, 1], [-1, 3, 2, 5, 2, 2]];
+    let uneven = [[-1, 0, 2, 5, 0, 2], [1, 3, 2, 2, 0, 2], [1, 3, 3, 5, 0, 0], [1, 3, 3, 5, 1, 2]];
+    for encoding in every_encoding() {
+        for pieces in [&shared_layers[..], &apart, &uneven] {
+            let (_, values) = read_all(open_bytes(&image(encoding, pieces), None).unwrap());
+            assert_eq!(values, expected(), "{encoding:?}");
+        }
+    }
+    let hole = [[-1, 0, 2, 5, 0, 2], [1, 3, 2, 2, 0, 2], [2, 3, 3, 5, 0, 0], [1, 3, 3, 5, 1, 2]];
+    let error = open_bytes(&image(every_encoding()[0], &hole), None).err().unwrap().to_string();
+    assert!(error.contains("none for sample (2, 1, 0)"), "{error}");
+}
+
+#[test]
+fn the_first_sample_of_the_extent_is_ours_and_in_its_place() {
+    let (info, _) = read_all(open_bytes(&image(every_encoding()[0], &ONE), None).unwrap());
+    assert_eq!(info.geometry.to_world([0.0; 3]), [0.5, 6.0, 3.0]);
+    assert_eq!(info.geometry.to_world([1.0, 1.0, 1.0]), [1.0, 8.0, 7.0]);
+    // The columns of the matrix are the directions of the axes: x goes along world y, y along -x.
+    let turned = String::from_utf8(image(every_encoding()[0], &ONE)).unwrap();
+    let turned = turned.replace(" Spacing", " Direction=\"0 -1 0 1 0 0 0 0 1\" Spacing");
+    let (info, _) = read_all(open_bytes(turned.as_bytes(), None).unwrap());
+    assert_eq!(info.geometry.direction, [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]);
+    // Index (-1, 2, 0): one step back along world y, two of 2 along -x.
+    assert_eq!(info.geometry.to_world([0.0; 3]), [-3.0, 1.5, 3.0]);
+}
+
+fn refused(bytes: &[u8], field: Option<&str>) -> String {
+    let source = open_bytes(bytes, field);
+    let error = source.and_then(try_read_all).expect_err("the file is refused");
+    assert!(matches!(error.exit_code(), 2 | 5));
+    error.to_string()
+}
+
+#[test]
+fn the_field_is_chosen_or_asked_for() {
+    let good = String::from_utf8(image(every_encoding()[0], &ONE)).unwrap();
+    let no_active = good.replace(" Scalars=\"b\"", "");
+    assert!(refused(no_active.as_bytes(), None).contains("a & c (i16), b (i16), v (2 x f32, not scalar)"));
+    assert!(open_bytes(no_active.as_bytes(), Some("b")).is_ok());
+    assert!(refused(good.as_bytes(), Some("cell")).contains("cell data of that name"));
+    assert!(refused(good.as_bytes(), Some("v")).contains("no scalar field v"));
+    assert!(refused(good.as_bytes(), Some("w")).contains("no scalar field w"));
+    let cells_only = good.replace("PointData", "OtherData");
+    assert!(refused(cells_only.as_bytes(), None).contains("cell data only: cell"));
+    // The only scalar array needs no mark.
+    let one = no_active
+        .replace("Name=\"a &amp; c\" NumberOfComponents=\"1\"", "Name=\"a\" NumberOfComponents=\"3\"");
+    assert_eq!(read_all(open_bytes(one.as_bytes(), None).unwrap()).1, expected());
+}
+
+#[test]
+fn malformed_files_are_refused() {
+    let good = String::from_utf8(image(every_encoding()[0], &ONE)).unwrap();
+    for (from, to, says) in [
+        ("type=\"ImageData\"", "type=\"RectilinearGrid\"", "a rectilinear grid (.vtr)"),
+        ("type=\"ImageData\"", "type=\"PImageData\"", ".pvti"),
+        ("type=\"ImageData\"", "type=\"UnstructuredGrid\"", ".vtu"),
+        ("<VTKFile", "<File", "an element 'File'"),
+        ("LittleEndian", "MiddleEndian", "byte_order"),
+        ("UInt32", "UInt16", "header_type"),
+        ("header_type", "compressor=\"vtkLZMADataCompressor\" header_type", "vtkLZMADataCompressor"),
+        ("WholeExtent=\"-1 3", "WholeExtent=\"3 -1", "WholeExtent: x0 <= x1"),
+        ("WholeExtent=\"-1 3", "WholeExtent=\"-1 4", "cover WholeExtent"),
+        ("WholeExtent=\"-1 3", "WholeExtent=\"-1", "6 numbers"),
+        ("WholeExtent=\"-1 3", "WholeExtent=\"-1 9999999999", "32 bits"),
+        (" Extent=\"-1 3", " Extent=\"-1 4", "within WholeExtent"),
+        ("Spacing=\"0.5", "Spacing=\"0", "axes that span space"),
+        ("Spacing=\"0.5", "Spacing=\"nan", "axes that span space"),
+        ("format=\"ascii\"", "format=\"octal\"", "'octal'"),
+        ("format=\"ascii\"", "format=\"appended\" offset=\"0\"", "AppendedData"),
+        ("Name=\"b\" NumberOfComponents=\"1\"", "Name=\"b\" NumberOfComponents=\"0\"", "NumberOfComponents"),
+        (" 234", "", "more numbers"),
+        (" 234", " 234 5", "the end of the array"),
+        (" 234", " 2x4", "a number of type i16"),
+        (" 234", " 99999", "a number of type i16"),
+        ("</VTKFile>", "", "the end of the file"),
+        ("</Piece>", "</Peace>", "the head of a VTK XML file"),
+    ] {
+        // The array that is read is the last with these values but the vectors.
+        let at = if from == " 234" { good.find("Name=\"b\"").unwrap() } else { 0 };
+        let at = if from.starts_with("format") { good.find("Name=\"b\"").unwrap() } else { at };
+        let bad = good[..at].to_string() + &good[at..].replacen(from, to, 1);
+        assert_ne!(good, bad, "{from}");
+        let error = refused(bad.as_bytes(), None);
+        assert!(error.contains(says), "{says}: {error}");
+    }
+    let whole = [
+        ["WholeExtent=\"-1 3 2 5 0 2\"", "WholeExtent=\"0 2147483647 0 2147483647 0 9\""],
+        ["Extent=\"-1 3 2 5 0 2\"", "Extent=\"0 2147483647 0 2147483647 0 9\""],
+    ];
+    let huge = whole.iter().fold(good, |text, [from, to]| text.replace(from, to));
+    assert!(refused(huge.as_bytes(), None).contains("too short"));
+}
+
+#[test]
+fn damage_does_not_panic() {
+    let read = |b: &[u8]| drop(open_bytes(b, None).and_then(try_read_all));
+    let chosen = |e: &Encoding| e.block != 24 && e.big_endian != e.wide;
+    for encoding in every_encoding().into_iter().filter(|e| e.format == "ascii" || chosen(e)) {
+        survive(&image(encoding, &ONE), read);
+    }
+}
+
+#[test]
+fn a_cut_within_the_data_is_an_error() {
+    for encoding in every_encoding() {
+        let bytes = image(encoding, &ONE);
+        let field = "a & c";
+        let whole = |b: &[u8]| open_bytes(b, Some(field)).and_then(try_read_all);
+        assert!(whole(&bytes).is_ok());
+        // The head, and for appended data what is stored of the first array, is a part of every good file.
+        let start = bytes.windows(4).position(|w| w == b"</Im").unwrap();
+        let least = if matches!(encoding.format, "raw" | "base64") { start + 50 } else { start };
+        assert!((0..least).all(|cut| whole(&bytes[..cut]).is_err()), "{encoding:?}");
+    }
+}
+
+#[test]
+fn compressed_data_with_a_flipped_bit_are_an_error() {
+    for encoding in every_encoding().into_iter().filter(|e| e.compressor == "ZLib" && e.format == "raw") {
+        let bytes = image(encoding, &ONE);
+        let start = bytes.windows(3).position(|w| w == b"  _").unwrap() + 3;
+        let blocks = start + (bytes.len() - start) / 2;
+        for at in blocks - 40..blocks {
+            let mut bad = bytes.clone();
+            bad[at] ^= 4;
+            let values = open_bytes(&bad, None).and_then(try_read_all);
+            assert!(
+                values.is_err() || values.unwrap() == expected(),
+                "checksums see it, or it was another array"
+            );
+        }
+    }
+}
+
+#[test]
+fn an_lz4_block_of_an_absurd_length_is_refused() {
+    let encoding =
+        Encoding { format: "raw", compressor: "LZ4", big_endian: false, wide: true, block: 1 << 20 };
+    let mut file = encoding.file("ImageData", "WholeExtent=\"0 99999999 0 0 0 0\"");
+    file.text("<Piece Extent=\"0 99999999 0 0 0 0\"><PointData>");
+    file.array("x", 1, &[1u8]);
+    file.text("</PointData></Piece>");
+    let mut bytes = file.finish();
+    let start = bytes.windows(3).position(|w| w == b"  _").unwrap() + 3;
+    bytes[start + 8..start + 16].copy_from_slice(&100_000_000u64.to_le_bytes());
+    bytes[start + 16..start + 24].copy_from_slice(&0u64.to_le_bytes());
+    let error = refused(&bytes, None);
+    assert!(error.contains("too short"), "{error}");
+}
+
+/// A file of the shared test data; `None`, and a line on stderr, where there are none.
+pub(in crate::formats) fn shared(name: &str) -> Option<std::path::PathBuf> {
+    let Some(folder) = std::env::var_os("ISOSPAN_SHARED_DATA") else {
+        eprintln!("skipped: ISOSPAN_SHARED_DATA is not set");
+        return None;
+    };
+    Some(Path::new(&folder).join(name))
+}
+
+/// Smallest and largest value, as printed with six significant digits.
+pub(in crate::formats) fn range(values: &[f32]) -> (f32, f32) {
+    values.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), &v| (lo.min(v), hi.max(v)))
+}
+
+#[test]
+fn real_files_have_the_published_dimensions_and_ranges() {
+    let viscous = |n: u32| format!("series/viscous_fingers_f32/density_t0{n}.vti");
+    let mut files = vec![
+        ("volumes/hydrogen_f32.vti".to_string(), [64, 64, 64], ScalarType::F32, (0.0, 1.0)),
+        ("volumes/isabel_wind_f64_t02.vti".to_string(), [125, 125, 25], ScalarType::F64, (0.0, 68.2455)),
+        ("variants/vtkio/volume_complex.vti".to_string(), [3, 4, 6], ScalarType::I8, (0.0, 50.0)),
+    ];
+    let largest = [90.4581, 100.289, 108.485, 113.59, 107.936, 110.958, 117.521, 124.81];
+    for (i, hi) in largest.into_iter().enumerate() {
+        files.push((viscous(10 * (i as u32 + 1)), [64; 3], ScalarType::F32, (0.0, hi)));
+    }
+    for (name, dims, scalar, (lo, hi)) in files {
+        let Some(path) = shared(&name) else { return };
+        let (info, values) = read_all(open(&path, &OpenOptions::default()).unwrap());
+        assert_eq!((info.dims, info.field.scalar), (dims, scalar), "{name}");
+        let found = range(&values);
+        assert!((found.0 - lo).abs() < 1e-4 && (found.1 - hi).abs() < hi * 5e-6, "{name}: {found:?}");
+    }
+}
+
+#[test]
+fn real_files_that_are_no_scalar_image_are_refused_by_name() {
+    for (name, says) in [
+        ("variants/vase_4component_u8.vti", "Scalars_ (4 x u8, not scalar)"),
+        ("variants/QuadraticTetra.vtu", "an unstructured grid (.vtu)"),
+        ("variants/vtkio/RectilinearGrid_ascii.vtr", "a rectilinear grid (.vtr)"),
+        ("variants/vtkio/hexahedron_lzma_inline_binary.vtu", "UnstructuredGrid"),
+        ("variants/vtkio/polyEx0.vtp", "a surface (.vtp)"),
+        ("variants/vtkio/cube.pvtp", "PPolyData"),
+    ] {
+        let Some(path) = shared(name) else { return };
+        let error = open(&path, &OpenOptions::default()).err().unwrap();
+        assert!(error.exit_code() == 5 && error.to_string().contains(says), "{error}");
+    }
+}
