@@ -298,7 +298,7 @@ mod tests {
             ("Name=\"offsets\"", "Name=\"offset\"", "'offsets'"),
             ("0 1 2 3", "0 1 2 4", "point 4 of 4"),
             ("0 1 2 3", "0 1 2 -1", "negative"),
-            ("Int32", "Float32", "integers"),
+            ("type=\"Int32\"", "type=\"Float32\"", "integers"),
         ] {
             let bad = good.replacen(from, to, 1);
             assert_ne!(good, bad, "{from}");

@@ -351,7 +351,7 @@ fn malformed_files_are_refused() {
         ["Extent=\"-1 3 2 5 0 2\"", "Extent=\"0 2147483647 0 2147483647 0 9\""],
     ];
     let huge = whole.iter().fold(good, |text, [from, to]| text.replace(from, to));
-    assert!(refused(huge.as_bytes(), None).contains("too short"));
+    assert!(refused(huge.as_bytes(), None).contains("fewer than 2^63 bytes"));
 }
 
 #[test]
