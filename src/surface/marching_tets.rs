@@ -19,7 +19,7 @@
 //!          1                         1
 //! ```
 //!
-//! The table of the 16 cases is derived by [`derive_case`] at compile time. A tetrahedron with a NaN corner is *void* and
+//! The table of the 16 cases is derived at compile time (`derive_case`). A tetrahedron with a NaN corner is *void* and
 //! gives nothing: no surface is invented across a hole in the data.
 //!
 //! # Where is a vertex?

@@ -1,0 +1,110 @@
+//! Extraction, welding and checking of a gyroid in a chunk of 262 144 points and 1.5 million tetrahedra.
+//! Throughput is in triangles.
+
+use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
+use isospan::geom::{Lattice, LatticePos, PointId};
+use isospan::grid::Geometry;
+use isospan::mesh::tet::{self, Tet};
+use isospan::surface::check::check;
+use isospan::surface::marching_tets::{CellSource, ChunkSurface, extract};
+use isospan::surface::weld::{BuilderSettings, SurfaceBuilder};
+use isospan::surface::{TriMesh, WorldMap};
+use std::hint::black_box;
+
+const N: u64 = 64;
+const ISOVALUE: f32 = 0.1;
+
+struct Chunk {
+    lattice: Lattice,
+    positions: Vec<LatticePos>,
+    values: Vec<f32>,
+    ids: Vec<PointId>,
+    shared: Vec<bool>,
+    tets: Vec<Tet>,
+}
+
+impl Chunk {
+    /// Voxels cut into Kuhn's six tetrahedra; corners on the faces are shared.
+    fn new() -> Self {
+        let lattice = Lattice::new([N; 3]).expect("a small grid has a lattice");
+        let voxels = || (0..N * N * N).map(|n| [n % N, n / N % N, n / N / N]);
+        let gyroid = |ijk: [u64; 3]| {
+            let [x, y, z] = ijk.map(|i| i as f64 * 0.25);
+            (x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()) as f32
+        };
+        Self {
+            lattice,
+            positions: voxels().map(|p| lattice.of_voxel(p)).collect(),
+            values: voxels().map(gyroid).collect(),
+            ids: (0..N * N * N).map(|n| PointId((n * 0x9E_3779_B97F) & ((1 << 40) - 1))).collect(),
+            shared: voxels().map(|p| p.iter().any(|&i| i == 0 || i == N - 1)).collect(),
+            tets: voxels().filter(|p| p.iter().all(|&i| i < N - 1)).flat_map(kuhn).collect(),
+        }
+    }
+
+    fn source<'a>(&'a self, tets: &'a [Tet]) -> CellSource<'a> {
+        CellSource {
+            positions: &self.positions,
+            values: &self.values,
+            ids: &self.ids,
+            shared: &self.shared,
+            tets,
+        }
+    }
+
+    fn active(&self) -> Vec<Tet> {
+        let is_active = |t: &&Tet| {
+            tet::range(t.map(|c| self.values[c as usize]))
+                .is_some_and(|(lo, hi)| tet::is_active(lo, hi, ISOVALUE))
+        };
+        self.tets.iter().filter(is_active).copied().collect()
+    }
+}
+
+fn kuhn(at: [u64; 3]) -> [Tet; 6] {
+    let paths = [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [2, 1, 0], [1, 0, 2]];
+    std::array::from_fn(|n| {
+        let mut p = at;
+        let number = |p: [u64; 3]| ((p[2] * N + p[1]) * N + p[0]) as u32;
+        let mut tet = [number(p); 4];
+        for (step, axis) in paths[n].into_iter().enumerate() {
+            p[axis] += 1;
+            tet[step + 1] = number(p);
+        }
+        if n >= 3 {
+            tet.swap(2, 3);
+        }
+        tet
+    })
+}
+
+fn surface(c: &mut Criterion) {
+    let chunk = Chunk::new();
+    let world = WorldMap::new(&chunk.lattice, &Geometry::default());
+    let active = chunk.active();
+    let mut out = ChunkSurface::default();
+    extract(&chunk.source(&active), ISOVALUE, &world, &mut out);
+    let triangles = out.triangles().len() as u64;
+
+    let mut group = c.benchmark_group("surface");
+    group.throughput(Throughput::Elements(triangles));
+    for (name, tets) in [("extract/active cells", &active), ("extract/all cells", &chunk.tets)] {
+        group.bench_function(format!("{name}/{}", tets.len()), |b| {
+            b.iter(|| extract(black_box(&chunk.source(tets)), ISOVALUE, &world, &mut out));
+        });
+    }
+    let build = || {
+        let mut builder = SurfaceBuilder::new(&world, &BuilderSettings::default());
+        builder.push(&out).expect("memory suffices");
+        builder.finish().expect("memory suffices")
+    };
+    group.bench_function(format!("weld/{triangles}"), |b| {
+        b.iter_batched(|| (), |()| build(), BatchSize::PerIteration);
+    });
+    let mesh = TriMesh::from_source(&build()).expect("memory suffices");
+    group.bench_function(format!("check/{triangles}"), |b| b.iter(|| check(black_box(&mesh))));
+    group.finish();
+}
+
+criterion_group!(benches, surface);
+criterion_main!(benches);
