@@ -56,8 +56,8 @@
 //!
 //! # Cost
 //!
-//! One table look-up for each crossed edge of an active tetrahedron; 40 bytes a vertex and 12 a triangle while a chunk is
-//! extracted. Buffers are kept for the next chunk.
+//! One look-up for each crossed edge of an active tetrahedron, in a list of the edges of its lower corner; 4 bytes a corner, 48
+//! a vertex and 12 a triangle while a chunk is extracted. Buffers are kept for the next chunk.
 //!
 //! # References
 //! Doi, Koide 1991, "An efficient method of triangulating equi-valued surfaces by using tetrahedral cells". The clamp
@@ -66,6 +66,7 @@
 use super::{Vertex, WorldMap};
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;
+use rustc_hash::FxHashMap;
 
 /// The corners and tetrahedra of (a part of) one chunk. Corner arrays are indexed by chunk-local numbers; entries that
 /// no tetrahedron uses may hold anything.
@@ -133,6 +134,7 @@ impl ChunkSurface {
     pub fn add(&mut self, cells: &CellSource<'_>) {
         const BATCH: usize = 1024;
         let mut active = [0u32; BATCH];
+        self.edges.reserve(cells.ids.len());
         for tets in cells.tets.chunks(BATCH) {
             let count = find_active(tets, cells.values, self.isovalue, &mut active);
             self.active_cells += count as u64;
@@ -195,7 +197,8 @@ impl ChunkSurface {
 
     /// Bytes of memory that the buffers hold.
     pub fn bytes(&self) -> usize {
-        self.edges.slots.capacity() * 4
+        self.edges.heads.capacity() * 4
+            + self.edges.overflow.capacity() * 16
             + self.edges.crossings.capacity() * size_of::<Crossing>()
             + self.vertices.capacity() * size_of::<Vertex>()
             + self.shared.capacity() * size_of::<SharedEdge>()
@@ -216,10 +219,11 @@ impl ChunkSurface {
     fn add_tet(&mut self, cells: &CellSource<'_>, tet: Tet) {
         let (corners, odd) = sort_by_id(tet, cells.ids);
         let values = corners.map(|c| cells.values[c as usize]);
-        let positions = corners.map(|c| cells.positions[c as usize].map(f64::from));
+        // At most 2^24; unlike u32, i32 converts in one instruction.
+        let positions = corners.map(|c| cells.positions[c as usize].map(|x| f64::from(x as i32)));
         let inside = (0..4).fold(0, |mask, i| mask | usize::from(values[i] >= self.isovalue) << i);
         let gradient = gradient(&positions, values, odd);
-        let case = &CASES[inside];
+        let case = &CASES[usize::from(odd)][inside];
         let mut vertex = [0u32; 6];
         for &e in &case.edges[..case.crossed] {
             let [i, j] = EDGES[e as usize].map(usize::from);
@@ -230,8 +234,7 @@ impl ChunkSurface {
             vertex[e as usize] = at;
         }
         for t in &case.triangles[..case.count] {
-            let [a, b, c] = t.map(|e| vertex[e as usize]);
-            self.triangles.push(if odd { [a, c, b] } else { [a, b, c] });
+            self.triangles.push(t.map(|e| vertex[e as usize]));
         }
     }
 }
@@ -311,7 +314,12 @@ struct Crossing {
     /// Units of the gradient sum per value × lattice step².
     unit: f64,
     gradient: [i64; 3],
+    /// The next crossing of the same lower corner.
+    next: u32,
 }
+
+/// No crossing.
+const NONE: u32 = u32::MAX;
 
 impl Crossing {
     fn ends(&self) -> (usize, usize) {
@@ -322,9 +330,8 @@ impl Crossing {
     #[inline]
     fn add(&mut self, g: [f64; 3]) {
         let term = g.map(|x| x * self.unit);
-        let largest = term[0].abs().max(term[1].abs()).max(term[2].abs());
-        // max() drops a NaN, the sum does not.
-        let good = largest <= LONGEST && !(term[0] + term[1] + term[2]).is_nan();
+        // False for a NaN too.
+        let good = (term[0].abs() <= LONGEST) & (term[1].abs() <= LONGEST) & (term[2].abs() <= LONGEST);
         let term = if good { term } else { shorten(term) };
         for (sum, x) in self.gradient.iter_mut().zip(term) {
             *sum = sum.wrapping_add(round(x));
@@ -355,78 +362,72 @@ fn round(x: f64) -> i64 {
     ((x + MAGIC).to_bits() as i64).wrapping_sub(MAGIC.to_bits() as i64)
 }
 
-/// The crossed edges of a chunk, found by their corners: open addressing over numbers of `crossings`.
+/// The crossed edges of a chunk, found by their corners.
+///
+/// Each corner heads a list of the edges of which it is the lower one. Neighbouring tetrahedra have neighbouring corners,
+/// so both the heads and the lists are in cache, which the slots of a hash table are not (it spent 40 % of the extraction
+/// waiting for them). A corner of enormous degree would make a list slow: what exceeds `LONGEST_LIST` goes to a hash table.
 #[derive(Debug, Default)]
 struct EdgeTable {
-    /// A power of two, at least twice the number of crossings; `EMPTY` or a crossing.
-    slots: Vec<u32>,
     crossings: Vec<Crossing>,
+    /// First crossing of each corner; `NONE` without.
+    heads: Vec<u32>,
+    /// The edges that did not fit their lists; looked up, never iterated.
+    overflow: FxHashMap<u64, u32>,
 }
 
 impl EdgeTable {
-    const EMPTY: u32 = u32::MAX;
-    const LEAST: usize = 1 << 10;
+    const LONGEST_LIST: usize = 32;
 
-    /// Forgets all edges. The table keeps the size that they needed, so that a chunk with little surface after one
-    /// with much is not slowed down twice.
+    /// Forgets all edges, in time proportional to their number.
     fn clear(&mut self) {
-        let wanted = (self.crossings.len() * 2).next_power_of_two().max(Self::LEAST);
-        self.crossings.clear();
-        self.resize(wanted);
+        for crossing in self.crossings.drain(..) {
+            self.heads[(crossing.key >> 32) as usize] = NONE;
+        }
+        self.overflow.clear();
     }
 
-    fn resize(&mut self, slots: usize) {
-        self.slots.clear();
-        self.slots.resize(slots, Self::EMPTY);
+    /// Makes room for corners below `corners`.
+    fn reserve(&mut self, corners: usize) {
+        if self.heads.len() < corners {
+            self.heads.resize(corners, NONE);
+        }
     }
 
     #[inline]
     fn find_or_add(&mut self, a: u32, b: u32, unit: impl FnOnce() -> f64) -> u32 {
-        if self.crossings.len() * 2 >= self.slots.len() {
-            self.grow();
-        }
         let key = u64::from(a) << 32 | u64::from(b);
-        let mut at = slot(key, self.slots.len());
-        loop {
-            match self.slots[at] {
-                Self::EMPTY => break,
-                number if self.crossings[number as usize].key == key => return number,
-                _ => at = (at + 1) & (self.slots.len() - 1),
+        let first = self.heads[a as usize];
+        let (mut at, mut length) = (first, 0);
+        while at != NONE {
+            let crossing = &self.crossings[at as usize];
+            if crossing.key == key {
+                return at;
             }
+            (at, length) = (crossing.next, length + 1);
         }
         let number = self.crossings.len() as u32;
-        assert!(number < Self::EMPTY, "a chunk has fewer than 2^32 - 1 crossed edges");
-        self.slots[at] = number;
-        self.crossings.push(Crossing { key, unit: unit(), gradient: [0; 3] });
+        assert!(number < NONE, "a chunk has fewer than 2^32 - 1 crossed edges");
+        if length < Self::LONGEST_LIST {
+            self.heads[a as usize] = number;
+        } else if let Some(known) = self.find_or_add_overflow(key, number) {
+            return known;
+        }
+        self.crossings.push(Crossing { key, unit: unit(), gradient: [0; 3], next: first });
         number
     }
 
     #[cold]
-    fn grow(&mut self) {
-        self.resize((self.slots.len() * 2).max(Self::LEAST));
-        let mask = self.slots.len() - 1;
-        for (number, crossing) in self.crossings.iter().enumerate() {
-            let mut at = slot(crossing.key, self.slots.len());
-            while self.slots[at] != Self::EMPTY {
-                at = (at + 1) & mask;
-            }
-            self.slots[at] = number as u32;
-        }
+    fn find_or_add_overflow(&mut self, key: u64, number: u32) -> Option<u32> {
+        let known = *self.overflow.entry(key).or_insert(number);
+        (known != number).then_some(known)
     }
-}
-
-/// Multiplicative hashing (Knuth, TAOCP 6.4): the high bits of the product with 2^64 / φ.
-#[inline]
-fn slot(key: u64, slots: usize) -> usize {
-    // Fold first: the corner in the high half would only reach the highest bits of the product.
-    let folded = key ^ key >> 29;
-    (folded.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> (64 - slots.trailing_zeros())) as usize
 }
 
 /// The six edges of a tetrahedron with sorted corners, in the order of their keys.
 const EDGES: [[u8; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
 
-/// What to do with a tetrahedron whose sorted corners are positively oriented.
+/// What to do with a tetrahedron of sorted corners.
 #[derive(Clone, Copy, Debug)]
 struct Case {
     /// Crossed edges, ascending; the first `crossed` count.
@@ -437,18 +438,22 @@ struct Case {
     count: usize,
 }
 
-/// By the mask of corners inside.
-static CASES: [Case; 16] = {
-    let mut cases = [Case { edges: [0; 4], crossed: 0, triangles: [[0; 3]; 2], count: 0 }; 16];
+/// By orientation (positive, negative) and the mask of corners inside.
+static CASES: [[Case; 16]; 2] = {
+    let none = Case { edges: [0; 4], crossed: 0, triangles: [[0; 3]; 2], count: 0 };
+    let mut cases = [[none; 16]; 2];
     let mut mask = 1;
     while mask < 15 {
-        cases[mask] = derive_case(mask);
+        let case = derive_case(mask);
+        let [[a, b, c], [d, e, f]] = case.triangles;
+        cases[0][mask] = case;
+        cases[1][mask] = Case { triangles: [[a, c, b], [d, f, e]], ..case };
         mask += 1;
     }
     cases
 };
 
-/// The case of a mask that is neither empty nor full.
+/// The case of a mask that is neither empty nor full, the corners positively oriented.
 ///
 /// In a positively oriented tetrahedron (i, j, k, l), the triangle (ij, ik, il) looks away from i, and the quadrilateral
 /// (ik, il, jl, jk) from i and j to k and l. So list the corners inside, then those outside, each ascending; one corner

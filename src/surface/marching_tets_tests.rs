@@ -91,7 +91,7 @@ fn the_order_of_corners_does_not_matter() {
 
 #[test]
 fn quadrilaterals_are_cut_at_their_smallest_edge() {
-    for (mask, case) in CASES.iter().enumerate() {
+    for (mask, case) in CASES.iter().flat_map(|cases| cases.iter().enumerate()) {
         let crossed: Vec<u8> =
             (0..6).filter(|&e| EDGES[e as usize].map(|c| mask >> c & 1).iter().sum::<usize>() == 1).collect();
         assert_eq!(case.edges[..case.crossed], crossed[..], "{mask:04b}");
@@ -390,5 +390,26 @@ proptest! {
         for (a, b) in turned.vertices.iter().zip(&up.vertices) {
             prop_assert!((0..3).all(|k| a.normal[k] == b.normal[k]), "{:?} {:?}", a, b);
         }
+    }
+}
+
+#[test]
+fn corners_of_any_degree_find_their_edges() {
+    let mut table = EdgeTable::default();
+    table.reserve(2000);
+    for _ in 0..3 {
+        let edges: Vec<(u32, u32)> = (1..1000).flat_map(|b| [(0, b), (b, b + 1), (7, b + 500)]).collect();
+        let mut known = std::collections::BTreeMap::new();
+        for round in 0..3 {
+            for &(a, b) in &edges {
+                let next = known.len() as u32;
+                let wanted = *known.entry((a, b)).or_insert(next);
+                assert_eq!(table.find_or_add(a, b, || 1.0), wanted, "{a} {b} round {round}");
+            }
+        }
+        assert_eq!(table.crossings.len(), known.len());
+        assert!(table.overflow.len() > 1800);
+        table.clear();
+        assert!(table.heads.iter().all(|&head| head == NONE));
     }
 }
