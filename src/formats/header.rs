@@ -155,6 +155,9 @@ fn c_number(pattern: &str, number: i64) -> Option<String> {
 
 /// Maps the slice files that a header names; those that are missing are named in the error.
 pub(super) fn map_files(header: &Path, at: &str, names: &[String]) -> Result<Vec<Arc<ByteSource>>> {
+    if names.iter().any(String::is_empty) {
+        return Err(Error::bad_input(header, at, "the name of a file", "none"));
+    }
     let paths: Vec<PathBuf> = names.iter().map(|n| beside(header, n)).collect();
     let missing: Vec<&String> =
         names.iter().zip(&paths).filter(|(_, p)| !p.exists()).map(|(n, _)| n).collect();

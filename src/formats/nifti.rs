@@ -1,10 +1,594 @@
-//! Being written: opening one is refused until it is.
-use super::*;
-/// Being written.
-pub fn open(path: &Path, _o: &OpenOptions) -> Result<VolumeSource> {
-    Err(Error::bad_input(path, "kind of file", "an implemented format", "one that is not read yet"))
+//! NIfTI-1 and NIfTI-2 (neuroimaging): a binary header of 348 or 540 bytes, then the samples, x fastest.
+//!
+//! ```text
+//!  .nii, .nii.gz    | header | extensions | … samples from vox_offset on |
+//!  .hdr + .img      | header |             | samples from vox_offset on | in the other file; either may be .gz
+//! ```
+//!
+//! `sizeof_hdr`, the first number, is 348 or 540 in the byte order of the file. Fields used:
+//!
+//! | field | NIfTI-1 | NIfTI-2 | |
+//! |---|---|---|---|
+//! | magic | 344 "n+1", "ni1" | 4 "n+2", "ni2" | one file, or a pair |
+//! | `dim` | 40, 8 x i16 | 16, 8 x i64 | number of axes, then x, y, z, t, components … |
+//! | `datatype` | 70, i16 | 12, i16 | |
+//! | `pixdim` | 76, 8 x f32 | 104, 8 x f64 | handedness of the quaternion, then spacings |
+//! | `vox_offset` | 108, f32 | 168, i64 | |
+//! | `scl_slope`, `scl_inter` | 112, f32 | 176, f64 | value = slope · stored + inter; slope 0: none |
+//! | `qform_code`, `sform_code` | 252, i16 | 344, i32 | above 0: the map to the world is given |
+//! | `quatern_b` … `qoffset_z` | 256, 6 x f32 | 352, 6 x f64 | a rotation and an origin |
+//! | `srow_x` … `srow_z` | 280, 12 x f32 | 400, 12 x f64 | the rows of an affine map |
+//!
+//! The affine map is taken where there is one, else the quaternion, else `pixdim` alone (0 means 1). The frames of a
+//! time series are fields "t0", "t1", …. Refused by name: fewer than three axes, several numbers a sample (vectors,
+//! complex, colours), long double.
+//!
+//! The format: Cox et al., "A (sort of) new image data format standard: NIfTI-1" (2004), and `nifti1.h`, `nifti2.h`.
+
+use super::header::{geometry, scaled_axes};
+use super::stream::{ByteSlabs, Codec, Tail, sample_bytes};
+use super::{OpenOptions, has_suffix, pick_field};
+use crate::bytes::ByteSource;
+use crate::error::{Error, Result};
+use crate::grid::Geometry;
+use crate::volume::strided::StridedVolume;
+use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Whether a file that starts so is a NIfTI file or the header of one.
+pub(super) fn has_magic(head: &[u8]) -> bool {
+    let is = |at: usize, magic: [&[u8]; 2]| head.get(at..at + 4).is_some_and(|m| magic.contains(&m));
+    is(344, [b"n+1\0", b"ni1\0"]) || is(4, [b"n+2\0", b"ni2\0"])
 }
-/// Being written.
-pub fn has_magic(head: &[u8]) -> bool {
-    head.len() >= 348 && matches!(&head[344..348], b"n+1\0" | b"ni1\0")
+
+/// Opens a NIfTI file, or a pair by the name of either file.
+///
+/// # Errors
+/// [`Error::BadInput`] when it is malformed, cut short or of a kind that is not read; [`Error::Usage`] when it is a time
+/// series and no frame is chosen.
+pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    let header_path =
+        if has_suffix(path, &[".img", ".img.gz"]) { partner(path, "hdr")? } else { path.to_path_buf() };
+    let source = Arc::new(ByteSource::map(&header_path)?);
+    let header = Header::parse(&source)?;
+    let pair = header.is_pair()?;
+    let data = if pair { Arc::new(ByteSource::map(partner(path, "img")?)?) } else { source };
+    let (dims, frames, scalar) = (header.dims()?, header.frames()?, header.scalar()?);
+    let (frame_bytes, offset) = (sample_bytes(path, dims, scalar)?, header.offset(pair)?);
+    let gzip = is_gzip(&data)?;
+    check_size(&data, gzip, offset, frames, frame_bytes)?;
+    let fields = fields(frames, scalar);
+    let frame = pick_field(path, &fields, options.field.as_deref())? as u64;
+    let (slope, intercept) = header.scaling()?;
+    let info = VolumeInfo {
+        path: path.to_path_buf(),
+        format: header.format(pair, gzip),
+        dims,
+        field: fields[frame as usize].clone(),
+        fields,
+        geometry: header.geometry()?,
+        slope,
+        intercept,
+        missing: None,
+    };
+    let offset = offset + frame * frame_bytes;
+    if gzip {
+        let tail = if frame + 1 == frames { Tail::Nothing } else { Tail::Ignored };
+        let range = 0..data.len();
+        let slabs = ByteSlabs::new(info, &data, range, Codec::Gzip, offset, header.big_endian, tail)?;
+        return Ok(VolumeSource::Stream(Box::new(slabs)));
+    }
+    let strides = StridedVolume::packed_strides(dims, scalar).expect("fewer than 2^63 bytes");
+    let volume = StridedVolume::new(info, data, offset, header.big_endian, strides)?;
+    Ok(VolumeSource::Random(Box::new(volume)))
+}
+
+fn is_gzip(source: &ByteSource) -> Result<bool> {
+    Ok(source.slice(0..source.len().min(2))? == [0x1f, 0x8b])
+}
+
+/// The other file of a pair: `wanted` is "hdr" or "img"; compressed or not.
+fn partner(path: &Path, wanted: &str) -> Result<PathBuf> {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let gz = if name.to_ascii_lowercase().ends_with(".gz") { &name[..name.len() - 3] } else { &name };
+    let stem = if has_suffix(Path::new(gz), &[".hdr", ".img"]) { &gz[..gz.len() - 4] } else { gz };
+    // The partner is most likely compressed like the file named.
+    let mut endings = ["", ".gz"];
+    if gz.len() < name.len() {
+        endings.reverse();
+    }
+    let names = endings.map(|e| format!("{stem}.{wanted}{e}"));
+    let found = names.iter().map(|n| path.with_file_name(n)).find(|p| p.exists());
+    found.ok_or_else(|| {
+        let expected = format!("the other file of the pair, {} or {}", names[0], names[1]);
+        Error::bad_input(path, "file", expected, "neither").with_help("put it into the same folder")
+    })
+}
+
+/// Refuses a header that claims more than the file can hold, before its frames are listed.
+fn check_size(data: &ByteSource, gzip: bool, offset: u64, frames: u64, frame_bytes: u64) -> Result<()> {
+    // See `stream`: deflate never decodes to more than 1032 times its size.
+    let most = if gzip { data.len().saturating_mul(1032) } else { data.len() };
+    let needed = frames.checked_mul(frame_bytes).and_then(|n| n.checked_add(offset));
+    if needed.is_some_and(|n| n <= most) {
+        return Ok(());
+    }
+    let expected = format!("{frames} frame(s) of {frame_bytes} bytes from byte {offset} on");
+    let got = format!("a file of {} bytes", data.len());
+    Err(Error::bad_input(data.path(), "samples", expected, got)
+        .with_help("the file is cut short, or its dimensions or type are wrong"))
+}
+
+fn fields(frames: u64, scalar: ScalarType) -> Vec<FieldInfo> {
+    let one = |name: String| FieldInfo { name, scalar, components: 1 };
+    if frames == 1 { vec![one("data".into())] } else { (0..frames).map(|t| one(format!("t{t}"))).collect() }
+}
+
+/// The header's bytes, and how to read them.
+struct Header {
+    path: PathBuf,
+    bytes: Vec<u8>,
+    big_endian: bool,
+    /// 1 or 2.
+    version: u8,
+}
+
+impl Header {
+    const BYTES: [usize; 2] = [348, 540];
+
+    fn parse(source: &Arc<ByteSource>) -> Result<Self> {
+        let mut bytes = vec![];
+        let reader: Box<dyn Read> = if is_gzip(source)? {
+            Codec::Gzip.reader(source, 0..source.len())?
+        } else {
+            Box::new(source.reader(0..source.len())?)
+        };
+        let read = reader.take(Self::BYTES[1] as u64).read_to_end(&mut bytes);
+        let path = source.path().to_path_buf();
+        let first = bytes.get(..4).map(|b| [b[0], b[1], b[2], b[3]]).unwrap_or_default();
+        let both = [i32::from_le_bytes(first), i32::from_be_bytes(first)];
+        let known = [(348, 1), (540, 2)].into_iter().find_map(|(size, version)| {
+            let order = both.iter().position(|&s| s == size)?;
+            Some((version, order == 1))
+        });
+        let Some((version, big_endian)) = known else {
+            if let Err(e) = read {
+                return Err(Error::bad_input(path, "header", "good gzip data", e.to_string()));
+            }
+            let got = format!("{} (or {})", both[0], both[1]);
+            return Err(Error::bad_input(path, "sizeof_hdr, byte 0", "348 (NIfTI-1) or 540 (NIfTI-2)", got)
+                .with_help("this is no NIfTI file"));
+        };
+        let size = Self::BYTES[version as usize - 1];
+        if bytes.len() < size {
+            let got = read.err().map_or_else(|| format!("{} bytes", bytes.len()), |e| e.to_string());
+            return Err(Error::bad_input(path, "header", format!("{size} bytes"), got)
+                .with_help("the file is cut short or damaged"));
+        }
+        bytes.truncate(size);
+        Ok(Self { path, bytes, big_endian, version })
+    }
+
+    fn array<const N: usize>(&self, at: usize) -> [u8; N] {
+        let mut bytes: [u8; N] = self.bytes[at..at + N].try_into().expect("N bytes");
+        if self.big_endian {
+            bytes.reverse();
+        }
+        bytes
+    }
+
+    /// An integer: `at` and bytes of the field in version 1 and in version 2.
+    fn integer(&self, one: (usize, usize), two: (usize, usize)) -> i64 {
+        let (at, size) = if self.version == 1 { one } else { two };
+        match size {
+            2 => i64::from(i16::from_le_bytes(self.array(at))),
+            4 => i64::from(i32::from_le_bytes(self.array(at))),
+            _ => i64::from_le_bytes(self.array(at)),
+        }
+    }
+
+    /// The `i`-th float of a field that has `f32`s at `one` in version 1, `f64`s at `two` in version 2.
+    fn float(&self, one: usize, two: usize, i: usize) -> f64 {
+        match self.version {
+            1 => f64::from(f32::from_le_bytes(self.array(one + 4 * i))),
+            _ => f64::from_le_bytes(self.array(two + 8 * i)),
+        }
+    }
+
+    fn bad(&self, at: &str, expected: &str, got: impl Into<String>) -> Error {
+        Error::bad_input(&self.path, at, expected, got)
+    }
+
+    fn is_pair(&self) -> Result<bool> {
+        let at = if self.version == 1 { 344 } else { 4 };
+        match (&self.bytes[at..at + 3], self.bytes[at + 3]) {
+            (b"n+1" | b"n+2", 0) => Ok(false),
+            (b"ni1" | b"ni2", 0) if has_suffix(&self.path, &[".hdr", ".hdr.gz"]) => Ok(true),
+            (b"ni1" | b"ni2", 0) => {
+                Err(self.bad("name", ".hdr, beside an .img", "a header of a pair by another name"))
+            }
+            (magic, _) => Err(self
+                .bad("magic", "n+1, ni1, n+2 or ni2", String::from_utf8_lossy(magic))
+                .with_help("an Analyze 7.5 file? write it as NIfTI: it does not tell its orientation")),
+        }
+    }
+
+    fn dim(&self, axis: usize) -> i64 {
+        self.integer((40 + 2 * axis, 2), (16 + 8 * axis, 8))
+    }
+
+    fn dims(&self) -> Result<[u64; 3]> {
+        let axes = self.dim(0);
+        if !(3..=7).contains(&axes) {
+            return Err(self
+                .bad("dim[0]", "3 axes, or 4 for a time series", format!("{axes}"))
+                .with_help("only volumes are read"));
+        }
+        let mut dims = [0; 3];
+        for (a, dim) in dims.iter_mut().enumerate() {
+            let n = self.dim(a + 1);
+            *dim = u64::try_from(n).map_err(|_| self.bad("dim", "positive numbers", n.to_string()))?;
+        }
+        Ok(dims)
+    }
+
+    /// Frames of a time series, 1 for a single volume.
+    fn frames(&self) -> Result<u64> {
+        let axes = self.dim(0) as usize;
+        if let Some(a) = (5..=axes).find(|&a| self.dim(a) != 1) {
+            return Err(self
+                .bad(&format!("dim[{a}]"), "1: one number a sample", self.dim(a).to_string())
+                .with_help("vectors and tensors are not read; write one component to a file of its own"));
+        }
+        let frames = if axes >= 4 { self.dim(4) } else { 1 };
+        u64::try_from(frames)
+            .ok()
+            .filter(|&n| n > 0)
+            .ok_or_else(|| self.bad("dim[4]", "1 frame or more", frames.to_string()))
+    }
+
+    fn scalar(&self) -> Result<ScalarType> {
+        let code = self.integer((70, 2), (12, 2));
+        let name = match code {
+            2 => return Ok(ScalarType::U8),
+            4 => return Ok(ScalarType::I16),
+            8 => return Ok(ScalarType::I32),
+            16 => return Ok(ScalarType::F32),
+            64 => return Ok(ScalarType::F64),
+            256 => return Ok(ScalarType::I8),
+            512 => return Ok(ScalarType::U16),
+            768 => return Ok(ScalarType::U32),
+            1024 => return Ok(ScalarType::I64),
+            1280 => return Ok(ScalarType::U64),
+            1 => "bits",
+            32 | 1792 | 2048 => "complex numbers",
+            128 => "RGB colours",
+            2304 => "RGBA colours",
+            1536 => "long double",
+            _ => "unknown",
+        };
+        let expected = "an integer of 8 to 64 bits, float or double";
+        Err(self.bad("datatype", expected, format!("{code} ({name})")).with_help("write one number a sample"))
+    }
+
+    fn offset(&self, pair: bool) -> Result<u64> {
+        let offset =
+            if self.version == 1 { self.float(108, 0, 0) } else { self.integer((0, 2), (168, 8)) as f64 };
+        let least = match (pair, self.version) {
+            (true, _) => 0.0,
+            (false, 1) => 352.0,
+            (false, _) => 544.0,
+        };
+        if offset >= least && offset < 1e15 && offset.fract() == 0.0 {
+            return Ok(offset as u64);
+        }
+        Err(self.bad("vox_offset", &format!("a whole number of bytes, at least {least}"), offset.to_string()))
+    }
+
+    fn scaling(&self) -> Result<(f64, f64)> {
+        let (slope, intercept) = (self.float(112, 176, 0), self.float(116, 184, 0));
+        if slope == 0.0 || !slope.is_finite() {
+            return Ok((1.0, 0.0));
+        }
+        if !intercept.is_finite() {
+            return Err(self.bad("scl_inter", "a finite number", intercept.to_string()));
+        }
+        Ok((slope, intercept))
+    }
+
+    fn geometry(&self) -> Result<Geometry> {
+        let (qform, sform) = (self.integer((252, 2), (344, 4)), self.integer((254, 2), (348, 4)));
+        let pixdim: [f64; 3] = std::array::from_fn(|a| self.float(76, 104, a + 1));
+        let spacing = pixdim.map(|p| if p == 0.0 { 1.0 } else { p.abs() });
+        if sform > 0 {
+            let row = |r: usize, c: usize| self.float(280, 400, 4 * r + c);
+            let columns = std::array::from_fn(|c| std::array::from_fn(|r| row(r, c)));
+            return geometry(&self.path, "srow_x to srow_z", std::array::from_fn(|r| row(r, 3)), columns);
+        }
+        if qform <= 0 {
+            return geometry(&self.path, "pixdim", [0.0; 3], scaled_axes(spacing));
+        }
+        let rotation = self.rotation();
+        // The sign of pixdim[0] says whether the third axis completes a right-handed triple.
+        let hand = if self.float(76, 104, 0) < 0.0 { -1.0 } else { 1.0 };
+        let scale = [spacing[0], spacing[1], hand * spacing[2]];
+        let columns = std::array::from_fn(|a| std::array::from_fn(|r| rotation[r][a] * scale[a]));
+        geometry(
+            &self.path,
+            "quatern_b to qoffset_z",
+            std::array::from_fn(|r| self.float(256, 352, 3 + r)),
+            columns,
+        )
+    }
+
+    /// The rotation of the unit quaternion (a, b, c, d), of which the file has b, c, d.
+    fn rotation(&self) -> [[f64; 3]; 3] {
+        let [mut b, mut c, mut d] = std::array::from_fn(|i| self.float(256, 352, i));
+        let squares = b * b + c * c + d * d;
+        let a = if squares < 1.0 { (1.0 - squares).sqrt() } else { 0.0 };
+        if squares > 1.0 {
+            // Rounding of a half turn.
+            let norm = squares.sqrt();
+            (b, c, d) = (b / norm, c / norm, d / norm);
+        }
+        [
+            [a * a + b * b - c * c - d * d, 2.0 * (b * c - a * d), 2.0 * (b * d + a * c)],
+            [2.0 * (b * c + a * d), a * a + c * c - b * b - d * d, 2.0 * (c * d - a * b)],
+            [2.0 * (b * d - a * c), 2.0 * (c * d + a * b), a * a + d * d - b * b - c * c],
+        ]
+    }
+
+    fn format(&self, pair: bool, gzip: bool) -> String {
+        let kind = if pair { "header and image" } else { "one file" };
+        format!("NIfTI-{} ({kind}{})", self.version, if gzip { ", gzip" } else { "" })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{read_all, torture, write};
+    use super::*;
+    use crate::formats::open_volume;
+    use std::io::Write;
+
+    /// A header of either version and byte order, to be filled in.
+    struct Maker {
+        bytes: Vec<u8>,
+        big: bool,
+        v2: bool,
+    }
+
+    impl Maker {
+        fn new(v2: bool, big: bool, magic: &[u8; 4], dim: &[i64]) -> Self {
+            let mut m = Self { bytes: vec![0; if v2 { 544 } else { 352 }], big, v2 };
+            let size = m.bytes.len() as i64 - 4;
+            m.put(0, &(size as i32).to_le_bytes());
+            let at = if v2 { 4 } else { 344 };
+            m.bytes[at..at + 4].copy_from_slice(magic);
+            m.int(40, 16, 0, dim.len() as i64);
+            (0..dim.len()).for_each(|i| m.int(40, 16, i + 1, dim[i]));
+            m.int(70, 12, 0, 512);
+            m.offset(if &magic[..2] == b"n+" { size + 4 } else { 0 });
+            m
+        }
+
+        fn put(&mut self, at: usize, little: &[u8]) {
+            let mut b = little.to_vec();
+            if self.big {
+                b.reverse();
+            }
+            self.bytes[at..at + b.len()].copy_from_slice(&b);
+        }
+
+        fn int(&mut self, one: usize, two: usize, i: usize, v: i64) {
+            match (self.v2, two) {
+                (false, _) => self.put(one + 2 * i, &(v as i16).to_le_bytes()),
+                (true, 12) => self.put(12, &(v as i16).to_le_bytes()),
+                (true, 344 | 348) => self.put(two, &(v as i32).to_le_bytes()),
+                (true, _) => self.put(two + 8 * i, &v.to_le_bytes()),
+            }
+        }
+
+        fn float(&mut self, one: usize, two: usize, i: usize, v: f64) {
+            if self.v2 {
+                self.put(two + 8 * i, &v.to_le_bytes())
+            } else {
+                self.put(one + 4 * i, &(v as f32).to_le_bytes())
+            }
+        }
+
+        fn offset(&mut self, v: i64) {
+            if self.v2 { self.put(168, &v.to_le_bytes()) } else { self.put(108, &(v as f32).to_le_bytes()) }
+        }
+
+        fn with(&self, data: &[u8]) -> Vec<u8> {
+            [&self.bytes[..], data].concat()
+        }
+    }
+
+    fn samples(big: bool) -> Vec<u8> {
+        (0..24u16)
+            .flat_map(|i| if big { (1000 + i).to_be_bytes() } else { (1000 + i).to_le_bytes() })
+            .collect()
+    }
+
+    fn gzip(bytes: &[u8]) -> Vec<u8> {
+        let mut gz = flate2::write::GzEncoder::new(vec![], flate2::Compression::fast());
+        gz.write_all(bytes).unwrap();
+        gz.finish().unwrap()
+    }
+
+    fn magic(v2: bool, pair: bool) -> &'static [u8; 4] {
+        match (v2, pair) {
+            (false, false) => b"n+1\0",
+            (false, true) => b"ni1\0",
+            (true, false) => b"n+2\0",
+            (true, true) => b"ni2\0",
+        }
+    }
+
+    const DIM: [i64; 3] = [4, 3, 2];
+
+    fn check(path: &Path, format: &str) -> VolumeInfo {
+        let (info, values) = read_all(open_volume(path, &OpenOptions::default()).unwrap());
+        assert_eq!((info.dims, info.field.scalar), ([4, 3, 2], ScalarType::U16));
+        assert_eq!(info.format, format);
+        let scaled = |i: u32| (info.slope * f64::from(1000 + i) + info.intercept) as f32;
+        assert_eq!(values, (0..24).map(scaled).collect::<Vec<_>>());
+        info
+    }
+
+    #[test]
+    fn one_file_or_a_pair_compressed_or_not() {
+        for (v2, big) in [(false, false), (false, true), (true, false), (true, true)] {
+            let version = if v2 { 2 } else { 1 };
+            let dir = tempfile::tempdir().unwrap();
+            let one = Maker::new(v2, big, magic(v2, false), &DIM).with(&samples(big));
+            check(&write(&dir, "a.nii", &one), &format!("NIfTI-{version} (one file)"));
+            check(&write(&dir, "unnamed", &one), &format!("NIfTI-{version} (one file)"));
+            check(&write(&dir, "a.nii.gz", &gzip(&one)), &format!("NIfTI-{version} (one file, gzip)"));
+            let head = Maker::new(v2, big, magic(v2, true), &DIM).bytes;
+            let hdr = write(&dir, "b.hdr", &head[..head.len() - 4]);
+            let error = open(&hdr, &OpenOptions::default()).err().expect("no image");
+            assert!(error.to_string().contains("b.img or b.img.gz"), "{error}");
+            let gz = write(&dir, "b.img.gz", &gzip(&samples(big)));
+            check(&hdr, &format!("NIfTI-{version} (header and image, gzip)"));
+            check(&gz, &format!("NIfTI-{version} (header and image, gzip)"));
+            let img = write(&dir, "b.img", &samples(big));
+            check(&hdr, &format!("NIfTI-{version} (header and image)"));
+            check(&img, &format!("NIfTI-{version} (header and image)"));
+        }
+    }
+
+    #[test]
+    fn extensions_and_scaling() {
+        let dir = tempfile::tempdir().unwrap();
+        for v2 in [false, true] {
+            let mut m = Maker::new(v2, true, magic(v2, false), &[4, 3, 2, 1, 1]);
+            m.float(112, 176, 0, 0.5);
+            m.float(116, 184, 0, -3.0);
+            m.offset(m.bytes.len() as i64 + 16);
+            let file = m.with(&[&[9; 16][..], &samples(true)].concat());
+            let info = check(
+                &write(&dir, "a.nii", &file),
+                if v2 { "NIfTI-2 (one file)" } else { "NIfTI-1 (one file)" },
+            );
+            assert_eq!((info.slope, info.intercept), (0.5, -3.0));
+            m.float(112, 176, 0, 0.0);
+            let info = open(&write(&dir, "a.nii", &m.with(&[1; 64])), &OpenOptions::default()).unwrap();
+            assert_eq!((info.info().slope, info.info().intercept), (1.0, 0.0));
+        }
+    }
+
+    #[test]
+    fn frames_are_fields() {
+        let dir = tempfile::tempdir().unwrap();
+        let m = Maker::new(false, false, b"n+1\0", &[4, 3, 2, 3]);
+        let second: Vec<u8> = [vec![0; 48], samples(false), vec![0; 48]].concat();
+        for (name, file) in [("a.nii", m.with(&second)), ("a.nii.gz", gzip(&m.with(&second)))] {
+            let path = write(&dir, name, &file);
+            let error = open_volume(&path, &OpenOptions::default()).err().expect("several frames");
+            assert!(
+                error.exit_code() == 2 && error.to_string().contains("t0 (u16), t1 (u16), t2 (u16)"),
+                "{error}"
+            );
+            let options = OpenOptions { field: Some("t1".into()), raw: None };
+            let (info, values) = read_all(open_volume(&path, &options).unwrap());
+            assert_eq!((values[0], values[23], info.fields.len()), (1000.0, 1023.0, 3));
+        }
+    }
+
+    #[test]
+    fn the_map_to_the_world() {
+        let dir = tempfile::tempdir().unwrap();
+        for v2 in [false, true] {
+            let mut m = Maker::new(v2, false, magic(v2, false), &DIM);
+            let read = |m: &Maker| {
+                let path = write(&dir, "a.nii", &m.with(&samples(false)));
+                open(&path, &OpenOptions::default()).unwrap().info().geometry
+            };
+            assert_eq!(read(&m).spacing, [1.0; 3]);
+            for (i, v) in [-1.0, 2.0, 0.5, 3.0].into_iter().enumerate() {
+                m.float(76, 104, i, v);
+            }
+            assert_eq!(read(&m).spacing, [2.0, 0.5, 3.0]);
+            // A half turn about z, third axis mirrored.
+            m.int(252, 344, 0, 1);
+            for (i, v) in [0.0, 0.0, 1.0, 10.0, 20.0, 30.0].into_iter().enumerate() {
+                m.float(256, 352, i, v);
+            }
+            let g = read(&m);
+            assert_eq!((g.origin, g.to_world([1.0, 1.0, 1.0])), ([10.0, 20.0, 30.0], [8.0, 19.5, 27.0]));
+            // The affine map goes before the quaternion.
+            m.int(254, 348, 0, 2);
+            for (i, v) in [0.0, 2.0, 0.0, 1.0, 3.0, 0.0, 0.0, 2.0, 0.0, 0.0, 4.0, 3.0].into_iter().enumerate()
+            {
+                m.float(280, 400, i, v);
+            }
+            let g = read(&m);
+            assert_eq!((g.origin, g.to_world([1.0, 10.0, 100.0])), ([1.0, 2.0, 3.0], [21.0, 5.0, 403.0]));
+        }
+    }
+
+    #[test]
+    fn what_is_not_read_is_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let refused = |change: &dyn Fn(&mut Maker), dim: &[i64], message: &str| {
+            let mut m = Maker::new(false, false, b"n+1\0", dim);
+            change(&mut m);
+            let error = open(&write(&dir, "a.nii", &m.with(&samples(false))), &OpenOptions::default())
+                .err()
+                .expect(message);
+            assert!(error.exit_code() == 5 && error.to_string().contains(message), "{error}");
+        };
+        let same = |_: &mut Maker| ();
+        refused(&same, &[4, 3], "dim[0]");
+        refused(&same, &[4, 3, 2, 1, 3], "dim[5]");
+        refused(&same, &[4, 3, 2, 0], "dim[4]");
+        refused(&same, &[4, -3, 2], "-3");
+        refused(&same, &[4, 0, 2], "dimensions");
+        refused(&same, &[4, 3, 3], "cut short");
+        refused(&same, &[32767, 32767, 32767, 32767], "cut short");
+        for (code, name) in [
+            (1, "bits"),
+            (32, "complex"),
+            (128, "RGB"),
+            (2304, "RGBA"),
+            (1536, "long double"),
+            (-9510, "unknown"),
+        ] {
+            refused(&|m: &mut Maker| m.int(70, 12, 0, code), &DIM, name);
+        }
+        for offset in [0, 100, -352, 1 << 40] {
+            refused(
+                &|m: &mut Maker| m.offset(offset),
+                &DIM,
+                if offset < 352 { "vox_offset" } else { "cut short" },
+            );
+        }
+        refused(&|m: &mut Maker| m.put(108, &352.5f32.to_le_bytes()), &DIM, "vox_offset");
+        refused(&|m: &mut Maker| m.bytes[344] = b'x', &DIM, "magic");
+        refused(&|m: &mut Maker| m.bytes[0] = 1, &DIM, "sizeof_hdr");
+        refused(&|m: &mut Maker| m.int(254, 348, 0, 1), &DIM, "span");
+        refused(
+            &|m: &mut Maker| {
+                m.float(112, 176, 0, 1.0);
+                m.float(116, 184, 0, f64::NAN);
+            },
+            &DIM,
+            "scl_inter",
+        );
+    }
+
+    #[test]
+    fn damage_is_refused() {
+        let file = Maker::new(false, true, b"n+1\0", &DIM).with(&samples(true));
+        torture("a.nii", &file, file.len());
+        let file = gzip(&file);
+        torture("a.nii.gz", &file, file.len());
+        let file = Maker::new(true, false, b"n+2\0", &DIM).with(&samples(false));
+        torture("a.nii", &file, file.len());
+    }
 }

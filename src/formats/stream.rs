@@ -10,8 +10,9 @@ use crate::grid::IndexBox;
 use crate::volume::slabs::SlabWalk;
 use crate::volume::strided::swap_bytes;
 use crate::volume::{ScalarType, SlabStream, VolumeInfo};
-use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
-use std::io::{self, BufReader, Read};
+use flate2::CrcReader;
+use flate2::bufread::{DeflateDecoder, MultiGzDecoder, ZlibDecoder};
+use std::io::{self, BufRead, BufReader, Read};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -23,8 +24,11 @@ pub enum Codec {
     Gzip,
     /// RFC 1950.
     Zlib,
-    /// RFC 1951, without a header: a member of a zip file.
-    Deflate,
+    /// RFC 1951, without header and checksum: a member of a zip file, whose directory has the CRC-32.
+    Deflate {
+        /// Of the decoded bytes.
+        crc32: u32,
+    },
 }
 
 impl Codec {
@@ -37,7 +41,9 @@ impl Codec {
         Ok(match self {
             Self::Gzip => Box::new(MultiGzDecoder::new(stored)),
             Self::Zlib => Box::new(ZlibDecoder::new(stored)),
-            Self::Deflate => Box::new(flate2::bufread::DeflateDecoder::new(stored)),
+            Self::Deflate { crc32 } => {
+                Box::new(Checked { decoded: CrcReader::new(DeflateDecoder::new(stored)), crc32 })
+            }
         })
     }
 
@@ -45,8 +51,27 @@ impl Codec {
         match self {
             Self::Gzip => "gzip",
             Self::Zlib => "zlib",
-            Self::Deflate => "deflate",
+            Self::Deflate { .. } => "deflate",
         }
+    }
+}
+
+/// A reader whose end is an error when the CRC-32 of all its bytes is not the one expected.
+struct Checked<R> {
+    decoded: CrcReader<R>,
+    crc32: u32,
+}
+
+impl<R: BufRead> Read for Checked<DeflateDecoder<R>> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let n = self.decoded.read(out)?;
+        if n == 0 && !out.is_empty() && self.decoded.crc().sum() != self.crc32 {
+            return Err(io::Error::new(
+                io::ErrorKind::InvalidData,
+                "another CRC-32 than the file's directory says",
+            ));
+        }
+        Ok(n)
     }
 }
 
