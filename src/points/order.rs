@@ -1,32 +1,7 @@
 //! The order of sites: Hilbert key, then coordinates; each position once.
 
-use crate::geom::{LatticePos, Site};
-
-/// The Hilbert key of the highest `bits` of 24 bits an axis (Skilling 2004, "Programming the Hilbert curve").
-pub(super) fn hilbert_key(pos: LatticePos, bits: u32) -> u64 {
-    let mut x = pos.map(|p| p.min((1 << 24) - 1) >> (24 - bits));
-    for bit in (1..bits).rev().map(|b| 1u32 << b) {
-        for a in 0..3 {
-            if x[a] & bit != 0 {
-                x[0] ^= bit - 1;
-            } else {
-                let t = (x[0] ^ x[a]) & (bit - 1);
-                x[0] ^= t;
-                x[a] ^= t;
-            }
-        }
-    }
-    x[1] ^= x[0];
-    x[2] ^= x[1];
-    let mut t = 0;
-    for bit in (1..bits).map(|b| 1u32 << b) {
-        if x[2] & bit != 0 {
-            t ^= bit - 1;
-        }
-    }
-    let x = x.map(|x| x ^ t);
-    (0..bits).rev().fold(0, |key, b| (0..3).fold(key, |key, a| key << 1 | u64::from(x[a] >> b & 1)))
-}
+use crate::geom::Site;
+use crate::geom::curve::hilbert_key;
 
 /// Sorts by (Hilbert key at `bits`, x, y, z) and keeps the lowest id of each position.
 ///
