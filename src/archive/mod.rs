@@ -1,1 +1,17 @@
-//! Placeholder.
+//! The archive: a folder of segments that are written once, and a manifest.
+//!
+//! * [`segment`]: the container, numbered blocks with checksums, published whole or not at all.
+//! * [`chunked`]: segments of a range of chunks.
+//! * [`chunk`]: the mesh of a chunk as blocks that decode on their own.
+//! * [`values`]: the values of a chunk's vertices.
+
+pub mod chunk;
+pub mod chunked;
+mod publish;
+pub mod segment;
+mod tuples;
+pub mod values;
+mod wire;
+
+pub use publish::TEMPORARY_MARK;
+pub use wire::Malformed;

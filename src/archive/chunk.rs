@@ -1,0 +1,361 @@
+//! The mesh of one chunk as blocks: a header with the vertices, then the tetrahedra about a thousand a block.
+//!
+//! **Vertices** have ids local to the chunk: first the core points, brick after brick, each brick's in the order in
+//! which the point set enumerates them (along the Hilbert curve), then the halo points that some tetrahedron uses, by
+//! ascending [`PointId`]. Ids and positions of core points cost nothing (the point set tells them from the counts); a
+//! halo point costs a difference of ids, one or two bytes.
+//!
+//! **Blocks.** A tetrahedron belongs to its smallest local vertex. A block is a run of vertices with all their
+//! tetrahedra: as ids follow the bricks and, inside a brick, the Hilbert curve, a block is compact in space, its (min, max) are
+//! near each other, and few of its vertices are shared with other blocks.
+//!
+//! A block decodes on its own: [`ChunkHeader`] gives the number of vertices, against which every id is checked.
+
+use super::tuples::{self, canonical};
+use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
+use crate::geom::PointId;
+use crate::mesh::tet::Tet;
+
+/// Codec of a header block: one zstd frame.
+pub const HEADER_ZSTD: u8 = 0;
+/// Codec of a tetrahedron block: sorted tuples, differences, zstd.
+pub const TETS_TUPLES: u8 = 0;
+/// The most bytes of an expanded header.
+pub const LARGEST_HEADER: usize = 1 << 28;
+
+/// The vertices of a chunk's mesh.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ChunkVertices {
+    /// Points of each brick of the chunk, in brick order. Local ids run through them in this order.
+    pub core_counts: Vec<u32>,
+    /// Halo points in use, ascending; the local id of one is the number of core points plus its position here.
+    pub halo: Vec<PointId>,
+    /// For each local vertex, whether another chunk has it too; always true for halo points.
+    pub shared: Vec<bool>,
+}
+
+impl ChunkVertices {
+    /// Number of core points.
+    pub fn core_len(&self) -> u32 {
+        self.core_counts.iter().sum()
+    }
+
+    /// Number of local vertices.
+    pub fn len(&self) -> u32 {
+        self.core_len() + self.halo.len() as u32
+    }
+
+    /// Whether there is no vertex.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// A chunk ready to be written.
+#[derive(Clone, Debug, Default)]
+pub struct EncodedChunk {
+    /// Block 0 is the header, the others hold the tetrahedra.
+    pub blocks: Vec<Vec<u8>>,
+    /// All tetrahedra, block after block.
+    tets: Vec<Tet>,
+    /// First tetrahedron of each block, and the number of all.
+    starts: Vec<u32>,
+}
+
+impl EncodedChunk {
+    /// Number of tetrahedron blocks.
+    pub fn tet_blocks(&self) -> usize {
+        self.starts.len() - 1
+    }
+
+    /// The tetrahedra of tetrahedron block `n`, which is `blocks[n + 1]`; its decoder gives them in another order.
+    pub fn block_tets(&self, n: usize) -> &[Tet] {
+        &self.tets[self.starts[n] as usize..self.starts[n + 1] as usize]
+    }
+
+    /// All tetrahedra.
+    pub fn tets(&self) -> &[Tet] {
+        &self.tets
+    }
+}
+
+/// Sorts by the smallest vertex, then the others. A counting sort, then tiny sorts: a star has some ten tetrahedra.
+/// Gives also the end of each vertex's run.
+fn sort_by_vertex(tets: &[Tet], vertices: u32) -> (Vec<Tet>, Vec<u32>) {
+    let canonical: Vec<Tet> = tets.iter().map(|&t| canonical(t)).collect();
+    let mut ends = vec![0u32; vertices as usize];
+    canonical.iter().for_each(|t| ends[t[0] as usize] += 1);
+    let mut sum = 0;
+    for n in &mut ends {
+        // Each count becomes its run's start; placing the tetrahedra moves it to the run's end.
+        sum += std::mem::replace(n, sum);
+    }
+    let mut sorted = vec![[0; 4]; tets.len()];
+    for t in canonical {
+        let at = &mut ends[t[0] as usize];
+        sorted[*at as usize] = t;
+        *at += 1;
+    }
+    let mut start = 0;
+    for &end in &ends {
+        sorted[start..end as usize].sort_unstable();
+        start = end as usize;
+    }
+    (sorted, ends)
+}
+
+/// Cuts at ends of runs so that blocks have about `block_tets` tetrahedra.
+fn block_starts(run_ends: &[u32], total: u32, block_tets: u32) -> Vec<u32> {
+    let wanted = u64::from(total.div_ceil(block_tets)).max(1);
+    let mut starts = vec![0];
+    for i in 1..wanted {
+        let goal = (u64::from(total) * i / wanted) as u32;
+        let at = run_ends.partition_point(|&e| e < goal);
+        let (above, below) = (run_ends[at], if at == 0 { 0 } else { run_ends[at - 1] });
+        let cut = if above - goal <= goal - below { above } else { below };
+        if cut > starts[starts.len() - 1] && cut < total {
+            starts.push(cut);
+        }
+    }
+    if total > 0 {
+        starts.push(total);
+    }
+    starts
+}
+
+/// Turns a chunk's mesh into blocks of about `block_tets` tetrahedra. The bytes depend on the *set* of tetrahedra, not on their
+/// order nor on how each is turned.
+///
+/// # Panics
+/// When a vertex id is not local, `shared` is not as long as the vertices, the halo is not ascending, or `block_tets` is 0.
+pub fn encode_chunk(vertices: &ChunkVertices, tets: &[Tet], block_tets: u32) -> EncodedChunk {
+    assert!(block_tets > 0, "a block holds at least one tetrahedron");
+    assert_eq!(vertices.shared.len(), vertices.len() as usize, "one shared flag a vertex");
+    let (tets, ends) = sort_by_vertex(tets, vertices.len());
+    let starts = block_starts(&ends, tets.len() as u32, block_tets);
+    let counts: Vec<u32> = starts.windows(2).map(|w| w[1] - w[0]).collect();
+    let mut blocks = vec![encode_header(vertices, &counts)];
+    for w in starts.windows(2) {
+        blocks.push(encode_tets(&tets[w[0] as usize..w[1] as usize], vertices.len()));
+    }
+    EncodedChunk { blocks, tets, starts }
+}
+
+/// Encodes one block of canonical, sorted tetrahedra.
+fn encode_tets(tets: &[Tet], vertices: u32) -> Vec<u8> {
+    assert!(tets.iter().flatten().all(|&v| v < vertices), "every vertex is local");
+    let mut out = vec![TETS_TUPLES];
+    tuples::encode(tets, &mut out);
+    out
+}
+
+/// Decodes a tetrahedron block and appends its tetrahedra to `out`: positively oriented, every vertex below `vertices`
+/// ([`ChunkHeader::vertices`]'s length), in the same order every time.
+///
+/// # Errors
+/// When the bytes are not a block, or name a vertex that is not there; `out` may then hold some of the tetrahedra.
+pub fn decode_tets(bytes: &[u8], vertices: u32, out: &mut Vec<Tet>) -> Result<(), Malformed> {
+    let mut c = Cursor::new(bytes);
+    match c.u8("codec")? {
+        TETS_TUPLES => tuples::decode(c.rest(), vertices, out),
+        other => Err(Malformed::new("codec", "a known tetrahedron codec", other.to_string())),
+    }
+}
+
+/// What the header block of a chunk says.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ChunkHeader {
+    /// The vertices.
+    pub vertices: ChunkVertices,
+    /// Tetrahedra in each tetrahedron block.
+    pub block_tets: Vec<u32>,
+}
+
+fn encode_header(vertices: &ChunkVertices, block_tets: &[u32]) -> Vec<u8> {
+    let mut body = vec![];
+    put_varint(&mut body, vertices.core_counts.len() as u64);
+    vertices.core_counts.iter().for_each(|&n| put_varint(&mut body, u64::from(n)));
+    put_varint(&mut body, block_tets.len() as u64);
+    block_tets.iter().for_each(|&n| put_varint(&mut body, u64::from(n)));
+    put_varint(&mut body, vertices.halo.len() as u64);
+    let mut next = 0;
+    for id in &vertices.halo {
+        put_varint(&mut body, id.0.checked_sub(next).expect("halo ids ascend"));
+        next = id.0 + 1;
+    }
+    let core = &vertices.shared[..vertices.core_len() as usize];
+    for eight in core.chunks(8) {
+        body.push(eight.iter().enumerate().fold(0, |byte, (i, &bit)| byte | u8::from(bit) << i));
+    }
+    let mut out = vec![HEADER_ZSTD];
+    out.extend(to_zstd(&body, 9));
+    out
+}
+
+/// Reads a count and as many 32-bit numbers; each takes at least a byte, so a lying count is found first.
+fn counted(c: &mut Cursor<'_>, at: &'static str) -> Result<Vec<u32>, Malformed> {
+    let n = checked_count(c, at)?;
+    (0..n).map(|_| c.varint32(at)).collect()
+}
+
+fn checked_count(c: &mut Cursor<'_>, at: &'static str) -> Result<usize, Malformed> {
+    let n = c.varint32(at)? as usize;
+    if n > c.rest().len() {
+        return Err(Malformed::new(at, format!("at most {} numbers", c.rest().len()), n.to_string()));
+    }
+    Ok(n)
+}
+
+impl ChunkHeader {
+    /// Decodes block 0 of a chunk.
+    ///
+    /// # Errors
+    /// When the bytes are not such a block.
+    pub fn decode(bytes: &[u8]) -> Result<Self, Malformed> {
+        let mut c = Cursor::new(bytes);
+        let codec = c.u8("codec")?;
+        if codec != HEADER_ZSTD {
+            return Err(Malformed::new("codec", "a known header codec", codec.to_string()));
+        }
+        let body = unzstd(c.rest(), LARGEST_HEADER, "chunk header")?;
+        let mut c = Cursor::new(&body);
+        let core_counts = counted(&mut c, "points of a brick")?;
+        let block_tets = counted(&mut c, "tetrahedra of a block")?;
+        let n = checked_count(&mut c, "halo points")?;
+        let mut halo = Vec::with_capacity(n);
+        let mut next = Some(0u64);
+        for _ in 0..n {
+            let gap = c.varint("halo point")?;
+            let id = next.and_then(|n| n.checked_add(gap));
+            let id = id.ok_or_else(|| Malformed::new("halo point", "an id of 64 bits", "a larger one"))?;
+            halo.push(PointId(id));
+            next = id.checked_add(1);
+        }
+        let core = core_counts.iter().map(|&n| u64::from(n)).sum::<u64>();
+        if core + n as u64 > u64::from(u32::MAX) {
+            return Err(Malformed::new("vertices", "at most 2^32 - 1", (core + n as u64).to_string()));
+        }
+        let bits = c.take(core.div_ceil(8) as usize, "shared flags")?;
+        c.end("chunk header")?;
+        let mut shared: Vec<bool> = (0..core as usize).map(|i| bits[i / 8] >> (i % 8) & 1 == 1).collect();
+        shared.resize(core as usize + n, true);
+        Ok(Self { vertices: ChunkVertices { core_counts, halo, shared }, block_tets })
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::geom::PointClass;
+
+    /// A box of cubes, each cut in six tetrahedra around its diagonal, positively oriented; vertices x fastest.
+    pub(crate) fn cubes(n: [u32; 3]) -> Vec<Tet> {
+        const AROUND: [[u32; 3]; 6] = [[1, 3, 7], [3, 2, 7], [2, 6, 7], [6, 4, 7], [4, 5, 7], [5, 1, 7]];
+        let (sx, sy) = (n[0] + 1, n[1] + 1);
+        let mut tets = vec![];
+        for z in 0..n[2] {
+            for y in 0..n[1] {
+                for x in 0..n[0] {
+                    let corner = |c: u32| ((z + (c >> 2)) * sy + y + (c >> 1 & 1)) * sx + x + (c & 1);
+                    tets.extend(AROUND.map(|[a, b, c]| [corner(0), corner(a), corner(b), corner(c)]));
+                }
+            }
+        }
+        tets
+    }
+
+    fn vertices_of(n: u32) -> ChunkVertices {
+        let core = n * 4 / 5;
+        ChunkVertices {
+            core_counts: vec![core / 3, 0, core - core / 3],
+            halo: (0..u64::from(n - core)).map(|i| PointId(i * i * 977 + 5)).collect(),
+            shared: (0..n).map(|i| i >= core || i % 5 == 0).collect(),
+        }
+    }
+
+    pub(crate) fn sorted(tets: &[Tet]) -> Vec<Tet> {
+        let mut tets: Vec<Tet> = tets.iter().map(|&t| canonical(t)).collect();
+        tets.sort_unstable();
+        tets
+    }
+
+    fn decode(encoded: &EncodedChunk) -> (ChunkHeader, Vec<Tet>) {
+        let header = ChunkHeader::decode(&encoded.blocks[0]).unwrap();
+        let mut all = vec![];
+        for (n, block) in encoded.blocks[1..].iter().enumerate() {
+            let before = all.len();
+            decode_tets(block, header.vertices.len(), &mut all).unwrap();
+            assert_eq!(sorted(&all[before..]), sorted(encoded.block_tets(n)));
+            assert_eq!(all.len() - before, header.block_tets[n] as usize);
+        }
+        (header, all)
+    }
+
+    #[test]
+    fn a_mesh_comes_back_whatever_the_block_size() {
+        let tets = cubes([9, 7, 8]);
+        let vertices = vertices_of(10 * 8 * 9);
+        for block_tets in [1, 7, 100, 1000, 1_000_000] {
+            let encoded = encode_chunk(&vertices, &tets, block_tets);
+            assert_eq!(encoded.blocks.len(), encoded.tet_blocks() + 1);
+            let (header, back) = decode(&encoded);
+            assert_eq!(header.vertices, vertices);
+            assert_eq!(sorted(&back), sorted(&tets));
+        }
+    }
+
+    #[test]
+    fn bytes_depend_on_the_set_alone() {
+        let mut tets = cubes([5, 5, 5]);
+        let vertices = vertices_of(216);
+        let one = encode_chunk(&vertices, &tets, 100);
+        tets.reverse();
+        tets.iter_mut().for_each(|t| *t = [t[2], t[3], t[0], t[1]]);
+        assert_eq!(one.blocks, encode_chunk(&vertices, &tets, 100).blocks);
+    }
+
+    #[test]
+    fn no_tetrahedra_and_no_vertices_are_a_chunk_too() {
+        let (header, tets) = decode(&encode_chunk(&ChunkVertices::default(), &[], 1000));
+        assert_eq!((header, tets.len()), (ChunkHeader::default(), 0));
+        let (header, _) = decode(&encode_chunk(&vertices_of(10), &[], 1000));
+        assert_eq!(header.vertices, vertices_of(10));
+    }
+
+    #[test]
+    fn blocks_are_near_the_size_asked_for() {
+        let encoded = encode_chunk(&vertices_of(11 * 11 * 11), &cubes([10, 10, 10]), 1000);
+        assert_eq!(encoded.tet_blocks(), 6);
+        for n in 0..6 {
+            assert!((900..1100).contains(&encoded.block_tets(n).len()), "{}", encoded.block_tets(n).len());
+        }
+    }
+
+    #[test]
+    fn damaged_headers_never_panic() {
+        let mut vertices = vertices_of(50);
+        vertices.halo.push(PointId::new(PointClass::Corner, 7));
+        vertices.shared.push(true);
+        let good = encode_chunk(&vertices, &[], 10).blocks.remove(0);
+        assert_eq!(ChunkHeader::decode(&good).unwrap().vertices, vertices);
+        for i in 0..good.len() {
+            assert!(ChunkHeader::decode(&good[..i]).is_err());
+            for bit in 0..8 {
+                let mut bad = good.clone();
+                bad[i] ^= 1 << bit;
+                let _ = ChunkHeader::decode(&bad);
+            }
+        }
+        // A body without compression, so that the fields themselves are hit.
+        let body = unzstd(&good[1..], 1 << 20, "body").unwrap();
+        for i in 0..body.len() {
+            for value in [0, 0x7f, 0x80, 0xff] {
+                let mut bad = body.clone();
+                bad[i] = value;
+                let mut block = vec![HEADER_ZSTD];
+                block.extend(to_zstd(&bad, 1));
+                let _ = ChunkHeader::decode(&block);
+            }
+        }
+    }
+}
