@@ -308,6 +308,10 @@ fn no_surface_across_a_hole_in_the_data() {
     assert!(report.boundary_edges > 10);
     assert_eq!(boundary_outside(&mesh, &Geometry::default(), [16; 3], 1e-4), report.boundary_edges);
     assert!(mesh.vertices.iter().all(|v| !hole(v.position.map(f64::from))));
+    let mut around = Grid::new([16; 3]);
+    let is_hole = |c: u32| hole(grid.lattice.to_index_space(grid.positions[c as usize]));
+    around.tets.retain(|t| !t.iter().any(|&c| is_hole(c)));
+    assert_eq!(mesh, around.surface(&around.sample(&field), 0.0, &Geometry::default()));
     let nothing = grid.surface(&grid.sample(|_| f64::NAN), 0.0, &Geometry::default());
     assert!(nothing.triangles.is_empty());
 }
