@@ -22,7 +22,7 @@ pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Vol
     let (field, fields) = choose(&doc, pieces[0].element, wanted)?;
     let info = VolumeInfo {
         path: source.path().to_path_buf(),
-        format: format!("VTK XML ImageData ({}{})", how_stored(&doc, pieces[0].element, &field), doc.layout),
+        format: format!("VTK XML ImageData ({})", how_stored(&doc, pieces[0].element, &field)),
         dims: whole.dims,
         geometry: geometry(&doc, &whole)?,
         field,
@@ -207,15 +207,16 @@ fn array<'a>(doc: &Document, piece: &Piece<'a>, field: &FieldInfo) -> Result<&'a
     })
 }
 
-/// "appended raw, " and so on, for people.
+/// "appended raw, zlib, UInt64 header" and so on, for people.
 fn how_stored(doc: &Document, piece: &Element, field: &FieldInfo) -> String {
     let element = arrays(piece.child("PointData")).find(|a| name_of(a) == field.name);
-    match element.and_then(|e| e.attribute("format")).unwrap_or("ascii") {
-        "binary" => "inline base64, ".into(),
-        "appended" if doc.appended.is_some_and(|a| a.base64) => "appended base64, ".into(),
-        "appended" => "appended raw, ".into(),
-        _ => "ascii, ".into(),
-    }
+    let place = match element.and_then(|e| e.attribute("format")).unwrap_or("ascii") {
+        "binary" => "inline base64",
+        "appended" if doc.appended.is_some_and(|a| a.base64) => "appended base64",
+        "appended" => "appended raw",
+        _ => return "ascii".into(),
+    };
+    format!("{place}, {}", doc.layout)
 }
 
 /// The samples of one or several pieces as slabs of the whole image, in its order. A piece is decoded front to back,
