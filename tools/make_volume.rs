@@ -334,6 +334,9 @@ fn parse_dims(text: &str) -> Result<[usize; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use isospan::formats::{OpenOptions, open_volume};
+    use isospan::grid::IndexBox;
+    use isospan::volume::VolumeSource;
 
     fn settings(line: &str) -> Result<Settings> {
         Settings::parse(&line.split(' ').map(str::to_owned).collect::<Vec<_>>())
@@ -415,6 +418,39 @@ mod tests {
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
         let nowhere = settings("sphere --dims 8,7,6 -o /nonexistent/folder/a.raw").unwrap();
         assert_eq!(nowhere.write().unwrap_err().exit_code(), 1);
+    }
+
+    #[test]
+    fn the_library_reads_what_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, more) in
+            [("a.nrrd", ""), ("b.nrrd", " --endian big"), ("c.npy", ""), ("d.npy", " --endian big")]
+        {
+            for kind in ["f32", "u8", "u16"] {
+                let out = folder.path().join(name);
+                let line =
+                    format!("gyroid --dims 9,7,5 --periods 1 --type {kind}{more} -o {}", out.display());
+                let s = settings(&line).unwrap();
+                s.write().unwrap();
+                let VolumeSource::Random(volume) = open_volume(&out, &OpenOptions::default()).unwrap() else {
+                    panic!("{name} is not mapped");
+                };
+                assert_eq!(volume.info().dims, [9, 7, 5]);
+                assert_eq!(volume.info().field.scalar.name(), kind);
+                if s.format == Format::Nrrd {
+                    let end = volume.info().geometry.to_world([8.0, 6.0, 4.0]);
+                    assert!(end.iter().all(|x| (x - 2.0 * PI).abs() < 1e-9), "{end:?}");
+                }
+                let mut values = vec![0.0; 315];
+                volume.read_box(IndexBox::whole([9, 7, 5]), &mut values).unwrap();
+                let most = if kind == "u8" { 255.0 } else { 65535.0 };
+                let expected = floats("gyroid --dims 9,7,5 --periods 1 -o a.raw");
+                for (v, e) in values.iter().zip(expected) {
+                    let read = if kind == "f32" { *v } else { *v / most * 3.0 - 1.5 };
+                    assert!((read - e).abs() <= if kind == "f32" { 0.0 } else { 1.51 / most }, "{line}");
+                }
+            }
+        }
     }
 
     #[test]
