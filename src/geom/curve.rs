@@ -56,7 +56,7 @@ const fn one_level() -> [[u16; 8]; STATES] {
             };
             let next_e = e ^ rotate_left3(entry, d + 1);
             let next_d = (d + direction + 1) % 3;
-            table[state][octant as usize] = (w << 8 | next_e * 3 + next_d) as u16;
+            table[state][octant as usize] = ((w << 8) | (next_e * 3 + next_d)) as u16;
             w += 1;
         }
         state += 1;
