@@ -209,6 +209,9 @@ fn list_fields(fields: &[FieldInfo]) -> String {
 }
 
 #[cfg(test)]
+mod shared_data;
+
+#[cfg(test)]
 pub(crate) mod tests {
     use super::*;
     use crate::grid::IndexBox;
