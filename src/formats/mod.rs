@@ -216,13 +216,28 @@ pub(crate) mod tests {
     use super::*;
     use crate::grid::IndexBox;
     use crate::volume::{ScalarType, VolumeInfo, strided::convert_row};
+    use std::io::Write;
     use std::path::PathBuf;
 
     /// Writes a file in a temporary folder.
     pub(crate) fn write(dir: &tempfile::TempDir, name: &str, bytes: &[u8]) -> PathBuf {
         let path = dir.path().join(name);
+        // Some file systems flush a file that is cut and written again; a new one costs nothing.
+        let _ = std::fs::remove_file(&path);
         std::fs::write(&path, bytes).unwrap();
         path
+    }
+
+    /// The samples 1000, 1001, … of a 4 x 3 x 2 volume of u16.
+    pub(crate) fn ramp(big_endian: bool) -> Vec<u8> {
+        let sample = |i: u16| if big_endian { i.to_be_bytes() } else { i.to_le_bytes() };
+        (1000..1024).flat_map(sample).collect()
+    }
+
+    pub(crate) fn gzip(bytes: &[u8]) -> Vec<u8> {
+        let mut gz = flate2::write::GzEncoder::new(vec![], flate2::Compression::fast());
+        gz.write_all(bytes).unwrap();
+        gz.finish().unwrap()
     }
 
     /// All values of a source, x fastest; panics on an error.

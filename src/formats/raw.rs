@@ -99,10 +99,9 @@ fn has_extension(path: &Path, wanted: &str) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{read_all, write};
+    use super::super::tests::{gzip, ramp, read_all, write};
     use super::*;
     use crate::formats::open_volume;
-    use std::io::Write;
 
     fn layout() -> RawLayout {
         RawLayout {
@@ -119,17 +118,13 @@ mod tests {
     }
 
     fn bytes() -> Vec<u8> {
-        let mut bytes = vec![7, 7, 7];
-        (0..24u16).for_each(|i| bytes.extend((1000 + i).to_be_bytes()));
-        bytes
+        [&[7; 3][..], &ramp(true)].concat()
     }
 
     #[test]
     fn axis_order_type_and_offset() {
         let dir = tempfile::tempdir().unwrap();
-        let mut gz = flate2::write::GzEncoder::new(vec![], flate2::Compression::fast());
-        gz.write_all(&bytes()).unwrap();
-        for (name, content) in [("a.raw", bytes()), ("a.raw.gz", gz.finish().unwrap())] {
+        for (name, content) in [("a.raw", bytes()), ("a.raw.gz", gzip(&bytes()))] {
             let path = write(&dir, name, &content);
             let (info, values) = read_all(open_volume(&path, &options(layout())).unwrap());
             assert_eq!((info.dims, info.geometry.spacing), ([4, 3, 2], [1.0, 2.0, 0.5]));

@@ -215,26 +215,27 @@ impl TextSlabs {
         Ok(Self { info, source, at: range.start, end: range.end, walk })
     }
 
-    /// The next word and where it starts; empty at the end.
-    fn word(&mut self) -> Result<(u64, &[u8])> {
-        let text = self.source.slice(self.at..self.end)?;
-        let start = text.iter().position(|&b| !is_separator(b)).unwrap_or(text.len());
-        let word = &text[start..];
-        let word = &word[..word.iter().position(|&b| is_separator(b)).unwrap_or(word.len())];
-        let at = self.at + start as u64;
-        self.at = at + word.len() as u64;
-        Ok((at, word))
-    }
-
     fn push_sample(&mut self, out: &mut Vec<u8>) -> Result<()> {
-        let (path, scalar) = (self.source.path().to_path_buf(), self.info.field.scalar);
-        let (at, word) = self.word()?;
+        let scalar = self.info.field.scalar;
+        let (at, word) = next_word(&self.source, &mut self.at, self.end)?;
         if push_number(word, scalar, out) {
             return Ok(());
         }
         let got = if word.is_empty() { "the end of the text".into() } else { String::from_utf8_lossy(word) };
-        Err(Error::bad_input(path, format!("byte {at}"), format!("a number of type {}", scalar.name()), got))
+        let expected = format!("a number of type {}", scalar.name());
+        Err(Error::bad_input(self.source.path(), format!("byte {at}"), expected, got))
     }
+}
+
+/// The next word from byte `at` on, and where it starts; empty at the end. `at` moves past it.
+fn next_word<'a>(source: &'a ByteSource, at: &mut u64, end: u64) -> Result<(u64, &'a [u8])> {
+    let text = source.slice(*at..end)?;
+    let start = text.iter().position(|&b| !is_separator(b)).unwrap_or(text.len());
+    let word = &text[start..];
+    let word = &word[..word.iter().position(|&b| is_separator(b)).unwrap_or(word.len())];
+    let found = *at + start as u64;
+    *at = found + word.len() as u64;
+    Ok((found, word))
 }
 
 fn is_separator(byte: u8) -> bool {
@@ -274,15 +275,13 @@ impl SlabStream for TextSlabs {
     fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
         out.clear();
         let Some(slab) = self.walk.next() else {
-            let path = self.source.path().to_path_buf();
-            return match self.word()? {
-                (_, []) => Ok(None),
-                (at, word) => {
-                    let got = String::from_utf8_lossy(word).into_owned();
-                    Err(Error::bad_input(path, format!("byte {at}"), "the end of the samples", got)
-                        .with_help("the header's dimensions are wrong"))
-                }
-            };
+            let (at, word) = next_word(&self.source, &mut self.at, self.end)?;
+            if word.is_empty() {
+                return Ok(None);
+            }
+            let (at, got) = (format!("byte {at}"), String::from_utf8_lossy(word));
+            return Err(Error::bad_input(self.source.path(), at, "the end of the samples", got)
+                .with_help("the header's dimensions are wrong"));
         };
         for _ in 0..slab.len() {
             self.push_sample(out)?;
