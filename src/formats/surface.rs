@@ -100,6 +100,14 @@ pub fn write_surface(
     format: SurfaceFormat,
     meta: &SurfaceMeta,
 ) -> Result<u64> {
+    // The source numbers vertices with 32 bits, so no format needs more; a store that announces more is damaged.
+    if source.vertex_count() > 1 << 32 {
+        return Err(Error::usage(format!(
+            "a surface has at most {} vertices, this one {}: cut it into parts with --roi",
+            1u64 << 32,
+            source.vertex_count()
+        )));
+    }
     if format == SurfaceFormat::Stl {
         stl::check_limits(source.triangle_count())?;
     }
@@ -425,6 +433,22 @@ pub(super) mod tests {
         assert!(refused(Path::new("/dev/null")).contains("device"));
         assert!(SurfaceFormat::from_path(Path::new("x.nrrd")).is_err());
         assert!(SurfaceFormat::from_path(Path::new("ply")).is_err());
+    }
+
+    #[test]
+    fn more_than_a_format_can_count_is_refused_before_it_is_written() {
+        let dir = tempfile::tempdir().unwrap();
+        for (lie, format) in [([1 << 32, 0], SurfaceFormat::Ply), ([0, 1 << 32], SurfaceFormat::Stl)] {
+            let error = write_surface(
+                &InMemory { lie, ..source(tetrahedron()) },
+                &dir.path().join("x"),
+                format,
+                &meta(),
+            );
+            let error = error.unwrap_err();
+            assert!(error.exit_code() == 2 && error.to_string().contains("at most"), "{error}");
+        }
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 0);
     }
 
     #[cfg(unix)]

@@ -1,8 +1,8 @@
 //! The XML of a VTK file: a small tree of elements, and where the data of each array lie.
 //!
 //! Data are not copied: an element knows the byte range of its text. Reading stops at `<AppendedData`, because what
-//! follows need not be XML. A head is refused when it has more than [`MOST_ELEMENTS`] elements or nests deeper than
-//! [`MOST_DEPTH`]: no real file does, and memory stays bounded.
+//! follows need not be XML. A head is refused when it has more than [`MOST_ELEMENTS`] elements, nests deeper than
+//! [`MOST_DEPTH`], or has a tag of more than [`MOST_TAG`] bytes: no real file does, and time and memory stay bounded.
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
@@ -13,6 +13,8 @@ use std::sync::Arc;
 
 const MOST_ELEMENTS: usize = 1 << 18;
 const MOST_DEPTH: usize = 32;
+/// The reader compares the names of a tag's attributes with one another.
+const MOST_TAG: usize = 1 << 16;
 
 /// An element of the head.
 #[derive(Debug, Default)]
@@ -183,6 +185,7 @@ fn what_is(kind: &str) -> String {
         "StructuredGrid" => "a curvilinear grid (.vts)",
         "PImageData" => "the index of an image in several files (.pvti)",
         "Collection" => "a ParaView collection (.pvd)",
+        _ if kind.starts_with('P') => "the index of data in several files",
         _ => return format!("type=\"{kind}\""),
     };
     format!("type=\"{kind}\": {known}")
@@ -190,8 +193,9 @@ fn what_is(kind: &str) -> String {
 
 fn help_for(kind: &str) -> &'static str {
     match kind {
-        "PImageData" => "name one of the .vti files that it lists, or write one image",
+        "PolyData" => "resample or convert it first",
         "Collection" => "name one of the files that it lists",
+        _ if kind.starts_with('P') => "name one of the files that it lists, or write all in one",
         _ => "resample or convert it first",
     }
 }
@@ -259,6 +263,9 @@ impl<'a> Parser<'a> {
         self.elements += 1;
         if self.elements > MOST_ELEMENTS {
             return Err(self.bad(after, format!("more than {MOST_ELEMENTS} elements")));
+        }
+        if tag.len() > MOST_TAG {
+            return Err(self.bad(after, format!("a tag of {} bytes", tag.len())));
         }
         let name = tag.name().as_ref().to_string();
         if self.open.is_empty() && name != "VTKFile" {

@@ -411,6 +411,17 @@ fn an_lz4_block_of_an_absurd_length_is_refused() {
     assert!(error.contains("too short"), "{error}");
 }
 
+#[test]
+fn a_head_beyond_all_reason_is_refused() {
+    let many = "<Piece/>".repeat(1 << 18);
+    let deep = "<Piece>".repeat(40);
+    let wide = format!("<Piece {}/>", (0..9000).map(|i| format!("a{i}=\"\" ")).collect::<String>());
+    for (inside, says) in [(many, "elements"), (deep, "nested deeper"), (wide, "a tag of")] {
+        let error = refused(format!("<VTKFile type=\"ImageData\">{inside}").as_bytes(), None);
+        assert!(error.contains(says), "{error}");
+    }
+}
+
 /// A file of the shared test data; `None`, and a line on stderr, where there are none.
 pub(in crate::formats) fn shared(name: &str) -> Option<std::path::PathBuf> {
     let Some(folder) = std::env::var_os("ISOSPAN_SHARED_DATA") else {
