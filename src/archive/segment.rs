@@ -111,7 +111,23 @@ pub struct SegmentInfo {
     /// Number of blocks.
     pub blocks: u64,
     /// XXH3 (64 bits) of all bytes before the footer: two writers of the same segment agree on it.
+    #[serde(with = "hex_hash")]
     pub content_hash: u64,
+}
+
+/// A 64-bit hash as text: a JSON number of that size loses digits in many programs.
+mod hex_hash {
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    pub(super) fn serialize<S: Serializer>(hash: &u64, s: S) -> Result<S::Ok, S::Error> {
+        s.collect_str(&format_args!("{hash:016x}"))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<u64, D::Error> {
+        let text = String::deserialize(d)?;
+        let number = (text.len() == 16).then(|| u64::from_str_radix(&text, 16).ok()).flatten();
+        number.ok_or_else(|| serde::de::Error::custom("a content hash has 16 hexadecimal digits"))
+    }
 }
 
 /// Writes a segment block by block. Memory: eight bytes a block.

@@ -1,0 +1,453 @@
+//! The manifest: what an archive is of, how it was made, and which segments it has. Written last.
+//!
+//! It is JSON, for people and scripts to read, and guarded like everything else: its last member is a checksum of
+//! all bytes before it, so that a flipped digit is an error and not another archive. A folder without a manifest is an
+//! unfinished archive.
+//!
+//! Two hashes tie the files together. The *plan hash* covers what decides the mesh (lattice, points, cuts, block size):
+//! every mesh segment carries it. A *step hash* covers that and what decides the values of a step (source, field,
+//! interpolation): the step's value and index segments carry it. Neither covers the path of a source, nor threads or memory.
+
+use super::publish::Unpublished;
+use super::segment::{FORMAT_VERSION, OLDEST_READER, PlanHash, SegmentInfo};
+use crate::error::{Error, Result};
+use crate::geom::Lattice;
+use crate::grid::{BrickGrid, Geometry};
+use crate::points::PointSpec;
+use crate::sample::Interpolation;
+use crate::volume::ScalarType;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Name of the manifest in the archive's folder.
+pub const MANIFEST_NAME: &str = "manifest.json";
+/// Value of the manifest's first member.
+pub const MANIFEST_FORMAT: &str = "isospan archive";
+/// The most bytes of a manifest.
+pub const LARGEST_MANIFEST: u64 = 1 << 30;
+
+/// Path of a mesh segment.
+pub fn mesh_segment_path(archive: &Path, segment: u64) -> PathBuf {
+    archive.join(format!("mesh/{segment:06}.seg"))
+}
+
+/// Path of a value segment of a step.
+pub fn values_segment_path(archive: &Path, step: u64, segment: u64) -> PathBuf {
+    archive.join(format!("steps/{step:06}/values-{segment:06}.seg"))
+}
+
+/// Path of the index of a step.
+pub fn index_path(archive: &Path, step: u64) -> PathBuf {
+    archive.join(format!("steps/{step:06}/index.seg"))
+}
+
+/// Everything that decides the bytes of the mesh.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Plan {
+    /// The lattice of the domain.
+    pub lattice: Lattice,
+    /// The point set.
+    pub points: PointSpec,
+    /// Bits an axis of the curve along which a brick's points are ordered.
+    pub order_bits: u32,
+    /// Voxel cells along each edge of a brick.
+    pub brick_edge: [u64; 3],
+    /// Points of a chunk, about.
+    pub chunk_target: u64,
+    /// Tetrahedra of a block, about.
+    pub block_tets: u32,
+}
+
+impl Plan {
+    /// The hash that mesh segments carry: of the plan as JSON without spaces, members in the order of this struct.
+    pub fn hash(&self) -> PlanHash {
+        PlanHash::of(&serde_json::to_vec(self).expect("a plan is plain data"))
+    }
+
+    /// The bricks.
+    pub fn bricks(&self) -> BrickGrid {
+        BrickGrid { lattice: self.lattice, edge: self.brick_edge }
+    }
+}
+
+/// The file that a step was sampled from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Source {
+    /// Its path as it was given.
+    pub path: String,
+    /// A fingerprint of its contents.
+    pub fingerprint: String,
+    /// Its format, as a person would call it.
+    pub format: String,
+    /// Samples along x, y, z.
+    pub dims: [u64; 3],
+    /// Type of a stored sample.
+    pub scalar: ScalarType,
+    /// The field that was read.
+    pub field: String,
+    /// Index space to world.
+    pub geometry: Geometry,
+    /// A sample's value is `slope · stored + intercept`.
+    pub slope: f64,
+    /// See `slope`.
+    pub intercept: f64,
+    /// The stored value that means "no data"; a finite number.
+    pub missing: Option<f64>,
+}
+
+/// Everything, besides the plan, that decides the bytes of a step's values and index.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StepPlan {
+    /// Number of the step in the archive.
+    pub number: u64,
+    /// Its time, where the input told one.
+    pub time: Option<f64>,
+    /// What was sampled.
+    pub source: Source,
+    /// How.
+    pub interpolation: Interpolation,
+    /// What was done with NaN and infinite samples, as on the command line: "error", "mask" or a number.
+    pub nan: String,
+}
+
+impl StepPlan {
+    /// The hash that the step's value and index segments carry. A copy of the source elsewhere gives the same.
+    pub fn hash(&self, plan: PlanHash) -> PlanHash {
+        let mut part = self.clone();
+        part.source.path.clear();
+        let mut canonical = plan.to_string().into_bytes();
+        canonical.extend(serde_json::to_vec(&part).expect("a step plan is plain data"));
+        PlanHash::of(&canonical)
+    }
+}
+
+/// A finished segment of a range of chunks.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SegmentRecord {
+    /// First chunk.
+    pub first_chunk: u64,
+    /// Number of chunks.
+    pub chunks: u64,
+    /// Length, blocks, content hash.
+    #[serde(flatten)]
+    pub info: SegmentInfo,
+}
+
+/// A finished step.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Step {
+    /// What it is of.
+    #[serde(flatten)]
+    pub plan: StepPlan,
+    /// Smallest and largest value; none when every point is void.
+    pub value_range: Option<[f32; 2]>,
+    /// Points without a value.
+    pub void_points: u64,
+    /// Value segments, in chunk order; the n-th is `values-n.seg`.
+    pub values: Vec<SegmentRecord>,
+    /// The index.
+    pub index: SegmentInfo,
+}
+
+/// Sizes of the mesh.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Counts {
+    /// Points, each counted once.
+    pub points: u64,
+    /// Tetrahedra.
+    pub tetrahedra: u64,
+    /// Chunks.
+    pub chunks: u64,
+    /// Tetrahedron blocks.
+    pub blocks: u64,
+}
+
+/// The manifest of an archive.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    format: String,
+    format_version: u16,
+    oldest_reader: u16,
+    /// Version of the program that wrote the archive.
+    pub isospan_version: String,
+    /// What decides the mesh.
+    pub plan: Plan,
+    /// [`Plan::hash`].
+    pub plan_hash: PlanHash,
+    /// Sizes.
+    pub counts: Counts,
+    /// Mesh segments, in chunk order; the n-th is `mesh/n.seg`.
+    pub mesh: Vec<SegmentRecord>,
+    /// Steps, in order of their numbers.
+    pub steps: Vec<Step>,
+}
+
+/// What a manifest of any version has.
+#[derive(Deserialize)]
+struct Version {
+    format: String,
+    format_version: u16,
+    oldest_reader: u16,
+}
+
+impl Manifest {
+    /// A manifest of this version of the program.
+    pub fn new(plan: Plan, counts: Counts, mesh: Vec<SegmentRecord>, steps: Vec<Step>) -> Self {
+        Self {
+            format: MANIFEST_FORMAT.into(),
+            format_version: FORMAT_VERSION,
+            oldest_reader: OLDEST_READER,
+            isospan_version: env!("CARGO_PKG_VERSION").into(),
+            plan_hash: plan.hash(),
+            plan,
+            counts,
+            mesh,
+            steps,
+        }
+    }
+
+    /// Publishes the manifest in the archive's folder, replacing an older one. All segments are there already.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn write(&self, archive: &Path) -> Result<()> {
+        let mut out = Unpublished::create(&archive.join(MANIFEST_NAME))?;
+        out.write(self.to_text().as_bytes())?;
+        out.publish()
+    }
+
+    fn to_text(&self) -> String {
+        let json = serde_json::to_string_pretty(self).expect("a manifest is plain data");
+        let body = json.strip_suffix("\n}").expect("a pretty object ends with its brace");
+        format!("{body}{}", tail(body))
+    }
+
+    /// Reads the manifest of an archive.
+    ///
+    /// # Errors
+    /// When there is none, it is damaged or edited, or of a version that this program cannot read.
+    pub fn read(archive: &Path) -> Result<Self> {
+        let path = archive.join(MANIFEST_NAME);
+        if archive.is_dir() && !path.exists() {
+            return Err(Error::bad_input(archive, MANIFEST_NAME, "a manifest", "none")
+                .with_help("the archive is not finished: run the same reduction again"));
+        }
+        let len = std::fs::metadata(&path).map_err(|e| Error::io("read", &path, e))?.len();
+        if len > LARGEST_MANIFEST {
+            let most = format!("at most {LARGEST_MANIFEST} bytes");
+            return Err(Error::bad_input(&path, "file length", most, format!("{len} bytes")));
+        }
+        let bytes = std::fs::read(&path).map_err(|e| Error::io("read", &path, e))?;
+        let manifest = Self::parse(&bytes, &path)?;
+        manifest.check(&path)?;
+        Ok(manifest)
+    }
+
+    fn parse(bytes: &[u8], path: &Path) -> Result<Self> {
+        let json = |e: serde_json::Error| {
+            let at = format!("line {} column {}", e.line(), e.column());
+            Error::bad_input(path, at, "the manifest of an isospan archive", e.to_string())
+        };
+        let version: Version = serde_json::from_slice(bytes).map_err(json)?;
+        if version.format != MANIFEST_FORMAT {
+            return Err(Error::bad_input(path, "format", MANIFEST_FORMAT, version.format));
+        }
+        if version.oldest_reader > FORMAT_VERSION || version.format_version == 0 {
+            return Err(Error::bad_input(
+                path,
+                "format_version",
+                format!("a version that format {FORMAT_VERSION} programs can read"),
+                format!("{}, for programs of format {} on", version.format_version, version.oldest_reader),
+            )
+            .with_help("use a newer isospan"));
+        }
+        check_sum(bytes, path)?;
+        serde_json::from_slice(bytes).map_err(json)
+    }
+
+    /// Invariants that the rest of the program relies on.
+    fn check(&self, path: &Path) -> Result<()> {
+        let bad = |at: &str, expected: String, got: String| Err(Error::bad_input(path, at, expected, got));
+        let hash = self.plan.hash();
+        if hash != self.plan_hash {
+            return bad("plan_hash", hash.to_string(), self.plan_hash.to_string());
+        }
+        let lattice = self.plan.lattice;
+        if Lattice::new(lattice.dims).ok() != Some(lattice) || self.plan.brick_edge.contains(&0) {
+            return bad("plan", "a lattice and bricks".into(), format!("{:?}", lattice.dims));
+        }
+        check_tiling(path, "mesh", &self.mesh, self.counts.chunks)?;
+        for step in &self.steps {
+            check_tiling(path, "values of a step", &step.values, self.counts.chunks)?;
+        }
+        if !self.steps.is_sorted_by(|a, b| a.plan.number < b.plan.number) {
+            return bad("steps", "ascending numbers".into(), "others".into());
+        }
+        Ok(())
+    }
+
+    /// The mesh (or value) segment that has a chunk, by its position in the list.
+    pub fn segment_of(segments: &[SegmentRecord], chunk: u64) -> Option<usize> {
+        let at = segments.partition_point(|s| s.first_chunk + s.chunks <= chunk);
+        (at < segments.len()).then_some(at)
+    }
+}
+
+/// Segments cover the chunks, each once, in order.
+fn check_tiling(path: &Path, at: &str, segments: &[SegmentRecord], chunks: u64) -> Result<()> {
+    let mut next = Some(0u64);
+    for s in segments {
+        if next != Some(s.first_chunk) {
+            let expected = format!("a segment from chunk {}", next.unwrap_or(u64::MAX));
+            return Err(Error::bad_input(path, at, expected, format!("from chunk {}", s.first_chunk)));
+        }
+        next = s.first_chunk.checked_add(s.chunks);
+    }
+    if next != Some(chunks) {
+        let got = format!("{}", next.unwrap_or(u64::MAX));
+        return Err(Error::bad_input(path, at, format!("{chunks} chunks"), got));
+    }
+    Ok(())
+}
+
+const TAIL_START: &str = ",\n  \"checksum\": \"";
+
+/// The end of a manifest whose text so far is `body`.
+fn tail(body: &str) -> String {
+    format!("{TAIL_START}{}\"\n}}\n", PlanHash::of(body.as_bytes()))
+}
+
+fn check_sum(bytes: &[u8], path: &Path) -> Result<()> {
+    let text = String::from_utf8_lossy(bytes);
+    let body = text.rfind(TAIL_START).map_or(&text[..], |at| &text[..at]);
+    if text.strip_prefix(body) == Some(&tail(body)) && matches!(text, std::borrow::Cow::Borrowed(_)) {
+        return Ok(());
+    }
+    Err(Error::bad_input(path, "checksum", PlanHash::of(body.as_bytes()).to_string(), "another or none")
+        .with_help("the manifest was damaged or edited: restore it, or run the same reduction again"))
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    pub(crate) fn plan() -> Plan {
+        Plan {
+            lattice: Lattice::new([103, 94, 161]).unwrap(),
+            points: PointSpec::Hammersley { n: 1000, shift: 0.5 },
+            order_bits: 9,
+            brick_edge: [20; 3],
+            chunk_target: 250_000,
+            block_tets: 1000,
+        }
+    }
+
+    pub(crate) fn step_plan(number: u64) -> StepPlan {
+        let source = Source {
+            path: "tooth.nrrd".into(),
+            fingerprint: "xxh3:00".into(),
+            format: "NRRD (attached, raw)".into(),
+            dims: [103, 94, 161],
+            scalar: ScalarType::U8,
+            field: "data".into(),
+            geometry: Geometry { origin: [0.1, -1.0 / 3.0, 1e-300], ..Geometry::default() },
+            slope: 1.0,
+            intercept: 0.1 + 0.2,
+            missing: None,
+        };
+        let interpolation = Interpolation::Linear;
+        StepPlan { number, time: Some(0.7), source, interpolation, nan: "error".into() }
+    }
+
+    fn example() -> Manifest {
+        let info = SegmentInfo { bytes: 1000, blocks: 7, content_hash: u64::MAX - 5 };
+        let record = |first_chunk, chunks| SegmentRecord { first_chunk, chunks, info };
+        let step = |number| Step {
+            plan: step_plan(number),
+            value_range: Some([-0.1, 1e30]),
+            void_points: 0,
+            values: vec![record(0, 5)],
+            index: info,
+        };
+        let counts = Counts { points: 1000, tetrahedra: 6000, chunks: 5, blocks: 12 };
+        Manifest::new(plan(), counts, vec![record(0, 2), record(2, 3)], vec![step(0), step(3)])
+    }
+
+    #[test]
+    fn it_comes_back_and_replaces_an_older_one() {
+        let dir = tempfile::tempdir().unwrap();
+        let m = example();
+        m.write(dir.path()).unwrap();
+        assert_eq!(Manifest::read(dir.path()).unwrap(), m);
+        let mut fewer = m.clone();
+        fewer.steps.pop();
+        fewer.write(dir.path()).unwrap();
+        assert_eq!(Manifest::read(dir.path()).unwrap(), fewer);
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "no leftover");
+        let json: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(dir.path().join(MANIFEST_NAME)).unwrap()).unwrap();
+        assert_eq!(json["mesh"][1]["first_chunk"], 2);
+    }
+
+    #[test]
+    fn every_flipped_byte_and_every_cut_is_found() {
+        let path = Path::new("manifest.json");
+        let good = example().to_text().into_bytes();
+        Manifest::parse(&good, path).unwrap();
+        for i in 0..good.len() {
+            for bit in [0, 5, 7] {
+                let mut bad = good.clone();
+                bad[i] ^= 1 << bit;
+                let e = Manifest::parse(&bad, path).expect_err("a flipped byte");
+                assert_eq!(e.exit_code(), 5, "{e}");
+                assert!(!e.to_string().contains('\n'), "{e}");
+            }
+            assert!(Manifest::parse(&good[..i], path).is_err());
+        }
+    }
+
+    #[test]
+    fn future_versions_and_other_files_are_refused_clearly() {
+        let dir = tempfile::tempdir().unwrap();
+        let e = Manifest::read(dir.path()).unwrap_err().to_string();
+        assert!(e.contains("not finished"), "{e}");
+        let path = dir.path().join(MANIFEST_NAME);
+        std::fs::write(
+            &path,
+            r#"{"format":"isospan archive","format_version":9,"oldest_reader":8,"new":[]}"#,
+        )
+        .unwrap();
+        let e = Manifest::read(dir.path()).unwrap_err().to_string();
+        assert!(e.contains("got 9, for programs of format 8 on; use a newer isospan"), "{e}");
+        std::fs::write(&path, "{}").unwrap();
+        assert!(
+            Manifest::read(dir.path()).unwrap_err().to_string().contains("manifest of an isospan archive")
+        );
+    }
+
+    #[test]
+    fn hashes_cover_what_decides_the_bytes() {
+        let (a, mut b) = (plan(), plan());
+        b.block_tets += 1;
+        assert_ne!(a.hash(), b.hash());
+        let (s, mut moved) = (step_plan(0), step_plan(0));
+        moved.source.path = "elsewhere".into();
+        assert_eq!(s.hash(a.hash()), moved.hash(a.hash()));
+        moved.source.fingerprint.push('1');
+        assert_ne!(s.hash(a.hash()), moved.hash(a.hash()));
+        assert_ne!(s.hash(a.hash()), s.hash(b.hash()));
+        // Written archives depend on it: a change here is a change of the format.
+        assert_eq!(a.hash().to_string(), "43c3a8c28ea702b3245cc6983034727a");
+    }
+
+    #[test]
+    fn chunks_must_be_covered_once() {
+        let path = Path::new("m");
+        let m = example();
+        assert!(check_tiling(path, "mesh", &m.mesh, 5).is_ok());
+        assert!(check_tiling(path, "mesh", &m.mesh, 6).is_err());
+        assert!(check_tiling(path, "mesh", &m.mesh[1..], 5).is_err());
+        let found: Vec<_> = (0..6).map(|c| Manifest::segment_of(&m.mesh, c)).collect();
+        assert_eq!(found, [Some(0), Some(0), Some(1), Some(1), Some(1), None]);
+    }
+}

@@ -1,0 +1,113 @@
+//! Pages of the index: their shape, which follows from the number of entries, and their bytes.
+
+use super::Entry;
+use crate::archive::Malformed;
+use crate::archive::wire::{Cursor, put_varint};
+use std::collections::BTreeMap;
+
+/// The most entries of a leaf page.
+pub(super) const LEAF_ENTRIES: u64 = 256;
+/// Levels of halving in an inner page: at most 2^8 children.
+pub(super) const PAGE_LEVELS: u32 = 8;
+/// First byte of a leaf page.
+pub(super) const LEAF: u8 = 0;
+/// First byte of an inner page.
+pub(super) const INNER: u8 = 1;
+
+/// Bounds of the entries below a node: the lowest min and the highest max.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Bounds {
+    pub(super) lowest: f32,
+    pub(super) highest: f32,
+}
+
+/// Sizes of the children of an inner page over `n` entries: halved, the smaller half first, until small enough.
+pub(super) fn child_sizes(n: u64) -> Vec<u64> {
+    fn split(n: u64, levels: u32, out: &mut Vec<u64>) {
+        if levels == 0 || n <= LEAF_ENTRIES {
+            return out.push(n);
+        }
+        split(n / 2, levels - 1, out);
+        split(n - n / 2, levels - 1, out);
+    }
+    let mut out = vec![];
+    split(n, PAGE_LEVELS, &mut out);
+    out
+}
+
+/// Number of pages of subtrees. On each level there are but two sizes, so few are ever computed.
+#[derive(Debug, Default)]
+pub(super) struct PageCounts(BTreeMap<u64, u64>);
+
+impl PageCounts {
+    pub(super) fn of(&mut self, n: u64) -> u64 {
+        if n <= LEAF_ENTRIES {
+            return 1;
+        }
+        if let Some(&pages) = self.0.get(&n) {
+            return pages;
+        }
+        let pages = 1 + child_sizes(n).into_iter().map(|c| self.of(c)).sum::<u64>();
+        self.0.insert(n, pages);
+        pages
+    }
+}
+
+/// Writes a leaf; entries are in order of place.
+pub(super) fn encode_leaf(entries: &[Entry]) -> Vec<u8> {
+    let mut out = vec![LEAF];
+    entries.iter().for_each(|e| out.extend(e.min.to_le_bytes()));
+    entries.iter().for_each(|e| out.extend(e.max.to_le_bytes()));
+    let mut chunk = 0;
+    for e in entries {
+        put_varint(&mut out, e.chunk - chunk);
+        put_varint(&mut out, u64::from(e.block));
+        put_varint(&mut out, u64::from(e.tets));
+        chunk = e.chunk;
+    }
+    out
+}
+
+pub(super) fn decode_leaf(bytes: &[u8], n: u64) -> Result<Vec<Entry>, Malformed> {
+    let mut c = Cursor::new(bytes);
+    kind(&mut c, LEAF)?;
+    let mut entries = vec![Entry { min: 0.0, max: 0.0, chunk: 0, block: 0, tets: 0 }; n as usize];
+    for e in &mut entries {
+        e.min = c.f32("min")?;
+    }
+    for e in &mut entries {
+        e.max = c.f32("max")?;
+    }
+    let mut chunk = 0u64;
+    for e in &mut entries {
+        let next = chunk.checked_add(c.varint("chunk")?);
+        chunk = next.ok_or_else(|| Malformed::new("chunk", "a number of 64 bits", "a larger one"))?;
+        (e.chunk, e.block, e.tets) = (chunk, c.varint32("block")?, c.varint32("tetrahedra")?);
+    }
+    c.end("leaf page")?;
+    Ok(entries)
+}
+
+pub(super) fn encode_inner(children: &[Bounds]) -> Vec<u8> {
+    let mut out = vec![INNER];
+    children.iter().for_each(|b| out.extend(b.lowest.to_le_bytes()));
+    children.iter().for_each(|b| out.extend(b.highest.to_le_bytes()));
+    out
+}
+
+pub(super) fn decode_inner(bytes: &[u8], n: usize) -> Result<Vec<Bounds>, Malformed> {
+    let mut c = Cursor::new(bytes);
+    kind(&mut c, INNER)?;
+    let mut column = || (0..n).map(|_| c.f32("bound")).collect::<Result<Vec<f32>, Malformed>>();
+    let (lowest, highest) = (column()?, column()?);
+    c.end("inner page")?;
+    Ok(lowest.into_iter().zip(highest).map(|(lowest, highest)| Bounds { lowest, highest }).collect())
+}
+
+fn kind(c: &mut Cursor<'_>, expected: u8) -> Result<(), Malformed> {
+    let got = c.u8("page kind")?;
+    if got == expected {
+        return Ok(());
+    }
+    Err(Malformed::new("page kind", expected.to_string(), got.to_string()))
+}
