@@ -36,6 +36,7 @@ use crate::error::{Error, Result};
 use crate::geom::curve::Order;
 use crate::geom::predicates::orient3d;
 use crate::geom::{Lattice, LatticePos};
+use crate::mesh::certify::Local;
 use crate::mesh::tet::Tet;
 use arena::{Arena, FIRST_TAG, INFINITE, MOST_TETS, Margin, Point, Tetra};
 
@@ -45,6 +46,7 @@ pub struct Mesher {
     arena: Arena,
     /// Input index of each point in insertion order.
     source: Vec<u32>,
+    frame: Frame,
     sorted: Vec<(u64, u32)>,
     spare: Vec<(u64, u32)>,
 }
@@ -80,13 +82,48 @@ impl Mesher {
         }
     }
 
+    /// Calls `f` with the vertices (infinity is 0) and the stored sphere of each tetrahedron and ghost.
+    #[inline]
+    pub(super) fn for_each_record(&self, mut f: impl FnMut([u32; 4], &[f64; 4])) {
+        for t in self.arena.tets.iter().filter(|t| !t.is_dead()) {
+            f(t.v, &t.sphere);
+        }
+    }
+
+    /// Records there are room for.
+    pub(super) fn record_count(&self) -> usize {
+        self.arena.tets.len()
+    }
+
+    /// Whether there is no tetrahedron.
+    pub(super) fn is_empty(&self) -> bool {
+        self.arena.tets.is_empty()
+    }
+
+    /// The input index of a finite vertex.
+    #[inline]
+    pub(super) fn source(&self, vertex: u32) -> u32 {
+        self.source[vertex as usize - 1]
+    }
+
+    /// The input indices of vertices 1, 2, ….
+    pub(super) fn sources(&self) -> &[u32] {
+        &self.source
+    }
+
+    /// The coordinates and the margin of the stored spheres.
+    pub(super) fn local(&self) -> Local {
+        Local { origin: self.frame.origin, shift: self.frame.shift, margin: self.arena.margin.e }
+    }
+
     /// Sorts, drops duplicates, and writes the points in scaled local coordinates.
     fn prepare(&mut self, positions: &[LatticePos], order: &Order) {
         order.sort(positions, &mut self.sorted, &mut self.spare);
         self.sorted.dedup_by_key(|e| positions[e.1 as usize]);
         self.source.clear();
         self.source.extend(self.sorted.iter().map(|e| e.1));
-        let frame = Frame::around(positions);
+        self.frame = Frame::around(positions);
+        let frame = &self.frame;
         let points = &mut self.arena.points;
         points.clear();
         points.push(Point { at: [f32::NAN; 3], tag: 0 });
@@ -158,6 +195,11 @@ impl Mesher {
     }
 }
 
+/// The places of the other three vertices that make (face, vertex `i`) positively oriented.
+pub(super) fn face(i: usize) -> [usize; 3] {
+    arena::FACE[i]
+}
+
 fn check(positions: &[LatticePos], order: &Order) -> Result<()> {
     if positions.len() >= MOST_TETS {
         return Err(Error::usage(format!("{} points in one chunk; use smaller chunks", positions.len())));
@@ -200,6 +242,7 @@ fn collinear(a: LatticePos, b: LatticePos, c: LatticePos) -> bool {
 }
 
 /// Shift and scale to small local coordinates.
+#[derive(Debug, Default)]
 struct Frame {
     origin: LatticePos,
     shift: u32,

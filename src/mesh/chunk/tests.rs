@@ -1,0 +1,244 @@
+//! k chunks are one chunk, as sets of four positions, whatever the cut and however degenerate the points.
+
+use super::*;
+use crate::mesh::check;
+use proptest::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+
+const FULL: u32 = 1 << 24;
+
+struct Lcg(u64);
+
+impl Lcg {
+    fn below(&mut self, n: u64) -> u32 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((self.0 >> 33) % n) as u32
+    }
+}
+
+/// Random points in a box with corners, edges and faces, as a reduction has them.
+fn with_boundary(n: usize, max: LatticePos, seed: u64) -> Vec<LatticePos> {
+    let mut r = Lcg(seed);
+    let mut all: BTreeSet<LatticePos> =
+        (0..8u32).map(|i| std::array::from_fn(|k| (i >> k & 1) * max[k])).collect();
+    for i in 0..n {
+        let mut p: LatticePos = max.map(|m| r.below(u64::from(m) + 1));
+        // One in five on a face, a few on an edge.
+        for k in [[3, 4, 5][i % 3], i % 5, i % 17] {
+            if k < 3 {
+                p[k] = r.below(2) * max[k];
+            }
+        }
+        all.insert(p);
+    }
+    all.into_iter().collect()
+}
+
+fn grid(n: u32, step: u32) -> Vec<LatticePos> {
+    (0..n * n * n).map(|i| [i % n, i / n % n, i / n / n].map(|c| c * step)).collect()
+}
+
+fn domain_of(max: LatticePos) -> LatticeBox {
+    LatticeBox { lo: [0; 3], hi: max.map(|m| m + 1) }
+}
+
+/// Cores that tile the domain, `cuts` along each axis.
+fn cores(domain: &LatticeBox, cuts: [u32; 3]) -> Vec<LatticeBox> {
+    let edge = |k: usize, i: u32| (u64::from(domain.hi[k]) * u64::from(i) / u64::from(cuts[k])) as u32;
+    (0..cuts[0] * cuts[1] * cuts[2])
+        .map(|i| {
+            let c = [i % cuts[0], i / cuts[0] % cuts[1], i / cuts[0] / cuts[1]];
+            LatticeBox {
+                lo: std::array::from_fn(|k| edge(k, c[k])),
+                hi: std::array::from_fn(|k| edge(k, c[k] + 1)),
+            }
+        })
+        .collect()
+}
+
+/// A meshed chunk in terms of the whole set.
+struct Part {
+    tets: Vec<[LatticePos; 4]>,
+    edges: BTreeSet<[LatticePos; 2]>,
+    unshared: BTreeSet<LatticePos>,
+}
+
+fn chunk(all: &[LatticePos], domain: LatticeBox, core: LatticeBox, halo: u32, retries: &mut u32) -> Part {
+    let order = Order::for_count(all.len() as u64);
+    let mut mesher = Mesher::new();
+    let mut halo = halo;
+    loop {
+        let region = core.grow_within([halo; 3], &domain);
+        let local: Vec<LatticePos> = all.iter().copied().filter(|p| region.contains(*p)).collect();
+        match mesh_chunk(&mut mesher, &ChunkRegion { core, region, domain }, &local, &order).unwrap() {
+            ChunkOutcome::Done(mesh) => return part(&local, &mesh),
+            ChunkOutcome::WidenHalo { uncertified } => {
+                assert!(uncertified > 0 && region != domain);
+                *retries += 1;
+                halo = halo * 3 / 2 + 1;
+            }
+        }
+    }
+}
+
+fn part(local: &[LatticePos], mesh: &ChunkMesh) -> Part {
+    let mut out = Part { tets: vec![], edges: BTreeSet::new(), unshared: BTreeSet::new() };
+    for pair in mesh.tets.windows(2) {
+        assert!(pair[0] < pair[1], "sorted");
+    }
+    for t in &mesh.tets {
+        let at = t.map(|v| local[v as usize]);
+        assert!(crate::geom::predicates::orient3d(at[0], at[1], at[2], at[3]) > 0);
+        let mut four = at;
+        four.sort_unstable();
+        out.tets.push(four);
+        for i in 0..4 {
+            out.edges.extend((0..i).map(|j| [four[j], four[i]]));
+        }
+    }
+    assert_eq!(mesh.shared.len(), local.len());
+    out.unshared.extend(local.iter().zip(&mesh.shared).filter(|(_, s)| !**s).map(|(p, _)| *p));
+    out
+}
+
+/// Meshes in chunks, compares with the whole; returns (halo widenings, unshared vertices).
+fn same(name: &str, all: &[LatticePos], max: LatticePos, cuts: [u32; 3], halo: u32) -> (u32, usize) {
+    let domain = domain_of(max);
+    let mut retries = 0;
+    let whole = chunk(all, domain, domain, 0, &mut retries);
+    assert_eq!(retries, 0, "{name}: a region equal to the domain is certified");
+    let expected: BTreeSet<_> = whole.tets.iter().copied().collect();
+    let mut union = BTreeSet::new();
+    let mut owners: BTreeMap<[LatticePos; 2], u32> = BTreeMap::new();
+    let mut parts = vec![];
+    for core in cores(&domain, cuts) {
+        let part = chunk(all, domain, core, halo, &mut retries);
+        for t in &part.tets {
+            assert!(core.contains(t[0]), "{name}: owned by its least vertex");
+            assert!(union.insert(*t), "{name}: {t:?} occurs twice");
+        }
+        part.edges.iter().for_each(|e| *owners.entry(*e).or_default() += 1);
+        parts.push(part);
+    }
+    assert!(union == expected, "{name}: {} tetrahedra in chunks, {} in one", union.len(), expected.len());
+    for part in &parts {
+        for e in &part.edges {
+            let unshared = e.iter().any(|p| part.unshared.contains(p));
+            assert!(!unshared || owners[e] == 1, "{name}: edge {e:?} has an unshared vertex and two chunks");
+        }
+    }
+    (retries, parts.iter().map(|p| p.unshared.len()).sum())
+}
+
+#[test]
+fn random_points_with_a_boundary() {
+    let max = [FULL; 3];
+    let all = with_boundary(2500, max, 1);
+    let spacing = (f64::from(FULL) / (all.len() as f64).cbrt()) as u32;
+    for (cuts, halo) in [([2, 2, 2], 3 * spacing), ([3, 1, 2], 2 * spacing), ([1, 1, 5], 3 * spacing)] {
+        let (retries, unshared) = same("random", &all, max, cuts, halo);
+        assert!(retries < 60 && unshared > 50, "{cuts:?}: {retries} retries, {unshared} unshared");
+    }
+    // A halo that is too narrow is noticed.
+    assert!(same("narrow", &all, max, [2, 2, 1], spacing / 3).0 > 0);
+}
+
+#[test]
+fn a_flat_domain() {
+    let max = [FULL, FULL / 4, FULL / 16];
+    let all = with_boundary(2000, max, 2);
+    same("flat", &all, max, [4, 2, 1], FULL / 10);
+}
+
+#[test]
+fn regular_and_dyadic_grids() {
+    let all = grid(11, 100);
+    for cuts in [[2, 2, 2], [3, 2, 1], [10, 1, 1]] {
+        same("grid", &all, [1000; 3], cuts, 250);
+    }
+    let mut centred = grid(8, 128);
+    centred.extend(grid(7, 128).into_iter().map(|p| p.map(|c| c + 64)));
+    same("bcc", &centred, [7 * 128; 3], [2, 2, 2], 200);
+    let mut sparse: BTreeSet<LatticePos> = grid(2, 1024).into_iter().collect();
+    for (a, b, c) in [(64, 64, 512), (64, 512, 64), (512, 64, 64), (128, 128, 256), (256, 128, 128)] {
+        for x in (0..=1024).step_by(a) {
+            for y in (0..=1024).step_by(b) {
+                sparse.extend((0..=1024).step_by(c).map(|z| [x, y, z]));
+            }
+        }
+    }
+    let sparse: Vec<_> = sparse.into_iter().collect();
+    same("dyadic", &sparse, [1024; 3], [2, 2, 2], 300);
+}
+
+#[test]
+fn points_whose_hull_is_not_the_box_and_points_without_volume() {
+    let mut r = Lcg(5);
+    let ball: Vec<LatticePos> = (0..3000)
+        .map(|_| [r.below(4000), r.below(4000), r.below(4000)])
+        .filter(|p| p.iter().map(|&c| (i64::from(c) - 2000).pow(2)).sum::<i64>() < 4_000_000)
+        .collect::<BTreeSet<_>>()
+        .into_iter()
+        .collect();
+    same("ball", &ball, [4000; 3], [2, 2, 1], 1200);
+    let plane: Vec<LatticePos> = (0..200).map(|i| [i % 20, i / 20, 7]).collect();
+    same("plane", &plane, [20; 3], [2, 2, 1], 5);
+    same("nothing", &[], [20; 3], [2, 1, 1], 5);
+}
+
+#[test]
+fn the_sum_of_the_chunks_fills_the_box() {
+    let max = [1 << 20, 1 << 19, 1 << 20];
+    let all = with_boundary(1200, max, 9);
+    let domain = domain_of(max);
+    let mut volume = 0;
+    for core in cores(&domain, [2, 1, 2]) {
+        let part = chunk(&all, domain, core, 1 << 18, &mut 0);
+        volume += part
+            .tets
+            .iter()
+            .map(|t| crate::geom::predicates::signed_volume6(t[0], t[1], t[2], t[3]).abs())
+            .sum::<i128>();
+    }
+    assert_eq!(volume, check::box_volume6([0; 3], max));
+}
+
+#[test]
+fn canonical_keeps_orientation() {
+    let p = [[0, 0, 0], [5, 0, 0], [0, 5, 0], [0, 0, 5]];
+    let mut forms = BTreeSet::new();
+    for i in 0..256u32 {
+        let t: Tet = std::array::from_fn(|k| i >> (2 * k) & 3);
+        let at = t.map(|v| p[v as usize]);
+        if crate::geom::predicates::orient3d(at[0], at[1], at[2], at[3]) > 0 {
+            forms.insert(canonical(t));
+        }
+    }
+    assert_eq!(forms.into_iter().collect::<Vec<_>>(), [[0, 1, 2, 3]]);
+}
+
+#[test]
+fn bad_boxes_and_stray_positions_are_refused() {
+    let b = |hi: u32| LatticeBox { lo: [0; 3], hi: [hi; 3] };
+    let order = Order { bits: 4 };
+    let mut mesher = Mesher::new();
+    let bad = ChunkRegion { core: b(9), region: b(8), domain: b(10) };
+    assert!(mesh_chunk(&mut mesher, &bad, &[], &order).is_err());
+    let good = ChunkRegion { core: b(5), region: b(8), domain: b(10) };
+    let stray = mesh_chunk(&mut mesher, &good, &[[1, 1, 9]], &order).unwrap_err();
+    assert!(stray.to_string().contains("outside its chunk's region"));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
+
+    #[test]
+    fn tiny_grids_in_chunks(
+        p in prop::collection::btree_set(prop::array::uniform3(0u32..5), 4..60),
+        cuts in prop::array::uniform3(1u32..4),
+        halo in 1u32..3,
+    ) {
+        let all: Vec<_> = p.into_iter().collect();
+        same("tiny", &all, [4; 3], cuts, halo);
+    }
+}
