@@ -9,7 +9,7 @@
 //!   volume stored slice by slice is read front to back.
 
 use crate::error::{Error, Result};
-use crate::geom::{Lattice, LatticeBox};
+use crate::geom::{Lattice, LatticeBox, LatticePos};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 
@@ -191,6 +191,12 @@ impl BrickGrid {
         }
     }
 
+    /// Brick coordinates of the brick that holds a lattice position.
+    pub fn brick_at(&self, pos: LatticePos) -> [u64; 3] {
+        let (d, s) = (self.dims(), self.lattice.log2_steps);
+        std::array::from_fn(|a| (u64::from(pos[a] >> s) / self.edge[a]).min(d[a] - 1))
+    }
+
     /// The lattice box of one brick.
     pub fn brick(&self, id: BrickId) -> LatticeBox {
         let c = self.coords(id);
@@ -221,69 +227,82 @@ impl Chunk {
     }
 }
 
-/// The domain cut into chunks. Memory: a few bytes a chunk.
-#[derive(Clone, Debug)]
+/// Tells (exactly or nearly, but always the same) how many points a box holds.
+type Counter = Box<dyn Fn(&LatticeBox) -> u64 + Send + Sync>;
+
+/// The domain cut into chunks. Memory: a few bytes for each row of chunks.
 pub struct ChunkGrid {
     bricks: BrickGrid,
+    target: u64,
+    count: Counter,
     /// Cuts along z, in bricks.
     z_cuts: Vec<u64>,
     /// Cuts along y of each layer.
     y_cuts: Vec<Vec<u64>>,
-    /// Cuts along x of each row of each layer.
-    x_cuts: Vec<Vec<Vec<u64>>>,
-    /// First chunk of each row, in chunk order, for the search by id.
-    row_start: Vec<(u64, usize, usize)>,
+    /// First chunk, layer and row in its layer of each row, in chunk order.
+    rows: Vec<(u64, usize, usize)>,
     len: u64,
 }
 
 impl ChunkGrid {
-    /// Cuts the bricks into chunks of about `target` points, `count` telling (exactly or nearly, but always the same)
-    /// how many points a box holds. Cost: one call of `count` for each brick layer, brick row and brick at the most.
+    /// Cuts the bricks into chunks of about `target` points. Cost: one call of `count` for each brick layer, and for each
+    /// row of bricks in a layer of chunks.
     ///
     /// # Errors
     /// [`Error::Usage`] for a target of 0.
-    pub fn new(bricks: BrickGrid, target: u64, count: impl Fn(&LatticeBox) -> u64) -> Result<Self> {
+    pub fn new(
+        bricks: BrickGrid,
+        target: u64,
+        count: impl Fn(&LatticeBox) -> u64 + Send + Sync + 'static,
+    ) -> Result<Self> {
         if target == 0 {
             return Err(Error::usage("a chunk must hold at least one point"));
         }
+        let mut grid = Self {
+            bricks,
+            target,
+            count: Box::new(count),
+            z_cuts: vec![],
+            y_cuts: vec![],
+            rows: vec![],
+            len: 0,
+        };
         let d = bricks.dims();
         let cells = bricks.lattice.dims.map(|n| (n - 1) as f64);
-        let counts = |axis: usize, lo: [u64; 3], hi: [u64; 3]| -> Vec<u64> {
-            (lo[axis]..hi[axis])
-                .map(|i| {
-                    let (mut l, mut h) = (lo, hi);
-                    (l[axis], h[axis]) = (i, i + 1);
-                    count(&bricks.lattice_box(l, h))
-                })
-                .collect()
-        };
-        let by_z = counts(2, [0; 3], d);
-        let total: u64 = by_z.iter().sum();
-        let wanted = total.div_ceil(target).max(1) as f64;
+        let by_z = grid.counts(2, [0; 3], d);
+        let wanted = by_z.iter().sum::<u64>().div_ceil(target).max(1) as f64;
         // Cubic chunks: the edge, in voxels, that cuts the box into `wanted` cubes.
         let edge = (cells[0] * cells[1] * cells[2] / wanted).cbrt();
-        let layers = ((cells[2] / edge).round() as u64).clamp(1, d[2]);
-        let z_cuts = balanced_cuts(&by_z, layers);
-        let (mut y_cuts, mut x_cuts, mut row_start, mut len) = (vec![], vec![], vec![], 0u64);
-        for (layer, z) in z_cuts.windows(2).enumerate() {
-            let by_y = counts(1, [0, 0, z[0]], [d[0], d[1], z[1]]);
-            let in_layer: u64 = by_y.iter().sum();
-            let wanted = in_layer.div_ceil(target).max(1) as f64;
-            let rows = ((wanted * cells[1] / cells[0]).sqrt().round() as u64).clamp(1, d[1]);
-            let cuts = balanced_cuts(&by_y, rows);
-            let mut rows_x = vec![];
+        grid.z_cuts = balanced_cuts(&by_z, ((cells[2] / edge).round() as u64).clamp(1, d[2]));
+        for layer in 0..grid.z_cuts.len() - 1 {
+            let (z0, z1) = (grid.z_cuts[layer], grid.z_cuts[layer + 1]);
+            let by_y = grid.counts(1, [0, 0, z0], [d[0], d[1], z1]);
+            let wanted = by_y.iter().sum::<u64>().div_ceil(target).max(1) as f64;
+            let cuts =
+                balanced_cuts(&by_y, ((wanted * cells[1] / cells[0]).sqrt().round() as u64).clamp(1, d[1]));
             for (row, y) in cuts.windows(2).enumerate() {
-                let by_x = counts(0, [0, y[0], z[0]], [d[0], y[1], z[1]]);
-                let in_row: u64 = by_x.iter().sum();
-                let x = balanced_cuts(&by_x, in_row.div_ceil(target).clamp(1, d[0]));
-                row_start.push((len, layer, row));
-                len += x.len() as u64 - 1;
-                rows_x.push(x);
+                grid.rows.push((grid.len, layer, row));
+                grid.len += grid.chunks_in_row([y[0], z0], [y[1], z1]);
             }
-            y_cuts.push(cuts);
-            x_cuts.push(rows_x);
+            grid.y_cuts.push(cuts);
         }
-        Ok(Self { bricks, z_cuts, y_cuts, x_cuts, row_start, len })
+        Ok(grid)
+    }
+
+    /// Points in each slice of one brick, across `axis`, of a box of bricks.
+    fn counts(&self, axis: usize, lo: [u64; 3], hi: [u64; 3]) -> Vec<u64> {
+        let slice = |i: u64| {
+            let (mut l, mut h) = (lo, hi);
+            (l[axis], h[axis]) = (i, i + 1);
+            (self.count)(&self.bricks.lattice_box(l, h))
+        };
+        (lo[axis]..hi[axis]).map(slice).collect()
+    }
+
+    fn chunks_in_row(&self, yz_lo: [u64; 2], yz_hi: [u64; 2]) -> u64 {
+        let d = self.bricks.dims();
+        let row = self.bricks.lattice_box([0, yz_lo[0], yz_lo[1]], [d[0], yz_hi[0], yz_hi[1]]);
+        (self.count)(&row).div_ceil(self.target).clamp(1, d[0])
     }
 
     /// Number of chunks.
@@ -301,19 +320,21 @@ impl ChunkGrid {
         &self.bricks
     }
 
-    /// A chunk by its number.
+    /// A chunk by its number. Cost: one call of the counter for each brick along x.
     ///
     /// # Panics
     /// When `id` is not below [`ChunkGrid::len`].
     pub fn chunk(&self, id: ChunkId) -> Chunk {
         assert!(id.0 < self.len, "chunk {} of {}", id.0, self.len);
-        let at = self.row_start.partition_point(|r| r.0 <= id.0) - 1;
-        let (first, layer, row) = self.row_start[at];
+        let at = self.rows.partition_point(|r| r.0 <= id.0) - 1;
+        let (first, layer, row) = self.rows[at];
+        let in_row = self.rows.get(at + 1).map_or(self.len, |r| r.0) - first;
+        let (ys, zs) = (&self.y_cuts[layer], &self.z_cuts);
+        let (mut lo, mut hi) = ([0, ys[row], zs[layer]], [self.bricks.dims()[0], ys[row + 1], zs[layer + 1]]);
+        let cuts = balanced_cuts(&self.counts(0, lo, hi), in_row);
         let x = (id.0 - first) as usize;
-        let (xs, ys, zs) = (&self.x_cuts[layer][row], &self.y_cuts[layer], &self.z_cuts);
-        let brick_lo = [xs[x], ys[row], zs[layer]];
-        let brick_hi = [xs[x + 1], ys[row + 1], zs[layer + 1]];
-        Chunk { id, brick_lo, brick_hi, core: self.bricks.lattice_box(brick_lo, brick_hi) }
+        (lo[0], hi[0]) = (cuts[x], cuts[x + 1]);
+        Chunk { id, brick_lo: lo, brick_hi: hi, core: self.bricks.lattice_box(lo, hi) }
     }
 
     /// All chunks in order.
@@ -365,7 +386,7 @@ mod tests {
         for edge in [[4, 4, 4], [16, 8, 5], [200, 200, 200], [1, 90, 7]] {
             let bricks = BrickGrid { lattice, edge };
             for target in [1, 1000, 20_000, 250_000, u64::MAX] {
-                let uniform = |b: &LatticeBox| (b.volume() >> (3 * lattice.log2_steps)) as u64 / 8;
+                let uniform = move |b: &LatticeBox| (b.volume() >> (3 * lattice.log2_steps)) as u64 / 8;
                 tiles(
                     &ChunkGrid::new(bricks, target.max(if edge[0] < 5 { 500 } else { 1 }), uniform).unwrap(),
                 );
@@ -378,7 +399,7 @@ mod tests {
     #[test]
     fn uniform_chunks_are_near_the_target() {
         let lattice = Lattice::new([512, 512, 512]).unwrap();
-        let grid = ChunkGrid::new(BrickGrid { lattice, edge: [16; 3] }, 250_000, |b| {
+        let grid = ChunkGrid::new(BrickGrid { lattice, edge: [16; 3] }, 250_000, move |b| {
             (b.volume() >> (3 * lattice.log2_steps)) as u64 / 8
         })
         .unwrap();

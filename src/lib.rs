@@ -1,5 +1,59 @@
-//! isospan reduces a scalar field that does not fit in memory to a small archive, and extracts watertight
-//! isosurfaces from it in time proportional to the surface.
+//! isospan turns a scalar field that does not fit in memory into a small archive, once, and extracts from it any
+//! isosurface, at any isovalue, in time proportional to the surface: watertight, and the same bytes every time.
+//!
+//! # How does it work?
+//!
+//! The field is sampled at quasi-Monte Carlo points ([`points`]: Hammersley, Halton, hyperbolic cross, and two lattices),
+//! the points are joined by their Delaunay tetrahedralization ([`mesh`]), tetrahedra are packed into blocks ([`archive`]), and the
+//! blocks are indexed by the range of their values in span space ([`index`]). A query reads the blocks that an isovalue
+//! crosses and runs marching tetrahedra on them ([`surface`]).
+//!
+//! All of it streams. A volume is read box by box ([`volume`], [`formats`]); a brick of the domain lists its own points from
+//! the formula of the point set; a chunk of bricks is meshed by itself, with a halo, and keeps the tetrahedra that are certain to be
+//! those of the whole. [`pipeline`] knows the order of these stages, and nothing else does.
+//!
+//! # Example
+//!
+//! ```
+//! use isospan::exec::Silent;
+//! use isospan::formats::{OpenOptions, surface::SurfaceFormat};
+//! use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, extract_surface, reduce};
+//!
+//! # fn main() -> isospan::Result<()> {
+//! # let folder = tempfile::tempdir().unwrap();
+//! # let dir = folder.path();
+//! // 68³ samples of an electron density become 40 000 points …
+//! let settings = ReduceSettings { amount: Amount::Count(40_000), ..ReduceSettings::default() };
+//! let (volume, archive) = ("datasets/ironprot.vtk".as_ref(), dir.join("protein.isospan"));
+//! let made = reduce(volume, &OpenOptions::default(), &settings, &archive, &RunSettings::default(), &Silent)?;
+//! assert!(made.points > 40_000, "the boundary is sampled on top");
+//!
+//! // … and any isosurface comes out of them.
+//! let query = SurfaceSettings { isovalue: 128.0, ..SurfaceSettings::default() };
+//! let found = extract_surface(&archive, &query, &dir.join("protein.ply"), SurfaceFormat::Ply, &Silent)?;
+//! assert!(found.triangles > 10_000);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! # Guarantees
+//!
+//! * The same input and parameters give the same bytes: for any number of threads, and after any interruption. Chunk size changes
+//!   the layout of an archive, never its tetrahedra, and never the triangles of a surface.
+//! * A surface is an oriented manifold, open only at the boundary of the domain and around missing samples.
+//! * The tetrahedra of an archive fill the domain exactly; it is checked, in integers, before the archive is published.
+//! * Bytes from a file never cause a panic or an unchecked allocation; errors name the file, the place, what was expected
+//!   and what was found ([`Error`]).
+//!
+//! # Not promised
+//!
+//! * A mapped input must not be shortened while it is read: the system would stop the process.
+//! * Values are `f32`: `f64` and wide integer samples are rounded to it after interpolation.
+//! * `memory` bounds what the queues hold; it is not yet a bound on the resident size of the process.
+//!
+//! # Features
+//!
+//! `cli` (default): the `isospan` program. The library itself needs no feature.
 
 pub mod archive;
 pub mod bytes;

@@ -11,6 +11,7 @@ pub mod chunked;
 pub mod manifest;
 mod publish;
 pub mod segment;
+pub mod summary;
 mod tuples;
 pub mod values;
 pub(crate) mod wire;

@@ -65,6 +65,7 @@ impl<'a> Cursor<'a> {
     field!(u32, u32);
     field!(u64, u64);
     field!(u128, u128);
+    field!(i128, i128);
     field!(f32, f32);
 
     /// An unsigned LEB128 integer: seven bits a byte, lowest first, the high bit set on all but the last.

@@ -7,11 +7,13 @@
 
 mod budget;
 mod cancel;
+mod limits;
 mod progress;
 mod reorder;
 
 pub use budget::{MemoryBudget, Permit};
 pub use cancel::CancelToken;
+pub use limits::usable_memory;
 pub use progress::{Progress, Silent};
 pub use reorder::Reorder;
 

@@ -98,6 +98,7 @@ pub(super) fn plain_info(
         slope: 1.0,
         intercept: 0.0,
         missing: None,
+        data_files: vec![],
     }
 }
 

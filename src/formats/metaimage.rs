@@ -268,11 +268,12 @@ impl<'a> Header<'a> {
 
     fn samples(
         &self,
-        info: VolumeInfo,
+        mut info: VolumeInfo,
         parts: Vec<Arc<ByteSource>>,
         start: u64,
         encoding: Encoding,
     ) -> Result<VolumeSource> {
+        info.data_files = parts.iter().map(|p| p.path().to_path_buf()).collect();
         let big = self.flag(&["BinaryDataByteOrderMSB", "ElementByteOrderMSB"], false)?;
         let count = parts.len() as u64;
         if encoding == Encoding::Raw {

@@ -72,6 +72,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         slope,
         intercept,
         missing: None,
+        data_files: vec![data.path().to_path_buf()],
     };
     let offset = offset + frame * frame_bytes;
     if gzip {

@@ -303,7 +303,8 @@ impl<'a> Header<'a> {
         Ok(Data { parts: map_files(self.path, "data file", &names)?, start: 0 })
     }
 
-    fn samples(&self, info: VolumeInfo, data: Data, encoding: Encoding) -> Result<VolumeSource> {
+    fn samples(&self, mut info: VolumeInfo, data: Data, encoding: Encoding) -> Result<VolumeSource> {
+        info.data_files = data.parts.iter().map(|p| p.path().to_path_buf()).collect();
         let scalar = info.field.scalar;
         let needed = sample_bytes(self.path, info.dims, scalar)?;
         let parts = data.parts.len() as u64;

@@ -103,7 +103,7 @@ pub fn write_surface(
     // The source numbers vertices with 32 bits, so no format needs more; a store that announces more is damaged.
     if source.vertex_count() > 1 << 32 {
         return Err(Error::usage(format!(
-            "a surface has at most {} vertices, this one {}: cut it into parts with --roi",
+            "a surface has at most {} vertices, this one {}: extract it from an archive of fewer points",
             1u64 << 32,
             source.vertex_count()
         )));

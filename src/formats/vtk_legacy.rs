@@ -66,6 +66,7 @@ fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeS
         slope: 1.0,
         intercept: 0.0,
         missing: None,
+        data_files: vec![],
     };
     let data = readable[chosen].data.clone();
     if !file.binary {

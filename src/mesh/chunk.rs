@@ -2,7 +2,7 @@
 //!
 //! A chunk meshes the points of its **region** (core and halo) and keeps the tetrahedra it **owns**: those whose least vertex (x,
 //! then y, then z) lies in its core. Cores tile the domain, so each tetrahedron has one owner. The halo must be wide enough
-//! that what is kept is what the whole mesh would have there; [`super::certify`] says when that is proven. If it is not,
+//! that what is kept is what the whole mesh would have there; `certify.rs` says when that is proven. If it is not,
 //! the answer is [`ChunkOutcome::WidenHalo`], and the caller gathers a larger region.
 //!
 //! ```text

@@ -1,1 +1,28 @@
-//! Placeholder.
+//! The only place that knows the order of the stages.
+//!
+//! ```text
+//!  plan ──▶ for each chunk: points ▶ mesh ▶ sample ▶ encode ──▶ segments ──▶ commit: index, manifest
+//!  open ──▶ index ▶ active blocks ▶ decode ▶ marching tetrahedra ▶ weld ──▶ surface file
+//! ```
+//!
+//! [`reduce`] makes an archive, [`extract_surface`] and [`count_active`] ask it, [`check_archive`] proves it whole.
+
+mod chunk;
+mod fingerprint;
+mod layout;
+mod open;
+mod plan;
+mod query;
+mod reduce;
+mod scan;
+mod verify;
+mod work;
+
+pub use chunk::NanPolicy;
+pub use fingerprint::fingerprint;
+pub use open::{ArchiveSummary, is_archive, summarize};
+pub use plan::{Amount, Plan, ReduceSettings};
+pub use query::{CountReport, SurfaceReport, SurfaceSettings, count_active, extract_surface};
+pub use reduce::{ReduceReport, RunSettings, brick, reduce};
+pub use scan::{Scan, scan};
+pub use verify::{ArchiveCheck, check_archive};

@@ -169,6 +169,7 @@ impl BrickedVolume {
             slope: header.slope,
             intercept: header.intercept,
             missing: header.missing,
+            data_files: vec![],
         };
         Ok(Self { info, source, layout })
     }

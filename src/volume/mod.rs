@@ -108,6 +108,17 @@ pub struct VolumeInfo {
     pub intercept: f64,
     /// The stored value that the file declares to mean "no data".
     pub missing: Option<f64>,
+    /// The files that hold the samples, where that is not the file that was named.
+    #[serde(default)]
+    pub data_files: Vec<PathBuf>,
+}
+
+impl VolumeInfo {
+    /// All files that make up the volume, the one that was named first.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let others = self.data_files.iter().filter(|f| **f != self.path).cloned();
+        std::iter::once(self.path.clone()).chain(others).collect()
+    }
 }
 
 /// Random access to the samples of one scalar field.

@@ -333,6 +333,7 @@ mod tests {
             slope: 1.0,
             intercept: 0.0,
             missing: None,
+            data_files: vec![],
         }
     }
 

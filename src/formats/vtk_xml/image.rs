@@ -30,6 +30,7 @@ pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Vol
         slope: 1.0,
         intercept: 0.0,
         missing: None,
+        data_files: vec![],
     };
     sample_bytes(&info.path, info.dims, info.field.scalar)?;
     if let [only] = &pieces[..] {

@@ -1,0 +1,161 @@
+//! What the last block of a chunk tells about the chunk, so that the archive can be put together without decoding it.
+//!
+//! In a mesh segment: how many tetrahedra the chunk owns, their volume, how often its halo was widened. In a value segment:
+//! the range of its values, and of every tetrahedron block, from which the index of the step is built. Fixed fields,
+//! little-endian; see `FORMAT.md`.
+
+use super::wire::{Cursor, Malformed};
+use crate::mesh::tet::{Tet, range};
+
+/// The mesh of a chunk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct MeshSummary {
+    /// Points that the chunk owns.
+    pub core: u32,
+    /// Points of other chunks that its tetrahedra use.
+    pub halo: u32,
+    /// Tetrahedron blocks.
+    pub tet_blocks: u32,
+    /// How often the halo was widened.
+    pub retries: u32,
+    /// Tetrahedra that the chunk owns.
+    pub tets: u64,
+    /// Their six-fold volume in lattice steps, exact.
+    pub volume6: i128,
+}
+
+impl MeshSummary {
+    /// As the bytes of a block: 40 of them.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut out = vec![];
+        [self.core, self.halo, self.tet_blocks, self.retries]
+            .iter()
+            .for_each(|v| out.extend(v.to_le_bytes()));
+        out.extend(self.tets.to_le_bytes());
+        out.extend(self.volume6.to_le_bytes());
+        out
+    }
+
+    /// From the bytes of a block.
+    ///
+    /// # Errors
+    /// When the length is another.
+    pub fn decode(bytes: &[u8]) -> Result<Self, Malformed> {
+        let mut c = Cursor::new(bytes);
+        let summary = Self {
+            core: c.u32("core points")?,
+            halo: c.u32("halo points")?,
+            tet_blocks: c.u32("tetrahedron blocks")?,
+            retries: c.u32("retries")?,
+            tets: c.u64("tetrahedra")?,
+            volume6: c.i128("volume")?,
+        };
+        c.end("mesh summary")?;
+        Ok(summary)
+    }
+}
+
+/// The values of one tetrahedron block.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BlockRange {
+    /// Least corner value of the block's tetrahedra that are not void; infinite if all are void.
+    pub min: f32,
+    /// Largest corner value.
+    pub max: f32,
+    /// Tetrahedra that are not void.
+    pub tets: u32,
+}
+
+impl BlockRange {
+    /// The range of tetrahedra, given the values of their vertices.
+    pub fn of(tets: &[Tet], values: &[f32]) -> Self {
+        let mut all = Self { min: f32::INFINITY, max: f32::NEG_INFINITY, tets: 0 };
+        for tet in tets {
+            if let Some((lo, hi)) = range(tet.map(|v| values[v as usize])) {
+                all = Self { min: all.min.min(lo), max: all.max.max(hi), tets: all.tets + 1 };
+            }
+        }
+        all
+    }
+}
+
+/// The values of a chunk.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ValueSummary {
+    /// Void points among those that the chunk owns.
+    pub void: u32,
+    /// Least value of the points it owns; infinite if all are void.
+    pub min: f32,
+    /// Largest value of the points it owns.
+    pub max: f32,
+    /// Each tetrahedron block's.
+    pub ranges: Vec<BlockRange>,
+}
+
+impl ValueSummary {
+    /// Of the values of a chunk's own points and the ranges of its blocks.
+    pub fn of(own: &[f32], ranges: Vec<BlockRange>) -> Self {
+        Self {
+            void: own.iter().filter(|v| v.is_nan()).count() as u32,
+            min: own.iter().copied().fold(f32::INFINITY, f32::min),
+            max: own.iter().copied().fold(f32::NEG_INFINITY, f32::max),
+            ranges,
+        }
+    }
+
+    /// As the bytes of a block: 12, and 12 for each range.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut out = vec![];
+        out.extend(self.void.to_le_bytes());
+        out.extend(self.min.to_le_bytes());
+        out.extend(self.max.to_le_bytes());
+        for r in &self.ranges {
+            out.extend(r.min.to_le_bytes());
+            out.extend(r.max.to_le_bytes());
+            out.extend(r.tets.to_le_bytes());
+        }
+        out
+    }
+
+    /// From the bytes of a block.
+    ///
+    /// # Errors
+    /// When the length is not that of a whole number of ranges.
+    pub fn decode(bytes: &[u8]) -> Result<Self, Malformed> {
+        let mut c = Cursor::new(bytes);
+        let (void, min, max) = (c.u32("void points")?, c.f32("least value")?, c.f32("largest value")?);
+        let mut ranges = Vec::with_capacity(c.rest().len() / 12);
+        while !c.rest().is_empty() {
+            ranges.push(BlockRange { min: c.f32("range")?, max: c.f32("range")?, tets: c.u32("range")? });
+        }
+        Ok(Self { void, min, max, ranges })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn summaries_come_back() {
+        let mesh = MeshSummary { core: 1, halo: 2, tet_blocks: 3, retries: 4, tets: 5, volume6: -7 << 80 };
+        assert_eq!(MeshSummary::decode(&mesh.encode()).unwrap(), mesh);
+        let ranges =
+            vec![BlockRange { min: 1.0, max: 2.0, tets: 3 }, BlockRange { min: -4.0, max: 5.0, tets: 6 }];
+        let values = ValueSummary::of(&[1.5, f32::NAN, -2.0], ranges);
+        assert_eq!((values.void, values.min, values.max), (1, -2.0, 1.5));
+        assert_eq!(ValueSummary::decode(&values.encode()).unwrap(), values);
+        for n in 0..40 {
+            assert!(MeshSummary::decode(&mesh.encode()[..n]).is_err());
+        }
+        assert!(ValueSummary::decode(&values.encode()[..20]).is_err());
+    }
+
+    #[test]
+    fn a_void_corner_takes_its_tetrahedron_out_of_the_range() {
+        let values = [0.0, 1.0, 2.0, 3.0, f32::NAN];
+        let range = BlockRange::of(&[[0, 1, 2, 3], [1, 2, 3, 4]], &values);
+        assert_eq!(range, BlockRange { min: 0.0, max: 3.0, tets: 1 });
+        assert_eq!(BlockRange::of(&[[4, 1, 2, 3]], &values).tets, 0);
+    }
+}

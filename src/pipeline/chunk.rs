@@ -1,0 +1,245 @@
+//! One chunk, from its number to its points, its owned tetrahedra, and the values at its vertices.
+//!
+//! Everything here is a function of the plan and the chunk alone: no chunk sees another, so chunks can be made in any
+//! order, on any machine, twice, and give the same result.
+
+use crate::error::{Error, Result};
+use crate::exec::CancelToken;
+use crate::geom::curve::Order;
+use crate::geom::{LatticeBox, LatticePos, PointId, Site};
+use crate::grid::{BrickGrid, Chunk, IndexBox};
+use crate::mesh::chunk::{ChunkOutcome, ChunkRegion, mesh_chunk};
+use crate::mesh::delaunay::Mesher;
+use crate::mesh::tet::Tet;
+use crate::points::PointSet;
+use crate::sample::{Interpolation, VoxelBlock, sample};
+use crate::volume::VolumeReader;
+use std::fmt;
+
+/// What to do with samples that are NaN, infinite, or declared missing.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum NanPolicy {
+    /// Refuse the volume, naming the first such sample.
+    #[default]
+    Error,
+    /// A point that such a sample contributes to is void, and a tetrahedron with a void corner is never extracted.
+    Mask,
+    /// Use this value in place of such a sample.
+    Value(f32),
+}
+
+impl fmt::Display for NanPolicy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Error => f.write_str("error"),
+            Self::Mask => f.write_str("mask"),
+            Self::Value(v) => write!(f, "{v}"),
+        }
+    }
+}
+
+/// What the chunks of one archive have in common.
+pub(crate) struct Recipe<'a> {
+    pub(crate) points: &'a PointSet,
+    pub(crate) bricks: BrickGrid,
+    pub(crate) order: Order,
+    pub(crate) interpolation: Interpolation,
+    pub(crate) nan: NanPolicy,
+    pub(crate) missing: Option<f64>,
+}
+
+/// The mesh of a chunk: its own points (core), the points of its neighbours that its tetrahedra need (halo), and the
+/// tetrahedra it owns.
+pub(crate) struct MeshedChunk {
+    /// Points in each brick of the chunk, in brick order.
+    pub(crate) core_counts: Vec<u32>,
+    /// Ids of the halo points, ascending; vertex numbers continue those of the core.
+    pub(crate) halo: Vec<PointId>,
+    /// Positions of core points, then of halo points.
+    pub(crate) positions: Vec<LatticePos>,
+    /// Whether another chunk may have tetrahedra at the vertex.
+    pub(crate) shared: Vec<bool>,
+    /// Tetrahedra, as numbers into `positions`.
+    pub(crate) tets: Vec<Tet>,
+    /// How often the halo had to be widened.
+    pub(crate) retries: u32,
+}
+
+impl MeshedChunk {
+    pub(crate) fn core_len(&self) -> usize {
+        self.positions.len() - self.halo.len()
+    }
+}
+
+/// Halo width in mean point spacings: at the start, and the factor of a retry.
+const HALO_SPACINGS: u64 = 3;
+
+/// Enumerates the chunk's points and meshes them, widening the halo until every owned tetrahedron is certified.
+pub(crate) fn mesh(
+    recipe: &Recipe<'_>,
+    chunk: &Chunk,
+    mesher: &mut Mesher,
+    cancel: &CancelToken,
+) -> Result<MeshedChunk> {
+    let domain = recipe.bricks.lattice.domain();
+    let (mut sites, mut one_brick, mut core_counts) = (vec![], vec![], vec![]);
+    for brick in chunk.bricks(&recipe.bricks) {
+        recipe.points.sites_in(&recipe.bricks.brick(brick), &mut one_brick);
+        core_counts.push(u32::try_from(one_brick.len()).expect("a brick has far fewer than 2^32 points"));
+        sites.extend_from_slice(&one_brick);
+    }
+    let core = sites.len();
+    let mut width = recipe.points.mean_spacing().map(|s| u64::from(s) * HALO_SPACINGS);
+    for retries in 0.. {
+        cancel.check()?;
+        let by = width.map(|w| u32::try_from(w).unwrap_or(u32::MAX));
+        let region = ChunkRegion { core: chunk.core, region: chunk.core.grow_within(by, &domain), domain };
+        sites.truncate(core);
+        if core > 0 {
+            push_halo(recipe, chunk, &region.region, &mut sites);
+        }
+        let positions: Vec<LatticePos> = sites.iter().map(|s| s.pos).collect();
+        match mesh_chunk(mesher, &region, &positions, &recipe.order)? {
+            ChunkOutcome::Done(mesh) => {
+                return Ok(renumber(core_counts, &sites, core, mesh.tets, &mesh.shared, retries));
+            }
+            // Twice as wide each time: a region that is the whole domain certifies everything, so this ends.
+            ChunkOutcome::WidenHalo { .. } => width = width.map(|w| w * 2),
+        }
+    }
+    unreachable!("the loop ends by returning")
+}
+
+/// Appends the sites of `region` outside the chunk's core, brick by brick.
+fn push_halo(recipe: &Recipe<'_>, chunk: &Chunk, region: &LatticeBox, sites: &mut Vec<Site>) {
+    let grid = &recipe.bricks;
+    let (first, last) = (grid.brick_at(region.lo), grid.brick_at(region.hi.map(|h| h - 1)));
+    let mut one_brick = vec![];
+    for z in first[2]..=last[2] {
+        for y in first[1]..=last[1] {
+            for x in first[0]..=last[0] {
+                let c = [x, y, z];
+                if (0..3).all(|a| chunk.brick_lo[a] <= c[a] && c[a] < chunk.brick_hi[a]) {
+                    continue;
+                }
+                recipe.points.sites_in(&grid.brick(grid.id(c)).intersect(region), &mut one_brick);
+                sites.extend_from_slice(&one_brick);
+            }
+        }
+    }
+}
+
+/// Keeps only the halo points that tetrahedra use, ordered by id.
+fn renumber(
+    core_counts: Vec<u32>,
+    sites: &[Site],
+    core: usize,
+    mut tets: Vec<Tet>,
+    shared: &[bool],
+    retries: u32,
+) -> MeshedChunk {
+    let mut used = vec![false; sites.len() - core];
+    for &v in tets.iter().flatten() {
+        if v as usize >= core {
+            used[v as usize - core] = true;
+        }
+    }
+    let mut halo: Vec<u32> = (0..used.len()).filter(|&i| used[i]).map(|i| (core + i) as u32).collect();
+    halo.sort_unstable_by_key(|&v| sites[v as usize].id);
+    let mut number = vec![u32::MAX; used.len()];
+    for (i, &v) in halo.iter().enumerate() {
+        number[v as usize - core] = (core + i) as u32;
+    }
+    for v in tets.iter_mut().flatten() {
+        if *v as usize >= core {
+            *v = number[*v as usize - core];
+        }
+    }
+    let mut positions: Vec<LatticePos> = sites[..core].iter().map(|s| s.pos).collect();
+    positions.extend(halo.iter().map(|&v| sites[v as usize].pos));
+    let mut shared = shared[..core].to_vec();
+    shared.resize(positions.len(), true);
+    let halo = halo.iter().map(|&v| sites[v as usize].id).collect();
+    MeshedChunk { core_counts, halo, positions, shared, tets, retries }
+}
+
+/// Values at all vertices of the chunk: each brick's points are sampled from the samples around them, read for that.
+/// NaN marks void points.
+pub(crate) fn values(recipe: &Recipe<'_>, reader: &dyn VolumeReader, mesh: &MeshedChunk) -> Result<Vec<f32>> {
+    let (mut out, mut voxels) = (Vec::with_capacity(mesh.positions.len()), vec![]);
+    let mut start = 0;
+    for &count in &mesh.core_counts {
+        let end = start + count as usize;
+        sample_group(recipe, reader, &mesh.positions[start..end], &mut voxels, &mut out)?;
+        start = end;
+    }
+    // Halo points are few and lie in many bricks: visit them brick by brick, then put the values back in id order.
+    let halo = &mesh.positions[start..];
+    let brick_of = |i: u32| recipe.bricks.id(recipe.bricks.brick_at(halo[i as usize]));
+    let mut by_brick: Vec<u32> = (0..halo.len() as u32).collect();
+    by_brick.sort_by_key(|&i| brick_of(i));
+    out.resize(mesh.positions.len(), 0.0);
+    let (mut group, mut found) = (vec![], vec![]);
+    for run in by_brick.chunk_by(|&a, &b| brick_of(a) == brick_of(b)) {
+        group.clear();
+        group.extend(run.iter().map(|&i| halo[i as usize]));
+        found.clear();
+        sample_group(recipe, reader, &group, &mut voxels, &mut found)?;
+        for (&i, &value) in run.iter().zip(&found) {
+            out[start + i as usize] = value;
+        }
+    }
+    Ok(out)
+}
+
+fn sample_group(
+    recipe: &Recipe<'_>,
+    reader: &dyn VolumeReader,
+    positions: &[LatticePos],
+    voxels: &mut Vec<f32>,
+    out: &mut Vec<f32>,
+) -> Result<()> {
+    if positions.is_empty() {
+        return Ok(());
+    }
+    let needed = recipe.interpolation.voxels_for(&recipe.bricks.lattice, positions);
+    voxels.resize(needed.len(), 0.0);
+    reader.read_box(needed, voxels)?;
+    treat_missing(recipe, voxels);
+    let first = out.len();
+    let block = VoxelBlock { voxels: needed, values: voxels };
+    sample(recipe.interpolation, &recipe.bricks.lattice, &block, positions, out);
+    if recipe.nan == NanPolicy::Error
+        && let Some(bad) = out[first..].iter().position(|v| !v.is_finite())
+    {
+        return Err(nan_error(recipe, reader, positions[bad]));
+    }
+    Ok(())
+}
+
+/// Missing and infinite samples become NaN, or the value that stands for them.
+fn treat_missing(recipe: &Recipe<'_>, voxels: &mut [f32]) {
+    let stand_in = match recipe.nan {
+        NanPolicy::Value(v) => v,
+        NanPolicy::Error | NanPolicy::Mask => f32::NAN,
+    };
+    let missing = recipe.missing.map(|m| m as f32);
+    for v in voxels {
+        if !v.is_finite() || Some(*v) == missing {
+            *v = stand_in;
+        }
+    }
+}
+
+fn nan_error(recipe: &Recipe<'_>, reader: &dyn VolumeReader, at: LatticePos) -> Error {
+    let p = recipe.bricks.lattice.to_index_space(at);
+    let place = format!("sample near ({:.0}, {:.0}, {:.0})", p[0], p[1], p[2]);
+    Error::bad_input(&reader.info().path, place, "a finite value", "NaN, infinity or a missing value")
+        .with_help("choose --nan mask (leave a hole there) or --nan VALUE (use a value instead)")
+}
+
+/// The samples around a chunk's core: what will be read for it, up to a border.
+pub(crate) fn voxels_of(recipe: &Recipe<'_>, chunk: &Chunk) -> IndexBox {
+    let last = chunk.core.hi.map(|h| h - 1);
+    recipe.interpolation.voxels_for(&recipe.bricks.lattice, &[chunk.core.lo, last])
+}

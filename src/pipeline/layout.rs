@@ -1,0 +1,47 @@
+//! Where the files of an archive are.
+
+use crate::archive::manifest;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// Chunks a segment: about 4 M points.
+const SEGMENT_CHUNKS: u64 = 16;
+
+/// The files of one step of an archive in the folder `root`, and the mesh that it shares with the others.
+#[derive(Clone, Debug)]
+pub(crate) struct Layout {
+    root: PathBuf,
+    chunks: u64,
+    step: u64,
+}
+
+impl Layout {
+    pub(crate) fn new(root: &Path, chunks: u64, step: u64) -> Self {
+        Self { root: root.to_path_buf(), chunks, step }
+    }
+
+    pub(crate) fn root(&self) -> &Path {
+        &self.root
+    }
+
+    pub(crate) fn segment_count(&self) -> u64 {
+        self.chunks.div_ceil(SEGMENT_CHUNKS)
+    }
+
+    pub(crate) fn chunks_of(&self, segment: u64) -> Range<u64> {
+        let first = segment * SEGMENT_CHUNKS;
+        first..(first + SEGMENT_CHUNKS).min(self.chunks)
+    }
+
+    pub(crate) fn mesh(&self, segment: u64) -> PathBuf {
+        manifest::mesh_segment_path(&self.root, segment)
+    }
+
+    pub(crate) fn values(&self, segment: u64) -> PathBuf {
+        manifest::values_segment_path(&self.root, self.step, segment)
+    }
+
+    pub(crate) fn index(&self) -> PathBuf {
+        manifest::index_path(&self.root, self.step)
+    }
+}

@@ -1,0 +1,331 @@
+//! An archive opened for reading: manifest, point set, grids; segments are opened when first needed.
+
+use super::layout::Layout;
+use super::plan::{MeshParts, parts};
+use super::reduce::folder_bytes;
+use crate::archive::chunk::{ChunkHeader, ChunkVertices, decode_tets};
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::manifest::{MANIFEST_NAME, Manifest, Step};
+use crate::archive::segment::{FORMAT_VERSION, PlanHash, SegmentKind};
+use crate::archive::values::{BLOCK_VALUES, decode_values};
+use crate::error::{Error, Result};
+use crate::geom::{LatticePos, PointId};
+use crate::grid::{Chunk, ChunkGrid, ChunkId, Geometry};
+use crate::index::SpanIndex;
+use crate::mesh::tet::Tet;
+use crate::points::PointSet;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Whether `path` is an archive: a folder with a manifest.
+pub fn is_archive(path: &Path) -> bool {
+    path.is_dir() && path.join(MANIFEST_NAME).is_file()
+}
+
+/// What an archive holds, from its manifest.
+#[derive(Clone, Debug, Serialize)]
+pub struct ArchiveSummary {
+    /// "archive".
+    pub kind: &'static str,
+    /// Version of the format.
+    pub format: u16,
+    /// Name of the source's file.
+    pub source: String,
+    /// Its format.
+    pub source_format: String,
+    /// Samples along x, y, z.
+    pub dims: [u64; 3],
+    /// Type of its samples.
+    pub scalar: String,
+    /// Name of the field.
+    pub field: String,
+    /// Index space to world.
+    pub geometry: Geometry,
+    /// The point set, with its parameters.
+    pub point_set: serde_json::Value,
+    /// How values were interpolated.
+    pub interpolation: String,
+    /// Points.
+    pub points: u64,
+    /// Points without a value.
+    pub void_points: u64,
+    /// Tetrahedra.
+    pub tetrahedra: u64,
+    /// Chunks.
+    pub chunks: u64,
+    /// Tetrahedron blocks.
+    pub blocks: u64,
+    /// Time steps.
+    pub steps: usize,
+    /// Least and largest value.
+    pub range: Option<[f32; 2]>,
+    /// Bytes of all files.
+    pub bytes: u64,
+}
+
+/// Tells what an archive holds.
+///
+/// # Errors
+/// [`Error::BadInput`] when there is no archive at `path`, or its manifest is damaged.
+pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
+    let archive = OpenArchive::open(path)?;
+    let (plan, counts, step) = (&archive.manifest.plan, &archive.manifest.counts, archive.step());
+    let source = &step.plan.source;
+    Ok(ArchiveSummary {
+        kind: "archive",
+        format: FORMAT_VERSION,
+        source: source.path.clone(),
+        source_format: source.format.clone(),
+        dims: source.dims,
+        scalar: source.scalar.name().into(),
+        field: source.field.clone(),
+        geometry: source.geometry,
+        point_set: serde_json::json!(plan.points),
+        interpolation: step.plan.interpolation.name().into(),
+        points: counts.points,
+        void_points: step.void_points,
+        tetrahedra: counts.tetrahedra,
+        chunks: counts.chunks,
+        blocks: counts.blocks,
+        steps: archive.manifest.steps.len(),
+        range: step.value_range,
+        bytes: folder_bytes(path)?,
+    })
+}
+
+/// The two files that hold a range of chunks.
+pub(super) struct OpenSegment {
+    pub(super) mesh: ChunkSegment,
+    pub(super) values: ChunkSegment,
+}
+
+/// An archive opened for reading.
+pub(super) struct OpenArchive {
+    pub(super) manifest: Manifest,
+    pub(super) points: PointSet,
+    pub(super) chunks: ChunkGrid,
+    pub(super) layout: Layout,
+    segments: Mutex<BTreeMap<u64, Arc<OpenSegment>>>,
+}
+
+impl OpenArchive {
+    pub(super) fn open(root: &Path) -> Result<Self> {
+        if !root.is_dir() {
+            let got = if root.exists() { "a file" } else { "nothing" };
+            return Err(Error::bad_input(root, "archive", "a folder made by isospan reduce", got));
+        }
+        let manifest = Manifest::read(root)?;
+        let bad = |at: &str, expected: String, got: String| {
+            Err(Error::bad_input(root.join(MANIFEST_NAME), at, expected, got))
+        };
+        let MeshParts { points, chunks, .. } = match parts(&manifest.plan) {
+            Ok(parts) => parts,
+            Err(e) => return bad("plan", "a plan that can be carried out".into(), e.to_string()),
+        };
+        if chunks.len() != manifest.counts.chunks {
+            return bad("counts.chunks", chunks.len().to_string(), manifest.counts.chunks.to_string());
+        }
+        let Some(step) = manifest.steps.first() else {
+            return bad("steps", "at least one".into(), "none".into());
+        };
+        let source = &step.plan.source;
+        if !source.geometry.is_valid() || source.dims != manifest.plan.lattice.dims {
+            return bad(
+                "source",
+                "an invertible geometry, and the dimensions of the lattice".into(),
+                format!("{source:?}"),
+            );
+        }
+        let layout = Layout::new(root, chunks.len(), step.plan.number);
+        Ok(Self { manifest, points, chunks, layout, segments: Mutex::default() })
+    }
+
+    pub(super) fn step(&self) -> &Step {
+        &self.manifest.steps[0]
+    }
+
+    fn step_hash(&self) -> PlanHash {
+        self.step().plan.hash(self.manifest.plan_hash)
+    }
+
+    pub(super) fn index(&self) -> Result<SpanIndex> {
+        SpanIndex::open(self.layout.index(), Some(self.step_hash()))
+    }
+
+    pub(super) fn segment(&self, number: u64) -> Result<Arc<OpenSegment>> {
+        let mut open = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(segment) = open.get(&number) {
+            return Ok(Arc::clone(segment));
+        }
+        let mesh =
+            ChunkSegment::open(self.layout.mesh(number), SegmentKind::Mesh, Some(self.manifest.plan_hash))?;
+        let values =
+            ChunkSegment::open(self.layout.values(number), SegmentKind::Values, Some(self.step_hash()))?;
+        let wanted = self.layout.chunks_of(number);
+        for file in [&mesh, &values] {
+            if file.chunks() != wanted {
+                let (path, got) = (file.segment().path(), format!("{:?}", file.chunks()));
+                return Err(Error::bad_input(path, "chunk table", format!("chunks {wanted:?}"), got));
+            }
+        }
+        let segment = Arc::new(OpenSegment { mesh, values });
+        open.insert(number, Arc::clone(&segment));
+        Ok(segment)
+    }
+
+    fn segment_of(&self, chunk: ChunkId) -> Result<Arc<OpenSegment>> {
+        let number = Manifest::segment_of(&self.manifest.mesh, chunk.0);
+        self.segment(number.expect("the segments of a checked manifest cover all chunks") as u64)
+    }
+
+    /// Bytes read so far from all segments.
+    pub(super) fn bytes_read(&self) -> u64 {
+        let open = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
+        open.values().map(|s| s.mesh.segment().bytes_read() + s.values.segment().bytes_read()).sum()
+    }
+}
+
+/// Some blocks of a chunk, decoded: tetrahedra, and position, id and value of the corners they use. Corner arrays are
+/// indexed by chunk-local vertex number; corners that are not used hold anything.
+#[derive(Default)]
+pub(super) struct DecodedChunk {
+    pub(super) positions: Vec<LatticePos>,
+    pub(super) ids: Vec<PointId>,
+    pub(super) values: Vec<f32>,
+    pub(super) shared: Vec<bool>,
+    /// Tetrahedra, block after block.
+    pub(super) tets: Vec<Tet>,
+    /// End of each block in `tets`.
+    pub(super) block_ends: Vec<usize>,
+    /// Corners that the chunk owns; the others are halo.
+    pub(super) core: usize,
+}
+
+impl OpenArchive {
+    /// Decodes `blocks` (numbers within the chunk, ascending) of a chunk, and of its values what they use.
+    pub(super) fn decode(&self, id: ChunkId, blocks: &[u32]) -> Result<DecodedChunk> {
+        let segment = self.segment_of(id)?;
+        let chunk = self.chunks.chunk(id);
+        let mut buffer = vec![];
+        let blocks_there = segment.mesh.block_count(id);
+        if blocks_there < 2 {
+            return Err(damaged(&segment.mesh, id, "block count", &blocks_there));
+        }
+        segment.mesh.block(id, 0, &mut buffer)?;
+        let header = ChunkHeader::decode(&buffer).map_err(|m| segment.mesh.blame(id, 0, m))?.vertices;
+        if header.core_counts.len() != chunk.bricks(self.chunks.bricks()).count() {
+            return Err(damaged(&segment.mesh, id, "header", "it has another number of bricks"));
+        }
+        let mut out = DecodedChunk::default();
+        for &block in blocks {
+            // The first block is the header, the last the summary.
+            let number = u64::from(block) + 1;
+            if number + 1 >= blocks_there {
+                return Err(damaged(
+                    &segment.mesh,
+                    id,
+                    "index",
+                    &format!("block {block} of {}", blocks_there - 2),
+                ));
+            }
+            segment.mesh.block(id, number, &mut buffer)?;
+            decode_tets(&buffer, header.len(), &mut out.tets)
+                .map_err(|m| segment.mesh.blame(id, number, m))?;
+            out.block_ends.push(out.tets.len());
+        }
+        let used = used_corners(&out.tets, header.len() as usize);
+        self.place_corners(&segment, &chunk, &header, &used, &mut out)?;
+        self.read_values(&segment, id, &used, &mut out)?;
+        out.core = header.core_len() as usize;
+        out.shared = header.shared;
+        Ok(out)
+    }
+
+    /// Positions and ids of used corners: the bricks that hold some are enumerated again, the rest is not.
+    fn place_corners(
+        &self,
+        segment: &OpenSegment,
+        chunk: &Chunk,
+        header: &ChunkVertices,
+        used: &[bool],
+        out: &mut DecodedChunk,
+    ) -> Result<()> {
+        out.positions = vec![[0; 3]; used.len()];
+        out.ids = vec![PointId(0); used.len()];
+        let (mut start, mut sites) = (0, vec![]);
+        for (brick, &count) in chunk.bricks(self.chunks.bricks()).zip(&header.core_counts) {
+            let range = start..start + count as usize;
+            start = range.end;
+            if !used[range.clone()].contains(&true) {
+                continue;
+            }
+            self.points.sites_in(&self.chunks.bricks().brick(brick), &mut sites);
+            if sites.len() != range.len() {
+                let what = format!("brick {} has {} points, not the {count} recorded", brick.0, sites.len());
+                return Err(damaged(&segment.mesh, chunk.id, "header", &what));
+            }
+            for (i, site) in range.zip(&sites) {
+                (out.positions[i], out.ids[i]) = (site.pos, site.id);
+            }
+        }
+        for (i, &id) in header.halo.iter().enumerate().filter(|(i, _)| used[start + i]) {
+            let pos = self.points.position(id);
+            let pos = pos
+                .ok_or_else(|| damaged(&segment.mesh, chunk.id, "halo", &format!("no point {:#x}", id.0)))?;
+            (out.positions[start + i], out.ids[start + i]) = (pos, id);
+        }
+        Ok(())
+    }
+
+    /// Values of used corners, from the value blocks that hold some.
+    fn read_values(
+        &self,
+        segment: &OpenSegment,
+        id: ChunkId,
+        used: &[bool],
+        out: &mut DecodedChunk,
+    ) -> Result<()> {
+        let blocks = segment.values.block_count(id);
+        // The last block is the summary.
+        if blocks != used.len().div_ceil(BLOCK_VALUES) as u64 + 1 {
+            return Err(damaged(&segment.values, id, "chunk table", &format!("{blocks} blocks")));
+        }
+        out.values = vec![f32::NAN; used.len()];
+        let (mut buffer, mut values) = (vec![], vec![]);
+        for (block, used) in used.chunks(BLOCK_VALUES).enumerate().filter(|(_, u)| u.contains(&true)) {
+            segment.values.block(id, block as u64, &mut buffer)?;
+            values.clear();
+            decode_values(&buffer, used.len(), &mut values)
+                .map_err(|m| segment.values.blame(id, block as u64, m))?;
+            out.values[block * BLOCK_VALUES..][..used.len()].copy_from_slice(&values);
+        }
+        Ok(())
+    }
+}
+
+/// Which corners some tetrahedron uses.
+pub(super) fn used_corners(tets: &[Tet], local: usize) -> Vec<bool> {
+    let mut used = vec![false; local];
+    for &v in tets.iter().flatten() {
+        used[v as usize] = true;
+    }
+    used
+}
+
+/// A block that verifies but does not mean anything: written by a faulty program.
+fn damaged(
+    segment: &ChunkSegment,
+    chunk: ChunkId,
+    at: &str,
+    what: &(impl std::fmt::Display + ?Sized),
+) -> Error {
+    Error::bad_input(
+        segment.segment().path(),
+        format!("chunk {}, {at}", chunk.0),
+        "a chunk as FORMAT.md says",
+        what.to_string(),
+    )
+    .with_help("reduce the source again")
+}

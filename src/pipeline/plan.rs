@@ -1,0 +1,186 @@
+//! The plan of a reduction: everything that decides the bytes of the archive, and nothing else.
+//!
+//! Threads, memory, folders and restarts are not in it. It has two parts ([`crate::archive::manifest`]): what decides the
+//! mesh, the same for all fields and steps, and what decides the values of a step. Segments carry the hash of what
+//! they depend on, so a segment of another plan is never taken for one of this.
+
+use crate::archive::manifest::{Plan as MeshPlan, Source, StepPlan};
+use crate::archive::segment::PlanHash;
+use crate::error::{Error, Result};
+use crate::geom::Lattice;
+use crate::geom::curve::Order;
+use crate::grid::ChunkGrid;
+use crate::pipeline::chunk::NanPolicy;
+use crate::pipeline::fingerprint::fingerprint;
+use crate::points::{PointSet, PointSpec, SetKind, SetSettings};
+use crate::sample::Interpolation;
+use crate::volume::VolumeInfo;
+
+/// How many points.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Amount {
+    /// This fraction of the samples.
+    Fraction(f64),
+    /// This number.
+    Count(u64),
+}
+
+/// What the user chooses of a reduction.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReduceSettings {
+    /// The point set.
+    pub points: SetKind,
+    /// Its parameters that do not follow from the amount.
+    pub set: SetSettings,
+    /// Number of interior points.
+    pub amount: Amount,
+    /// How values are interpolated between samples.
+    pub interpolation: Interpolation,
+    /// What happens to samples that are no numbers.
+    pub nan: NanPolicy,
+    /// A value that means "no data", besides what the file declares.
+    pub missing: Option<f64>,
+    /// Points meshed together.
+    pub chunk_points: u64,
+}
+
+impl ReduceSettings {
+    /// Default of `chunk_points`.
+    pub const CHUNK_POINTS: u64 = 250_000;
+}
+
+impl Default for ReduceSettings {
+    fn default() -> Self {
+        Self {
+            points: SetKind::Hammersley,
+            set: SetSettings::default(),
+            amount: Amount::Fraction(0.125),
+            interpolation: Interpolation::Linear,
+            nan: NanPolicy::Error,
+            missing: None,
+            chunk_points: Self::CHUNK_POINTS,
+        }
+    }
+}
+
+/// The plan of a reduction: the mesh, and what is sampled on it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// What decides the mesh; the same for all fields and steps.
+    pub mesh: MeshPlan,
+    /// What decides the values.
+    pub step: StepPlan,
+}
+
+/// Points of a brick, about: few enough that a query enumerates little more than it needs, many enough that the
+/// cost of starting an enumeration does not show.
+const BRICK_POINTS: f64 = 1024.0;
+/// A brick's samples (with a border) are held in memory while its points are interpolated.
+const LARGEST_BRICK_EDGE: u64 = 64;
+/// Tetrahedra a block.
+const BLOCK_TETS: u32 = 1024;
+impl Plan {
+    /// Makes the plan of reducing a volume.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for settings that cannot be met; [`Error::Io`] when the source cannot be read.
+    pub fn new(info: &VolumeInfo, settings: &ReduceSettings) -> Result<Self> {
+        let lattice = Lattice::new(info.dims).map_err(|e| {
+            Error::bad_input(&info.path, "dimensions", "2 to 2^24 + 1 samples along each axis", e.to_string())
+        })?;
+        if !info.geometry.is_valid() {
+            return Err(Error::bad_input(
+                &info.path,
+                "spacing, origin and direction",
+                "finite numbers that give each axis a length and a direction of its own",
+                format!("{:?}", info.geometry),
+            ));
+        }
+        let samples = info.dims.iter().map(|&d| d as f64).product::<f64>();
+        let count = match settings.amount {
+            Amount::Count(n) => n,
+            Amount::Fraction(f) => (samples * f).round().max(1.0) as u64,
+        };
+        if settings.chunk_points < 100 {
+            return Err(Error::usage(
+                "a chunk of fewer than 100 points is all halo: give --chunk-points at least 100",
+            ));
+        }
+        let points = PointSpec::with_count(settings.points, &lattice, count, &settings.set)?;
+        let total = PointSet::new(points, lattice)?.len();
+        let edge = (samples / total as f64 * BRICK_POINTS).cbrt().round() as u64;
+        Ok(Self {
+            mesh: MeshPlan {
+                lattice,
+                points,
+                order_bits: Order::for_count(total).bits,
+                brick_edge: [edge.clamp(1, LARGEST_BRICK_EDGE); 3],
+                chunk_target: settings.chunk_points,
+                block_tets: BLOCK_TETS,
+            },
+            step: StepPlan {
+                number: 0,
+                time: None,
+                source: source_of(info, settings)?,
+                interpolation: settings.interpolation,
+                nan: settings.nan.to_string(),
+            },
+        })
+    }
+
+    /// The hash that mesh segments carry.
+    pub fn mesh_hash(&self) -> PlanHash {
+        self.mesh.hash()
+    }
+
+    /// The hash that the step's value and index segments carry.
+    pub fn step_hash(&self) -> PlanHash {
+        self.step.hash(self.mesh_hash())
+    }
+}
+
+/// The source, as far as it decides the bytes: its name without folders, and a fingerprint of its content.
+fn source_of(info: &VolumeInfo, settings: &ReduceSettings) -> Result<Source> {
+    Ok(Source {
+        path: info.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
+        fingerprint: fingerprint(&info.files())?,
+        format: info.format.clone(),
+        dims: info.dims,
+        scalar: info.field.scalar,
+        field: info.field.name.clone(),
+        geometry: info.geometry,
+        slope: info.slope,
+        intercept: info.intercept,
+        missing: settings.missing.or(info.missing).filter(|m| m.is_finite()),
+    })
+}
+
+/// The grids and the point set that a plan of a mesh describes.
+pub(crate) struct MeshParts {
+    pub(crate) points: PointSet,
+    pub(crate) chunks: ChunkGrid,
+    pub(crate) order: Order,
+}
+
+/// Makes the parts of a plan, which may come from a file.
+///
+/// # Errors
+/// [`Error::Usage`] when a parameter is out of range.
+pub(crate) fn parts(plan: &MeshPlan) -> Result<MeshParts> {
+    if Lattice::new(plan.lattice.dims)? != plan.lattice {
+        return Err(Error::usage("the lattice is not that of its dimensions"));
+    }
+    if plan.brick_edge.iter().any(|e| !(1..=LARGEST_BRICK_EDGE).contains(e)) {
+        return Err(Error::usage(format!(
+            "bricks of {:?} voxels; an edge is 1 to {LARGEST_BRICK_EDGE}",
+            plan.brick_edge
+        )));
+    }
+    if !(1..=Order::MOST_BITS).contains(&plan.order_bits) || plan.block_tets == 0 {
+        return Err(Error::usage("order bits or tetrahedra of a block out of range"));
+    }
+    let points = PointSet::new(plan.points, plan.lattice)?;
+    let counter = points.clone();
+    let chunks = ChunkGrid::new(plan.bricks(), plan.chunk_target, move |b| counter.count_in(b))?;
+    Ok(MeshParts { points, chunks, order: Order { bits: plan.order_bits } })
+}

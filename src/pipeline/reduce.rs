@@ -1,0 +1,343 @@
+//! From a volume to an archive: plan, work, commit.
+//!
+//! The archive's folder is filled segment by segment; the manifest comes last. A folder without a manifest is no
+//! archive: it is work that the same command continues. A folder with one is never touched unless asked to.
+
+use super::chunk::Recipe;
+use super::layout::Layout;
+use super::plan::{MeshParts, Plan, ReduceSettings, parts};
+use super::work::{self, StageTimes, Work};
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::manifest::{Counts, MANIFEST_NAME, Manifest, SegmentRecord, Step};
+use crate::archive::segment::SegmentKind;
+use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
+use crate::archive::{Malformed, TEMPORARY_MARK};
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, MemoryBudget, Progress, pool};
+use crate::formats::{self, OpenOptions};
+use crate::geom::Lattice;
+use crate::grid::ChunkId;
+use crate::index::{Entry, IndexBuilder};
+use crate::volume::bricked::BrickedVolume;
+use crate::volume::{VolumeReader, VolumeSource};
+use serde::Serialize;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// What decides how a run uses the machine, and not what it makes.
+#[derive(Clone, Debug)]
+pub struct RunSettings {
+    /// Threads; 0 means as many as the process may use.
+    pub threads: usize,
+    /// Bytes for everything in flight.
+    pub memory: u64,
+    /// Folder for the uncompressed copy of a compressed input; the system's temporary folder if not given.
+    pub scratch: Option<PathBuf>,
+    /// Whether an archive that is already there is replaced.
+    pub replace: bool,
+    /// Stops the run at the next chunk.
+    pub cancel: CancelToken,
+}
+
+impl Default for RunSettings {
+    fn default() -> Self {
+        Self {
+            threads: 0,
+            memory: crate::exec::usable_memory() / 2,
+            scratch: None,
+            replace: false,
+            cancel: CancelToken::new(),
+        }
+    }
+}
+
+/// What a reduction made.
+#[derive(Clone, Debug, Serialize)]
+pub struct ReduceReport {
+    /// Samples of the volume.
+    pub samples: u64,
+    /// Points of the archive.
+    pub points: u64,
+    /// Of these, points without a value.
+    pub void_points: u64,
+    /// Tetrahedra.
+    pub tetrahedra: u64,
+    /// Chunks.
+    pub chunks: u64,
+    /// Tetrahedron blocks.
+    pub blocks: u64,
+    /// How often a chunk's halo had to be widened.
+    pub halo_retries: u64,
+    /// Least and largest value.
+    pub range: Option<[f32; 2]>,
+    /// Bytes of all files of the archive.
+    pub archive_bytes: u64,
+    /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those that run side by side.
+    pub seconds: Vec<(String, f64)>,
+}
+
+/// Copies a volume into bricks at `out`, using about `memory` bytes.
+///
+/// # Errors
+/// Those of reading the volume and of writing the file; nothing is left under the name then.
+pub fn brick(source: VolumeSource, out: &Path, memory: u64, progress: &dyn Progress) -> Result<()> {
+    let dims = source.info().dims;
+    progress.begin("brick", dims.iter().product(), "samples");
+    let mut before = 0;
+    let memory = usize::try_from(memory).unwrap_or(usize::MAX);
+    BrickedVolume::build(source.into_stream(), out, memory, &mut |done| {
+        progress.advance(done - before);
+        before = done;
+    })
+}
+
+/// Reduces the volume `input` to the archive `out`.
+///
+/// # Errors
+/// [`Error::Usage`] when there is an archive already, [`Error::BadInput`] for a volume that cannot be used,
+/// [`Error::Budget`] when the memory does not suffice for one chunk, [`Error::Cancelled`] when stopped: the same call continues.
+pub fn reduce(
+    input: &Path,
+    options: &OpenOptions,
+    settings: &ReduceSettings,
+    out: &Path,
+    run: &RunSettings,
+    progress: &dyn Progress,
+) -> Result<ReduceReport> {
+    let started = Instant::now();
+    refuse_overwriting(out, run)?;
+    let source = formats::open_volume(input, options)?;
+    let plan = Plan::new(source.info(), settings)?;
+    let mesh = parts(&plan.mesh)?;
+    let budget = MemoryBudget::new(run.memory);
+    let least = work::chunk_bytes(&plan, mesh.points.len());
+    if least > run.memory {
+        return Err(Error::Budget { what: "memory".into(), needed: least, available: run.memory });
+    }
+    let mut seconds = vec![];
+    let copying = Instant::now();
+    // The copy is removed when `scratch` is dropped, whatever happens.
+    let (reader, _scratch) = random_access(source, run, progress)?;
+    if _scratch.is_some() {
+        seconds.push(("brick".to_owned(), copying.elapsed().as_secs_f64()));
+    }
+    let layout = Layout::new(out, mesh.chunks.len(), plan.step.number);
+    prepare_folder(&layout, run)?;
+    let recipe = Recipe {
+        points: &mesh.points,
+        bricks: plan.mesh.bricks(),
+        order: mesh.order,
+        interpolation: plan.step.interpolation,
+        nan: settings.nan,
+        missing: settings.missing,
+    };
+    progress.begin("reduce", mesh.points.len(), "points");
+    let times = work::make_segments(&Work {
+        plan: &plan,
+        recipe: &recipe,
+        chunks: &mesh.chunks,
+        layout: &layout,
+        reader: &*reader,
+        pool: &pool(run.threads)?,
+        budget: &budget,
+        cancel: &run.cancel,
+        progress,
+    })?;
+    push_times(&mut seconds, &times);
+    let committing = Instant::now();
+    let (manifest, halo_retries) = commit(&plan, &mesh, &layout)?;
+    seconds.push(("commit".into(), committing.elapsed().as_secs_f64()));
+    seconds.push(("total".into(), started.elapsed().as_secs_f64()));
+    let (counts, step) = (&manifest.counts, &manifest.steps[0]);
+    Ok(ReduceReport {
+        samples: plan.step.source.dims.iter().product(),
+        points: counts.points,
+        void_points: step.void_points,
+        tetrahedra: counts.tetrahedra,
+        chunks: counts.chunks,
+        blocks: counts.blocks,
+        halo_retries,
+        range: step.value_range,
+        archive_bytes: folder_bytes(out)?,
+        seconds,
+    })
+}
+
+fn push_times(seconds: &mut Vec<(String, f64)>, times: &StageTimes) {
+    let rows =
+        [("mesh", times.mesh), ("sample", times.sample), ("encode", times.encode), ("write", times.write)];
+    seconds.extend(rows.map(|(name, time)| (name.to_owned(), time.as_secs_f64())));
+}
+
+/// Folders and files that are not ours are never touched; an archive only when asked to.
+fn refuse_overwriting(out: &Path, run: &RunSettings) -> Result<()> {
+    let shown = out.display();
+    if out.extension().is_none_or(|e| e != "isospan") {
+        return Err(Error::usage(format!("{shown}: an archive's name ends in .isospan")));
+    }
+    match fs::metadata(out) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(()),
+        Err(e) => Err(Error::io("look at", out, e)),
+        Ok(m) if !m.is_dir() => {
+            Err(Error::usage(format!("{shown} exists and is not an archive; choose another name")))
+        }
+        Ok(_) if out.join(MANIFEST_NAME).exists() && !run.replace => {
+            Err(Error::usage(format!("{shown} exists; choose another name, or --force to replace it")))
+        }
+        Ok(_) if !is_ours(out)? => {
+            Err(Error::usage(format!("{shown} exists and holds other files; choose another name")))
+        }
+        Ok(_) => Ok(()),
+    }
+}
+
+fn is_ours(out: &Path) -> Result<bool> {
+    let ours = ["mesh", "steps", MANIFEST_NAME];
+    for entry in fs::read_dir(out).map_err(|e| Error::io("list", out, e))? {
+        let name = entry.map_err(|e| Error::io("list", out, e))?.file_name();
+        let name = name.to_string_lossy();
+        if !ours.contains(&&*name) && !name.contains(TEMPORARY_MARK) {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// Without its manifest the old archive is no archive any more; then segments of this plan are kept and others replaced.
+fn prepare_folder(layout: &Layout, run: &RunSettings) -> Result<()> {
+    let old = layout.root().join(MANIFEST_NAME);
+    if old.exists() && run.replace {
+        fs::remove_file(&old).map_err(|e| Error::io("remove", &old, e))?;
+        for folder in ["mesh", "steps"].map(|f| layout.root().join(f)).iter().filter(|f| f.exists()) {
+            fs::remove_dir_all(folder).map_err(|e| Error::io("remove", folder, e))?;
+        }
+    }
+    for file in [layout.mesh(0), layout.index()] {
+        let folder = file.parent().expect("a segment lies in a folder of the archive");
+        fs::create_dir_all(folder).map_err(|e| Error::io("create the folder", folder, e))?;
+    }
+    Ok(())
+}
+
+/// A stream is copied into bricks first; the temporary file lives as long as the second value.
+fn random_access(
+    source: VolumeSource,
+    run: &RunSettings,
+    progress: &dyn Progress,
+) -> Result<(Box<dyn VolumeReader>, Option<tempfile::TempDir>)> {
+    if let VolumeSource::Random(reader) = source {
+        return Ok((reader, None));
+    }
+    let folder = run.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let scratch = tempfile::Builder::new()
+        .prefix("isospan-scratch-")
+        .tempdir_in(&folder)
+        .map_err(|e| Error::io("create a scratch folder in", &folder, e))?;
+    let file = scratch.path().join("volume.bricks");
+    brick(source, &file, run.memory / 2, progress)?;
+    Ok((Box::new(BrickedVolume::open(&file)?), Some(scratch)))
+}
+
+/// Reads the summaries of all chunks, builds the index, publishes the manifest. Also tells how often halos were widened.
+fn commit(plan: &Plan, parts: &MeshParts, layout: &Layout) -> Result<(Manifest, u64)> {
+    let mut counts = Counts { chunks: parts.chunks.len(), ..Counts::default() };
+    let (mut mesh_segments, mut value_segments) = (vec![], vec![]);
+    let (mut void_points, mut halo_retries, mut volume6) = (0, 0, 0i128);
+    let mut range = [f32::INFINITY, f32::NEG_INFINITY];
+    let mut index = IndexBuilder::new();
+    for number in 0..layout.segment_count() {
+        let mesh = ChunkSegment::open(layout.mesh(number), SegmentKind::Mesh, Some(plan.mesh_hash()))?;
+        let values = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(plan.step_hash()))?;
+        for chunk in layout.chunks_of(number) {
+            let (mesh, values) =
+                (mesh_summary(&mesh, ChunkId(chunk))?, value_summary(&values, ChunkId(chunk))?);
+            counts.points += u64::from(mesh.core);
+            counts.tetrahedra += mesh.tets;
+            counts.blocks += u64::from(mesh.tet_blocks);
+            halo_retries += u64::from(mesh.retries);
+            volume6 += mesh.volume6;
+            void_points += u64::from(values.void);
+            range = [range[0].min(values.min), range[1].max(values.max)];
+            index_entries(chunk, &values.ranges).for_each(|e| index.push(e));
+        }
+        for (records, file) in [(&mut mesh_segments, &mesh), (&mut value_segments, &values)] {
+            let chunks = file.chunks();
+            let (first_chunk, chunks) = (chunks.start, chunks.end - chunks.start);
+            records.push(SegmentRecord { first_chunk, chunks, info: file.segment().info() });
+        }
+    }
+    check_volume(plan, volume6, layout.root())?;
+    let step = Step {
+        plan: plan.step.clone(),
+        value_range: (range[0] <= range[1]).then_some(range),
+        void_points,
+        values: value_segments,
+        index: index.finish(layout.index(), plan.step_hash())?,
+    };
+    let manifest = Manifest::new(plan.mesh.clone(), counts, mesh_segments, vec![step]);
+    manifest.write(layout.root())?;
+    Ok((manifest, halo_retries))
+}
+
+/// The entries of the index that a chunk's blocks have: one each, none for blocks of void tetrahedra alone.
+pub(super) fn index_entries(chunk: u64, ranges: &[BlockRange]) -> impl Iterator<Item = Entry> {
+    let entry = move |(block, r): (usize, &BlockRange)| {
+        (r.tets > 0).then_some(Entry { min: r.min, max: r.max, chunk, block: block as u32, tets: r.tets })
+    };
+    ranges.iter().enumerate().filter_map(entry)
+}
+
+/// The last block of a chunk in a mesh segment.
+pub(super) fn mesh_summary(segment: &ChunkSegment, chunk: ChunkId) -> Result<MeshSummary> {
+    last_block(segment, chunk, MeshSummary::decode)
+}
+
+/// The last block of a chunk in a value segment.
+pub(super) fn value_summary(segment: &ChunkSegment, chunk: ChunkId) -> Result<ValueSummary> {
+    last_block(segment, chunk, ValueSummary::decode)
+}
+
+fn last_block<T>(
+    segment: &ChunkSegment,
+    chunk: ChunkId,
+    decode: fn(&[u8]) -> std::result::Result<T, Malformed>,
+) -> Result<T> {
+    let last = segment.block_count(chunk).checked_sub(1).ok_or_else(|| {
+        Error::bad_input(
+            segment.segment().path(),
+            format!("chunk {}", chunk.0),
+            "a summary block",
+            "no blocks",
+        )
+    })?;
+    let mut bytes = vec![];
+    segment.block(chunk, last, &mut bytes)?;
+    decode(&bytes).map_err(|m| segment.blame(chunk, last, m))
+}
+
+/// The owned tetrahedra of all chunks tile the box: their volumes add up to its volume, exactly.
+fn check_volume(plan: &Plan, volume6: i128, out: &Path) -> Result<()> {
+    let whole = domain_volume6(&plan.mesh.lattice);
+    if volume6 == whole {
+        return Ok(());
+    }
+    let text = format!("internal error: the tetrahedra fill {volume6} of the domain's {whole} sixths");
+    Err(Error::io("commit", out, std::io::Error::other(text)))
+}
+
+/// Six times the volume of the domain, in lattice steps.
+pub(super) fn domain_volume6(lattice: &Lattice) -> i128 {
+    6 * lattice.max().iter().map(|&m| i128::from(m)).product::<i128>()
+}
+
+/// Bytes of all files below a folder.
+pub(super) fn folder_bytes(folder: &Path) -> Result<u64> {
+    let mut bytes = 0;
+    for entry in fs::read_dir(folder).map_err(|e| Error::io("list", folder, e))? {
+        let entry = entry.map_err(|e| Error::io("list", folder, e))?;
+        let meta = entry.metadata().map_err(|e| Error::io("look at", entry.path(), e))?;
+        bytes += if meta.is_dir() { folder_bytes(&entry.path())? } else { meta.len() };
+    }
+    Ok(bytes)
+}

@@ -1,0 +1,166 @@
+//! One pass over a volume: range, mean, missing samples, histogram. Memory: one slab.
+
+use crate::error::Result;
+use crate::grid::IndexBox;
+use crate::volume::strided::convert_row;
+use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
+use serde::Serialize;
+
+/// What one pass over the samples tells. Values have slope and intercept applied.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Scan {
+    /// Least finite value; `None` if there is no finite sample.
+    pub min: Option<f32>,
+    /// Largest finite value.
+    pub max: Option<f32>,
+    /// Mean of the finite values.
+    pub mean: Option<f64>,
+    /// Samples that are NaN, or declared missing by the file.
+    pub nan: u64,
+    /// Samples that are infinite.
+    pub infinite: u64,
+    /// Finite samples in each of [`Scan::BINS`] equal parts of `min..=max`.
+    pub histogram: Vec<u64>,
+}
+
+impl Scan {
+    /// Number of histogram bins.
+    pub const BINS: usize = 64;
+}
+
+/// Counts values by the 16 leading bits of an order-preserving key of the `f32`: one pass without knowing the range
+/// first. A bin of the final histogram is therefore exact to 1/128 of a value.
+struct Counter {
+    by_key: Vec<u64>,
+    min: f32,
+    max: f32,
+    sum: f64,
+    finite: u64,
+    nan: u64,
+    infinite: u64,
+}
+
+impl Counter {
+    fn new() -> Self {
+        Self {
+            by_key: vec![0; 1 << 16],
+            min: f32::MAX,
+            max: f32::MIN,
+            sum: 0.0,
+            finite: 0,
+            nan: 0,
+            infinite: 0,
+        }
+    }
+
+    fn add(&mut self, values: &[f32]) {
+        for &v in values {
+            if v.is_finite() {
+                self.by_key[(ordered_key(v) >> 16) as usize] += 1;
+                self.min = self.min.min(v);
+                self.max = self.max.max(v);
+                self.sum += f64::from(v);
+                self.finite += 1;
+            } else if v.is_nan() {
+                self.nan += 1;
+            } else {
+                self.infinite += 1;
+            }
+        }
+    }
+
+    fn finish(self) -> Scan {
+        let known = self.finite > 0;
+        let mut histogram = vec![0; Scan::BINS];
+        let width = f64::from(self.max) - f64::from(self.min);
+        for (key, &count) in self.by_key.iter().enumerate().filter(|(_, c)| **c > 0) {
+            let value = f64::from(value_of_key((key as u32) << 16 | 0x8000)) - f64::from(self.min);
+            let bin = if width > 0.0 { (value / width * Scan::BINS as f64) as usize } else { 0 };
+            histogram[bin.min(Scan::BINS - 1)] += count;
+        }
+        Scan {
+            min: known.then_some(self.min),
+            max: known.then_some(self.max),
+            mean: known.then(|| self.sum / self.finite as f64),
+            nan: self.nan,
+            infinite: self.infinite,
+            histogram,
+        }
+    }
+}
+
+/// An unsigned key in the order of the floats.
+fn ordered_key(v: f32) -> u32 {
+    let bits = v.to_bits();
+    if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
+}
+
+fn value_of_key(key: u32) -> f32 {
+    f32::from_bits(if key >> 31 == 1 { key & !(1 << 31) } else { !key })
+}
+
+/// Reads a volume once.
+///
+/// # Errors
+/// Those of reading it.
+pub fn scan(source: VolumeSource) -> Result<(VolumeInfo, Scan)> {
+    let mut counter = Counter::new();
+    let info = source.info().clone();
+    match source {
+        VolumeSource::Random(reader) => scan_random(&*reader, &mut counter)?,
+        VolumeSource::Stream(mut stream) => scan_stream(&mut *stream, &mut counter)?,
+    }
+    Ok((info, counter.finish()))
+}
+
+fn scan_random(reader: &dyn VolumeReader, counter: &mut Counter) -> Result<()> {
+    let dims = reader.info().dims;
+    let rows = ((1u64 << 20) / dims[0].max(1)).clamp(1, dims[1].max(1));
+    let mut values = vec![];
+    for z in 0..dims[2] {
+        for y in (0..dims[1]).step_by(rows as usize) {
+            let slab = IndexBox { lo: [0, y, z], hi: [dims[0], (y + rows).min(dims[1]), z + 1] };
+            values.resize(slab.len(), 0.0);
+            reader.read_box(slab, &mut values)?;
+            counter.add(&values);
+        }
+    }
+    Ok(())
+}
+
+fn scan_stream(stream: &mut dyn SlabStream, counter: &mut Counter) -> Result<()> {
+    let info = stream.info().clone();
+    let (mut bytes, mut values) = (vec![], vec![]);
+    while let Some(slab) = stream.next_slab(&mut bytes)? {
+        values.resize(slab.len(), 0.0);
+        convert_row(&bytes, info.field.scalar, false, info.slope, info.intercept, info.missing, &mut values);
+        counter.add(&values);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_keep_the_order_and_come_back() {
+        let values = [f32::MIN, -3.5, -0.0, 0.0, 1e-30, 2.0, 1e30];
+        for w in values.windows(2) {
+            assert!(ordered_key(w[0]) < ordered_key(w[1]));
+        }
+        for v in values {
+            assert_eq!(value_of_key(ordered_key(v)).to_bits(), v.to_bits());
+        }
+    }
+
+    #[test]
+    fn counts_and_ranges() {
+        let mut c = Counter::new();
+        c.add(&[0.0, 64.0, 32.0, f32::NAN, f32::INFINITY, 32.0]);
+        let s = c.finish();
+        assert_eq!((s.min, s.max, s.mean, s.nan, s.infinite), (Some(0.0), Some(64.0), Some(32.0), 1, 1));
+        assert_eq!((s.histogram[0], s.histogram[32], s.histogram[63]), (1, 2, 1));
+        assert_eq!(Counter::new().finish().min, None);
+    }
+}

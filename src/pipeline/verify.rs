@@ -1,0 +1,152 @@
+//! `check` of an archive: every checksum, and every invariant that ties its parts together.
+//!
+//! * every block of every segment has its checksum, every table its size;
+//! * each brick has the number of points that the point set gives it, each halo id is a point outside the chunk;
+//! * each tetrahedron is positively oriented, belongs to the chunk that holds it, and all together fill the box exactly;
+//! * the ranges of the blocks, and the entries of the index, are those of the values.
+
+use super::open::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
+use super::reduce::{domain_volume6, index_entries, mesh_summary, value_summary};
+use crate::archive::summary::{BlockRange, MeshSummary};
+use crate::error::{Error, Result};
+use crate::geom::predicates::signed_volume6;
+use crate::grid::{Chunk, ChunkId};
+use crate::index::Entry;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::path::Path;
+
+/// What was verified.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct ArchiveCheck {
+    /// Segments, index included.
+    pub segments: u64,
+    /// Blocks whose checksum was verified.
+    pub blocks: u64,
+    /// Bytes of the segments.
+    pub bytes: u64,
+    /// Points.
+    pub points: u64,
+    /// Tetrahedra.
+    pub tetrahedra: u64,
+    /// Entries of the index.
+    pub index_entries: u64,
+}
+
+/// Verifies a whole archive. Cost: reading and decoding all of it.
+///
+/// # Errors
+/// [`Error::BadInput`] that names the first thing that is wrong.
+pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
+    let archive = OpenArchive::open(path)?;
+    let mut check = ArchiveCheck::default();
+    let mut entries = vec![];
+    let mut volume6 = 0i128;
+    for number in 0..archive.layout.segment_count() {
+        let segment = archive.segment(number)?;
+        for file in [segment.mesh.segment(), segment.values.segment()] {
+            file.verify()?;
+            check.segments += 1;
+            check.blocks += file.block_count();
+            check.bytes += file.info().bytes;
+        }
+        let chunks: Vec<u64> = archive.layout.chunks_of(number).collect();
+        let checked: Vec<(MeshSummary, Vec<Entry>)> =
+            chunks.par_iter().map(|&c| check_chunk(&archive, &segment, ChunkId(c))).collect::<Result<_>>()?;
+        for (summary, ranges) in checked {
+            volume6 += summary.volume6;
+            check.points += u64::from(summary.core);
+            check.tetrahedra += summary.tets;
+            entries.extend(ranges);
+        }
+    }
+    let whole = domain_volume6(&archive.manifest.plan.lattice);
+    if volume6 != whole {
+        return Err(Error::bad_input(
+            path,
+            "tetrahedra",
+            format!("a volume of {whole}/6 lattice cells"),
+            volume6.to_string(),
+        ));
+    }
+    let totals = &archive.manifest.counts;
+    let found = [check.points, check.tetrahedra];
+    if found != [totals.points, totals.tetrahedra] {
+        let expected = format!("{} points, {} tetrahedra", totals.points, totals.tetrahedra);
+        return Err(Error::bad_input(path, "totals", expected, format!("{} and {}", found[0], found[1])));
+    }
+    check_index(&archive, entries, &mut check)?;
+    Ok(check)
+}
+
+/// Checks a chunk against its summaries; returns them, the ranges as the entries that the index must have.
+fn check_chunk(
+    archive: &OpenArchive,
+    segment: &OpenSegment,
+    id: ChunkId,
+) -> Result<(MeshSummary, Vec<Entry>)> {
+    let (summary, values) = (mesh_summary(&segment.mesh, id)?, value_summary(&segment.values, id)?);
+    let blocks: Vec<u32> = (0..summary.tet_blocks).collect();
+    let decoded = archive.decode(id, &blocks)?;
+    let file = segment.mesh.segment().path();
+    let wrong = |at: &str, expected: String, got: String| {
+        Err(Error::bad_input(file, format!("chunk {}, {at}", id.0), expected, got))
+    };
+    let (mut ranges, mut start) = (vec![], 0);
+    for &end in &decoded.block_ends {
+        ranges.push(BlockRange::of(&decoded.tets[start..end], &decoded.values));
+        start = end;
+    }
+    if ranges != values.ranges {
+        return wrong("ranges", "those of the values".into(), "others".into());
+    }
+    let found = MeshSummary {
+        core: decoded.core as u32,
+        halo: (decoded.positions.len() - decoded.core) as u32,
+        tets: decoded.tets.len() as u64,
+        volume6: check_tets(&decoded, &archive.chunks.chunk(id), file)?,
+        ..summary
+    };
+    if found != summary {
+        return wrong("summary", format!("{found:?}"), format!("{summary:?}"));
+    }
+    let used = used_corners(&decoded.tets, decoded.positions.len());
+    let core = &archive.chunks.chunk(id).core;
+    if let Some(v) = (decoded.core..used.len()).find(|&v| !used[v] || core.contains(decoded.positions[v])) {
+        let at = format!("{:?}", decoded.positions[v]);
+        return wrong("halo", "points of other chunks that tetrahedra use".into(), at);
+    }
+    Ok((summary, index_entries(id.0, &ranges).collect()))
+}
+
+/// Every tetrahedron is positively oriented and the chunk's own; returns their volume.
+fn check_tets(decoded: &DecodedChunk, chunk: &Chunk, file: &Path) -> Result<i128> {
+    let mut volume6 = 0;
+    for tet in &decoded.tets {
+        let corners = tet.map(|v| decoded.positions[v as usize]);
+        let [a, b, c, d] = corners;
+        let volume = signed_volume6(a, b, c, d);
+        if volume <= 0 || !chunk.core.contains(a.min(b).min(c).min(d)) {
+            let at = format!("chunk {}, a tetrahedron", chunk.id.0);
+            return Err(Error::bad_input(file, at, "positive, and the chunk's own", format!("{corners:?}")));
+        }
+        volume6 += volume;
+    }
+    Ok(volume6)
+}
+
+fn check_index(archive: &OpenArchive, mut expected: Vec<Entry>, check: &mut ArchiveCheck) -> Result<()> {
+    let index = archive.index()?;
+    index.verify()?;
+    let mut found = index.entries()?;
+    expected.sort_by_key(|e| (e.chunk, e.block));
+    found.sort_by_key(|e| (e.chunk, e.block));
+    if let Some(i) = (0..expected.len().max(found.len())).find(|&i| expected.get(i) != found.get(i)) {
+        let text = |e: Option<&Entry>| e.map_or("nothing".to_owned(), |e| format!("{e:?}"));
+        let path = archive.layout.index();
+        return Err(Error::bad_input(path, format!("entry {i}"), text(expected.get(i)), text(found.get(i))));
+    }
+    check.segments += 1;
+    check.index_entries = found.len() as u64;
+    Ok(())
+}
