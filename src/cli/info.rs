@@ -1,0 +1,167 @@
+//! `isospan info`: what is in a volume or an archive.
+
+use super::input::InputArgs;
+use super::text;
+use isospan::pipeline::{self, ArchiveSummary, Scan};
+use isospan::volume::VolumeInfo;
+use isospan::{Result, formats};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Tell what volumes and archives hold: dimensions, type, fields, geometry, range, histogram.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// Volumes or archives.
+    #[arg(required = true)]
+    inputs: Vec<PathBuf>,
+    /// Read the header only: no range, no histogram.
+    #[arg(long)]
+    no_scan: bool,
+    /// Print one JSON object a line.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    read: InputArgs,
+}
+
+pub(crate) fn run(args: &Args) -> Result<()> {
+    args.inputs.iter().try_for_each(|path| one(path, args))
+}
+
+fn one(path: &Path, args: &Args) -> Result<()> {
+    if pipeline::is_archive(path) {
+        let summary = pipeline::summarize(path)?;
+        return if args.json {
+            super::print_json(&summary)
+        } else {
+            super::print(&archive_text(path, &summary))
+        };
+    }
+    let source = formats::open_volume(path, &args.read.options()?)?;
+    let (info, scan) = if args.no_scan {
+        (source.info().clone(), None)
+    } else {
+        let (info, scan) = pipeline::scan(source)?;
+        (info, Some(scan))
+    };
+    if args.json {
+        let mut value = serde_json::json!({ "kind": "volume", "info": info, "scan": scan });
+        if let Some([lo, hi]) = scan.as_ref().and_then(|s| stored_range(&info, s)) {
+            value["stored_range"] = serde_json::json!([lo, hi]);
+        }
+        return super::print_json(&value);
+    }
+    super::print(&volume_text(&info, scan.as_ref()))
+}
+
+fn volume_text(info: &VolumeInfo, scan: Option<&Scan>) -> String {
+    let ([x, y, z], g) = (info.dims, &info.geometry);
+    let mut out = String::new();
+    let _ = writeln!(out, "{}: {}", info.path.display(), info.format);
+    let _ = writeln!(out, "  dims       {x} x {y} x {z}  ({} samples)", text::count(x * y * z));
+    let _ = writeln!(out, "  type       {}", info.field.scalar.name());
+    let _ = writeln!(out, "  field      {}", info.field.name);
+    if info.fields.len() > 1 {
+        let names: Vec<String> = info.fields.iter().map(field_text).collect();
+        let _ = writeln!(out, "  fields     {}", names.join(", "));
+    }
+    let _ = writeln!(out, "  spacing    {}", triple(g.spacing));
+    let _ = writeln!(out, "  origin     {}", triple(g.origin));
+    if g.direction != isospan::grid::Geometry::default().direction {
+        let _ = writeln!(out, "  direction  {}", g.direction.map(triple).join("  |  "));
+    }
+    if (info.slope, info.intercept) != (1.0, 0.0) {
+        let _ = writeln!(out, "  scaled     value = {} * stored + {}", info.slope, info.intercept);
+    }
+    if let Some(scan) = scan {
+        scan_text(&mut out, info, scan);
+    }
+    out
+}
+
+fn scan_text(out: &mut String, info: &VolumeInfo, scan: &Scan) {
+    match (scan.min, scan.max, scan.mean) {
+        (Some(lo), Some(hi), Some(mean)) => {
+            let _ = writeln!(out, "  range      {lo} .. {hi}  (mean {mean:.6})");
+        }
+        _ => {
+            let _ = writeln!(out, "  range      none: there is no finite sample");
+        }
+    }
+    if let Some([lo, hi]) = stored_range(info, scan) {
+        let _ = writeln!(out, "  stored     {lo} .. {hi}");
+    }
+    if scan.nan > 0 || scan.infinite > 0 {
+        let _ = writeln!(
+            out,
+            "  missing    {} NaN, {} infinite",
+            text::count(scan.nan),
+            text::count(scan.infinite)
+        );
+    }
+    let _ = writeln!(out, "  histogram  {}", sparkline(&scan.histogram));
+}
+
+/// The range of the stored numbers, where values are scaled from them.
+fn stored_range(info: &VolumeInfo, scan: &Scan) -> Option<[f64; 2]> {
+    let back = |v: f32| {
+        let stored = (f64::from(v) - info.intercept) / info.slope;
+        // Values were rounded to f32: integers come back to the nearest one.
+        let float = matches!(info.field.scalar.name(), "f32" | "f64");
+        if float { stored } else { stored.round() }
+    };
+    if (info.slope, info.intercept) == (1.0, 0.0) {
+        return None;
+    }
+    let (a, b) = (back(scan.min?), back(scan.max?));
+    Some([a.min(b), a.max(b)])
+}
+
+fn field_text(f: &isospan::volume::FieldInfo) -> String {
+    if f.components == 1 {
+        format!("{} ({})", f.name, f.scalar.name())
+    } else {
+        format!("{} ({} x{})", f.name, f.scalar.name(), f.components)
+    }
+}
+
+fn triple(v: [f64; 3]) -> String {
+    format!("{} {} {}", v[0], v[1], v[2])
+}
+
+/// Heights on a root scale, so that small bins show beside a large background.
+fn sparkline(bins: &[u64]) -> String {
+    const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
+    let most = bins.iter().copied().max().unwrap_or(0).max(1) as f64;
+    bins.iter()
+        .map(|&n| {
+            if n == 0 { ' ' } else { BARS[(((n as f64 / most).sqrt().sqrt() * 7.0).round() as usize).min(7)] }
+        })
+        .collect()
+}
+
+fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
+    let [x, y, z] = s.dims;
+    let mut out = String::new();
+    let _ = writeln!(out, "{}: isospan archive, format {}", path.display(), s.format);
+    let _ = writeln!(out, "  source      {} ({}, {x} x {y} x {z} {})", s.source, s.source_format, s.scalar);
+    let _ = writeln!(out, "  points      {} ({})", text::count(s.points), s.point_set);
+    let _ = writeln!(
+        out,
+        "  tetrahedra  {} in {} blocks, {} chunks",
+        text::count(s.tetrahedra),
+        text::count(s.blocks),
+        text::count(s.chunks)
+    );
+    let _ = writeln!(out, "  interp      {}", s.interpolation);
+    if let Some([lo, hi]) = s.range {
+        let _ = writeln!(out, "  range       {lo} .. {hi}");
+    }
+    if s.void_points > 0 {
+        let _ = writeln!(out, "  void        {} points", text::count(s.void_points));
+    }
+    let _ = writeln!(out, "  steps       {}", s.steps);
+    let each = s.bytes as f64 / s.points.max(1) as f64;
+    let _ = writeln!(out, "  size        {} ({each:.2} bytes a point)", text::bytes(s.bytes));
+    out
+}

@@ -1,0 +1,95 @@
+//! The command line: one file a subcommand, each `Args` and `run`. Results go to standard output, progress and errors
+//! to standard error; an error is one line; exit codes are those of [`isospan::Error::exit_code`].
+
+mod brick;
+mod check;
+mod count;
+mod info;
+mod input;
+mod misc;
+mod progress;
+mod reduce;
+mod surface;
+mod text;
+
+use clap::{Parser, Subcommand};
+use isospan::Result;
+use std::io::Write;
+use std::process::ExitCode;
+
+/// Reduce scalar volumes larger than memory to small archives; extract watertight isosurfaces from them.
+#[derive(Parser, Debug)]
+#[command(name = "isospan", version, arg_required_else_help = true, max_term_width = 110)]
+pub(crate) struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// Say nothing but results and errors.
+    #[arg(short, long, global = true)]
+    quiet: bool,
+}
+
+#[derive(Subcommand, Debug)]
+enum Command {
+    Info(info::Args),
+    Reduce(Box<reduce::Args>),
+    Surface(surface::Args),
+    Count(count::Args),
+    Brick(brick::Args),
+    Check(check::Args),
+    Completions(misc::CompletionsArgs),
+    Man(misc::ManArgs),
+}
+
+/// Runs the program on the process's arguments.
+pub(crate) fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Help and version are results; everything else is a usage error on standard error.
+            let code = u8::from(error.use_stderr()) * 2;
+            let _ = error.print();
+            return ExitCode::from(code);
+        }
+    };
+    match run(&cli) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            let _ = writeln!(std::io::stderr(), "isospan: error: {error}");
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+fn run(cli: &Cli) -> Result<()> {
+    match &cli.command {
+        Command::Info(args) => info::run(args),
+        Command::Reduce(args) => reduce::run(args, cli.quiet),
+        Command::Surface(args) => surface::run(args, cli.quiet),
+        Command::Count(args) => count::run(args),
+        Command::Brick(args) => brick::run(args, cli.quiet),
+        Command::Check(args) => check::run(args),
+        Command::Completions(args) => misc::completions(args),
+        Command::Man(args) => misc::man(args),
+    }
+}
+
+/// Whoever read our output has closed it (`isospan info … | head`): no error.
+fn is_broken_pipe(error: &isospan::Error) -> bool {
+    matches!(error, isospan::Error::Io { source, .. } if source.kind() == std::io::ErrorKind::BrokenPipe)
+}
+
+/// Writes a result to standard output.
+fn print(text: &str) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    out.write_all(text.as_bytes())
+        .and_then(|()| out.flush())
+        .map_err(|e| isospan::Error::io("write to", "standard output", e))
+}
+
+/// Writes a result as JSON, one line.
+fn print_json(value: &impl serde::Serialize) -> Result<()> {
+    let text = serde_json::to_string(value)
+        .map_err(|e| isospan::Error::io("write JSON to", "standard output", std::io::Error::other(e)))?;
+    print(&format!("{text}\n"))
+}

@@ -1,0 +1,85 @@
+//! `isospan surface`: an isosurface out of an archive.
+
+use super::{progress, text};
+use isospan::Result;
+use isospan::formats::surface::SurfaceFormat;
+use isospan::pipeline::{SurfaceSettings, extract_surface};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Extract an isosurface from an archive.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The archive.
+    archive: PathBuf,
+    /// The isovalue.
+    #[arg(long, short = 'i', value_name = "VALUE", allow_negative_numbers = true)]
+    isovalue: f32,
+    /// The file to write: .ply .stl .obj or .vtp.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Threads; 0 means as many as the process may use.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    threads: usize,
+    /// Folder for what does not fit in memory [default: the output's folder].
+    #[arg(long, value_name = "FOLDER")]
+    scratch: Option<PathBuf>,
+    /// Print points, tetrahedra, active blocks, bytes read and the time of each stage.
+    #[arg(long)]
+    stats: bool,
+    /// Print the result as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args, quiet: bool) -> Result<()> {
+    let format = SurfaceFormat::from_path(&args.output)?;
+    let settings =
+        SurfaceSettings { isovalue: args.isovalue, threads: args.threads, scratch: args.scratch.clone() };
+    let bar = progress::for_stderr(quiet);
+    let report = extract_surface(&args.archive, &settings, &args.output, format, &*bar);
+    bar.end();
+    let report = report?;
+    if args.json {
+        return super::print_json(&report);
+    }
+    let mut out = String::new();
+    let _ = writeln!(
+        out,
+        "{}: {} vertices, {} triangles, {}",
+        args.output.display(),
+        text::count(report.vertices),
+        text::count(report.triangles),
+        text::bytes(report.file_bytes)
+    );
+    if report.outside_range {
+        let range =
+            report.range.map_or("no values at all".to_owned(), |[lo, hi]| format!("the range {lo} .. {hi}"));
+        let _ = writeln!(out, "  the isovalue {} does not cut {range}: the surface is empty", args.isovalue);
+    }
+    if args.stats {
+        let _ = writeln!(out, "  points        {}", text::count(report.points));
+        let _ = writeln!(out, "  tetrahedra    {}", text::count(report.tetrahedra));
+        let _ = writeln!(out, "  active        {} tetrahedra", text::count(report.active_tetrahedra));
+        let _ = writeln!(
+            out,
+            "  blocks        {} active of {}, in {} of {} chunks",
+            text::count(report.active_blocks),
+            text::count(report.blocks),
+            text::count(report.active_chunks),
+            text::count(report.chunks)
+        );
+        let _ = writeln!(
+            out,
+            "  bytes read    {} of {} ({:.1} %)",
+            text::bytes(report.bytes_read),
+            text::bytes(report.archive_bytes),
+            100.0 * report.bytes_read as f64 / report.archive_bytes.max(1) as f64
+        );
+        for (stage, seconds) in &report.seconds {
+            let _ = writeln!(out, "  {stage:<13} {}", text::duration(Duration::from_secs_f64(*seconds)));
+        }
+    }
+    super::print(&out)
+}

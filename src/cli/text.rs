@@ -1,0 +1,122 @@
+//! Numbers, sizes and fractions, in and out.
+
+use std::time::Duration;
+
+/// Parses a number of bytes: `4GiB`, `500MB`, `1048576`, `50%` (of what the process may use).
+pub(crate) fn parse_bytes(text: &str) -> Result<u64, String> {
+    let digits = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let number: f64 =
+        number.parse().map_err(|_| format!("'{text}' is not a size; write 4GiB, 500MB or 50%"))?;
+    let factor = match unit.trim().to_ascii_lowercase().as_str() {
+        "" | "b" => 1.0,
+        "k" | "kib" => 1024.0,
+        "kb" => 1e3,
+        "m" | "mib" => 1_048_576.0,
+        "mb" => 1e6,
+        "g" | "gib" => 1_073_741_824.0,
+        "gb" => 1e9,
+        "t" | "tib" => 1_099_511_627_776.0,
+        "tb" => 1e12,
+        "%" if number <= 100.0 => isospan::exec::usable_memory() as f64 / 100.0,
+        other => {
+            return Err(format!(
+                "'{other}' is not a unit of size; write KiB, MiB, GiB, TiB, kB, MB, GB, TB or %"
+            ));
+        }
+    };
+    let bytes = number * factor;
+    if (1.0..1e18).contains(&bytes) { Ok(bytes as u64) } else { Err(format!("'{text}' is out of range")) }
+}
+
+/// Parses a fraction of the samples: `1/8`, `0.125`, `1`.
+pub(crate) fn parse_fraction(text: &str) -> Result<f64, String> {
+    let number = |s: &str| s.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
+    let value = match text.split_once('/') {
+        Some((a, b)) => number(a).zip(number(b)).map(|(a, b)| a / b),
+        None => number(text),
+    };
+    value.filter(|v| *v <= 64.0).ok_or_else(|| format!("'{text}' is not a fraction; write 1/8 or 0.125"))
+}
+
+/// Parses three comma-separated values.
+pub(crate) fn parse_triple<T: std::str::FromStr>(text: &str, what: &str) -> Result<[T; 3], String> {
+    let parts: Vec<T> = text.split([',', 'x']).map_while(|p| p.trim().parse().ok()).collect();
+    let count = text.split([',', 'x']).count();
+    <[T; 3]>::try_from(parts)
+        .ok()
+        .filter(|_| count == 3)
+        .ok_or_else(|| format!("'{text}' is not {what}; write three numbers as X,Y,Z"))
+}
+
+/// `1234567` as `1 234 567`.
+pub(crate) fn count(n: u64) -> String {
+    let digits = n.to_string();
+    let mut out = String::with_capacity(digits.len() + digits.len() / 3);
+    for (i, c) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            out.push(' ');
+        }
+        out.push(c);
+    }
+    out
+}
+
+/// Bytes for a person: `3.4 MiB`.
+pub(crate) fn bytes(n: u64) -> String {
+    let units = ["B", "KiB", "MiB", "GiB", "TiB", "PiB"];
+    let (mut value, mut unit) = (n as f64, 0);
+    while value >= 1024.0 && unit + 1 < units.len() {
+        (value, unit) = (value / 1024.0, unit + 1);
+    }
+    if unit == 0 { format!("{n} B") } else { format!("{value:.1} {}", units[unit]) }
+}
+
+/// A duration for a person: `0.123 s`, `2 min 05 s`, `3 h 10 min`.
+pub(crate) fn duration(d: Duration) -> String {
+    let s = d.as_secs();
+    match s {
+        0..100 => format!("{:.3} s", d.as_secs_f64()),
+        100..6000 => format!("{} min {:02} s", s / 60, s % 60),
+        _ => format!("{} h {:02} min", s / 3600, s / 60 % 60),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes() {
+        assert_eq!(parse_bytes("4GiB"), Ok(4 << 30));
+        assert_eq!(parse_bytes("500MB"), Ok(500_000_000));
+        assert_eq!(parse_bytes("1.5k"), Ok(1536));
+        assert_eq!(parse_bytes("77"), Ok(77));
+        assert!(parse_bytes("50%").unwrap() > 1 << 20);
+        for bad in ["", "GiB", "-1", "3 parsecs", "101%", "0", "1e30TB"] {
+            assert!(parse_bytes(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn fractions_and_triples() {
+        assert_eq!(parse_fraction("1/8"), Ok(0.125));
+        assert_eq!(parse_fraction("0.5"), Ok(0.5));
+        for bad in ["0", "-1/8", "1/0", "x", "1/", "nan", "1000"] {
+            assert!(parse_fraction(bad).is_err(), "{bad}");
+        }
+        assert_eq!(parse_triple::<u64>("1,2,3", "dims"), Ok([1, 2, 3]));
+        assert_eq!(parse_triple::<u64>("1x2x3", "dims"), Ok([1, 2, 3]));
+        for bad in ["1,2", "1,2,3,4", "a,2,3", "1,2,", ""] {
+            assert!(parse_triple::<u64>(bad, "dims").is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn for_a_person() {
+        assert_eq!(count(1_234_567), "1 234 567");
+        assert_eq!(count(12), "12");
+        assert_eq!(bytes(3_565_158), "3.4 MiB");
+        assert_eq!(duration(Duration::from_secs(125)), "2 min 05 s");
+    }
+}
