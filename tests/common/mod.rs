@@ -1,0 +1,106 @@
+//! What several test programs need: volumes to reduce, folders to compare, triangles as a set.
+#![allow(dead_code)]
+
+use isospan::exec::Silent;
+use isospan::formats::OpenOptions;
+use isospan::formats::surface::{SurfaceFormat, read_surface};
+use isospan::pipeline::{self, Amount, ReduceReport, ReduceSettings, RunSettings, SurfaceSettings};
+use isospan::points::SetKind;
+use isospan::surface::TriMesh;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A field as an NPY file of `dims` (x, y, z) f32 samples, x fastest.
+pub(crate) fn write_npy(path: &Path, dims: [usize; 3], f: impl Fn(f64, f64, f64) -> f64) {
+    let shape = format!("({}, {}, {})", dims[2], dims[1], dims[0]);
+    let mut header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
+    while (10 + header.len() + 1) % 64 != 0 {
+        header.push(' ');
+    }
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    let unit = |i: usize, n: usize| 2.0 * i as f64 / (n - 1) as f64 - 1.0;
+    for z in 0..dims[2] {
+        for y in 0..dims[1] {
+            for x in 0..dims[0] {
+                let value = f(unit(x, dims[0]), unit(y, dims[1]), unit(z, dims[2]));
+                bytes.extend((value as f32).to_le_bytes());
+            }
+        }
+    }
+    fs::write(path, bytes).unwrap();
+}
+
+/// Waves along all axes, cut open by the faces of the box; values in about -2 .. 2.
+pub(crate) fn waves(x: f64, y: f64, z: f64) -> f64 {
+    (5.0 * x).sin() * (4.0 * y).cos() + (6.0 * y).sin() * (5.0 * z).cos() + 0.3 * (4.0 * z * x).sin()
+}
+
+/// Positive inside a ball of radius 0.7.
+pub(crate) fn ball(x: f64, y: f64, z: f64) -> f64 {
+    0.49 - x * x - y * y - z * z
+}
+
+pub(crate) fn settings(points: SetKind, amount: Amount, chunk_points: u64) -> ReduceSettings {
+    ReduceSettings { points, amount, chunk_points, ..ReduceSettings::default() }
+}
+
+pub(crate) fn run(threads: usize) -> RunSettings {
+    RunSettings { threads, memory: 4 << 30, ..RunSettings::default() }
+}
+
+pub(crate) fn reduce(input: &Path, settings: &ReduceSettings, out: &Path, threads: usize) -> ReduceReport {
+    pipeline::reduce(input, &OpenOptions::default(), settings, out, &run(threads), &Silent).unwrap()
+}
+
+pub(crate) fn surface(archive: &Path, isovalue: f32, out: &Path, threads: usize) -> pipeline::SurfaceReport {
+    let settings = SurfaceSettings { isovalue, threads, scratch: None };
+    pipeline::extract_surface(archive, &settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent)
+        .unwrap()
+}
+
+pub(crate) fn read(path: &Path) -> TriMesh {
+    read_surface(path).unwrap()
+}
+
+/// The triangles of a surface by the bits of their corners, each rotated to start with its least corner.
+pub(crate) fn triangle_set(mesh: &TriMesh) -> BTreeSet<[[u32; 3]; 3]> {
+    mesh.triangles
+        .iter()
+        .map(|t| {
+            let mut c = t.map(|v| mesh.vertices[v as usize].position.map(f32::to_bits));
+            let least = (0..3).min_by_key(|&i| c[i]).unwrap();
+            c.rotate_left(least);
+            c
+        })
+        .collect()
+}
+
+/// All files below a folder, by their paths in it, with their content.
+pub(crate) fn folder(path: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    let mut waiting = vec![path.to_path_buf()];
+    while let Some(next) = waiting.pop() {
+        for entry in fs::read_dir(&next).unwrap() {
+            let entry = entry.unwrap().path();
+            if entry.is_dir() {
+                waiting.push(entry);
+            } else {
+                files.insert(entry.strip_prefix(path).unwrap().to_path_buf(), fs::read(&entry).unwrap());
+            }
+        }
+    }
+    files
+}
+
+/// The folder of real data sets, where there is one.
+pub(crate) fn shared_data() -> Option<PathBuf> {
+    let folder = std::env::var_os("ISOSPAN_SHARED_DATA").map(PathBuf::from).filter(|p| p.is_dir());
+    if folder.is_none() {
+        eprintln!("skipped: ISOSPAN_SHARED_DATA does not name a folder of real data");
+    }
+    folder
+}

@@ -1,0 +1,91 @@
+//! The same input and parameters give the same bytes: for any number of threads and any restart; and for any chunk size the
+//! same triangles.
+
+mod common;
+
+use common::*;
+use isospan::pipeline::Amount;
+use isospan::points::SetKind;
+use std::fs;
+
+const AMOUNT: Amount = Amount::Fraction(0.5);
+
+#[test]
+fn threads_do_not_show_in_the_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("waves.npy");
+    write_npy(&input, [50, 40, 30], waves);
+    let settings = settings(SetKind::Halton, AMOUNT, 4_000);
+    let mut archives = vec![];
+    let mut surfaces = vec![];
+    for threads in [1, 2, 5] {
+        let out = dir.path().join(format!("t{threads}.isospan"));
+        let report = reduce(&input, &settings, &out, threads);
+        assert!(report.chunks > 5, "several chunks");
+        let file = dir.path().join(format!("t{threads}.ply"));
+        surface(&out, 0.2, &file, threads);
+        archives.push(folder(&out));
+        surfaces.push(fs::read(&file).unwrap());
+    }
+    assert!(archives.iter().all(|a| *a == archives[0]));
+    assert!(surfaces.iter().all(|s| *s == surfaces[0]));
+}
+
+#[test]
+fn chunk_sizes_do_not_show_in_the_triangles() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("waves.npy");
+    write_npy(&input, [44, 52, 36], waves);
+    for kind in SetKind::ALL {
+        let mut sets = vec![];
+        for chunk_points in [1_000, 7_000, u64::MAX >> 20] {
+            let out = dir.path().join(format!("{kind}-{chunk_points}.isospan"));
+            reduce(&input, &settings(kind, AMOUNT, chunk_points), &out, 2);
+            let file = dir.path().join("s.ply");
+            surface(&out, -0.1, &file, 2);
+            sets.push(triangle_set(&read(&file)));
+        }
+        assert!(sets[0].len() > 1000, "{kind}");
+        assert!(sets.iter().all(|s| *s == sets[0]), "{kind}");
+    }
+}
+
+#[test]
+fn an_interrupted_reduction_continues_to_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("waves.npy");
+    write_npy(&input, [60, 50, 40], waves);
+    let settings = settings(SetKind::Hammersley, AMOUNT, 2_000);
+    let whole = dir.path().join("whole.isospan");
+    reduce(&input, &settings, &whole, 2);
+    let expected = folder(&whole);
+    assert!(expected.len() > 6, "several segments");
+    for lost in [0, 2, 4] {
+        // What a kill leaves: no manifest, a segment missing, another one cut short, a temporary file.
+        let out = dir.path().join(format!("lost{lost}.isospan"));
+        reduce(&input, &settings, &out, 1);
+        fs::remove_file(out.join("manifest.json")).unwrap();
+        let files: Vec<_> =
+            folder(&out).into_keys().filter(|f| f.extension().is_some_and(|e| e == "seg")).collect();
+        fs::remove_file(out.join(&files[lost])).unwrap();
+        let cut = out.join(&files[lost + 1]);
+        fs::write(&cut, &fs::read(&cut).unwrap()[..100]).unwrap();
+        reduce(&input, &settings, &out, 2);
+        assert_eq!(folder(&out), expected);
+    }
+}
+
+#[test]
+fn segments_of_another_plan_are_not_taken() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("waves.npy");
+    write_npy(&input, [30, 30, 30], waves);
+    let out = dir.path().join("a.isospan");
+    reduce(&input, &settings(SetKind::Halton, AMOUNT, 5_000), &out, 2);
+    fs::remove_file(out.join("manifest.json")).unwrap();
+    let other = settings(SetKind::Halton, Amount::Fraction(0.4), 5_000);
+    reduce(&input, &other, &out, 2);
+    let fresh = dir.path().join("b.isospan");
+    reduce(&input, &other, &fresh, 2);
+    assert_eq!(folder(&out), folder(&fresh));
+}
