@@ -31,6 +31,8 @@
 mod arena;
 mod exact;
 mod plain;
+#[cfg(target_arch = "x86_64")]
+mod simd;
 
 use crate::error::{Error, Result};
 use crate::geom::curve::Order;
@@ -40,10 +42,29 @@ use crate::mesh::certify::Local;
 use crate::mesh::tet::Tet;
 use arena::{Arena, FIRST_TAG, INFINITE, MOST_TETS, Margin, Point, Tetra};
 
+/// Which code inserts points; the tetrahedra are the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Path {
+    Plain,
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+}
+
+impl Default for Path {
+    fn default() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        if simd::is_available() {
+            return Self::Avx2;
+        }
+        Self::Plain
+    }
+}
+
 /// The reusable memory of one worker, and the mesh that was last built in it.
 #[derive(Debug, Default)]
 pub struct Mesher {
     arena: Arena,
+    path: Path,
     /// Input index of each point in insertion order.
     source: Vec<u32>,
     frame: Frame,
@@ -185,7 +206,11 @@ impl Mesher {
 
     #[inline]
     fn insert(&mut self, vertex: u32, next: Option<u32>) -> Result<()> {
-        self.arena.insert_plain(vertex, next);
+        match self.path {
+            Path::Plain => self.arena.insert_plain(vertex, next),
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx2 => simd::insert(&mut self.arena, vertex, next),
+        }
         if self.arena.tets.len() > MOST_TETS {
             return Err(Error::usage(
                 "a chunk has more than 2^30 tetrahedra; use smaller chunks, or fewer points on one curve",

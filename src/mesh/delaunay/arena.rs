@@ -187,6 +187,8 @@ pub(super) struct Arena {
     pub(super) cavity: Vec<u32>,
     /// The cavity's boundary from inside: `4·record + face`.
     pub(super) boundary: Vec<u32>,
+    /// Of each tetrahedron of a level of the search: which neighbours are in conflict.
+    pub(super) masks: Vec<u8>,
     /// The next free tag.
     pub(super) tag: u32,
     /// Vertices of the boundary relative to the new point, and their squared lengths, by local number.
@@ -203,6 +205,8 @@ pub(super) struct Star {
     pub(super) local: Vec<[u32; 4]>,
     /// Record number of the new tetrahedron.
     pub(super) id: Vec<u32>,
+    /// The vertices by local number.
+    pub(super) vertices: Vec<u32>,
     /// `[from << log2 + to]` of a directed edge, in local numbers: `4·entry + face`.
     pub(super) edges: Vec<u16>,
     /// The same as a list to sort, for large cavities.
@@ -220,6 +224,7 @@ impl Default for Arena {
             hint: 0,
             cavity: Vec::new(),
             boundary: Vec::new(),
+            masks: Vec::new(),
             tag: FIRST_TAG,
             local: Vec::new(),
             star: Star::default(),

@@ -96,7 +96,7 @@ impl Arena {
         if star.edges.len() < 1 << (2 * log2) {
             star.edges.resize(1 << (2 * log2), 0);
         }
-        for (k, &local) in star.local.iter().enumerate() {
+        for (k, &local) in star.local.iter().take(star.id.len()).enumerate() {
             for (face, (from, to)) in Self::edges_of(local).into_iter().enumerate() {
                 star.edges[(from << log2 | to) as usize] = (4 * k + face) as u16;
             }

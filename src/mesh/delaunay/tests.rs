@@ -85,8 +85,17 @@ fn order_of(positions: &[LatticePos]) -> Order {
     Order::for_count(positions.len() as u64)
 }
 
+/// Meshes by the path that this machine chooses and by the plain one: the same tetrahedra.
 fn tets(positions: &[LatticePos]) -> Vec<Tet> {
-    let mut mesher = Mesher::new();
+    let chosen = tets_by(Path::default(), positions);
+    let plain = tets_by(Path::Plain, positions);
+    let same = |all: &[Tet]| as_set(positions, all);
+    assert!(same(&chosen) == same(&plain), "the paths agree");
+    chosen
+}
+
+fn tets_by(path: Path, positions: &[LatticePos]) -> Vec<Tet> {
+    let mut mesher = Mesher { path, ..Mesher::default() };
     mesher.delaunay(positions, &order_of(positions)).unwrap();
     let mut all = vec![];
     mesher.for_each_tet(|t| all.push(t));
