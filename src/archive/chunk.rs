@@ -11,6 +11,7 @@
 //!
 //! A block decodes on its own: [`ChunkHeader`] gives the number of vertices, against which every id is checked.
 
+use super::grow;
 use super::tuples::{self, canonical};
 use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
 use crate::geom::PointId;
@@ -20,6 +21,8 @@ use crate::mesh::tet::Tet;
 pub const HEADER_ZSTD: u8 = 0;
 /// Codec of a tetrahedron block: sorted tuples, differences, zstd.
 pub const TETS_TUPLES: u8 = 0;
+/// Codec of a tetrahedron block: region growing.
+pub const TETS_GROWN: u8 = 1;
 /// The most bytes of an expanded header.
 pub const LARGEST_HEADER: usize = 1 << 28;
 
@@ -144,8 +147,11 @@ pub fn encode_chunk(vertices: &ChunkVertices, tets: &[Tet], block_tets: u32) -> 
 /// Encodes one block of canonical, sorted tetrahedra.
 fn encode_tets(tets: &[Tet], vertices: u32) -> Vec<u8> {
     assert!(tets.iter().flatten().all(|&v| v < vertices), "every vertex is local");
-    let mut out = vec![TETS_TUPLES];
-    tuples::encode(tets, &mut out);
+    let mut out = vec![TETS_GROWN];
+    if !grow::encode(tets, vertices, &mut out) {
+        out[0] = TETS_TUPLES;
+        tuples::encode(tets, &mut out);
+    }
     out
 }
 
@@ -158,6 +164,7 @@ pub fn decode_tets(bytes: &[u8], vertices: u32, out: &mut Vec<Tet>) -> Result<()
     let mut c = Cursor::new(bytes);
     match c.u8("codec")? {
         TETS_TUPLES => tuples::decode(c.rest(), vertices, out),
+        TETS_GROWN => grow::decode(c.rest(), vertices, out),
         other => Err(Malformed::new("codec", "a known tetrahedron codec", other.to_string())),
     }
 }

@@ -8,8 +8,11 @@
 
 pub mod chunk;
 pub mod chunked;
+mod grow;
+mod grow_odds;
 pub mod manifest;
 mod publish;
+mod range_coder;
 pub mod segment;
 pub mod summary;
 mod tuples;
