@@ -41,7 +41,7 @@ use rustc_hash::FxHashMap;
 /// The most tetrahedra of a block of this codec.
 pub(crate) const LARGEST_GROWN: usize = 1 << 16;
 /// The most own, and the most other, vertices.
-const LARGEST_LIST: u32 = 1 << 15;
+pub(crate) const LARGEST_LIST: u32 = 1 << 15;
 
 /// No vertex; also what the decoder takes for the truth that only the encoder knows.
 const NONE: u32 = u32::MAX;
@@ -177,9 +177,9 @@ impl Front {
             self.link(here + 1, after + 2, 1);
             self.link(here, f.hinge[i], f.fan[i].saturating_add(1));
         }
-        let mut glued = (0..3).fold(false, |any, i| self.glue(n + i, 0) || any);
-        while glued {
-            glued = (0..9).fold(false, |any, i| self.glue(n + i / 3, i as usize % 3) || any);
+        let mut glued = (0..3).filter(|i| self.glue(n + i, 0)).count();
+        while glued > 0 {
+            glued = (0..9).filter(|i| self.glue(n + i / 3, *i as usize % 3)).count();
         }
         for i in n..n + 3 {
             if self.faces[i as usize].state == State::Open {
@@ -220,11 +220,11 @@ impl Front {
     fn guesses(&self, f: &Face) -> ([Guess; 3], usize) {
         let mut guesses = [Guess { weight: 0, vertex: NONE }; 3];
         let mut borders = 0;
-        for i in 0..3 {
-            let (g, vertex) = self.third(f.hinge[i]);
+        for (guess, (&hinge, &fan)) in guesses.iter_mut().zip(f.hinge.iter().zip(&f.fan)) {
+            let (g, vertex) = self.third(hinge);
             borders += usize::from(g.state == State::Border);
             if g.state == State::Open && !f.v.contains(&vertex) {
-                guesses[i] = Guess { weight: 8 | f.fan[i].min(7), vertex };
+                *guess = Guess { weight: 8 | fan.min(7), vertex };
             }
         }
         for (i, j) in [(0, 1), (0, 2), (1, 2)] {

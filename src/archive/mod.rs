@@ -4,7 +4,13 @@
 //! * [`chunked`]: segments of a range of chunks.
 //! * [`chunk`]: the mesh of a chunk as blocks that decode on their own.
 //! * [`manifest`]: what the archive is of and which segments it has; written last.
+//! * [`summary`]: what a chunk's last block tells of it.
 //! * [`values`]: the values of a chunk's vertices.
+//!
+//! What is promised: a file under its name is complete, and was synced before it got the name; a damaged byte is an error
+//! when it is read, never a wrong answer and never a panic; the bytes of a file depend on what it holds alone. Not promised:
+//! that the meaning of a block was checked because its checksum was, for that see the checks of [`crate::pipeline`].
+#![doc = include_str!("FORMAT.md")]
 
 pub mod chunk;
 pub mod chunked;
@@ -21,3 +27,50 @@ pub(crate) mod wire;
 
 pub use publish::TEMPORARY_MARK;
 pub use wire::Malformed;
+
+#[cfg(test)]
+mod tests {
+    use super::{chunk, grow, segment, values};
+    use crate::index::page;
+
+    /// The table at the end of FORMAT.md, and the bytes that it draws.
+    #[test]
+    fn the_document_has_the_constants_of_the_code() {
+        let document = include_str!("FORMAT.md");
+        let constants: &[(&str, u64)] = &[
+            ("FORMAT_VERSION", u64::from(segment::FORMAT_VERSION)),
+            ("OLDEST_READER", u64::from(segment::OLDEST_READER)),
+            ("HEADER_BYTES", segment::HEADER_BYTES),
+            ("FOOTER_BYTES", segment::FOOTER_BYTES),
+            ("PAGE_BLOCKS", segment::PAGE_BLOCKS),
+            ("PAGE_FRAME_BYTES", segment::PAGE_FRAME_BYTES),
+            ("PAGE_ENTRY_BYTES", segment::PAGE_ENTRY_BYTES),
+            ("LARGEST_BLOCK", segment::LARGEST_BLOCK),
+            ("LARGEST_HEADER", chunk::LARGEST_HEADER as u64),
+            ("HEADER_ZSTD", u64::from(chunk::HEADER_ZSTD)),
+            ("TETS_TUPLES", u64::from(chunk::TETS_TUPLES)),
+            ("TETS_GROWN", u64::from(chunk::TETS_GROWN)),
+            ("LARGEST_GROWN", grow::LARGEST_GROWN as u64),
+            ("LARGEST_LIST", u64::from(grow::LARGEST_LIST)),
+            ("BLOCK_VALUES", values::BLOCK_VALUES as u64),
+            ("VALUES_RAW", u64::from(values::VALUES_RAW)),
+            ("VALUES_SHUFFLED", u64::from(values::VALUES_SHUFFLED)),
+            ("VALUES_DIFFERENCES", u64::from(values::VALUES_DIFFERENCES)),
+            ("VALUES_PCO", u64::from(values::VALUES_PCO)),
+            ("VALUES_QUANTISED", u64::from(values::VALUES_QUANTISED)),
+            ("LEAF_ENTRIES", page::LEAF_ENTRIES),
+            ("PAGE_LEVELS", u64::from(page::PAGE_LEVELS)),
+            ("LEAF", u64::from(page::LEAF)),
+            ("INNER", u64::from(page::INNER)),
+        ];
+        for (name, value) in constants {
+            let line = format!("| `{name}` | {value} |");
+            assert!(document.lines().any(|l| l == line), "{line}");
+        }
+        let rows = document.lines().filter(|l| l.starts_with("| `")).count();
+        assert_eq!(rows, constants.len(), "no constant of the document is unchecked");
+        let magic = segment::MAGIC.map(|b| format!("{b:02X}")).join(" ");
+        assert!(document.contains(&format!("`{magic}`")));
+        assert!(document.contains(super::TEMPORARY_MARK));
+    }
+}

@@ -9,7 +9,7 @@
 //! theirs is asked for. So a block costs one read, and a damaged byte is found when it is used, or by [`Segment::verify`].
 //! A segment is *done* when header, length and footer verify: a file cut short at any byte is not a segment.
 //!
-//! Every byte is specified in `FORMAT.md`, beside this file.
+//! Every byte is specified in [the format](super#the-bytes).
 
 use super::publish::Unpublished;
 use super::wire::{Cursor, Malformed};

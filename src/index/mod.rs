@@ -25,7 +25,7 @@
 //! entries. Building sorts in memory: 32 bytes an entry, that is 32 MB for 10^9 tetrahedra.
 
 pub mod build;
-mod page;
+pub(crate) mod page;
 pub mod query;
 
 pub use build::IndexBuilder;

@@ -6,13 +6,13 @@ use crate::archive::wire::{Cursor, put_varint};
 use std::collections::BTreeMap;
 
 /// The most entries of a leaf page.
-pub(super) const LEAF_ENTRIES: u64 = 256;
+pub(crate) const LEAF_ENTRIES: u64 = 256;
 /// Levels of halving in an inner page: at most 2^8 children.
-pub(super) const PAGE_LEVELS: u32 = 8;
+pub(crate) const PAGE_LEVELS: u32 = 8;
 /// First byte of a leaf page.
-pub(super) const LEAF: u8 = 0;
+pub(crate) const LEAF: u8 = 0;
 /// First byte of an inner page.
-pub(super) const INNER: u8 = 1;
+pub(crate) const INNER: u8 = 1;
 
 /// Bounds of the entries below a node: the lowest min and the highest max.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -361,7 +361,9 @@ mod tests {
         let right = index_of(&entries_of(&ranges), dir.path()).query(0.5).unwrap();
         let path = dir.path().join("index.seg");
         let good = std::fs::read(&path).unwrap();
-        for i in 0..good.len() {
+        // Every byte of the frame and of the first pages' heads; of the columns of numbers one in eleven.
+        let ends = |&i: &usize| i < 100 || i + 100 > good.len() || i % 11 == 0;
+        for i in (0..good.len()).filter(ends) {
             let mut bad = good.clone();
             bad[i] ^= 0x10;
             std::fs::write(&path, &bad).unwrap();
