@@ -30,6 +30,7 @@
 
 mod arena;
 mod exact;
+mod pages;
 mod plain;
 #[cfg(target_arch = "x86_64")]
 mod simd;
@@ -151,6 +152,8 @@ impl Mesher {
         points.extend(self.source.iter().map(|&i| frame.point(positions[i as usize])));
         self.arena.tag = FIRST_TAG;
         self.arena.margin = margin(points);
+        // Uniform points have 6.8 tetrahedra each, and ghosts.
+        pages::reserve(&mut self.arena.tets, 8 * self.source.len());
     }
 
     /// The first four vertices, in order, that span a tetrahedron.
