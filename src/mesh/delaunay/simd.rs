@@ -31,6 +31,17 @@ pub(super) fn insert(arena: &mut Arena, vertex: u32, next: Option<u32>) {
     unsafe { arena.insert_avx2(vertex, next) }
 }
 
+/// The neighbour codes, one load each. The codes of a fresh record were stored one by one a moment ago, and a single
+/// wide load would wait for all of those stores to leave the store buffer (a sixth of the whole time).
+///
+/// # Safety
+/// `record` can be read.
+#[inline]
+unsafe fn codes(record: *const Tetra) -> [u32; 4] {
+    // SAFETY: the caller's promise.
+    std::array::from_fn(|i| unsafe { (&raw const (*record).n[i]).read_volatile() })
+}
+
 /// Rows to columns.
 #[inline]
 #[target_feature(enable = "avx2,fma")]
@@ -178,7 +189,7 @@ impl Arena {
             // `tets`; so are the neighbour codes divided by four.
             let rows = unsafe {
                 let tets = self.tets.as_ptr();
-                let n = (*tets.add(*self.cavity.get_unchecked(at) as usize)).n;
+                let n = codes(tets.add(*self.cavity.get_unchecked(at) as usize));
                 n.map(|code| _mm256_load_pd((*tets.add((code >> 2) as usize)).sphere.as_ptr()))
             };
             // (dx², dy², dz², -r²) of each, summed across.
@@ -221,7 +232,7 @@ impl Arena {
         unsafe {
             for (at, &mask) in (start..end).zip(&self.masks) {
                 let tet = *cavity.add(at);
-                let n = (*tets.add(tet as usize)).n;
+                let n = codes(tets.add(tet as usize));
                 for i in 0..4u32 {
                     let there = n[i as usize] >> 2;
                     let inside = u32::from(mask) >> i & 1;
@@ -263,8 +274,8 @@ impl Arena {
             // of `facet` and `local`, `known` at most 3·k, below that of `vertices`; table indices are below 64².
             unsafe {
                 let record = &*tets.add((code >> 2) as usize);
-                let v = [record.v[0] & !DEAD, record.v[1], record.v[2], record.v[3]];
-                let corners = FACE[face].map(|i| *v.get_unchecked(i));
+                // The mark is in the first only; taking it off all is cheaper than asking which is first.
+                let corners = FACE[face].map(|i| *record.v.get_unchecked(i) & !DEAD);
                 let numbers = corners.map(|v| {
                     let tag = &mut (*points.add(v as usize)).tag;
                     let number = tag.wrapping_sub(base).min(known);
