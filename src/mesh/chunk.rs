@@ -72,8 +72,11 @@ pub fn mesh_chunk(
     check(region, positions)?;
     mesher.delaunay(positions, order)?;
     let unseen = Unseen::new(region, mesher.local());
-    let sorter = Sorter::new(mesher, region, positions);
-    Ok(sorter.run(&unseen))
+    let mut owned = std::mem::take(&mut mesher.owned);
+    owned.clear();
+    let (outcome, owned) = Sorter::new(mesher, region, positions, owned).run(&unseen);
+    mesher.owned = owned;
+    Ok(outcome)
 }
 
 fn check(boxes: &ChunkRegion, positions: &[LatticePos]) -> Result<()> {
@@ -102,32 +105,33 @@ struct Sorter<'a> {
     positions: &'a [LatticePos],
     /// By vertex of the mesher: whether it lies in the core; infinity does not.
     in_core: Vec<bool>,
-    mesh: ChunkMesh,
+    /// In the order of the mesher's records.
+    owned: Vec<Tet>,
+    shared: Vec<bool>,
     uncertified: u64,
 }
 
 impl<'a> Sorter<'a> {
-    fn new(mesher: &'a Mesher, region: &ChunkRegion, positions: &'a [LatticePos]) -> Self {
+    fn new(mesher: &'a Mesher, region: &ChunkRegion, positions: &'a [LatticePos], owned: Vec<Tet>) -> Self {
         let shared: Vec<bool> = positions.iter().map(|p| !region.core.contains(*p)).collect();
         let in_core =
             std::iter::once(false).chain(mesher.sources().iter().map(|&s| !shared[s as usize])).collect();
-        Self { mesher, positions, in_core, mesh: ChunkMesh { tets: vec![], shared }, uncertified: 0 }
+        Self { mesher, positions, in_core, owned, shared, uncertified: 0 }
     }
 
-    fn run(mut self, unseen: &Unseen) -> ChunkOutcome {
-        let core_points = self.in_core.iter().filter(|&&c| c).count() as u64;
+    /// The outcome, and the scratch back.
+    fn run(mut self, unseen: &Unseen) -> (ChunkOutcome, Vec<Tet>) {
         if self.mesher.is_empty() && !unseen.is_empty() {
             // No tetrahedron to tell what the core's points are joined to.
-            self.uncertified = core_points;
+            self.uncertified = self.in_core.iter().filter(|&&c| c).count() as u64;
         }
-        self.mesh.tets.reserve(self.mesher.record_count() / self.in_core.len().max(1) * core_points as usize);
         let mesher = self.mesher;
         mesher.for_each_record(|v, sphere| self.record(unseen, v, sphere));
         if self.uncertified > 0 {
-            return ChunkOutcome::WidenHalo { uncertified: self.uncertified };
+            return (ChunkOutcome::WidenHalo { uncertified: self.uncertified }, self.owned);
         }
-        self.mesh.tets = sorted(self.mesh.tets, self.positions.len());
-        ChunkOutcome::Done(self.mesh)
+        let tets = sorted(&self.owned, self.positions.len());
+        (ChunkOutcome::Done(ChunkMesh { tets, shared: self.shared }), self.owned)
     }
 
     #[inline]
@@ -145,10 +149,10 @@ impl<'a> Sorter<'a> {
             self.uncertified += 1;
         }
         if relation.owned {
-            self.mesh.tets.push(canonical(v.map(|v| self.mesher.source(v))));
+            self.owned.push(canonical(v.map(|v| self.mesher.source(v))));
         } else {
             // Those outside the core are shared already.
-            v.iter().for_each(|&v| self.mesh.shared[self.mesher.source(v) as usize] = true);
+            v.iter().for_each(|&v| self.shared[self.mesher.source(v) as usize] = true);
         }
     }
 
@@ -190,16 +194,16 @@ fn canonical([a, b, c, d]: Tet) -> Tet {
 }
 
 /// Sorts canonical tetrahedra of `vertices` vertices: a bucket for each first vertex, then the few in it.
-fn sorted(tets: Vec<Tet>, vertices: usize) -> Vec<Tet> {
+fn sorted(tets: &[Tet], vertices: usize) -> Vec<Tet> {
     let mut end = vec![0u32; vertices + 1];
-    for t in &tets {
+    for t in tets {
         end[t[0] as usize + 1] += 1;
     }
     for v in 0..vertices {
         end[v + 1] += end[v];
     }
     let mut all = vec![[0; 4]; tets.len()];
-    for t in tets {
+    for &t in tets {
         let place = &mut end[t[0] as usize];
         all[*place as usize] = t;
         *place += 1;

@@ -71,6 +71,8 @@ pub struct Mesher {
     frame: Frame,
     sorted: Vec<(u64, u32)>,
     spare: Vec<(u64, u32)>,
+    /// Scratch of the chunk stage, kept here so that its pages are not asked for again in each chunk.
+    pub(super) owned: Vec<Tet>,
 }
 
 impl Mesher {
@@ -110,11 +112,6 @@ impl Mesher {
         for t in self.arena.tets.iter().filter(|t| !t.is_dead()) {
             f(t.v, &t.sphere);
         }
-    }
-
-    /// Records there are room for.
-    pub(super) fn record_count(&self) -> usize {
-        self.arena.tets.len()
     }
 
     /// Whether there is no tetrahedron.

@@ -288,7 +288,7 @@ impl Arena {
                 *star.local.get_unchecked_mut(k) = [numbers[0], numbers[1], numbers[2], 0];
                 let [a, b, c] = numbers;
                 for (face, (from, to)) in [(b, c), (c, a), (a, b)].into_iter().enumerate() {
-                    let at = (from % SMALL) << LOG2_SMALL | to % SMALL;
+                    let at = ((from % SMALL) << LOG2_SMALL) | (to % SMALL);
                     *star.edges.get_unchecked_mut(at as usize) = (4 * k + face) as u16;
                 }
             }
