@@ -1,18 +1,32 @@
 //! The bytes of a file, without reading it whole.
 //!
-//! A [`ByteSource`] is a file of known length with random access. It is mapped into memory (so that a volume larger
-//! than memory costs only the pages that are touched, which the system may drop again at any time) or held in memory
-//! (tests, small headers). Every access is checked against the length, and a refusal names file, offset and lengths:
-//! a header that lies about sizes ends here as a clear error, never as a panic.
+//! A [`ByteSource`] is a file of known length with random access, in one of two ways that give the same bytes:
+//!
+//! * **mapped** into memory ([`IoMode::Map`]): a volume larger than memory costs only the pages that are touched,
+//!   which the system may drop again at any time, and bytes are used where they lie;
+//! * **read** at given offsets ([`IoMode::Read`]): no page faults, which on a network file system each cost a request
+//!   of 4 KiB, and no address space.
+//!
+//! [`IoMode::Auto`], the default, reads on network file systems and maps elsewhere. Every access is checked against the
+//! length, and a refusal names file, offset and lengths: a header that lies about sizes ends here as a clear error,
+//! never as a panic.
 //!
 //! ```text
 //!  ByteSource ──▶ read_at(offset, buf)   copies; works for every kind of source
-//!            ├──▶ slice(range)           borrows from the mapping, no copy
-//!            └──▶ reader(range)          a std::io::Read over a range, for decoders
+//!            ├──▶ view(range, buf)       borrows from the mapping, or reads into the buffer
+//!            ├──▶ slice(range)           borrows; for headers and text, see there
+//!            ├──▶ reader(range)          a std::io::Read over a range, for decoders
+//!            └──▶ check()                after views and slices: were those bytes the file's?
 //! ```
 //!
-//! Not promised: a file that another program shortens while it is mapped ends the process with SIGBUS; see `mmap`.
+//! A file that another program shortens meanwhile is an error naming it, also when it is mapped: see `mmap`. Who uses
+//! borrowed bytes calls [`ByteSource::check`] afterwards; `read_at` and readers do it themselves.
+//!
+//! **The page cache is everybody's.** A file larger than a quarter of the machine's memory would push out of it what other
+//! programs use. Of such a file, pages are dropped once they are behind ([`ByteSource::release`]); smaller files stay
+//! cached for the next run. Pages to come are asked for ahead ([`ByteSource::advise_will_need`]).
 
+mod filesystem;
 mod mmap;
 
 use crate::error::{Error, Result};
@@ -20,45 +34,98 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
+
+/// How a file's bytes are had. All give the same bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum IoMode {
+    /// [`IoMode::Read`] on network file systems (NFS, SMB, Lustre, GPFS, FUSE, AFS, Ceph, BeeGFS and others; on Linux),
+    /// [`IoMode::Map`] elsewhere.
+    #[default]
+    Auto,
+    /// Mapped into memory.
+    Map,
+    /// Read at given offsets.
+    Read,
+}
+
+impl IoMode {
+    /// The mode that is used for an open file, never [`IoMode::Auto`].
+    fn resolve(self, file: &File) -> Self {
+        match self {
+            Self::Auto if filesystem::is_remote(file) => Self::Read,
+            Self::Auto => Self::Map,
+            chosen => chosen,
+        }
+    }
+}
 
 /// A file's bytes with checked random access.
 #[derive(Debug)]
 pub struct ByteSource {
     path: PathBuf,
+    len: u64,
     bytes: Bytes,
+    /// Whether pages that are behind are dropped from the system's cache.
+    drop_behind: bool,
 }
 
 /// Where the bytes are.
 #[derive(Debug)]
 enum Bytes {
-    Mapped(mmap::Mapping),
+    Mapped(File, mmap::Mapping),
+    /// The mapping is made when a slice is first asked for.
+    Read(File, OnceLock<mmap::Mapping>),
     Memory(Vec<u8>),
 }
 
+/// Readers drop what is behind them in pieces of this size.
+const DROP_BYTES: u64 = 16 << 20;
+
 impl ByteSource {
-    /// Maps a file. Cost: none until bytes are touched.
+    /// Opens a file. Cost: none until bytes are used.
     ///
     /// # Errors
     /// [`Error::Io`] when the system refuses; [`Error::BadInput`] for a folder, a pipe or device, or an empty file.
-    pub fn map(path: impl AsRef<Path>) -> Result<Self> {
+    pub fn open(path: impl AsRef<Path>, mode: IoMode) -> Result<Self> {
         let path = path.as_ref();
-        Self::of_file(path, &open_regular(path)?)
+        Self::of_file(path, open_regular(path)?, mode)
     }
 
-    /// Maps an open file; `path` is the name used in messages.
+    /// [`ByteSource::open`] with [`IoMode::Map`].
+    ///
+    /// # Errors
+    /// Those of [`ByteSource::open`].
+    pub fn map(path: impl AsRef<Path>) -> Result<Self> {
+        Self::open(path, IoMode::Map)
+    }
+
+    /// The bytes of an open file; `path` is the name used in messages.
     ///
     /// # Errors
     /// [`Error::Io`] when the system refuses.
-    pub fn of_file(path: impl AsRef<Path>, file: &File) -> Result<Self> {
+    pub fn of_file(path: impl AsRef<Path>, file: File, mode: IoMode) -> Result<Self> {
         let path = path.as_ref();
-        let mapping = mmap::Mapping::new(file).map_err(|e| Error::io("map", path, e))?;
-        Ok(Self { path: path.to_path_buf(), bytes: Bytes::Mapped(mapping) })
+        let about = file.metadata().map_err(|e| Error::io("read the length of", path, e))?;
+        let bytes = match mode.resolve(&file) {
+            IoMode::Read => Bytes::Read(file, OnceLock::new()),
+            _ => {
+                let mapping = mmap::Mapping::new(&file).map_err(|e| Error::io("map", path, e))?;
+                Bytes::Mapped(file, mapping)
+            }
+        };
+        let len = match &bytes {
+            Bytes::Mapped(_, mapping) => mapping.bytes().len() as u64,
+            _ => about.len(),
+        };
+        let drop_behind = len > filesystem::machine_memory() / 4;
+        Ok(Self { path: path.to_path_buf(), len, bytes, drop_behind })
     }
 
     /// Bytes that are in memory already; `path` is the name used in messages.
     pub fn from_vec(path: impl AsRef<Path>, bytes: Vec<u8>) -> Self {
-        Self { path: path.as_ref().to_path_buf(), bytes: Bytes::Memory(bytes) }
+        let len = bytes.len() as u64;
+        Self { path: path.as_ref().to_path_buf(), len, bytes: Bytes::Memory(bytes), drop_behind: false }
     }
 
     /// The file's name, for messages.
@@ -66,33 +133,114 @@ impl ByteSource {
         &self.path
     }
 
-    /// Length in bytes.
+    /// Length in bytes, when it was opened.
     pub fn len(&self) -> u64 {
-        self.all().len() as u64
+        self.len
     }
 
-    /// Whether there are no bytes; never so for a mapped file.
+    /// Whether there are no bytes; never so for a file that was opened by name.
     pub fn is_empty(&self) -> bool {
-        self.all().is_empty()
+        self.len == 0
+    }
+
+    /// How the bytes are had: [`IoMode::Map`] or [`IoMode::Read`].
+    pub fn mode(&self) -> IoMode {
+        if matches!(self.bytes, Bytes::Read(..)) { IoMode::Read } else { IoMode::Map }
     }
 
     /// Copies the `out.len()` bytes at `offset`.
     ///
     /// # Errors
-    /// [`Error::BadInput`] when they do not all lie within the file.
+    /// [`Error::BadInput`] when they do not all lie within the file, or it has become shorter.
     pub fn read_at(&self, offset: u64, out: &mut [u8]) -> Result<()> {
-        let bytes = self.at(offset, out.len() as u64)?;
-        out.copy_from_slice(bytes);
-        Ok(())
+        let range = self.within(offset, out.len() as u64)?;
+        match &self.bytes {
+            Bytes::Read(file, _) => self.read_into(file, offset, out),
+            Bytes::Mapped(_, mapping) => {
+                out.copy_from_slice(&mapping.bytes()[range]);
+                self.check()
+            }
+            Bytes::Memory(bytes) => {
+                out.copy_from_slice(&bytes[range]);
+                Ok(())
+            }
+        }
     }
 
-    /// Borrows a range of bytes.
+    fn read_into(&self, file: &File, offset: u64, out: &mut [u8]) -> Result<()> {
+        read_exact_at(file, out, offset).map_err(|e| match e.kind() {
+            io::ErrorKind::UnexpectedEof => self.shrunk(file),
+            _ => Error::io(format!("read {} bytes at {offset} of", out.len()), &self.path, e),
+        })
+    }
+
+    /// A range of bytes: borrowed where they are in memory or mapped, else read into `buffer`. When they have been used,
+    /// [`ByteSource::check`] tells whether they were the file's.
     ///
     /// # Errors
-    /// [`Error::BadInput`] when it does not lie within the file.
+    /// [`Error::BadInput`] when the range does not lie within the file, or that has become shorter.
+    pub fn view<'a>(&'a self, range: Range<u64>, buffer: &'a mut Vec<u8>) -> Result<&'a [u8]> {
+        let within = self.range(&range)?;
+        match &self.bytes {
+            Bytes::Mapped(_, mapping) => Ok(&mapping.bytes()[within]),
+            Bytes::Memory(bytes) => Ok(&bytes[within]),
+            Bytes::Read(file, _) => {
+                buffer.resize(within.len(), 0);
+                self.read_into(file, range.start, buffer)?;
+                Ok(buffer)
+            }
+        }
+    }
+
+    /// Borrows a range of bytes. Of a file that is read and not mapped too, through a mapping made for that: for headers,
+    /// directories and text that must be searched, of which only what is touched is loaded. Samples are had by
+    /// [`ByteSource::view`]. When they have been used, [`ByteSource::check`] tells whether they were the file's.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] when it does not lie within the file, [`Error::Io`] when it cannot be mapped.
     pub fn slice(&self, range: Range<u64>) -> Result<&[u8]> {
-        let len = range.end.checked_sub(range.start);
-        self.at(range.start, len.ok_or_else(|| self.too_short(range.start, range.end))?)
+        let within = self.range(&range)?;
+        Ok(match &self.bytes {
+            Bytes::Mapped(_, mapping) => &mapping.bytes()[within],
+            Bytes::Memory(bytes) => &bytes[within],
+            Bytes::Read(file, mapping) => {
+                if mapping.get().is_none() {
+                    let made = mmap::Mapping::new(file).map_err(|e| Error::io("map", &self.path, e))?;
+                    // Another thread's mapping is as good.
+                    let _ = mapping.set(made);
+                }
+                let bytes = mapping.get().expect("it was set, here or by another thread").bytes();
+                bytes.get(within).ok_or_else(|| self.shrunk(file))?
+            }
+        })
+    }
+
+    /// Whether the bytes of views and slices used so far were those of the file: an error when it has become shorter, or
+    /// its device failed. Costs one `fstat` of a mapped file, else nothing.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] naming the file.
+    pub fn check(&self) -> Result<()> {
+        let (file, mapping) = match &self.bytes {
+            Bytes::Mapped(file, mapping) => (file, mapping),
+            Bytes::Read(file, mapping) => match mapping.get() {
+                Some(mapping) => (file, mapping),
+                None => return Ok(()),
+            },
+            Bytes::Memory(_) => return Ok(()),
+        };
+        let short = file.metadata().is_ok_and(|about| about.len() < self.len);
+        if short || mapping.is_broken() { Err(self.shrunk(file)) } else { Ok(()) }
+    }
+
+    fn shrunk(&self, file: &File) -> Error {
+        let got = match file.metadata() {
+            Ok(about) if about.len() < self.len => format!("{} bytes now", about.len()),
+            _ => "pages that cannot be read".into(),
+        };
+        let expected = format!("{} bytes, as when it was opened", self.len);
+        Error::bad_input(&self.path, "length of the file", expected, got)
+            .with_help("another program shortened it while it was read, or its device failed")
     }
 
     /// Reads a range front to back. A range beyond the end is an error at once.
@@ -100,28 +248,51 @@ impl ByteSource {
     /// # Errors
     /// [`Error::BadInput`] when the range does not lie within the file.
     pub fn reader(self: &Arc<Self>, range: Range<u64>) -> Result<ByteReader> {
-        self.slice(range.clone())?;
-        Ok(ByteReader { source: Arc::clone(self), at: range.start, end: range.end })
+        self.range(&range)?;
+        Ok(ByteReader { source: Arc::clone(self), at: range.start, end: range.end, released: range.start })
     }
 
     /// Tells the system that a range will be read soon. A hint: nothing happens where it cannot be given.
     pub fn advise_will_need(&self, range: Range<u64>) {
-        if let Bytes::Mapped(mapping) = &self.bytes {
-            mapping.advise_will_need(range.start.min(self.len())..range.end.min(self.len()));
-        }
-    }
-
-    fn all(&self) -> &[u8] {
+        let range = range.start.min(self.len)..range.end.min(self.len);
         match &self.bytes {
-            Bytes::Mapped(mapping) => mapping.bytes(),
-            Bytes::Memory(bytes) => bytes,
+            Bytes::Mapped(_, mapping) => mapping.advise_will_need(range),
+            Bytes::Read(file, _) => advise(file, &range, Advice::WillNeed),
+            Bytes::Memory(_) => {}
         }
     }
 
-    fn at(&self, offset: u64, len: u64) -> Result<&[u8]> {
-        let end = offset.checked_add(len).filter(|&end| end <= self.len());
+    /// Tells that a range will not be read again by this run: of a file larger than a quarter of the machine's memory
+    /// its pages are dropped. A hint: reading it again gives the same bytes.
+    pub fn release(&self, range: Range<u64>) {
+        let range = range.start.min(self.len)..range.end.min(self.len);
+        if !self.drop_behind || range.is_empty() {
+            return;
+        }
+        match &self.bytes {
+            Bytes::Mapped(file, mapping) => {
+                mapping.let_go(range.clone());
+                advise(file, &range, Advice::DontNeed);
+            }
+            Bytes::Read(file, mapping) => {
+                if let Some(mapping) = mapping.get() {
+                    mapping.let_go(range.clone());
+                }
+                advise(file, &range, Advice::DontNeed);
+            }
+            Bytes::Memory(_) => {}
+        }
+    }
+
+    fn range(&self, range: &Range<u64>) -> Result<Range<usize>> {
+        let len = range.end.checked_sub(range.start);
+        self.within(range.start, len.ok_or_else(|| self.too_short(range.start, range.end))?)
+    }
+
+    fn within(&self, offset: u64, len: u64) -> Result<Range<usize>> {
+        let end = offset.checked_add(len).filter(|&end| end <= self.len);
         let end = end.ok_or_else(|| self.too_short(offset, len))?;
-        Ok(&self.all()[offset as usize..end as usize])
+        Ok(offset as usize..end as usize)
     }
 
     fn too_short(&self, offset: u64, len: u64) -> Error {
@@ -129,13 +300,50 @@ impl ByteSource {
             &self.path,
             format!("byte {offset}"),
             format!("{len} more bytes"),
-            format!("a file of {} bytes", self.len()),
+            format!("a file of {} bytes", self.len),
         )
         .with_help("the file is cut short, or its header is wrong")
     }
 }
 
-/// Opens a file that can be mapped. Looks before it opens: opening a pipe would wait for a writer for ever.
+#[derive(Clone, Copy)]
+enum Advice {
+    WillNeed,
+    DontNeed,
+}
+
+/// A hint about the page cache; refused hints are of no consequence.
+fn advise(file: &File, range: &Range<u64>, advice: Advice) {
+    #[cfg(target_os = "linux")]
+    if let Some(len) = std::num::NonZeroU64::new(range.end - range.start) {
+        let advice = match advice {
+            Advice::WillNeed => rustix::fs::Advice::WillNeed,
+            Advice::DontNeed => rustix::fs::Advice::DontNeed,
+        };
+        let _ = rustix::fs::fadvise(file, range.start, Some(len), advice);
+    }
+    #[cfg(not(target_os = "linux"))]
+    let _ = (file, range, advice);
+}
+
+#[cfg(unix)]
+fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
+    std::os::unix::fs::FileExt::read_exact_at(file, bytes, offset)
+}
+
+#[cfg(windows)]
+fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
+    let mut done = 0;
+    while done < bytes.len() {
+        match std::os::windows::fs::FileExt::seek_read(file, &mut bytes[done..], offset + done as u64)? {
+            0 => return Err(io::ErrorKind::UnexpectedEof.into()),
+            n => done += n,
+        }
+    }
+    Ok(())
+}
+
+/// Opens a file with data. Looks before it opens: opening a pipe would wait for a writer for ever.
 fn open_regular(path: &Path) -> Result<File> {
     let refuse = |got: &str| Error::bad_input(path, "file", "a regular file with data", got);
     let about = std::fs::metadata(path).map_err(|e| Error::io("open", path, e))?;
@@ -157,6 +365,8 @@ pub struct ByteReader {
     source: Arc<ByteSource>,
     at: u64,
     end: u64,
+    /// Up to here pages have been given up.
+    released: u64,
 }
 
 impl Read for ByteReader {
@@ -164,6 +374,10 @@ impl Read for ByteReader {
         let n = (self.end - self.at).min(out.len() as u64) as usize;
         self.source.read_at(self.at, &mut out[..n]).map_err(io::Error::other)?;
         self.at += n as u64;
+        if self.at - self.released >= DROP_BYTES {
+            self.source.release(self.released..self.at);
+            self.released = self.at;
+        }
         Ok(n)
     }
 }
@@ -183,13 +397,23 @@ mod tests {
     fn mapped_and_memory_agree() {
         let data: Vec<u8> = (0..=255).collect();
         let (_dir, path) = temporary(&data);
-        for source in [ByteSource::map(&path).unwrap(), ByteSource::from_vec(&path, data.clone())] {
+        for source in [
+            ByteSource::open(&path, IoMode::Map).unwrap(),
+            ByteSource::open(&path, IoMode::Read).unwrap(),
+            ByteSource::open(&path, IoMode::Auto).unwrap(),
+            ByteSource::from_vec(&path, data.clone()),
+        ] {
             assert_eq!((source.len(), source.path(), source.is_empty()), (256, path.as_path(), false));
             let mut out = [0; 3];
             source.read_at(253, &mut out).unwrap();
             assert_eq!(out, [253, 254, 255]);
             assert_eq!(source.slice(10..12).unwrap(), [10, 11]);
             assert_eq!(source.slice(256..256).unwrap(), [0u8; 0]);
+            let mut buffer = vec![9; 5];
+            assert_eq!(source.view(10..12, &mut buffer).unwrap(), [10, 11]);
+            assert!(source.view(255..257, &mut buffer).is_err());
+            source.check().unwrap();
+            source.release(0..u64::MAX);
             source.advise_will_need(200..u64::MAX);
             let mut rest = vec![];
             Arc::new(source).reader(250..256).unwrap().read_to_end(&mut rest).unwrap();
@@ -209,6 +433,75 @@ mod tests {
         #[allow(clippy::reversed_empty_ranges)]
         for range in [0..5, 3..2, 5..5, u64::MAX..0] {
             assert!(source.slice(range.clone()).is_err() && source.reader(range).is_err());
+        }
+    }
+
+    /// Cuts a mapped file at every kind of place while it is being read; no access may end the process.
+    #[test]
+    fn a_file_that_shrinks_is_an_error_that_names_it() {
+        let page = 4096usize;
+        for (mode, cut) in
+            [IoMode::Map, IoMode::Read].into_iter().flat_map(|m| [0, 100, page, page + 7].map(|c| (m, c)))
+        {
+            let (_dir, path) = temporary(&vec![7; 64 * page]);
+            let source = Arc::new(ByteSource::open(&path, mode).unwrap());
+            source.read_at(0, &mut [0; 10]).unwrap();
+            let mut reader = source.reader(0..source.len()).unwrap();
+            reader.read_exact(&mut [0; 50]).unwrap();
+            File::options().write(true).open(&path).unwrap().set_len(cut as u64).unwrap();
+            // Whoever looks at borrowed bytes sees zeros at worst, and is told afterwards.
+            let sum: u64 = source.slice(0..source.len()).map_or(0, |b| b.iter().map(|&b| u64::from(b)).sum());
+            assert!(sum <= 7 * 4096 * 64);
+            let mut buffer = vec![];
+            let viewed = source.view(10 * page as u64..11 * page as u64, &mut buffer).map(<[u8]>::len);
+            let failures = [
+                viewed.and_then(|_| source.check()),
+                source.read_at(60 * page as u64, &mut [0; 10]),
+                source.read_at(cut as u64, &mut [0; 1]),
+                reader.read_to_end(&mut vec![]).map(|_| ()).map_err(|e| {
+                    e.downcast::<Error>().unwrap_or_else(|e| panic!("{e}: one of our errors inside"))
+                }),
+            ];
+            for failure in failures {
+                let error = failure.unwrap_err();
+                let line = error.to_string();
+                assert_eq!(error.exit_code(), 5);
+                assert!(line.contains("data.bin") && line.contains(&format!("{cut} bytes now")), "{line}");
+            }
+        }
+    }
+
+    /// Pages of a file that are in the page cache.
+    #[cfg(target_os = "linux")]
+    fn cached_pages(path: &Path) -> Option<u64> {
+        let out = std::process::Command::new("fincore").args(["-b", "-n", "-o", "PAGES"]).arg(path).output();
+        String::from_utf8(out.ok()?.stdout).ok()?.trim().parse().ok()
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn what_is_behind_leaves_the_page_cache_of_a_large_file_only() {
+        let (_dir, path) = temporary(&vec![7; 8 << 20]);
+        File::open(&path).unwrap().sync_all().unwrap();
+        let Some(all) = cached_pages(&path).filter(|&n| n > 1000) else {
+            eprintln!("skipped: no fincore, or a file system without page cache");
+            return;
+        };
+        for mode in [IoMode::Map, IoMode::Read] {
+            for (drop_behind, most) in [(false, all), (true, all / 2 + 64)] {
+                let mut source = ByteSource::open(&path, mode).unwrap();
+                source.drop_behind = drop_behind;
+                let mut whole = vec![0; 8 << 20];
+                source.read_at(0, &mut whole).unwrap();
+                source.release(0..4 << 20);
+                let left = cached_pages(&path).unwrap();
+                assert!(
+                    left <= most && (drop_behind || left == all),
+                    "{mode:?} {drop_behind}: {left} of {all}"
+                );
+                source.read_at(0, &mut whole).unwrap();
+                assert!(whole.iter().all(|&b| b == 7));
+            }
         }
     }
 

@@ -2,6 +2,7 @@
 
 use super::text::parse_triple;
 use clap::ValueEnum;
+use isospan::bytes::IoMode;
 use isospan::formats::{OpenOptions, raw::RawLayout};
 use isospan::volume::ScalarType;
 use isospan::{Error, Result};
@@ -33,6 +34,26 @@ pub(crate) struct InputArgs {
     /// Raw file: world length of a voxel edge along x, y and z.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_spacing, requires = "dims", help_heading = "Raw files")]
     spacing: Option<[f64; 3]>,
+    /// How files are read; the result is the same. "auto" reads on network file systems and maps elsewhere.
+    #[arg(long, value_enum, default_value_t = Io::Auto)]
+    io: Io,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Io {
+    Auto,
+    Map,
+    Read,
+}
+
+impl Io {
+    fn mode(self) -> IoMode {
+        match self {
+            Self::Auto => IoMode::Auto,
+            Self::Map => IoMode::Map,
+            Self::Read => IoMode::Read,
+        }
+    }
 }
 
 fn parse_dims(text: &str) -> std::result::Result<[u64; 3], String> {
@@ -63,6 +84,6 @@ impl InputArgs {
             (None, None) => None,
             _ => return Err(Error::usage("--dims and --type go together")),
         };
-        Ok(OpenOptions { field: self.field.clone(), raw })
+        Ok(OpenOptions { field: self.field.clone(), raw, io: self.io.mode() })
     }
 }

@@ -1,6 +1,6 @@
 //! What the headers of several formats have in common: text lines, lists of numbers, numbered slice files, axes.
 
-use crate::bytes::ByteSource;
+use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::grid::Geometry;
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo};
@@ -154,8 +154,13 @@ fn c_number(pattern: &str, number: i64) -> Option<String> {
     used.then_some(out)
 }
 
-/// Maps the slice files that a header names; those that are missing are named in the error.
-pub(super) fn map_files(header: &Path, at: &str, names: &[String]) -> Result<Vec<Arc<ByteSource>>> {
+/// Opens the slice files that a header names; those that are missing are named in the error.
+pub(super) fn open_files(
+    header: &Path,
+    at: &str,
+    names: &[String],
+    io: IoMode,
+) -> Result<Vec<Arc<ByteSource>>> {
     if names.iter().any(String::is_empty) {
         return Err(Error::bad_input(header, at, "the name of a file", "none"));
     }
@@ -171,7 +176,7 @@ pub(super) fn map_files(header: &Path, at: &str, names: &[String]) -> Result<Vec
             Error::bad_input(header, at, expected, got).with_help("put the missing files into its folder")
         );
     }
-    paths.iter().map(|p| Ok(Arc::new(ByteSource::map(p)?))).collect()
+    paths.iter().map(|p| Ok(Arc::new(ByteSource::open(p, io)?))).collect()
 }
 
 #[cfg(test)]

@@ -22,10 +22,10 @@
 //!
 //! The format: <https://itk.org/Wiki/ITK/MetaIO/Documentation>.
 
-use super::header::{Lines, geometry, map_files, numbered_files, numbers, plain_info};
+use super::header::{Lines, geometry, numbered_files, numbers, open_files, plain_info};
 use super::stream::{ByteSlabs, Codec, Tail, TextSlabs, sample_bytes};
 use super::{OpenOptions, pick_field};
-use crate::bytes::ByteSource;
+use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
@@ -38,7 +38,7 @@ use std::sync::Arc;
 /// # Errors
 /// [`Error::BadInput`] when it is malformed, cut short, of a kind that is not read, or its slices are missing.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let source = Arc::new(ByteSource::map(path)?);
+    let source = Arc::new(ByteSource::open(path, options.io)?);
     let header = Header::parse(&source)?;
     let (dims, scalar) = (header.dims()?, header.scalar()?);
     let bytes = sample_bytes(path, dims, scalar)?;
@@ -47,7 +47,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let format = format!("MetaImage ({}, {})", if local { "attached" } else { "detached" }, encoding.name());
     let info = plain_info(path, format, dims, scalar, header.geometry()?);
     pick_field(path, &info.fields, options.field.as_deref())?;
-    let parts = if local { vec![Arc::clone(&source)] } else { header.files(dims)? };
+    let parts = if local { vec![Arc::clone(&source)] } else { header.files(dims, options.io)? };
     let start = header.start(&parts, local, encoding, bytes / parts.len() as u64)?;
     header.samples(info, parts, start, encoding)
 }
@@ -201,7 +201,7 @@ impl<'a> Header<'a> {
     }
 
     /// The files beside the header that hold the samples.
-    fn files(&self, dims: [u64; 3]) -> Result<Vec<Arc<ByteSource>>> {
+    fn files(&self, dims: [u64; 3], io: IoMode) -> Result<Vec<Arc<ByteSource>>> {
         let value = self.require("ElementDataFile")?;
         let words: Vec<&str> = value.split_whitespace().collect();
         let last = dims[2].to_string();
@@ -220,7 +220,7 @@ impl<'a> Header<'a> {
             let expected = "the same number of whole slices in every file";
             return Err(Error::bad_input(self.path, "ElementDataFile", expected, got));
         }
-        map_files(self.path, "ElementDataFile", &names)
+        open_files(self.path, "ElementDataFile", &names, io)
     }
 
     fn pattern(&self, value: &str, words: &[&str]) -> Result<Vec<String>> {

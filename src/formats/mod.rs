@@ -25,7 +25,7 @@ pub mod vtk_legacy;
 pub mod vtk_xml;
 pub mod vtp;
 
-use crate::bytes::ByteSource;
+use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::volume::bricked::{self, BrickedVolume};
 use crate::volume::{FieldInfo, VolumeSource};
@@ -40,6 +40,8 @@ pub struct OpenOptions {
     pub field: Option<String>,
     /// The layout of a headerless file; required for those, refused for others.
     pub raw: Option<raw::RawLayout>,
+    /// Whether files are mapped or read. Does not change what is read.
+    pub io: IoMode,
 }
 
 /// What a file is.
@@ -76,7 +78,7 @@ impl Kind {
 /// [`Error::BadInput`] for a malformed file or an unknown kind; [`Error::Usage`] when several fields ask for a choice,
 /// when a headerless file comes without its layout, or another with one.
 pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let source = Arc::new(ByteSource::map(path)?);
+    let source = Arc::new(ByteSource::open(path, options.io)?);
     let kind = kind_of(&source);
     if let (Some(kind), Some(_)) = (kind, &options.raw) {
         return Err(Error::usage(format!(
@@ -87,7 +89,7 @@ pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
     match kind {
         Some(Kind::Bricks) => {
-            let volume = BrickedVolume::open(path)?;
+            let volume = BrickedVolume::open_with(path, options.io)?;
             pick_field(path, &crate::volume::VolumeReader::info(&volume).fields, options.field.as_deref())?;
             Ok(VolumeSource::Random(Box::new(volume)))
         }
@@ -341,7 +343,7 @@ pub(crate) mod tests {
             offset: 0,
             spacing: [1.0; 3],
         };
-        let options = OpenOptions { field: None, raw: Some(layout) };
+        let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };
         let nrrd = write(&dir, "a.nrrd", b"NRRD0004\n");
         let error = open_volume(&nrrd, &options).err().expect("refused");
         assert_eq!(error.exit_code(), 2);

@@ -51,10 +51,10 @@ pub(super) fn has_magic(head: &[u8]) -> bool {
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let header_path =
         if has_suffix(path, &[".img", ".img.gz"]) { partner(path, "hdr")? } else { path.to_path_buf() };
-    let source = Arc::new(ByteSource::map(&header_path)?);
+    let source = Arc::new(ByteSource::open(&header_path, options.io)?);
     let header = Header::parse(&source)?;
     let pair = header.is_pair()?;
-    let data = if pair { Arc::new(ByteSource::map(partner(path, "img")?)?) } else { source };
+    let data = if pair { Arc::new(ByteSource::open(partner(path, "img")?, options.io)?) } else { source };
     let (scalar, dims, frames) = (header.scalar()?, header.dims()?, header.frames()?);
     let (frame_bytes, offset) = (sample_bytes(path, dims, scalar)?, header.offset(pair)?);
     let gzip = is_gzip(&data)?;

@@ -31,7 +31,7 @@ use std::sync::Arc;
 /// # Errors
 /// [`Error::BadInput`] when it is malformed, cut short or not a three-dimensional array of numbers.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let source = Arc::new(ByteSource::map(path)?);
+    let source = Arc::new(ByteSource::open(path, options.io)?);
     let array = Array::parse(path, source.slice(0..source.len())?)?;
     let format = if array.z_fastest { "NPY (Fortran order)" } else { "NPY" };
     let info = plain_info(path, format, array.dims, array.scalar, Geometry::default());

@@ -32,7 +32,7 @@ use std::sync::Arc;
 /// [`Error::BadInput`] when the archive is malformed or has no array that can be read; [`Error::Usage`] when it has
 /// several and none is chosen.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let source = Arc::new(ByteSource::map(path)?);
+    let source = Arc::new(ByteSource::open(path, options.io)?);
     let (mut arrays, mut refused) = (vec![], None);
     for member in members(&source)? {
         match member.array(&source) {
@@ -269,7 +269,7 @@ mod tests {
     }
 
     fn options(field: Option<&str>) -> OpenOptions {
-        OpenOptions { field: field.map(str::to_string), raw: None }
+        OpenOptions { field: field.map(str::to_string), ..OpenOptions::default() }
     }
 
     #[test]

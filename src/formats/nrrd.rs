@@ -22,10 +22,10 @@
 //!
 //! The format: <https://teem.sourceforge.net/nrrd/format.html>.
 
-use super::header::{Lines, geometry, map_files, numbered_files, numbers, plain_info, scaled_axes};
+use super::header::{Lines, geometry, numbered_files, numbers, open_files, plain_info, scaled_axes};
 use super::stream::{ByteSlabs, Codec, Tail, TextSlabs, sample_bytes};
 use super::{OpenOptions, pick_field};
-use crate::bytes::ByteSource;
+use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
@@ -39,10 +39,10 @@ use std::sync::Arc;
 /// # Errors
 /// [`Error::BadInput`] when it is malformed, cut short, or of a kind that is not read.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let source = Arc::new(ByteSource::map(path)?);
+    let source = Arc::new(ByteSource::open(path, options.io)?);
     let header = Header::parse(&source)?;
     let (dims, scalar) = (header.dims()?, header.scalar()?);
-    let data = header.data(Arc::clone(&source), dims)?;
+    let data = header.data(Arc::clone(&source), dims, options.io)?;
     let encoding = header.encoding()?;
     let place = if header.get("datafile").is_some() { "detached" } else { "attached" };
     let format = format!("NRRD ({place}, {})", encoding.name());
@@ -272,7 +272,7 @@ impl<'a> Header<'a> {
     }
 
     /// The files that hold the samples.
-    fn data(&self, header: Arc<ByteSource>, dims: [u64; 3]) -> Result<Data> {
+    fn data(&self, header: Arc<ByteSource>, dims: [u64; 3], io: IoMode) -> Result<Data> {
         let Some(value) = self.get("datafile") else {
             return Ok(Data { parts: vec![header], start: self.end });
         };
@@ -300,7 +300,7 @@ impl<'a> Header<'a> {
                 got,
             ));
         }
-        Ok(Data { parts: map_files(self.path, "data file", &names)?, start: 0 })
+        Ok(Data { parts: open_files(self.path, "data file", &names, io)?, start: 0 })
     }
 
     fn samples(&self, mut info: VolumeInfo, data: Data, encoding: Encoding) -> Result<VolumeSource> {

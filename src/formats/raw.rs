@@ -47,7 +47,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
     let geometry = geometry(path, "--spacing", [0.0; 3], scaled_axes(layout.spacing))?;
     let needed = sample_bytes(path, layout.dims, layout.scalar)?;
-    let source = Arc::new(ByteSource::map(path)?);
+    let source = Arc::new(ByteSource::open(path, options.io)?);
     let gzip = source.len() > 2 && source.slice(0..2)? == [0x1f, 0x8b] && has_extension(path, "gz");
     let format = if gzip { "raw (gzip)" } else { "raw" };
     let info = plain_info(path, format, layout.dims, layout.scalar, geometry);
@@ -114,7 +114,7 @@ mod tests {
     }
 
     fn options(raw: RawLayout) -> OpenOptions {
-        OpenOptions { field: None, raw: Some(raw) }
+        OpenOptions { raw: Some(raw), ..OpenOptions::default() }
     }
 
     fn bytes() -> Vec<u8> {
@@ -142,8 +142,8 @@ mod tests {
         };
         assert_eq!(code(&OpenOptions::default()), 2);
         assert_eq!(code(&options(RawLayout { spacing: [1.0, -1.0, 1.0], ..layout() })), 2);
-        assert_eq!(code(&OpenOptions { field: Some("x".into()), raw: Some(layout()) }), 2);
-        assert_eq!(code(&OpenOptions { field: Some("data".into()), raw: Some(layout()) }), 0);
+        assert_eq!(code(&OpenOptions { field: Some("x".into()), ..options(layout()) }), 2);
+        assert_eq!(code(&OpenOptions { field: Some("data".into()), ..options(layout()) }), 0);
         let big = u64::MAX;
         for (dims, offset) in
             [([4, 3, 2], 2), ([4, 3, 2], 4), ([4, 3, 2], big), ([3, 3, 2], 3), ([big; 3], 0), ([0, 3, 2], 3)]

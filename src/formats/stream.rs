@@ -277,15 +277,19 @@ impl SlabStream for TextSlabs {
         let Some(slab) = self.walk.next() else {
             let (at, word) = next_word(&self.source, &mut self.at, self.end)?;
             if word.is_empty() {
+                self.source.check()?;
                 return Ok(None);
             }
             let (at, got) = (format!("byte {at}"), String::from_utf8_lossy(word));
             return Err(Error::bad_input(self.source.path(), at, "the end of the samples", got)
                 .with_help("the header's dimensions are wrong"));
         };
-        for _ in 0..slab.len() {
-            self.push_sample(out)?;
-        }
+        let start = self.at;
+        let pushed = (0..slab.len()).try_for_each(|_| self.push_sample(out));
+        // First of all: a file that was cut meanwhile reads as zeros, which are no numbers.
+        self.source.check()?;
+        pushed?;
+        self.source.release(start..self.at);
         Ok(Some(slab))
     }
 }

@@ -129,7 +129,7 @@ pub fn read_surface(path: &Path) -> Result<TriMesh> {
     let source = Arc::new(ByteSource::map(path)?);
     let bytes = source.slice(0..source.len())?;
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes).trim_ascii_start();
-    match SurfaceFormat::from_path(path) {
+    let mesh = match SurfaceFormat::from_path(path) {
         _ if bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r") => ply::read(path, bytes),
         _ if text.starts_with(b"<?xml") || text.starts_with(b"<VTKFile") => vtp::read(&source),
         _ if stl::is_binary(bytes) => stl::read(path, bytes),
@@ -138,7 +138,9 @@ pub fn read_surface(path: &Path) -> Result<TriMesh> {
         _ if text.starts_with(b"solid") => stl::read(path, bytes),
         _ => Err(Error::bad_input(path, "first bytes", "a PLY, STL, OBJ or VTP surface", "something else")
             .with_help("convert it, or give the file the extension of its format")),
-    }
+    };
+    source.check()?;
+    mesh
 }
 
 /// Whether all three coordinates are finite.

@@ -47,7 +47,7 @@ use std::sync::Arc;
 /// [`Error::BadInput`] for a malformed file, another kind of dataset, cell data, bits;
 /// [`Error::Usage`] when several fields ask for a choice.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    open_source(&Arc::new(ByteSource::map(path)?), options.field.as_deref())
+    open_source(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
 }
 
 fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeSource> {

@@ -30,7 +30,7 @@
 
 mod build;
 
-use crate::bytes::ByteSource;
+use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::strided::convert_row;
@@ -151,12 +151,20 @@ impl BrickedVolume {
         build::build(stream, out, max_buffer_bytes, progress)
     }
 
-    /// Opens a bricked file. Reads header and footer, no samples.
+    /// Opens a bricked file in the I/O mode that suits its file system. Reads header and footer, no samples.
     ///
     /// # Errors
     /// [`Error::BadInput`] when it is not a bricked file, of another version, cut short, or its header is damaged.
     pub fn open(path: &Path) -> Result<Self> {
-        let source = Arc::new(ByteSource::map(path)?);
+        Self::open_with(path, IoMode::Auto)
+    }
+
+    /// [`BrickedVolume::open`] in a given I/O mode.
+    ///
+    /// # Errors
+    /// Those of [`BrickedVolume::open`].
+    pub fn open_with(path: &Path, io: IoMode) -> Result<Self> {
+        let source = Arc::new(ByteSource::open(path, io)?);
         let (header, layout) = read_header(&source)?;
         check_footer(&source, &layout)?;
         let info = VolumeInfo {
@@ -188,13 +196,16 @@ impl BrickedVolume {
         let table = self.source.slice(table_at..table_at + 4 * self.layout.bricks)?;
         for (number, stored) in table.chunks_exact(4).enumerate() {
             let range = self.layout.bytes_of(&self.layout.brick(number as u64));
-            let (expected, got) = (le32(stored), crc32c::crc32c(self.source.slice(range.clone())?));
+            let mut buffer = vec![];
+            let (expected, got) =
+                (le32(stored), crc32c::crc32c(self.source.view(range.clone(), &mut buffer)?));
             if expected != got {
                 let at = format!("brick {number} at byte {}", range.start);
+                self.source.check()?;
                 return Err(damaged(self.source.path(), at, expected, got));
             }
         }
-        Ok(())
+        self.source.check()
     }
 
     /// Calls `take(position in the box's x-fastest array, stored bytes)` for each row of each brick in the box.
@@ -204,10 +215,17 @@ impl BrickedVolume {
         if voxels.is_empty() {
             return Ok(());
         }
-        let size = self.layout.sample_bytes as usize;
+        let (size, mut buffer) = (self.layout.sample_bytes as usize, vec![]);
         for brick in self.layout.bricks_of(voxels) {
-            let bytes = self.source.slice(self.layout.bytes_of(&brick))?;
             let part = brick.intersect(&voxels);
+            // The slices that are needed lie together.
+            let slice = brick.dims()[0] * brick.dims()[1] * self.layout.sample_bytes;
+            let first = self.layout.bytes_of(&brick).start + (part.lo[2] - brick.lo[2]) * slice;
+            let bytes = self.source.view(first..first + part.dims()[2] * slice, &mut buffer)?;
+            let brick = IndexBox {
+                lo: [brick.lo[0], brick.lo[1], part.lo[2]],
+                hi: [brick.hi[0], brick.hi[1], part.hi[2]],
+            };
             for (z, y) in (part.lo[2]..part.hi[2]).flat_map(|z| (part.lo[1]..part.hi[1]).map(move |y| (z, y)))
             {
                 let start = [part.lo[0], y, z];
@@ -215,7 +233,7 @@ impl BrickedVolume {
                 take(voxels.offset(start), row);
             }
         }
-        Ok(())
+        self.source.check()
     }
 }
 
@@ -252,6 +270,16 @@ impl VolumeReader for BrickedVolume {
             let (part, at) = (brick.intersect(&voxels), self.layout.bytes_of(&brick).start);
             let slices = part.lo[2] - brick.lo[2]..part.hi[2] - brick.lo[2];
             self.source.advise_will_need(at + slices.start * slice..at + slices.end * slice);
+        }
+    }
+
+    fn release(&self, slices: Range<u64>) {
+        // Whole layers of bricks, each contiguous; a layer that began before was not given up before.
+        let (first, last) = (slices.start / EDGE * EDGE, slices.end / EDGE * EDGE);
+        let last = if slices.end >= self.info.dims[2] { self.info.dims[2] } else { last };
+        if first < last {
+            let slice = self.info.dims[0] * self.info.dims[1] * self.layout.sample_bytes;
+            self.source.release(self.layout.data_at + first * slice..self.layout.data_at + last * slice);
         }
     }
 }

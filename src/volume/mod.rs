@@ -10,6 +10,7 @@ pub mod strided;
 use crate::error::Result;
 use crate::grid::{Geometry, IndexBox};
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 use std::path::PathBuf;
 
 /// The type of a stored sample.
@@ -135,6 +136,10 @@ pub trait VolumeReader: Send + Sync {
 
     /// Tells that `voxels` will be read soon; a hint.
     fn will_need(&self, _voxels: IndexBox) {}
+
+    /// Tells that no sample with a z in `slices` will be read again by this run, after the slices before were given up
+    /// in the same way; a hint.
+    fn release(&self, _slices: Range<u64>) {}
 
     /// What [`VolumeReader::read_stored`] gives, for a copy without loss. A reader that cannot give the stored samples
     /// gives its values: `f32`, slope 1, nothing missing.

@@ -10,6 +10,9 @@ use crate::volume::{SlabStream, VolumeInfo, VolumeReader};
 /// Bytes of a slab, unless a single row has more.
 const SLAB_BYTES: u64 = 1 << 20;
 
+/// What is behind is given up once it has this many samples.
+const RELEASE_SAMPLES: u64 = 8 << 20;
+
 /// The boxes of a volume's slabs, front to back.
 #[derive(Clone, Debug)]
 pub struct SlabWalk {
@@ -54,6 +57,8 @@ pub struct ReaderSlabs {
     reader: Box<dyn VolumeReader>,
     info: VolumeInfo,
     walk: SlabWalk,
+    /// Slices before this one have been given up.
+    released: u64,
 }
 
 impl ReaderSlabs {
@@ -61,7 +66,7 @@ impl ReaderSlabs {
     pub fn new(reader: Box<dyn VolumeReader>) -> Self {
         let info = reader.stored_info();
         let walk = SlabWalk::new(info.dims, info.field.scalar.bytes());
-        Self { reader, info, walk }
+        Self { reader, info, walk, released: 0 }
     }
 }
 
@@ -75,6 +80,11 @@ impl SlabStream for ReaderSlabs {
         let Some(slab) = self.walk.next() else { return Ok(None) };
         out.resize(slab.len() * self.info.field.scalar.bytes(), 0);
         self.reader.read_stored(slab, out)?;
+        let (behind, slice) = (slab.lo[2], self.info.dims[0] * self.info.dims[1]);
+        if (behind - self.released).saturating_mul(slice) >= RELEASE_SAMPLES {
+            self.reader.release(self.released..behind);
+            self.released = behind;
+        }
         Ok(Some(slab))
     }
 }

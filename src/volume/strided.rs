@@ -7,12 +7,14 @@
 //!
 //! Reading goes along the axis with the smallest step, so that a box of a z-fastest array is read in runs along z and
 //! scattered, not gathered sample by sample; in the usual case that axis is x and a run is a row of the output.
-//! Cost: O(samples of the box), no memory beyond a run.
+//! Cost: O(samples of the box), no memory beyond a run. A file that is read and not mapped is read plane by plane, the
+//! samples between two runs included, as long as these are few.
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::grid::IndexBox;
 use crate::volume::{ScalarType, VolumeInfo, VolumeReader};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// A volume whose samples lie at regular steps in one file, or in a stack of files.
@@ -87,14 +89,12 @@ impl StridedVolume {
     /// Calls `take(axis, position in the box's x-fastest array, stored bytes of a run along axis)` for every run of
     /// the box. A run is contiguous: gathered first where the steps leave gaps.
     fn for_each_run(&self, voxels: IndexBox, mut take: impl FnMut(usize, usize, &[u8])) -> Result<()> {
-        let (size, d) = (self.info.field.scalar.bytes(), self.info.dims);
+        let d = self.info.dims;
         assert!((0..3).all(|a| voxels.hi[a] <= d[a]), "box {voxels:?} lies in a volume of {d:?} samples");
         if voxels.is_empty() {
             return Ok(());
         }
-        // `min_by_key` takes the first of equals: x where a dimension of 1 makes steps equal.
-        let axis = (0..3).min_by_key(|&a| self.strides[a].unsigned_abs()).expect("three axes");
-        let mut gathered = vec![];
+        let mut buffers = Buffers::default();
         let first = voxels.lo[2] / self.slices_per_part;
         let last = (voxels.hi[2] - 1) / self.slices_per_part;
         for part in first..=last {
@@ -102,14 +102,65 @@ impl StridedVolume {
             let mut inside = voxels;
             inside.lo[2] = voxels.lo[2].max(z0);
             inside.hi[2] = voxels.hi[2].min(z0 + self.slices_per_part);
-            for start in run_starts(inside, axis) {
-                let at = self.byte_of([start[0], start[1], start[2] - z0]);
-                let count = inside.dims()[axis] as usize;
-                let bytes = self.run(part as usize, at, self.strides[axis], count, size, &mut gathered)?;
+            let source = &self.parts[part as usize];
+            self.runs_of_part(source, inside, z0, &mut buffers, &mut |axis, start, bytes| {
                 take(axis, voxels.offset(start), bytes);
+            })?;
+            source.check()?;
+        }
+        Ok(())
+    }
+
+    /// The runs of a box that lies in one part, whose first slice is `z0`. The box is viewed piece by piece, and a piece is
+    /// a plane of the two axes of least step where that reads little that is not used, else a run.
+    fn runs_of_part(
+        &self,
+        source: &ByteSource,
+        inside: IndexBox,
+        z0: u64,
+        buffers: &mut Buffers,
+        take: &mut dyn FnMut(usize, [u64; 3], &[u8]),
+    ) -> Result<()> {
+        let (size, [axis, next, slow]) = (self.info.field.scalar.bytes(), self.axes_by_step());
+        let (count, dims) = (inside.dims()[axis] as usize, inside.dims());
+        let reach = |a: usize| self.strides[a].unsigned_abs() * (dims[a] - 1);
+        let gap = self.strides[next].unsigned_abs().saturating_sub(reach(axis));
+        let whole = gap <= LARGEST_GAP && reach(axis) + reach(next) <= LARGEST_PIECE;
+        let rows = if whole { dims[next] } else { 1 };
+        for s in inside.lo[slow]..inside.hi[slow] {
+            for first in (inside.lo[next]..inside.hi[next]).step_by(rows as usize) {
+                let mut start = inside.lo;
+                (start[slow], start[next]) = (s, first);
+                let corner = self.byte_of([start[0], start[1], start[2] - z0]);
+                let piece = self.piece(corner, (axis, dims[axis]), (next, rows), size);
+                let bytes = source.view(piece.clone(), &mut buffers.piece)?;
+                for row in 0..rows {
+                    let at =
+                        corner.wrapping_add_signed(self.strides[next].wrapping_mul(row as i64)) - piece.start;
+                    start[next] = first + row;
+                    take(axis, start, run(bytes, at, self.strides[axis], count, size, &mut buffers.gathered));
+                }
             }
         }
         Ok(())
+    }
+
+    /// The axes, that of the least step first; of equal ones, as where a dimension is 1, x before y before z.
+    fn axes_by_step(&self) -> [usize; 3] {
+        let mut axes = [0, 1, 2];
+        axes.sort_by_key(|&a| self.strides[a].unsigned_abs());
+        axes
+    }
+
+    /// The bytes from the first to the last sample of a plane whose sample of least index is at byte `corner`, given its
+    /// axes and sizes. Steps may be negative.
+    fn piece(&self, corner: u64, a: (usize, u64), b: (usize, u64), size: usize) -> Range<u64> {
+        let (mut lo, mut hi) = (corner, corner + size as u64);
+        for (axis, count) in [a, b] {
+            let reach = self.strides[axis].unsigned_abs() * (count - 1);
+            if self.strides[axis] < 0 { lo -= reach } else { hi += reach }
+        }
+        lo..hi
     }
 
     /// Byte of a sample within its part. Cannot overflow: `check_extent` has seen the extreme samples.
@@ -117,28 +168,37 @@ impl StridedVolume {
         let step = |a: usize| self.strides[a].wrapping_mul(ijk[a] as i64);
         self.offset.wrapping_add_signed(step(0).wrapping_add(step(1)).wrapping_add(step(2)))
     }
+}
 
-    /// `count` samples of a part, from byte `at` on, `stride` apart.
-    fn run<'a>(
-        &'a self,
-        part: usize,
-        at: u64,
-        stride: i64,
-        count: usize,
-        size: usize,
-        gathered: &'a mut Vec<u8>,
-    ) -> Result<&'a [u8]> {
-        let source = &self.parts[part];
-        if stride == size as i64 || count == 1 {
-            return source.slice(at..at + (count * size) as u64);
-        }
-        gathered.clear();
-        for i in 0..count as i64 {
-            let at = at.wrapping_add_signed(i * stride);
-            gathered.extend_from_slice(source.slice(at..at + size as u64)?);
-        }
-        Ok(gathered)
+/// What a box is read through; empty while files are mapped and samples lie without gaps.
+#[derive(Default)]
+struct Buffers {
+    piece: Vec<u8>,
+    gathered: Vec<u8>,
+}
+
+/// Bytes between two runs that are read along with them: a read of its own costs about as much as copying these.
+const LARGEST_GAP: u64 = 8 << 10;
+/// Bytes of a plane that is read at once.
+const LARGEST_PIECE: u64 = 4 << 20;
+
+/// `count` samples from byte `at` of a piece on, `stride` apart.
+fn run<'a>(
+    piece: &'a [u8],
+    at: u64,
+    stride: i64,
+    count: usize,
+    size: usize,
+    gathered: &'a mut Vec<u8>,
+) -> &'a [u8] {
+    if stride == size as i64 || count == 1 {
+        return &piece[at as usize..][..count * size];
     }
+    gathered.clear();
+    for i in 0..count as i64 {
+        gathered.extend_from_slice(&piece[at.wrapping_add_signed(i * stride) as usize..][..size]);
+    }
+    gathered
 }
 
 impl VolumeReader for StridedVolume {
@@ -202,13 +262,22 @@ impl VolumeReader for StridedVolume {
             self.parts[part].advise_will_need(lo..hi);
         }
     }
-}
 
-/// The first sample of each run of a box along `axis`, in storage-independent order (z slowest).
-fn run_starts(voxels: IndexBox, axis: usize) -> impl Iterator<Item = [u64; 3]> {
-    let (lo, mut hi) = (voxels.lo, voxels.hi);
-    hi[axis] = lo[axis] + 1;
-    (lo[2]..hi[2]).flat_map(move |z| (lo[1]..hi[1]).flat_map(move |y| (lo[0]..hi[0]).map(move |x| [x, y, z])))
+    fn release(&self, slices: Range<u64>) {
+        // Only where the bytes of a slice lie together are they those of these slices alone.
+        let [x, y, z] = self.strides;
+        let (row, slice) =
+            (x.saturating_mul(self.info.dims[0] as i64), y.saturating_mul(self.info.dims[1] as i64));
+        if x <= 0 || row > y || slice > z || slices.is_empty() {
+            return;
+        }
+        let per = self.slices_per_part;
+        for part in slices.start / per..=(slices.end - 1) / per {
+            let lo = slices.start.max(part * per) - part * per;
+            let hi = slices.end.min((part + 1) * per) - part * per;
+            self.parts[part as usize].release(self.byte_of([0, 0, lo])..self.byte_of([0, 0, hi]));
+        }
+    }
 }
 
 /// Steps along x, y, z in the x-fastest array of a box.

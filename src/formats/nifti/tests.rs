@@ -131,7 +131,7 @@ fn frames_are_fields() {
             error.exit_code() == 2 && error.to_string().contains("t0 (u16), t1 (u16), t2 (u16)"),
             "{error}"
         );
-        let options = OpenOptions { field: Some("t1".into()), raw: None };
+        let options = OpenOptions { field: Some("t1".into()), ..OpenOptions::default() };
         let (info, values) = read_all(open_volume(&path, &options).unwrap());
         assert_eq!((values[0], values[23], info.fields.len()), (1000.0, 1023.0, 3));
     }

@@ -255,12 +255,12 @@ impl TextNumbers {
             at = end;
         }
         self.at = at as u64;
-        Ok(())
+        self.source.check()
     }
 
     fn finish(&self) -> Result<()> {
         match text::word(self.source.slice(0..self.end)?, self.at as usize) {
-            None => Ok(()),
+            None => self.source.check(),
             Some((at, _)) => {
                 Err(self.wrong(at, "the end of the array's numbers".into(), "more numbers".into()))
             }
@@ -268,6 +268,10 @@ impl TextNumbers {
     }
 
     fn wrong(&self, at: usize, expected: String, got: String) -> Error {
+        // A file that was cut meanwhile reads as zeros, which are no numbers.
+        if let Err(shrunk) = self.source.check() {
+            return shrunk;
+        }
         let place = match self.source.slice(0..self.end) {
             Ok(bytes) => text::place(bytes, at),
             Err(_) => format!("byte {at}"),

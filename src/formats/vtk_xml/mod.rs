@@ -47,5 +47,5 @@ use std::sync::Arc;
 /// [`Error::BadInput`](crate::Error::BadInput) for a malformed file, another VTK type, cell data, vectors;
 /// [`Error::Usage`](crate::Error::Usage) when several fields ask for a choice.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    image::open(&Arc::new(ByteSource::map(path)?), options.field.as_deref())
+    image::open(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
 }

@@ -1,7 +1,7 @@
 //! Writing a bricked file from a stream.
 
 use super::{ALIGN, EDGE, Header, Layout, MAGIC, PREFIX, VERSION, footer};
-use crate::bytes::ByteSource;
+use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::grid::IndexBox;
 use crate::volume::{SlabStream, VolumeInfo};
@@ -178,10 +178,13 @@ impl<'a> Bricks<'a> {
             }
             let source = match &mut source {
                 Some(source) => source,
-                None => source.insert(ByteSource::of_file(&self.out, self.file)?),
+                None => {
+                    let file = self.file.try_clone().map_err(|e| Error::io("reopen", &self.out, e))?;
+                    source.insert(ByteSource::of_file(&self.out, file, IoMode::Auto)?)
+                }
             };
             let range = self.layout.bytes_of(&self.layout.brick(number as u64));
-            self.sums[number].0 = crc32c::crc32c(source.slice(range)?);
+            self.sums[number].0 = crc32c::crc32c(source.view(range, &mut self.part)?);
         }
         Ok(())
     }

@@ -1,0 +1,70 @@
+//! Which file systems are shared over a network, and how much memory the machine has: what the choice of the I/O mode
+//! and of dropping pages rests on.
+
+use std::fs::File;
+
+/// Whether the file lies on a network file system, by the magic number that the system gives for it. Others than Linux are
+/// not asked: there the answer is no.
+pub(super) fn is_remote(file: &File) -> bool {
+    #[cfg(target_os = "linux")]
+    return rustix::fs::fstatfs(file).is_ok_and(|about| is_remote_magic(about.f_type as u64 & 0xffff_ffff));
+    #[cfg(not(target_os = "linux"))]
+    {
+        let _ = file;
+        false
+    }
+}
+
+/// Numbers of `statfs(2)`, of the kernel's `magic.h` and of the file systems' own headers.
+#[cfg(any(target_os = "linux", test))]
+fn is_remote_magic(magic: u64) -> bool {
+    const REMOTE: [u64; 18] = [
+        0x6969,      // NFS
+        0x517b,      // SMB
+        0xff53_4d42, // CIFS
+        0xfe53_4d42, // SMB 2
+        0x0bd0_0bd0, // Lustre
+        0x4750_4653, // GPFS
+        0x6573_5546, // FUSE: sshfs, s3fs, GlusterFS, virtiofs …
+        0x5346_414f, // AFS
+        0x6b41_4653, // AFS of the kernel
+        0x00c3_6400, // Ceph
+        0x1983_0326, // BeeGFS
+        0x2003_0528, // OrangeFS
+        0xaad7_aaea, // PanFS
+        0x0102_1997, // 9P
+        0x7375_7245, // Coda
+        0x564c,      // NCP
+        0x786f_4256, // VirtualBox shared folders
+        0x0116_1970, // GFS2
+    ];
+    REMOTE.contains(&magic)
+}
+
+/// Bytes of memory that the machine has.
+pub(super) fn machine_memory() -> u64 {
+    #[cfg(target_os = "linux")]
+    {
+        let about = rustix::system::sysinfo();
+        // Both are of the machine's word size, which differs.
+        #[allow(clippy::useless_conversion)]
+        return u64::from(about.totalram).saturating_mul(u64::from(about.mem_unit));
+    }
+    #[cfg(not(target_os = "linux"))]
+    u64::MAX
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn network_file_systems_are_known_by_number() {
+        assert!(is_remote_magic(0x6969) && is_remote_magic(0xff53_4d42) && is_remote_magic(0x6573_5546));
+        // ext4, XFS, Btrfs, tmpfs, overlay, ZFS.
+        for local in [0xef53, 0x5846_5342, 0x9123_683e, 0x0102_1994, 0x794c_7630, 0x2fc1_2fc1] {
+            assert!(!is_remote_magic(local), "{local:x}");
+        }
+        assert!(machine_memory() > 16 << 20);
+    }
+}

@@ -1,0 +1,86 @@
+//! The two I/O modes give the same; a file that shrinks while it is read is an error and not the end of the process; progress
+//! comes in the form that was asked for.
+
+mod common;
+
+use common::*;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+fn isospan(dir: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_isospan")).current_dir(dir).args(args).output().unwrap()
+}
+
+fn ok(dir: &Path, args: &[&str]) -> (String, String) {
+    let out = isospan(dir, args);
+    let (stdout, stderr) = (String::from_utf8(out.stdout).unwrap(), String::from_utf8(out.stderr).unwrap());
+    assert!(out.status.success(), "{args:?}: {stderr}");
+    (stdout, stderr)
+}
+
+#[test]
+fn mapped_and_read_files_give_the_same() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("w.npy"), [45, 37, 41], waves);
+    // A text, which is searched and not only copied: values of a legacy VTK file.
+    let text: String = (0..40 * 30 * 20).map(|i| format!("{}\n", (i * 37 % 101) as f32 / 7.0)).collect();
+    let head = "# vtk DataFile Version 3.0\nt\nASCII\nDATASET STRUCTURED_POINTS\nDIMENSIONS 40 30 20\nORIGIN 0 0 0\nSPACING 1 1 1\nPOINT_DATA 24000\nSCALARS s float\nLOOKUP_TABLE default\n";
+    fs::write(d.join("t.vtk"), format!("{head}{text}")).unwrap();
+    ok(d, &["brick", "w.npy", "-o", "w.bricks", "--io", "map"]);
+    for input in ["w.npy", "t.vtk", "w.bricks"] {
+        let mut results = vec![];
+        for io in ["map", "read", "auto"] {
+            let info = ok(d, &["info", input, "--json", "--io", io]).0;
+            let (archive, bricks) = (format!("{input}.{io}.isospan"), format!("{input}.{io}.bricks"));
+            ok(
+                d,
+                &["reduce", input, "-o", &archive, "--io", io, "--fraction", "1/2", "--chunk-points", "5000"],
+            );
+            ok(d, &["brick", input, "-o", &bricks, "--io", io]);
+            results.push((info, folder(&d.join(&archive)), fs::read(d.join(&bricks)).unwrap()));
+        }
+        assert!(results.iter().all(|r| *r == results[0]), "{input}");
+    }
+    let refused = isospan(d, &["info", "w.npy", "--io", "guess"]);
+    assert_eq!(refused.status.code(), Some(2));
+}
+
+/// Cuts the input at several moments of a run; each run ends by itself, with a result or with one line that names the
+/// file.
+#[test]
+#[cfg(unix)]
+fn an_input_that_shrinks_is_an_error_that_names_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("good.npy"), [120, 110, 100], waves);
+    let whole = fs::metadata(d.join("good.npy")).unwrap().len();
+    let mut failed = 0;
+    for (n, io) in (0..10).zip(["map", "read"].into_iter().cycle()) {
+        fs::copy(d.join("good.npy"), d.join("v.npy")).unwrap();
+        let out = format!("{n}.isospan");
+        let args = ["reduce", "v.npy", "-o", &out, "--io", io, "--chunk-points", "20000", "--threads", "2"];
+        let child = Command::new(env!("CARGO_BIN_EXE_isospan"))
+            .current_dir(d)
+            .args(args)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        std::thread::sleep(std::time::Duration::from_millis(15 + 40 * n));
+        let file = fs::File::options().write(true).open(d.join("v.npy")).unwrap();
+        file.set_len(whole / 20 * n + 1000).unwrap();
+        let out = child.wait_with_output().unwrap();
+        let line = String::from_utf8(out.stderr).unwrap();
+        match out.status.code() {
+            Some(0) => assert_eq!(line, ""),
+            Some(1 | 5) => {
+                failed += 1;
+                assert!(line.trim_end().lines().count() == 1 && line.contains("v.npy"), "{line}");
+            }
+            other => panic!("{other:?} ({}): {line}", out.status),
+        }
+    }
+    assert!(failed >= 3, "{failed} of 10 runs met the cut");
+}
