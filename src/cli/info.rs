@@ -82,7 +82,9 @@ fn volume_text(info: &VolumeInfo, scan: Option<&Scan>) -> String {
 fn scan_text(out: &mut String, info: &VolumeInfo, scan: &Scan) {
     match (scan.min, scan.max, scan.mean) {
         (Some(lo), Some(hi), Some(mean)) => {
-            let _ = writeln!(out, "  range      {lo} .. {hi}  (mean {mean:.6})");
+            let (lo, hi) = (text::value(shortest(lo)), text::value(shortest(hi)));
+            let mean = text::value((mean * 1e6).round() / 1e6);
+            let _ = writeln!(out, "  range      {lo} .. {hi}  (mean {mean})");
         }
         _ => {
             let _ = writeln!(out, "  range      none: there is no finite sample");
@@ -100,6 +102,11 @@ fn scan_text(out: &mut String, info: &VolumeInfo, scan: &Scan) {
         );
     }
     let _ = writeln!(out, "  histogram  {}", sparkline(&scan.histogram));
+}
+
+/// The `f64` that prints as the `f32` does.
+fn shortest(v: f32) -> f64 {
+    v.to_string().parse().unwrap_or(f64::from(v))
 }
 
 /// The range of the stored numbers, where values are scaled from them.

@@ -62,6 +62,11 @@ pub(crate) fn count(n: u64) -> String {
     out
 }
 
+/// A value for a person: as it is, with an exponent where it would have many zeros.
+pub(crate) fn value(v: f64) -> String {
+    if v != 0.0 && !(1e-4..1e9).contains(&v.abs()) { format!("{v:e}") } else { v.to_string() }
+}
+
 /// Bytes for a person: `3.4 MiB`.
 pub(crate) fn bytes(n: u64) -> String {
     let units = ["B", "KiB", "MiB", "GiB", "TiB", "PiB"];
@@ -117,6 +122,7 @@ mod tests {
         assert_eq!(count(1_234_567), "1 234 567");
         assert_eq!(count(12), "12");
         assert_eq!(bytes(3_565_158), "3.4 MiB");
+        assert_eq!([0.0, -1300.5, 2e30, 1e-9].map(value), ["0", "-1300.5", "2e30", "1e-9"]);
         assert_eq!(duration(Duration::from_secs(125)), "2 min 05 s");
     }
 }
