@@ -48,7 +48,7 @@ pub struct Plan {
     pub lattice: Lattice,
     /// The point set.
     pub points: PointSpec,
-    /// Bits an axis of the curve along which a brick's points are ordered.
+    /// Bits an axis of the curve in the insertion order, on which the tetrahedra of cospherical points depend.
     pub order_bits: u32,
     /// Voxel cells along each edge of a brick.
     pub brick_edge: [u64; 3],
