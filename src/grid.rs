@@ -12,6 +12,7 @@ use crate::error::{Error, Result};
 use crate::geom::{Lattice, LatticeBox, LatticePos};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// A half-open box of samples (voxels): `lo <= ijk < hi`, x first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -218,6 +219,11 @@ pub struct Chunk {
 }
 
 impl Chunk {
+    /// Number of its bricks.
+    pub fn brick_count(&self) -> u64 {
+        (0..3).map(|a| self.brick_hi[a] - self.brick_lo[a]).product()
+    }
+
     /// The chunk's bricks, x fastest.
     pub fn bricks(&self, grid: &BrickGrid) -> impl Iterator<Item = BrickId> + use<> {
         let (grid, lo, hi) = (*grid, self.brick_lo, self.brick_hi);
@@ -242,6 +248,8 @@ pub struct ChunkGrid {
     /// First chunk, layer and row in its layer of each row, in chunk order.
     rows: Vec<(u64, usize, usize)>,
     len: u64,
+    /// Cuts along x of the row asked for last: chunks are asked for in order, and a row may have a million bricks.
+    x_cuts: Mutex<Option<(usize, Arc<Vec<u64>>)>>,
 }
 
 impl ChunkGrid {
@@ -249,7 +257,7 @@ impl ChunkGrid {
     /// row of bricks in a layer of chunks.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a target of 0.
+    /// [`Error::Usage`] for a target of 0, and for more bricks or rows of bricks than can be counted in a reasonable time.
     pub fn new(
         bricks: BrickGrid,
         target: u64,
@@ -258,6 +266,7 @@ impl ChunkGrid {
         if target == 0 {
             return Err(Error::usage("a chunk must hold at least one point"));
         }
+        check_size(bricks.dims())?;
         let mut grid = Self {
             bricks,
             target,
@@ -266,6 +275,7 @@ impl ChunkGrid {
             y_cuts: vec![],
             rows: vec![],
             len: 0,
+            x_cuts: Mutex::default(),
         };
         let d = bricks.dims();
         let cells = bricks.lattice.dims.map(|n| (n - 1) as f64);
@@ -274,6 +284,7 @@ impl ChunkGrid {
         // Cubic chunks: the edge, in voxels, that cuts the box into `wanted` cubes.
         let edge = (cells[0] * cells[1] * cells[2] / wanted).cbrt();
         grid.z_cuts = balanced_cuts(&by_z, ((cells[2] / edge).round() as u64).clamp(1, d[2]));
+        check_rows(grid.z_cuts.len() as u64 - 1, d[1])?;
         for layer in 0..grid.z_cuts.len() - 1 {
             let (z0, z1) = (grid.z_cuts[layer], grid.z_cuts[layer + 1]);
             let by_y = grid.counts(1, [0, 0, z0], [d[0], d[1], z1]);
@@ -320,7 +331,7 @@ impl ChunkGrid {
         &self.bricks
     }
 
-    /// A chunk by its number. Cost: one call of the counter for each brick along x.
+    /// A chunk by its number. Cost: one call of the counter for each brick along x, in the first chunk of a row asked for.
     ///
     /// # Panics
     /// When `id` is not below [`ChunkGrid::len`].
@@ -331,7 +342,13 @@ impl ChunkGrid {
         let in_row = self.rows.get(at + 1).map_or(self.len, |r| r.0) - first;
         let (ys, zs) = (&self.y_cuts[layer], &self.z_cuts);
         let (mut lo, mut hi) = ([0, ys[row], zs[layer]], [self.bricks.dims()[0], ys[row + 1], zs[layer + 1]]);
-        let cuts = balanced_cuts(&self.counts(0, lo, hi), in_row);
+        let mut last = self.x_cuts.lock().unwrap_or_else(PoisonError::into_inner);
+        let cuts = match &*last {
+            Some((row, cuts)) if *row == at => Arc::clone(cuts),
+            _ => Arc::new(balanced_cuts(&self.counts(0, lo, hi), in_row)),
+        };
+        *last = Some((at, Arc::clone(&cuts)));
+        drop(last);
         let x = (id.0 - first) as usize;
         (lo[0], hi[0]) = (cuts[x], cuts[x + 1]);
         Chunk { id, brick_lo: lo, brick_hi: hi, core: self.bricks.lattice_box(lo, hi) }
@@ -341,6 +358,33 @@ impl ChunkGrid {
     pub fn iter(&self) -> impl Iterator<Item = Chunk> + '_ {
         (0..self.len).map(|i| self.chunk(ChunkId(i)))
     }
+}
+
+/// The most bricks of a grid: their numbers fit 64 bits with room to spare.
+const MOST_BRICKS: u128 = 1 << 60;
+/// The most rows of bricks that are counted for all layers of chunks together. A petabyte at the usual brick size has a
+/// few million; more come from parameters that no reduction has.
+const MOST_ROWS: u64 = 1 << 23;
+
+fn check_size(d: [u64; 3]) -> Result<()> {
+    if d.iter().map(|&n| u128::from(n)).product::<u128>() > MOST_BRICKS {
+        return Err(Error::usage(format!("{} x {} x {} bricks are more than 2^60", d[0], d[1], d[2])));
+    }
+    match d.into_iter().max() {
+        Some(longest) if longest > MOST_ROWS => {
+            Err(Error::usage(format!("{longest} bricks along an axis are too many: choose fewer points")))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn check_rows(layers: u64, rows: u64) -> Result<()> {
+    if layers.saturating_mul(rows) > MOST_ROWS {
+        return Err(Error::usage(format!(
+            "{layers} layers of chunks with {rows} rows of bricks are too many: make chunks larger or points fewer"
+        )));
+    }
+    Ok(())
 }
 
 /// Cuts `counts` into `parts` runs of about equal sum, none empty of bricks; `parts <= counts.len()`.

@@ -3,6 +3,7 @@
 //! Everything here is a function of the plan and the chunk alone: no chunk sees another, so chunks can be made in any
 //! order, on any machine, twice, and give the same result.
 
+use super::plan::check_brick;
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use crate::geom::curve::Order;
@@ -84,8 +85,11 @@ pub(crate) fn mesh(
     let domain = recipe.bricks.lattice.domain();
     let (mut sites, mut one_brick, mut core_counts) = (vec![], vec![], vec![]);
     for brick in chunk.bricks(&recipe.bricks) {
-        recipe.points.sites_in(&recipe.bricks.brick(brick), &mut one_brick);
-        core_counts.push(u32::try_from(one_brick.len()).expect("a brick has far fewer than 2^32 points"));
+        let brick_box = recipe.bricks.brick(brick);
+        check_brick(recipe.points, &brick_box)?;
+        recipe.points.sites_in(&brick_box, &mut one_brick);
+        core_counts
+            .push(u32::try_from(one_brick.len()).expect("a checked brick has far fewer than 2^32 points"));
         sites.extend_from_slice(&one_brick);
     }
     let core = sites.len();

@@ -1,12 +1,12 @@
 //! An archive opened for reading: manifest, point set, grids; segments are opened when first needed.
 
 use super::layout::Layout;
-use super::plan::{MeshParts, parts};
+use super::plan::{MeshParts, check_brick, parts};
 use super::reduce::folder_bytes;
 use crate::archive::chunk::{ChunkHeader, ChunkVertices, decode_tets};
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::manifest::{MANIFEST_NAME, Manifest, Step};
-use crate::archive::segment::{FORMAT_VERSION, PlanHash, SegmentKind};
+use crate::archive::manifest::{MANIFEST_NAME, Manifest, SegmentRecord, Step};
+use crate::archive::segment::{FORMAT_VERSION, PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::archive::values::{BLOCK_VALUES, decode_values};
 use crate::error::{Error, Result};
 use crate::geom::{LatticePos, PointId};
@@ -139,6 +139,16 @@ impl OpenArchive {
             );
         }
         let layout = Layout::new(root, chunks.len(), step.plan.number);
+        for records in [&manifest.mesh, &step.values] {
+            let as_cut = |(n, r): (u64, &SegmentRecord)| {
+                layout.chunks_of(n) == (r.first_chunk..r.first_chunk + r.chunks)
+            };
+            if records.len() as u64 != layout.segment_count() || !(0..).zip(records).all(as_cut) {
+                let expected =
+                    format!("{} segments of 16 chunks, the last of the rest", layout.segment_count());
+                return bad("segments", expected, format!("{} segments, or cut otherwise", records.len()));
+            }
+        }
         Ok(Self { manifest, points, chunks, layout, segments: Mutex::default() })
     }
 
@@ -151,7 +161,9 @@ impl OpenArchive {
     }
 
     pub(super) fn index(&self) -> Result<SpanIndex> {
-        SpanIndex::open(self.layout.index(), Some(self.step_hash()))
+        let index = SpanIndex::open(self.layout.index(), Some(self.step_hash())).map_err(|e| self.lost(e))?;
+        expect_recorded(index.segment(), Some(&self.step().index))?;
+        Ok(index)
     }
 
     pub(super) fn segment(&self, number: u64) -> Result<Arc<OpenSegment>> {
@@ -159,10 +171,9 @@ impl OpenArchive {
         if let Some(segment) = open.get(&number) {
             return Ok(Arc::clone(segment));
         }
-        let mesh =
-            ChunkSegment::open(self.layout.mesh(number), SegmentKind::Mesh, Some(self.manifest.plan_hash))?;
-        let values =
-            ChunkSegment::open(self.layout.values(number), SegmentKind::Values, Some(self.step_hash()))?;
+        let file = |path, kind, hash| ChunkSegment::open(path, kind, Some(hash)).map_err(|e| self.lost(e));
+        let mesh = file(self.layout.mesh(number), SegmentKind::Mesh, self.manifest.plan_hash)?;
+        let values = file(self.layout.values(number), SegmentKind::Values, self.step_hash())?;
         let wanted = self.layout.chunks_of(number);
         for file in [&mesh, &values] {
             if file.chunks() != wanted {
@@ -170,9 +181,24 @@ impl OpenArchive {
                 return Err(Error::bad_input(path, "chunk table", format!("chunks {wanted:?}"), got));
             }
         }
+        let at = number as usize;
+        expect_recorded(mesh.segment(), self.manifest.mesh.get(at).map(|r| &r.info))?;
+        expect_recorded(values.segment(), self.step().values.get(at).map(|r| &r.info))?;
         let segment = Arc::new(OpenSegment { mesh, values });
         open.insert(number, Arc::clone(&segment));
         Ok(segment)
+    }
+
+    /// A file that is not there makes the archive incomplete, which the same reduction repairs.
+    fn lost(&self, error: Error) -> Error {
+        match error {
+            Error::Io { path, source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
+                let root = self.layout.root();
+                let name = path.strip_prefix(root).unwrap_or(&path).display().to_string();
+                Error::Incomplete { path: root.to_path_buf(), missing: vec![name] }
+            }
+            other => other,
+        }
     }
 
     fn segment_of(&self, chunk: ChunkId) -> Result<Arc<OpenSegment>> {
@@ -206,6 +232,15 @@ pub(super) struct DecodedChunk {
 impl OpenArchive {
     /// Decodes `blocks` (numbers within the chunk, ascending) of a chunk, and of its values what they use.
     pub(super) fn decode(&self, id: ChunkId, blocks: &[u32]) -> Result<DecodedChunk> {
+        if id.0 >= self.chunks.len() {
+            let got = format!("an entry of chunk {}", id.0);
+            return Err(Error::bad_input(
+                self.layout.index(),
+                "entries",
+                format!("chunks below {}", self.chunks.len()),
+                got,
+            ));
+        }
         let segment = self.segment_of(id)?;
         let chunk = self.chunks.chunk(id);
         let mut buffer = vec![];
@@ -215,7 +250,7 @@ impl OpenArchive {
         }
         segment.mesh.block(id, 0, &mut buffer)?;
         let header = ChunkHeader::decode(&buffer).map_err(|m| segment.mesh.blame(id, 0, m))?.vertices;
-        if header.core_counts.len() != chunk.bricks(self.chunks.bricks()).count() {
+        if header.core_counts.len() as u64 != chunk.brick_count() {
             return Err(damaged(&segment.mesh, id, "header", "it has another number of bricks"));
         }
         let mut out = DecodedChunk::default();
@@ -261,7 +296,10 @@ impl OpenArchive {
             if !used[range.clone()].contains(&true) {
                 continue;
             }
-            self.points.sites_in(&self.chunks.bricks().brick(brick), &mut sites);
+            let brick_box = self.chunks.bricks().brick(brick);
+            check_brick(&self.points, &brick_box)
+                .map_err(|e| damaged(&segment.mesh, chunk.id, "header", &e.to_string()))?;
+            self.points.sites_in(&brick_box, &mut sites);
             if sites.len() != range.len() {
                 let what = format!("brick {} has {} points, not the {count} recorded", brick.0, sites.len());
                 return Err(damaged(&segment.mesh, chunk.id, "header", &what));
@@ -303,6 +341,20 @@ impl OpenArchive {
         }
         Ok(())
     }
+}
+
+/// A segment is the one that the manifest was written for, and not a valid one with other content.
+fn expect_recorded(segment: &Segment, recorded: Option<&SegmentInfo>) -> Result<()> {
+    let found = segment.info();
+    if recorded == Some(&found) {
+        return Ok(());
+    }
+    let text = |i: &SegmentInfo| {
+        format!("{} bytes, {} blocks, content hash {:016x}", i.bytes, i.blocks, i.content_hash)
+    };
+    let expected = recorded.map_or_else(|| "no such segment".to_owned(), text);
+    Err(Error::bad_input(segment.path(), "length, blocks and hash in the manifest", expected, text(&found))
+        .with_help("the file is not this archive's: restore it, or run the same reduction again"))
 }
 
 /// Which corners some tetrahedron uses.

@@ -7,8 +7,8 @@
 use crate::archive::manifest::{Plan as MeshPlan, Source, StepPlan};
 use crate::archive::segment::PlanHash;
 use crate::error::{Error, Result};
-use crate::geom::Lattice;
 use crate::geom::curve::Order;
+use crate::geom::{Lattice, LatticeBox};
 use crate::grid::ChunkGrid;
 use crate::pipeline::chunk::NanPolicy;
 use crate::pipeline::fingerprint::fingerprint;
@@ -155,6 +155,24 @@ fn source_of(info: &VolumeInfo, settings: &ReduceSettings) -> Result<Source> {
     })
 }
 
+/// The most points of a brick, which are enumerated and meshed at once: four thousand times the usual number.
+const MOST_BRICK_POINTS: u128 = 1 << 22;
+
+/// Whether the points of a brick can be enumerated: a set may crowd some bricks far above the mean.
+///
+/// # Errors
+/// [`Error::Usage`] that tells the number of points.
+pub(crate) fn check_brick(points: &PointSet, brick: &LatticeBox) -> Result<()> {
+    let n = points.count_in(brick);
+    if u128::from(n) > MOST_BRICK_POINTS {
+        return Err(Error::usage(format!(
+            "a brick at {:?} has {n} points; at most {MOST_BRICK_POINTS} are possible: choose fewer points",
+            brick.lo
+        )));
+    }
+    Ok(())
+}
+
 /// The grids and the point set that a plan of a mesh describes.
 pub(crate) struct MeshParts {
     pub(crate) points: PointSet,
@@ -180,6 +198,13 @@ pub(crate) fn parts(plan: &MeshPlan) -> Result<MeshParts> {
         return Err(Error::usage("order bits or tetrahedra of a block out of range"));
     }
     let points = PointSet::new(plan.points, plan.lattice)?;
+    let bricks = plan.bricks().dims().iter().map(|&n| u128::from(n)).product::<u128>();
+    if u128::from(points.len()) / MOST_BRICK_POINTS > bricks {
+        return Err(Error::usage(format!(
+            "{} points in {bricks} bricks: more than {MOST_BRICK_POINTS} a brick; choose fewer points",
+            points.len()
+        )));
+    }
     let counter = points.clone();
     let chunks = ChunkGrid::new(plan.bricks(), plan.chunk_target, move |b| counter.count_in(b))?;
     Ok(MeshParts { points, chunks, order: Order { bits: plan.order_bits } })

@@ -86,12 +86,17 @@ fn check_chunk(
     id: ChunkId,
 ) -> Result<(MeshSummary, Vec<Entry>)> {
     let (summary, values) = (mesh_summary(&segment.mesh, id)?, value_summary(&segment.values, id)?);
-    let blocks: Vec<u32> = (0..summary.tet_blocks).collect();
-    let decoded = archive.decode(id, &blocks)?;
     let file = segment.mesh.segment().path();
     let wrong = |at: &str, expected: String, got: String| {
         Err(Error::bad_input(file, format!("chunk {}, {at}", id.0), expected, got))
     };
+    // A chunk has a header and a summary besides.
+    let blocks = segment.mesh.block_count(id);
+    if u64::from(summary.tet_blocks) + 2 != blocks {
+        return wrong("summary", format!("that of {blocks} blocks"), format!("{summary:?}"));
+    }
+    let blocks: Vec<u32> = (0..summary.tet_blocks).collect();
+    let decoded = archive.decode(id, &blocks)?;
     let (mut ranges, mut start) = (vec![], 0);
     for &end in &decoded.block_ends {
         ranges.push(BlockRange::of(&decoded.tets[start..end], &decoded.values));
