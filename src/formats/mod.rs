@@ -8,6 +8,7 @@
 //! World coordinates are the file's own: NRRD and MetaImage files usually say left-posterior-superior, NIfTI
 //! right-anterior-superior. They are not converted into one another.
 
+mod folder;
 mod header;
 pub mod metaimage;
 pub mod nifti;
@@ -17,10 +18,12 @@ pub mod nrrd;
 pub mod obj;
 pub mod ply;
 pub mod raw;
+mod stack;
 pub mod stl;
 pub mod stream;
 pub mod surface;
 mod text;
+pub mod tiff;
 pub mod vtk_legacy;
 pub mod vtk_xml;
 pub mod vtp;
@@ -53,6 +56,7 @@ enum Kind {
     Npy,
     Npz,
     Nrrd,
+    Tiff,
     VtkLegacy,
     VtkXml,
 }
@@ -66,18 +70,22 @@ impl Kind {
             Self::Npy => "an NPY file",
             Self::Npz => "an NPZ file",
             Self::Nrrd => "an NRRD file",
+            Self::Tiff => "a TIFF file",
             Self::VtkLegacy => "a legacy VTK file",
             Self::VtkXml => "a VTK XML file",
         }
     }
 }
 
-/// Opens a volume of any format that is read.
+/// Opens a volume of any format that is read: a file, a folder of slices, or a pattern for the names of slices.
 ///
 /// # Errors
 /// [`Error::BadInput`] for a malformed file or an unknown kind; [`Error::Usage`] when several fields ask for a choice,
 /// when a headerless file comes without its layout, or another with one.
 pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    if folder::is_several(path) {
+        return folder::open(path, options);
+    }
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let kind = kind_of(&source);
     if let (Some(kind), Some(_)) = (kind, &options.raw) {
@@ -98,6 +106,7 @@ pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         Some(Kind::Npy) => npy::open(path, options),
         Some(Kind::Npz) => npz::open(path, options),
         Some(Kind::Nrrd) => nrrd::open(path, options),
+        Some(Kind::Tiff) => tiff::open(path, options),
         Some(Kind::VtkLegacy) => vtk_legacy::open(path, options),
         Some(Kind::VtkXml) => vtk_xml::open(path, options),
         None if options.raw.is_some() => raw::open(path, options),
@@ -125,6 +134,9 @@ fn kind_of(source: &Arc<ByteSource>) -> Option<Kind> {
     if text.starts_with(b"<?xml") || text.starts_with(b"<VTKFile") {
         return Some(Kind::VtkXml);
     }
+    if tiff::has_magic(head) {
+        return Some(Kind::Tiff);
+    }
     if nifti::has_magic(head) || (head.starts_with(&[0x1f, 0x8b]) && nifti::has_magic(&unzipped_head(source)))
     {
         return Some(Kind::Nifti);
@@ -135,6 +147,7 @@ fn kind_of(source: &Arc<ByteSource>) -> Option<Kind> {
         (&[".nii", ".nii.gz", ".hdr", ".hdr.gz", ".img", ".img.gz"], Kind::Nifti),
         (&[".npy"], Kind::Npy),
         (&[".npz"], Kind::Npz),
+        (&tiff::SUFFIXES, Kind::Tiff),
         (&[".vtk"], Kind::VtkLegacy),
         (&[".vti"], Kind::VtkXml),
         (&[".bricks"], Kind::Bricks),
@@ -158,7 +171,7 @@ fn unknown_kind(source: &ByteSource) -> Error {
     Error::bad_input(
         source.path(),
         "kind of file",
-        "NRRD, MetaImage, NPY or NPZ, NIfTI, VTI, legacy VTK or .bricks",
+        "NRRD, MetaImage, NPY or NPZ, NIfTI, TIFF, VTI, legacy VTK or .bricks",
         format!("none of these by name or first bytes ({})", shown.join(" ")),
     )
     .with_help("a headerless file needs --dims and --type; of other compressed files, unpack them first")
@@ -334,7 +347,7 @@ pub(crate) mod tests {
         let open = |name: &str, bytes: &[u8]| {
             open_volume(&write(&dir, name, bytes), &OpenOptions::default()).err().expect("refused")
         };
-        assert!(open("a.tif", b"II*\0").to_string().contains("MetaImage"));
+        assert!(open("a.png", b"\x89PNG").to_string().contains("MetaImage"));
         assert_eq!(open("a.raw", b"1234").exit_code(), 2);
         let layout = raw::RawLayout {
             dims: [2; 3],

@@ -115,10 +115,12 @@ pub struct VolumeInfo {
 }
 
 impl VolumeInfo {
-    /// All files that make up the volume, the one that was named first.
+    /// All files that make up the volume, the one that was named first. Where a folder or a pattern was named, that is
+    /// no file: only the files it stands for.
     pub fn files(&self) -> Vec<PathBuf> {
+        let named = Some(self.path.clone()).filter(|p| self.data_files.is_empty() || p.is_file());
         let others = self.data_files.iter().filter(|f| **f != self.path).cloned();
-        std::iter::once(self.path.clone()).chain(others).collect()
+        named.into_iter().chain(others).collect()
     }
 }
 

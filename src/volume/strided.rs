@@ -24,7 +24,8 @@ pub struct StridedVolume {
     /// One file for each `slices_per_part` slices.
     parts: Vec<Arc<ByteSource>>,
     slices_per_part: u64,
-    offset: u64,
+    /// Of each part: the byte of its first sample.
+    offsets: Vec<u64>,
     big_endian: bool,
     strides: [i64; 3],
 }
@@ -58,6 +59,21 @@ impl StridedVolume {
         big_endian: bool,
         strides: [i64; 3],
     ) -> Result<Self> {
+        let parts = parts.into_iter().map(|p| (p, offset)).collect();
+        Self::stacked_at(info, parts, slices_per_part, big_endian, strides)
+    }
+
+    /// Like [`StridedVolume::stacked`], where each part has its own byte of its first sample. Parts may lie in one file.
+    ///
+    /// # Errors
+    /// Those of [`StridedVolume::stacked`].
+    pub fn stacked_at(
+        info: VolumeInfo,
+        parts: Vec<(Arc<ByteSource>, u64)>,
+        slices_per_part: u64,
+        big_endian: bool,
+        strides: [i64; 3],
+    ) -> Result<Self> {
         let (d, stored) = (info.dims, (parts.len() as u64).checked_mul(slices_per_part));
         if d.contains(&0) || stored != Some(d[2]) {
             return Err(Error::bad_input(
@@ -73,10 +89,11 @@ impl StridedVolume {
                 ),
             ));
         }
-        for part in &parts {
-            check_extent(&info, part, [d[0], d[1], slices_per_part], offset, strides)?;
+        for (part, offset) in &parts {
+            check_extent(&info, part, [d[0], d[1], slices_per_part], *offset, strides)?;
         }
-        Ok(Self { info, parts, slices_per_part, offset, big_endian, strides })
+        let (parts, offsets) = parts.into_iter().unzip();
+        Ok(Self { info, parts, slices_per_part, offsets, big_endian, strides })
     }
 
     /// The steps of samples stored without gaps, x fastest, then y, then z; `None` where they do not fit 63 bits.
@@ -102,11 +119,10 @@ impl StridedVolume {
             let mut inside = voxels;
             inside.lo[2] = voxels.lo[2].max(z0);
             inside.hi[2] = voxels.hi[2].min(z0 + self.slices_per_part);
-            let source = &self.parts[part as usize];
-            self.runs_of_part(source, inside, z0, &mut buffers, &mut |axis, start, bytes| {
+            self.runs_of_part(part as usize, inside, z0, &mut buffers, &mut |axis, start, bytes| {
                 take(axis, voxels.offset(start), bytes);
             })?;
-            source.check()?;
+            self.parts[part as usize].check()?;
         }
         Ok(())
     }
@@ -115,12 +131,13 @@ impl StridedVolume {
     /// a plane of the two axes of least step where that reads little that is not used, else a run.
     fn runs_of_part(
         &self,
-        source: &ByteSource,
+        part: usize,
         inside: IndexBox,
         z0: u64,
         buffers: &mut Buffers,
         take: &mut dyn FnMut(usize, [u64; 3], &[u8]),
     ) -> Result<()> {
+        let source = &self.parts[part];
         let (size, [axis, next, slow]) = (self.info.field.scalar.bytes(), self.axes_by_step());
         let (count, dims) = (inside.dims()[axis] as usize, inside.dims());
         let reach = |a: usize| self.strides[a].unsigned_abs() * (dims[a] - 1);
@@ -131,7 +148,7 @@ impl StridedVolume {
             for first in (inside.lo[next]..inside.hi[next]).step_by(rows as usize) {
                 let mut start = inside.lo;
                 (start[slow], start[next]) = (s, first);
-                let corner = self.byte_of([start[0], start[1], start[2] - z0]);
+                let corner = self.byte_of(part, [start[0], start[1], start[2] - z0]);
                 let piece = self.piece(corner, (axis, dims[axis]), (next, rows), size);
                 let bytes = source.view(piece.clone(), &mut buffers.piece)?;
                 for row in 0..rows {
@@ -164,9 +181,9 @@ impl StridedVolume {
     }
 
     /// Byte of a sample within its part. Cannot overflow: `check_extent` has seen the extreme samples.
-    fn byte_of(&self, ijk: [u64; 3]) -> u64 {
+    fn byte_of(&self, part: usize, ijk: [u64; 3]) -> u64 {
         let step = |a: usize| self.strides[a].wrapping_mul(ijk[a] as i64);
-        self.offset.wrapping_add_signed(step(0).wrapping_add(step(1)).wrapping_add(step(2)))
+        self.offsets[part].wrapping_add_signed(step(0).wrapping_add(step(1)).wrapping_add(step(2)))
     }
 }
 
@@ -257,8 +274,8 @@ impl VolumeReader for StridedVolume {
         let size = self.info.field.scalar.bytes() as u64;
         for z in voxels.lo[2]..voxels.hi[2] {
             let (part, z) = ((z / self.slices_per_part) as usize, z % self.slices_per_part);
-            let lo = self.byte_of([voxels.lo[0], voxels.lo[1], z]);
-            let hi = self.byte_of([voxels.hi[0] - 1, voxels.hi[1] - 1, z]) + size;
+            let lo = self.byte_of(part, [voxels.lo[0], voxels.lo[1], z]);
+            let hi = self.byte_of(part, [voxels.hi[0] - 1, voxels.hi[1] - 1, z]) + size;
             self.parts[part].advise_will_need(lo..hi);
         }
     }
@@ -275,7 +292,8 @@ impl VolumeReader for StridedVolume {
         for part in slices.start / per..=(slices.end - 1) / per {
             let lo = slices.start.max(part * per) - part * per;
             let hi = slices.end.min((part + 1) * per) - part * per;
-            self.parts[part as usize].release(self.byte_of([0, 0, lo])..self.byte_of([0, 0, hi]));
+            let part = part as usize;
+            self.parts[part].release(self.byte_of(part, [0, 0, lo])..self.byte_of(part, [0, 0, hi]));
         }
     }
 }

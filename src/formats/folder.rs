@@ -1,0 +1,32 @@
+//! A folder, or a pattern for file names, as a volume: a stack of slices.
+
+use super::{OpenOptions, stack, tiff};
+use crate::error::{Error, Result};
+use crate::volume::VolumeSource;
+use std::path::Path;
+
+/// Whether a path stands for several files.
+pub(super) fn is_several(path: &Path) -> bool {
+    path.is_dir() || stack::is_pattern(path)
+}
+
+/// Opens a folder or a pattern.
+///
+/// # Errors
+/// [`Error::BadInput`] when there is no volume in it, or a malformed one; [`Error::Usage`] for the layout of a raw file.
+pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    if options.raw.is_some() {
+        let message = "--dims, --type, --endian, --offset and --spacing tell of one headerless file";
+        return Err(Error::usage(format!("{} stands for several files: {message}", path.display())));
+    }
+    if stack::is_pattern(path) {
+        return tiff::open_stack(path, stack::matching(path)?, options);
+    }
+    let slices = stack::in_folder(path, &tiff::SUFFIXES)?;
+    if !slices.is_empty() {
+        return tiff::open_stack(path, slices, options);
+    }
+    let got = if path.join("manifest.json").is_file() { "an isospan archive" } else { "none of these" };
+    Err(Error::bad_input(path, "folder", "slices (*.tif)", got)
+        .with_help("name a file in it, or a pattern for its slices, in quotes"))
+}
