@@ -49,7 +49,6 @@
 //!
 //! * A mapped input must not be shortened while it is read: the system would stop the process.
 //! * Values are `f32`: `f64` and wide integer samples are rounded to it after interpolation.
-//! * `memory` bounds what the queues hold; it is not yet a bound on the resident size of the process.
 //!
 //! # Features
 //!

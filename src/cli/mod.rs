@@ -4,6 +4,8 @@
 mod brick;
 mod check;
 mod count;
+mod dry_run;
+mod heap;
 mod info;
 mod input;
 mod misc;
@@ -42,6 +44,7 @@ enum Command {
 
 /// Runs the program on the process's arguments.
 pub(crate) fn main() -> ExitCode {
+    heap::give_back_early();
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
         Err(error) => {
@@ -77,6 +80,11 @@ fn run(cli: &Cli) -> Result<()> {
 /// Whoever read our output has closed it (`isospan info … | head`): no error.
 fn is_broken_pipe(error: &isospan::Error) -> bool {
     matches!(error, isospan::Error::Io { source, .. } if source.kind() == std::io::ErrorKind::BrokenPipe)
+}
+
+/// Tells something on standard error; nobody may be listening.
+fn note(text: &str) {
+    let _ = writeln!(std::io::stderr(), "isospan: {text}");
 }
 
 /// Writes a result to standard output.

@@ -1,9 +1,9 @@
 //! `isospan reduce`: a volume becomes an archive.
 
 use super::input::InputArgs;
-use super::{progress, text};
+use super::{dry_run, progress, text};
 use clap::ValueEnum;
-use isospan::pipeline::{Amount, NanPolicy, ReduceSettings, RunSettings, reduce};
+use isospan::pipeline::{Amount, NanPolicy, ReduceSettings, RunSettings, estimate, reduce};
 use isospan::points::{SetKind, SetSettings};
 use isospan::sample::Interpolation;
 use isospan::{Error, Result};
@@ -54,12 +54,15 @@ pub(crate) struct Args {
     /// Threads; 0 means as many as the process may use.
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
-    /// Memory for everything in flight: 4GiB, 500MB, 50% [default: half of what the process may use].
+    /// Memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use]. Pages of mapped files do not count.
     #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
     memory: Option<u64>,
     /// Folder for the uncompressed copy of a compressed input [default: the system's temporary folder].
     #[arg(long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
+    /// Tell what the run needs (memory, disk, time) and make nothing; exit code 4 if there is not enough.
+    #[arg(long)]
+    dry_run: bool,
     /// Replace an archive that is already there.
     #[arg(long)]
     force: bool,
@@ -145,6 +148,13 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<()> {
         replace: args.force,
         cancel: isospan::exec::CancelToken::new(),
     };
+    if args.dry_run {
+        let found = estimate(&args.input, &args.read.options()?, &args.settings()?, &args.output, &run)?;
+        return dry_run::tell(&found, &args.output, args.json);
+    }
+    if args.memory.is_none() && !quiet {
+        super::note(&format!("--memory {} (half of what this process may use)", text::bytes(run.memory)));
+    }
     let bar = progress::for_stderr(quiet);
     let report = reduce(&args.input, &args.read.options()?, &args.settings()?, &args.output, &run, &*bar);
     bar.end();

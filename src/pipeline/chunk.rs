@@ -3,6 +3,7 @@
 //! Everything here is a function of the plan and the chunk alone: no chunk sees another, so chunks can be made in any
 //! order, on any machine, twice, and give the same result.
 
+use super::need;
 use super::plan::check_brick;
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
@@ -72,16 +73,26 @@ impl MeshedChunk {
     }
 }
 
-/// Halo width in mean point spacings: at the start, and the factor of a retry.
-const HALO_SPACINGS: u64 = 3;
+/// What came of meshing a chunk.
+pub(crate) enum Meshing {
+    Done(MeshedChunk),
+    /// This try needs more memory than there is room for.
+    NeedsRoom {
+        retries: u32,
+        bytes: u64,
+    },
+}
 
-/// Enumerates the chunk's points and meshes them, widening the halo until every owned tetrahedron is certified.
+/// Enumerates the chunk's points and meshes them, beginning with the halo of try `first`, and widening it until every
+/// owned tetrahedron is certified, as long as the region fits in `room` bytes. What comes out does not depend on `room`.
 pub(crate) fn mesh(
     recipe: &Recipe<'_>,
     chunk: &Chunk,
     mesher: &mut Mesher,
+    first: u32,
+    room: u64,
     cancel: &CancelToken,
-) -> Result<MeshedChunk> {
+) -> Result<Meshing> {
     let domain = recipe.bricks.lattice.domain();
     let (mut sites, mut one_brick, mut core_counts) = (vec![], vec![], vec![]);
     for brick in chunk.bricks(&recipe.bricks) {
@@ -93,11 +104,14 @@ pub(crate) fn mesh(
         sites.extend_from_slice(&one_brick);
     }
     let core = sites.len();
-    let mut width = recipe.points.mean_spacing().map(|s| u64::from(s) * HALO_SPACINGS);
-    for retries in 0.. {
+    for retries in first.. {
         cancel.check()?;
-        let by = width.map(|w| u32::try_from(w).unwrap_or(u32::MAX));
-        let region = ChunkRegion { core: chunk.core, region: chunk.core.grow_within(by, &domain), domain };
+        let grown = need::region(recipe.points, &chunk.core, &domain, retries);
+        let bytes = need::room_for(recipe.points.count_in(&grown));
+        if bytes > room {
+            return Ok(Meshing::NeedsRoom { retries, bytes });
+        }
+        let region = ChunkRegion { core: chunk.core, region: grown, domain };
         sites.truncate(core);
         if core > 0 {
             push_halo(recipe, chunk, &region.region, &mut sites);
@@ -105,10 +119,11 @@ pub(crate) fn mesh(
         let positions: Vec<LatticePos> = sites.iter().map(|s| s.pos).collect();
         match mesh_chunk(mesher, &region, &positions, &recipe.order)? {
             ChunkOutcome::Done(mesh) => {
-                return Ok(renumber(core_counts, &sites, core, mesh.tets, &mesh.shared, retries));
+                let done = renumber(core_counts, &sites, core, mesh.tets, &mesh.shared, retries);
+                return Ok(Meshing::Done(done));
             }
             // Twice as wide each time: a region that is the whole domain certifies everything, so this ends.
-            ChunkOutcome::WidenHalo { .. } => width = width.map(|w| w * 2),
+            ChunkOutcome::WidenHalo { .. } => {}
         }
     }
     unreachable!("the loop ends by returning")

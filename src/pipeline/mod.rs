@@ -10,6 +10,7 @@
 mod chunk;
 mod fingerprint;
 mod layout;
+mod need;
 mod open;
 mod plan;
 mod query;
@@ -20,9 +21,10 @@ mod work;
 
 pub use chunk::NanPolicy;
 pub use fingerprint::fingerprint;
+pub use need::Estimate;
 pub use open::{ArchiveSummary, is_archive, summarize};
 pub use plan::{Amount, Plan, ReduceSettings};
 pub use query::{CountReport, SurfaceReport, SurfaceSettings, count_active, extract_surface};
-pub use reduce::{ReduceReport, RunSettings, brick, reduce};
+pub use reduce::{ReduceReport, RunSettings, brick, estimate, reduce};
 pub use scan::{Scan, scan};
 pub use verify::{ArchiveCheck, check_archive};

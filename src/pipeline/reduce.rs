@@ -5,6 +5,7 @@
 
 use super::chunk::Recipe;
 use super::layout::Layout;
+use super::need::{Estimate, Need, Question};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::work::{self, StageTimes, Work};
 use crate::archive::chunked::ChunkSegment;
@@ -13,7 +14,7 @@ use crate::archive::segment::SegmentKind;
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
 use crate::archive::{Malformed, TEMPORARY_MARK};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, MemoryBudget, Progress, pool};
+use crate::exec::{CancelToken, Progress, available_threads, pool};
 use crate::formats::{self, OpenOptions};
 use crate::geom::Lattice;
 use crate::grid::ChunkId;
@@ -30,7 +31,7 @@ use std::time::Instant;
 pub struct RunSettings {
     /// Threads; 0 means as many as the process may use.
     pub threads: usize,
-    /// Bytes for everything in flight.
+    /// Bytes for everything that grows; see [`Estimate`] for what it must be at least.
     pub memory: u64,
     /// Folder for the uncompressed copy of a compressed input; the system's temporary folder if not given.
     pub scratch: Option<PathBuf>,
@@ -110,11 +111,9 @@ pub fn reduce(
     let source = formats::open_volume(input, options)?;
     let plan = Plan::new(source.info(), settings)?;
     let mesh = parts(&plan.mesh)?;
-    let budget = MemoryBudget::new(run.memory);
-    let least = work::chunk_bytes(&plan, mesh.points.len());
-    if least > run.memory {
-        return Err(Error::Budget { what: "memory".into(), needed: least, available: run.memory });
-    }
+    let need = Need::of(&mesh);
+    estimate_of(&source, &plan, &need, out, run)?.check()?;
+    let shares = need.shares(run.memory, threads(run))?;
     let mut seconds = vec![];
     let copying = Instant::now();
     // The copy is removed when `scratch` is dropped, whatever happens.
@@ -139,8 +138,9 @@ pub fn reduce(
         chunks: &mesh.chunks,
         layout: &layout,
         reader: &*reader,
-        pool: &pool(run.threads)?,
-        budget: &budget,
+        pool: &pool(shares.workers)?,
+        shares,
+        rooms: &work::Rooms::default(),
         cancel: &run.cancel,
         progress,
     })?;
@@ -162,6 +162,59 @@ pub fn reduce(
         archive_bytes: folder_bytes(out)?,
         seconds,
     })
+}
+
+/// Tells what a reduction would need, without beginning it.
+///
+/// # Errors
+/// As [`reduce`], but a budget that does not suffice is only told of: see [`Estimate::check`].
+pub fn estimate(
+    input: &Path,
+    options: &OpenOptions,
+    settings: &ReduceSettings,
+    out: &Path,
+    run: &RunSettings,
+) -> Result<Estimate> {
+    refuse_overwriting(out, run)?;
+    let source = formats::open_volume(input, options)?;
+    let plan = Plan::new(source.info(), settings)?;
+    estimate_of(&source, &plan, &Need::of(&parts(&plan.mesh)?), out, run)
+}
+
+fn estimate_of(
+    source: &VolumeSource,
+    plan: &Plan,
+    need: &Need,
+    out: &Path,
+    run: &RunSettings,
+) -> Result<Estimate> {
+    let copied = match source {
+        VolumeSource::Random(_) => 0,
+        VolumeSource::Stream(stream) => {
+            let info = stream.info();
+            // Bricks at the border are padded, and each has a checksum.
+            let samples = info.dims.iter().map(|&d| d as f64).product::<f64>();
+            (samples * info.field.scalar.bytes() as f64 * 1.1) as u64 + (1 << 20)
+        }
+    };
+    let scratch = scratch_folder(run);
+    Ok(Estimate::new(&Question {
+        plan,
+        need,
+        memory: run.memory,
+        threads: threads(run),
+        out,
+        there: if out.is_dir() { folder_bytes(out)? } else { 0 },
+        scratch: (&scratch, copied),
+    }))
+}
+
+fn threads(run: &RunSettings) -> usize {
+    if run.threads == 0 { available_threads() } else { run.threads }
+}
+
+fn scratch_folder(run: &RunSettings) -> PathBuf {
+    run.scratch.clone().unwrap_or_else(std::env::temp_dir)
 }
 
 fn push_times(seconds: &mut Vec<(String, f64)>, times: &StageTimes) {

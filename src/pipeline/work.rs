@@ -7,12 +7,15 @@
 //!  reads ahead                                     gives the permit back
 //! ```
 //!
-//! The feeder takes a permit for the memory that a chunk will need before it hands the chunk on, so the number of chunks in
-//! flight follows from the budget. A job of the pool never waits. The writer releases chunks in order: the bytes
-//! written do not depend on threads or on which chunk is ready first.
+//! Memory ([`super::need`]): the pool has as many threads as the budget has rooms for chunks at work. The feeder takes a permit
+//! for the *encoded* chunk before it hands a chunk on, so what waits for its turn is bounded too. A chunk that outgrows its room (its
+//! halo had to be widened) drops all it has and starts again when no other is at work, with the rooms of all; a chunk at work waits
+//! for nothing else, so this ends. The writer releases chunks in order: the bytes written do not depend on threads, on memory, or
+//! on which chunk is ready first.
 
-use super::chunk::{self, MeshedChunk, Recipe};
+use super::chunk::{self, MeshedChunk, Meshing, Recipe};
 use super::layout::Layout;
+use super::need::{self, Shares};
 use super::plan::Plan;
 use crate::archive::chunk::{ChunkVertices, encode_chunk};
 use crate::archive::chunked::{ChunkSegment, ChunkSegmentWriter};
@@ -31,7 +34,7 @@ use std::any::Any;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 /// A chunk ready to be written.
@@ -68,20 +71,33 @@ pub(crate) struct Work<'a> {
     pub(crate) layout: &'a Layout,
     pub(crate) reader: &'a dyn VolumeReader,
     pub(crate) pool: &'a rayon::ThreadPool,
-    pub(crate) budget: &'a MemoryBudget,
+    pub(crate) shares: Shares,
+    pub(crate) rooms: &'a Rooms,
     pub(crate) cancel: &'a CancelToken,
     pub(crate) progress: &'a dyn Progress,
 }
 
-/// Bytes that a chunk needs while it is meshed, sampled and encoded, from the number of its points.
-///
-/// A point with its share of the halo (1.35 at the default chunk size) has 6.8 tetrahedra of 64 bytes while it is meshed,
-/// and 16 bytes more for each tetrahedron that is kept, twice while they are put in order; positions, values and encoded
-/// blocks are small beside that.
-pub(crate) fn chunk_bytes(plan: &Plan, points: u64) -> u64 {
-    const PER_POINT: u64 = 1200;
-    const AT_LEAST: u64 = 4 << 20;
-    plan.mesh.chunk_target.min(points).saturating_mul(PER_POINT).saturating_add(AT_LEAST)
+/// The working memory that chunks take turns in.
+#[derive(Default)]
+pub(crate) struct Rooms {
+    /// Arenas of workers between two chunks.
+    meshers: Mutex<Vec<Mesher>>,
+    /// Held shared by chunks at work, alone by a chunk that needs the rooms of all.
+    turn: RwLock<()>,
+}
+
+impl Rooms {
+    fn take_mesher(&self) -> Mesher {
+        self.meshers.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+    }
+
+    fn put_mesher(&self, mesher: Mesher) {
+        self.meshers.lock().unwrap_or_else(PoisonError::into_inner).push(mesher);
+    }
+
+    fn drop_meshers(&self) {
+        self.meshers.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
 }
 
 /// Makes all segments that are not there yet. Returns the time spent in each stage.
@@ -117,18 +133,18 @@ fn make_segment(work: &Work<'_>, segment: u64, chunks: Range<u64>) -> Result<Sta
     let mut sink = Sink::create(work, segment, ChunkId(chunks.start))?;
     let (to_pool, tasks) = channel::unbounded::<(Chunk, Permit)>();
     let (to_writer, products) = channel::unbounded::<(u64, Result<Product>, Permit)>();
-    let meshers = Mutex::new(Vec::<Mesher>::new());
+    let budget = MemoryBudget::new(work.shares.queue);
     let stop = CancelToken::new();
     let outcome = std::thread::scope(|threads| {
         // Feeder: the queues need no bound of their own, every entry holds a permit of the budget.
         let feeder = threads.spawn(|| {
-            let bytes = chunk_bytes(work.plan, work.recipe.points.len()).min(work.budget.total());
             for id in chunks.clone() {
                 if stop.is_cancelled() {
                     break;
                 }
-                let permit = work.budget.acquire(bytes, work.cancel)?;
                 let chunk = work.chunks.chunk(ChunkId(id));
+                let bytes = need::product_bytes(work.recipe.points.count_in(&chunk.core));
+                let permit = budget.acquire(bytes.min(budget.total()), work.cancel)?;
                 work.reader.will_need(chunk::voxels_of(work.recipe, &chunk));
                 if to_pool.send((chunk, permit)).is_err() {
                     break;
@@ -139,7 +155,7 @@ fn make_segment(work: &Work<'_>, segment: u64, chunks: Range<u64>) -> Result<Sta
         });
         // Dispatcher: hands tasks to the pool; never more at a time than the pool has threads, so that a mesher's memory
         // belongs to a thread at work.
-        let (meshers, stop) = (&meshers, &stop);
+        let stop = &stop;
         let dispatcher = threads.spawn(move || {
             work.pool.in_place_scope(|scope| {
                 for (chunk, permit) in tasks {
@@ -147,7 +163,7 @@ fn make_segment(work: &Work<'_>, segment: u64, chunks: Range<u64>) -> Result<Sta
                     scope.spawn(move |_| {
                         let id = chunk.id.0;
                         let product = match stop.check().and_then(|()| work.cancel.check()) {
-                            Ok(()) => guarded(work, &chunk, meshers),
+                            Ok(()) => guarded(work, &chunk),
                             Err(e) => Err(e),
                         };
                         // The writer is gone only after an error that it already has.
@@ -189,12 +205,9 @@ fn write_in_order(
 }
 
 /// A panic in a chunk is a bug; it must end the run with a message, not leave it waiting.
-fn guarded(work: &Work<'_>, chunk: &Chunk, meshers: &Mutex<Vec<Mesher>>) -> Result<Product> {
-    let mut mesher = meshers.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
-    let product = catch_unwind(AssertUnwindSafe(|| make_chunk(work, chunk, &mut mesher)))
-        .unwrap_or_else(|panic| Err(internal(chunk, &*panic)));
-    meshers.lock().unwrap_or_else(PoisonError::into_inner).push(mesher);
-    product
+fn guarded(work: &Work<'_>, chunk: &Chunk) -> Result<Product> {
+    catch_unwind(AssertUnwindSafe(|| make_chunk(work, chunk)))
+        .unwrap_or_else(|panic| Err(internal(chunk, &*panic)))
 }
 
 fn internal(chunk: &Chunk, panic: &(dyn Any + Send)) -> Error {
@@ -208,10 +221,53 @@ fn internal(chunk: &Chunk, panic: &(dyn Any + Send)) -> Error {
     )
 }
 
-fn make_chunk(work: &Work<'_>, chunk: &Chunk, mesher: &mut Mesher) -> Result<Product> {
+/// Makes a chunk in a room of its own; if that is too small, in the rooms of all.
+fn make_chunk(work: &Work<'_>, chunk: &Chunk) -> Result<Product> {
+    let retries = {
+        let _together = work.rooms.turn.read().unwrap_or_else(PoisonError::into_inner);
+        let mut mesher = work.rooms.take_mesher();
+        match make_in_room(work, chunk, &mut mesher, 0, work.shares.room)? {
+            Making::Done(product) => {
+                work.rooms.put_mesher(mesher);
+                return Ok(product);
+            }
+            Making::NeedsRoom { retries, .. } => retries,
+        }
+    };
+    let _alone = work.rooms.turn.write().unwrap_or_else(PoisonError::into_inner);
+    work.rooms.drop_meshers();
+    match make_in_room(work, chunk, &mut Mesher::new(), retries, work.shares.room_alone())? {
+        Making::Done(product) => Ok(product),
+        Making::NeedsRoom { bytes, .. } => Err(Error::Budget {
+            what: format!(
+                "memory (chunk {} needs a wide halo; smaller --chunk-points need less)",
+                chunk.id.0
+            ),
+            needed: work.shares.memory_for(bytes),
+            available: work.shares.memory_for(work.shares.room_alone()),
+        }),
+    }
+}
+
+/// As [`Meshing`].
+enum Making {
+    Done(Product),
+    NeedsRoom { retries: u32, bytes: u64 },
+}
+
+fn make_in_room(
+    work: &Work<'_>,
+    chunk: &Chunk,
+    mesher: &mut Mesher,
+    first_try: u32,
+    room: u64,
+) -> Result<Making> {
     let mut times = StageTimes::default();
     let start = Instant::now();
-    let mesh = chunk::mesh(work.recipe, chunk, mesher, work.cancel)?;
+    let mesh = match chunk::mesh(work.recipe, chunk, mesher, first_try, room, work.cancel)? {
+        Meshing::Done(mesh) => mesh,
+        Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
+    };
     times.mesh = start.elapsed();
     let start = Instant::now();
     let values = chunk::values(work.recipe, work.reader, &mesh)?;
@@ -220,7 +276,7 @@ fn make_chunk(work: &Work<'_>, chunk: &Chunk, mesher: &mut Mesher) -> Result<Pro
     let mut product = encode(work.plan, mesh, &values);
     times.encode = start.elapsed();
     product.times = times;
-    Ok(product)
+    Ok(Making::Done(product))
 }
 
 /// A chunk's blocks: header, tetrahedra, summary; values, summary.

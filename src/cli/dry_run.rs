@@ -1,0 +1,45 @@
+//! `isospan reduce --dry-run`: what the run would need, and whether it is there.
+
+use super::text;
+use isospan::Result;
+use isospan::pipeline::Estimate;
+use std::fmt::Write as _;
+use std::path::Path;
+use std::time::Duration;
+
+/// Prints an estimate; an error when the run would be refused.
+pub(super) fn tell(estimate: &Estimate, output: &Path, json: bool) -> Result<()> {
+    if json {
+        super::print_json(estimate)?;
+    } else {
+        super::print(&in_words(estimate, output))?;
+    }
+    estimate.check()
+}
+
+fn in_words(e: &Estimate, output: &Path) -> String {
+    let mut out = format!("{}: not made, a dry run\n", output.display());
+    let mut row = |name: &str, value: String| {
+        let _ = writeln!(out, "  {name:<10} {value}");
+    };
+    let free = |bytes: Option<u64>| bytes.map_or("unknown".to_owned(), text::bytes);
+    row("samples", text::count(e.samples));
+    row("points", format!("{} in {} chunks", text::count(e.points), text::count(e.chunks)));
+    row(
+        "memory",
+        format!(
+            "{} given, at least {}, {} for all threads; {} at work at a time",
+            text::bytes(e.memory),
+            text::bytes(e.memory_least),
+            text::bytes(e.memory_comfortable),
+            if e.workers == 1 { "1 chunk".to_owned() } else { format!("{} chunks", e.workers) }
+        ),
+    );
+    row("archive", format!("about {} ({} free)", text::bytes(e.archive_bytes), free(e.archive_free)));
+    match e.scratch_bytes {
+        0 => row("scratch", "none".into()),
+        n => row("scratch", format!("about {} ({} free)", text::bytes(n), free(e.scratch_free))),
+    }
+    row("time", format!("roughly {}", text::duration(Duration::from_secs(e.seconds.ceil() as u64))));
+    out
+}

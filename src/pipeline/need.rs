@@ -1,0 +1,282 @@
+//! What a run needs, known before it starts: memory, disk, time. And how the memory that it gets is shared out.
+//!
+//! Only four things grow with the input, and each has its part of the budget:
+//!
+//! ```text
+//!  memory = BASE                    the process itself, buffers of readers and writers
+//!         + workers · room          a chunk at work: its points, their tetrahedra, its values, its blocks
+//!         + workers · 3 products    encoded chunks that wait for their turn to be written
+//!  memory >= BASE + index           afterwards, when the first two are gone: one entry a block
+//! ```
+//!
+//! The room of a chunk follows from the number of points of its region (core and halo), which the point set tells without
+//! listing them. If the budget does not hold as many chunks as there are threads, fewer run. A chunk whose halo must be
+//! widened beyond its room waits until it is alone and has all of them ([`super::work`]).
+
+use super::plan::{MeshParts, Plan};
+use crate::error::{Error, Result};
+use crate::geom::{LatticeBox, LatticePos};
+use crate::grid::{Chunk, ChunkGrid, ChunkId};
+use crate::points::PointSet;
+use serde::Serialize;
+use std::path::Path;
+
+/// What the process needs whatever it works on: code and tables, stacks, buffers of readers and writers.
+pub(crate) const BASE: u64 = 16 << 20;
+/// Working memory of a chunk for a point of its region, measured (`benches/out_of_core` prints what a run takes) and rounded
+/// up: 6.8 tetrahedra of 64 bytes in the mesher, sort keys and sites of 100 bytes, then 16 bytes for each tetrahedron kept, two
+/// or three times while they are sorted and encoded.
+const PER_POINT: u64 = 800;
+/// And whatever the number of points: the samples around a brick, the encoder's tables.
+const PER_CHUNK: u64 = 4 << 20;
+/// Bytes of a point's share of an encoded chunk, at most: its value, and a little more than 6 tetrahedra.
+const PRODUCT_PER_POINT: u64 = 26;
+/// Encoded chunks, for each worker, that may wait for their turn.
+const WAITING: u64 = 3;
+/// Tetrahedra a point, bytes of an index entry while the index is built.
+const TETS_PER_POINT: u64 = 7;
+const INDEX_ENTRY: u64 = 40;
+/// Bytes of an archive for a point: 6.7 tetrahedra, a value, its share of tables.
+const ARCHIVE_PER_POINT: u64 = 12;
+/// Points a second of one thread, meshed and encoded, on a machine of 2020: rough.
+const POINTS_PER_SECOND: f64 = 150_000.0;
+/// Chunks looked at to find the largest.
+const MOST_LOOKED_AT: u64 = 1 << 16;
+
+/// Halo width in mean point spacings of the first try; each further try doubles it.
+const HALO_SPACINGS: u64 = 3;
+
+/// The core of a chunk with the halo of a try.
+pub(crate) fn region(points: &PointSet, core: &LatticeBox, domain: &LatticeBox, retries: u32) -> LatticeBox {
+    core.grow_within(halo_width(points, retries), domain)
+}
+
+fn halo_width(points: &PointSet, retries: u32) -> LatticePos {
+    let factor = HALO_SPACINGS << retries.min(40);
+    points.mean_spacing().map(|s| u32::try_from(u64::from(s).saturating_mul(factor)).unwrap_or(u32::MAX))
+}
+
+/// Bytes in which a chunk whose region holds so many points is meshed, sampled and encoded.
+pub(crate) fn room_for(points_in_region: u64) -> u64 {
+    points_in_region.saturating_mul(PER_POINT).saturating_add(PER_CHUNK)
+}
+
+/// Bytes of an encoded chunk of so many points, at most.
+pub(crate) fn product_bytes(core_points: u64) -> u64 {
+    core_points.saturating_mul(PRODUCT_PER_POINT).saturating_add(256 << 10)
+}
+
+/// The memory of a run, as it is shared out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Shares {
+    /// Chunks at work at one time.
+    pub(crate) workers: usize,
+    /// Working memory of each.
+    pub(crate) room: u64,
+    /// For all encoded chunks that wait.
+    pub(crate) queue: u64,
+}
+
+impl Shares {
+    /// The working memory of a chunk that is alone.
+    pub(crate) fn room_alone(&self) -> u64 {
+        self.room * self.workers as u64
+    }
+
+    /// The memory with which such a chunk could be made.
+    pub(crate) fn memory_for(&self, room: u64) -> u64 {
+        BASE + self.queue + room
+    }
+}
+
+/// What the largest chunks of a plan need, and the index of all.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Need {
+    points: u64,
+    chunks: u64,
+    room: u64,
+    product: u64,
+    index: u64,
+}
+
+impl Need {
+    pub(crate) fn of(parts: &MeshParts) -> Self {
+        let (mut region_points, mut core_points) = (0, 0);
+        let domain = parts.chunks.bricks().lattice.domain();
+        for chunk in some_chunks(&parts.chunks) {
+            region_points =
+                region_points.max(parts.points.count_in(&region(&parts.points, &chunk.core, &domain, 0)));
+            core_points = core_points.max(parts.points.count_in(&chunk.core));
+        }
+        let points = parts.points.len();
+        Self {
+            points,
+            chunks: parts.chunks.len(),
+            room: room_for(region_points),
+            product: product_bytes(core_points),
+            index: (points.saturating_mul(TETS_PER_POINT) / 1024 + parts.chunks.len()) * INDEX_ENTRY,
+        }
+    }
+
+    fn of_workers(&self, workers: u64) -> u64 {
+        let each = self.room.saturating_add(WAITING * self.product);
+        BASE.saturating_add(each.saturating_mul(workers).max(self.index))
+    }
+
+    /// The least memory that works: one chunk at a time.
+    pub(crate) fn least(&self) -> u64 {
+        self.of_workers(1)
+    }
+
+    /// Shares `memory` out to at most `threads` workers.
+    ///
+    /// # Errors
+    /// [`Error::Budget`] when it does not suffice for one.
+    pub(crate) fn shares(&self, memory: u64, threads: usize) -> Result<Shares> {
+        if memory < self.least() {
+            return Err(Error::Budget { what: "memory".into(), needed: self.least(), available: memory });
+        }
+        let useful = (threads as u64).min(self.chunks).max(1);
+        let workers = (1..=useful).rev().find(|&w| self.of_workers(w) <= memory).unwrap_or(1);
+        let queue = workers * WAITING * self.product;
+        Ok(Shares { workers: workers as usize, room: (memory - BASE - queue) / workers, queue })
+    }
+}
+
+/// All chunks, or as many of them, evenly spread.
+fn some_chunks(chunks: &ChunkGrid) -> impl Iterator<Item = Chunk> {
+    let step = chunks.len().div_ceil(MOST_LOOKED_AT).max(1);
+    (0..chunks.len()).step_by(step as usize).map(|c| chunks.chunk(ChunkId(c)))
+}
+
+/// What a reduction needs, and what there is.
+#[derive(Clone, Debug, Serialize)]
+pub struct Estimate {
+    /// Samples of the volume.
+    pub samples: u64,
+    /// Points of the archive, boundary included.
+    pub points: u64,
+    /// Chunks.
+    pub chunks: u64,
+    /// Memory the run was given.
+    pub memory: u64,
+    /// The least memory that works: one chunk at a time.
+    pub memory_least: u64,
+    /// Memory with which all threads work.
+    pub memory_comfortable: u64,
+    /// Chunks at work at one time with the memory given; 0 when it does not suffice.
+    pub workers: usize,
+    /// Bytes of the archive, about.
+    pub archive_bytes: u64,
+    /// Bytes that are free for it, what is there of it already included; `None` where the system does not tell.
+    pub archive_free: Option<u64>,
+    /// Bytes of the temporary copy of an input that has no random access.
+    pub scratch_bytes: u64,
+    /// Bytes that are free for it.
+    pub scratch_free: Option<u64>,
+    /// Seconds of work, roughly: from the speed of a machine of 2020.
+    pub seconds: f64,
+    #[serde(skip)]
+    archive: std::path::PathBuf,
+    #[serde(skip)]
+    scratch: std::path::PathBuf,
+}
+
+/// What an estimate is asked about.
+pub(crate) struct Question<'a> {
+    pub(crate) plan: &'a Plan,
+    pub(crate) need: &'a Need,
+    pub(crate) memory: u64,
+    pub(crate) threads: usize,
+    pub(crate) out: &'a Path,
+    /// Bytes of the archive that are there already.
+    pub(crate) there: u64,
+    /// Folder and bytes of the temporary copy.
+    pub(crate) scratch: (&'a Path, u64),
+}
+
+impl Estimate {
+    pub(crate) fn new(q: &Question<'_>) -> Self {
+        let workers = q.need.shares(q.memory, q.threads).map_or(0, |s| s.workers);
+        let rate = POINTS_PER_SECOND * workers.max(1) as f64;
+        Self {
+            samples: q.plan.step.source.dims.iter().product(),
+            points: q.need.points,
+            chunks: q.need.chunks,
+            memory: q.memory,
+            memory_least: q.need.least(),
+            memory_comfortable: q.need.of_workers((q.threads as u64).min(q.need.chunks)),
+            workers,
+            archive_bytes: q.need.points.saturating_mul(ARCHIVE_PER_POINT) + (64 << 10),
+            archive_free: free_bytes(q.out).map(|free| free.saturating_add(q.there)),
+            scratch_bytes: q.scratch.1,
+            scratch_free: free_bytes(q.scratch.0),
+            seconds: q.need.points as f64 / rate,
+            archive: q.out.to_path_buf(),
+            scratch: q.scratch.0.to_path_buf(),
+        }
+    }
+
+    /// Whether the run can be expected to work.
+    ///
+    /// # Errors
+    /// [`Error::Budget`] naming what is too small, and the least that would do.
+    pub fn check(&self) -> Result<()> {
+        let enough = |what: String, needed: u64, available: Option<u64>| match available {
+            Some(available) if needed > available => Err(Error::Budget { what, needed, available }),
+            _ => Ok(()),
+        };
+        enough("memory".into(), self.memory_least, Some(self.memory))?;
+        let place = |folder: &Path| format!("disk space for {}", folder.display());
+        enough(place(&self.archive), self.archive_bytes, self.archive_free)?;
+        enough(place(&self.scratch), self.scratch_bytes, self.scratch_free)
+    }
+}
+
+/// Bytes free for us on the file system of a path, or of the nearest folder above it that is there.
+#[cfg(unix)]
+pub(crate) fn free_bytes(path: &Path) -> Option<u64> {
+    let path = std::path::absolute(path).ok()?;
+    let there = path.ancestors().find(|p| p.exists())?;
+    let stat = rustix::fs::statvfs(there).ok()?;
+    stat.f_bavail.checked_mul(stat.f_frsize)
+}
+
+#[cfg(not(unix))]
+pub(crate) fn free_bytes(_path: &Path) -> Option<u64> {
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NEED: Need = Need { points: 1 << 20, chunks: 9, room: 100 << 20, product: 2 << 20, index: 1 << 20 };
+
+    #[test]
+    fn fewer_work_where_memory_is_short() {
+        let least = NEED.least();
+        assert_eq!(least, BASE + (106 << 20));
+        for (memory, workers) in [(least, 1), (least + (106 << 20), 2), (u64::MAX / 2, 4)] {
+            let shares = NEED.shares(memory, 4).unwrap();
+            assert_eq!(shares.workers, workers);
+            assert!(shares.room >= NEED.room && shares.memory_for(shares.room_alone()) <= memory);
+        }
+        assert_eq!(NEED.shares(u64::MAX / 2, 100).unwrap().workers, 9, "not more than there are chunks");
+        let error = NEED.shares(least - 1, 4).unwrap_err();
+        assert_eq!((error.exit_code(), error.to_string().contains(&least.to_string())), (4, true));
+    }
+
+    #[test]
+    fn a_large_index_counts_too() {
+        let need = Need { index: 1 << 40, ..NEED };
+        assert_eq!(need.least(), BASE + (1 << 40));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn free_space_is_that_of_the_nearest_folder() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(free_bytes(&folder.path().join("a/b/c")).unwrap() > 0);
+    }
+}

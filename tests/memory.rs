@@ -1,0 +1,107 @@
+//! A memory budget is kept, decides no byte, and is refused, naming the least that works, before anything is made.
+
+mod common;
+
+use common::*;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+fn isospan(dir: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_isospan")).current_dir(dir).args(args).output().unwrap()
+}
+
+fn reduce_with(dir: &Path, out: &str, memory: &str, more: &[&str]) -> Output {
+    isospan(dir, &[&["-q", "reduce", "w.npy", "-o", out, "--memory", memory][..], more].concat())
+}
+
+/// A volume of many chunks.
+fn waves_in(dir: &Path) -> [&'static str; 4] {
+    write_npy(&dir.join("w.npy"), [60, 52, 47], waves);
+    ["--fraction", "1/2", "--chunk-points", "4000"]
+}
+
+#[test]
+fn the_budget_decides_no_byte() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let settings = waves_in(d);
+    let mut first = None;
+    for (i, memory) in ["40MiB", "70MiB", "4GiB"].into_iter().enumerate() {
+        let name = format!("{i}.isospan");
+        let out = reduce_with(d, &name, memory, &settings);
+        assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+        let files = folder(&d.join(&name));
+        assert!(files.len() >= 4, "{:?}", files.keys());
+        assert!(*first.get_or_insert_with(|| files.clone()) == files, "{memory} gives other bytes");
+    }
+}
+
+#[test]
+fn the_least_that_works_is_named_and_works() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let settings = waves_in(d);
+    let out = reduce_with(d, "a.isospan", "5MiB", &settings);
+    let stderr = String::from_utf8(out.stderr).unwrap();
+    assert_eq!((out.status.code(), stderr.lines().count()), (Some(4), 1), "{stderr}");
+    assert!(!d.join("a.isospan").exists(), "refused before anything is made");
+    let least = stderr.trim_end().rsplit(' ').next().unwrap().to_owned();
+    let less = (least.parse::<u64>().unwrap() - 1).to_string();
+    assert_eq!(reduce_with(d, "a.isospan", &less, &settings).status.code(), Some(4));
+    assert!(reduce_with(d, "a.isospan", &least, &settings).status.success());
+}
+
+#[test]
+fn a_dry_run_tells_and_makes_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let settings = waves_in(d);
+    let dry =
+        |memory| reduce_with(d, "a.isospan", memory, &[&settings[..], &["--dry-run", "--json"]].concat());
+    let out = dry("1GiB");
+    assert!(out.status.success());
+    let told: serde_json::Value = serde_json::from_slice(&out.stdout).unwrap();
+    let number = |key: &str| told[key].as_u64().unwrap_or_else(|| panic!("{key}: {told}"));
+    assert!(number("chunks") > 10 && number("memory_least") < number("memory_comfortable") + 1);
+    assert!(number("archive_bytes") > 10 * number("points") && number("scratch_bytes") == 0);
+    let short = dry("5MiB");
+    assert_eq!((short.status.code(), short.stdout.is_empty()), (Some(4), false), "told, and refused");
+    assert_eq!(fs::read_dir(d).unwrap().count(), 1, "nothing but the input is there");
+}
+
+/// Peak of anonymous resident memory of a run, sampled: pages of mapped files do not count.
+#[cfg(target_os = "linux")]
+fn peak_anonymous(command: &mut Command) -> u64 {
+    let mut child = command.spawn().unwrap();
+    let status = format!("/proc/{}/status", child.id());
+    let mut peak = 0;
+    while child.try_wait().unwrap().is_none() {
+        let text = fs::read_to_string(&status).unwrap_or_default();
+        let line = text.lines().find_map(|l| l.strip_prefix("RssAnon:"));
+        let kib = line.and_then(|l| l.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok());
+        peak = peak.max(kib.unwrap_or(0) * 1024);
+        std::thread::sleep(std::time::Duration::from_millis(3));
+    }
+    assert!(child.wait().unwrap().success());
+    peak
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn the_budget_is_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("w.npy"), [130, 120, 110], waves);
+    for (budget, settings) in [
+        (60u64 << 20, ["--fraction", "1/8", "--chunk-points", "20000"]),
+        (200 << 20, ["--fraction", "1/8", "--chunk-points", "100000"]),
+    ] {
+        let mut run = Command::new(env!("CARGO_BIN_EXE_isospan"));
+        run.current_dir(d).args(["-q", "reduce", "w.npy", "-o", "a.isospan", "--force", "--threads", "2"]);
+        run.args(["--memory", &budget.to_string()]).args(settings).stdout(std::process::Stdio::null());
+        let peak = peak_anonymous(&mut run);
+        assert!(peak > budget / 20, "{peak} bytes: nothing was measured");
+        assert!(peak <= budget, "{peak} bytes of {budget}");
+    }
+}
