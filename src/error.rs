@@ -92,9 +92,10 @@ impl Error {
         self
     }
 
-    /// The process exit code for this error: 1 failed, 2 usage, 3 incomplete, 4 budget, 5 bad input, 75 resumable.
+    /// The process exit code for this error: 1 failed, 2 usage, 3 incomplete, 4 budget (memory, disk), 5 bad input, 75 resumable.
     pub fn exit_code(&self) -> u8 {
         match self {
+            Self::Io { source, .. } if is_full(source) => 4,
             Self::Io { .. } => 1,
             Self::Usage(_) => 2,
             Self::Incomplete { .. } => 3,
@@ -103,6 +104,12 @@ impl Error {
             Self::Cancelled => 75,
         }
     }
+}
+
+/// Whether there is no room for what was to be written: on the device, within a quota, or within a limit of the process.
+fn is_full(error: &io::Error) -> bool {
+    use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
+    matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge)
 }
 
 /// Text from a file may hold anything; an error message is one printable line of bounded length.
@@ -119,7 +126,14 @@ fn one_line(text: &str) -> String {
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Io { doing, path, source } => write!(f, "cannot {doing} {}: {source}", path.display()),
+            Self::Io { doing, path, source } => {
+                write!(f, "cannot {doing} {}: {source}", path.display())?;
+                if is_full(source) {
+                    f.write_str("; make room, then run the same command again")
+                } else {
+                    Ok(())
+                }
+            }
             Self::BadInput { path, at, expected, got, help } => {
                 write!(
                     f,

@@ -2,7 +2,11 @@
 //!
 //! A mesh segment has for each chunk its header and its tetrahedron blocks ([`super::chunk`]), a value segment its value
 //! blocks ([`super::values`]). The last block of the segment is the chunk table: how many blocks each chunk has.
+//!
+//! A writer that is killed loses no chunk that it was given: [`ChunkSegmentWriter::resume`] goes on behind the last whole one.
 
+use super::journal::{Journal, Record};
+use super::publish::{self, Dead};
 use super::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use super::wire::{Cursor, Malformed, put_varint};
 use crate::error::{Error, Result};
@@ -15,6 +19,7 @@ pub struct ChunkSegmentWriter {
     segment: SegmentWriter,
     first: ChunkId,
     block_counts: Vec<u64>,
+    journal: Option<Journal>,
 }
 
 impl ChunkSegmentWriter {
@@ -23,7 +28,77 @@ impl ChunkSegmentWriter {
     /// # Errors
     /// When the temporary file cannot be made.
     pub fn create(path: impl AsRef<Path>, kind: SegmentKind, plan: PlanHash, first: ChunkId) -> Result<Self> {
-        Ok(Self { segment: SegmentWriter::create(path, kind, plan)?, first, block_counts: vec![] })
+        let segment = SegmentWriter::create(path, kind, plan)?;
+        Ok(Self { segment, first, block_counts: vec![], journal: None })
+    }
+
+    /// Begins a segment, or goes on with what a writer left that was killed or stopped: with its chunks up to `most` that are
+    /// whole ([`ChunkSegmentWriter::chunk_count`] tells how many). What this writer has written is there for the next
+    /// one, chunk by chunk; other leftovers of the same segment are removed. The finished file is the same in any case.
+    ///
+    /// # Errors
+    /// When a temporary file cannot be made or read.
+    pub fn resume(
+        path: impl AsRef<Path>,
+        kind: SegmentKind,
+        plan: PlanHash,
+        first: ChunkId,
+        most: u64,
+    ) -> Result<Self> {
+        let path = path.as_ref();
+        let mut found: Option<Self> = None;
+        for dead in publish::dead_of(path) {
+            let temporary = dead.path.clone();
+            let adopted = Self::adopt(dead, path, kind, plan, first, most)?;
+            match adopted.filter(|a| found.as_ref().is_none_or(|f| f.chunk_count() < a.chunk_count())) {
+                // The one that is replaced, or not taken, has served.
+                Some(better) => found.replace(better).into_iter().for_each(Self::discard),
+                None => _ = std::fs::remove_file(temporary),
+            }
+        }
+        if let Some(found) = found {
+            return Ok(found);
+        }
+        let mut writer = Self::create(path, kind, plan, first)?;
+        writer.journal = Some(Journal::create(writer.segment.temporary())?);
+        Ok(writer)
+    }
+
+    fn adopt(
+        dead: Dead,
+        path: &Path,
+        kind: SegmentKind,
+        plan: PlanHash,
+        first: ChunkId,
+        most: u64,
+    ) -> Result<Option<Self>> {
+        let Some((mut journal, mut records)) = Journal::of_dead(&dead) else { return Ok(None) };
+        let expected = (first.0..).zip(&records).take_while(|(n, r)| *n == r.chunk).count();
+        records.truncate(expected.min(usize::try_from(most).unwrap_or(usize::MAX)));
+        let Some((mut segment, whole)) = SegmentWriter::adopt(dead, path, kind, plan, &records)? else {
+            return Ok(None);
+        };
+        records.truncate(whole);
+        if whole > 0 {
+            segment.keep()?;
+        }
+        journal.truncate(&records)?;
+        let block_counts = records.iter().map(|r| r.blocks.len() as u64).collect();
+        Ok(Some(Self { segment, first, block_counts, journal: Some(journal) }))
+    }
+
+    /// Removes the temporary files.
+    fn discard(self) {
+        let temporary = self.segment.temporary().to_path_buf();
+        self.journal.into_iter().for_each(Journal::remove);
+        drop(self.segment);
+        // Somebody else may have been faster.
+        let _ = std::fs::remove_file(temporary);
+    }
+
+    /// Chunks written so far, those of an earlier writer included.
+    pub fn chunk_count(&self) -> u64 {
+        self.block_counts.len() as u64
     }
 
     /// Appends the blocks of the next chunk.
@@ -31,8 +106,14 @@ impl ChunkSegmentWriter {
     /// # Errors
     /// When the file cannot be written.
     pub fn push_chunk(&mut self, blocks: &[Vec<u8>]) -> Result<()> {
+        let before = self.segment.block_count() as usize;
         for block in blocks {
             self.segment.push_block(block)?;
+        }
+        if let Some(journal) = &mut self.journal {
+            let blocks = self.segment.entries_from(before).to_vec();
+            self.segment.keep()?;
+            journal.push(&Record { chunk: self.first.0 + self.block_counts.len() as u64, blocks })?;
         }
         self.block_counts.push(blocks.len() as u64);
         Ok(())
@@ -48,7 +129,10 @@ impl ChunkSegmentWriter {
         put_varint(&mut table, self.block_counts.len() as u64);
         self.block_counts.iter().for_each(|&n| put_varint(&mut table, n));
         self.segment.push_block(&table)?;
-        self.segment.finish()
+        let info = self.segment.finish()?;
+        // Until here they are needed: a finish that failed for want of room is tried again.
+        self.journal.into_iter().for_each(Journal::remove);
+        Ok(info)
     }
 }
 
@@ -190,5 +274,80 @@ mod tests {
         let path = dir.path().join("a.seg");
         SegmentWriter::create(&path, SegmentKind::Mesh, PlanHash(1)).unwrap().finish().unwrap();
         assert!(ChunkSegment::open(&path, SegmentKind::Mesh, None).is_err(), "no table");
+    }
+
+    const CHUNKS: u64 = 5;
+
+    fn chunk(n: u64) -> Vec<Vec<u8>> {
+        (0..n % 4 + 1).map(|b| (0..200 * b + n).map(|i| (i * 7 + n) as u8).collect()).collect()
+    }
+
+    fn resume(path: &Path, plan: u128, most: u64) -> ChunkSegmentWriter {
+        ChunkSegmentWriter::resume(path, SegmentKind::Values, PlanHash(plan), ChunkId(30), most).unwrap()
+    }
+
+    /// Goes on with the segment and finishes it; returns how many chunks were there.
+    fn finish(path: &Path, most: u64) -> u64 {
+        let mut w = resume(path, 9, most);
+        let there = w.chunk_count();
+        (there..CHUNKS).for_each(|n| w.push_chunk(&chunk(n)).unwrap());
+        w.finish().unwrap();
+        there
+    }
+
+    #[test]
+    fn a_stopped_writer_loses_no_chunk() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("v.seg");
+        assert_eq!(finish(&path, 99), 0);
+        let expected = std::fs::read(&path).unwrap();
+        for stop in 0..=CHUNKS {
+            for most in [99, 2] {
+                std::fs::remove_file(&path).unwrap();
+                let mut w = resume(&path, 9, 99);
+                (0..stop).for_each(|n| w.push_chunk(&chunk(n)).unwrap());
+                drop(w);
+                assert_eq!(finish(&path, most), stop.min(most));
+                assert_eq!(std::fs::read(&path).unwrap(), expected);
+                assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "no temporary is left");
+            }
+        }
+    }
+
+    #[test]
+    fn damage_in_what_is_left_costs_chunks_and_never_bytes() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("v.seg");
+        finish(&path, 99);
+        let expected = std::fs::read(&path).unwrap();
+        for case in 0..40 {
+            std::fs::remove_file(&path).unwrap();
+            let mut w = resume(&path, 9, 99);
+            (0..4).for_each(|n| w.push_chunk(&chunk(n)).unwrap());
+            drop(w);
+            let mut files: Vec<_> =
+                std::fs::read_dir(dir.path()).unwrap().map(|f| f.unwrap().path()).collect();
+            files.sort();
+            let file = &files[case % 2];
+            let mut bytes = std::fs::read(file).unwrap();
+            let at = bytes.len() * (case / 4) / 10;
+            if case / 2 % 2 == 0 {
+                bytes.truncate(at)
+            } else {
+                bytes[at] ^= 8
+            }
+            std::fs::write(file, bytes).unwrap();
+            assert!(finish(&path, 99) < 4, "case {case}");
+            assert_eq!(std::fs::read(&path).unwrap(), expected);
+            publish::sweep(dir.path());
+            assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "case {case}");
+        }
+        // Another plan's.
+        std::fs::remove_file(&path).unwrap();
+        let mut w = resume(&path, 8, 99);
+        w.push_chunk(&chunk(0)).unwrap();
+        drop(w);
+        assert_eq!(finish(&path, 99), 0);
+        assert_eq!(std::fs::read(&path).unwrap(), expected);
     }
 }

@@ -2,12 +2,21 @@
 //!
 //! It is written under a temporary name in its final folder, synced, renamed, and the folder synced. The temporary
 //! name is unique per host, process and file, so two writers of the same file do not disturb each other: they write the
-//! same bytes and the later rename wins. A writer that is dropped unfinished removes its temporary; one that is killed leaves
-//! it, under a name that starts with a dot and that no reader looks at.
+//! same bytes and the later rename wins. A writer that is dropped unfinished removes its temporary.
+//!
+//! ```text
+//!  .000007.seg.tmp-node12-4711-3
+//!   final name     host   process, number in it
+//! ```
+//!
+//! **What a killed writer leaves** starts with a dot, and no reader looks at it. The next writer of the same file removes it, or
+//! goes on with it ([`Unpublished::adopt`]), if it is dead for sure: made on this host, by a process that is no more, and
+//! not locked. A living writer holds a lock on its temporary, where the file system has locks; that protects against
+//! what a process number does not tell (containers that share a host's name, numbers used again).
 
 use crate::error::{Error, Result};
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::fs::{File, TryLockError};
+use std::io::{BufWriter, ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -16,10 +25,13 @@ pub(crate) struct Unpublished {
     file: Option<BufWriter<File>>,
     temporary: PathBuf,
     path: PathBuf,
+    keep: bool,
 }
 
 /// The mark of a temporary's name, between the final name and host, process and number.
 pub const TEMPORARY_MARK: &str = ".tmp-";
+
+const BUFFER_BYTES: usize = 1 << 18;
 
 fn host() -> String {
     #[cfg(unix)]
@@ -29,25 +41,76 @@ fn host() -> String {
     name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).take(64).collect()
 }
 
+/// A name for a temporary of `path`, beside it.
+pub(crate) fn temporary_name(path: &Path) -> Result<PathBuf> {
+    static NEXT: AtomicU64 = AtomicU64::new(0);
+    let name = path
+        .file_name()
+        .ok_or_else(|| Error::usage(format!("{} does not name a file", path.display())))?
+        .to_string_lossy();
+    let number = NEXT.fetch_add(1, Ordering::Relaxed);
+    Ok(path.with_file_name(format!(".{name}{TEMPORARY_MARK}{}-{}-{number}", host(), std::process::id())))
+}
+
 impl Unpublished {
+    /// Begins a file. What dead writers of it left is removed.
     pub(crate) fn create(path: &Path) -> Result<Self> {
-        static NEXT: AtomicU64 = AtomicU64::new(0);
-        let name = path
-            .file_name()
-            .ok_or_else(|| Error::usage(format!("{} does not name a file", path.display())))?
-            .to_string_lossy();
-        let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        let temporary =
-            path.with_file_name(format!(".{name}{TEMPORARY_MARK}{}-{}-{number}", host(), std::process::id()));
+        remove_dead(path);
+        Self::begin(path)
+    }
+
+    /// Begins a file without looking for what others left.
+    pub(crate) fn begin(path: &Path) -> Result<Self> {
+        let temporary = temporary_name(path)?;
         // A leftover of a killed process of the same number is overwritten.
-        let file = File::create(&temporary).map_err(|e| Error::io("create", &temporary, e))?;
-        let file = Some(BufWriter::with_capacity(1 << 18, file));
-        Ok(Self { file, temporary, path: path.to_path_buf() })
+        let mut options = File::options();
+        let file = options.read(true).write(true).create(true).truncate(true).open(&temporary);
+        let file = file.map_err(|e| Error::io("create", &temporary, e))?;
+        // Where there are no locks, the process number alone tells that the writer is alive.
+        let _ = file.try_lock();
+        Ok(Self::of(file, temporary, path))
+    }
+
+    fn of(file: File, temporary: PathBuf, path: &Path) -> Self {
+        let file = Some(BufWriter::with_capacity(BUFFER_BYTES, file));
+        Self { file, temporary, path: path.to_path_buf(), keep: false }
+    }
+
+    /// Goes on with what a dead writer left, its first `len` bytes.
+    pub(crate) fn adopt(dead: Dead, path: &Path, len: u64) -> Result<Self> {
+        let Dead { mut file, path: temporary } = dead;
+        file.set_len(len)
+            .and_then(|()| file.seek(SeekFrom::Start(len)))
+            .map_err(|e| Error::io("continue", &temporary, e))?;
+        Ok(Self::of(file, temporary, path))
+    }
+
+    /// The name it has until it is published.
+    pub(crate) fn temporary(&self) -> &Path {
+        &self.temporary
+    }
+
+    /// From now on the temporary stays when the writer is dropped unfinished, for the next one to go on with.
+    pub(crate) fn keep(&mut self) {
+        self.keep = true;
     }
 
     pub(crate) fn write(&mut self, bytes: &[u8]) -> Result<()> {
-        let file = self.file.as_mut().expect("the file is open until it is published");
-        file.write_all(bytes).map_err(|e| Error::io("write", &self.temporary, e))
+        self.out().write_all(bytes).map_err(|e| Error::io("write", &self.temporary, e))
+    }
+
+    /// Hands all bytes to the system: they survive this process, though not the machine.
+    pub(crate) fn flush(&mut self) -> Result<()> {
+        self.out().flush().map_err(|e| Error::io("write", &self.temporary, e))
+    }
+
+    fn out(&mut self) -> &mut BufWriter<File> {
+        self.file.as_mut().expect("the file is open until it is published")
+    }
+
+    /// The file, with all bytes written so far in it.
+    pub(crate) fn file(&self) -> &File {
+        self.file.as_ref().expect("the file is open until it is published").get_ref()
     }
 
     /// Makes the file durable and visible under its name.
@@ -55,8 +118,9 @@ impl Unpublished {
         let file = self.file.take().expect("the file is open until it is published");
         let file = file.into_inner().map_err(|e| Error::io("write", &self.temporary, e.into_error()))?;
         file.sync_all().map_err(|e| Error::io("sync", &self.temporary, e))?;
-        drop(file);
         std::fs::rename(&self.temporary, &self.path).map_err(|e| Error::io("rename a new", &self.path, e))?;
+        // Closed, and so unlocked, under its final name only: no other process can take it for a leftover.
+        drop(file);
         self.temporary = PathBuf::new();
         sync_folder(&self.path)
     }
@@ -66,20 +130,114 @@ impl Unpublished {
 fn sync_folder(path: &Path) -> Result<()> {
     #[cfg(unix)]
     {
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        File::open(folder).and_then(|f| f.sync_all()).map_err(|e| Error::io("sync the folder", folder, e))?;
+        let folder = folder_of(path);
+        match File::open(folder).and_then(|f| f.sync_all()) {
+            // Some file systems cannot sync a folder, and then need not.
+            Err(e) if !matches!(e.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported) => {
+                return Err(Error::io("sync the folder", folder, e));
+            }
+            _ => {}
+        }
     }
     #[cfg(not(unix))]
     let _ = path;
     Ok(())
 }
 
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
 impl Drop for Unpublished {
     fn drop(&mut self) {
-        if !self.temporary.as_os_str().is_empty() {
+        if !self.temporary.as_os_str().is_empty() && !self.keep {
             // Nothing can be done about a temporary that cannot be removed; no reader looks at it.
             let _ = std::fs::remove_file(&self.temporary);
         }
+    }
+}
+
+/// A temporary whose writer is no more, locked for us.
+#[derive(Debug)]
+pub(crate) struct Dead {
+    pub(crate) file: File,
+    pub(crate) path: PathBuf,
+}
+
+impl Dead {
+    /// Deletes it. Somebody else may have been faster.
+    pub(crate) fn remove(self) {
+        let _ = std::fs::remove_file(&self.path);
+    }
+}
+
+/// What dead writers of `path` left. A folder that cannot be listed has nothing to offer: writing to it will tell why.
+pub(crate) fn dead_of(path: &Path) -> Vec<Dead> {
+    let Some(name) = path.file_name() else { return vec![] };
+    let prefix = format!(".{}{TEMPORARY_MARK}", name.to_string_lossy());
+    dead_in(folder_of(path), |name| name.starts_with(&prefix))
+}
+
+fn remove_dead(path: &Path) {
+    dead_of(path).into_iter().for_each(Dead::remove);
+}
+
+/// Removes what dead writers left in a folder, of files of any name.
+pub(crate) fn sweep(folder: &Path) {
+    dead_in(folder, |_| true).into_iter().for_each(Dead::remove);
+}
+
+fn dead_in(folder: &Path, wanted: impl Fn(&str) -> bool) -> Vec<Dead> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return vec![] };
+    let (host, mut dead) = (host(), vec![]);
+    for entry in entries.flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let Some(process) = process_of(&name, &host).filter(|_| wanted(&name)) else { continue };
+        dead.extend(dead_file(entry.path(), process));
+    }
+    // The order of a folder's entries is the system's.
+    dead.sort_by(|a, b| a.path.cmp(&b.path));
+    dead
+}
+
+/// The process in a temporary's name, if it was made on this host.
+fn process_of(name: &str, host: &str) -> Option<u32> {
+    let (_, rest) = name.strip_prefix('.')?.rsplit_once(TEMPORARY_MARK)?;
+    let mut parts = rest.strip_prefix(host)?.strip_prefix('-')?.split('-');
+    parts.next()?.parse().ok()
+}
+
+fn dead_file(path: PathBuf, process: u32) -> Option<Dead> {
+    let ours = process == std::process::id();
+    if !ours && is_alive(process) {
+        return None;
+    }
+    let file = File::options().read(true).write(true).open(&path).ok()?;
+    match file.try_lock() {
+        Ok(()) => {}
+        // No locks here: of our own process number, only the lock tells whether a thread of ours writes it.
+        Err(TryLockError::Error(_)) if !ours => {}
+        Err(_) => return None,
+    }
+    // Meanwhile another process may have finished and renamed it, or removed it.
+    path.exists().then_some(Dead { file, path })
+}
+
+/// Whether there is a process of this number.
+fn is_alive(process: u32) -> bool {
+    #[cfg(unix)]
+    {
+        let pid = i32::try_from(process).ok().and_then(rustix::process::Pid::from_raw);
+        // A process of another user is alive too: "not permitted".
+        pid.is_some_and(|pid| {
+            !matches!(rustix::process::test_kill_process(pid), Err(rustix::io::Errno::SRCH))
+        })
+    }
+    // Nothing is known: what others left stays.
+    #[cfg(not(unix))]
+    {
+        let _ = process;
+        true
     }
 }
 
@@ -111,5 +269,48 @@ mod tests {
         let error = Unpublished::create(&dir.path().join("no/a")).err().unwrap();
         assert_eq!(error.exit_code(), 1);
         assert!(error.to_string().contains("no/.a.tmp-"), "{error}");
+    }
+
+    #[test]
+    fn leftovers_of_dead_processes_of_this_host_are_removed() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.seg");
+        let name = |host: &str, process: u32| dir.path().join(format!(".a.seg.tmp-{host}-{process}-0"));
+        // Process numbers are below 2^22 on Linux.
+        let dead = name(&host(), 1 << 30);
+        let others = [
+            name("elsewhere", 1 << 30),
+            name(&host(), 1),
+            dir.path().join(format!(".b.seg.tmp-{}-{}-0", host(), 1 << 30)),
+            dir.path().join("a.seg.tmp"),
+        ];
+        for file in others.iter().chain([&dead]) {
+            std::fs::write(file, b"left").unwrap();
+        }
+        let living = Unpublished::create(&path).unwrap();
+        assert!(!dead.exists() && living.temporary().exists());
+        assert!(others.iter().all(|f| f.exists()));
+        sweep(dir.path());
+        assert!(living.temporary().exists(), "locked by its writer");
+        assert_eq!(others.map(|f| f.exists()), [true, true, false, true]);
+    }
+
+    #[test]
+    fn a_kept_temporary_is_gone_on_with() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a");
+        let mut one = Unpublished::create(&path).unwrap();
+        one.write(b"good, bad").unwrap();
+        one.flush().unwrap();
+        one.keep();
+        assert!(dead_of(&path).is_empty(), "alive");
+        drop(one);
+        let mut dead = dead_of(&path);
+        let mut two = Unpublished::adopt(dead.remove(0), &path, 6).unwrap();
+        assert!(dead_of(&path).is_empty(), "alive again");
+        two.write(b"better").unwrap();
+        two.publish().unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"good, better");
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
     }
 }

@@ -11,12 +11,14 @@
 //!
 //! Every byte is specified in [the format](super#the-bytes).
 
-use super::publish::Unpublished;
+use super::journal::Record;
+use super::publish::{Dead, Unpublished};
 use super::wire::{Cursor, Malformed};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -153,6 +155,55 @@ impl SegmentWriter {
         Ok(writer)
     }
 
+    /// Goes on with what a dead writer of this segment left: the first of `records` whose blocks are there, undamaged, give
+    /// the blocks to begin with, and their number is returned. `None` when it is not of this kind and plan. Reads and checks
+    /// all bytes that are kept.
+    pub(super) fn adopt(
+        mut dead: Dead,
+        path: &Path,
+        kind: SegmentKind,
+        plan: PlanHash,
+        records: &[Record],
+    ) -> Result<Option<(Self, usize)>> {
+        let head = header(kind as u32, plan);
+        let read = |e| Error::io("read", path, e);
+        let len = dead.file.metadata().map_err(read)?.len();
+        let mut buffer = vec![0; head.len()];
+        if len < head.len() as u64 || dead.file.read_exact(&mut buffer).is_err() || buffer != head {
+            return Ok(None);
+        }
+        let (mut hash, mut offset, mut entries, mut whole) = (Xxh3Default::new(), HEADER_BYTES, vec![], 0);
+        hash.update(&head);
+        for record in records {
+            let (mut with, bytes) = (hash.clone(), record.blocks.iter().map(|b| u64::from(b.0)).sum::<u64>());
+            if bytes > len - offset || !take_blocks(&mut dead.file, record, &mut with, &mut buffer) {
+                break;
+            }
+            (hash, offset, whole) = (with, offset + bytes, whole + 1);
+            entries.extend_from_slice(&record.blocks);
+        }
+        let out = Unpublished::adopt(dead, path, offset)?;
+        Ok(Some((Self { out, path: path.to_path_buf(), hash, offset, entries }, whole)))
+    }
+
+    /// Hands all blocks so far to the system, so that they outlive this process, and keeps the temporary file for
+    /// [`SegmentWriter::adopt`] should the segment not be finished.
+    pub(super) fn keep(&mut self) -> Result<()> {
+        self.out.flush()?;
+        self.out.keep();
+        Ok(())
+    }
+
+    /// The file's name until it is finished.
+    pub(super) fn temporary(&self) -> &Path {
+        self.out.temporary()
+    }
+
+    /// Length and CRC32C of the blocks from number `first` on.
+    pub(super) fn entries_from(&self, first: usize) -> &[(u32, u32)] {
+        &self.entries[first..]
+    }
+
     fn put(&mut self, bytes: &[u8]) -> Result<()> {
         self.hash.update(bytes);
         self.offset += bytes.len() as u64;
@@ -202,6 +253,16 @@ impl SegmentWriter {
         self.out.publish()?;
         Ok(info)
     }
+}
+
+/// Reads the blocks of a chunk and adds them to the hash; `false` when one is cut short or damaged.
+fn take_blocks(file: &mut File, record: &Record, hash: &mut Xxh3Default, buffer: &mut Vec<u8>) -> bool {
+    record.blocks.iter().all(|&(len, crc)| {
+        buffer.resize(len as usize, 0);
+        let whole = file.read_exact(buffer).is_ok() && crc32c::crc32c(buffer) == crc;
+        hash.update(buffer);
+        whole
+    })
 }
 
 /// Appends the CRC32C of what is there.

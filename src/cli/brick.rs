@@ -34,7 +34,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<()> {
     }
     let source = formats::open_volume(&args.input, &args.read.options()?)?;
     let bar = progress::for_stderr(quiet);
-    isospan::pipeline::brick(source, &args.output, args.memory, &*bar)?;
+    isospan::pipeline::brick(source, &args.output, args.memory, &super::signals::cancel_token(), &*bar)?;
     bar.end();
     let bricks = BrickedVolume::open(&args.output)?;
     let info = isospan::volume::VolumeReader::info(&bricks);

@@ -11,6 +11,7 @@ mod input;
 mod misc;
 mod progress;
 mod reduce;
+mod signals;
 mod surface;
 mod text;
 
@@ -54,6 +55,7 @@ pub(crate) fn main() -> ExitCode {
             return ExitCode::from(code);
         }
     };
+    signals::survive_file_size_limit();
     match run(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,

@@ -146,7 +146,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<()> {
         memory: args.memory.unwrap_or_else(|| isospan::exec::usable_memory() / 2),
         scratch: args.scratch.clone(),
         replace: args.force,
-        cancel: isospan::exec::CancelToken::new(),
+        cancel: super::signals::cancel_token(),
     };
     if args.dry_run {
         let found = estimate(&args.input, &args.read.options()?, &args.settings()?, &args.output, &run)?;

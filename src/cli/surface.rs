@@ -35,8 +35,12 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, quiet: bool) -> Result<()> {
     let format = SurfaceFormat::from_path(&args.output)?;
-    let settings =
-        SurfaceSettings { isovalue: args.isovalue, threads: args.threads, scratch: args.scratch.clone() };
+    let settings = SurfaceSettings {
+        isovalue: args.isovalue,
+        threads: args.threads,
+        scratch: args.scratch.clone(),
+        cancel: super::signals::cancel_token(),
+    };
     let bar = progress::for_stderr(quiet);
     let report = extract_surface(&args.archive, &settings, &args.output, format, &*bar);
     bar.end();

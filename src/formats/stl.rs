@@ -13,7 +13,7 @@
 //! between `solid NAME` and `endsolid`. Many binary files begin with "solid", so a file whose length agrees with the
 //! count at byte 80 is binary. The normals of a file are not read: they follow from the positions.
 
-use crate::bytes::ByteSource;
+use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::formats::surface::{Sink, SurfaceMeta, Welder, each_triangle, each_vertex, is_finite};
 use crate::formats::text::Words;
@@ -79,22 +79,22 @@ fn normal(corners: [[f32; 3]; 3]) -> [f32; 3] {
 struct Positions {
     /// `None` for a surface without vertices: an empty file cannot be mapped.
     mapped: Option<ByteSource>,
-    /// Removes the file when dropped.
-    _file: tempfile::NamedTempFile,
 }
 
 impl Positions {
     fn store(source: &dyn SurfaceSource, sink: &mut Sink) -> Result<Self> {
         let file = sink.scratch()?;
-        let fail = |e| Error::io("write the scratch file", file.path(), e);
-        let mut out = BufWriter::with_capacity(1 << 20, file.as_file());
+        let target = sink.target().to_path_buf();
+        let fail = |e| Error::io("write a scratch file beside", &target, e);
+        let mut out = BufWriter::with_capacity(1 << 20, &file);
         each_vertex(source, sink, |_, v| {
             v.position.iter().try_for_each(|c| out.write_all(&c.to_le_bytes())).map_err(fail)
         })?;
         out.flush().map_err(fail)?;
         drop(out);
-        let mapped = if source.vertex_count() == 0 { None } else { Some(ByteSource::map(file.path())?) };
-        Ok(Self { mapped, _file: file })
+        let any = source.vertex_count() > 0;
+        let mapped = any.then(|| ByteSource::of_file(&target, file, IoMode::Map)).transpose()?;
+        Ok(Self { mapped })
     }
 
     /// The position of a vertex that is known to exist.

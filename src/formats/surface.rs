@@ -16,15 +16,15 @@
 //! them and as other programs do. Polygons are cut into fans. Vertex normals are kept where the format has them beside
 //! the vertices (PLY, VTP) and are zero otherwise. Positions are stored as `f32`; one that is not finite is an error.
 
+use crate::archive::publish::Unpublished;
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::formats::{obj, ply, stl, vtp};
 use crate::surface::{SurfaceSource, TriMesh, Vertex};
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use tempfile::NamedTempFile;
 
 /// A format that surfaces are written in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -150,7 +150,7 @@ pub(super) fn is_finite(p: &[f32; 3]) -> bool {
 
 /// A file being written under a temporary name beside its target.
 pub(super) struct Sink {
-    out: BufWriter<NamedTempFile>,
+    out: Unpublished,
     target: PathBuf,
     parent: PathBuf,
     bytes: u64,
@@ -170,19 +170,26 @@ impl Sink {
                 parent.display()
             )));
         }
-        let file = temporary_beside(&parent).map_err(|e| Error::io("create a file beside", &target, e))?;
-        Ok(Self { out: BufWriter::with_capacity(1 << 20, file), target, parent, bytes: 0 })
+        let out = Unpublished::create(&target)?;
+        Ok(Self { out, target, parent, bytes: 0 })
     }
 
     /// Appends bytes.
     pub(super) fn put(&mut self, bytes: &[u8]) -> Result<()> {
         self.bytes += bytes.len() as u64;
-        self.out.write_all(bytes).map_err(|e| Error::io("write", &self.target, e))
+        self.out.write(bytes)
     }
 
-    /// A second temporary file beside the target, for data that a format needs in another order; gone when dropped.
-    pub(super) fn scratch(&self) -> Result<NamedTempFile> {
-        temporary_beside(&self.parent).map_err(|e| Error::io("create a scratch file beside", &self.target, e))
+    /// The file that will be written.
+    pub(super) fn target(&self) -> &Path {
+        &self.target
+    }
+
+    /// A second file beside the target, for data that a format needs in another order. It has no name, so nothing is left
+    /// of it in any case.
+    pub(super) fn scratch(&self) -> Result<File> {
+        tempfile::tempfile_in(&self.parent)
+            .map_err(|e| Error::io("create a scratch file beside", &self.target, e))
     }
 
     /// The error of a surface store that does not hold what it announced.
@@ -192,19 +199,8 @@ impl Sink {
 
     /// Makes the file durable, then visible.
     fn publish(self) -> Result<u64> {
-        let Self { out, target, parent, bytes } = self;
-        let fail = |e| Error::io("write", &target, e);
-        let file = out.into_inner().map_err(|e| fail(e.into_error()))?;
-        file.as_file().sync_all().map_err(fail)?;
-        file.persist(&target).map_err(|e| fail(e.error))?;
-        // A rename is durable when its folder is; some file systems cannot sync a folder, and then need not.
-        #[cfg(unix)]
-        if let Ok(folder) = File::open(&parent) {
-            let _ = folder.sync_all();
-        }
-        #[cfg(not(unix))]
-        let _ = (parent, File::open::<&Path>);
-        Ok(bytes)
+        self.out.publish()?;
+        Ok(self.bytes)
     }
 }
 
@@ -220,18 +216,6 @@ fn resolve(path: &Path) -> Result<PathBuf> {
         Err(_) if path.file_name().is_none() => refuse("no file name"),
         Err(_) => Ok(path.to_path_buf()),
     }
-}
-
-/// A new hidden file, with the permissions of any new file once it is renamed.
-fn temporary_beside(folder: &Path) -> io::Result<NamedTempFile> {
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".isospan-").suffix(".tmp");
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(std::fs::Permissions::from_mode(0o666));
-    }
-    builder.tempfile_in(folder)
 }
 
 /// Hands every vertex to `each`; there are exactly as many as announced, or it is an error.

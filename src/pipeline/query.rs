@@ -4,7 +4,7 @@ use super::open::{DecodedChunk, OpenArchive};
 use super::reduce::folder_bytes;
 use crate::archive::manifest::MANIFEST_NAME;
 use crate::error::{Error, Result};
-use crate::exec::{Progress, pool};
+use crate::exec::{CancelToken, Progress, pool};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, write_surface};
 use crate::grid::ChunkId;
 use crate::index::Entry;
@@ -26,6 +26,8 @@ pub struct SurfaceSettings {
     pub threads: usize,
     /// Folder for what does not fit in memory; the output's folder if not given.
     pub scratch: Option<PathBuf>,
+    /// Stops the extraction; nothing is written then.
+    pub cancel: CancelToken,
 }
 
 /// What a surface extraction found and read.
@@ -150,6 +152,7 @@ pub fn extract_surface(
     progress.begin("surface", refs.len() as u64, "blocks");
     let mut active_tetrahedra = 0;
     for batch in work.chunks(2 * pool.current_num_threads()) {
+        settings.cancel.check()?;
         let surfaces = pool.install(|| {
             batch
                 .par_iter()

@@ -12,15 +12,15 @@ use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{Counts, MANIFEST_NAME, Manifest, SegmentRecord, Step};
 use crate::archive::segment::SegmentKind;
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
-use crate::archive::{Malformed, TEMPORARY_MARK};
+use crate::archive::{Malformed, TEMPORARY_MARK, publish};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, available_threads, pool};
 use crate::formats::{self, OpenOptions};
 use crate::geom::Lattice;
-use crate::grid::ChunkId;
+use crate::grid::{ChunkId, IndexBox};
 use crate::index::{Entry, IndexBuilder};
 use crate::volume::bricked::BrickedVolume;
-use crate::volume::{VolumeReader, VolumeSource};
+use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -82,15 +82,39 @@ pub struct ReduceReport {
 ///
 /// # Errors
 /// Those of reading the volume and of writing the file; nothing is left under the name then.
-pub fn brick(source: VolumeSource, out: &Path, memory: u64, progress: &dyn Progress) -> Result<()> {
+pub fn brick(
+    source: VolumeSource,
+    out: &Path,
+    memory: u64,
+    cancel: &CancelToken,
+    progress: &dyn Progress,
+) -> Result<()> {
     let dims = source.info().dims;
     progress.begin("brick", dims.iter().product(), "samples");
     let mut before = 0;
     let memory = usize::try_from(memory).unwrap_or(usize::MAX);
-    BrickedVolume::build(source.into_stream(), out, memory, &mut |done| {
+    let stream = Box::new(Stoppable { stream: source.into_stream(), cancel: cancel.clone() });
+    BrickedVolume::build(stream, out, memory, &mut |done| {
         progress.advance(done - before);
         before = done;
     })
+}
+
+/// A stream that ends with [`Error::Cancelled`] when somebody asks to stop.
+struct Stoppable {
+    stream: Box<dyn SlabStream>,
+    cancel: CancelToken,
+}
+
+impl SlabStream for Stoppable {
+    fn info(&self) -> &VolumeInfo {
+        self.stream.info()
+    }
+
+    fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
+        self.cancel.check()?;
+        self.stream.next_slab(out)
+    }
 }
 
 /// Reduces the volume `input` to the archive `out`.
@@ -147,6 +171,10 @@ pub fn reduce(
     push_times(&mut seconds, &times);
     let committing = Instant::now();
     let (manifest, halo_retries) = commit(&plan, &mesh, &layout)?;
+    for file in [layout.mesh(0), layout.index(), layout.root().join(MANIFEST_NAME)] {
+        // What earlier runs that were killed have left.
+        publish::sweep(file.parent().expect("a file of an archive lies in a folder"));
+    }
     seconds.push(("commit".into(), committing.elapsed().as_secs_f64()));
     seconds.push(("total".into(), started.elapsed().as_secs_f64()));
     let (counts, step) = (&manifest.counts, &manifest.steps[0]);
@@ -288,7 +316,7 @@ fn random_access(
         .tempdir_in(&folder)
         .map_err(|e| Error::io("create a scratch folder in", &folder, e))?;
     let file = scratch.path().join("volume.bricks");
-    brick(source, &file, run.memory / 2, progress)?;
+    brick(source, &file, run.memory / 2, &run.cancel, progress)?;
     Ok((Box::new(BrickedVolume::open(&file)?), Some(scratch)))
 }
 

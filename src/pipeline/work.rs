@@ -19,7 +19,7 @@ use super::need::{self, Shares};
 use super::plan::Plan;
 use crate::archive::chunk::{ChunkVertices, encode_chunk};
 use crate::archive::chunked::{ChunkSegment, ChunkSegmentWriter};
-use crate::archive::segment::SegmentKind;
+use crate::archive::segment::{PlanHash, SegmentKind};
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
 use crate::archive::values::encode_values;
 use crate::error::{Error, Result};
@@ -104,6 +104,7 @@ impl Rooms {
 pub(crate) fn make_segments(work: &Work<'_>) -> Result<StageTimes> {
     let mut times = StageTimes::default();
     for segment in 0..work.layout.segment_count() {
+        work.cancel.check()?;
         let chunks = work.layout.chunks_of(segment);
         if is_done(work, segment) {
             work.progress.advance(points_in(work, &chunks));
@@ -121,16 +122,63 @@ fn points_in(work: &Work<'_>, chunks: &Range<u64>) -> u64 {
 /// Done means that both files are there, belong to this plan, and verify; not that they exist.
 fn is_done(work: &Work<'_>, segment: u64) -> bool {
     let chunks = work.layout.chunks_of(segment);
-    let whole = |path: PathBuf, kind, hash| match ChunkSegment::open(path, kind, Some(hash)) {
-        Ok(s) => s.chunks() == chunks && s.segment().verify().is_ok(),
-        Err(_) => false,
-    };
-    whole(work.layout.mesh(segment), SegmentKind::Mesh, work.plan.mesh_hash())
-        && whole(work.layout.values(segment), SegmentKind::Values, work.plan.step_hash())
+    Part::ALL.iter().all(|part| part.is_whole(work, segment, &chunks))
+}
+
+/// One of the two files of a segment.
+#[derive(Clone, Copy)]
+enum Part {
+    Mesh,
+    Values,
+}
+
+impl Part {
+    const ALL: [Self; 2] = [Self::Mesh, Self::Values];
+
+    fn path(self, work: &Work<'_>, segment: u64) -> PathBuf {
+        match self {
+            Self::Mesh => work.layout.mesh(segment),
+            Self::Values => work.layout.values(segment),
+        }
+    }
+
+    fn kind(self, work: &Work<'_>) -> (SegmentKind, PlanHash) {
+        match self {
+            Self::Mesh => (SegmentKind::Mesh, work.plan.mesh_hash()),
+            Self::Values => (SegmentKind::Values, work.plan.step_hash()),
+        }
+    }
+
+    fn is_whole(self, work: &Work<'_>, segment: u64, chunks: &Range<u64>) -> bool {
+        let (kind, hash) = self.kind(work);
+        match ChunkSegment::open(self.path(work, segment), kind, Some(hash)) {
+            Ok(s) => s.chunks() == *chunks && s.segment().verify().is_ok(),
+            Err(_) => false,
+        }
+    }
+
+    /// A writer that goes on behind at most `most` chunks; `None` when the file is whole already: a run was killed between
+    /// the two.
+    fn resume(
+        self,
+        work: &Work<'_>,
+        segment: u64,
+        chunks: &Range<u64>,
+        most: u64,
+    ) -> Result<Option<ChunkSegmentWriter>> {
+        if self.is_whole(work, segment, chunks) {
+            return Ok(None);
+        }
+        let (kind, hash) = self.kind(work);
+        let path = self.path(work, segment);
+        ChunkSegmentWriter::resume(path, kind, hash, ChunkId(chunks.start), most).map(Some)
+    }
 }
 
 fn make_segment(work: &Work<'_>, segment: u64, chunks: Range<u64>) -> Result<StageTimes> {
-    let mut sink = Sink::create(work, segment, ChunkId(chunks.start))?;
+    let (mut sink, done) = Sink::resume(work, segment, &chunks)?;
+    work.progress.advance(points_in(work, &(chunks.start..chunks.start + done)));
+    let chunks = chunks.start + done..chunks.end;
     let (to_pool, tasks) = channel::unbounded::<(Chunk, Permit)>();
     let (to_writer, products) = channel::unbounded::<(u64, Result<Product>, Permit)>();
     let budget = MemoryBudget::new(work.shares.queue);
@@ -191,7 +239,8 @@ fn write_in_order(
     products: channel::Receiver<(u64, Result<Product>, Permit)>,
     first: u64,
 ) -> Result<()> {
-    let mut order = Reorder::new(first);
+    let (mut order, mut behind) = (Reorder::new(first), Behind { released: 0 });
+    let mut next = first;
     for (id, product, permit) in products {
         order.push(id, (product, permit));
         while let Some((product, permit)) = order.pop() {
@@ -199,6 +248,8 @@ fn write_in_order(
             sink.write(&product)?;
             work.progress.advance(product.points);
             drop(permit);
+            behind.pass(work, next);
+            next += 1;
         }
     }
     work.cancel.check()
@@ -306,27 +357,39 @@ fn encode(plan: &Plan, mesh: MeshedChunk, values: &[f32]) -> Product {
     Product { points: core as u64, mesh_blocks, value_blocks, times: StageTimes::default() }
 }
 
-/// The two files of a segment being written.
+/// The two files of a segment being written, or the one that is missing.
 struct Sink {
-    mesh: ChunkSegmentWriter,
-    values: ChunkSegmentWriter,
+    mesh: Option<ChunkSegmentWriter>,
+    values: Option<ChunkSegmentWriter>,
     times: StageTimes,
 }
 
 impl Sink {
-    fn create(work: &Work<'_>, segment: u64, first: ChunkId) -> Result<Self> {
-        let (mesh, values) = (work.layout.mesh(segment), work.layout.values(segment));
-        Ok(Self {
-            mesh: ChunkSegmentWriter::create(&mesh, SegmentKind::Mesh, work.plan.mesh_hash(), first)?,
-            values: ChunkSegmentWriter::create(&values, SegmentKind::Values, work.plan.step_hash(), first)?,
-            times: StageTimes::default(),
-        })
+    /// Goes on behind the chunks that an earlier run has left in both files; also tells how many these are.
+    fn resume(work: &Work<'_>, segment: u64, chunks: &Range<u64>) -> Result<(Self, u64)> {
+        let all = chunks.end - chunks.start;
+        let count = |w: &Option<ChunkSegmentWriter>| w.as_ref().map_or(all, ChunkSegmentWriter::chunk_count);
+        let mut values = Part::Values.resume(work, segment, chunks, all)?;
+        let mesh = Part::Mesh.resume(work, segment, chunks, count(&values))?;
+        let done = count(&mesh);
+        if values.is_some() && done < count(&values) {
+            // A chunk's values are written after its mesh, so the mesh file was damaged: these values come again.
+            drop(values);
+            values = Part::Values.resume(work, segment, chunks, done)?;
+        }
+        // Of a file that is whole nothing is written again; the other needs all chunks behind its own last one.
+        let done = done.min(count(&values));
+        Ok((Self { mesh, values, times: StageTimes::default() }, done))
     }
 
     fn write(&mut self, product: &Product) -> Result<()> {
         let start = Instant::now();
-        self.mesh.push_chunk(&product.mesh_blocks)?;
-        self.values.push_chunk(&product.value_blocks)?;
+        if let Some(mesh) = &mut self.mesh {
+            mesh.push_chunk(&product.mesh_blocks)?;
+        }
+        if let Some(values) = &mut self.values {
+            values.push_chunk(&product.value_blocks)?;
+        }
         self.times.add(&product.times);
         self.times.write += start.elapsed();
         Ok(())
@@ -334,9 +397,28 @@ impl Sink {
 
     fn finish(mut self) -> Result<StageTimes> {
         let start = Instant::now();
-        self.mesh.finish()?;
-        self.values.finish()?;
+        for writer in [self.mesh, self.values].into_iter().flatten() {
+            writer.finish()?;
+        }
         self.times.write += start.elapsed();
         Ok(self.times)
+    }
+}
+
+/// Gives up the samples that no later chunk will need: those below the layer of chunks that lies before the current one,
+/// as a halo reaches into its neighbours.
+struct Behind {
+    released: u64,
+}
+
+impl Behind {
+    fn pass(&mut self, work: &Work<'_>, chunk: u64) {
+        let chunk = work.chunks.chunk(ChunkId(chunk));
+        let samples = chunk::voxels_of(work.recipe, &chunk);
+        let keep = samples.lo[2].saturating_sub(samples.dims()[2]);
+        if keep > self.released {
+            work.reader.release(self.released..keep);
+            self.released = keep;
+        }
     }
 }

@@ -1,6 +1,7 @@
 //! Writing a bricked file from a stream.
 
 use super::{ALIGN, EDGE, Header, Layout, MAGIC, PREFIX, VERSION, footer};
+use crate::archive::publish::Unpublished;
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::grid::IndexBox;
@@ -8,7 +9,6 @@ use crate::volume::{SlabStream, VolumeInfo};
 use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use tempfile::NamedTempFile;
 
 /// See [`super::BrickedVolume::build`].
 pub(super) fn build(
@@ -21,8 +21,8 @@ pub(super) fn build(
     let json = serde_json::to_vec(&header_of(&info)).expect("plain numbers and strings are JSON");
     let size = info.field.scalar.bytes();
     let layout = Layout::new(info.dims, size, json.len() as u64).ok_or_else(|| no_volume(&info))?;
-    let temporary = create(out)?;
-    let mut bricks = Bricks::new(out, temporary.as_file(), layout)?;
+    let temporary = Unpublished::create(out)?;
+    let mut bricks = Bricks::new(out, temporary.file(), layout)?;
     let mut raster = Raster::new(&layout, max_buffer_bytes);
     let mut slab = vec![];
     while let Some(voxels) = stream.next_slab(&mut slab)? {
@@ -40,7 +40,7 @@ pub(super) fn build(
         return Err(Error::bad_input(&info.path, "samples", expected, format!("{}", bricks.written)));
     }
     bricks.finish(&json)?;
-    publish(temporary, out)
+    temporary.publish()
 }
 
 fn header_of(info: &VolumeInfo) -> Header {
@@ -62,29 +62,6 @@ fn no_volume(info: &VolumeInfo) -> Error {
     let [x, y, z] = info.dims;
     let expected = "at least one sample along each axis, fewer than 2^60 bytes";
     Error::bad_input(&info.path, "dimensions", expected, format!("{x} x {y} x {z}"))
-}
-
-/// A temporary file in the folder of `out`, with the permissions of an ordinary file; removed unless published.
-fn create(out: &Path) -> Result<NamedTempFile> {
-    let folder = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".isospan-").suffix(".bricks.tmp");
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.tempfile_in(folder).map_err(|e| Error::io("create a file in", folder, e))
-}
-
-/// Gives a complete file its name, once it is on disk.
-fn publish(temporary: NamedTempFile, out: &Path) -> Result<()> {
-    temporary.as_file().sync_all().map_err(|e| Error::io("sync", out, e))?;
-    temporary.persist(out).map_err(|e| Error::io("rename the finished file to", out, e.error))?;
-    #[cfg(unix)]
-    {
-        let folder = out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let synced = File::open(folder).and_then(|f| f.sync_all());
-        synced.map_err(|e| Error::io("sync the folder", folder, e))?;
-    }
-    Ok(())
 }
 
 /// The bricks of a file being written, and their running checksums.

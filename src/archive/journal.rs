@@ -1,0 +1,153 @@
+//! What is whole in a segment that is not finished: a list of its chunks, kept beside its temporary file.
+//!
+//! A segment has its directory at its end, so the temporary of a killed writer does not tell where its blocks are. The journal
+//! does: after each chunk the writer hands its blocks to the system, then appends a record here.
+//!
+//! ```text
+//!  .000007.seg.tmp-node12-4711-3            the blocks
+//!  .000007.seg.chunks.tmp-node12-4711-3     the journal, a record a chunk:
+//!      8  number of the chunk
+//!      4  number n of its blocks
+//!     8n  length and CRC32C of each
+//!      4  CRC32C of the record so far
+//! ```
+//!
+//! The next writer believes nothing of it: a record counts when its checksum is right, its chunk is the next one, and the
+//! blocks have their checksums ([`super::segment::SegmentWriter::adopt`]). So neither a torn record nor a machine that
+//! lost power can do more than lose chunks. The journal is no part of the archive and is gone when the segment is done.
+
+use super::publish::{Dead, TEMPORARY_MARK};
+use super::wire::Cursor;
+use crate::error::{Error, Result};
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+/// The blocks of a chunk, each by length and CRC32C.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Record {
+    pub(super) chunk: u64,
+    pub(super) blocks: Vec<(u32, u32)>,
+}
+
+impl Record {
+    fn encode(&self) -> Vec<u8> {
+        let mut bytes = self.chunk.to_le_bytes().to_vec();
+        bytes.extend((self.blocks.len() as u32).to_le_bytes());
+        for (len, crc) in &self.blocks {
+            bytes.extend(len.to_le_bytes());
+            bytes.extend(crc.to_le_bytes());
+        }
+        let crc = crc32c::crc32c(&bytes);
+        bytes.extend(crc.to_le_bytes());
+        bytes
+    }
+
+    /// The record at the start of `bytes`, and its length; `None` when there is no whole one.
+    fn decode(bytes: &[u8]) -> Option<(Self, usize)> {
+        let mut c = Cursor::new(bytes);
+        let (chunk, n) = (c.u64("chunk").ok()?, c.u32("blocks").ok()? as usize);
+        if n > c.rest().len() / 8 {
+            return None;
+        }
+        let blocks = (0..n).map(|_| Some((c.u32("length").ok()?, c.u32("checksum").ok()?)));
+        let blocks = blocks.collect::<Option<_>>()?;
+        let body = 12 + 8 * n;
+        let crc = c.u32("checksum").ok()?;
+        (crc == crc32c::crc32c(&bytes[..body])).then_some((Self { chunk, blocks }, body + 4))
+    }
+}
+
+/// A journal being written; removed when dropped, unless kept.
+pub(super) struct Journal {
+    file: File,
+    path: PathBuf,
+    keep: bool,
+}
+
+/// The journal's name, from that of the temporary that it is about.
+fn name(temporary: &Path) -> PathBuf {
+    let name = temporary.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let (name, process) = name.rsplit_once(TEMPORARY_MARK).unwrap_or((&name, ""));
+    temporary.with_file_name(format!("{name}.chunks{TEMPORARY_MARK}{process}"))
+}
+
+impl Journal {
+    /// An empty journal of a temporary.
+    pub(super) fn create(temporary: &Path) -> Result<Self> {
+        let path = name(temporary);
+        let file = File::options().read(true).write(true).create(true).truncate(true).open(&path);
+        let file = file.map_err(|e| Error::io("create", &path, e))?;
+        // As for the temporary itself: who holds the lock is alive.
+        let _ = file.try_lock();
+        Ok(Self { file, path, keep: false })
+    }
+
+    /// The journal that a dead writer left with its temporary, and its whole records.
+    pub(super) fn of_dead(dead: &Dead) -> Option<(Self, Vec<Record>)> {
+        let path = name(&dead.path);
+        let mut file = File::options().read(true).write(true).open(&path).ok()?;
+        let _ = file.try_lock();
+        let (mut bytes, mut records) = (vec![], vec![]);
+        file.read_to_end(&mut bytes).ok()?;
+        let mut rest = &bytes[..];
+        while let Some((record, len)) = Record::decode(rest) {
+            records.push(record);
+            rest = &rest[len..];
+        }
+        Some((Self { file, path, keep: false }, records))
+    }
+
+    /// Forgets all but the first records, which were found whole.
+    pub(super) fn truncate(&mut self, records: &[Record]) -> Result<()> {
+        let len = records.iter().map(|r| 16 + 8 * r.blocks.len() as u64).sum();
+        self.file
+            .set_len(len)
+            .and_then(|()| self.file.seek(SeekFrom::Start(len)))
+            .map_err(|e| Error::io("continue", &self.path, e))?;
+        self.keep = len > 0;
+        Ok(())
+    }
+
+    /// Notes a chunk whose blocks have been handed to the system. From then on the journal stays when dropped.
+    pub(super) fn push(&mut self, record: &Record) -> Result<()> {
+        self.file.write_all(&record.encode()).map_err(|e| Error::io("write", &self.path, e))?;
+        self.keep = true;
+        Ok(())
+    }
+
+    /// The segment is done.
+    pub(super) fn remove(mut self) {
+        self.keep = false;
+    }
+}
+
+impl Drop for Journal {
+    fn drop(&mut self) {
+        if !self.keep {
+            let _ = std::fs::remove_file(&self.path);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_torn_or_damaged_record_ends_the_journal() {
+        let record = |chunk, n: u32| Record { chunk, blocks: (0..n).map(|i| (i * 7, !i)).collect() };
+        let (a, b) = (record(5, 3).encode(), record(6, 0).encode());
+        assert_eq!((a.len(), b.len()), (40, 16));
+        assert_eq!(Record::decode(&[&a[..], &b].concat()).unwrap(), (record(5, 3), 40));
+        for i in 0..a.len() {
+            assert!(Record::decode(&a[..i]).is_none(), "cut at {i}");
+            let mut bad = a.clone();
+            bad[i] ^= 4;
+            assert!(Record::decode(&bad).is_none(), "byte {i} changed");
+        }
+        let mut huge = 0u64.to_le_bytes().to_vec();
+        huge.extend([0xff; 12]);
+        assert!(Record::decode(&huge).is_none());
+    }
+}

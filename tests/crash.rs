@@ -1,0 +1,214 @@
+//! A reduction that is killed, stopped or out of room loses no chunk that was done; the same command continues to the same bytes.
+//! Nothing is left that looks like a result, and in the end no temporary file.
+#![cfg(unix)]
+
+mod common;
+
+use common::*;
+use std::fs;
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+fn command(dir: &Path, args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_isospan"));
+    command.current_dir(dir).args(args).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    command
+}
+
+fn spawn(dir: &Path, args: &[&str]) -> Child {
+    command(dir, args).spawn().unwrap()
+}
+
+/// How a run ended, and its one line on standard error, if any.
+fn end(child: Child) -> (ExitStatus, String) {
+    let out = child.wait_with_output().unwrap();
+    (out.status, String::from_utf8(out.stderr).unwrap())
+}
+
+fn ok(dir: &Path, args: &[&str]) {
+    let (status, text) = end(spawn(dir, args));
+    assert!(status.success() && text.is_empty(), "{args:?}: {status}: {text}");
+}
+
+fn signal(child: &Child, signal: &str) {
+    let sent = Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).output().unwrap();
+    assert!(sent.status.success(), "the process {} is still there", child.id());
+}
+
+/// Numbers below `n`, the same in every run of the test.
+struct Dice(u64);
+
+impl Dice {
+    fn roll(&mut self, n: u64) -> u64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 33) % n
+    }
+}
+
+fn temporaries(dir: &Path) -> Vec<PathBuf> {
+    folder(dir).into_keys().filter(|f| f.to_string_lossy().contains(".tmp")).collect()
+}
+
+const REDUCE: [&str; 9] =
+    ["reduce", "v.npy", "--fraction", "1/2", "--chunk-points", "2000", "--threads", "2", "-o"];
+
+fn reduce_to(out: &str) -> Vec<&str> {
+    [&REDUCE[..], &[out]].concat()
+}
+
+/// A small volume of many chunks, and what an uninterrupted run makes of it.
+struct Case {
+    dir: tempfile::TempDir,
+    expected: std::collections::BTreeMap<PathBuf, Vec<u8>>,
+    took: Duration,
+}
+
+impl Case {
+    fn new() -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        write_npy(&dir.path().join("v.npy"), [70, 60, 50], waves);
+        let start = Instant::now();
+        ok(dir.path(), &reduce_to("whole.isospan"));
+        let took = start.elapsed();
+        let expected = folder(&dir.path().join("whole.isospan"));
+        Self { dir, expected, took }
+    }
+
+    fn path(&self) -> &Path {
+        self.dir.path()
+    }
+
+    fn same(&self, out: &str) {
+        let got = folder(&self.path().join(out));
+        assert!(got == self.expected, "{out}: {:?}", got.keys());
+    }
+}
+
+#[test]
+fn twenty_kills_at_random_moments_cost_nothing() {
+    let case = Case::new();
+    let (mut dice, mut kills, mut kept) = (Dice(7), 0, 0);
+    let mut out = String::new();
+    for run in 0.. {
+        assert!(run < 200, "{kills} kills");
+        if out.is_empty() {
+            out = format!("k{run}.isospan");
+        }
+        let mut child = spawn(case.path(), &reduce_to(&out));
+        // Within a third of a whole run, so that most archives are killed several times.
+        std::thread::sleep(Duration::from_micros(dice.roll(case.took.as_micros() as u64 / 3)));
+        if kills < 20 && child.try_wait().unwrap().is_none() {
+            child.kill().unwrap();
+            let (status, _) = end(child);
+            kills += u64::from(status.signal() == Some(9));
+            let folder = case.path().join(&out);
+            kept += u64::from(folder.exists() && !temporaries(&folder).is_empty());
+            continue;
+        }
+        let (status, text) = end(child);
+        assert!(status.success(), "{text}");
+        case.same(&out);
+        out.clear();
+        if kills >= 20 {
+            break;
+        }
+    }
+    assert!(kept >= 5, "{kept} of {kills} kills left something to continue");
+}
+
+/// What was done before a kill is not done again: the chunks of the open segment are there too.
+#[test]
+fn a_killed_run_is_continued_chunk_by_chunk() {
+    let case = Case::new();
+    let journal = |f: &PathBuf| f.to_string_lossy().contains(".chunks.tmp");
+    for tries in 0.. {
+        assert!(tries < 50, "no run was killed within a segment");
+        let mut child = spawn(case.path(), &reduce_to("c.isospan"));
+        std::thread::sleep(case.took / 2);
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let left = folder(&case.path().join("c.isospan"));
+        let noted = left.iter().filter(|(f, bytes)| journal(f) && !bytes.is_empty()).count();
+        if noted == 0 || left.contains_key(Path::new("manifest.json")) {
+            let _ = fs::remove_dir_all(case.path().join("c.isospan"));
+            continue;
+        }
+        // The inode of the temporary is that of the finished segment: it was gone on with.
+        let inode = |f: &Path| {
+            use std::os::unix::fs::MetadataExt;
+            fs::metadata(case.path().join("c.isospan").join(f)).map(|m| m.ino())
+        };
+        let (open, _) = left.iter().find(|(f, b)| journal(f) && !b.is_empty()).unwrap();
+        let data = PathBuf::from(open.to_string_lossy().replace(".chunks.tmp", ".tmp"));
+        let name = data.file_name().unwrap().to_string_lossy().into_owned();
+        let segment = data.with_file_name(name[1..].split(".tmp-").next().unwrap());
+        let before = inode(&data).unwrap();
+        ok(case.path(), &reduce_to("c.isospan"));
+        assert_eq!(inode(&segment).unwrap(), before, "{}", segment.display());
+        case.same("c.isospan");
+        return;
+    }
+}
+
+#[test]
+fn signals_stop_a_run_in_a_state_that_continues() {
+    let case = Case::new();
+    for (n, name) in ["TERM", "INT", "USR1", "XCPU"].into_iter().enumerate() {
+        let out = format!("{name}.isospan");
+        let child = spawn(case.path(), &reduce_to(&out));
+        std::thread::sleep(case.took / 4 + case.took * n as u32 / 10);
+        signal(&child, name);
+        let (status, text) = end(child);
+        assert_eq!(status.code(), Some(75), "{name}: {status}: {text}");
+        assert!(text.trim_end().lines().count() == 1 && text.contains("same command continues"), "{text}");
+        assert!(!case.path().join(&out).join("manifest.json").exists());
+        ok(case.path(), &reduce_to(&out));
+        case.same(&out);
+    }
+}
+
+/// A limit on the size of files stands for a full disk: the program sees the same refusal of a write.
+#[test]
+fn no_room_is_one_line_and_resumable() {
+    let case = Case::new();
+    for kib in [0u64, 8, 40, 100] {
+        let out = format!("{kib}.isospan");
+        let limited = format!("ulimit -f {kib}; exec \"$0\" \"$@\"");
+        let child = Command::new("bash")
+            .current_dir(case.path())
+            .args(["-c", &limited, env!("CARGO_BIN_EXE_isospan")])
+            .args(reduce_to(&out))
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let (status, text) = end(child);
+        assert_eq!(status.code(), Some(4), "{kib} KiB: {status}: {text}");
+        assert!(text.trim_end().lines().count() == 1 && text.contains("make room"), "{text}");
+        assert!(!case.path().join(&out).join("manifest.json").exists());
+        ok(case.path(), &reduce_to(&out));
+        case.same(&out);
+    }
+    // The other writers leave nothing at all.
+    for args in [
+        vec!["brick", "v.npy", "-o", "v.bricks"],
+        vec!["surface", "whole.isospan", "--isovalue", "0.1", "-o", "s.ply"],
+        vec!["surface", "whole.isospan", "--isovalue", "0.1", "-o", "s.stl"],
+    ] {
+        let before = folder(case.path()).len();
+        let child = Command::new("bash")
+            .current_dir(case.path())
+            .args(["-c", "ulimit -f 20; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_isospan")])
+            .args(&args)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let (status, text) = end(child);
+        assert_eq!(status.code(), Some(4), "{args:?}: {status}: {text}");
+        assert_eq!(text.trim_end().lines().count(), 1, "{text}");
+        assert_eq!(folder(case.path()).len(), before, "{args:?}");
+    }
+}
