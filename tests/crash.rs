@@ -51,8 +51,8 @@ fn temporaries(dir: &Path) -> Vec<PathBuf> {
     folder(dir).into_keys().filter(|f| f.to_string_lossy().contains(".tmp")).collect()
 }
 
-const REDUCE: [&str; 9] =
-    ["reduce", "v.npy", "--fraction", "1/2", "--chunk-points", "2000", "--threads", "2", "-o"];
+const REDUCE: [&str; 10] =
+    ["reduce", "-q", "v.npy", "--fraction", "1/2", "--chunk-points", "2000", "--threads", "2", "-o"];
 
 fn reduce_to(out: &str) -> Vec<&str> {
     [&REDUCE[..], &[out]].concat()

@@ -60,7 +60,8 @@ fn an_input_that_shrinks_is_an_error_that_names_it() {
     for (n, io) in (0..10).zip(["map", "read"].into_iter().cycle()) {
         fs::copy(d.join("good.npy"), d.join("v.npy")).unwrap();
         let out = format!("{n}.isospan");
-        let args = ["reduce", "v.npy", "-o", &out, "--io", io, "--chunk-points", "20000", "--threads", "2"];
+        let args =
+            ["reduce", "v.npy", "-o", &out, "--io", io, "--chunk-points", "20000", "--threads", "2", "-q"];
         let child = Command::new(env!("CARGO_BIN_EXE_isospan"))
             .current_dir(d)
             .args(args)
