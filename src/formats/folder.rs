@@ -1,6 +1,6 @@
-//! A folder, or a pattern for file names, as a volume: a stack of slices.
+//! A folder, or a pattern for file names, as a volume: a Zarr array or a stack of slices.
 
-use super::{OpenOptions, stack, tiff};
+use super::{OpenOptions, stack, tiff, zarr};
 use crate::error::{Error, Result};
 use crate::volume::VolumeSource;
 use std::path::Path;
@@ -22,11 +22,14 @@ pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     if stack::is_pattern(path) {
         return tiff::open_stack(path, stack::matching(path)?, options);
     }
+    if zarr::is_zarr(path) {
+        return zarr::open(path, options);
+    }
     let slices = stack::in_folder(path, &tiff::SUFFIXES)?;
     if !slices.is_empty() {
         return tiff::open_stack(path, slices, options);
     }
     let got = if path.join("manifest.json").is_file() { "an isospan archive" } else { "none of these" };
-    Err(Error::bad_input(path, "folder", "slices (*.tif)", got)
+    Err(Error::bad_input(path, "folder", "slices (*.tif), or a Zarr array or group", got)
         .with_help("name a file in it, or a pattern for its slices, in quotes"))
 }

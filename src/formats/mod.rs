@@ -27,6 +27,7 @@ pub mod tiff;
 pub mod vtk_legacy;
 pub mod vtk_xml;
 pub mod vtp;
+pub mod zarr;
 
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
@@ -171,7 +172,7 @@ fn unknown_kind(source: &ByteSource) -> Error {
     Error::bad_input(
         source.path(),
         "kind of file",
-        "NRRD, MetaImage, NPY or NPZ, NIfTI, TIFF, VTI, legacy VTK or .bricks",
+        "NRRD, MetaImage, NPY or NPZ, NIfTI, TIFF, VTI, legacy VTK or .bricks (or a folder: slices, Zarr)",
         format!("none of these by name or first bytes ({})", shown.join(" ")),
     )
     .with_help("a headerless file needs --dims and --type; of other compressed files, unpack them first")

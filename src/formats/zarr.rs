@@ -1,0 +1,496 @@
+//! Zarr arrays, versions 2 and 3, and OME-Zarr images: folders of chunks, each a file, compressed by itself.
+//!
+//! ```text
+//!  image.ome.zarr/            a group; .zattrs (2) or zarr.json (3) tell the levels, axes, spacing
+//!    0/                       an array, full resolution: .zarray (2) or zarr.json (3)
+//!      0/0/0  0/0/1  …        chunks (2, by "/" or "."); c/0/0/0 … (3)
+//!    1/                       the next level, coarser
+//! ```
+//!
+//! The path is the group or an array in it (`image.ome.zarr/1`); of a group's arrays `--field` chooses one: by its path,
+//! the first part of that, or "scaleN" for level N. Without a choice an OME-Zarr image gives its first level, which is the
+//! image in full.
+//!
+//! Axes x, y, z are found by their names (OME-Zarr's `axes`, `dimension_names`, `_ARRAY_DIMENSIONS`); without names the last
+//! axis is x, the one before y, then z. Other axes (time, channels) must have one entry. Spacing and origin are those of
+//! `coordinateTransformations`, else 1 and 0.
+//!
+//! Compressors: Blosc (with BloscLZ, LZ4, zlib, zstd; shuffled by bytes or bits), gzip, zlib, zstd, LZ4; also shards with
+//! their index, CRC32C, `transpose`, order C or F. Others are refused by name. A chunk that is not there reads as the fill value,
+//! as Zarr has it.
+//!
+//! The volume is a stream in the order of its chunks, so that each is decoded once. Memory: one chunk stored and decoded (of
+//! a shard, one of its chunks), and a slab of at most 4 MiB. Chunks of more than a gibibyte are refused.
+//!
+//! Our own reader, as chunks are files with compressors that we have anyway, and one chunk at a time is all that is needed.
+//! The formats: <https://zarr-specs.readthedocs.io>, <https://ngff.openmicroscopy.org>.
+
+mod blosc;
+mod codec;
+mod meta;
+
+use super::header::{geometry, plain_info, scaled_axes};
+use super::stream::sample_bytes;
+use super::{OpenOptions, pick_field};
+use crate::bytes::{ByteSource, IoMode};
+use crate::error::{Error, Result};
+use crate::grid::{Geometry, IndexBox};
+use crate::volume::strided::swap_bytes;
+use crate::volume::{FieldInfo, SlabStream, VolumeInfo, VolumeSource};
+use meta::Array;
+use serde_json::Value;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// Most bytes of a decoded chunk.
+const MOST_CHUNK: u64 = 1 << 30;
+/// Bytes of a slab, unless a row of a chunk has more.
+const SLAB_BYTES: u64 = 4 << 20;
+/// Of a large array, so many chunk files stand for all in [`VolumeInfo::data_files`].
+const LISTED: u64 = 1024;
+
+/// Whether a folder is a Zarr array or group.
+pub(super) fn is_zarr(folder: &Path) -> bool {
+    [".zarray", ".zgroup", "zarr.json", ".zattrs"].iter().any(|f| folder.join(f).is_file())
+}
+
+/// Opens an array, or one of a group.
+///
+/// # Errors
+/// [`Error::BadInput`] for malformed metadata, or what is not read; [`Error::Usage`] when several arrays ask for a choice.
+pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    let (image, arrays) = arrays(path)?;
+    let fields: Vec<FieldInfo> = arrays.iter().map(|(name, a)| field(name, a)).collect();
+    let first = image.is_some().then(|| fields.first().map(|f| f.name.clone())).flatten();
+    let wanted = options.field.as_deref().map(|w| full_name(w, &fields)).or(first);
+    let number = pick_field(path, &fields, wanted.as_deref())?;
+    let array = arrays.into_iter().nth(number).expect("a field for each array").1;
+    let image = match image {
+        Some(image) => Some(image),
+        None => image_around(&array.folder)?,
+    };
+    let axes = axes(&array, image.as_ref())?;
+    let dims = axes.map(|a| a.map_or(1, |a| array.shape[a]));
+    sample_bytes(&array.file, dims, array.scalar)?;
+    check_chunks(&array)?;
+    let geometry = placed(&array, image.as_ref(), axes)?;
+    let compressor = array.codecs.iter().map(|c| c.name()).collect::<Vec<_>>().join(" + ");
+    let compressor = if compressor.is_empty() { "raw" } else { &compressor };
+    let sharded = if array.shard.is_some() { ", shards" } else { "" };
+    let kind = if image.is_some() { "OME-Zarr" } else { "Zarr" };
+    let format = format!("{kind} (version {}, {compressor}{sharded})", array.version);
+    let mut info = plain_info(path, format, dims, array.scalar, geometry);
+    info.field = fields[number].clone();
+    info.fields = fields;
+    info.data_files = files(&array);
+    Ok(VolumeSource::Stream(Box::new(Chunks::new(info, array, axes, options.io))))
+}
+
+fn field(name: &str, array: &Array) -> FieldInfo {
+    FieldInfo { name: name.into(), scalar: array.scalar, components: 1 }
+}
+
+/// The field that a user's word means: itself, the one whose path starts with it, or "scaleN" the one at that level.
+fn full_name(wanted: &str, fields: &[FieldInfo]) -> String {
+    let has = |f: &&FieldInfo| f.name == wanted;
+    let starts = |f: &&FieldInfo| f.name.strip_prefix(wanted).is_some_and(|rest| rest.starts_with('/'));
+    let level =
+        || wanted.strip_prefix("scale").and_then(|n| n.parse::<usize>().ok()).and_then(|n| fields.get(n));
+    let found = fields.iter().find(has).or_else(|| fields.iter().find(starts)).or_else(level);
+    found.map_or_else(|| wanted.to_string(), |f| f.name.clone())
+}
+
+/// An image of an OME-Zarr group: its `multiscales` entry.
+#[derive(Clone, Debug)]
+struct Image {
+    group: PathBuf,
+    multiscale: Value,
+}
+
+/// The image that a group describes.
+fn image(group: &Path) -> Result<Option<Image>> {
+    let v3 = meta::json(&group.join("zarr.json"))?.unwrap_or_default();
+    let v2 = meta::json(&group.join(".zattrs"))?.unwrap_or_default();
+    let attributes = &v3["attributes"];
+    let lists = [&attributes["ome"]["multiscales"], &attributes["multiscales"], &v2["multiscales"]];
+    let multiscale = lists.into_iter().find_map(|l| l.get(0)).cloned();
+    Ok(multiscale.map(|multiscale| Image { group: group.to_path_buf(), multiscale }))
+}
+
+/// The image that an array belongs to: described by a folder above it.
+fn image_around(folder: &Path) -> Result<Option<Image>> {
+    for above in folder.ancestors().skip(1).take(3).filter(|p| is_zarr(p)) {
+        if let Some(image) = image(above)?
+            && image.levels().any(|l| above.join(path_of(l)) == folder)
+        {
+            return Ok(Some(image));
+        }
+    }
+    Ok(None)
+}
+
+fn path_of(level: &Value) -> &str {
+    level["path"].as_str().unwrap_or_default()
+}
+
+impl Image {
+    fn levels(&self) -> impl Iterator<Item = &Value> {
+        self.multiscale["datasets"].as_array().into_iter().flatten()
+    }
+}
+
+/// Arrays by name.
+type Named = Vec<(String, Array)>;
+
+/// The arrays that a path offers, and the image that they are levels of.
+fn arrays(path: &Path) -> Result<(Option<Image>, Named)> {
+    if let Some(array) = meta::array(path)? {
+        return Ok((None, vec![("data".into(), array)]));
+    }
+    if let Some(image) = image(path)? {
+        let mut arrays = vec![];
+        for level in image.levels() {
+            let name = path_of(level);
+            // A path out of the group would read what the user did not name.
+            let inside = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
+            let array = if inside { meta::array(&path.join(name))? } else { None };
+            let array = array.ok_or_else(|| {
+                Error::bad_input(path, "multiscales", format!("an array at {name}"), "none")
+                    .with_help("a level of the image is missing; name one that is there")
+            })?;
+            arrays.push((name.to_string(), array));
+        }
+        return Ok((Some(image), arrays));
+    }
+    let mut names: Vec<String> = vec![];
+    for entry in std::fs::read_dir(path).map_err(|e| Error::io("list", path, e))? {
+        let entry = entry.map_err(|e| Error::io("list", path, e))?;
+        if entry.path().is_dir() {
+            names.push(entry.file_name().to_string_lossy().into_owned());
+        }
+    }
+    names.sort();
+    let (mut arrays, mut refused) = (vec![], None);
+    for name in names {
+        match meta::array(&path.join(&name)) {
+            Ok(Some(array)) if array.shape.len() >= 3 => arrays.push((name, array)),
+            Ok(_) => {}
+            Err(e) => refused = refused.or(Some(e)),
+        }
+    }
+    match refused {
+        Some(e) if arrays.is_empty() => Err(e),
+        _ => Ok((None, arrays)),
+    }
+}
+
+/// The array's axes that are x, y and z.
+fn axes(array: &Array, image: Option<&Image>) -> Result<[Option<usize>; 3]> {
+    let rank = array.shape.len();
+    let of_image = image.and_then(|i| i.multiscale["axes"].as_array()).map(|axes| {
+        axes.iter().map(|a| a["name"].as_str().or(a.as_str()).unwrap_or_default().to_string()).collect()
+    });
+    let names: Option<Vec<String>> = of_image.or_else(|| array.names.clone()).filter(|n| n.len() == rank);
+    let find = |name: &str| names.as_ref()?.iter().position(|n| n.eq_ignore_ascii_case(name));
+    let named = ["x", "y", "z"].map(find);
+    let axes = if named.iter().all(Option::is_some) {
+        named
+    } else {
+        std::array::from_fn(|a| rank.checked_sub(a + 1))
+    };
+    let others = (0..rank).filter(|a| !axes.contains(&Some(*a)) && array.shape[*a] != 1).collect::<Vec<_>>();
+    if rank >= 3 && others.is_empty() {
+        return Ok(axes);
+    }
+    let shape: Vec<String> = array.shape.iter().map(u64::to_string).collect();
+    let got = match &names {
+        Some(names) => format!("{} ({})", shape.join(" x "), names.join(", ")),
+        None => shape.join(" x "),
+    };
+    Err(Error::bad_input(&array.file, "shape", "three axes, and others of one entry", got)
+        .with_help("write one moment and one channel to an array of its own"))
+}
+
+/// Scale and translation of an array's samples along x, y, z.
+fn placed(array: &Array, image: Option<&Image>, axes: [Option<usize>; 3]) -> Result<Geometry> {
+    let Some(image) = image else { return Ok(Geometry::default()) };
+    let level = image.levels().find(|l| image.group.join(path_of(l)) == array.folder);
+    let lists = [
+        level.map(|l| &l["coordinateTransformations"]),
+        Some(&image.multiscale["coordinateTransformations"]),
+    ];
+    let (mut scale, mut shift) = ([1.0; 3], [0.0; 3]);
+    for step in lists.into_iter().flatten().filter_map(Value::as_array).flatten() {
+        let value = |key: &str, a: usize, default: f64| {
+            axes[a].and_then(|axis| step[key].get(axis)).and_then(Value::as_f64).unwrap_or(default)
+        };
+        for a in 0..3 {
+            let (by, plus) = (value("scale", a, 1.0), value("translation", a, 0.0));
+            (scale[a], shift[a]) = (scale[a] * by, shift[a] * by + plus);
+        }
+    }
+    geometry(&image.group, "coordinateTransformations", shift, scaled_axes(scale))
+}
+
+fn check_chunks(array: &Array) -> Result<()> {
+    let size = array.scalar.bytes() as u64;
+    let bytes = array.unit().iter().try_fold(size, |n, &d| n.checked_mul(d)).filter(|&n| n <= MOST_CHUNK);
+    let places = array.shard.as_ref().map_or(Some(1), |s| {
+        s.inner.iter().zip(&array.chunk).try_fold(1u64, |n, (i, c)| n.checked_mul(c / i))
+    });
+    if bytes.is_some() && places.is_some_and(|n| n <= MOST_CHUNK / 16) {
+        return Ok(());
+    }
+    let got: Vec<String> = array.unit().iter().map(u64::to_string).collect();
+    let got = format!("{} samples of {}", got.join(" x "), array.scalar.name());
+    Err(Error::bad_input(&array.file, "chunks", "chunks of at most 1 GiB", got)
+        .with_help("write the array again in smaller chunks"))
+}
+
+/// The metadata's file and the chunks' files that exist; of very many, evenly chosen ones.
+fn files(array: &Array) -> Vec<PathBuf> {
+    let grid: Vec<u64> = array.shape.iter().zip(&array.chunk).map(|(s, c)| s.div_ceil(*c)).collect();
+    let count = grid.iter().fold(1u64, |n, &g| n.saturating_mul(g));
+    let place = |mut number: u64| {
+        let mut at: Vec<u64> = vec![];
+        for &g in grid.iter().rev() {
+            at.push(number % g);
+            number /= g;
+        }
+        at.reverse();
+        array.chunk_file(&at)
+    };
+    let some = (0..count.min(LISTED))
+        .map(|i| (u128::from(i) * u128::from(count) / u128::from(count.min(LISTED))) as u64);
+    std::iter::once(array.file.clone()).chain(some.map(place).filter(|f| f.is_file())).collect()
+}
+
+/// The chunks of an array, one after the other.
+struct Chunks {
+    info: VolumeInfo,
+    array: Array,
+    axes: [Option<usize>; 3],
+    io: IoMode,
+    /// The next file, by its place in the grid along x, y, z; and the next chunk in it.
+    file: Option<[u64; 3]>,
+    inner: [u64; 3],
+    shard: Option<OpenShard>,
+    current: Option<Chunk>,
+}
+
+/// A shard's file and index; `None`: it is not there.
+type OpenShard = Option<(ByteSource, Vec<u8>)>;
+
+/// A decoded chunk, of which slabs are being cut.
+struct Chunk {
+    /// Its samples within the volume.
+    voxels: IndexBox,
+    /// Decoded, as stored; `None` is the fill value.
+    bytes: Option<Vec<u8>>,
+    next_z: u64,
+}
+
+impl Chunks {
+    fn new(info: VolumeInfo, array: Array, axes: [Option<usize>; 3], io: IoMode) -> Self {
+        Self { info, array, axes, io, file: Some([0; 3]), inner: [0; 3], shard: None, current: None }
+    }
+
+    /// Sizes along x, y, z of a list along the array's axes.
+    fn xyz(&self, sizes: &[u64]) -> [u64; 3] {
+        self.axes.map(|a| a.map_or(1, |a| sizes[a]))
+    }
+
+    /// A place along the array's axes of one along x, y, z.
+    fn place(&self, xyz: [u64; 3]) -> Vec<u64> {
+        let mut place = vec![0; self.array.shape.len()];
+        for (axis, at) in self.axes.iter().zip(xyz) {
+            if let Some(axis) = axis {
+                place[*axis] = at;
+            }
+        }
+        place
+    }
+
+    /// Moves to the next chunk: of this file, or the first of the next file.
+    fn advance(&mut self, file: [u64; 3]) {
+        let (chunk, unit) = (self.xyz(&self.array.chunk), self.xyz(self.array.unit()));
+        let inside = std::array::from_fn(|a| chunk[a] / unit[a]);
+        if step(&mut self.inner, inside) {
+            return;
+        }
+        (self.inner, self.shard) = ([0; 3], None);
+        let grid = std::array::from_fn(|a| self.info.dims[a].div_ceil(chunk[a]));
+        let mut next = file;
+        self.file = step(&mut next, grid).then_some(next);
+    }
+
+    /// The samples of the next chunk that lie in the volume; empty for a chunk of a shard beyond its end.
+    fn voxels(&self, file: [u64; 3]) -> IndexBox {
+        let (chunk, unit, d) = (self.xyz(&self.array.chunk), self.xyz(self.array.unit()), self.info.dims);
+        let lo =
+            std::array::from_fn(|a| file[a].saturating_mul(chunk[a]).saturating_add(self.inner[a] * unit[a]));
+        IndexBox { lo, hi: std::array::from_fn(|a| lo[a].saturating_add(unit[a]).min(d[a])) }
+    }
+
+    /// The next chunk, decoded.
+    fn load(&mut self, file: [u64; 3]) -> Result<Option<Vec<u8>>> {
+        let path = self.array.chunk_file(&self.place(file));
+        let size = self.array.scalar.bytes() as u64;
+        let needed = self.array.unit().iter().product::<u64>() * size;
+        let (mut whole, range);
+        let source = if self.array.shard.is_some() {
+            if self.shard.is_none() {
+                self.shard = Some(self.open_shard(&path)?);
+            }
+            let Some((source, index)) = self.shard.as_ref().expect("just opened") else { return Ok(None) };
+            let Some(found) = self.range_in_shard(source, index)? else { return Ok(None) };
+            range = found;
+            source
+        } else {
+            whole = self.open_file(&path)?;
+            let Some(source) = &mut whole else { return Ok(None) };
+            range = 0..source.len();
+            source
+        };
+        let mut buffer = vec![];
+        let at = format!("chunk at byte {}", range.start);
+        let stored = source.view(range, &mut buffer)?;
+        let decoded = codec::decode(&self.array.codecs, stored, needed as usize);
+        source.check()?;
+        let damaged = |got: String| {
+            let names: Vec<&str> = self.array.codecs.iter().map(|c| c.name()).collect();
+            let expected = format!("{needed} bytes of good {} data", names.join(" + "));
+            Error::bad_input(&path, at, expected, got)
+                .with_help("the chunk is damaged or cut short; fetch it again")
+        };
+        decoded.map(Some).map_err(damaged)
+    }
+
+    /// `None` where there is no file. An empty one is damage, not a missing chunk.
+    fn open_file(&self, path: &Path) -> Result<Option<ByteSource>> {
+        match std::fs::metadata(path) {
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(None),
+            Err(e) => Err(Error::io("look at", path, e)),
+            Ok(_) => Ok(Some(ByteSource::open(path, self.io)?)),
+        }
+    }
+
+    fn open_shard(&self, path: &Path) -> Result<OpenShard> {
+        let Some(source) = self.open_file(path)? else { return Ok(None) };
+        let shard = self.array.shard.as_ref().expect("called for shards");
+        let count: u64 = shard.inner.iter().zip(&self.array.chunk).map(|(i, c)| c / i).product();
+        let (bytes, crc) = (16 * count, if shard.index_crc { 4 } else { 0 });
+        let at = if shard.index_at_end { source.len().saturating_sub(bytes + crc) } else { 0 };
+        let mut index = vec![];
+        index.extend_from_slice(source.view(at..at + bytes + crc, &mut vec![])?);
+        source.check()?;
+        let sum = index.split_off(bytes as usize);
+        if shard.index_crc && crc32c::crc32c(&index).to_le_bytes()[..] != sum[..] {
+            let got = "another one than that of the index";
+            return Err(Error::bad_input(path, "index of the shard", "its CRC32C", got)
+                .with_help("the file is damaged or cut short; fetch it again"));
+        }
+        Ok(Some((source, index)))
+    }
+
+    /// Where the next chunk is in its shard; `None` where it is not.
+    fn range_in_shard(&self, source: &ByteSource, index: &[u8]) -> Result<Option<Range<u64>>> {
+        let (chunk, unit) = (&self.array.chunk, self.array.unit());
+        let place = self.place(self.inner);
+        let number = place.iter().zip(chunk.iter().zip(unit)).fold(0, |n, (p, (c, u))| n * (c / u) + p);
+        let entry = &index[16 * number as usize..][..16];
+        let number = |at: usize| u64::from_le_bytes(entry[at..at + 8].try_into().expect("eight bytes"));
+        let (at, length) = (number(0), number(8));
+        if (at, length) == (u64::MAX, u64::MAX) {
+            return Ok(None);
+        }
+        let end = at.checked_add(length).filter(|&end| end <= source.len() && length > 0);
+        let end = end.ok_or_else(|| {
+            let got = format!("{length} bytes from byte {at} on, in a file of {} bytes", source.len());
+            Error::bad_input(source.path(), "index of the shard", "chunks that lie in the file", got)
+                .with_help("the file is damaged or cut short; fetch it again")
+        })?;
+        Ok(Some(at..end))
+    }
+
+    /// Bytes a step along x, y, z in a decoded chunk.
+    fn strides(&self) -> [usize; 3] {
+        let mut strides = vec![0; self.array.shape.len()];
+        let mut step = self.array.scalar.bytes();
+        for &axis in self.array.order.iter().rev() {
+            strides[axis] = step;
+            step *= self.array.unit()[axis] as usize;
+        }
+        self.axes.map(|a| a.map_or(0, |a| strides[a]))
+    }
+
+    /// Cuts the next slab of a chunk.
+    fn cut(&self, chunk: &mut Chunk, out: &mut Vec<u8>) -> IndexBox {
+        let (size, d) = (self.array.scalar.bytes(), chunk.voxels.dims());
+        let slices = (SLAB_BYTES / (d[0] * d[1] * size as u64)).max(1);
+        // At boundaries of 32: the bricks that are copied to.
+        let slices = if slices >= 32 { slices / 32 * 32 } else { slices };
+        let mut slab = chunk.voxels;
+        slab.lo[2] = chunk.next_z;
+        slab.hi[2] = chunk.voxels.hi[2].min(slab.lo[2] + slices);
+        chunk.next_z = slab.hi[2];
+        let Some(bytes) = &chunk.bytes else {
+            out.extend(self.array.fill.iter().copied().cycle().take(slab.len() * size));
+            return slab;
+        };
+        let [sx, sy, sz] = self.strides();
+        let z0 = slab.lo[2] - chunk.voxels.lo[2];
+        for (z, y) in (z0..z0 + slab.dims()[2]).flat_map(|z| (0..d[1]).map(move |y| (z, y))) {
+            let at = z as usize * sz + y as usize * sy;
+            if sx == size {
+                out.extend_from_slice(&bytes[at..at + d[0] as usize * size]);
+            } else {
+                (0..d[0] as usize).for_each(|x| out.extend_from_slice(&bytes[at + x * sx..][..size]));
+            }
+        }
+        if self.array.big_endian {
+            swap_bytes(out, size);
+        }
+        slab
+    }
+}
+
+/// The next place of a grid, x fastest; `false` after the last.
+fn step(at: &mut [u64; 3], grid: [u64; 3]) -> bool {
+    for a in 0..3 {
+        at[a] += 1;
+        if at[a] < grid[a] {
+            return true;
+        }
+        at[a] = 0;
+    }
+    false
+}
+
+impl SlabStream for Chunks {
+    fn info(&self) -> &VolumeInfo {
+        &self.info
+    }
+
+    fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
+        out.clear();
+        while self.current.is_none() {
+            let Some(file) = self.file else { return Ok(None) };
+            let voxels = self.voxels(file);
+            if !voxels.is_empty() {
+                let bytes = self.load(file)?;
+                self.current = Some(Chunk { voxels, bytes, next_z: voxels.lo[2] });
+            }
+            self.advance(file);
+        }
+        let mut chunk = self.current.take().expect("just loaded");
+        let slab = self.cut(&mut chunk, out);
+        if chunk.next_z < chunk.voxels.hi[2] {
+            self.current = Some(chunk);
+        }
+        Ok(Some(slab))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,170 @@
+//! Blosc 1: blocks, each shuffled and compressed by itself. Decoding only.
+//!
+//! ```text
+//!  0  version of the format (1, 2)       4  u32 bytes decoded        16  u32 place of each block
+//!  1  version of the compressor          8  u32 bytes of a block     …   blocks
+//!  2  flags                             12  u32 bytes of all this
+//!  3  bytes of an element
+//! ```
+//!
+//! Flags: 1 bytes shuffled, 2 stored as they are, 4 bits shuffled, 16 blocks not split; the upper three bits are the
+//! compressor: BloscLZ, LZ4, Snappy, zlib, zstd. A block of elements of n bytes that is split has n streams, so that after
+//! shuffling each holds one byte of all elements. A stream is its length (u32) and bytes; of full length, they are stored.
+//!
+//! The format: <https://github.com/Blosc/c-blosc/blob/main/README_CHUNK_FORMAT.rst>. Snappy is refused by name.
+
+use flate2::bufread::ZlibDecoder;
+use std::io::Read;
+
+type Words = std::result::Result<(), String>;
+
+/// Decodes `stored` into `out` (cleared first); at most `limit` bytes. An error is the reason, in words.
+pub(super) fn decode(stored: &[u8], limit: usize, out: &mut Vec<u8>) -> Words {
+    let header = stored.get(..16).ok_or("fewer than the 16 bytes of a Blosc header")?;
+    let u32_at = |at: usize| le32(stored, at).map(|n| n as usize).ok_or("a Blosc buffer that is cut short");
+    let (version, flags, typesize) = (header[0], header[2], usize::from(header[3]).max(1));
+    let (bytes, block, all) = (u32_at(4)?, u32_at(8)?, u32_at(12)?);
+    if !(1..=2).contains(&version) {
+        return Err(format!("version {version} of the Blosc format, of which 1 and 2 are read"));
+    }
+    if bytes > limit {
+        return Err(format!("Blosc data of {bytes} bytes"));
+    }
+    let stored = stored.get(..all).ok_or(format!("{} of {all} bytes of Blosc data", stored.len()))?;
+    out.clear();
+    if flags & 2 != 0 {
+        out.extend_from_slice(stored.get(16..16 + bytes).ok_or("Blosc data that are cut short")?);
+        return Ok(());
+    }
+    if bytes > 0 && block == 0 {
+        return Err("Blosc blocks of 0 bytes".into());
+    }
+    out.resize(bytes, 0);
+    let mut shuffled = vec![];
+    for (number, out) in out.chunks_mut(block.max(1)).enumerate() {
+        let start = u32_at(16 + 4 * number)?;
+        let streams = stored.get(start..).ok_or("a Blosc block beyond the end")?;
+        let split = flags & 16 == 0 && typesize <= 16 && block / typesize >= 128 && out.len() == block;
+        shuffled.resize(out.len(), 0);
+        decode_block(flags >> 5, streams, if split { typesize } else { 1 }, &mut shuffled)?;
+        match flags & 5 {
+            1 if typesize > 1 => unshuffle(&shuffled, typesize, out),
+            4 => unshuffle_bits(&shuffled, typesize, out),
+            _ => out.copy_from_slice(&shuffled),
+        }
+    }
+    Ok(())
+}
+
+fn le32(bytes: &[u8], at: usize) -> Option<u32> {
+    let four = bytes.get(at..at.checked_add(4)?)?;
+    Some(u32::from_le_bytes(four.try_into().expect("four bytes")))
+}
+
+fn decode_block(compressor: u8, mut streams: &[u8], splits: usize, out: &mut [u8]) -> Words {
+    let part = out.len() / splits;
+    if part * splits != out.len() {
+        return Err("a Blosc block that is no multiple of its elements".into());
+    }
+    for out in out.chunks_exact_mut(part) {
+        let length = le32(streams, 0).ok_or("a Blosc block that is cut short")? as usize;
+        let stream = streams.get(4..4 + length).ok_or("a Blosc stream that is cut short")?;
+        streams = &streams[4 + length..];
+        if length == part {
+            out.copy_from_slice(stream);
+            continue;
+        }
+        let written = match compressor {
+            0 => blosclz(stream, out)?,
+            1 => lz4_flex::block::decompress_into(stream, out).map_err(|e| e.to_string())?,
+            3 => {
+                ZlibDecoder::new(stream).read_exact(out).map_err(|e| e.to_string())?;
+                out.len()
+            }
+            4 => zstd::bulk::decompress_to_buffer(stream, out).map_err(|e| e.to_string())?,
+            2 => return Err("Blosc's Snappy, which is not read".into()),
+            n => return Err(format!("Blosc's compressor {n}, which is unknown")),
+        };
+        if written != out.len() {
+            return Err(format!("a Blosc stream of {written} bytes in place of {}", out.len()));
+        }
+    }
+    Ok(())
+}
+
+/// Byte b of element i was stored at b · count + i; bytes after the last whole element as they are.
+pub(super) fn unshuffle(stored: &[u8], typesize: usize, out: &mut [u8]) {
+    let count = stored.len() / typesize;
+    for (b, plane) in stored[..count * typesize].chunks_exact(count.max(1)).enumerate() {
+        out[b..].iter_mut().step_by(typesize).zip(plane).for_each(|(o, p)| *o = *p);
+    }
+    out[count * typesize..].copy_from_slice(&stored[count * typesize..]);
+}
+
+/// Bit k of byte b of element i was stored as bit i mod 8 of byte (8 b + k) · count / 8 + i / 8. Where the count of elements
+/// is no multiple of 8, nothing was shuffled.
+fn unshuffle_bits(stored: &[u8], typesize: usize, out: &mut [u8]) {
+    let count = stored.len() / typesize;
+    out.copy_from_slice(stored);
+    if !count.is_multiple_of(8) {
+        return;
+    }
+    let row = count / 8;
+    for b in 0..typesize {
+        for i8 in 0..row {
+            // Eight rows of eight bits: a transposition of 8 x 8 bits.
+            let mut bytes = [0u8; 8];
+            for k in 0..8 {
+                let bits = stored[(8 * b + k) * row + i8];
+                bytes.iter_mut().enumerate().for_each(|(i, byte)| *byte |= (bits >> i & 1) << k);
+            }
+            bytes.iter().enumerate().for_each(|(i, byte)| out[(8 * i8 + i) * typesize + b] = *byte);
+        }
+    }
+}
+
+/// BloscLZ, a kind of FastLZ. Gives the number of bytes written.
+fn blosclz(stored: &[u8], out: &mut [u8]) -> std::result::Result<usize, String> {
+    /// Distances beyond this have two bytes more.
+    const FAR: usize = 8191;
+    let cut = || "BloscLZ data that are cut short".to_string();
+    let mut input = stored.iter().map(|&b| usize::from(b));
+    let mut next = || input.next();
+    // The first code is of literals, whatever its upper bits.
+    let (mut code, mut at) = (next().ok_or_else(cut)? & 31, 0);
+    loop {
+        if code < 32 {
+            for _ in 0..=code {
+                *out.get_mut(at).ok_or("BloscLZ data that are too long")? = next().ok_or_else(cut)? as u8;
+                at += 1;
+            }
+        } else {
+            let (mut length, mut distance) = ((code >> 5) + 2, (code & 31) << 8);
+            if code >> 5 == 7 {
+                loop {
+                    let more = next().ok_or_else(cut)?;
+                    length += more;
+                    if more != 255 {
+                        break;
+                    }
+                }
+            }
+            let low = next().ok_or_else(cut)?;
+            if low == 255 && distance == 31 << 8 {
+                distance = (next().ok_or_else(cut)? << 8) + next().ok_or_else(cut)? + FAR;
+            } else {
+                distance += low;
+            }
+            let from = at.checked_sub(distance + 1).ok_or("a BloscLZ match before the start")?;
+            if at + length > out.len() {
+                return Err("BloscLZ data that are too long".into());
+            }
+            (0..length).for_each(|i| out[at + i] = out[from + i]);
+            at += length;
+        }
+        match next() {
+            Some(next) => code = next,
+            None => return Ok(at),
+        }
+    }
+}

@@ -1,0 +1,551 @@
+use super::super::tests::{gzip, write};
+use super::*;
+use crate::formats::open_volume;
+use crate::volume::ScalarType;
+use crate::volume::strided::convert_row;
+use serde_json::json;
+use std::fs;
+
+/// Sizes along x, y, z of the arrays below, and of their chunks: all different, the last chunks cut.
+const DIMS: [u64; 3] = [7, 5, 6];
+const CHUNK: [u64; 3] = [4, 3, 2];
+
+fn value(x: u64, y: u64, z: u64) -> u16 {
+    (100 * z + 10 * y + x + 3) as u16
+}
+
+/// The samples of a box that starts at `lo`, stored with the axes in `order` (0 is x), the slowest first; 9 beyond the end.
+fn stored(lo: [u64; 3], size: [u64; 3], order: [usize; 3], big_endian: bool) -> Vec<u8> {
+    let mut out = vec![];
+    let [a, b, c] = order.map(|a| size[a]);
+    for (i, j, k) in (0..a).flat_map(|i| (0..b).flat_map(move |j| (0..c).map(move |k| (i, j, k)))) {
+        let mut at = lo;
+        (at[order[0]], at[order[1]], at[order[2]]) = (lo[order[0]] + i, lo[order[1]] + j, lo[order[2]] + k);
+        let inside = (0..3).all(|a| at[a] < DIMS[a]);
+        let v = if inside { value(at[0], at[1], at[2]) } else { 9 };
+        out.extend(if big_endian { v.to_be_bytes() } else { v.to_le_bytes() });
+    }
+    out
+}
+
+/// Writes the chunks of an array whose axes are `order`, by `name`, each encoded by `encode`.
+fn chunks(
+    folder: &Path,
+    order: [usize; 3],
+    stored_order: [usize; 3],
+    big_endian: bool,
+    name: impl Fn([u64; 3]) -> String,
+    encode: impl Fn(Vec<u8>) -> Vec<u8>,
+) {
+    let grid: [u64; 3] = std::array::from_fn(|a| DIMS[a].div_ceil(CHUNK[a]));
+    let mut at = [0; 3];
+    loop {
+        let lo = std::array::from_fn(|a| at[a] * CHUNK[a]);
+        let file = folder.join(name(order.map(|a| at[a])));
+        fs::create_dir_all(file.parent().unwrap()).unwrap();
+        fs::write(file, encode(stored(lo, CHUNK, stored_order, big_endian))).unwrap();
+        if !step(&mut at, grid) {
+            return;
+        }
+    }
+}
+
+fn put(folder: &Path, name: &str, json: &Value) {
+    fs::create_dir_all(folder).unwrap();
+    fs::write(folder.join(name), json.to_string()).unwrap();
+}
+
+fn v2(order: [usize; 3], dtype: &str, layout: &str, compressor: Value) -> Value {
+    json!({
+        "zarr_format": 2, "shape": order.map(|a| DIMS[a]), "chunks": order.map(|a| CHUNK[a]), "dtype": dtype,
+        "compressor": compressor, "fill_value": 4, "order": layout, "filters": null
+    })
+}
+
+fn v3(codecs: Value) -> Value {
+    json!({
+        "zarr_format": 3, "node_type": "array", "shape": [6, 5, 7], "data_type": "uint16",
+        "chunk_grid": { "name": "regular", "configuration": { "chunk_shape": [2, 3, 4] } },
+        "chunk_key_encoding": { "name": "default", "configuration": { "separator": "/" } },
+        "fill_value": 4, "codecs": codecs, "attributes": {}, "dimension_names": ["z", "y", "x"]
+    })
+}
+
+const ZYX: [usize; 3] = [2, 1, 0];
+
+fn dots(at: [u64; 3]) -> String {
+    at.map(|n| n.to_string()).join(".")
+}
+
+fn slashes(at: [u64; 3]) -> String {
+    format!("c/{}", at.map(|n| n.to_string()).join("/"))
+}
+
+/// All values, wherever the slabs lie.
+fn values(source: VolumeSource) -> Result<(VolumeInfo, Vec<f32>)> {
+    let (info, mut stream, mut bytes) = (source.info().clone(), source.into_stream(), vec![]);
+    let whole = IndexBox::whole(info.dims);
+    let (mut out, mut count) = (vec![f32::NAN; whole.len()], 0);
+    while let Some(slab) = stream.next_slab(&mut bytes)? {
+        let mut part = vec![0.0; slab.len()];
+        convert_row(&bytes, info.field.scalar, false, 1.0, 0.0, None, &mut part);
+        count += slab.len();
+        for (i, row) in part.chunks_exact(slab.dims()[0] as usize).enumerate() {
+            let (y, z) = (i as u64 % slab.dims()[1], i as u64 / slab.dims()[1]);
+            let at = whole.offset([slab.lo[0], slab.lo[1] + y, slab.lo[2] + z]);
+            out[at..at + row.len()].copy_from_slice(row);
+        }
+    }
+    assert_eq!(count, whole.len(), "each sample once");
+    Ok((info, out))
+}
+
+fn read(path: &Path, field: Option<&str>) -> Result<(VolumeInfo, Vec<f32>)> {
+    let options = OpenOptions { field: field.map(str::to_string), ..OpenOptions::default() };
+    open_volume(path, &options).and_then(values)
+}
+
+fn expected() -> Vec<f32> {
+    let [w, h, d] = DIMS;
+    let all = (0..d).flat_map(|z| (0..h).flat_map(move |y| (0..w).map(move |x| (x, y, z))));
+    all.map(|(x, y, z)| f32::from(value(x, y, z))).collect()
+}
+
+fn check(path: &Path) -> VolumeInfo {
+    let (info, values) = read(path, None).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!((info.dims, info.field.scalar), (DIMS, ScalarType::U16));
+    assert_eq!(values, expected());
+    info
+}
+
+fn refusal(path: &Path) -> String {
+    let error = read(path, None).expect_err("refused");
+    assert_eq!(error.exit_code(), 5, "{error}");
+    error.to_string()
+}
+
+fn zlib(bytes: Vec<u8>) -> Vec<u8> {
+    let mut z = flate2::write::ZlibEncoder::new(vec![], flate2::Compression::fast());
+    std::io::Write::write_all(&mut z, &bytes).unwrap();
+    z.finish().unwrap()
+}
+
+fn zstd(bytes: Vec<u8>) -> Vec<u8> {
+    zstd::bulk::compress(&bytes, 1).unwrap()
+}
+
+fn lz4(bytes: Vec<u8>) -> Vec<u8> {
+    [&(bytes.len() as u32).to_le_bytes()[..], &lz4_flex::block::compress(&bytes)].concat()
+}
+
+/// Blosc data of one block that is stored, unsplit, as 16-bit elements with shuffled bytes.
+fn blosc(bytes: Vec<u8>) -> Vec<u8> {
+    let shuffled: Vec<u8> =
+        (0..2).flat_map(|b| bytes.iter().skip(b).step_by(2).copied().collect::<Vec<_>>()).collect();
+    let lz4 = lz4_flex::block::compress(&shuffled);
+    let n = bytes.len() as u32;
+    let mut out = vec![2, 1, 1 | 16 | 1 << 5, 2];
+    for number in [n, n, 24 + lz4.len() as u32, 20, lz4.len() as u32] {
+        out.extend(number.to_le_bytes());
+    }
+    [out, lz4].concat()
+}
+
+#[test]
+fn version_2_in_either_order_of_axes_and_samples() {
+    for (order, names) in [
+        (ZYX, None),
+        (ZYX, Some(["z", "y", "x"])),
+        ([0, 1, 2], Some(["x", "y", "z"])),
+        ([1, 2, 0], Some(["y", "z", "x"])),
+    ] {
+        for (layout, big_endian) in [("C", false), ("F", false), ("C", true)] {
+            let dir = tempfile::tempdir().unwrap();
+            let dtype = if big_endian { ">u2" } else { "<u2" };
+            put(dir.path(), ".zarray", &v2(order, dtype, layout, Value::Null));
+            if let Some(names) = names {
+                put(dir.path(), ".zattrs", &json!({ "_ARRAY_DIMENSIONS": names }));
+            }
+            let mut in_file = order;
+            if layout == "F" {
+                in_file.reverse();
+            }
+            chunks(dir.path(), order, in_file, big_endian, dots, |b| b);
+            let info = check(dir.path());
+            assert_eq!(info.files().len(), 1 + 2 * 2 * 3, "the metadata and the chunks");
+        }
+    }
+}
+
+#[test]
+fn compressors_of_version_2() {
+    type Encoder = fn(Vec<u8>) -> Vec<u8>;
+    let encoders: [(Value, Encoder); 5] = [
+        (json!({ "id": "gzip", "level": 1 }), |b| gzip(&b)),
+        (json!({ "id": "zlib" }), zlib),
+        (json!({ "id": "zstd" }), zstd),
+        (json!({ "id": "lz4" }), lz4),
+        (json!({ "id": "blosc", "cname": "lz4", "shuffle": 1 }), blosc),
+    ];
+    for (compressor, encode) in encoders {
+        let dir = tempfile::tempdir().unwrap();
+        put(dir.path(), ".zarray", &v2(ZYX, "<u2", "C", compressor));
+        chunks(dir.path(), ZYX, ZYX, false, dots, encode);
+        check(dir.path());
+        // A chunk cut anywhere is refused, and so are bytes of another chunk size.
+        let file = dir.path().join("1.0.0");
+        let good = fs::read(&file).unwrap();
+        for cut in 0..good.len() {
+            fs::write(&file, &good[..cut]).unwrap();
+            assert!(refusal(dir.path()).contains("1.0.0"));
+        }
+        for (at, flip) in (0..good.len()).flat_map(|at| [(at, 1), (at, 0x80), (at, 0xff)]) {
+            let mut damaged = good.clone();
+            damaged[at] ^= flip;
+            fs::write(&file, &damaged).unwrap();
+            if let Err(e) = read(dir.path(), None) {
+                assert!(e.to_string().contains("1.0.0"), "{e}");
+            }
+        }
+        fs::write(&file, encode(vec![0; 46])).unwrap();
+        refusal(dir.path());
+    }
+}
+
+#[test]
+fn version_3_with_transposition_and_checksum() {
+    let bytes = json!({ "name": "bytes", "configuration": { "endian": "big" } });
+    let crc = |b: Vec<u8>| [&b[..], &crc32c::crc32c(&b).to_le_bytes()].concat();
+    let dir = tempfile::tempdir().unwrap();
+    // Stored axes: the array's 2, 0, 1, which are x, z, y.
+    let transpose = json!({ "name": "transpose", "configuration": { "order": [2, 0, 1] } });
+    let list = json!([transpose, bytes, { "name": "zstd", "configuration": {} }, { "name": "crc32c" }]);
+    put(dir.path(), "zarr.json", &v3(list));
+    chunks(dir.path(), ZYX, [0, 2, 1], true, slashes, |b| crc(zstd(b)));
+    let info = check(dir.path());
+    assert_eq!(info.format, "Zarr (version 3, zstd + CRC32C)");
+    let file = dir.path().join("c/0/0/0");
+    let mut damaged = fs::read(&file).unwrap();
+    damaged[5] ^= 1;
+    fs::write(&file, damaged).unwrap();
+    assert!(refusal(dir.path()).contains("CRC32C"));
+}
+
+/// A shard of two chunks along each axis, `[4, 3, 2]` samples each along x, y, z.
+fn shard(at: [u64; 3], at_end: bool) -> Vec<u8> {
+    let count = 8;
+    let (mut data, mut index) = (vec![], vec![]);
+    let first = if at_end { 0 } else { 16 * count + 4 };
+    for number in 0..count {
+        let inner = [number % 2, number / 2 % 2, number / 4];
+        let lo: [u64; 3] = std::array::from_fn(|a| (2 * at[a] + inner[a]) * CHUNK[a]);
+        if (0..3).all(|a| lo[a] < DIMS[a]) {
+            let chunk = gzip(&stored(lo, CHUNK, ZYX, false));
+            index.extend([first + data.len() as u64, chunk.len() as u64].map(u64::to_le_bytes).concat());
+            data.extend(chunk);
+        } else {
+            index.extend([0xff; 16]);
+        }
+    }
+    index.extend(crc32c::crc32c(&index).to_le_bytes());
+    if at_end { [data, index].concat() } else { [index, data].concat() }
+}
+
+#[test]
+fn shards() {
+    for at_end in [true, false] {
+        let dir = tempfile::tempdir().unwrap();
+        let inner = json!([{ "name": "bytes", "configuration": { "endian": "little" } }, { "name": "gzip" }]);
+        let index =
+            json!([{ "name": "bytes", "configuration": { "endian": "little" } }, { "name": "crc32c" }]);
+        let location = if at_end { "end" } else { "start" };
+        let sharding = json!([{ "name": "sharding_indexed", "configuration": {
+            "chunk_shape": [2, 3, 4], "codecs": inner, "index_codecs": index, "index_location": location } }]);
+        let mut meta = v3(sharding);
+        meta["chunk_grid"]["configuration"]["chunk_shape"] = json!([4, 6, 8]);
+        put(dir.path(), "zarr.json", &meta);
+        for z in 0..2 {
+            write_in(dir.path(), &format!("c/{z}/0/0"), &shard([0, 0, z], at_end));
+        }
+        assert_eq!(check(dir.path()).format, "Zarr (version 3, gzip, shards)");
+        let good = shard([0, 0, 1], at_end);
+        for cut in 1..good.len() {
+            write_in(dir.path(), "c/1/0/0", &good[..cut]);
+            assert!(refusal(dir.path()).contains("c/1/0/0"));
+        }
+        fs::remove_file(dir.path().join("c/1/0/0")).unwrap();
+        let (_, values) = read(dir.path(), None).unwrap();
+        assert_eq!((values[3 * 35], values[4 * 35]), (303.0, 4.0), "the fill value from slice 4 on");
+    }
+}
+
+fn write_in(folder: &Path, name: &str, bytes: &[u8]) {
+    let file = folder.join(name);
+    fs::create_dir_all(file.parent().unwrap()).unwrap();
+    fs::write(file, bytes).unwrap();
+}
+
+fn ome(folder: &Path) {
+    put(folder, ".zgroup", &json!({ "zarr_format": 2 }));
+    let level = |path: &str, s: f64| {
+        json!({ "path": path, "coordinateTransformations": [
+            { "type": "scale", "scale": [1.0, 4.0 * s, 3.0 * s, 2.0 * s] },
+            { "type": "translation", "translation": [0.0, 30.0, 20.0, 10.0] } ] })
+    };
+    let axes: Vec<Value> = ["c", "z", "y", "x"].iter().map(|n| json!({ "name": n })).collect();
+    let multiscales = json!([{ "axes": axes, "datasets": [level("0", 1.0), level("s1/image", 2.0)],
+        "coordinateTransformations": [{ "type": "scale", "scale": [1.0, 10.0, 10.0, 10.0] }] }]);
+    put(folder, ".zattrs", &json!({ "multiscales": multiscales }));
+    for (name, fill) in [("0", json!(4)), ("s1/image", json!(5))] {
+        let mut meta = v2(ZYX, "<u2", "C", Value::Null);
+        (meta["shape"], meta["chunks"]) = (json!([1, 6, 5, 7]), json!([1, 2, 3, 4]));
+        (meta["fill_value"], meta["dimension_separator"]) = (fill, json!("/"));
+        put(&folder.join(name), ".zarray", &meta);
+    }
+    chunks(
+        &folder.join("0"),
+        ZYX,
+        ZYX,
+        false,
+        |at| format!("0/{}", at.map(|n| n.to_string()).join("/")),
+        |b| b,
+    );
+}
+
+#[test]
+fn levels_of_an_image() {
+    let dir = tempfile::tempdir().unwrap();
+    ome(dir.path());
+    let info = check(dir.path());
+    assert_eq!((info.geometry.spacing, info.geometry.origin), ([20.0, 30.0, 40.0], [100.0, 200.0, 300.0]));
+    assert_eq!(info.fields.len(), 2);
+    for wanted in ["s1", "s1/image", "scale1"] {
+        let (info, values) = read(dir.path(), Some(wanted)).unwrap();
+        assert_eq!((info.field.name.as_str(), info.geometry.spacing), ("s1/image", [40.0, 60.0, 80.0]));
+        assert!(values.iter().all(|&v| v == 5.0), "a level without chunks is its fill value");
+    }
+    for folder in ["s1/image", "s1/image/"] {
+        let (info, _) = read(&dir.path().join(folder), None).unwrap();
+        assert_eq!(info.geometry.spacing, [40.0, 60.0, 80.0], "the group above tells where its levels are");
+    }
+    assert_eq!(read(dir.path(), Some("2")).unwrap_err().exit_code(), 2);
+    fs::remove_dir_all(dir.path().join("s1")).unwrap();
+    assert!(refusal(dir.path()).contains("s1/image"));
+}
+
+#[test]
+fn metadata_that_are_not_read_are_named() {
+    let with = |key: &str, value: Value| {
+        let mut meta = v2(ZYX, "<u2", "C", Value::Null);
+        meta[key] = value;
+        meta
+    };
+    for (meta, message) in [
+        (with("dtype", json!("<f2")), "dtype"),
+        (with("dtype", json!([["a", "<u2"]])), "dtype"),
+        (with("compressor", json!({ "id": "bz2" })), "bz2"),
+        (with("filters", json!([{ "id": "delta" }])), "delta"),
+        (with("fill_value", json!(70000)), "fill_value"),
+        (with("shape", json!([6, 5])), "chunks"),
+        (with("shape", json!([0, 5, 7])), "shape"),
+        (with("shape", json!([1_u64 << 40, 1_u64 << 40, 7])), "2^63"),
+        (with("chunks", json!([1 << 20, 1 << 20, 1 << 20])), "1 GiB"),
+        (with("zarr_format", json!(4)), "zarr_format"),
+        (with("order", json!("A")), "order"),
+        (json!({}), "zarr_format"),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        put(dir.path(), ".zarray", &meta);
+        let line = refusal(dir.path());
+        assert!(line.contains(message) && line.contains(".zarray"), "{line}");
+    }
+    for (codecs, message) in [
+        (json!([]), "bytes"),
+        (json!([{ "name": "zstd" }]), "zstd"),
+        (json!([{ "name": "bytes" }, { "name": "vlen-utf8" }]), "vlen-utf8"),
+        (
+            json!([{ "name": "transpose", "configuration": { "order": [0, 0, 1] } }, { "name": "bytes" }]),
+            "all axes",
+        ),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        put(dir.path(), "zarr.json", &v3(codecs));
+        let line = refusal(dir.path());
+        assert!(line.contains(message) && line.contains("zarr.json"), "{line}");
+    }
+    let dir = tempfile::tempdir().unwrap();
+    write(&dir, ".zarray", b"{");
+    assert!(refusal(dir.path()).contains("JSON"));
+    put(dir.path(), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
+    put(dir.path(), ".zattrs", &json!({ "_ARRAY_DIMENSIONS": ["t", "y", "x"] }));
+    check_fill(dir.path(), 4.0);
+}
+
+fn check_fill(path: &Path, fill: f32) {
+    let (info, values) = read(path, None).unwrap();
+    assert_eq!(info.dims, DIMS, "three axes without all names are z, y, x");
+    assert!(values.iter().all(|v| v.to_bits() == fill.to_bits()));
+}
+
+#[test]
+fn fill_values() {
+    for (kind, fill, expected) in [
+        ("float32", json!("NaN"), f32::NAN),
+        ("float64", json!("-Infinity"), f32::NEG_INFINITY),
+        ("float32", json!("0x40490fdb"), std::f32::consts::PI),
+        ("uint8", json!(null), 0.0),
+        ("int16", json!(-3.0), -3.0),
+        ("bool", json!(true), 1.0),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        let mut meta = v3(json!([{ "name": "bytes", "configuration": { "endian": "little" } }]));
+        (meta["data_type"], meta["fill_value"]) = (json!(kind), fill);
+        put(dir.path(), "zarr.json", &meta);
+        check_fill(dir.path(), expected);
+    }
+}
+
+/// 1000 samples of u16, 7 i / 3 mod 200, as numcodecs 0.16 (c-blosc 1.21) encodes them at level 9: `Blosc(name, 9, shuffle)`.
+const BLOSC: [(&str, &str); 8] = [
+    (
+        "blosclz, shuffle 1",
+        "AgEBAtAHAADQBwAAEwQAABQAAADoAwAAAAIEBwkLDhASFRcZHB4gIyUnKiwuMTM1ODo8P0FDRkhKTU9RVFZYW11fYmRmaWttcHJ0\
+        d3l7foCChYeJjI6Qk5WXmpyeoaOlqKqsr7Gztri6vb/BxMYAAwUHCgwOERMVGBocHyEjJigqLS8xNDY4Oz0/QkRGSUtNUFJUV1lb\
+        XmBiZWdpbG5wc3V3enx+gYOFiIqMj5GTlpianZ+hpKaoq62vsrS2ubu9wMLExwEDBggKDQ8RFBYYGx0fIiQmKSstMDI0Nzk7PkBC\
+        RUdJTE5QU1VXWlxeYWNlaGpsb3Fzdnh6fX+BhIaIi42PkpSWmZudoKKkp6mrrrCytbe5vL7Aw8XHAgQGCQsNEBIUFxkbHiAiJScp\
+        LC4wMzU3Ojw+QUNFSEpMT1FTVlhaXV9hZGZoa21vcnR2eXt9gIKEh4mLjpCSlZeZnJ6go6WnqqyusbO1uLq8v8HDxgACBQcJDA4Q\
+        ExUXGhweISMlKCosLzEzNjg6PT9BREZIS01PUlRWWVtdYGJkZ2lrbnBydXd5fH6Ag4WHioyOkZOVmJqcn6Gjpqiqra+xtLa4u72/\
+        wsTGAQMFCAoMDxETFhgaHR8hJCYoKy0vMjQ2OTs9QEJER0lLTlBSVVdZXF5gY2VnamxucXN1eHp8f4GDhoiKjY+RlJaYm52foqSm\
+        qautsLK0t7m7vsDCxccBBAYICw0PEhQWGRsdICIkJykrLjAyNTc5PD5AQ0VHSkxOUVNVWFpcX2FjZmhqbW9xdHZ4e31/goSGiYuN\
+        kJKUl5mbnqCipaeprK6ws7W3ury+wcPFAAIEBwkLDhASFRcZHB4gIyUnKiwuMTM1ODo8P0FDRkhKTU9RVFZYW11fYmRmaWttcHJ0\
+        d3l7foCChYeJjI6Qk5WXmpyeoaOlqKqsr7Gztri6vb/BxMYAAwUHCgwOERMVGBocHyEjJigqLS8xNDY4Oz0/QkRGSUtNUFJUV1lb\
+        XmBiZWdpbG5wc3V3enx+gYOFiIqMj5GTlpianZ+hpKaoq62vsrS2ubu9wMLExwEDBggKDQ8RFBYYGx0fIiQmKSstMDI0Nzk7PkBC\
+        RUdJTE5QU1VXWlxeYWNlaGpsb3Fzdnh6fX+BhIaIi42PkpSWmZudoKKkp6mrrrCytbe5vL7Aw8XHAgQGCQsNEBIUFxkbHiAiJScp\
+        LC4wMzU3Ojw+QUNFSEpMT1FTVlhaXV9hZGZoa21vcnR2eXt9gIKEh4mLjpCSlZeZnJ6go6WnqqyusbO1uLq8v8HDxgACBQcJDA4Q\
+        ExUXGhweISMlKCosLzEzNjg6PT9BREZIS01PUlRWWVtdYGJkZ2lrbnBydXd5fH6Agw8AAAAjAAAAAOD////bAwIAAAA=",
+    ),
+    (
+        "blosclz, shuffle 2",
+        "AgEEAtAHAADQBwAAfAEAABQAAABRAQAAJTiO4ziO4+BuBQJqpVbgcQICTDab4HECCnA4HI/H43A4HI8HwAgCx+OAgBEFx+NwOOBw\
+        wCAAD8AIAo/HA6AyA8fjcMBgOwTH43A4HOAAKeAgSgqAP+AP+AN/wB/wB+AACAH8AKARA/yAPwBgGgb8gD/gD8AfoAgB+APgAAgB\
+        fwBgGmAvAIDgKEoVAMD/DwD8fwDg/wcA8P8DgP8fAPj/AMARAv8/AKARAsD/D2AjB/8/APD/AwD4gBEC/H8AoBECgP8f4CpKHwAA\
+        8P//fwAAADgAAAD8//8fAAAADwAAgP///wcAAMADHwAA4P///wAAAHAAAAD4//8/AAAAHAAAAP///w8AAIAHCgAAwP///wMAAOAA\
+        4CtKAACAagE/AGAAAOCAVQAAgGoC/wMAYAAA/4CgAACAagEfAGAAAPCAoAAAgLUB/wBgAAGA/+AfSgEAwA8AAAAjAAAAAOD////b\
+        AwIAAAA=",
+    ),
+    (
+        "lz4, shuffle 1",
+        "AgEhAtAHAADQBwAAkAIAABQAAABmAgAA////SwACBAcJCw4QEhUXGRweICMlJyosLjEzNTg6PD9BQ0ZISk1PUVRWWFtdX2JkZmlr\
+        bXBydHd5e36AgoWHiYyOkJOVl5qcnqGjpaiqrK+xs7a4ur2/wcTGAAMFBwoMDhETFRgaHB8hIyYoKi0vMTQ2ODs9P0JERklLTVBS\
+        VFdZW15gYmVnaWxucHN1d3p8foGDhYiKjI+Rk5aYmp2foaSmqKutr7K0trm7vcDCxMcBAwYICg0PERQWGBsdHyIkJikrLTAyNDc5\
+        Oz5AQkVHSUxOUFNVV1pcXmFjZWhqbG9xc3Z4en1/gYSGiIuNj5KUlpmbnaCipKepq66wsrW3uby+wMPFxwIEBgkLDRASFBcZGx4g\
+        IiUnKSwuMDM1Nzo8PkFDRUhKTE9RU1ZYWl1fYWRmaGttb3J0dnl7fYCChIeJi46QkpWXmZyeoKOlp6qsrrGztbi6vL/Bw8YAAgUH\
+        CQwOEBMVFxocHiEjJSgqLC8xMzY4Oj0/QURGSEtNT1JUVllbXWBiZGdpa25wcnV3eXx+gIOFh4qMjpGTlZianJ+ho6aoqq2vsbS2\
+        uLu9v8LExgEDBQgKDA8RExYYGh0fISQmKCstLzI0Njk7PUBCREdJS05QUlVXWVxeYGNlZ2psbnFzdXh6fH+Bg4aIio2PkZSWmJud\
+        n6KkpqmrrbCytLe5u77AwsXHAQQGCAsNDxIUFhkbHSAiJCcpKy4wMjU3OTw+QENFR0pMTlFTVVhaXF9hY2Zoam1vcXR2eHt9f4KE\
+        homLjZCSlJeZm56goqWnqayusLO1t7q8vsHDxVgC/3lQeXx+gIMOAAAAHwABAP///9JQAAAAAAA=",
+    ),
+    (
+        "lz4, shuffle 2",
+        "AgEkAtAHAADQBwAAegEAABQAAABQAQAAPziO4wMAZz9qpVYDAGc/TDabAwBnYHA4HI/H4wYAFAcJADLH44ASAAAGABDgGwAACQAl\
+        HA8qACPHAzMAQcfjcMA8AAEhAAUqAA9LABa1gD/gD/gDf8Af8AcJACP8ABIAQfyAPwAbABD8JwAAJAABCQAl+AMJACN/ABIAMH/A\
+        HyQAAQkAD0sAFvQHAMD/DwD8fwDg/wcA8P8DgP8fAPj/ABIAM/8/ABIAACcAACQAIP8/JwAAJAAAEgAz/H8AEgAAJwADEgAAJwAP\
+        SwAU8SAAAPD//38AAAA4AAAA/P//HwAAAA8AAID///8HAADAAwAA4P///wAAAHAAAAD4/zIAcBwAAAD///8nAAAkADD///8nAA9L\
+        ACISAGsAAFYAEgBrABEPCgAAawAAVgAAAgAS/6EAEgBrAAChAAJrAAChAAACABL8oQAPSwAXUAAAAADADgAAAB8AAQD////SUAAA\
+        AAAA",
+    ),
+    (
+        "zlib, shuffle 1",
+        "AgFhAtAHAADQBwAAqQIAABQAAAB8AgAAeNpjYGJh5+TmExASFZeUkVNQVlXX0tEzNDa1sLKxd3R28/Dy9Q8MCYuIjo1PSknLzM4t\
+        KCopr6yua2hqbe/s6Zsweer0WXPmLVy8dMWqNes3bt62Y9fe/QePHGNgZmXn4uETFBaVkJKRV1RW09DS1Tc0MbOwtrV3cnHz9PYN\
+        CAoJj4yOS0hKTc/MySsoLi2vqqlrbG7t6Orpnzh52oxZc+cvXLJsxeq16zdt2bZz994Dh44cZ2Rm4+Di5RcUEZOQlpVXUlHT1NY1\
+        MDIxt7S2c3Bydff08QsIDg2PiolLTE7NyMrJLywuq6iqrW9saevo7u2fNGXazNlzFyxasnzl6nUbNm3dvnPPvgOHjx5nYmHj5OYV\
+        EBIRl5SWU1BSVdfU0TMwNjW3srFzdHb18PLxDwwOi4iKjU9MScvIzs0vKimrrK5taGpp7+zumzBp6vSZc+YtWLx0+ao16zZu3rpj\
+        1579Bw8fY2BiZefk4RMQFhWXkpFTVFbV0NLRNzQ2s7CytXd0cfPw9vUPCgmLjI5NSEpJz8zOKygqLa+sqWtobm3v6umbOHnqjFlz\
+        5i9cvGzFqrXrN27ZtmP33v2HjhxjZGbl4OLhFxQWk5CSlVdUUdPQ1tU3MjGztLZ1cHJx9/T2CwgKDY+MiUtITk3PyskrLC6tqKqp\
+        b2xu6+jq7Z84ZdqM2XPnL1qybOXqtRs2bdm+c/e+A4eOHmdkYePg5uUXEhGTlJZVUFJR19TWMzAyNbe0sXNwdnX38vELDA6NiIqJ\
+        T0xOy8jKzS8sKauorq1vamnr7O6dMGnK9Jmz5y1YtHT5yjXrNmzeun3Xnn0HDx9lGE1XgypdAQDWgH0vEQAAAHjaY2AYBaNgFAx3\
+        AAAD6AAB",
+    ),
+    (
+        "zlib, shuffle 2",
+        "AgFkAtAHAADQBwAA+wAAABQAAADOAAAAeNrFjbGtwzAMRA9Q4VILGPAWH+q8QOoMkUobyBMkA6TOHuq8hgAv4FKFAIb6lNgrjQHR\
+        eDg+H93zcJe9x+d+3bv9va973s2v/ajfqcN+bB28SypYNXejpo9qzuNV25psNiEu56RQ0GFb0SFZhWwUAoo2jFchkkUJSDThJLPR\
+        gkzoCa1oSdVawlpPWGtJ1carwCJxBxxPId4DFiwS7xENWCTugOfJ9P/HzMNh1arDWLWfqiD7hklaIfvaCjkVhOqpRfCUVsgpGq/6\
+        AkU5uCcRAAAAeNpjYBgFo2AUDHcAAAPoAAE=",
+    ),
+    (
+        "zstd, shuffle 1",
+        "AgGRAtAHAADQBwAAiQIAABQAAABxAgAAKLUv/WDQBj0TAKQlAAIEBwkLDhASFRcZHB4gIyUnKiwuMTM1ODo8P0FDRkhKTU9RVFZY\
+        W11fYmRmaWttcHJ0d3l7foCChYeJjI6Qk5WXmpyeoaOlqKqsr7Gztri6vb/BxMYAAwUHCgwOERMVGBocHyEjJigqLS8xNDY4Oz0/\
+        QkRGSUtNUFJUV1lbXmBiZWdpbG5wc3V3enx+gYOFiIqMj5GTlpianZ+hpKaoq62vsrS2ubu9wMLExwEDBggKDQ8RFBYYGx0fIiQm\
+        KSstMDI0Nzk7PkBCRUdJTE5QU1VXWlxeYWNlaGpsb3Fzdnh6fX+BhIaIi42PkpSWmZudoKKkp6mrrrCytbe5vL7Aw8XHAgQGCQsN\
+        EBIUFxkbHiAiJScpLC4wMzU3Ojw+QUNFSEpMT1FTVlhaXV9hZGZoa21vcnR2eXt9gIKEh4mLjpCSlZeZnJ6go6WnqqyusbO1uLq8\
+        v8HDxgACBQcJDA4QExUXGhweISMlKCosLzEzNjg6PT9BREZIS01PUlRWWVtdYGJkZ2lrbnBydXd5fH6Ag4WHioyOkZOVmJqcn6Gj\
+        pqiqra+xtLa4u72/wsTGAQMFCAoMDxETFhgaHR8hJCYoKy0vMjQ2OTs9QEJER0lLTlBSVVdZXF5gY2VnamxucXN1eHp8f4GDhoiK\
+        jY+RlJaYm52foqSmqautsLK0t7m7vsDCxccBBAYICw0PEhQWGRsdICIkJykrLjAyNTc5PD5AQ0VHSkxOUVNVWFpcX2FjZmhqbW9x\
+        dHZ4e31/goSGiYuNkJKUl5mbnqCipaeprK6ws7W3ury+wcPFAAACAOPdCsPSuEUVaQ==",
+    ),
+    (
+        "zstd, shuffle 2",
+        "AgGUAtAHAADQBwAA4AAAABQAAADIAAAAKLUv/WDQBvUFANLKGxuwN2PAxqB6AXhykBXAwRcSVIhlJQUWcfVQPgX3m/C4st99tm1v\
+        2J+2P/CrFv7F39Z9tjdt2Z8ftfFP/2rfo7JXzL7TtuqFo7Ls29S94qdt1F4Jj1uxo3morYTHKba0I9NxzCzKAaQCCYQhIRYjBSig\
+        oUzuhS2znnUDUEmUDuSJ6k5ijB6DHHYzZMeHAIYAohVdEU7BmfvjU3BP9WWiiYvKCEwWrcjOeFGxKpI6A4YYEBMz4E53T/o1jWQ=",
+    ),
+];
+
+#[test]
+fn blosc_data_of_the_reference() {
+    use base64::Engine;
+    let expected: Vec<u8> = (0..1000u16).flat_map(|i| (7 * i / 3 % 200).to_le_bytes()).collect();
+    for (name, text) in BLOSC {
+        let data = base64::engine::general_purpose::STANDARD.decode(text).unwrap();
+        let mut out = vec![];
+        blosc::decode(&data, 2000, &mut out).unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert!(out == expected, "{name}");
+        assert!(blosc::decode(&data, 1999, &mut out).is_err(), "a claim beyond the limit");
+        for cut in 0..data.len() {
+            assert!(blosc::decode(&data[..cut], 2000, &mut out).is_err(), "{name} cut to {cut}");
+        }
+        for (at, flip) in (0..data.len()).flat_map(|at| [(at, 1u8), (at, 0x10), (at, 0xff)]) {
+            let mut damaged = data.clone();
+            damaged[at] ^= flip;
+            // Not every damage can be seen; none may panic.
+            let _ = blosc::decode(&damaged, 2000, &mut out);
+        }
+    }
+}
+
+#[test]
+fn a_real_image() {
+    let Some(root) = std::env::var_os("ISOSPAN_SHARED_DATA").map(PathBuf::from) else {
+        eprintln!("skipped: ISOSPAN_SHARED_DATA is not set");
+        return;
+    };
+    let path = root.join("volumes/mni152_f64.ome.zarr");
+    for (path, field) in [(path.clone(), Some("scale2")), (path.join("scale2"), None)] {
+        let (info, values) = read(&path, field).unwrap();
+        assert_eq!((info.dims, info.field.scalar), ([51, 64, 53], ScalarType::F64));
+        assert_eq!(info.geometry.spacing, [2.949852466583252; 3]);
+        assert_eq!(info.geometry.origin, [-74.65634042024612, -109.65634042024612, -70.65634042024612]);
+        let (lo, hi) = values.iter().fold((f32::MAX, f32::MIN), |(lo, hi), &v| (lo.min(v), hi.max(v)));
+        assert!(lo == 0.0 && (hi - 84.6333).abs() < 1e-3, "{lo} {hi}");
+    }
+    let (info, values) = read(&path, None).unwrap();
+    assert_eq!(
+        (info.dims, values.iter().all(|&v| v == 0.0)),
+        ([207, 256, 215], true),
+        "no chunks: the fill value"
+    );
+}
+
+#[test]
+fn an_empty_group_has_no_field() {
+    let dir = tempfile::tempdir().unwrap();
+    put(dir.path(), ".zgroup", &json!({ "zarr_format": 2 }));
+    assert!(refusal(dir.path()).contains("no field"));
+    put(&dir.path().join("a"), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
+    put(&dir.path().join("b"), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
+    let error = read(dir.path(), None).unwrap_err().to_string();
+    assert!(error.contains("a (u16), b (u16)"), "{error}");
+}
