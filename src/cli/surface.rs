@@ -22,6 +22,9 @@ pub(crate) struct Args {
     /// Threads; 0 means as many as the process may use.
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
+    /// Memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use].
+    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    memory: Option<u64>,
     /// Folder for what does not fit in memory [default: the output's folder].
     #[arg(long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
@@ -38,6 +41,7 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<()> {
     let settings = SurfaceSettings {
         isovalue: args.isovalue,
         threads: args.threads,
+        memory: args.memory.unwrap_or_else(|| isospan::exec::usable_memory() / 2),
         scratch: args.scratch.clone(),
         cancel: super::signals::cancel_token(),
     };

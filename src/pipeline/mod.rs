@@ -9,6 +9,7 @@
 
 mod chunk;
 mod fingerprint;
+mod horizon;
 mod layout;
 mod need;
 mod open;

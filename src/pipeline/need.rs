@@ -36,8 +36,8 @@ const WAITING: u64 = 3;
 /// Tetrahedra a point, bytes of an index entry while the index is built.
 const TETS_PER_POINT: u64 = 7;
 const INDEX_ENTRY: u64 = 40;
-/// Bytes of an archive for a point: 6.7 tetrahedra, a value, its share of tables.
-const ARCHIVE_PER_POINT: u64 = 12;
+/// Bytes of an archive for a point: 6.7 tetrahedra at 5 bits, a value, its share of tables.
+const ARCHIVE_PER_POINT: u64 = 10;
 /// Points a second of one thread, meshed and encoded, on a machine of 2020: rough.
 const POINTS_PER_SECOND: f64 = 150_000.0;
 /// Chunks looked at to find the largest.
@@ -231,6 +231,52 @@ impl Estimate {
         enough(place(&self.archive), self.archive_bytes, self.archive_free)?;
         enough(place(&self.scratch), self.scratch_bytes, self.scratch_free)
     }
+}
+
+/// Bytes while a shared edge is open: its record, its place in the table, and what closing it takes.
+const OPEN_EDGE: u64 = 170;
+/// Bytes for a vertex of a chunk that is being extracted, for one of its tetrahedra, and whatever their number.
+const DECODED_VERTEX: u64 = 64;
+const DECODED_TET: u64 = 110;
+const DECODED_CHUNK: u64 = 1 << 20;
+/// Bytes of an active block while it is known.
+const ACTIVE_BLOCK: u64 = 64;
+
+/// The memory of an extraction, as it is shared out: finished vertices and triangles (the rest goes to the scratch
+/// folder), edges that chunks to come may share, chunks being extracted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct SurfaceShares {
+    pub(crate) finished: u64,
+    pub(crate) open_edges: u64,
+    pub(crate) batch: u64,
+    rest: u64,
+}
+
+impl SurfaceShares {
+    /// # Errors
+    /// [`Error::Budget`] when the memory does not hold the largest chunk.
+    pub(crate) fn of(memory: u64, active_blocks: u64, largest_chunk: u64) -> Result<Self> {
+        let fixed = BASE + active_blocks * ACTIVE_BLOCK;
+        let needed = fixed.saturating_add(largest_chunk.saturating_mul(4).div_ceil(3));
+        if memory < needed {
+            return Err(Error::Budget { what: "memory".into(), needed, available: memory });
+        }
+        let rest = memory - fixed;
+        Ok(Self { finished: rest / 8, open_edges: rest / 8 / OPEN_EDGE, batch: rest / 4 * 3, rest })
+    }
+
+    /// The error for more open edges than there is memory for.
+    pub(crate) fn too_many_open(&self, memory: u64, open: u64) -> Error {
+        let needed = memory - self.rest + 8 * open.saturating_mul(OPEN_EDGE);
+        Error::Budget { what: "memory (for edges that chunks share)".into(), needed, available: memory }
+    }
+}
+
+/// Bytes in which a chunk of so many vertices is decoded and extracted.
+pub(crate) fn extraction_bytes(vertices: u64, tets: u64) -> u64 {
+    DECODED_CHUNK
+        .saturating_add(vertices.saturating_mul(DECODED_VERTEX))
+        .saturating_add(tets.saturating_mul(DECODED_TET))
 }
 
 /// Bytes free for us on the file system of a path, or of the nearest folder above it that is there.

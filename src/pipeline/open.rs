@@ -17,6 +17,7 @@ use crate::points::PointSet;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Whether `path` is an archive: a folder with a manifest.
@@ -101,6 +102,12 @@ pub(super) struct OpenSegment {
     pub(super) values: ChunkSegment,
 }
 
+impl OpenSegment {
+    fn bytes_read(&self) -> u64 {
+        self.mesh.segment().bytes_read() + self.values.segment().bytes_read()
+    }
+}
+
 /// An archive opened for reading.
 pub(super) struct OpenArchive {
     pub(super) manifest: Manifest,
@@ -108,6 +115,8 @@ pub(super) struct OpenArchive {
     pub(super) chunks: ChunkGrid,
     pub(super) layout: Layout,
     segments: Mutex<BTreeMap<u64, Arc<OpenSegment>>>,
+    /// Bytes read from segments that are closed again.
+    read_before: AtomicU64,
 }
 
 impl OpenArchive {
@@ -149,7 +158,14 @@ impl OpenArchive {
                 return bad("segments", expected, format!("{} segments, or cut otherwise", records.len()));
             }
         }
-        Ok(Self { manifest, points, chunks, layout, segments: Mutex::default() })
+        Ok(Self {
+            manifest,
+            points,
+            chunks,
+            layout,
+            segments: Mutex::default(),
+            read_before: AtomicU64::new(0),
+        })
     }
 
     pub(super) fn step(&self) -> &Step {
@@ -201,7 +217,7 @@ impl OpenArchive {
         }
     }
 
-    fn segment_of(&self, chunk: ChunkId) -> Result<Arc<OpenSegment>> {
+    pub(super) fn segment_of(&self, chunk: ChunkId) -> Result<Arc<OpenSegment>> {
         let number = Manifest::segment_of(&self.manifest.mesh, chunk.0);
         self.segment(number.expect("the segments of a checked manifest cover all chunks") as u64)
     }
@@ -209,7 +225,17 @@ impl OpenArchive {
     /// Bytes read so far from all segments.
     pub(super) fn bytes_read(&self) -> u64 {
         let open = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
-        open.values().map(|s| s.mesh.segment().bytes_read() + s.values.segment().bytes_read()).sum()
+        self.read_before.load(Ordering::Relaxed) + open.values().map(|s| s.bytes_read()).sum::<u64>()
+    }
+
+    /// Closes the segments before that of a chunk: their files, and the pages of their directories that are kept.
+    pub(super) fn close_before(&self, chunk: ChunkId) {
+        let Some(number) = Manifest::segment_of(&self.manifest.mesh, chunk.0) else { return };
+        let mut open = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
+        let later = open.split_off(&(number as u64));
+        let closed = std::mem::replace(&mut *open, later);
+        let read = closed.values().map(|s| s.bytes_read()).sum::<u64>();
+        self.read_before.fetch_add(read, Ordering::Relaxed);
     }
 }
 

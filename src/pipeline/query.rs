@@ -1,5 +1,7 @@
 //! Questions to an archive: the index names the blocks that can hold an answer; those are read, and no others.
 
+use super::horizon::Horizon;
+use super::need::{self, SurfaceShares};
 use super::open::{DecodedChunk, OpenArchive};
 use super::reduce::folder_bytes;
 use crate::archive::manifest::MANIFEST_NAME;
@@ -10,7 +12,7 @@ use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::mesh::tet::{is_active, range};
 use crate::surface::marching_tets::{CellSource, ChunkSurface, extract};
-use crate::surface::weld::{BuilderSettings, SurfaceBuilder};
+use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use crate::surface::{SurfaceSource, WorldMap};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -18,16 +20,30 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// How a surface is extracted.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct SurfaceSettings {
     /// The isovalue: a value `>=` it is inside.
     pub isovalue: f32,
     /// Threads; 0 means as many as the process may use.
     pub threads: usize,
+    /// Bytes for everything that grows with the surface.
+    pub memory: u64,
     /// Folder for what does not fit in memory; the output's folder if not given.
     pub scratch: Option<PathBuf>,
     /// Stops the extraction; nothing is written then.
     pub cancel: CancelToken,
+}
+
+impl Default for SurfaceSettings {
+    fn default() -> Self {
+        Self {
+            isovalue: 0.0,
+            threads: 0,
+            memory: crate::exec::usable_memory() / 2,
+            scratch: None,
+            cancel: CancelToken::new(),
+        }
+    }
 }
 
 /// What a surface extraction found and read.
@@ -124,10 +140,12 @@ fn active_tets(chunk: &DecodedChunk, isovalue: f32) -> u64 {
 /// Extracts an isosurface to a file.
 ///
 /// Chunks are decoded and extracted in parallel, a batch at a time, and welded in chunk order: the file's bytes do not
-/// depend on the number of threads. An isovalue outside the values' range gives an empty, valid file.
+/// depend on the number of threads, nor on memory. Vertices and triangles that memory does not hold wait in the scratch
+/// folder. An isovalue outside the values' range gives an empty, valid file.
 ///
 /// # Errors
-/// [`Error::BadInput`] for a damaged archive; those of writing the file, of which nothing is left then.
+/// [`Error::BadInput`] for a damaged archive; [`Error::Budget`] when the memory does not suffice; those of writing the
+/// file, of which nothing is left then.
 pub fn extract_surface(
     path: &Path,
     settings: &SurfaceSettings,
@@ -145,29 +163,8 @@ pub fn extract_surface(
 
     let start = Instant::now();
     let world = WorldMap::new(&archive.manifest.plan.lattice, &archive.step().plan.source.geometry);
-    let scratch = settings.scratch.clone().unwrap_or_else(|| parent_of(out));
-    let mut builder = SurfaceBuilder::new(&world, &BuilderSettings { scratch, ..BuilderSettings::default() });
     let work = by_chunk(&refs);
-    let pool = pool(settings.threads)?;
-    progress.begin("surface", refs.len() as u64, "blocks");
-    let mut active_tetrahedra = 0;
-    for batch in work.chunks(2 * pool.current_num_threads()) {
-        settings.cancel.check()?;
-        let surfaces = pool.install(|| {
-            batch
-                .par_iter()
-                .map(|(chunk, blocks)| chunk_surface(&archive, *chunk, blocks, isovalue, &world))
-                .collect()
-        });
-        let surfaces: Vec<Result<ChunkSurface>> = surfaces;
-        for (surface, (_, blocks)) in surfaces.into_iter().zip(batch) {
-            let surface = surface?;
-            active_tetrahedra += surface.active_cells();
-            builder.push(&surface)?;
-            progress.advance(blocks.len() as u64);
-        }
-    }
-    let surface = builder.finish()?;
+    let (surface, active_tetrahedra) = welded(&archive, &work, settings, &world, parent_of(out), progress)?;
     let extracted = start.elapsed();
 
     let start = Instant::now();
@@ -200,6 +197,112 @@ pub fn extract_surface(
             .map(|(name, time)| (name.to_owned(), time.as_secs_f64()))
             .to_vec(),
     })
+}
+
+/// Extracts the active blocks of all chunks and joins the surfaces; also tells the number of active tetrahedra.
+fn welded(
+    archive: &OpenArchive,
+    work: &[(ChunkId, Vec<u32>)],
+    settings: &SurfaceSettings,
+    world: &WorldMap,
+    out_folder: PathBuf,
+    progress: &dyn Progress,
+) -> Result<(StoredSurface, u64)> {
+    let active_blocks = work.iter().map(|w| w.1.len() as u64).sum::<u64>();
+    let bytes_of = |(chunk, blocks): &(ChunkId, Vec<u32>)| extraction_need(archive, *chunk, blocks.len());
+    let largest = work.iter().map(bytes_of).max().unwrap_or(0);
+    let shares = SurfaceShares::of(settings.memory, active_blocks, largest)?;
+    let scratch = settings.scratch.clone().unwrap_or(out_folder);
+    let memory_bytes = usize::try_from(shares.finished).unwrap_or(usize::MAX);
+    let mut builder = SurfaceBuilder::new(world, &BuilderSettings { scratch, memory_bytes });
+    let mut closing = Closing::new(archive, work, shares);
+    let pool = pool(settings.threads)?;
+    progress.begin("surface", active_blocks, "blocks");
+    let (mut active_tetrahedra, mut done) = (0, 0);
+    while done < work.len() {
+        settings.cancel.check()?;
+        let batch = &work
+            [done..done + batch_len(&work[done..], shares.batch, 2 * pool.current_num_threads(), bytes_of)];
+        let surfaces: Vec<Result<ChunkSurface>> = pool.install(|| {
+            let surface = |(chunk, blocks): &(ChunkId, Vec<u32>)| {
+                chunk_surface(archive, *chunk, blocks, settings.isovalue, world)
+            };
+            batch.par_iter().map(surface).collect()
+        });
+        for (surface, (_, blocks)) in surfaces.into_iter().zip(batch) {
+            let surface = surface?;
+            active_tetrahedra += surface.active_cells();
+            builder.push(&surface)?;
+            done += 1;
+            closing.after(&mut builder, done, settings.memory)?;
+            progress.advance(blocks.len() as u64);
+        }
+        if let Some((next, _)) = work.get(done) {
+            archive.close_before(*next);
+        }
+    }
+    Ok((builder.finish()?, active_tetrahedra))
+}
+
+/// Bytes in which some blocks of a chunk are extracted: from the plan's target and the point set, without reading.
+fn extraction_need(archive: &OpenArchive, chunk: ChunkId, blocks: usize) -> u64 {
+    let core = &archive.chunks.chunk(chunk).core;
+    // The halo points that tetrahedra use lie within about one spacing.
+    let near = core.grow_within(archive.points.mean_spacing(), &archive.chunks.bricks().lattice.domain());
+    let tets = blocks as u64 * u64::from(archive.manifest.plan.block_tets);
+    need::extraction_bytes(archive.points.count_in(&near), tets)
+}
+
+/// How many of the next chunks are extracted side by side: at least one.
+fn batch_len<T>(next: &[T], room: u64, most: usize, bytes_of: impl Fn(&T) -> u64) -> usize {
+    let mut sum = 0u64;
+    let fit = next.iter().take(most).take_while(|chunk| {
+        sum = sum.saturating_add(bytes_of(chunk));
+        sum <= room
+    });
+    fit.count().max(1)
+}
+
+/// Closes shared edges when they have become many.
+struct Closing<'a> {
+    archive: &'a OpenArchive,
+    work: &'a [(ChunkId, Vec<u32>)],
+    /// Made when first needed: most surfaces fit in memory.
+    horizon: Option<Horizon>,
+    shares: SurfaceShares,
+    /// Open edges at which it is worth looking.
+    look_at: u64,
+    least: u64,
+}
+
+impl<'a> Closing<'a> {
+    fn new(archive: &'a OpenArchive, work: &'a [(ChunkId, Vec<u32>)], shares: SurfaceShares) -> Self {
+        // Looking at all of them whenever they have doubled costs a constant number of looks an edge.
+        let least = shares.open_edges / 64 + 1;
+        Self { archive, work, horizon: None, shares, look_at: least, least }
+    }
+
+    fn after(&mut self, builder: &mut SurfaceBuilder, done: usize, memory: u64) -> Result<()> {
+        if (builder.open_edges() as u64) < self.look_at {
+            return Ok(());
+        }
+        let horizon = match self.horizon.take() {
+            Some(horizon) => horizon,
+            None => Horizon::new(self.archive, self.work.iter().map(|w| w.0))?,
+        };
+        let beyond = self.horizon.insert(horizon).after(done);
+        let place = |id| self.archive.points.position(id);
+        builder.keep_open(|a, b| match (place(a), place(b)) {
+            (Some(a), Some(b)) => beyond.can_have(a, b),
+            _ => true,
+        })?;
+        let open = builder.open_edges() as u64;
+        if open > self.shares.open_edges {
+            return Err(self.shares.too_many_open(memory, open));
+        }
+        self.look_at = (2 * open).clamp(self.least, self.shares.open_edges + 1);
+        Ok(())
+    }
 }
 
 fn chunk_surface(
