@@ -101,8 +101,58 @@ impl Rooms {
 }
 
 /// Makes all segments that are not there yet. Returns the time spent in each stage.
+///
+/// Chunks flow through the queues without regard to segments; only the writer changes files between two of them. So no
+/// thread waits at the end of a segment.
 pub(crate) fn make_segments(work: &Work<'_>) -> Result<StageTimes> {
-    let mut times = StageTimes::default();
+    let (to_pool, tasks) = channel::unbounded::<(u64, Chunk, Permit)>();
+    let (to_writer, products) = channel::unbounded::<(u64, u64, Result<Product>, Permit)>();
+    let (to_sinks, sinks) = channel::unbounded::<(Sink, u64)>();
+    let budget = MemoryBudget::new(work.shares.queue);
+    let stop = &CancelToken::new();
+    std::thread::scope(|threads| {
+        // Feeder: the queues need no bound of their own, every chunk in them holds a permit of the budget.
+        let feeder = threads.spawn(|| {
+            let (to_pool, to_sinks) = (to_pool, to_sinks);
+            feed(work, &budget, stop, &to_pool, &to_sinks)
+        });
+        // Dispatcher: hands tasks to the pool; never more at a time than the pool has threads, so that a mesher's memory
+        // belongs to a thread at work.
+        let dispatcher = threads.spawn(move || {
+            work.pool.in_place_scope(|scope| {
+                for (number, chunk, permit) in tasks {
+                    let to_writer = to_writer.clone();
+                    scope.spawn(move |_| {
+                        let product = match stop.check().and_then(|()| work.cancel.check()) {
+                            Ok(()) => guarded(work, &chunk),
+                            Err(e) => Err(e),
+                        };
+                        // The writer is gone only after an error that it already has.
+                        let _ = to_writer.send((number, chunk.id.0, product, permit));
+                    });
+                }
+            });
+        });
+        let written = write_in_order(work, &sinks, products);
+        if written.is_err() {
+            stop.cancel();
+        }
+        let fed = feeder.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        dispatcher.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        // An error of the feeder cuts the products short, and is the reason that the writer has too few of them.
+        fed.and(written)
+    })
+}
+
+/// Opens the files of each segment that is not there yet, and sends its missing chunks to the pool, numbered without gaps.
+fn feed(
+    work: &Work<'_>,
+    budget: &MemoryBudget,
+    stop: &CancelToken,
+    to_pool: &channel::Sender<(u64, Chunk, Permit)>,
+    to_sinks: &channel::Sender<(Sink, u64)>,
+) -> Result<()> {
+    let mut number = 0;
     for segment in 0..work.layout.segment_count() {
         work.cancel.check()?;
         let chunks = work.layout.chunks_of(segment);
@@ -110,9 +160,27 @@ pub(crate) fn make_segments(work: &Work<'_>) -> Result<StageTimes> {
             work.progress.advance(points_in(work, &chunks));
             continue;
         }
-        times.add(&make_segment(work, segment, chunks)?);
+        let (sink, done) = Sink::resume(work, segment, &chunks)?;
+        let first = chunks.start + done;
+        work.progress.advance(points_in(work, &(chunks.start..first)));
+        if to_sinks.send((sink, chunks.end - first)).is_err() {
+            return Ok(());
+        }
+        for id in first..chunks.end {
+            let chunk = work.chunks.chunk(ChunkId(id));
+            let bytes = need::product_bytes(work.recipe.points.count_in(&chunk.core));
+            let permit = budget.acquire(bytes.min(budget.total()), work.cancel)?;
+            if stop.is_cancelled() {
+                return Ok(());
+            }
+            work.reader.will_need(chunk::voxels_of(work.recipe, &chunk));
+            if to_pool.send((number, chunk, permit)).is_err() {
+                return Ok(());
+            }
+            number += 1;
+        }
     }
-    Ok(times)
+    Ok(())
 }
 
 fn points_in(work: &Work<'_>, chunks: &Range<u64>) -> u64 {
@@ -175,84 +243,53 @@ impl Part {
     }
 }
 
-fn make_segment(work: &Work<'_>, segment: u64, chunks: Range<u64>) -> Result<StageTimes> {
-    let (mut sink, done) = Sink::resume(work, segment, &chunks)?;
-    work.progress.advance(points_in(work, &(chunks.start..chunks.start + done)));
-    let chunks = chunks.start + done..chunks.end;
-    let (to_pool, tasks) = channel::unbounded::<(Chunk, Permit)>();
-    let (to_writer, products) = channel::unbounded::<(u64, Result<Product>, Permit)>();
-    let budget = MemoryBudget::new(work.shares.queue);
-    let stop = CancelToken::new();
-    let outcome = std::thread::scope(|threads| {
-        // Feeder: the queues need no bound of their own, every entry holds a permit of the budget.
-        let feeder = threads.spawn(|| {
-            for id in chunks.clone() {
-                if stop.is_cancelled() {
-                    break;
-                }
-                let chunk = work.chunks.chunk(ChunkId(id));
-                let bytes = need::product_bytes(work.recipe.points.count_in(&chunk.core));
-                let permit = budget.acquire(bytes.min(budget.total()), work.cancel)?;
-                work.reader.will_need(chunk::voxels_of(work.recipe, &chunk));
-                if to_pool.send((chunk, permit)).is_err() {
-                    break;
-                }
-            }
-            drop(to_pool);
-            Ok(())
-        });
-        // Dispatcher: hands tasks to the pool; never more at a time than the pool has threads, so that a mesher's memory
-        // belongs to a thread at work.
-        let stop = &stop;
-        let dispatcher = threads.spawn(move || {
-            work.pool.in_place_scope(|scope| {
-                for (chunk, permit) in tasks {
-                    let to_writer = to_writer.clone();
-                    scope.spawn(move |_| {
-                        let id = chunk.id.0;
-                        let product = match stop.check().and_then(|()| work.cancel.check()) {
-                            Ok(()) => guarded(work, &chunk),
-                            Err(e) => Err(e),
-                        };
-                        // The writer is gone only after an error that it already has.
-                        let _ = to_writer.send((id, product, permit));
-                    });
-                }
-            });
-        });
-        let written = write_in_order(work, &mut sink, products, chunks.start);
-        if written.is_err() {
-            stop.cancel();
-        }
-        let fed = feeder.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-        dispatcher.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-        written.and(fed)
-    });
-    outcome?;
-    sink.finish()
-}
-
-/// Receives products, puts them in order and writes them. The first error in chunk order wins.
+/// Receives products, puts them in order and writes them, segment by segment. The first error in chunk order wins.
 fn write_in_order(
     work: &Work<'_>,
-    sink: &mut Sink,
-    products: channel::Receiver<(u64, Result<Product>, Permit)>,
-    first: u64,
-) -> Result<()> {
-    let (mut order, mut behind) = (Reorder::new(first), Behind { released: 0 });
-    let mut next = first;
-    for (id, product, permit) in products {
-        order.push(id, (product, permit));
-        while let Some((product, permit)) = order.pop() {
+    sinks: &channel::Receiver<(Sink, u64)>,
+    products: channel::Receiver<(u64, u64, Result<Product>, Permit)>,
+) -> Result<StageTimes> {
+    let (mut order, mut behind, mut times) = (Reorder::new(0), Behind { released: 0 }, StageTimes::default());
+    let mut open: Option<(Sink, u64)> = None;
+    for (number, chunk, product, permit) in products {
+        order.push(number, (chunk, product, permit));
+        while let Some((chunk, product, permit)) = order.pop() {
             let product = product?;
+            let (mut sink, missing) = match open.take() {
+                Some(open) => open,
+                None => {
+                    next_sink(sinks, &mut times)?.expect("a segment is opened before its chunks are sent")
+                }
+            };
             sink.write(&product)?;
             work.progress.advance(product.points);
             drop(permit);
-            behind.pass(work, next);
-            next += 1;
+            behind.pass(work, chunk);
+            if missing == 1 {
+                times.add(&sink.finish()?);
+            } else {
+                open = Some((sink, missing - 1));
+            }
         }
     }
-    work.cancel.check()
+    work.cancel.check()?;
+    if open.is_none() {
+        // Segments whose chunks were all there, but not under their names yet. Where one comes that misses chunks, the
+        // feeder has stopped, and says why.
+        next_sink(sinks, &mut times)?;
+    }
+    Ok(times)
+}
+
+/// The next segment with missing chunks; those without are finished.
+fn next_sink(sinks: &channel::Receiver<(Sink, u64)>, times: &mut StageTimes) -> Result<Option<(Sink, u64)>> {
+    while let Ok((sink, missing)) = sinks.recv() {
+        if missing > 0 {
+            return Ok(Some((sink, missing)));
+        }
+        times.add(&sink.finish()?);
+    }
+    Ok(None)
 }
 
 /// A panic in a chunk is a bug; it must end the run with a message, not leave it waiting.
