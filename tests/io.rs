@@ -85,3 +85,38 @@ fn an_input_that_shrinks_is_an_error_that_names_it() {
     }
     assert!(failed >= 3, "{failed} of 10 runs met the cut");
 }
+
+#[test]
+fn progress_comes_in_the_form_asked_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("w.npy"), [40, 30, 20], waves);
+    let reduce =
+        |extra: &[&str]| ok(d, &[&["reduce", "w.npy", "-o", "w.isospan", "--force"], extra].concat());
+    // JSON alone on standard error, the counts of each stage complete.
+    let (_, err) = reduce(&["--progress", "json", "-v"]);
+    let lines: Vec<serde_json::Value> = err.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    let events = |name: &str| lines.iter().filter(|l| l["event"] == name).collect::<Vec<_>>();
+    assert_eq!((events("begin").len(), events("end").len()), (1, 1), "{err}");
+    assert!(
+        events("end").iter().all(|e| e["done"] == e["total"] && e["done"].as_u64().unwrap() > 0),
+        "{err}"
+    );
+    assert_eq!(events("begin")[0]["stage"], "reduce");
+    assert!(events("note").iter().any(|n| n["text"].as_str().unwrap().contains("I/O: mapped")), "{err}");
+    // A short run has no lines of progress; -v tells of memory, I/O and stages, -q of nothing.
+    let (_, err) = reduce(&["--progress", "plain", "-v", "--io", "read", "--threads", "2"]);
+    for word in ["memory", "2 threads", "I/O: read", "mesh:", "commit:", "halos"] {
+        assert!(err.contains(word), "{word}: {err}");
+    }
+    assert!(err.lines().all(|l| l.starts_with("isospan: ")), "{err}");
+    for form in ["auto", "bar", "plain", "json", "none"] {
+        assert_eq!(reduce(&["--progress", form, "-q"]).1, "", "{form}");
+    }
+    assert_eq!(reduce(&["--progress", "none", "--memory", "1GiB"]).1, "");
+    let (_, err) = ok(d, &["surface", "w.isospan", "-i", "0.1", "-o", "s.ply", "-v"]);
+    assert!(err.contains("extract:"), "{err}");
+    let (_, err) = ok(d, &["brick", "w.npy", "-o", "w.bricks", "--progress", "json"]);
+    assert!(err.lines().last().unwrap().contains("\"end\""), "{err}");
+    assert_eq!(isospan(d, &["info", "w.npy", "-q", "-v"]).status.code(), Some(2));
+}

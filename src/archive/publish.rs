@@ -33,7 +33,8 @@ pub const TEMPORARY_MARK: &str = ".tmp-";
 
 const BUFFER_BYTES: usize = 1 << 18;
 
-fn host() -> String {
+/// This host, in letters that may be part of a file name.
+pub(crate) fn host() -> String {
     #[cfg(unix)]
     let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
     #[cfg(not(unix))]

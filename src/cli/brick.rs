@@ -1,7 +1,8 @@
 //! `isospan brick`: a bricked, mapped copy of a volume.
 
 use super::input::InputArgs;
-use super::{progress, text};
+use super::progress::Talk;
+use super::text;
 use isospan::volume::bricked::BrickedVolume;
 use isospan::{Error, Result, formats};
 use std::path::PathBuf;
@@ -27,13 +28,14 @@ pub(crate) struct Args {
     read: InputArgs,
 }
 
-pub(crate) fn run(args: &Args, quiet: bool) -> Result<()> {
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if args.output.exists() && !args.force {
         let text = format!("{} exists; choose another name, or --force to replace it", args.output.display());
         return Err(Error::usage(text));
     }
     let source = formats::open_volume(&args.input, &args.read.options()?)?;
-    let bar = progress::for_stderr(quiet);
+    talk.detail(&args.read.io_text(&args.input));
+    let bar = talk.progress();
     isospan::pipeline::brick(source, &args.output, args.memory, &super::signals::cancel_token(), &*bar)?;
     bar.end();
     let bricks = BrickedVolume::open(&args.output)?;

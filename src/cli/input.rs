@@ -2,10 +2,11 @@
 
 use super::text::parse_triple;
 use clap::ValueEnum;
-use isospan::bytes::IoMode;
+use isospan::bytes::{ByteSource, IoMode};
 use isospan::formats::{OpenOptions, raw::RawLayout};
 use isospan::volume::ScalarType;
 use isospan::{Error, Result};
+use std::path::Path;
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub(crate) enum Endian {
@@ -72,6 +73,15 @@ fn parse_type(text: &str) -> std::result::Result<ScalarType, String> {
 }
 
 impl InputArgs {
+    /// "I/O: mapped" or "I/O: read", as far as the input is one file.
+    pub(crate) fn io_text(&self, input: &Path) -> String {
+        match ByteSource::open(input, self.io.mode()).map(|s| s.mode()) {
+            Ok(IoMode::Read) => "I/O: read".into(),
+            Ok(_) => "I/O: mapped".into(),
+            Err(_) => "I/O: several files".into(),
+        }
+    }
+
     pub(crate) fn options(&self) -> Result<OpenOptions> {
         let raw = match (self.dims, self.scalar_type) {
             (Some(dims), Some(scalar)) => Some(RawLayout {

@@ -26,9 +26,8 @@ use std::process::ExitCode;
 pub(crate) struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// Say nothing but results and errors.
-    #[arg(short, long, global = true)]
-    quiet: bool,
+    #[command(flatten)]
+    talk: progress::Talk,
 }
 
 #[derive(Subcommand, Debug)]
@@ -59,6 +58,11 @@ pub(crate) fn main() -> ExitCode {
     match run(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error @ isospan::Error::Cancelled) if !matches!(cli.command, Command::Reduce(_)) => {
+            // Only a reduction has something to continue.
+            let _ = writeln!(std::io::stderr(), "isospan: error: stopped by a signal; nothing was written");
+            ExitCode::from(error.exit_code())
+        }
         Err(error) => {
             let _ = writeln!(std::io::stderr(), "isospan: error: {error}");
             ExitCode::from(error.exit_code())
@@ -69,10 +73,10 @@ pub(crate) fn main() -> ExitCode {
 fn run(cli: &Cli) -> Result<()> {
     match &cli.command {
         Command::Info(args) => info::run(args),
-        Command::Reduce(args) => reduce::run(args, cli.quiet),
-        Command::Surface(args) => surface::run(args, cli.quiet),
+        Command::Reduce(args) => reduce::run(args, &cli.talk),
+        Command::Surface(args) => surface::run(args, &cli.talk),
         Command::Count(args) => count::run(args),
-        Command::Brick(args) => brick::run(args, cli.quiet),
+        Command::Brick(args) => brick::run(args, &cli.talk),
         Command::Check(args) => check::run(args),
         Command::Completions(args) => misc::completions(args),
         Command::Man(args) => misc::man(args),
@@ -82,11 +86,6 @@ fn run(cli: &Cli) -> Result<()> {
 /// Whoever read our output has closed it (`isospan info … | head`): no error.
 fn is_broken_pipe(error: &isospan::Error) -> bool {
     matches!(error, isospan::Error::Io { source, .. } if source.kind() == std::io::ErrorKind::BrokenPipe)
-}
-
-/// Tells something on standard error; nobody may be listening.
-fn note(text: &str) {
-    let _ = writeln!(std::io::stderr(), "isospan: {text}");
 }
 
 /// Writes a result to standard output.

@@ -1,21 +1,91 @@
-//! Progress on standard error: a bar with an ETA on a terminal, a plain line at most every ten seconds elsewhere.
+//! What goes to standard error besides errors: progress, notes, and with `-v` details.
+//!
+//! Progress is a bar with rate and ETA on a terminal, a plain line at most every ten seconds elsewhere, or JSON, one object a
+//! line: `{"event":"begin"|"progress"|"end","stage":…,"unit":…,"done":…,"total":…,"seconds":…,"eta_seconds":…}`.
 
 use super::text;
+use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use isospan::exec::{Progress, Silent};
 use std::io::{IsTerminal, Write};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// What suits standard error.
-pub(crate) fn for_stderr(quiet: bool) -> Box<dyn Progress> {
-    if quiet {
-        Box::new(Silent)
-    } else if std::io::stderr().is_terminal() {
-        Box::new(Bar(Mutex::new(ProgressBar::hidden())))
-    } else {
-        Box::new(Lines(Mutex::new(None)))
+/// The form of progress.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Form {
+    /// A bar on a terminal, else plain lines.
+    Auto,
+    /// A bar; nothing where there is no terminal.
+    Bar,
+    /// A line at most every ten seconds.
+    Plain,
+    /// A JSON object a line, at most one a second and at the ends of stages.
+    Json,
+    /// Nothing.
+    None,
+}
+
+/// How much is told on standard error.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub(crate) struct Talk {
+    /// Say nothing but results and errors.
+    #[arg(short, long, global = true)]
+    quiet: bool,
+    /// Tell more: memory, threads, I/O mode, the time of each stage.
+    #[arg(short, long, global = true, conflicts_with = "quiet")]
+    verbose: bool,
+    /// The form of progress on standard error.
+    #[arg(long, global = true, value_enum, value_name = "FORM", default_value_t = Form::Auto)]
+    progress: Form,
+}
+
+impl Talk {
+    /// Where a run's progress goes.
+    pub(crate) fn progress(&self) -> Box<dyn Progress> {
+        match self.progress {
+            _ if self.quiet => Box::new(Silent),
+            Form::None => Box::new(Silent),
+            Form::Auto if std::io::stderr().is_terminal() => Box::new(Bar(Mutex::new(ProgressBar::hidden()))),
+            Form::Bar => Box::new(Bar(Mutex::new(ProgressBar::hidden()))),
+            Form::Auto | Form::Plain => Box::new(Lines::new(false)),
+            Form::Json => Box::new(Lines::new(true)),
+        }
     }
+
+    /// Tells what a user should know.
+    pub(crate) fn note(&self, text: &str) {
+        if !self.quiet {
+            self.line(text);
+        }
+    }
+
+    /// Tells what `-v` asks for.
+    pub(crate) fn detail(&self, text: &str) {
+        if self.verbose {
+            self.line(text);
+        }
+    }
+
+    fn line(&self, text: &str) {
+        if self.progress == Form::Json {
+            tell(&serde_json::json!({ "event": "note", "text": text }).to_string());
+        } else {
+            tell(&format!("isospan: {text}"));
+        }
+    }
+
+    /// The time of each stage of a report.
+    pub(crate) fn stages(&self, seconds: &[(String, f64)]) {
+        for (stage, time) in seconds {
+            self.detail(&format!("{stage}: {}", text::duration(Duration::from_secs_f64(*time))));
+        }
+    }
+}
+
+/// Writes a line; who closed standard error does not want it.
+fn tell(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
 }
 
 struct Bar(Mutex<ProgressBar>);
@@ -51,41 +121,84 @@ struct Stage {
     told: Instant,
 }
 
-struct Lines(Mutex<Option<Stage>>);
+struct Lines {
+    json: bool,
+    stage: Mutex<Option<Stage>>,
+}
 
 /// A log is not flooded, and a short run says nothing at all.
 const BETWEEN_LINES: Duration = Duration::from_secs(10);
+/// A program that draws its own bar wants more.
+const BETWEEN_OBJECTS: Duration = Duration::from_secs(1);
+
+impl Stage {
+    fn seconds_left(&self) -> f64 {
+        let elapsed = self.started.elapsed().as_secs_f64();
+        elapsed * self.total.saturating_sub(self.done) as f64 / self.done.max(1) as f64
+    }
+
+    fn line(&self) -> String {
+        let elapsed = self.started.elapsed().as_secs_f64();
+        format!(
+            "isospan: {}: {} of {} {} ({} %), {} a second, {} left",
+            self.name,
+            text::count(self.done),
+            text::count(self.total),
+            self.unit,
+            self.done * 100 / self.total.max(1),
+            text::count((self.done as f64 / elapsed.max(1e-3)) as u64),
+            text::duration(Duration::from_secs_f64(self.seconds_left())),
+        )
+    }
+
+    fn object(&self, event: &str) -> String {
+        let eta = (self.done > 0).then(|| self.seconds_left());
+        serde_json::json!({
+            "event": event,
+            "stage": self.name,
+            "unit": self.unit,
+            "done": self.done,
+            "total": self.total,
+            "seconds": self.started.elapsed().as_secs_f64(),
+            "eta_seconds": eta,
+        })
+        .to_string()
+    }
+}
+
+impl Lines {
+    fn new(json: bool) -> Self {
+        Self { json, stage: Mutex::new(None) }
+    }
+}
 
 impl Progress for Lines {
     fn begin(&self, stage: &str, total: u64, unit: &str) {
+        self.end();
         let now = Instant::now();
         let stage = Stage { name: stage.into(), unit: unit.into(), total, done: 0, started: now, told: now };
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(stage);
+        if self.json {
+            tell(&stage.object("begin"));
+        }
+        *self.stage.lock().unwrap_or_else(PoisonError::into_inner) = Some(stage);
     }
 
     fn advance(&self, units: u64) {
-        let mut stage = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(stage) = stage.as_mut() else { return };
         stage.done += units;
-        if stage.told.elapsed() < BETWEEN_LINES || stage.done == 0 {
+        let between = if self.json { BETWEEN_OBJECTS } else { BETWEEN_LINES };
+        if stage.told.elapsed() < between || stage.done == 0 {
             return;
         }
         stage.told = Instant::now();
-        let elapsed = stage.started.elapsed().as_secs_f64();
-        let left = elapsed * stage.total.saturating_sub(stage.done) as f64 / stage.done as f64;
-        let _ = writeln!(
-            std::io::stderr(),
-            "isospan: {}: {} of {} {} ({} %), {} left",
-            stage.name,
-            text::count(stage.done),
-            text::count(stage.total),
-            stage.unit,
-            stage.done * 100 / stage.total.max(1),
-            text::duration(Duration::from_secs_f64(left)),
-        );
+        tell(&if self.json { stage.object("progress") } else { stage.line() });
     }
 
     fn end(&self) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        let stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(stage) = stage.filter(|_| self.json) {
+            tell(&stage.object("end"));
+        }
     }
 }

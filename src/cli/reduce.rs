@@ -1,7 +1,8 @@
 //! `isospan reduce`: a volume becomes an archive.
 
 use super::input::InputArgs;
-use super::{dry_run, progress, text};
+use super::progress::Talk;
+use super::{dry_run, text};
 use clap::ValueEnum;
 use isospan::pipeline::{Amount, NanPolicy, ReduceSettings, RunSettings, estimate, reduce};
 use isospan::points::{SetKind, SetSettings};
@@ -140,7 +141,7 @@ impl Args {
     }
 }
 
-pub(crate) fn run(args: &Args, quiet: bool) -> Result<()> {
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings {
         threads: args.threads,
         memory: args.memory.unwrap_or_else(|| isospan::exec::usable_memory() / 2),
@@ -152,13 +153,22 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<()> {
         let found = estimate(&args.input, &args.read.options()?, &args.settings()?, &args.output, &run)?;
         return dry_run::tell(&found, &args.output, args.json);
     }
-    if args.memory.is_none() && !quiet {
-        super::note(&format!("--memory {} (half of what this process may use)", text::bytes(run.memory)));
+    if args.memory.is_none() {
+        talk.note(&format!("--memory {} (half of what this process may use)", text::bytes(run.memory)));
     }
-    let bar = progress::for_stderr(quiet);
+    let threads = if run.threads == 0 { isospan::exec::available_threads() } else { run.threads };
+    let io = args.read.io_text(&args.input);
+    talk.detail(&format!("memory {}, {threads} threads, {io}", text::bytes(run.memory)));
+    let bar = talk.progress();
     let report = reduce(&args.input, &args.read.options()?, &args.settings()?, &args.output, &run, &*bar);
     bar.end();
     let report = report?;
+    talk.stages(&report.seconds);
+    talk.detail(&format!(
+        "{} chunks, {} halos had to be widened",
+        text::count(report.chunks),
+        text::count(report.halo_retries)
+    ));
     if args.json {
         return super::print_json(&report);
     }

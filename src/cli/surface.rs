@@ -1,6 +1,7 @@
 //! `isospan surface`: an isosurface out of an archive.
 
-use super::{progress, text};
+use super::progress::Talk;
+use super::text;
 use isospan::Result;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::pipeline::{SurfaceSettings, extract_surface};
@@ -36,7 +37,7 @@ pub(crate) struct Args {
     json: bool,
 }
 
-pub(crate) fn run(args: &Args, quiet: bool) -> Result<()> {
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let format = SurfaceFormat::from_path(&args.output)?;
     let settings = SurfaceSettings {
         isovalue: args.isovalue,
@@ -45,10 +46,11 @@ pub(crate) fn run(args: &Args, quiet: bool) -> Result<()> {
         scratch: args.scratch.clone(),
         cancel: super::signals::cancel_token(),
     };
-    let bar = progress::for_stderr(quiet);
+    let bar = talk.progress();
     let report = extract_surface(&args.archive, &settings, &args.output, format, &*bar);
     bar.end();
     let report = report?;
+    talk.stages(&report.seconds);
     if args.json {
         return super::print_json(&report);
     }

@@ -24,6 +24,7 @@ use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use serde::Serialize;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 /// What decides how a run uses the machine, and not what it makes.
@@ -301,23 +302,51 @@ fn prepare_folder(layout: &Layout, run: &RunSettings) -> Result<()> {
     Ok(())
 }
 
-/// A stream is copied into bricks first; the temporary file lives as long as the second value.
+/// A stream is copied into bricks first; the copy is removed when the second value is dropped.
 fn random_access(
     source: VolumeSource,
     run: &RunSettings,
     progress: &dyn Progress,
-) -> Result<(Box<dyn VolumeReader>, Option<tempfile::TempDir>)> {
+) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
     if let VolumeSource::Random(reader) = source {
         return Ok((reader, None));
     }
-    let folder = run.scratch.clone().unwrap_or_else(std::env::temp_dir);
-    let scratch = tempfile::Builder::new()
-        .prefix("isospan-scratch-")
-        .tempdir_in(&folder)
-        .map_err(|e| Error::io("create a scratch folder in", &folder, e))?;
-    let file = scratch.path().join("volume.bricks");
-    brick(source, &file, run.memory / 2, &run.cancel, progress)?;
-    Ok((Box::new(BrickedVolume::open(&file)?), Some(scratch)))
+    let folder = scratch_folder(run);
+    // What runs that were killed while they copied have left.
+    publish::sweep(&folder);
+    let scratch = Scratch::new(&folder);
+    brick(source, &scratch.0, run.memory / 2, &run.cancel, progress)?;
+    let reader = BrickedVolume::open(&scratch.0)?;
+    // An open file without a name is gone with the process, however that ends.
+    #[cfg(unix)]
+    scratch.remove();
+    Ok((Box::new(reader), Some(scratch)))
+}
+
+/// A file that is removed in the end.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new(folder: &Path) -> Self {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        Self(folder.join(format!(
+            "isospan-scratch-{}-{}-{number}.bricks",
+            publish::host(),
+            std::process::id()
+        )))
+    }
+
+    fn remove(&self) {
+        // Not there: removed before, or never made.
+        let _ = fs::remove_file(&self.0);
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        self.remove();
+    }
 }
 
 /// Reads the summaries of all chunks, builds the index, publishes the manifest. Also tells how often halos were widened.
