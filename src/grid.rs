@@ -283,14 +283,16 @@ impl ChunkGrid {
         let wanted = by_z.iter().sum::<u64>().div_ceil(target).max(1) as f64;
         // Cubic chunks: the edge, in voxels, that cuts the box into `wanted` cubes.
         let edge = (cells[0] * cells[1] * cells[2] / wanted).cbrt();
-        grid.z_cuts = balanced_cuts(&by_z, ((cells[2] / edge).round() as u64).clamp(1, d[2]));
+        // A long thin box is cut into fewer, longer pieces: never more layers than chunks, nor more rows.
+        let most = |bricks: u64, wanted: f64| bricks.min(wanted as u64).max(1);
+        grid.z_cuts = balanced_cuts(&by_z, ((cells[2] / edge).round() as u64).clamp(1, most(d[2], wanted)));
         check_rows(grid.z_cuts.len() as u64 - 1, d[1])?;
         for layer in 0..grid.z_cuts.len() - 1 {
             let (z0, z1) = (grid.z_cuts[layer], grid.z_cuts[layer + 1]);
             let by_y = grid.counts(1, [0, 0, z0], [d[0], d[1], z1]);
             let wanted = by_y.iter().sum::<u64>().div_ceil(target).max(1) as f64;
-            let cuts =
-                balanced_cuts(&by_y, ((wanted * cells[1] / cells[0]).sqrt().round() as u64).clamp(1, d[1]));
+            let rows = (wanted * cells[1] / cells[0]).sqrt().round() as u64;
+            let cuts = balanced_cuts(&by_y, rows.clamp(1, most(d[1], wanted)));
             for (row, y) in cuts.windows(2).enumerate() {
                 grid.rows.push((grid.len, layer, row));
                 grid.len += grid.chunks_in_row([y[0], z0], [y[1], z1]);
@@ -450,6 +452,23 @@ mod tests {
         for c in grid.iter() {
             let points = (c.core.volume() >> (3 * lattice.log2_steps)) as u64 / 8;
             assert!((125_000..500_000).contains(&points), "{points}");
+        }
+    }
+
+    #[test]
+    fn long_thin_boxes_are_not_cut_to_shreds() {
+        for axis in 0..3 {
+            let mut dims = [2; 3];
+            dims[axis] = 1_048_577;
+            let lattice = Lattice::new(dims).unwrap();
+            let uniform = move |b: &LatticeBox| (b.volume() >> (3 * lattice.log2_steps)) as u64;
+            let grid = ChunkGrid::new(BrickGrid { lattice, edge: [64; 3] }, 50_000, uniform).unwrap();
+            assert!(
+                (15..=30).contains(&grid.len()),
+                "axis {axis}: {} chunks of a million points",
+                grid.len()
+            );
+            tiles(&grid);
         }
     }
 

@@ -9,7 +9,7 @@ mod common;
 use common::*;
 use isospan::Error;
 use isospan::archive::manifest::{MANIFEST_NAME, Manifest, Plan};
-use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
+use isospan::archive::segment::SegmentKind;
 use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::geom::Lattice;
@@ -217,43 +217,6 @@ fn files_of_other_archives_are_refused() {
         }
     }
     assert!(answers(&a) == right);
-}
-
-/// Rewrites a segment, with good checksums, under another plan hash and with blocks changed by `edit`.
-fn reseal(path: &Path, kind: SegmentKind, plan: PlanHash, edit: impl Fn(u64, &mut Vec<u8>)) -> SegmentInfo {
-    let segment = Segment::open(path, kind, None).unwrap();
-    let mut blocks = vec![];
-    for n in 0..segment.block_count() {
-        let mut block = vec![];
-        segment.block(n, &mut block).unwrap();
-        edit(n, &mut block);
-        blocks.push(block);
-    }
-    let _ = fs::remove_file(path);
-    let mut writer = SegmentWriter::create(path, kind, plan).unwrap();
-    for block in &blocks {
-        writer.push_block(block).unwrap();
-    }
-    writer.finish().unwrap()
-}
-
-/// Gives the archive another plan, and everything in it the hashes of that plan: all checksums are good.
-fn reseal_all(archive: &Path, change: impl Fn(&mut Manifest), edit: impl Fn(SegmentKind, u64, &mut Vec<u8>)) {
-    let mut manifest = Manifest::read(archive).unwrap();
-    change(&mut manifest);
-    manifest.plan_hash = manifest.plan.hash();
-    manifest.mesh[0].info =
-        reseal(&archive.join("mesh/000000.seg"), SegmentKind::Mesh, manifest.plan_hash, |n, b| {
-            edit(SegmentKind::Mesh, n, b);
-        });
-    let step = &mut manifest.steps[0];
-    let hash = step.plan.hash(manifest.plan_hash);
-    let [values, index] = [("values-000000.seg", SegmentKind::Values), ("index.seg", SegmentKind::Index)]
-        .map(|(file, kind)| {
-            reseal(&archive.join("steps/000000").join(file), kind, hash, |n, b| edit(kind, n, b))
-        });
-    (step.values[0].info, step.index) = (values, index);
-    manifest.write(archive).unwrap();
 }
 
 /// Asks everything; only the time is promised, and that a refusal is orderly.

@@ -1,6 +1,8 @@
 //! What several test programs need: volumes to reduce, folders to compare, triangles as a set.
 #![allow(dead_code)]
 
+use isospan::archive::manifest::Manifest;
+use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use isospan::exec::Silent;
 use isospan::formats::OpenOptions;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
@@ -103,4 +105,50 @@ pub(crate) fn shared_data() -> Option<PathBuf> {
         eprintln!("skipped: ISOSPAN_SHARED_DATA does not name a folder of real data");
     }
     folder
+}
+
+/// Rewrites a segment, with good checksums, under another plan hash and with blocks changed by `edit`.
+pub(crate) fn reseal(
+    path: &Path,
+    kind: SegmentKind,
+    plan: PlanHash,
+    edit: impl Fn(u64, &mut Vec<u8>),
+) -> SegmentInfo {
+    let segment = Segment::open(path, kind, None).unwrap();
+    let mut blocks = vec![];
+    for n in 0..segment.block_count() {
+        let mut block = vec![];
+        segment.block(n, &mut block).unwrap();
+        edit(n, &mut block);
+        blocks.push(block);
+    }
+    let _ = fs::remove_file(path);
+    let mut writer = SegmentWriter::create(path, kind, plan).unwrap();
+    for block in &blocks {
+        writer.push_block(block).unwrap();
+    }
+    writer.finish().unwrap()
+}
+
+/// Gives the archive another plan, and everything in it the hashes of that plan: all checksums are good.
+pub(crate) fn reseal_all(
+    archive: &Path,
+    change: impl Fn(&mut Manifest),
+    edit: impl Fn(SegmentKind, u64, &mut Vec<u8>),
+) {
+    let mut manifest = Manifest::read(archive).unwrap();
+    change(&mut manifest);
+    manifest.plan_hash = manifest.plan.hash();
+    manifest.mesh[0].info =
+        reseal(&archive.join("mesh/000000.seg"), SegmentKind::Mesh, manifest.plan_hash, |n, b| {
+            edit(SegmentKind::Mesh, n, b);
+        });
+    let step = &mut manifest.steps[0];
+    let hash = step.plan.hash(manifest.plan_hash);
+    let [values, index] = [("values-000000.seg", SegmentKind::Values), ("index.seg", SegmentKind::Index)]
+        .map(|(file, kind)| {
+            reseal(&archive.join("steps/000000").join(file), kind, hash, |n, b| edit(kind, n, b))
+        });
+    (step.values[0].info, step.index) = (values, index);
+    manifest.write(archive).unwrap();
 }
