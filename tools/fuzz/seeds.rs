@@ -1,0 +1,276 @@
+//! Good inputs to damage: small files of every format and of every encoding, made here, and those of the shared data.
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use flate2::Compression;
+use flate2::write::{GzEncoder, ZlibEncoder};
+use isospan::Result;
+use isospan::formats::surface::{SurfaceFormat, SurfaceMeta, write_surface};
+use isospan::formats::{OpenOptions, open_volume};
+use isospan::surface::{TriMesh, Vertex};
+use isospan::volume::bricked::BrickedVolume;
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+
+/// Good inputs of one format.
+pub(crate) struct Format {
+    /// What the file's name ends in, without the first dot.
+    pub(crate) extension: &'static str,
+    pub(crate) inputs: Vec<Vec<u8>>,
+}
+
+/// The largest file of the shared data that is taken: damage should hit headers more often than samples.
+const LARGEST: u64 = 40_000;
+
+/// Formats of volumes, then of surfaces, each with at least one input.
+pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 2]> {
+    let of = |extension, inputs| Format { extension, inputs };
+    let mut volumes = vec![
+        of("nrrd", nrrd()),
+        of("nhdr", vec![b"NRRD0004\ntype: short\ndimension: 3\nsizes: 4 3 2\nendian: little\nencoding: raw\ndata file: x%d.raw 1 2 1\n".to_vec()]),
+        of("mha", metaimage("LOCAL")),
+        of("mhd", metaimage("samples.raw")),
+        of("npy", vec![npy("<f4", 4), npy(">i2", 2), npy("|u1", 1)]),
+        of("npz", vec![npz()]),
+        of("nii", vec![nifti(16, 4), nifti(4, 2)]),
+        of("nii.gz", vec![gzip(&nifti(4, 2))]),
+        of("hdr", vec![nifti(4, 2)]),
+        of("vti", vti()),
+        of("vtk", legacy()),
+        of("tif", vec![tiff(1), tiff(8)]),
+        of("raw", vec![samples(1, 64)]),
+        of("bricks", vec![bricks(folder)?]),
+    ];
+    let mut surfaces = vec![];
+    for format in SurfaceFormat::ALL {
+        surfaces.push(of(format.extension(), vec![surface(folder, format)?]));
+    }
+    surfaces[0].inputs.push(PLY_TEXT.into());
+    surfaces[1].inputs.push(STL_TEXT.into());
+    if let Some(shared) = std::env::var_os("ISOSPAN_SHARED_DATA") {
+        add_shared(&Path::new(&shared).join("variants"), &mut [&mut volumes, &mut surfaces]);
+    }
+    Ok([volumes, surfaces])
+}
+
+/// Adds the small files below a folder to their formats, in the order of their names.
+fn add_shared(folder: &Path, formats: &mut [&mut Vec<Format>]) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    let mut paths: Vec<_> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
+    paths.sort();
+    for path in paths {
+        if path.is_dir() {
+            add_shared(&path, formats);
+            continue;
+        }
+        let name = path.to_string_lossy().into_owned();
+        let small = path.metadata().is_ok_and(|m| m.len() <= LARGEST);
+        for format in formats.iter_mut().flat_map(|list| list.iter_mut()) {
+            if small && name.ends_with(&format!(".{}", format.extension)) {
+                format.inputs.extend(fs::read(&path).ok().filter(|b| !b.is_empty()));
+            }
+        }
+    }
+}
+
+/// `n` little-endian samples of `size` bytes.
+fn samples(size: usize, n: usize) -> Vec<u8> {
+    (0..n as u64).flat_map(|i| (i * 37 % 251).to_le_bytes()[..size].to_vec()).collect()
+}
+
+fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut gz = GzEncoder::new(vec![], Compression::fast());
+    gz.write_all(bytes).expect("writing to memory");
+    gz.finish().expect("writing to memory")
+}
+
+fn zlib(bytes: &[u8]) -> Vec<u8> {
+    let mut z = ZlibEncoder::new(vec![], Compression::fast());
+    z.write_all(bytes).expect("writing to memory");
+    z.finish().expect("writing to memory")
+}
+
+fn nrrd() -> Vec<Vec<u8>> {
+    let head = |encoding: &str| {
+        format!(
+            "NRRD0005\n# a comment\ntype: unsigned short\ndimension: 3\nspace: left-posterior-superior\n\
+             sizes: 4 3 2\nspace directions: (1,0,0) (0,2,0) (0,0,3)\nspace origin: (1,2,3)\nkinds: domain domain domain\n\
+             key:=value\nendian: little\nline skip: 0\nbyte skip: 0\nencoding: {encoding}\n\n"
+        )
+        .into_bytes()
+    };
+    let data = samples(2, 24);
+    let text: Vec<String> = (0..24).map(|i| i.to_string()).collect();
+    vec![
+        [head("raw"), data.clone()].concat(),
+        [head("gzip"), gzip(&data)].concat(),
+        [head("ascii"), text.join(" ").into_bytes()].concat(),
+    ]
+}
+
+fn metaimage(data: &str) -> Vec<Vec<u8>> {
+    let head = |extra: &str| {
+        format!(
+            "ObjectType = Image\nNDims = 3\nBinaryData = True\nBinaryDataByteOrderMSB = False\n{extra}\
+             TransformMatrix = 1 0 0 0 1 0 0 0 1\nOffset = 1 2 3\nElementSpacing = 1 2 3\nDimSize = 4 3 2\n\
+             ElementType = MET_USHORT\nElementDataFile = {data}\n"
+        )
+        .into_bytes()
+    };
+    let packed = zlib(&samples(2, 24));
+    let size = format!("CompressedData = True\nCompressedDataSize = {}\n", packed.len());
+    vec![[head(""), samples(2, 24)].concat(), [head(&size), packed].concat()]
+}
+
+fn npy(descr: &str, size: usize) -> Vec<u8> {
+    let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': (2, 3, 4), }}");
+    header.extend(std::iter::repeat_n(' ', 117 - header.len()));
+    header.push('\n');
+    let start = [&b"\x93NUMPY\x01\x00"[..], &118u16.to_le_bytes()].concat();
+    [start, header.into_bytes(), samples(size, 24)].concat()
+}
+
+/// A zip archive of one deflated member.
+fn npz() -> Vec<u8> {
+    let (name, bytes) = (b"a.npy", npy("<f4", 4));
+    // zlib without its two bytes at the start and four at the end is plain deflate.
+    let packed = zlib(&bytes);
+    let packed = &packed[2..packed.len() - 4];
+    let mut crc = flate2::Crc::new();
+    crc.update(&bytes);
+    let sizes = [crc.sum(), packed.len() as u32, bytes.len() as u32].map(u32::to_le_bytes).concat();
+    let common =
+        [[0u16, 8, 0, 0].map(u16::to_le_bytes).concat(), sizes, [5u16, 0].map(u16::to_le_bytes).concat()]
+            .concat();
+    let file = [b"PK\x03\x04\x14\0", &common[..], name, packed].concat();
+    let entry = [b"PK\x01\x02\x14\0\x14\0", &common[..], &[0; 14], name].concat();
+    let places = [entry.len() as u32, file.len() as u32].map(u32::to_le_bytes).concat();
+    [file, entry, [b"PK\x05\x06\0\0\0\0\x01\0\x01\0", &places[..], b"\0\0"].concat()].concat()
+}
+
+fn nifti(datatype: i16, size: usize) -> Vec<u8> {
+    let mut h = vec![0u8; 352];
+    let mut put = |at: usize, bytes: &[u8]| h[at..at + bytes.len()].copy_from_slice(bytes);
+    put(0, &348i32.to_le_bytes());
+    put(40, &[3i16, 4, 3, 2, 1, 1, 1, 1].map(i16::to_le_bytes).concat());
+    put(70, &datatype.to_le_bytes());
+    put(72, &(8 * size as i16).to_le_bytes());
+    put(76, &[1f32, 1.0, 2.0, 3.0].map(f32::to_le_bytes).concat());
+    put(108, &352f32.to_le_bytes());
+    put(112, &2f32.to_le_bytes());
+    put(254, &1i16.to_le_bytes());
+    put(280, &[1f32, 0.0, 0.0, 5.0, 0.0, 1.0, 0.0, 6.0, 0.0, 0.0, 1.0, 7.0].map(f32::to_le_bytes).concat());
+    put(344, b"n+1\0");
+    [h, samples(size, 24)].concat()
+}
+
+/// Two pages of 4 x 3 samples in one strip each, plain (compression 1) or deflated (8).
+fn tiff(compression: u32) -> Vec<u8> {
+    let strip = if compression == 8 { zlib(&samples(2, 12)) } else { samples(2, 12) };
+    let mut file = b"II*\0".to_vec();
+    // The first directory follows the strip.
+    file.extend((8 + strip.len() as u32).to_le_bytes());
+    file.extend(&strip);
+    let tags = [
+        (256u16, 4),
+        (257, 3),
+        (258, 16),
+        (259, compression),
+        (262, 1),
+        (273, 8),
+        (277, 1),
+        (278, 3),
+        (279, strip.len() as u32),
+        (339, 1),
+    ];
+    for page in 0..2 {
+        file.extend((tags.len() as u16).to_le_bytes());
+        for (tag, value) in tags {
+            file.extend([tag, 4].map(u16::to_le_bytes).concat());
+            file.extend([1, value].map(u32::to_le_bytes).concat());
+        }
+        let next = if page == 0 { file.len() as u32 + 4 } else { 0 };
+        file.extend(next.to_le_bytes());
+    }
+    file
+}
+
+fn vti() -> Vec<Vec<u8>> {
+    let file = |attributes: &str, array: &str, data: &str, appended: &[u8]| {
+        let text = format!(
+            "<?xml version=\"1.0\"?>\n<VTKFile type=\"ImageData\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt32\"{attributes}>\n\
+             <ImageData WholeExtent=\"0 3 0 2 0 1\" Origin=\"1 2 3\" Spacing=\"1 2 3\">\n<Piece Extent=\"0 3 0 2 0 1\">\n\
+             <PointData Scalars=\"b\">\n<DataArray type=\"Int16\" Name=\"b\" NumberOfComponents=\"1\" format=\"{array}>{data}</DataArray>\n\
+             </PointData>\n</Piece>\n</ImageData>\n"
+        );
+        let end = if appended.is_empty() {
+            b"</VTKFile>\n".to_vec()
+        } else {
+            [b"<AppendedData encoding=\"raw\">\n_", appended, b"\n</AppendedData>\n</VTKFile>\n"].concat()
+        };
+        [text.into_bytes(), end].concat()
+    };
+    let data = samples(2, 24);
+    let stored = [&48u32.to_le_bytes()[..], &data].concat();
+    let packed = zlib(&data);
+    let header = [1u32, 48, 0, packed.len() as u32].map(u32::to_le_bytes).concat();
+    let inline = BASE64_STANDARD.encode(header) + &BASE64_STANDARD.encode(packed);
+    let text: Vec<String> = (0..24).map(|i| i.to_string()).collect();
+    vec![
+        file("", "ascii\"", &text.join(" "), b""),
+        file("", "appended\" offset=\"0\"", "", &stored),
+        file(" compressor=\"vtkZLibDataCompressor\"", "binary\"", &inline, b""),
+    ]
+}
+
+fn legacy() -> Vec<Vec<u8>> {
+    let head = |kind: &str| {
+        format!(
+            "# vtk DataFile Version 3.0\na title\n{kind}\nDATASET STRUCTURED_POINTS\nDIMENSIONS 4 3 2\nORIGIN 0 0 0\n\
+             SPACING 1 2 3\nPOINT_DATA 24\nSCALARS b short 1\nLOOKUP_TABLE default\n"
+        )
+        .into_bytes()
+    };
+    let text: Vec<String> = (0..24).map(|i| i.to_string()).collect();
+    vec![
+        [head("BINARY"), samples(2, 24)].concat(),
+        [head("ASCII"), (text.join(" ") + "\n").into_bytes()].concat(),
+    ]
+}
+
+fn bricks(folder: &Path) -> Result<Vec<u8>> {
+    let (input, out) = (folder.join("seed.npy"), folder.join("seed.bricks"));
+    put(&input, &npy("<f4", 4))?;
+    let source = open_volume(&input, &OpenOptions::default())?;
+    BrickedVolume::build(source.into_stream(), &out, 1 << 16, &mut |_| {})?;
+    get(&out)
+}
+
+/// A tetrahedron's surface.
+fn surface(folder: &Path, format: SurfaceFormat) -> Result<Vec<u8>> {
+    let position = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let vertices = position.map(|position| Vertex { position, normal: [0.0, 0.6, 0.8] }).to_vec();
+    let mesh = TriMesh { vertices, triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]] };
+    let out = folder.join(format!("seed.{}", format.extension()));
+    let meta = SurfaceMeta { isovalue: Some(1.5), comments: vec!["a comment".into()] };
+    write_surface(&mesh, &out, format, &meta)?;
+    get(&out)
+}
+
+/// Writes a file that is not there yet.
+pub(crate) fn put(path: &Path, bytes: &[u8]) -> Result<()> {
+    let _ = fs::remove_file(path);
+    fs::write(path, bytes).map_err(|e| isospan::Error::io("write", path, e))
+}
+
+pub(crate) fn get(path: &Path) -> Result<Vec<u8>> {
+    fs::read(path).map_err(|e| isospan::Error::io("read", path, e))
+}
+
+const PLY_TEXT: &str = "ply\nformat ascii 1.0\ncomment a\nelement vertex 4\nproperty float x\nproperty float y\n\
+    property float z\nproperty uchar red\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n\
+    0 0 0 1\n1 0 0 2\n0 1 0 3\n0 0 1 4\n3 0 1 2\n4 0 1 2 3\n";
+
+const STL_TEXT: &str = "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\n\
+    endfacet\nendsolid a\n";

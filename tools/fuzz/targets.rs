@@ -1,0 +1,277 @@
+//! What is done with a damaged input. An error is as good as an answer; panics, hangs and claims of memory are finds.
+
+use crate::mutate::{Random, mutate};
+use crate::seeds::{get, put};
+use isospan::archive::chunk::{ChunkHeader, decode_tets};
+use isospan::archive::manifest::{
+    MANIFEST_NAME, Manifest, index_path, mesh_segment_path, values_segment_path,
+};
+use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
+use isospan::archive::summary::{MeshSummary, ValueSummary};
+use isospan::archive::values::decode_values;
+use isospan::bytes::IoMode;
+use isospan::exec::Silent;
+use isospan::formats::raw::RawLayout;
+use isospan::formats::surface::{SurfaceFormat, read_surface};
+use isospan::formats::{OpenOptions, open_volume};
+use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, SurfaceSettings};
+use isospan::points::SetKind;
+use isospan::surface::check::check;
+use isospan::volume::{ScalarType, VolumeSource};
+use isospan::{Error, Result};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Slabs read of a volume: enough to go through every decoder, not all of what a few bytes may expand to.
+const MOST_SLABS: usize = 8;
+/// The most samples that are read at once at random access.
+const MOST_SAMPLES: u64 = 1 << 20;
+
+/// Opens a volume and reads it.
+pub(crate) fn volume(path: &Path, bytes: &[u8]) -> Result<()> {
+    let io = if bytes.len() % 2 == 0 { IoMode::Map } else { IoMode::Read };
+    let options = OpenOptions { raw: raw_layout(path, bytes), io, ..OpenOptions::default() };
+    let source = match open_volume(path, &options) {
+        Err(Error::Usage(text)) if text.contains("several fields") => {
+            open_volume(path, &OpenOptions { field: Some("b".into()), ..options })?
+        }
+        other => other?,
+    };
+    if let VolumeSource::Random(reader) = &source {
+        let mut voxels = isospan::grid::IndexBox::whole(reader.info().dims);
+        voxels.hi = voxels.hi.map(|h| h.min(64));
+        if voxels.checked_len().is_some_and(|n| n <= MOST_SAMPLES) {
+            reader.read_box(voxels, &mut vec![0.0; voxels.len()])?;
+        }
+    }
+    let (mut stream, mut slab) = (source.into_stream(), vec![]);
+    for _ in 0..MOST_SLABS {
+        if stream.next_slab(&mut slab)?.is_none() {
+            break;
+        }
+    }
+    Ok(())
+}
+
+/// The layout of a headerless file is an input too: the file's first bytes decide it.
+fn raw_layout(path: &Path, bytes: &[u8]) -> Option<RawLayout> {
+    path.extension().is_some_and(|e| e == "raw").then(|| {
+        let at = |i: usize| u64::from(bytes.get(i).copied().unwrap_or(0));
+        let dim = |i: usize| if at(i) == 255 { u64::MAX } else { 4 << (at(i) / 32 * 8) };
+        RawLayout {
+            dims: if at(0) % 2 == 0 { [4; 3] } else { [dim(0), dim(1), dim(2)] },
+            scalar: ScalarType::ALL[at(3) as usize % ScalarType::ALL.len()],
+            big_endian: at(4) % 2 == 1,
+            offset: if at(5) == 255 { u64::MAX } else { at(5) / 8 },
+            spacing: if at(6) == 255 { [f64::NAN; 3] } else { [1.0; 3] },
+        }
+    })
+}
+
+/// Reads a surface and checks it.
+pub(crate) fn surface(path: &Path) -> Result<()> {
+    check(&read_surface(path)?);
+    Ok(())
+}
+
+/// The decoders of blocks, with bytes that no checksum guards.
+pub(crate) fn blocks(bytes: &[u8]) -> Result<()> {
+    let Some((&which, block)) = bytes.split_first() else { return Ok(()) };
+    let blame = |m: isospan::archive::Malformed| m.in_block(Path::new("a block"), 0);
+    match which {
+        0 => ChunkHeader::decode(block).map(drop).map_err(blame),
+        1 => decode_tets(block, 1 << (block.len() % 32), &mut vec![]).map_err(blame),
+        2 => decode_values(block, block.len() % 5000, &mut vec![]).map_err(blame),
+        3 => MeshSummary::decode(block).map(drop).map_err(blame),
+        _ => ValueSummary::decode(block).map(drop).map_err(blame),
+    }
+}
+
+/// A small archive, and a copy of it to damage.
+pub(crate) struct Archive {
+    good: PathBuf,
+    copy: PathBuf,
+    /// Its files, by their paths in it.
+    files: Vec<(PathBuf, Vec<u8>)>,
+}
+
+const ISOVALUE: f32 = 100.0;
+
+impl Archive {
+    /// Reduces a seed to an archive of three chunks.
+    pub(crate) fn make(folder: &Path) -> Result<Self> {
+        let input = folder.join("archive.raw");
+        let samples: Vec<u8> = (0..30 * 6 * 5u32).map(|i| (i * 37 % 251) as u8).collect();
+        put(&input, &samples)?;
+        let layout = RawLayout {
+            dims: [30, 6, 5],
+            scalar: ScalarType::U8,
+            big_endian: false,
+            offset: 0,
+            spacing: [1.0; 3],
+        };
+        let settings = ReduceSettings {
+            points: SetKind::Hammersley,
+            amount: Amount::Fraction(1.0),
+            chunk_points: 200,
+            ..ReduceSettings::default()
+        };
+        let (good, copy) = (folder.join("good.isospan"), folder.join("copy.isospan"));
+        let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };
+        pipeline::reduce(&input, &options, &settings, &good, &RunSettings::default(), &Silent)?;
+        let step = "steps/000000";
+        let names = [
+            MANIFEST_NAME.into(),
+            "mesh/000000.seg".into(),
+            format!("{step}/values-000000.seg"),
+            format!("{step}/index.seg"),
+        ];
+        let mut files = vec![];
+        for name in names.map(PathBuf::from) {
+            let to = copy.join(&name);
+            let parent = to.parent().expect("a file of the archive lies in a folder");
+            fs::create_dir_all(parent).map_err(|e| Error::io("create", parent, e))?;
+            let bytes = get(&good.join(&name))?;
+            put(&to, &bytes)?;
+            files.push((name, bytes));
+        }
+        Ok(Self { good, copy, files })
+    }
+
+    /// The blocks of the archive as inputs of [`blocks`].
+    pub(crate) fn block_inputs(&self) -> Result<Vec<Vec<u8>>> {
+        let mesh = Segment::open(mesh_segment_path(&self.good, 0), SegmentKind::Mesh, None)?;
+        let values = Segment::open(values_segment_path(&self.good, 0, 0), SegmentKind::Values, None)?;
+        let mut inputs = vec![];
+        for (segment, kinds) in [(&mesh, [0u8, 1, 3]), (&values, [2, 4, 4])] {
+            let mut block = vec![];
+            for n in 0..segment.block_count().min(12) {
+                segment.block(n, &mut block)?;
+                inputs.extend(kinds.map(|k| [&[k], &block[..]].concat()));
+            }
+        }
+        Ok(inputs)
+    }
+
+    /// Damages the copy, asks it, and repairs it. Gives what was done, for the report.
+    pub(crate) fn case(&self, random: &mut Random, what: &mut String) -> Result<()> {
+        let outcome = self.damage(random, what).and_then(|()| self.ask());
+        self.repair()?;
+        outcome
+    }
+
+    /// Puts the good files back, also after a panic.
+    pub(crate) fn repair(&self) -> Result<()> {
+        self.files.iter().try_for_each(|(name, bytes)| put(&self.copy.join(name), bytes))
+    }
+
+    fn damage(&self, random: &mut Random, what: &mut String) -> Result<()> {
+        match random.below(8) {
+            0 | 1 => {
+                let (name, bytes) = random.pick(&self.files);
+                *what = format!("bytes of {}", name.display());
+                put(&self.copy.join(name), &mutate(bytes, b"", random))
+            }
+            2 | 3 => {
+                *what = "the manifest, sealed again".into();
+                self.damage_manifest(random, what)
+            }
+            _ => self.damage_block(random, what),
+        }
+    }
+
+    /// Changes numbers of the manifest; where the result can be read, all hashes are made to fit it.
+    fn damage_manifest(&self, random: &mut Random, what: &mut String) -> Result<()> {
+        let text = mutate(&self.files[0].1, &self.files[0].1, random);
+        let Ok(mut manifest) = serde_json::from_slice::<Manifest>(&text) else {
+            return put(&self.copy.join(MANIFEST_NAME), &text);
+        };
+        what.push_str(&format!(": {}", serde_json::json!(manifest)));
+        manifest.plan_hash = manifest.plan.hash();
+        let (mesh, number) =
+            (mesh_segment_path(&self.copy, 0), manifest.steps.first().map(|s| s.plan.number));
+        if number == Some(0) && !manifest.mesh.is_empty() && !manifest.steps[0].values.is_empty() {
+            manifest.mesh[0].info = reseal(&mesh, SegmentKind::Mesh, manifest.plan_hash, |_, _| {})?;
+            let hash = manifest.steps[0].plan.hash(manifest.plan_hash);
+            let values = values_segment_path(&self.copy, 0, 0);
+            manifest.steps[0].values[0].info = reseal(&values, SegmentKind::Values, hash, |_, _| {})?;
+            manifest.steps[0].index =
+                reseal(&index_path(&self.copy, 0), SegmentKind::Index, hash, |_, _| {})?;
+        }
+        manifest.write(&self.copy)
+    }
+
+    /// Damages a block behind good checksums; of a compressed block, mostly what it expands to.
+    fn damage_block(&self, random: &mut Random, what: &mut String) -> Result<()> {
+        let mut manifest = Manifest::read(&self.good)?;
+        let hash = manifest.steps[0].plan.hash(manifest.plan_hash);
+        let step = &mut manifest.steps[0];
+        let (path, kind, plan, info) = match random.below(3) {
+            0 => (
+                mesh_segment_path(&self.copy, 0),
+                SegmentKind::Mesh,
+                manifest.plan_hash,
+                &mut manifest.mesh[0].info,
+            ),
+            1 => (values_segment_path(&self.copy, 0, 0), SegmentKind::Values, hash, &mut step.values[0].info),
+            _ => (index_path(&self.copy, 0), SegmentKind::Index, hash, &mut step.index),
+        };
+        let block = random.next() % info.blocks;
+        *what = format!("block {block} of {}, sealed again", path.display());
+        *info = reseal(&path, kind, plan, |n, bytes| {
+            if n == block {
+                *bytes = damaged_block(bytes, random);
+            }
+        })?;
+        manifest.write(&self.copy)
+    }
+
+    fn ask(&self) -> Result<()> {
+        let out = self.copy.with_extension("ply");
+        let settings = SurfaceSettings { isovalue: ISOVALUE, threads: 1, ..SurfaceSettings::default() };
+        let outcomes = [
+            pipeline::check_archive(&self.copy).map(drop),
+            pipeline::count_active(&self.copy, ISOVALUE).map(drop),
+            pipeline::extract_surface(&self.copy, &settings, &out, SurfaceFormat::Ply, &Silent).map(drop),
+            pipeline::summarize(&self.copy).map(drop),
+        ];
+        outcomes.into_iter().collect()
+    }
+}
+
+fn damaged_block(bytes: &[u8], random: &mut Random) -> Vec<u8> {
+    const FRAME: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
+    let frame = bytes.windows(4).take(12).position(|w| w == FRAME);
+    let expand = |at: usize| zstd::bulk::decompress(&bytes[at..], 1 << 20).ok();
+    match frame.and_then(|at| Some((at, expand(at)?))) {
+        Some((at, body)) if random.below(4) > 0 => {
+            let start =
+                if random.below(4) == 0 { mutate(&bytes[..at], b"", random) } else { bytes[..at].to_vec() };
+            let packed = zstd::bulk::compress(&mutate(&body, b"", random), 1).unwrap_or_default();
+            [start, packed].concat()
+        }
+        _ => mutate(bytes, b"", random),
+    }
+}
+
+/// Writes a segment again, with good checksums, under a plan hash and with blocks changed by `edit`.
+fn reseal(
+    path: &Path,
+    kind: SegmentKind,
+    plan: PlanHash,
+    mut edit: impl FnMut(u64, &mut Vec<u8>),
+) -> Result<SegmentInfo> {
+    let segment = Segment::open(path, kind, None)?;
+    let mut blocks = vec![];
+    for n in 0..segment.block_count() {
+        let mut block = vec![];
+        segment.block(n, &mut block)?;
+        edit(n, &mut block);
+        blocks.push(block);
+    }
+    let mut writer = SegmentWriter::create(path, kind, plan)?;
+    for block in &blocks {
+        writer.push_block(block)?;
+    }
+    writer.finish()
+}
