@@ -39,7 +39,8 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 2]> {
         of("vti", vti()),
         of("vtk", legacy()),
         of("tif", vec![tiff(1), tiff(8)]),
-        of("raw", vec![samples(1, 64)]),
+        // The first bytes choose the layout too: zeros stand for 4 x 4 x 4 bytes.
+        of("raw", vec![[vec![0; 8], samples(1, 56)].concat()]),
         of("bricks", vec![bricks(folder)?]),
     ];
     let mut surfaces = vec![];
