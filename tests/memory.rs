@@ -118,8 +118,8 @@ fn the_budget_is_kept() {
     let d = dir.path();
     write_npy(&d.join("w.npy"), [130, 120, 110], waves);
     for (budget, settings) in [
-        (60u64 << 20, ["--fraction", "1/8", "--chunk-points", "20000"]),
-        (200 << 20, ["--fraction", "1/8", "--chunk-points", "100000"]),
+        (72u64 << 20, ["--fraction", "1/8", "--chunk-points", "20000"]),
+        (240 << 20, ["--fraction", "1/8", "--chunk-points", "100000"]),
     ] {
         let mut run = Command::new(env!("CARGO_BIN_EXE_isospan"));
         run.current_dir(d).args(["-q", "reduce", "w.npy", "-o", "a.isospan", "--force", "--threads", "2"]);

@@ -25,8 +25,8 @@ use std::path::Path;
 pub(crate) const BASE: u64 = 16 << 20;
 /// Working memory of a chunk for a point of its region, measured (`benches/out_of_core` prints what a run takes) and rounded
 /// up: 6.8 tetrahedra of 64 bytes in the mesher, sort keys and sites of 100 bytes, then 16 bytes for each tetrahedron kept, two
-/// or three times while they are sorted and encoded.
-const PER_POINT: u64 = 800;
+/// or three times while they are sorted and encoded, and what the C library holds back between workers.
+const PER_POINT: u64 = 1050;
 /// And whatever the number of points: the samples around a brick, the encoder's tables.
 const PER_CHUNK: u64 = 4 << 20;
 /// Bytes of a point's share of an encoded chunk, at most: its value, and a little more than 6 tetrahedra.
