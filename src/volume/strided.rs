@@ -135,7 +135,7 @@ impl StridedVolume {
         inside: IndexBox,
         z0: u64,
         buffers: &mut Buffers,
-        take: &mut dyn FnMut(usize, [u64; 3], &[u8]),
+        take: &mut TakeRun<'_>,
     ) -> Result<()> {
         let source = &self.parts[part];
         let (size, [axis, next, slow]) = (self.info.field.scalar.bytes(), self.axes_by_step());
@@ -186,6 +186,9 @@ impl StridedVolume {
         self.offsets[part].wrapping_add_signed(step(0).wrapping_add(step(1)).wrapping_add(step(2)))
     }
 }
+
+/// Takes a run of stored samples: the axis along which it runs, its first sample, its bytes.
+type TakeRun<'a> = dyn FnMut(usize, [u64; 3], &[u8]) + 'a;
 
 /// What a box is read through; empty while files are mapped and samples lie without gaps.
 #[derive(Default)]

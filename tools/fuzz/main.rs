@@ -345,7 +345,9 @@ fn quiet_panics() -> Arc<Mutex<String>> {
     let said = Arc::new(Mutex::new(String::new()));
     let last = Arc::clone(&said);
     std::panic::set_hook(Box::new(move |info| {
-        let message = info.payload_as_str().unwrap_or("no message");
+        let payload = info.payload();
+        let text = payload.downcast_ref::<String>().map(String::as_str);
+        let message = text.or_else(|| payload.downcast_ref::<&str>().copied()).unwrap_or("no message");
         let place = info.location().map_or_else(String::new, ToString::to_string);
         *last.lock().unwrap_or_else(PoisonError::into_inner) = format!("{place}: {message}");
     }));

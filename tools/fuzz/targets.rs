@@ -29,7 +29,7 @@ const MOST_SAMPLES: u64 = 1 << 20;
 
 /// Opens a volume and reads it.
 pub(crate) fn volume(path: &Path, bytes: &[u8]) -> Result<()> {
-    let io = if bytes.len() % 2 == 0 { IoMode::Map } else { IoMode::Read };
+    let io = if bytes.len().is_multiple_of(2) { IoMode::Map } else { IoMode::Read };
     let options = OpenOptions { raw: raw_layout(path, bytes), io, ..OpenOptions::default() };
     let source = match open_volume(path, &options) {
         Err(Error::Usage(text)) if text.contains("several fields") => {
