@@ -11,7 +11,7 @@
 //!
 //! A block decodes on its own: [`ChunkHeader`] gives the number of vertices, against which every id is checked.
 
-use super::grow;
+use super::star;
 use super::tuples::{self, canonical};
 use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
 use crate::geom::PointId;
@@ -21,8 +21,8 @@ use crate::mesh::tet::Tet;
 pub const HEADER_ZSTD: u8 = 0;
 /// Codec of a tetrahedron block: sorted tuples, differences, zstd.
 pub const TETS_TUPLES: u8 = 0;
-/// Codec of a tetrahedron block: region growing.
-pub const TETS_GROWN: u8 = 1;
+/// Codec of a tetrahedron block: star after star.
+pub const TETS_STARS: u8 = 1;
 /// The most bytes of an expanded header.
 pub const LARGEST_HEADER: usize = 1 << 28;
 
@@ -138,17 +138,18 @@ pub fn encode_chunk(vertices: &ChunkVertices, tets: &[Tet], block_tets: u32) -> 
     let starts = block_starts(&ends, tets.len() as u32, block_tets);
     let counts: Vec<u32> = starts.windows(2).map(|w| w[1] - w[0]).collect();
     let mut blocks = vec![encode_header(vertices, &counts)];
+    let mut writer = star::Writer::default();
     for w in starts.windows(2) {
-        blocks.push(encode_tets(&tets[w[0] as usize..w[1] as usize], vertices.len()));
+        blocks.push(encode_tets(&mut writer, &tets[w[0] as usize..w[1] as usize], vertices.len()));
     }
     EncodedChunk { blocks, tets, starts }
 }
 
 /// Encodes one block of canonical, sorted tetrahedra.
-fn encode_tets(tets: &[Tet], vertices: u32) -> Vec<u8> {
+fn encode_tets(writer: &mut star::Writer, tets: &[Tet], vertices: u32) -> Vec<u8> {
     assert!(tets.iter().flatten().all(|&v| v < vertices), "every vertex is local");
-    let mut out = vec![TETS_GROWN];
-    if !grow::encode(tets, vertices, &mut out) {
+    let mut out = vec![TETS_STARS];
+    if !writer.encode(tets, vertices, &mut out) {
         out[0] = TETS_TUPLES;
         tuples::encode(tets, &mut out);
     }
@@ -164,7 +165,7 @@ pub fn decode_tets(bytes: &[u8], vertices: u32, out: &mut Vec<Tet>) -> Result<()
     let mut c = Cursor::new(bytes);
     match c.u8("codec")? {
         TETS_TUPLES => tuples::decode(c.rest(), vertices, out),
-        TETS_GROWN => grow::decode(c.rest(), vertices, out),
+        TETS_STARS => star::decode(c.rest(), vertices, out),
         other => Err(Malformed::new("codec", "a known tetrahedron codec", other.to_string())),
     }
 }

@@ -14,13 +14,13 @@
 
 pub mod chunk;
 pub mod chunked;
-mod grow;
-mod grow_odds;
 mod journal;
 pub mod manifest;
 pub(crate) mod publish;
-mod range_coder;
+mod rans;
 pub mod segment;
+mod star;
+mod star_odds;
 pub mod summary;
 mod tuples;
 pub mod values;
@@ -31,7 +31,7 @@ pub use wire::Malformed;
 
 #[cfg(test)]
 mod tests {
-    use super::{chunk, grow, segment, values};
+    use super::{chunk, segment, star, values};
     use crate::index::page;
 
     /// The table at the end of FORMAT.md, and the bytes that it draws.
@@ -50,9 +50,10 @@ mod tests {
             ("LARGEST_HEADER", chunk::LARGEST_HEADER as u64),
             ("HEADER_ZSTD", u64::from(chunk::HEADER_ZSTD)),
             ("TETS_TUPLES", u64::from(chunk::TETS_TUPLES)),
-            ("TETS_GROWN", u64::from(chunk::TETS_GROWN)),
-            ("LARGEST_GROWN", grow::LARGEST_GROWN as u64),
-            ("LARGEST_LIST", u64::from(grow::LARGEST_LIST)),
+            ("TETS_STARS", u64::from(chunk::TETS_STARS)),
+            ("LARGEST_STARS", star::LARGEST_STARS as u64),
+            ("LARGEST_LIST", u64::from(star::LARGEST_LIST)),
+            ("LARGEST_STAR", star::LARGEST_STAR as u64),
             ("BLOCK_VALUES", values::BLOCK_VALUES as u64),
             ("VALUES_RAW", u64::from(values::VALUES_RAW)),
             ("VALUES_SHUFFLED", u64::from(values::VALUES_SHUFFLED)),
