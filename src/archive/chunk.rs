@@ -23,6 +23,8 @@ pub const HEADER_ZSTD: u8 = 0;
 pub const TETS_TUPLES: u8 = 0;
 /// Codec of a tetrahedron block: star after star.
 pub const TETS_STARS: u8 = 1;
+/// Compression level of headers: most of one are differences of ids, which no level shrinks much.
+const HEADER_LEVEL: i32 = 3;
 /// The most bytes of an expanded header.
 pub const LARGEST_HEADER: usize = 1 << 28;
 
@@ -101,7 +103,8 @@ fn sort_by_vertex(tets: &[Tet], vertices: u32) -> (Vec<Tet>, Vec<u32>) {
     }
     let mut start = 0;
     for &end in &ends {
-        sorted[start..end as usize].sort_unstable();
+        sorted[start..end as usize]
+            .sort_unstable_by_key(|t| u128::from(t[1]) << 64 | u128::from(t[2]) << 32 | u128::from(t[3]));
         start = end as usize;
     }
     (sorted, ends)
@@ -196,7 +199,7 @@ fn encode_header(vertices: &ChunkVertices, block_tets: &[u32]) -> Vec<u8> {
         body.push(eight.iter().enumerate().fold(0, |byte, (i, &bit)| byte | u8::from(bit) << i));
     }
     let mut out = vec![HEADER_ZSTD];
-    out.extend(to_zstd(&body, 9));
+    out.extend(to_zstd(&body, HEADER_LEVEL));
     out
 }
 

@@ -191,10 +191,9 @@ impl Stars {
     #[inline]
     fn touch(&mut self, w: Local) {
         let l = &mut self.link[at_vertex(w)];
-        if l.star != self.v + 1 {
-            *l = LinkVertex { star: self.v + 1, ..LinkVertex::default() };
-        }
-        l.fan += 1;
+        let fresh = LinkVertex { star: self.v + 1, ..LinkVertex::default() };
+        let now = if l.star == fresh.star { *l } else { fresh };
+        *l = LinkVertex { fan: now.fan + 1, ..now };
     }
 
     /// Opens a gate, or closes the one of opposite direction: the edge then has triangles on both sides. `None` if there
@@ -652,7 +651,7 @@ impl Writer {
         }
         let local = |v: u32| if v < first + own { (v - first) as Local } else { self.numbers[v as usize].1 };
         self.tets.clear();
-        self.tets.extend(tets.iter().map(|t| t.map(local)));
+        self.tets.extend(tets.iter().map(|t| [local(t[0]), local(t[1]), local(t[2]), local(t[3])]));
         self.tets.iter().all(|&[a, b, c, d]| a < b && a < c && a < d && b != c && c != d && d != b)
     }
 }
@@ -692,16 +691,22 @@ impl End for Writer {
             self.edges.extend([edge(a, b), edge(b, c), edge(c, a)]);
         }
         // Whole vectors are searched.
-        self.edges.resize(self.edges.len().next_multiple_of(8), TOLD);
+        self.edges.resize(self.edges.len().next_multiple_of(4), TOLD);
     }
 
     #[inline]
     fn apex(&mut self, c: Local, d: Local) -> Local {
         let wanted = u32::from(c) << 16 | u32::from(d);
-        for (at, eight) in self.edges.chunks_exact(8).enumerate() {
-            let hits = eight.iter().fold(0u32, |m, &e| m << 1 | u32::from(e == wanted));
-            if hits != 0 {
-                let i = at * 8 + hits.leading_zeros() as usize - 24;
+        // A directed edge has one triangle; if not, the mesh is none, and the one taken here is told before the other.
+        let mut hits = [0u32; 4];
+        for (at, four) in (1..).zip(self.edges.chunks_exact(4)) {
+            for (hit, &e) in hits.iter_mut().zip(four) {
+                *hit = if e == wanted { at } else { *hit };
+            }
+        }
+        for (lane, &hit) in hits.iter().enumerate() {
+            if hit != 0 {
+                let i = (hit as usize - 1) * 4 + lane;
                 let [_, t @ ..] = self.tets[self.star.start + i / 3];
                 self.edges[i / 3 * 3..i / 3 * 3 + 3].fill(TOLD);
                 return t[(i % 3 + 2) % 3];
@@ -771,8 +776,8 @@ impl End for Reader<'_> {
 
     #[inline]
     fn tell(&mut self, tet: [Local; 4]) {
-        let [a, b, c, d] = tet.map(usize::from);
-        self.out.push([self.ids[a], self.ids[b], self.ids[c], self.ids[d]]);
+        let id = |v: Local| self.ids[usize::from(v)];
+        self.out.push([id(tet[0]), id(tet[1]), id(tet[2]), id(tet[3])]);
     }
 }
 

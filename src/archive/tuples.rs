@@ -14,20 +14,18 @@ const MOST_BYTES_EACH: usize = 40;
 
 /// The same tetrahedron, its smallest vertex first, the smallest of the others second, the orientation kept.
 #[inline]
-pub(crate) fn canonical([a, b, c, d]: Tet) -> Tet {
-    let least = a.min(b).min(c.min(d));
-    // Two swaps at once are an even permutation.
-    let [a, b, c, d] = match least {
-        _ if a == least => [a, b, c, d],
-        _ if b == least => [b, a, d, c],
-        _ if c == least => [c, d, a, b],
-        _ => [d, c, b, a],
-    };
-    match b.min(c).min(d) {
-        least if b == least => [a, b, c, d],
-        least if c == least => [a, c, d, b],
-        _ => [a, d, b, c],
-    }
+pub(crate) fn canonical(t: Tet) -> Tet {
+    // The place of the least by comparing (vertex, place): no branch, for none could be foretold. Two swaps at once are an even
+    // permutation.
+    const EVEN: [[u8; 4]; 4] = [[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]];
+    const TURNS: [[u8; 3]; 4] = [[0; 3], [1, 2, 3], [2, 3, 1], [3, 1, 2]];
+    let placed = |t: Tet, i: usize| u64::from(t[i]) << 2 | i as u64;
+    let least = placed(t, 0).min(placed(t, 1)).min(placed(t, 2).min(placed(t, 3)));
+    let [a, b, c, d] = EVEN[(least & 3) as usize].map(|i| t[usize::from(i)]);
+    let t = [a, b, c, d];
+    let second = placed(t, 1).min(placed(t, 2)).min(placed(t, 3));
+    let [b, c, d] = TURNS[(second & 3) as usize].map(|i| t[usize::from(i)]);
+    [a, b, c, d]
 }
 
 /// The sorted distinct vertices of `tets`.
