@@ -33,7 +33,7 @@ impl Encoder {
                 out.extend((x as u16).to_be_bytes());
                 x >>= 16;
             }
-            x = (x / width << PRECISION) + x % width + start;
+            x = ((x / width) << PRECISION) + x % width + start;
         }
         out.extend(x.to_be_bytes());
         out[at..].reverse();

@@ -749,7 +749,7 @@ impl End for Reader<'_> {
             return symbol as u32;
         }
         let top = symbol as u32 / 2;
-        let (mut n, mut left) = if symbol < ESCAPE { (2 | symbol as u32 % 2, top - 1) } else { (0, 32) };
+        let (mut n, mut left) = if symbol < ESCAPE { (2 | (symbol as u32 % 2), top - 1) } else { (0, 32) };
         while left > 0 {
             let take = left.min(11);
             left -= take;
