@@ -47,7 +47,8 @@
 //!
 //! # Not promised
 //!
-//! * A mapped input must not be shortened while it is read: the system would stop the process.
+//! * An input that is changed while it is read, without becoming shorter, is not noticed.
+//! * `isospan check` of a surface holds the surface in memory.
 //! * Values are `f32`: `f64` and wide integer samples are rounded to it after interpolation.
 //!
 //! # Features
