@@ -96,16 +96,19 @@ fn kernel(c: &mut Criterion) {
     group.finish();
 }
 
-/// A core in the middle of a larger set, with a halo of three spacings.
+/// A core in the middle of a larger set, with a halo of three spacings, half of it inserted at once.
 fn stage(c: &mut Criterion) {
     let all = hammersley(2_000_000);
     let order = Order::for_count(all.len() as u64);
     let domain = LatticeBox { lo: [0; 3], hi: [FULL + 1; 3] };
     let core = LatticeBox { lo: [FULL / 4; 3], hi: [FULL / 4 * 3; 3] };
-    let region = core.grow_within([3 * FULL / 126; 3], &domain);
-    let positions: Vec<LatticePos> = all.into_iter().filter(|p| region.contains(*p)).collect();
+    let spacing = FULL / 126;
+    let near = core.grow_within([3 * spacing / 2; 3], &domain);
+    let region = core.grow_within([3 * spacing; 3], &domain);
+    let mut positions: Vec<LatticePos> = all.into_iter().filter(|p| region.contains(*p)).collect();
+    positions.sort_by_key(|p| !near.contains(*p));
     let owned = positions.iter().filter(|p| core.contains(**p)).count() as u64;
-    let boxes = ChunkRegion { core, region, domain };
+    let boxes = ChunkRegion { core, near, region, domain };
     let mut mesher = Mesher::new();
     let mut group = c.benchmark_group("chunk");
     group.sample_size(10).measurement_time(Duration::from_secs(4)).throughput(Throughput::Elements(owned));

@@ -12,6 +12,8 @@
 //!         │l│          └────────┘  │l│
 //! ```
 //!
+//! Points of the outer halo are seen but not all inserted (`late.rs`): there, "unseen" reads "not inserted", for the same proof.
+//!
 //! First the kernel's stored sphere, grown by its proven error, is compared with the region: that settles nearly all. The rest is
 //! decided exactly. With p a vertex, u, v, w the others minus p, D = u·(v×w), N = |u|² v×w + |v|² w×u + |w|² u×v, the power of
 //! q = p + t times D is the sum over the axes of D·t² - N·t, so its least value over the lattice points of a slab is found axis by
@@ -34,7 +36,6 @@
 //! at v would decrease otherwise), so v is among its three least, and by 1 it is in G. Tetrahedra of G do not overlap, so it is T. It would not
 //! suffice to check owned tetrahedra alone: a wrong one whose least vertex lies outside the core can hide T.
 
-use super::chunk::ChunkRegion;
 use crate::geom::predicates::signed_volume6;
 use crate::geom::{LatticeBox, LatticePos};
 
@@ -60,14 +61,22 @@ pub(super) struct Local {
     pub(super) margin: f64,
 }
 
+impl Local {
+    /// A lattice position in the kernel's coordinates, exactly if it is a multiple of 2^shift beyond the origin.
+    #[inline]
+    pub(super) fn coordinates(&self, at: LatticePos) -> [f64; 3] {
+        let scale = 1.0 / f64::from(1u32 << self.shift);
+        std::array::from_fn(|k| (f64::from(at[k]) - f64::from(self.origin[k])) * scale)
+    }
+}
+
 impl Unseen {
-    pub(super) fn new(region: &ChunkRegion, local: Local) -> Self {
-        let ChunkRegion { region, domain, .. } = *region;
+    /// What lies in the domain and outside `region`.
+    pub(super) fn new(region: LatticeBox, domain: LatticeBox, local: Local) -> Self {
         let mut slabs = vec![];
         let (mut lo, mut hi) = ([f64::NEG_INFINITY; 3], [f64::INFINITY; 3]);
-        let scale = 1.0 / f64::from(1u32 << local.shift);
         for a in 0..3 {
-            let at = |c: u32| (f64::from(c) - f64::from(local.origin[a])) * scale;
+            let at = |c: u32| local.coordinates([c; 3])[a];
             if region.lo[a] > domain.lo[a] {
                 let mut slab = domain;
                 slab.hi[a] = region.lo[a];
@@ -98,9 +107,21 @@ impl Unseen {
         self.quickly(sphere) || self.spares_exactly(tet())
     }
 
+    /// The radius that certainly reaches around the closed circumsphere from the stored centre; `None` for one that is not trusted.
+    pub(super) fn radius(&self, sphere: &[f64; 4]) -> Option<f64> {
+        let r = self.grown(sphere);
+        (!r.is_nan()).then_some(r)
+    }
+
     #[inline]
-    fn quickly(&self, sphere: &[f64; 4]) -> bool {
-        let r = (sphere[3] + self.grow_r2).sqrt() * (1.0 + 1.0 / 1_048_576.0) + self.grow_r;
+    fn grown(&self, sphere: &[f64; 4]) -> f64 {
+        (sphere[3] + self.grow_r2).sqrt() * (1.0 + 1.0 / 1_048_576.0) + self.grow_r
+    }
+
+    /// Whether the stored sphere alone certifies its tetrahedron.
+    #[inline]
+    pub(super) fn quickly(&self, sphere: &[f64; 4]) -> bool {
+        let r = self.grown(sphere);
         // False for the NaN of a sphere that is not trusted.
         (0..3).all(|a| sphere[a] - r >= self.lo[a] && sphere[a] + r <= self.hi[a])
     }
@@ -154,11 +175,7 @@ mod tests {
     fn unseen() -> Unseen {
         let domain = LatticeBox { lo: [0; 3], hi: [101; 3] };
         let region = LatticeBox { lo: [0; 3], hi: [101, 101, 51] };
-        let core = LatticeBox { lo: [0; 3], hi: [101, 101, 30] };
-        Unseen::new(
-            &ChunkRegion { core, region, domain },
-            Local { origin: [0; 3], shift: 0, margin: 1.0 / 16.0 },
-        )
+        Unseen::new(region, domain, Local { origin: [0; 3], shift: 0, margin: 1.0 / 16.0 })
     }
 
     /// Positively oriented, its circumsphere centred at (50, 50, `z`) with radius 10.

@@ -2,21 +2,26 @@
 //!
 //! A chunk meshes the points of its **region** (core and halo) and keeps the tetrahedra it **owns**: those whose least vertex (x,
 //! then y, then z) lies in its core. Cores tile the domain, so each tetrahedron has one owner. The halo must be wide enough
-//! that what is kept is what the whole mesh would have there; `certify.rs` says when that is proven. If it is not,
-//! the answer is [`ChunkOutcome::WidenHalo`], and the caller gathers a larger region.
+//! that what is kept is what the whole mesh would have there; `certify.rs` says when that is proven.
 //!
 //! ```text
-//! ┌─────────────┐  region
-//! │  ┌───────┐  │  certified: circumsphere holds no unseen point
-//! │  │ core  │  │  owned: least vertex in core
-//! │  └───────┘  │  shared vertex: has a tetrahedron that another chunk owns
-//! └─────────────┘
+//! ┌───────────────┐  region: its outer points are inserted only where needed
+//! │ ┌───────────┐ │  near: its points are all inserted
+//! │ │  ┌─────┐  │ │  certified: circumsphere holds no point that is not inserted
+//! │ │  │core │  │ │  owned: least vertex in core
+//! │ │  └─────┘  │ │  shared vertex: has a tetrahedron that another chunk owns
 //! ```
 //!
-//! Time: that of the kernel for the points of the region, plus about a fifth for ownership, certification and output order.
+//! A halo wide enough for the largest sphere would be three spacings wide, nearly a third of all points at 250 000 owned ones. But few
+//! spheres are large. So a narrow halo is inserted with the core; the tetrahedra whose spheres leave it are looked at
+//! again with the outer points at hand (`late.rs`), and those found in a sphere are inserted, until each tetrahedron is
+//! certified. When a sphere leaves even the region the answer is [`ChunkOutcome::WidenHalo`], and the caller gathers a larger one.
+//!
+//! Time: that of the kernel for the points inserted, plus about a tenth for ownership, certification and output order.
 
 use super::certify::Unseen;
 use super::delaunay::Mesher;
+use super::late::Late;
 use super::tet::Tet;
 use crate::error::{Error, Result};
 use crate::geom::curve::Order;
@@ -27,6 +32,9 @@ use crate::geom::{LatticeBox, LatticePos};
 pub struct ChunkRegion {
     /// What the chunk owns.
     pub core: LatticeBox,
+    /// Core and inner halo, clipped to the domain: the points that are inserted at once. Those further out are inserted where
+    /// a tetrahedron needs them.
+    pub near: LatticeBox,
     /// Core and halo, clipped to the domain: where the chunk knows all points.
     pub region: LatticeBox,
     /// The whole domain: no point lies outside it.
@@ -58,7 +66,7 @@ pub enum ChunkOutcome {
 }
 
 /// Tetrahedralizes the `positions` of a region and keeps what the chunk owns. `positions` must hold every point of the
-/// domain that lies in the region, in any order; of equal positions only the first becomes a vertex. A region equal to the domain is always
+/// domain that lies in the region, those in `near` first and otherwise in any order; of equal positions only the first becomes a vertex. A region equal to the domain is always
 /// [`ChunkOutcome::Done`].
 ///
 /// # Errors
@@ -69,26 +77,41 @@ pub fn mesh_chunk(
     positions: &[LatticePos],
     order: &Order,
 ) -> Result<ChunkOutcome> {
-    check(region, positions)?;
-    mesher.delaunay(positions, order)?;
-    let unseen = Unseen::new(region, mesher.local());
+    let (mut region, mut first) = (*region, check(region, positions)?);
+    mesher.delaunay_of_first(positions, first, order)?;
+    if mesher.is_empty() && first < positions.len() {
+        // The inner points span no volume: nothing to add the others to.
+        (region.near, first) = (region.region, positions.len());
+        mesher.delaunay(positions, order)?;
+    }
+    let region = &region;
     let mut owned = std::mem::take(&mut mesher.owned);
     owned.clear();
-    let (outcome, owned) = Sorter::new(mesher, region, positions, owned).run(&unseen);
+    let mut sorter = Sorter::new(mesher, region, positions, owned);
+    let uncertified = sorter.run(mesher, region, first);
+    let Sorter { owned, shared, .. } = sorter;
+    let outcome = uncertified.map(|n| match n {
+        0 => ChunkOutcome::Done(ChunkMesh { tets: sorted(&owned, positions.len()), shared }),
+        uncertified => ChunkOutcome::WidenHalo { uncertified },
+    });
     mesher.owned = owned;
-    Ok(outcome)
+    outcome
 }
 
-fn check(boxes: &ChunkRegion, positions: &[LatticePos]) -> Result<()> {
+/// The number of positions that are inserted at once.
+fn check(boxes: &ChunkRegion, positions: &[LatticePos]) -> Result<usize> {
     let nested = |inner: &LatticeBox, outer: &LatticeBox| inner.intersect(outer) == *inner;
-    if !nested(&boxes.core, &boxes.region) || !nested(&boxes.region, &boxes.domain) {
-        return Err(Error::usage(format!(
-            "the core, region and domain of a chunk are not nested: {boxes:?}"
-        )));
+    let ChunkRegion { core, near, region, domain } = boxes;
+    if !nested(core, near) || !nested(near, region) || !nested(region, domain) {
+        return Err(Error::usage(format!("the boxes of a chunk are not nested: {boxes:?}")));
     }
-    match positions.iter().find(|p| !boxes.region.contains(**p)) {
+    let first = positions.iter().take_while(|p| near.contains(**p)).count();
+    match positions[first..].iter().find(|p| near.contains(**p) || !region.contains(**p)) {
+        Some(p) if near.contains(*p) => {
+            Err(Error::usage(format!("position {p:?} must come before those outside the inner box")))
+        }
         Some(p) => Err(Error::usage(format!("position {p:?} lies outside its chunk's region"))),
-        None => Ok(()),
+        None => Ok(first),
     }
 }
 
@@ -101,77 +124,106 @@ struct Relation {
 
 /// Sorts the mesher's records into owned, foreign and doubtful ones.
 struct Sorter<'a> {
-    mesher: &'a Mesher,
     positions: &'a [LatticePos],
+    /// What lies outside the points inserted at once.
+    close: Unseen,
     /// By vertex of the mesher: whether it lies in the core; infinity does not.
     in_core: Vec<bool>,
-    /// In the order of the mesher's records.
+    /// In no particular order.
     owned: Vec<Tet>,
     shared: Vec<bool>,
-    uncertified: u64,
+    /// Records to be looked at again.
+    doubtful: Vec<u32>,
 }
 
 impl<'a> Sorter<'a> {
-    fn new(mesher: &'a Mesher, region: &ChunkRegion, positions: &'a [LatticePos], owned: Vec<Tet>) -> Self {
+    fn new(mesher: &Mesher, region: &ChunkRegion, positions: &'a [LatticePos], owned: Vec<Tet>) -> Self {
         let shared: Vec<bool> = positions.iter().map(|p| !region.core.contains(*p)).collect();
         let in_core =
             std::iter::once(false).chain(mesher.sources().iter().map(|&s| !shared[s as usize])).collect();
-        Self { mesher, positions, in_core, owned, shared, uncertified: 0 }
+        let close = Unseen::new(region.near, region.domain, mesher.local());
+        Self { positions, close, in_core, owned, shared, doubtful: vec![] }
     }
 
-    /// The outcome, and the scratch back.
-    fn run(mut self, unseen: &Unseen) -> (ChunkOutcome, Vec<Tet>) {
-        if self.mesher.is_empty() && !unseen.is_empty() {
+    /// Sorts all records; then inserts what the doubtful ones ask for, until none is left. Returns how many cannot be
+    /// certified.
+    fn run(&mut self, mesher: &mut Mesher, region: &ChunkRegion, first: usize) -> Result<u64> {
+        if mesher.is_empty() && !self.close.is_empty() {
             // No tetrahedron to tell what the core's points are joined to.
-            self.uncertified = self.in_core.iter().filter(|&&c| c).count() as u64;
+            return Ok(self.in_core.iter().filter(|&&c| c).count() as u64);
         }
-        let mesher = self.mesher;
-        mesher.for_each_record(|v, sphere| self.record(unseen, v, sphere));
-        if self.uncertified > 0 {
-            return (ChunkOutcome::WidenHalo { uncertified: self.uncertified }, self.owned);
+        for id in 0..mesher.records() {
+            self.record(mesher, id, &mut None);
         }
-        let tets = sorted(&self.owned, self.positions.len());
-        (ChunkOutcome::Done(ChunkMesh { tets, shared: self.shared }), self.owned)
+        if self.doubtful.is_empty() {
+            return Ok(0);
+        }
+        let far = Unseen::new(region.region, region.domain, mesher.local());
+        let mut late = Some(Late::new(self.positions, first, region.region, far, mesher.local()));
+        while !self.doubtful.is_empty() {
+            for id in std::mem::take(&mut self.doubtful) {
+                self.record(mesher, id, &mut late);
+            }
+            let found = late.as_mut().expect("it was just made");
+            if found.uncovered > 0 {
+                return Ok(found.uncovered);
+            }
+            mesher.add(self.positions, found.take_wanted(), &mut self.doubtful)?;
+            self.doubtful.sort_unstable();
+            self.doubtful.dedup();
+            self.in_core.resize(mesher.sources().len() + 1, false);
+        }
+        Ok(0)
     }
 
     #[inline]
-    fn record(&mut self, unseen: &Unseen, v: [u32; 4], sphere: &[f64; 4]) {
+    fn record(&mut self, mesher: &Mesher, id: u32, late: &mut Option<Late<'_>>) {
+        let Some((v, sphere)) = mesher.record(id) else { return };
         let core = v.map(|v| self.in_core[v as usize]);
         if core == [false; 4] {
             return;
         }
         if let Some(k) = v.iter().position(|&v| v == 0) {
-            return self.ghost(unseen, v, k);
+            return self.ghost(mesher, id, super::delaunay::face(k).map(|i| v[i]), late);
         }
-        let relation =
-            if core == [true; 4] { Relation { owned: true, checked: true } } else { self.relation(v, core) };
-        if relation.checked && !unseen.spares(|| v.map(|v| self.at(v)), sphere) {
-            self.uncertified += 1;
+        let relation = if core == [true; 4] {
+            Relation { owned: true, checked: true }
+        } else {
+            self.relation(mesher, v, core)
+        };
+        if relation.checked && !self.close.quickly(sphere) {
+            let tet = v.map(|v| self.at(mesher, v));
+            if !late.as_mut().is_some_and(|late| late.spares(&self.close, tet, sphere)) {
+                self.doubtful.push(id);
+                return;
+            }
         }
         if relation.owned {
-            self.owned.push(canonical(v.map(|v| self.mesher.source(v))));
+            self.owned.push(canonical(v.map(|v| mesher.source(v))));
         } else {
             // Those outside the core are shared already.
-            v.iter().for_each(|&v| self.shared[self.mesher.source(v) as usize] = true);
+            v.iter().for_each(|&v| self.shared[mesher.source(v) as usize] = true);
         }
     }
 
-    fn at(&self, vertex: u32) -> LatticePos {
-        self.positions[self.mesher.source(vertex) as usize]
+    fn at(&self, mesher: &Mesher, vertex: u32) -> LatticePos {
+        self.positions[mesher.source(vertex) as usize]
     }
 
-    fn relation(&self, v: [u32; 4], core: [bool; 4]) -> Relation {
-        let mut by_position: [(LatticePos, bool); 4] = std::array::from_fn(|i| (self.at(v[i]), core[i]));
+    fn relation(&self, mesher: &Mesher, v: [u32; 4], core: [bool; 4]) -> Relation {
+        let mut by_position: [(LatticePos, bool); 4] =
+            std::array::from_fn(|i| (self.at(mesher, v[i]), core[i]));
         by_position.sort_unstable();
         Relation { owned: by_position[0].1, checked: by_position[..3].iter().any(|p| p.1) }
     }
 
     /// A hull facet at a core vertex: it must be one of the whole mesh.
-    fn ghost(&mut self, unseen: &Unseen, v: [u32; 4], infinite: usize) {
-        // Infinity to the last place by an even permutation: a point beyond makes it positive.
-        let [a, b, c] = super::delaunay::face(infinite).map(|k| self.at(v[k]));
-        if !unseen.spares_beyond([a, b, c]) {
-            self.uncertified += 1;
+    fn ghost(&mut self, mesher: &Mesher, id: u32, facet: [u32; 3], late: &mut Option<Late<'_>>) {
+        let facet = facet.map(|v| self.at(mesher, v));
+        let settled =
+            self.close.spares_beyond(facet) || late.as_mut().is_some_and(|late| late.spares_beyond(facet));
+        if !settled {
+            self.doubtful.push(id);
         }
     }
 }

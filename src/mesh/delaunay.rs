@@ -41,7 +41,7 @@ use crate::geom::predicates::orient3d;
 use crate::geom::{Lattice, LatticePos};
 use crate::mesh::certify::Local;
 use crate::mesh::tet::Tet;
-use arena::{Arena, FIRST_TAG, INFINITE, MOST_TETS, Margin, Point, Tetra};
+use arena::{Arena, FIRST_TAG, Frame, INFINITE, MOST_TETS, Margin, Point, Tetra};
 
 /// Which code inserts points; the tetrahedra are the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,9 +66,8 @@ impl Default for Path {
 pub struct Mesher {
     arena: Arena,
     path: Path,
-    /// Input index of each point in insertion order.
+    /// Input index of each vertex: in insertion order, then those added late.
     source: Vec<u32>,
-    frame: Frame,
     sorted: Vec<(u64, u32)>,
     spare: Vec<(u64, u32)>,
     /// Scratch of the chunk stage, kept here so that its pages are not asked for again in each chunk.
@@ -87,13 +86,56 @@ impl Mesher {
     /// # Errors
     /// [`Error::Usage`] for a coordinate above 2^24, an order finer than [`Order::MOST_BITS`], or more points or tetrahedra than 2^30 records hold.
     pub fn delaunay(&mut self, positions: &[LatticePos], order: &Order) -> Result<()> {
+        self.delaunay_of_first(positions, positions.len(), order)
+    }
+
+    /// Tetrahedralizes the first `count` positions; of the others, [`Mesher::add`] may add some.
+    ///
+    /// # Errors
+    /// As [`Mesher::delaunay`].
+    pub(super) fn delaunay_of_first(
+        &mut self,
+        positions: &[LatticePos],
+        count: usize,
+        order: &Order,
+    ) -> Result<()> {
         self.arena.tets.clear();
         self.arena.free.clear();
         check(positions, order)?;
-        self.prepare(positions, order);
+        self.prepare(positions, count, order);
         let Some(first) = self.first_four() else { return Ok(()) };
         self.start(first);
         self.insert_all(first)
+    }
+
+    /// Adds positions to a mesh that has tetrahedra; `indices` are those of [`Mesher::delaunay_of_first`] beyond its `count`,
+    /// in any order, of positions that are not in the mesh yet. Puts the new records into `touched`.
+    ///
+    /// The result is the tetrahedralization of all of them: the tie rule is that of the positions, whenever they come.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] as [`Mesher::delaunay`].
+    pub(super) fn add(
+        &mut self,
+        positions: &[LatticePos],
+        mut indices: Vec<u32>,
+        touched: &mut Vec<u32>,
+    ) -> Result<()> {
+        self.arena.in_order = false;
+        // The spheres of a half-lattice call a tie "not in conflict", half a quantum beyond the margin; now a tie is a
+        // question for the full rule.
+        self.arena.margin.above = self.arena.margin.e + 1.0;
+        // Neighbours one after the other, and of equal positions only the first.
+        let order = self.arena.order;
+        indices.sort_unstable_by_key(|&i| (order.key(positions[i as usize]), positions[i as usize], i));
+        indices.dedup_by_key(|i| positions[*i as usize]);
+        for i in indices {
+            self.arena.points.push(self.arena.frame.point(positions[i as usize]));
+            self.source.push(i);
+            self.insert(self.source.len() as u32, None)?;
+            touched.extend_from_slice(&self.arena.star.id);
+        }
+        Ok(())
     }
 
     /// Calls `f` with each tetrahedron: vertex numbers are indices into the `positions` last meshed. The order of calls and
@@ -106,12 +148,16 @@ impl Mesher {
         }
     }
 
-    /// Calls `f` with the vertices (infinity is 0) and the stored sphere of each tetrahedron and ghost.
+    /// Number of records, dead ones included.
+    pub(super) fn records(&self) -> u32 {
+        self.arena.tets.len() as u32
+    }
+
+    /// The vertices (infinity is 0) and the stored sphere of a tetrahedron or ghost; `None` for a dead record.
     #[inline]
-    pub(super) fn for_each_record(&self, mut f: impl FnMut([u32; 4], &[f64; 4])) {
-        for t in self.arena.tets.iter().filter(|t| !t.is_dead()) {
-            f(t.v, &t.sphere);
-        }
+    pub(super) fn record(&self, id: u32) -> Option<([u32; 4], &[f64; 4])> {
+        let t = &self.arena.tets[id as usize];
+        (!t.is_dead()).then_some((t.v, &t.sphere))
     }
 
     /// Whether there is no tetrahedron.
@@ -132,23 +178,23 @@ impl Mesher {
 
     /// The coordinates and the margin of the stored spheres.
     pub(super) fn local(&self) -> Local {
-        Local { origin: self.frame.origin, shift: self.frame.shift, margin: self.arena.margin.e }
+        let frame = &self.arena.frame;
+        Local { origin: frame.origin, shift: frame.shift, margin: self.arena.margin.e }
     }
 
     /// Sorts, drops duplicates, and writes the points in scaled local coordinates.
-    fn prepare(&mut self, positions: &[LatticePos], order: &Order) {
-        order.sort(positions, &mut self.sorted, &mut self.spare);
+    fn prepare(&mut self, positions: &[LatticePos], count: usize, order: &Order) {
+        order.sort(&positions[..count], &mut self.sorted, &mut self.spare);
         self.sorted.dedup_by_key(|e| positions[e.1 as usize]);
         self.source.clear();
         self.source.extend(self.sorted.iter().map(|e| e.1));
-        self.frame = Frame::around(positions);
-        let frame = &self.frame;
+        let frame = Frame::around(positions);
         let points = &mut self.arena.points;
         points.clear();
         points.push(Point { at: [f32::NAN; 3], tag: 0 });
         points.extend(self.source.iter().map(|&i| frame.point(positions[i as usize])));
-        self.arena.tag = FIRST_TAG;
         self.arena.margin = margin(points);
+        (self.arena.frame, self.arena.order, self.arena.tag) = (frame, *order, FIRST_TAG);
         // Uniform points have 6.8 tetrahedra each, and ghosts.
         pages::reserve(&mut self.arena.tets, 8 * self.source.len());
     }
@@ -264,25 +310,6 @@ fn collinear(a: LatticePos, b: LatticePos, c: LatticePos) -> bool {
     let minus = |p: LatticePos| -> [i64; 3] { std::array::from_fn(|k| i64::from(p[k]) - i64::from(a[k])) };
     let (u, v) = (minus(b), minus(c));
     (0..3).all(|k| u[k] * v[(k + 1) % 3] == u[(k + 1) % 3] * v[k])
-}
-
-/// Shift and scale to small local coordinates.
-#[derive(Debug, Default)]
-struct Frame {
-    origin: LatticePos,
-    shift: u32,
-}
-
-impl Frame {
-    fn around(positions: &[LatticePos]) -> Self {
-        let origin = positions.iter().fold([u32::MAX; 3], |m, p| std::array::from_fn(|k| m[k].min(p[k])));
-        let bits = positions.iter().fold(0, |bits, p| (0..3).fold(bits, |bits, k| bits | (p[k] - origin[k])));
-        Self { origin, shift: if bits == 0 { 0 } else { bits.trailing_zeros() } }
-    }
-
-    fn point(&self, p: LatticePos) -> Point {
-        Point { at: std::array::from_fn(|k| ((p[k] - self.origin[k]) >> self.shift) as f32), tag: 0 }
-    }
 }
 
 /// The margin that suits the points: small against their spacing, and exact spheres where they look like a lattice.

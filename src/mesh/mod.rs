@@ -4,4 +4,5 @@ mod certify;
 pub mod check;
 pub mod chunk;
 pub mod delaunay;
+mod late;
 pub mod tet;

@@ -111,10 +111,11 @@ pub(crate) fn mesh(
         if bytes > room {
             return Ok(Meshing::NeedsRoom { retries, bytes });
         }
-        let region = ChunkRegion { core: chunk.core, region: grown, domain };
+        let near = need::near(recipe.points, &chunk.core, &domain, retries);
+        let region = ChunkRegion { core: chunk.core, near, region: grown, domain };
         sites.truncate(core);
         if core > 0 {
-            push_halo(recipe, chunk, &region.region, &mut sites);
+            push_halo(recipe, chunk, &region, &mut sites);
         }
         let positions: Vec<LatticePos> = sites.iter().map(|s| s.pos).collect();
         match mesh_chunk(mesher, &region, &positions, &recipe.order)? {
@@ -129,23 +130,32 @@ pub(crate) fn mesh(
     unreachable!("the loop ends by returning")
 }
 
-/// Appends the sites of `region` outside the chunk's core, brick by brick.
-fn push_halo(recipe: &Recipe<'_>, chunk: &Chunk, region: &LatticeBox, sites: &mut Vec<Site>) {
-    let grid = &recipe.bricks;
-    let (first, last) = (grid.brick_at(region.lo), grid.brick_at(region.hi.map(|h| h - 1)));
-    let mut one_brick = vec![];
-    for z in first[2]..=last[2] {
-        for y in first[1]..=last[1] {
-            for x in first[0]..=last[0] {
-                let c = [x, y, z];
-                if (0..3).all(|a| chunk.brick_lo[a] <= c[a] && c[a] < chunk.brick_hi[a]) {
-                    continue;
-                }
-                recipe.points.sites_in(&grid.brick(grid.id(c)).intersect(region), &mut one_brick);
-                sites.extend_from_slice(&one_brick);
-            }
+/// Appends the sites of the region outside the chunk's core, those of its inner part first.
+fn push_halo(recipe: &Recipe<'_>, chunk: &Chunk, region: &ChunkRegion, sites: &mut Vec<Site>) {
+    let mut one_box = vec![];
+    let mut late = vec![];
+    for b in shell(&chunk.core, &region.region) {
+        recipe.points.candidates_in(&b, &mut one_box);
+        // Of equal positions the mesh keeps the first: it must be the one of the lowest id.
+        one_box.sort_unstable_by_key(|s| s.id);
+        for site in &one_box {
+            if region.near.contains(site.pos) { sites.push(*site) } else { late.push(*site) }
         }
     }
+    sites.append(&mut late);
+}
+
+/// Six boxes that tile `outer` without `inner`.
+fn shell(inner: &LatticeBox, outer: &LatticeBox) -> Vec<LatticeBox> {
+    let mut rest = *outer;
+    let mut boxes = vec![];
+    for a in 0..3 {
+        let (mut below, mut above) = (rest, rest);
+        (below.hi[a], above.lo[a]) = (inner.lo[a], inner.hi[a]);
+        (rest.lo[a], rest.hi[a]) = (inner.lo[a], inner.hi[a]);
+        boxes.extend([below, above].into_iter().filter(|b| !b.is_empty()));
+    }
+    boxes
 }
 
 /// Keeps only the halo points that tetrahedra use, ordered by id.

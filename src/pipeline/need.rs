@@ -43,17 +43,24 @@ const POINTS_PER_SECOND: f64 = 150_000.0;
 /// Chunks looked at to find the largest.
 const MOST_LOOKED_AT: u64 = 1 << 16;
 
-/// Halo width in mean point spacings of the first try; each further try doubles it.
-const HALO_SPACINGS: u64 = 3;
+/// Halo width in quarters of the mean point spacing of the first try: each further try doubles both. All points within the
+/// first are inserted at once; those within the second are known, and inserted where a tetrahedron needs them.
+const NEAR_QUARTERS: u64 = 7;
+const HALO_QUARTERS: u64 = 12;
 
 /// The core of a chunk with the halo of a try.
 pub(crate) fn region(points: &PointSet, core: &LatticeBox, domain: &LatticeBox, retries: u32) -> LatticeBox {
-    core.grow_within(halo_width(points, retries), domain)
+    core.grow_within(width(points, HALO_QUARTERS, retries), domain)
 }
 
-fn halo_width(points: &PointSet, retries: u32) -> LatticePos {
-    let factor = HALO_SPACINGS << retries.min(40);
-    points.mean_spacing().map(|s| u32::try_from(u64::from(s).saturating_mul(factor)).unwrap_or(u32::MAX))
+/// The core of a chunk with the inner halo of a try, whose points are all inserted.
+pub(crate) fn near(points: &PointSet, core: &LatticeBox, domain: &LatticeBox, retries: u32) -> LatticeBox {
+    core.grow_within(width(points, NEAR_QUARTERS, retries), domain)
+}
+
+fn width(points: &PointSet, quarters: u64, retries: u32) -> LatticePos {
+    let factor = quarters << retries.min(40);
+    points.mean_spacing().map(|s| u32::try_from(u64::from(s).saturating_mul(factor) / 4).unwrap_or(u32::MAX))
 }
 
 /// Bytes in which a chunk whose region holds so many points is meshed, sampled and encoded.

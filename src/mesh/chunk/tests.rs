@@ -69,8 +69,10 @@ fn chunk(all: &[LatticePos], domain: LatticeBox, core: LatticeBox, halo: u32, re
     let mut halo = halo;
     loop {
         let region = core.grow_within([halo; 3], &domain);
-        let local: Vec<LatticePos> = all.iter().copied().filter(|p| region.contains(*p)).collect();
-        match mesh_chunk(&mut mesher, &ChunkRegion { core, region, domain }, &local, &order).unwrap() {
+        let near = core.grow_within([halo / 3; 3], &domain);
+        let mut local: Vec<LatticePos> = all.iter().copied().filter(|p| region.contains(*p)).collect();
+        local.sort_by_key(|p| !near.contains(*p));
+        match mesh_chunk(&mut mesher, &ChunkRegion { core, near, region, domain }, &local, &order).unwrap() {
             ChunkOutcome::Done(mesh) => return part(&local, &mesh),
             ChunkOutcome::WidenHalo { uncertified } => {
                 assert!(uncertified > 0 && region != domain);
@@ -222,11 +224,13 @@ fn bad_boxes_and_stray_positions_are_refused() {
     let b = |hi: u32| LatticeBox { lo: [0; 3], hi: [hi; 3] };
     let order = Order { bits: 4 };
     let mut mesher = Mesher::new();
-    let bad = ChunkRegion { core: b(9), region: b(8), domain: b(10) };
+    let bad = ChunkRegion { core: b(9), near: b(8), region: b(8), domain: b(10) };
     assert!(mesh_chunk(&mut mesher, &bad, &[], &order).is_err());
-    let good = ChunkRegion { core: b(5), region: b(8), domain: b(10) };
+    let good = ChunkRegion { core: b(5), near: b(6), region: b(8), domain: b(10) };
     let stray = mesh_chunk(&mut mesher, &good, &[[1, 1, 9]], &order).unwrap_err();
     assert!(stray.to_string().contains("outside its chunk's region"));
+    let late = mesh_chunk(&mut mesher, &good, &[[1, 1, 7], [1, 1, 5]], &order).unwrap_err();
+    assert!(late.to_string().contains("must come before"));
 }
 
 proptest! {

@@ -1,6 +1,7 @@
 //! The memory of one worker: points, tetrahedra with their spheres, and the error margin of the spheres.
 
 use crate::geom::LatticePos;
+use crate::geom::curve::Order;
 
 /// Vertex number of the point at infinity.
 pub(super) const INFINITE: u32 = 0;
@@ -112,6 +113,8 @@ pub(super) const FACE: [[usize; 3]; 4] = [[1, 3, 2], [0, 2, 3], [0, 3, 1], [0, 1
 pub(super) struct Margin {
     /// The absolute margin: a power of two, at least 2^-4.
     pub(super) e: f64,
+    /// A power above this means "outside": `e`, or more while points are inserted out of order.
+    pub(super) above: f64,
     /// Largest squared radius accepted: (e / 80εR)²; negative when no sphere is to be trusted.
     pub(super) most_r2: f64,
     /// (e / 1024ε)²: accepted if m⁶·max(ρ², e)² is at most this times D².
@@ -126,7 +129,8 @@ impl Margin {
     pub(super) const MOST_EXACT: f64 = (1 << 22) as f64;
 
     /// No sphere is trusted: the integers decide everything.
-    pub(super) const INTEGERS: Self = Self { e: 1.0, most_r2: -1.0, most_kappa: 0.0, half_lattice: false };
+    pub(super) const INTEGERS: Self =
+        Self { e: 1.0, above: 1.0, most_r2: -1.0, most_kappa: 0.0, half_lattice: false };
 
     /// A margin for coordinates of at most `largest`, `e` wished for.
     pub(super) fn new(wished: f64, largest: f64, half_lattice: bool) -> Self {
@@ -136,7 +140,7 @@ impl Margin {
         }
         let radius = e / (80.0 * Self::EPSILON * largest.max(1.0));
         let kappa = e / (1024.0 * Self::EPSILON);
-        Self { e, most_r2: radius * radius, most_kappa: kappa * kappa, half_lattice }
+        Self { e, above: e, most_r2: radius * radius, most_kappa: kappa * kappa, half_lattice }
     }
 
     /// The sphere through p and p + u, p + v, p + w, to be stored; each of `legs` is a difference and its squared length.
@@ -170,6 +174,29 @@ impl Margin {
     }
 }
 
+/// Shift and scale to small local coordinates.
+#[derive(Debug, Default)]
+pub(super) struct Frame {
+    pub(super) origin: LatticePos,
+    pub(super) shift: u32,
+}
+
+impl Frame {
+    pub(super) fn around(positions: &[LatticePos]) -> Self {
+        let origin = positions.iter().fold([u32::MAX; 3], |m, p| std::array::from_fn(|k| m[k].min(p[k])));
+        let bits = positions.iter().fold(0, |bits, p| (0..3).fold(bits, |bits, k| bits | (p[k] - origin[k])));
+        Self { origin, shift: if bits == 0 { 0 } else { bits.trailing_zeros() } }
+    }
+
+    pub(super) fn point(&self, p: LatticePos) -> Point {
+        Point { at: std::array::from_fn(|k| ((p[k] - self.origin[k]) >> self.shift) as f32), tag: 0 }
+    }
+
+    fn global(&self, p: LatticePos) -> LatticePos {
+        std::array::from_fn(|k| (p[k] << self.shift) + self.origin[k])
+    }
+}
+
 /// Everything an insertion touches; reused from mesh to mesh.
 #[derive(Debug)]
 pub(super) struct Arena {
@@ -179,6 +206,8 @@ pub(super) struct Arena {
     /// Dead records below `tets.len()`.
     pub(super) free: Vec<u32>,
     pub(super) margin: Margin,
+    pub(super) frame: Frame,
+    pub(super) order: Order,
     /// Whether each new point is later than all points of the mesh.
     pub(super) in_order: bool,
     /// A live tetrahedron near the next point.
@@ -220,6 +249,8 @@ impl Default for Arena {
             tets: Vec::new(),
             free: Vec::new(),
             margin: Margin::INTEGERS,
+            frame: Frame::default(),
+            order: Order { bits: 1 },
             in_order: false,
             hint: 0,
             cavity: Vec::new(),
@@ -236,6 +267,15 @@ impl Arena {
     #[inline]
     pub(super) fn position(&self, vertex: u32) -> LatticePos {
         self.points[vertex as usize].pos()
+    }
+
+    /// The places of five finite vertices in the insertion order of their positions.
+    pub(super) fn ranks(&self, vertices: [u32; 5]) -> [u32; 5] {
+        let keys = vertices.map(|v| {
+            let at = self.frame.global(self.position(v));
+            (self.order.key(at), at)
+        });
+        keys.map(|k| keys.iter().filter(|other| **other < k).count() as u32)
     }
 
     /// Gives each new tetrahedron a record: first those of the cavity, then free ones, then new ones.

@@ -21,14 +21,17 @@ impl Arena {
                 side => side > 0,
             };
         }
-        let ranks = [v[0], v[1], v[2], v[3], vertex];
-        let points = ranks.map(|v| self.position(v));
+        let all = [v[0], v[1], v[2], v[3], vertex];
+        let points = all.map(|v| self.position(v));
         if self.in_order {
             // The new point is the latest of the five: a tie is not a conflict.
             let [a, b, c, d, e] = points;
             insphere(a, b, c, d, e) > 0
         } else {
-            insphere_perturbed(&points, &ranks) > 0
+            match insphere(points[0], points[1], points[2], points[3], points[4]) {
+                0 => insphere_perturbed(&points, &self.ranks(all)) > 0,
+                side => side > 0,
+            }
         }
     }
 
@@ -38,7 +41,7 @@ impl Arena {
         let power = self.tets[tet as usize].power(p);
         if power < -self.margin.e {
             true
-        } else if power > self.margin.e {
+        } else if power > self.margin.above {
             false
         } else {
             self.conflicts_exactly(tet, vertex)

@@ -181,7 +181,7 @@ impl Arena {
     #[inline]
     #[target_feature(enable = "avx2,fma")]
     fn test_level(&mut self, vertex: u32, p: __m256d, start: usize, end: usize) {
-        let (above, below) = (_mm256_set1_pd(self.margin.e), _mm256_set1_pd(-self.margin.e));
+        let (above, below) = (_mm256_set1_pd(self.margin.above), _mm256_set1_pd(-self.margin.e));
         let minus_one = _mm256_set1_pd(-1.0);
         self.masks.clear();
         for at in start..end {
