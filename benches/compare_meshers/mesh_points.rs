@@ -119,8 +119,8 @@ struct Input {
 
 fn stage(points: Vec<LatticePos>, repeat: usize, threads: usize, chunk: usize) -> Result<(), Box<dyn Error>> {
     let spacing = (f64::from(SIDE) / (points.len() as f64).cbrt()) as u32;
-    let mut all: BTreeSet<LatticePos> = points.into_iter().collect();
-    all.extend(boundary(spacing));
+    let on_faces = boundary(points.len() as u64)?;
+    let all: BTreeSet<LatticePos> = points.into_iter().chain(on_faces).collect();
     let all: Vec<LatticePos> = all.into_iter().collect();
     let order = Order::for_count(all.len() as u64);
     let domain = LatticeBox { lo: [0; 3], hi: [SIDE + 1; 3] };
@@ -150,17 +150,21 @@ fn stage(points: Vec<LatticePos>, repeat: usize, threads: usize, chunk: usize) -
     })
 }
 
-/// A grid of samples on the six faces of the cube, about `spacing` apart.
-fn boundary(spacing: u32) -> Vec<LatticePos> {
-    let n = (SIDE / spacing).max(1);
-    let at = |i: u32| (u64::from(SIDE) * u64::from(i) / u64::from(n)) as u32;
+/// The samples of the boundary that a reduction to `count` points has.
+fn boundary(count: u64) -> Result<Vec<LatticePos>, Box<dyn Error>> {
+    let lattice = Lattice::new([1025; 3])?;
+    let set = PointSet::new(PointSpec::Hammersley { n: count, shift: 0.5 }, lattice)?;
     let mut all = vec![];
-    for (i, j) in (0..=n).flat_map(|i| (0..=n).map(move |j| (i, j))) {
-        for side in [0, SIDE] {
-            all.extend([[side, at(i), at(j)], [at(i), side, at(j)], [at(i), at(j), side]]);
+    for axis in 0..3 {
+        let (mut low, mut high) = (lattice.domain(), lattice.domain());
+        (low.hi[axis], high.lo[axis]) = (1, SIDE);
+        for face in [low, high] {
+            let mut sites = vec![];
+            set.sites_in(&face, &mut sites);
+            all.extend(sites.iter().filter(|s| s.id.class() != Some(PointClass::Interior)).map(|s| s.pos));
         }
     }
-    all
+    Ok(all)
 }
 
 /// Halves the box across its longest edge until each part has at most `most` points.

@@ -228,21 +228,19 @@ impl<'a> Sorter<'a> {
     }
 }
 
-/// The even permutation with the least number first and the least of the rest second.
+/// The even permutation with the least number first and the least of the rest second. Without branches: they would be taken at
+/// random.
 #[inline]
-fn canonical([a, b, c, d]: Tet) -> Tet {
-    let least = a.min(b).min(c.min(d));
-    let [p, q, r] = match least {
-        l if l == a => [b, c, d],
-        l if l == b => [a, d, c],
-        l if l == c => [d, a, b],
-        _ => [c, b, a],
-    };
-    match q.min(r) {
-        l if p < l => [least, p, q, r],
-        l if l == q => [least, q, r, p],
-        _ => [least, r, p, q],
-    }
+fn canonical(t: Tet) -> Tet {
+    /// The others of each place, so that (place, others) is an even permutation.
+    const REST: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [3, 0, 1], [2, 1, 0]];
+    let (low, high) = (usize::from(t[1] < t[0]), 2 + usize::from(t[3] < t[2]));
+    let least = low + (high - low) * usize::from(t[high] < t[low]);
+    let rest = REST[least].map(|i| t[i]);
+    let low = usize::from(rest[1] < rest[0]);
+    let second = low + (2 - low) * usize::from(rest[2] < rest[low]);
+    let round = |k: usize| rest[[0, 1, 2, 0, 1][second + k]];
+    [t[least], round(0), round(1), round(2)]
 }
 
 /// Sorts canonical tetrahedra of `vertices` vertices: a bucket for each first vertex, then the few in it.
@@ -262,7 +260,8 @@ fn sorted(tets: &[Tet], vertices: usize) -> Vec<Tet> {
     }
     let mut start = 0;
     for &end in &end[..vertices] {
-        all[start..end as usize].sort_unstable();
+        // Around an edge each vertex comes third once: three numbers tell all tetrahedra apart.
+        all[start..end as usize].sort_unstable_by_key(|t| u64::from(t[1]) << 32 | u64::from(t[2]));
         start = end as usize;
     }
     all

@@ -58,25 +58,27 @@ impl<'a> Late<'a> {
     /// Whether a tetrahedron's closed circumsphere holds no point that is not inserted; those it holds become wanted. `close` is
     /// what is not among the points inserted at once.
     pub(super) fn spares(&mut self, close: &Unseen, tet: [LatticePos; 4], sphere: &[f64; 4]) -> bool {
-        if !self.far.spares(|| tet, sphere) {
-            self.uncovered += 1;
-            return false;
-        }
-        if let Some(radius) = close.radius(sphere) {
-            return !self.want_in_ball([sphere[0], sphere[1], sphere[2]], radius);
-        }
-        // Too thin or too large for a sphere in floating point.
-        let [a, b, c, d] = tet;
-        close.spares(|| tet, sphere) || !self.want_all(|q| insphere(a, b, c, d, q) >= 0)
+        let found = match close.radius(sphere) {
+            Some(radius) => self.want_in_ball([sphere[0], sphere[1], sphere[2]], radius),
+            None if close.spares(|| tet, sphere) => return true,
+            // Too thin or too large for a sphere in floating point.
+            None => {
+                let [a, b, c, d] = tet;
+                self.want_all(|q| insphere(a, b, c, d, q) >= 0)
+            }
+        };
+        // Only a tetrahedron that would stay has to answer for what lies beyond.
+        !found && self.covers(self.far.spares(|| tet, sphere))
     }
 
     /// Whether no point that is not inserted lies strictly beyond a hull facet; those that do become wanted.
     pub(super) fn spares_beyond(&mut self, facet: [LatticePos; 3]) -> bool {
         let [a, b, c] = facet;
-        if self.want_all(|q| orient3d(a, b, c, q) > 0) {
-            return false;
-        }
-        let covered = self.far.spares_beyond(facet);
+        let found = self.want_all(|q| orient3d(a, b, c, q) > 0);
+        !found && self.covers(self.far.spares_beyond(facet))
+    }
+
+    fn covers(&mut self, covered: bool) -> bool {
         self.uncovered += u64::from(!covered);
         covered
     }
