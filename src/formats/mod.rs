@@ -9,6 +9,8 @@
 //! right-anterior-superior. They are not converted into one another.
 
 mod folder;
+#[cfg(feature = "hdf5")]
+pub mod hdf5;
 mod header;
 pub mod metaimage;
 pub mod nifti;
@@ -52,6 +54,7 @@ pub struct OpenOptions {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Bricks,
+    Hdf5,
     MetaImage,
     Nifti,
     Npy,
@@ -66,6 +69,7 @@ impl Kind {
     fn name(self) -> &'static str {
         match self {
             Self::Bricks => "an isospan .bricks file",
+            Self::Hdf5 => "an HDF5 file",
             Self::MetaImage => "a MetaImage file",
             Self::Nifti => "a NIfTI file",
             Self::Npy => "an NPY file",
@@ -102,6 +106,7 @@ pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
             pick_field(path, &crate::volume::VolumeReader::info(&volume).fields, options.field.as_deref())?;
             Ok(VolumeSource::Random(Box::new(volume)))
         }
+        Some(Kind::Hdf5) => open_hdf5(path, options),
         Some(Kind::MetaImage) => metaimage::open(path, options),
         Some(Kind::Nifti) => nifti::open(path, options),
         Some(Kind::Npy) => npy::open(path, options),
@@ -116,6 +121,18 @@ pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     }
 }
 
+#[cfg(feature = "hdf5")]
+fn open_hdf5(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    hdf5::open(path, options)
+}
+
+#[cfg(not(feature = "hdf5"))]
+fn open_hdf5(path: &Path, _: &OpenOptions) -> Result<VolumeSource> {
+    let got = "an HDF5 or NetCDF-4 file, and a program built without the feature hdf5";
+    Err(Error::bad_input(path, "kind of file", "a format that this program reads", got)
+        .with_help("install it with `--features hdf5`"))
+}
+
 /// What a file is: by its first bytes, then by its name.
 fn kind_of(source: &Arc<ByteSource>) -> Option<Kind> {
     let head = source.slice(0..source.len().min(512)).expect("within the file");
@@ -124,6 +141,7 @@ fn kind_of(source: &Arc<ByteSource>) -> Option<Kind> {
         (&b"NRRD000"[..], Kind::Nrrd),
         (b"\x93NUMPY", Kind::Npy),
         (b"PK\x03\x04", Kind::Npz),
+        (b"\x89HDF\r\n\x1a\n", Kind::Hdf5),
         (b"# vtk DataFile", Kind::VtkLegacy),
         (b"<VTKFile", Kind::VtkXml),
         (&bricked::MAGIC, Kind::Bricks),
@@ -172,7 +190,7 @@ fn unknown_kind(source: &ByteSource) -> Error {
     Error::bad_input(
         source.path(),
         "kind of file",
-        "NRRD, MetaImage, NPY or NPZ, NIfTI, TIFF, VTI, legacy VTK or .bricks (or a folder: slices, Zarr)",
+        "NRRD, MetaImage, NPY or NPZ, NIfTI, TIFF, HDF5, VTI, legacy VTK or .bricks (or a folder: slices, Zarr)",
         format!("none of these by name or first bytes ({})", shown.join(" ")),
     )
     .with_help("a headerless file needs --dims and --type; of other compressed files, unpack them first")

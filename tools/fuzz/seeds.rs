@@ -39,6 +39,7 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 2]> {
         of("vti", vti()),
         of("vtk", legacy()),
         of("tif", vec![tiff(1), tiff(8)]),
+        of("h5", vec![include_bytes!("../../tests/data/hdf5_small.h5").to_vec()]),
         // The first bytes choose the layout too: zeros stand for 4 x 4 x 4 bytes.
         of("raw", vec![[vec![0; 8], samples(1, 56)].concat()]),
         of("bricks", vec![bricks(folder)?]),

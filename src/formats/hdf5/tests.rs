@@ -1,0 +1,249 @@
+use super::super::tests::{read_all, write};
+use super::*;
+use crate::bytes::IoMode;
+use crate::formats::open_volume;
+use std::path::PathBuf;
+
+fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
+}
+
+fn open(name: &str, field: &str) -> Result<VolumeSource> {
+    let field = Some(field.to_string());
+    open_volume(&data(name), &OpenOptions { field, ..OpenOptions::default() })
+}
+
+/// What `tools/make_golden_hdf5.py` wrote: each sample its index.
+fn ramp() -> Vec<f32> {
+    (0..60u8).map(f32::from).collect()
+}
+
+/// All values, put where their slabs say.
+fn values(source: VolumeSource) -> Vec<f32> {
+    let info = source.info().clone();
+    let whole = IndexBox::whole(info.dims);
+    let mut values = vec![f32::NAN; whole.len()];
+    match source {
+        VolumeSource::Random(reader) => reader.read_box(whole, &mut values).unwrap(),
+        VolumeSource::Stream(mut stream) => {
+            let (mut bytes, mut filled) = (vec![], 0);
+            while let Some(slab) = stream.next_slab(&mut bytes).unwrap() {
+                let mut part = vec![0.0; slab.len()];
+                let (scalar, missing) = (info.field.scalar, info.missing);
+                crate::volume::strided::convert_row(
+                    &bytes,
+                    scalar,
+                    false,
+                    info.slope,
+                    info.intercept,
+                    missing,
+                    &mut part,
+                );
+                let (lo, d) = (slab.lo, slab.dims());
+                filled += part.len();
+                for (i, v) in part.into_iter().enumerate() {
+                    let (x, y, z) = (i as u64 % d[0], i as u64 / d[0] % d[1], i as u64 / (d[0] * d[1]));
+                    let at = ((lo[2] + z) * info.dims[1] + lo[1] + y) * info.dims[0] + lo[0] + x;
+                    values[at as usize] = v;
+                }
+            }
+            assert_eq!(filled, values.len(), "each sample once");
+        }
+    }
+    values
+}
+
+#[test]
+fn every_type_is_read_in_both_orders_mapped_and_chunked() {
+    for version in ["earliest", "latest"] {
+        let name = format!("types_{version}.h5");
+        for (field, scalar) in [
+            ("u1", ScalarType::U8),
+            ("i1", ScalarType::I8),
+            ("u2", ScalarType::U16),
+            ("i2", ScalarType::I16),
+            ("big_i2", ScalarType::I16),
+            ("u4", ScalarType::U32),
+            ("big_u4", ScalarType::U32),
+            ("i4", ScalarType::I32),
+            ("u8", ScalarType::U64),
+            ("i8", ScalarType::I64),
+            ("f4", ScalarType::F32),
+            ("big_f4", ScalarType::F32),
+            ("f8", ScalarType::F64),
+            ("big_f8", ScalarType::F64),
+        ] {
+            let mapped = open(&name, &format!("group/{field}")).unwrap();
+            assert!(matches!(mapped, VolumeSource::Random(_)), "{field} lies in the file as it is");
+            let chunked = open(&name, &format!("/group/{field}_chunks")).unwrap();
+            for source in [mapped, chunked] {
+                assert_eq!((source.info().dims, source.info().field.scalar), ([5, 4, 3], scalar));
+                assert_eq!(values(source), ramp(), "{name} {field}");
+            }
+        }
+    }
+}
+
+#[test]
+fn both_ways_of_reading_give_the_same() {
+    for field in ["group/big_f8", "group/big_f8_chunks"] {
+        for io in [IoMode::Map, IoMode::Read] {
+            let options = OpenOptions { field: Some(field.into()), io, ..OpenOptions::default() };
+            assert_eq!(values(open_volume(&data("types_latest.h5"), &options).unwrap()), ramp(), "{field}");
+        }
+    }
+}
+
+#[test]
+fn fields_are_listed_once_and_found_by_any_link() {
+    let path = data("types_earliest.h5");
+    let error = open_volume(&path, &OpenOptions::default()).err().expect("many fields");
+    assert_eq!(error.exit_code(), 2);
+    let line = error.to_string();
+    assert!(line.contains("group/f4 (f32)") && line.contains("group/big_i2_chunks (i16)"), "{line}");
+    assert_eq!(open("types_earliest.h5", "again").unwrap().info().fields.len(), 28);
+    for name in ["again", "/root/group/i2"] {
+        assert_eq!(values(open("types_latest.h5", name).unwrap()), ramp(), "{name}");
+    }
+    assert_eq!(open("types_latest.h5", "group/none").err().expect("no such field").exit_code(), 2);
+}
+
+#[test]
+fn layouts_indices_and_fill_values_are_read() {
+    for version in ["earliest", "latest"] {
+        let name = format!("layouts_{version}.h5");
+        for field in ["unlimited", "unlimited2", "one", "lzf", "scaleoffset", "four", "compact"] {
+            assert_eq!(values(open(&name, field).unwrap()), ramp(), "{name} {field}");
+        }
+        for field in ["frames", "frames_chunks"] {
+            let frame = |t: u32| values(open(&name, &format!("{field}:t{t}")).unwrap());
+            assert_eq!(frame(1), ramp(), "{name} {field}");
+            assert_eq!(frame(0), ramp().iter().map(|v| v - 7.0).collect::<Vec<f32>>());
+        }
+        assert_eq!(values(open(&name, "empty").unwrap()), vec![-5.0; 60]);
+        let part = values(open(&name, "part").unwrap());
+        let expected = |i: usize| if i % 5 < 2 && i / 5 % 4 < 2 && i / 20 < 2 { 1.0 } else { -5.0 };
+        assert_eq!(part, (0..60).map(expected).collect::<Vec<f32>>());
+    }
+}
+
+#[test]
+fn what_is_not_read_is_refused_for_its_reason() {
+    for (field, reason) in [
+        ("complex", "records"),
+        ("text", "text"),
+        ("half", "2 bytes"),
+        ("boolean", "an enumeration"),
+        ("five", "3 x 1 x 4 x 5 x 1"),
+        ("two_missing", "1 and 2"),
+    ] {
+        let error = open("layouts_latest.h5", field).err().expect("refused");
+        assert_eq!(error.exit_code(), 5, "{error}");
+        assert!(error.to_string().contains(reason) && error.to_string().contains(field), "{error}");
+    }
+}
+
+#[test]
+fn netcdf_places_scales_and_marks_what_is_missing() {
+    let source = open("grid.nc", "temp").unwrap();
+    let info = source.info().clone();
+    assert_eq!((info.slope, info.intercept, info.missing), (0.5, 10.0, Some(-999.0)));
+    // Levels 100, 110, 150 are not regular; latitude falls.
+    assert_eq!((info.geometry.spacing, info.geometry.origin), ([0.5, 2.5, 1.0], [0.0, 5.0, 0.0]));
+    assert_eq!(info.geometry.to_world([2.0, 1.0, 1.0]), [1.0, 2.5, 1.0]);
+    let values = values(source);
+    assert!(values[1].is_nan());
+    assert_eq!((values[0], values[2], values[59]), (10.0, 11.0, 39.5));
+    let (info, values) = read_all(open("grid.nc", "plain").unwrap());
+    assert_eq!((info.geometry.spacing, values), ([1.0, 2.5, 1.0], ramp()));
+}
+
+/// Opens and reads each field of a damaged file, or what of it comes first; panics are the test's failures.
+fn survives(path: &Path, fields: &[&str]) {
+    for &field in fields {
+        let options = OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
+        let read = open_volume(path, &options).and_then(|source| match source {
+            VolumeSource::Random(reader) => {
+                let d = reader.info().dims.map(|n| n.min(8));
+                let voxels = IndexBox::whole(d);
+                reader.read_box(voxels, &mut vec![0.0; voxels.len()])
+            }
+            VolumeSource::Stream(mut stream) => {
+                let mut bytes = vec![];
+                // A damaged shape may be a large one, of chunks that are not there.
+                for _ in 0..20 {
+                    if stream.next_slab(&mut bytes)?.is_none() {
+                        break;
+                    }
+                }
+                Ok(())
+            }
+        });
+        if let Err(e) = read {
+            let line = e.to_string();
+            assert!(!line.contains('\n') && line.len() < 2000, "{line}");
+        }
+    }
+}
+
+#[test]
+fn damage_is_an_error_or_the_answer() {
+    let dir = tempfile::tempdir().unwrap();
+    // Each ninety-seventh byte; fewer between them, and more time, when the variable says so.
+    let steps = std::env::var("ISOSPAN_HDF5_DAMAGE").ok().and_then(|s| s.parse().ok()).unwrap_or(97usize);
+    for (name, fields) in [
+        ("types_latest.h5", &["group/f4_chunks", "group/u2"][..]),
+        ("types_earliest.h5", &["group/big_f8_chunks", "group/i1"]),
+        ("layouts_latest.h5", &["unlimited2", "scaleoffset", "unlimited", "compact"]),
+        ("layouts_earliest.h5", &["unlimited2", "lzf", "part", "frames:t1"]),
+        ("grid.nc", &["temp", "plain"]),
+    ] {
+        let bytes = std::fs::read(data(name)).unwrap();
+        for cut in (0..bytes.len()).step_by(7 * steps) {
+            survives(&write(&dir, name, &bytes[..cut]), fields);
+        }
+        for at in (steps % 7..bytes.len()).step_by(steps) {
+            for flip in [0x01, 0x80, 0xff] {
+                let mut damaged = bytes.clone();
+                damaged[at] ^= flip;
+                survives(&write(&dir, name, &damaged), fields);
+            }
+        }
+    }
+}
+
+#[test]
+fn damaged_samples_are_found_by_their_checksum() {
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = std::fs::read(data("types_latest.h5")).unwrap();
+    let mut refused = 0;
+    for at in (0..bytes.len()).step_by(11) {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 0x10;
+        let options = OpenOptions { field: Some("group/i8_chunks".into()), ..OpenOptions::default() };
+        let path = write(&dir, "a.h5", &damaged);
+        let Ok(VolumeSource::Stream(mut stream)) = open_volume(&path, &options) else {
+            refused += 1;
+            continue;
+        };
+        let (mut out, mut all) = (vec![], vec![]);
+        match std::iter::from_fn(|| stream.next_slab(&mut out).map(|s| s.map(|_| out.clone())).transpose())
+            .collect::<Result<Vec<_>>>()
+        {
+            Err(_) => refused += 1,
+            Ok(slabs) => all.extend(slabs.concat()),
+        }
+        let right: Vec<u8> = (0..60i64).flat_map(i64::to_le_bytes).collect();
+        assert!(all.is_empty() || all == right, "a wrong value for byte {at}");
+    }
+    assert!(refused > 20, "{refused}");
+}
+
+#[test]
+fn steps_are_regular_or_not() {
+    assert_eq!(regular(&[1.0, 3.0, 5.0]), Some((1.0, 2.0)));
+    assert_eq!(regular(&[4.0]), Some((4.0, 1.0)));
+    for bad in [&[][..], &[1.0, 1.0], &[1.0, 2.0, 4.0], &[f64::NAN, 1.0], &[0.0, f64::INFINITY]] {
+        assert_eq!(regular(bad), None, "{bad:?}");
+    }
+}

@@ -1,0 +1,87 @@
+#!/usr/bin/env python3
+"""Writes tests/data/*.h5 and *.nc, small HDF5 and NetCDF-4 files for the tests of src/formats/hdf5.rs.
+
+Needs h5py, netCDF4 and numpy. Sample (z, y, x) of each dataset is its index in C order, unless said otherwise.
+Usage: tools/make_golden_hdf5.py
+"""
+from pathlib import Path
+
+import h5py
+import netCDF4
+import numpy as np
+
+OUT = Path(__file__).resolve().parent.parent / "tests" / "data"
+RAMP = np.arange(3 * 4 * 5).reshape(3, 4, 5)
+FILTERS = dict(chunks=(2, 3, 2), compression="gzip", shuffle=True, fletcher32=True)
+
+
+def types(version):
+    with h5py.File(OUT / f"types_{version}.h5", "w", libver=version) as f:
+        g = f.create_group("group")
+        for t in ("<f4", "<f8", "<i2", "|u1", "<u2", "|i1", "<i4", "<u4", "<i8", "<u8", ">f4", ">f8", ">i2", ">u4"):
+            name = t.replace("<", "").replace("|", "").replace(">", "big_")
+            g.create_dataset(name, data=RAMP.astype(t))
+            g.create_dataset(name + "_chunks", data=RAMP.astype(t), **FILTERS)
+        f["again"] = h5py.SoftLink("/group/i2")
+        f["root"] = h5py.SoftLink("/")
+
+
+def layouts(version):
+    with h5py.File(OUT / f"layouts_{version}.h5", "w", libver=version) as f:
+        i2 = RAMP.astype("<i2")
+        f.create_dataset("unlimited", data=i2, maxshape=(None, 4, 5), chunks=(2, 3, 5))
+        f.create_dataset("unlimited2", data=i2, maxshape=(None, None, 5), chunks=(2, 3, 5))
+        f.create_dataset("one", data=i2, chunks=(3, 4, 5))
+        f.create_dataset("lzf", data=i2, chunks=(3, 4, 5), compression="lzf")
+        f.create_dataset("scaleoffset", data=i2, chunks=(2, 3, 4), scaleoffset=0)
+        f.create_dataset("four", data=i2.reshape(1, 3, 4, 5))
+        f.create_dataset("frames", data=np.stack([i2 - 7, i2]))
+        f.create_dataset("frames_chunks", data=np.stack([i2 - 7, i2]), chunks=(1, 2, 3, 5))
+        # Never written: -5. Written in part: 1 in the first chunk, then -5.
+        f.create_dataset("empty", shape=(3, 4, 5), dtype="<f4", fillvalue=-5)
+        part = f.create_dataset("part", shape=(3, 4, 5), dtype="<f4", chunks=(2, 2, 2), fillvalue=-5)
+        part[0:2, 0:2, 0:2] = 1
+        plist = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        plist.set_layout(h5py.h5d.COMPACT)
+        space = h5py.h5s.create_simple(RAMP.shape)
+        compact = h5py.h5d.create(f.id, b"compact", h5py.h5t.STD_I16LE, space, plist)
+        compact.write(h5py.h5s.ALL, h5py.h5s.ALL, i2)
+        # Not read, each for its reason.
+        f.create_dataset("complex", data=RAMP.astype("c8"))
+        f.create_dataset("text", data=np.full((2, 2, 2), b"abc"))
+        f.create_dataset("half", data=RAMP.astype("f2"))
+        f.create_dataset("boolean", data=RAMP % 2 == 0)
+        f.create_dataset("five", data=i2.reshape(3, 1, 4, 5, 1))
+        two = f.create_dataset("two_missing", data=i2)
+        two.attrs["_FillValue"] = np.int16(1)
+        two.attrs["missing_value"] = np.int16(2)
+
+
+def netcdf():
+    with netCDF4.Dataset(OUT / "grid.nc", "w") as f:
+        for name, count, start, step in (("lev", 3, 100, 10), ("lat", 4, 5, -2.5), ("lon", 5, 0, 0.5)):
+            f.createDimension(name, count)
+            f.createVariable(name, "f4", (name,))[:] = start + step * np.arange(count)
+        f["lev"][2] = 150  # not regular
+        v = f.createVariable("temp", "i2", ("lev", "lat", "lon"), zlib=True, fill_value=-999, chunksizes=(2, 3, 5))
+        v.set_auto_maskandscale(False)
+        v.scale_factor, v.add_offset = 0.5, 10.0
+        v[:] = RAMP
+        v[0, 0, 1] = -999
+        f.createDimension("bare", 5)
+        f.createVariable("plain", "f4", ("lev", "lat", "bare"))[:] = RAMP
+
+
+def small():
+    """One field, so that it is read without a choice: what tools/fuzz damages."""
+    with h5py.File(OUT / "hdf5_small.h5", "w", libver="latest") as f:
+        f.create_dataset("v", data=RAMP.astype("<i2"), **FILTERS)
+
+
+if __name__ == "__main__":
+    OUT.mkdir(parents=True, exist_ok=True)
+    for version in ("earliest", "latest"):
+        types(version)
+        layouts(version)
+    netcdf()
+    small()
