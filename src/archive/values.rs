@@ -29,7 +29,8 @@ pub const VALUES_QUANTISED: u8 = 17;
 
 /// The bits of every void value.
 const VOID: u32 = 0x7fc0_0000;
-/// Compression level of zstd: level 5 takes twice the time for 0.6 % fewer bytes on computed tomographies, level 1 half the time for 0.6 % more.
+/// Compression level of zstd: on computed tomographies level 5 takes twice the time for 0.6 % fewer bytes, level 1 saves 10 to 25 % of the time
+/// for 0.6 % more.
 const LEVEL: i32 = 3;
 
 /// Encodes the values of all local vertices of a chunk, core then halo: one block for each [`BLOCK_VALUES`] values.
