@@ -53,7 +53,10 @@
 //!
 //! # Features
 //!
-//! `cli` (default): the `isospan` program. The library itself needs no feature.
+//! * `cli` (default): the `isospan` program.
+//! * `hdf5` (default): HDF5 and NetCDF-4 files, by a pure-Rust reader.
+//!
+//! The library builds with neither.
 
 pub mod archive;
 pub mod bytes;

@@ -24,8 +24,9 @@
 //!   our own access to the file, with bounds on what a header can make it allocate. Taken, without its own threads.
 //! * `hdf5-pure` 0.47: pure Rust, also writes. Refuses layout version 5 (what HDF5 2.0 writes for filtered chunks of its
 //!   newest file version) and chunks indexed by a version 2 B-tree; reads by whole slices only.
-//! * `hdf5-metno`: bindings to the C library, which would have to be installed or built by CMake, allows one thread at a
-//!   time, and is not made for hostile files. Not needed, so not taken.
+//!
+//! Not tried, as the first sufficed: `hdf5-metno`, bindings to the C library, which would have to be installed or built by
+//! CMake and allows one thread at a time.
 //!
 //! The format: "HDF5 File Format Specification Version 4.0", The HDF Group.
 
