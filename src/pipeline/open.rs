@@ -182,6 +182,20 @@ impl OpenArchive {
         Ok(index)
     }
 
+    /// Refuses a chunk that an index names and that is not there.
+    pub(super) fn expect_chunk(&self, id: ChunkId) -> Result<()> {
+        if id.0 >= self.chunks.len() {
+            let got = format!("an entry of chunk {}", id.0);
+            return Err(Error::bad_input(
+                self.layout.index(),
+                "entries",
+                format!("chunks below {}", self.chunks.len()),
+                got,
+            ));
+        }
+        Ok(())
+    }
+
     pub(super) fn segment(&self, number: u64) -> Result<Arc<OpenSegment>> {
         let mut open = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(segment) = open.get(&number) {
@@ -258,15 +272,7 @@ pub(super) struct DecodedChunk {
 impl OpenArchive {
     /// Decodes `blocks` (numbers within the chunk, ascending) of a chunk, and of its values what they use.
     pub(super) fn decode(&self, id: ChunkId, blocks: &[u32]) -> Result<DecodedChunk> {
-        if id.0 >= self.chunks.len() {
-            let got = format!("an entry of chunk {}", id.0);
-            return Err(Error::bad_input(
-                self.layout.index(),
-                "entries",
-                format!("chunks below {}", self.chunks.len()),
-                got,
-            ));
-        }
+        self.expect_chunk(id)?;
         let segment = self.segment_of(id)?;
         let chunk = self.chunks.chunk(id);
         let mut buffer = vec![];

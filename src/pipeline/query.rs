@@ -103,9 +103,13 @@ fn finite(isovalue: f32) -> Result<()> {
 }
 
 /// The active blocks, chunk by chunk.
-fn by_chunk(refs: &[Entry]) -> Vec<(ChunkId, Vec<u32>)> {
+fn by_chunk(archive: &OpenArchive, refs: &[Entry]) -> Result<Vec<(ChunkId, Vec<u32>)>> {
     refs.chunk_by(|a, b| a.chunk == b.chunk)
-        .map(|run| (ChunkId(run[0].chunk), run.iter().map(|r| r.block).collect()))
+        .map(|run| {
+            let chunk = ChunkId(run[0].chunk);
+            archive.expect_chunk(chunk)?;
+            Ok((chunk, run.iter().map(|r| r.block).collect()))
+        })
         .collect()
 }
 
@@ -117,7 +121,7 @@ pub fn count_active(path: &Path, isovalue: f32) -> Result<CountReport> {
     finite(isovalue)?;
     let archive = OpenArchive::open(path)?;
     let refs = archive.index()?.query(isovalue)?;
-    let active = by_chunk(&refs)
+    let active = by_chunk(&archive, &refs)?
         .par_iter()
         .map(|(chunk, blocks)| Ok(active_tets(&archive.decode(*chunk, blocks)?, isovalue)))
         .sum::<Result<u64>>()?;
@@ -163,7 +167,7 @@ pub fn extract_surface(
 
     let start = Instant::now();
     let world = WorldMap::new(&archive.manifest.plan.lattice, &archive.step().plan.source.geometry);
-    let work = by_chunk(&refs);
+    let work = by_chunk(&archive, &refs)?;
     let (surface, active_tetrahedra) = welded(&archive, &work, settings, &world, parent_of(out), progress)?;
     let extracted = start.elapsed();
 
