@@ -66,6 +66,7 @@ pub mod formats;
 pub mod geom;
 pub mod grid;
 pub mod index;
+pub mod locate;
 pub mod mesh;
 pub mod pipeline;
 pub mod points;

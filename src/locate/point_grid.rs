@@ -1,0 +1,131 @@
+//! Points in a grid, through which tetrahedra pass.
+//!
+//! ```text
+//!   ┌───┬───┬───┬───┐     the points of a row of grid cells are one run of memory, so a
+//!   │ · │   │·  │ · │     tetrahedron reads one run for each row that its bounding box meets
+//!   ├───┼──╱╲───┼───┤
+//!   │   │·╱ ·╲  │ · │     most boxes meet a few cells, most of those few have no point:
+//!   ├───┼╱────╲─┼───┤     that is a subtraction of two numbers
+//!   │ · ╱───────╲   │
+//!   └───┴───┴───┴───┘
+//! ```
+
+use super::{CellBatch, FINE_BITS, FinePos, Found, fine, keep, weights};
+use crate::geom::LatticePos;
+
+/// Points to be located, sorted into a grid.
+#[derive(Clone, Debug)]
+pub struct PointGrid {
+    /// Smallest coordinates of the points, in lattice steps.
+    lo: LatticePos,
+    /// Largest.
+    hi: LatticePos,
+    /// log2 of the lattice steps of a grid cell's edge.
+    shift: u32,
+    dims: [usize; 3],
+    /// Where each grid cell's points begin; x fastest; one more than cells.
+    starts: Vec<u32>,
+    /// Positions, by grid cell.
+    sorted: Vec<FinePos>,
+    /// Their numbers.
+    numbers: Vec<u32>,
+}
+
+/// Points a grid cell, about, at the least.
+const POINTS_A_CELL: usize = 1;
+
+impl PointGrid {
+    /// Sorts points into a grid, in time proportional to their number; fewer than 2^32.
+    pub fn new(points: &[LatticePos]) -> Self {
+        let bound = |pick: fn(u32, u32) -> u32, start: u32| {
+            points.iter().fold([start; 3], |m, p| std::array::from_fn(|a| pick(m[a], p[a])))
+        };
+        let (lo, hi) = (bound(u32::min, u32::MAX), bound(u32::max, 0));
+        let (lo, hi) = if points.is_empty() { ([0; 3], [0; 3]) } else { (lo, hi) };
+        let cells_at =
+            |shift: u32| -> [usize; 3] { std::array::from_fn(|a| ((hi[a] - lo[a]) >> shift) as usize + 1) };
+        let product = |d: [usize; 3]| d.iter().map(|&n| n as u128).product::<u128>();
+        let most = (points.len() / POINTS_A_CELL).max(1) as u128;
+        let shift = (0..32).find(|&s| product(cells_at(s)) <= most).unwrap_or(31);
+        let mut grid =
+            Self { lo, hi, shift, dims: cells_at(shift), starts: vec![], sorted: vec![], numbers: vec![] };
+        grid.fill(points);
+        grid
+    }
+
+    /// A counting sort by grid cell.
+    fn fill(&mut self, points: &[LatticePos]) {
+        let cells: usize = self.dims.iter().product();
+        self.starts = vec![0; cells + 1];
+        let cell_of = |p: &LatticePos| {
+            let c: [usize; 3] = std::array::from_fn(|a| ((p[a] - self.lo[a]) >> self.shift) as usize);
+            (c[2] * self.dims[1] + c[1]) * self.dims[0] + c[0]
+        };
+        let of: Vec<u32> = points.iter().map(|p| cell_of(p) as u32).collect();
+        for &c in &of {
+            self.starts[c as usize + 1] += 1;
+        }
+        for c in 0..cells {
+            self.starts[c + 1] += self.starts[c];
+        }
+        let mut next = self.starts.clone();
+        (self.sorted, self.numbers) = (vec![[0; 3]; points.len()], vec![0; points.len()]);
+        for (i, (p, &c)) in points.iter().zip(&of).enumerate() {
+            let at = next[c as usize] as usize;
+            next[c as usize] += 1;
+            self.sorted[at] = fine(*p);
+            self.numbers[at] = i as u32;
+        }
+    }
+
+    /// Looks for each point in the cells of a batch; `found[i]` keeps the answer of the lowest id for point i.
+    pub fn locate(&self, cells: &CellBatch, found: &mut [Found]) {
+        assert_eq!(found.len(), self.numbers.len(), "an answer for each point");
+        if found.is_empty() {
+            return;
+        }
+        for (cell, &id) in cells.ids.iter().enumerate() {
+            self.locate_cell(cells.corners_of(cell), |number, weights| {
+                keep(&mut found[number], id, cell, weights)
+            });
+        }
+    }
+
+    /// The range of grid cells on each axis that a tetrahedron's bounding box meets; `None` if it meets none.
+    #[inline]
+    fn reach(&self, lo: FinePos, hi: FinePos) -> Option<[(usize, usize); 3]> {
+        let mut reach = [(0, 0); 3];
+        for a in 0..3 {
+            // The lattice positions that lie in [lo, hi].
+            let first = ((lo[a] + (1 << FINE_BITS) - 1) >> FINE_BITS).max(i64::from(self.lo[a]));
+            let last = (hi[a] >> FINE_BITS).min(i64::from(self.hi[a]));
+            if first > last {
+                return None;
+            }
+            let cell = |p: i64| ((p - i64::from(self.lo[a])) >> self.shift) as usize;
+            reach[a] = (cell(first), cell(last));
+        }
+        Some(reach)
+    }
+
+    #[inline]
+    fn locate_cell(&self, corners: [FinePos; 4], mut hit: impl FnMut(usize, [f64; 4])) {
+        let [a, b, c, d] = corners;
+        let lo: FinePos = std::array::from_fn(|k| a[k].min(b[k]).min(c[k].min(d[k])));
+        let hi: FinePos = std::array::from_fn(|k| a[k].max(b[k]).max(c[k].max(d[k])));
+        let Some([x, y, z]) = self.reach(lo, hi) else { return };
+        for row_z in z.0..=z.1 {
+            for row_y in y.0..=y.1 {
+                let row = (row_z * self.dims[1] + row_y) * self.dims[0];
+                let (from, to) = (self.starts[row + x.0] as usize, self.starts[row + x.1 + 1] as usize);
+                for at in from..to {
+                    let p = self.sorted[at];
+                    let within = (0..3).all(|k| lo[k] <= p[k] && p[k] <= hi[k]);
+                    if within && let Some(weights) = weights(corners, p) {
+                        hit(self.numbers[at] as usize, weights);
+                    }
+                }
+            }
+        }
+    }
+}
