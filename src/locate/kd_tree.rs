@@ -62,7 +62,7 @@ impl<'a> KdTree<'a> {
                 keep(found, self.cells.ids[cell], cell, weights);
             }
         }
-        let (is_minimum, at) = (key % 2 == 0, p[key / 2]);
+        let (is_minimum, at) = (key.is_multiple_of(2), p[key / 2]);
         if is_minimum || node[key] >= at {
             self.search(range.start..middle, (key + 1) % 6, p, found);
         }

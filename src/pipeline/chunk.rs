@@ -1,53 +1,25 @@
-//! One chunk, from its number to its points, its owned tetrahedra, and the values at its vertices.
+//! One chunk, from its number to its points and its owned tetrahedra.
 //!
 //! Everything here is a function of the plan and the chunk alone: no chunk sees another, so chunks can be made in any
 //! order, on any machine, twice, and give the same result.
 
 use super::need;
 use super::plan::check_brick;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::geom::curve::Order;
 use crate::geom::{LatticeBox, LatticePos, PointId, Site};
-use crate::grid::{BrickGrid, Chunk, IndexBox};
+use crate::grid::{BrickGrid, Chunk};
 use crate::mesh::chunk::{ChunkOutcome, ChunkRegion, mesh_chunk};
 use crate::mesh::delaunay::Mesher;
 use crate::mesh::tet::Tet;
 use crate::points::PointSet;
-use crate::sample::{Interpolation, VoxelBlock, sample};
-use crate::volume::VolumeReader;
-use std::fmt;
-
-/// What to do with samples that are NaN, infinite, or declared missing.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub enum NanPolicy {
-    /// Refuse the volume, naming the first such sample.
-    #[default]
-    Error,
-    /// A point that such a sample contributes to is void, and a tetrahedron with a void corner is never extracted.
-    Mask,
-    /// Use this value in place of such a sample.
-    Value(f32),
-}
-
-impl fmt::Display for NanPolicy {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Error => f.write_str("error"),
-            Self::Mask => f.write_str("mask"),
-            Self::Value(v) => write!(f, "{v}"),
-        }
-    }
-}
 
 /// What the chunks of one archive have in common.
 pub(crate) struct Recipe<'a> {
     pub(crate) points: &'a PointSet,
     pub(crate) bricks: BrickGrid,
     pub(crate) order: Order,
-    pub(crate) interpolation: Interpolation,
-    pub(crate) nan: NanPolicy,
-    pub(crate) missing: Option<f64>,
 }
 
 /// The mesh of a chunk: its own points (core), the points of its neighbours that its tetrahedra need (halo), and the
@@ -190,85 +162,4 @@ fn renumber(
     shared.resize(positions.len(), true);
     let halo = halo.iter().map(|&v| sites[v as usize].id).collect();
     MeshedChunk { core_counts, halo, positions, shared, tets, retries }
-}
-
-/// Values at all vertices of the chunk: each brick's points are sampled from the samples around them, read for that.
-/// NaN marks void points.
-pub(crate) fn values(recipe: &Recipe<'_>, reader: &dyn VolumeReader, mesh: &MeshedChunk) -> Result<Vec<f32>> {
-    let (mut out, mut voxels) = (Vec::with_capacity(mesh.positions.len()), vec![]);
-    let mut start = 0;
-    for &count in &mesh.core_counts {
-        let end = start + count as usize;
-        sample_group(recipe, reader, &mesh.positions[start..end], &mut voxels, &mut out)?;
-        start = end;
-    }
-    // Halo points are few and lie in many bricks: visit them brick by brick, then put the values back in id order.
-    let halo = &mesh.positions[start..];
-    let brick_of = |i: u32| recipe.bricks.id(recipe.bricks.brick_at(halo[i as usize]));
-    let mut by_brick: Vec<u32> = (0..halo.len() as u32).collect();
-    by_brick.sort_by_key(|&i| brick_of(i));
-    out.resize(mesh.positions.len(), 0.0);
-    let (mut group, mut found) = (vec![], vec![]);
-    for run in by_brick.chunk_by(|&a, &b| brick_of(a) == brick_of(b)) {
-        group.clear();
-        group.extend(run.iter().map(|&i| halo[i as usize]));
-        found.clear();
-        sample_group(recipe, reader, &group, &mut voxels, &mut found)?;
-        for (&i, &value) in run.iter().zip(&found) {
-            out[start + i as usize] = value;
-        }
-    }
-    Ok(out)
-}
-
-fn sample_group(
-    recipe: &Recipe<'_>,
-    reader: &dyn VolumeReader,
-    positions: &[LatticePos],
-    voxels: &mut Vec<f32>,
-    out: &mut Vec<f32>,
-) -> Result<()> {
-    if positions.is_empty() {
-        return Ok(());
-    }
-    let needed = recipe.interpolation.voxels_for(&recipe.bricks.lattice, positions);
-    voxels.resize(needed.len(), 0.0);
-    reader.read_box(needed, voxels)?;
-    treat_missing(recipe, voxels);
-    let first = out.len();
-    let block = VoxelBlock { voxels: needed, values: voxels };
-    sample(recipe.interpolation, &recipe.bricks.lattice, &block, positions, out);
-    if recipe.nan == NanPolicy::Error
-        && let Some(bad) = out[first..].iter().position(|v| !v.is_finite())
-    {
-        return Err(nan_error(recipe, reader, positions[bad]));
-    }
-    Ok(())
-}
-
-/// Missing and infinite samples become NaN, or the value that stands for them.
-fn treat_missing(recipe: &Recipe<'_>, voxels: &mut [f32]) {
-    let stand_in = match recipe.nan {
-        NanPolicy::Value(v) => v,
-        NanPolicy::Error | NanPolicy::Mask => f32::NAN,
-    };
-    let missing = recipe.missing.map(|m| m as f32);
-    for v in voxels {
-        if !v.is_finite() || Some(*v) == missing {
-            *v = stand_in;
-        }
-    }
-}
-
-fn nan_error(recipe: &Recipe<'_>, reader: &dyn VolumeReader, at: LatticePos) -> Error {
-    let p = recipe.bricks.lattice.to_index_space(at);
-    let place = format!("sample near ({:.0}, {:.0}, {:.0})", p[0], p[1], p[2]);
-    Error::bad_input(&reader.info().path, place, "a finite value", "NaN, infinity or a missing value")
-        .with_help("choose --nan mask (leave a hole there) or --nan VALUE (use a value instead)")
-}
-
-/// The samples around a chunk's core: what will be read for it, up to a border.
-pub(crate) fn voxels_of(recipe: &Recipe<'_>, chunk: &Chunk) -> IndexBox {
-    let last = chunk.core.hi.map(|h| h - 1);
-    recipe.interpolation.voxels_for(&recipe.bricks.lattice, &[chunk.core.lo, last])
 }

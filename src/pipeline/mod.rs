@@ -8,7 +8,9 @@
 //! [`reduce`] makes an archive, [`extract_surface`] and [`count_active`] ask it, [`check_archive`] proves it whole.
 
 mod chunk;
+mod field;
 mod fingerprint;
+mod grid_field;
 mod horizon;
 mod layout;
 mod need;
@@ -20,7 +22,7 @@ mod scan;
 mod verify;
 mod work;
 
-pub use chunk::NanPolicy;
+pub use field::NanPolicy;
 pub use fingerprint::fingerprint;
 pub use need::Estimate;
 pub use open::{ArchiveSummary, is_archive, summarize};

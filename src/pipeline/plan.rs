@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::geom::curve::Order;
 use crate::geom::{Lattice, LatticeBox};
 use crate::grid::ChunkGrid;
-use crate::pipeline::chunk::NanPolicy;
+use crate::pipeline::field::NanPolicy;
 use crate::pipeline::fingerprint::fingerprint;
 use crate::points::{PointSet, PointSpec, SetKind, SetSettings};
 use crate::sample::Interpolation;

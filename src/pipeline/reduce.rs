@@ -4,6 +4,7 @@
 //! archive: it is work that the same command continues. A folder with one is never touched unless asked to.
 
 use super::chunk::Recipe;
+use super::grid_field::GridField;
 use super::layout::Layout;
 use super::need::{Estimate, Need, Question};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
@@ -148,13 +149,14 @@ pub fn reduce(
     }
     let layout = Layout::new(out, mesh.chunks.len(), plan.step.number);
     prepare_folder(&layout, run)?;
-    let recipe = Recipe {
-        points: &mesh.points,
+    let recipe = Recipe { points: &mesh.points, bricks: plan.mesh.bricks(), order: mesh.order };
+    let field = GridField {
+        reader: &*reader,
         bricks: plan.mesh.bricks(),
-        order: mesh.order,
         interpolation: plan.step.interpolation,
         nan: settings.nan,
         missing: settings.missing,
+        released: AtomicU64::new(0),
     };
     progress.begin("reduce", mesh.points.len(), "points");
     let times = work::make_segments(&Work {
@@ -162,7 +164,7 @@ pub fn reduce(
         recipe: &recipe,
         chunks: &mesh.chunks,
         layout: &layout,
-        reader: &*reader,
+        field: &field,
         pool: &pool(shares.workers)?,
         shares,
         rooms: &work::Rooms::default(),

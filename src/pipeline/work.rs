@@ -14,6 +14,7 @@
 //! on which chunk is ready first.
 
 use super::chunk::{self, MeshedChunk, Meshing, Recipe};
+use super::field::{Field, Survey};
 use super::layout::Layout;
 use super::need::{self, Shares};
 use super::plan::Plan;
@@ -28,7 +29,6 @@ use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
 use crate::mesh::delaunay::Mesher;
 use crate::mesh::tet::Tet;
-use crate::volume::VolumeReader;
 use crossbeam::channel;
 use std::any::Any;
 use std::ops::Range;
@@ -69,7 +69,7 @@ pub(crate) struct Work<'a> {
     pub(crate) recipe: &'a Recipe<'a>,
     pub(crate) chunks: &'a ChunkGrid,
     pub(crate) layout: &'a Layout,
-    pub(crate) reader: &'a dyn VolumeReader,
+    pub(crate) field: &'a dyn Field,
     pub(crate) pool: &'a rayon::ThreadPool,
     pub(crate) shares: Shares,
     pub(crate) rooms: &'a Rooms,
@@ -173,7 +173,7 @@ fn feed(
             if stop.is_cancelled() {
                 return Ok(());
             }
-            work.reader.will_need(chunk::voxels_of(work.recipe, &chunk));
+            work.field.will_need(&chunk);
             if to_pool.send((number, chunk, permit)).is_err() {
                 return Ok(());
             }
@@ -249,7 +249,7 @@ fn write_in_order(
     sinks: &channel::Receiver<(Sink, u64)>,
     products: channel::Receiver<(u64, u64, Result<Product>, Permit)>,
 ) -> Result<StageTimes> {
-    let (mut order, mut behind, mut times) = (Reorder::new(0), Behind { released: 0 }, StageTimes::default());
+    let (mut order, mut times) = (Reorder::new(0), StageTimes::default());
     let mut open: Option<(Sink, u64)> = None;
     for (number, chunk, product, permit) in products {
         order.push(number, (chunk, product, permit));
@@ -264,7 +264,7 @@ fn write_in_order(
             sink.write(&product)?;
             work.progress.advance(product.points);
             drop(permit);
-            behind.pass(work, chunk);
+            work.field.pass(&work.chunks.chunk(ChunkId(chunk)));
             if missing == 1 {
                 times.add(&sink.finish()?);
             } else {
@@ -358,7 +358,7 @@ fn make_in_room(
     };
     times.mesh = start.elapsed();
     let start = Instant::now();
-    let values = chunk::values(work.recipe, work.reader, &mesh)?;
+    let Survey { values, .. } = work.field.survey(&mesh)?;
     times.sample = start.elapsed();
     let start = Instant::now();
     let mut product = encode(work.plan, mesh, &values);
@@ -439,23 +439,5 @@ impl Sink {
         }
         self.times.write += start.elapsed();
         Ok(self.times)
-    }
-}
-
-/// Gives up the samples that no later chunk will need: those below the layer of chunks that lies before the current one,
-/// as a halo reaches into its neighbours.
-struct Behind {
-    released: u64,
-}
-
-impl Behind {
-    fn pass(&mut self, work: &Work<'_>, chunk: u64) {
-        let chunk = work.chunks.chunk(ChunkId(chunk));
-        let samples = chunk::voxels_of(work.recipe, &chunk);
-        let keep = samples.lo[2].saturating_sub(samples.dims()[2]);
-        if keep > self.released {
-            work.reader.release(self.released..keep);
-            self.released = keep;
-        }
     }
 }

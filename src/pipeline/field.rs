@@ -1,0 +1,100 @@
+//! Where the values at the vertices of a chunk come from, and which tetrahedra lie outside of the data.
+//!
+//! The mesh of a chunk knows positions only. A [`Field`] is asked once for each chunk; it groups the vertices by brick, so that
+//! what it reads for a group lies together.
+
+use super::chunk::MeshedChunk;
+use crate::error::Result;
+use crate::geom::LatticePos;
+use crate::grid::{BrickGrid, BrickId, Chunk};
+use std::fmt;
+
+/// What to do with samples that are NaN, infinite, or declared missing.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum NanPolicy {
+    /// Refuse the volume, naming the first such sample.
+    #[default]
+    Error,
+    /// A point that such a sample contributes to is void, and a tetrahedron with a void corner is never extracted.
+    Mask,
+    /// Use this value in place of such a sample.
+    Value(f32),
+}
+
+impl fmt::Display for NanPolicy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Error => f.write_str("error"),
+            Self::Mask => f.write_str("mask"),
+            Self::Value(v) => write!(f, "{v}"),
+        }
+    }
+}
+
+/// What a field says of a chunk.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Survey {
+    /// The value at each vertex; NaN of a void one.
+    pub(crate) values: Vec<f32>,
+    /// For each tetrahedron, whether it lies outside of the data; empty where none does.
+    pub(crate) outside: Vec<bool>,
+}
+
+/// A source of values.
+pub(crate) trait Field: Sync {
+    /// Values at the vertices of a chunk, and its tetrahedra outside of the data.
+    ///
+    /// # Errors
+    /// When the data cannot be read, or hold what the settings refuse.
+    fn survey(&self, mesh: &MeshedChunk) -> Result<Survey>;
+
+    /// Tells that a chunk will be asked for soon; a hint.
+    fn will_need(&self, chunk: &Chunk);
+
+    /// Tells that no chunk before this one will be asked for again; chunks pass in order.
+    fn pass(&self, chunk: &Chunk);
+}
+
+/// Calls `sample` with the positions of each brick that has some of the chunk's vertices, and puts its answers in the
+/// order of the vertices. Core vertices come brick by brick; halo vertices are few and lie in many bricks.
+pub(crate) fn by_brick<T: Clone + Default>(
+    bricks: &BrickGrid,
+    mesh: &MeshedChunk,
+    mut sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
+) -> Result<Vec<T>> {
+    let mut out = Vec::with_capacity(mesh.positions.len());
+    let mut start = 0;
+    for &count in &mesh.core_counts {
+        let group = &mesh.positions[start..start + count as usize];
+        if let Some(&first) = group.first() {
+            sample(bricks.id(bricks.brick_at(first)), group, &mut out)?;
+        }
+        start += count as usize;
+    }
+    let halo = in_bricks(bricks, &mesh.positions[start..], sample)?;
+    out.extend(halo);
+    Ok(out)
+}
+
+/// As [`by_brick`], of positions in any order.
+pub(crate) fn in_bricks<T: Clone + Default>(
+    bricks: &BrickGrid,
+    positions: &[LatticePos],
+    mut sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
+) -> Result<Vec<T>> {
+    let mut order: Vec<(BrickId, u32)> =
+        positions.iter().enumerate().map(|(i, &p)| (bricks.id(bricks.brick_at(p)), i as u32)).collect();
+    order.sort_unstable();
+    let mut out = vec![T::default(); positions.len()];
+    let (mut group, mut found) = (vec![], vec![]);
+    for run in order.chunk_by(|a, b| a.0 == b.0) {
+        group.clear();
+        group.extend(run.iter().map(|&(_, i)| positions[i as usize]));
+        found.clear();
+        sample(run[0].0, &group, &mut found)?;
+        for (&(_, i), value) in run.iter().zip(found.drain(..)) {
+            out[i as usize] = value;
+        }
+    }
+    Ok(out)
+}

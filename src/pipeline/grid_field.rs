@@ -1,0 +1,95 @@
+//! The field of a structured volume: each brick's points are interpolated from the samples around them, read for that.
+
+use super::chunk::MeshedChunk;
+use super::field::{Field, NanPolicy, Survey, by_brick};
+use crate::error::{Error, Result};
+use crate::geom::LatticePos;
+use crate::grid::{BrickGrid, Chunk, IndexBox};
+use crate::sample::{Interpolation, VoxelBlock, sample};
+use crate::volume::VolumeReader;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// A volume, and how it is sampled.
+pub(crate) struct GridField<'a> {
+    pub(crate) reader: &'a dyn VolumeReader,
+    pub(crate) bricks: BrickGrid,
+    pub(crate) interpolation: Interpolation,
+    pub(crate) nan: NanPolicy,
+    pub(crate) missing: Option<f64>,
+    /// Slices below have been given up.
+    pub(crate) released: AtomicU64,
+}
+
+impl Field for GridField<'_> {
+    fn survey(&self, mesh: &MeshedChunk) -> Result<Survey> {
+        let mut voxels = vec![];
+        let values =
+            by_brick(&self.bricks, mesh, |_, positions, out| self.sample(positions, &mut voxels, out))?;
+        Ok(Survey { values, outside: vec![] })
+    }
+
+    fn will_need(&self, chunk: &Chunk) {
+        self.reader.will_need(self.voxels_of(chunk));
+    }
+
+    /// Gives up the samples that no later chunk will need: those below the layer of chunks that lies before the current one,
+    /// as a halo reaches into its neighbours.
+    fn pass(&self, chunk: &Chunk) {
+        let samples = self.voxels_of(chunk);
+        let keep = samples.lo[2].saturating_sub(samples.dims()[2]);
+        let released = self.released.fetch_max(keep, Ordering::Relaxed);
+        if keep > released {
+            self.reader.release(released..keep);
+        }
+    }
+}
+
+impl GridField<'_> {
+    fn sample(&self, positions: &[LatticePos], voxels: &mut Vec<f32>, out: &mut Vec<f32>) -> Result<()> {
+        let needed = self.interpolation.voxels_for(&self.bricks.lattice, positions);
+        voxels.resize(needed.len(), 0.0);
+        self.reader.read_box(needed, voxels)?;
+        self.treat_missing(voxels);
+        let first = out.len();
+        let block = VoxelBlock { voxels: needed, values: voxels };
+        sample(self.interpolation, &self.bricks.lattice, &block, positions, out);
+        if self.nan == NanPolicy::Error
+            && let Some(bad) = out[first..].iter().position(|v| !v.is_finite())
+        {
+            return Err(self.nan_error(positions[bad]));
+        }
+        Ok(())
+    }
+
+    /// Missing and infinite samples become NaN, or the value that stands for them.
+    fn treat_missing(&self, voxels: &mut [f32]) {
+        let stand_in = match self.nan {
+            NanPolicy::Value(v) => v,
+            NanPolicy::Error | NanPolicy::Mask => f32::NAN,
+        };
+        let missing = self.missing.map(|m| m as f32);
+        for v in voxels {
+            if !v.is_finite() || Some(*v) == missing {
+                *v = stand_in;
+            }
+        }
+    }
+
+    fn nan_error(&self, at: LatticePos) -> Error {
+        let p = self.bricks.lattice.to_index_space(at);
+        let place = format!("sample near ({:.0}, {:.0}, {:.0})", p[0], p[1], p[2]);
+        Error::bad_input(
+            &self.reader.info().path,
+            place,
+            "a finite value",
+            "NaN, infinity or a missing value",
+        )
+        .with_help("choose --nan mask (leave a hole there) or --nan VALUE (use a value instead)")
+    }
+
+    /// The samples around a chunk's core: what will be read for it, up to a border.
+    fn voxels_of(&self, chunk: &Chunk) -> IndexBox {
+        let last = chunk.core.hi.map(|h| h - 1);
+        self.interpolation.voxels_for(&self.bricks.lattice, &[chunk.core.lo, last])
+    }
+}
