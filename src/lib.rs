@@ -70,6 +70,7 @@ pub mod locate;
 pub mod mesh;
 pub mod pipeline;
 pub mod points;
+pub mod raster;
 pub mod sample;
 pub mod surface;
 pub mod volume;

@@ -1,0 +1,129 @@
+//! The positions of samples, axis by axis.
+
+use crate::error::{Error, Result};
+use crate::geom::{Lattice, LatticePos};
+use crate::grid::IndexBox;
+
+/// The most samples of an axis: one for each lattice position.
+const MOST: u64 = (1 << 24) + 1;
+
+/// Sample positions along one axis, ascending lattice coordinates.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Axis {
+    positions: Vec<u32>,
+    /// The distance of neighbours, where it is the same for all.
+    pub(super) pitch: Option<u32>,
+    /// Samples a lattice step.
+    density: f64,
+}
+
+impl Axis {
+    /// `n` samples from `lo` to `hi`, both included; a single one lies in the middle. Positions between are rounded to
+    /// lattice steps, halves up: by at most 2^-25 of the domain's longest axis.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for no samples, more than 2^24 + 1, or `lo > hi`.
+    pub fn even(lo: u32, hi: u32, n: u64) -> Result<Self> {
+        if !(1..=MOST).contains(&n) || lo > hi {
+            return Err(Error::usage(format!(
+                "an axis has 1 to {MOST} samples, from lower to higher; not {n}"
+            )));
+        }
+        let (length, parts) = (u64::from(hi - lo), (n - 1).max(1));
+        let at = |i: u64| lo + ((2 * i * length + parts) / (2 * parts)) as u32;
+        let positions: Vec<u32> =
+            if n == 1 { vec![lo + (hi - lo).div_ceil(2)] } else { (0..n).map(at).collect() };
+        Ok(Self::of(positions))
+    }
+
+    fn of(positions: Vec<u32>) -> Self {
+        let pitch = match positions[..] {
+            [a, b, ..] => Some(b - a),
+            _ => Some(1),
+        };
+        let pitch = pitch.filter(|&p| p > 0 && positions.windows(2).all(|w| w[1] - w[0] == p));
+        let length = positions[positions.len() - 1] - positions[0];
+        let density = if length == 0 { 0.0 } else { (positions.len() - 1) as f64 / f64::from(length) };
+        Self { positions, pitch, density }
+    }
+
+    /// Number of samples.
+    #[allow(clippy::len_without_is_empty, reason = "an axis has at least one sample")]
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Lattice coordinate of a sample.
+    #[inline]
+    pub fn position(&self, sample: usize) -> u32 {
+        self.positions[sample]
+    }
+
+    /// Number of samples below a coordinate: the first at or above it.
+    #[inline]
+    pub fn below(&self, coordinate: u32) -> usize {
+        let p = &self.positions;
+        // Evenly spaced but for rounding: the guess is right to one or two.
+        let guess = f64::from(coordinate.saturating_sub(p[0])) * self.density;
+        let mut n = (guess as usize).min(p.len());
+        while n > 0 && p[n - 1] >= coordinate {
+            n -= 1;
+        }
+        while n < p.len() && p[n] < coordinate {
+            n += 1;
+        }
+        n
+    }
+}
+
+/// A rectilinear grid of samples in a domain.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SampleGrid {
+    axes: [Axis; 3],
+    far: LatticePos,
+}
+
+impl SampleGrid {
+    /// Samples in the domain of a lattice, at all combinations of the axes' positions.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a position outside the domain.
+    pub fn new(lattice: &Lattice, axes: [Axis; 3]) -> Result<Self> {
+        let far = lattice.max();
+        if (0..3).any(|a| axes[a].positions.last() > Some(&far[a])) {
+            return Err(Error::usage("a grid to be sampled must lie in the domain"));
+        }
+        Ok(Self { axes, far })
+    }
+
+    /// The samples of the volume that a lattice belongs to.
+    pub fn voxels(lattice: &Lattice) -> Self {
+        let axis =
+            |a: usize| Axis::of((0..lattice.dims[a]).map(|i| (i << lattice.log2_steps) as u32).collect());
+        Self { axes: std::array::from_fn(axis), far: lattice.max() }
+    }
+
+    /// The three axes.
+    pub fn axes(&self) -> &[Axis; 3] {
+        &self.axes
+    }
+
+    /// Samples along each axis.
+    pub fn dims(&self) -> [u64; 3] {
+        std::array::from_fn(|a| self.axes[a].len() as u64)
+    }
+
+    /// The largest position of the domain.
+    pub fn far(&self) -> LatticePos {
+        self.far
+    }
+
+    /// The samples between two lattice positions, both included.
+    #[inline]
+    pub fn within(&self, lo: LatticePos, hi: LatticePos) -> IndexBox {
+        IndexBox {
+            lo: std::array::from_fn(|a| self.axes[a].below(lo[a]) as u64),
+            hi: std::array::from_fn(|a| self.axes[a].below(hi[a] + 1) as u64),
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! The four weights of a tetrahedron as integer functions of the position.
+
+use crate::geom::LatticePos;
+
+/// The integers that weights are computed in. A trait, because one width is fast and the other always suffices.
+pub(super) trait Int: Copy + Ord {
+    const ZERO: Self;
+    const ONE: Self;
+    fn of(x: i32) -> Self;
+    fn plus(self, other: Self) -> Self;
+    fn minus(self, other: Self) -> Self;
+    fn times(self, other: Self) -> Self;
+    fn float(self) -> f64;
+}
+
+macro_rules! int {
+    ($t:ty) => {
+        // Wrapping: a step past the end of a row may leave the range; what it gives is not used.
+        impl Int for $t {
+            const ZERO: Self = 0;
+            const ONE: Self = 1;
+            #[inline(always)]
+            fn of(x: i32) -> Self {
+                x.into()
+            }
+            #[inline(always)]
+            fn plus(self, other: Self) -> Self {
+                self.wrapping_add(other)
+            }
+            #[inline(always)]
+            fn minus(self, other: Self) -> Self {
+                self.wrapping_sub(other)
+            }
+            #[inline(always)]
+            fn times(self, other: Self) -> Self {
+                self.wrapping_mul(other)
+            }
+            #[inline(always)]
+            fn float(self) -> f64 {
+                self as f64
+            }
+        }
+    };
+}
+int!(i64);
+int!(i128);
+
+/// The longest edge of a bounding box for which 64 bits suffice: λ is a sum of three products of a length and a component of a
+/// cross product (at most 2·m²), so at most 6·m³ < 2^63.
+pub(super) const LONGEST_64: u32 = 1 << 20;
+
+/// A tetrahedron's bounding box, both ends included.
+#[inline]
+pub(super) fn bounds(corners: &[LatticePos; 4]) -> (LatticePos, LatticePos) {
+    let [a, b, c, d] = corners;
+    (
+        std::array::from_fn(|k| a[k].min(b[k]).min(c[k].min(d[k]))),
+        std::array::from_fn(|k| a[k].max(b[k]).max(c[k].max(d[k]))),
+    )
+}
+
+/// λ of each corner: `gradient[k] · (p - origin) + constant[k]`.
+pub(super) struct Planes<I> {
+    pub(super) gradient: [[I; 3]; 4],
+    /// Six times the volume; the constant of corner 0, that of the others is 0.
+    pub(super) volume: I,
+    pub(super) origin: LatticePos,
+}
+
+#[inline(always)]
+fn difference<I: Int>(p: LatticePos, q: LatticePos) -> [I; 3] {
+    // Lattice coordinates have at most 25 bits.
+    std::array::from_fn(|k| I::of(p[k] as i32 - q[k] as i32))
+}
+
+#[inline(always)]
+fn cross<I: Int>(u: [I; 3], v: [I; 3]) -> [I; 3] {
+    let minor = |i: usize, j: usize| u[i].times(v[j]).minus(u[j].times(v[i]));
+    [minor(1, 2), minor(2, 0), minor(0, 1)]
+}
+
+#[inline(always)]
+pub(super) fn dot<I: Int>(u: [I; 3], v: [I; 3]) -> I {
+    u[0].times(v[0]).plus(u[1].times(v[1])).plus(u[2].times(v[2]))
+}
+
+impl<I: Int> Planes<I> {
+    /// Of a positively oriented tetrahedron.
+    #[inline(always)]
+    pub(super) fn new([a, b, c, d]: [LatticePos; 4]) -> Self {
+        let (ab, ac, ad) = (difference::<I>(b, a), difference(c, a), difference(d, a));
+        let (gb, gc, gd) = (cross(ac, ad), cross(ad, ab), cross(ab, ac));
+        let ga = std::array::from_fn(|k| I::ZERO.minus(gb[k].plus(gc[k]).plus(gd[k])));
+        Self { gradient: [ga, gb, gc, gd], volume: dot(ab, gb), origin: a }
+    }
+
+    /// The four λ at a position.
+    #[inline(always)]
+    pub(super) fn at(&self, p: LatticePos) -> [I; 4] {
+        let r = difference(p, self.origin);
+        let mut lambda = self.gradient.map(|g| dot(g, r));
+        lambda[0] = lambda[0].plus(self.volume);
+        lambda
+    }
+
+    /// For each λ, what added to it makes 0 negative where the tie rule says "outside": 0 or -1.
+    #[inline(always)]
+    pub(super) fn bias(&self, toward_lower: [bool; 3]) -> [I; 4] {
+        self.gradient.map(|g| {
+            let first = (0..3).find(|&k| g[k] != I::ZERO);
+            // The gradient of a λ is never 0: the volume is not.
+            let positive = first.is_some_and(|k| (g[k] > I::ZERO) != toward_lower[k]);
+            if positive { I::ZERO } else { I::ZERO.minus(I::ONE) }
+        })
+    }
+
+    /// Weights of a position, if it is inside by the tie rule. `far` is the largest position of the domain.
+    pub(super) fn weights(&self, p: LatticePos, far: LatticePos) -> Option<[f64; 4]> {
+        let lambda = self.at(p);
+        if lambda.iter().any(|&l| l < I::ZERO) {
+            return None;
+        }
+        if lambda.contains(&I::ZERO) {
+            let bias = self.bias(std::array::from_fn(|k| p[k] == far[k]));
+            if (0..4).any(|k| lambda[k].plus(bias[k]) < I::ZERO) {
+                return None;
+            }
+        }
+        let unit = 1.0 / self.volume.float();
+        Some(lambda.map(|l| l.float() * unit))
+    }
+}
