@@ -30,8 +30,8 @@ fn put_index(archive: &Path, change: impl Fn(&mut Vec<Entry>)) {
     let path = index_path(archive, 0);
     let mut entries = SpanIndex::open(&path, Some(hash)).unwrap().entries().unwrap();
     change(&mut entries);
-    let mut index = IndexBuilder::new();
-    entries.into_iter().for_each(|e| index.push(e));
+    let mut index = IndexBuilder::default();
+    entries.into_iter().try_for_each(|e| index.push(e)).unwrap();
     std::fs::remove_file(&path).unwrap();
     manifest.steps[0].index = index.finish(&path, hash).unwrap();
     manifest.write(archive).unwrap();

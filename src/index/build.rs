@@ -1,66 +1,141 @@
-//! Builds an index: kd-splits in memory, pages depth first.
+//! Builds an index: kd-splits in memory, or on disk beyond a given memory ([`super::external`]); pages depth first.
 
 use super::Entry;
+use super::external::Spill;
 use super::page::{Bounds, LEAF_ENTRIES, PAGE_LEVELS, child_sizes, encode_inner, encode_leaf};
 use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind, SegmentWriter};
 use crate::error::Result;
 use std::cmp::Ordering;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// Collects the blocks of a step. The file depends on the set of entries, not on the order in which they come.
-#[derive(Debug, Default)]
+/// How an index is built; none of it shows in the file.
+#[derive(Clone, Debug)]
+pub struct BuildSettings {
+    /// Bytes for everything that grows. Below [`BuildSettings::LEAST_MEMORY`] it counts as that.
+    pub memory: u64,
+    /// Folder for what does not fit in memory, 48 bytes an entry; the system's temporary folder if not given.
+    pub scratch: Option<PathBuf>,
+}
+
+impl BuildSettings {
+    /// Buffers, and the tables of a split: what a build takes whatever its memory.
+    pub const LEAST_MEMORY: u64 = 8 << 20;
+
+    /// Entries that memory holds. A million entries have some 5 000 pages, of 8 bytes in the writer's directory.
+    fn capacity(&self) -> usize {
+        let room = self.memory.saturating_sub(Self::LEAST_MEMORY) / (size_of::<Entry>() as u64 + 1);
+        usize::try_from(room).unwrap_or(usize::MAX).max(2 * LEAF_ENTRIES as usize)
+    }
+}
+
+impl Default for BuildSettings {
+    fn default() -> Self {
+        Self { memory: 256 << 20, scratch: None }
+    }
+}
+
+/// Collects the blocks of a step. The file depends on the set of entries, not on the order in which they come, nor on memory.
+#[derive(Debug)]
 pub struct IndexBuilder {
+    /// Entries that are not in the spill.
     entries: Vec<Entry>,
+    capacity: usize,
+    scratch: PathBuf,
+    /// Made when memory is full for the first time.
+    spill: Option<Spill>,
+    len: u64,
+}
+
+impl Default for IndexBuilder {
+    fn default() -> Self {
+        Self::new(&BuildSettings::default())
+    }
 }
 
 impl IndexBuilder {
     /// No entries.
-    pub fn new() -> Self {
-        Self::default()
+    pub fn new(settings: &BuildSettings) -> Self {
+        Self {
+            entries: vec![],
+            capacity: settings.capacity(),
+            scratch: settings.scratch.clone().unwrap_or_else(std::env::temp_dir),
+            spill: None,
+            len: 0,
+        }
     }
 
     /// Adds a block. A void block (no finite tetrahedron) has no range and is not added.
     ///
+    /// # Errors
+    /// When memory is full and the scratch folder cannot be written.
+    ///
     /// # Panics
     /// When the range is not a range: `min <= max` and neither NaN.
-    pub fn push(&mut self, entry: Entry) {
+    pub fn push(&mut self, entry: Entry) -> Result<()> {
         assert!(entry.min <= entry.max, "block {:?} of range {}..{}", entry.place(), entry.min, entry.max);
+        if self.entries.len() == self.capacity {
+            self.to_disk()?;
+        } else if self.entries.len() == self.entries.capacity() {
+            // Doubling, but never beyond what memory holds.
+            self.entries
+                .reserve_exact(self.entries.len().max(1 << 10).min(self.capacity - self.entries.len()));
+        }
         self.entries.push(entry);
+        self.len += 1;
+        Ok(())
+    }
+
+    fn to_disk(&mut self) -> Result<()> {
+        if self.spill.is_none() {
+            self.spill = Some(Spill::new(&self.scratch)?);
+        }
+        let spill = self.spill.as_mut().expect("it was just made");
+        spill.append(&self.entries)?;
+        self.entries.clear();
+        Ok(())
     }
 
     /// Number of entries.
     pub fn len(&self) -> u64 {
-        self.entries.len() as u64
+        self.len
     }
 
     /// Whether there is none.
     pub fn is_empty(&self) -> bool {
-        self.entries.is_empty()
+        self.len == 0
     }
 
     /// Writes the index and publishes it.
     ///
     /// # Errors
-    /// When the file cannot be written.
+    /// When the file or the scratch folder cannot be written.
     ///
     /// # Panics
-    /// When a block was added twice.
+    /// When a block was added twice; that is not always noticed when the entries did not fit in memory.
     pub fn finish(mut self, path: impl AsRef<Path>, plan: PlanHash) -> Result<SegmentInfo> {
-        self.entries.sort_unstable_by_key(Entry::place);
-        assert!(self.entries.is_sorted_by(|a, b| a.place() < b.place()), "each block is added once");
+        if self.spill.is_some() {
+            self.to_disk()?;
+        }
         let mut out = SegmentWriter::create(path, SegmentKind::Index, plan)?;
-        out.push_block(&root_block(&self.entries))?;
-        if !self.entries.is_empty() {
-            write_subtree(&mut self.entries, Axis::Min, &mut out)?;
+        if let Some(spill) = self.spill {
+            out.push_block(&root_block(self.len, spill.bounds()))?;
+            spill.write(self.entries, self.capacity, &mut out)?;
+            return out.finish();
+        }
+        let mut entries = self.entries;
+        entries.sort_unstable_by_key(Entry::place);
+        assert!(entries.is_sorted_by(|a, b| a.place() < b.place()), "each block is added once");
+        out.push_block(&root_block(self.len, Bounds::of(&entries)))?;
+        if !entries.is_empty() {
+            write_subtree(&mut entries, Axis::Min, &mut out)?;
         }
         out.finish()
     }
 }
 
 /// Block 0: number of entries, lowest min, highest max, shape of the tree.
-fn root_block(entries: &[Entry]) -> Vec<u8> {
-    let bounds = bounds(entries);
-    let mut out = (entries.len() as u64).to_le_bytes().to_vec();
+fn root_block(entries: u64, bounds: Bounds) -> Vec<u8> {
+    let mut out = entries.to_le_bytes().to_vec();
     out.extend(bounds.lowest.to_le_bytes());
     out.extend(bounds.highest.to_le_bytes());
     out.extend((LEAF_ENTRIES as u32).to_le_bytes());
@@ -68,22 +143,14 @@ fn root_block(entries: &[Entry]) -> Vec<u8> {
     out
 }
 
-/// By the total order of bits: which of two zeros is the lowest must not depend on who comes first.
-fn bounds(entries: &[Entry]) -> Bounds {
-    Bounds {
-        lowest: entries.iter().map(|e| e.min).min_by(f32::total_cmp).unwrap_or(0.0),
-        highest: entries.iter().map(|e| e.max).max_by(f32::total_cmp).unwrap_or(0.0),
-    }
-}
-
 #[derive(Clone, Copy)]
-enum Axis {
+pub(super) enum Axis {
     Min,
     Max,
 }
 
 impl Axis {
-    fn other(self) -> Self {
+    pub(super) fn other(self) -> Self {
         match self {
             Self::Min => Self::Max,
             Self::Max => Self::Min,
@@ -98,10 +165,19 @@ impl Axis {
         };
         key.then(a.place().cmp(&b.place()))
     }
+
+    /// The same order as numbers.
+    pub(super) fn key(self, e: &Entry) -> u128 {
+        let value = match self {
+            Self::Min => e.min,
+            Self::Max => e.max,
+        };
+        u128::from(super::ordered_key(value)) << 96 | u128::from(e.chunk) << 32 | u128::from(e.block)
+    }
 }
 
 /// Moves the smaller half by `axis` to the front, then goes on in both halves by the other axis.
-fn split(entries: &mut [Entry], axis: Axis, levels: u32) {
+pub(super) fn split(entries: &mut [Entry], axis: Axis, levels: u32) {
     if levels == 0 || entries.len() as u64 <= LEAF_ENTRIES {
         return;
     }
@@ -113,7 +189,7 @@ fn split(entries: &mut [Entry], axis: Axis, levels: u32) {
 }
 
 /// Writes the page of `entries` and all pages below it. The depth of the recursion is the tree's: 8 bits of n a level.
-fn write_subtree(entries: &mut [Entry], axis: Axis, out: &mut SegmentWriter) -> Result<()> {
+pub(super) fn write_subtree(entries: &mut [Entry], axis: Axis, out: &mut SegmentWriter) -> Result<()> {
     if entries.len() as u64 <= LEAF_ENTRIES {
         entries.sort_unstable_by_key(Entry::place);
         out.push_block(&encode_leaf(entries))?;
@@ -125,7 +201,7 @@ fn write_subtree(entries: &mut [Entry], axis: Axis, out: &mut SegmentWriter) -> 
     let mut rest = &*entries;
     for &n in &sizes {
         let (child, tail) = rest.split_at(n as usize);
-        children.push(bounds(child));
+        children.push(Bounds::of(child));
         rest = tail;
     }
     out.push_block(&encode_inner(&children))?;

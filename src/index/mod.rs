@@ -22,13 +22,14 @@
 //! most 256 entries. Pages are blocks of a segment in depth-first order ([`build`] writes, [`query`] reads).
 //!
 //! **Cost.** Opening reads the segment's header and footer and one small block. A query of k answers reads O(√(n/L) + k/L) pages of L
-//! entries. Building sorts in memory: 32 bytes an entry, that is 32 MB for 10^9 tetrahedra.
+//! entries. Building takes as much memory as it is given: what does not fit is cut on disk ([`build`]); the bytes are the same.
 
 pub mod build;
+mod external;
 pub(crate) mod page;
 pub mod query;
 
-pub use build::IndexBuilder;
+pub use build::{BuildSettings, IndexBuilder};
 pub use query::SpanIndex;
 
 /// One block, as a point of span space.
@@ -50,5 +51,34 @@ impl Entry {
     /// Where the block is; unique, and the order of answers.
     pub fn place(&self) -> (u64, u32) {
         (self.chunk, self.block)
+    }
+}
+
+/// A number for each `f32`, in the order of [`f32::total_cmp`].
+pub(crate) fn ordered_key(v: f32) -> u32 {
+    let bits = v.to_bits();
+    if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
+}
+
+/// A set of entries, told by a number: two sets without repetitions have the same digest only if they are equal, short of
+/// chance (128 bits). Takes any number of entries, in any order.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct EntryDigest {
+    /// Entries.
+    pub count: u64,
+    sum: u128,
+}
+
+impl EntryDigest {
+    /// Takes an entry in.
+    pub fn add(&mut self, e: &Entry) {
+        let mut bytes = [0; 24];
+        bytes[..4].copy_from_slice(&e.min.to_le_bytes());
+        bytes[4..8].copy_from_slice(&e.max.to_le_bytes());
+        bytes[8..16].copy_from_slice(&e.chunk.to_le_bytes());
+        bytes[16..20].copy_from_slice(&e.block.to_le_bytes());
+        bytes[20..].copy_from_slice(&e.tets.to_le_bytes());
+        self.count += 1;
+        self.sum = self.sum.wrapping_add(xxhash_rust::xxh3::xxh3_128(&bytes));
     }
 }

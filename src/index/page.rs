@@ -21,8 +21,35 @@ pub(super) struct Bounds {
     pub(super) highest: f32,
 }
 
-/// Sizes of the children of an inner page over `n` entries: halved, the smaller half first, until small enough.
+impl Bounds {
+    /// Those of nothing: any entry widens them.
+    pub(super) const NONE: Self = Self { lowest: f32::INFINITY, highest: f32::NEG_INFINITY };
+
+    /// Takes an entry in. By the total order of bits: which of two zeros is the lowest must not depend on who comes first.
+    pub(super) fn add(&mut self, e: &Entry) {
+        if e.min.total_cmp(&self.lowest).is_lt() {
+            self.lowest = e.min;
+        }
+        if e.max.total_cmp(&self.highest).is_gt() {
+            self.highest = e.max;
+        }
+    }
+
+    /// Of some entries; zeros where there is none.
+    pub(super) fn of(entries: &[Entry]) -> Self {
+        let mut all = Self::NONE;
+        entries.iter().for_each(|e| all.add(e));
+        if entries.is_empty() { Self { lowest: 0.0, highest: 0.0 } } else { all }
+    }
+}
+
+/// Sizes of the children of an inner page over `n` entries.
 pub(super) fn child_sizes(n: u64) -> Vec<u64> {
+    split_sizes(n, PAGE_LEVELS)
+}
+
+/// Sizes of the parts of `n` entries: halved, the smaller half first, until small enough or as often as asked.
+pub(super) fn split_sizes(n: u64, levels: u32) -> Vec<u64> {
     fn split(n: u64, levels: u32, out: &mut Vec<u64>) {
         if levels == 0 || n <= LEAF_ENTRIES {
             return out.push(n);
@@ -31,7 +58,7 @@ pub(super) fn child_sizes(n: u64) -> Vec<u64> {
         split(n - n / 2, levels - 1, out);
     }
     let mut out = vec![];
-    split(n, PAGE_LEVELS, &mut out);
+    split(n, levels, &mut out);
     out
 }
 

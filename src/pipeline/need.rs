@@ -6,17 +6,19 @@
 //!  memory = BASE                    the process itself, buffers of readers and writers
 //!         + workers · room          a chunk at work: its points, their tetrahedra, its values, its blocks
 //!         + workers · 3 products    encoded chunks that wait for their turn to be written
-//!  memory >= BASE + index           afterwards, when the first two are gone: one entry a block
+//!  memory >= BASE + index           afterwards, when the first two are gone: see below
 //! ```
 //!
 //! The room of a chunk follows from the number of points of its region (core and halo), which the point set tells without
 //! listing them. If the budget does not hold as many chunks as there are threads, fewer run. A chunk whose halo must be
-//! widened beyond its room waits until it is alone and has all of them ([`super::work`]).
+//! widened beyond its room waits until it is alone and has all of them ([`super::work`]). The index is built in what memory there
+//! is; what does not fit is sorted in the scratch folder.
 
 use super::plan::{MeshParts, Plan};
 use crate::error::{Error, Result};
 use crate::geom::{LatticeBox, LatticePos};
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
+use crate::index::BuildSettings;
 use crate::points::PointSet;
 use serde::Serialize;
 use std::path::Path;
@@ -33,9 +35,10 @@ const PER_CHUNK: u64 = 4 << 20;
 const PRODUCT_PER_POINT: u64 = 26;
 /// Encoded chunks, for each worker, that may wait for their turn.
 const WAITING: u64 = 3;
-/// Tetrahedra a point, bytes of an index entry while the index is built.
+/// Tetrahedra a point; bytes of an index entry while the index is built in memory, and on disk.
 const TETS_PER_POINT: u64 = 7;
-const INDEX_ENTRY: u64 = 40;
+const INDEX_ENTRY: u64 = 25;
+const INDEX_ENTRY_ON_DISK: u64 = 48;
 /// Bytes of an archive for a point: 6.7 tetrahedra at 5 bits, a value, its share of tables.
 const ARCHIVE_PER_POINT: u64 = 10;
 /// Points a second of one thread, meshed and encoded, on a machine of 2020: rough.
@@ -103,7 +106,8 @@ pub(crate) struct Need {
     chunks: u64,
     room: u64,
     product: u64,
-    index: u64,
+    /// Of the index.
+    entries: u64,
 }
 
 impl Need {
@@ -121,13 +125,19 @@ impl Need {
             chunks: parts.chunks.len(),
             room: room_for(region_points),
             product: product_bytes(core_points),
-            index: (points.saturating_mul(TETS_PER_POINT) / 1024 + parts.chunks.len()) * INDEX_ENTRY,
+            entries: points.saturating_mul(TETS_PER_POINT) / 1024 + parts.chunks.len(),
         }
     }
 
     fn of_workers(&self, workers: u64) -> u64 {
         let each = self.room.saturating_add(WAITING * self.product);
-        BASE.saturating_add(each.saturating_mul(workers).max(self.index))
+        BASE.saturating_add(each.saturating_mul(workers).max(BuildSettings::LEAST_MEMORY))
+    }
+
+    /// Scratch space with which the index is built, where `memory` does not hold it.
+    fn index_scratch(&self, memory: u64) -> u64 {
+        let room = memory.saturating_sub(BASE + BuildSettings::LEAST_MEMORY);
+        if self.entries * INDEX_ENTRY <= room { 0 } else { self.entries * INDEX_ENTRY_ON_DISK }
     }
 
     /// The least memory that works: one chunk at a time.
@@ -177,7 +187,7 @@ pub struct Estimate {
     pub archive_bytes: u64,
     /// Bytes that are free for it, what is there of it already included; `None` where the system does not tell.
     pub archive_free: Option<u64>,
-    /// Bytes of the temporary copy of an input that has no random access.
+    /// Bytes of the temporary copy of an input that has no random access, or of the index while it is built.
     pub scratch_bytes: u64,
     /// Bytes that are free for it.
     pub scratch_free: Option<u64>,
@@ -216,7 +226,8 @@ impl Estimate {
             workers,
             archive_bytes: q.need.points.saturating_mul(ARCHIVE_PER_POINT) + (64 << 10),
             archive_free: free_bytes(q.out).map(|free| free.saturating_add(q.there)),
-            scratch_bytes: q.scratch.1,
+            // The copy of the input is gone when the index is built.
+            scratch_bytes: q.scratch.1.max(q.need.index_scratch(q.memory)),
             scratch_free: free_bytes(q.scratch.0),
             seconds: q.need.points as f64 / rate,
             archive: q.out.to_path_buf(),
@@ -304,7 +315,8 @@ pub(crate) fn free_bytes(_path: &Path) -> Option<u64> {
 mod tests {
     use super::*;
 
-    const NEED: Need = Need { points: 1 << 20, chunks: 9, room: 100 << 20, product: 2 << 20, index: 1 << 20 };
+    const NEED: Need =
+        Need { points: 1 << 20, chunks: 9, room: 100 << 20, product: 2 << 20, entries: 1 << 15 };
 
     #[test]
     fn fewer_work_where_memory_is_short() {
@@ -321,9 +333,11 @@ mod tests {
     }
 
     #[test]
-    fn a_large_index_counts_too() {
-        let need = Need { index: 1 << 40, ..NEED };
-        assert_eq!(need.least(), BASE + (1 << 40));
+    fn a_large_index_needs_scratch_and_not_memory() {
+        let need = Need { entries: 1 << 30, ..NEED };
+        assert_eq!(need.least(), NEED.least());
+        assert_eq!((NEED.index_scratch(need.least()), need.index_scratch(need.least())), (0, 48 << 30));
+        assert_eq!(need.index_scratch(64 << 30), 0);
     }
 
     #[cfg(unix)]

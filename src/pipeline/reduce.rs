@@ -6,7 +6,7 @@
 use super::chunk::Recipe;
 use super::grid_field::GridField;
 use super::layout::Layout;
-use super::need::{Estimate, Need, Question};
+use super::need::{self, Estimate, Need, Question};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::work::{self, StageTimes, Work};
 use crate::archive::chunked::ChunkSegment;
@@ -19,7 +19,7 @@ use crate::exec::{CancelToken, Progress, available_threads, pool};
 use crate::formats::{self, OpenOptions};
 use crate::geom::Lattice;
 use crate::grid::{ChunkId, IndexBox};
-use crate::index::{Entry, IndexBuilder};
+use crate::index::{BuildSettings, Entry, IndexBuilder};
 use crate::volume::bricked::BrickedVolume;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use serde::Serialize;
@@ -173,7 +173,7 @@ pub fn reduce(
     })?;
     push_times(&mut seconds, &times);
     let committing = Instant::now();
-    let (manifest, halo_retries) = commit(&plan, &mesh, &layout)?;
+    let (manifest, halo_retries) = commit(&plan, &mesh, &layout, run)?;
     for file in [layout.mesh(0), layout.index(), layout.root().join(MANIFEST_NAME)] {
         // What earlier runs that were killed have left.
         publish::sweep(file.parent().expect("a file of an archive lies in a folder"));
@@ -352,12 +352,15 @@ impl Drop for Scratch {
 }
 
 /// Reads the summaries of all chunks, builds the index, publishes the manifest. Also tells how often halos were widened.
-fn commit(plan: &Plan, parts: &MeshParts, layout: &Layout) -> Result<(Manifest, u64)> {
+fn commit(plan: &Plan, parts: &MeshParts, layout: &Layout, run: &RunSettings) -> Result<(Manifest, u64)> {
     let mut counts = Counts { chunks: parts.chunks.len(), ..Counts::default() };
     let (mut mesh_segments, mut value_segments) = (vec![], vec![]);
     let (mut void_points, mut halo_retries, mut volume6) = (0, 0, 0i128);
     let mut range = [f32::INFINITY, f32::NEG_INFINITY];
-    let mut index = IndexBuilder::new();
+    let mut index = IndexBuilder::new(&BuildSettings {
+        memory: run.memory.saturating_sub(need::BASE),
+        scratch: Some(scratch_folder(run)),
+    });
     for number in 0..layout.segment_count() {
         let mesh = ChunkSegment::open(layout.mesh(number), SegmentKind::Mesh, Some(plan.mesh_hash()))?;
         let values = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(plan.step_hash()))?;
@@ -371,7 +374,7 @@ fn commit(plan: &Plan, parts: &MeshParts, layout: &Layout) -> Result<(Manifest, 
             volume6 += mesh.volume6;
             void_points += u64::from(values.void);
             range = [range[0].min(values.min), range[1].max(values.max)];
-            index_entries(chunk, &values.ranges).for_each(|e| index.push(e));
+            index_entries(chunk, &values.ranges).try_for_each(|e| index.push(e))?;
         }
         for (records, file) in [(&mut mesh_segments, &mesh), (&mut value_segments, &values)] {
             let chunks = file.chunks();
