@@ -28,6 +28,8 @@
 
 mod filesystem;
 mod mmap;
+pub(crate) mod sorter;
+pub(crate) mod store;
 
 use crate::error::{Error, Result};
 use std::fs::File;

@@ -1,9 +1,10 @@
 //! `isospan check`: is an archive whole, is a surface sound?
 
+use super::progress::Talk;
 use super::text;
-use isospan::formats::surface::read_surface;
+use isospan::formats::surface::load_surface;
 use isospan::pipeline::{self, ArchiveCheck};
-use isospan::surface::check::{SurfaceReport, boundary_outside, check};
+use isospan::surface::check::{CheckSettings, Domain, SurfaceReport, check_source};
 use isospan::{Error, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -16,15 +17,26 @@ pub(crate) struct Args {
     /// Surface: also check that boundary edges lie on the boundary of this archive's domain.
     #[arg(long, value_name = "ARCHIVE")]
     within: Option<PathBuf>,
+    /// Surface: memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use].
+    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    memory: Option<u64>,
+    /// Surface: folder for what does not fit in memory [default: the system's temporary folder].
+    #[arg(long, value_name = "FOLDER")]
+    scratch: Option<PathBuf>,
     /// Print the report as JSON.
     #[arg(long)]
     json: bool,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if pipeline::is_archive(&args.input) {
-        if args.within.is_some() {
-            return Err(Error::usage("--within is for surfaces"));
+        let only = [
+            ("--within", args.within.is_some()),
+            ("--memory", args.memory.is_some()),
+            ("--scratch", args.scratch.is_some()),
+        ];
+        if let Some((flag, _)) = only.iter().find(|(_, given)| *given) {
+            return Err(Error::usage(format!("{flag} is for surfaces")));
         }
         let report = pipeline::check_archive(&args.input)?;
         return if args.json {
@@ -33,15 +45,19 @@ pub(crate) fn run(args: &Args) -> Result<()> {
             super::print(&archive_text(&args.input, &report))
         };
     }
-    let mesh = read_surface(&args.input)?;
-    let report = check(&mesh);
-    let outside = match &args.within {
-        Some(archive) => {
-            let summary = pipeline::summarize(archive)?;
-            Some(boundary_outside(&mesh, &summary.geometry, summary.dims, BOUNDARY_TOLERANCE))
-        }
-        None => None,
+    let settings = CheckSettings {
+        memory: args.memory.unwrap_or_else(|| isospan::exec::usable_memory() / 2),
+        scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir),
     };
+    talk.detail(&format!("memory {}", text::bytes(settings.memory)));
+    let summary = args.within.as_ref().map(|archive| pipeline::summarize(archive)).transpose()?;
+    let domain = summary.as_ref().map(|s| Domain {
+        geometry: &s.geometry,
+        dims: s.dims,
+        tolerance: BOUNDARY_TOLERANCE,
+    });
+    let surface = load_surface(&args.input, &settings)?;
+    let (report, outside) = check_source(&surface, domain.as_ref(), &settings)?;
     if args.json {
         let mut value = serde_json::to_value(&report)
             .map_err(|e| Error::io("write JSON to", "standard output", std::io::Error::other(e)))?;

@@ -77,10 +77,19 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Surface(args) => surface::run(args, &cli.talk),
         Command::Count(args) => count::run(args),
         Command::Brick(args) => brick::run(args, &cli.talk),
-        Command::Check(args) => check::run(args),
+        Command::Check(args) => check::run(args, &cli.talk),
         Command::Completions(args) => misc::completions(args),
         Command::Man(args) => misc::man(args),
     }
+}
+
+/// The memory of a run: what was asked for, or half of what the process may use, which is told.
+fn memory(asked: Option<u64>, talk: &progress::Talk) -> u64 {
+    asked.unwrap_or_else(|| {
+        let half = isospan::exec::usable_memory() / 2;
+        talk.note(&format!("--memory {} (half of what this process may use)", text::bytes(half)));
+        half
+    })
 }
 
 /// Whoever read our output has closed it (`isospan info … | head`): no error.

@@ -144,7 +144,7 @@ impl Args {
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings {
         threads: args.threads,
-        memory: args.memory.unwrap_or_else(|| isospan::exec::usable_memory() / 2),
+        memory: super::memory(args.memory, talk),
         scratch: args.scratch.clone(),
         replace: args.force,
         cancel: super::signals::cancel_token(),
@@ -152,9 +152,6 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if args.dry_run {
         let found = estimate(&args.input, &args.read.options()?, &args.settings()?, &args.output, &run)?;
         return dry_run::tell(&found, &args.output, args.json);
-    }
-    if args.memory.is_none() {
-        talk.note(&format!("--memory {} (half of what this process may use)", text::bytes(run.memory)));
     }
     let threads = if run.threads == 0 { isospan::exec::available_threads() } else { run.threads };
     let io = args.read.io_text(&args.input);

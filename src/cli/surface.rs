@@ -42,7 +42,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = SurfaceSettings {
         isovalue: args.isovalue,
         threads: args.threads,
-        memory: args.memory.unwrap_or_else(|| isospan::exec::usable_memory() / 2),
+        memory: super::memory(args.memory, talk),
         scratch: args.scratch.clone(),
         cancel: super::signals::cancel_token(),
     };

@@ -9,9 +9,10 @@
 
 use crate::error::Result;
 use crate::formats::ply::check_indices;
-use crate::formats::surface::{Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, push_fan};
+use crate::formats::surface::{Fan, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite};
 use crate::formats::text::Words;
-use crate::surface::{SurfaceSource, TriMesh, Vertex};
+use crate::surface::weld::StoredSurface;
+use crate::surface::{SurfaceSource, Vertex};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -95,9 +96,8 @@ fn push_decimal(text: &mut String, x: f32) {
 }
 
 /// Reads an OBJ surface.
-pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
+pub(super) fn read(path: &Path, bytes: &[u8], out: &mut StoredSurface) -> Result<()> {
     let mut words = Words::new(path, bytes, 0);
-    let mut mesh = TriMesh::default();
     let mut polygon = vec![];
     while let Some(line) = words.line() {
         let mut line = line.into_owned();
@@ -113,19 +113,20 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
         match parts.next() {
             None => {}
             Some("v") => {
-                mesh.vertices.push(vertex(parts).ok_or_else(|| wrong("v and three finite numbers"))?)
+                out.push_vertex(vertex(parts).ok_or_else(|| wrong("v and three finite numbers"))?)?
             }
             Some("f") => {
-                let corners = face(parts, mesh.vertices.len(), &mut polygon);
+                let corners = face(parts, out.vertex_count(), &mut polygon);
                 corners.ok_or_else(|| wrong("f and the numbers of at least three vertices"))?;
-                push_fan(&mut mesh.triangles, &polygon);
+                let mut fan = Fan::default();
+                let mut triangles = polygon.iter().filter_map(|&corner| fan.corner(corner));
+                triangles.try_for_each(|triangle| out.push_triangle(triangle))?;
             }
             Some(word) if IGNORED.contains(&word) => {}
             Some(_) => return Err(wrong("an OBJ statement")),
         }
     }
-    check_indices(path, &mesh)?;
-    Ok(mesh)
+    check_indices(path, out)
 }
 
 /// x, y, z; a weight or a colour may follow.
@@ -136,7 +137,7 @@ fn vertex<'a>(parts: impl Iterator<Item = &'a str>) -> Option<Vertex> {
 }
 
 /// The vertices of a face, counted from 0.
-fn face<'a>(parts: impl Iterator<Item = &'a str>, vertices: usize, polygon: &mut Vec<u32>) -> Option<()> {
+fn face<'a>(parts: impl Iterator<Item = &'a str>, vertices: u64, polygon: &mut Vec<u32>) -> Option<()> {
     polygon.clear();
     for part in parts {
         let number: i64 = part.split('/').next()?.parse().ok()?;
@@ -153,11 +154,12 @@ fn face<'a>(parts: impl Iterator<Item = &'a str>, vertices: usize, polygon: &mut
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::surface::tests::{source, survive, tetrahedron};
+    use crate::formats::surface::tests::{in_memory, source, survive, tetrahedron};
     use crate::formats::surface::{SurfaceFormat, write_surface};
+    use crate::surface::TriMesh;
 
     fn parse(text: &str) -> Result<TriMesh> {
-        read(Path::new("f.obj"), text.as_bytes())
+        in_memory(|out| read(Path::new("f.obj"), text.as_bytes(), out))
     }
 
     #[test]
@@ -172,7 +174,7 @@ mod tests {
         assert!(text.starts_with("# isospan surface\n# isovalue 0.1\n# back/\nv 0.1 0.33333334 1e-20\n"));
         assert!(text.contains("\nv 16777216 0 1.5e10\n") && text.contains("\nvn 0 -1 0.5\n"));
         assert!(text.ends_with("\nf 3//3 1//1 4//4\n"));
-        survive(text.as_bytes(), |b| drop(read(Path::new("f"), b)));
+        survive(text.as_bytes(), |b| drop(in_memory(|out| read(Path::new("f"), b, out))));
     }
 
     #[test]

@@ -19,9 +19,10 @@
 //! `vertex_index`; all other elements and properties are skipped. Triangle strips are refused.
 
 use crate::error::{Error, Result};
-use crate::formats::surface::{Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, push_fan};
+use crate::formats::surface::{Fan, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite};
 use crate::formats::text::Words;
-use crate::surface::{SurfaceSource, TriMesh, Vertex};
+use crate::surface::weld::StoredSurface;
+use crate::surface::{SurfaceSource, Vertex};
 use std::path::Path;
 
 /// Writes a surface as binary little-endian PLY.
@@ -128,19 +129,18 @@ struct Body<'a> {
 }
 
 /// Reads a PLY surface.
-pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
+pub(super) fn read(path: &Path, bytes: &[u8], out: &mut StoredSurface) -> Result<()> {
     let mut words = Words::new(path, bytes, 0);
     let (encoding, elements) = read_header(&mut words)?;
     let mut body = Body { words, encoding };
-    let mut mesh = TriMesh::default();
     if !elements.iter().any(|e| e.name == "vertex") {
         return Err(body.words.wrong("an element 'vertex'", "a header without it"));
     }
     for element in &elements {
         body.check_rows(element)?;
         match element.name.as_str() {
-            "vertex" => read_vertices(&mut body, element, &mut mesh)?,
-            "face" => read_faces(&mut body, element, &mut mesh)?,
+            "vertex" => read_vertices(&mut body, element, out)?,
+            "face" => read_faces(&mut body, element, out)?,
             "tristrips" => {
                 return Err(body
                     .words
@@ -151,22 +151,23 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
         }
     }
     body.finish()?;
-    check_indices(path, &mesh)?;
-    Ok(mesh)
+    check_indices(path, out)
 }
 
 /// Every vertex number is that of a vertex.
-pub(super) fn check_indices(path: &Path, mesh: &TriMesh) -> Result<()> {
-    let beyond = |t: &[u32; 3]| t.iter().any(|&v| v as usize >= mesh.vertices.len());
-    match mesh.triangles.iter().position(beyond) {
-        None => Ok(()),
-        Some(n) => Err(Error::bad_input(
-            path,
-            format!("triangle {n}"),
-            format!("vertex numbers below {}", mesh.vertices.len()),
-            format!("{:?}", mesh.triangles[n]),
-        )),
-    }
+pub(super) fn check_indices(path: &Path, surface: &StoredSurface) -> Result<()> {
+    let (vertices, mut before) = (surface.vertex_count(), 0);
+    surface.triangles(&mut |batch| {
+        match batch.iter().position(|t| t.iter().any(|&v| u64::from(v) >= vertices)) {
+            None => before += batch.len(),
+            Some(n) => {
+                let at = format!("triangle {}", before + n);
+                let expected = format!("vertex numbers below {vertices}");
+                return Err(Error::bad_input(path, at, expected, format!("{:?}", batch[n])));
+            }
+        }
+        Ok(())
+    })
 }
 
 fn read_header(words: &mut Words<'_>) -> Result<(Encoding, Vec<Element>)> {
@@ -317,7 +318,7 @@ impl Body<'_> {
     }
 }
 
-fn read_vertices(body: &mut Body<'_>, element: &Element, mesh: &mut TriMesh) -> Result<()> {
+fn read_vertices(body: &mut Body<'_>, element: &Element, out: &mut StoredSurface) -> Result<()> {
     let slot = |p: &Property| {
         let names = ["x", "y", "z", "nx", "ny", "nz"];
         names.iter().position(|n| *n == p.name).filter(|_| p.count.is_none())
@@ -326,7 +327,6 @@ fn read_vertices(body: &mut Body<'_>, element: &Element, mesh: &mut TriMesh) -> 
     if !(0..3).all(|c| slots.contains(&Some(c))) {
         return Err(body.wrong("vertices with the properties x, y, z".into(), "a header without them".into()));
     }
-    mesh.vertices.reserve(element.rows as usize);
     for _ in 0..element.rows {
         let mut fields = [0f32; 6];
         for (property, slot) in element.properties.iter().zip(&slots) {
@@ -339,12 +339,12 @@ fn read_vertices(body: &mut Body<'_>, element: &Element, mesh: &mut TriMesh) -> 
         if !is_finite(&[x, y, z]) {
             return Err(body.wrong("finite coordinates".into(), format!("{x} {y} {z}")));
         }
-        mesh.vertices.push(Vertex { position: [x, y, z], normal: [nx, ny, nz] });
+        out.push_vertex(Vertex { position: [x, y, z], normal: [nx, ny, nz] })?;
     }
     Ok(())
 }
 
-fn read_faces(body: &mut Body<'_>, element: &Element, mesh: &mut TriMesh) -> Result<()> {
+fn read_faces(body: &mut Body<'_>, element: &Element, out: &mut StoredSurface) -> Result<()> {
     let is_polygon = |p: &Property| matches!(p.name.as_str(), "vertex_indices" | "vertex_index");
     let polygon_at = element.properties.iter().position(is_polygon);
     let list = polygon_at
@@ -355,32 +355,30 @@ fn read_faces(body: &mut Body<'_>, element: &Element, mesh: &mut TriMesh) -> Res
             body.wrong("faces with an integer list 'vertex_indices'".into(), "a header without it".into())
         );
     };
-    let mut polygon = vec![];
     for _ in 0..element.rows {
         for (i, property) in element.properties.iter().enumerate() {
             if i == polygon_at {
-                read_polygon(body, count, property.kind, &mut polygon)?;
+                read_polygon(body, count, property.kind, out)?;
             } else {
                 body.skip(property)?;
             }
         }
-        push_fan(&mut mesh.triangles, &polygon);
     }
     Ok(())
 }
 
-fn read_polygon(body: &mut Body<'_>, count: Kind, kind: Kind, polygon: &mut Vec<u32>) -> Result<()> {
+fn read_polygon(body: &mut Body<'_>, count: Kind, kind: Kind, out: &mut StoredSurface) -> Result<()> {
     let n = body.list_len(count)?;
     if n < 3 {
         return Err(body.wrong("a face of at least 3 vertices".into(), n.to_string()));
     }
-    polygon.clear();
+    let mut fan = Fan::default();
     for _ in 0..n {
         let number = body.number(kind)?;
         if number < 0.0 {
             return Err(body.wrong("a vertex number".into(), number.to_string()));
         }
-        polygon.push(number as u32);
+        fan.corner(number as u32).map_or(Ok(()), |triangle| out.push_triangle(triangle))?;
     }
     Ok(())
 }
@@ -395,11 +393,12 @@ fn skip_rows(body: &mut Body<'_>, element: &Element) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::surface::tests::{source, survive, tetrahedron};
+    use crate::formats::surface::tests::{in_memory, source, survive, tetrahedron};
     use crate::formats::surface::{SurfaceFormat, write_surface};
+    use crate::surface::TriMesh;
 
     fn parse(bytes: &[u8]) -> Result<TriMesh> {
-        read(Path::new("f.ply"), bytes)
+        in_memory(|out| read(Path::new("f.ply"), bytes, out))
     }
 
     fn written() -> Vec<u8> {

@@ -1,7 +1,14 @@
 //! STL, the stereolithography format of 3D Systems (1989).
 //!
 //! Triangles only, each with its three positions: shared vertices are repeated, and the reader joins those of equal
-//! bits (-0 being 0), which restores exactly the sharing of a surface whose vertices are distinct in `f32`.
+//! bits (-0 being 0), which restores exactly the sharing of a surface whose vertices are distinct in `f32`. It does so
+//! by sorting, three times, so that the surface need not fit in memory:
+//!
+//! ```text
+//! corners by position           equal ones lie together: each learns the first corner at its place
+//! by first corner, then corner  a new first corner is the next vertex
+//! by corner                     three vertex numbers are a triangle
+//! ```
 //!
 //! ```text
 //! 0   80 bytes of comment, not beginning with "solid"
@@ -13,11 +20,13 @@
 //! between `solid NAME` and `endsolid`. Many binary files begin with "solid", so a file whose length agrees with the
 //! count at byte 80 is binary. The normals of a file are not read: they follow from the positions.
 
+use crate::bytes::sorter::Sorter;
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
-use crate::formats::surface::{Sink, SurfaceMeta, Welder, each_triangle, each_vertex, is_finite};
+use crate::formats::surface::{Room, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite};
 use crate::formats::text::Words;
-use crate::surface::{SurfaceSource, TriMesh};
+use crate::surface::weld::StoredSurface;
+use crate::surface::{SurfaceSource, Vertex};
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
@@ -122,10 +131,10 @@ pub(super) fn is_binary(bytes: &[u8]) -> bool {
 }
 
 /// Reads an STL surface, binary or text.
-pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
+pub(super) fn read(path: &Path, bytes: &[u8], room: &Room, out: &mut StoredSurface) -> Result<()> {
     if !is_binary(bytes) {
         if bytes.trim_ascii_start().starts_with(b"solid") {
-            return read_text(path, bytes);
+            return read_text(path, bytes, room, out);
         }
         let expected = match count(bytes) {
             Some(n) => format!("{} bytes for {n} triangles", 84 + n * RECORD as u64),
@@ -134,16 +143,16 @@ pub(super) fn read(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
         return Err(Error::bad_input(path, "binary STL", expected, format!("{} bytes", bytes.len()))
             .with_help("the file is cut short, or it is no STL file"));
     }
-    let mut build = Build { path, mesh: TriMesh::default(), welder: Welder::default() };
+    let mut build = Build::new(path, room);
     for (n, record) in bytes[HEADER + 4..].chunks_exact(RECORD).enumerate() {
         let corners = [12, 24, 36].map(|at| position(&record[at..]));
         build.push(corners, || format!("triangle {n}"))?;
     }
-    Ok(build.finish())
+    build.finish(out)
 }
 
-fn read_text(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
-    let mut build = Build { path, mesh: TriMesh::default(), welder: Welder::default() };
+fn read_text(path: &Path, bytes: &[u8], room: &Room, out: &mut StoredSurface) -> Result<()> {
+    let mut build = Build::new(path, room);
     let mut words = Words::new(path, bytes, 0);
     // The name of a solid is the rest of its line, and any text.
     while let Some(first) = words.next() {
@@ -156,7 +165,7 @@ fn read_text(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
             build.push(corners, || words.place())?;
         }
     }
-    Ok(build.finish())
+    build.finish(out)
 }
 
 /// Whether a facet follows; otherwise the solid has ended.
@@ -199,41 +208,90 @@ fn expect(words: &mut Words<'_>, word: &str) -> Result<()> {
     }
 }
 
-struct Build<'a> {
-    path: &'a Path,
-    mesh: TriMesh,
-    welder: Welder,
+/// A 64-bit number in the words of a record to be sorted: the high one first.
+fn words(n: u64) -> [u32; 2] {
+    [(n >> 32) as u32, n as u32]
 }
 
-impl Build<'_> {
+fn number(words: [u32; 2]) -> u64 {
+    u64::from(words[0]) << 32 | u64::from(words[1])
+}
+
+/// Joins equal corners to vertices, numbered by first appearance.
+struct Build<'a> {
+    path: &'a Path,
+    room: &'a Room,
+    /// Corners so far.
+    corners: u64,
+    /// (bits of the position, corner).
+    by_position: Sorter<[u32; 5]>,
+}
+
+impl<'a> Build<'a> {
+    fn new(path: &'a Path, room: &'a Room) -> Self {
+        // At most two sorters are at work at a time.
+        Self { path, room, corners: 0, by_position: room.sorter(2) }
+    }
+
     fn push(&mut self, corners: [[f32; 3]; 3], at: impl Fn() -> String) -> Result<()> {
-        let mut triangle = [0; 3];
-        for (vertex, corner) in triangle.iter_mut().zip(corners) {
+        for corner in corners {
             if !is_finite(&corner) {
                 return Err(Error::bad_input(self.path, at(), "finite coordinates", format!("{corner:?}")));
             }
-            let number = self.welder.vertex(corner);
-            *vertex = number.ok_or_else(|| {
-                Error::bad_input(self.path, at(), "at most 2^32 different vertices", "more of them")
-            })?;
+            // -0 + 0 = 0: both zeros get the same bits.
+            let [x, y, z] = corner.map(|c| (c + 0.0).to_bits());
+            let [high, low] = words(self.corners);
+            self.by_position.push([x, y, z, high, low])?;
+            self.corners += 1;
         }
-        self.mesh.triangles.push(triangle);
         Ok(())
     }
 
-    fn finish(self) -> TriMesh {
-        TriMesh { vertices: self.welder.into_vertices(), ..self.mesh }
+    fn finish(self, out: &mut StoredSurface) -> Result<()> {
+        let mut by_first: Sorter<[u32; 7]> = self.room.sorter(2);
+        let (mut corners, mut place, mut first) = (self.by_position.finish()?, None, [0; 2]);
+        while let Some([x, y, z, high, low]) = corners.next()? {
+            if place != Some([x, y, z]) {
+                (place, first) = (Some([x, y, z]), [high, low]);
+            }
+            by_first.push([first[0], first[1], high, low, x, y, z])?;
+        }
+        drop(corners);
+        let mut by_corner: Sorter<[u32; 3]> = self.room.sorter(2);
+        let mut corners = by_first.finish()?;
+        while let Some([first_high, first_low, high, low, position @ ..]) = corners.next()? {
+            if [first_high, first_low] == [high, low] {
+                let vertex = Vertex { position: position.map(f32::from_bits), normal: [0.0; 3] };
+                out.push_vertex(vertex)?;
+            }
+            let last = u32::try_from(out.vertex_count() - 1).map_err(|_| {
+                let at = format!("triangle {}", number([high, low]) / 3);
+                Error::bad_input(self.path, at, "at most 2^32 different vertices", "more of them")
+            })?;
+            by_corner.push([high, low, last])?;
+        }
+        drop(corners);
+        let mut corners = by_corner.finish()?;
+        while let Some([.., a]) = corners.next()? {
+            let others = [corners.next()?, corners.next()?];
+            let [b, c] = others.map(|corner| corner.expect("corners are pushed three at a time")[2]);
+            out.push_triangle([a, b, c])?;
+        }
+        Ok(())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::surface::tests::{source, survive, tetrahedron};
+    use crate::formats::surface::tests::{in_memory, rooms, source, survive, tetrahedron};
     use crate::formats::surface::{SurfaceFormat, write_surface};
+    use crate::surface::TriMesh;
 
     fn parse(bytes: &[u8]) -> Result<TriMesh> {
-        read(Path::new("f.stl"), bytes)
+        let [wide, narrow] = rooms().map(|room| in_memory(|out| read(Path::new("f.stl"), bytes, &room, out)));
+        assert_eq!(format!("{wide:?}"), format!("{narrow:?}"), "on disk as in memory");
+        wide
     }
 
     fn written(mesh: TriMesh) -> Vec<u8> {

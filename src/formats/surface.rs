@@ -12,14 +12,18 @@
 //! | OBJ, text | vertices with normals, triangles | none |
 //! | VTP, appended raw, 64-bit headers | vertices with normals, triangles, the isovalue | none |
 //!
-//! **Reading** ([`read_surface`]) takes a whole surface into memory, for the checker: the four formats as we write
-//! them and as other programs do. Polygons are cut into fans. Vertex normals are kept where the format has them beside
-//! the vertices (PLY, VTP) and are zero otherwise. Positions are stored as `f32`; one that is not finite is an error.
+//! **Reading** ([`load_surface`], for the checker) streams too: what a given memory does not hold goes to a scratch folder.
+//! Read are the four formats as we write them and as other programs do. Polygons are cut into fans. Vertex normals are
+//! kept where the format has them beside the vertices (PLY, VTP) and are zero otherwise. Positions are stored as `f32`; one
+//! that is not finite is an error.
 
 use crate::archive::publish::Unpublished;
 use crate::bytes::ByteSource;
+use crate::bytes::sorter::Sorter;
 use crate::error::{Error, Result};
 use crate::formats::{obj, ply, stl, vtp};
+use crate::surface::check::CheckSettings;
+use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{SurfaceSource, TriMesh, Vertex};
 use std::fs::File;
 use std::io;
@@ -121,26 +125,54 @@ pub fn write_surface(
     sink.publish()
 }
 
-/// Reads a surface; the format is told by the first bytes, then by the extension.
+/// Reads a surface into memory, as a whole; see [`load_surface`].
+///
+/// # Errors
+/// Those of [`load_surface`].
+pub fn read_surface(path: &Path) -> Result<TriMesh> {
+    TriMesh::from_source(&load_surface(path, &CheckSettings::default())?)
+}
+
+/// Reads a surface; the format is told by the first bytes, then by the extension. While it is read up to half of the memory is
+/// used, and as it is returned [`CheckSettings::of_source`]; what that does not hold is in a nameless file in the scratch folder.
 ///
 /// # Errors
 /// [`Error::BadInput`] for a malformed file, or one that is no surface; [`Error::Io`] when it cannot be read.
-pub fn read_surface(path: &Path) -> Result<TriMesh> {
+pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurface> {
+    let room = Room { bytes: settings.memory / 8 * 3, scratch: settings.scratch.clone() };
+    let mut surface = StoredSurface::new(&BuilderSettings {
+        memory_bytes: settings.of_source(),
+        scratch: settings.scratch.clone(),
+    });
+    let out = &mut surface;
     let source = Arc::new(ByteSource::map(path)?);
     let bytes = source.slice(0..source.len())?;
     let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes).trim_ascii_start();
-    let mesh = match SurfaceFormat::from_path(path) {
-        _ if bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r") => ply::read(path, bytes),
-        _ if text.starts_with(b"<?xml") || text.starts_with(b"<VTKFile") => vtp::read(&source),
-        _ if stl::is_binary(bytes) => stl::read(path, bytes),
-        Ok(SurfaceFormat::Stl) => stl::read(path, bytes),
-        Ok(SurfaceFormat::Obj) => obj::read(path, bytes),
-        _ if text.starts_with(b"solid") => stl::read(path, bytes),
+    let read = match SurfaceFormat::from_path(path) {
+        _ if bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r") => ply::read(path, bytes, out),
+        _ if text.starts_with(b"<?xml") || text.starts_with(b"<VTKFile") => vtp::read(&source, out),
+        _ if stl::is_binary(bytes) => stl::read(path, bytes, &room, out),
+        Ok(SurfaceFormat::Stl) => stl::read(path, bytes, &room, out),
+        Ok(SurfaceFormat::Obj) => obj::read(path, bytes, out),
+        _ if text.starts_with(b"solid") => stl::read(path, bytes, &room, out),
         _ => Err(Error::bad_input(path, "first bytes", "a PLY, STL, OBJ or VTP surface", "something else")
             .with_help("convert it, or give the file the extension of its format")),
     };
     source.check()?;
-    mesh
+    read.map(|()| surface)
+}
+
+/// What a reader may use while it reads, beside the surface itself.
+pub(super) struct Room {
+    bytes: u64,
+    scratch: PathBuf,
+}
+
+impl Room {
+    /// One of `count` sorters that share the room.
+    pub(super) fn sorter<R: bytemuck::Pod + Ord>(&self, count: u64) -> Sorter<R> {
+        Sorter::new(usize::try_from(self.bytes / count).unwrap_or(usize::MAX), &self.scratch)
+    }
 }
 
 /// Whether all three coordinates are finite.
@@ -264,40 +296,41 @@ pub(super) fn each_triangle(
     Ok(())
 }
 
-/// Joins vertices by exact position, -0 being 0, in order of first appearance. For formats that repeat positions.
+/// A triangle fan over the corners of a polygon: (0, 1, 2), (0, 2, 3), …
 #[derive(Default)]
-pub(super) struct Welder {
-    vertices: Vec<Vertex>,
-    number: rustc_hash::FxHashMap<[u32; 3], u32>,
+pub(super) struct Fan {
+    first: Option<u32>,
+    last: Option<u32>,
 }
 
-impl Welder {
-    /// The number of the vertex at `position`; `None` when there are 2³² already.
-    pub(super) fn vertex(&mut self, position: [f32; 3]) -> Option<u32> {
-        // -0 + 0 = 0: both zeros get the same bits.
-        let position = position.map(|c| c + 0.0);
-        let next = u32::try_from(self.vertices.len()).ok()?;
-        let number = *self.number.entry(position.map(f32::to_bits)).or_insert(next);
-        if number == next {
-            self.vertices.push(Vertex { position, normal: [0.0; 3] });
-        }
-        Some(number)
+impl Fan {
+    /// Takes the next corner; from the third on each makes a triangle.
+    pub(super) fn corner(&mut self, corner: u32) -> Option<[u32; 3]> {
+        let Some(first) = self.first else {
+            self.first = Some(corner);
+            return None;
+        };
+        self.last.replace(corner).map(|last| [first, last, corner])
     }
-
-    /// The vertices, in order of their numbers.
-    pub(super) fn into_vertices(self) -> Vec<Vertex> {
-        self.vertices
-    }
-}
-
-/// A triangle fan over a polygon's vertices: (0, 1, 2), (0, 2, 3), …
-pub(super) fn push_fan(triangles: &mut Vec<[u32; 3]>, polygon: &[u32]) {
-    triangles.extend(polygon[1..].windows(2).map(|edge| [polygon[0], edge[0], edge[1]]));
 }
 
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+
+    /// What a reader reads, in memory.
+    pub(in crate::formats) fn in_memory(
+        read: impl FnOnce(&mut StoredSurface) -> Result<()>,
+    ) -> Result<TriMesh> {
+        let mut surface = StoredSurface::new(&BuilderSettings::default());
+        read(&mut surface)?;
+        TriMesh::from_source(&surface)
+    }
+
+    /// Room that holds anything, and room that holds nothing.
+    pub(in crate::formats) fn rooms() -> [Room; 2] {
+        [u64::MAX, 0].map(|bytes| Room { bytes, scratch: std::env::temp_dir() })
+    }
 
     /// A surface in memory that hands itself out in batches of `batch`.
     pub(in crate::formats) struct InMemory {

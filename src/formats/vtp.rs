@@ -24,10 +24,11 @@
 use crate::bytes::ByteSource;
 use crate::error::Result;
 use crate::formats::ply::check_indices;
-use crate::formats::surface::{Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, push_fan};
+use crate::formats::surface::{Fan, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite};
 use crate::formats::vtk_xml::array::{ArrayStream, scalar_type};
 use crate::formats::vtk_xml::head::{Document, Element};
-use crate::surface::{SurfaceSource, TriMesh, Vertex};
+use crate::surface::weld::StoredSurface;
+use crate::surface::{SurfaceSource, Vertex};
 use crate::volume::ScalarType;
 use std::sync::Arc;
 
@@ -102,44 +103,42 @@ fn comment_text(line: &str) -> String {
     line.replace("--", "- -").replace("--", "- -")
 }
 
-/// Reads a VTP surface.
-pub(super) fn read(source: &Arc<ByteSource>) -> Result<TriMesh> {
+/// Reads a VTP surface. Of each array no more than a batch is in memory.
+pub(super) fn read(source: &Arc<ByteSource>, out: &mut StoredSurface) -> Result<()> {
     let doc = Document::open(source, "PolyData")?;
-    let mut mesh = TriMesh::default();
     for piece in doc.data.all("Piece") {
         if doc.count(piece, "NumberOfStrips", 0)? > 0 {
             let error = doc.wrong(piece, "polygons", "triangle strips");
             return Err(error.with_help("convert strips to triangles first"));
         }
-        let first = mesh.vertices.len();
-        read_points(&doc, piece, &mut mesh)?;
-        read_polygons(&doc, piece, first, &mut mesh)?;
+        let first = out.vertex_count();
+        read_points(&doc, piece, out)?;
+        read_polygons(&doc, piece, first, out)?;
     }
-    check_indices(source.path(), &mesh)?;
-    Ok(mesh)
+    check_indices(source.path(), out)
 }
 
-fn read_points(doc: &Document, piece: &Element, mesh: &mut TriMesh) -> Result<()> {
+fn read_points(doc: &Document, piece: &Element, out: &mut StoredSurface) -> Result<()> {
     let count = doc.count(piece, "NumberOfPoints", 0)?;
     let points = piece.child("Points").and_then(|p| p.child("DataArray"));
     let points = match points {
-        Some(points) => floats(doc, points, 3, count)?,
-        None if count == 0 => vec![],
+        Some(points) => points,
+        None if count == 0 => return Ok(()),
         None => return Err(doc.wrong(piece, "an array in Points", "none")),
     };
-    let normals = match normals(piece) {
-        Some(normals) => floats(doc, normals, 3, count)?,
-        None => vec![0.0; points.len()],
-    };
-    for (n, (p, normal)) in points.chunks_exact(3).zip(normals.chunks_exact(3)).enumerate() {
-        let position = [p[0], p[1], p[2]];
+    let mut points = Numbers::floats(doc, points, 3, count)?;
+    let mut normals = normals(piece).map(|n| Numbers::floats(doc, n, 3, count)).transpose()?;
+    for n in 0..count {
+        let position = points.next_point()?;
         if !is_finite(&position) {
             let got = format!("{position:?} for point {n}");
             return Err(doc.wrong(piece, "finite coordinates", got));
         }
-        mesh.vertices.push(Vertex { position, normal: [normal[0], normal[1], normal[2]] });
+        let normal = normals.as_mut().map_or(Ok([0.0; 3]), Numbers::next_point)?;
+        out.push_vertex(Vertex { position, normal })?;
     }
-    Ok(())
+    points.finish()?;
+    normals.map_or(Ok(()), Numbers::finish)
 }
 
 /// The point data's active normals.
@@ -149,7 +148,7 @@ fn normals(piece: &Element) -> Option<&Element> {
     data.all("DataArray").find(|a| a.attribute("Name") == Some(name))
 }
 
-fn read_polygons(doc: &Document, piece: &Element, first: usize, mesh: &mut TriMesh) -> Result<()> {
+fn read_polygons(doc: &Document, piece: &Element, first: u64, out: &mut StoredSurface) -> Result<()> {
     let count = doc.count(piece, "NumberOfPolys", 0)?;
     if count == 0 {
         return Ok(());
@@ -159,79 +158,132 @@ fn read_polygons(doc: &Document, piece: &Element, first: usize, mesh: &mut TriMe
         let found = polys.all("DataArray").find(|a| a.attribute("Name") == Some(name));
         found.ok_or_else(|| doc.wrong(polys, format!("an array '{name}'"), "none"))
     };
-    let offsets = integers(doc, named("offsets")?, count)?;
-    let corners = integers(doc, named("connectivity")?, offsets.last().copied().unwrap_or(0))?;
-    let vertices = (mesh.vertices.len() - first) as u64;
-    let (mut start, mut polygon) = (0, vec![]);
-    for end in offsets {
+    // The last offset tells how many corners there are: the offsets are read twice.
+    let mut offsets = Numbers::integers(doc, named("offsets")?, count)?;
+    let all = (0..count).try_fold(0, |_, _| offsets.next_integer())?;
+    offsets.finish()?;
+    let mut offsets = Numbers::integers(doc, named("offsets")?, count)?;
+    let mut corners = Numbers::integers(doc, named("connectivity")?, all)?;
+    let (vertices, mut start) = (out.vertex_count() - first, 0);
+    for _ in 0..count {
+        let end = offsets.next_integer()?;
         let wrong = |what: String| doc.wrong(polys, "polygons of at least 3 existing points", what);
-        if end < start || end - start < 3 || end > corners.len() as u64 {
+        if end < start || end - start < 3 || end > all {
             return Err(wrong(format!("one from corner {start} to {end}")));
         }
-        polygon.clear();
-        for &v in &corners[start as usize..end as usize] {
-            let number = Some(v).filter(|&v| v < vertices).and_then(|v| u32::try_from(v + first as u64).ok());
-            polygon.push(number.ok_or_else(|| wrong(format!("point {v} of {vertices}")))?);
+        let mut fan = Fan::default();
+        for _ in start..end {
+            let v = corners.next_integer()?;
+            let number = Some(v).filter(|&v| v < vertices).and_then(|v| u32::try_from(v + first).ok());
+            let number = number.ok_or_else(|| wrong(format!("point {v} of {vertices}")))?;
+            fan.corner(number).map_or(Ok(()), |triangle| out.push_triangle(triangle))?;
         }
-        push_fan(&mut mesh.triangles, &polygon);
         start = end;
     }
-    Ok(())
+    offsets.finish()?;
+    corners.finish()
 }
 
-/// The raw values of an array of `tuples` tuples, and their type.
-fn values(doc: &Document, array: &Element, components: u64, tuples: u64) -> Result<(ScalarType, Vec<u8>)> {
-    let found = doc.count(array, "NumberOfComponents", 1)?;
-    if found != components {
-        return Err(doc.wrong(array, format!("{components} components"), found.to_string()));
-    }
-    let scalar = array.attribute("type").and_then(scalar_type);
-    let scalar = scalar.ok_or_else(|| doc.wrong(array, "an array of numbers", "another type"))?;
-    let bytes = tuples.checked_mul(components * scalar.bytes() as u64);
-    let bytes = bytes.ok_or_else(|| doc.wrong(array, "fewer than 2^64 bytes", format!("{tuples} tuples")))?;
-    Ok((scalar, ArrayStream::open(doc, array, scalar, bytes)?.read_all(bytes)?))
+/// The numbers of an array, one after the other; a batch is in memory.
+struct Numbers<'a> {
+    doc: &'a Document,
+    array: &'a Element,
+    scalar: ScalarType,
+    stream: ArrayStream,
+    /// Bytes of the array that are not in `batch` yet.
+    left: u64,
+    batch: Vec<u8>,
+    at: usize,
 }
 
-/// Floating-point numbers, as `f32`.
-fn floats(doc: &Document, array: &Element, components: u64, tuples: u64) -> Result<Vec<f32>> {
-    let (scalar, bytes) = values(doc, array, components, tuples)?;
-    match scalar {
-        ScalarType::F32 => Ok(bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect()),
-        ScalarType::F64 => Ok(bytes.as_chunks().0.iter().map(|b| f64::from_le_bytes(*b) as f32).collect()),
-        _ => Err(doc.wrong(array, "type Float32 or Float64", scalar.name())),
-    }
-}
+/// Bytes of a batch: a multiple of every number's size.
+const BATCH: u64 = 1 << 16;
 
-/// Integers, none negative.
-fn integers(doc: &Document, array: &Element, tuples: u64) -> Result<Vec<u64>> {
-    let (scalar, bytes) = values(doc, array, 1, tuples)?;
-    let signed = matches!(scalar, ScalarType::I8 | ScalarType::I16 | ScalarType::I32 | ScalarType::I64);
-    if matches!(scalar, ScalarType::F32 | ScalarType::F64) {
-        return Err(doc.wrong(array, "integers", scalar.name()));
+impl<'a> Numbers<'a> {
+    fn open(doc: &'a Document, array: &'a Element, components: u64, tuples: u64) -> Result<Self> {
+        let found = doc.count(array, "NumberOfComponents", 1)?;
+        if found != components {
+            return Err(doc.wrong(array, format!("{components} components"), found.to_string()));
+        }
+        let scalar = array.attribute("type").and_then(scalar_type);
+        let scalar = scalar.ok_or_else(|| doc.wrong(array, "an array of numbers", "another type"))?;
+        let bytes = tuples.checked_mul(components * scalar.bytes() as u64);
+        let left =
+            bytes.ok_or_else(|| doc.wrong(array, "fewer than 2^64 bytes", format!("{tuples} tuples")))?;
+        let stream = ArrayStream::open(doc, array, scalar, left)?;
+        Ok(Self { doc, array, scalar, stream, left, batch: vec![], at: 0 })
     }
-    let size = scalar.bytes();
-    let mut out = Vec::with_capacity(bytes.len() / size);
-    for value in bytes.chunks_exact(size) {
-        let negative = signed && value[size - 1] & 0x80 != 0;
-        if negative {
-            return Err(doc.wrong(array, "no negative numbers", "one"));
+
+    fn floats(doc: &'a Document, array: &'a Element, components: u64, tuples: u64) -> Result<Self> {
+        let numbers = Self::open(doc, array, components, tuples)?;
+        match numbers.scalar {
+            ScalarType::F32 | ScalarType::F64 => Ok(numbers),
+            other => Err(doc.wrong(array, "type Float32 or Float64", other.name())),
+        }
+    }
+
+    fn integers(doc: &'a Document, array: &'a Element, tuples: u64) -> Result<Self> {
+        let numbers = Self::open(doc, array, 1, tuples)?;
+        match numbers.scalar {
+            ScalarType::F32 | ScalarType::F64 => Err(doc.wrong(array, "integers", numbers.scalar.name())),
+            _ => Ok(numbers),
+        }
+    }
+
+    /// The bytes of the next number; to be asked for as often as there are numbers.
+    fn next(&mut self) -> Result<&[u8]> {
+        if self.at == self.batch.len() {
+            self.batch.resize(self.left.min(BATCH) as usize, 0);
+            self.stream.fill(&mut self.batch)?;
+            (self.left, self.at) = (self.left - self.batch.len() as u64, 0);
+        }
+        let start = self.at;
+        self.at += self.scalar.bytes();
+        Ok(&self.batch[start..self.at])
+    }
+
+    /// The next three floating-point numbers, as `f32`.
+    fn next_point(&mut self) -> Result<[f32; 3]> {
+        let mut point = [0.0; 3];
+        for c in &mut point {
+            *c = match *self.next()? {
+                [a, b, c, d] => f32::from_le_bytes([a, b, c, d]),
+                [a, b, c, d, e, f, g, h] => f64::from_le_bytes([a, b, c, d, e, f, g, h]) as f32,
+                _ => unreachable!("floating-point numbers have 4 or 8 bytes"),
+            };
+        }
+        Ok(point)
+    }
+
+    /// The next integer, not negative.
+    fn next_integer(&mut self) -> Result<u64> {
+        let signed =
+            matches!(self.scalar, ScalarType::I8 | ScalarType::I16 | ScalarType::I32 | ScalarType::I64);
+        let value = self.next()?;
+        if signed && value[value.len() - 1] & 0x80 != 0 {
+            return Err(self.doc.wrong(self.array, "no negative numbers", "one"));
         }
         let mut b = [0; 8];
-        b[..size].copy_from_slice(value);
-        out.push(u64::from_le_bytes(b));
+        b[..value.len()].copy_from_slice(value);
+        Ok(u64::from_le_bytes(b))
     }
-    Ok(out)
+
+    /// To be called after the last number.
+    fn finish(mut self) -> Result<()> {
+        self.stream.finish()
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::formats::surface::tests::{source, survive, tetrahedron};
+    use crate::formats::surface::tests::{in_memory, source, survive, tetrahedron};
     use crate::formats::surface::{SurfaceFormat, write_surface};
     use crate::formats::vtk_xml::tests::{Encoding, every_encoding};
+    use crate::surface::TriMesh;
 
     fn parse(bytes: &[u8]) -> Result<TriMesh> {
-        read(&Arc::new(ByteSource::from_vec("f.vtp", bytes.to_vec())))
+        in_memory(|out| read(&Arc::new(ByteSource::from_vec("f.vtp", bytes.to_vec())), out))
     }
 
     fn written() -> Vec<u8> {

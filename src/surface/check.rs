@@ -16,13 +16,27 @@
 //! `v` is manifold when its link is one cycle (inside) or one path (on the boundary): connected, every end seen at
 //! most twice. Edges are counted at their smaller vertex, duplicate triangles at their smallest.
 //!
-//! Cost: O(t log d) time for t triangles of vertex degree d; about 20 bytes a triangle and 20 a vertex beside the mesh.
+//! # Surfaces larger than memory
+//! Arcs (v, n, p) of all triangles are sorted by v, beyond memory on disk, and the links come out one after the other. Positions
+//! lie in a store that is read through a cache. What must be in memory, and is asked for in [`CheckSettings::memory`]:
+//!
+//! * 4 bytes a vertex for the connected pieces (union-find; one array, used for the surface and then for its rims);
+//! * the link of one vertex, about 80 bytes a triangle at the vertex of the most triangles.
+//!
+//! The report is the same whatever the memory: the same steps are taken, and sums run over the triangles in their order.
+//!
+//! Cost: O(t log t) time for t triangles. Disk, if memory does not hold them: 36 bytes a triangle, 12 a vertex, 8 a
+//! boundary edge.
 //!
 //! It does *not* look for triangles that intersect each other.
 
-use super::{TriMesh, Vertex};
+use super::{SurfaceSource, TriMesh};
+use crate::bytes::sorter::{Sorted, Sorter};
+use crate::bytes::store::{Cached, Store};
+use crate::error::{Error, Result};
 use crate::grid::Geometry;
 use serde::Serialize;
+use std::path::{Path, PathBuf};
 
 /// What [`check`] finds. Triangles with a repeated or an absent vertex are counted, and otherwise ignored.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -89,43 +103,111 @@ impl SurfaceReport {
     }
 }
 
-/// Checks a mesh. Any mesh: nothing about it is taken for granted.
+/// How a surface is checked.
+#[derive(Clone, Debug)]
+pub struct CheckSettings {
+    /// Bytes for everything that grows with the surface. An eighth of them is the source's own: see [`CheckSettings::of_source`].
+    pub memory: u64,
+    /// Folder for what does not fit in memory.
+    pub scratch: PathBuf,
+}
+
+impl Default for CheckSettings {
+    fn default() -> Self {
+        Self { memory: u64::MAX, scratch: std::env::temp_dir() }
+    }
+}
+
+impl CheckSettings {
+    /// Bytes that the source of the surface may hold meanwhile.
+    pub fn of_source(&self) -> usize {
+        in_memory(self.memory / 8)
+    }
+}
+
+/// Where the boundary of a surface may lie: on the faces of a volume's box, that of the samples 0 … dims - 1.
+#[derive(Clone, Copy, Debug)]
+pub struct Domain<'a> {
+    /// Index space to the world, where the surface is.
+    pub geometry: &'a Geometry,
+    /// Samples along x, y, z.
+    pub dims: [u64; 3],
+    /// How far, in voxels, a vertex may lie from a face. Vertices are rounded to `f32` in the world: it must allow for that.
+    pub tolerance: f64,
+}
+
+impl Domain<'_> {
+    /// The faces that a position lies on, a bit each.
+    fn faces_of(&self, position: [f32; 3]) -> u8 {
+        let ijk = self.geometry.to_index(position.map(f64::from));
+        (0..3).fold(0u8, |faces, a| {
+            let near = |at: f64| u8::from((ijk[a] - at).abs() <= self.tolerance);
+            faces | near(0.0) << (2 * a) | near((self.dims[a].max(1) - 1) as f64) << (2 * a + 1)
+        })
+    }
+}
+
+/// Checks a mesh in memory. Any mesh: nothing about it is taken for granted.
 pub fn check(mesh: &TriMesh) -> SurfaceReport {
+    check_source(mesh, None, &CheckSettings::default())
+        .expect("nothing of a mesh in memory is read or written")
+        .0
+}
+
+/// Checks a surface within a given memory; also tells the boundary edges that are not on a face of the domain, if one is given.
+///
+/// # Errors
+/// [`Error::Budget`] when the memory does not suffice, naming what does; [`Error::Usage`] for 2^32 - 1 vertices or more; those of
+/// reading the source, and of the scratch folder.
+pub fn check_source(
+    source: &dyn SurfaceSource,
+    domain: Option<&Domain<'_>>,
+    settings: &CheckSettings,
+) -> Result<(SurfaceReport, Option<u64>)> {
+    check_in(source, domain, &Shares::of(source.vertex_count(), settings)?)
+}
+
+fn check_in(
+    source: &dyn SurfaceSource,
+    domain: Option<&Domain<'_>>,
+    shares: &Shares<'_>,
+) -> Result<(SurfaceReport, Option<u64>)> {
     let mut report = SurfaceReport {
-        vertices: mesh.vertices.len() as u64,
-        triangles: mesh.triangles.len() as u64,
-        non_finite_vertices: mesh
-            .vertices
-            .iter()
-            .filter(|v| !v.position.iter().all(|x| x.is_finite()))
-            .count() as u64,
+        vertices: source.vertex_count(),
+        triangles: source.triangle_count(),
         ..SurfaceReport::default()
     };
-    let good = good_triangles(mesh, &mut report);
-    let fans = Fans::new(mesh.vertices.len(), &good);
-    let mut pieces = Pieces::new(mesh.vertices.len());
-    let mut rims = Pieces::new(mesh.vertices.len());
+    let positions = positions(source, shares, &mut report)?;
+    let mut places = Cached::new(&positions, shares.positions);
+    let mut arcs = Arcs::new(sorted_arcs(source, shares, &mut report)?)?;
+    let mut pieces = Pieces::new(report.vertices as usize);
+    let mut rims = Store::new(shares.positions / 4, shares.scratch);
     let mut link = Link::default();
-    for v in 0..mesh.vertices.len() as u32 {
-        link.gather(v, fans.of(v), &good);
-        count_vertex(v, &mut link, &mut report, &mut pieces, &mut rims);
+    for v in 0..report.vertices as u32 {
+        link.gather(&mut arcs, v, shares)?;
+        count_vertex(v, &mut link, &mut report, &mut pieces, &mut rims)?;
+        if !link.ends.is_empty() {
+            let position = places.get(v.into())?;
+            report.bounding_box = Some(widen(report.bounding_box, position));
+        }
     }
     report.components = pieces.count();
-    report.boundary_loops = rims.count();
-    report.euler =
-        (report.vertices - report.unreferenced_vertices) as i64 - report.edges as i64 + good.len() as i64;
-    measure(mesh, &good, &mut report);
-    report
+    report.boundary_loops = loops(&rims, &mut pieces)?;
+    measure(source, &mut places, &mut report)?;
+    let outside = domain.map(|domain| edges_outside(&rims, &mut places, domain)).transpose()?;
+    Ok((report, outside))
 }
 
 /// The boundary edges, each as its triangle runs along it, in the order of their first vertices.
 pub fn boundary_edges(mesh: &TriMesh) -> Vec<[u32; 2]> {
-    let good = good_triangles(mesh, &mut SurfaceReport::default());
-    let fans = Fans::new(mesh.vertices.len(), &good);
-    let mut link = Link::default();
+    let (settings, mut report, mut link) =
+        (CheckSettings::default(), SurfaceReport::default(), Link::default());
+    let all = "nothing of a mesh in memory is read or written";
+    let shares = Shares::of(mesh.vertex_count(), &settings).expect(all);
+    let mut arcs = Arcs::new(sorted_arcs(mesh, &shares, &mut report).expect(all)).expect(all);
     let mut edges = Vec::new();
     for v in 0..mesh.vertices.len() as u32 {
-        link.gather(v, fans.of(v), &good);
+        link.gather(&mut arcs, v, &shares).expect(all);
         edges.extend(link.edges().filter(|e| e.triangles() == 1 && e.out == 1).map(|e| [v, e.to]));
     }
     edges
@@ -134,36 +216,125 @@ pub fn boundary_edges(mesh: &TriMesh) -> Vec<[u32; 2]> {
 /// Boundary edges that do not lie on a face of the domain box, that of the samples 0 … dims - 1: both ends must be within
 /// `tolerance` voxels of the same face. Vertices are rounded to `f32` in the world, so the tolerance must allow for that.
 pub fn boundary_outside(mesh: &TriMesh, geometry: &Geometry, dims: [u64; 3], tolerance: f64) -> u64 {
-    let faces_of = |v: u32| {
-        let ijk = geometry.to_index(mesh.vertices[v as usize].position.map(f64::from));
-        (0..3).fold(0u8, |faces, a| {
-            let near = |at: f64| u8::from((ijk[a] - at).abs() <= tolerance);
-            faces | near(0.0) << (2 * a) | near((dims[a].max(1) - 1) as f64) << (2 * a + 1)
-        })
-    };
-    boundary_edges(mesh).iter().filter(|[a, b]| faces_of(*a) & faces_of(*b) == 0).count() as u64
+    let domain = Domain { geometry, dims, tolerance };
+    let checked = check_source(mesh, Some(&domain), &CheckSettings::default());
+    checked.expect("nothing of a mesh in memory is read or written").1.expect("a domain was given")
 }
 
-/// The triangles of three different, existing vertices; counts the others.
-fn good_triangles(mesh: &TriMesh, report: &mut SurfaceReport) -> Vec<[u32; 3]> {
-    let mut good = Vec::with_capacity(mesh.triangles.len());
-    for &t in &mesh.triangles {
-        let [a, b, c] = t;
-        if t.iter().any(|&v| v as usize >= mesh.vertices.len()) {
-            report.out_of_range_triangles += 1;
-        } else if a == b || b == c || c == a {
-            report.degenerate_triangles += 1;
-        } else {
-            good.push(t);
+/// What the process needs beside: code and tables, stacks, buffers.
+const FIXED: u64 = 16 << 20;
+/// Below this the rest of the memory is not worth sorting in.
+const LEAST_REST: u64 = 4 << 20;
+/// Bytes of a link for each of its triangles: the arc, two ends, their distinct numbers and union-find; twice, as lists grow.
+const LINK_BYTES: u64 = 80;
+
+/// The memory of a check, as it is shared out.
+struct Shares<'a> {
+    arcs: usize,
+    positions: usize,
+    /// Triangles at one vertex.
+    fan: u64,
+    given: u64,
+    vertices: u64,
+    scratch: &'a Path,
+}
+
+impl<'a> Shares<'a> {
+    fn of(vertices: u64, settings: &'a CheckSettings) -> Result<Self> {
+        if vertices >= u32::MAX.into() {
+            return Err(Error::usage(format!(
+                "a surface of {vertices} vertices: {} is the most",
+                u32::MAX - 1
+            )));
         }
+        let given = settings.memory;
+        let needed = least(vertices, LEAST_REST);
+        if given < needed {
+            return Err(Error::Budget { what: "memory".into(), needed, available: given });
+        }
+        let rest = given - given / 8 - FIXED - 4 * vertices;
+        let fan = rest / 4 / LINK_BYTES;
+        Ok(Self {
+            arcs: in_memory(rest / 2),
+            positions: in_memory(rest / 8),
+            fan,
+            given,
+            vertices,
+            scratch: &settings.scratch,
+        })
     }
-    good
+
+    fn fan_too_large(&self, triangles: u64) -> Error {
+        let needed = least(self.vertices, 4 * LINK_BYTES * (triangles + 1));
+        let what = format!("memory (for {triangles} triangles at one vertex)");
+        Error::Budget { what, needed, available: self.given }
+    }
 }
 
-fn count_vertex(v: u32, link: &mut Link, report: &mut SurfaceReport, pieces: &mut Pieces, rims: &mut Pieces) {
+/// The memory that leaves `rest` beside what the source has, and the pieces need.
+fn least(vertices: u64, rest: u64) -> u64 {
+    (FIXED + 4 * vertices).saturating_add(rest).div_ceil(7).saturating_mul(8)
+}
+
+fn in_memory(bytes: u64) -> usize {
+    usize::try_from(bytes).unwrap_or(usize::MAX)
+}
+
+/// The vertices' positions, for random access.
+fn positions(
+    source: &dyn SurfaceSource,
+    shares: &Shares<'_>,
+    report: &mut SurfaceReport,
+) -> Result<Store<[f32; 3]>> {
+    let mut positions = Store::new(shares.positions / 2, shares.scratch);
+    source.vertices(&mut |batch| {
+        for v in batch {
+            report.non_finite_vertices += u64::from(!v.position.iter().all(|x| x.is_finite()));
+            positions.push(v.position)?;
+        }
+        Ok(())
+    })?;
+    Ok(positions)
+}
+
+/// The three different, existing vertices of a triangle.
+fn is_good([a, b, c]: [u32; 3], vertices: u64) -> bool {
+    [a, b, c].iter().all(|&v| u64::from(v) < vertices) && a != b && b != c && c != a
+}
+
+/// The arcs of the triangles of three different, existing vertices, by vertex; counts the other triangles.
+fn sorted_arcs(
+    source: &dyn SurfaceSource,
+    shares: &Shares<'_>,
+    report: &mut SurfaceReport,
+) -> Result<Sorted<[u32; 3]>> {
+    let mut arcs = Sorter::new(shares.arcs, shares.scratch);
+    source.triangles(&mut |batch| {
+        for &t in batch {
+            if is_good(t, shares.vertices) {
+                let [a, b, c] = t;
+                [[a, b, c], [b, c, a], [c, a, b]].into_iter().try_for_each(|arc| arcs.push(arc))?;
+            } else if t.iter().any(|&v| u64::from(v) >= shares.vertices) {
+                report.out_of_range_triangles += 1;
+            } else {
+                report.degenerate_triangles += 1;
+            }
+        }
+        Ok(())
+    })?;
+    arcs.finish()
+}
+
+fn count_vertex(
+    v: u32,
+    link: &mut Link,
+    report: &mut SurfaceReport,
+    pieces: &mut Pieces,
+    rims: &mut Store<[u32; 2]>,
+) -> Result<()> {
     if link.ends.is_empty() {
         report.unreferenced_vertices += 1;
-        return;
+        return Ok(());
     }
     let mut simple = true;
     for edge in link.edges() {
@@ -174,7 +345,7 @@ fn count_vertex(v: u32, link: &mut Link, report: &mut SurfaceReport, pieces: &mu
             match (edge.triangles(), edge.out) {
                 (1, _) => {
                     report.boundary_edges += 1;
-                    rims.join(v, edge.to);
+                    rims.push([v, edge.to])?;
                 }
                 (2, 1) => {}
                 (2, _) => report.misoriented_edges += 1,
@@ -184,37 +355,73 @@ fn count_vertex(v: u32, link: &mut Link, report: &mut SurfaceReport, pieces: &mu
     }
     report.non_manifold_vertices += u64::from(!simple || !link.is_connected());
     report.duplicate_triangles += link.duplicates(v);
+    Ok(())
 }
 
-/// Areas and the enclosed volume, in triangle order, all in `f64`.
-fn measure(mesh: &TriMesh, good: &[[u32; 3]], report: &mut SurfaceReport) {
-    let used = good.iter().flatten().map(|&v| mesh.vertices[v as usize]);
-    report.bounding_box = used.fold(None, |bounds, v| Some(widen(bounds, &v)));
+/// Connected groups of edges.
+fn loops(edges: &Store<[u32; 2]>, pieces: &mut Pieces) -> Result<u64> {
+    pieces.clear();
+    edges.each(&mut |batch| {
+        batch.iter().for_each(|&[a, b]| pieces.join(a, b));
+        Ok(())
+    })?;
+    Ok(pieces.count())
+}
+
+fn edges_outside(
+    edges: &Store<[u32; 2]>,
+    places: &mut Cached<'_, [f32; 3]>,
+    domain: &Domain<'_>,
+) -> Result<u64> {
+    let mut outside = 0;
+    edges.each(&mut |batch| {
+        for &[a, b] in batch {
+            let faces = domain.faces_of(places.get(a.into())?) & domain.faces_of(places.get(b.into())?);
+            outside += u64::from(faces == 0);
+        }
+        Ok(())
+    })?;
+    Ok(outside)
+}
+
+/// Areas, the enclosed volume and the Euler number, in triangle order, all in `f64`.
+fn measure(
+    source: &dyn SurfaceSource,
+    places: &mut Cached<'_, [f32; 3]>,
+    report: &mut SurfaceReport,
+) -> Result<()> {
     let Some([lo, hi]) = report.bounding_box else {
-        return;
+        return Ok(());
     };
     // Seen from the middle of the surface, so that a far origin does not cancel the digits of the volume.
     let middle: [f64; 3] = std::array::from_fn(|k| 0.5 * (f64::from(lo[k]) + f64::from(hi[k])));
-    let mut volume6 = 0.0;
-    for t in good {
-        let [a, b, c] = t.map(|v| {
-            let p = mesh.vertices[v as usize].position;
-            std::array::from_fn(|k| f64::from(p[k]) - middle[k])
-        });
-        let normal2 = cross(minus(b, a), minus(c, a));
-        let length2 = dot(normal2, normal2).sqrt();
-        report.zero_area_triangles += u64::from(length2 == 0.0);
-        report.area += 0.5 * length2;
-        volume6 += dot(a, cross(b, c));
-    }
+    let (mut volume6, mut good) = (0.0, 0);
+    source.triangles(&mut |batch| {
+        for &t in batch.iter().filter(|t| is_good(**t, report.vertices)) {
+            let mut at = |v: u32| {
+                let p = places.get(v.into())?;
+                Ok(std::array::from_fn(|k| f64::from(p[k]) - middle[k]))
+            };
+            let [a, b, c]: [[f64; 3]; 3] = [at(t[0])?, at(t[1])?, at(t[2])?];
+            let normal2 = cross(minus(b, a), minus(c, a));
+            let length2 = dot(normal2, normal2).sqrt();
+            report.zero_area_triangles += u64::from(length2 == 0.0);
+            report.area += 0.5 * length2;
+            volume6 += dot(a, cross(b, c));
+            good += 1;
+        }
+        Ok(())
+    })?;
+    report.euler = (report.vertices - report.unreferenced_vertices) as i64 - report.edges as i64 + good;
     if report.is_closed() && report.is_manifold() && report.is_oriented() {
         report.volume = Some(volume6 / 6.0);
     }
+    Ok(())
 }
 
-fn widen(bounds: Option<[[f32; 3]; 2]>, v: &Vertex) -> [[f32; 3]; 2] {
-    let [lo, hi] = bounds.unwrap_or([v.position; 2]);
-    [std::array::from_fn(|k| lo[k].min(v.position[k])), std::array::from_fn(|k| hi[k].max(v.position[k]))]
+fn widen(bounds: Option<[[f32; 3]; 2]>, p: [f32; 3]) -> [[f32; 3]; 2] {
+    let [lo, hi] = bounds.unwrap_or([p; 2]);
+    [std::array::from_fn(|k| lo[k].min(p[k])), std::array::from_fn(|k| hi[k].max(p[k]))]
 }
 
 fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
@@ -229,38 +436,23 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// The triangles of each vertex.
-struct Fans {
-    start: Vec<usize>,
-    triangles: Vec<u32>,
+/// Arcs (v, n, p) in the order of v, the next one seen beforehand.
+struct Arcs {
+    sorted: Sorted<[u32; 3]>,
+    next: Option<[u32; 3]>,
 }
 
-impl Fans {
-    fn new(vertices: usize, triangles: &[[u32; 3]]) -> Self {
-        assert!(
-            vertices.max(triangles.len()) < u32::MAX as usize,
-            "a mesh held in memory has fewer than 2^32 vertices and triangles"
-        );
-        let mut start = vec![0; vertices + 1];
-        triangles.iter().flatten().for_each(|&v| start[v as usize] += 1);
-        // start[v] becomes the end of v's list, and counts down to its beginning while the list is filled.
-        let mut end = 0;
-        for s in &mut start {
-            end += *s;
-            *s = end;
-        }
-        let mut list = vec![0; 3 * triangles.len()];
-        for (i, t) in triangles.iter().enumerate().rev() {
-            for &v in t {
-                start[v as usize] -= 1;
-                list[start[v as usize]] = i as u32;
-            }
-        }
-        Self { start, triangles: list }
+impl Arcs {
+    fn new(mut sorted: Sorted<[u32; 3]>) -> Result<Self> {
+        let next = sorted.next()?;
+        Ok(Self { sorted, next })
     }
 
-    fn of(&self, v: u32) -> &[u32] {
-        &self.triangles[self.start[v as usize]..self.start[v as usize + 1]]
+    /// The next arc n → p of the link of `v`.
+    fn of(&mut self, v: u32) -> Result<Option<[u32; 2]>> {
+        let Some([_, n, p]) = self.next.filter(|arc| arc[0] == v) else { return Ok(None) };
+        self.next = self.sorted.next()?;
+        Ok(Some([n, p]))
     }
 }
 
@@ -291,16 +483,22 @@ struct Link {
 }
 
 impl Link {
-    fn gather(&mut self, v: u32, fan: &[u32], triangles: &[[u32; 3]]) {
+    fn gather(&mut self, arcs: &mut Arcs, v: u32, shares: &Shares<'_>) -> Result<()> {
         self.arcs.clear();
-        self.arcs.extend(fan.iter().map(|&t| match triangles[t as usize] {
-            [a, n, p] if a == v => [n, p],
-            [p, a, n] if a == v => [n, p],
-            [n, p, _] => [n, p],
-        }));
+        while let Some(arc) = arcs.of(v)? {
+            self.arcs.push(arc);
+            if self.arcs.len() as u64 > shares.fan {
+                let mut triangles = self.arcs.len() as u64;
+                while arcs.of(v)?.is_some() {
+                    triangles += 1;
+                }
+                return Err(shares.fan_too_large(triangles));
+            }
+        }
         self.ends.clear();
         self.ends.extend(self.arcs.iter().flat_map(|&[n, p]| [(n, false), (p, true)]));
         self.ends.sort_unstable();
+        Ok(())
     }
 
     /// The edges of the mesh at this vertex, ascending by the other end.
@@ -351,25 +549,37 @@ fn root(parents: &mut [u32], mut i: u32) -> u32 {
 
 /// Connected pieces of a graph on the vertices; vertices without an edge are none.
 struct Pieces {
+    /// Of each vertex; [`ALONE`] as long as it has no edge.
     parents: Vec<u32>,
-    touched: Vec<bool>,
 }
+
+/// There are fewer vertices than this.
+const ALONE: u32 = u32::MAX;
 
 impl Pieces {
     fn new(vertices: usize) -> Self {
-        Self { parents: (0..vertices as u32).collect(), touched: vec![false; vertices] }
+        Self { parents: vec![ALONE; vertices] }
+    }
+
+    fn clear(&mut self) {
+        self.parents.fill(ALONE);
+    }
+
+    fn root_of(&mut self, v: u32) -> u32 {
+        if self.parents[v as usize] == ALONE {
+            self.parents[v as usize] = v;
+        }
+        root(&mut self.parents, v)
     }
 
     fn join(&mut self, a: u32, b: u32) {
-        (self.touched[a as usize], self.touched[b as usize]) = (true, true);
-        let (a, b) = (root(&mut self.parents, a), root(&mut self.parents, b));
+        let (a, b) = (self.root_of(a), self.root_of(b));
         // The smaller number becomes the root: with path halving that is fast enough, and needs no ranks.
         self.parents[a.max(b) as usize] = a.min(b);
     }
 
     fn count(&self) -> u64 {
-        let roots = self.parents.iter().enumerate().filter(|&(i, &p)| i as u32 == p && self.touched[i]);
-        roots.count() as u64
+        self.parents.iter().enumerate().filter(|&(i, &p)| i as u32 == p).count() as u64
     }
 }
 

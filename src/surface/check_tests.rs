@@ -1,4 +1,6 @@
 use super::*;
+use crate::surface::Vertex;
+use proptest::prelude::*;
 
 fn mesh(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> TriMesh {
     let vertex = |&position: &[f32; 3]| Vertex { position, normal: [0.0, 0.0, 1.0] };
@@ -134,4 +136,91 @@ fn the_report_is_written_as_json() {
     assert_eq!(json["euler"], 2);
     assert_eq!(json["volume"], 2.0);
     assert_eq!(json["boundary_edges"], 0);
+}
+
+/// A mesh that hands itself out in small batches.
+struct Batches(TriMesh);
+
+impl SurfaceSource for Batches {
+    fn vertex_count(&self) -> u64 {
+        self.0.vertices.len() as u64
+    }
+    fn triangle_count(&self) -> u64 {
+        self.0.triangles.len() as u64
+    }
+    fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()> {
+        self.0.vertices.chunks(7).try_for_each(each)
+    }
+    fn triangles(&self, each: &mut dyn FnMut(&[[u32; 3]]) -> Result<()>) -> Result<()> {
+        self.0.triangles.chunks(5).try_for_each(each)
+    }
+}
+
+/// Shares so small that everything goes to disk and the cache holds one block.
+fn tiny(mesh: &TriMesh, domain: &Domain<'_>) -> (SurfaceReport, Option<u64>) {
+    let scratch = tempfile::tempdir().unwrap();
+    let settings = CheckSettings { scratch: scratch.path().into(), ..CheckSettings::default() };
+    let mut shares = Shares::of(mesh.vertex_count(), &settings).unwrap();
+    (shares.arcs, shares.positions) = (12 * 5, 8);
+    let found = check_in(&Batches(mesh.clone()), Some(domain), &shares).unwrap();
+    assert_eq!(std::fs::read_dir(scratch.path()).unwrap().count(), 0);
+    found
+}
+
+proptest! {
+    #[test]
+    fn memory_does_not_show(
+        places in prop::collection::vec((-2.0f32..2.0, -2.0f32..2.0, 0usize..3), 0..600),
+        corners in prop::collection::vec([0usize..40, 0usize..40, 0usize..40], 0..300),
+        shift in 0usize..600,
+    ) {
+        // Few vertices in use: non-manifold edges, bow ties, repeated triangles and vertices, numbers that are none.
+        let triangles: Vec<[u32; 3]> = corners.iter().map(|t| t.map(|v| (v + shift) as u32)).collect();
+        let positions: Vec<[f32; 3]> = places.iter().map(|&(x, y, z)| [x, y, [0.0, -0.0, 1.0][z]]).collect();
+        let mesh = mesh(&positions, &triangles);
+        let geometry = Geometry::default();
+        let domain = Domain { geometry: &geometry, dims: [2, 2, 2], tolerance: 0.5 };
+        let whole = check_source(&mesh, Some(&domain), &CheckSettings::default()).unwrap();
+        let told = |found: &(SurfaceReport, Option<u64>)| (serde_json::to_string(&found.0).unwrap(), found.1);
+        prop_assert_eq!(told(&whole), told(&tiny(&mesh, &domain)));
+        prop_assert_eq!(whole.0.boundary_edges, boundary_edges(&mesh).len() as u64);
+    }
+}
+
+#[test]
+fn a_grid_with_holes_and_turned_triangles_is_the_same_from_disk() {
+    let n = 60u32;
+    let positions: Vec<[f32; 3]> =
+        (0..n * n).map(|i| [(i % n) as f32, (i / n) as f32, (i * 7 % 5) as f32 * 0.1]).collect();
+    let quads = (0..n * n).filter(|i| i % n + 1 < n && i / n + 1 < n && i % 17 != 3);
+    let mut triangles: Vec<[u32; 3]> =
+        quads.flat_map(|i| [[i, i + 1, i + n], [i + 1, i + n + 1, i + n]]).collect();
+    triangles.iter_mut().step_by(101).for_each(|t| t.swap(0, 1));
+    let mesh = mesh(&positions, &triangles);
+    let geometry = Geometry::default();
+    let domain = Domain { geometry: &geometry, dims: [60, 60, 1], tolerance: 1e-3 };
+    let found = check_source(&mesh, Some(&domain), &CheckSettings::default()).unwrap();
+    assert!(found.0.boundary_loops > 50 && found.0.misoriented_edges > 50, "{found:?}");
+    assert!(found.1.unwrap() > 100, "holes are not on the faces: {found:?}");
+    assert_eq!(found, tiny(&mesh, &domain));
+}
+
+#[test]
+fn too_little_memory_is_refused_naming_what_works() {
+    let two = mesh(&[[0.0; 3]; 1000], &[[0, 1, 2]]);
+    let within = |memory| {
+        let settings = CheckSettings { memory, ..CheckSettings::default() };
+        check_source(&two, None, &settings)
+    };
+    let Err(Error::Budget { needed, .. }) = within(1 << 20) else { panic!("1 MiB is not enough") };
+    assert!(within(needed - 1).is_err() && within(needed).is_ok());
+    // A fan of very many triangles.
+    let fan: Vec<[u32; 3]> = (0..60_000).map(|i| [0, 1 + i % 997, 2 + i % 997]).collect();
+    let fan = mesh(&[[0.0; 3]; 1000], &fan);
+    let within = |memory| check_source(&fan, None, &CheckSettings { memory, ..CheckSettings::default() });
+    let Err(Error::Budget { what, needed: more, .. }) = within(needed) else {
+        panic!("the fan is too large")
+    };
+    assert!(what.contains("60000 triangles at one vertex"), "{what}");
+    assert_eq!(within(more).unwrap().0, check(&fan));
 }

@@ -15,7 +15,6 @@
 
 pub mod check;
 pub mod marching_tets;
-mod store;
 #[cfg(test)]
 mod testing;
 pub mod weld;

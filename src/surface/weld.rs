@@ -44,8 +44,8 @@
 //! ```
 
 use super::marching_tets::{ChunkSurface, SharedEdge};
-use super::store::Store;
 use super::{SurfaceSource, Vertex, WorldMap};
+use crate::bytes::store::Store;
 use crate::error::{Error, Result};
 use crate::geom::PointId;
 use rustc_hash::FxHashMap;
@@ -90,10 +90,10 @@ pub struct SurfaceBuilder {
 impl SurfaceBuilder {
     /// An empty surface. `world` is the map with which the chunks are finished.
     pub fn new(world: &WorldMap, settings: &BuilderSettings) -> Self {
-        let half = settings.memory_bytes / 2;
+        let StoredSurface { vertices, triangles } = StoredSurface::new(settings);
         Self {
-            vertices: Store::new(half, &settings.scratch),
-            triangles: Store::new(half, &settings.scratch),
+            vertices,
+            triangles,
             open: Vec::new(),
             by_key: FxHashMap::default(),
             world: *world,
@@ -198,6 +198,30 @@ impl SurfaceBuilder {
 pub struct StoredSurface {
     vertices: Store<Vertex>,
     triangles: Store<[u32; 3]>,
+}
+
+impl StoredSurface {
+    /// A surface without vertices, to be filled.
+    pub fn new(settings: &BuilderSettings) -> Self {
+        let half = settings.memory_bytes / 2;
+        Self { vertices: Store::new(half, &settings.scratch), triangles: Store::new(half, &settings.scratch) }
+    }
+
+    /// Appends a vertex.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the scratch file cannot be written.
+    pub fn push_vertex(&mut self, vertex: Vertex) -> Result<()> {
+        self.vertices.push(vertex)
+    }
+
+    /// Appends a triangle, of vertices that may be appended later.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the scratch file cannot be written.
+    pub fn push_triangle(&mut self, triangle: [u32; 3]) -> Result<()> {
+        self.triangles.push(triangle)
+    }
 }
 
 impl SurfaceSource for StoredSurface {

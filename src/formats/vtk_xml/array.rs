@@ -139,22 +139,6 @@ impl ArrayStream {
             Data::Plain { .. } | Data::Empty => Ok(()),
         }
     }
-
-    /// The whole array, of `bytes` bytes, in memory, which grows as data arrive.
-    ///
-    /// # Errors
-    /// Those of [`ArrayStream::fill`] and [`ArrayStream::finish`].
-    pub(in crate::formats) fn read_all(mut self, bytes: u64) -> Result<Vec<u8>> {
-        const STEP: u64 = 1 << 20;
-        let mut out = vec![];
-        while (out.len() as u64) < bytes {
-            let old = out.len();
-            out.resize(old + (bytes - old as u64).min(STEP) as usize, 0);
-            self.fill(&mut out[old..])?;
-        }
-        self.finish()?;
-        Ok(out)
-    }
 }
 
 /// The byte of the file where the array's values lie one after another, where they do: appended, raw, uncompressed.

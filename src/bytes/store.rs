@@ -1,4 +1,4 @@
-//! Fixed-size records, appended, patched, read front to back; on disk beyond a given size.
+//! Fixed-size records, appended, patched, read front to back or anywhere; on disk beyond a given size.
 
 use crate::error::{Error, Result};
 use bytemuck::Pod;
@@ -10,7 +10,7 @@ const BATCH: usize = 1 << 14;
 
 /// A list of records: the first `written` in a nameless file of the scratch folder, the others in `tail`.
 #[derive(Debug)]
-pub(super) struct Store<T> {
+pub(crate) struct Store<T> {
     tail: Vec<T>,
     /// Records that `tail` may hold.
     most: usize,
@@ -21,17 +21,17 @@ pub(super) struct Store<T> {
 
 impl<T: Pod> Store<T> {
     /// A store that keeps up to about `memory_bytes` in memory.
-    pub(super) fn new(memory_bytes: usize, scratch: &Path) -> Self {
+    pub(crate) fn new(memory_bytes: usize, scratch: &Path) -> Self {
         let most = (memory_bytes / size_of::<T>()).max(1);
         Self { tail: Vec::new(), most, file: None, written: 0, scratch: scratch.to_path_buf() }
     }
 
-    pub(super) fn len(&self) -> u64 {
+    pub(crate) fn len(&self) -> u64 {
         self.written + self.tail.len() as u64
     }
 
     /// Appends a record.
-    pub(super) fn push(&mut self, record: T) -> Result<()> {
+    pub(crate) fn push(&mut self, record: T) -> Result<()> {
         if self.tail.len() >= self.most {
             self.spill()?;
         }
@@ -47,7 +47,7 @@ impl<T: Pod> Store<T> {
         }
         let offset = self.written * size_of::<T>() as u64;
         write_at(self.file(), bytemuck::cast_slice(&self.tail), offset)
-            .map_err(|e| Error::io("write surface records to a temporary file in", &self.scratch, e))?;
+            .map_err(|e| Error::io("write records to a temporary file in", &self.scratch, e))?;
         self.written += self.tail.len() as u64;
         self.tail.clear();
         Ok(())
@@ -59,11 +59,11 @@ impl<T: Pod> Store<T> {
 
     fn read(&self, first: u64, records: &mut [T]) -> Result<()> {
         read_at(self.file(), bytemuck::cast_slice_mut(records), first * size_of::<T>() as u64)
-            .map_err(|e| Error::io("read surface records from a temporary file in", &self.scratch, e))
+            .map_err(|e| Error::io("read records from a temporary file in", &self.scratch, e))
     }
 
     /// Hands out all records, in order, in batches.
-    pub(super) fn each(&self, each: &mut dyn FnMut(&[T]) -> Result<()>) -> Result<()> {
+    pub(crate) fn each(&self, each: &mut dyn FnMut(&[T]) -> Result<()>) -> Result<()> {
         let mut batch = Vec::new();
         let mut first = 0;
         while first < self.written {
@@ -76,7 +76,7 @@ impl<T: Pod> Store<T> {
     }
 
     /// Changes records in place. `patches` ascend by record number.
-    pub(super) fn patch<P>(&mut self, patches: &[(u32, P)], apply: impl Fn(&mut T, &P)) -> Result<()> {
+    pub(crate) fn patch<P>(&mut self, patches: &[(u32, P)], apply: impl Fn(&mut T, &P)) -> Result<()> {
         let on_disk = patches.partition_point(|&(number, _)| u64::from(number) < self.written);
         let (mut on_disk, in_memory) = patches.split_at(on_disk);
         let mut batch = Vec::new();
@@ -90,7 +90,7 @@ impl<T: Pod> Store<T> {
                 apply(&mut batch[(u64::from(*n) - first) as usize], p);
             }
             write_at(self.file(), bytemuck::cast_slice(&batch), first * size_of::<T>() as u64)
-                .map_err(|e| Error::io("write surface records to a temporary file in", &self.scratch, e))?;
+                .map_err(|e| Error::io("write records to a temporary file in", &self.scratch, e))?;
             on_disk = &on_disk[here..];
         }
         for (n, p) in in_memory {
@@ -100,18 +100,59 @@ impl<T: Pod> Store<T> {
     }
 }
 
+/// Single records of a [`Store`], had through a cache of blocks of counted size. Neighbours lie together in what programs write,
+/// so that nearly all records are found in it.
+#[derive(Debug)]
+pub(crate) struct Cached<'a, T> {
+    store: &'a Store<T>,
+    /// The block that lies in each slot; a block has one slot that it may lie in.
+    blocks: Vec<u64>,
+    records: Vec<T>,
+}
+
+/// Records in a block of the cache: few, because a miss reads them all.
+const BLOCK: u64 = 256;
+
+impl<'a, T: Pod> Cached<'a, T> {
+    /// A cache of about `memory_bytes`.
+    pub(crate) fn new(store: &'a Store<T>, memory_bytes: usize) -> Self {
+        let useful = store.written.div_ceil(BLOCK) as usize;
+        let slots = (memory_bytes / (BLOCK as usize * size_of::<T>() + 8)).clamp(1, useful.max(1));
+        let records = if useful > 0 { vec![T::zeroed(); slots * BLOCK as usize] } else { vec![] };
+        Self { store, blocks: vec![u64::MAX; slots], records }
+    }
+
+    /// The record of a number below the store's length.
+    pub(crate) fn get(&mut self, number: u64) -> Result<T> {
+        if number >= self.store.written {
+            return Ok(self.store.tail[(number - self.store.written) as usize]);
+        }
+        let (block, within) = (number / BLOCK, (number % BLOCK) as usize);
+        let slot = (block % self.blocks.len() as u64) as usize;
+        let at = slot * BLOCK as usize;
+        if self.blocks[slot] != block {
+            let here = (self.store.written - block * BLOCK).min(BLOCK) as usize;
+            // Until the read has worked there is no good block in the slot.
+            self.blocks[slot] = u64::MAX;
+            self.store.read(block * BLOCK, &mut self.records[at..at + here])?;
+            self.blocks[slot] = block;
+        }
+        Ok(self.records[at + within])
+    }
+}
+
 #[cfg(unix)]
-fn read_at(file: &File, bytes: &mut [u8], offset: u64) -> std::io::Result<()> {
+pub(super) fn read_at(file: &File, bytes: &mut [u8], offset: u64) -> std::io::Result<()> {
     std::os::unix::fs::FileExt::read_exact_at(file, bytes, offset)
 }
 
 #[cfg(unix)]
-fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
+pub(super) fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
     std::os::unix::fs::FileExt::write_all_at(file, bytes, offset)
 }
 
 #[cfg(windows)]
-fn read_at(file: &File, bytes: &mut [u8], offset: u64) -> std::io::Result<()> {
+pub(super) fn read_at(file: &File, bytes: &mut [u8], offset: u64) -> std::io::Result<()> {
     let mut done = 0;
     while done < bytes.len() {
         match std::os::windows::fs::FileExt::seek_read(file, &mut bytes[done..], offset + done as u64)? {
@@ -123,7 +164,7 @@ fn read_at(file: &File, bytes: &mut [u8], offset: u64) -> std::io::Result<()> {
 }
 
 #[cfg(windows)]
-fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
+pub(super) fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
     let mut done = 0;
     while done < bytes.len() {
         match std::os::windows::fs::FileExt::seek_write(file, &bytes[done..], offset + done as u64)? {
@@ -164,6 +205,19 @@ mod tests {
             assert_eq!(all(&store), wanted, "{memory} bytes of memory");
         }
         assert_eq!(std::fs::read_dir(scratch.path()).unwrap().count(), 0, "the files have no names");
+    }
+
+    #[test]
+    fn single_records_are_found_wherever_they_lie() {
+        let scratch = tempfile::tempdir().unwrap();
+        for (memory, cache) in [(0, 0), (12 * 700, 12 * 600), (12 * 700, 1 << 20), (1 << 20, 0)] {
+            let mut store = Store::new(memory, scratch.path());
+            (0..3000u32).for_each(|i| store.push([i, i / 2, 7]).unwrap());
+            let mut cached = Cached::new(&store, cache);
+            for n in (0..3000).chain((0..9000).map(|i| i * 1237 % 3000)) {
+                assert_eq!(cached.get(n).unwrap(), [n as u32, n as u32 / 2, 7]);
+            }
+        }
     }
 
     #[test]

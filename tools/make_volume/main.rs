@@ -12,8 +12,12 @@
 //!
 //! f32 samples are the field's values; u8 and u16 map the range above to 0 … 255 or 65535, half up. Sines come from the
 //! `libm` crate, because those of the standard library differ in the last bit from machine to machine.
-//! Memory: a few numbers for each sample of one slice. The file appears under its name when it is whole.
+//! Memory: a few numbers for each sample of one slice, of 64 slices for Zarr. A file appears under its name when it is whole;
+//! the folders of TIFF (`.tifs`, a slice a file) and Zarr (`.zarr`, version 3, zstd) fill as slices come.
 
+mod folders;
+
+use folders::Folder;
 use isospan::{Error, Result};
 use std::f64::consts::PI;
 use std::fs::File;
@@ -22,7 +26,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 const HELP: &str = "\
-usage: make_volume FIELD --dims X,Y,Z -o FILE.(nrrd|npy|raw) [options]
+usage: make_volume FIELD --dims X,Y,Z -o FILE.(nrrd|npy|raw|tifs|zarr) [options]
   FIELD                    sphere, gyroid or marschner-lobb
   --dims X,Y,Z             samples along each axis, at least 2
   -o FILE                  its ending chooses the format
@@ -44,11 +48,23 @@ enum Kind {
     U16,
 }
 
+impl Kind {
+    fn bytes(self) -> usize {
+        match self {
+            Self::F32 => 4,
+            Self::U8 => 1,
+            Self::U16 => 2,
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Format {
     Nrrd,
     Npy,
     Raw,
+    Tiffs,
+    Zarr,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -110,8 +126,17 @@ impl Settings {
         })
     }
 
-    /// Writes the file under a temporary name beside it, then renames.
     fn write(&self) -> Result<()> {
+        let mut folder = match self.format {
+            Format::Tiffs => Folder::tiffs(&self.out)?,
+            Format::Zarr => Folder::zarr(&self.out, self)?,
+            _ => return self.write_file(),
+        };
+        self.samples(|bytes| folder.slice(self, bytes))
+    }
+
+    /// Writes the file under a temporary name beside it, then renames.
+    fn write_file(&self) -> Result<()> {
         let folder = self.out.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         let failed = |e| Error::io("write", &self.out, e);
         let file = tempfile::Builder::new()
@@ -186,7 +211,7 @@ impl Settings {
         match self.format {
             Format::Nrrd => self.nrrd_header(),
             Format::Npy => self.npy_header(),
-            Format::Raw => vec![],
+            Format::Raw | Format::Tiffs | Format::Zarr => vec![],
         }
     }
 
@@ -306,8 +331,14 @@ fn parse_field(name: &str) -> Result<Field> {
 
 fn format_of(out: &Path) -> Result<Format> {
     let ending = out.extension().and_then(|e| e.to_str()).unwrap_or("");
-    one_of(ending, &[("nrrd", Format::Nrrd), ("npy", Format::Npy), ("raw", Format::Raw)])
-        .map_err(|e| Error::usage(format!("the ending of {}: {e}", out.display())))
+    let formats = [
+        ("nrrd", Format::Nrrd),
+        ("npy", Format::Npy),
+        ("raw", Format::Raw),
+        ("tifs", Format::Tiffs),
+        ("zarr", Format::Zarr),
+    ];
+    one_of(ending, &formats).map_err(|e| Error::usage(format!("the ending of {}: {e}", out.display())))
 }
 
 fn parse_periods(text: &str) -> Result<u32> {
@@ -460,7 +491,7 @@ mod tests {
             ("sphere --dims 4,4 -o a.raw", "three whole numbers"),
             ("sphere --dims 4,1,4 -o a.raw", "at least 2"),
             ("sphere --dims 4,4,4000000000000000000 -o a.raw", "three whole numbers"),
-            ("sphere --dims 4,4,4 -o a.tif", "nrrd, npy, raw"),
+            ("sphere --dims 4,4,4 -o a.tif", "nrrd, npy, raw, tifs, zarr"),
             ("sphere --dims 4,4,4 --type i8 -o a.raw", "f32, u8, u16"),
             ("sphere --dims 4,4,4 --periods 0 -o a.raw", "1 to 1000"),
             ("sphere --dims 4,4,4 -o", "needs a value"),
