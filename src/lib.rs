@@ -60,6 +60,7 @@
 
 pub mod archive;
 pub mod bytes;
+pub mod cells;
 pub mod error;
 pub mod exec;
 pub mod formats;

@@ -1,4 +1,4 @@
-//! `isospan info`: what is in a volume or an archive.
+//! `isospan info`: what is in a volume, a mesh or an archive.
 
 use super::input::InputArgs;
 use super::text;
@@ -8,10 +8,10 @@ use isospan::{Result, formats};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Tell what volumes and archives hold: dimensions, type, fields, geometry, range, histogram.
+/// Tell what volumes, meshes and archives hold: dimensions, type, fields, geometry, range, histogram; points and cells.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// Volumes or archives.
+    /// Volumes, meshes or archives.
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// Read the header only: no range, no histogram.
@@ -37,7 +37,10 @@ fn one(path: &Path, args: &Args) -> Result<()> {
             super::print(&archive_text(path, &summary))
         };
     }
-    let source = formats::open_volume(path, &args.read.options()?)?;
+    let source = match formats::open_input(path, &args.read.options()?)? {
+        formats::Input::Volume(source) => source,
+        formats::Input::Mesh(mesh) => return super::info_mesh::run(&mesh, !args.no_scan, args.json),
+    };
     let (info, scan) = if args.no_scan {
         (source.info().clone(), None)
     } else {

@@ -7,6 +7,7 @@ mod count;
 mod dry_run;
 mod heap;
 mod info;
+mod info_mesh;
 mod input;
 mod misc;
 mod progress;

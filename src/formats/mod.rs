@@ -12,11 +12,13 @@ mod folder;
 #[cfg(feature = "hdf5")]
 pub mod hdf5;
 mod header;
+mod mesh;
 pub mod metaimage;
 pub mod nifti;
 pub mod npy;
 pub mod npz;
 pub mod nrrd;
+mod numbers;
 pub mod obj;
 pub mod ply;
 pub mod raw;
@@ -38,6 +40,8 @@ use crate::volume::{FieldInfo, VolumeSource};
 use std::path::Path;
 use std::sync::Arc;
 use stream::Codec;
+
+pub use mesh::{Input, is_mesh, open_input, open_mesh};
 
 /// How to open a volume.
 #[derive(Clone, Debug, Default, PartialEq)]

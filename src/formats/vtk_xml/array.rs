@@ -62,7 +62,7 @@ enum Data {
     Text(TextNumbers),
     Plain { stored: Stored, left: u64 },
     Blocks(Box<Blocks>),
-    Empty,
+    Empty(Stored),
 }
 
 /// Where an array's numbers are stored.
@@ -84,7 +84,7 @@ impl ArrayStream {
     ) -> Result<Self> {
         let data = match place(doc, element)? {
             // Writers disagree on the header of an empty array, and some leave it out.
-            Place::Binary(_) if bytes == 0 => Data::Empty,
+            Place::Binary(stored) if bytes == 0 => Data::Empty(stored),
             Place::Text(numbers) => {
                 // A digit and a space for each number.
                 let most = (numbers.end - numbers.at).div_ceil(2).saturating_mul(scalar.bytes() as u64);
@@ -107,6 +107,32 @@ impl ArrayStream {
         Ok(Self { scalar, big_endian: doc.big_endian, data })
     }
 
+    /// The array of an element, of as many values as it tells itself: of a text that is known only at its end.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] when the array is malformed, or longer than the file has room for.
+    pub(in crate::formats) fn open_as_told(
+        doc: &Document,
+        element: &Element,
+        scalar: ScalarType,
+    ) -> Result<Self> {
+        let data = match place(doc, element)? {
+            Place::Text(numbers) => Data::Text(numbers),
+            Place::Binary(stored) if stored.most_left() == 0 => Data::Empty(stored),
+            Place::Binary(mut stored) if doc.compressor == Compressor::None => {
+                let left = word(&mut stored, doc)?;
+                check_room(doc, element, stored.most_left(), left)?;
+                Data::Plain { stored, left }
+            }
+            Place::Binary(stored) => {
+                let blocks = Blocks::open(doc, stored)?;
+                check_room(doc, element, blocks.data.most_left().saturating_mul(BEST_RATIO), blocks.total())?;
+                Data::Blocks(Box::new(blocks))
+            }
+        };
+        Ok(Self { scalar, big_endian: doc.big_endian, data })
+    }
+
     /// Fills `out` with the next values; its length is a multiple of the value's size.
     ///
     /// # Errors
@@ -120,7 +146,8 @@ impl ArrayStream {
                 stored.read_exact(out)?;
             }
             Data::Blocks(blocks) => blocks.fill(out)?,
-            Data::Empty => assert!(out.is_empty(), "an empty array was opened as such"),
+            Data::Empty(_) if out.is_empty() => {}
+            Data::Empty(stored) => return Err(stored.wrong("data", "an empty array")),
         }
         if self.big_endian {
             out.chunks_exact_mut(self.scalar.bytes()).for_each(<[u8]>::reverse);
@@ -135,8 +162,14 @@ impl ArrayStream {
     pub(in crate::formats) fn finish(&mut self) -> Result<()> {
         match &mut self.data {
             Data::Text(numbers) => numbers.finish(),
+            Data::Blocks(blocks) if blocks.to_come > 0 || blocks.left > 0 => {
+                Err(blocks.data.wrong("the end of the array", "more data"))
+            }
             Data::Blocks(blocks) => blocks.end_block(),
-            Data::Plain { .. } | Data::Empty => Ok(()),
+            Data::Plain { stored, left } if *left > 0 => {
+                Err(stored.wrong("the end of the array", format!("{left} more bytes")))
+            }
+            Data::Plain { .. } | Data::Empty(_) => Ok(()),
         }
     }
 }

@@ -69,6 +69,8 @@ pub(super) struct Appended {
 pub(in crate::formats) struct Document {
     /// The file.
     pub(super) source: Arc<ByteSource>,
+    /// The file's type, one of those that were asked for.
+    pub(super) kind: &'static str,
     /// The element below `VTKFile`.
     pub(in crate::formats) data: Element,
     /// The byte order of binary data.
@@ -86,17 +88,24 @@ impl Document {
     ///
     /// # Errors
     /// [`Error::BadInput`] for what is no VTK XML file, or one of another type.
-    pub(in crate::formats) fn open(source: &Arc<ByteSource>, kind: &str) -> Result<Self> {
+    pub(in crate::formats) fn open(source: &Arc<ByteSource>, kind: &'static str) -> Result<Self> {
+        Self::open_one_of(source, &[kind])
+    }
+
+    /// Reads the head of a file whose `type` is one of `kinds`.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for what is no VTK XML file, or one of another type.
+    pub(in crate::formats) fn open_one_of(source: &Arc<ByteSource>, kinds: &[&'static str]) -> Result<Self> {
         let (mut file, appended) = Parser::new(source)?.run()?;
         let path = source.path();
         let bad = |at: &str, expected: &str, got: String| Error::bad_input(path, at, expected, got);
         let attribute = |name: &str| file.attribute(name);
         let found = attribute("type").ok_or_else(|| bad("VTKFile", "an attribute 'type'", "none".into()))?;
-        if found != kind {
-            return Err(
-                bad("VTKFile", &format!("type=\"{kind}\""), what_is(found)).with_help(help_for(found))
-            );
-        }
+        let Some(kind) = kinds.iter().copied().find(|k| *k == found) else {
+            let expected = format!("type=\"{}\"", kinds.join("\" or \""));
+            return Err(bad("VTKFile", &expected, what_is(found)).with_help(help_for(found)));
+        };
         let big_endian = match attribute("byte_order") {
             Some("BigEndian") => true,
             Some("LittleEndian") | None => false,
@@ -128,7 +137,7 @@ impl Document {
             Some(at) => file.children.swap_remove(at),
             None => return Err(bad("VTKFile", &format!("an element '{kind}'"), "none".into())),
         };
-        Ok(Self { source: Arc::clone(source), data, big_endian, wide, compressor, appended, layout })
+        Ok(Self { source: Arc::clone(source), kind, data, big_endian, wide, compressor, appended, layout })
     }
 
     /// An error at an element.

@@ -22,7 +22,7 @@ pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Vol
     let (field, fields) = choose(&doc, pieces[0].element, wanted)?;
     let info = VolumeInfo {
         path: source.path().to_path_buf(),
-        format: format!("VTK XML ImageData ({})", how_stored(&doc, pieces[0].element, &field)),
+        format: format!("VTK XML ImageData ({})", how_field_stored(&doc, pieces[0].element, &field)),
         dims: whole.dims,
         geometry: geometry(&doc, &whole)?,
         field,
@@ -173,16 +173,16 @@ fn choose(doc: &Document, piece: &Element, wanted: Option<&str>) -> Result<(Fiel
     }
 }
 
-fn arrays(data: Option<&Element>) -> impl Iterator<Item = &Element> {
+pub(super) fn arrays(data: Option<&Element>) -> impl Iterator<Item = &Element> {
     data.into_iter().flat_map(|d| d.all("DataArray"))
 }
 
-fn name_of(array: &Element) -> String {
+pub(super) fn name_of(array: &Element) -> String {
     array.attribute("Name").unwrap_or("data").to_string()
 }
 
 /// The numeric arrays of the point data.
-fn fields(doc: &Document, data: Option<&Element>) -> Result<Vec<FieldInfo>> {
+pub(super) fn fields(doc: &Document, data: Option<&Element>) -> Result<Vec<FieldInfo>> {
     let mut fields = vec![];
     for array in arrays(data) {
         let Some(scalar) = array.attribute("type").and_then(scalar_type) else { continue };
@@ -208,9 +208,13 @@ fn array<'a>(doc: &Document, piece: &Piece<'a>, field: &FieldInfo) -> Result<&'a
     })
 }
 
+/// How the field's array in a piece is stored.
+fn how_field_stored(doc: &Document, piece: &Element, field: &FieldInfo) -> String {
+    how_stored(doc, arrays(piece.child("PointData")).find(|a| name_of(a) == field.name))
+}
+
 /// "appended raw, zlib, UInt64 header" and so on, for people.
-fn how_stored(doc: &Document, piece: &Element, field: &FieldInfo) -> String {
-    let element = arrays(piece.child("PointData")).find(|a| name_of(a) == field.name);
+pub(super) fn how_stored(doc: &Document, element: Option<&Element>) -> String {
     let place = match element.and_then(|e| e.attribute("format")).unwrap_or("ascii") {
         "binary" => "inline base64",
         "appended" if doc.appended.is_some_and(|a| a.base64) => "appended base64",

@@ -24,9 +24,13 @@
 //! **Fields** are the arrays of the point data. Without `--field` the one that the file names as its active `Scalars`
 //! is read, else the only one with one component. Cell data are values of voxel cells, not of samples: refused.
 //!
-//! Modules: `head` (the XML), `array` (the data of an array), `stored` (raw bytes and base64), `image` (extents, pieces, fields).
+//! **Unstructured grids** (`.vtu`, `.pvtu`) are opened as meshes, by [`open_mesh`].
+//!
+//! Modules: `head` (the XML), `array` (the data of an array), `stored` (raw bytes and base64), `image` (extents, pieces, fields),
+//! `cells` (unstructured grids).
 
 pub(in crate::formats) mod array;
+mod cells;
 pub(in crate::formats) mod head;
 mod image;
 mod stored;
@@ -35,6 +39,7 @@ mod stored;
 pub(in crate::formats) mod tests;
 
 use crate::bytes::ByteSource;
+use crate::cells::CellMesh;
 use crate::error::Result;
 use crate::formats::OpenOptions;
 use crate::volume::VolumeSource;
@@ -48,4 +53,22 @@ use std::sync::Arc;
 /// [`Error::Usage`](crate::Error::Usage) when several fields ask for a choice.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     image::open(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
+}
+
+/// Opens the mesh of a `.vtu` or `.pvtu` file.
+///
+/// # Errors
+/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file or another VTK type;
+/// [`Error::Usage`](crate::Error::Usage) when there is no field of the name wanted.
+pub fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
+    CellMesh::new(Arc::new(cells::open(path, options.io)?), options.field.as_deref())
+}
+
+/// Whether the head of a VTK XML file says that it is an unstructured grid.
+pub(super) fn is_mesh(head: &[u8]) -> bool {
+    let text = String::from_utf8_lossy(head);
+    let tag =
+        text.split_once("<VTKFile").and_then(|(_, rest)| rest.split_once('>')).map_or("", |(tag, _)| tag);
+    let kind = tag.split_once("type").map_or("", |(_, rest)| rest.trim_start_matches([' ', '=', '"', '\'']));
+    kind.starts_with("UnstructuredGrid") || kind.starts_with("PUnstructuredGrid")
 }

@@ -1,0 +1,87 @@
+//! Cells into tetrahedra, so that neighbours agree on the faces that they share.
+//!
+//! A four-sided face can be cut along either diagonal, and both cells must choose the same one. They do when the choice
+//! depends on the face's vertices alone: here the cut starts at the **smallest vertex number** of the face. A convex
+//! cell is then filled by the *star* of its smallest vertex v: every face that does not have v is cut into triangles, each
+//! of which makes a tetrahedron with v. The faces that have v are covered as a by-product, by triangles that start at v,
+//! which is their smallest vertex too (Dompierre, Labbé, Vallet, Camarero, "How to subdivide pyramids, prisms and
+//! hexahedra into tetrahedra", 1999, have the rule). A hexahedron gives 6 tetrahedra, a wedge 3, a pyramid 2.
+//!
+//! Quadratic cells: see [`quadratic`](super::quadratic).
+//!
+//! The rule knows numbers, not positions. So pieces of a mesh that store a shared point twice, under two numbers, can
+//! cut a shared four-sided face differently; the field then has a kink there, no gap.
+
+use super::kind::CellKind;
+use super::quadratic;
+
+/// A tetrahedron of vertex numbers.
+pub type CellTet = [u64; 4];
+
+/// The most tetrahedra that a cell is split into.
+pub const MOST_TETS: usize = 48;
+
+/// Appends the tetrahedra of a cell, positively oriented where the cell is, to `out`. Gives the number of those that were
+/// left out because the cell names a vertex more than once (a hexahedron that was collapsed to a wedge, say). A cell
+/// without a volume gives none.
+///
+/// # Panics
+/// When the number of vertices is not that of the kind.
+pub fn split(kind: CellKind, vertices: &[u64], out: &mut Vec<CellTet>) -> usize {
+    assert_eq!(vertices.len(), kind.vertices(), "readers count vertices");
+    let start = out.len();
+    match kind {
+        CellKind::Flat => {}
+        CellKind::Tetrahedron => out.push(std::array::from_fn(|i| vertices[i])),
+        CellKind::Voxel => {
+            // x fastest to around.
+            let v = vertices;
+            star(kind.shape().faces.iter().copied(), &[v[0], v[1], v[3], v[2], v[4], v[5], v[7], v[6]], out);
+        }
+        CellKind::Hexahedron | CellKind::Wedge | CellKind::Pyramid => {
+            star(kind.shape().faces.iter().copied(), vertices, out);
+        }
+        _ => quadratic::split(kind, vertices, out),
+    }
+    drop_collapsed(start, out)
+}
+
+/// Removes tetrahedra that name a vertex twice, from `start` on.
+fn drop_collapsed(start: usize, out: &mut Vec<CellTet>) -> usize {
+    let mut kept = start;
+    for at in start..out.len() {
+        let [a, b, c, d] = out[at];
+        if a != b && a != c && a != d && b != c && b != d && c != d {
+            out[kept] = out[at];
+            kept += 1;
+        }
+    }
+    let dropped = out.len() - kept;
+    out.truncate(kept);
+    dropped
+}
+
+/// The star of the smallest vertex of a convex cell. `faces` are seen anticlockwise from outside and index `vertices`.
+pub(super) fn star<'a>(
+    faces: impl Iterator<Item = &'a [u8]> + Clone,
+    vertices: &[u64],
+    out: &mut Vec<CellTet>,
+) {
+    let number = |&i: &u8| vertices[usize::from(i)];
+    let Some(apex) = faces.clone().flatten().map(number).min() else { return };
+    for face in faces.filter(|f| f.iter().all(|i| number(i) != apex)) {
+        fan(face, vertices, |[a, b, c]| out.push([apex, a, b, c]));
+    }
+}
+
+/// The triangles of a convex face, all from its smallest vertex, anticlockwise as the face is.
+pub(super) fn fan(face: &[u8], vertices: &[u64], mut each: impl FnMut([u64; 3])) {
+    let number = |at: usize| vertices[usize::from(face[at % face.len()])];
+    let first = (0..face.len()).min_by_key(|&at| number(at)).expect("a face has vertices");
+    for step in 1..face.len() - 1 {
+        each([number(first), number(first + step), number(first + step + 1)]);
+    }
+}
+
+#[cfg(test)]
+mod tests;
