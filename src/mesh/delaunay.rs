@@ -34,6 +34,8 @@ mod pages;
 mod plain;
 #[cfg(target_arch = "x86_64")]
 mod simd;
+#[cfg(target_arch = "x86_64")]
+mod wide;
 
 use crate::error::{Error, Result};
 use crate::geom::curve::Order;
@@ -49,15 +51,26 @@ enum Path {
     Plain,
     #[cfg(target_arch = "x86_64")]
     Avx2,
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+impl Path {
+    /// Those that this machine can run, slowest first.
+    fn available() -> Vec<Self> {
+        let mut all = vec![Self::Plain];
+        #[cfg(target_arch = "x86_64")]
+        {
+            all.extend(simd::is_available().then_some(Self::Avx2));
+            all.extend(wide::is_available().then_some(Self::Avx512));
+        }
+        all
+    }
 }
 
 impl Default for Path {
     fn default() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        if simd::is_available() {
-            return Self::Avx2;
-        }
-        Self::Plain
+        Self::available().pop().unwrap_or(Self::Plain)
     }
 }
 
@@ -256,6 +269,8 @@ impl Mesher {
             Path::Plain => self.arena.insert_plain(vertex, next),
             #[cfg(target_arch = "x86_64")]
             Path::Avx2 => simd::insert(&mut self.arena, vertex, next),
+            #[cfg(target_arch = "x86_64")]
+            Path::Avx512 => wide::insert(&mut self.arena, vertex, next),
         }
         if self.arena.tets.len() > MOST_TETS {
             return Err(Error::usage(

@@ -77,6 +77,9 @@ impl Tetra {
 /// For each place i of a vertex, the other three in the order that makes (face, vertex i) positively oriented.
 pub(super) const FACE: [[usize; 3]; 4] = [[1, 3, 2], [0, 2, 3], [0, 3, 1], [0, 1, 2]];
 
+/// The same from the other side: (face, a point beyond it) is positively oriented.
+pub(super) const FACE_FROM_BEYOND: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
+
 /// When a computed sphere may be trusted, and what it decides.
 ///
 /// A power (squared distance to the centre minus squared radius) beyond ±`e` has the right sign; nearer to zero the integers
@@ -214,7 +217,7 @@ pub(super) struct Arena {
     pub(super) hint: u32,
     /// The cavity, in breadth-first order; before an insertion, tetrahedra known to be in conflict.
     pub(super) cavity: Vec<u32>,
-    /// The cavity's boundary from inside: `4·record + face`.
+    /// The cavity's boundary as codes of what lies across it: `4·record + face there`.
     pub(super) boundary: Vec<u32>,
     /// Of each tetrahedron of a level of the search: which neighbours are in conflict.
     pub(super) masks: Vec<u8>,
@@ -223,6 +226,9 @@ pub(super) struct Arena {
     /// Vertices of the boundary relative to the new point, and their squared lengths, by local number.
     pub(super) local: Vec<[f64; 4]>,
     pub(super) star: Star,
+    /// What the wide path uses in place of `local` and `star`.
+    #[cfg(target_arch = "x86_64")]
+    pub(super) wide: Box<super::wide::Scratch>,
 }
 
 /// The new tetrahedra of an insertion before they are written, one entry a boundary facet.
@@ -259,6 +265,8 @@ impl Default for Arena {
             tag: FIRST_TAG,
             local: Vec::new(),
             star: Star::default(),
+            #[cfg(target_arch = "x86_64")]
+            wide: super::wide::Scratch::boxed(),
         }
     }
 }
@@ -278,14 +286,15 @@ impl Arena {
         keys.map(|k| keys.iter().filter(|other| **other < k).count() as u32)
     }
 
-    /// Gives each new tetrahedron a record: first those of the cavity, then free ones, then new ones.
+    /// Gives each new tetrahedron a record: first those of the cavity, then free ones, then new ones. Leaves the cavity empty.
     pub(super) fn allocate(&mut self) {
         let wanted = self.boundary.len();
         let id = &mut self.star.id;
-        id.clear();
-        let reused = self.cavity.len().min(wanted);
-        id.extend_from_slice(&self.cavity[..reused]);
-        self.free.extend_from_slice(&self.cavity[reused..]);
+        std::mem::swap(id, &mut self.cavity);
+        self.cavity.clear();
+        if id.len() > wanted {
+            self.free.extend(id.drain(wanted..));
+        }
         while id.len() < wanted {
             id.push(self.free.pop().unwrap_or_else(|| {
                 self.tets.push(Tetra::NONE);

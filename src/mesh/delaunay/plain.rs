@@ -1,6 +1,6 @@
 //! An insertion in plain code: the reference for the vector path, and what runs where there is none.
 
-use super::arena::{Arena, DEAD, FACE, FIRST_TAG, LAST_TAG};
+use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, LAST_TAG};
 
 /// Above so many vertices on a cavity, edges are joined by sorting: the table would not fit in cache, nor its codes in 16 bits.
 pub(super) const MOST_TABLE_VERTICES: usize = 1024;
@@ -30,8 +30,9 @@ impl Arena {
         while done < self.cavity.len() {
             let tet = self.cavity[done];
             done += 1;
-            for i in 0..4u32 {
-                let there = self.tets[tet as usize].n[i as usize] >> 2;
+            for i in 0..4 {
+                let code = self.tets[tet as usize].n[i];
+                let there = code >> 2;
                 if self.tets[there as usize].is_dead() {
                     continue;
                 }
@@ -39,7 +40,7 @@ impl Arena {
                     self.tets[there as usize].v[0] |= DEAD;
                     self.cavity.push(there);
                 } else {
-                    self.boundary.push(tet << 2 | i);
+                    self.boundary.push(code);
                 }
             }
         }
@@ -57,10 +58,8 @@ impl Arena {
         star.local.clear();
         self.local.clear();
         for &code in &self.boundary {
-            let record = &self.tets[(code >> 2) as usize];
-            let face = (code & 3) as usize;
-            let v = record.vertices();
-            let corners = FACE[face].map(|k| v[k]);
+            let beyond = &self.tets[(code >> 2) as usize];
+            let corners = FACE_FROM_BEYOND[(code & 3) as usize].map(|k| beyond.v[k]);
             let numbers = corners.map(|v| {
                 let q = &mut self.points[v as usize];
                 let known = q.tag.wrapping_sub(self.tag);
@@ -73,7 +72,7 @@ impl Arena {
                 self.local.push([d[0], d[1], d[2], d[0] * d[0] + d[1] * d[1] + d[2] * d[2]]);
                 number
             });
-            star.facet.push([corners[0], corners[1], corners[2], record.n[face]]);
+            star.facet.push([corners[0], corners[1], corners[2], code]);
             star.local.push([numbers[0], numbers[1], numbers[2], 0]);
         }
         self.tag += self.local.len() as u32;
@@ -131,7 +130,6 @@ impl Arena {
     fn write_plain(&mut self, vertex: u32, next: Option<u32>) {
         let p = self.points[vertex as usize].f64s();
         let q = next.map_or([f64::NAN; 3], |next| self.points[next as usize].f64s());
-        self.cavity.clear();
         self.hint = self.star.id[0];
         let mut least = f64::INFINITY;
         for ((&id, facet), local) in self.star.id.iter().zip(&self.star.facet).zip(&self.star.local) {

@@ -8,7 +8,7 @@
 //! where its error bound lets it, and the bound covers any order of summation, fused or not (see `Margin`).
 #![allow(unsafe_code)]
 
-use super::arena::{Arena, DEAD, FACE, FIRST_TAG, INFINITE, LAST_TAG, Margin, Tetra};
+use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, INFINITE, LAST_TAG, Margin, Tetra};
 use std::arch::x86_64::*;
 
 /// Vertices on a cavity up to which the edge table has rows of 64.
@@ -37,7 +37,7 @@ pub(super) fn insert(arena: &mut Arena, vertex: u32, next: Option<u32>) {
 /// # Safety
 /// `record` can be read.
 #[inline]
-unsafe fn codes(record: *const Tetra) -> [u32; 4] {
+pub(super) unsafe fn codes(record: *const Tetra) -> [u32; 4] {
     // SAFETY: the caller's promise.
     std::array::from_fn(|i| unsafe { (&raw const (*record).n[i]).read_volatile() })
 }
@@ -145,6 +145,12 @@ impl Arena {
         }
         self.grow_cavity_avx2(vertex);
         self.allocate();
+        self.finish_avx2(vertex, next);
+    }
+
+    /// Fills a cavity whose boundary is known.
+    #[target_feature(enable = "avx2,fma")]
+    pub(super) fn finish_avx2(&mut self, vertex: u32, next: Option<u32>) {
         self.number_avx2(vertex);
         self.write_avx2(vertex, next);
         if self.local.len() > SMALL as usize {
@@ -233,15 +239,15 @@ impl Arena {
             for (at, &mask) in (start..end).zip(&self.masks) {
                 let tet = *cavity.add(at);
                 let n = codes(tets.add(tet as usize));
-                for i in 0..4u32 {
-                    let there = n[i as usize] >> 2;
-                    let inside = u32::from(mask) >> i & 1;
+                for (i, code) in n.into_iter().enumerate() {
+                    let there = code >> 2;
+                    let inside = u32::from(mask >> i & 1);
                     let first = &mut (*tets.add(there as usize)).v[0];
                     let fresh = inside & !(*first >> 31);
                     *first |= inside << 31;
                     *cavity.add(cavity_len) = there;
                     cavity_len += fresh as usize;
-                    *boundary.add(boundary_len) = tet << 2 | i;
+                    *boundary.add(boundary_len) = code;
                     boundary_len += 1 - inside as usize;
                 }
             }
@@ -269,13 +275,11 @@ impl Arena {
         let (tets, points, base) = (self.tets.as_ptr(), self.points.as_mut_ptr(), self.tag);
         let mut known = 0u32;
         for (k, &code) in self.boundary.iter().enumerate() {
-            let face = (code & 3) as usize;
             // SAFETY: codes divided by four are below the length of `tets`, vertices below that of `points`; `k` is below the lengths
             // of `facet` and `local`, `known` at most 3·k, below that of `vertices`; table indices are below 64².
             unsafe {
-                let record = &*tets.add((code >> 2) as usize);
-                // The mark is in the first only; taking it off all is cheaper than asking which is first.
-                let corners = FACE[face].map(|i| *record.v.get_unchecked(i) & !DEAD);
+                let beyond = &*tets.add((code >> 2) as usize);
+                let corners = FACE_FROM_BEYOND[(code & 3) as usize].map(|i| *beyond.v.get_unchecked(i));
                 let numbers = corners.map(|v| {
                     let tag = &mut (*points.add(v as usize)).tag;
                     let number = tag.wrapping_sub(base).min(known);
@@ -284,7 +288,7 @@ impl Arena {
                     known += u32::from(number == known);
                     number
                 });
-                *star.facet.get_unchecked_mut(k) = [corners[0], corners[1], corners[2], record.n[face]];
+                *star.facet.get_unchecked_mut(k) = [corners[0], corners[1], corners[2], code];
                 *star.local.get_unchecked_mut(k) = [numbers[0], numbers[1], numbers[2], 0];
                 let [a, b, c] = numbers;
                 for (face, (from, to)) in [(b, c), (c, a), (a, b)].into_iter().enumerate() {
@@ -329,7 +333,8 @@ impl Arena {
         let (mut least, mut least_at) = (_mm256_set1_pd(f64::INFINITY), _mm256_setzero_pd());
         let mut group = _mm256_set_pd(3.0, 2.0, 1.0, 0.0);
         let count = self.star.id.len();
-        self.cavity.clear();
+        self.cavity.reserve(count + 1);
+        let (seeds_at, mut seeds_len) = (self.cavity.as_mut_ptr(), 0);
         for start in (0..count).step_by(4) {
             // SAFETY: `local` of the star has whole groups of four (see `number_avx2`) of numbers below the length of
             // `local` of the arena.
@@ -352,11 +357,13 @@ impl Arena {
             let rows = transpose([c[0], c[1], c[2], r2]);
             for (k, sphere) in (start..count.min(start + 4)).zip(rows) {
                 self.write_one(k, vertex, sphere);
-                if seeds >> (k - start) & 1 == 1 {
-                    self.cavity.push(self.star.id[k]);
-                }
+                // SAFETY: there is room for all `count` and one more. Without a branch: it would be taken at random.
+                unsafe { *seeds_at.add(seeds_len) = self.star.id[k] };
+                seeds_len += (seeds >> (k - start) & 1) as usize;
             }
         }
+        // SAFETY: that many were written.
+        unsafe { self.cavity.set_len(seeds_len) };
         self.hint = self.star.id[first_least(least, least_at).min(count - 1)];
     }
 
