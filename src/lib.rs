@@ -74,6 +74,8 @@ pub mod points;
 pub mod raster;
 pub mod sample;
 pub mod surface;
+pub mod tets;
 pub mod volume;
 
 pub use error::{Error, Result};
+pub use pipeline::Archive;

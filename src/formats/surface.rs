@@ -189,7 +189,7 @@ pub(super) struct Sink {
 }
 
 impl Sink {
-    fn create(path: &Path) -> Result<Self> {
+    pub(super) fn create(path: &Path) -> Result<Self> {
         let target = resolve(path)?;
         let parent = match target.parent() {
             Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
@@ -230,14 +230,14 @@ impl Sink {
     }
 
     /// Makes the file durable, then visible.
-    fn publish(self) -> Result<u64> {
+    pub(super) fn publish(self) -> Result<u64> {
         self.out.publish()?;
         Ok(self.bytes)
     }
 }
 
 /// The file to write: a link is followed, what is no regular file is refused (a rename would replace a device).
-fn resolve(path: &Path) -> Result<PathBuf> {
+pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
     let refuse = |what: &str| {
         Err(Error::usage(format!("cannot write {}: it is {what}; give the name of a file", path.display())))
     };

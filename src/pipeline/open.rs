@@ -168,6 +168,10 @@ impl OpenArchive {
         })
     }
 
+    pub(super) fn path(&self) -> &Path {
+        self.layout.root()
+    }
+
     pub(super) fn step(&self) -> &Step {
         &self.manifest.steps[0]
     }

@@ -6,14 +6,14 @@ use super::open::{DecodedChunk, OpenArchive};
 use super::reduce::folder_bytes;
 use crate::archive::manifest::MANIFEST_NAME;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, pool};
+use crate::exec::{CancelToken, Progress, Silent, pool};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, write_surface};
 use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::mesh::tet::{is_active, range};
 use crate::surface::marching_tets::{CellSource, ChunkSurface, extract};
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
-use crate::surface::{SurfaceSource, WorldMap};
+use crate::surface::{SurfaceSource, TriMesh, WorldMap};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -201,6 +201,16 @@ pub fn extract_surface(
             .map(|(name, time)| (name.to_owned(), time.as_secs_f64()))
             .to_vec(),
     })
+}
+
+/// An isosurface in memory.
+pub(super) fn surface_in_memory(archive: &OpenArchive, isovalue: f32) -> Result<TriMesh> {
+    finite(isovalue)?;
+    let settings = SurfaceSettings { isovalue, ..SurfaceSettings::default() };
+    let world = WorldMap::new(&archive.manifest.plan.lattice, &archive.step().plan.source.geometry);
+    let work = by_chunk(archive, &archive.index()?.query(isovalue)?)?;
+    let (surface, _) = welded(archive, &work, &settings, &world, std::env::temp_dir(), &Silent)?;
+    TriMesh::from_source(&surface)
 }
 
 /// Extracts the active blocks of all chunks and joins the surfaces; also tells the number of active tetrahedra.
