@@ -17,7 +17,7 @@ pub(crate) struct Args {
     /// The isovalue.
     #[arg(long, short = 'i', value_name = "VALUE", allow_negative_numbers = true)]
     isovalue: f32,
-    /// The file to write: .ply .stl .obj or .vtp.
+    /// The file to write: .ply .stl .obj .vtp or .glb.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Threads; 0 means as many as the process may use.

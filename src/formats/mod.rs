@@ -9,6 +9,7 @@
 //! right-anterior-superior. They are not converted into one another.
 
 mod folder;
+pub mod glb;
 #[cfg(feature = "hdf5")]
 pub mod hdf5;
 mod header;

@@ -1,4 +1,4 @@
-//! Surface files, both ways: one face for PLY, STL, OBJ and VTP.
+//! Surface files, both ways: one face for PLY, STL, OBJ, VTP and GLB.
 //!
 //! **Writing** streams. A [`SurfaceSource`] knows its counts before its first vertex, so every header is final when it
 //! is written, and the memory used is that of a buffer, whatever the size of the surface. The bytes go to a
@@ -11,17 +11,18 @@
 //! | STL, binary | triangles with facet normals; no sharing | 2³²-1 triangles |
 //! | OBJ, text | vertices with normals, triangles | none |
 //! | VTP, appended raw, 64-bit headers | vertices with normals, triangles, the isovalue | none |
+//! | GLB (glTF 2.0) | vertices with normals, triangles, the isovalue | 4 GiB |
 //!
 //! **Reading** ([`load_surface`], for the checker) streams too: what a given memory does not hold goes to a scratch folder.
-//! Read are the four formats as we write them and as other programs do. Polygons are cut into fans. Vertex normals are
-//! kept where the format has them beside the vertices (PLY, VTP) and are zero otherwise. Positions are stored as `f32`; one
+//! Read are the formats as we write them and as other programs do. Polygons are cut into fans. Vertex normals are
+//! kept where the format has them beside the vertices (PLY, VTP, GLB) and are zero otherwise. Positions are stored as `f32`; one
 //! that is not finite is an error.
 
 use crate::archive::publish::Unpublished;
 use crate::bytes::ByteSource;
 use crate::bytes::sorter::Sorter;
 use crate::error::{Error, Result};
-use crate::formats::{obj, ply, stl, vtp};
+use crate::formats::{glb, obj, ply, stl, vtp};
 use crate::surface::check::CheckSettings;
 use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{SurfaceSource, TriMesh, Vertex};
@@ -41,11 +42,13 @@ pub enum SurfaceFormat {
     Obj,
     /// VTK XML PolyData, appended raw.
     Vtp,
+    /// glTF 2.0, binary.
+    Glb,
 }
 
 impl SurfaceFormat {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Ply, Self::Stl, Self::Obj, Self::Vtp];
+    pub const ALL: [Self; 5] = [Self::Ply, Self::Stl, Self::Obj, Self::Vtp, Self::Glb];
 
     /// The file name extension, lower case, without the dot.
     pub fn extension(self) -> &'static str {
@@ -54,6 +57,7 @@ impl SurfaceFormat {
             Self::Stl => "stl",
             Self::Obj => "obj",
             Self::Vtp => "vtp",
+            Self::Glb => "glb",
         }
     }
 
@@ -66,7 +70,7 @@ impl SurfaceFormat {
         let found = Self::ALL.into_iter().find(|f| Some(f.extension()) == extension.as_deref());
         found.ok_or_else(|| {
             Error::usage(format!(
-                "cannot tell the surface format of {}: end its name in .ply, .stl, .obj or .vtp",
+                "cannot tell the surface format of {}: end its name in .ply, .stl, .obj, .vtp or .glb",
                 path.display()
             ))
         })
@@ -115,12 +119,16 @@ pub fn write_surface(
     if format == SurfaceFormat::Stl {
         stl::check_limits(source.triangle_count())?;
     }
+    if format == SurfaceFormat::Glb {
+        glb::check_limits(source.vertex_count(), source.triangle_count())?;
+    }
     let mut sink = Sink::create(path)?;
     match format {
         SurfaceFormat::Ply => ply::write(source, &mut sink, meta)?,
         SurfaceFormat::Stl => stl::write(source, &mut sink, meta)?,
         SurfaceFormat::Obj => obj::write(source, &mut sink, meta)?,
         SurfaceFormat::Vtp => vtp::write(source, &mut sink, meta)?,
+        SurfaceFormat::Glb => glb::write(source, &mut sink, meta)?,
     }
     sink.publish()
 }
@@ -151,12 +159,18 @@ pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurfa
     let read = match SurfaceFormat::from_path(path) {
         _ if bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r") => ply::read(path, bytes, out),
         _ if text.starts_with(b"<?xml") || text.starts_with(b"<VTKFile") => vtp::read(&source, out),
+        _ if glb::is_glb(bytes) => glb::read(path, bytes, out),
         _ if stl::is_binary(bytes) => stl::read(path, bytes, &room, out),
         Ok(SurfaceFormat::Stl) => stl::read(path, bytes, &room, out),
         Ok(SurfaceFormat::Obj) => obj::read(path, bytes, out),
         _ if text.starts_with(b"solid") => stl::read(path, bytes, &room, out),
-        _ => Err(Error::bad_input(path, "first bytes", "a PLY, STL, OBJ or VTP surface", "something else")
-            .with_help("convert it, or give the file the extension of its format")),
+        _ => Err(Error::bad_input(
+            path,
+            "first bytes",
+            "a PLY, STL, OBJ, VTP or GLB surface",
+            "something else",
+        )
+        .with_help("convert it, or give the file the extension of its format")),
     };
     source.check()?;
     read.map(|()| surface)
@@ -399,12 +413,16 @@ pub(super) mod tests {
                 assert_eq!(std::fs::metadata(&path).unwrap().len(), bytes);
                 let back = read_surface(&path).unwrap();
                 same_shape(&mesh, &back);
-                if matches!(format, SurfaceFormat::Ply | SurfaceFormat::Vtp) {
+                if matches!(format, SurfaceFormat::Ply | SurfaceFormat::Vtp | SurfaceFormat::Glb) {
                     assert_eq!(mesh, back);
                 }
             }
         }
-        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 4, "no temporary file is left");
+        assert_eq!(
+            std::fs::read_dir(dir.path()).unwrap().count(),
+            SurfaceFormat::ALL.len(),
+            "no temporary file is left"
+        );
     }
 
     #[test]
@@ -435,7 +453,11 @@ pub(super) mod tests {
                 assert_eq!(std::fs::read(&path).unwrap(), b"old");
             }
         }
-        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 4, "no temporary file is left");
+        assert_eq!(
+            std::fs::read_dir(dir.path()).unwrap().count(),
+            SurfaceFormat::ALL.len(),
+            "no temporary file is left"
+        );
     }
 
     #[test]
