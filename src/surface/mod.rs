@@ -8,12 +8,14 @@
 //! * [`marching_tets`] turns the active tetrahedra of one chunk into triangles, welded inside the chunk. Any number of
 //!   chunks may be extracted at once.
 //! * [`weld`] joins the chunks, in chunk order, by edge key, and stores the result on disk beyond a given size.
+//! * [`components`] measures the connected components and keeps some.
 //! * [`check`] says of any triangle mesh whether it is closed, manifold and oriented.
 //!
 //! An edge of the mesh is the pair of its [`crate::geom::PointId`]s, the lower first. Everything about a surface vertex is a
 //! function of its edge, so neither the threads nor the cut into chunks show in the surface.
 
 pub mod check;
+pub mod components;
 pub mod marching_tets;
 #[cfg(test)]
 mod testing;
