@@ -28,7 +28,6 @@
 
 mod filesystem;
 mod mmap;
-pub(crate) mod paged;
 pub(crate) mod sorter;
 pub(crate) mod store;
 

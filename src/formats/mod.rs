@@ -9,7 +9,6 @@
 //! right-anterior-superior. They are not converted into one another.
 
 mod folder;
-pub mod glb;
 #[cfg(feature = "hdf5")]
 pub mod hdf5;
 mod header;
@@ -22,9 +21,7 @@ pub mod nrrd;
 mod numbers;
 pub mod obj;
 pub mod ply;
-pub mod point_list;
 pub mod raw;
-pub mod samples;
 mod stack;
 pub mod stl;
 pub mod stream;
@@ -34,7 +31,6 @@ pub mod tiff;
 pub mod vtk_legacy;
 pub mod vtk_xml;
 pub mod vtp;
-pub mod vtu;
 pub mod zarr;
 
 use crate::bytes::{ByteSource, IoMode};
