@@ -28,6 +28,7 @@
 
 mod filesystem;
 mod mmap;
+pub(crate) mod paged;
 pub(crate) mod sorter;
 pub(crate) mod store;
 

@@ -147,7 +147,7 @@ pub(super) fn read_at(file: &File, bytes: &mut [u8], offset: u64) -> std::io::Re
 }
 
 #[cfg(unix)]
-pub(super) fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
+pub(crate) fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
     std::os::unix::fs::FileExt::write_all_at(file, bytes, offset)
 }
 
@@ -164,7 +164,7 @@ pub(super) fn read_at(file: &File, bytes: &mut [u8], offset: u64) -> std::io::Re
 }
 
 #[cfg(windows)]
-pub(super) fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
+pub(crate) fn write_at(file: &File, bytes: &[u8], offset: u64) -> std::io::Result<()> {
     let mut done = 0;
     while done < bytes.len() {
         match std::os::windows::fs::FileExt::seek_write(file, &bytes[done..], offset + done as u64)? {

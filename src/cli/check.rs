@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 /// Check an archive (every checksum and structural invariant) or a surface (manifold, boundary, orientation, Euler number).
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// An archive, or a surface file: .ply .stl .obj .vtp.
+    /// An archive, or a surface file: .ply .stl .obj .vtp .glb.
     input: PathBuf,
     /// Surface: also check that boundary edges lie on the boundary of this archive's domain.
     #[arg(long, value_name = "ARCHIVE")]

@@ -5,11 +5,13 @@ mod brick;
 mod check;
 mod count;
 mod dry_run;
+mod export;
 mod heap;
 mod info;
 mod info_mesh;
 mod input;
 mod misc;
+mod probe;
 mod progress;
 mod reduce;
 mod signals;
@@ -37,6 +39,8 @@ enum Command {
     Reduce(Box<reduce::Args>),
     Surface(surface::Args),
     Count(count::Args),
+    Export(export::Args),
+    Probe(probe::Args),
     Brick(brick::Args),
     Check(check::Args),
     Completions(misc::CompletionsArgs),
@@ -77,6 +81,8 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Reduce(args) => reduce::run(args, &cli.talk),
         Command::Surface(args) => surface::run(args, &cli.talk),
         Command::Count(args) => count::run(args),
+        Command::Export(args) => export::run(args, &cli.talk),
+        Command::Probe(args) => probe::run(args, &cli.talk),
         Command::Brick(args) => brick::run(args, &cli.talk),
         Command::Check(args) => check::run(args, &cli.talk),
         Command::Completions(args) => misc::completions(args),

@@ -9,6 +9,7 @@
 //! right-anterior-superior. They are not converted into one another.
 
 mod folder;
+pub mod glb;
 #[cfg(feature = "hdf5")]
 pub mod hdf5;
 mod header;
@@ -21,7 +22,9 @@ pub mod nrrd;
 mod numbers;
 pub mod obj;
 pub mod ply;
+pub mod point_list;
 pub mod raw;
+pub mod samples;
 mod stack;
 pub mod stl;
 pub mod stream;
@@ -31,6 +34,7 @@ pub mod tiff;
 pub mod vtk_legacy;
 pub mod vtk_xml;
 pub mod vtp;
+pub mod vtu;
 pub mod zarr;
 
 use crate::bytes::{ByteSource, IoMode};

@@ -1,4 +1,4 @@
-//! Surface files, both ways: one face for PLY, STL, OBJ and VTP.
+//! Surface files, both ways: one face for PLY, STL, OBJ, VTP and GLB.
 //!
 //! **Writing** streams. A [`SurfaceSource`] knows its counts before its first vertex, so every header is final when it
 //! is written, and the memory used is that of a buffer, whatever the size of the surface. The bytes go to a
@@ -11,17 +11,18 @@
 //! | STL, binary | triangles with facet normals; no sharing | 2³²-1 triangles |
 //! | OBJ, text | vertices with normals, triangles | none |
 //! | VTP, appended raw, 64-bit headers | vertices with normals, triangles, the isovalue | none |
+//! | GLB (glTF 2.0) | vertices with normals, triangles, the isovalue | 4 GiB |
 //!
 //! **Reading** ([`load_surface`], for the checker) streams too: what a given memory does not hold goes to a scratch folder.
-//! Read are the four formats as we write them and as other programs do. Polygons are cut into fans. Vertex normals are
-//! kept where the format has them beside the vertices (PLY, VTP) and are zero otherwise. Positions are stored as `f32`; one
+//! Read are the formats as we write them and as other programs do. Polygons are cut into fans. Vertex normals are
+//! kept where the format has them beside the vertices (PLY, VTP, GLB) and are zero otherwise. Positions are stored as `f32`; one
 //! that is not finite is an error.
 
 use crate::archive::publish::Unpublished;
 use crate::bytes::ByteSource;
 use crate::bytes::sorter::Sorter;
 use crate::error::{Error, Result};
-use crate::formats::{obj, ply, stl, vtp};
+use crate::formats::{glb, obj, ply, stl, vtp};
 use crate::surface::check::CheckSettings;
 use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{SurfaceSource, TriMesh, Vertex};
@@ -41,11 +42,13 @@ pub enum SurfaceFormat {
     Obj,
     /// VTK XML PolyData, appended raw.
     Vtp,
+    /// glTF 2.0, binary.
+    Glb,
 }
 
 impl SurfaceFormat {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Ply, Self::Stl, Self::Obj, Self::Vtp];
+    pub const ALL: [Self; 5] = [Self::Ply, Self::Stl, Self::Obj, Self::Vtp, Self::Glb];
 
     /// The file name extension, lower case, without the dot.
     pub fn extension(self) -> &'static str {
@@ -54,6 +57,7 @@ impl SurfaceFormat {
             Self::Stl => "stl",
             Self::Obj => "obj",
             Self::Vtp => "vtp",
+            Self::Glb => "glb",
         }
     }
 
@@ -66,7 +70,7 @@ impl SurfaceFormat {
         let found = Self::ALL.into_iter().find(|f| Some(f.extension()) == extension.as_deref());
         found.ok_or_else(|| {
             Error::usage(format!(
-                "cannot tell the surface format of {}: end its name in .ply, .stl, .obj or .vtp",
+                "cannot tell the surface format of {}: end its name in .ply, .stl, .obj, .vtp or .glb",
                 path.display()
             ))
         })
@@ -80,51 +84,12 @@ pub struct SurfaceMeta {
     pub isovalue: Option<f64>,
     /// Free text, a line each; characters that a format cannot hold in a comment are replaced.
     pub comments: Vec<String>,
-    /// The surfaces of which the surface consists, one after another, where it is several: PLY and VTP then have an array
-    /// `isovalue` of the vertices, OBJ has groups. None if it is one.
-    pub parts: Vec<SurfacePart>,
-}
-
-/// One of several surfaces in a file.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SurfacePart {
-    /// Its isovalue.
-    pub isovalue: f64,
-    /// Its vertices.
-    pub vertices: u64,
-    /// Its triangles.
-    pub triangles: u64,
 }
 
 impl SurfaceMeta {
-    /// The isovalue, or those of the parts.
-    pub(super) fn isovalues(&self) -> Vec<f64> {
-        self.isovalue.into_iter().chain(self.parts.iter().map(|p| p.isovalue)).collect()
-    }
-
-    /// For each part, its end among the vertices and its isovalue.
-    fn vertex_ends(&self) -> Vec<(u64, f32)> {
-        let mut sum = 0;
-        let end = |part: &SurfacePart| {
-            sum += part.vertices;
-            (sum, part.isovalue as f32)
-        };
-        self.parts.iter().map(end).collect()
-    }
-
-    /// Tells the isovalue of each vertex of several parts.
-    pub(super) fn vertex_isovalues(&self) -> impl Fn(u64) -> f32 + use<> {
-        let ends = self.vertex_ends();
-        move |vertex| {
-            let at = ends.partition_point(|&(end, _)| end <= vertex);
-            ends.get(at).map_or(f32::NAN, |part| part.1)
-        }
-    }
-
     /// The comment lines of a file: printable, one line each, the isovalue first.
     pub(super) fn lines(&self) -> Vec<String> {
-        let isovalues: String = self.isovalues().iter().map(|v| format!(" {v}")).collect();
-        let isovalue = (!isovalues.is_empty()).then(|| format!("isovalue{isovalues}"));
+        let isovalue = self.isovalue.map(|v| format!("isovalue {v}"));
         let clean = |line: &str| line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
         let texts = self.comments.iter().flat_map(|c| c.lines()).map(clean);
         isovalue.into_iter().chain(texts).collect()
@@ -154,12 +119,16 @@ pub fn write_surface(
     if format == SurfaceFormat::Stl {
         stl::check_limits(source.triangle_count())?;
     }
+    if format == SurfaceFormat::Glb {
+        glb::check_limits(source.vertex_count(), source.triangle_count())?;
+    }
     let mut sink = Sink::create(path)?;
     match format {
         SurfaceFormat::Ply => ply::write(source, &mut sink, meta)?,
         SurfaceFormat::Stl => stl::write(source, &mut sink, meta)?,
         SurfaceFormat::Obj => obj::write(source, &mut sink, meta)?,
         SurfaceFormat::Vtp => vtp::write(source, &mut sink, meta)?,
+        SurfaceFormat::Glb => glb::write(source, &mut sink, meta)?,
     }
     sink.publish()
 }
@@ -190,12 +159,18 @@ pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurfa
     let read = match SurfaceFormat::from_path(path) {
         _ if bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r") => ply::read(path, bytes, out),
         _ if text.starts_with(b"<?xml") || text.starts_with(b"<VTKFile") => vtp::read(&source, out),
+        _ if glb::is_glb(bytes) => glb::read(path, bytes, out),
         _ if stl::is_binary(bytes) => stl::read(path, bytes, &room, out),
         Ok(SurfaceFormat::Stl) => stl::read(path, bytes, &room, out),
         Ok(SurfaceFormat::Obj) => obj::read(path, bytes, out),
         _ if text.starts_with(b"solid") => stl::read(path, bytes, &room, out),
-        _ => Err(Error::bad_input(path, "first bytes", "a PLY, STL, OBJ or VTP surface", "something else")
-            .with_help("convert it, or give the file the extension of its format")),
+        _ => Err(Error::bad_input(
+            path,
+            "first bytes",
+            "a PLY, STL, OBJ, VTP or GLB surface",
+            "something else",
+        )
+        .with_help("convert it, or give the file the extension of its format")),
     };
     source.check()?;
     read.map(|()| surface)
@@ -228,7 +203,7 @@ pub(super) struct Sink {
 }
 
 impl Sink {
-    fn create(path: &Path) -> Result<Self> {
+    pub(super) fn create(path: &Path) -> Result<Self> {
         let target = resolve(path)?;
         let parent = match target.parent() {
             Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
@@ -269,14 +244,14 @@ impl Sink {
     }
 
     /// Makes the file durable, then visible.
-    fn publish(self) -> Result<u64> {
+    pub(super) fn publish(self) -> Result<u64> {
         self.out.publish()?;
         Ok(self.bytes)
     }
 }
 
 /// The file to write: a link is followed, what is no regular file is refused (a rename would replace a device).
-fn resolve(path: &Path) -> Result<PathBuf> {
+pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
     let refuse = |what: &str| {
         Err(Error::usage(format!("cannot write {}: it is {what}; give the name of a file", path.display())))
     };
@@ -289,28 +264,19 @@ fn resolve(path: &Path) -> Result<PathBuf> {
     }
 }
 
-/// Writes a record for every vertex: `each` appends it to the buffer that it is given, and knows the number of the vertex. There are
-/// exactly as many as announced, or it is an error.
+/// Hands every vertex to `each`; there are exactly as many as announced, or it is an error.
 pub(super) fn each_vertex(
     source: &dyn SurfaceSource,
     sink: &mut Sink,
-    mut each: impl FnMut(&mut Vec<u8>, u64, &Vertex),
+    mut each: impl FnMut(&mut Sink, &Vertex) -> Result<()>,
 ) -> Result<()> {
     let (mut count, announced) = (0u64, source.vertex_count());
-    let mut buffer = vec![];
     source.vertices(&mut |batch| {
-        if count + batch.len() as u64 > announced {
+        count += batch.len() as u64;
+        if count > announced {
             return Err(sink.broken_source(format!("more than the {announced} vertices announced")));
         }
-        for part in batch.chunks(RECORDS) {
-            buffer.clear();
-            for vertex in part {
-                each(&mut buffer, count, vertex);
-                count += 1;
-            }
-            sink.put(&buffer)?;
-        }
-        Ok(())
+        batch.iter().try_for_each(|v| each(sink, v))
     })?;
     if count != announced {
         return Err(sink.broken_source(format!("{count} vertices instead of the {announced} announced")));
@@ -318,33 +284,23 @@ pub(super) fn each_vertex(
     Ok(())
 }
 
-/// Records that are made before they are written.
-const RECORDS: usize = 1 << 14;
-
-/// Writes a record for every triangle, as [`each_vertex`] does; all are of vertices that exist.
+/// Hands every triangle to `each`; there are exactly as many as announced, of vertices that exist, or it is an error.
 pub(super) fn each_triangle(
     source: &dyn SurfaceSource,
     sink: &mut Sink,
-    mut each: impl FnMut(&mut Vec<u8>, u64, [u32; 3]) -> Result<()>,
+    mut each: impl FnMut(&mut Sink, [u32; 3]) -> Result<()>,
 ) -> Result<()> {
     let (mut count, announced, vertices) = (0u64, source.triangle_count(), source.vertex_count());
-    let mut buffer = vec![];
     source.triangles(&mut |batch| {
-        if count + batch.len() as u64 > announced {
+        count += batch.len() as u64;
+        if count > announced {
             return Err(sink.broken_source(format!("more than the {announced} triangles announced")));
         }
-        for part in batch.chunks(RECORDS) {
-            buffer.clear();
-            for &t in part {
-                if t.iter().any(|&v| u64::from(v) >= vertices) {
-                    return Err(
-                        sink.broken_source(format!("triangle {t:?} of a surface of {vertices} vertices"))
-                    );
-                }
-                each(&mut buffer, count, t)?;
-                count += 1;
+        for &t in batch {
+            if t.iter().any(|&v| u64::from(v) >= vertices) {
+                return Err(sink.broken_source(format!("triangle {t:?} of a surface of {vertices} vertices")));
             }
-            sink.put(&buffer)?;
+            each(sink, t)?;
         }
         Ok(())
     })?;
@@ -352,15 +308,6 @@ pub(super) fn each_triangle(
         return Err(sink.broken_source(format!("{count} triangles instead of the {announced} announced")));
     }
     Ok(())
-}
-
-/// Appends numbers, little-endian.
-pub(super) fn put_floats(buffer: &mut Vec<u8>, numbers: [f32; 3]) {
-    let mut bytes = [0; 12];
-    for (field, x) in bytes.chunks_exact_mut(4).zip(numbers) {
-        field.copy_from_slice(&x.to_le_bytes());
-    }
-    buffer.extend_from_slice(&bytes);
 }
 
 /// A triangle fan over the corners of a polygon: (0, 1, 2), (0, 2, 3), …
@@ -444,11 +391,7 @@ pub(super) mod tests {
     }
 
     fn meta() -> SurfaceMeta {
-        SurfaceMeta {
-            isovalue: Some(0.25),
-            comments: vec!["a -- b\nsecond <line> ÿ".into()],
-            ..SurfaceMeta::default()
-        }
+        SurfaceMeta { isovalue: Some(0.25), comments: vec!["a -- b\nsecond <line> ÿ".into()] }
     }
 
     fn same_shape(a: &TriMesh, b: &TriMesh) {
@@ -470,12 +413,16 @@ pub(super) mod tests {
                 assert_eq!(std::fs::metadata(&path).unwrap().len(), bytes);
                 let back = read_surface(&path).unwrap();
                 same_shape(&mesh, &back);
-                if matches!(format, SurfaceFormat::Ply | SurfaceFormat::Vtp) {
+                if matches!(format, SurfaceFormat::Ply | SurfaceFormat::Vtp | SurfaceFormat::Glb) {
                     assert_eq!(mesh, back);
                 }
             }
         }
-        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 4, "no temporary file is left");
+        assert_eq!(
+            std::fs::read_dir(dir.path()).unwrap().count(),
+            SurfaceFormat::ALL.len(),
+            "no temporary file is left"
+        );
     }
 
     #[test]
@@ -506,7 +453,11 @@ pub(super) mod tests {
                 assert_eq!(std::fs::read(&path).unwrap(), b"old");
             }
         }
-        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 4, "no temporary file is left");
+        assert_eq!(
+            std::fs::read_dir(dir.path()).unwrap().count(),
+            SurfaceFormat::ALL.len(),
+            "no temporary file is left"
+        );
     }
 
     #[test]

@@ -90,6 +90,18 @@ impl SpanIndex {
         self.visit(|min, max| min < max && min < hi && lo <= max)
     }
 
+    /// The blocks whose values meet `lo ..= hi`, in order of chunk and block: all that can have a corner in that range.
+    ///
+    /// # Errors
+    /// As [`SpanIndex::query_range`].
+    pub fn query_values(&self, lo: f32, hi: f32) -> Result<Vec<Entry>> {
+        number(lo).and(number(hi))?;
+        if lo > hi {
+            return Err(Error::usage(format!("the range {lo} to {hi} is empty: give the lower value first")));
+        }
+        self.visit(|min, max| min <= hi && lo <= max)
+    }
+
     /// Every entry, in order of chunk and block. Reads the whole index.
     ///
     /// # Errors

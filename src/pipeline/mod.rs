@@ -8,30 +8,34 @@
 //! [`reduce`] makes an archive, [`extract_surface`] and [`count_active`] ask it, [`check_archive`] proves it whole.
 
 mod chunk;
-mod extract;
+mod export;
 mod field;
 mod fingerprint;
 mod grid_field;
+mod handle;
 mod horizon;
 mod layout;
 mod need;
 mod open;
 mod plan;
+mod probe;
+mod probe_points;
 mod query;
-mod reader;
 mod reduce;
-mod roi;
 mod scan;
 mod verify;
+mod visit;
 mod work;
 
+pub use export::{Corners, ExportReport, ExportSettings};
 pub use field::NanPolicy;
 pub use fingerprint::fingerprint;
+pub use handle::{Archive, Tetrahedra};
 pub use need::Estimate;
 pub use open::{ArchiveSummary, is_archive, summarize};
 pub use plan::{Amount, Plan, ReduceSettings};
-pub use query::{CountReport, OneSurface, SurfaceReport, SurfaceSettings, count_active, extract_surface};
+pub use probe::{ProbeReport, ProbeSettings};
+pub use query::{CountReport, SurfaceReport, SurfaceSettings, count_active, extract_surface};
 pub use reduce::{ReduceReport, RunSettings, brick, estimate, reduce};
-pub use roi::{Roi, RoiSpace};
 pub use scan::{Scan, scan};
 pub use verify::{ArchiveCheck, check_archive};

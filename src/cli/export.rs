@@ -1,0 +1,84 @@
+//! `isospan export`: the tetrahedra of an archive for other programs.
+
+use super::progress::Talk;
+use super::text;
+use isospan::pipeline::{Corners, ExportSettings};
+use isospan::{Archive, Result};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+/// Write the tetrahedra of an archive as an unstructured grid (VTU), each point once, with its value.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The archive.
+    archive: PathBuf,
+    /// The file to write: .vtu.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Only tetrahedra whose corners all have values in this range, ends included; an end may be left out. Only blocks that
+    /// can have some are read.
+    #[arg(long, value_name = "LO:HI", value_parser = parse_range, allow_hyphen_values = true)]
+    range: Option<[f32; 2]>,
+    /// With --range: tetrahedra with at least one corner in the range.
+    #[arg(long, requires = "range")]
+    any_corner: bool,
+    /// Of the tetrahedra that are left, in order, only each K-th.
+    #[arg(long, value_name = "K", default_value_t = 1)]
+    every: u64,
+    /// Threads; 0 means as many as the process may use.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    threads: usize,
+    /// Memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use].
+    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    memory: Option<u64>,
+    /// Folder for what does not fit in memory [default: the output's folder].
+    #[arg(long, value_name = "FOLDER")]
+    scratch: Option<PathBuf>,
+    /// Print the result as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+fn parse_range(text: &str) -> std::result::Result<[f32; 2], String> {
+    let end = |part: &str, open: f32| match part.trim() {
+        "" => Some(open),
+        number => number.parse().ok().filter(|v: &f32| !v.is_nan()),
+    };
+    text.split_once(':')
+        .and_then(|(lo, hi)| Some([end(lo, f32::NEG_INFINITY)?, end(hi, f32::INFINITY)?]))
+        .ok_or_else(|| format!("'{text}' is no range; write LO:HI, as in 100:200 or 100:"))
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let settings = ExportSettings {
+        range: args.range,
+        corners: if args.any_corner { Corners::Any } else { Corners::All },
+        every: args.every,
+        threads: args.threads,
+        memory: args.memory.unwrap_or_else(|| isospan::exec::usable_memory() / 2),
+        scratch: args.scratch.clone(),
+        cancel: super::signals::cancel_token(),
+    };
+    let archive = Archive::open(&args.archive)?;
+    let bar = talk.progress();
+    let report = archive.write_tetrahedra(&settings, &args.output, &*bar);
+    bar.end();
+    let report = report?;
+    talk.stages(&report.seconds);
+    if args.json {
+        return super::print_json(&report);
+    }
+    let mut out = format!(
+        "{}: {} points, {} of {} tetrahedra, {}\n",
+        args.output.display(),
+        text::count(report.points),
+        text::count(report.tetrahedra),
+        text::count(report.archive_tetrahedra),
+        text::bytes(report.file_bytes)
+    );
+    if report.void_tetrahedra > 0 {
+        let void = text::count(report.void_tetrahedra);
+        let _ = writeln!(out, "  left out: {void} tetrahedra with a corner that has no value");
+    }
+    super::print(&out)
+}

@@ -1,0 +1,73 @@
+//! `isospan probe`: the reduced field on a grid, or at points.
+
+use super::progress::Talk;
+use super::text;
+use isospan::formats::samples::SampleFormat;
+use isospan::pipeline::{ProbeReport, ProbeSettings};
+use isospan::{Archive, Result};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Sample the field of an archive, linear in each tetrahedron, on a grid or at points.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The archive.
+    archive: PathBuf,
+    /// Samples along x, y, z, from face to face of the domain.
+    #[arg(long, value_name = "NX,NY,NZ", value_parser = parse_grid, conflicts_with = "at", required_unless_present = "at")]
+    grid: Option<[u64; 3]>,
+    /// A table of points in world coordinates: columns x, y, z by their titles, or the first three.
+    #[arg(long, value_name = "CSV")]
+    at: Option<PathBuf>,
+    /// The file to write: .vti or .npy of a grid, .csv or .npy of points.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Threads; 0 means as many as the process may use.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    threads: usize,
+    /// Memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use].
+    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    memory: Option<u64>,
+    /// Print the result as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+fn parse_grid(text: &str) -> std::result::Result<[u64; 3], String> {
+    text::parse_triple(text, "a grid")
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let settings = ProbeSettings {
+        threads: args.threads,
+        memory: args.memory.unwrap_or_else(|| isospan::exec::usable_memory() / 2),
+        cancel: super::signals::cancel_token(),
+    };
+    let archive = Archive::open(&args.archive)?;
+    let bar = talk.progress();
+    let report = match (args.grid, &args.at) {
+        (Some(grid), _) => SampleFormat::from_path(&args.output)
+            .and_then(|format| archive.write_samples(grid, &settings, &args.output, format, &*bar)),
+        (None, Some(points)) => archive.write_probed(points, &settings, &args.output, &*bar),
+        (None, None) => unreachable!("one of the two is required"),
+    };
+    bar.end();
+    let report = report?;
+    if args.json {
+        return super::print_json(&report);
+    }
+    super::print(&report_text(&args.output, &report))
+}
+
+fn report_text(file: &Path, report: &ProbeReport) -> String {
+    let (samples, size) = (text::count(report.samples), text::bytes(report.file_bytes));
+    let mut out = format!("{}: {samples} samples, {size}\n", file.display());
+    for (count, why) in
+        [(report.void, "where the source has no data"), (report.outside, "outside the domain")]
+    {
+        if count > 0 {
+            let _ = writeln!(out, "  NaN: {} {why}", text::count(count));
+        }
+    }
+    out
+}

@@ -1,0 +1,268 @@
+//! `export`: the reduced tetrahedra as a mesh for other programs, each point once.
+
+use super::horizon::Horizon;
+use super::need;
+use super::open::{DecodedChunk, OpenArchive};
+use super::visit::{Blocks, Visit};
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, Progress};
+use crate::formats::vtu::{TetMeta, write_vtu};
+use crate::mesh::tet::Tet;
+use crate::tets::{ChunkTets, TetBuilder};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Which corners of a tetrahedron must have a value in the range (as VTK's threshold filter asks).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Corners {
+    /// All four.
+    #[default]
+    All,
+    /// At least one.
+    Any,
+}
+
+/// What is exported.
+#[derive(Clone, Debug)]
+pub struct ExportSettings {
+    /// Only tetrahedra with values in this range, both ends included.
+    pub range: Option<[f32; 2]>,
+    /// How many of their corners.
+    pub corners: Corners,
+    /// Of those, in the order of the file, only each n-th; 1 is all.
+    pub every: u64,
+    /// Threads; 0 means as many as the process may use.
+    pub threads: usize,
+    /// Bytes for everything that grows with the mesh.
+    pub memory: u64,
+    /// Folder for what does not fit in memory; the output's folder if not given.
+    pub scratch: Option<PathBuf>,
+    /// Stops the export; nothing is written then.
+    pub cancel: CancelToken,
+}
+
+impl Default for ExportSettings {
+    fn default() -> Self {
+        Self {
+            range: None,
+            corners: Corners::All,
+            every: 1,
+            threads: 0,
+            memory: crate::exec::usable_memory() / 2,
+            scratch: None,
+            cancel: CancelToken::new(),
+        }
+    }
+}
+
+/// What an export wrote and read.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct ExportReport {
+    /// Points written.
+    pub points: u64,
+    /// Tetrahedra written.
+    pub tetrahedra: u64,
+    /// Tetrahedra of the archive.
+    pub archive_tetrahedra: u64,
+    /// Tetrahedra with a corner without value, which are never written, in the blocks that were read.
+    pub void_tetrahedra: u64,
+    /// Chunks read.
+    pub chunks_read: u64,
+    /// Chunks of the archive.
+    pub chunks: u64,
+    /// Bytes read of segments.
+    pub bytes_read: u64,
+    /// Bytes of the file written.
+    pub file_bytes: u64,
+    /// Seconds of wall time of each stage.
+    pub seconds: Vec<(String, f64)>,
+}
+
+/// Bytes while a shared point is open: its entry in the table, which is at most half full, twice while it grows.
+const OPEN_POINT: u64 = 100;
+
+/// Writes the tetrahedra of an archive to a VTU file: see [`super::Archive::write_tetrahedra`].
+pub(super) fn export(
+    archive: &OpenArchive,
+    settings: &ExportSettings,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<ExportReport> {
+    let start = Instant::now();
+    check_target(out)?;
+    if settings.every == 0 {
+        return Err(Error::usage(
+            "of every 0 tetrahedra there is no first: give 1 for all, 2 for half of them",
+        ));
+    }
+    let read_before = archive.bytes_read();
+    let mut index_bytes = 0;
+    let blocks = match settings.range {
+        None => Blocks::All,
+        Some([lo, hi]) => {
+            let index = archive.index()?;
+            let entries = index.query_values(lo, hi)?;
+            index_bytes = index.segment().bytes_read();
+            Blocks::Some(entries)
+        }
+    };
+    let fixed = need::BASE + blocks.bytes();
+    let rest = settings.memory.saturating_sub(fixed);
+    let visit = Visit::new(archive, blocks, settings.threads, rest / 4 * 3, &settings.cancel)?;
+    visit.check_memory(settings.memory, 0)?;
+    let scratch = settings.scratch.clone().unwrap_or_else(|| parent_of(out));
+    let mut join = Join::new(&visit, settings, rest / 8, &scratch);
+    progress.begin("export", visit.chunks.len() as u64, "chunks");
+    let select = |_, chunk: DecodedChunk| Ok(selected(chunk, settings));
+    visit.each(0, progress, select, |n, chosen| join.push(n, &chosen))?;
+    let (void_tetrahedra, mesh) = (join.void, join.builder.finish());
+    let read = start.elapsed();
+
+    let start = Instant::now();
+    let source = &archive.step().plan.source;
+    let meta = TetMeta {
+        lattice: archive.manifest.plan.lattice,
+        geometry: source.geometry,
+        field: source.field.clone(),
+        comment: format!("isospan {}: reduced tetrahedra of {}", env!("CARGO_PKG_VERSION"), source.path),
+    };
+    let file_bytes = write_vtu(&mesh, out, &meta)?;
+    Ok(ExportReport {
+        points: mesh.point_count(),
+        tetrahedra: mesh.tet_count(),
+        archive_tetrahedra: archive.manifest.counts.tetrahedra,
+        void_tetrahedra,
+        chunks_read: visit.chunks.len() as u64,
+        chunks: archive.chunks.len(),
+        bytes_read: archive.bytes_read() - read_before + index_bytes,
+        file_bytes,
+        seconds: [("read, join", read), ("write", start.elapsed())]
+            .map(|(name, time)| (name.to_owned(), time.as_secs_f64()))
+            .to_vec(),
+    })
+}
+
+fn check_target(out: &Path) -> Result<()> {
+    let extension = out.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+    match extension.as_deref() {
+        Some("vtu") => Ok(()),
+        _ => Err(Error::usage(format!(
+            "cannot tell the mesh format of {}: end its name in .vtu",
+            out.display()
+        ))),
+    }
+}
+
+/// A chunk with the tetrahedra that are wanted, and the number of void ones.
+struct Selected {
+    chunk: DecodedChunk,
+    void: u64,
+}
+
+fn selected(mut chunk: DecodedChunk, settings: &ExportSettings) -> Selected {
+    let mut void = 0;
+    let values = std::mem::take(&mut chunk.values);
+    chunk.tets.retain(|tet: &Tet| {
+        let corners = tet.map(|v| values[v as usize]);
+        let has_void = corners.iter().any(|v| v.is_nan());
+        void += u64::from(has_void);
+        !has_void && in_range(corners, settings)
+    });
+    chunk.values = values;
+    Selected { chunk, void }
+}
+
+fn in_range(corners: [f32; 4], settings: &ExportSettings) -> bool {
+    let Some([lo, hi]) = settings.range else { return true };
+    let inside = |v: &f32| (lo..=hi).contains(v);
+    match settings.corners {
+        Corners::All => corners.iter().all(inside),
+        Corners::Any => corners.iter().any(inside),
+    }
+}
+
+/// Joins chunks, in order, and closes points that no chunk to come can have.
+struct Join<'a> {
+    visit: &'a Visit<'a>,
+    builder: TetBuilder,
+    every: u64,
+    /// Tetrahedra that passed so far.
+    passed: u64,
+    void: u64,
+    /// Made when first needed.
+    horizon: Option<Horizon>,
+    memory: u64,
+    most_open: u64,
+    look_at: u64,
+}
+
+impl<'a> Join<'a> {
+    /// `share` bytes for finished records, and as many for open points.
+    fn new(visit: &'a Visit<'a>, settings: &ExportSettings, share: u64, scratch: &Path) -> Self {
+        let most_open = share / OPEN_POINT;
+        Self {
+            visit,
+            builder: TetBuilder::new(usize::try_from(share).unwrap_or(usize::MAX), scratch),
+            every: settings.every,
+            passed: 0,
+            void: 0,
+            horizon: None,
+            memory: settings.memory,
+            most_open,
+            look_at: most_open / 64 + 1,
+        }
+    }
+
+    /// Adds the n-th chunk.
+    fn push(&mut self, n: usize, selected: &Selected) -> Result<()> {
+        let chunk = &selected.chunk;
+        self.void += selected.void;
+        let each_nth: Vec<Tet>;
+        let tets = if self.every == 1 {
+            &chunk.tets
+        } else {
+            let first = (self.every - self.passed % self.every) % self.every;
+            let step = usize::try_from(self.every).unwrap_or(usize::MAX);
+            each_nth = chunk.tets.iter().copied().skip(first as usize).step_by(step).collect();
+            &each_nth
+        };
+        self.passed += chunk.tets.len() as u64;
+        self.builder.push(&ChunkTets {
+            positions: &chunk.positions,
+            ids: &chunk.ids,
+            values: &chunk.values,
+            shared: &chunk.shared,
+            tets,
+        })?;
+        self.close_points(n + 1)
+    }
+
+    fn close_points(&mut self, done: usize) -> Result<()> {
+        if (self.builder.open_points() as u64) < self.look_at {
+            return Ok(());
+        }
+        let archive = self.visit.archive;
+        let horizon = match self.horizon.take() {
+            Some(horizon) => horizon,
+            None => Horizon::new(archive, self.visit.chunks.iter().copied())?,
+        };
+        let beyond = self.horizon.insert(horizon).after(done);
+        self.builder.keep_open(|id| archive.points.position(id).is_none_or(|p| beyond.can_have(p, p)));
+        let open = self.builder.open_points() as u64;
+        if open > self.most_open {
+            let needed = self.memory.saturating_add(8 * (open - self.most_open) * OPEN_POINT);
+            let what = "memory (for points that chunks share)".into();
+            return Err(Error::Budget { what, needed, available: self.memory });
+        }
+        self.look_at = (2 * open).clamp(self.most_open / 64 + 1, self.most_open + 1);
+        Ok(())
+    }
+}
+
+fn parent_of(file: &Path) -> PathBuf {
+    match file.parent() {
+        Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
+        _ => PathBuf::from("."),
+    }
+}

@@ -1,0 +1,300 @@
+//! [`Archive`]: an archive, and all questions that can be asked of it.
+
+use super::export::{ExportReport, ExportSettings, export};
+use super::open::{ArchiveSummary, OpenArchive, summarize};
+use super::probe::{ProbeReport, ProbeSettings, probe_grid, sample_grid};
+use super::probe_points::{probe_table, values_at};
+use super::query::{
+    CountReport, SurfaceReport, SurfaceSettings, count_active, extract_surface, surface_in_memory,
+};
+use super::verify::{ArchiveCheck, check_archive};
+use crate::error::Result;
+use crate::exec::{Progress, Silent};
+use crate::formats::samples::SampleFormat;
+use crate::formats::surface::SurfaceFormat;
+use crate::grid::{ChunkId, Geometry};
+use crate::index::Entry;
+use crate::surface::TriMesh;
+use std::path::{Path, PathBuf};
+
+/// An archive opened for reading.
+///
+/// Opening reads the manifest. Every question reads what can hold its answer and nothing else; whether it is asked from this
+/// type or from the command line, the answer is the same. Questions may be asked from several threads at one time.
+///
+/// What fits in memory is returned ([`Archive::surface`], [`Archive::sample`], [`Archive::probe`], [`Archive::active`]); what may
+/// not is written to a file, in bounded memory, by a method with settings and progress ([`Archive::write_surface`],
+/// [`Archive::write_samples`], [`Archive::write_probed`], [`Archive::write_tetrahedra`]). Positions are world coordinates.
+///
+/// ```
+/// use isospan::Archive;
+/// # use isospan::exec::Silent;
+/// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
+/// # fn main() -> isospan::Result<()> {
+/// # let folder = tempfile::tempdir().unwrap();
+/// # let path = folder.path().join("protein.isospan");
+/// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
+/// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
+/// let archive = Archive::open(&path)?;
+/// let [lo, hi] = archive.value_range().expect("the field has values");
+/// let isovalue = (lo + hi) / 2.0;
+///
+/// // How large would the surface be? Then make it.
+/// let count = archive.count(isovalue)?;
+/// let mesh = archive.surface(isovalue)?;
+/// assert!(mesh.triangles.len() as u64 >= count.active_tetrahedra);
+///
+/// // The surface lies where the field has the isovalue.
+/// let points: Vec<[f64; 3]> = mesh.vertices.iter().map(|v| v.position.map(f64::from)).collect();
+/// let values = archive.probe(&points)?;
+/// assert!(values.iter().all(|v| (v - isovalue).abs() < 1e-2 * (hi - lo)));
+/// # Ok(())
+/// # }
+/// ```
+pub struct Archive {
+    open: OpenArchive,
+    path: PathBuf,
+}
+
+/// Tetrahedra of one chunk of an archive, with the points that they use.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Tetrahedra {
+    /// The chunk.
+    pub chunk: u64,
+    /// World positions of the points; those that several chunks use are in each of them.
+    pub points: Vec<[f64; 3]>,
+    /// Value of each point; NaN where the source has no data.
+    pub values: Vec<f32>,
+    /// Corners: numbers into `points`. Positively oriented in the world.
+    pub tetrahedra: Vec<[u32; 4]>,
+}
+
+impl Archive {
+    /// Opens an archive.
+    ///
+    /// # Errors
+    /// [`crate::Error::BadInput`] when there is none, or its manifest is damaged.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        Ok(Self { open: OpenArchive::open(path)?, path: path.to_path_buf() })
+    }
+
+    /// What the archive holds.
+    ///
+    /// # Errors
+    /// When the size of its files cannot be told.
+    pub fn info(&self) -> Result<ArchiveSummary> {
+        summarize(&self.path)
+    }
+
+    /// Least and largest value; `None` when no point has one.
+    pub fn value_range(&self) -> Option<[f32; 2]> {
+        self.open.step().value_range
+    }
+
+    /// From numbers of samples of the source to the world.
+    pub fn geometry(&self) -> Geometry {
+        self.open.step().plan.source.geometry
+    }
+
+    /// Samples of the source along x, y, z.
+    pub fn dims(&self) -> [u64; 3] {
+        self.open.step().plan.source.dims
+    }
+
+    /// How many tetrahedra an isosurface crosses, exactly.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for an isovalue that is not finite; [`crate::Error::BadInput`] for a damaged archive.
+    pub fn count(&self, isovalue: f32) -> Result<CountReport> {
+        count_active(&self.path, isovalue)
+    }
+
+    /// The blocks that an isosurface may cross, as the index tells, in order.
+    ///
+    /// # Errors
+    /// As [`Archive::count`].
+    pub fn active_blocks(&self, isovalue: f32) -> Result<Vec<Entry>> {
+        self.open.index()?.query(isovalue)
+    }
+
+    /// The tetrahedra of the blocks that an isosurface may cross, chunk after chunk, each read when it is asked for.
+    ///
+    /// Not all of them are active: a block has about a thousand. Memory: the list of blocks, and a chunk.
+    ///
+    /// ```
+    /// # use isospan::{Archive, exec::Silent, mesh::tet};
+    /// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
+    /// # fn main() -> isospan::Result<()> {
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("protein.isospan");
+    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
+    /// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
+    /// let archive = Archive::open(&path)?;
+    /// let mut active = 0;
+    /// for chunk in archive.active(100.0)? {
+    ///     let chunk = chunk?;
+    ///     let ranges = chunk.tetrahedra.iter().filter_map(|t| tet::range(t.map(|v| chunk.values[v as usize])));
+    ///     active += ranges.filter(|&(lo, hi)| tet::is_active(lo, hi, 100.0)).count() as u64;
+    /// }
+    /// assert_eq!(active, archive.count(100.0)?.active_tetrahedra);
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Archive::count`], and for each chunk.
+    pub fn active(&self, isovalue: f32) -> Result<impl Iterator<Item = Result<Tetrahedra>> + '_> {
+        let mut blocks = self.active_blocks(isovalue)?.into_iter().peekable();
+        Ok(std::iter::from_fn(move || {
+            let chunk = blocks.peek()?.chunk;
+            let mut numbers = vec![];
+            while let Some(entry) = blocks.next_if(|e| e.chunk == chunk) {
+                numbers.push(entry.block);
+            }
+            Some(self.tetrahedra(ChunkId(chunk), &numbers))
+        }))
+    }
+
+    fn tetrahedra(&self, chunk: ChunkId, blocks: &[u32]) -> Result<Tetrahedra> {
+        self.open.close_before(chunk);
+        let decoded = self.open.decode(chunk, blocks)?;
+        let (lattice, geometry) = (self.open.manifest.plan.lattice, self.geometry());
+        let mut out = Tetrahedra { chunk: chunk.0, ..Tetrahedra::default() };
+        let mut numbers = vec![u32::MAX; decoded.positions.len()];
+        for tet in &decoded.tets {
+            let mut corners = tet.map(|v| {
+                let v = v as usize;
+                if numbers[v] == u32::MAX {
+                    numbers[v] = out.points.len() as u32;
+                    out.points.push(geometry.to_world(lattice.to_index_space(decoded.positions[v])));
+                    out.values.push(decoded.values[v]);
+                }
+                numbers[v]
+            });
+            if geometry.mirrors() {
+                corners.swap(2, 3);
+            }
+            out.tetrahedra.push(corners);
+        }
+        Ok(out)
+    }
+
+    /// An isosurface, in memory. For one that may not fit there is [`Archive::write_surface`].
+    ///
+    /// # Errors
+    /// As [`Archive::count`]; [`crate::Error::Usage`] for a surface of 2^32 vertices or more.
+    pub fn surface(&self, isovalue: f32) -> Result<TriMesh> {
+        surface_in_memory(&self.open, isovalue)
+    }
+
+    /// Writes isosurfaces to a file, in bounded memory.
+    ///
+    /// # Errors
+    /// As [`extract_surface`].
+    pub fn write_surface(
+        &self,
+        settings: &SurfaceSettings,
+        out: &Path,
+        format: SurfaceFormat,
+        progress: &dyn Progress,
+    ) -> Result<SurfaceReport> {
+        extract_surface(&self.path, settings, out, format, progress)
+    }
+
+    /// The field, linear in each tetrahedron, at points in world coordinates: NaN outside the domain, and where the source has no data.
+    ///
+    /// Every point lies in exactly one tetrahedron, by a rule where they touch, so the answer is always the same. Points
+    /// are rounded to the lattice, 2^-24 of the domain's longest side. Few points cost as much as the chunks that they lie in.
+    ///
+    /// # Errors
+    /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Usage`] for 2^32 points or more.
+    pub fn probe(&self, points: &[[f64; 3]]) -> Result<Vec<f32>> {
+        let settings = ProbeSettings::default();
+        Ok(values_at(&self.open, points, &settings, settings.memory, &Silent)?.values)
+    }
+
+    /// Writes a table of points (CSV) with the field's value beside each, or the values alone (NPY), in bounded memory.
+    ///
+    /// # Errors
+    /// [`crate::Error::BadInput`] for a table without coordinates, or a damaged archive; [`crate::Error::Usage`] for a file name that ends
+    /// in neither `.csv` nor `.npy`; those of writing the file.
+    pub fn write_probed(
+        &self,
+        points: &Path,
+        settings: &ProbeSettings,
+        out: &Path,
+        progress: &dyn Progress,
+    ) -> Result<ProbeReport> {
+        probe_table(&self.open, points, settings, out, progress)
+    }
+
+    /// The field on a grid of samples that spans the domain, x fastest, in memory: NaN where the source has no data.
+    ///
+    /// ```
+    /// # use isospan::{Archive, exec::Silent};
+    /// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
+    /// # fn main() -> isospan::Result<()> {
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("protein.isospan");
+    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
+    /// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
+    /// let archive = Archive::open(&path)?;
+    /// let small = archive.sample([17, 17, 17])?;
+    /// assert_eq!(small.len(), 17 * 17 * 17);
+    /// assert_eq!(small[0], archive.probe(&[archive.geometry().origin])?[0]);
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for a grid that cannot be; [`crate::Error::BadInput`] for a damaged archive.
+    pub fn sample(&self, dims: [u64; 3]) -> Result<Vec<f32>> {
+        sample_grid(&self.open, dims, &ProbeSettings::default())
+    }
+
+    /// Writes the field on a grid of samples that spans the domain to a file, in bounded memory.
+    ///
+    /// The first and last sample of an axis lie on the domain's faces, a single one in the middle; with [`Archive::dims`], samples are
+    /// at the source's voxels. The bytes do not depend on threads, memory, or on how the archive is cut into chunks.
+    ///
+    /// # Errors
+    /// As [`Archive::sample`]; [`crate::Error::Budget`] when the memory does not suffice; those of writing the file, of which nothing is
+    /// left then.
+    pub fn write_samples(
+        &self,
+        dims: [u64; 3],
+        settings: &ProbeSettings,
+        out: &Path,
+        format: SampleFormat,
+        progress: &dyn Progress,
+    ) -> Result<ProbeReport> {
+        probe_grid(&self.open, dims, settings, out, format, progress)
+    }
+
+    /// Writes tetrahedra to a VTU file, each point once, with its value, in bounded memory.
+    ///
+    /// They come chunk by chunk, so the bytes do not depend on the number of threads, nor on memory: what memory does not hold waits in
+    /// the scratch folder. Tetrahedra with a corner without value are left out. With a range or a region, what cannot have an
+    /// answer is not read. An answer without tetrahedra is an empty, valid file.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for settings that make no sense; [`crate::Error::BadInput`] for a damaged archive;
+    /// [`crate::Error::Budget`] when the memory does not suffice; those of writing the file, of which nothing is left then.
+    pub fn write_tetrahedra(
+        &self,
+        settings: &ExportSettings,
+        out: &Path,
+        progress: &dyn Progress,
+    ) -> Result<ExportReport> {
+        export(&self.open, settings, out, progress)
+    }
+
+    /// Verifies the whole archive: every checksum, and every invariant that ties its parts together.
+    ///
+    /// # Errors
+    /// [`crate::Error::BadInput`] that names the first thing that is wrong.
+    pub fn check(&self) -> Result<ArchiveCheck> {
+        check_archive(&self.path)
+    }
+}

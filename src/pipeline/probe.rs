@@ -1,0 +1,277 @@
+//! `probe` on a grid: the reduced field, linear in each tetrahedron, at the samples of a grid of any size.
+//!
+//! ```text
+//!  chunk ─▶ decode ─▶ box of its tetrahedra, cut into windows ─▶ scan conversion ─▶ runs, each to its place in the file
+//! ```
+//!
+//! Each sample is in exactly one tetrahedron ([`crate::raster`]), so each is written exactly once, by whichever chunk has that
+//! tetrahedron, and chunks need not wait for each other. Memory: some chunks, and a window for each.
+
+use super::need;
+use super::open::{DecodedChunk, OpenArchive};
+use super::visit::{Blocks, Visit};
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, Progress, Silent};
+use crate::formats::samples::{GridMeta, SampleFile, SampleFormat};
+use crate::grid::{Geometry, IndexBox};
+use crate::raster::{Axis, SampleGrid, each_sample, interpolate};
+use serde::Serialize;
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+/// How a field is probed.
+#[derive(Clone, Debug)]
+pub struct ProbeSettings {
+    /// Threads; 0 means as many as the process may use.
+    pub threads: usize,
+    /// Bytes for chunks, windows and points.
+    pub memory: u64,
+    /// Stops the probing; nothing is written then.
+    pub cancel: CancelToken,
+}
+
+impl Default for ProbeSettings {
+    fn default() -> Self {
+        Self { threads: 0, memory: crate::exec::usable_memory() / 2, cancel: CancelToken::new() }
+    }
+}
+
+/// What was probed.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct ProbeReport {
+    /// Samples or points asked for.
+    pub samples: u64,
+    /// Of those, without value because a corner of their tetrahedron has none: NaN.
+    pub void: u64,
+    /// Of those, outside the domain: NaN.
+    pub outside: u64,
+    /// Chunks read, each as often as it was.
+    pub chunks_read: u64,
+    /// Bytes read of segments.
+    pub bytes_read: u64,
+    /// Bytes of the file written.
+    pub file_bytes: u64,
+    /// Seconds of wall time.
+    pub seconds: f64,
+}
+
+/// Bits of a sample that no tetrahedron has claimed: a NaN that no computation gives.
+const UNSET: u32 = 0x7fff_ffff;
+/// Samples of a window: 16 MiB.
+const WINDOW: u64 = 1 << 22;
+
+/// Samples the field of an archive on a grid and writes them to a file: see [`super::Archive::write_samples`].
+pub(super) fn probe_grid(
+    archive: &OpenArchive,
+    dims: [u64; 3],
+    settings: &ProbeSettings,
+    out: &Path,
+    format: SampleFormat,
+    progress: &dyn Progress,
+) -> Result<ProbeReport> {
+    let (start, read_before) = (Instant::now(), archive.bytes_read());
+    let source = &archive.step().plan.source;
+    let geometry = grid_geometry(&source.geometry, source.dims, dims)?;
+    let meta = GridMeta { dims, geometry, field: source.field.clone() };
+    let samples = meta.samples()?;
+    let scan = GridScan::new(archive, dims, settings)?;
+    let file = SampleFile::create(out, format, &meta)?;
+    let void = scan.run(samples, progress, |first, run| file.write(first, run))?;
+    Ok(ProbeReport {
+        samples,
+        void,
+        outside: 0,
+        chunks_read: scan.visit.chunks.len() as u64,
+        bytes_read: archive.bytes_read() - read_before,
+        file_bytes: file.publish()?,
+        seconds: start.elapsed().as_secs_f64(),
+    })
+}
+
+/// The same samples, in memory.
+pub(super) fn sample_grid(
+    archive: &OpenArchive,
+    dims: [u64; 3],
+    settings: &ProbeSettings,
+) -> Result<Vec<f32>> {
+    let samples = GridMeta { dims, geometry: Geometry::default(), field: String::new() }.samples()?;
+    let bytes = 4 * samples;
+    if bytes > settings.memory {
+        return Err(Error::Budget { what: "memory".into(), needed: bytes, available: settings.memory });
+    }
+    let scan = GridScan::new(archive, dims, settings)?;
+    let all = Mutex::new(vec![f32::NAN; samples as usize]);
+    scan.run(samples, &Silent, |first, run| {
+        let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
+        all[first as usize..first as usize + run.len()].copy_from_slice(run);
+        Ok(())
+    })?;
+    Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner))
+}
+
+/// Everything that scan converts an archive.
+struct GridScan<'a> {
+    visit: Visit<'a>,
+    grid: SampleGrid,
+}
+
+impl<'a> GridScan<'a> {
+    fn new(archive: &'a OpenArchive, dims: [u64; 3], settings: &'a ProbeSettings) -> Result<Self> {
+        let grid = spanning_grid(archive, dims)?;
+        let axes = 4 * dims.iter().sum::<u64>();
+        let rest = settings.memory.saturating_sub(need::BASE + axes);
+        let visit = Visit::new(archive, Blocks::All, settings.threads, rest, &settings.cancel)?;
+        visit.check_memory(settings.memory, 4 * WINDOW)?;
+        Ok(Self { visit, grid })
+    }
+
+    /// Hands all samples to `write`, in runs, from any thread in any order; returns the number of those without a value.
+    fn run(
+        &self,
+        samples: u64,
+        progress: &dyn Progress,
+        write: impl Fn(u64, &[f32]) -> Result<()> + Sync,
+    ) -> Result<u64> {
+        progress.begin("probe", self.visit.chunks.len() as u64, "chunks");
+        let mut total = Counted::default();
+        let job = |_, chunk: DecodedChunk| scan_chunk(&chunk, &self.grid, &write);
+        self.visit.each(4 * WINDOW, progress, job, |_, counted| {
+            total.set += counted.set;
+            total.void += counted.void;
+            Ok(())
+        })?;
+        if total.set == samples {
+            return Ok(total.void);
+        }
+        let expected = format!("tetrahedra that hold {samples} samples, each once");
+        let path = self.visit.archive.path();
+        Err(Error::bad_input(path, "tetrahedra", expected, total.set.to_string())
+            .with_help("isospan check tells more"))
+    }
+}
+
+/// Evenly spaced samples from face to face of the domain.
+fn spanning_grid(archive: &OpenArchive, dims: [u64; 3]) -> Result<SampleGrid> {
+    let lattice = archive.manifest.plan.lattice;
+    let far = lattice.max();
+    let axis = |a: usize| Axis::even(0, far[a], dims[a]);
+    SampleGrid::new(&lattice, [axis(0)?, axis(1)?, axis(2)?])
+}
+
+/// The geometry of a grid of `dims` samples that spans a volume.
+fn grid_geometry(volume: &Geometry, volume_dims: [u64; 3], dims: [u64; 3]) -> Result<Geometry> {
+    if dims.contains(&0) {
+        return Err(Error::usage("a grid has at least one sample along each axis"));
+    }
+    let length = volume_dims.map(|n| (n - 1) as f64);
+    let first = std::array::from_fn(|a| if dims[a] == 1 { length[a] / 2.0 } else { 0.0 });
+    let voxels = |a: usize| length[a] / (dims[a].max(2) - 1) as f64;
+    Ok(Geometry {
+        origin: volume.to_world(first),
+        spacing: std::array::from_fn(|a| volume.spacing[a] * voxels(a)),
+        direction: volume.direction,
+    })
+}
+
+/// Samples of a chunk.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counted {
+    set: u64,
+    void: u64,
+}
+
+/// Samples the tetrahedra of a chunk, and hands runs of samples (the number of the first in the grid, their values) to `write`.
+fn scan_chunk(
+    chunk: &DecodedChunk,
+    grid: &SampleGrid,
+    write: impl Fn(u64, &[f32]) -> Result<()>,
+) -> Result<Counted> {
+    let mut counted = Counted::default();
+    let Some(whole) = samples_around(chunk, grid) else { return Ok(counted) };
+    let mut samples = vec![];
+    for window in windows(whole) {
+        samples.clear();
+        samples.resize(window.len(), f32::from_bits(UNSET));
+        for tet in &chunk.tets {
+            let values = tet.map(|v| chunk.values[v as usize]);
+            let void = values.iter().any(|v| v.is_nan());
+            each_sample(grid, &window, tet.map(|v| chunk.positions[v as usize]), |at, weights| {
+                samples[at] = if void { f32::NAN } else { interpolate(weights, values) };
+                counted.set += 1;
+                counted.void += u64::from(void);
+            });
+        }
+        write_runs(&samples, &window, grid.dims(), &write)?;
+    }
+    Ok(counted)
+}
+
+/// The samples in the bounding box of a chunk's tetrahedra.
+fn samples_around(chunk: &DecodedChunk, grid: &SampleGrid) -> Option<IndexBox> {
+    let mut corners = chunk.tets.iter().flatten().map(|&v| chunk.positions[v as usize]);
+    let first = corners.next()?;
+    let (lo, hi) = corners.fold((first, first), |(lo, hi), p| {
+        (std::array::from_fn(|a| p[a].min(lo[a])), std::array::from_fn(|a| p[a].max(hi[a])))
+    });
+    Some(grid.within(lo, hi)).filter(|b| !b.is_empty())
+}
+
+/// A box cut, along z first, into windows of at most [`WINDOW`] samples.
+fn windows(whole: IndexBox) -> impl Iterator<Item = IndexBox> {
+    let d = whole.dims();
+    let x = d[0].min(WINDOW);
+    let y = d[1].min(WINDOW / x).max(1);
+    let z = d[2].min(WINDOW / x / y).max(1);
+    let size = [x, y, z];
+    let starts = move |a: usize| (whole.lo[a]..whole.hi[a]).step_by(size[a] as usize);
+    starts(2).flat_map(move |z| {
+        starts(1).flat_map(move |y| {
+            starts(0).map(move |x| {
+                let lo = [x, y, z];
+                IndexBox { lo, hi: std::array::from_fn(|a| (lo[a] + size[a]).min(whole.hi[a])) }
+            })
+        })
+    })
+}
+
+/// Hands on the runs of samples that were set, row by row.
+fn write_runs(
+    samples: &[f32],
+    window: &IndexBox,
+    dims: [u64; 3],
+    write: impl Fn(u64, &[f32]) -> Result<()>,
+) -> Result<()> {
+    let width = window.dims()[0] as usize;
+    let is_set = |v: &f32| v.to_bits() != UNSET;
+    for (n, row) in samples.chunks(width).enumerate() {
+        let rows = window.dims()[1];
+        let (y, z) = (window.lo[1] + n as u64 % rows, window.lo[2] + n as u64 / rows);
+        let first = (z * dims[1] + y) * dims[0] + window.lo[0];
+        let mut at = 0;
+        for run in row.chunk_by(|a, b| is_set(a) == is_set(b)) {
+            if is_set(&run[0]) {
+                write(first + at, run)?;
+            }
+            at += run.len() as u64;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn windows_tile_a_box() {
+        for hi in [[10, 20, 30], [5_000_000, 3, 2], [3000, 3000, 3], [1, 1, 1 << 23]] {
+            let whole = IndexBox { lo: [1, 0, 0], hi };
+            let whole = IndexBox { hi: [whole.hi[0].max(2), whole.hi[1], whole.hi[2]], ..whole };
+            let all: Vec<IndexBox> = windows(whole).collect();
+            assert!(all.iter().all(|w| w.checked_len().unwrap() <= WINDOW && !w.is_empty()));
+            let sum: u64 = all.iter().map(|w| w.checked_len().unwrap()).sum();
+            assert_eq!(Some(sum), whole.checked_len(), "{hi:?}");
+        }
+    }
+}

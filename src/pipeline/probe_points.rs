@@ -1,0 +1,209 @@
+//! `probe` at points: each is located exactly, in the chunk that has its tetrahedron.
+//!
+//! The points of a batch are sorted by brick. A chunk's tetrahedra lie in its region, core and halo, so the points that it may hold are a
+//! few runs of that list; the chunk's tetrahedra then look up the points in their boxes ([`PointLocator`]), which is scan conversion
+//! with points for samples. Chunks without a point near them are not read. A list that does not fit in memory is taken in
+//! batches, each of which reads the archive again where it has points.
+
+use super::need;
+use super::open::{DecodedChunk, OpenArchive};
+use super::probe::{ProbeReport, ProbeSettings};
+use super::visit::{Blocks, Visit, full_region};
+use crate::error::{Error, Result};
+use crate::exec::Progress;
+use crate::formats::point_list::{PointReader, PointWriter};
+use crate::formats::samples::SampleFile;
+use crate::geom::{Lattice, LatticeBox, LatticePos};
+use crate::grid::{BrickGrid, Geometry};
+use crate::raster::{PointLocator, interpolate};
+use std::path::Path;
+use std::time::Instant;
+
+/// Bytes for a point of a batch: position, place in the list, value, and its copy while a chunk looks for it.
+const POINT: u64 = 120;
+/// The most points of a batch.
+const MOST: u64 = 1 << 31;
+
+/// Values at points.
+pub(super) struct Probed {
+    pub(super) values: Vec<f32>,
+    /// Points outside the domain.
+    pub(super) outside: u64,
+    pub(super) chunks_read: u64,
+}
+
+/// The lattice position nearest to a world position; `None` outside the domain.
+fn lattice_position(world: [f64; 3], geometry: &Geometry, lattice: &Lattice) -> Option<LatticePos> {
+    let (ijk, far) = (geometry.to_index(world), lattice.max());
+    let steps = f64::from(1u32 << lattice.log2_steps);
+    let mut pos = [0; 3];
+    for a in 0..3 {
+        let x = (ijk[a] * steps).round();
+        // False for a NaN too. The faces belong to the domain, and what rounds to them.
+        if !(0.0..=f64::from(far[a])).contains(&x) {
+            return None;
+        }
+        pos[a] = x as u32;
+    }
+    Some(pos)
+}
+
+/// Where values go.
+enum Out {
+    Table(Box<PointWriter>),
+    List(SampleFile),
+}
+
+impl Out {
+    fn create(out: &Path, points: &Path, field: &str) -> Result<Self> {
+        let extension = out.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+        match extension.as_deref() {
+            Some("csv") => Ok(Self::Table(Box::new(PointWriter::create(out, points, field)?))),
+            Some("npy") => {
+                let (mut reader, mut count) = (PointReader::open(points)?, 0);
+                while reader.next_point()?.is_some() {
+                    count += 1;
+                }
+                Ok(Self::List(SampleFile::create_list(out, count)?))
+            }
+            _ => Err(Error::usage(format!(
+                "cannot tell the format of values at points from {}: end its name in .csv or .npy",
+                out.display()
+            ))),
+        }
+    }
+
+    fn write(&mut self, first: u64, values: &[f32]) -> Result<()> {
+        match self {
+            Self::Table(table) => table.write(values),
+            Self::List(list) => list.write(first, values),
+        }
+    }
+
+    fn publish(self) -> Result<u64> {
+        match self {
+            Self::Table(table) => table.publish(),
+            Self::List(list) => list.publish(),
+        }
+    }
+}
+
+/// Writes values for a table of points: see [`super::Archive::write_probed`].
+pub(super) fn probe_table(
+    archive: &OpenArchive,
+    points: &Path,
+    settings: &ProbeSettings,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<ProbeReport> {
+    let (start, read_before) = (Instant::now(), archive.bytes_read());
+    let mut reader = PointReader::open(points)?;
+    let mut out = Out::create(out, points, &archive.step().plan.source.field)?;
+    let rest = settings.memory.saturating_sub(need::BASE);
+    // Half for points, half for chunks.
+    let most = (rest / 2 / POINT).clamp(1, MOST);
+    let mut report = ProbeReport::default();
+    let mut batch = vec![];
+    loop {
+        batch.clear();
+        while (batch.len() as u64) < most {
+            let Some(point) = reader.next_point()? else { break };
+            batch.push(point);
+        }
+        if batch.is_empty() {
+            break;
+        }
+        let probed = values_at(archive, &batch, settings, rest / 2, progress)?;
+        out.write(report.samples, &probed.values)?;
+        report.samples += batch.len() as u64;
+        report.outside += probed.outside;
+        report.void += probed.values.iter().filter(|v| v.is_nan()).count() as u64 - probed.outside;
+        report.chunks_read += probed.chunks_read;
+    }
+    report.bytes_read = archive.bytes_read() - read_before;
+    report.file_bytes = out.publish()?;
+    report.seconds = start.elapsed().as_secs_f64();
+    Ok(report)
+}
+
+/// Points sorted by brick.
+struct Batch<'a> {
+    bricks: &'a BrickGrid,
+    /// Brick, position, number in the list.
+    sorted: Vec<(u64, LatticePos, u32)>,
+}
+
+impl<'a> Batch<'a> {
+    fn new(bricks: &'a BrickGrid, points: impl Iterator<Item = (LatticePos, u32)>) -> Self {
+        let brick = |p: LatticePos| bricks.id(bricks.brick_at(p)).0;
+        let mut sorted: Vec<_> = points.map(|(p, n)| (brick(p), p, n)).collect();
+        sorted.sort_unstable_by_key(|&(brick, _, n)| (brick, n));
+        Self { bricks, sorted }
+    }
+
+    /// The points in a box of the lattice, which is not empty.
+    fn within(&self, region: LatticeBox) -> impl Iterator<Item = (LatticePos, u32)> + '_ {
+        let (lo, hi) = (self.bricks.brick_at(region.lo), self.bricks.brick_at(region.hi.map(|x| x - 1)));
+        let first = self.sorted.partition_point(|s| s.0 < self.bricks.id(lo).0);
+        let rows = (lo[2]..=hi[2]).flat_map(move |z| (lo[1]..=hi[1]).map(move |y| (y, z)));
+        // Few points: looking at all of them is less than looking each row up.
+        let few = self.sorted.len() - first < 64;
+        let all = few.then(|| &self.sorted[first..]).unwrap_or_default();
+        let runs = (!few).then_some(rows).into_iter().flatten().flat_map(move |(y, z)| {
+            let (from, to) = (self.bricks.id([lo[0], y, z]).0, self.bricks.id([hi[0], y, z]).0);
+            let start = self.sorted.partition_point(|s| s.0 < from);
+            self.sorted[start..].iter().take_while(move |s| s.0 <= to)
+        });
+        all.iter().chain(runs).map(|s| (s.1, s.2)).filter(move |s| region.contains(s.0))
+    }
+}
+
+/// Values of the field at points given in world coordinates; fewer than 2^32. NaN where there are none.
+pub(super) fn values_at(
+    archive: &OpenArchive,
+    points: &[[f64; 3]],
+    settings: &ProbeSettings,
+    memory: u64,
+    progress: &dyn Progress,
+) -> Result<Probed> {
+    if points.len() as u64 > MOST {
+        return Err(Error::usage(format!(
+            "at most {MOST} points are probed at a time; not {}",
+            points.len()
+        )));
+    }
+    let lattice = archive.manifest.plan.lattice;
+    let geometry = &archive.step().plan.source.geometry;
+    let mut values = vec![f32::NAN; points.len()];
+    let placed =
+        points.iter().zip(0u32..).filter_map(|(&p, n)| Some((lattice_position(p, geometry, &lattice)?, n)));
+    let batch = Batch::new(archive.chunks.bricks(), placed);
+    let outside = (points.len() - batch.sorted.len()) as u64;
+    let mut visit = Visit::new(archive, Blocks::All, settings.threads, memory, &settings.cancel)?;
+    visit.confine(|region| batch.within(*region).next().is_some())?;
+    visit.check_memory(settings.memory, 0)?;
+    progress.begin("probe", visit.chunks.len() as u64, "chunks");
+    let job = |id, chunk: DecodedChunk| {
+        let region = full_region(archive, id)?;
+        Ok(locate(&chunk, &PointLocator::new(region, lattice.max(), batch.within(region))))
+    };
+    visit.each(0, progress, job, |_, found: Vec<(u32, f32)>| {
+        found.into_iter().for_each(|(n, value)| values[n as usize] = value);
+        Ok(())
+    })?;
+    Ok(Probed { values, outside, chunks_read: visit.chunks.len() as u64 })
+}
+
+/// The points that lie in tetrahedra of a chunk with values, and the field there.
+fn locate(chunk: &DecodedChunk, points: &PointLocator) -> Vec<(u32, f32)> {
+    let mut found = vec![];
+    for tet in &chunk.tets {
+        let values = tet.map(|v| chunk.values[v as usize]);
+        if !values.iter().any(|v| v.is_nan()) {
+            points.each_in(tet.map(|v| chunk.positions[v as usize]), |n, weights| {
+                found.push((n, interpolate(weights, values)));
+            });
+        }
+    }
+    found
+}

@@ -1,0 +1,169 @@
+//! Chunk after chunk of an archive, decoded and worked on in parallel, the results handed on in chunk order.
+//!
+//! ```text
+//!  chunks of a question ──▶ a batch that fits the memory: decode ▶ job, on all threads ──▶ take, in order
+//! ```
+//!
+//! What [`super::extract_surface`] does for surfaces, for the questions that want whole tetrahedra.
+
+use super::need;
+use super::open::{DecodedChunk, OpenArchive};
+use super::reduce::mesh_summary;
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, Progress, pool};
+use crate::geom::LatticeBox;
+use crate::grid::ChunkId;
+use crate::index::Entry;
+use rayon::prelude::*;
+
+/// Bytes for a vertex of a decoded chunk and for one of its tetrahedra, results of a job included, and whatever their number.
+const VERTEX: u64 = 72;
+const TET: u64 = 64;
+const CHUNK: u64 = 1 << 20;
+/// Tetrahedra a point, at most, where they are not counted.
+const TETS_A_POINT: u64 = 8;
+
+/// Which blocks to read.
+pub(super) enum Blocks {
+    /// All of the archive.
+    All,
+    /// Those of an index's answer, in order.
+    Some(Vec<Entry>),
+}
+
+impl Blocks {
+    /// Bytes that the list takes, with what chooses from it.
+    pub(super) fn bytes(&self) -> u64 {
+        match self {
+            Self::All => 0,
+            Self::Some(entries) => 64 * entries.len() as u64,
+        }
+    }
+}
+
+/// Chunks of an archive to be read, in order.
+pub(super) struct Visit<'a> {
+    pub(super) archive: &'a OpenArchive,
+    /// The chunks, in order.
+    pub(super) chunks: Vec<ChunkId>,
+    blocks: Blocks,
+    pub(super) threads: usize,
+    /// Bytes for chunks at work at one time.
+    pub(super) memory: u64,
+    pub(super) cancel: &'a CancelToken,
+}
+
+impl<'a> Visit<'a> {
+    pub(super) fn new(
+        archive: &'a OpenArchive,
+        blocks: Blocks,
+        threads: usize,
+        memory: u64,
+        cancel: &'a CancelToken,
+    ) -> Result<Self> {
+        let chunks = match &blocks {
+            Blocks::All => (0..archive.chunks.len()).map(ChunkId).collect(),
+            Blocks::Some(entries) => {
+                let mut chunks: Vec<ChunkId> = entries.iter().map(|e| ChunkId(e.chunk)).collect();
+                chunks.dedup();
+                chunks
+            }
+        };
+        chunks.iter().try_for_each(|&c| archive.expect_chunk(c))?;
+        Ok(Self { archive, chunks, blocks, threads, memory, cancel })
+    }
+
+    /// Leaves out chunks none of whose tetrahedra can touch what `touches` accepts (a box, or larger).
+    pub(super) fn confine(&mut self, touches: impl Fn(&LatticeBox) -> bool) -> Result<()> {
+        let mut kept = vec![];
+        for &id in &self.chunks {
+            // A halo is wider than the least only where the summary says so.
+            if touches(&region(self.archive, id, 0)) || touches(&full_region(self.archive, id)?) {
+                kept.push(id);
+            }
+        }
+        self.chunks = kept;
+        Ok(())
+    }
+
+    /// The blocks of a chunk that are read.
+    fn blocks_of(&self, id: ChunkId) -> Result<Vec<u32>> {
+        match &self.blocks {
+            Blocks::All => {
+                let blocks = mesh_summary(&self.archive.segment_of(id)?.mesh, id)?.tet_blocks;
+                Ok((0..blocks).collect())
+            }
+            Blocks::Some(entries) => {
+                let first = entries.partition_point(|e| e.chunk < id.0);
+                Ok(entries[first..].iter().take_while(|e| e.chunk == id.0).map(|e| e.block).collect())
+            }
+        }
+    }
+
+    /// Bytes in which a chunk is read and worked on: from the plan and the point set, without reading.
+    fn need(&self, id: ChunkId) -> u64 {
+        let archive = self.archive;
+        let vertices = archive.points.count_in(&need::near(
+            &archive.points,
+            &archive.chunks.chunk(id).core,
+            &archive.chunks.bricks().lattice.domain(),
+            0,
+        ));
+        CHUNK.saturating_add(vertices.saturating_mul(VERTEX + TETS_A_POINT * TET))
+    }
+
+    /// Bytes of memory that suffice, the process itself and `others` included.
+    pub(super) fn check_memory(&self, memory: u64, extra: u64) -> Result<()> {
+        let largest = self.chunks.iter().map(|&c| self.need(c)).max().unwrap_or(0).saturating_add(extra);
+        if largest > self.memory {
+            let needed = memory.saturating_add(largest - self.memory);
+            return Err(Error::Budget { what: "memory".into(), needed, available: memory });
+        }
+        Ok(())
+    }
+
+    /// Reads all chunks: `job` runs on any thread, with `extra` bytes of its own; `take` gets the results in chunk order.
+    pub(super) fn each<T: Send>(
+        &self,
+        extra: u64,
+        progress: &dyn Progress,
+        job: impl Fn(ChunkId, DecodedChunk) -> Result<T> + Sync,
+        mut take: impl FnMut(usize, T) -> Result<()>,
+    ) -> Result<()> {
+        let pool = pool(self.threads)?;
+        let most = 2 * pool.current_num_threads();
+        let mut done = 0;
+        while done < self.chunks.len() {
+            self.cancel.check()?;
+            let mut sum = 0u64;
+            let fits = |&&id: &&ChunkId| {
+                sum = sum.saturating_add(self.need(id)).saturating_add(extra);
+                sum <= self.memory
+            };
+            let fit = self.chunks[done..].iter().take(most).take_while(fits).count().max(1);
+            let batch = &self.chunks[done..done + fit];
+            let run = |&id: &ChunkId| job(id, self.archive.decode(id, &self.blocks_of(id)?)?);
+            let results: Vec<Result<T>> = pool.install(|| batch.par_iter().map(run).collect());
+            for result in results {
+                take(done, result?)?;
+                done += 1;
+                progress.advance(1);
+            }
+            if let Some(&next) = self.chunks.get(done) {
+                self.archive.close_before(next);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn region(archive: &OpenArchive, id: ChunkId, retries: u32) -> LatticeBox {
+    let domain = archive.chunks.bricks().lattice.domain();
+    need::region(&archive.points, &archive.chunks.chunk(id).core, &domain, retries)
+}
+
+/// A box that holds all tetrahedra of a chunk. Reads its summary.
+pub(super) fn full_region(archive: &OpenArchive, id: ChunkId) -> Result<LatticeBox> {
+    let retries = mesh_summary(&archive.segment_of(id)?.mesh, id)?.retries;
+    Ok(region(archive, id, retries))
+}
