@@ -51,11 +51,14 @@ fn temporaries(dir: &Path) -> Vec<PathBuf> {
     folder(dir).into_keys().filter(|f| f.to_string_lossy().contains(".tmp")).collect()
 }
 
-const REDUCE: [&str; 10] =
-    ["reduce", "-q", "v.npy", "--fraction", "1/3", "--chunk-points", "1000", "--threads", "2", "-o"];
+const REDUCE: [&str; 8] = ["reduce", "-q", "v.npy", "--fraction", "1/3", "--chunk-points", "1000", "-o"];
 
 fn reduce_to(out: &str) -> Vec<&str> {
-    [&REDUCE[..], &[out]].concat()
+    reduce_with(out, "2", "1GiB")
+}
+
+fn reduce_with<'a>(out: &'a str, threads: &'a str, memory: &'a str) -> Vec<&'a str> {
+    [&REDUCE[..], &[out, "--threads", threads, "--memory", memory]].concat()
 }
 
 /// A small volume of many chunks, and what an uninterrupted run makes of it.
@@ -86,6 +89,7 @@ impl Case {
     }
 }
 
+/// Each run goes on with another number of threads, and another budget, than the one before.
 #[test]
 fn twenty_kills_at_random_moments_cost_nothing() {
     let case = Case::new();
@@ -96,7 +100,8 @@ fn twenty_kills_at_random_moments_cost_nothing() {
         if out.is_empty() {
             out = format!("k{run}.isospan");
         }
-        let mut child = spawn(case.path(), &reduce_to(&out));
+        let (threads, memory) = (["1", "2"][run % 2], ["32MiB", "64MiB", "1GiB"][run / 2 % 3]);
+        let mut child = spawn(case.path(), &reduce_with(&out, threads, memory));
         // Within a third of a whole run, so that most archives are killed several times.
         std::thread::sleep(Duration::from_micros(dice.roll(case.took.as_micros() as u64 / 3)));
         if kills < 20 && child.try_wait().unwrap().is_none() {
@@ -169,6 +174,68 @@ fn signals_stop_a_run_in_a_state_that_continues() {
     }
 }
 
+/// Whoever does not want to wait for the chunk presses twice.
+#[test]
+fn a_second_interrupt_ends_a_run_at_once() {
+    let case = Case::new();
+    for tries in 0.. {
+        assert!(tries < 60, "no second signal came before the end");
+        let child = spawn(case.path(), &reduce_to("i.isospan"));
+        std::thread::sleep(case.took / 4);
+        // Time between the two to be seen as two, and too little for the run to end by itself, most often.
+        let twice = format!("kill -INT {0}; sleep 0.00{1}; kill -INT {0}", child.id(), tries % 5 + 1);
+        Command::new("bash").args(["-c", &twice]).stderr(Stdio::null()).status().unwrap();
+        let (status, text) = end(child);
+        if status.signal() == Some(2) {
+            assert_eq!(text, "", "ended by the signal, and by nothing else");
+            break;
+        }
+        assert!(matches!(status.code(), Some(0 | 75)), "{status}: {text}");
+        let _ = fs::remove_dir_all(case.path().join("i.isospan"));
+    }
+    ok(case.path(), &reduce_to("i.isospan"));
+    case.same("i.isospan");
+}
+
+/// Under the name of a surface there is what was there before, or all of the new one.
+#[test]
+fn a_stopped_or_killed_surface_is_never_half_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [90, 80, 70], waves);
+    ok(d, &["reduce", "-q", "v.npy", "-o", "a.isospan", "--fraction", "1", "--chunk-points", "4000"]);
+    for format in ["ply", "stl"] {
+        let out = format!("s.{format}");
+        let args = ["surface", "-q", "a.isospan", "-i", "0.1", "-o", &out, "--memory", "32MiB"];
+        let started = Instant::now();
+        ok(d, &args);
+        let (took, whole) = (started.elapsed(), fs::read(d.join(&out)).unwrap());
+        assert!(whole.len() > 100_000);
+        let (mut stopped, mut killed) = (0, 0);
+        for n in 0..24u32 {
+            fs::write(d.join(&out), "old").unwrap();
+            let mut child = spawn(d, &args);
+            std::thread::sleep(took * (1 + n % 12) / 13);
+            let kill = n % 2 == 0;
+            if kill {
+                let _ = child.kill();
+            } else if child.try_wait().unwrap().is_none() {
+                let _ = Command::new("kill").args(["-TERM", &child.id().to_string()]).output().unwrap();
+            }
+            let (status, text) = end(child);
+            stopped += u32::from(status.code() == Some(75));
+            killed += u32::from(status.signal() == Some(9));
+            let now = fs::read(d.join(&out)).unwrap();
+            assert!(now == b"old" || now == whole, "{out}: {status}: {} bytes: {text}", now.len());
+            assert!(now == whole || !status.success(), "{out}: done, and not there");
+            assert!(kill || temporaries(d).is_empty() || killed > 0, "{:?}", temporaries(d));
+        }
+        assert!(stopped > 0 && killed > 0, "{stopped} stopped, {killed} killed");
+        ok(d, &args);
+        assert!(fs::read(d.join(&out)).unwrap() == whole && temporaries(d).is_empty(), "the next run sweeps");
+    }
+}
+
 /// A limit on the size of files stands for a full disk: the program sees the same refusal of a write.
 #[test]
 fn no_room_is_one_line_and_resumable() {
@@ -194,8 +261,8 @@ fn no_room_is_one_line_and_resumable() {
     // The other writers leave nothing at all.
     for args in [
         vec!["brick", "v.npy", "-o", "v.bricks"],
-        vec!["surface", "whole.isospan", "--isovalue", "0.1", "-o", "s.ply"],
-        vec!["surface", "whole.isospan", "--isovalue", "0.1", "-o", "s.stl"],
+        vec!["surface", "-q", "whole.isospan", "--isovalue", "0.1", "-o", "s.ply"],
+        vec!["surface", "-q", "whole.isospan", "--isovalue", "0.1", "-o", "s.stl"],
     ] {
         let before = folder(case.path()).len();
         let child = Command::new("bash")
@@ -263,7 +330,9 @@ fn targets_that_cannot_be_written_are_one_line() {
         for args in [
             ["reduce", "-q", "v.npy", "-o", &format!("{folder}/x.isospan")].map(str::to_owned).to_vec(),
             ["brick", "v.npy", "-o", &format!("{folder}/x.bricks")].map(str::to_owned).to_vec(),
-            ["surface", "a.isospan", "-i", "0", "-o", &format!("{folder}/x.ply")].map(str::to_owned).to_vec(),
+            ["surface", "-q", "a.isospan", "-i", "0", "-o", &format!("{folder}/x.ply")]
+                .map(str::to_owned)
+                .to_vec(),
         ] {
             let args: Vec<&str> = args.iter().map(String::as_str).collect();
             let (status, text) = end(spawn(dir.path(), &args));

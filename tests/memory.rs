@@ -94,6 +94,60 @@ fn a_surface_is_the_same_whatever_its_memory() {
     assert!(isospan(d, &["check", "least.ply", "--within", "w.isospan"]).status.success());
 }
 
+#[test]
+fn a_surface_is_checked_the_same_whatever_its_memory() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("w.npy"), [90, 80, 70], waves);
+    assert!(reduce_with(d, "w.isospan", "1GiB", &["--fraction", "1"]).status.success());
+    let mut reports = vec![];
+    for format in ["ply", "stl", "obj", "vtp"] {
+        let file = format!("s.{format}");
+        assert!(isospan(d, &["-q", "surface", "w.isospan", "-i", "0.1", "-o", &file]).status.success());
+        let check = |memory: &str| {
+            let args =
+                ["check", &file, "--within", "w.isospan", "--json", "--memory", memory, "--scratch", "."];
+            isospan(d, &args)
+        };
+        let refused = check("5MiB");
+        let stderr = String::from_utf8(refused.stderr).unwrap();
+        assert_eq!((refused.status.code(), stderr.lines().count()), (Some(4), 1), "{stderr}");
+        let least = stderr.trim_end().rsplit(' ').next().unwrap();
+        let (all, little) = (check("4GiB"), check(least));
+        assert!(
+            all.status.success() && little.status.success(),
+            "{}",
+            String::from_utf8_lossy(&little.stderr)
+        );
+        assert_eq!(all.stdout, little.stdout, "{format}");
+        reports.push(all.stdout);
+    }
+    assert!(reports.iter().all(|r| *r == reports[0]), "four formats of one surface");
+    assert_eq!(fs::read_dir(d).unwrap().count(), 6, "nothing is left");
+}
+
+/// A stream's own chunks are counted: 96 MiB decoded do not fit in 64.
+#[test]
+fn what_a_decoder_needs_is_known_beforehand() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    fs::create_dir(d.join("v.zarr")).unwrap();
+    let array = "{\"zarr_format\": 2, \"shape\": [96, 1024, 1024], \"chunks\": [96, 1024, 1024], \"dtype\": \"|u1\", \
+        \"compressor\": null, \"fill_value\": 0, \"order\": \"C\", \"filters\": null}";
+    fs::write(d.join("v.zarr/.zarray"), array).unwrap();
+    let dry = |memory: &str| {
+        let args =
+            ["reduce", "v.zarr", "-o", "v.isospan", "--count", "1000", "--dry-run", "--memory", memory];
+        isospan(d, &args)
+    };
+    let refused = dry("64MiB");
+    let stderr = String::from_utf8(refused.stderr).unwrap();
+    assert_eq!(refused.status.code(), Some(4), "{stderr}");
+    let least: u64 = stderr.trim_end().rsplit(' ').next().unwrap().parse().unwrap();
+    assert!(least > 96 << 20 && least < 400 << 20, "{least}");
+    assert!(dry(&least.to_string()).status.success());
+}
+
 /// Peak of anonymous resident memory of a run, sampled: pages of mapped files do not count.
 #[cfg(target_os = "linux")]
 fn peak_anonymous(command: &mut Command) -> u64 {

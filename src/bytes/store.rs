@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 
 /// Records handed out, and patched on disk, at a time.
 const BATCH: usize = 1 << 14;
+/// Patches at this distance are made together.
+const CLOSE: u32 = 128;
 
 /// A list of records: the first `written` in a nameless file of the scratch folder, the others in `tail`.
 #[derive(Debug)]
@@ -81,9 +83,13 @@ impl<T: Pod> Store<T> {
         let (mut on_disk, in_memory) = patches.split_at(on_disk);
         let mut batch = Vec::new();
         while let Some(&(number, _)) = on_disk.first() {
+            // As far as patches follow each other closely: what lies between is read and written too.
             let first = u64::from(number);
-            let past = (first + BATCH as u64).min(self.written);
-            let here = on_disk.partition_point(|&(n, _)| u64::from(n) < past);
+            let near = |pair: &[(u32, P)]| {
+                pair[1].0 - pair[0].0 <= CLOSE && u64::from(pair[1].0) < first + BATCH as u64
+            };
+            let here = 1 + on_disk.windows(2).take_while(|pair| near(pair)).count();
+            let past = u64::from(on_disk[here - 1].0) + 1;
             batch.resize((past - first) as usize, T::zeroed());
             self.read(first, &mut batch)?;
             for (n, p) in &on_disk[..here] {

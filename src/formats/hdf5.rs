@@ -481,6 +481,8 @@ struct Pieces {
     /// What is left of the piece read last, and its bytes, with those given out in front.
     left: IndexBox,
     bytes: Vec<u8>,
+    /// Bytes of a chunk.
+    chunk_bytes: u64,
 }
 
 impl Pieces {
@@ -495,7 +497,7 @@ impl Pieces {
             )
             .with_help("write the dataset again in smaller chunks (h5repack -l)")
         };
-        let mut piece = [1; 3];
+        let (mut piece, mut chunk_bytes) = ([1; 3], 0);
         if let Some(chunk) = field.dataset.chunks() {
             let shown = format!("{chunk:?} samples of {size} bytes");
             let bytes = chunk.iter().try_fold(size, |n, &c| n.checked_mul(u64::from(c)));
@@ -503,6 +505,7 @@ impl Pieces {
             if !good {
                 return Err(wrong(shown));
             }
+            chunk_bytes = bytes.unwrap_or(0);
             piece = std::array::from_fn(|a| u64::from(chunk[chunk.len() - 1 - a]).min(dims[a]));
         }
         for a in 0..3 {
@@ -513,7 +516,7 @@ impl Pieces {
         }
         let left = IndexBox { lo: [0; 3], hi: [0; 3] };
         let (dataset, before) = (field.dataset.clone(), field.before.clone());
-        Ok(Self { info, dataset, before, piece, next: Some([0; 3]), left, bytes: vec![] })
+        Ok(Self { info, dataset, before, piece, next: Some([0; 3]), left, bytes: vec![], chunk_bytes })
     }
 
     /// Reads the piece that starts at `lo`.
@@ -552,6 +555,11 @@ impl Pieces {
 impl SlabStream for Pieces {
     fn info(&self) -> &VolumeInfo {
         &self.info
+    }
+
+    fn working_bytes(&self) -> u64 {
+        let piece = self.piece.iter().product::<u64>() * self.info.field.scalar.bytes() as u64;
+        3 * self.chunk_bytes.max(piece) + 2 * SLAB
     }
 
     fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {

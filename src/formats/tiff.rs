@@ -89,7 +89,11 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         return Err(tiff.wrong("pages", &expected, format!("{}", places.len())));
     }
     let info = info(path, "TIFF (pages", &tiff, &first, places.len() as u64, options)?;
-    if in_place { mapped(info, &tiff, &places) } else { Ok(stream(info, Pages::OfFile(tiff, places))) }
+    if in_place {
+        mapped(info, &tiff, &places)
+    } else {
+        Ok(stream(info, &first, Pages::OfFile(tiff, places)))
+    }
 }
 
 /// Opens a stack of files, a slice each; `path` is the folder or the pattern that was named.
@@ -121,7 +125,7 @@ pub(super) fn open_stack(path: &Path, files: Vec<PathBuf>, options: &OpenOptions
         let volume = SliceFiles::new(info, files, offsets, tiff.big_endian, options.io);
         return Ok(VolumeSource::Random(Box::new(volume)));
     }
-    Ok(stream(info, Pages::Files(files, options.io)))
+    Ok(stream(info, &first, Pages::Files(files, options.io)))
 }
 
 /// The page of a slice's file.
@@ -278,14 +282,19 @@ impl Pages {
     }
 }
 
-fn stream(info: VolumeInfo, pages: Pages) -> VolumeSource {
-    VolumeSource::Stream(Box::new(PageSlabs { info, pages, z: 0, y: 0, current: None }))
+fn stream(info: VolumeInfo, first: &Page, pages: Pages) -> VolumeSource {
+    let row = info.dims[0].saturating_mul(info.field.scalar.bytes() as u64);
+    // Stored, decoded, and given out: a row of strips or tiles, which may be larger than the page.
+    let part_bytes = row.saturating_mul(first.part_rows()).saturating_mul(3);
+    VolumeSource::Stream(Box::new(PageSlabs { info, pages, part_bytes, z: 0, y: 0, current: None }))
 }
 
 /// The pages of a volume, a few strips or a row of tiles at a time.
 struct PageSlabs {
     info: VolumeInfo,
     pages: Pages,
+    /// Bytes to decode a row of strips or tiles.
+    part_bytes: u64,
     /// The next slice, and the row of it.
     z: u64,
     y: u64,
@@ -295,6 +304,10 @@ struct PageSlabs {
 impl SlabStream for PageSlabs {
     fn info(&self) -> &VolumeInfo {
         &self.info
+    }
+
+    fn working_bytes(&self) -> u64 {
+        self.part_bytes.saturating_add(4 * SLAB_BYTES)
     }
 
     fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {

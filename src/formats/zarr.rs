@@ -472,6 +472,15 @@ impl SlabStream for Chunks {
         &self.info
     }
 
+    fn working_bytes(&self) -> u64 {
+        let product = |shape: &[u64]| shape.iter().fold(1u64, |n, &d| n.saturating_mul(d));
+        let decoded = product(self.array.unit()).saturating_mul(self.array.scalar.bytes() as u64);
+        let chunks = product(&self.array.chunk) / product(self.array.unit()).max(1);
+        let index = if self.array.shard.is_some() { chunks.saturating_mul(16) } else { 0 };
+        // Stored, between two codecs, decoded.
+        decoded.saturating_mul(3).saturating_add(index).saturating_add(2 * SLAB_BYTES)
+    }
+
     fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
         out.clear();
         while self.current.is_none() {

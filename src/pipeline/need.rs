@@ -1,11 +1,12 @@
 //! What a run needs, known before it starts: memory, disk, time. And how the memory that it gets is shared out.
 //!
-//! Only four things grow with the input, and each has its part of the budget:
+//! Only these grow with the input, and each has its part of the budget:
 //!
 //! ```text
 //!  memory = BASE                    the process itself, buffers of readers and writers
 //!         + workers · room          a chunk at work: its points, their tetrahedra, its values, its blocks
 //!         + workers · 3 products    encoded chunks that wait for their turn to be written
+//!  memory >= BASE + decoder         before: a stream is copied into bricks, chunk by chunk of its own
 //!  memory >= BASE + index           afterwards, when the first two are gone: see below
 //! ```
 //!
@@ -25,10 +26,10 @@ use std::path::Path;
 
 /// What the process needs whatever it works on: code and tables, stacks, buffers of readers and writers.
 pub(crate) const BASE: u64 = 16 << 20;
-/// Working memory of a chunk for a point of its region, measured (`benches/out_of_core` prints what a run takes) and rounded
-/// up: 6.8 tetrahedra of 64 bytes in the mesher, sort keys and sites of 100 bytes, then 16 bytes for each tetrahedron kept, two
+/// Working memory of a chunk for a point of its region, measured (chunks of 60 000 and 250 000 points took at most 830 in all,
+/// what waits to be written included) and rounded up: 6.8 tetrahedra of 64 bytes in the mesher, sort keys and sites of 100 bytes, then 16 bytes for each tetrahedron kept, two
 /// or three times while they are sorted and encoded, and what the C library holds back between workers.
-const PER_POINT: u64 = 1050;
+const PER_POINT: u64 = 900;
 /// And whatever the number of points: the samples around a brick, the encoder's tables.
 const PER_CHUNK: u64 = 4 << 20;
 /// Bytes of a point's share of an encoded chunk, at most: its value, and a little more than 6 tetrahedra.
@@ -210,6 +211,8 @@ pub(crate) struct Question<'a> {
     pub(crate) there: u64,
     /// Folder and bytes of the temporary copy.
     pub(crate) scratch: (&'a Path, u64),
+    /// Memory to make that copy in; 0 where none is made.
+    pub(crate) copying: u64,
 }
 
 impl Estimate {
@@ -221,8 +224,8 @@ impl Estimate {
             points: q.need.points,
             chunks: q.need.chunks,
             memory: q.memory,
-            memory_least: q.need.least(),
-            memory_comfortable: q.need.of_workers((q.threads as u64).min(q.need.chunks)),
+            memory_least: q.need.least().max(q.copying),
+            memory_comfortable: q.need.of_workers((q.threads as u64).min(q.need.chunks)).max(q.copying),
             workers,
             archive_bytes: q.need.points.saturating_mul(ARCHIVE_PER_POINT) + (64 << 10),
             archive_free: free_bytes(q.out).map(|free| free.saturating_add(q.there)),
@@ -275,17 +278,17 @@ impl SurfaceShares {
     /// [`Error::Budget`] when the memory does not hold the largest chunk.
     pub(crate) fn of(memory: u64, active_blocks: u64, largest_chunk: u64) -> Result<Self> {
         let fixed = BASE + active_blocks * ACTIVE_BLOCK;
-        let needed = fixed.saturating_add(largest_chunk.saturating_mul(4).div_ceil(3));
+        let needed = fixed.saturating_add(largest_chunk.saturating_mul(8).div_ceil(5));
         if memory < needed {
             return Err(Error::Budget { what: "memory".into(), needed, available: memory });
         }
         let rest = memory - fixed;
-        Ok(Self { finished: rest / 8, open_edges: rest / 8 / OPEN_EDGE, batch: rest / 4 * 3, rest })
+        Ok(Self { finished: rest / 8, open_edges: rest / 4 / OPEN_EDGE, batch: rest / 8 * 5, rest })
     }
 
     /// The error for more open edges than there is memory for.
     pub(crate) fn too_many_open(&self, memory: u64, open: u64) -> Error {
-        let needed = memory - self.rest + 8 * open.saturating_mul(OPEN_EDGE);
+        let needed = memory - self.rest + 4 * open.saturating_mul(OPEN_EDGE);
         Error::Budget { what: "memory (for edges that chunks share)".into(), needed, available: memory }
     }
 }

@@ -219,13 +219,14 @@ fn estimate_of(
     out: &Path,
     run: &RunSettings,
 ) -> Result<Estimate> {
-    let copied = match source {
-        VolumeSource::Random(_) => 0,
+    let (copied, copying) = match source {
+        VolumeSource::Random(_) => (0, 0),
         VolumeSource::Stream(stream) => {
             let info = stream.info();
             // Bricks at the border are padded, and each has a checksum.
             let samples = info.dims.iter().map(|&d| d as f64).product::<f64>();
-            (samples * info.field.scalar.bytes() as f64 * 1.1) as u64 + (1 << 20)
+            let bytes = (samples * info.field.scalar.bytes() as f64 * 1.1) as u64 + (1 << 20);
+            (bytes, copying_bytes(&**stream) + COPY_BUFFER)
         }
     };
     let scratch = scratch_folder(run);
@@ -237,7 +238,17 @@ fn estimate_of(
         out,
         there: if out.is_dir() { folder_bytes(out)? } else { 0 },
         scratch: (&scratch, copied),
+        copying,
     }))
+}
+
+/// The least that slices are collected in while a stream is copied into bricks.
+const COPY_BUFFER: u64 = 8 << 20;
+
+/// Memory that copying a stream into bricks takes, beside the slices that are collected: the decoder, a checksum a brick.
+fn copying_bytes(stream: &dyn SlabStream) -> u64 {
+    let bricks = stream.info().dims.iter().map(|d| d.div_ceil(32)).fold(1, u64::saturating_mul);
+    need::BASE.saturating_add(stream.working_bytes()).saturating_add(bricks.saturating_mul(8))
 }
 
 fn threads(run: &RunSettings) -> usize {
@@ -310,14 +321,15 @@ fn random_access(
     run: &RunSettings,
     progress: &dyn Progress,
 ) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
-    if let VolumeSource::Random(reader) = source {
-        return Ok((reader, None));
-    }
+    let room = match source {
+        VolumeSource::Random(reader) => return Ok((reader, None)),
+        VolumeSource::Stream(ref stream) => run.memory.saturating_sub(copying_bytes(&**stream)),
+    };
     let folder = scratch_folder(run);
     // What runs that were killed while they copied have left.
     publish::sweep(&folder);
     let scratch = Scratch::new(&folder);
-    brick(source, &scratch.0, run.memory / 2, &run.cancel, progress)?;
+    brick(source, &scratch.0, room / 2, &run.cancel, progress)?;
     let reader = BrickedVolume::open(&scratch.0)?;
     // An open file without a name is gone with the process, however that ends.
     #[cfg(unix)]

@@ -172,6 +172,11 @@ pub trait SlabStream: Send {
     /// What is read.
     fn info(&self) -> &VolumeInfo;
 
+    /// Bytes of memory that reading takes at a time, at most: what is decoded together, as often as it is held, and a slab.
+    fn working_bytes(&self) -> u64 {
+        4 << 20
+    }
+
     /// The next box, its stored samples (no slope applied) as **little-endian** bytes of [`FieldInfo::scalar`], x
     /// fastest, in `out` (cleared first); `None` after the last. A box is at most a few MiB, or one row.
     ///
