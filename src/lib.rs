@@ -6,7 +6,7 @@
 //! The field is sampled at quasi-Monte Carlo points ([`points`]: Hammersley, Halton, hyperbolic cross, and two lattices),
 //! the points are joined by their Delaunay tetrahedralization ([`mesh`]), tetrahedra are packed into blocks ([`archive`]), and the
 //! blocks are indexed by the range of their values in span space ([`index`]). A query reads the blocks that an isovalue
-//! crosses and runs marching tetrahedra on them ([`surface`]).
+//! crosses and runs marching tetrahedra on them ([`surface`]). How large the surface would be is known before, at any isovalue ([`spectrum`]).
 //!
 //! All of it streams. A volume is read box by box ([`volume`], [`formats`]); a brick of the domain lists its own points from
 //! the formula of the point set; a chunk of bricks is meshed by itself, with a halo, and keeps the tetrahedra that are certain to be
@@ -73,6 +73,7 @@ pub mod pipeline;
 pub mod points;
 pub mod raster;
 pub mod sample;
+pub mod spectrum;
 pub mod surface;
 pub mod tets;
 pub mod volume;

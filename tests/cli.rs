@@ -194,9 +194,13 @@ fn a_damaged_archive_or_surface_is_told() {
     let d = dir.path();
     write_npy(&d.join("b.npy"), [16, 16, 16], ball);
     ok(d, &["reduce", "b.npy", "-o", "b.isospan", "--fraction", "1"]);
-    for file in
-        ["mesh/000000.seg", "steps/000000/values-000000.seg", "steps/000000/index.seg", "manifest.json"]
-    {
+    for file in [
+        "mesh/000000.seg",
+        "steps/000000/values-000000.seg",
+        "steps/000000/index.seg",
+        "steps/000000/spectrum.seg",
+        "manifest.json",
+    ] {
         let path = d.join("b.isospan").join(file);
         let good = fs::read(&path).unwrap();
         let mut bad = good.clone();

@@ -41,6 +41,11 @@ pub fn index_path(archive: &Path, step: u64) -> PathBuf {
     archive.join(format!("steps/{step:06}/index.seg"))
 }
 
+/// Path of the contour spectrum of a step.
+pub fn spectrum_path(archive: &Path, step: u64) -> PathBuf {
+    archive.join(format!("steps/{step:06}/spectrum.seg"))
+}
+
 /// Everything that decides the bytes of the mesh.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
@@ -147,6 +152,8 @@ pub struct Step {
     pub values: Vec<SegmentRecord>,
     /// The index.
     pub index: SegmentInfo,
+    /// The contour spectrum; none where every tetrahedron is void.
+    pub spectrum: Option<SegmentInfo>,
 }
 
 /// Sizes of the mesh.
@@ -368,6 +375,7 @@ pub(crate) mod tests {
             void_points: 0,
             values: vec![record(0, 5)],
             index: info,
+            spectrum: (number == 0).then_some(info),
         };
         let counts = Counts { points: 1000, tetrahedra: 6000, chunks: 5, blocks: 12 };
         Manifest::new(plan(), counts, vec![record(0, 2), record(2, 3)], vec![step(0), step(3)])

@@ -33,6 +33,7 @@ pub use wire::Malformed;
 mod tests {
     use super::{chunk, segment, star, values};
     use crate::index::page;
+    use crate::spectrum;
 
     /// The table at the end of FORMAT.md, and the bytes that it draws.
     #[test]
@@ -64,6 +65,9 @@ mod tests {
             ("PAGE_LEVELS", u64::from(page::PAGE_LEVELS)),
             ("LEAF", u64::from(page::LEAF)),
             ("INNER", u64::from(page::INNER)),
+            ("PAGE_ACTIVE", u64::from(spectrum::PAGE_ACTIVE)),
+            ("LARGEST_KNOTS", u64::from(spectrum::LARGEST_KNOTS)),
+            ("MOST_LEVELS", spectrum::MOST_LEVELS),
         ];
         for (name, value) in constants {
             let line = format!("| `{name}` | {value} |");

@@ -104,7 +104,11 @@ fn scan_text(out: &mut String, info: &VolumeInfo, scan: &Scan) {
             text::count(scan.infinite)
         );
     }
-    let _ = writeln!(out, "  histogram  {}", sparkline(&scan.histogram));
+    let _ = writeln!(
+        out,
+        "  histogram  {}",
+        sparkline(&scan.histogram.iter().map(|&n| n as f64).collect::<Vec<_>>(), |share| share.sqrt().sqrt())
+    );
 }
 
 /// The `f64` that prints as the `f32` does.
@@ -139,15 +143,36 @@ fn triple(v: [f64; 3]) -> String {
     format!("{} {} {}", v[0], v[1], v[2])
 }
 
-/// Heights on a root scale, so that small bins show beside a large background.
-fn sparkline(bins: &[u64]) -> String {
+/// Heights by a root of the share of the largest, so that small bins show beside a large background.
+fn sparkline(bins: &[f64], root: fn(f64) -> f64) -> String {
     const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
-    let most = bins.iter().copied().max().unwrap_or(0).max(1) as f64;
+    let most = bins.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     bins.iter()
-        .map(|&n| {
-            if n == 0 { ' ' } else { BARS[(((n as f64 / most).sqrt().sqrt() * 7.0).round() as usize).min(7)] }
-        })
+        .map(|&n| if n <= 0.0 { ' ' } else { BARS[((root(n / most) * 7.0).round() as usize).min(7)] })
         .collect()
+}
+
+/// The area of the isosurface over the range of isovalues, in 64 steps: the mean of what was measured in each, or of its neighbours.
+fn area_line(areas: &[[f64; 2]]) -> String {
+    const STEPS: usize = 64;
+    let (lo, hi) = (areas[0][0], areas[areas.len() - 1][0]);
+    let step = |v: f64| (((v - lo) / (hi - lo) * STEPS as f64) as usize).min(STEPS - 1);
+    let mut sums = vec![(0.0, 0u32); STEPS];
+    for &[isovalue, area] in areas {
+        let (sum, n) = &mut sums[step(isovalue)];
+        (*sum, *n) = (*sum + area, *n + 1);
+    }
+    let mut last = 0.0;
+    let means: Vec<f64> = sums
+        .iter()
+        .map(|&(sum, n)| {
+            if n > 0 {
+                last = sum / f64::from(n);
+            }
+            last
+        })
+        .collect();
+    sparkline(&means, f64::sqrt)
 }
 
 fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
@@ -167,6 +192,17 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     if let Some([lo, hi]) = s.range {
         let _ = writeln!(out, "  range       {lo} .. {hi}");
     }
+    if !s.areas.is_empty() {
+        let _ = writeln!(out, "  area        {}", area_line(&s.areas));
+    }
+    if !s.suggestions.is_empty() {
+        let values: Vec<String> = s.suggestions.iter().map(|s| s.isovalue.to_string()).collect();
+        let _ = writeln!(
+            out,
+            "  isovalues   {} are worth a look (isospan spectrum says more)",
+            values.join(", ")
+        );
+    }
     if s.void_points > 0 {
         let _ = writeln!(out, "  void        {} points", text::count(s.void_points));
     }
@@ -174,4 +210,18 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     let each = s.bytes as f64 / s.points.max(1) as f64;
     let _ = writeln!(out, "  size        {} ({each:.2} bytes a point)", text::bytes(s.bytes));
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_area_is_a_line_of_64_steps() {
+        let areas: Vec<[f64; 2]> = (0..=10).map(|i| [f64::from(i), f64::from(i * i)]).collect();
+        let line: Vec<char> = area_line(&areas).chars().collect();
+        assert_eq!((line.len(), line[0], line[63]), (64, ' ', '█'));
+        assert!(line[1..].is_sorted_by_key(|&c| if c == ' ' { 0 } else { c as u32 }), "{line:?}");
+        assert_eq!(area_line(&[[3.0, 1.0]]).chars().count(), 64);
+    }
 }

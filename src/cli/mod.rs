@@ -6,6 +6,7 @@ mod check;
 mod count;
 mod dry_run;
 mod export;
+mod figure;
 mod heap;
 mod info;
 mod info_mesh;
@@ -15,6 +16,7 @@ mod probe;
 mod progress;
 mod reduce;
 mod signals;
+mod spectrum;
 mod surface;
 mod text;
 
@@ -41,6 +43,7 @@ enum Command {
     Count(count::Args),
     Export(export::Args),
     Probe(probe::Args),
+    Spectrum(spectrum::Args),
     Brick(brick::Args),
     Check(check::Args),
     Completions(misc::CompletionsArgs),
@@ -83,6 +86,7 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Count(args) => count::run(args),
         Command::Export(args) => export::run(args, &cli.talk),
         Command::Probe(args) => probe::run(args, &cli.talk),
+        Command::Spectrum(args) => spectrum::run(args),
         Command::Brick(args) => brick::run(args, &cli.talk),
         Command::Check(args) => check::run(args, &cli.talk),
         Command::Completions(args) => misc::completions(args),

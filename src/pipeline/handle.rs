@@ -7,6 +7,7 @@ use super::probe_points::{probe_table, values_at};
 use super::query::{
     CountReport, SurfaceReport, SurfaceSettings, count_active, extract_surface, surface_in_memory,
 };
+use super::spectrum::{self, SpectrumReport};
 use super::verify::{ArchiveCheck, check_archive};
 use crate::error::Result;
 use crate::exec::{Progress, Silent};
@@ -108,6 +109,14 @@ impl Archive {
     /// [`crate::Error::Usage`] for an isovalue that is not finite; [`crate::Error::BadInput`] for a damaged archive.
     pub fn count(&self, isovalue: f32) -> Result<CountReport> {
         count_active(&self.path, isovalue)
+    }
+
+    /// How large isosurfaces are, over the isovalue, and isovalues that are worth a look. Reads some ten thousand bytes.
+    ///
+    /// # Errors
+    /// [`crate::Error::BadInput`] for a damaged archive.
+    pub fn spectrum(&self) -> Result<SpectrumReport> {
+        spectrum::report(&self.open)
     }
 
     /// The blocks that an isosurface may cross, as the index tells, in order.

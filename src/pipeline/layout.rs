@@ -44,4 +44,8 @@ impl Layout {
     pub(crate) fn index(&self) -> PathBuf {
         manifest::index_path(&self.root, self.step)
     }
+
+    pub(crate) fn spectrum(&self) -> PathBuf {
+        manifest::spectrum_path(&self.root, self.step)
+    }
 }

@@ -14,6 +14,8 @@ use crate::grid::{Chunk, ChunkGrid, ChunkId, Geometry};
 use crate::index::SpanIndex;
 use crate::mesh::tet::Tet;
 use crate::points::PointSet;
+use crate::spectrum::SpectrumFile;
+use crate::spectrum::suggest::Suggestion;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -62,6 +64,10 @@ pub struct ArchiveSummary {
     pub steps: usize,
     /// Least and largest value.
     pub range: Option<[f32; 2]>,
+    /// Area of the isosurface at each isovalue of the contour spectrum.
+    pub areas: Vec<[f64; 2]>,
+    /// Isovalues that are worth a look, the most marked one first.
+    pub suggestions: Vec<Suggestion>,
     /// Bytes of all files.
     pub bytes: u64,
 }
@@ -74,6 +80,7 @@ pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
     let archive = OpenArchive::open(path)?;
     let (plan, counts, step) = (&archive.manifest.plan, &archive.manifest.counts, archive.step());
     let source = &step.plan.source;
+    let spectrum = super::spectrum::report(&archive)?;
     Ok(ArchiveSummary {
         kind: "archive",
         format: FORMAT_VERSION,
@@ -92,6 +99,8 @@ pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
         blocks: counts.blocks,
         steps: archive.manifest.steps.len(),
         range: step.value_range,
+        areas: spectrum.knots.iter().map(|k| [f64::from(k.isovalue), k.area]).collect(),
+        suggestions: spectrum.suggestions,
         bytes: folder_bytes(path)?,
     })
 }
@@ -125,7 +134,11 @@ impl OpenArchive {
             let got = if root.exists() { "a file" } else { "nothing" };
             return Err(Error::bad_input(root, "archive", "a folder made by isospan reduce", got));
         }
-        let manifest = Manifest::read(root)?;
+        Self::of(root, Manifest::read(root)?)
+    }
+
+    /// The archive that a manifest is of, published or not.
+    pub(super) fn of(root: &Path, manifest: Manifest) -> Result<Self> {
         let bad = |at: &str, expected: String, got: String| {
             Err(Error::bad_input(root.join(MANIFEST_NAME), at, expected, got))
         };
@@ -184,6 +197,30 @@ impl OpenArchive {
         let index = SpanIndex::open(self.layout.index(), Some(self.step_hash())).map_err(|e| self.lost(e))?;
         expect_recorded(index.segment(), Some(&self.step().index))?;
         Ok(index)
+    }
+
+    /// The contour spectrum; none where every tetrahedron is void.
+    pub(super) fn spectrum(&self) -> Result<Option<SpectrumFile>> {
+        let Some(recorded) = &self.step().spectrum else { return Ok(None) };
+        let file =
+            SpectrumFile::open(self.layout.spectrum(), Some(self.step_hash())).map_err(|e| self.lost(e))?;
+        expect_recorded(file.segment(), Some(recorded))?;
+        Ok(Some(file))
+    }
+
+    /// Bytes of the manifest.
+    pub(super) fn manifest_bytes(&self) -> Result<u64> {
+        let file = self.layout.root().join(MANIFEST_NAME);
+        Ok(std::fs::metadata(&file).map_err(|e| Error::io("look at", &file, e))?.len())
+    }
+
+    /// Number of tetrahedron blocks of a chunk.
+    pub(super) fn tet_blocks(&self, id: ChunkId) -> Result<u32> {
+        let segment = self.segment_of(id)?;
+        let blocks = segment.mesh.block_count(id);
+        // A chunk has a header and a summary besides.
+        let tets = blocks.checked_sub(2).and_then(|n| u32::try_from(n).ok());
+        tets.ok_or_else(|| damaged(&segment.mesh, id, "block count", &blocks))
     }
 
     /// Refuses a chunk that an index names and that is not there.

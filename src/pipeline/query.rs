@@ -4,7 +4,6 @@ use super::horizon::Horizon;
 use super::need::{self, SurfaceShares};
 use super::open::{DecodedChunk, OpenArchive};
 use super::reduce::folder_bytes;
-use crate::archive::manifest::MANIFEST_NAME;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent, pool};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, write_surface};
@@ -92,10 +91,11 @@ pub struct CountReport {
     pub active_tetrahedra: u64,
     /// Tetrahedra of the archive.
     pub tetrahedra: u64,
-    /// Blocks that can hold some.
-    pub active_blocks: u64,
-    /// Blocks of the archive.
-    pub blocks: u64,
+    /// Whether the number was stored; otherwise the blocks of the isovalue were decoded.
+    pub stored: bool,
+    /// Bytes read for it: the manifest, the spectrum's knots and a page of its levels; also index pages and blocks where it
+    /// was not stored.
+    pub bytes_read: u64,
 }
 
 fn finite(isovalue: f32) -> Result<()> {
@@ -113,25 +113,46 @@ fn by_chunk(archive: &OpenArchive, refs: &[Entry]) -> Result<Vec<(ChunkId, Vec<u
         .collect()
 }
 
-/// Counts the active tetrahedra of an isovalue, exactly, by decoding the active blocks.
+/// Counts the active tetrahedra of an isovalue, exactly: from the spectrum where it is stored ([`crate::spectrum`]: at any
+/// isovalue of a few digits), else by decoding the active blocks.
 ///
 /// # Errors
 /// [`Error::BadInput`] for a damaged archive.
 pub fn count_active(path: &Path, isovalue: f32) -> Result<CountReport> {
     finite(isovalue)?;
     let archive = OpenArchive::open(path)?;
-    let refs = archive.index()?.query(isovalue)?;
-    let active = by_chunk(&archive, &refs)?
+    let spectrum = archive.spectrum()?;
+    let stored = match &spectrum {
+        Some(file) => file.active(isovalue)?,
+        None => Some(0),
+    };
+    let mut bytes_read = archive.manifest_bytes()? + spectrum.map_or(0, |f| f.segment().bytes_read());
+    let active_tetrahedra = match stored {
+        Some(n) => n,
+        None => {
+            let (n, bytes) = decoded_count(&archive, isovalue)?;
+            bytes_read += bytes;
+            n
+        }
+    };
+    Ok(CountReport {
+        isovalue,
+        active_tetrahedra,
+        tetrahedra: archive.manifest.counts.tetrahedra,
+        stored: stored.is_some(),
+        bytes_read,
+    })
+}
+
+/// Decodes the active blocks; also tells the bytes read.
+fn decoded_count(archive: &OpenArchive, isovalue: f32) -> Result<(u64, u64)> {
+    let index = archive.index()?;
+    let refs = index.query(isovalue)?;
+    let active = by_chunk(archive, &refs)?
         .par_iter()
         .map(|(chunk, blocks)| Ok(active_tets(&archive.decode(*chunk, blocks)?, isovalue)))
         .sum::<Result<u64>>()?;
-    Ok(CountReport {
-        isovalue,
-        active_tetrahedra: active,
-        tetrahedra: archive.manifest.counts.tetrahedra,
-        active_blocks: refs.len() as u64,
-        blocks: archive.manifest.counts.blocks,
-    })
+    Ok((active, index.segment().bytes_read() + archive.bytes_read()))
 }
 
 fn active_tets(chunk: &DecodedChunk, isovalue: f32) -> u64 {
@@ -195,7 +216,7 @@ pub fn extract_surface(
         active_blocks: refs.len() as u64,
         chunks: totals.chunks,
         active_chunks: work.len() as u64,
-        bytes_read: archive.bytes_read() + index.segment().bytes_read() + manifest_bytes(path)?,
+        bytes_read: archive.bytes_read() + index.segment().bytes_read() + archive.manifest_bytes()?,
         archive_bytes: folder_bytes(path)?,
         seconds: [("open, index", opened), ("extract", extracted), ("write", written)]
             .map(|(name, time)| (name.to_owned(), time.as_secs_f64()))
@@ -337,11 +358,6 @@ fn chunk_surface(
     let mut surface = ChunkSurface::default();
     extract(&cells, isovalue, world, &mut surface);
     Ok(surface)
-}
-
-fn manifest_bytes(archive: &Path) -> Result<u64> {
-    let file = archive.join(MANIFEST_NAME);
-    Ok(std::fs::metadata(&file).map_err(|e| Error::io("look at", &file, e))?.len())
 }
 
 fn parent_of(file: &Path) -> PathBuf {

@@ -7,7 +7,9 @@ use super::chunk::Recipe;
 use super::grid_field::GridField;
 use super::layout::Layout;
 use super::need::{self, Estimate, Need, Question};
+use super::open::OpenArchive;
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
+use super::spectrum;
 use super::work::{self, StageTimes, Work};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{Counts, MANIFEST_NAME, Manifest, SegmentRecord, Step};
@@ -20,6 +22,7 @@ use crate::formats::{self, OpenOptions};
 use crate::geom::Lattice;
 use crate::grid::{ChunkId, IndexBox};
 use crate::index::{BuildSettings, Entry, IndexBuilder};
+use crate::spectrum::{Design, ValueCounts};
 use crate::volume::bricked::BrickedVolume;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use serde::Serialize;
@@ -173,7 +176,7 @@ pub fn reduce(
     })?;
     push_times(&mut seconds, &times);
     let committing = Instant::now();
-    let (manifest, halo_retries) = commit(&plan, &mesh, &layout, run)?;
+    let (manifest, halo_retries) = commit(&plan, &mesh, &layout, shares.workers, run, progress)?;
     for file in [layout.mesh(0), layout.index(), layout.root().join(MANIFEST_NAME)] {
         // What earlier runs that were killed have left.
         publish::sweep(file.parent().expect("a file of an archive lies in a folder"));
@@ -363,12 +366,23 @@ impl Drop for Scratch {
     }
 }
 
-/// Reads the summaries of all chunks, builds the index, publishes the manifest. Also tells how often halos were widened.
-fn commit(plan: &Plan, parts: &MeshParts, layout: &Layout, run: &RunSettings) -> Result<(Manifest, u64)> {
+/// Reads the summaries of all chunks, builds the index, measures the spectrum, publishes the manifest. Also tells how often
+/// halos were widened.
+fn commit(
+    plan: &Plan,
+    parts: &MeshParts,
+    layout: &Layout,
+    workers: usize,
+    run: &RunSettings,
+    progress: &dyn Progress,
+) -> Result<(Manifest, u64)> {
     let mut counts = Counts { chunks: parts.chunks.len(), ..Counts::default() };
     let (mut mesh_segments, mut value_segments) = (vec![], vec![]);
     let (mut void_points, mut halo_retries, mut volume6) = (0, 0, 0i128);
-    let mut range = [f32::INFINITY, f32::NEG_INFINITY];
+    // Of all points, and of the tetrahedra that are not void.
+    let mut value_range = [f32::INFINITY, f32::NEG_INFINITY];
+    let mut range = value_range;
+    let mut value_counts = ValueCounts::default();
     let mut index = IndexBuilder::new(&BuildSettings {
         memory: run.memory.saturating_sub(need::BASE),
         scratch: Some(scratch_folder(run)),
@@ -385,8 +399,12 @@ fn commit(plan: &Plan, parts: &MeshParts, layout: &Layout, run: &RunSettings) ->
             halo_retries += u64::from(mesh.retries);
             volume6 += mesh.volume6;
             void_points += u64::from(values.void);
-            range = [range[0].min(values.min), range[1].max(values.max)];
-            index_entries(chunk, &values.ranges).try_for_each(|e| index.push(e))?;
+            value_range = [value_range[0].min(values.min), value_range[1].max(values.max)];
+            for entry in index_entries(chunk, &values.ranges) {
+                [entry.min, entry.max].into_iter().for_each(|v| value_counts.add(v, 1));
+                range = [range[0].min(entry.min), range[1].max(entry.max)];
+                index.push(entry)?;
+            }
         }
         for (records, file) in [(&mut mesh_segments, &mesh), (&mut value_segments, &values)] {
             let chunks = file.chunks();
@@ -397,14 +415,21 @@ fn commit(plan: &Plan, parts: &MeshParts, layout: &Layout, run: &RunSettings) ->
     check_volume(plan, volume6, layout.root())?;
     let step = Step {
         plan: plan.step.clone(),
-        value_range: (range[0] <= range[1]).then_some(range),
+        value_range: (value_range[0] <= value_range[1]).then_some(value_range),
         void_points,
         values: value_segments,
         index: index.finish(layout.index(), plan.step_hash())?,
+        spectrum: None,
     };
-    let manifest = Manifest::new(plan.mesh.clone(), counts, mesh_segments, vec![step]);
-    manifest.write(layout.root())?;
-    Ok((manifest, halo_retries))
+    let mut archive =
+        OpenArchive::of(layout.root(), Manifest::new(plan.mesh.clone(), counts, mesh_segments, vec![step]))?;
+    if range[0] <= range[1] {
+        let design = Design::new(range, &value_counts, counts.points);
+        let spectrum = spectrum::measure(&archive, design, &pool(workers)?, &run.cancel, progress)?;
+        archive.manifest.steps[0].spectrum = Some(spectrum.finish(layout.spectrum(), plan.step_hash())?);
+    }
+    archive.manifest.write(layout.root())?;
+    Ok((archive.manifest, halo_retries))
 }
 
 /// The entries of the index that a chunk's blocks have: one each, none for blocks of void tetrahedra alone.

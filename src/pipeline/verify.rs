@@ -3,15 +3,17 @@
 //! * every block of every segment has its checksum, every table its size;
 //! * each brick has the number of points that the point set gives it, each halo id is a point outside the chunk;
 //! * each tetrahedron is positively oriented, belongs to the chunk that holds it, and all together fill the box exactly;
-//! * the ranges of the blocks, and the entries of the index, are those of the values.
+//! * the ranges of the blocks, the entries of the index, and the sums of the spectrum are those of the values.
 
 use super::open::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
 use super::reduce::{domain_volume6, index_entries, mesh_summary, value_summary};
+use super::spectrum::decoded_part;
 use crate::archive::summary::{BlockRange, MeshSummary};
 use crate::error::{Error, Result};
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkId};
 use crate::index::{Entry, EntryDigest};
+use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::Path;
@@ -42,6 +44,8 @@ pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
     let mut check = ArchiveCheck::default();
     let mut entries = EntryDigest::default();
     let mut volume6 = 0i128;
+    let spectrum = archive.spectrum()?;
+    let mut measured = spectrum.as_ref().map(|file| SpectrumBuilder::new(file.spectrum().design()));
     for number in 0..archive.layout.segment_count() {
         let segment = archive.segment(number)?;
         for file in [segment.mesh.segment(), segment.values.segment()] {
@@ -51,9 +55,15 @@ pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
             check.bytes += file.info().bytes;
         }
         let chunks: Vec<u64> = archive.layout.chunks_of(number).collect();
-        let checked: Vec<(MeshSummary, Vec<Entry>)> =
-            chunks.par_iter().map(|&c| check_chunk(&archive, &segment, ChunkId(c))).collect::<Result<_>>()?;
-        for (summary, ranges) in checked {
+        let design = measured.as_ref().map(SpectrumBuilder::design);
+        let checked: Vec<CheckedChunk> = chunks
+            .par_iter()
+            .map(|&c| check_chunk(&archive, &segment, ChunkId(c), design))
+            .collect::<Result<_>>()?;
+        for CheckedChunk { summary, ranges, part } in checked {
+            if let (Some(measured), Some(part)) = (&mut measured, part) {
+                measured.add(&part);
+            }
             volume6 += summary.volume6;
             check.points += u64::from(summary.core);
             check.tetrahedra += summary.tets;
@@ -76,15 +86,36 @@ pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
         return Err(Error::bad_input(path, "totals", expected, format!("{} and {}", found[0], found[1])));
     }
     check_index(&archive, entries, &mut check)?;
+    match (spectrum, measured) {
+        (Some(file), Some(measured)) => {
+            file.verify(&measured)?;
+            check.segments += 1;
+            check.blocks += file.segment().block_count();
+            check.bytes += file.segment().info().bytes;
+        }
+        _ if entries.count > 0 => {
+            return Err(Error::bad_input(path, "spectrum", "one, as there are values", "none"));
+        }
+        _ => {}
+    }
     Ok(check)
 }
 
-/// Checks a chunk against its summaries; returns them, the ranges as the entries that the index must have.
+/// What a chunk contributes to the checks of the whole.
+struct CheckedChunk {
+    summary: MeshSummary,
+    /// The entries that the index must have.
+    ranges: Vec<Entry>,
+    part: Option<ChunkPart>,
+}
+
+/// Checks a chunk against its summaries, and measures its part of a spectrum.
 fn check_chunk(
     archive: &OpenArchive,
     segment: &OpenSegment,
     id: ChunkId,
-) -> Result<(MeshSummary, Vec<Entry>)> {
+    design: Option<&Design>,
+) -> Result<CheckedChunk> {
     let (summary, values) = (mesh_summary(&segment.mesh, id)?, value_summary(&segment.values, id)?);
     let file = segment.mesh.segment().path();
     let wrong = |at: &str, expected: String, got: String| {
@@ -121,7 +152,8 @@ fn check_chunk(
         let at = format!("{:?}", decoded.positions[v]);
         return wrong("halo", "points of other chunks that tetrahedra use".into(), at);
     }
-    Ok((summary, index_entries(id.0, &ranges).collect()))
+    let part = design.map(|design| decoded_part(archive, design, &decoded));
+    Ok(CheckedChunk { summary, ranges: index_entries(id.0, &ranges).collect(), part })
 }
 
 /// Every tetrahedron is positively oriented and the chunk's own; returns their volume.

@@ -145,10 +145,14 @@ pub(crate) fn reseal_all(
         });
     let step = &mut manifest.steps[0];
     let hash = step.plan.hash(manifest.plan_hash);
-    let [values, index] = [("values-000000.seg", SegmentKind::Values), ("index.seg", SegmentKind::Index)]
-        .map(|(file, kind)| {
-            reseal(&archive.join("steps/000000").join(file), kind, hash, |n, b| edit(kind, n, b))
-        });
-    (step.values[0].info, step.index) = (values, index);
+    let files = [
+        ("values-000000.seg", SegmentKind::Values),
+        ("index.seg", SegmentKind::Index),
+        ("spectrum.seg", SegmentKind::Spectrum),
+    ];
+    let [values, index, spectrum] = files.map(|(file, kind)| {
+        reseal(&archive.join("steps/000000").join(file), kind, hash, |n, b| edit(kind, n, b))
+    });
+    (step.values[0].info, step.index, step.spectrum) = (values, index, Some(spectrum));
     manifest.write(archive).unwrap();
 }

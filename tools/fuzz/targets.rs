@@ -125,6 +125,7 @@ impl Archive {
             "mesh/000000.seg".into(),
             format!("{step}/values-000000.seg"),
             format!("{step}/index.seg"),
+            format!("{step}/spectrum.seg"),
         ];
         let mut files = vec![];
         for name in names.map(PathBuf::from) {

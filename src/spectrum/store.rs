@@ -1,0 +1,212 @@
+//! A spectrum as a segment: block 0 has the knots, the others the levels, 4096 a page. `FORMAT.md` specifies the bytes.
+
+use super::levels::{Levels, MOST_LEVELS, Step};
+use super::measure::SpectrumBuilder;
+use super::{Knot, Spectrum};
+use crate::archive::Malformed;
+use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
+use crate::archive::wire::{Cursor, put_varint, to_zstd, unzstd};
+use crate::error::{Error, Result};
+use std::path::Path;
+
+/// Levels of a page.
+pub(crate) const PAGE_ACTIVE: u32 = 4096;
+/// The most knots that a reader takes.
+pub(crate) const LARGEST_KNOTS: u32 = 1 << 16;
+const PAGE_LEVEL: i32 = 9;
+
+impl SpectrumBuilder {
+    /// Writes the spectrum and publishes it.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn finish(&self, path: impl AsRef<Path>, plan: PlanHash) -> Result<SegmentInfo> {
+        let mut out = SegmentWriter::create(path, SegmentKind::Spectrum, plan)?;
+        self.blocks().try_for_each(|block| out.push_block(&block).map(drop))?;
+        out.finish()
+    }
+
+    /// The blocks of the segment.
+    fn blocks(&self) -> impl Iterator<Item = Vec<u8>> {
+        let levels = self.design().levels.count as usize;
+        let mut active = 0i64;
+        let pages = self.level_ends[..levels].chunks(PAGE_ACTIVE as usize).map(move |page| {
+            let block = encode_page(active, page);
+            active += page.iter().sum::<i64>();
+            block
+        });
+        std::iter::once(encode_head(&self.spectrum())).chain(pages)
+    }
+}
+
+fn encode_head(s: &Spectrum) -> Vec<u8> {
+    let mut out = vec![];
+    s.range.iter().for_each(|v| out.extend(v.to_le_bytes()));
+    out.extend(s.tetrahedra.to_le_bytes());
+    out.extend(s.volume.to_le_bytes());
+    out.push(s.levels.step.digit);
+    out.extend(s.levels.step.exponent.to_le_bytes());
+    out.extend(s.levels.first.to_le_bytes());
+    out.extend(s.levels.count.to_le_bytes());
+    out.extend((s.knots.len() as u32).to_le_bytes());
+    s.knots.iter().for_each(|k| out.extend(k.isovalue.to_le_bytes()));
+    s.knots.iter().for_each(|k| out.extend(k.active_tetrahedra.to_le_bytes()));
+    for column in [|k: &Knot| k.area, |k: &Knot| k.volume, |k: &Knot| k.gradient] {
+        s.knots.iter().for_each(|k| out.extend(column(k).to_le_bytes()));
+    }
+    out
+}
+
+fn decode_head(bytes: &[u8]) -> std::result::Result<Spectrum, Malformed> {
+    let mut c = Cursor::new(bytes);
+    let range = [c.f32("least value")?, c.f32("largest value")?];
+    let (tetrahedra, volume) = (c.u64("tetrahedra")?, f64_of(&mut c, "volume")?);
+    let (digit, exponent) = (c.u8("digit")?, c.u32("exponent")? as i32);
+    let step = Step::new(digit, exponent).ok_or_else(|| {
+        Malformed::new("step", "1, 2 or 5 times a power of ten", format!("{digit}e{exponent}"))
+    })?;
+    let (first, count, knots) = (c.u64("first level")? as i64, c.u32("levels")?, c.u32("knots")?);
+    if u64::from(count) > MOST_LEVELS || knots > LARGEST_KNOTS || first.unsigned_abs() > 1 << 55 {
+        let got = format!("{count} levels from {first}, {knots} knots");
+        return Err(Malformed::new(
+            "sizes",
+            format!("at most {MOST_LEVELS} levels, {LARGEST_KNOTS} knots"),
+            got,
+        ));
+    }
+    let mut all = vec![Knot::default(); knots as usize];
+    for k in &mut all {
+        k.isovalue = c.f32("isovalue")?;
+    }
+    for k in &mut all {
+        k.active_tetrahedra = c.u64("active tetrahedra")?;
+    }
+    for k in &mut all {
+        k.area = f64_of(&mut c, "area")?;
+    }
+    for k in &mut all {
+        k.volume = f64_of(&mut c, "volume")?;
+    }
+    for k in &mut all {
+        k.gradient = f64_of(&mut c, "gradient")?;
+    }
+    c.end("spectrum")?;
+    if !all.is_sorted_by(|a, b| a.isovalue < b.isovalue) {
+        return Err(Malformed::new("isovalues", "ascending ones", "others"));
+    }
+    Ok(Spectrum { range, tetrahedra, volume, knots: all, levels: Levels { step, first, count } })
+}
+
+fn f64_of(c: &mut Cursor<'_>, at: &'static str) -> std::result::Result<f64, Malformed> {
+    c.u64(at).map(f64::from_bits)
+}
+
+/// The number at the last level before the page, and the difference from each level to the next.
+fn encode_page(before: i64, differences: &[i64]) -> Vec<u8> {
+    let mut out = vec![];
+    put_varint(&mut out, u64::try_from(before).expect("a tetrahedron's minimum is not above its maximum"));
+    let mut body = vec![];
+    differences.iter().for_each(|d| put_varint(&mut body, (d << 1 ^ d >> 63) as u64));
+    out.extend(to_zstd(&body, PAGE_LEVEL));
+    out
+}
+
+/// The number at the `n`-th level of a page of `levels`.
+fn decode_page(bytes: &[u8], levels: u32, n: u32) -> std::result::Result<u64, Malformed> {
+    let mut c = Cursor::new(bytes);
+    let before = c.varint("active tetrahedra")?;
+    let body = unzstd(c.rest(), levels as usize * 10, "differences")?;
+    let mut c = Cursor::new(&body);
+    let mut active = u128::from(before) as i128;
+    for _ in 0..=n {
+        let z = c.varint("difference")?;
+        active += i128::from((z >> 1) as i64 ^ -((z & 1) as i64));
+    }
+    u64::try_from(active)
+        .map_err(|_| Malformed::new("active tetrahedra", "a number of 64 bits", active.to_string()))
+}
+
+/// An open spectrum.
+pub struct SpectrumFile {
+    segment: Segment,
+    spectrum: Spectrum,
+}
+
+impl SpectrumFile {
+    /// Opens a spectrum; reads the knots, and none of the levels.
+    ///
+    /// # Errors
+    /// When it is not a spectrum of this plan (`None`: of any plan), or is damaged there.
+    pub fn open(path: impl AsRef<Path>, plan: Option<PlanHash>) -> Result<Self> {
+        let segment = Segment::open(path, SegmentKind::Spectrum, plan)?;
+        if segment.block_count() == 0 {
+            return Err(Error::bad_input(segment.path(), "block count", "at least 1", "0"));
+        }
+        let mut block = vec![];
+        segment.block(0, &mut block)?;
+        let spectrum = decode_head(&block).map_err(|m| m.in_block(segment.path(), 0))?;
+        let blocks = 1 + u64::from(spectrum.levels.count.div_ceil(PAGE_ACTIVE));
+        if blocks != segment.block_count() {
+            let got = segment.block_count().to_string();
+            return Err(Error::bad_input(segment.path(), "block count", blocks.to_string(), got));
+        }
+        Ok(Self { segment, spectrum })
+    }
+
+    /// The spectrum at its knots.
+    pub fn spectrum(&self) -> &Spectrum {
+        &self.spectrum
+    }
+
+    /// The container: path, bytes read, verification.
+    pub fn segment(&self) -> &Segment {
+        &self.segment
+    }
+
+    /// The number of active tetrahedra, exactly; `None` at an isovalue at which it is not stored. Reads a page.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for a damaged page.
+    pub fn active(&self, isovalue: f32) -> Result<Option<u64>> {
+        let [lo, hi] = self.spectrum.range;
+        if !(lo < isovalue && isovalue <= hi) {
+            return Ok(Some(0));
+        }
+        let knots = &self.spectrum.knots;
+        if let Ok(k) = knots.binary_search_by(|k| k.isovalue.total_cmp(&isovalue)) {
+            return Ok(Some(knots[k].active_tetrahedra));
+        }
+        let levels = self.spectrum.levels;
+        let Some(n) = levels.find(isovalue) else { return Ok(None) };
+        let (page, at) = (n / PAGE_ACTIVE, n % PAGE_ACTIVE);
+        let number = u64::from(page) + 1;
+        let mut block = vec![];
+        self.segment.block(number, &mut block)?;
+        let in_page = (levels.count - page * PAGE_ACTIVE).min(PAGE_ACTIVE);
+        let active = decode_page(&block, in_page, at).map_err(|m| m.in_block(self.segment.path(), number))?;
+        Ok(Some(active))
+    }
+
+    /// Reads the whole file: every checksum, and whether it has the blocks that `expected` would write.
+    ///
+    /// # Errors
+    /// The first thing that is wrong.
+    pub fn verify(&self, expected: &SpectrumBuilder) -> Result<()> {
+        self.segment.verify()?;
+        let mut found = vec![];
+        for (n, block) in (0..self.segment.block_count()).zip(expected.blocks()) {
+            self.segment.block(n, &mut found)?;
+            if found != block {
+                let at = format!("block {n}");
+                return Err(Error::bad_input(
+                    self.segment.path(),
+                    at,
+                    "the sums over all tetrahedra",
+                    "others",
+                )
+                .with_help("the archive is damaged or was written by a faulty program: make it again"));
+            }
+        }
+        Ok(())
+    }
+}
