@@ -148,7 +148,7 @@ impl<'a> Batch<'a> {
         let rows = (lo[2]..=hi[2]).flat_map(move |z| (lo[1]..=hi[1]).map(move |y| (y, z)));
         // Few points: looking at all of them is less than looking each row up.
         let few = self.sorted.len() - first < 64;
-        let all = few.then(|| &self.sorted[first..]).unwrap_or_default();
+        let all = if few { &self.sorted[first..] } else { &[] };
         let runs = (!few).then_some(rows).into_iter().flatten().flat_map(move |(y, z)| {
             let (from, to) = (self.bricks.id([lo[0], y, z]).0, self.bricks.id([hi[0], y, z]).0);
             let start = self.sorted.partition_point(|s| s.0 < from);

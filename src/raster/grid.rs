@@ -11,8 +11,8 @@ const MOST: u64 = (1 << 24) + 1;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axis {
     positions: Vec<u32>,
-    /// The distance of neighbours, where it is the same for all.
-    pub(super) pitch: Option<u32>,
+    /// log2 of the distance of neighbours, where it is the same power of two for all.
+    shift: Option<u32>,
     /// Samples a lattice step.
     density: f64,
 }
@@ -41,10 +41,11 @@ impl Axis {
             [a, b, ..] => Some(b - a),
             _ => Some(1),
         };
-        let pitch = pitch.filter(|&p| p > 0 && positions.windows(2).all(|w| w[1] - w[0] == p));
+        let is_even = |p: u32| positions.windows(2).all(|w| w[1] - w[0] == p);
+        let shift = pitch.filter(|&p| p.is_power_of_two() && is_even(p)).map(u32::trailing_zeros);
         let length = positions[positions.len() - 1] - positions[0];
         let density = if length == 0 { 0.0 } else { (positions.len() - 1) as f64 / f64::from(length) };
-        Self { positions, pitch, density }
+        Self { positions, shift, density }
     }
 
     /// Number of samples.
@@ -63,6 +64,10 @@ impl Axis {
     #[inline]
     pub fn below(&self, coordinate: u32) -> usize {
         let p = &self.positions;
+        if let Some(shift) = self.shift {
+            let above = coordinate.saturating_sub(p[0]);
+            return ((above + ((1 << shift) - 1)) >> shift).min(p.len() as u32) as usize;
+        }
         // Evenly spaced but for rounding: the guess is right to one or two.
         let guess = f64::from(coordinate.saturating_sub(p[0])) * self.density;
         let mut n = (guess as usize).min(p.len());

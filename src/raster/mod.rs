@@ -7,7 +7,7 @@
 //! ```text
 //!   · · · · · ·         the samples of the box around the tetrahedron are walked row by row;
 //!   · · ·/\ · ·         rows that a face keeps out are passed over
-//!   · ·/x x\· ·         along a row each weight grows by a constant: inside are the samples
+//!   · ·/x x\· ·         along a row each weight is linear: inside is a run of samples, those
 //!   ·/x_x_x_\ ·         at which none of the four is negative
 //! ```
 //!
@@ -24,7 +24,7 @@
 //! **Weights** are `λ_k / volume`, each rounded once. [`interpolate`] adds the four products in ascending order: the order of the
 //! corners does not show, so a value does not depend on how the mesh is cut into chunks.
 //!
-//! Cost: about 100 operations a tetrahedron that has a sample in its box, 10 for each sample of the box. Memory: none.
+//! Cost: some 100 operations a tetrahedron with a sample in its box, some 20 for each row of the box and each sample inside. Memory: none.
 //!
 //! ```
 //! use isospan::geom::Lattice;

@@ -141,7 +141,8 @@ proptest! {
         let mut weights = lambda.map(|l| f64::from(l) / f64::from(sum));
         let mut turned = values;
         let before = interpolate(weights, values);
-        (weights.rotate_left(turn), turned.rotate_left(turn));
+        weights.rotate_left(turn);
+        turned.rotate_left(turn);
         weights.swap(0, 1);
         turned.swap(0, 1);
         prop_assert_eq!(before.to_bits(), interpolate(weights, turned).to_bits());
