@@ -9,6 +9,7 @@
 
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
+use super::reduce::domain_volume6;
 use super::visit::{Blocks, Visit};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent};
@@ -61,6 +62,9 @@ const UNSET: u32 = 0x7fff_ffff;
 /// Samples of a window: 16 MiB.
 const WINDOW: u64 = 1 << 22;
 
+/// Samples written at a time where the tetrahedra leave gaps.
+const BLANK: u64 = 1 << 18;
+
 /// Samples the field of an archive on a grid and writes them to a file: see [`super::Archive::write_samples`].
 pub(super) fn probe_grid(
     archive: &OpenArchive,
@@ -77,6 +81,12 @@ pub(super) fn probe_grid(
     let samples = meta.samples()?;
     let scan = GridScan::new(archive, dims, settings)?;
     let file = SampleFile::create(out, format, &meta)?;
+    if scan.has_gaps {
+        let blank = vec![f32::NAN; BLANK.min(samples) as usize];
+        for first in (0..samples).step_by(BLANK as usize) {
+            file.write(first, &blank[..BLANK.min(samples - first) as usize])?;
+        }
+    }
     let void = scan.run(samples, progress, |first, run| file.write(first, run))?;
     Ok(ProbeReport {
         samples,
@@ -114,6 +124,8 @@ pub(super) fn sample_grid(
 struct GridScan<'a> {
     visit: Visit<'a>,
     grid: SampleGrid,
+    /// Whether the tetrahedra do not fill the domain: where there is none, there is no value.
+    has_gaps: bool,
 }
 
 impl<'a> GridScan<'a> {
@@ -123,7 +135,8 @@ impl<'a> GridScan<'a> {
         let rest = settings.memory.saturating_sub(need::BASE + axes);
         let visit = Visit::new(archive, Blocks::All, settings.threads, rest, &settings.cancel)?;
         visit.check_memory(settings.memory, 4 * WINDOW)?;
-        Ok(Self { visit, grid })
+        let has_gaps = visit.volume6()? != domain_volume6(&archive.manifest.plan.lattice);
+        Ok(Self { visit, grid, has_gaps })
     }
 
     /// Hands all samples to `write`, in runs, from any thread in any order; returns the number of those without a value.
@@ -141,8 +154,8 @@ impl<'a> GridScan<'a> {
             total.void += counted.void;
             Ok(())
         })?;
-        if total.set == samples {
-            return Ok(total.void);
+        if total.set == samples || (self.has_gaps && total.set < samples) {
+            return Ok(total.void + (samples - total.set));
         }
         let expected = format!("tetrahedra that hold {samples} samples, each once");
         let path = self.visit.archive.path();

@@ -100,6 +100,16 @@ impl<'a> Visit<'a> {
         }
     }
 
+    /// Six times the volume of all tetrahedra of the chunks, as their summaries tell.
+    pub(super) fn volume6(&self) -> Result<i128> {
+        let mut sum = 0i128;
+        for &id in &self.chunks {
+            self.archive.close_before(id);
+            sum = sum.saturating_add(mesh_summary(&self.archive.segment_of(id)?.mesh, id)?.volume6);
+        }
+        Ok(sum)
+    }
+
     /// Bytes in which a chunk is read and worked on: from the plan and the point set, without reading.
     fn need(&self, id: ChunkId) -> u64 {
         let archive = self.archive;
@@ -112,7 +122,10 @@ impl<'a> Visit<'a> {
         CHUNK.saturating_add(vertices.saturating_mul(VERTEX + TETS_A_POINT * TET))
     }
 
-    /// Bytes of memory that suffice, the process itself and `others` included.
+    /// Refuses a budget in which the largest chunk, with `extra` bytes for its job, does not fit; `memory` is the whole budget.
+    ///
+    /// # Errors
+    /// [`Error::Budget`] naming what would do.
     pub(super) fn check_memory(&self, memory: u64, extra: u64) -> Result<()> {
         let largest = self.chunks.iter().map(|&c| self.need(c)).max().unwrap_or(0).saturating_add(extra);
         if largest > self.memory {
