@@ -44,7 +44,7 @@ use std::path::PathBuf;
 pub const BLOCK: usize = 4096;
 
 /// Whether a field has a value for each point or for each cell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Center {
     /// A value for each point.

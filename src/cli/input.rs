@@ -6,7 +6,7 @@ use isospan::bytes::{ByteSource, IoMode};
 use isospan::formats::{OpenOptions, raw::RawLayout};
 use isospan::volume::ScalarType;
 use isospan::{Error, Result};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub(crate) enum Endian {
@@ -20,6 +20,9 @@ pub(crate) struct InputArgs {
     /// The field to read, where a file has several.
     #[arg(long, value_name = "NAME")]
     pub(crate) field: Option<String>,
+    /// A text file of one number a point, for a mesh in .node and .ele or .pts and .tet files.
+    #[arg(long, value_name = "FILE")]
+    values: Option<PathBuf>,
     /// Raw file: samples along x (fastest), y and z.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_dims, requires = "scalar_type", help_heading = "Raw files")]
     dims: Option<[u64; 3]>,
@@ -94,6 +97,6 @@ impl InputArgs {
             (None, None) => None,
             _ => return Err(Error::usage("--dims and --type go together")),
         };
-        Ok(OpenOptions { field: self.field.clone(), raw, io: self.io.mode() })
+        Ok(OpenOptions { field: self.field.clone(), raw, io: self.io.mode(), values: self.values.clone() })
     }
 }

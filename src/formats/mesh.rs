@@ -1,6 +1,6 @@
 //! Meshes: which of their formats a file has.
 
-use super::{OpenOptions, VolumeSource, has_suffix, open_volume, vtk_xml};
+use super::{OpenOptions, VolumeSource, gmsh, has_suffix, open_volume, tetgen, vtk_legacy, vtk_xml};
 use crate::bytes::ByteSource;
 use crate::cells::CellMesh;
 use crate::error::{Error, Result};
@@ -17,6 +17,9 @@ pub enum Input {
 /// A format of meshes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
+    Gmsh,
+    Pair,
+    VtkLegacy,
     VtkXml,
 }
 
@@ -39,7 +42,8 @@ pub fn is_mesh(path: &Path, options: &OpenOptions) -> Result<bool> {
     Ok(kind_of(path, options)?.is_some())
 }
 
-/// Opens a mesh of any format that is read: VTU, PVTU.
+/// Opens a mesh of any format that is read: VTU, PVTU, legacy VTK, Gmsh, TetGen, points and tetrahedra as
+/// text.
 ///
 /// # Errors
 /// [`Error::BadInput`] for a malformed file or another kind; [`Error::Usage`] when there is no field of the name wanted.
@@ -51,7 +55,13 @@ pub fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
 }
 
 fn open_kind(kind: Kind, path: &Path, options: &OpenOptions) -> Result<CellMesh> {
+    if options.values.is_some() && kind != Kind::Pair {
+        return Err(Error::usage(format!("{} has its own fields: leave out --values", path.display())));
+    }
     match kind {
+        Kind::Gmsh => gmsh::open_mesh(path, options),
+        Kind::Pair => tetgen::open_mesh(path, options),
+        Kind::VtkLegacy => vtk_legacy::open_mesh(path, options),
         Kind::VtkXml => vtk_xml::open_mesh(path, options),
     }
 }
@@ -64,7 +74,13 @@ fn kind_of(path: &Path, options: &OpenOptions) -> Result<Option<Kind>> {
     let source = ByteSource::open(path, options.io)?;
     let mut head = vec![0; source.len().min(4096) as usize];
     source.read_at(0, &mut head)?;
-    Ok(if vtk_xml::is_mesh(&head) || has_suffix(path, &[".vtu", ".pvtu"]) {
+    Ok(if vtk_legacy::is_mesh(&head) {
+        Some(Kind::VtkLegacy)
+    } else if head.starts_with(b"$MeshFormat") || has_suffix(path, &[".msh"]) {
+        Some(Kind::Gmsh)
+    } else if tetgen::is_mesh(path) {
+        Some(Kind::Pair)
+    } else if vtk_xml::is_mesh(&head) || has_suffix(path, &[".vtu", ".pvtu"]) {
         Some(Kind::VtkXml)
     } else {
         None

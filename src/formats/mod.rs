@@ -10,6 +10,7 @@
 
 mod folder;
 pub mod glb;
+pub mod gmsh;
 #[cfg(feature = "hdf5")]
 pub mod hdf5;
 mod header;
@@ -23,12 +24,14 @@ mod numbers;
 pub mod obj;
 pub mod ply;
 pub mod point_list;
+mod ranges;
 pub mod raw;
 pub mod samples;
 mod stack;
 pub mod stl;
 pub mod stream;
 pub mod surface;
+pub mod tetgen;
 mod text;
 pub mod tiff;
 pub mod vtk_legacy;
@@ -41,7 +44,7 @@ use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
 use crate::volume::bricked::{self, BrickedVolume};
 use crate::volume::{FieldInfo, VolumeSource};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stream::Codec;
 
@@ -56,6 +59,9 @@ pub struct OpenOptions {
     pub raw: Option<raw::RawLayout>,
     /// Whether files are mapped or read. Does not change what is read.
     pub io: IoMode,
+    /// A text file of one number a point, for meshes whose format keeps values apart: TetGen, points and tetrahedra as
+    /// text.
+    pub values: Option<PathBuf>,
 }
 
 /// What a file is.
@@ -259,7 +265,6 @@ pub(crate) mod tests {
     use crate::grid::IndexBox;
     use crate::volume::{ScalarType, VolumeInfo, strided::convert_row};
     use std::io::Write;
-    use std::path::PathBuf;
 
     /// Writes a file in a temporary folder.
     pub(crate) fn write(dir: &tempfile::TempDir, name: &str, bytes: &[u8]) -> PathBuf {

@@ -1,7 +1,12 @@
 //! Text in data files: words divided by white space, numbers, and the line where something is wrong.
 
+use super::stream::push_number;
+use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
+use crate::volume::ScalarType;
+use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Goes through the words of a text that may be larger than memory (a mapped file).
 #[derive(Clone, Debug)]
@@ -92,6 +97,66 @@ pub(super) fn word(bytes: &[u8], at: usize) -> Option<(usize, usize)> {
 /// White space as C's `isspace` has it.
 fn is_space(b: u8) -> bool {
     b.is_ascii_whitespace() || b == 0x0b
+}
+
+/// Numbers in text.
+pub(super) struct TextNumbers {
+    source: Arc<ByteSource>,
+    at: u64,
+    end: u64,
+}
+
+impl TextNumbers {
+    pub(super) fn new(source: &Arc<ByteSource>, range: Range<u64>) -> Self {
+        Self { source: Arc::clone(source), at: range.start, end: range.end }
+    }
+
+    /// Bytes of text not read yet.
+    pub(super) fn len(&self) -> u64 {
+        self.end - self.at
+    }
+
+    /// Fills `out` with the next numbers, little-endian.
+    pub(super) fn fill(&mut self, scalar: ScalarType, out: &mut [u8]) -> Result<()> {
+        let bytes = self.source.slice(0..self.end)?;
+        let (mut at, mut number) = (self.at as usize, Vec::with_capacity(8));
+        for value in out.chunks_exact_mut(scalar.bytes()) {
+            let Some((start, end)) = word(bytes, at) else {
+                return Err(self.wrong(at, "more numbers".into(), "their end".into()));
+            };
+            number.clear();
+            if !push_number(&bytes[start..end], scalar, &mut number) {
+                let found = String::from_utf8_lossy(&bytes[start..end.min(start + 40)]).into_owned();
+                return Err(self.wrong(start, format!("a number of type {}", scalar.name()), found));
+            }
+            value.copy_from_slice(&number);
+            at = end;
+        }
+        self.at = at as u64;
+        self.source.check()
+    }
+
+    /// To be called after the last number.
+    pub(super) fn finish(&self) -> Result<()> {
+        match word(self.source.slice(0..self.end)?, self.at as usize) {
+            None => self.source.check(),
+            Some((at, _)) => {
+                Err(self.wrong(at, "the end of the array's numbers".into(), "more numbers".into()))
+            }
+        }
+    }
+
+    fn wrong(&self, at: usize, expected: String, got: String) -> Error {
+        // A file that was cut meanwhile reads as zeros, which are no numbers.
+        if let Err(shrunk) = self.source.check() {
+            return shrunk;
+        }
+        let place = match self.source.slice(0..self.end) {
+            Ok(bytes) => place(bytes, at),
+            Err(_) => format!("byte {at}"),
+        };
+        Error::bad_input(self.source.path(), place, expected, got)
+    }
 }
 
 #[cfg(test)]

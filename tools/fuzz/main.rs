@@ -108,6 +108,7 @@ fn parse(args: &[String]) -> Result<Settings> {
 /// What a case is about.
 enum Target<'a> {
     Volume(&'a Format),
+    Mesh(&'a Format),
     Surface(&'a Format),
     Blocks(&'a [Vec<u8>]),
     Archive(&'a Archive),
@@ -116,7 +117,7 @@ enum Target<'a> {
 impl Target<'_> {
     fn name(&self) -> &'static str {
         match self {
-            Self::Volume(f) | Self::Surface(f) => f.extension,
+            Self::Volume(f) | Self::Mesh(f) | Self::Surface(f) => f.extension,
             Self::Blocks(_) => "blocks",
             Self::Archive(_) => "archive",
         }
@@ -134,10 +135,11 @@ fn run(settings: &Settings) -> Result<u64> {
     let scratch = tempfile::Builder::new().prefix("isospan-fuzz-").tempdir_in(&base);
     let scratch = scratch.map_err(|e| Error::io("create a folder in", &base, e))?;
     let folder = scratch.path();
-    let [volumes, surfaces] = seeds::all(folder)?;
+    let [volumes, meshes, surfaces] = seeds::all(folder)?;
     let archive = Archive::make(folder)?;
     let blocks = archive.block_inputs()?;
     let mut targets: Vec<Target<'_>> = volumes.iter().map(Target::Volume).collect();
+    targets.extend(meshes.iter().map(Target::Mesh));
     targets.extend(surfaces.iter().map(Target::Surface));
     targets.push(Target::Blocks(&blocks));
     // An archive has several parts; each case of it costs more than one of a file.
@@ -213,9 +215,8 @@ impl Fuzzer<'_> {
     fn case(&self, number: u64) -> Result<Outcome> {
         let mut random = Random::new(self.settings.seed, number);
         let target = &self.targets[random.below(self.targets.len())];
-        let (format, is_volume) = match target {
-            Target::Volume(f) => (f, true),
-            Target::Surface(f) => (f, false),
+        let format = match target {
+            Target::Volume(f) | Target::Mesh(f) | Target::Surface(f) => f,
             Target::Blocks(inputs) => {
                 let [input, other] = [0; 2].map(|_| random.pick::<Vec<u8>>(inputs));
                 let bytes = mutate(input, other, &mut random);
@@ -233,8 +234,10 @@ impl Fuzzer<'_> {
         let path = self.folder.join(format!("case.{}", format.extension));
         let ask = |bytes: &[u8]| -> Result<Outcome> {
             seeds::put(&path, bytes)?;
-            Ok(self.guarded(bytes.len(), || {
-                if is_volume { targets::volume(&path, bytes) } else { targets::surface(&path) }
+            Ok(self.guarded(bytes.len(), || match target {
+                Target::Volume(_) => targets::volume(&path, bytes),
+                Target::Mesh(_) => targets::mesh(&path),
+                _ => targets::surface(&path),
             }))
         };
         match ask(&bytes)? {
@@ -411,7 +414,7 @@ mod tests {
     #[test]
     fn seeds_are_good() {
         let dir = tempfile::tempdir().unwrap();
-        let [volumes, surfaces] = seeds::all(dir.path()).unwrap();
+        let [volumes, meshes, surfaces] = seeds::all(dir.path()).unwrap();
         std::fs::write(dir.path().join("samples.raw"), [1; 48]).unwrap();
         for format in &volumes {
             let path = dir.path().join(format!("seed.{}", format.extension));
@@ -420,6 +423,11 @@ mod tests {
             // Those whose samples lie in other files are good headers.
             let header_only = ["nhdr", "hdr"].contains(&format.extension);
             assert!(outcome.is_ok() || header_only, "{}: {}", format.extension, outcome.unwrap_err());
+        }
+        for format in &meshes {
+            let path = dir.path().join(format!("seed.{}", format.extension));
+            seeds::put(&path, &format.inputs[0]).unwrap();
+            targets::mesh(&path).unwrap();
         }
         for format in &surfaces {
             let path = dir.path().join(format!("seed.{}", format.extension));

@@ -23,8 +23,8 @@ pub(crate) struct Format {
 /// The largest file of the shared data that is taken: damage should hit headers more often than samples.
 const LARGEST: u64 = 40_000;
 
-/// Formats of volumes, then of surfaces, each with at least one input.
-pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 2]> {
+/// Formats of volumes, of meshes, then of surfaces, each with at least one input.
+pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
     let of = |extension, inputs| Format { extension, inputs };
     let mut volumes = vec![
         of("nrrd", nrrd()),
@@ -44,6 +44,15 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 2]> {
         of("raw", vec![[vec![0; 8], samples(1, 56)].concat()]),
         of("bricks", vec![bricks(folder)?]),
     ];
+    let mut meshes = vec![
+        of("vtu", vec![VTU.into()]),
+        of("vtk", vec![LEGACY_GRID.into(), LEGACY_GRID_5.into()]),
+        of("msh", gmsh()),
+        of("node", vec![NODES.into()]),
+        of("ele", vec![CELLS.into()]),
+        of("pts", vec!["0 0 0\n1 0 0\n0 1 0\n0 0 1\n".into()]),
+        of("tet", vec!["1 2 3 4\n".into()]),
+    ];
     let mut surfaces = vec![];
     for format in SurfaceFormat::ALL {
         surfaces.push(of(format.extension(), vec![surface(folder, format)?]));
@@ -51,9 +60,9 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 2]> {
     surfaces[0].inputs.push(PLY_TEXT.into());
     surfaces[1].inputs.push(STL_TEXT.into());
     if let Some(shared) = std::env::var_os("ISOSPAN_SHARED_DATA") {
-        add_shared(&Path::new(&shared).join("variants"), &mut [&mut volumes, &mut surfaces]);
+        add_shared(&Path::new(&shared).join("variants"), &mut [&mut volumes, &mut meshes, &mut surfaces]);
     }
-    Ok([volumes, surfaces])
+    Ok([volumes, meshes, surfaces])
 }
 
 /// Adds the small files below a folder to their formats, in the order of their names.
@@ -249,6 +258,27 @@ fn bricks(folder: &Path) -> Result<Vec<u8>> {
     get(&out)
 }
 
+/// Files that Gmsh wrote.
+fn gmsh() -> Vec<Vec<u8>> {
+    vec![
+        include_bytes!("../../tests/data/gmsh/tet_22_ascii.msh").to_vec(),
+        include_bytes!("../../tests/data/gmsh/tet_22_bin.msh").to_vec(),
+        include_bytes!("../../tests/data/gmsh/tet_41_ascii.msh").to_vec(),
+        include_bytes!("../../tests/data/gmsh/tet_41_bin.msh").to_vec(),
+    ]
+}
+
+/// The other file of a pair: a mesh of the fuzzer is always of the same points and cells.
+pub(crate) fn partner(extension: &str) -> Option<(&'static str, &'static str)> {
+    Some(match extension {
+        "node" => ("ele", CELLS),
+        "ele" => ("node", NODES),
+        "pts" => ("tet", "0 1 2 3\n"),
+        "tet" => ("pts", "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"),
+        _ => return None,
+    })
+}
+
 /// A tetrahedron's surface.
 fn surface(folder: &Path, format: SurfaceFormat) -> Result<Vec<u8>> {
     let position = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
@@ -269,6 +299,27 @@ pub(crate) fn put(path: &Path, bytes: &[u8]) -> Result<()> {
 pub(crate) fn get(path: &Path) -> Result<Vec<u8>> {
     fs::read(path).map_err(|e| isospan::Error::io("read", path, e))
 }
+
+const NODES: &str = "# points\n5 3 2 1\n1 0 0 0 0.5 7 0\n2 1 0 0 1.5 8 1\n3 0 1 0 2.5 9 0\n4 0 0 1 3.5 9 0\n5 0 0 -1 4.5 9 0\n";
+
+const CELLS: &str = "2 4 1\n1 1 2 3 4 10\n2 1 3 2 5 20\n";
+
+const VTU: &str = "<VTKFile type=\"UnstructuredGrid\"><UnstructuredGrid>\n<Piece NumberOfPoints=\"5\" NumberOfCells=\"2\">\n\
+    <PointData Scalars=\"b\"><DataArray type=\"Float32\" Name=\"b\" format=\"ascii\">1 2 3 4 5</DataArray></PointData>\n\
+    <CellData><DataArray type=\"UInt8\" Name=\"c\" format=\"ascii\">1 2</DataArray></CellData>\n\
+    <Points><DataArray type=\"Float32\" NumberOfComponents=\"3\" format=\"ascii\">0 0 0 1 0 0 1 1 0 0 1 0 .5 .5 1\
+    </DataArray></Points>\n<Cells><DataArray type=\"Int64\" Name=\"connectivity\" format=\"ascii\">0 1 2 4 0 1 2 3 4\
+    </DataArray>\n<DataArray type=\"Int64\" Name=\"offsets\" format=\"ascii\">4 9</DataArray>\n\
+    <DataArray type=\"UInt8\" Name=\"types\" format=\"ascii\">10 14</DataArray>\n</Cells></Piece></UnstructuredGrid></VTKFile>\n";
+
+const LEGACY_GRID: &str = "# vtk DataFile Version 3.0\ntitle\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 5 float\n\
+    0 0 0 1 0 0 1 1 0 0 1 0 .5 .5 1\nCELLS 2 11\n4 0 1 2 4\n5 0 1 2 3 4\nCELL_TYPES 2\n10 14\n\
+    POINT_DATA 5\nSCALARS b float\nLOOKUP_TABLE default\n1 2 3 4 5\nCELL_DATA 2\nSCALARS c int\nLOOKUP_TABLE default\n1 2\n";
+
+const LEGACY_GRID_5: &str = "# vtk DataFile Version 5.1\ntitle\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS 5 float\n\
+    0 0 0 1 0 0 1 1 0 0 1 0 .5 .5 1\nCELLS 3 9\nOFFSETS vtktypeint64\n0 4 9\nCONNECTIVITY vtktypeint64\n\
+    0 1 2 4 0 1 2 3 4\nCELL_TYPES 2\n10 14\n\
+    POINT_DATA 5\nSCALARS b float\nLOOKUP_TABLE default\n1 2 3 4 5\nMETADATA\nINFORMATION 0\n\n";
 
 const PLY_TEXT: &str = "ply\nformat ascii 1.0\ncomment a\nelement vertex 4\nproperty float x\nproperty float y\n\
     property float z\nproperty uchar red\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n\

@@ -1,7 +1,7 @@
 //! What is done with a damaged input. An error is as good as an answer; panics, hangs and claims of memory are finds.
 
 use crate::mutate::{Random, mutate};
-use crate::seeds::{get, put};
+use crate::seeds::{get, partner, put};
 use isospan::archive::chunk::{ChunkHeader, decode_tets};
 use isospan::archive::manifest::{
     MANIFEST_NAME, Manifest, index_path, mesh_segment_path, values_segment_path,
@@ -10,10 +10,11 @@ use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, Seg
 use isospan::archive::summary::{MeshSummary, ValueSummary};
 use isospan::archive::values::decode_values;
 use isospan::bytes::IoMode;
+use isospan::cells::scan::{scan, scan_field};
 use isospan::exec::Silent;
 use isospan::formats::raw::RawLayout;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
-use isospan::formats::{OpenOptions, open_volume};
+use isospan::formats::{OpenOptions, open_mesh, open_volume};
 use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, SurfaceSettings};
 use isospan::points::SetKind;
 use isospan::surface::check::check;
@@ -49,6 +50,22 @@ pub(crate) fn volume(path: &Path, bytes: &[u8]) -> Result<()> {
         if stream.next_slab(&mut slab)?.is_none() {
             break;
         }
+    }
+    Ok(())
+}
+
+/// Opens a mesh and reads its points, cells and all of its fields.
+pub(crate) fn mesh(path: &Path) -> Result<()> {
+    let extension = path.extension().unwrap_or_default().to_string_lossy().into_owned();
+    if let Some((other, text)) = partner(&extension) {
+        put(&path.with_extension(other), text.as_bytes())?;
+    }
+    let mesh = open_mesh(path, &OpenOptions::default())?;
+    scan(&mesh)?;
+    (0..mesh.info().fields.len()).try_for_each(|field| scan_field(&mesh, field).map(drop))?;
+    if mesh.field().is_ok() {
+        let (mut values, mut block) = (mesh.values(0)?, vec![]);
+        while values.next_block(&mut block)? {}
     }
     Ok(())
 }

@@ -37,12 +37,17 @@ pub(in crate::formats) fn read_whole(mesh: &CellMesh) -> Result<Whole> {
 
 /// Damages a small file in every way: nothing panics, and every error is one line with the file's name.
 pub(in crate::formats) fn torture(name: &str, bytes: &[u8]) {
+    torture_with(name, bytes, &[]);
+}
+
+/// The same, with other files beside the damaged one.
+pub(in crate::formats) fn torture_with(name: &str, bytes: &[u8], beside: &[(&str, &[u8])]) {
     let dir = tempfile::tempdir().unwrap();
+    for (name, bytes) in beside {
+        std::fs::write(dir.path().join(name), bytes).unwrap();
+    }
     let path = dir.path().join(name);
-    crate::formats::surface::tests::survive(bytes, |damaged| {
-        if damaged.is_empty() {
-            return;
-        }
+    let read = |damaged: &[u8]| {
         let _ = std::fs::remove_file(&path);
         std::fs::write(&path, damaged).unwrap();
         let options = OpenOptions::default();
@@ -54,7 +59,13 @@ pub(in crate::formats) fn torture(name: &str, bytes: &[u8]) {
             let line = e.to_string();
             assert!(!line.contains('\n') && line.contains(&dir.path().display().to_string()), "{line}");
         }
-    });
+    };
+    (1..bytes.len()).step_by(5).for_each(|cut| read(&bytes[..cut]));
+    for at in 0..bytes.len() {
+        let mut bad = bytes.to_vec();
+        bad[at] ^= [0x01, 0x10, 0x80, 0xff][at % 4];
+        read(&bad);
+    }
 }
 
 /// A row of the manifest of the shared data.
@@ -100,9 +111,6 @@ fn close(a: f64, b: f64) -> bool {
 fn meshes_have_the_manifests_counts_fields_and_ranges() {
     for row in rows().iter().filter(|r| r.file.starts_with("meshes/") || r.file.starts_with("series/")) {
         let Some((points, cells)) = counts(&row.cells[4]) else { continue };
-        if !is_mesh(&row.path, &OpenOptions::default()).unwrap() {
-            continue;
-        }
         let (mesh, found, fields) = read(row).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!((mesh.info().points, mesh.info().cells), (points, cells), "{}", row.file);
         if row.cells[4].contains("tet") {
@@ -116,9 +124,9 @@ fn meshes_have_the_manifests_counts_fields_and_ranges() {
             name.is_none_or(|n| mesh.info().fields[i].name == n)
                 && range.is_some_and(|(a, b)| close(a, lo) && close(b, hi))
         };
-        // The range of a series is that of all steps.
-        let series = row.file.starts_with("series/");
-        assert!(series || (0..fields.len()).any(is_it), "{}: {fields:?}", row.file);
+        // The range of a series is that of all steps, and that of a vector depends on what is taken of it.
+        let vague = row.file.starts_with("series/") || row.cells[5].ends_with("x3");
+        assert!(vague || (0..fields.len()).any(is_it), "{}: {fields:?}", row.file);
     }
 }
 

@@ -17,13 +17,10 @@
 
 use super::head::{Compressor, Document, Element};
 use super::stored::Stored;
-use crate::bytes::ByteSource;
-use crate::error::{Error, Result};
-use crate::formats::stream::push_number;
-use crate::formats::text;
+use crate::error::Result;
+use crate::formats::text::TextNumbers;
 use crate::volume::ScalarType;
 use flate2::{Decompress, FlushDecompress, Status};
-use std::sync::Arc;
 
 /// The largest LZ4 block that is decoded, in bytes; VTK writes blocks of 32 KiB.
 const MOST_LZ4_BLOCK: u64 = 1 << 28;
@@ -87,7 +84,7 @@ impl ArrayStream {
             Place::Binary(stored) if bytes == 0 => Data::Empty(stored),
             Place::Text(numbers) => {
                 // A digit and a space for each number.
-                let most = (numbers.end - numbers.at).div_ceil(2).saturating_mul(scalar.bytes() as u64);
+                let most = numbers.len().div_ceil(2).saturating_mul(scalar.bytes() as u64);
                 check_room(doc, element, most, bytes)?;
                 Data::Text(numbers)
             }
@@ -191,7 +188,7 @@ fn place(doc: &Document, element: &Element) -> Result<Place> {
     let text = &element.text;
     match element.attribute("format").unwrap_or("ascii") {
         "ascii" => {
-            let numbers = TextNumbers { source: Arc::clone(&doc.source), at: text.start, end: text.end };
+            let numbers = TextNumbers::new(&doc.source, text.clone());
             Ok(Place::Text(numbers))
         }
         "binary" => Ok(Place::Binary(Stored::base64(&doc.source, text.start, text.end))),
@@ -246,55 +243,6 @@ fn word(stored: &mut Stored, doc: &Document) -> Result<u64> {
         b[..n].reverse();
     }
     Ok(u64::from_le_bytes(b))
-}
-
-/// Numbers in text.
-struct TextNumbers {
-    source: Arc<ByteSource>,
-    at: u64,
-    end: u64,
-}
-
-impl TextNumbers {
-    fn fill(&mut self, scalar: ScalarType, out: &mut [u8]) -> Result<()> {
-        let bytes = self.source.slice(0..self.end)?;
-        let (mut at, mut number) = (self.at as usize, Vec::with_capacity(8));
-        for value in out.chunks_exact_mut(scalar.bytes()) {
-            let Some((start, end)) = text::word(bytes, at) else {
-                return Err(self.wrong(at, "more numbers".into(), "their end".into()));
-            };
-            number.clear();
-            if !push_number(&bytes[start..end], scalar, &mut number) {
-                let found = String::from_utf8_lossy(&bytes[start..end.min(start + 40)]).into_owned();
-                return Err(self.wrong(start, format!("a number of type {}", scalar.name()), found));
-            }
-            value.copy_from_slice(&number);
-            at = end;
-        }
-        self.at = at as u64;
-        self.source.check()
-    }
-
-    fn finish(&self) -> Result<()> {
-        match text::word(self.source.slice(0..self.end)?, self.at as usize) {
-            None => self.source.check(),
-            Some((at, _)) => {
-                Err(self.wrong(at, "the end of the array's numbers".into(), "more numbers".into()))
-            }
-        }
-    }
-
-    fn wrong(&self, at: usize, expected: String, got: String) -> Error {
-        // A file that was cut meanwhile reads as zeros, which are no numbers.
-        if let Err(shrunk) = self.source.check() {
-            return shrunk;
-        }
-        let place = match self.source.slice(0..self.end) {
-            Ok(bytes) => text::place(bytes, at),
-            Err(_) => format!("byte {at}"),
-        };
-        Error::bad_input(self.source.path(), place, expected, got)
-    }
 }
 
 /// A block-compressed array.

@@ -1,0 +1,143 @@
+//! Legacy VTK files (`.vtk`): structured points as volumes, unstructured grids as meshes (see `cells`).
+//!
+//! ```text
+//! # vtk DataFile Version 3.0
+//! a title
+//! BINARY                               or ASCII
+//! DATASET STRUCTURED_POINTS
+//! DIMENSIONS 76 49 45
+//! SPACING 1 1 1                        ASPECT_RATIO in old files
+//! ORIGIN 100 80 1
+//! POINT_DATA 167580
+//! SCALARS speed float                  name, type, number of components
+//! LOOKUP_TABLE default
+//! …                                    big-endian numbers, or text
+//! VECTORS velocity float
+//! …
+//! FIELD attributes 1
+//! pressure 1 167580 float              name, components, tuples, type
+//! …
+//! ```
+//!
+//! A file has no table of contents: to find an array, all before it are gone over, by their lengths in a binary file,
+//! word by word in a text. Binary samples are then mapped where they lie; text is a stream of slabs. Keywords may be
+//! in any case, names are percent-encoded.
+//!
+//! **Fields** are the arrays of the point data. Without `--field` the one array under `SCALARS` is read where there is
+//! exactly one with one component (VTK's writer puts the active scalars there and all others under `FIELD`), else the
+//! only array with one component.
+//!
+//! A `long` is taken to have 8 bytes, as on every 64-bit Unix; `char` is signed; a binary `vtkIdType` is stored in 4
+//! bytes, whatever it has in memory. Arrays of bits and strings are passed over.
+
+mod cells;
+mod scan;
+
+use crate::bytes::ByteSource;
+use crate::cells::CellMesh;
+use crate::error::{Error, Result};
+use crate::formats::stream::{TextSlabs, sample_bytes};
+use crate::formats::{OpenOptions, header, pick_field};
+use crate::volume::strided::StridedVolume;
+use crate::volume::{FieldInfo, VolumeInfo, VolumeSource};
+use scan::{Array, Dataset, Scanned, Scanner};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Opens the structured points of a legacy VTK file.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file, another kind of dataset, cell data, bits;
+/// [`Error::Usage`] when several fields ask for a choice.
+pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    open_source(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
+}
+
+fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeSource> {
+    let path = source.path();
+    let file = Scanner::new(path, source.slice(0..source.len())?, Dataset::StructuredPoints)?.scan()?;
+    let fields: Vec<FieldInfo> = file.arrays.iter().filter_map(Array::field).collect();
+    let readable: Vec<&Array> = file.arrays.iter().filter(|a| a.field().is_some()).collect();
+    let chosen = choose(path, &file, &readable, &fields, wanted)?;
+    let info = VolumeInfo {
+        path: path.to_path_buf(),
+        format: format!("legacy VTK structured points ({})", if file.binary { "binary" } else { "ascii" }),
+        dims: file.dims,
+        field: fields[chosen].clone(),
+        fields,
+        geometry: header::geometry(path, "ORIGIN, SPACING", file.origin, header::scaled_axes(file.spacing))?,
+        slope: 1.0,
+        intercept: 0.0,
+        missing: None,
+        data_files: vec![],
+    };
+    let data = readable[chosen].data.clone();
+    if !file.binary {
+        return Ok(VolumeSource::Stream(Box::new(TextSlabs::new(info, Arc::clone(source), data)?)));
+    }
+    sample_bytes(path, info.dims, info.field.scalar)?;
+    let strides = StridedVolume::packed_strides(info.dims, info.field.scalar);
+    let strides = strides.expect("the size of the samples was checked");
+    let volume = StridedVolume::new(info, Arc::clone(source), data.start, true, strides)?;
+    Ok(VolumeSource::Random(Box::new(volume)))
+}
+
+/// Opens the unstructured grid of a legacy VTK file.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file or another kind of dataset; [`Error::Usage`] when there is no field of the
+/// name wanted.
+pub fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    CellMesh::new(Arc::new(cells::open(&source)?), options.field.as_deref())
+}
+
+/// Whether the head of a legacy VTK file says that it is an unstructured grid.
+pub(super) fn is_mesh(head: &[u8]) -> bool {
+    let mut lines = head.split(|&b| b == b'\n').skip(2).map(<[u8]>::trim_ascii).filter(|l| !l.is_empty());
+    let dataset = lines.nth(1).unwrap_or_default().to_ascii_uppercase();
+    let mut words = dataset.split(u8::is_ascii_whitespace).filter(|w| !w.is_empty());
+    head.starts_with(b"# vtk DataFile")
+        && words.next() == Some(b"DATASET")
+        && words.next() == Some(b"UNSTRUCTURED_GRID")
+}
+
+/// The index of the field to read.
+fn choose(
+    path: &Path,
+    file: &Scanned,
+    readable: &[&Array],
+    fields: &[FieldInfo],
+    wanted: Option<&str>,
+) -> Result<usize> {
+    let refuse = |got: String, help: &str| {
+        let expected = match wanted {
+            Some(name) => format!("an array '{name}' of numbers"),
+            None => "an array of numbers".into(),
+        };
+        Err(Error::bad_input(path, "POINT_DATA", expected, got).with_help(help))
+    };
+    let missing = |name: &str| !fields.iter().any(|f| f.name == name);
+    if let Some(name) = wanted.filter(|name| missing(name)) {
+        if file.arrays.iter().any(|a| a.name == name) {
+            return refuse("one of bits or strings".into(), "write it as unsigned_char");
+        }
+        if file.cell_arrays.iter().any(|a| a.name == name) {
+            return refuse("cell data of that name".into(), "convert cell data to point data first");
+        }
+    }
+    if fields.is_empty() && !file.cell_arrays.is_empty() {
+        let names: Vec<&str> = file.cell_arrays.iter().map(|a| &a.name[..]).collect();
+        let got = format!("cell data only: {}", names.join(", "));
+        return refuse(got, "convert cell data to point data first");
+    }
+    let active = |i: &usize| readable[*i].is_scalars && fields[*i].components == 1;
+    let active: Vec<usize> = (0..fields.len()).filter(active).collect();
+    match (wanted, &active[..]) {
+        (None, &[only]) => Ok(only),
+        _ => pick_field(path, fields, wanted),
+    }
+}
+
+#[cfg(test)]
+mod tests;
