@@ -29,7 +29,7 @@
 //! assert!(made.points > 40_000, "the boundary is sampled on top");
 //!
 //! // … and any isosurface comes out of them.
-//! let query = SurfaceSettings { isovalue: 128.0, ..SurfaceSettings::default() };
+//! let query = SurfaceSettings::of(128.0);
 //! let found = extract_surface(&archive, &query, &dir.join("protein.ply"), SurfaceFormat::Ply, &Silent)?;
 //! assert!(found.triangles > 10_000);
 //! # Ok(())

@@ -31,7 +31,7 @@ struct Answers {
 
 fn extract(archive: &Path) -> Result<Vec<u8>, Error> {
     let out = archive.with_extension("ply");
-    let settings = SurfaceSettings { isovalue: ISOVALUE, threads: 1, ..SurfaceSettings::default() };
+    let settings = SurfaceSettings { threads: 1, ..SurfaceSettings::of(ISOVALUE) };
     let made = pipeline::extract_surface(archive, &settings, &out, SurfaceFormat::Ply, &Silent);
     let bytes = fs::read(&out);
     let _ = fs::remove_file(&out);

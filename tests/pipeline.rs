@@ -79,7 +79,7 @@ fn an_isovalue_outside_the_range_gives_an_empty_valid_file() {
         for extension in ["ply", "stl", "obj", "vtp", "glb"] {
             let file = dir.path().join(format!("empty.{extension}"));
             let report = surface(&out, isovalue, &file, 1);
-            assert!(report.outside_range && report.triangles == 0 && report.active_blocks == 0);
+            assert!(report.surfaces[0].outside_range && report.triangles == 0 && report.active_blocks == 0);
             assert_eq!(read(&file).triangles.len(), 0);
         }
     }

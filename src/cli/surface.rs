@@ -1,25 +1,37 @@
-//! `isospan surface`: an isosurface out of an archive.
+//! `isospan surface`: isosurfaces out of an archive.
 
 use super::progress::Talk;
 use super::text;
 use isospan::Result;
 use isospan::formats::surface::SurfaceFormat;
-use isospan::pipeline::{SurfaceSettings, extract_surface};
+use isospan::pipeline::{Roi, SurfaceReport, SurfaceSettings, extract_surface};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Extract an isosurface from an archive.
+/// Extract isosurfaces from an archive.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// The archive.
     archive: PathBuf,
-    /// The isovalue.
-    #[arg(long, short = 'i', value_name = "VALUE", allow_negative_numbers = true)]
-    isovalue: f32,
-    /// The file to write: .ply .stl .obj .vtp or .glb.
+    /// The isovalue, or several: 600,1000. All are extracted in one pass.
+    #[arg(
+        long,
+        short = 'i',
+        value_name = "VALUE[,VALUE..]",
+        value_delimiter = ',',
+        required = true,
+        allow_hyphen_values = true
+    )]
+    isovalue: Vec<f32>,
+    /// The file to write: .ply .stl .obj .vtp or .glb. Several isovalues go to one file, told apart by an array 'isovalue' of the points
+    /// (.vtp, .ply) or by groups (.obj); with {} in the name, each to a file of its own: surface_{}.ply.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// Cut the surface at a box: I0:I1,J0:J1,K0:K1 in numbers of samples, or world:X0:X1,Y0:Y1,Z0:Z1. An end that is left
+    /// out is that of the volume. Only chunks that touch the box are read.
+    #[arg(long, value_name = "BOX", allow_hyphen_values = true)]
+    roi: Option<Roi>,
     /// Threads; 0 means as many as the process may use.
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
@@ -40,7 +52,8 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let format = SurfaceFormat::from_path(&args.output)?;
     let settings = SurfaceSettings {
-        isovalue: args.isovalue,
+        isovalues: args.isovalue.clone(),
+        roi: args.roi,
         threads: args.threads,
         memory: super::memory(args.memory, talk),
         scratch: args.scratch.clone(),
@@ -54,42 +67,76 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if args.json {
         return super::print_json(&report);
     }
-    let mut out = String::new();
-    let _ = writeln!(
-        out,
-        "{}: {} vertices, {} triangles, {}",
-        args.output.display(),
-        text::count(report.vertices),
-        text::count(report.triangles),
-        text::bytes(report.file_bytes)
-    );
-    if report.outside_range {
-        let range =
-            report.range.map_or("no values at all".to_owned(), |[lo, hi]| format!("the range {lo} .. {hi}"));
-        let _ = writeln!(out, "  the isovalue {} does not cut {range}: the surface is empty", args.isovalue);
-    }
+    let mut out = surfaces_text(&report);
     if args.stats {
-        let _ = writeln!(out, "  points        {}", text::count(report.points));
-        let _ = writeln!(out, "  tetrahedra    {}", text::count(report.tetrahedra));
-        let _ = writeln!(out, "  active        {} tetrahedra", text::count(report.active_tetrahedra));
-        let _ = writeln!(
-            out,
-            "  blocks        {} active of {}, in {} of {} chunks",
-            text::count(report.active_blocks),
-            text::count(report.blocks),
-            text::count(report.active_chunks),
-            text::count(report.chunks)
-        );
-        let _ = writeln!(
-            out,
-            "  bytes read    {} of {} ({:.1} %)",
-            text::bytes(report.bytes_read),
-            text::bytes(report.archive_bytes),
-            100.0 * report.bytes_read as f64 / report.archive_bytes.max(1) as f64
-        );
-        for (stage, seconds) in &report.seconds {
-            let _ = writeln!(out, "  {stage:<13} {}", text::duration(Duration::from_secs_f64(*seconds)));
-        }
+        out += &stats_text(&report);
     }
     super::print(&out)
+}
+
+/// A line for each surface, and why it is empty where it must be.
+fn surfaces_text(report: &SurfaceReport) -> String {
+    let mut out = String::new();
+    for surface in &report.surfaces {
+        let name = match report.surfaces.len() {
+            1 => surface.file.display().to_string(),
+            _ => format!("{}: isovalue {}", surface.file.display(), surface.isovalue),
+        };
+        let _ = write!(
+            out,
+            "{name}: {} vertices, {} triangles",
+            text::count(surface.vertices),
+            text::count(surface.triangles)
+        );
+        let _ = match report.surfaces.len() {
+            1 => writeln!(out, ", {}", text::bytes(report.file_bytes)),
+            _ => writeln!(out),
+        };
+        if surface.outside_range {
+            let range = report
+                .range
+                .map_or("no values at all".to_owned(), |[lo, hi]| format!("the range {lo} .. {hi}"));
+            let _ = writeln!(
+                out,
+                "  the isovalue {} does not cut {range}: the surface is empty",
+                surface.isovalue
+            );
+        }
+    }
+    if report.surfaces.len() > 1 {
+        let _ = writeln!(
+            out,
+            "{} surfaces: {} triangles, {}",
+            report.surfaces.len(),
+            text::count(report.triangles),
+            text::bytes(report.file_bytes)
+        );
+    }
+    out
+}
+
+fn stats_text(report: &SurfaceReport) -> String {
+    let mut out = String::new();
+    let _ = writeln!(out, "  points        {}", text::count(report.points));
+    let _ = writeln!(out, "  tetrahedra    {}", text::count(report.tetrahedra));
+    let _ = writeln!(out, "  active        {} tetrahedra", text::count(report.active_tetrahedra));
+    let _ = writeln!(
+        out,
+        "  blocks        {} active of {}, in {} of {} chunks",
+        text::count(report.active_blocks),
+        text::count(report.blocks),
+        text::count(report.active_chunks),
+        text::count(report.chunks)
+    );
+    let _ = writeln!(
+        out,
+        "  bytes read    {} of {} ({:.1} %)",
+        text::bytes(report.bytes_read),
+        text::bytes(report.archive_bytes),
+        100.0 * report.bytes_read as f64 / report.archive_bytes.max(1) as f64
+    );
+    for (stage, seconds) in &report.seconds {
+        let _ = writeln!(out, "  {stage:<13} {}", text::duration(Duration::from_secs_f64(*seconds)));
+    }
+    out
 }

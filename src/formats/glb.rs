@@ -24,7 +24,7 @@
 
 use crate::error::{Error, Result};
 use crate::formats::ply::check_indices;
-use crate::formats::surface::{Sink, SurfaceMeta, each_triangle, each_vertex, is_finite};
+use crate::formats::surface::{Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, put_floats};
 use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, Vertex};
 use serde_json::{Value, json};
@@ -65,11 +65,10 @@ pub(super) fn check_limits(vertices: u64, triangles: u64) -> Result<()> {
 /// Writes a surface as GLB.
 pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceMeta) -> Result<()> {
     let mut bounds = [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]];
-    each_vertex(source, sink, |_, v| {
+    each_vertex(source, sink, |_, _, v| {
         for (k, x) in v.position.into_iter().enumerate() {
             (bounds[0][k], bounds[1][k]) = (bounds[0][k].min(x), bounds[1][k].max(x));
         }
-        Ok(())
     })?;
     let bin = if source.triangle_count() == 0 {
         0
@@ -97,9 +96,12 @@ pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceM
     }
     put(sink, bin)?;
     put(sink, u64::from(BIN))?;
-    each_vertex(source, sink, |sink, v| v.position.iter().try_for_each(|x| sink.put(&x.to_le_bytes())))?;
-    each_vertex(source, sink, |sink, v| v.normal.iter().try_for_each(|x| sink.put(&x.to_le_bytes())))?;
-    each_triangle(source, sink, |sink, t| t.iter().try_for_each(|v| sink.put(&v.to_le_bytes())))
+    each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.position))?;
+    each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.normal))?;
+    each_triangle(source, sink, |buffer, _, t| {
+        t.iter().for_each(|v| buffer.extend_from_slice(&v.to_le_bytes()));
+        Ok(())
+    })
 }
 
 /// The JSON text. Bounds are written so that they are exact also for who reads them as `f64`.
@@ -371,7 +373,7 @@ mod tests {
     fn written(mesh: TriMesh) -> Vec<u8> {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("t.glb");
-        let meta = SurfaceMeta { isovalue: Some(-1.5), comments: vec!["of a \"b\"".into()] };
+        let meta = SurfaceMeta { isovalue: Some(-1.5), comments: vec!["of a \"b\"".into()], parts: vec![] };
         write_surface(&source(mesh), &path, SurfaceFormat::Glb, &meta).unwrap();
         std::fs::read(path).unwrap()
     }

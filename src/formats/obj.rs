@@ -1,7 +1,7 @@
 //! OBJ, the text format of Wavefront's Advanced Visualizer.
 //!
 //! A line is a statement: `v x y z` is a vertex, `vn x y z` a normal, `f a//a b//b c//c` a face of vertex and normal
-//! numbers, both counted from 1. We write the shortest decimals that read back as the same `f32`.
+//! numbers, both counted from 1. Several surfaces in one file are groups, `g isovalue_600`. We write the shortest decimals that read back as the same `f32`.
 //!
 //! Read: `v` and `f` in all their forms (`a`, `a/t`, `a//n`, `a/t/n`; negative numbers count back from the last
 //! vertex; polygons become fans; `\` continues a line). What cannot matter to the shape (normals, texture, groups,
@@ -9,11 +9,11 @@
 
 use crate::error::Result;
 use crate::formats::ply::check_indices;
-use crate::formats::surface::{Fan, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite};
+use crate::formats::surface::{Fan, Sink, SurfaceMeta, SurfacePart, each_triangle, each_vertex, is_finite};
 use crate::formats::text::Words;
 use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, Vertex};
-use std::fmt::Write;
+use std::io::Write;
 use std::path::Path;
 
 /// Statements that say nothing of vertices and faces.
@@ -66,33 +66,47 @@ pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceM
         // A backslash at the end would continue the comment into the data.
         sink.put(format!("# {}\n", line.replace('\\', "/")).as_bytes())?;
     }
-    let mut text = String::new();
-    each_vertex(source, sink, |sink, v| statement(sink, &mut text, "v", v.position))?;
-    each_vertex(source, sink, |sink, v| statement(sink, &mut text, "vn", v.normal))?;
-    each_triangle(source, sink, |sink, t| {
-        text.clear();
+    each_vertex(source, sink, |text, _, v| statement(text, "v", v.position))?;
+    each_vertex(source, sink, |text, _, v| statement(text, "vn", v.normal))?;
+    let mut groups = groups(meta).into_iter().peekable();
+    each_triangle(source, sink, |text, number, t| {
+        while let Some((_, name)) = groups.next_if(|group| group.0 <= number) {
+            put(text, format_args!("g {name}\n"));
+        }
         let [a, b, c] = t.map(|v| u64::from(v) + 1);
-        writeln!(text, "f {a}//{a} {b}//{b} {c}//{c}").expect("writing to a string cannot fail");
-        sink.put(text.as_bytes())
+        put(text, format_args!("f {a}//{a} {b}//{b} {c}//{c}\n"));
+        Ok(())
     })
 }
 
-fn statement(sink: &mut Sink, text: &mut String, word: &str, numbers: [f32; 3]) -> Result<()> {
-    text.clear();
-    text.push_str(word);
+/// The first triangle and the name of the group of each of several surfaces.
+fn groups(meta: &SurfaceMeta) -> Vec<(u64, String)> {
+    let mut first = 0;
+    let group = |part: &SurfacePart| {
+        let start = first;
+        first += part.triangles;
+        (start, format!("isovalue_{}", part.isovalue))
+    };
+    meta.parts.iter().map(group).collect()
+}
+
+fn put(text: &mut Vec<u8>, what: std::fmt::Arguments<'_>) {
+    text.write_fmt(what).expect("writing to memory cannot fail");
+}
+
+fn statement(text: &mut Vec<u8>, word: &str, numbers: [f32; 3]) {
+    text.extend_from_slice(word.as_bytes());
     for x in numbers {
-        text.push(' ');
+        text.push(b' ');
         push_decimal(text, x);
     }
-    text.push('\n');
-    sink.put(text.as_bytes())
+    text.push(b'\n');
 }
 
 /// The shortest decimal that reads back as `x`; with an exponent where zeros would fill the line.
-fn push_decimal(text: &mut String, x: f32) {
+fn push_decimal(text: &mut Vec<u8>, x: f32) {
     let plain = x == 0.0 || (1e-5..1e9).contains(&x.abs()) || !x.is_finite();
-    let done = if plain { write!(text, "{x}") } else { write!(text, "{x:e}") };
-    done.expect("writing to a string cannot fail");
+    if plain { put(text, format_args!("{x}")) } else { put(text, format_args!("{x:e}")) }
 }
 
 /// Reads an OBJ surface.
@@ -168,7 +182,7 @@ mod tests {
         let path = dir.path().join("t.obj");
         let mut mesh = tetrahedron();
         mesh.vertices.iter_mut().for_each(|v| v.normal = [0.0, -1.0, 0.5]);
-        let meta = SurfaceMeta { isovalue: Some(0.1), comments: vec!["back\\".into()] };
+        let meta = SurfaceMeta { isovalue: Some(0.1), comments: vec!["back\\".into()], parts: vec![] };
         write_surface(&source(mesh), &path, SurfaceFormat::Obj, &meta).unwrap();
         let text = std::fs::read_to_string(path).unwrap();
         assert!(text.starts_with("# isospan surface\n# isovalue 0.1\n# back/\nv 0.1 0.33333334 1e-20\n"));

@@ -15,11 +15,11 @@
 //! ```
 //!
 //! We write vertex numbers as `int`, which every reader knows, and as `uint` only where there are more than 2³¹-1
-//! vertices. Read: `vertex` needs `x`, `y`, `z` (`nx`, `ny`, `nz` are kept); `face` needs the list `vertex_indices` or
+//! vertices. Several surfaces in one file have a seventh property, `float isovalue`. Read: `vertex` needs `x`, `y`, `z` (`nx`, `ny`, `nz` are kept); `face` needs the list `vertex_indices` or
 //! `vertex_index`; all other elements and properties are skipped. Triangle strips are refused.
 
 use crate::error::{Error, Result};
-use crate::formats::surface::{Fan, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite};
+use crate::formats::surface::{Fan, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, put_floats};
 use crate::formats::text::Words;
 use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, Vertex};
@@ -28,19 +28,21 @@ use std::path::Path;
 /// Writes a surface as binary little-endian PLY.
 pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceMeta) -> Result<()> {
     sink.put(header(source.vertex_count(), source.triangle_count(), meta).as_bytes())?;
-    each_vertex(source, sink, |sink, v| {
-        let mut record = [0; 24];
-        for (field, value) in record.chunks_exact_mut(4).zip(v.position.iter().chain(&v.normal)) {
-            field.copy_from_slice(&value.to_le_bytes());
+    let isovalue = meta.vertex_isovalues();
+    each_vertex(source, sink, |buffer, number, v| {
+        put_floats(buffer, v.position);
+        put_floats(buffer, v.normal);
+        if !meta.parts.is_empty() {
+            buffer.extend_from_slice(&isovalue(number).to_le_bytes());
         }
-        sink.put(&record)
     })?;
-    each_triangle(source, sink, |sink, t| {
+    each_triangle(source, sink, |buffer, _, t| {
         let mut record = [3; 13];
         for (field, value) in record[1..].chunks_exact_mut(4).zip(t) {
             field.copy_from_slice(&value.to_le_bytes());
         }
-        sink.put(&record)
+        buffer.extend_from_slice(&record);
+        Ok(())
     })
 }
 
@@ -54,6 +56,9 @@ fn header(vertices: u64, triangles: u64, meta: &SurfaceMeta) -> String {
     text += &format!("element vertex {vertices}\n");
     for name in ["x", "y", "z", "nx", "ny", "nz"] {
         text += &format!("property float {name}\n");
+    }
+    if !meta.parts.is_empty() {
+        text += "property float isovalue\n";
     }
     let index = if vertices <= i32::MAX as u64 + 1 { "int" } else { "uint" };
     text + &format!("element face {triangles}\nproperty list uchar {index} vertex_indices\nend_header\n")
@@ -404,7 +409,7 @@ mod tests {
     fn written() -> Vec<u8> {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("t.ply");
-        let meta = SurfaceMeta { isovalue: Some(1.5), comments: vec!["é\nb".into()] };
+        let meta = SurfaceMeta { isovalue: Some(1.5), comments: vec!["é\nb".into()], parts: vec![] };
         write_surface(&source(tetrahedron()), &path, SurfaceFormat::Ply, &meta).unwrap();
         std::fs::read(path).unwrap()
     }

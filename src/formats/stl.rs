@@ -23,11 +23,11 @@
 use crate::bytes::sorter::Sorter;
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
-use crate::formats::surface::{Room, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite};
+use crate::formats::surface::{Room, Sink, SurfaceMeta, each_triangle, is_finite, put_floats};
 use crate::formats::text::Words;
 use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, Vertex};
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::Path;
 
 const HEADER: usize = 80;
@@ -50,9 +50,10 @@ pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceM
     let positions = Positions::store(source, sink)?;
     sink.put(&header(meta))?;
     sink.put(&(source.triangle_count() as u32).to_le_bytes())?;
-    each_triangle(source, sink, |sink, t| {
+    each_triangle(source, sink, |buffer, _, t| {
         let corners = [positions.at(t[0])?, positions.at(t[1])?, positions.at(t[2])?];
-        sink.put(&record(corners))
+        buffer.extend_from_slice(&record(corners));
+        Ok(())
     })
 }
 
@@ -95,12 +96,17 @@ impl Positions {
         let file = sink.scratch()?;
         let target = sink.target().to_path_buf();
         let fail = |e| Error::io("write a scratch file beside", &target, e);
-        let mut out = BufWriter::with_capacity(1 << 20, &file);
-        each_vertex(source, sink, |_, v| {
-            v.position.iter().try_for_each(|c| out.write_all(&c.to_le_bytes())).map_err(fail)
+        let (mut buffer, mut out, mut count) = (vec![], &file, 0);
+        source.vertices(&mut |batch| {
+            count += batch.len() as u64;
+            buffer.clear();
+            batch.iter().for_each(|v| put_floats(&mut buffer, v.position));
+            out.write_all(&buffer).map_err(fail)
         })?;
-        out.flush().map_err(fail)?;
-        drop(out);
+        if count != source.vertex_count() {
+            let announced = source.vertex_count();
+            return Err(sink.broken_source(format!("{count} vertices instead of the {announced} announced")));
+        }
         let any = source.vertex_count() > 0;
         let mapped = any.then(|| ByteSource::of_file(&target, file, IoMode::Map)).transpose()?;
         Ok(Self { mapped })
@@ -297,7 +303,7 @@ mod tests {
     fn written(mesh: TriMesh) -> Vec<u8> {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("t.stl");
-        let meta = SurfaceMeta { isovalue: Some(1.5), comments: vec!["é".repeat(80)] };
+        let meta = SurfaceMeta { isovalue: Some(1.5), comments: vec!["é".repeat(80)], parts: vec![] };
         write_surface(&source(mesh), &path, SurfaceFormat::Stl, &meta).unwrap();
         std::fs::read(path).unwrap()
     }

@@ -84,12 +84,51 @@ pub struct SurfaceMeta {
     pub isovalue: Option<f64>,
     /// Free text, a line each; characters that a format cannot hold in a comment are replaced.
     pub comments: Vec<String>,
+    /// The surfaces of which the surface consists, one after another, where it is several: PLY and VTP then have an array
+    /// `isovalue` of the vertices, OBJ has groups. None if it is one.
+    pub parts: Vec<SurfacePart>,
+}
+
+/// One of several surfaces in a file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfacePart {
+    /// Its isovalue.
+    pub isovalue: f64,
+    /// Its vertices.
+    pub vertices: u64,
+    /// Its triangles.
+    pub triangles: u64,
 }
 
 impl SurfaceMeta {
+    /// The isovalue, or those of the parts.
+    pub(super) fn isovalues(&self) -> Vec<f64> {
+        self.isovalue.into_iter().chain(self.parts.iter().map(|p| p.isovalue)).collect()
+    }
+
+    /// For each part, its end among the vertices and its isovalue.
+    fn vertex_ends(&self) -> Vec<(u64, f32)> {
+        let mut sum = 0;
+        let end = |part: &SurfacePart| {
+            sum += part.vertices;
+            (sum, part.isovalue as f32)
+        };
+        self.parts.iter().map(end).collect()
+    }
+
+    /// Tells the isovalue of each vertex of several parts.
+    pub(super) fn vertex_isovalues(&self) -> impl Fn(u64) -> f32 + use<> {
+        let ends = self.vertex_ends();
+        move |vertex| {
+            let at = ends.partition_point(|&(end, _)| end <= vertex);
+            ends.get(at).map_or(f32::NAN, |part| part.1)
+        }
+    }
+
     /// The comment lines of a file: printable, one line each, the isovalue first.
     pub(super) fn lines(&self) -> Vec<String> {
-        let isovalue = self.isovalue.map(|v| format!("isovalue {v}"));
+        let isovalues: String = self.isovalues().iter().map(|v| format!(" {v}")).collect();
+        let isovalue = (!isovalues.is_empty()).then(|| format!("isovalue{isovalues}"));
         let clean = |line: &str| line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
         let texts = self.comments.iter().flat_map(|c| c.lines()).map(clean);
         isovalue.into_iter().chain(texts).collect()
@@ -264,19 +303,28 @@ pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
     }
 }
 
-/// Hands every vertex to `each`; there are exactly as many as announced, or it is an error.
+/// Writes a record for every vertex: `each` appends it to the buffer that it is given, and knows the number of the vertex. There are
+/// exactly as many as announced, or it is an error.
 pub(super) fn each_vertex(
     source: &dyn SurfaceSource,
     sink: &mut Sink,
-    mut each: impl FnMut(&mut Sink, &Vertex) -> Result<()>,
+    mut each: impl FnMut(&mut Vec<u8>, u64, &Vertex),
 ) -> Result<()> {
     let (mut count, announced) = (0u64, source.vertex_count());
+    let mut buffer = vec![];
     source.vertices(&mut |batch| {
-        count += batch.len() as u64;
-        if count > announced {
+        if count + batch.len() as u64 > announced {
             return Err(sink.broken_source(format!("more than the {announced} vertices announced")));
         }
-        batch.iter().try_for_each(|v| each(sink, v))
+        for part in batch.chunks(RECORDS) {
+            buffer.clear();
+            for vertex in part {
+                each(&mut buffer, count, vertex);
+                count += 1;
+            }
+            sink.put(&buffer)?;
+        }
+        Ok(())
     })?;
     if count != announced {
         return Err(sink.broken_source(format!("{count} vertices instead of the {announced} announced")));
@@ -284,23 +332,33 @@ pub(super) fn each_vertex(
     Ok(())
 }
 
-/// Hands every triangle to `each`; there are exactly as many as announced, of vertices that exist, or it is an error.
+/// Records that are made before they are written.
+const RECORDS: usize = 1 << 14;
+
+/// Writes a record for every triangle, as [`each_vertex`] does; all are of vertices that exist.
 pub(super) fn each_triangle(
     source: &dyn SurfaceSource,
     sink: &mut Sink,
-    mut each: impl FnMut(&mut Sink, [u32; 3]) -> Result<()>,
+    mut each: impl FnMut(&mut Vec<u8>, u64, [u32; 3]) -> Result<()>,
 ) -> Result<()> {
     let (mut count, announced, vertices) = (0u64, source.triangle_count(), source.vertex_count());
+    let mut buffer = vec![];
     source.triangles(&mut |batch| {
-        count += batch.len() as u64;
-        if count > announced {
+        if count + batch.len() as u64 > announced {
             return Err(sink.broken_source(format!("more than the {announced} triangles announced")));
         }
-        for &t in batch {
-            if t.iter().any(|&v| u64::from(v) >= vertices) {
-                return Err(sink.broken_source(format!("triangle {t:?} of a surface of {vertices} vertices")));
+        for part in batch.chunks(RECORDS) {
+            buffer.clear();
+            for &t in part {
+                if t.iter().any(|&v| u64::from(v) >= vertices) {
+                    return Err(
+                        sink.broken_source(format!("triangle {t:?} of a surface of {vertices} vertices"))
+                    );
+                }
+                each(&mut buffer, count, t)?;
+                count += 1;
             }
-            each(sink, t)?;
+            sink.put(&buffer)?;
         }
         Ok(())
     })?;
@@ -308,6 +366,15 @@ pub(super) fn each_triangle(
         return Err(sink.broken_source(format!("{count} triangles instead of the {announced} announced")));
     }
     Ok(())
+}
+
+/// Appends numbers, little-endian.
+pub(super) fn put_floats(buffer: &mut Vec<u8>, numbers: [f32; 3]) {
+    let mut bytes = [0; 12];
+    for (field, x) in bytes.chunks_exact_mut(4).zip(numbers) {
+        field.copy_from_slice(&x.to_le_bytes());
+    }
+    buffer.extend_from_slice(&bytes);
 }
 
 /// A triangle fan over the corners of a polygon: (0, 1, 2), (0, 2, 3), …
@@ -391,7 +458,11 @@ pub(super) mod tests {
     }
 
     fn meta() -> SurfaceMeta {
-        SurfaceMeta { isovalue: Some(0.25), comments: vec!["a -- b\nsecond <line> ÿ".into()] }
+        SurfaceMeta {
+            isovalue: Some(0.25),
+            comments: vec!["a -- b\nsecond <line> ÿ".into()],
+            ..SurfaceMeta::default()
+        }
     }
 
     fn same_shape(a: &TriMesh, b: &TriMesh) {

@@ -9,13 +9,15 @@
 //!   <AppendedData encoding="raw">
 //!    _[u64 length][Points 3 × f32 a vertex]
 //!     [u64 length][Normals 3 × f32 a vertex]
+//!     [u64 length][isovalue f32 a vertex]            of several surfaces in one file only
 //!     [u64 length][connectivity 3 × i64 a triangle]
 //!     [u64 length][offsets i64 a triangle: 3, 6, 9, …]
 //!   </AppendedData>
 //! </VTKFile>
 //! ```
 //!
-//! The isovalue is a field array `isovalue`.
+//! The isovalue, or all isovalues, are a field array `isovalue`. Several surfaces in one file also have it as the active scalars
+//! of the points, as VTK's contour filters do: ParaView colours by it, and its Threshold filter picks one.
 //!
 //! Read are the polygons of all pieces, with the points (and the point data's active normals) of any number type, in
 //! every encoding of [`vtk_xml`](super::vtk_xml). Vertices and lines are no surface and are passed over; triangle strips
@@ -24,7 +26,7 @@
 use crate::bytes::ByteSource;
 use crate::error::Result;
 use crate::formats::ply::check_indices;
-use crate::formats::surface::{Fan, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite};
+use crate::formats::surface::{Fan, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, put_floats};
 use crate::formats::vtk_xml::array::{ArrayStream, scalar_type};
 use crate::formats::vtk_xml::head::{Document, Element};
 use crate::surface::weld::StoredSurface;
@@ -36,39 +38,54 @@ use std::sync::Arc;
 pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceMeta) -> Result<()> {
     let (vertices, triangles) = (source.vertex_count(), source.triangle_count());
     // At most 2³² vertices and far fewer than 2⁵⁸ triangles: no product overflows.
-    let lengths = [12 * vertices, 12 * vertices, 24 * triangles, 8 * triangles];
+    let scalars = if meta.parts.is_empty() { 0 } else { 4 * vertices };
+    let lengths = [12 * vertices, 12 * vertices, scalars, 24 * triangles, 8 * triangles];
     sink.put(head(vertices, triangles, lengths, meta).as_bytes())?;
     sink.put(&lengths[0].to_le_bytes())?;
-    each_vertex(source, sink, |sink, v| put_floats(sink, v.position))?;
+    each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.position))?;
     sink.put(&lengths[1].to_le_bytes())?;
-    each_vertex(source, sink, |sink, v| put_floats(sink, v.normal))?;
-    sink.put(&lengths[2].to_le_bytes())?;
-    each_triangle(source, sink, |sink, t| t.iter().try_for_each(|&v| sink.put(&u64::from(v).to_le_bytes())))?;
-    sink.put(&lengths[3].to_le_bytes())?;
-    for n in 1..=triangles {
-        sink.put(&(3 * n).to_le_bytes())?;
+    each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.normal))?;
+    if !meta.parts.is_empty() {
+        let isovalue = meta.vertex_isovalues();
+        sink.put(&lengths[2].to_le_bytes())?;
+        each_vertex(source, sink, |buffer, v, _| buffer.extend_from_slice(&isovalue(v).to_le_bytes()))?;
     }
+    sink.put(&lengths[3].to_le_bytes())?;
+    each_triangle(source, sink, |buffer, _, t| {
+        t.iter().for_each(|&v| buffer.extend_from_slice(&u64::from(v).to_le_bytes()));
+        Ok(())
+    })?;
+    sink.put(&lengths[4].to_le_bytes())?;
+    each_triangle(source, sink, |buffer, n, _| {
+        buffer.extend_from_slice(&(3 * (n + 1)).to_le_bytes());
+        Ok(())
+    })?;
     sink.put(b"\n  </AppendedData>\n</VTKFile>\n")
 }
 
-fn put_floats(sink: &mut Sink, numbers: [f32; 3]) -> Result<()> {
-    numbers.iter().try_for_each(|x| sink.put(&x.to_le_bytes()))
-}
-
-fn head(vertices: u64, triangles: u64, lengths: [u64; 4], meta: &SurfaceMeta) -> String {
+fn head(vertices: u64, triangles: u64, lengths: [u64; 5], meta: &SurfaceMeta) -> String {
+    let several = !meta.parts.is_empty();
     let mut offset = 0;
-    let [points, normals, connectivity, offsets] = lengths.map(|length| {
+    let mut place = |length: u64| {
         let at = offset;
         offset += 8 + length;
         at
-    });
+    };
+    let (points, normals) = (place(lengths[0]), place(lengths[1]));
+    let scalars = if several { place(lengths[2]) } else { 0 };
+    let (connectivity, offsets) = (place(lengths[3]), place(lengths[4]));
     let comment: String = meta.lines().iter().map(|line| format!("  {}\n", comment_text(line))).collect();
-    let isovalue = meta.isovalue.map_or(String::new(), |v| {
+    let values = meta.isovalues();
+    let isovalue = if values.is_empty() {
+        String::new()
+    } else {
+        let list = values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
         format!(
-            "    <FieldData>\n      <DataArray type=\"Float64\" Name=\"isovalue\" NumberOfTuples=\"1\" \
-             format=\"ascii\">{v}</DataArray>\n    </FieldData>\n"
+            "    <FieldData>\n      <DataArray type=\"Float64\" Name=\"isovalue\" NumberOfTuples=\"{}\" \
+             format=\"ascii\">{list}</DataArray>\n    </FieldData>\n",
+            values.len()
         )
-    });
+    };
     let array = |kind: &str, name: &str, components: u32, offset: u64| {
         format!(
             "        <DataArray type=\"{kind}\" Name=\"{name}\" NumberOfComponents=\"{components}\" \
@@ -86,8 +103,12 @@ fn head(vertices: u64, triangles: u64, lengths: [u64; 4], meta: &SurfaceMeta) ->
             "    <Piece NumberOfPoints=\"{vertices}\" NumberOfVerts=\"0\" NumberOfLines=\"0\" \
              NumberOfStrips=\"0\" NumberOfPolys=\"{triangles}\">\n"
         ),
-        "      <PointData Normals=\"Normals\">\n".to_string(),
+        format!(
+            "      <PointData{} Normals=\"Normals\">\n",
+            if several { " Scalars=\"isovalue\"" } else { "" }
+        ),
         array("Float32", "Normals", 3, normals),
+        if several { array("Float32", "isovalue", 1, scalars) } else { String::new() },
         "      </PointData>\n      <Points>\n".to_string(),
         array("Float32", "Points", 3, points),
         "      </Points>\n      <Polys>\n".to_string(),
@@ -289,7 +310,7 @@ mod tests {
     fn written() -> Vec<u8> {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("t.vtp");
-        let meta = SurfaceMeta { isovalue: Some(-1.5), comments: vec!["a--->b<é".into()] };
+        let meta = SurfaceMeta { isovalue: Some(-1.5), comments: vec!["a--->b<é".into()], parts: vec![] };
         write_surface(&source(tetrahedron()), &path, SurfaceFormat::Vtp, &meta).unwrap();
         std::fs::read(path).unwrap()
     }

@@ -9,6 +9,7 @@
 
 mod chunk;
 mod export;
+mod extract;
 mod field;
 mod fingerprint;
 mod grid_field;
@@ -21,7 +22,9 @@ mod plan;
 mod probe;
 mod probe_points;
 mod query;
+mod reader;
 mod reduce;
+mod roi;
 mod scan;
 mod spectrum;
 mod verify;
@@ -36,8 +39,9 @@ pub use need::Estimate;
 pub use open::{ArchiveSummary, is_archive, summarize};
 pub use plan::{Amount, Plan, ReduceSettings};
 pub use probe::{ProbeReport, ProbeSettings};
-pub use query::{CountReport, SurfaceReport, SurfaceSettings, count_active, extract_surface};
+pub use query::{CountReport, OneSurface, SurfaceReport, SurfaceSettings, count_active, extract_surface};
 pub use reduce::{ReduceReport, RunSettings, brick, estimate, reduce};
+pub use roi::{Roi, RoiSpace};
 pub use scan::{Scan, scan};
 pub use spectrum::{SpectrumReport, contour_spectrum};
 pub use verify::{ArchiveCheck, check_archive};

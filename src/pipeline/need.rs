@@ -256,9 +256,10 @@ impl Estimate {
 
 /// Bytes while a shared edge is open: its record, its place in the table, and what closing it takes.
 const OPEN_EDGE: u64 = 170;
-/// Bytes for a vertex of a chunk that is being extracted, for one of its tetrahedra, and whatever their number.
-const DECODED_VERTEX: u64 = 64;
-const DECODED_TET: u64 = 110;
+/// Bytes for a tetrahedron of an active block of a chunk that is being extracted (its part of the surface, if it is active), for a
+/// vertex of the chunk and each isovalue, and whatever their number.
+const ACTIVE_TET: u64 = 110;
+pub(crate) const SURFACE_PER_VERTEX: u64 = 8;
 const DECODED_CHUNK: u64 = 1 << 20;
 /// Bytes of an active block while it is known.
 const ACTIVE_BLOCK: u64 = 64;
@@ -293,11 +294,12 @@ impl SurfaceShares {
     }
 }
 
-/// Bytes in which a chunk of so many vertices is decoded and extracted.
-pub(crate) fn extraction_bytes(vertices: u64, tets: u64) -> u64 {
+/// Bytes in which a chunk of so many vertices, of so many bytes each, is extracted; a tetrahedron counts for each isovalue for which
+/// its block is active.
+pub(crate) fn extraction_bytes(vertices: u64, per_vertex: u64, tets: u64) -> u64 {
     DECODED_CHUNK
-        .saturating_add(vertices.saturating_mul(DECODED_VERTEX))
-        .saturating_add(tets.saturating_mul(DECODED_TET))
+        .saturating_add(vertices.saturating_mul(per_vertex))
+        .saturating_add(tets.saturating_mul(ACTIVE_TET))
 }
 
 /// Bytes free for us on the file system of a path, or of the nearest folder above it that is there.

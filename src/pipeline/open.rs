@@ -1,16 +1,15 @@
 //! An archive opened for reading: manifest, point set, grids; segments are opened when first needed.
 
 use super::layout::Layout;
-use super::plan::{MeshParts, check_brick, parts};
+use super::plan::{MeshParts, parts};
+use super::reader::{ChunkReader, damaged};
 use super::reduce::folder_bytes;
-use crate::archive::chunk::{ChunkHeader, ChunkVertices, decode_tets};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{MANIFEST_NAME, Manifest, SegmentRecord, Step};
 use crate::archive::segment::{FORMAT_VERSION, PlanHash, Segment, SegmentInfo, SegmentKind};
-use crate::archive::values::{BLOCK_VALUES, decode_values};
 use crate::error::{Error, Result};
 use crate::geom::{LatticePos, PointId};
-use crate::grid::{Chunk, ChunkGrid, ChunkId, Geometry};
+use crate::grid::{ChunkGrid, ChunkId, Geometry};
 use crate::index::SpanIndex;
 use crate::mesh::tet::Tet;
 use crate::points::PointSet;
@@ -311,108 +310,20 @@ pub(super) struct DecodedChunk {
 }
 
 impl OpenArchive {
-    /// Decodes `blocks` (numbers within the chunk, ascending) of a chunk, and of its values what they use.
+    /// Decodes `blocks` (numbers within the chunk) of a chunk, and of its values and positions what they use. For a question
+    /// that needs but some of that, or a block at a time, there is [`ChunkReader`].
     pub(super) fn decode(&self, id: ChunkId, blocks: &[u32]) -> Result<DecodedChunk> {
-        self.expect_chunk(id)?;
-        let segment = self.segment_of(id)?;
-        let chunk = self.chunks.chunk(id);
-        let mut buffer = vec![];
-        let blocks_there = segment.mesh.block_count(id);
-        if blocks_there < 2 {
-            return Err(damaged(&segment.mesh, id, "block count", &blocks_there));
-        }
-        segment.mesh.block(id, 0, &mut buffer)?;
-        let header = ChunkHeader::decode(&buffer).map_err(|m| segment.mesh.blame(id, 0, m))?.vertices;
-        if header.core_counts.len() as u64 != chunk.brick_count() {
-            return Err(damaged(&segment.mesh, id, "header", "it has another number of bricks"));
-        }
-        let mut out = DecodedChunk::default();
+        let mut reader = ChunkReader::open(self, id)?;
+        let (mut tets, mut block_ends) = (vec![], vec![]);
         for &block in blocks {
-            // The first block is the header, the last the summary.
-            let number = u64::from(block) + 1;
-            if number + 1 >= blocks_there {
-                return Err(damaged(
-                    &segment.mesh,
-                    id,
-                    "index",
-                    &format!("block {block} of {}", blocks_there - 2),
-                ));
-            }
-            segment.mesh.block(id, number, &mut buffer)?;
-            decode_tets(&buffer, header.len(), &mut out.tets)
-                .map_err(|m| segment.mesh.blame(id, number, m))?;
-            out.block_ends.push(out.tets.len());
+            reader.tets(block, &mut tets)?;
+            block_ends.push(tets.len());
         }
-        let used = used_corners(&out.tets, header.len() as usize);
-        self.place_corners(&segment, &chunk, &header, &used, &mut out)?;
-        self.read_values(&segment, id, &used, &mut out)?;
-        out.core = header.core_len() as usize;
-        out.shared = header.shared;
-        Ok(out)
-    }
-
-    /// Positions and ids of used corners: the bricks that hold some are enumerated again, the rest is not.
-    fn place_corners(
-        &self,
-        segment: &OpenSegment,
-        chunk: &Chunk,
-        header: &ChunkVertices,
-        used: &[bool],
-        out: &mut DecodedChunk,
-    ) -> Result<()> {
-        out.positions = vec![[0; 3]; used.len()];
-        out.ids = vec![PointId(0); used.len()];
-        let (mut start, mut sites) = (0, vec![]);
-        for (brick, &count) in chunk.bricks(self.chunks.bricks()).zip(&header.core_counts) {
-            let range = start..start + count as usize;
-            start = range.end;
-            if !used[range.clone()].contains(&true) {
-                continue;
-            }
-            let brick_box = self.chunks.bricks().brick(brick);
-            check_brick(&self.points, &brick_box)
-                .map_err(|e| damaged(&segment.mesh, chunk.id, "header", &e.to_string()))?;
-            self.points.sites_in(&brick_box, &mut sites);
-            if sites.len() != range.len() {
-                let what = format!("brick {} has {} points, not the {count} recorded", brick.0, sites.len());
-                return Err(damaged(&segment.mesh, chunk.id, "header", &what));
-            }
-            for (i, site) in range.zip(&sites) {
-                (out.positions[i], out.ids[i]) = (site.pos, site.id);
-            }
-        }
-        for (i, &id) in header.halo.iter().enumerate().filter(|(i, _)| used[start + i]) {
-            let pos = self.points.position(id);
-            let pos = pos
-                .ok_or_else(|| damaged(&segment.mesh, chunk.id, "halo", &format!("no point {:#x}", id.0)))?;
-            (out.positions[start + i], out.ids[start + i]) = (pos, id);
-        }
-        Ok(())
-    }
-
-    /// Values of used corners, from the value blocks that hold some.
-    fn read_values(
-        &self,
-        segment: &OpenSegment,
-        id: ChunkId,
-        used: &[bool],
-        out: &mut DecodedChunk,
-    ) -> Result<()> {
-        let blocks = segment.values.block_count(id);
-        // The last block is the summary.
-        if blocks != used.len().div_ceil(BLOCK_VALUES) as u64 + 1 {
-            return Err(damaged(&segment.values, id, "chunk table", &format!("{blocks} blocks")));
-        }
-        out.values = vec![f32::NAN; used.len()];
-        let (mut buffer, mut values) = (vec![], vec![]);
-        for (block, used) in used.chunks(BLOCK_VALUES).enumerate().filter(|(_, u)| u.contains(&true)) {
-            segment.values.block(id, block as u64, &mut buffer)?;
-            values.clear();
-            decode_values(&buffer, used.len(), &mut values)
-                .map_err(|m| segment.values.blame(id, block as u64, m))?;
-            out.values[block * BLOCK_VALUES..][..used.len()].copy_from_slice(&values);
-        }
-        Ok(())
+        reader.load_values(&tets)?;
+        reader.place(&tets)?;
+        let core = reader.core();
+        let (positions, ids, values, shared) = reader.into_corners();
+        Ok(DecodedChunk { positions, ids, values, shared, tets, block_ends, core })
     }
 }
 
@@ -437,20 +348,4 @@ pub(super) fn used_corners(tets: &[Tet], local: usize) -> Vec<bool> {
         used[v as usize] = true;
     }
     used
-}
-
-/// A block that verifies but does not mean anything: written by a faulty program.
-fn damaged(
-    segment: &ChunkSegment,
-    chunk: ChunkId,
-    at: &str,
-    what: &(impl std::fmt::Display + ?Sized),
-) -> Error {
-    Error::bad_input(
-        segment.segment().path(),
-        format!("chunk {}, {at}", chunk.0),
-        "a chunk as FORMAT.md says",
-        what.to_string(),
-    )
-    .with_help("reduce the source again")
 }

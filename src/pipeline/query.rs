@@ -1,28 +1,31 @@
 //! Questions to an archive: the index names the blocks that can hold an answer; those are read, and no others.
 
-use super::horizon::Horizon;
-use super::need::{self, SurfaceShares};
-use super::open::{DecodedChunk, OpenArchive};
-use super::reduce::folder_bytes;
+use super::extract::{ChunkWork, Extracted, Question, by_chunk, extract_surfaces};
+use super::need;
+use super::open::OpenArchive;
+use super::reader::ChunkReader;
+use super::reduce::{folder_bytes, mesh_summary};
+use super::roi::{Cut, Roi};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, Silent, pool};
-use crate::formats::surface::{SurfaceFormat, SurfaceMeta, write_surface};
+use crate::exec::{CancelToken, Progress, Silent};
+use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
 use crate::grid::ChunkId;
-use crate::index::Entry;
-use crate::mesh::tet::{is_active, range};
-use crate::surface::marching_tets::{CellSource, ChunkSurface, extract};
-use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
-use crate::surface::{SurfaceSource, TriMesh, WorldMap};
+use crate::surface::clip::clip;
+use crate::surface::marching_tets::select_active;
+use crate::surface::weld::BuilderSettings;
+use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// How a surface is extracted.
+/// How surfaces are extracted.
 #[derive(Clone, Debug)]
 pub struct SurfaceSettings {
-    /// The isovalue: a value `>=` it is inside.
-    pub isovalue: f32,
+    /// The isovalues, each once: a value `>=` it is inside. All are extracted in one pass.
+    pub isovalues: Vec<f32>,
+    /// The box at which the surfaces are cut; the whole domain if not given.
+    pub roi: Option<Roi>,
     /// Threads; 0 means as many as the process may use.
     pub threads: usize,
     /// Bytes for everything that grows with the surface.
@@ -36,7 +39,8 @@ pub struct SurfaceSettings {
 impl Default for SurfaceSettings {
     fn default() -> Self {
         Self {
-            isovalue: 0.0,
+            isovalues: vec![0.0],
+            roi: None,
             threads: 0,
             memory: crate::exec::usable_memory() / 2,
             scratch: None,
@@ -45,26 +49,46 @@ impl Default for SurfaceSettings {
     }
 }
 
-/// What a surface extraction found and read.
+impl SurfaceSettings {
+    /// The default settings for an isovalue.
+    pub fn of(isovalue: f32) -> Self {
+        Self { isovalues: vec![isovalue], ..Self::default() }
+    }
+
+    fn check(&self) -> Result<()> {
+        if self.isovalues.is_empty() {
+            return Err(Error::usage("give at least one isovalue"));
+        }
+        for (i, &isovalue) in self.isovalues.iter().enumerate() {
+            finite(isovalue)?;
+            if self.isovalues[..i].contains(&isovalue) {
+                return Err(Error::usage(format!("the isovalue {isovalue} is given twice")));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What a surface extraction found and read; counts are of all surfaces together.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct SurfaceReport {
-    /// The isovalue.
-    pub isovalue: f32,
-    /// Whether no value lies below the isovalue, or none at or above it; then the surface is empty.
-    pub outside_range: bool,
+    /// Each surface, in the order of the isovalues.
+    pub surfaces: Vec<OneSurface>,
     /// Least and largest value of the archive.
     pub range: Option<[f32; 2]>,
+    /// The box at which the surfaces were cut.
+    pub roi: Option<Roi>,
     /// Vertices written.
     pub vertices: u64,
     /// Triangles written.
     pub triangles: u64,
-    /// Bytes of the file written.
+    /// Bytes of the files written.
     pub file_bytes: u64,
     /// Points of the archive.
     pub points: u64,
     /// Tetrahedra of the archive.
     pub tetrahedra: u64,
-    /// Tetrahedra that the surface crosses.
+    /// Tetrahedra that a surface crosses, once for each.
     pub active_tetrahedra: u64,
     /// Tetrahedron blocks of the archive.
     pub blocks: u64,
@@ -80,6 +104,23 @@ pub struct SurfaceReport {
     pub archive_bytes: u64,
     /// Seconds of wall time of each stage.
     pub seconds: Vec<(String, f64)>,
+}
+
+/// One of the surfaces of an extraction.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct OneSurface {
+    /// Its isovalue.
+    pub isovalue: f32,
+    /// The file that it is in.
+    pub file: PathBuf,
+    /// Whether no value lies below the isovalue, or none at or above it; then the surface is empty.
+    pub outside_range: bool,
+    /// Vertices.
+    pub vertices: u64,
+    /// Triangles.
+    pub triangles: u64,
+    /// Tetrahedra that the surface crosses: those that touch the region of interest.
+    pub active_tetrahedra: u64,
 }
 
 /// How many tetrahedra an isosurface crosses.
@@ -100,17 +141,6 @@ pub struct CountReport {
 
 fn finite(isovalue: f32) -> Result<()> {
     if isovalue.is_finite() { Ok(()) } else { Err(Error::usage("the isovalue must be a finite number")) }
-}
-
-/// The active blocks, chunk by chunk.
-fn by_chunk(archive: &OpenArchive, refs: &[Entry]) -> Result<Vec<(ChunkId, Vec<u32>)>> {
-    refs.chunk_by(|a, b| a.chunk == b.chunk)
-        .map(|run| {
-            let chunk = ChunkId(run[0].chunk);
-            archive.expect_chunk(chunk)?;
-            Ok((chunk, run.iter().map(|r| r.block).collect()))
-        })
-        .collect()
 }
 
 /// Counts the active tetrahedra of an isovalue, exactly: from the spectrum where it is stored ([`crate::spectrum`]: at any
@@ -148,29 +178,38 @@ pub fn count_active(path: &Path, isovalue: f32) -> Result<CountReport> {
 fn decoded_count(archive: &OpenArchive, isovalue: f32) -> Result<(u64, u64)> {
     let index = archive.index()?;
     let refs = index.query(isovalue)?;
-    let active = by_chunk(archive, &refs)?
-        .par_iter()
-        .map(|(chunk, blocks)| Ok(active_tets(&archive.decode(*chunk, blocks)?, isovalue)))
-        .sum::<Result<u64>>()?;
+    let count = |work: &ChunkWork| count_in_chunk(archive, work, isovalue);
+    let active = by_chunk(archive, &refs)?.par_iter().map(count).sum::<Result<u64>>()?;
     Ok((active, index.segment().bytes_read() + archive.bytes_read()))
 }
 
-fn active_tets(chunk: &DecodedChunk, isovalue: f32) -> u64 {
-    let is_active = |t: &&[u32; 4]| {
-        range(t.map(|v| chunk.values[v as usize])).is_some_and(|(lo, hi)| is_active(lo, hi, isovalue))
-    };
-    chunk.tets.iter().filter(is_active).count() as u64
+fn count_in_chunk(archive: &OpenArchive, work: &ChunkWork, isovalue: f32) -> Result<u64> {
+    let mut reader = ChunkReader::open(archive, work.chunk)?;
+    let (mut tets, mut active, mut count) = (vec![], vec![], 0);
+    for block in &work.blocks {
+        (tets.clear(), active.clear());
+        reader.tets(block.block, &mut tets)?;
+        reader.load_values(&tets)?;
+        select_active(&tets, reader.values(), isovalue, &mut active);
+        count += active.len() as u64;
+    }
+    Ok(count)
 }
 
-/// Extracts an isosurface to a file.
+/// What in a file's name stands for the isovalue.
+const PLACEHOLDER: &str = "{}";
+
+/// Extracts isosurfaces to a file, or, where the file's name holds `{}`, each to a file with its isovalue in that place.
 ///
-/// Chunks are decoded and extracted in parallel, a batch at a time, and welded in chunk order: the file's bytes do not
-/// depend on the number of threads, nor on memory. Vertices and triangles that memory does not hold wait in the scratch
-/// folder. An isovalue outside the values' range gives an empty, valid file.
+/// All isovalues are extracted in one pass, in which each block is decoded once; each surface is the one that would come out alone.
+/// In one file they follow each other, named as the format can. Chunks are decoded and extracted in parallel, a batch at
+/// a time, and welded in chunk order: the bytes do not depend on the number of threads, nor on memory. Vertices
+/// and triangles that memory does not hold wait in the scratch folder. An isovalue outside the values' range gives an
+/// empty, valid surface.
 ///
 /// # Errors
-/// [`Error::BadInput`] for a damaged archive; [`Error::Budget`] when the memory does not suffice; those of writing the
-/// file, of which nothing is left then.
+/// [`Error::BadInput`] for a damaged archive; [`Error::Budget`] when the memory does not suffice; [`Error::Usage`] for settings
+/// that make no sense; those of writing a file, of which nothing is left then.
 pub fn extract_surface(
     path: &Path,
     settings: &SurfaceSettings,
@@ -178,44 +217,55 @@ pub fn extract_surface(
     format: SurfaceFormat,
     progress: &dyn Progress,
 ) -> Result<SurfaceReport> {
-    let isovalue = settings.isovalue;
-    finite(isovalue)?;
+    settings.check()?;
     let start = Instant::now();
     let archive = OpenArchive::open(path)?;
+    let source = &archive.step().plan.source;
+    let lattice = &archive.manifest.plan.lattice;
+    let cut =
+        settings.roi.map(|roi| roi.cut(&source.geometry, source.dims, lattice.log2_steps)).transpose()?;
     let index = archive.index()?;
-    let refs = index.query(isovalue)?;
+    let mut work = by_chunk(&archive, &index.query_any(&settings.isovalues)?)?;
+    if let Some(cut) = &cut {
+        work = touching(&archive, cut, work)?;
+    }
     let opened = start.elapsed();
 
     let start = Instant::now();
-    let world = WorldMap::new(&archive.manifest.plan.lattice, &archive.step().plan.source.geometry);
-    let work = by_chunk(&archive, &refs)?;
-    let (surface, active_tetrahedra) = welded(&archive, &work, settings, &world, parent_of(out), progress)?;
+    let question = Question {
+        archive: &archive,
+        isovalues: &settings.isovalues,
+        cut: cut.as_ref(),
+        world: WorldMap::new(lattice, &source.geometry),
+        work,
+    };
+    let scratch = settings.scratch.clone().unwrap_or_else(|| parent_of(out));
+    let mut surfaces = extract_surfaces(&question, settings, scratch.clone(), progress)?;
+    if let Some(cut) = &cut {
+        cut_all(&mut surfaces, cut, settings.memory, &scratch)?;
+    }
     let extracted = start.elapsed();
 
     let start = Instant::now();
-    let source = &archive.step().plan.source;
-    let meta = SurfaceMeta {
-        isovalue: Some(f64::from(isovalue)),
-        comments: vec![format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), source.path)],
-    };
-    let file_bytes = write_surface(&surface, out, format, &meta)?;
+    let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), source.path);
+    let file_bytes = write_all(&surfaces, &settings.isovalues, out, format, &comment)?;
     let written = start.elapsed();
-    let range = archive.step().value_range;
     let totals = &archive.manifest.counts;
+    let surfaces = describe(&surfaces, &settings.isovalues, archive.step().value_range, out);
     Ok(SurfaceReport {
-        isovalue,
-        outside_range: range.is_none_or(|[lo, hi]| isovalue <= lo || isovalue > hi),
-        range,
-        vertices: surface.vertex_count(),
-        triangles: surface.triangle_count(),
+        range: archive.step().value_range,
+        roi: settings.roi,
+        vertices: surfaces.iter().map(|s| s.vertices).sum(),
+        triangles: surfaces.iter().map(|s| s.triangles).sum(),
         file_bytes,
         points: totals.points,
         tetrahedra: totals.tetrahedra,
-        active_tetrahedra,
+        active_tetrahedra: surfaces.iter().map(|s| s.active_tetrahedra).sum(),
+        surfaces,
         blocks: totals.blocks,
-        active_blocks: refs.len() as u64,
+        active_blocks: question.work.iter().map(|w| w.blocks.len() as u64).sum(),
         chunks: totals.chunks,
-        active_chunks: work.len() as u64,
+        active_chunks: question.work.len() as u64,
         bytes_read: archive.bytes_read() + index.segment().bytes_read() + archive.manifest_bytes()?,
         archive_bytes: folder_bytes(path)?,
         seconds: [("open, index", opened), ("extract", extracted), ("write", written)]
@@ -226,138 +276,103 @@ pub fn extract_surface(
 
 /// An isosurface in memory.
 pub(super) fn surface_in_memory(archive: &OpenArchive, isovalue: f32) -> Result<TriMesh> {
-    finite(isovalue)?;
-    let settings = SurfaceSettings { isovalue, ..SurfaceSettings::default() };
-    let world = WorldMap::new(&archive.manifest.plan.lattice, &archive.step().plan.source.geometry);
-    let work = by_chunk(archive, &archive.index()?.query(isovalue)?)?;
-    let (surface, _) = welded(archive, &work, &settings, &world, std::env::temp_dir(), &Silent)?;
-    TriMesh::from_source(&surface)
-}
-
-/// Extracts the active blocks of all chunks and joins the surfaces; also tells the number of active tetrahedra.
-fn welded(
-    archive: &OpenArchive,
-    work: &[(ChunkId, Vec<u32>)],
-    settings: &SurfaceSettings,
-    world: &WorldMap,
-    out_folder: PathBuf,
-    progress: &dyn Progress,
-) -> Result<(StoredSurface, u64)> {
-    let active_blocks = work.iter().map(|w| w.1.len() as u64).sum::<u64>();
-    let bytes_of = |(chunk, blocks): &(ChunkId, Vec<u32>)| extraction_need(archive, *chunk, blocks.len());
-    let largest = work.iter().map(bytes_of).max().unwrap_or(0);
-    let shares = SurfaceShares::of(settings.memory, active_blocks, largest)?;
-    let scratch = settings.scratch.clone().unwrap_or(out_folder);
-    let memory_bytes = usize::try_from(shares.finished).unwrap_or(usize::MAX);
-    let mut builder = SurfaceBuilder::new(world, &BuilderSettings { scratch, memory_bytes });
-    let mut closing = Closing::new(archive, work, shares);
-    let pool = pool(settings.threads)?;
-    progress.begin("surface", active_blocks, "blocks");
-    let (mut active_tetrahedra, mut done) = (0, 0);
-    while done < work.len() {
-        settings.cancel.check()?;
-        let batch = &work
-            [done..done + batch_len(&work[done..], shares.batch, 2 * pool.current_num_threads(), bytes_of)];
-        let surfaces: Vec<Result<ChunkSurface>> = pool.install(|| {
-            let surface = |(chunk, blocks): &(ChunkId, Vec<u32>)| {
-                chunk_surface(archive, *chunk, blocks, settings.isovalue, world)
-            };
-            batch.par_iter().map(surface).collect()
-        });
-        for (surface, (_, blocks)) in surfaces.into_iter().zip(batch) {
-            let surface = surface?;
-            active_tetrahedra += surface.active_cells();
-            builder.push(&surface)?;
-            done += 1;
-            closing.after(&mut builder, done, settings.memory)?;
-            progress.advance(blocks.len() as u64);
-        }
-        if let Some((next, _)) = work.get(done) {
-            archive.close_before(*next);
-        }
-    }
-    Ok((builder.finish()?, active_tetrahedra))
-}
-
-/// Bytes in which some blocks of a chunk are extracted: from the plan's target and the point set, without reading.
-fn extraction_need(archive: &OpenArchive, chunk: ChunkId, blocks: usize) -> u64 {
-    let core = &archive.chunks.chunk(chunk).core;
-    // The halo points that tetrahedra use lie within about one spacing.
-    let near = core.grow_within(archive.points.mean_spacing(), &archive.chunks.bricks().lattice.domain());
-    let tets = blocks as u64 * u64::from(archive.manifest.plan.block_tets);
-    need::extraction_bytes(archive.points.count_in(&near), tets)
-}
-
-/// How many of the next chunks are extracted side by side: at least one.
-fn batch_len<T>(next: &[T], room: u64, most: usize, bytes_of: impl Fn(&T) -> u64) -> usize {
-    let mut sum = 0u64;
-    let fit = next.iter().take(most).take_while(|chunk| {
-        sum = sum.saturating_add(bytes_of(chunk));
-        sum <= room
-    });
-    fit.count().max(1)
-}
-
-/// Closes shared edges when they have become many.
-struct Closing<'a> {
-    archive: &'a OpenArchive,
-    work: &'a [(ChunkId, Vec<u32>)],
-    /// Made when first needed: most surfaces fit in memory.
-    horizon: Option<Horizon>,
-    shares: SurfaceShares,
-    /// Open edges at which it is worth looking.
-    look_at: u64,
-    least: u64,
-}
-
-impl<'a> Closing<'a> {
-    fn new(archive: &'a OpenArchive, work: &'a [(ChunkId, Vec<u32>)], shares: SurfaceShares) -> Self {
-        // Looking at all of them whenever they have doubled costs a constant number of looks an edge.
-        let least = shares.open_edges / 64 + 1;
-        Self { archive, work, horizon: None, shares, look_at: least, least }
-    }
-
-    fn after(&mut self, builder: &mut SurfaceBuilder, done: usize, memory: u64) -> Result<()> {
-        if (builder.open_edges() as u64) < self.look_at {
-            return Ok(());
-        }
-        let horizon = match self.horizon.take() {
-            Some(horizon) => horizon,
-            None => Horizon::new(self.archive, self.work.iter().map(|w| w.0))?,
-        };
-        let beyond = self.horizon.insert(horizon).after(done);
-        let place = |id| self.archive.points.position(id);
-        builder.keep_open(|a, b| match (place(a), place(b)) {
-            (Some(a), Some(b)) => beyond.can_have(a, b),
-            _ => true,
-        })?;
-        let open = builder.open_edges() as u64;
-        if open > self.shares.open_edges {
-            return Err(self.shares.too_many_open(memory, open));
-        }
-        self.look_at = (2 * open).clamp(self.least, self.shares.open_edges + 1);
-        Ok(())
-    }
-}
-
-fn chunk_surface(
-    archive: &OpenArchive,
-    chunk: ChunkId,
-    blocks: &[u32],
-    isovalue: f32,
-    world: &WorldMap,
-) -> Result<ChunkSurface> {
-    let decoded = archive.decode(chunk, blocks)?;
-    let cells = CellSource {
-        positions: &decoded.positions,
-        values: &decoded.values,
-        ids: &decoded.ids,
-        shared: &decoded.shared,
-        tets: &decoded.tets,
+    let settings = SurfaceSettings::of(isovalue);
+    settings.check()?;
+    let question = Question {
+        archive,
+        isovalues: &settings.isovalues,
+        cut: None,
+        world: WorldMap::new(&archive.manifest.plan.lattice, &archive.step().plan.source.geometry),
+        work: by_chunk(archive, &archive.index()?.query(isovalue)?)?,
     };
-    let mut surface = ChunkSurface::default();
-    extract(&cells, isovalue, world, &mut surface);
-    Ok(surface)
+    let found = extract_surfaces(&question, &settings, std::env::temp_dir(), &Silent)?;
+    TriMesh::from_source(&found[0].surface)
+}
+
+/// The chunks of which a tetrahedron may touch the cut.
+fn touching(archive: &OpenArchive, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<ChunkWork>> {
+    let domain = archive.chunks.bricks().lattice.domain();
+    let touches = |id: ChunkId| {
+        let core = archive.chunks.chunk(id).core;
+        let reaches = |retries| cut.may_touch_box(&need::region(&archive.points, &core, &domain, retries));
+        // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was widened.
+        Ok(reaches(0) || reaches(mesh_summary(&archive.segment_of(id)?.mesh, id)?.retries))
+    };
+    let keep = |w: ChunkWork| match touches(w.chunk) {
+        Ok(touches) => touches.then_some(Ok(w)),
+        Err(e) => Some(Err(e)),
+    };
+    work.into_iter().filter_map(keep).collect()
+}
+
+/// Cuts the surfaces, one after another.
+fn cut_all(surfaces: &mut [Extracted], cut: &Cut, memory: u64, scratch: &Path) -> Result<()> {
+    // An eighth holds finished surfaces, as while they were extracted; another those that are made from them.
+    let memory_bytes = usize::try_from(memory / 8 / surfaces.len() as u64).unwrap_or(usize::MAX);
+    let settings = BuilderSettings { memory_bytes, scratch: scratch.to_path_buf() };
+    for extracted in surfaces {
+        extracted.surface = clip(&extracted.surface, &cut.half_spaces, &settings, memory / 2)?;
+    }
+    Ok(())
+}
+
+/// The number that the user gave: 0.9 is not the 0.8999999761581421 that its `f32` is.
+fn as_written(isovalue: f32) -> f64 {
+    isovalue.to_string().parse().expect("a finite number's text is a number")
+}
+
+/// The file of an isovalue.
+fn file_of(out: &Path, isovalue: f32) -> PathBuf {
+    match out.file_name().and_then(|name| name.to_str()) {
+        Some(name) => out.with_file_name(name.replace(PLACEHOLDER, &isovalue.to_string())),
+        None => out.to_path_buf(),
+    }
+}
+
+/// Writes one file, or a file each; returns the bytes of all.
+fn write_all(
+    surfaces: &[Extracted],
+    isovalues: &[f32],
+    out: &Path,
+    format: SurfaceFormat,
+    comment: &str,
+) -> Result<u64> {
+    let meta = |isovalue: Option<f32>| SurfaceMeta {
+        isovalue: isovalue.map(as_written),
+        comments: vec![comment.to_owned()],
+        parts: vec![],
+    };
+    let each_alone = out.file_name().is_some_and(|name| name.to_string_lossy().contains(PLACEHOLDER));
+    if each_alone || surfaces.len() == 1 {
+        let write =
+            |(s, &v): (&Extracted, &f32)| write_surface(&s.surface, &file_of(out, v), format, &meta(Some(v)));
+        return surfaces.iter().zip(isovalues).map(write).sum();
+    }
+    let part = |(s, &v): (&Extracted, &f32)| SurfacePart {
+        isovalue: as_written(v),
+        vertices: s.surface.vertex_count(),
+        triangles: s.surface.triangle_count(),
+    };
+    let parts = surfaces.iter().zip(isovalues).map(part).collect();
+    let joined = Joined::new(surfaces.iter().map(|s| &s.surface as &dyn SurfaceSource).collect());
+    write_surface(&joined, out, format, &SurfaceMeta { parts, ..meta(None) })
+}
+
+fn describe(
+    surfaces: &[Extracted],
+    isovalues: &[f32],
+    range: Option<[f32; 2]>,
+    out: &Path,
+) -> Vec<OneSurface> {
+    let one = |(s, &isovalue): (&Extracted, &f32)| OneSurface {
+        isovalue,
+        file: file_of(out, isovalue),
+        outside_range: range.is_none_or(|[lo, hi]| isovalue <= lo || isovalue > hi),
+        vertices: s.surface.vertex_count(),
+        triangles: s.surface.triangle_count(),
+        active_tetrahedra: s.active_tetrahedra,
+    };
+    surfaces.iter().zip(isovalues).map(one).collect()
 }
 
 fn parent_of(file: &Path) -> PathBuf {

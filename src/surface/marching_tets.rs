@@ -56,7 +56,7 @@
 //!
 //! # Cost
 //!
-//! One look-up for each crossed edge of an active tetrahedron, in a list of the edges of its lower corner; 4 bytes a corner, 48
+//! One look-up for each crossed edge of an active tetrahedron, in a list of the edges of its lower corner; 4 bytes a corner, 68
 //! a vertex and 12 a triangle while a chunk is extracted. Buffers are kept for the next chunk.
 //!
 //! # References
@@ -104,6 +104,8 @@ pub struct ChunkSurface {
     vertices: Vec<Vertex>,
     shared: Vec<SharedEdge>,
     triangles: Vec<[u32; 3]>,
+    /// The active tetrahedra of a block; a buffer.
+    active: Vec<Tet>,
 }
 
 /// Extracts a chunk whose tetrahedra are all at hand. For several blocks use the three methods that this calls.
@@ -132,15 +134,22 @@ impl ChunkSurface {
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
     pub fn add(&mut self, cells: &CellSource<'_>) {
-        const BATCH: usize = 1024;
-        let mut active = [0u32; BATCH];
+        let mut active = std::mem::take(&mut self.active);
+        active.clear();
+        select_active(cells.tets, cells.values, self.isovalue, &mut active);
+        self.add_active(&CellSource { tets: &active, ..*cells });
+        self.active = active;
+    }
+
+    /// Adds tetrahedra that are known to be active: those that [`select_active`] finds.
+    ///
+    /// # Panics
+    /// When a tetrahedron names a corner that is not there.
+    pub fn add_active(&mut self, cells: &CellSource<'_>) {
         self.edges.reserve(cells.ids.len());
-        for tets in cells.tets.chunks(BATCH) {
-            let count = find_active(tets, cells.values, self.isovalue, &mut active);
-            self.active_cells += count as u64;
-            for &i in &active[..count] {
-                self.add_tet(cells, tets[i as usize]);
-            }
+        self.active_cells += cells.tets.len() as u64;
+        for &tet in cells.tets {
+            self.add_tet(cells, tet);
         }
     }
 
@@ -148,9 +157,9 @@ impl ChunkSurface {
     /// of the chunk: its tetrahedra are not looked at.
     pub fn finish(&mut self, corners: &CellSource<'_>, world: &WorldMap) {
         self.vertices.reserve(self.edges.crossings.len());
-        for (i, crossing) in self.edges.crossings.iter().enumerate() {
-            let (a, b) = crossing.ends();
-            let sums = crossing.gradient.map(|x| x as f64);
+        for (i, (crossing, sum)) in self.edges.crossings.iter().zip(&self.edges.sums).enumerate() {
+            let (a, b) = (crossing.low as usize, crossing.high as usize);
+            let sums = sum.gradient.map(|x| x as f64);
             let shared = corners.shared[a] && corners.shared[b];
             // The sum of a shared edge is known only at the end: until then its normal is the one for want of a sum.
             let normal = if shared { None } else { world.unit_normal(sums) };
@@ -166,7 +175,7 @@ impl ChunkSurface {
                 self.shared.push(SharedEdge {
                     key: (corners.ids[a], corners.ids[b]),
                     vertex: i as u32,
-                    gradient: crossing.gradient,
+                    gradient: sum.gradient,
                 });
             }
         }
@@ -199,10 +208,11 @@ impl ChunkSurface {
     pub fn bytes(&self) -> usize {
         self.edges.heads.capacity() * 4
             + self.edges.overflow.capacity() * 16
-            + self.edges.crossings.capacity() * size_of::<Crossing>()
+            + self.edges.crossings.capacity() * (size_of::<Crossing>() + size_of::<GradientSum>())
             + self.vertices.capacity() * size_of::<Vertex>()
             + self.shared.capacity() * size_of::<SharedEdge>()
             + self.triangles.capacity() * size_of::<[u32; 3]>()
+            + self.active.capacity() * size_of::<Tet>()
     }
 
     /// Where on the edge (a, b) the surface crosses it.
@@ -230,7 +240,7 @@ impl ChunkSurface {
             let at = self.edges.find_or_add(corners[i], corners[j], || {
                 unit(f64::from(values[j]) - f64::from(values[i]), &positions[i], &positions[j])
             });
-            self.edges.crossings[at as usize].add(gradient);
+            self.edges.sums[at as usize].add(gradient);
             vertex[e as usize] = at;
         }
         for t in &case.triangles[..case.count] {
@@ -239,20 +249,25 @@ impl ChunkSurface {
     }
 }
 
-/// Writes the numbers of the active tetrahedra to `active` and returns how many there are: `mesh::tet::is_active` on the
-/// value range, without branches.
-#[inline]
-fn find_active(tets: &[Tet], values: &[f32], isovalue: f32, active: &mut [u32]) -> usize {
-    let mut count = 0;
-    for (i, tet) in tets.iter().enumerate() {
-        let v = tet.map(|c| values[c as usize]);
-        let inside: u32 = v.iter().map(|&x| u32::from(x >= isovalue)).sum();
-        let outside: u32 = v.iter().map(|&x| u32::from(x < isovalue)).sum();
-        active[count] = i as u32;
-        // A NaN is neither inside nor outside, so the two counts fall short of 4.
-        count += usize::from((inside > 0) & (outside > 0) & (inside + outside == 4));
+/// Appends the active tetrahedra to `active`: those of which [`crate::mesh::tet::is_active`] holds, found without branches.
+///
+/// # Panics
+/// When a tetrahedron names a corner without a value.
+pub fn select_active(tets: &[Tet], values: &[f32], isovalue: f32, active: &mut Vec<Tet>) {
+    const BATCH: usize = 256;
+    let mut found = [[0; 4]; BATCH];
+    for tets in tets.chunks(BATCH) {
+        let mut count = 0;
+        for &tet in tets {
+            let v = tet.map(|c| values[c as usize]);
+            let inside: u32 = v.iter().map(|&x| u32::from(x >= isovalue)).sum();
+            let outside: u32 = v.iter().map(|&x| u32::from(x < isovalue)).sum();
+            found[count] = tet;
+            // A NaN is neither inside nor outside, so the two counts fall short of 4.
+            count += usize::from((inside > 0) & (outside > 0) & (inside + outside == 4));
+        }
+        active.extend_from_slice(&found[..count]);
     }
-    count
 }
 
 /// The corners in the order of their ids, and whether that is an odd permutation.
@@ -309,11 +324,9 @@ fn along_edge(corners: &CellSource<'_>, a: usize, b: usize, world: &WorldMap) ->
 /// A crossed edge while its chunk is extracted.
 #[derive(Clone, Copy, Debug)]
 struct Crossing {
-    /// Chunk-local corners, the one of lower id in the high half.
-    key: u64,
-    /// Units of the gradient sum per value × lattice step².
-    unit: f64,
-    gradient: [i64; 3],
+    /// Chunk-local corners, that of lower id first.
+    low: u32,
+    high: u32,
     /// The next crossing of the same lower corner.
     next: u32,
 }
@@ -321,11 +334,15 @@ struct Crossing {
 /// No crossing.
 const NONE: u32 = u32::MAX;
 
-impl Crossing {
-    fn ends(&self) -> (usize, usize) {
-        ((self.key >> 32) as usize, (self.key & 0xffff_ffff) as usize)
-    }
+/// The gradient around a crossed edge.
+#[derive(Clone, Copy, Debug)]
+struct GradientSum {
+    gradient: [i64; 3],
+    /// Units of the sum per value × lattice step².
+    unit: f64,
+}
 
+impl GradientSum {
     /// Adds one tetrahedron's 6 V ∇f, rounded to integers.
     #[inline]
     fn add(&mut self, g: [f64; 3]) {
@@ -366,14 +383,17 @@ fn round(x: f64) -> i64 {
 ///
 /// Each corner heads a list of the edges of which it is the lower one. Neighbouring tetrahedra have neighbouring corners,
 /// so both the heads and the lists are in cache, which the slots of a hash table are not (it spent 40 % of the extraction
-/// waiting for them). A corner of enormous degree would make a list slow: what exceeds `LONGEST_LIST` goes to a hash table.
+/// waiting for them); sums are kept apart, so that a list is in few cache lines. A corner of enormous degree would make a list slow: what
+/// exceeds `LONGEST_LIST` goes to a hash table.
 #[derive(Debug, Default)]
 struct EdgeTable {
     crossings: Vec<Crossing>,
+    /// As many, of the same numbers.
+    sums: Vec<GradientSum>,
     /// First crossing of each corner; `NONE` without.
     heads: Vec<u32>,
     /// The edges that did not fit their lists; looked up, never iterated.
-    overflow: FxHashMap<u64, u32>,
+    overflow: FxHashMap<(u32, u32), u32>,
 }
 
 impl EdgeTable {
@@ -382,8 +402,9 @@ impl EdgeTable {
     /// Forgets all edges, in time proportional to their number.
     fn clear(&mut self) {
         for crossing in self.crossings.drain(..) {
-            self.heads[(crossing.key >> 32) as usize] = NONE;
+            self.heads[crossing.low as usize] = NONE;
         }
+        self.sums.clear();
         self.overflow.clear();
     }
 
@@ -395,13 +416,12 @@ impl EdgeTable {
     }
 
     #[inline]
-    fn find_or_add(&mut self, a: u32, b: u32, unit: impl FnOnce() -> f64) -> u32 {
-        let key = u64::from(a) << 32 | u64::from(b);
-        let first = self.heads[a as usize];
+    fn find_or_add(&mut self, low: u32, high: u32, unit: impl FnOnce() -> f64) -> u32 {
+        let first = self.heads[low as usize];
         let (mut at, mut length) = (first, 0);
         while at != NONE {
             let crossing = &self.crossings[at as usize];
-            if crossing.key == key {
+            if crossing.high == high {
                 return at;
             }
             (at, length) = (crossing.next, length + 1);
@@ -409,16 +429,17 @@ impl EdgeTable {
         let number = self.crossings.len() as u32;
         assert!(number < NONE, "a chunk has fewer than 2^32 - 1 crossed edges");
         if length < Self::LONGEST_LIST {
-            self.heads[a as usize] = number;
-        } else if let Some(known) = self.find_or_add_overflow(key, number) {
+            self.heads[low as usize] = number;
+        } else if let Some(known) = self.find_or_add_overflow((low, high), number) {
             return known;
         }
-        self.crossings.push(Crossing { key, unit: unit(), gradient: [0; 3], next: first });
+        self.crossings.push(Crossing { low, high, next: first });
+        self.sums.push(GradientSum { gradient: [0; 3], unit: unit() });
         number
     }
 
     #[cold]
-    fn find_or_add_overflow(&mut self, key: u64, number: u32) -> Option<u32> {
+    fn find_or_add_overflow(&mut self, key: (u32, u32), number: u32) -> Option<u32> {
         let known = *self.overflow.entry(key).or_insert(number);
         (known != number).then_some(known)
     }

@@ -111,14 +111,12 @@ fn active_is_the_shared_rule() {
     let flat: Vec<f32> = values.concat();
     let tets: Vec<Tet> = (0..1296u32).map(|i| [4 * i, 4 * i + 1, 4 * i + 2, 4 * i + 3]).collect();
     for isovalue in [-2.0, -1.0, 0.0, 0.5, 1.0, 2.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-        let mut active = vec![0; tets.len()];
-        let count = find_active(&tets, &flat, isovalue, &mut active);
-        let wanted: Vec<u32> = (0..1296u32)
-            .filter(|&i| {
-                tet::range(values[i as usize]).is_some_and(|(lo, hi)| tet::is_active(lo, hi, isovalue))
-            })
-            .collect();
-        assert_eq!(active[..count], wanted[..], "{isovalue}");
+        let mut active = vec![];
+        select_active(&tets, &flat, isovalue, &mut active);
+        let is_active = |v: [f32; 4]| tet::range(v).is_some_and(|(lo, hi)| tet::is_active(lo, hi, isovalue));
+        let wanted: Vec<Tet> =
+            tets.iter().zip(&values).filter(|(_, v)| is_active(**v)).map(|(t, _)| *t).collect();
+        assert_eq!(active, wanted, "{isovalue}");
     }
 }
 

@@ -8,6 +8,7 @@
 //! * [`marching_tets`] turns the active tetrahedra of one chunk into triangles, welded inside the chunk. Any number of
 //!   chunks may be extracted at once.
 //! * [`weld`] joins the chunks, in chunk order, by edge key, and stores the result on disk beyond a given size.
+//! * [`clip`] cuts a finished surface at planes.
 //! * [`components`] measures the connected components and keeps some.
 //! * [`check`] says of any triangle mesh whether it is closed, manifold and oriented.
 //!
@@ -15,6 +16,7 @@
 //! function of its edge, so neither the threads nor the cut into chunks show in the surface.
 
 pub mod check;
+pub mod clip;
 pub mod components;
 pub mod marching_tets;
 #[cfg(test)]
@@ -96,6 +98,48 @@ impl SurfaceSource for TriMesh {
 
     fn triangles(&self, each: &mut dyn FnMut(&[[u32; 3]]) -> Result<()>) -> Result<()> {
         each(&self.triangles)
+    }
+}
+
+/// Surfaces one after another, as one.
+#[derive(Clone)]
+pub struct Joined<'a> {
+    parts: Vec<&'a dyn SurfaceSource>,
+}
+
+impl<'a> Joined<'a> {
+    /// The vertices of all parts, then their triangles, in order; no vertex is shared between parts.
+    pub fn new(parts: Vec<&'a dyn SurfaceSource>) -> Self {
+        Self { parts }
+    }
+}
+
+impl SurfaceSource for Joined<'_> {
+    fn vertex_count(&self) -> u64 {
+        self.parts.iter().map(|p| p.vertex_count()).sum()
+    }
+
+    fn triangle_count(&self) -> u64 {
+        self.parts.iter().map(|p| p.triangle_count()).sum()
+    }
+
+    fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()> {
+        self.parts.iter().try_for_each(|p| p.vertices(each))
+    }
+
+    fn triangles(&self, each: &mut dyn FnMut(&[[u32; 3]]) -> Result<()>) -> Result<()> {
+        let (mut first, mut moved) = (0u64, Vec::new());
+        for part in &self.parts {
+            // Numbers have 32 bits; a writer refuses more vertices before it asks for a triangle.
+            let offset = first as u32;
+            part.triangles(&mut |batch| {
+                moved.clear();
+                moved.extend(batch.iter().map(|t| t.map(|v| v.wrapping_add(offset))));
+                each(&moved)
+            })?;
+            first += part.vertex_count();
+        }
+        Ok(())
     }
 }
 

@@ -59,7 +59,7 @@ pub(crate) fn reduce(input: &Path, settings: &ReduceSettings, out: &Path, thread
 }
 
 pub(crate) fn surface(archive: &Path, isovalue: f32, out: &Path, threads: usize) -> pipeline::SurfaceReport {
-    let settings = SurfaceSettings { isovalue, threads, ..SurfaceSettings::default() };
+    let settings = SurfaceSettings { threads, ..SurfaceSettings::of(isovalue) };
     pipeline::extract_surface(archive, &settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent)
         .unwrap()
 }

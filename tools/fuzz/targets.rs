@@ -246,7 +246,7 @@ impl Archive {
 
     fn ask(&self) -> Result<()> {
         let out = self.copy.with_extension("ply");
-        let settings = SurfaceSettings { isovalue: ISOVALUE, threads: 1, ..SurfaceSettings::default() };
+        let settings = SurfaceSettings { threads: 1, ..SurfaceSettings::of(ISOVALUE) };
         let outcomes = [
             pipeline::check_archive(&self.copy).map(drop),
             pipeline::count_active(&self.copy, ISOVALUE).map(drop),

@@ -1,0 +1,278 @@
+//! Several isosurfaces out of an archive in one pass: each block is decoded once, whatever the number of isovalues.
+//!
+//! Chunks are extracted in parallel, a batch at a time, while the batch before is welded, in chunk order. Every
+//! isovalue has its own weld, which sees what it would see alone: a surface does not depend on what else was asked for.
+//! Blocks of a chunk are decoded one after another into the same small buffer, so the memory of a chunk is that of its corners and
+//! of its surfaces, not of its tetrahedra.
+
+use super::horizon::Horizon;
+use super::need::{self, SurfaceShares};
+use super::open::OpenArchive;
+use super::query::SurfaceSettings;
+use super::reader::{self, ChunkReader};
+use super::roi::Cut;
+use crate::error::Result;
+use crate::exec::{Progress, pool};
+use crate::grid::ChunkId;
+use crate::index::Entry;
+use crate::mesh::tet::{Tet, is_active};
+use crate::surface::WorldMap;
+use crate::surface::marching_tets::{CellSource, ChunkSurface, select_active};
+use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
+use rayon::prelude::*;
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+
+/// The blocks of a chunk that can hold an answer, in order.
+pub(super) struct ChunkWork {
+    pub(super) chunk: ChunkId,
+    pub(super) blocks: Vec<Entry>,
+}
+
+/// Blocks, as an index lists them, chunk by chunk.
+pub(super) fn by_chunk(archive: &OpenArchive, refs: &[Entry]) -> Result<Vec<ChunkWork>> {
+    refs.chunk_by(|a, b| a.chunk == b.chunk)
+        .map(|run| {
+            let chunk = ChunkId(run[0].chunk);
+            archive.expect_chunk(chunk)?;
+            Ok(ChunkWork { chunk, blocks: run.to_vec() })
+        })
+        .collect()
+}
+
+/// What to extract.
+pub(super) struct Question<'a> {
+    pub(super) archive: &'a OpenArchive,
+    pub(super) isovalues: &'a [f32],
+    /// Where; everywhere without.
+    pub(super) cut: Option<&'a Cut>,
+    pub(super) world: WorldMap,
+    /// Active blocks, chunk by chunk.
+    pub(super) work: Vec<ChunkWork>,
+}
+
+/// A surface, welded, and the number of its tetrahedra.
+pub(super) struct Extracted {
+    pub(super) surface: StoredSurface,
+    pub(super) active_tetrahedra: u64,
+}
+
+/// The surfaces of a chunk, one for each isovalue.
+type ChunkSurfaces = Vec<ChunkSurface>;
+
+/// Extracts all isovalues from the active blocks of all chunks. What memory does not hold goes to `scratch`.
+pub(super) fn extract_surfaces(
+    question: &Question<'_>,
+    settings: &SurfaceSettings,
+    scratch: PathBuf,
+    progress: &dyn Progress,
+) -> Result<Vec<Extracted>> {
+    let work = &question.work;
+    let active_blocks = work.iter().map(|w| w.blocks.len() as u64).sum::<u64>();
+    let bytes_of = |work: &ChunkWork| question.need(work);
+    let largest = work.iter().map(bytes_of).max().unwrap_or(0);
+    let shares = SurfaceShares::of(settings.memory, active_blocks, largest)?;
+    let mut weld = Weld::new(question, settings, shares, scratch, progress);
+    let pool = pool(settings.threads)?;
+    progress.begin("surface", active_blocks, "blocks");
+    let spare = Mutex::new(vec![]);
+    let (mut waiting, mut waiting_bytes, mut next) = (vec![], 0, 0);
+    while next < work.len() || !waiting.is_empty() {
+        settings.cancel.check()?;
+        let most = 2 * pool.current_num_threads();
+        let room = shares.batch.saturating_sub(waiting_bytes);
+        // What does not fit beside the chunks that wait is extracted after them; a chunk alone always fits.
+        let fit = batch_len(&work[next..], room, most, bytes_of);
+        let fit = if waiting.is_empty() { fit.max(1) } else { fit };
+        let batch = &work[next..(next + fit).min(work.len())];
+        let extract = || batch.par_iter().map(|w| question.chunk_surfaces(w, &spare)).collect::<Vec<_>>();
+        let (welded, extracted) = pool.install(|| rayon::join(|| weld.push(waiting, &spare), extract));
+        welded?;
+        if let Some(first) = batch.first() {
+            question.archive.close_before(first.chunk);
+        }
+        waiting = extracted;
+        waiting_bytes = batch.iter().map(bytes_of).sum();
+        next += batch.len();
+    }
+    weld.finish()
+}
+
+/// How many of the next chunks fit, up to `most`.
+fn batch_len<T>(next: &[T], room: u64, most: usize, bytes_of: impl Fn(&T) -> u64) -> usize {
+    let mut sum = 0u64;
+    let fit = next.iter().take(most).take_while(|chunk| {
+        sum = sum.saturating_add(bytes_of(chunk));
+        sum <= room
+    });
+    fit.count()
+}
+
+impl Question<'_> {
+    /// Bytes in which the blocks of a chunk are extracted: from the plan's target and the point set, without reading.
+    fn need(&self, work: &ChunkWork) -> u64 {
+        let archive = self.archive;
+        let core = &archive.chunks.chunk(work.chunk).core;
+        // The halo points that tetrahedra use lie within about one spacing.
+        let near = core.grow_within(archive.points.mean_spacing(), &archive.chunks.bricks().lattice.domain());
+        let tets: u64 = work.blocks.iter().map(|b| u64::from(b.tets) * self.times_active(b)).sum();
+        let per_vertex = reader::BYTES_PER_VERTEX + need::SURFACE_PER_VERTEX * self.isovalues.len() as u64;
+        need::extraction_bytes(archive.points.count_in(&near), per_vertex, tets)
+    }
+
+    /// For how many isovalues a block can hold an answer.
+    fn times_active(&self, block: &Entry) -> u64 {
+        self.isovalues.iter().filter(|&&v| is_active(block.min, block.max, v)).count() as u64
+    }
+
+    /// The surfaces of a chunk; buffers come from `spare` where there are any.
+    fn chunk_surfaces(&self, work: &ChunkWork, spare: &Mutex<Vec<ChunkSurface>>) -> Result<ChunkSurfaces> {
+        let take = || spare.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
+        let mut surfaces: Vec<ChunkSurface> = self.isovalues.iter().map(|_| take()).collect();
+        for (surface, &isovalue) in surfaces.iter_mut().zip(self.isovalues) {
+            surface.start(isovalue);
+        }
+        let mut reader = ChunkReader::open(self.archive, work.chunk)?;
+        let (mut tets, mut active) = (vec![], vec![]);
+        for block in &work.blocks {
+            tets.clear();
+            reader.tets(block.block, &mut tets)?;
+            reader.load_values(&tets)?;
+            for (surface, &isovalue) in surfaces.iter_mut().zip(self.isovalues) {
+                if is_active(block.min, block.max, isovalue) {
+                    active.clear();
+                    select_active(&tets, reader.values(), isovalue, &mut active);
+                    reader.place(&active)?;
+                    self.keep_in_cut(&reader, &mut active);
+                    surface.add_active(&cells(&reader, &active));
+                }
+            }
+        }
+        for surface in &mut surfaces {
+            surface.finish(&cells(&reader, &[]), &self.world);
+        }
+        Ok(surfaces)
+    }
+
+    fn keep_in_cut(&self, reader: &ChunkReader<'_>, tets: &mut Vec<Tet>) {
+        if let Some(cut) = self.cut {
+            tets.retain(|t| cut.may_touch(t.map(|v| reader.positions()[v as usize])));
+        }
+    }
+}
+
+fn cells<'a>(reader: &'a ChunkReader<'_>, tets: &'a [Tet]) -> CellSource<'a> {
+    CellSource {
+        positions: reader.positions(),
+        values: reader.values(),
+        ids: reader.ids(),
+        shared: reader.shared(),
+        tets,
+    }
+}
+
+/// The welds of all isovalues, which take chunks in order.
+struct Weld<'a> {
+    question: &'a Question<'a>,
+    builders: Vec<(SurfaceBuilder, Closing)>,
+    active_tetrahedra: Vec<u64>,
+    /// Made when first needed: most surfaces fit in memory.
+    horizon: Option<Horizon>,
+    shares: SurfaceShares,
+    memory: u64,
+    done: usize,
+    progress: &'a dyn Progress,
+}
+
+impl<'a> Weld<'a> {
+    fn new(
+        question: &'a Question<'a>,
+        settings: &SurfaceSettings,
+        shares: SurfaceShares,
+        scratch: PathBuf,
+        progress: &'a dyn Progress,
+    ) -> Self {
+        let count = question.isovalues.len();
+        let memory_bytes = usize::try_from(shares.finished / count as u64).unwrap_or(usize::MAX);
+        let builder_settings = BuilderSettings { scratch, memory_bytes };
+        let builder = || SurfaceBuilder::new(&question.world, &builder_settings);
+        let open_edges = shares.open_edges / count as u64;
+        Self {
+            question,
+            builders: (0..count).map(|_| (builder(), Closing::new(open_edges))).collect(),
+            active_tetrahedra: vec![0; count],
+            horizon: None,
+            shares,
+            memory: settings.memory,
+            done: 0,
+            progress,
+        }
+    }
+
+    /// Adds the next chunks; the buffers go back to `spare`.
+    fn push(&mut self, chunks: Vec<Result<ChunkSurfaces>>, spare: &Mutex<Vec<ChunkSurface>>) -> Result<()> {
+        for surfaces in chunks {
+            let surfaces = surfaces?;
+            for (i, surface) in surfaces.iter().enumerate() {
+                self.active_tetrahedra[i] += surface.active_cells();
+                self.builders[i].0.push(surface)?;
+            }
+            spare.lock().unwrap_or_else(PoisonError::into_inner).extend(surfaces);
+            let blocks = self.question.work[self.done].blocks.len() as u64;
+            self.done += 1;
+            self.close_edges()?;
+            self.progress.advance(blocks);
+        }
+        Ok(())
+    }
+
+    /// Closes shared edges where they have become many.
+    fn close_edges(&mut self) -> Result<()> {
+        let archive = self.question.archive;
+        for (builder, closing) in &mut self.builders {
+            if (builder.open_edges() as u64) < closing.look_at {
+                continue;
+            }
+            let horizon = match self.horizon.take() {
+                Some(horizon) => horizon,
+                None => Horizon::new(archive, self.question.work.iter().map(|w| w.chunk))?,
+            };
+            let beyond = self.horizon.insert(horizon).after(self.done);
+            let place = |id| archive.points.position(id);
+            builder.keep_open(|a, b| match (place(a), place(b)) {
+                (Some(a), Some(b)) => beyond.can_have(a, b),
+                _ => true,
+            })?;
+            if !closing.looked(builder.open_edges() as u64) {
+                let open = builder.open_edges() as u64 * self.question.isovalues.len() as u64;
+                return Err(self.shares.too_many_open(self.memory, open));
+            }
+        }
+        Ok(())
+    }
+
+    fn finish(self) -> Result<Vec<Extracted>> {
+        let extracted = |((builder, _), active_tetrahedra): ((SurfaceBuilder, _), u64)| {
+            Ok(Extracted { surface: builder.finish()?, active_tetrahedra })
+        };
+        self.builders.into_iter().zip(self.active_tetrahedra).map(extracted).collect()
+    }
+}
+
+/// When to look at the open edges of a surface: whenever they have doubled, which costs a constant number of looks an edge.
+struct Closing {
+    most: u64,
+    look_at: u64,
+}
+
+impl Closing {
+    fn new(most: u64) -> Self {
+        Self { most, look_at: most / 64 + 1 }
+    }
+
+    /// Whether so many may stay open.
+    fn looked(&mut self, open: u64) -> bool {
+        self.look_at = (2 * open).clamp(self.most / 64 + 1, self.most + 1);
+        open <= self.most
+    }
+}

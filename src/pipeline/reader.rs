@@ -1,0 +1,222 @@
+//! A chunk of an archive while a question reads it: tetrahedra block by block, and of the corners what is asked for.
+//!
+//! ```text
+//!  header (once) ─▶ tets(block) ─▶ load_values(tets) ─▶ active ones only: place(tets)
+//! ```
+//!
+//! A question looks at the values of all corners of a block, but at the positions of the active tetrahedra only. Values come in
+//! blocks of [`BLOCK_VALUES`] and positions brick by brick (a brick lists its points again from the formula of the
+//! point set), each when a corner of theirs is first asked for. So a chunk whose surface is small costs a few bricks.
+
+use super::open::{OpenArchive, OpenSegment};
+use super::plan::check_brick;
+use crate::archive::chunk::{ChunkHeader, decode_tets};
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::values::{BLOCK_VALUES, decode_values};
+use crate::error::{Error, Result};
+use crate::geom::{LatticePos, PointId, Site};
+use crate::grid::{BrickId, Chunk, ChunkId};
+use crate::mesh::tet::Tet;
+use std::sync::Arc;
+
+/// A position that no corner has: the lattice ends at 2^24.
+const UNPLACED: LatticePos = [u32::MAX; 3];
+
+/// A chunk that is being read. Corner arrays are indexed by chunk-local vertex numbers.
+pub(super) struct ChunkReader<'a> {
+    archive: &'a OpenArchive,
+    segment: Arc<OpenSegment>,
+    chunk: Chunk,
+    bricks: Vec<BrickId>,
+    /// First corner of each brick, and the number of core corners.
+    starts: Vec<u32>,
+    halo: Vec<PointId>,
+    shared: Vec<bool>,
+    positions: Vec<LatticePos>,
+    ids: Vec<PointId>,
+    values: Vec<f32>,
+    /// Of each block of values, whether it has been read.
+    have_values: Vec<bool>,
+    /// Buffers: the bytes of a block, the points of a brick, the values of a block.
+    bytes: Vec<u8>,
+    sites: Vec<Site>,
+    decoded: Vec<f32>,
+}
+
+/// Bytes that a reader holds for each vertex of its chunk, a little more than counted: they are allocated once.
+pub(super) const BYTES_PER_VERTEX: u64 = 40;
+
+impl<'a> ChunkReader<'a> {
+    /// Reads the header of a chunk.
+    pub(super) fn open(archive: &'a OpenArchive, id: ChunkId) -> Result<Self> {
+        archive.expect_chunk(id)?;
+        let segment = archive.segment_of(id)?;
+        let chunk = archive.chunks.chunk(id);
+        let blocks = segment.mesh.block_count(id);
+        if blocks < 2 {
+            return Err(damaged(&segment.mesh, id, "block count", &blocks));
+        }
+        let mut bytes = vec![];
+        segment.mesh.block(id, 0, &mut bytes)?;
+        let header = ChunkHeader::decode(&bytes).map_err(|m| segment.mesh.blame(id, 0, m))?.vertices;
+        if header.core_counts.len() as u64 != chunk.brick_count() {
+            return Err(damaged(&segment.mesh, id, "header", "it has another number of bricks"));
+        }
+        let vertices = header.len() as usize;
+        let value_blocks = vertices.div_ceil(BLOCK_VALUES);
+        // The last block is the summary.
+        if segment.values.block_count(id) != value_blocks as u64 + 1 {
+            let got = format!("{} blocks", segment.values.block_count(id));
+            return Err(damaged(&segment.values, id, "chunk table", &got));
+        }
+        let mut starts = vec![0];
+        starts.extend(header.core_counts.iter().scan(0, |sum, n| {
+            *sum += n;
+            Some(*sum)
+        }));
+        Ok(Self {
+            archive,
+            segment,
+            bricks: chunk.bricks(archive.chunks.bricks()).collect(),
+            chunk,
+            starts,
+            halo: header.halo,
+            shared: header.shared,
+            positions: vec![UNPLACED; vertices],
+            ids: vec![PointId(0); vertices],
+            values: vec![f32::NAN; vertices],
+            have_values: vec![false; value_blocks],
+            bytes,
+            sites: vec![],
+            decoded: vec![],
+        })
+    }
+
+    /// Corners that the chunk owns; the others are halo.
+    pub(super) fn core(&self) -> usize {
+        self.starts[self.starts.len() - 1] as usize
+    }
+
+    /// Positions; those of corners that were not placed mean nothing.
+    pub(super) fn positions(&self) -> &[LatticePos] {
+        &self.positions
+    }
+
+    /// Ids; those of corners that were not placed mean nothing.
+    pub(super) fn ids(&self) -> &[PointId] {
+        &self.ids
+    }
+
+    /// Values; NaN where there are none, and where they were not loaded.
+    pub(super) fn values(&self) -> &[f32] {
+        &self.values
+    }
+
+    /// Whether another chunk has the corner too.
+    pub(super) fn shared(&self) -> &[bool] {
+        &self.shared
+    }
+
+    /// Appends the tetrahedra of a block.
+    pub(super) fn tets(&mut self, block: u32, out: &mut Vec<Tet>) -> Result<()> {
+        let (mesh, id) = (&self.segment.mesh, self.chunk.id);
+        let blocks = mesh.block_count(id);
+        // The first block is the header, the last the summary.
+        let number = u64::from(block) + 1;
+        if number + 1 >= blocks {
+            return Err(damaged(mesh, id, "index", &format!("block {block} of {}", blocks - 2)));
+        }
+        mesh.block(id, number, &mut self.bytes)?;
+        decode_tets(&self.bytes, self.values.len() as u32, out).map_err(|m| mesh.blame(id, number, m))
+    }
+
+    /// Reads the values of all corners of some tetrahedra.
+    pub(super) fn load_values(&mut self, tets: &[Tet]) -> Result<()> {
+        for &v in tets.iter().flatten() {
+            let block = v as usize / BLOCK_VALUES;
+            if !self.have_values[block] {
+                self.read_values(block)?;
+            }
+        }
+        Ok(())
+    }
+
+    #[cold]
+    fn read_values(&mut self, block: usize) -> Result<()> {
+        let (values, id) = (&self.segment.values, self.chunk.id);
+        values.block(id, block as u64, &mut self.bytes)?;
+        let end = self.values.len().min((block + 1) * BLOCK_VALUES);
+        let place = &mut self.values[block * BLOCK_VALUES..end];
+        self.decoded.clear();
+        decode_values(&self.bytes, place.len(), &mut self.decoded)
+            .map_err(|m| values.blame(id, block as u64, m))?;
+        place.copy_from_slice(&self.decoded);
+        self.have_values[block] = true;
+        Ok(())
+    }
+
+    /// Finds positions and ids of all corners of some tetrahedra.
+    pub(super) fn place(&mut self, tets: &[Tet]) -> Result<()> {
+        for &v in tets.iter().flatten() {
+            if self.positions[v as usize] == UNPLACED {
+                self.place_corner(v as usize)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// A halo corner's position is a formula of its id; a core corner's brick is enumerated.
+    #[cold]
+    fn place_corner(&mut self, v: usize) -> Result<()> {
+        let core = self.core();
+        if v < core {
+            let brick = self.starts.partition_point(|&s| s as usize <= v) - 1;
+            return self.place_brick(brick);
+        }
+        let id = self.halo[v - core];
+        let position = self.archive.points.position(id);
+        let wrong = || damaged(&self.segment.mesh, self.chunk.id, "halo", &format!("no point {:#x}", id.0));
+        (self.positions[v], self.ids[v]) = (position.ok_or_else(wrong)?, id);
+        Ok(())
+    }
+
+    fn place_brick(&mut self, n: usize) -> Result<()> {
+        let (first, end) = (self.starts[n] as usize, self.starts[n + 1] as usize);
+        let brick = self.archive.chunks.bricks().brick(self.bricks[n]);
+        let wrong = |what: &str| damaged(&self.segment.mesh, self.chunk.id, "header", what);
+        check_brick(&self.archive.points, &brick).map_err(|e| wrong(&e.to_string()))?;
+        self.archive.points.sites_in(&brick, &mut self.sites);
+        if self.sites.len() != end - first {
+            let (got, said) = (self.sites.len(), end - first);
+            return Err(wrong(&format!(
+                "brick {} has {got} points, not the {said} recorded",
+                self.bricks[n].0
+            )));
+        }
+        for (i, site) in (first..).zip(&self.sites) {
+            (self.positions[i], self.ids[i]) = (site.pos, site.id);
+        }
+        Ok(())
+    }
+
+    /// What has been read of the corners: positions, ids, values, whether shared.
+    pub(super) fn into_corners(self) -> (Vec<LatticePos>, Vec<PointId>, Vec<f32>, Vec<bool>) {
+        (self.positions, self.ids, self.values, self.shared)
+    }
+}
+
+/// A block that verifies but does not mean anything: written by a faulty program.
+pub(super) fn damaged(
+    segment: &ChunkSegment,
+    chunk: ChunkId,
+    at: &str,
+    what: &(impl std::fmt::Display + ?Sized),
+) -> Error {
+    Error::bad_input(
+        segment.segment().path(),
+        format!("chunk {}, {at}", chunk.0),
+        "a chunk as FORMAT.md says",
+        what.to_string(),
+    )
+    .with_help("reduce the source again")
+}
