@@ -18,6 +18,8 @@ pub enum PointClass {
     Face = 2,
     /// One of the 8 corners of the domain box.
     Corner = 3,
+    /// A point of a list: a sample of the boundary of a tetrahedral mesh.
+    Explicit = 4,
 }
 
 /// Names a sample site for ever: its class above its index in that class. A site's position is a function of its id.
@@ -41,6 +43,7 @@ impl PointId {
             1 => Some(PointClass::Edge),
             2 => Some(PointClass::Face),
             3 => Some(PointClass::Corner),
+            4 => Some(PointClass::Explicit),
             _ => None,
         }
     }

@@ -83,7 +83,7 @@ impl Boundary {
     /// The position of a sample; `None` when there is no such sample.
     pub(super) fn position(&self, class: PointClass, index: u64) -> Option<LatticePos> {
         match class {
-            PointClass::Interior => None,
+            PointClass::Interior | PointClass::Explicit => None,
             PointClass::Edge => self.edges[(index % 12) as usize].position(index / 12),
             PointClass::Face => self.faces[(index % 6) as usize].position(index / 6),
             PointClass::Corner => (index < 8).then(|| self.corner(index)),

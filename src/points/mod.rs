@@ -9,7 +9,8 @@
 //! | lattice | body-centred cubic | `grids` |
 //!
 //! scaled to the domain box and rounded to its [`Lattice`], halves up, in integers throughout. All but the regular
-//! set get samples of the domain's boundary besides (`boundary`).
+//! set get samples of the domain's boundary besides (`boundary`), and a set may have a list of points that follow no formula
+//! ([`ExplicitPoints`]).
 //!
 //! A point is its [`PointId`]: [`PointSet::position`] is a formula, so positions need not be stored. And a box finds
 //! its own points ([`PointSet::sites_in`]) from the formula, whatever the size of the whole set: no pass over all
@@ -32,12 +33,14 @@
 //! sort; memory for the answer and its sort. References: Hammersley (1960); Halton (1960); Temlyakov (1987); Niederreiter (1992).
 
 mod boundary;
+mod explicit;
 mod grids;
 mod net;
 mod order;
 mod radical_inverse;
 mod spec;
 
+pub use explicit::ExplicitPoints;
 pub use radical_inverse::{RadicalInverse, radical_inverse};
 pub use spec::{PointSpec, SetKind, SetSettings};
 
@@ -47,6 +50,7 @@ use boundary::Boundary;
 use grids::Grids;
 use net::{Axis, Net};
 use radical_inverse::Base;
+use std::sync::Arc;
 
 /// The most interior points a set may have: 2^59.
 pub const MOST_POINTS: u64 = 1 << 59;
@@ -58,6 +62,7 @@ pub struct PointSet {
     lattice: Lattice,
     interior: Interior,
     boundary: Option<Boundary>,
+    explicit: Option<Arc<ExplicitPoints>>,
     /// (V/n)^(1/3) in 2^-16 lattice steps.
     spacing_q16: u64,
 }
@@ -84,7 +89,18 @@ impl PointSet {
             PointSpec::Halton { .. } => Some(Boundary::new(lattice.max(), spacing_q16, true)),
             _ => Some(Boundary::new(lattice.max(), spacing_q16, false)),
         };
-        Ok(Self { spec, lattice, interior, boundary, spacing_q16 })
+        Ok(Self { spec, lattice, interior, boundary, explicit: None, spacing_q16 })
+    }
+
+    /// The same set and a list of points besides.
+    #[must_use]
+    pub fn with_explicit(self, points: Arc<ExplicitPoints>) -> Self {
+        Self { explicit: Some(points), ..self }
+    }
+
+    /// The points that are listed, if any.
+    pub fn explicit(&self) -> Option<&ExplicitPoints> {
+        self.explicit.as_deref()
     }
 
     /// What the set was made from.
@@ -99,7 +115,8 @@ impl PointSet {
 
     /// Number of points, interior and boundary, before those that round to one position become one.
     pub fn len(&self) -> u64 {
-        self.interior.len() + self.boundary.as_ref().map_or(0, Boundary::len)
+        let listed = self.explicit.as_ref().map_or(0, |e| e.len());
+        self.interior.len() + self.boundary.as_ref().map_or(0, Boundary::len) + listed
     }
 
     /// Number of points that are no boundary samples.
@@ -124,7 +141,8 @@ impl PointSet {
             Interior::Net(net) => net.count_in(&b),
             Interior::Grids(grids) => grids.count_in(&b),
         };
-        interior + self.boundary.as_ref().map_or(0, |s| s.count_in(&b))
+        let listed = self.explicit.as_ref().map_or(0, |e| e.count_in(&b));
+        interior + self.boundary.as_ref().map_or(0, |s| s.count_in(&b)) + listed
     }
 
     /// Replaces `out` by all sites whose position lies in the box: each position once, with the lowest of its ids,
@@ -149,6 +167,9 @@ impl PointSet {
         if let Some(boundary) = &self.boundary {
             boundary.sites_in(&b, out);
         }
+        if let Some(explicit) = &self.explicit {
+            explicit.sites_in(&b, out);
+        }
     }
 
     /// The position of a point; `None` for an id that the set does not have (from a damaged file).
@@ -158,6 +179,7 @@ impl PointSet {
                 Interior::Net(net) => net.position(id.index()),
                 Interior::Grids(grids) => grids.position(id.index()),
             },
+            PointClass::Explicit => self.explicit.as_ref()?.position(id.index()),
             class => self.boundary.as_ref()?.position(class, id.index()),
         }
     }

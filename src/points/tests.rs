@@ -135,7 +135,7 @@ fn the_hull_is_sampled() {
         for (pos, id) in all {
             let on = (0..3).filter(|&a| pos[a] == 0 || pos[a] == max[a]).count();
             let least = match id.class().unwrap() {
-                PointClass::Interior => 0,
+                PointClass::Interior | PointClass::Explicit => 0,
                 PointClass::Face => 1,
                 PointClass::Edge => 2,
                 PointClass::Corner => 3,

@@ -1,0 +1,221 @@
+//! Points for which there is no formula: they are listed.
+//!
+//! The boundary of a tetrahedral mesh has any shape, so its samples are a list, made once and kept with the archive. The list is
+//! sorted by the cells of a coarse grid, x fastest, and within a cell by x, y, z, each position once; the id of a point is its
+//! place in that order. A box finds its points by looking at the cells that it meets.
+
+use crate::geom::{Lattice, LatticeBox, LatticePos, PointClass, PointId, Site};
+
+/// A list of points on a lattice, in canonical order.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ExplicitPoints {
+    positions: Vec<LatticePos>,
+    grid: Cells,
+    /// Where each cell begins, and the end.
+    starts: Vec<u32>,
+}
+
+/// The coarse grid: cells of 2^shift lattice steps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Cells {
+    shift: u32,
+    dims: [usize; 3],
+}
+
+/// Points a cell of the domain, about; those that hold any hold more, as points lie on a surface.
+const POINTS_A_CELL: u128 = 4;
+
+impl Cells {
+    fn new(lattice: &Lattice, count: usize) -> Self {
+        let max = lattice.max();
+        let dims = |shift: u32| -> [usize; 3] { max.map(|m| (m >> shift) as usize + 1) };
+        let most = (count as u128 / POINTS_A_CELL).max(1);
+        let fits = |&s: &u32| dims(s).iter().map(|&n| n as u128).product::<u128>() <= most;
+        let shift = (0..25).find(fits).unwrap_or(25);
+        Self { shift, dims: dims(shift) }
+    }
+
+    fn len(&self) -> usize {
+        self.dims.iter().product()
+    }
+
+    fn of(&self, p: LatticePos) -> [usize; 3] {
+        p.map(|c| (c >> self.shift) as usize)
+    }
+
+    fn number(&self, [x, y, z]: [usize; 3]) -> usize {
+        (z * self.dims[1] + y) * self.dims[0] + x
+    }
+}
+
+impl ExplicitPoints {
+    /// The most points of a list: ids and places are 32 bits.
+    pub const MOST: usize = u32::MAX as usize - 1;
+
+    /// Sorts a list of positions in the lattice's domain; equal ones become one.
+    ///
+    /// # Panics
+    /// When there are more than [`ExplicitPoints::MOST`], or one lies outside.
+    pub fn new(lattice: &Lattice, mut positions: Vec<LatticePos>) -> Self {
+        assert!(positions.len() <= Self::MOST, "the caller bounds the list");
+        let domain = lattice.domain();
+        assert!(positions.iter().all(|&p| domain.contains(p)), "points lie in the domain");
+        positions.sort_unstable();
+        positions.dedup();
+        let grid = Cells::new(lattice, positions.len());
+        // Stable: within a cell the order stays that of x, y, z.
+        positions.sort_by_key(|&p| grid.number(grid.of(p)));
+        let mut starts = vec![0u32; grid.len() + 1];
+        for &p in &positions {
+            starts[grid.number(grid.of(p)) + 1] += 1;
+        }
+        for i in 0..grid.len() {
+            starts[i + 1] += starts[i];
+        }
+        Self { positions, grid, starts }
+    }
+
+    /// Positions in canonical order.
+    pub fn positions(&self) -> &[LatticePos] {
+        &self.positions
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> u64 {
+        self.positions.len() as u64
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// The place in the list of a position.
+    pub fn find(&self, p: LatticePos) -> Option<usize> {
+        let c = self.grid.of(p);
+        if (0..3).any(|a| c[a] >= self.grid.dims[a]) {
+            return None;
+        }
+        let n = self.grid.number(c);
+        let (from, to) = (self.starts[n] as usize, self.starts[n + 1] as usize);
+        self.positions[from..to].binary_search(&p).ok().map(|i| from + i)
+    }
+
+    /// The position of a point by its index.
+    pub(super) fn position(&self, index: u64) -> Option<LatticePos> {
+        self.positions.get(usize::try_from(index).ok()?).copied()
+    }
+
+    /// Appends the points of a box within the domain.
+    pub(super) fn sites_in(&self, b: &LatticeBox, out: &mut Vec<Site>) {
+        self.each_row(b, |range, _| {
+            let inside = range.filter(|&i| b.contains(self.positions[i]));
+            out.extend(
+                inside.map(|i| Site {
+                    id: PointId::new(PointClass::Explicit, i as u64),
+                    pos: self.positions[i],
+                }),
+            );
+        });
+    }
+
+    /// The number of points in a box within the domain, exactly.
+    pub(super) fn count_in(&self, b: &LatticeBox) -> u64 {
+        let mut count = 0;
+        self.each_row(b, |range, whole| {
+            count +=
+                if whole { range.len() } else { range.filter(|&i| b.contains(self.positions[i])).count() }
+                    as u64;
+        });
+        count
+    }
+
+    /// Calls `row` with the run of points of each cell, or row of cells, that the box meets; and whether the box has all of it.
+    fn each_row(&self, b: &LatticeBox, mut row: impl FnMut(std::ops::Range<usize>, bool)) {
+        if b.is_empty() || self.is_empty() {
+            return;
+        }
+        let (lo, hi) = (self.grid.of(b.lo), self.grid.of(b.hi.map(|h| h - 1)));
+        // Cells whose every position is inside.
+        let whole = |a: usize, c: usize| {
+            let (first, end) = ((c as u64) << self.grid.shift, (c as u64 + 1) << self.grid.shift);
+            u64::from(b.lo[a]) <= first && end <= u64::from(b.hi[a])
+        };
+        let mut run = |x: std::ops::RangeInclusive<usize>, y: usize, z: usize, all: bool| {
+            let first = self.starts[self.grid.number([*x.start(), y, z])] as usize;
+            let end = self.starts[self.grid.number([*x.end(), y, z]) + 1] as usize;
+            if first < end {
+                row(first..end, all);
+            }
+        };
+        for z in lo[2]..=hi[2] {
+            for y in lo[1]..=hi[1] {
+                let inner = whole(1, y) && whole(2, z);
+                if !inner || hi[0] - lo[0] < 2 {
+                    run(lo[0]..=hi[0], y, z, false);
+                    continue;
+                }
+                run(lo[0]..=lo[0], y, z, false);
+                run(lo[0] + 1..=hi[0] - 1, y, z, true);
+                run(hi[0]..=hi[0], y, z, false);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn lattice() -> Lattice {
+        Lattice::new([65, 33, 49]).unwrap()
+    }
+
+    fn mixed(count: u32) -> Vec<LatticePos> {
+        let max = lattice().max();
+        let mix =
+            |i: u32, k: u32| (i + 1).wrapping_mul(2_654_435_761).rotate_left(7 * k).wrapping_mul(40_503);
+        (0..count).map(|i| std::array::from_fn(|a| mix(i, a as u32) % (max[a] + 1))).collect()
+    }
+
+    #[test]
+    fn every_point_is_found_by_its_position_and_its_id() {
+        let points = mixed(3000);
+        let mut twice = points.clone();
+        twice.extend(&points);
+        twice.reverse();
+        let list = ExplicitPoints::new(&lattice(), twice);
+        assert_eq!(list, ExplicitPoints::new(&lattice(), points.clone()), "a set has one order");
+        for p in points {
+            let at = list.find(p).unwrap();
+            assert_eq!(list.position(at as u64), Some(p));
+        }
+        assert_eq!(list.position(3000), None);
+        assert_eq!(list.find([u32::MAX; 3]), None);
+        assert!(ExplicitPoints::new(&lattice(), vec![]).is_empty());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(50))]
+
+        #[test]
+        fn boxes_have_their_points(count in 0u32..600, lo in [0.0..1.0f64, 0.0..1.0, 0.0..1.0], size in [0.0..1.0f64, 0.0..1.0, 0.0..1.0]) {
+            let points = mixed(count);
+            let list = ExplicitPoints::new(&lattice(), points.clone());
+            let max = lattice().max();
+            let lo: LatticePos = std::array::from_fn(|a| (lo[a] * f64::from(max[a])) as u32);
+            let hi: LatticePos = std::array::from_fn(|a| (lo[a] + (size[a] * f64::from(max[a])) as u32).min(max[a] + 1));
+            let b = LatticeBox { lo, hi };
+            let mut found = vec![];
+            list.sites_in(&b, &mut found);
+            let mut expected: Vec<_> = points.into_iter().filter(|&p| b.contains(p)).collect();
+            let mut positions: Vec<_> = found.iter().map(|s| s.pos).collect();
+            expected.sort_unstable();
+            positions.sort_unstable();
+            prop_assert_eq!(positions, expected);
+            prop_assert_eq!(list.count_in(&b), found.len() as u64);
+            prop_assert!(found.iter().all(|s| list.position(s.id.index()) == Some(s.pos)));
+        }
+    }
+}
