@@ -91,8 +91,8 @@ fn a_summary_of_four_thousand_million_blocks_claimed_sixteen_gigabytes() {
         &archive,
         |_| {},
         |kind, _, block| {
-            // The summary of a chunk's mesh is the only block of 40 bytes; its third field counts the blocks.
-            if kind == SegmentKind::Mesh && block.len() == 40 {
+            // The summary of a chunk's mesh is the only block of 56 bytes; its third field counts the blocks.
+            if kind == SegmentKind::Mesh && block.len() == 56 {
                 block[8..12].fill(0xff);
             }
         },

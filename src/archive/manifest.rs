@@ -8,6 +8,7 @@
 //! every mesh segment carries it. A *step hash* covers that and what decides the values of a step (source, field,
 //! interpolation): the step's value and index segments carry it. Neither covers the path of a source, nor threads or memory.
 
+use super::explicit::ExplicitRecord;
 use super::publish::Unpublished;
 use super::segment::{FORMAT_VERSION, OLDEST_READER, PlanHash, SegmentInfo};
 use crate::error::{Error, Result};
@@ -61,6 +62,9 @@ pub struct Plan {
     pub chunk_target: u64,
     /// Tetrahedra of a block, about.
     pub block_tets: u32,
+    /// The points of the set that are listed and follow no formula.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub explicit: Option<ExplicitRecord>,
 }
 
 impl Plan {
@@ -346,6 +350,7 @@ pub(crate) mod tests {
             brick_edge: [20; 3],
             chunk_target: 250_000,
             block_tets: 1000,
+            explicit: None,
         }
     }
 

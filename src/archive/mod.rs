@@ -14,6 +14,7 @@
 
 pub mod chunk;
 pub mod chunked;
+pub mod explicit;
 mod journal;
 pub mod manifest;
 pub(crate) mod publish;

@@ -59,6 +59,8 @@ pub enum SegmentKind {
     Spectrum = 4,
     /// A bricked copy of a volume.
     Bricks = 5,
+    /// Points for which there is no formula.
+    Points = 6,
 }
 
 impl SegmentKind {
@@ -69,6 +71,7 @@ impl SegmentKind {
             3 => "index".into(),
             4 => "spectrum".into(),
             5 => "bricks".into(),
+            6 => "points".into(),
             other => format!("unknown kind {other}"),
         }
     }

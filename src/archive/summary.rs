@@ -22,10 +22,12 @@ pub struct MeshSummary {
     pub tets: u64,
     /// Their six-fold volume in lattice steps, exact.
     pub volume6: i128,
+    /// That of tetrahedra that would be the chunk's, but lie outside of the data and are not stored.
+    pub outside6: i128,
 }
 
 impl MeshSummary {
-    /// As the bytes of a block: 40 of them.
+    /// As the bytes of a block: 56 of them.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = vec![];
         [self.core, self.halo, self.tet_blocks, self.retries]
@@ -33,6 +35,7 @@ impl MeshSummary {
             .for_each(|v| out.extend(v.to_le_bytes()));
         out.extend(self.tets.to_le_bytes());
         out.extend(self.volume6.to_le_bytes());
+        out.extend(self.outside6.to_le_bytes());
         out
     }
 
@@ -49,6 +52,7 @@ impl MeshSummary {
             retries: c.u32("retries")?,
             tets: c.u64("tetrahedra")?,
             volume6: c.i128("volume")?,
+            outside6: c.i128("volume outside")?,
         };
         c.end("mesh summary")?;
         Ok(summary)
@@ -138,14 +142,22 @@ mod tests {
 
     #[test]
     fn summaries_come_back() {
-        let mesh = MeshSummary { core: 1, halo: 2, tet_blocks: 3, retries: 4, tets: 5, volume6: -7 << 80 };
+        let mesh = MeshSummary {
+            core: 1,
+            halo: 2,
+            tet_blocks: 3,
+            retries: 4,
+            tets: 5,
+            volume6: -7 << 80,
+            outside6: 8 << 80,
+        };
         assert_eq!(MeshSummary::decode(&mesh.encode()).unwrap(), mesh);
         let ranges =
             vec![BlockRange { min: 1.0, max: 2.0, tets: 3 }, BlockRange { min: -4.0, max: 5.0, tets: 6 }];
         let values = ValueSummary::of(&[1.5, f32::NAN, -2.0], ranges);
         assert_eq!((values.void, values.min, values.max), (1, -2.0, 1.5));
         assert_eq!(ValueSummary::decode(&values.encode()).unwrap(), values);
-        for n in 0..40 {
+        for n in 0..56 {
             assert!(MeshSummary::decode(&mesh.encode()[..n]).is_err());
         }
         assert!(ValueSummary::decode(&values.encode()[..20]).is_err());

@@ -43,6 +43,31 @@ impl MeshedChunk {
     pub(crate) fn core_len(&self) -> usize {
         self.positions.len() - self.halo.len()
     }
+
+    /// Removes the halo points that no tetrahedron uses; tells which vertices are kept.
+    pub(crate) fn drop_unused_halo(&mut self) -> Vec<bool> {
+        let core = self.core_len();
+        let mut kept = vec![false; self.positions.len()];
+        kept[..core].fill(true);
+        self.tets.iter().flatten().for_each(|&v| kept[v as usize] = true);
+        let mut next = 0;
+        let numbers: Vec<u32> = kept
+            .iter()
+            .map(|&kept| {
+                next += u32::from(kept);
+                next.wrapping_sub(1)
+            })
+            .collect();
+        self.tets.iter_mut().flatten().for_each(|v| *v = numbers[*v as usize]);
+        fn keep<T>(all: &mut Vec<T>, kept: &[bool]) {
+            let mut kept = kept.iter();
+            all.retain(|_| *kept.next().expect("a flag for each"));
+        }
+        keep(&mut self.halo, &kept[core..]);
+        keep(&mut self.positions, &kept);
+        keep(&mut self.shared, &kept);
+        kept
+    }
 }
 
 /// What came of meshing a chunk.

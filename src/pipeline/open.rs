@@ -5,6 +5,7 @@ use super::plan::{MeshParts, parts};
 use super::reader::{ChunkReader, damaged};
 use super::reduce::folder_bytes;
 use crate::archive::chunked::ChunkSegment;
+use crate::archive::explicit::read_explicit;
 use crate::archive::manifest::{MANIFEST_NAME, Manifest, SegmentRecord, Step};
 use crate::archive::segment::{FORMAT_VERSION, PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::error::{Error, Result};
@@ -141,7 +142,14 @@ impl OpenArchive {
         let bad = |at: &str, expected: String, got: String| {
             Err(Error::bad_input(root.join(MANIFEST_NAME), at, expected, got))
         };
-        let MeshParts { points, chunks, .. } = match parts(&manifest.plan) {
+        let explicit = match &manifest.plan.explicit {
+            Some(record) => {
+                let read = read_explicit(root, manifest.plan_hash, &manifest.plan.lattice, record);
+                Some(Arc::new(read.map_err(|e| lost(root, e))?))
+            }
+            None => None,
+        };
+        let MeshParts { points, chunks, .. } = match parts(&manifest.plan, explicit) {
             Ok(parts) => parts,
             Err(e) => return bad("plan", "a plan that can be carried out".into(), e.to_string()),
         };
@@ -261,14 +269,7 @@ impl OpenArchive {
 
     /// A file that is not there makes the archive incomplete, which the same reduction repairs.
     fn lost(&self, error: Error) -> Error {
-        match error {
-            Error::Io { path, source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
-                let root = self.layout.root();
-                let name = path.strip_prefix(root).unwrap_or(&path).display().to_string();
-                Error::Incomplete { path: root.to_path_buf(), missing: vec![name] }
-            }
-            other => other,
-        }
+        lost(self.layout.root(), error)
     }
 
     pub(super) fn segment_of(&self, chunk: ChunkId) -> Result<Arc<OpenSegment>> {
@@ -290,6 +291,17 @@ impl OpenArchive {
         let closed = std::mem::replace(&mut *open, later);
         let read = closed.values().map(|s| s.bytes_read()).sum::<u64>();
         self.read_before.fetch_add(read, Ordering::Relaxed);
+    }
+}
+
+/// A file of the archive `root` that is not there makes it incomplete.
+fn lost(root: &Path, error: Error) -> Error {
+    match error {
+        Error::Io { path, source, .. } if source.kind() == std::io::ErrorKind::NotFound => {
+            let name = path.strip_prefix(root).unwrap_or(&path).display().to_string();
+            Error::Incomplete { path: root.to_path_buf(), missing: vec![name] }
+        }
+        other => other,
     }
 }
 

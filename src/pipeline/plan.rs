@@ -12,9 +12,10 @@ use crate::geom::{Lattice, LatticeBox};
 use crate::grid::ChunkGrid;
 use crate::pipeline::field::NanPolicy;
 use crate::pipeline::fingerprint::fingerprint;
-use crate::points::{PointSet, PointSpec, SetKind, SetSettings};
+use crate::points::{ExplicitPoints, PointSet, PointSpec, SetKind, SetSettings};
 use crate::sample::Interpolation;
 use crate::volume::VolumeInfo;
+use std::sync::Arc;
 
 /// How many points.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -117,6 +118,7 @@ impl Plan {
                 brick_edge: [edge.clamp(1, LARGEST_BRICK_EDGE); 3],
                 chunk_target: settings.chunk_points,
                 block_tets: BLOCK_TETS,
+                explicit: None,
             },
             step: StepPlan {
                 number: 0,
@@ -180,11 +182,11 @@ pub(crate) struct MeshParts {
     pub(crate) order: Order,
 }
 
-/// Makes the parts of a plan, which may come from a file.
+/// Makes the parts of a plan, which may come from a file, and of the listed points that belong to it.
 ///
 /// # Errors
 /// [`Error::Usage`] when a parameter is out of range.
-pub(crate) fn parts(plan: &MeshPlan) -> Result<MeshParts> {
+pub(crate) fn parts(plan: &MeshPlan, explicit: Option<Arc<ExplicitPoints>>) -> Result<MeshParts> {
     if Lattice::new(plan.lattice.dims)? != plan.lattice {
         return Err(Error::usage("the lattice is not that of its dimensions"));
     }
@@ -197,7 +199,10 @@ pub(crate) fn parts(plan: &MeshPlan) -> Result<MeshParts> {
     if !(1..=Order::MOST_BITS).contains(&plan.order_bits) || plan.block_tets == 0 {
         return Err(Error::usage("order bits or tetrahedra of a block out of range"));
     }
-    let points = PointSet::new(plan.points, plan.lattice)?;
+    let mut points = PointSet::new(plan.points, plan.lattice)?;
+    if let Some(explicit) = explicit {
+        points = points.with_explicit(explicit);
+    }
     let bricks = plan.bricks().dims().iter().map(|&n| u128::from(n)).product::<u128>();
     if u128::from(points.len()) / MOST_BRICK_POINTS > bricks {
         return Err(Error::usage(format!(

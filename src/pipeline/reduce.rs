@@ -139,7 +139,7 @@ pub fn reduce(
     refuse_overwriting(out, run)?;
     let source = formats::open_volume(input, options)?;
     let plan = Plan::new(source.info(), settings)?;
-    let mesh = parts(&plan.mesh)?;
+    let mesh = parts(&plan.mesh, None)?;
     let need = Need::of(&mesh);
     estimate_of(&source, &plan, &need, out, run)?.check()?;
     let shares = need.shares(run.memory, threads(run))?;
@@ -212,7 +212,7 @@ pub fn estimate(
     refuse_overwriting(out, run)?;
     let source = formats::open_volume(input, options)?;
     let plan = Plan::new(source.info(), settings)?;
-    estimate_of(&source, &plan, &Need::of(&parts(&plan.mesh)?), out, run)
+    estimate_of(&source, &plan, &Need::of(&parts(&plan.mesh, None)?), out, run)
 }
 
 fn estimate_of(
@@ -397,7 +397,7 @@ fn commit(
             counts.tetrahedra += mesh.tets;
             counts.blocks += u64::from(mesh.tet_blocks);
             halo_retries += u64::from(mesh.retries);
-            volume6 += mesh.volume6;
+            volume6 += mesh.volume6 + mesh.outside6;
             void_points += u64::from(values.void);
             value_range = [value_range[0].min(values.min), value_range[1].max(values.max)];
             for entry in index_entries(chunk, &values.ranges) {

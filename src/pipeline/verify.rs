@@ -64,7 +64,7 @@ pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
             if let (Some(measured), Some(part)) = (&mut measured, part) {
                 measured.add(&part);
             }
-            volume6 += summary.volume6;
+            volume6 += summary.volume6 + summary.outside6;
             check.points += u64::from(summary.core);
             check.tetrahedra += summary.tets;
             ranges.iter().for_each(|e| entries.add(e));

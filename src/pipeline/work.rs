@@ -25,6 +25,7 @@ use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
 use crate::archive::values::encode_values;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, MemoryBudget, Permit, Progress, Reorder};
+use crate::geom::LatticePos;
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
 use crate::mesh::delaunay::Mesher;
@@ -352,35 +353,56 @@ fn make_in_room(
 ) -> Result<Making> {
     let mut times = StageTimes::default();
     let start = Instant::now();
-    let mesh = match chunk::mesh(work.recipe, chunk, mesher, first_try, room, work.cancel)? {
+    let mut mesh = match chunk::mesh(work.recipe, chunk, mesher, first_try, room, work.cancel)? {
         Meshing::Done(mesh) => mesh,
         Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
     };
     times.mesh = start.elapsed();
     let start = Instant::now();
-    let Survey { values, .. } = work.field.survey(&mesh)?;
+    let Survey { mut values, outside } = work.field.survey(&mesh)?;
+    let outside6 = drop_outside(&mut mesh, &mut values, &outside);
     times.sample = start.elapsed();
     let start = Instant::now();
-    let mut product = encode(work.plan, mesh, &values);
+    let mut product = encode(work.plan, mesh, &values, outside6);
     times.encode = start.elapsed();
     product.times = times;
     Ok(Making::Done(product))
 }
 
-/// A chunk's blocks: header, tetrahedra, summary; values, summary.
-fn encode(plan: &Plan, mesh: MeshedChunk, values: &[f32]) -> Product {
-    let core = mesh.core_len();
-    let volume = |t: &Tet| {
-        let [a, b, c, d] = t.map(|v| mesh.positions[v as usize]);
+/// Removes the tetrahedra that lie outside of the data, and the halo points that only they use; tells their six-fold volume.
+fn drop_outside(mesh: &mut MeshedChunk, values: &mut Vec<f32>, outside: &[bool]) -> i128 {
+    if outside.is_empty() {
+        return 0;
+    }
+    let gone = mesh.tets.iter().zip(outside).filter(|(_, gone)| **gone).map(|(t, _)| t);
+    let volume = volume6(&mesh.positions, gone);
+    let mut flags = outside.iter();
+    mesh.tets.retain(|_| !flags.next().expect("a flag for each tetrahedron"));
+    let kept = mesh.drop_unused_halo();
+    let mut kept = kept.iter();
+    values.retain(|_| *kept.next().expect("a flag for each vertex"));
+    volume
+}
+
+fn volume6<'a>(positions: &[LatticePos], tets: impl Iterator<Item = &'a Tet>) -> i128 {
+    tets.map(|t| {
+        let [a, b, c, d] = t.map(|v| positions[v as usize]);
         signed_volume6(a, b, c, d)
-    };
+    })
+    .sum()
+}
+
+/// A chunk's blocks: header, tetrahedra, summary; values, summary.
+fn encode(plan: &Plan, mesh: MeshedChunk, values: &[f32], outside6: i128) -> Product {
+    let core = mesh.core_len();
     let mut summary = MeshSummary {
         core: core as u32,
         halo: mesh.halo.len() as u32,
         tet_blocks: 0,
         retries: mesh.retries,
         tets: mesh.tets.len() as u64,
-        volume6: mesh.tets.iter().map(volume).sum(),
+        volume6: volume6(&mesh.positions, mesh.tets.iter()),
+        outside6,
     };
     let vertices = ChunkVertices { core_counts: mesh.core_counts, halo: mesh.halo, shared: mesh.shared };
     let encoded = encode_chunk(&vertices, &mesh.tets, plan.mesh.block_tets);
