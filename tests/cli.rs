@@ -189,6 +189,26 @@ fn usage_errors() {
 }
 
 #[test]
+fn spectra_are_printed_and_drawn_and_counts_looked_up() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("b.npy"), [24, 24, 24], ball);
+    ok(d, &["reduce", "b.npy", "-o", "b.isospan", "--fraction", "1"]);
+    let table = ok(d, &["spectrum", "b.isospan", "--plot", "b.svg"]);
+    assert!(table.contains("mean gradient") && table.lines().count() > 20, "{table}");
+    assert!(fs::read_to_string(d.join("b.svg")).unwrap().contains("Contour spectrum of b"));
+    ok(d, &["spectrum", "b.isospan", "--plot", "b.png", "--json"]);
+    assert!(fs::read(d.join("b.png")).unwrap().starts_with(b"\x89PNG"));
+    assert_eq!(fails(d, &["spectrum", "b.isospan", "--plot", "b.pdf"]).0, 2);
+    assert_eq!(fails(d, &["spectrum", "b.npy"]).0, 5);
+    let counts = ok(d, &["count", "b.isospan", "-i", "-0.5,0,9", "--json"]);
+    assert_eq!(counts.lines().count(), 3);
+    assert!(counts.lines().all(|l| l.contains("\"stored\":true")), "{counts}");
+    assert!(ok(d, &["info", "b.isospan"]).contains("area"));
+    assert_eq!(fs::read_dir(d).unwrap().count(), 4, "nothing but what was asked for");
+}
+
+#[test]
 fn a_damaged_archive_or_surface_is_told() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();

@@ -19,7 +19,7 @@ pub(crate) struct Args {
         value_name = "VALUE",
         required = true,
         value_delimiter = ',',
-        allow_negative_numbers = true
+        allow_hyphen_values = true
     )]
     isovalue: Vec<f32>,
     /// Print the result as JSON, one object a line.

@@ -1,4 +1,4 @@
-//! Builds an index: kd-splits in memory, or on disk beyond a given memory ([`super::external`]); pages depth first.
+//! Builds an index: kd-splits in memory, or on disk beyond a given memory (`external.rs`); pages depth first.
 
 use super::Entry;
 use super::external::Spill;
