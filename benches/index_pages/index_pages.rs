@@ -13,6 +13,8 @@
 //! | 10^8 | 239 MiB | 1.4 GB | 4 204 | 0.0005 | 66 695 | 716 | 1405 | 1.5 MB |
 //! | 10^8 | | | 4 204 | 0.5 | 89 933 | 1 160 | 1586 | 2.8 MB |
 
+#![allow(clippy::print_stdout)]
+
 use isospan::archive::segment::PlanHash;
 use isospan::index::{BuildSettings, Entry, IndexBuilder, SpanIndex};
 use std::path::Path;

@@ -74,7 +74,7 @@ impl IndexBuilder {
     pub fn push(&mut self, entry: Entry) -> Result<()> {
         assert!(entry.min <= entry.max, "block {:?} of range {}..{}", entry.place(), entry.min, entry.max);
         if self.entries.len() == self.capacity {
-            self.to_disk()?;
+            self.spill_all()?;
         } else if self.entries.len() == self.entries.capacity() {
             // Doubling, but never beyond what memory holds.
             self.entries
@@ -85,7 +85,7 @@ impl IndexBuilder {
         Ok(())
     }
 
-    fn to_disk(&mut self) -> Result<()> {
+    fn spill_all(&mut self) -> Result<()> {
         if self.spill.is_none() {
             self.spill = Some(Spill::new(&self.scratch)?);
         }
@@ -114,7 +114,7 @@ impl IndexBuilder {
     /// When a block was added twice; that is not always noticed when the entries did not fit in memory.
     pub fn finish(mut self, path: impl AsRef<Path>, plan: PlanHash) -> Result<SegmentInfo> {
         if self.spill.is_some() {
-            self.to_disk()?;
+            self.spill_all()?;
         }
         let mut out = SegmentWriter::create(path, SegmentKind::Index, plan)?;
         if let Some(spill) = self.spill {
