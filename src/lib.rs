@@ -36,6 +36,27 @@
 //! # }
 //! ```
 //!
+//! [`Archive`] asks everything that the command line can: surfaces in memory, counts, active tetrahedra, the field at points and on
+//! grids, tetrahedra for other programs.
+//!
+//! ```
+//! use isospan::Archive;
+//! # use isospan::exec::Silent;
+//! # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
+//! # fn main() -> isospan::Result<()> {
+//! # let folder = tempfile::tempdir().unwrap();
+//! # let path = folder.path().join("protein.isospan");
+//! # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
+//! # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
+//! let archive = Archive::open(&path)?;
+//! let mesh = archive.surface(128.0)?;
+//! println!("{} triangles", mesh.triangles.len());
+//! let values = archive.probe(&[[34.0, 34.0, 34.0], [-1.0, 0.0, 0.0]])?;
+//! assert!(values[0].is_finite() && values[1].is_nan(), "the second point is outside");
+//! # Ok(())
+//! # }
+//! ```
+//!
 //! # Guarantees
 //!
 //! * The same input and parameters give the same bytes: for any number of threads, and after any interruption. Chunk size changes

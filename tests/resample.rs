@@ -148,6 +148,20 @@ fn a_range_and_a_mask_choose_tetrahedra() {
             }
         }
     }
+    // A region: exactly the tetrahedra whose bounding box touches it, to a lattice step.
+    let region =
+        ExportSettings { roi: Some("3.5:7,10:12.5,20:".parse().unwrap()), ..ExportSettings::default() };
+    let (report, some) = export(&archive, region, &out);
+    let touches = |t: &&Vec<([u64; 3], u32)>| {
+        let reach = |a: usize, lo: f64, hi: f64| {
+            let along: Vec<f64> = t.iter().map(|c| f64::from_bits(c.0[a])).collect();
+            along.iter().any(|&x| x >= lo - 4e-6) && along.iter().any(|&x| x <= hi + 4e-6)
+        };
+        reach(0, 3.5, 7.0) && reach(1, 10.0, 12.5) && reach(2, 20.0, 29.0)
+    };
+    let wanted: Vec<_> = all.iter().filter(touches).cloned().collect();
+    assert!(some.as_set() == wanted && !wanted.is_empty(), "{} of {}", some.tets.len(), wanted.len());
+    assert!(report.chunks_read < report.chunks, "{report:?}");
     let each_third = ExportSettings { every: 3, ..ExportSettings::default() };
     let (report, third) = export(&archive, each_third, &out);
     assert_eq!(report.tetrahedra, whole_report.tetrahedra.div_ceil(3));

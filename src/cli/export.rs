@@ -2,7 +2,7 @@
 
 use super::progress::Talk;
 use super::text;
-use isospan::pipeline::{Corners, ExportSettings};
+use isospan::pipeline::{Corners, ExportSettings, Roi};
 use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -22,6 +22,10 @@ pub(crate) struct Args {
     /// With --range: tetrahedra with at least one corner in the range.
     #[arg(long, requires = "range")]
     any_corner: bool,
+    /// Only tetrahedra whose bounding box touches a box: I0:I1,J0:J1,K0:K1 in numbers of samples, or world:X0:X1,Y0:Y1,Z0:Z1. An
+    /// end that is left out is that of the volume. Only chunks that touch the box are read.
+    #[arg(long, value_name = "BOX", allow_hyphen_values = true)]
+    roi: Option<Roi>,
     /// Of the tetrahedra that are left, in order, only each K-th.
     #[arg(long, value_name = "K", default_value_t = 1)]
     every: u64,
@@ -53,6 +57,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = ExportSettings {
         range: args.range,
         corners: if args.any_corner { Corners::Any } else { Corners::All },
+        roi: args.roi,
         every: args.every,
         threads: args.threads,
         memory: args.memory.unwrap_or_else(|| isospan::exec::usable_memory() / 2),

@@ -3,6 +3,7 @@
 use super::horizon::Horizon;
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
+use super::roi::{Cut, Roi};
 use super::visit::{Blocks, Visit};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress};
@@ -30,6 +31,8 @@ pub struct ExportSettings {
     pub range: Option<[f32; 2]>,
     /// How many of their corners.
     pub corners: Corners,
+    /// Only tetrahedra whose bounding box touches this box.
+    pub roi: Option<Roi>,
     /// Of those, in the order of the file, only each n-th; 1 is all.
     pub every: u64,
     /// Threads; 0 means as many as the process may use.
@@ -47,6 +50,7 @@ impl Default for ExportSettings {
         Self {
             range: None,
             corners: Corners::All,
+            roi: None,
             every: 1,
             threads: 0,
             memory: crate::exec::usable_memory() / 2,
@@ -97,6 +101,9 @@ pub(super) fn export(
         ));
     }
     let read_before = archive.bytes_read();
+    let source = &archive.step().plan.source;
+    let log2_steps = archive.manifest.plan.lattice.log2_steps;
+    let cut = settings.roi.map(|roi| roi.cut(&source.geometry, source.dims, log2_steps)).transpose()?;
     let mut index_bytes = 0;
     let blocks = match settings.range {
         None => Blocks::All,
@@ -109,18 +116,20 @@ pub(super) fn export(
     };
     let fixed = need::BASE + blocks.bytes();
     let rest = settings.memory.saturating_sub(fixed);
-    let visit = Visit::new(archive, blocks, settings.threads, rest / 4 * 3, &settings.cancel)?;
+    let mut visit = Visit::new(archive, blocks, settings.threads, rest / 4 * 3, &settings.cancel)?;
+    if let Some(cut) = &cut {
+        visit.confine(|region| cut.may_touch_box(region))?;
+    }
     visit.check_memory(settings.memory, 0)?;
     let scratch = settings.scratch.clone().unwrap_or_else(|| parent_of(out));
     let mut join = Join::new(&visit, settings, rest / 8, &scratch);
     progress.begin("export", visit.chunks.len() as u64, "chunks");
-    let select = |_, chunk: DecodedChunk| Ok(selected(chunk, settings));
+    let select = |_, chunk: DecodedChunk| Ok(selected(chunk, settings, cut.as_ref()));
     visit.each(0, progress, select, |n, chosen| join.push(n, &chosen))?;
     let (void_tetrahedra, mesh) = (join.void, join.builder.finish());
     let read = start.elapsed();
 
     let start = Instant::now();
-    let source = &archive.step().plan.source;
     let meta = TetMeta {
         lattice: archive.manifest.plan.lattice,
         geometry: source.geometry,
@@ -160,16 +169,18 @@ struct Selected {
     void: u64,
 }
 
-fn selected(mut chunk: DecodedChunk, settings: &ExportSettings) -> Selected {
+fn selected(mut chunk: DecodedChunk, settings: &ExportSettings, cut: Option<&Cut>) -> Selected {
     let mut void = 0;
-    let values = std::mem::take(&mut chunk.values);
+    let (values, positions) = (&chunk.values, &chunk.positions);
     chunk.tets.retain(|tet: &Tet| {
+        if cut.is_some_and(|cut| !cut.may_touch(tet.map(|v| positions[v as usize]))) {
+            return false;
+        }
         let corners = tet.map(|v| values[v as usize]);
         let has_void = corners.iter().any(|v| v.is_nan());
         void += u64::from(has_void);
         !has_void && in_range(corners, settings)
     });
-    chunk.values = values;
     Selected { chunk, void }
 }
 

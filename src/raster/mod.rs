@@ -60,7 +60,8 @@ pub use scan::each_sample;
 #[inline]
 pub fn interpolate(weights: [f64; 4], values: [f32; 4]) -> f32 {
     let [a, b, c, d] = std::array::from_fn(|k| weights[k] * f64::from(values[k]));
-    let order = |x: f64, y: f64| if x <= y { (x, y) } else { (y, x) };
+    // Two selections without a branch: nobody can predict the order.
+    let order = |x: f64, y: f64| (if x < y { x } else { y }, if x < y { y } else { x });
     let ((a, b), (c, d)) = (order(a, b), order(c, d));
     let ((a, c), (b, d)) = (order(a, c), order(b, d));
     let (b, c) = order(b, c);
