@@ -47,6 +47,7 @@ fn several_isovalues_give_the_bytes_of_each_alone() {
             assert_eq!(one.active_tetrahedra, single.active_tetrahedra);
             assert_eq!(one.outside_range, isovalue > 10.0);
         }
+        assert!(report.active_bytes > 0 && report.active_bytes <= report.bytes_read, "{report:?}");
         // Each block once: fewer bytes than for one isovalue after the other.
         assert!(report.bytes_read < 3 * single.bytes_read, "{} {}", report.bytes_read, single.bytes_read);
     }

@@ -135,6 +135,12 @@ fn stats_text(report: &SurfaceReport) -> String {
         text::bytes(report.archive_bytes),
         100.0 * report.bytes_read as f64 / report.archive_bytes.max(1) as f64
     );
+    let _ = writeln!(
+        out,
+        "                {:.2} times the {} of the blocks and values that hold an active tetrahedron",
+        report.bytes_read as f64 / report.active_bytes.max(1) as f64,
+        text::bytes(report.active_bytes)
+    );
     for (stage, seconds) in &report.seconds {
         let _ = writeln!(out, "  {stage:<13} {}", text::duration(Duration::from_secs_f64(*seconds)));
     }

@@ -21,6 +21,7 @@ use crate::surface::marching_tets::{CellSource, ChunkSurface, select_active};
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use rayon::prelude::*;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 /// The blocks of a chunk that can hold an answer, in order.
@@ -49,6 +50,8 @@ pub(super) struct Question<'a> {
     pub(super) world: WorldMap,
     /// Active blocks, chunk by chunk.
     pub(super) work: Vec<ChunkWork>,
+    /// Counts the bytes of the blocks and values that hold an active tetrahedron.
+    pub(super) active_bytes: AtomicU64,
 }
 
 /// A surface, welded, and the number of its tetrahedra.
@@ -136,7 +139,7 @@ impl Question<'_> {
         let (mut tets, mut active) = (vec![], vec![]);
         for block in &work.blocks {
             tets.clear();
-            reader.tets(block.block, &mut tets)?;
+            let mut bytes = reader.tets(block.block, &mut tets)?;
             reader.load_values(&tets)?;
             for (surface, &isovalue) in surfaces.iter_mut().zip(self.isovalues) {
                 if is_active(block.min, block.max, isovalue) {
@@ -145,12 +148,17 @@ impl Question<'_> {
                     reader.place(&active)?;
                     self.keep_in_cut(&reader, &mut active);
                     surface.add_active(&cells(&reader, &active));
+                    if !active.is_empty() {
+                        // The bytes of a block count once, whatever the number of isovalues.
+                        reader.count_active(std::mem::take(&mut bytes), &active);
+                    }
                 }
             }
         }
         for surface in &mut surfaces {
             surface.finish(&cells(&reader, &[]), &self.world);
         }
+        self.active_bytes.fetch_add(reader.active_bytes(), Ordering::Relaxed);
         Ok(surfaces)
     }
 

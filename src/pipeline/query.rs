@@ -17,6 +17,7 @@ use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicU64;
 use std::time::Instant;
 
 /// How surfaces are extracted.
@@ -100,6 +101,8 @@ pub struct SurfaceReport {
     pub active_chunks: u64,
     /// Bytes read: manifest, index pages, chunk headers, blocks, values.
     pub bytes_read: u64,
+    /// Bytes of the blocks, of tetrahedra and of values, that hold an active tetrahedron: what no reader could do without.
+    pub active_bytes: u64,
     /// Bytes of the archive.
     pub archive_bytes: u64,
     /// Seconds of wall time of each stage.
@@ -238,6 +241,7 @@ pub fn extract_surface(
         cut: cut.as_ref(),
         world: WorldMap::new(lattice, &source.geometry),
         work,
+        active_bytes: AtomicU64::new(0),
     };
     let scratch = settings.scratch.clone().unwrap_or_else(|| parent_of(out));
     let mut surfaces = extract_surfaces(&question, settings, scratch.clone(), progress)?;
@@ -267,6 +271,7 @@ pub fn extract_surface(
         chunks: totals.chunks,
         active_chunks: question.work.len() as u64,
         bytes_read: archive.bytes_read() + index.segment().bytes_read() + archive.manifest_bytes()?,
+        active_bytes: question.active_bytes.into_inner(),
         archive_bytes: folder_bytes(path)?,
         seconds: [("open, index", opened), ("extract", extracted), ("write", written)]
             .map(|(name, time)| (name.to_owned(), time.as_secs_f64()))
@@ -284,6 +289,7 @@ pub(super) fn surface_in_memory(archive: &OpenArchive, isovalue: f32) -> Result<
         cut: None,
         world: WorldMap::new(&archive.manifest.plan.lattice, &archive.step().plan.source.geometry),
         work: by_chunk(archive, &archive.index()?.query(isovalue)?)?,
+        active_bytes: AtomicU64::new(0),
     };
     let found = extract_surfaces(&question, &settings, std::env::temp_dir(), &Silent)?;
     TriMesh::from_source(&found[0].surface)

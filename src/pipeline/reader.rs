@@ -35,8 +35,12 @@ pub(super) struct ChunkReader<'a> {
     positions: Vec<LatticePos>,
     ids: Vec<PointId>,
     values: Vec<f32>,
-    /// Of each block of values, whether it has been read.
-    have_values: Vec<bool>,
+    /// Bytes of each block of values that has been read; 0 of the others.
+    value_bytes: Vec<u32>,
+    /// Of each block of values, whether a corner of an active tetrahedron is in it.
+    active_values: Vec<bool>,
+    /// Bytes of the blocks that hold an active tetrahedron.
+    active_bytes: u64,
     /// Buffers: the bytes of a block, the points of a brick, the values of a block.
     bytes: Vec<u8>,
     sites: Vec<Site>,
@@ -85,7 +89,9 @@ impl<'a> ChunkReader<'a> {
             positions: vec![UNPLACED; vertices],
             ids: vec![PointId(0); vertices],
             values: vec![f32::NAN; vertices],
-            have_values: vec![false; value_blocks],
+            value_bytes: vec![0; value_blocks],
+            active_values: vec![false; value_blocks],
+            active_bytes: 0,
             bytes,
             sites: vec![],
             decoded: vec![],
@@ -117,8 +123,8 @@ impl<'a> ChunkReader<'a> {
         &self.shared
     }
 
-    /// Appends the tetrahedra of a block.
-    pub(super) fn tets(&mut self, block: u32, out: &mut Vec<Tet>) -> Result<()> {
+    /// Appends the tetrahedra of a block; tells its bytes.
+    pub(super) fn tets(&mut self, block: u32, out: &mut Vec<Tet>) -> Result<u64> {
         let (mesh, id) = (&self.segment.mesh, self.chunk.id);
         let blocks = mesh.block_count(id);
         // The first block is the header, the last the summary.
@@ -127,14 +133,15 @@ impl<'a> ChunkReader<'a> {
             return Err(damaged(mesh, id, "index", &format!("block {block} of {}", blocks - 2)));
         }
         mesh.block(id, number, &mut self.bytes)?;
-        decode_tets(&self.bytes, self.values.len() as u32, out).map_err(|m| mesh.blame(id, number, m))
+        decode_tets(&self.bytes, self.values.len() as u32, out).map_err(|m| mesh.blame(id, number, m))?;
+        Ok(self.bytes.len() as u64)
     }
 
     /// Reads the values of all corners of some tetrahedra.
     pub(super) fn load_values(&mut self, tets: &[Tet]) -> Result<()> {
         for &v in tets.iter().flatten() {
             let block = v as usize / BLOCK_VALUES;
-            if !self.have_values[block] {
+            if self.value_bytes[block] == 0 {
                 self.read_values(block)?;
             }
         }
@@ -151,8 +158,21 @@ impl<'a> ChunkReader<'a> {
         decode_values(&self.bytes, place.len(), &mut self.decoded)
             .map_err(|m| values.blame(id, block as u64, m))?;
         place.copy_from_slice(&self.decoded);
-        self.have_values[block] = true;
+        // A block has at least the byte of its codec.
+        self.value_bytes[block] = self.bytes.len() as u32;
         Ok(())
+    }
+
+    /// Notes that a block of so many bytes holds active tetrahedra, these.
+    pub(super) fn count_active(&mut self, block_bytes: u64, active: &[Tet]) {
+        self.active_bytes += block_bytes;
+        active.iter().flatten().for_each(|&v| self.active_values[v as usize / BLOCK_VALUES] = true);
+    }
+
+    /// Bytes of the blocks and of the values that hold an active tetrahedron.
+    pub(super) fn active_bytes(&self) -> u64 {
+        let values = self.value_bytes.iter().zip(&self.active_values);
+        self.active_bytes + values.filter(|v| *v.1).map(|v| u64::from(*v.0)).sum::<u64>()
     }
 
     /// Finds positions and ids of all corners of some tetrahedra.

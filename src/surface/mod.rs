@@ -195,8 +195,10 @@ impl WorldMap {
         if !(largest > 0.0 && largest.is_finite()) {
             return None;
         }
-        let w = w.map(|x| x / largest);
-        let length = (w[0] * w[0] + w[1] * w[1] + w[2] * w[2]).sqrt();
-        Some(w.map(|x| (x / length) as f32))
+        // By a power of two that makes it about 1; for the smallest numbers there is none large enough, nor need be.
+        let scale = f64::from_bits((2046 - (largest.to_bits() >> 52).min(2045)) << 52);
+        let w = w.map(|x| x * scale);
+        let inverse = 1.0 / (w[0] * w[0] + w[1] * w[1] + w[2] * w[2]).sqrt();
+        Some(w.map(|x| (x * inverse) as f32))
     }
 }
