@@ -8,6 +8,7 @@
 //! every mesh segment carries it. A *step hash* covers that and what decides the values of a step (source, field,
 //! interpolation): the step's value and index segments carry it. Neither covers the path of a source, nor threads or memory.
 
+use super::coordinates::CellCount;
 use super::explicit::ExplicitRecord;
 use super::publish::Unpublished;
 use super::segment::{FORMAT_VERSION, OLDEST_READER, PlanHash, SegmentInfo};
@@ -45,6 +46,11 @@ pub fn index_path(archive: &Path, step: u64) -> PathBuf {
 /// Path of the contour spectrum of a step.
 pub fn spectrum_path(archive: &Path, step: u64) -> PathBuf {
     archive.join(format!("steps/{step:06}/spectrum.seg"))
+}
+
+/// Path of the coordinates of a step's grid.
+pub fn coordinates_path(archive: &Path, step: u64) -> PathBuf {
+    archive.join(format!("steps/{step:06}/coordinates.seg"))
 }
 
 /// Everything that decides the bytes of the mesh.
@@ -158,6 +164,18 @@ pub struct Step {
     pub index: SegmentInfo,
     /// The contour spectrum; none where every tetrahedron is void.
     pub spectrum: Option<SegmentInfo>,
+    /// The coordinates, where the source is a rectilinear or curvilinear grid.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub coordinates: Option<CoordinateRecord>,
+}
+
+/// The coordinates of a grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CoordinateRecord {
+    /// Their segment.
+    pub info: SegmentInfo,
+    /// Cells of the grid that fold, or have no volume.
+    pub cells: CellCount,
 }
 
 /// Sizes of the mesh.
@@ -381,6 +399,7 @@ pub(crate) mod tests {
             values: vec![record(0, 5)],
             index: info,
             spectrum: (number == 0).then_some(info),
+            coordinates: None,
         };
         let counts = Counts { points: 1000, tetrahedra: 6000, chunks: 5, blocks: 12 };
         Manifest::new(plan(), counts, vec![record(0, 2), record(2, 3)], vec![step(0), step(3)])

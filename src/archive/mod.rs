@@ -3,6 +3,7 @@
 //! * [`segment`]: the container, numbered blocks with checksums, published whole or not at all.
 //! * [`chunked`]: segments of a range of chunks.
 //! * [`chunk`]: the mesh of a chunk as blocks that decode on their own.
+//! * [`coordinates`]: those of a rectilinear or curvilinear grid.
 //! * [`manifest`]: what the archive is of and which segments it has; written last.
 //! * [`summary`]: what a chunk's last block tells of it.
 //! * [`values`]: the values of a chunk's vertices.
@@ -14,6 +15,7 @@
 
 pub mod chunk;
 pub mod chunked;
+pub mod coordinates;
 pub mod explicit;
 mod journal;
 pub mod manifest;
@@ -32,7 +34,7 @@ pub use wire::Malformed;
 
 #[cfg(test)]
 mod tests {
-    use super::{chunk, segment, star, values};
+    use super::{chunk, coordinates, segment, star, values};
     use crate::index::page;
     use crate::spectrum;
 
@@ -62,6 +64,9 @@ mod tests {
             ("VALUES_DIFFERENCES", u64::from(values::VALUES_DIFFERENCES)),
             ("VALUES_PCO", u64::from(values::VALUES_PCO)),
             ("VALUES_QUANTISED", u64::from(values::VALUES_QUANTISED)),
+            ("COORDINATES_AXES", u64::from(coordinates::COORDINATES_AXES)),
+            ("COORDINATES_POINTS", u64::from(coordinates::COORDINATES_POINTS)),
+            ("COORDINATES_RUN", coordinates::RUN),
             ("LEAF_ENTRIES", page::LEAF_ENTRIES),
             ("PAGE_LEVELS", u64::from(page::PAGE_LEVELS)),
             ("LEAF", u64::from(page::LEAF)),

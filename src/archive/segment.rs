@@ -61,6 +61,8 @@ pub enum SegmentKind {
     Bricks = 5,
     /// Points for which there is no formula.
     Points = 6,
+    /// Coordinates of a rectilinear or curvilinear grid.
+    Coordinates = 7,
 }
 
 impl SegmentKind {
@@ -72,6 +74,7 @@ impl SegmentKind {
             4 => "spectrum".into(),
             5 => "bricks".into(),
             6 => "points".into(),
+            7 => "coordinates".into(),
             other => format!("unknown kind {other}"),
         }
     }

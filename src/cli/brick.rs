@@ -33,6 +33,12 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         let text = format!("{} exists; choose another name, or --force to replace it", args.output.display());
         return Err(Error::usage(text));
     }
+    if formats::open_coordinates(&args.input, &args.read.options()?)?.is_some() {
+        return Err(isospan::Error::usage(format!(
+            "{}: a bricked copy would lose the grid's coordinates; reduce the file itself",
+            args.input.display()
+        )));
+    }
     let source = formats::open_volume(&args.input, &args.read.options()?)?;
     talk.detail(&args.read.io_text(&args.input));
     let bar = talk.progress();

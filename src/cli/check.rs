@@ -51,6 +51,11 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     };
     talk.detail(&format!("memory {}", text::bytes(settings.memory)));
     let summary = args.within.as_ref().map(|archive| pipeline::summarize(archive)).transpose()?;
+    if summary.as_ref().is_some_and(|s| s.grid_cells.is_some()) {
+        return Err(isospan::Error::usage(
+            "--within an archive of a rectilinear or curvilinear grid is not possible: its domain is no box",
+        ));
+    }
     let domain = summary.as_ref().map(|s| Domain {
         geometry: &s.geometry,
         dims: s.dims,

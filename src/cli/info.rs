@@ -54,10 +54,12 @@ fn one(path: &Path, args: &Args) -> Result<()> {
         }
         return super::print_json(&value);
     }
-    super::print(&volume_text(&info, scan.as_ref()))
+    let own = formats::open_coordinates(path, &args.read.options()?)?.is_some();
+    super::print(&volume_text(&info, scan.as_ref(), own))
 }
 
-fn volume_text(info: &VolumeInfo, scan: Option<&Scan>) -> String {
+/// `own`: whether a grid has coordinates of its own.
+fn volume_text(info: &VolumeInfo, scan: Option<&Scan>, own: bool) -> String {
     let ([x, y, z], g) = (info.dims, &info.geometry);
     let mut out = String::new();
     let _ = writeln!(out, "{}: {}", info.path.display(), info.format);
@@ -68,8 +70,12 @@ fn volume_text(info: &VolumeInfo, scan: Option<&Scan>) -> String {
         let names: Vec<String> = info.fields.iter().map(field_text).collect();
         let _ = writeln!(out, "  fields     {}", names.join(", "));
     }
-    let _ = writeln!(out, "  spacing    {}", triple(g.spacing));
-    let _ = writeln!(out, "  origin     {}", triple(g.origin));
+    if own {
+        let _ = writeln!(out, "  placed     by the grid's coordinates");
+    } else {
+        let _ = writeln!(out, "  spacing    {}", triple(g.spacing));
+        let _ = writeln!(out, "  origin     {}", triple(g.origin));
+    }
     if g.direction != isospan::grid::Geometry::default().direction {
         let _ = writeln!(out, "  direction  {}", g.direction.map(triple).join("  |  "));
     }
@@ -188,6 +194,9 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
         text::count(s.blocks),
         text::count(s.chunks)
     );
+    if let Some(cells) = s.grid_cells {
+        let _ = writeln!(out, "{}", text::grid_cells(&cells));
+    }
     let _ = writeln!(out, "  interp      {}", s.interpolation);
     if let Some([lo, hi]) = s.range {
         let _ = writeln!(out, "  range       {lo} .. {hi}");

@@ -184,6 +184,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         text::count(report.tetrahedra),
         text::count(report.chunks)
     );
+    if let Some(cells) = report.grid_cells {
+        let _ = writeln!(out, "{}", text::grid_cells(&cells));
+    }
     if report.void_points > 0 {
         let _ = writeln!(out, "  void        {} points without a value", text::count(report.void_points));
     }

@@ -77,6 +77,16 @@ pub(crate) fn bytes(n: u64) -> String {
     if unit == 0 { format!("{n} B") } else { format!("{value:.1} {}", units[unit]) }
 }
 
+/// The bad cells of a rectilinear or curvilinear grid.
+pub(crate) fn grid_cells(cells: &isospan::archive::coordinates::CellCount) -> String {
+    let mirrored = if cells.mirrored { ", mirrored" } else { "" };
+    format!(
+        "  grid        {} cells fold, {} have no volume{mirrored}",
+        count(cells.folded),
+        count(cells.degenerate)
+    )
+}
+
 /// A duration for a person: `0.123 s`, `2 min 05 s`, `3 h 10 min`.
 pub(crate) fn duration(d: Duration) -> String {
     let s = d.as_secs();

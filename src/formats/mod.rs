@@ -8,6 +8,7 @@
 //! World coordinates are the file's own: NRRD and MetaImage files usually say left-posterior-superior, NIfTI
 //! right-anterior-superior. They are not converted into one another.
 
+pub mod coordinates;
 mod folder;
 pub mod glb;
 pub mod gmsh;
@@ -48,6 +49,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stream::Codec;
 
+pub use coordinates::open_coordinates;
 pub use mesh::{Input, is_mesh, open_input, open_mesh};
 
 /// How to open a volume.
@@ -66,7 +68,7 @@ pub struct OpenOptions {
 
 /// What a file is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
+pub(in crate::formats) enum Kind {
     Bricks,
     Hdf5,
     MetaImage,
@@ -182,7 +184,7 @@ fn kind_of(source: &Arc<ByteSource>) -> Option<Kind> {
         (&[".npz"], Kind::Npz),
         (&tiff::SUFFIXES, Kind::Tiff),
         (&[".vtk"], Kind::VtkLegacy),
-        (&[".vti"], Kind::VtkXml),
+        (&[".vti", ".vtr", ".vts"], Kind::VtkXml),
         (&[".bricks"], Kind::Bricks),
     ];
     by_name.into_iter().find(|(suffixes, _)| has_suffix(path, suffixes)).map(|(_, kind)| kind)

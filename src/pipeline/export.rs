@@ -94,6 +94,7 @@ pub(super) fn export(
     progress: &dyn Progress,
 ) -> Result<ExportReport> {
     let start = Instant::now();
+    archive.refuse_coordinates("export")?;
     check_target(out)?;
     if settings.every == 0 {
         return Err(Error::usage(

@@ -166,6 +166,7 @@ impl Archive {
     }
 
     fn tetrahedra(&self, chunk: ChunkId, blocks: &[u32]) -> Result<Tetrahedra> {
+        self.open.refuse_coordinates("listing tetrahedra")?;
         self.open.close_before(chunk);
         let decoded = self.open.decode(chunk, blocks)?;
         let (lattice, geometry) = (self.open.manifest.plan.lattice, self.geometry());

@@ -45,6 +45,10 @@ impl Layout {
         manifest::index_path(&self.root, self.step)
     }
 
+    pub(crate) fn coordinates(&self) -> PathBuf {
+        manifest::coordinates_path(&self.root, self.step)
+    }
+
     pub(crate) fn spectrum(&self) -> PathBuf {
         manifest::spectrum_path(&self.root, self.step)
     }

@@ -18,6 +18,7 @@ mod horizon;
 mod layout;
 mod need;
 mod open;
+mod placed;
 mod plan;
 mod probe;
 mod probe_points;

@@ -5,6 +5,7 @@ use super::plan::{MeshParts, parts};
 use super::reader::{ChunkReader, damaged};
 use super::reduce::folder_bytes;
 use crate::archive::chunked::ChunkSegment;
+use crate::archive::coordinates::{CellCount, CoordinateMap};
 use crate::archive::explicit::read_explicit;
 use crate::archive::manifest::{MANIFEST_NAME, Manifest, SegmentRecord, Step};
 use crate::archive::segment::{FORMAT_VERSION, PlanHash, Segment, SegmentInfo, SegmentKind};
@@ -46,6 +47,8 @@ pub struct ArchiveSummary {
     pub field: String,
     /// Index space to world.
     pub geometry: Geometry,
+    /// Of a rectilinear or curvilinear grid, whose coordinates are in the archive: its bad cells.
+    pub grid_cells: Option<CellCount>,
     /// The point set, with its parameters.
     pub point_set: serde_json::Value,
     /// How values were interpolated.
@@ -90,6 +93,7 @@ pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
         scalar: source.scalar.name().into(),
         field: source.field.clone(),
         geometry: source.geometry,
+        grid_cells: step.coordinates.map(|c| c.cells),
         point_set: serde_json::json!(plan.points),
         interpolation: step.plan.interpolation.name().into(),
         points: counts.points,
@@ -204,6 +208,26 @@ impl OpenArchive {
         let index = SpanIndex::open(self.layout.index(), Some(self.step_hash())).map_err(|e| self.lost(e))?;
         expect_recorded(index.segment(), Some(&self.step().index))?;
         Ok(index)
+    }
+
+    /// The coordinates of a rectilinear or curvilinear grid; none of a volume with a spacing.
+    pub(super) fn coordinates(&self) -> Result<Option<CoordinateMap>> {
+        let Some(recorded) = &self.step().coordinates else { return Ok(None) };
+        let (path, dims) = (self.layout.coordinates(), self.step().plan.source.dims);
+        let map = CoordinateMap::open(&path, self.step_hash(), dims).map_err(|e| self.lost(e))?;
+        expect_recorded(map.segment(), Some(&recorded.info))?;
+        Ok(Some(map))
+    }
+
+    /// Refuses a question that is not answered for grids with coordinates of their own.
+    pub(super) fn refuse_coordinates(&self, question: &str) -> Result<()> {
+        match self.step().coordinates {
+            None => Ok(()),
+            Some(_) => Err(Error::usage(format!(
+                "{}: of a rectilinear or curvilinear grid, to which {question} is not made",
+                self.path().display()
+            ))),
+        }
     }
 
     /// The contour spectrum; none where every tetrahedron is void.

@@ -74,6 +74,7 @@ pub(super) fn probe_grid(
     format: SampleFormat,
     progress: &dyn Progress,
 ) -> Result<ProbeReport> {
+    archive.refuse_coordinates("a probe on a grid")?;
     let (start, read_before) = (Instant::now(), archive.bytes_read());
     let source = &archive.step().plan.source;
     let geometry = grid_geometry(&source.geometry, source.dims, dims)?;

@@ -96,6 +96,7 @@ pub(super) fn probe_table(
     out: &Path,
     progress: &dyn Progress,
 ) -> Result<ProbeReport> {
+    archive.refuse_coordinates("a probe at points")?;
     let (start, read_before) = (Instant::now(), archive.bytes_read());
     let mut reader = PointReader::open(points)?;
     let mut out = Out::create(out, points, &archive.step().plan.source.field)?;
@@ -166,6 +167,7 @@ pub(super) fn values_at(
     memory: u64,
     progress: &dyn Progress,
 ) -> Result<Probed> {
+    archive.refuse_coordinates("a probe at points")?;
     if points.len() as u64 > MOST {
         return Err(Error::usage(format!(
             "at most {MOST} points are probed at a time; not {}",

@@ -3,9 +3,10 @@
 use super::extract::{ChunkWork, Extracted, Question, by_chunk, extract_surfaces};
 use super::need;
 use super::open::OpenArchive;
+use super::placed::{in_memory, in_world, world_map};
 use super::reader::ChunkReader;
 use super::reduce::{folder_bytes, mesh_summary};
-use super::roi::{Cut, Roi};
+use super::roi::{Cut, Roi, RoiSpace};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
@@ -13,7 +14,7 @@ use crate::grid::ChunkId;
 use crate::surface::clip::clip;
 use crate::surface::marching_tets::select_active;
 use crate::surface::weld::BuilderSettings;
-use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
+use crate::surface::{Joined, SurfaceSource, TriMesh};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -225,6 +226,9 @@ pub fn extract_surface(
     let archive = OpenArchive::open(path)?;
     let source = &archive.step().plan.source;
     let lattice = &archive.manifest.plan.lattice;
+    if settings.roi.is_some_and(|roi| roi.space == RoiSpace::World) {
+        archive.refuse_coordinates("a cut at a box of the world")?;
+    }
     let cut =
         settings.roi.map(|roi| roi.cut(&source.geometry, source.dims, lattice.log2_steps)).transpose()?;
     let index = archive.index()?;
@@ -239,7 +243,7 @@ pub fn extract_surface(
         archive: &archive,
         isovalues: &settings.isovalues,
         cut: cut.as_ref(),
-        world: WorldMap::new(lattice, &source.geometry),
+        world: world_map(&archive),
         work,
         active_bytes: AtomicU64::new(0),
     };
@@ -252,7 +256,7 @@ pub fn extract_surface(
 
     let start = Instant::now();
     let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), source.path);
-    let file_bytes = write_all(&surfaces, &settings.isovalues, out, format, &comment)?;
+    let file_bytes = write_all(&archive, &surfaces, &settings.isovalues, out, format, &comment)?;
     let written = start.elapsed();
     let totals = &archive.manifest.counts;
     let surfaces = describe(&surfaces, &settings.isovalues, archive.step().value_range, out);
@@ -287,12 +291,12 @@ pub(super) fn surface_in_memory(archive: &OpenArchive, isovalue: f32) -> Result<
         archive,
         isovalues: &settings.isovalues,
         cut: None,
-        world: WorldMap::new(&archive.manifest.plan.lattice, &archive.step().plan.source.geometry),
+        world: world_map(archive),
         work: by_chunk(archive, &archive.index()?.query(isovalue)?)?,
         active_bytes: AtomicU64::new(0),
     };
     let found = extract_surfaces(&question, &settings, std::env::temp_dir(), &Silent)?;
-    TriMesh::from_source(&found[0].surface)
+    in_memory(archive, &found[0].surface)
 }
 
 /// The chunks of which a tetrahedron may touch the cut.
@@ -337,6 +341,7 @@ fn file_of(out: &Path, isovalue: f32) -> PathBuf {
 
 /// Writes one file, or a file each; returns the bytes of all.
 fn write_all(
+    archive: &OpenArchive,
     surfaces: &[Extracted],
     isovalues: &[f32],
     out: &Path,
@@ -350,8 +355,9 @@ fn write_all(
     };
     let each_alone = out.file_name().is_some_and(|name| name.to_string_lossy().contains(PLACEHOLDER));
     if each_alone || surfaces.len() == 1 {
-        let write =
-            |(s, &v): (&Extracted, &f32)| write_surface(&s.surface, &file_of(out, v), format, &meta(Some(v)));
+        let write = |(s, &v): (&Extracted, &f32)| {
+            in_world(archive, &s.surface, |s| write_surface(s, &file_of(out, v), format, &meta(Some(v))))
+        };
         return surfaces.iter().zip(isovalues).map(write).sum();
     }
     let part = |(s, &v): (&Extracted, &f32)| SurfacePart {
@@ -361,7 +367,7 @@ fn write_all(
     };
     let parts = surfaces.iter().zip(isovalues).map(part).collect();
     let joined = Joined::new(surfaces.iter().map(|s| &s.surface as &dyn SurfaceSource).collect());
-    write_surface(&joined, out, format, &SurfaceMeta { parts, ..meta(None) })
+    in_world(archive, &joined, |s| write_surface(s, out, format, &SurfaceMeta { parts, ..meta(None) }))
 }
 
 fn describe(

@@ -8,11 +8,13 @@ use super::grid_field::GridField;
 use super::layout::Layout;
 use super::need::{self, Estimate, Need, Question};
 use super::open::OpenArchive;
+use super::placed::write_coordinates;
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::spectrum;
 use super::work::{self, StageTimes, Work};
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::manifest::{Counts, MANIFEST_NAME, Manifest, SegmentRecord, Step};
+use crate::archive::coordinates::CellCount;
+use crate::archive::manifest::{CoordinateRecord, Counts, MANIFEST_NAME, Manifest, SegmentRecord, Step};
 use crate::archive::segment::SegmentKind;
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
 use crate::archive::{Malformed, TEMPORARY_MARK, publish};
@@ -75,6 +77,8 @@ pub struct ReduceReport {
     pub blocks: u64,
     /// How often a chunk's halo had to be widened.
     pub halo_retries: u64,
+    /// Of a rectilinear or curvilinear grid: its bad cells.
+    pub grid_cells: Option<CellCount>,
     /// Least and largest value.
     pub range: Option<[f32; 2]>,
     /// Bytes of all files of the archive.
@@ -176,7 +180,8 @@ pub fn reduce(
     })?;
     push_times(&mut seconds, &times);
     let committing = Instant::now();
-    let (manifest, halo_retries) = commit(&plan, &mesh, &layout, shares.workers, run, progress)?;
+    let coordinates = write_coordinates(input, options, &plan, &layout)?;
+    let (manifest, halo_retries) = commit(&plan, &mesh, &layout, coordinates, shares.workers, run, progress)?;
     for file in [layout.mesh(0), layout.index(), layout.root().join(MANIFEST_NAME)] {
         // What earlier runs that were killed have left.
         publish::sweep(file.parent().expect("a file of an archive lies in a folder"));
@@ -192,6 +197,7 @@ pub fn reduce(
         chunks: counts.chunks,
         blocks: counts.blocks,
         halo_retries,
+        grid_cells: step.coordinates.map(|c| c.cells),
         range: step.value_range,
         archive_bytes: folder_bytes(out)?,
         seconds,
@@ -372,6 +378,7 @@ fn commit(
     plan: &Plan,
     parts: &MeshParts,
     layout: &Layout,
+    coordinates: Option<CoordinateRecord>,
     workers: usize,
     run: &RunSettings,
     progress: &dyn Progress,
@@ -420,6 +427,7 @@ fn commit(
         values: value_segments,
         index: index.finish(layout.index(), plan.step_hash())?,
         spectrum: None,
+        coordinates,
     };
     let mut archive =
         OpenArchive::of(layout.root(), Manifest::new(plan.mesh.clone(), counts, mesh_segments, vec![step]))?;

@@ -42,13 +42,24 @@ pub(super) fn measure(
 
 fn part_of(archive: &OpenArchive, design: &Design, chunk: ChunkId) -> Result<ChunkPart> {
     let blocks: Vec<u32> = (0..archive.tet_blocks(chunk)?).collect();
-    Ok(decoded_part(archive, design, &archive.decode(chunk, &blocks)?))
+    decoded_part(archive, design, &archive.decode(chunk, &blocks)?)
 }
 
 /// The part of a chunk of which all blocks are decoded.
-pub(super) fn decoded_part(archive: &OpenArchive, design: &Design, chunk: &DecodedChunk) -> ChunkPart {
-    let places = world_places(&archive.manifest.plan.lattice, &archive.step().plan.source.geometry, chunk);
-    ChunkPart::of(design, &Cells { values: &chunk.values, places: &places, tets: &chunk.tets })
+pub(super) fn decoded_part(
+    archive: &OpenArchive,
+    design: &Design,
+    chunk: &DecodedChunk,
+) -> Result<ChunkPart> {
+    let (lattice, source) = (&archive.manifest.plan.lattice, &archive.step().plan.source);
+    let places = match archive.coordinates()? {
+        None => world_places(lattice, &source.geometry, chunk),
+        Some(map) => {
+            let place = |&p| Ok(map.place(lattice.to_index_space(p))?.position);
+            chunk.positions.iter().map(place).collect::<Result<_>>()?
+        }
+    };
+    Ok(ChunkPart::of(design, &Cells { values: &chunk.values, places: &places, tets: &chunk.tets }))
 }
 
 /// World positions less the origin, of which only rounding would be left in a difference.

@@ -70,6 +70,17 @@ pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
             ranges.iter().for_each(|e| entries.add(e));
         }
     }
+    if let Some(map) = archive.coordinates()? {
+        let file = map.segment();
+        file.verify()?;
+        (check.segments, check.blocks) = (check.segments + 1, check.blocks + file.block_count());
+        check.bytes += file.info().bytes;
+        let (found, recorded) = (Some(map.count_cells()?), archive.step().coordinates.map(|c| c.cells));
+        if found != recorded {
+            let (expected, got) = (format!("{recorded:?}"), format!("{found:?}"));
+            return Err(Error::bad_input(path, "cells of the grid", expected, got));
+        }
+    }
     let whole = domain_volume6(&archive.manifest.plan.lattice);
     if volume6 != whole {
         return Err(Error::bad_input(
@@ -152,7 +163,7 @@ fn check_chunk(
         let at = format!("{:?}", decoded.positions[v]);
         return wrong("halo", "points of other chunks that tetrahedra use".into(), at);
     }
-    let part = design.map(|design| decoded_part(archive, design, &decoded));
+    let part = design.map(|design| decoded_part(archive, design, &decoded)).transpose()?;
     Ok(CheckedChunk { summary, ranges: index_entries(id.0, &ranges).collect(), part })
 }
 

@@ -34,7 +34,7 @@ use std::sync::Arc;
 /// Opens the grid of a file.
 pub(super) fn open(source: &Arc<ByteSource>) -> Result<Grid> {
     let path = source.path();
-    let file = Scanner::new(path, source.slice(0..source.len())?, Dataset::UnstructuredGrid)?.scan()?;
+    let file = Scanner::new(path, source.slice(0..source.len())?, &[Dataset::UnstructuredGrid])?.scan()?;
     let lacks = |what: &str| Error::bad_input(path, "DATASET UNSTRUCTURED_GRID", what, "none");
     let points = file.points.as_ref().ok_or_else(|| lacks("POINTS"))?;
     if !matches!(points.kind, Type::Number(_)) {
@@ -78,11 +78,7 @@ struct Shared {
 
 impl Shared {
     fn numbers(&self, data: &Range<u64>, scalar: ScalarType) -> RangeNumbers {
-        match self.file.binary {
-            true => RangeNumbers::binary(&self.source, data.clone(), scalar, true),
-            // In a text, integers have the width that they need.
-            false => RangeNumbers::text(&self.source, data.clone(), scalar),
-        }
+        super::numbers(&self.source, &self.file, data, scalar)
     }
 
     /// Integers: `int` in a binary file, any width in a text.

@@ -23,6 +23,9 @@
 //! word by word in a text. Binary samples are then mapped where they lie; text is a stream of slabs. Keywords may be
 //! in any case, names are percent-encoded.
 //!
+//! **Rectilinear and structured grids** are read alike, in index space; [`coordinates`] tells where their samples are:
+//! `X_COORDINATES 76 float` (Y, Z), or `POINTS 167580 float` with three numbers a sample.
+//!
 //! **Fields** are the arrays of the point data. Without `--field` the one array under `SCALARS` is read where there is
 //! exactly one with one component (VTK's writer puts the active scalars there and all others under `FIELD`), else the
 //! only array with one component.
@@ -34,13 +37,16 @@ mod cells;
 mod scan;
 
 use crate::bytes::ByteSource;
-use crate::cells::CellMesh;
+use crate::cells::{CellMesh, NumberStream};
 use crate::error::{Error, Result};
+use crate::formats::coordinates::GridCoordinates;
+use crate::formats::ranges::RangeNumbers;
 use crate::formats::stream::{TextSlabs, sample_bytes};
 use crate::formats::{OpenOptions, header, pick_field};
 use crate::volume::strided::StridedVolume;
-use crate::volume::{FieldInfo, VolumeInfo, VolumeSource};
-use scan::{Array, Dataset, Scanned, Scanner};
+use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
+use scan::{Array, Dataset, Scanned, Scanner, Type};
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -55,13 +61,17 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
 
 fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeSource> {
     let path = source.path();
-    let file = Scanner::new(path, source.slice(0..source.len())?, Dataset::StructuredPoints)?.scan()?;
+    let file = Scanner::new(path, source.slice(0..source.len())?, &GRIDS)?.scan()?;
     let fields: Vec<FieldInfo> = file.arrays.iter().filter_map(Array::field).collect();
     let readable: Vec<&Array> = file.arrays.iter().filter(|a| a.field().is_some()).collect();
     let chosen = choose(path, &file, &readable, &fields, wanted)?;
     let info = VolumeInfo {
         path: path.to_path_buf(),
-        format: format!("legacy VTK structured points ({})", if file.binary { "binary" } else { "ascii" }),
+        format: format!(
+            "legacy VTK {} ({})",
+            file.dataset.name().to_ascii_lowercase().replace('_', " "),
+            if file.binary { "binary" } else { "ascii" }
+        ),
         dims: file.dims,
         field: fields[chosen].clone(),
         fields,
@@ -80,6 +90,58 @@ fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeS
     let strides = strides.expect("the size of the samples was checked");
     let volume = StridedVolume::new(info, Arc::clone(source), data.start, true, strides)?;
     Ok(VolumeSource::Random(Box::new(volume)))
+}
+
+/// The datasets whose samples are a volume.
+const GRIDS: [Dataset; 3] = [Dataset::StructuredPoints, Dataset::RectilinearGrid, Dataset::StructuredGrid];
+
+/// The numbers of an array.
+fn numbers(source: &Arc<ByteSource>, file: &Scanned, data: &Range<u64>, scalar: ScalarType) -> RangeNumbers {
+    match file.binary {
+        true => RangeNumbers::binary(source, data.clone(), scalar, true),
+        // In a text, integers have the width that they need.
+        false => RangeNumbers::text(source, data.clone(), scalar),
+    }
+}
+
+/// The coordinates of a rectilinear or curvilinear grid; `None` of structured points.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file.
+pub fn coordinates(source: &Arc<ByteSource>) -> Result<Option<GridCoordinates>> {
+    let path = source.path();
+    let file = Scanner::new(path, source.slice(0..source.len())?, &GRIDS)?.scan()?;
+    let part = |array: Option<(u64, &Array)>, keyword: &str, expected: u64| {
+        let Some((n, array)) = array.filter(|(n, _)| *n == expected) else {
+            let got = array.map_or("none".into(), |(n, _)| n.to_string());
+            return Err(Error::bad_input(path, keyword, format!("{expected} for the DIMENSIONS"), got));
+        };
+        match array.kind {
+            Type::Number(scalar) => Ok((n, numbers(source, &file, &array.data, scalar))),
+            _ => Err(Error::bad_input(path, keyword, "numbers", "bits or strings")),
+        }
+    };
+    match file.dataset {
+        Dataset::RectilinearGrid => {
+            let mut axes: [Vec<f64>; 3] = Default::default();
+            for (a, axis) in axes.iter_mut().enumerate() {
+                let keyword = ["X_COORDINATES", "Y_COORDINATES", "Z_COORDINATES"][a];
+                let found = file.axes[a].as_ref().map(|(n, array)| (*n, array));
+                // The scan has seen that so many numbers are there.
+                let (n, mut stream) = part(found, keyword, file.dims[a])?;
+                axis.resize(n as usize, 0.0);
+                stream.fill(axis)?;
+            }
+            Ok(Some(GridCoordinates::Axes(axes)))
+        }
+        Dataset::StructuredGrid => {
+            let found = file.points.as_ref().map(|array| (file.point_count, array));
+            sample_bytes(path, file.dims, ScalarType::F64)?;
+            let (_, stream) = part(found, "POINTS", file.dims.iter().product())?;
+            Ok(Some(GridCoordinates::Points(Box::new(stream))))
+        }
+        _ => Ok(None),
+    }
 }
 
 /// Opens the unstructured grid of a legacy VTK file.

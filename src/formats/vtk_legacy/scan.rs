@@ -71,9 +71,11 @@ pub(super) struct Scanned {
     pub(super) dims: [u64; 3],
     pub(super) origin: [f64; 3],
     pub(super) spacing: [f64; 3],
-    /// Of an unstructured grid.
+    /// Of an unstructured or a curvilinear grid.
     pub(super) points: Option<Array>,
-    /// Number of points of an unstructured grid.
+    /// Of a rectilinear grid, each with its number of samples.
+    pub(super) axes: [Option<(u64, Array)>; 3],
+    /// Number of those.
     pub(super) point_count: u64,
     pub(super) connectivity: Option<Connectivity>,
     /// VTK's numbers of the kinds of cells, `int` in a binary file, and how many.
@@ -89,6 +91,8 @@ pub(super) struct Scanned {
 pub(super) enum Dataset {
     #[default]
     StructuredPoints,
+    RectilinearGrid,
+    StructuredGrid,
     UnstructuredGrid,
 }
 
@@ -96,7 +100,21 @@ impl Dataset {
     pub(super) fn name(self) -> &'static str {
         match self {
             Self::StructuredPoints => "STRUCTURED_POINTS",
+            Self::RectilinearGrid => "RECTILINEAR_GRID",
+            Self::StructuredGrid => "STRUCTURED_GRID",
             Self::UnstructuredGrid => "UNSTRUCTURED_GRID",
+        }
+    }
+}
+
+impl Dataset {
+    /// Whether a section of numbers belongs to a dataset, besides its data.
+    fn has(self, keyword: &str) -> bool {
+        match keyword {
+            "POINTS" => matches!(self, Self::UnstructuredGrid | Self::StructuredGrid),
+            "CELLS" | "CELL_TYPES" => self == Self::UnstructuredGrid,
+            "X_COORDINATES" | "Y_COORDINATES" | "Z_COORDINATES" => self == Self::RectilinearGrid,
+            _ => false,
         }
     }
 }
@@ -138,8 +156,9 @@ pub(super) struct Scanner<'a> {
 }
 
 impl<'a> Scanner<'a> {
-    /// Reads the first four lines of a file that should hold a `wanted` dataset.
-    pub(super) fn new(path: &'a Path, bytes: &'a [u8], wanted: Dataset) -> Result<Self> {
+    /// Reads the first four lines of a file that should hold one of the `wanted` datasets.
+    pub(super) fn new(path: &'a Path, bytes: &'a [u8], wanted: &[Dataset]) -> Result<Self> {
+        let names = wanted.iter().map(|d| d.name()).collect::<Vec<_>>().join(" or ");
         let mut words = Words::new(path, bytes, 0);
         if !bytes.starts_with(b"# vtk DataFile Version") {
             let expected = "'# vtk DataFile Version' and a number";
@@ -154,16 +173,15 @@ impl<'a> Scanner<'a> {
         };
         let word = words.word("DATASET")?;
         if !word.eq_ignore_ascii_case("DATASET") {
-            return Err(words.wrong(format!("DATASET {}", wanted.name()), format!("'{word}'")));
+            return Err(words.wrong(format!("DATASET {names}"), format!("'{word}'")));
         }
-        let kind = words.word(wanted.name())?;
-        if !kind.eq_ignore_ascii_case(wanted.name()) {
-            let expected = format!("DATASET {}", wanted.name());
+        let kind = words.word(&names)?;
+        let Some(&dataset) = wanted.iter().find(|d| kind.eq_ignore_ascii_case(d.name())) else {
             return Err(words
-                .wrong(expected, format!("DATASET {kind}"))
-                .with_help("only structured points are read as a volume: resample or convert it first"));
-        }
-        let out = Scanned { dataset: wanted, binary, spacing: [1.0; 3], ..Scanned::default() };
+                .wrong(format!("DATASET {names}"), format!("DATASET {kind}"))
+                .with_help("resample or convert it first"));
+        };
+        let out = Scanned { dataset, binary, spacing: [1.0; 3], ..Scanned::default() };
         Ok(Self { path, words, out, section: Section::File })
     }
 
@@ -171,9 +189,7 @@ impl<'a> Scanner<'a> {
         while let Some(word) = self.words.next() {
             let keyword = String::from_utf8_lossy(word).to_ascii_uppercase();
             match (keyword.as_str(), self.section) {
-                (name, Section::File)
-                    if self.out.dataset == Dataset::UnstructuredGrid && is_topology(name) =>
-                {
+                (name, Section::File) if self.out.dataset.has(name) => {
                     self.topology(name)?;
                 }
                 ("DIMENSIONS", Section::File) => self.out.dims = self.three("a dimension")?,
@@ -186,6 +202,8 @@ impl<'a> Scanner<'a> {
                 (name, Section::Points(n) | Section::Cells(n)) => self.attribute(name, n)?,
                 (name, Section::File) => {
                     let expected = match self.out.dataset {
+                        Dataset::RectilinearGrid => "DIMENSIONS, X_COORDINATES, POINT_DATA or CELL_DATA",
+                        Dataset::StructuredGrid => "DIMENSIONS, POINTS, POINT_DATA or CELL_DATA",
                         Dataset::StructuredPoints => "DIMENSIONS, SPACING, ORIGIN, POINT_DATA or CELL_DATA",
                         Dataset::UnstructuredGrid => "POINTS, CELLS, CELL_TYPES, POINT_DATA or CELL_DATA",
                     };
@@ -193,7 +211,7 @@ impl<'a> Scanner<'a> {
                 }
             }
         }
-        if self.out.dataset == Dataset::StructuredPoints && self.out.dims == [0; 3] {
+        if self.out.dataset != Dataset::UnstructuredGrid && self.out.dims == [0; 3] {
             return Err(self.wrong("DIMENSIONS", "the end of the file".into()));
         }
         Ok(self.out)
@@ -239,7 +257,7 @@ impl<'a> Scanner<'a> {
         }
     }
 
-    /// POINTS, CELLS or CELL_TYPES of an unstructured grid.
+    /// POINTS, CELLS, CELL_TYPES, or an axis of a rectilinear grid.
     fn topology(&mut self, keyword: &str) -> Result<()> {
         let n: u64 = self.words.parse("a number")?;
         match keyword {
@@ -253,6 +271,12 @@ impl<'a> Scanner<'a> {
                 let numbers: u64 = self.words.parse("a number")?;
                 self.words.line();
                 self.out.connectivity = Some(self.connectivity(n, numbers)?);
+            }
+            "X_COORDINATES" | "Y_COORDINATES" | "Z_COORDINATES" => {
+                let kind = self.kind()?;
+                self.words.line();
+                let axis = usize::from(keyword.as_bytes()[0] - b'X');
+                self.out.axes[axis] = Some((n, self.place(keyword, kind, 1, n)?));
             }
             _ => {
                 self.words.line();
@@ -466,10 +490,6 @@ impl<'a> Scanner<'a> {
             false => self.words.wrong(expected, got),
         }
     }
-}
-
-fn is_topology(keyword: &str) -> bool {
-    matches!(keyword, "POINTS" | "CELLS" | "CELL_TYPES")
 }
 
 /// Undoes the percent-encoding of a name.

@@ -16,13 +16,13 @@ use std::sync::Arc;
 const MOST_PIECES: usize = 1024;
 
 pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeSource> {
-    let doc = Document::open(source, "ImageData")?;
+    let doc = Document::open_one_of(source, &["ImageData", "RectilinearGrid", "StructuredGrid"])?;
     let whole = extent(&doc, &doc.data, "WholeExtent")?;
     let pieces = pieces(&doc, &whole)?;
     let (field, fields) = choose(&doc, pieces[0].element, wanted)?;
     let info = VolumeInfo {
         path: source.path().to_path_buf(),
-        format: format!("VTK XML ImageData ({})", how_field_stored(&doc, pieces[0].element, &field)),
+        format: format!("VTK XML {} ({})", doc.kind, how_field_stored(&doc, pieces[0].element, &field)),
         dims: whole.dims,
         geometry: geometry(&doc, &whole)?,
         field,
@@ -47,12 +47,12 @@ pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Vol
 
 /// Inclusive bounds, as a first sample and numbers of samples.
 #[derive(Clone, Copy, Debug)]
-struct Extent {
+pub(super) struct Extent {
     lo: [i64; 3],
-    dims: [u64; 3],
+    pub(super) dims: [u64; 3],
 }
 
-fn extent(doc: &Document, element: &Element, name: &str) -> Result<Extent> {
+pub(super) fn extent(doc: &Document, element: &Element, name: &str) -> Result<Extent> {
     let bounds: Option<[i64; 6]> = doc.numbers(element, name)?;
     let b = bounds.ok_or_else(|| doc.wrong(element, format!("an attribute '{name}'"), "none"))?;
     let lo = [b[0], b[2], b[4]];
@@ -70,9 +70,9 @@ fn extent(doc: &Document, element: &Element, name: &str) -> Result<Extent> {
 }
 
 /// A piece and the samples that it stores.
-struct Piece<'a> {
-    element: &'a Element,
-    voxels: IndexBox,
+pub(super) struct Piece<'a> {
+    pub(super) element: &'a Element,
+    pub(super) voxels: IndexBox,
 }
 
 impl Piece<'_> {
@@ -83,7 +83,7 @@ impl Piece<'_> {
 }
 
 /// The pieces, which together cover the whole extent.
-fn pieces<'a>(doc: &'a Document, whole: &Extent) -> Result<Vec<Piece<'a>>> {
+pub(super) fn pieces<'a>(doc: &'a Document, whole: &Extent) -> Result<Vec<Piece<'a>>> {
     let mut pieces = vec![];
     for element in doc.data.all("Piece") {
         let part = extent(doc, element, "Extent")?;
@@ -140,6 +140,10 @@ fn uncovered(dims: [u64; 3], pieces: &[Piece<'_>]) -> Option<[u64; 3]> {
 
 /// VTK's `Direction` is a matrix, row by row, whose columns are the directions of the axes.
 fn geometry(doc: &Document, whole: &Extent) -> Result<Geometry> {
+    if doc.kind != "ImageData" {
+        // The grid's coordinates say where its samples are.
+        return Ok(Geometry::default());
+    }
     let origin: [f64; 3] = doc.numbers(&doc.data, "Origin")?.unwrap_or([0.0; 3]);
     let spacing: [f64; 3] = doc.numbers(&doc.data, "Spacing")?.unwrap_or([1.0; 3]);
     let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];

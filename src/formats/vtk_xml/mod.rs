@@ -24,13 +24,17 @@
 //! **Fields** are the arrays of the point data. Without `--field` the one that the file names as its active `Scalars`
 //! is read, else the only one with one component. Cell data are values of voxel cells, not of samples: refused.
 //!
+//! **Rectilinear and curvilinear grids** (`.vtr`, `.vts`) are read like images, in index space; [`coordinates`] tells where their
+//! samples are.
+//!
 //! **Unstructured grids** (`.vtu`, `.pvtu`) are opened as meshes, by [`open_mesh`].
 //!
 //! Modules: `head` (the XML), `array` (the data of an array), `stored` (raw bytes and base64), `image` (extents, pieces, fields),
-//! `cells` (unstructured grids).
+//! `grid` (coordinates of rectilinear and curvilinear grids), `cells` (unstructured grids).
 
 pub(in crate::formats) mod array;
 mod cells;
+mod grid;
 pub(in crate::formats) mod head;
 mod image;
 mod stored;
@@ -42,17 +46,28 @@ use crate::bytes::ByteSource;
 use crate::cells::CellMesh;
 use crate::error::Result;
 use crate::formats::OpenOptions;
+use crate::formats::coordinates::GridCoordinates;
 use crate::volume::VolumeSource;
+use head::Document;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Opens the image of a `.vti` file.
+/// Opens the image of a `.vti` file, or the samples of the grid of a `.vtr` or `.vts` file.
 ///
 /// # Errors
 /// [`Error::BadInput`](crate::Error::BadInput) for a malformed file, another VTK type, cell data, vectors;
 /// [`Error::Usage`](crate::Error::Usage) when several fields ask for a choice.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     image::open(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
+}
+
+/// The coordinates of a `.vtr` or `.vts` file; `None` of an image.
+///
+/// # Errors
+/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file.
+pub fn coordinates(source: &Arc<ByteSource>) -> Result<Option<GridCoordinates>> {
+    let doc = Document::open_one_of(source, &["ImageData", "RectilinearGrid", "StructuredGrid"])?;
+    grid::coordinates(&doc)
 }
 
 /// Opens the mesh of a `.vtu` or `.pvtu` file.

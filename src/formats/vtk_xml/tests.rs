@@ -314,7 +314,7 @@ fn the_field_is_chosen_or_asked_for() {
 fn malformed_files_are_refused() {
     let good = String::from_utf8(image(every_encoding()[0], &ONE)).unwrap();
     for (from, to, says) in [
-        ("type=\"ImageData\"", "type=\"RectilinearGrid\"", "a rectilinear grid (.vtr)"),
+        ("type=\"ImageData\"", "type=\"RectilinearGrid\"", "an element 'RectilinearGrid'"),
         ("type=\"ImageData\"", "type=\"PImageData\"", ".pvti"),
         ("type=\"ImageData\"", "type=\"UnstructuredGrid\"", ".vtu"),
         ("<VTKFile", "<File", "an element 'File'"),
@@ -462,7 +462,7 @@ fn real_files_that_are_no_scalar_image_are_refused_by_name() {
     for (name, says) in [
         ("variants/vase_4component_u8.vti", "Scalars_ (4 x u8, not scalar)"),
         ("variants/QuadraticTetra.vtu", "an unstructured grid (.vtu)"),
-        ("variants/vtkio/RectilinearGrid_ascii.vtr", "a rectilinear grid (.vtr)"),
+        ("variants/vtkio/RectilinearGrid_ascii.vtr", "cell data only"),
         ("variants/vtkio/hexahedron_lzma_inline_binary.vtu", "UnstructuredGrid"),
         ("variants/vtkio/polyEx0.vtp", "a surface (.vtp)"),
         ("variants/vtkio/cube.pvtp", "PPolyData"),
