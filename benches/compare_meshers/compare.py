@@ -1,15 +1,16 @@
 #!/usr/bin/env python3
-"""Meshes the same points with HXT, CGAL and isospan, one after the other and round by round, and prints a table of ratios.
+"""Meshes the same points with HXT, CGAL, Geogram and isospan, one after the other and round by round, and prints a table of ratios.
 
-    compare.py [--sets hammersley,halton,uniform,cross,bcc,regular] [--counts 62500,250000,1000000] [--threads 1,2] [--rounds 5]
+    compare.py [--sets hammersley,halton,cross,bcc,regular] [--counts 62500,250000,1000000] [--threads 1,2] [--rounds 5] [--cpu]
 
-Needs: cargo; for CGAL a C++ compiler and Debian's libcgal-dev and libtbb-dev; for HXT a Python with numpy and gmsh (--python). A mesher
-that cannot be had is left out, saying so. Each figure is the median over the rounds. Wall seconds mean something on a quiet machine only;
-with --cpu the CPU seconds of all threads are compared instead.
+Builds what it needs: isospan with cargo; CGAL with g++ (Debian: apt-get install g++ libcgal-dev libtbb-dev); HXT (in the PyPI
+package gmsh) and Geogram (a static library in the PyPI package geogram) in a virtual environment under target/, or in one given by
+--python. A mesher that cannot be had is left out, saying why. Each figure is the median over the rounds. Wall seconds mean something on a
+quiet machine only; with --cpu the CPU seconds of all threads are compared instead.
 
 isospan meshes as one (kernel: one thread, memory reused) and in chunks (stage: samples of the boundary on top, halos and certification
-included; its points a second are those of all points, boundary samples too). Files of points hold f64 triples of multiples of 2^-24, so all
-mesh the same points.
+included; its points a second are those of all points, boundary samples too; several threads work on several chunks). Files of
+points hold f64 triples of multiples of 2^-24, so all mesh the same points.
 """
 import argparse
 import pathlib
@@ -18,44 +19,92 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import venv
 
 HERE = pathlib.Path(__file__).resolve().parent
-CGAL_FLAGS = ["-std=c++17", "-O3", "-DNDEBUG", "-march=native", "-frounding-math"]
+CGAL_FLAGS = ["-march=native", "-frounding-math"]
+PEERS = ["HXT", "CGAL", "Geogram"]
+COLUMNS = [*PEERS, "kernel", "stage"]
 CGAL_FLAGS += ["-DCGAL_LINKED_WITH_TBB", "-DCGAL_CONCURRENT_TRIANGULATION_3"]
 
 
 def settings():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     numbers = lambda text: [int(n) for n in text.split(",")]
-    parser.add_argument("--sets", type=lambda t: t.split(","), default="hammersley,halton,uniform,cross,bcc,regular".split(","))
+    parser.add_argument("--sets", type=lambda t: t.split(","), default="hammersley,halton,cross,bcc,regular".split(","))
     parser.add_argument("--counts", type=numbers, default=[62_500, 250_000, 1_000_000])
     parser.add_argument("--threads", type=numbers, default=[1, 2])
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--chunk", type=int, default=375_000, help="points of a chunk at most; halved boxes hold 250 000 on average")
     parser.add_argument("--cpu", action="store_true", help="compare CPU seconds, not wall seconds")
-    parser.add_argument("--python", default=sys.executable, help="the Python that has gmsh")
+    parser.add_argument("--python", help="a Python that has numpy, gmsh and geogram")
     return parser.parse_args()
 
 
+def left_out(name, why):
+    print(f"{name} is left out: {why}", file=sys.stderr)
+
+
+def root():
+    """Where the crate is."""
+    found = ["cargo", "locate-project", "--workspace", "--message-format", "plain"]
+    return pathlib.Path(subprocess.run(found, cwd=HERE, check=True, capture_output=True, text=True).stdout.strip()).parent
+
+
+def environment():
+    """A Python with the packages of HXT and Geogram, made under target/ at the first run."""
+    folder = root() / "target/compare_meshers"
+    python = folder / "bin/python"
+    if not python.exists():
+        venv.create(folder, with_pip=True, clear=True)
+    for package in ["numpy", "gmsh", "geogram"]:
+        pip = subprocess.run([python, "-m", "pip", "install", "--quiet", package], capture_output=True, text=True)
+        if pip.returncode != 0:
+            print(f"pip cannot install {package}:", *pip.stderr.strip().splitlines()[-1:], file=sys.stderr)
+    return str(python)
+
+
+def compile_cpp(name, flags, help_, program):
+    """The command of a C++ program beside this file, or None."""
+    if not shutil.which("g++"):
+        return left_out(name, "there is no g++")
+    run = subprocess.run(["g++", "-std=c++17", "-O3", "-DNDEBUG", *flags, "-o", program], capture_output=True, text=True)
+    if run.returncode != 0:
+        errors = [line for line in run.stderr.splitlines() if "error" in line or "undefined" in line]
+        return left_out(name, f"g++ fails ({help_}): " + "".join(errors[:1]))
+    return [program]
+
+
+def geogram(python, work):
+    """Geogram from the static library and the headers of its Python package."""
+    where = subprocess.run([python, "-c", "import geogram; print(geogram.__path__[0])"], capture_output=True, text=True)
+    if where.returncode != 0:
+        return left_out("Geogram", f"no package geogram in {python}")
+    site = pathlib.Path(where.stdout.strip()).parent
+    flags = ["-fopenmp", f"-I{site}/include/geogram1", str(HERE / "geogram.cpp"), f"{site}/lib64/libgeogram.a"]
+    flags += [*map(str, site.glob("geogram.libs/libtbb*")), f"-Wl,-rpath,{site}/geogram.libs", "-ldl", "-lpthread"]
+    return compile_cpp("Geogram", flags, "the package of 0.0.7 has all it needs", str(work / "geogram"))
+
+
+def hxt(python):
+    run = subprocess.run([python, "-c", "import numpy, gmsh"], capture_output=True, text=True)
+    if run.returncode != 0:
+        return left_out("HXT", f"{python} cannot import numpy and gmsh: {run.stderr.strip().splitlines()[-1]}")
+    return [python, str(HERE / "hxt.py")]
+
+
 def build(work, python):
-    """The commands that mesh a file: name -> (command before FILE REPEAT THREADS)."""
+    """The commands that mesh a file: ours, and name -> (command before FILE REPEAT THREADS)."""
     subprocess.run(["cargo", "build", "--release", "--quiet", "--example", "mesh_points"], cwd=HERE, check=True)
-    metadata = subprocess.run(
-        ["cargo", "locate-project", "--workspace", "--message-format", "plain"], cwd=HERE, check=True, capture_output=True, text=True
-    )
-    ours = str(pathlib.Path(metadata.stdout.strip()).parent / "target/release/examples/mesh_points")
-    peers = {}
-    cgal = work / "cgal"
-    compile_cgal = ["g++", *CGAL_FLAGS, str(HERE / "cgal.cpp"), "-o", str(cgal), "-lgmp", "-lmpfr", "-ltbb", "-ltbbmalloc", "-lpthread"]
-    if shutil.which("g++") and subprocess.run(compile_cgal).returncode == 0:
-        peers["CGAL"] = [str(cgal)]
-    else:
-        print("CGAL left out: it could not be compiled", file=sys.stderr)
-    if subprocess.run([python, "-c", "import gmsh, numpy"], capture_output=True).returncode == 0:
-        peers["HXT"] = [python, str(HERE / "hxt.py")]
-    else:
-        print("HXT left out: no gmsh in", python, file=sys.stderr)
-    return ours, peers
+    python = python or environment()
+    cgal = [*CGAL_FLAGS, str(HERE / "cgal.cpp"), "-lgmp", "-lmpfr", "-ltbb", "-ltbbmalloc", "-lpthread"]
+    peers = {
+        "HXT": hxt(python),
+        "CGAL": compile_cpp("CGAL", cgal, "apt-get install libcgal-dev libtbb-dev", str(work / "cgal")),
+        "Geogram": geogram(python, work),
+    }
+    ours = str(root() / "target/release/examples/mesh_points")
+    return ours, {name: command for name, command in peers.items() if command}
 
 
 def measure(command, cpu):
@@ -92,8 +141,8 @@ def row(name, threads, of):
     show = lambda key: f"{rate[key]:.3f}" if key in rate else "–"
     ratio = lambda a, b: f"{a / b:.2f}" if a and b else "–"
     points = next(iter(of.values()))[0]
-    cells = [name, f"{points:,}", str(threads), show("HXT"), show("CGAL"), show("kernel"), show("stage")]
-    cells += [ratio(ours, rate.get("HXT")), ratio(ours, rate.get("CGAL")), ratio(rate.get("stage"), rate.get("kernel"))]
+    cells = [name, f"{points:,}", str(threads), *map(show, COLUMNS)]
+    cells += [ratio(ours, rate.get(peer)) for peer in PEERS] + [ratio(rate.get("stage"), rate.get("kernel"))]
     return "| " + " | ".join(cells) + " |"
 
 
@@ -103,9 +152,9 @@ def main():
         work = pathlib.Path(folder)
         ours, peers = build(work, chosen.python)
         unit = "CPU second" if chosen.cpu else "second"
-        print(f"M points a {unit}, median of {chosen.rounds}; ratios: ours (kernel; with more threads, stage) to HXT and CGAL, stage to kernel\n")
-        print("| set | points | threads | HXT | CGAL | kernel | stage | × HXT | × CGAL | stage/kernel |")
-        print("|---|---|---|---|---|---|---|---|---|---|", flush=True)
+        print(f"M points a {unit}, median of {chosen.rounds}; ratios: ours (kernel; with more threads, stage) to each, stage to kernel\n")
+        print("| set | points | threads |", " | ".join(COLUMNS + [f"× {peer}" for peer in PEERS]), "| stage/kernel |")
+        print("|---|---|---|" + "---|" * (len(COLUMNS) + len(PEERS) + 1), flush=True)
         for name in chosen.sets:
             for count in chosen.counts:
                 file = str(work / "points")

@@ -246,3 +246,15 @@ proptest! {
         same("tiny", &all, [4; 3], cuts, halo);
     }
 }
+
+#[test]
+fn buckets_of_any_size_are_sorted() {
+    for size in 0..60u32 {
+        // Second and third numbers in a scrambled order, all different.
+        let mut bucket: Vec<Tet> = (0..size).map(|i| [7, i * 37 % 61 / 8 + 8, i * 37 % 61, i]).collect();
+        let mut expected = bucket.clone();
+        expected.sort_unstable();
+        sort_bucket(&mut bucket);
+        assert_eq!(bucket, expected, "{size}");
+    }
+}

@@ -16,8 +16,10 @@ impl Arena {
             let at = self.position(vertex);
             let [a, b, c, d] = std::array::from_fn(|i| if i == k { at } else { self.position(v[i]) });
             // In the plane, the circle is that of the sphere of the tetrahedron below, which is never a ghost.
-            return match orient3d(a, b, c, d) {
-                0 => self.conflicts_exactly(record.n[k] >> 2, vertex),
+            // Points in a face of the domain are the usual case, and there the determinant would be exact and slow.
+            let in_a_face = (0..3).any(|k| a[k] == b[k] && a[k] == c[k] && a[k] == d[k]);
+            return match if in_a_face { 0 } else { orient3d(a, b, c, d) } {
+                0 => self.conflicts(record.n[k] >> 2, vertex, self.points[vertex as usize].f64s()),
                 side => side > 0,
             };
         }

@@ -314,3 +314,17 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_lattice_is_recognised_wherever_its_origin_is() {
+    let points = |positions: &[LatticePos]| -> Vec<Point> {
+        let frame = Frame::around(positions);
+        positions.iter().map(|p| frame.point(*p)).collect()
+    };
+    let mut some = bcc(12, 1 << 10);
+    // The least coordinates are those of points off the lattice.
+    some.iter_mut().flatten().for_each(|c| *c += 1 << 12);
+    some.extend(random(some.len() / 2, 1 << 15, 3).into_iter().map(|p| p.map(|c| c + 77)));
+    assert!(mostly_coarse(&points(&some)));
+    assert!(!mostly_coarse(&points(&random(3000, 1 << 24, 4))));
+}
