@@ -14,6 +14,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 type Place = fn([f64; 3]) -> [f64; 3];
+type Field = fn([f64; 3]) -> f64;
 
 /// A quarter of a turn of a tube: angle, height, radius.
 fn tube([x, y, z]: [f64; 3]) -> [f64; 3] {
@@ -42,7 +43,7 @@ fn words(numbers: impl Iterator<Item = f64>) -> String {
 }
 
 /// A field on a curvilinear grid, as a VTS or legacy file.
-fn curvilinear(path: &Path, place: Place, field: fn([f64; 3]) -> f64) {
+fn curvilinear(path: &Path, place: Place, field: Field) {
     let points = words(samples().flat_map(place));
     let values = words(samples().map(|p| field(place(p))));
     let n = DIMS[0] * DIMS[1] * DIMS[2];
@@ -108,7 +109,7 @@ fn a_tube_and_a_shell_have_their_areas_and_normals() {
     let dir = tempfile::tempdir().unwrap();
     let tube_area = 1.52 * std::f64::consts::FRAC_PI_2 * 4.0;
     let shell_area = 1.52 * 1.52 * 1.5 * 2.0 * 1f64.sin();
-    let cases: [(&str, Place, fn([f64; 3]) -> f64, f64); 3] = [
+    let cases: [(&str, Place, Field, f64); 3] = [
         ("tube.vts", tube, radius, tube_area),
         ("tube.vtk", tube, radius, tube_area),
         ("shell.vts", shell, distance, shell_area),
