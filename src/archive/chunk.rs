@@ -9,12 +9,13 @@
 //! tetrahedra: as ids follow the bricks and, inside a brick, the Hilbert curve, a block is compact in space, its (min, max) are
 //! near each other, and few of its vertices are shared with other blocks.
 //!
-//! A block decodes on its own: [`ChunkHeader`] gives the number of vertices, against which every id is checked.
+//! A block decodes on its own, in two steps: [`TetBlock::open`] tells its vertices ([`ChunkHeader`] gives their number, against which every id is
+//! checked); [`TetBlock::decode`] takes their positions, which foretell most of the tetrahedra.
 
 use super::star;
 use super::tuples::{self, canonical};
 use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
-use crate::geom::PointId;
+use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;
 
 /// Codec of a header block: one zstd frame.
@@ -84,8 +85,7 @@ impl EncodedChunk {
     }
 }
 
-/// Sorts by the smallest vertex, then the others. A counting sort, then tiny sorts: a star has some ten tetrahedra.
-/// Gives also the end of each vertex's run.
+/// Sorts by the smallest vertex, which comes first in each. Gives also the end of each vertex's run.
 fn sort_by_vertex(tets: &[Tet], vertices: u32) -> (Vec<Tet>, Vec<u32>) {
     let canonical: Vec<Tet> = tets.iter().map(|&t| canonical(t)).collect();
     let mut ends = vec![0u32; vertices as usize];
@@ -100,12 +100,6 @@ fn sort_by_vertex(tets: &[Tet], vertices: u32) -> (Vec<Tet>, Vec<u32>) {
         let at = &mut ends[t[0] as usize];
         sorted[*at as usize] = t;
         *at += 1;
-    }
-    let mut start = 0;
-    for &end in &ends {
-        sorted[start..end as usize]
-            .sort_unstable_by_key(|t| u128::from(t[1]) << 64 | u128::from(t[2]) << 32 | u128::from(t[3]));
-        start = end as usize;
     }
     (sorted, ends)
 }
@@ -129,13 +123,19 @@ fn block_starts(run_ends: &[u32], total: u32, block_tets: u32) -> Vec<u32> {
     starts
 }
 
-/// Turns a chunk's mesh into blocks of about `block_tets` tetrahedra. The bytes depend on the *set* of tetrahedra, not on their
-/// order nor on how each is turned.
+/// Turns a chunk's mesh into blocks of about `block_tets` tetrahedra; `positions` are those of the local vertices. The bytes depend on the
+/// *set* of tetrahedra, not on their order nor on how each is turned.
 ///
 /// # Panics
-/// When a vertex id is not local, `shared` is not as long as the vertices, the halo is not ascending, or `block_tets` is 0.
-pub fn encode_chunk(vertices: &ChunkVertices, tets: &[Tet], block_tets: u32) -> EncodedChunk {
+/// When a vertex id is not local, `positions` or `shared` is not as long as the vertices, the halo is not ascending, or `block_tets` is 0.
+pub fn encode_chunk(
+    vertices: &ChunkVertices,
+    positions: &[LatticePos],
+    tets: &[Tet],
+    block_tets: u32,
+) -> EncodedChunk {
     assert!(block_tets > 0, "a block holds at least one tetrahedron");
+    assert_eq!(positions.len(), vertices.len() as usize, "one position a vertex");
     assert_eq!(vertices.shared.len(), vertices.len() as usize, "one shared flag a vertex");
     let (tets, ends) = sort_by_vertex(tets, vertices.len());
     let starts = block_starts(&ends, tets.len() as u32, block_tets);
@@ -143,33 +143,87 @@ pub fn encode_chunk(vertices: &ChunkVertices, tets: &[Tet], block_tets: u32) -> 
     let mut blocks = vec![encode_header(vertices, &counts)];
     let mut writer = star::Writer::default();
     for w in starts.windows(2) {
-        blocks.push(encode_tets(&mut writer, &tets[w[0] as usize..w[1] as usize], vertices.len()));
+        blocks.push(encode_tets(&mut writer, &tets[w[0] as usize..w[1] as usize], positions));
     }
     EncodedChunk { blocks, tets, starts }
 }
 
-/// Encodes one block of canonical, sorted tetrahedra.
-fn encode_tets(writer: &mut star::Writer, tets: &[Tet], vertices: u32) -> Vec<u8> {
-    assert!(tets.iter().flatten().all(|&v| v < vertices), "every vertex is local");
+/// Encodes one block of canonical tetrahedra, ascending by their first vertices.
+fn encode_tets(writer: &mut star::Writer, tets: &[Tet], positions: &[LatticePos]) -> Vec<u8> {
+    assert!(tets.iter().flatten().all(|&v| (v as usize) < positions.len()), "every vertex is local");
     let mut out = vec![TETS_STARS];
-    if !writer.encode(tets, vertices, &mut out) {
+    if !writer.encode(tets, positions, &mut out) {
         out[0] = TETS_TUPLES;
-        tuples::encode(tets, &mut out);
+        let mut tets = tets.to_vec();
+        tets.sort_unstable();
+        tuples::encode(&tets, &mut out);
     }
     out
 }
 
-/// Decodes a tetrahedron block and appends its tetrahedra to `out`: positively oriented, every vertex below `vertices`
-/// ([`ChunkHeader::vertices`]'s length), in the same order every time.
-///
-/// # Errors
-/// When the bytes are not a block, or name a vertex that is not there; `out` may then hold some of the tetrahedra.
-pub fn decode_tets(bytes: &[u8], vertices: u32, out: &mut Vec<Tet>) -> Result<(), Malformed> {
-    let mut c = Cursor::new(bytes);
-    match c.u8("codec")? {
-        TETS_TUPLES => tuples::decode(c.rest(), vertices, out),
-        TETS_STARS => star::decode(c.rest(), vertices, out),
-        other => Err(Malformed::new("codec", "a known tetrahedron codec", other.to_string())),
+/// Memory that decoding blocks reuses.
+#[derive(Default)]
+pub struct TetScratch(star::Scratch);
+
+/// A tetrahedron block whose vertices are known, and that waits for their positions.
+pub struct TetBlock<'a> {
+    vertices: Vec<u32>,
+    body: Body<'a>,
+}
+
+enum Body<'a> {
+    Tuples(Vec<Tet>),
+    Stars(star::Reader<'a>),
+}
+
+impl<'a> TetBlock<'a> {
+    /// Reads the vertices of a block, each below `vertices` ([`ChunkHeader::vertices`]'s length).
+    ///
+    /// # Errors
+    /// When the bytes are not a block, or name a vertex that is not there.
+    pub fn open(bytes: &'a [u8], vertices: u32, scratch: &mut TetScratch) -> Result<Self, Malformed> {
+        let mut c = Cursor::new(bytes);
+        match c.u8("codec")? {
+            TETS_TUPLES => {
+                let mut tets = vec![];
+                tuples::decode(c.rest(), vertices, &mut tets)?;
+                Ok(Self { vertices: tuples::vertex_list(&tets), body: Body::Tuples(tets) })
+            }
+            TETS_STARS => {
+                let mut ids = vec![];
+                let reader = star::Reader::open(c.rest(), vertices, &mut scratch.0, &mut ids)?;
+                Ok(Self { vertices: ids, body: Body::Stars(reader) })
+            }
+            other => Err(Malformed::new("codec", "a known tetrahedron codec", other.to_string())),
+        }
+    }
+
+    /// The local vertices of the block, ascending.
+    pub fn vertices(&self) -> &[u32] {
+        &self.vertices
+    }
+
+    /// Appends the tetrahedra to `out`, positively oriented, in the same order every time; `positions` are those of
+    /// [`TetBlock::vertices`].
+    ///
+    /// # Errors
+    /// When the bytes are not a block, or the positions not those that it was made with; `out` may then hold some tetrahedra, whose vertices are
+    /// the block's.
+    ///
+    /// # Panics
+    /// When there is not one position a vertex.
+    pub fn decode(
+        self,
+        positions: &[LatticePos],
+        scratch: &mut TetScratch,
+        out: &mut Vec<Tet>,
+    ) -> Result<(), Malformed> {
+        assert_eq!(positions.len(), self.vertices.len(), "one position a vertex");
+        match self.body {
+            Body::Tuples(tets) => out.extend(tets),
+            Body::Stars(reader) => reader.decode(&mut scratch.0, &self.vertices, positions, out)?,
+        }
+        Ok(())
     }
 }
 
@@ -275,6 +329,12 @@ pub(crate) mod tests {
         tets
     }
 
+    /// Where the corners of [`cubes`] are.
+    pub(crate) fn corners(n: [u32; 3]) -> Vec<LatticePos> {
+        let (sx, sy) = (n[0] + 1, n[1] + 1);
+        (0..sx * sy * (n[2] + 1)).map(|i| [i % sx, i / sx % sy, i / sx / sy].map(|c| 1000 * c)).collect()
+    }
+
     fn vertices_of(n: u32) -> ChunkVertices {
         let core = n * 4 / 5;
         ChunkVertices {
@@ -290,12 +350,14 @@ pub(crate) mod tests {
         tets
     }
 
-    fn decode(encoded: &EncodedChunk) -> (ChunkHeader, Vec<Tet>) {
+    fn decode(encoded: &EncodedChunk, positions: &[LatticePos]) -> (ChunkHeader, Vec<Tet>) {
         let header = ChunkHeader::decode(&encoded.blocks[0]).unwrap();
-        let mut all = vec![];
+        let (mut all, mut scratch) = (vec![], TetScratch::default());
         for (n, block) in encoded.blocks[1..].iter().enumerate() {
             let before = all.len();
-            decode_tets(block, header.vertices.len(), &mut all).unwrap();
+            let block = TetBlock::open(block, header.vertices.len(), &mut scratch).unwrap();
+            let here: Vec<LatticePos> = block.vertices().iter().map(|&v| positions[v as usize]).collect();
+            block.decode(&here, &mut scratch, &mut all).unwrap();
             assert_eq!(sorted(&all[before..]), sorted(encoded.block_tets(n)));
             assert_eq!(all.len() - before, header.block_tets[n] as usize);
         }
@@ -307,9 +369,10 @@ pub(crate) mod tests {
         let tets = cubes([9, 7, 8]);
         let vertices = vertices_of(10 * 8 * 9);
         for block_tets in [1, 7, 100, 1000, 1_000_000] {
-            let encoded = encode_chunk(&vertices, &tets, block_tets);
+            let positions = corners([9, 7, 8]);
+            let encoded = encode_chunk(&vertices, &positions, &tets, block_tets);
             assert_eq!(encoded.blocks.len(), encoded.tet_blocks() + 1);
-            let (header, back) = decode(&encoded);
+            let (header, back) = decode(&encoded, &positions);
             assert_eq!(header.vertices, vertices);
             assert_eq!(sorted(&back), sorted(&tets));
         }
@@ -319,23 +382,52 @@ pub(crate) mod tests {
     fn bytes_depend_on_the_set_alone() {
         let mut tets = cubes([5, 5, 5]);
         let vertices = vertices_of(216);
-        let one = encode_chunk(&vertices, &tets, 100);
+        let positions = corners([5, 5, 5]);
+        let one = encode_chunk(&vertices, &positions, &tets, 100);
         tets.reverse();
         tets.iter_mut().for_each(|t| *t = [t[2], t[3], t[0], t[1]]);
-        assert_eq!(one.blocks, encode_chunk(&vertices, &tets, 100).blocks);
+        assert_eq!(one.blocks, encode_chunk(&vertices, &positions, &tets, 100).blocks);
     }
 
     #[test]
     fn no_tetrahedra_and_no_vertices_are_a_chunk_too() {
-        let (header, tets) = decode(&encode_chunk(&ChunkVertices::default(), &[], 1000));
+        let (header, tets) = decode(&encode_chunk(&ChunkVertices::default(), &[], &[], 1000), &[]);
         assert_eq!((header, tets.len()), (ChunkHeader::default(), 0));
-        let (header, _) = decode(&encode_chunk(&vertices_of(10), &[], 1000));
+        let (header, _) = decode(&encode_chunk(&vertices_of(10), &[[0; 3]; 10], &[], 1000), &[]);
         assert_eq!(header.vertices, vertices_of(10));
     }
 
     #[test]
+    fn tetrahedra_that_are_no_mesh_come_back_too() {
+        let mut state = 1u64;
+        let mut next = |below: u64| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            ((state >> 33) % below) as u32
+        };
+        let positions: Vec<LatticePos> = (0..40).map(|_| [0; 3].map(|_: u32| next(1 << 20))).collect();
+        let round_trip = |tets: &[Tet]| {
+            let encoded = encode_chunk(&vertices_of(40), &positions, tets, 1000);
+            assert_eq!(sorted(&decode(&encoded, &positions).1), sorted(tets));
+            let mut other: Vec<Tet> = tets.iter().rev().map(|&[a, b, c, d]| [c, d, a, b]).collect();
+            other.rotate_left(tets.len() / 2);
+            assert_eq!(encode_chunk(&vertices_of(40), &positions, &other, 1000).blocks, encoded.blocks);
+        };
+        for n in [1, 2, 10, 500, 3000] {
+            let any: Vec<Tet> = std::iter::repeat_with(|| [0; 4].map(|_: u32| next(40)))
+                .filter(|t| (1..4).all(|i| !t[..i].contains(&t[i])))
+                .take(n)
+                .collect();
+            round_trip(&any);
+        }
+        let both: Vec<Tet> =
+            cubes([2, 2, 2]).iter().flat_map(|&[a, b, c, d]| [[a, b, c, d], [b, a, c, d]]).collect();
+        round_trip(&both);
+        round_trip(&[[0, 1, 2, 3]; 3]);
+    }
+
+    #[test]
     fn blocks_are_near_the_size_asked_for() {
-        let encoded = encode_chunk(&vertices_of(11 * 11 * 11), &cubes([10, 10, 10]), 1000);
+        let encoded = encode_chunk(&vertices_of(11 * 11 * 11), &corners([10; 3]), &cubes([10; 3]), 1000);
         assert_eq!(encoded.tet_blocks(), 6);
         for n in 0..6 {
             assert!((900..1100).contains(&encoded.block_tets(n).len()), "{}", encoded.block_tets(n).len());
@@ -347,7 +439,8 @@ pub(crate) mod tests {
         let mut vertices = vertices_of(50);
         vertices.halo.push(PointId::new(PointClass::Corner, 7));
         vertices.shared.push(true);
-        let good = encode_chunk(&vertices, &[], 10).blocks.remove(0);
+        let positions = vec![[0; 3]; vertices.len() as usize];
+        let good = encode_chunk(&vertices, &positions, &[], 10).blocks.remove(0);
         assert_eq!(ChunkHeader::decode(&good).unwrap().vertices, vertices);
         for i in 0..good.len() {
             assert!(ChunkHeader::decode(&good[..i]).is_err());

@@ -20,10 +20,9 @@ pub mod explicit;
 mod journal;
 pub mod manifest;
 pub(crate) mod publish;
-mod rans;
+mod range;
 pub mod segment;
 mod star;
-mod star_odds;
 pub mod summary;
 mod tuples;
 pub mod values;
@@ -57,7 +56,7 @@ mod tests {
             ("TETS_STARS", u64::from(chunk::TETS_STARS)),
             ("LARGEST_STARS", star::LARGEST_STARS as u64),
             ("LARGEST_LIST", u64::from(star::LARGEST_LIST)),
-            ("LARGEST_STAR", star::LARGEST_STAR as u64),
+            ("LARGEST_LINK", star::LARGEST_LINK as u64),
             ("BLOCK_VALUES", values::BLOCK_VALUES as u64),
             ("VALUES_RAW", u64::from(values::VALUES_RAW)),
             ("VALUES_SHUFFLED", u64::from(values::VALUES_SHUFFLED)),

@@ -1,16 +1,17 @@
 //! A chunk of an archive while a question reads it: tetrahedra block by block, and of the corners what is asked for.
 //!
 //! ```text
-//!  header (once) ─▶ tets(block) ─▶ load_values(tets) ─▶ active ones only: place(tets)
+//!  header (once) ─▶ tets(block): corners, their positions, tetrahedra ─▶ load_values(tets)
 //! ```
 //!
-//! A question looks at the values of all corners of a block, but at the positions of the active tetrahedra only. Values come in
-//! blocks of [`BLOCK_VALUES`] and positions brick by brick (a brick lists its points again from the formula of the
-//! point set), each when a corner of theirs is first asked for. So a chunk whose surface is small costs a few bricks.
+//! The tetrahedra of a block are decoded from the positions of its corners. Values come in blocks of [`BLOCK_VALUES`] and positions
+//! brick by brick (a brick lists its points again from the formula of the point set), each when a corner of theirs is first needed.
+//! So a chunk whose surface is small costs a few bricks.
 
 use super::open::{OpenArchive, OpenSegment};
 use super::plan::check_brick;
-use crate::archive::chunk::{ChunkHeader, decode_tets};
+use crate::archive::Malformed;
+use crate::archive::chunk::{ChunkHeader, TetBlock, TetScratch};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::values::{BLOCK_VALUES, decode_values};
 use crate::error::{Error, Result};
@@ -45,6 +46,9 @@ pub(super) struct ChunkReader<'a> {
     bytes: Vec<u8>,
     sites: Vec<Site>,
     decoded: Vec<f32>,
+    /// Positions of the corners of a block, and what decoding it needs.
+    here: Vec<LatticePos>,
+    scratch: TetScratch,
 }
 
 /// Bytes that a reader holds for each vertex of its chunk, a little more than counted: they are allocated once.
@@ -95,6 +99,8 @@ impl<'a> ChunkReader<'a> {
             bytes,
             sites: vec![],
             decoded: vec![],
+            here: vec![],
+            scratch: TetScratch::default(),
         })
     }
 
@@ -133,8 +139,27 @@ impl<'a> ChunkReader<'a> {
             return Err(damaged(mesh, id, "index", &format!("block {block} of {}", blocks - 2)));
         }
         mesh.block(id, number, &mut self.bytes)?;
-        decode_tets(&self.bytes, self.values.len() as u32, out).map_err(|m| mesh.blame(id, number, m))?;
+        let bytes = std::mem::take(&mut self.bytes);
+        let decoded = self.decode(&bytes, out);
+        self.bytes = bytes;
+        decoded?.map_err(|m| self.segment.mesh.blame(id, number, m))?;
         Ok(self.bytes.len() as u64)
+    }
+
+    /// Finds where the corners of a block are, and decodes it. The inner error is the block's.
+    fn decode(&mut self, bytes: &[u8], out: &mut Vec<Tet>) -> Result<std::result::Result<(), Malformed>> {
+        let block = match TetBlock::open(bytes, self.values.len() as u32, &mut self.scratch) {
+            Ok(block) => block,
+            Err(malformed) => return Ok(Err(malformed)),
+        };
+        self.here.clear();
+        for &v in block.vertices() {
+            if self.positions[v as usize] == UNPLACED {
+                self.place_corner(v as usize)?;
+            }
+            self.here.push(self.positions[v as usize]);
+        }
+        Ok(block.decode(&self.here, &mut self.scratch, out))
     }
 
     /// Reads the values of all corners of some tetrahedra.

@@ -405,7 +405,7 @@ fn encode(plan: &Plan, mesh: MeshedChunk, values: &[f32], outside6: i128) -> Pro
         outside6,
     };
     let vertices = ChunkVertices { core_counts: mesh.core_counts, halo: mesh.halo, shared: mesh.shared };
-    let encoded = encode_chunk(&vertices, &mesh.tets, plan.mesh.block_tets);
+    let encoded = encode_chunk(&vertices, &mesh.positions, &mesh.tets, plan.mesh.block_tets);
     let blocks = encoded.tet_blocks();
     summary.tet_blocks = blocks as u32;
     let ranges = (0..blocks).map(|n| BlockRange::of(encoded.block_tets(n), values)).collect();

@@ -2,7 +2,7 @@
 
 use crate::mutate::{Random, mutate};
 use crate::seeds::{get, partner, put};
-use isospan::archive::chunk::{ChunkHeader, decode_tets};
+use isospan::archive::chunk::{ChunkHeader, TetBlock, TetScratch};
 use isospan::archive::manifest::{
     MANIFEST_NAME, Manifest, index_path, mesh_segment_path, values_segment_path,
 };
@@ -97,11 +97,19 @@ pub(crate) fn blocks(bytes: &[u8]) -> Result<()> {
     let blame = |m: isospan::archive::Malformed| m.in_block(Path::new("a block"), 0);
     match which {
         0 => ChunkHeader::decode(block).map(drop).map_err(blame),
-        1 => decode_tets(block, 1 << (block.len() % 32), &mut vec![]).map_err(blame),
+        1 => tetrahedra(block).map_err(blame),
         2 => decode_values(block, block.len() % 5000, &mut vec![]).map_err(blame),
         3 => MeshSummary::decode(block).map(drop).map_err(blame),
         _ => ValueSummary::decode(block).map(drop).map_err(blame),
     }
+}
+
+fn tetrahedra(block: &[u8]) -> std::result::Result<(), isospan::archive::Malformed> {
+    let mut scratch = TetScratch::default();
+    let block = TetBlock::open(block, 1 << (block.len() % 32), &mut scratch)?;
+    let scatter = |v: &u32| [1, 5, 25].map(|f| v.wrapping_mul(f * 2_654_435_761) >> 8);
+    let positions: Vec<_> = block.vertices().iter().map(scatter).collect();
+    block.decode(&positions, &mut scratch, &mut vec![])
 }
 
 /// A small archive, and a copy of it to damage.
