@@ -80,8 +80,8 @@ fn values(c: &mut Criterion) {
         .collect();
     let mut group = c.benchmark_group("values");
     group.sample_size(10).throughput(Throughput::Elements(POINTS));
-    group.bench_function("encode", |b| b.iter(|| encode_values(black_box(&values)).len()));
-    let blocks = encode_values(&values);
+    group.bench_function("encode", |b| b.iter(|| encode_values(black_box(&values), None).len()));
+    let blocks = encode_values(&values, None);
     let mut out = vec![];
     group.bench_function("decode", |b| {
         b.iter(|| {

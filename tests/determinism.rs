@@ -89,3 +89,28 @@ fn segments_of_another_plan_are_not_taken() {
     reduce(&input, &other, &fresh, 2);
     assert_eq!(folder(&out), folder(&fresh));
 }
+
+#[test]
+fn rounded_values_are_the_same_in_all_chunks_and_smaller() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("waves.npy");
+    write_npy(&input, [44, 52, 36], waves);
+    let mut sets = vec![];
+    for chunk_points in [1_000, 7_000] {
+        let lossless = settings(SetKind::Halton, AMOUNT, chunk_points);
+        let rounded = isospan::pipeline::ReduceSettings { value_bits: Some(10), ..lossless.clone() };
+        let out = dir.path().join(format!("{chunk_points}.isospan"));
+        let report = reduce(&input, &rounded, &out, 2);
+        let quantiser = report.quantiser.unwrap();
+        // Waves have a range of about 4.
+        assert!(quantiser.bits == 10 && (0.001..0.003).contains(&quantiser.bound), "{quantiser:?}");
+        isospan::pipeline::check_archive(&out).unwrap();
+        let whole = reduce(&input, &lossless, &dir.path().join(format!("{chunk_points}-whole.isospan")), 2);
+        assert!(report.archive_bytes * 10 < whole.archive_bytes * 9);
+        assert_eq!(whole.quantiser, None);
+        let file = dir.path().join("s.ply");
+        surface(&out, -0.1, &file, 2);
+        sets.push(triangle_set(&read(&file)));
+    }
+    assert!(sets[0].len() > 1000 && sets[0] == sets[1]);
+}

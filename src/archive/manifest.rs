@@ -12,6 +12,7 @@ use super::coordinates::CellCount;
 use super::explicit::ExplicitRecord;
 use super::publish::Unpublished;
 use super::segment::{FORMAT_VERSION, OLDEST_READER, PlanHash, SegmentInfo};
+use super::values::Quantiser;
 use crate::error::{Error, Result};
 use crate::geom::Lattice;
 use crate::grid::{BrickGrid, Geometry};
@@ -123,6 +124,8 @@ pub struct StepPlan {
     pub interpolation: Interpolation,
     /// What was done with NaN and infinite samples, as on the command line: "error", "mask" or a number.
     pub nan: String,
+    /// How values were rounded, if they were.
+    pub quantiser: Option<Quantiser>,
 }
 
 impl StepPlan {
@@ -386,7 +389,7 @@ pub(crate) mod tests {
             missing: None,
         };
         let interpolation = Interpolation::Linear;
-        StepPlan { number, time: Some(0.7), source, interpolation, nan: "error".into() }
+        StepPlan { number, time: Some(0.7), source, interpolation, nan: "error".into(), quantiser: None }
     }
 
     fn example() -> Manifest {

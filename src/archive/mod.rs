@@ -59,8 +59,6 @@ mod tests {
             ("LARGEST_LINK", star::LARGEST_LINK as u64),
             ("BLOCK_VALUES", values::BLOCK_VALUES as u64),
             ("VALUES_RAW", u64::from(values::VALUES_RAW)),
-            ("VALUES_SHUFFLED", u64::from(values::VALUES_SHUFFLED)),
-            ("VALUES_DIFFERENCES", u64::from(values::VALUES_DIFFERENCES)),
             ("VALUES_PCO", u64::from(values::VALUES_PCO)),
             ("VALUES_QUANTISED", u64::from(values::VALUES_QUANTISED)),
             ("COORDINATES_AXES", u64::from(coordinates::COORDINATES_AXES)),

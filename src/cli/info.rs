@@ -198,6 +198,9 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
         let _ = writeln!(out, "{}", text::grid_cells(&cells));
     }
     let _ = writeln!(out, "  interp      {}", s.interpolation);
+    if let Some(q) = &s.quantiser {
+        let _ = writeln!(out, "  values      {} bits, within {:.3e}", q.bits, q.bound);
+    }
     if let Some([lo, hi]) = s.range {
         let _ = writeln!(out, "  range       {lo} .. {hi}");
     }

@@ -58,6 +58,10 @@ pub(crate) struct Args {
     /// Memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use]. Pages of mapped files do not count.
     #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
     memory: Option<u64>,
+    /// Round values to N bits (4 to 24) of the range of the source, which is read once more for that; the largest error is
+    /// told and stored [default: lossless].
+    #[arg(long, value_name = "N")]
+    value_bits: Option<u8>,
     /// Folder for the uncompressed copy of a compressed input [default: the system's temporary folder].
     #[arg(long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
@@ -136,6 +140,7 @@ impl Args {
             },
             nan: self.nan,
             missing: self.missing,
+            value_bits: self.value_bits,
             chunk_points: self.chunk_points,
         })
     }
@@ -192,6 +197,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     }
     if let Some([lo, hi]) = report.range {
         let _ = writeln!(out, "  range       {lo} .. {hi}");
+    }
+    if let Some(q) = &report.quantiser {
+        let _ = writeln!(out, "  values      {} bits, within {:.3e}", q.bits, q.bound);
     }
     let _ =
         writeln!(out, "  archive     {} ({per_point:.2} bytes a point)", text::bytes(report.archive_bytes));

@@ -9,6 +9,7 @@ use crate::archive::coordinates::{CellCount, CoordinateMap};
 use crate::archive::explicit::read_explicit;
 use crate::archive::manifest::{MANIFEST_NAME, Manifest, SegmentRecord, Step};
 use crate::archive::segment::{FORMAT_VERSION, PlanHash, Segment, SegmentInfo, SegmentKind};
+use crate::archive::values::Quantiser;
 use crate::error::{Error, Result};
 use crate::geom::{LatticePos, PointId};
 use crate::grid::{ChunkGrid, ChunkId, Geometry};
@@ -53,6 +54,8 @@ pub struct ArchiveSummary {
     pub point_set: serde_json::Value,
     /// How values were interpolated.
     pub interpolation: String,
+    /// How values were rounded, if they were.
+    pub quantiser: Option<Quantiser>,
     /// Points.
     pub points: u64,
     /// Points without a value.
@@ -96,6 +99,7 @@ pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
         grid_cells: step.coordinates.map(|c| c.cells),
         point_set: serde_json::json!(plan.points),
         interpolation: step.plan.interpolation.name().into(),
+        quantiser: step.plan.quantiser,
         points: counts.points,
         void_points: step.void_points,
         tetrahedra: counts.tetrahedra,

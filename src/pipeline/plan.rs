@@ -6,6 +6,7 @@
 
 use crate::archive::manifest::{Plan as MeshPlan, Source, StepPlan};
 use crate::archive::segment::PlanHash;
+use crate::archive::values::Quantiser;
 use crate::error::{Error, Result};
 use crate::geom::curve::Order;
 use crate::geom::{Lattice, LatticeBox};
@@ -41,6 +42,8 @@ pub struct ReduceSettings {
     pub nan: NanPolicy,
     /// A value that means "no data", besides what the file declares.
     pub missing: Option<f64>,
+    /// Bits to which values are rounded, of the range of the source; as they are if not given.
+    pub value_bits: Option<u8>,
     /// Points meshed together.
     pub chunk_points: u64,
 }
@@ -59,6 +62,7 @@ impl Default for ReduceSettings {
             interpolation: Interpolation::Linear,
             nan: NanPolicy::Error,
             missing: None,
+            value_bits: None,
             chunk_points: Self::CHUNK_POINTS,
         }
     }
@@ -102,6 +106,12 @@ impl Plan {
             Amount::Count(n) => n,
             Amount::Fraction(f) => (samples * f).round().max(1.0) as u64,
         };
+        if let Some(bits) = settings.value_bits
+            && !Quantiser::BITS.contains(&bits)
+        {
+            let (least, most) = Quantiser::BITS.into_inner();
+            return Err(Error::usage(format!("values have {least} to {most} bits, not {bits}")));
+        }
         if settings.chunk_points < 100 {
             return Err(Error::usage(
                 "a chunk of fewer than 100 points is all halo: give --chunk-points at least 100",
@@ -126,6 +136,7 @@ impl Plan {
                 source: source_of(info, settings)?,
                 interpolation: settings.interpolation,
                 nan: settings.nan.to_string(),
+                quantiser: None,
             },
         })
     }

@@ -4,12 +4,14 @@
 //! archive: it is work that the same command continues. A folder with one is never touched unless asked to.
 
 use super::chunk::Recipe;
+use super::field::NanPolicy;
 use super::grid_field::GridField;
 use super::layout::Layout;
 use super::need::{self, Estimate, Need, Question};
 use super::open::OpenArchive;
 use super::placed::write_coordinates;
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
+use super::scan::value_range;
 use super::spectrum;
 use super::work::{self, StageTimes, Work};
 use crate::archive::chunked::ChunkSegment;
@@ -17,6 +19,7 @@ use crate::archive::coordinates::CellCount;
 use crate::archive::manifest::{CoordinateRecord, Counts, MANIFEST_NAME, Manifest, SegmentRecord, Step};
 use crate::archive::segment::SegmentKind;
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
+use crate::archive::values::Quantiser;
 use crate::archive::{Malformed, TEMPORARY_MARK, publish};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, available_threads, pool};
@@ -81,6 +84,8 @@ pub struct ReduceReport {
     pub grid_cells: Option<CellCount>,
     /// Least and largest value.
     pub range: Option<[f32; 2]>,
+    /// How values were rounded, if they were.
+    pub quantiser: Option<Quantiser>,
     /// Bytes of all files of the archive.
     pub archive_bytes: u64,
     /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those that run side by side.
@@ -142,7 +147,7 @@ pub fn reduce(
     let started = Instant::now();
     refuse_overwriting(out, run)?;
     let source = formats::open_volume(input, options)?;
-    let plan = Plan::new(source.info(), settings)?;
+    let mut plan = Plan::new(source.info(), settings)?;
     let mesh = parts(&plan.mesh, None)?;
     let need = Need::of(&mesh);
     estimate_of(&source, &plan, &need, out, run)?.check()?;
@@ -153,6 +158,11 @@ pub fn reduce(
     let (reader, _scratch) = random_access(source, run, progress)?;
     if _scratch.is_some() {
         seconds.push(("brick".to_owned(), copying.elapsed().as_secs_f64()));
+    }
+    if let Some(bits) = settings.value_bits {
+        let reading = Instant::now();
+        plan.step.quantiser = Some(quantiser(&*reader, bits, settings, &run.cancel)?);
+        seconds.push(("range".to_owned(), reading.elapsed().as_secs_f64()));
     }
     let layout = Layout::new(out, mesh.chunks.len(), plan.step.number);
     prepare_folder(&layout, run)?;
@@ -199,9 +209,27 @@ pub fn reduce(
         halo_retries,
         grid_cells: step.coordinates.map(|c| c.cells),
         range: step.value_range,
+        quantiser: plan.step.quantiser,
         archive_bytes: folder_bytes(out)?,
         seconds,
     })
+}
+
+/// Steps of the source's range, which is read for that: the same everywhere, so that what chunks share stays equal.
+fn quantiser(
+    reader: &dyn VolumeReader,
+    bits: u8,
+    settings: &ReduceSettings,
+    cancel: &CancelToken,
+) -> Result<Quantiser> {
+    let missing = settings.missing.or(reader.info().missing);
+    let found = value_range(reader, missing, cancel)?;
+    let stand_in = match settings.nan {
+        NanPolicy::Value(v) => Some([v, v]),
+        NanPolicy::Error | NanPolicy::Mask => None,
+    };
+    let range = [found, stand_in].into_iter().flatten().reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+    Ok(Quantiser::new(bits, range.unwrap_or_default()))
 }
 
 /// Tells what a reduction would need, without beginning it.

@@ -1,6 +1,7 @@
 //! One pass over a volume: range, mean, missing samples, histogram. Memory: one slab.
 
 use crate::error::Result;
+use crate::exec::CancelToken;
 use crate::grid::IndexBox;
 use crate::volume::strided::convert_row;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
@@ -114,6 +115,30 @@ pub fn scan(source: VolumeSource) -> Result<(VolumeInfo, Scan)> {
 }
 
 fn scan_random(reader: &dyn VolumeReader, counter: &mut Counter) -> Result<()> {
+    for_slabs(reader, |values| {
+        counter.add(values);
+        Ok(())
+    })
+}
+
+/// Least and largest finite sample besides the one that means "no data"; `None` if there is none. Reads the volume once.
+pub(crate) fn value_range(
+    reader: &dyn VolumeReader,
+    missing: Option<f64>,
+    cancel: &CancelToken,
+) -> Result<Option<[f32; 2]>> {
+    let missing = missing.map(|m| m as f32);
+    let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+    for_slabs(reader, |values| {
+        for &v in values.iter().filter(|v| v.is_finite() && Some(**v) != missing) {
+            (low, high) = (low.min(v), high.max(v));
+        }
+        cancel.check()
+    })?;
+    Ok((low <= high).then_some([low, high]))
+}
+
+fn for_slabs(reader: &dyn VolumeReader, mut f: impl FnMut(&[f32]) -> Result<()>) -> Result<()> {
     let dims = reader.info().dims;
     let rows = ((1u64 << 20) / dims[0].max(1)).clamp(1, dims[1].max(1));
     let mut values = vec![];
@@ -122,7 +147,7 @@ fn scan_random(reader: &dyn VolumeReader, counter: &mut Counter) -> Result<()> {
             let slab = IndexBox { lo: [0, y, z], hi: [dims[0], (y + rows).min(dims[1]), z + 1] };
             values.resize(slab.len(), 0.0);
             reader.read_box(slab, &mut values)?;
-            counter.add(&values);
+            f(&values)?;
         }
         // A slice at a time would be many calls for small ones.
         if z % 64 == 63 {

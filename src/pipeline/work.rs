@@ -361,6 +361,9 @@ fn make_in_room(
     let start = Instant::now();
     let Survey { mut values, outside } = work.field.survey(&mesh)?;
     let outside6 = drop_outside(&mut mesh, &mut values, &outside);
+    if let Some(quantiser) = &work.plan.step.quantiser {
+        values.iter_mut().for_each(|v| *v = quantiser.round(*v));
+    }
     times.sample = start.elapsed();
     let start = Instant::now();
     let mut product = encode(work.plan, mesh, &values, outside6);
@@ -411,7 +414,7 @@ fn encode(plan: &Plan, mesh: MeshedChunk, values: &[f32], outside6: i128) -> Pro
     let ranges = (0..blocks).map(|n| BlockRange::of(encoded.block_tets(n), values)).collect();
     let mut mesh_blocks = encoded.blocks;
     mesh_blocks.push(summary.encode());
-    let mut value_blocks = encode_values(values);
+    let mut value_blocks = encode_values(values, plan.step.quantiser.as_ref());
     value_blocks.push(ValueSummary::of(&values[..core], ranges).encode());
     Product { points: core as u64, mesh_blocks, value_blocks, times: StageTimes::default() }
 }
