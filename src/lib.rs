@@ -69,7 +69,7 @@
 //! # Not promised
 //!
 //! * An input that is changed while it is read, without becoming shorter, is not noticed.
-//! * `isospan check` of a surface holds the surface in memory.
+//! * The check of a surface needs 4 bytes of memory for each of its vertices.
 //! * Values are `f32`: `f64` and wide integer samples are rounded to it after interpolation.
 //!
 //! # Features

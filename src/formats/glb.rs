@@ -18,13 +18,14 @@
 //! All lengths are 32 bits wide, so a file ends at 4 GiB: about 89 million vertices with twice as many triangles. More is
 //! refused before a byte is written. One primitive always suffices: 2^32 indices alone are 16 GiB.
 //!
-//! Read are the triangles of all meshes, as stored. What would need more than this to be the true shape is refused: node
+//! Read are the triangles of all meshes, as stored, from where they lie in the file: only the tree of the JSON text, usually a
+//! few KiB, is in memory. What would need more than this to be the true shape is refused: node
 //! transforms, sparse accessors, data in other files, required extensions (compression), strips and fans. Primitives that
 //! are points or lines are passed over.
 
 use crate::error::{Error, Result};
 use crate::formats::ply::check_indices;
-use crate::formats::surface::{Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, put_floats};
+use crate::formats::surface::{Room, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, put_floats};
 use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, Vertex};
 use serde_json::{Value, json};
@@ -38,6 +39,9 @@ const HEAD: u64 = 12;
 const CHUNK_HEAD: u64 = 8;
 /// Room for the JSON text when the limits are checked; the text is far shorter but for long comments.
 const JSON_ROOM: u64 = 1 << 20;
+/// Bytes of memory that the tree of a JSON text takes for each of its bytes, at most: a map of one item takes 632 and is
+/// written with five.
+const TREE_PER_BYTE: u64 = 130;
 /// Numbers of the format.
 const FLOAT: u64 = 5126;
 const UNSIGNED_INT: u64 = 5125;
@@ -139,8 +143,8 @@ fn document(vertices: u64, triangles: u64, bounds: [[f32; 3]; 2], meta: &Surface
 }
 
 /// Reads the triangles of a GLB.
-pub(super) fn read(path: &Path, bytes: &[u8], out: &mut StoredSurface) -> Result<()> {
-    let file = File::parse(path, bytes)?;
+pub(super) fn read(path: &Path, bytes: &[u8], room: &Room, out: &mut StoredSurface) -> Result<()> {
+    let file = File::parse(path, bytes, room)?;
     file.refuse_what_changes_the_shape()?;
     for (m, one) in list(&file.json, "meshes").iter().enumerate() {
         for (p, primitive) in list(one, "primitives").iter().enumerate() {
@@ -185,7 +189,7 @@ impl<'a> Elements<'a> {
 }
 
 impl<'a> File<'a> {
-    fn parse(path: &'a Path, bytes: &'a [u8]) -> Result<Self> {
+    fn parse(path: &'a Path, bytes: &'a [u8], room: &Room) -> Result<Self> {
         let bad = |at: &str, expected: &str, got: String| Err(Error::bad_input(path, at, expected, got));
         let word = |at: usize| bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map(u32::from_le_bytes);
         if word(4) != Some(2) {
@@ -207,6 +211,7 @@ impl<'a> File<'a> {
             at = start + length as usize;
         }
         let Some(text) = chunks[0] else { return bad("chunks", "one of JSON", "none".into()) };
+        room.check("memory (for the JSON text of a GLB file)", TREE_PER_BYTE * text.len() as u64)?;
         match serde_json::from_slice(text) {
             Ok(json) => Ok(Self { path, json, bin: chunks[1].unwrap_or_default() }),
             Err(e) => bad("JSON chunk", "a JSON text", e.to_string()),
@@ -362,11 +367,12 @@ mod tests {
     use crate::formats::surface::tests::{source, survive, tetrahedron};
     use crate::formats::surface::{SurfaceFormat, write_surface};
     use crate::surface::TriMesh;
+    use crate::surface::check::CheckSettings;
     use crate::surface::weld::BuilderSettings;
 
     fn read(path: &Path, bytes: &[u8]) -> Result<TriMesh> {
         let mut out = StoredSurface::new(&BuilderSettings::default());
-        super::read(path, bytes, &mut out)?;
+        super::read(path, bytes, &Room::of(&CheckSettings::default()), &mut out)?;
         TriMesh::from_source(&out)
     }
 
@@ -459,6 +465,19 @@ mod tests {
         bin[53] = 3;
         let error = read(Path::new("f"), &glb(text, &bin)).unwrap_err().to_string();
         assert!(error.contains("below 3"), "{error}");
+    }
+
+    #[test]
+    fn a_long_text_needs_memory_and_says_how_much() {
+        let bytes = glb(&format!("{{\"a\":[{}0]}}", "0,".repeat(50_000)), &[]);
+        let read = |memory: u64| {
+            let settings = CheckSettings { memory, ..CheckSettings::default() };
+            let mut out = StoredSurface::new(&BuilderSettings::default());
+            super::read(Path::new("f"), &bytes, &Room::of(&settings), &mut out)
+        };
+        let Err(Error::Budget { needed, .. }) = read(1 << 20) else { panic!("it was read") };
+        read(needed).unwrap();
+        assert!(read(needed - 8).is_err());
     }
 
     #[test]

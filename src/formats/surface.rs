@@ -186,7 +186,7 @@ pub fn read_surface(path: &Path) -> Result<TriMesh> {
 /// # Errors
 /// [`Error::BadInput`] for a malformed file, or one that is no surface; [`Error::Io`] when it cannot be read.
 pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurface> {
-    let room = Room { bytes: settings.memory / 8 * 3, scratch: settings.scratch.clone() };
+    let room = Room::of(settings);
     let mut surface = StoredSurface::new(&BuilderSettings {
         memory_bytes: settings.of_source(),
         scratch: settings.scratch.clone(),
@@ -198,7 +198,7 @@ pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurfa
     let read = match SurfaceFormat::from_path(path) {
         _ if bytes.starts_with(b"ply\n") || bytes.starts_with(b"ply\r") => ply::read(path, bytes, out),
         _ if text.starts_with(b"<?xml") || text.starts_with(b"<VTKFile") => vtp::read(&source, out),
-        _ if glb::is_glb(bytes) => glb::read(path, bytes, out),
+        _ if glb::is_glb(bytes) => glb::read(path, bytes, &room, out),
         _ if stl::is_binary(bytes) => stl::read(path, bytes, &room, out),
         Ok(SurfaceFormat::Stl) => stl::read(path, bytes, &room, out),
         Ok(SurfaceFormat::Obj) => obj::read(path, bytes, out),
@@ -222,6 +222,19 @@ pub(super) struct Room {
 }
 
 impl Room {
+    pub(super) fn of(settings: &CheckSettings) -> Self {
+        Self { bytes: settings.memory / 8 * 3, scratch: settings.scratch.clone() }
+    }
+
+    /// Refuses what needs more than the room, naming the memory of the whole that has so much.
+    pub(super) fn check(&self, what: &str, bytes: u64) -> Result<()> {
+        if bytes <= self.bytes {
+            return Ok(());
+        }
+        let whole = |room: u64| room.div_ceil(3).saturating_mul(8);
+        Err(Error::Budget { what: what.into(), needed: whole(bytes), available: whole(self.bytes) })
+    }
+
     /// One of `count` sorters that share the room.
     pub(super) fn sorter<R: bytemuck::Pod + Ord>(&self, count: u64) -> Sorter<R> {
         Sorter::new(usize::try_from(self.bytes / count).unwrap_or(usize::MAX), &self.scratch)

@@ -28,8 +28,16 @@ const MOST_LZ4_BLOCK: u64 = 1 << 28;
 /// No compressor does better: DEFLATE codes at most 258 bytes with two bits, LZ4 255 bytes with eight.
 const BEST_RATIO: u64 = 1032;
 
+/// What a decoder takes besides a block: buffers of text and input, the window and tables of zlib.
+const DECODER: u64 = 1 << 18;
+
 /// Compressed bytes read at a time.
 const INPUT: usize = 1 << 14;
+
+/// The longest that LZ4 makes of a block, where nothing repeats.
+fn longest_lz4(block: u64) -> u64 {
+    block + block / 255 + 16
+}
 
 /// The type of a VTK type name; `None` for `String` and `Bit`.
 pub(in crate::formats) fn scalar_type(name: &str) -> Option<ScalarType> {
@@ -128,6 +136,14 @@ impl ArrayStream {
             }
         };
         Ok(Self { scalar, big_endian: doc.big_endian, data })
+    }
+
+    /// Bytes of memory that the decoder takes at a time, at most.
+    pub(super) fn working_bytes(&self) -> u64 {
+        match &self.data {
+            Data::Blocks(blocks) => DECODER + blocks.whole_block(),
+            _ => DECODER,
+        }
     }
 
     /// Fills `out` with the next values; its length is a multiple of the value's size.
@@ -309,6 +325,12 @@ impl Blocks {
         }
     }
 
+    /// What is decoded as a whole, and what it is decoded from.
+    fn whole_block(&self) -> u64 {
+        let block = self.full.min(MOST_LZ4_BLOCK);
+        if matches!(self.codec, Codec::Lz4 { .. }) { block + longest_lz4(block) } else { 0 }
+    }
+
     fn fill(&mut self, mut out: &mut [u8]) -> Result<()> {
         while !out.is_empty() {
             if self.left == 0 {
@@ -348,6 +370,10 @@ impl Blocks {
                     let got = format!("one of {} bytes, {length} compressed", self.left);
                     let error = self.data.wrong(format!("an LZ4 block of at most {most} bytes"), got);
                     return Err(error.with_help("write the file with smaller blocks"));
+                }
+                if length > longest_lz4(self.left) {
+                    let expected = format!("at most {} bytes for a block", longest_lz4(self.left));
+                    return Err(self.data.wrong(expected, format!("{length} bytes for {}", self.left)));
                 }
                 input.resize(length as usize, 0);
                 self.data.read_exact(input)?;

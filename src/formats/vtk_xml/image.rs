@@ -234,8 +234,24 @@ struct PieceSlabs {
     doc: Document,
     info: VolumeInfo,
     walk: SlabWalk,
+    /// By their first slices, so that pieces one above the other are not open together.
     pieces: Vec<OpenPiece>,
     row: Vec<u8>,
+    working_bytes: u64,
+}
+
+/// The most that pieces need together: those that some slice crosses are open at one time.
+fn most_at_once(needs: &[(IndexBox, u64)]) -> u64 {
+    // (slice, whether a piece begins there, what it needs): ends come first.
+    let ends = needs.iter().flat_map(|&(b, n)| [(b.lo[2], true, n), (b.hi[2], false, n)]);
+    let mut ends: Vec<(u64, bool, u64)> = ends.collect();
+    ends.sort_unstable();
+    let (mut now, mut most) = (0u64, 0);
+    for (_, begins, need) in ends {
+        now = if begins { now.saturating_add(need) } else { now.saturating_sub(need) };
+        most = most.max(now);
+    }
+    most
 }
 
 struct OpenPiece {
@@ -248,15 +264,18 @@ struct OpenPiece {
 impl PieceSlabs {
     fn new(doc: Document, info: VolumeInfo, whole: &Extent) -> Result<Self> {
         let found = pieces(&doc, whole)?;
+        let mut needs = vec![];
         for piece in &found {
             // Every header is checked before the first slab.
             let element = array(&doc, piece, &info.field)?;
-            ArrayStream::open(&doc, element, info.field.scalar, piece.bytes(&info.field))?;
+            let stream = ArrayStream::open(&doc, element, info.field.scalar, piece.bytes(&info.field))?;
+            needs.push((piece.voxels, stream.working_bytes()));
         }
         let open = |(number, p): (usize, Piece<'_>)| OpenPiece { number, voxels: p.voxels, stream: None };
-        let pieces = found.into_iter().enumerate().map(open).collect();
+        let mut pieces: Vec<OpenPiece> = found.into_iter().enumerate().map(open).collect();
+        pieces.sort_by_key(|p| p.voxels.lo[2]);
         let walk = SlabWalk::new(info.dims, info.field.scalar.bytes());
-        Ok(Self { doc, info, walk, pieces, row: vec![] })
+        Ok(Self { doc, info, walk, pieces, row: vec![], working_bytes: most_at_once(&needs) })
     }
 
     /// Copies what piece `number` has of the slab into `out`.
@@ -296,6 +315,10 @@ impl PieceSlabs {
 impl SlabStream for PieceSlabs {
     fn info(&self) -> &VolumeInfo {
         &self.info
+    }
+
+    fn working_bytes(&self) -> u64 {
+        self.working_bytes.saturating_add(4 << 20)
     }
 
     fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {

@@ -412,6 +412,38 @@ fn an_lz4_block_of_an_absurd_length_is_refused() {
 }
 
 #[test]
+fn an_lz4_block_is_not_stored_longer_than_lz4_makes_it() {
+    let encoding =
+        Encoding { format: "raw", compressor: "LZ4", big_endian: false, wide: true, block: 1 << 10 };
+    let mut file = encoding.file("ImageData", "WholeExtent=\"0 3 0 0 0 0\"");
+    file.text("<Piece Extent=\"0 3 0 0 0 0\"><PointData>");
+    file.array("x", 1, &[1u8, 2, 3, 4]);
+    file.text("</PointData></Piece>");
+    let mut bytes = file.finish();
+    let start = bytes.windows(3).position(|w| w == b"  _").unwrap() + 3;
+    // The file has room for so much.
+    bytes[start + 24..start + 32].copy_from_slice(&100u64.to_le_bytes());
+    bytes.extend([b' '; 200]);
+    let error = refused(&bytes, None);
+    assert!(error.contains("at most 20 bytes"), "{error}");
+}
+
+#[test]
+fn decoders_that_are_open_together_need_memory_together() {
+    let needs = |compressor: &'static str, pieces: &[[i64; 6]]| {
+        let encoding = Encoding { format: "raw", compressor, big_endian: false, wide: true, block: 16 << 20 };
+        open_bytes(&image(encoding, pieces), None).unwrap().into_stream().working_bytes()
+    };
+    let (above, beside) =
+        ([[-1, 3, 2, 5, 0, 0], [-1, 3, 2, 5, 1, 2]], [[-1, 0, 2, 5, 0, 2], [1, 3, 2, 5, 0, 2]]);
+    let one = needs("LZ4", &ONE);
+    assert!(one > 32 << 20 && one < 38 << 20, "a block stored and decoded: {one}");
+    assert_eq!(needs("LZ4", &above), one);
+    assert!(needs("LZ4", &beside) > one + (32 << 20));
+    assert!(needs("ZLib", &beside) < 6 << 20, "inflated piece by piece");
+}
+
+#[test]
 fn a_head_beyond_all_reason_is_refused() {
     let many = "<Piece/>".repeat(1 << 18);
     let deep = "<Piece>".repeat(40);
