@@ -5,8 +5,9 @@
 
 use super::text;
 use clap::ValueEnum;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use isospan::exec::{Progress, Silent};
+use std::fmt;
 use std::io::{IsTerminal, Write};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -94,9 +95,17 @@ impl Progress for Bar {
     fn begin(&self, stage: &str, total: u64, unit: &str) {
         self.end();
         let bar = ProgressBar::with_draw_target(Some(total), ProgressDrawTarget::stderr());
-        let template =
-            format!("{{msg:10}} [{{bar:40}}] {{human_pos}}/{{human_len}} {unit}  {{per_sec}}  ETA {{eta}}");
+        let template = format!("{{msg:10}} [{{bar:40}}] {{done}} of {{total}} {unit}  {{speed}}");
         if let Ok(style) = ProgressStyle::with_template(&template) {
+            let style = style.with_key("done", |s: &ProgressState, out: &mut dyn fmt::Write| {
+                let _ = out.write_str(&text::count(s.pos()));
+            });
+            let style = style.with_key("total", |s: &ProgressState, out: &mut dyn fmt::Write| {
+                let _ = out.write_str(&text::count(s.len().unwrap_or(0)));
+            });
+            let style = style.with_key("speed", |s: &ProgressState, out: &mut dyn fmt::Write| {
+                let _ = out.write_str(&speed(s.pos(), s.per_sec(), s.eta()));
+            });
             bar.set_style(style.progress_chars("=> "));
         }
         bar.set_message(stage.to_owned());
@@ -110,6 +119,14 @@ impl Progress for Bar {
     fn end(&self) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).finish_and_clear();
     }
+}
+
+/// Rate and time left; nothing before the first units are done, as nothing is known then.
+fn speed(done: u64, rate: f64, left: Duration) -> String {
+    if done == 0 {
+        return String::new();
+    }
+    format!("{} a second, {} left", text::count(rate as u64), text::rough_duration(left))
 }
 
 struct Stage {
@@ -147,7 +164,7 @@ impl Stage {
             self.unit,
             self.done * 100 / self.total.max(1),
             text::count((self.done as f64 / elapsed.max(1e-3)) as u64),
-            text::duration(Duration::from_secs_f64(self.seconds_left())),
+            text::rough_duration(Duration::from_secs_f64(self.seconds_left())),
         )
     }
 
@@ -200,5 +217,17 @@ impl Progress for Lines {
         if let Some(stage) = stage.filter(|_| self.json) {
             tell(&stage.object("end"));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_is_told_of_the_speed_before_it_is_known() {
+        assert_eq!(speed(0, 0.0, Duration::ZERO), "");
+        assert_eq!(speed(9, 34267.06, Duration::from_millis(8400)), "34 267 a second, 8 s left");
+        assert_eq!(speed(9, 1.5, Duration::from_secs(200)), "1 a second, 3 min 20 s left");
     }
 }

@@ -97,6 +97,14 @@ pub(crate) fn duration(d: Duration) -> String {
     }
 }
 
+/// A time that is only guessed: whole seconds.
+pub(crate) fn rough_duration(d: Duration) -> String {
+    match d.as_secs() {
+        s @ 0..100 => format!("{s} s"),
+        _ => duration(d),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
