@@ -109,6 +109,18 @@ pub struct Source {
     pub intercept: f64,
     /// The stored value that means "no data"; a finite number.
     pub missing: Option<f64>,
+    /// Of a tetrahedral mesh: its vertices and tetrahedra.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mesh: Option<MeshSource>,
+}
+
+/// A tetrahedral mesh that a step was sampled from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MeshSource {
+    /// Its vertices.
+    pub vertices: u64,
+    /// Its tetrahedra.
+    pub tetrahedra: u64,
 }
 
 /// Everything, besides the plan, that decides the bytes of a step's values and index.
@@ -387,6 +399,7 @@ pub(crate) mod tests {
             slope: 1.0,
             intercept: 0.1 + 0.2,
             missing: None,
+            mesh: None,
         };
         let interpolation = Interpolation::Linear;
         StepPlan { number, time: Some(0.7), source, interpolation, nan: "error".into(), quantiser: None }

@@ -93,6 +93,10 @@ enum Interp {
     Cubic,
     CubicThesis,
     Nearest,
+    /// Of tetrahedral meshes.
+    Quadratic,
+    /// Of tetrahedral meshes; the thesis's, which is linear.
+    QuadraticThesis,
 }
 
 fn parse_nan(text: &str) -> std::result::Result<NanPolicy, String> {
@@ -137,6 +141,8 @@ impl Args {
                 Interp::Cubic => Interpolation::Cubic,
                 Interp::CubicThesis => Interpolation::CubicThesis,
                 Interp::Nearest => Interpolation::Nearest,
+                Interp::Quadratic => Interpolation::Quadratic,
+                Interp::QuadraticThesis => Interpolation::QuadraticThesis,
             },
             nan: self.nan,
             missing: self.missing,

@@ -10,17 +10,16 @@
 //!   └───┴───┴───┴───┘
 //! ```
 
-use super::{CellBatch, FINE_BITS, FinePos, Found, fine, keep, weights};
-use crate::geom::LatticePos;
+use super::{CellBatch, FinePos, Found, keep, weights};
 
 /// Points to be located, sorted into a grid.
 #[derive(Clone, Debug)]
 pub struct PointGrid {
-    /// Smallest coordinates of the points, in lattice steps.
-    lo: LatticePos,
+    /// Smallest coordinates of the points.
+    lo: FinePos,
     /// Largest.
-    hi: LatticePos,
-    /// log2 of the lattice steps of a grid cell's edge.
+    hi: FinePos,
+    /// log2 of the fine steps of a grid cell's edge.
     shift: u32,
     dims: [usize; 3],
     /// Where each grid cell's points begin; x fastest; one more than cells.
@@ -36,17 +35,17 @@ const POINTS_A_CELL: usize = 1;
 
 impl PointGrid {
     /// Sorts points into a grid, in time proportional to their number; fewer than 2^32.
-    pub fn new(points: &[LatticePos]) -> Self {
-        let bound = |pick: fn(u32, u32) -> u32, start: u32| {
+    pub fn new(points: &[FinePos]) -> Self {
+        let bound = |pick: fn(i64, i64) -> i64, start: i64| {
             points.iter().fold([start; 3], |m, p| std::array::from_fn(|a| pick(m[a], p[a])))
         };
-        let (lo, hi) = (bound(u32::min, u32::MAX), bound(u32::max, 0));
+        let (lo, hi) = (bound(i64::min, i64::MAX), bound(i64::max, 0));
         let (lo, hi) = if points.is_empty() { ([0; 3], [0; 3]) } else { (lo, hi) };
         let cells_at =
             |shift: u32| -> [usize; 3] { std::array::from_fn(|a| ((hi[a] - lo[a]) >> shift) as usize + 1) };
         let product = |d: [usize; 3]| d.iter().map(|&n| n as u128).product::<u128>();
         let most = (points.len() / POINTS_A_CELL).max(1) as u128;
-        let shift = (0..32).find(|&s| product(cells_at(s)) <= most).unwrap_or(31);
+        let shift = (0..40).find(|&s| product(cells_at(s)) <= most).unwrap_or(40);
         let mut grid =
             Self { lo, hi, shift, dims: cells_at(shift), starts: vec![], sorted: vec![], numbers: vec![] };
         grid.fill(points);
@@ -54,10 +53,10 @@ impl PointGrid {
     }
 
     /// A counting sort by grid cell.
-    fn fill(&mut self, points: &[LatticePos]) {
+    fn fill(&mut self, points: &[FinePos]) {
         let cells: usize = self.dims.iter().product();
         self.starts = vec![0; cells + 1];
-        let cell_of = |p: &LatticePos| {
+        let cell_of = |p: &FinePos| {
             let c: [usize; 3] = std::array::from_fn(|a| ((p[a] - self.lo[a]) >> self.shift) as usize);
             (c[2] * self.dims[1] + c[1]) * self.dims[0] + c[0]
         };
@@ -73,7 +72,7 @@ impl PointGrid {
         for (i, (p, &c)) in points.iter().zip(&of).enumerate() {
             let at = next[c as usize] as usize;
             next[c as usize] += 1;
-            self.sorted[at] = fine(*p);
+            self.sorted[at] = *p;
             self.numbers[at] = i as u32;
         }
     }
@@ -96,13 +95,11 @@ impl PointGrid {
     fn reach(&self, lo: FinePos, hi: FinePos) -> Option<[(usize, usize); 3]> {
         let mut reach = [(0, 0); 3];
         for a in 0..3 {
-            // The lattice positions that lie in [lo, hi].
-            let first = ((lo[a] + (1 << FINE_BITS) - 1) >> FINE_BITS).max(i64::from(self.lo[a]));
-            let last = (hi[a] >> FINE_BITS).min(i64::from(self.hi[a]));
+            let (first, last) = (lo[a].max(self.lo[a]), hi[a].min(self.hi[a]));
             if first > last {
                 return None;
             }
-            let cell = |p: i64| ((p - i64::from(self.lo[a])) >> self.shift) as usize;
+            let cell = |p: i64| ((p - self.lo[a]) >> self.shift) as usize;
             reach[a] = (cell(first), cell(last));
         }
         Some(reach)

@@ -48,13 +48,13 @@ fn cube(n: u32, edge: u32, jitter: i64) -> CellBatch {
 
 fn by_grid(cells: &CellBatch, points: &[LatticePos]) -> Vec<Found> {
     let mut found = vec![Found::default(); points.len()];
-    PointGrid::new(points).locate(cells, &mut found);
+    PointGrid::new(&points.iter().map(|&p| fine(p)).collect::<Vec<_>>()).locate(cells, &mut found);
     found
 }
 
 fn by_tree(cells: &CellBatch, points: &[LatticePos]) -> Vec<Found> {
     let mut found = vec![Found::default(); points.len()];
-    KdTree::new(cells).locate(points, &mut found);
+    KdTree::new(cells).locate(&points.iter().map(|&p| fine(p)).collect::<Vec<_>>(), &mut found);
     found
 }
 

@@ -76,15 +76,21 @@ pub(crate) fn by_brick<T: Clone + Default>(
     Ok(out)
 }
 
+/// The numbers of positions with their bricks, in order of bricks.
+pub(crate) fn brick_order(bricks: &BrickGrid, positions: &[LatticePos]) -> Vec<(BrickId, u32)> {
+    let mut order: Vec<(BrickId, u32)> =
+        positions.iter().enumerate().map(|(i, &p)| (bricks.id(bricks.brick_at(p)), i as u32)).collect();
+    order.sort_unstable();
+    order
+}
+
 /// As [`by_brick`], of positions in any order.
-pub(crate) fn in_bricks<T: Clone + Default>(
+fn in_bricks<T: Clone + Default>(
     bricks: &BrickGrid,
     positions: &[LatticePos],
     mut sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
 ) -> Result<Vec<T>> {
-    let mut order: Vec<(BrickId, u32)> =
-        positions.iter().enumerate().map(|(i, &p)| (bricks.id(bricks.brick_at(p)), i as u32)).collect();
-    order.sort_unstable();
+    let order = brick_order(bricks, positions);
     let mut out = vec![T::default(); positions.len()];
     let (mut group, mut found) = (vec![], vec![]);
     for run in order.chunk_by(|a, b| a.0 == b.0) {

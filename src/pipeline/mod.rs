@@ -7,6 +7,7 @@
 //!
 //! [`reduce`] makes an archive, [`extract_surface`] and [`count_active`] ask it, [`check_archive`] proves it whole.
 
+mod cell_field;
 mod chunk;
 mod export;
 mod extract;
@@ -25,6 +26,7 @@ mod probe_points;
 mod query;
 mod reader;
 mod reduce;
+mod reduce_mesh;
 mod roi;
 mod scan;
 mod spectrum;
@@ -32,6 +34,7 @@ mod verify;
 mod visit;
 mod work;
 
+pub use crate::domain::store::MeshCensus;
 pub use export::{Corners, ExportReport, ExportSettings};
 pub use field::NanPolicy;
 pub use fingerprint::fingerprint;

@@ -106,6 +106,23 @@ impl Plan {
             Amount::Count(n) => n,
             Amount::Fraction(f) => (samples * f).round().max(1.0) as u64,
         };
+        if !settings.interpolation.is_of_volumes() {
+            return Err(Error::usage(format!(
+                "{} interpolation is for tetrahedral meshes; {} is a volume",
+                settings.interpolation,
+                info.path.display()
+            )));
+        }
+        Self::on_lattice(lattice, count, source_of(info, settings)?, settings)
+    }
+
+    /// A plan of so many points on a lattice.
+    pub(crate) fn on_lattice(
+        lattice: Lattice,
+        count: u64,
+        source: Source,
+        settings: &ReduceSettings,
+    ) -> Result<Self> {
         if let Some(bits) = settings.value_bits
             && !Quantiser::BITS.contains(&bits)
         {
@@ -117,6 +134,7 @@ impl Plan {
                 "a chunk of fewer than 100 points is all halo: give --chunk-points at least 100",
             ));
         }
+        let samples = lattice.dims.iter().map(|&d| d as f64).product::<f64>();
         let points = PointSpec::with_count(settings.points, &lattice, count, &settings.set)?;
         let total = PointSet::new(points, lattice)?.len();
         let edge = (samples / total as f64 * BRICK_POINTS).cbrt().round() as u64;
@@ -133,7 +151,7 @@ impl Plan {
             step: StepPlan {
                 number: 0,
                 time: None,
-                source: source_of(info, settings)?,
+                source,
                 interpolation: settings.interpolation,
                 nan: settings.nan.to_string(),
                 quantiser: None,
@@ -165,6 +183,7 @@ fn source_of(info: &VolumeInfo, settings: &ReduceSettings) -> Result<Source> {
         slope: info.slope,
         intercept: info.intercept,
         missing: settings.missing.or(info.missing).filter(|m| m.is_finite()),
+        mesh: None,
     })
 }
 

@@ -4,26 +4,29 @@
 //! archive: it is work that the same command continues. A folder with one is never touched unless asked to.
 
 use super::chunk::Recipe;
-use super::field::NanPolicy;
+use super::field::{Field, NanPolicy};
 use super::grid_field::GridField;
 use super::layout::Layout;
-use super::need::{self, Estimate, Need, Question};
+use super::need::{self, Estimate, Need, Question, Shares};
 use super::open::OpenArchive;
 use super::placed::write_coordinates;
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
+use super::reduce_mesh;
 use super::scan::value_range;
 use super::spectrum;
 use super::work::{self, StageTimes, Work};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::CellCount;
+use crate::archive::explicit::write_explicit;
 use crate::archive::manifest::{CoordinateRecord, Counts, MANIFEST_NAME, Manifest, SegmentRecord, Step};
 use crate::archive::segment::SegmentKind;
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
 use crate::archive::values::Quantiser;
 use crate::archive::{Malformed, TEMPORARY_MARK, publish};
+use crate::domain::store::MeshCensus;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, available_threads, pool};
-use crate::formats::{self, OpenOptions};
+use crate::formats::{self, Input, OpenOptions};
 use crate::geom::Lattice;
 use crate::grid::{ChunkId, IndexBox};
 use crate::index::{BuildSettings, Entry, IndexBuilder};
@@ -64,10 +67,13 @@ impl Default for RunSettings {
 }
 
 /// What a reduction made.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct ReduceReport {
-    /// Samples of the volume.
+    /// Samples of the volume; vertices of a mesh.
     pub samples: u64,
+    /// Of a mesh: what was found in it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mesh: Option<MeshCensus>,
     /// Points of the archive.
     pub points: u64,
     /// Of these, points without a value.
@@ -146,61 +152,99 @@ pub fn reduce(
 ) -> Result<ReduceReport> {
     let started = Instant::now();
     refuse_overwriting(out, run)?;
-    let source = formats::open_volume(input, options)?;
-    let mut plan = Plan::new(source.info(), settings)?;
+    let job = Job { input, options, settings, out, run, progress, started };
+    match formats::open_input(input, options)? {
+        Input::Volume(source) => reduce_volume(source, &job),
+        Input::Mesh(mesh) => reduce_mesh::reduce_mesh(&mesh, &job),
+    }
+}
+
+/// What a reduction is told.
+pub(super) struct Job<'a> {
+    pub(super) input: &'a Path,
+    pub(super) options: &'a OpenOptions,
+    pub(super) settings: &'a ReduceSettings,
+    pub(super) out: &'a Path,
+    pub(super) run: &'a RunSettings,
+    pub(super) progress: &'a dyn Progress,
+    pub(super) started: Instant,
+}
+
+fn reduce_volume(source: VolumeSource, job: &Job<'_>) -> Result<ReduceReport> {
+    let mut plan = Plan::new(source.info(), job.settings)?;
     let mesh = parts(&plan.mesh, None)?;
     let need = Need::of(&mesh);
-    estimate_of(&source, &plan, &need, out, run)?.check()?;
-    let shares = need.shares(run.memory, threads(run))?;
+    estimate_of(&source, &plan, &need, job.out, job.run)?.check()?;
+    let shares = need.shares(job.run.memory, threads(job.run))?;
     let mut seconds = vec![];
     let copying = Instant::now();
     // The copy is removed when `scratch` is dropped, whatever happens.
-    let (reader, _scratch) = random_access(source, run, progress)?;
+    let (reader, _scratch) = random_access(source, job.run, job.progress)?;
     if _scratch.is_some() {
         seconds.push(("brick".to_owned(), copying.elapsed().as_secs_f64()));
     }
-    if let Some(bits) = settings.value_bits {
+    if let Some(bits) = job.settings.value_bits {
         let reading = Instant::now();
-        plan.step.quantiser = Some(quantiser(&*reader, bits, settings, &run.cancel)?);
+        plan.step.quantiser = Some(quantiser(&*reader, bits, job.settings, &job.run.cancel)?);
         seconds.push(("range".to_owned(), reading.elapsed().as_secs_f64()));
     }
-    let layout = Layout::new(out, mesh.chunks.len(), plan.step.number);
-    prepare_folder(&layout, run)?;
-    let recipe = Recipe { points: &mesh.points, bricks: plan.mesh.bricks(), order: mesh.order };
     let field = GridField {
         reader: &*reader,
         bricks: plan.mesh.bricks(),
         interpolation: plan.step.interpolation,
-        nan: settings.nan,
-        missing: settings.missing,
+        nan: job.settings.nan,
+        missing: job.settings.missing,
         released: AtomicU64::new(0),
     };
-    progress.begin("reduce", mesh.points.len(), "points");
+    let samples = plan.step.source.dims.iter().product();
+    produce(job, &plan, &mesh, &field, shares, ReduceReport { samples, seconds, ..ReduceReport::default() })
+}
+
+/// Makes the archive of a plan: all segments, then the manifest. Completes the report.
+pub(super) fn produce(
+    job: &Job<'_>,
+    plan: &Plan,
+    mesh: &MeshParts,
+    field: &dyn Field,
+    shares: Shares,
+    mut report: ReduceReport,
+) -> Result<ReduceReport> {
+    let layout = Layout::new(job.out, mesh.chunks.len(), plan.step.number);
+    prepare_folder(&layout, job.run)?;
+    if let Some(points) = mesh.points.explicit() {
+        write_explicit(job.out, plan.mesh_hash(), points)?;
+    }
+    let recipe = Recipe { points: &mesh.points, bricks: plan.mesh.bricks(), order: mesh.order };
+    job.progress.begin("reduce", mesh.points.len(), "points");
     let times = work::make_segments(&Work {
-        plan: &plan,
+        plan,
         recipe: &recipe,
         chunks: &mesh.chunks,
         layout: &layout,
-        field: &field,
+        field,
         pool: &pool(shares.workers)?,
         shares,
         rooms: &work::Rooms::default(),
-        cancel: &run.cancel,
-        progress,
+        cancel: &job.run.cancel,
+        progress: job.progress,
     })?;
-    push_times(&mut seconds, &times);
+    push_times(&mut report.seconds, &times);
     let committing = Instant::now();
-    let coordinates = write_coordinates(input, options, &plan, &layout)?;
-    let (manifest, halo_retries) = commit(&plan, &mesh, &layout, coordinates, shares.workers, run, progress)?;
+    // A mesh has its positions in the world by itself; a grid may have coordinates of its own.
+    let coordinates = match plan.step.source.mesh {
+        Some(_) => None,
+        None => write_coordinates(job.input, job.options, plan, &layout)?,
+    };
+    let (manifest, halo_retries) =
+        commit(plan, mesh, &layout, coordinates, shares.workers, job.run, job.progress)?;
     for file in [layout.mesh(0), layout.index(), layout.root().join(MANIFEST_NAME)] {
         // What earlier runs that were killed have left.
         publish::sweep(file.parent().expect("a file of an archive lies in a folder"));
     }
-    seconds.push(("commit".into(), committing.elapsed().as_secs_f64()));
-    seconds.push(("total".into(), started.elapsed().as_secs_f64()));
+    report.seconds.push(("commit".into(), committing.elapsed().as_secs_f64()));
+    report.seconds.push(("total".into(), job.started.elapsed().as_secs_f64()));
     let (counts, step) = (&manifest.counts, &manifest.steps[0]);
     Ok(ReduceReport {
-        samples: plan.step.source.dims.iter().product(),
         points: counts.points,
         void_points: step.void_points,
         tetrahedra: counts.tetrahedra,
@@ -210,8 +254,8 @@ pub fn reduce(
         grid_cells: step.coordinates.map(|c| c.cells),
         range: step.value_range,
         quantiser: plan.step.quantiser,
-        archive_bytes: folder_bytes(out)?,
-        seconds,
+        archive_bytes: folder_bytes(job.out)?,
+        ..report
     })
 }
 
@@ -244,7 +288,10 @@ pub fn estimate(
     run: &RunSettings,
 ) -> Result<Estimate> {
     refuse_overwriting(out, run)?;
-    let source = formats::open_volume(input, options)?;
+    let source = match formats::open_input(input, options)? {
+        Input::Volume(source) => source,
+        Input::Mesh(mesh) => return reduce_mesh::estimate_mesh(&mesh, settings, out, run),
+    };
     let plan = Plan::new(source.info(), settings)?;
     estimate_of(&source, &plan, &Need::of(&parts(&plan.mesh, None)?), out, run)
 }
@@ -288,11 +335,11 @@ fn copying_bytes(stream: &dyn SlabStream) -> u64 {
     need::BASE.saturating_add(stream.working_bytes()).saturating_add(bricks.saturating_mul(8))
 }
 
-fn threads(run: &RunSettings) -> usize {
+pub(super) fn threads(run: &RunSettings) -> usize {
     if run.threads == 0 { available_threads() } else { run.threads }
 }
 
-fn scratch_folder(run: &RunSettings) -> PathBuf {
+pub(super) fn scratch_folder(run: &RunSettings) -> PathBuf {
     run.scratch.clone().unwrap_or_else(std::env::temp_dir)
 }
 

@@ -60,11 +60,26 @@ pub enum Interpolation {
     CubicThesis,
     /// The nearest voxel; half-way, the higher one.
     Nearest,
+    /// Of a tetrahedral mesh: quadratic, with gradients estimated at the vertices.
+    Quadratic,
+    /// Of a tetrahedral mesh: quadratic as the thesis prints it, which is linear: for its tables.
+    QuadraticThesis,
 }
 
 impl Interpolation {
     /// All of them, in the order of the command line's help.
-    pub const ALL: [Self; 4] = [Self::Linear, Self::Cubic, Self::CubicThesis, Self::Nearest];
+    pub const ALL: [Self; 6] =
+        [Self::Linear, Self::Cubic, Self::CubicThesis, Self::Nearest, Self::Quadratic, Self::QuadraticThesis];
+
+    /// Whether it works on the samples of a volume.
+    pub fn is_of_volumes(self) -> bool {
+        !matches!(self, Self::Quadratic | Self::QuadraticThesis)
+    }
+
+    /// Whether it works on the cells of a tetrahedral mesh ([`crate::locate`]).
+    pub fn is_of_meshes(self) -> bool {
+        matches!(self, Self::Linear | Self::Quadratic | Self::QuadraticThesis)
+    }
 
     /// Its name on the command line and in a manifest.
     pub fn name(self) -> &'static str {
@@ -73,6 +88,8 @@ impl Interpolation {
             Self::Cubic => "cubic",
             Self::CubicThesis => "cubic-thesis",
             Self::Nearest => "nearest",
+            Self::Quadratic => "quadratic",
+            Self::QuadraticThesis => "quadratic-thesis",
         }
     }
 
@@ -89,6 +106,7 @@ impl Interpolation {
                 Self::Cubic => axis.stencil(axis.cell(p), cubic::CUBIC),
                 Self::CubicThesis => axis.stencil(axis.cell(p), cubic::THESIS),
                 Self::Nearest => nearest::span(&axis, p),
+                Self::Quadratic | Self::QuadraticThesis => unreachable!("{OF_MESHES}"),
             }
         };
         IndexBox {
@@ -114,6 +132,9 @@ impl FromStr for Interpolation {
         })
     }
 }
+
+/// Broken when a plan of a volume has an interpolation of meshes, which [`Interpolation::is_of_volumes`] tells.
+const OF_MESHES: &str = "a volume is never planned with an interpolation of meshes";
 
 /// The samples of a box of voxels.
 #[derive(Clone, Copy, Debug)]
@@ -148,6 +169,7 @@ pub fn sample(
         Interpolation::Cubic => cubic::sample(lattice, block, positions, out),
         Interpolation::CubicThesis => cubic::sample_thesis(lattice, block, positions, out),
         Interpolation::Nearest => nearest::sample(lattice, block, positions, out),
+        Interpolation::Quadratic | Interpolation::QuadraticThesis => unreachable!("{OF_MESHES}"),
     }
 }
 

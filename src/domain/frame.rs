@@ -1,0 +1,76 @@
+//! The lattice that a mesh lies in, and the way from the world to it.
+
+use crate::error::{Error, Result};
+use crate::geom::Lattice;
+use crate::grid::Geometry;
+use crate::locate::{FINE_BITS, FinePos};
+use std::path::Path;
+
+/// The longest side of a mesh's bounding box in fine steps, as a power of two.
+const LONGEST_BITS: u32 = 24 + FINE_BITS;
+/// Voxels along the longest side, as a power of two: at least and at most.
+const VOXEL_BITS: std::ops::RangeInclusive<u32> = 3..=20;
+
+/// The bounding box of some positions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Bounds {
+    pub(crate) lo: [f64; 3],
+    pub(crate) hi: [f64; 3],
+}
+
+impl Bounds {
+    pub(crate) const NONE: Self = Self { lo: [f64::INFINITY; 3], hi: [f64::NEG_INFINITY; 3] };
+
+    pub(crate) fn add(&mut self, p: [f64; 3]) {
+        for a in 0..3 {
+            (self.lo[a], self.hi[a]) = (self.lo[a].min(p[a]), self.hi[a].max(p[a]));
+        }
+    }
+}
+
+/// A lattice in the world.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Frame {
+    pub(crate) lattice: Lattice,
+    pub(crate) geometry: Geometry,
+    /// Fine steps a world unit.
+    scale: f64,
+}
+
+impl Frame {
+    /// The lattice around a mesh of so many vertices: its voxels are about as large as the vertices lie apart.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] for a mesh without extent, or with one that `f64` cannot tell.
+    pub(crate) fn around(path: &Path, bounds: &Bounds, vertices: u64) -> Result<Self> {
+        let side: [f64; 3] = std::array::from_fn(|a| bounds.hi[a] - bounds.lo[a]);
+        let longest = side.into_iter().fold(0.0, f64::max);
+        if !(side.iter().all(|s| *s > 0.0) && longest.is_finite()) {
+            let got = format!("{} x {} x {}", side[0], side[1], side[2]);
+            return Err(Error::bad_input(path, "bounding box", "a finite length along each axis", got));
+        }
+        // The least power of two of voxels that are smaller than the vertices lie apart; by multiplication, which is exact enough on all machines.
+        let share = side.iter().map(|s| s / longest).product::<f64>();
+        let wanted = vertices.max(1) as f64;
+        let voxels =
+            |bits: u32| share * f64::from(1u32 << bits) * f64::from(1u32 << bits) * f64::from(1u32 << bits);
+        let bits = VOXEL_BITS.clone().find(|&b| voxels(b) >= wanted).unwrap_or(*VOXEL_BITS.end());
+        let cells = f64::from(1u32 << bits);
+        let voxel = longest / cells;
+        let dims = side.map(|s| (s / voxel).ceil().clamp(1.0, cells) as u64 + 1);
+        Ok(Self {
+            lattice: Lattice::new(dims)?,
+            geometry: Geometry { origin: bounds.lo, spacing: [voxel; 3], ..Geometry::default() },
+            scale: (1u64 << LONGEST_BITS) as f64 / longest,
+        })
+    }
+
+    /// A position of the world on the fine lattice: the nearest, within the box.
+    pub(crate) fn fine(&self, p: [f64; 3]) -> FinePos {
+        let max = self.lattice.max();
+        std::array::from_fn(|a| {
+            let most = i64::from(max[a]) << FINE_BITS;
+            (((p[a] - self.geometry.origin[a]) * self.scale).round() as i64).clamp(0, most)
+        })
+    }
+}

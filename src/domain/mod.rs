@@ -1,0 +1,36 @@
+//! A tetrahedral mesh of any size, laid out so that a brick finds its cells.
+//!
+//! A reader tells points, values and cells in the order of the file. Here they become files in the scratch folder, each written front to
+//! back and then mapped, so that nothing of the size of the mesh is in memory:
+//!
+//! ```text
+//!  points ─▶ positions on the fine lattice ┐
+//!  values ─▶ one a point                   ├─▶ cells, split in tetrahedra ─┬─▶ faces, sorted: those of one tetrahedron ─▶ boundary
+//!  cells ──────────────────────────────────┘   turned the right way        ├─▶ gradients at vertices, sorted by vertex
+//!                                                                          └─▶ (brick, cell), sorted ─▶ the cells of each brick
+//! ```
+//!
+//! Sorting is external ([`crate::bytes`]). A brick has all cells whose bounding box meets it; a point is looked for among the
+//! cells of its brick, in batches, by [`crate::locate`].
+//!
+//! # The box around it
+//!
+//! The mesh lies in a box of cubes ("voxels", so that bricks and chunks are those of a volume) on the integer lattice: the longest side of its
+//! bounding box is 2^24 steps, the others are rounded up to whole cubes. Points of the set outside of the mesh are void.
+//!
+//! # Its boundary
+//!
+//! Points inside stop short of the boundary, and the reduced domain would end a point spacing too early. So the boundary is sampled
+//! too ([`boundary`]), at matching density. A tetrahedron of the reduction is **inside** if none of its corners lies outside of the
+//! mesh and, where a corner is a boundary sample, its centroid does not either: what spans a hole, a concavity or the gap between two bodies is
+//! left out.
+
+pub(crate) mod boundary;
+pub(crate) mod buckets;
+pub(crate) mod column;
+pub(crate) mod frame;
+pub(crate) mod gradients;
+pub(crate) mod store;
+
+#[cfg(test)]
+mod tests;

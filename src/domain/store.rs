@@ -1,0 +1,244 @@
+//! The files of a mesh: positions, values, tetrahedra, boundary triangles.
+
+use super::column::{Column, ColumnWriter};
+use super::frame::{Bounds, Frame};
+use crate::bytes::sorter::Sorter;
+use crate::cells::{CellBlock, CellMesh, split};
+use crate::error::{Error, Result};
+use crate::exec::CancelToken;
+use crate::geom::curve::hilbert_key;
+use crate::locate::{FINE_BITS, FinePos, volume6};
+use serde::Serialize;
+use std::path::Path;
+
+/// What becomes of a value that is no finite number.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum BadValue {
+    Refuse,
+    Void,
+    Use(f32),
+}
+
+/// How a mesh is read.
+pub(crate) struct StoreSettings<'a> {
+    /// Bytes for sorting.
+    pub(crate) memory: u64,
+    /// Folder for the files.
+    pub(crate) scratch: &'a Path,
+    pub(crate) bad_value: BadValue,
+    pub(crate) missing: Option<f64>,
+    pub(crate) cancel: &'a CancelToken,
+}
+
+/// What was found in a mesh.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct MeshCensus {
+    /// Points.
+    pub vertices: u64,
+    /// Cells with a volume.
+    pub cells: u64,
+    /// Tetrahedra that they were split into, those without a volume left out.
+    pub tetrahedra: u64,
+    /// Of these, tetrahedra whose corners were told in the other order.
+    pub inverted: u64,
+    /// Tetrahedra that were left out: flat, or with a vertex twice.
+    pub degenerate: u64,
+    /// Triangles of the boundary.
+    pub boundary_triangles: u64,
+}
+
+/// A mesh on disk.
+pub(crate) struct CellStore {
+    pub(crate) frame: Frame,
+    pub(crate) census: MeshCensus,
+    pub(crate) positions: Column<FinePos>,
+    pub(crate) values: Column<f32>,
+    /// Vertices of each tetrahedron, positively oriented.
+    pub(crate) tets: Column<[u64; 4]>,
+    /// Triangles of the boundary, along a space-filling curve.
+    pub(crate) boundary: Column<[u64; 3]>,
+    /// Six times the volume of all tetrahedra, in fine steps.
+    pub(crate) volume6: i128,
+}
+
+impl CellStore {
+    /// Reads a mesh.
+    ///
+    /// # Errors
+    /// When it cannot be read, has no volume, or the scratch folder cannot be written.
+    pub(crate) fn build(mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<Self> {
+        let path = &mesh.info().path;
+        let (world, bounds) = read_points(mesh, settings)?;
+        let frame = Frame::around(path, &bounds, world.get()?.len() as u64)?;
+        let mut positions = ColumnWriter::new(settings.scratch)?;
+        for &p in world.get()? {
+            positions.push(&frame.fine(p))?;
+        }
+        drop(world);
+        let positions = positions.finish()?;
+        let values = read_values(mesh, settings)?;
+        let mut sink = TetSink::new(settings)?;
+        read_cells(mesh, positions.get()?, settings, &mut sink)?;
+        sink.census.vertices = positions.get()?.len() as u64;
+        if sink.census.tetrahedra == 0 {
+            let got =
+                format!("{} cells with a volume, {} of them flat", sink.census.cells, sink.census.degenerate);
+            return Err(Error::bad_input(path, "cells", "at least one tetrahedron", got));
+        }
+        let boundary = boundary_of(sink.faces, positions.get()?, settings)?;
+        let mut census = sink.census;
+        census.boundary_triangles = boundary.get()?.len() as u64;
+        Ok(Self {
+            frame,
+            census,
+            positions,
+            values,
+            tets: sink.tets.finish()?,
+            boundary,
+            volume6: sink.volume6,
+        })
+    }
+
+    /// The part of the box that the mesh fills.
+    pub(crate) fn filled(&self) -> f64 {
+        let max = self.frame.lattice.max();
+        let whole = max.iter().map(|&m| f64::from(m) * f64::from(1u32 << FINE_BITS)).product::<f64>();
+        self.volume6 as f64 / (6.0 * whole)
+    }
+}
+
+fn read_points(mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<(Column<[f64; 3]>, Bounds)> {
+    let (mut out, mut bounds) = (ColumnWriter::new(settings.scratch)?, Bounds::NONE);
+    let (mut points, mut block) = (mesh.points()?, vec![]);
+    while points.next_block(&mut block)? {
+        settings.cancel.check()?;
+        for p in &block {
+            bounds.add(*p);
+            out.push(p)?;
+        }
+    }
+    Ok((out.finish()?, bounds))
+}
+
+fn read_values(mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<Column<f32>> {
+    let mut out = ColumnWriter::new(settings.scratch)?;
+    let (mut values, mut block) = (mesh.values(settings.memory)?, vec![]);
+    let missing = settings.missing.map(|m| m as f32);
+    while values.next_block(&mut block)? {
+        settings.cancel.check()?;
+        for &v in &block {
+            let good = v.is_finite() && Some(v) != missing;
+            out.push(&match settings.bad_value {
+                _ if good => v,
+                BadValue::Void => f32::NAN,
+                BadValue::Use(value) => value,
+                BadValue::Refuse => {
+                    let (path, at) =
+                        (&mesh.info().path, format!("{}, point {}", mesh.field()?.name, out.len()));
+                    return Err(Error::bad_input(path, at, "a finite value", v.to_string()).with_help(
+                        "choose --nan mask (leave a hole there) or --nan VALUE (use a value instead)",
+                    ));
+                }
+            })?;
+        }
+    }
+    Ok(out.finish()?)
+}
+
+/// What cells become.
+struct TetSink {
+    tets: ColumnWriter<[u64; 4]>,
+    /// Vertices of all faces, ascending.
+    faces: Sorter<[u64; 3]>,
+    volume6: i128,
+    census: MeshCensus,
+}
+
+impl TetSink {
+    fn new(settings: &StoreSettings<'_>) -> Result<Self> {
+        let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
+        Ok(Self {
+            tets: ColumnWriter::new(settings.scratch)?,
+            faces: Sorter::new(memory, settings.scratch),
+            volume6: 0,
+            census: MeshCensus::default(),
+        })
+    }
+
+    fn push(&mut self, mut tet: [u64; 4], positions: &[FinePos]) -> Result<()> {
+        let volume = volume6(tet.map(|v| positions[v as usize]));
+        if volume == 0 {
+            self.census.degenerate += 1;
+            return Ok(());
+        }
+        if volume < 0 {
+            tet.swap(2, 3);
+            self.census.inverted += 1;
+        }
+        self.volume6 += volume.abs();
+        self.census.tetrahedra += 1;
+        self.tets.push(&tet)?;
+        for skip in 0..4 {
+            let mut face = [tet[(skip + 1) % 4], tet[(skip + 2) % 4], tet[(skip + 3) % 4]];
+            face.sort_unstable();
+            self.faces.push(face)?;
+        }
+        Ok(())
+    }
+}
+
+fn read_cells(
+    mesh: &CellMesh,
+    positions: &[FinePos],
+    settings: &StoreSettings<'_>,
+    sink: &mut TetSink,
+) -> Result<()> {
+    let (mut cells, mut block, mut tets) = (mesh.cells()?, CellBlock::default(), vec![]);
+    while cells.next_block(&mut block)? {
+        settings.cancel.check()?;
+        for (kind, vertices) in block.iter().filter(|(kind, _)| kind.vertices() > 0) {
+            tets.clear();
+            sink.census.cells += 1;
+            sink.census.degenerate += split(kind, vertices, &mut tets) as u64;
+            tets.iter().try_for_each(|&tet| sink.push(tet, positions))?;
+        }
+    }
+    Ok(())
+}
+
+/// The faces of one tetrahedron only, along a space-filling curve.
+fn boundary_of(
+    faces: Sorter<[u64; 3]>,
+    positions: &[FinePos],
+    settings: &StoreSettings<'_>,
+) -> Result<Column<[u64; 3]>> {
+    let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
+    let mut along: Sorter<[u64; 4]> = Sorter::new(memory, settings.scratch);
+    let mut take = |face: [u64; 3]| {
+        let centre: [u32; 3] = std::array::from_fn(|a| {
+            (face.iter().map(|&v| positions[v as usize][a]).sum::<i64>() / 3 >> FINE_BITS) as u32
+        });
+        along.push([hilbert_key(centre, 21), face[0], face[1], face[2]])
+    };
+    let mut sorted = faces.finish()?;
+    let mut last = None;
+    let mut single = false;
+    while let Some(face) = sorted.next()? {
+        if last == Some(face) {
+            single = false;
+        } else {
+            if let Some(last) = last.filter(|_| single) {
+                take(last)?;
+            }
+            (last, single) = (Some(face), true);
+        }
+    }
+    if let Some(last) = last.filter(|_| single) {
+        take(last)?;
+    }
+    let (mut sorted, mut out) = (along.finish()?, ColumnWriter::new(settings.scratch)?);
+    while let Some([_, a, b, c]) = sorted.next()? {
+        out.push(&[a, b, c])?;
+    }
+    out.finish()
+}

@@ -1,0 +1,190 @@
+//! Reductions of tetrahedral meshes: the reduced domain is the mesh's, and surfaces are those of its field.
+
+mod common;
+
+use common::{read, run, surface, triangle_set};
+use isospan::exec::Silent;
+use isospan::formats::OpenOptions;
+use isospan::pipeline::{
+    Amount, NanPolicy, ReduceReport, ReduceSettings, RunSettings, check_archive, reduce,
+};
+use isospan::sample::Interpolation;
+use isospan::surface::check::{SurfaceReport, check};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// A legacy VTK file of the cubes of a grid that `keep`s, each in six tetrahedra, with a field.
+fn write_mesh(
+    path: &Path,
+    n: u32,
+    keep: impl Fn([f64; 3]) -> bool,
+    place: impl Fn([f64; 3]) -> [f64; 3],
+    field: impl Fn([f64; 3]) -> f64,
+) {
+    const PATHS: [[usize; 3]; 6] = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
+    let m = n + 1;
+    let number = |c: [u32; 3]| (c[2] * m + c[1]) * m + c[0];
+    let unit = |c: [u32; 3]| c.map(|x| f64::from(x) / f64::from(n));
+    let mut used = std::collections::BTreeMap::new();
+    let mut tets = vec![];
+    for z in 0..n {
+        for y in 0..n {
+            for x in 0..n {
+                if !keep([x, y, z].map(|c| (f64::from(c) + 0.5) / f64::from(n))) {
+                    continue;
+                }
+                for path in PATHS {
+                    let mut at = [x, y, z];
+                    let mut tet = [number(at); 4];
+                    used.insert(number(at), unit(at));
+                    for (i, axis) in path.into_iter().enumerate() {
+                        at[axis] += 1;
+                        tet[i + 1] = number(at);
+                        used.insert(number(at), unit(at));
+                    }
+                    tets.push(tet);
+                }
+            }
+        }
+    }
+    let compact: std::collections::BTreeMap<u32, usize> =
+        used.keys().enumerate().map(|(i, &v)| (v, i)).collect();
+    let positions: Vec<[f64; 3]> = used.values().map(|&p| place(p)).collect();
+    let mut text = format!(
+        "# vtk DataFile Version 3.0\nmesh\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS {} double\n",
+        positions.len()
+    );
+    for p in &positions {
+        writeln!(text, "{} {} {}", p[0], p[1], p[2]).unwrap();
+    }
+    writeln!(text, "CELLS {} {}", tets.len(), 5 * tets.len()).unwrap();
+    for tet in &tets {
+        let [a, b, c, d] = tet.map(|v| compact[&v]);
+        writeln!(text, "4 {a} {b} {c} {d}").unwrap();
+    }
+    writeln!(text, "CELL_TYPES {}", tets.len()).unwrap();
+    tets.iter().for_each(|_| text.push_str("10\n"));
+    writeln!(text, "POINT_DATA {}\nSCALARS f double\nLOOKUP_TABLE default", positions.len()).unwrap();
+    positions.iter().for_each(|&p| writeln!(text, "{}", field(p)).unwrap());
+    std::fs::write(path, text).unwrap();
+}
+
+fn settings(fraction: f64) -> ReduceSettings {
+    ReduceSettings { amount: Amount::Fraction(fraction), ..ReduceSettings::default() }
+}
+
+fn reduced(input: &Path, settings: &ReduceSettings, out: &str, run: &RunSettings) -> (PathBuf, ReduceReport) {
+    let out = input.with_file_name(out);
+    let report = reduce(input, &OpenOptions::default(), settings, &out, run, &Silent).unwrap();
+    check_archive(&out).unwrap();
+    (out, report)
+}
+
+/// An isosurface and what is to be said of it.
+fn extracted(archive: &Path, isovalue: f32) -> (isospan::surface::TriMesh, SurfaceReport) {
+    let out = archive.with_extension("ply");
+    surface(archive, isovalue, &out, 2);
+    let mesh = read(&out);
+    let report = check(&mesh);
+    // Two fans may meet in a vertex at the rim, as around missing samples.
+    assert!(report.is_oriented() && report.non_manifold_vertices * 200 <= report.vertices, "{report:?}");
+    (mesh, report)
+}
+
+#[test]
+fn a_linear_field_on_a_block_gives_its_plane() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("block.vtk");
+    write_mesh(&input, 12, |_| true, |p| [2.0 * p[0], p[1], p[2] + 5.0], |p| p[0]);
+    for interpolation in [Interpolation::Linear, Interpolation::Quadratic, Interpolation::QuadraticThesis] {
+        let settings = ReduceSettings { interpolation, ..settings(0.5) };
+        let (archive, report) = reduced(&input, &settings, &format!("{interpolation}.isospan"), &run(2));
+        assert_eq!(report.mesh.unwrap().tetrahedra, 6 * 12 * 12 * 12);
+        let (mesh, found) = extracted(&archive, 0.7);
+        assert!((found.area - 1.0).abs() < 0.01, "{interpolation}: a unit square has {}", found.area);
+        assert!(mesh.vertices.iter().all(|p| (p.position[0] - 0.7).abs() < 1e-4), "a plane");
+    }
+    let cubic = ReduceSettings { interpolation: Interpolation::Cubic, ..settings(0.5) };
+    let out = dir.path().join("cubic.isospan");
+    let error = reduce(&input, &OpenOptions::default(), &cubic, &out, &run(1), &Silent).unwrap_err();
+    assert_eq!((error.exit_code(), out.exists()), (2, false), "{error}");
+}
+
+#[test]
+fn no_surface_is_invented_in_a_cavity_a_hole_or_a_gap() {
+    let dir = tempfile::tempdir().unwrap();
+    let far = |p: [f64; 3], axes: &[usize]| axes.iter().any(|&a| (p[a] - 0.5).abs() > 0.25);
+    type Keep<'a> = &'a dyn Fn([f64; 3]) -> bool;
+    // What is kept of the unit cube, and the area of its section at z = 0.45.
+    let cases: [(&str, Keep<'_>, f64); 3] = [
+        ("cavity", &|p| far(p, &[0, 1, 2]), 0.75),
+        ("hole", &|p| far(p, &[0, 1]), 0.75),
+        ("gap", &|p| (p[0] - 0.5).abs() > 0.125, 0.75),
+    ];
+    for (name, keep, area) in cases {
+        let input = dir.path().join(format!("{name}.vtk"));
+        write_mesh(&input, 16, keep, |p| p, |p| p[2]);
+        let (archive, report) = reduced(&input, &settings(1.0), &format!("{name}.isospan"), &run(2));
+        assert!(report.void_points > 0, "{name}");
+        let (mesh, found) = extracted(&archive, 0.45);
+        assert!((found.area / area - 1.0).abs() < 0.04, "{name}: {} for {area}", found.area);
+        for t in &mesh.triangles {
+            let centre: [f64; 3] = std::array::from_fn(|a| {
+                t.iter().map(|&v| f64::from(mesh.vertices[v as usize].position[a])).sum::<f64>() / 3.0
+            });
+            // A point spacing is 0.06.
+            let deep = [[-0.04, 0.0], [0.04, 0.0], [0.0, -0.04], [0.0, 0.04]]
+                .iter()
+                .all(|d| !keep([centre[0] + d[0], centre[1] + d[1], centre[2]]));
+            assert!(!deep, "{name}: a triangle at {centre:?}");
+        }
+    }
+}
+
+#[test]
+fn threads_memory_and_chunks_do_not_change_the_reduction() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("ball.vtk");
+    let radius = |p: [f64; 3]| p.iter().map(|c| (c - 0.5) * (c - 0.5)).sum::<f64>().sqrt();
+    write_mesh(&input, 14, |p| radius(p) < 0.48, |p| p, |p| radius(p) + 0.05 * (9.0 * p[0]).sin());
+    let (one, _) = reduced(&input, &settings(1.0), "one.isospan", &run(1));
+    let small = RunSettings { memory: 64 << 20, ..run(2) };
+    let (two, _) = reduced(&input, &settings(1.0), "two.isospan", &small);
+    assert_eq!(common::folder(&one), common::folder(&two));
+    let chunked = ReduceSettings { chunk_points: 500, ..settings(1.0) };
+    let (many, report) = reduced(&input, &chunked, "many.isospan", &run(2));
+    assert!(report.chunks > 4);
+    let triangles = |archive: &Path| triangle_set(&extracted(archive, 0.3).0);
+    assert_eq!(triangles(&one), triangles(&many));
+}
+
+#[test]
+fn values_that_are_no_numbers() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("nan.vtk");
+    write_mesh(&input, 8, |_| true, |p| p, |p| if p[0] > 0.8 { f64::NAN } else { p[1] });
+    let out = dir.path().join("refused.isospan");
+    let refused =
+        reduce(&input, &OpenOptions::default(), &settings(1.0), &out, &run(1), &Silent).unwrap_err();
+    assert!(refused.exit_code() == 5 && refused.to_string().contains("point"), "{refused}");
+    let masked = ReduceSettings { nan: NanPolicy::Mask, ..settings(1.0) };
+    let (archive, _) = reduced(&input, &masked, "masked.isospan", &run(2));
+    let (mesh, found) = extracted(&archive, 0.5);
+    assert!(mesh.vertices.iter().all(|p| p.position[0] < 0.88) && found.area > 0.6, "{found:?}");
+}
+
+#[test]
+fn real_meshes() {
+    let Some(data) = common::shared_data() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    // File, field, isovalue, area of VTK's contour of the whole mesh.
+    for (name, field, isovalue) in
+        [("post_flow_tet.vtk", "Pressure", 0.8), ("cylinder_flow_tet.vtk", "vel_norm", 0.3)]
+    {
+        let out = dir.path().join(format!("{name}.isospan"));
+        let options = OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
+        reduce(&data.join("meshes").join(name), &options, &settings(1.0), &out, &run(2), &Silent).unwrap();
+        check_archive(&out).unwrap();
+        assert!(extracted(&out, isovalue).1.triangles > 100, "{name}");
+    }
+}
