@@ -10,6 +10,7 @@
 //! * [`weld`] joins the chunks, in chunk order, by edge key, and stores the result on disk beyond a given size.
 //! * [`clip`] cuts a finished surface at planes.
 //! * [`components`] measures the connected components and keeps some.
+//! * [`decimate`] makes do with fewer triangles.
 //! * [`check`] says of any triangle mesh whether it is closed, manifold and oriented.
 //!
 //! An edge of the mesh is the pair of its [`crate::geom::PointId`]s, the lower first. Everything about a surface vertex is a
@@ -17,7 +18,9 @@
 
 pub mod check;
 pub mod clip;
+mod collapse;
 pub mod components;
+pub mod decimate;
 pub mod marching_tets;
 #[cfg(test)]
 mod testing;

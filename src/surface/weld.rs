@@ -45,7 +45,7 @@
 
 use super::marching_tets::{ChunkSurface, SharedEdge};
 use super::{SurfaceSource, Vertex, WorldMap};
-use crate::bytes::store::Store;
+use crate::bytes::store::{Cached, Store};
 use crate::error::{Error, Result};
 use crate::geom::PointId;
 use rustc_hash::FxHashMap;
@@ -213,6 +213,11 @@ impl StoredSurface {
     /// [`Error::Io`] when the scratch file cannot be written.
     pub fn push_vertex(&mut self, vertex: Vertex) -> Result<()> {
         self.vertices.push(vertex)
+    }
+
+    /// Single vertices, through a cache of about so many bytes.
+    pub(super) fn random_vertices(&self, memory_bytes: usize) -> Cached<'_, Vertex> {
+        Cached::new(&self.vertices, memory_bytes)
     }
 
     /// Appends a triangle, of vertices that may be appended later.
