@@ -162,7 +162,8 @@ impl ChunkSurface {
             let sums = sum.gradient.map(|x| x as f64);
             let shared = corners.shared[a] && corners.shared[b];
             // The sum of a shared edge is known only at the end: until then its normal is the one for want of a sum.
-            let normal = if shared { None } else { world.unit_normal(sums) };
+            // A corner of a cap has no other for the time being: any part of its sum has a direction.
+            let normal = if shared && a != b { None } else { world.unit_normal(sums) };
             self.vertices.push(Vertex {
                 position: world.between(
                     corners.positions[a],
@@ -223,6 +224,35 @@ impl ChunkSurface {
         let t = (f64::from(self.isovalue) - fa) / (fb - fa);
         // Two infinities leave no number; the middle is as good as any point.
         if t.is_nan() { 0.5 } else { t.clamp(LEAST, 1.0 - LEAST) }
+    }
+
+    /// The isovalue.
+    pub(super) fn isovalue(&self) -> f32 {
+        self.isovalue
+    }
+
+    /// Makes room for the corners of a source.
+    pub(super) fn reserve(&mut self, cells: &CellSource<'_>) {
+        self.edges.reserve(cells.ids.len());
+    }
+
+    /// The vertex of a crossed edge, the corner of lower id first.
+    pub(super) fn crossing(&mut self, cells: &CellSource<'_>, low: u32, high: u32) -> u32 {
+        let [from, to] = [low, high].map(|c| cells.positions[c as usize].map(f64::from));
+        let [f, g] = [low, high].map(|c| f64::from(cells.values[c as usize]));
+        self.edges.find_or_add(low, high, || unit(g - f, &from, &to))
+    }
+
+    /// The vertex at a corner itself: an edge without length. `gradient` is added to its sum.
+    pub(super) fn cap_corner(&mut self, corner: u32, gradient: [f64; 3]) -> u32 {
+        let at = self.edges.find_or_add(corner, corner, || 1.0);
+        self.edges.sums[at as usize].add(gradient);
+        at
+    }
+
+    /// Adds a triangle of vertices that are there.
+    pub(super) fn push_triangle(&mut self, triangle: [u32; 3]) {
+        self.triangles.push(triangle);
     }
 
     #[inline]

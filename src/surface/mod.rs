@@ -11,11 +11,13 @@
 //! * [`clip`] cuts a finished surface at planes.
 //! * [`components`] measures the connected components and keeps some.
 //! * [`decimate`] makes do with fewer triangles.
+//! * [`cap`] closes a surface where the domain ends.
 //! * [`check`] says of any triangle mesh whether it is closed, manifold and oriented.
 //!
 //! An edge of the mesh is the pair of its [`crate::geom::PointId`]s, the lower first. Everything about a surface vertex is a
 //! function of its edge, so neither the threads nor the cut into chunks show in the surface.
 
+pub mod cap;
 pub mod check;
 pub mod clip;
 mod collapse;

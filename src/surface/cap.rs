@@ -1,0 +1,112 @@
+//! Closing a surface where the domain ends.
+//!
+//! # How does it work?
+//!
+//! What the surface encloses ends at the domain's faces too. There the tetrahedra have boundary triangles: three corners on one
+//! face of the box, exactly, as positions are integers. The inside part of each of them is added, clipped at the
+//! crossings that the surface has on the same edges; so caps and surface share vertices, and every rim edge of the surface
+//! gets its second triangle:
+//!
+//! ```text
+//!      inside c                 1 corner inside:  (c, ca, bc)
+//!            /\                 2 inside:         a quadrilateral, cut at its smallest key
+//!       ca  x--x  bc            3 inside:         the triangle itself
+//!          /    \
+//!  outside a----b  outside      a corner's key is the pair of its id with itself, a crossing's that of its edge
+//! ```
+//!
+//! Surface and caps together are the boundary of the inside of the tetrahedra: closed, oriented outwards. A void
+//! tetrahedron has no inside: around missing samples the surface stays open, and its boundary triangles get no cap.
+//!
+//! The normal of a cap's corner is that of the face, on an edge of the box the mean of two. A vertex of the rim is the surface's, with
+//! the surface's normal.
+
+use super::marching_tets::{CellSource, ChunkSurface};
+use crate::geom::{LatticePos, PointId};
+use crate::mesh::tet::Tet;
+
+/// The faces of a positively oriented tetrahedron, counter-clockwise seen from outside.
+const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
+/// Length of a corner's part of a gradient: far from overflow, and exact.
+const PULL: f64 = (1u64 << 20) as f64;
+
+/// The side of the box `0 ..= top` that three points lie on: its axis, and whether it is the upper one.
+fn side_of(corners: [LatticePos; 3], top: LatticePos) -> Option<(usize, bool)> {
+    (0..3).find_map(|axis| {
+        let at = |x: u32| corners.iter().all(|c| c[axis] == x);
+        if at(0) { Some((axis, false)) } else { at(top[axis]).then_some((axis, true)) }
+    })
+}
+
+/// Whether some face of a tetrahedron lies on the boundary of the box: three corners on one side.
+fn has_boundary_face(corners: [LatticePos; 4], top: LatticePos) -> bool {
+    FACES.iter().any(|face| side_of(face.map(|i| corners[i]), top).is_some())
+}
+
+impl ChunkSurface {
+    /// Adds the caps of tetrahedra of a block: the inside parts of their faces on the boundary of the box from 0 to
+    /// `top`. Active or not, each tetrahedron of the mesh at the boundary is to be given once; void ones are passed over.
+    ///
+    /// # Panics
+    /// When a tetrahedron names a corner that is not there.
+    pub fn add_caps(&mut self, cells: &CellSource<'_>, top: LatticePos) {
+        self.reserve(cells);
+        for &tet in cells.tets {
+            let values = tet.map(|v| cells.values[v as usize]);
+            if values.iter().any(|v| v.is_nan()) {
+                continue;
+            }
+            for face in FACES {
+                let corners = face.map(|i| tet[i]);
+                if let Some(side) = side_of(corners.map(|v| cells.positions[v as usize]), top) {
+                    self.add_cap(cells, corners, side);
+                }
+            }
+        }
+    }
+
+    /// Adds the inside part of a boundary triangle.
+    fn add_cap(&mut self, cells: &CellSource<'_>, corners: [u32; 3], (axis, upper): (usize, bool)) {
+        let inside = corners.map(|v| cells.values[v as usize] >= self.isovalue());
+        let (mut polygon, mut keys, mut count) = ([0; 4], [(PointId(0), PointId(0)); 4], 0);
+        for i in 0..3 {
+            let j = (i + 1) % 3;
+            let (a, b) = (corners[i], corners[j]);
+            if inside[i] {
+                // The gradient is what the normal points away from.
+                let mut pull = [0.0; 3];
+                pull[axis] = if upper { -PULL } else { PULL };
+                polygon[count] = self.cap_corner(a, pull);
+                keys[count] = (cells.ids[a as usize], cells.ids[a as usize]);
+                count += 1;
+            }
+            if inside[i] != inside[j] {
+                let (low, high) = if cells.ids[a as usize] < cells.ids[b as usize] { (a, b) } else { (b, a) };
+                polygon[count] = self.crossing(cells, low, high);
+                keys[count] = (cells.ids[low as usize], cells.ids[high as usize]);
+                count += 1;
+            }
+        }
+        let Some(first) = (0..count).min_by_key(|&i| keys[i]) else { return };
+        let corner = |i: usize| polygon[(first + i) % count];
+        for i in 1..count - 1 {
+            self.push_triangle([corner(0), corner(i), corner(i + 1)]);
+        }
+    }
+}
+
+/// The tetrahedra with a face on the boundary of the box and a corner inside.
+///
+/// # Panics
+/// When a tetrahedron names a corner that is not there.
+pub fn select_boundary(cells: &CellSource<'_>, top: LatticePos, isovalue: f32, out: &mut Vec<Tet>) {
+    let wanted = |t: &&Tet| {
+        t.iter().any(|&v| cells.values[v as usize] >= isovalue)
+            && has_boundary_face(t.map(|v| cells.positions[v as usize]), top)
+    };
+    out.extend(cells.tets.iter().filter(wanted));
+}
+
+#[cfg(test)]
+#[path = "cap_tests.rs"]
+mod tests;
