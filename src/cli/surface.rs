@@ -4,7 +4,9 @@ use super::progress::Talk;
 use super::text;
 use isospan::Result;
 use isospan::formats::surface::SurfaceFormat;
-use isospan::pipeline::{Roi, SurfaceReport, SurfaceSettings, extract_surface};
+use isospan::pipeline::{OneSurface, Refine, Roi, SurfaceReport, SurfaceSettings, extract_surface};
+use isospan::surface::components::ComponentFilter;
+use isospan::surface::decimate::Decimation;
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -32,6 +34,29 @@ pub(crate) struct Args {
     /// out is that of the volume. Only chunks that touch the box are read.
     #[arg(long, value_name = "BOX", allow_hyphen_values = true)]
     roi: Option<Roi>,
+    /// Close the surfaces where the domain ends.
+    #[arg(long, conflicts_with = "roi")]
+    cap: bool,
+    /// Keep the N largest connected components (by triangles), or the largest.
+    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "1")]
+    largest: Option<u64>,
+    /// Keep connected components of at least N triangles.
+    #[arg(long, value_name = "N")]
+    min_triangles: Option<u64>,
+    /// Keep connected components of at least this volume, in world units; of an open one, the volume between it and the
+    /// centre of its bounding box counts.
+    #[arg(long, value_name = "VOLUME")]
+    min_volume: Option<f64>,
+    /// Measure the connected components: list them with --json.
+    #[arg(long)]
+    components: bool,
+    /// Keep this part of the triangles: 0.1 for a tenth. Topology and boundaries stay what they are.
+    #[arg(long, value_name = "RATIO")]
+    decimate: Option<f64>,
+    /// Decimate as far as the estimated distance from the surface allows, in world units; with --decimate until one of the
+    /// two is reached.
+    #[arg(long, value_name = "LENGTH")]
+    decimate_error: Option<f64>,
     /// Threads; 0 means as many as the process may use.
     #[arg(long, value_name = "N", default_value_t = 0)]
     threads: usize,
@@ -49,6 +74,26 @@ pub(crate) struct Args {
     json: bool,
 }
 
+fn refine(args: &Args) -> Refine {
+    let wanted = args.components
+        || args.largest.is_some()
+        || args.min_triangles.is_some()
+        || args.min_volume.is_some();
+    let all = ComponentFilter::default();
+    let components = wanted.then(|| ComponentFilter {
+        largest: args.largest,
+        min_triangles: args.min_triangles.unwrap_or(all.min_triangles),
+        min_volume: args.min_volume.unwrap_or(all.min_volume),
+    });
+    let wanted = args.decimate.is_some() || args.decimate_error.is_some();
+    let far = Decimation::default();
+    let decimate = wanted.then(|| Decimation {
+        ratio: args.decimate.unwrap_or(far.ratio),
+        max_error: args.decimate_error.unwrap_or(far.max_error),
+    });
+    Refine { components, decimate }
+}
+
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let format = SurfaceFormat::from_path(&args.output)?;
     let settings = SurfaceSettings {
@@ -57,6 +102,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         threads: args.threads,
         memory: super::memory(args.memory, talk),
         scratch: args.scratch.clone(),
+        cap: args.cap,
+        refine: refine(args),
         cancel: super::signals::cancel_token(),
     };
     let bar = talk.progress();
@@ -92,7 +139,8 @@ fn surfaces_text(report: &SurfaceReport) -> String {
             1 => writeln!(out, ", {}", text::bytes(report.file_bytes)),
             _ => writeln!(out),
         };
-        if surface.outside_range {
+        out += &refined_text(surface);
+        if surface.outside_range && surface.triangles == 0 {
             let range = report
                 .range
                 .map_or("no values at all".to_owned(), |[lo, hi]| format!("the range {lo} .. {hi}"));
@@ -110,6 +158,26 @@ fn surfaces_text(report: &SurfaceReport) -> String {
             report.surfaces.len(),
             text::count(report.triangles),
             text::bytes(report.file_bytes)
+        );
+    }
+    out
+}
+
+/// What was done to a surface, a line each.
+fn refined_text(surface: &OneSurface) -> String {
+    let mut out = String::new();
+    if let Some(c) = &surface.refined.components {
+        let _ = writeln!(out, "  components    {} kept of {}", text::count(c.kept), text::count(c.found));
+    }
+    if let Some(d) = &surface.refined.decimation {
+        let _ = writeln!(
+            out,
+            "  decimated     {} of {} triangles ({:.1} %) in {} passes, at most {:.3} away (estimated)",
+            text::count(d.triangles_after),
+            text::count(d.triangles_before),
+            100.0 * d.triangles_after as f64 / d.triangles_before.max(1) as f64,
+            d.passes,
+            d.error_estimate
         );
     }
     out

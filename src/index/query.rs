@@ -102,6 +102,15 @@ impl SpanIndex {
         self.visit(|min, max| min <= hi && lo <= max)
     }
 
+    /// The blocks of certain chunks that have a value at or above the isovalue, each once, in order of chunk and block.
+    ///
+    /// # Errors
+    /// As [`SpanIndex::query`].
+    pub fn query_inside(&self, isovalue: f32, of_chunk: impl Fn(u64) -> bool) -> Result<Vec<Entry>> {
+        number(isovalue)?;
+        self.visit_some(|_, max| isovalue <= max, |e| of_chunk(e.chunk))
+    }
+
     /// Every entry, in order of chunk and block. Reads the whole index.
     ///
     /// # Errors
@@ -113,6 +122,15 @@ impl SpanIndex {
     /// Entries whose (min, max) `wanted` accepts. A subtree is entered if `wanted` accepts its (lowest, highest), so `wanted`
     /// must accept what is wider than a range that it accepts.
     fn visit(&self, wanted: impl Fn(f32, f32) -> bool) -> Result<Vec<Entry>> {
+        self.visit_some(wanted, |_| true)
+    }
+
+    /// As `visit`, of those that `keep` keeps.
+    fn visit_some(
+        &self,
+        wanted: impl Fn(f32, f32) -> bool,
+        keep: impl Fn(&Entry) -> bool,
+    ) -> Result<Vec<Entry>> {
         let mut found = vec![];
         let mut counts = PageCounts::default();
         let mut bytes = vec![];
@@ -126,7 +144,7 @@ impl SpanIndex {
             let blame = |m: Malformed| m.in_block(self.segment.path(), page);
             if n <= LEAF_ENTRIES {
                 let entries = decode_leaf(&bytes, n).map_err(blame)?;
-                found.extend(entries.into_iter().filter(|e| wanted(e.min, e.max)));
+                found.extend(entries.into_iter().filter(|e| wanted(e.min, e.max) && keep(e)));
                 continue;
             }
             let sizes = child_sizes(n);

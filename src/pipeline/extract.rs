@@ -13,10 +13,12 @@ use super::reader::{self, ChunkReader};
 use super::roi::Cut;
 use crate::error::Result;
 use crate::exec::{Progress, pool};
+use crate::geom::LatticePos;
 use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::mesh::tet::{Tet, is_active};
 use crate::surface::WorldMap;
+use crate::surface::cap::select_boundary;
 use crate::surface::marching_tets::{CellSource, ChunkSurface, select_active};
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use rayon::prelude::*;
@@ -48,6 +50,8 @@ pub(super) struct Question<'a> {
     /// Where; everywhere without.
     pub(super) cut: Option<&'a Cut>,
     pub(super) world: WorldMap,
+    /// The upper corner of the domain, where caps are wanted on its faces.
+    pub(super) caps: Option<LatticePos>,
     /// Active blocks, chunk by chunk.
     pub(super) work: Vec<ChunkWork>,
     /// Counts the bytes of the blocks and values that hold an active tetrahedron.
@@ -125,7 +129,12 @@ impl Question<'_> {
 
     /// For how many isovalues a block can hold an answer.
     fn times_active(&self, block: &Entry) -> u64 {
-        self.isovalues.iter().filter(|&&v| is_active(block.min, block.max, v)).count() as u64
+        self.isovalues.iter().filter(|&&v| self.is_wanted(block, v)).count() as u64
+    }
+
+    /// Whether a block is active, or may have caps.
+    fn is_wanted(&self, block: &Entry, isovalue: f32) -> bool {
+        is_active(block.min, block.max, isovalue) || self.caps.is_some() && isovalue <= block.max
     }
 
     /// The surfaces of a chunk; buffers come from `spare` where there are any.
@@ -152,6 +161,12 @@ impl Question<'_> {
                         // The bytes of a block count once, whatever the number of isovalues.
                         reader.count_active(std::mem::take(&mut bytes), &active);
                     }
+                }
+                if let Some(top) = self.caps.filter(|_| isovalue <= block.max) {
+                    active.clear();
+                    reader.place(&tets)?;
+                    select_boundary(&cells(&reader, &tets), top, isovalue, &mut active);
+                    surface.add_caps(&cells(&reader, &active), top);
                 }
             }
         }

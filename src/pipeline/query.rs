@@ -6,11 +6,13 @@ use super::open::OpenArchive;
 use super::placed::{in_memory, in_world, world_map};
 use super::reader::ChunkReader;
 use super::reduce::{folder_bytes, mesh_summary};
+use super::refine::{Means, Refine, RefineReport};
 use super::roi::{Cut, Roi, RoiSpace};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
 use crate::grid::ChunkId;
+use crate::index::{Entry, SpanIndex};
 use crate::surface::clip::clip;
 use crate::surface::marching_tets::select_active;
 use crate::surface::weld::BuilderSettings;
@@ -34,6 +36,10 @@ pub struct SurfaceSettings {
     pub memory: u64,
     /// Folder for what does not fit in memory; the output's folder if not given.
     pub scratch: Option<PathBuf>,
+    /// Close the surfaces where the domain ends.
+    pub cap: bool,
+    /// What is done to each surface before it is written.
+    pub refine: Refine,
     /// Stops the extraction; nothing is written then.
     pub cancel: CancelToken,
 }
@@ -46,6 +52,8 @@ impl Default for SurfaceSettings {
             threads: 0,
             memory: crate::exec::usable_memory() / 2,
             scratch: None,
+            cap: false,
+            refine: Refine::default(),
             cancel: CancelToken::new(),
         }
     }
@@ -58,6 +66,12 @@ impl SurfaceSettings {
     }
 
     fn check(&self) -> Result<()> {
+        self.refine.check()?;
+        if self.cap && self.roi.is_some() {
+            return Err(Error::usage(
+                "caps close a surface at the ends of the domain, not at those of a region of interest",
+            ));
+        }
         if self.isovalues.is_empty() {
             return Err(Error::usage("give at least one isovalue"));
         }
@@ -125,6 +139,9 @@ pub struct OneSurface {
     pub triangles: u64,
     /// Tetrahedra that the surface crosses: those that touch the region of interest.
     pub active_tetrahedra: u64,
+    /// What was done to the surface after its extraction.
+    #[serde(flatten)]
+    pub refined: RefineReport,
 }
 
 /// How many tetrahedra an isosurface crosses.
@@ -232,7 +249,12 @@ pub fn extract_surface(
     let cut =
         settings.roi.map(|roi| roi.cut(&source.geometry, source.dims, lattice.log2_steps)).transpose()?;
     let index = archive.index()?;
-    let mut work = by_chunk(&archive, &index.query_any(&settings.isovalues)?)?;
+    let refs = if settings.cap {
+        with_inside(&archive, &index, &settings.isovalues)?
+    } else {
+        index.query_any(&settings.isovalues)?
+    };
+    let mut work = by_chunk(&archive, &refs)?;
     if let Some(cut) = &cut {
         work = touching(&archive, cut, work)?;
     }
@@ -244,6 +266,7 @@ pub fn extract_surface(
         isovalues: &settings.isovalues,
         cut: cut.as_ref(),
         world: world_map(&archive),
+        caps: settings.cap.then(|| lattice.max()),
         work,
         active_bytes: AtomicU64::new(0),
     };
@@ -255,11 +278,15 @@ pub fn extract_surface(
     let extracted = start.elapsed();
 
     let start = Instant::now();
+    let (surfaces, refined) = refine_all(surfaces, settings, &scratch)?;
+    let refining = start.elapsed();
+
+    let start = Instant::now();
     let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), source.path);
     let file_bytes = write_all(&archive, &surfaces, &settings.isovalues, out, format, &comment)?;
     let written = start.elapsed();
     let totals = &archive.manifest.counts;
-    let surfaces = describe(&surfaces, &settings.isovalues, archive.step().value_range, out);
+    let surfaces = describe(&surfaces, refined, &settings.isovalues, archive.step().value_range, out);
     Ok(SurfaceReport {
         range: archive.step().value_range,
         roi: settings.roi,
@@ -277,7 +304,7 @@ pub fn extract_surface(
         bytes_read: archive.bytes_read() + index.segment().bytes_read() + archive.manifest_bytes()?,
         active_bytes: question.active_bytes.into_inner(),
         archive_bytes: folder_bytes(path)?,
-        seconds: [("open, index", opened), ("extract", extracted), ("write", written)]
+        seconds: [("open, index", opened), ("extract", extracted), ("refine", refining), ("write", written)]
             .map(|(name, time)| (name.to_owned(), time.as_secs_f64()))
             .to_vec(),
     })
@@ -292,11 +319,60 @@ pub(super) fn surface_in_memory(archive: &OpenArchive, isovalue: f32) -> Result<
         isovalues: &settings.isovalues,
         cut: None,
         world: world_map(archive),
+        caps: None,
         work: by_chunk(archive, &archive.index()?.query(isovalue)?)?,
         active_bytes: AtomicU64::new(0),
     };
     let found = extract_surfaces(&question, &settings, std::env::temp_dir(), &Silent)?;
     in_memory(archive, &found[0].surface)
+}
+
+/// The blocks that are active, and those inside of chunks at the ends of the domain.
+fn with_inside(archive: &OpenArchive, index: &SpanIndex, isovalues: &[f32]) -> Result<Vec<Entry>> {
+    let ends = chunks_at_ends(archive)?;
+    let lowest = isovalues.iter().copied().fold(f32::INFINITY, f32::min);
+    let mut refs = index.query_any(isovalues)?;
+    // A chunk that is not there is named later.
+    refs.extend(index.query_inside(lowest, |id| ends.get(id as usize).copied().unwrap_or(true))?);
+    refs.sort_unstable_by_key(Entry::place);
+    refs.dedup_by_key(|e| e.place());
+    Ok(refs)
+}
+
+/// Whether a tetrahedron of a chunk may reach the ends of the domain, for each chunk.
+fn chunks_at_ends(archive: &OpenArchive) -> Result<Vec<bool>> {
+    let domain = archive.chunks.bricks().lattice.domain();
+    let reaches_ends = |id: ChunkId| {
+        let core = archive.chunks.chunk(id).core;
+        let reaches = |retries| {
+            let region = need::region(&archive.points, &core, &domain, retries);
+            (0..3).any(|a| region.lo[a] == domain.lo[a] || region.hi[a] == domain.hi[a])
+        };
+        archive.close_before(id);
+        // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was widened.
+        Ok(reaches(0) || reaches(mesh_summary(&archive.segment_of(id)?.mesh, id)?.retries))
+    };
+    (0..archive.chunks.len()).map(|id| reaches_ends(ChunkId(id))).collect()
+}
+
+/// Refines the surfaces, one after another.
+fn refine_all(
+    surfaces: Vec<Extracted>,
+    settings: &SurfaceSettings,
+    scratch: &Path,
+) -> Result<(Vec<Extracted>, Vec<RefineReport>)> {
+    let means = Means {
+        memory: settings.memory,
+        surfaces: surfaces.len() as u64,
+        threads: settings.threads,
+        scratch,
+        cancel: &settings.cancel,
+    };
+    let refine = |e: Extracted| {
+        let (surface, report) = settings.refine.apply(e.surface, &means)?;
+        Ok((Extracted { surface, ..e }, report))
+    };
+    surfaces.into_iter().map(refine).collect()
 }
 
 /// The chunks of which a tetrahedron may touch the cut.
@@ -372,19 +448,21 @@ fn write_all(
 
 fn describe(
     surfaces: &[Extracted],
+    refined: Vec<RefineReport>,
     isovalues: &[f32],
     range: Option<[f32; 2]>,
     out: &Path,
 ) -> Vec<OneSurface> {
-    let one = |(s, &isovalue): (&Extracted, &f32)| OneSurface {
+    let one = |((s, &isovalue), refined): ((&Extracted, &f32), RefineReport)| OneSurface {
         isovalue,
         file: file_of(out, isovalue),
         outside_range: range.is_none_or(|[lo, hi]| isovalue <= lo || isovalue > hi),
         vertices: s.surface.vertex_count(),
         triangles: s.surface.triangle_count(),
         active_tetrahedra: s.active_tetrahedra,
+        refined,
     };
-    surfaces.iter().zip(isovalues).map(one).collect()
+    surfaces.iter().zip(isovalues).zip(refined).map(one).collect()
 }
 
 fn parent_of(file: &Path) -> PathBuf {

@@ -1,0 +1,81 @@
+//! What is done to a welded surface before it is written: components chosen, triangles saved.
+
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, pool};
+use crate::surface::SurfaceSource;
+use crate::surface::components::{ComponentFilter, ComponentReport, components};
+use crate::surface::decimate::{Decimation, DecimationReport, decimate};
+use crate::surface::weld::{BuilderSettings, StoredSurface};
+use serde::Serialize;
+use std::path::Path;
+
+/// What is done to a surface after its extraction, in the order of the fields.
+#[derive(Clone, Debug, Default)]
+pub struct Refine {
+    /// Measure the connected components, and keep those that pass.
+    pub components: Option<ComponentFilter>,
+    /// Make do with fewer triangles.
+    pub decimate: Option<Decimation>,
+}
+
+/// What came of it.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct RefineReport {
+    /// The components, where they were asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub components: Option<ComponentReport>,
+    /// The decimation, where it was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub decimation: Option<DecimationReport>,
+}
+
+/// What a refinement may use.
+pub(super) struct Means<'a> {
+    /// All that the run may use.
+    pub(super) memory: u64,
+    /// Surfaces that are kept while they are refined one after another.
+    pub(super) surfaces: u64,
+    pub(super) threads: usize,
+    pub(super) scratch: &'a Path,
+    pub(super) cancel: &'a CancelToken,
+}
+
+impl Refine {
+    /// Whether the settings can be carried out; before anything is read.
+    pub(super) fn check(&self) -> Result<()> {
+        if let Some(filter) = &self.components
+            && !(filter.min_volume.is_finite() && filter.min_volume >= 0.0)
+        {
+            return Err(Error::usage("the least volume of a component must be a number, and not negative"));
+        }
+        self.decimate.map_or(Ok(()), |d| d.check())
+    }
+
+    /// Refines a surface, within the half of the memory that its extraction no longer needs.
+    pub(super) fn apply(
+        &self,
+        surface: StoredSurface,
+        means: &Means<'_>,
+    ) -> Result<(StoredSurface, RefineReport)> {
+        let share = 2 * means.surfaces.max(1);
+        let memory_bytes = usize::try_from(means.memory / share).unwrap_or(usize::MAX);
+        let settings = BuilderSettings { memory_bytes, scratch: means.scratch.to_path_buf() };
+        let (mut surface, mut report) = (surface, RefineReport::default());
+        if let Some(filter) = &self.components {
+            means.cancel.check()?;
+            let (kept, found) = components(surface, filter, &settings)?;
+            (surface, report.components) = (kept, Some(found));
+        }
+        if let Some(goal) = &self.decimate {
+            let needed = share.saturating_mul(Decimation::least_memory(surface.triangle_count()));
+            if means.memory < needed {
+                let what = "memory (to decimate)".into();
+                return Err(Error::Budget { what, needed, available: means.memory });
+            }
+            let pool = pool(means.threads)?;
+            let (fewer, done) = pool.install(|| decimate(surface, goal, &settings, means.cancel))?;
+            (surface, report.decimation) = (fewer, Some(done));
+        }
+        Ok((surface, report))
+    }
+}
