@@ -36,7 +36,7 @@
 //! "Topology preserving edge contraction".
 
 use super::Vertex;
-use std::cmp::Reverse;
+use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 
 /// Memory for a triangle of a patch: half a vertex (its fan, quadric, record), three halves of an edge in the queue, and what
@@ -387,7 +387,9 @@ impl<'a> Work<'a> {
                 let moved = [0, 1, 2].map(|k| if triangle[k] == fan { place } else { corners[k] });
                 let (after, quality) = shape(moved);
                 let cosine = dot(before, after);
-                if !(cosine > LEAST_COSINE * length * dot(after, after).sqrt()) {
+                let least = LEAST_COSINE * length * dot(after, after).sqrt();
+                // Not a number is no more either.
+                if cosine.partial_cmp(&least) != Some(Ordering::Greater) {
                     return None;
                 }
                 worst = worst.min(quality);
