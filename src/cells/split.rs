@@ -7,7 +7,7 @@
 //! which is their smallest vertex too (Dompierre, Labbé, Vallet, Camarero, "How to subdivide pyramids, prisms and
 //! hexahedra into tetrahedra", 1999, have the rule). A hexahedron gives 6 tetrahedra, a wedge 3, a pyramid 2.
 //!
-//! Quadratic cells: see [`quadratic`](super::quadratic).
+//! Quadratic cells: see [`super::quadratic`].
 //!
 //! The rule knows numbers, not positions. So pieces of a mesh that store a shared point twice, under two numbers, can
 //! cut a shared four-sided face differently; the field then has a kink there, no gap.

@@ -22,9 +22,8 @@ impl Bounds {
     pub(crate) const NONE: Self = Self { lo: [f64::INFINITY; 3], hi: [f64::NEG_INFINITY; 3] };
 
     pub(crate) fn add(&mut self, p: [f64; 3]) {
-        for a in 0..3 {
-            (self.lo[a], self.hi[a]) = (self.lo[a].min(p[a]), self.hi[a].max(p[a]));
-        }
+        self.lo = std::array::from_fn(|a| self.lo[a].min(p[a]));
+        self.hi = std::array::from_fn(|a| self.hi[a].max(p[a]));
     }
 }
 

@@ -142,7 +142,7 @@ fn read_values(mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<Column<f
             })?;
         }
     }
-    Ok(out.finish()?)
+    out.finish()
 }
 
 /// What cells become.
@@ -216,7 +216,7 @@ fn boundary_of(
     let mut along: Sorter<[u64; 4]> = Sorter::new(memory, settings.scratch);
     let mut take = |face: [u64; 3]| {
         let centre: [u32; 3] = std::array::from_fn(|a| {
-            (face.iter().map(|&v| positions[v as usize][a]).sum::<i64>() / 3 >> FINE_BITS) as u32
+            ((face.iter().map(|&v| positions[v as usize][a]).sum::<i64>() / 3) >> FINE_BITS) as u32
         });
         along.push([hilbert_key(centre, 21), face[0], face[1], face[2]])
     };

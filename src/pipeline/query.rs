@@ -208,7 +208,8 @@ fn count_in_chunk(archive: &OpenArchive, work: &ChunkWork, isovalue: f32) -> Res
     let mut reader = ChunkReader::open(archive, work.chunk)?;
     let (mut tets, mut active, mut count) = (vec![], vec![], 0);
     for block in &work.blocks {
-        (tets.clear(), active.clear());
+        tets.clear();
+        active.clear();
         reader.tets(block.block, &mut tets)?;
         reader.load_values(&tets)?;
         select_active(&tets, reader.values(), isovalue, &mut active);

@@ -67,9 +67,9 @@ impl Row {
     #[inline(always)]
     fn span(&self, xs: &Axis, [lo, hi]: [usize; 2], inverse: &[f64; 4]) -> (usize, usize) {
         let (mut from, mut to) = (0.0f64, f64::from(xs.position(hi - 1) - self.x));
-        for k in 0..4 {
-            let crossing = self.lambda[k] as f64 * inverse[k];
-            match self.growth[k] {
+        for ((&lambda, &growth), &inverse) in self.lambda.iter().zip(&self.growth).zip(inverse) {
+            let crossing = lambda as f64 * inverse;
+            match growth {
                 1.. => from = from.max(crossing),
                 0 => {}
                 _ => to = to.min(crossing),

@@ -3,7 +3,7 @@
 //! # How does it work?
 //!
 //! A surface is taken in *patches* of 65 536 triangles, as they follow one another: those of a few neighbouring blocks of the mesh.
-//! Patches are decimated [side by side](super::collapse), each with the vertices fixed that others use, and written in order.
+//! Patches are decimated side by side (`collapse.rs`), each with the vertices fixed that others use, and written in order.
 //! So seams stay as dense as they were. The next pass shifts the patches by half, and what was a seam lies inside:
 //!
 //! ```text
@@ -19,7 +19,7 @@
 //! * The bytes are a function of the surface and the goal: patches are a number of triangles, not of bytes, so neither
 //!   threads nor memory show.
 //! * With `max_error`, no vertex's estimate exceeds it: the estimates of a vertex are handed on from pass to pass. It is
-//!   an estimate (see [`super::collapse`]): what it is in truth was measured, not proven. Triangles are not kept from intersecting.
+//!   an estimate (see `collapse.rs`): what it is in truth was measured, not proven. Triangles are not kept from intersecting.
 //!
 //! # Cost
 //! O(n log n) time; [`Decimation::least_memory`], and beyond that as many patches at a time as memory allows.
