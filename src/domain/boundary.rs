@@ -8,8 +8,8 @@
 //! (1 - √u)·a + √u·(1 - v)·b + √u·v·c      u: how far into the triangle's area, v = Φ2(k + 1)
 //! ```
 //!
-//! which spreads points evenly over a triangle. Positions are rounded to the lattice. A sample's value is interpolated in its triangle,
-//! so it needs no cell, and rounding cannot push it outside.
+//! which spreads points evenly over a triangle. Positions are rounded to the lattice. A sample is a point of the mesh even where rounding has
+//! pushed it outside: then its value is interpolated in its triangle.
 
 use super::store::CellStore;
 use crate::error::{Error, Result};
@@ -35,7 +35,7 @@ pub(crate) struct BoundarySamples {
 }
 
 /// Samples per square of the mean distance.
-const DENSITY: f64 = 2.0;
+const DENSITY: f64 = 4.0;
 
 impl BoundarySamples {
     /// Samples the boundary of a mesh whose inside has points at a mean distance of `spacing` lattice steps.

@@ -64,27 +64,20 @@ impl CellField<'_> {
         batch: &mut CellBatch,
         out: &mut Vec<Spot>,
     ) -> Result<()> {
-        let first = out.len();
-        let (mut wanted, mut places) = (vec![], vec![]);
-        for &pos in positions {
-            out.push(match self.boundary.at(pos) {
-                Some(sample) => Spot {
+        let points: Vec<FinePos> = positions.iter().map(|&p| fine(p)).collect();
+        for (found, &pos) in self.locate(brick, &points, batch)?.iter().zip(positions) {
+            let sample = self.boundary.at(pos);
+            out.push(match (found.id, sample) {
+                (Found::NOWHERE, None) => Spot::default(),
+                // Rounded out of the mesh, by less than a lattice step.
+                (Found::NOWHERE, Some(sample)) => Spot {
                     value: self.on_boundary(&sample.triangle, &sample.weights)?,
                     inside: true,
                     boundary: true,
                 },
-                None => {
-                    wanted.push(fine(pos));
-                    places.push(out.len());
-                    Spot::default()
-                }
+                // Where a mesh overlaps itself, the boundary of one part lies inside of another: one rule for all points.
+                _ => Spot { value: self.value(found)?, inside: true, boundary: sample.is_some() },
             });
-        }
-        debug_assert_eq!(out.len(), first + positions.len());
-        for (found, place) in self.locate(brick, &wanted, batch)?.iter().zip(places) {
-            if found.id != Found::NOWHERE {
-                out[place] = Spot { value: self.value(found)?, inside: true, boundary: false };
-            }
         }
         Ok(())
     }

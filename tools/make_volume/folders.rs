@@ -154,7 +154,7 @@ mod tests {
         let samples = |name: &str, more: &str| {
             let out = folder.path().join(name);
             let line = format!("gyroid --dims 70,66,130 --periods 1 {more} -o {}", out.display());
-            let args: Vec<String> = line.split(' ').map(str::to_owned).collect();
+            let args: Vec<String> = line.split_whitespace().map(str::to_owned).collect();
             Settings::parse(&args).unwrap().write().unwrap();
             let source = open_volume(&out, &OpenOptions::default()).unwrap();
             assert_eq!(source.info().dims, [70, 66, 130]);
