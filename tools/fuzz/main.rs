@@ -18,11 +18,13 @@
 
 #![allow(clippy::print_stdout)]
 
+mod folders;
 mod memory;
 mod mutate;
 mod seeds;
 mod targets;
 
+use folders::Folder;
 use isospan::{Error, Result};
 use mutate::{Random, mutate};
 use seeds::Format;
@@ -51,7 +53,7 @@ usage: fuzz [--seconds N | --cases N | --case N] [--seed S] [--target NAME] [--k
   --cases N       stop after N cases
   --case N        only this case
   --seed S        another sequence of cases [1]
-  --target NAME   a file name extension, or blocks, or archive: only these cases
+  --target NAME   a file name extension, or folders, blocks, archive: only these cases
   --keep DIR      where inputs of finds are kept [fuzz-finds in the system's temporary folder]";
 
 struct Settings {
@@ -110,6 +112,7 @@ enum Target<'a> {
     Volume(&'a Format),
     Mesh(&'a Format),
     Surface(&'a Format),
+    Folders(&'a [Folder]),
     Blocks(&'a [Vec<u8>]),
     Archive(&'a Archive),
 }
@@ -118,6 +121,7 @@ impl Target<'_> {
     fn name(&self) -> &'static str {
         match self {
             Self::Volume(f) | Self::Mesh(f) | Self::Surface(f) => f.extension,
+            Self::Folders(_) => "folders",
             Self::Blocks(_) => "blocks",
             Self::Archive(_) => "archive",
         }
@@ -138,10 +142,13 @@ fn run(settings: &Settings) -> Result<u64> {
     let [volumes, meshes, surfaces] = seeds::all(folder)?;
     let archive = Archive::make(folder)?;
     let blocks = archive.block_inputs()?;
+    let folders = folders::all();
     let mut targets: Vec<Target<'_>> = volumes.iter().map(Target::Volume).collect();
     targets.extend(meshes.iter().map(Target::Mesh));
     targets.extend(surfaces.iter().map(Target::Surface));
     targets.push(Target::Blocks(&blocks));
+    // Folders are of many kinds.
+    targets.extend([Target::Folders(&folders), Target::Folders(&folders), Target::Folders(&folders)]);
     // An archive has several parts; each case of it costs more than one of a file.
     targets.extend([Target::Archive(&archive), Target::Archive(&archive)]);
     if let Some(name) = &settings.target {
@@ -221,6 +228,11 @@ impl Fuzzer<'_> {
                 let [input, other] = [0; 2].map(|_| random.pick::<Vec<u8>>(inputs));
                 let bytes = mutate(input, other, &mut random);
                 return Ok(self.guarded(bytes.len(), || targets::blocks(&bytes)).told(|| text(&bytes)));
+            }
+            Target::Folders(folders) => {
+                let (mut what, folder) = (String::new(), self.folder.join("case.folder"));
+                let one = random.pick::<Folder>(folders);
+                return Ok(self.guarded(1 << 10, || one.case(&folder, &mut random, &mut what)).told(|| what));
             }
             Target::Archive(archive) => {
                 let mut what = String::new();
@@ -435,6 +447,10 @@ mod tests {
                 seeds::put(&path, input).unwrap();
                 targets::surface(&path).unwrap();
             }
+        }
+        for (number, folder) in folders::all().iter().enumerate() {
+            let read = folder.read(&dir.path().join(format!("folder_{number}")));
+            read.unwrap_or_else(|e| panic!("folder {number}: {e}"));
         }
         let archive = Archive::make(dir.path()).unwrap();
         assert!(archive.block_inputs().unwrap().len() > 20);

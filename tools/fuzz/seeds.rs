@@ -86,17 +86,17 @@ fn add_shared(folder: &Path, formats: &mut [&mut Vec<Format>]) {
 }
 
 /// `n` little-endian samples of `size` bytes.
-fn samples(size: usize, n: usize) -> Vec<u8> {
+pub(crate) fn samples(size: usize, n: usize) -> Vec<u8> {
     (0..n as u64).flat_map(|i| (i * 37 % 251).to_le_bytes()[..size].to_vec()).collect()
 }
 
-fn gzip(bytes: &[u8]) -> Vec<u8> {
+pub(crate) fn gzip(bytes: &[u8]) -> Vec<u8> {
     let mut gz = GzEncoder::new(vec![], Compression::fast());
     gz.write_all(bytes).expect("writing to memory");
     gz.finish().expect("writing to memory")
 }
 
-fn zlib(bytes: &[u8]) -> Vec<u8> {
+pub(crate) fn zlib(bytes: &[u8]) -> Vec<u8> {
     let mut z = ZlibEncoder::new(vec![], Compression::fast());
     z.write_all(bytes).expect("writing to memory");
     z.finish().expect("writing to memory")
@@ -177,7 +177,7 @@ fn nifti(datatype: i16, size: usize) -> Vec<u8> {
 }
 
 /// Two pages of 4 x 3 samples in one strip each, plain (compression 1) or deflated (8).
-fn tiff(compression: u32) -> Vec<u8> {
+pub(crate) fn tiff(compression: u32) -> Vec<u8> {
     let strip = if compression == 8 { zlib(&samples(2, 12)) } else { samples(2, 12) };
     let mut file = b"II*\0".to_vec();
     // The first directory follows the strip.
