@@ -29,7 +29,7 @@ pub(crate) fn all() -> Vec<Folder> {
         version_3(&plain),
         shards(&plain),
         image(plain),
-        Folder { files: vec![("s_1.tif", tiff(1)), ("s_2.tif", tiff(8))], described_by: 2 },
+        Folder { files: vec![("s_1.tif", tiff(1, 1)), ("s_2.tif", tiff(8, 1))], described_by: 2 },
     ]
 }
 

@@ -38,7 +38,7 @@ pub(crate) fn all(folder: &Path) -> Result<[Vec<Format>; 3]> {
         of("hdr", vec![nifti(4, 2)]),
         of("vti", vti()),
         of("vtk", legacy()),
-        of("tif", vec![tiff(1), tiff(8)]),
+        of("tif", vec![tiff(1, 2), tiff(8, 2)]),
         of("h5", vec![include_bytes!("../../tests/data/hdf5_small.h5").to_vec()]),
         // The first bytes choose the layout too: zeros stand for 4 x 4 x 4 bytes.
         of("raw", vec![[vec![0; 8], samples(1, 56)].concat()]),
@@ -177,7 +177,7 @@ fn nifti(datatype: i16, size: usize) -> Vec<u8> {
 }
 
 /// Two pages of 4 x 3 samples in one strip each, plain (compression 1) or deflated (8).
-pub(crate) fn tiff(compression: u32) -> Vec<u8> {
+pub(crate) fn tiff(compression: u32, pages: u32) -> Vec<u8> {
     let strip = if compression == 8 { zlib(&samples(2, 12)) } else { samples(2, 12) };
     let mut file = b"II*\0".to_vec();
     // The first directory follows the strip.
@@ -195,13 +195,13 @@ pub(crate) fn tiff(compression: u32) -> Vec<u8> {
         (279, strip.len() as u32),
         (339, 1),
     ];
-    for page in 0..2 {
+    for page in 0..pages {
         file.extend((tags.len() as u16).to_le_bytes());
         for (tag, value) in tags {
             file.extend([tag, 4].map(u16::to_le_bytes).concat());
             file.extend([1, value].map(u32::to_le_bytes).concat());
         }
-        let next = if page == 0 { file.len() as u32 + 4 } else { 0 };
+        let next = if page + 1 < pages { file.len() as u32 + 4 } else { 0 };
         file.extend(next.to_le_bytes());
     }
     file
