@@ -137,3 +137,14 @@ fn long_thin_volumes_are_reduced_soon() {
         pipeline::check_archive(&out).unwrap();
     }
 }
+
+/// Lines behind the end of a file are empty and come without end.
+#[test]
+fn a_gmsh_section_of_so_many_strings_was_read_for_ever() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.msh");
+    let text = format!("$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$NodeData\n{}\n\"f\"\n", u64::MAX / 2);
+    std::fs::write(&path, text).unwrap();
+    let opened = isospan::formats::open_mesh(&path, &isospan::formats::OpenOptions::default());
+    refused(opened.map(drop).unwrap_err(), "strings");
+}

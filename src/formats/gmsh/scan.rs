@@ -10,6 +10,8 @@ use std::sync::Arc;
 
 /// Data lists that a file may have.
 const MOST_LISTS: usize = 1 << 16;
+/// The most lines of text of a section of data, of which the first is its name.
+const MOST_STRINGS: u64 = 1000;
 
 /// Components of a datum.
 const MOST_COMPONENTS: u64 = 1 << 10;
@@ -237,6 +239,9 @@ impl Look {
         }
         let binary = std::mem::replace(&mut t.binary, false);
         let strings: u64 = t.parse("a number of strings")?;
+        if strings > MOST_STRINGS {
+            return Err(t.wrong(format!("at most {MOST_STRINGS} strings"), strings.to_string()));
+        }
         t.line()?;
         let mut name = String::new();
         for i in 0..strings {
