@@ -498,8 +498,9 @@ mod tests {
                 source.read_at(0, &mut whole).unwrap();
                 source.release(0..4 << 20);
                 let left = cached_pages(&path).unwrap();
+                // The system may take back pages of its own accord: a few, not half of the file.
                 assert!(
-                    left <= most && (drop_behind || left == all),
+                    left <= most && (drop_behind || left > all / 4 * 3),
                     "{mode:?} {drop_behind}: {left} of {all}"
                 );
                 source.read_at(0, &mut whole).unwrap();
