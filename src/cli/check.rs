@@ -46,7 +46,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         };
     }
     let settings = CheckSettings {
-        memory: args.memory.unwrap_or_else(|| isospan::exec::usable_memory() / 2),
+        memory: super::memory(args.memory, talk),
         scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir),
     };
     talk.detail(&format!("memory {}", text::bytes(settings.memory)));

@@ -60,7 +60,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         roi: args.roi,
         every: args.every,
         threads: args.threads,
-        memory: args.memory.unwrap_or_else(|| isospan::exec::usable_memory() / 2),
+        memory: super::memory(args.memory, talk),
         scratch: args.scratch.clone(),
         cancel: super::signals::cancel_token(),
     };

@@ -40,7 +40,7 @@ fn parse_grid(text: &str) -> std::result::Result<[u64; 3], String> {
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = ProbeSettings {
         threads: args.threads,
-        memory: args.memory.unwrap_or_else(|| isospan::exec::usable_memory() / 2),
+        memory: super::memory(args.memory, talk),
         cancel: super::signals::cancel_token(),
     };
     let archive = Archive::open(&args.archive)?;

@@ -31,6 +31,3 @@ pub(crate) mod column;
 pub(crate) mod frame;
 pub(crate) mod gradients;
 pub(crate) mod store;
-
-#[cfg(test)]
-mod tests;

@@ -128,16 +128,19 @@ impl CellField<'_> {
         Ok(match (self.interpolation, &self.gradients) {
             (Interpolation::QuadraticThesis, _) => quadratic_thesis(&found.weights, &at),
             (Interpolation::Quadratic, Some(gradients)) => {
-                let (positions, gradients) = (self.store.positions.get()?, gradients.get()?);
-                let corner = |v: u64| Corner {
-                    position: positions[v as usize].map(|c| c as f64),
-                    value: f64::from(values[v as usize]),
-                    gradient: gradients[v as usize],
-                };
-                quadratic(&found.weights, &tet.map(corner))
+                quadratic(&found.weights, &self.corners(tet, gradients.get()?)?)
             }
             _ => linear(&found.weights, &at),
         } as f32)
+    }
+
+    fn corners<const N: usize>(&self, vertices: [u64; N], gradients: &[[f64; 3]]) -> Result<[Corner; N]> {
+        let (positions, values) = (self.store.positions.get()?, self.store.values.get()?);
+        Ok(vertices.map(|v| Corner {
+            position: positions[v as usize].map(|c| c as f64),
+            value: f64::from(values[v as usize]),
+            gradient: gradients[v as usize],
+        }))
     }
 
     /// As in a tetrahedron with the triangle as one of its faces.
@@ -147,13 +150,7 @@ impl CellField<'_> {
         let weights = [weights[0], weights[1], weights[2], 0.0];
         Ok(match (self.interpolation, &self.gradients) {
             (Interpolation::Quadratic, Some(gradients)) => {
-                let (positions, gradients) = (self.store.positions.get()?, gradients.get()?);
-                let corner = |v: u64| Corner {
-                    position: positions[v as usize].map(|c| c as f64),
-                    value: f64::from(values[v as usize]),
-                    gradient: gradients[v as usize],
-                };
-                let [a, b, c] = triangle.map(corner);
+                let [a, b, c] = self.corners(*triangle, gradients.get()?)?;
                 quadratic(&weights, &[a, b, c, Corner::default()])
             }
             _ => linear(&weights, &[a, b, c, 0.0]),

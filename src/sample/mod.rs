@@ -96,6 +96,9 @@ impl Interpolation {
     /// The smallest box of voxels, within the volume, from which all of `positions` can be sampled; empty for none.
     ///
     /// The positions are within the lattice's domain.
+    ///
+    /// # Panics
+    /// For an interpolation that is not [of volumes](Self::is_of_volumes).
     pub fn voxels_for(&self, lattice: &Lattice, positions: &[LatticePos]) -> IndexBox {
         let Some((lo, hi)) = bounds(positions) else { return IndexBox { lo: [0; 3], hi: [0; 3] } };
         // Every rule's first and last voxel grow with the position, so two corners tell the box.
@@ -149,7 +152,7 @@ pub struct VoxelBlock<'a> {
 ///
 /// # Panics
 /// When `block` does not hold [`Interpolation::voxels_for`] these positions, or its length is not its box's: the
-/// caller made the block for them.
+/// caller made the block for them. For an interpolation that is not [of volumes](Interpolation::is_of_volumes).
 pub fn sample(
     how: Interpolation,
     lattice: &Lattice,
