@@ -51,9 +51,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     };
     talk.detail(&format!("memory {}", text::bytes(settings.memory)));
     let summary = args.within.as_ref().map(|archive| pipeline::summarize(archive)).transpose()?;
-    if summary.as_ref().is_some_and(|s| s.grid_cells.is_some()) {
+    if summary.as_ref().is_some_and(|s| s.grid_cells.is_some() || s.mesh.is_some()) {
         return Err(isospan::Error::usage(
-            "--within an archive of a rectilinear or curvilinear grid is not possible: its domain is no box",
+            "--within an archive of a mesh, or of a rectilinear or curvilinear grid, is not possible: its domain is no box",
         ));
     }
     let domain = summary.as_ref().map(|s| Domain {

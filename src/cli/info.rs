@@ -197,6 +197,14 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     if let Some(cells) = s.grid_cells {
         let _ = writeln!(out, "{}", text::grid_cells(&cells));
     }
+    if let Some(mesh) = s.mesh {
+        let _ = writeln!(
+            out,
+            "  mesh        {} vertices, {} tetrahedra",
+            text::count(mesh.vertices),
+            text::count(mesh.tetrahedra)
+        );
+    }
     let _ = writeln!(out, "  interp      {}", s.interpolation);
     if let Some(q) = &s.quantiser {
         let _ = writeln!(out, "  values      {} bits, within {:.3e}", q.bits, q.bound);

@@ -198,6 +198,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if let Some(cells) = report.grid_cells {
         let _ = writeln!(out, "{}", text::grid_cells(&cells));
     }
+    if let Some(mesh) = report.mesh {
+        let _ = writeln!(out, "{}", text::mesh_census(&mesh));
+    }
     if report.void_points > 0 {
         let _ = writeln!(out, "  void        {} points without a value", text::count(report.void_points));
     }

@@ -87,6 +87,26 @@ pub(crate) fn grid_cells(cells: &isospan::archive::coordinates::CellCount) -> St
     )
 }
 
+/// What was found in a tetrahedral mesh.
+pub(crate) fn mesh_census(mesh: &isospan::pipeline::MeshCensus) -> String {
+    let oddities: String = [
+        (mesh.inverted, "inverted"),
+        (mesh.degenerate, "without a volume"),
+        (mesh.repeated, "points repeated"),
+    ]
+    .into_iter()
+    .filter(|(n, _)| *n > 0)
+    .map(|(n, what)| format!("; {} {what}", count(n)))
+    .collect();
+    let bodies = if mesh.bodies == 1 { "body" } else { "bodies" };
+    format!(
+        "  mesh        {} cells, {} tetrahedra, {} {bodies}{oddities}",
+        count(mesh.cells),
+        count(mesh.tetrahedra),
+        count(mesh.bodies)
+    )
+}
+
 /// A duration for a person: `0.123 s`, `2 min 05 s`, `3 h 10 min`.
 pub(crate) fn duration(d: Duration) -> String {
     let s = d.as_secs();

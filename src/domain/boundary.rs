@@ -24,6 +24,8 @@ pub(crate) struct BoundarySample {
     pub(crate) pos: LatticePos,
     /// Vertices of its triangle.
     pub(crate) triangle: [u64; 3],
+    /// The body that the triangle bounds.
+    pub(crate) body: u64,
     /// Their weights.
     pub(crate) weights: [f64; 3],
 }
@@ -47,7 +49,7 @@ impl BoundarySamples {
         let each = step * step / DENSITY;
         let positions = store.positions.get()?;
         let triangles = store.boundary.get()?;
-        let corners = |t: &[u64; 3]| t.map(|v| positions[v as usize]);
+        let corners = |&[a, b, c, _]: &[u64; 4]| [a, b, c].map(|v| positions[v as usize]);
         let total: f64 = triangles.iter().map(|t| area(corners(t))).sum();
         let count = total / each;
         // In the list, sorted, and while both are there.
@@ -64,7 +66,8 @@ impl BoundarySamples {
                 let u = (((k as f64 + 0.5) * each - before) / area).clamp(0.0, 1.0).sqrt();
                 let v = radical_inverse(2, k + 1).to_f64();
                 let weights = [1.0 - u, u * (1.0 - v), u * v];
-                samples.push(BoundarySample { pos: place(p, weights), triangle: *triangle, weights });
+                let [a, b, c, body] = *triangle;
+                samples.push(BoundarySample { pos: place(p, weights), triangle: [a, b, c], body, weights });
                 k += 1;
             }
             before += area;

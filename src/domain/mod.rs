@@ -4,10 +4,10 @@
 //! back and then mapped, so that nothing of the size of the mesh is in memory:
 //!
 //! ```text
-//!  points ─▶ positions on the fine lattice ┐
-//!  values ─▶ one a point                   ├─▶ cells, split in tetrahedra ─┬─▶ faces, sorted: those of one tetrahedron ─▶ boundary
-//!  cells ──────────────────────────────────┘   turned the right way        ├─▶ gradients at vertices, sorted by vertex
-//!                                                                          └─▶ (brick, cell), sorted ─▶ the cells of each brick
+//!  points ─▶ positions on the fine lattice ┐                               ┌─▶ faces, sorted: those of one tetrahedron ─▶ boundary
+//!  values ─▶ one a point                   ├─▶ cells, split in tetrahedra ─┤                  those of two ─▶ bodies
+//!  equals ─▶ one vertex                    │   turned the right way        ├─▶ gradients at vertices, sorted by vertex
+//!  cells ──────────────────────────────────┘                               └─▶ (brick, cell), sorted ─▶ the cells of each brick
 //! ```
 //!
 //! Sorting is external ([`crate::bytes`]). A brick has all cells whose bounding box meets it; a point is looked for among the
@@ -21,13 +21,15 @@
 //! # Its boundary
 //!
 //! Points inside stop short of the boundary, and the reduced domain would end a point spacing too early. So the boundary is sampled
-//! too ([`boundary`]), at matching density. A tetrahedron of the reduction is **inside** if none of its corners lies outside of the
-//! mesh and, where a corner is a boundary sample, its centroid does not either: what spans a hole, a concavity or the gap between two bodies is
-//! left out.
+//! too ([`boundary`]), at matching density. A tetrahedron of the reduction is **inside** if all its corners lie in one body of the
+//! mesh ([`bodies`]) and, where a corner is a boundary sample, its centroid does too: what spans a hole, a concavity, the gap between two bodies or
+//! the face at which they touch is left out.
 
+pub(crate) mod bodies;
 pub(crate) mod boundary;
 pub(crate) mod buckets;
 pub(crate) mod column;
 pub(crate) mod frame;
 pub(crate) mod gradients;
+mod merge;
 pub(crate) mod store;

@@ -1,11 +1,14 @@
 //! The files of a mesh: positions, values, tetrahedra, boundary triangles.
 
+use super::bodies::{Bodies, BodyOf, Unions};
 use super::column::{Column, ColumnWriter};
 use super::frame::{Bounds, Frame};
+use super::merge::Firsts;
 use crate::bytes::sorter::Sorter;
 use crate::cells::{CellBlock, CellMesh, split};
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
+use crate::geom::LatticePos;
 use crate::geom::curve::hilbert_key;
 use crate::locate::{FINE_BITS, FinePos, volume6};
 use serde::Serialize;
@@ -45,6 +48,10 @@ pub struct MeshCensus {
     pub degenerate: u64,
     /// Triangles of the boundary.
     pub boundary_triangles: u64,
+    /// Points that have position and value of an earlier one, and were taken for that.
+    pub repeated: u64,
+    /// Bodies: tetrahedra that hang together by common faces.
+    pub bodies: u64,
 }
 
 /// A mesh on disk.
@@ -53,10 +60,11 @@ pub(crate) struct CellStore {
     pub(crate) census: MeshCensus,
     pub(crate) positions: Column<FinePos>,
     pub(crate) values: Column<f32>,
-    /// Vertices of each tetrahedron, positively oriented.
+    /// Vertices of each tetrahedron, positively oriented, body after body.
     pub(crate) tets: Column<[u64; 4]>,
-    /// Triangles of the boundary, along a space-filling curve.
-    pub(crate) boundary: Column<[u64; 3]>,
+    pub(crate) bodies: Bodies,
+    /// Triangles of the boundary, along a space-filling curve: three vertices, and the body.
+    pub(crate) boundary: Column<[u64; 4]>,
     /// Six times the volume of all tetrahedra, in fine steps.
     pub(crate) volume6: i128,
 }
@@ -77,26 +85,24 @@ impl CellStore {
         drop(world);
         let positions = positions.finish()?;
         let values = read_values(mesh, settings)?;
+        let firsts = Firsts::new(positions.get()?, values.get()?, settings)?;
         let mut sink = TetSink::new(settings)?;
-        read_cells(mesh, positions.get()?, settings, &mut sink)?;
-        sink.census.vertices = positions.get()?.len() as u64;
+        read_cells(mesh, positions.get()?, &firsts, settings, &mut sink)?;
         if sink.census.tetrahedra == 0 {
             let got =
                 format!("{} cells with a volume, {} of them flat", sink.census.cells, sink.census.degenerate);
             return Err(Error::bad_input(path, "cells", "at least one tetrahedron", got));
         }
-        let boundary = boundary_of(sink.faces, positions.get()?, settings)?;
-        let mut census = sink.census;
-        census.boundary_triangles = boundary.get()?.len() as u64;
-        Ok(Self {
-            frame,
-            census,
-            positions,
-            values,
-            tets: sink.tets.finish()?,
-            boundary,
-            volume6: sink.volume6,
-        })
+        let (boundary, body_of) = boundary_of(sink.faces, sink.tets.len(), positions.get()?, settings)?;
+        let census = MeshCensus {
+            vertices: positions.get()?.len() as u64,
+            boundary_triangles: boundary.get()?.len() as u64,
+            repeated: firsts.repeated,
+            bodies: body_of.bodies,
+            ..sink.census
+        };
+        let (tets, bodies) = body_of.arrange(sink.tets.finish()?, settings)?;
+        Ok(Self { frame, census, positions, values, tets, bodies, boundary, volume6: sink.volume6 })
     }
 
     /// The part of the box that the mesh fills.
@@ -148,8 +154,8 @@ fn read_values(mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<Column<f
 /// What cells become.
 struct TetSink {
     tets: ColumnWriter<[u64; 4]>,
-    /// Vertices of all faces, ascending.
-    faces: Sorter<[u64; 3]>,
+    /// Vertices of all faces, ascending, and the tetrahedron.
+    faces: Sorter<[u64; 4]>,
     volume6: i128,
     census: MeshCensus,
 }
@@ -177,12 +183,13 @@ impl TetSink {
         }
         self.volume6 += volume.abs();
         self.census.tetrahedra += 1;
-        self.tets.push(&tet)?;
         for skip in 0..4 {
             let mut face = [tet[(skip + 1) % 4], tet[(skip + 2) % 4], tet[(skip + 3) % 4]];
             face.sort_unstable();
-            self.faces.push(face)?;
+            let [a, b, c] = face;
+            self.faces.push([a, b, c, self.tets.len()])?;
         }
+        self.tets.push(&tet)?;
         Ok(())
     }
 }
@@ -190,55 +197,64 @@ impl TetSink {
 fn read_cells(
     mesh: &CellMesh,
     positions: &[FinePos],
+    firsts: &Firsts,
     settings: &StoreSettings<'_>,
     sink: &mut TetSink,
 ) -> Result<()> {
     let (mut cells, mut block, mut tets) = (mesh.cells()?, CellBlock::default(), vec![]);
+    let mut replaced = vec![];
     while cells.next_block(&mut block)? {
         settings.cancel.check()?;
         for (kind, vertices) in block.iter().filter(|(kind, _)| kind.vertices() > 0) {
             tets.clear();
             sink.census.cells += 1;
-            sink.census.degenerate += split(kind, vertices, &mut tets) as u64;
+            replaced.clear();
+            replaced.extend_from_slice(vertices);
+            firsts.replace(&mut replaced)?;
+            sink.census.degenerate += split(kind, &replaced, &mut tets) as u64;
             tets.iter().try_for_each(|&tet| sink.push(tet, positions))?;
         }
     }
     Ok(())
 }
 
-/// The faces of one tetrahedron only, along a space-filling curve.
+/// The faces of one tetrahedron only, along a space-filling curve, each with its body; and the body of each tetrahedron.
 fn boundary_of(
-    faces: Sorter<[u64; 3]>,
+    faces: Sorter<[u64; 4]>,
+    tets: u64,
     positions: &[FinePos],
     settings: &StoreSettings<'_>,
-) -> Result<Column<[u64; 3]>> {
+) -> Result<(Column<[u64; 4]>, BodyOf)> {
     let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
-    let mut along: Sorter<[u64; 4]> = Sorter::new(memory, settings.scratch);
-    let mut take = |face: [u64; 3]| {
-        let centre: [u32; 3] = std::array::from_fn(|a| {
-            ((face.iter().map(|&v| positions[v as usize][a]).sum::<i64>() / 3) >> FINE_BITS) as u32
-        });
-        along.push([hilbert_key(centre, 21), face[0], face[1], face[2]])
-    };
+    let mut along: Sorter<[u64; 5]> = Sorter::new(memory, settings.scratch);
+    let mut unions = Unions::new(tets, settings);
     let mut sorted = faces.finish()?;
-    let mut last = None;
-    let mut single = false;
-    while let Some(face) = sorted.next()? {
-        if last == Some(face) {
+    let mut next = sorted.next()?;
+    while let Some(first) = next {
+        let mut single = true;
+        next = sorted.next()?;
+        while let Some(face) = next.filter(|face| face[..3] == first[..3]) {
             single = false;
-        } else {
-            if let Some(last) = last.filter(|_| single) {
-                take(last)?;
-            }
-            (last, single) = (Some(face), true);
+            unions.join(first[3], face[3])?;
+            next = sorted.next()?;
+        }
+        if single {
+            let [a, b, c, tet] = first;
+            along.push([hilbert_key(centre([a, b, c], positions), 21), a, b, c, tet])?;
         }
     }
-    if let Some(last) = last.filter(|_| single) {
-        take(last)?;
-    }
+    drop(sorted);
+    let mut body_of = unions.finish()?;
     let (mut sorted, mut out) = (along.finish()?, ColumnWriter::new(settings.scratch)?);
-    while let Some([_, a, b, c]) = sorted.next()? {
-        out.push(&[a, b, c])?;
+    while let Some([_, a, b, c, tet]) = sorted.next()? {
+        out.push(&[a, b, c, body_of.get(tet)?])?;
     }
-    out.finish()
+    Ok((out.finish()?, body_of))
+}
+
+/// The lattice position at the middle of a triangle, rounded down.
+fn centre(triangle: [u64; 3], positions: &[FinePos]) -> LatticePos {
+    std::array::from_fn(|a| {
+        ((triangle.iter().map(|&v| positions[v as usize][a]).sum::<i64>() / 3) >> FINE_BITS) as u32
+    })
 }

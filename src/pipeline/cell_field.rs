@@ -29,15 +29,18 @@ pub(crate) struct CellField<'a> {
 #[derive(Clone, Copy, Debug)]
 struct Spot {
     value: f32,
-    /// In the mesh, or on its boundary.
-    inside: bool,
+    /// The body that it lies in, or on the boundary of; [`NO_BODY`] outside of the mesh.
+    body: u64,
     /// A sample of the boundary.
     boundary: bool,
 }
 
+/// The body of a point outside of the mesh.
+const NO_BODY: u64 = u64::MAX;
+
 impl Default for Spot {
     fn default() -> Self {
-        Self { value: f32::NAN, inside: false, boundary: false }
+        Self { value: f32::NAN, body: NO_BODY, boundary: false }
     }
 }
 
@@ -72,11 +75,15 @@ impl CellField<'_> {
                 // Rounded out of the mesh, by less than a lattice step.
                 (Found::NOWHERE, Some(sample)) => Spot {
                     value: self.on_boundary(&sample.triangle, &sample.weights)?,
-                    inside: true,
+                    body: sample.body,
                     boundary: true,
                 },
-                // Where a mesh overlaps itself, the boundary of one part lies inside of another: one rule for all points.
-                _ => Spot { value: self.value(found)?, inside: true, boundary: sample.is_some() },
+                // Where bodies overlap, the boundary of one lies inside of another: one rule for all points.
+                _ => Spot {
+                    value: self.value(found)?,
+                    body: self.store.bodies.of(found.id)?,
+                    boundary: sample.is_some(),
+                },
             });
         }
         Ok(())
@@ -92,12 +99,15 @@ impl CellField<'_> {
         Ok(found)
     }
 
-    /// Which tetrahedra lie outside of the mesh: those with a corner outside, and of those with a sample of the
-    /// boundary for a corner the ones whose centroid is outside.
+    /// Which tetrahedra lie outside of the mesh: those whose corners are not all in one body, and of those with a sample of the
+    /// boundary for a corner the ones whose centroid is not in that body.
     fn outside(&self, mesh: &MeshedChunk, spots: &[Spot], batch: &mut CellBatch) -> Result<Vec<bool>> {
         let corners = |t: usize| mesh.tets[t].map(|v| v as usize);
-        let mut outside: Vec<bool> =
-            (0..mesh.tets.len()).map(|t| corners(t).iter().any(|&v| !spots[v].inside)).collect();
+        let body_of = |t: usize| {
+            let [a, b, c, d] = corners(t).map(|v| spots[v].body);
+            (a != NO_BODY && a == b && a == c && a == d).then_some(a)
+        };
+        let mut outside: Vec<bool> = (0..mesh.tets.len()).map(|t| body_of(t).is_none()).collect();
         let doubtful: Vec<usize> = (0..mesh.tets.len())
             .filter(|&t| !outside[t] && corners(t).iter().any(|&v| spots[v].boundary))
             .collect();
@@ -115,7 +125,10 @@ impl CellField<'_> {
                 .extend(run.iter().map(|&(_, i)| sum(doubtful[i as usize]).map(|s| s << (FINE_BITS - 2))));
             let found = self.locate(run[0].0, &centroids, batch)?;
             for (&(_, i), found) in run.iter().zip(&found) {
-                outside[doubtful[i as usize]] = found.id == Found::NOWHERE;
+                let t = doubtful[i as usize];
+                let body =
+                    if found.id == Found::NOWHERE { None } else { Some(self.store.bodies.of(found.id)?) };
+                outside[t] = body != body_of(t);
             }
         }
         Ok(outside)

@@ -19,6 +19,7 @@ use crate::index::Entry;
 use crate::mesh::tet::{Tet, is_active};
 use crate::surface::WorldMap;
 use crate::surface::cap::select_boundary;
+use crate::surface::fans::split_fans;
 use crate::surface::marching_tets::{CellSource, ChunkSurface, select_active};
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use rayon::prelude::*;
@@ -202,6 +203,8 @@ struct Weld<'a> {
     /// Made when first needed: most surfaces fit in memory.
     horizon: Option<Horizon>,
     shares: SurfaceShares,
+    /// Where each surface is kept.
+    place: BuilderSettings,
     memory: u64,
     done: usize,
     progress: &'a dyn Progress,
@@ -217,8 +220,8 @@ impl<'a> Weld<'a> {
     ) -> Self {
         let count = question.isovalues.len();
         let memory_bytes = usize::try_from(shares.finished / count as u64).unwrap_or(usize::MAX);
-        let builder_settings = BuilderSettings { scratch, memory_bytes };
-        let builder = || SurfaceBuilder::new(&question.world, &builder_settings);
+        let place = BuilderSettings { scratch, memory_bytes };
+        let builder = || SurfaceBuilder::new(&question.world, &place);
         let open_edges = shares.open_edges / count as u64;
         Self {
             question,
@@ -226,6 +229,7 @@ impl<'a> Weld<'a> {
             active_tetrahedra: vec![0; count],
             horizon: None,
             shares,
+            place: place.clone(),
             memory: settings.memory,
             done: 0,
             progress,
@@ -275,8 +279,14 @@ impl<'a> Weld<'a> {
     }
 
     fn finish(self) -> Result<Vec<Extracted>> {
+        let step = self.question.archive.step();
+        // Only where tetrahedra are missing does a surface touch itself.
+        let has_holes = step.void_points > 0 || step.plan.source.mesh.is_some();
+        let (place, memory) = (self.place, self.shares.batch);
         let extracted = |((builder, _), active_tetrahedra): ((SurfaceBuilder, _), u64)| {
-            Ok(Extracted { surface: builder.finish()?, active_tetrahedra })
+            let surface = builder.finish()?;
+            let surface = if has_holes { split_fans(surface, &place, memory)? } else { surface };
+            Ok(Extracted { surface, active_tetrahedra })
         };
         self.builders.into_iter().zip(self.active_tetrahedra).map(extracted).collect()
     }

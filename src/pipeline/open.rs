@@ -7,7 +7,7 @@ use super::reduce::folder_bytes;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::{CellCount, CoordinateMap};
 use crate::archive::explicit::read_explicit;
-use crate::archive::manifest::{MANIFEST_NAME, Manifest, SegmentRecord, Step};
+use crate::archive::manifest::{MANIFEST_NAME, Manifest, MeshSource, SegmentRecord, Step};
 use crate::archive::segment::{FORMAT_VERSION, PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::archive::values::Quantiser;
 use crate::error::{Error, Result};
@@ -50,6 +50,8 @@ pub struct ArchiveSummary {
     pub geometry: Geometry,
     /// Of a rectilinear or curvilinear grid, whose coordinates are in the archive: its bad cells.
     pub grid_cells: Option<CellCount>,
+    /// Of a tetrahedral mesh: what it had.
+    pub mesh: Option<MeshSource>,
     /// The point set, with its parameters.
     pub point_set: serde_json::Value,
     /// How values were interpolated.
@@ -97,6 +99,7 @@ pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
         field: source.field.clone(),
         geometry: source.geometry,
         grid_cells: step.coordinates.map(|c| c.cells),
+        mesh: source.mesh,
         point_set: serde_json::json!(plan.points),
         interpolation: step.plan.interpolation.name().into(),
         quantiser: step.plan.quantiser,

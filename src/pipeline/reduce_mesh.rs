@@ -26,10 +26,10 @@ use crate::sample::Interpolation;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Scratch bytes of a vertex (position in the world and on the lattice, value) and of a tetrahedron (vertices; four faces, sorted in runs and
-/// merged; about two bricks, twice).
-const VERTEX_BYTES: u64 = 24 + 24 + 4;
-const TET_BYTES: u64 = 32 + 2 * 4 * 24 + 2 * 2 * 16;
+/// Scratch bytes of a vertex (position in the world and on the lattice, value; to find equals, sorted in runs and merged) and of a tetrahedron
+/// (vertices, twice; body; four faces, sorted in runs and merged; about two bricks, twice).
+const VERTEX_BYTES: u64 = 24 + 24 + 4 + 2 * 40 + 8;
+const TET_BYTES: u64 = 2 * 32 + 8 + 2 * 4 * 32 + 2 * 2 * 16;
 /// Gradients of a vertex, and their records of a tetrahedron.
 const GRADIENT_BYTES: u64 = 24;
 const GRADIENT_RECORDS: u64 = 2 * 4 * 48;
@@ -119,7 +119,7 @@ fn store_settings<'a>(
     scratch: &'a Path,
 ) -> StoreSettings<'a> {
     StoreSettings {
-        // Two sorters are there at a time, and one merges into the other.
+        // Two sorters are there at a time, of which one merges into the other, and the bodies.
         memory: run.memory / 4,
         scratch,
         bad_value: match settings.nan {

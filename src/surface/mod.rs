@@ -8,6 +8,7 @@
 //! * [`marching_tets`] turns the active tetrahedra of one chunk into triangles, welded inside the chunk. Any number of
 //!   chunks may be extracted at once.
 //! * [`weld`] joins the chunks, in chunk order, by edge key, and stores the result on disk beyond a given size.
+//! * [`fans`] splits vertices at which a surface touches itself, where tetrahedra are missing.
 //! * [`clip`] cuts a finished surface at planes.
 //! * [`components`] measures the connected components and keeps some.
 //! * [`decimate`] makes do with fewer triangles.
@@ -23,6 +24,7 @@ pub mod clip;
 mod collapse;
 pub mod components;
 pub mod decimate;
+pub mod fans;
 pub mod marching_tets;
 #[cfg(test)]
 mod testing;

@@ -227,6 +227,24 @@ impl StoredSurface {
     pub fn push_triangle(&mut self, triangle: [u32; 3]) -> Result<()> {
         self.triangles.push(triangle)
     }
+
+    /// Lets `rewrite` change each triangle, told with its number.
+    pub(super) fn rewrite_triangles(
+        &mut self,
+        settings: &BuilderSettings,
+        mut rewrite: impl FnMut(u64, &mut [u32; 3]) -> Result<()>,
+    ) -> Result<()> {
+        let mut rewritten = Self::new(settings).triangles;
+        self.triangles.each(&mut |batch| {
+            batch.iter().try_for_each(|&triangle| {
+                let mut triangle = triangle;
+                rewrite(rewritten.len(), &mut triangle)?;
+                rewritten.push(triangle)
+            })
+        })?;
+        self.triangles = rewritten;
+        Ok(())
+    }
 }
 
 impl SurfaceSource for StoredSurface {

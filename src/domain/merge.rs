@@ -1,0 +1,70 @@
+//! Vertices that a file tells more than once.
+//!
+//! The pieces of a partitioned mesh repeat the points of their common border, and some programs repeat them for every cell. Vertices
+//! of one position (on the fine lattice) and one value are one vertex: the first of them stands for all, so that the cells around it have
+//! common faces. Those of one position and **different** values stay apart: there the field jumps, and the cells beside the
+//! jump belong to different bodies ([`super::bodies`]).
+//!
+//! An external sort by position, value and number brings equals together; another by number puts the answers in order.
+
+use super::column::{Column, ColumnWriter};
+use super::store::StoreSettings;
+use crate::bytes::sorter::Sorter;
+use crate::error::Result;
+use crate::locate::FinePos;
+
+/// For each vertex the first that equals it.
+pub(super) struct Firsts {
+    /// None where all vertices differ.
+    of: Option<Column<u64>>,
+    /// Vertices that equal an earlier one.
+    pub(super) repeated: u64,
+}
+
+impl Firsts {
+    pub(super) fn new(positions: &[FinePos], values: &[f32], settings: &StoreSettings<'_>) -> Result<Self> {
+        let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
+        let mut equals: Sorter<[u64; 5]> = Sorter::new(memory, settings.scratch);
+        for (v, ([x, y, z], value)) in positions.iter().zip(values).enumerate() {
+            // One NaN, one zero.
+            let bits = if value.is_nan() { f32::NAN } else { value + 0.0 }.to_bits();
+            equals.push([*x as u64, *y as u64, *z as u64, u64::from(bits), v as u64])?;
+        }
+        let mut answers: Sorter<[u64; 2]> = Sorter::new(memory, settings.scratch);
+        let (mut sorted, mut first, mut repeated) = (equals.finish()?, [u64::MAX; 5], 0);
+        while let Some(vertex) = sorted.next()? {
+            if vertex[..4] == first[..4] {
+                answers.push([vertex[4], first[4]])?;
+                repeated += 1;
+            } else {
+                first = vertex;
+            }
+        }
+        let of = (repeated > 0).then(|| in_order(answers, positions.len() as u64, settings)).transpose()?;
+        Ok(Self { of, repeated })
+    }
+
+    /// Puts the first of its equals in the place of each vertex.
+    pub(super) fn replace(&self, vertices: &mut [u64]) -> Result<()> {
+        if let Some(of) = &self.of {
+            let of = of.get()?;
+            vertices.iter_mut().for_each(|v| *v = of[*v as usize]);
+        }
+        Ok(())
+    }
+}
+
+fn in_order(answers: Sorter<[u64; 2]>, vertices: u64, settings: &StoreSettings<'_>) -> Result<Column<u64>> {
+    let (mut sorted, mut of) = (answers.finish()?, ColumnWriter::new(settings.scratch)?);
+    let mut next = sorted.next()?;
+    for v in 0..vertices {
+        match next {
+            Some([repeated, first]) if repeated == v => {
+                of.push(&first)?;
+                next = sorted.next()?;
+            }
+            _ => of.push(&v)?,
+        }
+    }
+    of.finish()
+}
