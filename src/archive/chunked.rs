@@ -48,6 +48,9 @@ impl ChunkSegmentWriter {
         let path = path.as_ref();
         let mut found: Option<Self> = None;
         for dead in publish::dead_of(path) {
+            let before = dead.path.clone();
+            let Some(dead) = dead.claim(path)? else { continue };
+            Journal::follow(&before, &dead.path);
             let temporary = dead.path.clone();
             let adopted = Self::adopt(dead, path, kind, plan, first, most)?;
             match adopted.filter(|a| found.as_ref().is_none_or(|f| f.chunk_count() < a.chunk_count())) {

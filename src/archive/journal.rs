@@ -4,8 +4,8 @@
 //! does: after each chunk the writer hands its blocks to the system, then appends a record here.
 //!
 //! ```text
-//!  .000007.seg.tmp-node12-4711-3            the blocks
-//!  .000007.seg.chunks.tmp-node12-4711-3     the journal, a record a chunk:
+//!  .000007.seg.tmp-node12-4711-…            the blocks
+//!  .000007.seg.chunks.tmp-node12-4711-…     the journal, a record a chunk:
 //!      8  number of the chunk
 //!      4  number n of its blocks
 //!     8n  length and CRC32C of each
@@ -81,6 +81,11 @@ impl Journal {
         // As for the temporary itself: who holds the lock is alive.
         let _ = file.try_lock();
         Ok(Self { file, path, keep: false })
+    }
+
+    /// Renames the journal of a temporary that was renamed. There may be none.
+    pub(super) fn follow(before: &Path, temporary: &Path) {
+        let _ = std::fs::rename(name(before), name(temporary));
     }
 
     /// The journal that a dead writer left with its temporary, and its whole records.

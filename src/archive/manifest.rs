@@ -261,9 +261,7 @@ impl Manifest {
     }
 
     fn to_text(&self) -> String {
-        let json = serde_json::to_string_pretty(self).expect("a manifest is plain data");
-        let body = json.strip_suffix("\n}").expect("a pretty object ends with its brace");
-        format!("{body}{}", tail(body))
+        sealed_text(self)
     }
 
     /// Reads the manifest of an archive.
@@ -305,7 +303,8 @@ impl Manifest {
             )
             .with_help("use a newer isospan"));
         }
-        check_sum(bytes, path)?;
+        let help = "the manifest was damaged or edited: restore it, or run the same reduction again";
+        check_sum(bytes, path, help)?;
         serde_json::from_slice(bytes).map_err(json)
     }
 
@@ -361,14 +360,22 @@ fn tail(body: &str) -> String {
     format!("{TAIL_START}{}\"\n}}\n", PlanHash::of(body.as_bytes()))
 }
 
-fn check_sum(bytes: &[u8], path: &Path) -> Result<()> {
+/// A record as JSON for people, with a checksum of all bytes before it as its last member.
+pub(crate) fn sealed_text(record: &impl Serialize) -> String {
+    let json = serde_json::to_string_pretty(record).expect("a record is plain data");
+    let body = json.strip_suffix("\n}").expect("a pretty object ends with its brace");
+    format!("{body}{}", tail(body))
+}
+
+/// Checks the last member of what [`sealed_text`] wrote.
+pub(crate) fn check_sum(bytes: &[u8], path: &Path, help: &str) -> Result<()> {
     let text = String::from_utf8_lossy(bytes);
     let body = text.rfind(TAIL_START).map_or(&text[..], |at| &text[..at]);
     if text.strip_prefix(body) == Some(&tail(body)) && matches!(text, std::borrow::Cow::Borrowed(_)) {
         return Ok(());
     }
     Err(Error::bad_input(path, "checksum", PlanHash::of(body.as_bytes()).to_string(), "another or none")
-        .with_help("the manifest was damaged or edited: restore it, or run the same reduction again"))
+        .with_help(help))
 }
 
 #[cfg(test)]

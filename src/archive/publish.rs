@@ -5,9 +5,12 @@
 //! same bytes and the later rename wins. A writer that is dropped unfinished removes its temporary.
 //!
 //! ```text
-//!  .000007.seg.tmp-node12-4711-3
-//!   final name     host   process, number in it
+//!  .000007.seg.tmp-node12-4711-9f3c21d50ab7e644x3
+//!   final name     host   process, random number of it, number of the file in it
 //! ```
+//!
+//! The host's name is followed by the number of the process's name space where that is not the machine's first: containers share
+//! host names, and then process numbers too. The random number is for everything that this does not tell apart.
 //!
 //! **What a killed writer leaves** starts with a dot, and no reader looks at it. The next writer of the same file removes it, or
 //! goes on with it ([`Unpublished::adopt`]), if it is dead for sure: made on this host, by a process that is no more, and
@@ -16,8 +19,10 @@
 
 use crate::error::{Error, Result};
 use std::fs::{File, TryLockError};
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{BufWriter, ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A file being written; see the module.
@@ -33,13 +38,30 @@ pub const TEMPORARY_MARK: &str = ".tmp-";
 
 const BUFFER_BYTES: usize = 1 << 18;
 
-/// This host, in letters that may be part of a file name.
+/// This host, in letters that may be part of a file name. Two processes of one host know each other by their numbers.
 pub(crate) fn host() -> String {
     #[cfg(unix)]
     let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
     #[cfg(not(unix))]
     let name = std::env::var("COMPUTERNAME").unwrap_or_default();
-    name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).take(64).collect()
+    let letter = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+    let name: String = name.chars().map(letter).take(64).collect();
+    name + &name_space()
+}
+
+/// The number of this process's space of process numbers, where that is not the first one of the machine, which Linux
+/// gives a fixed number.
+fn name_space() -> String {
+    const FIRST: &str = "4026531836";
+    let link = std::fs::read_link("/proc/self/ns/pid").unwrap_or_default();
+    let digits: String = link.to_string_lossy().chars().filter(char::is_ascii_digit).collect();
+    if digits == FIRST { String::new() } else { digits }
+}
+
+/// A number that no other process has, but for a chance of 2^-64.
+fn random() -> u64 {
+    static TOKEN: LazyLock<u64> = LazyLock::new(|| RandomState::new().build_hasher().finish());
+    *TOKEN
 }
 
 /// A name for a temporary of `path`, beside it.
@@ -50,7 +72,8 @@ pub(crate) fn temporary_name(path: &Path) -> Result<PathBuf> {
         .ok_or_else(|| Error::usage(format!("{} does not name a file", path.display())))?
         .to_string_lossy();
     let number = NEXT.fetch_add(1, Ordering::Relaxed);
-    Ok(path.with_file_name(format!(".{name}{TEMPORARY_MARK}{}-{}-{number}", host(), std::process::id())))
+    let process = std::process::id();
+    Ok(path.with_file_name(format!(".{name}{TEMPORARY_MARK}{}-{process}-{:016x}x{number}", host(), random())))
 }
 
 impl Unpublished {
@@ -63,9 +86,8 @@ impl Unpublished {
     /// Begins a file without looking for what others left.
     pub(crate) fn begin(path: &Path) -> Result<Self> {
         let temporary = temporary_name(path)?;
-        // A leftover of a killed process of the same number is overwritten.
         let mut options = File::options();
-        let file = options.read(true).write(true).create(true).truncate(true).open(&temporary);
+        let file = options.read(true).write(true).create_new(true).open(&temporary);
         let file = file.map_err(|e| Error::io("create", &temporary, e))?;
         // Where there are no locks, the process number alone tells that the writer is alive.
         let _ = file.try_lock();
@@ -166,6 +188,17 @@ pub(crate) struct Dead {
 }
 
 impl Dead {
+    /// Gives it a name of this process's; `None` when another process has been faster. So only one goes on with it, also
+    /// where the file system has no locks.
+    pub(crate) fn claim(self, path: &Path) -> Result<Option<Self>> {
+        let own = temporary_name(path)?;
+        match std::fs::rename(&self.path, &own) {
+            Ok(()) => Ok(Some(Self { path: own, ..self })),
+            Err(e) if e.kind() == ErrorKind::NotFound => Ok(None),
+            Err(e) => Err(Error::io("continue", &self.path, e)),
+        }
+    }
+
     /// Deletes it. Somebody else may have been faster.
     pub(crate) fn remove(self) {
         let _ = std::fs::remove_file(&self.path);

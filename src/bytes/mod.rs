@@ -40,7 +40,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 /// How a file's bytes are had. All give the same bytes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum IoMode {
     /// [`IoMode::Read`] on network file systems (NFS, SMB, Lustre, GPFS, FUSE, AFS, Ceph, BeeGFS and others; on Linux),
     /// [`IoMode::Map`] elsewhere.

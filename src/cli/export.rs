@@ -1,5 +1,6 @@
 //! `isospan export`: the tetrahedra of an archive for other programs.
 
+use super::machine::{Machine, OutputScratch};
 use super::progress::Talk;
 use super::text;
 use isospan::pipeline::{Corners, ExportSettings, Roi};
@@ -29,15 +30,10 @@ pub(crate) struct Args {
     /// Of the tetrahedra that are left, in order, only each K-th.
     #[arg(long, value_name = "K", default_value_t = 1)]
     every: u64,
-    /// Threads; 0 means as many as the process may use.
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    threads: usize,
-    /// Memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use].
-    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
-    memory: Option<u64>,
-    /// Folder for what does not fit in memory [default: the output's folder].
-    #[arg(long, value_name = "FOLDER")]
-    scratch: Option<PathBuf>,
+    #[command(flatten)]
+    machine: Machine,
+    #[command(flatten)]
+    scratch: OutputScratch,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
@@ -59,9 +55,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         corners: if args.any_corner { Corners::Any } else { Corners::All },
         roi: args.roi,
         every: args.every,
-        threads: args.threads,
-        memory: super::memory(args.memory, talk),
-        scratch: args.scratch.clone(),
+        threads: args.machine.threads,
+        memory: args.machine.memory(talk),
+        scratch: args.scratch.scratch.clone(),
         cancel: super::signals::cancel_token(),
     };
     let archive = Archive::open(&args.archive)?;

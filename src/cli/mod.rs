@@ -3,22 +3,29 @@
 
 mod brick;
 mod check;
+mod choices;
+mod commit;
 mod count;
 mod dry_run;
 mod export;
 mod figure;
+mod gc;
 mod heap;
 mod info;
 mod info_mesh;
 mod input;
+mod machine;
 mod misc;
+mod plan;
 mod probe;
 mod progress;
 mod reduce;
 mod signals;
 mod spectrum;
+mod status;
 mod surface;
 mod text;
+mod work;
 
 use clap::{Parser, Subcommand};
 use isospan::Result;
@@ -46,8 +53,20 @@ enum Command {
     Spectrum(spectrum::Args),
     Brick(brick::Args),
     Check(check::Args),
+    Plan(Box<plan::Args>),
+    Work(work::Args),
+    Commit(commit::Args),
+    Status(status::Args),
+    Gc(gc::Args),
     Completions(misc::CompletionsArgs),
     Man(misc::ManArgs),
+}
+
+impl Command {
+    /// Whether the same command goes on where it was stopped: only a reduction has something to continue.
+    fn continues(&self) -> bool {
+        matches!(self, Self::Reduce(_) | Self::Work(_) | Self::Commit(_))
+    }
 }
 
 /// Runs the program on the process's arguments.
@@ -66,8 +85,7 @@ pub(crate) fn main() -> ExitCode {
     match run(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
-        Err(error @ isospan::Error::Cancelled) if !matches!(cli.command, Command::Reduce(_)) => {
-            // Only a reduction has something to continue.
+        Err(error @ isospan::Error::Cancelled) if !cli.command.continues() => {
             let _ = writeln!(std::io::stderr(), "isospan: error: stopped by a signal; nothing was written");
             ExitCode::from(error.exit_code())
         }
@@ -89,6 +107,11 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Spectrum(args) => spectrum::run(args),
         Command::Brick(args) => brick::run(args, &cli.talk),
         Command::Check(args) => check::run(args, &cli.talk),
+        Command::Plan(args) => plan::run(args, &cli.talk),
+        Command::Work(args) => work::run(args, &cli.talk),
+        Command::Commit(args) => commit::run(args, &cli.talk),
+        Command::Status(args) => status::run(args),
+        Command::Gc(args) => gc::run(args),
         Command::Completions(args) => misc::completions(args),
         Command::Man(args) => misc::man(args),
     }

@@ -1,5 +1,6 @@
 //! `isospan probe`: the reduced field on a grid, or at points.
 
+use super::machine::Machine;
 use super::progress::Talk;
 use super::text;
 use isospan::formats::samples::SampleFormat;
@@ -22,12 +23,8 @@ pub(crate) struct Args {
     /// The file to write: .vti or .npy of a grid, .csv or .npy of points.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Threads; 0 means as many as the process may use.
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    threads: usize,
-    /// Memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use].
-    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
-    memory: Option<u64>,
+    #[command(flatten)]
+    machine: Machine,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
@@ -39,8 +36,8 @@ fn parse_grid(text: &str) -> std::result::Result<[u64; 3], String> {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = ProbeSettings {
-        threads: args.threads,
-        memory: super::memory(args.memory, talk),
+        threads: args.machine.threads,
+        memory: args.machine.memory(talk),
         cancel: super::signals::cancel_token(),
     };
     let archive = Archive::open(&args.archive)?;

@@ -1,5 +1,6 @@
 //! `isospan surface`: isosurfaces out of an archive.
 
+use super::machine::{Machine, OutputScratch};
 use super::progress::Talk;
 use super::text;
 use isospan::Result;
@@ -57,15 +58,10 @@ pub(crate) struct Args {
     /// two is reached.
     #[arg(long, value_name = "LENGTH")]
     decimate_error: Option<f64>,
-    /// Threads; 0 means as many as the process may use.
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    threads: usize,
-    /// Memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use].
-    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
-    memory: Option<u64>,
-    /// Folder for what does not fit in memory [default: the output's folder].
-    #[arg(long, value_name = "FOLDER")]
-    scratch: Option<PathBuf>,
+    #[command(flatten)]
+    machine: Machine,
+    #[command(flatten)]
+    scratch: OutputScratch,
     /// Print points, tetrahedra, active blocks, bytes read and the time of each stage.
     #[arg(long)]
     stats: bool,
@@ -99,9 +95,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = SurfaceSettings {
         isovalues: args.isovalue.clone(),
         roi: args.roi,
-        threads: args.threads,
-        memory: super::memory(args.memory, talk),
-        scratch: args.scratch.clone(),
+        threads: args.machine.threads,
+        memory: args.machine.memory(talk),
+        scratch: args.scratch.scratch.clone(),
         cap: args.cap,
         refine: refine(args),
         cancel: super::signals::cancel_token(),

@@ -49,6 +49,21 @@ pub(crate) fn parse_triple<T: std::str::FromStr>(text: &str, what: &str) -> Resu
         .ok_or_else(|| format!("'{text}' is not {what}; write three numbers as X,Y,Z"))
 }
 
+/// Parses a time: `2d`, `12h`, `30m`, `90s`.
+pub(crate) fn parse_duration(text: &str) -> Result<Duration, String> {
+    let wrong = || format!("'{text}' is not a time; write 2d, 12h, 30m or 90s");
+    let (number, unit) = text.split_at_checked(text.len().saturating_sub(1)).ok_or_else(wrong)?;
+    let seconds = match unit {
+        "s" => 1,
+        "m" => 60,
+        "h" => 3600,
+        "d" => 86_400,
+        _ => return Err(wrong()),
+    };
+    let number: u32 = number.parse().map_err(|_| wrong())?;
+    Ok(Duration::from_secs(u64::from(number) * seconds))
+}
+
 /// `1234567` as `1 234 567`.
 pub(crate) fn count(n: u64) -> String {
     let digits = n.to_string();
@@ -138,6 +153,15 @@ mod tests {
         assert!(parse_bytes("50%").unwrap() > 1 << 20);
         for bad in ["", "GiB", "-1", "3 parsecs", "101%", "0", "1e30TB"] {
             assert!(parse_bytes(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn times() {
+        assert_eq!(parse_duration("2d"), Ok(Duration::from_secs(172_800)));
+        assert_eq!(parse_duration("0s"), Ok(Duration::ZERO));
+        for bad in ["", "d", "2", "-1h", "2 d", "1.5h", "2µ", "9999999999d"] {
+            assert!(parse_duration(bad).is_err(), "{bad}");
         }
     }
 

@@ -53,7 +53,7 @@ pub use coordinates::open_coordinates;
 pub use mesh::{Input, is_mesh, open_input, open_mesh};
 
 /// How to open a volume.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct OpenOptions {
     /// The field to read, where the file has several.
     pub field: Option<String>,

@@ -20,7 +20,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// The layout of a headerless file.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct RawLayout {
     /// Samples along x (fastest), y, z.
     pub dims: [u64; 3],

@@ -7,10 +7,12 @@ use super::chunk::MeshedChunk;
 use crate::error::Result;
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, BrickId, Chunk};
+use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// What to do with samples that are NaN, infinite, or declared missing.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum NanPolicy {
     /// Refuse the volume, naming the first such sample.
     #[default]

@@ -16,10 +16,12 @@ use crate::pipeline::fingerprint::fingerprint;
 use crate::points::{ExplicitPoints, PointSet, PointSpec, SetKind, SetSettings};
 use crate::sample::Interpolation;
 use crate::volume::VolumeInfo;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// How many points.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum Amount {
     /// This fraction of the samples.
     Fraction(f64),
@@ -28,7 +30,7 @@ pub enum Amount {
 }
 
 /// What the user chooses of a reduction.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReduceSettings {
     /// The point set.
     pub points: SetKind,
@@ -69,7 +71,7 @@ impl Default for ReduceSettings {
 }
 
 /// The plan of a reduction: the mesh, and what is sampled on it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plan {
     /// What decides the mesh; the same for all fields and steps.
     pub mesh: MeshPlan,

@@ -13,6 +13,7 @@ use super::placed::write_coordinates;
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::reduce_mesh;
 use super::scan::value_range;
+use super::shard::Shard;
 use super::spectrum;
 use super::work::{self, StageTimes, Work};
 use crate::archive::chunked::ChunkSegment;
@@ -35,6 +36,7 @@ use crate::volume::bricked::BrickedVolume;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use serde::Serialize;
 use std::fs;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
@@ -152,10 +154,15 @@ pub fn reduce(
 ) -> Result<ReduceReport> {
     let started = Instant::now();
     refuse_overwriting(out, run)?;
-    let job = Job { input, options, settings, out, run, progress, started };
-    match formats::open_input(input, options)? {
-        Input::Volume(source) => reduce_volume(source, &job),
-        Input::Mesh(mesh) => reduce_mesh::reduce_mesh(&mesh, &job),
+    let job = Job { input, options, settings, out, run, progress, started, part: Part::Whole };
+    make(&job)
+}
+
+/// Opens the input of a job and does its part.
+pub(super) fn make(job: &Job<'_>) -> Result<ReduceReport> {
+    match formats::open_input(job.input, job.options)? {
+        Input::Volume(source) => reduce_volume(source, job),
+        Input::Mesh(mesh) => reduce_mesh::reduce_mesh(&mesh, job),
     }
 }
 
@@ -168,10 +175,80 @@ pub(super) struct Job<'a> {
     pub(super) run: &'a RunSettings,
     pub(super) progress: &'a dyn Progress,
     pub(super) started: Instant,
+    pub(super) part: Part<'a>,
+}
+
+/// What of a reduction a job does.
+#[derive(Clone, Copy)]
+pub(super) enum Part<'a> {
+    /// All of it: plan, segments, manifest.
+    Whole,
+    /// The segments of a shard, of the plan that was made before.
+    Shard(&'a Plan, Shard),
+    /// The manifest, of segments that were made before.
+    Commit,
+}
+
+impl Part<'_> {
+    /// How values are rounded, where that was decided before.
+    pub(super) fn quantiser(&self) -> Option<Option<Quantiser>> {
+        match self {
+            Self::Whole | Self::Commit => None,
+            Self::Shard(planned, _) => Some(planned.step.quantiser),
+        }
+    }
+
+    /// Refuses a source that is not the one that was planned for.
+    pub(super) fn expect_planned(&self, plan: &Plan, input: &Path) -> Result<()> {
+        match self {
+            Self::Shard(planned, _) if **planned != *plan => {
+                let text = |p: &Plan| {
+                    let source = &p.step.source;
+                    format!(
+                        "{} {} {:?}, plan {}",
+                        source.format,
+                        source.fingerprint,
+                        source.dims,
+                        p.step_hash()
+                    )
+                };
+                Err(Error::bad_input(input, "fingerprint and header", text(planned), text(plan)).with_help(
+                    "the file is not what it was when the plan was made: restore it, or plan again with --force",
+                ))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn segments(&self, layout: &Layout) -> Range<u64> {
+        match self {
+            Self::Whole | Self::Commit => 0..layout.segment_count(),
+            Self::Shard(_, shard) => shard.range(layout.segment_count()),
+        }
+    }
+}
+
+/// Makes the plan of a job, and of the mesh what follows from it; tells what the job needs. Makes no segment.
+pub(super) fn make_plan(job: &Job<'_>) -> Result<(Plan, MeshParts, Estimate)> {
+    let source = match formats::open_input(job.input, job.options)? {
+        Input::Volume(source) => source,
+        Input::Mesh(mesh) => return reduce_mesh::plan_mesh(&mesh, job),
+    };
+    let mut plan = Plan::new(source.info(), job.settings)?;
+    let mesh = parts(&plan.mesh, None)?;
+    let estimate = estimate_of(&source, &plan, &Need::of(&mesh), job.out, job.run)?;
+    if let Some(bits) = job.settings.value_bits {
+        estimate.check()?;
+        let (reader, _scratch) = random_access(source, job.run, job.progress)?;
+        plan.step.quantiser = Some(quantiser(&*reader, bits, job.settings, &job.run.cancel)?);
+    }
+    Ok((plan, mesh, estimate))
 }
 
 fn reduce_volume(source: VolumeSource, job: &Job<'_>) -> Result<ReduceReport> {
     let mut plan = Plan::new(source.info(), job.settings)?;
+    plan.step.quantiser = job.part.quantiser().flatten();
+    job.part.expect_planned(&plan, job.input)?;
     let mesh = parts(&plan.mesh, None)?;
     let need = Need::of(&mesh);
     estimate_of(&source, &plan, &need, job.out, job.run)?.check()?;
@@ -183,7 +260,7 @@ fn reduce_volume(source: VolumeSource, job: &Job<'_>) -> Result<ReduceReport> {
     if _scratch.is_some() {
         seconds.push(("brick".to_owned(), copying.elapsed().as_secs_f64()));
     }
-    if let Some(bits) = job.settings.value_bits {
+    if let (Some(bits), None) = (job.settings.value_bits, job.part.quantiser()) {
         let reading = Instant::now();
         plan.step.quantiser = Some(quantiser(&*reader, bits, job.settings, &job.run.cancel)?);
         seconds.push(("range".to_owned(), reading.elapsed().as_secs_f64()));
@@ -200,7 +277,7 @@ fn reduce_volume(source: VolumeSource, job: &Job<'_>) -> Result<ReduceReport> {
     produce(job, &plan, &mesh, &field, shares, ReduceReport { samples, seconds, ..ReduceReport::default() })
 }
 
-/// Makes the archive of a plan: all segments, then the manifest. Completes the report.
+/// Makes the archive of a plan, or the job's part of it: its segments, then the manifest. Completes the report.
 pub(super) fn produce(
     job: &Job<'_>,
     plan: &Plan,
@@ -215,12 +292,16 @@ pub(super) fn produce(
         write_explicit(job.out, plan.mesh_hash(), points)?;
     }
     let recipe = Recipe { points: &mesh.points, bricks: plan.mesh.bricks(), order: mesh.order };
-    job.progress.begin("reduce", mesh.points.len(), "points");
+    let segments = job.part.segments(&layout);
+    let chunks = segments.clone().flat_map(|s| layout.chunks_of(s));
+    let points = chunks.map(|c| mesh.points.count_in(&mesh.chunks.chunk(ChunkId(c)).core)).sum();
+    job.progress.begin("reduce", points, "points");
     let times = work::make_segments(&Work {
         plan,
         recipe: &recipe,
         chunks: &mesh.chunks,
         layout: &layout,
+        segments,
         field,
         pool: &pool(shares.workers)?,
         shares,
@@ -229,17 +310,33 @@ pub(super) fn produce(
         progress: job.progress,
     })?;
     push_times(&mut report.seconds, &times);
+    match job.part {
+        Part::Shard(..) => Ok(ReduceReport { points, quantiser: plan.step.quantiser, ..report }),
+        Part::Whole | Part::Commit => publish_archive(job, plan, mesh, &layout, shares.workers, report),
+    }
+}
+
+/// Makes an archive of segments that are all there: coordinates, index, spectrum, manifest. Completes the report.
+pub(super) fn publish_archive(
+    job: &Job<'_>,
+    plan: &Plan,
+    mesh: &MeshParts,
+    layout: &Layout,
+    workers: usize,
+    mut report: ReduceReport,
+) -> Result<ReduceReport> {
     let committing = Instant::now();
     // A mesh has its positions in the world by itself; a grid may have coordinates of its own.
     let coordinates = match plan.step.source.mesh {
         Some(_) => None,
-        None => write_coordinates(job.input, job.options, plan, &layout)?,
+        None => write_coordinates(job.input, job.options, plan, layout)?,
     };
-    let (manifest, halo_retries) =
-        commit(plan, mesh, &layout, coordinates, shares.workers, job.run, job.progress)?;
-    for file in [layout.mesh(0), layout.index(), layout.root().join(MANIFEST_NAME)] {
-        // What earlier runs that were killed have left.
-        publish::sweep(file.parent().expect("a file of an archive lies in a folder"));
+    let (manifest, halo_retries) = commit(plan, mesh, layout, coordinates, workers, job.run, job.progress)?;
+    if let Part::Whole = job.part {
+        // What earlier runs that were killed have left. Where others may be at work, gc removes it.
+        for file in [layout.mesh(0), layout.index(), layout.root().join(MANIFEST_NAME)] {
+            publish::sweep(file.parent().expect("a file of an archive lies in a folder"));
+        }
     }
     report.seconds.push(("commit".into(), committing.elapsed().as_secs_f64()));
     report.seconds.push(("total".into(), job.started.elapsed().as_secs_f64()));
@@ -350,7 +447,7 @@ fn push_times(seconds: &mut Vec<(String, f64)>, times: &StageTimes) {
 }
 
 /// Folders and files that are not ours are never touched; an archive only when asked to.
-fn refuse_overwriting(out: &Path, run: &RunSettings) -> Result<()> {
+pub(super) fn refuse_overwriting(out: &Path, run: &RunSettings) -> Result<()> {
     let shown = out.display();
     if out.extension().is_none_or(|e| e != "isospan") {
         return Err(Error::usage(format!("{shown}: an archive's name ends in .isospan")));
@@ -384,7 +481,7 @@ fn is_ours(out: &Path) -> Result<bool> {
 }
 
 /// Without its manifest the old archive is no archive any more; then segments of this plan are kept and others replaced.
-fn prepare_folder(layout: &Layout, run: &RunSettings) -> Result<()> {
+pub(super) fn prepare_folder(layout: &Layout, run: &RunSettings) -> Result<()> {
     let old = layout.root().join(MANIFEST_NAME);
     if old.exists() && run.replace {
         fs::remove_file(&old).map_err(|e| Error::io("remove", &old, e))?;

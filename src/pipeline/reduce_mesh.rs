@@ -9,7 +9,7 @@
 use super::cell_field::CellField;
 use super::field::NanPolicy;
 use super::need::{Estimate, Need, Question, free_bytes};
-use super::plan::{Amount, Plan, ReduceSettings, parts};
+use super::plan::{Amount, MeshParts, Plan, ReduceSettings, parts};
 use super::reduce::{Job, ReduceReport, RunSettings, folder_bytes, produce, scratch_folder, threads};
 use crate::archive::explicit::ExplicitRecord;
 use crate::archive::manifest::{MeshSource, Source};
@@ -49,6 +49,7 @@ pub(super) fn reduce_mesh(mesh: &CellMesh, job: &Job<'_>) -> Result<ReduceReport
     let settings = store_settings(job.settings, job.run, &scratch);
     let Prepared { store, plan, boundary } = prepare(mesh, job.settings, &settings)?;
     let mut seconds = vec![("read".to_owned(), reading.elapsed().as_secs_f64())];
+    job.part.expect_planned(&plan, job.input)?;
     let parts = parts(&plan.mesh, Some(boundary.points.clone()))?;
     let need = Need::of(&parts);
     let memory = job.run.memory.saturating_sub(boundary_bytes(&boundary));
@@ -91,6 +92,20 @@ pub(super) fn estimate_mesh(
     let need = Need::of(&parts(&plan.mesh, Some(boundary.points.clone()))?);
     let memory = run.memory.saturating_sub(boundary_bytes(&boundary));
     estimate_of(&plan, &need, memory, out, run, (&scratch, scratch_bytes(mesh, settings)))
+}
+
+/// As [`make_plan`](super::reduce::make_plan): the mesh is read for that.
+pub(super) fn plan_mesh(mesh: &CellMesh, job: &Job<'_>) -> Result<(Plan, MeshParts, Estimate)> {
+    let (settings, scratch) = (job.settings, scratch_folder(job.run));
+    check_scratch(mesh, settings, &scratch)?;
+    job.progress.begin("read the mesh", 0, "points");
+    let Prepared { plan, boundary, .. } =
+        prepare(mesh, settings, &store_settings(settings, job.run, &scratch))?;
+    let parts = parts(&plan.mesh, Some(boundary.points.clone()))?;
+    let memory = job.run.memory.saturating_sub(boundary_bytes(&boundary));
+    let bytes = scratch_bytes(mesh, settings);
+    let estimate = estimate_of(&plan, &Need::of(&parts), memory, job.out, job.run, (&scratch, bytes))?;
+    Ok((plan, parts, estimate))
 }
 
 fn estimate_of(

@@ -15,11 +15,12 @@
 
 use super::chunk::{self, MeshedChunk, Meshing, Recipe};
 use super::field::{Field, Survey};
+use super::inspect::{Depth, SegmentState, inspect};
 use super::layout::Layout;
 use super::need::{self, Shares};
 use super::plan::Plan;
 use crate::archive::chunk::{ChunkVertices, encode_chunk};
-use crate::archive::chunked::{ChunkSegment, ChunkSegmentWriter};
+use crate::archive::chunked::ChunkSegmentWriter;
 use crate::archive::segment::{PlanHash, SegmentKind};
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
 use crate::archive::values::encode_values;
@@ -70,6 +71,8 @@ pub(crate) struct Work<'a> {
     pub(crate) recipe: &'a Recipe<'a>,
     pub(crate) chunks: &'a ChunkGrid,
     pub(crate) layout: &'a Layout,
+    /// The segments to make, of all.
+    pub(crate) segments: Range<u64>,
     pub(crate) field: &'a dyn Field,
     pub(crate) pool: &'a rayon::ThreadPool,
     pub(crate) shares: Shares,
@@ -154,7 +157,7 @@ fn feed(
     to_sinks: &channel::Sender<(Sink, u64)>,
 ) -> Result<()> {
     let mut number = 0;
-    for segment in 0..work.layout.segment_count() {
+    for segment in work.segments.clone() {
         work.cancel.check()?;
         let chunks = work.layout.chunks_of(segment);
         if is_done(work, segment) {
@@ -220,10 +223,7 @@ impl Part {
 
     fn is_whole(self, work: &Work<'_>, segment: u64, chunks: &Range<u64>) -> bool {
         let (kind, hash) = self.kind(work);
-        match ChunkSegment::open(self.path(work, segment), kind, Some(hash)) {
-            Ok(s) => s.chunks() == *chunks && s.segment().verify().is_ok(),
-            Err(_) => false,
-        }
+        inspect(&self.path(work, segment), kind, hash, chunks, Depth::All) == SegmentState::Whole
     }
 
     /// A writer that goes on behind at most `most` chunks; `None` when the file is whole already: a run was killed between

@@ -98,7 +98,7 @@ pub enum PointSpec {
 }
 
 /// What [`PointSpec::with_count`] may not choose itself.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SetSettings {
     /// Shift t of a Hammersley set; default 1/2.
     pub shift: f64,

@@ -1,0 +1,31 @@
+//! `isospan commit`: the segments of a planned reduction become an archive.
+
+use super::machine::{InputScratch, Machine};
+use super::progress::Talk;
+use isospan::Result;
+use isospan::pipeline::commit_shards;
+use std::path::PathBuf;
+
+/// Put a planned reduction together: verify every segment, make the index, publish the manifest.
+///
+/// Exit code 3, and a list, when segments are missing, damaged or of another plan. Deletes nothing.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The archive that was planned.
+    archive: PathBuf,
+    #[command(flatten)]
+    machine: Machine,
+    #[command(flatten)]
+    scratch: InputScratch,
+    /// Print the report as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let run = args.machine.run(&args.scratch, talk);
+    let bar = talk.progress();
+    let report = commit_shards(&args.archive, &run, &*bar);
+    bar.end();
+    super::reduce::tell(&args.archive, &report?, args.json, talk)
+}

@@ -1,0 +1,38 @@
+//! `isospan gc`: what killed workers have left.
+
+use super::text;
+use isospan::Result;
+use isospan::pipeline::collect_garbage;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Remove temporary files that killed workers have left in an archive.
+///
+/// Files that nobody has written to for the given time, and that no process holds. A worker writes after each chunk, so an hour is
+/// much; what is removed costs time and no bytes. Segments are never removed.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The archive, finished or not.
+    archive: PathBuf,
+    /// The age from which on files are removed: 2d, 12h, 30m, 90s.
+    #[arg(long, value_name = "AGE", value_parser = text::parse_duration)]
+    older_than: Duration,
+    /// Only tell what would be removed.
+    #[arg(long)]
+    dry_run: bool,
+    /// Print the result as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args) -> Result<()> {
+    let report = collect_garbage(&args.archive, args.older_than, args.dry_run)?;
+    if args.json {
+        return super::print_json(&report);
+    }
+    let mut out: String = report.files.iter().map(|f| format!("{}\n", f.display())).collect();
+    let verb = if args.dry_run { "would be removed" } else { "removed" };
+    out +=
+        &format!("{} files, {} {verb}\n", text::count(report.files.len() as u64), text::bytes(report.bytes));
+    super::print(&out)
+}

@@ -1,0 +1,51 @@
+//! The flags that say how a run uses the machine; they change no byte of what it makes.
+
+use super::{progress::Talk, signals, text};
+use isospan::pipeline::RunSettings;
+use std::path::PathBuf;
+
+/// Threads and memory.
+#[derive(clap::Args, Clone, Debug)]
+pub(crate) struct Machine {
+    /// Threads; 0 means as many as the process may use.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) threads: usize,
+    /// Memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use]. Pages of mapped files do not count.
+    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    memory: Option<u64>,
+}
+
+impl Machine {
+    /// The memory of a run: what was asked for, or half of what the process may use, which is told.
+    pub(crate) fn memory(&self, talk: &Talk) -> u64 {
+        super::memory(self.memory, talk)
+    }
+
+    /// Settings of a reduction that replaces nothing, stopped by signals.
+    pub(crate) fn run(&self, scratch: &InputScratch, talk: &Talk) -> RunSettings {
+        RunSettings {
+            threads: self.threads,
+            memory: self.memory(talk),
+            scratch: scratch.scratch.clone(),
+            replace: false,
+            cancel: signals::cancel_token(),
+        }
+    }
+}
+
+/// Where temporary files of a query go.
+#[derive(clap::Args, Clone, Debug)]
+pub(crate) struct OutputScratch {
+    /// Folder for what does not fit in memory [default: the output's folder].
+    #[arg(long, value_name = "FOLDER")]
+    pub(crate) scratch: Option<PathBuf>,
+}
+
+/// Where temporary files of a reduction go.
+#[derive(clap::Args, Clone, Debug)]
+pub(crate) struct InputScratch {
+    /// Folder for the uncompressed copy of a compressed input, and for what does not fit in memory [default: the system's
+    /// temporary folder].
+    #[arg(long, value_name = "FOLDER")]
+    pub(crate) scratch: Option<PathBuf>,
+}

@@ -1,0 +1,80 @@
+//! `isospan plan`: a reduction in parts, for several processes or machines.
+
+use super::choices::Choices;
+use super::input::InputArgs;
+use super::machine::{InputScratch, Machine};
+use super::progress::Talk;
+use super::text;
+use isospan::Result;
+use isospan::pipeline::{PlanReport, RunSettings, plan_shards};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Plan a reduction that several processes or machines do: `work` makes shards of it, `commit` puts the archive together.
+///
+/// The plan is written to ARCHIVE.work/plan.json and never changed. Any number of workers, in any order, give the bytes of
+/// `reduce`. A compressed input is unpacked, and a mesh sorted, by every worker for itself: `brick` a compressed volume first.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The volume or mesh, in a place that all workers see.
+    input: PathBuf,
+    /// The archive to make, a folder NAME.isospan in a place that all workers see.
+    #[arg(short, long, value_name = "ARCHIVE")]
+    output: PathBuf,
+    /// Shards: parts that may be made at the same time.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    shards: u64,
+    #[command(flatten)]
+    choices: Choices,
+    #[command(flatten)]
+    machine: Machine,
+    #[command(flatten)]
+    scratch: InputScratch,
+    /// Replace an archive or a plan that is already there.
+    #[arg(long)]
+    force: bool,
+    /// Print the plan's figures as JSON.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    read: InputArgs,
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
+    let (options, settings) = (args.read.options()?, args.choices.settings()?);
+    let bar = talk.progress();
+    let report = plan_shards(&args.input, &options, &settings, &args.output, args.shards, &run, &*bar);
+    bar.end();
+    let report = report?;
+    if args.json { super::print_json(&report) } else { super::print(&in_words(&args.output, &report)) }
+}
+
+fn in_words(archive: &Path, r: &PlanReport) -> String {
+    let (mut out, e) = (format!("{}\n", r.plan.display()), &r.needs);
+    let mut row = |name: &str, value: String| {
+        let _ = writeln!(out, "  {name:<10} {value}");
+    };
+    let plural = |n: u64, what: &str| format!("{} {what}{}", text::count(n), if n == 1 { "" } else { "s" });
+    row("hash", r.hash.join(" "));
+    row("points", format!("{} in {}", text::count(e.points), plural(e.chunks, "chunk")));
+    row(
+        "shards",
+        format!("{} of at most {}, of {} in all", r.shards, plural(r.shard_segments, "segment"), r.segments),
+    );
+    row("archive", format!("about {}", text::bytes(e.archive_bytes)));
+    let at_work = if e.workers == 1 { "one chunk".into() } else { format!("{} chunks", e.workers) };
+    let (least, all) = (text::bytes(e.memory_least), text::bytes(e.memory_comfortable));
+    row("each shard", format!("memory at least {least}, {all} for all threads"));
+    let time = Duration::from_secs(r.shard_seconds.ceil() as u64);
+    row("", format!("roughly {} with {at_work} at work at a time", text::rough_duration(time)));
+    if e.scratch_bytes > 0 {
+        row("", format!("about {} of scratch", text::bytes(e.scratch_bytes)));
+    }
+    let name = archive.display();
+    let _ =
+        writeln!(out, "next: isospan work {name} --shard I/{0} (I = 0 .. {1}), then", r.shards, r.shards - 1);
+    let _ = writeln!(out, "      isospan commit {name}");
+    out
+}

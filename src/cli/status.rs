@@ -1,0 +1,93 @@
+//! `isospan status`: how far a planned reduction is.
+
+use super::text;
+use clap::ValueEnum;
+use isospan::Result;
+use isospan::pipeline::{StatusReport, shard_status};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+/// Tell how far a planned reduction is: reads and verifies every segment, changes nothing.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The archive that was planned.
+    archive: PathBuf,
+    /// Print what is missing and nothing else: the numbers of shards, a line each. Nothing when all is there.
+    #[arg(long)]
+    missing: bool,
+    /// The form of that list.
+    #[arg(long = "as", value_enum, value_name = "FORM", requires = "missing", default_value_t = Form::Lines)]
+    form: Form,
+    /// Shards that the work is cut into [default: as planned].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    shards: Option<u64>,
+    /// Believe headers, lengths and footers: finds files that are missing, cut short or of another plan, not flipped bits.
+    #[arg(long)]
+    quick: bool,
+    /// Print the result as JSON.
+    #[arg(long, conflicts_with = "missing")]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum Form {
+    /// A number a line.
+    Lines,
+    /// For sbatch --array: 0,3,7-9.
+    SlurmArray,
+    /// The segments' files, and what is wrong with each.
+    Files,
+}
+
+pub(crate) fn run(args: &Args) -> Result<()> {
+    let report = shard_status(&args.archive, args.shards, args.quick, super::signals::cancel_token())?;
+    if args.json {
+        return super::print_json(&report);
+    }
+    super::print(&match (args.missing, args.form) {
+        (false, _) => in_words(&report),
+        (true, _) if report.missing_shards.is_empty() => String::new(),
+        (true, Form::Lines) => report.missing_shards.iter().map(|n| format!("{n}\n")).collect(),
+        (true, Form::SlurmArray) => format!("{}\n", ranges(&report.missing_shards)),
+        (true, Form::Files) => report.missing.iter().map(|f| format!("{f}\n")).collect(),
+    })
+}
+
+/// Ascending numbers as ranges: `0,3,7-9`.
+fn ranges(numbers: &[u64]) -> String {
+    let runs = numbers.chunk_by(|a, b| a + 1 == *b).map(|run| match run {
+        [one] => one.to_string(),
+        _ => format!("{}-{}", run[0], run[run.len() - 1]),
+    });
+    runs.collect::<Vec<_>>().join(",")
+}
+
+fn in_words(r: &StatusReport) -> String {
+    let mut out = format!("{}\n", r.archive.display());
+    let state = match (r.committed, r.missing.is_empty()) {
+        (true, true) => "committed",
+        (true, false) => "committed, and damaged since",
+        (false, true) => "all segments are there: commit it",
+        (false, false) => "not finished",
+    };
+    let _ = writeln!(out, "  state      {state}");
+    let _ = writeln!(out, "  segments   {} of {} whole", text::count(r.done), text::count(r.segments));
+    if !r.missing_shards.is_empty() {
+        let (n, list) = (text::count(r.missing_shards.len() as u64), ranges(&r.missing_shards));
+        let _ = writeln!(out, "  shards     {n} of {} not done: {list}", text::count(r.shards));
+    }
+    if r.temporaries > 0 {
+        let (n, size) = (text::count(r.temporaries), text::bytes(r.temporary_bytes));
+        let _ = writeln!(out, "  temporary  {n} files, {size}, of workers that run or were killed");
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn runs_of_numbers_are_ranges() {
+        assert_eq!(super::ranges(&[0, 3, 7, 8, 9, 11, 12]), "0,3,7-9,11-12");
+        assert_eq!(super::ranges(&[]), "");
+    }
+}

@@ -1,0 +1,54 @@
+//! `isospan work`: a shard of a planned reduction.
+
+use super::machine::{InputScratch, Machine};
+use super::progress::Talk;
+use super::text;
+use isospan::Result;
+use isospan::pipeline::{Shard, work_shard};
+use std::path::PathBuf;
+
+/// Make a shard of a planned reduction: the segments of it that are not done yet.
+///
+/// It may be started again at any time, twice at once, and on another machine. A signal (SIGTERM, SIGINT, SIGUSR1, SIGXCPU) ends it
+/// with code 75 in a state from which the same command continues.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The archive that was planned.
+    archive: PathBuf,
+    /// Which part, counted from 0: 3/16. Any number of parts gives the same archive [default: all].
+    #[arg(long, value_name = "I/N", value_parser = parse_shard)]
+    shard: Option<Shard>,
+    #[command(flatten)]
+    machine: Machine,
+    #[command(flatten)]
+    scratch: InputScratch,
+    /// Print the report as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+fn parse_shard(text: &str) -> std::result::Result<Shard, String> {
+    text.parse().map_err(|e: isospan::Error| e.to_string())
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let run = args.machine.run(&args.scratch, talk);
+    let bar = talk.progress();
+    let report = work_shard(&args.archive, args.shard.unwrap_or(Shard::ALL), &run, &*bar);
+    bar.end();
+    let report = report?;
+    talk.stages(&report.seconds);
+    if args.json {
+        return super::print_json(&report);
+    }
+    let done = match report.points {
+        0 => "nothing left to do".to_owned(),
+        points => format!("{} points", text::count(points)),
+    };
+    super::print(&format!(
+        "{}: shard {} ({} of the segments): {done}\n",
+        args.archive.display(),
+        report.shard,
+        text::count(report.segments)
+    ))
+}

@@ -1,0 +1,168 @@
+//! The plan of a reduction as a file, for work that is spread over processes and machines.
+//!
+//! ```text
+//!  tooth.isospan/               the archive: segments as they are done, in the end the manifest
+//!  tooth.isospan.work/          what makes it, and is no part of it
+//!      plan.json                this file
+//!      slurm/                   job scripts and logs, where Slurm runs it
+//! ```
+//!
+//! It holds the path of the input, the settings, and the [`Plan`] that follows from both, whose hashes every segment carries. A
+//! worker makes the plan again from the input that it finds and refuses to work when the two differ: then the input has
+//! changed, or is another. It also refuses a plan of another version of the program, for versions may differ in bytes.
+//!
+//! The file is written once and never changed: JSON, its last member a checksum of all bytes before it, as in a manifest.
+
+use super::plan::{Plan, ReduceSettings};
+use crate::archive::manifest::{check_sum, sealed_text};
+use crate::archive::publish::Unpublished;
+use crate::archive::segment::PlanHash;
+use crate::error::{Error, Result};
+use crate::formats::OpenOptions;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+const FORMAT: &str = "isospan plan";
+const FORMAT_VERSION: u16 = 1;
+/// The most bytes of a plan: paths, settings, and a record for each step.
+const LARGEST_PLAN: u64 = 1 << 28;
+const HELP: &str = "the plan was damaged or edited: make it again with isospan plan --force";
+
+/// Folder of a plan, its job scripts and logs: beside the archive.
+pub fn work_folder(archive: &Path) -> PathBuf {
+    let mut name = archive.as_os_str().to_owned();
+    name.push(".work");
+    name.into()
+}
+
+/// Path of the plan of an archive.
+pub fn plan_path(archive: &Path) -> PathBuf {
+    work_folder(archive).join("plan.json")
+}
+
+/// What workers are told.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct PlanFile {
+    format: String,
+    format_version: u16,
+    isospan_version: String,
+    /// Absolute.
+    pub(super) input: PathBuf,
+    pub(super) options: OpenOptions,
+    pub(super) settings: ReduceSettings,
+    pub(super) plan: Plan,
+    pub(super) mesh_hash: PlanHash,
+    pub(super) step_hash: PlanHash,
+    pub(super) chunks: u64,
+    /// Shards that work is meant to be cut into.
+    pub(super) shards: u64,
+}
+
+impl PlanFile {
+    /// The plan of an input at any path.
+    pub(super) fn new(
+        input: &Path,
+        options: &OpenOptions,
+        settings: &ReduceSettings,
+        plan: Plan,
+        chunks: u64,
+        shards: u64,
+    ) -> Result<Self> {
+        let absolute = |p: &Path| {
+            let path = std::path::absolute(p).map_err(|e| Error::io("find", p, e))?;
+            match path.to_str() {
+                Some(_) => Ok(path),
+                None => Err(Error::usage(format!("{}: a plan needs paths in UTF-8", path.display()))),
+            }
+        };
+        if settings.missing.is_some_and(|m| !m.is_finite()) {
+            return Err(Error::usage("--missing of a plan is a finite number; NaN is always missing"));
+        }
+        let values = options.values.as_deref().map(absolute).transpose()?;
+        Ok(Self {
+            format: FORMAT.into(),
+            format_version: FORMAT_VERSION,
+            isospan_version: env!("CARGO_PKG_VERSION").into(),
+            input: absolute(input)?,
+            options: OpenOptions { values, ..options.clone() },
+            settings: settings.clone(),
+            mesh_hash: plan.mesh_hash(),
+            step_hash: plan.step_hash(),
+            plan,
+            chunks,
+            shards,
+        })
+    }
+
+    /// Writes the plan of an archive. One that is there stays what it is, unless it is to be replaced.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when another one is there.
+    pub(super) fn write(&self, archive: &Path, replace: bool) -> Result<()> {
+        let path = plan_path(archive);
+        if !replace && path.exists() {
+            return match Self::read(archive) {
+                Ok(there) if there == *self => Ok(()),
+                _ => Err(Error::usage(format!(
+                    "{} is another plan; choose another name, or --force to replace it",
+                    path.display()
+                ))),
+            };
+        }
+        let folder = work_folder(archive);
+        std::fs::create_dir_all(&folder).map_err(|e| Error::io("create the folder", &folder, e))?;
+        let mut out = Unpublished::create(&path)?;
+        out.write(sealed_text(self).as_bytes())?;
+        out.publish()
+    }
+
+    /// Reads the plan of an archive.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] when there is none, or it is damaged, edited, or of another version of the program.
+    pub(super) fn read(archive: &Path) -> Result<Self> {
+        let path = plan_path(archive);
+        let bad = |at: &str, expected: String, got: String, help: &str| {
+            Err(Error::bad_input(&path, at, expected, got).with_help(help))
+        };
+        let len = match std::fs::metadata(&path) {
+            Ok(about) => about.len(),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+                let help = "make one: isospan plan INPUT -o NAME.isospan --shards N";
+                return bad("file", format!("the plan of {}", archive.display()), "nothing".into(), help);
+            }
+            Err(e) => return Err(Error::io("read", &path, e)),
+        };
+        if len > LARGEST_PLAN {
+            return bad("file length", format!("at most {LARGEST_PLAN} bytes"), format!("{len} bytes"), HELP);
+        }
+        let bytes = std::fs::read(&path).map_err(|e| Error::io("read", &path, e))?;
+        let json = |e: serde_json::Error| {
+            let at = format!("line {} column {}", e.line(), e.column());
+            Error::bad_input(&path, at, "the plan of a reduction", e.to_string()).with_help(HELP)
+        };
+        let version: Version = serde_json::from_slice(&bytes).map_err(json)?;
+        let ours = (FORMAT, FORMAT_VERSION, env!("CARGO_PKG_VERSION"));
+        let found = (&*version.format, version.format_version, &*version.isospan_version);
+        if found != ours {
+            let text = |v: (&str, u16, &str)| format!("{} {} of version {}", v.0, v.1, v.2);
+            let help = "all of a plan is done by one version of isospan: use that one, or plan again";
+            return bad("version", text(ours), text(found), help);
+        }
+        check_sum(&bytes, &path, HELP)?;
+        let plan: Self = serde_json::from_slice(&bytes).map_err(json)?;
+        let hashes = (plan.plan.mesh_hash(), plan.plan.step_hash());
+        if hashes != (plan.mesh_hash, plan.step_hash) || plan.shards == 0 {
+            return bad("hashes", format!("{} {}", hashes.0, hashes.1), "others".into(), HELP);
+        }
+        Ok(plan)
+    }
+}
+
+/// What a plan of any version has.
+#[derive(Deserialize)]
+struct Version {
+    format: String,
+    format_version: u16,
+    isospan_version: String,
+}

@@ -1,0 +1,275 @@
+//! A reduction in three commands: plan, work, commit; [`reduce`](super::reduce::reduce) is these three in one process.
+//!
+//! ```text
+//!  plan INPUT ──▶ plan.json ──▶ work I/N  (any number of processes, on any machines, in any order, again at will)
+//!                                  │ segments, each under a name of its own until it is done
+//!                                  ▼
+//!                               commit: every segment verified ──▶ index ──▶ manifest
+//! ```
+//!
+//! A **shard** I of N is the I-th of N runs of whole segments. N is free: the segments, and so the archive's bytes, are the same
+//! for any N, and workers of different N may run together. Nothing is locked and nobody is asked. A worker skips segments that
+//! are done; two that make the same one write the same bytes to temporaries of different names, and the later rename
+//! replaces a file by its copy. So a task may be started twice, or go on after its machine was given up for dead.
+//!
+//! The input is read by every worker. One without random access (compressed) is copied into bricks by each of them, and the structures
+//! of a tetrahedral mesh are made by each of them, in its own `scratch`: nothing is shared between machines but the archive.
+
+use super::inspect::{Depth, SegmentState};
+use super::layout::Layout;
+use super::need::{Estimate, Need};
+use super::plan::{MeshParts, Plan, ReduceSettings, parts};
+use super::plan_file::{PlanFile, plan_path};
+use super::reduce::{self, Job, Part, ReduceReport, RunSettings, prepare_folder, publish_archive};
+use super::status::Inventory;
+use crate::archive::explicit::{read_explicit, write_explicit};
+use crate::archive::manifest::{MANIFEST_NAME, Manifest};
+use crate::error::{Error, Result};
+use crate::exec::Progress;
+use crate::formats::OpenOptions;
+use serde::Serialize;
+use std::fmt;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// A part of the work: the `index`-th of `count`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shard {
+    index: u64,
+    count: u64,
+}
+
+impl Shard {
+    /// All of the work.
+    pub const ALL: Self = Self { index: 0, count: 1 };
+
+    /// # Errors
+    /// [`Error::Usage`] unless `index < count`.
+    pub fn new(index: u64, count: u64) -> Result<Self> {
+        if index < count {
+            return Ok(Self { index, count });
+        }
+        Err(Error::usage(format!("there is no shard {index} of {count}: they count from 0")))
+    }
+
+    /// Its run of `segments`; empty for some when there are fewer segments than shards.
+    pub(super) fn range(self, segments: u64) -> Range<u64> {
+        let at = |i: u64| (u128::from(segments) * u128::from(i) / u128::from(self.count)) as u64;
+        at(self.index)..at(self.index + 1)
+    }
+
+    /// The number of the shard, of `count`, that has a segment: the first one that ends behind it.
+    pub(super) fn with_segment(segment: u64, segments: u64, count: u64) -> u64 {
+        let end = (u128::from(segment + 1) * u128::from(count)).div_ceil(u128::from(segments));
+        end as u64 - 1
+    }
+}
+
+impl fmt::Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.index, self.count)
+    }
+}
+
+impl FromStr for Shard {
+    type Err = Error;
+
+    fn from_str(text: &str) -> Result<Self> {
+        let number = |s: &str| s.trim().parse().ok();
+        let parts = text.split_once('/').and_then(|(i, n)| Some((number(i)?, number(n)?)));
+        let (index, count) =
+            parts.ok_or_else(|| Error::usage(format!("'{text}' is no shard; write I/N, as in 0/4")))?;
+        Self::new(index, count)
+    }
+}
+
+/// What was planned, and what a shard of it needs.
+#[derive(Clone, Debug, Serialize)]
+pub struct PlanReport {
+    /// The plan's file.
+    pub plan: PathBuf,
+    /// Hash of the plan: of the mesh, and of the values.
+    pub hash: [String; 2],
+    /// Shards.
+    pub shards: u64,
+    /// Segments of the archive; a shard has whole ones.
+    pub segments: u64,
+    /// Segments of the largest shard.
+    pub shard_segments: u64,
+    /// Seconds of the largest shard, roughly: from the speed of a machine of 2020.
+    pub shard_seconds: f64,
+    /// What the whole needs; memory and scratch are those of each worker.
+    #[serde(flatten)]
+    pub needs: Estimate,
+}
+
+/// Plans the reduction of `input` to the archive `out` in `shards` parts, and writes the plan beside it. With
+/// [`RunSettings::replace`] an archive and a plan that are there are replaced.
+///
+/// # Errors
+/// As [`reduce`](super::reduce::reduce); [`Error::Usage`] when there is another plan already.
+pub fn plan_shards(
+    input: &Path,
+    options: &OpenOptions,
+    settings: &ReduceSettings,
+    out: &Path,
+    shards: u64,
+    run: &RunSettings,
+    progress: &dyn Progress,
+) -> Result<PlanReport> {
+    if shards == 0 {
+        return Err(Error::usage("at least one shard"));
+    }
+    reduce::refuse_overwriting(out, run)?;
+    let part = Part::Whole;
+    let job = Job { input, options, settings, out, run, progress, started: Instant::now(), part };
+    let (plan, mesh, needs) = reduce::make_plan(&job)?;
+    let layout = Layout::new(out, mesh.chunks.len(), plan.step.number);
+    let file = PlanFile::new(input, options, settings, plan, mesh.chunks.len(), shards)?;
+    file.write(out, run.replace)?;
+    prepare_folder(&layout, run)?;
+    if let Some(points) = mesh.points.explicit() {
+        write_explicit(out, file.mesh_hash, points)?;
+    }
+    let segments = layout.segment_count();
+    let shard_segments = segments.div_ceil(shards);
+    Ok(PlanReport {
+        plan: plan_path(out),
+        hash: [file.mesh_hash, file.step_hash].map(|h| h.to_string()),
+        shards,
+        segments,
+        shard_segments,
+        shard_seconds: needs.seconds * shard_segments as f64 / segments.max(1) as f64,
+        needs,
+    })
+}
+
+/// What a worker did.
+#[derive(Clone, Debug, Serialize)]
+pub struct WorkReport {
+    /// The shard.
+    pub shard: String,
+    /// Its segments.
+    pub segments: u64,
+    /// Points of its chunks; 0 when all was done before.
+    pub points: u64,
+    /// Seconds of each stage.
+    pub seconds: Vec<(String, f64)>,
+}
+
+/// Makes the segments of a shard that are not done yet.
+///
+/// # Errors
+/// [`Error::BadInput`] when there is no plan, or the input is not that of the plan; else as [`reduce`](super::reduce::reduce).
+pub fn work_shard(
+    out: &Path,
+    shard: Shard,
+    run: &RunSettings,
+    progress: &dyn Progress,
+) -> Result<WorkReport> {
+    let started = Instant::now();
+    let file = PlanFile::read(out)?;
+    expect_no_other_archive(out, &file)?;
+    let inventory = Inventory::new(out, &file);
+    let segments = shard.range(inventory.segments());
+    let report = |points, seconds| WorkReport {
+        shard: shard.to_string(),
+        segments: segments.end - segments.start,
+        points,
+        seconds,
+    };
+    // A task that is started again does not read its input for nothing.
+    let mut done = segments.clone().flat_map(|s| inventory.files_of(s));
+    if done.all(|f| inventory.look(&f, Depth::All) == SegmentState::Whole) {
+        return Ok(report(0, vec![]));
+    }
+    let part = Part::Shard(&file.plan, shard);
+    let PlanFile { input, options, settings, .. } = &file;
+    let run = RunSettings { replace: false, ..run.clone() };
+    let mut made = reduce::make(&Job { input, options, settings, out, run: &run, progress, started, part })?;
+    made.seconds.push(("total".into(), started.elapsed().as_secs_f64()));
+    Ok(report(made.points, made.seconds))
+}
+
+/// A finished archive of another plan is not written into.
+fn expect_no_other_archive(out: &Path, file: &PlanFile) -> Result<()> {
+    if !out.join(MANIFEST_NAME).exists() {
+        return Ok(());
+    }
+    let manifest = Manifest::read(out)?;
+    let same = manifest.plan_hash == file.mesh_hash
+        && manifest.steps.first().is_some_and(|s| s.plan.hash(manifest.plan_hash) == file.step_hash);
+    if same {
+        return Ok(());
+    }
+    let text = "holds an archive that was not made by this plan; plan again with --force to replace it";
+    Err(Error::usage(format!("{} {text}", out.display())))
+}
+
+/// Verifies every segment of a plan and publishes the archive: index, then manifest. Deletes nothing.
+///
+/// # Errors
+/// [`Error::Incomplete`] with each segment that is missing, damaged or of another plan.
+pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> Result<ReduceReport> {
+    let started = Instant::now();
+    let file = PlanFile::read(out)?;
+    expect_no_other_archive(out, &file)?;
+    Inventory::new(out, &file).expect_whole(run, progress)?;
+    let verified = started.elapsed().as_secs_f64();
+    let mesh = mesh_parts(out, &file.plan)?;
+    let workers = Need::of(&mesh).shares(run.memory, reduce::threads(run))?.workers;
+    let layout = Layout::new(out, mesh.chunks.len(), file.plan.step.number);
+    let PlanFile { input, options, settings, .. } = &file;
+    let part = Part::Commit;
+    let job = Job { input, options, settings, out, run, progress, started, part };
+    let samples = match &file.plan.step.source.mesh {
+        Some(mesh) => mesh.vertices,
+        None => file.plan.step.source.dims.iter().product(),
+    };
+    let seconds = vec![("verify".to_owned(), verified)];
+    let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
+    publish_archive(&job, &file.plan, &mesh, &layout, workers, report)
+}
+
+/// The parts of a plan, with the listed points that are in the archive.
+fn mesh_parts(out: &Path, plan: &Plan) -> Result<MeshParts> {
+    let explicit = match &plan.mesh.explicit {
+        Some(record) => Some(Arc::new(read_explicit(out, plan.mesh_hash(), &plan.mesh.lattice, record)?)),
+        None => None,
+    };
+    parts(&plan.mesh, explicit)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shards_cover_all_segments_once() {
+        for segments in [0, 1, 2, 7, 16, 1000] {
+            for count in [1, 2, 3, 16, 1001] {
+                let mut next = 0;
+                for index in 0..count {
+                    let range = Shard::new(index, count).unwrap().range(segments);
+                    assert_eq!(range.start, next);
+                    assert!(range.end - range.start <= segments.div_ceil(count));
+                    assert!(range.clone().all(|s| Shard::with_segment(s, segments, count) == index));
+                    next = range.end;
+                }
+                assert_eq!(next, segments);
+            }
+        }
+    }
+
+    #[test]
+    fn shards_are_written_as_fractions() {
+        assert_eq!("3/16".parse::<Shard>().unwrap(), Shard::new(3, 16).unwrap());
+        assert_eq!(Shard::new(3, 16).unwrap().to_string(), "3/16");
+        for bad in ["", "1", "/", "4/4", "-1/4", "1/0", "x/2", "1/2/3"] {
+            assert_eq!(bad.parse::<Shard>().unwrap_err().exit_code(), 2, "{bad}");
+        }
+    }
+}
