@@ -90,6 +90,7 @@ pub mod geom;
 pub mod grid;
 pub mod index;
 pub mod locate;
+pub mod measure;
 pub mod mesh;
 pub mod pipeline;
 pub mod points;

@@ -6,7 +6,8 @@ use common::{read, run, surface, triangle_set};
 use isospan::exec::Silent;
 use isospan::formats::OpenOptions;
 use isospan::pipeline::{
-    Amount, NanPolicy, ReduceReport, ReduceSettings, RunSettings, check_archive, reduce,
+    Amount, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, check_archive, measure,
+    reduce,
 };
 use isospan::sample::Interpolation;
 use isospan::surface::check::{SurfaceReport, check};
@@ -186,4 +187,24 @@ fn real_meshes() {
         check_archive(&out).unwrap();
         assert!(extracted(&out, isovalue).1.triangles > 100, "{name}");
     }
+}
+
+#[test]
+fn the_error_at_the_vertices_is_measured() {
+    let dir = tempfile::tempdir().unwrap();
+    let (input, out) = (dir.path().join("ell.vtk"), dir.path().join("ell.isospan"));
+    let field = |[x, y, _]: [f64; 3]| (4.0 * x).sin() + y * y;
+    write_mesh(&input, 12, |[x, y, _]| x < 0.5 || y < 0.5, |p| p, field);
+    let settings =
+        ReduceSettings { amount: Amount::Fraction(1.0), chunk_points: 600, ..ReduceSettings::default() };
+    let made = reduce(&input, &OpenOptions::default(), &settings, &out, &run(2), &Silent).unwrap();
+    let e = made.error.unwrap();
+    assert_eq!((e.samples, e.measured + e.outside, e.missing, e.void), (made.samples, made.samples, 0, 0));
+    assert!(e.measured > e.samples * 9 / 10, "{e:?}");
+    assert!(e.rms > 1e-4 && e.max < 0.1, "{e:?}");
+    let worst = e.worst.as_ref().unwrap();
+    assert!((f64::from(worst.original) - field(worst.world)).abs() < 1e-5, "{worst:?}");
+    let again = MeasureSettings { threads: 1, memory: 1 << 30, ..MeasureSettings::default() };
+    let again = measure(&out, &input, &OpenOptions::default(), &again, &Silent).unwrap();
+    assert!(again.same_source && again.error == e);
 }

@@ -16,6 +16,7 @@ use super::values::Quantiser;
 use crate::error::{Error, Result};
 use crate::geom::Lattice;
 use crate::grid::{BrickGrid, Geometry};
+use crate::measure::FieldError;
 use crate::points::PointSpec;
 use crate::sample::Interpolation;
 use crate::volume::ScalarType;
@@ -182,6 +183,9 @@ pub struct Step {
     /// The coordinates, where the source is a rectilinear or curvilinear grid.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub coordinates: Option<CoordinateRecord>,
+    /// How far the reduced field is from the samples of its source, where that was measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error: Option<FieldError>,
 }
 
 /// The coordinates of a grid.
@@ -423,6 +427,7 @@ pub(crate) mod tests {
             index: info,
             spectrum: (number == 0).then_some(info),
             coordinates: None,
+            error: None,
         };
         let counts = Counts { points: 1000, tetrahedra: 6000, chunks: 5, blocks: 12 };
         Manifest::new(plan(), counts, vec![record(0, 2), record(2, 3)], vec![step(0), step(3)])

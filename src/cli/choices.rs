@@ -47,6 +47,9 @@ pub(crate) struct Choices {
     /// told and stored [default: lossless].
     #[arg(long, value_name = "N")]
     value_bits: Option<u8>,
+    /// Do not measure the field against the samples of the source in the end.
+    #[arg(long)]
+    no_measure: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
@@ -120,6 +123,7 @@ impl Choices {
             missing: self.missing,
             value_bits: self.value_bits,
             chunk_points: self.chunk_points,
+            measure: !self.no_measure,
         })
     }
 }

@@ -223,6 +223,9 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
             values.join(", ")
         );
     }
+    if let Some(error) = &s.error {
+        let _ = writeln!(out, "{}", super::measure::line(error));
+    }
     if s.void_points > 0 {
         let _ = writeln!(out, "  void        {} points", text::count(s.void_points));
     }

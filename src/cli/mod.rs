@@ -15,6 +15,7 @@ mod info;
 mod info_mesh;
 mod input;
 mod machine;
+mod measure;
 mod misc;
 mod plan;
 mod probe;
@@ -50,6 +51,7 @@ enum Command {
     Count(count::Args),
     Export(export::Args),
     Probe(probe::Args),
+    Measure(measure::Args),
     Spectrum(spectrum::Args),
     Brick(brick::Args),
     Check(check::Args),
@@ -104,6 +106,7 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Count(args) => count::run(args),
         Command::Export(args) => export::run(args, &cli.talk),
         Command::Probe(args) => probe::run(args, &cli.talk),
+        Command::Measure(args) => measure::run(args, &cli.talk),
         Command::Spectrum(args) => spectrum::run(args),
         Command::Brick(args) => brick::run(args, &cli.talk),
         Command::Check(args) => check::run(args, &cli.talk),

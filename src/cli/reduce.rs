@@ -98,6 +98,9 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
     if let Some(q) = &report.quantiser {
         let _ = writeln!(out, "  values      {} bits, within {:.3e}", q.bits, q.bound);
     }
+    if let Some(error) = &report.error {
+        let _ = writeln!(out, "{}", super::measure::line(error));
+    }
     let _ =
         writeln!(out, "  archive     {} ({per_point:.2} bytes a point)", text::bytes(report.archive_bytes));
     for (stage, time) in &report.seconds {

@@ -38,7 +38,7 @@ fn table(report: &SpectrumReport) -> String {
         out,
         "{} tetrahedra, volume {}, values {lo} .. {hi}",
         text::count(report.tetrahedra),
-        text::value(figures(report.volume, 7))
+        text::value(text::figures(report.volume, 7))
     );
     if !report.suggestions.is_empty() {
         let values: Vec<String> = report.suggestions.iter().map(|s| s.isovalue.to_string()).collect();
@@ -51,14 +51,9 @@ fn table(report: &SpectrumReport) -> String {
     );
     for k in &report.knots {
         let mean = if k.area > 0.0 { k.gradient / k.area } else { 0.0 };
-        let [area, volume, mean] = [k.area, k.volume, mean].map(|v| text::value(figures(v, 7)));
+        let [area, volume, mean] = [k.area, k.volume, mean].map(|v| text::value(text::figures(v, 7)));
         let active = text::count(k.active_tetrahedra);
         let _ = writeln!(out, "{:>12} {active:>14} {area:>14} {volume:>14} {mean:>14}", k.isovalue);
     }
     out
-}
-
-/// A number with so many significant digits.
-fn figures(v: f64, digits: usize) -> f64 {
-    format!("{v:.*e}", digits - 1).parse().unwrap_or(v)
 }

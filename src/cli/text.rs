@@ -82,6 +82,11 @@ pub(crate) fn value(v: f64) -> String {
     if v != 0.0 && !(1e-4..1e9).contains(&v.abs()) { format!("{v:e}") } else { v.to_string() }
 }
 
+/// A number with so many significant digits.
+pub(crate) fn figures(v: f64, digits: usize) -> f64 {
+    format!("{v:.*e}", digits - 1).parse().unwrap_or(v)
+}
+
 /// Bytes for a person: `3.4 MiB`.
 pub(crate) fn bytes(n: u64) -> String {
     let units = ["B", "KiB", "MiB", "GiB", "TiB", "PiB"];

@@ -8,6 +8,7 @@
 //! World coordinates are the file's own: NRRD and MetaImage files usually say left-posterior-superior, NIfTI
 //! right-anterior-superior. They are not converted into one another.
 
+pub(crate) mod brick_map;
 pub mod coordinates;
 mod folder;
 pub mod glb;

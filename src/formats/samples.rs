@@ -103,7 +103,7 @@ impl SampleFile {
     }
 
     fn begin(path: &Path, head: &[u8], samples: u64, tail: &[u8]) -> Result<Self> {
-        let mut out = Unpublished::create(&resolve(path)?)?;
+        let mut out = publishable(path)?;
         out.write(head)?;
         out.flush()?;
         let (start, end) = (head.len() as u64, head.len() as u64 + 4 * samples);
@@ -141,6 +141,20 @@ impl SampleFile {
     }
 }
 
+/// A file that gets its name when it is complete.
+pub(super) fn publishable(path: &Path) -> Result<Unpublished> {
+    Unpublished::create(&resolve(path)?)
+}
+
+/// Numbers as the value of an XML attribute.
+pub(super) fn numbers(list: &[f64]) -> String {
+    let mut text = String::new();
+    for x in list {
+        let _ = write!(text, "{}{x}", if text.is_empty() { "" } else { " " });
+    }
+    text
+}
+
 fn npy_head(shape: &str) -> Vec<u8> {
     let mut text = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
     // Magic, version and length take ten bytes; the data begin at a multiple of 64.
@@ -153,13 +167,6 @@ fn npy_head(shape: &str) -> Vec<u8> {
 
 fn vti_head(meta: &GridMeta) -> String {
     let (g, name) = (&meta.geometry, attribute(&meta.field));
-    let list = |numbers: &[f64]| {
-        let mut text = String::new();
-        for x in numbers {
-            let _ = write!(text, "{}{x}", if text.is_empty() { "" } else { " " });
-        }
-        text
-    };
     // A matrix, row by row, whose columns are the axes.
     let direction: Vec<f64> = (0..9).map(|i| g.direction[i % 3][i / 3]).collect();
     let [x, y, z] = meta.dims.map(|n| n - 1);
@@ -170,9 +177,9 @@ fn vti_head(meta: &GridMeta) -> String {
          <Piece Extent=\"{extent}\">\n      <PointData Scalars=\"{name}\">\n        <DataArray type=\"Float32\" \
          Name=\"{name}\" NumberOfComponents=\"1\" format=\"appended\" offset=\"0\"/>\n      </PointData>\n    </Piece>\n  \
          </ImageData>\n  <AppendedData encoding=\"raw\">\n   _",
-        list(&g.origin),
-        list(&g.spacing),
-        list(&direction),
+        numbers(&g.origin),
+        numbers(&g.spacing),
+        numbers(&direction),
     )
 }
 

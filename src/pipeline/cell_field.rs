@@ -2,6 +2,7 @@
 
 use super::chunk::MeshedChunk;
 use super::field::{Field, Survey, brick_order, by_brick};
+use super::measure::Originals;
 use crate::domain::boundary::BoundarySamples;
 use crate::domain::buckets::Buckets;
 use crate::domain::column::Column;
@@ -52,6 +53,10 @@ impl Field for CellField<'_> {
         })?;
         let outside = self.outside(mesh, &spots, &mut batch)?;
         Ok(Survey { values: spots.iter().map(|s| s.value).collect(), outside })
+    }
+
+    fn originals(&self) -> Originals<'_> {
+        Originals::Mesh(self.store)
     }
 
     fn will_need(&self, _chunk: &Chunk) {}

@@ -4,6 +4,7 @@
 //! what it reads for a group lies together.
 
 use super::chunk::MeshedChunk;
+use super::measure::Originals;
 use crate::error::Result;
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, BrickId, Chunk};
@@ -49,6 +50,9 @@ pub(crate) trait Field: Sync {
     /// # Errors
     /// When the data cannot be read, or hold what the settings refuse.
     fn survey(&self, mesh: &MeshedChunk) -> Result<Survey>;
+
+    /// The samples that the values are made from.
+    fn originals(&self) -> Originals<'_>;
 
     /// Tells that a chunk will be asked for soon; a hint.
     fn will_need(&self, chunk: &Chunk);

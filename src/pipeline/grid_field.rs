@@ -2,6 +2,7 @@
 
 use super::chunk::MeshedChunk;
 use super::field::{Field, NanPolicy, Survey, by_brick};
+use super::measure::Originals;
 use crate::error::{Error, Result};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, Chunk, IndexBox};
@@ -26,6 +27,14 @@ impl Field for GridField<'_> {
         let values =
             by_brick(&self.bricks, mesh, |_, positions, out| self.sample(positions, &mut voxels, out))?;
         Ok(Survey { values, outside: vec![] })
+    }
+
+    fn originals(&self) -> Originals<'_> {
+        let stand_in = match self.nan {
+            NanPolicy::Value(v) => Some(v),
+            NanPolicy::Error | NanPolicy::Mask => None,
+        };
+        Originals::Volume { reader: self.reader, missing: self.missing, stand_in }
     }
 
     fn will_need(&self, chunk: &Chunk) {

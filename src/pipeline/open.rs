@@ -14,6 +14,7 @@ use crate::error::{Error, Result};
 use crate::geom::{LatticePos, PointId};
 use crate::grid::{ChunkGrid, ChunkId, Geometry};
 use crate::index::SpanIndex;
+use crate::measure::FieldError;
 use crate::mesh::tet::Tet;
 use crate::points::PointSet;
 use crate::spectrum::SpectrumFile;
@@ -76,6 +77,8 @@ pub struct ArchiveSummary {
     pub areas: Vec<[f64; 2]>,
     /// Isovalues that are worth a look, the most marked one first.
     pub suggestions: Vec<Suggestion>,
+    /// How far the reduced field is from the samples of its source, where that was measured.
+    pub error: Option<FieldError>,
     /// Bytes of all files.
     pub bytes: u64,
 }
@@ -112,6 +115,7 @@ pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
         range: step.value_range,
         areas: spectrum.knots.iter().map(|k| [f64::from(k.isovalue), k.area]).collect(),
         suggestions: spectrum.suggestions,
+        error: step.error.clone(),
         bytes: folder_bytes(path)?,
     })
 }

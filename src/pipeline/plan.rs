@@ -48,6 +48,8 @@ pub struct ReduceSettings {
     pub value_bits: Option<u8>,
     /// Points meshed together.
     pub chunk_points: u64,
+    /// Whether the field is measured at every sample of the source in the end.
+    pub measure: bool,
 }
 
 impl ReduceSettings {
@@ -66,6 +68,7 @@ impl Default for ReduceSettings {
             missing: None,
             value_bits: None,
             chunk_points: Self::CHUNK_POINTS,
+            measure: true,
         }
     }
 }

@@ -204,7 +204,7 @@ fn scan_chunk(
     let mut counted = Counted::default();
     let Some(whole) = samples_around(chunk, grid) else { return Ok(counted) };
     let mut samples = vec![];
-    for window in windows(whole) {
+    for window in windows(whole, WINDOW) {
         samples.clear();
         samples.resize(window.len(), f32::from_bits(UNSET));
         for tet in &chunk.tets {
@@ -231,12 +231,12 @@ fn samples_around(chunk: &DecodedChunk, grid: &SampleGrid) -> Option<IndexBox> {
     Some(grid.within(lo, hi)).filter(|b| !b.is_empty())
 }
 
-/// A box cut, along z first, into windows of at most [`WINDOW`] samples.
-fn windows(whole: IndexBox) -> impl Iterator<Item = IndexBox> {
+/// A box cut, along z first, into windows of at most `most` samples.
+pub(super) fn windows(whole: IndexBox, most: u64) -> impl Iterator<Item = IndexBox> {
     let d = whole.dims();
-    let x = d[0].min(WINDOW);
-    let y = d[1].min(WINDOW / x).max(1);
-    let z = d[2].min(WINDOW / x / y).max(1);
+    let x = d[0].min(most);
+    let y = d[1].min(most / x).max(1);
+    let z = d[2].min(most / x / y).max(1);
     let size = [x, y, z];
     let starts = move |a: usize| (whole.lo[a]..whole.hi[a]).step_by(size[a] as usize);
     starts(2).flat_map(move |z| {
@@ -282,7 +282,7 @@ mod tests {
         for hi in [[10, 20, 30], [5_000_000, 3, 2], [3000, 3000, 3], [1, 1, 1 << 23]] {
             let whole = IndexBox { lo: [1, 0, 0], hi };
             let whole = IndexBox { hi: [whole.hi[0].max(2), whole.hi[1], whole.hi[2]], ..whole };
-            let all: Vec<IndexBox> = windows(whole).collect();
+            let all: Vec<IndexBox> = windows(whole, WINDOW).collect();
             assert!(all.iter().all(|w| w.checked_len().unwrap() <= WINDOW && !w.is_empty()));
             let sum: u64 = all.iter().map(|w| w.checked_len().unwrap()).sum();
             assert_eq!(Some(sum), whole.checked_len(), "{hi:?}");

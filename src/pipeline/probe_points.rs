@@ -10,7 +10,7 @@ use super::open::{DecodedChunk, OpenArchive};
 use super::probe::{ProbeReport, ProbeSettings};
 use super::visit::{Blocks, Visit, full_region};
 use crate::error::{Error, Result};
-use crate::exec::Progress;
+use crate::exec::{CancelToken, Progress};
 use crate::formats::point_list::{PointReader, PointWriter};
 use crate::formats::samples::SampleFile;
 use crate::geom::{Lattice, LatticeBox, LatticePos};
@@ -176,36 +176,66 @@ pub(super) fn values_at(
     }
     let lattice = archive.manifest.plan.lattice;
     let geometry = &archive.step().plan.source.geometry;
+    let placed: Vec<_> = points
+        .iter()
+        .zip(0u32..)
+        .filter_map(|(&p, n)| Some((lattice_position(p, geometry, &lattice)?, n)))
+        .collect();
+    let outside = (points.len() - placed.len()) as u64;
     let mut values = vec![f32::NAN; points.len()];
-    let placed =
-        points.iter().zip(0u32..).filter_map(|(&p, n)| Some((lattice_position(p, geometry, &lattice)?, n)));
-    let batch = Batch::new(archive.chunks.bricks(), placed);
-    let outside = (points.len() - batch.sorted.len()) as u64;
-    let mut visit = Visit::new(archive, Blocks::All, settings.threads, memory, &settings.cancel)?;
-    visit.confine(|region| batch.within(*region).next().is_some())?;
-    visit.check_memory(settings.memory, 0)?;
-    progress.begin("probe", visit.chunks.len() as u64, "chunks");
-    let job = |id, chunk: DecodedChunk| {
-        let region = full_region(archive, id)?;
-        Ok(locate(&chunk, &PointLocator::new(region, lattice.max(), batch.within(region))))
-    };
-    visit.each(0, progress, job, |_, found: Vec<(u32, f32)>| {
-        found.into_iter().for_each(|(n, value)| values[n as usize] = value);
-        Ok(())
+    let find = Find { threads: settings.threads, memory, all: settings.memory, cancel: &settings.cancel };
+    let chunks_read = each_value(archive, placed.into_iter(), &find, progress, "probe", |n, value| {
+        values[n as usize] = value
     })?;
-    Ok(Probed { values, outside, chunks_read: visit.chunks.len() as u64 })
+    Ok(Probed { values, outside, chunks_read })
 }
 
-/// The points that lie in tetrahedra of a chunk with values, and the field there.
+/// How points are looked for.
+pub(super) struct Find<'a> {
+    pub(super) threads: usize,
+    /// Bytes for chunks.
+    pub(super) memory: u64,
+    /// Bytes of the whole question.
+    pub(super) all: u64,
+    pub(super) cancel: &'a CancelToken,
+}
+
+/// Calls `each` with the number and the value of every point that lies in a tetrahedron, NaN in one with a void corner. Returns the
+/// number of chunks read.
+pub(super) fn each_value(
+    archive: &OpenArchive,
+    points: impl Iterator<Item = (LatticePos, u32)>,
+    find: &Find<'_>,
+    progress: &dyn Progress,
+    stage: &str,
+    mut each: impl FnMut(u32, f32),
+) -> Result<u64> {
+    let far = archive.manifest.plan.lattice.max();
+    let batch = Batch::new(archive.chunks.bricks(), points);
+    let mut visit = Visit::new(archive, Blocks::All, find.threads, find.memory, find.cancel)?;
+    visit.confine(|region| batch.within(*region).next().is_some())?;
+    visit.check_memory(find.all, 0)?;
+    progress.begin(stage, visit.chunks.len() as u64, "chunks");
+    let job = |id, chunk: DecodedChunk| {
+        let region = full_region(archive, id)?;
+        Ok(locate(&chunk, &PointLocator::new(region, far, batch.within(region))))
+    };
+    visit.each(0, progress, job, |_, found: Vec<(u32, f32)>| {
+        found.into_iter().for_each(|(n, value)| each(n, value));
+        Ok(())
+    })?;
+    Ok(visit.chunks.len() as u64)
+}
+
+/// The points that lie in tetrahedra of a chunk, and the field there: NaN in one with a void corner.
 fn locate(chunk: &DecodedChunk, points: &PointLocator) -> Vec<(u32, f32)> {
     let mut found = vec![];
     for tet in &chunk.tets {
         let values = tet.map(|v| chunk.values[v as usize]);
-        if !values.iter().any(|v| v.is_nan()) {
-            points.each_in(tet.map(|v| chunk.positions[v as usize]), |n, weights| {
-                found.push((n, interpolate(weights, values)));
-            });
-        }
+        let void = values.iter().any(|v| v.is_nan());
+        points.each_in(tet.map(|v| chunk.positions[v as usize]), |n, weights| {
+            found.push((n, if void { f32::NAN } else { interpolate(weights, values) }));
+        });
     }
     found
 }

@@ -7,6 +7,7 @@ use super::chunk::Recipe;
 use super::field::{Field, NanPolicy};
 use super::grid_field::GridField;
 use super::layout::Layout;
+use super::measure::{MeasureSettings, Originals, field_error, reopened_error};
 use super::need::{self, Estimate, Need, Question, Shares};
 use super::open::OpenArchive;
 use super::placed::write_coordinates;
@@ -31,6 +32,7 @@ use crate::formats::{self, Input, OpenOptions};
 use crate::geom::Lattice;
 use crate::grid::{ChunkId, IndexBox};
 use crate::index::{BuildSettings, Entry, IndexBuilder};
+use crate::measure::FieldError;
 use crate::spectrum::{Design, ValueCounts};
 use crate::volume::bricked::BrickedVolume;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
@@ -94,6 +96,8 @@ pub struct ReduceReport {
     pub range: Option<[f32; 2]>,
     /// How values were rounded, if they were.
     pub quantiser: Option<Quantiser>,
+    /// How far the reduced field is from the samples, if that was measured.
+    pub error: Option<FieldError>,
     /// Bytes of all files of the archive.
     pub archive_bytes: u64,
     /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those that run side by side.
@@ -312,33 +316,57 @@ pub(super) fn produce(
     push_times(&mut report.seconds, &times);
     match job.part {
         Part::Shard(..) => Ok(ReduceReport { points, quantiser: plan.step.quantiser, ..report }),
-        Part::Whole | Part::Commit => publish_archive(job, plan, mesh, &layout, shares.workers, report),
+        Part::Whole | Part::Commit => {
+            let made = Made { plan, mesh, layout: &layout, originals: Some(&field.originals()) };
+            publish_archive(job, &made, shares.workers, report)
+        }
     }
 }
 
-/// Makes an archive of segments that are all there: coordinates, index, spectrum, manifest. Completes the report.
+/// Segments that are all there.
+pub(super) struct Made<'a> {
+    pub(super) plan: &'a Plan,
+    pub(super) mesh: &'a MeshParts,
+    pub(super) layout: &'a Layout,
+    /// The samples that they were made from, where these are at hand; else the input is opened again.
+    pub(super) originals: Option<&'a Originals<'a>>,
+}
+
+/// Makes an archive of segments that are all there: coordinates, index, spectrum, error, manifest. Completes the report.
 pub(super) fn publish_archive(
     job: &Job<'_>,
-    plan: &Plan,
-    mesh: &MeshParts,
-    layout: &Layout,
+    made: &Made<'_>,
     workers: usize,
     mut report: ReduceReport,
 ) -> Result<ReduceReport> {
+    let Made { plan, mesh, layout, originals } = *made;
     let committing = Instant::now();
     // A mesh has its positions in the world by itself; a grid may have coordinates of its own.
     let coordinates = match plan.step.source.mesh {
         Some(_) => None,
         None => write_coordinates(job.input, job.options, plan, layout)?,
     };
-    let (manifest, halo_retries) = commit(plan, mesh, layout, coordinates, workers, job.run, job.progress)?;
+    let (mut archive, halo_retries) =
+        commit(plan, mesh, layout, coordinates, workers, job.run, job.progress)?;
+    report.seconds.push(("commit".into(), committing.elapsed().as_secs_f64()));
+    if job.settings.measure {
+        let measuring = Instant::now();
+        let settings = MeasureSettings::of_run(job.run, workers);
+        let error = match originals {
+            Some(originals) => field_error(&archive, originals, &settings, job.progress)?,
+            None => reopened_error(&archive, job.input, job.options, &settings, job.progress)?,
+        };
+        archive.manifest.steps[0].error = Some(error);
+        report.seconds.push(("measure".into(), measuring.elapsed().as_secs_f64()));
+    }
+    archive.manifest.write(layout.root())?;
+    let manifest = archive.manifest;
     if let Part::Whole = job.part {
         // What earlier runs that were killed have left. Where others may be at work, gc removes it.
         for file in [layout.mesh(0), layout.index(), layout.root().join(MANIFEST_NAME)] {
             publish::sweep(file.parent().expect("a file of an archive lies in a folder"));
         }
     }
-    report.seconds.push(("commit".into(), committing.elapsed().as_secs_f64()));
     report.seconds.push(("total".into(), job.started.elapsed().as_secs_f64()));
     let (counts, step) = (&manifest.counts, &manifest.steps[0]);
     Ok(ReduceReport {
@@ -351,6 +379,7 @@ pub(super) fn publish_archive(
         grid_cells: step.coordinates.map(|c| c.cells),
         range: step.value_range,
         quantiser: plan.step.quantiser,
+        error: step.error.clone(),
         archive_bytes: folder_bytes(job.out)?,
         ..report
     })
@@ -497,7 +526,7 @@ pub(super) fn prepare_folder(layout: &Layout, run: &RunSettings) -> Result<()> {
 }
 
 /// A stream is copied into bricks first; the copy is removed when the second value is dropped.
-fn random_access(
+pub(super) fn random_access(
     source: VolumeSource,
     run: &RunSettings,
     progress: &dyn Progress,
@@ -519,7 +548,7 @@ fn random_access(
 }
 
 /// A file that is removed in the end.
-struct Scratch(PathBuf);
+pub(super) struct Scratch(PathBuf);
 
 impl Scratch {
     fn new(folder: &Path) -> Self {
@@ -544,8 +573,8 @@ impl Drop for Scratch {
     }
 }
 
-/// Reads the summaries of all chunks, builds the index, measures the spectrum, publishes the manifest. Also tells how often
-/// halos were widened.
+/// Reads the summaries of all chunks, builds the index, measures the spectrum: the archive, but for its manifest, which is not
+/// published. Also tells how often halos were widened.
 fn commit(
     plan: &Plan,
     parts: &MeshParts,
@@ -554,7 +583,7 @@ fn commit(
     workers: usize,
     run: &RunSettings,
     progress: &dyn Progress,
-) -> Result<(Manifest, u64)> {
+) -> Result<(OpenArchive, u64)> {
     let mut counts = Counts { chunks: parts.chunks.len(), ..Counts::default() };
     let (mut mesh_segments, mut value_segments) = (vec![], vec![]);
     let (mut void_points, mut halo_retries, mut volume6) = (0, 0, 0i128);
@@ -600,6 +629,7 @@ fn commit(
         index: index.finish(layout.index(), plan.step_hash())?,
         spectrum: None,
         coordinates,
+        error: None,
     };
     let mut archive =
         OpenArchive::of(layout.root(), Manifest::new(plan.mesh.clone(), counts, mesh_segments, vec![step]))?;
@@ -608,8 +638,7 @@ fn commit(
         let spectrum = spectrum::measure(&archive, design, &pool(workers)?, &run.cancel, progress)?;
         archive.manifest.steps[0].spectrum = Some(spectrum.finish(layout.spectrum(), plan.step_hash())?);
     }
-    archive.manifest.write(layout.root())?;
-    Ok((archive.manifest, halo_retries))
+    Ok((archive, halo_retries))
 }
 
 /// The entries of the index that a chunk's blocks have: one each, none for blocks of void tetrahedra alone.

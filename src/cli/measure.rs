@@ -1,0 +1,107 @@
+//! `isospan measure`: how far is the reduced field from its source?
+
+use super::input::InputArgs;
+use super::progress::Talk;
+use super::text;
+use isospan::Result;
+use isospan::measure::FieldError;
+use isospan::pipeline::{MeasureReport, MeasureSettings, measure};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Measure the field of an archive at every sample of the volume, or vertex of the mesh, that it was made from.
+///
+/// Errors are the reduced value less the original one. Percentiles are at most 1/32 too large, everything else is exact.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The archive.
+    archive: PathBuf,
+    /// The volume or mesh.
+    #[arg(long, value_name = "INPUT")]
+    against: PathBuf,
+    /// Also write the RMS error, the largest error and the number of samples of each brick: .vti.
+    #[arg(long, value_name = "FILE")]
+    map: Option<PathBuf>,
+    /// Threads; 0 means as many as the process may use.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    threads: usize,
+    /// Memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use].
+    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    memory: Option<u64>,
+    /// Folder for the uncompressed copy of a compressed input [default: the system's temporary folder].
+    #[arg(long, value_name = "FOLDER")]
+    scratch: Option<PathBuf>,
+    /// Print the result as JSON.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    read: InputArgs,
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let settings = MeasureSettings {
+        threads: args.threads,
+        memory: super::memory(args.memory, talk),
+        scratch: args.scratch.clone(),
+        map: args.map.clone(),
+        cancel: super::signals::cancel_token(),
+    };
+    let bar = talk.progress();
+    let report = measure(&args.archive, &args.against, &args.read.options()?, &settings, &*bar);
+    bar.end();
+    let report = report?;
+    if !report.same_source {
+        talk.note(&format!("{} is not the file that the archive was made from", args.against.display()));
+    }
+    if args.json { super::print_json(&report) } else { super::print(&report_text(&args.archive, &report)) }
+}
+
+/// The figures as a line of a report on an archive.
+pub(crate) fn line(e: &FieldError) -> String {
+    let [rms, max] = [e.rms, e.max].map(|v| text::value(text::figures(v, 4)));
+    format!("  error       RMS {rms}, at most {max}, at {} samples", text::count(e.measured))
+}
+
+fn report_text(archive: &Path, report: &MeasureReport) -> String {
+    let e = &report.error;
+    let value = |v: f64| text::value(text::figures(v, 6));
+    let range = report.range.map(|[lo, hi]| f64::from(hi) - f64::from(lo)).filter(|r| *r > 0.0);
+    let share = |v: f64| range.map_or(String::new(), |r| format!("  ({:.3} % of the range)", 100.0 * v / r));
+    let mut out = format!(
+        "{}: measured at {} of {} samples\n",
+        archive.display(),
+        text::count(e.measured),
+        text::count(e.samples)
+    );
+    for (count, why) in [
+        (e.missing, "without a value in the source"),
+        (e.void, "in void tetrahedra"),
+        (e.outside, "outside of all tetrahedra"),
+    ] {
+        if count > 0 {
+            let _ = writeln!(out, "  not         {} {why}", text::count(count));
+        }
+    }
+    if e.measured == 0 {
+        return out;
+    }
+    let _ = writeln!(out, "  RMS         {}{}", value(e.rms), share(e.rms));
+    let _ = writeln!(out, "  mean        {}{}, with sign {}", value(e.mean), share(e.mean), value(e.bias));
+    for p in &e.percentiles {
+        let _ = writeln!(out, "  {:<11} {}{}", format!("{} %", p.percent), value(p.error), share(p.error));
+    }
+    let _ = writeln!(out, "  largest     {}{}", value(e.max), share(e.max));
+    if let Some(w) = &e.worst {
+        let at = w.index.map_or(format!("vertex {}", w.sample), |[i, j, k]| format!("sample {i}, {j}, {k}"));
+        let [x, y, z] = w.world.map(value);
+        let _ = writeln!(
+            out,
+            "    at        {at}, in the world {x}, {y}, {z}: {} where {} was",
+            w.reduced, w.original
+        );
+    }
+    if let Some([x, y, z]) = report.map_bricks {
+        let _ = writeln!(out, "  map         {x} x {y} x {z} bricks");
+    }
+    out
+}

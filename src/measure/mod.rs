@@ -1,0 +1,91 @@
+//! How far is the reduced field from the samples that it was made from?
+//!
+//! An *error* is the reduced value less the original one, both `f32`, rounded to `f32` once. [`ErrorSums`] takes the errors of
+//! samples in any order, and [`FieldError`] is what is said of them: the largest and where it is, their root mean square (RMS),
+//! mean and percentiles.
+//!
+//! **Every sum is an integer.** A float is `mantissa · 2^exponent` with a mantissa of 24 bits. Mantissas, and their squares, are added
+//! up for each of the 256 exponents in 128 bits, which cannot overflow; only at the end is each sum multiplied by its power of two, and
+//! all are added from the largest exponent down. So the figures are exact but for that last rounding, and depend neither on the
+//! order of the samples nor on threads or chunks.
+//!
+//! **Percentiles** come from counts: the upper 13 bits of an absolute error (8 of the exponent, 5 of the mantissa) are its bin, so
+//! a bin's ends are at most 1/32 apart, relatively. What is told is the upper end of the bin in which the wanted sample
+//! lies, or the largest error if that is less: at least as many samples as said have an error of at most so much. Errors of exactly 0 are
+//! counted apart.
+//!
+//! Cost: some twenty operations a sample. Memory: 77 KB, whatever the number of samples.
+//!
+//! ```
+//! use isospan::measure::ErrorSums;
+//!
+//! let mut sums = ErrorSums::default();
+//! for (sample, (original, reduced)) in [(1.0, 1.0), (2.0, 5.0), (4.0, 0.0)].into_iter().enumerate() {
+//!     sums.add(original, reduced, || sample as u64);
+//! }
+//! assert_eq!((sums.max(), sums.mean(), sums.percentile(50.0)), (4.0, 7.0 / 3.0, 3.0625f32.next_down().into()));
+//! assert_eq!(sums.rms(), (25.0f64 / 3.0).sqrt());
+//! ```
+
+mod bricks;
+mod sums;
+
+pub(crate) use bricks::{BrickErrors, BrickRecord, merged};
+pub use sums::ErrorSums;
+
+use serde::{Deserialize, Serialize};
+
+/// The percentiles that are told.
+pub const PERCENTILES: [f64; 6] = [50.0, 75.0, 90.0, 95.0, 99.0, 99.9];
+
+/// The errors of a reduced field at the samples of its source.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct FieldError {
+    /// Samples of the volume; vertices of the mesh.
+    pub samples: u64,
+    /// Of these, samples at which source and archive have values: all figures are of them.
+    pub measured: u64,
+    /// Samples at which the source has no value: NaN, infinite, or declared missing.
+    pub missing: u64,
+    /// Others, in a tetrahedron with a void corner.
+    pub void: u64,
+    /// Others, in no tetrahedron: near the boundary of a mesh.
+    pub outside: u64,
+    /// Largest absolute error, exact.
+    pub max: f64,
+    /// Root mean square.
+    pub rms: f64,
+    /// Mean absolute error.
+    pub mean: f64,
+    /// Mean error with its sign: reduced less original.
+    pub bias: f64,
+    /// Errors that so many percent of the samples do not exceed; at most 1/32 too large, relatively.
+    pub percentiles: Vec<Percentile>,
+    /// Where the largest error is; of several equal ones the sample of the lowest number. None if nothing was measured.
+    pub worst: Option<Worst>,
+}
+
+/// A percentile.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Percentile {
+    /// Of the measured samples.
+    pub percent: f64,
+    /// Have an absolute error of at most so much.
+    pub error: f64,
+}
+
+/// The sample of the largest error.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Worst {
+    /// Its number: x fastest in a volume, as in the file in a mesh.
+    pub sample: u64,
+    /// Its place among the samples of a volume.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub index: Option<[u64; 3]>,
+    /// Its place in the world.
+    pub world: [f64; 3],
+    /// The value in the source.
+    pub original: f32,
+    /// The value in the archive.
+    pub reduced: f32,
+}

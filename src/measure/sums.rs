@@ -1,0 +1,290 @@
+//! Errors of samples, added up as integers.
+
+use super::{FieldError, PERCENTILES, Percentile};
+
+/// Bins of absolute errors: the upper bits of a float without its sign.
+const BIN_SHIFT: u32 = 18;
+const BINS: usize = 1 << (31 - BIN_SHIFT);
+/// Exponents of floats.
+const EXPONENTS: usize = 256;
+
+/// Mantissas of errors of one exponent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Mantissas {
+    sum: u128,
+    signed: i128,
+    squares: u128,
+}
+
+/// The sample of the largest error so far.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Largest {
+    /// Bits of the absolute error, which have the order of the errors.
+    bits: u32,
+    pub(crate) sample: u64,
+    pub(crate) original: f32,
+    pub(crate) reduced: f32,
+}
+
+impl Largest {
+    fn is_before(&self, other: &Self) -> bool {
+        (self.bits, other.sample) > (other.bits, self.sample)
+    }
+}
+
+/// What is known of the errors of some samples. Sums of parts are the sums of the whole, in any order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ErrorSums {
+    measured: u64,
+    missing: u64,
+    void: u64,
+    /// Errors of exactly 0, which are in no bin.
+    zeros: u64,
+    bins: Vec<u64>,
+    mantissas: Vec<Mantissas>,
+    largest: Option<Largest>,
+}
+
+impl Default for ErrorSums {
+    fn default() -> Self {
+        Self {
+            measured: 0,
+            missing: 0,
+            void: 0,
+            zeros: 0,
+            bins: vec![0; BINS],
+            mantissas: vec![Mantissas::default(); EXPONENTS],
+            largest: None,
+        }
+    }
+}
+
+/// Reduced less original, as an `f32`: the largest one where there is none.
+#[inline(always)]
+pub(crate) fn error_of(original: f32, reduced: f32) -> f32 {
+    ((f64::from(reduced) - f64::from(original)) as f32).clamp(f32::MIN, f32::MAX)
+}
+
+impl ErrorSums {
+    /// Adds a sample. An original that is no finite number counts as missing, a reduced value that is NaN as void; the number of
+    /// the sample is asked for when its error is the largest so far.
+    #[inline]
+    pub fn add(&mut self, original: f32, reduced: f32, sample: impl FnOnce() -> u64) {
+        if !original.is_finite() {
+            self.missing += 1;
+            return;
+        }
+        if reduced.is_nan() {
+            self.void += 1;
+            return;
+        }
+        let error = error_of(original, reduced);
+        let bits = error.to_bits() & 0x7fff_ffff;
+        self.measured += 1;
+        if self.largest.is_none_or(|l| bits >= l.bits) {
+            self.candidate(Largest { bits, sample: sample(), original, reduced });
+        }
+        if bits == 0 {
+            self.zeros += 1;
+            return;
+        }
+        self.bins[(bits >> BIN_SHIFT) as usize] += 1;
+        let exponent = (bits >> 23) as usize;
+        let mantissa = u64::from(bits & 0x7f_ffff | u32::from(exponent > 0) << 23);
+        let sums = &mut self.mantissas[exponent];
+        sums.sum += u128::from(mantissa);
+        sums.signed += i128::from(if error < 0.0 { -(mantissa as i64) } else { mantissa as i64 });
+        sums.squares += u128::from(mantissa * mantissa);
+    }
+
+    #[cold]
+    fn candidate(&mut self, new: Largest) {
+        if self.largest.is_none_or(|old| new.is_before(&old)) {
+            self.largest = Some(new);
+        }
+    }
+
+    /// Adds what another part has.
+    pub fn merge(&mut self, other: &Self) {
+        self.measured += other.measured;
+        self.missing += other.missing;
+        self.void += other.void;
+        self.zeros += other.zeros;
+        self.bins.iter_mut().zip(&other.bins).for_each(|(a, b)| *a += b);
+        for (a, b) in self.mantissas.iter_mut().zip(&other.mantissas) {
+            (a.sum, a.signed, a.squares) = (a.sum + b.sum, a.signed + b.signed, a.squares + b.squares);
+        }
+        if let Some(largest) = other.largest {
+            self.candidate(largest);
+        }
+    }
+
+    /// Samples that were added, with and without an error.
+    pub fn samples(&self) -> u64 {
+        self.measured + self.missing + self.void
+    }
+
+    /// The largest absolute error; 0 of no sample.
+    pub fn max(&self) -> f64 {
+        self.largest.map_or(0.0, |l| f64::from(f32::from_bits(l.bits)))
+    }
+
+    pub(crate) fn largest(&self) -> Option<Largest> {
+        self.largest
+    }
+
+    /// Sum over exponents, the largest first, of an integer times a power of two.
+    fn total(&self, of: impl Fn(&Mantissas) -> f64, power: impl Fn(i32) -> i32) -> f64 {
+        // Denormal floats have the exponent of the least normal ones.
+        let exponent = |e: usize| e.max(1) as i32 - 150;
+        let terms = self.mantissas.iter().enumerate().rev();
+        terms.map(|(e, m)| of(m) * power_of_two(power(exponent(e)))).sum()
+    }
+
+    fn per_sample(&self, sum: f64) -> f64 {
+        if self.measured == 0 { 0.0 } else { sum / self.measured as f64 }
+    }
+
+    /// The mean absolute error.
+    pub fn mean(&self) -> f64 {
+        self.per_sample(self.total(|m| m.sum as f64, |e| e))
+    }
+
+    /// The mean of reduced less original.
+    pub fn bias(&self) -> f64 {
+        self.per_sample(self.total(|m| m.signed as f64, |e| e))
+    }
+
+    /// The root of the mean square error.
+    pub fn rms(&self) -> f64 {
+        self.per_sample(self.total(|m| m.squares as f64, |e| 2 * e)).sqrt()
+    }
+
+    /// An error that so many percent of the measured samples do not exceed: see the module for how near it is.
+    pub fn percentile(&self, percent: f64) -> f64 {
+        let wanted = (percent / 100.0 * self.measured as f64).ceil() as u64;
+        let mut seen = self.zeros;
+        if seen >= wanted {
+            return 0.0;
+        }
+        for (bin, &count) in self.bins.iter().enumerate() {
+            seen += count;
+            if seen >= wanted {
+                let last = f32::from_bits(((bin as u32 + 1) << BIN_SHIFT) - 1);
+                return f64::from(last).min(self.max());
+            }
+        }
+        self.max()
+    }
+
+    /// What is said of them. `samples` are all of the source; those that were not added lie outside. The worst place is to be
+    /// filled in.
+    pub(crate) fn field_error(&self, samples: u64) -> FieldError {
+        FieldError {
+            samples,
+            measured: self.measured,
+            missing: self.missing,
+            void: self.void,
+            outside: samples - self.samples(),
+            max: self.max(),
+            rms: self.rms(),
+            mean: self.mean(),
+            bias: self.bias(),
+            percentiles: PERCENTILES
+                .map(|percent| Percentile { percent, error: self.percentile(percent) })
+                .to_vec(),
+            worst: None,
+        }
+    }
+}
+
+/// 2^n, for n of normal numbers.
+fn power_of_two(n: i32) -> f64 {
+    f64::from_bits(((n + 1023) as u64) << 52)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Values of all sizes, in no order.
+    fn pairs(n: u32) -> Vec<(f32, f32)> {
+        let mut state = 12345u64;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as f64 / f64::from(1u32 << 31)
+        };
+        (0..n).map(|_| (((next() - 0.5) * 100.0) as f32, ((next() - 0.5) * next() * 100.0) as f32)).collect()
+    }
+
+    fn sums(pairs: &[(f32, f32)], first: u64) -> ErrorSums {
+        let mut sums = ErrorSums::default();
+        for (i, &(a, b)) in (first..).zip(pairs) {
+            sums.add(a, b, || i);
+        }
+        sums
+    }
+
+    #[test]
+    fn the_figures_are_those_of_plain_sums() {
+        let pairs = pairs(10_000);
+        let found = sums(&pairs, 0);
+        let errors: Vec<f64> = pairs.iter().map(|&(a, b)| f64::from(error_of(a, b))).collect();
+        let n = errors.len() as f64;
+        let near = |a: f64, b: f64| assert!((a - b).abs() <= 1e-12 * b.abs(), "{a} {b}");
+        near(found.mean(), errors.iter().map(|e| e.abs()).sum::<f64>() / n);
+        near(found.rms(), (errors.iter().map(|e| e * e).sum::<f64>() / n).sqrt());
+        assert!((found.bias() - errors.iter().sum::<f64>() / n).abs() < 1e-10);
+        let mut sorted: Vec<f64> = errors.iter().map(|e| e.abs()).collect();
+        sorted.sort_by(f64::total_cmp);
+        assert_eq!(found.max(), sorted[9_999]);
+        for percent in PERCENTILES {
+            let exact = sorted[(percent / 100.0 * n).ceil() as usize - 1];
+            let told = found.percentile(percent);
+            assert!(told >= exact && told <= exact * (1.0 + 1.0 / 32.0), "{percent}: {told} {exact}");
+        }
+    }
+
+    #[test]
+    fn parts_in_any_order_are_the_whole_bit_by_bit() {
+        let pairs = pairs(3_000);
+        let whole = sums(&pairs, 0);
+        let parts: Vec<ErrorSums> =
+            pairs.chunks(700).zip((0..).step_by(700)).map(|(part, first)| sums(part, first)).collect();
+        for order in [[0, 1, 2, 3, 4], [4, 2, 0, 3, 1]] {
+            let mut merged = ErrorSums::default();
+            order.iter().for_each(|&i: &usize| merged.merge(&parts[i]));
+            assert_eq!(merged, whole);
+        }
+    }
+
+    #[test]
+    fn extremes_are_counted_apart_and_ties_go_to_the_lowest_number() {
+        let mut s = ErrorSums::default();
+        s.add(f32::NAN, 1.0, || 0);
+        s.add(f32::INFINITY, 1.0, || 1);
+        s.add(1.0, f32::NAN, || 2);
+        s.add(7.0, 7.0, || 3);
+        assert_eq!((s.samples(), s.max(), s.percentile(99.0), s.rms()), (4, 0.0, 0.0, 0.0));
+        s.add(2.0, -1.0, || 9);
+        s.add(-1.0, 2.0, || 5);
+        s.add(4.0, 1.0, || 7);
+        assert_eq!(s.largest().map(|l| (l.sample, l.original, l.reduced)), Some((5, -1.0, 2.0)));
+        s.add(f32::MIN, f32::MAX, || 10);
+        assert_eq!(s.max(), f64::from(f32::MAX), "no infinity");
+        s.add(0.0, 1e-45, || 11);
+        let e = s.field_error(20);
+        assert_eq!((e.samples, e.measured, e.missing, e.void, e.outside), (20, 6, 2, 1, 11));
+        assert!(e.rms.is_finite() && e.mean.is_finite());
+        assert_eq!(ErrorSums::default().field_error(0).rms, 0.0);
+    }
+
+    #[test]
+    fn the_least_numbers_are_not_lost() {
+        let mut s = ErrorSums::default();
+        let least = f32::from_bits(1);
+        s.add(0.0, least, || 0);
+        s.add(0.0, -least, || 0);
+        assert_eq!((s.mean(), s.rms(), s.bias()), (f64::from(least), f64::from(least), 0.0));
+    }
+}

@@ -1,0 +1,554 @@
+//! `measure`: the reduced field against every sample of its source.
+//!
+//! ```text
+//!  chunk ─▶ decode ─▶ block: the box of its tetrahedra ─▶ read its samples ─▶ scan conversion: sample and field ─▶ sums
+//! ```
+//!
+//! A block has about a thousand tetrahedra that lie together, so the box around them is small: it is read from the source, and the
+//! scan conversion ([`crate::raster`]) visits each sample of the domain in exactly one tetrahedron. All sums are integers
+//! ([`crate::measure`]), so neither threads nor chunks show. The vertices of a mesh are located as `probe` locates points, in
+//! batches.
+//!
+//! Cost: decoding the archive and reading the source once, and the scan conversion. Memory: some chunks; with a map of bricks, a
+//! record for each brick of a chunk, sorted on disk where memory does not hold them.
+
+use super::fingerprint::fingerprint;
+use super::need;
+use super::open::{DecodedChunk, OpenArchive};
+use super::probe::windows;
+use super::probe_points::{Find, each_value};
+use super::reduce::{RunSettings, random_access};
+use super::visit::{Blocks, Visit};
+use crate::archive::manifest::{MeshSource, Source};
+use crate::bytes::sorter::Sorter;
+use crate::cells::CellMesh;
+use crate::domain::store::{BadValue, CellStore, StoreSettings};
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, Progress};
+use crate::formats::brick_map::{BrickMapFile, BrickNumbers};
+use crate::formats::{self, Input, OpenOptions};
+use crate::geom::LatticePos;
+use crate::grid::{Geometry, IndexBox};
+use crate::locate::{FINE_BITS, FinePos};
+use crate::measure::{BrickErrors, BrickRecord, ErrorSums, FieldError, Worst, merged};
+use crate::mesh::tet::Tet;
+use crate::raster::{SampleGrid, each_sample, interpolate};
+use crate::volume::{VolumeReader, VolumeSource};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// How a field is measured.
+#[derive(Clone, Debug)]
+pub struct MeasureSettings {
+    /// Threads; 0 means as many as the process may use.
+    pub threads: usize,
+    /// Bytes for everything that grows.
+    pub memory: u64,
+    /// Folder for the uncompressed copy of a compressed input, and for what does not fit in memory; the system's temporary folder
+    /// if not given.
+    pub scratch: Option<PathBuf>,
+    /// A VTI file for the errors of each brick.
+    pub map: Option<PathBuf>,
+    /// Stops the measurement.
+    pub cancel: CancelToken,
+}
+
+impl Default for MeasureSettings {
+    fn default() -> Self {
+        Self {
+            threads: 0,
+            memory: crate::exec::usable_memory() / 2,
+            scratch: None,
+            map: None,
+            cancel: CancelToken::new(),
+        }
+    }
+}
+
+impl MeasureSettings {
+    /// Those of a reduction's run, with as many threads as chunks were at work: for so many the memory suffices.
+    pub(super) fn of_run(run: &RunSettings, workers: usize) -> Self {
+        Self {
+            threads: workers,
+            memory: run.memory,
+            scratch: run.scratch.clone(),
+            map: None,
+            cancel: run.cancel.clone(),
+        }
+    }
+
+    fn scratch(&self) -> PathBuf {
+        self.scratch.clone().unwrap_or_else(std::env::temp_dir)
+    }
+}
+
+/// What was measured.
+#[derive(Clone, Debug, Serialize)]
+pub struct MeasureReport {
+    /// The errors.
+    #[serde(flatten)]
+    pub error: FieldError,
+    /// Least and largest value of the archive.
+    pub range: Option<[f32; 2]>,
+    /// Whether the input is the one that the archive was made from, as its fingerprint tells.
+    pub same_source: bool,
+    /// Bricks of the map along each axis, if one was written.
+    pub map_bricks: Option<[u64; 3]>,
+    /// Seconds of wall time.
+    pub seconds: f64,
+}
+
+/// The samples that an archive was made from.
+pub(super) enum Originals<'a> {
+    Volume {
+        reader: &'a dyn VolumeReader,
+        /// A sample of this value is missing, besides those that the reader knows.
+        missing: Option<f64>,
+        /// What stands for samples that are no finite numbers.
+        stand_in: Option<f32>,
+    },
+    Mesh(&'a CellStore),
+}
+
+/// Measures an archive against the input that it was made from, or any of the same size.
+///
+/// The field to read is that of the archive, unless the options name one. Void tetrahedra and missing samples are counted apart.
+///
+/// # Errors
+/// [`Error::BadInput`] for an input of another size, or a damaged archive; [`Error::Budget`] when the memory does not suffice; those of
+/// reading the input and of writing the map.
+pub fn measure(
+    archive: &Path,
+    input: &Path,
+    options: &OpenOptions,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<MeasureReport> {
+    let start = Instant::now();
+    let archive = OpenArchive::open(archive)?;
+    let (error, same_source) = against(&archive, input, options, settings, progress)?;
+    Ok(MeasureReport {
+        error,
+        range: archive.step().value_range,
+        same_source,
+        map_bricks: settings.map.as_ref().map(|_| archive.chunks.bricks().dims()),
+        seconds: start.elapsed().as_secs_f64(),
+    })
+}
+
+/// The error of an archive whose input is not open any more.
+pub(super) fn reopened_error(
+    archive: &OpenArchive,
+    input: &Path,
+    options: &OpenOptions,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<FieldError> {
+    Ok(against(archive, input, options, settings, progress)?.0)
+}
+
+/// The error, and whether the input is the one that the archive was made from.
+fn against(
+    archive: &OpenArchive,
+    input: &Path,
+    options: &OpenOptions,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<(FieldError, bool)> {
+    match open_field(archive, input, options)? {
+        Input::Volume(source) => against_volume(archive, source, input, settings, progress),
+        Input::Mesh(mesh) => against_mesh(archive, &mesh, input, settings, progress),
+    }
+}
+
+/// Opens the input; where nobody names a field, the archive does.
+fn open_field(archive: &OpenArchive, input: &Path, options: &OpenOptions) -> Result<Input> {
+    if options.field.is_some() {
+        return formats::open_input(input, options);
+    }
+    let named = OpenOptions { field: Some(archive.step().plan.source.field.clone()), ..options.clone() };
+    // A format without names of fields refuses any, and has one field only.
+    formats::open_input(input, &named).or_else(|_| formats::open_input(input, options))
+}
+
+fn against_volume(
+    archive: &OpenArchive,
+    source: VolumeSource,
+    input: &Path,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<(FieldError, bool)> {
+    let recorded = &archive.step().plan.source;
+    let dims = source.info().dims;
+    if recorded.mesh.is_some() || dims != recorded.dims {
+        return Err(other_input(input, recorded, format!("a volume of {} samples", triple(dims))));
+    }
+    let same = fingerprint(&source.info().files())? == recorded.fingerprint;
+    let run = RunSettings {
+        threads: settings.threads,
+        memory: settings.memory,
+        scratch: settings.scratch.clone(),
+        replace: false,
+        cancel: settings.cancel.clone(),
+    };
+    let (reader, _scratch) = random_access(source, &run, progress)?;
+    let stand_in = archive.step().plan.nan.parse().ok();
+    let originals = Originals::Volume { reader: &*reader, missing: recorded.missing, stand_in };
+    Ok((field_error(archive, &originals, settings, progress)?, same))
+}
+
+fn against_mesh(
+    archive: &OpenArchive,
+    mesh: &CellMesh,
+    input: &Path,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<(FieldError, bool)> {
+    let recorded = &archive.step().plan.source;
+    progress.begin("read the mesh", 0, "points");
+    let store = CellStore::build(
+        mesh,
+        &StoreSettings {
+            memory: settings.memory / 4,
+            scratch: &settings.scratch(),
+            bad_value: archive.step().plan.nan.parse().map_or(BadValue::Void, BadValue::Use),
+            missing: recorded.missing,
+            cancel: &settings.cancel,
+        },
+    )?;
+    let found = MeshSource { vertices: store.census.vertices, tetrahedra: store.census.tetrahedra };
+    if recorded.mesh != Some(found) || store.frame.lattice != archive.manifest.plan.lattice {
+        let got = format!("a mesh of {} vertices and {} tetrahedra", found.vertices, found.tetrahedra);
+        return Err(other_input(input, recorded, got));
+    }
+    let info = mesh.info();
+    let files: Vec<PathBuf> = std::iter::once(info.path.clone())
+        .chain(info.data_files.iter().filter(|f| **f != info.path).cloned())
+        .collect();
+    let same = fingerprint(&files)? == recorded.fingerprint;
+    Ok((field_error(archive, &Originals::Mesh(&store), settings, progress)?, same))
+}
+
+fn triple([x, y, z]: [u64; 3]) -> String {
+    format!("{x} x {y} x {z}")
+}
+
+/// The error of an input that cannot be what the archive was made from.
+fn other_input(input: &Path, recorded: &Source, got: String) -> Error {
+    let expected = match recorded.mesh {
+        None => format!("a volume of {} samples", triple(recorded.dims)),
+        Some(m) => format!("a mesh of {} vertices and {} tetrahedra", m.vertices, m.tetrahedra),
+    };
+    Error::bad_input(input, "size", expected, got)
+        .with_help(format!("the archive was made from {}", recorded.path))
+}
+
+/// Measures an archive, published or not.
+pub(super) fn field_error(
+    archive: &OpenArchive,
+    originals: &Originals<'_>,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<FieldError> {
+    if settings.map.is_some() {
+        archive.refuse_coordinates("a map of bricks")?;
+    }
+    let map = settings.map.as_deref().map(|path| Map::new(archive, path, settings)).transpose()?;
+    match originals {
+        Originals::Volume { reader, missing, stand_in } => {
+            let samples = Samples {
+                archive,
+                reader: *reader,
+                grid: SampleGrid::voxels(&archive.manifest.plan.lattice),
+                missing: missing.map(|m| m as f32),
+                stand_in: stand_in.unwrap_or(f32::NAN),
+                mapped: map.is_some(),
+            };
+            samples.measure(map, settings, progress)
+        }
+        Originals::Mesh(store) => measure_vertices(archive, store, map, settings, progress),
+    }
+}
+
+/// The samples of a volume.
+struct Samples<'a> {
+    archive: &'a OpenArchive,
+    reader: &'a dyn VolumeReader,
+    grid: SampleGrid,
+    missing: Option<f32>,
+    stand_in: f32,
+    /// Whether errors are wanted brick by brick.
+    mapped: bool,
+}
+
+/// What a chunk tells.
+#[derive(Default)]
+struct Part {
+    sums: ErrorSums,
+    bricks: BTreeMap<u64, BrickErrors>,
+}
+
+/// Samples that are read at a time: those around a block are far fewer, but for the coarsest meshes.
+const WINDOW: u64 = 1 << 18;
+/// Bytes of a job, beside its chunk: a window of samples, sums, bricks.
+const EXTRA: u64 = 4 * WINDOW + (1 << 20);
+
+impl Samples<'_> {
+    fn measure(
+        &self,
+        mut map: Option<Map>,
+        settings: &MeasureSettings,
+        progress: &dyn Progress,
+    ) -> Result<FieldError> {
+        let archive = self.archive;
+        let rest = settings.memory.saturating_sub(need::BASE + map.as_ref().map_or(0, |m| m.memory));
+        let visit = Visit::new(archive, Blocks::All, settings.threads, rest, &settings.cancel)?;
+        visit.check_memory(settings.memory, EXTRA)?;
+        progress.begin("measure", visit.chunks.len() as u64, "chunks");
+        let (mut sums, mut released) = (ErrorSums::default(), 0);
+        let job = |_, chunk: DecodedChunk| self.part(&chunk);
+        visit.each(EXTRA, progress, job, |n, part: Part| {
+            sums.merge(&part.sums);
+            let chunk = archive.chunks.chunk(visit.chunks[n]);
+            if let Some(map) = &mut map {
+                map.add(chunk.id.0, &part.bricks)?;
+            }
+            // Samples below the layer of chunks before this one are done with: no halo reaches that far.
+            let slice = |z: u32| u64::from(z >> archive.manifest.plan.lattice.log2_steps);
+            let keep = slice(chunk.core.lo[2]).saturating_sub(slice(chunk.core.hi[2] - chunk.core.lo[2]));
+            if keep > released {
+                self.reader.release(released..keep);
+                released = keep;
+            }
+            Ok(())
+        })?;
+        if let Some(map) = map {
+            map.finish()?;
+        }
+        let dims = self.grid.dims();
+        let samples = dims.iter().product::<u64>();
+        if sums.samples() != samples {
+            let expected = format!("tetrahedra that hold {samples} samples, each once");
+            return Err(Error::bad_input(archive.path(), "tetrahedra", expected, sums.samples().to_string())
+                .with_help("isospan check tells more"));
+        }
+        let mut error = sums.field_error(samples);
+        if let Some(l) = sums.largest() {
+            let (x, y) = (l.sample % dims[0], l.sample / dims[0] % dims[1]);
+            let index = [x, y, l.sample / dims[0] / dims[1]];
+            error.worst = Some(Worst {
+                sample: l.sample,
+                index: Some(index),
+                world: world_of(archive, index.map(|i| i as f64))?,
+                original: l.original,
+                reduced: l.reduced,
+            });
+        }
+        Ok(error)
+    }
+
+    /// Measures the samples in the tetrahedra of a chunk.
+    fn part(&self, chunk: &DecodedChunk) -> Result<Part> {
+        let (mut part, mut originals, mut start) = (Part::default(), vec![], 0);
+        for &end in &chunk.block_ends {
+            let tets = &chunk.tets[start..end];
+            start = end;
+            let Some(whole) = self.around(chunk, tets) else { continue };
+            for window in windows(whole, WINDOW) {
+                originals.resize(window.len(), 0.0);
+                self.reader.read_box(window, &mut originals)?;
+                self.treat_missing(&mut originals);
+                self.scan(chunk, tets, &window, &originals, &mut part);
+            }
+        }
+        Ok(part)
+    }
+
+    /// The samples in the bounding box of some tetrahedra.
+    fn around(&self, chunk: &DecodedChunk, tets: &[Tet]) -> Option<IndexBox> {
+        let mut corners = tets.iter().flatten().map(|&v| chunk.positions[v as usize]);
+        let first = corners.next()?;
+        let (lo, hi) = corners.fold((first, first), |(lo, hi), p| {
+            (std::array::from_fn(|a| p[a].min(lo[a])), std::array::from_fn(|a| p[a].max(hi[a])))
+        });
+        Some(self.grid.within(lo, hi)).filter(|b| !b.is_empty())
+    }
+
+    fn treat_missing(&self, values: &mut [f32]) {
+        for v in values {
+            if !v.is_finite() || Some(*v) == self.missing {
+                *v = self.stand_in;
+            }
+        }
+    }
+
+    fn scan(
+        &self,
+        chunk: &DecodedChunk,
+        tets: &[Tet],
+        window: &IndexBox,
+        originals: &[f32],
+        part: &mut Part,
+    ) {
+        let (dims, bricks, steps) =
+            (self.grid.dims(), self.archive.chunks.bricks(), self.archive.manifest.plan.lattice.log2_steps);
+        let place = |at: usize| {
+            let (at, [x, y, _]) = (at as u64, window.dims());
+            [window.lo[0] + at % x, window.lo[1] + at / x % y, window.lo[2] + at / x / y]
+        };
+        let sample_of = |at: usize| {
+            let [x, y, z] = place(at);
+            (z * dims[1] + y) * dims[0] + x
+        };
+        for tet in tets {
+            let values = tet.map(|v| chunk.values[v as usize]);
+            let void = values.iter().any(|v| v.is_nan());
+            each_sample(&self.grid, window, tet.map(|v| chunk.positions[v as usize]), |at, weights| {
+                let reduced = if void { f32::NAN } else { interpolate(weights, values) };
+                part.sums.add(originals[at], reduced, || sample_of(at));
+                if self.mapped {
+                    let brick = bricks.id(bricks.brick_at(place(at).map(|i| (i << steps) as u32)));
+                    part.bricks.entry(brick.0).or_default().add(originals[at], reduced);
+                }
+            });
+        }
+    }
+}
+
+/// Where a place of index space is.
+fn world_of(archive: &OpenArchive, ijk: [f64; 3]) -> Result<[f64; 3]> {
+    match archive.coordinates()? {
+        Some(map) => Ok(map.place(ijk)?.position),
+        None => Ok(archive.step().plan.source.geometry.to_world(ijk)),
+    }
+}
+
+/// Bytes for a vertex of a batch: its place, three times while it is sorted and looked for, and its value.
+const VERTEX: u64 = 120;
+/// The most vertices of a batch.
+const MOST_VERTICES: u64 = 1 << 31;
+
+/// A position of a mesh on the lattice.
+fn on_lattice(p: FinePos) -> LatticePos {
+    // The frame's box ends at whole lattice steps, so no position is rounded out of it.
+    p.map(|c| ((c + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32)
+}
+
+fn measure_vertices(
+    archive: &OpenArchive,
+    store: &CellStore,
+    mut map: Option<Map>,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<FieldError> {
+    let (positions, values) = (store.positions.get()?, store.values.get()?);
+    let rest = settings.memory.saturating_sub(need::BASE + map.as_ref().map_or(0, |m| m.memory));
+    let most = (rest / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
+    let find = Find {
+        threads: settings.threads,
+        memory: rest / 8 * 7,
+        all: settings.memory,
+        cancel: &settings.cancel,
+    };
+    let bricks = archive.chunks.bricks();
+    let mut sums = ErrorSums::default();
+    for (batch, first) in positions.chunks(most).zip((0u64..).step_by(most)) {
+        let mut errors = BTreeMap::<u64, BrickErrors>::new();
+        let placed = batch.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
+        each_value(archive, placed, &find, progress, "measure", |n, reduced| {
+            let number = first + u64::from(n);
+            let original = values[number as usize];
+            sums.add(original, reduced, || number);
+            if map.is_some() {
+                let brick = bricks.id(bricks.brick_at(on_lattice(batch[n as usize])));
+                errors.entry(brick.0).or_default().add(original, reduced);
+            }
+        })?;
+        if let Some(map) = &mut map {
+            map.add(first, &errors)?;
+        }
+    }
+    if let Some(map) = map {
+        map.finish()?;
+    }
+    let mut error = sums.field_error(positions.len() as u64);
+    error.worst = sums.largest().map(|l| {
+        let steps = f64::from(1u32 << FINE_BITS) * f64::from(1u32 << store.frame.lattice.log2_steps);
+        let ijk = positions[l.sample as usize].map(|c| c as f64 / steps);
+        Worst {
+            sample: l.sample,
+            index: None,
+            world: store.frame.geometry.to_world(ijk),
+            original: l.original,
+            reduced: l.reduced,
+        }
+    });
+    Ok(error)
+}
+
+/// The map of bricks, being collected.
+struct Map {
+    file: BrickMapFile,
+    bricks: u64,
+    sorter: Sorter<BrickRecord>,
+    /// Bytes that sorting takes.
+    memory: u64,
+}
+
+/// Bricks that are written at a time.
+const BATCH: usize = 1 << 12;
+
+impl Map {
+    fn new(archive: &OpenArchive, path: &Path, settings: &MeasureSettings) -> Result<Self> {
+        let (bricks, g) = (archive.chunks.bricks(), &archive.step().plan.source.geometry);
+        let spacing = std::array::from_fn(|a| g.spacing[a] * bricks.edge[a] as f64);
+        let memory = (settings.memory / 8).min(64 << 20);
+        Ok(Self {
+            file: BrickMapFile::create(path, bricks.dims(), &Geometry { spacing, ..*g })?,
+            bricks: bricks.len(),
+            sorter: Sorter::new(memory as usize, &settings.scratch()),
+            memory,
+        })
+    }
+
+    fn add(&mut self, chunk: u64, bricks: &BTreeMap<u64, BrickErrors>) -> Result<()> {
+        BrickRecord::of(chunk, bricks).into_iter().try_for_each(|record| self.sorter.push(record))
+    }
+
+    /// Writes all bricks, those without a sample too.
+    fn finish(self) -> Result<u64> {
+        const NONE: BrickNumbers = BrickNumbers { rms: f32::NAN, max: f32::NAN, samples: 0 };
+        let mut records = self.sorter.finish()?;
+        let (mut batch, mut first) = (vec![], 0u64);
+        let mut put = |brick: BrickNumbers, last: bool| {
+            batch.push(brick);
+            if batch.len() == BATCH || last {
+                self.file.write(first, &batch)?;
+                first += batch.len() as u64;
+                batch.clear();
+            }
+            Ok(())
+        };
+        let mut next = 0;
+        merged(
+            || records.next(),
+            |brick, errors| {
+                while next < brick {
+                    put(NONE, false)?;
+                    next += 1;
+                }
+                next += 1;
+                let max = if errors.samples == 0 { f32::NAN } else { errors.max as f32 };
+                let numbers = BrickNumbers { rms: errors.rms() as f32, max, samples: errors.samples };
+                put(numbers, next == self.bricks)
+            },
+        )?;
+        while next < self.bricks {
+            next += 1;
+            put(NONE, next == self.bricks)?;
+        }
+        self.file.publish()
+    }
+}
