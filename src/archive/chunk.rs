@@ -74,12 +74,12 @@ impl EncodedChunk {
         self.starts.len() - 1
     }
 
-    /// The tetrahedra of tetrahedron block `n`, which is `blocks[n + 1]`; its decoder gives them in another order.
+    /// The tetrahedra of tetrahedron block `n`, which is `blocks[n + 1]`, as its decoder gives them.
     pub fn block_tets(&self, n: usize) -> &[Tet] {
         &self.tets[self.starts[n] as usize..self.starts[n + 1] as usize]
     }
 
-    /// All tetrahedra.
+    /// All tetrahedra, as decoders of all blocks give them.
     pub fn tets(&self) -> &[Tet] {
         &self.tets
     }
@@ -137,26 +137,27 @@ pub fn encode_chunk(
     assert!(block_tets > 0, "a block holds at least one tetrahedron");
     assert_eq!(positions.len(), vertices.len() as usize, "one position a vertex");
     assert_eq!(vertices.shared.len(), vertices.len() as usize, "one shared flag a vertex");
-    let (tets, ends) = sort_by_vertex(tets, vertices.len());
+    let (mut tets, ends) = sort_by_vertex(tets, vertices.len());
     let starts = block_starts(&ends, tets.len() as u32, block_tets);
     let counts: Vec<u32> = starts.windows(2).map(|w| w[1] - w[0]).collect();
     let mut blocks = vec![encode_header(vertices, &counts)];
     let mut writer = star::Writer::default();
     for w in starts.windows(2) {
-        blocks.push(encode_tets(&mut writer, &tets[w[0] as usize..w[1] as usize], positions));
+        blocks.push(encode_tets(&mut writer, &mut tets[w[0] as usize..w[1] as usize], positions));
     }
     EncodedChunk { blocks, tets, starts }
 }
 
-/// Encodes one block of canonical tetrahedra, ascending by their first vertices.
-fn encode_tets(writer: &mut star::Writer, tets: &[Tet], positions: &[LatticePos]) -> Vec<u8> {
+/// Encodes one block of canonical tetrahedra, ascending by their first vertices; leaves them as they will be decoded.
+fn encode_tets(writer: &mut star::Writer, tets: &mut [Tet], positions: &[LatticePos]) -> Vec<u8> {
     assert!(tets.iter().flatten().all(|&v| (v as usize) < positions.len()), "every vertex is local");
     let mut out = vec![TETS_STARS];
-    if !writer.encode(tets, positions, &mut out) {
+    if writer.encode(tets, positions, &mut out) {
+        tets.copy_from_slice(writer.told());
+    } else {
         out[0] = TETS_TUPLES;
-        let mut tets = tets.to_vec();
         tets.sort_unstable();
-        tuples::encode(&tets, &mut out);
+        tuples::encode(tets, &mut out);
     }
     out
 }
@@ -358,7 +359,7 @@ pub(crate) mod tests {
             let block = TetBlock::open(block, header.vertices.len(), &mut scratch).unwrap();
             let here: Vec<LatticePos> = block.vertices().iter().map(|&v| positions[v as usize]).collect();
             block.decode(&here, &mut scratch, &mut all).unwrap();
-            assert_eq!(sorted(&all[before..]), sorted(encoded.block_tets(n)));
+            assert_eq!(&all[before..], encoded.block_tets(n), "in the same order, turned the same way");
             assert_eq!(all.len() - before, header.block_tets[n] as usize);
         }
         (header, all)

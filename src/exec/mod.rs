@@ -10,12 +10,14 @@ mod cancel;
 mod limits;
 mod progress;
 mod reorder;
+mod vectors;
 
 pub use budget::{MemoryBudget, Permit};
 pub use cancel::CancelToken;
 pub use limits::usable_memory;
 pub use progress::{Progress, Silent};
 pub use reorder::Reorder;
+pub(crate) use vectors::with_vectors;
 
 use crate::error::{Error, Result};
 

@@ -2,7 +2,7 @@
 
 use super::layout::Layout;
 use super::plan::{MeshParts, parts};
-use super::reader::{ChunkReader, damaged};
+use super::reader::ChunkReader;
 use super::reduce::folder_bytes;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::{CellCount, CoordinateMap};
@@ -254,15 +254,6 @@ impl OpenArchive {
     pub(super) fn manifest_bytes(&self) -> Result<u64> {
         let file = self.layout.root().join(MANIFEST_NAME);
         Ok(std::fs::metadata(&file).map_err(|e| Error::io("look at", &file, e))?.len())
-    }
-
-    /// Number of tetrahedron blocks of a chunk.
-    pub(super) fn tet_blocks(&self, id: ChunkId) -> Result<u32> {
-        let segment = self.segment_of(id)?;
-        let blocks = segment.mesh.block_count(id);
-        // A chunk has a header and a summary besides.
-        let tets = blocks.checked_sub(2).and_then(|n| u32::try_from(n).ok());
-        tets.ok_or_else(|| damaged(&segment.mesh, id, "block count", &blocks))
     }
 
     /// Refuses a chunk that an index names and that is not there.

@@ -15,13 +15,13 @@ use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::reduce_mesh;
 use super::scan::value_range;
 use super::shard::Shard;
-use super::spectrum;
+use super::spectrum::{Meter, stored_part};
 use super::work::{self, StageTimes, Work};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::CellCount;
 use crate::archive::explicit::write_explicit;
 use crate::archive::manifest::{CoordinateRecord, Counts, MANIFEST_NAME, Manifest, SegmentRecord, Step};
-use crate::archive::segment::SegmentKind;
+use crate::archive::segment::{SegmentInfo, SegmentKind};
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
 use crate::archive::values::Quantiser;
 use crate::archive::{Malformed, TEMPORARY_MARK, publish};
@@ -33,7 +33,7 @@ use crate::geom::Lattice;
 use crate::grid::{ChunkId, IndexBox};
 use crate::index::{BuildSettings, Entry, IndexBuilder};
 use crate::measure::FieldError;
-use crate::spectrum::{Design, ValueCounts};
+use crate::spectrum::{Design, Limits, SpectrumBuilder};
 use crate::volume::bricked::BrickedVolume;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use serde::Serialize;
@@ -295,6 +295,8 @@ pub(super) fn produce(
     if let Some(points) = mesh.points.explicit() {
         write_explicit(job.out, plan.mesh_hash(), points)?;
     }
+    let coordinates = grid_coordinates(job, plan, &layout)?;
+    let meter = Meter::of_plan(plan, mesh.points.len(), &layout, coordinates.is_some());
     let recipe = Recipe { points: &mesh.points, bricks: plan.mesh.bricks(), order: mesh.order };
     let segments = job.part.segments(&layout);
     let chunks = segments.clone().flat_map(|s| layout.chunks_of(s));
@@ -307,6 +309,7 @@ pub(super) fn produce(
         layout: &layout,
         segments,
         field,
+        meter: &meter,
         pool: &pool(shares.workers)?,
         shares,
         rooms: &work::Rooms::default(),
@@ -317,9 +320,21 @@ pub(super) fn produce(
     match job.part {
         Part::Shard(..) => Ok(ReduceReport { points, quantiser: plan.step.quantiser, ..report }),
         Part::Whole | Part::Commit => {
-            let made = Made { plan, mesh, layout: &layout, originals: Some(&field.originals()) };
+            let made = Made { plan, mesh, layout: &layout, coordinates, originals: Some(&field.originals()) };
             publish_archive(job, &made, shares.workers, report)
         }
+    }
+}
+
+/// Copies the coordinates that a grid has of its own into the archive; a mesh has its positions in the world by itself.
+pub(super) fn grid_coordinates(
+    job: &Job<'_>,
+    plan: &Plan,
+    layout: &Layout,
+) -> Result<Option<CoordinateRecord>> {
+    match plan.step.source.mesh {
+        Some(_) => Ok(None),
+        None => write_coordinates(job.input, job.options, plan, layout),
     }
 }
 
@@ -328,26 +343,23 @@ pub(super) struct Made<'a> {
     pub(super) plan: &'a Plan,
     pub(super) mesh: &'a MeshParts,
     pub(super) layout: &'a Layout,
+    /// What [`grid_coordinates`] has written.
+    pub(super) coordinates: Option<CoordinateRecord>,
     /// The samples that they were made from, where these are at hand; else the input is opened again.
     pub(super) originals: Option<&'a Originals<'a>>,
 }
 
-/// Makes an archive of segments that are all there: coordinates, index, spectrum, error, manifest. Completes the report.
+/// Makes an archive of segments that are all there: index, spectrum, error, manifest. Completes the report.
 pub(super) fn publish_archive(
     job: &Job<'_>,
     made: &Made<'_>,
     workers: usize,
     mut report: ReduceReport,
 ) -> Result<ReduceReport> {
-    let Made { plan, mesh, layout, originals } = *made;
+    let Made { plan, mesh, layout, coordinates, originals } = *made;
     let committing = Instant::now();
-    // A mesh has its positions in the world by itself; a grid may have coordinates of its own.
-    let coordinates = match plan.step.source.mesh {
-        Some(_) => None,
-        None => write_coordinates(job.input, job.options, plan, layout)?,
-    };
-    let (mut archive, halo_retries) =
-        commit(plan, mesh, layout, coordinates, workers, job.run, job.progress)?;
+    let limits = Meter::of_plan(plan, mesh.points.len(), layout, coordinates.is_some()).limits();
+    let (mut archive, halo_retries) = commit(plan, mesh, layout, coordinates, limits, job.run)?;
     report.seconds.push(("commit".into(), committing.elapsed().as_secs_f64()));
     if job.settings.measure {
         let measuring = Instant::now();
@@ -573,16 +585,15 @@ impl Drop for Scratch {
     }
 }
 
-/// Reads the summaries of all chunks, builds the index, measures the spectrum: the archive, but for its manifest, which is not
+/// Reads the summaries of all chunks, builds the index, puts the spectrum together: the archive, but for its manifest, which is not
 /// published. Also tells how often halos were widened.
 fn commit(
     plan: &Plan,
     parts: &MeshParts,
     layout: &Layout,
     coordinates: Option<CoordinateRecord>,
-    workers: usize,
+    limits: Limits,
     run: &RunSettings,
-    progress: &dyn Progress,
 ) -> Result<(OpenArchive, u64)> {
     let mut counts = Counts { chunks: parts.chunks.len(), ..Counts::default() };
     let (mut mesh_segments, mut value_segments) = (vec![], vec![]);
@@ -590,7 +601,6 @@ fn commit(
     // Of all points, and of the tetrahedra that are not void.
     let mut value_range = [f32::INFINITY, f32::NEG_INFINITY];
     let mut range = value_range;
-    let mut value_counts = ValueCounts::default();
     let mut index = IndexBuilder::new(&BuildSettings {
         memory: run.memory.saturating_sub(need::BASE),
         scratch: Some(scratch_folder(run)),
@@ -609,7 +619,6 @@ fn commit(
             void_points += u64::from(values.void);
             value_range = [value_range[0].min(values.min), value_range[1].max(values.max)];
             for entry in index_entries(chunk, &values.ranges) {
-                [entry.min, entry.max].into_iter().for_each(|v| value_counts.add(v, 1));
                 range = [range[0].min(entry.min), range[1].max(entry.max)];
                 index.push(entry)?;
             }
@@ -621,24 +630,32 @@ fn commit(
         }
     }
     check_volume(plan, volume6, layout.root())?;
+    let spectrum =
+        (range[0] <= range[1]).then(|| sum_spectrum(plan, layout, Design::new(range, limits), limits));
     let step = Step {
         plan: plan.step.clone(),
         value_range: (value_range[0] <= value_range[1]).then_some(value_range),
         void_points,
         values: value_segments,
         index: index.finish(layout.index(), plan.step_hash())?,
-        spectrum: None,
+        spectrum: spectrum.transpose()?,
         coordinates,
         error: None,
     };
-    let mut archive =
-        OpenArchive::of(layout.root(), Manifest::new(plan.mesh.clone(), counts, mesh_segments, vec![step]))?;
-    if range[0] <= range[1] {
-        let design = Design::new(range, &value_counts, counts.points);
-        let spectrum = spectrum::measure(&archive, design, &pool(workers)?, &run.cancel, progress)?;
-        archive.manifest.steps[0].spectrum = Some(spectrum.finish(layout.spectrum(), plan.step_hash())?);
+    let manifest = Manifest::new(plan.mesh.clone(), counts, mesh_segments, vec![step]);
+    Ok((OpenArchive::of(layout.root(), manifest)?, halo_retries))
+}
+
+/// Adds up what all chunks have measured, and writes it.
+fn sum_spectrum(plan: &Plan, layout: &Layout, design: Design, limits: Limits) -> Result<SegmentInfo> {
+    let mut builder = SpectrumBuilder::new(design);
+    for number in 0..layout.segment_count() {
+        let values = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(plan.step_hash()))?;
+        for chunk in layout.chunks_of(number) {
+            builder.add(&stored_part(&values, ChunkId(chunk), limits)?);
+        }
     }
-    Ok((archive, halo_retries))
+    builder.finish(layout.spectrum(), plan.step_hash())
 }
 
 /// The entries of the index that a chunk's blocks have: one each, none for blocks of void tetrahedra alone.

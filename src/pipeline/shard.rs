@@ -20,7 +20,9 @@ use super::layout::Layout;
 use super::need::{Estimate, Need};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::plan_file::{PlanFile, plan_path};
-use super::reduce::{self, Job, Made, Part, ReduceReport, RunSettings, prepare_folder, publish_archive};
+use super::reduce::{
+    self, Job, Made, Part, ReduceReport, RunSettings, grid_coordinates, prepare_folder, publish_archive,
+};
 use super::status::Inventory;
 use crate::archive::explicit::{read_explicit, write_explicit};
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
@@ -231,7 +233,8 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
     };
     let seconds = vec![("verify".to_owned(), verified)];
     let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
-    let made = Made { plan: &file.plan, mesh: &mesh, layout: &layout, originals: None };
+    let coordinates = grid_coordinates(&job, &file.plan, &layout)?;
+    let made = Made { plan: &file.plan, mesh: &mesh, layout: &layout, coordinates, originals: None };
     publish_archive(&job, &made, workers, report)
 }
 

@@ -1,71 +1,105 @@
-//! The contour spectrum of a step: measured over all chunks when the archive is put together, and read back.
-//!
-//! Measuring reads and decodes every chunk once, in parallel, a batch at a time, and adds the parts up in chunk order: the
-//! spectrum's bytes do not depend on threads. It is a pass of its own because the isovalues depend on the range of all values.
+//! The contour spectrum of a step: chunk by chunk while chunks are made, put together when the archive is, and read back.
 
-use super::open::{DecodedChunk, OpenArchive};
-use crate::error::Result;
-use crate::exec::{CancelToken, Progress};
-use crate::geom::Lattice;
+use super::layout::Layout;
+use super::open::OpenArchive;
+use super::plan::Plan;
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::coordinates::CoordinateMap;
+use crate::archive::manifest::{Plan as MeshPlan, Source};
+use crate::archive::segment::PlanHash;
+use crate::archive::summary::BlockRange;
+use crate::error::{Error, Result};
+use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, Geometry};
+use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::{Suggestion, suggest};
-use crate::spectrum::{Cells, ChunkPart, Design, Knot, SpectrumBuilder};
-use rayon::prelude::*;
+use crate::spectrum::{ChunkPart, Corner, Knot, Limits};
 use serde::Serialize;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// Measures all chunks, on the threads of `pool`.
-pub(super) fn measure(
-    archive: &OpenArchive,
-    design: Design,
-    pool: &rayon::ThreadPool,
-    cancel: &CancelToken,
-    progress: &dyn Progress,
-) -> Result<SpectrumBuilder> {
-    let mut builder = SpectrumBuilder::new(design);
-    let chunks = archive.chunks.len();
-    progress.begin("spectrum", chunks, "chunks");
-    let batch = 2 * pool.current_num_threads() as u64;
-    for first in (0..chunks).step_by(batch as usize) {
-        cancel.check()?;
-        archive.close_before(ChunkId(first));
-        let design = builder.design();
-        let parts: Vec<ChunkPart> = pool.install(|| {
-            let of = |c: u64| part_of(archive, design, ChunkId(c));
-            (first..(first + batch).min(chunks)).into_par_iter().map(of).collect::<Result<_>>()
-        })?;
-        parts.iter().for_each(|part| builder.add(part));
-        progress.advance(parts.len() as u64);
-    }
-    Ok(builder)
+/// Measures chunks of a step: what that needs besides the chunk.
+pub(super) struct Meter {
+    limits: Limits,
+    lattice: Lattice,
+    /// Without an origin, of which only rounding would be left in a difference.
+    linear: Geometry,
+    /// Of a grid that has coordinates of its own: their file, its hash, the samples along each axis.
+    coordinates: Option<(PathBuf, PlanHash, [u64; 3])>,
 }
 
-fn part_of(archive: &OpenArchive, design: &Design, chunk: ChunkId) -> Result<ChunkPart> {
-    let blocks: Vec<u32> = (0..archive.tet_blocks(chunk)?).collect();
-    decoded_part(archive, design, &archive.decode(chunk, &blocks)?)
-}
-
-/// The part of a chunk of which all blocks are decoded.
-pub(super) fn decoded_part(
-    archive: &OpenArchive,
-    design: &Design,
-    chunk: &DecodedChunk,
-) -> Result<ChunkPart> {
-    let (lattice, source) = (&archive.manifest.plan.lattice, &archive.step().plan.source);
-    let places = match archive.coordinates()? {
-        None => world_places(lattice, &source.geometry, chunk),
-        Some(map) => {
-            let place = |&p| Ok(map.place(lattice.to_index_space(p))?.position);
-            chunk.positions.iter().map(place).collect::<Result<_>>()?
+impl Meter {
+    /// For a mesh of so many points, and a source; `coordinates` is the file and hash of those that the source has of its own.
+    fn new(mesh: &MeshPlan, points: u64, source: &Source, coordinates: Option<(PathBuf, PlanHash)>) -> Self {
+        Self {
+            limits: Limits::of_chunks(points.min(mesh.chunk_target)),
+            lattice: mesh.lattice,
+            linear: Geometry { origin: [0.0; 3], ..source.geometry },
+            coordinates: coordinates.map(|(path, hash)| (path, hash, source.dims)),
         }
-    };
-    Ok(ChunkPart::of(design, &Cells { values: &chunk.values, places: &places, tets: &chunk.tets }))
+    }
+
+    /// That of an archive to be made; `has_coordinates` tells whether they are in the folder.
+    pub(super) fn of_plan(plan: &Plan, points: u64, layout: &Layout, has_coordinates: bool) -> Self {
+        let coordinates = has_coordinates.then(|| (layout.coordinates(), plan.step_hash()));
+        Self::new(&plan.mesh, points, &plan.step.source, coordinates)
+    }
+
+    /// That of an archive.
+    pub(super) fn of_archive(archive: &OpenArchive) -> Self {
+        let (plan, step) = (&archive.manifest.plan, archive.step());
+        let hash = step.plan.hash(archive.manifest.plan_hash);
+        let coordinates = step.coordinates.is_some().then(|| (archive.layout.coordinates(), hash));
+        Self::new(plan, archive.points.len(), &step.plan.source, coordinates)
+    }
+
+    pub(super) fn limits(&self) -> Limits {
+        self.limits
+    }
+
+    /// The part of a chunk: all its tetrahedra, in the order in which its blocks decode, with the ranges of the blocks; positions and values
+    /// of its vertices.
+    pub(super) fn part(
+        &self,
+        positions: &[LatticePos],
+        values: &[f32],
+        tets: &[Tet],
+        ranges: &[BlockRange],
+    ) -> Result<ChunkPart> {
+        let none = [f32::INFINITY, f32::NEG_INFINITY];
+        let range = ranges.iter().fold(none, |[lo, hi], r| [lo.min(r.min), hi.max(r.max)]);
+        let vertices = values.iter().zip(positions);
+        let corners = match &self.coordinates {
+            None => vertices.map(|(&v, &p)| Corner::new(v, self.place(p))).collect(),
+            Some((path, hash, dims)) => {
+                // Each its own, for what it has read it keeps behind a lock.
+                let map = CoordinateMap::open(path, *hash, *dims)?;
+                let index = |p| self.lattice.to_index_space(p);
+                let corner = |(&v, &p)| Ok(Corner::new(v, map.place(index(p))?.position));
+                vertices.map(corner).collect::<Result<_>>()?
+            }
+        };
+        Ok(ChunkPart::of(self.limits, range, corners, tets))
+    }
+
+    fn place(&self, position: LatticePos) -> [f64; 3] {
+        self.linear.to_world(self.lattice.to_index_space(position))
+    }
 }
 
-/// World positions less the origin, of which only rounding would be left in a difference.
-fn world_places(lattice: &Lattice, geometry: &Geometry, chunk: &DecodedChunk) -> Vec<[f64; 3]> {
-    let linear = Geometry { origin: [0.0; 3], ..*geometry };
-    chunk.positions.iter().map(|&p| linear.to_world(lattice.to_index_space(p))).collect()
+/// The part of a chunk that is stored: the last but one of its blocks in a value segment.
+pub(super) fn stored_part(segment: &ChunkSegment, chunk: ChunkId, limits: Limits) -> Result<ChunkPart> {
+    let Some(block) = segment.block_count(chunk).checked_sub(2) else {
+        let at = format!("chunk {}", chunk.0);
+        return Err(Error::bad_input(
+            segment.segment().path(),
+            at,
+            "a spectrum and a summary",
+            "fewer blocks",
+        ));
+    };
+    let mut bytes = vec![];
+    segment.block(chunk, block, &mut bytes)?;
+    ChunkPart::decode(&bytes, limits).map_err(|m| segment.blame(chunk, block, m))
 }
 
 /// The contour spectrum of an archive.

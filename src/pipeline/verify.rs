@@ -7,7 +7,7 @@
 
 use super::open::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
 use super::reduce::{domain_volume6, index_entries, mesh_summary, value_summary};
-use super::spectrum::decoded_part;
+use super::spectrum::{Meter, stored_part};
 use crate::archive::summary::{BlockRange, MeshSummary};
 use crate::error::{Error, Result};
 use crate::geom::predicates::signed_volume6;
@@ -44,8 +44,10 @@ pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
     let mut check = ArchiveCheck::default();
     let mut entries = EntryDigest::default();
     let mut volume6 = 0i128;
-    let spectrum = archive.spectrum()?;
-    let mut measured = spectrum.as_ref().map(|file| SpectrumBuilder::new(file.spectrum().design()));
+    let (spectrum, meter) = (archive.spectrum()?, Meter::of_archive(&archive));
+    let mut measured = spectrum
+        .as_ref()
+        .map(|file| SpectrumBuilder::new(Design::new(file.spectrum().range, meter.limits())));
     for number in 0..archive.layout.segment_count() {
         let segment = archive.segment(number)?;
         for file in [segment.mesh.segment(), segment.values.segment()] {
@@ -55,13 +57,12 @@ pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
             check.bytes += file.info().bytes;
         }
         let chunks: Vec<u64> = archive.layout.chunks_of(number).collect();
-        let design = measured.as_ref().map(SpectrumBuilder::design);
         let checked: Vec<CheckedChunk> = chunks
             .par_iter()
-            .map(|&c| check_chunk(&archive, &segment, ChunkId(c), design))
+            .map(|&c| check_chunk(&archive, &segment, ChunkId(c), &meter))
             .collect::<Result<_>>()?;
         for CheckedChunk { summary, ranges, part } in checked {
-            if let (Some(measured), Some(part)) = (&mut measured, part) {
+            if let Some(measured) = &mut measured {
                 measured.add(&part);
             }
             volume6 += summary.volume6 + summary.outside6;
@@ -117,15 +118,15 @@ struct CheckedChunk {
     summary: MeshSummary,
     /// The entries that the index must have.
     ranges: Vec<Entry>,
-    part: Option<ChunkPart>,
+    part: ChunkPart,
 }
 
-/// Checks a chunk against its summaries, and measures its part of a spectrum.
+/// Checks a chunk against its summaries and its part of the spectrum.
 fn check_chunk(
     archive: &OpenArchive,
     segment: &OpenSegment,
     id: ChunkId,
-    design: Option<&Design>,
+    meter: &Meter,
 ) -> Result<CheckedChunk> {
     let (summary, values) = (mesh_summary(&segment.mesh, id)?, value_summary(&segment.values, id)?);
     let file = segment.mesh.segment().path();
@@ -163,7 +164,10 @@ fn check_chunk(
         let at = format!("{:?}", decoded.positions[v]);
         return wrong("halo", "points of other chunks that tetrahedra use".into(), at);
     }
-    let part = design.map(|design| decoded_part(archive, design, &decoded)).transpose()?;
+    let part = meter.part(&decoded.positions, &decoded.values, &decoded.tets, &ranges)?;
+    if part != stored_part(&segment.values, id, meter.limits())? {
+        return wrong("spectrum", "the sums over all tetrahedra".into(), "others".into());
+    }
     Ok(CheckedChunk { summary, ranges: index_entries(id.0, &ranges).collect(), part })
 }
 

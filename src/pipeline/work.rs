@@ -19,6 +19,7 @@ use super::inspect::{Depth, SegmentState, inspect};
 use super::layout::Layout;
 use super::need::{self, Shares};
 use super::plan::Plan;
+use super::spectrum::Meter;
 use crate::archive::chunk::{ChunkVertices, encode_chunk};
 use crate::archive::chunked::ChunkSegmentWriter;
 use crate::archive::segment::{PlanHash, SegmentKind};
@@ -74,6 +75,7 @@ pub(crate) struct Work<'a> {
     /// The segments to make, of all.
     pub(crate) segments: Range<u64>,
     pub(crate) field: &'a dyn Field,
+    pub(super) meter: &'a Meter,
     pub(crate) pool: &'a rayon::ThreadPool,
     pub(crate) shares: Shares,
     pub(crate) rooms: &'a Rooms,
@@ -366,7 +368,7 @@ fn make_in_room(
     }
     times.sample = start.elapsed();
     let start = Instant::now();
-    let mut product = encode(work.plan, mesh, &values, outside6);
+    let mut product = encode(work, mesh, &values, outside6)?;
     times.encode = start.elapsed();
     product.times = times;
     Ok(Making::Done(product))
@@ -395,8 +397,9 @@ fn volume6<'a>(positions: &[LatticePos], tets: impl Iterator<Item = &'a Tet>) ->
     .sum()
 }
 
-/// A chunk's blocks: header, tetrahedra, summary; values, summary.
-fn encode(plan: &Plan, mesh: MeshedChunk, values: &[f32], outside6: i128) -> Product {
+/// A chunk's blocks: header, tetrahedra, summary; values, part of the spectrum, summary.
+fn encode(work: &Work<'_>, mesh: MeshedChunk, values: &[f32], outside6: i128) -> Result<Product> {
+    let plan = work.plan;
     let core = mesh.core_len();
     let mut summary = MeshSummary {
         core: core as u32,
@@ -411,12 +414,14 @@ fn encode(plan: &Plan, mesh: MeshedChunk, values: &[f32], outside6: i128) -> Pro
     let encoded = encode_chunk(&vertices, &mesh.positions, &mesh.tets, plan.mesh.block_tets);
     let blocks = encoded.tet_blocks();
     summary.tet_blocks = blocks as u32;
-    let ranges = (0..blocks).map(|n| BlockRange::of(encoded.block_tets(n), values)).collect();
+    let ranges: Vec<_> = (0..blocks).map(|n| BlockRange::of(encoded.block_tets(n), values)).collect();
+    let part = work.meter.part(&mesh.positions, values, encoded.tets(), &ranges)?;
     let mut mesh_blocks = encoded.blocks;
     mesh_blocks.push(summary.encode());
     let mut value_blocks = encode_values(values, plan.step.quantiser.as_ref());
+    value_blocks.push(part.encode());
     value_blocks.push(ValueSummary::of(&values[..core], ranges).encode());
-    Product { points: core as u64, mesh_blocks, value_blocks, times: StageTimes::default() }
+    Ok(Product { points: core as u64, mesh_blocks, value_blocks, times: StageTimes::default() })
 }
 
 /// The two files of a segment being written, or the one that is missing.

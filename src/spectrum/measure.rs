@@ -1,158 +1,356 @@
-//! Sums over tetrahedra.
+//! Sums over the tetrahedra of a chunk, and over chunks.
+//!
+//! **How it is fast.** A step of a series is measured anew though its mesh is not made anew, so this is most of what a step costs.
+//! Tetrahedra are taken a batch at a time, column by column: edges, values, volume and gradient of all, then the values of each sorted by
+//! exchanges, all loops without branches that the compiler turns into vector code. Then the pairs of a tetrahedron and a knot
+//! in its range, again column by column, whichever of the three parabolas holds chosen last.
 
-use super::design::Design;
+use super::design::{Design, Limits};
+use super::grid::Places;
 use super::{Knot, Spectrum};
+use crate::exec::with_vectors;
 use crate::mesh::tet::Tet;
 
-/// Tetrahedra with the values and places of their corners.
-#[derive(Clone, Copy, Debug)]
-pub struct Cells<'a> {
-    /// Corner values; NaN is void.
-    pub values: &'a [f32],
-    /// Corner positions in the world, up to a shift.
-    pub places: &'a [[f64; 3]],
-    /// Tetrahedra, as numbers of corners.
-    pub tets: &'a [Tet],
+/// A corner of tetrahedra.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Corner {
+    at: [f64; 3],
+    value: f32,
+    /// How many knots, how many levels are at or below its value.
+    knot: u16,
+    level: u16,
 }
 
-/// What some tetrahedra contribute to a spectrum.
-#[derive(Clone, Debug, Default, PartialEq)]
+impl Corner {
+    /// A value at a place in the world, up to a shift common to all; NaN is void.
+    pub fn new(value: f32, at: [f64; 3]) -> Self {
+        Self { at, value, ..Self::default() }
+    }
+}
+
+/// What the tetrahedra of a chunk contribute to a spectrum: the spectrum of the chunk.
+#[derive(Clone, Debug, PartialEq)]
 pub struct ChunkPart {
-    tetrahedra: u64,
-    /// At each knot, of the tetrahedra that it cuts: area, volume inside, gradient times area.
-    cut: Vec<[f64; 3]>,
-    /// Volume of tetrahedra whose least value has so many knots at or below it.
-    whole: Vec<f64>,
-    /// Minima less maxima among the values that have so many knots at or below them.
-    ends: Vec<i64>,
-    /// For a corner value that has so many levels at or below it: how often it is a minimum, less how often a maximum.
-    level_ends: Vec<(u32, i32)>,
+    pub(super) tetrahedra: u64,
+    pub(super) volume: f64,
+    /// `None` if every tetrahedron is void.
+    pub(super) measured: Option<Measured>,
+}
+
+/// The spectrum of tetrahedra that are not void.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Measured {
+    pub(super) design: Design,
+    /// At each knot: active tetrahedra; area, volume inside, gradient times area.
+    pub(super) active: Vec<u64>,
+    pub(super) sums: Vec<[f64; 3]>,
+    /// Active tetrahedra at each level.
+    pub(super) levels: Vec<u64>,
 }
 
 impl ChunkPart {
-    /// Measures tetrahedra. Time: some nanoseconds for each, and for each knot in its range.
-    pub fn of(design: &Design, cells: &Cells<'_>) -> Self {
-        let knots = design.knots.len();
-        let mut part = Self {
-            cut: vec![[0.0; 3]; knots],
+    /// Measures tetrahedra whose values, void ones left out, have this range (the first above the second: all are void). A function of
+    /// the order and of the turns of the tetrahedra too, in the last bits. Time: some nanoseconds for each tetrahedron, and for each knot in its range.
+    pub fn of(limits: Limits, range: [f32; 2], mut corners: Vec<Corner>, tets: &[Tet]) -> Self {
+        if !(range[0] <= range[1]) {
+            return Self { tetrahedra: 0, volume: 0.0, measured: None };
+        }
+        // Of two zeros either may be the least; only one is written.
+        let design = Design::new(range.map(|v| v + 0.0), limits);
+        let (knots, levels) = (Places::new(&design.knots), Places::new(&design.levels));
+        for c in corners.iter_mut().filter(|c| !c.value.is_nan()) {
+            (c.knot, c.level) = (knots.of(c.value) as u16, levels.of(c.value) as u16);
+        }
+        let mut sums = Sums::new(&design);
+        with_vectors(
+            #[inline(always)]
+            || sums.add_all(&corners, tets),
+        );
+        sums.finish(design)
+    }
+}
+
+/// Tetrahedra, and pairs of a tetrahedron and a knot, that are looked at together.
+const BATCH: usize = 64;
+const PAIRS: usize = 64;
+
+type Column<const N: usize> = [f64; N];
+
+/// Tetrahedra, column by column.
+struct Batch {
+    len: usize,
+    /// Edges from one corner to the others.
+    edges: [[Column<BATCH>; 3]; 3],
+    /// Corner values, sorted later.
+    values: [Column<BATCH>; 4],
+    /// How many knots are at or below the least value, and the largest.
+    knots: [[u16; 2]; BATCH],
+    volume: Column<BATCH>,
+    /// The gradient's length, and that times the volume.
+    slope: Column<BATCH>,
+    area: Column<BATCH>,
+}
+
+/// A knot in the range of a tetrahedron, column by column.
+struct Pairs {
+    len: usize,
+    knot: [u16; PAIRS],
+    isovalue: Column<PAIRS>,
+    values: [Column<PAIRS>; 4],
+    volume: Column<PAIRS>,
+    slope: Column<PAIRS>,
+    area: Column<PAIRS>,
+    below: Column<PAIRS>,
+}
+
+/// Sums while they are made.
+struct Sums {
+    isovalues: Vec<f64>,
+    tetrahedra: u64,
+    /// At each knot, of the tetrahedra that it cuts: area, volume inside, gradient times area, and nothing.
+    cut: Vec<[f64; 4]>,
+    /// Volume of tetrahedra whose least value has so many knots at or below it.
+    whole: Vec<f64>,
+    /// Minima less maxima that have so many knots, so many levels at or below them.
+    ends: Vec<i64>,
+    level_ends: Vec<i64>,
+    batch: Box<Batch>,
+    pairs: Box<Pairs>,
+}
+
+impl Sums {
+    fn new(design: &Design) -> Self {
+        let (knots, levels) = (design.knots.count as usize, design.levels.count as usize);
+        let (batch, pairs) = ([0.0; BATCH], [0.0; PAIRS]);
+        Self {
+            isovalues: design.knots.values().into_iter().map(f64::from).collect(),
+            tetrahedra: 0,
+            cut: vec![[0.0; 4]; knots],
             whole: vec![0.0; knots + 1],
             ends: vec![0; knots + 1],
-            ..Self::default()
-        };
-        let places: Vec<u32> = cells.values.iter().map(|&v| design.place(v)).collect();
-        let knots: Vec<f64> = design.knots.iter().map(|&k| f64::from(k)).collect();
-        let mut balance = vec![0i32; cells.values.len()];
-        for tet in cells.tets {
-            let values = tet.map(|v| cells.values[v as usize]);
-            if values.iter().any(|v| v.is_nan()) {
+            level_ends: vec![0; levels + 1],
+            batch: Box::new(Batch {
+                len: 0,
+                edges: [[batch; 3]; 3],
+                values: [batch; 4],
+                knots: [[0; 2]; BATCH],
+                volume: batch,
+                slope: batch,
+                area: batch,
+            }),
+            pairs: Box::new(Pairs {
+                len: 0,
+                knot: [0; PAIRS],
+                isovalue: pairs,
+                values: [pairs; 4],
+                volume: pairs,
+                slope: pairs,
+                area: pairs,
+                below: pairs,
+            }),
+        }
+    }
+
+    #[inline(always)]
+    fn add_all(&mut self, corners: &[Corner], tets: &[Tet]) {
+        for tets in tets.chunks(BATCH) {
+            self.gather(corners, tets);
+            self.batch.measure();
+            self.spread();
+        }
+        self.settle();
+    }
+
+    /// Takes tetrahedra without a void corner into the batch.
+    #[inline(always)]
+    fn gather(&mut self, corners: &[Corner], tets: &[Tet]) {
+        let batch = &mut *self.batch;
+        batch.len = 0;
+        for tet in tets {
+            let [a, b, c, d] = tet.map(|v| &corners[v as usize]);
+            if a.value.is_nan() | b.value.is_nan() | c.value.is_nan() | d.value.is_nan() {
                 continue;
             }
-            part.tetrahedra += 1;
-            let corners = sorted([0, 1, 2, 3].map(|i| (values[i], tet[i])));
-            balance[corners[0].1 as usize] += 1;
-            balance[corners[3].1 as usize] -= 1;
-            let [a, b, c, d] = corners.map(|(_, v)| cells.places[v as usize]);
-            let edges = [minus(b, a), minus(c, a), minus(d, a)];
-            part.add(
-                &knots,
-                corners.map(|(_, v)| places[v as usize]),
-                corners.map(|(f, _)| f64::from(f)),
-                edges,
-            );
+            let i = batch.len % BATCH;
+            batch.len = i + 1;
+            for (edge, corner) in batch.edges.iter_mut().zip([b, c, d]) {
+                for (k, column) in edge.iter_mut().enumerate() {
+                    column[i] = corner.at[k] - a.at[k];
+                }
+            }
+            for (column, corner) in batch.values.iter_mut().zip([a, b, c, d]) {
+                column[i] = f64::from(corner.value);
+            }
+            let ends = |of: fn(&Corner) -> u16| {
+                let [a, b, c, d] = [a, b, c, d].map(of);
+                [a.min(b).min(c.min(d)), a.max(b).max(c.max(d))]
+            };
+            batch.knots[i] = ends(|c| c.knot);
+            let [lo, hi] = ends(|c| c.level).map(usize::from);
+            self.level_ends[lo] += 1;
+            self.level_ends[hi] -= 1;
         }
-        for (v, &n) in balance.iter().enumerate().filter(|(_, n)| **n != 0) {
-            part.ends[places[v] as usize] += i64::from(n);
-            part.level_ends.push((design.levels.place(cells.values[v]), n));
-        }
-        part
+        self.tetrahedra += batch.len as u64;
     }
 
-    /// Adds a tetrahedron: its corners by ascending value, their places among the knots, the edges from the first.
-    #[inline]
-    fn add(&mut self, knots: &[f64], places: [u32; 4], f: [f64; 4], [e1, e2, e3]: [[f64; 3]; 3]) {
-        let n1 = cross(e2, e3);
-        let six = (e1[0] * n1[0] + e1[1] * n1[1] + e1[2] * n1[2]).abs();
-        let volume = six / 6.0;
-        let [p0, p1, p2, p3] = places.map(|p| p as usize);
-        self.whole[p0] += volume;
-        if p0 == p3 {
-            return;
+    /// Lists the knots in the range of each tetrahedron.
+    #[inline(always)]
+    fn spread(&mut self) {
+        for i in 0..self.batch.len {
+            let [lo, hi] = self.batch.knots[i].map(usize::from);
+            self.whole[lo] += self.batch.volume[i];
+            self.ends[lo] += 1;
+            self.ends[hi] -= 1;
+            for k in lo..hi {
+                let (batch, pairs) = (&*self.batch, &mut *self.pairs);
+                let at = pairs.len % PAIRS;
+                pairs.len = at + 1;
+                (pairs.knot[at], pairs.isovalue[at]) = (k as u16, self.isovalues[k]);
+                for (to, from) in pairs.values.iter_mut().zip(&batch.values) {
+                    to[at] = from[i];
+                }
+                pairs.volume[at] = batch.volume[i];
+                (pairs.area[at], pairs.slope[at]) = (batch.area[i], batch.slope[i]);
+                if pairs.len == PAIRS {
+                    self.settle();
+                }
+            }
         }
-        // Six times the volume times the gradient.
-        let (n2, n3) = (cross(e3, e1), cross(e1, e2));
-        let [d1, d2, d3] = [f[1] - f[0], f[2] - f[0], f[3] - f[0]];
-        let g = [0, 1, 2].map(|k| d1 * n1[k] + d2 * n2[k] + d3 * n3[k]);
-        let length = (g[0] * g[0] + g[1] * g[1] + g[2] * g[2]).sqrt();
-        let (area, slope) = (length / 6.0, if six > 0.0 { length / six } else { 0.0 });
-        let mut put = |k: usize, density: f64, below: f64| {
-            let a = area * density;
-            let sums = &mut self.cut[k];
-            *sums = [sums[0] + a, sums[1] + volume * (1.0 - below), sums[2] + slope * a];
+    }
+
+    /// Adds the pairs to the sums, in order.
+    #[inline(always)]
+    fn settle(&mut self) {
+        let pairs = &mut *self.pairs;
+        pairs.measure();
+        for i in 0..pairs.len {
+            let sums = &mut self.cut[usize::from(pairs.knot[i])];
+            let (area, slope) = (pairs.area[i], pairs.slope[i]);
+            let new = [area, pairs.volume[i] * (1.0 - pairs.below[i]), slope * area, 0.0];
+            *sums = [sums[0] + new[0], sums[1] + new[1], sums[2] + new[2], sums[3] + new[3]];
+        }
+        pairs.len = 0;
+    }
+
+    fn finish(self, design: Design) -> ChunkPart {
+        let counts = |ends: &[i64]| {
+            let mut active = 0;
+            let count = |n: &i64| {
+                active += n;
+                u64::try_from(active).expect("a tetrahedron's minimum is not above its maximum")
+            };
+            // What is above all isovalues does not count for any.
+            ends[..ends.len() - 1].iter().map(count).collect()
         };
-        // The piece that ends in a knot holds it, as min < v <= max holds the maximum: so no piece is empty, and no
-        // denominator zero.
-        let r = 1.0 / (d1 * d2 * d3);
-        for (k, v) in (p0..p1).map(|k| (k, knots[k])) {
-            let t = v - f[0];
-            put(k, 3.0 * t * t * r, t * t * t * r);
+        // Tetrahedra that lie inside as a whole: those whose least value is at or above the knot.
+        let mut whole = 0.0;
+        let mut sums: Vec<[f64; 3]> =
+            self.cut.iter().map(|&[area, inside, slope, _]| [area, inside, slope]).collect();
+        for (sum, volume) in sums.iter_mut().zip(&self.whole[1..]).rev() {
+            whole += volume;
+            sum[1] += whole;
         }
-        let (d12, d13) = (f[2] - f[1], f[3] - f[1]);
-        for (k, v) in (p1..p2).map(|k| (k, knots[k])) {
-            // How far along the four edges that are cut.
-            let [t02, t03] = [(v - f[0]) / d2, (v - f[0]) / d3];
-            let [t12, t13] = [(v - f[1]) / d12, (v - f[1]) / d13];
-            let density = 3.0 / d3 * (t02 * (1.0 - t12) + (1.0 - t13) * t12);
-            // The wedge below, as three tetrahedra.
-            let below = t12 * t13 + t12 * t03 * (1.0 - t13) + t02 * t03 * (1.0 - t12);
-            put(k, density, below);
-        }
-        let q = 1.0 / (d3 * d13 * (f[3] - f[2]));
-        for (k, v) in (p2..p3).map(|k| (k, knots[k])) {
-            let s = f[3] - v;
-            put(k, 3.0 * s * s * q, 1.0 - s * s * s * q);
+        let measured =
+            Measured { design, active: counts(&self.ends), sums, levels: counts(&self.level_ends) };
+        ChunkPart { tetrahedra: self.tetrahedra, volume: whole + self.whole[0], measured: Some(measured) }
+    }
+}
+
+impl Batch {
+    /// Volume and gradient of each, and the values sorted.
+    #[inline(always)]
+    fn measure(&mut self) {
+        let len = self.len.min(BATCH);
+        for i in 0..len {
+            let [e1, e2, e3] = [0, 1, 2].map(|e| [0, 1, 2].map(|k| self.edges[e][k][i]));
+            let (n1, n2, n3) = (cross(e2, e3), cross(e3, e1), cross(e1, e2));
+            let six = (e1[0] * n1[0] + e1[1] * n1[1] + e1[2] * n1[2]).abs();
+            let [a, b, c, d] = [0, 1, 2, 3].map(|k| self.values[k][i]);
+            let [d1, d2, d3] = [b - a, c - a, d - a];
+            // Six times the volume times the gradient.
+            let g = [0, 1, 2].map(|k| d1 * n1[k] + d2 * n2[k] + d3 * n3[k]);
+            let length = (g[0] * g[0] + g[1] * g[1] + g[2] * g[2]).sqrt();
+            let slope = length / six;
+            self.volume[i] = six / 6.0;
+            self.area[i] = length / 6.0;
+            self.slope[i] = if six > 0.0 { slope } else { 0.0 };
+            let ((a, b), (c, d)) = (sorted(a, b), sorted(c, d));
+            let ((a, c), (b, d)) = (sorted(a, c), sorted(b, d));
+            let (b, c) = sorted(b, c);
+            [a, b, c, d].into_iter().zip(&mut self.values).for_each(|(f, column)| column[i] = f);
         }
     }
 }
 
-fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+/// One exchange of a sorting network: a minimum and a maximum of the machine's.
+#[inline(always)]
+fn sorted(a: f64, b: f64) -> (f64, f64) {
+    (if a < b { a } else { b }, if a < b { b } else { a })
 }
 
+impl Pairs {
+    /// The area at the knot, and the share of the volume below it.
+    #[inline(always)]
+    fn measure(&mut self) {
+        for i in 0..self.len.min(PAIRS) {
+            let v = self.isovalue[i];
+            let [f0, f1, f2, f3] = [0, 1, 2, 3].map(|k| self.values[k][i]);
+            // A piece holds the knot that ends it, as min < v <= max holds the maximum: so no piece with a knot is empty, and its
+            // denominators are not zero. The others give anything, and are not taken.
+            let (d1, d2, d3) = (1.0 / (f1 - f0), 1.0 / (f2 - f0), 1.0 / (f3 - f0));
+            let (d12, d13, d23) = (1.0 / (f2 - f1), 1.0 / (f3 - f1), 1.0 / (f3 - f2));
+            // Below f1: a corner is outside.
+            let (t, r) = (v - f0, d1 * d2 * d3);
+            let first = [3.0 * t * t * r, t * t * t * r];
+            // How far along the four edges that are cut; the wedge below is three tetrahedra.
+            let [t02, t03] = [t * d2, t * d3];
+            let [t12, t13] = [(v - f1) * d12, (v - f1) * d13];
+            let second = [
+                3.0 * d3 * (t02 * (1.0 - t12) + (1.0 - t13) * t12),
+                t12 * t13 + t12 * t03 * (1.0 - t13) + t02 * t03 * (1.0 - t12),
+            ];
+            // Above f2: a corner is inside.
+            let (s, q) = (f3 - v, d3 * d13 * d23);
+            let third = [3.0 * s * s * q, 1.0 - s * s * s * q];
+            let choose = |k: usize| {
+                let low = if v <= f1 { first[k] } else { second[k] };
+                if v <= f2 { low } else { third[k] }
+            };
+            self.area[i] *= choose(0);
+            self.below[i] = choose(1);
+        }
+    }
+}
+
+#[inline(always)]
 fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-/// By value, five comparisons.
-#[inline]
-fn sorted(mut c: [(f32, u32); 4]) -> [(f32, u32); 4] {
-    for (i, j) in [(0, 1), (2, 3), (0, 2), (1, 3), (1, 2)] {
-        let (a, b) = (c[i], c[j]);
-        let turn = b.0 < a.0;
-        (c[i], c[j]) = if turn { (b, a) } else { (a, b) };
-    }
-    c
 }
 
 /// Adds up the parts of all chunks.
 #[derive(Clone, Debug)]
 pub struct SpectrumBuilder {
     design: Design,
-    sum: ChunkPart,
-    /// Minima less maxima that have so many levels at or below them.
-    pub(super) level_ends: Vec<i64>,
+    tetrahedra: u64,
+    volume: f64,
+    active: Vec<u64>,
+    sums: Vec<[f64; 3]>,
+    /// Active tetrahedra at each level.
+    pub(super) levels: Vec<u64>,
 }
 
 impl SpectrumBuilder {
-    /// Nothing yet. Memory: 8 bytes a level, that is at most 8 MiB.
+    /// Nothing yet.
     pub fn new(design: Design) -> Self {
-        let (knots, levels) = (design.knots.len(), design.levels.count as usize);
-        let sum = ChunkPart {
-            cut: vec![[0.0; 3]; knots],
-            whole: vec![0.0; knots + 1],
-            ends: vec![0; knots + 1],
-            ..ChunkPart::default()
-        };
-        Self { design, sum, level_ends: vec![0; levels + 1] }
+        let (knots, levels) = (design.knots.count as usize, design.levels.count as usize);
+        Self {
+            design,
+            tetrahedra: 0,
+            volume: 0.0,
+            active: vec![0; knots],
+            sums: vec![[0.0; 3]; knots],
+            levels: vec![0; levels],
+        }
     }
 
     /// What is measured.
@@ -160,40 +358,42 @@ impl SpectrumBuilder {
         &self.design
     }
 
-    /// Adds the part of the next chunk. `f64` sums depend on the order of the chunks, in their last bits.
+    /// Adds the part of the next chunk, whose range is in that of the design, which has the same limits. `f64` sums depend on the order
+    /// of the chunks, in their last bits.
     pub fn add(&mut self, part: &ChunkPart) {
-        self.sum.tetrahedra += part.tetrahedra;
-        for (sum, new) in self.sum.cut.iter_mut().zip(&part.cut) {
-            (0..3).for_each(|i| sum[i] += new[i]);
+        let Some(measured) = &part.measured else { return };
+        self.tetrahedra += part.tetrahedra;
+        self.volume += part.volume;
+        let (all, of) = (&self.design, &measured.design);
+        for (k, sum) in (0..).zip(&mut self.sums) {
+            if let Some(here) = of.knots.number_of(&all.knots, k) {
+                self.active[k as usize] += measured.active[here as usize];
+                (0..3).for_each(|i| sum[i] += measured.sums[here as usize][i]);
+            } else if all.knots.value(k) <= of.range[0] {
+                sum[1] += part.volume;
+            }
         }
-        self.sum.whole.iter_mut().zip(&part.whole).for_each(|(a, b)| *a += b);
-        self.sum.ends.iter_mut().zip(&part.ends).for_each(|(a, b)| *a += b);
-        part.level_ends.iter().for_each(|&(place, n)| self.level_ends[place as usize] += i64::from(n));
+        for (n, level) in (0..).zip(&mut self.levels) {
+            *level += of.levels.number_of(&all.levels, n).map_or(0, |here| measured.levels[here as usize]);
+        }
     }
 
     /// The spectrum of all chunks.
     pub fn spectrum(&self) -> Spectrum {
-        let n = self.design.knots.len();
-        let mut knots = vec![Knot::default(); n];
-        let mut active = 0;
-        for (k, knot) in knots.iter_mut().enumerate() {
-            active += self.sum.ends[k];
-            let [area, volume, gradient] = self.sum.cut[k];
-            let active = u64::try_from(active).expect("a tetrahedron's minimum is not above its maximum");
-            *knot =
-                Knot { isovalue: self.design.knots[k], active_tetrahedra: active, area, volume, gradient };
-        }
-        // Tetrahedra that lie inside as a whole: those whose least value is at or above the knot.
-        let mut whole = 0.0;
-        for k in (0..n).rev() {
-            whole += self.sum.whole[k + 1];
-            knots[k].volume += whole;
-        }
+        let knots = self.design.knots.values().into_iter().zip(&self.active).zip(&self.sums).map(
+            |((isovalue, &active_tetrahedra), &[area, volume, gradient])| Knot {
+                isovalue,
+                active_tetrahedra,
+                area,
+                volume,
+                gradient,
+            },
+        );
         Spectrum {
             range: self.design.range,
-            tetrahedra: self.sum.tetrahedra,
-            volume: whole + self.sum.whole[0],
-            knots,
+            tetrahedra: self.tetrahedra,
+            volume: self.volume,
+            knots: knots.collect(),
             levels: self.design.levels,
         }
     }

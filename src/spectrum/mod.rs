@@ -15,34 +15,38 @@
 //!        └─f0──f1────f2────f3── v
 //! ```
 //!
-//! **What is exact.** N, A, V and T are stored at up to 256 isovalues, the *knots*: three in four of them multiples of a round
-//! step (1, 2 or 5 times a power of ten), the others where block values are dense. There they are sums over all tetrahedra that are not void, in world
-//! units: N exact, the others but for rounding in `f64`. Between knots A, V and T are not stored: extract the surface.
+//! **What is exact.** N, A, V and T are stored at up to 128 isovalues, the *knots*: multiples of a power of two. There they are sums over all
+//! tetrahedra that are not void, in world units: N exact, the others but for rounding in `f64`. Between knots A, V and T are not
+//! stored: extract the surface.
 //!
-//! N alone is stored at many more isovalues, the *levels*: all multiples in the range of a finer round step, so fine that there is a level
-//! for every four points (at most 2^20). A tetrahedron is active for min < v <= max, so N(v) counts the minima below v
-//! less the maxima below v; both are values of vertices. The difference of N from level to level is small and takes about a byte and a half. So
-//! N is known at any isovalue that a person writes, for one page of 4096 levels read ([`SpectrumFile::active`]); to store it at all
-//! isovalues would take 10 to 14 bits a point, more than connectivity allows. For the others [`crate::pipeline::count_active`]
-//! decodes the blocks of the isovalue, and is as exact.
+//! N alone is stored at many more isovalues, the *levels*: multiples of a round step, 1 or 2 times a power of ten, up to 8192 of them in the
+//! range. A tetrahedron is active for min < v <= max, so N(v) counts the minima below v less the maxima below v. So N is known at
+//! most isovalues that a person writes, for one page of 4096 levels read ([`SpectrumFile::active`]). For the others
+//! [`crate::pipeline::count_active`] decodes the blocks of the isovalue, and is as exact.
 //!
-//! **Determinism.** Integers are added in any order; `f64` sums are made over the tetrahedra of a chunk in the order of the archive, and over
-//! chunks in their order. A chunk's part ([`ChunkPart`]) is a function of the chunk and the [`Design`].
+//! **Chunk by chunk.** Which isovalues these are depends on the range of all values, which is known when the last chunk has been made. So each chunk
+//! is measured while its tetrahedra and values are at hand, on grids of its own range, which are finer, or as fine, and hold all isovalues of
+//! the coarser grids of the whole ([`grid`](self::Grid)); a spectrum is put together from those parts ([`ChunkPart`]), which are some
+//! thousand bytes each, and not from tetrahedra.
+//!
+//! **Determinism.** Integers are added in any order; `f64` sums are made over the tetrahedra of a chunk in the order in which its blocks decode, and
+//! over chunks in their order. A part is a function of the chunk, its values and the [`Limits`].
 
 mod design;
-mod levels;
+mod grid;
 mod measure;
+mod part;
 mod store;
 pub mod suggest;
 
-pub use design::{Design, ValueCounts};
-pub use levels::{Levels, Step};
-pub use measure::{Cells, ChunkPart, SpectrumBuilder};
+pub use design::{Design, Limits};
+pub use grid::{Family, Grid, Step};
+pub use measure::{ChunkPart, Corner, SpectrumBuilder};
 pub use store::SpectrumFile;
 
 #[cfg(test)]
 pub(crate) use {
-    levels::MOST_LEVELS,
+    design::MOST_LEVELS,
     store::{LARGEST_KNOTS, PAGE_ACTIVE},
 };
 
@@ -75,18 +79,7 @@ pub struct Spectrum {
     /// Isovalues, ascending.
     pub knots: Vec<Knot>,
     /// Isovalues at which the number of active tetrahedra is stored.
-    pub levels: Levels,
-}
-
-impl Spectrum {
-    /// What it was measured at.
-    pub fn design(&self) -> Design {
-        Design {
-            range: self.range,
-            knots: self.knots.iter().map(|k| k.isovalue).collect(),
-            levels: self.levels,
-        }
-    }
+    pub levels: Grid,
 }
 
 #[cfg(test)]

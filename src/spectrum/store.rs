@@ -1,6 +1,7 @@
 //! A spectrum as a segment: block 0 has the knots, the others the levels, 4096 a page. `FORMAT.md` specifies the bytes.
 
-use super::levels::{Levels, MOST_LEVELS, Step};
+use super::design::MOST_LEVELS;
+use super::grid::Grid;
 use super::measure::SpectrumBuilder;
 use super::{Knot, Spectrum};
 use crate::archive::Malformed;
@@ -13,7 +14,7 @@ use std::path::Path;
 pub(crate) const PAGE_ACTIVE: u32 = 4096;
 /// The most knots that a reader takes.
 pub(crate) const LARGEST_KNOTS: u32 = 1 << 16;
-const PAGE_LEVEL: i32 = 9;
+pub(super) const PAGE_LEVEL: i32 = 9;
 
 impl SpectrumBuilder {
     /// Writes the spectrum and publishes it.
@@ -28,11 +29,10 @@ impl SpectrumBuilder {
 
     /// The blocks of the segment.
     fn blocks(&self) -> impl Iterator<Item = Vec<u8>> {
-        let levels = self.design().levels.count as usize;
-        let mut active = 0i64;
-        let pages = self.level_ends[..levels].chunks(PAGE_ACTIVE as usize).map(move |page| {
-            let block = encode_page(active, page);
-            active += page.iter().sum::<i64>();
+        let mut before = 0;
+        let pages = self.levels.chunks(PAGE_ACTIVE as usize).map(move |page| {
+            let block = encode_page(before, page);
+            before = page.last().copied().unwrap_or_default();
             block
         });
         std::iter::once(encode_head(&self.spectrum())).chain(pages)
@@ -44,10 +44,7 @@ fn encode_head(s: &Spectrum) -> Vec<u8> {
     s.range.iter().for_each(|v| out.extend(v.to_le_bytes()));
     out.extend(s.tetrahedra.to_le_bytes());
     out.extend(s.volume.to_le_bytes());
-    out.push(s.levels.step.digit);
-    out.extend(s.levels.step.exponent.to_le_bytes());
-    out.extend(s.levels.first.to_le_bytes());
-    out.extend(s.levels.count.to_le_bytes());
+    s.levels.encode(&mut out);
     out.extend((s.knots.len() as u32).to_le_bytes());
     s.knots.iter().for_each(|k| out.extend(k.isovalue.to_le_bytes()));
     s.knots.iter().for_each(|k| out.extend(k.active_tetrahedra.to_le_bytes()));
@@ -61,18 +58,10 @@ fn decode_head(bytes: &[u8]) -> std::result::Result<Spectrum, Malformed> {
     let mut c = Cursor::new(bytes);
     let range = [c.f32("least value")?, c.f32("largest value")?];
     let (tetrahedra, volume) = (c.u64("tetrahedra")?, f64_of(&mut c, "volume")?);
-    let (digit, exponent) = (c.u8("digit")?, c.u32("exponent")? as i32);
-    let step = Step::new(digit, exponent).ok_or_else(|| {
-        Malformed::new("step", "1, 2 or 5 times a power of ten", format!("{digit}e{exponent}"))
-    })?;
-    let (first, count, knots) = (c.u64("first level")? as i64, c.u32("levels")?, c.u32("knots")?);
-    if u64::from(count) > MOST_LEVELS || knots > LARGEST_KNOTS || first.unsigned_abs() > 1 << 55 {
-        let got = format!("{count} levels from {first}, {knots} knots");
-        return Err(Malformed::new(
-            "sizes",
-            format!("at most {MOST_LEVELS} levels, {LARGEST_KNOTS} knots"),
-            got,
-        ));
+    let levels = Grid::decode(&mut c, MOST_LEVELS as u32)?;
+    let knots = c.u32("knots")?;
+    if knots > LARGEST_KNOTS {
+        return Err(Malformed::new("knots", format!("at most {LARGEST_KNOTS}"), knots.to_string()));
     }
     let mut all = vec![Knot::default(); knots as usize];
     for k in &mut all {
@@ -94,21 +83,30 @@ fn decode_head(bytes: &[u8]) -> std::result::Result<Spectrum, Malformed> {
     if !all.is_sorted_by(|a, b| a.isovalue < b.isovalue) {
         return Err(Malformed::new("isovalues", "ascending ones", "others"));
     }
-    Ok(Spectrum { range, tetrahedra, volume, knots: all, levels: Levels { step, first, count } })
+    Ok(Spectrum { range, tetrahedra, volume, knots: all, levels })
 }
 
-fn f64_of(c: &mut Cursor<'_>, at: &'static str) -> std::result::Result<f64, Malformed> {
+pub(super) fn f64_of(c: &mut Cursor<'_>, at: &'static str) -> std::result::Result<f64, Malformed> {
     c.u64(at).map(f64::from_bits)
 }
 
 /// The number at the last level before the page, and the difference from each level to the next.
-fn encode_page(before: i64, differences: &[i64]) -> Vec<u8> {
+fn encode_page(before: u64, active: &[u64]) -> Vec<u8> {
     let mut out = vec![];
-    put_varint(&mut out, u64::try_from(before).expect("a tetrahedron's minimum is not above its maximum"));
+    put_varint(&mut out, before);
     let mut body = vec![];
-    differences.iter().for_each(|d| put_varint(&mut body, (d << 1 ^ d >> 63) as u64));
+    put_differences(&mut body, before, active);
     out.extend(to_zstd(&body, PAGE_LEVEL));
     out
+}
+
+/// The difference of each number to the one before, its sign moved to the lowest bit.
+pub(super) fn put_differences(out: &mut Vec<u8>, mut before: u64, numbers: &[u64]) {
+    for &n in numbers {
+        let d = n.wrapping_sub(before) as i64;
+        put_varint(out, (d << 1 ^ d >> 63) as u64);
+        before = n;
+    }
 }
 
 /// The number at the `n`-th level of a page of `levels`.

@@ -9,6 +9,7 @@
 //! On scans with known surfaces: an engine (60, 150) gives 50 and 163; a tooth (600, 1000) 650, 940 and 300; a lung (-500, 200) -7, -525 and -1040. A
 //! suggestion is a place to begin at, not an answer.
 
+use super::grid::{Family, Step};
 use super::{Knot, Spectrum};
 use serde::Serialize;
 
@@ -22,7 +23,7 @@ const LEAST_STRENGTH: f64 = 0.03;
 /// An isovalue, and how much speaks for it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Suggestion {
-    /// The isovalue, a knot of the spectrum.
+    /// The isovalue: a round number next to a knot of the spectrum.
     pub isovalue: f32,
     /// How far it stands out: 1 is the highest possible.
     pub strength: f64,
@@ -34,15 +35,23 @@ pub fn suggest(spectrum: &Spectrum) -> Vec<Suggestion> {
     let highest = score.iter().copied().fold(0.0, f64::max);
     let mut found: Vec<Suggestion> = (0..score.len())
         .filter(|&i| is_peak(&score, i))
-        .map(|i| Suggestion {
-            isovalue: spectrum.knots[i].isovalue,
-            strength: prominence(&score, i) / highest,
-        })
+        .map(|i| Suggestion { isovalue: round_near(spectrum, i), strength: prominence(&score, i) / highest })
         .filter(|s| s.strength >= LEAST_STRENGTH)
         .collect();
     found.sort_by(|a, b| b.strength.total_cmp(&a.strength));
     found.truncate(MOST);
     found
+}
+
+/// The roundest number not further from a knot than half the way to the next: a person would rather read 0.05 than 0.0498046875.
+fn round_near(spectrum: &Spectrum, i: usize) -> f32 {
+    let at = |i: usize| f64::from(spectrum.knots[i].isovalue);
+    let way = if i + 1 < spectrum.knots.len() { at(i + 1) - at(i) } else { at(i) - at(i.saturating_sub(1)) };
+    // Finer than `f32` is no number round.
+    let steps = Step::descending(Family::Decimal).take_while(|s| s.size() > at(i).abs() * 1e-7);
+    let mut candidates = steps.map(|s| s.multiple((at(i) / s.size()).round() as i64));
+    let near = candidates.find(|&v| (f64::from(v) - at(i)).abs() <= way / 2.0);
+    near.unwrap_or(spectrum.knots[i].isovalue)
 }
 
 /// T / √A at each knot, both smoothed; NaN-free.
@@ -87,13 +96,13 @@ fn prominence(score: &[f64], i: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::spectrum::{Design, ValueCounts};
+    use crate::spectrum::{Design, Limits};
 
     /// Two boundaries at 200 and 700, of which the second is the larger, on a floor of noise.
     fn two_materials() -> Spectrum {
-        let design = Design::new([0.0, 1000.0], &ValueCounts::default(), 100_000);
+        let design = Design::new([0.0, 1000.0], Limits::of_chunks(250_000));
         let bump = |v: f64, at: f64| 1.0 / (1.0 + ((v - at) / 60.0).powi(4));
-        let knots = design.knots.iter().map(|&isovalue| {
+        let knots = design.knots.values().into_iter().map(|isovalue| {
             let v = f64::from(isovalue);
             let area = 5.0 + 100.0 * bump(v, 200.0) + 200.0 * bump(v, 700.0);
             let mean = 1.0 + 10.0 * bump(v, 200.0) + 10.0 * bump(v, 700.0);
@@ -117,6 +126,7 @@ mod tests {
             (f64::from(found[0].isovalue) - 700.0).abs() < 15.0
                 && (f64::from(found[1].isovalue) - 200.0).abs() < 15.0
         );
+        assert_eq!([found[0].isovalue, found[1].isovalue], [700.0, 200.0], "round, though no knots");
         assert!(found[0].strength > found[1].strength && found[0].strength <= 1.0);
         s.knots.iter_mut().for_each(|k| (k.area, k.gradient) = (0.0, 0.0));
         assert_eq!(suggest(&s), vec![], "nothing to see");

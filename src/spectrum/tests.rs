@@ -67,18 +67,51 @@ fn soup() -> impl Strategy<Value = (Vec<f32>, Vec<[f64; 3]>, Vec<Tet>)> {
     })
 }
 
+/// Chunks of seven tetrahedra, each through its bytes.
 fn built(values: &[f32], places: &[[f64; 3]], tets: &[Tet], points: u64) -> Option<SpectrumBuilder> {
-    let mut counts = ValueCounts::default();
-    let ranges: Vec<_> = tets.iter().filter_map(|t| range(t.map(|v| values[v as usize]))).collect();
-    ranges.iter().for_each(|&(lo, hi)| [lo, hi].into_iter().for_each(|v| counts.add(v, 1)));
-    let lo = ranges.iter().map(|r| r.0).reduce(f32::min)?;
-    let hi = ranges.iter().map(|r| r.1).reduce(f32::max)?;
-    let design = Design::new([lo, hi], &counts, points);
-    let mut builder = SpectrumBuilder::new(design.clone());
+    let limits = Limits::of_chunks(points);
+    let range_of = |tets: &[Tet]| {
+        let ranges = tets.iter().filter_map(|t| range(t.map(|v| values[v as usize])));
+        ranges.fold([f32::INFINITY, f32::NEG_INFINITY], |r, (lo, hi)| [r[0].min(lo), r[1].max(hi)])
+    };
+    let all = range_of(tets);
+    if all[0] > all[1] {
+        return None;
+    }
+    let mut builder = SpectrumBuilder::new(Design::new(all, limits));
     for tets in tets.chunks(7) {
-        builder.add(&ChunkPart::of(&design, &Cells { values, places, tets }));
+        let corners = values.iter().zip(places).map(|(&v, &at)| Corner::new(v, at)).collect();
+        let part = ChunkPart::of(limits, range_of(tets), corners, tets);
+        let bytes = part.encode();
+        let back = ChunkPart::decode(&bytes, limits).unwrap();
+        assert_eq!(back, part);
+        builder.add(&back);
     }
     Some(builder)
+}
+
+#[test]
+fn damaged_parts_are_refused_or_harmless() {
+    let places: Vec<[f64; 3]> = (0..60).map(|i| [i, i * i % 37, i * i * i % 41].map(f64::from)).collect();
+    let values: Vec<f32> = (0..60u16).map(|i| f32::from(i * 61 % 199)).collect();
+    let tets: Vec<Tet> = (0..50).map(|i| [i, i + 1, i + 2, i + 9]).collect();
+    let limits = Limits::of_chunks(100);
+    let corners = values.iter().zip(&places).map(|(&v, &at)| Corner::new(v, at)).collect();
+    let part = ChunkPart::of(limits, [0.0, 198.0], corners, &tets);
+    let good = part.encode();
+    let design = Design::new([-1e9, 1e9], limits);
+    for i in 0..good.len() {
+        assert!(ChunkPart::decode(&good[..i], limits).is_err(), "cut at {i}");
+        for bit in 0..8 {
+            let mut bad = good.clone();
+            bad[i] ^= 1 << bit;
+            if let Ok(bad) = ChunkPart::decode(&bad, limits) {
+                SpectrumBuilder::new(design).add(&bad);
+            }
+        }
+    }
+    let void = ChunkPart::of(limits, [f32::INFINITY, f32::NEG_INFINITY], vec![], &[]);
+    assert_eq!(ChunkPart::decode(&void.encode(), limits).unwrap(), void);
 }
 
 fn near(a: f64, b: f64, of: f64) -> bool {
@@ -117,7 +150,7 @@ proptest! {
         file.verify(&builder).unwrap();
         prop_assert_eq!(file.spectrum(), &s);
         for n in 0..s.levels.count {
-            let v = s.levels.level(n);
+            let v = s.levels.value(n);
             prop_assert_eq!(file.active(v).unwrap(), Some(active(v)), "level {}", v);
         }
         for v in values.iter().copied().chain([f32::NEG_INFINITY, f32::INFINITY, -1e-30, 0.123_456_7]).filter(|v| !v.is_nan()) {
@@ -166,7 +199,7 @@ fn damage_is_an_error_or_the_right_answer() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("s.seg");
     let builder = small(dir.path());
-    let answers = |f: &SpectrumFile| [1.0, 50.5, 198.0].map(|v| f.active(v).ok());
+    let answers = |f: &SpectrumFile| [1.0, 50.0, 198.0].map(|v| f.active(v).ok());
     let right = answers(&SpectrumFile::open(&path, None).unwrap());
     assert!(right.iter().all(|a| a.flatten().is_some_and(|n| n > 0)));
     let good = std::fs::read(&path).unwrap();
@@ -202,7 +235,7 @@ fn blocks_that_lie_behind_a_good_checksum_never_panic() {
                 w.finish().unwrap();
                 if let Ok(file) = SpectrumFile::open(&path, None) {
                     assert!(file.verify(&builder).is_err());
-                    let _ = [1.0, 50.5, 198.0].map(|v| file.active(v).ok());
+                    let _ = [1.0, 50.0, 198.0].map(|v| file.active(v).ok());
                 }
             }
         }

@@ -368,6 +368,9 @@ struct Truth {
     star: Range<usize>,
     /// The directed edges of the star's triangles that are not told: three each; [`TOLD`] else.
     edges: Vec<u32>,
+    /// The vertices by local number, and the tetrahedra as they are told: as they will be decoded.
+    ids: Vec<u32>,
+    told: Vec<Tet>,
     /// For the test that makes `odds.rs`: of each decision how often, and how often so.
     #[cfg(test)]
     counts: std::collections::BTreeMap<usize, [f64; 2]>,
@@ -392,8 +395,11 @@ impl Writer {
             return false;
         }
         let ids = (first..first + own).chain(self.others.iter().copied());
+        self.truth.ids.clear();
+        self.truth.ids.extend(ids);
+        self.truth.told.clear();
         self.positions.clear();
-        self.positions.extend(ids.map(|v| positions[v as usize]));
+        self.positions.extend(self.truth.ids.iter().map(|&v| positions[v as usize]));
         let size = self.size();
         let n = self.others.len() as u32;
         let stars = &mut self.stars;
@@ -414,6 +420,11 @@ impl Writer {
         out.push(size);
         self.truth.coder.finish(out);
         true
+    }
+
+    /// The tetrahedra of the block that was just encoded, as they will be decoded.
+    pub(crate) fn told(&self) -> &[Tet] {
+        &self.truth.told
     }
 
     /// Lists the others and numbers the vertices; false if there are too many, or a tetrahedron has a vertex twice.
@@ -522,7 +533,10 @@ impl End for Truth {
     }
 
     #[inline(always)]
-    fn tell(&mut self, _: [Local; 4]) {}
+    fn tell(&mut self, tet: [Local; 4]) {
+        let id = |v: Local| self.ids[usize::from(v)];
+        self.told.push([id(tet[0]), id(tet[1]), id(tet[2]), id(tet[3])]);
+    }
 }
 
 /// The decoder's end.

@@ -1,0 +1,301 @@
+//! Evenly spaced isovalues, on grids that nest: every grid is part of each finer one of its family.
+//!
+//! ```text
+//!  rung 2   0.1 ·                   1                   (decimal: steps 1 and 2 times a power of ten)
+//!  rung 1  0.02 ·   1   2   3   4   5
+//!  rung 0  0.01 · 1 2 3 4 5 6 7 8 9 10
+//! ```
+//!
+//! What a chunk was measured at, on a grid chosen for its own values, can so be added up later on the coarser grid of all values,
+//! without error and without looking at the chunk again: the range of all holds the range of each, and the finest grid with at most so many
+//! isovalues in a range is never finer than that of a part of the range.
+//!
+//! A multiple is rounded to `f32` from the number itself, its factors of ten taken out, so it is the same `f32` on each rung.
+
+use crate::archive::Malformed;
+use crate::archive::wire::Cursor;
+use serde::Serialize;
+
+/// Which steps there are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum Family {
+    /// Powers of two: neighbouring rungs differ by a factor of 2 only.
+    Binary,
+    /// 1 and 2 times powers of ten: isovalues as people write them.
+    Decimal,
+}
+
+impl Family {
+    /// Rungs between which all steps between `f32` values lie.
+    fn rungs(self) -> std::ops::RangeInclusive<i32> {
+        match self {
+            Self::Binary => -149..=127,
+            Self::Decimal => 2 * -46..=2 * 38 + 1,
+        }
+    }
+}
+
+/// A step of a family.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Step {
+    /// The family.
+    pub family: Family,
+    /// Which of its steps: 2^rung, or 10^⌊rung/2⌋, twice that where the rung is odd.
+    pub rung: i32,
+}
+
+impl Step {
+    /// The step of a rung; `None` where that is no step between `f32` values.
+    pub fn new(family: Family, rung: i32) -> Option<Self> {
+        family.rungs().contains(&rung).then_some(Self { family, rung })
+    }
+
+    /// Its digit and its power of ten.
+    fn decimal(self) -> (i64, i32) {
+        (1 + i64::from(self.rung.rem_euclid(2)), self.rung.div_euclid(2))
+    }
+
+    /// About how large it is.
+    pub(super) fn size(self) -> f64 {
+        match (self.family, self.decimal()) {
+            (Family::Binary, _) => power_of_two(self.rung),
+            (_, (digit, exponent @ 0..)) => digit as f64 * power_of_ten(exponent),
+            (_, (digit, exponent)) => digit as f64 / power_of_ten(-exponent),
+        }
+    }
+
+    /// The steps of a family, the largest first.
+    pub(super) fn descending(family: Family) -> impl Iterator<Item = Self> {
+        family.rungs().rev().map(move |rung| Self { family, rung })
+    }
+
+    /// The n-th multiple, rounded to `f32`.
+    pub fn multiple(self, n: i64) -> f32 {
+        if self.family == Family::Binary {
+            return (n as f64 * power_of_two(self.rung)) as f32;
+        }
+        let (digit, mut exponent) = self.decimal();
+        let mut n = n * digit;
+        while n != 0 && n % 10 == 0 {
+            (n, exponent) = (n / 10, exponent + 1);
+        }
+        let n = n as f64;
+        (if exponent < 0 { n / power_of_ten(-exponent) } else { n * power_of_ten(exponent) }) as f32
+    }
+
+    /// The number of the least multiple above `x`. It grows with `x`.
+    fn above(self, x: f32) -> i64 {
+        // Rounding moves a multiple by less than a step.
+        let mut n = (f64::from(x) / self.size()) as i64;
+        while self.multiple(n) > x {
+            n -= 1;
+        }
+        while self.multiple(n) <= x {
+            n += 1;
+        }
+        n
+    }
+
+    /// How many of these steps make one of `coarser`, which is of the same family and not finer; at most 2^63 - 1.
+    fn steps_in(self, coarser: Self) -> i64 {
+        let up = (coarser.rung - self.rung).unsigned_abs();
+        match self.family {
+            Family::Binary => 1i64.checked_shl(up).filter(|n| *n > 0).unwrap_or(i64::MAX),
+            Family::Decimal => {
+                let ((fine, low), (coarse, high)) = (self.decimal(), coarser.decimal());
+                let tens = 10i64.checked_pow((high - low).unsigned_abs());
+                tens.and_then(|t| t.checked_mul(coarse)).map_or(i64::MAX, |n| n / fine)
+            }
+        }
+    }
+}
+
+fn power_of_two(n: i32) -> f64 {
+    f64::from_bits(((1023 + n) as u64) << 52)
+}
+
+/// Correctly rounded, as parsing is on every machine; `powi` need not be. For 0 to 46.
+fn power_of_ten(n: i32) -> f64 {
+    const POWERS: [f64; 47] = [
+        1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17,
+        1e18, 1e19, 1e20, 1e21, 1e22, 1e23, 1e24, 1e25, 1e26, 1e27, 1e28, 1e29, 1e30, 1e31, 1e32, 1e33, 1e34,
+        1e35, 1e36, 1e37, 1e38, 1e39, 1e40, 1e41, 1e42, 1e43, 1e44, 1e45, 1e46,
+    ];
+    // Multiples may have factors of ten more than any step: those are beyond all `f32`.
+    POWERS.get(n.unsigned_abs() as usize).copied().unwrap_or(f64::INFINITY)
+}
+
+/// All multiples of a step above the least value, up to the largest.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Grid {
+    /// The step.
+    pub step: Step,
+    /// Which multiple is the first isovalue.
+    pub first: i64,
+    /// Number of isovalues.
+    pub count: u32,
+}
+
+impl Grid {
+    /// Those of the finest step that gives at most `most` of them in `lo < v <= hi`, and is not below the spacing of `f32` there.
+    pub(super) fn new(family: Family, [lo, hi]: [f32; 2], most: u32) -> Self {
+        let spacing = f64::from(lo.abs().max(hi.abs())) / f64::from(1u32 << 23);
+        let least = ((f64::from(hi) - f64::from(lo)) / f64::from(most.max(1))).max(spacing);
+        for rung in family.rungs() {
+            let step = Step { family, rung };
+            // A little less, for the size is rounded.
+            if step.size() < least * (1.0 - 1e-12) {
+                continue;
+            }
+            let (first, end) = (step.above(lo), step.above(hi));
+            if (end - first) as u64 <= u64::from(most) {
+                return Self { step, first, count: (end - first) as u32 };
+            }
+        }
+        Self { step: Step { family, rung: *family.rungs().end() }, first: 1, count: 0 }
+    }
+
+    /// The n-th isovalue.
+    pub fn value(&self, n: u32) -> f32 {
+        self.step.multiple(self.first + i64::from(n))
+    }
+
+    /// All isovalues, ascending.
+    pub fn values(&self) -> Vec<f32> {
+        (0..self.count).map(|n| self.value(n)).collect()
+    }
+
+    /// The number of the one that is this isovalue, if one is.
+    pub fn find(&self, isovalue: f32) -> Option<u32> {
+        let last = self.count.checked_sub(1)?;
+        if !(self.value(0) <= isovalue && isovalue <= self.value(last)) {
+            return None;
+        }
+        // Of equal ones any will do.
+        let n = (self.step.above(isovalue) - 1 - self.first).clamp(0, i64::from(last)) as u32;
+        (self.value(n) == isovalue).then_some(n)
+    }
+
+    /// The number in this grid of the `n`-th isovalue of a coarser grid; `None` if it is not in the range of this one.
+    pub(super) fn number_of(&self, coarser: &Self, n: u32) -> Option<u32> {
+        let steps = i128::from(self.step.steps_in(coarser.step));
+        let here = (i128::from(coarser.first) + i128::from(n)) * steps - i128::from(self.first);
+        u32::try_from(here).ok().filter(|h| *h < self.count)
+    }
+
+    pub(super) fn encode(&self, out: &mut Vec<u8>) {
+        out.push(match self.step.family {
+            Family::Binary => 2,
+            Family::Decimal => 10,
+        });
+        out.extend(self.step.rung.to_le_bytes());
+        out.extend(self.first.to_le_bytes());
+        out.extend(self.count.to_le_bytes());
+    }
+
+    /// A grid of at most `most` isovalues.
+    pub(super) fn decode(c: &mut Cursor<'_>, most: u32) -> Result<Self, Malformed> {
+        let (base, rung) = (c.u8("base")?, c.u32("rung")? as i32);
+        let family = match base {
+            2 => Some(Family::Binary),
+            10 => Some(Family::Decimal),
+            _ => None,
+        };
+        let (first, count) = (c.u64("first isovalue")? as i64, c.u32("isovalues")?);
+        match family.and_then(|family| Step::new(family, rung)) {
+            Some(step) if count <= most && first.unsigned_abs() <= 1 << 55 => Ok(Self { step, first, count }),
+            _ => {
+                let expected = format!("a grid of base 2 or 10 of at most {most} isovalues");
+                let got = format!("base {base}, rung {rung}, {count} from {first}");
+                Err(Malformed::new("grid", expected, got))
+            }
+        }
+    }
+}
+
+/// Finds places in a grid, often.
+pub(super) struct Places {
+    values: Vec<f32>,
+    scale: f64,
+    first: f64,
+}
+
+impl Places {
+    pub(super) fn new(grid: &Grid) -> Self {
+        Self { values: grid.values(), scale: 1.0 / grid.step.size(), first: grid.first as f64 - 1.0 }
+    }
+
+    /// How many isovalues are at or below `x`, which is in the grid's range.
+    #[inline]
+    pub(super) fn of(&self, x: f32) -> u32 {
+        // A cast makes 0 of what is below and of NaN.
+        let mut n = ((f64::from(x) * self.scale - self.first) as usize).min(self.values.len());
+        while n < self.values.len() && self.values[n] <= x {
+            n += 1;
+        }
+        while n > 0 && self.values[n - 1] > x {
+            n -= 1;
+        }
+        n as u32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const FAMILIES: [Family; 2] = [Family::Binary, Family::Decimal];
+
+    #[test]
+    fn levels_are_what_people_write() {
+        let levels = Grid::new(Family::Decimal, [0.0, 1300.0], 8192);
+        assert_eq!((levels.step.decimal(), levels.count), ((2, -1), 6500));
+        for text in ["600", "0.2", "1299.8", "1300", "17.4"] {
+            let v: f32 = text.parse().unwrap();
+            assert_eq!(levels.value(levels.find(v).unwrap()), v, "{text}");
+        }
+        for v in [0.0, -5.0, 1300.2, 0.01, 600.001] {
+            assert_eq!(levels.find(v), None, "{v}");
+        }
+        // Not finer than the values are.
+        let levels = Grid::new(Family::Decimal, [1e6, 1e6 + 1.0], 8192);
+        assert_eq!((levels.step.decimal(), levels.count), ((2, -1), 5));
+        assert_eq!(Grid::new(Family::Decimal, [3.5, 3.5], 1000).count, 0);
+        let knots = Grid::new(Family::Binary, [0.0, 255.0], 128);
+        assert_eq!((knots.step.rung, knots.count, knots.value(0)), (1, 127, 2.0));
+    }
+
+    proptest! {
+        #[test]
+        fn a_grid_ascends_in_its_range_and_is_part_of_that_of_a_smaller_range(
+            a in prop::num::f32::NORMAL, b in prop::num::f32::ANY, c in 0f64..=1.0, d in 0f64..=1.0, most in 1u32..3000,
+        ) {
+            let b = if b.is_finite() { b } else { a };
+            let (lo, hi) = (a.min(b), a.max(b));
+            let within = |t: f64| ((f64::from(lo) + t * (f64::from(hi) - f64::from(lo))) as f32).clamp(lo, hi);
+            let part = [within(c.min(d)), within(c.max(d))];
+            for family in FAMILIES {
+                let (all, fine) = (Grid::new(family, [lo, hi], most), Grid::new(family, part, most));
+                prop_assert!(all.count <= most && fine.step.rung <= all.step.rung);
+                let places = Places::new(&fine);
+                for n in 0..all.count {
+                    let v = all.value(n);
+                    prop_assert!(lo < v && v <= hi, "{lo} < {v} <= {hi}");
+                    prop_assert!(n == 0 || all.value(n - 1) <= v);
+                    prop_assert!(all.find(v).is_some());
+                    let here = fine.number_of(&all, n);
+                    prop_assert_eq!(here.is_some(), part[0] < v && v <= part[1]);
+                    if let Some(m) = here {
+                        prop_assert_eq!(fine.value(m).to_bits(), v.to_bits());
+                        prop_assert_eq!(places.of(v) as usize, fine.values().partition_point(|&w| w <= v));
+                    }
+                }
+                let mut bytes = vec![];
+                all.encode(&mut bytes);
+                prop_assert_eq!(bytes.len(), 17);
+                prop_assert_eq!(Grid::decode(&mut Cursor::new(&bytes), most).unwrap(), all);
+            }
+        }
+    }
+}
