@@ -82,6 +82,7 @@
 pub mod archive;
 pub mod bytes;
 pub mod cells;
+pub(crate) mod cpu;
 pub(crate) mod domain;
 pub mod error;
 pub mod exec;

@@ -22,6 +22,7 @@ mod probe;
 mod progress;
 mod reduce;
 mod signals;
+mod slurm;
 mod spectrum;
 mod status;
 mod surface;
@@ -60,6 +61,7 @@ enum Command {
     Commit(commit::Args),
     Status(status::Args),
     Gc(gc::Args),
+    Slurm(slurm::Args),
     Completions(misc::CompletionsArgs),
     Man(misc::ManArgs),
 }
@@ -115,6 +117,7 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Commit(args) => commit::run(args, &cli.talk),
         Command::Status(args) => status::run(args),
         Command::Gc(args) => gc::run(args),
+        Command::Slurm(args) => slurm::run(args, &cli.talk),
         Command::Completions(args) => misc::completions(args),
         Command::Man(args) => misc::man(args),
     }

@@ -5,7 +5,8 @@
 #[inline]
 pub(crate) fn with_vectors<T>(f: impl FnOnce() -> T) -> T {
     #[cfg(target_arch = "x86_64")]
-    if is_x86_feature_detected!("avx2")
+    if crate::cpu::may_use(&["AVX2", "BMI1", "BMI2"])
+        && is_x86_feature_detected!("avx2")
         && is_x86_feature_detected!("bmi1")
         && is_x86_feature_detected!("bmi2")
     {

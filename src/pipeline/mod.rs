@@ -56,7 +56,7 @@ pub use reduce::{ReduceReport, RunSettings, brick, estimate, reduce};
 pub use refine::{Refine, RefineReport};
 pub use roi::{Roi, RoiSpace};
 pub use scan::{Scan, scan};
-pub use shard::{PlanReport, Shard, WorkReport, commit_shards, plan_shards, work_shard};
+pub use shard::{PlanReport, Planned, Shard, WorkReport, commit_shards, plan_shards, planned, work_shard};
 pub use spectrum::{SpectrumReport, contour_spectrum};
 pub use status::{GcReport, StatusReport, collect_garbage, shard_status};
 pub use verify::{ArchiveCheck, check_archive};

@@ -146,6 +146,16 @@ impl Need {
         self.of_workers(1)
     }
 
+    /// Memory with which so many threads work, as far as there are chunks for them.
+    pub(crate) fn comfortable(&self, threads: usize) -> u64 {
+        self.of_workers((threads as u64).min(self.chunks))
+    }
+
+    /// Seconds of so many workers, roughly.
+    pub(crate) fn seconds(&self, workers: usize) -> f64 {
+        self.points as f64 / (POINTS_PER_SECOND * workers.max(1) as f64)
+    }
+
     /// Shares `memory` out to at most `threads` workers.
     ///
     /// # Errors
@@ -218,21 +228,20 @@ pub(crate) struct Question<'a> {
 impl Estimate {
     pub(crate) fn new(q: &Question<'_>) -> Self {
         let workers = q.need.shares(q.memory, q.threads).map_or(0, |s| s.workers);
-        let rate = POINTS_PER_SECOND * workers.max(1) as f64;
         Self {
             samples: q.plan.step.source.dims.iter().product(),
             points: q.need.points,
             chunks: q.need.chunks,
             memory: q.memory,
             memory_least: q.need.least().max(q.copying),
-            memory_comfortable: q.need.of_workers((q.threads as u64).min(q.need.chunks)).max(q.copying),
+            memory_comfortable: q.need.comfortable(q.threads).max(q.copying),
             workers,
             archive_bytes: q.need.points.saturating_mul(ARCHIVE_PER_POINT) + (64 << 10),
             archive_free: free_bytes(q.out).map(|free| free.saturating_add(q.there)),
             // The copy of the input is gone when the index is built.
             scratch_bytes: q.scratch.1.max(q.need.index_scratch(q.memory)),
             scratch_free: free_bytes(q.scratch.0),
-            seconds: q.need.points as f64 / rate,
+            seconds: q.need.seconds(workers),
             archive: q.out.to_path_buf(),
             scratch: q.scratch.0.to_path_buf(),
         }

@@ -56,6 +56,15 @@ pub(super) struct PlanFile {
     pub(super) chunks: u64,
     /// Shards that work is meant to be cut into.
     pub(super) shards: u64,
+    /// The least memory of a worker.
+    pub(super) memory_least: u64,
+}
+
+/// How the work is cut.
+pub(super) struct Cut {
+    pub(super) chunks: u64,
+    pub(super) shards: u64,
+    pub(super) memory_least: u64,
 }
 
 impl PlanFile {
@@ -65,8 +74,7 @@ impl PlanFile {
         options: &OpenOptions,
         settings: &ReduceSettings,
         plan: Plan,
-        chunks: u64,
-        shards: u64,
+        cut: Cut,
     ) -> Result<Self> {
         let absolute = |p: &Path| {
             let path = std::path::absolute(p).map_err(|e| Error::io("find", p, e))?;
@@ -89,8 +97,9 @@ impl PlanFile {
             mesh_hash: plan.mesh_hash(),
             step_hash: plan.step_hash(),
             plan,
-            chunks,
-            shards,
+            chunks: cut.chunks,
+            shards: cut.shards,
+            memory_least: cut.memory_least,
         })
     }
 

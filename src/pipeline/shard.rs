@@ -19,7 +19,7 @@ use super::inspect::{Depth, SegmentState};
 use super::layout::Layout;
 use super::need::{Estimate, Need};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
-use super::plan_file::{PlanFile, plan_path};
+use super::plan_file::{Cut, PlanFile, plan_path};
 use super::reduce::{
     self, Job, Made, Part, ReduceReport, RunSettings, grid_coordinates, prepare_folder, publish_archive,
 };
@@ -130,7 +130,8 @@ pub fn plan_shards(
     let job = Job { input, options, settings, out, run, progress, started: Instant::now(), part };
     let (plan, mesh, needs) = reduce::make_plan(&job)?;
     let layout = Layout::new(out, mesh.chunks.len(), plan.step.number);
-    let file = PlanFile::new(input, options, settings, plan, mesh.chunks.len(), shards)?;
+    let cut = Cut { chunks: mesh.chunks.len(), shards, memory_least: needs.memory_least };
+    let file = PlanFile::new(input, options, settings, plan, cut)?;
     file.write(out, run.replace)?;
     prepare_folder(&layout, run)?;
     if let Some(points) = mesh.points.explicit() {
@@ -146,6 +147,38 @@ pub fn plan_shards(
         shard_segments,
         shard_seconds: needs.seconds * shard_segments as f64 / segments.max(1) as f64,
         needs,
+    })
+}
+
+/// What of a plan a job script needs.
+#[derive(Clone, Copy, Debug)]
+pub struct Planned {
+    /// Shards.
+    pub shards: u64,
+    /// Segments.
+    pub segments: u64,
+    /// The least memory of a worker, in bytes.
+    pub memory_least: u64,
+    /// Memory with which all its threads work.
+    pub memory: u64,
+    /// Seconds of all shards one after another, on a machine of 2020, roughly.
+    pub seconds: f64,
+}
+
+/// What was planned, for workers of so many threads.
+///
+/// # Errors
+/// [`Error::BadInput`] when there is no plan.
+pub fn planned(out: &Path, threads: usize) -> Result<Planned> {
+    let file = PlanFile::read(out)?;
+    let mesh = mesh_parts(out, &file.plan)?;
+    let need = Need::of(&mesh);
+    Ok(Planned {
+        shards: file.shards,
+        segments: Inventory::new(out, &file).segments(),
+        memory_least: file.memory_least,
+        memory: need.comfortable(threads).max(file.memory_least),
+        seconds: need.seconds(threads),
     })
 }
 

@@ -2,6 +2,7 @@
 #![allow(unsafe_code)]
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, NOBODY, Path, Point};
+use crate::cpu::may_use;
 use std::arch::x86_64::*;
 
 /// The proof that this machine can.
@@ -11,7 +12,8 @@ pub(super) struct Vectors(());
 impl Vectors {
     /// Only where this machine can.
     pub(super) fn find() -> Option<Self> {
-        let can = is_x86_feature_detected!("avx2")
+        let can = may_use(&["AVX2", "BMI1", "BMI2", "POPCNT"])
+            && is_x86_feature_detected!("avx2")
             && is_x86_feature_detected!("bmi1")
             && is_x86_feature_detected!("bmi2")
             && is_x86_feature_detected!("popcnt");

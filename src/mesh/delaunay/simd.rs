@@ -9,7 +9,9 @@
 #![allow(unsafe_code)]
 
 use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, INFINITE, LAST_TAG, Margin, Tetra};
+use crate::cpu::may_use;
 use std::arch::x86_64::*;
+use std::sync::LazyLock;
 
 /// Vertices on a cavity up to which the edge table has rows of 64.
 const SMALL: u32 = 64;
@@ -17,7 +19,10 @@ const LOG2_SMALL: u32 = 6;
 
 /// Whether this machine can run [`Arena::insert_avx2`].
 pub(super) fn is_available() -> bool {
-    is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
+    static FOUND: LazyLock<bool> = LazyLock::new(|| {
+        may_use(&["AVX2", "FMA"]) && is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
+    });
+    *FOUND
 }
 
 /// [`Arena::insert_plain`] in vector code.

@@ -15,7 +15,9 @@
 
 use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, LAST_TAG, Margin};
 use super::simd::codes;
+use crate::cpu::may_use;
 use std::arch::x86_64::*;
+use std::sync::LazyLock;
 
 /// Most vertices of a cavity's boundary here, and its facets.
 const VERTICES: usize = 32;
@@ -60,11 +62,15 @@ impl Scratch {
 
 /// Whether this machine can run [`insert`].
 pub(super) fn is_available() -> bool {
-    super::simd::is_available()
-        && is_x86_feature_detected!("avx512f")
-        && is_x86_feature_detected!("avx512vl")
-        && is_x86_feature_detected!("avx512dq")
-        && is_x86_feature_detected!("popcnt")
+    static FOUND: LazyLock<bool> = LazyLock::new(|| {
+        super::simd::is_available()
+            && may_use(&["AVX512F", "AVX512VL", "AVX512DQ", "POPCNT"])
+            && is_x86_feature_detected!("avx512f")
+            && is_x86_feature_detected!("avx512vl")
+            && is_x86_feature_detected!("avx512dq")
+            && is_x86_feature_detected!("popcnt")
+    });
+    *FOUND
 }
 
 /// [`Arena::insert_plain`] in wide vector code.

@@ -1,0 +1,259 @@
+//! `isospan slurm`: a planned reduction as jobs of a Slurm cluster.
+//!
+//! Three scripts beside the plan: `work.sh`, a job array of shards; `commit.sh`, which waits for them, and submits what is missing again;
+//! `submit.sh`, which submits both. They are plain scripts: to be read, changed and submitted by hand.
+
+use super::progress::Talk;
+use super::text;
+use isospan::pipeline::{Planned, planned, work_folder};
+use isospan::{Error, Result};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Write job scripts for a planned reduction, and submit them to Slurm with --submit.
+///
+/// The scripts are in ARCHIVE.work/slurm: a job array of shards that may be requeued, and a commit that waits for them and submits what is
+/// missing again. Logs are written beside them.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The archive that was planned, in a folder that all nodes see.
+    archive: PathBuf,
+    /// Submit the jobs, and print their numbers.
+    #[arg(long)]
+    submit: bool,
+    /// Threads of a task (--cpus-per-task).
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=4096))]
+    threads: u64,
+    /// Memory of a task, kept [default: what all its threads need]; the job asks for a quarter more.
+    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    memory: Option<u64>,
+    /// Minutes of a task [default: 6 times the estimate, at least 60].
+    #[arg(long, value_name = "MINUTES", value_parser = clap::value_parser!(u64).range(1..))]
+    time: Option<u64>,
+    /// Seconds before that limit at which a task is told to stop.
+    #[arg(long, value_name = "SECONDS", default_value_t = 120, value_parser = clap::value_parser!(u64).range(1..=65535))]
+    grace: u64,
+    /// Tasks at one time, at most [default: no limit].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    throttle: Option<u64>,
+    /// How often shards are submitted, the first time included.
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..))]
+    tries: u64,
+    /// Tasks of an array, at most [default: MaxArraySize of the cluster, where scontrol tells it, else 1001]. More shards than that are
+    /// cut anew.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    max_array: Option<u64>,
+    /// Folder of a node for temporary files [default: the system's temporary folder].
+    #[arg(long, value_name = "FOLDER")]
+    scratch: Option<PathBuf>,
+    /// Another option of sbatch for both jobs, as --option=--partition=long; may be repeated.
+    #[arg(long, value_name = "OPTION", allow_hyphen_values = true, value_parser = parse_option)]
+    option: Vec<String>,
+    /// Print the result as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+fn parse_option(text: &str) -> std::result::Result<String, String> {
+    match text.starts_with('-') && !text.contains(['\n', '\r']) {
+        true => Ok(text.to_owned()),
+        false => Err("an option of sbatch starts with -".into()),
+    }
+}
+
+#[derive(Serialize)]
+struct Report {
+    scripts: [PathBuf; 3],
+    shards: u64,
+    tasks: u64,
+    /// Bytes that a task asks for.
+    memory: u64,
+    minutes: u64,
+    work_job: Option<String>,
+    commit_job: Option<String>,
+}
+
+/// Slurm's own default of MaxArraySize.
+const MAX_ARRAY: u64 = 1001;
+const NAMES: [&str; 3] = ["submit.sh", "work.sh", "commit.sh"];
+const TEMPLATES: [&str; 3] =
+    [include_str!("slurm/submit.sh"), include_str!("slurm/work.sh"), include_str!("slurm/commit.sh")];
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let plan = planned(&args.archive, args.threads as usize)?;
+    let archive = std::path::absolute(&args.archive).map_err(|e| Error::io("find", &args.archive, e))?;
+    let folder = work_folder(&archive).join("slurm");
+    std::fs::create_dir_all(&folder).map_err(|e| Error::io("create the folder", &folder, e))?;
+    let max = args.max_array.or_else(cluster_max_array).unwrap_or(MAX_ARRAY);
+    let tasks = plan.shards.min(max);
+    if tasks < plan.shards {
+        talk.note(&format!("{} shards are cut into {tasks}, the most tasks of an array here", plan.shards));
+    }
+    let job = Job::new(args, &plan, tasks, &archive, &folder)?;
+    let scripts = NAMES.map(|n| folder.join(n));
+    for (path, template) in scripts.iter().zip(TEMPLATES) {
+        write_script(path, &job.fill(template))?;
+    }
+    let (minutes, memory) = (job.minutes, job.ask);
+    let jobs = if args.submit { Some(submit(&scripts[0])?) } else { None };
+    let (work_job, commit_job) = jobs.unzip();
+    let report = Report { scripts, shards: plan.shards, tasks, memory, minutes, work_job, commit_job };
+    if args.json { super::print_json(&report) } else { super::print(&in_words(&report)) }
+}
+
+fn in_words(r: &Report) -> String {
+    let mut out: String = r.scripts.iter().map(|s| format!("{}\n", s.display())).collect();
+    let asked = format!("{} and {} min each", text::bytes(r.memory), r.minutes);
+    out += &format!("  tasks      {}, {asked}\n", text::count(r.tasks));
+    match (&r.work_job, &r.commit_job) {
+        (Some(work), Some(commit)) => {
+            out + &format!("  submitted  shards as job {work}, their commit as job {commit}\n")
+        }
+        _ => out + &format!("next: {}, or isospan slurm --submit\n", r.scripts[0].display()),
+    }
+}
+
+/// What is filled into the scripts.
+struct Job {
+    minutes: u64,
+    ask: u64,
+    words: Vec<(&'static str, String)>,
+}
+
+impl Job {
+    fn new(args: &Args, plan: &Planned, tasks: u64, archive: &Path, folder: &Path) -> Result<Self> {
+        let memory = args.memory.unwrap_or(plan.memory);
+        if memory < plan.memory_least {
+            let (needed, available) = (plan.memory_least, memory);
+            return Err(Error::Budget { what: "memory for a shard".into(), needed, available });
+        }
+        // The rest is for code, and pages of files that a control group counts.
+        let ask = memory + memory / 4 + (128 << 20);
+        let seconds = plan.seconds / tasks as f64;
+        let minutes = args.time.unwrap_or(((seconds / 10.0).ceil() as u64).max(60));
+        let shown = archive.display().to_string();
+        let name = archive.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let letter = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
+        let throttle = args.throttle.map_or_else(String::new, |n| format!("%{n}"));
+        let program = std::env::current_exe().map_err(|e| Error::io("find", "this program", e))?;
+        let scratch = args.scratch.as_ref().map(|s| format!(" --scratch {}", quoted(s)));
+        let words = vec![
+            ("ARCHIVE", shown.replace(['\n', '\r'], " ")),
+            ("QUOTED", quoted(archive)),
+            ("QUOTED_FOLDER", quoted(folder)),
+            ("FOLDER", in_directive(folder)?),
+            ("PROGRAM", quoted(&program)),
+            ("JOB", format!("isospan-{}", name.chars().map(letter).collect::<String>())),
+            ("ARRAY", format!("0-{}{throttle}", tasks - 1)),
+            ("THROTTLE", throttle),
+            ("SHARDS", tasks.to_string()),
+            ("THREADS", args.threads.to_string()),
+            ("MEMORY", memory.to_string()),
+            ("MEM", ask.div_ceil(1 << 20).to_string()),
+            ("MINUTES", minutes.to_string()),
+            ("GRACE", args.grace.to_string()),
+            ("TRIES", args.tries.to_string()),
+            ("SCRATCH", scratch.unwrap_or_default()),
+            ("OPTIONS", args.option.iter().map(|o| format!("#SBATCH {o}\n")).collect()),
+        ];
+        Ok(Self { minutes, ask, words })
+    }
+
+    /// A template with its words, `@NAME@` each, filled in.
+    fn fill(&self, template: &str) -> String {
+        let fill = |text: String, (name, value): &(&str, String)| text.replace(&format!("@{name}@"), value);
+        self.words.iter().fold(template.to_owned(), fill)
+    }
+}
+
+/// A path as a word of a shell.
+fn quoted(path: &Path) -> String {
+    format!("'{}'", path.to_string_lossy().replace('\'', r"'\''"))
+}
+
+/// A path between the quotes of a directive, where Slurm replaces what follows a `%`.
+fn in_directive(path: &Path) -> Result<String> {
+    let text = path.to_string_lossy();
+    if text.contains(['"', '\\', '\n', '\r', '%']) {
+        return Err(Error::usage(format!(
+            "{}: Slurm takes no path of a log with quotes, backslashes, line ends or %",
+            path.display()
+        )));
+    }
+    Ok(text.into_owned())
+}
+
+fn write_script(path: &Path, text: &str) -> Result<()> {
+    std::fs::write(path, text).map_err(|e| Error::io("write", path, e))?;
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755))
+            .map_err(|e| Error::io("make executable", path, e))?;
+    }
+    Ok(())
+}
+
+/// MaxArraySize of the cluster that this machine belongs to; array indices stay below it.
+fn cluster_max_array() -> Option<u64> {
+    let out = Command::new("scontrol").args(["show", "config"]).output().ok()?;
+    let text = String::from_utf8_lossy(&out.stdout).into_owned();
+    let line = text.lines().find(|l| l.trim_start().starts_with("MaxArraySize"))?;
+    line.split_once('=')?.1.trim().parse().ok().filter(|&n| n > 0)
+}
+
+/// Runs the script that submits; gives the numbers of both jobs.
+fn submit(script: &Path) -> Result<(String, String)> {
+    let failed = |e: std::io::Error| Error::io("run", script, e);
+    let out = Command::new(script).output().map_err(failed)?;
+    let text = String::from_utf8_lossy(&out.stdout).into_owned();
+    match text.trim().split_once(' ') {
+        Some((work, commit)) if out.status.success() => Ok((work.to_owned(), commit.to_owned())),
+        _ => {
+            let why = String::from_utf8_lossy(&out.stderr).trim().replace('\n', "; ");
+            Err(failed(std::io::Error::other(format!("{}: {why}", out.status))))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_are_words_of_a_shell() {
+        assert_eq!(quoted(Path::new("/a b/it's")), r"'/a b/it'\''s'");
+        assert!(in_directive(Path::new("/a b")).is_ok());
+        assert!(["/a%j", "/a\"b", "/a\nb"].iter().all(|p| in_directive(Path::new(p)).is_err()));
+    }
+
+    /// Every word of a template is known.
+    #[test]
+    fn templates_are_filled() {
+        let names = [
+            "ARCHIVE",
+            "QUOTED",
+            "QUOTED_FOLDER",
+            "FOLDER",
+            "PROGRAM",
+            "JOB",
+            "ARRAY",
+            "THROTTLE",
+            "SHARDS",
+            "THREADS",
+            "MEMORY",
+            "MEM",
+            "MINUTES",
+            "GRACE",
+            "TRIES",
+            "SCRATCH",
+            "OPTIONS",
+        ];
+        let job = Job { minutes: 1, ask: 1, words: names.map(|n| (n, "7".to_owned())).to_vec() };
+        for template in TEMPLATES {
+            let text = job.fill(template);
+            assert!(text.starts_with("#!/bin/bash\n") && !text.replace("TERM@7", "").contains('@'), "{text}");
+        }
+    }
+}
