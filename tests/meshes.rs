@@ -110,35 +110,74 @@ fn a_linear_field_on_a_block_gives_its_plane() {
     assert_eq!((error.exit_code(), out.exists()), (2, false), "{error}");
 }
 
+/// Area of the section through the cubes that are kept, at a height within the layer `z`.
+fn section(n: u32, z: u32, keep: impl Fn([f64; 3]) -> bool) -> f64 {
+    let centre = |c: u32| (f64::from(c) + 0.5) / f64::from(n);
+    let kept = (0..n * n).filter(|i| keep([centre(i % n), centre(i / n), centre(z)])).count();
+    kept as f64 / f64::from(n * n)
+}
+
 #[test]
 fn no_surface_is_invented_in_a_cavity_a_hole_or_a_gap() {
     let dir = tempfile::tempdir().unwrap();
     let far = |p: [f64; 3], axes: &[usize]| axes.iter().any(|&a| (p[a] - 0.5).abs() > 0.25);
+    let length = |p: &[f64]| p.iter().map(|c| (c - 0.5) * (c - 0.5)).sum::<f64>().sqrt();
     type Keep<'a> = &'a dyn Fn([f64; 3]) -> bool;
-    // What is kept of the unit cube, and the area of its section at z = 0.45.
-    let cases: [(&str, Keep<'_>, f64); 3] = [
-        ("cavity", &|p| far(p, &[0, 1, 2]), 0.75),
-        ("hole", &|p| far(p, &[0, 1]), 0.75),
-        ("gap", &|p| (p[0] - 0.5).abs() > 0.125, 0.75),
+    // What is kept of the unit cube.
+    let cases: [(&str, Keep<'_>, u64); 5] = [
+        ("cavity", &|p| far(p, &[0, 1, 2]), 1),
+        ("hole", &|p| far(p, &[0, 1]), 1),
+        ("two bodies", &|p| (p[0] - 0.5).abs() > 0.125, 2),
+        ("torus", &|p| (length(&p[..2]) - 0.32).hypot(p[2] - 0.5) < 0.16, 1),
+        ("shell", &|p| (0.3..0.5).contains(&length(&p)), 1),
     ];
-    for (name, keep, area) in cases {
+    for (name, keep, bodies) in cases {
         let input = dir.path().join(format!("{name}.vtk"));
         write_mesh(&input, 16, keep, |p| p, |p| p[2]);
         let (archive, report) = reduced(&input, &settings(1.0), &format!("{name}.isospan"), &run(2));
-        assert!(report.void_points > 0, "{name}");
+        assert!(report.void_points > 0 && report.mesh.unwrap().bodies == bodies, "{name}");
         let (mesh, found) = extracted(&archive, 0.45);
-        assert!((found.area / area - 1.0).abs() < 0.04, "{name}: {} for {area}", found.area);
+        let area = section(16, 7, keep);
+        assert!((found.area / area - 1.0).abs() < 0.03, "{name}: {} for {area}", found.area);
         for t in &mesh.triangles {
             let centre: [f64; 3] = std::array::from_fn(|a| {
                 t.iter().map(|&v| f64::from(mesh.vertices[v as usize].position[a])).sum::<f64>() / 3.0
             });
             // A point spacing is 0.06.
-            let deep = [[-0.04, 0.0], [0.04, 0.0], [0.0, -0.04], [0.0, 0.04]]
-                .iter()
-                .all(|d| !keep([centre[0] + d[0], centre[1] + d[1], centre[2]]));
+            let kept = |x: f64, y: f64| keep([x, y, centre[2]].map(|c| ((c * 16.0).floor() + 0.5) / 16.0));
+            let far = [-0.04, 0.0, 0.04];
+            let deep = far.iter().all(|x| far.iter().all(|y| !kept(centre[0] + x, centre[1] + y)));
             assert!(!deep, "{name}: a triangle at {centre:?}");
         }
     }
+}
+
+#[test]
+fn bodies_that_touch_stay_apart_where_the_field_jumps() {
+    let dir = tempfile::tempdir().unwrap();
+    // The middle layer of 17 is left out, and the gap is closed: the two halves touch at x = 0.5 and share no vertex.
+    let keep = |p: [f64; 3]| (p[0] - 0.5).abs() > 0.5 / 17.0;
+    let closed = |p: [f64; 3], gap: f64| {
+        let x = if p[0] < 0.5 { p[0] * 17.0 / 16.0 } else { 1.0 - (1.0 - p[0]) * 17.0 / 16.0 + gap };
+        [x, p[1], p[2]]
+    };
+    // The halves are told apart by a gap far below a lattice step.
+    let input = dir.path().join("jump.vtk");
+    let jump = |p: [f64; 3]| if p[0] > 0.5 + 2e-10 { p[2] + 10.0 } else { p[2] };
+    write_mesh(&input, 17, keep, |p| closed(p, 4e-10), jump);
+    let (archive, report) = reduced(&input, &settings(1.0), "jump.isospan", &run(2));
+    assert_eq!((report.mesh.unwrap().bodies, report.mesh.unwrap().repeated), (2, 0));
+    let area = |isovalue: f32| extracted(&archive, isovalue).1.area;
+    assert_eq!(area(5.0), 0.0, "the jump is no surface");
+    assert!((area(0.45) - 0.5).abs() < 0.01, "the first body is whole: {}", area(0.45));
+    // The second one begins a part of a spacing later.
+    assert!((0.45..0.501).contains(&area(10.45)), "{}", area(10.45));
+    // Without a jump, and at equal positions, they are one body.
+    let input = dir.path().join("smooth.vtk");
+    write_mesh(&input, 17, keep, |p| closed(p, 0.0), |p| p[2]);
+    let (archive, report) = reduced(&input, &settings(1.0), "smooth.isospan", &run(2));
+    assert_eq!((report.mesh.unwrap().bodies, report.mesh.unwrap().repeated), (1, 18 * 18));
+    assert!((extracted(&archive, 0.45).1.area - 1.0).abs() < 0.01);
 }
 
 #[test]
@@ -178,14 +217,16 @@ fn real_meshes() {
     let Some(data) = common::shared_data() else { return };
     let dir = tempfile::tempdir().unwrap();
     // File, field, isovalue, area of VTK's contour of the whole mesh.
-    for (name, field, isovalue) in
-        [("post_flow_tet.vtk", "Pressure", 0.8), ("cylinder_flow_tet.vtk", "vel_norm", 0.3)]
-    {
+    for (name, field, isovalue, area) in [
+        ("post_flow_tet.vtk", "Pressure", 0.8, 11.1234),
+        ("cylinder_flow_tet.vtk", "vel_norm", 0.3, 0.005_047_44),
+    ] {
         let out = dir.path().join(format!("{name}.isospan"));
         let options = OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
         reduce(&data.join("meshes").join(name), &options, &settings(1.0), &out, &run(2), &Silent).unwrap();
         check_archive(&out).unwrap();
-        assert!(extracted(&out, isovalue).1.triangles > 100, "{name}");
+        let found = extracted(&out, isovalue).1.area;
+        assert!((found / area - 1.0).abs() < 0.1, "{name}: {found} for {area}");
     }
 }
 

@@ -32,4 +32,5 @@ pub(crate) mod column;
 pub(crate) mod frame;
 pub(crate) mod gradients;
 mod merge;
+mod nearest;
 pub(crate) mod store;

@@ -63,7 +63,7 @@ pub(crate) struct CellStore {
     /// Vertices of each tetrahedron, positively oriented, body after body.
     pub(crate) tets: Column<[u64; 4]>,
     pub(crate) bodies: Bodies,
-    /// Triangles of the boundary, along a space-filling curve: three vertices, and the body.
+    /// Triangles of the boundary, along a space-filling curve: three vertices, counter-clockwise seen from outside, and the body.
     pub(crate) boundary: Column<[u64; 4]>,
     /// Six times the volume of all tetrahedra, in fine steps.
     pub(crate) volume6: i128,
@@ -151,10 +151,22 @@ fn read_values(mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<Column<f
     out.finish()
 }
 
+/// The faces of a positively oriented tetrahedron, counter-clockwise seen from outside.
+const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
+
+/// Three vertices in ascending order, and whether that is an odd permutation.
+fn ascending([a, b, c]: [u64; 3]) -> ([u64; 3], bool) {
+    let odd = (a > b) ^ (a > c) ^ (b > c);
+    let mut sorted = [a, b, c];
+    sorted.sort_unstable();
+    (sorted, odd)
+}
+
 /// What cells become.
 struct TetSink {
     tets: ColumnWriter<[u64; 4]>,
-    /// Vertices of all faces, ascending, and the tetrahedron.
+    /// Vertices of all faces, ascending; twice the number of the tetrahedron, and one more where the vertices run clockwise seen from
+    /// outside of it.
     faces: Sorter<[u64; 4]>,
     volume6: i128,
     census: MeshCensus,
@@ -183,11 +195,9 @@ impl TetSink {
         }
         self.volume6 += volume.abs();
         self.census.tetrahedra += 1;
-        for skip in 0..4 {
-            let mut face = [tet[(skip + 1) % 4], tet[(skip + 2) % 4], tet[(skip + 3) % 4]];
-            face.sort_unstable();
-            let [a, b, c] = face;
-            self.faces.push([a, b, c, self.tets.len()])?;
+        for face in FACES {
+            let ([a, b, c], odd) = ascending(face.map(|i| tet[i]));
+            self.faces.push([a, b, c, self.tets.len() << 1 | u64::from(odd)])?;
         }
         self.tets.push(&tet)?;
         Ok(())
@@ -235,12 +245,13 @@ fn boundary_of(
         next = sorted.next()?;
         while let Some(face) = next.filter(|face| face[..3] == first[..3]) {
             single = false;
-            unions.join(first[3], face[3])?;
+            unions.join(first[3] >> 1, face[3] >> 1)?;
             next = sorted.next()?;
         }
         if single {
             let [a, b, c, tet] = first;
-            along.push([hilbert_key(centre([a, b, c], positions), 21), a, b, c, tet])?;
+            let [b, c] = if tet & 1 == 1 { [c, b] } else { [b, c] };
+            along.push([hilbert_key(centre([a, b, c], positions), 21), a, b, c, tet >> 1])?;
         }
     }
     drop(sorted);

@@ -3,7 +3,7 @@
 use super::chunk::MeshedChunk;
 use super::field::{Field, Survey, brick_order, by_brick};
 use super::measure::Originals;
-use crate::domain::boundary::BoundarySamples;
+use crate::domain::boundary::{BoundarySamples, OnBoundary};
 use crate::domain::buckets::Buckets;
 use crate::domain::column::Column;
 use crate::domain::store::CellStore;
@@ -30,10 +30,10 @@ pub(crate) struct CellField<'a> {
 #[derive(Clone, Copy, Debug)]
 struct Spot {
     value: f32,
-    /// The body that it lies in, or on the boundary of; [`NO_BODY`] outside of the mesh.
+    /// The body that it belongs to; [`NO_BODY`] outside of the mesh.
     body: u64,
-    /// A sample of the boundary.
-    boundary: bool,
+    /// On the boundary, or outside and near it: tetrahedra there may be outside.
+    rim: bool,
 }
 
 /// The body of a point outside of the mesh.
@@ -41,7 +41,7 @@ const NO_BODY: u64 = u64::MAX;
 
 impl Default for Spot {
     fn default() -> Self {
-        Self { value: f32::NAN, body: NO_BODY, boundary: false }
+        Self { value: f32::NAN, body: NO_BODY, rim: false }
     }
 }
 
@@ -65,6 +65,7 @@ impl Field for CellField<'_> {
 }
 
 impl CellField<'_> {
+    /// What is known of positions of a brick.
     fn spots(
         &self,
         brick: BrickId,
@@ -73,25 +74,63 @@ impl CellField<'_> {
         out: &mut Vec<Spot>,
     ) -> Result<()> {
         let points: Vec<FinePos> = positions.iter().map(|&p| fine(p)).collect();
-        for (found, &pos) in self.locate(brick, &points, batch)?.iter().zip(positions) {
+        let found = self.locate(brick, &points, batch)?;
+        let touched = self.touched(&found, positions, batch)?;
+        for ((found, touched), &pos) in found.iter().zip(&touched).zip(positions) {
             let sample = self.boundary.at(pos);
-            out.push(match (found.id, sample) {
-                (Found::NOWHERE, None) => Spot::default(),
-                // Rounded out of the mesh, by less than a lattice step.
-                (Found::NOWHERE, Some(sample)) => Spot {
-                    value: self.on_boundary(&sample.triangle, &sample.weights)?,
-                    body: sample.body,
-                    boundary: true,
-                },
-                // Where bodies overlap, the boundary of one lies inside of another: one rule for all points.
-                _ => Spot {
-                    value: self.value(found)?,
-                    body: self.store.bodies.of(found.id)?,
-                    boundary: sample.is_some(),
-                },
+            let place = match sample {
+                _ if touched.is_some() => None,
+                // Rounding puts a sample beside the boundary; and where bodies touch it belongs to the first of them.
+                Some(sample) if sample.body < self.body(found)? => Some(*sample),
+                None if found.id == Found::NOWHERE => self.boundary.near(self.store, pos)?,
+                _ => None,
+            };
+            out.push(match (place, touched) {
+                (Some(place), _) => Spot { value: self.on_boundary(&place)?, body: place.body, rim: true },
+                (None, Some(first)) => self.spot(first, true)?,
+                (None, None) => self.spot(found, sample.is_some())?,
             });
         }
         Ok(())
+    }
+
+    fn spot(&self, found: &Found, rim: bool) -> Result<Spot> {
+        if found.id == Found::NOWHERE {
+            return Ok(Spot::default());
+        }
+        Ok(Spot { value: self.value(found)?, body: self.body(found)?, rim })
+    }
+
+    /// For each sample of the boundary of a body that an earlier body touches there, the place in that body.
+    fn touched(
+        &self,
+        found: &[Found],
+        positions: &[LatticePos],
+        batch: &mut CellBatch,
+    ) -> Result<Vec<Option<Found>>> {
+        let mut touched = vec![None; found.len()];
+        let (mut asked, mut points) = (vec![], vec![]);
+        for (i, (found, &pos)) in found.iter().zip(positions).enumerate() {
+            if let Some(sample) = self.boundary.at(pos)
+                && sample.body > 0
+                && sample.body <= self.body(found)?
+            {
+                asked.push(i);
+                points.push(self.boundary.outwards(self.store, pos, sample)?);
+            }
+        }
+        for (i, first) in asked.into_iter().zip(self.locate_anywhere(&points, batch)?) {
+            let sample = self.boundary.at(positions[i]).expect("asked of samples only");
+            if self.body(&first)? < sample.body {
+                touched[i] = Some(first);
+            }
+        }
+        Ok(touched)
+    }
+
+    /// The body of the cell found; [`NO_BODY`] of none.
+    fn body(&self, found: &Found) -> Result<u64> {
+        if found.id == Found::NOWHERE { Ok(NO_BODY) } else { self.store.bodies.of(found.id) }
     }
 
     /// The cells of the lowest numbers that hold points of a brick.
@@ -104,8 +143,23 @@ impl CellField<'_> {
         Ok(found)
     }
 
-    /// Which tetrahedra lie outside of the mesh: those whose corners are not all in one body, and of those with a sample of the
-    /// boundary for a corner the ones whose centroid is not in that body.
+    /// The cells of the lowest numbers that hold points, which may lie in any bricks.
+    fn locate_anywhere(&self, points: &[FinePos], batch: &mut CellBatch) -> Result<Vec<Found>> {
+        let near: Vec<LatticePos> = points.iter().map(|p| p.map(|c| (c >> FINE_BITS) as u32)).collect();
+        let mut all = vec![Found::default(); points.len()];
+        let mut group = vec![];
+        for run in brick_order(&self.bricks, &near).chunk_by(|a, b| a.0 == b.0) {
+            group.clear();
+            group.extend(run.iter().map(|&(_, i)| points[i as usize]));
+            for (&(_, i), found) in run.iter().zip(self.locate(run[0].0, &group, batch)?) {
+                all[i as usize] = found;
+            }
+        }
+        Ok(all)
+    }
+
+    /// Which tetrahedra lie outside of the mesh: those whose corners are not all of one body, and of those with a corner at the
+    /// rim the ones whose centroid is not in that body.
     fn outside(&self, mesh: &MeshedChunk, spots: &[Spot], batch: &mut CellBatch) -> Result<Vec<bool>> {
         let corners = |t: usize| mesh.tets[t].map(|v| v as usize);
         let body_of = |t: usize| {
@@ -114,27 +168,16 @@ impl CellField<'_> {
         };
         let mut outside: Vec<bool> = (0..mesh.tets.len()).map(|t| body_of(t).is_none()).collect();
         let doubtful: Vec<usize> = (0..mesh.tets.len())
-            .filter(|&t| !outside[t] && corners(t).iter().any(|&v| spots[v].boundary))
+            .filter(|&t| !outside[t] && corners(t).iter().any(|&v| spots[v].rim))
             .collect();
         // Four times the centroid, in lattice steps, is exact; so is the centroid in fine steps.
-        let sum = |t: usize| -> [i64; 3] {
+        let centroid = |&t: &usize| -> FinePos {
             let corners = corners(t).map(|v| mesh.positions[v]);
-            std::array::from_fn(|a| corners.iter().map(|c| i64::from(c[a])).sum())
+            std::array::from_fn(|a| corners.iter().map(|c| i64::from(c[a])).sum::<i64>() << (FINE_BITS - 2))
         };
-        let near: Vec<LatticePos> = doubtful.iter().map(|&t| sum(t).map(|s| (s >> 2) as u32)).collect();
-        let mut centroids = vec![];
-        let order = brick_order(&self.bricks, &near);
-        for run in order.chunk_by(|a, b| a.0 == b.0) {
-            centroids.clear();
-            centroids
-                .extend(run.iter().map(|&(_, i)| sum(doubtful[i as usize]).map(|s| s << (FINE_BITS - 2))));
-            let found = self.locate(run[0].0, &centroids, batch)?;
-            for (&(_, i), found) in run.iter().zip(&found) {
-                let t = doubtful[i as usize];
-                let body =
-                    if found.id == Found::NOWHERE { None } else { Some(self.store.bodies.of(found.id)?) };
-                outside[t] = body != body_of(t);
-            }
+        let centroids: Vec<FinePos> = doubtful.iter().map(centroid).collect();
+        for (&t, found) in doubtful.iter().zip(self.locate_anywhere(&centroids, batch)?) {
+            outside[t] = Some(self.body(&found)?) != body_of(t);
         }
         Ok(outside)
     }
@@ -162,13 +205,13 @@ impl CellField<'_> {
     }
 
     /// As in a tetrahedron with the triangle as one of its faces.
-    fn on_boundary(&self, triangle: &[u64; 3], weights: &[f64; 3]) -> Result<f32> {
+    fn on_boundary(&self, place: &OnBoundary) -> Result<f32> {
         let values = self.store.values.get()?;
-        let [a, b, c] = triangle.map(|v| f64::from(values[v as usize]));
-        let weights = [weights[0], weights[1], weights[2], 0.0];
+        let [a, b, c] = place.triangle.map(|v| f64::from(values[v as usize]));
+        let weights = [place.weights[0], place.weights[1], place.weights[2], 0.0];
         Ok(match (self.interpolation, &self.gradients) {
             (Interpolation::Quadratic, Some(gradients)) => {
-                let [a, b, c] = self.corners(*triangle, gradients.get()?)?;
+                let [a, b, c] = self.corners(place.triangle, gradients.get()?)?;
                 quadratic(&weights, &[a, b, c, Corner::default()])
             }
             _ => linear(&weights, &[a, b, c, 0.0]),

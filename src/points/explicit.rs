@@ -101,6 +101,11 @@ impl ExplicitPoints {
         self.positions[from..to].binary_search(&p).ok().map(|i| from + i)
     }
 
+    /// Calls `visit` with the place in the list of each point of a box within the domain, in ascending order of cells.
+    pub fn each_in(&self, b: &LatticeBox, mut visit: impl FnMut(usize)) {
+        self.each_row(b, |range, _| range.filter(|&i| b.contains(self.positions[i])).for_each(&mut visit));
+    }
+
     /// The position of a point by its index.
     pub(super) fn position(&self, index: u64) -> Option<LatticePos> {
         self.positions.get(usize::try_from(index).ok()?).copied()
