@@ -80,14 +80,14 @@ fn values(c: &mut Criterion) {
         .collect();
     let mut group = c.benchmark_group("values");
     group.sample_size(10).throughput(Throughput::Elements(POINTS));
-    group.bench_function("encode", |b| b.iter(|| encode_values(black_box(&values), None).len()));
-    let blocks = encode_values(&values, None);
+    group.bench_function("encode", |b| b.iter(|| encode_values(black_box(&values), None, None).len()));
+    let blocks = encode_values(&values, None, None);
     let mut out = vec![];
     group.bench_function("decode", |b| {
         b.iter(|| {
             out.clear();
             for (block, part) in blocks.iter().zip(values.chunks(BLOCK_VALUES)) {
-                decode_values(black_box(block), part.len(), &mut out).expect("the block was just made");
+                decode_values(black_box(block), part.len(), &[], &mut out).expect("the block was just made");
             }
             out.len()
         });

@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
+use xxhash_rust::xxh3::Xxh3;
 
 /// Samples of a run.
 pub const RUN: u64 = 1024;
@@ -171,6 +172,19 @@ impl CoordinateMap {
     /// The segment.
     pub fn segment(&self) -> &Segment {
         &self.segment
+    }
+
+    /// XXH3 (128 bits) of all numbers as little-endian f64: the tables of x, y and z, or x, y, z of each sample.
+    ///
+    /// # Errors
+    /// When the segment cannot be read, or is damaged.
+    pub fn hash(&self) -> Result<u128> {
+        let (mut hash, mut block) = (Xxh3::new(), vec![]);
+        for number in 1..self.segment.block_count() {
+            self.segment.block(number, &mut block)?;
+            hash.update(&block);
+        }
+        Ok(hash.digest128())
     }
 
     /// The world position of a position in index space, within the grid.

@@ -30,29 +30,37 @@ pub const MANIFEST_FORMAT: &str = "isospan archive";
 /// The most bytes of a manifest.
 pub const LARGEST_MANIFEST: u64 = 1 << 30;
 
+/// The most steps between a step and the keyframe that its values may go back to.
+pub const LONGEST_CHAIN: u64 = 255;
+
 /// Path of a mesh segment.
 pub fn mesh_segment_path(archive: &Path, segment: u64) -> PathBuf {
     archive.join(format!("mesh/{segment:06}.seg"))
 }
 
+/// Folder of a step's files.
+pub fn step_folder(archive: &Path, step: u64) -> PathBuf {
+    archive.join(format!("steps/{step:06}"))
+}
+
 /// Path of a value segment of a step.
 pub fn values_segment_path(archive: &Path, step: u64, segment: u64) -> PathBuf {
-    archive.join(format!("steps/{step:06}/values-{segment:06}.seg"))
+    step_folder(archive, step).join(format!("values-{segment:06}.seg"))
 }
 
 /// Path of the index of a step.
 pub fn index_path(archive: &Path, step: u64) -> PathBuf {
-    archive.join(format!("steps/{step:06}/index.seg"))
+    step_folder(archive, step).join("index.seg")
 }
 
 /// Path of the contour spectrum of a step.
 pub fn spectrum_path(archive: &Path, step: u64) -> PathBuf {
-    archive.join(format!("steps/{step:06}/spectrum.seg"))
+    step_folder(archive, step).join("spectrum.seg")
 }
 
 /// Path of the coordinates of a step's grid.
 pub fn coordinates_path(archive: &Path, step: u64) -> PathBuf {
-    archive.join(format!("steps/{step:06}/coordinates.seg"))
+    step_folder(archive, step).join("coordinates.seg")
 }
 
 /// Everything that decides the bytes of the mesh.
@@ -139,9 +147,26 @@ pub struct StepPlan {
     pub nan: String,
     /// How values were rounded, if they were.
     pub quantiser: Option<Quantiser>,
+    /// The step before, against which values may be coded; none of a keyframe.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub base: Option<BaseStep>,
+}
+
+/// A step against whose values those of another may be coded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BaseStep {
+    /// Its number.
+    pub number: u64,
+    /// Its [`StepPlan::hash`].
+    pub hash: PlanHash,
 }
 
 impl StepPlan {
+    /// The time of the step: what the input told, else its number.
+    pub fn time_or_number(&self) -> f64 {
+        self.time.unwrap_or(self.number as f64)
+    }
+
     /// The hash that the step's value and index segments carry. A copy of the source elsewhere gives the same.
     pub fn hash(&self, plan: PlanHash) -> PlanHash {
         let mut part = self.clone();
@@ -330,6 +355,33 @@ impl Manifest {
         if !self.steps.is_sorted_by(|a, b| a.plan.number < b.plan.number) {
             return bad("steps", "ascending numbers".into(), "others".into());
         }
+        if !self.steps.is_sorted_by(|a, b| a.plan.time_or_number() < b.plan.time_or_number()) {
+            return bad("steps", "ascending times".into(), "others".into());
+        }
+        self.check_bases(path)
+    }
+
+    /// A base is the step before, and a keyframe is not far: any step is decoded in bounded time.
+    fn check_bases(&self, path: &Path) -> Result<()> {
+        let mut length = 0;
+        for (n, step) in self.steps.iter().enumerate() {
+            let Some(base) = &step.plan.base else {
+                length = 0;
+                continue;
+            };
+            length += 1;
+            let before = n.checked_sub(1).map(|n| &self.steps[n].plan);
+            let is_before =
+                before.is_some_and(|b| b.number == base.number && b.hash(self.plan_hash) == base.hash);
+            if !is_before || length > LONGEST_CHAIN {
+                return Err(Error::bad_input(
+                    path,
+                    format!("base of step {}", step.plan.number),
+                    format!("the step before it, and a keyframe at most {LONGEST_CHAIN} steps ago"),
+                    format!("step {}", base.number),
+                ));
+            }
+        }
         Ok(())
     }
 
@@ -413,7 +465,15 @@ pub(crate) mod tests {
             mesh: None,
         };
         let interpolation = Interpolation::Linear;
-        StepPlan { number, time: Some(0.7), source, interpolation, nan: "error".into(), quantiser: None }
+        StepPlan {
+            number,
+            time: Some(0.7 + number as f64),
+            source,
+            interpolation,
+            nan: "error".into(),
+            quantiser: None,
+            base: None,
+        }
     }
 
     fn example() -> Manifest {
@@ -498,6 +558,23 @@ pub(crate) mod tests {
         assert_ne!(s.hash(a.hash()), s.hash(b.hash()));
         // Written archives depend on it: a change here is a change of the format.
         assert_eq!(a.hash().to_string(), "43c3a8c28ea702b3245cc6983034727a");
+    }
+
+    #[test]
+    fn bases_are_the_steps_before() {
+        let path = Path::new("m");
+        let mut m = example();
+        let base = |m: &Manifest| BaseStep { number: 0, hash: m.steps[0].plan.hash(m.plan_hash) };
+        m.steps[1].plan.base = Some(base(&m));
+        m.check(path).unwrap();
+        // Another base would give other values without any checksum being wrong.
+        m.steps[0].plan.source.fingerprint.push('1');
+        assert!(m.check(path).unwrap_err().to_string().contains("base of step 3"));
+        m.steps[1].plan.base = Some(BaseStep { number: 1, ..base(&m) });
+        assert!(m.check(path).is_err());
+        m.steps[1].plan.base = None;
+        m.steps[1].plan.time = Some(0.7);
+        assert!(m.check(path).unwrap_err().to_string().contains("ascending times"));
     }
 
     #[test]

@@ -33,7 +33,7 @@ pub use wire::Malformed;
 
 #[cfg(test)]
 mod tests {
-    use super::{chunk, coordinates, segment, star, values};
+    use super::{chunk, coordinates, manifest, segment, star, values};
     use crate::index::page;
     use crate::spectrum;
 
@@ -61,6 +61,9 @@ mod tests {
             ("VALUES_RAW", u64::from(values::VALUES_RAW)),
             ("VALUES_PCO", u64::from(values::VALUES_PCO)),
             ("VALUES_QUANTISED", u64::from(values::VALUES_QUANTISED)),
+            ("VALUES_AFTER", u64::from(values::VALUES_AFTER)),
+            ("VALUES_AFTER_QUANTISED", u64::from(values::VALUES_AFTER_QUANTISED)),
+            ("LONGEST_CHAIN", manifest::LONGEST_CHAIN),
             ("COORDINATES_AXES", u64::from(coordinates::COORDINATES_AXES)),
             ("COORDINATES_POINTS", u64::from(coordinates::COORDINATES_POINTS)),
             ("COORDINATES_RUN", coordinates::RUN),

@@ -112,7 +112,7 @@ impl<'de> Deserialize<'de> for PlanHash {
 }
 
 /// A finished segment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Default)]
 pub struct SegmentInfo {
     /// Length of the file.
     pub bytes: u64,

@@ -14,6 +14,11 @@
 //!
 //! **Quantised** values are multiples of a step from an origin, the same for a whole archive: vertices that two chunks share keep equal values.
 //! The integers are what is stored.
+//!
+//! **Steps of a series** lie on the same vertices, and the value of a vertex is often near that of the step before. A block may hold the
+//! differences to it: of the integers of a quantised value, else of the floats' bits as integers in the order of the floats (as in Lindstrom and
+//! Isenburg 2006, "Fast and efficient compression of floating-point data", where the prediction is one of space). Three blocks of a chunk
+//! are coded both ways, and the shorter way is taken for all of the chunk.
 
 use super::wire::{Cursor, Malformed};
 use pco::standalone::{simple_compress, simple_decompress_into};
@@ -28,6 +33,11 @@ pub const VALUES_RAW: u8 = 0;
 pub const VALUES_PCO: u8 = 16;
 /// Codec: pcodec of multiples of a step.
 pub const VALUES_QUANTISED: u8 = 17;
+
+/// Codec: pcodec of differences of the ordered bits to those of the step before.
+pub const VALUES_AFTER: u8 = 32;
+/// Codec: pcodec of differences of multiples of a step to those of the step before.
+pub const VALUES_AFTER_QUANTISED: u8 = 33;
 
 /// The bits of every void value.
 const VOID: u32 = 0x7fc0_0000;
@@ -71,6 +81,14 @@ impl Quantiser {
         (self.origin + f64::from(steps) * self.step) as f32
     }
 
+    fn steps_or_void(&self, value: f32) -> i32 {
+        if value.is_nan() { VOID_STEP } else { self.steps(value) }
+    }
+
+    fn value_or_void(&self, steps: i32) -> f32 {
+        if steps == VOID_STEP { f32::from_bits(VOID) } else { self.value(steps) }
+    }
+
     /// The value that stands for a value; void stays void.
     pub fn round(&self, value: f32) -> f32 {
         if value.is_finite() { self.value(self.steps(value)) } else { value }
@@ -78,40 +96,110 @@ impl Quantiser {
 }
 
 /// Encodes the values of all local vertices of a chunk, core then halo: one block for each [`BLOCK_VALUES`] values. Values that
-/// [`Quantiser::round`] has made of others are stored as steps.
-pub fn encode_values(values: &[f32], quantiser: Option<&Quantiser>) -> Vec<Vec<u8>> {
+/// [`Quantiser::round`] has made of others are stored as steps. `before` are the values of the same vertices at the step that blocks may
+/// refer to.
+///
+/// # Panics
+/// When there is not one value a vertex before.
+pub fn encode_values(values: &[f32], before: Option<&[f32]>, quantiser: Option<&Quantiser>) -> Vec<Vec<u8>> {
+    let before = before.filter(|before| is_nearer(values, before, quantiser));
     let mut deltas = None;
-    values.chunks(BLOCK_VALUES).map(|block| encode_block(block, quantiser, &mut deltas)).collect()
+    let blocks = values.chunks(BLOCK_VALUES).enumerate();
+    let encode = |(n, block): (usize, &[f32])| match before {
+        None => encode_block(block, quantiser, &mut deltas),
+        Some(before) => encode_after(block, &before[n * BLOCK_VALUES..][..block.len()], quantiser),
+    };
+    blocks.map(encode).collect()
+}
+
+/// Whether the values are told in fewer bytes by those of the step before: found out with the first, a middle and the last block.
+fn is_nearer(values: &[f32], before: &[f32], quantiser: Option<&Quantiser>) -> bool {
+    assert_eq!(values.len(), before.len(), "one value a vertex");
+    let blocks = values.len().div_ceil(BLOCK_VALUES);
+    let mut tried: Vec<usize> =
+        [0, blocks / 2, blocks.saturating_sub(1)].into_iter().filter(|&n| n < blocks).collect();
+    tried.dedup();
+    let (mut alone, mut after, mut deltas) = (0, 0, None);
+    for n in tried {
+        let (from, to) = (n * BLOCK_VALUES, values.len().min((n + 1) * BLOCK_VALUES));
+        alone += encode_block(&values[from..to], quantiser, &mut deltas).len();
+        after += encode_after(&values[from..to], &before[from..to], quantiser).len();
+    }
+    // Less than 2 % is not worth to look back for.
+    after * 50 < alone * 49
 }
 
 fn encode_block(values: &[f32], quantiser: Option<&Quantiser>, deltas: &mut Option<bool>) -> Vec<u8> {
-    let plain: Vec<f32> = values.iter().map(|v| if v.is_nan() { f32::from_bits(VOID) } else { *v }).collect();
+    let plain = one_void(values);
     if let Some(q) = quantiser
         && let Some(steps) = as_steps(&plain, q)
     {
-        let mut out = vec![VALUES_QUANTISED];
-        out.extend(q.origin.to_le_bytes());
-        out.extend(q.step.to_le_bytes());
+        let mut out = quantised_head(VALUES_QUANTISED, q);
         out.extend(packed(&steps, deltas));
         return out;
     }
     let mut out = vec![VALUES_PCO];
     out.extend(packed(&plain, deltas));
-    if out.len() > values.len() * 4 {
-        out = vec![VALUES_RAW];
-        out.extend(plain.iter().flat_map(|v| v.to_le_bytes()));
+    shorter_than_raw(out, &plain)
+}
+
+/// A block of differences to the values before.
+fn encode_after(values: &[f32], before: &[f32], quantiser: Option<&Quantiser>) -> Vec<u8> {
+    let plain = one_void(values);
+    let differences = &mut Some(false);
+    if let Some(q) = quantiser
+        && let Some(mut steps) = as_steps(&plain, q)
+    {
+        for (step, &before) in steps.iter_mut().zip(before) {
+            *step = step.wrapping_sub(q.steps_or_void(before));
+        }
+        let mut out = quantised_head(VALUES_AFTER_QUANTISED, q);
+        out.extend(packed(&steps, differences));
+        return out;
     }
+    let difference = |(v, b): (&f32, &f32)| ordered(*v).wrapping_sub(ordered(*b));
+    let numbers: Vec<i32> = plain.iter().zip(&one_void(before)).map(difference).collect();
+    let mut out = vec![VALUES_AFTER];
+    out.extend(packed(&numbers, differences));
+    shorter_than_raw(out, &plain)
+}
+
+fn quantised_head(codec: u8, q: &Quantiser) -> Vec<u8> {
+    let mut out = vec![codec];
+    out.extend(q.origin.to_le_bytes());
+    out.extend(q.step.to_le_bytes());
     out
+}
+
+fn shorter_than_raw(packed: Vec<u8>, values: &[f32]) -> Vec<u8> {
+    if packed.len() <= values.len() * 4 {
+        return packed;
+    }
+    let mut out = vec![VALUES_RAW];
+    out.extend(values.iter().flat_map(|v| v.to_le_bytes()));
+    out
+}
+
+/// All void values by the same bits.
+fn one_void(values: &[f32]) -> Vec<f32> {
+    values.iter().map(|v| if v.is_nan() { f32::from_bits(VOID) } else { *v }).collect()
+}
+
+/// The bits as an integer in the order of the floats (IEEE 754 totalOrder); its own inverse but for the type.
+fn ordered(v: f32) -> i32 {
+    turned(v.to_bits() as i32)
+}
+
+/// Of negative numbers, all bits but the sign turned over.
+fn turned(bits: i32) -> i32 {
+    bits ^ ((bits >> 31) as u32 >> 1) as i32
 }
 
 /// The steps of quantised values; `None` if one is no multiple.
 fn as_steps(values: &[f32], q: &Quantiser) -> Option<Vec<i32>> {
     let steps = |&v: &f32| {
-        if v.to_bits() == VOID {
-            return Some(VOID_STEP);
-        }
-        let steps = q.steps(v);
-        (q.value(steps).to_bits() == v.to_bits()).then_some(steps)
+        let steps = q.steps_or_void(v);
+        (q.value_or_void(steps).to_bits() == v.to_bits()).then_some(steps)
     };
     values.iter().map(steps).collect()
 }
@@ -134,13 +222,22 @@ fn packed<T: pco::data_types::Number>(numbers: &[T], deltas: &mut Option<bool>) 
     }
 }
 
-/// Decodes a block of `n` values and appends them to `out`.
+/// Whether a block of values is told by that of the step before.
+pub fn needs_before(bytes: &[u8]) -> bool {
+    matches!(bytes.first(), Some(&(VALUES_AFTER | VALUES_AFTER_QUANTISED)))
+}
+
+/// Decodes a block of `n` values and appends them to `out`. `before` are the `n` values of the step before, of a block that
+/// [`needs_before`]; of others they are not looked at.
 ///
 /// # Errors
-/// When the bytes are not a block of `n` values; `out` is then unchanged.
-pub fn decode_values(bytes: &[u8], n: usize, out: &mut Vec<f32>) -> Result<(), Malformed> {
+/// When the bytes are not a block of `n` values, or need others that are not there; `out` is then unchanged.
+pub fn decode_values(bytes: &[u8], n: usize, before: &[f32], out: &mut Vec<f32>) -> Result<(), Malformed> {
     if n > BLOCK_VALUES {
         return Err(Malformed::new("values", format!("at most {BLOCK_VALUES} values"), n.to_string()));
+    }
+    if needs_before(bytes) && before.len() != n {
+        return Err(Malformed::new("codec", "values that need no others, as of a keyframe", "differences"));
     }
     let mut c = Cursor::new(bytes);
     match c.u8("codec")? {
@@ -157,17 +254,34 @@ pub fn decode_values(bytes: &[u8], n: usize, out: &mut Vec<f32>) -> Result<(), M
             out.extend(&values[..n]);
         }
         VALUES_QUANTISED => {
-            let number = |c: &mut Cursor<'_>| Ok(f64::from_bits(c.u64("quantiser")?));
-            let (origin, step) = (number(&mut c)?, number(&mut c)?);
-            let q = Quantiser { bits: 0, origin, step, bound: 0.0 };
-            let mut steps = [0i32; BLOCK_VALUES];
+            let (q, mut steps) = (quantiser(&mut c)?, [0i32; BLOCK_VALUES]);
             unpacked(c.rest(), &mut steps[..n])?;
-            let value = |&s: &i32| if s == VOID_STEP { f32::from_bits(VOID) } else { q.value(s) };
-            out.extend(steps[..n].iter().map(value));
+            out.extend(steps[..n].iter().map(|&s| q.value_or_void(s)));
+        }
+        VALUES_AFTER => {
+            let mut numbers = [0i32; BLOCK_VALUES];
+            unpacked(c.rest(), &mut numbers[..n])?;
+            let value = |(d, b): (&i32, &f32)| {
+                let v = f32::from_bits(turned(ordered(*b).wrapping_add(*d)) as u32);
+                if v.is_nan() { f32::from_bits(VOID) } else { v }
+            };
+            out.extend(numbers.iter().zip(before).map(value));
+        }
+        VALUES_AFTER_QUANTISED => {
+            let (q, mut steps) = (quantiser(&mut c)?, [0i32; BLOCK_VALUES]);
+            unpacked(c.rest(), &mut steps[..n])?;
+            let value = |(d, b): (&i32, &f32)| q.value_or_void(q.steps_or_void(*b).wrapping_add(*d));
+            out.extend(steps.iter().zip(before).map(value));
         }
         other => return Err(Malformed::new("codec", "a known value codec", other.to_string())),
     }
     Ok(())
+}
+
+/// The quantiser at the start of a block.
+fn quantiser(c: &mut Cursor<'_>) -> Result<Quantiser, Malformed> {
+    let mut number = || Ok(f64::from_bits(c.u64("quantiser")?));
+    Ok(Quantiser { bits: 0, origin: number()?, step: number()?, bound: 0.0 })
 }
 
 /// Exactly as many numbers as there is room for.
@@ -186,11 +300,11 @@ mod tests {
     use super::*;
 
     fn round_trip(values: &[f32], quantiser: Option<&Quantiser>) -> Vec<Vec<u8>> {
-        let blocks = encode_values(values, quantiser);
+        let blocks = encode_values(values, None, quantiser);
         assert_eq!(blocks.len(), values.len().div_ceil(BLOCK_VALUES));
         let mut back = vec![];
         for (block, part) in blocks.iter().zip(values.chunks(BLOCK_VALUES)) {
-            decode_values(block, part.len(), &mut back).unwrap();
+            decode_values(block, part.len(), &[], &mut back).unwrap();
         }
         let bits = |v: &[f32]| v.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
         assert_eq!(bits(&back), bits(values));
@@ -252,16 +366,16 @@ mod tests {
         let q = Quantiser::new(8, [0.0, 1.0]);
         assert_eq!(
             round_trip(&[0.1, 0.7], Some(&q))[0][0],
-            VALUES_PCO.min(encode_values(&[0.1, 0.7], None)[0][0])
+            VALUES_PCO.min(encode_values(&[0.1, 0.7], None, None)[0][0])
         );
     }
 
     #[test]
     fn all_nans_are_one() {
         let nans = [0x7fc0_0000, 0xffc0_0000, 0x7f80_0001, 0x7fff_ffff].map(f32::from_bits);
-        assert_eq!(encode_values(&nans, None), encode_values(&[f32::NAN; 4], None));
+        assert_eq!(encode_values(&nans, None, None), encode_values(&[f32::NAN; 4], None, None));
         let mut back = vec![];
-        decode_values(&encode_values(&nans, None)[0], 4, &mut back).unwrap();
+        decode_values(&encode_values(&nans, None, None)[0], 4, &[], &mut back).unwrap();
         assert!(back.iter().all(|v| v.to_bits() == VOID));
     }
 
@@ -270,21 +384,80 @@ mod tests {
         let smooth: Vec<f32> = (0..300).map(|i| (i * i) as f32).collect();
         let q = Quantiser::new(12, [0.0, 90_000.0]);
         let rounded: Vec<f32> = smooth.iter().map(|&v| q.round(v)).collect();
-        for good in [encode_values(&smooth, None).remove(0), encode_values(&rounded, Some(&q)).remove(0)] {
+        for good in
+            [encode_values(&smooth, None, None).remove(0), encode_values(&rounded, None, Some(&q)).remove(0)]
+        {
             assert_ne!(good[0], VALUES_RAW);
             for n in [0, 299, 301, BLOCK_VALUES, usize::MAX] {
-                assert!(decode_values(&good, n, &mut vec![]).is_err(), "{n}");
+                assert!(decode_values(&good, n, &[], &mut vec![]).is_err(), "{n}");
             }
             for i in 0..good.len() {
-                assert!(decode_values(&good[..i], 300, &mut vec![]).is_err());
+                assert!(decode_values(&good[..i], 300, &[], &mut vec![]).is_err());
                 for bit in 0..8 {
                     let mut bad = good.clone();
                     bad[i] ^= 1 << bit;
                     let mut out = vec![];
-                    assert!(decode_values(&bad, 300, &mut out).is_err() || out.len() == 300);
+                    assert!(decode_values(&bad, 300, &[], &mut out).is_err() || out.len() == 300);
                 }
             }
         }
-        assert!(decode_values(&[99, 0], 1, &mut vec![]).unwrap_err().got.contains("99"));
+        assert!(decode_values(&[99, 0], 1, &[], &mut vec![]).unwrap_err().got.contains("99"));
+    }
+
+    /// Encodes values after others, decodes them, and tells the codec of the first block.
+    fn after(values: &[f32], before: &[f32], q: Option<&Quantiser>) -> u8 {
+        let blocks = encode_values(values, Some(before), q);
+        let mut back = vec![];
+        for (n, (block, part)) in blocks.iter().zip(values.chunks(BLOCK_VALUES)).enumerate() {
+            decode_values(block, part.len(), &before[n * BLOCK_VALUES..][..part.len()], &mut back).unwrap();
+            let alone = decode_values(block, part.len(), &[], &mut vec![]);
+            assert_eq!(alone.is_err(), needs_before(block));
+        }
+        assert!(back.iter().zip(values).all(|(a, b)| a.to_bits() == b.to_bits() || a.is_nan() && b.is_nan()));
+        blocks[0][0]
+    }
+
+    #[test]
+    fn values_near_those_before_are_told_by_them() {
+        let wave = |t: f32| -> Vec<f32> {
+            noise(9000).iter().map(|&n| n as f32 / 1e9 - 2.0 + t * ((n % 7) as f32)).collect()
+        };
+        let (mut a, mut b) = (wave(0.0), wave(1e-5));
+        // Void, void before, both, and signs that change.
+        (a[5], b[6], a[7], b[7], a[8], b[8]) = (f32::NAN, f32::NAN, f32::NAN, f32::NAN, -1e-30, 1e-30);
+        (a[9], b[9], a[10], b[10]) = (f32::MAX, f32::MIN, -0.0, 0.0);
+        assert_eq!(after(&b, &a, None), VALUES_AFTER);
+        let q = Quantiser::new(16, [-2.0, 2.5]);
+        let mut rounded: Vec<f32> = b.iter().map(|&v| q.round(v)).collect();
+        rounded[9] = q.round(0.0);
+        assert_eq!(after(&rounded, &a, Some(&q)), VALUES_AFTER_QUANTISED);
+        // Values that do not look back are shorter alone.
+        let ramp: Vec<f32> = (0..9000).map(|i| i as f32).collect();
+        assert_eq!(after(&ramp, &a, None), VALUES_PCO);
+        assert!(!needs_before(&encode_values(&a, Some(&ramp), None)[0]));
+        assert!(encode_values(&[], Some(&[]), None).is_empty());
+    }
+
+    #[test]
+    fn damaged_differences_are_refused_or_give_values() {
+        let before: Vec<f32> = noise(300).iter().map(|&n| n as f32).collect();
+        let values: Vec<f32> = before.iter().map(|v| v * 1.000_001).collect();
+        let q = Quantiser::new(20, [0.0, 5e9]);
+        let rounded: Vec<f32> = values.iter().map(|&v| q.round(v)).collect();
+        for good in [
+            encode_values(&values, Some(&before), None).remove(0),
+            encode_values(&rounded, Some(&before), Some(&q)).remove(0),
+        ] {
+            assert!(needs_before(&good));
+            for i in 0..good.len() {
+                assert!(decode_values(&good[..i], 300, &before, &mut vec![]).is_err());
+                for bit in 0..8 {
+                    let mut bad = good.clone();
+                    bad[i] ^= 1 << bit;
+                    let mut out = vec![];
+                    assert!(decode_values(&bad, 300, &before, &mut out).is_err() || out.len() == 300);
+                }
+            }
+        }
     }
 }

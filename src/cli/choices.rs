@@ -40,6 +40,9 @@ pub(crate) struct Choices {
     /// A value that means "no data here".
     #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
     missing: Option<f64>,
+    /// Of a series: store every N-th step without reference to the one before.
+    #[arg(long, value_name = "N", default_value_t = ReduceSettings::KEYFRAMES)]
+    keyframes: u64,
     /// Points meshed together; changes the archive's layout, not its mesh.
     #[arg(long, value_name = "N", default_value_t = ReduceSettings::CHUNK_POINTS)]
     chunk_points: u64,
@@ -74,16 +77,7 @@ enum Interp {
 }
 
 fn parse_nan(text: &str) -> std::result::Result<NanPolicy, String> {
-    match text {
-        "error" => Ok(NanPolicy::Error),
-        "mask" => Ok(NanPolicy::Mask),
-        value => value
-            .parse::<f32>()
-            .ok()
-            .filter(|v| v.is_finite())
-            .map(NanPolicy::Value)
-            .ok_or_else(|| format!("'{value}' is none of error, mask, or a finite number")),
-    }
+    NanPolicy::parse(text).ok_or_else(|| format!("'{text}' is none of error, mask, or a finite number"))
 }
 
 fn parse_regularity(text: &str) -> std::result::Result<[u32; 3], String> {
@@ -124,6 +118,7 @@ impl Choices {
             value_bits: self.value_bits,
             chunk_points: self.chunk_points,
             measure: !self.no_measure,
+            keyframes: self.keyframes,
         })
     }
 }

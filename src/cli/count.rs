@@ -1,5 +1,6 @@
 //! `isospan count`: how large would the surface be?
 
+use super::step::StepArgs;
 use super::text;
 use isospan::Result;
 use std::fmt::Write as _;
@@ -22,6 +23,8 @@ pub(crate) struct Args {
         allow_hyphen_values = true
     )]
     isovalue: Vec<f32>,
+    #[command(flatten)]
+    step: StepArgs,
     /// Print the result as JSON, one object a line.
     #[arg(long)]
     json: bool,
@@ -29,7 +32,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     args.isovalue.iter().try_for_each(|&isovalue| {
-        let report = isospan::pipeline::count_active(&args.archive, isovalue)?;
+        let report = isospan::pipeline::count_active_at(&args.archive, args.step.choice(), isovalue)?;
         if args.json {
             return super::print_json(&report);
         }

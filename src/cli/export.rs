@@ -2,6 +2,7 @@
 
 use super::machine::{Machine, OutputScratch};
 use super::progress::Talk;
+use super::step::StepArgs;
 use super::text;
 use isospan::pipeline::{Corners, ExportSettings, Roi};
 use isospan::{Archive, Result};
@@ -34,6 +35,8 @@ pub(crate) struct Args {
     machine: Machine,
     #[command(flatten)]
     scratch: OutputScratch,
+    #[command(flatten)]
+    step: StepArgs,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
@@ -60,7 +63,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         scratch: args.scratch.scratch.clone(),
         cancel: super::signals::cancel_token(),
     };
-    let archive = Archive::open(&args.archive)?;
+    let archive = Archive::open_at(&args.archive, args.step.choice())?;
     let bar = talk.progress();
     let report = archive.write_tetrahedra(&settings, &args.output, &*bar);
     bar.end();

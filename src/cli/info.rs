@@ -1,6 +1,7 @@
 //! `isospan info`: what is in a volume, a mesh or an archive.
 
 use super::input::InputArgs;
+use super::step::StepArgs;
 use super::text;
 use isospan::pipeline::{self, ArchiveSummary, Scan};
 use isospan::volume::VolumeInfo;
@@ -17,6 +18,8 @@ pub(crate) struct Args {
     /// Read the header only: no range, no histogram.
     #[arg(long)]
     no_scan: bool,
+    #[command(flatten)]
+    step: StepArgs,
     /// Print one JSON object a line.
     #[arg(long)]
     json: bool,
@@ -30,7 +33,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
 
 fn one(path: &Path, args: &Args) -> Result<()> {
     if pipeline::is_archive(path) {
-        let summary = pipeline::summarize(path)?;
+        let summary = pipeline::summarize_at(path, args.step.choice())?;
         return if args.json {
             super::print_json(&summary)
         } else {
@@ -229,9 +232,35 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     if s.void_points > 0 {
         let _ = writeln!(out, "  void        {} points", text::count(s.void_points));
     }
-    let _ = writeln!(out, "  steps       {}", s.steps);
+    out += &steps_text(s);
     let each = s.bytes as f64 / s.points.max(1) as f64;
     let _ = writeln!(out, "  size        {} ({each:.2} bytes a point)", text::bytes(s.bytes));
+    out
+}
+
+/// The steps: of a series, a line each.
+fn steps_text(s: &ArchiveSummary) -> String {
+    let mut out = format!("  steps       {}\n", s.steps.len());
+    if s.steps.len() == 1 {
+        return out;
+    }
+    let _ = writeln!(
+        out,
+        "  {:>6} {:>12} {:>24} {:>10} {:>10}  source",
+        "step", "time", "range", "values", "index"
+    );
+    for step in &s.steps {
+        let time = step.time.map_or("-".into(), |t| t.to_string());
+        let range = step.range.map_or("none".into(), |[lo, hi]| format!("{lo} .. {hi}"));
+        let [values, index] = [step.value_bytes, step.index_bytes].map(text::bytes);
+        let asked = if step.number == s.step { '>' } else { ' ' };
+        let key = if step.base.is_none() { " (keyframe)" } else { "" };
+        let _ = writeln!(
+            out,
+            " {asked}{:>6} {time:>12} {range:>24} {values:>10} {index:>10}  {}: {}{key}",
+            step.number, step.source, step.field
+        );
+    }
     out
 }
 

@@ -28,6 +28,7 @@ impl Machine {
             memory: self.memory(talk),
             scratch: scratch.scratch.clone(),
             replace: false,
+            keep_going: false,
             cancel: signals::cancel_token(),
         }
     }

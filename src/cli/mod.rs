@@ -1,6 +1,7 @@
 //! The command line: one file a subcommand, each `Args` and `run`. Results go to standard output, progress and errors
 //! to standard error; an error is one line; exit codes are those of [`isospan::Error::exit_code`].
 
+mod append;
 mod brick;
 mod check;
 mod choices;
@@ -25,6 +26,7 @@ mod signals;
 mod slurm;
 mod spectrum;
 mod status;
+mod step;
 mod surface;
 mod text;
 mod work;
@@ -48,6 +50,7 @@ pub(crate) struct Cli {
 enum Command {
     Info(info::Args),
     Reduce(Box<reduce::Args>),
+    Append(append::Args),
     Surface(surface::Args),
     Count(count::Args),
     Export(export::Args),
@@ -67,9 +70,9 @@ enum Command {
 }
 
 impl Command {
-    /// Whether the same command goes on where it was stopped: only a reduction has something to continue.
+    /// Whether the same command goes on where it was stopped: only what makes an archive has something to continue.
     fn continues(&self) -> bool {
-        matches!(self, Self::Reduce(_) | Self::Work(_) | Self::Commit(_))
+        matches!(self, Self::Reduce(_) | Self::Append(_) | Self::Work(_) | Self::Commit(_))
     }
 }
 
@@ -104,6 +107,7 @@ fn run(cli: &Cli) -> Result<()> {
     match &cli.command {
         Command::Info(args) => info::run(args),
         Command::Reduce(args) => reduce::run(args, &cli.talk),
+        Command::Append(args) => append::run(args, &cli.talk),
         Command::Surface(args) => surface::run(args, &cli.talk),
         Command::Count(args) => count::run(args),
         Command::Export(args) => export::run(args, &cli.talk),

@@ -4,6 +4,7 @@ use super::choices::Choices;
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
+use super::step::StepInputs;
 use super::text;
 use isospan::Result;
 use isospan::pipeline::{PlanReport, RunSettings, plan_shards};
@@ -17,8 +18,8 @@ use std::time::Duration;
 /// `reduce`. A compressed input is unpacked, and a mesh sorted, by every worker for itself: `brick` a compressed volume first.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// The volume or mesh, in a place that all workers see.
-    input: PathBuf,
+    #[command(flatten)]
+    steps: StepInputs,
     /// The archive to make, a folder NAME.isospan in a place that all workers see.
     #[arg(short, long, value_name = "ARCHIVE")]
     output: PathBuf,
@@ -43,9 +44,10 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
-    let (options, settings) = (args.read.options()?, args.choices.settings()?);
+    let run = RunSettings { keep_going: args.steps.keep_going, ..run };
+    let (steps, settings) = (args.steps.all(&args.read)?, args.choices.settings()?);
     let bar = talk.progress();
-    let report = plan_shards(&args.input, &options, &settings, &args.output, args.shards, &run, &*bar);
+    let report = plan_shards(&steps, &settings, &args.output, args.shards, &run, &*bar);
     bar.end();
     let report = report?;
     if args.json { super::print_json(&report) } else { super::print(&in_words(&args.output, &report)) }

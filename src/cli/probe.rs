@@ -2,6 +2,7 @@
 
 use super::machine::Machine;
 use super::progress::Talk;
+use super::step::StepArgs;
 use super::text;
 use isospan::formats::samples::SampleFormat;
 use isospan::pipeline::{ProbeReport, ProbeSettings};
@@ -25,6 +26,8 @@ pub(crate) struct Args {
     output: PathBuf,
     #[command(flatten)]
     machine: Machine,
+    #[command(flatten)]
+    step: StepArgs,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
@@ -40,7 +43,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         memory: args.machine.memory(talk),
         cancel: super::signals::cancel_token(),
     };
-    let archive = Archive::open(&args.archive)?;
+    let archive = Archive::open_at(&args.archive, args.step.choice())?;
     let bar = talk.progress();
     let report = match (args.grid, &args.at) {
         (Some(grid), _) => SampleFormat::from_path(&args.output)

@@ -4,17 +4,18 @@ use super::choices::Choices;
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
+use super::step::StepInputs;
 use super::{dry_run, text};
 use isospan::Result;
-use isospan::pipeline::{ReduceReport, RunSettings, estimate, reduce};
+use isospan::pipeline::{ReduceReport, RunSettings, estimate_series, reduce_series};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// Reduce a volume to an archive: sample it at quasi-Monte Carlo points, mesh them, index the mesh.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
-    /// The volume: raw, NRRD, MetaImage, NPY, NIfTI, VTI, legacy VTK or .bricks.
-    input: PathBuf,
+    #[command(flatten)]
+    steps: StepInputs,
     /// The archive to make, a folder NAME.isospan.
     #[arg(short, long, value_name = "ARCHIVE")]
     output: PathBuf,
@@ -39,16 +40,17 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
-    let (options, settings) = (args.read.options()?, args.choices.settings()?);
+    let run = RunSettings { keep_going: args.steps.keep_going, ..run };
+    let (steps, settings) = (args.steps.all(&args.read)?, args.choices.settings()?);
     if args.dry_run {
-        let found = estimate(&args.input, &options, &settings, &args.output, &run)?;
+        let found = estimate_series(&steps, &settings, &args.output, &run)?;
         return dry_run::tell(&found, &args.output, args.json);
     }
     let threads = if run.threads == 0 { isospan::exec::available_threads() } else { run.threads };
-    let io = args.read.io_text(&args.input);
+    let io = args.read.io_text(&steps[0].path);
     talk.detail(&format!("memory {}, {threads} threads, {io}", text::bytes(run.memory)));
     let bar = talk.progress();
-    let report = reduce(&args.input, &options, &settings, &args.output, &run, &*bar);
+    let report = reduce_series(&steps, &settings, &args.output, &run, &*bar);
     bar.end();
     tell(&args.output, &report?, args.json, talk)
 }
@@ -100,6 +102,22 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
     }
     if let Some(error) = &report.error {
         let _ = writeln!(out, "{}", super::measure::line(error));
+    }
+    if report.steps.len() + report.skipped.len() > 1 {
+        let bytes = report.steps.iter().map(|s| s.value_bytes + s.index_bytes).sum::<u64>();
+        let each = bytes / report.steps.len().max(1) as u64;
+        let numbers = [report.steps.first(), report.steps.last()].map(|s| s.map_or(0, |s| s.number));
+        let count = report.steps.len();
+        let _ = writeln!(
+            out,
+            "  steps       {count}, {} to {}, {} each",
+            numbers[0],
+            numbers[1],
+            text::bytes(each)
+        );
+    }
+    for step in &report.skipped {
+        let _ = writeln!(out, "  left out    step {}: {}", step.number, step.reason);
     }
     let _ =
         writeln!(out, "  archive     {} ({per_point:.2} bytes a point)", text::bytes(report.archive_bytes));

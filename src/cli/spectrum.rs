@@ -1,8 +1,9 @@
 //! `isospan spectrum`: how the isosurface changes with the isovalue.
 
+use super::step::StepArgs;
 use super::{figure, text};
 use isospan::Result;
-use isospan::pipeline::{SpectrumReport, contour_spectrum};
+use isospan::pipeline::{SpectrumReport, contour_spectrum_at};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -16,6 +17,8 @@ pub(crate) struct Args {
     /// Also draw the curves: .svg or .png.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    #[command(flatten)]
+    step: StepArgs,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
@@ -23,7 +26,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let format = args.plot.as_deref().map(figure::Format::of).transpose()?;
-    let report = contour_spectrum(&args.archive)?;
+    let report = contour_spectrum_at(&args.archive, args.step.choice())?;
     if let Some((file, format)) = args.plot.as_deref().zip(format) {
         let name = args.archive.file_stem().unwrap_or_default().to_string_lossy();
         figure::write(&report, &name, file, format)?;

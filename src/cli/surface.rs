@@ -2,6 +2,7 @@
 
 use super::machine::{Machine, OutputScratch};
 use super::progress::Talk;
+use super::step::StepArgs;
 use super::text;
 use isospan::Result;
 use isospan::formats::surface::SurfaceFormat;
@@ -62,6 +63,8 @@ pub(crate) struct Args {
     machine: Machine,
     #[command(flatten)]
     scratch: OutputScratch,
+    #[command(flatten)]
+    step: StepArgs,
     /// Print points, tetrahedra, active blocks, bytes read and the time of each stage.
     #[arg(long)]
     stats: bool,
@@ -99,6 +102,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         memory: args.machine.memory(talk),
         scratch: args.scratch.scratch.clone(),
         cap: args.cap,
+        step: args.step.choice(),
         refine: refine(args),
         cancel: super::signals::cancel_token(),
     };

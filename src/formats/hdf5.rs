@@ -65,12 +65,7 @@ const MOST_COORDINATES: u64 = 1 << 24;
 /// and none is chosen.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
-    let limits = hdf5_reader::OpenOptions::default()
-        .with_chunk_cache_bytes(0)
-        .with_max_chunk_bytes(MOST_CHUNK as usize)
-        .with_max_read_bytes(MOST_CHUNK as usize);
-    let file = Hdf5File::from_storage_with_options(Arc::new(Bytes(source.clone())), limits)
-        .map_err(|e| damaged(path, "superblock", &e))?;
+    let file = open_file(path, &source)?;
     let mut tree = Tree::of(path, &file)?;
     let wanted = options.field.as_deref().map(|name| tree.full_name(&file, name));
     tree.check_wanted(path, wanted.as_deref())?;
@@ -83,6 +78,33 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         return Ok(VolumeSource::Random(Box::new(volume)));
     }
     Ok(VolumeSource::Stream(Box::new(Pieces::new(info, field)?)))
+}
+
+/// The frames of a file whose only dataset has four axes, by the names of their fields, and their times, where the first axis has a coordinate
+/// variable. None of other files.
+///
+/// # Errors
+/// As [`open`].
+pub(super) fn frames(path: &Path, options: &OpenOptions) -> Result<Vec<(String, Option<f64>)>> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let file = open_file(path, &source)?;
+    let tree = Tree::of(path, &file)?;
+    let Some(first) = tree.fields.first().filter(|f| f.before.len() == 1) else { return Ok(vec![]) };
+    if tree.fields.iter().any(|f| f.dataset.address() != first.dataset.address()) || tree.fields.len() == 1 {
+        return Ok(vec![]);
+    }
+    let times = first.times(&tree).filter(|t| t.len() == tree.fields.len());
+    let time = |n: usize| times.as_ref().map(|t| t[n]);
+    Ok(tree.fields.iter().enumerate().map(|(n, f)| (f.info.name.clone(), time(n))).collect())
+}
+
+fn open_file(path: &Path, source: &Arc<ByteSource>) -> Result<Hdf5File> {
+    let limits = hdf5_reader::OpenOptions::default()
+        .with_chunk_cache_bytes(0)
+        .with_max_chunk_bytes(MOST_CHUNK as usize)
+        .with_max_read_bytes(MOST_CHUNK as usize);
+    Hdf5File::from_storage_with_options(Arc::new(Bytes(source.clone())), limits)
+        .map_err(|e| damaged(path, "superblock", &e))
 }
 
 /// Our file for the reader: checked, and followed when it shrinks.
@@ -369,8 +391,21 @@ impl Field {
         geometry(path, "coordinate variables", origin, scaled_axes(spacing))
     }
 
+    /// The times of the frames: the coordinate variable of the first axis, in its own unit.
+    fn times(&self, tree: &Tree) -> Option<Vec<f64>> {
+        let list = self.dataset.attribute("DIMENSION_LIST").ok()?;
+        let reference = list.raw_data.get(..self.dataset.vlen_reference_size())?;
+        self.line(reference, tree).filter(|times| times.iter().all(|t| t.is_finite()))
+    }
+
     /// Start, step and number of the coordinates that an entry of `DIMENSION_LIST` refers to, where they are regular.
     fn coordinates(&self, reference: &[u8], tree: &Tree) -> Option<(f64, f64, u64)> {
+        let values = self.line(reference, tree)?;
+        regular(&values).map(|(start, step)| (start, step, values.len() as u64))
+    }
+
+    /// The coordinates that an entry of `DIMENSION_LIST` refers to.
+    fn line(&self, reference: &[u8], tree: &Tree) -> Option<Vec<f64>> {
         let bytes = self.dataset.resolve_vlen_reference_bytes(reference, 8).ok()?;
         let address = u64::from_le_bytes(bytes.get(..8)?.try_into().ok()?);
         let line = tree.lines.iter().find(|d| d.address() == address)?;
@@ -379,10 +414,9 @@ impl Field {
         if name.starts_with("This is a netCDF dimension but not a netCDF variable") {
             return None;
         }
-        let count = line.num_elements().ok().filter(|&n| n <= MOST_COORDINATES)?;
+        line.num_elements().ok().filter(|&n| n <= MOST_COORDINATES)?;
         let (scalar, _) = scalar_of(Path::new(""), "", line).ok()?;
-        let values = all_f64(line, scalar).ok()?;
-        regular(&values).map(|(start, step)| (start, step, count))
+        all_f64(line, scalar).ok()
     }
 
     /// Byte of the first sample, and bytes a step, where the samples lie in the file as they are.

@@ -29,6 +29,7 @@ pub mod point_list;
 mod ranges;
 pub mod raw;
 pub mod samples;
+mod series;
 mod stack;
 pub mod stl;
 pub mod stream;
@@ -52,6 +53,7 @@ use stream::Codec;
 
 pub use coordinates::open_coordinates;
 pub use mesh::{Input, is_mesh, open_input, open_mesh};
+pub use series::{StepSource, steps_of};
 
 /// How to open a volume.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -219,7 +221,7 @@ pub(crate) fn has_suffix(path: &Path, suffixes: &[&str]) -> bool {
     suffixes.iter().any(|s| name.ends_with(s))
 }
 
-/// The index of the field to read: the one that is `wanted`, or the only scalar one.
+/// The index of the field to read: the one that is `wanted`, the first that a pattern matches, or the only scalar one.
 ///
 /// # Errors
 /// [`Error::Usage`] listing the fields when `wanted` is not a scalar field of the file, or is needed and not given;
@@ -234,14 +236,18 @@ pub fn pick_field(path: &Path, fields: &[FieldInfo], wanted: Option<&str>) -> Re
     match (wanted, &scalar[..]) {
         (None, &[only]) => Ok(only),
         (None, _) => Err(Error::usage(format!(
-            "{}: several fields: {}; choose one with --field NAME",
+            "{}: several fields: {}; choose one with --field NAME, or steps of a series with --field PATTERN",
             path.display(),
             list_fields(fields)
         ))),
-        (Some(name), _) => scalar.into_iter().find(|&i| fields[i].name == name).ok_or_else(|| {
-            let fields = list_fields(fields);
-            Error::usage(format!("{}: no scalar field {name}; its fields: {fields}", path.display()))
-        }),
+        (Some(name), _) => {
+            let named = scalar.iter().find(|&&i| fields[i].name == name);
+            let matching = || scalar.iter().find(|&&i| series::field_matches(name, &fields[i].name));
+            named.or_else(matching).copied().ok_or_else(|| {
+                let fields = list_fields(fields);
+                Error::usage(format!("{}: no scalar field {name}; its fields: {fields}", path.display()))
+            })
+        }
     }
 }
 

@@ -12,7 +12,8 @@
 //! | magic | 344 "n+1", "ni1" | 4 "n+2", "ni2" | one file, or a pair |
 //! | `dim` | 40, 8 x i16 | 16, 8 x i64 | number of axes, then x, y, z, t, components … |
 //! | `datatype` | 70, i16 | 12, i16 | |
-//! | `pixdim` | 76, 8 x f32 | 104, 8 x f64 | handedness of the quaternion, then spacings |
+//! | `pixdim` | 76, 8 x f32 | 104, 8 x f64 | handedness of the quaternion, then spacings; of t, in any unit |
+//! | `toffset` | 136, f32 | 216, f64 | time of the first frame |
 //! | `vox_offset` | 108, f32 | 168, i64 | |
 //! | `scl_slope`, `scl_inter` | 112, f32 | 176, f64 | value = slope · stored + inter; slope 0: none |
 //! | `qform_code`, `sform_code` | 252, i16 | 344, i32 | above 0: the map to the world is given |
@@ -84,6 +85,24 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let strides = StridedVolume::packed_strides(dims, scalar).expect("fewer than 2^63 bytes");
     let volume = StridedVolume::new(info, data, offset, header.big_endian, strides)?;
     Ok(VolumeSource::Random(Box::new(volume)))
+}
+
+/// The frames of a file by the names of their fields, and their times: `toffset` and a `pixdim[4]` for each. None where there is one volume.
+pub(super) fn frames(path: &Path, options: &OpenOptions) -> Result<Vec<(String, Option<f64>)>> {
+    let header_path =
+        if has_suffix(path, &[".img", ".img.gz"]) { partner(path, "hdr")? } else { path.to_path_buf() };
+    let header = Header::parse(&Arc::new(ByteSource::open(&header_path, options.io)?))?;
+    let frames = header.frames()?;
+    if frames == 1 {
+        return Ok(vec![]);
+    }
+    // Refuses a header that claims more frames than there are, before they are listed.
+    let first = OpenOptions { field: Some("t0".into()), ..options.clone() };
+    open(path, &first)?;
+    let (step, start) = (header.float(76, 104, 4), header.float(136, 216, 0));
+    let known = step > 0.0 && step.is_finite() && start.is_finite();
+    let time = |t: u64| known.then(|| start + t as f64 * step);
+    Ok((0..frames).map(|t| (format!("t{t}"), time(t))).collect())
 }
 
 fn is_gzip(source: &ByteSource) -> Result<bool> {

@@ -86,12 +86,20 @@ fn parts(name: &str) -> (Vec<String>, Vec<u128>) {
     }
 }
 
+/// Sorts by the numbers in names, as numbers, then by the names.
+pub(super) fn by_numbers<T>(all: &mut [T], name: impl Fn(&T) -> String) {
+    all.sort_by_cached_key(|one| {
+        let name = name(one);
+        (parts(&name).1, name)
+    });
+}
+
 /// Puts names in the order of their numbers.
 fn in_order(path: &Path, mut names: Vec<String>) -> Result<Vec<String>> {
     if names.len() < 2 {
         return Ok(names);
     }
-    names.sort_by_cached_key(|n| (parts(n).1, n.clone()));
+    by_numbers(&mut names, Clone::clone);
     let cut: Vec<_> = names.iter().map(|n| parts(n)).collect();
     if let Some(other) = (1..cut.len()).find(|&i| cut[i].0 != cut[0].0) {
         let got = format!("{} and {}", names[0], names[other]);

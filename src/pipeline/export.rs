@@ -109,9 +109,9 @@ pub(super) fn export(
     let blocks = match settings.range {
         None => Blocks::All,
         Some([lo, hi]) => {
-            let index = archive.index()?;
+            let index = archive.ranges()?;
             let entries = index.query_values(lo, hi)?;
-            index_bytes = index.segment().bytes_read();
+            index_bytes = index.bytes_read();
             Blocks::Some(entries)
         }
     };

@@ -24,6 +24,17 @@ pub enum NanPolicy {
     Value(f32),
 }
 
+impl NanPolicy {
+    /// What [`NanPolicy`]'s `Display` writes; `None` for other text.
+    pub fn parse(text: &str) -> Option<Self> {
+        match text {
+            "error" => Some(Self::Error),
+            "mask" => Some(Self::Mask),
+            number => number.parse::<f32>().ok().filter(|v| v.is_finite()).map(Self::Value),
+        }
+    }
+}
+
 impl fmt::Display for NanPolicy {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -59,6 +70,24 @@ pub(crate) trait Field: Sync {
 
     /// Tells that no chunk before this one will be asked for again; chunks pass in order.
     fn pass(&self, chunk: &Chunk);
+}
+
+impl<F: Field> Field for &F {
+    fn survey(&self, mesh: &MeshedChunk) -> Result<Survey> {
+        (**self).survey(mesh)
+    }
+
+    fn originals(&self) -> Originals<'_> {
+        (**self).originals()
+    }
+
+    fn will_need(&self, chunk: &Chunk) {
+        (**self).will_need(chunk);
+    }
+
+    fn pass(&self, chunk: &Chunk) {
+        (**self).pass(chunk);
+    }
 }
 
 /// Calls `sample` with the positions of each brick that has some of the chunk's vertices, and puts its answers in the

@@ -3,6 +3,7 @@
 use super::chunk::MeshedChunk;
 use super::field::{Field, NanPolicy, Survey, by_brick};
 use super::measure::Originals;
+use super::reduce::Scratch;
 use crate::error::{Error, Result};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, Chunk, IndexBox};
@@ -11,8 +12,11 @@ use crate::volume::VolumeReader;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A volume, and how it is sampled.
-pub(crate) struct GridField<'a> {
-    pub(crate) reader: &'a dyn VolumeReader,
+pub(crate) struct GridField {
+    pub(crate) reader: Box<dyn VolumeReader>,
+    /// The copy that is read, removed behind the reader.
+    #[allow(dead_code, reason = "what counts is when it is dropped")]
+    pub(super) scratch: Option<Scratch>,
     pub(crate) bricks: BrickGrid,
     pub(crate) interpolation: Interpolation,
     pub(crate) nan: NanPolicy,
@@ -21,7 +25,7 @@ pub(crate) struct GridField<'a> {
     pub(crate) released: AtomicU64,
 }
 
-impl Field for GridField<'_> {
+impl Field for GridField {
     fn survey(&self, mesh: &MeshedChunk) -> Result<Survey> {
         let mut voxels = vec![];
         let values =
@@ -34,7 +38,7 @@ impl Field for GridField<'_> {
             NanPolicy::Value(v) => Some(v),
             NanPolicy::Error | NanPolicy::Mask => None,
         };
-        Originals::Volume { reader: self.reader, missing: self.missing, stand_in }
+        Originals::Volume { reader: &*self.reader, missing: self.missing, stand_in }
     }
 
     fn will_need(&self, chunk: &Chunk) {
@@ -53,7 +57,7 @@ impl Field for GridField<'_> {
     }
 }
 
-impl GridField<'_> {
+impl GridField {
     fn sample(&self, positions: &[LatticePos], voxels: &mut Vec<f32>, out: &mut Vec<f32>) -> Result<()> {
         let needed = self.interpolation.voxels_for(&self.bricks.lattice, positions);
         voxels.resize(needed.len(), 0.0);

@@ -1,13 +1,14 @@
 //! [`Archive`]: an archive, and all questions that can be asked of it.
 
 use super::export::{ExportReport, ExportSettings, export};
-use super::open::{ArchiveSummary, OpenArchive, summarize};
+use super::open::{ArchiveSummary, OpenArchive, summarize_at};
 use super::probe::{ProbeReport, ProbeSettings, probe_grid, sample_grid};
 use super::probe_points::{probe_table, values_at};
 use super::query::{
-    CountReport, SurfaceReport, SurfaceSettings, count_active, extract_surface, surface_in_memory,
+    CountReport, SurfaceReport, SurfaceSettings, count_active_at, extract_surface, surface_in_memory,
 };
 use super::spectrum::{self, SpectrumReport};
+use super::steps::StepChoice;
 use super::verify::{ArchiveCheck, check_archive};
 use crate::error::Result;
 use crate::exec::{Progress, Silent};
@@ -55,6 +56,7 @@ use std::path::{Path, PathBuf};
 pub struct Archive {
     open: OpenArchive,
     path: PathBuf,
+    step: StepChoice,
 }
 
 /// Tetrahedra of one chunk of an archive, with the points that they use.
@@ -76,8 +78,16 @@ impl Archive {
     /// # Errors
     /// [`crate::Error::BadInput`] when there is none, or its manifest is damaged.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        Self::open_at(path, StepChoice::First)
+    }
+
+    /// Opens an archive at a step or a time: all questions are about that.
+    ///
+    /// # Errors
+    /// As [`Archive::open`]; [`crate::Error::Usage`] for a step or a time that is not in the archive.
+    pub fn open_at(path: impl AsRef<Path>, step: StepChoice) -> Result<Self> {
         let path = path.as_ref();
-        Ok(Self { open: OpenArchive::open(path)?, path: path.to_path_buf() })
+        Ok(Self { open: OpenArchive::open_at(path, step)?, path: path.to_path_buf(), step })
     }
 
     /// What the archive holds.
@@ -85,12 +95,12 @@ impl Archive {
     /// # Errors
     /// When the size of its files cannot be told.
     pub fn info(&self) -> Result<ArchiveSummary> {
-        summarize(&self.path)
+        summarize_at(&self.path, self.step)
     }
 
     /// Least and largest value; `None` when no point has one.
     pub fn value_range(&self) -> Option<[f32; 2]> {
-        self.open.step().value_range
+        self.open.value_range()
     }
 
     /// From numbers of samples of the source to the world.
@@ -108,7 +118,7 @@ impl Archive {
     /// # Errors
     /// [`crate::Error::Usage`] for an isovalue that is not finite; [`crate::Error::BadInput`] for a damaged archive.
     pub fn count(&self, isovalue: f32) -> Result<CountReport> {
-        count_active(&self.path, isovalue)
+        count_active_at(&self.path, self.step, isovalue)
     }
 
     /// How large isosurfaces are, over the isovalue, and isovalues that are worth a look. Reads some ten thousand bytes.
@@ -124,7 +134,7 @@ impl Archive {
     /// # Errors
     /// As [`Archive::count`].
     pub fn active_blocks(&self, isovalue: f32) -> Result<Vec<Entry>> {
-        self.open.index()?.query(isovalue)
+        self.open.ranges()?.query_any(&[isovalue])
     }
 
     /// The tetrahedra of the blocks that an isosurface may cross, chunk after chunk, each read when it is asked for.
@@ -198,7 +208,7 @@ impl Archive {
         surface_in_memory(&self.open, isovalue)
     }
 
-    /// Writes isosurfaces to a file, in bounded memory.
+    /// Writes isosurfaces to a file, in bounded memory; those of the archive's step, whatever the settings say.
     ///
     /// # Errors
     /// As [`extract_surface`].
@@ -209,7 +219,8 @@ impl Archive {
         format: SurfaceFormat,
         progress: &dyn Progress,
     ) -> Result<SurfaceReport> {
-        extract_surface(&self.path, settings, out, format, progress)
+        let settings = SurfaceSettings { step: self.step, ..settings.clone() };
+        extract_surface(&self.path, &settings, out, format, progress)
     }
 
     /// The field, linear in each tetrahedron, at points in world coordinates: NaN outside the domain, and where the source has no data.

@@ -12,9 +12,9 @@
 //!
 //! The regions of a row are replaced by their hull, which can only keep an edge open longer than needed.
 
+use super::commit::mesh_summary;
 use super::need;
 use super::open::OpenArchive;
-use super::reduce::mesh_summary;
 use crate::error::Result;
 use crate::geom::{LatticeBox, LatticePos};
 use crate::grid::ChunkId;

@@ -20,6 +20,16 @@ impl Layout {
         Self { root: root.to_path_buf(), chunks, step }
     }
 
+    /// The files of another step.
+    pub(crate) fn at(&self, step: u64) -> Self {
+        Self { step, ..self.clone() }
+    }
+
+    /// The folder of the step.
+    pub(crate) fn step_folder(&self) -> PathBuf {
+        manifest::step_folder(&self.root, self.step)
+    }
+
     pub(crate) fn root(&self) -> &Path {
         &self.root
     }

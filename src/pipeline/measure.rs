@@ -191,6 +191,7 @@ fn against_volume(
         memory: settings.memory,
         scratch: settings.scratch.clone(),
         replace: false,
+        keep_going: false,
         cancel: settings.cancel.clone(),
     };
     let (reader, _scratch) = random_access(source, &run, progress)?;

@@ -7,8 +7,10 @@
 //!
 //! [`reduce`] makes an archive, [`extract_surface`] and [`count_active`] ask it, [`check_archive`] proves it whole.
 
+mod append;
 mod cell_field;
 mod chunk;
+mod commit;
 mod export;
 mod extract;
 mod field;
@@ -33,30 +35,38 @@ mod reduce_mesh;
 mod refine;
 mod roi;
 mod scan;
+mod series;
 mod shard;
 mod spectrum;
 mod status;
+mod steps;
 mod verify;
 mod visit;
+mod volume_series;
 mod work;
 
 pub use crate::domain::store::MeshCensus;
+pub use append::{AppendSettings, append};
 pub use export::{Corners, ExportReport, ExportSettings};
 pub use field::NanPolicy;
 pub use fingerprint::fingerprint;
 pub use handle::{Archive, Tetrahedra};
 pub use measure::{MeasureReport, MeasureSettings, measure};
 pub use need::Estimate;
-pub use open::{ArchiveSummary, is_archive, summarize};
+pub use open::{ArchiveSummary, StepSummary, is_archive, summarize, summarize_at};
 pub use plan::{Amount, Plan, ReduceSettings};
 pub use plan_file::{plan_path, work_folder};
 pub use probe::{ProbeReport, ProbeSettings};
-pub use query::{CountReport, OneSurface, SurfaceReport, SurfaceSettings, count_active, extract_surface};
-pub use reduce::{ReduceReport, RunSettings, brick, estimate, reduce};
+pub use query::{
+    CountReport, OneSurface, SurfaceReport, SurfaceSettings, count_active, count_active_at, extract_surface,
+};
+pub use reduce::{ReduceReport, RunSettings, brick, estimate, estimate_series, reduce, reduce_series};
 pub use refine::{Refine, RefineReport};
 pub use roi::{Roi, RoiSpace};
 pub use scan::{Scan, scan};
+pub use series::SkippedStep;
 pub use shard::{PlanReport, Planned, Shard, WorkReport, commit_shards, plan_shards, planned, work_shard};
-pub use spectrum::{SpectrumReport, contour_spectrum};
+pub use spectrum::{SpectrumReport, contour_spectrum, contour_spectrum_at};
 pub use status::{GcReport, StatusReport, collect_garbage, shard_status};
+pub use steps::StepChoice;
 pub use verify::{ArchiveCheck, check_archive};

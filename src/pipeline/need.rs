@@ -34,6 +34,8 @@ const PER_POINT: u64 = 900;
 const PER_CHUNK: u64 = 4 << 20;
 /// Bytes of a point's share of an encoded chunk, at most: its value, and a little more than 6 tetrahedra.
 const PRODUCT_PER_POINT: u64 = 26;
+/// Bytes of a point's share of the encoded values of a further step: a value, which halo points have too, and ranges of blocks.
+const STEP_PER_POINT: u64 = 6;
 /// Encoded chunks, for each worker, that may wait for their turn.
 const WAITING: u64 = 3;
 /// Tetrahedra a point; bytes of an index entry while the index is built in memory, and on disk.
@@ -42,6 +44,10 @@ const INDEX_ENTRY: u64 = 25;
 const INDEX_ENTRY_ON_DISK: u64 = 48;
 /// Bytes of an archive for a point: 6.7 tetrahedra at 5 bits, a value, its share of tables.
 const ARCHIVE_PER_POINT: u64 = 10;
+/// And for a point of a further step: a value, its share of ranges, index and spectrum.
+const VALUES_PER_POINT: u64 = 4;
+/// The time of a further step, as a part of the first.
+const FURTHER_STEP: f64 = 0.1;
 /// Points a second of one thread, meshed and encoded, on a machine of 2020: rough.
 const POINTS_PER_SECOND: f64 = 150_000.0;
 /// Chunks looked at to find the largest.
@@ -72,9 +78,11 @@ pub(crate) fn room_for(points_in_region: u64) -> u64 {
     points_in_region.saturating_mul(PER_POINT).saturating_add(PER_CHUNK)
 }
 
-/// Bytes of an encoded chunk of so many points, at most.
-pub(crate) fn product_bytes(core_points: u64) -> u64 {
-    core_points.saturating_mul(PRODUCT_PER_POINT).saturating_add(256 << 10)
+/// Bytes of an encoded chunk of so many points, with the values of so many steps, at most.
+pub(crate) fn product_bytes(core_points: u64, steps: u64) -> u64 {
+    let further = steps.saturating_sub(1);
+    let per_point = PRODUCT_PER_POINT.saturating_add(STEP_PER_POINT.saturating_mul(further));
+    core_points.saturating_mul(per_point).saturating_add((256 << 10) + further * (32 << 10))
 }
 
 /// The memory of a run, as it is shared out.
@@ -106,7 +114,9 @@ pub(crate) struct Need {
     points: u64,
     chunks: u64,
     room: u64,
-    product: u64,
+    /// Points of the largest chunk, encoded with the values of so many steps.
+    core_points: u64,
+    steps: u64,
     /// Of the index.
     entries: u64,
 }
@@ -125,13 +135,30 @@ impl Need {
             points,
             chunks: parts.chunks.len(),
             room: room_for(region_points),
-            product: product_bytes(core_points),
+            core_points,
+            steps: 1,
             entries: points.saturating_mul(TETS_PER_POINT) / 1024 + parts.chunks.len(),
         }
     }
 
+    /// The same where as many steps of `most` are made at a time as do not make fewer threads work.
+    pub(crate) fn with_steps(self, most: u64, memory: u64, threads: usize) -> Self {
+        let of = |steps| Self { steps, ..self };
+        let useful = (threads as u64).min(self.chunks).max(1);
+        (2..=most).rev().map(of).find(|need| need.of_workers(useful) <= memory).unwrap_or(of(1))
+    }
+
+    /// Steps that are made at a time.
+    pub(crate) fn steps(&self) -> usize {
+        self.steps as usize
+    }
+
+    fn product(&self) -> u64 {
+        product_bytes(self.core_points, self.steps)
+    }
+
     fn of_workers(&self, workers: u64) -> u64 {
-        let each = self.room.saturating_add(WAITING * self.product);
+        let each = self.room.saturating_add(WAITING * self.product());
         BASE.saturating_add(each.saturating_mul(workers).max(BuildSettings::LEAST_MEMORY))
     }
 
@@ -151,9 +178,10 @@ impl Need {
         self.of_workers((threads as u64).min(self.chunks))
     }
 
-    /// Seconds of so many workers, roughly.
-    pub(crate) fn seconds(&self, workers: usize) -> f64 {
-        self.points as f64 / (POINTS_PER_SECOND * workers.max(1) as f64)
+    /// Seconds of so many workers for so many steps, roughly.
+    pub(crate) fn seconds(&self, workers: usize, steps: usize) -> f64 {
+        let further = steps.saturating_sub(1) as f64;
+        self.points as f64 * (1.0 + FURTHER_STEP * further) / (POINTS_PER_SECOND * workers.max(1) as f64)
     }
 
     /// Shares `memory` out to at most `threads` workers.
@@ -166,7 +194,7 @@ impl Need {
         }
         let useful = (threads as u64).min(self.chunks).max(1);
         let workers = (1..=useful).rev().find(|&w| self.of_workers(w) <= memory).unwrap_or(1);
-        let queue = workers * WAITING * self.product;
+        let queue = workers * WAITING * self.product();
         Ok(Shares { workers: workers as usize, room: (memory - BASE - queue) / workers, queue })
     }
 }
@@ -228,20 +256,22 @@ pub(crate) struct Question<'a> {
 impl Estimate {
     pub(crate) fn new(q: &Question<'_>) -> Self {
         let workers = q.need.shares(q.memory, q.threads).map_or(0, |s| s.workers);
+        let further = q.plan.steps.len() as u64 - 1;
         Self {
-            samples: q.plan.step.source.dims.iter().product(),
+            samples: q.plan.first().source.dims.iter().product(),
             points: q.need.points,
             chunks: q.need.chunks,
             memory: q.memory,
             memory_least: q.need.least().max(q.copying),
             memory_comfortable: q.need.comfortable(q.threads).max(q.copying),
             workers,
-            archive_bytes: q.need.points.saturating_mul(ARCHIVE_PER_POINT) + (64 << 10),
+            archive_bytes: q.need.points.saturating_mul(ARCHIVE_PER_POINT + VALUES_PER_POINT * further)
+                + (64 << 10) * (1 + further),
             archive_free: free_bytes(q.out).map(|free| free.saturating_add(q.there)),
             // The copy of the input is gone when the index is built.
             scratch_bytes: q.scratch.1.max(q.need.index_scratch(q.memory)),
             scratch_free: free_bytes(q.scratch.0),
-            seconds: q.need.seconds(workers),
+            seconds: q.need.seconds(workers, q.plan.steps.len()),
             archive: q.out.to_path_buf(),
             scratch: q.scratch.0.to_path_buf(),
         }
@@ -330,13 +360,15 @@ mod tests {
     use super::*;
 
     const NEED: Need =
-        Need { points: 1 << 20, chunks: 9, room: 100 << 20, product: 2 << 20, entries: 1 << 15 };
+        Need { points: 1 << 20, chunks: 9, room: 100 << 20, core_points: 70_000, steps: 1, entries: 1 << 15 };
+    const PRODUCT: u64 = 70_000 * 26 + (256 << 10);
 
     #[test]
     fn fewer_work_where_memory_is_short() {
         let least = NEED.least();
-        assert_eq!(least, BASE + (106 << 20));
-        for (memory, workers) in [(least, 1), (least + (106 << 20), 2), (u64::MAX / 2, 4)] {
+        let each = (100 << 20) + 3 * PRODUCT;
+        assert_eq!(least, BASE + each);
+        for (memory, workers) in [(least, 1), (least + each, 2), (u64::MAX / 2, 4)] {
             let shares = NEED.shares(memory, 4).unwrap();
             assert_eq!(shares.workers, workers);
             assert!(shares.room >= NEED.room && shares.memory_for(shares.room_alone()) <= memory);
@@ -344,6 +376,14 @@ mod tests {
         assert_eq!(NEED.shares(u64::MAX / 2, 100).unwrap().workers, 9, "not more than there are chunks");
         let error = NEED.shares(least - 1, 4).unwrap_err();
         assert_eq!((error.exit_code(), error.to_string().contains(&least.to_string())), (4, true));
+    }
+
+    #[test]
+    fn fewer_steps_at_a_time_where_memory_is_short() {
+        let steps = |memory| NEED.with_steps(16, memory, 1).steps();
+        let least = NEED.least();
+        assert_eq!((steps(least - 1), steps(least), steps(least + (6 << 20)), steps(1 << 40)), (1, 1, 5, 16));
+        assert!(NEED.with_steps(16, least + (6 << 20), 1).least() <= least + (6 << 20));
     }
 
     #[test]

@@ -4,10 +4,11 @@ use super::layout::Layout;
 use super::plan::{MeshParts, parts};
 use super::reader::ChunkReader;
 use super::reduce::folder_bytes;
+use super::steps::{StepChoice, View};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::{CellCount, CoordinateMap};
 use crate::archive::explicit::read_explicit;
-use crate::archive::manifest::{MANIFEST_NAME, Manifest, MeshSource, SegmentRecord, Step};
+use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, MeshSource, SegmentRecord, Step};
 use crate::archive::segment::{FORMAT_VERSION, PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::archive::values::Quantiser;
 use crate::error::{Error, Result};
@@ -21,7 +22,7 @@ use crate::spectrum::SpectrumFile;
 use crate::spectrum::suggest::Suggestion;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -69,8 +70,10 @@ pub struct ArchiveSummary {
     pub chunks: u64,
     /// Tetrahedron blocks.
     pub blocks: u64,
-    /// Time steps.
-    pub steps: usize,
+    /// Number of the step that range, areas and suggestions are of.
+    pub step: u64,
+    /// All time steps.
+    pub steps: Vec<StepSummary>,
     /// Least and largest value.
     pub range: Option<[f32; 2]>,
     /// Area of the isosurface at each isovalue of the contour spectrum.
@@ -83,12 +86,60 @@ pub struct ArchiveSummary {
     pub bytes: u64,
 }
 
+/// A step of an archive, from its manifest.
+#[derive(Clone, Debug, Serialize)]
+pub struct StepSummary {
+    /// Its number.
+    pub number: u64,
+    /// Its time, where the input told one.
+    pub time: Option<f64>,
+    /// Name of the source's file.
+    pub source: String,
+    /// Name of the field.
+    pub field: String,
+    /// The step that its values refer to; none of a keyframe.
+    pub base: Option<u64>,
+    /// Least and largest value.
+    pub range: Option<[f32; 2]>,
+    /// Points without a value.
+    pub void_points: u64,
+    /// Bytes of its values.
+    pub value_bytes: u64,
+    /// Bytes of its index and spectrum.
+    pub index_bytes: u64,
+}
+
+impl StepSummary {
+    pub(super) fn of(step: &Step) -> Self {
+        let Step { plan, .. } = step;
+        Self {
+            number: plan.number,
+            time: plan.time,
+            source: plan.source.path.clone(),
+            field: plan.source.field.clone(),
+            base: plan.base.map(|b| b.number),
+            range: step.value_range,
+            void_points: step.void_points,
+            value_bytes: step.values.iter().map(|v| v.info.bytes).sum(),
+            index_bytes: step.index.bytes + step.spectrum.map_or(0, |s| s.bytes),
+        }
+    }
+}
+
 /// Tells what an archive holds.
 ///
 /// # Errors
 /// [`Error::BadInput`] when there is no archive at `path`, or its manifest is damaged.
 pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
-    let archive = OpenArchive::open(path)?;
+    summarize_at(path, StepChoice::First)
+}
+
+/// As [`summarize`]; range, areas and suggestions are those of a step.
+///
+/// # Errors
+/// As [`summarize`]; [`Error::Usage`] for a step that is not there, or a time between two.
+pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
+    let archive = OpenArchive::open_at(path, choice)?;
     let (plan, counts, step) = (&archive.manifest.plan, &archive.manifest.counts, archive.step());
     let source = &step.plan.source;
     let spectrum = super::spectrum::report(&archive)?;
@@ -101,7 +152,7 @@ pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
         scalar: source.scalar.name().into(),
         field: source.field.clone(),
         geometry: source.geometry,
-        grid_cells: step.coordinates.map(|c| c.cells),
+        grid_cells: archive.coordinate_record().map(|c| c.cells),
         mesh: source.mesh,
         point_set: serde_json::json!(plan.points),
         interpolation: step.plan.interpolation.name().into(),
@@ -111,7 +162,8 @@ pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
         tetrahedra: counts.tetrahedra,
         chunks: counts.chunks,
         blocks: counts.blocks,
-        steps: archive.manifest.steps.len(),
+        step: step.plan.number,
+        steps: archive.manifest.steps.iter().map(StepSummary::of).collect(),
         range: step.value_range,
         areas: spectrum.knots.iter().map(|k| [f64::from(k.isovalue), k.area]).collect(),
         suggestions: spectrum.suggestions,
@@ -120,16 +172,10 @@ pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
     })
 }
 
-/// The two files that hold a range of chunks.
+/// The two files that hold a range of chunks at the step that is looked at.
 pub(super) struct OpenSegment {
     pub(super) mesh: ChunkSegment,
-    pub(super) values: ChunkSegment,
-}
-
-impl OpenSegment {
-    fn bytes_read(&self) -> u64 {
-        self.mesh.segment().bytes_read() + self.values.segment().bytes_read()
-    }
+    pub(super) values: Arc<ChunkSegment>,
 }
 
 /// An archive opened for reading.
@@ -137,23 +183,31 @@ pub(super) struct OpenArchive {
     pub(super) manifest: Manifest,
     pub(super) points: PointSet,
     pub(super) chunks: ChunkGrid,
+    /// The files of the step that is looked at.
     pub(super) layout: Layout,
+    pub(super) view: View,
     segments: Mutex<BTreeMap<u64, Arc<OpenSegment>>>,
+    /// Value segments by number and position of the step: those of `segments`, and of steps that are needed besides.
+    values: Mutex<BTreeMap<(u64, usize), Arc<ChunkSegment>>>,
     /// Bytes read from segments that are closed again.
     read_before: AtomicU64,
 }
 
 impl OpenArchive {
     pub(super) fn open(root: &Path) -> Result<Self> {
+        Self::open_at(root, StepChoice::First)
+    }
+
+    pub(super) fn open_at(root: &Path, choice: StepChoice) -> Result<Self> {
         if !root.is_dir() {
             let got = if root.exists() { "a file" } else { "nothing" };
             return Err(Error::bad_input(root, "archive", "a folder made by isospan reduce", got));
         }
-        Self::of(root, Manifest::read(root)?)
+        Self::of(root, Manifest::read(root)?, choice)
     }
 
     /// The archive that a manifest is of, published or not.
-    pub(super) fn of(root: &Path, manifest: Manifest) -> Result<Self> {
+    pub(super) fn of(root: &Path, manifest: Manifest, choice: StepChoice) -> Result<Self> {
         let bad = |at: &str, expected: String, got: String| {
             Err(Error::bad_input(root.join(MANIFEST_NAME), at, expected, got))
         };
@@ -171,19 +225,21 @@ impl OpenArchive {
         if chunks.len() != manifest.counts.chunks {
             return bad("counts.chunks", chunks.len().to_string(), manifest.counts.chunks.to_string());
         }
-        let Some(step) = manifest.steps.first() else {
+        if manifest.steps.is_empty() {
             return bad("steps", "at least one".into(), "none".into());
-        };
-        let source = &step.plan.source;
-        if !source.geometry.is_valid() || source.dims != manifest.plan.lattice.dims {
-            return bad(
-                "source",
-                "an invertible geometry, and the dimensions of the lattice".into(),
-                format!("{source:?}"),
-            );
         }
-        let layout = Layout::new(root, chunks.len(), step.plan.number);
-        for records in [&manifest.mesh, &step.values] {
+        for source in manifest.steps.iter().map(|s| &s.plan.source) {
+            if !source.geometry.is_valid() || source.dims != manifest.plan.lattice.dims {
+                return bad(
+                    "source",
+                    "an invertible geometry, and the dimensions of the lattice".into(),
+                    format!("{source:?}"),
+                );
+            }
+        }
+        let view = View::of(&manifest, choice, root)?;
+        let layout = Layout::new(root, chunks.len(), manifest.steps[view.step].plan.number);
+        for records in manifest.steps.iter().map(|s| &s.values).chain([&manifest.mesh]) {
             let as_cut = |(n, r): (u64, &SegmentRecord)| {
                 layout.chunks_of(n) == (r.first_chunk..r.first_chunk + r.chunks)
             };
@@ -198,7 +254,9 @@ impl OpenArchive {
             points,
             chunks,
             layout,
+            view,
             segments: Mutex::default(),
+            values: Mutex::default(),
             read_before: AtomicU64::new(0),
         })
     }
@@ -207,8 +265,9 @@ impl OpenArchive {
         self.layout.root()
     }
 
+    /// The step that is looked at, or the one before the moment that is.
     pub(super) fn step(&self) -> &Step {
-        &self.manifest.steps[0]
+        &self.manifest.steps[self.view.step]
     }
 
     fn step_hash(&self) -> PlanHash {
@@ -223,16 +282,38 @@ impl OpenArchive {
 
     /// The coordinates of a rectilinear or curvilinear grid; none of a volume with a spacing.
     pub(super) fn coordinates(&self) -> Result<Option<CoordinateMap>> {
-        let Some(recorded) = &self.step().coordinates else { return Ok(None) };
-        let (path, dims) = (self.layout.coordinates(), self.step().plan.source.dims);
-        let map = CoordinateMap::open(&path, self.step_hash(), dims).map_err(|e| self.lost(e))?;
+        let (Some(recorded), Some((path, hash))) = (self.coordinate_record(), self.coordinate_file()) else {
+            return Ok(None);
+        };
+        let dims = self.step().plan.source.dims;
+        let map = CoordinateMap::open(&path, hash, dims).map_err(|e| self.lost(e))?;
         expect_recorded(map.segment(), Some(&recorded.info))?;
         Ok(Some(map))
     }
 
+    /// What is recorded of the grid's coordinates: with the first step, for all.
+    pub(super) fn coordinate_record(&self) -> Option<CoordinateRecord> {
+        self.manifest.steps[0].coordinates
+    }
+
+    /// Their file and its hash.
+    pub(super) fn coordinate_file(&self) -> Option<(PathBuf, PlanHash)> {
+        let first = &self.manifest.steps[0].plan;
+        let file = (self.layout.at(first.number).coordinates(), first.hash(self.manifest.plan_hash));
+        self.coordinate_record().map(|_| file)
+    }
+
+    /// Looks at the step at a position in the manifest.
+    pub(super) fn turn_to(&mut self, step: usize) {
+        self.view = View { step, beyond: None };
+        self.layout = self.layout.at(self.manifest.steps[step].plan.number);
+        // Of the mesh and of other steps nothing changes, but a segment here has values of the step.
+        self.close_before(ChunkId(u64::MAX));
+    }
+
     /// Refuses a question that is not answered for grids with coordinates of their own.
     pub(super) fn refuse_coordinates(&self, question: &str) -> Result<()> {
-        match self.step().coordinates {
+        match self.coordinate_record() {
             None => Ok(()),
             Some(_) => Err(Error::usage(format!(
                 "{}: of a rectilinear or curvilinear grid, to which {question} is not made",
@@ -275,22 +356,51 @@ impl OpenArchive {
         if let Some(segment) = open.get(&number) {
             return Ok(Arc::clone(segment));
         }
-        let file = |path, kind, hash| ChunkSegment::open(path, kind, Some(hash)).map_err(|e| self.lost(e));
-        let mesh = file(self.layout.mesh(number), SegmentKind::Mesh, self.manifest.plan_hash)?;
-        let values = file(self.layout.values(number), SegmentKind::Values, self.step_hash())?;
-        let wanted = self.layout.chunks_of(number);
-        for file in [&mesh, &values] {
-            if file.chunks() != wanted {
-                let (path, got) = (file.segment().path(), format!("{:?}", file.chunks()));
-                return Err(Error::bad_input(path, "chunk table", format!("chunks {wanted:?}"), got));
-            }
-        }
-        let at = number as usize;
-        expect_recorded(mesh.segment(), self.manifest.mesh.get(at).map(|r| &r.info))?;
-        expect_recorded(values.segment(), self.step().values.get(at).map(|r| &r.info))?;
+        let (path, hash) = (self.layout.mesh(number), self.manifest.plan_hash);
+        let record = self.manifest.mesh.get(number as usize);
+        let mesh = self.chunk_segment(&path, SegmentKind::Mesh, hash, number, record)?;
+        let values = self.values_segment(self.view.step, number)?;
         let segment = Arc::new(OpenSegment { mesh, values });
         open.insert(number, Arc::clone(&segment));
         Ok(segment)
+    }
+
+    /// Opens the file of a range of chunks that a record is of.
+    fn chunk_segment(
+        &self,
+        path: &Path,
+        kind: SegmentKind,
+        hash: PlanHash,
+        number: u64,
+        record: Option<&SegmentRecord>,
+    ) -> Result<ChunkSegment> {
+        let file = ChunkSegment::open(path, kind, Some(hash)).map_err(|e| self.lost(e))?;
+        let wanted = self.layout.chunks_of(number);
+        if file.chunks() != wanted {
+            let got = format!("{:?}", file.chunks());
+            return Err(Error::bad_input(path, "chunk table", format!("chunks {wanted:?}"), got));
+        }
+        expect_recorded(file.segment(), record.map(|r| &r.info))?;
+        Ok(file)
+    }
+
+    /// The value segment of a step, by its position in the manifest, and a number.
+    fn values_segment(&self, step: usize, number: u64) -> Result<Arc<ChunkSegment>> {
+        let mut open = self.values.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(segment) = open.get(&(number, step)) {
+            return Ok(Arc::clone(segment));
+        }
+        let Step { plan, values, .. } = &self.manifest.steps[step];
+        let (path, hash) = (self.layout.at(plan.number).values(number), plan.hash(self.manifest.plan_hash));
+        let record = values.get(number as usize);
+        let segment = Arc::new(self.chunk_segment(&path, SegmentKind::Values, hash, number, record)?);
+        open.insert((number, step), Arc::clone(&segment));
+        Ok(segment)
+    }
+
+    /// The value segment of a step, by its position in the manifest, that has a chunk.
+    pub(super) fn values_of(&self, step: usize, chunk: ChunkId) -> Result<Arc<ChunkSegment>> {
+        self.values_segment(step, self.segment_number(chunk))
     }
 
     /// A file that is not there makes the archive incomplete, which the same reduction repairs.
@@ -299,24 +409,34 @@ impl OpenArchive {
     }
 
     pub(super) fn segment_of(&self, chunk: ChunkId) -> Result<Arc<OpenSegment>> {
+        self.segment(self.segment_number(chunk))
+    }
+
+    fn segment_number(&self, chunk: ChunkId) -> u64 {
         let number = Manifest::segment_of(&self.manifest.mesh, chunk.0);
-        self.segment(number.expect("the segments of a checked manifest cover all chunks") as u64)
+        number.expect("the segments of a checked manifest cover all chunks") as u64
     }
 
     /// Bytes read so far from all segments.
     pub(super) fn bytes_read(&self) -> u64 {
         let open = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
-        self.read_before.load(Ordering::Relaxed) + open.values().map(|s| s.bytes_read()).sum::<u64>()
+        let values = self.values.lock().unwrap_or_else(PoisonError::into_inner);
+        let meshes = open.values().map(|s| s.mesh.segment().bytes_read()).sum::<u64>();
+        let values = values.values().map(|s| s.segment().bytes_read()).sum::<u64>();
+        self.read_before.load(Ordering::Relaxed) + meshes + values
     }
 
     /// Closes the segments before that of a chunk: their files, and the pages of their directories that are kept.
     pub(super) fn close_before(&self, chunk: ChunkId) {
-        let Some(number) = Manifest::segment_of(&self.manifest.mesh, chunk.0) else { return };
+        let number = Manifest::segment_of(&self.manifest.mesh, chunk.0).unwrap_or(self.manifest.mesh.len());
         let mut open = self.segments.lock().unwrap_or_else(PoisonError::into_inner);
-        let later = open.split_off(&(number as u64));
+        let mut values = self.values.lock().unwrap_or_else(PoisonError::into_inner);
+        let (later, later_values) = (open.split_off(&(number as u64)), values.split_off(&(number as u64, 0)));
         let closed = std::mem::replace(&mut *open, later);
-        let read = closed.values().map(|s| s.bytes_read()).sum::<u64>();
-        self.read_before.fetch_add(read, Ordering::Relaxed);
+        let closed_values = std::mem::replace(&mut *values, later_values);
+        let meshes = closed.values().map(|s| s.mesh.segment().bytes_read()).sum::<u64>();
+        let read = closed_values.values().map(|s| s.segment().bytes_read()).sum::<u64>();
+        self.read_before.fetch_add(meshes + read, Ordering::Relaxed);
     }
 }
 

@@ -10,20 +10,22 @@ use crate::archive::coordinates::{self, CoordinateMap, Coordinates};
 use crate::archive::manifest::CoordinateRecord;
 use crate::error::{Error, Result};
 use crate::formats::coordinates::GridCoordinates;
-use crate::formats::{OpenOptions, open_coordinates};
+use crate::formats::{StepSource, open_coordinates};
 use crate::grid::Geometry;
 use crate::surface::{SurfaceSource, TriMesh, Vertex, WorldMap};
 use std::path::Path;
+use xxhash_rust::xxh3::Xxh3;
 
-/// Copies the coordinates of the input into the archive, where it has some, and counts bad cells.
+/// Copies the coordinates of the first step of the plan into the archive, where it has some, and counts bad cells.
 pub(super) fn write_coordinates(
-    input: &Path,
-    options: &OpenOptions,
+    source: &StepSource,
     plan: &Plan,
     layout: &Layout,
 ) -> Result<Option<CoordinateRecord>> {
-    let Some(found) = open_coordinates(input, options)? else { return Ok(None) };
-    let (path, hash, dims) = (layout.coordinates(), plan.step_hash(), plan.step.source.dims);
+    let input = &source.path;
+    let Some(found) = open_coordinates(input, &source.options)? else { return Ok(None) };
+    let step = plan.first();
+    let (path, hash, dims) = (layout.at(step.number).coordinates(), plan.step_hash(0), step.source.dims);
     let info = match found {
         GridCoordinates::Axes(axes) => {
             axes.iter().try_for_each(|axis| finite(input, axis, 0))?;
@@ -46,6 +48,28 @@ pub(super) fn write_coordinates(
     Ok(Some(CoordinateRecord { info, cells }))
 }
 
+/// A hash of the coordinates of a source; `None` where it has none of its own.
+pub(super) fn coordinate_hash(source: &StepSource, dims: [u64; 3]) -> Result<Option<u128>> {
+    let mut hash = Xxh3::new();
+    let mut add = |numbers: &[f64]| numbers.iter().for_each(|x| hash.update(&x.to_le_bytes()));
+    match open_coordinates(&source.path, &source.options)? {
+        None => return Ok(None),
+        Some(GridCoordinates::Axes(axes)) => axes.iter().for_each(|axis| add(axis)),
+        Some(GridCoordinates::Points(mut stream)) => {
+            let mut left = dims.iter().product::<u64>();
+            let mut numbers = vec![];
+            while left > 0 {
+                let n = left.min(4096);
+                numbers.resize(3 * n as usize, 0.0);
+                stream.fill(&mut numbers)?;
+                add(&numbers);
+                left -= n;
+            }
+        }
+    }
+    Ok(Some(hash.digest128()))
+}
+
 fn finite(input: &Path, numbers: &[f64], first: u64) -> Result<()> {
     match numbers.iter().position(|x| !x.is_finite()) {
         None => Ok(()),
@@ -58,8 +82,8 @@ fn finite(input: &Path, numbers: &[f64], first: u64) -> Result<()> {
 
 /// The map of what is extracted: to the world, or where coordinates are to be applied, to index space.
 pub(super) fn world_map(archive: &OpenArchive) -> WorldMap {
-    let step = archive.step();
-    let geometry = if step.coordinates.is_some() { Geometry::default() } else { step.plan.source.geometry };
+    let own = archive.coordinate_record().is_some();
+    let geometry = if own { Geometry::default() } else { archive.step().plan.source.geometry };
     WorldMap::new(&archive.manifest.plan.lattice, &geometry)
 }
 
@@ -69,7 +93,7 @@ pub(super) fn in_world<T>(
     surface: &dyn SurfaceSource,
     use_it: impl FnOnce(&dyn SurfaceSource) -> Result<T>,
 ) -> Result<T> {
-    match (archive.coordinates()?, &archive.step().coordinates) {
+    match (archive.coordinates()?, archive.coordinate_record()) {
         (Some(map), Some(record)) => use_it(&Placed { surface, map, mirrored: record.cells.mirrored }),
         _ => use_it(surface),
     }

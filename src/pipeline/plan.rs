@@ -4,7 +4,7 @@
 //! mesh, the same for all fields and steps, and what decides the values of a step. Segments carry the hash of what
 //! they depend on, so a segment of another plan is never taken for one of this.
 
-use crate::archive::manifest::{Plan as MeshPlan, Source, StepPlan};
+use crate::archive::manifest::{BaseStep, LONGEST_CHAIN, Plan as MeshPlan, Source, StepPlan};
 use crate::archive::segment::PlanHash;
 use crate::archive::values::Quantiser;
 use crate::error::{Error, Result};
@@ -48,6 +48,8 @@ pub struct ReduceSettings {
     pub value_bits: Option<u8>,
     /// Points meshed together.
     pub chunk_points: u64,
+    /// Of a series: steps from one keyframe, which is stored without looking back, to the next; 1 makes each step one.
+    pub keyframes: u64,
     /// Whether the field is measured at every sample of the source in the end.
     pub measure: bool,
 }
@@ -55,6 +57,8 @@ pub struct ReduceSettings {
 impl ReduceSettings {
     /// Default of `chunk_points`.
     pub const CHUNK_POINTS: u64 = 250_000;
+    /// Default of `keyframes`.
+    pub const KEYFRAMES: u64 = 16;
 }
 
 impl Default for ReduceSettings {
@@ -68,6 +72,7 @@ impl Default for ReduceSettings {
             missing: None,
             value_bits: None,
             chunk_points: Self::CHUNK_POINTS,
+            keyframes: Self::KEYFRAMES,
             measure: true,
         }
     }
@@ -78,8 +83,8 @@ impl Default for ReduceSettings {
 pub struct Plan {
     /// What decides the mesh; the same for all fields and steps.
     pub mesh: MeshPlan,
-    /// What decides the values.
-    pub step: StepPlan,
+    /// What decides the values of each step, by ascending numbers; at least one.
+    pub steps: Vec<StepPlan>,
 }
 
 /// Points of a brick, about: few enough that a query enumerates little more than it needs, many enough that the
@@ -118,7 +123,7 @@ impl Plan {
                 info.path.display()
             )));
         }
-        Self::on_lattice(lattice, count, source_of(info, settings)?, settings)
+        Self::on_lattice(lattice, count, source_of(info, settings, fingerprint(&info.files())?), settings)
     }
 
     /// A plan of so many points on a lattice.
@@ -143,6 +148,13 @@ impl Plan {
         let points = PointSpec::with_count(settings.points, &lattice, count, &settings.set)?;
         let total = PointSet::new(points, lattice)?.len();
         let edge = (samples / total as f64 * BRICK_POINTS).cbrt().round() as u64;
+        if !(1..=LONGEST_CHAIN + 1).contains(&settings.keyframes) {
+            return Err(Error::usage(format!(
+                "every 1st to {}th step can be a keyframe, not every {}th",
+                LONGEST_CHAIN + 1,
+                settings.keyframes
+            )));
+        }
         Ok(Self {
             mesh: MeshPlan {
                 lattice,
@@ -153,15 +165,21 @@ impl Plan {
                 block_tets: BLOCK_TETS,
                 explicit: None,
             },
-            step: StepPlan {
+            steps: vec![StepPlan {
                 number: 0,
                 time: None,
                 source,
                 interpolation: settings.interpolation,
                 nan: settings.nan.to_string(),
                 quantiser: None,
-            },
+                base: None,
+            }],
         })
+    }
+
+    /// What all steps have in common: that of the first.
+    pub fn first(&self) -> &StepPlan {
+        self.steps.first().expect("a plan has a step")
     }
 
     /// The hash that mesh segments carry.
@@ -169,17 +187,36 @@ impl Plan {
         self.mesh.hash()
     }
 
-    /// The hash that the step's value and index segments carry.
-    pub fn step_hash(&self) -> PlanHash {
-        self.step.hash(self.mesh_hash())
+    /// The hash that the value and index segments of the `n`-th step of the plan carry.
+    pub fn step_hash(&self, n: usize) -> PlanHash {
+        self.steps[n].hash(self.mesh_hash())
+    }
+
+    /// A hash of all steps.
+    pub fn steps_hash(&self) -> PlanHash {
+        let mesh = self.mesh_hash();
+        let all: Vec<String> = self.steps.iter().map(|s| s.hash(mesh).to_string()).collect();
+        PlanHash::of(all.concat().as_bytes())
+    }
+
+    /// Gives each step its base: the one before it, unless a keyframe is due. `before` is the last step that an archive has already.
+    ///
+    /// Steps of the same `number / keyframes` belong together. So a step that is left out changes the hashes of its own group alone.
+    pub fn set_bases(&mut self, before: Option<&StepPlan>, keyframes: u64) {
+        let mesh = self.mesh_hash();
+        let mut last = before.map(|s| BaseStep { number: s.number, hash: s.hash(mesh) });
+        for step in &mut self.steps {
+            step.base = last.filter(|l| l.number / keyframes == step.number / keyframes);
+            last = Some(BaseStep { number: step.number, hash: step.hash(mesh) });
+        }
     }
 }
 
 /// The source, as far as it decides the bytes: its name without folders, and a fingerprint of its content.
-fn source_of(info: &VolumeInfo, settings: &ReduceSettings) -> Result<Source> {
-    Ok(Source {
+pub(super) fn source_of(info: &VolumeInfo, settings: &ReduceSettings, fingerprint: String) -> Source {
+    Source {
         path: info.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
-        fingerprint: fingerprint(&info.files())?,
+        fingerprint,
         format: info.format.clone(),
         dims: info.dims,
         scalar: info.field.scalar,
@@ -189,7 +226,7 @@ fn source_of(info: &VolumeInfo, settings: &ReduceSettings) -> Result<Source> {
         intercept: info.intercept,
         missing: settings.missing.or(info.missing).filter(|m| m.is_finite()),
         mesh: None,
-    })
+    }
 }
 
 /// The most points of a brick, which are enumerated and meshed at once: four thousand times the usual number.

@@ -7,18 +7,19 @@
 //!      slurm/                   job scripts and logs, where Slurm runs it
 //! ```
 //!
-//! It holds the path of the input, the settings, and the [`Plan`] that follows from both, whose hashes every segment carries. A
+//! It holds the paths of the steps, the settings, and the [`Plan`] that follows from both, whose hashes every segment carries. A
 //! worker makes the plan again from the input that it finds and refuses to work when the two differ: then the input has
 //! changed, or is another. It also refuses a plan of another version of the program, for versions may differ in bytes.
 //!
 //! The file is written once and never changed: JSON, its last member a checksum of all bytes before it, as in a manifest.
 
 use super::plan::{Plan, ReduceSettings};
+use super::series::{PlannedSource, SeriesPlan, SkippedStep};
 use crate::archive::manifest::{check_sum, sealed_text};
 use crate::archive::publish::Unpublished;
 use crate::archive::segment::PlanHash;
 use crate::error::{Error, Result};
-use crate::formats::OpenOptions;
+use crate::formats::{OpenOptions, StepSource};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -46,13 +47,14 @@ pub(super) struct PlanFile {
     format: String,
     format_version: u16,
     isospan_version: String,
-    /// Absolute.
-    pub(super) input: PathBuf,
-    pub(super) options: OpenOptions,
+    /// Where each step of the plan comes from; paths are absolute.
+    sources: Vec<StepSource>,
+    /// Steps that could not be used when the plan was made.
+    skipped: Vec<SkippedStep>,
     pub(super) settings: ReduceSettings,
     pub(super) plan: Plan,
     pub(super) mesh_hash: PlanHash,
-    pub(super) step_hash: PlanHash,
+    pub(super) steps_hash: PlanHash,
     pub(super) chunks: u64,
     /// Shards that work is meant to be cut into.
     pub(super) shards: u64,
@@ -68,39 +70,44 @@ pub(super) struct Cut {
 }
 
 impl PlanFile {
-    /// The plan of an input at any path.
-    pub(super) fn new(
-        input: &Path,
-        options: &OpenOptions,
-        settings: &ReduceSettings,
-        plan: Plan,
-        cut: Cut,
-    ) -> Result<Self> {
-        let absolute = |p: &Path| {
-            let path = std::path::absolute(p).map_err(|e| Error::io("find", p, e))?;
-            match path.to_str() {
-                Some(_) => Ok(path),
-                None => Err(Error::usage(format!("{}: a plan needs paths in UTF-8", path.display()))),
-            }
-        };
+    /// The plan of a series, whose sources are at any paths.
+    pub(super) fn new(settings: &ReduceSettings, series: SeriesPlan, cut: Cut) -> Result<Self> {
         if settings.missing.is_some_and(|m| !m.is_finite()) {
             return Err(Error::usage("--missing of a plan is a finite number; NaN is always missing"));
         }
-        let values = options.values.as_deref().map(absolute).transpose()?;
+        let SeriesPlan { plan, sources, skipped, .. } = series;
+        let sources = sources.into_iter().map(|s| with_absolute_paths(s.source)).collect::<Result<_>>()?;
         Ok(Self {
             format: FORMAT.into(),
             format_version: FORMAT_VERSION,
             isospan_version: env!("CARGO_PKG_VERSION").into(),
-            input: absolute(input)?,
-            options: OpenOptions { values, ..options.clone() },
+            sources,
+            skipped,
             settings: settings.clone(),
             mesh_hash: plan.mesh_hash(),
-            step_hash: plan.step_hash(),
+            steps_hash: plan.steps_hash(),
             plan,
             chunks: cut.chunks,
             shards: cut.shards,
             memory_least: cut.memory_least,
         })
+    }
+
+    /// The sources with the numbers of their steps.
+    pub(super) fn numbered(&self) -> Vec<(u64, StepSource)> {
+        self.plan.steps.iter().map(|s| s.number).zip(self.sources.iter().cloned()).collect()
+    }
+
+    /// The series that was planned.
+    pub(super) fn into_series(self) -> SeriesPlan {
+        let planned = |source| PlannedSource { source, copied: 0, copying: 0 };
+        SeriesPlan {
+            plan: self.plan,
+            sources: self.sources.into_iter().map(planned).collect(),
+            skipped: self.skipped,
+            before: None,
+            keyframes: self.settings.keyframes,
+        }
     }
 
     /// Writes the plan of an archive. One that is there stays what it is, unless it is to be replaced.
@@ -160,8 +167,9 @@ impl PlanFile {
         }
         check_sum(&bytes, &path, HELP)?;
         let plan: Self = serde_json::from_slice(&bytes).map_err(json)?;
-        let hashes = (plan.plan.mesh_hash(), plan.plan.step_hash());
-        if hashes != (plan.mesh_hash, plan.step_hash) || plan.shards == 0 {
+        let as_many = plan.sources.len() == plan.plan.steps.len() && !plan.sources.is_empty();
+        let hashes = (plan.plan.mesh_hash(), plan.plan.steps_hash());
+        if hashes != (plan.mesh_hash, plan.steps_hash) || plan.shards == 0 || !as_many {
             return bad("hashes", format!("{} {}", hashes.0, hashes.1), "others".into(), HELP);
         }
         Ok(plan)
@@ -174,4 +182,20 @@ struct Version {
     format: String,
     format_version: u16,
     isospan_version: String,
+}
+
+fn with_absolute_paths(source: StepSource) -> Result<StepSource> {
+    let absolute = |p: &Path| {
+        let path = std::path::absolute(p).map_err(|e| Error::io("find", p, e))?;
+        match path.to_str() {
+            Some(_) => Ok(path),
+            None => Err(Error::usage(format!("{}: a plan needs paths in UTF-8", path.display()))),
+        }
+    };
+    let values = source.options.values.as_deref().map(absolute).transpose()?;
+    Ok(StepSource {
+        path: absolute(&source.path)?,
+        options: OpenOptions { values, ..source.options },
+        time: source.time,
+    })
 }

@@ -7,9 +7,9 @@
 //! Each sample is in exactly one tetrahedron ([`crate::raster`]), so each is written exactly once, by whichever chunk has that
 //! tetrahedron, and chunks need not wait for each other. Memory: some chunks, and a window for each.
 
+use super::commit::domain_volume6;
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
-use super::reduce::domain_volume6;
 use super::visit::{Blocks, Visit};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent};

@@ -1,18 +1,20 @@
 //! Questions to an archive: the index names the blocks that can hold an answer; those are read, and no others.
 
+use super::commit::mesh_summary;
 use super::extract::{ChunkWork, Extracted, Question, by_chunk, extract_surfaces};
 use super::need;
 use super::open::OpenArchive;
 use super::placed::{in_memory, in_world, world_map};
 use super::reader::ChunkReader;
-use super::reduce::{folder_bytes, mesh_summary};
+use super::reduce::folder_bytes;
 use super::refine::{Means, Refine, RefineReport};
 use super::roi::{Cut, Roi, RoiSpace};
+use super::steps::{Ranges, StepChoice};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
 use crate::grid::ChunkId;
-use crate::index::{Entry, SpanIndex};
+use crate::index::Entry;
 use crate::surface::clip::clip;
 use crate::surface::marching_tets::select_active;
 use crate::surface::weld::BuilderSettings;
@@ -38,6 +40,8 @@ pub struct SurfaceSettings {
     pub scratch: Option<PathBuf>,
     /// Close the surfaces where the domain ends.
     pub cap: bool,
+    /// The step, or a time.
+    pub step: StepChoice,
     /// What is done to each surface before it is written.
     pub refine: Refine,
     /// Stops the extraction; nothing is written then.
@@ -53,6 +57,7 @@ impl Default for SurfaceSettings {
             memory: crate::exec::usable_memory() / 2,
             scratch: None,
             cap: false,
+            step: StepChoice::First,
             refine: Refine::default(),
             cancel: CancelToken::new(),
         }
@@ -170,12 +175,20 @@ fn finite(isovalue: f32) -> Result<()> {
 /// # Errors
 /// [`Error::BadInput`] for a damaged archive.
 pub fn count_active(path: &Path, isovalue: f32) -> Result<CountReport> {
+    count_active_at(path, StepChoice::First, isovalue)
+}
+
+/// As [`count_active`], at a step or a time. Between two steps, where nothing is stored, blocks are decoded.
+///
+/// # Errors
+/// As [`count_active`]; [`Error::Usage`] for a step or a time that is not in the archive.
+pub fn count_active_at(path: &Path, step: StepChoice, isovalue: f32) -> Result<CountReport> {
     finite(isovalue)?;
-    let archive = OpenArchive::open(path)?;
-    let spectrum = archive.spectrum()?;
+    let archive = OpenArchive::open_at(path, step)?;
+    let spectrum = if archive.view.beyond.is_none() { archive.spectrum()? } else { None };
     let stored = match &spectrum {
         Some(file) => file.active(isovalue)?,
-        None => Some(0),
+        None => archive.view.beyond.is_none().then_some(0),
     };
     let mut bytes_read = archive.manifest_bytes()? + spectrum.map_or(0, |f| f.segment().bytes_read());
     let active_tetrahedra = match stored {
@@ -197,11 +210,11 @@ pub fn count_active(path: &Path, isovalue: f32) -> Result<CountReport> {
 
 /// Decodes the active blocks; also tells the bytes read.
 fn decoded_count(archive: &OpenArchive, isovalue: f32) -> Result<(u64, u64)> {
-    let index = archive.index()?;
-    let refs = index.query(isovalue)?;
+    let index = archive.ranges()?;
+    let refs = index.query_any(&[isovalue])?;
     let count = |work: &ChunkWork| count_in_chunk(archive, work, isovalue);
     let active = by_chunk(archive, &refs)?.par_iter().map(count).sum::<Result<u64>>()?;
-    Ok((active, index.segment().bytes_read() + archive.bytes_read()))
+    Ok((active, index.bytes_read() + archive.bytes_read()))
 }
 
 fn count_in_chunk(archive: &OpenArchive, work: &ChunkWork, isovalue: f32) -> Result<u64> {
@@ -241,7 +254,7 @@ pub fn extract_surface(
 ) -> Result<SurfaceReport> {
     settings.check()?;
     let start = Instant::now();
-    let archive = OpenArchive::open(path)?;
+    let archive = OpenArchive::open_at(path, settings.step)?;
     let source = &archive.step().plan.source;
     let lattice = &archive.manifest.plan.lattice;
     if settings.roi.is_some_and(|roi| roi.space == RoiSpace::World) {
@@ -249,7 +262,7 @@ pub fn extract_surface(
     }
     let cut =
         settings.roi.map(|roi| roi.cut(&source.geometry, source.dims, lattice.log2_steps)).transpose()?;
-    let index = archive.index()?;
+    let index = archive.ranges()?;
     let refs = if settings.cap {
         with_inside(&archive, &index, &settings.isovalues)?
     } else {
@@ -287,9 +300,9 @@ pub fn extract_surface(
     let file_bytes = write_all(&archive, &surfaces, &settings.isovalues, out, format, &comment)?;
     let written = start.elapsed();
     let totals = &archive.manifest.counts;
-    let surfaces = describe(&surfaces, refined, &settings.isovalues, archive.step().value_range, out);
+    let surfaces = describe(&surfaces, refined, &settings.isovalues, archive.value_range(), out);
     Ok(SurfaceReport {
-        range: archive.step().value_range,
+        range: archive.value_range(),
         roi: settings.roi,
         vertices: surfaces.iter().map(|s| s.vertices).sum(),
         triangles: surfaces.iter().map(|s| s.triangles).sum(),
@@ -302,7 +315,7 @@ pub fn extract_surface(
         active_blocks: question.work.iter().map(|w| w.blocks.len() as u64).sum(),
         chunks: totals.chunks,
         active_chunks: question.work.len() as u64,
-        bytes_read: archive.bytes_read() + index.segment().bytes_read() + archive.manifest_bytes()?,
+        bytes_read: archive.bytes_read() + index.bytes_read() + archive.manifest_bytes()?,
         active_bytes: question.active_bytes.into_inner(),
         archive_bytes: folder_bytes(path)?,
         seconds: [("open, index", opened), ("extract", extracted), ("refine", refining), ("write", written)]
@@ -321,7 +334,7 @@ pub(super) fn surface_in_memory(archive: &OpenArchive, isovalue: f32) -> Result<
         cut: None,
         world: world_map(archive),
         caps: None,
-        work: by_chunk(archive, &archive.index()?.query(isovalue)?)?,
+        work: by_chunk(archive, &archive.ranges()?.query_any(&[isovalue])?)?,
         active_bytes: AtomicU64::new(0),
     };
     let found = extract_surfaces(&question, &settings, std::env::temp_dir(), &Silent)?;
@@ -329,7 +342,7 @@ pub(super) fn surface_in_memory(archive: &OpenArchive, isovalue: f32) -> Result<
 }
 
 /// The blocks that are active, and those inside of chunks at the ends of the domain.
-fn with_inside(archive: &OpenArchive, index: &SpanIndex, isovalues: &[f32]) -> Result<Vec<Entry>> {
+fn with_inside(archive: &OpenArchive, index: &Ranges<'_>, isovalues: &[f32]) -> Result<Vec<Entry>> {
     let ends = chunks_at_ends(archive)?;
     let lowest = isovalues.iter().copied().fold(f32::INFINITY, f32::min);
     let mut refs = index.query_any(isovalues)?;

@@ -8,12 +8,13 @@
 //! brick by brick (a brick lists its points again from the formula of the point set), each when a corner of theirs is first needed.
 //! So a chunk whose surface is small costs a few bricks.
 
+use super::chunk::MeshedChunk;
 use super::open::{OpenArchive, OpenSegment};
 use super::plan::check_brick;
 use crate::archive::Malformed;
 use crate::archive::chunk::{ChunkHeader, TetBlock, TetScratch};
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::values::{BLOCK_VALUES, decode_values};
+use crate::archive::values::BLOCK_VALUES;
 use crate::error::{Error, Result};
 use crate::geom::{LatticePos, PointId, Site};
 use crate::grid::{BrickId, Chunk, ChunkId};
@@ -175,16 +176,13 @@ impl<'a> ChunkReader<'a> {
 
     #[cold]
     fn read_values(&mut self, block: usize) -> Result<()> {
-        let (values, id) = (&self.segment.values, self.chunk.id);
-        values.block(id, block as u64, &mut self.bytes)?;
         let end = self.values.len().min((block + 1) * BLOCK_VALUES);
         let place = &mut self.values[block * BLOCK_VALUES..end];
         self.decoded.clear();
-        decode_values(&self.bytes, place.len(), &mut self.decoded)
-            .map_err(|m| values.blame(id, block as u64, m))?;
+        let bytes = self.archive.values_block(self.chunk.id, block as u64, place.len(), &mut self.decoded)?;
         place.copy_from_slice(&self.decoded);
         // A block has at least the byte of its codec.
-        self.value_bytes[block] = self.bytes.len() as u32;
+        self.value_bytes[block] = u32::try_from(bytes).unwrap_or(u32::MAX);
         Ok(())
     }
 
@@ -208,6 +206,12 @@ impl<'a> ChunkReader<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Finds positions and ids of all corners.
+    pub(super) fn place_all(&mut self) -> Result<()> {
+        (0..self.starts.len() - 1).try_for_each(|brick| self.place_brick(brick))?;
+        (self.core()..self.positions.len()).try_for_each(|v| self.place_corner(v))
     }
 
     /// A halo corner's position is a formula of its id; a core corner's brick is enumerated.
@@ -242,6 +246,18 @@ impl<'a> ChunkReader<'a> {
             (self.positions[i], self.ids[i]) = (site.pos, site.id);
         }
         Ok(())
+    }
+
+    /// The mesh of the chunk, of which all corners have been placed.
+    pub(super) fn into_mesh(self, tets: Vec<Tet>) -> MeshedChunk {
+        MeshedChunk {
+            core_counts: self.starts.windows(2).map(|w| w[1] - w[0]).collect(),
+            halo: self.halo,
+            positions: self.positions,
+            shared: self.shared,
+            tets,
+            retries: 0,
+        }
     }
 
     /// What has been read of the corners: positions, ids, values, whether shared.

@@ -3,37 +3,30 @@
 //! The archive's folder is filled segment by segment; the manifest comes last. A folder without a manifest is no
 //! archive: it is work that the same command continues. A folder with one is never touched unless asked to.
 
-use super::chunk::Recipe;
-use super::field::{Field, NanPolicy};
-use super::grid_field::GridField;
+use super::commit::Made;
 use super::layout::Layout;
-use super::measure::{MeasureSettings, Originals, field_error, reopened_error};
-use super::need::{self, Estimate, Need, Question, Shares};
-use super::open::OpenArchive;
+use super::measure::{MeasureSettings, reopened_error};
+use super::need::{self, Estimate, Need, Question};
+use super::open::{OpenArchive, StepSummary};
 use super::placed::write_coordinates;
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::reduce_mesh;
-use super::scan::value_range;
+use super::series::{Making, Means, Outcome, PlannedSource, SeriesPlan, SkippedStep};
 use super::shard::Shard;
-use super::spectrum::{Meter, stored_part};
-use super::work::{self, StageTimes, Work};
-use crate::archive::chunked::ChunkSegment;
+use super::steps::StepChoice;
+use super::volume_series::{Known, VolumeFields, plan_volumes};
+use super::work::StageTimes;
 use crate::archive::coordinates::CellCount;
 use crate::archive::explicit::write_explicit;
-use crate::archive::manifest::{CoordinateRecord, Counts, MANIFEST_NAME, Manifest, SegmentRecord, Step};
-use crate::archive::segment::{SegmentInfo, SegmentKind};
-use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
+use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest};
 use crate::archive::values::Quantiser;
-use crate::archive::{Malformed, TEMPORARY_MARK, publish};
+use crate::archive::{TEMPORARY_MARK, publish};
 use crate::domain::store::MeshCensus;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, available_threads, pool};
-use crate::formats::{self, Input, OpenOptions};
-use crate::geom::Lattice;
-use crate::grid::{ChunkId, IndexBox};
-use crate::index::{BuildSettings, Entry, IndexBuilder};
+use crate::exec::{CancelToken, Progress, Silent, available_threads};
+use crate::formats::{self, Input, OpenOptions, StepSource};
+use crate::grid::IndexBox;
 use crate::measure::FieldError;
-use crate::spectrum::{Design, Limits, SpectrumBuilder};
 use crate::volume::bricked::BrickedVolume;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use serde::Serialize;
@@ -54,6 +47,8 @@ pub struct RunSettings {
     pub scratch: Option<PathBuf>,
     /// Whether an archive that is already there is replaced.
     pub replace: bool,
+    /// Of a series: leave out steps that cannot be used, and report them. Changes what is made, but nothing of the other steps.
+    pub keep_going: bool,
     /// Stops the run at the next chunk.
     pub cancel: CancelToken,
 }
@@ -65,6 +60,7 @@ impl Default for RunSettings {
             memory: crate::exec::usable_memory() / 2,
             scratch: None,
             replace: false,
+            keep_going: false,
             cancel: CancelToken::new(),
         }
     }
@@ -96,8 +92,12 @@ pub struct ReduceReport {
     pub range: Option<[f32; 2]>,
     /// How values were rounded, if they were.
     pub quantiser: Option<Quantiser>,
-    /// How far the reduced field is from the samples, if that was measured.
+    /// How far the reduced field is from the samples, if that was measured: of the first of the steps.
     pub error: Option<FieldError>,
+    /// The steps that were made.
+    pub steps: Vec<StepSummary>,
+    /// Steps that could not be used, and were left out.
+    pub skipped: Vec<SkippedStep>,
     /// Bytes of all files of the archive.
     pub archive_bytes: u64,
     /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those that run side by side.
@@ -143,7 +143,7 @@ impl SlabStream for Stoppable {
     }
 }
 
-/// Reduces the volume `input` to the archive `out`.
+/// Reduces the volume or mesh `input` to the archive `out`.
 ///
 /// # Errors
 /// [`Error::Usage`] when there is an archive already, [`Error::BadInput`] for a volume that cannot be used,
@@ -156,24 +156,57 @@ pub fn reduce(
     run: &RunSettings,
     progress: &dyn Progress,
 ) -> Result<ReduceReport> {
+    reduce_series(&[StepSource::new(input, options)], settings, out, run, progress)
+}
+
+/// Reduces a series of steps to the archive `out`: one mesh, and the values of each step.
+///
+/// Steps are numbered from 0. With [`RunSettings::keep_going`] one that cannot be used is left out, its number too.
+///
+/// # Errors
+/// Those of [`reduce`]; [`Error::BadInput`], naming the step, where dimensions or geometry are not those of the first.
+pub fn reduce_series(
+    sources: &[StepSource],
+    settings: &ReduceSettings,
+    out: &Path,
+    run: &RunSettings,
+    progress: &dyn Progress,
+) -> Result<ReduceReport> {
     let started = Instant::now();
     refuse_overwriting(out, run)?;
-    let job = Job { input, options, settings, out, run, progress, started, part: Part::Whole };
-    make(&job)
+    let sources = &numbered(sources);
+    make(&Job { sources, settings, out, run, progress, started, part: Part::Whole })
+}
+
+/// Steps with their numbers.
+pub(super) fn numbered(sources: &[StepSource]) -> Vec<(u64, StepSource)> {
+    (0..).zip(sources.iter().cloned()).collect()
 }
 
 /// Opens the input of a job and does its part.
 pub(super) fn make(job: &Job<'_>) -> Result<ReduceReport> {
-    match formats::open_input(job.input, job.options)? {
-        Input::Volume(source) => reduce_volume(source, job),
+    match first_input(job.sources, job.run)? {
+        Input::Volume(_) => reduce_volumes(job),
         Input::Mesh(mesh) => reduce_mesh::reduce_mesh(&mesh, job),
     }
 }
 
+/// The first source that can be opened: it tells whether the series is one of volumes or of meshes.
+fn first_input(sources: &[(u64, StepSource)], run: &RunSettings) -> Result<Input> {
+    let mut first_error = None;
+    for (_, source) in sources {
+        match formats::open_input(&source.path, &source.options) {
+            Err(e) if run.keep_going => _ = first_error.get_or_insert(e),
+            other => return other,
+        }
+    }
+    Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")))
+}
+
 /// What a reduction is told.
 pub(super) struct Job<'a> {
-    pub(super) input: &'a Path,
-    pub(super) options: &'a OpenOptions,
+    /// The steps, by ascending numbers.
+    pub(super) sources: &'a [(u64, StepSource)],
     pub(super) settings: &'a ReduceSettings,
     pub(super) out: &'a Path,
     pub(super) run: &'a RunSettings,
@@ -189,229 +222,236 @@ pub(super) enum Part<'a> {
     Whole,
     /// The segments of a shard, of the plan that was made before.
     Shard(&'a Plan, Shard),
-    /// The manifest, of segments that were made before.
-    Commit,
 }
 
-impl Part<'_> {
-    /// How values are rounded, where that was decided before.
-    pub(super) fn quantiser(&self) -> Option<Option<Quantiser>> {
-        match self {
-            Self::Whole | Self::Commit => None,
-            Self::Shard(planned, _) => Some(planned.step.quantiser),
+impl<'a> Part<'a> {
+    /// The plan that was made before.
+    pub(super) fn planned(&self) -> Option<&'a Plan> {
+        match *self {
+            Self::Whole => None,
+            Self::Shard(planned, _) => Some(planned),
         }
     }
 
-    /// Refuses a source that is not the one that was planned for.
-    pub(super) fn expect_planned(&self, plan: &Plan, input: &Path) -> Result<()> {
-        match self {
-            Self::Shard(planned, _) if **planned != *plan => {
-                let text = |p: &Plan| {
-                    let source = &p.step.source;
-                    format!(
-                        "{} {} {:?}, plan {}",
-                        source.format,
-                        source.fingerprint,
-                        source.dims,
-                        p.step_hash()
-                    )
-                };
-                Err(Error::bad_input(input, "fingerprint and header", text(planned), text(plan)).with_help(
-                    "the file is not what it was when the plan was made: restore it, or plan again with --force",
-                ))
-            }
-            _ => Ok(()),
-        }
+    /// Refuses sources that are not those that were planned for.
+    pub(super) fn expect_planned(&self, series: &SeriesPlan) -> Result<()> {
+        let Some(planned) = self.planned().filter(|p| **p != series.plan) else { return Ok(()) };
+        let found = planned.steps.iter().zip(&series.plan.steps);
+        let n = found.into_iter().position(|(a, b)| a != b).unwrap_or(0);
+        let text = |p: &Plan| {
+            let source = &p.steps[n].source;
+            format!("{} {} {:?}, plan {}", source.format, source.fingerprint, source.dims, p.step_hash(n))
+        };
+        let path = &series.sources[n].source.path;
+        Err(Error::bad_input(path, "fingerprint and header", text(planned), text(&series.plan)).with_help(
+            "the file is not what it was when the plan was made: restore it, or plan again with --force",
+        ))
     }
 
     fn segments(&self, layout: &Layout) -> Range<u64> {
         match self {
-            Self::Whole | Self::Commit => 0..layout.segment_count(),
+            Self::Whole => 0..layout.segment_count(),
             Self::Shard(_, shard) => shard.range(layout.segment_count()),
         }
     }
 }
 
 /// Makes the plan of a job, and of the mesh what follows from it; tells what the job needs. Makes no segment.
-pub(super) fn make_plan(job: &Job<'_>) -> Result<(Plan, MeshParts, Estimate)> {
-    let source = match formats::open_input(job.input, job.options)? {
-        Input::Volume(source) => source,
-        Input::Mesh(mesh) => return reduce_mesh::plan_mesh(&mesh, job),
-    };
-    let mut plan = Plan::new(source.info(), job.settings)?;
-    let mesh = parts(&plan.mesh, None)?;
-    let estimate = estimate_of(&source, &plan, &Need::of(&mesh), job.out, job.run)?;
-    if let Some(bits) = job.settings.value_bits {
-        estimate.check()?;
-        let (reader, _scratch) = random_access(source, job.run, job.progress)?;
-        plan.step.quantiser = Some(quantiser(&*reader, bits, job.settings, &job.run.cancel)?);
+pub(super) fn make_plan(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimate)> {
+    if let Input::Mesh(mesh) = first_input(job.sources, job.run)? {
+        return reduce_mesh::plan_mesh(&mesh, job);
     }
-    Ok((plan, mesh, estimate))
+    let series = plan_volumes(job.sources, job.settings, job.run, Known::default())?;
+    let mesh = parts(&series.plan.mesh, None)?;
+    let need = need_of(&mesh, series.plan.steps.len(), job.run.memory, job.run);
+    let estimate = estimate_of(&series, &need, job.out, job.run)?;
+    Ok((series, mesh, estimate))
 }
 
-fn reduce_volume(source: VolumeSource, job: &Job<'_>) -> Result<ReduceReport> {
-    let mut plan = Plan::new(source.info(), job.settings)?;
-    plan.step.quantiser = job.part.quantiser().flatten();
-    job.part.expect_planned(&plan, job.input)?;
-    let mesh = parts(&plan.mesh, None)?;
-    let need = Need::of(&mesh);
-    estimate_of(&source, &plan, &need, job.out, job.run)?.check()?;
+fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
+    let planning = Instant::now();
+    let known = Known { planned: job.part.planned(), ..Known::default() };
+    let series = plan_volumes(job.sources, job.settings, job.run, known)?;
+    job.part.expect_planned(&series)?;
+    let samples = series.plan.first().source.dims.iter().product();
+    let seconds = vec![("plan".to_owned(), planning.elapsed().as_secs_f64())];
+    let mesh = parts(&series.plan.mesh, None)?;
+    let need = need_of(&mesh, series.plan.steps.len(), job.run.memory, job.run);
+    estimate_of(&series, &need, job.out, job.run)?.check()?;
     let shares = need.shares(job.run.memory, threads(job.run))?;
-    let mut seconds = vec![];
-    let copying = Instant::now();
-    // The copy is removed when `scratch` is dropped, whatever happens.
-    let (reader, _scratch) = random_access(source, job.run, job.progress)?;
-    if _scratch.is_some() {
-        seconds.push(("brick".to_owned(), copying.elapsed().as_secs_f64()));
-    }
-    if let (Some(bits), None) = (job.settings.value_bits, job.part.quantiser()) {
-        let reading = Instant::now();
-        plan.step.quantiser = Some(quantiser(&*reader, bits, job.settings, &job.run.cancel)?);
-        seconds.push(("range".to_owned(), reading.elapsed().as_secs_f64()));
-    }
-    let field = GridField {
-        reader: &*reader,
-        bricks: plan.mesh.bricks(),
-        interpolation: plan.step.interpolation,
-        nan: job.settings.nan,
-        missing: job.settings.missing,
-        released: AtomicU64::new(0),
-    };
-    let samples = plan.step.source.dims.iter().product();
-    produce(job, &plan, &mesh, &field, shares, ReduceReport { samples, seconds, ..ReduceReport::default() })
+    let fields = VolumeFields { run: job.run, settings: job.settings, progress: job.progress };
+    let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
+    produce(job, series, &Means { parts: &mesh, fields: &fields, shares, at_once: need.steps() }, report)
 }
 
-/// Makes the archive of a plan, or the job's part of it: its segments, then the manifest. Completes the report.
+/// Steps whose files are open, and whose values are made, at a time.
+const MOST_STEPS_AT_ONCE: u64 = 16;
+
+/// What the chunks need, with as many steps at a time as the memory allows.
+pub(super) fn need_of(parts: &MeshParts, steps: usize, memory: u64, run: &RunSettings) -> Need {
+    Need::of(parts).with_steps((steps as u64).min(MOST_STEPS_AT_ONCE), memory, threads(run))
+}
+
+/// Makes the archive of a series, or the job's part of it: its segments, then the manifest. Completes the report.
 pub(super) fn produce(
     job: &Job<'_>,
-    plan: &Plan,
-    mesh: &MeshParts,
-    field: &dyn Field,
-    shares: Shares,
+    mut series: SeriesPlan,
+    means: &Means<'_>,
     mut report: ReduceReport,
 ) -> Result<ReduceReport> {
-    let layout = Layout::new(job.out, mesh.chunks.len(), plan.step.number);
+    let layout = Layout::new(job.out, means.parts.chunks.len(), 0);
     prepare_folder(&layout, job.run)?;
-    if let Some(points) = mesh.points.explicit() {
-        write_explicit(job.out, plan.mesh_hash(), points)?;
+    if let Some(points) = means.parts.points.explicit() {
+        write_explicit(job.out, series.plan.mesh_hash(), points)?;
     }
-    let coordinates = grid_coordinates(job, plan, &layout)?;
-    let meter = Meter::of_plan(plan, mesh.points.len(), &layout, coordinates.is_some());
-    let recipe = Recipe { points: &mesh.points, bricks: plan.mesh.bricks(), order: mesh.order };
-    let segments = job.part.segments(&layout);
-    let chunks = segments.clone().flat_map(|s| layout.chunks_of(s));
-    let points = chunks.map(|c| mesh.points.count_in(&mesh.chunks.chunk(ChunkId(c)).core)).sum();
-    job.progress.begin("reduce", points, "points");
-    let times = work::make_segments(&Work {
-        plan,
-        recipe: &recipe,
-        chunks: &mesh.chunks,
+    let making = Making {
+        means,
         layout: &layout,
-        segments,
-        field,
-        meter: &meter,
-        pool: &pool(shares.workers)?,
-        shares,
-        rooms: &work::Rooms::default(),
-        cancel: &job.run.cancel,
+        segments: job.part.segments(&layout),
+        old: None,
+        measure: job.settings.measure && matches!(job.part, Part::Whole),
+        run: job.run,
         progress: job.progress,
-    })?;
-    push_times(&mut report.seconds, &times);
-    match job.part {
-        Part::Shard(..) => Ok(ReduceReport { points, quantiser: plan.step.quantiser, ..report }),
-        Part::Whole | Part::Commit => {
-            let made = Made { plan, mesh, layout: &layout, coordinates, originals: Some(&field.originals()) };
-            publish_archive(job, &made, shares.workers, report)
-        }
+    };
+    let made = making.make(&mut series)?;
+    push_times(&mut report.seconds, &made);
+    if let Part::Shard(..) = job.part {
+        return Ok(ReduceReport { points: making.points(), ..report });
     }
+    let publishing = Publishing {
+        parts: means.parts,
+        layout: &layout,
+        old: None,
+        measure: job.settings.measure,
+        workers: means.shares.workers,
+        run: job.run,
+        progress: job.progress,
+    };
+    let report = publishing.publish(&series, made, report)?;
+    // What earlier runs that were killed have left. Where others may be at work, gc removes it.
+    sweep(&layout, &series.plan);
+    Ok(finished(report, job.started))
 }
 
 /// Copies the coordinates that a grid has of its own into the archive; a mesh has its positions in the world by itself.
-pub(super) fn grid_coordinates(
-    job: &Job<'_>,
-    plan: &Plan,
-    layout: &Layout,
-) -> Result<Option<CoordinateRecord>> {
-    match plan.step.source.mesh {
-        Some(_) => Ok(None),
-        None => write_coordinates(job.input, job.options, plan, layout),
-    }
+pub(super) fn grid_coordinates(series: &SeriesPlan, layout: &Layout) -> Result<Option<CoordinateRecord>> {
+    let (source, step) = (&series.sources[0].source, series.plan.first());
+    if step.source.mesh.is_some() { Ok(None) } else { write_coordinates(source, &series.plan, layout) }
 }
 
-/// Segments that are all there.
-pub(super) struct Made<'a> {
-    pub(super) plan: &'a Plan,
-    pub(super) mesh: &'a MeshParts,
+/// How an archive is made of segments that are all there.
+pub(super) struct Publishing<'a> {
+    pub(super) parts: &'a MeshParts,
     pub(super) layout: &'a Layout,
-    /// What [`grid_coordinates`] has written.
-    pub(super) coordinates: Option<CoordinateRecord>,
-    /// The samples that they were made from, where these are at hand; else the input is opened again.
-    pub(super) originals: Option<&'a Originals<'a>>,
+    /// The archive that steps are added to.
+    pub(super) old: Option<&'a Manifest>,
+    /// Whether steps are measured against their sources, which are opened again for those that were not yet.
+    pub(super) measure: bool,
+    pub(super) workers: usize,
+    pub(super) run: &'a RunSettings,
+    pub(super) progress: &'a dyn Progress,
 }
 
-/// Makes an archive of segments that are all there: index, spectrum, error, manifest. Completes the report.
-pub(super) fn publish_archive(
-    job: &Job<'_>,
-    made: &Made<'_>,
-    workers: usize,
-    mut report: ReduceReport,
-) -> Result<ReduceReport> {
-    let Made { plan, mesh, layout, coordinates, originals } = *made;
-    let committing = Instant::now();
-    let limits = Meter::of_plan(plan, mesh.points.len(), layout, coordinates.is_some()).limits();
-    let (mut archive, halo_retries) = commit(plan, mesh, layout, coordinates, limits, job.run)?;
-    report.seconds.push(("commit".into(), committing.elapsed().as_secs_f64()));
-    if job.settings.measure {
-        let measuring = Instant::now();
-        let settings = MeasureSettings::of_run(job.run, workers);
-        let error = match originals {
-            Some(originals) => field_error(&archive, originals, &settings, job.progress)?,
-            None => reopened_error(&archive, job.input, job.options, &settings, job.progress)?,
+impl Publishing<'_> {
+    /// Index, spectrum and error of each step, then the manifest. Completes the report.
+    pub(super) fn publish(
+        &self,
+        series: &SeriesPlan,
+        mut outcome: Outcome,
+        mut report: ReduceReport,
+    ) -> Result<ReduceReport> {
+        let (plan, layout, committing) = (&series.plan, self.layout, Instant::now());
+        let mut made = match self.old {
+            Some(manifest) => Made::of(manifest),
+            None => Made::of_segments(plan, self.parts, layout)?,
         };
-        archive.manifest.steps[0].error = Some(error);
-        report.seconds.push(("measure".into(), measuring.elapsed().as_secs_f64()));
-    }
-    archive.manifest.write(layout.root())?;
-    let manifest = archive.manifest;
-    if let Part::Whole = job.part {
-        // What earlier runs that were killed have left. Where others may be at work, gc removes it.
-        for file in [layout.mesh(0), layout.index(), layout.root().join(MANIFEST_NAME)] {
-            publish::sweep(file.parent().expect("a file of an archive lies in a folder"));
+        let before = made.steps.len();
+        for n in 0..plan.steps.len() {
+            self.run.cancel.check()?;
+            let coordinates = outcome.coordinates.filter(|_| made.steps.is_empty());
+            made.add_step(plan, n, layout, coordinates, self.run)?;
         }
+        report.seconds.push(("commit".into(), committing.elapsed().as_secs_f64()));
+        if self.measure {
+            let measuring = Instant::now();
+            self.measure(series, &mut outcome, &mut made, before)?;
+            let seconds = (measuring.elapsed() + outcome.measuring).as_secs_f64();
+            report.seconds.push(("measure".into(), seconds));
+        }
+        if self.old.is_some_and(|old| Manifest::read(layout.root()).ok().as_ref() != Some(old)) {
+            let text = "another run has changed the archive meanwhile: run the same command again";
+            return Err(Error::io("add steps to", layout.root(), std::io::Error::other(text)));
+        }
+        made.manifest(plan).write(layout.root())?;
+        completed(&made, before, series, layout, report)
     }
-    report.seconds.push(("total".into(), job.started.elapsed().as_secs_f64()));
-    let (counts, step) = (&manifest.counts, &manifest.steps[0]);
+
+    /// Notes the errors of the steps from position `before` on; measures those that were made by an earlier run.
+    fn measure(
+        &self,
+        series: &SeriesPlan,
+        outcome: &mut Outcome,
+        made: &mut Made,
+        before: usize,
+    ) -> Result<()> {
+        let settings = MeasureSettings::of_run(self.run, self.workers);
+        let mut archive =
+            OpenArchive::of(self.layout.root(), made.manifest(&series.plan), StepChoice::First)?;
+        for (step, source) in made.steps[before..].iter_mut().zip(&series.sources) {
+            let number = step.plan.number;
+            let StepSource { path, options, .. } = &source.source;
+            step.error = Some(match outcome.errors.remove(&number) {
+                Some(error) => error,
+                None => {
+                    archive.turn_to(archive.manifest.steps.partition_point(|s| s.plan.number < number));
+                    reopened_error(&archive, path, options, &settings, self.progress)?
+                }
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Completes the report of an archive whose steps from position `before` on are new.
+fn completed(
+    made: &Made,
+    before: usize,
+    series: &SeriesPlan,
+    layout: &Layout,
+    report: ReduceReport,
+) -> Result<ReduceReport> {
+    let steps = &made.steps[before..];
+    let ranges = steps.iter().filter_map(|s| s.value_range);
     Ok(ReduceReport {
-        points: counts.points,
-        void_points: step.void_points,
-        tetrahedra: counts.tetrahedra,
-        chunks: counts.chunks,
-        blocks: counts.blocks,
-        halo_retries,
-        grid_cells: step.coordinates.map(|c| c.cells),
-        range: step.value_range,
-        quantiser: plan.step.quantiser,
-        error: step.error.clone(),
-        archive_bytes: folder_bytes(job.out)?,
+        points: made.counts.points,
+        void_points: steps.iter().map(|s| s.void_points).sum(),
+        tetrahedra: made.counts.tetrahedra,
+        chunks: made.counts.chunks,
+        blocks: made.counts.blocks,
+        halo_retries: made.halo_retries,
+        grid_cells: made.steps[0].coordinates.map(|c| c.cells),
+        range: ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]),
+        quantiser: series.plan.first().quantiser,
+        error: steps[0].error.clone(),
+        steps: steps.iter().map(StepSummary::of).collect(),
+        skipped: series.skipped.clone(),
+        archive_bytes: folder_bytes(layout.root())?,
         ..report
     })
 }
 
-/// Steps of the source's range, which is read for that: the same everywhere, so that what chunks share stays equal.
-fn quantiser(
-    reader: &dyn VolumeReader,
-    bits: u8,
-    settings: &ReduceSettings,
-    cancel: &CancelToken,
-) -> Result<Quantiser> {
-    let missing = settings.missing.or(reader.info().missing);
-    let found = value_range(reader, missing, cancel)?;
-    let stand_in = match settings.nan {
-        NanPolicy::Value(v) => Some([v, v]),
-        NanPolicy::Error | NanPolicy::Mask => None,
-    };
-    let range = [found, stand_in].into_iter().flatten().reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
-    Ok(Quantiser::new(bits, range.unwrap_or_default()))
+/// Notes the time of all.
+pub(super) fn finished(mut report: ReduceReport, started: Instant) -> ReduceReport {
+    report.seconds.push(("total".into(), started.elapsed().as_secs_f64()));
+    report
+}
+
+/// Removes what earlier runs that were killed have left.
+pub(super) fn sweep(layout: &Layout, plan: &Plan) {
+    let mesh = layout.mesh(0);
+    let folder = mesh.parent().expect("a segment lies in a folder of the archive");
+    [layout.root(), folder].into_iter().for_each(publish::sweep);
+    plan.steps.iter().for_each(|s| publish::sweep(&layout.at(s.number).step_folder()));
 }
 
 /// Tells what a reduction would need, without beginning it.
@@ -425,23 +465,47 @@ pub fn estimate(
     out: &Path,
     run: &RunSettings,
 ) -> Result<Estimate> {
-    refuse_overwriting(out, run)?;
-    let source = match formats::open_input(input, options)? {
-        Input::Volume(source) => source,
-        Input::Mesh(mesh) => return reduce_mesh::estimate_mesh(&mesh, settings, out, run),
-    };
-    let plan = Plan::new(source.info(), settings)?;
-    estimate_of(&source, &plan, &Need::of(&parts(&plan.mesh, None)?), out, run)
+    estimate_series(&[StepSource::new(input, options)], settings, out, run)
 }
 
-fn estimate_of(
-    source: &VolumeSource,
-    plan: &Plan,
+/// As [`estimate`], of a series.
+///
+/// # Errors
+/// As [`estimate`].
+pub fn estimate_series(
+    sources: &[StepSource],
+    settings: &ReduceSettings,
+    out: &Path,
+    run: &RunSettings,
+) -> Result<Estimate> {
+    refuse_overwriting(out, run)?;
+    let (sources, progress, started) = (&numbered(sources), &Silent, Instant::now());
+    make_plan(&Job { sources, settings, out, run, progress, started, part: Part::Whole }).map(|made| made.2)
+}
+
+pub(super) fn estimate_of(
+    series: &SeriesPlan,
     need: &Need,
     out: &Path,
     run: &RunSettings,
 ) -> Result<Estimate> {
-    let (copied, copying) = match source {
+    let largest = |of: fn(&PlannedSource) -> u64| series.sources.iter().map(of).max().unwrap_or(0);
+    let scratch = scratch_folder(run);
+    Ok(Estimate::new(&Question {
+        plan: &series.plan,
+        need,
+        memory: run.memory,
+        threads: threads(run),
+        out,
+        there: if out.is_dir() { folder_bytes(out)? } else { 0 },
+        scratch: (&scratch, largest(|s| s.copied)),
+        copying: largest(|s| s.copying),
+    }))
+}
+
+/// Bytes of the copy that is made of a volume without random access, and memory to make it in; 0 of others.
+pub(super) fn copy_bytes(source: &VolumeSource) -> (u64, u64) {
+    match source {
         VolumeSource::Random(_) => (0, 0),
         VolumeSource::Stream(stream) => {
             let info = stream.info();
@@ -450,18 +514,7 @@ fn estimate_of(
             let bytes = (samples * info.field.scalar.bytes() as f64 * 1.1) as u64 + (1 << 20);
             (bytes, copying_bytes(&**stream) + COPY_BUFFER)
         }
-    };
-    let scratch = scratch_folder(run);
-    Ok(Estimate::new(&Question {
-        plan,
-        need,
-        memory: run.memory,
-        threads: threads(run),
-        out,
-        there: if out.is_dir() { folder_bytes(out)? } else { 0 },
-        scratch: (&scratch, copied),
-        copying,
-    }))
+    }
 }
 
 /// The least that slices are collected in while a stream is copied into bricks.
@@ -481,9 +534,9 @@ pub(super) fn scratch_folder(run: &RunSettings) -> PathBuf {
     run.scratch.clone().unwrap_or_else(std::env::temp_dir)
 }
 
-fn push_times(seconds: &mut Vec<(String, f64)>, times: &StageTimes) {
-    let rows =
-        [("mesh", times.mesh), ("sample", times.sample), ("encode", times.encode), ("write", times.write)];
+pub(super) fn push_times(seconds: &mut Vec<(String, f64)>, made: &Outcome) {
+    let StageTimes { mesh, sample, encode, write } = made.times;
+    let rows = [("mesh", mesh), ("sample", sample), ("encode", encode), ("write", write)];
     seconds.extend(rows.map(|(name, time)| (name.to_owned(), time.as_secs_f64())));
 }
 
@@ -530,11 +583,9 @@ pub(super) fn prepare_folder(layout: &Layout, run: &RunSettings) -> Result<()> {
             fs::remove_dir_all(folder).map_err(|e| Error::io("remove", folder, e))?;
         }
     }
-    for file in [layout.mesh(0), layout.index()] {
-        let folder = file.parent().expect("a segment lies in a folder of the archive");
-        fs::create_dir_all(folder).map_err(|e| Error::io("create the folder", folder, e))?;
-    }
-    Ok(())
+    let mesh = layout.mesh(0);
+    let folder = mesh.parent().expect("a segment lies in a folder of the archive");
+    fs::create_dir_all(folder).map_err(|e| Error::io("create the folder", folder, e))
 }
 
 /// A stream is copied into bricks first; the copy is removed when the second value is dropped.
@@ -583,130 +634,6 @@ impl Drop for Scratch {
     fn drop(&mut self) {
         self.remove();
     }
-}
-
-/// Reads the summaries of all chunks, builds the index, puts the spectrum together: the archive, but for its manifest, which is not
-/// published. Also tells how often halos were widened.
-fn commit(
-    plan: &Plan,
-    parts: &MeshParts,
-    layout: &Layout,
-    coordinates: Option<CoordinateRecord>,
-    limits: Limits,
-    run: &RunSettings,
-) -> Result<(OpenArchive, u64)> {
-    let mut counts = Counts { chunks: parts.chunks.len(), ..Counts::default() };
-    let (mut mesh_segments, mut value_segments) = (vec![], vec![]);
-    let (mut void_points, mut halo_retries, mut volume6) = (0, 0, 0i128);
-    // Of all points, and of the tetrahedra that are not void.
-    let mut value_range = [f32::INFINITY, f32::NEG_INFINITY];
-    let mut range = value_range;
-    let mut index = IndexBuilder::new(&BuildSettings {
-        memory: run.memory.saturating_sub(need::BASE),
-        scratch: Some(scratch_folder(run)),
-    });
-    for number in 0..layout.segment_count() {
-        let mesh = ChunkSegment::open(layout.mesh(number), SegmentKind::Mesh, Some(plan.mesh_hash()))?;
-        let values = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(plan.step_hash()))?;
-        for chunk in layout.chunks_of(number) {
-            let (mesh, values) =
-                (mesh_summary(&mesh, ChunkId(chunk))?, value_summary(&values, ChunkId(chunk))?);
-            counts.points += u64::from(mesh.core);
-            counts.tetrahedra += mesh.tets;
-            counts.blocks += u64::from(mesh.tet_blocks);
-            halo_retries += u64::from(mesh.retries);
-            volume6 += mesh.volume6 + mesh.outside6;
-            void_points += u64::from(values.void);
-            value_range = [value_range[0].min(values.min), value_range[1].max(values.max)];
-            for entry in index_entries(chunk, &values.ranges) {
-                range = [range[0].min(entry.min), range[1].max(entry.max)];
-                index.push(entry)?;
-            }
-        }
-        for (records, file) in [(&mut mesh_segments, &mesh), (&mut value_segments, &values)] {
-            let chunks = file.chunks();
-            let (first_chunk, chunks) = (chunks.start, chunks.end - chunks.start);
-            records.push(SegmentRecord { first_chunk, chunks, info: file.segment().info() });
-        }
-    }
-    check_volume(plan, volume6, layout.root())?;
-    let spectrum =
-        (range[0] <= range[1]).then(|| sum_spectrum(plan, layout, Design::new(range, limits), limits));
-    let step = Step {
-        plan: plan.step.clone(),
-        value_range: (value_range[0] <= value_range[1]).then_some(value_range),
-        void_points,
-        values: value_segments,
-        index: index.finish(layout.index(), plan.step_hash())?,
-        spectrum: spectrum.transpose()?,
-        coordinates,
-        error: None,
-    };
-    let manifest = Manifest::new(plan.mesh.clone(), counts, mesh_segments, vec![step]);
-    Ok((OpenArchive::of(layout.root(), manifest)?, halo_retries))
-}
-
-/// Adds up what all chunks have measured, and writes it.
-fn sum_spectrum(plan: &Plan, layout: &Layout, design: Design, limits: Limits) -> Result<SegmentInfo> {
-    let mut builder = SpectrumBuilder::new(design);
-    for number in 0..layout.segment_count() {
-        let values = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(plan.step_hash()))?;
-        for chunk in layout.chunks_of(number) {
-            builder.add(&stored_part(&values, ChunkId(chunk), limits)?);
-        }
-    }
-    builder.finish(layout.spectrum(), plan.step_hash())
-}
-
-/// The entries of the index that a chunk's blocks have: one each, none for blocks of void tetrahedra alone.
-pub(super) fn index_entries(chunk: u64, ranges: &[BlockRange]) -> impl Iterator<Item = Entry> {
-    let entry = move |(block, r): (usize, &BlockRange)| {
-        (r.tets > 0).then_some(Entry { min: r.min, max: r.max, chunk, block: block as u32, tets: r.tets })
-    };
-    ranges.iter().enumerate().filter_map(entry)
-}
-
-/// The last block of a chunk in a mesh segment.
-pub(super) fn mesh_summary(segment: &ChunkSegment, chunk: ChunkId) -> Result<MeshSummary> {
-    last_block(segment, chunk, MeshSummary::decode)
-}
-
-/// The last block of a chunk in a value segment.
-pub(super) fn value_summary(segment: &ChunkSegment, chunk: ChunkId) -> Result<ValueSummary> {
-    last_block(segment, chunk, ValueSummary::decode)
-}
-
-fn last_block<T>(
-    segment: &ChunkSegment,
-    chunk: ChunkId,
-    decode: fn(&[u8]) -> std::result::Result<T, Malformed>,
-) -> Result<T> {
-    let last = segment.block_count(chunk).checked_sub(1).ok_or_else(|| {
-        Error::bad_input(
-            segment.segment().path(),
-            format!("chunk {}", chunk.0),
-            "a summary block",
-            "no blocks",
-        )
-    })?;
-    let mut bytes = vec![];
-    segment.block(chunk, last, &mut bytes)?;
-    decode(&bytes).map_err(|m| segment.blame(chunk, last, m))
-}
-
-/// The owned tetrahedra of all chunks tile the box: their volumes add up to its volume, exactly.
-fn check_volume(plan: &Plan, volume6: i128, out: &Path) -> Result<()> {
-    let whole = domain_volume6(&plan.mesh.lattice);
-    if volume6 == whole {
-        return Ok(());
-    }
-    let text = format!("internal error: the tetrahedra fill {volume6} of the domain's {whole} sixths");
-    Err(Error::io("commit", out, std::io::Error::other(text)))
-}
-
-/// Six times the volume of the domain, in lattice steps.
-pub(super) fn domain_volume6(lattice: &Lattice) -> i128 {
-    6 * lattice.max().iter().map(|&m| i128::from(m)).product::<i128>()
 }
 
 /// Bytes of all files below a folder.

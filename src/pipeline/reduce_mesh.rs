@@ -7,10 +7,11 @@
 //! The amount is that of points **inside** the mesh: the set fills the box, so it has as many more as the box is larger.
 
 use super::cell_field::CellField;
-use super::field::NanPolicy;
+use super::field::{Field, NanPolicy};
 use super::need::{Estimate, Need, Question, free_bytes};
 use super::plan::{Amount, MeshParts, Plan, ReduceSettings, parts};
 use super::reduce::{Job, ReduceReport, RunSettings, folder_bytes, produce, scratch_folder, threads};
+use super::series::{Fields, Means, PlannedSource, SeriesPlan};
 use crate::archive::explicit::ExplicitRecord;
 use crate::archive::manifest::{MeshSource, Source};
 use crate::archive::values::Quantiser;
@@ -42,6 +43,9 @@ struct Prepared {
 }
 
 pub(super) fn reduce_mesh(mesh: &CellMesh, job: &Job<'_>) -> Result<ReduceReport> {
+    if job.sources.len() > 1 {
+        return Err(Error::usage("a series of tetrahedral meshes is not reduced: give one file and field"));
+    }
     let scratch = scratch_folder(job.run);
     check_scratch(mesh, job.settings, &scratch)?;
     let reading = Instant::now();
@@ -49,15 +53,17 @@ pub(super) fn reduce_mesh(mesh: &CellMesh, job: &Job<'_>) -> Result<ReduceReport
     let settings = store_settings(job.settings, job.run, &scratch);
     let Prepared { store, plan, boundary } = prepare(mesh, job.settings, &settings)?;
     let mut seconds = vec![("read".to_owned(), reading.elapsed().as_secs_f64())];
-    job.part.expect_planned(&plan, job.input)?;
+    let series = one_step(plan, job);
+    job.part.expect_planned(&series)?;
+    let plan = &series.plan;
     let parts = parts(&plan.mesh, Some(boundary.points.clone()))?;
     let need = Need::of(&parts);
     let memory = job.run.memory.saturating_sub(boundary_bytes(&boundary));
-    estimate_of(&plan, &need, memory, job.out, job.run, (&scratch, 0))?.check()?;
+    estimate_of(plan, &need, memory, job.out, job.run, (&scratch, 0))?.check()?;
     let shares = need.shares(memory, threads(job.run))?;
     let sorting = Instant::now();
     let buckets = Buckets::new(&store, &plan.mesh.bricks(), &settings)?;
-    let gradients = match plan.step.interpolation {
+    let gradients = match plan.first().interpolation {
         Interpolation::Quadratic => Some(gradients(&store, &settings)?),
         _ => None,
     };
@@ -67,7 +73,7 @@ pub(super) fn reduce_mesh(mesh: &CellMesh, job: &Job<'_>) -> Result<ReduceReport
         buckets: &buckets,
         boundary: &boundary,
         bricks: plan.mesh.bricks(),
-        interpolation: plan.step.interpolation,
+        interpolation: plan.first().interpolation,
         gradients,
     };
     let report = ReduceReport {
@@ -76,26 +82,32 @@ pub(super) fn reduce_mesh(mesh: &CellMesh, job: &Job<'_>) -> Result<ReduceReport
         seconds,
         ..ReduceReport::default()
     };
-    produce(job, &plan, &parts, &field, shares, report)
+    let fields = OneMesh(&field);
+    produce(job, series, &Means { parts: &parts, fields: &fields, shares, at_once: 1 }, report)
 }
 
-/// Tells what the reduction of a mesh would need: the mesh is read for that.
-pub(super) fn estimate_mesh(
-    mesh: &CellMesh,
-    settings: &ReduceSettings,
-    out: &Path,
-    run: &RunSettings,
-) -> Result<Estimate> {
-    let scratch = scratch_folder(run);
-    check_scratch(mesh, settings, &scratch)?;
-    let Prepared { plan, boundary, .. } = prepare(mesh, settings, &store_settings(settings, run, &scratch))?;
-    let need = Need::of(&parts(&plan.mesh, Some(boundary.points.clone()))?);
-    let memory = run.memory.saturating_sub(boundary_bytes(&boundary));
-    estimate_of(&plan, &need, memory, out, run, (&scratch, scratch_bytes(mesh, settings)))
+fn one_step(plan: Plan, job: &Job<'_>) -> SeriesPlan {
+    let source = PlannedSource { source: job.sources[0].1.clone(), copied: 0, copying: 0 };
+    SeriesPlan {
+        plan,
+        sources: vec![source],
+        skipped: vec![],
+        before: None,
+        keyframes: job.settings.keyframes,
+    }
+}
+
+/// The one step of a mesh.
+struct OneMesh<'a>(&'a CellField<'a>);
+
+impl Fields for OneMesh<'_> {
+    fn open<'a>(&'a self, _: &SeriesPlan, _: usize) -> Result<Box<dyn Field + 'a>> {
+        Ok(Box::new(self.0))
+    }
 }
 
 /// As [`make_plan`](super::reduce::make_plan): the mesh is read for that.
-pub(super) fn plan_mesh(mesh: &CellMesh, job: &Job<'_>) -> Result<(Plan, MeshParts, Estimate)> {
+pub(super) fn plan_mesh(mesh: &CellMesh, job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimate)> {
     let (settings, scratch) = (job.settings, scratch_folder(job.run));
     check_scratch(mesh, settings, &scratch)?;
     job.progress.begin("read the mesh", 0, "points");
@@ -105,7 +117,7 @@ pub(super) fn plan_mesh(mesh: &CellMesh, job: &Job<'_>) -> Result<(Plan, MeshPar
     let memory = job.run.memory.saturating_sub(boundary_bytes(&boundary));
     let bytes = scratch_bytes(mesh, settings);
     let estimate = estimate_of(&plan, &Need::of(&parts), memory, job.out, job.run, (&scratch, bytes))?;
-    Ok((plan, parts, estimate))
+    Ok((one_step(plan, job), parts, estimate))
 }
 
 fn estimate_of(
@@ -195,7 +207,7 @@ fn prepare(mesh: &CellMesh, settings: &ReduceSettings, how: &StoreSettings<'_>) 
     let spacing = spacing.into_iter().max().expect("three axes");
     let boundary = BoundarySamples::new(&store, spacing, how.memory, path)?;
     plan.mesh.explicit = Some(ExplicitRecord::of(&boundary.points));
-    plan.step.quantiser = quantiser(&store, settings)?;
+    plan.steps[0].quantiser = quantiser(&store, settings)?;
     Ok(Prepared { store, plan, boundary })
 }
 

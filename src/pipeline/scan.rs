@@ -127,15 +127,49 @@ pub(crate) fn value_range(
     missing: Option<f64>,
     cancel: &CancelToken,
 ) -> Result<Option<[f32; 2]>> {
-    let missing = missing.map(|m| m as f32);
-    let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
+    let mut range = Extent::new(missing);
     for_slabs(reader, |values| {
-        for &v in values.iter().filter(|v| v.is_finite() && Some(**v) != missing) {
-            (low, high) = (low.min(v), high.max(v));
-        }
+        range.add(values);
         cancel.check()
     })?;
-    Ok((low <= high).then_some([low, high]))
+    Ok(range.found())
+}
+
+/// As [`value_range`].
+pub(crate) fn stream_range(
+    stream: &mut dyn SlabStream,
+    missing: Option<f64>,
+    cancel: &CancelToken,
+) -> Result<Option<[f32; 2]>> {
+    let mut range = Extent::new(missing);
+    for_stream(stream, |values| {
+        range.add(values);
+        cancel.check()
+    })?;
+    Ok(range.found())
+}
+
+/// Least and largest finite value besides one.
+struct Extent {
+    missing: Option<f32>,
+    low: f32,
+    high: f32,
+}
+
+impl Extent {
+    fn new(missing: Option<f64>) -> Self {
+        Self { missing: missing.map(|m| m as f32), low: f32::INFINITY, high: f32::NEG_INFINITY }
+    }
+
+    fn add(&mut self, values: &[f32]) {
+        for &v in values.iter().filter(|v| v.is_finite() && Some(**v) != self.missing) {
+            (self.low, self.high) = (self.low.min(v), self.high.max(v));
+        }
+    }
+
+    fn found(&self) -> Option<[f32; 2]> {
+        (self.low <= self.high).then_some([self.low, self.high])
+    }
 }
 
 fn for_slabs(reader: &dyn VolumeReader, mut f: impl FnMut(&[f32]) -> Result<()>) -> Result<()> {
@@ -158,12 +192,19 @@ fn for_slabs(reader: &dyn VolumeReader, mut f: impl FnMut(&[f32]) -> Result<()>)
 }
 
 fn scan_stream(stream: &mut dyn SlabStream, counter: &mut Counter) -> Result<()> {
+    for_stream(stream, |values| {
+        counter.add(values);
+        Ok(())
+    })
+}
+
+fn for_stream(stream: &mut dyn SlabStream, mut f: impl FnMut(&[f32]) -> Result<()>) -> Result<()> {
     let info = stream.info().clone();
     let (mut bytes, mut values) = (vec![], vec![]);
     while let Some(slab) = stream.next_slab(&mut bytes)? {
         values.resize(slab.len(), 0.0);
         convert_row(&bytes, info.field.scalar, false, info.slope, info.intercept, info.missing, &mut values);
-        counter.add(&values);
+        f(&values)?;
     }
     Ok(())
 }

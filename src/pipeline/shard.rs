@@ -8,7 +8,7 @@
 //! ```
 //!
 //! A **shard** I of N is the I-th of N runs of whole segments. N is free: the segments, and so the archive's bytes, are the same
-//! for any N, and workers of different N may run together. Nothing is locked and nobody is asked. A worker skips segments that
+//! for any N, and workers of different N may run together. A shard does all steps of its chunks. Nothing is locked and nobody is asked. A worker skips segments that
 //! are done; two that make the same one write the same bytes to temporaries of different names, and the later rename
 //! replaces a file by its copy. So a task may be started twice, or go on after its machine was given up for dead.
 //!
@@ -21,14 +21,16 @@ use super::need::{Estimate, Need};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::plan_file::{Cut, PlanFile, plan_path};
 use super::reduce::{
-    self, Job, Made, Part, ReduceReport, RunSettings, grid_coordinates, prepare_folder, publish_archive,
+    self, Job, Part, Publishing, ReduceReport, RunSettings, finished, grid_coordinates, numbered,
+    prepare_folder,
 };
+use super::series::Outcome;
 use super::status::Inventory;
 use crate::archive::explicit::{read_explicit, write_explicit};
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
 use crate::error::{Error, Result};
 use crate::exec::Progress;
-use crate::formats::OpenOptions;
+use crate::formats::StepSource;
 use serde::Serialize;
 use std::fmt;
 use std::ops::Range;
@@ -108,14 +110,13 @@ pub struct PlanReport {
     pub needs: Estimate,
 }
 
-/// Plans the reduction of `input` to the archive `out` in `shards` parts, and writes the plan beside it. With
+/// Plans the reduction of a series of steps, or of one, to the archive `out` in `shards` parts, and writes the plan beside it. With
 /// [`RunSettings::replace`] an archive and a plan that are there are replaced.
 ///
 /// # Errors
 /// As [`reduce`](super::reduce::reduce); [`Error::Usage`] when there is another plan already.
 pub fn plan_shards(
-    input: &Path,
-    options: &OpenOptions,
+    sources: &[StepSource],
     settings: &ReduceSettings,
     out: &Path,
     shards: u64,
@@ -126,12 +127,12 @@ pub fn plan_shards(
         return Err(Error::usage("at least one shard"));
     }
     reduce::refuse_overwriting(out, run)?;
-    let part = Part::Whole;
-    let job = Job { input, options, settings, out, run, progress, started: Instant::now(), part };
-    let (plan, mesh, needs) = reduce::make_plan(&job)?;
-    let layout = Layout::new(out, mesh.chunks.len(), plan.step.number);
+    let (sources, part) = (&numbered(sources), Part::Whole);
+    let job = Job { sources, settings, out, run, progress, started: Instant::now(), part };
+    let (series, mesh, needs) = reduce::make_plan(&job)?;
+    let layout = Layout::new(out, mesh.chunks.len(), 0);
     let cut = Cut { chunks: mesh.chunks.len(), shards, memory_least: needs.memory_least };
-    let file = PlanFile::new(input, options, settings, plan, cut)?;
+    let file = PlanFile::new(settings, series, cut)?;
     file.write(out, run.replace)?;
     prepare_folder(&layout, run)?;
     if let Some(points) = mesh.points.explicit() {
@@ -141,7 +142,7 @@ pub fn plan_shards(
     let shard_segments = segments.div_ceil(shards);
     Ok(PlanReport {
         plan: plan_path(out),
-        hash: [file.mesh_hash, file.step_hash].map(|h| h.to_string()),
+        hash: [file.mesh_hash, file.steps_hash].map(|h| h.to_string()),
         shards,
         segments,
         shard_segments,
@@ -172,13 +173,14 @@ pub struct Planned {
 pub fn planned(out: &Path, threads: usize) -> Result<Planned> {
     let file = PlanFile::read(out)?;
     let mesh = mesh_parts(out, &file.plan)?;
-    let need = Need::of(&mesh);
+    let steps = file.plan.steps.len();
+    let need = reduce::need_of(&mesh, steps, u64::MAX, &RunSettings { threads, ..RunSettings::default() });
     Ok(Planned {
         shards: file.shards,
         segments: Inventory::new(out, &file).segments(),
         memory_least: file.memory_least,
         memory: need.comfortable(threads).max(file.memory_least),
-        seconds: need.seconds(threads),
+        seconds: need.seconds(threads, steps),
     })
 }
 
@@ -222,10 +224,11 @@ pub fn work_shard(
         return Ok(report(0, vec![]));
     }
     let part = Part::Shard(&file.plan, shard);
-    let PlanFile { input, options, settings, .. } = &file;
-    let run = RunSettings { replace: false, ..run.clone() };
-    let mut made = reduce::make(&Job { input, options, settings, out, run: &run, progress, started, part })?;
-    made.seconds.push(("total".into(), started.elapsed().as_secs_f64()));
+    // The plan says which steps there are: a worker leaves none out.
+    let run = RunSettings { replace: false, keep_going: false, ..run.clone() };
+    let (sources, settings) = (&file.numbered(), &file.settings);
+    let made = reduce::make(&Job { sources, settings, out, run: &run, progress, started, part })?;
+    let made = finished(made, started);
     Ok(report(made.points, made.seconds))
 }
 
@@ -235,8 +238,8 @@ fn expect_no_other_archive(out: &Path, file: &PlanFile) -> Result<()> {
         return Ok(());
     }
     let manifest = Manifest::read(out)?;
-    let same = manifest.plan_hash == file.mesh_hash
-        && manifest.steps.first().is_some_and(|s| s.plan.hash(manifest.plan_hash) == file.step_hash);
+    let same =
+        manifest.plan_hash == file.mesh_hash && manifest.steps.iter().map(|s| &s.plan).eq(&file.plan.steps);
     if same {
         return Ok(());
     }
@@ -256,19 +259,19 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
     let verified = started.elapsed().as_secs_f64();
     let mesh = mesh_parts(out, &file.plan)?;
     let workers = Need::of(&mesh).shares(run.memory, reduce::threads(run))?.workers;
-    let layout = Layout::new(out, mesh.chunks.len(), file.plan.step.number);
-    let PlanFile { input, options, settings, .. } = &file;
-    let part = Part::Commit;
-    let job = Job { input, options, settings, out, run, progress, started, part };
-    let samples = match &file.plan.step.source.mesh {
+    let layout = Layout::new(out, mesh.chunks.len(), 0);
+    let samples = match &file.plan.first().source.mesh {
         Some(mesh) => mesh.vertices,
-        None => file.plan.step.source.dims.iter().product(),
+        None => file.plan.first().source.dims.iter().product(),
     };
     let seconds = vec![("verify".to_owned(), verified)];
     let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
-    let coordinates = grid_coordinates(&job, &file.plan, &layout)?;
-    let made = Made { plan: &file.plan, mesh: &mesh, layout: &layout, coordinates, originals: None };
-    publish_archive(&job, &made, workers, report)
+    let measure = file.settings.measure;
+    let series = file.into_series();
+    let made = Outcome { coordinates: grid_coordinates(&series, &layout)?, ..Outcome::default() };
+    let publishing = Publishing { parts: &mesh, layout: &layout, old: None, measure, workers, run, progress };
+    let report = publishing.publish(&series, made, report)?;
+    Ok(finished(report, started))
 }
 
 /// The parts of a plan, with the listed points that are in the archive.

@@ -1,8 +1,7 @@
 //! The contour spectrum of a step: chunk by chunk while chunks are made, put together when the archive is, and read back.
 
-use super::layout::Layout;
 use super::open::OpenArchive;
-use super::plan::Plan;
+use super::steps::StepChoice;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::CoordinateMap;
 use crate::archive::manifest::{Plan as MeshPlan, Source};
@@ -28,28 +27,25 @@ pub(super) struct Meter {
 }
 
 impl Meter {
-    /// For a mesh of so many points, and a source; `coordinates` is the file and hash of those that the source has of its own.
-    fn new(mesh: &MeshPlan, points: u64, source: &Source, coordinates: Option<(PathBuf, PlanHash)>) -> Self {
+    /// For a mesh of so many points, and the source of a step; `coordinates` is the file and hash of those that the grid has of its own.
+    pub(super) fn new(
+        mesh: &MeshPlan,
+        points: u64,
+        source: &Source,
+        coordinates: Option<(PathBuf, PlanHash)>,
+    ) -> Self {
         Self {
-            limits: Limits::of_chunks(points.min(mesh.chunk_target)),
+            limits: limits(mesh, points),
             lattice: mesh.lattice,
             linear: Geometry { origin: [0.0; 3], ..source.geometry },
             coordinates: coordinates.map(|(path, hash)| (path, hash, source.dims)),
         }
     }
 
-    /// That of an archive to be made; `has_coordinates` tells whether they are in the folder.
-    pub(super) fn of_plan(plan: &Plan, points: u64, layout: &Layout, has_coordinates: bool) -> Self {
-        let coordinates = has_coordinates.then(|| (layout.coordinates(), plan.step_hash()));
-        Self::new(&plan.mesh, points, &plan.step.source, coordinates)
-    }
-
     /// That of an archive.
     pub(super) fn of_archive(archive: &OpenArchive) -> Self {
-        let (plan, step) = (&archive.manifest.plan, archive.step());
-        let hash = step.plan.hash(archive.manifest.plan_hash);
-        let coordinates = step.coordinates.is_some().then(|| (archive.layout.coordinates(), hash));
-        Self::new(plan, archive.points.len(), &step.plan.source, coordinates)
+        let (plan, source) = (&archive.manifest.plan, &archive.step().plan.source);
+        Self::new(plan, archive.points.len(), source, archive.coordinate_file())
     }
 
     pub(super) fn limits(&self) -> Limits {
@@ -84,6 +80,11 @@ impl Meter {
     fn place(&self, position: LatticePos) -> [f64; 3] {
         self.linear.to_world(self.lattice.to_index_space(position))
     }
+}
+
+/// How finely the chunks of a mesh of so many points are measured.
+pub(super) fn limits(mesh: &MeshPlan, points: u64) -> Limits {
+    Limits::of_chunks(points.min(mesh.chunk_target))
 }
 
 /// The part of a chunk that is stored: the last but one of its blocks in a value segment.
@@ -124,11 +125,25 @@ pub struct SpectrumReport {
 /// # Errors
 /// [`crate::Error::BadInput`] for a damaged archive.
 pub fn contour_spectrum(path: &Path) -> Result<SpectrumReport> {
-    report(&OpenArchive::open(path)?)
+    contour_spectrum_at(path, StepChoice::First)
+}
+
+/// As [`contour_spectrum`], of a step, or of the time of one.
+///
+/// # Errors
+/// As [`contour_spectrum`]; [`crate::Error::Usage`] for a step that is not there, or a time between two.
+pub fn contour_spectrum_at(path: &Path, step: StepChoice) -> Result<SpectrumReport> {
+    report(&OpenArchive::open_at(path, step)?)
 }
 
 /// That of an open archive.
 pub(super) fn report(archive: &OpenArchive) -> Result<SpectrumReport> {
+    if archive.view.beyond.is_some() {
+        return Err(Error::usage(format!(
+            "{}: the spectrum is known at steps, and not between them: choose one with --step",
+            archive.path().display()
+        )));
+    }
     let bytes_read = archive.manifest_bytes()?;
     let Some(file) = archive.spectrum()? else {
         let none = SpectrumReport {

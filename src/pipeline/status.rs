@@ -41,7 +41,7 @@ pub(super) struct Inventory<'a> {
 
 impl<'a> Inventory<'a> {
     pub(super) fn new(out: &Path, file: &'a PlanFile) -> Self {
-        Self { file, layout: Layout::new(out, file.chunks, file.plan.step.number) }
+        Self { file, layout: Layout::new(out, file.chunks, 0) }
     }
 
     pub(super) fn segments(&self) -> u64 {
@@ -52,10 +52,12 @@ impl<'a> Inventory<'a> {
     pub(super) fn files_of(&self, segment: u64) -> Vec<Wanted> {
         let (layout, file) = (&self.layout, self.file);
         let wanted = |path, kind, hash| Wanted { path, kind, hash, chunks: layout.chunks_of(segment) };
-        vec![
-            wanted(layout.mesh(segment), SegmentKind::Mesh, file.mesh_hash),
-            wanted(layout.values(segment), SegmentKind::Values, file.step_hash),
-        ]
+        let mut files = vec![wanted(layout.mesh(segment), SegmentKind::Mesh, file.mesh_hash)];
+        files.extend(file.plan.steps.iter().map(|step| {
+            let path = layout.at(step.number).values(segment);
+            wanted(path, SegmentKind::Values, step.hash(file.mesh_hash))
+        }));
+        files
     }
 
     pub(super) fn look(&self, f: &Wanted, depth: Depth) -> SegmentState {

@@ -5,9 +5,10 @@
 //! * each tetrahedron is positively oriented, belongs to the chunk that holds it, and all together fill the box exactly;
 //! * the ranges of the blocks, the entries of the index, and the sums of the spectrum are those of the values.
 
+use super::commit::{domain_volume6, index_entries, mesh_summary, value_summary};
 use super::open::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
-use super::reduce::{domain_volume6, index_entries, mesh_summary, value_summary};
 use super::spectrum::{Meter, stored_part};
+use crate::archive::segment::Segment;
 use crate::archive::summary::{BlockRange, MeshSummary};
 use crate::error::{Error, Result};
 use crate::geom::predicates::signed_volume6;
@@ -21,6 +22,8 @@ use std::path::Path;
 /// What was verified.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct ArchiveCheck {
+    /// Steps.
+    pub steps: u64,
     /// Segments, index included.
     pub segments: u64,
     /// Blocks whose checksum was verified.
@@ -40,56 +43,90 @@ pub struct ArchiveCheck {
 /// # Errors
 /// [`Error::BadInput`] that names the first thing that is wrong.
 pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
-    let archive = OpenArchive::open(path)?;
     let mut check = ArchiveCheck::default();
-    let mut entries = EntryDigest::default();
-    let mut volume6 = 0i128;
-    let (spectrum, meter) = (archive.spectrum()?, Meter::of_archive(&archive));
-    let mut measured = spectrum
-        .as_ref()
-        .map(|file| SpectrumBuilder::new(Design::new(file.spectrum().range, meter.limits())));
-    for number in 0..archive.layout.segment_count() {
-        let segment = archive.segment(number)?;
-        for file in [segment.mesh.segment(), segment.values.segment()] {
-            file.verify()?;
-            check.segments += 1;
-            check.blocks += file.block_count();
-            check.bytes += file.info().bytes;
-        }
-        let chunks: Vec<u64> = archive.layout.chunks_of(number).collect();
-        let checked: Vec<CheckedChunk> = chunks
-            .par_iter()
-            .map(|&c| check_chunk(&archive, &segment, ChunkId(c), &meter))
-            .collect::<Result<_>>()?;
-        for CheckedChunk { summary, ranges, part } in checked {
-            if let Some(measured) = &mut measured {
-                measured.add(&part);
-            }
-            volume6 += summary.volume6 + summary.outside6;
-            check.points += u64::from(summary.core);
-            check.tetrahedra += summary.tets;
-            ranges.iter().for_each(|e| entries.add(e));
-        }
+    let mut archive = OpenArchive::open(path)?;
+    for step in 0..archive.manifest.steps.len() {
+        archive.turn_to(step);
+        check_step(&archive, &mut check)?;
+        check.steps += 1;
     }
     if let Some(map) = archive.coordinates()? {
         let file = map.segment();
         file.verify()?;
-        (check.segments, check.blocks) = (check.segments + 1, check.blocks + file.block_count());
-        check.bytes += file.info().bytes;
-        let (found, recorded) = (Some(map.count_cells()?), archive.step().coordinates.map(|c| c.cells));
+        check.add(file);
+        let (found, recorded) = (Some(map.count_cells()?), archive.coordinate_record().map(|c| c.cells));
         if found != recorded {
             let (expected, got) = (format!("{recorded:?}"), format!("{found:?}"));
             return Err(Error::bad_input(path, "cells of the grid", expected, got));
         }
     }
-    let whole = domain_volume6(&archive.manifest.plan.lattice);
+    Ok(check)
+}
+
+impl ArchiveCheck {
+    fn add(&mut self, file: &Segment) {
+        self.segments += 1;
+        self.blocks += file.block_count();
+        self.bytes += file.info().bytes;
+    }
+}
+
+/// Verifies a step; with the first one of an archive also the mesh.
+fn check_step(archive: &OpenArchive, check: &mut ArchiveCheck) -> Result<()> {
+    let with_mesh = archive.view.step == 0;
+    let mut entries = EntryDigest::default();
+    let mut volume6 = 0i128;
+    let (spectrum, meter) = (archive.spectrum()?, Meter::of_archive(archive));
+    let mut measured = spectrum
+        .as_ref()
+        .map(|file| SpectrumBuilder::new(Design::new(file.spectrum().range, meter.limits())));
+    for number in 0..archive.layout.segment_count() {
+        let chunks: Vec<u64> = archive.layout.chunks_of(number).collect();
+        archive.close_before(ChunkId(chunks[0]));
+        let segment = archive.segment(number)?;
+        for file in with_mesh.then_some(&segment.mesh).into_iter().chain([&*segment.values]) {
+            file.segment().verify()?;
+            check.add(file.segment());
+        }
+        let checked: Vec<CheckedChunk> = chunks
+            .par_iter()
+            .map(|&c| check_chunk(archive, &segment, ChunkId(c), &meter))
+            .collect::<Result<_>>()?;
+        for CheckedChunk { summary, ranges, part } in checked {
+            if let Some(measured) = &mut measured {
+                measured.add(&part);
+            }
+            if with_mesh {
+                volume6 += summary.volume6 + summary.outside6;
+                check.points += u64::from(summary.core);
+                check.tetrahedra += summary.tets;
+            }
+            ranges.iter().for_each(|e| entries.add(e));
+        }
+    }
+    if with_mesh {
+        check_totals(archive, volume6, check)?;
+    }
+    check_index(archive, entries, check)?;
+    match (spectrum, measured) {
+        (Some(file), Some(measured)) => {
+            file.verify(&measured)?;
+            check.add(file.segment());
+        }
+        _ if entries.count > 0 => {
+            return Err(Error::bad_input(archive.path(), "spectrum", "one, as there are values", "none"));
+        }
+        _ => {}
+    }
+    Ok(())
+}
+
+/// The tetrahedra fill the box, and are as many as the manifest says.
+fn check_totals(archive: &OpenArchive, volume6: i128, check: &ArchiveCheck) -> Result<()> {
+    let (path, whole) = (archive.path(), domain_volume6(&archive.manifest.plan.lattice));
     if volume6 != whole {
-        return Err(Error::bad_input(
-            path,
-            "tetrahedra",
-            format!("a volume of {whole}/6 lattice cells"),
-            volume6.to_string(),
-        ));
+        let expected = format!("a volume of {whole}/6 lattice cells");
+        return Err(Error::bad_input(path, "tetrahedra", expected, volume6.to_string()));
     }
     let totals = &archive.manifest.counts;
     let found = [check.points, check.tetrahedra];
@@ -97,20 +134,7 @@ pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
         let expected = format!("{} points, {} tetrahedra", totals.points, totals.tetrahedra);
         return Err(Error::bad_input(path, "totals", expected, format!("{} and {}", found[0], found[1])));
     }
-    check_index(&archive, entries, &mut check)?;
-    match (spectrum, measured) {
-        (Some(file), Some(measured)) => {
-            file.verify(&measured)?;
-            check.segments += 1;
-            check.blocks += file.segment().block_count();
-            check.bytes += file.segment().info().bytes;
-        }
-        _ if entries.count > 0 => {
-            return Err(Error::bad_input(path, "spectrum", "one, as there are values", "none"));
-        }
-        _ => {}
-    }
-    Ok(check)
+    Ok(())
 }
 
 /// What a chunk contributes to the checks of the whole.
@@ -148,11 +172,32 @@ fn check_chunk(
     if ranges != values.ranges {
         return wrong("ranges", "those of the values".into(), "others".into());
     }
+    if archive.view.step == 0 {
+        check_mesh(archive, &decoded, summary, id, file)?;
+    }
+    let part = meter.part(&decoded.positions, &decoded.values, &decoded.tets, &ranges)?;
+    if part != stored_part(&segment.values, id, meter.limits())? {
+        return wrong("spectrum", "the sums over all tetrahedra".into(), "others".into());
+    }
+    Ok(CheckedChunk { summary, ranges: index_entries(id.0, &ranges).collect(), part })
+}
+
+/// The tetrahedra of a chunk are what its summary says, and use its halo.
+fn check_mesh(
+    archive: &OpenArchive,
+    decoded: &DecodedChunk,
+    summary: MeshSummary,
+    id: ChunkId,
+    file: &Path,
+) -> Result<()> {
+    let wrong = |at: &str, expected: String, got: String| {
+        Err(Error::bad_input(file, format!("chunk {}, {at}", id.0), expected, got))
+    };
     let found = MeshSummary {
         core: decoded.core as u32,
         halo: (decoded.positions.len() - decoded.core) as u32,
         tets: decoded.tets.len() as u64,
-        volume6: check_tets(&decoded, &archive.chunks.chunk(id), file)?,
+        volume6: check_tets(decoded, &archive.chunks.chunk(id), file)?,
         ..summary
     };
     if found != summary {
@@ -164,11 +209,7 @@ fn check_chunk(
         let at = format!("{:?}", decoded.positions[v]);
         return wrong("halo", "points of other chunks that tetrahedra use".into(), at);
     }
-    let part = meter.part(&decoded.positions, &decoded.values, &decoded.tets, &ranges)?;
-    if part != stored_part(&segment.values, id, meter.limits())? {
-        return wrong("spectrum", "the sums over all tetrahedra".into(), "others".into());
-    }
-    Ok(CheckedChunk { summary, ranges: index_entries(id.0, &ranges).collect(), part })
+    Ok(())
 }
 
 /// Every tetrahedron is positively oriented and the chunk's own; returns their volume.
@@ -197,9 +238,7 @@ fn check_index(archive: &OpenArchive, expected: EntryDigest, check: &mut Archive
         let expected = format!("{}, one a block of finite values", text(expected));
         return Err(Error::bad_input(archive.layout.index(), "entries", expected, got));
     }
-    check.segments += 1;
-    check.blocks += index.segment().block_count();
-    check.bytes += index.segment().info().bytes;
-    check.index_entries = found.count;
+    check.add(index.segment());
+    check.index_entries += found.count;
     Ok(())
 }

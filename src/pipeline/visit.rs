@@ -6,9 +6,9 @@
 //!
 //! What [`super::extract_surface`] does for surfaces, for the questions that want whole tetrahedra.
 
+use super::commit::mesh_summary;
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
-use super::reduce::mesh_summary;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, pool};
 use crate::geom::LatticeBox;

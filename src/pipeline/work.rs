@@ -12,16 +12,21 @@
 //! halo had to be widened) drops all it has and starts again when no other is at work, with the rooms of all; a chunk at work waits
 //! for nothing else, so this ends. The writer releases chunks in order: the bytes written do not depend on threads, on memory, or
 //! on which chunk is ready first.
+//!
+//! Of a series, the values of several steps are made while the mesh of a chunk is there: sampled, encoded against those of the step
+//! before, ranges measured. Where an earlier pass has made the mesh, it is decoded instead, and so are the values before the first step.
 
 use super::chunk::{self, MeshedChunk, Meshing, Recipe};
 use super::field::{Field, Survey};
 use super::inspect::{Depth, SegmentState, inspect};
 use super::layout::Layout;
 use super::need::{self, Shares};
-use super::plan::Plan;
+use super::open::OpenArchive;
+use super::series::of_step;
 use super::spectrum::Meter;
-use crate::archive::chunk::{ChunkVertices, encode_chunk};
+use crate::archive::chunk::{ChunkVertices, EncodedChunk, encode_chunk};
 use crate::archive::chunked::ChunkSegmentWriter;
+use crate::archive::manifest::{Plan as MeshPlan, StepPlan};
 use crate::archive::segment::{PlanHash, SegmentKind};
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
 use crate::archive::values::encode_values;
@@ -34,17 +39,20 @@ use crate::mesh::delaunay::Mesher;
 use crate::mesh::tet::Tet;
 use crossbeam::channel;
 use std::any::Any;
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 /// A chunk ready to be written.
 struct Product {
     points: u64,
+    /// Empty where the mesh is there already.
     mesh_blocks: Vec<Vec<u8>>,
-    value_blocks: Vec<Vec<u8>>,
+    /// Of each step.
+    value_blocks: Vec<Vec<Vec<u8>>>,
     times: StageTimes,
 }
 
@@ -58,7 +66,7 @@ pub(crate) struct StageTimes {
 }
 
 impl StageTimes {
-    fn add(&mut self, other: &Self) {
+    pub(crate) fn add(&mut self, other: &Self) {
         self.mesh += other.mesh;
         self.sample += other.sample;
         self.encode += other.encode;
@@ -66,16 +74,39 @@ impl StageTimes {
     }
 }
 
+/// A step whose values are to be made.
+pub(crate) struct StepWork<'a> {
+    pub(crate) plan: &'a StepPlan,
+    pub(crate) hash: PlanHash,
+    pub(crate) field: &'a dyn Field,
+}
+
+/// What earlier passes have made.
+pub(crate) struct Stored<'a> {
+    /// All of the mesh.
+    pub(crate) archive: &'a OpenArchive,
+    /// The base of the first step: its position in the manifest.
+    pub(crate) base: Option<usize>,
+}
+
 /// What the work needs besides the plan.
 pub(crate) struct Work<'a> {
-    pub(crate) plan: &'a Plan,
+    pub(crate) plan: &'a MeshPlan,
+    pub(crate) mesh_hash: PlanHash,
+    /// Steps that follow each other; at least one.
+    pub(crate) steps: &'a [StepWork<'a>],
+    pub(super) meter: &'a Meter,
+    /// Where the mesh comes from, if it is there.
+    pub(crate) stored: Option<Stored<'a>>,
+    /// Positions in `steps` whose data could not be used.
+    pub(crate) bad_steps: &'a Mutex<BTreeMap<usize, String>>,
+    /// Whether errors name the step.
+    pub(crate) several: bool,
     pub(crate) recipe: &'a Recipe<'a>,
     pub(crate) chunks: &'a ChunkGrid,
     pub(crate) layout: &'a Layout,
     /// The segments to make, of all.
     pub(crate) segments: Range<u64>,
-    pub(crate) field: &'a dyn Field,
-    pub(super) meter: &'a Meter,
     pub(crate) pool: &'a rayon::ThreadPool,
     pub(crate) shares: Shares,
     pub(crate) rooms: &'a Rooms,
@@ -174,12 +205,13 @@ fn feed(
         }
         for id in first..chunks.end {
             let chunk = work.chunks.chunk(ChunkId(id));
-            let bytes = need::product_bytes(work.recipe.points.count_in(&chunk.core));
+            let points = work.recipe.points.count_in(&chunk.core);
+            let bytes = need::product_bytes(points, work.steps.len() as u64);
             let permit = budget.acquire(bytes.min(budget.total()), work.cancel)?;
             if stop.is_cancelled() {
                 return Ok(());
             }
-            work.field.will_need(&chunk);
+            work.steps.iter().for_each(|s| s.field.will_need(&chunk));
             if to_pool.send((number, chunk, permit)).is_err() {
                 return Ok(());
             }
@@ -193,43 +225,63 @@ fn points_in(work: &Work<'_>, chunks: &Range<u64>) -> u64 {
     chunks.clone().map(|c| work.recipe.points.count_in(&work.chunks.chunk(ChunkId(c)).core)).sum()
 }
 
-/// Done means that both files are there, belong to this plan, and verify; not that they exist.
+/// Done means that all files are there, belong to this plan, and verify; not that they exist.
 fn is_done(work: &Work<'_>, segment: u64) -> bool {
     let chunks = work.layout.chunks_of(segment);
-    Part::ALL.iter().all(|part| part.is_whole(work, segment, &chunks))
+    Part::all(work).all(|part| part.is_whole(work, segment, &chunks))
 }
 
-/// One of the two files of a segment.
+/// Whether the mesh of some segments is there.
+pub(crate) fn has_mesh(hash: PlanHash, layout: &Layout, segments: &Range<u64>) -> bool {
+    let whole = |n| is_whole(&layout.mesh(n), SegmentKind::Mesh, hash, &layout.chunks_of(n));
+    segments.clone().all(whole)
+}
+
+/// Whether the values of a step in some segments are there.
+pub(crate) fn has_values(plan: &StepPlan, hash: PlanHash, layout: &Layout, segments: &Range<u64>) -> bool {
+    let layout = layout.at(plan.number);
+    let whole = |n| is_whole(&layout.values(n), SegmentKind::Values, hash, &layout.chunks_of(n));
+    segments.clone().all(whole)
+}
+
+fn is_whole(path: &Path, kind: SegmentKind, hash: PlanHash, chunks: &Range<u64>) -> bool {
+    inspect(path, kind, hash, chunks, Depth::All) == SegmentState::Whole
+}
+
+/// One of the files of a segment that are made: the mesh, where it is not there yet, and the values of each step.
 #[derive(Clone, Copy)]
 enum Part {
     Mesh,
-    Values,
+    Values(usize),
 }
 
 impl Part {
-    const ALL: [Self; 2] = [Self::Mesh, Self::Values];
+    fn all<'a>(work: &'a Work<'_>) -> impl Iterator<Item = Self> + use<'a> {
+        let mesh = work.stored.is_none().then_some(Self::Mesh);
+        mesh.into_iter().chain((0..work.steps.len()).map(Self::Values))
+    }
 
     fn path(self, work: &Work<'_>, segment: u64) -> PathBuf {
         match self {
             Self::Mesh => work.layout.mesh(segment),
-            Self::Values => work.layout.values(segment),
+            Self::Values(n) => work.layout.at(work.steps[n].plan.number).values(segment),
         }
     }
 
     fn kind(self, work: &Work<'_>) -> (SegmentKind, PlanHash) {
         match self {
-            Self::Mesh => (SegmentKind::Mesh, work.plan.mesh_hash()),
-            Self::Values => (SegmentKind::Values, work.plan.step_hash()),
+            Self::Mesh => (SegmentKind::Mesh, work.mesh_hash),
+            Self::Values(n) => (SegmentKind::Values, work.steps[n].hash),
         }
     }
 
     fn is_whole(self, work: &Work<'_>, segment: u64, chunks: &Range<u64>) -> bool {
         let (kind, hash) = self.kind(work);
-        inspect(&self.path(work, segment), kind, hash, chunks, Depth::All) == SegmentState::Whole
+        is_whole(&self.path(work, segment), kind, hash, chunks)
     }
 
     /// A writer that goes on behind at most `most` chunks; `None` when the file is whole already: a run was killed between
-    /// the two.
+    /// two of them.
     fn resume(
         self,
         work: &Work<'_>,
@@ -243,6 +295,14 @@ impl Part {
         let (kind, hash) = self.kind(work);
         let path = self.path(work, segment);
         ChunkSegmentWriter::resume(path, kind, hash, ChunkId(chunks.start), most).map(Some)
+    }
+
+    /// The blocks that a product has for the file.
+    fn blocks(self, product: &Product) -> &[Vec<u8>] {
+        match self {
+            Self::Mesh => &product.mesh_blocks,
+            Self::Values(n) => &product.value_blocks[n],
+        }
     }
 }
 
@@ -267,7 +327,11 @@ fn write_in_order(
             sink.write(&product)?;
             work.progress.advance(product.points);
             drop(permit);
-            work.field.pass(&work.chunks.chunk(ChunkId(chunk)));
+            let passed = work.chunks.chunk(ChunkId(chunk));
+            work.steps.iter().for_each(|s| s.field.pass(&passed));
+            if let Some(stored) = &work.stored {
+                stored.archive.close_before(passed.id);
+            }
             if missing == 1 {
                 times.add(&sink.finish()?);
             } else {
@@ -354,24 +418,97 @@ fn make_in_room(
     room: u64,
 ) -> Result<Making> {
     let mut times = StageTimes::default();
-    let start = Instant::now();
+    let mut lap = Lap(Instant::now());
+    if let Some(stored) = &work.stored {
+        return make_from_stored(work, stored, chunk).map(Making::Done);
+    }
     let mut mesh = match chunk::mesh(work.recipe, chunk, mesher, first_try, room, work.cancel)? {
         Meshing::Done(mesh) => mesh,
         Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
     };
-    times.mesh = start.elapsed();
-    let start = Instant::now();
-    let Survey { mut values, outside } = work.field.survey(&mesh)?;
+    lap.add_to(&mut times.mesh);
+    let Survey { mut values, outside } = survey(work, 0, &mesh)?;
     let outside6 = drop_outside(&mut mesh, &mut values, &outside);
-    if let Some(quantiser) = &work.plan.step.quantiser {
-        values.iter_mut().for_each(|v| *v = quantiser.round(*v));
+    lap.add_to(&mut times.sample);
+    let (encoded, summary) = encode_mesh(work.plan, &mut mesh, outside6);
+    let blocks: Vec<&[Tet]> = (0..encoded.tet_blocks()).map(|n| encoded.block_tets(n)).collect();
+    lap.add_to(&mut times.encode);
+    let value_blocks = encode_steps(work, &mesh, values, None, (encoded.tets(), &blocks), &mut times)?;
+    let mut mesh_blocks = encoded.blocks;
+    mesh_blocks.push(summary.encode());
+    Ok(Making::Done(Product { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
+}
+
+/// The values of steps on a mesh that is there.
+fn make_from_stored(work: &Work<'_>, stored: &Stored<'_>, chunk: &Chunk) -> Result<Product> {
+    let mut times = StageTimes::default();
+    let mut lap = Lap(Instant::now());
+    let (mesh, ends) = stored.archive.stored_mesh(chunk.id)?;
+    let vertices = mesh.positions.len();
+    let before = stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
+    let starts = std::iter::once(&0).chain(&ends);
+    let blocks: Vec<&[Tet]> = starts.zip(&ends).map(|(&from, &to)| &mesh.tets[from..to]).collect();
+    lap.add_to(&mut times.mesh);
+    let first = survey(work, 0, &mesh)?.values;
+    lap.add_to(&mut times.sample);
+    let value_blocks = encode_steps(work, &mesh, first, before, (&mesh.tets, &blocks), &mut times)?;
+    Ok(Product { points: mesh.core_len() as u64, mesh_blocks: vec![], value_blocks, times })
+}
+
+/// Adds up what a stage takes.
+struct Lap(Instant);
+
+impl Lap {
+    fn add_to(&mut self, stage: &mut Duration) {
+        let now = Instant::now();
+        *stage += now - std::mem::replace(&mut self.0, now);
     }
-    times.sample = start.elapsed();
-    let start = Instant::now();
-    let mut product = encode(work, mesh, &values, outside6)?;
-    times.encode = start.elapsed();
-    product.times = times;
-    Ok(Making::Done(product))
+}
+
+/// What a step says of a chunk. Notes a step whose data cannot be used.
+fn survey(work: &Work<'_>, n: usize, mesh: &MeshedChunk) -> Result<Survey> {
+    let step = &work.steps[n];
+    let found = step.field.survey(mesh);
+    let found = found.map_err(|e| if work.several { of_step(e, step.plan.number) } else { e });
+    if let Err(e @ (Error::BadInput { .. } | Error::Io { .. })) = &found {
+        let mut bad = work.bad_steps.lock().unwrap_or_else(PoisonError::into_inner);
+        bad.entry(n).or_insert_with(|| e.to_string());
+    }
+    let mut found = found?;
+    if let Some(quantiser) = &step.plan.quantiser {
+        found.values.iter_mut().for_each(|v| *v = quantiser.round(*v));
+    }
+    Ok(found)
+}
+
+/// Samples the steps behind the first, and encodes all: the blocks of each, values, part of the spectrum, summary. `before` are the values
+/// of the first one's base; tetrahedra are those of all blocks, as they decode, and of each.
+fn encode_steps(
+    work: &Work<'_>,
+    mesh: &MeshedChunk,
+    first: Vec<f32>,
+    before: Option<Vec<f32>>,
+    (tets, blocks): (&[Tet], &[&[Tet]]),
+    times: &mut StageTimes,
+) -> Result<Vec<Vec<Vec<u8>>>> {
+    let (mut values, mut before) = (first, before);
+    let (mut out, mut lap) = (vec![], Lap(Instant::now()));
+    for (n, step) in work.steps.iter().enumerate() {
+        if n > 0 {
+            work.cancel.check()?;
+            let next = survey(work, n, mesh)?.values;
+            before = Some(std::mem::replace(&mut values, next));
+            lap.add_to(&mut times.sample);
+        }
+        let base = step.plan.base.map(|_| before.as_deref().expect("a base is the step before"));
+        let mut encoded = encode_values(&values, base, step.plan.quantiser.as_ref());
+        let ranges: Vec<_> = blocks.iter().map(|tets| BlockRange::of(tets, &values)).collect();
+        encoded.push(work.meter.part(&mesh.positions, &values, tets, &ranges)?.encode());
+        encoded.push(ValueSummary::of(&values[..mesh.core_len()], ranges).encode());
+        out.push(encoded);
+        lap.add_to(&mut times.encode);
+    }
+    Ok(out)
 }
 
 /// Removes the tetrahedra that lie outside of the data, and the halo points that only they use; tells their six-fold volume.
@@ -397,12 +534,10 @@ fn volume6<'a>(positions: &[LatticePos], tets: impl Iterator<Item = &'a Tet>) ->
     .sum()
 }
 
-/// A chunk's blocks: header, tetrahedra, summary; values, part of the spectrum, summary.
-fn encode(work: &Work<'_>, mesh: MeshedChunk, values: &[f32], outside6: i128) -> Result<Product> {
-    let plan = work.plan;
-    let core = mesh.core_len();
+/// A chunk's mesh, encoded, and its summary.
+fn encode_mesh(plan: &MeshPlan, mesh: &mut MeshedChunk, outside6: i128) -> (EncodedChunk, MeshSummary) {
     let mut summary = MeshSummary {
-        core: core as u32,
+        core: mesh.core_len() as u32,
         halo: mesh.halo.len() as u32,
         tet_blocks: 0,
         retries: mesh.retries,
@@ -410,52 +545,48 @@ fn encode(work: &Work<'_>, mesh: MeshedChunk, values: &[f32], outside6: i128) ->
         volume6: volume6(&mesh.positions, mesh.tets.iter()),
         outside6,
     };
-    let vertices = ChunkVertices { core_counts: mesh.core_counts, halo: mesh.halo, shared: mesh.shared };
-    let encoded = encode_chunk(&vertices, &mesh.positions, &mesh.tets, plan.mesh.block_tets);
-    let blocks = encoded.tet_blocks();
-    summary.tet_blocks = blocks as u32;
-    let ranges: Vec<_> = (0..blocks).map(|n| BlockRange::of(encoded.block_tets(n), values)).collect();
-    let part = work.meter.part(&mesh.positions, values, encoded.tets(), &ranges)?;
-    let mut mesh_blocks = encoded.blocks;
-    mesh_blocks.push(summary.encode());
-    let mut value_blocks = encode_values(values, plan.step.quantiser.as_ref());
-    value_blocks.push(part.encode());
-    value_blocks.push(ValueSummary::of(&values[..core], ranges).encode());
-    Ok(Product { points: core as u64, mesh_blocks, value_blocks, times: StageTimes::default() })
+    let vertices = ChunkVertices {
+        core_counts: std::mem::take(&mut mesh.core_counts),
+        halo: std::mem::take(&mut mesh.halo),
+        shared: std::mem::take(&mut mesh.shared),
+    };
+    let encoded = encode_chunk(&vertices, &mesh.positions, &mesh.tets, plan.block_tets);
+    ChunkVertices { core_counts: mesh.core_counts, halo: mesh.halo, shared: mesh.shared } = vertices;
+    summary.tet_blocks = encoded.tet_blocks() as u32;
+    (encoded, summary)
 }
 
-/// The two files of a segment being written, or the one that is missing.
+/// The files of a segment being written; none in place of one that is there.
 struct Sink {
-    mesh: Option<ChunkSegmentWriter>,
-    values: Option<ChunkSegmentWriter>,
+    files: Vec<(Part, Option<ChunkSegmentWriter>)>,
     times: StageTimes,
 }
 
 impl Sink {
-    /// Goes on behind the chunks that an earlier run has left in both files; also tells how many these are.
+    /// Goes on behind the chunks that an earlier run has left in all files; also tells how many these are.
     fn resume(work: &Work<'_>, segment: u64, chunks: &Range<u64>) -> Result<(Self, u64)> {
         let all = chunks.end - chunks.start;
         let count = |w: &Option<ChunkSegmentWriter>| w.as_ref().map_or(all, ChunkSegmentWriter::chunk_count);
-        let mut values = Part::Values.resume(work, segment, chunks, all)?;
-        let mesh = Part::Mesh.resume(work, segment, chunks, count(&values))?;
-        let done = count(&mesh);
-        if values.is_some() && done < count(&values) {
-            // A chunk's values are written after its mesh, so the mesh file was damaged: these values come again.
-            drop(values);
-            values = Part::Values.resume(work, segment, chunks, done)?;
+        let open = |part: Part| Ok((part, part.resume(work, segment, chunks, all)?));
+        let mut files: Vec<(Part, Option<ChunkSegmentWriter>)> =
+            Part::all(work).map(open).collect::<Result<_>>()?;
+        // Of a file that is whole nothing is written again; the others need all chunks behind their last common one.
+        let done = files.iter().map(|(_, w)| count(w)).min().unwrap_or(all);
+        for (part, writer) in &mut files {
+            if writer.is_some() && count(writer) > done {
+                *writer = None;
+                *writer = part.resume(work, segment, chunks, done)?;
+            }
         }
-        // Of a file that is whole nothing is written again; the other needs all chunks behind its own last one.
-        let done = done.min(count(&values));
-        Ok((Self { mesh, values, times: StageTimes::default() }, done))
+        Ok((Self { files, times: StageTimes::default() }, done))
     }
 
     fn write(&mut self, product: &Product) -> Result<()> {
         let start = Instant::now();
-        if let Some(mesh) = &mut self.mesh {
-            mesh.push_chunk(&product.mesh_blocks)?;
-        }
-        if let Some(values) = &mut self.values {
-            values.push_chunk(&product.value_blocks)?;
+        for (part, writer) in &mut self.files {
+            if let Some(writer) = writer {
+                writer.push_chunk(part.blocks(product))?;
+            }
         }
         self.times.add(&product.times);
         self.times.write += start.elapsed();
@@ -464,7 +595,7 @@ impl Sink {
 
     fn finish(mut self) -> Result<StageTimes> {
         let start = Instant::now();
-        for writer in [self.mesh, self.values].into_iter().flatten() {
+        for writer in self.files.into_iter().filter_map(|(_, writer)| writer) {
             writer.finish()?;
         }
         self.times.write += start.elapsed();

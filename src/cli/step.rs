@@ -1,0 +1,112 @@
+//! The flags that choose a step of an archive, and those that tell the times of steps.
+
+use super::input::InputArgs;
+use isospan::formats::{StepSource, steps_of};
+use isospan::pipeline::StepChoice;
+use isospan::{Error, Result};
+use std::path::PathBuf;
+
+/// The steps that are made.
+#[derive(clap::Args, Debug)]
+pub(crate) struct StepInputs {
+    /// The volume or mesh, of any format that is read; several are the steps of a series, as are a quoted pattern ("step_*.vti"), a .pvd or
+    /// .series file, a file with frames, and with --field PATTERN the fields that match.
+    #[arg(required = true, value_name = "INPUT")]
+    inputs: Vec<PathBuf>,
+    /// Of a series: the times of the steps, 0,0.5,2 or START:STEP [default: what the files tell, else the steps' numbers].
+    #[arg(long, value_name = "TIMES", value_parser = parse_times, allow_hyphen_values = true)]
+    times: Option<Times>,
+    /// Of a series: leave out steps that cannot be used, and report them.
+    #[arg(long)]
+    pub(crate) keep_going: bool,
+}
+
+impl StepInputs {
+    /// All steps, in order.
+    pub(crate) fn all(&self, read: &InputArgs) -> Result<Vec<StepSource>> {
+        let mut steps = steps_of(&self.inputs, &read.options()?)?;
+        self.times.as_ref().map_or(Ok(()), |times| times.apply(&mut steps))?;
+        Ok(steps)
+    }
+}
+
+/// Which step of a series is asked.
+#[derive(clap::Args, Debug)]
+pub(crate) struct StepArgs {
+    /// Of a series: the step, by its number (isospan info lists them) [default: the first].
+    #[arg(long, value_name = "N")]
+    step: Option<u64>,
+    /// Of a series: a time; between two steps values are linear.
+    #[arg(long, value_name = "T", allow_negative_numbers = true, conflicts_with = "step")]
+    time: Option<f64>,
+}
+
+impl StepArgs {
+    pub(crate) fn choice(&self) -> StepChoice {
+        match (self.step, self.time) {
+            (Some(number), _) => StepChoice::Number(number),
+            (None, Some(time)) => StepChoice::Time(time),
+            (None, None) => StepChoice::First,
+        }
+    }
+}
+
+/// The times of steps.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Times {
+    List(Vec<f64>),
+    /// From a time on, so much later each.
+    Regular {
+        start: f64,
+        step: f64,
+    },
+}
+
+/// `0,0.5,2` or `0:0.5`.
+pub(crate) fn parse_times(text: &str) -> std::result::Result<Times, String> {
+    let number = |s: &str| s.trim().parse::<f64>().ok().filter(|t| t.is_finite());
+    let found = match text.split_once(':') {
+        Some((start, step)) => {
+            number(start).zip(number(step)).map(|(start, step)| Times::Regular { start, step })
+        }
+        None => text.split(',').map(number).collect::<Option<Vec<f64>>>().map(Times::List),
+    };
+    found.ok_or_else(|| format!("'{text}' is no list of times; write 0,0.5,2 or START:STEP"))
+}
+
+impl Times {
+    /// Gives steps their times, whatever their files tell.
+    pub(crate) fn apply(&self, steps: &mut [StepSource]) -> Result<()> {
+        let count = steps.len();
+        for (n, step) in steps.iter_mut().enumerate() {
+            step.time = Some(match self {
+                Self::Regular { start, step } => start + step * n as f64,
+                Self::List(times) if times.len() == count => times[n],
+                Self::List(times) => {
+                    return Err(Error::usage(format!("--times has {} times for {count} steps", times.len())));
+                }
+            });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    #[test]
+    fn times_are_lists_or_regular() {
+        assert_eq!(parse_times("0, 0.5,-2e1"), Ok(Times::List(vec![0.0, 0.5, -20.0])));
+        assert_eq!(parse_times("10:0.5"), Ok(Times::Regular { start: 10.0, step: 0.5 }));
+        for bad in ["", "a", "1,,2", "1:", "nan", "1:2:3"] {
+            assert!(parse_times(bad).is_err(), "{bad}");
+        }
+        let mut steps = vec![StepSource::new(Path::new("a"), &Default::default()); 3];
+        parse_times("10:0.5").unwrap().apply(&mut steps).unwrap();
+        assert_eq!(steps[2].time, Some(11.0));
+        let error = parse_times("1,2").unwrap().apply(&mut steps).unwrap_err();
+        assert_eq!(error.to_string(), "--times has 2 times for 3 steps");
+    }
+}

@@ -1,0 +1,306 @@
+//! A series of steps: which file, and which field of it, is each of them.
+//!
+//! | what is named | steps |
+//! |---|---|
+//! | several files | one each, in the order given |
+//! | a pattern, `"step_*.vti"`, `"run_?/out.vtu"` | the files that match, by the numbers in their names |
+//! | `.pvd` (ParaView) | its data sets, with their times |
+//! | `.series` (ParaView, JSON) | its files, with their times |
+//! | a 4-D NIfTI file; a four-dimensional dataset of an HDF5 or NetCDF file | its frames, with their times |
+//! | any file, and a pattern for its fields, `V_*` | the fields that match, by the numbers in their names |
+//!
+//! A pattern that matches TIFF files is one volume: its slices.
+
+use super::stack::by_numbers;
+use super::{Kind, OpenOptions, has_suffix, kind_of, mesh, nifti, open_volume, tiff};
+use crate::bytes::ByteSource;
+use crate::error::{Error, Result};
+use glob::Pattern;
+use quick_xml::Reader;
+use quick_xml::events::Event;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// One step of a series.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StepSource {
+    /// Its file, folder or pattern.
+    pub path: PathBuf,
+    /// How that is read; the field, where several steps are in one file.
+    pub options: OpenOptions,
+    /// Its time, where it is known.
+    pub time: Option<f64>,
+}
+
+impl StepSource {
+    /// A step that is alone.
+    pub fn new(path: &Path, options: &OpenOptions) -> Self {
+        Self { path: path.to_path_buf(), options: options.clone(), time: None }
+    }
+}
+
+/// The most bytes of a list of files.
+const LARGEST_LIST: u64 = 64 << 20;
+
+/// The steps that some inputs stand for, in order. What is in the files is looked at only as far as it takes to tell steps apart.
+///
+/// # Errors
+/// [`Error::BadInput`] for a list of files that is malformed, or a pattern without files; [`Error::Usage`] for a malformed pattern.
+pub fn steps_of(inputs: &[PathBuf], options: &OpenOptions) -> Result<Vec<StepSource>> {
+    let mut steps = vec![];
+    for input in inputs {
+        for (path, time) in files_of(input)? {
+            steps.extend(steps_in(&path, options, time));
+        }
+    }
+    Ok(steps)
+}
+
+/// The files that an input stands for, and their times.
+fn files_of(input: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
+    if has_suffix(input, &[".pvd"]) {
+        return pvd(input);
+    }
+    if has_suffix(input, &[".series"]) {
+        return json_series(input);
+    }
+    let text = input.to_string_lossy();
+    if !is_pattern(&text) || input.exists() {
+        return Ok(vec![(input.to_path_buf(), None)]);
+    }
+    let bad = |e: glob::PatternError| Error::usage(format!("{text}: {e}"));
+    let mut files = vec![];
+    for found in glob::glob(&text).map_err(bad)? {
+        files.push(found.map_err(|e| Error::io("look at", e.path().to_path_buf(), std::io::Error::from(e)))?);
+    }
+    if files.is_empty() {
+        return Err(Error::bad_input(input, "pattern", "files that match it", "none")
+            .with_help("* stands for any characters, ? for one, [0-9] for one of these"));
+    }
+    if files.iter().all(|f| has_suffix(f, &tiff::SUFFIXES)) {
+        return Ok(vec![(input.to_path_buf(), None)]);
+    }
+    by_numbers(&mut files, |f| f.to_string_lossy().into_owned());
+    Ok(files.into_iter().map(|f| (f, None)).collect())
+}
+
+fn is_pattern(text: &str) -> bool {
+    text.contains(['*', '?', '['])
+}
+
+/// The steps in a file. One that cannot be opened is a step: opening it will tell why.
+fn steps_in(path: &Path, options: &OpenOptions, time: Option<f64>) -> Vec<StepSource> {
+    let one = StepSource { time, ..StepSource::new(path, options) };
+    let fields = match &options.field {
+        Some(name) if is_pattern(name) => matching_fields(path, options, name),
+        Some(_) => return vec![one],
+        None => frames(path, options).map(|f| f.unwrap_or_default()),
+    };
+    match fields {
+        Ok(fields) if fields.len() > 1 || fields.len() == 1 && options.field.is_some() => fields
+            .into_iter()
+            .map(|(name, own)| StepSource {
+                time: own.or(time),
+                options: OpenOptions { field: Some(name), ..options.clone() },
+                path: path.to_path_buf(),
+            })
+            .collect(),
+        _ => vec![one],
+    }
+}
+
+/// The frames of a file that is a series by itself, and their times.
+fn frames(path: &Path, options: &OpenOptions) -> Result<Option<Vec<(String, Option<f64>)>>> {
+    if options.raw.is_some() || !path.is_file() {
+        return Ok(None);
+    }
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    match kind_of(&source) {
+        Some(Kind::Nifti) => nifti::frames(path, options).map(Some),
+        #[cfg(feature = "hdf5")]
+        Some(Kind::Hdf5) => super::hdf5::frames(path, options).map(Some),
+        _ => Ok(None),
+    }
+}
+
+/// The fields with one number a sample whose names match a pattern.
+fn matching_fields(path: &Path, options: &OpenOptions, pattern: &str) -> Result<Vec<(String, Option<f64>)>> {
+    let any = OpenOptions { field: None, ..options.clone() };
+    let mut names: Vec<String> = if mesh::is_mesh(path, &any)? {
+        let mesh = mesh::open_mesh(path, &any)?;
+        mesh.info().fields.iter().filter(|f| f.components == 1).map(|f| f.name.clone()).collect()
+    } else {
+        // With a pattern, any field that matches is opened.
+        let volume = open_volume(path, options)?;
+        let fields = volume.info().fields.iter();
+        fields.filter(|f| f.components == 1).map(|f| f.name.clone()).collect()
+    };
+    if names.iter().any(|n| n == pattern) {
+        return Ok(vec![]);
+    }
+    names.retain(|n| field_matches(pattern, n));
+    by_numbers(&mut names, Clone::clone);
+    Ok(names.into_iter().map(|n| (n, None)).collect())
+}
+
+/// Whether a field's name matches a pattern.
+pub(super) fn field_matches(pattern: &str, name: &str) -> bool {
+    is_pattern(pattern) && Pattern::new(pattern).is_ok_and(|p| p.matches(name))
+}
+
+fn list_text(path: &Path) -> Result<String> {
+    let io = |e| Error::io("read", path, e);
+    let len = std::fs::metadata(path).map_err(io)?.len();
+    if len > LARGEST_LIST {
+        let most = format!("at most {LARGEST_LIST} bytes");
+        return Err(Error::bad_input(path, "file length", most, format!("{len} bytes")));
+    }
+    std::fs::read_to_string(path).map_err(io)
+}
+
+fn no_files(path: &Path) -> Error {
+    Error::bad_input(path, "list of files", "at least one", "none")
+}
+
+/// A list as ParaView's JSON has it.
+#[derive(Deserialize)]
+struct FileSeries {
+    files: Vec<FileOfSeries>,
+}
+
+#[derive(Deserialize)]
+struct FileOfSeries {
+    name: PathBuf,
+    time: Option<f64>,
+}
+
+fn json_series(path: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
+    let list: FileSeries = serde_json::from_str(&list_text(path)?).map_err(|e| {
+        let at = format!("line {} column {}", e.line(), e.column());
+        Error::bad_input(path, at, "{\"files\": [{\"name\": …, \"time\": …}, …]}", e.to_string())
+    })?;
+    if list.files.is_empty() {
+        return Err(no_files(path));
+    }
+    Ok(list.files.into_iter().map(|f| (beside(path, &f.name), f.time)).collect())
+}
+
+/// A file that a list names.
+fn beside(list: &Path, name: &Path) -> PathBuf {
+    list.parent().unwrap_or(Path::new("")).join(name)
+}
+
+/// `<VTKFile type="Collection"><Collection><DataSet timestep="0.5" part="0" file="a.vti"/>…`
+fn pvd(path: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
+    let text = list_text(path)?;
+    let mut reader = Reader::from_str(&text);
+    let mut files: Vec<(PathBuf, Option<f64>)> = vec![];
+    loop {
+        let at = |reader: &Reader<&[u8]>| format!("byte {}", reader.buffer_position());
+        match reader.read_event() {
+            Ok(Event::Start(tag) | Event::Empty(tag)) if tag.name().as_ref() == "DataSet" => {
+                let of = |name: &str| -> Result<Option<String>> {
+                    let wrong = |e: String| Error::bad_input(path, at(&reader), "good XML", e);
+                    let found = tag.try_get_attribute(name).map_err(|e| wrong(e.to_string()))?;
+                    let text = found.map(|a| a.normalized_value(quick_xml::XmlVersion::Implicit1_0));
+                    Ok(text.transpose().map_err(|e| wrong(e.to_string()))?.map(|t| t.into_owned()))
+                };
+                if of("part")?.is_some_and(|p| !p.is_empty() && p != "0") {
+                    let expected = "one file a time step (part 0)";
+                    return Err(Error::bad_input(path, at(&reader), expected, "another part")
+                        .with_help("reduce the parts each by itself, or write each step to one file"));
+                }
+                let Some(file) = of("file")? else {
+                    return Err(Error::bad_input(path, at(&reader), "a DataSet with a file", "none"));
+                };
+                let number = |t: String| t.trim().parse::<f64>().map_err(|_| t);
+                let time = of("timestep")?.map(number).transpose();
+                let time = time.map_err(|t| Error::bad_input(path, at(&reader), "timestep=\"NUMBER\"", t))?;
+                files.push((beside(path, Path::new(&file)), time));
+            }
+            Ok(Event::Eof) => break,
+            Ok(_) => {}
+            Err(e) => return Err(Error::bad_input(path, at(&reader), "good XML", e.to_string())),
+        }
+    }
+    if files.is_empty() { Err(no_files(path)) } else { Ok(files) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::tests::write;
+
+    fn names(steps: &[StepSource]) -> Vec<String> {
+        let name = |s: &StepSource| s.path.file_name().unwrap().to_string_lossy().into_owned();
+        steps.iter().map(name).collect()
+    }
+
+    fn of(path: &Path) -> Result<Vec<StepSource>> {
+        steps_of(&[path.to_path_buf()], &OpenOptions::default())
+    }
+
+    #[test]
+    fn patterns_follow_numbers_and_tiff_is_one_volume() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["s_10.vti", "s_9.vti", "s_11.vti", "t_1.tif", "t_2.tif"] {
+            write(&dir, name, b"x");
+        }
+        let pattern = |p: &str| of(&dir.path().join(p));
+        assert_eq!(names(&pattern("s_*.vti").unwrap()), ["s_9.vti", "s_10.vti", "s_11.vti"]);
+        assert_eq!(names(&pattern("s_1[01].vti").unwrap()), ["s_10.vti", "s_11.vti"]);
+        assert_eq!(names(&pattern("t_*.tif").unwrap()), ["t_*.tif"]);
+        assert!(pattern("u_*.vti").unwrap_err().to_string().contains("files that match it, got none"));
+        assert_eq!(pattern("u_[.vti").unwrap_err().exit_code(), 2);
+        let two = [dir.path().join("s_9.vti"), dir.path().join("none.vti")];
+        assert_eq!(steps_of(&two, &OpenOptions::default()).unwrap().len(), 2, "opening tells what is wrong");
+    }
+
+    #[test]
+    fn lists_tell_times() {
+        let dir = tempfile::tempdir().unwrap();
+        let times = |steps: &[StepSource]| steps.iter().map(|s| s.time).collect::<Vec<_>>();
+        let pvd = write(
+            &dir,
+            "a.pvd",
+            br#"<?xml version="1.0"?><VTKFile type="Collection"><Collection>
+            <DataSet timestep="0.5" group="" part="0" file="x &amp; y.vti"/><DataSet timestep="2e0" file="b.vti"></DataSet>
+            </Collection></VTKFile>"#,
+        );
+        let steps = of(&pvd).unwrap();
+        assert_eq!(
+            (names(&steps), times(&steps)),
+            (vec!["x & y.vti".into(), "b.vti".into()], vec![Some(0.5), Some(2.0)])
+        );
+        assert_eq!(steps[0].path, dir.path().join("x & y.vti"));
+        let json = write(
+            &dir,
+            "a.vti.series",
+            br#"{"file-series-version": "1.0", "files": [{"name": "p.vti", "time": 0}, {"name": "q.vti"}]}"#,
+        );
+        let steps = of(&json).unwrap();
+        assert_eq!(
+            (names(&steps), times(&steps)),
+            (vec!["p.vti".into(), "q.vti".into()], vec![Some(0.0), None])
+        );
+    }
+
+    #[test]
+    fn bad_lists_are_told_in_one_line() {
+        let dir = tempfile::tempdir().unwrap();
+        for (name, bytes) in [
+            ("a.pvd", &b"<VTKFile><Collection></Collection></VTKFile>"[..]),
+            ("b.pvd", b"<Collection><DataSet timestep=\"x\" file=\"a\"/></Collection>"),
+            ("c.pvd", b"<Collection><DataSet part=\"1\" file=\"a\"/></Collection>"),
+            ("d.pvd", b"<Collection><DataSet/></Collection>"),
+            ("e.pvd", b"<Collection><DataSet file=\"a\" file=\"b\"/></Collection>"),
+            ("a.series", b"{}"),
+            ("b.series", b"{\"files\": []}"),
+            ("c.series", b"{\"files\": [{\"time\": 1}]}"),
+        ] {
+            let error = of(&write(&dir, name, bytes)).unwrap_err();
+            assert_eq!((error.exit_code(), error.to_string().contains('\n')), (5, false), "{name}: {error}");
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! The end of a reduction: what all chunks have said of themselves is put together.
+//!
+//! Of the mesh, once: counts, and the proof that the tetrahedra fill the box. Of each step: its index and its spectrum.
+
+use super::layout::Layout;
+use super::need;
+use super::plan::{MeshParts, Plan};
+use super::reduce::{RunSettings, scratch_folder};
+use super::spectrum::{limits, stored_part};
+use crate::archive::Malformed;
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};
+use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
+use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
+use crate::error::{Error, Result};
+use crate::geom::Lattice;
+use crate::grid::ChunkId;
+use crate::index::{BuildSettings, Entry, IndexBuilder};
+use crate::spectrum::{Design, Limits, SpectrumBuilder};
+use std::path::Path;
+
+/// The mesh of an archive, and the steps that are finished.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Made {
+    pub(super) counts: Counts,
+    pub(super) mesh: Vec<SegmentRecord>,
+    pub(super) steps: Vec<Step>,
+    /// How often halos were widened.
+    pub(super) halo_retries: u64,
+}
+
+impl Made {
+    /// What an archive has.
+    pub(super) fn of(manifest: &Manifest) -> Self {
+        let Manifest { counts, mesh, steps, .. } = manifest.clone();
+        Self { counts, mesh, steps, halo_retries: 0 }
+    }
+
+    pub(super) fn manifest(&self, plan: &Plan) -> Manifest {
+        Manifest::new(plan.mesh.clone(), self.counts, self.mesh.clone(), self.steps.clone())
+    }
+}
+
+impl Made {
+    /// Reads the summaries of the mesh of all chunks.
+    pub(super) fn of_segments(plan: &Plan, parts: &MeshParts, layout: &Layout) -> Result<Self> {
+        let mut made =
+            Made { counts: Counts { chunks: parts.chunks.len(), ..Counts::default() }, ..Made::default() };
+        let mut volume6 = 0i128;
+        let hash = plan.mesh_hash();
+        for number in 0..layout.segment_count() {
+            let file = ChunkSegment::open(layout.mesh(number), SegmentKind::Mesh, Some(hash))?;
+            for chunk in layout.chunks_of(number) {
+                let mesh = mesh_summary(&file, ChunkId(chunk))?;
+                made.counts.points += u64::from(mesh.core);
+                made.counts.tetrahedra += mesh.tets;
+                made.counts.blocks += u64::from(mesh.tet_blocks);
+                made.halo_retries += u64::from(mesh.retries);
+                volume6 += mesh.volume6 + mesh.outside6;
+            }
+            made.mesh.push(record(&file));
+        }
+        check_volume(plan, volume6, layout.root())?;
+        Ok(made)
+    }
+
+    /// Adds the `n`-th step of the plan: builds its index, and its spectrum of what chunks have measured. `coordinates`: of a grid that has
+    /// some, with the first step of the archive.
+    pub(super) fn add_step(
+        &mut self,
+        plan: &Plan,
+        n: usize,
+        layout: &Layout,
+        coordinates: Option<CoordinateRecord>,
+        run: &RunSettings,
+    ) -> Result<()> {
+        let (step, hash) = (&plan.steps[n], plan.step_hash(n));
+        let layout = layout.at(step.number);
+        let (mut values, mut void_points) = (vec![], 0);
+        // Of all points, and of the tetrahedra that are not void.
+        let mut value_range = [f32::INFINITY, f32::NEG_INFINITY];
+        let mut range = value_range;
+        let mut index = IndexBuilder::new(&BuildSettings {
+            memory: run.memory.saturating_sub(need::BASE),
+            scratch: Some(scratch_folder(run)),
+        });
+        for number in 0..layout.segment_count() {
+            let file = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(hash))?;
+            for chunk in layout.chunks_of(number) {
+                let summary = value_summary(&file, ChunkId(chunk))?;
+                void_points += u64::from(summary.void);
+                value_range = [value_range[0].min(summary.min), value_range[1].max(summary.max)];
+                for entry in index_entries(chunk, &summary.ranges) {
+                    range = [range[0].min(entry.min), range[1].max(entry.max)];
+                    index.push(entry)?;
+                }
+            }
+            values.push(record(&file));
+        }
+        let limits = limits(&plan.mesh, self.counts.points);
+        let spectrum =
+            (range[0] <= range[1]).then(|| sum_spectrum(&layout, hash, Design::new(range, limits), limits));
+        self.steps.push(Step {
+            plan: step.clone(),
+            value_range: (value_range[0] <= value_range[1]).then_some(value_range),
+            void_points,
+            values,
+            index: index.finish(layout.index(), hash)?,
+            spectrum: spectrum.transpose()?,
+            coordinates,
+            error: None,
+        });
+        Ok(())
+    }
+}
+
+/// Adds up what all chunks have measured of a step, and writes it.
+fn sum_spectrum(layout: &Layout, hash: PlanHash, design: Design, limits: Limits) -> Result<SegmentInfo> {
+    let mut builder = SpectrumBuilder::new(design);
+    for number in 0..layout.segment_count() {
+        let values = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(hash))?;
+        for chunk in layout.chunks_of(number) {
+            builder.add(&stored_part(&values, ChunkId(chunk), limits)?);
+        }
+    }
+    builder.finish(layout.spectrum(), hash)
+}
+
+pub(super) fn record(file: &ChunkSegment) -> SegmentRecord {
+    let chunks = file.chunks();
+    let (first_chunk, chunks) = (chunks.start, chunks.end - chunks.start);
+    SegmentRecord { first_chunk, chunks, info: file.segment().info() }
+}
+
+/// The entries of the index that a chunk's blocks have: one each, none for blocks of void tetrahedra alone.
+pub(super) fn index_entries(chunk: u64, ranges: &[BlockRange]) -> impl Iterator<Item = Entry> {
+    let entry = move |(block, r): (usize, &BlockRange)| {
+        (r.tets > 0).then_some(Entry { min: r.min, max: r.max, chunk, block: block as u32, tets: r.tets })
+    };
+    ranges.iter().enumerate().filter_map(entry)
+}
+
+/// The last block of a chunk in a mesh segment.
+pub(super) fn mesh_summary(segment: &ChunkSegment, chunk: ChunkId) -> Result<MeshSummary> {
+    last_block(segment, chunk, MeshSummary::decode)
+}
+
+/// The last block of a chunk in a value segment.
+pub(super) fn value_summary(segment: &ChunkSegment, chunk: ChunkId) -> Result<ValueSummary> {
+    last_block(segment, chunk, ValueSummary::decode)
+}
+
+fn last_block<T>(
+    segment: &ChunkSegment,
+    chunk: ChunkId,
+    decode: fn(&[u8]) -> std::result::Result<T, Malformed>,
+) -> Result<T> {
+    let last = segment.block_count(chunk).checked_sub(1).ok_or_else(|| {
+        Error::bad_input(
+            segment.segment().path(),
+            format!("chunk {}", chunk.0),
+            "a summary block",
+            "no blocks",
+        )
+    })?;
+    let mut bytes = vec![];
+    segment.block(chunk, last, &mut bytes)?;
+    decode(&bytes).map_err(|m| segment.blame(chunk, last, m))
+}
+
+/// The owned tetrahedra of all chunks tile the box: their volumes add up to its volume, exactly.
+fn check_volume(plan: &Plan, volume6: i128, out: &Path) -> Result<()> {
+    let whole = domain_volume6(&plan.mesh.lattice);
+    if volume6 == whole {
+        return Ok(());
+    }
+    let text = format!("internal error: the tetrahedra fill {volume6} of the domain's {whole} sixths");
+    Err(Error::io("commit", out, std::io::Error::other(text)))
+}
+
+/// Six times the volume of the domain, in lattice steps.
+pub(super) fn domain_volume6(lattice: &Lattice) -> i128 {
+    6 * lattice.max().iter().map(|&m| i128::from(m)).product::<i128>()
+}

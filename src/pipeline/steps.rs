@@ -1,0 +1,264 @@
+//! The steps of a series in an archive: which one is asked, and how its values are had.
+//!
+//! All steps have one mesh. A step has its own values, index and spectrum; a block of values may hold differences to the same block of
+//! the step before, back to a keyframe:
+//!
+//! ```text
+//!  step        0        1        2    …   16       17
+//!  block n  values ◀─ diff. ◀─ diff.    values ◀─ diff.     a block of step 2: three blocks are read
+//! ```
+//!
+//! Between two steps the field is linear in time. Then no index tells which blocks have an answer (a block where one step lies below an isovalue
+//! and the other above is active between them, and in neither), so the ranges of all blocks of both are looked at: the range of a mean is the
+//! mean of the ranges, or within it, also in rounded arithmetic, as rounding keeps the order.
+
+use super::chunk::MeshedChunk;
+use super::commit::{index_entries, mesh_summary, value_summary};
+use super::open::OpenArchive;
+use super::reader::{ChunkReader, damaged};
+use crate::archive::manifest::{Manifest, Step};
+use crate::archive::summary::BlockRange;
+use crate::archive::values::{BLOCK_VALUES, decode_values, needs_before};
+use crate::error::{Error, Result};
+use crate::grid::ChunkId;
+use crate::index::{Entry, SpanIndex};
+use crate::mesh::tet::is_active;
+
+/// Which step of an archive is asked.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum StepChoice {
+    /// The first.
+    #[default]
+    First,
+    /// The one of a number.
+    Number(u64),
+    /// A time; between two steps values are linear.
+    Time(f64),
+}
+
+/// A step, or a moment between it and the next one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct View {
+    /// Position of the step in the manifest.
+    pub(super) step: usize,
+    /// How far it is to the next step; above 0, below 1.
+    pub(super) beyond: Option<f64>,
+}
+
+impl View {
+    /// # Errors
+    /// [`Error::Usage`] that tells which steps there are.
+    pub(super) fn of(manifest: &Manifest, choice: StepChoice, shown: &std::path::Path) -> Result<Self> {
+        let steps = &manifest.steps;
+        let time = |n: usize| steps[n].plan.time_or_number();
+        let at = |step| Ok(Self { step, beyond: None });
+        match choice {
+            StepChoice::First => at(0),
+            StepChoice::Number(number) => match steps.binary_search_by_key(&number, |s| s.plan.number) {
+                Ok(n) => at(n),
+                Err(_) => Err(Error::usage(format!(
+                    "{}: no step {number}; it has {}",
+                    shown.display(),
+                    numbers(steps)
+                ))),
+            },
+            StepChoice::Time(t) => {
+                let next = (0..steps.len()).position(|n| time(n) >= t);
+                match next {
+                    Some(n) if time(n) == t => at(n),
+                    Some(n) if n > 0 => {
+                        let share = (t - time(n - 1)) / (time(n) - time(n - 1));
+                        // A share of so little that it rounds to none is none.
+                        let beyond = Some(share).filter(|s| *s > 0.0 && *s < 1.0);
+                        Ok(Self { step: if share < 1.0 { n - 1 } else { n }, beyond })
+                    }
+                    _ => Err(Error::usage(format!(
+                        "{}: the time {t} is not within {} .. {}",
+                        shown.display(),
+                        time(0),
+                        time(steps.len() - 1)
+                    ))),
+                }
+            }
+        }
+    }
+}
+
+/// "steps 0 to 7", "steps 0, 2, 3".
+fn numbers(steps: &[Step]) -> String {
+    let all: Vec<u64> = steps.iter().map(|s| s.plan.number).collect();
+    let (first, last) = (all[0], all[all.len() - 1]);
+    if all.len() == 1 {
+        format!("step {first}")
+    } else if last - first + 1 == all.len() as u64 {
+        format!("steps {first} to {last}")
+    } else {
+        const MOST: usize = 20;
+        let list: Vec<String> = all.iter().take(MOST).map(u64::to_string).collect();
+        let more = if all.len() > MOST { ", …" } else { "" };
+        format!("steps {}{more}", list.join(", "))
+    }
+}
+
+/// A value between two, `share` of the way from the first; void where one of them is. Monotonic in both.
+fn mean(a: f32, b: f32, share: f64) -> f32 {
+    (f64::from(a) * (1.0 - share) + f64::from(b) * share) as f32
+}
+
+impl OpenArchive {
+    /// Appends `n` values, block `block` of a chunk, of what is looked at; tells the bytes read.
+    pub(super) fn values_block(&self, id: ChunkId, block: u64, n: usize, out: &mut Vec<f32>) -> Result<u64> {
+        let View { step, beyond } = self.view;
+        let first = out.len();
+        let mut bytes = self.block_of_step(step, id, block, n, out)?;
+        if let Some(share) = beyond {
+            let mut next = vec![];
+            bytes += self.block_of_step(step + 1, id, block, n, &mut next)?;
+            out[first..].iter_mut().zip(next).for_each(|(a, b)| *a = mean(*a, b, share));
+        }
+        Ok(bytes)
+    }
+
+    /// As [`OpenArchive::values_block`], of the step at a position in the manifest.
+    fn block_of_step(
+        &self,
+        step: usize,
+        id: ChunkId,
+        block: u64,
+        n: usize,
+        out: &mut Vec<f32>,
+    ) -> Result<u64> {
+        let segment = self.values_of(step, id)?;
+        let count = segment.block_count(id);
+        // The last two blocks are the part of the spectrum and the summary.
+        if block + 2 >= count {
+            return Err(damaged(&segment, id, "chunk table", &format!("{count} blocks")));
+        }
+        let (mut bytes, mut before, mut read) = (vec![], vec![], 0);
+        segment.block(id, block, &mut bytes)?;
+        if needs_before(&bytes) && self.manifest.steps[step].plan.base.is_some() {
+            // The base is the step before: the manifest was checked.
+            read = self.block_of_step(step - 1, id, block, n, &mut before)?;
+        }
+        decode_values(&bytes, n, &before, out).map_err(|m| segment.blame(id, block, m))?;
+        Ok(read + bytes.len() as u64)
+    }
+
+    /// The values of all `vertices` of a chunk, at the step at a position in the manifest.
+    pub(super) fn chunk_values(&self, step: usize, id: ChunkId, vertices: usize) -> Result<Vec<f32>> {
+        let mut out = Vec::with_capacity(vertices);
+        for (block, first) in (0..vertices).step_by(BLOCK_VALUES).enumerate() {
+            let n = BLOCK_VALUES.min(vertices - first);
+            self.block_of_step(step, id, block as u64, n, &mut out)?;
+        }
+        Ok(out)
+    }
+
+    /// The mesh of a chunk as it is stored: all its vertices, the tetrahedra block after block, and the end of each block.
+    pub(super) fn stored_mesh(&self, id: ChunkId) -> Result<(MeshedChunk, Vec<usize>)> {
+        let mut reader = ChunkReader::open(self, id)?;
+        let (mut tets, mut ends) = (vec![], vec![]);
+        let blocks = mesh_summary(&self.segment_of(id)?.mesh, id)?.tet_blocks;
+        for block in 0..blocks {
+            reader.tets(block, &mut tets)?;
+            ends.push(tets.len());
+        }
+        reader.place_all()?;
+        Ok((reader.into_mesh(tets), ends))
+    }
+
+    /// Least and largest value; between two steps, what bounds them.
+    pub(super) fn value_range(&self) -> Option<[f32; 2]> {
+        let View { step, beyond } = self.view;
+        let range = self.manifest.steps[step].value_range?;
+        match beyond {
+            None => Some(range),
+            Some(share) => {
+                let next = self.manifest.steps[step + 1].value_range?;
+                Some([0, 1].map(|i| mean(range[i], next[i], share)))
+            }
+        }
+    }
+
+    /// What tells the blocks that can hold an answer.
+    pub(super) fn ranges(&self) -> Result<Ranges<'_>> {
+        Ok(match self.view.beyond {
+            None => Ranges::Index(self.index()?),
+            Some(share) => Ranges::Between(self, share),
+        })
+    }
+
+    /// The blocks of all chunks whose range between two steps `wanted` accepts, in order.
+    fn blocks_between(&self, share: f64, wanted: impl Fn(&Entry) -> bool) -> Result<Vec<Entry>> {
+        let mut found = vec![];
+        for id in (0..self.chunks.len()).map(ChunkId) {
+            self.close_before(id);
+            let [a, b] = [self.view.step, self.view.step + 1]
+                .map(|step| value_summary(&*self.values_of(step, id)?, id).map(|s| s.ranges));
+            let (a, b) = (a?, b?);
+            if a.len() != b.len() {
+                let what = format!("{} and {} ranges of blocks at two steps", a.len(), b.len());
+                return Err(damaged(&*self.values_of(self.view.step, id)?, id, "summary", &what));
+            }
+            let between = |(a, b): (&BlockRange, &BlockRange)| BlockRange {
+                min: mean(a.min, b.min, share),
+                max: mean(a.max, b.max, share),
+                tets: a.tets.min(b.tets),
+            };
+            let ranges: Vec<BlockRange> = a.iter().zip(&b).map(between).collect();
+            found.extend(index_entries(id.0, &ranges).filter(&wanted));
+        }
+        Ok(found)
+    }
+}
+
+/// Answers the questions of a [`SpanIndex`] at a step, or between two.
+pub(super) enum Ranges<'a> {
+    Index(SpanIndex),
+    /// How far the next step is.
+    Between(&'a OpenArchive, f64),
+}
+
+impl Ranges<'_> {
+    /// [`SpanIndex::query_any`].
+    pub(super) fn query_any(&self, isovalues: &[f32]) -> Result<Vec<Entry>> {
+        match self {
+            Self::Index(index) => index.query_any(isovalues),
+            Self::Between(archive, share) => {
+                let active = |e: &Entry| isovalues.iter().any(|&v| is_active(e.min, e.max, v));
+                archive.blocks_between(*share, active)
+            }
+        }
+    }
+
+    /// [`SpanIndex::query_inside`].
+    pub(super) fn query_inside(&self, isovalue: f32, wanted: impl Fn(u64) -> bool) -> Result<Vec<Entry>> {
+        match self {
+            Self::Index(index) => index.query_inside(isovalue, wanted),
+            Self::Between(archive, share) => {
+                archive.blocks_between(*share, |e| isovalue <= e.max && wanted(e.chunk))
+            }
+        }
+    }
+
+    /// [`SpanIndex::query_values`].
+    pub(super) fn query_values(&self, low: f32, high: f32) -> Result<Vec<Entry>> {
+        match self {
+            Self::Index(index) => index.query_values(low, high),
+            Self::Between(..) if low.is_nan() || high.is_nan() || low > high => {
+                Err(Error::usage(format!("the range {low} to {high} is empty: give the lower value first")))
+            }
+            Self::Between(archive, share) => {
+                archive.blocks_between(*share, |e| e.min <= high && low <= e.max)
+            }
+        }
+    }
+
+    /// Bytes read for the answers; those of value segments are counted by the archive.
+    pub(super) fn bytes_read(&self) -> u64 {
+        match self {
+            Self::Index(index) => index.segment().bytes_read(),
+            Self::Between(..) => 0,
+        }
+    }
+}

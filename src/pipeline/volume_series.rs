@@ -1,0 +1,233 @@
+//! The steps of a series of volumes: planned from their headers, opened when their turn comes.
+
+use super::field::{Field, NanPolicy};
+use super::fingerprint::fingerprint;
+use super::grid_field::GridField;
+use super::open::OpenArchive;
+use super::placed::coordinate_hash;
+use super::plan::{Plan, ReduceSettings, source_of};
+use super::reduce::{RunSettings, copy_bytes, random_access};
+use super::scan::{stream_range, value_range};
+use super::series::{Fields, PlannedSource, SeriesPlan, is_of_data, of_step};
+use crate::archive::manifest::StepPlan;
+use crate::archive::values::Quantiser;
+use crate::error::{Error, Result};
+use crate::exec::Progress;
+use crate::formats::{self, Input, StepSource};
+use crate::grid::Geometry;
+use crate::volume::{VolumeInfo, VolumeSource};
+use std::path::PathBuf;
+use std::sync::atomic::AtomicU64;
+
+/// What all steps must agree on.
+struct Common {
+    step: u64,
+    dims: [u64; 3],
+    geometry: Geometry,
+    /// Of the coordinates of a grid that has its own.
+    coordinates: Option<u128>,
+}
+
+impl Common {
+    fn check(&self, info: &VolumeInfo, coordinates: Option<u128>) -> Result<()> {
+        let bad = |at: &str, expected: String, got: String| {
+            let expected = format!("{expected}, as step {} has", self.step);
+            Err(Error::bad_input(&info.path, at, expected, got).with_help(
+                "the steps of a series share one mesh; --keep-going leaves out those that do not fit",
+            ))
+        };
+        if info.dims != self.dims {
+            return bad("dimensions", shape(self.dims), shape(info.dims));
+        }
+        if info.geometry != self.geometry {
+            return bad("geometry", place(&self.geometry), place(&info.geometry));
+        }
+        if coordinates != self.coordinates {
+            return bad("coordinates of the grid", "those".into(), "others".into());
+        }
+        Ok(())
+    }
+}
+
+fn shape([x, y, z]: [u64; 3]) -> String {
+    format!("{x} x {y} x {z}")
+}
+
+fn place(g: &Geometry) -> String {
+    let list = |v: [f64; 3]| v.map(|x| x.to_string()).join(",");
+    let turned = if g.direction == Geometry::default().direction { "" } else { ", turned" };
+    format!("spacing {}, origin {}{turned}", list(g.spacing), list(g.origin))
+}
+
+/// Plans volumes as steps of an archive, or as further ones of the archive `old`.
+struct Planner<'a> {
+    settings: &'a ReduceSettings,
+    run: &'a RunSettings,
+    planned: Option<&'a Plan>,
+    common: Option<Common>,
+    plan: Option<Plan>,
+    /// The files that were hashed last, which may hold many steps.
+    hashed: (Vec<PathBuf>, String),
+}
+
+/// What is known before sources are looked at.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Known<'a> {
+    /// A plan that was made before: how values are rounded is in it.
+    pub(super) planned: Option<&'a Plan>,
+    /// The archive that steps are added to.
+    pub(super) archive: Option<&'a OpenArchive>,
+}
+
+/// Plans all steps of a series. Reads headers, and fingerprints; with [`ReduceSettings::value_bits`] also all samples, unless that was
+/// done before.
+pub(super) fn plan_volumes(
+    sources: &[(u64, StepSource)],
+    settings: &ReduceSettings,
+    run: &RunSettings,
+    known: Known<'_>,
+) -> Result<SeriesPlan> {
+    let before = known.archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone());
+    let Known { planned: plan_before, archive } = known;
+    let mut planner =
+        Planner { settings, run, planned: plan_before, common: None, plan: None, hashed: Default::default() };
+    if let Some(archive) = archive {
+        planner.join(archive)?;
+    }
+    let (mut steps, mut planned, mut skipped, mut first_error) = (vec![], vec![], vec![], None);
+    let several = sources.len() > 1 || archive.is_some();
+    for (number, source) in sources.iter().map(|(n, s)| (*n, s)) {
+        run.cancel.check()?;
+        let step = planner.step(number, source).map_err(|e| if several { of_step(e, number) } else { e });
+        match step {
+            Ok((step, source)) => {
+                steps.push(step);
+                planned.push(source);
+            }
+            Err(e) if run.keep_going && several && is_of_data(&e) => {
+                skipped.push((number, source, e.to_string()));
+                first_error.get_or_insert(e);
+            }
+            Err(e) => return Err(e),
+        }
+    }
+    let Some(plan) = planner.plan.filter(|_| !steps.is_empty()) else {
+        return Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")));
+    };
+    let mut series = SeriesPlan {
+        plan: Plan { steps, ..plan },
+        sources: planned,
+        skipped: vec![],
+        before,
+        keyframes: settings.keyframes,
+    };
+    skipped.into_iter().for_each(|(number, source, reason)| series.skip(number, source, reason));
+    series.connect()?;
+    Ok(series)
+}
+
+impl Planner<'_> {
+    /// Steps must be as those of an archive.
+    fn join(&mut self, archive: &OpenArchive) -> Result<()> {
+        let first = &archive.manifest.steps[0];
+        self.common = Some(Common {
+            step: first.plan.number,
+            dims: first.plan.source.dims,
+            geometry: first.plan.source.geometry,
+            coordinates: archive.coordinates()?.map(|map| map.hash()).transpose()?,
+        });
+        self.plan = Some(Plan { mesh: archive.manifest.plan.clone(), steps: vec![] });
+        Ok(())
+    }
+
+    fn step(&mut self, number: u64, source: &StepSource) -> Result<(StepPlan, PlannedSource)> {
+        let Input::Volume(volume) = formats::open_input(&source.path, &source.options)? else {
+            return Err(Error::bad_input(
+                &source.path,
+                "kind of file",
+                "a volume, as other steps are",
+                "a mesh",
+            ));
+        };
+        let info = volume.info().clone();
+        let fingerprint = self.fingerprint(&info)?;
+        let coordinates = coordinate_hash(source, info.dims)?;
+        match &self.common {
+            Some(common) => common.check(&info, coordinates)?,
+            None => {
+                self.plan = Some(Plan::new(&info, self.settings)?);
+                let (dims, geometry) = (info.dims, info.geometry);
+                self.common = Some(Common { step: number, dims, geometry, coordinates });
+            }
+        }
+        let (copied, copying) = copy_bytes(&volume);
+        let quantiser = match self.planned {
+            Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
+            None => self.settings.value_bits.map(|bits| self.quantiser(volume, bits)).transpose()?,
+        };
+        let step = StepPlan {
+            number,
+            time: source.time,
+            source: source_of(&info, self.settings, fingerprint),
+            interpolation: self.settings.interpolation,
+            nan: self.settings.nan.to_string(),
+            quantiser,
+            base: None,
+        };
+        Ok((step, PlannedSource { source: source.clone(), copied, copying }))
+    }
+
+    fn fingerprint(&mut self, info: &VolumeInfo) -> Result<String> {
+        let files = info.files();
+        if self.hashed.0 != files {
+            self.hashed = (files.clone(), fingerprint(&files)?);
+        }
+        Ok(self.hashed.1.clone())
+    }
+
+    /// Steps of the source's range, which is read for that: the same everywhere, so that what chunks share stays equal.
+    fn quantiser(&self, source: VolumeSource, bits: u8) -> Result<Quantiser> {
+        let missing = self.settings.missing.or(source.info().missing);
+        let found = match source {
+            VolumeSource::Random(reader) => value_range(&*reader, missing, &self.run.cancel)?,
+            VolumeSource::Stream(mut stream) => stream_range(&mut *stream, missing, &self.run.cancel)?,
+        };
+        let stand_in = match self.settings.nan {
+            NanPolicy::Value(v) => Some([v, v]),
+            NanPolicy::Error | NanPolicy::Mask => None,
+        };
+        let range = [found, stand_in].into_iter().flatten().reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+        Ok(Quantiser::new(bits, range.unwrap_or_default()))
+    }
+}
+
+/// Opens volumes.
+pub(super) struct VolumeFields<'a> {
+    pub(super) settings: &'a ReduceSettings,
+    pub(super) run: &'a RunSettings,
+    pub(super) progress: &'a dyn Progress,
+}
+
+impl Fields for VolumeFields<'_> {
+    fn open<'a>(&'a self, series: &SeriesPlan, n: usize) -> Result<Box<dyn Field + 'a>> {
+        let source = &series.sources[n].source;
+        let Input::Volume(volume) = formats::open_input(&source.path, &source.options)? else {
+            return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
+        };
+        let step = &series.plan.steps[n];
+        if volume.info().dims != step.source.dims {
+            let (expected, got) = (shape(step.source.dims), shape(volume.info().dims));
+            return Err(Error::bad_input(&source.path, "dimensions", expected, got));
+        }
+        let (reader, scratch) = random_access(volume, self.run, self.progress)?;
+        Ok(Box::new(GridField {
+            reader,
+            scratch,
+            bricks: series.plan.mesh.bricks(),
+            interpolation: step.interpolation,
+            nan: self.settings.nan,
+            missing: self.settings.missing,
+            released: AtomicU64::new(0),
+        }))
+    }
+}

@@ -1,0 +1,319 @@
+//! A series is its steps: one mesh, and of each step what it would be alone. Appending is reducing all at once. A bad step costs itself alone.
+
+mod common;
+
+use common::*;
+use isospan::Archive;
+use isospan::archive::manifest::Manifest;
+use isospan::exec::Silent;
+use isospan::formats::surface::SurfaceFormat;
+use isospan::formats::{OpenOptions, StepSource};
+use isospan::pipeline::{
+    self, Amount, AppendSettings, ReduceReport, ReduceSettings, RunSettings, StepChoice, SurfaceSettings,
+};
+use isospan::points::SetKind;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+const DIMS: [usize; 3] = [26, 22, 20];
+
+/// Waves that drift and grow.
+fn moving(t: usize) -> impl Fn(f64, f64, f64) -> f64 {
+    let t = t as f64;
+    move |x, y, z| waves(x + 0.02 * t, y, z) * (1.0 + 0.05 * t)
+}
+
+/// Steps as files, their times 0, 0.5, 1, ….
+fn write_steps(dir: &Path, count: usize) -> Vec<StepSource> {
+    let step = |t: usize| {
+        let path = dir.join(format!("v{t}.npy"));
+        write_npy(&path, DIMS, moving(t));
+        StepSource { time: Some(0.5 * t as f64), ..StepSource::new(&path, &OpenOptions::default()) }
+    };
+    (0..count).map(step).collect()
+}
+
+fn few_points() -> ReduceSettings {
+    ReduceSettings { keyframes: 3, ..settings(SetKind::Halton, Amount::Fraction(0.3), 900) }
+}
+
+fn reduce_all(
+    steps: &[StepSource],
+    settings: &ReduceSettings,
+    out: &Path,
+    run: &RunSettings,
+) -> ReduceReport {
+    pipeline::reduce_series(steps, settings, out, run, &Silent).unwrap()
+}
+
+fn choice(number: u64) -> StepChoice {
+    StepChoice::Number(number)
+}
+
+fn surface_at(archive: &Path, step: StepChoice, isovalue: f32, out: &Path) -> Vec<u8> {
+    let settings = SurfaceSettings { step, ..SurfaceSettings::of(isovalue) };
+    pipeline::extract_surface(archive, &settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent)
+        .unwrap();
+    fs::read(out).unwrap()
+}
+
+/// Whether two archives answer alike, at a step of each.
+fn same_answers(dir: &Path, (a, step_a): (&Path, u64), (b, step_b): (&Path, u64)) {
+    let open = |path, step| Archive::open_at(path, choice(step)).unwrap();
+    let (one, two) = (open(a, step_a), open(b, step_b));
+    let bits = |a: &Archive| a.sample([15, 14, 13]).unwrap().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&one), bits(&two));
+    assert_eq!(one.value_range(), two.value_range());
+    assert_eq!(one.spectrum().unwrap().knots, two.spectrum().unwrap().knots);
+    for isovalue in [-0.7, 0.1, 0.123_456] {
+        let count = |a: &Archive| a.count(isovalue).unwrap().active_tetrahedra;
+        assert_eq!(count(&one), count(&two));
+        let surface = |path, step| surface_at(path, choice(step), isovalue, &dir.join("s.ply"));
+        assert!(surface(a, step_a) == surface(b, step_b), "isovalue {isovalue}");
+    }
+}
+
+#[test]
+fn each_step_is_what_it_is_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = write_steps(dir.path(), 5);
+    for bits in [None, Some(14)] {
+        let settings = ReduceSettings { value_bits: bits, ..few_points() };
+        let all = dir.path().join(format!("all{bits:?}.isospan"));
+        let report = reduce_all(&steps, &settings, &all, &run(2));
+        assert_eq!(
+            report.steps.iter().map(|s| s.base).collect::<Vec<_>>(),
+            [None, Some(0), Some(1), None, Some(3)]
+        );
+        pipeline::check_archive(&all).unwrap();
+        for (number, step) in (0..).zip(&steps) {
+            let one = dir.path().join("one.isospan");
+            let _ = fs::remove_dir_all(&one);
+            reduce_all(std::slice::from_ref(step), &settings, &one, &run(2));
+            same_answers(dir.path(), (&all, number), (&one, 0));
+        }
+    }
+}
+
+#[test]
+fn values_near_those_before_take_fewer_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let step = |t: usize| {
+        let path = dir.path().join(format!("n{t}.npy"));
+        // Noise that stays, and a little change.
+        let noise = |x: f64, y: f64, z: f64| (x * 9e4).sin() + (y * 7e4).sin() + (z * 8e4).cos();
+        write_npy(&path, DIMS, |x, y, z| noise(x, y, z) + 1e-5 * t as f64 * x);
+        StepSource::new(&path, &OpenOptions::default())
+    };
+    let steps: Vec<StepSource> = (0..4).map(step).collect();
+    let bytes = |keyframes, out: &str| {
+        let settings = ReduceSettings { keyframes, ..few_points() };
+        reduce_all(&steps, &settings, &dir.path().join(out), &run(2))
+            .steps
+            .iter()
+            .map(|s| s.value_bytes)
+            .collect::<Vec<_>>()
+    };
+    let (alone, after) = (bytes(1, "a.isospan"), bytes(4, "b.isospan"));
+    assert_eq!(alone[0], after[0]);
+    assert!((1..4).all(|t| after[t] * 10 < alone[t] * 9), "{after:?} {alone:?}");
+    for t in 0..4 {
+        same_answers(dir.path(), (&dir.path().join("a.isospan"), t), (&dir.path().join("b.isospan"), t));
+    }
+}
+
+#[test]
+fn threads_memory_and_chunks_change_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = write_steps(dir.path(), 6);
+    let out = |name: &str| dir.path().join(name);
+    reduce_all(&steps, &few_points(), &out("a.isospan"), &run(1));
+    let expected = folder(&out("a.isospan"));
+    // With so little memory the steps are made a few at a time: the mesh is decoded for the later ones.
+    for (name, threads, memory) in [("b.isospan", 2, 24 << 20), ("c.isospan", 3, 1 << 30)] {
+        reduce_all(&steps, &few_points(), &out(name), &RunSettings { memory, ..run(threads) });
+        assert!(folder(&out(name)) == expected, "{name}");
+    }
+    let settings = ReduceSettings { chunk_points: 100_000, ..few_points() };
+    reduce_all(&steps, &settings, &out("d.isospan"), &run(2));
+    for number in [0, 1, 5] {
+        let triangles = |name: &str| {
+            surface_at(&out(name), choice(number), 0.1, &out("s.ply"));
+            triangle_set(&read(&out("s.ply")))
+        };
+        assert_eq!(triangles("a.isospan"), triangles("d.isospan"));
+    }
+}
+
+#[test]
+fn appending_is_reducing_all_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = write_steps(dir.path(), 7);
+    let out = |name: &str| dir.path().join(name);
+    for bits in [None, Some(12)] {
+        let settings = ReduceSettings { value_bits: bits, ..few_points() };
+        let (all, grown) = (out("all.isospan"), out("grown.isospan"));
+        for archive in [&all, &grown] {
+            let _ = fs::remove_dir_all(archive);
+        }
+        reduce_all(&steps, &settings, &all, &run(2));
+        reduce_all(&steps[..2], &settings, &grown, &run(2));
+        for (from, to) in [(2, 3), (3, 7)] {
+            let how = AppendSettings { keyframes: 3, ..AppendSettings::default() };
+            let report = pipeline::append(&steps[from..to], &how, &grown, &run(1), &Silent).unwrap();
+            assert_eq!(report.steps.len(), to - from);
+        }
+        assert!(folder(&all) == folder(&grown), "{bits:?}");
+    }
+}
+
+/// As one reduction of the good steps, under their own numbers.
+#[test]
+fn a_bad_step_costs_itself_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut steps = write_steps(dir.path(), 6);
+    let out = |name: &str| dir.path().join(name);
+    // One of another size, one that is cut off, one with a hole that is met in the last chunk only.
+    write_npy(&steps[1].path, [26, 22, 19], moving(1));
+    let bytes = fs::read(&steps[2].path).unwrap();
+    fs::write(&steps[2].path, &bytes[..bytes.len() / 2]).unwrap();
+    write_npy(&steps[4].path, DIMS, |x, y, z| if x + y + z > 2.8 { f64::NAN } else { moving(4)(x, y, z) });
+    for (bad, expected) in [(1, "step 1, dimensions"), (2, "step 2, "), (4, "step 4, sample near (2")] {
+        let some = if bad == 4 { [&steps[3], &steps[4]] } else { [&steps[0], &steps[bad]] }.map(Clone::clone);
+        let e =
+            pipeline::reduce_series(&some, &few_points(), &out("x.isospan"), &run(2), &Silent).unwrap_err();
+        let expected = expected.replace(&bad.to_string(), "1");
+        assert!(e.to_string().contains(&expected) || bad == 4, "{e}");
+        assert!(e.to_string().contains("step 1, ") && e.exit_code() == 5, "{e}");
+        fs::remove_dir_all(out("x.isospan")).unwrap_or_default();
+    }
+    let keep_going = RunSettings { keep_going: true, ..run(2) };
+    let report = reduce_all(&steps, &few_points(), &out("a.isospan"), &keep_going);
+    let numbers = |r: &ReduceReport| r.steps.iter().map(|s| s.number).collect::<Vec<_>>();
+    assert_eq!(numbers(&report), [0, 3, 5]);
+    assert_eq!(report.skipped.iter().map(|s| s.number).collect::<Vec<_>>(), [1, 2, 4]);
+    assert!(report.skipped.iter().all(|s| !s.reason.contains('\n')), "{:?}", report.skipped);
+    pipeline::check_archive(&out("a.isospan")).unwrap();
+    assert_eq!(Manifest::read(&out("a.isospan")).unwrap().steps[2].plan.base.unwrap().number, 3);
+    assert!(!out("a.isospan/steps/000004").exists(), "nothing is left of it");
+    for number in [0, 3, 5] {
+        let one = out("one.isospan");
+        let _ = fs::remove_dir_all(&one);
+        let step = &steps[number as usize..=number as usize];
+        reduce_all(step, &few_points(), &one, &run(1));
+        same_answers(dir.path(), (&out("a.isospan"), number), (&one, 0));
+    }
+    // The same again is the same, and what none can be made of is an error.
+    reduce_all(&steps, &few_points(), &out("b.isospan"), &RunSettings { threads: 1, ..keep_going.clone() });
+    assert!(folder(&out("a.isospan")) == folder(&out("b.isospan")));
+    steps.drain(..1);
+    let none = pipeline::reduce_series(&steps[1..2], &few_points(), &out("n.isospan"), &keep_going, &Silent);
+    assert_eq!(none.unwrap_err().exit_code(), 5);
+    // Further steps are refused in the same way.
+    let e = pipeline::append(&steps[..1], &AppendSettings::default(), &out("a.isospan"), &run(1), &Silent);
+    assert!(e.unwrap_err().to_string().contains("step 6, dimensions: expected 26 x 22 x 20, as step 0 has"));
+}
+
+#[test]
+fn times_must_ascend() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut steps = write_steps(dir.path(), 3);
+    steps[2].time = Some(0.5);
+    let out = dir.path().join("a.isospan");
+    let e = pipeline::reduce_series(&steps, &few_points(), &out, &run(1), &Silent).unwrap_err();
+    assert!(e.to_string().contains("step 1 is at 0.5, step 2 at 0.5") && e.exit_code() == 2, "{e}");
+}
+
+#[test]
+fn between_two_steps_values_are_linear() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = write_steps(dir.path(), 3);
+    let out = dir.path().join("a.isospan");
+    reduce_all(&steps, &few_points(), &out, &run(2));
+    let open = |step| Archive::open_at(&out, step).unwrap();
+    let sample = |step| open(step).sample([12, 11, 10]).unwrap();
+    let (a, b) = (sample(choice(0)), sample(choice(1)));
+    // The value at a corner is rounded, then those of the corners are weighted: a few last bits.
+    for ((a, b), t) in a.iter().zip(&b).zip(sample(StepChoice::Time(0.125))) {
+        assert!((0.75 * a + 0.25 * b - t).abs() < 1e-5, "{a} {b} {t}");
+    }
+    assert_eq!(sample(StepChoice::Time(0.5)), b);
+    assert_eq!(sample(StepChoice::First), a);
+    for isovalue in [-0.7, 0.1, 1.3] {
+        let archive = open(StepChoice::Time(0.3));
+        let file = dir.path().join("s.ply");
+        surface_at(&out, StepChoice::Time(0.3), isovalue, &file);
+        let found = archive.count(isovalue).unwrap();
+        assert!(found.active_tetrahedra > 0 && !found.stored);
+        let report = isospan::surface::check::check(&read(&file));
+        assert!(report.is_manifold() && report.triangles as u64 >= found.active_tetrahedra, "{report:?}");
+    }
+    for (step, text) in [
+        (StepChoice::Time(1.1), "the time 1.1 is not within 0 .. 1"),
+        (StepChoice::Time(f64::NAN), "not within"),
+        (choice(3), "no step 3; it has steps 0 to 2"),
+    ] {
+        let e = Archive::open_at(&out, step).err().unwrap();
+        assert!(e.to_string().contains(text) && e.exit_code() == 2, "{e}");
+    }
+    let e = open(StepChoice::Time(0.3)).spectrum().unwrap_err();
+    assert!(e.to_string().contains("choose one with --step"));
+}
+
+/// Damage of a step is found, and is damage of that step and of those that refer to it.
+#[test]
+fn a_damaged_step_does_not_hurt_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = write_steps(dir.path(), 4);
+    let out = dir.path().join("a.isospan");
+    reduce_all(&steps, &few_points(), &out, &run(2));
+    let file = out.join("steps/000001/values-000000.seg");
+    let good = fs::read(&file).unwrap();
+    let answer = |step| Archive::open_at(&out, choice(step)).and_then(|a| a.sample([9, 9, 9]));
+    let expected: Vec<Vec<f32>> = (0..4).map(|s| answer(s).unwrap()).collect();
+    let mut bad = good.clone();
+    bad[100] ^= 4;
+    fs::write(&file, &bad).unwrap();
+    assert_eq!(answer(0).unwrap(), expected[0]);
+    assert_eq!(answer(3).unwrap(), expected[3], "the next keyframe");
+    assert_eq!(answer(1).unwrap_err().exit_code(), 5);
+    assert_eq!(pipeline::check_archive(&out).unwrap_err().exit_code(), 5);
+    fs::remove_file(&file).unwrap();
+    let e = answer(1).unwrap_err();
+    assert!(e.exit_code() == 3 && e.to_string().contains("steps/000001/values-000000.seg"), "{e}");
+    // The same reduction makes it again, and nothing else.
+    fs::remove_file(out.join("manifest.json")).unwrap();
+    reduce_all(&steps, &few_points(), &out, &run(1));
+    assert!(fs::read(&file).unwrap() == good);
+    assert_eq!(answer(2).unwrap(), expected[2]);
+}
+
+fn shared_series(name: &str) -> Option<PathBuf> {
+    shared_data().map(|d| d.join("series").join(name)).filter(|p| p.exists())
+}
+
+#[test]
+fn frames_and_patterns_of_real_data() {
+    let dir = tempfile::tempdir().unwrap();
+    let reduce_pattern = |pattern: PathBuf, options: &OpenOptions, out: &Path| {
+        let steps = isospan::formats::steps_of(&[pattern], options).unwrap();
+        let report = reduce_all(&steps, &few_points(), out, &run(2));
+        pipeline::check_archive(out).unwrap();
+        report
+    };
+    if let Some(path) = shared_series("echo4d_f32_11frames.nii.gz") {
+        let out = dir.path().join("echo.isospan");
+        let report = reduce_pattern(path.clone(), &OpenOptions::default(), &out);
+        assert_eq!(report.steps.len(), 11);
+        let one = dir.path().join("echo7.isospan");
+        let options = OpenOptions { field: Some("t7".into()), ..OpenOptions::default() };
+        reduce_all(&[StepSource::new(&path, &options)], &few_points(), &one, &run(2));
+        same_answers(dir.path(), (&out, 7), (&one, 0));
+    }
+    if let Some(folder) = shared_series("viscous_fingers_f32") {
+        let out = dir.path().join("fingers.isospan");
+        let report = reduce_pattern(folder.join("*.vti"), &OpenOptions::default(), &out);
+        assert_eq!(report.steps.len(), 8);
+        assert_eq!(report.steps[7].source, "density_t080.vti");
+    }
+}
