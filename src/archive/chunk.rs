@@ -85,34 +85,45 @@ impl EncodedChunk {
     }
 }
 
-/// Sorts by the smallest vertex, which comes first in each. Gives also the end of each vertex's run.
-fn sort_by_vertex(tets: &[Tet], vertices: u32) -> (Vec<Tet>, Vec<u32>) {
-    let canonical: Vec<Tet> = tets.iter().map(|&t| canonical(t)).collect();
-    let mut ends = vec![0u32; vertices as usize];
-    canonical.iter().for_each(|t| ends[t[0] as usize] += 1);
+/// Turns each tetrahedron so that its smallest vertex comes first, and sorts by that; nothing is done where all are so already.
+fn by_vertex(tets: Vec<Tet>, vertices: u32) -> Vec<Tet> {
+    let mut before = 0;
+    let in_order = |t: &Tet| {
+        let before = std::mem::replace(&mut before, t[0]);
+        (before <= t[0]) & (t[0] < t[1]) & (t[0] < t[2]) & (t[0] < t[3])
+    };
+    if tets.iter().all(in_order) {
+        return tets;
+    }
+    let canonical: Vec<Tet> = tets.into_iter().map(canonical).collect();
+    let mut places = vec![0u32; vertices as usize];
+    canonical.iter().for_each(|t| places[t[0] as usize] += 1);
     let mut sum = 0;
-    for n in &mut ends {
+    for n in &mut places {
         // Each count becomes its run's start; placing the tetrahedra moves it to the run's end.
         sum += std::mem::replace(n, sum);
     }
-    let mut sorted = vec![[0; 4]; tets.len()];
+    let mut sorted = vec![[0; 4]; canonical.len()];
     for t in canonical {
-        let at = &mut ends[t[0] as usize];
+        let at = &mut places[t[0] as usize];
         sorted[*at as usize] = t;
         *at += 1;
     }
-    (sorted, ends)
+    sorted
 }
 
-/// Cuts at ends of runs so that blocks have about `block_tets` tetrahedra.
-fn block_starts(run_ends: &[u32], total: u32, block_tets: u32) -> Vec<u32> {
+/// Cuts between runs of tetrahedra of one first vertex so that blocks have about `block_tets` tetrahedra.
+fn block_starts(tets: &[Tet], block_tets: u32) -> Vec<u32> {
+    let total = tets.len() as u32;
     let wanted = u64::from(total.div_ceil(block_tets)).max(1);
     let mut starts = vec![0];
     for i in 1..wanted {
-        let goal = (u64::from(total) * i / wanted) as u32;
-        let at = run_ends.partition_point(|&e| e < goal);
-        let (above, below) = (run_ends[at], if at == 0 { 0 } else { run_ends[at - 1] });
-        let cut = if above - goal <= goal - below { above } else { below };
+        // The run that the goal is in, or ends.
+        let goal = (u64::from(total) * i / wanted) as usize;
+        let v = tets[goal - 1][0];
+        let above = goal + tets[goal..].iter().take_while(|t| t[0] == v).count();
+        let below = goal - tets[..goal].iter().rev().take_while(|t| t[0] == v).count();
+        let cut = (if above - goal <= goal - below { above } else { below }) as u32;
         if cut > starts[starts.len() - 1] && cut < total {
             starts.push(cut);
         }
@@ -123,39 +134,49 @@ fn block_starts(run_ends: &[u32], total: u32, block_tets: u32) -> Vec<u32> {
     starts
 }
 
-/// Turns a chunk's mesh into blocks of about `block_tets` tetrahedra; `positions` are those of the local vertices. The bytes depend on the
-/// *set* of tetrahedra, not on their order nor on how each is turned.
-///
-/// # Panics
-/// When a vertex id is not local, `positions` or `shared` is not as long as the vertices, the halo is not ascending, or `block_tets` is 0.
-pub fn encode_chunk(
-    vertices: &ChunkVertices,
-    positions: &[LatticePos],
-    tets: &[Tet],
-    block_tets: u32,
-) -> EncodedChunk {
-    assert!(block_tets > 0, "a block holds at least one tetrahedron");
-    assert_eq!(positions.len(), vertices.len() as usize, "one position a vertex");
-    assert_eq!(vertices.shared.len(), vertices.len() as usize, "one shared flag a vertex");
-    let (mut tets, ends) = sort_by_vertex(tets, vertices.len());
-    let starts = block_starts(&ends, tets.len() as u32, block_tets);
-    let counts: Vec<u32> = starts.windows(2).map(|w| w[1] - w[0]).collect();
-    let mut blocks = vec![encode_header(vertices, &counts)];
-    let mut writer = star::Writer::default();
-    for w in starts.windows(2) {
-        blocks.push(encode_tets(&mut writer, &mut tets[w[0] as usize..w[1] as usize], positions));
+/// Turns meshes of chunks into blocks, with memory that it keeps from chunk to chunk.
+#[derive(Default)]
+pub struct ChunkEncoder(star::Writer);
+
+impl ChunkEncoder {
+    /// Turns a chunk's mesh into blocks of about `block_tets` tetrahedra; `positions` are those of the local vertices. The bytes depend on
+    /// the *set* of tetrahedra, not on their order nor on how each is turned; least is to be done where the smallest vertex comes first in
+    /// each, and they ascend by that.
+    ///
+    /// # Panics
+    /// When a vertex id is not local, `positions` or `shared` is not as long as the vertices, the halo is not ascending, or `block_tets` is 0.
+    pub fn encode(
+        &mut self,
+        vertices: &ChunkVertices,
+        positions: &[LatticePos],
+        tets: Vec<Tet>,
+        block_tets: u32,
+    ) -> EncodedChunk {
+        assert!(block_tets > 0, "a block holds at least one tetrahedron");
+        assert_eq!(positions.len(), vertices.len() as usize, "one position a vertex");
+        assert_eq!(vertices.shared.len(), vertices.len() as usize, "one shared flag a vertex");
+        let largest = tets.iter().fold(0, |most, t| t.iter().fold(most, |most, &v| most.max(v)));
+        assert!(tets.is_empty() || largest < vertices.len(), "every vertex is local");
+        let mut tets = by_vertex(tets, vertices.len());
+        let starts = block_starts(&tets, block_tets);
+        let counts: Vec<u32> = starts.windows(2).map(|w| w[1] - w[0]).collect();
+        let mut blocks = vec![encode_header(vertices, &counts)];
+        for w in starts.windows(2) {
+            let tets = &mut tets[w[0] as usize..w[1] as usize];
+            blocks.push(encode_tets(&mut self.0, tets, positions));
+        }
+        EncodedChunk { blocks, tets, starts }
     }
-    EncodedChunk { blocks, tets, starts }
 }
 
-/// Encodes one block of canonical tetrahedra, ascending by their first vertices; leaves them as they will be decoded.
+/// Encodes one block of tetrahedra, the smallest vertex first in each, ascending by it; leaves them as they will be decoded.
 fn encode_tets(writer: &mut star::Writer, tets: &mut [Tet], positions: &[LatticePos]) -> Vec<u8> {
-    assert!(tets.iter().flatten().all(|&v| (v as usize) < positions.len()), "every vertex is local");
     let mut out = vec![TETS_STARS];
     if writer.encode(tets, positions, &mut out) {
         tets.copy_from_slice(writer.told());
     } else {
         out[0] = TETS_TUPLES;
+        tets.iter_mut().for_each(|t| *t = canonical(*t));
         tets.sort_unstable();
         tuples::encode(tets, &mut out);
     }
@@ -334,6 +355,15 @@ pub(crate) mod tests {
     pub(crate) fn corners(n: [u32; 3]) -> Vec<LatticePos> {
         let (sx, sy) = (n[0] + 1, n[1] + 1);
         (0..sx * sy * (n[2] + 1)).map(|i| [i % sx, i / sx % sy, i / sx / sy].map(|c| 1000 * c)).collect()
+    }
+
+    fn encode_chunk(
+        vertices: &ChunkVertices,
+        positions: &[LatticePos],
+        tets: &[Tet],
+        block_tets: u32,
+    ) -> EncodedChunk {
+        ChunkEncoder::default().encode(vertices, positions, tets.to_vec(), block_tets)
     }
 
     fn vertices_of(n: u32) -> ChunkVertices {

@@ -24,7 +24,7 @@ use super::need::{self, Shares};
 use super::open::OpenArchive;
 use super::series::of_step;
 use super::spectrum::Meter;
-use crate::archive::chunk::{ChunkVertices, EncodedChunk, encode_chunk};
+use crate::archive::chunk::{ChunkEncoder, ChunkVertices, EncodedChunk};
 use crate::archive::chunked::ChunkSegmentWriter;
 use crate::archive::manifest::{Plan as MeshPlan, StepPlan};
 use crate::archive::segment::{PlanHash, SegmentKind};
@@ -117,23 +117,30 @@ pub(crate) struct Work<'a> {
 /// The working memory that chunks take turns in.
 #[derive(Default)]
 pub(crate) struct Rooms {
-    /// Arenas of workers between two chunks.
-    meshers: Mutex<Vec<Mesher>>,
+    /// The memory of workers between two chunks.
+    desks: Mutex<Vec<Desk>>,
     /// Held shared by chunks at work, alone by a chunk that needs the rooms of all.
     turn: RwLock<()>,
 }
 
+/// Memory that a worker keeps from chunk to chunk.
+#[derive(Default)]
+struct Desk {
+    mesher: Mesher,
+    encoder: ChunkEncoder,
+}
+
 impl Rooms {
-    fn take_mesher(&self) -> Mesher {
-        self.meshers.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+    fn take_desk(&self) -> Desk {
+        self.desks.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
     }
 
-    fn put_mesher(&self, mesher: Mesher) {
-        self.meshers.lock().unwrap_or_else(PoisonError::into_inner).push(mesher);
+    fn put_desk(&self, desk: Desk) {
+        self.desks.lock().unwrap_or_else(PoisonError::into_inner).push(desk);
     }
 
-    fn drop_meshers(&self) {
-        self.meshers.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    fn drop_desks(&self) {
+        self.desks.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 }
 
@@ -380,18 +387,18 @@ fn internal(chunk: &Chunk, panic: &(dyn Any + Send)) -> Error {
 fn make_chunk(work: &Work<'_>, chunk: &Chunk) -> Result<Product> {
     let retries = {
         let _together = work.rooms.turn.read().unwrap_or_else(PoisonError::into_inner);
-        let mut mesher = work.rooms.take_mesher();
-        match make_in_room(work, chunk, &mut mesher, 0, work.shares.room)? {
+        let mut desk = work.rooms.take_desk();
+        match make_in_room(work, chunk, &mut desk, 0, work.shares.room)? {
             Making::Done(product) => {
-                work.rooms.put_mesher(mesher);
+                work.rooms.put_desk(desk);
                 return Ok(product);
             }
             Making::NeedsRoom { retries, .. } => retries,
         }
     };
     let _alone = work.rooms.turn.write().unwrap_or_else(PoisonError::into_inner);
-    work.rooms.drop_meshers();
-    match make_in_room(work, chunk, &mut Mesher::new(), retries, work.shares.room_alone())? {
+    work.rooms.drop_desks();
+    match make_in_room(work, chunk, &mut Desk::default(), retries, work.shares.room_alone())? {
         Making::Done(product) => Ok(product),
         Making::NeedsRoom { bytes, .. } => Err(Error::Budget {
             what: format!(
@@ -413,7 +420,7 @@ enum Making {
 fn make_in_room(
     work: &Work<'_>,
     chunk: &Chunk,
-    mesher: &mut Mesher,
+    desk: &mut Desk,
     first_try: u32,
     room: u64,
 ) -> Result<Making> {
@@ -422,7 +429,7 @@ fn make_in_room(
     if let Some(stored) = &work.stored {
         return make_from_stored(work, stored, chunk).map(Making::Done);
     }
-    let mut mesh = match chunk::mesh(work.recipe, chunk, mesher, first_try, room, work.cancel)? {
+    let mut mesh = match chunk::mesh(work.recipe, chunk, &mut desk.mesher, first_try, room, work.cancel)? {
         Meshing::Done(mesh) => mesh,
         Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
     };
@@ -430,7 +437,7 @@ fn make_in_room(
     let Survey { mut values, outside } = survey(work, 0, &mesh)?;
     let outside6 = drop_outside(&mut mesh, &mut values, &outside);
     lap.add_to(&mut times.sample);
-    let (encoded, summary) = encode_mesh(work.plan, &mut mesh, outside6);
+    let (encoded, summary) = encode_mesh(work, &mut desk.encoder, &mut mesh, outside6);
     let blocks: Vec<&[Tet]> = (0..encoded.tet_blocks()).map(|n| encoded.block_tets(n)).collect();
     lap.add_to(&mut times.encode);
     let value_blocks = encode_steps(work, &mesh, values, None, (encoded.tets(), &blocks), &mut times)?;
@@ -534,8 +541,13 @@ fn volume6<'a>(positions: &[LatticePos], tets: impl Iterator<Item = &'a Tet>) ->
     .sum()
 }
 
-/// A chunk's mesh, encoded, and its summary.
-fn encode_mesh(plan: &MeshPlan, mesh: &mut MeshedChunk, outside6: i128) -> (EncodedChunk, MeshSummary) {
+/// A chunk's mesh, encoded, and its summary. Takes the tetrahedra, unless more than one step is to be surveyed on them.
+fn encode_mesh(
+    work: &Work<'_>,
+    encoder: &mut ChunkEncoder,
+    mesh: &mut MeshedChunk,
+    outside6: i128,
+) -> (EncodedChunk, MeshSummary) {
     let mut summary = MeshSummary {
         core: mesh.core_len() as u32,
         halo: mesh.halo.len() as u32,
@@ -545,12 +557,13 @@ fn encode_mesh(plan: &MeshPlan, mesh: &mut MeshedChunk, outside6: i128) -> (Enco
         volume6: volume6(&mesh.positions, mesh.tets.iter()),
         outside6,
     };
+    let tets = if work.steps.len() > 1 { mesh.tets.clone() } else { std::mem::take(&mut mesh.tets) };
     let vertices = ChunkVertices {
         core_counts: std::mem::take(&mut mesh.core_counts),
         halo: std::mem::take(&mut mesh.halo),
         shared: std::mem::take(&mut mesh.shared),
     };
-    let encoded = encode_chunk(&vertices, &mesh.positions, &mesh.tets, plan.block_tets);
+    let encoded = encoder.encode(&vertices, &mesh.positions, tets, work.plan.block_tets);
     ChunkVertices { core_counts: mesh.core_counts, halo: mesh.halo, shared: mesh.shared } = vertices;
     summary.tet_blocks = encoded.tet_blocks() as u32;
     (encoded, summary)

@@ -32,7 +32,7 @@ mod odds;
 #[cfg(target_arch = "x86_64")]
 mod simd;
 
-use self::link::{Cloud, Gates, Link, NOBODY, Path, Plain, SIZES};
+use self::link::{Cloud, Gates, Link, MOST, NOBODY, Path, Plain, SIZES};
 use self::odds::first_odds;
 use super::range::{Decoder, Encoder, Odds};
 use super::wire::{Cursor, Malformed, put_varint};
@@ -72,15 +72,18 @@ const DECISIONS: usize = GAP + 3 * GAP_LENGTHS;
 trait End {
     /// Whether this is the encoder: what costs time to find out is asked only then.
     const KNOWS: bool;
+    #[must_use]
     fn bit(&mut self, odds: &mut [Odds; DECISIONS], at: usize, truth: bool) -> bool;
     /// A number of at most 16 bits.
     fn raw(&mut self, bits: u32, truth: u32) -> u32;
-    /// The stars of the next vertex begin.
-    fn star(&mut self, v: Local);
-    /// The apex of the untold triangle behind a gate; [`NONE`] if there is none. `None` if there are several.
-    fn apex(&mut self, c: Local, d: Local) -> Option<Local>;
-    /// The vertices of triangles of the star that are not told yet, three each.
-    fn untold(&self, to: &mut Vec<[Local; 3]>);
+    /// The star of a vertex begins, with what is known of its link. `None` if a directed edge has two triangles.
+    fn star(&mut self, v: Local, link: &Link) -> Option<()>;
+    /// The apex of the untold triangle behind a gate between two places of the link, which is told now; [`NONE`] if there is none.
+    fn apex(&mut self, link: &Link, c: usize, d: usize) -> Local;
+    /// Whether triangles of the star are not told yet.
+    fn is_untold(&self) -> bool;
+    /// Their vertices, three each.
+    fn untold(&self, link: &Link, to: &mut Vec<[Local; 3]>);
     /// A tetrahedron that is told now.
     fn tell(&mut self, tet: [Local; 4]);
 }
@@ -159,15 +162,15 @@ impl Stars {
     /// Tells what is behind a gate: whether a triangle. `None` if what is read cannot be.
     #[inline(always)]
     fn pass<E: End>(&mut self, end: &mut E, lane: usize) -> Option<bool> {
-        let (c, d) = (usize::from(self.gates.c[lane]), usize::from(self.gates.d[lane]));
-        if !self.link.is_gate(c, d) {
+        let (c, d) = (usize::from(self.gates.c[lane]) % MOST, usize::from(self.gates.d[lane]) % MOST);
+        if !self.link.close(c, d) {
             return Some(false);
         }
-        let (foretold, size) = (usize::from(self.gates.apex[lane]), usize::from(self.gates.size[lane]));
-        let truth = if E::KNOWS { end.apex(self.link.id[c], self.link.id[d])? } else { NONE };
-        self.link.close(c, d);
-        let hit = foretold != NOBODY
-            && end.bit(&mut self.odds, HIT + size, truth == self.link.id[foretold % NOBODY]);
+        let told = usize::from(self.gates.told[lane]);
+        let (foretold, size) = (told & 0xff, told >> 8 & (SIZES - 1));
+        let truth = if E::KNOWS { end.apex(&self.link, c, d) } else { NONE };
+        let hit =
+            foretold != NOBODY && end.bit(&mut self.odds, HIT + size, truth == self.link.id[foretold % MOST]);
         let w = if hit {
             foretold
         } else if end.bit(&mut self.odds, BORDER + size, truth == NONE) {
@@ -180,13 +183,14 @@ impl Stars {
     }
 
     /// Tells the apex that was not foretold.
-    #[cold]
+    #[inline(always)]
     fn correct<E: End>(&mut self, end: &mut E, c: usize, d: usize, truth: Local) -> Option<usize> {
         let scores = self.link.scores(c, d);
         self.ranked(end, &scores, 1, GATE_RANK, truth).filter(|&w| w != c && w != d)
     }
 
     /// Tells a vertex by its rank, at least `least`, or else by its number. `None` if what is read is none.
+    #[inline(always)]
     fn ranked<E: End>(
         &mut self,
         end: &mut E,
@@ -215,7 +219,7 @@ impl Stars {
     fn attach<E: End>(&mut self, end: &mut E, [c, d, w]: [usize; 3]) -> Option<()> {
         self.link.meet(c, w);
         self.link.meet(w, d);
-        let [c, d, w] = [c, d, w].map(|i| self.link.id[i % NOBODY]);
+        let [c, d, w] = [c, d, w].map(|i| self.link.id[i % MOST]);
         end.tell([self.v as Local, c, d, w]);
         // The place of the least by comparing (vertex, place): no branch, for none could be foretold.
         let placed = |v: Local, place: u32| u32::from(v) << 2 | place;
@@ -230,12 +234,19 @@ impl Stars {
     }
 
     /// Tells whether there is another piece, and an edge of it.
+    #[inline(always)]
     fn piece<E: End>(&mut self, end: &mut E, before: bool) -> Option<bool> {
-        self.untold.clear();
-        end.untold(&mut self.untold);
-        if !end.bit(&mut self.odds, MORE + usize::from(before), !self.untold.is_empty()) {
+        if !end.bit(&mut self.odds, MORE + usize::from(before), end.is_untold()) {
             return Some(false);
         }
+        self.edge_of_piece(end)?;
+        Some(true)
+    }
+
+    #[inline(always)]
+    fn edge_of_piece<E: End>(&mut self, end: &mut E) -> Option<()> {
+        self.untold.clear();
+        end.untold(&self.link, &mut self.untold);
         let scores = self.link.by_distance();
         let truth = self.least_of(&scores, None);
         let c = self.ranked(end, &scores, 0, C_RANK, truth)?;
@@ -244,7 +255,7 @@ impl Stars {
         let d = self.ranked(end, &scores, 0, D_RANK, truth).filter(|&d| d != c)?;
         self.link.open(c, d);
         self.link.open(d, c);
-        Some(true)
+        Some(())
     }
 
     /// Of the untold triangles (those with a vertex) the vertex of least score; the decoder, which has none, gets any.
@@ -274,7 +285,7 @@ impl Stars {
         let mut left = tets;
         for v in 0..self.own {
             self.begin(path, v)?;
-            end.star(v as Local);
+            end.star(v as Local, &self.link)?;
             let (mut any, mut before) = (false, left + 1);
             loop {
                 self.link.foretell(path, &self.cloud, &mut self.gates);
@@ -351,23 +362,26 @@ fn gap_class(gap: u32) -> usize {
 pub(crate) struct Writer {
     stars: Stars,
     truth: Truth,
-    /// For each vertex of the chunk, the block that has it as an other (one more than its number), and its local number.
-    numbers: Vec<(u32, Local)>,
-    block: u32,
+    /// For each vertex of the chunk its local number in the last block that has it, and 2^16 times that block's number.
+    numbers: Vec<u32>,
+    block: u16,
     others: Vec<u32>,
     positions: Vec<LatticePos>,
 }
 
 /// The encoder's end: what it knows, and what it writes.
-#[derive(Default)]
 struct Truth {
     coder: Encoder,
     tets: Vec<[Local; 4]>,
     /// Where the tetrahedra of the stars to come begin.
     rest: usize,
     star: Range<usize>,
-    /// The directed edges of the star's triangles that are not told: three each; [`TOLD`] else.
-    edges: Vec<u32>,
+    /// Triangles of the star that are not told.
+    untold: usize,
+    /// For each directed edge between places of the link the third place of the triangle that has it and is not told.
+    thirds: Box<[[u8; MOST]; MOST]>,
+    /// Triangles that are not told and had a vertex without a place when the star began.
+    loose: Vec<[Local; 3]>,
     /// The vertices by local number, and the tetrahedra as they are told: as they will be decoded.
     ids: Vec<u32>,
     told: Vec<Tet>,
@@ -376,11 +390,31 @@ struct Truth {
     counts: std::collections::BTreeMap<usize, [f64; 2]>,
 }
 
-/// No edge.
-const TOLD: u32 = u32::MAX;
+/// No third place.
+const TOLD: u8 = NOBODY as u8;
+
+impl Default for Truth {
+    fn default() -> Self {
+        Self {
+            coder: Encoder::default(),
+            tets: vec![],
+            rest: 0,
+            star: 0..0,
+            untold: 0,
+            thirds: Box::new([[TOLD; MOST]; MOST]),
+            loose: vec![],
+            ids: vec![],
+            told: vec![],
+            #[cfg(test)]
+            counts: Default::default(),
+        }
+    }
+}
 
 /// Of so many edges in a hundred the longer end is within the radius of a neighbourhood.
-const WITHIN: usize = 99;
+const WITHIN: usize = 97;
+/// Of so many tetrahedra one is looked at for that.
+const EACH: usize = 4;
 
 impl Writer {
     /// Encodes canonical tetrahedra, ascending by their first vertices, given where all vertices are; false, with nothing written, if the
@@ -405,7 +439,7 @@ impl Writer {
         let stars = &mut self.stars;
         stars.odds = first_odds();
         stars.set(own as usize, &self.positions, size, tets.len());
-        (self.truth.rest, self.truth.star) = (0, 0..0);
+        self.truth.begin();
         let (end, others) = (&mut self.truth, &self.others);
         let told = stars
             .tell_others(end, first + own, n, others, positions.len() as u32, &mut vec![])
@@ -429,12 +463,20 @@ impl Writer {
 
     /// Lists the others and numbers the vertices; false if there are too many, or a tetrahedron has a vertex twice.
     fn localise(&mut self, tets: &[Tet], first: u32, own: u32, vertices: usize) -> bool {
-        self.numbers.resize(vertices, (0, 0));
-        self.block += 1;
+        self.block = self.block.wrapping_add(1);
+        if self.block == 0 || self.numbers.len() != vertices {
+            self.numbers.clear();
+            self.numbers.resize(vertices, 0);
+            self.block = 1;
+        }
+        let stamp = u32::from(self.block) << 16;
+        let numbers = &mut self.numbers[..];
+        (stamp..).zip(&mut numbers[first as usize..(first + own) as usize]).for_each(|(n, to)| *to = n);
         self.others.clear();
-        for &v in tets.iter().flatten().filter(|&&v| v >= first + own) {
-            if self.numbers[v as usize].0 != self.block {
-                self.numbers[v as usize].0 = self.block;
+        for &v in tets.iter().flat_map(|t| &t[1..]) {
+            let number = &mut numbers[v as usize];
+            if *number < stamp {
+                *number = stamp;
                 self.others.push(v);
             }
         }
@@ -442,33 +484,54 @@ impl Writer {
             return false;
         }
         self.others.sort_unstable();
-        for (&v, i) in self.others.iter().zip(own as Local..) {
-            self.numbers[v as usize].1 = i;
-        }
-        let local = |v: u32| if v < first + own { (v - first) as Local } else { self.numbers[v as usize].1 };
+        (stamp + own..).zip(&self.others).for_each(|(n, &v)| numbers[v as usize] = n);
         let tets_here = &mut self.truth.tets;
         tets_here.clear();
-        tets_here.extend(tets.iter().map(|t| [local(t[0]), local(t[1]), local(t[2]), local(t[3])]));
-        tets_here.iter().all(|&[a, b, c, d]| a < b && a < c && a < d && b != c && c != d && d != b)
+        // The low half is the local number.
+        tets_here.extend(tets.iter().map(|t| t.map(|v| numbers[v as usize] as Local)));
+        let good = |&[a, b, c, d]: &[Local; 4]| (a < b) & (a < c) & (a < d) & (b != c) & (c != d) & (d != b);
+        tets_here.iter().fold(true, |all, t| all & good(t))
     }
 
-    /// The radius of a neighbourhood, as [`Cloud::set`] takes it: from one edge of each tetrahedron.
+    /// The radius of a neighbourhood, as [`Cloud::set`] takes it: from the edges of some tetrahedra to their largest vertices.
     fn size(&self) -> u8 {
         let mut counts = [0usize; 256];
-        for &[a, _, _, d] in &self.truth.tets {
-            let (a, d) = (self.positions[usize::from(a)], self.positions[usize::from(d)]);
+        for &[a, b, c, d] in self.truth.tets.iter().step_by(EACH) {
+            let (a, d) = (self.positions[usize::from(a)], self.positions[usize::from(b.max(c).max(d))]);
             let along = |k: usize| (d[k] as i32).wrapping_sub(a[k] as i32) as f32;
             let square = along(0) * along(0) + along(1) * along(1) + along(2) * along(2);
             let quarter = (square.to_bits() >> 21) as i32 - (127 << 2);
             counts[quarter.clamp(0, 254) as usize + 1] += 1;
         }
-        let wanted = self.truth.tets.len() * WITHIN / 100;
+        let wanted = self.truth.tets.len().div_ceil(EACH) * WITHIN / 100;
         let mut sum = 0;
         let reached = |n: &usize| {
             sum += n;
             sum >= wanted
         };
         counts.iter().position(reached).unwrap_or(255) as u8
+    }
+}
+
+impl Truth {
+    /// Prepares for a block.
+    fn begin(&mut self) {
+        (self.rest, self.star, self.untold) = (0, 0..0, 0);
+        // A block that was given up leaves something.
+        self.thirds.fill([TOLD; MOST]);
+    }
+
+    #[cold]
+    fn loose_apex(&mut self, c: Local, d: Local) -> Local {
+        for i in 0..self.loose.len() {
+            let t = self.loose[i];
+            if let Some(k) = (0..3).find(|&k| t[k] == c && t[(k + 1) % 3] == d) {
+                self.loose.swap_remove(i);
+                self.untold -= 1;
+                return t[(k + 2) % 3];
+            }
+        }
+        NONE
     }
 }
 
@@ -490,46 +553,55 @@ impl End for Truth {
     }
 
     #[inline(always)]
-    fn star(&mut self, v: Local) {
+    fn star(&mut self, v: Local, link: &Link) -> Option<()> {
         let n = self.tets[self.rest..].iter().take_while(|t| t[0] == v).count();
         self.star = self.rest..self.rest + n;
         self.rest += n;
-        self.edges.clear();
-        let edge = |c: Local, d: Local| u32::from(c) << 16 | u32::from(d);
-        for &[_, a, b, c] in &self.tets[self.star.clone()] {
-            self.edges.extend([edge(a, b), edge(b, c), edge(c, a)]);
+        self.untold = n;
+        self.loose.clear();
+        for &[_, t @ ..] in &self.tets[self.star.clone()] {
+            let [Some(a), Some(b), Some(c)] = t.map(|w| link.find(w)) else {
+                self.loose.push(t);
+                continue;
+            };
+            for [from, to, third] in [[a, b, c], [b, c, a], [c, a, b]] {
+                let place = &mut self.thirds[from % MOST][to % MOST];
+                // A directed edge of a mesh has one triangle.
+                if std::mem::replace(place, third as u8) != TOLD {
+                    return None;
+                }
+            }
         }
-        // Whole vectors are searched.
-        self.edges.resize(self.edges.len().next_multiple_of(8), TOLD);
+        Some(())
     }
 
     #[inline(always)]
-    fn apex(&mut self, c: Local, d: Local) -> Option<Local> {
-        let wanted = u32::from(c) << 16 | u32::from(d);
-        let (mut places, mut hits) = ([0u32; 8], [0u32; 8]);
-        for (at, eight) in (1..).zip(self.edges.as_chunks::<8>().0) {
-            for lane in 0..8 {
-                let hit = eight[lane] == wanted;
-                places[lane] = if hit { at } else { places[lane] };
-                hits[lane] += u32::from(hit);
-            }
+    fn apex(&mut self, link: &Link, c: usize, d: usize) -> Local {
+        let (c, d) = (c % MOST, d % MOST);
+        let third = self.thirds[c][d];
+        if third == TOLD {
+            return if self.loose.is_empty() { NONE } else { self.loose_apex(link.id[c], link.id[d]) };
         }
-        let lane = match (hits.iter().sum(), (0..8).find(|&lane| hits[lane] == 1)) {
-            (0, _) => return Some(NONE),
-            (1, Some(lane)) => lane,
-            // A directed edge of a mesh has one triangle.
-            _ => return None,
-        };
-        let i = (places[lane] as usize - 1) * 8 + lane;
-        let [_, t @ ..] = self.tets[self.star.start + i / 3];
-        self.edges[i / 3 * 3..i / 3 * 3 + 3].fill(TOLD);
-        Some(t[(i % 3 + 2) % 3])
+        let third = usize::from(third) % MOST;
+        for (from, to) in [(c, d), (d, third), (third, c)] {
+            self.thirds[from][to] = TOLD;
+        }
+        self.untold -= 1;
+        link.id[third]
     }
 
-    fn untold(&self, to: &mut Vec<[Local; 3]>) {
-        let star = &self.tets[self.star.clone()];
-        let open = star.iter().zip(self.edges.chunks_exact(3)).filter(|(_, e)| e[0] != TOLD);
-        to.extend(open.map(|(&[_, t @ ..], _)| t));
+    fn is_untold(&self) -> bool {
+        self.untold > 0
+    }
+
+    fn untold(&self, link: &Link, to: &mut Vec<[Local; 3]>) {
+        let is_told = |t: &[Local; 3]| match [t[0], t[1], t[2]].map(|w| link.find(w)) {
+            [Some(a), Some(b), Some(c)] => usize::from(self.thirds[a % MOST][b % MOST]) != c,
+            _ => true,
+        };
+        let star = self.tets[self.star.clone()].iter().map(|&[_, t @ ..]| t);
+        to.extend(star.filter(|t| !is_told(t)));
+        to.extend(&self.loose);
     }
 
     #[inline(always)]
@@ -561,14 +633,21 @@ impl End for Told<'_, '_> {
     }
 
     #[inline(always)]
-    fn star(&mut self, _: Local) {}
-
-    #[inline(always)]
-    fn apex(&mut self, _: Local, _: Local) -> Option<Local> {
-        Some(NONE)
+    fn star(&mut self, _: Local, _: &Link) -> Option<()> {
+        Some(())
     }
 
-    fn untold(&self, _: &mut Vec<[Local; 3]>) {}
+    #[inline(always)]
+    fn apex(&mut self, _: &Link, _: usize, _: usize) -> Local {
+        NONE
+    }
+
+    #[inline(always)]
+    fn is_untold(&self) -> bool {
+        false
+    }
+
+    fn untold(&self, _: &Link, _: &mut Vec<[Local; 3]>) {}
 
     #[inline(always)]
     fn tell(&mut self, tet: [Local; 4]) {
