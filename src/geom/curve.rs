@@ -180,7 +180,7 @@ fn round(pos: LatticePos) -> u32 {
 }
 
 /// Sorts by key, stable, 11 bits a pass; passes in which all keys agree are left out.
-fn radix_sort(items: &mut Vec<(u64, u32)>, spare: &mut Vec<(u64, u32)>) {
+pub(crate) fn radix_sort(items: &mut Vec<(u64, u32)>, spare: &mut Vec<(u64, u32)>) {
     const BITS: u32 = 11;
     let Some(first) = items.first().map(|e| e.0) else { return };
     let differ = items.iter().fold(0, |bits, e| bits | (e.0 ^ first));

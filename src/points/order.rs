@@ -1,29 +1,20 @@
 //! The order of sites: Hilbert key, then coordinates; each position once.
 
 use crate::geom::Site;
-use crate::geom::curve::hilbert_key;
+use crate::geom::curve::{hilbert_key, radix_sort};
 
 /// Sorts by (Hilbert key at `bits`, x, y, z) and keeps the lowest id of each position.
 ///
-/// What is sorted is a number for each site, its key above its index in `sites`: a word where both fit, which is three
-/// times as fast as sorting the sites. Keys are nearly distinct; sites of equal keys are put in order afterwards.
+/// What is sorted is the key and the index in `sites`, by radix: the keys of a box have few bits that differ. Keys are nearly
+/// distinct; sites of equal keys are put in order afterwards.
 pub(super) fn sort_and_dedup(sites: &mut Vec<Site>, bits: u32) {
-    let index_bits = usize::BITS - sites.len().leading_zeros();
-    let keys = sites.iter().map(|s| hilbert_key(s.pos, bits)).enumerate();
+    let index = |i: usize| u32::try_from(i).expect("fewer sites than 2^32 fit in memory");
+    let mut keys: Vec<(u64, u32)> =
+        sites.iter().enumerate().map(|(i, s)| (hilbert_key(s.pos, bits), index(i))).collect();
+    radix_sort(&mut keys, &mut vec![]);
     let mut sorted: Vec<Site> = Vec::with_capacity(sites.len());
-    if 3 * bits + index_bits <= u64::BITS {
-        let mut words: Vec<u64> = keys.map(|(i, key)| key << index_bits | i as u64).collect();
-        words.sort_unstable();
-        let index = |w: u64| (w & ((1 << index_bits) - 1)) as usize;
-        for run in words.chunk_by(|a, b| a >> index_bits == b >> index_bits) {
-            append_run(run.iter().map(|&w| sites[index(w)]), &mut sorted);
-        }
-    } else {
-        let mut words: Vec<u128> = keys.map(|(i, key)| u128::from(key) << 64 | i as u128).collect();
-        words.sort_unstable();
-        for run in words.chunk_by(|a, b| a >> 64 == b >> 64) {
-            append_run(run.iter().map(|&w| sites[w as usize]), &mut sorted);
-        }
+    for run in keys.chunk_by(|a, b| a.0 == b.0) {
+        append_run(run.iter().map(|&(_, i)| sites[i as usize]), &mut sorted);
     }
     *sites = sorted;
 }
@@ -53,7 +44,7 @@ mod tests {
     use crate::geom::PointId;
 
     #[test]
-    fn both_widths_of_keys_sort_alike() {
+    fn keys_of_any_width_sort_alike() {
         let site = |i: u64| {
             let pos = [5, 11, 17].map(|s| ((i.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> s) as u32 % 40) << 18);
             Site { id: PointId(i), pos }
