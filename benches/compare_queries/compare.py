@@ -5,44 +5,67 @@
 
 Two questions, of a smooth field (a sphere) and of a busy one (a gyroid of 12 periods):
 
-* *mesh*: the tetrahedra of an archive of Halton points. isospan is a process that opens the archive, whose files are in the page cache, and
-  writes a PLY file, for one isovalue, and for all in one pass; VTK has the mesh in memory, and a scalar tree built (vtkSpanSpace), its best case.
+* *mesh*: the tetrahedra of an archive of Halton points, for one isovalue after another. VTK has the mesh in memory, and a scalar tree built
+  (vtkSpanSpace), its best case. isospan is asked three ways: as a process that opens the archive, whose files are in the page cache, and writes a PLY
+  file ("process"); as a program that has the archive open and asks for surfaces in memory, with nothing kept from one to the next ("open
+  archive") and with decoded blocks kept, all of which earlier questions have needed ("open archive, warm").
 * *volume*: isospan from an archive with 1/8 of the samples of an EDGE^3 f32 volume, vtkFlyingEdges3D on the whole volume in memory.
 
-The oracle of active tetrahedra is brute force over all of them, in numpy. Needs cargo, and a Python with numpy and vtk (PyPI). The mesh goes from
-the archive to VTK by `isospan export`.
+Ratios are of CPU time, which a busy machine disturbs less; with one thread that is the time on a quiet one. The oracle of active tetrahedra is brute
+force over all of them, in numpy. The mesh goes from the archive to VTK by `isospan export`.
+
+Needs cargo, or the built programs (--programs), and Python with numpy and vtk: where they are missing, a virtual environment is made in
+target/compare_queries and vtk is installed there from PyPI.
 """
 import argparse
+import os
 import pathlib
 import statistics
 import subprocess
+import sys
 import tempfile
 import time
-
-import numpy
-import vtk
-from vtk.util.numpy_support import vtk_to_numpy
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 FIELDS = {"smooth": (["sphere"], (-0.12, 0.2)), "busy": (["gyroid", "--periods", "12"], (-0.9, 0.9))}
 
+try:
+    import numpy
+    import vtk
+    from vtk.util.numpy_support import vtk_to_numpy
+except ImportError:
+    folder = ROOT / "target/compare_queries"
+    python = folder / "bin/python"
+    if pathlib.Path(sys.prefix) == folder:
+        raise
+    if not python.exists():
+        subprocess.run([sys.executable, "-m", "venv", folder], check=True)
+        subprocess.run([python, "-m", "pip", "install", "--quiet", "vtk", "numpy"], check=True)
+    os.execv(python, [python, __file__, *sys.argv[1:]])
+
 
 def settings():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--points", type=int, default=1_000_000)
+    parser.add_argument("--points", type=int, default=1_000_000, help="points of the mesh; 0 leaves that question out")
     parser.add_argument("--isovalues", type=int, default=20)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--edge", type=int, default=512, help="samples along an axis of the volume; 0 leaves that question out")
+    parser.add_argument("--fields", nargs="+", choices=FIELDS, default=list(FIELDS))
     parser.add_argument("--scratch", type=pathlib.Path, help="folder for some GB of volumes and meshes")
-    parser.add_argument("--program", help="an isospan to ask instead of the one that is built here")
+    parser.add_argument("--programs", type=pathlib.Path, help="folder with isospan, ask_archive and make_volume, built already")
     return parser.parse_args()
 
 
 def run(*command):
+    """Wall and CPU seconds of a program."""
     start = time.perf_counter()
-    subprocess.run([str(c) for c in command], check=True, stdout=subprocess.DEVNULL)
-    return time.perf_counter() - start
+    process = subprocess.Popen([str(c) for c in command], stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode != 0:
+        raise subprocess.CalledProcessError(process.returncode, command)
+    return time.perf_counter() - start, usage.ru_utime + usage.ru_stime
 
 
 def read(reader, path):
@@ -59,7 +82,7 @@ def tree_of(grid):
 
 
 def vtk_filters(grid, name):
-    """Name -> a function of an isovalue that gives seconds and triangles."""
+    """Label -> filter."""
     filters = {}
     for kind in (vtk.vtkContour3DLinearGrid, vtk.vtkContourGrid):
         for with_tree in (False, True):
@@ -72,15 +95,15 @@ def vtk_filters(grid, name):
                 contour.UseScalarTreeOn()
                 contour.SetScalarTree(tree_of(grid))
             filters[kind.__name__ + (" + vtkSpanSpace" if with_tree else "")] = contour
-    return {label: lambda v, f=f: timed(f, v) for label, f in filters.items()}
+    return filters
 
 
-def timed(contour, isovalue):
+def ask_vtk(contour, isovalue):
     contour.SetValue(0, isovalue)
-    start = time.perf_counter()
+    start = time.perf_counter(), time.process_time()
     contour.Update()
-    output = contour.GetOutput()
-    return time.perf_counter() - start, output.GetNumberOfPolys()
+    took = time.perf_counter() - start[0], time.process_time() - start[1]
+    return took, contour.GetOutput().GetNumberOfPolys()
 
 
 def brute_force(values, tets, isovalue):
@@ -88,12 +111,22 @@ def brute_force(values, tets, isovalue):
     return int(((inside > 0) & (inside < 4)).sum())
 
 
-def table(title, seconds, triangles):
-    print(f"\n{title}\n{'':42} {'ms a query':>10} {'ratio':>7} {'triangles':>11}")
-    ours = statistics.median(seconds["isospan"])
-    for label, all_seconds in seconds.items():
-        median = statistics.median(all_seconds)
-        print(f"{label:42} {1e3 * median:10.1f} {median / ours:7.2f} {triangles[label] / len(all_seconds):11.0f}", flush=True)
+class Table:
+    """What each label took and found, question by question."""
+
+    def __init__(self):
+        self.rows = {}
+
+    def add(self, label, seconds, triangles):
+        self.rows.setdefault(label, []).append((*seconds, triangles))
+
+    def print(self, title, best_of):
+        """Ratios are to the best of the labels that `best_of` accepts."""
+        medians = {label: [statistics.median(column) for column in zip(*rows)] for label, rows in self.rows.items()}
+        best = min(median[1] for label, median in medians.items() if best_of(label))
+        print(f"\n{title}\n{'':42} {'ms':>8} {'CPU ms':>8} {'times faster':>13} {'triangles':>10}")
+        for label, (wall, cpu, triangles) in medians.items():
+            print(f"{label:42} {1e3 * wall:8.1f} {1e3 * cpu:8.1f} {best / cpu:13.2f} {triangles:10.0f}", flush=True)
 
 
 def count_ply(path):
@@ -101,76 +134,94 @@ def count_ply(path):
         return next(int(line.split()[2]) for line in file if line.startswith(b"element face"))
 
 
-def mesh_question(args, program, make_volume, work, field):
+def ask_process(programs, archive, isovalue, threads, out):
+    seconds = run(programs / "isospan", "surface", archive, f"--isovalue={isovalue!r}", "-o", out, "--threads", threads, "-q")
+    return seconds, count_ply(out)
+
+
+def ask_open(programs, archive, isovalues, threads, rounds, kept):
+    """For each round a list of seconds and triangles."""
+    command = [programs / "ask_archive", archive, threads, rounds, kept, *(repr(v) for v in isovalues)]
+    lines = subprocess.run([str(c) for c in command], check=True, capture_output=True, text=True).stdout.split("\n")
+    answers = [[] for _ in range(rounds)]
+    for number, _, wall, cpu, triangles in (line.split() for line in lines if line):
+        answers[int(number)].append(((float(wall), float(cpu)), int(triangles)))
+    return answers
+
+
+def mesh_question(args, programs, work, field):
     (make, (low, high)) = FIELDS[field]
     volume, archive, mesh, out = (work / name for name in ("mesh.nrrd", "mesh.isospan", "mesh.vtu", "out.ply"))
-    run(make_volume, *make, "--dims", "256,256,256", "-o", volume)
-    run(program, "-q", "reduce", volume, "-o", archive, "--points", "halton", "--count", args.points)
-    run(program, "-q", "export", archive, "-o", mesh)
+    run(programs / "make_volume", *make, "--dims", "256,256,256", "-o", volume)
+    run(programs / "isospan", "-q", "reduce", volume, "-o", archive, "--points", "halton", "--count", args.points)
+    volume.unlink()
+    run(programs / "isospan", "-q", "export", archive, "-o", mesh)
     grid = read(vtk.vtkXMLUnstructuredGridReader(), mesh)
+    mesh.unlink()
     array = grid.GetPointData().GetArray(0)
     grid.GetPointData().SetActiveScalars(array.GetName())
     tets = vtk_to_numpy(grid.GetCells().GetConnectivityArray()).reshape(-1, 4)
     filters = vtk_filters(grid, array.GetName())
     isovalues = [float(numpy.float32(v)) for v in numpy.linspace(low, high, args.isovalues)]
-    seconds, triangles = {"isospan": [], "isospan, all in one pass": []}, {"isospan": 0, "isospan, all in one pass": 0}
-    common = ["--threads", args.threads, "-q"]
+    table = Table()
     for _ in range(args.rounds):
         for v in isovalues:
-            seconds["isospan"].append(run(program, "surface", archive, f"--isovalue={v!r}", "-o", out, *common))
-            triangles["isospan"] += count_ply(out)
-            for label, ask in filters.items():
-                took, found = ask(v)
-                seconds.setdefault(label, []).append(took)
-                triangles[label] = triangles.get(label, 0) + found
-        every = "--isovalue=" + ",".join(map(repr, isovalues))
-        one_pass = run(program, "surface", archive, every, "-o", out, *common)
-        seconds["isospan, all in one pass"].append(one_pass / len(isovalues))
-        triangles["isospan, all in one pass"] += count_ply(out) / len(isovalues)
+            table.add("isospan, process", *ask_process(programs, archive, v, args.threads, out))
+        for answer in ask_open(programs, archive, isovalues, args.threads, 1, 0)[0]:
+            table.add("isospan, open archive", *answer)
+        # The first pass over the isovalues reads, the second one finds all blocks kept.
+        for answer in ask_open(programs, archive, 2 * isovalues, args.threads, 1, 4096)[0][len(isovalues) :]:
+            table.add("isospan, open archive, warm", *answer)
+        for label, contour in filters.items():
+            for v in isovalues:
+                table.add(label, *ask_vtk(contour, v))
     print(f"\n{grid.GetNumberOfPoints()} points, {len(tets)} tetrahedra; active ones by brute force, and by isospan:")
     for v in isovalues[:: max(1, len(isovalues) // 4)]:
-        said = subprocess.run(
-            [program, "count", str(archive), f"--isovalue={v!r}", "--json"], check=True, capture_output=True, text=True
-        )
-        print(f"  {v:10.4f} {brute_force(vtk_to_numpy(array), tets, v):10} {said.stdout.strip()[:110]}")
-    table(f"mesh, {field} field, {args.threads} threads", seconds, triangles)
+        command = [programs / "isospan", "count", archive, f"--isovalue={v!r}", "--json"]
+        said = subprocess.run([str(c) for c in command], check=True, capture_output=True, text=True)
+        print(f"  {v:10.4f} {brute_force(vtk_to_numpy(array), tets, v):10} {' '.join(said.stdout.split())[:110]}")
+    table.print(f"mesh, {field} field, {args.threads} threads, medians over isovalues and rounds", lambda label: label.startswith("vtk"))
 
 
-def volume_question(args, program, make_volume, work, field):
+def volume_question(args, programs, work, field):
     (make, (low, high)) = FIELDS[field]
     volume, archive, out = (work / name for name in ("volume.nrrd", "volume.isospan", "out.ply"))
-    run(make_volume, *make, "--dims", f"{args.edge},{args.edge},{args.edge}", "-o", volume)
-    run(program, "-q", "reduce", volume, "-o", archive, "--fraction", "1/8")
+    run(programs / "make_volume", *make, "--dims", f"{args.edge},{args.edge},{args.edge}", "-o", volume)
+    run(programs / "isospan", "-q", "reduce", volume, "-o", archive, "--fraction", "1/8")
     image = read(vtk.vtkNrrdReader(), volume)
     edges = vtk.vtkFlyingEdges3D()
     edges.SetInputData(image)
     edges.ComputeScalarsOff()
-    seconds, triangles = {"isospan": [], "vtkFlyingEdges3D": []}, {"isospan": 0, "vtkFlyingEdges3D": 0}
+    isovalues = [float(numpy.float32(v)) for v in numpy.linspace(low, high, 5)]
+    table = Table()
     for _ in range(args.rounds):
-        for v in numpy.linspace(low, high, 5):
-            ours = run(program, "surface", archive, f"--isovalue={v!r}", "-o", out, "--threads", args.threads, "-q")
-            seconds["isospan"].append(ours)
-            triangles["isospan"] += count_ply(out)
-            took, found = timed(edges, float(v))
-            seconds["vtkFlyingEdges3D"].append(took)
-            triangles["vtkFlyingEdges3D"] += found
-    table(f"volume of {args.edge}^3, {field} field, {args.threads} threads", seconds, triangles)
+        for v in isovalues:
+            table.add("isospan, process", *ask_process(programs, archive, v, args.threads, out))
+            table.add("vtkFlyingEdges3D", *ask_vtk(edges, v))
+        for answer in ask_open(programs, archive, 2 * isovalues, args.threads, 1, 16384)[0][len(isovalues) :]:
+            table.add("isospan, open archive, warm", *answer)
+    table.print(f"volume of {args.edge}^3, {field} field, {args.threads} threads, medians", lambda label: label.startswith("vtk"))
+
+
+def build():
+    """The folder of the programs."""
+    examples = ["--example", "make_volume", "--example", "ask_archive"]
+    subprocess.run(["cargo", "build", "--release", "--quiet", "--bin", "isospan", *examples], cwd=ROOT, check=True)
+    folder = pathlib.Path(tempfile.mkdtemp(prefix="compare_queries"))
+    for path in ("isospan", "examples/make_volume", "examples/ask_archive"):
+        (folder / pathlib.Path(path).name).symlink_to(ROOT / "target/release" / path)
+    return folder
 
 
 def main():
     args = settings()
-    subprocess.run(["cargo", "build", "--release", "--quiet", "--example", "make_volume"], cwd=ROOT, check=True)
-    if not args.program:
-        subprocess.run(["cargo", "build", "--release", "--quiet"], cwd=ROOT, check=True)
-    program = args.program or str(ROOT / "target/release/isospan")
-    make_volume = ROOT / "target/release/examples/make_volume"
+    programs = args.programs.resolve() if args.programs else build()
     vtk.vtkSMPTools.Initialize(args.threads)
-    for field in FIELDS:
-        with tempfile.TemporaryDirectory(dir=args.scratch) as work:
-            mesh_question(args, program, make_volume, pathlib.Path(work), field)
-        if args.edge:
-            with tempfile.TemporaryDirectory(dir=args.scratch) as work:
-                volume_question(args, program, make_volume, pathlib.Path(work), field)
+    for field in args.fields:
+        for wanted, question in ((args.points, mesh_question), (args.edge, volume_question)):
+            if wanted:
+                with tempfile.TemporaryDirectory(dir=args.scratch) as work:
+                    question(args, programs, pathlib.Path(work), field)
 
 
 if __name__ == "__main__":
