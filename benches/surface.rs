@@ -48,6 +48,7 @@ impl Chunk {
             values: &self.values,
             ids: &self.ids,
             shared: &self.shared,
+            numbers: None,
             tets,
         }
     }

@@ -204,3 +204,45 @@ fn a_box_in_the_world_goes_through_the_geometry() {
         pipeline::extract_surface(&out, &outside, &dir.path().join("x.ply"), SurfaceFormat::Ply, &Silent);
     assert!(error.unwrap_err().to_string().contains("outside the volume"));
 }
+
+#[test]
+fn what_an_open_archive_keeps_does_not_show() {
+    let dir = tempfile::tempdir().unwrap();
+    let archive = archive(dir.path(), SetKind::Hammersley);
+    let file = dir.path().join("s.ply");
+    let roi: Option<Roi> = Some("10:30,5:20.5,8:30".parse().unwrap());
+    let questions: Vec<SurfaceSettings> =
+        [(0.1f32, false, None), (0.15, true, None), (-0.3, false, roi), (0.1, false, None)]
+            .into_iter()
+            .flat_map(|(isovalue, cap, roi)| {
+                let settings = SurfaceSettings { cap, roi, threads: 2, ..SurfaceSettings::of(isovalue) };
+                [settings.clone(), SurfaceSettings { isovalues: vec![isovalue, 0.4], ..settings }]
+            })
+            .collect();
+    let alone: Vec<TriMesh> = questions
+        .iter()
+        .flat_map(|q| {
+            q.isovalues.iter().map(|&v| {
+                ask(&archive, &SurfaceSettings { isovalues: vec![v], ..q.clone() }, &file);
+                read(&file)
+            })
+        })
+        .collect();
+    assert!(alone.iter().all(|mesh| mesh.triangles.len() > 100));
+    for kept in [0, 300_000, 256 << 20] {
+        let open = isospan::Archive::open(&archive).unwrap().keeping(kept);
+        let found: Vec<TriMesh> = questions.iter().flat_map(|q| open.surfaces(q).unwrap()).collect();
+        assert!(found == alone, "{kept} bytes kept");
+        assert!(open.kept_bytes() <= kept && (kept == 0 || open.kept_bytes() > kept.min(1 << 20) / 4));
+        // What is kept need not be read again.
+        let settings = SurfaceSettings { threads: 1, ..SurfaceSettings::of(0.1) };
+        let format = SurfaceFormat::Ply;
+        let (first, second) = (
+            open.write_surface(&settings, &file, format, &Silent).unwrap(),
+            open.write_surface(&settings, &file, format, &Silent).unwrap(),
+        );
+        assert_eq!((first.triangles, first.active_blocks), (second.triangles, second.active_blocks));
+        assert_eq!(second.active_bytes == 0, kept > 1 << 20, "{kept}");
+        assert!(read(&file) == alone[0]);
+    }
+}

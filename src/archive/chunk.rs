@@ -185,7 +185,11 @@ fn encode_tets(writer: &mut star::Writer, tets: &mut [Tet], positions: &[Lattice
 
 /// Memory that decoding blocks reuses.
 #[derive(Default)]
-pub struct TetScratch(star::Scratch);
+pub struct TetScratch {
+    stars: star::Scratch,
+    /// 0, 1, 2, …
+    count: Vec<u32>,
+}
 
 /// A tetrahedron block whose vertices are known, and that waits for their positions.
 pub struct TetBlock<'a> {
@@ -213,7 +217,7 @@ impl<'a> TetBlock<'a> {
             }
             TETS_STARS => {
                 let mut ids = vec![];
-                let reader = star::Reader::open(c.rest(), vertices, &mut scratch.0, &mut ids)?;
+                let reader = star::Reader::open(c.rest(), vertices, &mut scratch.stars, &mut ids)?;
                 Ok(Self { vertices: ids, body: Body::Stars(reader) })
             }
             other => Err(Malformed::new("codec", "a known tetrahedron codec", other.to_string())),
@@ -243,7 +247,36 @@ impl<'a> TetBlock<'a> {
         assert_eq!(positions.len(), self.vertices.len(), "one position a vertex");
         match self.body {
             Body::Tuples(tets) => out.extend(tets),
-            Body::Stars(reader) => reader.decode(&mut scratch.0, &self.vertices, positions, out)?,
+            Body::Stars(reader) => reader.decode(&mut scratch.stars, &self.vertices, positions, out)?,
+        }
+        Ok(())
+    }
+
+    /// As [`TetBlock::decode`], with corners told by their places in [`TetBlock::vertices`].
+    ///
+    /// # Errors
+    /// As [`TetBlock::decode`].
+    ///
+    /// # Panics
+    /// As [`TetBlock::decode`].
+    pub fn decode_places(
+        self,
+        positions: &[LatticePos],
+        scratch: &mut TetScratch,
+        out: &mut Vec<Tet>,
+    ) -> Result<(), Malformed> {
+        assert_eq!(positions.len(), self.vertices.len(), "one position a vertex");
+        match self.body {
+            Body::Tuples(tets) => {
+                let place = |v| self.vertices.binary_search(&v).expect("the list has all vertices") as u32;
+                out.extend(tets.iter().map(|t| t.map(place)));
+            }
+            Body::Stars(reader) => {
+                let TetScratch { stars, count } = scratch;
+                let known = count.len() as u32;
+                count.extend(known..(positions.len() as u32).max(known));
+                reader.decode(stars, &count[..positions.len()], positions, out)?;
+            }
         }
         Ok(())
     }
@@ -384,12 +417,19 @@ pub(crate) mod tests {
     fn decode(encoded: &EncodedChunk, positions: &[LatticePos]) -> (ChunkHeader, Vec<Tet>) {
         let header = ChunkHeader::decode(&encoded.blocks[0]).unwrap();
         let (mut all, mut scratch) = (vec![], TetScratch::default());
-        for (n, block) in encoded.blocks[1..].iter().enumerate() {
+        let reopened =
+            |bytes| TetBlock::open(bytes, header.vertices.len(), &mut TetScratch::default()).unwrap();
+        for (n, bytes) in encoded.blocks[1..].iter().enumerate() {
             let before = all.len();
-            let block = TetBlock::open(block, header.vertices.len(), &mut scratch).unwrap();
+            let block = TetBlock::open(bytes, header.vertices.len(), &mut scratch).unwrap();
             let here: Vec<LatticePos> = block.vertices().iter().map(|&v| positions[v as usize]).collect();
             block.decode(&here, &mut scratch, &mut all).unwrap();
             assert_eq!(&all[before..], encoded.block_tets(n), "in the same order, turned the same way");
+            let (block, mut places) = (reopened(bytes), vec![]);
+            let vertices = block.vertices().to_vec();
+            block.decode_places(&here, &mut scratch, &mut places).unwrap();
+            let named: Vec<Tet> = places.iter().map(|t| t.map(|p| vertices[p as usize])).collect();
+            assert_eq!(named, all[before..]);
             assert_eq!(all.len() - before, header.block_tets[n] as usize);
         }
         (header, all)

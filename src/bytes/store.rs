@@ -77,6 +77,30 @@ impl<T: Pod> Store<T> {
         self.tail.chunks(BATCH).try_for_each(each)
     }
 
+    /// Appends records.
+    pub(crate) fn extend(&mut self, mut records: &[T]) -> Result<()> {
+        while !records.is_empty() {
+            if self.tail.len() >= self.most {
+                self.spill()?;
+            }
+            let (now, later) = records.split_at(records.len().min(self.most - self.tail.len()));
+            self.tail.extend_from_slice(now);
+            records = later;
+        }
+        Ok(())
+    }
+
+    /// All records, in order.
+    pub(crate) fn into_vec(self) -> Result<Vec<T>> {
+        if self.written == 0 {
+            return Ok(self.tail);
+        }
+        let mut all = vec![T::zeroed(); self.written as usize];
+        self.read(0, &mut all)?;
+        all.extend_from_slice(&self.tail);
+        Ok(all)
+    }
+
     /// Changes records in place. `patches` ascend by record number.
     pub(crate) fn patch<P>(&mut self, patches: &[(u32, P)], apply: impl Fn(&mut T, &P)) -> Result<()> {
         let on_disk = patches.partition_point(|&(number, _)| u64::from(number) < self.written);
@@ -209,6 +233,8 @@ mod tests {
             let wanted: Vec<[u32; 3]> =
                 (0..count).map(|i| [i, if i % 7 < 2 { i * 3 } else { 0 }, i / 2]).collect();
             assert_eq!(all(&store), wanted, "{memory} bytes of memory");
+            store.extend(&wanted[..40_000]).unwrap();
+            assert_eq!(store.into_vec().unwrap(), [&wanted[..], &wanted[..40_000]].concat());
         }
         assert_eq!(std::fs::read_dir(scratch.path()).unwrap().count(), 0, "the files have no names");
     }

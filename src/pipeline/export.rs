@@ -174,7 +174,7 @@ fn selected(mut chunk: DecodedChunk, settings: &ExportSettings, cut: Option<&Cut
     let mut void = 0;
     let (values, positions) = (&chunk.values, &chunk.positions);
     chunk.tets.retain(|tet: &Tet| {
-        if cut.is_some_and(|cut| !cut.may_touch(tet.map(|v| positions[v as usize]))) {
+        if cut.is_some_and(|cut| !cut.may_touch(&tet.map(|v| positions[v as usize]))) {
             return false;
         }
         let corners = tet.map(|v| values[v as usize]);

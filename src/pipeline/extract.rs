@@ -5,11 +5,12 @@
 //! Blocks of a chunk are decoded one after another into the same small buffer, so the memory of a chunk is that of its corners and
 //! of its surfaces, not of its tetrahedra.
 
+use super::block::{Block, BlockCorners, KeptBlock};
 use super::horizon::Horizon;
 use super::need::{self, SurfaceShares};
 use super::open::OpenArchive;
 use super::query::SurfaceSettings;
-use super::reader::{self, ChunkReader};
+use super::reader::{self, ChunkReader, ReaderMemory, Wanted};
 use super::roi::Cut;
 use crate::error::Result;
 use crate::exec::{Progress, pool};
@@ -20,7 +21,7 @@ use crate::mesh::tet::{Tet, is_active};
 use crate::surface::WorldMap;
 use crate::surface::cap::select_boundary;
 use crate::surface::fans::split_fans;
-use crate::surface::marching_tets::{CellSource, ChunkSurface, select_active};
+use crate::surface::marching_tets::{ChunkSurface, Sides};
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use rayon::prelude::*;
 use std::path::PathBuf;
@@ -68,6 +69,32 @@ pub(super) struct Extracted {
 /// The surfaces of a chunk, one for each isovalue.
 type ChunkSurfaces = Vec<ChunkSurface>;
 
+/// Memory for the chunks to come.
+#[derive(Default)]
+struct Spare {
+    surfaces: Mutex<Vec<ChunkSurface>>,
+    buffers: Mutex<Vec<Buffers>>,
+}
+
+/// What a chunk is read and worked on in.
+#[derive(Default)]
+struct Buffers {
+    reader: ReaderMemory,
+    block: Block,
+    sides: Sides,
+    tets: Vec<Tet>,
+    active: Vec<Tet>,
+}
+
+/// Takes the last one of a list, or a new one.
+fn take<T: Default>(list: &Mutex<Vec<T>>) -> T {
+    list.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+}
+
+fn give<T>(list: &Mutex<Vec<T>>, items: impl IntoIterator<Item = T>) {
+    list.lock().unwrap_or_else(PoisonError::into_inner).extend(items);
+}
+
 /// Extracts all isovalues from the active blocks of all chunks. What memory does not hold goes to `scratch`.
 pub(super) fn extract_surfaces(
     question: &Question<'_>,
@@ -83,7 +110,7 @@ pub(super) fn extract_surfaces(
     let mut weld = Weld::new(question, settings, shares, scratch, progress);
     let pool = pool(settings.threads)?;
     progress.begin("surface", active_blocks, "blocks");
-    let spare = Mutex::new(vec![]);
+    let spare = Spare::default();
     let (mut waiting, mut waiting_bytes, mut next) = (vec![], 0, 0);
     while next < work.len() || !waiting.is_empty() {
         settings.cancel.check()?;
@@ -94,7 +121,8 @@ pub(super) fn extract_surfaces(
         let fit = if waiting.is_empty() { fit.max(1) } else { fit };
         let batch = &work[next..(next + fit).min(work.len())];
         let extract = || batch.par_iter().map(|w| question.chunk_surfaces(w, &spare)).collect::<Vec<_>>();
-        let (welded, extracted) = pool.install(|| rayon::join(|| weld.push(waiting, &spare), extract));
+        let (welded, extracted) =
+            pool.install(|| rayon::join(|| weld.push(waiting, &spare.surfaces), extract));
         welded?;
         if let Some(first) = batch.first() {
             question.archive.close_before(first.chunk);
@@ -139,59 +167,158 @@ impl Question<'_> {
     }
 
     /// The surfaces of a chunk; buffers come from `spare` where there are any.
-    fn chunk_surfaces(&self, work: &ChunkWork, spare: &Mutex<Vec<ChunkSurface>>) -> Result<ChunkSurfaces> {
-        let take = || spare.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default();
-        let mut surfaces: Vec<ChunkSurface> = self.isovalues.iter().map(|_| take()).collect();
-        for (surface, &isovalue) in surfaces.iter_mut().zip(self.isovalues) {
-            surface.start(isovalue);
-        }
-        let mut reader = ChunkReader::open(self.archive, work.chunk)?;
-        let (mut tets, mut active) = (vec![], vec![]);
+    fn chunk_surfaces(&self, work: &ChunkWork, spare: &Spare) -> Result<ChunkSurfaces> {
+        let surfaces = self.isovalues.iter().map(|_| take(&spare.surfaces)).collect();
+        let (mut buffers, mut reader) = (take(&spare.buffers), None);
+        let mut chunk = ChunkWorker { question: self, surfaces, started: false };
         for block in &work.blocks {
-            tets.clear();
-            let mut bytes = reader.tets(block.block, &mut tets)?;
-            reader.load_values(&tets)?;
-            for (surface, &isovalue) in surfaces.iter_mut().zip(self.isovalues) {
-                if is_active(block.min, block.max, isovalue) {
-                    active.clear();
-                    select_active(&tets, reader.values(), isovalue, &mut active);
-                    reader.place(&active)?;
-                    self.keep_in_cut(&reader, &mut active);
-                    surface.add_active(&cells(&reader, &active));
-                    if !active.is_empty() {
-                        // The bytes of a block count once, whatever the number of isovalues.
-                        reader.count_active(std::mem::take(&mut bytes), &active);
-                    }
-                }
-                if let Some(top) = self.caps.filter(|_| isovalue <= block.max) {
-                    active.clear();
-                    reader.place(&tets)?;
-                    select_boundary(&cells(&reader, &tets), top, isovalue, &mut active);
-                    surface.add_caps(&cells(&reader, &active), top);
-                }
+            if let Some(kept) = self.archive.kept.get(work.chunk, block.block) {
+                chunk.add(block, &Held::Kept(&kept), &mut buffers.parts().1, None);
+                continue;
             }
+            let reader = match &mut reader {
+                Some(reader) => reader,
+                None => {
+                    let memory = std::mem::take(&mut buffers.reader);
+                    reader.insert(ChunkReader::open(self.archive, work.chunk, memory)?)
+                }
+            };
+            let (read, mut buffers) = buffers.parts();
+            if !reader.block(block.block, &self.wanted(block), read)? {
+                continue;
+            }
+            self.archive.kept.put(work.chunk, block.block, read);
+            chunk.add(block, &Held::Read(read), &mut buffers, Some(reader));
         }
-        for surface in &mut surfaces {
-            surface.finish(&cells(&reader, &[]), &self.world);
+        if let Some(reader) = reader {
+            self.active_bytes.fetch_add(reader.active_bytes(), Ordering::Relaxed);
+            buffers.reader = reader.into_memory();
         }
-        self.active_bytes.fetch_add(reader.active_bytes(), Ordering::Relaxed);
-        Ok(surfaces)
+        give(&spare.buffers, [buffers]);
+        Ok(chunk.finish())
     }
 
-    fn keep_in_cut(&self, reader: &ChunkReader<'_>, tets: &mut Vec<Tet>) {
+    /// What is wanted of an entry's block; one without active tetrahedra is read for caps only.
+    fn wanted(&self, entry: &Entry) -> Wanted<'_> {
+        match (self.cut, self.caps) {
+            (Some(cut), _) => Wanted::Touching(cut),
+            (None, Some(top)) if !self.isovalues.iter().any(|&v| is_active(entry.min, entry.max, v)) => {
+                Wanted::AtEnds(top)
+            }
+            _ => Wanted::All,
+        }
+    }
+
+    fn keep_in_cut(&self, corners: &BlockCorners, tets: &mut Vec<Tet>) {
         if let Some(cut) = self.cut {
-            tets.retain(|t| cut.may_touch(t.map(|v| reader.positions()[v as usize])));
+            tets.retain(|t| cut.may_touch(&t.map(|v| corners.positions[v as usize])));
         }
     }
 }
 
-fn cells<'a>(reader: &'a ChunkReader<'_>, tets: &'a [Tet]) -> CellSource<'a> {
-    CellSource {
-        positions: reader.positions(),
-        values: reader.values(),
-        ids: reader.ids(),
-        shared: reader.shared(),
-        tets,
+impl Buffers {
+    /// What a block is read into, and what it is worked on in.
+    fn parts(&mut self) -> (&mut Block, BlockBuffers<'_>) {
+        let Self { block, sides, tets, active, .. } = self;
+        (block, BlockBuffers { sides, tets, active })
+    }
+}
+
+struct BlockBuffers<'a> {
+    sides: &'a mut Sides,
+    tets: &'a mut Vec<Tet>,
+    active: &'a mut Vec<Tet>,
+}
+
+/// A block, just read, or kept from before.
+enum Held<'a> {
+    Read(&'a Block),
+    Kept(&'a KeptBlock),
+}
+
+impl Held<'_> {
+    fn corners(&self) -> &BlockCorners {
+        match self {
+            Held::Read(block) => &block.corners,
+            Held::Kept(block) => &block.corners,
+        }
+    }
+
+    /// Replaces `active` by the active tetrahedra.
+    fn select(&self, isovalue: f32, sides: &mut Sides, active: &mut Vec<Tet>) {
+        active.clear();
+        match self {
+            Held::Read(block) => sides.select(&block.tets, &block.corners.values, isovalue, active),
+            Held::Kept(block) => block.select(isovalue, sides, active),
+        }
+    }
+
+    /// All tetrahedra; `buffer` may be needed for them.
+    fn tets<'a>(&'a self, buffer: &'a mut Vec<Tet>) -> &'a [Tet] {
+        match self {
+            Held::Read(block) => &block.tets,
+            Held::Kept(block) => {
+                buffer.clear();
+                block.tets(buffer);
+                buffer
+            }
+        }
+    }
+}
+
+/// The surfaces of a chunk while blocks are added to them.
+struct ChunkWorker<'a> {
+    question: &'a Question<'a>,
+    surfaces: ChunkSurfaces,
+    started: bool,
+}
+
+impl ChunkWorker<'_> {
+    /// Adds a block to the surfaces. `reader` is told if it is active.
+    fn add(
+        &mut self,
+        entry: &Entry,
+        block: &Held<'_>,
+        buffers: &mut BlockBuffers<'_>,
+        mut reader: Option<&mut ChunkReader<'_>>,
+    ) {
+        let (question, corners) = (self.question, block.corners());
+        // The bytes of a block count once, whatever the number of isovalues.
+        let mut bytes = if let Held::Read(block) = block { block.bytes } else { 0 };
+        if !self.started {
+            self.start(corners.of_chunk);
+        }
+        for (surface, &isovalue) in self.surfaces.iter_mut().zip(question.isovalues) {
+            if is_active(entry.min, entry.max, isovalue) {
+                block.select(isovalue, buffers.sides, buffers.active);
+                question.keep_in_cut(corners, buffers.active);
+                surface.add_active(&corners.cells(buffers.active), &question.world);
+                if let Some(reader) = reader.as_mut().filter(|_| !buffers.active.is_empty()) {
+                    let used = buffers.active.iter().flatten().map(|&v| corners.numbers[v as usize]);
+                    reader.count_active(std::mem::take(&mut bytes), used);
+                }
+            }
+            if let Some(top) = question.caps.filter(|_| isovalue <= entry.max) {
+                buffers.active.clear();
+                select_boundary(&corners.cells(block.tets(buffers.tets)), top, isovalue, buffers.active);
+                surface.add_caps(&corners.cells(buffers.active), &question.world, top);
+            }
+        }
+    }
+
+    fn start(&mut self, corners: usize) {
+        for (surface, &isovalue) in self.surfaces.iter_mut().zip(self.question.isovalues) {
+            surface.start(isovalue, corners);
+        }
+        self.started = true;
+    }
+
+    fn finish(mut self) -> ChunkSurfaces {
+        if !self.started {
+            self.start(0);
+        }
+        self.surfaces.iter_mut().for_each(|surface| surface.finish(&self.question.world));
+        self.surfaces
     }
 }
 
@@ -244,7 +371,7 @@ impl<'a> Weld<'a> {
                 self.active_tetrahedra[i] += surface.active_cells();
                 self.builders[i].0.push(surface)?;
             }
-            spare.lock().unwrap_or_else(PoisonError::into_inner).extend(surfaces);
+            give(spare, surfaces);
             let blocks = self.question.work[self.done].blocks.len() as u64;
             self.done += 1;
             self.close_edges()?;

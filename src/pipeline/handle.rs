@@ -4,9 +4,7 @@ use super::export::{ExportReport, ExportSettings, export};
 use super::open::{ArchiveSummary, OpenArchive, summarize_at};
 use super::probe::{ProbeReport, ProbeSettings, probe_grid, sample_grid};
 use super::probe_points::{probe_table, values_at};
-use super::query::{
-    CountReport, SurfaceReport, SurfaceSettings, count_active_at, extract_surface, surface_in_memory,
-};
+use super::query::{CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, write_surfaces};
 use super::spectrum::{self, SpectrumReport};
 use super::steps::StepChoice;
 use super::verify::{ArchiveCheck, check_archive};
@@ -23,6 +21,10 @@ use std::path::{Path, PathBuf};
 ///
 /// Opening reads the manifest. Every question reads what can hold its answer and nothing else; whether it is asked from this
 /// type or from the command line, the answer is the same. Questions may be asked from several threads at one time.
+///
+/// Blocks of tetrahedra that a surface needed are kept, decoded, for the next one: about 20 bytes a tetrahedron, up to
+/// [`Archive::KEPT_BYTES`] or what [`Archive::keeping`] says; those that were not used for the longest time go first. So while an isovalue is
+/// dragged to and fro, a surface costs little more than its triangles.
 ///
 /// What fits in memory is returned ([`Archive::surface`], [`Archive::sample`], [`Archive::probe`], [`Archive::active`]); what may
 /// not is written to a file, in bounded memory, by a method with settings and progress ([`Archive::write_surface`],
@@ -87,7 +89,22 @@ impl Archive {
     /// As [`Archive::open`]; [`crate::Error::Usage`] for a step or a time that is not in the archive.
     pub fn open_at(path: impl AsRef<Path>, step: StepChoice) -> Result<Self> {
         let path = path.as_ref();
-        Ok(Self { open: OpenArchive::open_at(path, step)?, path: path.to_path_buf(), step })
+        let open = OpenArchive::open_at(path, step)?.keeping(Self::KEPT_BYTES);
+        Ok(Self { open, path: path.to_path_buf(), step })
+    }
+
+    /// Bytes of decoded blocks that are kept, unless said otherwise.
+    pub const KEPT_BYTES: usize = 256 << 20;
+
+    /// The same archive, which keeps up to about so many bytes of decoded blocks; 0 for none.
+    #[must_use]
+    pub fn keeping(self, bytes: usize) -> Self {
+        Self { open: self.open.keeping(bytes), ..self }
+    }
+
+    /// Bytes of the blocks that are kept now.
+    pub fn kept_bytes(&self) -> usize {
+        self.open.kept.bytes()
     }
 
     /// What the archive holds.
@@ -118,7 +135,7 @@ impl Archive {
     /// # Errors
     /// [`crate::Error::Usage`] for an isovalue that is not finite; [`crate::Error::BadInput`] for a damaged archive.
     pub fn count(&self, isovalue: f32) -> Result<CountReport> {
-        count_active_at(&self.path, self.step, isovalue)
+        count(&self.open, isovalue)
     }
 
     /// How large isosurfaces are, over the isovalue, and isovalues that are worth a look. Reads some ten thousand bytes.
@@ -205,13 +222,48 @@ impl Archive {
     /// # Errors
     /// As [`Archive::count`]; [`crate::Error::Usage`] for a surface of 2^32 vertices or more.
     pub fn surface(&self, isovalue: f32) -> Result<TriMesh> {
-        surface_in_memory(&self.open, isovalue)
+        let mut surfaces = self.surfaces(&SurfaceSettings::of(isovalue))?;
+        Ok(surfaces.pop().expect("there is a surface for each isovalue"))
+    }
+
+    /// Isosurfaces, in memory, one for each isovalue: cut, capped, with chosen components, decimated, as the settings say.
+    ///
+    /// ```
+    /// # use isospan::{Archive, exec::Silent};
+    /// # use isospan::pipeline::{Amount, ReduceSettings, Refine, RunSettings, SurfaceSettings, reduce};
+    /// # use isospan::surface::components::ComponentFilter;
+    /// # fn main() -> isospan::Result<()> {
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("protein.isospan");
+    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
+    /// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
+    /// let archive = Archive::open(&path)?;
+    /// let largest = ComponentFilter { largest: Some(1), ..ComponentFilter::default() };
+    /// let surfaces = archive.surfaces(&SurfaceSettings {
+    ///     isovalues: vec![80.0, 120.0],
+    ///     cap: true,
+    ///     refine: Refine { components: Some(largest), ..Refine::default() },
+    ///     ..SurfaceSettings::default()
+    /// })?;
+    /// assert!(surfaces[0].triangles.len() > surfaces[1].triangles.len());
+    ///
+    /// // Another isovalue between the two: most blocks are still in memory.
+    /// let between = archive.surface(100.0)?;
+    /// # assert!(archive.kept_bytes() > 0 && !between.triangles.is_empty());
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// As [`super::extract_surface`].
+    pub fn surfaces(&self, settings: &SurfaceSettings) -> Result<Vec<TriMesh>> {
+        surfaces_in_memory(&self.open, settings)
     }
 
     /// Writes isosurfaces to a file, in bounded memory; those of the archive's step, whatever the settings say.
     ///
     /// # Errors
-    /// As [`extract_surface`].
+    /// As [`super::extract_surface`].
     pub fn write_surface(
         &self,
         settings: &SurfaceSettings,
@@ -219,8 +271,7 @@ impl Archive {
         format: SurfaceFormat,
         progress: &dyn Progress,
     ) -> Result<SurfaceReport> {
-        let settings = SurfaceSettings { step: self.step, ..settings.clone() };
-        extract_surface(&self.path, &settings, out, format, progress)
+        write_surfaces(&self.open, settings, out, format, progress)
     }
 
     /// The field, linear in each tetrahedron, at points in world coordinates: NaN outside the domain, and where the source has no data.

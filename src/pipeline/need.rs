@@ -297,7 +297,7 @@ impl Estimate {
 const OPEN_EDGE: u64 = 170;
 /// Bytes for a tetrahedron of an active block of a chunk that is being extracted (its part of the surface, if it is active), for a
 /// vertex of the chunk and each isovalue, and whatever their number.
-const ACTIVE_TET: u64 = 110;
+const ACTIVE_TET: u64 = 120;
 pub(crate) const SURFACE_PER_VERTEX: u64 = 8;
 const DECODED_CHUNK: u64 = 1 << 20;
 /// Bytes of an active block while it is known.

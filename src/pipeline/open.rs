@@ -1,8 +1,9 @@
 //! An archive opened for reading: manifest, point set, grids; segments are opened when first needed.
 
+use super::block::Kept;
 use super::layout::Layout;
 use super::plan::{MeshParts, parts};
-use super::reader::ChunkReader;
+use super::reader::{ChunkReader, ReaderMemory};
 use super::reduce::folder_bytes;
 use super::steps::{StepChoice, View};
 use crate::archive::chunked::ChunkSegment;
@@ -191,6 +192,8 @@ pub(super) struct OpenArchive {
     values: Mutex<BTreeMap<(u64, usize), Arc<ChunkSegment>>>,
     /// Bytes read from segments that are closed again.
     read_before: AtomicU64,
+    /// Blocks that are kept for the next question.
+    pub(super) kept: Kept,
 }
 
 impl OpenArchive {
@@ -258,7 +261,13 @@ impl OpenArchive {
             segments: Mutex::default(),
             values: Mutex::default(),
             read_before: AtomicU64::new(0),
+            kept: Kept::default(),
         })
+    }
+
+    /// The same, which keeps up to about so many bytes of decoded blocks.
+    pub(super) fn keeping(self, bytes: usize) -> Self {
+        Self { kept: Kept::new(bytes), ..self }
     }
 
     pub(super) fn path(&self) -> &Path {
@@ -306,6 +315,7 @@ impl OpenArchive {
     /// Looks at the step at a position in the manifest.
     pub(super) fn turn_to(&mut self, step: usize) {
         self.view = View { step, beyond: None };
+        self.kept = Kept::default();
         self.layout = self.layout.at(self.manifest.steps[step].plan.number);
         // Of the mesh and of other steps nothing changes, but a segment here has values of the step.
         self.close_before(ChunkId(u64::MAX));
@@ -471,14 +481,13 @@ impl OpenArchive {
     /// Decodes `blocks` (numbers within the chunk) of a chunk, and of its values and positions what they use. For a question
     /// that needs but some of that, or a block at a time, there is [`ChunkReader`].
     pub(super) fn decode(&self, id: ChunkId, blocks: &[u32]) -> Result<DecodedChunk> {
-        let mut reader = ChunkReader::open(self, id)?;
+        let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
         let (mut tets, mut block_ends) = (vec![], vec![]);
         for &block in blocks {
             reader.tets(block, &mut tets)?;
             block_ends.push(tets.len());
         }
         reader.load_values(&tets)?;
-        reader.place(&tets)?;
         let core = reader.core();
         let (positions, ids, values, shared) = reader.into_corners();
         Ok(DecodedChunk { positions, ids, values, shared, tets, block_ends, core })

@@ -12,6 +12,7 @@ use crate::error::{Error, Result};
 use crate::formats::coordinates::GridCoordinates;
 use crate::formats::{StepSource, open_coordinates};
 use crate::grid::Geometry;
+use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, TriMesh, Vertex, WorldMap};
 use std::path::Path;
 use xxhash_rust::xxh3::Xxh3;
@@ -158,6 +159,9 @@ impl SurfaceSource for Placed<'_> {
 }
 
 /// A surface in memory, in the world.
-pub(super) fn in_memory(archive: &OpenArchive, surface: &dyn SurfaceSource) -> Result<TriMesh> {
-    in_world(archive, surface, TriMesh::from_source)
+pub(super) fn in_memory(archive: &OpenArchive, surface: StoredSurface) -> Result<TriMesh> {
+    match archive.step().coordinates {
+        Some(_) => in_world(archive, &surface, TriMesh::from_source),
+        None => surface.into_mesh(),
+    }
 }

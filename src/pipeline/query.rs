@@ -1,11 +1,12 @@
 //! Questions to an archive: the index names the blocks that can hold an answer; those are read, and no others.
 
+use super::block::Block;
 use super::commit::mesh_summary;
 use super::extract::{ChunkWork, Extracted, Question, by_chunk, extract_surfaces};
 use super::need;
 use super::open::OpenArchive;
 use super::placed::{in_memory, in_world, world_map};
-use super::reader::ChunkReader;
+use super::reader::{ChunkReader, ReaderMemory, Wanted};
 use super::reduce::folder_bytes;
 use super::refine::{Means, Refine, RefineReport};
 use super::roi::{Cut, Roi, RoiSpace};
@@ -16,14 +17,14 @@ use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_sur
 use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::surface::clip::clip;
-use crate::surface::marching_tets::select_active;
+use crate::surface::marching_tets::Sides;
 use crate::surface::weld::BuilderSettings;
 use crate::surface::{Joined, SurfaceSource, TriMesh};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicU64;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// How surfaces are extracted.
 #[derive(Clone, Debug)]
@@ -119,9 +120,10 @@ pub struct SurfaceReport {
     pub chunks: u64,
     /// Chunks that blocks were read of.
     pub active_chunks: u64,
-    /// Bytes read: manifest, index pages, chunk headers, blocks, values.
+    /// Bytes read: manifest, index pages, chunk headers, blocks, values. An [`crate::Archive`] reads neither the manifest again nor
+    /// blocks that it has kept.
     pub bytes_read: u64,
-    /// Bytes of the blocks, of tetrahedra and of values, that hold an active tetrahedron: what no reader could do without.
+    /// Bytes of the blocks read, of tetrahedra and of values, that hold an active tetrahedron: what no reader could do without.
     pub active_bytes: u64,
     /// Bytes of the archive.
     pub archive_bytes: u64,
@@ -183,18 +185,24 @@ pub fn count_active(path: &Path, isovalue: f32) -> Result<CountReport> {
 /// # Errors
 /// As [`count_active`]; [`Error::Usage`] for a step or a time that is not in the archive.
 pub fn count_active_at(path: &Path, step: StepChoice, isovalue: f32) -> Result<CountReport> {
-    finite(isovalue)?;
     let archive = OpenArchive::open_at(path, step)?;
+    let report = count(&archive, isovalue)?;
+    Ok(CountReport { bytes_read: report.bytes_read + archive.manifest_bytes()?, ..report })
+}
+
+/// As [`count_active`], of an archive that is open; bytes that were read before are not in the report.
+pub(super) fn count(archive: &OpenArchive, isovalue: f32) -> Result<CountReport> {
+    finite(isovalue)?;
     let spectrum = if archive.view.beyond.is_none() { archive.spectrum()? } else { None };
     let stored = match &spectrum {
         Some(file) => file.active(isovalue)?,
         None => archive.view.beyond.is_none().then_some(0),
     };
-    let mut bytes_read = archive.manifest_bytes()? + spectrum.map_or(0, |f| f.segment().bytes_read());
+    let mut bytes_read = spectrum.map_or(0, |f| f.segment().bytes_read());
     let active_tetrahedra = match stored {
         Some(n) => n,
         None => {
-            let (n, bytes) = decoded_count(&archive, isovalue)?;
+            let (n, bytes) = decoded_count(archive, isovalue)?;
             bytes_read += bytes;
             n
         }
@@ -210,22 +218,20 @@ pub fn count_active_at(path: &Path, step: StepChoice, isovalue: f32) -> Result<C
 
 /// Decodes the active blocks; also tells the bytes read.
 fn decoded_count(archive: &OpenArchive, isovalue: f32) -> Result<(u64, u64)> {
-    let index = archive.ranges()?;
+    let (index, read_before) = (archive.ranges()?, archive.bytes_read());
     let refs = index.query_any(&[isovalue])?;
     let count = |work: &ChunkWork| count_in_chunk(archive, work, isovalue);
     let active = by_chunk(archive, &refs)?.par_iter().map(count).sum::<Result<u64>>()?;
-    Ok((active, index.bytes_read() + archive.bytes_read()))
+    Ok((active, index.bytes_read() + archive.bytes_read() - read_before))
 }
 
 fn count_in_chunk(archive: &OpenArchive, work: &ChunkWork, isovalue: f32) -> Result<u64> {
-    let mut reader = ChunkReader::open(archive, work.chunk)?;
-    let (mut tets, mut active, mut count) = (vec![], vec![], 0);
-    for block in &work.blocks {
-        tets.clear();
+    let mut reader = ChunkReader::open(archive, work.chunk, ReaderMemory::default())?;
+    let (mut block, mut sides, mut active, mut count) = (Block::default(), Sides::default(), vec![], 0);
+    for entry in &work.blocks {
+        reader.block(entry.block, &Wanted::All, &mut block)?;
         active.clear();
-        reader.tets(block.block, &mut tets)?;
-        reader.load_values(&tets)?;
-        select_active(&tets, reader.values(), isovalue, &mut active);
+        sides.select(&block.tets, &block.corners.values, isovalue, &mut active);
         count += active.len() as u64;
     }
     Ok(count)
@@ -255,52 +261,31 @@ pub fn extract_surface(
     settings.check()?;
     let start = Instant::now();
     let archive = OpenArchive::open_at(path, settings.step)?;
-    let source = &archive.step().plan.source;
-    let lattice = &archive.manifest.plan.lattice;
-    if settings.roi.is_some_and(|roi| roi.space == RoiSpace::World) {
-        archive.refuse_coordinates("a cut at a box of the world")?;
-    }
-    let cut =
-        settings.roi.map(|roi| roi.cut(&source.geometry, source.dims, lattice.log2_steps)).transpose()?;
-    let index = archive.ranges()?;
-    let refs = if settings.cap {
-        with_inside(&archive, &index, &settings.isovalues)?
-    } else {
-        index.query_any(&settings.isovalues)?
-    };
-    let mut work = by_chunk(&archive, &refs)?;
-    if let Some(cut) = &cut {
-        work = touching(&archive, cut, work)?;
-    }
-    let opened = start.elapsed();
+    let manifest_bytes = archive.manifest_bytes()?;
+    let report = write_surfaces(&archive, settings, out, format, progress)?;
+    let mut report = SurfaceReport { bytes_read: report.bytes_read + manifest_bytes, ..report };
+    // Opening is part of the first stage.
+    let stages: f64 = report.seconds.iter().map(|s| s.1).sum();
+    report.seconds[0].1 += (start.elapsed().as_secs_f64() - stages).max(0.0);
+    Ok(report)
+}
 
-    let start = Instant::now();
-    let question = Question {
-        archive: &archive,
-        isovalues: &settings.isovalues,
-        cut: cut.as_ref(),
-        world: world_map(&archive),
-        caps: settings.cap.then(|| lattice.max()),
-        work,
-        active_bytes: AtomicU64::new(0),
-    };
+/// As [`extract_surface`], from an archive that is open; bytes that were read before are not in the report.
+pub(super) fn write_surfaces(
+    archive: &OpenArchive,
+    settings: &SurfaceSettings,
+    out: &Path,
+    format: SurfaceFormat,
+    progress: &dyn Progress,
+) -> Result<SurfaceReport> {
     let scratch = settings.scratch.clone().unwrap_or_else(|| parent_of(out));
-    let mut surfaces = extract_surfaces(&question, settings, scratch.clone(), progress)?;
-    if let Some(cut) = &cut {
-        cut_all(&mut surfaces, cut, settings.memory, &scratch)?;
-    }
-    let extracted = start.elapsed();
-
+    let mut made = make(archive, settings, &scratch, progress)?;
     let start = Instant::now();
-    let (surfaces, refined) = refine_all(surfaces, settings, &scratch)?;
-    let refining = start.elapsed();
-
-    let start = Instant::now();
-    let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), source.path);
-    let file_bytes = write_all(&archive, &surfaces, &settings.isovalues, out, format, &comment)?;
-    let written = start.elapsed();
+    let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
+    let file_bytes = write_all(archive, &made.surfaces, &settings.isovalues, out, format, &comment)?;
+    made.seconds.push(("write", start.elapsed()));
     let totals = &archive.manifest.counts;
-    let surfaces = describe(&surfaces, refined, &settings.isovalues, archive.value_range(), out);
+    let surfaces = describe(&made.surfaces, made.refined, &settings.isovalues, archive.value_range(), out);
     Ok(SurfaceReport {
         range: archive.value_range(),
         roi: settings.roi,
@@ -312,33 +297,102 @@ pub fn extract_surface(
         active_tetrahedra: surfaces.iter().map(|s| s.active_tetrahedra).sum(),
         surfaces,
         blocks: totals.blocks,
-        active_blocks: question.work.iter().map(|w| w.blocks.len() as u64).sum(),
+        active_blocks: made.active_blocks,
         chunks: totals.chunks,
-        active_chunks: question.work.len() as u64,
-        bytes_read: archive.bytes_read() + index.bytes_read() + archive.manifest_bytes()?,
-        active_bytes: question.active_bytes.into_inner(),
-        archive_bytes: folder_bytes(path)?,
-        seconds: [("open, index", opened), ("extract", extracted), ("refine", refining), ("write", written)]
-            .map(|(name, time)| (name.to_owned(), time.as_secs_f64()))
-            .to_vec(),
+        active_chunks: made.active_chunks,
+        bytes_read: made.bytes_read,
+        active_bytes: made.active_bytes,
+        archive_bytes: folder_bytes(archive.path())?,
+        seconds: made.seconds.iter().map(|(name, time)| ((*name).to_owned(), time.as_secs_f64())).collect(),
     })
 }
 
-/// An isosurface in memory.
-pub(super) fn surface_in_memory(archive: &OpenArchive, isovalue: f32) -> Result<TriMesh> {
-    let settings = SurfaceSettings::of(isovalue);
+/// Surfaces, cut and refined, and what was read for them.
+struct Made {
+    surfaces: Vec<Extracted>,
+    refined: Vec<RefineReport>,
+    active_blocks: u64,
+    active_chunks: u64,
+    bytes_read: u64,
+    active_bytes: u64,
+    seconds: Vec<(&'static str, Duration)>,
+}
+
+fn make(
+    archive: &OpenArchive,
+    settings: &SurfaceSettings,
+    scratch: &Path,
+    progress: &dyn Progress,
+) -> Result<Made> {
     settings.check()?;
+    let start = Instant::now();
+    let read_before = archive.bytes_read();
+    let cut = cut_of(archive, settings)?;
+    let index = archive.ranges()?;
     let question = Question {
         archive,
         isovalues: &settings.isovalues,
-        cut: None,
+        cut: cut.as_ref(),
         world: world_map(archive),
-        caps: None,
-        work: by_chunk(archive, &archive.ranges()?.query_any(&[isovalue])?)?,
+        caps: settings.cap.then(|| archive.manifest.plan.lattice.max()),
+        work: work_of(archive, &index, settings, cut.as_ref())?,
         active_bytes: AtomicU64::new(0),
     };
-    let found = extract_surfaces(&question, &settings, std::env::temp_dir(), &Silent)?;
-    in_memory(archive, &found[0].surface)
+    let opened = start.elapsed();
+
+    let start = Instant::now();
+    let mut surfaces = extract_surfaces(&question, settings, scratch.to_path_buf(), progress)?;
+    if let Some(cut) = &cut {
+        cut_all(&mut surfaces, cut, settings.memory, scratch)?;
+    }
+    let extracted = start.elapsed();
+
+    let start = Instant::now();
+    let (surfaces, refined) = refine_all(surfaces, settings, scratch)?;
+    Ok(Made {
+        surfaces,
+        refined,
+        active_blocks: question.work.iter().map(|w| w.blocks.len() as u64).sum(),
+        active_chunks: question.work.len() as u64,
+        bytes_read: archive.bytes_read() - read_before + index.bytes_read(),
+        active_bytes: question.active_bytes.into_inner(),
+        seconds: vec![("open, index", opened), ("extract", extracted), ("refine", start.elapsed())],
+    })
+}
+
+fn cut_of(archive: &OpenArchive, settings: &SurfaceSettings) -> Result<Option<Cut>> {
+    let Some(roi) = settings.roi else { return Ok(None) };
+    if roi.space == RoiSpace::World {
+        archive.refuse_coordinates("a cut at a box of the world")?;
+    }
+    let source = &archive.step().plan.source;
+    roi.cut(&source.geometry, source.dims, archive.manifest.plan.lattice.log2_steps).map(Some)
+}
+
+/// The blocks that are read.
+fn work_of(
+    archive: &OpenArchive,
+    index: &Ranges<'_>,
+    settings: &SurfaceSettings,
+    cut: Option<&Cut>,
+) -> Result<Vec<ChunkWork>> {
+    let refs = if settings.cap {
+        with_inside(archive, index, &settings.isovalues)?
+    } else {
+        index.query_any(&settings.isovalues)?
+    };
+    let work = by_chunk(archive, &refs)?;
+    match cut {
+        Some(cut) => touching(archive, cut, work),
+        None => Ok(work),
+    }
+}
+
+/// Isosurfaces in memory, in the order of the isovalues.
+pub(super) fn surfaces_in_memory(archive: &OpenArchive, settings: &SurfaceSettings) -> Result<Vec<TriMesh>> {
+    let scratch = settings.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let made = make(archive, settings, &scratch, &Silent)?;
+    made.surfaces.into_iter().map(|found| in_memory(archive, found.surface)).collect()
 }
 
 /// The blocks that are active, and those inside of chunks at the ends of the domain.

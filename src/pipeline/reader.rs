@@ -1,22 +1,24 @@
-//! A chunk of an archive while a question reads it: tetrahedra block by block, and of the corners what is asked for.
+//! A chunk of an archive while a question reads it: block by block, and of the corners what the blocks use.
 //!
 //! ```text
-//!  header (once) ─▶ tets(block): corners, their positions, tetrahedra ─▶ load_values(tets)
+//!  header (once) ─▶ block(n): its corners, their positions ─▶ its tetrahedra ─▶ the corners' values
 //! ```
 //!
 //! The tetrahedra of a block are decoded from the positions of its corners. Values come in blocks of [`BLOCK_VALUES`] and positions
 //! brick by brick (a brick lists its points again from the formula of the point set), each when a corner of theirs is first needed.
 //! So a chunk whose surface is small costs a few bricks.
 
+use super::block::{Block, BlockCorners};
 use super::chunk::MeshedChunk;
 use super::open::{OpenArchive, OpenSegment};
 use super::plan::check_brick;
+use super::roi::Cut;
 use crate::archive::Malformed;
 use crate::archive::chunk::{ChunkHeader, TetBlock, TetScratch};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::values::BLOCK_VALUES;
 use crate::error::{Error, Result};
-use crate::geom::{LatticePos, PointId, Site};
+use crate::geom::{LatticeBox, LatticePos, PointId, Site};
 use crate::grid::{BrickId, Chunk, ChunkId};
 use crate::mesh::tet::Tet;
 use std::sync::Arc;
@@ -34,15 +36,21 @@ pub(super) struct ChunkReader<'a> {
     starts: Vec<u32>,
     halo: Vec<PointId>,
     shared: Vec<bool>,
-    positions: Vec<LatticePos>,
-    ids: Vec<PointId>,
-    values: Vec<f32>,
     /// Bytes of each block of values that has been read; 0 of the others.
     value_bytes: Vec<u32>,
     /// Of each block of values, whether a corner of an active tetrahedron is in it.
     active_values: Vec<bool>,
     /// Bytes of the blocks that hold an active tetrahedron.
     active_bytes: u64,
+    memory: ReaderMemory,
+}
+
+/// The memory of a reader, for the next one: pages that a process has need not be cleared again.
+#[derive(Default)]
+pub(super) struct ReaderMemory {
+    positions: Vec<LatticePos>,
+    ids: Vec<PointId>,
+    values: Vec<f32>,
     /// Buffers: the bytes of a block, the points of a brick, the values of a block.
     bytes: Vec<u8>,
     sites: Vec<Site>,
@@ -57,7 +65,7 @@ pub(super) const BYTES_PER_VERTEX: u64 = 40;
 
 impl<'a> ChunkReader<'a> {
     /// Reads the header of a chunk.
-    pub(super) fn open(archive: &'a OpenArchive, id: ChunkId) -> Result<Self> {
+    pub(super) fn open(archive: &'a OpenArchive, id: ChunkId, mut memory: ReaderMemory) -> Result<Self> {
         archive.expect_chunk(id)?;
         let segment = archive.segment_of(id)?;
         let chunk = archive.chunks.chunk(id);
@@ -65,9 +73,8 @@ impl<'a> ChunkReader<'a> {
         if blocks < 2 {
             return Err(damaged(&segment.mesh, id, "block count", &blocks));
         }
-        let mut bytes = vec![];
-        segment.mesh.block(id, 0, &mut bytes)?;
-        let header = ChunkHeader::decode(&bytes).map_err(|m| segment.mesh.blame(id, 0, m))?.vertices;
+        segment.mesh.block(id, 0, &mut memory.bytes)?;
+        let header = ChunkHeader::decode(&memory.bytes).map_err(|m| segment.mesh.blame(id, 0, m))?.vertices;
         if header.core_counts.len() as u64 != chunk.brick_count() {
             return Err(damaged(&segment.mesh, id, "header", "it has another number of bricks"));
         }
@@ -83,6 +90,7 @@ impl<'a> ChunkReader<'a> {
             *sum += n;
             Some(*sum)
         }));
+        memory.start(vertices);
         Ok(Self {
             archive,
             segment,
@@ -91,17 +99,10 @@ impl<'a> ChunkReader<'a> {
             starts,
             halo: header.halo,
             shared: header.shared,
-            positions: vec![UNPLACED; vertices],
-            ids: vec![PointId(0); vertices],
-            values: vec![f32::NAN; vertices],
             value_bytes: vec![0; value_blocks],
             active_values: vec![false; value_blocks],
             active_bytes: 0,
-            bytes,
-            sites: vec![],
-            decoded: vec![],
-            here: vec![],
-            scratch: TetScratch::default(),
+            memory,
         })
     }
 
@@ -110,86 +111,122 @@ impl<'a> ChunkReader<'a> {
         self.starts[self.starts.len() - 1] as usize
     }
 
-    /// Positions; those of corners that were not placed mean nothing.
-    pub(super) fn positions(&self) -> &[LatticePos] {
-        &self.positions
+    /// Reads a block: its tetrahedra, and all of its corners. False, with nothing in `out`, if it is not wanted.
+    pub(super) fn block(&mut self, number: u32, wanted: &Wanted<'_>, out: &mut Block) -> Result<bool> {
+        out.tets.clear();
+        out.bytes = self.read(number)?;
+        let mut is_wanted = false;
+        self.decoded(number, |reader, bytes| reader.decode_alone(bytes, wanted, &mut is_wanted, out))?;
+        if !is_wanted {
+            return Ok(false);
+        }
+        for i in 0..out.corners.numbers.len() {
+            self.load_value_of(out.corners.numbers[i])?;
+        }
+        let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = &mut out.corners;
+        let memory = &self.memory;
+        gather(&memory.ids, numbers, ids);
+        gather(&memory.values, numbers, values);
+        gather(&self.shared, numbers, shared);
+        std::mem::swap(positions, &mut self.memory.here);
+        *of_chunk = self.shared.len();
+        Ok(true)
     }
 
-    /// Ids; those of corners that were not placed mean nothing.
-    pub(super) fn ids(&self) -> &[PointId] {
-        &self.ids
+    /// Appends the tetrahedra of a block, corners numbered as in the chunk. Finds positions and ids of the block's corners.
+    pub(super) fn tets(&mut self, number: u32, out: &mut Vec<Tet>) -> Result<()> {
+        self.read(number)?;
+        self.decoded(number, |reader, bytes| reader.decode(bytes, out))
     }
 
-    /// Values; NaN where there are none, and where they were not loaded.
-    pub(super) fn values(&self) -> &[f32] {
-        &self.values
-    }
-
-    /// Whether another chunk has the corner too.
-    pub(super) fn shared(&self) -> &[bool] {
-        &self.shared
-    }
-
-    /// Appends the tetrahedra of a block; tells its bytes.
-    pub(super) fn tets(&mut self, block: u32, out: &mut Vec<Tet>) -> Result<u64> {
+    /// Reads the bytes of a block; tells how many.
+    fn read(&mut self, number: u32) -> Result<u64> {
         let (mesh, id) = (&self.segment.mesh, self.chunk.id);
         let blocks = mesh.block_count(id);
         // The first block is the header, the last the summary.
-        let number = u64::from(block) + 1;
-        if number + 1 >= blocks {
-            return Err(damaged(mesh, id, "index", &format!("block {block} of {}", blocks - 2)));
+        let at = u64::from(number) + 1;
+        if at + 1 >= blocks {
+            return Err(damaged(mesh, id, "index", &format!("block {number} of {}", blocks - 2)));
         }
-        mesh.block(id, number, &mut self.bytes)?;
-        let bytes = std::mem::take(&mut self.bytes);
-        let decoded = self.decode(&bytes, out);
-        self.bytes = bytes;
-        decoded?.map_err(|m| self.segment.mesh.blame(id, number, m))?;
-        Ok(self.bytes.len() as u64)
+        mesh.block(id, at, &mut self.memory.bytes)?;
+        Ok(self.memory.bytes.len() as u64)
     }
 
-    /// Finds where the corners of a block are, and decodes it. The inner error is the block's.
-    fn decode(&mut self, bytes: &[u8], out: &mut Vec<Tet>) -> Result<std::result::Result<(), Malformed>> {
-        let block = match TetBlock::open(bytes, self.values.len() as u32, &mut self.scratch) {
+    /// Decodes the bytes that were read. The inner error of `decode` is the block's.
+    fn decoded(
+        &mut self,
+        number: u32,
+        decode: impl FnOnce(&mut Self, &[u8]) -> Result<std::result::Result<(), Malformed>>,
+    ) -> Result<()> {
+        let bytes = std::mem::take(&mut self.memory.bytes);
+        let decoded = decode(self, &bytes);
+        self.memory.bytes = bytes;
+        decoded?.map_err(|m| self.segment.mesh.blame(self.chunk.id, u64::from(number) + 1, m))
+    }
+
+    fn decode_alone(
+        &mut self,
+        bytes: &[u8],
+        wanted: &Wanted<'_>,
+        is_wanted: &mut bool,
+        out: &mut Block,
+    ) -> Result<std::result::Result<(), Malformed>> {
+        let block = match TetBlock::open(bytes, self.shared.len() as u32, &mut self.memory.scratch) {
             Ok(block) => block,
             Err(malformed) => return Ok(Err(malformed)),
         };
-        self.here.clear();
-        for &v in block.vertices() {
-            if self.positions[v as usize] == UNPLACED {
-                self.place_corner(v as usize)?;
-            }
-            self.here.push(self.positions[v as usize]);
+        if !wanted.may_be(|| self.hull_of(block.vertices()))? {
+            return Ok(Ok(()));
         }
-        Ok(block.decode(&self.here, &mut self.scratch, out))
+        out.corners.numbers.clear();
+        out.corners.numbers.extend_from_slice(block.vertices());
+        self.place(block.vertices())?;
+        *is_wanted = wanted.is(&self.memory.here);
+        if !*is_wanted {
+            return Ok(Ok(()));
+        }
+        let ReaderMemory { here, scratch, .. } = &mut self.memory;
+        Ok(block.decode_places(here, scratch, &mut out.tets))
+    }
+
+    fn decode(&mut self, bytes: &[u8], out: &mut Vec<Tet>) -> Result<std::result::Result<(), Malformed>> {
+        let block = match TetBlock::open(bytes, self.shared.len() as u32, &mut self.memory.scratch) {
+            Ok(block) => block,
+            Err(malformed) => return Ok(Err(malformed)),
+        };
+        self.place(block.vertices())?;
+        let ReaderMemory { here, scratch, .. } = &mut self.memory;
+        Ok(block.decode(here, scratch, out))
     }
 
     /// Reads the values of all corners of some tetrahedra.
     pub(super) fn load_values(&mut self, tets: &[Tet]) -> Result<()> {
-        for &v in tets.iter().flatten() {
-            let block = v as usize / BLOCK_VALUES;
-            if self.value_bytes[block] == 0 {
-                self.read_values(block)?;
-            }
-        }
-        Ok(())
+        tets.iter().flatten().try_for_each(|&v| self.load_value_of(v))
+    }
+
+    #[inline]
+    fn load_value_of(&mut self, v: u32) -> Result<()> {
+        let block = v as usize / BLOCK_VALUES;
+        if self.value_bytes[block] == 0 { self.read_values(block) } else { Ok(()) }
     }
 
     #[cold]
     fn read_values(&mut self, block: usize) -> Result<()> {
-        let end = self.values.len().min((block + 1) * BLOCK_VALUES);
-        let place = &mut self.values[block * BLOCK_VALUES..end];
-        self.decoded.clear();
-        let bytes = self.archive.values_block(self.chunk.id, block as u64, place.len(), &mut self.decoded)?;
-        place.copy_from_slice(&self.decoded);
+        let ReaderMemory { values, decoded, .. } = &mut self.memory;
+        let end = values.len().min((block + 1) * BLOCK_VALUES);
+        let place = &mut values[block * BLOCK_VALUES..end];
+        decoded.clear();
+        let bytes = self.archive.values_block(self.chunk.id, block as u64, place.len(), decoded)?;
+        place.copy_from_slice(decoded);
         // A block has at least the byte of its codec.
         self.value_bytes[block] = u32::try_from(bytes).unwrap_or(u32::MAX);
         Ok(())
     }
 
-    /// Notes that a block of so many bytes holds active tetrahedra, these.
-    pub(super) fn count_active(&mut self, block_bytes: u64, active: &[Tet]) {
+    /// Notes that a block of so many bytes holds active tetrahedra, with these corners.
+    pub(super) fn count_active(&mut self, block_bytes: u64, corners: impl Iterator<Item = u32>) {
         self.active_bytes += block_bytes;
-        active.iter().flatten().for_each(|&v| self.active_values[v as usize / BLOCK_VALUES] = true);
+        corners.for_each(|v| self.active_values[v as usize / BLOCK_VALUES] = true);
     }
 
     /// Bytes of the blocks and of the values that hold an active tetrahedron.
@@ -198,12 +235,44 @@ impl<'a> ChunkReader<'a> {
         self.active_bytes + values.filter(|v| *v.1).map(|v| u64::from(*v.0)).sum::<u64>()
     }
 
-    /// Finds positions and ids of all corners of some tetrahedra.
-    pub(super) fn place(&mut self, tets: &[Tet]) -> Result<()> {
-        for &v in tets.iter().flatten() {
-            if self.positions[v as usize] == UNPLACED {
-                self.place_corner(v as usize)?;
+    /// A box that holds some corners, without placing them: those of core corners are in their bricks.
+    fn hull_of(&self, corners: &[u32]) -> Result<LatticeBox> {
+        let (core, bricks) = (self.core(), self.archive.chunks.bricks());
+        let mut hull = LatticeBox { lo: UNPLACED, hi: [0; 3] };
+        let mut brick_end = 0;
+        for &v in corners {
+            let here = if v as usize >= core {
+                let position = self.halo_position(v as usize)?;
+                LatticeBox { lo: position, hi: position.map(|x| x + 1) }
+            } else if v < brick_end {
+                continue;
+            } else {
+                let brick = self.starts.partition_point(|&s| s <= v) - 1;
+                brick_end = self.starts[brick + 1];
+                bricks.brick(self.bricks[brick])
+            };
+            hull.lo = std::array::from_fn(|a| hull.lo[a].min(here.lo[a]));
+            hull.hi = std::array::from_fn(|a| hull.hi[a].max(here.hi[a]));
+        }
+        Ok(hull)
+    }
+
+    fn halo_position(&self, v: usize) -> Result<LatticePos> {
+        let id = self.halo[v - self.core()];
+        let wrong = || damaged(&self.segment.mesh, self.chunk.id, "halo", &format!("no point {:#x}", id.0));
+        self.archive.points.position(id).ok_or_else(wrong)
+    }
+
+    /// Finds the positions of corners, which are then in `here`, and their ids.
+    fn place(&mut self, corners: &[u32]) -> Result<()> {
+        gather(&self.memory.positions, corners, &mut self.memory.here);
+        while let Some(i) = self.memory.here.iter().position(|&p| p == UNPLACED) {
+            for &v in &corners[i..] {
+                if self.memory.positions[v as usize] == UNPLACED {
+                    self.place_corner(v as usize)?;
+                }
             }
+            gather(&self.memory.positions, corners, &mut self.memory.here);
         }
         Ok(())
     }
@@ -211,7 +280,7 @@ impl<'a> ChunkReader<'a> {
     /// Finds positions and ids of all corners.
     pub(super) fn place_all(&mut self) -> Result<()> {
         (0..self.starts.len() - 1).try_for_each(|brick| self.place_brick(brick))?;
-        (self.core()..self.positions.len()).try_for_each(|v| self.place_corner(v))
+        (self.core()..self.shared.len()).try_for_each(|v| self.place_corner(v))
     }
 
     /// A halo corner's position is a formula of its id; a core corner's brick is enumerated.
@@ -222,10 +291,8 @@ impl<'a> ChunkReader<'a> {
             let brick = self.starts.partition_point(|&s| s as usize <= v) - 1;
             return self.place_brick(brick);
         }
-        let id = self.halo[v - core];
-        let position = self.archive.points.position(id);
-        let wrong = || damaged(&self.segment.mesh, self.chunk.id, "halo", &format!("no point {:#x}", id.0));
-        (self.positions[v], self.ids[v]) = (position.ok_or_else(wrong)?, id);
+        self.memory.positions[v] = self.halo_position(v)?;
+        self.memory.ids[v] = self.halo[v - core];
         Ok(())
     }
 
@@ -234,16 +301,17 @@ impl<'a> ChunkReader<'a> {
         let brick = self.archive.chunks.bricks().brick(self.bricks[n]);
         let wrong = |what: &str| damaged(&self.segment.mesh, self.chunk.id, "header", what);
         check_brick(&self.archive.points, &brick).map_err(|e| wrong(&e.to_string()))?;
-        self.archive.points.sites_in(&brick, &mut self.sites);
-        if self.sites.len() != end - first {
-            let (got, said) = (self.sites.len(), end - first);
+        let ReaderMemory { positions, ids, sites, .. } = &mut self.memory;
+        self.archive.points.sites_in(&brick, sites);
+        if sites.len() != end - first {
+            let (got, said) = (sites.len(), end - first);
             return Err(wrong(&format!(
                 "brick {} has {got} points, not the {said} recorded",
                 self.bricks[n].0
             )));
         }
-        for (i, site) in (first..).zip(&self.sites) {
-            (self.positions[i], self.ids[i]) = (site.pos, site.id);
+        for (i, site) in (first..).zip(&*sites) {
+            (positions[i], ids[i]) = (site.pos, site.id);
         }
         Ok(())
     }
@@ -253,17 +321,77 @@ impl<'a> ChunkReader<'a> {
         MeshedChunk {
             core_counts: self.starts.windows(2).map(|w| w[1] - w[0]).collect(),
             halo: self.halo,
-            positions: self.positions,
+            positions: self.memory.positions,
             shared: self.shared,
             tets,
             retries: 0,
         }
     }
 
-    /// What has been read of the corners: positions, ids, values, whether shared.
+    /// What has been read of the corners: positions, ids, values (NaN where not loaded), whether shared.
     pub(super) fn into_corners(self) -> (Vec<LatticePos>, Vec<PointId>, Vec<f32>, Vec<bool>) {
-        (self.positions, self.ids, self.values, self.shared)
+        let ReaderMemory { positions, ids, values, .. } = self.memory;
+        (positions, ids, values, self.shared)
     }
+
+    /// The memory, for another reader.
+    pub(super) fn into_memory(self) -> ReaderMemory {
+        self.memory
+    }
+}
+
+/// Which blocks are wanted, by where their corners are.
+pub(super) enum Wanted<'a> {
+    All,
+    /// Those that may touch a cut.
+    Touching(&'a Cut),
+    /// Those that may have a triangle on the boundary of the domain, which ends here.
+    AtEnds(LatticePos),
+}
+
+impl Wanted<'_> {
+    /// Whether a block is wanted, as far as a box that holds its corners tells.
+    fn may_be(&self, hull: impl FnOnce() -> Result<LatticeBox>) -> Result<bool> {
+        Ok(match self {
+            Self::All => true,
+            Self::Touching(cut) => cut.may_touch_box(&hull()?),
+            Self::AtEnds(top) => {
+                let hull = hull()?;
+                (0..3).any(|a| hull.lo[a] == 0 || hull.hi[a] > top[a])
+            }
+        })
+    }
+
+    /// Whether a block with these corners is wanted.
+    fn is(&self, corners: &[LatticePos]) -> bool {
+        match self {
+            Self::All => true,
+            Self::Touching(cut) => cut.may_touch(corners),
+            Self::AtEnds(top) => {
+                let at_end = |p: &&LatticePos| (0..3).any(|a| p[a] == 0 || p[a] == top[a]);
+                corners.iter().filter(at_end).count() >= 3
+            }
+        }
+    }
+}
+
+impl ReaderMemory {
+    /// Prepares for a chunk. Ids of corners that are not placed, and values that are not loaded, are not asked for.
+    fn start(&mut self, vertices: usize) {
+        self.positions.clear();
+        self.positions.resize(vertices, UNPLACED);
+        self.ids.resize(vertices, PointId(0));
+        self.values.resize(vertices, f32::NAN);
+    }
+}
+
+/// What an array has at certain places. They begin with a run.
+fn gather<T: Copy>(all: &[T], places: &[u32], out: &mut Vec<T>) {
+    out.clear();
+    let Some(&first) = places.first() else { return };
+    let run = places.iter().zip(first..).take_while(|&(&v, expected)| v == expected).count();
+    out.extend_from_slice(&all[first as usize..first as usize + run]);
+    out.extend(places[run..].iter().map(|&v| all[v as usize]));
 }
 
 /// A block that verifies but does not mean anything: written by a faulty program.

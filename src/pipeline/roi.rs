@@ -166,11 +166,12 @@ pub(super) struct Cut {
 }
 
 impl Cut {
-    /// Whether a tetrahedron's bounding box touches the box's hull. Certainly true for one that the box touches.
-    pub(super) fn may_touch(&self, corners: [LatticePos; 4]) -> bool {
+    /// Whether the bounding box of some corners touches the box's hull. Certainly true for those of a tetrahedron that the box
+    /// touches.
+    pub(super) fn may_touch(&self, corners: &[LatticePos]) -> bool {
         (0..3).all(|a| {
-            let along = corners.map(|p| p[a]);
-            along.iter().any(|&x| x >= self.lattice.lo[a]) && along.iter().any(|&x| x < self.lattice.hi[a])
+            let mut along = corners.iter().map(|p| p[a]);
+            along.clone().any(|x| x >= self.lattice.lo[a]) && along.any(|x| x < self.lattice.hi[a])
         })
     }
 

@@ -15,7 +15,7 @@
 use super::chunk::MeshedChunk;
 use super::commit::{index_entries, mesh_summary, value_summary};
 use super::open::OpenArchive;
-use super::reader::{ChunkReader, damaged};
+use super::reader::{ChunkReader, ReaderMemory, damaged};
 use crate::archive::manifest::{Manifest, Step};
 use crate::archive::summary::BlockRange;
 use crate::archive::values::{BLOCK_VALUES, decode_values, needs_before};
@@ -156,7 +156,7 @@ impl OpenArchive {
 
     /// The mesh of a chunk as it is stored: all its vertices, the tetrahedra block after block, and the end of each block.
     pub(super) fn stored_mesh(&self, id: ChunkId) -> Result<(MeshedChunk, Vec<usize>)> {
-        let mut reader = ChunkReader::open(self, id)?;
+        let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
         let (mut tets, mut ends) = (vec![], vec![]);
         let blocks = mesh_summary(&self.segment_of(id)?.mesh, id)?.tet_blocks;
         for block in 0..blocks {

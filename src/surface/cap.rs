@@ -18,17 +18,18 @@
 //! Surface and caps together are the boundary of the inside of the tetrahedra: closed, oriented outwards. A void
 //! tetrahedron has no inside: around missing samples the surface stays open, and its boundary triangles get no cap.
 //!
-//! The normal of a cap's corner is that of the face, on an edge of the box the mean of two. A vertex of the rim is the surface's, with
-//! the surface's normal.
+//! The normal of a cap's corner is that of the face, on an edge of the box the mean of two; so is that of a vertex of the rim, though the
+//! surface has it too: a cap is flat, and decimation leaves few of its corners besides those of the rim.
 
+use super::WorldMap;
 use super::marching_tets::{CellSource, ChunkSurface};
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;
 
 /// The faces of a positively oriented tetrahedron, counter-clockwise seen from outside.
 const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
-/// Length of a corner's part of a gradient: far from overflow, and exact.
-const PULL: f64 = (1u64 << 20) as f64;
+/// What a cap's triangle adds to the gradient at its corners: far more than tetrahedra do at a crossing (about 2^30), far from overflow.
+const PULL: i64 = 1 << 45;
 
 /// The side of the box `0 ..= top` that three points lie on: its axis, and whether it is the upper one.
 fn side_of(corners: [LatticePos; 3], top: LatticePos) -> Option<(usize, bool)> {
@@ -49,8 +50,7 @@ impl ChunkSurface {
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
-    pub fn add_caps(&mut self, cells: &CellSource<'_>, top: LatticePos) {
-        self.reserve(cells);
+    pub fn add_caps(&mut self, cells: &CellSource<'_>, world: &WorldMap, top: LatticePos) {
         for &tet in cells.tets {
             let values = tet.map(|v| cells.values[v as usize]);
             if values.iter().any(|v| v.is_nan()) {
@@ -59,35 +59,42 @@ impl ChunkSurface {
             for face in FACES {
                 let corners = face.map(|i| tet[i]);
                 if let Some(side) = side_of(corners.map(|v| cells.positions[v as usize]), top) {
-                    self.add_cap(cells, corners, side);
+                    self.add_cap(cells, world, corners, side);
                 }
             }
         }
     }
 
     /// Adds the inside part of a boundary triangle.
-    fn add_cap(&mut self, cells: &CellSource<'_>, corners: [u32; 3], (axis, upper): (usize, bool)) {
+    fn add_cap(
+        &mut self,
+        cells: &CellSource<'_>,
+        world: &WorldMap,
+        corners: [u32; 3],
+        (axis, upper): (usize, bool),
+    ) {
         let inside = corners.map(|v| cells.values[v as usize] >= self.isovalue());
         let (mut polygon, mut keys, mut count) = ([0; 4], [(PointId(0), PointId(0)); 4], 0);
         for i in 0..3 {
             let j = (i + 1) % 3;
             let (a, b) = (corners[i], corners[j]);
             if inside[i] {
-                // The gradient is what the normal points away from.
-                let mut pull = [0.0; 3];
-                pull[axis] = if upper { -PULL } else { PULL };
-                polygon[count] = self.cap_corner(a, pull);
+                polygon[count] = self.vertex_on(cells, world, [a, a]);
                 keys[count] = (cells.ids[a as usize], cells.ids[a as usize]);
                 count += 1;
             }
             if inside[i] != inside[j] {
                 let (low, high) = if cells.ids[a as usize] < cells.ids[b as usize] { (a, b) } else { (b, a) };
-                polygon[count] = self.crossing(cells, low, high);
+                polygon[count] = self.vertex_on(cells, world, [low, high]);
                 keys[count] = (cells.ids[low as usize], cells.ids[high as usize]);
                 count += 1;
             }
         }
         let Some(first) = (0..count).min_by_key(|&i| keys[i]) else { return };
+        for &vertex in &polygon[..count] {
+            // The gradient is what the normal points away from.
+            self.pull(vertex, axis, if upper { -PULL } else { PULL });
+        }
         let corner = |i: usize| polygon[(first + i) % count];
         for i in 1..count - 1 {
             self.push_triangle([corner(0), corner(i), corner(i + 1)]);

@@ -3,7 +3,7 @@ use crate::grid::Geometry;
 use crate::surface::check::check;
 use crate::surface::testing::{Grid, assert_sound, mirrored, triangle_set};
 use crate::surface::weld::{BuilderSettings, SurfaceBuilder};
-use crate::surface::{TriMesh, WorldMap};
+use crate::surface::{TriMesh, Vertex, WorldMap};
 
 /// The capped surface, by way of chunks.
 fn capped(grid: &Grid, values: &[f32], isovalue: f32, geometry: &Geometry, chunk: &[usize]) -> TriMesh {
@@ -14,10 +14,10 @@ fn capped(grid: &Grid, values: &[f32], isovalue: f32, geometry: &Geometry, chunk
         let source = part.source();
         let mut at_ends = vec![];
         select_boundary(&source, grid.lattice.max(), isovalue, &mut at_ends);
-        out.start(isovalue);
-        out.add(&source);
-        out.add_caps(&CellSource { tets: &at_ends, ..source }, grid.lattice.max());
-        out.finish(&source, &world);
+        out.start(isovalue, source.ids.len());
+        out.add(&source, &world);
+        out.add_caps(&CellSource { tets: &at_ends, ..source }, &world, grid.lattice.max());
+        out.finish(&world);
         builder.push(&out).unwrap();
     }
     TriMesh::from_source(&builder.finish().unwrap()).unwrap()
@@ -132,6 +132,20 @@ fn caps_look_out_of_the_box() {
             );
         }
     }
+}
+
+#[test]
+fn the_rim_faces_out_of_the_box() {
+    let grid = Grid::new([6, 6, 6]);
+    let mesh = in_one(&grid, &grid.sample(|[x, y, _]| 2.3 - x + 0.2 * y), 0.0);
+    let at = |axis: usize, x: f32| mesh.vertices.iter().filter(move |v| v.position[axis] == x);
+    // The surface leans; its upper and lower rims lie in z = 0 and z = 5.
+    let inner = |v: &&Vertex| v.position[1] > 0.0 && v.position[1] < 5.0 && v.position[0] > 0.0;
+    assert!(at(2, 0.0).filter(inner).count() > 10);
+    assert!(at(2, 0.0).filter(inner).all(|v| v.normal[2] < -0.999), "{:?}", at(2, 0.0).next());
+    assert!(at(2, 5.0).filter(inner).all(|v| v.normal[2] > 0.999));
+    let inside = mesh.vertices.iter().filter(|v| v.position.iter().all(|&x| x > 0.0 && x < 5.0));
+    assert!(inside.clone().count() > 10 && inside.clone().all(|v| v.normal[0] > 0.9));
 }
 
 #[test]

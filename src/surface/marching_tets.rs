@@ -19,7 +19,7 @@
 //!          1                         1
 //! ```
 //!
-//! The table of the 16 cases is derived at compile time (`derive_case`). A tetrahedron with a NaN corner is *void* and
+//! The table of the 16 cases is derived at compile time (`cases.rs`). A tetrahedron with a NaN corner is *void* and
 //! gives nothing: no surface is invented across a hole in the data.
 //!
 //! # Where is a vertex?
@@ -56,20 +56,21 @@
 //!
 //! # Cost
 //!
-//! One look-up for each crossed edge of an active tetrahedron, in a list of the edges of its lower corner; 4 bytes a corner, 68
-//! a vertex and 12 a triangle while a chunk is extracted. Buffers are kept for the next chunk.
+//! One look-up for each crossed edge of an active tetrahedron, in a cache line of the edges of its lower corner (`edges.rs`); 4 bytes a
+//! corner, about 90 a vertex and 12 a triangle while a chunk is extracted. Buffers are kept for the next chunk.
 //!
 //! # References
 //! Doi, Koide 1991, "An efficient method of triangulating equi-valued surfaces by using tetrahedral cells". The clamp
 //! is the symbolic perturbation of a value off the isovalue, made visible enough to leave every triangle an area.
 
+use super::cases::{CASES, ODD, ORDERS};
+use super::edges::{EdgeTable, Found};
 use super::{Vertex, WorldMap};
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;
-use rustc_hash::FxHashMap;
 
-/// The corners and tetrahedra of (a part of) one chunk. Corner arrays are indexed by chunk-local numbers; entries that
-/// no tetrahedron uses may hold anything.
+/// The corners and tetrahedra of (a part of) one chunk. Corner arrays are indexed by the numbers that the tetrahedra use; entries
+/// that no tetrahedron uses may hold anything.
 #[derive(Clone, Copy, Debug)]
 pub struct CellSource<'a> {
     /// Positions of the corners.
@@ -80,6 +81,9 @@ pub struct CellSource<'a> {
     pub ids: &'a [PointId],
     /// Whether tetrahedra of other chunks use the corner. `true` is always right, and costs memory in the builder.
     pub shared: &'a [bool],
+    /// The number that each corner has in the chunk, where `tets` number the corners of a block for themselves: then what is
+    /// looked at lies together.
+    pub numbers: Option<&'a [u32]>,
     /// Positively oriented tetrahedra.
     pub tets: &'a [Tet],
 }
@@ -101,10 +105,13 @@ pub struct ChunkSurface {
     isovalue: f32,
     active_cells: u64,
     edges: EdgeTable,
+    /// The gradient around each edge.
+    sums: Vec<GradientSum>,
     vertices: Vec<Vertex>,
     shared: Vec<SharedEdge>,
     triangles: Vec<[u32; 3]>,
-    /// The active tetrahedra of a block; a buffer.
+    /// Finds the active tetrahedra of a block, which are then here: buffers.
+    sides: Sides,
     active: Vec<Tet>,
 }
 
@@ -113,71 +120,114 @@ pub struct ChunkSurface {
 /// # Panics
 /// When a tetrahedron names a corner that is not there.
 pub fn extract(cells: &CellSource<'_>, isovalue: f32, world: &WorldMap, out: &mut ChunkSurface) {
-    out.start(isovalue);
-    out.add(cells);
-    out.finish(cells, world);
+    out.start(isovalue, cells.ids.len());
+    out.add(cells, world);
+    out.finish(world);
 }
 
 impl ChunkSurface {
-    /// Empties the buffers for another chunk, or another isovalue.
-    pub fn start(&mut self, isovalue: f32) {
+    /// Empties the buffers for another chunk, of so many corners, or another isovalue.
+    pub fn start(&mut self, isovalue: f32, corners: usize) {
         self.isovalue = isovalue;
         self.active_cells = 0;
-        self.edges.clear();
+        self.edges.clear(corners);
+        self.sums.clear();
         self.vertices.clear();
         self.shared.clear();
         self.triangles.clear();
     }
 
-    /// Adds the active tetrahedra of a block. All blocks between `start` and `finish` number their corners alike.
+    /// Adds the active tetrahedra of a block.
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
-    pub fn add(&mut self, cells: &CellSource<'_>) {
+    pub fn add(&mut self, cells: &CellSource<'_>, world: &WorldMap) {
         let mut active = std::mem::take(&mut self.active);
         active.clear();
-        select_active(cells.tets, cells.values, self.isovalue, &mut active);
-        self.add_active(&CellSource { tets: &active, ..*cells });
+        self.sides.select(cells.tets, cells.values, self.isovalue, &mut active);
+        self.add_active(&CellSource { tets: &active, ..*cells }, world);
         self.active = active;
     }
 
-    /// Adds tetrahedra that are known to be active: those that [`select_active`] finds.
+    /// Adds tetrahedra that are known to be active: those that [`Sides::select`] finds.
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
-    pub fn add_active(&mut self, cells: &CellSource<'_>) {
-        self.edges.reserve(cells.ids.len());
+    pub fn add_active(&mut self, cells: &CellSource<'_>, world: &WorldMap) {
         self.active_cells += cells.tets.len() as u64;
-        for &tet in cells.tets {
-            self.add_tet(cells, tet);
+        let corners = Corners { cells, world, isovalue: self.isovalue };
+        // Step after step for many: what takes long in one is then found out while others are worked on.
+        let mut batch = [Sorted::default(); BATCH];
+        for tets in cells.tets.chunks(BATCH) {
+            let batch = &mut batch[..tets.len()];
+            for (sorted, tet) in batch.iter_mut().zip(tets) {
+                sorted.set(cells, tet, self.isovalue);
+            }
+            for sorted in &mut *batch {
+                sorted.gradient = gradient(cells, sorted.corners, sorted.case);
+            }
+            match cells.numbers {
+                Some(numbers) => self.add_sorted(&corners, batch, |c| numbers[c as usize]),
+                None => self.add_sorted(&corners, batch, |c| c),
+            }
         }
     }
 
-    /// Turns the edges into vertices of the world, and the triangles over when `world` mirrors. `corners` is any source
-    /// of the chunk: its tetrahedra are not looked at.
-    pub fn finish(&mut self, corners: &CellSource<'_>, world: &WorldMap) {
-        self.vertices.reserve(self.edges.crossings.len());
-        for (i, (crossing, sum)) in self.edges.crossings.iter().zip(&self.edges.sums).enumerate() {
-            let (a, b) = (crossing.low as usize, crossing.high as usize);
-            let sums = sum.gradient.map(|x| x as f64);
-            let shared = corners.shared[a] && corners.shared[b];
+    /// Adds the triangles of tetrahedra, without a branch that depends on how many: the second triangle, the fourth edge are
+    /// written where there is none too, and ignored.
+    #[inline(always)]
+    fn add_sorted(&mut self, corners: &Corners<'_>, batch: &[Sorted], number: impl Fn(u32) -> u32) {
+        const NOTHING: Gradient = Gradient { along: [0.0; 3], largest: 0.0 };
+        let mut count = self.triangles.len();
+        self.triangles.resize(count + 2 * batch.len(), [0; 3]);
+        for tet in batch {
+            let case = &CASES[usize::from(tet.case)];
+            let mut vertex = [0u32; 4];
+            for (k, vertex) in vertex.iter_mut().enumerate() {
+                let ends = case.edges[k].map(|i| tet.corners[usize::from(i) % 4]);
+                let edge = ends.map(&number);
+                *vertex = match self.edges.find(edge) {
+                    Some(vertex) => vertex,
+                    None => self.find_or_add_behind(corners, ends, edge),
+                };
+                let gradient = if k < 3 || case.triangles == 2 { &tet.gradient } else { &NOTHING };
+                self.sums[*vertex as usize].add(gradient);
+            }
+            for (k, edges) in case.corners.iter().enumerate() {
+                self.triangles[count + k] = edges.map(|e| vertex[usize::from(e) % 4]);
+            }
+            count += usize::from(case.triangles);
+        }
+        self.triangles.truncate(count);
+    }
+
+    /// The vertex of an edge that is not in the first bucket of its chain. `ends` are numbers of the source, `edge` those of the
+    /// chunk.
+    #[inline(never)]
+    fn find_or_add_behind(&mut self, corners: &Corners<'_>, ends: [u32; 2], edge: [u32; 2]) -> u32 {
+        match self.edges.find_or_add_behind(edge) {
+            Found::Known(vertex) => vertex,
+            Found::New(vertex) => {
+                self.sums.push(GradientSum { gradient: [0; 3], unit: corners.unit(ends) });
+                self.vertices.push(corners.vertex(ends));
+                self.shared.extend(corners.shared_edge(ends, vertex));
+                vertex
+            }
+        }
+    }
+
+    /// Ends the chunk: finds normals, and turns the triangles over when `world`, the same as before, mirrors.
+    pub fn finish(&mut self, world: &WorldMap) {
+        let mut shared = self.shared.iter_mut().peekable();
+        for (i, (vertex, sum)) in self.vertices.iter_mut().zip(&self.sums).enumerate() {
+            let edge = shared.next_if(|edge| edge.vertex as usize == i);
             // The sum of a shared edge is known only at the end: until then its normal is the one for want of a sum.
             // A corner of a cap has no other for the time being: any part of its sum has a direction.
-            let normal = if shared && a != b { None } else { world.unit_normal(sums) };
-            self.vertices.push(Vertex {
-                position: world.between(
-                    corners.positions[a],
-                    corners.positions[b],
-                    self.parameter(corners, a, b),
-                ),
-                normal: normal.unwrap_or_else(|| along_edge(corners, a, b, world)),
-            });
-            if shared {
-                self.shared.push(SharedEdge {
-                    key: (corners.ids[a], corners.ids[b]),
-                    vertex: i as u32,
-                    gradient: sum.gradient,
-                });
+            let is_part = edge.as_ref().is_some_and(|edge| edge.key.0 != edge.key.1);
+            let normal = if is_part { None } else { world.unit_normal(sum.gradient.map(|x| x as f64)) };
+            vertex.normal = normal.unwrap_or_else(|| along_edge(vertex.normal, world));
+            if let Some(edge) = edge {
+                edge.gradient = sum.gradient;
             }
         }
         if world.mirrors() {
@@ -207,23 +257,13 @@ impl ChunkSurface {
 
     /// Bytes of memory that the buffers hold.
     pub fn bytes(&self) -> usize {
-        self.edges.heads.capacity() * 4
-            + self.edges.overflow.capacity() * 16
-            + self.edges.crossings.capacity() * (size_of::<Crossing>() + size_of::<GradientSum>())
+        self.edges.bytes()
+            + self.sums.capacity() * size_of::<GradientSum>()
             + self.vertices.capacity() * size_of::<Vertex>()
             + self.shared.capacity() * size_of::<SharedEdge>()
             + self.triangles.capacity() * size_of::<[u32; 3]>()
             + self.active.capacity() * size_of::<Tet>()
-    }
-
-    /// Where on the edge (a, b) the surface crosses it.
-    #[inline]
-    fn parameter(&self, corners: &CellSource<'_>, a: usize, b: usize) -> f64 {
-        const LEAST: f64 = 1.0 / 1024.0;
-        let (fa, fb) = (f64::from(corners.values[a]), f64::from(corners.values[b]));
-        let t = (f64::from(self.isovalue) - fa) / (fb - fa);
-        // Two infinities leave no number; the middle is as good as any point.
-        if t.is_nan() { 0.5 } else { t.clamp(LEAST, 1.0 - LEAST) }
+            + self.sides.0.capacity()
     }
 
     /// The isovalue.
@@ -231,99 +271,162 @@ impl ChunkSurface {
         self.isovalue
     }
 
-    /// Makes room for the corners of a source.
-    pub(super) fn reserve(&mut self, cells: &CellSource<'_>) {
-        self.edges.reserve(cells.ids.len());
+    /// The vertex of a crossed edge, the corner of lower id first; or of a corner itself, as an edge without length.
+    pub(super) fn vertex_on(&mut self, cells: &CellSource<'_>, world: &WorldMap, ends: [u32; 2]) -> u32 {
+        let corners = Corners { cells, world, isovalue: self.isovalue };
+        let edge = ends.map(|c| cells.numbers.map_or(c, |numbers| numbers[c as usize]));
+        self.find_or_add_behind(&corners, ends, edge)
     }
 
-    /// The vertex of a crossed edge, the corner of lower id first.
-    pub(super) fn crossing(&mut self, cells: &CellSource<'_>, low: u32, high: u32) -> u32 {
-        let [from, to] = [low, high].map(|c| cells.positions[c as usize].map(f64::from));
-        let [f, g] = [low, high].map(|c| f64::from(cells.values[c as usize]));
-        self.edges.find_or_add(low, high, || unit(g - f, &from, &to))
-    }
-
-    /// The vertex at a corner itself: an edge without length. `gradient` is added to its sum.
-    pub(super) fn cap_corner(&mut self, corner: u32, gradient: [f64; 3]) -> u32 {
-        let at = self.edges.find_or_add(corner, corner, || 1.0);
-        self.edges.sums[at as usize].add(gradient);
-        at
+    /// Adds to the gradient at a vertex, along an axis of the lattice.
+    pub(super) fn pull(&mut self, vertex: u32, axis: usize, units: i64) {
+        let sum = &mut self.sums[vertex as usize].gradient[axis];
+        *sum = sum.wrapping_add(units);
     }
 
     /// Adds a triangle of vertices that are there.
     pub(super) fn push_triangle(&mut self, triangle: [u32; 3]) {
         self.triangles.push(triangle);
     }
+}
 
+/// The ends of edges, and what is asked about them.
+struct Corners<'a> {
+    cells: &'a CellSource<'a>,
+    world: &'a WorldMap,
+    isovalue: f32,
+}
+
+impl Corners<'_> {
+    /// The power of two that takes |df| |b - a|² to 2^28 … 2^29 (exactly so: only the exponent's bits are looked at); 1 for a
+    /// corner itself.
     #[inline]
-    fn add_tet(&mut self, cells: &CellSource<'_>, tet: Tet) {
-        let (corners, odd) = sort_by_id(tet, cells.ids);
-        let values = corners.map(|c| cells.values[c as usize]);
-        // At most 2^24; unlike u32, i32 converts in one instruction.
-        let positions = corners.map(|c| cells.positions[c as usize].map(|x| f64::from(x as i32)));
-        let inside = (0..4).fold(0, |mask, i| mask | usize::from(values[i] >= self.isovalue) << i);
-        let gradient = gradient(&positions, values, odd);
-        let case = &CASES[usize::from(odd)][inside];
-        let mut vertex = [0u32; 6];
-        for &e in &case.edges[..case.crossed] {
-            let [i, j] = EDGES[e as usize].map(usize::from);
-            let at = self.edges.find_or_add(corners[i], corners[j], || {
-                unit(f64::from(values[j]) - f64::from(values[i]), &positions[i], &positions[j])
-            });
-            self.edges.sums[at as usize].add(gradient);
-            vertex[e as usize] = at;
+    fn unit(&self, [a, b]: [u32; 2]) -> f64 {
+        if a == b {
+            return 1.0;
         }
-        for t in &case.triangles[..case.count] {
-            self.triangles.push(t.map(|e| vertex[e as usize]));
-        }
+        let [p, q] = [a, b].map(|c| self.cells.positions[c as usize].map(f64::from));
+        let [f, g] = [a, b].map(|c| f64::from(self.cells.values[c as usize]));
+        let length2: f64 = (0..3).map(|k| (q[k] - p[k]) * (q[k] - p[k])).sum();
+        let exponent = ((g - f).abs() * length2).to_bits() >> 52;
+        // The product of an f32 difference (2^-149 … 2^129, or infinite) and a squared length (up to 2^50) is a normal
+        // number or infinite, so the exponent below is that of a normal number.
+        f64::from_bits((2 * 1023 + 28 - exponent) << 52)
+    }
+
+    /// The vertex on an edge. Its normal is for the time being what [`along_edge`] takes.
+    #[inline]
+    fn vertex(&self, [a, b]: [u32; 2]) -> Vertex {
+        let [p, q] = [a, b].map(|c| self.cells.positions[c as usize]);
+        let [f, g] = [a, b].map(|c| self.cells.values[c as usize]);
+        let (low, high) = if f < g { (p, q) } else { (q, p) };
+        // At most 2^24 in size: exact.
+        let up = std::array::from_fn(|k| (high[k] as i32 - low[k] as i32) as f32);
+        Vertex { position: self.world.between(p, q, self.parameter(f, g)), normal: up }
+    }
+
+    /// Where on an edge with these values the surface crosses it.
+    #[inline]
+    fn parameter(&self, f: f32, g: f32) -> f64 {
+        const LEAST: f64 = 1.0 / 1024.0;
+        let (f, g) = (f64::from(f), f64::from(g));
+        let t = (f64::from(self.isovalue) - f) / (g - f);
+        // Two infinities leave no number; the middle is as good as any point.
+        if t.is_nan() { 0.5 } else { t.clamp(LEAST, 1.0 - LEAST) }
+    }
+
+    /// What is known of an edge that other chunks may have.
+    #[inline]
+    fn shared_edge(&self, ends: [u32; 2], vertex: u32) -> Option<SharedEdge> {
+        let shared = ends.iter().all(|&c| self.cells.shared[c as usize]);
+        let [a, b] = ends.map(|c| self.cells.ids[c as usize]);
+        shared.then_some(SharedEdge { key: (a, b), vertex, gradient: [0; 3] })
     }
 }
 
-/// Appends the active tetrahedra to `active`: those of which [`crate::mesh::tet::is_active`] holds, found without branches.
-///
-/// # Panics
-/// When a tetrahedron names a corner without a value.
-pub fn select_active(tets: &[Tet], values: &[f32], isovalue: f32, active: &mut Vec<Tet>) {
-    const BATCH: usize = 256;
-    let mut found = [[0; 4]; BATCH];
-    for tets in tets.chunks(BATCH) {
-        let mut count = 0;
-        for &tet in tets {
-            let v = tet.map(|c| values[c as usize]);
-            let inside: u32 = v.iter().map(|&x| u32::from(x >= isovalue)).sum();
-            let outside: u32 = v.iter().map(|&x| u32::from(x < isovalue)).sum();
-            found[count] = tet;
-            // A NaN is neither inside nor outside, so the two counts fall short of 4.
-            count += usize::from((inside > 0) & (outside > 0) & (inside + outside == 4));
-        }
-        active.extend_from_slice(&found[..count]);
+/// Tetrahedra that are worked on together.
+const BATCH: usize = 64;
+
+/// An active tetrahedron, its corners in the order of their ids.
+#[derive(Clone, Copy, Default)]
+struct Sorted {
+    corners: Tet,
+    /// The mask of corners inside, and [`ODD`].
+    case: u8,
+    gradient: Gradient,
+}
+
+impl Sorted {
+    #[inline(always)]
+    fn set(&mut self, cells: &CellSource<'_>, tet: &Tet, isovalue: f32) {
+        let id = tet.map(|c| cells.ids[c as usize]);
+        let swapped = |i: usize, j: usize, bit: u32| usize::from(id[j] < id[i]) << bit;
+        let order = swapped(0, 1, 0) | swapped(0, 2, 1) | swapped(0, 3, 2);
+        let order = order | swapped(1, 2, 3) | swapped(1, 3, 4) | swapped(2, 3, 5);
+        let order = &ORDERS[order];
+        self.corners = order.corners.map(|i| tet[usize::from(i) % 4]);
+        let inside = |i: usize| u8::from(cells.values[self.corners[i] as usize] >= isovalue) << i;
+        self.case = inside(0) | inside(1) | inside(2) | inside(3) | order.odd;
     }
 }
 
-/// The corners in the order of their ids, and whether that is an odd permutation.
-#[inline]
-fn sort_by_id(tet: Tet, ids: &[PointId]) -> (Tet, bool) {
-    let id = tet.map(|c| ids[c as usize]);
-    let swapped = |i: usize, j: usize| usize::from(id[j] < id[i]);
-    let (s01, s02, s03) = (swapped(0, 1), swapped(0, 2), swapped(0, 3));
-    let (s12, s13, s23) = (swapped(1, 2), swapped(1, 3), swapped(2, 3));
-    let rank = [s01 + s02 + s03, 1 - s01 + s12 + s13, 2 - s02 - s12 + s23, 3 - s03 - s13 - s23];
-    let mut sorted = [0; 4];
-    for (corner, rank) in tet.into_iter().zip(rank) {
-        sorted[rank & 3] = corner;
+/// Finds active tetrahedra: on which side of the isovalue each corner is, a byte, is looked up instead of compared.
+#[derive(Clone, Debug, Default)]
+pub struct Sides(Vec<u8>);
+
+impl Sides {
+    /// A corner inside counts 1, one outside 16, a NaN nothing.
+    const OUTSIDE: u8 = 16;
+    /// The sums of four corners of which some are inside and all others outside, as bits.
+    const ACTIVE: u64 = 1 << (1 + 3 * 16) | 1 << (2 + 2 * 16) | 1 << (3 + 16);
+
+    /// Appends the active tetrahedra to `active`: those of which [`crate::mesh::tet::is_active`] holds.
+    ///
+    /// # Panics
+    /// When a tetrahedron names a corner without a value.
+    pub fn select(&mut self, tets: &[Tet], values: &[f32], isovalue: f32, active: &mut Vec<Tet>) {
+        self.set(values, isovalue);
+        self.active_of(tets, active);
     }
-    (sorted, (s01 ^ s02 ^ s03 ^ s12 ^ s13 ^ s23) == 1)
+
+    /// Looks on which side the corners are.
+    pub(crate) fn set(&mut self, values: &[f32], isovalue: f32) {
+        let side = |&v: &f32| u8::from(v >= isovalue) | u8::from(v < isovalue) * Self::OUTSIDE;
+        self.0.clear();
+        self.0.extend(values.iter().map(side));
+    }
+
+    /// Appends the active ones of tetrahedra between the corners, found without branches.
+    ///
+    /// # Panics
+    /// When a tetrahedron names a corner that is not there.
+    #[inline]
+    pub(crate) fn active_of<N: Copy + Into<u32>>(&self, tets: &[[N; 4]], active: &mut Vec<Tet>) {
+        let mut end = active.len();
+        active.resize(end + tets.len(), [0; 4]);
+        for tet in tets {
+            let tet: Tet = tet.map(Into::into);
+            let [a, b, c, d] = tet.map(|c| self.0[c as usize]);
+            active[end] = tet;
+            // Four outside are 64, which counts as 0: not active either.
+            end += (Self::ACTIVE >> ((a + b + c + d) % 64) & 1) as usize;
+        }
+        active.truncate(end);
+    }
 }
 
 /// 6 V ∇f of the linear interpolant, V > 0. Differences and cross products of lattice positions are exact in `f64`; the
 /// rest is rounded, always in the same order because the corners are sorted.
-#[inline]
-fn gradient(p: &[[f64; 3]; 4], f: [f32; 4], odd: bool) -> [f64; 3] {
-    let e: [[f64; 3]; 3] = std::array::from_fn(|i| std::array::from_fn(|k| p[i + 1][k] - p[0][k]));
-    let d: [f64; 3] = std::array::from_fn(|i| f64::from(f[i + 1]) - f64::from(f[0]));
+#[inline(always)]
+fn gradient(cells: &CellSource<'_>, corners: Tet, case: u8) -> Gradient {
+    // At most 2^24; unlike u32, i32 converts in one instruction.
+    let p = corners.map(|c| cells.positions[c as usize].map(|x| x as i32));
+    let f = corners.map(|c| f64::from(cells.values[c as usize]));
+    let e: [[f64; 3]; 3] = std::array::from_fn(|i| std::array::from_fn(|k| f64::from(p[i + 1][k] - p[0][k])));
+    let d: [f64; 3] = std::array::from_fn(|i| f[i + 1] - f[0]);
     let (n1, n2, n3) = (cross(e[1], e[2]), cross(e[2], e[0]), cross(e[0], e[1]));
-    let sign = if odd { -1.0 } else { 1.0 };
-    std::array::from_fn(|k| sign * (d[0] * n1[k] + d[1] * n2[k] + d[2] * n3[k]))
+    let sign = if case & ODD != 0 { -1.0 } else { 1.0 };
+    Gradient::new(std::array::from_fn(|k| sign * (d[0] * n1[k] + d[1] * n2[k] + d[2] * n3[k])))
 }
 
 #[inline]
@@ -331,38 +434,32 @@ fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// The power of two that takes |df| |b - a|² to 2^28 … 2^29 (exactly so: only the exponent's bits are looked at).
-#[inline]
-fn unit(df: f64, a: &[f64; 3], b: &[f64; 3]) -> f64 {
-    let length2: f64 = (0..3).map(|k| (b[k] - a[k]) * (b[k] - a[k])).sum();
-    let exponent = (df.abs() * length2).to_bits() >> 52;
-    // The product of an f32 difference (2^-149 … 2^129, or infinite) and a squared length (up to 2^50) is a normal
-    // number or infinite, so the exponent below is that of a normal number.
-    f64::from_bits((2 * 1023 + 28 - exponent) << 52)
-}
-
-/// The normal for an edge without a gradient sum: that of the shortest gradient with the edge's two values.
+/// The normal for an edge without a gradient sum: that of the shortest gradient with the edge's two values, which goes from the
+/// lower one to the higher one.
 #[cold]
-fn along_edge(corners: &CellSource<'_>, a: usize, b: usize, world: &WorldMap) -> [f32; 3] {
-    let rises = corners.values[a] < corners.values[b];
-    let (low, high) = if rises { (a, b) } else { (b, a) };
-    let (low, high) = (corners.positions[low], corners.positions[high]);
-    let up = std::array::from_fn(|k| f64::from(high[k]) - f64::from(low[k]));
+fn along_edge(up: [f32; 3], world: &WorldMap) -> [f32; 3] {
+    let up = up.map(f64::from);
     world.unit_normal(up).expect("the two ends of an edge differ, and the world map is invertible")
 }
 
-/// A crossed edge while its chunk is extracted.
-#[derive(Clone, Copy, Debug)]
-struct Crossing {
-    /// Chunk-local corners, that of lower id first.
-    low: u32,
-    high: u32,
-    /// The next crossing of the same lower corner.
-    next: u32,
+/// 6 V ∇f of a tetrahedron.
+#[derive(Clone, Copy, Default)]
+struct Gradient {
+    along: [f64; 3],
+    /// The largest component, in size; infinite or NaN if one of them is.
+    largest: f64,
 }
 
-/// No crossing.
-const NONE: u32 = u32::MAX;
+impl Gradient {
+    #[inline(always)]
+    fn new(along: [f64; 3]) -> Self {
+        let [x, y, z] = along.map(f64::abs);
+        let largest = if x > y { x } else { y };
+        let largest = if largest > z { largest } else { z };
+        // Nothing is added but where a component is infinite or NaN.
+        Self { along, largest: largest + (x + y + z) * 0.0 }
+    }
+}
 
 /// The gradient around a crossed edge.
 #[derive(Clone, Copy, Debug)]
@@ -375,11 +472,12 @@ struct GradientSum {
 impl GradientSum {
     /// Adds one tetrahedron's 6 V ∇f, rounded to integers.
     #[inline]
-    fn add(&mut self, g: [f64; 3]) {
-        let term = g.map(|x| x * self.unit);
+    fn add(&mut self, g: &Gradient) {
+        let mut term = g.along.map(|x| x * self.unit);
         // False for a NaN too.
-        let good = (term[0].abs() <= LONGEST) & (term[1].abs() <= LONGEST) & (term[2].abs() <= LONGEST);
-        let term = if good { term } else { shorten(term) };
+        if !(g.largest * self.unit <= LONGEST) {
+            term = shorten(term);
+        }
         for (sum, x) in self.gradient.iter_mut().zip(term) {
             *sum = sum.wrapping_add(round(x));
         }
@@ -407,178 +505,6 @@ fn shorten(term: [f64; 3]) -> [f64; 3] {
 fn round(x: f64) -> i64 {
     const MAGIC: f64 = (3u64 << 51) as f64;
     ((x + MAGIC).to_bits() as i64).wrapping_sub(MAGIC.to_bits() as i64)
-}
-
-/// The crossed edges of a chunk, found by their corners.
-///
-/// Each corner heads a list of the edges of which it is the lower one. Neighbouring tetrahedra have neighbouring corners,
-/// so both the heads and the lists are in cache, which the slots of a hash table are not (it spent 40 % of the extraction
-/// waiting for them); sums are kept apart, so that a list is in few cache lines. A corner of enormous degree would make a list slow: what
-/// exceeds `LONGEST_LIST` goes to a hash table.
-#[derive(Debug, Default)]
-struct EdgeTable {
-    crossings: Vec<Crossing>,
-    /// As many, of the same numbers.
-    sums: Vec<GradientSum>,
-    /// First crossing of each corner; `NONE` without.
-    heads: Vec<u32>,
-    /// The edges that did not fit their lists; looked up, never iterated.
-    overflow: FxHashMap<(u32, u32), u32>,
-}
-
-impl EdgeTable {
-    const LONGEST_LIST: usize = 32;
-
-    /// Forgets all edges, in time proportional to their number.
-    fn clear(&mut self) {
-        for crossing in self.crossings.drain(..) {
-            self.heads[crossing.low as usize] = NONE;
-        }
-        self.sums.clear();
-        self.overflow.clear();
-    }
-
-    /// Makes room for corners below `corners`.
-    fn reserve(&mut self, corners: usize) {
-        if self.heads.len() < corners {
-            self.heads.resize(corners, NONE);
-        }
-    }
-
-    #[inline]
-    fn find_or_add(&mut self, low: u32, high: u32, unit: impl FnOnce() -> f64) -> u32 {
-        let first = self.heads[low as usize];
-        let (mut at, mut length) = (first, 0);
-        while at != NONE {
-            let crossing = &self.crossings[at as usize];
-            if crossing.high == high {
-                return at;
-            }
-            (at, length) = (crossing.next, length + 1);
-        }
-        let number = self.crossings.len() as u32;
-        assert!(number < NONE, "a chunk has fewer than 2^32 - 1 crossed edges");
-        if length < Self::LONGEST_LIST {
-            self.heads[low as usize] = number;
-        } else if let Some(known) = self.find_or_add_overflow((low, high), number) {
-            return known;
-        }
-        self.crossings.push(Crossing { low, high, next: first });
-        self.sums.push(GradientSum { gradient: [0; 3], unit: unit() });
-        number
-    }
-
-    #[cold]
-    fn find_or_add_overflow(&mut self, key: (u32, u32), number: u32) -> Option<u32> {
-        let known = *self.overflow.entry(key).or_insert(number);
-        (known != number).then_some(known)
-    }
-}
-
-/// The six edges of a tetrahedron with sorted corners, in the order of their keys.
-const EDGES: [[u8; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
-
-/// What to do with a tetrahedron of sorted corners.
-#[derive(Clone, Copy, Debug)]
-struct Case {
-    /// Crossed edges, ascending; the first `crossed` count.
-    edges: [u8; 4],
-    crossed: usize,
-    /// Triangles as edge numbers, each beginning with its smallest; the first `count` count.
-    triangles: [[u8; 3]; 2],
-    count: usize,
-}
-
-/// By orientation (positive, negative) and the mask of corners inside.
-static CASES: [[Case; 16]; 2] = {
-    let none = Case { edges: [0; 4], crossed: 0, triangles: [[0; 3]; 2], count: 0 };
-    let mut cases = [[none; 16]; 2];
-    let mut mask = 1;
-    while mask < 15 {
-        let case = derive_case(mask);
-        let [[a, b, c], [d, e, f]] = case.triangles;
-        cases[0][mask] = case;
-        cases[1][mask] = Case { triangles: [[a, c, b], [d, f, e]], ..case };
-        mask += 1;
-    }
-    cases
-};
-
-/// The case of a mask that is neither empty nor full, the corners positively oriented.
-///
-/// In a positively oriented tetrahedron (i, j, k, l), the triangle (ij, ik, il) looks away from i, and the quadrilateral
-/// (ik, il, jl, jk) from i and j to k and l. So list the corners inside, then those outside, each ascending; one corner
-/// alone is put first; an odd list, or a corner alone outside, turns the polygon over.
-const fn derive_case(mask: usize) -> Case {
-    let inside = mask.count_ones();
-    let alone_outside = inside == 3;
-    let first = if alone_outside { !mask & 15 } else { mask };
-    let mut list = [0u8; 4];
-    let (mut n, mut corner) = (0, 0);
-    while corner < 8 {
-        // Two rounds over the four corners: those of `first`, then the others.
-        if (first >> (corner % 4) & 1 == 1) == (corner < 4) {
-            list[n] = corner as u8 % 4;
-            n += 1;
-        }
-        corner += 1;
-    }
-    let [i, j, k, l] = list;
-    let turn = is_odd(list) != alone_outside;
-    if inside != 2 {
-        let edges = [edge(i, j), edge(i, k), edge(i, l), 0];
-        let triangle = if turn { [edges[0], edges[2], edges[1]] } else { [edges[0], edges[1], edges[2]] };
-        return Case { edges, crossed: 3, triangles: [triangle, [0; 3]], count: 1 };
-    }
-    let quad = [edge(i, k), edge(i, l), edge(j, l), edge(j, k)];
-    let quad = if turn { [quad[0], quad[3], quad[2], quad[1]] } else { quad };
-    // Begin at the smallest edge: the diagonal starts there.
-    let mut s = 0;
-    let mut at = 1;
-    while at < 4 {
-        if quad[at] < quad[s] {
-            s = at;
-        }
-        at += 1;
-    }
-    let (p, q, r, t) = (quad[s], quad[(s + 1) % 4], quad[(s + 2) % 4], quad[(s + 3) % 4]);
-    Case { edges: sorted([p, q, r, t]), crossed: 4, triangles: [[p, q, r], [p, r, t]], count: 2 }
-}
-
-/// The number of the edge between two corners.
-const fn edge(a: u8, b: u8) -> u8 {
-    let mut e = 0;
-    while e < 6 {
-        let [i, j] = EDGES[e];
-        if (i == a && j == b) || (i == b && j == a) {
-            return e as u8;
-        }
-        e += 1;
-    }
-    panic!("two different corners of a tetrahedron have an edge");
-}
-
-const fn is_odd(list: [u8; 4]) -> bool {
-    let (mut odd, mut i) = (false, 0);
-    while i < 16 {
-        odd ^= i / 4 < i % 4 && list[i / 4] > list[i % 4];
-        i += 1;
-    }
-    odd
-}
-
-const fn sorted(mut list: [u8; 4]) -> [u8; 4] {
-    let mut i = 0;
-    while i < 16 {
-        let (a, b) = (i / 4, i % 4);
-        if a < b && list[a] > list[b] {
-            let swap = list[a];
-            list[a] = list[b];
-            list[b] = swap;
-        }
-        i += 1;
-    }
-    list
 }
 
 #[cfg(test)]

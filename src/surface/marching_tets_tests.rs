@@ -1,4 +1,6 @@
+use super::super::cases::{EDGES, is_odd};
 use super::super::check::boundary_outside;
+use super::super::edges::NO_BUCKET;
 use super::super::testing::{Grid, assert_sound, mirrored, triangle_set};
 use super::*;
 use crate::geom::Lattice;
@@ -26,8 +28,14 @@ fn one_tet(values: [f32; 4], ids: [u64; 4], tet: Tet, geometry: &Geometry) -> Tr
     let lattice = Lattice::new([5, 5, 5]).unwrap();
     let positions = [[0, 0, 0], [3, 0, 1], [1, 4, 0], [0, 1, 3]].map(|p| lattice.of_voxel(p));
     let ids = ids.map(PointId);
-    let cells =
-        CellSource { positions: &positions, values: &values, ids: &ids, shared: &[true; 4], tets: &[tet] };
+    let cells = CellSource {
+        positions: &positions,
+        values: &values,
+        ids: &ids,
+        shared: &[true; 4],
+        numbers: None,
+        tets: &[tet],
+    };
     let mut out = ChunkSurface::default();
     extract(&cells, 0.0, &WorldMap::new(&lattice, geometry), &mut out);
     TriMesh { vertices: out.vertices().to_vec(), triangles: out.triangles().to_vec() }
@@ -91,13 +99,14 @@ fn the_order_of_corners_does_not_matter() {
 
 #[test]
 fn quadrilaterals_are_cut_at_their_smallest_edge() {
-    for (mask, case) in CASES.iter().flat_map(|cases| cases.iter().enumerate()) {
-        let crossed: Vec<u8> =
-            (0..6).filter(|&e| EDGES[e as usize].map(|c| mask >> c & 1).iter().sum::<usize>() == 1).collect();
-        assert_eq!(case.edges[..case.crossed], crossed[..], "{mask:04b}");
-        for t in &case.triangles[..case.count] {
-            assert_eq!(t[0], crossed[0], "{mask:04b}: the smallest edge begins every triangle");
-            assert!(t.iter().all(|e| crossed.contains(e)));
+    for (mask, case) in CASES.iter().enumerate() {
+        let crossed: Vec<[u8; 2]> =
+            EDGES.into_iter().filter(|ends| ends.map(|c| mask >> c & 1).iter().sum::<usize>() == 1).collect();
+        assert_eq!(usize::from(case.triangles), crossed.len().saturating_sub(2), "{mask:05b}");
+        assert_eq!(case.edges[..crossed.len()], crossed[..], "{mask:05b}");
+        for t in &case.corners[..usize::from(case.triangles)] {
+            assert_eq!(t[0], 0, "{mask:05b}: the smallest edge begins every triangle");
+            assert!(t.iter().all(|&e| usize::from(e) < crossed.len()));
         }
     }
 }
@@ -112,7 +121,7 @@ fn active_is_the_shared_rule() {
     let tets: Vec<Tet> = (0..1296u32).map(|i| [4 * i, 4 * i + 1, 4 * i + 2, 4 * i + 3]).collect();
     for isovalue in [-2.0, -1.0, 0.0, 0.5, 1.0, 2.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
         let mut active = vec![];
-        select_active(&tets, &flat, isovalue, &mut active);
+        Sides::default().select(&tets, &flat, isovalue, &mut active);
         let is_active = |v: [f32; 4]| tet::range(v).is_some_and(|(lo, hi)| tet::is_active(lo, hi, isovalue));
         let wanted: Vec<Tet> =
             tets.iter().zip(&values).filter(|(_, v)| is_active(**v)).map(|(t, _)| *t).collect();
@@ -270,6 +279,30 @@ fn chunks_do_not_show() {
     }
 }
 
+/// Adds a block whose corners have numbers of their own.
+fn add_numbered_alone(block: &CellSource<'_>, world: &WorldMap, out: &mut ChunkSurface) {
+    let mut numbers: Vec<u32> = block.tets.iter().flatten().copied().collect();
+    numbers.sort_unstable_by_key(|v| std::cmp::Reverse(*v));
+    numbers.dedup();
+    let own = |v: u32| numbers.iter().position(|&n| n == v).unwrap() as u32;
+    let tets: Vec<Tet> = block.tets.iter().map(|t| t.map(own)).collect();
+    let positions: Vec<LatticePos> = numbers.iter().map(|&v| block.positions[v as usize]).collect();
+    let values: Vec<f32> = numbers.iter().map(|&v| block.values[v as usize]).collect();
+    let ids: Vec<PointId> = numbers.iter().map(|&v| block.ids[v as usize]).collect();
+    let shared: Vec<bool> = numbers.iter().map(|&v| block.shared[v as usize]).collect();
+    out.add(
+        &CellSource {
+            positions: &positions,
+            values: &values,
+            ids: &ids,
+            shared: &shared,
+            numbers: Some(&numbers),
+            tets: &tets,
+        },
+        world,
+    );
+}
+
 #[test]
 fn blocks_of_a_chunk_are_one_chunk() {
     let grid = Grid::new([9; 3]);
@@ -280,15 +313,22 @@ fn blocks_of_a_chunk_are_one_chunk() {
         values: &values,
         ids: &grid.ids,
         shared: &shared,
+        numbers: None,
         tets,
     };
     let world = WorldMap::new(&grid.lattice, &Geometry::default());
     let (mut once, mut blocks) = (ChunkSurface::default(), ChunkSurface::default());
     extract(&source(&grid.tets), 0.0, &world, &mut once);
     for _ in 0..2 {
-        blocks.start(0.0);
-        grid.tets.chunks(97).for_each(|tets| blocks.add(&source(tets)));
-        blocks.finish(&source(&[]), &world);
+        blocks.start(0.0, values.len());
+        grid.tets.chunks(97).for_each(|tets| blocks.add(&source(tets), &world));
+        blocks.finish(&world);
+        assert_eq!((blocks.vertices(), blocks.triangles()), (once.vertices(), once.triangles()));
+        blocks.start(0.0, values.len());
+        for tets in grid.tets.chunks(97) {
+            add_numbered_alone(&source(tets), &world, &mut blocks);
+        }
+        blocks.finish(&world);
         assert_eq!((blocks.vertices(), blocks.triangles()), (once.vertices(), once.triangles()));
         assert_eq!(blocks.active_cells(), once.active_cells());
         assert!(blocks.shared_edges().is_empty() && blocks.bytes() > 0);
@@ -398,20 +438,26 @@ proptest! {
 #[test]
 fn corners_of_any_degree_find_their_edges() {
     let mut table = EdgeTable::default();
-    table.reserve(2000);
     for _ in 0..3 {
-        let edges: Vec<(u32, u32)> = (1..1000).flat_map(|b| [(0, b), (b, b + 1), (7, b + 500)]).collect();
+        table.clear(2000);
+        assert!(table.heads.iter().all(|&head| head == NO_BUCKET) && table.buckets.len() == 1);
+        let edges: Vec<[u32; 2]> = (1..1000).flat_map(|b| [[0, b], [b, b + 1], [7, b + 500]]).collect();
         let mut known = std::collections::BTreeMap::new();
         for round in 0..3 {
-            for &(a, b) in &edges {
+            for &edge in &edges {
                 let next = known.len() as u32;
-                let wanted = *known.entry((a, b)).or_insert(next);
-                assert_eq!(table.find_or_add(a, b, || 1.0), wanted, "{a} {b} round {round}");
+                let wanted = *known.entry(edge).or_insert(next);
+                let found = table.find(edge).unwrap_or_else(|| match table.find_or_add_behind(edge) {
+                    Found::Known(number) => number,
+                    Found::New(number) => {
+                        assert_eq!(number, next);
+                        number
+                    }
+                });
+                assert_eq!(found, wanted, "{edge:?} round {round}");
             }
         }
-        assert_eq!(table.crossings.len(), known.len());
+        assert_eq!(table.lows.len(), known.len());
         assert!(table.overflow.len() > 1800);
-        table.clear();
-        assert!(table.heads.iter().all(|&head| head == NONE));
     }
 }

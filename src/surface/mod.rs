@@ -19,13 +19,16 @@
 //! function of its edge, so neither the threads nor the cut into chunks show in the surface.
 
 pub mod cap;
+mod cases;
 pub mod check;
 pub mod clip;
 mod collapse;
 pub mod components;
 pub mod decimate;
+mod edges;
 pub mod fans;
 pub mod marching_tets;
+mod places;
 #[cfg(test)]
 mod testing;
 pub mod weld;

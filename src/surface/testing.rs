@@ -137,6 +137,7 @@ impl Part {
             values: &self.values,
             ids: &self.ids,
             shared: &self.shared,
+            numbers: None,
             tets: &self.tets,
         }
     }

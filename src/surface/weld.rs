@@ -29,6 +29,7 @@
 //!     values: &[1.0, 0.0, 0.0, 0.0],
 //!     ids: &[PointId(7), PointId(3), PointId(5), PointId(1)],
 //!     shared: &[false; 4],
+//!     numbers: None,
 //!     tets: &[[0, 1, 2, 3]],
 //! };
 //! let world = WorldMap::new(&lattice, &Geometry::default());
@@ -44,7 +45,7 @@
 //! ```
 
 use super::marching_tets::{ChunkSurface, SharedEdge};
-use super::{SurfaceSource, Vertex, WorldMap};
+use super::{SurfaceSource, TriMesh, Vertex, WorldMap};
 use crate::bytes::store::{Cached, Store};
 use crate::error::{Error, Result};
 use crate::geom::PointId;
@@ -108,19 +109,30 @@ impl SurfaceBuilder {
     pub fn push(&mut self, chunk: &ChunkSurface) -> Result<()> {
         self.check_room(chunk.vertices().len() as u64)?;
         self.numbers.clear();
-        let mut shared = chunk.shared_edges().iter().peekable();
-        for (i, vertex) in chunk.vertices().iter().enumerate() {
-            let edge = shared.next_if(|edge| edge.vertex as usize == i);
-            let number = match edge {
-                Some(edge) => self.weld(edge, vertex)?,
-                None => self.append(vertex)?,
-            };
+        let mut rest = 0;
+        for edge in chunk.shared_edges() {
+            let at = edge.vertex as usize;
+            self.append_run(&chunk.vertices()[rest..at])?;
+            let number = self.weld(edge, &chunk.vertices()[at])?;
             self.numbers.push(number);
+            rest = at + 1;
         }
-        for triangle in chunk.triangles() {
-            self.triangles.push(triangle.map(|v| self.numbers[v as usize]))?;
+        self.append_run(&chunk.vertices()[rest..])?;
+        let mut numbered = [[0; 3]; 512];
+        for triangles in chunk.triangles().chunks(numbered.len()) {
+            for (to, triangle) in numbered.iter_mut().zip(triangles) {
+                *to = triangle.map(|v| self.numbers[v as usize]);
+            }
+            self.triangles.extend(&numbered[..triangles.len()])?;
         }
         Ok(())
+    }
+
+    /// Appends vertices that no other chunk has.
+    fn append_run(&mut self, vertices: &[Vertex]) -> Result<()> {
+        let first = self.vertices.len() as u32;
+        self.numbers.extend(first..first + vertices.len() as u32);
+        self.vertices.extend(vertices)
     }
 
     /// Closes the shared edges for which `is_open` is false: no later chunk has them. Their normals are finished and their
@@ -213,6 +225,14 @@ impl StoredSurface {
     /// [`Error::Io`] when the scratch file cannot be written.
     pub fn push_vertex(&mut self, vertex: Vertex) -> Result<()> {
         self.vertices.push(vertex)
+    }
+
+    /// The surface in memory; moved there where it is already.
+    ///
+    /// # Errors
+    /// [`Error::Io`] when the scratch file cannot be read.
+    pub fn into_mesh(self) -> Result<TriMesh> {
+        Ok(TriMesh { vertices: self.vertices.into_vec()?, triangles: self.triangles.into_vec()? })
     }
 
     /// Single vertices, through a cache of about so many bytes.
