@@ -43,11 +43,10 @@ fn run(folder: &Path, names: &[String]) -> Result<()> {
     let shared = std::env::var_os("ISOSPAN_SHARED_DATA").map(PathBuf::from);
     for dataset in wanted {
         let made = dataset.make(folder, shared.as_deref())?;
+        let values = made.values().len();
         let size = match &made.content {
-            Content::Grid { geometry, samples } => {
-                format!("{} samples, spacing {:.4}", samples.len(), geometry.spacing[0])
-            }
-            Content::Mesh(mesh) => format!("{} vertices, {} tetrahedra", mesh.points.len(), mesh.tets.len()),
+            Content::Grid { geometry, .. } => format!("{values} samples, spacing {:.4}", geometry.spacing[0]),
+            Content::Mesh(mesh) => format!("{values} vertices, {} tetrahedra", mesh.tets.len()),
         };
         let name = made.dataset.name();
         eprintln!("{name}: {}: {size}; isovalue {}; {}", made.file.display(), made.isovalue, made.origin);

@@ -55,6 +55,16 @@ pub(crate) struct Made {
 /// Samples along each axis of the structured sets.
 pub(crate) const GRID: usize = seis::SAMPLES;
 
+impl Made {
+    /// Samples, or values of the vertices.
+    pub(crate) fn values(&self) -> &[f32] {
+        match &self.content {
+            Content::Grid { samples, .. } => samples,
+            Content::Mesh(mesh) => &mesh.values,
+        }
+    }
+}
+
 impl Dataset {
     pub(crate) const ALL: [Self; 5] = [Self::Sphere, Self::Seis, Self::Heart, Self::Torso, Self::Head];
 
