@@ -82,6 +82,7 @@
 pub mod archive;
 pub mod bytes;
 pub mod cells;
+pub mod compare;
 pub(crate) mod cpu;
 pub(crate) mod domain;
 pub mod error;
@@ -96,6 +97,7 @@ pub mod mesh;
 pub mod pipeline;
 pub mod points;
 pub mod raster;
+pub mod render;
 pub mod sample;
 pub mod spectrum;
 pub mod surface;

@@ -1,6 +1,7 @@
 //! `isospan measure`: how far is the reduced field from its source?
 
 use super::input::InputArgs;
+use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
 use super::text;
 use isospan::Result;
@@ -22,15 +23,13 @@ pub(crate) struct Args {
     /// Also write the RMS error, the largest error and the number of samples of each brick: .vti.
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
-    /// Threads; 0 means as many as the process may use.
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    threads: usize,
-    /// Memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use].
-    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
-    memory: Option<u64>,
-    /// Folder for the uncompressed copy of a compressed input [default: the system's temporary folder].
-    #[arg(long, value_name = "FOLDER")]
-    scratch: Option<PathBuf>,
+    /// Of a series: the step, by its number [default: the first].
+    #[arg(long, value_name = "N")]
+    step: Option<u64>,
+    #[command(flatten)]
+    machine: Machine,
+    #[command(flatten)]
+    scratch: InputScratch,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
@@ -40,9 +39,10 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = MeasureSettings {
-        threads: args.threads,
-        memory: super::memory(args.memory, talk),
-        scratch: args.scratch.clone(),
+        threads: args.machine.threads,
+        memory: args.machine.memory(talk),
+        scratch: args.scratch.scratch.clone(),
+        step: args.step,
         map: args.map.clone(),
         cancel: super::signals::cancel_token(),
     };

@@ -6,6 +6,7 @@ mod brick;
 mod check;
 mod choices;
 mod commit;
+mod compare;
 mod count;
 mod dry_run;
 mod export;
@@ -22,6 +23,7 @@ mod plan;
 mod probe;
 mod progress;
 mod reduce;
+mod render;
 mod signals;
 mod slurm;
 mod spectrum;
@@ -52,11 +54,13 @@ enum Command {
     Reduce(Box<reduce::Args>),
     Append(append::Args),
     Surface(surface::Args),
+    Compare(compare::Args),
     Count(count::Args),
     Export(export::Args),
     Probe(probe::Args),
     Measure(measure::Args),
     Spectrum(spectrum::Args),
+    Render(Box<render::Args>),
     Brick(brick::Args),
     Check(check::Args),
     Plan(Box<plan::Args>),
@@ -109,11 +113,13 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Reduce(args) => reduce::run(args, &cli.talk),
         Command::Append(args) => append::run(args, &cli.talk),
         Command::Surface(args) => surface::run(args, &cli.talk),
+        Command::Compare(args) => compare::run(args, &cli.talk),
         Command::Count(args) => count::run(args),
         Command::Export(args) => export::run(args, &cli.talk),
         Command::Probe(args) => probe::run(args, &cli.talk),
         Command::Measure(args) => measure::run(args, &cli.talk),
         Command::Spectrum(args) => spectrum::run(args),
+        Command::Render(args) => render::run(args, &cli.talk),
         Command::Brick(args) => brick::run(args, &cli.talk),
         Command::Check(args) => check::run(args, &cli.talk),
         Command::Plan(args) => plan::run(args, &cli.talk),

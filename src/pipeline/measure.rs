@@ -18,6 +18,7 @@ use super::open::{DecodedChunk, OpenArchive};
 use super::probe::windows;
 use super::probe_points::{Find, each_value};
 use super::reduce::{RunSettings, random_access};
+use super::steps::StepChoice;
 use super::visit::{Blocks, Visit};
 use crate::archive::manifest::{MeshSource, Source};
 use crate::bytes::sorter::Sorter;
@@ -49,6 +50,8 @@ pub struct MeasureSettings {
     /// Folder for the uncompressed copy of a compressed input, and for what does not fit in memory; the system's temporary folder
     /// if not given.
     pub scratch: Option<PathBuf>,
+    /// Of a series: the number of the step; the first one if not given.
+    pub step: Option<u64>,
     /// A VTI file for the errors of each brick.
     pub map: Option<PathBuf>,
     /// Stops the measurement.
@@ -61,6 +64,7 @@ impl Default for MeasureSettings {
             threads: 0,
             memory: crate::exec::usable_memory() / 2,
             scratch: None,
+            step: None,
             map: None,
             cancel: CancelToken::new(),
         }
@@ -74,6 +78,7 @@ impl MeasureSettings {
             threads: workers,
             memory: run.memory,
             scratch: run.scratch.clone(),
+            step: None,
             map: None,
             cancel: run.cancel.clone(),
         }
@@ -127,7 +132,7 @@ pub fn measure(
     progress: &dyn Progress,
 ) -> Result<MeasureReport> {
     let start = Instant::now();
-    let archive = OpenArchive::open(archive)?;
+    let archive = OpenArchive::open_at(archive, settings.step.map_or(StepChoice::First, StepChoice::Number))?;
     let (error, same_source) = against(&archive, input, options, settings, progress)?;
     Ok(MeasureReport {
         error,

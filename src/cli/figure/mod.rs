@@ -1,7 +1,9 @@
-//! Draws a contour spectrum: three panels above each other on one axis of isovalues, as SVG or PNG.
+//! Figures. [`canvas`] puts words on pictures; here a contour spectrum is drawn: three panels above each other on one axis of isovalues, as SVG or PNG.
 //!
 //! The font (a subset of DejaVu Sans, `FONT-LICENSE.txt`) is part of the program: a figure is the same on every machine.
 //! A PNG is drawn three times as large and averaged, for smooth lines.
+
+pub(crate) mod canvas;
 
 use isospan::pipeline::SpectrumReport;
 use isospan::{Error, Result};
@@ -55,7 +57,7 @@ pub(crate) fn write(report: &SpectrumReport, name: &str, file: &Path, format: Fo
 }
 
 /// The file appears when it is complete.
-fn publish(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
+pub(crate) fn publish(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut temporary =
         tempfile::Builder::new().prefix(".figure-").make_in(folder, |p| File::create_new(p))?;

@@ -1,0 +1,82 @@
+//! `isospan compare`: how far are two surfaces apart?
+
+use super::machine::Machine;
+use super::progress::Talk;
+use super::text;
+use isospan::Result;
+use isospan::compare::{CompareReport, CompareSettings, compare};
+use isospan::formats::surface::load_surface;
+use isospan::surface::check::{CheckSettings, SurfaceReport};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+/// Compare two surfaces: distances of each from the other, deviation of normals, area, volume, Euler number, components.
+///
+/// Surfaces are sampled evenly by area, always at the same points; nearest points are exact. The largest distance is looked for at
+/// all vertices too.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// A surface: .ply .stl .obj .vtp .glb.
+    a: PathBuf,
+    /// The other one.
+    b: PathBuf,
+    /// Samples of each surface.
+    #[arg(long, value_name = "N", default_value_t = 200_000)]
+    samples: u64,
+    #[command(flatten)]
+    machine: Machine,
+    /// Folder for what does not fit in memory [default: the system's temporary folder].
+    #[arg(long, value_name = "FOLDER")]
+    scratch: Option<PathBuf>,
+    /// Print the result as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let settings = CompareSettings {
+        samples: args.samples,
+        threads: args.machine.threads,
+        memory: args.machine.memory(talk),
+        scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir),
+        cancel: super::signals::cancel_token(),
+    };
+    let check = CheckSettings { memory: settings.memory, scratch: settings.scratch.clone() };
+    let (a, b) = (load_surface(&args.a, &check)?, load_surface(&args.b, &check)?);
+    let report = compare(&a, &b, &settings)?;
+    if args.json { super::print_json(&report) } else { super::print(&in_words(args, &report)) }
+}
+
+fn value(v: f64) -> String {
+    text::value(text::figures(v, 6))
+}
+
+fn in_words(args: &Args, r: &CompareReport) -> String {
+    let mut out = format!("A  {}\nB  {}\n", args.a.display(), args.b.display());
+    let mut row = |name: &str, cells: [String; 3]| {
+        let [a, b, c] = cells;
+        let _ = writeln!(out, "  {name:<18} {a:>14} {b:>14} {c:>14}");
+    };
+    row("", ["A".into(), "B".into(), String::new()]);
+    let of = |f: &dyn Fn(&SurfaceReport) -> String| [f(&r.a), f(&r.b), String::new()];
+    row("triangles", of(&|s| text::count(s.triangles)));
+    row("area", of(&|s| value(s.area)));
+    row("volume", of(&|s| s.volume.map_or("open".into(), value)));
+    row("Euler number", of(&|s| s.euler.to_string()));
+    row("components", of(&|s| text::count(s.components)));
+    row("", ["A to B".into(), "B to A".into(), "both".into()]);
+    row("largest distance", [r.a_to_b.max, r.b_to_a.max, r.hausdorff].map(value));
+    row("mean distance", [r.a_to_b.mean, r.b_to_a.mean, r.mean].map(value));
+    row("RMS distance", [r.a_to_b.rms, r.b_to_a.rms, r.rms].map(value));
+    let angles = [r.a_to_b.rms_normal_degrees, r.b_to_a.rms_normal_degrees, r.rms_normal_degrees];
+    row("RMS normal angle", angles.map(|v| format!("{}°", value(v))));
+    let percent = 100.0 * r.hausdorff / r.diagonal;
+    let _ = writeln!(
+        out,
+        "  the largest distance is {} % of the diagonal {}; {} samples each",
+        value(percent),
+        value(r.diagonal),
+        text::count(r.samples)
+    );
+    out
+}

@@ -1,0 +1,437 @@
+//! `isospan render`: pictures of surfaces.
+
+use super::figure::canvas::{Canvas, ticks};
+use super::figure::publish;
+use super::machine::Machine;
+use super::progress::Talk;
+use super::step::StepArgs;
+use super::text;
+use isospan::compare::{CompareSettings, distances};
+use isospan::exec::{CancelToken, Progress};
+use isospan::formats::surface::{SurfaceFormat, load_surface};
+use isospan::pipeline::{SurfaceSettings, extract_surface, is_archive};
+use isospan::render::{
+    Camera, Image, Paint, RenderSettings, Subject, Up, View, parse_colour, render, scale_colour,
+};
+use isospan::surface::SurfaceSource;
+use isospan::surface::check::CheckSettings;
+use isospan::surface::weld::StoredSurface;
+use isospan::{Error, Result};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// Draw surfaces, or isosurfaces of archives, as a PNG: a panel each, all seen from the same place.
+///
+/// Needs no graphics card; the same command gives the same bytes on every machine. With --distance-to, colours tell how far each surface is
+/// from another one.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// Surfaces (.ply .stl .obj .vtp .glb) or archives.
+    #[arg(required = true)]
+    inputs: Vec<PathBuf>,
+    /// The picture to write: .png.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Isovalues of the archives: a panel each.
+    #[arg(
+        long,
+        short = 'i',
+        value_name = "VALUE[,VALUE..]",
+        value_delimiter = ',',
+        allow_hyphen_values = true
+    )]
+    isovalue: Vec<f32>,
+    /// The words below a panel, once for each panel. Without, several panels have the names of their files.
+    #[arg(long, value_name = "TEXT")]
+    caption: Vec<String>,
+    /// Panels beside each other [default: all, up to 4].
+    #[arg(long, value_name = "N")]
+    columns: Option<usize>,
+    /// Pixels of a panel.
+    #[arg(long, value_name = "W,H", default_value = "800,800", value_parser = parse_size)]
+    size: [u32; 2],
+    /// Degrees around the upward axis.
+    #[arg(
+        long,
+        value_name = "DEGREES",
+        default_value_t = 30.0,
+        allow_negative_numbers = true,
+        help_heading = "Camera"
+    )]
+    azimuth: f64,
+    /// Degrees above the horizon.
+    #[arg(
+        long,
+        value_name = "DEGREES",
+        default_value_t = 20.0,
+        allow_negative_numbers = true,
+        help_heading = "Camera"
+    )]
+    elevation: f64,
+    /// Which way is up: x, y, z, -x, -y, -z.
+    #[arg(long, value_name = "AXIS", default_value = "z", allow_hyphen_values = true, value_parser = parse_up, help_heading = "Camera")]
+    up: Up,
+    /// 1 fills the panel.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, help_heading = "Camera")]
+    zoom: f64,
+    /// Parallel rays instead of a perspective.
+    #[arg(long, help_heading = "Camera")]
+    orthographic: bool,
+    /// The colour of the surface, #rrggbb, or "normals"; one for all, or one for each panel.
+    #[arg(long, value_name = "COLOUR[,COLOUR..]", value_delimiter = ',', default_value = "#d8cbb4", value_parser = parse_paint)]
+    colour: Vec<Paint>,
+    /// Colour each point by its distance from this surface, and draw the scale.
+    #[arg(long, value_name = "SURFACE")]
+    distance_to: Option<PathBuf>,
+    /// The distance at the end of the scale [default: what 99.5 % of the vertices do not exceed].
+    #[arg(long, value_name = "LENGTH", requires = "distance_to")]
+    distance_max: Option<f32>,
+    /// The colour behind: #rrggbb or "transparent".
+    #[arg(long, value_name = "COLOUR", default_value = "#ffffff", value_parser = parse_background)]
+    background: [u8; 4],
+    /// Flat triangles instead of smooth shading.
+    #[arg(long)]
+    flat: bool,
+    /// Samples along each side of a pixel, 1 to 8.
+    #[arg(long, value_name = "N", default_value_t = 3)]
+    samples: u32,
+    /// Lights of the sky, whose shadows make the soft light; 0 for light without shadows.
+    #[arg(long, value_name = "N", default_value_t = 128)]
+    lights: u32,
+    #[command(flatten)]
+    machine: Machine,
+    #[command(flatten)]
+    step: StepArgs,
+    /// Folder for what does not fit in memory, and for the surfaces of archives [default: the system's temporary folder].
+    #[arg(long, value_name = "FOLDER")]
+    scratch: Option<PathBuf>,
+    /// Print what was drawn as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+fn parse_size(text: &str) -> std::result::Result<[u32; 2], String> {
+    let parts: Vec<u32> = text.split([',', 'x']).filter_map(|p| p.trim().parse().ok()).collect();
+    parts.try_into().map_err(|_| format!("'{text}' is no size; write two numbers as W,H"))
+}
+
+fn parse_up(text: &str) -> std::result::Result<Up, String> {
+    text.parse().map_err(|e: Error| e.to_string())
+}
+
+fn parse_paint(text: &str) -> std::result::Result<Paint, String> {
+    match text {
+        "normals" => Ok(Paint::Normals),
+        colour => parse_colour(colour).map(Paint::Plain).map_err(|e| e.to_string()),
+    }
+}
+
+fn parse_background(text: &str) -> std::result::Result<[u8; 4], String> {
+    match text {
+        "transparent" => Ok([255, 255, 255, 0]),
+        colour => parse_colour(colour).map(|[r, g, b]| [r, g, b, 255]).map_err(|e| e.to_string()),
+    }
+}
+
+/// What is in a panel.
+struct Panel {
+    name: String,
+    isovalue: Option<f32>,
+    surface: StoredSurface,
+    /// Of each vertex, where they are asked for.
+    distances: Vec<f32>,
+}
+
+/// What a panel shows, in numbers.
+#[derive(Serialize)]
+struct PanelReport {
+    input: String,
+    isovalue: Option<f32>,
+    vertices: u64,
+    triangles: u64,
+    largest_distance: Option<f32>,
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    if args.output.extension().is_none_or(|e| !e.eq_ignore_ascii_case("png")) {
+        return Err(Error::usage(format!("{}: a picture's name ends in .png", args.output.display())));
+    }
+    let memory = args.machine.memory(talk);
+    let (cancel, bar) = (super::signals::cancel_token(), talk.progress());
+    let job = Job { args, memory, scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir), cancel };
+    let drawn = job.draw(&*bar);
+    bar.end();
+    let (canvas, panels) = drawn?;
+    publish(&args.output, &canvas.png()).map_err(|e| Error::io("write", &args.output, e))?;
+    if args.json {
+        let report = serde_json::json!({ "file": args.output, "size": canvas.size, "panels": panels });
+        return super::print_json(&report);
+    }
+    let [w, h] = canvas.size;
+    let mut out = format!("{}: {w} x {h} pixels\n", args.output.display());
+    for p in &panels {
+        let isovalue = p.isovalue.map_or(String::new(), |v| format!(", isovalue {v}"));
+        let far = p.largest_distance.map_or(String::new(), |d| format!(", at most {d} away"));
+        out += &format!("  {}{isovalue}: {} triangles{far}\n", p.input, text::count(p.triangles));
+    }
+    super::print(&out)
+}
+
+struct Job<'a> {
+    args: &'a Args,
+    memory: u64,
+    scratch: PathBuf,
+    cancel: CancelToken,
+}
+
+impl Job<'_> {
+    fn draw(&self, progress: &dyn Progress) -> Result<(Canvas, Vec<PanelReport>)> {
+        let args = self.args;
+        let mut panels = self.panels(progress)?;
+        let layout = Layout::new(args, panels.len())?;
+        let canvas = Canvas::new(layout.size, args.background);
+        let captions = self.captions(&panels)?;
+        captions.iter().try_for_each(|c| canvas.check(c))?;
+        let range = self.measure(&mut panels, progress)?;
+        let surfaces: Vec<&dyn SurfaceSource> =
+            panels.iter().map(|p| &p.surface as &dyn SurfaceSource).collect();
+        let camera = Camera {
+            azimuth: args.azimuth,
+            elevation: args.elevation,
+            up: args.up,
+            zoom: args.zoom,
+            perspective: !args.orthographic,
+        };
+        let view = View::fit(&camera, &surfaces, args.size)?;
+        let mut canvas = canvas;
+        progress.begin("draw", panels.len() as u64, "panels");
+        for (n, panel) in panels.iter().enumerate() {
+            let paint = match range {
+                Some(end) => Paint::Values([0.0, end]),
+                None => args.colour[n % args.colour.len()],
+            };
+            let subject = Subject { surface: &panel.surface, paint, values: &panel.distances };
+            layout.put(
+                &mut canvas,
+                n,
+                &render(&subject, &view, &self.settings(layout.bytes()))?,
+                captions.get(n),
+            );
+            progress.advance(1);
+        }
+        let report = |p: &Panel| PanelReport {
+            input: p.name.clone(),
+            isovalue: p.isovalue,
+            vertices: p.surface.vertex_count(),
+            triangles: p.surface.triangle_count(),
+            largest_distance: range.map(|_| p.distances.iter().copied().fold(0.0, f32::max)),
+        };
+        let reports: Vec<PanelReport> = panels.iter().map(report).collect();
+        if let Some(end) = range {
+            let largest = reports.iter().filter_map(|r| r.largest_distance).fold(0.0, f32::max);
+            layout.scale(&mut canvas, end, largest);
+        }
+        Ok((canvas, reports))
+    }
+
+    fn settings(&self, taken: u64) -> RenderSettings {
+        RenderSettings {
+            samples: self.args.samples,
+            lights: self.args.lights,
+            flat: self.args.flat,
+            background: self.args.background,
+            threads: self.args.machine.threads,
+            // An eighth is the surfaces'.
+            memory: (self.memory / 8 * 7).saturating_sub(taken),
+            scratch: self.scratch.clone(),
+            cancel: self.cancel.clone(),
+        }
+    }
+
+    /// Reads all surfaces, and extracts those of archives.
+    fn panels(&self, progress: &dyn Progress) -> Result<Vec<Panel>> {
+        let args = self.args;
+        let archives = args.inputs.iter().filter(|i| is_archive(i)).count();
+        if archives > 0 && args.isovalue.is_empty() {
+            return Err(Error::usage(
+                "an archive is drawn at an isovalue: give --isovalue (isospan info suggests some)",
+            ));
+        }
+        if archives == 0 && !args.isovalue.is_empty() {
+            return Err(Error::usage("--isovalue is for archives"));
+        }
+        let count = args.inputs.len() - archives + archives * args.isovalue.len();
+        let check = CheckSettings { memory: self.memory / count as u64, scratch: self.scratch.clone() };
+        let mut panels = vec![];
+        for input in &args.inputs {
+            let name = input.display().to_string();
+            if !is_archive(input) {
+                let surface = load_surface(input, &check)?;
+                panels.push(Panel { name, isovalue: None, surface, distances: vec![] });
+                continue;
+            }
+            for &isovalue in &args.isovalue {
+                let surface = self.extract(input, isovalue, &check, progress)?;
+                panels.push(Panel {
+                    name: name.clone(),
+                    isovalue: Some(isovalue),
+                    surface,
+                    distances: vec![],
+                });
+            }
+        }
+        Ok(panels)
+    }
+
+    /// An isosurface, by way of a file in the scratch folder.
+    fn extract(
+        &self,
+        archive: &Path,
+        isovalue: f32,
+        check: &CheckSettings,
+        progress: &dyn Progress,
+    ) -> Result<StoredSurface> {
+        let folder = tempfile::tempdir_in(&self.scratch)
+            .map_err(|e| Error::io("make a temporary folder in", &self.scratch, e))?;
+        let file = folder.path().join("surface.ply");
+        let settings = SurfaceSettings {
+            threads: self.args.machine.threads,
+            memory: self.memory / 8 * 7,
+            step: self.args.step.choice(),
+            cancel: self.cancel.clone(),
+            ..SurfaceSettings::of(isovalue)
+        };
+        let found = extract_surface(archive, &settings, &file, SurfaceFormat::Ply, progress)?;
+        if found.triangles == 0 {
+            return Err(Error::usage(format!(
+                "{}: the isovalue {isovalue} gives no surface",
+                archive.display()
+            )));
+        }
+        load_surface(&file, check)
+    }
+
+    fn captions(&self, panels: &[Panel]) -> Result<Vec<String>> {
+        let given = &self.args.caption;
+        if !given.is_empty() && given.len() != panels.len() {
+            return Err(Error::usage(format!("{} captions for {} panels", given.len(), panels.len())));
+        }
+        if !given.is_empty() || panels.len() == 1 {
+            return Ok(given.clone());
+        }
+        let name = |p: &Panel| {
+            let stem = Path::new(&p.name).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            // What the font cannot write is no reason to draw nothing where nobody asked for words.
+            let stem: String = stem.chars().map(|c| if c.is_ascii_graphic() { c } else { '_' }).collect();
+            p.isovalue.map_or(stem.clone(), |v| format!("{stem}, {v}"))
+        };
+        Ok(panels.iter().map(name).collect())
+    }
+
+    /// Measures the distances of all vertices; tells the end of the scale.
+    fn measure(&self, panels: &mut [Panel], progress: &dyn Progress) -> Result<Option<f32>> {
+        let Some(target) = &self.args.distance_to else { return Ok(None) };
+        let check = CheckSettings { memory: self.memory / 4, scratch: self.scratch.clone() };
+        let target = load_surface(target, &check)?;
+        let settings = CompareSettings {
+            threads: self.args.machine.threads,
+            memory: self.memory / 2,
+            scratch: self.scratch.clone(),
+            cancel: self.cancel.clone(),
+            ..CompareSettings::default()
+        };
+        progress.begin("distances", panels.len() as u64, "panels");
+        let mut end = 0.0f32;
+        for panel in panels {
+            panel.distances = distances(&panel.surface, &target, &settings)?;
+            let mut sorted = panel.distances.clone();
+            let place = (sorted.len() as f64 * 0.995) as usize;
+            let (_, at, _) =
+                sorted.select_nth_unstable_by(place.min(panel.distances.len() - 1), f32::total_cmp);
+            end = end.max(*at);
+            progress.advance(1);
+        }
+        let end = self.args.distance_max.unwrap_or(end);
+        if end.is_finite() && end >= 0.0 {
+            Ok(Some(end))
+        } else {
+            Err(Error::usage("--distance-max is a length"))
+        }
+    }
+}
+
+/// Where everything is on the canvas.
+struct Layout {
+    columns: usize,
+    panel: [usize; 2],
+    /// Height of a line of words, and of the letters in it; 0 without captions.
+    line: usize,
+    letters: f32,
+    /// Where the scale begins.
+    scale_top: usize,
+    size: [usize; 2],
+    ink: [u8; 3],
+}
+
+impl Layout {
+    fn new(args: &Args, panels: usize) -> Result<Self> {
+        let columns = args.columns.unwrap_or(panels.min(4)).clamp(1, panels);
+        let panel = args.size.map(|s| s as usize);
+        let letters = (panel[1] as f32 / 24.0).clamp(13.0, 48.0);
+        let has_words = panels > 1 || !args.caption.is_empty();
+        let line = if has_words { (letters * 2.0) as usize } else { 0 };
+        let rows = panels.div_ceil(columns);
+        let scale_top = rows * (panel[1] + line);
+        let scale = if args.distance_to.is_some() { (letters * 4.6) as usize } else { 0 };
+        let size = [columns * panel[0], scale_top + scale];
+        if size[0] * size[1] > 1 << 28 {
+            return Err(Error::usage(format!("a picture of {} x {} pixels is too large", size[0], size[1])));
+        }
+        let [r, g, b, opacity] = args.background;
+        let dark = opacity > 127 && 2 * u32::from(r) + 5 * u32::from(g) + u32::from(b) < 8 * 110;
+        let ink = if dark { [235; 3] } else { [30; 3] };
+        Ok(Self { columns, panel, line, letters, scale_top, size, ink })
+    }
+
+    /// Bytes of the canvas, and of its file.
+    fn bytes(&self) -> u64 {
+        12 * (self.size[0] * self.size[1]) as u64
+    }
+
+    fn put(&self, canvas: &mut Canvas, n: usize, image: &Image, caption: Option<&String>) {
+        let (left, top) = (n % self.columns * self.panel[0], n / self.columns * (self.panel[1] + self.line));
+        canvas.paste(image, [left, top]);
+        if let Some(words) = caption {
+            // Letters that fit the panel.
+            let fits = 0.96 * self.panel[0] as f32 / canvas.width(words, 1.0).max(0.01);
+            let middle = left as f32 + self.panel[0] as f32 / 2.0;
+            let baseline = (top + self.panel[1]) as f32 + 1.2 * self.letters;
+            canvas.write(words, self.letters.min(fits), [middle, baseline], self.ink);
+        }
+    }
+
+    /// The colours of distances, with numbers.
+    fn scale(&self, canvas: &mut Canvas, end: f32, largest: f32) {
+        let length = (self.size[0] as f32 * 0.6).min(1000.0).round() as usize;
+        let (left, letters) = ((self.size[0] - length) / 2, self.letters * 0.85);
+        let (top, height) = (self.scale_top + (1.6 * self.letters) as usize, (0.7 * self.letters) as usize);
+        for x in 0..length {
+            canvas.fill([left + x, top, 1, height], scale_colour((x as f32 + 0.5) / length as f32));
+        }
+        let title = format!("distance (largest {})", short(f64::from(largest)));
+        let middle = self.size[0] as f32 / 2.0;
+        canvas.write(&title, letters, [middle, top as f32 - 0.45 * self.letters], self.ink);
+        for tick in ticks(0.0, f64::from(end)) {
+            let at = if end > 0.0 { (tick as f32 / end).min(1.0) } else { 0.0 };
+            let x = left + (at * (length - 1) as f32).round() as usize;
+            canvas.fill([x, top + height, 1, (0.25 * self.letters) as usize], self.ink);
+            let baseline = (top + height) as f32 + 1.25 * self.letters;
+            canvas.write(&short(tick), letters, [x as f32, baseline], self.ink);
+        }
+    }
+}
+
+/// A number of a scale.
+fn short(v: f64) -> String {
+    text::value(text::figures(v, 3)).replace('-', "−")
+}

@@ -1,0 +1,263 @@
+//! The nearest point of a surface.
+
+use crate::error::{Error, Result};
+use crate::surface::SurfaceSource;
+use glam::DVec3;
+use obvhs::aabb::Aabb;
+use obvhs::bvh2::Bvh2;
+use obvhs::bvh2::builder::build_bvh2;
+use obvhs::{Boundable, BvhBuildParams};
+use std::time::Duration;
+
+/// Coordinates beyond this are refused: the boxes of the hierarchy are measured in `f32`.
+const LARGEST: f32 = 1e15;
+
+/// The triangles of a surface, in memory: 12 bytes a vertex and 12 a triangle.
+#[derive(Clone, Debug, Default)]
+pub struct Triangles {
+    /// Positions of the vertices.
+    pub positions: Vec<[f32; 3]>,
+    /// Corners: numbers into `positions`. Triangles that named other vertices were left out.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl Triangles {
+    /// Reads a surface.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for one without triangles, or with coordinates beyond 10^15; those of the source.
+    pub fn read(source: &dyn SurfaceSource) -> Result<Self> {
+        let mut all = Self::default();
+        source.vertices(&mut |batch| {
+            all.positions.extend(batch.iter().map(|v| v.position));
+            Ok(())
+        })?;
+        let count = all.positions.len();
+        source.triangles(&mut |batch| {
+            all.triangles.extend(batch.iter().filter(|t| t.iter().all(|&v| (v as usize) < count)));
+            Ok(())
+        })?;
+        if all.triangles.is_empty() {
+            return Err(Error::usage("a surface without triangles cannot be compared with another"));
+        }
+        // False for NaN too.
+        if !all.positions.iter().flatten().all(|c| c.abs() <= LARGEST) {
+            return Err(Error::usage(format!(
+                "a surface with coordinates beyond {LARGEST} cannot be compared: scale it"
+            )));
+        }
+        Ok(all)
+    }
+
+    /// The corners of a triangle.
+    #[inline]
+    pub(super) fn corners(&self, t: u32) -> [DVec3; 3] {
+        self.triangles[t as usize].map(|v| DVec3::from_array(self.positions[v as usize].map(f64::from)))
+    }
+
+    /// Normal of a triangle, twice as long as its area.
+    #[inline]
+    pub(super) fn area_vector(&self, t: u32) -> DVec3 {
+        let [a, b, c] = self.corners(t);
+        (b - a).cross(c - a)
+    }
+
+    /// Which vertices some triangle has.
+    pub(super) fn used_vertices(&self) -> Vec<bool> {
+        let mut used = vec![false; self.positions.len()];
+        self.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
+        used
+    }
+
+    /// Diagonal of the box around two surfaces.
+    pub(super) fn diagonal_with(&self, other: &Self) -> f64 {
+        let all =
+            || self.positions.iter().chain(&other.positions).map(|p| DVec3::from_array(p.map(f64::from)));
+        let (lo, hi) = (all().reduce(DVec3::min), all().reduce(DVec3::max));
+        lo.zip(hi).map_or(0.0, |(lo, hi)| (hi - lo).length())
+    }
+}
+
+/// The box of a triangle, for the hierarchy.
+struct Boxed([[f32; 3]; 3]);
+
+impl Boundable for Boxed {
+    fn aabb(&self) -> Aabb {
+        let [a, b, c] = self.0;
+        let min = std::array::from_fn(|k| a[k].min(b[k]).min(c[k]));
+        let max: [f32; 3] = std::array::from_fn(|k| a[k].max(b[k]).max(c[k]));
+        Aabb::new(<[f32; 3]>::into(min), max.into())
+    }
+}
+
+/// The nearest point of a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Found {
+    /// Its distance.
+    pub distance: f64,
+    /// The triangle that it is on.
+    pub triangle: u32,
+}
+
+/// Nodes still to be looked at, kept between walks for their memory.
+#[derive(Default)]
+pub struct Walk {
+    stack: Vec<(f64, u32)>,
+}
+
+/// A surface that tells what is nearest to a point.
+pub struct Nearest<'a> {
+    surface: &'a Triangles,
+    hierarchy: Bvh2,
+    /// Square of the distance that counts as none.
+    zero: f64,
+}
+
+impl<'a> Nearest<'a> {
+    /// Builds the hierarchy of a surface; distances up to `zero` are told as 0.
+    pub fn new(surface: &'a Triangles, zero: f64) -> Self {
+        let boxed = |t: &[u32; 3]| Boxed(t.map(|v| surface.positions[v as usize]));
+        let boxes: Vec<Boxed> = surface.triangles.iter().map(boxed).collect();
+        let hierarchy = build_bvh2(&boxes, BvhBuildParams::fast_build(), &mut Duration::default());
+        Self { surface, hierarchy, zero: zero * zero }
+    }
+
+    /// The point of the surface nearest to `p`; of several triangles it may lie on, any, but always the same.
+    pub fn nearest(&self, p: [f64; 3], walk: &mut Walk) -> Found {
+        self.nearest_aligned(p, DVec3::ZERO, walk)
+    }
+
+    /// As [`Nearest::nearest`], on the triangle whose plane deviates least from that of a normal.
+    pub(super) fn nearest_aligned(&self, p: [f64; 3], normal: DVec3, walk: &mut Walk) -> Found {
+        let p = DVec3::from_array(p);
+        let (nodes, order) = (&self.hierarchy.nodes, &self.hierarchy.primitive_indices);
+        let (mut best, mut found, mut deviation) = (f64::INFINITY, 0, f64::INFINITY);
+        walk.stack.clear();
+        walk.stack.push((0.0, 0));
+        while let Some((least, at)) = walk.stack.pop() {
+            if least > self.nearly(best) {
+                continue;
+            }
+            let node = &nodes[at as usize];
+            if node.is_leaf() {
+                let first = node.first_index as usize;
+                for &t in &order[first..first + node.prim_count as usize] {
+                    let d = (closest(p, self.surface.corners(t)) - p).length_squared();
+                    if d > self.nearly(best) {
+                        continue;
+                    }
+                    let turned = if normal == DVec3::ZERO { 0.0 } else { self.angle(t, normal) };
+                    if self.nearly(d) < best || turned < deviation {
+                        (best, found, deviation) = (best.min(d), t, turned);
+                    }
+                }
+                continue;
+            }
+            let child = |n: u32| (box_distance(nodes[n as usize].aabb(), p), n);
+            let (a, b) = (child(node.first_index), child(node.first_index + 1));
+            // The nearer one is looked at first.
+            let (near, far) = if b.0 < a.0 { (b, a) } else { (a, b) };
+            walk.stack.extend([far, near]);
+        }
+        Found { distance: if best <= self.zero { 0.0 } else { best.sqrt() }, triangle: found }
+    }
+
+    /// What is as near as the best, but for rounding.
+    #[inline]
+    fn nearly(&self, squared: f64) -> f64 {
+        squared * (1.0 + 1e-12) + self.zero
+    }
+
+    /// The angle between the plane of a triangle and that of a normal, 0 to π/2; 0 where one of them has no direction.
+    pub(super) fn angle(&self, triangle: u32, normal: DVec3) -> f64 {
+        let own = self.surface.area_vector(triangle);
+        libm::atan2(own.cross(normal).length(), own.dot(normal).abs())
+    }
+}
+
+/// Square of the distance of a point from a box.
+#[inline]
+fn box_distance(b: &Aabb, p: DVec3) -> f64 {
+    let side = |corner: [f32; 3]| DVec3::from_array(corner.map(f64::from));
+    let (min, max) = (side(b.min.to_array()), side(b.max.to_array()));
+    (min - p).max(p - max).max(DVec3::ZERO).length_squared()
+}
+
+/// The point of a triangle nearest to `p`: in the region of a corner, of an edge, or inside.
+fn closest(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    if ab.cross(ac) == DVec3::ZERO {
+        return closest_of_edges(p, [a, b, c]);
+    }
+    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return a;
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return b;
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        return a + ab * (d1 / (d1 - d3));
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return c;
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        return a + ac * (d2 / (d2 - d6));
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 >= d3 && d5 >= d6 {
+        return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)));
+    }
+    let sum = va + vb + vc;
+    a + ab * (vb / sum) + ac * (vc / sum)
+}
+
+/// Of a triangle without area: the nearest point of its edges.
+fn closest_of_edges(p: DVec3, [a, b, c]: [DVec3; 3]) -> DVec3 {
+    let on = |u: DVec3, v: DVec3| {
+        let along = v - u;
+        let length = along.length_squared();
+        if length == 0.0 { u } else { u + along * ((p - u).dot(along) / length).clamp(0.0, 1.0) }
+    };
+    let candidates = [on(a, b), on(b, c), on(c, a)];
+    let distance = |q: &DVec3| (*q - p).length_squared();
+    candidates.into_iter().min_by(|x, y| distance(x).total_cmp(&distance(y))).expect("three edges")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_closest_point_is_never_beaten() {
+        let mut state = 1u64;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as f64 / f64::from(1u32 << 30) - 1.0
+        };
+        for round in 0..300 {
+            let mut corners: [DVec3; 3] = std::array::from_fn(|_| DVec3::new(next(), next(), next()));
+            if round % 10 == 0 {
+                corners[2] = corners[0] + (corners[1] - corners[0]) * 0.5;
+            }
+            let p = DVec3::new(next(), next(), next()) * 2.0;
+            let found = (closest(p, corners) - p).length();
+            let mut best = f64::INFINITY;
+            for i in 0..=60 {
+                for j in 0..=60 - i {
+                    let (u, v) = (f64::from(i) / 60.0, f64::from(j) / 60.0);
+                    let q = corners[0] * (1.0 - u - v) + corners[1] * u + corners[2] * v;
+                    best = best.min((q - p).length());
+                }
+            }
+            assert!(found <= best + 1e-12 && best <= found + 0.1, "{found} {best}");
+        }
+    }
+}

@@ -1,0 +1,307 @@
+//! Pictures of surfaces, without a graphics card or a window: the same bytes on every machine, for any number of threads.
+//!
+//! ```text
+//!  vertices ─▶ camera space ─▶ store        triangles, batch by batch ─┬─▶ samples of the image: depth, normal, value
+//!  (once, beyond memory on disk)                                       └─▶ a depth map for each light of the sky
+//!                                                         then: light of each pixel ─▶ mean of its samples ─▶ image
+//! ```
+//!
+//! **Visibility** is a z-buffer of s × s samples a pixel. Corners are rounded to 1/256 of a sample and edges tested in
+//! integers, with the top-left rule, so that triangles with a common edge leave neither a gap nor an overlap; of equal depths the
+//! triangle that came first is seen. Rows are shared out to threads, each of which takes the triangles in order.
+//!
+//! **Light** comes from a sky of about a hundred directions: brightest above the viewer's left shoulder (the *key*), weaker from the right (the *fill*),
+//! even elsewhere. Each direction has a depth map of the whole surface, and what lies behind another part gets no light from it: soft
+//! shadows and ambient occlusion in one, of the scene and not of the screen (compare Tarini, Cignoni and Montani, "Ambient occlusion
+//! and edge cueing for enhancing real time molecular visualization", 2006). Colours are added up linearly and encoded as sRGB in the end.
+//!
+//! Normals are interpolated between vertices, turned to the viewer with their triangle; the far side of an open surface is
+//! drawn darker.
+//!
+//! Cost: some microseconds a triangle (most of it for the maps), about a microsecond a pixel. Memory ([`needed`]): samples and maps, whatever
+//! the surface; vertices beyond what is left wait on disk.
+
+mod camera;
+mod colour;
+mod light;
+mod samples;
+mod shade;
+#[cfg(test)]
+mod tests;
+
+pub use camera::{Camera, Up, View};
+pub use colour::{Paint, SEQUENTIAL, parse_colour, scale_colour};
+
+use crate::bytes::store::{Cached, Store};
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, pool};
+use crate::surface::SurfaceSource;
+use glam::{DVec3, Vec3};
+use light::Sky;
+use rayon::prelude::*;
+use samples::{Corner, Samples};
+use std::path::PathBuf;
+
+/// How a picture is made.
+#[derive(Clone, Debug)]
+pub struct RenderSettings {
+    /// Samples along each side of a pixel.
+    pub samples: u32,
+    /// Directions of the sky; 0 for light without shadows.
+    pub lights: u32,
+    /// Whether triangles are flat: normals of triangles instead of those of vertices.
+    pub flat: bool,
+    /// Red, green, blue, opacity where there is no surface.
+    pub background: [u8; 4],
+    /// Threads; 0 means as many as the process may use.
+    pub threads: usize,
+    /// Bytes for samples, maps and vertices.
+    pub memory: u64,
+    /// Folder for vertices that memory does not hold.
+    pub scratch: PathBuf,
+    /// Stops the drawing.
+    pub cancel: CancelToken,
+}
+
+impl Default for RenderSettings {
+    fn default() -> Self {
+        Self {
+            samples: 3,
+            lights: 128,
+            flat: false,
+            background: [255; 4],
+            threads: 0,
+            memory: crate::exec::usable_memory() / 2,
+            scratch: std::env::temp_dir(),
+            cancel: CancelToken::new(),
+        }
+    }
+}
+
+/// A picture: red, green, blue, opacity of each pixel, row by row from the top.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Image {
+    /// Pixels along x and y.
+    pub size: [u32; 2],
+    /// The pixels.
+    pub pixels: Vec<[u8; 4]>,
+}
+
+/// What is drawn.
+#[derive(Clone, Copy)]
+pub struct Subject<'a> {
+    /// The surface.
+    pub surface: &'a dyn SurfaceSource,
+    /// Its colour.
+    pub paint: Paint,
+    /// A number for each vertex, where colours tell it; empty otherwise.
+    pub values: &'a [f32],
+}
+
+/// A vertex in camera space.
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+struct Placed {
+    position: [f32; 3],
+    normal: [f32; 3],
+    value: f32,
+}
+
+/// What the process needs beside samples and maps; triangles at work among it.
+const FIXED: u64 = 24 << 20;
+/// Triangles that are drawn at a time.
+const BATCH: usize = 1 << 14;
+
+/// The least memory for a picture of such a size, without vertices and whatever the surface; with the picture itself.
+pub fn needed(size: [u32; 2], settings: &RenderSettings) -> u64 {
+    let pixels = u64::from(size[0]) * u64::from(size[1]);
+    let each = samples::BYTES * u64::from(settings.samples).pow(2) + 4;
+    FIXED + pixels.saturating_mul(each) + light::bytes(settings.lights)
+}
+
+/// Draws a surface.
+///
+/// # Errors
+/// [`Error::Usage`] for settings that cannot be; [`Error::Budget`] when the memory does not suffice: a surface without normals takes 12
+/// bytes a vertex for them, unless triangles are flat; those of reading the surface.
+pub fn render(subject: &Subject<'_>, view: &View, settings: &RenderSettings) -> Result<Image> {
+    let surface = subject.surface;
+    if !(1..=8).contains(&settings.samples) || settings.lights > 1024 {
+        return Err(Error::usage("a pixel has 1 to 8 samples a side, a sky at most 1024 lights"));
+    }
+    if !subject.values.is_empty() && subject.values.len() as u64 != surface.vertex_count() {
+        return Err(Error::usage("a value for each vertex, or none"));
+    }
+    let given = !settings.flat && has_normals(surface)?;
+    let made = if given || settings.flat { 0 } else { 12 * surface.vertex_count() };
+    let least = needed(view.size(), settings).saturating_add(made);
+    if least > settings.memory {
+        return Err(Error::Budget { what: "memory".into(), needed: least, available: settings.memory });
+    }
+    let rest = usize::try_from(settings.memory - least).unwrap_or(usize::MAX);
+    let mut vertices = place(subject, view, rest / 2, settings)?;
+    let pool = pool(settings.threads)?;
+    let mut turned = false;
+    if given {
+        turned = !normals_agree(surface, &vertices, rest / 2)?;
+    } else if !settings.flat {
+        add_normals(surface, &mut vertices, rest / 2)?;
+    }
+    let normals = match (settings.flat, turned) {
+        (true, _) => Normals::OfTriangles,
+        (false, true) => Normals::Turned,
+        (false, false) => Normals::Given,
+    };
+    let mut sky = Sky::new(settings.lights);
+    let mut samples = Samples::new(view, settings.samples);
+    each_batch(surface, &vertices, rest / 2, settings, |batch| {
+        pool.install(|| {
+            let corners: Vec<[Corner; 3]> =
+                batch.par_iter().map(|t| corners(t, view, &samples, normals)).collect();
+            samples.draw(&corners);
+            sky.draw(batch);
+        });
+    })?;
+    drop(vertices);
+    let (paint, background) = (&subject.paint, settings.background);
+    let pixels = pool.install(|| shade::shade(&samples, &sky, view, paint, background));
+    Ok(Image { size: view.size(), pixels })
+}
+
+fn has_normals(surface: &dyn SurfaceSource) -> Result<bool> {
+    let mut any = false;
+    surface.vertices(&mut |batch| {
+        any |= batch.iter().any(|v| v.normal != [0.0; 3]);
+        Ok(())
+    })?;
+    Ok(any)
+}
+
+/// All vertices, in camera space.
+fn place(
+    subject: &Subject<'_>,
+    view: &View,
+    memory: usize,
+    settings: &RenderSettings,
+) -> Result<Store<Placed>> {
+    let mut vertices = Store::new(memory, &settings.scratch);
+    let mut values = subject.values.iter();
+    subject.surface.vertices(&mut |batch| {
+        for v in batch {
+            let position = view.to_camera(DVec3::from_array(v.position.map(f64::from))).as_vec3();
+            let value = values.next().copied().unwrap_or(0.0);
+            vertices.push(Placed { position: position.to_array(), normal: view.turn(v.normal), value })?;
+        }
+        settings.cancel.check()
+    })?;
+    Ok(vertices)
+}
+
+/// Gives each vertex the sum of its triangles' normals, weighted by area, added in the order of the triangles.
+fn add_normals(surface: &dyn SurfaceSource, vertices: &mut Store<Placed>, memory: usize) -> Result<()> {
+    let count = vertices.len();
+    let mut normals = vec![Vec3::ZERO; count as usize];
+    let mut cached = Cached::new(vertices, memory);
+    surface.triangles(&mut |batch| {
+        for t in batch.iter().filter(|t| t.iter().all(|&v| u64::from(v) < count)) {
+            let [a, b, c] = [cached.get(t[0].into())?, cached.get(t[1].into())?, cached.get(t[2].into())?]
+                .map(|v| Vec3::from_array(v.position));
+            let normal = (b - a).cross(c - a);
+            t.iter().for_each(|&v| normals[v as usize] += normal);
+        }
+        Ok(())
+    })?;
+    let mut first = 0u32;
+    for part in normals.chunks(BATCH) {
+        let patches: Vec<(u32, [f32; 3])> =
+            (first..).zip(part).map(|(n, v)| (n, unit(v.to_array()))).collect();
+        vertices.patch(&patches, |placed, normal| placed.normal = *normal)?;
+        first += part.len() as u32;
+    }
+    Ok(())
+}
+
+/// Which normals are drawn.
+#[derive(Clone, Copy)]
+enum Normals {
+    Given,
+    /// Those given, the other way round.
+    Turned,
+    OfTriangles,
+}
+
+/// Triangles that are asked whether normals agree with them.
+const ASKED: usize = 1 << 16;
+
+/// Whether the vertices' normals point to the side from which triangles are counter-clockwise: some programs have it otherwise. By area,
+/// for in slivers they may differ.
+fn normals_agree(surface: &dyn SurfaceSource, vertices: &Store<Placed>, memory: usize) -> Result<bool> {
+    let (mut cached, count) = (Cached::new(vertices, memory), vertices.len());
+    let (mut asked, mut sum) = (0, 0.0f64);
+    surface.triangles(&mut |batch| {
+        let good = batch.iter().filter(|t| t.iter().all(|&v| u64::from(v) < count));
+        for t in good.take(ASKED - asked) {
+            let corners = [cached.get(t[0].into())?, cached.get(t[1].into())?, cached.get(t[2].into())?];
+            let [a, b, c] = corners.map(|v| Vec3::from_array(v.position));
+            let normal = corners.iter().fold(Vec3::ZERO, |sum, v| sum + Vec3::from_array(v.normal));
+            sum += f64::from((b - a).cross(c - a).dot(normal));
+            asked += 1;
+        }
+        Ok(())
+    })?;
+    Ok(sum >= 0.0)
+}
+
+/// Hands out all triangles, some at a time, with their vertices; those that name a vertex that there is not are left out.
+fn each_batch(
+    surface: &dyn SurfaceSource,
+    vertices: &Store<Placed>,
+    memory: usize,
+    settings: &RenderSettings,
+    mut each: impl FnMut(&[[Placed; 3]]),
+) -> Result<()> {
+    let mut cached = Cached::new(vertices, memory);
+    let mut batch: Vec<[Placed; 3]> = Vec::with_capacity(BATCH);
+    surface.triangles(&mut |triangles| {
+        for t in triangles.iter().filter(|t| t.iter().all(|&v| u64::from(v) < vertices.len())) {
+            batch.push([cached.get(t[0].into())?, cached.get(t[1].into())?, cached.get(t[2].into())?]);
+            if batch.len() == BATCH {
+                settings.cancel.check()?;
+                each(&batch);
+                batch.clear();
+            }
+        }
+        Ok(())
+    })?;
+    each(&batch);
+    Ok(())
+}
+
+/// The corners of a triangle on the image, their normals on the viewer's side of it.
+fn corners(triangle: &[Placed; 3], view: &View, samples: &Samples, normals: Normals) -> [Corner; 3] {
+    let [a, b, c] = triangle.map(|v| Vec3::from_array(v.position));
+    let plane = (b - a).cross(c - a);
+    let faces_us = plane.dot(Vec3::from_array(view.to_viewer(a.to_array()))) >= 0.0;
+    triangle.map(|v| {
+        let (at, depth) = view.project(Vec3::from_array(v.position).as_dvec3());
+        let normal = match normals {
+            Normals::Given if v.normal != [0.0; 3] => Vec3::from_array(v.normal),
+            Normals::Turned if v.normal != [0.0; 3] => -Vec3::from_array(v.normal),
+            _ => plane,
+        };
+        let normal = if faces_us { normal } else { -normal };
+        Corner {
+            at: samples.snap(at),
+            depth: depth as f32,
+            normal: unit(normal.to_array()),
+            value: v.value,
+            is_back: !faces_us,
+        }
+    })
+}
+
+/// A vector of length 1, or none.
+fn unit(v: [f32; 3]) -> [f32; 3] {
+    let length = (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]).sqrt();
+    if length > 0.0 { v.map(|c| c / length) } else { [0.0; 3] }
+}

@@ -1,0 +1,199 @@
+//! What is seen at each sample of an image: a z-buffer.
+
+use super::View;
+use rayon::prelude::*;
+
+/// Bytes of a sample.
+pub(super) const BYTES: u64 = 4 + 8 + 4;
+
+/// Steps of a sample that corners are rounded to.
+const STEPS: i64 = 256;
+/// The farthest from the image that a corner is taken to be, in steps: products of differences must fit 64 bits.
+const FAR: f64 = (1u64 << 29) as f64;
+
+/// A corner of a triangle on the image.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Corner {
+    /// In steps from the left and from the top.
+    pub(super) at: [i64; 2],
+    pub(super) depth: f32,
+    pub(super) normal: [f32; 3],
+    pub(super) value: f32,
+    /// Whether the triangle is seen from its far side.
+    pub(super) is_back: bool,
+}
+
+/// What is seen.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Seen {
+    /// Unit normal, times 2^14, and whether the far side of a triangle is seen.
+    packed: [i16; 4],
+    pub(super) value: f32,
+}
+
+impl Seen {
+    pub(super) fn normal(&self) -> [f32; 3] {
+        let [x, y, z, _] = self.packed;
+        super::unit([x, y, z].map(f32::from))
+    }
+
+    pub(super) fn is_back(&self) -> bool {
+        self.packed[3] != 0
+    }
+}
+
+/// The samples of an image, row by row; each pixel has a square of them.
+pub(super) struct Samples {
+    /// Samples along each side of a pixel, and along each side of the image.
+    pub(super) side: usize,
+    pub(super) size: [usize; 2],
+    perspective: bool,
+    depths: Vec<f32>,
+    seen: Vec<Seen>,
+}
+
+/// Rows of a thread's turn.
+const BAND: usize = 32;
+
+impl Samples {
+    pub(super) fn new(view: &View, side: u32) -> Self {
+        let size = view.size().map(|s| s as usize * side as usize);
+        Self {
+            side: side as usize,
+            size,
+            perspective: view.is_perspective(),
+            depths: vec![f32::NEG_INFINITY; size[0] * size[1]],
+            seen: vec![Seen::default(); size[0] * size[1]],
+        }
+    }
+
+    /// A place on the image, given in pixels, in steps.
+    pub(super) fn snap(&self, at: [f64; 2]) -> [i64; 2] {
+        at.map(|x| (x * (self.side as i64 * STEPS) as f64).clamp(-FAR, FAR).round() as i64)
+    }
+
+    /// Depth and what is seen at a sample; none where that is the background.
+    #[inline]
+    pub(super) fn get(&self, x: usize, y: usize) -> Option<(f32, &Seen)> {
+        let at = y * self.size[0] + x;
+        (self.depths[at] > f32::NEG_INFINITY).then(|| (self.depths[at], &self.seen[at]))
+    }
+
+    /// Draws triangles, in order.
+    pub(super) fn draw(&mut self, triangles: &[[Corner; 3]]) {
+        let (width, perspective) = (self.size[0], self.perspective);
+        let height = self.size[1] as i64;
+        // The rows of samples that each may cover.
+        let rows: Vec<[i64; 2]> = triangles
+            .iter()
+            .map(|t| {
+                let (lo, hi) = extent(t.map(|c| c.at[1]));
+                [lo.max(0), hi.min(height - 1)]
+            })
+            .collect();
+        let bands = self.depths.par_chunks_mut(BAND * width).zip(self.seen.par_chunks_mut(BAND * width));
+        bands.enumerate().for_each(|(n, (depths, seen))| {
+            let first = (n * BAND) as i64;
+            let last = first + (depths.len() / width) as i64 - 1;
+            let mut band = Band { first, width, perspective, depths, seen };
+            for (t, &[lo, hi]) in triangles.iter().zip(&rows) {
+                if lo <= last && hi >= first {
+                    band.draw(t, [lo.max(first), hi.min(last)]);
+                }
+            }
+        });
+    }
+}
+
+/// The first and the last sample whose centre may lie between the ends.
+fn extent([a, b, c]: [i64; 3]) -> (i64, i64) {
+    let (lo, hi) = (a.min(b).min(c), a.max(b).max(c));
+    ((lo - STEPS / 2).div_euclid(STEPS), (hi - STEPS / 2).div_euclid(STEPS) + 1)
+}
+
+/// Some rows.
+struct Band<'a> {
+    first: i64,
+    width: usize,
+    perspective: bool,
+    depths: &'a mut [f32],
+    seen: &'a mut [Seen],
+}
+
+/// Twice the area of (a, b, p), as a function of p.
+#[derive(Clone, Copy)]
+struct Edge {
+    x: i64,
+    y: i64,
+    at: [i64; 2],
+    /// 0 where a sample on the edge belongs to the triangle, else -1.
+    bias: i64,
+}
+
+impl Edge {
+    fn new(a: [i64; 2], b: [i64; 2]) -> Self {
+        let (x, y) = (a[1] - b[1], b[0] - a[0]);
+        // Rows go down, so with a positive area the inside is to the right of an edge that goes up: a left one.
+        let is_top_left = b[1] < a[1] || (a[1] == b[1] && b[0] > a[0]);
+        Self { x, y, at: a, bias: if is_top_left { 0 } else { -1 } }
+    }
+
+    fn value(&self, p: [i64; 2]) -> i64 {
+        self.x * (p[0] - self.at[0]) + self.y * (p[1] - self.at[1])
+    }
+}
+
+impl Band<'_> {
+    fn draw(&mut self, t: &[Corner; 3], [top, bottom]: [i64; 2]) {
+        let [a, mut b, mut c] = *t;
+        let area = Edge::new(a.at, b.at).value(c.at);
+        if area < 0 {
+            (b, c) = (c, b);
+        }
+        let area = area.abs();
+        let (left, right) = extent([a, b, c].map(|k| k.at[0]));
+        let (left, right) = (left.max(0), right.min(self.width as i64 - 1));
+        if area == 0 || left > right {
+            return;
+        }
+        let edges = [Edge::new(b.at, c.at), Edge::new(c.at, a.at), Edge::new(a.at, b.at)];
+        let (unit, corners) = (1.0 / area as f64, [a, b, c]);
+        for y in top..=bottom {
+            let centre = [left * STEPS + STEPS / 2, y * STEPS + STEPS / 2];
+            let mut w = edges.map(|e| e.value(centre) + e.bias);
+            let row = (y - self.first) as usize * self.width;
+            for x in left..=right {
+                if w[0] | w[1] | w[2] >= 0 {
+                    let weights = [0, 1].map(|k| ((w[k] - edges[k].bias) as f64 * unit) as f32);
+                    self.see(
+                        row + x as usize,
+                        &corners,
+                        [weights[0], weights[1], 1.0 - weights[0] - weights[1]],
+                    );
+                }
+                w = std::array::from_fn(|k| w[k] + edges[k].x * STEPS);
+            }
+        }
+    }
+
+    #[inline]
+    fn see(&mut self, at: usize, corners: &[Corner; 3], weights: [f32; 3]) {
+        let sum =
+            |of: &dyn Fn(&Corner) -> f32, w: [f32; 3]| (0..3).map(|k| w[k] * of(&corners[k])).sum::<f32>();
+        let depth = sum(&|c| c.depth, weights);
+        if depth <= self.depths[at] {
+            return;
+        }
+        self.depths[at] = depth;
+        // What is linear in space is not linear on a perspective image.
+        let w = if self.perspective {
+            std::array::from_fn(|k| weights[k] * corners[k].depth / depth)
+        } else {
+            weights
+        };
+        let normal = super::unit(std::array::from_fn(|k| sum(&|c| c.normal[k], w)));
+        let [x, y, z] = normal.map(|n| (n * 16384.0).round() as i16);
+        let value = sum(&|c| c.value, w);
+        self.seen[at] = Seen { packed: [x, y, z, i16::from(corners[0].is_back)], value };
+    }
+}

@@ -1,0 +1,159 @@
+use super::*;
+use crate::surface::{TriMesh, Vertex};
+
+/// A sphere of radius 1 in rows and columns.
+fn sphere(rows: u32, normals: bool) -> TriMesh {
+    let columns = 2 * rows;
+    let mut mesh = TriMesh::default();
+    for i in 0..=rows {
+        for j in 0..columns {
+            let (t, p) = (
+                std::f64::consts::PI * f64::from(i) / f64::from(rows),
+                std::f64::consts::TAU * f64::from(j) / f64::from(columns),
+            );
+            let at =
+                [libm::sin(t) * libm::cos(p), libm::sin(t) * libm::sin(p), libm::cos(t)].map(|c| c as f32);
+            mesh.vertices.push(Vertex { position: at, normal: if normals { at } else { [0.0; 3] } });
+        }
+    }
+    for i in 0..rows {
+        for j in 0..columns {
+            let (a, b) = (i * columns + j, i * columns + (j + 1) % columns);
+            mesh.triangles.push([a, a + columns, b + columns]);
+            mesh.triangles.push([a, b + columns, b]);
+        }
+    }
+    mesh
+}
+
+fn settings(threads: usize) -> RenderSettings {
+    RenderSettings { threads, lights: 24, memory: 1 << 30, ..RenderSettings::default() }
+}
+
+fn draw(mesh: &TriMesh, camera: &Camera, paint: Paint, settings: &RenderSettings) -> Image {
+    let view = View::fit(camera, &[mesh], [90, 80]).unwrap();
+    render(&Subject { surface: mesh, paint, values: &[] }, &view, settings).unwrap()
+}
+
+fn lightness(p: &[u8; 4]) -> u32 {
+    p[..3].iter().map(|&c| u32::from(c)).sum()
+}
+
+const GREY: Paint = Paint::Plain([200; 3]);
+
+#[test]
+fn a_sphere_is_a_disc_lit_from_above_left() {
+    let camera = Camera { perspective: false, ..Camera::default() };
+    let image = draw(&sphere(40, true), &camera, GREY, &settings(2));
+    let at = |x: usize, y: usize| &image.pixels[y * 90 + x];
+    let covered = image.pixels.iter().filter(|p| **p != [255; 4]).count() as f64;
+    let radius = 0.94 * 40.0;
+    let disc = std::f64::consts::PI * radius * radius;
+    assert!((covered / disc - 1.0).abs() < 0.06, "{covered} {disc}");
+    assert!(lightness(at(33, 28)) > lightness(at(57, 55)) + 100, "{:?} {:?}", at(33, 28), at(57, 55));
+    assert!(lightness(at(45, 40)) > 300 && at(2, 2) == &[255; 4]);
+    // Edges are smooth: some pixels lie between surface and background.
+    let row: Vec<u32> = image.pixels[40 * 90..41 * 90].iter().map(lightness).collect();
+    assert!(row.windows(2).filter(|w| w[0].abs_diff(w[1]) > 20).count() >= 2);
+}
+
+#[test]
+fn threads_and_memory_do_not_show() {
+    let mesh = sphere(30, true);
+    let one = draw(&mesh, &Camera::default(), GREY, &settings(1));
+    assert_eq!(draw(&mesh, &Camera::default(), GREY, &settings(3)), one);
+    let least = needed([90, 80], &settings(1));
+    let tight = RenderSettings { memory: least, ..settings(2) };
+    assert_eq!(draw(&mesh, &Camera::default(), GREY, &tight), one);
+    let view = View::fit(&Camera::default(), &[&mesh], [90, 80]).unwrap();
+    let subject = Subject { surface: &mesh, paint: GREY, values: &[] };
+    let less = RenderSettings { memory: least - 1, ..settings(1) };
+    assert_eq!(render(&subject, &view, &less).unwrap_err().exit_code(), 4);
+}
+
+#[test]
+fn normals_that_a_file_does_not_have_are_made() {
+    let camera = Camera::default();
+    let given = draw(&sphere(40, true), &camera, Paint::Normals, &settings(1));
+    let made = draw(&sphere(40, false), &camera, Paint::Normals, &settings(1));
+    let flat =
+        draw(&sphere(8, false), &camera, Paint::Normals, &RenderSettings { flat: true, ..settings(1) });
+    let smooth = draw(&sphere(8, false), &camera, Paint::Normals, &settings(1));
+    let far = |a: &Image, b: &Image| {
+        let d = |(p, q): (&[u8; 4], &[u8; 4])| (0..3).map(|k| u64::from(p[k].abs_diff(q[k]))).sum::<u64>();
+        a.pixels.iter().zip(&b.pixels).map(d).sum::<u64>() as f64 / a.pixels.len() as f64
+    };
+    assert!(far(&given, &made) < 1.0, "{}", far(&given, &made));
+    assert!(far(&flat, &smooth) > 5.0, "{}", far(&flat, &smooth));
+}
+
+#[test]
+fn triangles_with_a_common_edge_leave_no_gap_and_no_overlap() {
+    // A square in many slivers: every sample is covered exactly once, so the first and the last triangle drawn give the same.
+    let n = 37u32;
+    let rim = |k: u32| {
+        let a = std::f64::consts::TAU * f64::from(k) / f64::from(n);
+        [(libm::cos(a)) as f32, (libm::sin(a)) as f32, 0.0]
+    };
+    let mut mesh = TriMesh {
+        vertices: (0..n).map(|k| Vertex { position: rim(k), normal: [0.0, 0.0, 1.0] }).collect(),
+        triangles: vec![],
+    };
+    mesh.vertices.push(Vertex { position: [0.1, -0.2, 0.0], normal: [0.0, 0.0, 1.0] });
+    mesh.triangles = (0..n).map(|k| [k, (k + 1) % n, n]).collect();
+    let camera = Camera { elevation: 90.0, perspective: false, ..Camera::default() };
+    let view = View::fit(&camera, &[&mesh], [64, 64]).unwrap();
+    let values: Vec<f32> = (0..=n).map(|k| if k == n { 0.0 } else { 1.0 }).collect();
+    let settings = RenderSettings { samples: 1, lights: 0, ..settings(1) };
+    let paint = |mesh: &TriMesh| {
+        render(
+            &Subject { surface: mesh, paint: Paint::Values([0.0, 1.0]), values: &values },
+            &view,
+            &settings,
+        )
+        .unwrap()
+    };
+    let image = paint(&mesh);
+    mesh.triangles.reverse();
+    assert_eq!(paint(&mesh), image, "no sample is in two of them");
+    for y in 0..64 {
+        let row: Vec<bool> = image.pixels[y * 64..][..64].iter().map(|p| *p != [255; 4]).collect();
+        assert!(row.windows(2).filter(|w| w[0] != w[1]).count() <= 2, "row {y} has a gap");
+    }
+}
+
+#[test]
+fn a_roof_shades_what_lies_below() {
+    // A floor, and a small roof above its middle.
+    let plate = |half: f32, z: f32| {
+        [[-half, -half], [half, -half], [half, half], [-half, half]]
+            .map(|[x, y]| Vertex { position: [x, y, z], normal: [0.0, 0.0, 1.0] })
+    };
+    let both = TriMesh {
+        vertices: [plate(2.0, 0.0), plate(0.4, 0.5)].concat(),
+        triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]],
+    };
+    let camera = Camera { elevation: 35.0, azimuth: 0.0, perspective: false, ..Camera::default() };
+    let view = View::fit(&camera, &[&both], [120, 90]).unwrap();
+    let drawn = |mesh: &TriMesh, lights| {
+        let settings = RenderSettings { lights, ..settings(2) };
+        render(&Subject { surface: mesh, paint: GREY, values: &[] }, &view, &settings).unwrap()
+    };
+    let floor = TriMesh { vertices: both.vertices.clone(), triangles: both.triangles[..2].to_vec() };
+    let darkest = |image: &Image| image.pixels.iter().map(lightness).min().unwrap();
+    assert!(darkest(&drawn(&both, 48)) + 60 < darkest(&drawn(&floor, 48)));
+    assert_eq!(
+        darkest(&drawn(&floor, 48)).abs_diff(darkest(&drawn(&floor, 0))) / 20,
+        0,
+        "a plain floor has no shadow"
+    );
+}
+
+#[test]
+fn a_transparent_background_is_transparent() {
+    let settings = RenderSettings { background: [255, 255, 255, 0], ..settings(1) };
+    let image = draw(&sphere(30, true), &Camera::default(), GREY, &settings);
+    assert_eq!(image.pixels[0][3], 0);
+    assert_eq!(image.pixels[40 * 90 + 45][3], 255);
+    assert!(image.pixels.iter().any(|p| (1..255).contains(&p[3])), "edges are half transparent");
+}
