@@ -44,8 +44,8 @@ pub struct ChunkRegion {
 /// The tetrahedra of a chunk.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ChunkMesh {
-    /// Owned tetrahedra: vertex numbers are indices into the chunk's positions, positively oriented, least number first,
-    /// least of the other three second; sorted.
+    /// Owned tetrahedra: vertex numbers are indices into the chunk's positions, positively oriented, least number first;
+    /// ascending by that.
     pub tets: Vec<Tet>,
     /// For each position: whether another chunk may own a tetrahedron at it. Only an edge between two shared
     /// vertices can also occur in another chunk. Positions outside the core are always shared.
@@ -199,7 +199,7 @@ impl<'a> Sorter<'a> {
             }
         }
         if relation.owned {
-            self.owned.push(canonical(v.map(|v| mesher.source(v))));
+            self.owned.push(least_first(v.map(|v| mesher.source(v))));
         } else {
             // Those outside the core are shared already.
             v.iter().for_each(|&v| self.shared[mesher.source(v) as usize] = true);
@@ -228,22 +228,18 @@ impl<'a> Sorter<'a> {
     }
 }
 
-/// The even permutation with the least number first and the least of the rest second. Without branches: they would be taken at
-/// random.
+/// An even permutation with the least number first. Without branches: they would be taken at random.
 #[inline]
-fn canonical(t: Tet) -> Tet {
+fn least_first(t: Tet) -> Tet {
     /// The others of each place, so that (place, others) is an even permutation.
     const REST: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [3, 0, 1], [2, 1, 0]];
     let (low, high) = (usize::from(t[1] < t[0]), 2 + usize::from(t[3] < t[2]));
     let least = low + (high - low) * usize::from(t[high] < t[low]);
-    let rest = REST[least].map(|i| t[i]);
-    let low = usize::from(rest[1] < rest[0]);
-    let second = low + (2 - low) * usize::from(rest[2] < rest[low]);
-    let round = |k: usize| rest[[0, 1, 2, 0, 1][second + k]];
-    [t[least], round(0), round(1), round(2)]
+    let [a, b, c] = REST[least].map(|i| t[i]);
+    [t[least], a, b, c]
 }
 
-/// Sorts canonical tetrahedra of `vertices` vertices: a bucket for each first vertex, then the few in it.
+/// Sorts tetrahedra of `vertices` vertices by their first ones, by counting.
 fn sorted(tets: &[Tet], vertices: usize) -> Vec<Tet> {
     let mut end = vec![0u32; vertices + 1];
     for t in tets {
@@ -258,31 +254,7 @@ fn sorted(tets: &[Tet], vertices: usize) -> Vec<Tet> {
         all[*place as usize] = t;
         *place += 1;
     }
-    let mut start = 0;
-    for &end in &end[..vertices] {
-        sort_bucket(&mut all[start..end as usize]);
-        start = end as usize;
-    }
     all
-}
-
-/// Sorts canonical tetrahedra of one first vertex. Around an edge each vertex comes third once: two more numbers tell them apart.
-#[inline]
-fn sort_bucket(tets: &mut [Tet]) {
-    const FEW: usize = 24;
-    let key = |t: &Tet| u64::from(t[1]) << 32 | u64::from(t[2]);
-    if tets.len() > FEW {
-        return tets.sort_unstable_by_key(key);
-    }
-    // Each one's place is the number of those before it: some fifty comparisons, and no branch that depends on them.
-    let (mut unsorted, mut keys) = ([[0; 4]; FEW], [0; FEW]);
-    for (i, t) in tets.iter().enumerate() {
-        (unsorted[i], keys[i]) = (*t, key(t));
-    }
-    for i in 0..tets.len() {
-        let place = keys[..tets.len()].iter().map(|k| usize::from(*k < keys[i])).sum::<usize>();
-        tets[place] = unsorted[i];
-    }
 }
 
 #[cfg(test)]

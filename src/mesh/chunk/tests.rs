@@ -86,9 +86,10 @@ fn chunk(all: &[LatticePos], domain: LatticeBox, core: LatticeBox, halo: u32, re
 fn part(local: &[LatticePos], mesh: &ChunkMesh) -> Part {
     let mut out = Part { tets: vec![], edges: BTreeSet::new(), unshared: BTreeSet::new() };
     for pair in mesh.tets.windows(2) {
-        assert!(pair[0] < pair[1], "sorted");
+        assert!(pair[0][0] <= pair[1][0], "sorted by the first");
     }
     for t in &mesh.tets {
+        assert!(t[0] < t[1] && t[0] < t[2] && t[0] < t[3]);
         let at = t.map(|v| local[v as usize]);
         assert!(crate::geom::predicates::orient3d(at[0], at[1], at[2], at[3]) > 0);
         let mut four = at;
@@ -206,17 +207,18 @@ fn the_sum_of_the_chunks_fills_the_box() {
 }
 
 #[test]
-fn canonical_keeps_orientation() {
+fn the_least_comes_first_and_the_orientation_stays() {
     let p = [[0, 0, 0], [5, 0, 0], [0, 5, 0], [0, 0, 5]];
     let mut forms = BTreeSet::new();
     for i in 0..256u32 {
         let t: Tet = std::array::from_fn(|k| i >> (2 * k) & 3);
         let at = t.map(|v| p[v as usize]);
         if crate::geom::predicates::orient3d(at[0], at[1], at[2], at[3]) > 0 {
-            forms.insert(canonical(t));
+            forms.insert(least_first(t));
         }
     }
-    assert_eq!(forms.into_iter().collect::<Vec<_>>(), [[0, 1, 2, 3]]);
+    let turned = [[0, 1, 2, 3], [0, 2, 3, 1], [0, 3, 1, 2]];
+    assert!(forms.iter().all(|t| turned.contains(t)), "{forms:?}");
 }
 
 #[test]
@@ -244,17 +246,5 @@ proptest! {
     ) {
         let all: Vec<_> = p.into_iter().collect();
         same("tiny", &all, [4; 3], cuts, halo);
-    }
-}
-
-#[test]
-fn buckets_of_any_size_are_sorted() {
-    for size in 0..60u32 {
-        // Second and third numbers in a scrambled order, all different.
-        let mut bucket: Vec<Tet> = (0..size).map(|i| [7, i * 37 % 61 / 8 + 8, i * 37 % 61, i]).collect();
-        let mut expected = bucket.clone();
-        expected.sort_unstable();
-        sort_bucket(&mut bucket);
-        assert_eq!(bucket, expected, "{size}");
     }
 }
