@@ -392,3 +392,55 @@ fn brick_and_surface_leave_nothing() {
     assert_eq!(files(), [PathBuf::from("v.bricks"), PathBuf::from("v.npy")]);
     assert!(stopped > 0 && left > 0, "{stopped} stopped, {left} left something");
 }
+
+/// Steps that are added while the run is killed again and again: the archive is the old one until it is the new one.
+#[test]
+fn kills_while_steps_are_added_leave_the_archive_as_it_was() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    for t in 0..6 {
+        let (name, t) = (format!("s{t}.npy"), f64::from(t));
+        write_npy(&d.join(name), [40, 36, 32], |x, y, z| waves(x + 0.03 * t, y, z));
+    }
+    let base = ["--fraction", "1/2", "--chunk-points", "1000", "--no-measure"];
+    let first = [&["reduce", "-q", "s0.npy", "s1.npy", "-o", "a.isospan"], &base[..]].concat();
+    let all: Vec<&str> = ["s0.npy", "s1.npy", "s2.npy", "s3.npy", "s4.npy", "s5.npy"].to_vec();
+    ok(d, &[&["reduce", "-q", "-o", "whole.isospan"], &all[..], &base[..]].concat());
+    ok(d, &first);
+    let append = [&["append", "-q", "--no-measure", "a.isospan"], &all[2..]].concat();
+    let (old, archive) = (fs::read(d.join("a.isospan/manifest.json")).unwrap(), d.join("a.isospan"));
+    let answer = || isospan::Archive::open(&archive).unwrap().count(0.1).unwrap().active_tetrahedra;
+    let (expected, mut dice, mut kills, mut kept) = (answer(), Dice(3), 0, 0);
+    let start = Instant::now();
+    for (file, bytes) in folder(&archive) {
+        let to = d.join("copy.isospan").join(file);
+        fs::create_dir_all(to.parent().unwrap()).unwrap();
+        fs::write(to, bytes).unwrap();
+    }
+    ok(d, &[&["append", "-q", "--no-measure", "copy.isospan"], &all[2..]].concat());
+    let took = start.elapsed();
+    for run in 0.. {
+        assert!(run < 100, "{kills} kills");
+        let mut child = spawn(d, &append);
+        std::thread::sleep(Duration::from_micros(dice.roll(took.as_micros() as u64)));
+        if kills < 8 && child.try_wait().unwrap().is_none() {
+            child.kill().unwrap();
+            end(child);
+            if fs::read(d.join("a.isospan/manifest.json")).unwrap() != old {
+                // Killed when all was done.
+                break;
+            }
+            kills += 1;
+            kept += u64::from(!temporaries(&archive).is_empty() || archive.join("steps/000002").exists());
+            assert_eq!(answer(), expected);
+            ok(d, &["check", "a.isospan"]);
+            continue;
+        }
+        let (status, text) = end(child);
+        assert!(status.success(), "{text}");
+        break;
+    }
+    assert!(kept > 0, "{kills} kills");
+    assert!(folder(&archive) == folder(&d.join("whole.isospan")));
+    assert!(temporaries(d).is_empty());
+}

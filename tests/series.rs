@@ -317,3 +317,74 @@ fn frames_and_patterns_of_real_data() {
         assert_eq!(report.steps[7].source, "density_t080.vti");
     }
 }
+
+#[test]
+fn surfaces_of_many_steps_have_a_list() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = write_steps(dir.path(), 4);
+    // One whose values do not reach the isovalue.
+    write_npy(&steps[2].path, DIMS, |x, _, _| 0.01 * x);
+    let archive = dir.path().join("a.isospan");
+    reduce_all(&steps, &few_points(), &archive, &run(2));
+    let settings = SurfaceSettings::of(0.5);
+    let out = dir.path().join("s_%03d.vtp");
+    let all = pipeline::StepRange::default();
+    let report =
+        pipeline::extract_series(&archive, all, &settings, &out, SurfaceFormat::Vtp, &Silent).unwrap();
+    assert_eq!(report.lists, [dir.path().join("s.pvd")]);
+    assert_eq!(report.steps.iter().map(|s| s.skipped).collect::<Vec<_>>(), [false, false, true, false]);
+    let listed = isospan::formats::steps_of(&report.lists, &OpenOptions::default()).unwrap();
+    assert_eq!(listed.iter().map(|s| s.time).collect::<Vec<_>>(), [0.0, 0.5, 1.0, 1.5].map(Some));
+    for (number, step) in (0..).zip(&listed) {
+        let alone = surface_at(&archive, choice(number), 0.5, &dir.path().join("one.vtp"));
+        assert!(fs::read(&step.path).unwrap() == alone, "{number}");
+    }
+    assert_eq!(report.steps[2].report.triangles, 0);
+    assert!(report.steps[2].report.bytes_read < report.steps[1].report.bytes_read);
+    let (some, out) = ("1:2".parse().unwrap(), dir.path().join("t%d_{}.ply"));
+    let two = SurfaceSettings { isovalues: vec![0.5, -0.25], ..SurfaceSettings::default() };
+    let report = pipeline::extract_series(&archive, some, &two, &out, SurfaceFormat::Ply, &Silent).unwrap();
+    assert_eq!(report.lists, ["t_0.5.ply.series", "t_-0.25.ply.series"].map(|f| dir.path().join(f)));
+    let listed = isospan::formats::steps_of(&report.lists[1..], &OpenOptions::default()).unwrap();
+    assert_eq!(listed[1].path, dir.path().join("t2_-0.25.ply"));
+    let none = "7:".parse().unwrap();
+    let e =
+        pipeline::extract_series(&archive, none, &settings, &out, SurfaceFormat::Ply, &Silent).unwrap_err();
+    assert!(e.exit_code() == 2 && e.to_string().contains("it has steps 0 to 3"), "{e}");
+    let spectra = pipeline::spectra(&archive, all).unwrap();
+    assert_eq!(
+        spectra[3].spectrum.knots,
+        Archive::open_at(&archive, choice(3)).unwrap().spectrum().unwrap().knots
+    );
+}
+
+/// A simulation on one tetrahedral mesh: all steps in one file; and one file a step.
+#[test]
+fn meshes_are_located_once_for_all_steps() {
+    let dir = tempfile::tempdir().unwrap();
+    let settings = ReduceSettings { amount: Amount::Fraction(1.0), ..few_points() };
+    let field = |name: &str| OpenOptions { field: Some(name.into()), ..OpenOptions::default() };
+    let Some(path) = shared_series("monodomain3d_tet_51steps.vtu") else { return };
+    let steps = isospan::formats::steps_of(&[path.clone()], &field("V_*")).unwrap();
+    assert_eq!(steps.len(), 51);
+    let out = dir.path().join("m.isospan");
+    reduce_all(&steps, &settings, &out, &run(2));
+    pipeline::check_archive(&out).unwrap();
+    for number in [0, 10, 50] {
+        let one = dir.path().join("one.isospan");
+        let _ = fs::remove_dir_all(&one);
+        let step = StepSource::new(&path, &field(&format!("V_{number:06}")));
+        reduce_all(&[step], &settings, &one, &run(2));
+        same_answers(dir.path(), (&out, number), (&one, 0));
+    }
+    let Some(folder) = shared_series("heart_activation") else { return };
+    let mut steps = isospan::formats::steps_of(&[folder.join("*.vtu")], &field("activation")).unwrap();
+    assert_eq!(steps.len(), 5);
+    steps.push(StepSource::new(&path, &field("V_000010")));
+    let out = dir.path().join("h.isospan");
+    let e = pipeline::reduce_series(&steps, &settings, &out, &run(2), &Silent).unwrap_err();
+    assert!(e.to_string().contains("step 5, points and cells"), "{e}");
+    let report = reduce_all(&steps, &settings, &out, &RunSettings { keep_going: true, ..run(2) });
+    assert_eq!((report.steps.len(), report.skipped.len()), (5, 1));
+    pipeline::check_archive(&out).unwrap();
+}

@@ -246,18 +246,19 @@ fn steps_text(s: &ArchiveSummary) -> String {
     }
     let _ = writeln!(
         out,
-        "  {:>6} {:>12} {:>24} {:>10} {:>10}  source",
-        "step", "time", "range", "values", "index"
+        "  {:>6} {:>12} {:>24} {:>12} {:>10} {:>10}  source",
+        "step", "time", "range", "RMS error", "values", "index"
     );
     for step in &s.steps {
         let time = step.time.map_or("-".into(), |t| t.to_string());
         let range = step.range.map_or("none".into(), |[lo, hi]| format!("{lo} .. {hi}"));
+        let error = step.error.map_or("-".into(), |[rms, _]| text::value(text::figures(rms, 4)));
         let [values, index] = [step.value_bytes, step.index_bytes].map(text::bytes);
         let asked = if step.number == s.step { '>' } else { ' ' };
         let key = if step.base.is_none() { " (keyframe)" } else { "" };
         let _ = writeln!(
             out,
-            " {asked}{:>6} {time:>12} {range:>24} {values:>10} {index:>10}  {}: {}{key}",
+            " {asked}{:>6} {time:>12} {range:>24} {error:>12} {values:>10} {index:>10}  {}: {}{key}",
             step.number, step.source, step.field
         );
     }

@@ -3,7 +3,7 @@
 use super::step::StepArgs;
 use super::{figure, text};
 use isospan::Result;
-use isospan::pipeline::{SpectrumReport, contour_spectrum_at};
+use isospan::pipeline::{SpectrumReport, StepRange, StepSpectrum, contour_spectrum_at, spectra};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -14,6 +14,13 @@ use std::path::PathBuf;
 pub(crate) struct Args {
     /// The archive.
     archive: PathBuf,
+    /// Of a series: the spectra of all steps, or of those of --steps. The table has a line for each; the figure is a map of the area over
+    /// time and isovalue.
+    #[arg(long, conflicts_with_all = ["step", "time"])]
+    over_time: bool,
+    /// With --over-time: the steps, FIRST:LAST by number; an end may be left out.
+    #[arg(long, value_name = "RANGE", requires = "over_time")]
+    steps: Option<StepRange>,
     /// Also draw the curves: .svg or .png.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
@@ -26,12 +33,37 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let format = args.plot.as_deref().map(figure::Format::of).transpose()?;
+    let name = args.archive.file_stem().unwrap_or_default().to_string_lossy();
+    if args.over_time {
+        let steps = spectra(&args.archive, args.steps.unwrap_or_default())?;
+        if let Some((file, format)) = args.plot.as_deref().zip(format) {
+            figure::write_figure(&figure::OverTime { steps: &steps, name: &name }, file, format)?;
+        }
+        return if args.json { super::print_json(&steps) } else { super::print(&lines(&steps)) };
+    }
     let report = contour_spectrum_at(&args.archive, args.step.choice())?;
     if let Some((file, format)) = args.plot.as_deref().zip(format) {
-        let name = args.archive.file_stem().unwrap_or_default().to_string_lossy();
         figure::write(&report, &name, file, format)?;
     }
     if args.json { super::print_json(&report) } else { super::print(&table(&report)) }
+}
+
+/// A line for each step: its range, the isovalue of the largest area, and what is worth a look.
+fn lines(steps: &[StepSpectrum]) -> String {
+    let mut out = format!(
+        "{:>6} {:>12} {:>26} {:>14} {:>14}  worth a look\n",
+        "step", "time", "range", "largest area", "at"
+    );
+    for StepSpectrum { step, time, spectrum } in steps {
+        let range = spectrum.range.map_or("none".into(), |[lo, hi]| format!("{lo} .. {hi}"));
+        let largest = spectrum.knots.iter().max_by(|a, b| a.area.total_cmp(&b.area));
+        let [area, at] = largest.map_or(["-".into(), "-".into()], |k| {
+            [text::value(text::figures(k.area, 7)), k.isovalue.to_string()]
+        });
+        let look: Vec<String> = spectrum.suggestions.iter().map(|s| s.isovalue.to_string()).collect();
+        let _ = writeln!(out, "{step:>6} {time:>12} {range:>26} {area:>14} {at:>14}  {}", look.join(", "));
+    }
+    out
 }
 
 fn table(report: &SpectrumReport) -> String {

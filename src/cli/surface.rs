@@ -6,7 +6,10 @@ use super::step::StepArgs;
 use super::text;
 use isospan::Result;
 use isospan::formats::surface::SurfaceFormat;
-use isospan::pipeline::{OneSurface, Refine, Roi, SurfaceReport, SurfaceSettings, extract_surface};
+use isospan::pipeline::{
+    OneSurface, Refine, Roi, SeriesReport, StepRange, SurfaceReport, SurfaceSettings, extract_series,
+    extract_surface,
+};
 use isospan::surface::components::ComponentFilter;
 use isospan::surface::decimate::Decimation;
 use std::fmt::Write as _;
@@ -65,6 +68,13 @@ pub(crate) struct Args {
     scratch: OutputScratch,
     #[command(flatten)]
     step: StepArgs,
+    /// Of a series: the surfaces of all steps, a file each, out_%04d.ply with the step's number in that place; beside them a list with
+    /// their times, out.ply.series or (.vtp) out.pvd. Steps whose values do not reach the isovalue are not read.
+    #[arg(long, conflicts_with_all = ["step", "time", "steps"])]
+    all_steps: bool,
+    /// As --all-steps, of the steps FIRST:LAST by number; an end may be left out.
+    #[arg(long, value_name = "RANGE", conflicts_with_all = ["step", "time"])]
+    steps: Option<StepRange>,
     /// Print points, tetrahedra, active blocks, bytes read and the time of each stage.
     #[arg(long)]
     stats: bool,
@@ -107,6 +117,16 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         cancel: super::signals::cancel_token(),
     };
     let bar = talk.progress();
+    if let Some(steps) = args.steps.or(args.all_steps.then(StepRange::default)) {
+        let report = extract_series(&args.archive, steps, &settings, &args.output, format, &*bar);
+        bar.end();
+        let report = report?;
+        return if args.json {
+            super::print_json(&report)
+        } else {
+            super::print(&series_text(&report, args.stats))
+        };
+    }
     let report = extract_surface(&args.archive, &settings, &args.output, format, &*bar);
     bar.end();
     let report = report?;
@@ -119,6 +139,45 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         out += &stats_text(&report);
     }
     super::print(&out)
+}
+
+/// A line for each step, and the lists.
+fn series_text(report: &SeriesReport, stats: bool) -> String {
+    let mut out = String::new();
+    for s in &report.steps {
+        let names: Vec<String> = s.report.surfaces.iter().map(|s| s.file.display().to_string()).collect();
+        let mut names = names;
+        names.dedup();
+        let (triangles, size) = (text::count(s.report.triangles), text::bytes(s.report.file_bytes));
+        let skipped = if s.skipped { ", not read: no value reaches the isovalue" } else { "" };
+        let _ = writeln!(
+            out,
+            "step {} (time {}): {}: {triangles} triangles, {size}{skipped}",
+            s.step,
+            s.time,
+            names.join(" ")
+        );
+    }
+    for list in &report.lists {
+        let _ = writeln!(out, "{}", list.display());
+    }
+    if stats {
+        let sum = |of: fn(&SurfaceReport) -> u64| report.steps.iter().map(|s| of(&s.report)).sum::<u64>();
+        let _ = writeln!(
+            out,
+            "  steps         {} of {} read",
+            report.steps.len() as u64 - report.skipped,
+            report.steps.len()
+        );
+        let [read, active] = [sum(|r| r.bytes_read), sum(|r| r.active_bytes)].map(text::bytes);
+        let _ = writeln!(
+            out,
+            "  bytes read    {read}, of blocks and values that hold an active tetrahedron {active}"
+        );
+        let seconds = report.steps.iter().flat_map(|s| &s.report.seconds).map(|(_, s)| s).sum::<f64>();
+        let _ = writeln!(out, "  time          {}", text::duration(Duration::from_secs_f64(seconds)));
+    }
+    out
 }
 
 /// A line for each surface, and why it is empty where it must be.

@@ -14,10 +14,14 @@ use crate::locate::FinePos;
 type Record = [u64; 6];
 
 /// The gradient at each vertex, in the value's unit by fine step; zero where no tetrahedron with finite values is.
-pub(crate) fn gradients(store: &CellStore, settings: &StoreSettings<'_>) -> Result<Column<[f64; 3]>> {
+pub(crate) fn gradients(
+    store: &CellStore,
+    values: &Column<f32>,
+    settings: &StoreSettings<'_>,
+) -> Result<Column<[f64; 3]>> {
     let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
     let mut sorter: Sorter<Record> = Sorter::new(memory, settings.scratch);
-    let (positions, values) = (store.positions.get()?, store.values.get()?);
+    let (positions, values) = (store.positions.get()?, values.get()?);
     for (number, tet) in store.tets.get()?.iter().enumerate() {
         let (volume, weighted) =
             of_tet(tet.map(|v| positions[v as usize]), tet.map(|v| f64::from(values[v as usize])));

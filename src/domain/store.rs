@@ -65,6 +65,8 @@ pub(crate) struct CellStore {
     pub(crate) bodies: Bodies,
     /// Triangles of the boundary, along a space-filling curve: three vertices, counter-clockwise seen from outside, and the body.
     pub(crate) boundary: Column<[u64; 4]>,
+    /// Vertices that are one.
+    firsts: Firsts,
     /// Six times the volume of all tetrahedra, in fine steps.
     pub(crate) volume6: i128,
 }
@@ -102,7 +104,33 @@ impl CellStore {
             ..sink.census
         };
         let (tets, bodies) = body_of.arrange(sink.tets.finish()?, settings)?;
-        Ok(Self { frame, census, positions, values, tets, bodies, boundary, volume6: sink.volume6 })
+        let volume6 = sink.volume6;
+        Ok(Self { frame, census, positions, values, tets, bodies, boundary, firsts, volume6 })
+    }
+
+    /// The values of another step on the same mesh: `mesh` with its field.
+    ///
+    /// # Errors
+    /// When they cannot be read, or differ at vertices that are one in this store.
+    pub(crate) fn values_of(&self, mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<Column<f32>> {
+        let column = read_values(mesh, settings)?;
+        let values = column.get()?;
+        for (v, value) in values.iter().enumerate() {
+            let mut first = [v as u64];
+            self.firsts.replace(&mut first)?;
+            let other = values[first[0] as usize];
+            if *value != other && !(value.is_nan() && other.is_nan()) {
+                let at = format!("{}, points {} and {v}", mesh.field()?.name, first[0]);
+                let expected = "one value, as they lie in one place and had one value at the first step";
+                return Err(Error::bad_input(
+                    &mesh.info().path,
+                    at,
+                    expected,
+                    format!("{other} and {value}"),
+                ));
+            }
+        }
+        Ok(column)
     }
 
     /// The part of the box that the mesh fills.

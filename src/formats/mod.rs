@@ -53,7 +53,8 @@ use stream::Codec;
 
 pub use coordinates::open_coordinates;
 pub use mesh::{Input, is_mesh, open_input, open_mesh};
-pub use series::{StepSource, steps_of};
+pub use nifti::UnpackedFrames;
+pub use series::{StepSource, packed_frames, steps_of, unpack_frames};
 
 /// How to open a volume.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]

@@ -29,12 +29,13 @@
 use super::header::{geometry, scaled_axes};
 use super::stream::{ByteSlabs, Codec, Tail, sample_bytes};
 use super::{OpenOptions, has_suffix, pick_field};
-use crate::bytes::ByteSource;
+use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
+use crate::exec::CancelToken;
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
-use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
-use std::io::Read;
+use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeReader, VolumeSource};
+use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -103,6 +104,92 @@ pub(super) fn frames(path: &Path, options: &OpenOptions) -> Result<Vec<(String, 
     let known = step > 0.0 && step.is_finite() && start.is_finite();
     let time = |t: u64| known.then(|| start + t as f64 * step);
     Ok((0..frames).map(|t| (format!("t{t}"), time(t))).collect())
+}
+
+/// Bytes of the samples of all frames, unpacked, of a gzipped file with several; `None` of other files.
+pub(super) fn packed_bytes(path: &Path, options: &OpenOptions) -> Result<Option<u64>> {
+    let names = frames(path, options)?;
+    let VolumeSource::Stream(stream) = open(path, &first_frame(options))? else { return Ok(None) };
+    let info = stream.info();
+    let frame = sample_bytes(path, info.dims, info.field.scalar)?;
+    Ok((names.len() > 1).then(|| frame.saturating_mul(names.len() as u64)))
+}
+
+fn first_frame(options: &OpenOptions) -> OpenOptions {
+    OpenOptions { field: Some("t0".into()), ..options.clone() }
+}
+
+/// The frames of a gzipped file, unpacked into a nameless file: each frame by itself would be decoded from the beginning.
+pub struct UnpackedFrames {
+    source: Arc<ByteSource>,
+    /// Of the first frame.
+    info: VolumeInfo,
+    big_endian: bool,
+}
+
+impl UnpackedFrames {
+    /// Unpacks a file into a folder.
+    ///
+    /// # Errors
+    /// Those of [`open`], and when the file ends too early or too late, or the folder cannot be written.
+    pub(super) fn new(
+        path: &Path,
+        options: &OpenOptions,
+        folder: &Path,
+        cancel: &CancelToken,
+    ) -> Result<Self> {
+        let info = open(path, &first_frame(options))?.info().clone();
+        let header_path =
+            if has_suffix(path, &[".img", ".img.gz"]) { partner(path, "hdr")? } else { path.to_path_buf() };
+        let source = Arc::new(ByteSource::open(&header_path, options.io)?);
+        let header = Header::parse(&source)?;
+        let pair = header.is_pair()?;
+        let data = if pair { Arc::new(ByteSource::open(partner(path, "img")?, options.io)?) } else { source };
+        let (offset, frames) = (header.offset(pair)?, header.frames()?);
+        let needed = sample_bytes(path, info.dims, info.field.scalar)?.saturating_mul(frames);
+        let mut packed = Codec::Gzip.reader(&data, 0..data.len())?;
+        let short = |got: String| {
+            let expected = format!("{frames} frames, {needed} bytes from byte {offset} on");
+            Error::bad_input(data.path(), "samples", expected, got)
+        };
+        let read = |e: std::io::Error| short(e.to_string());
+        let skipped = std::io::copy(&mut packed.by_ref().take(offset), &mut std::io::sink()).map_err(read)?;
+        let failed = |e| Error::io("write a temporary file in", folder, e);
+        let mut out = BufWriter::with_capacity(1 << 18, tempfile::tempfile_in(folder).map_err(failed)?);
+        let (mut left, mut buffer) = (needed, vec![0; 1 << 20]);
+        while left > 0 {
+            cancel.check()?;
+            let want = left.min(buffer.len() as u64) as usize;
+            let n = packed.read(&mut buffer[..want]).map_err(read)?;
+            if n == 0 {
+                return Err(short(format!("{} bytes", skipped + needed - left)));
+            }
+            out.write_all(&buffer[..n]).map_err(failed)?;
+            left -= n as u64;
+        }
+        // To the end: the checksum of all is there.
+        match packed.read(&mut buffer[..1]).map_err(read)? {
+            0 => {}
+            _ => return Err(short("more".into())),
+        }
+        let file = out.into_inner().map_err(|e| failed(e.into_error()))?;
+        let source = Arc::new(ByteSource::of_file(folder, file, IoMode::Map)?);
+        Ok(Self { source, info, big_endian: header.big_endian })
+    }
+
+    /// A frame by the name of its field.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when there is none of that name.
+    pub fn open(&self, name: &str) -> Result<Box<dyn VolumeReader>> {
+        let frame = pick_field(&self.info.path, &self.info.fields, Some(name))?;
+        let info = VolumeInfo { field: self.info.fields[frame].clone(), ..self.info.clone() };
+        let bytes = sample_bytes(&info.path, info.dims, info.field.scalar)?;
+        let strides =
+            StridedVolume::packed_strides(info.dims, info.field.scalar).expect("fewer than 2^63 bytes");
+        let at = frame as u64 * bytes;
+        Ok(Box::new(StridedVolume::new(info, self.source.clone(), at, self.big_endian, strides)?))
+    }
 }
 
 fn is_gzip(source: &ByteSource) -> Result<bool> {

@@ -11,10 +11,12 @@
 //!
 //! A pattern that matches TIFF files is one volume: its slices.
 
+use super::nifti::UnpackedFrames;
 use super::stack::by_numbers;
 use super::{Kind, OpenOptions, has_suffix, kind_of, mesh, nifti, open_volume, tiff};
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
+use crate::exec::CancelToken;
 use glob::Pattern;
 use quick_xml::Reader;
 use quick_xml::events::Event;
@@ -110,18 +112,46 @@ fn steps_in(path: &Path, options: &OpenOptions, time: Option<f64>) -> Vec<StepSo
     }
 }
 
-/// The frames of a file that is a series by itself, and their times.
-fn frames(path: &Path, options: &OpenOptions) -> Result<Option<Vec<(String, Option<f64>)>>> {
+/// What a single file with its own layout is.
+fn frame_kind(path: &Path, options: &OpenOptions) -> Result<Option<Kind>> {
     if options.raw.is_some() || !path.is_file() {
         return Ok(None);
     }
-    let source = Arc::new(ByteSource::open(path, options.io)?);
-    match kind_of(&source) {
+    Ok(kind_of(&Arc::new(ByteSource::open(path, options.io)?)))
+}
+
+/// The frames of a file that is a series by itself, and their times.
+fn frames(path: &Path, options: &OpenOptions) -> Result<Option<Vec<(String, Option<f64>)>>> {
+    match frame_kind(path, options)? {
         Some(Kind::Nifti) => nifti::frames(path, options).map(Some),
         #[cfg(feature = "hdf5")]
         Some(Kind::Hdf5) => super::hdf5::frames(path, options).map(Some),
         _ => Ok(None),
     }
+}
+
+/// Bytes of all frames of a file, unpacked, where each frame would be decoded from the beginning of the file; `None` of other files.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file.
+pub fn packed_frames(path: &Path, options: &OpenOptions) -> Result<Option<u64>> {
+    match frame_kind(path, options)? {
+        Some(Kind::Nifti) => nifti::packed_bytes(path, options),
+        _ => Ok(None),
+    }
+}
+
+/// Unpacks such a file, into a nameless file in `folder`.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file; when the folder cannot be written.
+pub fn unpack_frames(
+    path: &Path,
+    options: &OpenOptions,
+    folder: &Path,
+    cancel: &CancelToken,
+) -> Result<UnpackedFrames> {
+    UnpackedFrames::new(path, options, folder, cancel)
 }
 
 /// The fields with one number a sample whose names match a pattern.

@@ -66,7 +66,7 @@ pub fn append(
     let need = need_of(&parts, series.plan.steps.len(), run.memory, run);
     estimate_of(&series, &need, out, run)?.check()?;
     let shares = need.shares(run.memory, threads(run))?;
-    let fields = VolumeFields { run, settings: &settings, progress };
+    let fields = VolumeFields::new(&settings, run, progress);
     let means = Means { parts: &parts, fields: &fields, shares, at_once: need.steps() };
     let layout = Layout::new(out, parts.chunks.len(), 0);
     let segments = 0..layout.segment_count();

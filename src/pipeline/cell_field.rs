@@ -1,7 +1,7 @@
 //! The field of a tetrahedral mesh: each point is located among the cells of its brick.
 
 use super::chunk::MeshedChunk;
-use super::field::{Field, Survey, brick_order, by_brick};
+use super::field::{Field, NO_BODY, Place, Placement, Spot, brick_order, by_brick};
 use super::measure::Originals;
 use crate::domain::boundary::{BoundarySamples, OnBoundary};
 use crate::domain::buckets::Buckets;
@@ -22,41 +22,33 @@ pub(crate) struct CellField<'a> {
     pub(crate) boundary: &'a BoundarySamples,
     pub(crate) bricks: BrickGrid,
     pub(crate) interpolation: Interpolation,
+    /// The values of the step at the vertices.
+    pub(crate) values: Column<f32>,
     /// Gradients at the vertices, where the interpolation needs them.
     pub(crate) gradients: Option<Column<[f64; 3]>>,
 }
 
-/// What is known of a vertex of the chunk.
-#[derive(Clone, Copy, Debug)]
-struct Spot {
-    value: f32,
-    /// The body that it belongs to; [`NO_BODY`] outside of the mesh.
-    body: u64,
-    /// On the boundary, or outside and near it: tetrahedra there may be outside.
-    rim: bool,
-}
-
-/// The body of a point outside of the mesh.
-const NO_BODY: u64 = u64::MAX;
-
-impl Default for Spot {
-    fn default() -> Self {
-        Self { value: f32::NAN, body: NO_BODY, rim: false }
-    }
-}
-
 impl Field for CellField<'_> {
-    fn survey(&self, mesh: &MeshedChunk) -> Result<Survey> {
+    fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
         let mut batch = CellBatch::default();
         let spots = by_brick(&self.bricks, mesh, |brick, positions, out| {
             self.spots(brick, positions, &mut batch, out)
         })?;
         let outside = self.outside(mesh, &spots, &mut batch)?;
-        Ok(Survey { values: spots.iter().map(|s| s.value).collect(), outside })
+        Ok(Placement { spots, outside })
+    }
+
+    fn values(&self, _: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
+        let value = |spot: &Spot| match &spot.at {
+            Place::Nowhere => Ok(f32::NAN),
+            Place::Cell(found) => self.value(found),
+            Place::Boundary(place) => self.on_boundary(place),
+        };
+        placement.spots.iter().map(value).collect()
     }
 
     fn originals(&self) -> Originals<'_> {
-        Originals::Mesh(self.store)
+        Originals::Mesh(self.store, &self.values)
     }
 
     fn will_need(&self, _chunk: &Chunk) {}
@@ -86,7 +78,7 @@ impl CellField<'_> {
                 _ => None,
             };
             out.push(match (place, touched) {
-                (Some(place), _) => Spot { value: self.on_boundary(&place)?, body: place.body, rim: true },
+                (Some(place), _) => Spot { at: Place::Boundary(place), body: place.body, rim: true },
                 (None, Some(first)) => self.spot(first, true)?,
                 (None, None) => self.spot(found, sample.is_some())?,
             });
@@ -98,7 +90,7 @@ impl CellField<'_> {
         if found.id == Found::NOWHERE {
             return Ok(Spot::default());
         }
-        Ok(Spot { value: self.value(found)?, body: self.body(found)?, rim })
+        Ok(Spot { at: Place::Cell(*found), body: self.body(found)?, rim })
     }
 
     /// For each sample of the boundary of a body that an earlier body touches there, the place in that body.
@@ -184,7 +176,7 @@ impl CellField<'_> {
 
     fn value(&self, found: &Found) -> Result<f32> {
         let tet = self.store.tets.get()?[found.id as usize];
-        let values = self.store.values.get()?;
+        let values = self.values.get()?;
         let at = tet.map(|v| f64::from(values[v as usize]));
         Ok(match (self.interpolation, &self.gradients) {
             (Interpolation::QuadraticThesis, _) => quadratic_thesis(&found.weights, &at),
@@ -196,7 +188,7 @@ impl CellField<'_> {
     }
 
     fn corners<const N: usize>(&self, vertices: [u64; N], gradients: &[[f64; 3]]) -> Result<[Corner; N]> {
-        let (positions, values) = (self.store.positions.get()?, self.store.values.get()?);
+        let (positions, values) = (self.store.positions.get()?, self.values.get()?);
         Ok(vertices.map(|v| Corner {
             position: positions[v as usize].map(|c| c as f64),
             value: f64::from(values[v as usize]),
@@ -206,7 +198,7 @@ impl CellField<'_> {
 
     /// As in a tetrahedron with the triangle as one of its faces.
     fn on_boundary(&self, place: &OnBoundary) -> Result<f32> {
-        let values = self.store.values.get()?;
+        let values = self.values.get()?;
         let [a, b, c] = place.triangle.map(|v| f64::from(values[v as usize]));
         let weights = [place.weights[0], place.weights[1], place.weights[2], 0.0];
         Ok(match (self.interpolation, &self.gradients) {

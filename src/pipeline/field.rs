@@ -1,13 +1,15 @@
 //! Where the values at the vertices of a chunk come from, and which tetrahedra lie outside of the data.
 //!
-//! The mesh of a chunk knows positions only. A [`Field`] is asked once for each chunk; it groups the vertices by brick, so that
+//! The mesh of a chunk knows positions only. A [`Field`] is asked for each chunk and step; it groups the vertices by brick, so that
 //! what it reads for a group lies together.
 
 use super::chunk::MeshedChunk;
 use super::measure::Originals;
+use crate::domain::boundary::OnBoundary;
 use crate::error::Result;
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, BrickId, Chunk};
+use crate::locate::Found;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -45,22 +47,55 @@ impl fmt::Display for NanPolicy {
     }
 }
 
-/// What a field says of a chunk.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Survey {
-    /// The value at each vertex; NaN of a void one.
-    pub(crate) values: Vec<f32>,
+/// Where the vertices of a chunk lie in the data: the same for all steps of a series.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Placement {
+    /// Of a tetrahedral mesh: where each vertex lies.
+    pub(crate) spots: Vec<Spot>,
     /// For each tetrahedron, whether it lies outside of the data; empty where none does.
     pub(crate) outside: Vec<bool>,
 }
 
+/// Where a vertex of a chunk lies in a tetrahedral mesh; by default nowhere.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Spot {
+    pub(crate) at: Place,
+    /// The body that it belongs to.
+    pub(crate) body: u64,
+    /// On the boundary, or outside and near it: tetrahedra there may be outside.
+    pub(crate) rim: bool,
+}
+
+/// What a value in a mesh is made from.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Place {
+    Nowhere,
+    Cell(Found),
+    Boundary(OnBoundary),
+}
+
+/// The body of a point outside of the mesh.
+pub(crate) const NO_BODY: u64 = u64::MAX;
+
+impl Default for Spot {
+    fn default() -> Self {
+        Self { at: Place::Nowhere, body: NO_BODY, rim: false }
+    }
+}
+
 /// A source of values.
 pub(crate) trait Field: Sync {
-    /// Values at the vertices of a chunk, and its tetrahedra outside of the data.
+    /// Where the vertices of a chunk lie, and its tetrahedra outside of the data. The answer serves all steps of a series.
+    ///
+    /// # Errors
+    /// When the data cannot be read.
+    fn place(&self, mesh: &MeshedChunk) -> Result<Placement>;
+
+    /// Values at the vertices of a chunk, in their order.
     ///
     /// # Errors
     /// When the data cannot be read, or hold what the settings refuse.
-    fn survey(&self, mesh: &MeshedChunk) -> Result<Survey>;
+    fn values(&self, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>>;
 
     /// The samples that the values are made from.
     fn originals(&self) -> Originals<'_>;
@@ -70,24 +105,6 @@ pub(crate) trait Field: Sync {
 
     /// Tells that no chunk before this one will be asked for again; chunks pass in order.
     fn pass(&self, chunk: &Chunk);
-}
-
-impl<F: Field> Field for &F {
-    fn survey(&self, mesh: &MeshedChunk) -> Result<Survey> {
-        (**self).survey(mesh)
-    }
-
-    fn originals(&self) -> Originals<'_> {
-        (**self).originals()
-    }
-
-    fn will_need(&self, chunk: &Chunk) {
-        (**self).will_need(chunk);
-    }
-
-    fn pass(&self, chunk: &Chunk) {
-        (**self).pass(chunk);
-    }
 }
 
 /// Calls `sample` with the positions of each brick that has some of the chunk's vertices, and puts its answers in the

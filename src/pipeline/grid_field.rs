@@ -1,7 +1,7 @@
 //! The field of a structured volume: each brick's points are interpolated from the samples around them, read for that.
 
 use super::chunk::MeshedChunk;
-use super::field::{Field, NanPolicy, Survey, by_brick};
+use super::field::{Field, NanPolicy, Placement, by_brick};
 use super::measure::Originals;
 use super::reduce::Scratch;
 use crate::error::{Error, Result};
@@ -26,11 +26,13 @@ pub(crate) struct GridField {
 }
 
 impl Field for GridField {
-    fn survey(&self, mesh: &MeshedChunk) -> Result<Survey> {
+    fn place(&self, _: &MeshedChunk) -> Result<Placement> {
+        Ok(Placement::default())
+    }
+
+    fn values(&self, mesh: &MeshedChunk, _: &Placement) -> Result<Vec<f32>> {
         let mut voxels = vec![];
-        let values =
-            by_brick(&self.bricks, mesh, |_, positions, out| self.sample(positions, &mut voxels, out))?;
-        Ok(Survey { values, outside: vec![] })
+        by_brick(&self.bricks, mesh, |_, positions, out| self.sample(positions, &mut voxels, out))
     }
 
     fn originals(&self) -> Originals<'_> {

@@ -23,6 +23,7 @@ use super::visit::{Blocks, Visit};
 use crate::archive::manifest::{MeshSource, Source};
 use crate::bytes::sorter::Sorter;
 use crate::cells::CellMesh;
+use crate::domain::column::Column;
 use crate::domain::store::{BadValue, CellStore, StoreSettings};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress};
@@ -114,7 +115,8 @@ pub(super) enum Originals<'a> {
         /// What stands for samples that are no finite numbers.
         stand_in: Option<f32>,
     },
-    Mesh(&'a CellStore),
+    /// A mesh, and the values at its vertices.
+    Mesh(&'a CellStore, &'a Column<f32>),
 }
 
 /// Measures an archive against the input that it was made from, or any of the same size.
@@ -234,7 +236,7 @@ fn against_mesh(
         .chain(info.data_files.iter().filter(|f| **f != info.path).cloned())
         .collect();
     let same = fingerprint(&files)? == recorded.fingerprint;
-    Ok((field_error(archive, &Originals::Mesh(&store), settings, progress)?, same))
+    Ok((field_error(archive, &Originals::Mesh(&store, &store.values), settings, progress)?, same))
 }
 
 fn triple([x, y, z]: [u64; 3]) -> String {
@@ -274,7 +276,7 @@ pub(super) fn field_error(
             };
             samples.measure(map, settings, progress)
         }
-        Originals::Mesh(store) => measure_vertices(archive, store, map, settings, progress),
+        Originals::Mesh(store, values) => measure_vertices(archive, store, values, map, settings, progress),
     }
 }
 
@@ -445,11 +447,12 @@ fn on_lattice(p: FinePos) -> LatticePos {
 fn measure_vertices(
     archive: &OpenArchive,
     store: &CellStore,
+    values: &Column<f32>,
     mut map: Option<Map>,
     settings: &MeasureSettings,
     progress: &dyn Progress,
 ) -> Result<FieldError> {
-    let (positions, values) = (store.positions.get()?, store.values.get()?);
+    let (positions, values) = (store.positions.get()?, values.get()?);
     let rest = settings.memory.saturating_sub(need::BASE + map.as_ref().map_or(0, |m| m.memory));
     let most = (rest / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
     let find = Find {

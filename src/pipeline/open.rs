@@ -25,7 +25,7 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// Whether `path` is an archive: a folder with a manifest.
 pub fn is_archive(path: &Path) -> bool {
@@ -104,6 +104,8 @@ pub struct StepSummary {
     pub range: Option<[f32; 2]>,
     /// Points without a value.
     pub void_points: u64,
+    /// Root of the mean square of the reduced field's errors at the samples of its source, and the largest, where they were measured.
+    pub error: Option<[f64; 2]>,
     /// Bytes of its values.
     pub value_bytes: u64,
     /// Bytes of its index and spectrum.
@@ -121,6 +123,7 @@ impl StepSummary {
             base: plan.base.map(|b| b.number),
             range: step.value_range,
             void_points: step.void_points,
+            error: step.error.as_ref().map(|e| [e.rms, e.max]),
             value_bytes: step.values.iter().map(|v| v.info.bytes).sum(),
             index_bytes: step.index.bytes + step.spectrum.map_or(0, |s| s.bytes),
         }
@@ -192,6 +195,8 @@ pub(super) struct OpenArchive {
     values: Mutex<BTreeMap<(u64, usize), Arc<ChunkSegment>>>,
     /// Bytes read from segments that are closed again.
     read_before: AtomicU64,
+    /// Bytes of all files, once they were asked for.
+    bytes: OnceLock<u64>,
     /// Blocks that are kept for the next question.
     pub(super) kept: Kept,
 }
@@ -261,6 +266,7 @@ impl OpenArchive {
             segments: Mutex::default(),
             values: Mutex::default(),
             read_before: AtomicU64::new(0),
+            bytes: OnceLock::new(),
             kept: Kept::default(),
         })
     }
@@ -339,6 +345,15 @@ impl OpenArchive {
             SpectrumFile::open(self.layout.spectrum(), Some(self.step_hash())).map_err(|e| self.lost(e))?;
         expect_recorded(file.segment(), Some(recorded))?;
         Ok(Some(file))
+    }
+
+    /// Bytes of all files of the archive.
+    pub(super) fn bytes(&self) -> Result<u64> {
+        if let Some(&bytes) = self.bytes.get() {
+            return Ok(bytes);
+        }
+        let bytes = folder_bytes(self.path())?;
+        Ok(*self.bytes.get_or_init(|| bytes))
     }
 
     /// Bytes of the manifest.

@@ -100,7 +100,7 @@ impl PlanFile {
 
     /// The series that was planned.
     pub(super) fn into_series(self) -> SeriesPlan {
-        let planned = |source| PlannedSource { source, copied: 0, copying: 0 };
+        let planned = |source| PlannedSource { source, copied: 0, shared_copy: 0, copying: 0 };
         SeriesPlan {
             plan: self.plan,
             sources: self.sources.into_iter().map(planned).collect(),

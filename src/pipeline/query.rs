@@ -7,7 +7,6 @@ use super::need;
 use super::open::OpenArchive;
 use super::placed::{in_memory, in_world, world_map};
 use super::reader::{ChunkReader, ReaderMemory, Wanted};
-use super::reduce::folder_bytes;
 use super::refine::{Means, Refine, RefineReport};
 use super::roi::{Cut, Roi, RoiSpace};
 use super::steps::{Ranges, StepChoice};
@@ -16,6 +15,7 @@ use crate::exec::{CancelToken, Progress, Silent};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
 use crate::grid::ChunkId;
 use crate::index::Entry;
+use crate::mesh::tet::is_active;
 use crate::surface::clip::clip;
 use crate::surface::marching_tets::Sides;
 use crate::surface::weld::BuilderSettings;
@@ -71,7 +71,13 @@ impl SurfaceSettings {
         Self { isovalues: vec![isovalue], ..Self::default() }
     }
 
-    fn check(&self) -> Result<()> {
+    /// Whether a surface can have a triangle where values are in this range.
+    pub(super) fn can_answer(&self, range: Option<[f32; 2]>) -> bool {
+        let Some([lo, hi]) = range else { return false };
+        self.isovalues.iter().any(|&v| is_active(lo, hi, v) || self.cap && v <= hi)
+    }
+
+    pub(super) fn check(&self) -> Result<()> {
         self.refine.check()?;
         if self.cap && self.roi.is_some() {
             return Err(Error::usage(
@@ -302,7 +308,7 @@ pub(super) fn write_surfaces(
         active_chunks: made.active_chunks,
         bytes_read: made.bytes_read,
         active_bytes: made.active_bytes,
-        archive_bytes: folder_bytes(archive.path())?,
+        archive_bytes: archive.bytes()?,
         seconds: made.seconds.iter().map(|(name, time)| ((*name).to_owned(), time.as_secs_f64())).collect(),
     })
 }
@@ -328,14 +334,19 @@ fn make(
     let start = Instant::now();
     let read_before = archive.bytes_read();
     let cut = cut_of(archive, settings)?;
-    let index = archive.ranges()?;
+    // What the range of all values tells needs no index.
+    let index = settings.can_answer(archive.value_range()).then(|| archive.ranges()).transpose()?;
+    let work = match &index {
+        Some(index) => work_of(archive, index, settings, cut.as_ref())?,
+        None => vec![],
+    };
     let question = Question {
         archive,
         isovalues: &settings.isovalues,
         cut: cut.as_ref(),
         world: world_map(archive),
         caps: settings.cap.then(|| archive.manifest.plan.lattice.max()),
-        work: work_of(archive, &index, settings, cut.as_ref())?,
+        work,
         active_bytes: AtomicU64::new(0),
     };
     let opened = start.elapsed();
@@ -354,7 +365,7 @@ fn make(
         refined,
         active_blocks: question.work.iter().map(|w| w.blocks.len() as u64).sum(),
         active_chunks: question.work.len() as u64,
-        bytes_read: archive.bytes_read() - read_before + index.bytes_read(),
+        bytes_read: archive.bytes_read() - read_before + index.map_or(0, |i| i.bytes_read()),
         active_bytes: question.active_bytes.into_inner(),
         seconds: vec![("open, index", opened), ("extract", extracted), ("refine", start.elapsed())],
     })
@@ -475,8 +486,13 @@ fn as_written(isovalue: f32) -> f64 {
     isovalue.to_string().parse().expect("a finite number's text is a number")
 }
 
+/// Whether each isovalue has a file of its own.
+pub(super) fn is_each_alone(out: &Path) -> bool {
+    out.file_name().is_some_and(|name| name.to_string_lossy().contains(PLACEHOLDER))
+}
+
 /// The file of an isovalue.
-fn file_of(out: &Path, isovalue: f32) -> PathBuf {
+pub(super) fn file_of(out: &Path, isovalue: f32) -> PathBuf {
     match out.file_name().and_then(|name| name.to_str()) {
         Some(name) => out.with_file_name(name.replace(PLACEHOLDER, &isovalue.to_string())),
         None => out.to_path_buf(),
@@ -497,8 +513,7 @@ fn write_all(
         comments: vec![comment.to_owned()],
         parts: vec![],
     };
-    let each_alone = out.file_name().is_some_and(|name| name.to_string_lossy().contains(PLACEHOLDER));
-    if each_alone || surfaces.len() == 1 {
+    if is_each_alone(out) || surfaces.len() == 1 {
         let write = |(s, &v): (&Extracted, &f32)| {
             in_world(archive, &s.surface, |s| write_surface(s, &file_of(out, v), format, &meta(Some(v))))
         };

@@ -279,13 +279,13 @@ fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     let need = need_of(&mesh, series.plan.steps.len(), job.run.memory, job.run);
     estimate_of(&series, &need, job.out, job.run)?.check()?;
     let shares = need.shares(job.run.memory, threads(job.run))?;
-    let fields = VolumeFields { run: job.run, settings: job.settings, progress: job.progress };
+    let fields = VolumeFields::new(job.settings, job.run, job.progress);
     let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
     produce(job, series, &Means { parts: &mesh, fields: &fields, shares, at_once: need.steps() }, report)
 }
 
 /// Steps whose files are open, and whose values are made, at a time.
-const MOST_STEPS_AT_ONCE: u64 = 16;
+pub(super) const MOST_STEPS_AT_ONCE: u64 = 16;
 
 /// What the chunks need, with as many steps at a time as the memory allows.
 pub(super) fn need_of(parts: &MeshParts, steps: usize, memory: u64, run: &RunSettings) -> Need {
@@ -498,7 +498,7 @@ pub(super) fn estimate_of(
         threads: threads(run),
         out,
         there: if out.is_dir() { folder_bytes(out)? } else { 0 },
-        scratch: (&scratch, largest(|s| s.copied)),
+        scratch: (&scratch, largest(|s| s.copied).max(largest(|s| s.shared_copy))),
         copying: largest(|s| s.copying),
     }))
 }

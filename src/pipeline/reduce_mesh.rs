@@ -10,22 +10,29 @@ use super::cell_field::CellField;
 use super::field::{Field, NanPolicy};
 use super::need::{Estimate, Need, Question, free_bytes};
 use super::plan::{Amount, MeshParts, Plan, ReduceSettings, parts};
-use super::reduce::{Job, ReduceReport, RunSettings, folder_bytes, produce, scratch_folder, threads};
-use super::series::{Fields, Means, PlannedSource, SeriesPlan};
+use super::reduce::{
+    Job, MOST_STEPS_AT_ONCE, ReduceReport, RunSettings, folder_bytes, need_of, produce, scratch_folder,
+    threads,
+};
+use super::series::{Fields, Means, PlannedSource, SeriesPlan, is_of_data, of_step};
 use crate::archive::explicit::ExplicitRecord;
-use crate::archive::manifest::{MeshSource, Source};
+use crate::archive::manifest::{MeshSource, Source, StepPlan};
 use crate::archive::values::Quantiser;
-use crate::cells::CellMesh;
+use crate::cells::{CellBlock, CellMesh};
 use crate::domain::boundary::BoundarySamples;
 use crate::domain::buckets::Buckets;
+use crate::domain::column::Column;
 use crate::domain::gradients::gradients;
 use crate::domain::store::{BadValue, CellStore, StoreSettings};
 use crate::error::{Error, Result};
+use crate::formats::{self, Input, StepSource};
+use crate::grid::BrickGrid;
 use crate::pipeline::fingerprint::fingerprint;
 use crate::points::PointSet;
 use crate::sample::Interpolation;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+use xxhash_rust::xxh3::Xxh3;
 
 /// Scratch bytes of a vertex (position in the world and on the lattice, value; to find equals, sorted in runs and merged) and of a tetrahedron
 /// (vertices, twice; body; four faces, sorted in runs and merged; about two bricks, twice).
@@ -38,86 +45,83 @@ const GRADIENT_RECORDS: u64 = 2 * 4 * 48;
 /// A mesh made ready.
 struct Prepared {
     store: CellStore,
-    plan: Plan,
+    series: SeriesPlan,
     boundary: BoundarySamples,
 }
 
 pub(super) fn reduce_mesh(mesh: &CellMesh, job: &Job<'_>) -> Result<ReduceReport> {
-    if job.sources.len() > 1 {
-        return Err(Error::usage("a series of tetrahedral meshes is not reduced: give one file and field"));
-    }
     let scratch = scratch_folder(job.run);
-    check_scratch(mesh, job.settings, &scratch)?;
+    check_scratch(mesh, job, &scratch)?;
     let reading = Instant::now();
     job.progress.begin("read the mesh", 0, "points");
     let settings = store_settings(job.settings, job.run, &scratch);
-    let Prepared { store, plan, boundary } = prepare(mesh, job.settings, &settings)?;
+    let Prepared { store, series, boundary } = prepare(mesh, job, &settings)?;
     let mut seconds = vec![("read".to_owned(), reading.elapsed().as_secs_f64())];
-    let series = one_step(plan, job);
     job.part.expect_planned(&series)?;
     let plan = &series.plan;
     let parts = parts(&plan.mesh, Some(boundary.points.clone()))?;
-    let need = Need::of(&parts);
     let memory = job.run.memory.saturating_sub(boundary_bytes(&boundary));
+    let need = need_of(&parts, plan.steps.len(), memory, job.run);
     estimate_of(plan, &need, memory, job.out, job.run, (&scratch, 0))?.check()?;
     let shares = need.shares(memory, threads(job.run))?;
     let sorting = Instant::now();
     let buckets = Buckets::new(&store, &plan.mesh.bricks(), &settings)?;
-    let gradients = match plan.first().interpolation {
-        Interpolation::Quadratic => Some(gradients(&store, &settings)?),
-        _ => None,
-    };
     seconds.push(("sort".to_owned(), sorting.elapsed().as_secs_f64()));
-    let field = CellField {
-        store: &store,
-        buckets: &buckets,
-        boundary: &boundary,
-        bricks: plan.mesh.bricks(),
-        interpolation: plan.first().interpolation,
-        gradients,
-    };
     let report = ReduceReport {
         samples: store.census.vertices,
         mesh: Some(store.census),
         seconds,
         ..ReduceReport::default()
     };
-    let fields = OneMesh(&field);
-    produce(job, series, &Means { parts: &parts, fields: &fields, shares, at_once: 1 }, report)
+    let bricks = plan.mesh.bricks();
+    let fields = MeshFields { store: &store, buckets: &buckets, boundary: &boundary, bricks, settings };
+    produce(job, series, &Means { parts: &parts, fields: &fields, shares, at_once: need.steps() }, report)
 }
 
-fn one_step(plan: Plan, job: &Job<'_>) -> SeriesPlan {
-    let source = PlannedSource { source: job.sources[0].1.clone(), copied: 0, copying: 0 };
-    SeriesPlan {
-        plan,
-        sources: vec![source],
-        skipped: vec![],
-        before: None,
-        keyframes: job.settings.keyframes,
-    }
+/// Opens the values of steps on a mesh.
+struct MeshFields<'a> {
+    store: &'a CellStore,
+    buckets: &'a Buckets,
+    boundary: &'a BoundarySamples,
+    bricks: BrickGrid,
+    settings: StoreSettings<'a>,
 }
 
-/// The one step of a mesh.
-struct OneMesh<'a>(&'a CellField<'a>);
-
-impl Fields for OneMesh<'_> {
-    fn open<'a>(&'a self, _: &SeriesPlan, _: usize) -> Result<Box<dyn Field + 'a>> {
-        Ok(Box::new(self.0))
+impl Fields for MeshFields<'_> {
+    fn open<'a>(&'a self, series: &SeriesPlan, n: usize) -> Result<Box<dyn Field + 'a>> {
+        let source = &series.sources[n].source;
+        let mesh = formats::open_mesh(&source.path, &source.options)?;
+        let values = self.store.values_of(&mesh, &self.settings)?;
+        let interpolation = series.plan.steps[n].interpolation;
+        let gradients = match interpolation {
+            Interpolation::Quadratic => Some(gradients(self.store, &values, &self.settings)?),
+            _ => None,
+        };
+        Ok(Box::new(CellField {
+            store: self.store,
+            buckets: self.buckets,
+            boundary: self.boundary,
+            bricks: self.bricks,
+            interpolation,
+            values,
+            gradients,
+        }))
     }
 }
 
 /// As [`make_plan`](super::reduce::make_plan): the mesh is read for that.
 pub(super) fn plan_mesh(mesh: &CellMesh, job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimate)> {
     let (settings, scratch) = (job.settings, scratch_folder(job.run));
-    check_scratch(mesh, settings, &scratch)?;
+    check_scratch(mesh, job, &scratch)?;
     job.progress.begin("read the mesh", 0, "points");
-    let Prepared { plan, boundary, .. } =
-        prepare(mesh, settings, &store_settings(settings, job.run, &scratch))?;
+    let Prepared { series, boundary, .. } = prepare(mesh, job, &store_settings(settings, job.run, &scratch))?;
+    let plan = &series.plan;
     let parts = parts(&plan.mesh, Some(boundary.points.clone()))?;
     let memory = job.run.memory.saturating_sub(boundary_bytes(&boundary));
-    let bytes = scratch_bytes(mesh, settings);
-    let estimate = estimate_of(&plan, &Need::of(&parts), memory, job.out, job.run, (&scratch, bytes))?;
-    Ok((one_step(plan, job), parts, estimate))
+    let bytes = scratch_bytes(mesh, job);
+    let need = need_of(&parts, plan.steps.len(), memory, job.run);
+    let estimate = estimate_of(plan, &need, memory, job.out, job.run, (&scratch, bytes))?;
+    Ok((series, parts, estimate))
 }
 
 fn estimate_of(
@@ -164,16 +168,18 @@ fn boundary_bytes(boundary: &BoundarySamples) -> u64 {
     boundary.points.len().saturating_mul(100)
 }
 
-fn scratch_bytes(mesh: &CellMesh, settings: &ReduceSettings) -> u64 {
+fn scratch_bytes(mesh: &CellMesh, job: &Job<'_>) -> u64 {
     let (points, cells) = (mesh.info().points, mesh.info().cells);
-    let quadratic = u64::from(settings.interpolation == Interpolation::Quadratic);
+    let quadratic = u64::from(job.settings.interpolation == Interpolation::Quadratic);
+    // Values and gradients of the steps that are made at a time.
+    let steps = (job.sources.len() as u64).min(MOST_STEPS_AT_ONCE);
     points
-        .saturating_mul(VERTEX_BYTES + quadratic * GRADIENT_BYTES)
+        .saturating_mul(VERTEX_BYTES + steps * (4 + quadratic * GRADIENT_BYTES))
         .saturating_add(cells.saturating_mul(TET_BYTES + quadratic * GRADIENT_RECORDS))
 }
 
-fn check_scratch(mesh: &CellMesh, settings: &ReduceSettings, scratch: &Path) -> Result<()> {
-    let needed = scratch_bytes(mesh, settings);
+fn check_scratch(mesh: &CellMesh, job: &Job<'_>, scratch: &Path) -> Result<()> {
+    let needed = scratch_bytes(mesh, job);
     match free_bytes(scratch) {
         Some(available) if needed > available => {
             Err(Error::Budget { what: format!("disk space for {}", scratch.display()), needed, available })
@@ -182,7 +188,8 @@ fn check_scratch(mesh: &CellMesh, settings: &ReduceSettings, scratch: &Path) -> 
     }
 }
 
-fn prepare(mesh: &CellMesh, settings: &ReduceSettings, how: &StoreSettings<'_>) -> Result<Prepared> {
+fn prepare(mesh: &CellMesh, job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared> {
+    let settings = job.settings;
     let path = &mesh.info().path;
     if !settings.interpolation.is_of_meshes() {
         return Err(Error::usage(format!(
@@ -207,14 +214,113 @@ fn prepare(mesh: &CellMesh, settings: &ReduceSettings, how: &StoreSettings<'_>) 
     let spacing = spacing.into_iter().max().expect("three axes");
     let boundary = BoundarySamples::new(&store, spacing, how.memory, path)?;
     plan.mesh.explicit = Some(ExplicitRecord::of(&boundary.points));
-    plan.steps[0].quantiser = quantiser(&store, settings)?;
-    Ok(Prepared { store, plan, boundary })
+    let series = plan_steps(mesh, &store, plan, job, how)?;
+    Ok(Prepared { store, series, boundary })
+}
+
+/// Plans all steps: the mesh of each must be that of the first, point by point and cell by cell.
+fn plan_steps(
+    first: &CellMesh,
+    store: &CellStore,
+    plan: Plan,
+    job: &Job<'_>,
+    how: &StoreSettings<'_>,
+) -> Result<SeriesPlan> {
+    let (template, several) = (plan.first().clone(), job.sources.len() > 1);
+    let expected = if several { Some(geometry_hash(first, how)?) } else { None };
+    let mut hashed = (first.info().path.clone(), expected);
+    let mut series = SeriesPlan {
+        plan: Plan { steps: vec![], ..plan },
+        sources: vec![],
+        skipped: vec![],
+        before: None,
+        keyframes: job.settings.keyframes,
+    };
+    let mut plan_one = |number: u64, source: &StepSource| -> Result<StepPlan> {
+        let mesh = match formats::open_input(&source.path, &source.options)? {
+            Input::Mesh(mesh) => mesh,
+            Input::Volume(_) => {
+                let expected = "a mesh, as other steps are";
+                return Err(Error::bad_input(&source.path, "kind of file", expected, "a volume"));
+            }
+        };
+        if several && hashed.0 != mesh.info().path {
+            hashed = (mesh.info().path.clone(), Some(geometry_hash(&mesh, how)?));
+        }
+        if hashed.1 != expected {
+            let expected = format!("those of {}", first.info().path.display());
+            return Err(Error::bad_input(&source.path, "points and cells", expected, "others").with_help(
+                "the steps of a series share one mesh; --keep-going leaves out those that do not fit",
+            ));
+        }
+        let told = source_of(&mesh)?;
+        let of_first = template.source.clone();
+        let source_record = Source {
+            path: told.path,
+            fingerprint: told.fingerprint,
+            format: told.format,
+            scalar: told.scalar,
+            field: told.field,
+            ..of_first
+        };
+        let quantiser = match job.part.planned() {
+            Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
+            None if job.settings.value_bits.is_some() => {
+                quantiser(&store.values_of(&mesh, how)?, job.settings)?
+            }
+            None => None,
+        };
+        Ok(StepPlan { number, time: source.time, source: source_record, quantiser, ..template.clone() })
+    };
+    let mut first_error = None;
+    for (number, source) in job.sources {
+        match plan_one(*number, source).map_err(|e| if several { of_step(e, *number) } else { e }) {
+            Ok(step) => {
+                series.plan.steps.push(step);
+                series.sources.push(PlannedSource {
+                    source: source.clone(),
+                    copied: 0,
+                    shared_copy: 0,
+                    copying: 0,
+                });
+            }
+            Err(e) if job.run.keep_going && several && is_of_data(&e) => {
+                series.skip(*number, source, e.to_string());
+                first_error.get_or_insert(e);
+            }
+            Err(e) => return Err(e),
+        }
+    }
+    if series.plan.steps.is_empty() {
+        return Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")));
+    }
+    series.connect()?;
+    Ok(series)
+}
+
+/// A hash of all points and cells.
+fn geometry_hash(mesh: &CellMesh, how: &StoreSettings<'_>) -> Result<u128> {
+    let mut hash = Xxh3::new();
+    let (mut points, mut block) = (mesh.points()?, vec![]);
+    while points.next_block(&mut block)? {
+        how.cancel.check()?;
+        block.iter().flatten().for_each(|x| hash.update(&x.to_le_bytes()));
+    }
+    let (mut cells, mut block) = (mesh.cells()?, CellBlock::default());
+    while cells.next_block(&mut block)? {
+        how.cancel.check()?;
+        for (kind, vertices) in block.iter() {
+            hash.update(format!("{kind:?}").as_bytes());
+            vertices.iter().for_each(|v| hash.update(&v.to_le_bytes()));
+        }
+    }
+    Ok(hash.digest128())
 }
 
 /// Steps of the range of the vertices' values.
-fn quantiser(store: &CellStore, settings: &ReduceSettings) -> Result<Option<Quantiser>> {
+fn quantiser(values: &Column<f32>, settings: &ReduceSettings) -> Result<Option<Quantiser>> {
     let Some(bits) = settings.value_bits else { return Ok(None) };
-    let values = store.values.get()?.iter().filter(|v| !v.is_nan());
+    let values = values.get()?.iter().filter(|v| !v.is_nan());
     let range = values.fold([f32::INFINITY, f32::NEG_INFINITY], |[lo, hi], &v| [lo.min(v), hi.max(v)]);
     let range = if range[0] <= range[1] { range } else { Default::default() };
     Ok(Some(Quantiser::new(bits, range)))

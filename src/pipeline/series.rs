@@ -53,8 +53,10 @@ pub struct SkippedStep {
 /// Where a step comes from.
 pub(super) struct PlannedSource {
     pub(super) source: StepSource,
-    /// Bytes of the copy that is made of it; 0 where none is needed.
+    /// Bytes of the copy that is made of it alone; 0 where none is needed.
     pub(super) copied: u64,
+    /// Bytes of a copy that is made of its file, once for all steps in that; 0 where none is needed.
+    pub(super) shared_copy: u64,
     /// Memory to make that copy in.
     pub(super) copying: u64,
 }

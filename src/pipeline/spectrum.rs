@@ -1,7 +1,7 @@
 //! The contour spectrum of a step: chunk by chunk while chunks are made, put together when the archive is, and read back.
 
 use super::open::OpenArchive;
-use super::steps::StepChoice;
+use super::steps::{StepChoice, StepRange};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::CoordinateMap;
 use crate::archive::manifest::{Plan as MeshPlan, Source};
@@ -134,6 +134,34 @@ pub fn contour_spectrum(path: &Path) -> Result<SpectrumReport> {
 /// As [`contour_spectrum`]; [`crate::Error::Usage`] for a step that is not there, or a time between two.
 pub fn contour_spectrum_at(path: &Path, step: StepChoice) -> Result<SpectrumReport> {
     report(&OpenArchive::open_at(path, step)?)
+}
+
+/// The contour spectrum of a step of a series.
+#[derive(Clone, Debug, Serialize)]
+pub struct StepSpectrum {
+    /// Number of the step.
+    pub step: u64,
+    /// Its time, or its number where it has none.
+    pub time: f64,
+    /// What was measured.
+    #[serde(flatten)]
+    pub spectrum: SpectrumReport,
+}
+
+/// Reads the contour spectra of many steps. The bytes read are those of each spectrum, and of the manifest with each.
+///
+/// # Errors
+/// As [`contour_spectrum`]; [`crate::Error::Usage`] when no step is in the range.
+pub fn spectra(path: &Path, steps: StepRange) -> Result<Vec<StepSpectrum>> {
+    let mut archive = OpenArchive::open(path)?;
+    let positions = steps.positions(&archive.manifest, path)?;
+    let mut of = |position: usize| {
+        archive.turn_to(position);
+        let plan = &archive.step().plan;
+        let (step, time) = (plan.number, plan.time_or_number());
+        Ok(StepSpectrum { step, time, spectrum: report(&archive)? })
+    };
+    positions.map(&mut of).collect()
 }
 
 /// That of an open archive.

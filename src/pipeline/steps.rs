@@ -23,6 +23,9 @@ use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use crate::index::{Entry, SpanIndex};
 use crate::mesh::tet::is_active;
+use std::ops::Range;
+use std::path::Path;
+use std::str::FromStr;
 
 /// Which step of an archive is asked.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -34,6 +37,52 @@ pub enum StepChoice {
     Number(u64),
     /// A time; between two steps values are linear.
     Time(f64),
+}
+
+/// A range of steps, by their numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StepRange {
+    /// The first; the archive's first if not given.
+    pub first: Option<u64>,
+    /// The last, included; the archive's last if not given.
+    pub last: Option<u64>,
+}
+
+impl StepRange {
+    /// The positions in a manifest of the steps in the range.
+    pub(super) fn positions(self, manifest: &Manifest, shown: &Path) -> Result<Range<usize>> {
+        let number = |s: &Step| s.plan.number;
+        let from = manifest.steps.partition_point(|s| self.first.is_some_and(|first| number(s) < first));
+        let to = manifest.steps.partition_point(|s| self.last.is_none_or(|last| number(s) <= last));
+        if from < to {
+            return Ok(from..to);
+        }
+        let text = numbers(&manifest.steps);
+        Err(Error::usage(format!("{}: no step in that range; it has {text}", shown.display())))
+    }
+}
+
+impl FromStr for StepRange {
+    type Err = Error;
+
+    /// `3:8`, `3:`, `:8`, or `3`.
+    fn from_str(text: &str) -> Result<Self> {
+        let bad =
+            || Error::usage(format!("'{text}' is no range of steps; write FIRST:LAST, as in 3:8 or 3:"));
+        let number = |s: &str| match s.trim() {
+            "" => Ok(None),
+            s => s.parse().map(Some).map_err(|_| bad()),
+        };
+        let (first, last) = match text.split_once(':') {
+            Some((first, last)) => (number(first)?, number(last)?),
+            None if text.trim().is_empty() => return Err(bad()),
+            None => (number(text)?, number(text)?),
+        };
+        if first.zip(last).is_some_and(|(first, last)| first > last) {
+            return Err(bad());
+        }
+        Ok(Self { first, last })
+    }
 }
 
 /// A step, or a moment between it and the next one.
@@ -48,7 +97,7 @@ pub(super) struct View {
 impl View {
     /// # Errors
     /// [`Error::Usage`] that tells which steps there are.
-    pub(super) fn of(manifest: &Manifest, choice: StepChoice, shown: &std::path::Path) -> Result<Self> {
+    pub(super) fn of(manifest: &Manifest, choice: StepChoice, shown: &Path) -> Result<Self> {
         let steps = &manifest.steps;
         let time = |n: usize| steps[n].plan.time_or_number();
         let at = |step| Ok(Self { step, beyond: None });
@@ -259,6 +308,89 @@ impl Ranges<'_> {
         match self {
             Self::Index(index) => index.segment().bytes_read(),
             Self::Between(..) => 0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::exec::Silent;
+    use crate::formats::raw::RawLayout;
+    use crate::formats::{OpenOptions, StepSource};
+    use crate::pipeline::{Amount, ReduceSettings, RunSettings, reduce_series};
+    use crate::volume::ScalarType;
+
+    const DIMS: [u64; 3] = [14, 13, 12];
+
+    /// Waves, and those of the next step, which lie elsewhere and higher.
+    fn archive(dir: &Path) -> OpenArchive {
+        let raw = RawLayout {
+            dims: DIMS,
+            scalar: ScalarType::F32,
+            big_endian: false,
+            offset: 0,
+            spacing: [1.0; 3],
+        };
+        let options = OpenOptions { raw: Some(raw), ..OpenOptions::default() };
+        let step = |t: usize| {
+            let wave =
+                |i: u64| ((i % 14) as f32 * 0.7 + t as f32).sin() + (i / 182) as f32 * 0.2 + 3.0 * t as f32;
+            let bytes: Vec<u8> = (0..DIMS.iter().product()).flat_map(|i| wave(i).to_le_bytes()).collect();
+            let path = dir.join(format!("{t}.raw"));
+            std::fs::write(&path, bytes).unwrap();
+            StepSource::new(&path, &options)
+        };
+        let settings =
+            ReduceSettings { amount: Amount::Count(900), chunk_points: 300, ..ReduceSettings::default() };
+        let out = dir.join("a.isospan");
+        let run = RunSettings { memory: 1 << 30, ..RunSettings::default() };
+        reduce_series(&[step(0), step(1)], &settings, &out, &run, &Silent).unwrap();
+        OpenArchive::open_at(&out, StepChoice::Time(0.4)).unwrap()
+    }
+
+    /// By brute force over all blocks.
+    #[test]
+    fn between_two_steps_all_blocks_with_an_answer_are_found() {
+        let dir = tempfile::tempdir().unwrap();
+        let archive = archive(dir.path());
+        let mut answers = 0;
+        for isovalue in [-0.9, 0.5, 1.5, 2.5, 4.0] {
+            let found: Vec<_> = archive.ranges().unwrap().query_any(&[isovalue]).unwrap();
+            for id in (0..archive.chunks.len()).map(ChunkId) {
+                let (mesh, ends) = archive.stored_mesh(id).unwrap();
+                let mut values = vec![];
+                let all = mesh.positions.len();
+                for (block, first) in (0..all).step_by(BLOCK_VALUES).enumerate() {
+                    archive
+                        .values_block(id, block as u64, BLOCK_VALUES.min(all - first), &mut values)
+                        .unwrap();
+                }
+                for (block, &end) in ends.iter().enumerate() {
+                    let start = if block == 0 { 0 } else { ends[block - 1] };
+                    let range = BlockRange::of(&mesh.tets[start..end], &values);
+                    if is_active(range.min, range.max, isovalue) {
+                        answers += 1;
+                        assert!(found.iter().any(|e| e.chunk == id.0 && e.block as usize == block));
+                    }
+                }
+            }
+        }
+        assert!(answers > 0);
+        let [lo, hi] = archive.value_range().unwrap();
+        assert!(lo < hi && hi < 6.0);
+    }
+
+    #[test]
+    fn ranges_of_steps_are_written_as_two_numbers() {
+        let range = |first, last| StepRange { first, last };
+        let parse = |text: &str| text.parse::<StepRange>().unwrap();
+        assert_eq!(parse("3:8"), range(Some(3), Some(8)));
+        assert_eq!(parse(":8"), range(None, Some(8)));
+        assert_eq!(parse("3:"), range(Some(3), None));
+        assert_eq!(parse("4"), range(Some(4), Some(4)));
+        for bad in ["", "8:3", "a", "1:2:3", "-1:"] {
+            assert_eq!(bad.parse::<StepRange>().unwrap_err().exit_code(), 2, "{bad}");
         }
     }
 }

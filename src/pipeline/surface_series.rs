@@ -5,8 +5,7 @@
 //! surface, so that the list has all steps.
 
 use super::open::OpenArchive;
-use super::query::{SurfaceReport, SurfaceSettings, extract, file_of, is_each_alone};
-use super::reduce::folder_bytes;
+use super::query::{SurfaceReport, SurfaceSettings, file_of, is_each_alone, write_surfaces};
 use super::steps::StepRange;
 use crate::archive::publish::Unpublished;
 use crate::error::{Error, Result};
@@ -57,7 +56,6 @@ pub fn extract_series(
     settings.check()?;
     let place = Place::in_name(out)?;
     let mut archive = OpenArchive::open(path)?;
-    let archive_bytes = folder_bytes(path)?;
     let mut made: Vec<StepSurfaces> = vec![];
     for position in steps.positions(&archive.manifest, path)? {
         settings.cancel.check()?;
@@ -65,13 +63,12 @@ pub fn extract_series(
         let plan = &archive.step().plan;
         let (step, time) = (plan.number, plan.time_or_number());
         let file = place.name(step);
-        let report = extract(&archive, archive_bytes, settings, &file, format, progress)?;
+        let report = write_surfaces(&archive, settings, &file, format, progress)?;
         made.push(StepSurfaces { step, time, skipped: !settings.can_answer(archive.value_range()), report });
     }
     let lists = if is_each_alone(out) { settings.isovalues.len() } else { 1 };
     let list = |n: usize| {
-        let files: Vec<(f64, &Path)> =
-            made.iter().map(|s| (s.time, &*s.report.surfaces[n].file)).collect();
+        let files: Vec<(f64, &Path)> = made.iter().map(|s| (s.time, &*s.report.surfaces[n].file)).collect();
         let name = file_of(&place.list(format), settings.isovalues[n]);
         write_list(&name, &files)?;
         Ok(name)
@@ -114,7 +111,8 @@ impl Place {
     /// The name of the list: without the number, and what joins it to the rest.
     fn list(&self, format: SurfaceFormat) -> PathBuf {
         let before = self.before.trim_end_matches(['_', '-', '.', ' ']);
-        let after = if before.is_empty() { self.after.trim_start_matches(['_', '-', ' ']) } else { &self.after };
+        let after =
+            if before.is_empty() { self.after.trim_start_matches(['_', '-', ' ']) } else { &self.after };
         let name = format!("{before}{after}");
         let name = if name.starts_with('.') { format!("surface{name}") } else { name };
         let file = self.folder.join(name);
@@ -139,12 +137,15 @@ fn write_list(list: &Path, files: &[(f64, &Path)]) -> Result<()> {
         for (time, file) in files {
             let name = name(file);
             let file = quick_xml::escape::escape(&*name);
-            let _ = writeln!(text, "    <DataSet timestep=\"{time}\" group=\"\" part=\"0\" file=\"{file}\"/>");
+            let _ =
+                writeln!(text, "    <DataSet timestep=\"{time}\" group=\"\" part=\"0\" file=\"{file}\"/>");
         }
         text + "  </Collection>\n</VTKFile>\n"
     } else {
-        let files: Vec<_> =
-            files.iter().map(|(time, file)| serde_json::json!({ "name": name(file), "time": time })).collect();
+        let files: Vec<_> = files
+            .iter()
+            .map(|(time, file)| serde_json::json!({ "name": name(file), "time": time }))
+            .collect();
         let list = serde_json::json!({ "file-series-version": "1.0", "files": files });
         format!("{list:#}\n")
     };

@@ -6,18 +6,19 @@ use super::grid_field::GridField;
 use super::open::OpenArchive;
 use super::placed::coordinate_hash;
 use super::plan::{Plan, ReduceSettings, source_of};
-use super::reduce::{RunSettings, copy_bytes, random_access};
+use super::reduce::{RunSettings, copy_bytes, random_access, scratch_folder};
 use super::scan::{stream_range, value_range};
 use super::series::{Fields, PlannedSource, SeriesPlan, is_of_data, of_step};
 use crate::archive::manifest::StepPlan;
 use crate::archive::values::Quantiser;
 use crate::error::{Error, Result};
 use crate::exec::Progress;
-use crate::formats::{self, Input, StepSource};
+use crate::formats::{self, Input, StepSource, UnpackedFrames};
 use crate::grid::Geometry;
 use crate::volume::{VolumeInfo, VolumeSource};
 use std::path::PathBuf;
 use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// What all steps must agree on.
 struct Common {
@@ -122,8 +123,20 @@ pub(super) fn plan_volumes(
         keyframes: settings.keyframes,
     };
     skipped.into_iter().for_each(|(number, source, reason)| series.skip(number, source, reason));
+    share_copies(&mut series)?;
     series.connect()?;
     Ok(series)
+}
+
+/// Steps that lie in one packed file are read from one copy of it: each by itself would be decoded from the beginning.
+fn share_copies(series: &mut SeriesPlan) -> Result<()> {
+    let runs = series.sources.chunk_by_mut(|a, b| a.source.path == b.source.path);
+    for run in runs.filter(|run| run.len() > 1 && run[0].copied > 0) {
+        if let Some(bytes) = formats::packed_frames(&run[0].source.path, &run[0].source.options)? {
+            run.iter_mut().for_each(|s| (s.copied, s.shared_copy) = (0, bytes));
+        }
+    }
+    Ok(())
 }
 
 impl Planner<'_> {
@@ -174,7 +187,7 @@ impl Planner<'_> {
             quantiser,
             base: None,
         };
-        Ok((step, PlannedSource { source: source.clone(), copied, copying }))
+        Ok((step, PlannedSource { source: source.clone(), copied, shared_copy: 0, copying }))
     }
 
     fn fingerprint(&mut self, info: &VolumeInfo) -> Result<String> {
@@ -206,6 +219,31 @@ pub(super) struct VolumeFields<'a> {
     pub(super) settings: &'a ReduceSettings,
     pub(super) run: &'a RunSettings,
     pub(super) progress: &'a dyn Progress,
+    unpacked: Mutex<Option<(PathBuf, Arc<UnpackedFrames>)>>,
+}
+
+impl<'a> VolumeFields<'a> {
+    pub(super) fn new(
+        settings: &'a ReduceSettings,
+        run: &'a RunSettings,
+        progress: &'a dyn Progress,
+    ) -> Self {
+        Self { settings, run, progress, unpacked: Mutex::default() }
+    }
+
+    /// The copy of a packed file: the one that was made last, or a new one.
+    fn unpacked(&self, source: &StepSource) -> Result<Arc<UnpackedFrames>> {
+        let mut last = self.unpacked.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, frames)) = last.as_ref().filter(|(path, _)| *path == source.path) {
+            return Ok(Arc::clone(frames));
+        }
+        // Before another one is made, its place on the disk is given back.
+        *last = None;
+        let (path, options, folder) = (&source.path, &source.options, scratch_folder(self.run));
+        let frames = Arc::new(formats::unpack_frames(path, options, &folder, &self.run.cancel)?);
+        *last = Some((source.path.clone(), Arc::clone(&frames)));
+        Ok(frames)
+    }
 }
 
 impl Fields for VolumeFields<'_> {
@@ -219,7 +257,10 @@ impl Fields for VolumeFields<'_> {
             let (expected, got) = (shape(step.source.dims), shape(volume.info().dims));
             return Err(Error::bad_input(&source.path, "dimensions", expected, got));
         }
-        let (reader, scratch) = random_access(volume, self.run, self.progress)?;
+        let (reader, scratch) = match series.sources[n].shared_copy {
+            0 => random_access(volume, self.run, self.progress)?,
+            _ => (self.unpacked(source)?.open(&step.source.field)?, None),
+        };
         Ok(Box::new(GridField {
             reader,
             scratch,

@@ -17,7 +17,7 @@
 //! before, ranges measured. Where an earlier pass has made the mesh, it is decoded instead, and so are the values before the first step.
 
 use super::chunk::{self, MeshedChunk, Meshing, Recipe};
-use super::field::{Field, Survey};
+use super::field::{Field, Placement};
 use super::inspect::{Depth, SegmentState, inspect};
 use super::layout::Layout;
 use super::need::{self, Shares};
@@ -434,13 +434,13 @@ fn make_in_room(
         Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
     };
     lap.add_to(&mut times.mesh);
-    let Survey { mut values, outside } = survey(work, 0, &mesh)?;
-    let outside6 = drop_outside(&mut mesh, &mut values, &outside);
+    let mut placement = note(work, 0, work.steps[0].field.place(&mesh))?;
+    let outside6 = drop_outside(&mut mesh, &mut placement);
     lap.add_to(&mut times.sample);
     let (encoded, summary) = encode_mesh(work, &mut desk.encoder, &mut mesh, outside6);
     let blocks: Vec<&[Tet]> = (0..encoded.tet_blocks()).map(|n| encoded.block_tets(n)).collect();
     lap.add_to(&mut times.encode);
-    let value_blocks = encode_steps(work, &mesh, values, None, (encoded.tets(), &blocks), &mut times)?;
+    let value_blocks = encode_steps(work, &mesh, &placement, None, (encoded.tets(), &blocks), &mut times)?;
     let mut mesh_blocks = encoded.blocks;
     mesh_blocks.push(summary.encode());
     Ok(Making::Done(Product { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
@@ -456,9 +456,10 @@ fn make_from_stored(work: &Work<'_>, stored: &Stored<'_>, chunk: &Chunk) -> Resu
     let starts = std::iter::once(&0).chain(&ends);
     let blocks: Vec<&[Tet]> = starts.zip(&ends).map(|(&from, &to)| &mesh.tets[from..to]).collect();
     lap.add_to(&mut times.mesh);
-    let first = survey(work, 0, &mesh)?.values;
+    // Of a mesh in which nothing lies outside any more.
+    let placement = note(work, 0, work.steps[0].field.place(&mesh))?;
     lap.add_to(&mut times.sample);
-    let value_blocks = encode_steps(work, &mesh, first, before, (&mesh.tets, &blocks), &mut times)?;
+    let value_blocks = encode_steps(work, &mesh, &placement, before, (&mesh.tets, &blocks), &mut times)?;
     Ok(Product { points: mesh.core_len() as u64, mesh_blocks: vec![], value_blocks, times })
 }
 
@@ -472,64 +473,67 @@ impl Lap {
     }
 }
 
-/// What a step says of a chunk. Notes a step whose data cannot be used.
-fn survey(work: &Work<'_>, n: usize, mesh: &MeshedChunk) -> Result<Survey> {
+/// The values of a step, as they are stored.
+fn values_of(work: &Work<'_>, n: usize, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
     let step = &work.steps[n];
-    let found = step.field.survey(mesh);
+    let mut values = note(work, n, step.field.values(mesh, placement))?;
+    if let Some(quantiser) = &step.plan.quantiser {
+        values.iter_mut().for_each(|v| *v = quantiser.round(*v));
+    }
+    Ok(values)
+}
+
+/// Notes a step whose data cannot be used.
+fn note<T>(work: &Work<'_>, n: usize, found: Result<T>) -> Result<T> {
+    let step = &work.steps[n];
     let found = found.map_err(|e| if work.several { of_step(e, step.plan.number) } else { e });
     if let Err(e @ (Error::BadInput { .. } | Error::Io { .. })) = &found {
         let mut bad = work.bad_steps.lock().unwrap_or_else(PoisonError::into_inner);
         bad.entry(n).or_insert_with(|| e.to_string());
     }
-    let mut found = found?;
-    if let Some(quantiser) = &step.plan.quantiser {
-        found.values.iter_mut().for_each(|v| *v = quantiser.round(*v));
-    }
-    Ok(found)
+    found
 }
 
-/// Samples the steps behind the first, and encodes all: the blocks of each, values, part of the spectrum, summary. `before` are the values
+/// Samples and encodes all steps: the blocks of each, values, part of the spectrum, summary. `before` are the values
 /// of the first one's base; tetrahedra are those of all blocks, as they decode, and of each.
 fn encode_steps(
     work: &Work<'_>,
     mesh: &MeshedChunk,
-    first: Vec<f32>,
-    before: Option<Vec<f32>>,
+    placement: &Placement,
+    mut before: Option<Vec<f32>>,
     (tets, blocks): (&[Tet], &[&[Tet]]),
     times: &mut StageTimes,
 ) -> Result<Vec<Vec<Vec<u8>>>> {
-    let (mut values, mut before) = (first, before);
     let (mut out, mut lap) = (vec![], Lap(Instant::now()));
     for (n, step) in work.steps.iter().enumerate() {
-        if n > 0 {
-            work.cancel.check()?;
-            let next = survey(work, n, mesh)?.values;
-            before = Some(std::mem::replace(&mut values, next));
-            lap.add_to(&mut times.sample);
-        }
+        work.cancel.check()?;
+        let values = values_of(work, n, mesh, placement)?;
+        lap.add_to(&mut times.sample);
         let base = step.plan.base.map(|_| before.as_deref().expect("a base is the step before"));
         let mut encoded = encode_values(&values, base, step.plan.quantiser.as_ref());
         let ranges: Vec<_> = blocks.iter().map(|tets| BlockRange::of(tets, &values)).collect();
         encoded.push(work.meter.part(&mesh.positions, &values, tets, &ranges)?.encode());
         encoded.push(ValueSummary::of(&values[..mesh.core_len()], ranges).encode());
         out.push(encoded);
+        before = Some(values);
         lap.add_to(&mut times.encode);
     }
     Ok(out)
 }
 
 /// Removes the tetrahedra that lie outside of the data, and the halo points that only they use; tells their six-fold volume.
-fn drop_outside(mesh: &mut MeshedChunk, values: &mut Vec<f32>, outside: &[bool]) -> i128 {
+fn drop_outside(mesh: &mut MeshedChunk, placement: &mut Placement) -> i128 {
+    let outside = std::mem::take(&mut placement.outside);
     if outside.is_empty() {
         return 0;
     }
-    let gone = mesh.tets.iter().zip(outside).filter(|(_, gone)| **gone).map(|(t, _)| t);
+    let gone = mesh.tets.iter().zip(&outside).filter(|(_, gone)| **gone).map(|(t, _)| t);
     let volume = volume6(&mesh.positions, gone);
     let mut flags = outside.iter();
     mesh.tets.retain(|_| !flags.next().expect("a flag for each tetrahedron"));
     let kept = mesh.drop_unused_halo();
     let mut kept = kept.iter();
-    values.retain(|_| *kept.next().expect("a flag for each vertex"));
+    placement.spots.retain(|_| *kept.next().expect("a flag for each vertex"));
     volume
 }
 

@@ -4,6 +4,9 @@
 //! A PNG is drawn three times as large and averaged, for smooth lines.
 
 pub(crate) mod canvas;
+mod over_time;
+
+pub(crate) use over_time::OverTime;
 
 use isospan::pipeline::SpectrumReport;
 use isospan::{Error, Result};
@@ -44,14 +47,45 @@ impl Format {
     }
 }
 
+/// What is drawn, on any surface.
+pub(crate) trait Figure {
+    /// Draws; lengths are `scale` times what they are on a surface of usual size.
+    fn draw<B: DrawingBackend>(
+        &self,
+        root: &DrawingArea<B, Shift>,
+        scale: u32,
+    ) -> std::result::Result<(), DrawingAreaErrorKind<B::ErrorType>>;
+}
+
+/// The curves of a spectrum.
+struct Curves<'a> {
+    report: &'a SpectrumReport,
+    name: &'a str,
+}
+
+impl Figure for Curves<'_> {
+    fn draw<B: DrawingBackend>(
+        &self,
+        root: &DrawingArea<B, Shift>,
+        scale: u32,
+    ) -> std::result::Result<(), DrawingAreaErrorKind<B::ErrorType>> {
+        draw(root, scale, self.report, self.name)
+    }
+}
+
 /// Draws the curves of a spectrum into a file.
 pub(crate) fn write(report: &SpectrumReport, name: &str, file: &Path, format: Format) -> Result<()> {
+    write_figure(&Curves { report, name }, file, format)
+}
+
+/// Draws a figure into a file.
+pub(crate) fn write_figure(figure: &impl Figure, file: &Path, format: Format) -> Result<()> {
     // Registering again replaces the same font by itself.
     let registered = register_font("sans-serif", FontStyle::Normal, FONT).is_ok();
     assert!(registered, "the font is part of the program, and sound");
     let bytes = match format {
-        Format::Svg => svg(report, name),
-        Format::Png => png(report, name),
+        Format::Svg => svg(figure),
+        Format::Png => png(figure),
     };
     publish(file, &bytes).map_err(|e| Error::io("write", file, e))
 }
@@ -67,20 +101,20 @@ pub(crate) fn publish(file: &Path, bytes: &[u8]) -> std::io::Result<()> {
     Ok(())
 }
 
-fn svg(report: &SpectrumReport, name: &str) -> Vec<u8> {
+fn svg(figure: &impl Figure) -> Vec<u8> {
     let mut text = String::new();
     let root = SVGBackend::with_string(&mut text, (WIDTH, HEIGHT)).into_drawing_area();
-    draw(&root, 1, report, name).expect("drawing into memory cannot fail");
+    figure.draw(&root, 1).expect("drawing into memory cannot fail");
     drop(root);
     text.into_bytes()
 }
 
-fn png(report: &SpectrumReport, name: &str) -> Vec<u8> {
+fn png(figure: &impl Figure) -> Vec<u8> {
     let scale = OVERSAMPLING * PNG_SCALE;
     let (w, h) = ((WIDTH * scale) as usize, (HEIGHT * scale) as usize);
     let mut pixels = vec![255u8; w * h * 3];
     let root = BitMapBackend::with_buffer(&mut pixels, (w as u32, h as u32)).into_drawing_area();
-    draw(&root, scale, report, name).expect("drawing into memory cannot fail");
+    figure.draw(&root, scale).expect("drawing into memory cannot fail");
     drop(root);
     let side = OVERSAMPLING as usize;
     let (w_out, h_out) = (w / side, h / side);

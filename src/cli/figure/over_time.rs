@@ -149,7 +149,8 @@ mod tests {
         let (dir, steps) = (tempfile::tempdir().unwrap(), [step(0.0, 1.0), step(0.5, 7.0)]);
         for name in ["a.svg", "a.png"] {
             let file = dir.path().join(name);
-            write_figure(&OverTime { steps: &steps, name: "waves" }, &file, Format::of(&file).unwrap()).unwrap();
+            write_figure(&OverTime { steps: &steps, name: "waves" }, &file, Format::of(&file).unwrap())
+                .unwrap();
             assert!(std::fs::metadata(&file).unwrap().len() > 1000);
         }
         let svg = std::fs::read_to_string(dir.path().join("a.svg")).unwrap();
