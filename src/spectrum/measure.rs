@@ -2,8 +2,8 @@
 //!
 //! **How it is fast.** A step of a series is measured anew though its mesh is not made anew, so this is most of what a step costs.
 //! Tetrahedra are taken a batch at a time, column by column: edges, values, volume and gradient of all, then the values of each sorted by
-//! exchanges, all loops without branches that the compiler turns into vector code. Then the pairs of a tetrahedron and a knot
-//! in its range, again column by column, whichever of the three parabolas holds chosen last.
+//! exchanges, and all divisions, in loops without branches that the compiler turns into vector code. Then, tetrahedron by tetrahedron, the
+//! knots in its range, side by side: of the three parabolas all are computed, and the one that holds is chosen.
 
 use super::design::{Design, Limits};
 use super::grid::Places;
@@ -70,62 +70,54 @@ impl ChunkPart {
     }
 }
 
-/// Tetrahedra, and pairs of a tetrahedron and a knot, that are looked at together.
+/// Tetrahedra that are looked at together.
 const BATCH: usize = 64;
-const PAIRS: usize = 64;
 
-type Column<const N: usize> = [f64; N];
+type Column = [f64; BATCH];
 
 /// Tetrahedra, column by column.
 struct Batch {
     len: usize,
     /// Edges from one corner to the others.
-    edges: [[Column<BATCH>; 3]; 3],
+    edges: [[Column; 3]; 3],
     /// Corner values, sorted later.
-    values: [Column<BATCH>; 4],
+    values: [Column; 4],
+    /// One over the differences of sorted values: 1 - 0, 2 - 0, 3 - 0, 2 - 1, 3 - 1, 3 - 2.
+    inverse: [Column; 6],
     /// How many knots are at or below the least value, and the largest.
     knots: [[u16; 2]; BATCH],
-    volume: Column<BATCH>,
+    volume: Column,
     /// The gradient's length, and that times the volume.
-    slope: Column<BATCH>,
-    area: Column<BATCH>,
-}
-
-/// A knot in the range of a tetrahedron, column by column.
-struct Pairs {
-    len: usize,
-    knot: [u16; PAIRS],
-    isovalue: Column<PAIRS>,
-    values: [Column<PAIRS>; 4],
-    volume: Column<PAIRS>,
-    slope: Column<PAIRS>,
-    area: Column<PAIRS>,
-    below: Column<PAIRS>,
+    slope: Column,
+    area: Column,
 }
 
 /// Sums while they are made.
 struct Sums {
     isovalues: Vec<f64>,
     tetrahedra: u64,
-    /// At each knot, of the tetrahedra that it cuts: area, volume inside, gradient times area, and nothing.
-    cut: Vec<[f64; 4]>,
+    /// At each knot, of the tetrahedra that it cuts: area, volume inside, gradient times area.
+    areas: Vec<f64>,
+    insides: Vec<f64>,
+    slopes: Vec<f64>,
     /// Volume of tetrahedra whose least value has so many knots at or below it.
     whole: Vec<f64>,
     /// Minima less maxima that have so many knots, so many levels at or below them.
     ends: Vec<i64>,
     level_ends: Vec<i64>,
     batch: Box<Batch>,
-    pairs: Box<Pairs>,
 }
 
 impl Sums {
     fn new(design: &Design) -> Self {
         let (knots, levels) = (design.knots.count as usize, design.levels.count as usize);
-        let (batch, pairs) = ([0.0; BATCH], [0.0; PAIRS]);
+        let batch = [0.0; BATCH];
         Self {
             isovalues: design.knots.values().into_iter().map(f64::from).collect(),
             tetrahedra: 0,
-            cut: vec![[0.0; 4]; knots],
+            areas: vec![0.0; knots],
+            insides: vec![0.0; knots],
+            slopes: vec![0.0; knots],
             whole: vec![0.0; knots + 1],
             ends: vec![0; knots + 1],
             level_ends: vec![0; levels + 1],
@@ -133,20 +125,11 @@ impl Sums {
                 len: 0,
                 edges: [[batch; 3]; 3],
                 values: [batch; 4],
+                inverse: [batch; 6],
                 knots: [[0; 2]; BATCH],
                 volume: batch,
                 slope: batch,
                 area: batch,
-            }),
-            pairs: Box::new(Pairs {
-                len: 0,
-                knot: [0; PAIRS],
-                isovalue: pairs,
-                values: [pairs; 4],
-                volume: pairs,
-                slope: pairs,
-                area: pairs,
-                below: pairs,
             }),
         }
     }
@@ -158,7 +141,6 @@ impl Sums {
             self.batch.measure();
             self.spread();
         }
-        self.settle();
     }
 
     /// Takes tetrahedra without a void corner into the batch.
@@ -193,43 +175,31 @@ impl Sums {
         self.tetrahedra += batch.len as u64;
     }
 
-    /// Lists the knots in the range of each tetrahedron.
+    /// Adds the tetrahedra of the batch at the knots in their ranges.
     #[inline(always)]
     fn spread(&mut self) {
-        for i in 0..self.batch.len {
-            let [lo, hi] = self.batch.knots[i].map(usize::from);
-            self.whole[lo] += self.batch.volume[i];
+        let batch = &*self.batch;
+        for i in 0..batch.len.min(BATCH) {
+            let [lo, hi] = batch.knots[i].map(usize::from);
+            let volume = batch.volume[i];
+            self.whole[lo] += volume;
             self.ends[lo] += 1;
             self.ends[hi] -= 1;
-            for k in lo..hi {
-                let (batch, pairs) = (&*self.batch, &mut *self.pairs);
-                let at = pairs.len % PAIRS;
-                pairs.len = at + 1;
-                (pairs.knot[at], pairs.isovalue[at]) = (k as u16, self.isovalues[k]);
-                for (to, from) in pairs.values.iter_mut().zip(&batch.values) {
-                    to[at] = from[i];
-                }
-                pairs.volume[at] = batch.volume[i];
-                (pairs.area[at], pairs.slope[at]) = (batch.area[i], batch.slope[i]);
-                if pairs.len == PAIRS {
-                    self.settle();
-                }
+            if lo == hi {
+                continue;
+            }
+            let piece = batch.pieces(i);
+            let (area, slope) = (batch.area[i], batch.slope[i]);
+            let sums =
+                self.areas[lo..hi].iter_mut().zip(&mut self.insides[lo..hi]).zip(&mut self.slopes[lo..hi]);
+            for (&v, ((a, inside), s)) in self.isovalues[lo..hi].iter().zip(sums) {
+                let [density, below] = piece.at(v);
+                let new = area * density;
+                *a += new;
+                *inside += volume * (1.0 - below);
+                *s += slope * new;
             }
         }
-    }
-
-    /// Adds the pairs to the sums, in order.
-    #[inline(always)]
-    fn settle(&mut self) {
-        let pairs = &mut *self.pairs;
-        pairs.measure();
-        for i in 0..pairs.len {
-            let sums = &mut self.cut[usize::from(pairs.knot[i])];
-            let (area, slope) = (pairs.area[i], pairs.slope[i]);
-            let new = [area, pairs.volume[i] * (1.0 - pairs.below[i]), slope * area, 0.0];
-            *sums = [sums[0] + new[0], sums[1] + new[1], sums[2] + new[2], sums[3] + new[3]];
-        }
-        pairs.len = 0;
     }
 
     fn finish(self, design: Design) -> ChunkPart {
@@ -244,8 +214,9 @@ impl Sums {
         };
         // Tetrahedra that lie inside as a whole: those whose least value is at or above the knot.
         let mut whole = 0.0;
+        let knots = 0..self.areas.len();
         let mut sums: Vec<[f64; 3]> =
-            self.cut.iter().map(|&[area, inside, slope, _]| [area, inside, slope]).collect();
+            knots.map(|k| [self.areas[k], self.insides[k], self.slopes[k]]).collect();
         for (sum, volume) in sums.iter_mut().zip(&self.whole[1..]).rev() {
             whole += volume;
             sum[1] += whole;
@@ -277,9 +248,33 @@ impl Batch {
             let ((a, b), (c, d)) = (sorted(a, b), sorted(c, d));
             let ((a, c), (b, d)) = (sorted(a, c), sorted(b, d));
             let (b, c) = sorted(b, c);
-            [a, b, c, d].into_iter().zip(&mut self.values).for_each(|(f, column)| column[i] = f);
+            let differences = [b - a, c - a, d - a, c - b, d - b, d - c];
+            for (k, f) in [a, b, c, d].into_iter().enumerate() {
+                self.values[k][i] = f;
+            }
+            for (k, d) in differences.into_iter().enumerate() {
+                self.inverse[k][i] = 1.0 / d;
+            }
         }
     }
+
+    #[inline(always)]
+    fn pieces(&self, i: usize) -> Pieces {
+        let f = [0, 1, 2, 3].map(|k| self.values[k][i]);
+        let [d1, d2, d3, d12, d13, d23] = [0, 1, 2, 3, 4, 5].map(|k| self.inverse[k][i]);
+        Pieces { f, d2, d3, d12, d13, first: d1 * d2 * d3, third: d3 * d13 * d23 }
+    }
+}
+
+/// The three parabolas of a tetrahedron, and the cubics that are their integrals.
+struct Pieces {
+    f: [f64; 4],
+    d2: f64,
+    d3: f64,
+    d12: f64,
+    d13: f64,
+    first: f64,
+    third: f64,
 }
 
 /// One exchange of a sorting network: a minimum and a maximum of the machine's.
@@ -288,37 +283,30 @@ fn sorted(a: f64, b: f64) -> (f64, f64) {
     (if a < b { a } else { b }, if a < b { b } else { a })
 }
 
-impl Pairs {
-    /// The area at the knot, and the share of the volume below it.
+impl Pieces {
+    /// The density of the area at a knot in the range, and the share of the volume below it.
     #[inline(always)]
-    fn measure(&mut self) {
-        for i in 0..self.len.min(PAIRS) {
-            let v = self.isovalue[i];
-            let [f0, f1, f2, f3] = [0, 1, 2, 3].map(|k| self.values[k][i]);
-            // A piece holds the knot that ends it, as min < v <= max holds the maximum: so no piece with a knot is empty, and its
-            // denominators are not zero. The others give anything, and are not taken.
-            let (d1, d2, d3) = (1.0 / (f1 - f0), 1.0 / (f2 - f0), 1.0 / (f3 - f0));
-            let (d12, d13, d23) = (1.0 / (f2 - f1), 1.0 / (f3 - f1), 1.0 / (f3 - f2));
-            // Below f1: a corner is outside.
-            let (t, r) = (v - f0, d1 * d2 * d3);
-            let first = [3.0 * t * t * r, t * t * t * r];
-            // How far along the four edges that are cut; the wedge below is three tetrahedra.
-            let [t02, t03] = [t * d2, t * d3];
-            let [t12, t13] = [(v - f1) * d12, (v - f1) * d13];
-            let second = [
-                3.0 * d3 * (t02 * (1.0 - t12) + (1.0 - t13) * t12),
-                t12 * t13 + t12 * t03 * (1.0 - t13) + t02 * t03 * (1.0 - t12),
-            ];
-            // Above f2: a corner is inside.
-            let (s, q) = (f3 - v, d3 * d13 * d23);
-            let third = [3.0 * s * s * q, 1.0 - s * s * s * q];
-            let choose = |k: usize| {
-                let low = if v <= f1 { first[k] } else { second[k] };
-                if v <= f2 { low } else { third[k] }
-            };
-            self.area[i] *= choose(0);
-            self.below[i] = choose(1);
-        }
+    fn at(&self, v: f64) -> [f64; 2] {
+        let [f0, f1, f2, f3] = self.f;
+        // A piece holds the knot that ends it, as min < v <= max holds the maximum: so no piece with a knot is empty, and its
+        // denominators are not zero. The others give anything, and are not taken.
+        // Below f1: a corner is outside.
+        let (t, r) = (v - f0, self.first);
+        let first = [3.0 * t * t * r, t * t * t * r];
+        // How far along the four edges that are cut; the wedge below is three tetrahedra.
+        let [t02, t03] = [t * self.d2, t * self.d3];
+        let [t12, t13] = [(v - f1) * self.d12, (v - f1) * self.d13];
+        let second = [
+            3.0 * self.d3 * (t02 * (1.0 - t12) + (1.0 - t13) * t12),
+            t12 * t13 + t12 * t03 * (1.0 - t13) + t02 * t03 * (1.0 - t12),
+        ];
+        // Above f2: a corner is inside.
+        let (s, q) = (f3 - v, self.third);
+        let third = [3.0 * s * s * q, 1.0 - s * s * s * q];
+        [0, 1].map(|k| {
+            let low = if v <= f1 { first[k] } else { second[k] };
+            if v <= f2 { low } else { third[k] }
+        })
     }
 }
 
