@@ -4,7 +4,7 @@
 //! are not indexed: the **points** are, in a grid of about one point a cell of it, and each tetrahedron looks up the points near it
 //! ([`PointGrid`]). Cells stream past once, in any order, and nothing is built for them. The thesis's search (section 4.3), a
 //! six-dimensional kd-tree over the cells' bounding boxes, is [`KdTree`]; both give the same answers, which is tested, and
-//! `benches/locate.rs` says what each costs.
+//! `benches/compare_locate` says what each costs.
 //!
 //! # Exact
 //!

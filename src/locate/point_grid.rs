@@ -10,7 +10,7 @@
 //!   └───┴───┴───┴───┘
 //! ```
 
-use super::{CellBatch, FinePos, Found, keep, weights};
+use super::{CellBatch, FinePos, Found, keep, minus, weights};
 
 /// Points to be located, sorted into a grid.
 #[derive(Clone, Debug)]
@@ -111,18 +111,66 @@ impl PointGrid {
         let lo: FinePos = std::array::from_fn(|k| a[k].min(b[k]).min(c[k].min(d[k])));
         let hi: FinePos = std::array::from_fn(|k| a[k].max(b[k]).max(c[k].max(d[k])));
         let Some([x, y, z]) = self.reach(lo, hi) else { return };
+        // Made when the first point lies in the box.
+        let mut faces = None;
         for row_z in z.0..=z.1 {
             for row_y in y.0..=y.1 {
                 let row = (row_z * self.dims[1] + row_y) * self.dims[0];
                 let (from, to) = (self.starts[row + x.0] as usize, self.starts[row + x.1 + 1] as usize);
                 for at in from..to {
                     let p = self.sorted[at];
-                    let within = (0..3).all(|k| lo[k] <= p[k] && p[k] <= hi[k]);
-                    if within && let Some(weights) = weights(corners, p) {
+                    // Without branches but the one at the end: most points near a cell are beside it.
+                    let within = (lo[0] <= p[0]) & (p[0] <= hi[0]) & (lo[1] <= p[1]) & (p[1] <= hi[1]);
+                    let within = within & (lo[2] <= p[2]) & (p[2] <= hi[2]);
+                    if !within || faces.get_or_insert_with(|| Faces::new(corners, lo, hi)).is_outside(p) {
+                        continue;
+                    }
+                    if let Some(weights) = weights(corners, p) {
                         hit(self.numbers[at] as usize, weights);
                     }
                 }
             }
         }
+    }
+}
+
+/// The faces of a tetrahedron, to throw out points of its bounding box that are surely outside: three in four or more.
+struct Faces {
+    /// Inner normals, twice the area long.
+    normals: [[f64; 3]; 4],
+    /// A corner of each face.
+    corners: [FinePos; 4],
+    margin: f64,
+}
+
+impl Faces {
+    /// The faces of a positively oriented tetrahedron with the bounding box `lo` to `hi`.
+    ///
+    /// # The margin
+    /// With P the product of the box's lengths and u = 2^-53: differences are exact; a component of a normal has two products and an error of at
+    /// most 4u of their bounds, so a product with a difference, of a point in the box, one of 5u·2P, and their sum one of 30u·P and 2u·6P for
+    /// the additions. 64u·P is more.
+    fn new([a, b, c, d]: [FinePos; 4], lo: FinePos, hi: FinePos) -> Self {
+        const U: f64 = 1.0 / (1u64 << 53) as f64;
+        let normal = |p: FinePos, q: FinePos, r: FinePos| {
+            let (u, v) = (minus(q, p).map(|x| x as f64), minus(r, p).map(|x| x as f64));
+            [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+        };
+        let lengths = minus(hi, lo).map(|x| x as f64);
+        Self {
+            normals: [normal(b, d, c), normal(a, c, d), normal(a, d, b), normal(a, b, c)],
+            corners: [b, a, a, a],
+            margin: 64.0 * U * lengths[0] * lengths[1] * lengths[2],
+        }
+    }
+
+    /// Whether a point of the box is outside; false also where rounding cannot tell.
+    #[inline]
+    fn is_outside(&self, p: FinePos) -> bool {
+        let side = |i: usize| {
+            let (n, to) = (&self.normals[i], minus(p, self.corners[i]).map(|x| x as f64));
+            n[0] * to[0] + n[1] * to[1] + n[2] * to[2] < -self.margin
+        };
+        side(0) | side(1) | side(2) | side(3)
     }
 }
