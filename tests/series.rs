@@ -164,6 +164,10 @@ fn appending_is_reducing_all_at_once() {
             assert_eq!(report.steps.len(), to - from);
         }
         assert!(folder(&all) == folder(&grown), "{bits:?}");
+        // Once more is not twice.
+        let how = AppendSettings { keyframes: 3, ..AppendSettings::default() };
+        let report = pipeline::append(&steps[3..7], &how, &grown, &run(1), &Silent).unwrap();
+        assert!(report.steps.is_empty() && folder(&all) == folder(&grown));
     }
 }
 

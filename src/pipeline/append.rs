@@ -11,7 +11,7 @@ use super::reduce::{
     Publishing, ReduceReport, RunSettings, estimate_of, finished, need_of, push_times, sweep, threads,
 };
 use super::series::{Making, Means};
-use super::volume_series::{Known, VolumeFields, plan_volumes};
+use super::volume_series::{Known, VolumeFields, are_there, plan_volumes};
 use crate::archive::manifest::{MANIFEST_NAME, Step};
 use crate::error::{Error, Result};
 use crate::exec::Progress;
@@ -38,6 +38,9 @@ impl Default for AppendSettings {
 
 /// Adds steps to the archive `out`; the report is of them. They are numbered from the last one on.
 ///
+/// When the archive ends with these very steps already (the same names, contents and fields), nothing is added, and the report has no steps: so the
+/// same call continues a run that was killed at any moment.
+///
 /// The bytes are those that [`super::reduce_series`] would have made of all steps at once, with the same settings.
 ///
 /// # Errors
@@ -62,6 +65,20 @@ pub fn append(
     let sources: Vec<_> = (last.plan.number + 1..).zip(sources.iter().cloned()).collect();
     let known = Known { archive: Some(&archive), ..Known::default() };
     let mut series = plan_volumes(&sources, &settings, run, known)?;
+    if are_there(&archive, &series.plan.steps) {
+        let counts = manifest.counts;
+        let report = ReduceReport {
+            samples: last.plan.source.dims.iter().product(),
+            points: counts.points,
+            tetrahedra: counts.tetrahedra,
+            chunks: counts.chunks,
+            blocks: counts.blocks,
+            skipped: series.skipped,
+            archive_bytes: archive.bytes()?,
+            ..ReduceReport::default()
+        };
+        return Ok(finished(report, started));
+    }
     let parts = parts(&manifest.plan, None)?;
     let need = need_of(&parts, series.plan.steps.len(), run.memory, run);
     estimate_of(&series, &need, out, run)?.check()?;

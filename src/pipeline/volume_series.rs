@@ -124,8 +124,16 @@ pub(super) fn plan_volumes(
     };
     skipped.into_iter().for_each(|(number, source, reason)| series.skip(number, source, reason));
     share_copies(&mut series)?;
-    series.connect()?;
+    if !archive.is_some_and(|archive| are_there(archive, &series.plan.steps)) {
+        series.connect()?;
+    }
     Ok(series)
+}
+
+/// Whether an archive ends with these very steps: a run that was killed after it had added them is asked to continue.
+pub(super) fn are_there(archive: &OpenArchive, steps: &[StepPlan]) -> bool {
+    let there = archive.manifest.steps.iter().rev().zip(steps.iter().rev());
+    steps.len() <= archive.manifest.steps.len() && there.into_iter().all(|(a, b)| a.plan.source == b.source)
 }
 
 /// Steps that lie in one packed file are read from one copy of it: each by itself would be decoded from the beginning.
