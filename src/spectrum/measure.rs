@@ -52,7 +52,7 @@ impl ChunkPart {
     /// Measures tetrahedra whose values, void ones left out, have this range (the first above the second: all are void). A function of
     /// the order and of the turns of the tetrahedra too, in the last bits. Time: some nanoseconds for each tetrahedron, and for each knot in its range.
     pub fn of(limits: Limits, range: [f32; 2], mut corners: Vec<Corner>, tets: &[Tet]) -> Self {
-        if !(range[0] <= range[1]) {
+        if range[0] > range[1] {
             return Self { tetrahedra: 0, volume: 0.0, measured: None };
         }
         // Of two zeros either may be the least; only one is written.

@@ -41,7 +41,7 @@ impl ChunkPart {
             c.end("spectrum of a chunk")?;
             return Ok(Self { tetrahedra, volume, measured: None });
         }
-        if !(range[0] <= range[1] && range.iter().all(|v| v.is_finite()) && tetrahedra <= MOST_TETRAHEDRA) {
+        if range.iter().any(|v| !v.is_finite()) || range[0] > range[1] || tetrahedra > MOST_TETRAHEDRA {
             let got = format!("{tetrahedra} of {range:?}");
             return Err(Malformed::new("tetrahedra", "some, of a range of values", got));
         }
