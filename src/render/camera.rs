@@ -103,7 +103,7 @@ impl View {
         };
         let (mut lo, mut hi) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
         each_vertex(surfaces, |p| {
-            let c = view.to_camera(p);
+            let c = view.in_camera_space(p);
             let f = view.nearness(c.z);
             for (k, x) in [c.x * f, c.y * f].into_iter().enumerate() {
                 (lo[k], hi[k]) = (lo[k].min(x), hi[k].max(x));
@@ -121,7 +121,7 @@ impl View {
     }
 
     /// A world position in camera space.
-    pub(super) fn to_camera(&self, p: DVec3) -> DVec3 {
+    pub(super) fn in_camera_space(&self, p: DVec3) -> DVec3 {
         let d = (p - self.centre) / self.radius;
         DVec3::from_array(self.axes.map(|a| a.dot(d)))
     }
@@ -159,7 +159,7 @@ impl View {
     }
 
     /// The direction from a place in camera space to the viewer.
-    pub(super) fn to_viewer(&self, p: [f32; 3]) -> [f32; 3] {
+    pub(super) fn viewer_from(&self, p: [f32; 3]) -> [f32; 3] {
         if !self.perspective {
             return [0.0, 0.0, 1.0];
         }
@@ -216,7 +216,7 @@ mod tests {
                 assert!((x.cross(y) - z).length() < 1e-12 && (x.length() - 1.0).abs() < 1e-12);
                 let (mut lo, mut hi) = ([f64::MAX; 2], [f64::MIN; 2]);
                 for v in &mesh.vertices {
-                    let c = view.to_camera(DVec3::from_array(v.position.map(f64::from)));
+                    let c = view.in_camera_space(DVec3::from_array(v.position.map(f64::from)));
                     let (at, depth) = view.project(c);
                     for k in 0..2 {
                         (lo[k], hi[k]) = (lo[k].min(at[k]), hi[k].max(at[k]));

@@ -188,7 +188,7 @@ fn place(
     let mut values = subject.values.iter();
     subject.surface.vertices(&mut |batch| {
         for v in batch {
-            let position = view.to_camera(DVec3::from_array(v.position.map(f64::from))).as_vec3();
+            let position = view.in_camera_space(DVec3::from_array(v.position.map(f64::from))).as_vec3();
             let value = values.next().copied().unwrap_or(0.0);
             vertices.push(Placed { position: position.to_array(), normal: view.turn(v.normal), value })?;
         }
@@ -281,7 +281,7 @@ fn each_batch(
 fn corners(triangle: &[Placed; 3], view: &View, samples: &Samples, normals: Normals) -> [Corner; 3] {
     let [a, b, c] = triangle.map(|v| Vec3::from_array(v.position));
     let plane = (b - a).cross(c - a);
-    let faces_us = plane.dot(Vec3::from_array(view.to_viewer(a.to_array()))) >= 0.0;
+    let faces_us = plane.dot(Vec3::from_array(view.viewer_from(a.to_array()))) >= 0.0;
     triangle.map(|v| {
         let (at, depth) = view.project(Vec3::from_array(v.position).as_dvec3());
         let normal = match normals {

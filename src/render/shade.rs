@@ -77,7 +77,7 @@ impl Shader<'_> {
 
     /// The normal; where interpolation has turned it away from the viewer, the nearest that is not.
     fn towards_us(&self, seen: &Seen, place: [f32; 3]) -> [f32; 3] {
-        let (n, v) = (seen.normal(), self.view.to_viewer(place));
+        let (n, v) = (seen.normal(), self.view.viewer_from(place));
         let away = dot(n, v).min(0.0);
         let bent = super::unit(std::array::from_fn(|k| n[k] - away * v[k]));
         if bent == [0.0; 3] { v } else { bent }
@@ -96,7 +96,7 @@ impl Shader<'_> {
         if seen.is_back() {
             albedo = albedo.map(|c| 0.55 * c);
         }
-        let v = self.view.to_viewer(place);
+        let v = self.view.viewer_from(place);
         let half = super::unit(std::array::from_fn(|k| v[k] + KEY[k]));
         let shine = dot(normal, half).max(0.0);
         let shine = GLOSS * (shine * shine).powi(7) * light;

@@ -144,7 +144,7 @@ mod tests {
         let inked: Vec<usize> =
             (0..200 * 40).filter(|&i| canvas.pixels[i][3] > 200).map(|i| i % 200).collect();
         assert!(inked.len() > 50 && inked.iter().all(|x| (80..120).contains(x)));
-        assert!(canvas.pixels.iter().any(|p| *p == [10, 20, 30, 255]));
+        assert!(canvas.pixels.contains(&[10, 20, 30, 255]));
         assert!(canvas.check("1/8: RMS 0.3").is_ok() && canvas.check("雪").is_err());
         // Off the canvas is no error.
         canvas.write("far", 24.0, [195.0, 2.0], [0; 3]);
