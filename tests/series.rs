@@ -369,7 +369,7 @@ fn meshes_are_located_once_for_all_steps() {
     let settings = ReduceSettings { amount: Amount::Fraction(1.0), ..few_points() };
     let field = |name: &str| OpenOptions { field: Some(name.into()), ..OpenOptions::default() };
     let Some(path) = shared_series("monodomain3d_tet_51steps.vtu") else { return };
-    let steps = isospan::formats::steps_of(&[path.clone()], &field("V_*")).unwrap();
+    let steps = isospan::formats::steps_of(std::slice::from_ref(&path), &field("V_*")).unwrap();
     assert_eq!(steps.len(), 51);
     let out = dir.path().join("m.isospan");
     reduce_all(&steps, &settings, &out, &run(2));

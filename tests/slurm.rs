@@ -159,6 +159,9 @@ fn wait(what: &str, mut done: impl FnMut() -> bool) {
     }
 }
 
+/// What is told of it, and what happens.
+type Scene = (&'static str, fn(&Cluster));
+
 #[test]
 fn a_real_slurm_gives_the_bytes_of_reduce() {
     if std::env::var_os("ISOSPAN_SLURM_TESTS").is_none_or(|v| v.is_empty() || v == "0") {
@@ -166,7 +169,7 @@ fn a_real_slurm_gives_the_bytes_of_reduce() {
         return;
     }
     let cluster = Cluster::start();
-    let scenes: [(&str, fn(&Cluster)); 7] = [
+    let scenes: [Scene; 7] = [
         ("1, 3 and 16 shards", numbers_of_shards),
         ("a node without power", a_node_loses_power),
         ("a node without network", a_node_loses_the_network),

@@ -4,6 +4,8 @@
 //! VALUES. Prints a line a repetition: CPU seconds of the grid over the points (built, cells streamed past, values), of building the kd-tree over
 //! the cells, and of its answers with values. Both must give the same answers.
 
+#![allow(clippy::print_stdout)]
+
 use isospan::cells::{CellBlock, CellKind};
 use isospan::formats::{OpenOptions, open_mesh};
 use isospan::locate::{CellBatch, FinePos, Found, KdTree, PointGrid, is_positive, linear};

@@ -6,6 +6,7 @@
 //! Each round opens the archive anew and asks for all isovalues. CPU seconds are 0 where the system does not tell them so finely.
 
 #![allow(unsafe_code)]
+#![allow(clippy::print_stdout)]
 
 use isospan::Archive;
 use isospan::pipeline::SurfaceSettings;

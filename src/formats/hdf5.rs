@@ -85,7 +85,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
 ///
 /// # Errors
 /// As [`open`].
-pub(super) fn frames(path: &Path, options: &OpenOptions) -> Result<Vec<(String, Option<f64>)>> {
+pub(super) fn frames(path: &Path, options: &OpenOptions) -> Result<super::series::Frames> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let file = open_file(path, &source)?;
     let tree = Tree::of(path, &file)?;

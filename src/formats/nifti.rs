@@ -89,7 +89,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
 }
 
 /// The frames of a file by the names of their fields, and their times: `toffset` and a `pixdim[4]` for each. None where there is one volume.
-pub(super) fn frames(path: &Path, options: &OpenOptions) -> Result<Vec<(String, Option<f64>)>> {
+pub(super) fn frames(path: &Path, options: &OpenOptions) -> Result<super::series::Frames> {
     let header_path =
         if has_suffix(path, &[".img", ".img.gz"]) { partner(path, "hdr")? } else { path.to_path_buf() };
     let header = Header::parse(&Arc::new(ByteSource::open(&header_path, options.io)?))?;
@@ -102,7 +102,7 @@ pub(super) fn frames(path: &Path, options: &OpenOptions) -> Result<Vec<(String, 
     open(path, &first)?;
     let (step, start) = (header.float(76, 104, 4), header.float(136, 216, 0));
     let known = step > 0.0 && step.is_finite() && start.is_finite();
-    let time = |t: u64| known.then(|| start + t as f64 * step);
+    let time = |t: u64| known.then_some(start + t as f64 * step);
     Ok((0..frames).map(|t| (format!("t{t}"), time(t))).collect())
 }
 

@@ -42,6 +42,9 @@ impl StepSource {
     }
 }
 
+/// Fields of a file that are steps, and their times where they are known.
+pub(super) type Frames = Vec<(String, Option<f64>)>;
+
 /// The most bytes of a list of files.
 const LARGEST_LIST: u64 = 64 << 20;
 
@@ -74,7 +77,10 @@ fn files_of(input: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
     let bad = |e: glob::PatternError| Error::usage(format!("{text}: {e}"));
     let mut files = vec![];
     for found in glob::glob(&text).map_err(bad)? {
-        files.push(found.map_err(|e| Error::io("look at", e.path().to_path_buf(), std::io::Error::from(e)))?);
+        files.push(found.map_err(|e| {
+            let path = e.path().to_owned();
+            Error::io("look at", &path, e.into())
+        })?);
     }
     if files.is_empty() {
         return Err(Error::bad_input(input, "pattern", "files that match it", "none")
@@ -121,7 +127,7 @@ fn frame_kind(path: &Path, options: &OpenOptions) -> Result<Option<Kind>> {
 }
 
 /// The frames of a file that is a series by itself, and their times.
-fn frames(path: &Path, options: &OpenOptions) -> Result<Option<Vec<(String, Option<f64>)>>> {
+fn frames(path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
     match frame_kind(path, options)? {
         Some(Kind::Nifti) => nifti::frames(path, options).map(Some),
         #[cfg(feature = "hdf5")]
@@ -155,7 +161,7 @@ pub fn unpack_frames(
 }
 
 /// The fields with one number a sample whose names match a pattern.
-fn matching_fields(path: &Path, options: &OpenOptions, pattern: &str) -> Result<Vec<(String, Option<f64>)>> {
+fn matching_fields(path: &Path, options: &OpenOptions, pattern: &str) -> Result<Frames> {
     let any = OpenOptions { field: None, ..options.clone() };
     let mut names: Vec<String> = if mesh::is_mesh(path, &any)? {
         let mesh = mesh::open_mesh(path, &any)?;
@@ -230,8 +236,11 @@ fn pvd(path: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
         let at = |reader: &Reader<&[u8]>| format!("byte {}", reader.buffer_position());
         match reader.read_event() {
             Ok(Event::Start(tag) | Event::Empty(tag)) if tag.name().as_ref() == "DataSet" => {
+                let wrong = |e: String| Error::bad_input(path, at(&reader), "good XML", e);
+                for attribute in tag.attributes() {
+                    attribute.map_err(|e| wrong(e.to_string()))?;
+                }
                 let of = |name: &str| -> Result<Option<String>> {
-                    let wrong = |e: String| Error::bad_input(path, at(&reader), "good XML", e);
                     let found = tag.try_get_attribute(name).map_err(|e| wrong(e.to_string()))?;
                     let text = found.map(|a| a.normalized_value(quick_xml::XmlVersion::Implicit1_0));
                     Ok(text.transpose().map_err(|e| wrong(e.to_string()))?.map(|t| t.into_owned()))

@@ -336,7 +336,12 @@ pub(super) fn produce(
 /// Copies the coordinates that a grid has of its own into the archive; a mesh has its positions in the world by itself.
 pub(super) fn grid_coordinates(series: &SeriesPlan, layout: &Layout) -> Result<Option<CoordinateRecord>> {
     let (source, step) = (&series.sources[0].source, series.plan.first());
-    if step.source.mesh.is_some() { Ok(None) } else { write_coordinates(source, &series.plan, layout) }
+    if step.source.mesh.is_some() {
+        return Ok(None);
+    }
+    let folder = layout.at(step.number).step_folder();
+    fs::create_dir_all(&folder).map_err(|e| Error::io("create the folder", &folder, e))?;
+    write_coordinates(source, &series.plan, layout)
 }
 
 /// How an archive is made of segments that are all there.

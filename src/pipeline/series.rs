@@ -79,8 +79,7 @@ impl SeriesPlan {
         let all: Vec<&StepPlan> = self.before.iter().chain(&self.plan.steps).collect();
         for pair in all.windows(2) {
             let [a, b] = [pair[0], pair[1]].map(StepPlan::time_or_number);
-            // False for a NaN too.
-            if !(a < b) || !b.is_finite() {
+            if a >= b || a.is_nan() || !b.is_finite() {
                 return Err(Error::usage(format!(
                     "times must ascend: step {} is at {a}, step {} at {b} (give them with --times)",
                     pair[0].number, pair[1].number
@@ -106,7 +105,7 @@ impl SeriesPlan {
     fn leave_out(&mut self, failed: Failed, keep_going: bool, layout: &Layout) -> Result<()> {
         let Failed { error, bad } = failed;
         if !keep_going || bad.is_empty() || bad.len() == self.plan.steps.len() {
-            return Err(error);
+            return Err(*error);
         }
         for (n, reason) in bad.into_iter().rev() {
             let (step, source) = (self.plan.steps.remove(n), self.sources.remove(n));
@@ -143,14 +142,14 @@ pub(super) trait Fields {
 
 /// A pass that did not succeed.
 struct Failed {
-    error: Error,
+    error: Box<Error>,
     /// Positions in the plan of steps whose data cannot be used, and why.
     bad: BTreeMap<usize, String>,
 }
 
 impl From<Error> for Failed {
     fn from(error: Error) -> Self {
-        Self { error, bad: BTreeMap::new() }
+        Self { error: Box::new(error), bad: BTreeMap::new() }
     }
 }
 
@@ -258,7 +257,7 @@ impl Making<'_> {
             let field = opened.map_err(|e| if several { of_step(e, number) } else { e });
             fields.push(field.map_err(|error| {
                 let bad = is_of_data(&error).then(|| (n, error.to_string()));
-                Failed { bad: bad.into_iter().collect(), error }
+                Failed { bad: bad.into_iter().collect(), error: Box::new(error) }
             })?);
             let folder = self.layout.at(number).step_folder();
             fs::create_dir_all(&folder).map_err(|e| Error::io("create the folder", &folder, e))?;
@@ -309,7 +308,7 @@ impl Making<'_> {
         });
         let bad = bad.into_inner().unwrap_or_else(PoisonError::into_inner);
         let bad = bad.into_iter().map(|(n, reason)| (steps.start + n, reason)).collect();
-        made.times.add(&done.map_err(|error| Failed { error, bad })?);
+        made.times.add(&done.map_err(|error| Failed { error: Box::new(error), bad })?);
         if self.measure {
             self.measure(plan, steps, &fields, made)?;
         }

@@ -391,7 +391,7 @@ impl Sides {
 
     /// Looks on which side the corners are.
     pub(crate) fn set(&mut self, values: &[f32], isovalue: f32) {
-        let side = |&v: &f32| u8::from(v >= isovalue) | u8::from(v < isovalue) * Self::OUTSIDE;
+        let side = |&v: &f32| u8::from(v >= isovalue) | (u8::from(v < isovalue) * Self::OUTSIDE);
         self.0.clear();
         self.0.extend(values.iter().map(side));
     }
@@ -474,8 +474,8 @@ impl GradientSum {
     #[inline]
     fn add(&mut self, g: &Gradient) {
         let mut term = g.along.map(|x| x * self.unit);
-        // False for a NaN too.
-        if !(g.largest * self.unit <= LONGEST) {
+        let length = g.largest * self.unit;
+        if length > LONGEST || length.is_nan() {
             term = shorten(term);
         }
         for (sum, x) in self.gradient.iter_mut().zip(term) {

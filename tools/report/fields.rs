@@ -157,7 +157,7 @@ fn random_positions(lattice: &Lattice, count: u64) -> Result<Vec<LatticePos>> {
     let max = lattice.max();
     let mut state = 0;
     for _ in 0..count {
-        positions.push(max.map(|m| (u128::from(next(&mut state)) * u128::from(m + 1) >> 64) as u32));
+        positions.push(max.map(|m| ((u128::from(next(&mut state)) * u128::from(m + 1)) >> 64) as u32));
     }
     Ok(positions)
 }

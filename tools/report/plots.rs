@@ -91,7 +91,7 @@ fn picture(size: (u32, u32), file: &Path, draw: impl Fn(&Area<'_>) -> Drawn) -> 
     let mut pixels = vec![255u8; (large.0 * large.1 * 3) as usize];
     {
         let root = BitMapBackend::with_buffer(&mut pixels, large).into_drawing_area();
-        root.fill(&WHITE).and_then(|()| Ok(())).map_err(|e| drawing(file, &e))?;
+        root.fill(&WHITE).map_err(|e| drawing(file, &e))?;
         draw(&root).map_err(|e| drawing(file, &*e))?;
         root.present().map_err(|e| drawing(file, &e))?;
     }
