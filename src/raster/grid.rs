@@ -11,6 +11,7 @@ const MOST: u64 = (1 << 24) + 1;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Axis {
     positions: Vec<u32>,
+    first: u32,
     /// log2 of the distance of neighbours, where it is the same power of two for all.
     shift: Option<u32>,
     /// Samples a lattice step.
@@ -45,7 +46,7 @@ impl Axis {
         let shift = pitch.filter(|&p| p.is_power_of_two() && is_even(p)).map(u32::trailing_zeros);
         let length = positions[positions.len() - 1] - positions[0];
         let density = if length == 0 { 0.0 } else { (positions.len() - 1) as f64 / f64::from(length) };
-        Self { positions, shift, density }
+        Self { first: positions[0], positions, shift, density }
     }
 
     /// Number of samples.
@@ -60,15 +61,38 @@ impl Axis {
         self.positions[sample]
     }
 
+    /// Lattice coordinates of all samples, ascending.
+    #[inline]
+    pub(super) fn positions(&self) -> &[u32] {
+        &self.positions
+    }
+
+    /// The distance of neighbours in lattice steps, where it is the same power of two for all; exact.
+    pub(super) fn pitch(&self) -> Option<f32> {
+        self.shift.map(|s| (1u32 << s) as f32)
+    }
+
+    /// Number of samples at or below a coordinate.
+    #[inline]
+    pub(super) fn up_to(&self, coordinate: u32) -> usize {
+        self.below(coordinate.saturating_add(1))
+    }
+
     /// Number of samples below a coordinate: the first at or above it.
     #[inline]
     pub fn below(&self, coordinate: u32) -> usize {
         let p = &self.positions;
         if let Some(shift) = self.shift {
-            let above = coordinate.saturating_sub(p[0]);
+            let above = coordinate.saturating_sub(self.first);
             return ((above + ((1 << shift) - 1)) >> shift).min(p.len() as u32) as usize;
         }
-        // Evenly spaced but for rounding: the guess is right to one or two.
+        self.search(coordinate)
+    }
+
+    /// Evenly spaced but for rounding: the guess is right to one or two.
+    #[inline(never)]
+    fn search(&self, coordinate: u32) -> usize {
+        let p = &self.positions;
         let guess = f64::from(coordinate.saturating_sub(p[0])) * self.density;
         let mut n = (guess as usize).min(p.len());
         while n > 0 && p[n - 1] >= coordinate {

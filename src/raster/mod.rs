@@ -46,6 +46,7 @@
 //! ```
 
 mod grid;
+mod lanes;
 mod locate;
 mod planes;
 mod scan;
@@ -54,7 +55,7 @@ mod tests;
 
 pub use grid::{Axis, SampleGrid};
 pub use locate::PointLocator;
-pub use scan::each_sample;
+pub use scan::{Scanner, each_sample};
 
 /// The weighted sum of four corner values, whatever the order of the corners.
 #[inline]

@@ -15,7 +15,7 @@ pub(super) trait Int: Copy + Ord {
 
 macro_rules! int {
     ($t:ty) => {
-        // Wrapping: a step past the end of a row may leave the range; what it gives is not used.
+        // Wrapping: sums of what is inside the range may leave it on the way.
         impl Int for $t {
             const ZERO: Self = 0;
             const ONE: Self = 1;
@@ -80,7 +80,7 @@ fn cross<I: Int>(u: [I; 3], v: [I; 3]) -> [I; 3] {
 }
 
 #[inline(always)]
-pub(super) fn dot<I: Int>(u: [I; 3], v: [I; 3]) -> I {
+fn dot<I: Int>(u: [I; 3], v: [I; 3]) -> I {
     u[0].times(v[0]).plus(u[1].times(v[1])).plus(u[2].times(v[2]))
 }
 
@@ -98,14 +98,13 @@ impl<I: Int> Planes<I> {
     #[inline(always)]
     pub(super) fn at(&self, p: LatticePos) -> [I; 4] {
         let r = difference(p, self.origin);
-        let mut lambda = self.gradient.map(|g| dot(g, r));
-        lambda[0] = lambda[0].plus(self.volume);
-        lambda
+        let [_, gb, gc, gd] = self.gradient;
+        let (b, c, d) = (dot(gb, r), dot(gc, r), dot(gd, r));
+        [self.volume.minus(b.plus(c).plus(d)), b, c, d]
     }
 
     /// For each λ, what added to it makes 0 negative where the tie rule says "outside": 0 or -1.
-    #[inline(always)]
-    pub(super) fn bias(&self, toward_lower: [bool; 3]) -> [I; 4] {
+    fn bias(&self, toward_lower: [bool; 3]) -> [I; 4] {
         self.gradient.map(|g| {
             let first = (0..3).find(|&k| g[k] != I::ZERO);
             // The gradient of a λ is never 0: the volume is not.
@@ -114,17 +113,24 @@ impl<I: Int> Planes<I> {
         })
     }
 
-    /// Weights of a position, if it is inside by the tie rule. `far` is the largest position of the domain.
+    /// Whether a position with these λ is inside by the tie rule. `far` is the largest position of the domain.
+    #[inline(always)]
+    pub(super) fn has(&self, lambda: [I; 4], p: LatticePos, far: LatticePos) -> bool {
+        let least = lambda[0].min(lambda[1]).min(lambda[2].min(lambda[3]));
+        least > I::ZERO || (least == I::ZERO && self.wins_tie(lambda, p, far))
+    }
+
+    #[inline(never)]
+    fn wins_tie(&self, lambda: [I; 4], p: LatticePos, far: LatticePos) -> bool {
+        let bias = self.bias(std::array::from_fn(|k| p[k] == far[k]));
+        (0..4).all(|k| lambda[k].plus(bias[k]) >= I::ZERO)
+    }
+
+    /// Weights of a position, if it is inside by the tie rule.
     pub(super) fn weights(&self, p: LatticePos, far: LatticePos) -> Option<[f64; 4]> {
         let lambda = self.at(p);
-        if lambda.iter().any(|&l| l < I::ZERO) {
+        if !self.has(lambda, p, far) {
             return None;
-        }
-        if lambda.contains(&I::ZERO) {
-            let bias = self.bias(std::array::from_fn(|k| p[k] == far[k]));
-            if (0..4).any(|k| lambda[k].plus(bias[k]) < I::ZERO) {
-                return None;
-            }
         }
         let unit = 1.0 / self.volume.float();
         Some(lambda.map(|l| l.float() * unit))

@@ -1,6 +1,10 @@
 //! Scan conversion of a tetrahedron on a grid of samples.
+//!
+//! Two steps. A **filter** in `f32`, four samples at a time, says which samples of a row can be inside: each λ is raised by
+//! more than its error, so no sample inside is lost, and few others stay. Then exact integers decide, and give the weights.
 
-use super::planes::{Int, LONGEST_64, Planes, bounds};
+use super::lanes::Four;
+use super::planes::{Int, LONGEST_64, Planes};
 use super::{Axis, SampleGrid};
 use crate::geom::LatticePos;
 use crate::grid::IndexBox;
@@ -15,160 +19,341 @@ pub fn each_sample(
     grid: &SampleGrid,
     window: &IndexBox,
     corners: [LatticePos; 4],
-    each: impl FnMut(usize, [f64; 4]),
+    mut each: impl FnMut(usize, [f64; 4]),
 ) {
-    let (lo, hi) = bounds(&corners);
-    let inside = grid.within(lo, hi).intersect(window);
-    if inside.is_empty() {
-        return;
-    }
-    let far = grid.far();
-    let scan = Scan { grid, window, inside };
-    if (0..3).any(|k| hi[k] == far[k] || hi[k] - lo[k] > LONGEST_64) {
-        scan.one_by_one(corners, each);
-    } else {
-        scan.rows(corners, each);
-    }
+    Scanner::new(grid, window).each_run(corners, |place, run| {
+        for (i, &weights) in run.iter().enumerate() {
+            each(place + i, weights);
+        }
+    });
 }
 
-/// Rows of at most so many samples are tested sample by sample; of longer ones the ends of the run inside are computed.
-const SHORT_ROW: usize = 4;
-/// What a computed end of a span may be wrong by, in lattice steps: far more than it is (2^24 · 2^-51).
-const SLACK: f64 = 1e-6;
+/// Samples handed on at a time.
+const RUN: usize = 8;
 
-struct Scan<'a> {
-    grid: &'a SampleGrid,
-    window: &'a IndexBox,
-    /// The samples of the window in the tetrahedron's bounding box.
-    inside: IndexBox,
+/// Scans many tetrahedra on a window of a grid.
+#[derive(Clone, Copy, Debug)]
+pub struct Scanner<'a> {
+    axes: &'a [Axis; 3],
+    far: LatticePos,
+    lo: [usize; 3],
+    hi: [usize; 3],
+    /// Samples of a row of the window, of a layer.
+    strides: [usize; 2],
+    /// The distance of neighbours along each axis, if all axes are even.
+    pitch: Option<[f32; 3]>,
 }
 
-/// The samples of a row: λ of its first, biased, and what they grow by a lattice step.
-struct Row {
-    lambda: [i64; 4],
-    growth: [i64; 4],
-    /// Position of the first sample.
-    x: u32,
+/// A tetrahedron, and the samples of the window in its bounding box.
+struct Found {
+    corners: [LatticePos; 4],
+    lo: [usize; 3],
+    hi: [usize; 3],
+    /// Position of the first.
+    first: LatticePos,
+    /// Place of the first in the window.
+    place: usize,
+    filter: Filter,
 }
 
-impl Row {
-    #[inline(always)]
-    fn at(&self, x: u32) -> [i64; 4] {
-        let steps = i64::from(x - self.x);
-        std::array::from_fn(|k| self.lambda[k] + self.growth[k] * steps)
+impl<'a> Scanner<'a> {
+    /// Of a window of a grid.
+    ///
+    /// # Panics
+    /// When the window is not one of the grid.
+    pub fn new(grid: &'a SampleGrid, window: &IndexBox) -> Self {
+        let whole = IndexBox::whole(grid.dims());
+        assert!(window.is_empty() || window.intersect(&whole) == *window, "the window is one of the grid");
+        let (lo, hi) = (window.lo.map(|n| n as usize), window.hi.map(|n| n as usize));
+        let row = hi[0].saturating_sub(lo[0]);
+        let strides = [row, row * hi[1].saturating_sub(lo[1])];
+        let axes = grid.axes();
+        let pitch = match [axes[0].pitch(), axes[1].pitch(), axes[2].pitch()] {
+            [Some(x), Some(y), Some(z)] => Some([x, y, z]),
+            _ => None,
+        };
+        Self { axes, far: grid.far(), lo, hi, strides, pitch }
+    }
+
+    /// Calls `each` with the samples of the window that belong to a positively oriented tetrahedron, in runs along x: the place of a
+    /// run's first sample in an x-fastest array of the window, and the weights of the corners at each of its samples. Runs come
+    /// in the order of their places.
+    #[inline]
+    pub fn each_run(&self, corners: [LatticePos; 4], each: impl FnMut(usize, &[[f64; 4]])) {
+        let [a, b, c, d] = corners;
+        let [fa, fb, fc, fd] = [Four::position(a), Four::position(b), Four::position(c), Four::position(d)];
+        let lo = fa.min(fb).min(fc.min(fd));
+        let hi = fa.max(fb).max(fc.max(fd));
+        let ([lx, ly, lz, _], [hx, hy, hz, _]) = (lo.lanes(), hi.lanes());
+        let from = |k: usize, c: f32| self.axes[k].below(c as i32 as u32).max(self.lo[k]);
+        let to = |k: usize, c: f32| self.axes[k].up_to(c as i32 as u32).min(self.hi[k]);
+        let (from, to) = ([from(0, lx), from(1, ly), from(2, lz)], [to(0, hx), to(1, hy), to(2, hz)]);
+        if from[0] >= to[0] || from[1] >= to[1] || from[2] >= to[2] {
+            return;
+        }
+        let position = |k: usize| self.axes[k].position(from[k]);
+        let first = [position(0), position(1), position(2)];
+        let [x, y, z, _] = hi.minus(lo).lanes();
+        let longest = if x > y { x } else { y };
+        let longest = if longest > z { longest } else { z };
+        let edges = Four::columns([fb.minus(fa), fc.minus(fa), fd.minus(fa), Four::splat(0.0)]);
+        let found = Found {
+            corners,
+            lo: from,
+            hi: to,
+            first,
+            place: (from[2] - self.lo[2]) * self.strides[1]
+                + (from[1] - self.lo[1]) * self.strides[0]
+                + (from[0] - self.lo[0]),
+            filter: Filter::new(edges, Four::position(first).minus(fa), longest),
+        };
+        if longest <= LONGEST_64 as f32 {
+            self.scan::<i64>(&found, each);
+        } else {
+            self.scan::<i128>(&found, each);
+        }
     }
 
     #[inline(always)]
-    fn has(&self, x: u32) -> bool {
-        is_inside(self.at(x))
+    fn scan<I: Int>(&self, found: &Found, each: impl FnMut(usize, &[[f64; 4]])) {
+        let (width, height) = (found.hi[0] - found.lo[0], found.hi[1] - found.lo[1]);
+        let exact = Exact::<I, _> { scanner: self, found, planes: None, weights: [[0.0; 4]; RUN], each };
+        if width <= 4 && height <= 4 {
+            self.tiles(found, exact);
+        } else if width <= 8 {
+            self.rows(found, exact);
+        } else {
+            self.long_rows(found, exact);
+        }
     }
 
-    /// The samples `start..end` of the row that are inside; `lo..hi` are those of the bounding box.
+    /// How far four samples of an axis are from its first in the box. Those behind the last one are anywhere.
     #[inline(always)]
-    fn span(&self, xs: &Axis, [lo, hi]: [usize; 2], inverse: &[f64; 4]) -> (usize, usize) {
-        let (mut from, mut to) = (0.0f64, f64::from(xs.position(hi - 1) - self.x));
-        for ((&lambda, &growth), &inverse) in self.lambda.iter().zip(&self.growth).zip(inverse) {
-            let crossing = lambda as f64 * inverse;
-            match growth {
-                1.. => from = from.max(crossing),
-                0 => {}
-                _ => to = to.min(crossing),
+    fn offsets(&self, found: &Found, axis: usize, from: usize) -> Four {
+        if let Some(pitch) = self.pitch {
+            let from = from as f32;
+            return Four::new([from, from + 1.0, from + 2.0, from + 3.0]).times(Four::splat(pitch[axis]));
+        }
+        let at = |i: usize| self.offset(found, axis, (found.lo[axis] + from + i).min(found.hi[axis] - 1));
+        Four::new([at(0), at(1), at(2), at(3)])
+    }
+
+    #[inline(always)]
+    fn offset(&self, found: &Found, axis: usize, sample: usize) -> f32 {
+        match self.pitch {
+            Some(pitch) => (sample - found.lo[axis]) as i32 as f32 * pitch[axis],
+            None => (self.axes[axis].position(sample) - found.first[axis]) as f32,
+        }
+    }
+
+    /// Boxes of up to 4 by 4 samples a layer: sixteen tests at a time.
+    #[inline(always)]
+    fn tiles<I: Int, F: FnMut(usize, &[[f64; 4]])>(&self, found: &Found, mut exact: Exact<'_, I, F>) {
+        let (width, height) = (found.hi[0] - found.lo[0], found.hi[1] - found.lo[1]);
+        let filter = &found.filter;
+        let along_x = filter.growth(self.offsets(found, 0, 0));
+        let ys = self.offsets(found, 1, 0).spread();
+        let y = filter.y.spread();
+        let grown = |k: usize, j: usize| along_x[k].plus(y[k].times(ys[j]));
+        let row = |j: usize| [grown(0, j), grown(1, j), grown(2, j), grown(3, j)];
+        let rows = [row(0), row(1), row(2), row(3)];
+        // A row has four bits, of which `width` count.
+        let wanted = (0x1111 * ((1 << width) - 1)) & ((1u32 << (4 * height)) - 1);
+        for iz in found.lo[2]..found.hi[2] {
+            let dz = self.offset(found, 2, iz);
+            let layer = filter.first.plus(filter.z.times(Four::splat(dz))).spread();
+            let mut mask = candidates(&layer, &rows[0])
+                | candidates(&layer, &rows[1]) << 4
+                | candidates(&layer, &rows[2]) << 8
+                | candidates(&layer, &rows[3]) << 12;
+            mask &= wanted;
+            while mask != 0 {
+                let row = mask.trailing_zeros() / 4;
+                exact.row(iz, found.lo[1] + row as usize, mask >> (4 * row) & 15);
+                mask &= !(15 << (4 * row));
             }
         }
-        // Casts saturate; what they lose is outside of the row.
-        let mut start = xs.below(self.x.saturating_add((from - SLACK).ceil() as u32)).clamp(lo, hi);
-        let mut end = xs.below(self.x.saturating_add((to + SLACK).floor() as u32 + 1)).clamp(lo, hi);
-        // Exactly, at the ends: the samples inside are one run.
-        while start < end && !self.has(xs.position(start)) {
-            start += 1;
+    }
+
+    /// Rows of up to 8 samples.
+    #[inline(always)]
+    fn rows<I: Int, F: FnMut(usize, &[[f64; 4]])>(&self, found: &Found, mut exact: Exact<'_, I, F>) {
+        let filter = &found.filter;
+        let near = filter.growth(self.offsets(found, 0, 0));
+        let beyond = filter.growth(self.offsets(found, 0, 4));
+        let wanted = (1u32 << (found.hi[0] - found.lo[0])) - 1;
+        for iz in found.lo[2]..found.hi[2] {
+            let layer = filter.first.plus(filter.z.times(Four::splat(self.offset(found, 2, iz))));
+            for iy in found.lo[1]..found.hi[1] {
+                let dy = self.offset(found, 1, iy);
+                let row = layer.plus(filter.y.times(Four::splat(dy))).spread();
+                let mask = (candidates(&row, &near) | candidates(&row, &beyond) << 4) & wanted;
+                if mask != 0 {
+                    exact.row(iz, iy, mask);
+                }
+            }
         }
-        while start < end && !self.has(xs.position(end - 1)) {
-            end -= 1;
+    }
+
+    /// Rows of any length: the ends of the run that can be inside are computed.
+    #[inline(never)]
+    fn long_rows<I: Int, F: FnMut(usize, &[[f64; 4]])>(&self, found: &Found, mut exact: Exact<'_, I, F>) {
+        let filter = &found.filter;
+        let inverse = filter.x.lanes().map(|g| -1.0 / f64::from(g));
+        for iz in found.lo[2]..found.hi[2] {
+            let layer = filter.first.plus(filter.z.times(Four::splat(self.offset(found, 2, iz))));
+            for iy in found.lo[1]..found.hi[1] {
+                let row = layer.plus(filter.y.times(Four::splat(self.offset(found, 1, iy))));
+                let (start, end) = self.span(found, row.lanes(), filter.x.lanes(), &inverse);
+                if start < end {
+                    exact.run(iz, iy, start, end);
+                }
+            }
         }
+    }
+
+    /// The samples of a long row that can be inside.
+    #[inline(always)]
+    fn span(&self, found: &Found, lambda: [f32; 4], growth: [f32; 4], inverse: &[f64; 4]) -> (usize, usize) {
+        let (xs, lo, hi) = (&self.axes[0], found.lo[0], found.hi[0]);
+        let x = found.first[0];
+        let (mut from, mut to) = (0.0f64, f64::from(xs.position(hi - 1) - x));
+        for k in 0..4 {
+            let crossing = f64::from(lambda[k]) * inverse[k];
+            if growth[k] > 0.0 {
+                from = if crossing > from { crossing } else { from };
+            } else if growth[k] < 0.0 {
+                to = if crossing < to { crossing } else { to };
+            } else if lambda[k] < 0.0 {
+                return (0, 0);
+            }
+        }
+        if from > to + SLACK {
+            return (0, 0);
+        }
+        // Casts cut fractions off and saturate; what they lose is outside of the row.
+        let start = xs.below(x.saturating_add((from - SLACK) as u32)).clamp(lo, hi);
+        let end = xs.up_to(x.saturating_add((to + SLACK) as u32)).clamp(lo, hi);
         (start, end)
     }
 }
 
-#[inline(always)]
-fn is_inside(l: [i64; 4]) -> bool {
-    l[0] | l[1] | l[2] | l[3] >= 0
+/// What a computed end of a span may be wrong by, in lattice steps: far more than it is (2^24 · 2^-51).
+const SLACK: f64 = 1e-6;
+
+/// λ of the four corners in `f32`, lanes in the order b, c, d, a, at the first sample of the box, and what they grow by a lattice
+/// step; raised by the error.
+///
+/// With M the longest edge of the bounding box and u = 2^-24: differences of positions are exact; a component of a cross product is
+/// off by at most 4·M²u, their sum (the gradient of a) by 22·M²u; the products with differences of up to M and the sums add up to
+/// less than 200·M³u for any sample of the box.
+struct Filter {
+    first: Four,
+    x: Four,
+    y: Four,
+    z: Four,
 }
 
-#[inline(always)]
-fn sum(a: [i64; 4], b: [i64; 4]) -> [i64; 4] {
-    std::array::from_fn(|k| a[k] + b[k])
-}
+const ERROR: f32 = 256.0 / (1u32 << 24) as f32;
 
-impl Scan<'_> {
-    /// Row by row; for tetrahedra that touch no far face of the domain, so that one rule breaks all ties.
+impl Filter {
+    /// Of the edges from a to the other corners, coordinate by coordinate, and where the first sample is from a.
     #[inline(always)]
-    fn rows(&self, corners: [LatticePos; 4], mut each: impl FnMut(usize, [f64; 4])) {
-        let [xs, ys, zs] = self.grid.axes();
-        let IndexBox { lo, hi } = self.inside;
-        let (lo, hi) = (lo.map(|n| n as usize), hi.map(|n| n as usize));
-        let planes = Planes::<i64>::new(corners);
-        let (bias, unit) = (planes.bias([false; 3]), 1.0 / planes.volume.float());
-        let gradient = |axis: usize| planes.gradient.map(|g| g[axis]);
-        let (gx, gy, gz) = (gradient(0), gradient(1), gradient(2));
-        let (x, y, z) = (xs.position(lo[0]), ys.position(lo[1]), zs.position(lo[2]));
-        // The most that a λ can be above its value at the first sample of a row, of a layer.
-        let most = |g: [i64; 4], length: u32| g.map(|g| g.max(0) * i64::from(length));
-        let in_row = most(gx, xs.position(hi[0] - 1) - x);
-        let in_layer = sum(in_row, most(gy, ys.position(hi[1] - 1) - y));
-        let is_short = hi[0] - lo[0] <= SHORT_ROW;
-        let inverse = if is_short { [0.0; 4] } else { gx.map(|g| -1.0 / g as f64) };
-        let first = sum(planes.at([x, y, z]), bias);
-        for iz in lo[2]..hi[2] {
-            let dz = i64::from(zs.position(iz) - z);
-            let layer = sum(first, gz.map(|g| g * dz));
-            if !is_inside(sum(layer, in_layer)) {
+    fn new([x, y, z]: [Four; 3], first_from_a: Four, longest: f32) -> Self {
+        let (ux, uy, uz) = (x.turned(), y.turned(), z.turned());
+        let (vx, vy, vz) = (ux.turned(), uy.turned(), uz.turned());
+        let gx = uy.times(vz).minus(uz.times(vy));
+        let gy = uz.times(vx).minus(ux.times(vz));
+        let gz = ux.times(vy).minus(uy.times(vx));
+        let volume = x.times(gx).plus(y.times(gy)).plus(z.times(gz)).lanes()[0];
+        // Lane 3 is 0 so far.
+        let with_a = |g: Four| {
+            let [b, c, d, _] = g.lanes();
+            g.minus(Four::new([0.0, 0.0, 0.0, b + c + d]))
+        };
+        let (gx, gy, gz) = (with_a(gx), with_a(gy), with_a(gz));
+        let error = ERROR * longest * longest * longest;
+        let [rx, ry, rz, _] = first_from_a.spread();
+        let at_first = gx.times(rx).plus(gy.times(ry)).plus(gz.times(rz));
+        let first = at_first.plus(Four::new([error, error, error, volume + error]));
+        Self { first, x: gx, y: gy, z: gz }
+    }
+
+    /// What each λ has grown by at some offsets along x.
+    #[inline(always)]
+    fn growth(&self, offsets: Four) -> [Four; 4] {
+        let [b, c, d, a] = self.x.spread();
+        [b.times(offsets), c.times(offsets), d.times(offsets), a.times(offsets)]
+    }
+}
+
+/// Bit i is set where sample i can be inside.
+#[inline(always)]
+fn candidates(row: &[Four; 4], growth: &[Four; 4]) -> u32 {
+    let at = |k: usize| row[k].plus(growth[k]);
+    at(0).min(at(1)).min(at(2).min(at(3))).signs() ^ 15
+}
+
+/// The exact part: planes are made when a sample first asks for them.
+struct Exact<'a, I, F> {
+    scanner: &'a Scanner<'a>,
+    found: &'a Found,
+    planes: Option<(Planes<I>, f64)>,
+    weights: [[f64; 4]; RUN],
+    each: F,
+}
+
+impl<I: Int, F: FnMut(usize, &[[f64; 4]])> Exact<'_, I, F> {
+    /// A row in which the samples of some bits can be inside.
+    #[inline(always)]
+    fn row(&mut self, iz: usize, iy: usize, mask: u32) {
+        let first = self.found.lo[0];
+        let (start, end) = (mask.trailing_zeros() as usize, 32 - mask.leading_zeros() as usize);
+        self.run(iz, iy, first + start, first + end);
+    }
+
+    /// Hands on the samples among `start..end` of a row that are inside. They follow each other: what the filter let through in
+    /// vain lies at the ends.
+    #[inline(always)]
+    fn run(&mut self, iz: usize, iy: usize, start: usize, end: usize) {
+        let (axes, found) = (self.scanner.axes, self.found);
+        let (planes, unit) = self.planes.get_or_insert_with(|| {
+            let planes = Planes::<I>::new(found.corners);
+            let unit = 1.0 / planes.volume.float();
+            (planes, unit)
+        });
+        let unit = *unit;
+        let (y, z) = (axes[1].position(iy), axes[2].position(iz));
+        let xs = &axes[0].positions()[start..end];
+        let row = found.place
+            + (iz - found.lo[2]) * self.scanner.strides[1]
+            + (iy - found.lo[1]) * self.scanner.strides[0];
+        let mut place = row + (start - found.lo[0]);
+        let [ga, gb, gc, gd] = [0, 1, 2, 3].map(|k| planes.gradient[k][0]);
+        let [la, lb, lc, ld] = planes.at([xs[0], y, z]);
+        let mut n = 0;
+        for &x in xs {
+            let step = I::of((x - xs[0]) as i32);
+            let lambda = [
+                ga.times(step).plus(la),
+                gb.times(step).plus(lb),
+                gc.times(step).plus(lc),
+                gd.times(step).plus(ld),
+            ];
+            if !planes.has(lambda, [x, y, z], self.scanner.far) {
+                place += usize::from(n == 0);
                 continue;
             }
-            for iy in lo[1]..hi[1] {
-                let dy = i64::from(ys.position(iy) - y);
-                let lambda = sum(layer, gy.map(|g| g * dy));
-                if !is_inside(sum(lambda, in_row)) {
-                    continue;
-                }
-                let row = Row { lambda, growth: gx, x };
-                let (start, end) =
-                    if is_short { (lo[0], hi[0]) } else { row.span(xs, [lo[0], hi[0]], &inverse) };
-                let place = self.window.offset([lo[0] as u64, iy as u64, iz as u64]);
-                for ix in start..end {
-                    let lambda = row.at(xs.position(ix));
-                    if !is_short || is_inside(lambda) {
-                        let weights = std::array::from_fn(|k| (lambda[k] - bias[k]) as f64 * unit);
-                        each(place + (ix - lo[0]), weights);
-                    }
-                }
+            let [a, b, c, d] = lambda;
+            self.weights[n] = [a.float() * unit, b.float() * unit, c.float() * unit, d.float() * unit];
+            n += 1;
+            if n == RUN {
+                (self.each)(place, &self.weights);
+                (place, n) = (place + RUN, 0);
             }
         }
-    }
-
-    /// Each sample by itself, whatever the tetrahedron.
-    #[inline(never)]
-    fn one_by_one(&self, corners: [LatticePos; 4], mut each: impl FnMut(usize, [f64; 4])) {
-        let (lo, hi) = bounds(&corners);
-        if (0..3).all(|k| hi[k] - lo[k] <= LONGEST_64) {
-            self.each_inside(&Planes::<i64>::new(corners), &mut each);
-        } else {
-            self.each_inside(&Planes::<i128>::new(corners), &mut each);
-        }
-    }
-
-    fn each_inside<I: Int>(&self, planes: &Planes<I>, each: &mut impl FnMut(usize, [f64; 4])) {
-        let [xs, ys, zs] = self.grid.axes();
-        let IndexBox { lo, hi } = self.inside;
-        for iz in lo[2]..hi[2] {
-            for iy in lo[1]..hi[1] {
-                let row = self.window.offset([lo[0], iy, iz]);
-                for ix in lo[0]..hi[0] {
-                    let p = [xs.position(ix as usize), ys.position(iy as usize), zs.position(iz as usize)];
-                    if let Some(weights) = planes.weights(p, self.grid.far()) {
-                        each(row + (ix - lo[0]) as usize, weights);
-                    }
-                }
-            }
+        if n > 0 {
+            (self.each)(place, &self.weights[..n]);
         }
     }
 }
