@@ -87,6 +87,7 @@ pub(crate) mod cpu;
 pub(crate) mod domain;
 pub mod error;
 pub mod exec;
+pub mod fit;
 pub mod formats;
 pub mod geom;
 pub mod grid;

@@ -4,8 +4,10 @@
 mod common;
 
 use common::*;
-use isospan::pipeline::Amount;
+use isospan::measure::FieldError;
+use isospan::pipeline::{Amount, ReduceSettings};
 use isospan::points::SetKind;
+use isospan::sample::Values;
 use std::fs;
 
 const AMOUNT: Amount = Amount::Fraction(0.5);
@@ -47,6 +49,33 @@ fn chunk_sizes_do_not_show_in_the_triangles() {
         }
         assert!(sets[0].len() > 1000, "{kind}");
         assert!(sets.iter().all(|s| *s == sets[0]), "{kind}");
+    }
+}
+
+#[test]
+fn neither_threads_nor_chunks_show_in_fitted_values() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("waves.npy");
+    write_npy(&input, [44, 52, 36], waves);
+    for kind in [SetKind::Hammersley, SetKind::Bcc, SetKind::HyperbolicCross] {
+        let sampled = settings(kind, Amount::Fraction(0.2), 1_000);
+        let mut sets = vec![];
+        for chunk_points in [1_000, 4_000, u64::MAX >> 20] {
+            let fit = ReduceSettings { values: Values::Fit, chunk_points, ..sampled.clone() };
+            let out = dir.path().join(format!("{kind}-{chunk_points}.isospan"));
+            let report = reduce(&input, &fit, &out, 2);
+            let again = dir.path().join("again.isospan");
+            reduce(&input, &fit, &again, 1);
+            assert_eq!(folder(&out), folder(&again), "{kind}: threads");
+            fs::remove_dir_all(&again).unwrap();
+            let file = dir.path().join("s.ply");
+            surface(&out, -0.1, &file, 2);
+            sets.push((triangle_set(&read(&file)), report.range, report.error));
+        }
+        let error = reduce(&input, &sampled, &dir.path().join(format!("{kind}.isospan")), 2).error;
+        let rms = |e: &Option<FieldError>| e.as_ref().unwrap().rms;
+        assert!(rms(&sets[0].2) < 0.85 * rms(&error), "{kind}: {:?} {error:?}", sets[0].2);
+        assert!(sets[0].0.len() > 1000 && sets.iter().all(|s| *s == sets[0]), "{kind}: chunks");
     }
 }
 

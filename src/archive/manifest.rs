@@ -18,7 +18,7 @@ use crate::geom::Lattice;
 use crate::grid::{BrickGrid, Geometry};
 use crate::measure::FieldError;
 use crate::points::PointSpec;
-use crate::sample::Interpolation;
+use crate::sample::{Interpolation, Values};
 use crate::volume::ScalarType;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -81,6 +81,10 @@ pub struct Plan {
     /// The points of the set that are listed and follow no formula.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub explicit: Option<ExplicitRecord>,
+    /// Whether chunks prove all tetrahedra at the vertices of their own, which fitted values need, and not their own alone: their
+    /// halos reach further.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub stars: bool,
 }
 
 impl Plan {
@@ -143,6 +147,9 @@ pub struct StepPlan {
     pub source: Source,
     /// How.
     pub interpolation: Interpolation,
+    /// Whether the values are interpolated ones, or fitted to the samples.
+    #[serde(default, skip_serializing_if = "Values::is_sample")]
+    pub values: Values,
     /// What was done with NaN and infinite samples, as on the command line: "error", "mask" or a number.
     pub nan: String,
     /// How values were rounded, if they were.
@@ -447,6 +454,7 @@ pub(crate) mod tests {
             chunk_target: 250_000,
             block_tets: 1000,
             explicit: None,
+            stars: false,
         }
     }
 
@@ -470,6 +478,7 @@ pub(crate) mod tests {
             time: Some(0.7 + number as f64),
             source,
             interpolation,
+            values: Values::Sample,
             nan: "error".into(),
             quantiser: None,
             base: None,

@@ -4,7 +4,7 @@ use super::text;
 use clap::ValueEnum;
 use isospan::pipeline::{Amount, NanPolicy, ReduceSettings};
 use isospan::points::{SetKind, SetSettings};
-use isospan::sample::Interpolation;
+use isospan::sample::{Interpolation, Values};
 use isospan::{Error, Result};
 
 /// Point set, interpolation, missing values, sizes.
@@ -34,6 +34,9 @@ pub(crate) struct Choices {
     /// How values are interpolated between samples.
     #[arg(long, value_enum, default_value_t = Interp::Linear)]
     interp: Interp,
+    /// "sample": the field at each point; "fit": values that bring the reduced field closer to all samples, at the same points.
+    #[arg(long, value_enum, default_value_t = Vertex::Sample)]
+    values: Vertex,
     /// Samples that are NaN, infinite or missing: "error", "mask" (leave a hole) or a value to use instead.
     #[arg(long, value_name = "error|mask|VALUE", default_value = "error", value_parser = parse_nan, allow_negative_numbers = true)]
     nan: NanPolicy,
@@ -76,6 +79,12 @@ enum Interp {
     QuadraticThesis,
 }
 
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Vertex {
+    Sample,
+    Fit,
+}
+
 fn parse_nan(text: &str) -> std::result::Result<NanPolicy, String> {
     NanPolicy::parse(text).ok_or_else(|| format!("'{text}' is none of error, mask, or a finite number"))
 }
@@ -112,6 +121,10 @@ impl Choices {
                 Interp::Nearest => Interpolation::Nearest,
                 Interp::Quadratic => Interpolation::Quadratic,
                 Interp::QuadraticThesis => Interpolation::QuadraticThesis,
+            },
+            values: match self.values {
+                Vertex::Sample => Values::Sample,
+                Vertex::Fit => Values::Fit,
             },
             nan: self.nan,
             missing: self.missing,

@@ -208,7 +208,8 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
             text::count(mesh.tetrahedra)
         );
     }
-    let _ = writeln!(out, "  interp      {}", s.interpolation);
+    let fitted = if s.values == "fit" { ", fitted to the samples" } else { "" };
+    let _ = writeln!(out, "  interp      {}{fitted}", s.interpolation);
     if let Some(q) = &s.quantiser {
         let _ = writeln!(out, "  values      {} bits, within {:.3e}", q.bits, q.bound);
     }

@@ -50,6 +50,9 @@ pub struct ChunkMesh {
     /// For each position: whether another chunk may own a tetrahedron at it. Only an edge between two shared
     /// vertices can also occur in another chunk. Positions outside the core are always shared.
     pub shared: Vec<bool>,
+    /// Where they were asked for: the tetrahedra not owned that have a vertex of an owned one, positively oriented, in no particular
+    /// order.
+    pub around: Vec<Tet>,
 }
 
 /// What came of meshing a chunk.
@@ -77,6 +80,21 @@ pub fn mesh_chunk(
     positions: &[LatticePos],
     order: &Order,
 ) -> Result<ChunkOutcome> {
+    mesh_with_stars(mesher, region, positions, order, false)
+}
+
+/// As [`mesh_chunk`]; with `stars`, also the tetrahedra around those owned ([`ChunkMesh::around`]), so that all tetrahedra
+/// at each vertex of an owned one are known. That takes a wider halo, by one tetrahedron and its sphere.
+///
+/// # Errors
+/// As [`mesh_chunk`].
+pub fn mesh_with_stars(
+    mesher: &mut Mesher,
+    region: &ChunkRegion,
+    positions: &[LatticePos],
+    order: &Order,
+    stars: bool,
+) -> Result<ChunkOutcome> {
     let (mut region, mut first) = (*region, check(region, positions)?);
     mesher.delaunay_of_first(positions, first, order)?;
     if mesher.is_empty() && first < positions.len() {
@@ -88,10 +106,14 @@ pub fn mesh_chunk(
     let mut owned = std::mem::take(&mut mesher.owned);
     owned.clear();
     let mut sorter = Sorter::new(mesher, region, positions, owned);
-    let uncertified = sorter.run(mesher, region, first);
-    let Sorter { owned, shared, .. } = sorter;
+    let mut late = None;
+    let mut uncertified = sorter.run(mesher, region, first, &mut late);
+    if stars && matches!(uncertified, Ok(0)) {
+        uncertified = sorter.run_around(mesher, region, first, &mut late);
+    }
+    let Sorter { owned, shared, around, .. } = sorter;
     let outcome = uncertified.map(|n| match n {
-        0 => ChunkOutcome::Done(ChunkMesh { tets: sorted(&owned, positions.len()), shared }),
+        0 => ChunkOutcome::Done(ChunkMesh { tets: sorted(&owned, positions.len()), shared, around }),
         uncertified => ChunkOutcome::WidenHalo { uncertified },
     });
     mesher.owned = owned;
@@ -134,6 +156,10 @@ struct Sorter<'a> {
     shared: Vec<bool>,
     /// Records to be looked at again.
     doubtful: Vec<u32>,
+    /// By vertex of the mesher: whether an owned tetrahedron has it. Empty while they are looked for.
+    used: Vec<bool>,
+    /// Not owned, at such a vertex.
+    around: Vec<Tet>,
 }
 
 impl<'a> Sorter<'a> {
@@ -142,12 +168,18 @@ impl<'a> Sorter<'a> {
         let in_core =
             std::iter::once(false).chain(mesher.sources().iter().map(|&s| !shared[s as usize])).collect();
         let close = Unseen::new(region.near, region.domain, mesher.local());
-        Self { positions, close, in_core, owned, shared, doubtful: vec![] }
+        Self { positions, close, in_core, owned, shared, doubtful: vec![], used: vec![], around: vec![] }
     }
 
     /// Sorts all records; then inserts what the doubtful ones ask for, until none is left. Returns how many cannot be
     /// certified.
-    fn run(&mut self, mesher: &mut Mesher, region: &ChunkRegion, first: usize) -> Result<u64> {
+    fn run(
+        &mut self,
+        mesher: &mut Mesher,
+        region: &ChunkRegion,
+        first: usize,
+        late: &mut Option<Late<'a>>,
+    ) -> Result<u64> {
         if mesher.is_empty() && !self.close.is_empty() {
             // No tetrahedron to tell what the core's points are joined to.
             return Ok(self.in_core.iter().filter(|&&c| c).count() as u64);
@@ -155,14 +187,45 @@ impl<'a> Sorter<'a> {
         for id in 0..mesher.records() {
             self.record(mesher, id, &mut None);
         }
+        self.settle(mesher, region, first, late)
+    }
+
+    /// Looks at the tetrahedra around those owned, all of which are certified: nothing that is inserted for their neighbours
+    /// touches them.
+    fn run_around(
+        &mut self,
+        mesher: &mut Mesher,
+        region: &ChunkRegion,
+        first: usize,
+        late: &mut Option<Late<'a>>,
+    ) -> Result<u64> {
+        let mut used = vec![false; self.positions.len()];
+        self.owned.iter().flatten().for_each(|&v| used[v as usize] = true);
+        self.used =
+            std::iter::once(false).chain(mesher.sources().iter().map(|&s| used[s as usize])).collect();
+        for id in 0..mesher.records() {
+            self.record(mesher, id, &mut None);
+        }
+        self.settle(mesher, region, first, late)
+    }
+
+    fn settle(
+        &mut self,
+        mesher: &mut Mesher,
+        region: &ChunkRegion,
+        first: usize,
+        late: &mut Option<Late<'a>>,
+    ) -> Result<u64> {
         if self.doubtful.is_empty() {
             return Ok(0);
         }
-        let far = Unseen::new(region.region, region.domain, mesher.local());
-        let mut late = Some(Late::new(self.positions, first, region.region, far, mesher.local()));
+        late.get_or_insert_with(|| {
+            let far = Unseen::new(region.region, region.domain, mesher.local());
+            Late::new(self.positions, first, region.region, far, mesher.local())
+        });
         while !self.doubtful.is_empty() {
             for id in std::mem::take(&mut self.doubtful) {
-                self.record(mesher, id, &mut late);
+                self.record(mesher, id, late);
             }
             let found = late.as_mut().expect("it was just made");
             if found.uncovered > 0 {
@@ -172,12 +235,47 @@ impl<'a> Sorter<'a> {
             self.doubtful.sort_unstable();
             self.doubtful.dedup();
             self.in_core.resize(mesher.sources().len() + 1, false);
+            if !self.used.is_empty() {
+                self.used.resize(mesher.sources().len() + 1, false);
+            }
         }
         Ok(0)
     }
 
     #[inline]
     fn record(&mut self, mesher: &Mesher, id: u32, late: &mut Option<Late<'_>>) {
+        if self.used.is_empty() {
+            self.core_record(mesher, id, late);
+        } else {
+            self.record_around(mesher, id, late);
+        }
+    }
+
+    #[inline]
+    fn record_around(&mut self, mesher: &Mesher, id: u32, late: &mut Option<Late<'_>>) {
+        let Some((v, sphere)) = mesher.record(id) else { return };
+        let core = v.map(|v| self.in_core[v as usize]);
+        if core == [true; 4] || v.iter().all(|&v| !self.used[v as usize]) {
+            return;
+        }
+        if let Some(k) = v.iter().position(|&v| v == 0) {
+            return self.ghost(mesher, id, super::delaunay::face(k).map(|i| v[i]), late);
+        }
+        if core != [false; 4] && self.relation(mesher, v, core).owned {
+            return;
+        }
+        if !self.close.quickly(sphere) {
+            let tet = v.map(|v| self.at(mesher, v));
+            if !late.as_mut().is_some_and(|late| late.spares(&self.close, tet, sphere)) {
+                self.doubtful.push(id);
+                return;
+            }
+        }
+        self.around.push(v.map(|v| mesher.source(v)));
+    }
+
+    #[inline]
+    fn core_record(&mut self, mesher: &Mesher, id: u32, late: &mut Option<Late<'_>>) {
         let Some((v, sphere)) = mesher.record(id) else { return };
         let core = v.map(|v| self.in_core[v as usize]);
         if core == [false; 4] {

@@ -105,6 +105,7 @@ fn settings_like(step: &Step, settings: &AppendSettings) -> Result<ReduceSetting
     let plan = &step.plan;
     Ok(ReduceSettings {
         interpolation: plan.interpolation,
+        values: plan.values,
         nan: NanPolicy::parse(&plan.nan).ok_or_else(|| {
             let expected = "error, mask or a number";
             Error::bad_input(MANIFEST_NAME, format!("nan of step {}", plan.number), expected, &plan.nan)

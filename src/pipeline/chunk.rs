@@ -3,14 +3,14 @@
 //! Everything here is a function of the plan and the chunk alone: no chunk sees another, so chunks can be made in any
 //! order, on any machine, twice, and give the same result.
 
-use super::need;
+use super::need::{self, Halo};
 use super::plan::check_brick;
 use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::geom::curve::Order;
 use crate::geom::{LatticeBox, LatticePos, PointId, Site};
 use crate::grid::{BrickGrid, Chunk};
-use crate::mesh::chunk::{ChunkOutcome, ChunkRegion, mesh_chunk};
+use crate::mesh::chunk::{ChunkMesh, ChunkOutcome, ChunkRegion, mesh_with_stars};
 use crate::mesh::delaunay::Mesher;
 use crate::mesh::tet::Tet;
 use crate::points::PointSet;
@@ -20,6 +20,8 @@ pub(crate) struct Recipe<'a> {
     pub(crate) points: &'a PointSet,
     pub(crate) bricks: BrickGrid,
     pub(crate) order: Order,
+    /// What is asked for of a chunk's surroundings.
+    pub(crate) halo: Halo,
 }
 
 /// The mesh of a chunk: its own points (core), the points of its neighbours that its tetrahedra need (halo), and the
@@ -37,6 +39,17 @@ pub(crate) struct MeshedChunk {
     pub(crate) tets: Vec<Tet>,
     /// How often the halo had to be widened.
     pub(crate) retries: u32,
+    /// With [`Halo::Stars`]: the rest of the tetrahedra at all vertices.
+    pub(crate) around: Around,
+}
+
+/// Tetrahedra that have a vertex of a chunk's and are not its own.
+#[derive(Default)]
+pub(crate) struct Around {
+    /// Positions of their vertices that are none of the chunk's.
+    pub(crate) positions: Vec<LatticePos>,
+    /// As numbers of the chunk's vertices, then of these.
+    pub(crate) tets: Vec<Tet>,
 }
 
 impl MeshedChunk {
@@ -103,21 +116,22 @@ pub(crate) fn mesh(
     let core = sites.len();
     for retries in first.. {
         cancel.check()?;
-        let grown = need::region(recipe.points, &chunk.core, &domain, retries);
-        let bytes = need::room_for(recipe.points.count_in(&grown));
+        let grown = need::region(recipe.points, &chunk.core, &domain, recipe.halo, retries);
+        let bytes = need::room_for(recipe.points.count_in(&grown), recipe.halo);
         if bytes > room {
             return Ok(Meshing::NeedsRoom { retries, bytes });
         }
-        let near = need::near(recipe.points, &chunk.core, &domain, retries);
+        let near = need::near(recipe.points, &chunk.core, &domain, recipe.halo, retries);
         let region = ChunkRegion { core: chunk.core, near, region: grown, domain };
         sites.truncate(core);
         if core > 0 {
             push_halo(recipe, chunk, &region, &mut sites);
         }
         let positions: Vec<LatticePos> = sites.iter().map(|s| s.pos).collect();
-        match mesh_chunk(mesher, &region, &positions, &recipe.order)? {
+        let stars = recipe.halo == Halo::Stars;
+        match mesh_with_stars(mesher, &region, &positions, &recipe.order, stars)? {
             ChunkOutcome::Done(mesh) => {
-                let done = renumber(core_counts, &sites, core, mesh.tets, &mesh.shared, retries);
+                let done = renumber(core_counts, &sites, core, mesh, retries);
                 return Ok(Meshing::Done(done));
             }
             // Twice as wide each time: a region that is the whole domain certifies everything, so this ends.
@@ -160,10 +174,10 @@ fn renumber(
     core_counts: Vec<u32>,
     sites: &[Site],
     core: usize,
-    mut tets: Vec<Tet>,
-    shared: &[bool],
+    mesh: ChunkMesh,
     retries: u32,
 ) -> MeshedChunk {
+    let ChunkMesh { mut tets, shared, around } = mesh;
     let mut used = vec![false; sites.len() - core];
     for &v in tets.iter().flatten() {
         if v as usize >= core {
@@ -181,10 +195,34 @@ fn renumber(
             *v = number[*v as usize - core];
         }
     }
+    let around = renumber_around(sites, core, halo.len(), number, around);
     let mut positions: Vec<LatticePos> = sites[..core].iter().map(|s| s.pos).collect();
     positions.extend(halo.iter().map(|&v| sites[v as usize].pos));
     let mut shared = shared[..core].to_vec();
     shared.resize(positions.len(), true);
     let halo = halo.iter().map(|&v| sites[v as usize].id).collect();
-    MeshedChunk { core_counts, halo, positions, shared, tets, retries }
+    MeshedChunk { core_counts, halo, positions, shared, tets, retries, around }
+}
+
+/// Numbers the vertices that only tetrahedra around the chunk have behind the `halo` ones, which have theirs in `number`.
+fn renumber_around(
+    sites: &[Site],
+    core: usize,
+    halo: usize,
+    mut number: Vec<u32>,
+    mut tets: Vec<Tet>,
+) -> Around {
+    let mut positions = vec![];
+    for v in tets.iter_mut().flatten() {
+        if (*v as usize) < core {
+            continue;
+        }
+        let number = &mut number[*v as usize - core];
+        if *number == u32::MAX {
+            *number = (core + halo + positions.len()) as u32;
+            positions.push(sites[*v as usize].pos);
+        }
+        *v = *number;
+    }
+    Around { positions, tets }
 }

@@ -137,7 +137,7 @@ pub(crate) fn brick_order(bricks: &BrickGrid, positions: &[LatticePos]) -> Vec<(
 }
 
 /// As [`by_brick`], of positions in any order.
-fn in_bricks<T: Clone + Default>(
+pub(crate) fn in_bricks<T: Clone + Default>(
     bricks: &BrickGrid,
     positions: &[LatticePos],
     mut sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,

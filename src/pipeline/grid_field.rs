@@ -1,13 +1,15 @@
 //! The field of a structured volume: each brick's points are interpolated from the samples around them, read for that.
 
 use super::chunk::MeshedChunk;
-use super::field::{Field, NanPolicy, Placement, by_brick};
+use super::field::{Field, NanPolicy, Placement, by_brick, in_bricks};
 use super::measure::Originals;
 use super::reduce::Scratch;
 use crate::error::{Error, Result};
+use crate::fit::{Fit, FitMesh, Windows, window_edge};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, Chunk, IndexBox};
-use crate::sample::{Interpolation, VoxelBlock, sample};
+use crate::raster::SampleGrid;
+use crate::sample::{Interpolation, Values, VoxelBlock, sample};
 use crate::volume::VolumeReader;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -19,6 +21,7 @@ pub(crate) struct GridField {
     pub(super) scratch: Option<Scratch>,
     pub(crate) bricks: BrickGrid,
     pub(crate) interpolation: Interpolation,
+    pub(crate) values: Values,
     pub(crate) nan: NanPolicy,
     pub(crate) missing: Option<f64>,
     /// Slices below have been given up.
@@ -32,7 +35,15 @@ impl Field for GridField {
 
     fn values(&self, mesh: &MeshedChunk, _: &Placement) -> Result<Vec<f32>> {
         let mut voxels = vec![];
-        by_brick(&self.bricks, mesh, |_, positions, out| self.sample(positions, &mut voxels, out))
+        let mut sample =
+            |_, positions: &[LatticePos], out: &mut Vec<f32>| self.sample(positions, &mut voxels, out);
+        let mut values = by_brick(&self.bricks, mesh, &mut sample)?;
+        if self.values == Values::Fit {
+            let around = &mesh.around;
+            values.extend(in_bricks(&self.bricks, &around.positions, &mut sample)?);
+            values = self.fit(mesh, &values)?;
+        }
+        Ok(values)
     }
 
     fn originals(&self) -> Originals<'_> {
@@ -60,6 +71,32 @@ impl Field for GridField {
 }
 
 impl GridField {
+    /// The values of a chunk's vertices, fitted to the samples in all tetrahedra at them; from the interpolated ones of these
+    /// and of the vertices around.
+    fn fit(&self, mesh: &MeshedChunk, values: &[f32]) -> Result<Vec<f32>> {
+        let positions = [&*mesh.positions, &*mesh.around.positions].concat();
+        let tets = [&*mesh.tets, &*mesh.around.tets].concat();
+        let grid = SampleGrid::voxels(&self.bricks.lattice);
+        let windows = Windows::new(&grid, window_edge(self.bricks.edge), &positions, &tets);
+        let whole = FitMesh { positions: &positions, values, tets: &tets };
+        let (mut fit, mut samples) = (Fit::new(positions.len()), vec![]);
+        for (window, tets) in windows.iter() {
+            samples.resize(window.len(), 0.0);
+            self.reader.read_box(window, &mut samples)?;
+            self.treat_missing(&mut samples);
+            if self.nan == NanPolicy::Error
+                && let Some(bad) = samples.iter().position(|v| v.is_nan())
+            {
+                let (d, i) = (window.dims(), bad as u64);
+                let at = [i % d[0], i / d[0] % d[1], i / d[0] / d[1]];
+                let sample = std::array::from_fn(|k| window.lo[k] + at[k]);
+                return Err(self.nan_error(self.bricks.lattice.of_voxel(sample)));
+            }
+            fit.add(&whole, &grid, &window, &samples, tets);
+        }
+        Ok(fit.values(&whole, mesh.positions.len()))
+    }
+
     fn sample(&self, positions: &[LatticePos], voxels: &mut Vec<f32>, out: &mut Vec<f32>) -> Result<()> {
         let needed = self.interpolation.voxels_for(&self.bricks.lattice, positions);
         voxels.resize(needed.len(), 0.0);

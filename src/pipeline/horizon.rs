@@ -36,12 +36,13 @@ impl Horizon {
     /// Of chunks in ascending order. Reads the summary of each: a halo that was widened is wider here too.
     pub(super) fn new(archive: &OpenArchive, chunks: impl Iterator<Item = ChunkId>) -> Result<Self> {
         let domain = archive.chunks.bricks().lattice.domain();
+        let halo = need::Halo::of(&archive.manifest.plan);
         let mut regions = vec![];
         for id in chunks {
             archive.close_before(id);
             let retries = mesh_summary(&archive.segment_of(id)?.mesh, id)?.retries;
             let chunk = archive.chunks.chunk(id);
-            let region = need::region(&archive.points, &chunk.core, &domain, retries);
+            let region = need::region(&archive.points, &chunk.core, &domain, halo, retries);
             regions.push(([chunk.brick_lo[1], chunk.brick_lo[2]], region));
         }
         Ok(Self::of_regions(&regions))

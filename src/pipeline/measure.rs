@@ -34,7 +34,7 @@ use crate::grid::{Geometry, IndexBox};
 use crate::locate::{FINE_BITS, FinePos};
 use crate::measure::{BrickErrors, BrickRecord, ErrorSums, FieldError, Worst, merged};
 use crate::mesh::tet::Tet;
-use crate::raster::{SampleGrid, each_sample, interpolate};
+use crate::raster::{SampleGrid, Scanner, interpolate};
 use crate::volume::{VolumeReader, VolumeSource};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -410,10 +410,11 @@ impl Samples<'_> {
             let [x, y, z] = place(at);
             (z * dims[1] + y) * dims[0] + x
         };
+        let scanner = Scanner::new(&self.grid, window);
         for tet in tets {
             let values = tet.map(|v| chunk.values[v as usize]);
             let void = values.iter().any(|v| v.is_nan());
-            each_sample(&self.grid, window, tet.map(|v| chunk.positions[v as usize]), |at, weights| {
+            scanner.each_sample(tet.map(|v| chunk.positions[v as usize]), |at, weights| {
                 let reduced = if void { f32::NAN } else { interpolate(weights, values) };
                 part.sums.add(originals[at], reduced, || sample_of(at));
                 if self.mapped {

@@ -16,6 +16,7 @@
 //! is; what does not fit is sorted in the scratch folder.
 
 use super::plan::{MeshParts, Plan};
+use crate::archive::manifest::Plan as MeshPlan;
 use crate::error::{Error, Result};
 use crate::geom::{LatticeBox, LatticePos};
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
@@ -57,15 +58,53 @@ const MOST_LOOKED_AT: u64 = 1 << 16;
 /// first are inserted at once; those within the second are known, and inserted where a tetrahedron needs them.
 const NEAR_QUARTERS: u64 = 7;
 const HALO_QUARTERS: u64 = 12;
+/// More of both where the tetrahedra around the chunk's are needed: they reach one edge further.
+const STAR_QUARTERS: u64 = 6;
+/// And more memory: the samples of a window, each with its tetrahedron and weights.
+const PER_FIT: u64 = 8 << 20;
+
+/// What a chunk needs of its surroundings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Halo {
+    /// What proves its own tetrahedra.
+    Owned,
+    /// What proves all tetrahedra at the vertices of its own: values are fitted to the samples in them.
+    Stars,
+}
+
+impl Halo {
+    pub(crate) fn of(plan: &MeshPlan) -> Self {
+        if plan.stars { Self::Stars } else { Self::Owned }
+    }
+
+    fn extra_quarters(self) -> u64 {
+        match self {
+            Self::Owned => 0,
+            Self::Stars => STAR_QUARTERS,
+        }
+    }
+}
 
 /// The core of a chunk with the halo of a try.
-pub(crate) fn region(points: &PointSet, core: &LatticeBox, domain: &LatticeBox, retries: u32) -> LatticeBox {
-    core.grow_within(width(points, HALO_QUARTERS, retries), domain)
+pub(crate) fn region(
+    points: &PointSet,
+    core: &LatticeBox,
+    domain: &LatticeBox,
+    halo: Halo,
+    retries: u32,
+) -> LatticeBox {
+    core.grow_within(width(points, HALO_QUARTERS + halo.extra_quarters(), retries), domain)
 }
 
 /// The core of a chunk with the inner halo of a try, whose points are all inserted.
-pub(crate) fn near(points: &PointSet, core: &LatticeBox, domain: &LatticeBox, retries: u32) -> LatticeBox {
-    core.grow_within(width(points, NEAR_QUARTERS, retries), domain)
+pub(crate) fn near(
+    points: &PointSet,
+    core: &LatticeBox,
+    domain: &LatticeBox,
+    halo: Halo,
+    retries: u32,
+) -> LatticeBox {
+    core.grow_within(width(points, NEAR_QUARTERS + halo.extra_quarters(), retries), domain)
 }
 
 fn width(points: &PointSet, quarters: u64, retries: u32) -> LatticePos {
@@ -74,8 +113,12 @@ fn width(points: &PointSet, quarters: u64, retries: u32) -> LatticePos {
 }
 
 /// Bytes in which a chunk whose region holds so many points is meshed, sampled and encoded.
-pub(crate) fn room_for(points_in_region: u64) -> u64 {
-    points_in_region.saturating_mul(PER_POINT).saturating_add(PER_CHUNK)
+pub(crate) fn room_for(points_in_region: u64, halo: Halo) -> u64 {
+    let fixed = match halo {
+        Halo::Owned => PER_CHUNK,
+        Halo::Stars => PER_CHUNK + PER_FIT,
+    };
+    points_in_region.saturating_mul(PER_POINT).saturating_add(fixed)
 }
 
 /// Bytes of an encoded chunk of so many points, with the values of so many steps, at most.
@@ -126,15 +169,20 @@ impl Need {
         let (mut region_points, mut core_points) = (0, 0);
         let domain = parts.chunks.bricks().lattice.domain();
         for chunk in some_chunks(&parts.chunks) {
-            region_points =
-                region_points.max(parts.points.count_in(&region(&parts.points, &chunk.core, &domain, 0)));
+            region_points = region_points.max(parts.points.count_in(&region(
+                &parts.points,
+                &chunk.core,
+                &domain,
+                parts.halo,
+                0,
+            )));
             core_points = core_points.max(parts.points.count_in(&chunk.core));
         }
         let points = parts.points.len();
         Self {
             points,
             chunks: parts.chunks.len(),
-            room: room_for(region_points),
+            room: room_for(region_points, parts.halo),
             core_points,
             steps: 1,
             entries: points.saturating_mul(TETS_PER_POINT) / 1024 + parts.chunks.len(),

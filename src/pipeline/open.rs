@@ -59,6 +59,8 @@ pub struct ArchiveSummary {
     pub point_set: serde_json::Value,
     /// How values were interpolated.
     pub interpolation: String,
+    /// Whether they are fitted to the samples: "sample" or "fit".
+    pub values: String,
     /// How values were rounded, if they were.
     pub quantiser: Option<Quantiser>,
     /// Points.
@@ -160,6 +162,7 @@ pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
         mesh: source.mesh,
         point_set: serde_json::json!(plan.points),
         interpolation: step.plan.interpolation.name().into(),
+        values: step.plan.values.name().into(),
         quantiser: step.plan.quantiser,
         points: counts.points,
         void_points: step.void_points,

@@ -13,8 +13,9 @@ use crate::geom::{Lattice, LatticeBox};
 use crate::grid::ChunkGrid;
 use crate::pipeline::field::NanPolicy;
 use crate::pipeline::fingerprint::fingerprint;
+use crate::pipeline::need::Halo;
 use crate::points::{ExplicitPoints, PointSet, PointSpec, SetKind, SetSettings};
-use crate::sample::Interpolation;
+use crate::sample::{Interpolation, Values};
 use crate::volume::VolumeInfo;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -40,6 +41,8 @@ pub struct ReduceSettings {
     pub amount: Amount,
     /// How values are interpolated between samples.
     pub interpolation: Interpolation,
+    /// Whether values are fitted to the samples.
+    pub values: Values,
     /// What happens to samples that are no numbers.
     pub nan: NanPolicy,
     /// A value that means "no data", besides what the file declares.
@@ -68,6 +71,7 @@ impl Default for ReduceSettings {
             set: SetSettings::default(),
             amount: Amount::Fraction(0.125),
             interpolation: Interpolation::Linear,
+            values: Values::Sample,
             nan: NanPolicy::Error,
             missing: None,
             value_bits: None,
@@ -164,12 +168,14 @@ impl Plan {
                 chunk_target: settings.chunk_points,
                 block_tets: BLOCK_TETS,
                 explicit: None,
+                stars: settings.values == Values::Fit,
             },
             steps: vec![StepPlan {
                 number: 0,
                 time: None,
                 source,
                 interpolation: settings.interpolation,
+                values: settings.values,
                 nan: settings.nan.to_string(),
                 quantiser: None,
                 base: None,
@@ -252,6 +258,7 @@ pub(crate) struct MeshParts {
     pub(crate) points: PointSet,
     pub(crate) chunks: ChunkGrid,
     pub(crate) order: Order,
+    pub(crate) halo: Halo,
 }
 
 /// Makes the parts of a plan, which may come from a file, and of the listed points that belong to it.
@@ -284,5 +291,5 @@ pub(crate) fn parts(plan: &MeshPlan, explicit: Option<Arc<ExplicitPoints>>) -> R
     }
     let counter = points.clone();
     let chunks = ChunkGrid::new(plan.bricks(), plan.chunk_target, move |b| counter.count_in(b))?;
-    Ok(MeshParts { points, chunks, order: Order { bits: plan.order_bits } })
+    Ok(MeshParts { points, chunks, order: Order { bits: plan.order_bits }, halo: Halo::of(plan) })
 }

@@ -15,7 +15,7 @@ use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent};
 use crate::formats::samples::{GridMeta, SampleFile, SampleFormat};
 use crate::grid::{Geometry, IndexBox};
-use crate::raster::{Axis, SampleGrid, each_sample, interpolate};
+use crate::raster::{Axis, SampleGrid, Scanner, interpolate};
 use serde::Serialize;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
@@ -207,13 +207,16 @@ fn scan_chunk(
     for window in windows(whole, WINDOW) {
         samples.clear();
         samples.resize(window.len(), f32::from_bits(UNSET));
+        let scanner = Scanner::new(grid, &window);
         for tet in &chunk.tets {
             let values = tet.map(|v| chunk.values[v as usize]);
             let void = values.iter().any(|v| v.is_nan());
-            each_sample(grid, &window, tet.map(|v| chunk.positions[v as usize]), |at, weights| {
-                samples[at] = if void { f32::NAN } else { interpolate(weights, values) };
-                counted.set += 1;
-                counted.void += u64::from(void);
+            scanner.each_run(tet.map(|v| chunk.positions[v as usize]), |place, run| {
+                for (sample, &weights) in samples[place..].iter_mut().zip(run) {
+                    *sample = if void { f32::NAN } else { interpolate(weights, values) };
+                }
+                counted.set += run.len() as u64;
+                counted.void += if void { run.len() as u64 } else { 0 };
             });
         }
         write_runs(&samples, &window, grid.dims(), &write)?;

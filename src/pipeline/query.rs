@@ -421,10 +421,11 @@ fn with_inside(archive: &OpenArchive, index: &Ranges<'_>, isovalues: &[f32]) -> 
 /// Whether a tetrahedron of a chunk may reach the ends of the domain, for each chunk.
 fn chunks_at_ends(archive: &OpenArchive) -> Result<Vec<bool>> {
     let domain = archive.chunks.bricks().lattice.domain();
+    let halo = need::Halo::of(&archive.manifest.plan);
     let reaches_ends = |id: ChunkId| {
         let core = archive.chunks.chunk(id).core;
         let reaches = |retries| {
-            let region = need::region(&archive.points, &core, &domain, retries);
+            let region = need::region(&archive.points, &core, &domain, halo, retries);
             (0..3).any(|a| region.lo[a] == domain.lo[a] || region.hi[a] == domain.hi[a])
         };
         archive.close_before(id);
@@ -457,9 +458,11 @@ fn refine_all(
 /// The chunks of which a tetrahedron may touch the cut.
 fn touching(archive: &OpenArchive, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<ChunkWork>> {
     let domain = archive.chunks.bricks().lattice.domain();
+    let halo = need::Halo::of(&archive.manifest.plan);
     let touches = |id: ChunkId| {
         let core = archive.chunks.chunk(id).core;
-        let reaches = |retries| cut.may_touch_box(&need::region(&archive.points, &core, &domain, retries));
+        let reaches =
+            |retries| cut.may_touch_box(&need::region(&archive.points, &core, &domain, halo, retries));
         // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was widened.
         Ok(reaches(0) || reaches(mesh_summary(&archive.segment_of(id)?.mesh, id)?.retries))
     };

@@ -9,7 +9,7 @@
 //! So a chunk whose surface is small costs a few bricks.
 
 use super::block::{Block, BlockCorners};
-use super::chunk::MeshedChunk;
+use super::chunk::{Around, MeshedChunk};
 use super::open::{OpenArchive, OpenSegment};
 use super::plan::check_brick;
 use super::roi::Cut;
@@ -325,6 +325,7 @@ impl<'a> ChunkReader<'a> {
             shared: self.shared,
             tets,
             retries: 0,
+            around: Around::default(),
         }
     }
 

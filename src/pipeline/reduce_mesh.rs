@@ -29,7 +29,7 @@ use crate::formats::{self, Input, StepSource};
 use crate::grid::BrickGrid;
 use crate::pipeline::fingerprint::fingerprint;
 use crate::points::PointSet;
-use crate::sample::Interpolation;
+use crate::sample::{Interpolation, Values};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use xxhash_rust::xxh3::Xxh3;
@@ -195,6 +195,12 @@ fn prepare(mesh: &CellMesh, job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Pr
         return Err(Error::usage(format!(
             "{} interpolation is for volumes; {} is a mesh: choose linear or quadratic",
             settings.interpolation,
+            path.display()
+        )));
+    }
+    if settings.values == Values::Fit {
+        return Err(Error::usage(format!(
+            "values are fitted to the samples of volumes; {} is a mesh: choose --values sample",
             path.display()
         )));
     }

@@ -282,7 +282,12 @@ impl Making<'_> {
         };
         self.progress.begin(&stage, self.points(), "points");
         let Means { parts, shares, .. } = self.means;
-        let recipe = Recipe { points: &parts.points, bricks: plan.mesh.bricks(), order: parts.order };
+        let recipe = Recipe {
+            points: &parts.points,
+            bricks: plan.mesh.bricks(),
+            order: parts.order,
+            halo: parts.halo,
+        };
         let (rooms, bad) = (Rooms::default(), Mutex::default());
         let first = self.old.map_or(plan.first(), |old| &old.steps[0].plan);
         let file = (self.layout.at(first.number).coordinates(), first.hash(plan.mesh_hash()));

@@ -117,6 +117,7 @@ impl<'a> Visit<'a> {
             &archive.points,
             &archive.chunks.chunk(id).core,
             &archive.chunks.bricks().lattice.domain(),
+            need::Halo::Owned,
             0,
         ));
         CHUNK.saturating_add(vertices.saturating_mul(VERTEX + TETS_A_POINT * TET))
@@ -172,7 +173,8 @@ impl<'a> Visit<'a> {
 
 fn region(archive: &OpenArchive, id: ChunkId, retries: u32) -> LatticeBox {
     let domain = archive.chunks.bricks().lattice.domain();
-    need::region(&archive.points, &archive.chunks.chunk(id).core, &domain, retries)
+    let halo = need::Halo::of(&archive.manifest.plan);
+    need::region(&archive.points, &archive.chunks.chunk(id).core, &domain, halo, retries)
 }
 
 /// A box that holds all tetrahedra of a chunk. Reads its summary.

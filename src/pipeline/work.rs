@@ -16,11 +16,11 @@
 //! Of a series, the values of several steps are made while the mesh of a chunk is there: sampled, encoded against those of the step
 //! before, ranges measured. Where an earlier pass has made the mesh, it is decoded instead, and so are the values before the first step.
 
-use super::chunk::{self, MeshedChunk, Meshing, Recipe};
+use super::chunk::{self, Around, MeshedChunk, Meshing, Recipe};
 use super::field::{Field, Placement};
 use super::inspect::{Depth, SegmentState, inspect};
 use super::layout::Layout;
-use super::need::{self, Shares};
+use super::need::{self, Halo, Shares};
 use super::open::OpenArchive;
 use super::series::of_step;
 use super::spectrum::Meter;
@@ -427,7 +427,17 @@ fn make_in_room(
     let mut times = StageTimes::default();
     let mut lap = Lap(Instant::now());
     if let Some(stored) = &work.stored {
-        return make_from_stored(work, stored, chunk).map(Making::Done);
+        let around = match work.recipe.halo {
+            Halo::Owned => Around::default(),
+            // What values are fitted to is not stored: it is made again.
+            Halo::Stars => {
+                match chunk::mesh(work.recipe, chunk, &mut desk.mesher, first_try, room, work.cancel)? {
+                    Meshing::Done(mesh) => mesh.around,
+                    Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
+                }
+            }
+        };
+        return make_from_stored(work, stored, chunk, around).map(Making::Done);
     }
     let mut mesh = match chunk::mesh(work.recipe, chunk, &mut desk.mesher, first_try, room, work.cancel)? {
         Meshing::Done(mesh) => mesh,
@@ -447,10 +457,11 @@ fn make_in_room(
 }
 
 /// The values of steps on a mesh that is there.
-fn make_from_stored(work: &Work<'_>, stored: &Stored<'_>, chunk: &Chunk) -> Result<Product> {
+fn make_from_stored(work: &Work<'_>, stored: &Stored<'_>, chunk: &Chunk, around: Around) -> Result<Product> {
     let mut times = StageTimes::default();
     let mut lap = Lap(Instant::now());
-    let (mesh, ends) = stored.archive.stored_mesh(chunk.id)?;
+    let (mut mesh, ends) = stored.archive.stored_mesh(chunk.id)?;
+    mesh.around = around;
     let vertices = mesh.positions.len();
     let before = stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
     let starts = std::iter::once(&0).chain(&ends);

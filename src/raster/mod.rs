@@ -24,7 +24,9 @@
 //! **Weights** are `λ_k / volume`, each rounded once. [`interpolate`] adds the four products in ascending order: the order of the
 //! corners does not show, so a value does not depend on how the mesh is cut into chunks.
 //!
-//! Cost: some 100 operations a tetrahedron with a sample in its box, some 20 for each row of the box and each sample inside. Memory: none.
+//! **Fast.** Most samples of a bounding box are outside, and a filter in `f32` with a proven error says so, sixteen at a time in a small
+//! box; exact integers see what is left. Cost: some 300 operations a tetrahedron with a sample in its box, 15 to 40 for
+//! each row of the box, 40 for each sample inside. Memory: none. [`Scanner`] hands samples on by runs.
 //!
 //! ```
 //! use isospan::geom::Lattice;

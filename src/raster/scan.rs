@@ -21,11 +21,7 @@ pub fn each_sample(
     corners: [LatticePos; 4],
     mut each: impl FnMut(usize, [f64; 4]),
 ) {
-    Scanner::new(grid, window).each_run(corners, |place, run| {
-        for (i, &weights) in run.iter().enumerate() {
-            each(place + i, weights);
-        }
-    });
+    Scanner::new(grid, window).each_sample(corners, &mut each);
 }
 
 /// Samples handed on at a time.
@@ -112,6 +108,16 @@ impl<'a> Scanner<'a> {
         } else {
             self.scan::<i128>(&found, each);
         }
+    }
+
+    /// As [`Scanner::each_run`], sample by sample.
+    #[inline]
+    pub fn each_sample(&self, corners: [LatticePos; 4], mut each: impl FnMut(usize, [f64; 4])) {
+        self.each_run(corners, |place, run| {
+            for (i, &weights) in run.iter().enumerate() {
+                each(place + i, weights);
+            }
+        });
     }
 
     #[inline(always)]

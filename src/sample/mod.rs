@@ -119,6 +119,32 @@ impl Interpolation {
     }
 }
 
+/// How a vertex comes by its value.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Values {
+    /// The field is interpolated at the vertex.
+    #[default]
+    Sample,
+    /// From there it is moved towards the least squared error over the samples around it ([`crate::fit`]).
+    Fit,
+}
+
+impl Values {
+    /// Whether it is [`Values::Sample`].
+    pub fn is_sample(&self) -> bool {
+        *self == Self::Sample
+    }
+
+    /// Its name on the command line and in a manifest.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Sample => "sample",
+            Self::Fit => "fit",
+        }
+    }
+}
+
 impl fmt::Display for Interpolation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(self.name())

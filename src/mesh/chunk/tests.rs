@@ -83,6 +83,70 @@ fn chunk(all: &[LatticePos], domain: LatticeBox, core: LatticeBox, halo: u32, re
     }
 }
 
+/// The tetrahedra around a chunk's own, by the rule and as they come out.
+fn stars(
+    all: &[LatticePos],
+    domain: LatticeBox,
+    core: LatticeBox,
+    mut halo: u32,
+) -> [BTreeSet<[LatticePos; 4]>; 2] {
+    let order = Order::for_count(all.len() as u64);
+    let mut mesher = Mesher::new();
+    mesher.delaunay(all, &order).unwrap();
+    let four = |t: &Tet, of: &[LatticePos]| {
+        let mut four = t.map(|v| of[v as usize]);
+        four.sort_unstable();
+        four
+    };
+    let mut whole: Vec<[LatticePos; 4]> = vec![];
+    mesher.for_each_tet(|t| whole.push(four(&t, all)));
+    let used: BTreeSet<LatticePos> =
+        whole.iter().filter(|t| core.contains(t[0])).flatten().copied().collect();
+    let wanted =
+        whole.into_iter().filter(|t| !core.contains(t[0]) && t.iter().any(|p| used.contains(p))).collect();
+    loop {
+        let region = core.grow_within([halo; 3], &domain);
+        let near = core.grow_within([halo / 3; 3], &domain);
+        let mut local: Vec<LatticePos> = all.iter().copied().filter(|p| region.contains(*p)).collect();
+        local.sort_by_key(|p| !near.contains(*p));
+        let boxes = ChunkRegion { core, near, region, domain };
+        if let ChunkOutcome::Done(mesh) = mesh_with_stars(&mut mesher, &boxes, &local, &order, true).unwrap()
+        {
+            let found: Vec<_> = mesh.around.iter().map(|t| four(t, &local)).collect();
+            let set: BTreeSet<_> = found.iter().copied().collect();
+            assert_eq!(set.len(), found.len(), "each once");
+            return [wanted, set];
+        }
+        halo = halo * 3 / 2 + 1;
+    }
+}
+
+#[test]
+fn all_tetrahedra_at_the_vertices_of_owned_ones_are_known() {
+    let max = [1 << 20; 3];
+    let domain = domain_of(max);
+    for cuts in [[2, 2, 2], [3, 1, 2], [1, 1, 1]] {
+        // Scattered, and all cospherical.
+        let mut state = 7u64;
+        let mut next = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            ((state >> 33) % (1 << 20)) as u32
+        };
+        let scattered: Vec<LatticePos> = (0..1500).map(|_| [next(), next(), next()]).collect();
+        let grid: Vec<LatticePos> =
+            (0..1000u32).map(|i| [i % 10, i / 10 % 10, i / 100].map(|c| c * 100_000)).collect();
+        for all in [scattered, grid] {
+            for core in cores(&domain, cuts) {
+                for halo in [50_000, 300_000] {
+                    let [wanted, found] = stars(&all, domain, core, halo);
+                    assert_eq!(wanted.is_empty(), cuts == [1, 1, 1]);
+                    assert!(wanted == found, "{} and {}", wanted.len(), found.len());
+                }
+            }
+        }
+    }
+}
+
 fn part(local: &[LatticePos], mesh: &ChunkMesh) -> Part {
     let mut out = Part { tets: vec![], edges: BTreeSet::new(), unshared: BTreeSet::new() };
     for pair in mesh.tets.windows(2) {
