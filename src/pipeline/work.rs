@@ -572,7 +572,9 @@ fn encode_mesh(
         volume6: volume6(&mesh.positions, mesh.tets.iter()),
         outside6,
     };
-    let tets = if work.steps.len() > 1 { mesh.tets.clone() } else { std::mem::take(&mut mesh.tets) };
+    // Further steps ask for them, and so do values that are fitted to the samples in them.
+    let is_needed = work.steps.len() > 1 || work.recipe.halo == Halo::Stars;
+    let tets = if is_needed { mesh.tets.clone() } else { std::mem::take(&mut mesh.tets) };
     let vertices = ChunkVertices {
         core_counts: std::mem::take(&mut mesh.core_counts),
         halo: std::mem::take(&mut mesh.halo),
