@@ -22,7 +22,7 @@ pub(crate) struct InputArgs {
     pub(crate) field: Option<String>,
     /// A text file of one number a point, for a mesh in .node and .ele or .pts and .tet files.
     #[arg(long, value_name = "FILE")]
-    values: Option<PathBuf>,
+    value_file: Option<PathBuf>,
     /// Raw file: samples along x (fastest), y and z.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_dims, requires = "scalar_type", help_heading = "Raw files")]
     dims: Option<[u64; 3]>,
@@ -97,6 +97,6 @@ impl InputArgs {
             (None, None) => None,
             _ => return Err(Error::usage("--dims and --type go together")),
         };
-        Ok(OpenOptions { field: self.field.clone(), raw, io: self.io.mode(), values: self.values.clone() })
+        Ok(OpenOptions { field: self.field.clone(), raw, io: self.io.mode(), values: self.value_file.clone() })
     }
 }

@@ -56,7 +56,7 @@ pub fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
 
 fn open_kind(kind: Kind, path: &Path, options: &OpenOptions) -> Result<CellMesh> {
     if options.values.is_some() && kind != Kind::Pair {
-        return Err(Error::usage(format!("{} has its own fields: leave out --values", path.display())));
+        return Err(Error::usage(format!("{} has its own fields: leave out --value-file", path.display())));
     }
     match kind {
         Kind::Gmsh => gmsh::open_mesh(path, options),

@@ -15,7 +15,7 @@
 //! A `.pts` file has x, y, z on each line, a `.tet` file four vertices, and neither a head (a first line of one number, the
 //! count, is allowed). Vertices count from 1, unless a 0 occurs: a first pass over the tetrahedra finds out.
 //!
-//! Values of a field can come from a third file (`--values`) of one number a point; the field has the file's name.
+//! Values of a field can come from a third file (`--value-file`) of one number a point; the field has the file's name.
 //! Either file of a pair may be named; the other lies beside it. Everything is read row by row.
 
 use super::text::{place, word};
