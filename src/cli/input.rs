@@ -97,6 +97,11 @@ impl InputArgs {
             (None, None) => None,
             _ => return Err(Error::usage("--dims and --type go together")),
         };
-        Ok(OpenOptions { field: self.field.clone(), raw, io: self.io.mode(), values: self.value_file.clone() })
+        Ok(OpenOptions {
+            field: self.field.clone(),
+            raw,
+            io: self.io.mode(),
+            values: self.value_file.clone(),
+        })
     }
 }
