@@ -106,6 +106,18 @@ impl Cluster {
         self.path().join(out).join("mesh").join(found.unwrap())
     }
 
+    /// Stops the workers of an archive when the one on a node is within a segment, which it then cannot finish.
+    fn held_at_work(&self, out: &str, node: &str) -> PathBuf {
+        loop {
+            let file = self.at_work(out, node);
+            self.signal("-STOP", out);
+            if file.exists() {
+                return file;
+            }
+            self.signal("-CONT", out);
+        }
+    }
+
     /// A signal to the workers of an archive that run now.
     fn signal(&self, signal: &str, out: &str) -> usize {
         let pattern = format!("work {}", self.path().join(out).display());
@@ -199,8 +211,9 @@ fn numbers_of_shards(c: &Cluster) {
 fn a_node_loses_power(c: &Cluster) {
     c.plan("power.isospan", 2);
     c.submit("power.isospan", &["--threads", "2"]);
-    let left = c.at_work("power.isospan", "n1");
+    let left = c.held_at_work("power.isospan", "n1");
     c.control(&["kill-node", "n1"]);
+    c.signal("-CONT", "power.isospan");
     c.finish("what the other node does");
     let manifest = c.path().join("power.isospan/manifest.json");
     assert!(manifest.exists(), "{}", c.logs("power.isospan"));
