@@ -226,10 +226,9 @@ fn a_node_loses_power(c: &Cluster) {
 fn a_node_loses_the_network(c: &Cluster) {
     c.plan("cut.isospan", 2);
     c.submit("cut.isospan", &["--threads", "2"]);
-    c.at_work("cut.isospan", "n1");
-    c.control(&["cut-node", "n1"]);
     // Asleep until the other node has taken over, so that both write at the same time.
-    assert!(c.signal("-STOP", "cut.isospan") > 0);
+    c.held_at_work("cut.isospan", "n1");
+    c.control(&["cut-node", "n1"]);
     let array = || c.run("squeue", &["-h", "-r", "-n", "isospan-cut", "-o", "%T %r %N"]);
     wait("the task to be requeued", || {
         c.control(&["hurry"]);
@@ -246,9 +245,12 @@ fn a_node_loses_the_network(c: &Cluster) {
 fn a_task_is_told_to_stop(c: &Cluster) {
     c.plan("term.isospan", 2);
     let job = c.submit("term.isospan", &["--threads", "2"]);
-    c.at_work("term.isospan", "n1");
+    c.held_at_work("term.isospan", "n1");
     // What --signal does before the time limit.
     c.run("scancel", &["--batch", "--signal=TERM", &job]);
+    // Time for the signal to come; it waits for the worker to wake up.
+    std::thread::sleep(Duration::from_millis(500));
+    c.signal("-CONT", "term.isospan");
     c.finish("a second try");
     c.same("term.isospan");
     let logs = c.logs("term.isospan");
