@@ -22,6 +22,16 @@ fn write_mesh(
     place: impl Fn([f64; 3]) -> [f64; 3],
     field: impl Fn([f64; 3]) -> f64,
 ) {
+    write_placed(path, n, keep, |p| (place(p), field(place(p))));
+}
+
+/// As [`write_mesh`], with a function that gives place and value of a vertex.
+fn write_placed(
+    path: &Path,
+    n: u32,
+    keep: impl Fn([f64; 3]) -> bool,
+    place: impl Fn([f64; 3]) -> ([f64; 3], f64),
+) {
     const PATHS: [[usize; 3]; 6] = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
     let m = n + 1;
     let number = |c: [u32; 3]| (c[2] * m + c[1]) * m + c[0];
@@ -50,12 +60,12 @@ fn write_mesh(
     }
     let compact: std::collections::BTreeMap<u32, usize> =
         used.keys().enumerate().map(|(i, &v)| (v, i)).collect();
-    let positions: Vec<[f64; 3]> = used.values().map(|&p| place(p)).collect();
+    let placed: Vec<([f64; 3], f64)> = used.values().map(|&p| place(p)).collect();
     let mut text = format!(
         "# vtk DataFile Version 3.0\nmesh\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS {} double\n",
-        positions.len()
+        placed.len()
     );
-    for p in &positions {
+    for (p, _) in &placed {
         writeln!(text, "{} {} {}", p[0], p[1], p[2]).unwrap();
     }
     writeln!(text, "CELLS {} {}", tets.len(), 5 * tets.len()).unwrap();
@@ -65,8 +75,8 @@ fn write_mesh(
     }
     writeln!(text, "CELL_TYPES {}", tets.len()).unwrap();
     tets.iter().for_each(|_| text.push_str("10\n"));
-    writeln!(text, "POINT_DATA {}\nSCALARS f double\nLOOKUP_TABLE default", positions.len()).unwrap();
-    positions.iter().for_each(|&p| writeln!(text, "{}", field(p)).unwrap());
+    writeln!(text, "POINT_DATA {}\nSCALARS f double\nLOOKUP_TABLE default", placed.len()).unwrap();
+    placed.iter().for_each(|(_, value)| writeln!(text, "{value}").unwrap());
     std::fs::write(path, text).unwrap();
 }
 
@@ -153,25 +163,28 @@ fn no_surface_is_invented_in_a_cavity_a_hole_or_a_gap() {
 }
 
 #[test]
-fn bodies_that_touch_stay_apart_where_the_field_jumps() {
+fn bodies_that_touch_or_overlap_are_whole_where_the_field_jumps() {
     let dir = tempfile::tempdir().unwrap();
-    // The middle layer of 17 is left out, and the gap is closed: the two halves touch at x = 0.5 and share no vertex.
+    // The middle layer of 17 is left out, and the gap is closed: the two halves meet at x = 0.5 and share no vertex.
     let keep = |p: [f64; 3]| (p[0] - 0.5).abs() > 0.5 / 17.0;
     let closed = |p: [f64; 3], gap: f64| {
         let x = if p[0] < 0.5 { p[0] * 17.0 / 16.0 } else { 1.0 - (1.0 - p[0]) * 17.0 / 16.0 + gap };
         [x, p[1], p[2]]
     };
-    // The halves are told apart by a gap far below a lattice step.
-    let input = dir.path().join("jump.vtk");
-    let jump = |p: [f64; 3]| if p[0] > 0.5 + 2e-10 { p[2] + 10.0 } else { p[2] };
-    write_mesh(&input, 17, keep, |p| closed(p, 4e-10), jump);
-    let (archive, report) = reduced(&input, &settings(1.0), "jump.isospan", &run(2));
-    assert_eq!((report.mesh.unwrap().bodies, report.mesh.unwrap().repeated), (2, 0));
-    let area = |isovalue: f32| extracted(&archive, isovalue).1.area;
-    assert_eq!(area(5.0), 0.0, "the jump is no surface");
-    assert!((area(0.45) - 0.5).abs() < 0.01, "the first body is whole: {}", area(0.45));
-    // The second one begins a part of a spacing later.
-    assert!((0.45..0.501).contains(&area(10.45)), "{}", area(10.45));
+    // Vertices in one place; a gap far below a lattice step; a real one; two overlaps, less and more than a spacing.
+    for gap in [0.0, 4e-10, 0.01, -0.01, -0.15] {
+        let input = dir.path().join(format!("gap {gap}.vtk"));
+        write_placed(&input, 17, keep, |p| (closed(p, gap), if p[0] > 0.5 { p[2] + 10.0 } else { p[2] }));
+        let (archive, report) = reduced(&input, &settings(1.0), &format!("gap {gap}.isospan"), &run(2));
+        assert_eq!((report.mesh.unwrap().bodies, report.mesh.unwrap().repeated), (2, 0), "{gap}");
+        let area = |isovalue: f32| extracted(&archive, isovalue).1.area;
+        assert_eq!(area(5.0), 0.0, "{gap}: the jump is no surface");
+        // The first one is whole, the second one has what is left.
+        let (first, second) = (area(0.45), area(10.45));
+        assert!((0.49..0.505).contains(&first), "{gap}: {first} of 0.5");
+        let left = 0.5 + gap.min(0.0);
+        assert!((left - 0.01..left + 0.005).contains(&second), "{gap}: {second} of {left}");
+    }
     // Without a jump, and at equal positions, they are one body.
     let input = dir.path().join("smooth.vtk");
     write_mesh(&input, 17, keep, |p| closed(p, 0.0), |p| p[2]);

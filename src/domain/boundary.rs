@@ -21,9 +21,9 @@
 //!
 //! # Bodies that touch
 //!
-//! A point has one value. Where two bodies touch, samples of their boundaries belong to the first of them, which so is whole; the other one
-//! ends at its last points inside. Whether an earlier body is there is asked a few lattice steps out of the sample's own body.
+//! A point has one value. So where two bodies touch, each sample is two, one a little inside of either: see [`contact`](super::contact).
 
+use super::contact::Contacts;
 use super::nearest::nearest;
 use super::store::CellStore;
 use crate::error::{Error, Result};
@@ -44,10 +44,19 @@ pub(crate) struct OnBoundary {
     pub(crate) weights: [f64; 3],
 }
 
+/// A sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Sample {
+    /// Of the boundary.
+    On(OnBoundary),
+    /// Inside of a body, beside the boundary of an earlier one.
+    Beside,
+}
+
 /// All samples, in the order of the list of their positions.
 pub(crate) struct BoundarySamples {
     pub(crate) points: Arc<ExplicitPoints>,
-    samples: Vec<OnBoundary>,
+    samples: Vec<Sample>,
     lattice: Lattice,
     /// Mean distance of the points inside, in lattice steps.
     spacing: u32,
@@ -55,12 +64,12 @@ pub(crate) struct BoundarySamples {
 
 /// Samples per square of the mean distance.
 const DENSITY: f64 = 2.0;
+/// Where bodies touch there are so many times as many, a whole number: see [`contact`](super::contact).
+pub(super) const DENSER: f64 = 2.0;
 /// A point outside of the mesh is near its boundary within so many mean distances.
 const NEAR: f64 = 0.75;
 /// The triangle nearest to a point has a sample within so many mean distances of its nearest place, mostly.
 const AROUND: f64 = 0.75;
-/// Lattice steps out of a body, to see whether another one touches it there: more than rounding moves a sample.
-const OUT: f64 = 4.0;
 
 impl BoundarySamples {
     /// Samples the boundary of a mesh whose inside has points at a mean distance of `spacing` lattice steps.
@@ -75,30 +84,41 @@ impl BoundarySamples {
         let corners = |&[a, b, c, _]: &[u64; 4]| [a, b, c].map(|v| positions[v as usize]);
         let total: f64 = triangles.iter().map(|t| area(corners(t))).sum();
         let count = total / each;
-        // In the list, sorted, and while both are there.
-        let bytes = (count * (3 * size_of::<(LatticePos, OnBoundary)>()) as f64) as u64;
+        let several = store.census.bodies > 1;
+        // In the list, sorted, and while both are there; of several bodies as pairs too, and while they are located.
+        let lists = if several { 4.0 * DENSER } else { 3.0 };
+        let bytes = (count * lists * size_of::<(LatticePos, Sample)>() as f64) as u64;
         if bytes > memory || count > ExplicitPoints::MOST as f64 {
             let what = format!("memory for {count:.0} samples of the boundary of {}", path.display());
             return Err(Error::Budget { what, needed: bytes, available: memory });
         }
+        let each = if several { each / DENSER } else { each };
         let (mut samples, mut before, mut k) = (vec![], 0.0, 0u64);
         for triangle in triangles {
             let p = corners(triangle);
             let area = area(p);
             while (k as f64 + 0.5) * each < before + area {
                 let u = (((k as f64 + 0.5) * each - before) / area).clamp(0.0, 1.0).sqrt();
-                let v = radical_inverse(2, k + 1).to_f64();
+                let v = if several { halves(k) } else { radical_inverse(2, k + 1).to_f64() };
                 let weights = [1.0 - u, u * (1.0 - v), u * v];
                 let [a, b, c, body] = *triangle;
-                samples.push((place(p, weights), OnBoundary { triangle: [a, b, c], body, weights }));
+                samples.push((rounded(mean(p, weights)), OnBoundary { triangle: [a, b, c], body, weights }));
                 k += 1;
             }
             before += area;
         }
-        Ok(Self::sorted(store.frame.lattice, spacing, samples))
+        let lattice = store.frame.lattice;
+        if several {
+            let free = samples.iter().step_by(DENSER as usize).map(|&(p, s)| (p, Sample::On(s)));
+            let free = Self::sorted(lattice, spacing, free.collect());
+            let split = Contacts { free: &free, store, lattice, spacing }.split(&samples)?;
+            return Ok(Self::sorted(lattice, spacing, split));
+        }
+        let samples = samples.into_iter().map(|(p, s)| (p, Sample::On(s))).collect();
+        Ok(Self::sorted(lattice, spacing, samples))
     }
 
-    fn sorted(lattice: Lattice, spacing: u32, samples: Vec<(LatticePos, OnBoundary)>) -> Self {
+    fn sorted(lattice: Lattice, spacing: u32, samples: Vec<(LatticePos, Sample)>) -> Self {
         let points = ExplicitPoints::new(&lattice, samples.iter().map(|s| s.0).collect());
         let mut first = vec![u32::MAX; points.positions().len()];
         for (i, sample) in samples.iter().enumerate() {
@@ -110,46 +130,59 @@ impl BoundarySamples {
     }
 
     /// The sample at a position.
-    pub(crate) fn at(&self, pos: LatticePos) -> Option<&OnBoundary> {
+    pub(crate) fn at(&self, pos: LatticePos) -> Option<&Sample> {
         self.points.find(pos).map(|i| &self.samples[i])
     }
 
-    /// The place of the boundary that is nearest to a position, if it is near: within [`NEAR`] of the mean distance. Only
-    /// triangles with a sample in the neighbourhood are looked at.
+    /// The place of the boundary that is nearest to a position, if it is near: within [`NEAR`] of the mean distance.
     pub(crate) fn near(&self, store: &CellStore, pos: LatticePos) -> Result<Option<OnBoundary>> {
+        self.nearest_of(store, pos, NEAR, |_, _| true)
+    }
+
+    /// The place of some triangles (three positions) of bodies that is nearest to a position, within so many mean distances. Only
+    /// triangles with a sample in the neighbourhood are looked at.
+    pub(super) fn nearest_of(
+        &self,
+        store: &CellStore,
+        pos: LatticePos,
+        within: f64,
+        accept: impl Fn(u64, [FinePos; 3]) -> bool,
+    ) -> Result<Option<OnBoundary>> {
         let spacing = f64::from(self.spacing);
         let around = LatticeBox { lo: pos, hi: pos.map(|c| c + 1) }
-            .grow_within([((NEAR + AROUND) * spacing) as u32; 3], &self.lattice.domain());
+            .grow_within([((within + AROUND) * spacing) as u32; 3], &self.lattice.domain());
         let mut triangles = vec![];
-        self.points.each_in(&around, |i| triangles.push((self.samples[i].body, self.samples[i].triangle)));
+        self.points.each_in(&around, |i| {
+            if let Sample::On(sample) = &self.samples[i] {
+                triangles.push((sample.body, sample.triangle));
+            }
+        });
         triangles.sort_unstable();
         triangles.dedup();
         let positions = store.positions.get()?;
-        let reach = NEAR * spacing * f64::from(1u32 << FINE_BITS);
+        let reach = within * spacing * f64::from(1u32 << FINE_BITS);
         let mut best: Option<(f64, OnBoundary)> = None;
         for (body, triangle) in triangles {
-            let (weights, distance2) = nearest(triangle.map(|v| positions[v as usize]), fine(pos));
+            let corners = triangle.map(|v| positions[v as usize]);
+            if !accept(body, corners) {
+                continue;
+            }
+            let (weights, distance2) = nearest(corners, fine(pos));
             if distance2 <= reach * reach && best.is_none_or(|(least, _)| distance2 < least) {
                 best = Some((distance2, OnBoundary { triangle, body, weights }));
             }
         }
         Ok(best.map(|(_, place)| place))
     }
-
-    /// A position on the fine lattice, moved by so many lattice steps out of the body, at a place of its boundary.
-    pub(crate) fn outwards(&self, store: &CellStore, pos: LatticePos, at: &OnBoundary) -> Result<FinePos> {
-        let positions = store.positions.get()?;
-        let [a, b, c] = at.triangle.map(|v| positions[v as usize]);
-        let n = cross(difference(b, a), difference(c, a));
-        let scale = OUT * f64::from(1u32 << FINE_BITS) / dot(n, n).sqrt();
-        let (from, max) = (fine(pos), self.lattice.max());
-        Ok(std::array::from_fn(|k| {
-            (from[k] + (n[k] * scale) as i64).clamp(0, i64::from(max[k]) << FINE_BITS)
-        }))
-    }
 }
 
-/// `b - a`, exactly.
+/// Radical inverses for the samples of even numbers, and half a turn from them for those of odd ones: either half is spread evenly.
+fn halves(k: u64) -> f64 {
+    let v = radical_inverse(2, k / 2 + 1).to_f64();
+    if k % 2 == 0 { v } else { (v + 0.5) % 1.0 }
+}
+
+/// `a - b`, exactly.
 pub(super) fn difference(a: FinePos, b: FinePos) -> [f64; 3] {
     std::array::from_fn(|k| (a[k] - b[k]) as f64)
 }
@@ -167,14 +200,18 @@ fn area([a, b, c]: [FinePos; 3]) -> f64 {
     dot(n, n).sqrt() / 2.0
 }
 
-/// The nearest lattice position of a weighted mean; it lies in the box as the corners do.
-fn place(corners: [FinePos; 3], weights: [f64; 3]) -> LatticePos {
+/// A weighted mean; it lies in the box as the corners do.
+pub(super) fn mean(corners: [FinePos; 3], weights: [f64; 3]) -> FinePos {
     let [a, b, c] = corners;
     let (ab, ac) = (difference(b, a), difference(c, a));
     std::array::from_fn(|k| {
         let fine = a[k] as f64 + weights[1] * ab[k] + weights[2] * ac[k];
         let (lo, hi) = (a[k].min(b[k]).min(c[k]), a[k].max(b[k]).max(c[k]));
-        let inside = (fine.round() as i64).clamp(lo, hi);
-        ((inside + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32
+        (fine.round() as i64).clamp(lo, hi)
     })
+}
+
+/// The nearest lattice position.
+pub(super) fn rounded(p: FinePos) -> LatticePos {
+    p.map(|c| ((c + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32)
 }

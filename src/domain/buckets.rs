@@ -9,7 +9,7 @@ use crate::grid::{BrickGrid, BrickId};
 use crate::locate::{CellBatch, FINE_BITS, FinePos};
 
 /// Cells handed out at a time.
-const BATCH: usize = 4096;
+pub(super) const BATCH: usize = 4096;
 
 /// For each brick, the numbers of the cells whose bounding box meets it, ascending.
 pub(crate) struct Buckets {
@@ -60,16 +60,10 @@ impl Buckets {
         batch: &mut CellBatch,
         mut visit: impl FnMut(&CellBatch),
     ) -> Result<()> {
-        let (starts, positions, tets) = (self.starts.get()?, store.positions.get()?, store.tets.get()?);
+        let starts = self.starts.get()?;
         let (from, to) = (starts[brick.0 as usize] as usize, starts[brick.0 as usize + 1] as usize);
         for cells in self.cells.get()?[from..to].chunks(BATCH) {
-            batch.clear();
-            for &cell in cells {
-                let first = batch.positions.len() as u32;
-                batch.positions.extend(tets[cell as usize].map(|v| positions[v as usize]));
-                batch.corners.push([first, first + 1, first + 2, first + 3]);
-                batch.ids.push(cell);
-            }
+            store.fill(batch, cells.iter().copied())?;
             visit(batch);
         }
         Ok(())

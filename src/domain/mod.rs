@@ -29,6 +29,7 @@ pub(crate) mod bodies;
 pub(crate) mod boundary;
 pub(crate) mod buckets;
 pub(crate) mod column;
+mod contact;
 pub(crate) mod frame;
 pub(crate) mod gradients;
 mod merge;

@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use crate::geom::LatticePos;
 use crate::geom::curve::hilbert_key;
-use crate::locate::{FINE_BITS, FinePos, volume6};
+use crate::locate::{CellBatch, FINE_BITS, FinePos, volume6};
 use serde::Serialize;
 use std::path::Path;
 
@@ -131,6 +131,19 @@ impl CellStore {
             }
         }
         Ok(column)
+    }
+
+    /// Puts tetrahedra into a batch, in place of what was there.
+    pub(super) fn fill(&self, batch: &mut CellBatch, tets: impl Iterator<Item = u64>) -> Result<()> {
+        let (positions, all) = (self.positions.get()?, self.tets.get()?);
+        batch.clear();
+        for tet in tets {
+            let first = batch.positions.len() as u32;
+            batch.positions.extend(all[tet as usize].map(|v| positions[v as usize]));
+            batch.corners.push([first, first + 1, first + 2, first + 3]);
+            batch.ids.push(tet);
+        }
+        Ok(())
     }
 
     /// The part of the box that the mesh fills.

@@ -3,7 +3,7 @@
 use super::chunk::MeshedChunk;
 use super::field::{Field, NO_BODY, Place, Placement, Spot, brick_order, by_brick};
 use super::measure::Originals;
-use crate::domain::boundary::{BoundarySamples, OnBoundary};
+use crate::domain::boundary::{BoundarySamples, OnBoundary, Sample};
 use crate::domain::buckets::Buckets;
 use crate::domain::column::Column;
 use crate::domain::store::CellStore;
@@ -67,20 +67,17 @@ impl CellField<'_> {
     ) -> Result<()> {
         let points: Vec<FinePos> = positions.iter().map(|&p| fine(p)).collect();
         let found = self.locate(brick, &points, batch)?;
-        let touched = self.touched(&found, positions, batch)?;
-        for ((found, touched), &pos) in found.iter().zip(&touched).zip(positions) {
+        for (found, &pos) in found.iter().zip(positions) {
             let sample = self.boundary.at(pos);
             let place = match sample {
-                _ if touched.is_some() => None,
-                // Rounding puts a sample beside the boundary; and where bodies touch it belongs to the first of them.
-                Some(sample) if sample.body < self.body(found)? => Some(*sample),
+                // Rounding puts a sample beside the boundary; where bodies overlap it belongs to the first of them.
+                Some(Sample::On(sample)) if sample.body < self.body(found)? => Some(*sample),
                 None if found.id == Found::NOWHERE => self.boundary.near(self.store, pos)?,
                 _ => None,
             };
-            out.push(match (place, touched) {
-                (Some(place), _) => Spot { at: Place::Boundary(place), body: place.body, rim: true },
-                (None, Some(first)) => self.spot(first, true)?,
-                (None, None) => self.spot(found, sample.is_some())?,
+            out.push(match place {
+                Some(place) => Spot { at: Place::Boundary(place), body: place.body, rim: true },
+                None => self.spot(found, sample.is_some())?,
             });
         }
         Ok(())
@@ -91,33 +88,6 @@ impl CellField<'_> {
             return Ok(Spot::default());
         }
         Ok(Spot { at: Place::Cell(*found), body: self.body(found)?, rim })
-    }
-
-    /// For each sample of the boundary of a body that an earlier body touches there, the place in that body.
-    fn touched(
-        &self,
-        found: &[Found],
-        positions: &[LatticePos],
-        batch: &mut CellBatch,
-    ) -> Result<Vec<Option<Found>>> {
-        let mut touched = vec![None; found.len()];
-        let (mut asked, mut points) = (vec![], vec![]);
-        for (i, (found, &pos)) in found.iter().zip(positions).enumerate() {
-            if let Some(sample) = self.boundary.at(pos)
-                && sample.body > 0
-                && sample.body <= self.body(found)?
-            {
-                asked.push(i);
-                points.push(self.boundary.outwards(self.store, pos, sample)?);
-            }
-        }
-        for (i, first) in asked.into_iter().zip(self.locate_anywhere(&points, batch)?) {
-            let sample = self.boundary.at(positions[i]).expect("asked of samples only");
-            if self.body(&first)? < sample.body {
-                touched[i] = Some(first);
-            }
-        }
-        Ok(touched)
     }
 
     /// The body of the cell found; [`NO_BODY`] of none.

@@ -1,0 +1,131 @@
+//! Where two bodies touch: samples of their boundaries, on both sides.
+//!
+//! A point of the reduction has one value, and a tetrahedron with corners in two bodies is left out. Were the face at which bodies touch sampled
+//! like a free one, its samples would belong to one body, and the other one would end at its last points inside. Were it
+//! sampled for each body by itself, the samples of one would lie in the spheres of the other's tetrahedra, and many of those would be lost. So
+//! samples there come **in pairs**, one over the other:
+//!
+//! ```text
+//!            A        ╲ │ ╱           A sphere through three samples of A that is centred in A, or not too far beyond, holds
+//!    ·───────·───────·───────·        no partner of theirs: the partners lie outside of the circle in which the sphere
+//!    ·───────·───────·───────·        meets their sheet. What is left out is thin, but where a point inside is closer
+//!            B        ╱ │ ╲           to the sheet than the samples to each other: so those are denser here.
+//! ```
+//!
+//! # How does it work?
+//!
+//! Bodies need not share faces, and surfaces that are meant to be one differ by roundings, or as a fine and a coarse approximation do. So for
+//! each sample the nearest place is looked for on triangles of other bodies that **face** it (with normals on opposite sides), within half a
+//! mean distance. If its body is a later one, the sample becomes a pair: it stays, a little inside of its body, and the place found, a little
+//! inside of the other one, is its partner; where the bodies overlap the first of them keeps its boundary, and
+//! the partner lies just beyond. If the body is an earlier one, the sample is dropped: those of that body bring partners.
+//!
+//! Where bodies overlap deeper, the first one ends at its boundary within the later one. So of samples without such a place it is
+//! asked which body has the point just beyond (all cells stream past once, [`PointGrid`]): a later one gets a partner there, and in an earlier one the
+//! sample is dropped.
+
+use super::boundary::{BoundarySamples, DENSER, OnBoundary, Sample, cross, difference, dot, mean, rounded};
+use super::buckets::BATCH;
+use super::store::CellStore;
+use crate::error::Result;
+use crate::geom::{Lattice, LatticePos};
+use crate::locate::{CellBatch, FINE_BITS, FinePos, Found, PointGrid, fine};
+
+/// Boundaries touch within so many mean distances.
+const TOUCH: f64 = 0.5;
+/// How far a sample is moved into its body: this part of the mean distance, and at least so many lattice steps, more than rounding moves it.
+const INTO: (f64, f64) = (1.0 / 128.0, 4.0);
+
+/// The boundary of several bodies.
+pub(super) struct Contacts<'a> {
+    /// Its samples as if no bodies touched, to find places near others.
+    pub(super) free: &'a BoundarySamples,
+    pub(super) store: &'a CellStore,
+    pub(super) lattice: Lattice,
+    /// Mean distance of the points inside, in lattice steps.
+    pub(super) spacing: u32,
+}
+
+/// A sample, as a place and a direction.
+struct Placed {
+    sample: OnBoundary,
+    at: FinePos,
+    /// Out of the body.
+    normal: [f64; 3],
+}
+
+impl Contacts<'_> {
+    /// Makes pairs of samples at places where bodies touch or overlap; of the others only those of the density of free boundaries stay.
+    pub(super) fn split(&self, samples: &[(LatticePos, OnBoundary)]) -> Result<Vec<(LatticePos, Sample)>> {
+        let (mut split, mut alone, mut beyond) = (vec![], vec![], vec![]);
+        for (k, &(pos, sample)) in samples.iter().enumerate() {
+            let placed = self.placed(sample)?;
+            match self.facing(pos, &placed)? {
+                Some(other) if other.body < sample.body => {}
+                Some(other) => split.extend(self.pair(&placed, &self.placed(other)?)),
+                None => {
+                    beyond.push(fine(self.moved(&placed, 1.0)));
+                    alone.push((k, pos, placed));
+                }
+            }
+        }
+        for ((k, pos, placed), found) in alone.iter().zip(self.locate(&beyond)?) {
+            let body = if found.id == Found::NOWHERE { None } else { Some(self.store.bodies.of(found.id)?) };
+            match body {
+                Some(body) if body < placed.sample.body => {}
+                Some(body) if body > placed.sample.body => {
+                    split.push((self.moved(placed, -1.0), Sample::On(placed.sample)));
+                    split.push((self.moved(placed, 1.0), Sample::Beside));
+                }
+                _ if k % DENSER as usize == 0 => split.push((*pos, Sample::On(placed.sample))),
+                _ => {}
+            }
+        }
+        Ok(split)
+    }
+
+    fn placed(&self, sample: OnBoundary) -> Result<Placed> {
+        let positions = self.store.positions.get()?;
+        let corners = sample.triangle.map(|v| positions[v as usize]);
+        Ok(Placed { sample, at: mean(corners, sample.weights), normal: normal(corners) })
+    }
+
+    /// The nearest place of the boundary of another body that faces a sample.
+    fn facing(&self, pos: LatticePos, of: &Placed) -> Result<Option<OnBoundary>> {
+        self.free.nearest_of(self.store, pos, TOUCH, |body, corners| {
+            body != of.sample.body && dot(normal(corners), of.normal) < 0.0
+        })
+    }
+
+    /// Two places that touch, each moved into its body; the second one beyond the first one at least.
+    fn pair(&self, first: &Placed, second: &Placed) -> [(LatticePos, Sample); 2] {
+        let overlap = dot(difference(second.at, first.at), first.normal) < 0.0;
+        let partner = if overlap { self.moved(first, 1.0) } else { self.moved(second, -1.0) };
+        [(self.moved(first, -1.0), Sample::On(first.sample)), (partner, Sample::On(second.sample))]
+    }
+
+    /// A place moved by so many times [`INTO`] out of its body, within the box.
+    fn moved(&self, from: &Placed, times: f64) -> LatticePos {
+        let steps = (INTO.0 * f64::from(self.spacing)).max(INTO.1);
+        let n = from.normal;
+        let scale = times * steps * f64::from(1u32 << FINE_BITS) / dot(n, n).sqrt();
+        let most = fine(self.lattice.max());
+        rounded(std::array::from_fn(|k| (from.at[k] + (n[k] * scale) as i64).clamp(0, most[k])))
+    }
+
+    /// The cells of the lowest numbers that hold points, which may lie anywhere.
+    fn locate(&self, points: &[FinePos]) -> Result<Vec<Found>> {
+        let (grid, mut found) = (PointGrid::new(points), vec![Found::default(); points.len()]);
+        let (tets, mut batch) = (self.store.tets.get()?.len() as u64, CellBatch::default());
+        for first in (0..tets).step_by(BATCH) {
+            self.store.fill(&mut batch, first..tets.min(first + BATCH as u64))?;
+            grid.locate(&batch, &mut found);
+        }
+        Ok(found)
+    }
+}
+
+/// A normal of a triangle that is counter-clockwise seen from outside: outwards, twice the area long.
+fn normal([a, b, c]: [FinePos; 3]) -> [f64; 3] {
+    cross(difference(b, a), difference(c, a))
+}
