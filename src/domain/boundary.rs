@@ -179,7 +179,7 @@ impl BoundarySamples {
 /// Radical inverses for the samples of even numbers, and half a turn from them for those of odd ones: either half is spread evenly.
 fn halves(k: u64) -> f64 {
     let v = radical_inverse(2, k / 2 + 1).to_f64();
-    if k % 2 == 0 { v } else { (v + 0.5) % 1.0 }
+    if k.is_multiple_of(2) { v } else { (v + 0.5) % 1.0 }
 }
 
 /// `a - b`, exactly.

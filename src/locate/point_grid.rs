@@ -4,13 +4,14 @@
 //!   ┌───┬───┬───┬───┐     the points of a row of grid cells are one run of memory, so a
 //!   │ · │   │·  │ · │     tetrahedron reads one run for each row that its bounding box meets
 //!   ├───┼──╱╲───┼───┤
-//!   │   │·╱ ·╲  │ · │     most boxes meet a few cells, most of those few have no point:
-//!   ├───┼╱────╲─┼───┤     that is a subtraction of two numbers
-//!   │ · ╱───────╲   │
+//!   │   │·╱ ·╲  │ · │     eight points of a run at a time are held against the planes of its
+//!   ├───┼╱────╲─┼───┤     faces, in f32: most are surely outside, and few that are not are in
+//!   │ · ╱───────╲   │     the tetrahedron's exact test for nothing
 //!   └───┴───┴───┴───┘
 //! ```
 
 use super::{CellBatch, FinePos, Found, keep, minus, weights};
+use crate::exec::with_vectors;
 
 /// Points to be located, sorted into a grid.
 #[derive(Clone, Debug)]
@@ -26,12 +27,16 @@ pub struct PointGrid {
     starts: Vec<u32>,
     /// Positions, by grid cell.
     sorted: Vec<FinePos>,
+    /// The same from `lo`, rounded, as columns; some points more than there are, so that the last can be read as one of eight.
+    columns: [Vec<f32>; 3],
     /// Their numbers.
     numbers: Vec<u32>,
 }
 
 /// Points a grid cell, about, at the least.
-const POINTS_A_CELL: usize = 1;
+const POINTS_A_CELL: usize = 2;
+/// Points that are held against planes at a time.
+const LANES: usize = 8;
 
 impl PointGrid {
     /// Sorts points into a grid, in time proportional to their number; fewer than 2^32.
@@ -46,8 +51,9 @@ impl PointGrid {
         let product = |d: [usize; 3]| d.iter().map(|&n| n as u128).product::<u128>();
         let most = (points.len() / POINTS_A_CELL).max(1) as u128;
         let shift = (0..40).find(|&s| product(cells_at(s)) <= most).unwrap_or(40);
-        let mut grid =
-            Self { lo, hi, shift, dims: cells_at(shift), starts: vec![], sorted: vec![], numbers: vec![] };
+        let dims = cells_at(shift);
+        let columns = [(); 3].map(|()| vec![0.0; points.len() + LANES]);
+        let mut grid = Self { lo, hi, shift, dims, starts: vec![], sorted: vec![], columns, numbers: vec![] };
         grid.fill(points);
         grid
     }
@@ -75,23 +81,31 @@ impl PointGrid {
             self.sorted[at] = *p;
             self.numbers[at] = i as u32;
         }
+        for (a, column) in self.columns.iter_mut().enumerate() {
+            column.iter_mut().zip(&self.sorted).for_each(|(x, p)| *x = (p[a] - self.lo[a]) as f32);
+        }
     }
 
     /// Looks for each point in the cells of a batch; `found[i]` keeps the answer of the lowest id for point i.
     pub fn locate(&self, cells: &CellBatch, found: &mut [Found]) {
         assert_eq!(found.len(), self.numbers.len(), "an answer for each point");
-        if found.is_empty() {
-            return;
+        if !found.is_empty() {
+            with_vectors(|| self.locate_all(cells, found));
         }
+    }
+
+    #[inline(always)]
+    fn locate_all(&self, cells: &CellBatch, found: &mut [Found]) {
+        let size = minus(self.hi, self.lo).map(|x| x as f64);
         for (cell, &id) in cells.ids.iter().enumerate() {
-            self.locate_cell(cells.corners_of(cell), |number, weights| {
+            self.locate_cell(cells.corners_of(cell), size, |number, weights| {
                 keep(&mut found[number], id, cell, weights)
             });
         }
     }
 
     /// The range of grid cells on each axis that a tetrahedron's bounding box meets; `None` if it meets none.
-    #[inline]
+    #[inline(always)]
     fn reach(&self, lo: FinePos, hi: FinePos) -> Option<[(usize, usize); 3]> {
         let mut reach = [(0, 0); 3];
         for a in 0..3 {
@@ -105,72 +119,94 @@ impl PointGrid {
         Some(reach)
     }
 
-    #[inline]
-    fn locate_cell(&self, corners: [FinePos; 4], mut hit: impl FnMut(usize, [f64; 4])) {
+    #[inline(always)]
+    fn locate_cell(&self, corners: [FinePos; 4], size: [f64; 3], mut hit: impl FnMut(usize, [f64; 4])) {
         let [a, b, c, d] = corners;
         let lo: FinePos = std::array::from_fn(|k| a[k].min(b[k]).min(c[k].min(d[k])));
         let hi: FinePos = std::array::from_fn(|k| a[k].max(b[k]).max(c[k].max(d[k])));
         let Some([x, y, z]) = self.reach(lo, hi) else { return };
-        // Made when the first point lies in the box.
-        let mut faces = None;
+        // Made for the first run that has points.
+        let mut planes = None;
         for row_z in z.0..=z.1 {
             for row_y in y.0..=y.1 {
                 let row = (row_z * self.dims[1] + row_y) * self.dims[0];
-                let (from, to) = (self.starts[row + x.0] as usize, self.starts[row + x.1 + 1] as usize);
-                for at in from..to {
-                    let p = self.sorted[at];
-                    // Without branches but the one at the end: most points near a cell are beside it.
-                    let within = (lo[0] <= p[0]) & (p[0] <= hi[0]) & (lo[1] <= p[1]) & (p[1] <= hi[1]);
-                    let within = within & (lo[2] <= p[2]) & (p[2] <= hi[2]);
-                    if !within || faces.get_or_insert_with(|| Faces::new(corners, lo, hi)).is_outside(p) {
-                        continue;
+                let (mut at, to) = (self.starts[row + x.0] as usize, self.starts[row + x.1 + 1] as usize);
+                if at == to {
+                    continue;
+                }
+                let planes = planes.get_or_insert_with(|| Planes::new(corners, self.lo, minus(hi, lo), size));
+                while at < to {
+                    let run = &self.columns;
+                    let eight =
+                        |k: usize| run[k][at..at + LANES].first_chunk().expect("some more than points");
+                    let mut left = planes.not_outside([eight(0), eight(1), eight(2)]);
+                    left &= !(u32::MAX << (to - at).min(LANES));
+                    while left != 0 {
+                        let i = at + left.trailing_zeros() as usize;
+                        left &= left - 1;
+                        if let Some(weights) = weights(corners, self.sorted[i]) {
+                            hit(self.numbers[i] as usize, weights);
+                        }
                     }
-                    if let Some(weights) = weights(corners, p) {
-                        hit(self.numbers[at] as usize, weights);
-                    }
+                    at += LANES;
                 }
             }
         }
     }
 }
 
-/// The faces of a tetrahedron, to throw out points of its bounding box that are surely outside: three in four or more.
-struct Faces {
-    /// Inner normals, twice the area long.
-    normals: [[f64; 3]; 4],
-    /// A corner of each face.
-    corners: [FinePos; 4],
-    margin: f64,
+/// The planes of a tetrahedron's faces, to throw out points that are surely outside.
+struct Planes {
+    /// Inner normals, twice the area long; by axis.
+    normals: [[f32; 4]; 3],
+    /// A point with a smaller product with the normal is outside.
+    least: [f32; 4],
 }
 
-impl Faces {
-    /// The faces of a positively oriented tetrahedron with the bounding box `lo` to `hi`.
+impl Planes {
+    /// The planes of a positively oriented tetrahedron whose bounding box is `sides` long and meets that of the points, which begins at `lo`
+    /// and is `size` long.
     ///
     /// # The margin
-    /// With P the product of the box's lengths and u = 2^-53: differences are exact; a component of a normal has two products and an error of at
-    /// most 4u of their bounds, so a product with a difference, of a point in the box, one of 5u·2P, and their sum one of 30u·P and 2u·6P for
-    /// the additions. 64u·P is more.
-    fn new([a, b, c, d]: [FinePos; 4], lo: FinePos, hi: FinePos) -> Self {
-        const U: f64 = 1.0 / (1u64 << 53) as f64;
-        let normal = |p: FinePos, q: FinePos, r: FinePos| {
-            let (u, v) = (minus(q, p).map(|x| x as f64), minus(r, p).map(|x| x as f64));
-            [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+    /// Let L be the lengths of the tetrahedron's box and D those of both boxes together. A component of a normal is at most B_x = 2·L_y·L_z, and so on; a
+    /// coordinate of a point or a corner less `lo`, at most D. With W = Σ B·D and u = 2^-24 the errors in f32 are: of the points' coordinates, of the normals, of
+    /// the three products and of `least` at most u·W each, of the two sums u·W each; those in f64 are below 2^-48·W. 8u·W is more than all of them and what
+    /// they do to each other. The largest number is W < 2^119.
+    #[inline(always)]
+    fn new([a, b, c, d]: [FinePos; 4], lo: FinePos, sides: [i64; 3], size: [f64; 3]) -> Self {
+        const U: f64 = 1.0 / (1u32 << 24) as f64;
+        let [u, v, w] = [b, c, d].map(|p| minus(p, a).map(|x| x as f64));
+        let cross = |p: [f64; 3], q: [f64; 3]| {
+            [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
         };
-        let lengths = minus(hi, lo).map(|x| x as f64);
+        // The fourth is what the others lack of a closed surface.
+        let (of_b, of_c, of_d) = (cross(v, w), cross(w, u), cross(u, v));
+        let of_a: [f64; 3] = std::array::from_fn(|k| -(of_b[k] + of_c[k] + of_d[k]));
+        let sides = sides.map(|x| x as f64);
+        let wide: f64 =
+            (0..3).map(|k| 2.0 * sides[(k + 1) % 3] * sides[(k + 2) % 3] * (size[k] + sides[k])).sum();
+        let (at_a, at_b) = (minus(a, lo).map(|x| x as f64), minus(b, lo).map(|x| x as f64));
+        let least =
+            |n: [f64; 3], at: [f64; 3]| (n[0] * at[0] + n[1] * at[1] + n[2] * at[2] - 8.0 * U * wide) as f32;
         Self {
-            normals: [normal(b, d, c), normal(a, c, d), normal(a, d, b), normal(a, b, c)],
-            corners: [b, a, a, a],
-            margin: 64.0 * U * lengths[0] * lengths[1] * lengths[2],
+            normals: [0, 1, 2].map(|k| [of_a[k] as f32, of_b[k] as f32, of_c[k] as f32, of_d[k] as f32]),
+            least: [least(of_a, at_b), least(of_b, at_a), least(of_c, at_a), least(of_d, at_a)],
         }
     }
 
-    /// Whether a point of the box is outside; false also where rounding cannot tell.
-    #[inline]
-    fn is_outside(&self, p: FinePos) -> bool {
-        let side = |i: usize| {
-            let (n, to) = (&self.normals[i], minus(p, self.corners[i]).map(|x| x as f64));
-            n[0] * to[0] + n[1] * to[1] + n[2] * to[2] < -self.margin
-        };
-        side(0) | side(1) | side(2) | side(3)
+    /// Bit i is clear where point i is outside.
+    #[inline(always)]
+    fn not_outside(&self, [x, y, z]: [&[f32; LANES]; 3]) -> u32 {
+        // One instruction, as nothing is NaN here.
+        let least = |a: f32, b: f32| if a < b { a } else { b };
+        let mut over = [0.0f32; LANES];
+        for i in 0..LANES {
+            let side = |f: usize| {
+                self.normals[0][f] * x[i] + self.normals[1][f] * y[i] + self.normals[2][f] * z[i]
+                    - self.least[f]
+            };
+            over[i] = least(least(side(0), side(1)), least(side(2), side(3)));
+        }
+        (0..LANES).map(|i| u32::from(over[i] >= 0.0) << i).sum()
     }
 }
