@@ -4,7 +4,7 @@
 //! 705 894. Uniform random points are no point set of isospan's, as no box could list its own; here they are few, and
 //! the stages are called one by one: points, mesh, values, surface.
 
-use crate::data::tets::TetMesh;
+use crate::data::tets::{FACES, TetMesh, cross, dot, minus, volume6};
 use isospan::Result;
 use isospan::geom::curve::Order;
 use isospan::geom::{Lattice, LatticePos, PointClass, PointId, Site};
@@ -17,7 +17,6 @@ use isospan::sample::{Interpolation, VoxelBlock, sample};
 use isospan::surface::marching_tets::{CellSource, ChunkSurface, extract};
 use isospan::surface::weld::{BuilderSettings, SurfaceBuilder};
 use isospan::surface::{TriMesh, WorldMap};
-use std::time::Instant;
 
 /// A field, linear in each tetrahedron.
 pub(crate) struct TetField {
@@ -25,14 +24,8 @@ pub(crate) struct TetField {
     geometry: Geometry,
     positions: Vec<LatticePos>,
     values: Vec<f32>,
+    /// Corners, as numbers of positions.
     pub(crate) tets: Vec<Tet>,
-}
-
-/// A field on uniform random points, with the seconds of its stages.
-pub(crate) struct Random {
-    pub(crate) field: TetField,
-    pub(crate) mesh_seconds: f64,
-    pub(crate) sample_seconds: f64,
 }
 
 impl TetField {
@@ -105,70 +98,166 @@ impl TetField {
         TriMesh::from_source(&builder.finish()?)
     }
 
-    /// The field at the samples of a cube of which `self` fills the whole.
-    pub(crate) fn at_samples(&self, side: usize) -> Vec<f32> {
-        let of = |n: usize| [n % side, n / side % side, n / side / side].map(|i| i as u64);
-        let points: Vec<FinePos> = (0..side.pow(3)).map(|n| fine(self.lattice.of_voxel(of(n)))).collect();
+    /// The field at the vertices of another one on the same lattice; NaN where there is no tetrahedron.
+    pub(crate) fn at(&self, other: &Self) -> Vec<f32> {
+        let points: Vec<FinePos> = other.positions.iter().map(|&p| fine(p)).collect();
+        self.located(&points).iter().map(|f| self.value(f)).collect()
+    }
+
+    fn located(&self, points: &[FinePos]) -> Vec<Found> {
         let cells = CellBatch {
             positions: self.positions.iter().map(|&p| fine(p)).collect(),
             corners: self.tets.clone(),
             ids: (0..self.tets.len() as u64).collect(),
         };
         let mut found = vec![Found::default(); points.len()];
-        PointGrid::new(&points).locate(&cells, &mut found);
-        let value = |f: &Found| match f.id {
+        PointGrid::new(points).locate(&cells, &mut found);
+        found
+    }
+
+    fn value(&self, at: &Found) -> f32 {
+        match at.id {
             Found::NOWHERE => f32::NAN,
-            id => {
-                linear(&f.weights, &self.tets[id as usize].map(|v| f64::from(self.values[v as usize]))) as f32
-            }
+            id => linear(&at.weights, &self.tets[id as usize].map(|v| f64::from(self.values[v as usize])))
+                as f32,
+        }
+    }
+
+    /// Values and corners of the tetrahedra, those that are close one after another.
+    pub(crate) fn along_a_curve(&self) -> (&[f32], Vec<Tet>) {
+        let order = Order::for_count(self.positions.len() as u64);
+        let mut tets = self.tets.clone();
+        tets.sort_by_cached_key(|t| order.key(self.positions[t[0] as usize]));
+        (&self.values, tets)
+    }
+
+    /// The volume of all tetrahedra, in cubes of lattice steps.
+    fn volume(&self) -> f64 {
+        let corners = |t: &Tet| t.map(|v| self.positions[v as usize].map(f64::from));
+        self.tets.iter().map(|t| volume6(corners(t)) / 6.0).sum()
+    }
+
+    /// The triangles of one tetrahedron only.
+    fn boundary(&self) -> Vec<[u32; 3]> {
+        let face = |t: &Tet, f: [usize; 3]| {
+            let corners = f.map(|i| t[i]);
+            let mut sorted = corners;
+            sorted.sort_unstable();
+            (sorted, corners)
         };
-        found.iter().map(value).collect()
+        let mut faces: Vec<_> = self.tets.iter().flat_map(|t| FACES.map(|f| face(t, f))).collect();
+        faces.sort_unstable();
+        faces.chunk_by(|a, b| a.0 == b.0).filter(|same| same.len() == 1).map(|same| same[0].1).collect()
     }
 }
 
 /// A cube of samples, interpolated linearly at uniform random points and meshed; the boundary has the samples of a Hammersley set.
-pub(crate) fn uniform(side: usize, geometry: Geometry, samples: &[f32], count: u64) -> Result<Random> {
+pub(crate) fn uniform(side: usize, geometry: Geometry, samples: &[f32], count: u64) -> Result<TetField> {
     let lattice = Lattice::new([side as u64; 3])?;
-    let started = Instant::now();
-    let positions = random_positions(&lattice, count)?;
-    let mut mesher = Mesher::new();
-    mesher.delaunay(&positions, &Order::for_count(positions.len() as u64))?;
-    let mut tets = vec![];
-    mesher.for_each_tet(|tet| tets.push(tet));
-    let mesh_seconds = started.elapsed().as_secs_f64();
-    let sampling = Instant::now();
-    let block = VoxelBlock { voxels: IndexBox::whole(lattice.dims), values: samples };
-    let mut values = vec![];
-    sample(Interpolation::Linear, &lattice, &block, &positions, &mut values);
-    let sample_seconds = sampling.elapsed().as_secs_f64();
-    Ok(Random {
-        field: TetField { lattice, geometry, positions, values, tets },
-        mesh_seconds,
-        sample_seconds,
-    })
-}
-
-fn random_positions(lattice: &Lattice, count: u64) -> Result<Vec<LatticePos>> {
-    let frame = PointSet::new(PointSpec::Hammersley { n: count, shift: 0.5 }, *lattice)?;
+    let frame = PointSet::new(PointSpec::Hammersley { n: count, shift: 0.5 }, lattice)?;
     let mut sites: Vec<Site> = vec![];
     frame.sites_in(&lattice.domain(), &mut sites);
     sites.retain(|s| s.id.class() != Some(PointClass::Interior));
     let mut positions: Vec<LatticePos> = sites.iter().map(|s| s.pos).collect();
-    let max = lattice.max();
-    let mut state = 0;
-    for _ in 0..count {
-        positions.push(max.map(|m| ((u128::from(next(&mut state)) * u128::from(m + 1)) >> 64) as u32));
+    let mut random = Random::default();
+    positions.extend((0..count).map(|_| random.position(&lattice)));
+    let block = VoxelBlock { voxels: IndexBox::whole(lattice.dims), values: samples };
+    let mut values = vec![];
+    sample(Interpolation::Linear, &lattice, &block, &positions, &mut values);
+    let tets = delaunay(&positions)?;
+    Ok(TetField { lattice, geometry, positions, values, tets })
+}
+
+/// Random samples of the boundary of a mesh by square of the mean distance of the points inside: as many as isospan's.
+const BOUNDARY_DENSITY: f64 = 2.0;
+
+/// A mesh, interpolated linearly at uniform random points in it and at uniform random points of its boundary; of their tetrahedra those are kept whose
+/// centroid is in the mesh.
+pub(crate) fn uniform_in(mesh: &TetField, count: u64) -> Result<TetField> {
+    let mut random = Random::default();
+    let (mut positions, mut values) = mesh.on_boundary(count, &mut random);
+    let wanted = positions.len() + count as usize;
+    while positions.len() < wanted {
+        let tried: Vec<LatticePos> = (0..count.max(1000)).map(|_| random.position(&mesh.lattice)).collect();
+        let found = mesh.located(&tried.iter().map(|&p| fine(p)).collect::<Vec<_>>());
+        let inside = tried.into_iter().zip(&found).filter(|(_, f)| f.id != Found::NOWHERE);
+        for (position, found) in inside.take(wanted - positions.len()) {
+            positions.push(position);
+            values.push(mesh.value(found));
+        }
     }
-    Ok(positions)
+    let all = delaunay(&positions)?;
+    let centroid = |t: &Tet| -> FinePos {
+        let corners = t.map(|v| fine(positions[v as usize]));
+        std::array::from_fn(|k| corners.iter().map(|c| c[k]).sum::<i64>() / 4)
+    };
+    let found = mesh.located(&all.iter().map(centroid).collect::<Vec<_>>());
+    let inside = all.iter().zip(&found).filter(|(_, f)| f.id != Found::NOWHERE);
+    let tets = inside.map(|(t, _)| *t).collect();
+    Ok(TetField { lattice: mesh.lattice, geometry: mesh.geometry, positions, values, tets })
+}
+
+impl TetField {
+    /// Random points of the boundary, with their values, for so many points inside.
+    fn on_boundary(&self, inside: u64, random: &mut Random) -> (Vec<LatticePos>, Vec<f32>) {
+        let faces = self.boundary();
+        let corners = |f: &[u32; 3]| f.map(|v| self.positions[v as usize].map(f64::from));
+        let area = |f: &[u32; 3]| {
+            let [a, b, c] = corners(f);
+            let n = cross(minus(b, a), minus(c, a));
+            dot(n, n).sqrt() / 2.0
+        };
+        let mut sums = vec![0.0];
+        faces.iter().for_each(|f| sums.push(sums[sums.len() - 1] + area(f)));
+        let total = sums[faces.len()];
+        let spacing = libm::cbrt(self.volume() / inside as f64);
+        let count = (BOUNDARY_DENSITY * total / (spacing * spacing)).round() as usize;
+        let mut out = (vec![], vec![]);
+        for _ in 0..count {
+            let at = random.unit() * total;
+            let face = faces[sums.partition_point(|&s| s <= at).clamp(1, faces.len()) - 1];
+            let (u, v) = (random.unit().sqrt(), random.unit());
+            let weights = [1.0 - u, u * (1.0 - v), u * v];
+            let [a, b, c] = corners(&face);
+            let place = |k: usize| weights[0] * a[k] + weights[1] * b[k] + weights[2] * c[k];
+            out.0.push(std::array::from_fn(|k| place(k).round() as u32));
+            let values = face.map(|v| f64::from(self.values[v as usize]));
+            out.1.push((0..3).map(|i| weights[i] * values[i]).sum::<f64>() as f32);
+        }
+        out
+    }
+}
+
+fn delaunay(positions: &[LatticePos]) -> Result<Vec<Tet>> {
+    let mut mesher = Mesher::new();
+    mesher.delaunay(positions, &Order::for_count(positions.len() as u64))?;
+    let mut tets = vec![];
+    mesher.for_each_tet(|tet| tets.push(tet));
+    Ok(tets)
 }
 
 /// SplitMix64 (Steele, Lea and Flood 2014).
-fn next(state: &mut u64) -> u64 {
-    *state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-    let mut z = *state;
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
+#[derive(Default)]
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    /// From 0 to below 1.
+    fn unit(&mut self) -> f64 {
+        (self.next() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// A position of the domain.
+    fn position(&mut self, lattice: &Lattice) -> LatticePos {
+        lattice.max().map(|m| ((u128::from(self.next()) * u128::from(m + 1)) >> 64) as u32)
+    }
 }
 
 #[cfg(test)]
@@ -210,10 +299,29 @@ mod tests {
     fn random_points_fill_the_box() {
         let (geometry, samples) = sphere(20);
         let random = uniform(20, geometry, &samples, 2_000).unwrap();
-        let back = random.field.at_samples(20);
+        let back = random.at(&TetField::of_grid(20, geometry, &samples).unwrap());
         assert!(back.iter().all(|v| v.is_finite()), "every sample lies in a tetrahedron");
         let worst = back.iter().zip(&samples).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(worst < 0.06, "{worst}");
-        assert!(check(&random.field.surface(0.0).unwrap()).is_closed());
+        assert!(check(&random.surface(0.0).unwrap()).is_closed());
+    }
+
+    #[test]
+    fn random_points_fill_a_mesh() {
+        let (geometry, samples) = sphere(12);
+        let mesh = TetField::of_grid(12, geometry, &samples).unwrap();
+        let random = uniform_in(&mesh, 3_000).unwrap();
+        // Two samples by square of the spacing on six faces.
+        let boundary = 2.0 * 6.0 * libm::cbrt(3_000f64 * 3_000.0);
+        assert!((random.point_count() as f64 - 3_000.0 - boundary).abs() < 2.0);
+        let share = random.volume() / mesh.volume();
+        assert!((0.97..1.0001).contains(&share), "{share}");
+        let back = random.at(&mesh);
+        let outside = back.iter().filter(|v| v.is_nan()).count();
+        assert!(outside < samples.len() / 3, "{outside}: the mesh's own boundary alone");
+        let pairs = back.iter().zip(&samples).filter(|(b, _)| !b.is_nan());
+        let worst = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(worst < 0.1, "{worst}");
+        assert!(check(&random.surface(0.0).unwrap()).is_closed());
     }
 }

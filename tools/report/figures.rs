@@ -3,7 +3,7 @@
 use crate::data::Dataset;
 use crate::document::Picture;
 use crate::plots::{Chart, Line, write, write_points};
-use crate::runs::{How, Lab, Outcome, Points};
+use crate::runs::{How, Lab, Outcome, Points, Times};
 use crate::tables::{PARTS, STRUCTURED, UNSTRUCTURED};
 use isospan::Result;
 use isospan::points::PointSpec;
@@ -48,14 +48,14 @@ pub(crate) fn times(lab: &mut Lab, folder: &Path) -> Result<Vec<Picture>> {
     for (number, datasets, caption) in all {
         let mut charts = vec![];
         for &dataset in datasets {
-            let outcomes = parts(lab, dataset, Points::Hammersley)?;
+            let times = times_of_parts(lab, dataset)?;
             // Figure 4.13 has the part of the points on its axis.
             let part = number == "4.13";
             let original = lab.original(dataset).map_or(1.0, |o| o.size() as f64);
-            let x = |o: &Outcome| if part { o.asked as f64 / original } else { o.points as f64 };
+            let x = |t: &Times| if part { t.asked as f64 / original } else { t.points as f64 };
             let lines = vec![
-                line("interpolation", &outcomes, x, |o| o.sample_seconds),
-                line("isosurface extraction", &outcomes, x, |o| o.extract_seconds),
+                line("interpolation", &times, x, |t| t.sample),
+                line("isosurface extraction", &times, x, |t| t.extract),
             ];
             let x = if part { "part of the original data" } else { "number of points" };
             charts.push(Chart {
@@ -81,11 +81,25 @@ fn parts(lab: &mut Lab, dataset: Dataset, points: Points) -> Result<Vec<Outcome>
     Ok(out)
 }
 
-fn line(name: &str, outcomes: &[Outcome], x: impl Fn(&Outcome) -> f64, y: impl Fn(&Outcome) -> f64) -> Line {
-    Line { name: name.into(), points: outcomes.iter().map(|o| (x(o), y(o))).collect() }
+/// Hammersley's times of all parts, the fewest points first.
+fn times_of_parts(lab: &mut Lab, dataset: Dataset) -> Result<Vec<Times>> {
+    let mut out = vec![];
+    for part in PARTS.into_iter().rev() {
+        out.extend(lab.times_of_part(dataset, Points::Hammersley, part, How::Linear)?);
+    }
+    Ok(out)
 }
 
-fn chart_of(number: &str, caption: &str, charts: Vec<Chart>, folder: &Path) -> Result<Option<Picture>> {
+fn line<T>(name: &str, all: &[T], x: impl Fn(&T) -> f64, y: impl Fn(&T) -> f64) -> Line {
+    Line { name: name.into(), points: all.iter().map(|o| (x(o), y(o))).collect(), dashed: false }
+}
+
+pub(crate) fn chart_of(
+    number: &str,
+    caption: &str,
+    charts: Vec<Chart>,
+    folder: &Path,
+) -> Result<Option<Picture>> {
     let charts: Vec<Chart> =
         charts.into_iter().filter(|c| c.lines.iter().any(|l| !l.points.is_empty())).collect();
     if charts.is_empty() {
@@ -119,7 +133,7 @@ pub(crate) fn slopes(lab: &mut Lab, folder: &Path) -> Result<Vec<Picture>> {
             let mut lines = vec![];
             for points in Points::ALL {
                 let outcomes = parts(lab, dataset, points)?;
-                lines.push(line(points.name(), &outcomes, |o| o.points as f64, measure));
+                lines.push(line(points.name(), &outcomes, |o: &Outcome| o.points as f64, measure));
             }
             lines.retain(|l| !l.points.is_empty());
             charts.push(Chart {
@@ -143,12 +157,12 @@ pub(crate) fn slopes(lab: &mut Lab, folder: &Path) -> Result<Vec<Picture>> {
 }
 
 pub(crate) fn time_chart(lab: &mut Lab, dataset: Dataset) -> Result<Chart> {
-    let outcomes = parts(lab, dataset, Points::Hammersley)?;
-    let x = |o: &Outcome| o.points as f64;
+    let times = times_of_parts(lab, dataset)?;
+    let x = |t: &Times| t.points as f64;
     let lines = vec![
-        line("mesh generation", &outcomes, x, |o| o.mesh_seconds),
-        line("interpolation", &outcomes, x, |o| o.sample_seconds),
-        line("extraction", &outcomes, x, |o| o.extract_seconds),
+        line("mesh generation", &times, x, |t| t.mesh),
+        line("interpolation", &times, x, |t| t.sample),
+        line("extraction", &times, x, |t| t.extract),
     ];
     Ok(Chart { title: dataset.name().into(), x: "points".into(), y: "seconds".into(), log: true, lines })
 }

@@ -6,19 +6,23 @@
 
 #[path = "../thesis_data/data/mod.rs"]
 mod data;
+#[path = "../../benches/reviewed_methods/methods/mod.rs"]
+mod methods;
 
 mod claims;
-mod distances;
+mod curves;
 mod document;
-mod draw;
 mod fields;
 mod figures;
 mod panels;
 mod plots;
+mod reviewed;
+mod roughness;
 mod runs;
 mod tables;
 mod thesis;
 
+use curves::Curves;
 use data::Dataset;
 use document::{Block, Document};
 use isospan::{Error, Result};
@@ -57,18 +61,49 @@ fn run(folder: &Path, quick: bool) -> Result<()> {
     let work = tempfile::tempdir_in(folder).map_err(|e| Error::io("create a folder in", folder, e))?;
     let shared = std::env::var_os("ISOSPAN_SHARED_DATA").map(PathBuf::from);
     let datasets = if quick { vec![Dataset::Sphere, Dataset::Heart] } else { Dataset::ALL.to_vec() };
+    let mut clock = Clock { started, last: started, words: vec![] };
     let mut lab = Lab::new(work.path(), &datasets, shared.as_deref(), quick)?;
-    let mut report = beginning(&lab);
+    clock.lap("data");
+    let mut report = beginning(&lab, shared.as_deref());
     chapters(&mut lab, folder, &mut report)?;
-    beyond(&mut lab, folder, &mut report)?;
-    claims::conclusions(&mut lab)?.write(folder, "conclusions")?;
-    report.text(format!("Made in {:.0} seconds.", started.elapsed().as_secs_f64()));
+    clock.lap("tables and figures of the thesis");
+    errors(&mut lab, folder, &mut report)?;
+    clock.lap("errors");
+    let curves = Curves::new(&lab, work.path(), shared.as_deref(), quick)?;
+    curves_in(&curves, folder, &mut report)?;
+    clock.lap("errors over points and bytes");
+    report.heading(2, "The reviewed methods");
+    let tables = reviewed::tables(&lab, shared.as_deref(), quick)?;
+    tables.into_iter().for_each(|t| report.push(Block::Table(t)));
+    clock.lap("reviewed methods");
+    claims::conclusions(&mut lab, &curves)?.write(folder, "conclusions")?;
+    report.text(clock.words());
     report.write(folder, "index")?;
     eprintln!("report: {} experiments; see {}", lab.experiments(), folder.join("index.html").display());
     Ok(())
 }
 
-fn beginning(lab: &Lab) -> Document {
+/// What took how long.
+struct Clock {
+    started: Instant,
+    last: Instant,
+    words: Vec<String>,
+}
+
+impl Clock {
+    fn lap(&mut self, what: &str) {
+        let words = format!("{what} {:.0}", self.last.elapsed().as_secs_f64());
+        eprintln!("report: {words} s");
+        self.words.push(words);
+        self.last = Instant::now();
+    }
+
+    fn words(&self) -> String {
+        format!("Made in {:.0} seconds: {}.", self.started.elapsed().as_secs_f64(), self.words.join(", "))
+    }
+}
+
+fn beginning(lab: &Lab, shared: Option<&Path>) -> Document {
     let mut report = Document {
         title: "Fast Isosurface Extraction Using Quasi-Monte Carlo Methods, reproduced".into(),
         blocks: vec![],
@@ -81,6 +116,13 @@ fn beginning(lab: &Lab) -> Document {
         names.join(", ")
     ));
     report.text("The thesis's data are not to be had. SPHERE is its formula; the others are made by simulations of the same kind, which the data tables describe.");
+    report.text(match shared {
+        Some(_) => "Volumes of real measurements are those of the folder that ISOSPAN_SHARED_DATA names.",
+        None => "ISOSPAN_SHARED_DATA is not set: there are no volumes of real measurements in this run, and no real geometries.",
+    });
+    report.text(
+        "Times are medians of several runs on one thread, and nothing else of this report runs beside them. Errors and pictures are the same in every run.",
+    );
     report.text("conclusions.html says for each of the thesis's claims whether the figures bear it out.");
     report
 }
@@ -115,8 +157,8 @@ fn chapters(lab: &mut Lab, folder: &Path, report: &mut Document) -> Result<()> {
     Ok(())
 }
 
-/// What the thesis does not have.
-fn beyond(lab: &mut Lab, folder: &Path, report: &mut Document) -> Result<()> {
+/// Errors, which the thesis does not have.
+fn errors(lab: &mut Lab, folder: &Path, report: &mut Document) -> Result<()> {
     report.heading(2, "Errors");
     for (number, dataset) in lab.datasets().collect::<Vec<_>>().into_iter().enumerate() {
         let table = tables::errors(lab, &format!("E.{}", number + 1), dataset)?;
@@ -128,5 +170,14 @@ fn beyond(lab: &mut Lab, folder: &Path, report: &mut Document) -> Result<()> {
     report.push(Block::Table(table));
     report.heading(2, "Slopes");
     figures::slopes(lab, folder)?.into_iter().for_each(|p| report.push(Block::Picture(p)));
+    Ok(())
+}
+
+/// Errors over points and bytes.
+fn curves_in(curves: &Curves, folder: &Path, report: &mut Document) -> Result<()> {
+    report.heading(2, "Errors over points and bytes");
+    report.text(format!("Of {}.", curves.names()));
+    curves.pictures(folder)?.into_iter().for_each(|p| report.push(Block::Picture(p)));
+    report.push(Block::Table(curves.table("P")));
     Ok(())
 }

@@ -2,12 +2,12 @@
 
 use crate::data::Dataset;
 use crate::document::Picture;
-use crate::draw::View;
 use crate::plots::{captioned, write_png};
 use crate::runs::{How, Lab, Outcome, Points};
 use crate::tables::{COMPARED, PARTS, STRUCTURED, UNSTRUCTURED, subsampled};
 use isospan::Result;
 use isospan::formats::surface::load_surface;
+use isospan::render::{Camera, Paint, RenderSettings, Subject, View, render};
 use isospan::surface::TriMesh;
 use isospan::surface::check::CheckSettings;
 use std::path::{Path, PathBuf};
@@ -117,7 +117,7 @@ fn cross(lab: &mut Lab, number: &'static str, dataset: Dataset) -> Result<Figure
     let mut panels = vec![];
     for points in [Points::Hyperbolic, Points::Hammersley, Points::Halton] {
         let how = if points == Points::Hyperbolic { "subsampling" } else { "interpolation" };
-        let outcome = subsampled(lab, dataset, points)?;
+        let outcome = lab.run(subsampled(dataset, points))?;
         panels.extend(outcome.map(|o| Panel::of(dataset, &format!("{} ({how})", points.name()), &o)));
     }
     let caption = format!(
@@ -160,7 +160,14 @@ impl Figure {
     }
 }
 
-/// Red, green, blue of each pixel of a panel.
+/// Directions of light: enough for soft shadows in a small panel.
+const LIGHTS: u32 = 24;
+/// Samples along each side of a pixel.
+const SAMPLES: u32 = 2;
+const COLOUR: [u8; 3] = [222, 204, 172];
+
+/// Red, green, blue of each pixel of a panel. Triangles are flat: that shows how smooth a surface is, which normals from the field's
+/// gradient would hide.
 fn picture_of(lab: &Lab, panel: &Panel) -> Result<Vec<u8>> {
     let original = lab.original(panel.dataset).expect("a panel is of a data set that was made");
     let (azimuth, elevation) = match panel.dataset {
@@ -168,7 +175,16 @@ fn picture_of(lab: &Lab, panel: &Panel) -> Result<Vec<u8>> {
         Dataset::Head => (-50.0, 40.0),
         _ => (-55.0, 25.0),
     };
-    let view = View::fit(&original.surface, azimuth, elevation, SIDE);
-    let surface = load_surface(&panel.file, &CheckSettings::default())?;
-    Ok(view.draw(&TriMesh::from_source(&surface)?))
+    let camera = Camera { azimuth, elevation, perspective: false, ..Camera::default() };
+    let view = View::fit(&camera, &[&original.surface], [SIDE; 2])?;
+    let mut surface = TriMesh::from_source(&load_surface(&panel.file, &CheckSettings::default())?)?;
+    // Its values grow outwards: seen from outside is the side that counts as the inner one.
+    if panel.dataset == Dataset::Sphere {
+        surface.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+    }
+    let subject = Subject { surface: &surface, paint: Paint::Plain(COLOUR), values: &[] };
+    let settings =
+        RenderSettings { flat: true, lights: LIGHTS, samples: SAMPLES, ..RenderSettings::default() };
+    let image = render(&subject, &view, &settings)?;
+    Ok(image.pixels.iter().flat_map(|p| [p[0], p[1], p[2]]).collect())
 }

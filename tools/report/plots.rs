@@ -13,6 +13,8 @@ use std::path::Path;
 
 const FONT: &[u8] = include_bytes!("../../src/cli/figure/font.ttf");
 const LARGER: u32 = 3;
+/// Charts of more lines are taller.
+const MANY: usize = 6;
 const INK: RGBColor = RGBColor(40, 40, 40);
 const COLOURS: [RGBColor; 6] = [
     RGBColor(0, 92, 163),
@@ -32,6 +34,7 @@ pub(crate) struct Line {
     pub(crate) name: String,
     /// In ascending x.
     pub(crate) points: Vec<(f64, f64)>,
+    pub(crate) dashed: bool,
 }
 
 /// A chart of lines.
@@ -77,7 +80,8 @@ impl Line {
 pub(crate) fn write(charts: &[Chart], file: &Path) -> Result<()> {
     let columns = charts.len().min(3) as u32;
     let rows = (charts.len() as u32).div_ceil(columns.max(1));
-    picture((520 * columns, 400 * rows), file, |root| {
+    let height = if charts.iter().any(|c| c.lines.len() > MANY) { 560 } else { 400 };
+    picture((520 * columns, height * rows), file, |root| {
         let areas = root.split_evenly((rows as usize, columns as usize));
         areas.iter().zip(charts).try_for_each(|(area, chart)| draw(area, chart))
     })
@@ -149,7 +153,8 @@ fn draw(area: &Area<'_>, chart: &Chart) -> Drawn {
         return Ok(());
     }
     // Room for the legend above the lines.
-    let room = 0.12 + 0.11 * chart.lines.len() as f64;
+    let each = if chart.lines.len() > MANY { 0.065 } else { 0.11 };
+    let room = 0.12 + each * chart.lines.len() as f64;
     if !chart.log {
         let axis = |hi: f64| Axis { range: (0.0..hi).into(), ticks: None };
         return axes(area, chart, axis(x1 * 1.05), axis(y1 * (1.0 + room)));
@@ -226,15 +231,28 @@ fn axes(area: &Area<'_>, chart: &Chart, x: Axis, y: Axis) -> Drawn {
         .y_label_formatter(&|v| label(*v))
         .set_all_tick_mark_size(4 * LARGER)
         .draw()?;
-    for (line, colour) in chart.lines.iter().zip(COLOURS.into_iter().cycle()) {
+    // A dashed line has the colour of the line before it.
+    let mut colours = COLOURS.into_iter().cycle();
+    let mut colour = INK;
+    for line in &chart.lines {
+        if !line.dashed {
+            colour = colours.next().expect("colours come again");
+        }
         let style = colour.stroke_width(2 * LARGER);
         let logs =
             line.drawn(chart.log).map(|(x, y)| if chart.log { (x.log10(), y.log10()) } else { (x, y) });
         let points: Vec<(f64, f64)> = logs.collect();
-        plane
-            .draw_series(LineSeries::new(points.clone(), style))?
-            .label(line.label(chart.log))
-            .legend(move |(x, y)| PathElement::new(vec![(x, y), (x + 18 * LARGER as i32, y)], style));
+        let label = line.label(chart.log);
+        let end = 18 * LARGER as i32;
+        if line.dashed {
+            let [dash, gap] = [6, 4].map(|n| n * LARGER);
+            let series = DashedLineSeries::new(points.clone(), dash, gap, style);
+            let legend = move |(x, y)| PathElement::new(vec![(x + end / 4, y), (x + end * 3 / 4, y)], style);
+            plane.draw_series(series)?.label(label).legend(legend);
+        } else {
+            let legend = move |(x, y)| PathElement::new(vec![(x, y), (x + end, y)], style);
+            plane.draw_series(LineSeries::new(points.clone(), style))?.label(label).legend(legend);
+        }
         plane.draw_series(points.into_iter().map(|p| Circle::new(p, 3 * LARGER, colour.filled())))?;
     }
     plane
@@ -297,7 +315,7 @@ mod tests {
     #[test]
     fn slopes_are_exponents() {
         let points = (1..6).map(|i| (f64::from(i), 3.0 * f64::from(i * i))).collect();
-        let line = Line { name: "square".into(), points };
+        let line = Line { name: "square".into(), points, dashed: false };
         assert!((line.slope().unwrap() - 2.0).abs() < 1e-12);
         assert_eq!(line.label(true), "square  (slope 2.00)");
         assert_eq!(Line { points: vec![(1.0, 1.0)], ..line }.slope(), None);
@@ -316,7 +334,7 @@ mod tests {
     fn pictures_are_drawn() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("a.png");
-        let line = Line { name: "a".into(), points: vec![(1.0, 2.0), (10.0, 30.0)] };
+        let line = Line { name: "a".into(), points: vec![(1.0, 2.0), (10.0, 30.0)], dashed: true };
         let chart = Chart { log: true, lines: vec![line], title: "t".into(), x: "x".into(), y: "y".into() };
         write(&[chart.clone(), Chart { log: false, ..chart }], &file).unwrap();
         let decoder = png::Decoder::new(std::io::BufReader::new(std::fs::File::open(&file).unwrap()));

@@ -1,27 +1,31 @@
-//! The experiments: each a data set reduced in one way, timed by stages and measured against the original.
+//! The experiments: each a data set reduced in one way, and measured against the original.
 //!
-//! Everything is asked for by a [`Key`] and done once. Reductions and extractions are those of the library on one thread; their
-//! seconds are its own reports', the least of three runs where they are short: what else the machine does only adds to
-//! them. Extraction is what `isospan surface` does but
+//! Everything is asked for by a [`Key`] and done once. Errors ([`Lab::part`]) are those of one reduction, distances the library's own
+//! ([`isospan::compare`]). Times ([`Lab::times`]) are asked for apart: the same reduction again and again, on one thread and with nothing else
+//! of the report beside it, of which the medians count. Extraction is what `isospan surface` does but
 //! for writing the file: opening the archive, its index, the active blocks, marching tetrahedra, welding.
+//!
+//! All sets have equal numbers of points, those of the boundary among them, as far as a set allows.
 
 use crate::data::{Content, Dataset, GRID, Made};
-use crate::distances::{Distances, compare, roughness};
-use crate::fields::{TetField, uniform};
+use crate::fields::{TetField, uniform, uniform_in};
+use crate::methods::median;
+use crate::roughness::roughness;
+use isospan::compare::{CompareSettings, compare};
 use isospan::exec::Silent;
 use isospan::formats::OpenOptions;
 use isospan::formats::surface::{SurfaceFormat, SurfaceMeta, write_surface};
+use isospan::geom::Lattice;
 use isospan::measure::ErrorSums;
 use isospan::pipeline::{
     Amount, ReduceReport, ReduceSettings, RunSettings, SurfaceSettings, extract_surface, reduce,
 };
-use isospan::points::SetKind;
+use isospan::points::{PointSet, PointSpec, SetKind};
 use isospan::sample::Interpolation;
 use isospan::surface::TriMesh;
-use isospan::{Archive, Error, Result};
+use isospan::{Archive, Result};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 /// Kinds of points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -50,7 +54,7 @@ impl Points {
     }
 
     /// The library's set; it has none of uniform random points.
-    fn kind(self) -> Option<SetKind> {
+    pub(crate) fn kind(self) -> Option<SetKind> {
         match self {
             Self::Hammersley => Some(SetKind::Hammersley),
             Self::Halton => Some(SetKind::Halton),
@@ -67,7 +71,7 @@ impl Points {
 pub(crate) struct Key {
     pub(crate) dataset: Dataset,
     pub(crate) points: Points,
-    /// Points asked for, without those of the boundary.
+    /// Points asked for, those of the boundary among them.
     pub(crate) count: u64,
     pub(crate) how: How,
 }
@@ -105,14 +109,9 @@ pub(crate) fn is_grid(dataset: Dataset) -> bool {
 #[derive(Clone, Debug)]
 pub(crate) struct Outcome {
     is_grid: bool,
-    /// Points asked for.
-    pub(crate) asked: u64,
     /// Points with values, with those of the boundary.
     pub(crate) points: u64,
     pub(crate) tetrahedra: u64,
-    pub(crate) mesh_seconds: f64,
-    pub(crate) sample_seconds: f64,
-    pub(crate) extract_seconds: f64,
     pub(crate) triangles: u64,
     pub(crate) field: FieldError,
     /// From the original's surface.
@@ -121,6 +120,41 @@ pub(crate) struct Outcome {
     pub(crate) roughness: f64,
     /// The surface.
     pub(crate) file: PathBuf,
+}
+
+/// How far a surface is from the original's, both ways, in units of the diagonal.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Distances {
+    pub(crate) hausdorff: f64,
+    /// Root mean square.
+    pub(crate) rms: f64,
+    /// Root mean square angle between normals, in degrees.
+    pub(crate) normal: f64,
+}
+
+/// Seconds of an experiment's stages.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Times {
+    /// Points asked for.
+    pub(crate) asked: u64,
+    /// Points with values, with those of the boundary.
+    pub(crate) points: u64,
+    pub(crate) mesh: f64,
+    pub(crate) sample: f64,
+    pub(crate) extract: f64,
+}
+
+/// Samples by area of a surface whose distance is measured.
+const DISTANCE_SAMPLES: u64 = 20_000;
+
+/// Distances in units of `diagonal`; infinite if a surface is empty.
+pub(crate) fn distances(a: &TriMesh, b: &TriMesh, diagonal: f64) -> Result<Distances> {
+    if a.triangles.is_empty() || b.triangles.is_empty() {
+        return Ok(Distances { hausdorff: f64::INFINITY, rms: f64::INFINITY, normal: f64::NAN });
+    }
+    let found = compare(a, b, &CompareSettings { samples: DISTANCE_SAMPLES, ..CompareSettings::default() })?;
+    let [hausdorff, rms] = [found.hausdorff, found.rms].map(|d| d / diagonal);
+    Ok(Distances { hausdorff, rms, normal: found.rms_normal_degrees })
 }
 
 impl Outcome {
@@ -144,7 +178,8 @@ pub(crate) struct FieldError {
 /// A data set with what it is measured against.
 pub(crate) struct Original {
     pub(crate) made: Made,
-    pub(crate) cells: u64,
+    /// All its cells.
+    pub(crate) field: TetField,
     pub(crate) surface: TriMesh,
     /// Of that surface: RMS angle between neighbouring triangles, in degrees.
     pub(crate) roughness: f64,
@@ -152,7 +187,9 @@ pub(crate) struct Original {
     /// Length of the diagonal of the bounding box: the unit of distances.
     pub(crate) diagonal: f64,
     /// The 95th percentile of the values less the 5th: the unit of errors. The range is no unit near a dipole.
-    spread: f64,
+    pub(crate) spread: f64,
+    /// Of n points inside, so many times n^(2/3) samples of the boundary come on top.
+    boundary: f64,
 }
 
 /// All data and experiments.
@@ -160,14 +197,12 @@ pub(crate) struct Lab {
     folder: PathBuf,
     originals: BTreeMap<Dataset, Original>,
     outcomes: BTreeMap<Key, Outcome>,
-    /// Runs of which a time is the least.
+    times: BTreeMap<Key, Times>,
+    /// Runs of which a time is the median.
     repeats: usize,
     /// Only parts of at most 1/4 are tried.
     quick: bool,
 }
-
-/// Longer reductions than this many seconds are not repeated.
-const LONG: f64 = 1.0;
 
 impl Lab {
     /// Makes data sets.
@@ -177,19 +212,22 @@ impl Lab {
         shared: Option<&Path>,
         quick: bool,
     ) -> Result<Self> {
-        let mut originals = BTreeMap::new();
+        let mut lab = Self {
+            folder: folder.into(),
+            originals: BTreeMap::new(),
+            outcomes: BTreeMap::new(),
+            times: BTreeMap::new(),
+            repeats: if quick { 1 } else { 3 },
+            quick,
+        };
         for &dataset in datasets {
             let made = dataset.make(folder, shared)?;
             eprintln!("report: {}: {}", dataset.name(), made.origin);
-            originals.insert(dataset, Original::new(made, folder)?);
+            lab.originals.insert(dataset, Original::new(made, folder)?);
+            let boundary = lab.boundary(dataset)?;
+            lab.originals.entry(dataset).and_modify(|o| o.boundary = boundary);
         }
-        Ok(Self {
-            folder: folder.into(),
-            originals,
-            outcomes: BTreeMap::new(),
-            repeats: if quick { 1 } else { 3 },
-            quick,
-        })
+        Ok(lab)
     }
 
     pub(crate) fn datasets(&self) -> impl Iterator<Item = Dataset> + '_ {
@@ -213,16 +251,34 @@ impl Lab {
         n: u64,
         how: How,
     ) -> Result<Option<Outcome>> {
-        let Some(original) = self.originals.get(&dataset).filter(|_| !self.quick || n >= 4) else {
-            return Ok(None);
-        };
-        let count = original.size().div_ceil(n);
-        self.run(Key { dataset, points, count, how })
+        match self.key(dataset, points, n, how) {
+            Some(key) => self.run(key),
+            None => Ok(None),
+        }
+    }
+
+    /// The times of a part 1/n of the points, as `part`.
+    pub(crate) fn times_of_part(
+        &mut self,
+        dataset: Dataset,
+        points: Points,
+        n: u64,
+        how: How,
+    ) -> Result<Option<Times>> {
+        match self.key(dataset, points, n, how) {
+            Some(key) => self.times(key),
+            None => Ok(None),
+        }
+    }
+
+    fn key(&self, dataset: Dataset, points: Points, n: u64, how: How) -> Option<Key> {
+        let original = self.originals.get(&dataset).filter(|_| !self.quick || n >= 4)?;
+        Some(Key { dataset, points, count: original.size().div_ceil(n), how })
     }
 
     /// The outcome of an experiment, from before or now.
     pub(crate) fn run(&mut self, key: Key) -> Result<Option<Outcome>> {
-        let impossible = key.points == Points::Uniform && (!is_grid(key.dataset) || key.how != How::Linear);
+        let impossible = key.points == Points::Uniform && key.how != How::Linear;
         if impossible || !self.originals.contains_key(&key.dataset) {
             return Ok(None);
         }
@@ -236,89 +292,128 @@ impl Lab {
         Ok(self.outcomes.get(&key).cloned())
     }
 
+    /// The times of an experiment, from before or now: medians of several runs on one thread.
+    pub(crate) fn times(&mut self, key: Key) -> Result<Option<Times>> {
+        let (Some(kind), Some(original)) = (key.points.kind(), self.originals.get(&key.dataset)) else {
+            return Ok(None);
+        };
+        if let Some(&known) = self.times.get(&key) {
+            return Ok(Some(known));
+        }
+        let settings = ReduceSettings { measure: false, ..self.settings(key, kind) };
+        let archive = self.folder.join("reduced.isospan");
+        let (mut mesh, mut sample, mut extract, mut points) = (vec![], vec![], vec![], 0);
+        for _ in 0..self.repeats {
+            let report = self.reduce_into(key.dataset, &settings, &archive, 1)?;
+            points = report.points - report.void_points;
+            mesh.push(seconds(&report.seconds, &["mesh"]));
+            sample.push(seconds(&report.seconds, &["sample"]));
+        }
+        let query = SurfaceSettings { threads: 1, ..SurfaceSettings::of(original.made.isovalue) };
+        let file = self.folder.join("timed.ply");
+        for _ in 0..self.repeats {
+            let found = extract_surface(&archive, &query, &file, SurfaceFormat::Ply, &Silent)?;
+            extract.push(seconds(&found.seconds, &["open, index", "extract"]));
+        }
+        let [mesh, sample, extract] = [mesh, sample, extract].map(median);
+        let times = Times { asked: key.count, points, mesh, sample, extract };
+        self.times.insert(key, times);
+        Ok(Some(times))
+    }
+
+    fn settings(&self, key: Key, kind: SetKind) -> ReduceSettings {
+        ReduceSettings {
+            points: kind,
+            amount: Amount::Count(self.inside(key)),
+            interpolation: key.how.interpolation(key.dataset),
+            ..ReduceSettings::default()
+        }
+    }
+
+    /// How many points inside make `key.count` with those of the boundary: n + b·n^(2/3) is that many.
+    fn inside(&self, key: Key) -> u64 {
+        // Regular points of a grid have its faces among them.
+        if is_grid(key.dataset) && key.points == Points::Regular {
+            return key.count;
+        }
+        let b = self.originals[&key.dataset].boundary;
+        let (mut few, mut many) = (1.0, key.count as f64);
+        for _ in 0..64 {
+            let n = (few + many) / 2.0;
+            let all = n + b * libm::cbrt(n * n);
+            if all < key.count as f64 { few = n } else { many = n }
+        }
+        (few.round() as u64).max(1)
+    }
+
+    /// See [`Original::boundary`]: of the frame of a box, and as found in one reduction of a mesh.
+    fn boundary(&self, dataset: Dataset) -> Result<f64> {
+        let inside = self.originals[&dataset].size().div_ceil(8);
+        let all = if is_grid(dataset) {
+            let spec = PointSpec::Hammersley { n: inside, shift: 0.5 };
+            PointSet::new(spec, Lattice::new([GRID as u64; 3])?)?.len()
+        } else {
+            let settings =
+                ReduceSettings { amount: Amount::Count(inside), measure: false, ..ReduceSettings::default() };
+            let report = self.reduce_into(dataset, &settings, &self.folder.join("reduced.isospan"), 0)?;
+            report.points - report.void_points
+        };
+        let n = inside as f64;
+        Ok((all.saturating_sub(inside)) as f64 / libm::cbrt(n * n))
+    }
+
+    fn reduce_into(
+        &self,
+        dataset: Dataset,
+        settings: &ReduceSettings,
+        archive: &Path,
+        threads: usize,
+    ) -> Result<ReduceReport> {
+        let scratch = Some(self.folder.clone());
+        let run = RunSettings { threads, replace: true, scratch, ..RunSettings::default() };
+        let input = &self.originals[&dataset].made.file;
+        reduce(input, &OpenOptions::default(), settings, archive, &run, &Silent)
+    }
+
     fn reduce(&self, key: Key, kind: SetKind) -> Result<Outcome> {
         let original = &self.originals[&key.dataset];
         let archive = self.folder.join("reduced.isospan");
-        let mut settings = ReduceSettings {
-            points: kind,
-            amount: Amount::Count(key.count),
-            interpolation: key.how.interpolation(key.dataset),
-            ..ReduceSettings::default()
-        };
-        let (first, mut times) = self.time(original, &settings, &archive)?;
-        settings.measure = false;
-        for _ in 1..self.repeats {
-            if times.iter().sum::<f64>() < LONG {
-                let (_, again) = self.time(original, &settings, &archive)?;
-                times = std::array::from_fn(|i| times[i].min(again[i]));
-            }
-        }
+        let report = self.reduce_into(key.dataset, &self.settings(key, kind), &archive, 0)?;
         let surface = Archive::open(&archive)?.surface(original.made.isovalue)?;
-        let file = self.surface_file(key);
-        write_surface(&surface, &file, SurfaceFormat::Ply, &SurfaceMeta::default())?;
-        std::fs::remove_dir_all(&archive).map_err(|e| Error::io("remove", &archive, e))?;
-        let [mesh_seconds, sample_seconds, extract_seconds] = times;
-        Ok(Outcome {
-            is_grid: is_grid(key.dataset),
-            asked: key.count,
-            points: first.points - first.void_points,
-            tetrahedra: first.tetrahedra,
-            mesh_seconds,
-            sample_seconds,
-            extract_seconds,
-            triangles: surface.triangles.len() as u64,
-            field: original.error_of(first.error.as_ref().expect("the first reduction is measured")),
-            distances: compare(&surface, &original.surface)?.in_units_of(original.diagonal),
-            roughness: roughness(&surface),
-            file,
-        })
-    }
-
-    /// Reduces and extracts, and tells the seconds of meshing, interpolation and extraction.
-    fn time(
-        &self,
-        original: &Original,
-        settings: &ReduceSettings,
-        archive: &Path,
-    ) -> Result<(ReduceReport, [f64; 3])> {
-        let scratch = Some(self.folder.clone());
-        let run = RunSettings { threads: 1, replace: true, scratch, ..RunSettings::default() };
-        let input = &original.made.file;
-        let report = reduce(input, &OpenOptions::default(), settings, archive, &run, &Silent)?;
-        let query = SurfaceSettings { threads: 1, ..SurfaceSettings::of(original.made.isovalue) };
-        let file = self.folder.join("timed.ply");
-        let mut extraction = f64::INFINITY;
-        for _ in 0..self.repeats {
-            let found = extract_surface(archive, &query, &file, SurfaceFormat::Ply, &Silent)?;
-            extraction = extraction.min(seconds(&found.seconds, &["open, index", "extract"]));
-        }
-        let times = [seconds(&report.seconds, &["mesh"]), seconds(&report.seconds, &["sample"]), extraction];
-        Ok((report, times))
+        let field = original.error_of(report.error.as_ref().expect("the reduction is measured"));
+        self.outcome(key, (report.points - report.void_points, report.tetrahedra), field, &surface)
     }
 
     fn at_random(&self, key: Key) -> Result<Outcome> {
         let original = &self.originals[&key.dataset];
-        let Content::Grid { geometry, samples } = &original.made.content else {
-            return Err(Error::usage("uniform random points are for structured data"));
+        let inside = self.inside(key);
+        let random = match &original.made.content {
+            Content::Grid { geometry, samples } => uniform(GRID, *geometry, samples, inside)?,
+            Content::Mesh(_) => uniform_in(&original.field, inside)?,
         };
-        let random = uniform(GRID, *geometry, samples, key.count)?;
-        let started = Instant::now();
-        let surface = random.field.surface(original.made.isovalue)?;
-        let extract_seconds = started.elapsed().as_secs_f64();
+        let surface = random.surface(original.made.isovalue)?;
+        let field = original.error_of_values(&random.at(&original.field));
+        self.outcome(key, (random.point_count(), random.tets.len() as u64), field, &surface)
+    }
+
+    fn outcome(
+        &self,
+        key: Key,
+        (points, tetrahedra): (u64, u64),
+        field: FieldError,
+        surface: &TriMesh,
+    ) -> Result<Outcome> {
+        let original = &self.originals[&key.dataset];
         let file = self.surface_file(key);
-        write_surface(&surface, &file, SurfaceFormat::Ply, &SurfaceMeta::default())?;
+        write_surface(surface, &file, SurfaceFormat::Ply, &SurfaceMeta::default())?;
         Ok(Outcome {
             is_grid: is_grid(key.dataset),
-            asked: key.count,
-            points: random.field.point_count(),
-            tetrahedra: random.field.tets.len() as u64,
-            mesh_seconds: random.mesh_seconds,
-            sample_seconds: random.sample_seconds,
-            extract_seconds,
+            points,
+            tetrahedra,
             triangles: surface.triangles.len() as u64,
-            field: original.error_of_values(&random.field.at_samples(GRID)),
-            distances: compare(&surface, &original.surface)?.in_units_of(original.diagonal),
-            roughness: roughness(&surface),
+            field,
+            distances: distances(surface, &original.surface, original.diagonal)?,
+            roughness: roughness(surface),
             file,
         })
     }
@@ -349,7 +444,7 @@ impl Original {
         let at = |share| f64::from(crate::data::quantile(made.values(), share));
         let spread = at(0.95) - at(0.05);
         let roughness = roughness(&surface);
-        Ok(Self { cells: field.tets.len() as u64, made, surface, roughness, file, diagonal, spread })
+        Ok(Self { field, made, surface, roughness, file, diagonal, spread, boundary: 0.0 })
     }
 
     /// Samples, or vertices.

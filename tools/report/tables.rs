@@ -2,8 +2,8 @@
 
 use crate::data::Dataset;
 use crate::document::{Cell, Table};
-use crate::runs::{How, Lab, Outcome, Points, is_grid};
-use crate::thesis::{self, Times, printed};
+use crate::runs::{How, Key, Lab, Outcome, Points, Times, is_grid};
+use crate::thesis::{self, printed};
 use isospan::Result;
 
 /// Parts of the points that are tried: 1/n.
@@ -15,11 +15,11 @@ pub(crate) const COMPARED: [Points; 4] =
     [Points::Hammersley, Points::Halton, Points::Hyperbolic, Points::Regular];
 
 /// A stage's seconds.
-type Stage = fn(&Outcome) -> f64;
+type Stage = fn(&Times) -> f64;
 
-const SAMPLE: Stage = |o| o.sample_seconds;
-const MESH: Stage = |o| o.mesh_seconds;
-const EXTRACT: Stage = |o| o.extract_seconds;
+const SAMPLE: Stage = |o| o.sample;
+const MESH: Stage = |o| o.mesh;
+const EXTRACT: Stage = |o| o.extract;
 
 fn compared(thesis: f64, ours: Option<f64>) -> Cell {
     Cell::Compared { thesis: printed(thesis), ours }
@@ -49,7 +49,7 @@ pub(crate) fn sizes(lab: &Lab, number: &str, datasets: &[Dataset]) -> Table {
         let original = lab.original(dataset);
         let row = vec![
             compared(points, original.map(|o| o.size() as f64)),
-            compared(cells, original.map(|o| o.cells as f64)),
+            compared(cells, original.map(|o| o.field.tets.len() as f64)),
             original.map_or(Cell::Empty, |o| Cell::Number(f64::from(o.made.isovalue))),
             original.map_or(Cell::Empty, |o| Cell::Text(o.made.origin.clone())),
         ];
@@ -64,7 +64,7 @@ pub(crate) fn interpolation(
     number: &str,
     datasets: &[Dataset],
     part: u64,
-    times: &Times,
+    times: &thesis::Times,
 ) -> Result<Table> {
     let names: Vec<&str> = datasets.iter().map(|d| d.name()).collect();
     let note = format!(
@@ -76,8 +76,8 @@ pub(crate) fn interpolation(
     for ((name, printed), (how, stage)) in times.iter().zip(stages) {
         let mut row = vec![];
         for (&dataset, &seconds) in datasets.iter().zip(*printed) {
-            let outcome = lab.part(dataset, Points::Hammersley, part, how)?;
-            row.push(compared(seconds, outcome.as_ref().map(stage)));
+            let times = lab.times_of_part(dataset, Points::Hammersley, part, how)?;
+            row.push(compared(seconds, times.as_ref().map(stage)));
         }
         out.rows.push(((*name).into(), row));
     }
@@ -93,8 +93,8 @@ pub(crate) fn structured_sets(lab: &mut Lab) -> Result<Table> {
         thesis::TABLE_3_3.iter().zip(COMPARED.map(Some).into_iter().chain([None]))
     {
         let of = |lab: &mut Lab, dataset| match points {
-            Some(points) => lab.part(dataset, points, 8, How::Linear),
-            None => lab.part(dataset, Points::Regular, 1, How::Linear),
+            Some(points) => lab.times_of_part(dataset, points, 8, How::Linear),
+            None => lab.times_of_part(dataset, Points::Regular, 1, How::Linear),
         };
         let row = six(lab, printed, points.is_none(), of)?;
         out.rows.push(((*name).into(), row));
@@ -112,16 +112,16 @@ pub(crate) fn subsampling(lab: &mut Lab) -> Result<Table> {
     let mut out = table("3.4", "Performance of subsampling and interpolation", &SIX, &note);
     let sets = [Points::Hammersley, Points::Halton, Points::Hyperbolic];
     for ((name, printed), points) in thesis::TABLE_3_4.iter().zip(sets) {
-        let row = six(lab, printed, false, |lab, dataset| subsampled(lab, dataset, points))?;
+        let row = six(lab, printed, false, |lab, dataset| lab.times(subsampled(dataset, points)))?;
         out.rows.push(((*name).into(), row));
     }
     Ok(out)
 }
 
 /// An experiment of section 3.3.2: the hyperbolic cross subsamples, the others interpolate.
-pub(crate) fn subsampled(lab: &mut Lab, dataset: Dataset, points: Points) -> Result<Option<Outcome>> {
+pub(crate) fn subsampled(dataset: Dataset, points: Points) -> Key {
     let how = if points == Points::Hyperbolic { How::Nearest } else { How::Linear };
-    lab.run(crate::runs::Key { dataset, points, count: thesis::SUBSAMPLED, how })
+    Key { dataset, points, count: thesis::SUBSAMPLED, how }
 }
 
 const SIX: [&str; 6] = [
@@ -138,14 +138,14 @@ fn six(
     lab: &mut Lab,
     printed: &[f64],
     extraction_only: bool,
-    of: impl Fn(&mut Lab, Dataset) -> Result<Option<Outcome>>,
+    of: impl Fn(&mut Lab, Dataset) -> Result<Option<Times>>,
 ) -> Result<Vec<Cell>> {
     let mut row = vec![];
     for (stage, pair) in [SAMPLE, MESH, EXTRACT].iter().zip(printed.chunks(2)) {
         for (&dataset, &seconds) in STRUCTURED.iter().zip(pair) {
-            let outcome = of(lab, dataset)?;
             let shown = !extraction_only || row.len() >= 4;
-            row.push(if shown { compared(seconds, outcome.as_ref().map(stage)) } else { Cell::Empty });
+            let times = of(lab, dataset)?;
+            row.push(if shown { compared(seconds, times.as_ref().map(stage)) } else { Cell::Empty });
         }
     }
     Ok(row)
@@ -164,8 +164,8 @@ pub(crate) fn unstructured_sets(lab: &mut Lab) -> Result<Table> {
     for ((name, printed), (stage, dataset)) in thesis::TABLE_4_3.iter().zip(stages) {
         let mut row = vec![];
         for (points, &seconds) in COMPARED.into_iter().zip(*printed) {
-            let outcome = lab.part(dataset, points, 8, How::Linear)?;
-            row.push(compared(seconds, outcome.as_ref().map(stage)));
+            let times = lab.times_of_part(dataset, points, 8, How::Linear)?;
+            row.push(compared(seconds, times.as_ref().map(stage)));
         }
         out.rows.push(((*name).into(), row));
     }
@@ -186,8 +186,8 @@ const ERROR_COLUMNS: [&str; 9] = [
 
 const ERROR_NOTE: &str = "Field: the reduced field less the original at the original's samples, in percent of the spread of its values (5th to 95th \
      percentile). Surface: distances from the original's surface, both ways, in percent of the diagonal of the bounding box. Normals: RMS angle \
-     between a triangle and the nearest of the other surface. Roughness: RMS angle between triangles that share an edge. Points include those of \
-     the boundary; sets that cannot have any number of points take the nearest they can.";
+     between the planes of a triangle and of the nearest one of the other surface. Roughness: RMS angle between triangles that share an edge. All sets have as many points, those of \
+     the boundary included, but for those that cannot have any number and take the nearest they can.";
 
 fn error_row(o: &Outcome) -> Vec<Cell> {
     let percent = |x: f64| Cell::Number(100.0 * x);
@@ -209,7 +209,8 @@ pub(crate) fn errors(lab: &mut Lab, number: &str, dataset: Dataset) -> Result<Ta
     let title = format!("Errors of {}, linear interpolation", dataset.name());
     let mut out = table(number, &title, &ERROR_COLUMNS, ERROR_NOTE);
     if let Some(original) = lab.original(dataset) {
-        let mut row = vec![Cell::Number(original.size() as f64), Cell::Number(original.cells as f64)];
+        let mut row =
+            vec![Cell::Number(original.size() as f64), Cell::Number(original.field.tets.len() as f64)];
         row.extend(vec![Cell::Empty; 5]);
         row.push(Cell::Number(original.roughness));
         row.push(Cell::Number(original.surface.triangles.len() as f64));
