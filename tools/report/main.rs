@@ -24,7 +24,7 @@ mod thesis;
 
 use curves::Curves;
 use data::Dataset;
-use document::{Block, Document};
+use document::{Block, Document, Table};
 use isospan::{Error, Result};
 use runs::Lab;
 use std::path::{Path, PathBuf};
@@ -65,8 +65,7 @@ fn run(folder: &Path, quick: bool) -> Result<()> {
     let mut lab = Lab::new(work.path(), &datasets, shared.as_deref(), quick)?;
     clock.lap("data");
     let mut report = beginning(&lab, shared.as_deref());
-    chapters(&mut lab, folder, &mut report)?;
-    clock.lap("tables and figures of the thesis");
+    chapters(&mut lab, folder, &mut report, &mut clock)?;
     errors(&mut lab, folder, &mut report)?;
     clock.lap("errors");
     let curves = Curves::new(&lab, work.path(), shared.as_deref(), quick)?;
@@ -128,33 +127,42 @@ fn beginning(lab: &Lab, shared: Option<&Path>) -> Document {
 }
 
 /// Chapters 2 to 4.
-fn chapters(lab: &mut Lab, folder: &Path, report: &mut Document) -> Result<()> {
+fn chapters(lab: &mut Lab, folder: &Path, report: &mut Document, clock: &mut Clock) -> Result<()> {
     report.heading(2, "Chapter 2. Points");
     figures::points(folder)?.into_iter().for_each(|p| report.push(Block::Picture(p)));
-    let mut pictures = panels::draw_all(lab, folder)?;
-    pictures.extend(figures::times(lab, folder)?);
+    // Times first: the experiments that are timed tell their errors as well.
+    let mut pictures = figures::times(lab, folder)?;
+    let tables = [chapter_3(lab)?, chapter_4(lab)?];
+    clock.lap("times");
+    pictures.extend(panels::draw_all(lab, folder)?);
+    clock.lap("pictures");
     // By number: 4.10 after 4.9.
     pictures.sort_by_key(|p| p.number.split('.').filter_map(|n| n.parse().ok()).collect::<Vec<u32>>());
-    for (chapter, title) in [("3", "Chapter 3. Structured grids"), ("4", "Chapter 4. Unstructured grids")] {
+    let titles = [("3", "Chapter 3. Structured grids"), ("4", "Chapter 4. Unstructured grids")];
+    for ((chapter, title), tables) in titles.into_iter().zip(tables) {
         report.heading(2, title);
-        let tables = match chapter {
-            "3" => vec![
-                tables::sizes(lab, "3.1", &tables::STRUCTURED),
-                tables::interpolation(lab, "3.2", &tables::STRUCTURED, 4, thesis::TABLE_3_2)?,
-                tables::structured_sets(lab)?,
-                tables::subsampling(lab)?,
-            ],
-            _ => vec![
-                tables::sizes(lab, "4.1", &tables::UNSTRUCTURED),
-                tables::interpolation(lab, "4.2", &tables::UNSTRUCTURED, 2, thesis::TABLE_4_2)?,
-                tables::unstructured_sets(lab)?,
-            ],
-        };
         tables.into_iter().for_each(|t| report.push(Block::Table(t)));
         let of_chapter = pictures.iter().filter(|p| p.number.starts_with(chapter));
         of_chapter.for_each(|p| report.push(Block::Picture(p.clone())));
     }
     Ok(())
+}
+
+fn chapter_3(lab: &mut Lab) -> Result<Vec<Table>> {
+    Ok(vec![
+        tables::sizes(lab, "3.1", &tables::STRUCTURED),
+        tables::interpolation(lab, "3.2", &tables::STRUCTURED, 4, thesis::TABLE_3_2)?,
+        tables::structured_sets(lab)?,
+        tables::subsampling(lab)?,
+    ])
+}
+
+fn chapter_4(lab: &mut Lab) -> Result<Vec<Table>> {
+    Ok(vec![
+        tables::sizes(lab, "4.1", &tables::UNSTRUCTURED),
+        tables::interpolation(lab, "4.2", &tables::UNSTRUCTURED, 2, thesis::TABLE_4_2)?,
+        tables::unstructured_sets(lab)?,
+    ])
 }
 
 /// Errors, which the thesis does not have.
