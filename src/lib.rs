@@ -84,6 +84,7 @@ pub mod bytes;
 pub mod cells;
 pub mod compare;
 pub(crate) mod cpu;
+pub mod density;
 pub(crate) mod domain;
 pub mod error;
 pub mod exec;

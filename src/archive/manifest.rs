@@ -10,6 +10,7 @@
 
 use super::coordinates::CellCount;
 use super::explicit::ExplicitRecord;
+use super::levels::LevelsRecord;
 use super::publish::Unpublished;
 use super::segment::{FORMAT_VERSION, OLDEST_READER, PlanHash, SegmentInfo};
 use super::values::Quantiser;
@@ -81,6 +82,9 @@ pub struct Plan {
     /// The points of the set that are listed and follow no formula.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub explicit: Option<ExplicitRecord>,
+    /// Where the density of the points differs from place to place: how.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub levels: Option<LevelsRecord>,
     /// Whether chunks prove all tetrahedra at the vertices of their own, which fitted values need, and not their own alone: their
     /// halos reach further.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -454,6 +458,7 @@ pub(crate) mod tests {
             chunk_target: 250_000,
             block_tets: 1000,
             explicit: None,
+            levels: None,
             stars: false,
         }
     }

@@ -18,6 +18,7 @@ pub mod chunked;
 pub mod coordinates;
 pub mod explicit;
 mod journal;
+pub mod levels;
 pub mod manifest;
 pub(crate) mod publish;
 mod range;
@@ -33,7 +34,7 @@ pub use wire::Malformed;
 
 #[cfg(test)]
 mod tests {
-    use super::{chunk, coordinates, manifest, segment, star, values};
+    use super::{chunk, coordinates, levels, manifest, segment, star, values};
     use crate::index::page;
     use crate::spectrum;
 
@@ -57,6 +58,7 @@ mod tests {
             ("LARGEST_STARS", star::LARGEST_STARS as u64),
             ("LARGEST_LIST", u64::from(star::LARGEST_LIST)),
             ("LARGEST_LINK", star::LARGEST_LINK as u64),
+            ("BLOCK_CELLS", levels::BLOCK_CELLS as u64),
             ("BLOCK_VALUES", values::BLOCK_VALUES as u64),
             ("VALUES_RAW", u64::from(values::VALUES_RAW)),
             ("VALUES_PCO", u64::from(values::VALUES_PCO)),

@@ -63,6 +63,8 @@ pub enum SegmentKind {
     Points = 6,
     /// Coordinates of a rectilinear or curvilinear grid.
     Coordinates = 7,
+    /// How dense the points are, cell by cell.
+    Levels = 8,
 }
 
 impl SegmentKind {
@@ -75,6 +77,7 @@ impl SegmentKind {
             5 => "bricks".into(),
             6 => "points".into(),
             7 => "coordinates".into(),
+            8 => "levels".into(),
             other => format!("unknown kind {other}"),
         }
     }

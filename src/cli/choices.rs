@@ -2,7 +2,7 @@
 
 use super::text;
 use clap::ValueEnum;
-use isospan::pipeline::{Amount, NanPolicy, ReduceSettings};
+use isospan::pipeline::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, Target};
 use isospan::points::{SetKind, SetSettings};
 use isospan::sample::{Interpolation, Values};
 use isospan::{Error, Result};
@@ -10,15 +10,29 @@ use isospan::{Error, Result};
 /// Point set, interpolation, missing values, sizes.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Choices {
-    /// The point set.
-    #[arg(long, value_enum, default_value_t = Set::Hammersley)]
-    points: Set,
+    /// The point set [default: hammersley; with --adapt halton].
+    #[arg(long, value_enum)]
+    points: Option<Set>,
     /// Number of points as a fraction of the samples [default: 1/8].
     #[arg(long, value_name = "FRACTION", value_parser = text::parse_fraction, conflicts_with = "count")]
     fraction: Option<f64>,
     /// Number of points (boundary samples come on top).
     #[arg(long, value_name = "N")]
     count: Option<u64>,
+    /// More points where the field needs them and fewer elsewhere, as many in all: the volume is read once more to find where. Of a series up
+    /// to eight steps are. For --points halton.
+    #[arg(long)]
+    adapt: bool,
+    /// With --adapt or a target: the values that somebody will look at; what happens below LO and above HI does not count.
+    #[arg(long, value_name = "LO:HI", value_parser = parse_focus, allow_hyphen_values = true)]
+    focus: Option<[f64; 2]>,
+    /// Instead of a number of points: the fewest with which the root mean square error at all samples is at most E (in units of the field, or
+    /// N% of its range). Reduces several times, with --adapt; the error that was met is stored.
+    #[arg(long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure"])]
+    target_rms: Option<Bound>,
+    /// As --target-rms, for the largest error at a sample.
+    #[arg(long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms"])]
+    target_max: Option<Bound>,
     /// Hammersley: the shift t in (k + t)/n; 0 gives the classical set.
     #[arg(long, value_name = "T", default_value_t = 0.5)]
     shift: f64,
@@ -93,17 +107,38 @@ fn parse_regularity(text: &str) -> std::result::Result<[u32; 3], String> {
     text::parse_triple(text, "a regularity")
 }
 
+fn parse_bound(text: &str) -> std::result::Result<Bound, String> {
+    let number = |s: &str| s.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
+    let bound = match text.strip_suffix('%') {
+        Some(percent) => number(percent).map(|p| Bound::OfRange(p / 100.0)),
+        None => number(text).map(Bound::Value),
+    };
+    bound.ok_or_else(|| format!("'{text}' is no error; write a number above 0, as in 2.5 or 1%"))
+}
+
+fn parse_focus(text: &str) -> std::result::Result<[f64; 2], String> {
+    let numbers =
+        text.split_once(':').and_then(|(lo, hi)| Some([lo.trim().parse().ok()?, hi.trim().parse().ok()?]));
+    numbers.ok_or_else(|| format!("'{text}' is no range; write LO:HI, as in 300:900"))
+}
+
 impl Choices {
     /// The settings that the flags say.
     pub(crate) fn settings(&self) -> Result<ReduceSettings> {
-        let kind = match self.points {
+        let target = self.target_rms.map(Target::Rms).or(self.target_max.map(Target::Max));
+        let adapt = self.adapt || target.is_some();
+        if self.focus.is_some() && !adapt {
+            return Err(Error::usage("--focus tells --adapt where to look"));
+        }
+        let points = self.points.unwrap_or(if adapt { Set::Halton } else { Set::Hammersley });
+        let kind = match points {
             Set::Hammersley => SetKind::Hammersley,
             Set::Halton => SetKind::Halton,
             Set::HyperbolicCross => SetKind::HyperbolicCross,
             Set::Regular => SetKind::Regular,
             Set::Lattice => SetKind::Bcc,
         };
-        if (self.cross_m.is_some() || self.cross_k.is_some()) && self.points != Set::HyperbolicCross {
+        if (self.cross_m.is_some() || self.cross_k.is_some()) && points != Set::HyperbolicCross {
             return Err(Error::usage("--cross-m and --cross-k are for --points hyperbolic-cross"));
         }
         let amount = match (self.count, self.fraction) {
@@ -114,6 +149,8 @@ impl Choices {
             points: kind,
             set: SetSettings { shift: self.shift, m: self.cross_m, k: self.cross_k, r: self.cross_r },
             amount,
+            adapt: adapt.then_some(Adapt { focus: self.focus }),
+            target,
             interpolation: match self.interp {
                 Interp::Linear => Interpolation::Linear,
                 Interp::Cubic => Interpolation::Cubic,

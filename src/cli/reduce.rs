@@ -7,7 +7,7 @@ use super::progress::Talk;
 use super::step::StepInputs;
 use super::{dry_run, text};
 use isospan::Result;
-use isospan::pipeline::{ReduceReport, RunSettings, estimate_series, reduce_series};
+use isospan::pipeline::{ReduceReport, RunSettings, Target, TargetReport, estimate_series, reduce_series};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -69,6 +69,16 @@ pub(super) fn tell(archive: &Path, report: &ReduceReport, json: bool, talk: &Tal
     super::print(&in_words(archive, report))
 }
 
+fn target_line(t: &TargetReport) -> String {
+    let what = if matches!(t.target, Target::Rms(_)) { "RMS" } else { "at most" };
+    let met = if t.met { "met" } else { "NOT MET" };
+    let [full, all] = t.full_cells.map(text::count);
+    format!(
+        "  target      {met}: {what} {:.4} of {:.4} wanted, after {} tries; {full} of {all} cells have a point a sample",
+        t.error, t.bound, t.tries
+    )
+}
+
 fn in_words(archive: &Path, report: &ReduceReport) -> String {
     let mut out = String::new();
     let per_point = report.archive_bytes as f64 / report.points.max(1) as f64;
@@ -102,6 +112,9 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
     }
     if let Some(error) = &report.error {
         let _ = writeln!(out, "{}", super::measure::line(error));
+    }
+    if let Some(t) = &report.target {
+        let _ = writeln!(out, "{}", target_line(t));
     }
     if report.steps.len() + report.skipped.len() > 1 {
         let bytes = report.steps.iter().map(|s| s.value_bytes + s.index_bytes).sum::<u64>();

@@ -99,9 +99,15 @@ impl LatticeBox {
     /// The box grown by `by` steps on each side of each axis and clipped to `domain`.
     #[must_use]
     pub fn grow_within(&self, by: LatticePos, domain: &Self) -> Self {
+        self.grow_sides([by; 2], domain)
+    }
+
+    /// The box grown by so many steps along each axis, on its low sides and on its high ones, but not beyond `domain`.
+    #[must_use]
+    pub fn grow_sides(&self, by: [LatticePos; 2], domain: &Self) -> Self {
         Self {
-            lo: std::array::from_fn(|a| self.lo[a].saturating_sub(by[a])),
-            hi: std::array::from_fn(|a| self.hi[a].saturating_add(by[a])),
+            lo: std::array::from_fn(|a| self.lo[a].saturating_sub(by[0][a])),
+            hi: std::array::from_fn(|a| self.hi[a].saturating_add(by[1][a])),
         }
         .intersect(domain)
     }

@@ -3,6 +3,7 @@
 //! New files come beside the old ones, and the manifest that names them is renamed over the old one in the end: until then the archive is the
 //! old one. A run that was killed is continued by the same call; what it left is in the folders of the new steps, which no manifest names.
 
+use super::beside::Beside;
 use super::field::NanPolicy;
 use super::layout::Layout;
 use super::open::OpenArchive;
@@ -79,7 +80,7 @@ pub fn append(
         };
         return Ok(finished(report, started));
     }
-    let parts = parts(&manifest.plan, None)?;
+    let parts = parts(&manifest.plan, Beside::read(out, &manifest.plan)?)?;
     let need = need_of(&parts, series.plan.steps.len(), run.memory, run);
     estimate_of(&series, &need, out, run)?.check()?;
     let shares = need.shares(run.memory, threads(run))?;

@@ -150,7 +150,8 @@ impl Question<'_> {
         let archive = self.archive;
         let core = &archive.chunks.chunk(work.chunk).core;
         // The halo points that tetrahedra use lie within about one spacing.
-        let near = core.grow_within(archive.points.mean_spacing(), &archive.chunks.bricks().lattice.domain());
+        let near =
+            core.grow_sides(archive.points.spacing_around(core), &archive.chunks.bricks().lattice.domain());
         let tets: u64 = work.blocks.iter().map(|b| u64::from(b.tets) * self.times_active(b)).sum();
         let per_vertex = reader::BYTES_PER_VERTEX + need::SURFACE_PER_VERTEX * self.isovalues.len() as u64;
         need::extraction_bytes(archive.points.count_in(&near), per_vertex, tets)

@@ -28,6 +28,16 @@ pub(crate) struct GridField {
     pub(crate) released: AtomicU64,
 }
 
+/// Puts a value in the place of samples that are missing or infinite.
+pub(super) fn treat_missing(missing: Option<f64>, stand_in: f32, samples: &mut [f32]) {
+    let missing = missing.map(|m| m as f32);
+    for v in samples {
+        if !v.is_finite() || Some(*v) == missing {
+            *v = stand_in;
+        }
+    }
+}
+
 impl Field for GridField {
     fn place(&self, _: &MeshedChunk) -> Result<Placement> {
         Ok(Placement::default())
@@ -119,12 +129,7 @@ impl GridField {
             NanPolicy::Value(v) => v,
             NanPolicy::Error | NanPolicy::Mask => f32::NAN,
         };
-        let missing = self.missing.map(|m| m as f32);
-        for v in voxels {
-            if !v.is_finite() || Some(*v) == missing {
-                *v = stand_in;
-            }
-        }
+        treat_missing(self.missing, stand_in, voxels);
     }
 
     fn nan_error(&self, at: LatticePos) -> Error {

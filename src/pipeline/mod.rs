@@ -7,7 +7,9 @@
 //!
 //! [`reduce`] makes an archive, [`extract_surface`] and [`count_active`] ask it, [`check_archive`] proves it whole.
 
+mod adapt;
 mod append;
+mod beside;
 mod block;
 mod cell_field;
 mod chunk;
@@ -42,12 +44,14 @@ mod spectrum;
 mod status;
 mod steps;
 mod surface_series;
+mod target;
 mod verify;
 mod visit;
 mod volume_series;
 mod work;
 
 pub use crate::domain::store::MeshCensus;
+pub use adapt::Adapt;
 pub use append::{AppendSettings, append};
 pub use export::{Corners, ExportReport, ExportSettings};
 pub use field::NanPolicy;
@@ -72,4 +76,5 @@ pub use spectrum::{SpectrumReport, StepSpectrum, contour_spectrum, contour_spect
 pub use status::{GcReport, StatusReport, collect_garbage, shard_status};
 pub use steps::{StepChoice, StepRange};
 pub use surface_series::{SeriesReport, StepSurfaces, extract_series};
+pub use target::{Bound, Target, TargetReport};
 pub use verify::{ArchiveCheck, check_archive};

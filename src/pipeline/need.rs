@@ -93,7 +93,7 @@ pub(crate) fn region(
     halo: Halo,
     retries: u32,
 ) -> LatticeBox {
-    core.grow_within(width(points, HALO_QUARTERS + halo.extra_quarters(), retries), domain)
+    core.grow_sides(widths(points, core, HALO_QUARTERS + halo.extra_quarters(), retries), domain)
 }
 
 /// The core of a chunk with the inner halo of a try, whose points are all inserted.
@@ -104,12 +104,14 @@ pub(crate) fn near(
     halo: Halo,
     retries: u32,
 ) -> LatticeBox {
-    core.grow_within(width(points, NEAR_QUARTERS + halo.extra_quarters(), retries), domain)
+    core.grow_sides(widths(points, core, NEAR_QUARTERS + halo.extra_quarters(), retries), domain)
 }
 
-fn width(points: &PointSet, quarters: u64, retries: u32) -> LatticePos {
+/// On the low sides, and on the high ones.
+fn widths(points: &PointSet, core: &LatticeBox, quarters: u64, retries: u32) -> [LatticePos; 2] {
     let factor = quarters << retries.min(40);
-    points.mean_spacing().map(|s| u32::try_from(u64::from(s).saturating_mul(factor) / 4).unwrap_or(u32::MAX))
+    let width = |s: u32| u32::try_from(u64::from(s).saturating_mul(factor) / 4).unwrap_or(u32::MAX);
+    points.spacing_around(core).map(|side| side.map(width))
 }
 
 /// Bytes in which a chunk whose region holds so many points is meshed, sampled and encoded.
@@ -154,6 +156,8 @@ impl Shares {
 /// What the largest chunks of a plan need, and the index of all.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Need {
+    /// The process itself, and how dense the points are.
+    base: u64,
     points: u64,
     chunks: u64,
     room: u64,
@@ -180,6 +184,7 @@ impl Need {
         }
         let points = parts.points.len();
         Self {
+            base: BASE + parts.points.levels().map_or(0, |l| l.as_slice().len() as u64),
             points,
             chunks: parts.chunks.len(),
             room: room_for(region_points, parts.halo),
@@ -207,12 +212,12 @@ impl Need {
 
     fn of_workers(&self, workers: u64) -> u64 {
         let each = self.room.saturating_add(WAITING * self.product());
-        BASE.saturating_add(each.saturating_mul(workers).max(BuildSettings::LEAST_MEMORY))
+        self.base.saturating_add(each.saturating_mul(workers).max(BuildSettings::LEAST_MEMORY))
     }
 
     /// Scratch space with which the index is built, where `memory` does not hold it.
     fn index_scratch(&self, memory: u64) -> u64 {
-        let room = memory.saturating_sub(BASE + BuildSettings::LEAST_MEMORY);
+        let room = memory.saturating_sub(self.base + BuildSettings::LEAST_MEMORY);
         if self.entries * INDEX_ENTRY <= room { 0 } else { self.entries * INDEX_ENTRY_ON_DISK }
     }
 
@@ -243,7 +248,7 @@ impl Need {
         let useful = (threads as u64).min(self.chunks).max(1);
         let workers = (1..=useful).rev().find(|&w| self.of_workers(w) <= memory).unwrap_or(1);
         let queue = workers * WAITING * self.product();
-        Ok(Shares { workers: workers as usize, room: (memory - BASE - queue) / workers, queue })
+        Ok(Shares { workers: workers as usize, room: (memory - self.base - queue) / workers, queue })
     }
 }
 
@@ -407,8 +412,15 @@ pub(crate) fn free_bytes(_path: &Path) -> Option<u64> {
 mod tests {
     use super::*;
 
-    const NEED: Need =
-        Need { points: 1 << 20, chunks: 9, room: 100 << 20, core_points: 70_000, steps: 1, entries: 1 << 15 };
+    const NEED: Need = Need {
+        base: BASE,
+        points: 1 << 20,
+        chunks: 9,
+        room: 100 << 20,
+        core_points: 70_000,
+        steps: 1,
+        entries: 1 << 15,
+    };
     const PRODUCT: u64 = 70_000 * 26 + (256 << 10);
 
     #[test]

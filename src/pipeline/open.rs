@@ -1,5 +1,6 @@
 //! An archive opened for reading: manifest, point set, grids; segments are opened when first needed.
 
+use super::beside::Beside;
 use super::block::Kept;
 use super::layout::Layout;
 use super::plan::{MeshParts, parts};
@@ -8,7 +9,6 @@ use super::reduce::folder_bytes;
 use super::steps::{StepChoice, View};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::{CellCount, CoordinateMap};
-use crate::archive::explicit::read_explicit;
 use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, MeshSource, SegmentRecord, Step};
 use crate::archive::segment::{FORMAT_VERSION, PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::archive::values::Quantiser;
@@ -222,14 +222,8 @@ impl OpenArchive {
         let bad = |at: &str, expected: String, got: String| {
             Err(Error::bad_input(root.join(MANIFEST_NAME), at, expected, got))
         };
-        let explicit = match &manifest.plan.explicit {
-            Some(record) => {
-                let read = read_explicit(root, manifest.plan_hash, &manifest.plan.lattice, record);
-                Some(Arc::new(read.map_err(|e| lost(root, e))?))
-            }
-            None => None,
-        };
-        let MeshParts { points, chunks, .. } = match parts(&manifest.plan, explicit) {
+        let beside = Beside::read_of(root, manifest.plan_hash, &manifest.plan).map_err(|e| lost(root, e))?;
+        let MeshParts { points, chunks, .. } = match parts(&manifest.plan, beside) {
             Ok(parts) => parts,
             Err(e) => return bad("plan", "a plan that can be carried out".into(), e.to_string()),
         };

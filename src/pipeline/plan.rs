@@ -4,6 +4,10 @@
 //! mesh, the same for all fields and steps, and what decides the values of a step. Segments carry the hash of what
 //! they depend on, so a segment of another plan is never taken for one of this.
 
+use super::adapt::Adapt;
+use super::beside::Beside;
+use super::target::Target;
+use crate::archive::levels::LevelsRecord;
 use crate::archive::manifest::{BaseStep, LONGEST_CHAIN, Plan as MeshPlan, Source, StepPlan};
 use crate::archive::segment::PlanHash;
 use crate::archive::values::Quantiser;
@@ -14,7 +18,7 @@ use crate::grid::ChunkGrid;
 use crate::pipeline::field::NanPolicy;
 use crate::pipeline::fingerprint::fingerprint;
 use crate::pipeline::need::Halo;
-use crate::points::{ExplicitPoints, PointSet, PointSpec, SetKind, SetSettings};
+use crate::points::{Levels, PointSet, PointSpec, SetKind, SetSettings};
 use crate::sample::{Interpolation, Values};
 use crate::volume::VolumeInfo;
 use serde::{Deserialize, Serialize};
@@ -39,6 +43,12 @@ pub struct ReduceSettings {
     pub set: SetSettings,
     /// Number of interior points.
     pub amount: Amount,
+    /// Whether points are dense where the field needs them; a Halton set can be.
+    #[serde(default)]
+    pub adapt: Option<Adapt>,
+    /// The error that is not to be exceeded: the amount follows from it.
+    #[serde(default)]
+    pub target: Option<Target>,
     /// How values are interpolated between samples.
     pub interpolation: Interpolation,
     /// Whether values are fitted to the samples.
@@ -70,6 +80,8 @@ impl Default for ReduceSettings {
             points: SetKind::Hammersley,
             set: SetSettings::default(),
             amount: Amount::Fraction(0.125),
+            adapt: None,
+            target: None,
             interpolation: Interpolation::Linear,
             values: Values::Sample,
             nan: NanPolicy::Error,
@@ -115,11 +127,10 @@ impl Plan {
                 format!("{:?}", info.geometry),
             ));
         }
-        let samples = info.dims.iter().map(|&d| d as f64).product::<f64>();
-        let count = match settings.amount {
-            Amount::Count(n) => n,
-            Amount::Fraction(f) => (samples * f).round().max(1.0) as u64,
-        };
+        if let Some(adapt) = &settings.adapt {
+            adapt.check(settings)?;
+        }
+        let count = count_of(settings, info.dims);
         if !settings.interpolation.is_of_volumes() {
             return Err(Error::usage(format!(
                 "{} interpolation is for tetrahedral meshes; {} is a volume",
@@ -168,6 +179,7 @@ impl Plan {
                 chunk_target: settings.chunk_points,
                 block_tets: BLOCK_TETS,
                 explicit: None,
+                levels: None,
                 stars: settings.values == Values::Fit,
             },
             steps: vec![StepPlan {
@@ -181,6 +193,37 @@ impl Plan {
                 base: None,
             }],
         })
+    }
+
+    /// Makes the points denser in some places than in others: n of them at level 0 in the whole domain.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for more points than a set may have.
+    pub(crate) fn adapt(&mut self, n: u64, levels: &Arc<Levels>) -> Result<()> {
+        let (mesh, spec) = (&mut self.mesh, PointSpec::Halton { n });
+        PointSet::graded(spec, mesh.lattice, Arc::clone(levels))?;
+        mesh.points = spec;
+        // As most points see them: they decide how large a brick of about a thousand is.
+        let (mut points, mut squares) = (0.0, 0.0);
+        for (density, &voxels) in Self::densities(mesh, levels).into_iter().zip(&levels.voxels_by_level()) {
+            points += density * voxels as f64;
+            squares += density * density * voxels as f64;
+        }
+        let edge = libm::cbrt(BRICK_POINTS * points / squares).round() as u64;
+        mesh.levels = Some(LevelsRecord::of(levels));
+        mesh.brick_edge = [edge.clamp(1, LARGEST_BRICK_EDGE); 3];
+        mesh.order_bits = Order::for_count(n << levels.top()).bits;
+        Ok(())
+    }
+
+    /// Points to a voxel at each level.
+    pub(super) fn densities(mesh: &MeshPlan, levels: &Levels) -> Vec<f64> {
+        let n = match mesh.points {
+            PointSpec::Halton { n } => n as f64,
+            _ => unreachable!("levels are those of a Halton set"),
+        };
+        let voxels = mesh.lattice.dims.iter().map(|&d| (d - 1) as f64).product::<f64>();
+        (0..=levels.top()).map(|l| n / voxels * (1u64 << l) as f64).collect()
     }
 
     /// What all steps have in common: that of the first.
@@ -215,6 +258,14 @@ impl Plan {
             step.base = last.filter(|l| l.number / keyframes == step.number / keyframes);
             last = Some(BaseStep { number: step.number, hash: step.hash(mesh) });
         }
+    }
+}
+
+/// The number of interior points that is wanted of a volume.
+pub(super) fn count_of(settings: &ReduceSettings, dims: [u64; 3]) -> u64 {
+    match settings.amount {
+        Amount::Count(n) => n,
+        Amount::Fraction(f) => (dims.iter().map(|&d| d as f64).product::<f64>() * f).round().max(1.0) as u64,
     }
 }
 
@@ -261,11 +312,11 @@ pub(crate) struct MeshParts {
     pub(crate) halo: Halo,
 }
 
-/// Makes the parts of a plan, which may come from a file, and of the listed points that belong to it.
+/// Makes the parts of a plan, which may come from a file, and of what is stored beside it.
 ///
 /// # Errors
 /// [`Error::Usage`] when a parameter is out of range.
-pub(crate) fn parts(plan: &MeshPlan, explicit: Option<Arc<ExplicitPoints>>) -> Result<MeshParts> {
+pub(crate) fn parts(plan: &MeshPlan, beside: Beside) -> Result<MeshParts> {
     if Lattice::new(plan.lattice.dims)? != plan.lattice {
         return Err(Error::usage("the lattice is not that of its dimensions"));
     }
@@ -278,8 +329,11 @@ pub(crate) fn parts(plan: &MeshPlan, explicit: Option<Arc<ExplicitPoints>>) -> R
     if !(1..=Order::MOST_BITS).contains(&plan.order_bits) || plan.block_tets == 0 {
         return Err(Error::usage("order bits or tetrahedra of a block out of range"));
     }
-    let mut points = PointSet::new(plan.points, plan.lattice)?;
-    if let Some(explicit) = explicit {
+    let mut points = match beside.levels {
+        Some(levels) => PointSet::graded(plan.points, plan.lattice, levels)?,
+        None => PointSet::new(plan.points, plan.lattice)?,
+    };
+    if let Some(explicit) = beside.explicit {
         points = points.with_explicit(explicit);
     }
     let bricks = plan.bricks().dims().iter().map(|&n| u128::from(n)).product::<u128>();

@@ -13,6 +13,7 @@
 //!
 //! The file is written once and never changed: JSON, its last member a checksum of all bytes before it, as in a manifest.
 
+use super::beside::Beside;
 use super::plan::{Plan, ReduceSettings};
 use super::series::{PlannedSource, SeriesPlan, SkippedStep};
 use crate::archive::manifest::{check_sum, sealed_text};
@@ -107,6 +108,8 @@ impl PlanFile {
             skipped: self.skipped,
             before: None,
             keyframes: self.settings.keyframes,
+            beside: Beside::default(),
+            bound: None,
         }
     }
 

@@ -3,6 +3,7 @@
 //! The archive's folder is filled segment by segment; the manifest comes last. A folder without a manifest is no
 //! archive: it is work that the same command continues. A folder with one is never touched unless asked to.
 
+use super::beside::Beside;
 use super::commit::Made;
 use super::layout::Layout;
 use super::measure::{MeasureSettings, reopened_error};
@@ -14,10 +15,10 @@ use super::reduce_mesh;
 use super::series::{Making, Means, Outcome, PlannedSource, SeriesPlan, SkippedStep};
 use super::shard::Shard;
 use super::steps::StepChoice;
+use super::target::{TargetReport, reduce_to_target};
 use super::volume_series::{Known, VolumeFields, plan_volumes};
 use super::work::StageTimes;
 use crate::archive::coordinates::CellCount;
-use crate::archive::explicit::write_explicit;
 use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest};
 use crate::archive::values::Quantiser;
 use crate::archive::{TEMPORARY_MARK, publish};
@@ -76,7 +77,15 @@ pub struct ReduceReport {
     pub mesh: Option<MeshCensus>,
     /// Points of the archive.
     pub points: u64,
-    /// Of these, points without a value.
+    /// Of these, points that are no samples of the boundary, about.
+    pub inner_points: u64,
+    /// What came of looking for a wanted error.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub target: Option<TargetReport>,
+    /// The error that is wanted, in units of the field.
+    #[serde(skip)]
+    pub(super) bound: Option<f64>,
+    /// Of all points, those without a value.
     pub void_points: u64,
     /// Tetrahedra.
     pub tetrahedra: u64,
@@ -175,7 +184,11 @@ pub fn reduce_series(
     let started = Instant::now();
     refuse_overwriting(out, run)?;
     let sources = &numbered(sources);
-    make(&Job { sources, settings, out, run, progress, started, part: Part::Whole })
+    let job = Job { sources, settings, out, run, progress, started, part: Part::Whole };
+    match settings.target {
+        Some(target) => reduce_to_target(&job, target),
+        None => make(&job),
+    }
 }
 
 /// Steps with their numbers.
@@ -262,7 +275,7 @@ pub(super) fn make_plan(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimat
         return reduce_mesh::plan_mesh(&mesh, job);
     }
     let series = plan_volumes(job.sources, job.settings, job.run, Known::default())?;
-    let mesh = parts(&series.plan.mesh, None)?;
+    let mesh = parts(&series.plan.mesh, series.beside.clone())?;
     let need = need_of(&mesh, series.plan.steps.len(), job.run.memory, job.run);
     let estimate = estimate_of(&series, &need, job.out, job.run)?;
     Ok((series, mesh, estimate))
@@ -270,17 +283,19 @@ pub(super) fn make_plan(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimat
 
 fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     let planning = Instant::now();
-    let known = Known { planned: job.part.planned(), ..Known::default() };
+    let known = Known { planned: job.part.planned(), out: Some(job.out), ..Known::default() };
     let series = plan_volumes(job.sources, job.settings, job.run, known)?;
     job.part.expect_planned(&series)?;
     let samples = series.plan.first().source.dims.iter().product();
     let seconds = vec![("plan".to_owned(), planning.elapsed().as_secs_f64())];
-    let mesh = parts(&series.plan.mesh, None)?;
+    let mesh = parts(&series.plan.mesh, series.beside.clone())?;
     let need = need_of(&mesh, series.plan.steps.len(), job.run.memory, job.run);
     estimate_of(&series, &need, job.out, job.run)?.check()?;
     let shares = need.shares(job.run.memory, threads(job.run))?;
     let fields = VolumeFields::new(job.settings, job.run, job.progress);
-    let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
+    let inner_points = mesh.points.interior_len();
+    let bound = series.bound;
+    let report = ReduceReport { samples, seconds, inner_points, bound, ..ReduceReport::default() };
     produce(job, series, &Means { parts: &mesh, fields: &fields, shares, at_once: need.steps() }, report)
 }
 
@@ -301,9 +316,7 @@ pub(super) fn produce(
 ) -> Result<ReduceReport> {
     let layout = Layout::new(job.out, means.parts.chunks.len(), 0);
     prepare_folder(&layout, job.run)?;
-    if let Some(points) = means.parts.points.explicit() {
-        write_explicit(job.out, series.plan.mesh_hash(), points)?;
-    }
+    Beside::write(job.out, series.plan.mesh_hash(), &means.parts.points)?;
     let making = Making {
         means,
         layout: &layout,

@@ -6,6 +6,7 @@
 //!
 //! The amount is that of points **inside** the mesh: the set fills the box, so it has as many more as the box is larger.
 
+use super::beside::Beside;
 use super::cell_field::CellField;
 use super::field::{Field, NanPolicy};
 use super::need::{Estimate, Need, Question, free_bytes};
@@ -59,7 +60,7 @@ pub(super) fn reduce_mesh(mesh: &CellMesh, job: &Job<'_>) -> Result<ReduceReport
     let mut seconds = vec![("read".to_owned(), reading.elapsed().as_secs_f64())];
     job.part.expect_planned(&series)?;
     let plan = &series.plan;
-    let parts = parts(&plan.mesh, Some(boundary.points.clone()))?;
+    let parts = parts(&plan.mesh, listed(&boundary))?;
     let memory = job.run.memory.saturating_sub(boundary_bytes(&boundary));
     let need = need_of(&parts, plan.steps.len(), memory, job.run);
     estimate_of(plan, &need, memory, job.out, job.run, (&scratch, 0))?.check()?;
@@ -116,7 +117,7 @@ pub(super) fn plan_mesh(mesh: &CellMesh, job: &Job<'_>) -> Result<(SeriesPlan, M
     job.progress.begin("read the mesh", 0, "points");
     let Prepared { series, boundary, .. } = prepare(mesh, job, &store_settings(settings, job.run, &scratch))?;
     let plan = &series.plan;
-    let parts = parts(&plan.mesh, Some(boundary.points.clone()))?;
+    let parts = parts(&plan.mesh, listed(&boundary))?;
     let memory = job.run.memory.saturating_sub(boundary_bytes(&boundary));
     let bytes = scratch_bytes(mesh, job);
     let need = need_of(&parts, plan.steps.len(), memory, job.run);
@@ -164,6 +165,10 @@ fn store_settings<'a>(
 }
 
 /// Memory of the boundary's samples and of the list of their positions.
+fn listed(boundary: &BoundarySamples) -> Beside {
+    Beside { explicit: Some(boundary.points.clone()), levels: None }
+}
+
 fn boundary_bytes(boundary: &BoundarySamples) -> u64 {
     boundary.points.len().saturating_mul(100)
 }
@@ -214,6 +219,11 @@ fn prepare(mesh: &CellMesh, job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Pr
         Amount::Count(n) => n as f64,
         Amount::Fraction(f) => counts.vertices as f64 * f,
     };
+    if settings.adapt.is_some() || settings.target.is_some() {
+        return Err(Error::usage(
+            "--adapt is for volumes: a mesh is reduced with the same density everywhere",
+        ));
+    }
     let count = (inside / store.filled()).round().max(1.0) as u64;
     let mut plan = Plan::on_lattice(lattice, count, source, settings)?;
     let spacing = PointSet::new(plan.mesh.points, lattice)?.mean_spacing();
@@ -241,6 +251,8 @@ fn plan_steps(
         skipped: vec![],
         before: None,
         keyframes: job.settings.keyframes,
+        beside: Beside::default(),
+        bound: None,
     };
     let mut plan_one = |number: u64, source: &StepSource| -> Result<StepPlan> {
         let mesh = match formats::open_input(&source.path, &source.options)? {

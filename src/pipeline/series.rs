@@ -11,6 +11,7 @@
 //! A step that turns out to be bad in the middle of its pass is left out where that is wanted: the steps that refer to it have another hash then and are
 //! made again; all else is found there and kept.
 
+use super::beside::Beside;
 use super::chunk::Recipe;
 use super::commit::record;
 use super::field::Field;
@@ -70,6 +71,10 @@ pub(super) struct SeriesPlan {
     /// The last step that the archive has already.
     pub(super) before: Option<StepPlan>,
     pub(super) keyframes: u64,
+    /// What is stored beside the plan.
+    pub(super) beside: Beside,
+    /// The error that is wanted, in units of the field.
+    pub(super) bound: Option<f64>,
 }
 
 impl SeriesPlan {

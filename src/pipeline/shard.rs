@@ -15,6 +15,7 @@
 //! The input is read by every worker. One without random access (compressed) is copied into bricks by each of them, and the structures
 //! of a tetrahedral mesh are made by each of them, in its own `scratch`: nothing is shared between machines but the archive.
 
+use super::beside::Beside;
 use super::inspect::{Depth, SegmentState};
 use super::layout::Layout;
 use super::need::{Estimate, Need};
@@ -26,7 +27,6 @@ use super::reduce::{
 };
 use super::series::Outcome;
 use super::status::Inventory;
-use crate::archive::explicit::{read_explicit, write_explicit};
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
 use crate::error::{Error, Result};
 use crate::exec::Progress;
@@ -36,7 +36,6 @@ use std::fmt;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
-use std::sync::Arc;
 use std::time::Instant;
 
 /// A part of the work: the `index`-th of `count`.
@@ -126,6 +125,11 @@ pub fn plan_shards(
     if shards == 0 {
         return Err(Error::usage("at least one shard"));
     }
+    if settings.target.is_some() {
+        return Err(Error::usage(
+            "a target is met by trying: reduce does that; a plan has a count or a fraction",
+        ));
+    }
     reduce::refuse_overwriting(out, run)?;
     let (sources, part) = (&numbered(sources), Part::Whole);
     let job = Job { sources, settings, out, run, progress, started: Instant::now(), part };
@@ -135,9 +139,7 @@ pub fn plan_shards(
     let file = PlanFile::new(settings, series, cut)?;
     file.write(out, run.replace)?;
     prepare_folder(&layout, run)?;
-    if let Some(points) = mesh.points.explicit() {
-        write_explicit(out, file.mesh_hash, points)?;
-    }
+    Beside::write(out, file.mesh_hash, &mesh.points)?;
     let segments = layout.segment_count();
     let shard_segments = segments.div_ceil(shards);
     Ok(PlanReport {
@@ -274,13 +276,9 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
     Ok(finished(report, started))
 }
 
-/// The parts of a plan, with the listed points that are in the archive.
+/// The parts of a plan, with what is stored in the archive.
 fn mesh_parts(out: &Path, plan: &Plan) -> Result<MeshParts> {
-    let explicit = match &plan.mesh.explicit {
-        Some(record) => Some(Arc::new(read_explicit(out, plan.mesh_hash(), &plan.mesh.lattice, record)?)),
-        None => None,
-    };
-    parts(&plan.mesh, explicit)
+    parts(&plan.mesh, Beside::read(out, &plan.mesh)?)
 }
 
 #[cfg(test)]

@@ -1,12 +1,12 @@
 //! How far is a planned reduction? Every segment is looked at, on several threads; nothing is written.
 
+use super::beside::Beside;
 use super::inspect::{Depth, SegmentState, inspect};
 use super::layout::Layout;
 use super::plan_file::{PlanFile, work_folder};
 use super::reduce::{RunSettings, threads};
 use super::shard::Shard;
 use crate::archive::TEMPORARY_MARK;
-use crate::archive::explicit::explicit_path;
 use crate::archive::manifest::MANIFEST_NAME;
 use crate::archive::segment::{PlanHash, SegmentKind};
 use crate::error::{Error, Result};
@@ -94,9 +94,8 @@ impl<'a> Inventory<'a> {
     /// [`Error::Incomplete`] when a segment is not whole.
     pub(super) fn expect_whole(&self, run: &RunSettings, progress: &dyn Progress) -> Result<()> {
         let mut faults = self.all_faults(Depth::All, run, progress)?;
-        let points = explicit_path(self.layout.root());
-        if self.file.plan.mesh.explicit.is_some() && !points.exists() {
-            faults.push(Fault { segment: 0, state: SegmentState::Missing, path: points });
+        for path in Beside::missing(self.layout.root(), &self.file.plan.mesh) {
+            faults.push(Fault { segment: 0, state: SegmentState::Missing, path });
         }
         // In a word each, so that many have room in a line; `status` tells more.
         let missing: Vec<String> =

@@ -1,22 +1,25 @@
 //! The steps of a series of volumes: planned from their headers, opened when their turn comes.
 
+use super::adapt::Errors;
+use super::beside::Beside;
 use super::field::{Field, NanPolicy};
 use super::fingerprint::fingerprint;
 use super::grid_field::GridField;
 use super::open::OpenArchive;
 use super::placed::coordinate_hash;
-use super::plan::{Plan, ReduceSettings, source_of};
+use super::plan::{Plan, ReduceSettings, count_of, source_of};
 use super::reduce::{RunSettings, copy_bytes, random_access, scratch_folder};
 use super::scan::{stream_range, value_range};
 use super::series::{Fields, PlannedSource, SeriesPlan, is_of_data, of_step};
 use crate::archive::manifest::StepPlan;
 use crate::archive::values::Quantiser;
+use crate::density::Choice;
 use crate::error::{Error, Result};
 use crate::exec::Progress;
 use crate::formats::{self, Input, StepSource, UnpackedFrames};
 use crate::grid::Geometry;
 use crate::volume::{VolumeInfo, VolumeSource};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -67,6 +70,10 @@ struct Planner<'a> {
     planned: Option<&'a Plan>,
     common: Option<Common>,
     plan: Option<Plan>,
+    /// Where points are needed, as far as steps were looked at for that.
+    errors: Option<Errors<'a>>,
+    beside: Beside,
+    bound: Option<f64>,
     /// The files that were hashed last, which may hold many steps.
     hashed: (Vec<PathBuf>, String),
 }
@@ -78,10 +85,15 @@ pub(super) struct Known<'a> {
     pub(super) planned: Option<&'a Plan>,
     /// The archive that steps are added to.
     pub(super) archive: Option<&'a OpenArchive>,
+    /// The folder that has what is stored beside a plan that was made before.
+    pub(super) out: Option<&'a Path>,
 }
 
+/// The most steps of a series that are read to find where points are needed: these, evenly spread.
+const MOST_LOOKED_AT: usize = 8;
+
 /// Plans all steps of a series. Reads headers, and fingerprints; with [`ReduceSettings::value_bits`] also all samples, unless that was
-/// done before.
+/// done before; with [`ReduceSettings::adapt`] those of some steps.
 pub(super) fn plan_volumes(
     sources: &[(u64, StepSource)],
     settings: &ReduceSettings,
@@ -89,17 +101,29 @@ pub(super) fn plan_volumes(
     known: Known<'_>,
 ) -> Result<SeriesPlan> {
     let before = known.archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone());
-    let Known { planned: plan_before, archive } = known;
-    let mut planner =
-        Planner { settings, run, planned: plan_before, common: None, plan: None, hashed: Default::default() };
+    let Known { planned: plan_before, archive, out } = known;
+    let mut planner = Planner {
+        settings,
+        run,
+        planned: plan_before,
+        common: None,
+        plan: None,
+        errors: None,
+        beside: Beside::default(),
+        bound: None,
+        hashed: Default::default(),
+    };
     if let Some(archive) = archive {
         planner.join(archive)?;
     }
     let (mut steps, mut planned, mut skipped, mut first_error) = (vec![], vec![], vec![], None);
     let several = sources.len() > 1 || archive.is_some();
-    for (number, source) in sources.iter().map(|(n, s)| (*n, s)) {
+    let every = sources.len().div_ceil(MOST_LOOKED_AT);
+    for (i, (number, source)) in sources.iter().map(|(n, s)| (*n, s)).enumerate() {
         run.cancel.check()?;
-        let step = planner.step(number, source).map_err(|e| if several { of_step(e, number) } else { e });
+        let step = planner
+            .step(number, source, i % every == 0)
+            .map_err(|e| if several { of_step(e, number) } else { e });
         match step {
             Ok((step, source)) => {
                 steps.push(step);
@@ -112,6 +136,8 @@ pub(super) fn plan_volumes(
             Err(e) => return Err(e),
         }
     }
+    planner.set_levels(out)?;
+    let (beside, bound) = (planner.beside, planner.bound);
     let Some(plan) = planner.plan.filter(|_| !steps.is_empty()) else {
         return Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")));
     };
@@ -121,6 +147,8 @@ pub(super) fn plan_volumes(
         skipped: vec![],
         before,
         keyframes: settings.keyframes,
+        beside,
+        bound,
     };
     skipped.into_iter().for_each(|(number, source, reason)| series.skip(number, source, reason));
     share_copies(&mut series)?;
@@ -161,7 +189,49 @@ impl Planner<'_> {
         Ok(())
     }
 
-    fn step(&mut self, number: u64, source: &StepSource) -> Result<(StepPlan, PlannedSource)> {
+    /// Whether levels have to be found, and are not those of a plan or archive that is there.
+    fn finds_levels(&self) -> bool {
+        self.settings.adapt.is_some() && self.planned.is_none()
+    }
+
+    /// Makes points dense where that was found to be needed; or where it was when the plan was made.
+    fn set_levels(&mut self, out: Option<&Path>) -> Result<()> {
+        let Some(plan) = &mut self.plan else { return Ok(()) };
+        if let (Some(planned), Some(out)) = (self.planned, out)
+            && planned.mesh.levels.is_some()
+            && planned.mesh.lattice == plan.mesh.lattice
+        {
+            self.beside = Beside::read(out, &planned.mesh)?;
+            plan.mesh.clone_from(&planned.mesh);
+        }
+        if let Some(errors) = self.errors.take() {
+            let (target, dims) = (self.settings.target, plan.mesh.lattice.dims);
+            self.bound = target.map(|t| t.bound().in_units(errors.range()));
+            let count = match target.zip(self.bound) {
+                Some((target, bound)) => errors.count_of_rms(target.rms_of(bound))?,
+                None => count_of(self.settings, dims),
+            };
+            let Choice { n, levels } = errors.choice(count)?;
+            let levels = Arc::new(levels);
+            plan.adapt(n, &levels)?;
+            self.beside.levels = Some(levels);
+        }
+        Ok(())
+    }
+
+    /// Adds the errors of a step to those that decide where points are needed.
+    fn look_at(&mut self, source: &StepSource) -> Result<()> {
+        let (Some(plan), Some(adapt)) = (&self.plan, &self.settings.adapt) else { return Ok(()) };
+        if self.errors.is_none() {
+            self.errors = Some(Errors::new(plan.mesh.lattice, adapt, self.settings, self.run)?);
+        }
+        let Input::Volume(volume) = formats::open_input(&source.path, &source.options)? else {
+            return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
+        };
+        self.errors.as_mut().map_or(Ok(()), |errors| errors.add(volume))
+    }
+
+    fn step(&mut self, number: u64, source: &StepSource, look: bool) -> Result<(StepPlan, PlannedSource)> {
         let Input::Volume(volume) = formats::open_input(&source.path, &source.options)? else {
             return Err(Error::bad_input(
                 &source.path,
@@ -180,6 +250,9 @@ impl Planner<'_> {
                 let (dims, geometry) = (info.dims, info.geometry);
                 self.common = Some(Common { step: number, dims, geometry, coordinates });
             }
+        }
+        if look && self.finds_levels() {
+            self.look_at(source)?;
         }
         let (copied, copying) = copy_bytes(&volume);
         let quantiser = match self.planned {

@@ -90,6 +90,37 @@ impl Boundary {
         }
     }
 
+    /// Whether there is such a sample.
+    pub(super) fn has(&self, class: PointClass, index: u64) -> bool {
+        match class {
+            PointClass::Interior | PointClass::Explicit => false,
+            PointClass::Edge => index / 12 < self.edges[(index % 12) as usize].len(),
+            PointClass::Face => index / 6 < self.faces[(index % 6) as usize].len(),
+            PointClass::Corner => index < 8,
+        }
+    }
+
+    /// The parts of a box of the domain that lie in a face of the domain, each position once.
+    pub(super) fn sides_in(&self, b: &LatticeBox) -> Vec<LatticeBox> {
+        let (mut rest, mut sides) = (*b, vec![]);
+        for a in 0..3 {
+            for at in [0, self.max[a]] {
+                let mut side = rest;
+                (side.lo[a], side.hi[a]) = (side.lo[a].max(at), side.hi[a].min(at + 1));
+                if !side.is_empty() {
+                    sides.push(side);
+                }
+            }
+            (rest.lo[a], rest.hi[a]) = (rest.lo[a].max(1), rest.hi[a].min(self.max[a]));
+        }
+        sides
+    }
+
+    /// The number of samples in a box by its share of each side.
+    pub(super) fn share_in(&self, b: &LatticeBox) -> f64 {
+        self.corners_in(b).count() as f64 + self.nets().map(|n| n.share_in(b)).sum::<f64>()
+    }
+
     fn corners_in(&self, b: &LatticeBox) -> impl Iterator<Item = Site> {
         (0..8)
             .map(|c| Site { id: PointId::new(PointClass::Corner, c), pos: self.corner(c) })

@@ -10,7 +10,7 @@
 //!
 //! scaled to the domain box and rounded to its [`Lattice`], halves up, in integers throughout. All but the regular
 //! set get samples of the domain's boundary besides (`boundary`), and a set may have a list of points that follow no formula
-//! ([`ExplicitPoints`]).
+//! ([`ExplicitPoints`]). A Halton set may be denser in some places than in others ([`Levels`], `graded`).
 //!
 //! A point is its [`PointId`]: [`PointSet::position`] is a formula, so positions need not be stored. And a box finds
 //! its own points ([`PointSet::sites_in`]) from the formula, whatever the size of the whole set: no pass over all
@@ -34,19 +34,24 @@
 
 mod boundary;
 mod explicit;
+mod graded;
 mod grids;
+mod levels;
 mod net;
 mod order;
 mod radical_inverse;
 mod spec;
 
 pub use explicit::ExplicitPoints;
+pub use levels::Levels;
+pub(crate) use levels::cell_voxels;
 pub use radical_inverse::{RadicalInverse, radical_inverse};
 pub use spec::{PointSpec, SetKind, SetSettings};
 
 use crate::error::{Error, Result};
 use crate::geom::{Lattice, LatticeBox, LatticePos, PointClass, PointId, Site};
 use boundary::Boundary;
+use graded::Graded;
 use grids::Grids;
 use net::{Axis, Net};
 use radical_inverse::Base;
@@ -63,6 +68,8 @@ pub struct PointSet {
     interior: Interior,
     boundary: Option<Boundary>,
     explicit: Option<Arc<ExplicitPoints>>,
+    /// Where the density differs from place to place: then the rest is that of the highest level.
+    graded: Option<Arc<Graded>>,
     /// (V/n)^(1/3) in 2^-16 lattice steps.
     spacing_q16: u64,
 }
@@ -89,7 +96,21 @@ impl PointSet {
             PointSpec::Halton { .. } => Some(Boundary::new(lattice.max(), spacing_q16, true)),
             _ => Some(Boundary::new(lattice.max(), spacing_q16, false)),
         };
-        Ok(Self { spec, lattice, interior, boundary, explicit: None, spacing_q16 })
+        Ok(Self { spec, lattice, interior, boundary, explicit: None, graded: None, spacing_q16 })
+    }
+
+    /// The Halton set that has, where the levels say l, the points of the first n·2^l that lie there; n is that of `spec`.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a set of another kind, for levels of another lattice, and for more than [`MOST_POINTS`].
+    pub fn graded(spec: PointSpec, lattice: Lattice, levels: Arc<Levels>) -> Result<Self> {
+        let graded = Graded::new(spec, lattice, levels)?;
+        Ok(Self { spec, graded: Some(Arc::new(graded.clone())), ..graded.finest().clone() })
+    }
+
+    /// The levels of a set whose density differs from place to place.
+    pub fn levels(&self) -> Option<&Arc<Levels>> {
+        self.graded.as_ref().map(|g| g.levels())
     }
 
     /// The same set and a list of points besides.
@@ -113,15 +134,19 @@ impl PointSet {
         &self.lattice
     }
 
-    /// Number of points, interior and boundary, before those that round to one position become one.
+    /// Number of points, interior and boundary, before those that round to one position become one; about that number where the density
+    /// differs from place to place.
     pub fn len(&self) -> u64 {
         let listed = self.explicit.as_ref().map_or(0, |e| e.len());
+        if let Some(graded) = &self.graded {
+            return graded.len() + listed;
+        }
         self.interior.len() + self.boundary.as_ref().map_or(0, Boundary::len) + listed
     }
 
     /// Number of points that are no boundary samples.
     pub fn interior_len(&self) -> u64 {
-        self.interior.len()
+        self.graded.as_ref().map_or(self.interior.len(), |g| g.interior_len())
     }
 
     /// Never true: a set has at least one point.
@@ -137,11 +162,14 @@ impl PointSet {
         if b.is_empty() {
             return 0;
         }
+        let listed = self.explicit.as_ref().map_or(0, |e| e.count_in(&b));
+        if let Some(graded) = &self.graded {
+            return graded.count_in(&b) + listed;
+        }
         let interior = match &self.interior {
             Interior::Net(net) => net.count_in(&b),
             Interior::Grids(grids) => grids.count_in(&b),
         };
-        let listed = self.explicit.as_ref().map_or(0, |e| e.count_in(&b));
         interior + self.boundary.as_ref().map_or(0, |s| s.count_in(&b)) + listed
     }
 
@@ -160,20 +188,46 @@ impl PointSet {
         if b.is_empty() {
             return;
         }
-        match &self.interior {
-            Interior::Net(net) => net.sites_in(&b, out),
-            Interior::Grids(grids) => grids.sites_in(&b, out),
-        }
-        if let Some(boundary) = &self.boundary {
-            boundary.sites_in(&b, out);
+        if let Some(graded) = &self.graded {
+            graded.append_in(&b, &mut vec![], out);
+        } else {
+            self.append_even(&b, out);
         }
         if let Some(explicit) = &self.explicit {
             explicit.sites_in(&b, out);
         }
     }
 
+    /// Appends the points in a box of the domain that follow a formula, of a set whose density is the same everywhere.
+    fn append_even(&self, b: &LatticeBox, out: &mut Vec<Site>) {
+        match &self.interior {
+            Interior::Net(net) => net.sites_in(b, out),
+            Interior::Grids(grids) => grids.sites_in(b, out),
+        }
+        if let Some(boundary) = &self.boundary {
+            boundary.sites_in(b, out);
+        }
+    }
+
+    /// Whether a set whose density is the same everywhere has a point with this id, which follows a formula.
+    fn has_id(&self, id: PointId) -> bool {
+        match (id.class(), &self.boundary) {
+            (Some(PointClass::Interior), _) => id.index() < self.interior.len(),
+            (Some(class), Some(boundary)) => boundary.has(class, id.index()),
+            _ => false,
+        }
+    }
+
+    /// About the number of boundary samples in a box of the domain.
+    fn boundary_share_in(&self, b: &LatticeBox) -> f64 {
+        self.boundary.as_ref().map_or(0.0, |s| s.share_in(b))
+    }
+
     /// The position of a point; `None` for an id that the set does not have (from a damaged file).
     pub fn position(&self, id: PointId) -> Option<LatticePos> {
+        if let (Some(graded), true) = (&self.graded, id.class()? != PointClass::Explicit) {
+            return graded.position(id);
+        }
         match id.class()? {
             PointClass::Interior => match &self.interior {
                 Interior::Net(net) => net.position(id.index()),
@@ -185,7 +239,7 @@ impl PointSet {
     }
 
     /// The mean distance of interior points along each axis, in lattice steps, rounded up: (V/n)^(1/3), or the pitch
-    /// of a regular set. For choosing halos.
+    /// of a regular set; where the density differs, that of its highest level.
     pub fn mean_spacing(&self) -> [u32; 3] {
         match self.spec {
             PointSpec::Regular { counts } => {
@@ -193,6 +247,15 @@ impl PointSet {
                 std::array::from_fn(|a| u64::from(max[a]).div_ceil(counts[a] - 1) as u32)
             }
             _ => [self.spacing_q16.div_ceil(1 << 16) as u32; 3],
+        }
+    }
+
+    /// [`PointSet::mean_spacing`] on each side of a box, low sides first: where the density differs, that of the coarsest cells at the face. For
+    /// choosing halos.
+    pub fn spacing_around(&self, b: &LatticeBox) -> [[u32; 3]; 2] {
+        match &self.graded {
+            Some(graded) => graded.spacing_around(b),
+            None => [self.mean_spacing(); 2],
         }
     }
 
@@ -218,6 +281,14 @@ impl Interior {
             PointSpec::Regular { counts } => Self::Grids(Grids::regular(counts, lattice)?),
             PointSpec::Bcc { spacing } => Self::Grids(Grids::bcc(spacing, lattice)?),
         })
+    }
+
+    /// The number of points by the share of the volume.
+    fn share_in(&self, b: &LatticeBox) -> f64 {
+        match self {
+            Self::Net(net) => net.share_in(b),
+            Self::Grids(grids) => grids.count_in(b) as f64,
+        }
     }
 
     fn len(&self) -> u64 {

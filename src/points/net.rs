@@ -98,6 +98,19 @@ impl Net {
         ((count + (1 << 15)) >> 16) as u64
     }
 
+    /// The number of points by the share of length along each axis that is not fixed.
+    pub(super) fn share_in(&self, b: &LatticeBox) -> f64 {
+        let mut share = self.n as f64;
+        for a in 0..3 {
+            match self.axes[a] {
+                Axis::Fixed(p) if !(b.lo[a] <= p && p < b.hi[a]) => return 0.0,
+                Axis::Fixed(_) => {}
+                _ => share *= f64::from(b.hi[a] - b.lo[a]) / f64::from(self.max[a] + 1),
+            }
+        }
+        share
+    }
+
     /// Appends all points whose rounded position lies in the box, in no particular order, duplicates included.
     pub(super) fn sites_in(&self, b: &LatticeBox, out: &mut Vec<Site>) {
         let Some(numbers) = self.numbers_in(b) else { return };

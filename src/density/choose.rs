@@ -1,0 +1,184 @@
+//! From errors to levels: equal gain for every point.
+
+use super::{ErrorCurves, NOTHING, SCALES, STEPS};
+use crate::error::Result;
+use crate::grid::BrickId;
+use crate::points::Levels;
+use rayon::prelude::*;
+
+/// A density for every cell.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Choice {
+    /// Points of level 0 in the whole domain.
+    pub n: u64,
+    /// The level of each cell.
+    pub levels: Levels,
+}
+
+/// log2 of voxels to a point at level 0, at least.
+const DEPTH: u32 = 12;
+/// And below the mean density that is wanted.
+const BELOW_MEAN: u32 = 6;
+/// Points at level 0 in the whole domain, at least, where a volume has so many samples.
+const LEAST_POINTS: u64 = 16;
+/// Steps of a factor 2 in which λ is looked for; and its logarithm is between these.
+const LAMBDA_STEPS: i32 = 64;
+const LAMBDA_RANGE: i32 = 1000;
+/// Stored logarithms are multiples of 1/4, and levels are a third of the way from one density to the next.
+const PARTS: i32 = 3 * STEPS as i32;
+
+/// What the choice of a level depends on.
+struct Search<'a> {
+    curves: &'a ErrorCurves,
+    /// 2^(i / PARTS).
+    powers: [f64; PARTS as usize],
+    /// The level of a point a voxel.
+    top: u32,
+    /// The least level of a cell that has samples with and without a value.
+    mean: u8,
+}
+
+impl Choice {
+    /// The levels of least error for `count` points inside the domain; found by the threads of the pool that this is called in.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] when there are more points than a set may have.
+    pub fn of_count(curves: &ErrorCurves, count: u64) -> Result<Self> {
+        let voxels = curves.voxels();
+        if count as f64 >= voxels {
+            // Nothing is left to choose; and noise, which fewer points would not lessen, is met.
+            let levels = Levels::new(curves.cells, vec![0; curves.logs.len()])?;
+            return Ok(Self { n: count, levels });
+        }
+        let search = Search::new(curves, count as f64 / voxels);
+        let (mut dense, mut sparse) = (-LAMBDA_RANGE * LAMBDA_STEPS, LAMBDA_RANGE * LAMBDA_STEPS);
+        while dense + 1 < sparse {
+            let middle = dense.midpoint(sparse);
+            let points = search.points(&search.levels(middle));
+            if points > count as f64 { dense = middle } else { sparse = middle }
+        }
+        search.choice(search.levels(sparse), count)
+    }
+}
+
+impl Choice {
+    /// About the least number of points inside the domain with which the root mean square error at all samples is at most `rms`.
+    pub fn count_of_rms(curves: &ErrorCurves, rms: f64) -> u64 {
+        let samples: f64 = curves.cells.lattice.dims.iter().map(|&d| d as f64).product();
+        let search = Search::new(curves, 1.0);
+        let (mut dense, mut sparse) = (-LAMBDA_RANGE * LAMBDA_STEPS, LAMBDA_RANGE * LAMBDA_STEPS);
+        while dense + 1 < sparse {
+            let middle = dense.midpoint(sparse);
+            let error = search.total_error(&search.levels(middle));
+            if error > rms * rms * samples { sparse = middle } else { dense = middle }
+        }
+        search.points(&search.levels(dense)).min(samples).max(1.0) as u64
+    }
+}
+
+impl ErrorCurves {
+    fn voxels(&self) -> f64 {
+        self.cells.lattice.dims.iter().map(|&d| (d - 1) as f64).product()
+    }
+
+    fn cell_voxels(&self, cell: usize) -> f64 {
+        crate::points::cell_voxels(&self.cells, BrickId(cell as u64)) as f64
+    }
+}
+
+impl<'a> Search<'a> {
+    fn new(curves: &'a ErrorCurves, density: f64) -> Self {
+        let below = |x: f64| libm::ceil(-libm::log2(x)).clamp(0.0, f64::from(Levels::LARGEST)) as u32;
+        let samples = curves.voxels() as u64;
+        let most = (samples / LEAST_POINTS).max(1).ilog2().min(u32::from(Levels::LARGEST));
+        let top = DEPTH.max(below(density) + BELOW_MEAN).min(most);
+        let powers = std::array::from_fn(|i| libm::exp2(i as f64 / f64::from(PARTS)));
+        let mean = top.saturating_sub(below(density)) as u8;
+        Self { curves, powers, top, mean }
+    }
+
+    /// The error of a cell at a level: sum of squares.
+    #[inline]
+    fn error(&self, logs: &[i16; SCALES], level: u32) -> f64 {
+        // In thirds of a density; the first one measured has 1/8 point a voxel.
+        let thirds = (self.top - level) as i32 - 3;
+        let last = SCALES as i32 - 1;
+        let i = thirds.div_euclid(3).clamp(0, last - 1);
+        let [a, b] = [logs[i as usize], logs[i as usize + 1]].map(i32::from);
+        let mut slope = b - a;
+        if thirds < 0 {
+            slope = slope.min(4 * STEPS as i32);
+        }
+        let parts = 3 * a + slope * (thirds - 3 * i).min(3);
+        let power = self.powers[parts.rem_euclid(PARTS) as usize];
+        scale(power, parts.div_euclid(PARTS))
+    }
+
+    /// The level of a cell by itself.
+    fn level(&self, cell: usize, lambda: f64) -> u8 {
+        let logs = self.curves.logs[cell];
+        let least = if self.curves.mixed[cell] { self.mean } else { 0 };
+        if logs[SCALES - 1] == NOTHING && logs.iter().all(|&l| l == NOTHING) {
+            return least;
+        }
+        let logs = rising(logs);
+        let price = lambda * self.curves.cell_voxels(cell);
+        let cost = |level: u32| self.error(&logs, level) + price * scale(1.0, level as i32 - self.top as i32);
+        let mut best = (f64::INFINITY, 0);
+        for level in 0..=self.top {
+            let cost = cost(level);
+            if cost < best.0 {
+                best = (cost, level);
+            }
+        }
+        (best.1 as u8).max(least)
+    }
+
+    /// The graded levels for a price of a point.
+    fn levels(&self, lambda: i32) -> Vec<u8> {
+        let lambda = libm::exp2(f64::from(lambda) / f64::from(LAMBDA_STEPS));
+        let cells = 0..self.curves.logs.len();
+        let mut levels: Vec<u8> = cells.into_par_iter().map(|c| self.level(c, lambda)).collect();
+        Levels::grade(&self.curves.cells, &mut levels);
+        levels
+    }
+
+    /// The sum of squared errors of all cells.
+    fn total_error(&self, levels: &[u8]) -> f64 {
+        let of = |(logs, &level): (&[i16; SCALES], &u8)| self.error(&rising(*logs), u32::from(level));
+        self.curves.logs.iter().zip(levels).map(of).sum()
+    }
+
+    fn points(&self, levels: &[u8]) -> f64 {
+        let of = |(cell, &level): (usize, &u8)| {
+            self.curves.cell_voxels(cell) * scale(1.0, i32::from(level) - self.top as i32)
+        };
+        levels.iter().enumerate().map(of).sum()
+    }
+
+    /// Levels from 0 on, and how many points level 0 has for so many in all.
+    fn choice(&self, mut levels: Vec<u8>, count: u64) -> Result<Choice> {
+        let least = levels.iter().copied().min().unwrap_or(0);
+        let first = self.curves.voxels() * scale(1.0, i32::from(least) - self.top as i32);
+        let n = (first * count as f64 / self.points(&levels)).round().max(1.0) as u64;
+        levels.iter_mut().for_each(|l| *l -= least);
+        Ok(Choice { n, levels: Levels::new(self.curves.cells, levels)? })
+    }
+}
+
+/// An error that is less at a lower density is luck; none is a very small one.
+#[inline]
+fn rising(mut logs: [i16; SCALES]) -> [i16; SCALES] {
+    let mut largest = -4000;
+    for log in &mut logs {
+        largest = largest.max(*log);
+        *log = largest;
+    }
+    logs
+}
+
+/// x · 2^e, x from 1 to 2.
+#[inline]
+fn scale(x: f64, e: i32) -> f64 {
+    x * f64::from_bits(((e.clamp(-1022, 1023) + 1023) as u64) << 52)
+}

@@ -1,0 +1,109 @@
+//! Where does a field need more points?
+//!
+//! A field that is linear in each tetrahedron is off where the field bends within one. How far depends on the field there, and on how many points
+//! there are. So for each cell of a few voxels the error is **measured** at five densities, as that of the simplest reduction of all: keep every
+//! s-th sample along each axis, s = 2, 4 … 32, and interpolate the others from the eight around them. That needs no mesh and no more than the
+//! samples of 32³ voxels at a time, and tells by itself what kind of place it is:
+//!
+//! ```text
+//!  error²                              what more points bring
+//!    │ ────────────── noise            nothing, until all samples are there
+//!    │          ___---  an edge        about their number
+//!    │      _--
+//!    │   _-     smooth                 the 4/3 power of their number
+//!    └──────────────────── s
+//!        2   4   8  16  32
+//! ```
+//!
+//! A cell's **level** l is then a number of points to a voxel, 2^(l - L), L being the level of a point a voxel. The error between two densities
+//! is interpolated, both logarithmic; beyond the densest one it goes on as before, but at best as of a smooth field.
+//!
+//! **Equal gain.** With E(l) the sum of squares of a cell and P(l) its points, the least total error for a number of points has each
+//! cell at the l of least E(l) + λ·P(l), with one λ for all (Lagrange): no cell could give a point to another one that would use it better. So
+//! noise gets few points: there they would be wasted. λ is found by bisection for the number of points that is wanted;
+//! levels are graded ([`Levels`](crate::points::Levels)) before they are counted.
+//!
+//! **Focus.** Who looks at isovalues from LO to HI alone does not care what happens above and below. Samples are cut off at LO and HI
+//! before errors are measured; where all are on one side, nothing is wrong.
+//!
+//! Everything that decides is an integer or an IEEE operation, and the logarithms are those of `libm`: the same levels on every
+//! machine. Time: 15 operations a sample and density. Memory: 11 bytes a cell. References: D'Azevedo and Simpson, "On optimal interpolation
+//! triangle incidences", 1989 (error by second derivatives); Nadler, "Piecewise linear best L2 approximation on triangulations", 1986 (equal errors).
+
+mod block;
+mod choose;
+
+pub use block::{BLOCK_EDGE, BlockErrors};
+pub use choose::Choice;
+
+use crate::grid::BrickGrid;
+use crate::points::Levels;
+
+/// Densities at which errors are measured: every 2nd, 4th … sample along each axis.
+pub const SCALES: usize = 5;
+
+/// A cell without error, at a density.
+const NOTHING: i16 = i16::MIN;
+/// Steps of a factor 2 in what is stored.
+const STEPS: f64 = 4.0;
+
+/// The error of each cell at each density.
+#[derive(Clone, Debug)]
+pub struct ErrorCurves {
+    cells: BrickGrid,
+    /// Four times the logarithm (base 2) of the sum of squared errors, rounded; or [`NOTHING`].
+    logs: Vec<[i16; SCALES]>,
+    /// Whether the cell has samples with a value, and others without.
+    mixed: Vec<bool>,
+}
+
+impl ErrorCurves {
+    /// Of the cells of a lattice that are as small as may be.
+    pub fn new(lattice: crate::geom::Lattice) -> Self {
+        let at = |edge| BrickGrid { lattice, edge: [edge; 3] };
+        let count = |edge| at(edge).dims().iter().map(|&n| u128::from(n)).product::<u128>();
+        let mut edge = LEAST_EDGE;
+        while count(edge) > u128::from(Levels::MOST_CELLS) {
+            edge *= 2;
+        }
+        let cells = at(edge);
+        let len = cells.len() as usize;
+        Self { cells, logs: vec![[NOTHING; SCALES]; len], mixed: vec![false; len] }
+    }
+
+    /// The cells.
+    pub fn cells(&self) -> &BrickGrid {
+        &self.cells
+    }
+
+    /// Bytes that the curves of a lattice take, and the levels made of them.
+    pub fn bytes_for(lattice: crate::geom::Lattice) -> u64 {
+        let cells = lattice.dims.iter().map(|&d| (d - 1).div_ceil(LEAST_EDGE)).fold(1, u64::saturating_mul);
+        cells.min(Levels::MOST_CELLS) * 13
+    }
+
+    /// Adds the errors of a block.
+    pub fn add(&mut self, errors: &BlockErrors) {
+        for (cell, sums, mixed) in errors.cells() {
+            let at = cell.0 as usize;
+            self.mixed[at] |= mixed;
+            for (log, &sum) in self.logs[at].iter_mut().zip(sums) {
+                *log = to_log(from_log(*log) + sum);
+            }
+        }
+    }
+}
+
+/// Voxel cells along the edge of a cell, at least.
+const LEAST_EDGE: u64 = 2;
+
+fn to_log(sum: f64) -> i16 {
+    if sum > 0.0 { (libm::log2(sum) * STEPS).round() as i16 } else { NOTHING }
+}
+
+fn from_log(log: i16) -> f64 {
+    if log == NOTHING { 0.0 } else { libm::exp2(f64::from(log) / STEPS) }
+}
+
+#[cfg(test)]
+mod tests;

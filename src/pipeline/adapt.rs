@@ -1,0 +1,134 @@
+//! Levels for a volume, or for a series of them: one pass over the samples of each step ([`crate::density`]).
+
+use super::field::NanPolicy;
+use super::grid_field::treat_missing;
+use super::need;
+use super::plan::ReduceSettings;
+use super::reduce::{RunSettings, random_access, threads};
+use crate::density::{BlockErrors, Choice, ErrorCurves};
+use crate::error::{Error, Result};
+use crate::exec::{Silent, pool};
+use crate::geom::Lattice;
+use crate::grid::{BrickGrid, BrickId};
+use crate::points::SetKind;
+use crate::volume::{VolumeReader, VolumeSource};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// What decides where points are dense.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Adapt {
+    /// The values that somebody will look at: what happens above and below does not count.
+    pub focus: Option<[f64; 2]>,
+}
+
+impl Adapt {
+    /// # Errors
+    /// [`Error::Usage`] for a range that is none, and for a point set that cannot be denser in some places.
+    pub(super) fn check(&self, settings: &ReduceSettings) -> Result<()> {
+        if let Some([lo, hi]) = self.focus
+            && !(lo < hi && lo.is_finite() && hi.is_finite())
+        {
+            return Err(Error::usage(format!(
+                "the focus {lo}:{hi} is no range: write two numbers, the smaller one first"
+            )));
+        }
+        if settings.points != SetKind::Halton {
+            return Err(Error::usage(format!(
+                "only a halton set can be denser in some places; --adapt does not go with --points {}",
+                settings.points
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// Blocks that are read and measured before their errors are added, in order.
+const BLOCKS_AT_ONCE: u64 = 64;
+/// Bytes of a block's samples and of its errors.
+const BLOCK_BYTES: u64 = 33 * 33 * 33 * 4 + 17 * 17 * 17 * 48;
+
+/// Measures the errors of steps.
+pub(super) struct Errors<'a> {
+    adapt: &'a Adapt,
+    settings: &'a ReduceSettings,
+    run: &'a RunSettings,
+    curves: ErrorCurves,
+    range: Option<[f32; 2]>,
+}
+
+impl<'a> Errors<'a> {
+    /// # Errors
+    /// [`Error::Budget`] when the memory does not hold the curves.
+    pub(super) fn new(
+        lattice: Lattice,
+        adapt: &'a Adapt,
+        settings: &'a ReduceSettings,
+        run: &'a RunSettings,
+    ) -> Result<Self> {
+        let needed = need::BASE + ErrorCurves::bytes_for(lattice) + BLOCKS_AT_ONCE * BLOCK_BYTES;
+        if run.memory < needed {
+            let what = "memory (to find where points are needed)".into();
+            return Err(Error::Budget { what, needed, available: run.memory });
+        }
+        Ok(Self { adapt, settings, run, curves: ErrorCurves::new(lattice), range: None })
+    }
+
+    /// Adds the errors of a step. One without random access is copied into bricks for that.
+    pub(super) fn add(&mut self, source: VolumeSource) -> Result<()> {
+        let (reader, _copy) = random_access(source, self.run, &Silent)?;
+        let blocks = BlockErrors::blocks(self.curves.cells());
+        let pool = pool(threads(self.run))?;
+        for first in (0..blocks.len()).step_by(BLOCKS_AT_ONCE as usize) {
+            self.run.cancel.check()?;
+            let run = first..(first + BLOCKS_AT_ONCE).min(blocks.len());
+            let found: Result<Vec<_>> = pool.install(|| {
+                run.into_par_iter().map(|block| self.block(&*reader, &blocks, BrickId(block))).collect()
+            });
+            for (errors, range) in found? {
+                self.curves.add(&errors);
+                let ranges = [self.range, range].into_iter().flatten();
+                self.range = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+            }
+        }
+        Ok(())
+    }
+
+    /// The errors of a block, and the range of its samples.
+    fn block(
+        &self,
+        reader: &dyn VolumeReader,
+        blocks: &BrickGrid,
+        block: BrickId,
+    ) -> Result<(BlockErrors, Option<[f32; 2]>)> {
+        let samples = BlockErrors::samples_of(blocks, block);
+        let mut values = vec![0.0; samples.len()];
+        reader.read_box(samples, &mut values)?;
+        let stand_in = match self.settings.nan {
+            NanPolicy::Value(v) => v,
+            NanPolicy::Error | NanPolicy::Mask => f32::NAN,
+        };
+        treat_missing(self.settings.missing, stand_in, &mut values);
+        let seen = values.iter().filter(|v| !v.is_nan()).map(|&v| [v, v]);
+        let range = seen.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+        if let Some([lo, hi]) = self.adapt.focus.map(|f| f.map(|v| v as f32)) {
+            values.iter_mut().for_each(|v| *v = v.clamp(lo, hi));
+        }
+        Ok((BlockErrors::measure(self.curves.cells(), &samples, &values), range))
+    }
+
+    /// The range of the samples that were seen.
+    pub(super) fn range(&self) -> [f32; 2] {
+        self.range.unwrap_or_default()
+    }
+
+    /// The number of points with which the error is about this.
+    pub(super) fn count_of_rms(&self, rms: f64) -> Result<u64> {
+        Ok(pool(threads(self.run))?.install(|| Choice::count_of_rms(&self.curves, rms)))
+    }
+
+    /// The levels of so many points.
+    pub(super) fn choice(&self, count: u64) -> Result<Choice> {
+        pool(threads(self.run))?.install(|| Choice::of_count(&self.curves, count))
+    }
+}
