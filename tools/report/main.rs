@@ -76,6 +76,12 @@ fn run(folder: &Path, quick: bool) -> Result<()> {
     tables.into_iter().for_each(|t| report.push(Block::Table(t)));
     clock.lap("reviewed methods");
     claims::conclusions(&mut lab, &curves)?.write(folder, "conclusions")?;
+    if let Some(share) = lab.share_of_a_processor() {
+        report.text(format!(
+            "While times were taken, this process had {:.0} % of a processor. On a machine with nothing else to do it has about 100 %; times of a busy machine are too long.",
+            100.0 * share
+        ));
+    }
     report.text(clock.words());
     report.write(folder, "index")?;
     eprintln!("report: {} experiments; see {}", lab.experiments(), folder.join("index.html").display());

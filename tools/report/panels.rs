@@ -178,8 +178,8 @@ fn picture_of(lab: &Lab, panel: &Panel) -> Result<Vec<u8>> {
     let camera = Camera { azimuth, elevation, perspective: false, ..Camera::default() };
     let view = View::fit(&camera, &[&original.surface], [SIDE; 2])?;
     let mut surface = TriMesh::from_source(&load_surface(&panel.file, &CheckSettings::default())?)?;
-    // Its values grow outwards: seen from outside is the side that counts as the inner one.
-    if panel.dataset == Dataset::Sphere {
+    // Where values grow towards the viewer, the side that is seen counts as the inner one, and would be drawn darker.
+    if !matches!(panel.dataset, Dataset::Heart | Dataset::Torso) {
         surface.triangles.iter_mut().for_each(|t| t.swap(1, 2));
     }
     let subject = Subject { surface: &surface, paint: Paint::Plain(COLOUR), values: &[] };

@@ -26,6 +26,7 @@ use isospan::surface::TriMesh;
 use isospan::{Archive, Result};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 /// Kinds of points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -198,6 +199,8 @@ pub(crate) struct Lab {
     originals: BTreeMap<Dataset, Original>,
     outcomes: BTreeMap<Key, Outcome>,
     times: BTreeMap<Key, Times>,
+    /// Seconds that all times took, by the clock and of this process.
+    timed: [f64; 2],
     /// Runs of which a time is the median.
     repeats: usize,
     /// Only parts of at most 1/4 are tried.
@@ -217,6 +220,7 @@ impl Lab {
             originals: BTreeMap::new(),
             outcomes: BTreeMap::new(),
             times: BTreeMap::new(),
+            timed: [0.0; 2],
             repeats: if quick { 1 } else { 3 },
             quick,
         };
@@ -304,6 +308,7 @@ impl Lab {
         let archive = self.folder.join("reduced.isospan");
         let (mut mesh, mut sample, mut extract, mut points) = (vec![], vec![], vec![], 0);
         let mut outcome = self.outcomes.get(&key).cloned();
+        let (started, worked) = (Instant::now(), processor_seconds());
         for _ in 0..self.repeats {
             // The first run tells the errors, too, if they are not known.
             settings.measure = outcome.is_none();
@@ -321,11 +326,21 @@ impl Lab {
             let found = extract_surface(&archive, &query, &file, SurfaceFormat::Ply, &Silent)?;
             extract.push(seconds(&found.seconds, &["open, index", "extract"]));
         }
+        if let Some((before, after)) = worked.zip(processor_seconds()) {
+            self.timed[0] += started.elapsed().as_secs_f64();
+            self.timed[1] += after - before;
+        }
         let [mesh, sample, extract] = [mesh, sample, extract].map(median);
         let times = Times { asked: key.count, points, mesh, sample, extract };
         self.times.insert(key, times);
         self.outcomes.extend(outcome.map(|o| (key, o)));
         Ok(Some(times))
+    }
+
+    /// How much of one processor this process had while times were taken; `None` where the system does not tell.
+    pub(crate) fn share_of_a_processor(&self) -> Option<f64> {
+        let [clock, process] = self.timed;
+        (clock > 0.0).then(|| process / clock)
     }
 
     fn settings(&self, key: Key, kind: SetKind) -> ReduceSettings {
@@ -482,7 +497,30 @@ impl Original {
     }
 }
 
+/// Seconds that processors have spent on this process, as Linux counts them: in hundredths.
+fn processor_seconds() -> Option<f64> {
+    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
+    // Behind the name, which may hold anything: the state, ten numbers, then the times of the program and of the system.
+    let numbers = stat.rsplit(')').next()?.split_whitespace().skip(11).take(2);
+    let ticks: Vec<u64> = numbers.map_while(|n| n.parse().ok()).collect();
+    (ticks.len() == 2).then(|| ticks.iter().sum::<u64>() as f64 / 100.0)
+}
+
 /// The sum of the seconds of some stages.
 fn seconds(all: &[(String, f64)], stages: &[&str]) -> f64 {
     all.iter().filter(|(name, _)| stages.contains(&name.as_str())).map(|(_, s)| s).sum()
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_process_works() {
+        let before = processor_seconds().unwrap();
+        let started = Instant::now();
+        while processor_seconds().unwrap() < before + 0.05 {
+            assert!(started.elapsed().as_secs() < 60, "a loop takes processor time");
+        }
+    }
 }
