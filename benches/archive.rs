@@ -15,7 +15,7 @@ use std::hint::black_box;
 use std::time::Duration;
 
 const POINTS: u64 = 62_500;
-const BLOCK_TETS: u32 = 1024;
+const BLOCK_TETS: u32 = 256;
 
 /// The points of a set in the order of a chunk's vertices (brick after brick), and their tetrahedra.
 fn mesh(kind: SetKind) -> (Vec<LatticePos>, Vec<Tet>) {

@@ -1,4 +1,4 @@
-//! The mesh of one chunk as blocks: a header with the vertices, then the tetrahedra about a thousand a block.
+//! The mesh of one chunk as blocks: a header with the vertices, then the tetrahedra, some hundred a block.
 //!
 //! **Vertices** have ids local to the chunk: first the core points, brick after brick, each brick's in the order in
 //! which the point set enumerates them (along the Hilbert curve), then the halo points that some tetrahedron uses, by
@@ -9,7 +9,7 @@
 //! tetrahedra: as ids follow the bricks and, inside a brick, the Hilbert curve, a block is compact in space, its (min, max) are
 //! near each other, and few of its vertices are shared with other blocks.
 //!
-//! A block decodes on its own, in two steps: [`TetBlock::open`] tells its vertices ([`ChunkHeader`] gives their number, against which every id is
+//! A block decodes on its own, in two steps: [`TetBlock::open`] tells its vertices ([`ChunkVertices`] gives their number, against which every id is
 //! checked); [`TetBlock::decode`] takes their positions, which foretell most of the tetrahedra.
 
 use super::star;
@@ -159,8 +159,7 @@ impl ChunkEncoder {
         assert!(tets.is_empty() || largest < vertices.len(), "every vertex is local");
         let mut tets = by_vertex(tets, vertices.len());
         let starts = block_starts(&tets, block_tets);
-        let counts: Vec<u32> = starts.windows(2).map(|w| w[1] - w[0]).collect();
-        let mut blocks = vec![encode_header(vertices, &counts)];
+        let mut blocks = vec![encode_header(vertices)];
         for w in starts.windows(2) {
             let tets = &mut tets[w[0] as usize..w[1] as usize];
             blocks.push(encode_tets(&mut self.0, tets, positions));
@@ -203,7 +202,7 @@ enum Body<'a> {
 }
 
 impl<'a> TetBlock<'a> {
-    /// Reads the vertices of a block, each below `vertices` ([`ChunkHeader::vertices`]'s length).
+    /// Reads the vertices of a block, each below `vertices` ([`ChunkVertices::len`]).
     ///
     /// # Errors
     /// When the bytes are not a block, or name a vertex that is not there.
@@ -282,21 +281,10 @@ impl<'a> TetBlock<'a> {
     }
 }
 
-/// What the header block of a chunk says.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct ChunkHeader {
-    /// The vertices.
-    pub vertices: ChunkVertices,
-    /// Tetrahedra in each tetrahedron block.
-    pub block_tets: Vec<u32>,
-}
-
-fn encode_header(vertices: &ChunkVertices, block_tets: &[u32]) -> Vec<u8> {
+fn encode_header(vertices: &ChunkVertices) -> Vec<u8> {
     let mut body = vec![];
     put_varint(&mut body, vertices.core_counts.len() as u64);
     vertices.core_counts.iter().for_each(|&n| put_varint(&mut body, u64::from(n)));
-    put_varint(&mut body, block_tets.len() as u64);
-    block_tets.iter().for_each(|&n| put_varint(&mut body, u64::from(n)));
     put_varint(&mut body, vertices.halo.len() as u64);
     let mut next = 0;
     for id in &vertices.halo {
@@ -326,8 +314,8 @@ fn checked_count(c: &mut Cursor<'_>, at: &'static str) -> Result<usize, Malforme
     Ok(n)
 }
 
-impl ChunkHeader {
-    /// Decodes block 0 of a chunk.
+impl ChunkVertices {
+    /// Decodes block 0 of a chunk, its header.
     ///
     /// # Errors
     /// When the bytes are not such a block.
@@ -340,7 +328,6 @@ impl ChunkHeader {
         let body = unzstd(c.rest(), LARGEST_HEADER, "chunk header")?;
         let mut c = Cursor::new(&body);
         let core_counts = counted(&mut c, "points of a brick")?;
-        let block_tets = counted(&mut c, "tetrahedra of a block")?;
         let n = checked_count(&mut c, "halo points")?;
         let mut halo = Vec::with_capacity(n);
         let mut next = Some(0u64);
@@ -359,7 +346,7 @@ impl ChunkHeader {
         c.end("chunk header")?;
         let mut shared: Vec<bool> = (0..core as usize).map(|i| bits[i / 8] >> (i % 8) & 1 == 1).collect();
         shared.resize(core as usize + n, true);
-        Ok(Self { vertices: ChunkVertices { core_counts, halo, shared }, block_tets })
+        Ok(Self { core_counts, halo, shared })
     }
 }
 
@@ -414,14 +401,13 @@ pub(crate) mod tests {
         tets
     }
 
-    fn decode(encoded: &EncodedChunk, positions: &[LatticePos]) -> (ChunkHeader, Vec<Tet>) {
-        let header = ChunkHeader::decode(&encoded.blocks[0]).unwrap();
+    fn decode(encoded: &EncodedChunk, positions: &[LatticePos]) -> (ChunkVertices, Vec<Tet>) {
+        let header = ChunkVertices::decode(&encoded.blocks[0]).unwrap();
         let (mut all, mut scratch) = (vec![], TetScratch::default());
-        let reopened =
-            |bytes| TetBlock::open(bytes, header.vertices.len(), &mut TetScratch::default()).unwrap();
+        let reopened = |bytes| TetBlock::open(bytes, header.len(), &mut TetScratch::default()).unwrap();
         for (n, bytes) in encoded.blocks[1..].iter().enumerate() {
             let before = all.len();
-            let block = TetBlock::open(bytes, header.vertices.len(), &mut scratch).unwrap();
+            let block = TetBlock::open(bytes, header.len(), &mut scratch).unwrap();
             let here: Vec<LatticePos> = block.vertices().iter().map(|&v| positions[v as usize]).collect();
             block.decode(&here, &mut scratch, &mut all).unwrap();
             assert_eq!(&all[before..], encoded.block_tets(n), "in the same order, turned the same way");
@@ -430,7 +416,6 @@ pub(crate) mod tests {
             block.decode_places(&here, &mut scratch, &mut places).unwrap();
             let named: Vec<Tet> = places.iter().map(|t| t.map(|p| vertices[p as usize])).collect();
             assert_eq!(named, all[before..]);
-            assert_eq!(all.len() - before, header.block_tets[n] as usize);
         }
         (header, all)
     }
@@ -444,7 +429,7 @@ pub(crate) mod tests {
             let encoded = encode_chunk(&vertices, &positions, &tets, block_tets);
             assert_eq!(encoded.blocks.len(), encoded.tet_blocks() + 1);
             let (header, back) = decode(&encoded, &positions);
-            assert_eq!(header.vertices, vertices);
+            assert_eq!(header, vertices);
             assert_eq!(sorted(&back), sorted(&tets));
         }
     }
@@ -463,9 +448,9 @@ pub(crate) mod tests {
     #[test]
     fn no_tetrahedra_and_no_vertices_are_a_chunk_too() {
         let (header, tets) = decode(&encode_chunk(&ChunkVertices::default(), &[], &[], 1000), &[]);
-        assert_eq!((header, tets.len()), (ChunkHeader::default(), 0));
+        assert_eq!((header, tets.len()), (ChunkVertices::default(), 0));
         let (header, _) = decode(&encode_chunk(&vertices_of(10), &[[0; 3]; 10], &[], 1000), &[]);
-        assert_eq!(header.vertices, vertices_of(10));
+        assert_eq!(header, vertices_of(10));
     }
 
     #[test]
@@ -512,13 +497,13 @@ pub(crate) mod tests {
         vertices.shared.push(true);
         let positions = vec![[0; 3]; vertices.len() as usize];
         let good = encode_chunk(&vertices, &positions, &[], 10).blocks.remove(0);
-        assert_eq!(ChunkHeader::decode(&good).unwrap().vertices, vertices);
+        assert_eq!(ChunkVertices::decode(&good).unwrap(), vertices);
         for i in 0..good.len() {
-            assert!(ChunkHeader::decode(&good[..i]).is_err());
+            assert!(ChunkVertices::decode(&good[..i]).is_err());
             for bit in 0..8 {
                 let mut bad = good.clone();
                 bad[i] ^= 1 << bit;
-                let _ = ChunkHeader::decode(&bad);
+                let _ = ChunkVertices::decode(&bad);
             }
         }
         // A body without compression, so that the fields themselves are hit.
@@ -529,7 +514,7 @@ pub(crate) mod tests {
                 bad[i] = value;
                 let mut block = vec![HEADER_ZSTD];
                 block.extend(to_zstd(&bad, 1));
-                let _ = ChunkHeader::decode(&block);
+                let _ = ChunkVertices::decode(&block);
             }
         }
     }

@@ -26,7 +26,7 @@ use pco::{ChunkConfig, DeltaSpec};
 use serde::{Deserialize, Serialize};
 
 /// Values in a block, the last one of a chunk excepted.
-pub const BLOCK_VALUES: usize = 4096;
+pub const BLOCK_VALUES: usize = 1024;
 /// Codec: values as they are.
 pub const VALUES_RAW: u8 = 0;
 /// Codec: pcodec.
@@ -338,7 +338,7 @@ mod tests {
     #[test]
     fn smooth_integer_and_constant_fields_shrink() {
         let smooth: Vec<f32> = (0..9000).map(|i| ((i * i) as f32) * 1e-6 - 3.0).collect();
-        assert!(round_trip(&smooth, None).iter().all(|b| b.len() < 2 * BLOCK_VALUES));
+        assert!(round_trip(&smooth, None).iter().all(|b| b.len() < 3 * BLOCK_VALUES));
         let whole: Vec<f32> = noise(9000).iter().map(|b| (b % 200) as f32).collect();
         assert!(round_trip(&whole, None).iter().all(|b| b.len() < BLOCK_VALUES * 11 / 10));
         assert!(round_trip(&[7.0; BLOCK_VALUES], None)[0].len() < 60);

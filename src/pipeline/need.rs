@@ -15,7 +15,7 @@
 //! widened beyond its room waits until it is alone and has all of them ([`super::work`]). The index is built in what memory there
 //! is; what does not fit is sorted in the scratch folder.
 
-use super::plan::{MeshParts, Plan};
+use super::plan::{BLOCK_TETS, MeshParts, Plan};
 use crate::archive::manifest::Plan as MeshPlan;
 use crate::error::{Error, Result};
 use crate::geom::{LatticeBox, LatticePos};
@@ -190,7 +190,7 @@ impl Need {
             room: room_for(region_points, parts.halo),
             core_points,
             steps: 1,
-            entries: points.saturating_mul(TETS_PER_POINT) / 1024 + parts.chunks.len(),
+            entries: points.saturating_mul(TETS_PER_POINT) / u64::from(BLOCK_TETS) + parts.chunks.len(),
         }
     }
 

@@ -14,7 +14,7 @@ use super::open::{OpenArchive, OpenSegment};
 use super::plan::check_brick;
 use super::roi::Cut;
 use crate::archive::Malformed;
-use crate::archive::chunk::{ChunkHeader, TetBlock, TetScratch};
+use crate::archive::chunk::{ChunkVertices, TetBlock, TetScratch};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::values::BLOCK_VALUES;
 use crate::error::{Error, Result};
@@ -74,7 +74,7 @@ impl<'a> ChunkReader<'a> {
             return Err(damaged(&segment.mesh, id, "block count", &blocks));
         }
         segment.mesh.block(id, 0, &mut memory.bytes)?;
-        let header = ChunkHeader::decode(&memory.bytes).map_err(|m| segment.mesh.blame(id, 0, m))?.vertices;
+        let header = ChunkVertices::decode(&memory.bytes).map_err(|m| segment.mesh.blame(id, 0, m))?;
         if header.core_counts.len() as u64 != chunk.brick_count() {
             return Err(damaged(&segment.mesh, id, "header", "it has another number of bricks"));
         }

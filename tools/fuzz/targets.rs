@@ -2,7 +2,7 @@
 
 use crate::mutate::{Random, mutate};
 use crate::seeds::{get, partner, put};
-use isospan::archive::chunk::{ChunkHeader, TetBlock, TetScratch};
+use isospan::archive::chunk::{ChunkVertices, TetBlock, TetScratch};
 use isospan::archive::manifest::{
     MANIFEST_NAME, Manifest, index_path, mesh_segment_path, values_segment_path,
 };
@@ -96,7 +96,7 @@ pub(crate) fn blocks(bytes: &[u8]) -> Result<()> {
     let Some((&which, block)) = bytes.split_first() else { return Ok(()) };
     let blame = |m: isospan::archive::Malformed| m.in_block(Path::new("a block"), 0);
     match which {
-        0 => ChunkHeader::decode(block).map(drop).map_err(blame),
+        0 => ChunkVertices::decode(block).map(drop).map_err(blame),
         1 => tetrahedra(block).map_err(blame),
         2 => decode_values(block, block.len() % 5000, &vec![1.5; block.len() % 5000], &mut vec![])
             .map_err(blame),

@@ -191,7 +191,7 @@ fn the_first_odds_are_those_of_the_point_sets() {
     for (kind, weight) in sets {
         let (positions, tets) = mesh_of(kind, 60_000);
         let mut writer = Writer::default();
-        for run in runs(&tets, 170) {
+        for run in runs(&tets, 40) {
             writer.encode(run, &positions, &mut vec![]);
         }
         for (&at, [all, set]) in &writer.truth.counts {
