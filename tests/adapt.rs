@@ -7,8 +7,8 @@ use common::*;
 use isospan::exec::Silent;
 use isospan::formats::OpenOptions;
 use isospan::pipeline::{
-    self, Adapt, Amount, Bound, NanPolicy, ReduceSettings, RunSettings, Shard, Target, check_archive,
-    commit_shards, plan_shards, work_shard,
+    self, Adapt, Amount, Bound, LevelSummary, NanPolicy, ReduceSettings, RunSettings, Shard, Target,
+    check_archive, commit_shards, plan_shards, work_shard,
 };
 use isospan::points::SetKind;
 use isospan::sample::Values;
@@ -81,6 +81,11 @@ fn shards_and_restarts_make_the_same_bytes() {
     reduce(&input, &settings, &whole, 1);
     assert_eq!(folder(&whole), expected, "restart");
     // Without its levels an archive cannot be read; with damaged ones neither.
+    let summary = pipeline::summarize(&whole).unwrap();
+    let [voxels, points] = [|l: &LevelSummary| l.voxels, |l: &LevelSummary| l.points]
+        .map(|of| summary.levels.iter().map(of).sum::<u64>());
+    assert_eq!(voxels, 59 * 43 * 37);
+    assert!(points < summary.points && points * 3 > summary.points * 2, "{points} of {}", summary.points);
     let levels = whole.join("mesh/levels.seg");
     let mut bytes = fs::read(&levels).unwrap();
     bytes[60] ^= 1;

@@ -190,6 +190,17 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     let _ = writeln!(out, "{}: isospan archive, format {}", path.display(), s.format);
     let _ = writeln!(out, "  source      {} ({}, {x} x {y} x {z} {})", s.source, s.source_format, s.scalar);
     let _ = writeln!(out, "  points      {} ({})", text::count(s.points), s.point_set);
+    let all: u64 = s.levels.iter().map(|l| l.voxels).sum();
+    for (n, level) in s.levels.iter().enumerate() {
+        let _ = writeln!(
+            out,
+            "  {:<11} {:.4} points a voxel in {:.1} % of the domain: {} points",
+            format!("level {n}"),
+            level.density,
+            100.0 * level.voxels as f64 / all as f64,
+            text::count(level.points)
+        );
+    }
     let _ = writeln!(
         out,
         "  tetrahedra  {} in {} blocks, {} chunks",

@@ -59,7 +59,7 @@ pub use fingerprint::fingerprint;
 pub use handle::{Archive, Tetrahedra};
 pub use measure::{MeasureReport, MeasureSettings, measure};
 pub use need::Estimate;
-pub use open::{ArchiveSummary, StepSummary, is_archive, summarize, summarize_at};
+pub use open::{ArchiveSummary, LevelSummary, StepSummary, is_archive, summarize, summarize_at};
 pub use plan::{Amount, Plan, ReduceSettings};
 pub use plan_file::{plan_path, work_folder};
 pub use probe::{ProbeReport, ProbeSettings};

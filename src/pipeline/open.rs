@@ -3,13 +3,15 @@
 use super::beside::Beside;
 use super::block::Kept;
 use super::layout::Layout;
-use super::plan::{MeshParts, parts};
+use super::plan::{MeshParts, Plan, parts};
 use super::reader::{ChunkReader, ReaderMemory};
 use super::reduce::folder_bytes;
 use super::steps::{StepChoice, View};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::{CellCount, CoordinateMap};
-use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, MeshSource, SegmentRecord, Step};
+use crate::archive::manifest::{
+    CoordinateRecord, MANIFEST_NAME, Manifest, MeshSource, Plan as MeshPlan, SegmentRecord, Step,
+};
 use crate::archive::segment::{FORMAT_VERSION, PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::archive::values::Quantiser;
 use crate::error::{Error, Result};
@@ -18,7 +20,7 @@ use crate::grid::{ChunkGrid, ChunkId, Geometry};
 use crate::index::SpanIndex;
 use crate::measure::FieldError;
 use crate::mesh::tet::Tet;
-use crate::points::PointSet;
+use crate::points::{Levels, PointSet};
 use crate::spectrum::SpectrumFile;
 use crate::spectrum::suggest::Suggestion;
 use serde::Serialize;
@@ -30,6 +32,29 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 /// Whether `path` is an archive: a folder with a manifest.
 pub fn is_archive(path: &Path) -> bool {
     path.is_dir() && path.join(MANIFEST_NAME).is_file()
+}
+
+/// A level of density.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LevelSummary {
+    /// Points to a voxel.
+    pub density: f64,
+    /// Voxels of the cells that have it.
+    pub voxels: u64,
+    /// Points in them, about, samples of the boundary not counted.
+    pub points: u64,
+}
+
+impl LevelSummary {
+    fn all(plan: &MeshPlan, levels: &Levels) -> Vec<Self> {
+        let densities = Plan::densities(plan, levels).into_iter();
+        let of = |(density, voxels): (f64, u64)| Self {
+            density,
+            voxels,
+            points: (density * voxels as f64).round() as u64,
+        };
+        densities.zip(levels.voxels_by_level()).map(of).collect()
+    }
 }
 
 /// What an archive holds, from its manifest.
@@ -57,6 +82,9 @@ pub struct ArchiveSummary {
     pub mesh: Option<MeshSource>,
     /// The point set, with its parameters.
     pub point_set: serde_json::Value,
+    /// Where the density of the points differs from place to place: each level, the coarsest first.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub levels: Vec<LevelSummary>,
     /// How values were interpolated.
     pub interpolation: String,
     /// Whether they are fitted to the samples: "sample" or "fit".
@@ -161,6 +189,7 @@ pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
         grid_cells: archive.coordinate_record().map(|c| c.cells),
         mesh: source.mesh,
         point_set: serde_json::json!(plan.points),
+        levels: archive.points.levels().map_or_else(Vec::new, |levels| LevelSummary::all(plan, levels)),
         interpolation: step.plan.interpolation.name().into(),
         values: step.plan.values.name().into(),
         quantiser: step.plan.quantiser,
