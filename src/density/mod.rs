@@ -21,7 +21,7 @@
 //! **Equal gain.** With E(l) the sum of squares of a cell and P(l) its points, the least total error for a number of points has each
 //! cell at the l of least E(l) + λ·P(l), with one λ for all (Lagrange): no cell could give a point to another one that would use it better. So
 //! noise gets few points: there they would be wasted. λ is found by bisection for the number of points that is wanted;
-//! levels are graded ([`Levels`](crate::points::Levels)) before they are counted.
+//! levels are graded ([`Levels`]) before they are counted.
 //!
 //! **Focus.** Who looks at isovalues from LO to HI alone does not care what happens above and below. Samples are cut off at LO and HI
 //! before errors are measured; where all are on one side, nothing is wrong.
