@@ -18,7 +18,8 @@ use crate::runs::{Lab, Points, distances, is_grid};
 use isospan::exec::Silent;
 use isospan::formats::OpenOptions;
 use isospan::measure::ErrorSums;
-use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
+use isospan::pipeline::{Adapt, Amount, ReduceSettings, RunSettings, reduce};
+use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::TriMesh;
 use isospan::{Archive, Error, Result};
@@ -54,6 +55,8 @@ struct Field {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Way {
     Set(Points, Values),
+    /// Halton points, dense where the field needs them.
+    Adapted(Values),
     /// Every k-th voxel.
     Voxels,
 }
@@ -84,22 +87,35 @@ impl Way {
         match self {
             Self::Set(points, Values::Sample) => points.name().into(),
             Self::Set(points, Values::Fit) => format!("{}, fitted", points.name()),
+            Self::Adapted(Values::Sample) => "Halton, adapted".into(),
+            Self::Adapted(Values::Fit) => "Halton, adapted, fitted".into(),
             Self::Voxels => "every k-th voxel".into(),
         }
+    }
+
+    /// How the library is to reduce; `None` of every k-th voxel.
+    fn settings(self) -> Option<ReduceSettings> {
+        let (points, adapt, values) = match self {
+            Self::Set(points, values) => (points.kind()?, None, values),
+            Self::Adapted(values) => (SetKind::Halton, Some(Adapt::default()), values),
+            Self::Voxels => return None,
+        };
+        Some(ReduceSettings { points, adapt, values, ..ReduceSettings::default() })
     }
 
     /// Those that a field can be reduced in.
     fn of(field: &Field, quick: bool) -> Vec<Self> {
         if quick {
             let [sampled, fitted] = [Values::Sample, Values::Fit].map(|v| Self::Set(Points::Hammersley, v));
-            return vec![sampled, fitted, Self::Voxels];
+            return vec![sampled, fitted, Self::Adapted(Values::Sample), Self::Voxels];
         }
         let sets = Points::ALL.into_iter().filter(|p| p.kind().is_some());
         if field.volume.is_none() {
             return sets.map(|p| Self::Set(p, Values::Sample)).collect();
         }
-        let both = sets.flat_map(|p| [Values::Sample, Values::Fit].map(|v| Self::Set(p, v)));
-        both.chain([Self::Voxels]).collect()
+        let both = [Values::Sample, Values::Fit];
+        let all = sets.flat_map(|p| both.map(|v| Self::Set(p, v)));
+        all.chain(both.map(Self::Adapted)).chain([Self::Voxels]).collect()
     }
 }
 
@@ -152,14 +168,9 @@ impl Field {
         })
     }
 
-    fn reduced(&self, points: Points, values: Values, part: u64, folder: &Path) -> Result<Dot> {
+    fn reduced(&self, settings: &ReduceSettings, part: u64, folder: &Path) -> Result<Dot> {
         let archive = folder.join("curve.isospan");
-        let settings = ReduceSettings {
-            points: points.kind().expect("only sets of the library's are tried"),
-            amount: Amount::Count(self.size.div_ceil(part)),
-            values,
-            ..ReduceSettings::default()
-        };
+        let settings = ReduceSettings { amount: Amount::Count(self.size.div_ceil(part)), ..settings.clone() };
         let run = RunSettings { replace: true, scratch: Some(folder.into()), ..RunSettings::default() };
         let report = reduce(&self.input, &OpenOptions::default(), &settings, &archive, &run, &Silent)?;
         let surface = Archive::open(&archive)?.surface(self.isovalue)?;
@@ -202,11 +213,9 @@ impl Field {
     }
 
     fn curve(&self, way: Way, folder: &Path) -> Result<Curve> {
-        let dots = match way {
-            Way::Set(points, values) => {
-                PARTS.iter().rev().map(|&part| self.reduced(points, values, part, folder)).collect()
-            }
-            Way::Voxels => STEPS.iter().rev().map(|&k| self.every(k)).collect::<Result<Vec<Dot>>>(),
+        let dots: Result<Vec<Dot>> = match way.settings() {
+            Some(settings) => PARTS.iter().rev().map(|&part| self.reduced(&settings, part, folder)).collect(),
+            None => STEPS.iter().rev().map(|&k| self.every(k)).collect(),
         };
         let mut dots = dots?;
         // Sets that cannot have any number of points may have the same one twice.
@@ -232,7 +241,7 @@ impl Curve {
         Line {
             name: self.way.name(),
             points: self.dots.iter().map(|d| (x(d), y(d))).collect(),
-            dashed: matches!(self.way, Way::Set(_, Values::Fit)),
+            dashed: matches!(self.way, Way::Set(_, Values::Fit) | Way::Adapted(Values::Fit)),
         }
     }
 

@@ -198,20 +198,28 @@ pub(crate) fn uniform_in(mesh: &TetField, count: u64) -> Result<TetField> {
 }
 
 impl TetField {
+    /// Of n random points inside, so many times n^(2/3) lie on the boundary besides.
+    pub(crate) fn boundary_factor(&self) -> f64 {
+        let area: f64 = self.boundary().iter().map(|f| self.area(f)).sum();
+        let volume = self.volume();
+        BOUNDARY_DENSITY * area / libm::cbrt(volume * volume)
+    }
+
+    fn area(&self, face: &[u32; 3]) -> f64 {
+        let [a, b, c] = face.map(|v| self.positions[v as usize].map(f64::from));
+        let n = cross(minus(b, a), minus(c, a));
+        dot(n, n).sqrt() / 2.0
+    }
+
     /// Random points of the boundary, with their values, for so many points inside.
     fn on_boundary(&self, inside: u64, random: &mut Random) -> (Vec<LatticePos>, Vec<f32>) {
         let faces = self.boundary();
         let corners = |f: &[u32; 3]| f.map(|v| self.positions[v as usize].map(f64::from));
-        let area = |f: &[u32; 3]| {
-            let [a, b, c] = corners(f);
-            let n = cross(minus(b, a), minus(c, a));
-            dot(n, n).sqrt() / 2.0
-        };
         let mut sums = vec![0.0];
-        faces.iter().for_each(|f| sums.push(sums[sums.len() - 1] + area(f)));
+        faces.iter().for_each(|f| sums.push(sums[sums.len() - 1] + self.area(f)));
         let total = sums[faces.len()];
-        let spacing = libm::cbrt(self.volume() / inside as f64);
-        let count = (BOUNDARY_DENSITY * total / (spacing * spacing)).round() as usize;
+        let n = inside as f64;
+        let count = (self.boundary_factor() * libm::cbrt(n * n)).round() as usize;
         let mut out = (vec![], vec![]);
         for _ in 0..count {
             let at = random.unit() * total;

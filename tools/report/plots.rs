@@ -16,12 +16,13 @@ const LARGER: u32 = 3;
 /// Charts of more lines are taller.
 const MANY: usize = 6;
 const INK: RGBColor = RGBColor(40, 40, 40);
-const COLOURS: [RGBColor; 6] = [
+const COLOURS: [RGBColor; 7] = [
     RGBColor(0, 92, 163),
     RGBColor(196, 78, 20),
     RGBColor(20, 120, 70),
     RGBColor(150, 30, 120),
     RGBColor(120, 110, 0),
+    RGBColor(200, 30, 60),
     RGBColor(110, 110, 110),
 ];
 

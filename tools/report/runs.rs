@@ -358,7 +358,11 @@ impl Lab {
         if is_grid(key.dataset) && key.points == Points::Regular {
             return key.count;
         }
-        let b = self.originals[&key.dataset].boundary;
+        let original = &self.originals[&key.dataset];
+        let b = match (key.points, &original.made.content) {
+            (Points::Uniform, Content::Mesh(_)) => original.field.boundary_factor(),
+            _ => original.boundary,
+        };
         let (mut few, mut many) = (1.0, key.count as f64);
         for _ in 0..64 {
             let n = (few + many) / 2.0;
