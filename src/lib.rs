@@ -76,8 +76,9 @@
 //!
 //! * `cli` (default): the `isospan` program.
 //! * `hdf5` (default): HDF5 and NetCDF-4 files, by a pure-Rust reader.
+//! * `remote`: archives in object stores (`s3://…`) and on web servers (`https://…`), read by range requests.
 //!
-//! The library builds with neither.
+//! The library builds with none of them.
 
 pub mod archive;
 pub mod bytes;

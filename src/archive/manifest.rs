@@ -14,6 +14,7 @@ use super::levels::LevelsRecord;
 use super::publish::Unpublished;
 use super::segment::{FORMAT_VERSION, OLDEST_READER, PlanHash, SegmentInfo};
 use super::values::Quantiser;
+use crate::bytes::remote::{is_remote, read_all};
 use crate::error::{Error, Result};
 use crate::geom::Lattice;
 use crate::grid::{BrickGrid, Geometry};
@@ -300,6 +301,11 @@ impl Manifest {
         out.publish()
     }
 
+    /// Bytes of the manifest's file.
+    pub(crate) fn text_bytes(&self) -> u64 {
+        self.to_text().len() as u64
+    }
+
     fn to_text(&self) -> String {
         sealed_text(self)
     }
@@ -310,6 +316,11 @@ impl Manifest {
     /// When there is none, it is damaged or edited, or of a version that this program cannot read.
     pub fn read(archive: &Path) -> Result<Self> {
         let path = archive.join(MANIFEST_NAME);
+        if is_remote(archive) {
+            let manifest = Self::parse(&read_all(&path, LARGEST_MANIFEST)?, &path)?;
+            manifest.check(&path)?;
+            return Ok(manifest);
+        }
         if archive.is_dir() && !path.exists() {
             return Err(Error::bad_input(archive, MANIFEST_NAME, "a manifest", "none")
                 .with_help("the archive is not finished: run the same reduction again"));

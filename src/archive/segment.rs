@@ -14,6 +14,7 @@
 use super::journal::Record;
 use super::publish::{Dead, Unpublished};
 use super::wire::{Cursor, Malformed};
+use crate::bytes::remote::{RemoteFile, is_remote};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
@@ -561,15 +562,25 @@ fn read_footer(bytes: &[u8], file_len: u64) -> std::result::Result<(SegmentInfo,
 /// A file read at given offsets, from any thread. Not mapped: a file cut short by another program is then an error
 /// and not the end of this process.
 struct PositionedFile {
-    #[cfg(unix)]
-    file: File,
-    #[cfg(not(unix))]
-    file: Mutex<File>,
+    bytes: Bytes,
     len: u64,
+}
+
+/// Where the bytes are.
+enum Bytes {
+    #[cfg(unix)]
+    Local(File),
+    #[cfg(not(unix))]
+    Local(Mutex<File>),
+    Remote(RemoteFile),
 }
 
 impl PositionedFile {
     fn open(path: &Path) -> Result<Self> {
+        if is_remote(path) {
+            let file = RemoteFile::open(path)?;
+            return Ok(Self { len: file.len(), bytes: Bytes::Remote(file) });
+        }
         let file = File::open(path).map_err(|e| Error::io("open", path, e))?;
         let meta = file.metadata().map_err(|e| Error::io("read the length of", path, e))?;
         if !meta.is_file() {
@@ -577,27 +588,30 @@ impl PositionedFile {
         }
         #[cfg(not(unix))]
         let file = Mutex::new(file);
-        Ok(Self { file, len: meta.len() })
+        Ok(Self { bytes: Bytes::Local(file), len: meta.len() })
     }
 
     fn read_at(&self, path: &Path, offset: u64, out: &mut [u8], count: &AtomicU64) -> Result<()> {
         count.fetch_add(out.len() as u64, Ordering::Relaxed);
-        self.fill(offset, out)
-            .map_err(|e| Error::io(format!("read {} bytes at {offset} of", out.len()), path, e))
+        let filled = match &self.bytes {
+            Bytes::Local(file) => fill(file, offset, out),
+            Bytes::Remote(file) => file.read_at(offset, out),
+        };
+        filled.map_err(|e| Error::io(format!("read {} bytes at {offset} of", out.len()), path, e))
     }
+}
 
-    #[cfg(unix)]
-    fn fill(&self, offset: u64, out: &mut [u8]) -> std::io::Result<()> {
-        std::os::unix::fs::FileExt::read_exact_at(&self.file, out, offset)
-    }
+#[cfg(unix)]
+fn fill(file: &File, offset: u64, out: &mut [u8]) -> std::io::Result<()> {
+    std::os::unix::fs::FileExt::read_exact_at(file, out, offset)
+}
 
-    #[cfg(not(unix))]
-    fn fill(&self, offset: u64, out: &mut [u8]) -> std::io::Result<()> {
-        use std::io::{Read, Seek, SeekFrom};
-        let mut file = self.file.lock().expect("no thread panics while it reads");
-        file.seek(SeekFrom::Start(offset))?;
-        file.read_exact(out)
-    }
+#[cfg(not(unix))]
+fn fill(file: &Mutex<File>, offset: u64, out: &mut [u8]) -> std::io::Result<()> {
+    use std::io::{Read, Seek, SeekFrom};
+    let mut file = file.lock().expect("no thread panics while it reads");
+    file.seek(SeekFrom::Start(offset))?;
+    file.read_exact(out)
 }
 
 #[cfg(test)]

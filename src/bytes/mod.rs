@@ -29,6 +29,7 @@
 mod filesystem;
 mod mmap;
 pub(crate) mod paged;
+pub mod remote;
 pub(crate) mod sorter;
 pub(crate) mod store;
 

@@ -268,6 +268,10 @@ fn stats_text(report: &SurfaceReport) -> String {
         report.bytes_read as f64 / report.active_bytes.max(1) as f64,
         text::bytes(report.active_bytes)
     );
+    if let Some(remote) = &report.remote {
+        let (requests, size) = (text::count(remote.requests), text::bytes(remote.bytes));
+        let _ = writeln!(out, "  fetched       {size} in {requests} requests");
+    }
     for (stage, seconds) in &report.seconds {
         let _ = writeln!(out, "  {stage:<13} {}", text::duration(Duration::from_secs_f64(*seconds)));
     }

@@ -9,7 +9,8 @@ use super::layout::Layout;
 use super::open::OpenArchive;
 use super::plan::{ReduceSettings, parts};
 use super::reduce::{
-    Publishing, ReduceReport, RunSettings, estimate_of, finished, need_of, push_times, sweep, threads,
+    Publishing, ReduceReport, RunSettings, estimate_of, finished, need_of, push_times, refuse_remote, sweep,
+    threads,
 };
 use super::series::{Making, Means};
 use super::volume_series::{Known, VolumeFields, are_there, plan_volumes};
@@ -55,6 +56,7 @@ pub fn append(
     progress: &dyn Progress,
 ) -> Result<ReduceReport> {
     let started = Instant::now();
+    refuse_remote(out)?;
     let archive = OpenArchive::open(out)?;
     let manifest = &archive.manifest;
     let last = manifest.steps.last().expect("an archive that was opened has a step");

@@ -14,6 +14,7 @@ use crate::archive::manifest::{
 };
 use crate::archive::segment::{FORMAT_VERSION, PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::archive::values::Quantiser;
+use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::geom::{LatticePos, PointId};
 use crate::grid::{ChunkGrid, ChunkId, Geometry};
@@ -29,9 +30,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-/// Whether `path` is an archive: a folder with a manifest.
+/// Whether `path` is an archive: a folder with a manifest. Nothing else is read from an object store or a web server.
 pub fn is_archive(path: &Path) -> bool {
-    path.is_dir() && path.join(MANIFEST_NAME).is_file()
+    is_remote(path) || path.is_dir() && path.join(MANIFEST_NAME).is_file()
 }
 
 /// A level of density.
@@ -204,7 +205,7 @@ pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
         areas: spectrum.knots.iter().map(|k| [f64::from(k.isovalue), k.area]).collect(),
         suggestions: spectrum.suggestions,
         error: step.error.clone(),
-        bytes: folder_bytes(path)?,
+        bytes: archive.bytes()?,
     })
 }
 
@@ -239,7 +240,7 @@ impl OpenArchive {
     }
 
     pub(super) fn open_at(root: &Path, choice: StepChoice) -> Result<Self> {
-        if !root.is_dir() {
+        if !is_remote(root) && !root.is_dir() {
             let got = if root.exists() { "a file" } else { "nothing" };
             return Err(Error::bad_input(root, "archive", "a folder made by isospan reduce", got));
         }
@@ -373,17 +374,30 @@ impl OpenArchive {
         Ok(Some(file))
     }
 
-    /// Bytes of all files of the archive.
+    /// Bytes of all files of the archive; of those that the manifest tells of, where files cannot be listed.
     pub(super) fn bytes(&self) -> Result<u64> {
         if let Some(&bytes) = self.bytes.get() {
             return Ok(bytes);
         }
-        let bytes = folder_bytes(self.path())?;
+        let bytes = if is_remote(self.path()) { self.bytes_told() } else { folder_bytes(self.path())? };
         Ok(*self.bytes.get_or_init(|| bytes))
+    }
+
+    /// Bytes of the files that the manifest tells of, and its own.
+    fn bytes_told(&self) -> u64 {
+        let m = &self.manifest;
+        let of_steps = m.steps.iter().flat_map(|s| {
+            let others = [Some(s.index), s.spectrum, s.coordinates.map(|c| c.info)];
+            s.values.iter().map(|v| v.info).chain(others.into_iter().flatten())
+        });
+        m.mesh.iter().map(|r| r.info).chain(of_steps).map(|f| f.bytes).sum::<u64>() + m.text_bytes()
     }
 
     /// Bytes of the manifest.
     pub(super) fn manifest_bytes(&self) -> Result<u64> {
+        if is_remote(self.path()) {
+            return Ok(self.manifest.text_bytes());
+        }
         let file = self.layout.root().join(MANIFEST_NAME);
         Ok(std::fs::metadata(&file).map_err(|e| Error::io("look at", &file, e))?.len())
     }

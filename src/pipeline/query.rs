@@ -10,6 +10,7 @@ use super::reader::{ChunkReader, ReaderMemory, Wanted};
 use super::refine::{Means, Refine, RefineReport};
 use super::roi::{Cut, Roi, RoiSpace};
 use super::steps::{Ranges, StepChoice};
+use crate::bytes::remote::{self, Traffic};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
@@ -133,6 +134,9 @@ pub struct SurfaceReport {
     pub active_bytes: u64,
     /// Bytes of the archive.
     pub archive_bytes: u64,
+    /// Of an archive on a server: what was fetched from there meanwhile.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub remote: Option<Traffic>,
     /// Seconds of wall time of each stage.
     pub seconds: Vec<(String, f64)>,
 }
@@ -266,6 +270,7 @@ pub fn extract_surface(
 ) -> Result<SurfaceReport> {
     settings.check()?;
     let start = Instant::now();
+    let before = remote::traffic(path);
     let archive = OpenArchive::open_at(path, settings.step)?;
     let manifest_bytes = archive.manifest_bytes()?;
     let report = write_surfaces(&archive, settings, out, format, progress)?;
@@ -273,6 +278,10 @@ pub fn extract_surface(
     // Opening is part of the first stage.
     let stages: f64 = report.seconds.iter().map(|s| s.1).sum();
     report.seconds[0].1 += (start.elapsed().as_secs_f64() - stages).max(0.0);
+    report.remote = remote::traffic(path).zip(before).map(|(now, before)| Traffic {
+        requests: now.requests - before.requests,
+        bytes: now.bytes - before.bytes,
+    });
     Ok(report)
 }
 
@@ -309,6 +318,7 @@ pub(super) fn write_surfaces(
         bytes_read: made.bytes_read,
         active_bytes: made.active_bytes,
         archive_bytes: archive.bytes()?,
+        remote: None,
         seconds: made.seconds.iter().map(|(name, time)| ((*name).to_owned(), time.as_secs_f64())).collect(),
     })
 }

@@ -22,6 +22,7 @@ use crate::archive::coordinates::CellCount;
 use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest};
 use crate::archive::values::Quantiser;
 use crate::archive::{TEMPORARY_MARK, publish};
+use crate::bytes::remote::is_remote;
 use crate::domain::store::MeshCensus;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent, available_threads};
@@ -558,8 +559,18 @@ pub(super) fn push_times(seconds: &mut Vec<(String, f64)>, made: &Outcome) {
     seconds.extend(rows.map(|(name, time)| (name.to_owned(), time.as_secs_f64())));
 }
 
+/// Object stores and web servers are read only.
+pub(super) fn refuse_remote(out: &Path) -> Result<()> {
+    if is_remote(out) {
+        let text = "archives are written on disk; copy the folder to the server afterwards";
+        return Err(Error::usage(format!("{}: {text}", out.display())));
+    }
+    Ok(())
+}
+
 /// Folders and files that are not ours are never touched; an archive only when asked to.
 pub(super) fn refuse_overwriting(out: &Path, run: &RunSettings) -> Result<()> {
+    refuse_remote(out)?;
     let shown = out.display();
     if out.extension().is_none_or(|e| e != "isospan") {
         return Err(Error::usage(format!("{shown}: an archive's name ends in .isospan")));
