@@ -194,6 +194,25 @@ fn bodies_that_touch_or_overlap_are_whole_where_the_field_jumps() {
 }
 
 #[test]
+fn ghosts_are_left_out() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("ghosts.vtk");
+    write_mesh(&input, 8, |_| true, |p| p, |p| p[2]);
+    // The first half of the cells are copies, or hidden; the other marks do not leave cells out.
+    let cells = 6 * 8 * 8 * 8;
+    let mut text = std::fs::read_to_string(&input).unwrap();
+    writeln!(text, "CELL_DATA {cells}\nSCALARS vtkGhostType unsigned_char\nLOOKUP_TABLE default").unwrap();
+    (0..cells).for_each(|i| writeln!(text, "{}", [[1, 32], [16, 8]][2 * i / cells][i % 2]).unwrap());
+    std::fs::write(&input, text).unwrap();
+    let (archive, report) = reduced(&input, &settings(1.0), "ghosts.isospan", &run(2));
+    let census = report.mesh.unwrap();
+    assert_eq!((census.cells, census.ghosts), (cells as u64 / 2, cells as u64 / 2));
+    let area = |isovalue: f32| extracted(&archive, isovalue).1.area;
+    assert_eq!(area(0.3), 0.0, "below there are ghosts only");
+    assert!((area(0.7) - 1.0).abs() < 0.02, "{}", area(0.7));
+}
+
+#[test]
 fn threads_memory_and_chunks_do_not_change_the_reduction() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("ball.vtk");

@@ -110,3 +110,48 @@ fn samples_that_are_no_numbers_are_refused_or_masked() {
     assert!(report.void_points > 0 && report.range.is_some_and(|r| r[1].is_finite()), "{report:?}");
     pipeline::check_archive(&out).unwrap();
 }
+
+/// What `info --json` says of a file: its exit code, standard output, and lines on standard error.
+fn told(file: &Path) -> (Option<i32>, Vec<u8>, String) {
+    let program = env!("CARGO_BIN_EXE_isospan");
+    let out = std::process::Command::new(program).args(["info", "--json"]).arg(file).output().unwrap();
+    (out.status.code(), out.stdout, String::from_utf8(out.stderr).unwrap())
+}
+
+#[test]
+fn meshes_are_what_the_manifest_says_and_other_files_take_one_line() {
+    let Some(folder) = shared_data() else { return };
+    let text = fs::read_to_string(folder.join("MANIFEST.tsv")).unwrap();
+    let (mut good, mut refused) = (0, 0);
+    for c in text.lines().map(|line| line.split('\t').collect::<Vec<_>>()) {
+        let file = folder.join(c[0]);
+        let ends = |list: &[&str]| list.iter().any(|e| c[0].ends_with(e));
+        let mesh =
+            ends(&[".vtu", ".pvtu", ".ele"]) || c[0].starts_with("variants/") && c[0].ends_with(".vtk");
+        if !(c[0].starts_with("meshes/") || c[0].starts_with("variants/")) || !mesh {
+            continue;
+        }
+        let (code, out, error) = told(&file);
+        if code == Some(0) {
+            let found: serde_json::Value = serde_json::from_slice(&out).unwrap();
+            // "8 points; 1 cells", "32505 vertices; 128976 tet"; volumes have "3x4x6", pairs of files nothing.
+            let counts: Vec<u64> =
+                c[4].split(';').filter_map(|n| n.trim().split(' ').next()?.parse().ok()).collect();
+            if let ([points, cells], Some("mesh")) = (&counts[..], found["kind"].as_str()) {
+                assert_eq!(
+                    (&found["info"]["points"], &found["info"]["cells"]),
+                    (&serde_json::json!(points), &serde_json::json!(cells)),
+                    "{}",
+                    c[0]
+                );
+                good += 1;
+            }
+        } else {
+            assert_eq!(code, Some(5), "{}: {error}", c[0]);
+            assert_eq!(error.lines().count(), 1, "{}: {error}", c[0]);
+            assert!(error.contains("expected") && error.contains("got"), "{}: {error}", c[0]);
+            refused += 1;
+        }
+    }
+    assert!(good >= 30 && refused >= 15, "{good} meshes, {refused} refused");
+}

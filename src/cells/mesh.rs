@@ -1,7 +1,9 @@
 //! A mesh as the pipeline reads it: which field, and checked blocks of points, values and cells.
 
 use super::average::Averages;
-use super::{BLOCK, CellBlock, CellField, CellFile, CellStream, CellsInfo, Center, NumberStream};
+use super::{
+    BLOCK, CellBlock, CellField, CellFile, CellStream, CellsInfo, Center, GHOSTS, NumberStream, is_ghost,
+};
 use crate::error::{Error, Result};
 use crate::volume::ScalarType;
 use std::path::Path;
@@ -150,7 +152,7 @@ impl CellMesh {
 
 /// The field that needs no name.
 fn default_field(info: &CellsInfo) -> Option<ChosenField> {
-    let scalar = |i: &usize| info.fields[*i].components == 1;
+    let scalar = |i: &usize| info.fields[*i].components == 1 && info.fields[*i].name != GHOSTS;
     let only = |center| {
         let mut found = (0..info.fields.len()).filter(|&i| info.fields[i].center == center && scalar(&i));
         found.next().filter(|_| found.next().is_none())
@@ -253,18 +255,38 @@ impl PointBlocks {
     }
 }
 
-/// The cells in file order, block by block; those without a volume included.
+/// The cells in file order, block by block; those without a volume included. Cells that the file marks as ghosts (copies of another
+/// piece's cells, or hidden) are told as cells without a volume.
 pub struct CellBlocks {
     path: Box<Path>,
     stream: Box<dyn CellStream>,
     points: u64,
     at: u64,
+    /// The marks of ghosts.
+    marks: Option<Box<dyn NumberStream>>,
+    numbers: Vec<f64>,
+    ghosts: u64,
 }
 
 impl CellBlocks {
     pub(super) fn new(file: &dyn CellFile) -> Result<Self> {
         let info = file.info();
-        Ok(Self { path: info.path.clone().into(), stream: file.cells()?, points: info.points, at: 0 })
+        let is_mark = |f: &CellField| f.name == GHOSTS && f.center == Center::Cell && f.components == 1;
+        let marks = info.fields.iter().position(is_mark).map(|i| file.field(i)).transpose()?;
+        Ok(Self {
+            path: info.path.clone().into(),
+            stream: file.cells()?,
+            points: info.points,
+            at: 0,
+            marks,
+            numbers: vec![],
+            ghosts: 0,
+        })
+    }
+
+    /// How many ghosts there were so far.
+    pub fn ghosts(&self) -> u64 {
+        self.ghosts
     }
 
     /// Puts the next cells, at most [`BLOCK`], into `out` (cleared first); `false` after the last.
@@ -273,7 +295,14 @@ impl CellBlocks {
     /// When the file cannot be read; [`Error::BadInput`] for a vertex number that no point has.
     pub fn next_block(&mut self, out: &mut CellBlock) -> Result<bool> {
         if !self.stream.next_block(out)? {
+            self.marks.as_mut().map_or(Ok(()), |marks| marks.finish())?;
             return Ok(false);
+        }
+        if let Some(marks) = &mut self.marks {
+            self.numbers.resize(out.len(), 0.0);
+            marks.fill(&mut self.numbers)?;
+            self.ghosts += self.numbers.iter().filter(|&&m| is_ghost(m)).count() as u64;
+            out.flatten(|i| is_ghost(self.numbers[i]));
         }
         for (i, (_, vertices)) in out.iter().enumerate() {
             if let Some(v) = vertices.iter().find(|&&v| v >= self.points) {

@@ -134,6 +134,14 @@ pub trait CellFile: Send + Sync {
     fn field(&self, field: usize) -> Result<Box<dyn NumberStream>>;
 }
 
+/// The field of cells in which VTK marks those that another piece has too (1), and hidden ones (32).
+pub(crate) const GHOSTS: &str = "vtkGhostType";
+
+/// Whether marks say that a cell does not count.
+fn is_ghost(marks: f64) -> bool {
+    marks as u8 & (1 | 32) != 0
+}
+
 /// Some cells, one after another.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CellBlock {
@@ -170,6 +178,22 @@ impl CellBlock {
         self.kinds.push(kind);
         self.vertices.extend_from_slice(vertices);
         self.ends.push(self.vertices.len());
+    }
+
+    /// Makes cells without a volume of those at certain places.
+    fn flatten(&mut self, is_ghost: impl Fn(usize) -> bool) {
+        let (mut start, mut kept) = (0, 0);
+        for i in 0..self.kinds.len() {
+            let end = self.ends[i];
+            if is_ghost(i) {
+                self.kinds[i] = CellKind::Flat;
+            } else {
+                self.vertices.copy_within(start..end, kept);
+                kept += end - start;
+            }
+            (start, self.ends[i]) = (end, kept);
+        }
+        self.vertices.truncate(kept);
     }
 
     /// The cells in order: kind and vertex numbers, in VTK's order of vertices. Those of a cell without a volume are

@@ -14,6 +14,8 @@ pub struct MeshScan {
     pub kinds: BTreeMap<CellKind, u64>,
     /// Tetrahedra that the cells are split into.
     pub tetrahedra: u64,
+    /// Cells marked as ghosts: copies of another piece's cells, or hidden.
+    pub ghosts: u64,
     /// Tetrahedra left out because their cell names a vertex more than once.
     pub collapsed: u64,
 }
@@ -23,7 +25,7 @@ pub struct MeshScan {
 /// # Errors
 /// Those of reading them.
 pub fn scan(mesh: &CellMesh) -> Result<MeshScan> {
-    let mut out = MeshScan { bounds: None, kinds: BTreeMap::new(), tetrahedra: 0, collapsed: 0 };
+    let mut out = MeshScan { bounds: None, kinds: BTreeMap::new(), tetrahedra: 0, ghosts: 0, collapsed: 0 };
     let (mut points, mut block) = (mesh.points()?, vec![]);
     while points.next_block(&mut block)? {
         for p in &block {
@@ -43,6 +45,7 @@ pub fn scan(mesh: &CellMesh) -> Result<MeshScan> {
             out.tetrahedra += tets.len() as u64;
         }
     }
+    out.ghosts = cells.ghosts();
     Ok(out)
 }
 

@@ -66,6 +66,9 @@ fn scan_text(out: &mut String, found: &MeshScan) {
     if found.collapsed > 0 {
         let _ = write!(out, ", {} left out that name a vertex twice", text::count(found.collapsed));
     }
+    if found.ghosts > 0 {
+        let _ = write!(out, ", {} cells left out as ghosts", text::count(found.ghosts));
+    }
     let _ = writeln!(out);
     if let Some([lo, hi]) = found.bounds {
         let axis = |a: usize| format!("{} .. {}", lo[a], hi[a]);

@@ -113,6 +113,7 @@ pub(crate) fn mesh_census(mesh: &isospan::pipeline::MeshCensus) -> String {
         (mesh.inverted, "inverted"),
         (mesh.degenerate, "without a volume"),
         (mesh.repeated, "points repeated"),
+        (mesh.ghosts, "ghosts left out"),
     ]
     .into_iter()
     .filter(|(n, _)| *n > 0)

@@ -48,6 +48,8 @@ pub struct MeshCensus {
     pub degenerate: u64,
     /// Triangles of the boundary.
     pub boundary_triangles: u64,
+    /// Cells that were left out as ghosts: marked as copies of another piece's cells, or as hidden.
+    pub ghosts: u64,
     /// Points that have position and value of an earlier one, and were taken for that.
     pub repeated: u64,
     /// Bodies: tetrahedra that hang together by common faces.
@@ -266,6 +268,7 @@ fn read_cells(
             tets.iter().try_for_each(|&tet| sink.push(tet, positions))?;
         }
     }
+    sink.census.ghosts = cells.ghosts();
     Ok(())
 }
 

@@ -8,6 +8,9 @@
 //! …            number, x, y, z, attributes      …            number, vertices, attributes
 //! ```
 //!
+//! Cells of second order have ten vertices: the corners 1 to 4, then the middles of the edges 34, 14, 12, 23, 24, 13 (`tetgen -o2`, as of its
+//! version 1.5).
+//!
 //! Numbers count from 0 or from 1, as the first point's does, and must be in order. `#` begins a comment. Attributes of
 //! points are the fields `attribute` (or `attribute1`, `attribute2`, …), those of cells `region` (…); boundary
 //! markers are passed over.
@@ -80,17 +83,23 @@ fn tetgen_pair(path: &Path, points: &Arc<ByteSource>, cells: &Arc<ByteSource>) -
     let points = Table { source: Arc::clone(points), start, rows: head[0], columns, numbered: Some(first) };
     let (head, start) = self::head(cells, 2, "cells, 4, attributes")?;
     let regions = head.get(2).copied().unwrap_or(0);
-    if head[1] != 4 || regions > MOST_ATTRIBUTES {
+    let kind = match head[1] {
+        4 => Some(CellKind::Tetrahedron),
+        10 => Some(CellKind::QuadraticTetrahedron),
+        _ => None,
+    };
+    let kind = kind.filter(|_| regions <= MOST_ATTRIBUTES).ok_or_else(|| {
         let got = format!("cells of {} vertices, {regions} attributes", head[1]);
-        return Err(Error::bad_input(cells.path(), "line 1", "cells of 4 vertices", got)
-            .with_help("of second-order meshes, write the linear one"));
-    }
-    let columns = 4 + regions as usize;
+        Error::bad_input(cells.path(), "line 1", "cells of 4 or 10 vertices", got)
+    })?;
+    let columns = kind.vertices() + regions as usize;
     let cells = Table { source: Arc::clone(cells), start, rows: head[0], columns, numbered: Some(first) };
     let mut pair = Pair::new(path, "TetGen .node and .ele", points, cells, first);
-    for (name, n, center, column) in
-        [("attribute", attributes, Center::Point, 3), ("region", regions as usize, Center::Cell, 4)]
-    {
+    pair.kind = kind;
+    for (name, n, center, column) in [
+        ("attribute", attributes, Center::Point, 3),
+        ("region", regions as usize, Center::Cell, kind.vertices()),
+    ] {
         for i in 0..n {
             let name = if n == 1 { name.into() } else { format!("{name}{}", i + 1) };
             let of = if center == Center::Point { Of::Points } else { Of::Cells };
@@ -262,7 +271,7 @@ impl Rows {
     }
 
     /// The first columns of the next row as numbers of points.
-    fn ids<const N: usize>(&mut self, out: &mut [u64; N]) -> Result<()> {
+    fn ids(&mut self, out: &mut [u64]) -> Result<()> {
         self.row(|column, text| match out.get_mut(column) {
             Some(slot) => text.parse().map(|v| *slot = v).is_ok(),
             None => true,
@@ -305,6 +314,8 @@ struct Pair {
     values: Option<Table>,
     /// The number of the first point.
     first: u64,
+    /// The kind of all cells.
+    kind: CellKind,
     /// Where the fields are: a table and a column of it.
     places: Vec<(Of, usize)>,
 }
@@ -320,7 +331,7 @@ impl Pair {
             active: None,
             data_files: vec![],
         };
-        Self { info, points, cells, values: None, first, places: vec![] }
+        Self { info, points, cells, values: None, first, kind: CellKind::Tetrahedron, places: vec![] }
     }
 
     fn add_field(&mut self, name: String, center: Center, of: Of, column: usize) {
@@ -355,7 +366,7 @@ impl CellFile for Pair {
     }
 
     fn cells(&self) -> Result<Box<dyn CellStream>> {
-        Ok(Box::new(Tets { rows: Rows::new(&self.cells), first: self.first }))
+        Ok(Box::new(Tets { rows: Rows::new(&self.cells), first: self.first, kind: self.kind }))
     }
 
     fn field(&self, field: usize) -> Result<Box<dyn NumberStream>> {
@@ -396,17 +407,23 @@ impl NumberStream for Columns {
 struct Tets {
     rows: Rows,
     first: u64,
+    kind: CellKind,
 }
+
+/// Where VTK's vertices of a tetrahedron of second order, with the middles of the edges 12, 23, 31, 14, 24, 34, are in TetGen's.
+const IN_VTK_ORDER: [usize; 10] = [0, 1, 2, 3, 6, 7, 9, 5, 8, 4];
 
 impl CellStream for Tets {
     fn next_block(&mut self, out: &mut CellBlock) -> Result<bool> {
         out.clear();
         let n = (self.rows.table.rows - self.rows.row).min(BLOCK as u64);
         for _ in 0..n {
-            let mut vertices = [0; 4];
-            self.rows.ids(&mut vertices)?;
+            let mut vertices = [0; 10];
+            let n = self.kind.vertices();
+            self.rows.ids(&mut vertices[..n])?;
             // Vertex 0 where they count from 1 becomes a number that no point has.
-            out.push(CellKind::Tetrahedron, &vertices.map(|v: u64| v.wrapping_sub(self.first)));
+            let ordered = IN_VTK_ORDER.map(|i| vertices[i].wrapping_sub(self.first));
+            out.push(self.kind, &ordered[..n]);
         }
         if n == 0 {
             self.rows.finish()?;

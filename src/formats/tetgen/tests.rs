@@ -33,6 +33,30 @@ fn tetgen_pairs_are_read() {
 }
 
 #[test]
+fn second_order_cells_have_the_middles_of_their_edges() {
+    let corners = [[0.0; 3], [2.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 2.0]];
+    // TetGen's order of the edges.
+    let edges = [[2, 3], [0, 3], [0, 1], [1, 2], [1, 3], [0, 2]];
+    let middle =
+        |[a, b]: [usize; 2]| -> [f64; 3] { std::array::from_fn(|k| (corners[a][k] + corners[b][k]) / 2.0) };
+    let mut nodes = String::from("10 3\n");
+    for (i, p) in corners.into_iter().chain(edges.map(middle)).enumerate() {
+        nodes += &format!("{i} {} {} {}\n", p[0], p[1], p[2]);
+    }
+    let mesh = open(&nodes, "1 10 1\n0 0 1 2 3 4 5 6 7 8 9 77\n", NAMES, Some("region")).unwrap();
+    let whole = read_whole(&mesh).unwrap();
+    assert_eq!(whole.cells[0].0, CellKind::QuadraticTetrahedron);
+    assert!(whole.values.iter().all(|&v| v == 77.0));
+    // VTK's order of the edges.
+    for (edge, &v) in [[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]].into_iter().zip(&whole.cells[0].1[4..])
+    {
+        assert_eq!(whole.points[v as usize], middle(edge), "{edge:?}");
+    }
+    let error = open(&nodes, "1 5\n0 0 1 2 3 4\n", NAMES, None).err().unwrap();
+    assert!(error.to_string().contains("cells of 4 or 10 vertices"), "{error}");
+}
+
+#[test]
 fn bare_pairs_are_read_from_either_base() {
     let points = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n";
     for (tets, counted) in [("1 2 3 4\n", 1), ("0 1 2 3\n", 0)] {
