@@ -9,7 +9,8 @@ use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Amount, AppendSettings, ReduceReport, ReduceSettings, RunSettings, StepChoice, SurfaceSettings,
+    self, Amount, AppendSettings, MeasureSettings, ReduceReport, ReduceSettings, RunSettings, StepChoice,
+    SurfaceSettings,
 };
 use isospan::points::SetKind;
 use std::fs;
@@ -91,6 +92,12 @@ fn each_step_is_what_it_is_alone() {
             let _ = fs::remove_dir_all(&one);
             reduce_all(std::slice::from_ref(step), &settings, &one, &run(2));
             same_answers(dir.path(), (&all, number), (&one, 0));
+            let settings = MeasureSettings { step: Some(number), memory: 1 << 28, ..Default::default() };
+            let measured =
+                pipeline::measure(&all, &step.path, &OpenOptions::default(), &settings, &Silent).unwrap();
+            let stored = |path, step| pipeline::summarize_at(path, choice(step)).unwrap().error.unwrap();
+            assert_eq!(measured.error, stored(&all, number));
+            assert_eq!(measured.error, stored(&one, 0));
         }
     }
 }

@@ -159,6 +159,9 @@ pub struct StepPlan {
     pub nan: String,
     /// How values were rounded, if they were.
     pub quantiser: Option<Quantiser>,
+    /// Whether the errors at the samples of a volume are stored chunk by chunk, beside the values.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub measured: bool,
     /// The step before, against which values may be coded; none of a keyframe.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base: Option<BaseStep>,
@@ -174,6 +177,11 @@ pub struct BaseStep {
 }
 
 impl StepPlan {
+    /// Blocks of a chunk behind those of its values: its errors where they are stored, its part of the spectrum, its summary.
+    pub fn blocks_behind_values(&self) -> u64 {
+        2 + u64::from(self.measured)
+    }
+
     /// The time of the step: what the input told, else its number.
     pub fn time_or_number(&self) -> f64 {
         self.time.unwrap_or(self.number as f64)
@@ -497,6 +505,7 @@ pub(crate) mod tests {
             values: Values::Sample,
             nan: "error".into(),
             quantiser: None,
+            measured: false,
             base: None,
         }
     }

@@ -16,6 +16,7 @@
 pub mod chunk;
 pub mod chunked;
 pub mod coordinates;
+pub(crate) mod errors;
 pub mod explicit;
 mod journal;
 pub mod levels;

@@ -32,6 +32,7 @@ mod sums;
 
 pub(crate) use bricks::{BrickErrors, BrickRecord, merged};
 pub use sums::ErrorSums;
+pub(crate) use sums::{BINS, EXPONENTS, Largest, Mantissas};
 
 use serde::{Deserialize, Serialize};
 

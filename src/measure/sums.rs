@@ -4,16 +4,16 @@ use super::{FieldError, PERCENTILES, Percentile};
 
 /// Bins of absolute errors: the upper bits of a float without its sign.
 const BIN_SHIFT: u32 = 18;
-const BINS: usize = 1 << (31 - BIN_SHIFT);
+pub(crate) const BINS: usize = 1 << (31 - BIN_SHIFT);
 /// Exponents of floats.
-const EXPONENTS: usize = 256;
+pub(crate) const EXPONENTS: usize = 256;
 
 /// Mantissas of errors of one exponent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Mantissas {
-    sum: u128,
-    signed: i128,
-    squares: u128,
+pub(crate) struct Mantissas {
+    pub(crate) sum: u128,
+    pub(crate) signed: i128,
+    pub(crate) squares: u128,
 }
 
 /// The sample of the largest error so far.
@@ -27,6 +27,11 @@ pub(crate) struct Largest {
 }
 
 impl Largest {
+    pub(crate) fn new(sample: u64, original: f32, reduced: f32) -> Self {
+        let bits = error_of(original, reduced).to_bits() & 0x7fff_ffff;
+        Self { bits, sample, original, reduced }
+    }
+
     fn is_before(&self, other: &Self) -> bool {
         (self.bits, other.sample) > (other.bits, self.sample)
     }
@@ -35,14 +40,14 @@ impl Largest {
 /// What is known of the errors of some samples. Sums of parts are the sums of the whole, in any order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ErrorSums {
-    measured: u64,
-    missing: u64,
-    void: u64,
+    pub(crate) measured: u64,
+    pub(crate) missing: u64,
+    pub(crate) void: u64,
     /// Errors of exactly 0, which are in no bin.
-    zeros: u64,
-    bins: Vec<u64>,
-    mantissas: Vec<Mantissas>,
-    largest: Option<Largest>,
+    pub(crate) zeros: u64,
+    pub(crate) bins: Vec<u64>,
+    pub(crate) mantissas: Vec<Mantissas>,
+    pub(crate) largest: Option<Largest>,
 }
 
 impl Default for ErrorSums {

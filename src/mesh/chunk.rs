@@ -112,8 +112,9 @@ pub fn mesh_with_stars(
         uncertified = sorter.run_around(mesher, region, first, &mut late);
     }
     let Sorter { owned, shared, around, .. } = sorter;
+    let spare = std::mem::take(&mut mesher.outgoing);
     let outcome = uncertified.map(|n| match n {
-        0 => ChunkOutcome::Done(ChunkMesh { tets: sorted(&owned, positions.len()), shared, around }),
+        0 => ChunkOutcome::Done(ChunkMesh { tets: sorted(&owned, positions.len(), spare), shared, around }),
         uncertified => ChunkOutcome::WidenHalo { uncertified },
     });
     mesher.owned = owned;
@@ -337,8 +338,8 @@ fn least_first(t: Tet) -> Tet {
     [t[least], a, b, c]
 }
 
-/// Sorts tetrahedra of `vertices` vertices by their first ones, by counting.
-fn sorted(tets: &[Tet], vertices: usize) -> Vec<Tet> {
+/// Sorts tetrahedra of `vertices` vertices by their first ones, by counting, into memory that may hold others.
+fn sorted(tets: &[Tet], vertices: usize, mut all: Vec<Tet>) -> Vec<Tet> {
     let mut end = vec![0u32; vertices + 1];
     for t in tets {
         end[t[0] as usize + 1] += 1;
@@ -346,7 +347,8 @@ fn sorted(tets: &[Tet], vertices: usize) -> Vec<Tet> {
     for v in 0..vertices {
         end[v + 1] += end[v];
     }
-    let mut all = vec![[0; 4]; tets.len()];
+    // Whatever is there is written over.
+    all.resize(tets.len(), [0; 4]);
     for &t in tets {
         let place = &mut end[t[0] as usize];
         all[*place as usize] = t;

@@ -93,12 +93,19 @@ pub struct Mesher {
     spare: Vec<(u64, u32)>,
     /// Scratch of the chunk stage, kept here so that its pages are not asked for again in each chunk.
     pub(super) owned: Vec<Tet>,
+    /// Memory for the tetrahedra of the next chunk.
+    pub(super) outgoing: Vec<Tet>,
 }
 
 impl Mesher {
     /// An empty worker.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// Gives memory for the tetrahedra of the next chunk, most often those of the last one.
+    pub fn reuse(&mut self, tets: Vec<Tet>) {
+        self.outgoing = tets;
     }
 
     /// Tetrahedralizes `positions`; of equal positions only the first becomes a vertex. Sets that span no volume (fewer than

@@ -142,30 +142,29 @@ pub(super) fn index_entries(chunk: u64, ranges: &[BlockRange]) -> impl Iterator<
 
 /// The last block of a chunk in a mesh segment.
 pub(super) fn mesh_summary(segment: &ChunkSegment, chunk: ChunkId) -> Result<MeshSummary> {
-    last_block(segment, chunk, MeshSummary::decode)
+    last_blocks(segment, chunk, 0, MeshSummary::decode)
 }
 
 /// The last block of a chunk in a value segment.
 pub(super) fn value_summary(segment: &ChunkSegment, chunk: ChunkId) -> Result<ValueSummary> {
-    last_block(segment, chunk, ValueSummary::decode)
+    last_blocks(segment, chunk, 0, ValueSummary::decode)
 }
 
-fn last_block<T>(
+/// A block of a chunk, with so many behind it.
+pub(super) fn last_blocks<T>(
     segment: &ChunkSegment,
     chunk: ChunkId,
-    decode: fn(&[u8]) -> std::result::Result<T, Malformed>,
+    behind: u64,
+    decode: impl FnOnce(&[u8]) -> std::result::Result<T, Malformed>,
 ) -> Result<T> {
-    let last = segment.block_count(chunk).checked_sub(1).ok_or_else(|| {
-        Error::bad_input(
-            segment.segment().path(),
-            format!("chunk {}", chunk.0),
-            "a summary block",
-            "no blocks",
-        )
+    let count = segment.block_count(chunk);
+    let block = count.checked_sub(behind + 1).ok_or_else(|| {
+        let expected = format!("at least {} blocks", behind + 1);
+        Error::bad_input(segment.segment().path(), format!("chunk {}", chunk.0), expected, count.to_string())
     })?;
     let mut bytes = vec![];
-    segment.block(chunk, last, &mut bytes)?;
-    decode(&bytes).map_err(|m| segment.blame(chunk, last, m))
+    segment.block(chunk, block, &mut bytes)?;
+    decode(&bytes).map_err(|m| segment.blame(chunk, block, m))
 }
 
 /// The owned tetrahedra of all chunks tile the box: their volumes add up to its volume, exactly.

@@ -1,21 +1,16 @@
 //! `measure`: the reduced field against every sample of its source.
 //!
-//! ```text
-//!  chunk ─▶ decode ─▶ block: the box of its tetrahedra ─▶ read its samples ─▶ scan conversion: sample and field ─▶ sums
-//! ```
-//!
-//! A block has about a thousand tetrahedra that lie together, so the box around them is small: it is read from the source, and the
-//! scan conversion ([`crate::raster`]) visits each sample of the domain in exactly one tetrahedron. All sums are integers
-//! ([`crate::measure`]), so neither threads nor chunks show. The vertices of a mesh are located as `probe` locates points, in
-//! batches.
+//! Chunk after chunk is decoded and measured as `reduce` does it while it makes one (`gauge.rs`). All sums are integers
+//! ([`crate::measure`]), so neither threads nor chunks show, and the figures are those that `reduce` has stored. The vertices of a
+//! mesh are located as `probe` locates points, in batches.
 //!
 //! Cost: decoding the archive and reading the source once, and the scan conversion. Memory: some chunks; with a map of bricks, a
 //! record for each brick of a chunk, sorted on disk where memory does not hold them.
 
 use super::fingerprint::fingerprint;
+use super::gauge::{self, Cells, Gauge, Samples, field_error_of};
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
-use super::probe::windows;
 use super::probe_points::{Find, each_value};
 use super::reduce::{RunSettings, random_access};
 use super::steps::StepChoice;
@@ -30,11 +25,9 @@ use crate::exec::{CancelToken, Progress};
 use crate::formats::brick_map::{BrickMapFile, BrickNumbers};
 use crate::formats::{self, Input, OpenOptions};
 use crate::geom::LatticePos;
-use crate::grid::{Geometry, IndexBox};
+use crate::grid::Geometry;
 use crate::locate::{FINE_BITS, FinePos};
 use crate::measure::{BrickErrors, BrickRecord, ErrorSums, FieldError, Worst, merged};
-use crate::mesh::tet::Tet;
-use crate::raster::{SampleGrid, Scanner, interpolate};
 use crate::volume::{VolumeReader, VolumeSource};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -265,28 +258,22 @@ pub(super) fn field_error(
     }
     let map = settings.map.as_deref().map(|path| Map::new(archive, path, settings)).transpose()?;
     match originals {
-        Originals::Volume { reader, missing, stand_in } => {
-            let samples = Samples {
-                archive,
-                reader: *reader,
-                grid: SampleGrid::voxels(&archive.manifest.plan.lattice),
-                missing: missing.map(|m| m as f32),
-                stand_in: stand_in.unwrap_or(f32::NAN),
-                mapped: map.is_some(),
-            };
-            samples.measure(map, settings, progress)
+        Originals::Volume { reader, .. } => {
+            let samples = Samples::of(originals).expect("those of a volume");
+            let gauge = Gauge::new(&archive.manifest.plan.lattice);
+            let against = AgainstSamples { archive, samples, reader: *reader, gauge, mapped: map.is_some() };
+            against.measure(map, settings, progress)
         }
         Originals::Mesh(store, values) => measure_vertices(archive, store, values, map, settings, progress),
     }
 }
 
-/// The samples of a volume.
-struct Samples<'a> {
+/// The samples of a volume, against an archive.
+struct AgainstSamples<'a> {
     archive: &'a OpenArchive,
+    samples: Samples<'a>,
     reader: &'a dyn VolumeReader,
-    grid: SampleGrid,
-    missing: Option<f32>,
-    stand_in: f32,
+    gauge: Gauge,
     /// Whether errors are wanted brick by brick.
     mapped: bool,
 }
@@ -298,12 +285,10 @@ struct Part {
     bricks: BTreeMap<u64, BrickErrors>,
 }
 
-/// Samples that are read at a time: those around a block are far fewer, but for the coarsest meshes.
-const WINDOW: u64 = 1 << 18;
-/// Bytes of a job, beside its chunk: a window of samples, sums, bricks.
-const EXTRA: u64 = 4 * WINDOW + (1 << 20);
+/// Bytes of a job, beside its chunk: samples, sums, bricks.
+const EXTRA: u64 = gauge::working_bytes(1) + (1 << 19);
 
-impl Samples<'_> {
+impl AgainstSamples<'_> {
     fn measure(
         &self,
         mut map: Option<Map>,
@@ -335,99 +320,31 @@ impl Samples<'_> {
         if let Some(map) = map {
             map.finish()?;
         }
-        let dims = self.grid.dims();
-        let samples = dims.iter().product::<u64>();
-        if sums.samples() != samples {
-            let expected = format!("tetrahedra that hold {samples} samples, each once");
-            return Err(Error::bad_input(archive.path(), "tetrahedra", expected, sums.samples().to_string())
-                .with_help("isospan check tells more"));
-        }
-        let mut error = sums.field_error(samples);
-        if let Some(l) = sums.largest() {
-            let (x, y) = (l.sample % dims[0], l.sample / dims[0] % dims[1]);
-            let index = [x, y, l.sample / dims[0] / dims[1]];
-            error.worst = Some(Worst {
-                sample: l.sample,
-                index: Some(index),
-                world: world_of(archive, index.map(|i| i as f64))?,
-                original: l.original,
-                reduced: l.reduced,
-            });
-        }
-        Ok(error)
+        field_error_of(archive, &sums)
     }
 
     /// Measures the samples in the tetrahedra of a chunk.
     fn part(&self, chunk: &DecodedChunk) -> Result<Part> {
-        let (mut part, mut originals, mut start) = (Part::default(), vec![], 0);
-        for &end in &chunk.block_ends {
-            let tets = &chunk.tets[start..end];
-            start = end;
-            let Some(whole) = self.around(chunk, tets) else { continue };
-            for window in windows(whole, WINDOW) {
-                originals.resize(window.len(), 0.0);
-                self.reader.read_box(window, &mut originals)?;
-                self.treat_missing(&mut originals);
-                self.scan(chunk, tets, &window, &originals, &mut part);
-            }
+        let DecodedChunk { positions, tets, block_ends, values, .. } = chunk;
+        let cells = Cells { positions, tets, block_ends };
+        let read = |_, window, out: &mut [f32]| self.samples.read(window, out);
+        if !self.mapped {
+            let mut sums = self.gauge.errors(&cells, &[values], read)?;
+            return Ok(Part { sums: sums.pop().expect("of one step"), ..Part::default() });
         }
+        let (bricks, steps) = (self.archive.chunks.bricks(), self.archive.manifest.plan.lattice.log2_steps);
+        let (mut part, dims) = (Part::default(), self.gauge.dims());
+        self.gauge.each_sample(&cells, &[values], read, |m| {
+            part.sums.add(m.original, m.reduced, || m.number(dims));
+            let brick = bricks.id(bricks.brick_at(m.place().map(|i| (i << steps) as u32)));
+            part.bricks.entry(brick.0).or_default().add(m.original, m.reduced);
+        })?;
         Ok(part)
-    }
-
-    /// The samples in the bounding box of some tetrahedra.
-    fn around(&self, chunk: &DecodedChunk, tets: &[Tet]) -> Option<IndexBox> {
-        let mut corners = tets.iter().flatten().map(|&v| chunk.positions[v as usize]);
-        let first = corners.next()?;
-        let (lo, hi) = corners.fold((first, first), |(lo, hi), p| {
-            (std::array::from_fn(|a| p[a].min(lo[a])), std::array::from_fn(|a| p[a].max(hi[a])))
-        });
-        Some(self.grid.within(lo, hi)).filter(|b| !b.is_empty())
-    }
-
-    fn treat_missing(&self, values: &mut [f32]) {
-        for v in values {
-            if !v.is_finite() || Some(*v) == self.missing {
-                *v = self.stand_in;
-            }
-        }
-    }
-
-    fn scan(
-        &self,
-        chunk: &DecodedChunk,
-        tets: &[Tet],
-        window: &IndexBox,
-        originals: &[f32],
-        part: &mut Part,
-    ) {
-        let (dims, bricks, steps) =
-            (self.grid.dims(), self.archive.chunks.bricks(), self.archive.manifest.plan.lattice.log2_steps);
-        let place = |at: usize| {
-            let (at, [x, y, _]) = (at as u64, window.dims());
-            [window.lo[0] + at % x, window.lo[1] + at / x % y, window.lo[2] + at / x / y]
-        };
-        let sample_of = |at: usize| {
-            let [x, y, z] = place(at);
-            (z * dims[1] + y) * dims[0] + x
-        };
-        let scanner = Scanner::new(&self.grid, window);
-        for tet in tets {
-            let values = tet.map(|v| chunk.values[v as usize]);
-            let void = values.iter().any(|v| v.is_nan());
-            scanner.each_sample(tet.map(|v| chunk.positions[v as usize]), |at, weights| {
-                let reduced = if void { f32::NAN } else { interpolate(weights, values) };
-                part.sums.add(originals[at], reduced, || sample_of(at));
-                if self.mapped {
-                    let brick = bricks.id(bricks.brick_at(place(at).map(|i| (i << steps) as u32)));
-                    part.bricks.entry(brick.0).or_default().add(originals[at], reduced);
-                }
-            });
-        }
     }
 }
 
 /// Where a place of index space is.
-fn world_of(archive: &OpenArchive, ijk: [f64; 3]) -> Result<[f64; 3]> {
+pub(super) fn world_of(archive: &OpenArchive, ijk: [f64; 3]) -> Result<[f64; 3]> {
     match archive.coordinates()? {
         Some(map) => Ok(map.place(ijk)?.position),
         None => Ok(archive.step().plan.source.geometry.to_world(ijk)),

@@ -18,6 +18,7 @@ mod export;
 mod extract;
 mod field;
 mod fingerprint;
+mod gauge;
 mod grid_field;
 mod handle;
 mod horizon;

@@ -5,6 +5,7 @@
 //! ```text
 //!  memory = BASE                    the process itself, buffers of readers and writers
 //!         + workers · room          a chunk at work: its points, their tetrahedra, its values, its blocks
+//!         + workers · beside        its values at further steps; samples of the source, errors
 //!         + workers · 3 products    encoded chunks that wait for their turn to be written
 //!  memory >= BASE + decoder         before: a stream is copied into bricks, chunk by chunk of its own
 //!  memory >= BASE + index           afterwards, when the first two are gone: see below
@@ -15,6 +16,7 @@
 //! widened beyond its room waits until it is alone and has all of them ([`super::work`]). The index is built in what memory there
 //! is; what does not fit is sorted in the scratch folder.
 
+use super::gauge;
 use super::plan::{BLOCK_TETS, MeshParts, Plan};
 use crate::archive::manifest::Plan as MeshPlan;
 use crate::error::{Error, Result};
@@ -139,6 +141,8 @@ pub(crate) struct Shares {
     pub(crate) room: u64,
     /// For all encoded chunks that wait.
     pub(crate) queue: u64,
+    /// Beside each room: the values of further steps, and what measures errors.
+    pub(crate) beside: u64,
 }
 
 impl Shares {
@@ -149,7 +153,7 @@ impl Shares {
 
     /// The memory with which such a chunk could be made.
     pub(crate) fn memory_for(&self, room: u64) -> u64 {
-        BASE + self.queue + room
+        BASE + self.queue + self.beside + room
     }
 }
 
@@ -161,6 +165,8 @@ pub(crate) struct Need {
     points: u64,
     chunks: u64,
     room: u64,
+    /// Points of the largest region.
+    region_points: u64,
     /// Points of the largest chunk, encoded with the values of so many steps.
     core_points: u64,
     steps: u64,
@@ -188,6 +194,7 @@ impl Need {
             points,
             chunks: parts.chunks.len(),
             room: room_for(region_points, parts.halo),
+            region_points,
             core_points,
             steps: 1,
             entries: points.saturating_mul(TETS_PER_POINT) / u64::from(BLOCK_TETS) + parts.chunks.len(),
@@ -210,8 +217,13 @@ impl Need {
         product_bytes(self.core_points, self.steps)
     }
 
+    /// Bytes beside a chunk's room: the values of the steps after the first, and what measures the errors of all.
+    fn beside(&self) -> u64 {
+        (self.steps - 1).saturating_mul(4 * self.region_points) + gauge::working_bytes(self.steps)
+    }
+
     fn of_workers(&self, workers: u64) -> u64 {
-        let each = self.room.saturating_add(WAITING * self.product());
+        let each = self.room.saturating_add(self.beside()).saturating_add(WAITING * self.product());
         self.base.saturating_add(each.saturating_mul(workers).max(BuildSettings::LEAST_MEMORY))
     }
 
@@ -248,7 +260,8 @@ impl Need {
         let useful = (threads as u64).min(self.chunks).max(1);
         let workers = (1..=useful).rev().find(|&w| self.of_workers(w) <= memory).unwrap_or(1);
         let queue = workers * WAITING * self.product();
-        Ok(Shares { workers: workers as usize, room: (memory - self.base - queue) / workers, queue })
+        let (beside, each) = (self.beside(), (memory - self.base - queue) / workers);
+        Ok(Shares { workers: workers as usize, room: each - beside, queue, beside })
     }
 }
 
@@ -417,6 +430,7 @@ mod tests {
         points: 1 << 20,
         chunks: 9,
         room: 100 << 20,
+        region_points: 100_000,
         core_points: 70_000,
         steps: 1,
         entries: 1 << 15,
@@ -426,7 +440,7 @@ mod tests {
     #[test]
     fn fewer_work_where_memory_is_short() {
         let least = NEED.least();
-        let each = (100 << 20) + 3 * PRODUCT;
+        let each = (100 << 20) + gauge::working_bytes(1) + 3 * PRODUCT;
         assert_eq!(least, BASE + each);
         for (memory, workers) in [(least, 1), (least + each, 2), (u64::MAX / 2, 4)] {
             let shares = NEED.shares(memory, 4).unwrap();
@@ -442,7 +456,7 @@ mod tests {
     fn fewer_steps_at_a_time_where_memory_is_short() {
         let steps = |memory| NEED.with_steps(16, memory, 1).steps();
         let least = NEED.least();
-        assert_eq!((steps(least - 1), steps(least), steps(least + (6 << 20)), steps(1 << 40)), (1, 1, 5, 16));
+        assert_eq!((steps(least - 1), steps(least), steps(least + (6 << 20)), steps(1 << 40)), (1, 1, 3, 16));
         assert!(NEED.with_steps(16, least + (6 << 20), 1).least() <= least + (6 << 20));
     }
 

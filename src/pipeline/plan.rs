@@ -192,6 +192,7 @@ impl Plan {
                 values: settings.values,
                 nan: settings.nan.to_string(),
                 quantiser: None,
+                measured: false,
                 base: None,
             }],
         })

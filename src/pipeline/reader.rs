@@ -80,8 +80,8 @@ impl<'a> ChunkReader<'a> {
         }
         let vertices = header.len() as usize;
         let value_blocks = vertices.div_ceil(BLOCK_VALUES);
-        // The last two blocks are the chunk's part of the spectrum, and the summary.
-        if segment.values.block_count(id) != value_blocks as u64 + 2 {
+        let others = archive.step().plan.blocks_behind_values();
+        if segment.values.block_count(id) != value_blocks as u64 + others {
             let got = format!("{} blocks", segment.values.block_count(id));
             return Err(damaged(&segment.values, id, "chunk table", &got));
         }

@@ -5,6 +5,7 @@
 
 use super::beside::Beside;
 use super::commit::Made;
+use super::gauge::stored_error;
 use super::layout::Layout;
 use super::measure::{MeasureSettings, reopened_error};
 use super::need::{self, Estimate, Need, Question};
@@ -394,7 +395,7 @@ impl Publishing<'_> {
         if self.measure {
             let measuring = Instant::now();
             self.measure(series, &mut outcome, &mut made, before)?;
-            let seconds = (measuring.elapsed() + outcome.measuring).as_secs_f64();
+            let seconds = (measuring.elapsed() + outcome.measuring + outcome.times.measure).as_secs_f64();
             report.seconds.push(("measure".into(), seconds));
         }
         if self.old.is_some_and(|old| Manifest::read(layout.root()).ok().as_ref() != Some(old)) {
@@ -405,7 +406,8 @@ impl Publishing<'_> {
         completed(&made, before, series, layout, report)
     }
 
-    /// Notes the errors of the steps from position `before` on; measures those that were made by an earlier run.
+    /// Notes the errors of the steps from position `before` on: adds up what chunks have stored; measures the steps of a mesh that were
+    /// made by an earlier run.
     fn measure(
         &self,
         series: &SeriesPlan,
@@ -423,7 +425,10 @@ impl Publishing<'_> {
                 Some(error) => error,
                 None => {
                     archive.turn_to(archive.manifest.steps.partition_point(|s| s.plan.number < number));
-                    reopened_error(&archive, path, options, &settings, self.progress)?
+                    match step.plan.measured {
+                        true => stored_error(&archive)?,
+                        false => reopened_error(&archive, path, options, &settings, self.progress)?,
+                    }
                 }
             });
         }
@@ -554,7 +559,8 @@ pub(super) fn scratch_folder(run: &RunSettings) -> PathBuf {
 }
 
 pub(super) fn push_times(seconds: &mut Vec<(String, f64)>, made: &Outcome) {
-    let StageTimes { mesh, sample, encode, write } = made.times;
+    // What measuring takes is told with that of the whole.
+    let StageTimes { mesh, sample, measure: _, encode, write } = made.times;
     let rows = [("mesh", mesh), ("sample", sample), ("encode", encode), ("write", write)];
     seconds.extend(rows.map(|(name, time)| (name.to_owned(), time.as_secs_f64())));
 }

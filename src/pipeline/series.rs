@@ -15,6 +15,7 @@ use super::beside::Beside;
 use super::chunk::Recipe;
 use super::commit::record;
 use super::field::Field;
+use super::gauge::{Gauge, Samples};
 use super::layout::Layout;
 use super::measure::{MeasureSettings, field_error};
 use super::need::Shares;
@@ -298,12 +299,18 @@ impl Making<'_> {
         let file = (self.layout.at(first.number).coordinates(), first.hash(plan.mesh_hash()));
         let coordinates = made.coordinates.map(|_| file);
         let meter = Meter::new(&plan.mesh, parts.points.len(), &first.source, coordinates);
+        // All steps of a run are measured, or none.
+        let samples: Option<Vec<Samples<'_>>> =
+            fields.iter().map(|field| Samples::of(&field.originals())).collect();
+        let samples = samples.filter(|_| plan.steps[steps.start].measured);
+        let gauge = samples.map(|samples| (Gauge::new(&plan.mesh.lattice), samples));
         let done = work::make_segments(&Work {
             plan: &plan.mesh,
             mesh_hash: plan.mesh_hash(),
             steps: &steps_work,
             stored,
             meter: &meter,
+            gauge,
             bad_steps: &bad,
             several,
             recipe: &recipe,
@@ -319,13 +326,13 @@ impl Making<'_> {
         let bad = bad.into_inner().unwrap_or_else(PoisonError::into_inner);
         let bad = bad.into_iter().map(|(n, reason)| (steps.start + n, reason)).collect();
         made.times.add(&done.map_err(|error| Failed { error: Box::new(error), bad })?);
-        if self.measure {
+        if self.measure && !plan.steps[steps.start].measured {
             self.measure(plan, steps, &fields, made)?;
         }
         Ok(())
     }
 
-    /// Measures steps that were just made, whose data are still open.
+    /// Measures steps of a mesh that were just made, whose data are still open. Those of a volume were, chunk by chunk.
     fn measure(
         &self,
         plan: &Plan,

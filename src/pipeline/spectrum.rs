@@ -1,5 +1,6 @@
 //! The contour spectrum of a step: chunk by chunk while chunks are made, put together when the archive is, and read back.
 
+use super::commit::last_blocks;
 use super::open::OpenArchive;
 use super::steps::{StepChoice, StepRange};
 use crate::archive::chunked::ChunkSegment;
@@ -89,18 +90,7 @@ pub(super) fn limits(mesh: &MeshPlan, points: u64) -> Limits {
 
 /// The part of a chunk that is stored: the last but one of its blocks in a value segment.
 pub(super) fn stored_part(segment: &ChunkSegment, chunk: ChunkId, limits: Limits) -> Result<ChunkPart> {
-    let Some(block) = segment.block_count(chunk).checked_sub(2) else {
-        let at = format!("chunk {}", chunk.0);
-        return Err(Error::bad_input(
-            segment.segment().path(),
-            at,
-            "a spectrum and a summary",
-            "fewer blocks",
-        ));
-    };
-    let mut bytes = vec![];
-    segment.block(chunk, block, &mut bytes)?;
-    ChunkPart::decode(&bytes, limits).map_err(|m| segment.blame(chunk, block, m))
+    last_blocks(segment, chunk, 1, |bytes| ChunkPart::decode(bytes, limits))
 }
 
 /// The contour spectrum of an archive.

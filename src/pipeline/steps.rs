@@ -179,8 +179,7 @@ impl OpenArchive {
     ) -> Result<u64> {
         let segment = self.values_of(step, id)?;
         let count = segment.block_count(id);
-        // The last two blocks are the part of the spectrum and the summary.
-        if block + 2 >= count {
+        if block + self.manifest.steps[step].plan.blocks_behind_values() >= count {
             return Err(damaged(&segment, id, "chunk table", &format!("{count} blocks")));
         }
         let (mut bytes, mut before, mut read) = (vec![], vec![], 0);

@@ -3,9 +3,11 @@
 //! * every block of every segment has its checksum, every table its size;
 //! * each brick has the number of points that the point set gives it, each halo id is a point outside the chunk;
 //! * each tetrahedron is positively oriented, belongs to the chunk that holds it, and all together fill the box exactly;
-//! * the ranges of the blocks, the entries of the index, and the sums of the spectrum are those of the values.
+//! * the ranges of the blocks, the entries of the index, and the sums of the spectrum are those of the values;
+//! * the error of a volume's step is that of all chunks together.
 
 use super::commit::{domain_volume6, index_entries, mesh_summary, value_summary};
+use super::gauge::stored_error;
 use super::open::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
 use super::spectrum::{Meter, stored_part};
 use crate::archive::segment::Segment;
@@ -108,6 +110,7 @@ fn check_step(archive: &OpenArchive, check: &mut ArchiveCheck) -> Result<()> {
         check_totals(archive, volume6, check)?;
     }
     check_index(archive, entries, check)?;
+    check_error(archive)?;
     match (spectrum, measured) {
         (Some(file), Some(measured)) => {
             file.verify(&measured)?;
@@ -135,6 +138,20 @@ fn check_totals(archive: &OpenArchive, volume6: i128, check: &ArchiveCheck) -> R
         return Err(Error::bad_input(path, "totals", expected, format!("{} and {}", found[0], found[1])));
     }
     Ok(())
+}
+
+/// The error that the manifest tells is that of the chunks.
+fn check_error(archive: &OpenArchive) -> Result<()> {
+    let step = archive.step();
+    if !step.plan.measured {
+        return Ok(());
+    }
+    let sum = stored_error(archive)?;
+    if step.error.as_ref() == Some(&sum) {
+        return Ok(());
+    }
+    let got = step.error.as_ref().map_or("none".into(), |e| format!("an RMS error of {}", e.rms));
+    Err(Error::bad_input(archive.path(), "error", format!("an RMS error of {}", sum.rms), got))
 }
 
 /// What a chunk contributes to the checks of the whole.

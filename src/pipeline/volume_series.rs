@@ -267,6 +267,7 @@ impl Planner<'_> {
             values: self.settings.values,
             nan: self.settings.nan.to_string(),
             quantiser,
+            measured: self.settings.measure,
             base: None,
         };
         Ok((step, PlannedSource { source: source.clone(), copied, shared_copy: 0, copying }))

@@ -18,6 +18,7 @@
 
 use super::chunk::{self, Around, MeshedChunk, Meshing, Recipe};
 use super::field::{Field, Placement};
+use super::gauge::{Cells, Gauge, Samples};
 use super::inspect::{Depth, SegmentState, inspect};
 use super::layout::Layout;
 use super::need::{self, Halo, Shares};
@@ -26,6 +27,7 @@ use super::series::of_step;
 use super::spectrum::Meter;
 use crate::archive::chunk::{ChunkEncoder, ChunkVertices, EncodedChunk};
 use crate::archive::chunked::ChunkSegmentWriter;
+use crate::archive::errors::encode_errors;
 use crate::archive::manifest::{Plan as MeshPlan, StepPlan};
 use crate::archive::segment::{PlanHash, SegmentKind};
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
@@ -35,6 +37,7 @@ use crate::exec::{CancelToken, MemoryBudget, Permit, Progress, Reorder};
 use crate::geom::LatticePos;
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
+use crate::measure::ErrorSums;
 use crate::mesh::delaunay::Mesher;
 use crate::mesh::tet::Tet;
 use crossbeam::channel;
@@ -61,6 +64,7 @@ struct Product {
 pub(crate) struct StageTimes {
     pub(crate) mesh: Duration,
     pub(crate) sample: Duration,
+    pub(crate) measure: Duration,
     pub(crate) encode: Duration,
     pub(crate) write: Duration,
 }
@@ -69,6 +73,7 @@ impl StageTimes {
     pub(crate) fn add(&mut self, other: &Self) {
         self.mesh += other.mesh;
         self.sample += other.sample;
+        self.measure += other.measure;
         self.encode += other.encode;
         self.write += other.write;
     }
@@ -96,6 +101,8 @@ pub(crate) struct Work<'a> {
     /// Steps that follow each other; at least one.
     pub(crate) steps: &'a [StepWork<'a>],
     pub(super) meter: &'a Meter,
+    /// What errors are measured with, against the samples of each step; none where they are not.
+    pub(super) gauge: Option<(Gauge, Vec<Samples<'a>>)>,
     /// Where the mesh comes from, if it is there.
     pub(crate) stored: Option<Stored<'a>>,
     /// Positions in `steps` whose data could not be used.
@@ -448,10 +455,11 @@ fn make_in_room(
     let outside6 = drop_outside(&mut mesh, &mut placement);
     lap.add_to(&mut times.sample);
     let (encoded, summary) = encode_mesh(work, &mut desk.encoder, &mut mesh, outside6);
-    let blocks: Vec<&[Tet]> = (0..encoded.tet_blocks()).map(|n| encoded.block_tets(n)).collect();
+    let ends = encoded.block_ends();
     lap.add_to(&mut times.encode);
-    let value_blocks = encode_steps(work, &mesh, &placement, None, (encoded.tets(), &blocks), &mut times)?;
-    let mut mesh_blocks = encoded.blocks;
+    let value_blocks = encode_steps(work, &mesh, &placement, None, (encoded.tets(), &ends), &mut times)?;
+    let (mut mesh_blocks, tets) = encoded.into_parts();
+    desk.mesher.reuse(tets);
     mesh_blocks.push(summary.encode());
     Ok(Making::Done(Product { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
 }
@@ -464,13 +472,12 @@ fn make_from_stored(work: &Work<'_>, stored: &Stored<'_>, chunk: &Chunk, around:
     mesh.around = around;
     let vertices = mesh.positions.len();
     let before = stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
-    let starts = std::iter::once(&0).chain(&ends);
-    let blocks: Vec<&[Tet]> = starts.zip(&ends).map(|(&from, &to)| &mesh.tets[from..to]).collect();
     lap.add_to(&mut times.mesh);
     // Of a mesh in which nothing lies outside any more.
     let placement = note(work, 0, work.steps[0].field.place(&mesh))?;
     lap.add_to(&mut times.sample);
-    let value_blocks = encode_steps(work, &mesh, &placement, before, (&mesh.tets, &blocks), &mut times)?;
+    let value_blocks =
+        encode_steps(work, &mesh, &placement, before.as_deref(), (&mesh.tets, &ends), &mut times)?;
     Ok(Product { points: mesh.core_len() as u64, mesh_blocks: vec![], value_blocks, times })
 }
 
@@ -505,31 +512,46 @@ fn note<T>(work: &Work<'_>, n: usize, found: Result<T>) -> Result<T> {
     found
 }
 
-/// Samples and encodes all steps: the blocks of each, values, part of the spectrum, summary. `before` are the values
-/// of the first one's base; tetrahedra are those of all blocks, as they decode, and of each.
+/// Samples, measures and encodes all steps: the blocks of each, values, errors, part of the spectrum, summary. `before` are the values
+/// of the first one's base; tetrahedra are those of all blocks, as they decode, with the end of each block.
 fn encode_steps(
     work: &Work<'_>,
     mesh: &MeshedChunk,
     placement: &Placement,
-    mut before: Option<Vec<f32>>,
-    (tets, blocks): (&[Tet], &[&[Tet]]),
+    before: Option<&[f32]>,
+    (tets, block_ends): (&[Tet], &[usize]),
     times: &mut StageTimes,
 ) -> Result<Vec<Vec<Vec<u8>>>> {
-    let (mut out, mut lap) = (vec![], Lap(Instant::now()));
+    let mut lap = Lap(Instant::now());
+    let of_step = |n| work.cancel.check().and_then(|()| values_of(work, n, mesh, placement));
+    let values = (0..work.steps.len()).map(of_step).collect::<Result<Vec<_>>>()?;
+    lap.add_to(&mut times.sample);
+    let errors = errors(work, &Cells { positions: &mesh.positions, tets, block_ends }, &values)?;
+    lap.add_to(&mut times.measure);
+    let (mut out, mut before) = (vec![], before);
     for (n, step) in work.steps.iter().enumerate() {
         work.cancel.check()?;
-        let values = values_of(work, n, mesh, placement)?;
-        lap.add_to(&mut times.sample);
-        let base = step.plan.base.map(|_| before.as_deref().expect("a base is the step before"));
-        let mut encoded = encode_values(&values, base, step.plan.quantiser.as_ref());
-        let ranges: Vec<_> = blocks.iter().map(|tets| BlockRange::of(tets, &values)).collect();
-        encoded.push(work.meter.part(&mesh.positions, &values, tets, &ranges)?.encode());
+        let values = &*values[n];
+        let base = step.plan.base.map(|_| before.expect("a base is the step before"));
+        let mut encoded = encode_values(values, base, step.plan.quantiser.as_ref());
+        encoded.extend(errors.get(n).map(encode_errors));
+        let starts = std::iter::once(&0).chain(block_ends);
+        let range = |(&from, &to): (&usize, &usize)| BlockRange::of(&tets[from..to], values);
+        let ranges: Vec<_> = starts.zip(block_ends).map(range).collect();
+        encoded.push(work.meter.part(&mesh.positions, values, tets, &ranges)?.encode());
         encoded.push(ValueSummary::of(&values[..mesh.core_len()], ranges).encode());
         out.push(encoded);
         before = Some(values);
-        lap.add_to(&mut times.encode);
     }
+    lap.add_to(&mut times.encode);
     Ok(out)
+}
+
+/// The errors of each step in a chunk; none where they are not measured.
+fn errors(work: &Work<'_>, cells: &Cells<'_>, values: &[Vec<f32>]) -> Result<Vec<ErrorSums>> {
+    let Some((gauge, samples)) = &work.gauge else { return Ok(vec![]) };
+    let steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
+    gauge.errors(cells, &steps, |n, window, out| note(work, n, samples[n].read(window, out)))
 }
 
 /// Removes the tetrahedra that lie outside of the data, and the halo points that only they use; tells their six-fold volume.

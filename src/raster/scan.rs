@@ -74,7 +74,7 @@ impl<'a> Scanner<'a> {
     /// Calls `each` with the samples of the window that belong to a positively oriented tetrahedron, in runs along x: the place of a
     /// run's first sample in an x-fastest array of the window, and the weights of the corners at each of its samples. Runs come
     /// in the order of their places.
-    #[inline]
+    #[inline(always)]
     pub fn each_run(&self, corners: [LatticePos; 4], each: impl FnMut(usize, &[[f64; 4]])) {
         let [a, b, c, d] = corners;
         let [fa, fb, fc, fd] = [Four::position(a), Four::position(b), Four::position(c), Four::position(d)];

@@ -10,7 +10,7 @@ pub struct Limits {
 }
 
 /// The most and the fewest knots: a chunk stores 24 bytes for each.
-const MOST_KNOTS: u64 = 128;
+pub(super) const MOST_KNOTS: u64 = 128;
 const FEWEST_KNOTS: u64 = 48;
 /// The most and the fewest levels: about a byte each.
 pub(crate) const MOST_LEVELS: u64 = 8192;

@@ -3,9 +3,9 @@
 //! **How it is fast.** A step of a series is measured anew though its mesh is not made anew, so this is most of what a step costs.
 //! Tetrahedra are taken a batch at a time, column by column: edges, values, volume and gradient of all, then the values of each sorted by
 //! exchanges, and all divisions, in loops without branches that the compiler turns into vector code. Then, tetrahedron by tetrahedron, the
-//! knots in its range, side by side: of the three parabolas all are computed, and the one that holds is chosen.
+//! knots in its range, side by side: of the three parabolas all are computed, and the one that holds is chosen; what comes of it is then added to the sums.
 
-use super::design::{Design, Limits};
+use super::design::{Design, Limits, MOST_KNOTS};
 use super::grid::Places;
 use super::{Knot, Spectrum};
 use crate::exec::with_vectors;
@@ -72,6 +72,8 @@ impl ChunkPart {
 
 /// Tetrahedra that are looked at together.
 const BATCH: usize = 64;
+/// Knots that are looked at side by side: their number is rounded up to a multiple.
+const LANES: usize = 4;
 
 type Column = [f64; BATCH];
 
@@ -95,6 +97,8 @@ struct Batch {
 /// Sums while they are made.
 struct Sums {
     isovalues: Vec<f64>,
+    /// What a tetrahedron adds at the knots in its range.
+    share: Box<Share>,
     tetrahedra: u64,
     /// At each knot, of the tetrahedra that it cuts: area, volume inside, gradient times area.
     areas: Vec<f64>,
@@ -113,7 +117,8 @@ impl Sums {
         let (knots, levels) = (design.knots.count as usize, design.levels.count as usize);
         let batch = [0.0; BATCH];
         Self {
-            isovalues: design.knots.values().into_iter().map(f64::from).collect(),
+            isovalues: padded(design.knots.values()),
+            share: Box::new(Share { area: [0.0; MOST], above: [0.0; MOST] }),
             tetrahedra: 0,
             areas: vec![0.0; knots],
             insides: vec![0.0; knots],
@@ -188,16 +193,19 @@ impl Sums {
             if lo == hi {
                 continue;
             }
-            let piece = batch.pieces(i);
-            let (area, slope) = (batch.area[i], batch.slope[i]);
-            let sums =
-                self.areas[lo..hi].iter_mut().zip(&mut self.insides[lo..hi]).zip(&mut self.slopes[lo..hi]);
-            for (&v, ((a, inside), s)) in self.isovalues[lo..hi].iter().zip(sums) {
-                let [density, below] = piece.at(v);
-                let new = area * density;
-                *a += new;
-                *inside += volume * (1.0 - below);
-                *s += slope * new;
+            // More than are wanted, so that vectors are full.
+            let isovalues = &self.isovalues[lo..lo + (hi - lo).next_multiple_of(LANES)];
+            batch.pieces(i).at(isovalues, &mut self.share);
+            let (area, slope, Share { area: density, above }) = (batch.area[i], batch.slope[i], &*self.share);
+            for (sum, density) in self.areas[lo..hi].iter_mut().zip(density) {
+                *sum += area * density;
+            }
+            let area = area * slope;
+            for (sum, density) in self.slopes[lo..hi].iter_mut().zip(density) {
+                *sum += area * density;
+            }
+            for (sum, above) in self.insides[lo..hi].iter_mut().zip(above) {
+                *sum += volume * above;
             }
         }
     }
@@ -266,6 +274,23 @@ impl Batch {
     }
 }
 
+/// The most knots, a multiple of [`LANES`].
+const MOST: usize = MOST_KNOTS as usize;
+
+/// What is found at knots, from the first of a range on.
+struct Share {
+    /// The density of the area.
+    area: [f64; MOST],
+    /// The share of the volume at or above.
+    above: [f64; MOST],
+}
+
+/// Isovalues, and some more, so that any range of them can be rounded up.
+fn padded(isovalues: Vec<f32>) -> Vec<f64> {
+    let last = isovalues.last().copied().unwrap_or(0.0);
+    isovalues.into_iter().chain([last; LANES]).map(f64::from).collect()
+}
+
 /// The three parabolas of a tetrahedron, and the cubics that are their integrals.
 struct Pieces {
     f: [f64; 4],
@@ -284,29 +309,31 @@ fn sorted(a: f64, b: f64) -> (f64, f64) {
 }
 
 impl Pieces {
-    /// The density of the area at a knot in the range, and the share of the volume below it.
+    /// The density of the area at knots, and the share of the volume above; anything at knots that are not in the range.
     #[inline(always)]
-    fn at(&self, v: f64) -> [f64; 2] {
+    fn at(&self, knots: &[f64], out: &mut Share) {
         let [f0, f1, f2, f3] = self.f;
-        // A piece holds the knot that ends it, as min < v <= max holds the maximum: so no piece with a knot is empty, and its
-        // denominators are not zero. The others give anything, and are not taken.
-        // Below f1: a corner is outside.
-        let (t, r) = (v - f0, self.first);
-        let first = [3.0 * t * t * r, t * t * t * r];
-        // How far along the four edges that are cut; the wedge below is three tetrahedra.
-        let [t02, t03] = [t * self.d2, t * self.d3];
-        let [t12, t13] = [(v - f1) * self.d12, (v - f1) * self.d13];
-        let second = [
-            3.0 * self.d3 * (t02 * (1.0 - t12) + (1.0 - t13) * t12),
-            t12 * t13 + t12 * t03 * (1.0 - t13) + t02 * t03 * (1.0 - t12),
-        ];
-        // Above f2: a corner is inside.
-        let (s, q) = (f3 - v, self.third);
-        let third = [3.0 * s * s * q, 1.0 - s * s * s * q];
-        [0, 1].map(|k| {
-            let low = if v <= f1 { first[k] } else { second[k] };
-            if v <= f2 { low } else { third[k] }
-        })
+        let (d3, three) = (self.d3, 3.0 * self.d3);
+        for ((&v, area), above) in knots.iter().zip(&mut out.area).zip(&mut out.above) {
+            // A piece holds the knot that ends it, as min < v <= max holds the maximum: so no piece with a knot is empty, and its
+            // denominators are not zero. The others give anything, and are not taken.
+            // Below f1: a corner is outside.
+            let t = v - f0;
+            let first = t * t * self.first;
+            // How far along the four edges that are cut; the wedge below is three tetrahedra.
+            let u = v - f1;
+            let [t02, t12, t13] = [t * self.d2, u * self.d12, u * self.d13];
+            let cut = t02 * (1.0 - t12) + (1.0 - t13) * t12;
+            let wedge = t12 * t13 + t * d3 * cut;
+            // Above f2: a corner is inside.
+            let s = f3 - v;
+            let third = s * s * self.third;
+            let [low, high] = [v <= f1, v > f2];
+            let lower = if low { 3.0 * first } else { three * cut };
+            *area = if high { 3.0 * third } else { lower };
+            let lower = if low { 1.0 - t * first } else { 1.0 - wedge };
+            *above = if high { s * third } else { lower };
+        }
     }
 }
 

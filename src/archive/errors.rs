@@ -1,0 +1,146 @@
+//! The errors of a chunk as a block of its values' segment: see `FORMAT.md`.
+
+use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
+use crate::measure::{BINS, EXPONENTS, ErrorSums, Largest, Mantissas};
+
+const LEVEL: i32 = 3;
+/// More than the numbers of all bins and exponents can take.
+const LARGEST: usize = 1 << 18;
+/// The most samples of a chunk that a reader takes: sums of so many, of any number of chunks, do not overflow.
+const MOST_SAMPLES: u64 = 1 << 40;
+
+/// As the bytes of a block.
+pub(crate) fn encode_errors(sums: &ErrorSums) -> Vec<u8> {
+    let mut body = vec![];
+    [sums.measured, sums.missing, sums.void, sums.zeros].iter().for_each(|&n| put_varint(&mut body, n));
+    put_filled(&mut body, &sums.bins, |n| *n > 0, |body, &n| put_varint(body, n));
+    put_filled(
+        &mut body,
+        &sums.mantissas,
+        |m| m.sum > 0,
+        |body, m| {
+            body.extend(m.sum.to_le_bytes());
+            body.extend(m.signed.to_le_bytes());
+            body.extend(m.squares.to_le_bytes());
+        },
+    );
+    if let Some(l) = sums.largest {
+        put_varint(&mut body, l.sample);
+        body.extend(l.original.to_le_bytes());
+        body.extend(l.reduced.to_le_bytes());
+    }
+    to_zstd(&body, LEVEL)
+}
+
+/// How many are filled; of each its number less the one before, less 1, and what it holds.
+fn put_filled<T>(body: &mut Vec<u8>, all: &[T], is_filled: fn(&T) -> bool, put: impl Fn(&mut Vec<u8>, &T)) {
+    put_varint(body, all.iter().filter(|t| is_filled(t)).count() as u64);
+    let mut next = 0;
+    for (n, t) in all.iter().enumerate().filter(|(_, t)| is_filled(t)) {
+        put_varint(body, (n - next) as u64);
+        put(body, t);
+        next = n + 1;
+    }
+}
+
+/// Hands on the numbers of the filled ones of `most`.
+fn each_filled(
+    c: &mut Cursor<'_>,
+    most: usize,
+    mut each: impl FnMut(&mut Cursor<'_>, usize) -> Result<(), Malformed>,
+) -> Result<(), Malformed> {
+    let mut next = 0u64;
+    for _ in 0..c.varint("errors")? {
+        let n = next.saturating_add(c.varint("errors")?);
+        if n >= most as u64 {
+            return Err(Malformed::new("errors", format!("numbers below {most}"), n.to_string()));
+        }
+        each(c, n as usize)?;
+        next = n + 1;
+    }
+    Ok(())
+}
+
+/// From the bytes of a block.
+///
+/// # Errors
+/// When they are not such a block.
+pub(crate) fn decode_errors(bytes: &[u8]) -> Result<ErrorSums, Malformed> {
+    let body = unzstd(bytes, LARGEST, "errors")?;
+    let mut c = Cursor::new(&body);
+    let mut sums = ErrorSums::default();
+    for n in [&mut sums.measured, &mut sums.missing, &mut sums.void, &mut sums.zeros] {
+        *n = c.varint("samples")?;
+        if *n > MOST_SAMPLES {
+            return Err(Malformed::new("samples", format!("at most {MOST_SAMPLES}"), n.to_string()));
+        }
+    }
+    let mut counted = u128::from(sums.zeros);
+    each_filled(&mut c, BINS, |c, n| {
+        sums.bins[n] = c.varint("errors")?;
+        counted += u128::from(sums.bins[n]);
+        Ok(())
+    })?;
+    if counted != u128::from(sums.measured) {
+        return Err(Malformed::new("errors", format!("{} in all", sums.measured), counted.to_string()));
+    }
+    each_filled(&mut c, EXPONENTS, |c, n| {
+        let [sum, signed, squares] = [c.i128("sum")?, c.i128("sum")?, c.i128("sum")?];
+        let most = i128::from(sums.measured) << 24;
+        if !(0..=most).contains(&sum) || signed.abs() > sum || !(0..=most << 24).contains(&squares) {
+            let got = format!("{sum}, {signed}, {squares}");
+            return Err(Malformed::new("sums", format!("those of {} errors", sums.measured), got));
+        }
+        sums.mantissas[n] = Mantissas { sum: sum as u128, signed, squares: squares as u128 };
+        Ok(())
+    })?;
+    if sums.measured > 0 {
+        let sample = c.varint("sample")?;
+        sums.largest = Some(Largest::new(sample, c.f32("original")?, c.f32("value")?));
+    }
+    c.end("errors")?;
+    Ok(sums)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn some() -> ErrorSums {
+        let mut sums = ErrorSums::default();
+        for i in 0..1000u32 {
+            let v = f32::from_bits(i.wrapping_mul(0x9e37_79b9));
+            let reduced = if i % 50 == 0 { f32::NAN } else { 1.5 };
+            sums.add(if i % 7 == 0 { 1.5 } else { v }, reduced, || u64::from(i) << 20);
+        }
+        sums
+    }
+
+    #[test]
+    fn errors_come_back() {
+        for sums in [ErrorSums::default(), some()] {
+            assert_eq!(decode_errors(&encode_errors(&sums)).unwrap(), sums);
+        }
+        let mut void = ErrorSums::default();
+        void.add(f32::NAN, 0.0, || 0);
+        void.add(0.0, f32::NAN, || 0);
+        assert_eq!(decode_errors(&encode_errors(&void)).unwrap(), void);
+    }
+
+    #[test]
+    fn damage_is_refused_or_gives_errors_that_add_up() {
+        let body = unzstd(&encode_errors(&some()), LARGEST, "errors").unwrap();
+        for i in (0..body.len()).step_by(3) {
+            assert!(decode_errors(&to_zstd(&body[..i], LEVEL)).is_err());
+            let mut bad = body.clone();
+            bad[i] ^= 1 << (i % 8);
+            if let Ok(sums) = decode_errors(&to_zstd(&bad, LEVEL)) {
+                let mut twice = sums.clone();
+                twice.merge(&sums);
+                assert_eq!(twice.samples(), 2 * sums.samples());
+                assert!(sums.field_error(sums.samples()).rms >= 0.0);
+            }
+        }
+        assert!(decode_errors(&[]).is_err());
+    }
+}

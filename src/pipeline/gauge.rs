@@ -1,0 +1,269 @@
+//! The errors of a chunk: its field against every sample of the source, while tetrahedra and values are at hand.
+//!
+//! ```text
+//!  some blocks ─▶ the box of their tetrahedra ─▶ read its samples, of each step ─▶ scan conversion ─▶ sample and field
+//! ```
+//!
+//! The tetrahedra of a block lie together, so the box around a few that follow each other is small: it is read from
+//! the source, and the scan conversion ([`crate::raster`]) visits each sample of the domain in exactly one tetrahedron. Which
+//! samples lie in a tetrahedron, and with which weights, is found out once for all steps that are measured together.
+
+use super::commit::last_blocks;
+use super::measure::{Originals, world_of};
+use super::open::OpenArchive;
+use super::probe::windows;
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::errors::decode_errors;
+use crate::error::{Error, Result};
+use crate::exec::with_vectors;
+use crate::geom::{Lattice, LatticePos};
+use crate::grid::{ChunkId, IndexBox};
+use crate::measure::{ErrorSums, FieldError, Worst};
+use crate::mesh::tet::Tet;
+use crate::raster::{SampleGrid, Scanner, interpolate};
+use crate::volume::VolumeReader;
+use std::ops::Range;
+
+/// The samples of a step's volume.
+pub(super) struct Samples<'a> {
+    reader: &'a dyn VolumeReader,
+    missing: Option<f32>,
+    stand_in: f32,
+}
+
+impl<'a> Samples<'a> {
+    /// Those that values are made from; `None` of a mesh.
+    pub(super) fn of(originals: &Originals<'a>) -> Option<Self> {
+        match *originals {
+            Originals::Volume { reader, missing, stand_in } => Some(Self {
+                reader,
+                missing: missing.map(|m| m as f32),
+                stand_in: stand_in.unwrap_or(f32::NAN),
+            }),
+            Originals::Mesh(..) => None,
+        }
+    }
+
+    /// Reads a window; NaN where there is no sample.
+    pub(super) fn read(&self, window: IndexBox, out: &mut [f32]) -> Result<()> {
+        self.reader.read_box(window, out)?;
+        for v in out {
+            if !v.is_finite() || Some(*v) == self.missing {
+                *v = self.stand_in;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The tetrahedra of a chunk, block after block.
+pub(super) struct Cells<'a> {
+    pub(super) positions: &'a [LatticePos],
+    pub(super) tets: &'a [Tet],
+    /// End of each block in `tets`.
+    pub(super) block_ends: &'a [usize],
+}
+
+/// A sample that is measured.
+pub(super) struct Measured<'a> {
+    /// Which of the steps.
+    pub(super) step: usize,
+    pub(super) original: f32,
+    /// NaN in a tetrahedron with a void corner.
+    pub(super) reduced: f32,
+    window: &'a IndexBox,
+    /// Its place in the window.
+    at: usize,
+}
+
+impl Measured<'_> {
+    /// Its place among the samples of the volume.
+    #[inline]
+    pub(super) fn place(&self) -> [u64; 3] {
+        let (at, [x, y, _]) = (self.at as u64, self.window.dims());
+        [self.window.lo[0] + at % x, self.window.lo[1] + at / x % y, self.window.lo[2] + at / x / y]
+    }
+
+    /// Its number in a volume of so many samples along each axis.
+    #[inline]
+    pub(super) fn number(&self, dims: [u64; 3]) -> u64 {
+        let [x, y, z] = self.place();
+        (z * dims[1] + y) * dims[0] + x
+    }
+}
+
+/// Samples of a step that are read at a time: those around a block are fewer, but for coarse meshes.
+const WINDOW: u64 = 1 << 16;
+/// Blocks are taken together as long as the box around them has no more samples.
+const TOGETHER: u64 = 1 << 15;
+
+/// Bytes that measuring a chunk at so many steps takes: samples, sums.
+pub(super) const fn working_bytes(steps: u64) -> u64 {
+    steps * (4 * WINDOW + (80 << 10)) + (256 << 10)
+}
+
+/// Measures chunks of a volume.
+pub(super) struct Gauge {
+    grid: SampleGrid,
+}
+
+impl Gauge {
+    pub(super) fn new(lattice: &Lattice) -> Self {
+        Self { grid: SampleGrid::voxels(lattice) }
+    }
+
+    /// Samples along each axis.
+    pub(super) fn dims(&self) -> [u64; 3] {
+        self.grid.dims()
+    }
+
+    /// The errors of a chunk at some steps, given the values of its vertices at each; `read` reads samples of one.
+    pub(super) fn errors(
+        &self,
+        cells: &Cells<'_>,
+        steps: &[&[f32]],
+        read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
+    ) -> Result<Vec<ErrorSums>> {
+        let mut sums = vec![ErrorSums::default(); steps.len()];
+        let dims = self.dims();
+        self.each_sample(
+            cells,
+            steps,
+            read,
+            #[inline(always)]
+            |m| sums[m.step].add(m.original, m.reduced, || m.number(dims)),
+        )?;
+        Ok(sums)
+    }
+
+    /// Calls `each` for all samples in the tetrahedra of a chunk, at each of some steps.
+    pub(super) fn each_sample(
+        &self,
+        cells: &Cells<'_>,
+        steps: &[&[f32]],
+        mut read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
+        mut each: impl FnMut(Measured<'_>),
+    ) -> Result<()> {
+        let mut originals = vec![];
+        for (whole, tets) in self.groups(cells) {
+            for window in windows(whole, WINDOW) {
+                let len = window.len();
+                originals.resize(steps.len() * len, 0.0);
+                for (n, out) in originals.chunks_exact_mut(len).enumerate() {
+                    read(n, window, out)?;
+                }
+                let (tets, scanner) = (&cells.tets[tets.clone()], Scanner::new(&self.grid, &window));
+                with_vectors(
+                    #[inline(always)]
+                    || scan(&scanner, &window, cells.positions, tets, steps, &originals, &mut each),
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// Runs of blocks with the box of their samples, where they have some.
+    fn groups(&self, cells: &Cells<'_>) -> Vec<(IndexBox, Range<usize>)> {
+        let mut groups: Vec<(IndexBox, Range<usize>)> = vec![];
+        let mut start = 0;
+        for &end in cells.block_ends {
+            let tets = std::mem::replace(&mut start, end)..end;
+            let Some(samples) = self.around(cells.positions, &cells.tets[tets.clone()]) else { continue };
+            match groups.last_mut().map(|last| (union(&last.0, &samples), last)) {
+                Some((both, last)) if both.checked_len().is_some_and(|n| n <= TOGETHER) => {
+                    *last = (both, last.1.start..tets.end);
+                }
+                _ => groups.push((samples, tets)),
+            }
+        }
+        groups
+    }
+
+    /// The samples in the bounding box of some tetrahedra.
+    fn around(&self, positions: &[LatticePos], tets: &[Tet]) -> Option<IndexBox> {
+        let mut corners = tets.iter().flatten().map(|&v| positions[v as usize]);
+        let first = corners.next()?;
+        let (lo, hi) = corners.fold((first, first), |(lo, hi), p| {
+            (std::array::from_fn(|a| p[a].min(lo[a])), std::array::from_fn(|a| p[a].max(hi[a])))
+        });
+        Some(self.grid.within(lo, hi)).filter(|b| !b.is_empty())
+    }
+}
+
+fn union(a: &IndexBox, b: &IndexBox) -> IndexBox {
+    IndexBox {
+        lo: std::array::from_fn(|k| a.lo[k].min(b.lo[k])),
+        hi: std::array::from_fn(|k| a.hi[k].max(b.hi[k])),
+    }
+}
+
+/// Hands on the samples of a window; `originals` are its samples of each step.
+#[inline(always)]
+fn scan(
+    scanner: &Scanner<'_>,
+    window: &IndexBox,
+    positions: &[LatticePos],
+    tets: &[Tet],
+    steps: &[&[f32]],
+    originals: &[f32],
+    each: &mut impl FnMut(Measured<'_>),
+) {
+    let len = window.len();
+    for tet in tets {
+        scanner.each_run(
+            tet.map(|v| positions[v as usize]),
+            #[inline(always)]
+            |place, run| {
+                for ((step, values), originals) in steps.iter().enumerate().zip(originals.chunks_exact(len)) {
+                    let values = tet.map(|v| values[v as usize]);
+                    let void = values.iter().any(|v| v.is_nan());
+                    for ((at, &weights), &original) in (place..).zip(run).zip(&originals[place..]) {
+                        let reduced = if void { f32::NAN } else { interpolate(weights, values) };
+                        each(Measured { step, original, reduced, window, at });
+                    }
+                }
+            },
+        );
+    }
+}
+
+/// What is told of the errors of all samples of a volume, each once.
+pub(super) fn field_error_of(archive: &OpenArchive, sums: &ErrorSums) -> Result<FieldError> {
+    let dims = archive.step().plan.source.dims;
+    let samples = dims.iter().product::<u64>();
+    if sums.samples() != samples {
+        let expected = format!("tetrahedra that hold {samples} samples, each once");
+        return Err(Error::bad_input(archive.path(), "tetrahedra", expected, sums.samples().to_string())
+            .with_help("isospan check tells more"));
+    }
+    let mut error = sums.field_error(samples);
+    if let Some(l) = sums.largest() {
+        let index = [l.sample % dims[0], l.sample / dims[0] % dims[1], l.sample / dims[0] / dims[1]];
+        error.worst = Some(Worst {
+            sample: l.sample,
+            index: Some(index),
+            world: world_of(archive, index.map(|i| i as f64))?,
+            original: l.original,
+            reduced: l.reduced,
+        });
+    }
+    Ok(error)
+}
+
+/// The errors of a chunk that are stored with its values, where the plan of the step says so: behind them.
+pub(super) fn stored_errors(segment: &ChunkSegment, chunk: ChunkId) -> Result<ErrorSums> {
+    last_blocks(segment, chunk, 2, decode_errors)
+}
+
+/// The error of the archive's step, added up from what its chunks have stored.
+pub(super) fn stored_error(archive: &OpenArchive) -> Result<FieldError> {
+    let mut sums = ErrorSums::default();
+    for number in 0..archive.layout.segment_count() {
+        let chunks = archive.layout.chunks_of(number);
+        archive.close_before(ChunkId(chunks.start));
+        for chunk in chunks.map(ChunkId) {
+            sums.merge(&stored_errors(&archive.segment_of(chunk)?.values, chunk)?);
+        }
+    }
+    field_error_of(archive, &sums)
+}
