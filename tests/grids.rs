@@ -4,8 +4,8 @@ use isospan::exec::Silent;
 use isospan::formats::OpenOptions;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::pipeline::{
-    Amount, ReduceReport, ReduceSettings, RunSettings, SurfaceSettings, check_archive, contour_spectrum,
-    extract_surface, reduce,
+    Amount, ExportSettings, ReduceReport, ReduceSettings, RunSettings, SurfaceSettings, check_archive,
+    contour_spectrum, extract_surface, reduce,
 };
 use isospan::surface::TriMesh;
 use isospan::surface::check::check;
@@ -104,6 +104,33 @@ fn area(mesh: &TriMesh) -> f64 {
     sum
 }
 
+/// The volume of what `export` writes, and the largest difference of a point's value from `field` there.
+fn exported(archive: &Path, field: Field) -> (f64, f64) {
+    let out = archive.with_extension("vtu");
+    let archive = Archive::open(archive).unwrap();
+    let report = archive.write_tetrahedra(&ExportSettings::default(), &out, &Silent).unwrap();
+    let bytes = std::fs::read(&out).unwrap();
+    let mark = b"<AppendedData encoding=\"raw\">\n   _";
+    let points_at = bytes.windows(mark.len()).position(|w| w == mark).unwrap() + mark.len() + 8;
+    let values_at = points_at + 24 * report.points as usize + 8;
+    let tets_at = values_at + 4 * report.points as usize + 8;
+    let number = |at: usize| f64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
+    let point = |v: usize| -> [f64; 3] { std::array::from_fn(|a| number(points_at + 24 * v + 8 * a)) };
+    let value = |v: usize| f32::from_le_bytes(bytes[values_at + 4 * v..][..4].try_into().unwrap());
+    let wrong = (0..report.points as usize)
+        .map(|v| (field(point(v)) - f64::from(value(v))).abs())
+        .fold(0.0, f64::max);
+    let volume = (0..report.tetrahedra as usize).map(|t| {
+        let corner =
+            |k: usize| u64::from_le_bytes(bytes[tets_at + 32 * t + 8 * k..][..8].try_into().unwrap());
+        let [a, b, c, d] = std::array::from_fn(|k| point(corner(k) as usize));
+        let [u, v, w]: [[f64; 3]; 3] = [b, c, d].map(|p| std::array::from_fn(|k| p[k] - a[k]));
+        let minor = |i: usize, j: usize| v[i] * w[j] - v[j] * w[i];
+        (u[0] * minor(1, 2) + u[1] * minor(2, 0) + u[2] * minor(0, 1)) / 6.0
+    });
+    (volume.sum(), wrong)
+}
+
 #[test]
 fn a_tube_and_a_shell_have_their_areas_and_normals() {
     let dir = tempfile::tempdir().unwrap();
@@ -133,6 +160,14 @@ fn a_tube_and_a_shell_have_their_areas_and_normals() {
             assert!(cosine < -0.97, "{name}: {cosine}");
         }
         assert_eq!(check(&mesh).non_manifold_edges, 0);
+        let grid_volume =
+            if name.starts_with("tube") { tube_area / 1.52 } else { shell_area / 1.52f64.powi(2) }
+                * if name.starts_with("tube") { (4.0 - 1.0) / 2.0 } else { (8.0 - 1.0) / 3.0 };
+        let (volume, wrong) = exported(&archive, field);
+        assert!(
+            (volume / grid_volume - 1.0).abs() < 0.01 && wrong < 0.02,
+            "{name}: {volume}, not {grid_volume}; {wrong}"
+        );
         // The spectrum measures areas in the world too.
         let spectrum = contour_spectrum(&archive).unwrap();
         let near = spectrum

@@ -17,12 +17,12 @@
 //! ```
 //!
 //! Coordinates are `f64`: the lattice is finer than `f32` tells apart, and a flat tetrahedron could turn over by rounding. Every
-//! tetrahedron has a positive volume as VTK counts it, also where the volume's geometry mirrors.
+//! tetrahedron has a positive volume as VTK counts it, also where the volume's geometry mirrors; of a curvilinear grid all but those
+//! that its coordinates turn over: in folded cells, and slivers where cells are bent.
 
 use crate::error::Result;
 use crate::formats::surface::Sink;
-use crate::geom::Lattice;
-use crate::grid::Geometry;
+use crate::geom::LatticePos;
 use crate::tets::StoredTets;
 use std::path::Path;
 
@@ -30,12 +30,11 @@ use std::path::Path;
 const VTK_TETRA: u8 = 10;
 
 /// What a file tells besides the mesh.
-#[derive(Clone, Debug)]
-pub struct TetMeta {
-    /// The lattice of the points.
-    pub lattice: Lattice,
-    /// Index space to world.
-    pub geometry: Geometry,
+pub struct TetMeta<'a> {
+    /// World position of a lattice position.
+    pub place: &'a dyn Fn(LatticePos) -> Result<[f64; 3]>,
+    /// Whether that turns tetrahedra over.
+    pub mirrors: bool,
     /// Name of the field.
     pub field: String,
     /// Free text, a line.
@@ -47,7 +46,7 @@ pub struct TetMeta {
 /// # Errors
 /// [`crate::Error::Usage`] when the target is a folder or lies in none; [`crate::Error::Io`] when the system refuses to write; those of
 /// reading the mesh. After an error nothing new lies under `path`.
-pub fn write_vtu(mesh: &StoredTets, path: &Path, meta: &TetMeta) -> Result<u64> {
+pub fn write_vtu(mesh: &StoredTets, path: &Path, meta: &TetMeta<'_>) -> Result<u64> {
     let mut sink = Sink::create(path)?;
     let (points, tets) = (mesh.point_count(), mesh.tet_count());
     // Fewer than 2^59 of each: no product overflows.
@@ -55,16 +54,17 @@ pub fn write_vtu(mesh: &StoredTets, path: &Path, meta: &TetMeta) -> Result<u64> 
     sink.put(head(points, tets, &lengths, meta).as_bytes())?;
     sink.put(&lengths[0].to_le_bytes())?;
     mesh.points(&mut |batch| {
-        let world = |p| meta.geometry.to_world(meta.lattice.to_index_space(p));
-        batch.iter().flat_map(|p| world(p.pos)).try_for_each(|x| sink.put(&x.to_le_bytes()))
+        batch.iter().try_for_each(|p| {
+            let world = (meta.place)(p.pos)?;
+            world.iter().try_for_each(|x| sink.put(&x.to_le_bytes()))
+        })
     })?;
     sink.put(&lengths[1].to_le_bytes())?;
     mesh.points(&mut |batch| batch.iter().try_for_each(|p| sink.put(&p.value.to_le_bytes())))?;
     sink.put(&lengths[2].to_le_bytes())?;
-    let mirrors = meta.geometry.mirrors();
     mesh.tets(&mut |batch| {
         batch.iter().try_for_each(|&[a, b, c, d]| {
-            let tet = if mirrors { [a, b, d, c] } else { [a, b, c, d] };
+            let tet = if meta.mirrors { [a, b, d, c] } else { [a, b, c, d] };
             tet.iter().try_for_each(|v| sink.put(&v.to_le_bytes()))
         })
     })?;
@@ -76,7 +76,7 @@ pub fn write_vtu(mesh: &StoredTets, path: &Path, meta: &TetMeta) -> Result<u64> 
     sink.publish()
 }
 
-fn head(points: u64, tets: u64, lengths: &[u64; 5], meta: &TetMeta) -> String {
+fn head(points: u64, tets: u64, lengths: &[u64; 5], meta: &TetMeta<'_>) -> String {
     let mut offset = 0;
     let [at_points, at_values, at_connectivity, at_offsets, at_types] = lengths.map(|length| {
         let at = offset;

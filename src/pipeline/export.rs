@@ -3,7 +3,8 @@
 use super::horizon::Horizon;
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
-use super::roi::{Cut, Roi};
+use super::placed::Place;
+use super::roi::{Cut, Roi, RoiSpace};
 use super::visit::{Blocks, Visit};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress};
@@ -94,7 +95,9 @@ pub(super) fn export(
     progress: &dyn Progress,
 ) -> Result<ExportReport> {
     let start = Instant::now();
-    archive.refuse_coordinates("export")?;
+    if settings.roi.is_some_and(|roi| roi.space == RoiSpace::World) {
+        archive.refuse_coordinates("an export of a box of the world")?;
+    }
     check_target(out)?;
     if settings.every == 0 {
         return Err(Error::usage(
@@ -131,9 +134,11 @@ pub(super) fn export(
     let read = start.elapsed();
 
     let start = Instant::now();
+    let place = Place::of(archive)?;
+    let lattice = archive.manifest.plan.lattice;
     let meta = TetMeta {
-        lattice: archive.manifest.plan.lattice,
-        geometry: source.geometry,
+        place: &|p| place.world(lattice.to_index_space(p)),
+        mirrors: place.mirrors(),
         field: source.field.clone(),
         comment: format!("isospan {}: reduced tetrahedra of {}", env!("CARGO_PKG_VERSION"), source.path),
     };

@@ -2,6 +2,7 @@
 
 use super::export::{ExportReport, ExportSettings, export};
 use super::open::{ArchiveSummary, OpenArchive, summarize_at};
+use super::placed::Place;
 use super::probe::{ProbeReport, ProbeSettings, probe_grid, sample_grid};
 use super::probe_points::{probe_table, values_at};
 use super::query::{CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, write_surfaces};
@@ -193,23 +194,21 @@ impl Archive {
     }
 
     fn tetrahedra(&self, chunk: ChunkId, blocks: &[u32]) -> Result<Tetrahedra> {
-        self.open.refuse_coordinates("listing tetrahedra")?;
         self.open.close_before(chunk);
         let decoded = self.open.decode(chunk, blocks)?;
-        let (lattice, geometry) = (self.open.manifest.plan.lattice, self.geometry());
+        let (lattice, place) = (self.open.manifest.plan.lattice, Place::of(&self.open)?);
         let mut out = Tetrahedra { chunk: chunk.0, ..Tetrahedra::default() };
         let mut numbers = vec![u32::MAX; decoded.positions.len()];
         for tet in &decoded.tets {
-            let mut corners = tet.map(|v| {
-                let v = v as usize;
+            for v in tet.map(|v| v as usize) {
                 if numbers[v] == u32::MAX {
                     numbers[v] = out.points.len() as u32;
-                    out.points.push(geometry.to_world(lattice.to_index_space(decoded.positions[v])));
+                    out.points.push(place.world(lattice.to_index_space(decoded.positions[v]))?);
                     out.values.push(decoded.values[v]);
                 }
-                numbers[v]
-            });
-            if geometry.mirrors() {
+            }
+            let mut corners = tet.map(|v| numbers[v as usize]);
+            if place.mirrors() {
                 corners.swap(2, 3);
             }
             out.tetrahedra.push(corners);

@@ -88,6 +88,43 @@ pub(super) fn world_map(archive: &OpenArchive) -> WorldMap {
     WorldMap::new(&archive.manifest.plan.lattice, &geometry)
 }
 
+/// The way from index space to the world.
+pub(super) enum Place {
+    /// Of a volume with a spacing.
+    Geometry(Geometry),
+    /// Of a grid with coordinates of its own.
+    Grid {
+        /// The coordinates.
+        map: CoordinateMap,
+        /// Whether most cells mirror.
+        mirrored: bool,
+    },
+}
+
+impl Place {
+    pub(super) fn of(archive: &OpenArchive) -> Result<Self> {
+        Ok(match (archive.coordinates()?, archive.coordinate_record()) {
+            (Some(map), Some(record)) => Self::Grid { map, mirrored: record.cells.mirrored },
+            _ => Self::Geometry(archive.step().plan.source.geometry),
+        })
+    }
+
+    pub(super) fn world(&self, ijk: [f64; 3]) -> Result<[f64; 3]> {
+        match self {
+            Self::Geometry(geometry) => Ok(geometry.to_world(ijk)),
+            Self::Grid { map, .. } => Ok(map.place(ijk)?.position),
+        }
+    }
+
+    /// Whether tetrahedra are turned over (most of them, where a grid folds).
+    pub(super) fn mirrors(&self) -> bool {
+        match self {
+            Self::Geometry(geometry) => geometry.mirrors(),
+            Self::Grid { mirrored, .. } => *mirrored,
+        }
+    }
+}
+
 /// Hands a surface that was extracted with [`world_map`] to `use_it`, in the world.
 pub(super) fn in_world<T>(
     archive: &OpenArchive,
