@@ -6,14 +6,14 @@
 //! | a pattern, `"step_*.vti"`, `"run_?/out.vtu"` | the files that match, by the numbers in their names |
 //! | `.pvd` (ParaView) | its data sets, with their times |
 //! | `.series` (ParaView, JSON) | its files, with their times |
-//! | a 4-D NIfTI file; a four-dimensional dataset of an HDF5 or NetCDF file | its frames, with their times |
+//! | a 4-D NIfTI file; a four-dimensional dataset of an HDF5 or NetCDF file; a Zarr array with a time axis | its frames, with their times |
 //! | any file, and a pattern for its fields, `V_*` | the fields that match, by the numbers in their names |
 //!
 //! A pattern that matches TIFF files is one volume: its slices.
 
 use super::nifti::UnpackedFrames;
 use super::stack::by_numbers;
-use super::{Kind, OpenOptions, has_suffix, kind_of, mesh, nifti, open_volume, tiff};
+use super::{Kind, OpenOptions, has_suffix, kind_of, mesh, nifti, open_volume, tiff, zarr};
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
@@ -128,6 +128,9 @@ fn frame_kind(path: &Path, options: &OpenOptions) -> Result<Option<Kind>> {
 
 /// The frames of a file that is a series by itself, and their times.
 fn frames(path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
+    if options.raw.is_none() && zarr::is_zarr(path) {
+        return zarr::frames(path).map(Some);
+    }
     match frame_kind(path, options)? {
         Some(Kind::Nifti) => nifti::frames(path, options).map(Some),
         #[cfg(feature = "hdf5")]

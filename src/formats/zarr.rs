@@ -12,8 +12,10 @@
 //! image in full.
 //!
 //! Axes x, y, z are found by their names (OME-Zarr's `axes`, `dimension_names`, `_ARRAY_DIMENSIONS`); without names the last
-//! axis is x, the one before y, then z. Other axes (time, channels) must have one entry. Spacing and origin are those of
-//! `coordinateTransformations`, else 1 and 0.
+//! axis is x, the one before y, then z. One more axis of several entries, named t or time or without a name the first of four, has
+//! the frames of a series: the fields `NAME:t0`, `NAME:t1`, …; their times are those of OME-Zarr's `coordinateTransformations`. Other axes
+//! (channels) must have one entry. Spacing and origin are those of `coordinateTransformations`, else 1 and 0.
+//! (A chunk of several frames is decoded for each of them.)
 //!
 //! Compressors: Blosc (with BloscLZ, LZ4, zlib, zstd; shuffled by bytes or bits), gzip, zlib, zstd, LZ4; also shards with
 //! their index, CRC32C, `transpose`, order C or F. Others are refused by name. A chunk that is not there reads as the fill value,
@@ -46,6 +48,8 @@ use std::path::{Path, PathBuf};
 const MOST_CHUNK: u64 = 1 << 30;
 /// Bytes of a slab, unless a row of a chunk has more.
 const SLAB_BYTES: u64 = 4 << 20;
+/// Most frames of an array.
+const MOST_FRAMES: u64 = 1 << 16;
 /// Of a large array, so many chunk files stand for all in [`VolumeInfo::data_files`].
 const LISTED: u64 = 1024;
 
@@ -60,16 +64,19 @@ pub(super) fn is_zarr(folder: &Path) -> bool {
 /// [`Error::BadInput`] for malformed metadata, or what is not read; [`Error::Usage`] when several arrays ask for a choice.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let (image, arrays) = arrays(path)?;
-    let fields: Vec<FieldInfo> = arrays.iter().map(|(name, a)| field(name, a)).collect();
-    let first = image.is_some().then(|| fields.first().map(|f| f.name.clone())).flatten();
-    let wanted = options.field.as_deref().map(|w| full_name(w, &fields)).or(first);
-    let number = pick_field(path, &fields, wanted.as_deref())?;
-    let array = arrays.into_iter().nth(number).expect("a field for each array").1;
+    let fields = fields(path, image.as_ref(), &arrays)?;
+    let names: Vec<&str> = arrays.iter().map(|(name, _)| name.as_str()).collect();
+    let first = image.is_some().then(|| fields.first()).flatten().filter(|f| f.frame.is_none());
+    let first = first.map(|f| f.info.name.clone());
+    let wanted = options.field.as_deref().map(|w| full_name(w, &names)).or(first);
+    let infos: Vec<FieldInfo> = fields.iter().map(|f| f.info.clone()).collect();
+    let number = pick_field(path, &infos, wanted.as_deref())?;
+    let Field { info: field, array, axes, frame } = fields.into_iter().nth(number).expect("one of them");
+    let array = arrays.into_iter().nth(array).expect("a field's array").1;
     let image = match image {
         Some(image) => Some(image),
         None => image_around(&array.folder)?,
     };
-    let axes = axes(&array, image.as_ref())?;
     let dims = axes.map(|a| a.map_or(1, |a| array.shape[a]));
     sample_bytes(&array.file, dims, array.scalar)?;
     check_chunks(&array)?;
@@ -80,24 +87,108 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let kind = if image.is_some() { "OME-Zarr" } else { "Zarr" };
     let format = format!("{kind} (version {}, {compressor}{sharded})", array.version);
     let mut info = plain_info(path, format, dims, array.scalar, geometry);
-    info.field = fields[number].clone();
-    info.fields = fields;
-    info.data_files = files(&array);
-    Ok(VolumeSource::Stream(Box::new(Chunks::new(info, array, axes, options.io))))
+    info.field = field;
+    info.fields = infos;
+    info.data_files = files(&array, frame);
+    Ok(VolumeSource::Stream(Box::new(Chunks::new(info, array, axes, frame, options.io))))
 }
 
-fn field(name: &str, array: &Array) -> FieldInfo {
-    FieldInfo { name: name.into(), scalar: array.scalar, components: 1 }
+/// The frames of the array that is read without a choice, by the names of their fields, and their times, where OME-Zarr tells them. None
+/// where there is one volume.
+///
+/// # Errors
+/// As [`open`].
+pub(super) fn frames(path: &Path) -> Result<super::series::Frames> {
+    let (image, arrays) = arrays(path)?;
+    if image.is_none() && arrays.len() != 1 {
+        return Ok(vec![]);
+    }
+    let Some((_, array)) = arrays.first() else { return Ok(vec![]) };
+    let around = match &image {
+        Some(image) => Some(image.clone()),
+        None => image_around(&array.folder)?,
+    };
+    let fields = fields(path, image.as_ref(), &arrays)?;
+    let of_first = fields.into_iter().filter(|f| f.array == 0);
+    Ok(of_first
+        .filter_map(|f| {
+            let frame = f.frame?;
+            let time = around.as_ref().map(|image| {
+                let (scale, shift) = image.scale_and_shift(array, frame.axis);
+                shift + scale * frame.number as f64
+            });
+            Some((f.info.name, time.filter(|t| t.is_finite())))
+        })
+        .collect())
 }
 
-/// The field that a user's word means: itself, the one whose path starts with it, or "scaleN" the one at that level.
-fn full_name(wanted: &str, fields: &[FieldInfo]) -> String {
-    let has = |f: &&FieldInfo| f.name == wanted;
-    let starts = |f: &&FieldInfo| f.name.strip_prefix(wanted).is_some_and(|rest| rest.starts_with('/'));
+/// A volume that can be chosen: an array, or a frame of one.
+struct Field {
+    info: FieldInfo,
+    /// Which array.
+    array: usize,
+    axes: Axes,
+    frame: Option<Frame>,
+}
+
+/// An array's axes along x, y, z.
+type Axes = [Option<usize>; 3];
+
+/// One entry of the axis of time.
+#[derive(Clone, Copy, Debug)]
+struct Frame {
+    axis: usize,
+    number: u64,
+}
+
+/// All fields. An array whose axes are not understood is left out, unless it is the only one.
+fn fields(path: &Path, image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
+    let (mut fields, mut refused) = (vec![], None);
+    for (number, (name, array)) in arrays.iter().enumerate() {
+        let around = match image {
+            Some(_) => None,
+            None => image_around(&array.folder)?,
+        };
+        let (axes, time) = match axes(array, image.or(around.as_ref())) {
+            Ok(found) => found,
+            Err(e) => {
+                refused = refused.or(Some(e));
+                continue;
+            }
+        };
+        let field = |name: String, frame| Field {
+            info: FieldInfo { name, scalar: array.scalar, components: 1 },
+            array: number,
+            axes,
+            frame,
+        };
+        match time {
+            None => fields.push(field(name.clone(), None)),
+            Some(axis) => fields.extend(
+                (0..array.shape[axis])
+                    .map(|n| field(format!("{name}:t{n}"), Some(Frame { axis, number: n }))),
+            ),
+        }
+    }
+    match refused {
+        Some(e) if fields.is_empty() => Err(e),
+        _ if fields.is_empty() => Err(Error::bad_input(path, "arrays", "an array with three axes", "none")
+            .with_help("name the folder of an array, or of a group that has one")),
+        _ => Ok(fields),
+    }
+}
+
+/// The field that a user's word means: itself, the one whose path starts with it, or "scaleN" the one at that level; with ":tN" its frame.
+fn full_name(wanted: &str, names: &[&str]) -> String {
+    let (array, frame) = match wanted.rfind(":t") {
+        Some(at) if wanted[at + 2..].parse::<u64>().is_ok() => wanted.split_at(at),
+        _ => (wanted, ""),
+    };
+    let starts = |name: &&&str| name.strip_prefix(array).is_some_and(|rest| rest.starts_with('/'));
     let level =
-        || wanted.strip_prefix("scale").and_then(|n| n.parse::<usize>().ok()).and_then(|n| fields.get(n));
-    let found = fields.iter().find(has).or_else(|| fields.iter().find(starts)).or_else(level);
-    found.map_or_else(|| wanted.to_string(), |f| f.name.clone())
+        || array.strip_prefix("scale").and_then(|n| n.parse::<usize>().ok()).and_then(|n| names.get(n));
+    let found = names.iter().find(|n| **n == array).or_else(|| names.iter().find(starts)).or_else(level);
+    format!("{}{frame}", found.unwrap_or(&array))
 }
 
 /// An image of an OME-Zarr group: its `multiscales` entry.
@@ -136,6 +227,23 @@ fn path_of(level: &Value) -> &str {
 impl Image {
     fn levels(&self) -> impl Iterator<Item = &Value> {
         self.multiscale["datasets"].as_array().into_iter().flatten()
+    }
+
+    /// Scale and translation of an array's entries along one of its axes.
+    fn scale_and_shift(&self, array: &Array, axis: usize) -> (f64, f64) {
+        let level = self.levels().find(|l| self.group.join(path_of(l)) == array.folder);
+        let lists = [
+            level.map(|l| &l["coordinateTransformations"]),
+            Some(&self.multiscale["coordinateTransformations"]),
+        ];
+        let (mut scale, mut shift) = (1.0, 0.0);
+        for step in lists.into_iter().flatten().filter_map(Value::as_array).flatten() {
+            let value =
+                |key: &str, default: f64| step[key].get(axis).and_then(Value::as_f64).unwrap_or(default);
+            let by = value("scale", 1.0);
+            (scale, shift) = (scale * by, shift * by + value("translation", 0.0));
+        }
+        (scale, shift)
     }
 }
 
@@ -184,8 +292,8 @@ fn arrays(path: &Path) -> Result<(Option<Image>, Named)> {
     }
 }
 
-/// The array's axes that are x, y and z.
-fn axes(array: &Array, image: Option<&Image>) -> Result<[Option<usize>; 3]> {
+/// The array's axes that are x, y and z, and the one of time, where it has several entries.
+fn axes(array: &Array, image: Option<&Image>) -> Result<(Axes, Option<usize>)> {
     let rank = array.shape.len();
     let of_image = image.and_then(|i| i.multiscale["axes"].as_array()).map(|axes| {
         axes.iter().map(|a| a["name"].as_str().or(a.as_str()).unwrap_or_default().to_string()).collect()
@@ -199,37 +307,37 @@ fn axes(array: &Array, image: Option<&Image>) -> Result<[Option<usize>; 3]> {
         std::array::from_fn(|a| rank.checked_sub(a + 1))
     };
     let others = (0..rank).filter(|a| !axes.contains(&Some(*a)) && array.shape[*a] != 1).collect::<Vec<_>>();
-    if rank >= 3 && others.is_empty() {
-        return Ok(axes);
+    let is_time = |axis: usize| match &names {
+        Some(names) => ["t", "time"].iter().any(|t| names[axis].eq_ignore_ascii_case(t)),
+        None => (axis, rank) == (0, 4),
+    };
+    match others[..] {
+        [] if rank >= 3 => return Ok((axes, None)),
+        [time] if rank >= 3 && is_time(time) && (1..=MOST_FRAMES).contains(&array.shape[time]) => {
+            return Ok((axes, Some(time)));
+        }
+        _ => {}
     }
     let shape: Vec<String> = array.shape.iter().map(u64::to_string).collect();
     let got = match &names {
         Some(names) => format!("{} ({})", shape.join(" x "), names.join(", ")),
         None => shape.join(" x "),
     };
-    Err(Error::bad_input(&array.file, "shape", "three axes, and others of one entry", got)
-        .with_help("write one moment and one channel to an array of its own"))
+    let expected = "three axes, one of time of at most 65536 frames, others of one entry";
+    Err(Error::bad_input(&array.file, "shape", expected, got)
+        .with_help("write one channel to an array of its own"))
 }
 
 /// Scale and translation of an array's samples along x, y, z.
-fn placed(array: &Array, image: Option<&Image>, axes: [Option<usize>; 3]) -> Result<Geometry> {
+fn placed(array: &Array, image: Option<&Image>, axes: Axes) -> Result<Geometry> {
     let Some(image) = image else { return Ok(Geometry::default()) };
-    let level = image.levels().find(|l| image.group.join(path_of(l)) == array.folder);
-    let lists = [
-        level.map(|l| &l["coordinateTransformations"]),
-        Some(&image.multiscale["coordinateTransformations"]),
-    ];
-    let (mut scale, mut shift) = ([1.0; 3], [0.0; 3]);
-    for step in lists.into_iter().flatten().filter_map(Value::as_array).flatten() {
-        let value = |key: &str, a: usize, default: f64| {
-            axes[a].and_then(|axis| step[key].get(axis)).and_then(Value::as_f64).unwrap_or(default)
-        };
-        for a in 0..3 {
-            let (by, plus) = (value("scale", a, 1.0), value("translation", a, 0.0));
-            (scale[a], shift[a]) = (scale[a] * by, shift[a] * by + plus);
-        }
-    }
-    geometry(&image.group, "coordinateTransformations", shift, scaled_axes(scale))
+    let of_axis = axes.map(|axis| axis.map_or((1.0, 0.0), |axis| image.scale_and_shift(array, axis)));
+    geometry(
+        &image.group,
+        "coordinateTransformations",
+        of_axis.map(|(_, shift)| shift),
+        scaled_axes(of_axis.map(|(scale, _)| scale)),
+    )
 }
 
 fn check_chunks(array: &Array) -> Result<()> {
@@ -248,8 +356,9 @@ fn check_chunks(array: &Array) -> Result<()> {
 }
 
 /// The metadata's file and the chunks' files that exist; of very many, evenly chosen ones.
-fn files(array: &Array) -> Vec<PathBuf> {
-    let grid: Vec<u64> = array.shape.iter().zip(&array.chunk).map(|(s, c)| s.div_ceil(*c)).collect();
+fn files(array: &Array, frame: Option<Frame>) -> Vec<PathBuf> {
+    let mut grid: Vec<u64> = array.shape.iter().zip(&array.chunk).map(|(s, c)| s.div_ceil(*c)).collect();
+    frame.iter().for_each(|f| grid[f.axis] = 1);
     let count = grid.iter().fold(1u64, |n, &g| n.saturating_mul(g));
     let place = |mut number: u64| {
         let mut at: Vec<u64> = vec![];
@@ -258,6 +367,7 @@ fn files(array: &Array) -> Vec<PathBuf> {
             number /= g;
         }
         at.reverse();
+        frame.iter().for_each(|f| at[f.axis] = f.number / array.chunk[f.axis]);
         array.chunk_file(&at)
     };
     let some = (0..count.min(LISTED))
@@ -269,7 +379,9 @@ fn files(array: &Array) -> Vec<PathBuf> {
 struct Chunks {
     info: VolumeInfo,
     array: Array,
-    axes: [Option<usize>; 3],
+    axes: Axes,
+    /// Of an array with a time axis: which entry.
+    frame: Option<Frame>,
     io: IoMode,
     /// The next file, by its place in the grid along x, y, z; and the next chunk in it.
     file: Option<[u64; 3]>,
@@ -291,8 +403,8 @@ struct Chunk {
 }
 
 impl Chunks {
-    fn new(info: VolumeInfo, array: Array, axes: [Option<usize>; 3], io: IoMode) -> Self {
-        Self { info, array, axes, io, file: Some([0; 3]), inner: [0; 3], shard: None, current: None }
+    fn new(info: VolumeInfo, array: Array, axes: Axes, frame: Option<Frame>, io: IoMode) -> Self {
+        Self { info, array, axes, frame, io, file: Some([0; 3]), inner: [0; 3], shard: None, current: None }
     }
 
     /// Sizes along x, y, z of a list along the array's axes.
@@ -300,13 +412,16 @@ impl Chunks {
         self.axes.map(|a| a.map_or(1, |a| sizes[a]))
     }
 
-    /// A place along the array's axes of one along x, y, z.
-    fn place(&self, xyz: [u64; 3]) -> Vec<u64> {
+    /// A place along the array's axes of one along x, y, z, and of the frame's `of_frame`.
+    fn place(&self, xyz: [u64; 3], of_frame: impl Fn(Frame) -> u64) -> Vec<u64> {
         let mut place = vec![0; self.array.shape.len()];
         for (axis, at) in self.axes.iter().zip(xyz) {
             if let Some(axis) = axis {
                 place[*axis] = at;
             }
+        }
+        if let Some(frame) = self.frame {
+            place[frame.axis] = of_frame(frame);
         }
         place
     }
@@ -334,7 +449,7 @@ impl Chunks {
 
     /// The next chunk, decoded.
     fn load(&mut self, file: [u64; 3]) -> Result<Option<Vec<u8>>> {
-        let path = self.array.chunk_file(&self.place(file));
+        let path = self.array.chunk_file(&self.place(file, |f| f.number / self.array.chunk[f.axis]));
         let size = self.array.scalar.bytes() as u64;
         let needed = self.array.unit().iter().product::<u64>() * size;
         let (mut whole, range);
@@ -396,7 +511,7 @@ impl Chunks {
     /// Where the next chunk is in its shard; `None` where it is not.
     fn range_in_shard(&self, source: &ByteSource, index: &[u8]) -> Result<Option<Range<u64>>> {
         let (chunk, unit) = (&self.array.chunk, self.array.unit());
-        let place = self.place(self.inner);
+        let place = self.place(self.inner, |f| f.number % chunk[f.axis] / unit[f.axis]);
         let number = place.iter().zip(chunk.iter().zip(unit)).fold(0, |n, (p, (c, u))| n * (c / u) + p);
         let entry = &index[16 * number as usize..][..16];
         let number = |at: usize| u64::from_le_bytes(entry[at..at + 8].try_into().expect("eight bytes"));
@@ -413,15 +528,17 @@ impl Chunks {
         Ok(Some(at..end))
     }
 
-    /// Bytes a step along x, y, z in a decoded chunk.
-    fn strides(&self) -> [usize; 3] {
+    /// Where the frame begins in a decoded chunk, and bytes a step along x, y, z.
+    fn strides(&self) -> (usize, [usize; 3]) {
         let mut strides = vec![0; self.array.shape.len()];
         let mut step = self.array.scalar.bytes();
         for &axis in self.array.order.iter().rev() {
             strides[axis] = step;
             step *= self.array.unit()[axis] as usize;
         }
-        self.axes.map(|a| a.map_or(0, |a| strides[a]))
+        let unit = self.array.unit();
+        let begin = self.frame.map_or(0, |f| (f.number % unit[f.axis]) as usize * strides[f.axis]);
+        (begin, self.axes.map(|a| a.map_or(0, |a| strides[a])))
     }
 
     /// Cuts the next slab of a chunk.
@@ -438,10 +555,10 @@ impl Chunks {
             out.extend(self.array.fill.iter().copied().cycle().take(slab.len() * size));
             return slab;
         };
-        let [sx, sy, sz] = self.strides();
+        let (begin, [sx, sy, sz]) = self.strides();
         let z0 = slab.lo[2] - chunk.voxels.lo[2];
         for (z, y) in (z0..z0 + slab.dims()[2]).flat_map(|z| (0..d[1]).map(move |y| (z, y))) {
-            let at = z as usize * sz + y as usize * sy;
+            let at = begin + z as usize * sz + y as usize * sy;
             if sx == size {
                 out.extend_from_slice(&bytes[at..at + d[0] as usize * size]);
             } else {

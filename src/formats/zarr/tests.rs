@@ -549,3 +549,69 @@ fn an_empty_group_has_no_field() {
     let error = read(dir.path(), None).unwrap_err().to_string();
     assert!(error.contains("a (u16), b (u16)"), "{error}");
 }
+
+/// Frames of an array whose chunks hold two of them: the first of four axes without names, and OME-Zarr's "t".
+#[test]
+fn a_time_axis_gives_frames() {
+    let dir = tempfile::tempdir().unwrap();
+    let sample = |t: u64, at: [u64; 3]| (value(at[0], at[1], at[2]) as u64 + 1000 * t) as u16;
+    let chunk_of = |t0: u64, at: [u64; 3]| -> Vec<u8> {
+        let lo: [u64; 3] = std::array::from_fn(|a| at[a] * CHUNK[a]);
+        let mut out = vec![];
+        for (t, z) in (t0..t0 + 2).flat_map(|t| (0..CHUNK[2]).map(move |z| (t, z))) {
+            for (y, x) in (0..CHUNK[1]).flat_map(|y| (0..CHUNK[0]).map(move |x| (y, x))) {
+                out.extend(sample(t, [lo[0] + x, lo[1] + y, lo[2] + z]).to_le_bytes());
+            }
+        }
+        out
+    };
+    let grid: [u64; 3] = std::array::from_fn(|a| DIMS[a].div_ceil(CHUNK[a]));
+    let plain = dir.path().join("plain.zarr");
+    let ome = dir.path().join("ome.zarr");
+    let array = || {
+        json!({
+            "zarr_format": 2, "shape": [3, DIMS[2], DIMS[1], DIMS[0]], "chunks": [2, CHUNK[2], CHUNK[1], CHUNK[0]], "dtype": "<u2",
+            "compressor": null, "fill_value": 4, "order": "C", "filters": null
+        })
+    };
+    put(&plain, ".zarray", &array());
+    put(&ome.join("0"), ".zarray", &array());
+    let axes = ["t", "z", "y", "x"].map(|n| json!({ "name": n }));
+    let moved = json!([{ "type": "scale", "scale": [0.5, 3.0, 2.0, 1.0] }, { "type": "translation", "translation": [10.0, 0.0, 0.0, 0.0] }]);
+    let level = json!({ "path": "0", "coordinateTransformations": moved });
+    put(&ome, ".zattrs", &json!({ "multiscales": [{ "axes": axes, "datasets": [level] }] }));
+    for folder in [&plain, &ome.join("0")] {
+        for t in 0..2 {
+            let mut at = [0; 3];
+            loop {
+                let name = format!("{t}.{}.{}.{}", at[2], at[1], at[0]);
+                fs::write(folder.join(name), chunk_of(2 * t, at)).unwrap();
+                if !step(&mut at, grid) {
+                    break;
+                }
+            }
+        }
+    }
+    for (path, name, times) in
+        [(&plain, "data", [None; 3]), (&ome, "0", [Some(10.0), Some(10.5), Some(11.0)])]
+    {
+        let found = frames(path).unwrap();
+        let expected_frames: Vec<_> = (0..3).map(|t| (format!("{name}:t{t}"), times[t])).collect();
+        assert_eq!(found, expected_frames);
+        for t in 0..3u64 {
+            let (info, values) = read(path, Some(&format!("{name}:t{t}"))).unwrap();
+            assert_eq!(info.dims, DIMS);
+            let expected: Vec<f32> = expected().iter().map(|v| v + 1000.0 * t as f32).collect();
+            assert_eq!(values, expected, "{name} {t}");
+            assert_eq!(info.data_files.len(), 1 + grid.iter().product::<u64>() as usize);
+        }
+        assert!(read(path, None).unwrap_err().to_string().contains(":t1"), "a choice is asked for");
+    }
+    // Channels are no times.
+    put(
+        &ome,
+        ".zattrs",
+        &json!({ "multiscales": [{ "axes": ["c", "z", "y", "x"], "datasets": [{ "path": "0" }] }] }),
+    );
+    assert!(refusal(&ome).contains("one of time"), "{}", refusal(&ome));
+}
