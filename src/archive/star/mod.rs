@@ -413,8 +413,6 @@ impl Default for Truth {
 
 /// Of so many edges in a hundred the longer end is within the radius of a neighbourhood.
 const WITHIN: usize = 97;
-/// Of so many tetrahedra one is looked at for that.
-const EACH: usize = 4;
 
 impl Writer {
     /// Encodes canonical tetrahedra, ascending by their first vertices, given where all vertices are; false, with nothing written, if the
@@ -493,17 +491,18 @@ impl Writer {
         tets_here.iter().fold(true, |all, t| all & good(t))
     }
 
-    /// The radius of a neighbourhood, as [`Cloud::set`] takes it: from the edges of some tetrahedra to their largest vertices.
+    /// The radius of a neighbourhood, as [`Cloud::set`] takes it: from the edges of all tetrahedra to their largest vertices. (Of some, it would
+    /// depend on the order in which the mesher gives them.)
     fn size(&self) -> u8 {
         let mut counts = [0usize; 256];
-        for &[a, b, c, d] in self.truth.tets.iter().step_by(EACH) {
+        for &[a, b, c, d] in &self.truth.tets {
             let (a, d) = (self.positions[usize::from(a)], self.positions[usize::from(b.max(c).max(d))]);
             let along = |k: usize| (d[k] as i32).wrapping_sub(a[k] as i32) as f32;
             let square = along(0) * along(0) + along(1) * along(1) + along(2) * along(2);
             let quarter = (square.to_bits() >> 21) as i32 - (127 << 2);
             counts[quarter.clamp(0, 254) as usize + 1] += 1;
         }
-        let wanted = self.truth.tets.len().div_ceil(EACH) * WITHIN / 100;
+        let wanted = self.truth.tets.len() * WITHIN / 100;
         let mut sum = 0;
         let reached = |n: &usize| {
             sum += n;

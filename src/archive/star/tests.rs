@@ -102,6 +102,24 @@ fn all_paths_write_and_read_the_same_bytes() {
     }
 }
 
+/// The mesher's order within a star depends on the instructions that it may use.
+#[test]
+fn the_order_within_stars_decides_no_byte() {
+    let (positions, tets) = delaunay(3000);
+    for run in runs(&tets, 40) {
+        let mut other = run.to_vec();
+        for star in other.chunk_by_mut(|a, b| a[0] == b[0]) {
+            star.reverse();
+            star.rotate_left(star.len() / 3);
+            star.iter_mut().for_each(|t| t[1..].rotate_left(1));
+        }
+        let mut writer = Writer::default();
+        let [mut bytes, mut others] = [vec![], vec![]];
+        assert!(writer.encode(run, &positions, &mut bytes) && writer.encode(&other, &positions, &mut others));
+        assert!(bytes == others);
+    }
+}
+
 #[test]
 fn positions_that_foretell_nothing_cost_bytes_only() {
     let tets = cubes([6, 5, 4]);
