@@ -64,7 +64,7 @@ pub(super) fn is_zarr(folder: &Path) -> bool {
 /// [`Error::BadInput`] for malformed metadata, or what is not read; [`Error::Usage`] when several arrays ask for a choice.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let (image, arrays) = arrays(path)?;
-    let fields = fields(path, image.as_ref(), &arrays)?;
+    let fields = fields(image.as_ref(), &arrays)?;
     let names: Vec<&str> = arrays.iter().map(|(name, _)| name.as_str()).collect();
     let first = image.is_some().then(|| fields.first()).flatten().filter(|f| f.frame.is_none());
     let first = first.map(|f| f.info.name.clone());
@@ -108,7 +108,7 @@ pub(super) fn frames(path: &Path) -> Result<super::series::Frames> {
         Some(image) => Some(image.clone()),
         None => image_around(&array.folder)?,
     };
-    let fields = fields(path, image.as_ref(), &arrays)?;
+    let fields = fields(image.as_ref(), &arrays)?;
     let of_first = fields.into_iter().filter(|f| f.array == 0);
     Ok(of_first
         .filter_map(|f| {
@@ -142,7 +142,7 @@ struct Frame {
 }
 
 /// All fields. An array whose axes are not understood is left out, unless it is the only one.
-fn fields(path: &Path, image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
+fn fields(image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
     let (mut fields, mut refused) = (vec![], None);
     for (number, (name, array)) in arrays.iter().enumerate() {
         let around = match image {
@@ -172,8 +172,6 @@ fn fields(path: &Path, image: Option<&Image>, arrays: &Named) -> Result<Vec<Fiel
     }
     match refused {
         Some(e) if fields.is_empty() => Err(e),
-        _ if fields.is_empty() => Err(Error::bad_input(path, "arrays", "an array with three axes", "none")
-            .with_help("name the folder of an array, or of a group that has one")),
         _ => Ok(fields),
     }
 }
