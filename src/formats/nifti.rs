@@ -51,14 +51,9 @@ pub(super) fn has_magic(head: &[u8]) -> bool {
 /// [`Error::BadInput`] when it is malformed, cut short or of a kind that is not read; [`Error::Usage`] when it is a time
 /// series and no frame is chosen.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
-    let header_path =
-        if has_suffix(path, &[".img", ".img.gz"]) { partner(path, "hdr")? } else { path.to_path_buf() };
-    let source = Arc::new(ByteSource::open(&header_path, options.io)?);
-    let header = Header::parse(&source)?;
-    let pair = header.is_pair()?;
-    let data = if pair { Arc::new(ByteSource::open(partner(path, "img")?, options.io)?) } else { source };
+    let (header, data, offset) = parts(path, options)?;
     let (scalar, dims, frames) = (header.scalar()?, header.dims()?, header.frames()?);
-    let (frame_bytes, offset) = (sample_bytes(path, dims, scalar)?, header.offset(pair)?);
+    let frame_bytes = sample_bytes(path, dims, scalar)?;
     let gzip = is_gzip(&data)?;
     check_size(&data, gzip, offset, frames, frame_bytes)?;
     let fields = fields(frames, scalar);
@@ -66,7 +61,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let (slope, intercept) = header.scaling()?;
     let info = VolumeInfo {
         path: path.to_path_buf(),
-        format: header.format(pair, gzip),
+        format: header.format(header.is_pair()?, gzip),
         dims,
         field: fields[frame as usize].clone(),
         fields,
@@ -90,9 +85,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
 
 /// The frames of a file by the names of their fields, and their times: `toffset` and a `pixdim[4]` for each. None where there is one volume.
 pub(super) fn frames(path: &Path, options: &OpenOptions) -> Result<super::series::Frames> {
-    let header_path =
-        if has_suffix(path, &[".img", ".img.gz"]) { partner(path, "hdr")? } else { path.to_path_buf() };
-    let header = Header::parse(&Arc::new(ByteSource::open(&header_path, options.io)?))?;
+    let (header, _) = header_of(path, options)?;
     let frames = header.frames()?;
     if frames == 1 {
         return Ok(vec![]);
@@ -139,13 +132,8 @@ impl UnpackedFrames {
         cancel: &CancelToken,
     ) -> Result<Self> {
         let info = open(path, &first_frame(options))?.info().clone();
-        let header_path =
-            if has_suffix(path, &[".img", ".img.gz"]) { partner(path, "hdr")? } else { path.to_path_buf() };
-        let source = Arc::new(ByteSource::open(&header_path, options.io)?);
-        let header = Header::parse(&source)?;
-        let pair = header.is_pair()?;
-        let data = if pair { Arc::new(ByteSource::open(partner(path, "img")?, options.io)?) } else { source };
-        let (offset, frames) = (header.offset(pair)?, header.frames()?);
+        let (header, data, offset) = parts(path, options)?;
+        let frames = header.frames()?;
         let needed = sample_bytes(path, info.dims, info.field.scalar)?.saturating_mul(frames);
         let mut packed = Codec::Gzip.reader(&data, 0..data.len())?;
         let short = |got: String| {
@@ -194,6 +182,23 @@ impl UnpackedFrames {
 
 fn is_gzip(source: &ByteSource) -> Result<bool> {
     Ok(source.slice(0..source.len().min(2))? == [0x1f, 0x8b])
+}
+
+/// The header of a file, or of a pair by the name of either file; and the file that it is in.
+fn header_of(path: &Path, options: &OpenOptions) -> Result<(Header, Arc<ByteSource>)> {
+    let file =
+        if has_suffix(path, &[".img", ".img.gz"]) { partner(path, "hdr")? } else { path.to_path_buf() };
+    let source = Arc::new(ByteSource::open(&file, options.io)?);
+    Ok((Header::parse(&source)?, source))
+}
+
+/// The header, the file of the samples, and where in it, unpacked, they begin.
+fn parts(path: &Path, options: &OpenOptions) -> Result<(Header, Arc<ByteSource>, u64)> {
+    let (header, source) = header_of(path, options)?;
+    let pair = header.is_pair()?;
+    let data = if pair { Arc::new(ByteSource::open(partner(path, "img")?, options.io)?) } else { source };
+    let offset = header.offset(pair)?;
+    Ok((header, data, offset))
 }
 
 /// The other file of a pair: `wanted` is "hdr" or "img"; compressed or not.

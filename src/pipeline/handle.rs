@@ -157,7 +157,7 @@ impl Archive {
 
     /// The tetrahedra of the blocks that an isosurface may cross, chunk after chunk, each read when it is asked for.
     ///
-    /// Not all of them are active: a block has about a thousand. Memory: the list of blocks, and a chunk.
+    /// Not all of them are active: a block has some hundred. Memory: the list of blocks, and a chunk.
     ///
     /// ```
     /// # use isospan::{Archive, exec::Silent, mesh::tet};
@@ -183,20 +183,21 @@ impl Archive {
     /// As [`Archive::count`], and for each chunk.
     pub fn active(&self, isovalue: f32) -> Result<impl Iterator<Item = Result<Tetrahedra>> + '_> {
         let mut blocks = self.active_blocks(isovalue)?.into_iter().peekable();
+        let place = Place::of(&self.open)?;
         Ok(std::iter::from_fn(move || {
             let chunk = blocks.peek()?.chunk;
             let mut numbers = vec![];
             while let Some(entry) = blocks.next_if(|e| e.chunk == chunk) {
                 numbers.push(entry.block);
             }
-            Some(self.tetrahedra(ChunkId(chunk), &numbers))
+            Some(self.tetrahedra(ChunkId(chunk), &numbers, &place))
         }))
     }
 
-    fn tetrahedra(&self, chunk: ChunkId, blocks: &[u32]) -> Result<Tetrahedra> {
+    fn tetrahedra(&self, chunk: ChunkId, blocks: &[u32], place: &Place) -> Result<Tetrahedra> {
         self.open.close_before(chunk);
         let decoded = self.open.decode(chunk, blocks)?;
-        let (lattice, place) = (self.open.manifest.plan.lattice, Place::of(&self.open)?);
+        let lattice = self.open.manifest.plan.lattice;
         let mut out = Tetrahedra { chunk: chunk.0, ..Tetrahedra::default() };
         let mut numbers = vec![u32::MAX; decoded.positions.len()];
         for tet in &decoded.tets {

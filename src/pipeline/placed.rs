@@ -131,9 +131,9 @@ pub(super) fn in_world<T>(
     surface: &dyn SurfaceSource,
     use_it: impl FnOnce(&dyn SurfaceSource) -> Result<T>,
 ) -> Result<T> {
-    match (archive.coordinates()?, archive.coordinate_record()) {
-        (Some(map), Some(record)) => use_it(&Placed { surface, map, mirrored: record.cells.mirrored }),
-        _ => use_it(surface),
+    match Place::of(archive)? {
+        Place::Grid { map, mirrored } => use_it(&Placed { surface, map, mirrored }),
+        Place::Geometry(_) => use_it(surface),
     }
 }
 
