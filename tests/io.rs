@@ -57,9 +57,12 @@ fn an_input_that_shrinks_is_an_error_that_names_it() {
     write_npy(&d.join("good.npy"), [120, 110, 100], waves);
     let whole = fs::metadata(d.join("good.npy")).unwrap().len();
     let mut failed = 0;
-    for (n, io) in (0..10).zip(["map", "read"].into_iter().cycle()) {
+    for (n, io) in (0..100).zip(["map", "read"].into_iter().cycle()) {
+        if n >= 10 && failed >= 3 {
+            break;
+        }
         fs::copy(d.join("good.npy"), d.join("v.npy")).unwrap();
-        let out = format!("{n}.isospan");
+        let (out, n) = (format!("{n}.isospan"), n % 10);
         let args =
             ["reduce", "v.npy", "-o", &out, "--io", io, "--chunk-points", "20000", "--threads", "2", "-q"];
         let child = Command::new(env!("CARGO_BIN_EXE_isospan"))
@@ -69,7 +72,7 @@ fn an_input_that_shrinks_is_an_error_that_names_it() {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap();
-        std::thread::sleep(std::time::Duration::from_millis(15 + 40 * n));
+        std::thread::sleep(std::time::Duration::from_millis(5 + 30 * n));
         let file = fs::File::options().write(true).open(d.join("v.npy")).unwrap();
         file.set_len(whole / 20 * n + 1000).unwrap();
         let out = child.wait_with_output().unwrap();
@@ -83,7 +86,7 @@ fn an_input_that_shrinks_is_an_error_that_names_it() {
             other => panic!("{other:?} ({}): {line}", out.status),
         }
     }
-    assert!(failed >= 3, "{failed} of 10 runs met the cut");
+    assert!(failed >= 3, "{failed} runs met the cut");
 }
 
 #[test]

@@ -118,19 +118,32 @@ impl Cluster {
         }
     }
 
+    /// The workers of an archive that run now.
+    fn workers(&self, out: &str) -> Vec<String> {
+        let pattern = format!("work {}", self.path().join(out).display());
+        let is_worker = |entry: &fs::DirEntry| {
+            let line = fs::read(entry.path().join("cmdline")).unwrap_or_default();
+            let line = String::from_utf8_lossy(&line).replace('\0', " ");
+            line.contains(&pattern) && line.starts_with(env!("CARGO_BIN_EXE_isospan"))
+        };
+        let found = fs::read_dir("/proc").unwrap().flatten().filter(is_worker);
+        found.map(|entry| entry.file_name().into_string().unwrap()).collect()
+    }
+
     /// A signal to the workers of an archive that run now.
     fn signal(&self, signal: &str, out: &str) -> usize {
-        let pattern = format!("work {}", self.path().join(out).display());
-        let mut sent = 0;
-        for entry in fs::read_dir("/proc").unwrap().flatten() {
-            let Ok(line) = fs::read(entry.path().join("cmdline")) else { continue };
-            let line = String::from_utf8_lossy(&line).replace('\0', " ");
-            if line.contains(&pattern) && line.starts_with(env!("CARGO_BIN_EXE_isospan")) {
-                let pid = entry.file_name().into_string().unwrap();
-                sent += usize::from(Command::new("kill").args([signal, &pid]).status().unwrap().success());
-            }
-        }
-        sent
+        let send = |pid: &String| Command::new("kill").args([signal, pid]).status().unwrap().success();
+        self.workers(out).iter().filter(|pid| send(pid)).count()
+    }
+
+    /// Whether a worker has been told to end, and sleeps too deeply to hear it.
+    fn is_told_to_end(&self, out: &str) -> bool {
+        const TERM: u64 = 1 << (15 - 1);
+        self.workers(out).iter().any(|pid| {
+            let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
+            let pending = status.lines().find_map(|l| l.strip_prefix("ShdPnd:"));
+            pending.is_some_and(|set| u64::from_str_radix(set.trim(), 16).unwrap() & TERM != 0)
+        })
     }
 
     fn same(&self, out: &str) {
@@ -248,8 +261,8 @@ fn a_task_is_told_to_stop(c: &Cluster) {
     c.held_at_work("term.isospan", "n1");
     // What --signal does before the time limit.
     c.run("scancel", &["--batch", "--signal=TERM", &job]);
-    // Time for the signal to come; it waits for the worker to wake up.
-    std::thread::sleep(Duration::from_millis(500));
+    // The signal waits for the worker to wake up.
+    wait("the signal", || c.is_told_to_end("term.isospan"));
     c.signal("-CONT", "term.isospan");
     c.finish("a second try");
     c.same("term.isospan");

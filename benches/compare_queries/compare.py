@@ -216,6 +216,8 @@ def build():
 def main():
     args = settings()
     programs = args.programs.resolve() if args.programs else build()
+    if args.scratch:
+        args.scratch.mkdir(parents=True, exist_ok=True)
     vtk.vtkSMPTools.Initialize(args.threads)
     for field in args.fields:
         for wanted, question in ((args.points, mesh_question), (args.edge, volume_question)):
