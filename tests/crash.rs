@@ -468,3 +468,47 @@ fn kills_while_steps_are_added_leave_the_archive_as_it_was() {
     assert!(folder(&archive) == folder(&d.join("whole.isospan")));
     assert!(temporaries(d).is_empty());
 }
+
+/// The same of a mesh. The kills come when a new step is under way: its folder is there, then its first segment.
+#[test]
+fn a_kill_while_a_step_is_added_to_a_mesh_leaves_the_archive_as_it_was() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let names: Vec<String> = (0..3).map(|t| format!("m{t}.vtk")).collect();
+    for (t, name) in names.iter().enumerate() {
+        write_hexahedra(&d.join(name), |x, y, z| waves(x + 0.05 * t as f64, y, z));
+    }
+    let files: Vec<&str> = names.iter().map(String::as_str).collect();
+    let choices = ["--fraction", "1", "--chunk-points", "200"];
+    ok(d, &[&["reduce", "-q", "-o", "whole.isospan"], &files[..], &choices].concat());
+    let archive = d.join("a.isospan");
+    let append = ["append", "-q", "--threads", "1", "a.isospan", files[1], files[2]];
+    let (states, mut kills) = (["steps/000001", "steps/000002/values-000000.seg"], 0);
+    for tries in 0.. {
+        assert!(tries < 200, "{kills} kills within an append");
+        if !archive.exists() {
+            ok(d, &[&["reduce", "-q", files[0], "-o", "a.isospan"], &choices[..]].concat());
+        }
+        let old = fs::read(archive.join("manifest.json")).unwrap();
+        let mut child = spawn(d, &append);
+        let started = Instant::now();
+        while !archive.join(states[kills]).exists() && child.try_wait().unwrap().is_none() {
+            assert!(started.elapsed() < Duration::from_secs(300), "the step is not begun");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let _ = child.kill();
+        end(child);
+        if fs::read(archive.join("manifest.json")).unwrap() != old {
+            // Killed when all was done: begin again.
+            fs::remove_dir_all(&archive).unwrap();
+            continue;
+        }
+        ok(d, &["check", "a.isospan"]);
+        kills += 1;
+        if kills == states.len() {
+            break;
+        }
+    }
+    ok(d, &append);
+    assert!(folder(&archive) == folder(&d.join("whole.isospan")) && temporaries(d).is_empty());
+}

@@ -4,10 +4,10 @@ mod common;
 
 use common::{read, run, surface, triangle_set};
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    Amount, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, check_archive, measure,
-    reduce,
+    Amount, AppendSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, append,
+    check_archive, measure, reduce, reduce_series,
 };
 use isospan::sample::Interpolation;
 use isospan::surface::check::{SurfaceReport, check};
@@ -191,6 +191,111 @@ fn bodies_that_touch_or_overlap_are_whole_where_the_field_jumps() {
     let (archive, report) = reduced(&input, &settings(1.0), "smooth.isospan", &run(2));
     assert_eq!((report.mesh.unwrap().bodies, report.mesh.unwrap().repeated), (1, 18 * 18));
     assert!((extracted(&archive, 0.45).1.area - 1.0).abs() < 0.01);
+}
+
+/// Which vertices are one is decided by the first step, whose file need not be there when others are added.
+#[test]
+fn appended_steps_have_the_bodies_of_the_first() {
+    let dir = tempfile::tempdir().unwrap();
+    // Two halves of a cube that meet at x = 0.5 and share no vertex; the field goes on, or jumps there.
+    let keep = |p: [f64; 3]| (p[0] - 0.5).abs() > 0.5 / 9.0;
+    let closed =
+        |[x, y, z]: [f64; 3]| [if x < 0.5 { x * 9.0 / 8.0 } else { 1.0 - (1.0 - x) * 9.0 / 8.0 }, y, z];
+    let step = |name: &str, jump: f64, slope: f64| {
+        let path = dir.path().join(name);
+        write_placed(&path, 9, keep, |p| (closed(p), slope * p[2] + if p[0] > 0.5 { jump } else { 0.0 }));
+        StepSource::new(&path, &OpenOptions::default())
+    };
+    let (smooth, jump) = ([step("s0.vtk", 0.0, 1.0), step("s1.vtk", 0.0, 2.0)], step("j.vtk", 10.0, 1.0));
+    let settings = ReduceSettings { chunk_points: 300, ..settings(1.0) };
+    let out = |name: &str| dir.path().join(name);
+    let made = |steps: &[StepSource], name: &str| {
+        reduce_series(steps, &settings, &out(name), &run(2), &Silent).unwrap()
+    };
+    let add = |step: &StepSource, name: &str| {
+        append(std::slice::from_ref(step), &AppendSettings::default(), &out(name), &run(1), &Silent)
+    };
+    for (case, first, bodies) in [("smooth", &smooth[0], 1), ("jump", &jump, 2)] {
+        let [all, grown] = ["all", "grown"].map(|kind| format!("{case}-{kind}.isospan"));
+        let found = made(&[first.clone(), smooth[1].clone()], &all).mesh.unwrap();
+        assert_eq!((found.bodies, found.repeated), (bodies, if bodies == 1 { 100 } else { 0 }), "{case}");
+        made(std::slice::from_ref(first), &grown);
+        let hidden = first.path.with_extension("away");
+        std::fs::rename(&first.path, &hidden).unwrap();
+        let report = add(&smooth[1], &grown).unwrap();
+        std::fs::rename(&hidden, &first.path).unwrap();
+        assert_eq!((report.steps.len(), report.mesh.unwrap().bodies), (1, bodies), "{case}");
+        assert!(common::folder(&out(&all)) == common::folder(&out(&grown)), "{case}");
+        check_archive(&out(&grown)).unwrap();
+    }
+    assert!(out("smooth-all.isospan/mesh/repeated.seg").exists());
+    assert!(!out("jump-all.isospan/mesh/repeated.seg").exists());
+    // What is one cannot have two values.
+    let before = common::folder(&out("smooth-grown.isospan"));
+    let e = add(&jump, "smooth-grown.isospan").unwrap_err();
+    assert!(e.exit_code() == 5 && e.to_string().contains("step 2, f, points"), "{e}");
+    let manifest = Path::new("manifest.json");
+    assert!(common::folder(&out("smooth-grown.isospan"))[manifest] == before[manifest]);
+    // The segment that tells it is one of the archive: damage is found, and so is its loss.
+    let file = out("smooth-all.isospan/mesh/repeated.seg");
+    let good = std::fs::read(&file).unwrap();
+    for at in [20, 60, good.len() / 2, good.len() - 60, good.len() - 20] {
+        let mut bad = good.clone();
+        bad[at] ^= 8;
+        std::fs::write(&file, bad).unwrap();
+        assert_eq!(check_archive(&out("smooth-all.isospan")).unwrap_err().exit_code(), 5, "byte {at}");
+        assert_eq!(add(&smooth[0], "smooth-all.isospan").unwrap_err().exit_code(), 5, "byte {at}");
+    }
+}
+
+/// Points moved, points more, cells in another order: told by the file and by what differs. A volume is no mesh.
+#[test]
+fn steps_of_other_meshes_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str, n: u32, shift: f64| {
+        let path = dir.path().join(name);
+        write_mesh(&path, n, |_| true, |[x, y, z]| [x + shift * y * y, y, z], |p| p[0] * p[1]);
+        StepSource::new(&path, &OpenOptions::default())
+    };
+    let (first, moved, more) = (write("a.vtk", 6, 0.0), write("b.vtk", 6, 0.1), write("c.vtk", 7, 0.0));
+    let text = std::fs::read_to_string(&first.path).unwrap();
+    let at = text.find("CELLS").unwrap();
+    let mut lines: Vec<&str> = text[at..].lines().collect();
+    lines.swap(1, 2);
+    let other = StepSource::new(&dir.path().join("d.vtk"), &OpenOptions::default());
+    std::fs::write(&other.path, format!("{}{}\n", &text[..at], lines.join("\n"))).unwrap();
+    let volume = StepSource::new(&dir.path().join("v.npy"), &OpenOptions::default());
+    common::write_npy(&volume.path, [7, 7, 7], common::waves);
+    let (out, settings) = (dir.path().join("m.isospan"), settings(1.0));
+    reduce_series(std::slice::from_ref(&first), &settings, &out, &run(2), &Silent).unwrap();
+    let before = common::folder(&out);
+    let cases = [
+        (&moved, "b.vtk: step 1, points: expected the positions of a.vtk, step 0, got others"),
+        (&more, "c.vtk: step 1, points: expected 343 of a.vtk, step 0, got 512"),
+        (&other, "d.vtk: step 1, cells: expected those of a.vtk, step 0, got others"),
+        (&volume, "v.npy: step 1, kind of file: expected a mesh"),
+    ];
+    let how = AppendSettings::default();
+    for (step, expected) in &cases {
+        let e = append(std::slice::from_ref(step), &how, &out, &run(1), &Silent).unwrap_err();
+        let text = e.to_string();
+        assert!(e.exit_code() == 5 && text.contains(expected) && !text.contains('\n'), "{expected}: {text}");
+        assert!(common::folder(&out) == before, "{expected}");
+    }
+    // They cost themselves alone.
+    let good = StepSource::new(&dir.path().join("e.vtk"), &OpenOptions::default());
+    write_mesh(&good.path, 6, |_| true, |p| p, |p| p[2]);
+    let steps: Vec<StepSource> = cases.iter().map(|c| c.0.clone()).chain([good]).collect();
+    let keep_going = RunSettings { keep_going: true, ..run(2) };
+    let report = append(&steps, &how, &out, &keep_going, &Silent).unwrap();
+    assert_eq!(report.steps.iter().map(|s| s.number).collect::<Vec<_>>(), [5]);
+    assert_eq!(report.skipped.iter().map(|s| s.number).collect::<Vec<_>>(), [1, 2, 3, 4]);
+    check_archive(&out).unwrap();
+    // A mesh is no step of a volume.
+    let out = dir.path().join("v.isospan");
+    reduce_series(std::slice::from_ref(&volume), &settings, &out, &run(2), &Silent).unwrap();
+    let e = append(std::slice::from_ref(&first), &how, &out, &run(1), &Silent).unwrap_err();
+    assert!(e.exit_code() == 5 && e.to_string().contains("a volume, as other steps are"), "{e}");
 }
 
 #[test]

@@ -119,7 +119,7 @@ fn every_kind_of_input_is_done_in_shards() {
     let packed = Command::new("gzip").args(["-k", "v.npy"]).current_dir(d).status().unwrap();
     assert!(packed.success());
     write_vts(&d.join("g.vts"));
-    write_mesh(&d.join("m.vtk"));
+    write_hexahedra(&d.join("m.vtk"), waves);
     let raw = ["--dims", "30,24,20", "--type", "f32", "--offset", "128"];
     fs::rename(d.join("v.npy.gz"), d.join("v.raw.gz")).unwrap();
     let cases: [(&str, &str, &[&str]); 4] = [
@@ -141,6 +141,38 @@ fn every_kind_of_input_is_done_in_shards() {
     }
 }
 
+/// Steps are made by each shard for its own chunks, a few at a time, some after a keyframe.
+#[test]
+fn a_series_is_done_in_shards() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    for t in 0..5 {
+        let drift = 0.02 * f64::from(t);
+        write_npy(&d.join(format!("v{t}.npy")), [34, 30, 26], |x, y, z| waves(x + drift, y, z));
+        write_hexahedra(&d.join(format!("m{t}.vtk")), |x, y, z| waves(x + drift, y, z));
+    }
+    let cases: [(&str, &[&str]); 3] = [
+        ("v*.npy", &["--keyframes", "3", "--times", "0:0.5"]),
+        ("v?.npy", &["--keyframes", "2", "--value-bits", "10"]),
+        ("m*.vtk", &["--keyframes", "3"]),
+    ];
+    for (n, (input, more)) in (0..).zip(cases) {
+        let whole = format!("{n}-whole.isospan");
+        ok(d, &[&["reduce", input, "-o", &whole], &CHOICES[..], more].concat());
+        let expected = folder(&d.join(&whole));
+        for (shards, memory) in [(1, "40MiB"), (3, "256MiB")] {
+            let out = format!("{n}-{shards}.isospan");
+            plan(d, input, &out, &shards.to_string(), more);
+            for shard in (0..shards).rev() {
+                ok(d, &["work", &out, "--shard", &format!("{shard}/{shards}"), "--memory", memory]);
+            }
+            ok(d, &["commit", &out]);
+            let got = folder(&d.join(&out));
+            assert!(got == expected, "{input}, {shards} shards: {:?} {:?}", got.keys(), expected.keys());
+        }
+    }
+}
+
 fn write_vts(path: &Path) {
     let (n, mut points, mut values) = ([16, 14, 12], String::new(), String::new());
     for z in 0..n[2] {
@@ -158,44 +190,6 @@ fn write_vts(path: &Path) {
          <Piece Extent=\"{extent}\"><PointData Scalars=\"f\"><DataArray type=\"Float32\" Name=\"f\" format=\"ascii\">{values}</DataArray></PointData>\n\
          <Points><DataArray type=\"Float64\" NumberOfComponents=\"3\" format=\"ascii\">{points}</DataArray></Points></Piece>\n\
          </StructuredGrid>\n</VTKFile>\n"
-    );
-    fs::write(path, text).unwrap();
-}
-
-/// Hexahedra in an L.
-fn write_mesh(path: &Path) {
-    let n = 10;
-    let id = |x: usize, y: usize, z: usize| (z * (n + 1) + y) * (n + 1) + x;
-    let (mut points, mut values, mut cells, mut count) = (String::new(), String::new(), String::new(), 0);
-    for z in 0..=n {
-        for y in 0..=n {
-            for x in 0..=n {
-                points += &format!("{x} {y} {z}\n");
-                values += &format!("{}\n", waves(x as f64 / 9.0, y as f64 / 8.0, z as f64 / 7.0));
-                if x < n && y < n && z < n && (x < n / 2 || y < n / 2) {
-                    let corners = [
-                        (0, 0, 0),
-                        (1, 0, 0),
-                        (1, 1, 0),
-                        (0, 1, 0),
-                        (0, 0, 1),
-                        (1, 0, 1),
-                        (1, 1, 1),
-                        (0, 1, 1),
-                    ];
-                    let ids = corners.map(|(a, b, c)| id(x + a, y + b, z + c).to_string());
-                    cells += &format!("8 {}\n", ids.join(" "));
-                    count += 1;
-                }
-            }
-        }
-    }
-    let total = (n + 1).pow(3);
-    let text = format!(
-        "# vtk DataFile Version 3.0\nL\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS {total} double\n{points}CELLS {count} {}\n{cells}\
-         CELL_TYPES {count}\n{}POINT_DATA {total}\nSCALARS f float 1\nLOOKUP_TABLE default\n{values}",
-        9 * count,
-        "12\n".repeat(count)
     );
     fs::write(path, text).unwrap();
 }

@@ -12,6 +12,7 @@ use super::coordinates::CellCount;
 use super::explicit::ExplicitRecord;
 use super::levels::LevelsRecord;
 use super::publish::Unpublished;
+use super::repeated::RepeatedRecord;
 use super::segment::{FORMAT_VERSION, OLDEST_READER, PlanHash, SegmentInfo};
 use super::values::Quantiser;
 use crate::bytes::remote::{is_remote, read_all};
@@ -86,6 +87,9 @@ pub struct Plan {
     /// Where the density of the points differs from place to place: how.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub levels: Option<LevelsRecord>,
+    /// Of a tetrahedral mesh that tells some vertices more than once: which.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub repeated: Option<RepeatedRecord>,
     /// Whether chunks prove all tetrahedra at the vertices of their own, which fitted values need, and not their own alone: their
     /// halos reach further.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
@@ -139,6 +143,10 @@ pub struct MeshSource {
     pub vertices: u64,
     /// Its tetrahedra.
     pub tetrahedra: u64,
+    /// XXH3 (128 bits) of its points, x y z as f64: further steps must have them.
+    pub point_hash: PlanHash,
+    /// XXH3 (128 bits) of its cells: of each that has a volume its kind in a byte, and its vertices as u64.
+    pub cell_hash: PlanHash,
 }
 
 /// Everything, besides the plan, that decides the bytes of a step's values and index.
@@ -478,6 +486,7 @@ pub(crate) mod tests {
             block_tets: 1000,
             explicit: None,
             levels: None,
+            repeated: None,
             stars: false,
         }
     }

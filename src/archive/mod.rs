@@ -23,6 +23,7 @@ pub mod levels;
 pub mod manifest;
 pub(crate) mod publish;
 mod range;
+pub mod repeated;
 pub mod segment;
 mod star;
 pub mod summary;

@@ -66,6 +66,8 @@ pub enum SegmentKind {
     Coordinates = 7,
     /// How dense the points are, cell by cell.
     Levels = 8,
+    /// Vertices that a source mesh tells more than once.
+    Repeated = 9,
 }
 
 impl SegmentKind {
@@ -79,6 +81,7 @@ impl SegmentKind {
             6 => "points".into(),
             7 => "coordinates".into(),
             8 => "levels".into(),
+            9 => "repeated vertices".into(),
             other => format!("unknown kind {other}"),
         }
     }

@@ -16,7 +16,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A kind of cell.
+/// A kind of cell. Their order decides hashes of meshes that archives hold: new ones come before the last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CellKind {

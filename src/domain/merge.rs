@@ -5,7 +5,8 @@
 //! common faces. Those of one position and **different** values stay apart: there the field jumps, and the cells beside the
 //! jump belong to different bodies ([`super::bodies`]).
 //!
-//! An external sort by position, value and number brings equals together; another by number puts the answers in order.
+//! An external sort by position, value and number brings equals together; another by number puts the answers in order. All steps of a
+//! series share the answers of the first, whatever their own values; an archive keeps them for steps to come.
 
 use super::column::{Column, ColumnWriter};
 use super::store::StoreSettings;
@@ -14,11 +15,11 @@ use crate::error::Result;
 use crate::locate::FinePos;
 
 /// For each vertex the first that equals it.
-pub(super) struct Firsts {
+pub(crate) struct Firsts {
     /// None where all vertices differ.
     of: Option<Column<u64>>,
     /// Vertices that equal an earlier one.
-    pub(super) repeated: u64,
+    pub(crate) repeated: u64,
 }
 
 impl Firsts {
@@ -40,8 +41,38 @@ impl Firsts {
                 first = vertex;
             }
         }
-        let of = (repeated > 0).then(|| in_order(answers, positions.len() as u64, settings)).transpose()?;
-        Ok(Self { of, repeated })
+        if repeated == 0 {
+            return Ok(Self { of: None, repeated });
+        }
+        let mut answers = answers.finish()?;
+        Self::known(|| answers.next(), positions.len() as u64, settings)
+    }
+
+    /// As they were found before: `next` tells vertices that equal an earlier one, ascending, and that.
+    pub(crate) fn known(
+        mut next: impl FnMut() -> Result<Option<[u64; 2]>>,
+        vertices: u64,
+        settings: &StoreSettings<'_>,
+    ) -> Result<Self> {
+        let (mut of, mut repeated, mut pair) = (ColumnWriter::new(settings.scratch)?, 0, next()?);
+        for v in 0..vertices {
+            match pair {
+                Some([vertex, first]) if vertex == v => {
+                    of.push(&first)?;
+                    repeated += 1;
+                    pair = next()?;
+                }
+                _ => of.push(&v)?,
+            }
+        }
+        let of = of.finish()?;
+        Ok(Self { of: (repeated > 0).then_some(of), repeated })
+    }
+
+    /// Vertices that equal an earlier one, ascending, and that.
+    pub(crate) fn pairs(&self) -> Result<impl Iterator<Item = [u64; 2]> + '_> {
+        let of = self.of.as_ref().map_or(Ok(&[][..]), Column::get)?;
+        Ok((0u64..).zip(of).filter(|(v, first)| v != *first).map(|(v, &first)| [v, first]))
     }
 
     /// Puts the first of its equals in the place of each vertex.
@@ -52,19 +83,4 @@ impl Firsts {
         }
         Ok(())
     }
-}
-
-fn in_order(answers: Sorter<[u64; 2]>, vertices: u64, settings: &StoreSettings<'_>) -> Result<Column<u64>> {
-    let (mut sorted, mut of) = (answers.finish()?, ColumnWriter::new(settings.scratch)?);
-    let mut next = sorted.next()?;
-    for v in 0..vertices {
-        match next {
-            Some([repeated, first]) if repeated == v => {
-                of.push(&first)?;
-                next = sorted.next()?;
-            }
-            _ => of.push(&v)?,
-        }
-    }
-    of.finish()
 }

@@ -32,6 +32,7 @@ pub(crate) mod column;
 mod contact;
 pub(crate) mod frame;
 pub(crate) mod gradients;
-mod merge;
+pub(crate) mod identity;
+pub(crate) mod merge;
 mod nearest;
 pub(crate) mod store;

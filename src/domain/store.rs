@@ -3,6 +3,7 @@
 use super::bodies::{Bodies, BodyOf, Unions};
 use super::column::{Column, ColumnWriter};
 use super::frame::{Bounds, Frame};
+use super::identity::{Identity, IdentityHash};
 use super::merge::Firsts;
 use crate::bytes::sorter::Sorter;
 use crate::cells::{CellBlock, CellMesh, split};
@@ -13,6 +14,7 @@ use crate::geom::curve::hilbert_key;
 use crate::locate::{CellBatch, FINE_BITS, FinePos, volume6};
 use serde::Serialize;
 use std::path::Path;
+use std::sync::Arc;
 
 /// What becomes of a value that is no finite number.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,7 +70,8 @@ pub(crate) struct CellStore {
     /// Triangles of the boundary, along a space-filling curve: three vertices, counter-clockwise seen from outside, and the body.
     pub(crate) boundary: Column<[u64; 4]>,
     /// Vertices that are one.
-    firsts: Firsts,
+    pub(crate) firsts: Arc<Firsts>,
+    pub(crate) identity: Identity,
     /// Six times the volume of all tetrahedra, in fine steps.
     pub(crate) volume6: i128,
 }
@@ -79,8 +82,20 @@ impl CellStore {
     /// # Errors
     /// When it cannot be read, has no volume, or the scratch folder cannot be written.
     pub(crate) fn build(mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<Self> {
-        let path = &mesh.info().path;
-        let (world, bounds) = read_points(mesh, settings)?;
+        Self::build_with(mesh, None, settings)
+    }
+
+    /// As [`CellStore::build`], of a mesh of which is known which vertices are one, if that is given.
+    ///
+    /// # Errors
+    /// Those of [`CellStore::build`].
+    pub(crate) fn build_with(
+        mesh: &CellMesh,
+        known: Option<Firsts>,
+        settings: &StoreSettings<'_>,
+    ) -> Result<Self> {
+        let (path, mut identity) = (&mesh.info().path, IdentityHash::default());
+        let (world, bounds) = read_points(mesh, settings, &mut identity)?;
         let frame = Frame::around(path, &bounds, world.get()?.len() as u64)?;
         let mut positions = ColumnWriter::new(settings.scratch)?;
         for &p in world.get()? {
@@ -89,9 +104,12 @@ impl CellStore {
         drop(world);
         let positions = positions.finish()?;
         let values = read_values(mesh, settings)?;
-        let firsts = Firsts::new(positions.get()?, values.get()?, settings)?;
+        let firsts = match known {
+            Some(firsts) => firsts,
+            None => Firsts::new(positions.get()?, values.get()?, settings)?,
+        };
         let mut sink = TetSink::new(settings)?;
-        read_cells(mesh, positions.get()?, &firsts, settings, &mut sink)?;
+        read_cells(mesh, positions.get()?, &firsts, settings, &mut identity, &mut sink)?;
         if sink.census.tetrahedra == 0 {
             let got =
                 format!("{} cells with a volume, {} of them flat", sink.census.cells, sink.census.degenerate);
@@ -107,7 +125,8 @@ impl CellStore {
         };
         let (tets, bodies) = body_of.arrange(sink.tets.finish()?, settings)?;
         let volume6 = sink.volume6;
-        Ok(Self { frame, census, positions, values, tets, bodies, boundary, firsts, volume6 })
+        let (firsts, identity) = (Arc::new(firsts), identity.finish());
+        Ok(Self { frame, census, positions, values, tets, bodies, boundary, firsts, identity, volume6 })
     }
 
     /// The values of another step on the same mesh: `mesh` with its field.
@@ -156,11 +175,16 @@ impl CellStore {
     }
 }
 
-fn read_points(mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<(Column<[f64; 3]>, Bounds)> {
+fn read_points(
+    mesh: &CellMesh,
+    settings: &StoreSettings<'_>,
+    identity: &mut IdentityHash,
+) -> Result<(Column<[f64; 3]>, Bounds)> {
     let (mut out, mut bounds) = (ColumnWriter::new(settings.scratch)?, Bounds::NONE);
     let (mut points, mut block) = (mesh.points()?, vec![]);
     while points.next_block(&mut block)? {
         settings.cancel.check()?;
+        identity.add_points(&block);
         for p in &block {
             bounds.add(*p);
             out.push(p)?;
@@ -252,12 +276,14 @@ fn read_cells(
     positions: &[FinePos],
     firsts: &Firsts,
     settings: &StoreSettings<'_>,
+    identity: &mut IdentityHash,
     sink: &mut TetSink,
 ) -> Result<()> {
     let (mut cells, mut block, mut tets) = (mesh.cells()?, CellBlock::default(), vec![]);
     let mut replaced = vec![];
     while cells.next_block(&mut block)? {
         settings.cancel.check()?;
+        identity.add_cells(&block);
         for (kind, vertices) in block.iter().filter(|(kind, _)| kind.vertices() > 0) {
             tets.clear();
             sink.census.cells += 1;

@@ -2,18 +2,15 @@
 //!
 //! New files come beside the old ones, and the manifest that names them is renamed over the old one in the end: until then the archive is the
 //! old one. A run that was killed is continued by the same call; what it left is in the folders of the new steps, which no manifest names.
+//!
+//! A tetrahedral mesh is laid out on disk again, from the first of the new files that tells it, for the points are located in that. The archive has hashes
+//! of its points and cells, by which others are refused, and the vertices that were one at the first step: so samples of its boundary are the same ones.
 
-use super::beside::Beside;
 use super::field::NanPolicy;
-use super::layout::Layout;
 use super::open::OpenArchive;
-use super::plan::{ReduceSettings, parts};
-use super::reduce::{
-    Publishing, ReduceReport, RunSettings, estimate_of, finished, need_of, push_times, refuse_remote, sweep,
-    threads,
-};
-use super::series::{Making, Means};
-use super::volume_series::{Known, VolumeFields, are_there, plan_volumes};
+use super::plan::ReduceSettings;
+use super::reduce::{Job, Part, ReduceReport, RunSettings, reduce_volumes, refuse_remote};
+use super::reduce_mesh::reduce_mesh;
 use crate::archive::manifest::{MANIFEST_NAME, Step};
 use crate::error::{Error, Result};
 use crate::exec::Progress;
@@ -46,7 +43,7 @@ impl Default for AppendSettings {
 /// The bytes are those that [`super::reduce_series`] would have made of all steps at once, with the same settings.
 ///
 /// # Errors
-/// Those of [`super::reduce_series`]; [`Error::BadInput`] for a damaged archive, and where dimensions or geometry are not the archive's;
+/// Those of [`super::reduce_series`]; [`Error::BadInput`] for a damaged archive, and where dimensions or geometry, or points or cells, are not the archive's;
 /// [`Error::Io`] when another run has changed the archive meanwhile: the same call adds the steps behind.
 pub fn append(
     sources: &[StepSource],
@@ -58,49 +55,15 @@ pub fn append(
     let started = Instant::now();
     refuse_remote(out)?;
     let archive = OpenArchive::open(out)?;
-    let manifest = &archive.manifest;
-    let last = manifest.steps.last().expect("an archive that was opened has a step");
-    if last.plan.source.mesh.is_some() {
-        let text = "of a tetrahedral mesh, to which steps cannot be added";
-        return Err(Error::usage(format!("{}: {text}", out.display())));
-    }
-    let settings = settings_like(last, settings)?;
+    let last = archive.manifest.steps.last().expect("an archive that was opened has a step");
     let sources: Vec<_> = (last.plan.number + 1..).zip(sources.iter().cloned()).collect();
-    let known = Known { archive: Some(&archive), ..Known::default() };
-    let mut series = plan_volumes(&sources, &settings, run, known)?;
-    if are_there(&archive, &series.plan.steps) {
-        let counts = manifest.counts;
-        let report = ReduceReport {
-            samples: last.plan.source.dims.iter().product(),
-            points: counts.points,
-            tetrahedra: counts.tetrahedra,
-            chunks: counts.chunks,
-            blocks: counts.blocks,
-            skipped: series.skipped,
-            archive_bytes: archive.bytes()?,
-            ..ReduceReport::default()
-        };
-        return Ok(finished(report, started));
+    let settings = settings_like(last, settings)?;
+    let part = Part::Further(&archive);
+    let job = Job { sources: &sources, settings: &settings, out, run, progress, started, part };
+    match last.plan.source.mesh {
+        None => reduce_volumes(&job),
+        Some(_) => reduce_mesh(&job),
     }
-    let parts = parts(&manifest.plan, Beside::read(out, &manifest.plan)?)?;
-    let need = need_of(&parts, series.plan.steps.len(), run.memory, run);
-    estimate_of(&series, &need, out, run)?.check()?;
-    let shares = need.shares(run.memory, threads(run))?;
-    let fields = VolumeFields::new(&settings, run, progress);
-    let means = Means { parts: &parts, fields: &fields, shares, at_once: need.steps() };
-    let layout = Layout::new(out, parts.chunks.len(), 0);
-    let segments = 0..layout.segment_count();
-    let (old, measure) = (Some(manifest), settings.measure);
-    let making = Making { means: &means, layout: &layout, segments, old, measure, run, progress };
-    let made = making.make(&mut series)?;
-    let samples = last.plan.source.dims.iter().product();
-    let mut report = ReduceReport { samples, ..ReduceReport::default() };
-    push_times(&mut report.seconds, &made);
-    let publishing =
-        Publishing { parts: &parts, layout: &layout, old, measure, workers: shares.workers, run, progress };
-    let report = publishing.publish(&series, made, report)?;
-    sweep(&layout, &series.plan);
-    Ok(finished(report, started))
 }
 
 /// The settings with which a step was made.

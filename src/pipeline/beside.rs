@@ -1,20 +1,25 @@
-//! What a plan of a mesh speaks of and does not hold: listed points, and how dense the others are. In an archive these are files of
-//! their own, which are read before anything else.
+//! What a plan of a mesh speaks of and does not hold: listed points, and how dense the others are; vertices of the source that are one. In an
+//! archive these are files of their own. The first two are read before anything else; the last only when a step is added.
 
 use crate::archive::explicit::{explicit_path, read_explicit, write_explicit};
 use crate::archive::levels::{levels_path, read_levels, write_levels};
 use crate::archive::manifest::Plan as MeshPlan;
+use crate::archive::repeated::{RepeatedReader, repeated_path, write_repeated};
 use crate::archive::segment::PlanHash;
+use crate::domain::merge::Firsts;
+use crate::domain::store::StoreSettings;
 use crate::error::Result;
-use crate::points::{ExplicitPoints, Levels, PointSet};
+use crate::points::{ExplicitPoints, Levels};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Points and levels that belong to a plan.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Default)]
 pub(crate) struct Beside {
     pub(crate) explicit: Option<Arc<ExplicitPoints>>,
     pub(crate) levels: Option<Arc<Levels>>,
+    /// Of a mesh that is being reduced; not read with the others.
+    pub(crate) repeated: Option<Arc<Firsts>>,
 }
 
 impl Beside {
@@ -30,24 +35,44 @@ impl Beside {
     pub(crate) fn read_of(archive: &Path, hash: PlanHash, plan: &MeshPlan) -> Result<Self> {
         let explicit = plan.explicit.as_ref().map(|r| read_explicit(archive, hash, &plan.lattice, r));
         let levels = plan.levels.as_ref().map(|r| read_levels(archive, hash, &plan.lattice, r));
-        Ok(Self { explicit: explicit.transpose()?.map(Arc::new), levels: levels.transpose()?.map(Arc::new) })
+        let (explicit, levels) = (explicit.transpose()?.map(Arc::new), levels.transpose()?.map(Arc::new));
+        Ok(Self { explicit, levels, repeated: None })
     }
 
-    /// Writes those of a set into an archive.
+    /// Which of so many vertices of its source an archive takes for one.
+    ///
+    /// # Errors
+    /// As [`Beside::read`]; when the scratch folder cannot be written.
+    pub(crate) fn repeated(
+        archive: &Path,
+        plan: &MeshPlan,
+        vertices: u64,
+        how: &StoreSettings<'_>,
+    ) -> Result<Firsts> {
+        let reader = plan.repeated.as_ref().map(|r| RepeatedReader::open(archive, plan.hash(), r));
+        let mut reader = reader.transpose()?;
+        Firsts::known(|| reader.as_mut().map_or(Ok(None), RepeatedReader::next), vertices, how)
+    }
+
+    /// Writes all into an archive.
     ///
     /// # Errors
     /// When a file cannot be written.
-    pub(crate) fn write(archive: &Path, hash: PlanHash, points: &PointSet) -> Result<()> {
-        if let Some(listed) = points.explicit() {
+    pub(crate) fn write(&self, archive: &Path, hash: PlanHash) -> Result<()> {
+        if let Some(listed) = &self.explicit {
             write_explicit(archive, hash, listed)?;
         }
-        points.levels().map_or(Ok(()), |levels| write_levels(archive, hash, levels))
+        if let Some(levels) = &self.levels {
+            write_levels(archive, hash, levels)?;
+        }
+        self.repeated.as_ref().map_or(Ok(()), |firsts| write_repeated(archive, hash, firsts.pairs()?))
     }
 
     /// The files of a plan that are not there.
     pub(crate) fn missing(archive: &Path, plan: &MeshPlan) -> Vec<PathBuf> {
         let explicit = plan.explicit.is_some().then(|| explicit_path(archive));
         let levels = plan.levels.is_some().then(|| levels_path(archive));
-        explicit.into_iter().chain(levels).filter(|p| !p.exists()).collect()
+        let repeated = plan.repeated.is_some().then(|| repeated_path(archive));
+        explicit.into_iter().chain(levels).chain(repeated).filter(|p| !p.exists()).collect()
     }
 }

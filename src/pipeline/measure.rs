@@ -7,6 +7,7 @@
 //! Cost: decoding the archive and reading the source once, and the scan conversion. Memory: some chunks; with a map of bricks, a
 //! record for each brick of a chunk, sorted on disk where memory does not hold them.
 
+use super::beside::Beside;
 use super::fingerprint::fingerprint;
 use super::gauge::{self, Cells, Gauge, Samples, field_error_of};
 use super::need;
@@ -15,10 +16,11 @@ use super::probe_points::{Find, each_value};
 use super::reduce::{RunSettings, random_access};
 use super::steps::StepChoice;
 use super::visit::{Blocks, Visit};
-use crate::archive::manifest::{MeshSource, Source};
+use crate::archive::manifest::Source;
 use crate::bytes::sorter::Sorter;
 use crate::cells::CellMesh;
 use crate::domain::column::Column;
+use crate::domain::merge::Firsts;
 use crate::domain::store::{BadValue, CellStore, StoreSettings};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress};
@@ -138,15 +140,44 @@ pub fn measure(
     })
 }
 
-/// The error of an archive whose input is not open any more.
-pub(super) fn reopened_error(
-    archive: &OpenArchive,
-    input: &Path,
-    options: &OpenOptions,
-    settings: &MeasureSettings,
-    progress: &dyn Progress,
-) -> Result<FieldError> {
-    Ok(against(archive, input, options, settings, progress)?.0)
+/// Measures steps of an archive whose inputs are not open any more. A mesh is laid out once for all of them.
+#[derive(Default)]
+pub(super) struct Reopened {
+    store: Option<CellStore>,
+}
+
+impl Reopened {
+    /// The error of the step that the archive looks at.
+    pub(super) fn error(
+        &mut self,
+        archive: &OpenArchive,
+        input: &Path,
+        options: &OpenOptions,
+        settings: &MeasureSettings,
+        progress: &dyn Progress,
+    ) -> Result<FieldError> {
+        let mesh = match open_field(archive, input, options)? {
+            Input::Volume(source) => {
+                return Ok(against_volume(archive, source, input, settings, progress)?.0);
+            }
+            Input::Mesh(mesh) => mesh,
+        };
+        let (plan, scratch) = (&archive.manifest.plan, settings.scratch());
+        let (how, vertices) = (store_settings(archive, settings, &scratch), mesh.info().points);
+        if self.store.as_ref().is_some_and(|store| store.census.vertices != vertices) {
+            return Err(other_input(input, &archive.step().plan.source, format!("{vertices} vertices")));
+        }
+        let store = match &mut self.store {
+            Some(store) => store,
+            none => {
+                progress.begin("read the mesh", 0, "points");
+                let firsts = Beside::repeated(archive.path(), plan, vertices, &how)?;
+                none.insert(mesh_store(archive, &mesh, Some(firsts), input, &how)?)
+            }
+        };
+        let values = store.values_of(&mesh, &how)?;
+        field_error(archive, &Originals::Mesh(store, &values), settings, progress)
+    }
 }
 
 /// The error, and whether the input is the one that the archive was made from.
@@ -209,27 +240,49 @@ fn against_mesh(
 ) -> Result<(FieldError, bool)> {
     let recorded = &archive.step().plan.source;
     progress.begin("read the mesh", 0, "points");
-    let store = CellStore::build(
-        mesh,
-        &StoreSettings {
-            memory: settings.memory / 4,
-            scratch: &settings.scratch(),
-            bad_value: archive.step().plan.nan.parse().map_or(BadValue::Void, BadValue::Use),
-            missing: recorded.missing,
-            cancel: &settings.cancel,
-        },
-    )?;
-    let found = MeshSource { vertices: store.census.vertices, tetrahedra: store.census.tetrahedra };
-    if recorded.mesh != Some(found) || store.frame.lattice != archive.manifest.plan.lattice {
-        let got = format!("a mesh of {} vertices and {} tetrahedra", found.vertices, found.tetrahedra);
-        return Err(other_input(input, recorded, got));
-    }
+    let scratch = settings.scratch();
+    let store = mesh_store(archive, mesh, None, input, &store_settings(archive, settings, &scratch))?;
     let info = mesh.info();
     let files: Vec<PathBuf> = std::iter::once(info.path.clone())
         .chain(info.data_files.iter().filter(|f| **f != info.path).cloned())
         .collect();
     let same = fingerprint(&files)? == recorded.fingerprint;
     Ok((field_error(archive, &Originals::Mesh(&store, &store.values), settings, progress)?, same))
+}
+
+/// How a mesh is read whose field at its vertices is measured.
+fn store_settings<'a>(
+    archive: &OpenArchive,
+    settings: &'a MeasureSettings,
+    scratch: &'a Path,
+) -> StoreSettings<'a> {
+    let step = &archive.step().plan;
+    StoreSettings {
+        memory: settings.memory / 4,
+        scratch,
+        bad_value: step.nan.parse().map_or(BadValue::Void, BadValue::Use),
+        missing: step.source.missing,
+        cancel: &settings.cancel,
+    }
+}
+
+/// A mesh on disk, which must be of the size of the archive's.
+fn mesh_store(
+    archive: &OpenArchive,
+    mesh: &CellMesh,
+    firsts: Option<Firsts>,
+    input: &Path,
+    how: &StoreSettings<'_>,
+) -> Result<CellStore> {
+    let recorded = &archive.step().plan.source;
+    let store = CellStore::build_with(mesh, firsts, how)?;
+    let found = [store.census.vertices, store.census.tetrahedra];
+    let expected = recorded.mesh.map(|m| [m.vertices, m.tetrahedra]);
+    if expected != Some(found) || store.frame.lattice != archive.manifest.plan.lattice {
+        let got = format!("a mesh of {} vertices and {} tetrahedra", found[0], found[1]);
+        return Err(other_input(input, recorded, got));
+    }
+    Ok(store)
 }
 
 fn triple([x, y, z]: [u64; 3]) -> String {

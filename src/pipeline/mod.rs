@@ -25,6 +25,7 @@ mod horizon;
 mod inspect;
 mod layout;
 mod measure;
+mod mesh_series;
 mod need;
 mod open;
 mod placed;

@@ -182,6 +182,7 @@ impl Plan {
                 block_tets: BLOCK_TETS,
                 explicit: None,
                 levels: None,
+                repeated: None,
                 stars: settings.values == Values::Fit,
             },
             steps: vec![StepPlan {

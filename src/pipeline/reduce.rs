@@ -3,17 +3,16 @@
 //! The archive's folder is filled segment by segment; the manifest comes last. A folder without a manifest is no
 //! archive: it is work that the same command continues. A folder with one is never touched unless asked to.
 
-use super::beside::Beside;
 use super::commit::Made;
 use super::gauge::stored_error;
 use super::layout::Layout;
-use super::measure::{MeasureSettings, reopened_error};
+use super::measure::{MeasureSettings, Reopened};
 use super::need::{self, Estimate, Need, Question};
 use super::open::{OpenArchive, StepSummary};
 use super::placed::write_coordinates;
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::reduce_mesh;
-use super::series::{Making, Means, Outcome, PlannedSource, SeriesPlan, SkippedStep};
+use super::series::{Making, Means, Outcome, PlannedSource, SeriesPlan, SkippedStep, are_there};
 use super::shard::Shard;
 use super::steps::StepChoice;
 use super::target::{TargetReport, reduce_to_target};
@@ -202,7 +201,7 @@ pub(super) fn numbered(sources: &[StepSource]) -> Vec<(u64, StepSource)> {
 pub(super) fn make(job: &Job<'_>) -> Result<ReduceReport> {
     match first_input(job.sources, job.run)? {
         Input::Volume(_) => reduce_volumes(job),
-        Input::Mesh(mesh) => reduce_mesh::reduce_mesh(&mesh, job),
+        Input::Mesh(_) => reduce_mesh::reduce_mesh(job),
     }
 }
 
@@ -230,6 +229,13 @@ pub(super) struct Job<'a> {
     pub(super) part: Part<'a>,
 }
 
+impl Job<'_> {
+    /// Whether errors tell the step.
+    pub(super) fn is_several(&self) -> bool {
+        self.sources.len() > 1 || self.part.archive().is_some()
+    }
+}
+
 /// What of a reduction a job does.
 #[derive(Clone, Copy)]
 pub(super) enum Part<'a> {
@@ -237,15 +243,43 @@ pub(super) enum Part<'a> {
     Whole,
     /// The segments of a shard, of the plan that was made before.
     Shard(&'a Plan, Shard),
+    /// Further steps of an archive, and its new manifest.
+    Further(&'a OpenArchive),
 }
 
 impl<'a> Part<'a> {
     /// The plan that was made before.
     pub(super) fn planned(&self) -> Option<&'a Plan> {
         match *self {
-            Self::Whole => None,
+            Self::Whole | Self::Further(_) => None,
             Self::Shard(planned, _) => Some(planned),
         }
+    }
+
+    /// The archive that steps are added to.
+    pub(super) fn archive(&self) -> Option<&'a OpenArchive> {
+        match *self {
+            Self::Further(archive) => Some(archive),
+            Self::Whole | Self::Shard(..) => None,
+        }
+    }
+
+    /// What there is to report when the archive ends with these very steps already.
+    pub(super) fn added_before(&self, series: &SeriesPlan) -> Result<Option<ReduceReport>> {
+        let Some(archive) = self.archive().filter(|archive| are_there(archive, &series.plan.steps)) else {
+            return Ok(None);
+        };
+        let (counts, source) = (archive.manifest.counts, &archive.step().plan.source);
+        Ok(Some(ReduceReport {
+            samples: source.mesh.as_ref().map_or_else(|| source.dims.iter().product(), |mesh| mesh.vertices),
+            points: counts.points,
+            tetrahedra: counts.tetrahedra,
+            chunks: counts.chunks,
+            blocks: counts.blocks,
+            skipped: series.skipped.clone(),
+            archive_bytes: archive.bytes()?,
+            ..ReduceReport::default()
+        }))
     }
 
     /// Refuses sources that are not those that were planned for.
@@ -265,7 +299,7 @@ impl<'a> Part<'a> {
 
     fn segments(&self, layout: &Layout) -> Range<u64> {
         match self {
-            Self::Whole => 0..layout.segment_count(),
+            Self::Whole | Self::Further(_) => 0..layout.segment_count(),
             Self::Shard(_, shard) => shard.range(layout.segment_count()),
         }
     }
@@ -273,8 +307,8 @@ impl<'a> Part<'a> {
 
 /// Makes the plan of a job, and of the mesh what follows from it; tells what the job needs. Makes no segment.
 pub(super) fn make_plan(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimate)> {
-    if let Input::Mesh(mesh) = first_input(job.sources, job.run)? {
-        return reduce_mesh::plan_mesh(&mesh, job);
+    if let Input::Mesh(_) = first_input(job.sources, job.run)? {
+        return reduce_mesh::plan_mesh(job);
     }
     let series = plan_volumes(job.sources, job.settings, job.run, Known::default())?;
     let mesh = parts(&series.plan.mesh, series.beside.clone())?;
@@ -283,11 +317,14 @@ pub(super) fn make_plan(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimat
     Ok((series, mesh, estimate))
 }
 
-fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
+pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     let planning = Instant::now();
-    let known = Known { planned: job.part.planned(), out: Some(job.out), ..Known::default() };
+    let known = Known { planned: job.part.planned(), archive: job.part.archive(), out: Some(job.out) };
     let series = plan_volumes(job.sources, job.settings, job.run, known)?;
     job.part.expect_planned(&series)?;
+    if let Some(report) = job.part.added_before(&series)? {
+        return Ok(finished(report, job.started));
+    }
     let samples = series.plan.first().source.dims.iter().product();
     let seconds = vec![("plan".to_owned(), planning.elapsed().as_secs_f64())];
     let mesh = parts(&series.plan.mesh, series.beside.clone())?;
@@ -317,14 +354,17 @@ pub(super) fn produce(
     mut report: ReduceReport,
 ) -> Result<ReduceReport> {
     let layout = Layout::new(job.out, means.parts.chunks.len(), 0);
-    prepare_folder(&layout, job.run)?;
-    Beside::write(job.out, series.plan.mesh_hash(), &means.parts.points)?;
+    let old = job.part.archive().map(|archive| &archive.manifest);
+    if old.is_none() {
+        prepare_folder(&layout, job.run)?;
+        series.beside.write(job.out, series.plan.mesh_hash())?;
+    }
     let making = Making {
         means,
         layout: &layout,
         segments: job.part.segments(&layout),
-        old: None,
-        measure: job.settings.measure && matches!(job.part, Part::Whole),
+        old,
+        measure: job.settings.measure && !matches!(job.part, Part::Shard(..)),
         run: job.run,
         progress: job.progress,
     };
@@ -336,7 +376,7 @@ pub(super) fn produce(
     let publishing = Publishing {
         parts: means.parts,
         layout: &layout,
-        old: None,
+        old,
         measure: job.settings.measure,
         workers: means.shares.workers,
         run: job.run,
@@ -418,6 +458,7 @@ impl Publishing<'_> {
         let settings = MeasureSettings::of_run(self.run, self.workers);
         let mut archive =
             OpenArchive::of(self.layout.root(), made.manifest(&series.plan), StepChoice::First)?;
+        let mut reopened = Reopened::default();
         for (step, source) in made.steps[before..].iter_mut().zip(&series.sources) {
             let number = step.plan.number;
             let StepSource { path, options, .. } = &source.source;
@@ -427,7 +468,7 @@ impl Publishing<'_> {
                     archive.turn_to(archive.manifest.steps.partition_point(|s| s.plan.number < number));
                     match step.plan.measured {
                         true => stored_error(&archive)?,
-                        false => reopened_error(&archive, path, options, &settings, self.progress)?,
+                        false => reopened.error(&archive, path, options, &settings, self.progress)?,
                     }
                 }
             });

@@ -125,6 +125,12 @@ impl SeriesPlan {
     }
 }
 
+/// Whether an archive ends with these very steps: a run that was killed after it had added them is asked to continue.
+pub(super) fn are_there(archive: &OpenArchive, steps: &[StepPlan]) -> bool {
+    let there = archive.manifest.steps.iter().rev().zip(steps.iter().rev());
+    steps.len() <= archive.manifest.steps.len() && there.into_iter().all(|(a, b)| a.plan.source == b.source)
+}
+
 /// The error of a step of several.
 pub(super) fn of_step(error: Error, number: u64) -> Error {
     match error {

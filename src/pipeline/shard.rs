@@ -135,11 +135,12 @@ pub fn plan_shards(
     let job = Job { sources, settings, out, run, progress, started: Instant::now(), part };
     let (series, mesh, needs) = reduce::make_plan(&job)?;
     let layout = Layout::new(out, mesh.chunks.len(), 0);
+    let beside = series.beside.clone();
     let cut = Cut { chunks: mesh.chunks.len(), shards, memory_least: needs.memory_least };
     let file = PlanFile::new(settings, series, cut)?;
     file.write(out, run.replace)?;
     prepare_folder(&layout, run)?;
-    Beside::write(out, file.mesh_hash, &mesh.points)?;
+    beside.write(out, file.mesh_hash)?;
     let segments = layout.segment_count();
     let shard_segments = segments.div_ceil(shards);
     Ok(PlanReport {

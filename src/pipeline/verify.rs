@@ -10,6 +10,7 @@ use super::commit::{domain_volume6, index_entries, mesh_summary, value_summary};
 use super::gauge::stored_error;
 use super::open::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
 use super::spectrum::{Meter, stored_part};
+use crate::archive::repeated::RepeatedReader;
 use crate::archive::segment::Segment;
 use crate::archive::summary::{BlockRange, MeshSummary};
 use crate::error::{Error, Result};
@@ -51,6 +52,12 @@ pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
         archive.turn_to(step);
         check_step(&archive, &mut check)?;
         check.steps += 1;
+    }
+    if let Some(record) = &archive.manifest.plan.repeated {
+        let mut pairs = RepeatedReader::open(path, archive.manifest.plan_hash, record)?;
+        pairs.segment().verify()?;
+        check.add(pairs.segment());
+        while pairs.next()?.is_some() {}
     }
     if let Some(map) = archive.coordinates()? {
         let file = map.segment();

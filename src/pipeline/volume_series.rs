@@ -10,7 +10,7 @@ use super::placed::coordinate_hash;
 use super::plan::{Plan, ReduceSettings, count_of, source_of};
 use super::reduce::{RunSettings, copy_bytes, random_access, scratch_folder};
 use super::scan::{stream_range, value_range};
-use super::series::{Fields, PlannedSource, SeriesPlan, is_of_data, of_step};
+use super::series::{Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
 use crate::archive::manifest::StepPlan;
 use crate::archive::values::Quantiser;
 use crate::density::Choice;
@@ -158,12 +158,6 @@ pub(super) fn plan_volumes(
     Ok(series)
 }
 
-/// Whether an archive ends with these very steps: a run that was killed after it had added them is asked to continue.
-pub(super) fn are_there(archive: &OpenArchive, steps: &[StepPlan]) -> bool {
-    let there = archive.manifest.steps.iter().rev().zip(steps.iter().rev());
-    steps.len() <= archive.manifest.steps.len() && there.into_iter().all(|(a, b)| a.plan.source == b.source)
-}
-
 /// Steps that lie in one packed file are read from one copy of it: each by itself would be decoded from the beginning.
 fn share_copies(series: &mut SeriesPlan) -> Result<()> {
     let runs = series.sources.chunk_by_mut(|a, b| a.source.path == b.source.path);
@@ -186,6 +180,7 @@ impl Planner<'_> {
             coordinates: archive.coordinates()?.map(|map| map.hash()).transpose()?,
         });
         self.plan = Some(Plan { mesh: archive.manifest.plan.clone(), steps: vec![] });
+        self.beside = Beside::read(archive.path(), &archive.manifest.plan)?;
         Ok(())
     }
 

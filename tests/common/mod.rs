@@ -36,6 +36,44 @@ pub(crate) fn write_npy(path: &Path, dims: [usize; 3], f: impl Fn(f64, f64, f64)
     fs::write(path, bytes).unwrap();
 }
 
+/// A legacy VTK file of hexahedra in an L, with a field.
+pub(crate) fn write_hexahedra(path: &Path, field: impl Fn(f64, f64, f64) -> f64) {
+    let n = 10;
+    let id = |x: usize, y: usize, z: usize| (z * (n + 1) + y) * (n + 1) + x;
+    let (mut points, mut values, mut cells, mut count) = (String::new(), String::new(), String::new(), 0);
+    for z in 0..=n {
+        for y in 0..=n {
+            for x in 0..=n {
+                points += &format!("{x} {y} {z}\n");
+                values += &format!("{}\n", field(x as f64 / 9.0, y as f64 / 8.0, z as f64 / 7.0));
+                if x < n && y < n && z < n && (x < n / 2 || y < n / 2) {
+                    let corners = [
+                        (0, 0, 0),
+                        (1, 0, 0),
+                        (1, 1, 0),
+                        (0, 1, 0),
+                        (0, 0, 1),
+                        (1, 0, 1),
+                        (1, 1, 1),
+                        (0, 1, 1),
+                    ];
+                    let ids = corners.map(|(a, b, c)| id(x + a, y + b, z + c).to_string());
+                    cells += &format!("8 {}\n", ids.join(" "));
+                    count += 1;
+                }
+            }
+        }
+    }
+    let total = (n + 1).pow(3);
+    let text = format!(
+        "# vtk DataFile Version 3.0\nL\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS {total} double\n{points}CELLS {count} {}\n{cells}\
+         CELL_TYPES {count}\n{}POINT_DATA {total}\nSCALARS f float 1\nLOOKUP_TABLE default\n{values}",
+        9 * count,
+        "12\n".repeat(count)
+    );
+    fs::write(path, text).unwrap();
+}
+
 /// Waves along all axes, cut open by the faces of the box; values in about -2 .. 2.
 pub(crate) fn waves(x: f64, y: f64, z: f64) -> f64 {
     (5.0 * x).sin() * (4.0 * y).cos() + (6.0 * y).sin() * (5.0 * z).cos() + 0.3 * (4.0 * z * x).sin()

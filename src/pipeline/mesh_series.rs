@@ -1,0 +1,357 @@
+//! The steps of a series of tetrahedral meshes: the mesh is read once, and each step has values on it.
+//!
+//! ```text
+//!  new     first file ─▶ store ─▶ plan, samples of the boundary ─▶ steps: hashes of points and cells, values
+//!  further first file ─▶ store ─▶ both as in the archive?       ─▶ …
+//! ```
+//!
+//! Which vertices are one is decided by the values of the first step, and known of an archive that steps are added to.
+
+use super::beside::Beside;
+use super::cell_field::CellField;
+use super::field::Field;
+use super::open::OpenArchive;
+use super::plan::{Amount, Plan, ReduceSettings};
+use super::reduce::Job;
+use super::reduce_mesh::check_job;
+use super::series::{Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
+use crate::archive::explicit::ExplicitRecord;
+use crate::archive::manifest::{MeshSource, Source, StepPlan};
+use crate::archive::repeated::RepeatedRecord;
+use crate::archive::segment::PlanHash;
+use crate::archive::values::Quantiser;
+use crate::cells::CellMesh;
+use crate::domain::boundary::BoundarySamples;
+use crate::domain::buckets::Buckets;
+use crate::domain::column::Column;
+use crate::domain::gradients::gradients;
+use crate::domain::identity::Identity;
+use crate::domain::store::{CellStore, StoreSettings};
+use crate::error::{Error, Result};
+use crate::formats::{self, Input, StepSource};
+use crate::grid::BrickGrid;
+use crate::pipeline::fingerprint::fingerprint;
+use crate::points::PointSet;
+use crate::sample::Interpolation;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// A mesh made ready.
+pub(super) struct Prepared {
+    pub(super) store: CellStore,
+    pub(super) series: SeriesPlan,
+    pub(super) boundary: BoundarySamples,
+}
+
+/// The mesh that all steps must have.
+struct Common {
+    identity: Identity,
+    vertices: u64,
+    /// The file that has told it.
+    name: String,
+}
+
+impl Common {
+    fn of_store(mesh: &CellMesh, store: &CellStore) -> Self {
+        let (identity, vertices) = (store.identity, store.census.vertices);
+        Self { identity, vertices, name: mesh.info().path.display().to_string() }
+    }
+
+    /// That of an archive of a mesh.
+    fn of_archive(archive: &OpenArchive) -> Self {
+        let source = &archive.step().plan.source;
+        let mesh = source.mesh.expect("an archive of a mesh tells it");
+        let identity = Identity { points: mesh.point_hash.0, cells: mesh.cell_hash.0 };
+        let name = format!("{}, step {}", source.path, archive.step().plan.number);
+        Self { identity, vertices: mesh.vertices, name }
+    }
+
+    /// The number of points tells many other meshes without reading them.
+    fn check_number(&self, mesh: &CellMesh) -> Result<()> {
+        match mesh.info().points {
+            n if n == self.vertices => Ok(()),
+            n => Err(self.other(mesh, "points", &self.vertices.to_string(), &n.to_string())),
+        }
+    }
+
+    fn check(&self, mesh: &CellMesh, found: Identity) -> Result<()> {
+        self.check_number(mesh)?;
+        if found.points != self.identity.points {
+            return Err(self.other(mesh, "points", "the positions", "others"));
+        }
+        if found.cells != self.identity.cells {
+            return Err(self.other(mesh, "cells", "those", "others, or in another order"));
+        }
+        Ok(())
+    }
+
+    fn other(&self, mesh: &CellMesh, at: &str, expected: &str, got: &str) -> Error {
+        let expected = format!("{expected} of {}", self.name);
+        Error::bad_input(&mesh.info().path, at, expected, got)
+            .with_help("the steps of a series share one mesh; --keep-going leaves out those that do not fit")
+    }
+}
+
+fn open_mesh_of(source: &StepSource) -> Result<CellMesh> {
+    match formats::open_input(&source.path, &source.options)? {
+        Input::Mesh(mesh) => Ok(mesh),
+        Input::Volume(_) => {
+            let expected = "a mesh, as other steps are";
+            Err(Error::bad_input(&source.path, "kind of file", expected, "a volume"))
+        }
+    }
+}
+
+/// The mesh of a job on disk, of the first source that can be used.
+fn base_of(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<(CellMesh, CellStore)> {
+    let mut first_error = None;
+    for (number, source) in job.sources {
+        let told = |e| if job.is_several() { of_step(e, *number) } else { e };
+        match base_from(source, job, how).map_err(told) {
+            Err(e) if job.run.keep_going && job.is_several() && is_of_data(&e) => {
+                first_error.get_or_insert(e);
+            }
+            other => return other,
+        }
+    }
+    Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")))
+}
+
+fn base_from(source: &StepSource, job: &Job<'_>, how: &StoreSettings<'_>) -> Result<(CellMesh, CellStore)> {
+    let mesh = open_mesh_of(source)?;
+    check_job(job, &mesh)?;
+    let Some(archive) = job.part.archive() else {
+        let store = CellStore::build(&mesh, how)?;
+        return Ok((mesh, store));
+    };
+    let common = Common::of_archive(archive);
+    common.check_number(&mesh)?;
+    let firsts = Beside::repeated(archive.path(), &archive.manifest.plan, common.vertices, how)?;
+    let store = CellStore::build_with(&mesh, Some(firsts), how)?;
+    common.check(&mesh, store.identity)?;
+    Ok((mesh, store))
+}
+
+/// Reads the mesh of a job and plans its steps.
+pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared> {
+    let (mesh, store) = base_of(job, how)?;
+    let path = &mesh.info().path;
+    let mut plan = match job.part.archive() {
+        None => new_plan(&mesh, &store, job.settings)?,
+        Some(archive) => continued_plan(archive, job.settings),
+    };
+    let spacing = PointSet::new(plan.mesh.points, plan.mesh.lattice)?.mean_spacing();
+    let spacing = spacing.into_iter().max().expect("three axes");
+    let boundary = BoundarySamples::new(&store, spacing, how.memory, path)?;
+    let listed = ExplicitRecord::of(&boundary.points);
+    match job.part.archive() {
+        None => plan.mesh.explicit = Some(listed),
+        Some(archive) => expect_listed(archive, listed)?,
+    }
+    let series = plan_steps(&mesh, &store, &boundary, plan, job, how)?;
+    Ok(Prepared { store, series, boundary })
+}
+
+/// The plan of reducing a mesh, its steps and the samples of its boundary still missing.
+fn new_plan(mesh: &CellMesh, store: &CellStore, settings: &ReduceSettings) -> Result<Plan> {
+    let (lattice, geometry) = (store.frame.lattice, store.frame.geometry);
+    let told = MeshSource {
+        vertices: store.census.vertices,
+        tetrahedra: store.census.tetrahedra,
+        point_hash: PlanHash(store.identity.points),
+        cell_hash: PlanHash(store.identity.cells),
+    };
+    let source = Source {
+        dims: lattice.dims,
+        geometry,
+        missing: settings.missing,
+        mesh: Some(told),
+        ..source_of(mesh)?
+    };
+    let inside = match settings.amount {
+        Amount::Count(n) => n as f64,
+        Amount::Fraction(f) => told.vertices as f64 * f,
+    };
+    let count = (inside / store.filled()).round().max(1.0) as u64;
+    let mut plan = Plan::on_lattice(lattice, count, source, settings)?;
+    plan.mesh.repeated = RepeatedRecord::of(store.firsts.pairs()?);
+    Ok(plan)
+}
+
+/// The plan of an archive, and its last step as an example.
+fn continued_plan(archive: &OpenArchive, settings: &ReduceSettings) -> Plan {
+    let last = &archive.manifest.steps.last().expect("an archive that was opened has a step").plan;
+    let source = Source { missing: settings.missing, ..last.source.clone() };
+    let step = StepPlan { quantiser: None, base: None, source, ..last.clone() };
+    Plan { mesh: archive.manifest.plan.clone(), steps: vec![step] }
+}
+
+/// The samples of the boundary that were found must be those of an archive.
+fn expect_listed(archive: &OpenArchive, found: ExplicitRecord) -> Result<()> {
+    let text = |r: &ExplicitRecord| format!("{} of hash {}", r.count, r.hash);
+    match archive.manifest.plan.explicit {
+        Some(listed) if listed == found => Ok(()),
+        other => {
+            let expected = other.as_ref().map_or("none".into(), text);
+            Err(Error::bad_input(archive.path(), "samples of the boundary", expected, text(&found))
+                .with_help(
+                    "the archive is of another version of isospan: reduce all steps at once with this one",
+                ))
+        }
+    }
+}
+
+/// Plans all steps: the mesh of each must be that of the first, point by point and cell by cell.
+fn plan_steps(
+    first: &CellMesh,
+    store: &CellStore,
+    boundary: &BoundarySamples,
+    plan: Plan,
+    job: &Job<'_>,
+    how: &StoreSettings<'_>,
+) -> Result<SeriesPlan> {
+    let archive = job.part.archive();
+    let repeated = (store.firsts.repeated > 0).then(|| Arc::clone(&store.firsts));
+    let mut planner = StepPlanner {
+        common: archive.map_or_else(|| Common::of_store(first, store), Common::of_archive),
+        template: plan.first().clone(),
+        read: (first.info().path.clone(), store.identity),
+        store,
+        job,
+        how,
+    };
+    let mut series = SeriesPlan {
+        plan: Plan { steps: vec![], ..plan },
+        sources: vec![],
+        skipped: vec![],
+        before: archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone()),
+        keyframes: job.settings.keyframes,
+        beside: Beside { explicit: Some(Arc::clone(&boundary.points)), levels: None, repeated },
+        bound: None,
+    };
+    let mut first_error = None;
+    for (number, source) in job.sources {
+        let told = |e| if job.is_several() { of_step(e, *number) } else { e };
+        match planner.step(*number, source).map_err(told) {
+            Ok(step) => {
+                series.plan.steps.push(step);
+                let source = source.clone();
+                series.sources.push(PlannedSource { source, copied: 0, shared_copy: 0, copying: 0 });
+            }
+            Err(e) if job.run.keep_going && job.is_several() && is_of_data(&e) => {
+                series.skip(*number, source, e.to_string());
+                first_error.get_or_insert(e);
+            }
+            Err(e) => return Err(e),
+        }
+    }
+    if series.plan.steps.is_empty() {
+        return Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")));
+    }
+    if !archive.is_some_and(|archive| are_there(archive, &series.plan.steps)) {
+        series.connect()?;
+    }
+    Ok(series)
+}
+
+/// Plans one step after another.
+struct StepPlanner<'a> {
+    common: Common,
+    /// What all steps have in common.
+    template: StepPlan,
+    /// The file whose points and cells were read last, which may have many steps.
+    read: (PathBuf, Identity),
+    store: &'a CellStore,
+    job: &'a Job<'a>,
+    how: &'a StoreSettings<'a>,
+}
+
+impl StepPlanner<'_> {
+    fn step(&mut self, number: u64, source: &StepSource) -> Result<StepPlan> {
+        let mesh = open_mesh_of(source)?;
+        if self.read.0 != mesh.info().path {
+            self.common.check_number(&mesh)?;
+            self.read = (mesh.info().path.clone(), Identity::of(&mesh, self.how.cancel)?);
+        }
+        self.common.check(&mesh, self.read.1)?;
+        let told = source_of(&mesh)?;
+        let source_record = Source {
+            path: told.path,
+            fingerprint: told.fingerprint,
+            format: told.format,
+            scalar: told.scalar,
+            field: told.field,
+            ..self.template.source.clone()
+        };
+        let settings = self.job.settings;
+        let quantiser = match self.job.part.planned() {
+            Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
+            None if settings.value_bits.is_some() => {
+                quantiser(&self.store.values_of(&mesh, self.how)?, settings)?
+            }
+            None => None,
+        };
+        Ok(StepPlan { number, time: source.time, source: source_record, quantiser, ..self.template.clone() })
+    }
+}
+
+/// Steps of the range of the vertices' values.
+fn quantiser(values: &Column<f32>, settings: &ReduceSettings) -> Result<Option<Quantiser>> {
+    let Some(bits) = settings.value_bits else { return Ok(None) };
+    let values = values.get()?.iter().filter(|v| !v.is_nan());
+    let range = values.fold([f32::INFINITY, f32::NEG_INFINITY], |[lo, hi], &v| [lo.min(v), hi.max(v)]);
+    let range = if range[0] <= range[1] { range } else { Default::default() };
+    Ok(Some(Quantiser::new(bits, range)))
+}
+
+/// What the file tells; lattice and geometry follow when it has been read.
+fn source_of(mesh: &CellMesh) -> Result<Source> {
+    let (info, field) = (mesh.info(), mesh.field()?);
+    let files: Vec<PathBuf> = std::iter::once(info.path.clone())
+        .chain(info.data_files.iter().filter(|f| **f != info.path).cloned())
+        .collect();
+    Ok(Source {
+        path: info.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
+        fingerprint: fingerprint(&files)?,
+        format: info.format.clone(),
+        dims: [2; 3],
+        scalar: field.scalar,
+        field: field.name.clone(),
+        geometry: crate::grid::Geometry::default(),
+        slope: 1.0,
+        intercept: 0.0,
+        missing: None,
+        mesh: None,
+    })
+}
+
+/// Opens the values of steps on a mesh.
+pub(super) struct MeshFields<'a> {
+    pub(super) store: &'a CellStore,
+    pub(super) buckets: &'a Buckets,
+    pub(super) boundary: &'a BoundarySamples,
+    pub(super) bricks: BrickGrid,
+    pub(super) settings: StoreSettings<'a>,
+}
+
+impl Fields for MeshFields<'_> {
+    fn open<'a>(&'a self, series: &SeriesPlan, n: usize) -> Result<Box<dyn Field + 'a>> {
+        let source = &series.sources[n].source;
+        let mesh = formats::open_mesh(&source.path, &source.options)?;
+        let values = self.store.values_of(&mesh, &self.settings)?;
+        let interpolation = series.plan.steps[n].interpolation;
+        let gradients = match interpolation {
+            Interpolation::Quadratic => Some(gradients(self.store, &values, &self.settings)?),
+            _ => None,
+        };
+        Ok(Box::new(CellField {
+            store: self.store,
+            buckets: self.buckets,
+            boundary: self.boundary,
+            bricks: self.bricks,
+            interpolation,
+            values,
+            gradients,
+        }))
+    }
+}
