@@ -11,7 +11,8 @@
 //! ```
 //!
 //! Sorting is external ([`crate::bytes`]). A brick has all cells whose bounding box meets it; a point is looked for among the
-//! cells of its brick, in batches, by [`crate::locate`].
+//! cells of its brick, in batches, by [`crate::locate`]. Where values are fitted to those at the mesh's vertices, a brick has these too
+//! ([`vertices`]).
 //!
 //! # The box around it
 //!
@@ -36,3 +37,4 @@ pub(crate) mod identity;
 pub(crate) mod merge;
 mod nearest;
 pub(crate) mod store;
+pub(crate) mod vertices;

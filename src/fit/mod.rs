@@ -34,6 +34,9 @@
 //! tetrahedron it is in and its weights; the sums follow. Windows are those of the whole volume, and weights come from
 //! exact integers. A vertex is right when all its tetrahedra are given.
 //!
+//! **Meshes.** The samples of a tetrahedral mesh are its vertices. They lie anywhere, so windows are bricks, and the tetrahedra look the samples
+//! of a brick up ([`crate::raster::PointLocator`]); else all is the same.
+//!
 //! **What holds.** A constant stays that constant, exactly; a linear field stays linear but for rounding. A tetrahedron with a
 //! void corner (NaN), and a sample that is NaN, tell nothing. Values may leave the range of the samples, by what a
 //! step in the field overshoots.
@@ -46,12 +49,12 @@
 mod tests;
 mod windows;
 
-pub use windows::{Windows, window_edge};
+pub use windows::{BrickTets, Windows, window_edge};
 
 use crate::geom::LatticePos;
 use crate::grid::IndexBox;
 use crate::mesh::tet::Tet;
-use crate::raster::{SampleGrid, Scanner};
+use crate::raster::{PointLocator, SampleGrid, Scanner};
 
 /// ω: the length of the step.
 const STEP: f64 = 0.6;
@@ -134,6 +137,38 @@ impl Fit {
                 }
             });
         }
+        self.add_owned(mesh, samples);
+    }
+
+    /// Adds samples that lie anywhere, given with those of the mesh's tetrahedra that may have some; NaN is no sample. `points` has their
+    /// places, by their numbers in `samples`; of those in a tetrahedron the ones count that are `told_by` it (tetrahedron, sample).
+    pub fn add_points(
+        &mut self,
+        mesh: &FitMesh<'_>,
+        points: &PointLocator,
+        samples: &[f32],
+        tets: &[u32],
+        told_by: impl Fn(u32, u32) -> bool,
+    ) {
+        self.owners.clear();
+        self.owners.resize(samples.len(), NONE);
+        self.weights.resize(samples.len(), [0.0; 4]);
+        for &tet in tets {
+            if mesh.corner_values(tet).iter().any(|v| v.is_nan()) {
+                continue;
+            }
+            points.each_in(mesh.corners(tet), |sample, weights| {
+                if told_by(tet, sample) {
+                    self.owners[sample as usize] = tet;
+                    self.weights[sample as usize] = weights.map(|w| w as f32);
+                }
+            });
+        }
+        self.add_owned(mesh, samples);
+    }
+
+    /// Adds the samples that have a tetrahedron, in their order.
+    fn add_owned(&mut self, mesh: &FitMesh<'_>, samples: &[f32]) {
         for ((&tet, weights), &sample) in self.owners.iter().zip(&self.weights).zip(samples) {
             if tet != NONE && !sample.is_nan() {
                 add_sample(&mut self.sums, &mesh.tets[tet as usize], mesh.values, weights, sample);

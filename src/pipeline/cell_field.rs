@@ -1,18 +1,25 @@
 //! The field of a tetrahedral mesh: each point is located among the cells of its brick.
+//!
+//! Values can be fitted to those at the mesh's vertices ([`crate::fit`]): each vertex lies in one tetrahedron of the reduction, and tells its
+//! corners where that is of the same body.
 
 use super::chunk::MeshedChunk;
-use super::field::{Field, NO_BODY, Place, Placement, Spot, brick_order, by_brick};
+use super::field::{Field, NO_BODY, Place, Placement, Spot, brick_order, by_brick, in_bricks};
 use super::measure::Originals;
 use crate::domain::boundary::{BoundarySamples, OnBoundary, Sample};
 use crate::domain::buckets::Buckets;
 use crate::domain::column::Column;
 use crate::domain::store::CellStore;
+use crate::domain::vertices::Vertices;
 use crate::error::Result;
+use crate::fit::{BrickTets, Fit, FitMesh};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, BrickId, Chunk};
 use crate::locate::{
     CellBatch, Corner, FINE_BITS, FinePos, Found, PointGrid, fine, linear, quadratic, quadratic_thesis,
 };
+use crate::mesh::tet::Tet;
+use crate::raster::PointLocator;
 use crate::sample::Interpolation;
 
 /// A mesh, and how it is sampled.
@@ -26,25 +33,33 @@ pub(crate) struct CellField<'a> {
     pub(crate) values: Column<f32>,
     /// Gradients at the vertices, where the interpolation needs them.
     pub(crate) gradients: Option<Column<[f64; 3]>>,
+    /// Where the vertices lie, where values are fitted to those there.
+    pub(crate) fitted_to: Option<&'a Vertices>,
 }
 
 impl Field for CellField<'_> {
     fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
         let mut batch = CellBatch::default();
-        let spots = by_brick(&self.bricks, mesh, |brick, positions, out| {
+        let mut find = |brick, positions: &[LatticePos], out: &mut Vec<Spot>| {
             self.spots(brick, positions, &mut batch, out)
-        })?;
+        };
+        let mut spots = by_brick(&self.bricks, mesh, &mut find)?;
+        spots.extend(in_bricks(&self.bricks, &mesh.around.positions, &mut find)?);
         let outside = self.outside(mesh, &spots, &mut batch)?;
         Ok(Placement { spots, outside })
     }
 
-    fn values(&self, _: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
+    fn values(&self, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
         let value = |spot: &Spot| match &spot.at {
             Place::Nowhere => Ok(f32::NAN),
             Place::Cell(found) => self.value(found),
             Place::Boundary(place) => self.on_boundary(place),
         };
-        placement.spots.iter().map(value).collect()
+        let values: Vec<f32> = placement.spots.iter().map(value).collect::<Result<_>>()?;
+        match self.fitted_to {
+            None => Ok(values),
+            Some(vertices) => self.fit(vertices, mesh, placement, &values),
+        }
     }
 
     fn originals(&self) -> Originals<'_> {
@@ -123,18 +138,18 @@ impl CellField<'_> {
     /// Which tetrahedra lie outside of the mesh: those whose corners are not all of one body, and of those with a corner at the
     /// rim the ones whose centroid is not in that body.
     fn outside(&self, mesh: &MeshedChunk, spots: &[Spot], batch: &mut CellBatch) -> Result<Vec<bool>> {
-        let corners = |t: usize| mesh.tets[t].map(|v| v as usize);
+        let (positions, tets) = mesh.whole();
+        let corners = |t: usize| tets[t].map(|v| v as usize);
         let body_of = |t: usize| {
             let [a, b, c, d] = corners(t).map(|v| spots[v].body);
             (a != NO_BODY && a == b && a == c && a == d).then_some(a)
         };
-        let mut outside: Vec<bool> = (0..mesh.tets.len()).map(|t| body_of(t).is_none()).collect();
-        let doubtful: Vec<usize> = (0..mesh.tets.len())
-            .filter(|&t| !outside[t] && corners(t).iter().any(|&v| spots[v].rim))
-            .collect();
+        let mut outside: Vec<bool> = (0..tets.len()).map(|t| body_of(t).is_none()).collect();
+        let doubtful: Vec<usize> =
+            (0..tets.len()).filter(|&t| !outside[t] && corners(t).iter().any(|&v| spots[v].rim)).collect();
         // Four times the centroid, in lattice steps, is exact; so is the centroid in fine steps.
         let centroid = |&t: &usize| -> FinePos {
-            let corners = corners(t).map(|v| mesh.positions[v]);
+            let corners = corners(t).map(|v| positions[v]);
             std::array::from_fn(|a| corners.iter().map(|c| i64::from(c[a])).sum::<i64>() << (FINE_BITS - 2))
         };
         let centroids: Vec<FinePos> = doubtful.iter().map(centroid).collect();
@@ -142,6 +157,33 @@ impl CellField<'_> {
             outside[t] = Some(self.body(&found)?) != body_of(t);
         }
         Ok(outside)
+    }
+
+    /// The values of a chunk's vertices, fitted to those at the mesh's vertices in all tetrahedra at them; from the interpolated ones of
+    /// these and of the vertices around.
+    fn fit(
+        &self,
+        vertices: &Vertices,
+        mesh: &MeshedChunk,
+        placement: &Placement,
+        interpolated: &[f32],
+    ) -> Result<Vec<f32>> {
+        let ((positions, tets), originals) = (mesh.whole(), self.values.get()?);
+        let whole = FitMesh { positions: &positions, values: interpolated, tets: &tets };
+        let (mut fit, mut samples) = (Fit::new(positions.len()), vec![]);
+        let body_of = |[v, ..]: Tet| placement.spots[v as usize].body;
+        for (brick, touching) in BrickTets::new(&self.bricks, &positions, &tets).iter() {
+            vertices.each_batch(self.store, brick, |batch| {
+                samples.clear();
+                samples.extend(batch.iter().map(|v| originals[v.number as usize]));
+                let places = batch.iter().map(|v| v.pos).zip(0..);
+                let points = PointLocator::new(self.bricks.brick(brick), self.bricks.lattice.max(), places);
+                // A body tells nothing of another one that it touches or overlaps.
+                let told_by = |tet: u32, v: u32| body_of(tets[tet as usize]) == batch[v as usize].body;
+                fit.add_points(&whole, &points, &samples, touching, told_by);
+            })?;
+        }
+        Ok(fit.values(&whole, mesh.positions.len()))
     }
 
     fn value(&self, found: &Found) -> Result<f32> {

@@ -14,6 +14,7 @@ use crate::mesh::chunk::{ChunkMesh, ChunkOutcome, ChunkRegion, mesh_with_stars};
 use crate::mesh::delaunay::Mesher;
 use crate::mesh::tet::Tet;
 use crate::points::PointSet;
+use std::borrow::Cow;
 
 /// What the chunks of one archive have in common.
 pub(crate) struct Recipe<'a> {
@@ -57,21 +58,38 @@ impl MeshedChunk {
         self.positions.len() - self.halo.len()
     }
 
-    /// Removes the halo points that no tetrahedron uses; tells which vertices are kept.
-    pub(crate) fn drop_unused_halo(&mut self) -> Vec<bool> {
-        let core = self.core_len();
-        let mut kept = vec![false; self.positions.len()];
+    /// The chunk's vertices and tetrahedra, then those around.
+    pub(crate) fn whole(&self) -> (Cow<'_, [LatticePos]>, Cow<'_, [Tet]>) {
+        if self.around.tets.is_empty() {
+            return (self.positions.as_slice().into(), self.tets.as_slice().into());
+        }
+        let positions = [&*self.positions, &*self.around.positions].concat();
+        (positions.into(), [&*self.tets, &*self.around.tets].concat().into())
+    }
+
+    /// Removes the halo points that no tetrahedron of the chunk's uses; those that tetrahedra around use become vertices around. Tells the
+    /// number that each vertex had, those around last.
+    pub(crate) fn drop_unused_halo(&mut self) -> Vec<u32> {
+        let (core, vertices) = (self.core_len(), self.positions.len());
+        let mut kept = vec![false; vertices];
         kept[..core].fill(true);
         self.tets.iter().flatten().for_each(|&v| kept[v as usize] = true);
-        let mut next = 0;
-        let numbers: Vec<u32> = kept
-            .iter()
-            .map(|&kept| {
-                next += u32::from(kept);
-                next.wrapping_sub(1)
-            })
-            .collect();
-        self.tets.iter_mut().flatten().for_each(|v| *v = numbers[*v as usize]);
+        let mut wanted = vec![false; vertices];
+        self.around.tets.iter().flatten().for_each(|&v| {
+            if let Some(wanted) = wanted.get_mut(v as usize) {
+                *wanted = !kept[v as usize];
+            }
+        });
+        let numbered =
+            |flags: &[bool]| (0..vertices as u32).filter(|&v| flags[v as usize]).collect::<Vec<_>>();
+        let (stay, moved) = (numbered(&kept), numbered(&wanted));
+        let around = vertices as u32..(vertices + self.around.positions.len()) as u32;
+        self.around.positions.extend(moved.iter().map(|&v| self.positions[v as usize]));
+        let before: Vec<u32> = stay.into_iter().chain(around.clone()).chain(moved).collect();
+        let mut numbers = vec![u32::MAX; around.end as usize];
+        (0..).zip(&before).for_each(|(number, &v)| numbers[v as usize] = number);
+        let tets = self.tets.iter_mut().chain(&mut self.around.tets);
+        tets.flatten().for_each(|v| *v = numbers[*v as usize]);
         fn keep<T>(all: &mut Vec<T>, kept: &[bool]) {
             let mut kept = kept.iter();
             all.retain(|_| *kept.next().expect("a flag for each"));
@@ -79,7 +97,7 @@ impl MeshedChunk {
         keep(&mut self.halo, &kept[core..]);
         keep(&mut self.positions, &kept);
         keep(&mut self.shared, &kept);
-        kept
+        before
     }
 }
 

@@ -50,9 +50,9 @@ impl fmt::Display for NanPolicy {
 /// Where the vertices of a chunk lie in the data: the same for all steps of a series.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Placement {
-    /// Of a tetrahedral mesh: where each vertex lies.
+    /// Of a tetrahedral mesh: where each vertex lies, those around the chunk last.
     pub(crate) spots: Vec<Spot>,
-    /// For each tetrahedron, whether it lies outside of the data; empty where none does.
+    /// For each tetrahedron, those around the chunk last, whether it lies outside of the data; empty where none does.
     pub(crate) outside: Vec<bool>,
 }
 

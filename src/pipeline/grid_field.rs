@@ -84,8 +84,7 @@ impl GridField {
     /// The values of a chunk's vertices, fitted to the samples in all tetrahedra at them; from the interpolated ones of these
     /// and of the vertices around.
     fn fit(&self, mesh: &MeshedChunk, values: &[f32]) -> Result<Vec<f32>> {
-        let positions = [&*mesh.positions, &*mesh.around.positions].concat();
-        let tets = [&*mesh.tets, &*mesh.around.tets].concat();
+        let (positions, tets) = mesh.whole();
         let grid = SampleGrid::voxels(&self.bricks.lattice);
         let windows = Windows::new(&grid, window_edge(self.bricks.edge), &positions, &tets);
         let whole = FitMesh { positions: &positions, values, tets: &tets };

@@ -27,6 +27,7 @@ use crate::domain::column::Column;
 use crate::domain::gradients::gradients;
 use crate::domain::identity::Identity;
 use crate::domain::store::{CellStore, StoreSettings};
+use crate::domain::vertices::Vertices;
 use crate::error::{Error, Result};
 use crate::formats::{self, Input, StepSource};
 use crate::grid::BrickGrid;
@@ -330,6 +331,7 @@ pub(super) struct MeshFields<'a> {
     pub(super) store: &'a CellStore,
     pub(super) buckets: &'a Buckets,
     pub(super) boundary: &'a BoundarySamples,
+    pub(super) fitted_to: Option<&'a Vertices>,
     pub(super) bricks: BrickGrid,
     pub(super) settings: StoreSettings<'a>,
 }
@@ -352,6 +354,7 @@ impl Fields for MeshFields<'_> {
             interpolation,
             values,
             gradients,
+            fitted_to: self.fitted_to,
         }))
     }
 }

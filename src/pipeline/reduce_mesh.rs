@@ -19,6 +19,7 @@ use crate::cells::CellMesh;
 use crate::domain::boundary::BoundarySamples;
 use crate::domain::buckets::Buckets;
 use crate::domain::store::{BadValue, StoreSettings};
+use crate::domain::vertices::Vertices;
 use crate::error::{Error, Result};
 use crate::sample::{Interpolation, Values};
 use std::path::Path;
@@ -31,6 +32,8 @@ const TET_BYTES: u64 = 2 * 32 + 8 + 2 * 4 * 32 + 2 * 2 * 16;
 /// Gradients of a vertex, and their records of a tetrahedron.
 const GRADIENT_BYTES: u64 = 24;
 const GRADIENT_RECORDS: u64 = 2 * 4 * 48;
+/// Of a vertex that values are fitted to: its body, its record by brick, sorted in runs and merged.
+const FITTED_VERTEX: u64 = 8 + 3 * 24;
 
 /// Does a job whose input is a mesh.
 pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
@@ -52,6 +55,8 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     let shares = need.shares(memory, threads(job.run))?;
     let sorting = Instant::now();
     let buckets = Buckets::new(&store, &plan.mesh.bricks(), &settings)?;
+    let is_fitted = plan.first().values == Values::Fit;
+    let vertices = is_fitted.then(|| Vertices::new(&store, &plan.mesh.bricks(), &settings)).transpose()?;
     seconds.push(("sort".to_owned(), sorting.elapsed().as_secs_f64()));
     let report = ReduceReport {
         samples: store.census.vertices,
@@ -60,7 +65,14 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
         ..ReduceReport::default()
     };
     let bricks = plan.mesh.bricks();
-    let fields = MeshFields { store: &store, buckets: &buckets, boundary: &boundary, bricks, settings };
+    let fields = MeshFields {
+        store: &store,
+        buckets: &buckets,
+        boundary: &boundary,
+        fitted_to: vertices.as_ref(),
+        bricks,
+        settings,
+    };
     produce(job, series, &Means { parts: &parts, fields: &fields, shares, at_once: need.steps() }, report)
 }
 
@@ -125,10 +137,11 @@ fn boundary_bytes(boundary: &BoundarySamples) -> u64 {
 /// Of a mesh of so many points and cells.
 fn scratch_bytes([points, cells]: [u64; 2], job: &Job<'_>) -> u64 {
     let quadratic = u64::from(job.settings.interpolation == Interpolation::Quadratic);
+    let fitted = u64::from(job.settings.values == Values::Fit);
     // Values and gradients of the steps that are made at a time.
     let steps = (job.sources.len() as u64).min(MOST_STEPS_AT_ONCE);
     points
-        .saturating_mul(VERTEX_BYTES + steps * (4 + quadratic * GRADIENT_BYTES))
+        .saturating_mul(VERTEX_BYTES + fitted * FITTED_VERTEX + steps * (4 + quadratic * GRADIENT_BYTES))
         .saturating_add(cells.saturating_mul(TET_BYTES + quadratic * GRADIENT_RECORDS))
 }
 
@@ -154,14 +167,10 @@ fn check_settings(settings: &ReduceSettings, path: &Path) -> Result<()> {
             settings.interpolation
         )));
     }
-    if settings.values == Values::Fit {
-        let text = format!("values are fitted to the samples of volumes; {path} is a mesh");
-        return Err(Error::usage(format!("{text}: choose --values sample")));
-    }
     if settings.adapt.is_some() || settings.target.is_some() {
-        return Err(Error::usage(
-            "--adapt is for volumes: a mesh is reduced with the same density everywhere",
-        ));
+        return Err(Error::usage(format!(
+            "--adapt and targets are for volumes; {path} is a mesh, reduced with the same density everywhere"
+        )));
     }
     Ok(())
 }

@@ -16,7 +16,7 @@
 //! Of a series, the values of several steps are made while the mesh of a chunk is there: sampled, encoded against those of the step
 //! before, ranges measured. Where an earlier pass has made the mesh, it is decoded instead, and so are the values before the first step.
 
-use super::chunk::{self, Around, MeshedChunk, Meshing, Recipe};
+use super::chunk::{self, MeshedChunk, Meshing, Recipe};
 use super::field::{Field, Placement};
 use super::gauge::{Cells, Gauge, Samples};
 use super::inspect::{Depth, SegmentState, inspect};
@@ -434,17 +434,17 @@ fn make_in_room(
     let mut times = StageTimes::default();
     let mut lap = Lap(Instant::now());
     if let Some(stored) = &work.stored {
-        let around = match work.recipe.halo {
-            Halo::Owned => Around::default(),
+        let again = match work.recipe.halo {
+            Halo::Owned => None,
             // What values are fitted to is not stored: it is made again.
             Halo::Stars => {
                 match chunk::mesh(work.recipe, chunk, &mut desk.mesher, first_try, room, work.cancel)? {
-                    Meshing::Done(mesh) => mesh.around,
+                    Meshing::Done(mesh) => Some(mesh),
                     Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
                 }
             }
         };
-        return make_from_stored(work, stored, chunk, around).map(Making::Done);
+        return make_from_stored(work, stored, chunk, again).map(Making::Done);
     }
     let mut mesh = match chunk::mesh(work.recipe, chunk, &mut desk.mesher, first_try, room, work.cancel)? {
         Meshing::Done(mesh) => mesh,
@@ -464,18 +464,31 @@ fn make_in_room(
     Ok(Making::Done(Product { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
 }
 
-/// The values of steps on a mesh that is there.
-fn make_from_stored(work: &Work<'_>, stored: &Stored<'_>, chunk: &Chunk, around: Around) -> Result<Product> {
+/// The values of steps on a mesh that is there; `again` is that of the chunk with what is around it, where values ask for that.
+fn make_from_stored(
+    work: &Work<'_>,
+    stored: &Stored<'_>,
+    chunk: &Chunk,
+    again: Option<MeshedChunk>,
+) -> Result<Product> {
     let mut times = StageTimes::default();
     let mut lap = Lap(Instant::now());
     let (mut mesh, ends) = stored.archive.stored_mesh(chunk.id)?;
-    mesh.around = around;
+    let place = |mesh: &MeshedChunk| note(work, 0, work.steps[0].field.place(mesh));
+    let placement = match again {
+        // Of a mesh in which nothing lies outside any more.
+        None => place(&mesh)?,
+        Some(mut whole) => {
+            let mut placement = place(&whole)?;
+            drop_outside(&mut whole, &mut placement);
+            mesh.around = whole.around;
+            placement
+        }
+    };
+    lap.add_to(&mut times.sample);
     let vertices = mesh.positions.len();
     let before = stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
     lap.add_to(&mut times.mesh);
-    // Of a mesh in which nothing lies outside any more.
-    let placement = note(work, 0, work.steps[0].field.place(&mesh))?;
-    lap.add_to(&mut times.sample);
     let value_blocks =
         encode_steps(work, &mesh, &placement, before.as_deref(), (&mesh.tets, &ends), &mut times)?;
     Ok(Product { points: mesh.core_len() as u64, mesh_blocks: vec![], value_blocks, times })
@@ -554,7 +567,7 @@ fn errors(work: &Work<'_>, cells: &Cells<'_>, values: &[Vec<f32>]) -> Result<Vec
     gauge.errors(cells, &steps, |n, window, out| note(work, n, samples[n].read(window, out)))
 }
 
-/// Removes the tetrahedra that lie outside of the data, and the halo points that only they use; tells their six-fold volume.
+/// Removes the tetrahedra that lie outside of the data, and the halo points that only they use; tells the six-fold volume of the chunk's own.
 fn drop_outside(mesh: &mut MeshedChunk, placement: &mut Placement) -> i128 {
     let outside = std::mem::take(&mut placement.outside);
     if outside.is_empty() {
@@ -563,10 +576,11 @@ fn drop_outside(mesh: &mut MeshedChunk, placement: &mut Placement) -> i128 {
     let gone = mesh.tets.iter().zip(&outside).filter(|(_, gone)| **gone).map(|(t, _)| t);
     let volume = volume6(&mesh.positions, gone);
     let mut flags = outside.iter();
-    mesh.tets.retain(|_| !flags.next().expect("a flag for each tetrahedron"));
-    let kept = mesh.drop_unused_halo();
-    let mut kept = kept.iter();
-    placement.spots.retain(|_| *kept.next().expect("a flag for each vertex"));
+    let mut stays = |_: &Tet| !flags.next().expect("a flag for each tetrahedron, those around last");
+    mesh.tets.retain(&mut stays);
+    mesh.around.tets.retain(&mut stays);
+    let before = mesh.drop_unused_halo();
+    placement.spots = before.iter().map(|&v| placement.spots[v as usize]).collect();
     volume
 }
 

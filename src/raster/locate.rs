@@ -1,6 +1,6 @@
 //! Which of some points lie in this tetrahedron?
 
-use super::planes::{LONGEST_64, Planes, bounds};
+use super::planes::{Int, LONGEST_64, Planes, bounds};
 use crate::geom::{LatticeBox, LatticePos};
 
 /// Points in a box, sorted into cells of equal size, a few a cell: a tetrahedron looks at the cells of its bounding box.
@@ -76,8 +76,19 @@ impl PointLocator {
     }
 
     /// Calls `each` with the number and the weights of every point that belongs to a positively oriented tetrahedron.
-    pub fn each_in(&self, corners: [LatticePos; 4], mut each: impl FnMut(u32, [f64; 4])) {
+    pub fn each_in(&self, corners: [LatticePos; 4], each: impl FnMut(u32, [f64; 4])) {
         let (lo, hi) = bounds(&corners);
+        if (0..3).all(|k| hi[k] - lo[k] <= LONGEST_64) {
+            self.each_of::<i64>(corners, each)
+        } else {
+            self.each_of::<i128>(corners, each)
+        }
+    }
+
+    fn each_of<I: Int>(&self, corners: [LatticePos; 4], mut each: impl FnMut(u32, [f64; 4])) {
+        let (lo, hi) = bounds(&corners);
+        // Most tetrahedra have no point in their box.
+        let mut planes: Option<Planes<I>> = None;
         let (first, last) = (self.coordinates(lo), self.coordinates(hi));
         for z in first[2]..=last[2] {
             for y in first[1]..=last[1] {
@@ -87,12 +98,8 @@ impl PointLocator {
                     if (0..3).any(|k| p[k] < lo[k] || p[k] > hi[k]) {
                         continue;
                     }
-                    let weights = if (0..3).all(|k| hi[k] - lo[k] <= LONGEST_64) {
-                        Planes::<i64>::new(corners).weights(p, self.far)
-                    } else {
-                        Planes::<i128>::new(corners).weights(p, self.far)
-                    };
-                    if let Some(weights) = weights {
+                    let planes = planes.get_or_insert_with(|| Planes::new(corners));
+                    if let Some(weights) = planes.weights(p, self.far) {
                         each(number, weights);
                     }
                 }

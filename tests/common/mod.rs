@@ -10,6 +10,7 @@ use isospan::pipeline::{self, Amount, ReduceReport, ReduceSettings, RunSettings,
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -71,6 +72,71 @@ pub(crate) fn write_hexahedra(path: &Path, field: impl Fn(f64, f64, f64) -> f64)
         9 * count,
         "12\n".repeat(count)
     );
+    fs::write(path, text).unwrap();
+}
+
+/// A legacy VTK file of the cubes of a grid that `keep`s, each in six tetrahedra, with a field.
+pub(crate) fn write_mesh(
+    path: &Path,
+    n: u32,
+    keep: impl Fn([f64; 3]) -> bool,
+    place: impl Fn([f64; 3]) -> [f64; 3],
+    field: impl Fn([f64; 3]) -> f64,
+) {
+    write_placed(path, n, keep, |p| (place(p), field(place(p))));
+}
+
+/// As [`write_mesh`], with a function that gives place and value of a vertex.
+pub(crate) fn write_placed(
+    path: &Path,
+    n: u32,
+    keep: impl Fn([f64; 3]) -> bool,
+    place: impl Fn([f64; 3]) -> ([f64; 3], f64),
+) {
+    const PATHS: [[usize; 3]; 6] = [[0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]];
+    let m = n + 1;
+    let number = |c: [u32; 3]| (c[2] * m + c[1]) * m + c[0];
+    let unit = |c: [u32; 3]| c.map(|x| f64::from(x) / f64::from(n));
+    let mut used = BTreeMap::new();
+    let mut tets = vec![];
+    for z in 0..n {
+        for y in 0..n {
+            for x in 0..n {
+                if !keep([x, y, z].map(|c| (f64::from(c) + 0.5) / f64::from(n))) {
+                    continue;
+                }
+                for path in PATHS {
+                    let mut at = [x, y, z];
+                    let mut tet = [number(at); 4];
+                    used.insert(number(at), unit(at));
+                    for (i, axis) in path.into_iter().enumerate() {
+                        at[axis] += 1;
+                        tet[i + 1] = number(at);
+                        used.insert(number(at), unit(at));
+                    }
+                    tets.push(tet);
+                }
+            }
+        }
+    }
+    let compact: BTreeMap<u32, usize> = used.keys().enumerate().map(|(i, &v)| (v, i)).collect();
+    let placed: Vec<([f64; 3], f64)> = used.values().map(|&p| place(p)).collect();
+    let mut text = format!(
+        "# vtk DataFile Version 3.0\nmesh\nASCII\nDATASET UNSTRUCTURED_GRID\nPOINTS {} double\n",
+        placed.len()
+    );
+    for (p, _) in &placed {
+        writeln!(text, "{} {} {}", p[0], p[1], p[2]).unwrap();
+    }
+    writeln!(text, "CELLS {} {}", tets.len(), 5 * tets.len()).unwrap();
+    for tet in &tets {
+        let [a, b, c, d] = tet.map(|v| compact[&v]);
+        writeln!(text, "4 {a} {b} {c} {d}").unwrap();
+    }
+    writeln!(text, "CELL_TYPES {}", tets.len()).unwrap();
+    tets.iter().for_each(|_| text.push_str("10\n"));
+    writeln!(text, "POINT_DATA {}\nSCALARS f double\nLOOKUP_TABLE default", placed.len()).unwrap();
+    placed.iter().for_each(|(_, value)| writeln!(text, "{value}").unwrap());
     fs::write(path, text).unwrap();
 }
 
