@@ -168,6 +168,22 @@ fn targets_are_met_by_few_points_and_measured() {
     }
 }
 
+#[test]
+fn a_peak_is_met_where_a_point_a_sample_does_not_do() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("peak.npy");
+    let peak = |x: f64, y: f64, z: f64| (-9.0 * ((x - 0.1).powi(2) + y * y + (z + 0.2).powi(2)).sqrt()).exp();
+    write_npy(&input, [45, 41, 43], peak);
+    let made = |settings: &ReduceSettings, name: &str| reduce(&input, settings, &dir.path().join(name), 2);
+    let most = made(&settings(SetKind::Halton, Amount::Fraction(1.0), 50_000), "most.isospan");
+    let bound = most.error.unwrap().max / 2.0;
+    let target = Some(Target::Max(Bound::Value(bound)));
+    let report = made(&ReduceSettings { target, ..adapted(0.1, 2_500) }, "peak.isospan");
+    let told = report.target.unwrap();
+    assert!(told.met && told.error <= bound && report.error.unwrap().max == told.error, "{told:?}");
+    assert!(report.points * 2 < most.points, "{} points of {}", report.points, most.points);
+}
+
 fn settings_of(fraction: f64, values: Values) -> ReduceSettings {
     ReduceSettings { values, ..settings(SetKind::Hammersley, Amount::Fraction(fraction), 50_000) }
 }

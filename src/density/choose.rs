@@ -1,4 +1,4 @@
-//! From errors to levels: equal gain for every point.
+//! From errors to levels: equal gain for every point; or, where the largest error counts, equal errors.
 
 use super::{ErrorCurves, NOTHING, SCALES, STEPS};
 use crate::error::Result;
@@ -26,6 +26,16 @@ const LAMBDA_STEPS: i32 = 64;
 const LAMBDA_RANGE: i32 = 1000;
 /// Stored logarithms are multiples of 1/4, and levels are a third of the way from one density to the next.
 const PARTS: i32 = 3 * STEPS as i32;
+
+/// Where errors are to be equal, cells that have samples with and without a value have at least so many points a voxel.
+const MIXED_DENSITY: f64 = 0.125;
+/// Points a voxel, at most, around a sample that is off.
+const MOST_IN_VOXEL: f64 = 4096.0;
+/// Levels that a cell is raised by at a time, at most; and cells around it that are raised too.
+const MOST_RAISE: f64 = 3.0;
+const MOST_REACH: u64 = 3;
+/// Steps between the bound and the largest error, where points do not suffice for all.
+const PARTS_OF_LARGEST: u32 = 16;
 
 /// What the choice of a level depends on.
 struct Search<'a> {
@@ -62,6 +72,96 @@ impl Choice {
 }
 
 impl Choice {
+    /// Levels at which the root mean square error of each cell is about a bound, as far as `most` points suffice for that.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] when there are more points than a set may have.
+    pub fn of_bound(curves: &ErrorCurves, bound: f64, most: u64) -> Result<Self> {
+        let search = Search::new(curves, MIXED_DENSITY);
+        let cells = 0..curves.logs.len();
+        let mut levels: Vec<u8> = cells.into_par_iter().map(|c| search.level_within(c, bound)).collect();
+        Levels::grade(&curves.cells, &mut levels);
+        let points = search.points(&levels);
+        if points > most as f64 {
+            return Self::of_count(curves, most);
+        }
+        search.choice(levels, points.round() as u64)
+    }
+
+    /// Points to a voxel at a level.
+    fn density(&self, level: u8) -> f64 {
+        let voxels: f64 = self.levels.cells().lattice.dims.iter().map(|&d| (d - 1) as f64).product();
+        self.n as f64 / voxels * scale(1.0, level.into())
+    }
+
+    /// Denser where errors are above a bound: `worst` has the largest one at a sample in or at each cell. With more than `most` points the largest
+    /// errors alone count. `None` when nothing can be denser.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] when there are more points than a set may have.
+    pub fn raised(&self, worst: &[f32], bound: f64, most: u64) -> Result<Option<Self>> {
+        let before = self.levels.as_slice();
+        let above = worst.iter().map(|&e| f64::from(e) / bound).fold(1.0, f64::max);
+        let log = libm::log2(above);
+        // Of all errors, or only of those above a part of the largest.
+        let within = (0..=PARTS_OF_LARGEST).map(|part| {
+            let least = libm::exp2(log * f64::from(part) / f64::from(PARTS_OF_LARGEST));
+            // A little less, for what rounding does to the largest.
+            self.denser(worst, bound, least * 0.999)
+        });
+        let fits = |levels: &Vec<u8>| self.points(levels) <= most as f64;
+        match within.into_iter().find(fits) {
+            Some(levels) if levels != before => {
+                Ok(Some(Self { n: self.n, levels: Levels::new(*self.levels.cells(), levels)? }))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// Points that levels make.
+    pub(super) fn points(&self, levels: &[u8]) -> f64 {
+        let densities: Vec<f64> = (0..=Levels::LARGEST).map(|l| self.density(l)).collect();
+        let of = |(cell, &level): (u64, &u8)| {
+            densities[usize::from(level)]
+                * crate::points::cell_voxels(self.levels.cells(), BrickId(cell)) as f64
+        };
+        (0..).zip(levels).map(of).sum()
+    }
+
+    /// Levels raised around the cells whose errors are above so many times the bound.
+    fn denser(&self, worst: &[f32], bound: f64, times: f64) -> Vec<u8> {
+        let (cells, before) = (*self.levels.cells(), self.levels.as_slice());
+        let [dims, edge] = [cells.dims(), cells.edge];
+        let highest = (0..=Levels::LARGEST)
+            .rev()
+            .find(|&l| self.density(l) <= MOST_IN_VOXEL && self.n <= crate::points::MOST_POINTS >> l)
+            .unwrap_or(0);
+        let mut levels = before.to_vec();
+        for (cell, &error) in worst.iter().enumerate() {
+            let above = f64::from(error) / bound;
+            if above <= 1.0 || above < times {
+                continue;
+            }
+            let level = before[cell];
+            // Errors of a smooth field fall with the 2/3 power of the number of points.
+            let more = libm::ceil(1.5 * libm::log2(above)).clamp(1.0, MOST_RAISE) as u8;
+            let to = level.saturating_add(more).min(highest);
+            // The tetrahedron of the sample reaches about so far.
+            let spacing = libm::cbrt(1.0 / self.density(level));
+            let c = cells.coords(BrickId(cell as u64));
+            let reach = [0, 1, 2].map(|a| ((spacing / edge[a] as f64) as u64).min(MOST_REACH));
+            let [xs, ys, zs] =
+                [0, 1, 2].map(|a| c[a].saturating_sub(reach[a])..(c[a] + reach[a] + 1).min(dims[a]));
+            for [y, z] in zs.flat_map(|z| ys.clone().map(move |y| [y, z])) {
+                let first = cells.id([xs.start, y, z]).0 as usize;
+                let row = &mut levels[first..first + (xs.end - xs.start) as usize];
+                row.iter_mut().for_each(|l| *l = (*l).max(to));
+            }
+        }
+        Levels::grade(&cells, &mut levels);
+        levels
+    }
+
     /// About the least number of points inside the domain with which the root mean square error at all samples is at most `rms`.
     pub fn count_of_rms(curves: &ErrorCurves, rms: f64) -> u64 {
         let samples: f64 = curves.cells.lattice.dims.iter().map(|&d| d as f64).product();
@@ -132,6 +232,18 @@ impl<'a> Search<'a> {
             }
         }
         (best.1 as u8).max(least)
+    }
+
+    /// The least level of a cell with which its root mean square error is at most this.
+    fn level_within(&self, cell: usize, rms: f64) -> u8 {
+        let logs = self.curves.logs[cell];
+        let least = if self.curves.mixed[cell] { self.mean } else { 0 };
+        if logs.iter().all(|&l| l == NOTHING) {
+            return least;
+        }
+        let (logs, most) = (rising(logs), rms * rms * self.curves.cell_voxels(cell));
+        let level = (0..self.top).find(|&l| self.error(&logs, l) <= most).unwrap_or(self.top);
+        (level as u8).max(least)
     }
 
     /// The graded levels for a price of a point.

@@ -105,3 +105,45 @@ fn blocks_may_come_in_any_number_of_pieces() {
         assert_eq!(choice.levels.as_slice().len() as u64, curves.cells().len());
     }
 }
+
+#[test]
+fn equal_errors_are_asked_for_everywhere() {
+    // A steep edge in a field that is nearly flat.
+    let field = |[x, ..]: [u64; 3]| 1.0 / (1.0 + (-(x as f32 - 40.0)).exp()) + 1e-4 * x as f32;
+    let curves = curves([81, 33, 33], field);
+    let [coarse, fine] = [0.1, 0.001].map(|bound| Choice::of_bound(&curves, bound, 1 << 20).unwrap());
+    for choice in [&coarse, &fine] {
+        assert!(density(choice, [39, 16, 16]) > 8.0 * density(choice, [70, 16, 16]));
+    }
+    assert!(density(&fine, [39, 16, 16]) > 8.0 * density(&coarse, [39, 16, 16]));
+    let few = Choice::of_bound(&curves, 1e-6, 500).unwrap();
+    assert!(few.points(few.levels.as_slice()) < 520.0, "no more than there may be");
+}
+
+#[test]
+fn levels_rise_around_errors_alone() {
+    let flat = curves([65, 65, 65], |_| 0.0);
+    let even = Choice::of_bound(&flat, 1.0, 1 << 20).unwrap();
+    let cells = *even.levels.cells();
+    let mut worst = vec![0.0f32; even.levels.as_slice().len()];
+    assert_eq!(even.raised(&worst, 1.0, 1 << 20).unwrap(), None);
+    let [off, far] = [[10, 10, 10], [25, 25, 25]].map(|c| cells.id(c).0 as usize);
+    (worst[off], worst[far]) = (16.0, 1.1);
+    let raised = even.raised(&worst, 1.0, 1 << 20).unwrap().unwrap();
+    let of = |c: &Choice, cell: usize| c.levels.as_slice()[cell];
+    assert_eq!([of(&raised, off), of(&raised, far)], [of(&even, off) + 3, of(&even, far) + 1]);
+    assert_eq!(of(&raised, cells.id([0, 0, 31]).0 as usize), of(&even, 0));
+    // Where points do not suffice for both, the larger error has them; where not for that either, nothing rises.
+    let points = |c: &Choice| c.points(c.levels.as_slice());
+    let most = (points(&raised) - 1e-3) as u64;
+    if let Some(one) = even.raised(&worst, 1.0, most).unwrap() {
+        assert!(of(&one, off) > of(&even, off) && points(&one) <= most as f64);
+    }
+    assert_eq!(even.raised(&worst, 1.0, 1).unwrap(), None);
+    // Up to the densest that a place may be.
+    let (mut choice, mut rounds) = (raised, 0);
+    while let Some(next) = choice.raised(&worst, 1.0, 1 << 30).unwrap() {
+        (choice, rounds) = (next, rounds + 1);
+    }
+    assert!(rounds < 40 && density(&choice, [21, 21, 21]) <= 4096.0);
+}

@@ -127,6 +127,11 @@ impl<'a> Errors<'a> {
         Ok(pool(threads(self.run))?.install(|| Choice::count_of_rms(&self.curves, rms)))
     }
 
+    /// Levels at which errors are about this everywhere, with at most so many points.
+    pub(super) fn choice_of_bound(&self, bound: f64, most: u64) -> Result<Choice> {
+        pool(threads(self.run))?.install(|| Choice::of_bound(&self.curves, bound, most))
+    }
+
     /// The levels of so many points.
     pub(super) fn choice(&self, count: u64) -> Result<Choice> {
         pool(threads(self.run))?.install(|| Choice::of_count(&self.curves, count))

@@ -47,6 +47,7 @@ mod status;
 mod steps;
 mod surface_series;
 mod target;
+mod target_max;
 mod verify;
 mod visit;
 mod volume_series;

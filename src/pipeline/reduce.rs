@@ -23,6 +23,7 @@ use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest};
 use crate::archive::values::Quantiser;
 use crate::archive::{TEMPORARY_MARK, publish};
 use crate::bytes::remote::is_remote;
+use crate::density::Choice;
 use crate::domain::store::MeshCensus;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent, available_threads};
@@ -185,7 +186,7 @@ pub fn reduce_series(
     let started = Instant::now();
     refuse_overwriting(out, run)?;
     let sources = &numbered(sources);
-    let job = Job { sources, settings, out, run, progress, started, part: Part::Whole };
+    let job = Job { sources, settings, out, run, progress, started, part: Part::Whole, choice: None };
     match settings.target {
         Some(target) => reduce_to_target(&job, target),
         None => make(&job),
@@ -227,6 +228,8 @@ pub(super) struct Job<'a> {
     pub(super) progress: &'a dyn Progress,
     pub(super) started: Instant,
     pub(super) part: Part<'a>,
+    /// How dense points are to be, where that is known.
+    pub(super) choice: Option<&'a Choice>,
 }
 
 impl Job<'_> {
@@ -319,7 +322,12 @@ pub(super) fn make_plan(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimat
 
 pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     let planning = Instant::now();
-    let known = Known { planned: job.part.planned(), archive: job.part.archive(), out: Some(job.out) };
+    let known = Known {
+        planned: job.part.planned(),
+        archive: job.part.archive(),
+        out: Some(job.out),
+        choice: job.choice,
+    };
     let series = plan_volumes(job.sources, job.settings, job.run, known)?;
     job.part.expect_planned(&series)?;
     if let Some(report) = job.part.added_before(&series)? {
@@ -545,7 +553,8 @@ pub fn estimate_series(
 ) -> Result<Estimate> {
     refuse_overwriting(out, run)?;
     let (sources, progress, started) = (&numbered(sources), &Silent, Instant::now());
-    make_plan(&Job { sources, settings, out, run, progress, started, part: Part::Whole }).map(|made| made.2)
+    make_plan(&Job { sources, settings, out, run, progress, started, part: Part::Whole, choice: None })
+        .map(|made| made.2)
 }
 
 pub(super) fn estimate_of(

@@ -132,7 +132,7 @@ pub fn plan_shards(
     }
     reduce::refuse_overwriting(out, run)?;
     let (sources, part) = (&numbered(sources), Part::Whole);
-    let job = Job { sources, settings, out, run, progress, started: Instant::now(), part };
+    let job = Job { sources, settings, out, run, progress, started: Instant::now(), part, choice: None };
     let (series, mesh, needs) = reduce::make_plan(&job)?;
     let layout = Layout::new(out, mesh.chunks.len(), 0);
     let beside = series.beside.clone();
@@ -230,7 +230,8 @@ pub fn work_shard(
     // The plan says which steps there are: a worker leaves none out.
     let run = RunSettings { replace: false, keep_going: false, ..run.clone() };
     let (sources, settings) = (&file.numbered(), &file.settings);
-    let made = reduce::make(&Job { sources, settings, out, run: &run, progress, started, part })?;
+    let made =
+        reduce::make(&Job { sources, settings, out, run: &run, progress, started, part, choice: None })?;
     let made = finished(made, started);
     Ok(report(made.points, made.seconds))
 }

@@ -16,7 +16,7 @@
 //! Every try is a whole reduction, in the folder `NAME.isospan.work` beside the archive: levels of all places follow from the one number, so another
 //! number moves points nearly everywhere, and there is little that could be kept. What is published is a try that met the
 //! target; its error, as measured, is in its manifest. The cap is a point a sample; where that does not do, the try at the cap is published and the
-//! report says so. The largest error is looked for in the same way: it falls less evenly.
+//! report says so. The largest error is a matter of a few places: [`target_max`](super::target_max) makes those denser.
 //!
 //! The numbers of points follow from measured errors, which depend on nothing but the input: the same archive for any threads.
 
@@ -24,6 +24,7 @@ use super::beside::Beside;
 use super::plan::{Amount, Plan, ReduceSettings};
 use super::plan_file::work_folder;
 use super::reduce::{Job, Part, ReduceReport, RunSettings, finished, make};
+use super::target_max::reduce_to_max;
 use crate::archive::manifest::Manifest;
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
@@ -67,14 +68,6 @@ impl Target {
         }
     }
 
-    /// The root mean square error that goes with it, roughly.
-    pub(super) fn rms_of(self, bound: f64) -> f64 {
-        match self {
-            Self::Rms(_) => bound,
-            Self::Max(_) => bound / MAX_OF_RMS,
-        }
-    }
-
     /// # Errors
     /// [`Error::Usage`] for a bound that is no positive number, and for settings that cannot meet it.
     fn check(self, settings: &ReduceSettings) -> Result<()> {
@@ -106,8 +99,6 @@ pub struct TargetReport {
     pub full_cells: [u64; 2],
 }
 
-/// How much larger the largest error of a field is than the root mean square, usually.
-const MAX_OF_RMS: f64 = 12.0;
 /// Tries, at most.
 const MOST_TRIES: u32 = 10;
 /// What is aimed at, as a part of the bound; and what is good enough.
@@ -192,6 +183,9 @@ const USUAL_POWER: f64 = 0.5;
 /// As those of a reduction; [`Error::Usage`] for a target that cannot be one.
 pub(super) fn reduce_to_target(job: &Job<'_>, target: Target) -> Result<ReduceReport> {
     target.check(job.settings)?;
+    if let Target::Max(_) = target {
+        return reduce_to_max(job, target);
+    }
     let work = work_folder(job.out);
     let [trying, best] = ["try.isospan", "best.isospan"].map(|name| work.join(name));
     [&trying, &best].into_iter().try_for_each(|f| remove(f))?;
@@ -235,13 +229,13 @@ pub(super) fn reduce_to_target(job: &Job<'_>, target: Target) -> Result<ReduceRe
 }
 
 /// The error of the worst step.
-fn error_of(target: Target, report: &ReduceReport) -> f64 {
+pub(super) fn error_of(target: Target, report: &ReduceReport) -> f64 {
     let which = usize::from(matches!(target, Target::Max(_)));
     report.steps.iter().filter_map(|s| s.error).map(|e| e[which]).fold(0.0, f64::max)
 }
 
 /// Cells of an archive that have a point a sample or more, and all cells.
-fn full_cells(archive: &Path) -> Result<[u64; 2]> {
+pub(super) fn full_cells(archive: &Path) -> Result<[u64; 2]> {
     let manifest = Manifest::read(archive)?;
     let (plan, beside) = (&manifest.plan, Beside::read(archive, &manifest.plan)?);
     let levels = beside.levels.expect("its points adapt");
@@ -254,7 +248,7 @@ fn full_cells(archive: &Path) -> Result<[u64; 2]> {
 const FULL: f64 = 0.9;
 
 /// Puts a try in the place of the archive.
-fn publish(job: &Job<'_>, best: &Path, work: &Path) -> Result<()> {
+pub(super) fn publish(job: &Job<'_>, best: &Path, work: &Path) -> Result<()> {
     // What is there is to be replaced, or is the unfinished work of another run: else this one would not have begun.
     remove(job.out)?;
     rename(best, job.out)?;
@@ -267,7 +261,7 @@ fn rename(from: &Path, to: &Path) -> Result<()> {
     fs::rename(from, to).map_err(|e| Error::io("rename", from, e))
 }
 
-fn remove(folder: &Path) -> Result<()> {
+pub(super) fn remove(folder: &Path) -> Result<()> {
     match fs::remove_dir_all(folder) {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("remove", folder, e)),
         _ => Ok(()),

@@ -11,6 +11,7 @@ use super::plan::{Plan, ReduceSettings, count_of, source_of};
 use super::reduce::{RunSettings, copy_bytes, random_access, scratch_folder};
 use super::scan::{stream_range, value_range};
 use super::series::{Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
+use super::target::Target;
 use crate::archive::manifest::StepPlan;
 use crate::archive::values::Quantiser;
 use crate::density::Choice;
@@ -68,6 +69,7 @@ struct Planner<'a> {
     settings: &'a ReduceSettings,
     run: &'a RunSettings,
     planned: Option<&'a Plan>,
+    choice: Option<&'a Choice>,
     common: Option<Common>,
     plan: Option<Plan>,
     /// Where points are needed, as far as steps were looked at for that.
@@ -87,6 +89,8 @@ pub(super) struct Known<'a> {
     pub(super) archive: Option<&'a OpenArchive>,
     /// The folder that has what is stored beside a plan that was made before.
     pub(super) out: Option<&'a Path>,
+    /// How dense points are to be, where that is known.
+    pub(super) choice: Option<&'a Choice>,
 }
 
 /// The most steps of a series that are read to find where points are needed: these, evenly spread.
@@ -101,11 +105,12 @@ pub(super) fn plan_volumes(
     known: Known<'_>,
 ) -> Result<SeriesPlan> {
     let before = known.archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone());
-    let Known { planned: plan_before, archive, out } = known;
+    let Known { planned: plan_before, archive, out, choice } = known;
     let mut planner = Planner {
         settings,
         run,
         planned: plan_before,
+        choice,
         common: None,
         plan: None,
         errors: None,
@@ -169,6 +174,14 @@ fn share_copies(series: &mut SeriesPlan) -> Result<()> {
     Ok(())
 }
 
+/// Makes the points of a plan as dense as was chosen.
+fn choose(plan: &mut Plan, beside: &mut Beside, choice: &Choice) -> Result<()> {
+    let levels = Arc::new(choice.levels.clone());
+    plan.adapt(choice.n, &levels)?;
+    beside.levels = Some(levels);
+    Ok(())
+}
+
 impl Planner<'_> {
     /// Steps must be as those of an archive.
     fn join(&mut self, archive: &OpenArchive) -> Result<()> {
@@ -186,7 +199,7 @@ impl Planner<'_> {
 
     /// Whether levels have to be found, and are not those of a plan or archive that is there.
     fn finds_levels(&self) -> bool {
-        self.settings.adapt.is_some() && self.planned.is_none()
+        self.settings.adapt.is_some() && self.planned.is_none() && self.choice.is_none()
     }
 
     /// Makes points dense where that was found to be needed; or where it was when the plan was made.
@@ -202,14 +215,15 @@ impl Planner<'_> {
         if let Some(errors) = self.errors.take() {
             let (target, dims) = (self.settings.target, plan.mesh.lattice.dims);
             self.bound = target.map(|t| t.bound().in_units(errors.range()));
-            let count = match target.zip(self.bound) {
-                Some((target, bound)) => errors.count_of_rms(target.rms_of(bound))?,
-                None => count_of(self.settings, dims),
+            let choice = match target.zip(self.bound) {
+                Some((Target::Rms(_), bound)) => errors.choice(errors.count_of_rms(bound)?)?,
+                Some((Target::Max(_), bound)) => errors.choice_of_bound(bound, dims.iter().product())?,
+                None => errors.choice(count_of(self.settings, dims))?,
             };
-            let Choice { n, levels } = errors.choice(count)?;
-            let levels = Arc::new(levels);
-            plan.adapt(n, &levels)?;
-            self.beside.levels = Some(levels);
+            choose(plan, &mut self.beside, &choice)?;
+        }
+        if let Some(choice) = self.choice {
+            choose(plan, &mut self.beside, choice)?;
         }
         Ok(())
     }

@@ -1,0 +1,155 @@
+//! A largest error that is wanted: denser points where it is exceeded, until it is nowhere.
+//!
+//! The largest error of a field is that of a few samples, at a peak, say: as many points as samples all over the volume need not meet it, where
+//! some more at the peak do. So this is no search for a number of points. The first try has levels at which the foretold error of each cell is the
+//! bound; then errors are measured at all samples, and the cells that have one above the bound are raised, with those around them as far as
+//! points lie apart; and so on:
+//!
+//! ```text
+//!  levels of equal errors ─▶ reduce ─▶ measure, cell by cell ─▶ all within the bound: publish
+//!            ▲                                │
+//!            └────────── raise the cells that are not
+//! ```
+//!
+//! Levels only rise, and begin low, so few points are too many. The cap is as many points as samples in all; where the next levels would have
+//! more, only the largest errors raise theirs. When nothing can be raised any more the last try is published, and the report says so.
+//!
+//! Memory: 4 bytes a cell beside what measuring takes. The largest of errors does not depend on their order: the same archive for any threads.
+
+use super::beside::Beside;
+use super::gauge::{self, Cells, Gauge, Samples};
+use super::measure::Originals;
+use super::need;
+use super::open::{DecodedChunk, OpenArchive};
+use super::plan::ReduceSettings;
+use super::plan_file::work_folder;
+use super::reduce::{Job, Part, ReduceReport, RunSettings, finished, make, random_access};
+use super::steps::StepChoice;
+use super::target::{Target, TargetReport, error_of, full_cells, publish, remove};
+use super::visit::{Blocks, Visit};
+use crate::density::Choice;
+use crate::error::{Error, Result};
+use crate::formats::{self, Input, StepSource};
+use crate::geom::LatticePos;
+use crate::grid::BrickGrid;
+use crate::points::PointSpec;
+use std::fs;
+use std::path::Path;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+/// Tries, at most.
+const MOST_TRIES: u32 = 16;
+
+/// Reduces to the archive `job.out` so that the largest error at a sample meets the target.
+pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceReport> {
+    let work = work_folder(job.out);
+    let trying = work.join("try.isospan");
+    let run = RunSettings { replace: false, ..job.run.clone() };
+    let (mut settings, mut choice, mut wanted) = (job.settings.clone(), None::<Choice>, None);
+    for tries in 1.. {
+        remove(&trying)?;
+        fs::create_dir_all(&work).map_err(|e| Error::io("create the folder", &work, e))?;
+        let (settings_now, choice_now) = (&settings, choice.as_ref());
+        let mut report = make(&Job {
+            settings: settings_now,
+            choice: choice_now,
+            out: &trying,
+            run: &run,
+            part: Part::Whole,
+            ..*job
+        })?;
+        let bound = *wanted.get_or_insert(report.bound.unwrap_or_default());
+        let error = error_of(target, &report);
+        let met = error <= bound;
+        let next =
+            if met || tries == MOST_TRIES { None } else { raised(job, &trying, bound, report.samples)? };
+        if next.is_some() {
+            choice = next;
+            settings = ReduceSettings { target: None, ..settings };
+            continue;
+        }
+        let full_cells = full_cells(&trying)?;
+        publish(job, &trying, &work)?;
+        report.target = Some(TargetReport { target, bound, error, met, tries, full_cells });
+        report.seconds.retain(|(name, _)| name != "total");
+        return Ok(finished(report, job.started));
+    }
+    unreachable!("the last try returns")
+}
+
+/// The levels of a try, higher where errors are above the bound; `None` when nothing can be denser.
+fn raised(job: &Job<'_>, archive: &Path, bound: f64, samples: u64) -> Result<Option<Choice>> {
+    let mut archive = OpenArchive::open_at(archive, StepChoice::First)?;
+    let levels = Beside::read(archive.path(), &archive.manifest.plan)?.levels.expect("its points adapt");
+    let PointSpec::Halton { n } = archive.manifest.plan.points else {
+        unreachable!("levels are those of a Halton set")
+    };
+    let cells = *levels.cells();
+    let worst: Vec<AtomicU32> = levels.as_slice().iter().map(|_| AtomicU32::new(0)).collect();
+    for position in 0..archive.manifest.steps.len() {
+        archive.turn_to(position);
+        let number = archive.step().plan.number;
+        let (_, source) = job.sources.iter().find(|s| s.0 == number).expect("a step of this job");
+        Measuring { archive: &archive, cells: &cells, bound, worst: &worst }.add(job, source)?;
+    }
+    let worst: Vec<f32> = worst.into_iter().map(|e| f32::from_bits(e.into_inner())).collect();
+    Choice { n, levels: (*levels).clone() }.raised(&worst, bound, samples)
+}
+
+/// Looks for errors above a bound.
+struct Measuring<'a> {
+    archive: &'a OpenArchive,
+    cells: &'a BrickGrid,
+    bound: f64,
+    /// The bits of the largest error of each cell: of numbers that are not negative they are in the same order.
+    worst: &'a [AtomicU32],
+}
+
+impl Measuring<'_> {
+    /// Adds the errors at the samples of a step.
+    fn add(&self, job: &Job<'_>, source: &StepSource) -> Result<()> {
+        let Input::Volume(volume) = formats::open_input(&source.path, &source.options)? else {
+            return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
+        };
+        let (reader, _scratch) = random_access(volume, job.run, job.progress)?;
+        let step = self.archive.step();
+        let originals = Originals::Volume {
+            reader: &*reader,
+            missing: step.plan.source.missing,
+            stand_in: step.plan.nan.parse().ok(),
+        };
+        let samples = Samples::of(&originals).expect("those of a volume");
+        let gauge = Gauge::new(&self.archive.manifest.plan.lattice);
+        let run = job.run;
+        let rest = run.memory.saturating_sub(need::BASE + 4 * self.worst.len() as u64);
+        let visit = Visit::new(self.archive, Blocks::All, run.threads, rest, &run.cancel)?;
+        let extra = gauge::working_bytes(1);
+        visit.check_memory(run.memory, extra)?;
+        job.progress.begin("measure", visit.chunks.len() as u64, "chunks");
+        let part = |_, chunk: DecodedChunk| self.add_chunk(&gauge, &samples, &chunk);
+        visit.each(extra, job.progress, part, |_, ()| Ok(()))
+    }
+
+    fn add_chunk(&self, gauge: &Gauge, samples: &Samples<'_>, chunk: &DecodedChunk) -> Result<()> {
+        let DecodedChunk { positions, tets, block_ends, values, .. } = chunk;
+        let steps = self.cells.lattice.log2_steps;
+        let read = |_, window, out: &mut [f32]| samples.read(window, out);
+        gauge.each_sample(&Cells { positions, tets, block_ends }, &[values], read, |m| {
+            let error = (f64::from(m.original) - f64::from(m.reduced)).abs();
+            if error > self.bound {
+                let at = m.place().map(|i| (i << steps) as u32);
+                self.note(at, error as f32);
+            }
+        })
+    }
+
+    /// Notes an error for all cells that touch a sample's position.
+    fn note(&self, at: LatticePos, error: f32) {
+        let (hi, lo) = (self.cells.brick_at(at), self.cells.brick_at(at.map(|c| c.saturating_sub(1))));
+        for corner in 0..8u32 {
+            let cell = std::array::from_fn(|a| if corner >> a & 1 == 0 { lo[a] } else { hi[a] });
+            let worst = &self.worst[self.cells.id(cell).0 as usize];
+            worst.fetch_max(error.to_bits(), Ordering::Relaxed);
+        }
+    }
+}
