@@ -86,6 +86,15 @@ fn shards_and_restarts_make_the_same_bytes() {
         .map(|of| summary.levels.iter().map(of).sum::<u64>());
     assert_eq!(voxels, 59 * 43 * 37);
     assert!(points < summary.points && points * 3 > summary.points * 2, "{points} of {}", summary.points);
+    // The errors of all levels are those of the field.
+    let (error, errors) = (summary.error.unwrap(), summary.levels.iter().map(|l| l.error.unwrap()));
+    let (samples, squares, max) = errors.fold((0, 0.0, 0.0), |(n, sum, max), e| {
+        (n + e.samples, sum + e.rms * e.rms * e.samples as f64, f64::max(max, e.max))
+    });
+    assert_eq!((samples, max), (error.measured, error.max));
+    assert!(((squares / samples as f64).sqrt() / error.rms - 1.0).abs() < 1e-9, "{squares} {error:?}");
+    let bytes = summary.levels.iter().map(|l| l.bytes).sum::<u64>();
+    assert!(bytes < summary.bytes && bytes * 2 > summary.bytes, "{bytes} of {}", summary.bytes);
     let levels = whole.join("mesh/levels.seg");
     let mut bytes = fs::read(&levels).unwrap();
     bytes[60] ^= 1;

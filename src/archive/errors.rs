@@ -1,7 +1,8 @@
 //! The errors of a chunk as a block of its values' segment: see `FORMAT.md`.
 
 use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
-use crate::measure::{BINS, EXPONENTS, ErrorSums, Largest, Mantissas};
+use crate::measure::{BINS, BrickErrors, EXPONENTS, ErrorSums, Largest, Mantissas};
+use crate::points::Levels;
 
 const LEVEL: i32 = 3;
 /// More than the numbers of all bins and exponents can take.
@@ -9,8 +10,17 @@ const LARGEST: usize = 1 << 18;
 /// The most samples of a chunk that a reader takes: sums of so many, of any number of chunks, do not overflow.
 const MOST_SAMPLES: u64 = 1 << 40;
 
+/// The errors of a chunk.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct ChunkErrors {
+    pub(crate) sums: ErrorSums,
+    /// Where the density of points differs from place to place: those in the cells of each level.
+    pub(crate) levels: Vec<BrickErrors>,
+}
+
 /// As the bytes of a block.
-pub(crate) fn encode_errors(sums: &ErrorSums) -> Vec<u8> {
+pub(crate) fn encode_errors(errors: &ChunkErrors) -> Vec<u8> {
+    let ChunkErrors { sums, levels } = errors;
     let mut body = vec![];
     [sums.measured, sums.missing, sums.void, sums.zeros].iter().for_each(|&n| put_varint(&mut body, n));
     put_filled(&mut body, &sums.bins, |n| *n > 0, |body, &n| put_varint(body, n));
@@ -29,7 +39,38 @@ pub(crate) fn encode_errors(sums: &ErrorSums) -> Vec<u8> {
         body.extend(l.original.to_le_bytes());
         body.extend(l.reduced.to_le_bytes());
     }
+    put_varint(&mut body, levels.len() as u64);
+    for level in levels {
+        put_varint(&mut body, level.samples);
+        body.extend(level.squares.to_le_bytes());
+        body.extend((level.max as f32).to_le_bytes());
+    }
     to_zstd(&body, LEVEL)
+}
+
+/// The errors by level, which have all samples.
+fn decode_levels(c: &mut Cursor<'_>, measured: u64) -> Result<Vec<BrickErrors>, Malformed> {
+    let count = c.varint("levels")?;
+    if count > u64::from(Levels::LARGEST) + 1 {
+        let most = Levels::LARGEST + 1;
+        return Err(Malformed::new("levels", format!("at most {most}"), count.to_string()));
+    }
+    let mut levels = vec![];
+    for _ in 0..count {
+        let (samples, squares) = (c.varint("samples")?, c.f64("squares")?);
+        let max = f64::from(c.f32("error")?);
+        let good = samples <= measured && squares >= 0.0 && max >= 0.0 && max.is_finite();
+        if !good || squares > samples as f64 * max * max * 1.001 {
+            let got = format!("{samples} samples, {squares}, {max}");
+            return Err(Malformed::new("errors of a level", format!("those of {measured} samples"), got));
+        }
+        levels.push(BrickErrors { samples, squares, max });
+    }
+    let sum = levels.iter().map(|l| u128::from(l.samples)).sum::<u128>();
+    if count > 0 && sum != u128::from(measured) {
+        return Err(Malformed::new("samples of all levels", measured.to_string(), sum.to_string()));
+    }
+    Ok(levels)
 }
 
 /// How many are filled; of each its number less the one before, less 1, and what it holds.
@@ -65,7 +106,7 @@ fn each_filled(
 ///
 /// # Errors
 /// When they are not such a block.
-pub(crate) fn decode_errors(bytes: &[u8]) -> Result<ErrorSums, Malformed> {
+pub(crate) fn decode_errors(bytes: &[u8]) -> Result<ChunkErrors, Malformed> {
     let body = unzstd(bytes, LARGEST, "errors")?;
     let mut c = Cursor::new(&body);
     let mut sums = ErrorSums::default();
@@ -98,32 +139,35 @@ pub(crate) fn decode_errors(bytes: &[u8]) -> Result<ErrorSums, Malformed> {
         let sample = c.varint("sample")?;
         sums.largest = Some(Largest::new(sample, c.f32("original")?, c.f32("value")?));
     }
+    let levels = decode_levels(&mut c, sums.measured)?;
     c.end("errors")?;
-    Ok(sums)
+    Ok(ChunkErrors { sums, levels })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn some() -> ErrorSums {
-        let mut sums = ErrorSums::default();
+    fn some() -> ChunkErrors {
+        let (mut sums, mut levels) = (ErrorSums::default(), vec![BrickErrors::default(); 3]);
         for i in 0..1000u32 {
             let v = f32::from_bits(i.wrapping_mul(0x9e37_79b9));
             let reduced = if i % 50 == 0 { f32::NAN } else { 1.5 };
-            sums.add(if i % 7 == 0 { 1.5 } else { v }, reduced, || u64::from(i) << 20);
+            let original = if i % 7 == 0 { 1.5 } else { v };
+            sums.add(original, reduced, || u64::from(i) << 20);
+            levels[i as usize % 3].add(original, reduced);
         }
-        sums
+        ChunkErrors { sums, levels }
     }
 
     #[test]
     fn errors_come_back() {
-        for sums in [ErrorSums::default(), some()] {
-            assert_eq!(decode_errors(&encode_errors(&sums)).unwrap(), sums);
+        for errors in [ChunkErrors::default(), some(), ChunkErrors { levels: vec![], ..some() }] {
+            assert_eq!(decode_errors(&encode_errors(&errors)).unwrap(), errors);
         }
-        let mut void = ErrorSums::default();
-        void.add(f32::NAN, 0.0, || 0);
-        void.add(0.0, f32::NAN, || 0);
+        let mut void = ChunkErrors::default();
+        void.sums.add(f32::NAN, 0.0, || 0);
+        void.sums.add(0.0, f32::NAN, || 0);
         assert_eq!(decode_errors(&encode_errors(&void)).unwrap(), void);
     }
 
@@ -134,7 +178,7 @@ mod tests {
             assert!(decode_errors(&to_zstd(&body[..i], LEVEL)).is_err());
             let mut bad = body.clone();
             bad[i] ^= 1 << (i % 8);
-            if let Ok(sums) = decode_errors(&to_zstd(&bad, LEVEL)) {
+            if let Ok(ChunkErrors { sums, .. }) = decode_errors(&to_zstd(&bad, LEVEL)) {
                 let mut twice = sums.clone();
                 twice.merge(&sums);
                 assert_eq!(twice.samples(), 2 * sums.samples());
@@ -142,5 +186,9 @@ mod tests {
             }
         }
         assert!(decode_errors(&[]).is_err());
+        let mut fewer = some();
+        fewer.levels.pop();
+        let error = format!("{:?}", decode_errors(&encode_errors(&fewer)).unwrap_err());
+        assert!(error.contains("all levels"), "{error}");
     }
 }

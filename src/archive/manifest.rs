@@ -19,7 +19,7 @@ use crate::bytes::remote::{is_remote, read_all};
 use crate::error::{Error, Result};
 use crate::geom::Lattice;
 use crate::grid::{BrickGrid, Geometry};
-use crate::measure::FieldError;
+use crate::measure::{FieldError, LevelError};
 use crate::points::PointSpec;
 use crate::sample::{Interpolation, Values};
 use crate::volume::ScalarType;
@@ -239,6 +239,9 @@ pub struct Step {
     /// How far the reduced field is from the samples of its source, where that was measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<FieldError>,
+    /// Where the density of points differs from place to place: the errors of each level.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub level_errors: Vec<LevelError>,
 }
 
 /// The coordinates of a grid.
@@ -531,6 +534,7 @@ pub(crate) mod tests {
             spectrum: (number == 0).then_some(info),
             coordinates: None,
             error: None,
+            level_errors: vec![],
         };
         let counts = Counts { points: 1000, tetrahedra: 6000, chunks: 5, blocks: 12 };
         Manifest::new(plan(), counts, vec![record(0, 2), record(2, 3)], vec![step(0), step(3)])

@@ -67,6 +67,7 @@ impl<'a> Cursor<'a> {
     field!(u128, u128);
     field!(i128, i128);
     field!(f32, f32);
+    field!(f64, f64);
 
     /// An unsigned LEB128 integer: seven bits a byte, lowest first, the high bit set on all but the last.
     pub(crate) fn varint(&mut self, at: &'static str) -> Result<u64, Malformed> {

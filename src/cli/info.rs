@@ -194,11 +194,16 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     for (n, level) in s.levels.iter().enumerate() {
         let _ = writeln!(
             out,
-            "  {:<11} {:.4} points a voxel in {:.1} % of the domain: {} points",
+            "  {:<11} {:.4} points a voxel in {:.1} % of the domain: {} points, {}{}",
             format!("level {n}"),
             level.density,
             100.0 * level.voxels as f64 / all as f64,
-            text::count(level.points)
+            text::count(level.points),
+            text::bytes(level.bytes),
+            level.error.map_or_else(String::new, |e| {
+                let [rms, max] = [e.rms, e.max].map(|e| text::value(text::figures(e, 4)));
+                format!(", error RMS {rms}, at most {max}")
+            })
         );
     }
     let _ = writeln!(

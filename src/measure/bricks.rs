@@ -19,7 +19,7 @@ pub(crate) struct BrickRecord {
     max: u64,
 }
 
-/// The errors of a brick.
+/// The errors of a brick, or of the cells of a level.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct BrickErrors {
     /// Samples measured.
@@ -43,7 +43,7 @@ impl BrickErrors {
     }
 
     /// Adds what another chunk knows.
-    fn merge(&mut self, other: &Self) {
+    pub(crate) fn merge(&mut self, other: &Self) {
         self.samples += other.samples;
         self.squares += other.squares;
         self.max = self.max.max(other.max);

@@ -66,6 +66,17 @@ pub struct FieldError {
     pub worst: Option<Worst>,
 }
 
+/// The errors in the cells of a level, where the density of points differs from place to place.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LevelError {
+    /// Samples that were measured.
+    pub samples: u64,
+    /// Root mean square; 0 of no sample.
+    pub rms: f64,
+    /// Largest absolute error.
+    pub max: f64,
+}
+
 /// A percentile.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Percentile {

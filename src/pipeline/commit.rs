@@ -109,6 +109,7 @@ impl Made {
             spectrum: spectrum.transpose()?,
             coordinates,
             error: None,
+            level_errors: vec![],
         });
         Ok(())
     }

@@ -13,13 +13,14 @@ use super::measure::{Originals, world_of};
 use super::open::OpenArchive;
 use super::probe::windows;
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::errors::decode_errors;
+use crate::archive::errors::{ChunkErrors, decode_errors};
 use crate::error::{Error, Result};
 use crate::exec::with_vectors;
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, IndexBox};
-use crate::measure::{ErrorSums, FieldError, Worst};
+use crate::measure::{BrickErrors, ErrorSums, FieldError, LevelError, Worst};
 use crate::mesh::tet::Tet;
+use crate::points::Levels;
 use crate::raster::{SampleGrid, Scanner, interpolate};
 use crate::volume::VolumeReader;
 use std::ops::Range;
@@ -134,6 +135,30 @@ impl Gauge {
             |m| sums[m.step].add(m.original, m.reduced, || m.number(dims)),
         )?;
         Ok(sums)
+    }
+
+    /// The errors of a chunk as they are stored: as [`Gauge::errors`], and apart for the cells of each level.
+    pub(super) fn chunk_errors(
+        &self,
+        cells: &Cells<'_>,
+        steps: &[&[f32]],
+        levels: Option<&Levels>,
+        read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
+    ) -> Result<Vec<ChunkErrors>> {
+        let Some(levels) = levels else {
+            let all = self.errors(cells, steps, read)?;
+            return Ok(all.into_iter().map(|sums| ChunkErrors { sums, levels: vec![] }).collect());
+        };
+        let none = vec![BrickErrors::default(); usize::from(levels.top()) + 1];
+        let mut all = vec![ChunkErrors { sums: ErrorSums::default(), levels: none }; steps.len()];
+        let (dims, shift) = (self.dims(), levels.cells().lattice.log2_steps);
+        self.each_sample(cells, steps, read, |m| {
+            let errors = &mut all[m.step];
+            errors.sums.add(m.original, m.reduced, || m.number(dims));
+            let level = levels.at(m.place().map(|i| (i << shift) as u32));
+            errors.levels[usize::from(level)].add(m.original, m.reduced);
+        })?;
+        Ok(all)
     }
 
     /// Calls `each` for all samples in the tetrahedra of a chunk, at each of some steps.
@@ -251,19 +276,33 @@ pub(super) fn field_error_of(archive: &OpenArchive, sums: &ErrorSums) -> Result<
 }
 
 /// The errors of a chunk that are stored with its values, where the plan of the step says so: behind them.
-pub(super) fn stored_errors(segment: &ChunkSegment, chunk: ChunkId) -> Result<ErrorSums> {
+pub(super) fn stored_errors(segment: &ChunkSegment, chunk: ChunkId) -> Result<ChunkErrors> {
     last_blocks(segment, chunk, 2, decode_errors)
 }
 
-/// The error of the archive's step, added up from what its chunks have stored.
-pub(super) fn stored_error(archive: &OpenArchive) -> Result<FieldError> {
-    let mut sums = ErrorSums::default();
+/// The error of the archive's step, and those in the cells of each level, added up from what its chunks have stored.
+pub(super) fn stored_error(archive: &OpenArchive) -> Result<(FieldError, Vec<LevelError>)> {
+    let levels = archive.points.levels().map_or(0, |levels| usize::from(levels.top()) + 1);
+    let (mut sums, mut by_level) = (ErrorSums::default(), vec![BrickErrors::default(); levels]);
     for number in 0..archive.layout.segment_count() {
         let chunks = archive.layout.chunks_of(number);
         archive.close_before(ChunkId(chunks.start));
         for chunk in chunks.map(ChunkId) {
-            sums.merge(&stored_errors(&archive.segment_of(chunk)?.values, chunk)?);
+            let segment = archive.segment_of(chunk)?;
+            let found = stored_errors(&segment.values, chunk)?;
+            if found.levels.len() != levels {
+                let (path, got) = (segment.values.segment().path(), found.levels.len().to_string());
+                let at = format!("chunk {}, levels of its errors", chunk.0);
+                return Err(Error::bad_input(path, at, levels.to_string(), got));
+            }
+            sums.merge(&found.sums);
+            by_level.iter_mut().zip(&found.levels).for_each(|(all, part)| all.merge(part));
         }
     }
-    field_error_of(archive, &sums)
+    let told = |e: &BrickErrors| LevelError {
+        samples: e.samples,
+        rms: if e.samples == 0 { 0.0 } else { e.rms() },
+        max: e.max,
+    };
+    Ok((field_error_of(archive, &sums)?, by_level.iter().map(told).collect()))
 }

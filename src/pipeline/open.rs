@@ -9,9 +9,7 @@ use super::reduce::folder_bytes;
 use super::steps::{StepChoice, View};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::{CellCount, CoordinateMap};
-use crate::archive::manifest::{
-    CoordinateRecord, MANIFEST_NAME, Manifest, MeshSource, Plan as MeshPlan, SegmentRecord, Step,
-};
+use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, MeshSource, SegmentRecord, Step};
 use crate::archive::segment::{FORMAT_VERSION, PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::archive::values::Quantiser;
 use crate::bytes::remote::is_remote;
@@ -19,7 +17,7 @@ use crate::error::{Error, Result};
 use crate::geom::{LatticePos, PointId};
 use crate::grid::{ChunkGrid, ChunkId, Geometry};
 use crate::index::SpanIndex;
-use crate::measure::FieldError;
+use crate::measure::{FieldError, LevelError};
 use crate::mesh::tet::Tet;
 use crate::points::{Levels, PointSet};
 use crate::spectrum::SpectrumFile;
@@ -44,17 +42,46 @@ pub struct LevelSummary {
     pub voxels: u64,
     /// Points in them, about, samples of the boundary not counted.
     pub points: u64,
+    /// The errors at the samples in them, where they were measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error: Option<LevelError>,
+    /// Their part of the bytes of the mesh and of the step's values: in each file, that of the points.
+    pub bytes: u64,
 }
 
 impl LevelSummary {
-    fn all(plan: &MeshPlan, levels: &Levels) -> Vec<Self> {
-        let densities = Plan::densities(plan, levels).into_iter();
-        let of = |(density, voxels): (f64, u64)| Self {
+    fn all(archive: &OpenArchive, levels: &Levels) -> Vec<Self> {
+        let (plan, step) = (&archive.manifest.plan, archive.step());
+        let densities = Plan::densities(plan, levels);
+        let bytes = Self::bytes(archive, levels, &densities);
+        let of = |((n, density), voxels): ((usize, f64), u64)| Self {
             density,
             voxels,
             points: (density * voxels as f64).round() as u64,
+            error: step.level_errors.get(n).copied(),
+            bytes: bytes[n].round() as u64,
         };
-        densities.zip(levels.voxels_by_level()).map(of).collect()
+        densities.into_iter().enumerate().zip(levels.voxels_by_level()).map(of).collect()
+    }
+
+    /// The bytes of each segment, shared out by the points of each level in its chunks.
+    fn bytes(archive: &OpenArchive, levels: &Levels, densities: &[f64]) -> Vec<f64> {
+        let (mesh, values) = (&archive.manifest.mesh, &archive.step().values);
+        let mut bytes = vec![0.0; densities.len()];
+        for (segment, values) in mesh.iter().zip(values) {
+            let mut points = vec![0.0; densities.len()];
+            for chunk in segment.first_chunk..segment.first_chunk + segment.chunks {
+                let core = archive.chunks.chunk(ChunkId(chunk)).core;
+                levels.volumes_in(&core, |level, volume| {
+                    points[usize::from(level)] += volume * densities[usize::from(level)];
+                });
+            }
+            let (all, sum) = ((segment.info.bytes + values.info.bytes) as f64, points.iter().sum::<f64>());
+            if sum > 0.0 {
+                bytes.iter_mut().zip(points).for_each(|(b, p)| *b += all * p / sum);
+            }
+        }
+        bytes
     }
 }
 
@@ -190,7 +217,7 @@ pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
         grid_cells: archive.coordinate_record().map(|c| c.cells),
         mesh: source.mesh,
         point_set: serde_json::json!(plan.points),
-        levels: archive.points.levels().map_or_else(Vec::new, |levels| LevelSummary::all(plan, levels)),
+        levels: archive.points.levels().map_or_else(Vec::new, |levels| LevelSummary::all(&archive, levels)),
         interpolation: step.plan.interpolation.name().into(),
         values: step.plan.values.name().into(),
         quantiser: step.plan.quantiser,

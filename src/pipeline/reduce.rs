@@ -475,7 +475,11 @@ impl Publishing<'_> {
                 None => {
                     archive.turn_to(archive.manifest.steps.partition_point(|s| s.plan.number < number));
                     match step.plan.measured {
-                        true => stored_error(&archive)?,
+                        true => {
+                            let (error, levels) = stored_error(&archive)?;
+                            step.level_errors = levels;
+                            error
+                        }
                         false => reopened.error(&archive, path, options, &settings, self.progress)?,
                     }
                 }

@@ -389,6 +389,7 @@ impl Making<'_> {
                 spectrum: None,
                 coordinates: None,
                 error: None,
+                level_errors: vec![],
             });
         }
         if self.old.is_none() {

@@ -153,8 +153,8 @@ fn check_error(archive: &OpenArchive) -> Result<()> {
     if !step.plan.measured {
         return Ok(());
     }
-    let sum = stored_error(archive)?;
-    if step.error.as_ref() == Some(&sum) {
+    let (sum, levels) = stored_error(archive)?;
+    if step.error.as_ref() == Some(&sum) && step.level_errors == levels {
         return Ok(());
     }
     let got = step.error.as_ref().map_or("none".into(), |e| format!("an RMS error of {}", e.rms));

@@ -27,7 +27,7 @@ use super::series::of_step;
 use super::spectrum::Meter;
 use crate::archive::chunk::{ChunkEncoder, ChunkVertices, EncodedChunk};
 use crate::archive::chunked::ChunkSegmentWriter;
-use crate::archive::errors::encode_errors;
+use crate::archive::errors::{ChunkErrors, encode_errors};
 use crate::archive::manifest::{Plan as MeshPlan, StepPlan};
 use crate::archive::segment::{PlanHash, SegmentKind};
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
@@ -37,7 +37,6 @@ use crate::exec::{CancelToken, MemoryBudget, Permit, Progress, Reorder};
 use crate::geom::LatticePos;
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
-use crate::measure::ErrorSums;
 use crate::mesh::delaunay::Mesher;
 use crate::mesh::tet::Tet;
 use crossbeam::channel;
@@ -561,10 +560,11 @@ fn encode_steps(
 }
 
 /// The errors of each step in a chunk; none where they are not measured.
-fn errors(work: &Work<'_>, cells: &Cells<'_>, values: &[Vec<f32>]) -> Result<Vec<ErrorSums>> {
+fn errors(work: &Work<'_>, cells: &Cells<'_>, values: &[Vec<f32>]) -> Result<Vec<ChunkErrors>> {
     let Some((gauge, samples)) = &work.gauge else { return Ok(vec![]) };
     let steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
-    gauge.errors(cells, &steps, |n, window, out| note(work, n, samples[n].read(window, out)))
+    let levels = work.recipe.points.levels().map(|levels| &**levels);
+    gauge.chunk_errors(cells, &steps, levels, |n, window, out| note(work, n, samples[n].read(window, out)))
 }
 
 /// Removes the tetrahedra that lie outside of the data, and the halo points that only they use; tells the six-fold volume of the chunk's own.

@@ -141,6 +141,11 @@ impl Levels {
         });
     }
 
+    /// Calls `f` with the parts of a box that are of one level, and their volumes in lattice steps.
+    pub(crate) fn volumes_in(&self, b: &LatticeBox, mut f: impl FnMut(u8, f64)) {
+        self.runs(b, |level, run| f(level, run.volume() as f64));
+    }
+
     fn rows(&self, lo: [u64; 3], hi: [u64; 3], mut f: impl FnMut(&[u8], [u64; 3])) {
         for z in lo[2]..hi[2] {
             for y in lo[1]..hi[1] {
