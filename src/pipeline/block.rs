@@ -1,19 +1,21 @@
 //! A block of a chunk, by itself: its corners, numbered from 0, and its tetrahedra.
 //!
 //! All that is looked at while a surface is extracted from it lies together: some ten kilobytes. Blocks that are kept for the next
-//! question ([`Kept`]) have small numbers, and the range of values of each few tetrahedra that follow each other, so that
-//! an isovalue passes over most of them:
+//! question ([`Kept`]) have small numbers, in the order of the corners' ids, so that tetrahedra need not be sorted again, and the range of
+//! values of each few tetrahedra that follow each other, so that an isovalue passes over most of them:
 //!
 //! ```text
-//!  archive ──▶ Block (a buffer, read again and again) ──▶ KeptBlock, in the memory given, the least recently used ones dropped
+//!  archive ──▶ Block (a buffer, read again and again) ──▶ KeptBlock, in the memory given, those not used lately dropped
 //! ```
+//!
+//! Which blocks go is found by a hand that goes round (the "clock" of Corbató 1968): it passes over a block that was used since
+//! it came by last, once.
 
 use crate::geom::{LatticePos, PointId};
 use crate::grid::ChunkId;
 use crate::mesh::tet::{Tet, is_active, range};
-use crate::surface::marching_tets::{CellSource, Sides};
+use crate::surface::marching_tets::{CellSource, Sides, in_order};
 use rustc_hash::FxHashMap;
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// The corners of a block, and of its chunk how many.
@@ -29,6 +31,21 @@ pub(super) struct BlockCorners {
 }
 
 impl BlockCorners {
+    /// The corners in another order.
+    fn permuted(&self, order: &[u16]) -> Self {
+        fn of<T: Copy>(all: &[T], order: &[u16]) -> Vec<T> {
+            order.iter().map(|&i| all[usize::from(i)]).collect()
+        }
+        Self {
+            numbers: of(&self.numbers, order),
+            positions: of(&self.positions, order),
+            ids: of(&self.ids, order),
+            values: of(&self.values, order),
+            shared: of(&self.shared, order),
+            of_chunk: self.of_chunk,
+        }
+    }
+
     /// Tetrahedra between these corners.
     pub(super) fn cells<'a>(&'a self, tets: &'a [Tet]) -> CellSource<'a> {
         CellSource {
@@ -67,10 +84,16 @@ pub(super) struct KeptBlock {
 impl KeptBlock {
     /// `None` for a block with too many corners, which only a mesh that is no Delaunay tetrahedralization has.
     fn of(block: &Block) -> Option<Self> {
-        if block.corners.numbers.len() > 1 << 16 {
+        let Block { corners, tets, .. } = block;
+        let count = corners.numbers.len();
+        if count > 1 << 16 {
             return None;
         }
-        let values = &block.corners.values;
+        let mut order: Vec<u16> = (0..count).map(|i| i as u16).collect();
+        order.sort_unstable_by_key(|&i| corners.ids[usize::from(i)]);
+        let mut rank = vec![0; count];
+        (0..).zip(&order).for_each(|(r, &i)| rank[usize::from(i)] = r);
+        let values = &corners.values;
         let ranges = block.tets.chunks(GROUP).map(|group| {
             group
                 .iter()
@@ -80,11 +103,8 @@ impl KeptBlock {
                 })
         });
         let ranges = ranges.collect();
-        Some(Self {
-            corners: block.corners.clone(),
-            tets: block.tets.iter().map(|t| t.map(|v| v as u16)).collect(),
-            ranges,
-        })
+        let ordered = |t: &Tet| in_order(&corners.ids, t).map(|v| rank[v as usize]);
+        Some(Self { corners: corners.permuted(&order), tets: tets.iter().map(ordered).collect(), ranges })
     }
 
     fn bytes(&self) -> usize {
@@ -119,11 +139,20 @@ type Place = (ChunkId, u32);
 
 #[derive(Debug, Default)]
 struct KeptBlocks {
-    by_place: FxHashMap<Place, (u64, Arc<KeptBlock>)>,
-    /// By when they were last used.
-    by_use: BTreeMap<u64, Place>,
-    uses: u64,
+    /// Where in `slots` each is.
+    by_place: FxHashMap<Place, usize>,
+    slots: Vec<Slot>,
+    /// The slot at which room is looked for next.
+    hand: usize,
     bytes: usize,
+}
+
+#[derive(Debug)]
+struct Slot {
+    place: Place,
+    block: Arc<KeptBlock>,
+    /// Whether it was used since the hand came by.
+    used: bool,
 }
 
 impl Kept {
@@ -136,48 +165,70 @@ impl Kept {
         self.blocks.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// The most bytes that are kept.
+    pub(super) fn most(&self) -> usize {
+        self.most
+    }
+
     /// The block, if it is kept.
     pub(super) fn get(&self, chunk: ChunkId, block: u32) -> Option<Arc<KeptBlock>> {
         if self.most == 0 {
             return None;
         }
         let mut blocks = self.blocks();
-        let blocks = &mut *blocks;
-        let (used, kept) = blocks.by_place.get_mut(&(chunk, block))?;
-        blocks.uses += 1;
-        blocks.by_use.remove(used);
-        blocks.by_use.insert(blocks.uses, (chunk, block));
-        *used = blocks.uses;
-        Some(Arc::clone(kept))
+        let at = *blocks.by_place.get(&(chunk, block))?;
+        let slot = &mut blocks.slots[at];
+        slot.used = true;
+        Some(Arc::clone(&slot.block))
     }
 
-    /// Keeps a block, and drops those that were not used for the longest time to make room.
+    /// Keeps a block, and drops others to make room.
     pub(super) fn put(&self, chunk: ChunkId, number: u32, block: &Block) {
         if self.most == 0 {
             return;
         }
         let Some(kept) = KeptBlock::of(block) else { return };
-        let bytes = kept.bytes();
+        let (bytes, place) = (kept.bytes(), (chunk, number));
         let mut blocks = self.blocks();
         // Another thread may have been faster.
-        if bytes > self.most || blocks.by_place.contains_key(&(chunk, number)) {
+        if bytes > self.most || blocks.by_place.contains_key(&place) {
             return;
         }
-        blocks.uses += 1;
-        let used = blocks.uses;
-        blocks.by_place.insert((chunk, number), (used, Arc::new(kept)));
-        blocks.by_use.insert(used, (chunk, number));
-        blocks.bytes += bytes;
-        while blocks.bytes > self.most {
-            let (_, oldest) = blocks.by_use.pop_first().expect("the bytes are those of the blocks");
-            let (_, dropped) = blocks.by_place.remove(&oldest).expect("each block is in both maps");
-            blocks.bytes -= dropped.bytes();
+        while blocks.bytes + bytes > self.most {
+            blocks.drop_one();
         }
+        blocks.add(Slot { place, block: Arc::new(kept), used: false });
     }
 
     /// Bytes that the blocks take.
     pub(super) fn bytes(&self) -> usize {
         self.blocks().bytes
+    }
+}
+
+impl KeptBlocks {
+    fn add(&mut self, slot: Slot) {
+        self.bytes += slot.block.bytes();
+        self.by_place.insert(slot.place, self.slots.len());
+        self.slots.push(slot);
+    }
+
+    /// Drops the next block that was not used since the hand came by.
+    fn drop_one(&mut self) {
+        loop {
+            self.hand %= self.slots.len();
+            let slot = &mut self.slots[self.hand];
+            if !std::mem::take(&mut slot.used) {
+                break;
+            }
+            self.hand += 1;
+        }
+        let dropped = self.slots.swap_remove(self.hand);
+        self.by_place.remove(&dropped.place);
+        self.bytes -= dropped.block.bytes();
+        if let Some(moved) = self.slots.get(self.hand) {
+            self.by_place.insert(moved.place, self.hand);
+        }
     }
 }
 
@@ -193,7 +244,7 @@ mod tests {
             corners: BlockCorners {
                 numbers: (0..corners).map(|i| 2 * i).collect(),
                 positions: vec![[0; 3]; corners as usize],
-                ids: vec![PointId(0); corners as usize],
+                ids: (0..corners).map(|i| PointId(u64::from(i * 7919 % 8191))).collect(),
                 values,
                 shared: vec![false; corners as usize],
                 of_chunk: 2 * corners as usize,
@@ -209,19 +260,24 @@ mod tests {
         let kept = KeptBlock::of(&block).unwrap();
         let mut all = vec![];
         kept.tets(&mut all);
-        assert_eq!(all, block.tets);
+        let known = |tets: &[Tet], corners: &BlockCorners| -> Vec<_> {
+            let tet = |t: &Tet| in_order(&corners.ids, t).map(|v| corners.numbers[v as usize]);
+            tets.iter().map(tet).collect()
+        };
+        assert_eq!(known(&all, &kept.corners), known(&block.tets, &block.corners));
+        assert!(kept.corners.ids.is_sorted());
         let mut sides = Sides::default();
         for isovalue in [-1.0, 10.0, 10.5, 17.0, 18.5, 99.0, 209.0, 209.5, f32::NAN] {
             let (mut here, mut there) = (vec![], vec![]);
             kept.select(isovalue, &mut sides, &mut here);
             sides.select(&block.tets, &block.corners.values, isovalue, &mut there);
-            assert_eq!(here, there, "{isovalue}");
+            assert_eq!(known(&here, &kept.corners), known(&there, &block.corners), "{isovalue}");
         }
         assert!(KeptBlock::of(&self::block(70_000, 0.0)).is_none());
     }
 
     #[test]
-    fn the_least_recently_used_blocks_go() {
+    fn blocks_that_were_not_used_go() {
         let one = KeptBlock::of(&block(100, 0.0)).unwrap().bytes();
         let kept = Kept::new(3 * one + one / 2);
         for n in 0..3 {

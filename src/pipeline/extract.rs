@@ -10,8 +10,9 @@ use super::horizon::Horizon;
 use super::need::{self, SurfaceShares};
 use super::open::OpenArchive;
 use super::query::SurfaceSettings;
-use super::reader::{self, ChunkReader, ReaderMemory, Wanted};
+use super::reader::{self, ChunkReader, Wanted};
 use super::roi::Cut;
+use super::spare::{Buffers, Spare};
 use crate::error::Result;
 use crate::exec::{Progress, pool};
 use crate::geom::LatticePos;
@@ -26,7 +27,6 @@ use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 /// The blocks of a chunk that can hold an answer, in order.
 pub(super) struct ChunkWork {
@@ -69,32 +69,6 @@ pub(super) struct Extracted {
 /// The surfaces of a chunk, one for each isovalue.
 type ChunkSurfaces = Vec<ChunkSurface>;
 
-/// Memory for the chunks to come.
-#[derive(Default)]
-struct Spare {
-    surfaces: Mutex<Vec<ChunkSurface>>,
-    buffers: Mutex<Vec<Buffers>>,
-}
-
-/// What a chunk is read and worked on in.
-#[derive(Default)]
-struct Buffers {
-    reader: ReaderMemory,
-    block: Block,
-    sides: Sides,
-    tets: Vec<Tet>,
-    active: Vec<Tet>,
-}
-
-/// Takes the last one of a list, or a new one.
-fn take<T: Default>(list: &Mutex<Vec<T>>) -> T {
-    list.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
-}
-
-fn give<T>(list: &Mutex<Vec<T>>, items: impl IntoIterator<Item = T>) {
-    list.lock().unwrap_or_else(PoisonError::into_inner).extend(items);
-}
-
 /// Extracts all isovalues from the active blocks of all chunks. What memory does not hold goes to `scratch`.
 pub(super) fn extract_surfaces(
     question: &Question<'_>,
@@ -110,7 +84,8 @@ pub(super) fn extract_surfaces(
     let mut weld = Weld::new(question, settings, shares, scratch, progress);
     let pool = pool(settings.threads)?;
     progress.begin("surface", active_blocks, "blocks");
-    let spare = Spare::default();
+    let (kept, of_this_question) = (&question.archive.kept, Spare::default());
+    let spare = if kept.most() > 0 { &question.archive.spare } else { &of_this_question };
     let (mut waiting, mut waiting_bytes, mut next) = (vec![], 0, 0);
     while next < work.len() || !waiting.is_empty() {
         settings.cancel.check()?;
@@ -120,9 +95,8 @@ pub(super) fn extract_surfaces(
         let fit = batch_len(&work[next..], room, most, bytes_of);
         let fit = if waiting.is_empty() { fit.max(1) } else { fit };
         let batch = &work[next..(next + fit).min(work.len())];
-        let extract = || batch.par_iter().map(|w| question.chunk_surfaces(w, &spare)).collect::<Vec<_>>();
-        let (welded, extracted) =
-            pool.install(|| rayon::join(|| weld.push(waiting, &spare.surfaces), extract));
+        let extract = || batch.par_iter().map(|w| question.chunk_surfaces(w, spare)).collect::<Vec<_>>();
+        let (welded, extracted) = pool.install(|| rayon::join(|| weld.push(waiting, spare), extract));
         welded?;
         if let Some(first) = batch.first() {
             question.archive.close_before(first.chunk);
@@ -131,6 +105,7 @@ pub(super) fn extract_surfaces(
         waiting_bytes = batch.iter().map(bytes_of).sum();
         next += batch.len();
     }
+    spare.trim(kept.most() / 4);
     weld.finish()
 }
 
@@ -169,12 +144,12 @@ impl Question<'_> {
 
     /// The surfaces of a chunk; buffers come from `spare` where there are any.
     fn chunk_surfaces(&self, work: &ChunkWork, spare: &Spare) -> Result<ChunkSurfaces> {
-        let surfaces = self.isovalues.iter().map(|_| take(&spare.surfaces)).collect();
-        let (mut buffers, mut reader) = (take(&spare.buffers), None);
+        let surfaces = self.isovalues.iter().map(|_| spare.surface()).collect();
+        let (mut buffers, mut reader) = (spare.buffers(), None);
         let mut chunk = ChunkWorker { question: self, surfaces, started: false };
         for block in &work.blocks {
             if let Some(kept) = self.archive.kept.get(work.chunk, block.block) {
-                chunk.add(block, &Held::Kept(&kept), &mut buffers.parts().1, None);
+                chunk.add(block, &Held::Kept(&kept), &mut parts(&mut buffers).1, None);
                 continue;
             }
             let reader = match &mut reader {
@@ -184,7 +159,7 @@ impl Question<'_> {
                     reader.insert(ChunkReader::open(self.archive, work.chunk, memory)?)
                 }
             };
-            let (read, mut buffers) = buffers.parts();
+            let (read, mut buffers) = parts(&mut buffers);
             if !reader.block(block.block, &self.wanted(block), read)? {
                 continue;
             }
@@ -195,7 +170,7 @@ impl Question<'_> {
             self.active_bytes.fetch_add(reader.active_bytes(), Ordering::Relaxed);
             buffers.reader = reader.into_memory();
         }
-        give(&spare.buffers, [buffers]);
+        spare.give_buffers(buffers);
         Ok(chunk.finish())
     }
 
@@ -217,12 +192,10 @@ impl Question<'_> {
     }
 }
 
-impl Buffers {
-    /// What a block is read into, and what it is worked on in.
-    fn parts(&mut self) -> (&mut Block, BlockBuffers<'_>) {
-        let Self { block, sides, tets, active, .. } = self;
-        (block, BlockBuffers { sides, tets, active })
-    }
+/// What a block is read into, and what it is worked on in.
+fn parts(buffers: &mut Buffers) -> (&mut Block, BlockBuffers<'_>) {
+    let Buffers { block, sides, tets, active, .. } = buffers;
+    (block, BlockBuffers { sides, tets, active })
 }
 
 struct BlockBuffers<'a> {
@@ -251,6 +224,15 @@ impl Held<'_> {
         match self {
             Held::Read(block) => sides.select(&block.tets, &block.corners.values, isovalue, active),
             Held::Kept(block) => block.select(isovalue, sides, active),
+        }
+    }
+
+    /// Adds active tetrahedra of the block to a surface.
+    fn add_active(&self, active: &[Tet], world: &WorldMap, surface: &mut ChunkSurface) {
+        let cells = self.corners().cells(active);
+        match self {
+            Held::Read(_) => surface.add_active(&cells, world),
+            Held::Kept(_) => surface.add_active_in_order(&cells, world),
         }
     }
 
@@ -293,7 +275,7 @@ impl ChunkWorker<'_> {
             if is_active(entry.min, entry.max, isovalue) {
                 block.select(isovalue, buffers.sides, buffers.active);
                 question.keep_in_cut(corners, buffers.active);
-                surface.add_active(&corners.cells(buffers.active), &question.world);
+                block.add_active(buffers.active, &question.world, surface);
                 if let Some(reader) = reader.as_mut().filter(|_| !buffers.active.is_empty()) {
                     let used = buffers.active.iter().flatten().map(|&v| corners.numbers[v as usize]);
                     reader.count_active(std::mem::take(&mut bytes), used);
@@ -365,14 +347,14 @@ impl<'a> Weld<'a> {
     }
 
     /// Adds the next chunks; the buffers go back to `spare`.
-    fn push(&mut self, chunks: Vec<Result<ChunkSurfaces>>, spare: &Mutex<Vec<ChunkSurface>>) -> Result<()> {
+    fn push(&mut self, chunks: Vec<Result<ChunkSurfaces>>, spare: &Spare) -> Result<()> {
         for surfaces in chunks {
             let surfaces = surfaces?;
             for (i, surface) in surfaces.iter().enumerate() {
                 self.active_tetrahedra[i] += surface.active_cells();
                 self.builders[i].0.push(surface)?;
             }
-            give(spare, surfaces);
+            spare.give_surfaces(surfaces);
             let blocks = self.question.work[self.done].blocks.len() as u64;
             self.done += 1;
             self.close_edges()?;

@@ -24,8 +24,8 @@ use std::path::{Path, PathBuf};
 /// type or from the command line, the answer is the same. Questions may be asked from several threads at one time.
 ///
 /// Blocks of tetrahedra that a surface needed are kept, decoded, for the next one: about 20 bytes a tetrahedron, up to
-/// [`Archive::KEPT_BYTES`] or what [`Archive::keeping`] says; those that were not used for the longest time go first. So while an isovalue is
-/// dragged to and fro, a surface costs little more than its triangles.
+/// [`Archive::KEPT_BYTES`] or what [`Archive::keeping`] says, and a quarter more for buffers; those that were not used lately go first. So while
+/// an isovalue is dragged to and fro, a surface costs little more than its triangles.
 ///
 /// What fits in memory is returned ([`Archive::surface`], [`Archive::sample`], [`Archive::probe`], [`Archive::active`]); what may
 /// not is written to a file, in bounded memory, by a method with settings and progress ([`Archive::write_surface`],

@@ -42,6 +42,7 @@ mod roi;
 mod scan;
 mod series;
 mod shard;
+mod spare;
 mod spectrum;
 mod status;
 mod steps;

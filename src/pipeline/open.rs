@@ -6,6 +6,7 @@ use super::layout::Layout;
 use super::plan::{MeshParts, Plan, parts};
 use super::reader::{ChunkReader, ReaderMemory};
 use super::reduce::folder_bytes;
+use super::spare::Spare;
 use super::steps::{StepChoice, View};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::{CellCount, CoordinateMap};
@@ -259,6 +260,8 @@ pub(super) struct OpenArchive {
     bytes: OnceLock<u64>,
     /// Blocks that are kept for the next question.
     pub(super) kept: Kept,
+    /// Buffers for it, while blocks are kept.
+    pub(super) spare: Spare,
 }
 
 impl OpenArchive {
@@ -322,6 +325,7 @@ impl OpenArchive {
             read_before: AtomicU64::new(0),
             bytes: OnceLock::new(),
             kept: Kept::default(),
+            spare: Spare::default(),
         })
     }
 
@@ -375,7 +379,7 @@ impl OpenArchive {
     /// Looks at the step at a position in the manifest.
     pub(super) fn turn_to(&mut self, step: usize) {
         self.view = View { step, beyond: None };
-        self.kept = Kept::default();
+        (self.kept, self.spare) = (Kept::default(), Spare::default());
         self.layout = self.layout.at(self.manifest.steps[step].plan.number);
         // Of the mesh and of other steps nothing changes, but a segment here has values of the step.
         self.close_before(ChunkId(u64::MAX));

@@ -377,6 +377,13 @@ impl Wanted<'_> {
 }
 
 impl ReaderMemory {
+    /// Bytes of what is per vertex of a chunk.
+    pub(super) fn bytes(&self) -> usize {
+        self.positions.capacity() * size_of::<LatticePos>()
+            + self.ids.capacity() * size_of::<PointId>()
+            + self.values.capacity() * size_of::<f32>()
+    }
+
     /// Prepares for a chunk. Ids of corners that are not placed, and values that are not loaded, are not asked for.
     fn start(&mut self, vertices: usize) {
         self.positions.clear();

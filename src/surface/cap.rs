@@ -22,7 +22,7 @@
 //! surface has it too: a cap is flat, and decimation leaves few of its corners besides those of the rim.
 
 use super::WorldMap;
-use super::marching_tets::{CellSource, ChunkSurface};
+use super::marching_tets::{CellSource, ChunkSurface, in_order};
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;
 
@@ -51,7 +51,9 @@ impl ChunkSurface {
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
     pub fn add_caps(&mut self, cells: &CellSource<'_>, world: &WorldMap, top: LatticePos) {
-        for &tet in cells.tets {
+        for tet in cells.tets {
+            // However its corners are listed, the same triangles in the same order.
+            let tet = in_order(cells.ids, tet);
             let values = tet.map(|v| cells.values[v as usize]);
             if values.iter().any(|v| v.is_nan()) {
                 continue;

@@ -154,6 +154,20 @@ impl ChunkSurface {
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
     pub fn add_active(&mut self, cells: &CellSource<'_>, world: &WorldMap) {
+        self.add_batches(cells, world, |tet| Sorted::new(cells.ids, tet));
+    }
+
+    /// Adds active tetrahedra of a source whose corners have numbers in the order of their ids, and that are [`in_order`]: of those
+    /// nothing is left to be sorted.
+    ///
+    /// # Panics
+    /// When a tetrahedron names a corner that is not there.
+    pub(crate) fn add_active_in_order(&mut self, cells: &CellSource<'_>, world: &WorldMap) {
+        self.add_batches(cells, world, Sorted::of_ordered);
+    }
+
+    #[inline(always)]
+    fn add_batches(&mut self, cells: &CellSource<'_>, world: &WorldMap, sort: impl Fn(&Tet) -> Sorted) {
         self.active_cells += cells.tets.len() as u64;
         let corners = Corners { cells, world, isovalue: self.isovalue };
         // Step after step for many: what takes long in one is then found out while others are worked on.
@@ -161,7 +175,8 @@ impl ChunkSurface {
         for tets in cells.tets.chunks(BATCH) {
             let batch = &mut batch[..tets.len()];
             for (sorted, tet) in batch.iter_mut().zip(tets) {
-                sorted.set(cells, tet, self.isovalue);
+                *sorted = sort(tet);
+                sorted.look(cells.values, self.isovalue);
             }
             for sorted in &mut *batch {
                 sorted.gradient = gradient(cells, sorted.corners, sorted.case);
@@ -358,16 +373,39 @@ struct Sorted {
 
 impl Sorted {
     #[inline(always)]
-    fn set(&mut self, cells: &CellSource<'_>, tet: &Tet, isovalue: f32) {
-        let id = tet.map(|c| cells.ids[c as usize]);
+    fn new(ids: &[PointId], tet: &Tet) -> Self {
+        let id = tet.map(|c| ids[c as usize]);
         let swapped = |i: usize, j: usize, bit: u32| usize::from(id[j] < id[i]) << bit;
         let order = swapped(0, 1, 0) | swapped(0, 2, 1) | swapped(0, 3, 2);
         let order = order | swapped(1, 2, 3) | swapped(1, 3, 4) | swapped(2, 3, 5);
         let order = &ORDERS[order];
-        self.corners = order.corners.map(|i| tet[usize::from(i) % 4]);
-        let inside = |i: usize| u8::from(cells.values[self.corners[i] as usize] >= isovalue) << i;
-        self.case = inside(0) | inside(1) | inside(2) | inside(3) | order.odd;
+        let corners = order.corners.map(|i| tet[usize::from(i) % 4]);
+        Self { corners, case: order.odd, gradient: Gradient::default() }
     }
+
+    /// Of a tetrahedron that is [`in_order`], by numbers that ascend with the ids.
+    #[inline(always)]
+    fn of_ordered(&[a, b, c, d]: &Tet) -> Self {
+        let odd = u8::from(d < c) * ODD;
+        Self { corners: [a, b, c.min(d), c.max(d)], case: odd, gradient: Gradient::default() }
+    }
+
+    /// Looks which corners are inside.
+    #[inline(always)]
+    fn look(&mut self, values: &[f32], isovalue: f32) {
+        let inside = |i: usize| u8::from(values[self.corners[i] as usize] >= isovalue) << i;
+        self.case |= inside(0) | inside(1) | inside(2) | inside(3);
+    }
+}
+
+/// The same tetrahedron, its corners in the order of their ids, except that the last two are swapped where its orientation asks for it.
+///
+/// # Panics
+/// When it names a corner that is not there.
+#[inline]
+pub(crate) fn in_order(ids: &[PointId], tet: &Tet) -> Tet {
+    let Sorted { corners: [a, b, c, d], case, .. } = Sorted::new(ids, tet);
+    if case == ODD { [a, b, d, c] } else { [a, b, c, d] }
 }
 
 /// Finds active tetrahedra: on which side of the isovalue each corner is, a byte, is looked up instead of compared.
