@@ -176,6 +176,10 @@ fn appending_is_reducing_all_at_once() {
         let how = AppendSettings { keyframes: 3, ..AppendSettings::default() };
         let report = pipeline::append(&steps[3..7], &how, &grown, &run(1), &Silent).unwrap();
         assert!(report.steps.is_empty() && folder(&all) == folder(&grown));
+        // The same file at another time is another step.
+        let again = StepSource { time: Some(9.0), ..steps[6].clone() };
+        let report = pipeline::append(&[again], &how, &grown, &run(1), &Silent).unwrap();
+        assert_eq!(report.steps.iter().map(|s| (s.number, s.time)).collect::<Vec<_>>(), [(7, Some(9.0))]);
     }
 }
 

@@ -146,6 +146,16 @@ impl Cluster {
         })
     }
 
+    /// Waits for the end of a job; what Slurm tells of it.
+    fn ended(&self, job: &str) -> String {
+        let mut about = String::new();
+        wait("a job", || {
+            about = self.run("scontrol", &["show", "job", job]);
+            !["PENDING", "RUNNING", "COMPLETING"].iter().any(|s| about.contains(&format!("JobState={s}")))
+        });
+        about
+    }
+
     fn same(&self, out: &str) {
         self.ok(&["gc", out, "--older-than", "0s"]);
         let got = folder(&self.path().join(out));
@@ -194,7 +204,7 @@ fn a_real_slurm_gives_the_bytes_of_reduce() {
         return;
     }
     let cluster = Cluster::start();
-    let scenes: [Scene; 7] = [
+    let scenes: [Scene; 8] = [
         ("1, 3 and 16 shards", numbers_of_shards),
         ("a node without power", a_node_loses_power),
         ("a node without network", a_node_loses_the_network),
@@ -202,6 +212,7 @@ fn a_real_slurm_gives_the_bytes_of_reduce() {
         ("damage before the commit", commit_mends),
         ("nodes of different age", old_and_new_nodes),
         ("srun in an allocation", srun_in_an_allocation),
+        ("nightly jobs", nightly_jobs),
     ];
     for (name, scene) in scenes {
         let started = Instant::now();
@@ -328,4 +339,58 @@ fn srun_in_an_allocation(c: &Cluster) {
     assert_eq!(printed.lines().filter(|l| l.contains("/3")).count(), 3, "{printed}");
     c.ok(&["commit", "srun.isospan"]);
     c.same("srun.isospan");
+}
+
+/// `tools/slurm/nightly`: what is new in a folder is in the archive afterwards, and the exit code and a summary tell of it.
+fn nightly_jobs(c: &Cluster) {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tools/slurm/nightly");
+    fs::create_dir(c.path().join("scope")).unwrap();
+    let new_file = |name: &str, dims, drift: f64| {
+        write_npy(&c.path().join("scope").join(name), dims, |x, y, z| waves(x + drift, y, z));
+    };
+    // The exit code of a night, and its summary.
+    let mut seen = vec![];
+    let mut night = |again: &str| -> (String, serde_json::Value) {
+        let args = ["--parsable", script, "scope", "t*.npy", "scope.isospan"];
+        let mut command = c.command("sbatch", &[&args[..], &CHOICES[..]].concat());
+        command.env("ISOSPAN", env!("CARGO_BIN_EXE_isospan"));
+        let out = command.env("NIGHTLY_SETTLE", "0").env("NIGHTLY_AGAIN", again).output().unwrap();
+        assert!(out.status.success(), "{out:?}");
+        let about = c.ended(String::from_utf8(out.stdout).unwrap().trim());
+        let code = about.split_whitespace().find_map(|w| w.strip_prefix("ExitCode=")).unwrap().to_owned();
+        let all = folder_names(&c.path().join("scope.isospan.work/nightly"));
+        let new: Vec<&String> = all.iter().filter(|f| f.ends_with(".json") && !seen.contains(*f)).collect();
+        assert_eq!(new.len(), 1, "{about}");
+        let file = c.path().join("scope.isospan.work/nightly").join(new[0]);
+        assert!(file.with_extension("txt").exists());
+        let summary = serde_json::from_slice(&fs::read(file).unwrap()).unwrap();
+        seen = all;
+        (code, summary)
+    };
+    let count = |summary: &serde_json::Value, what: &str| summary[what].as_array().unwrap().len();
+    new_file("t1.npy", [40, 38, 36], 0.0);
+    new_file("t2.npy", [40, 38, 36], 0.02);
+    let (code, summary) = night("0");
+    assert!(code == "0:0" && count(&summary, "added") == 2, "{code} {summary}");
+    // One more, and one that does not fit. The job submits itself for the next night.
+    new_file("t3.npy", [40, 38, 36], 0.04);
+    new_file("t4.npy", [40, 38, 20], 0.06);
+    new_file("other.npy", [40, 38, 36], 0.0);
+    let (code, summary) = night("1");
+    assert!(code == "1:0", "{code} {summary}");
+    assert_eq!((count(&summary, "added"), count(&summary, "skipped")), (1, 1), "{summary}");
+    assert!(summary["skipped"][0]["reason"].as_str().unwrap().contains("dimensions"), "{summary}");
+    let next = c.run("squeue", &["-h", "-t", "PENDING", "-n", "isospan-nightly", "-o", "%i %V %S"]);
+    assert_eq!(next.lines().count(), 1, "{next}");
+    c.run("scancel", &[next.split_whitespace().next().unwrap()]);
+    // A night without anything that can be used, and one without anything new.
+    let (code, summary) = night("0");
+    assert!(code == "5:0" && summary["error"].as_str().unwrap().contains("dimensions"), "{code} {summary}");
+    fs::remove_file(c.path().join("scope/t4.npy")).unwrap();
+    let (code, summary) = night("0");
+    assert!(code == "0:0" && count(&summary, "new") == 0, "{code} {summary}");
+    let all = ["t1.npy", "t2.npy", "t3.npy"].map(|f| format!("scope/{f}"));
+    let all: Vec<&str> = all.iter().map(String::as_str).collect();
+    c.ok(&[&["reduce", "-o", "at-once.isospan"], &all[..], &CHOICES[..]].concat());
+    assert!(folder(&c.path().join("scope.isospan")) == folder(&c.path().join("at-once.isospan")));
 }

@@ -116,7 +116,9 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
     if let Some(t) = &report.target {
         let _ = writeln!(out, "{}", target_line(t));
     }
-    if report.steps.len() + report.skipped.len() > 1 {
+    if report.steps.is_empty() {
+        let _ = writeln!(out, "  steps       none added: the archive ends with these already");
+    } else if report.steps.len() + report.skipped.len() > 1 {
         let bytes = report.steps.iter().map(|s| s.value_bytes + s.index_bytes).sum::<u64>();
         let each = bytes / report.steps.len().max(1) as u64;
         let numbers = [report.steps.first(), report.steps.last()].map(|s| s.map_or(0, |s| s.number));

@@ -37,7 +37,7 @@ impl Default for AppendSettings {
 
 /// Adds steps to the archive `out`; the report is of them. They are numbered from the last one on.
 ///
-/// When the archive ends with these very steps already (the same names, contents and fields), nothing is added, and the report has no steps: so the
+/// When the archive ends with these very steps already (the same names, contents, fields and times), nothing is added, and the report has no steps: so the
 /// same call continues a run that was killed at any moment.
 ///
 /// The bytes are those that [`super::reduce_series`] would have made of all steps at once, with the same settings.

@@ -12,8 +12,8 @@ use super::fingerprint::fingerprint;
 use super::gauge::{self, Cells, Gauge, Samples, field_error_of};
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
-use super::probe_points::{Find, each_value};
-use super::reduce::{RunSettings, random_access};
+use super::probe_points::{Find, each_value_of};
+use super::reduce::{MOST_STEPS_AT_ONCE, RunSettings, random_access};
 use super::steps::StepChoice;
 use super::visit::{Blocks, Visit};
 use crate::archive::manifest::Source;
@@ -25,7 +25,7 @@ use crate::domain::store::{BadValue, CellStore, StoreSettings};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress};
 use crate::formats::brick_map::{BrickMapFile, BrickNumbers};
-use crate::formats::{self, Input, OpenOptions};
+use crate::formats::{self, Input, OpenOptions, StepSource};
 use crate::geom::LatticePos;
 use crate::grid::Geometry;
 use crate::locate::{FINE_BITS, FinePos};
@@ -140,44 +140,57 @@ pub fn measure(
     })
 }
 
-/// Measures steps of an archive whose inputs are not open any more. A mesh is laid out once for all of them.
-#[derive(Default)]
-pub(super) struct Reopened {
-    store: Option<CellStore>,
+/// Measures steps of an archive, by ascending positions in the manifest, whose inputs are not open any more. A mesh is laid out once for all of
+/// them.
+pub(super) fn reopened_errors(
+    archive: &mut OpenArchive,
+    steps: &[(usize, &StepSource)],
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<Vec<FieldError>> {
+    let (mut errors, mut store) = (vec![], None);
+    for group in steps.chunks(MOST_STEPS_AT_ONCE as usize) {
+        let mut columns = vec![];
+        for &(position, StepSource { path, options, .. }) in group {
+            archive.turn_to(position);
+            match open_field(archive, path, options)? {
+                Input::Volume(source) => {
+                    errors.push(against_volume(archive, source, path, settings, progress)?.0);
+                }
+                Input::Mesh(mesh) => {
+                    columns.push((position, reopened_values(archive, &mesh, path, &mut store, settings)?));
+                }
+            }
+        }
+        if let Some(store) = &store {
+            let columns: Vec<_> = columns.iter().map(|(position, values)| (*position, values)).collect();
+            errors.extend(vertex_errors(archive, store, &columns, settings, progress)?);
+        }
+    }
+    Ok(errors)
 }
 
-impl Reopened {
-    /// The error of the step that the archive looks at.
-    pub(super) fn error(
-        &mut self,
-        archive: &OpenArchive,
-        input: &Path,
-        options: &OpenOptions,
-        settings: &MeasureSettings,
-        progress: &dyn Progress,
-    ) -> Result<FieldError> {
-        let mesh = match open_field(archive, input, options)? {
-            Input::Volume(source) => {
-                return Ok(against_volume(archive, source, input, settings, progress)?.0);
-            }
-            Input::Mesh(mesh) => mesh,
-        };
-        let (plan, scratch) = (&archive.manifest.plan, settings.scratch());
-        let (how, vertices) = (store_settings(archive, settings, &scratch), mesh.info().points);
-        if self.store.as_ref().is_some_and(|store| store.census.vertices != vertices) {
-            return Err(other_input(input, &archive.step().plan.source, format!("{vertices} vertices")));
-        }
-        let store = match &mut self.store {
-            Some(store) => store,
-            none => {
-                progress.begin("read the mesh", 0, "points");
-                let firsts = Beside::repeated(archive.path(), plan, vertices, &how)?;
-                none.insert(mesh_store(archive, &mesh, Some(firsts), input, &how)?)
-            }
-        };
-        let values = store.values_of(&mesh, &how)?;
-        field_error(archive, &Originals::Mesh(store, &values), settings, progress)
+/// The values of a step on the mesh of a series, which the first of them lays out.
+fn reopened_values(
+    archive: &OpenArchive,
+    mesh: &CellMesh,
+    input: &Path,
+    store: &mut Option<CellStore>,
+    settings: &MeasureSettings,
+) -> Result<Column<f32>> {
+    let (plan, scratch) = (&archive.manifest.plan, settings.scratch());
+    let (how, vertices) = (store_settings(archive, settings, &scratch), mesh.info().points);
+    if store.as_ref().is_some_and(|store| store.census.vertices != vertices) {
+        return Err(other_input(input, &archive.step().plan.source, format!("{vertices} vertices")));
     }
+    let store = match store {
+        Some(store) => store,
+        none => {
+            let firsts = Beside::repeated(archive.path(), plan, vertices, &how)?;
+            none.insert(mesh_store(archive, mesh, Some(firsts), input, &how)?)
+        }
+    };
+    store.values_of(mesh, &how)
 }
 
 /// The error, and whether the input is the one that the archive was made from.
@@ -317,7 +330,59 @@ pub(super) fn field_error(
             let against = AgainstSamples { archive, samples, reader: *reader, gauge, mapped: map.is_some() };
             against.measure(map, settings, progress)
         }
-        Originals::Mesh(store, values) => measure_vertices(archive, store, values, map, settings, progress),
+        Originals::Mesh(store, values) => {
+            let step = [(archive.view.step, *values)];
+            let mut errors = measure_vertices(archive, store, &step, map, settings, progress)?;
+            Ok(errors.pop().expect("of one step"))
+        }
+    }
+}
+
+/// Measures steps of an archive, published or not, from a position in the manifest on.
+pub(super) fn field_errors(
+    archive: &mut OpenArchive,
+    first: usize,
+    originals: &[Originals<'_>],
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<Vec<FieldError>> {
+    let (mut errors, mut on_mesh, mut store) = (vec![], vec![], None);
+    for (position, original) in (first..).zip(originals) {
+        match original {
+            Originals::Volume { .. } => {
+                archive.turn_to(position);
+                errors.push(field_error(archive, original, settings, progress)?);
+            }
+            Originals::Mesh(mesh, values) => {
+                store = Some(*mesh);
+                on_mesh.push((position, *values));
+            }
+        }
+    }
+    // The steps of a series are on one mesh, or on none.
+    match store {
+        Some(store) => vertex_errors(archive, store, &on_mesh, settings, progress),
+        None => Ok(errors),
+    }
+}
+
+/// Measures steps at the vertices of a mesh, which are located once for as many steps as the memory allows.
+fn vertex_errors(
+    archive: &OpenArchive,
+    store: &CellStore,
+    steps: &[(usize, &Column<f32>)],
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<Vec<FieldError>> {
+    match measure_vertices(archive, store, steps, None, settings, progress) {
+        // Refused before anything was read: fewer steps take less.
+        Err(Error::Budget { .. }) if steps.len() > 1 => {
+            let (some, others) = steps.split_at(steps.len() / 2);
+            let mut errors = vertex_errors(archive, store, some, settings, progress)?;
+            errors.extend(vertex_errors(archive, store, others, settings, progress)?);
+            Ok(errors)
+        }
+        other => other,
     }
 }
 
@@ -406,6 +471,8 @@ pub(super) fn world_of(archive: &OpenArchive, ijk: [f64; 3]) -> Result<[f64; 3]>
 
 /// Bytes for a vertex of a batch: its place, three times while it is sorted and looked for, and its value.
 const VERTEX: u64 = 120;
+/// Bytes for the value of each further step.
+const FURTHER: u64 = 8;
 /// The most vertices of a batch.
 const MOST_VERTICES: u64 = 1 << 31;
 
@@ -415,17 +482,21 @@ fn on_lattice(p: FinePos) -> LatticePos {
     p.map(|c| ((c + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32)
 }
 
+/// Positions of steps, and their values at the vertices; a map is of one step.
 fn measure_vertices(
     archive: &OpenArchive,
     store: &CellStore,
-    values: &Column<f32>,
+    steps: &[(usize, &Column<f32>)],
     mut map: Option<Map>,
     settings: &MeasureSettings,
     progress: &dyn Progress,
-) -> Result<FieldError> {
-    let (positions, values) = (store.positions.get()?, values.get()?);
+) -> Result<Vec<FieldError>> {
+    let positions = store.positions.get()?;
+    let columns = steps.iter().map(|(_, values)| values.get()).collect::<Result<Vec<_>>>()?;
+    let steps: Vec<usize> = steps.iter().map(|step| step.0).collect();
     let rest = settings.memory.saturating_sub(need::BASE + map.as_ref().map_or(0, |m| m.memory));
-    let most = (rest / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
+    let vertex = VERTEX + FURTHER * (steps.len() as u64 - 1);
+    let most = (rest / 8 / vertex).clamp(1, MOST_VERTICES) as usize;
     let find = Find {
         threads: settings.threads,
         memory: rest / 8 * 7,
@@ -433,17 +504,18 @@ fn measure_vertices(
         cancel: &settings.cancel,
     };
     let bricks = archive.chunks.bricks();
-    let mut sums = ErrorSums::default();
+    let mut sums: Vec<ErrorSums> = steps.iter().map(|_| ErrorSums::default()).collect();
     for (batch, first) in positions.chunks(most).zip((0u64..).step_by(most)) {
         let mut errors = BTreeMap::<u64, BrickErrors>::new();
         let placed = batch.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
-        each_value(archive, placed, &find, progress, "measure", |n, reduced| {
+        each_value_of(archive, &steps, placed, &find, progress, "measure", |n, reduced| {
             let number = first + u64::from(n);
-            let original = values[number as usize];
-            sums.add(original, reduced, || number);
+            for ((sums, values), &reduced) in sums.iter_mut().zip(&columns).zip(reduced) {
+                sums.add(values[number as usize], reduced, || number);
+            }
             if map.is_some() {
                 let brick = bricks.id(bricks.brick_at(on_lattice(batch[n as usize])));
-                errors.entry(brick.0).or_default().add(original, reduced);
+                errors.entry(brick.0).or_default().add(columns[0][number as usize], reduced[0]);
             }
         })?;
         if let Some(map) = &mut map {
@@ -453,6 +525,11 @@ fn measure_vertices(
     if let Some(map) = map {
         map.finish()?;
     }
+    Ok(sums.iter().map(|sums| vertex_error(store, positions, sums)).collect())
+}
+
+/// The error of a step at all vertices, and where it is largest.
+fn vertex_error(store: &CellStore, positions: &[FinePos], sums: &ErrorSums) -> FieldError {
     let mut error = sums.field_error(positions.len() as u64);
     error.worst = sums.largest().map(|l| {
         let steps = f64::from(1u32 << FINE_BITS) * f64::from(1u32 << store.frame.lattice.log2_steps);
@@ -465,7 +542,7 @@ fn measure_vertices(
             reduced: l.reduced,
         }
     });
-    Ok(error)
+    error
 }
 
 /// The map of bricks, being collected.

@@ -14,7 +14,7 @@ use crate::exec::{CancelToken, Progress};
 use crate::formats::point_list::{PointReader, PointWriter};
 use crate::formats::samples::SampleFile;
 use crate::geom::{Lattice, LatticeBox, LatticePos};
-use crate::grid::{BrickGrid, Geometry};
+use crate::grid::{BrickGrid, ChunkId, Geometry};
 use crate::raster::{PointLocator, interpolate};
 use std::path::Path;
 use std::time::Instant;
@@ -210,31 +210,76 @@ pub(super) fn each_value(
     stage: &str,
     mut each: impl FnMut(u32, f32),
 ) -> Result<u64> {
+    let values = |_, chunk: &mut DecodedChunk| Ok(vec![std::mem::take(&mut chunk.values)]);
+    find_each(archive, points, find, progress, stage, 0, values, |n, values| each(n, values[0]))
+}
+
+/// As [`each_value`], at steps by ascending positions in the manifest: each point is looked for once.
+pub(super) fn each_value_of(
+    archive: &OpenArchive,
+    steps: &[usize],
+    points: impl Iterator<Item = (LatticePos, u32)>,
+    find: &Find<'_>,
+    progress: &dyn Progress,
+    stage: &str,
+    each: impl FnMut(u32, &[f32]),
+) -> Result<u64> {
+    let values = |id, chunk: &mut DecodedChunk| archive.chunk_values_of(steps, id, chunk.positions.len());
+    let further = steps.len() as u64 - 1;
+    find_each(archive, points, find, progress, stage, further, values, each)
+}
+
+/// Calls `each` with the values at every point that lies in a tetrahedron: one for each list of values at a chunk's vertices. There are
+/// `further` lists beside the first.
+#[expect(clippy::too_many_arguments, reason = "two questions, and nothing else, are asked in this way")]
+fn find_each(
+    archive: &OpenArchive,
+    points: impl Iterator<Item = (LatticePos, u32)>,
+    find: &Find<'_>,
+    progress: &dyn Progress,
+    stage: &str,
+    further: u64,
+    values: impl Fn(ChunkId, &mut DecodedChunk) -> Result<Vec<Vec<f32>>> + Sync,
+    mut each: impl FnMut(u32, &[f32]),
+) -> Result<u64> {
     let far = archive.manifest.plan.lattice.max();
     let batch = Batch::new(archive.chunks.bricks(), points);
     let mut visit = Visit::new(archive, Blocks::All, find.threads, find.memory, find.cancel)?;
     visit.confine(|region| batch.within(*region).next().is_some())?;
-    visit.check_memory(find.all, 0)?;
+    let extra = further * visit.most_vertices() * size_of::<f32>() as u64;
+    visit.check_memory(find.all, extra)?;
     progress.begin(stage, visit.chunks.len() as u64, "chunks");
-    let job = |id, chunk: DecodedChunk| {
+    let job = |id, mut chunk: DecodedChunk| {
         let region = full_region(archive, id)?;
-        Ok(locate(&chunk, &PointLocator::new(region, far, batch.within(region))))
+        let values = values(id, &mut chunk)?;
+        Ok(locate(&chunk, &values, &PointLocator::new(region, far, batch.within(region))))
     };
-    visit.each(0, progress, job, |_, found: Vec<(u32, f32)>| {
-        found.into_iter().for_each(|(n, value)| each(n, value));
+    visit.each(extra, progress, job, |_, found: Found| {
+        let lists = found.values.len().checked_div(found.points.len()).unwrap_or(1);
+        found.points.iter().zip(found.values.chunks(lists.max(1))).for_each(|(&n, at)| each(n, at));
         Ok(())
     })?;
     Ok(visit.chunks.len() as u64)
 }
 
-/// The points that lie in tetrahedra of a chunk, and the field there: NaN in one with a void corner.
-fn locate(chunk: &DecodedChunk, points: &PointLocator) -> Vec<(u32, f32)> {
-    let mut found = vec![];
+/// Points of a chunk, and the values of all lists at the first, the second, ….
+#[derive(Default)]
+struct Found {
+    points: Vec<u32>,
+    values: Vec<f32>,
+}
+
+/// The points that lie in tetrahedra of a chunk, and the fields there: NaN in one with a void corner.
+fn locate(chunk: &DecodedChunk, lists: &[Vec<f32>], points: &PointLocator) -> Found {
+    let mut found = Found::default();
     for tet in &chunk.tets {
-        let values = tet.map(|v| chunk.values[v as usize]);
-        let void = values.iter().any(|v| v.is_nan());
         points.each_in(tet.map(|v| chunk.positions[v as usize]), |n, weights| {
-            found.push((n, if void { f32::NAN } else { interpolate(weights, values) }));
+            found.points.push(n);
+            found.values.extend(lists.iter().map(|values| {
+                let corners = tet.map(|v| values[v as usize]);
+                let void = corners.iter().any(|v| v.is_nan());
+                if void { f32::NAN } else { interpolate(weights, corners) }
+            }));
         });
     }
     found

@@ -6,7 +6,7 @@
 use super::commit::Made;
 use super::gauge::stored_error;
 use super::layout::Layout;
-use super::measure::{MeasureSettings, Reopened};
+use super::measure::{MeasureSettings, reopened_errors};
 use super::need::{self, Estimate, Need, Question};
 use super::open::{OpenArchive, StepSummary};
 use super::placed::write_coordinates;
@@ -466,24 +466,22 @@ impl Publishing<'_> {
         let settings = MeasureSettings::of_run(self.run, self.workers);
         let mut archive =
             OpenArchive::of(self.layout.root(), made.manifest(&series.plan), StepChoice::First)?;
-        let mut reopened = Reopened::default();
-        for (step, source) in made.steps[before..].iter_mut().zip(&series.sources) {
-            let number = step.plan.number;
-            let StepSource { path, options, .. } = &source.source;
-            step.error = Some(match outcome.errors.remove(&number) {
-                Some(error) => error,
-                None => {
-                    archive.turn_to(archive.manifest.steps.partition_point(|s| s.plan.number < number));
-                    match step.plan.measured {
-                        true => {
-                            let (error, levels) = stored_error(&archive)?;
-                            step.level_errors = levels;
-                            error
-                        }
-                        false => reopened.error(&archive, path, options, &settings, self.progress)?,
-                    }
+        let mut missing = vec![];
+        for (position, source) in (before..).zip(&series.sources) {
+            let step = &mut made.steps[position];
+            match outcome.errors.remove(&step.plan.number) {
+                Some(error) => step.error = Some(error),
+                None if step.plan.measured => {
+                    archive.turn_to(position);
+                    let (error, levels) = stored_error(&archive)?;
+                    (step.error, step.level_errors) = (Some(error), levels);
                 }
-            });
+                None => missing.push((position, &source.source)),
+            }
+        }
+        let errors = reopened_errors(&mut archive, &missing, &settings, self.progress)?;
+        for ((position, _), error) in missing.into_iter().zip(errors) {
+            made.steps[position].error = Some(error);
         }
         Ok(())
     }

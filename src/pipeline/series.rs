@@ -17,7 +17,7 @@ use super::commit::record;
 use super::field::Field;
 use super::gauge::{Gauge, Samples};
 use super::layout::Layout;
-use super::measure::{MeasureSettings, field_error};
+use super::measure::{MeasureSettings, field_errors};
 use super::need::Shares;
 use super::open::OpenArchive;
 use super::plan::{MeshParts, Plan};
@@ -127,8 +127,9 @@ impl SeriesPlan {
 
 /// Whether an archive ends with these very steps: a run that was killed after it had added them is asked to continue.
 pub(super) fn are_there(archive: &OpenArchive, steps: &[StepPlan]) -> bool {
-    let there = archive.manifest.steps.iter().rev().zip(steps.iter().rev());
-    steps.len() <= archive.manifest.steps.len() && there.into_iter().all(|(a, b)| a.plan.source == b.source)
+    let mut there = archive.manifest.steps.iter().rev().zip(steps.iter().rev());
+    steps.len() <= archive.manifest.steps.len()
+        && there.all(|(a, b)| a.plan.source == b.source && a.plan.time == b.time)
 }
 
 /// The error of a step of several.
@@ -351,11 +352,9 @@ impl Making<'_> {
         let archive = self.archive(plan, steps.clone(), made.coordinates)?;
         let mut archive = archive.expect("there are steps before the end");
         let first = archive.manifest.steps.len() - steps.len();
-        for ((n, field), position) in steps.zip(fields).zip(first..) {
-            archive.turn_to(position);
-            let error = field_error(&archive, &field.originals(), &settings, self.progress)?;
-            made.errors.insert(plan.steps[n].number, error);
-        }
+        let originals: Vec<_> = fields.iter().map(|field| field.originals()).collect();
+        let errors = field_errors(&mut archive, first, &originals, &settings, self.progress)?;
+        made.errors.extend(steps.map(|n| plan.steps[n].number).zip(errors));
         made.measuring += start.elapsed();
         Ok(())
     }

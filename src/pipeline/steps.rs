@@ -159,22 +159,24 @@ impl OpenArchive {
     pub(super) fn values_block(&self, id: ChunkId, block: u64, n: usize, out: &mut Vec<f32>) -> Result<u64> {
         let View { step, beyond } = self.view;
         let first = out.len();
-        let mut bytes = self.block_of_step(step, id, block, n, out)?;
+        let mut bytes = self.block_of_step(step, id, block, n, None, out)?;
         if let Some(share) = beyond {
             let mut next = vec![];
-            bytes += self.block_of_step(step + 1, id, block, n, &mut next)?;
+            bytes += self.block_of_step(step + 1, id, block, n, None, &mut next)?;
             out[first..].iter_mut().zip(next).for_each(|(a, b)| *a = mean(*a, b, share));
         }
         Ok(bytes)
     }
 
-    /// As [`OpenArchive::values_block`], of the step at a position in the manifest.
+    /// As [`OpenArchive::values_block`], of the step at a position in the manifest. `before`: the values of the step before it, if they are
+    /// known.
     fn block_of_step(
         &self,
         step: usize,
         id: ChunkId,
         block: u64,
         n: usize,
+        before: Option<&[f32]>,
         out: &mut Vec<f32>,
     ) -> Result<u64> {
         let segment = self.values_of(step, id)?;
@@ -182,22 +184,52 @@ impl OpenArchive {
         if block + self.manifest.steps[step].plan.blocks_behind_values() >= count {
             return Err(damaged(&segment, id, "chunk table", &format!("{count} blocks")));
         }
-        let (mut bytes, mut before, mut read) = (vec![], vec![], 0);
+        let (mut bytes, mut found, mut read) = (vec![], vec![], 0);
         segment.block(id, block, &mut bytes)?;
-        if needs_before(&bytes) && self.manifest.steps[step].plan.base.is_some() {
-            // The base is the step before: the manifest was checked.
-            read = self.block_of_step(step - 1, id, block, n, &mut before)?;
+        // The base is the step before: the manifest was checked.
+        let needed = needs_before(&bytes) && self.manifest.steps[step].plan.base.is_some();
+        if needed && before.is_none() {
+            read = self.block_of_step(step - 1, id, block, n, None, &mut found)?;
         }
-        decode_values(&bytes, n, &before, out).map_err(|m| segment.blame(id, block, m))?;
+        let before = before.filter(|_| needed).unwrap_or(&found);
+        decode_values(&bytes, n, before, out).map_err(|m| segment.blame(id, block, m))?;
         Ok(read + bytes.len() as u64)
     }
 
     /// The values of all `vertices` of a chunk, at the step at a position in the manifest.
     pub(super) fn chunk_values(&self, step: usize, id: ChunkId, vertices: usize) -> Result<Vec<f32>> {
+        self.chunk_values_after(step, id, vertices, None)
+    }
+
+    /// As [`OpenArchive::chunk_values`], at steps by ascending positions.
+    pub(super) fn chunk_values_of(
+        &self,
+        steps: &[usize],
+        id: ChunkId,
+        vertices: usize,
+    ) -> Result<Vec<Vec<f32>>> {
+        let mut out: Vec<Vec<f32>> = vec![];
+        for (n, &step) in steps.iter().enumerate() {
+            let follows = n > 0 && steps[n - 1] + 1 == step;
+            let before = out.last().filter(|_| follows).map(Vec::as_slice);
+            let values = self.chunk_values_after(step, id, vertices, before)?;
+            out.push(values);
+        }
+        Ok(out)
+    }
+
+    fn chunk_values_after(
+        &self,
+        step: usize,
+        id: ChunkId,
+        vertices: usize,
+        before: Option<&[f32]>,
+    ) -> Result<Vec<f32>> {
         let mut out = Vec::with_capacity(vertices);
         for (block, first) in (0..vertices).step_by(BLOCK_VALUES).enumerate() {
             let n = BLOCK_VALUES.min(vertices - first);
-            self.block_of_step(step, id, block as u64, n, &mut out)?;
+            let before = before.map(|values| &values[first..first + n]);
+            self.block_of_step(step, id, block as u64, n, before, &mut out)?;
         }
         Ok(out)
     }

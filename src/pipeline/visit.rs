@@ -110,17 +110,26 @@ impl<'a> Visit<'a> {
         Ok(sum)
     }
 
-    /// Bytes in which a chunk is read and worked on: from the plan and the point set, without reading.
-    fn need(&self, id: ChunkId) -> u64 {
+    /// Vertices of a chunk, about: from the plan and the point set, without reading.
+    fn vertices(&self, id: ChunkId) -> u64 {
         let archive = self.archive;
-        let vertices = archive.points.count_in(&need::near(
+        archive.points.count_in(&need::near(
             &archive.points,
             &archive.chunks.chunk(id).core,
             &archive.chunks.bricks().lattice.domain(),
             need::Halo::Owned,
             0,
-        ));
-        CHUNK.saturating_add(vertices.saturating_mul(VERTEX + TETS_A_POINT * TET))
+        ))
+    }
+
+    /// Vertices of the largest chunk, about.
+    pub(super) fn most_vertices(&self) -> u64 {
+        self.chunks.iter().map(|&c| self.vertices(c)).max().unwrap_or(0)
+    }
+
+    /// Bytes in which a chunk is read and worked on.
+    fn need(&self, id: ChunkId) -> u64 {
+        CHUNK.saturating_add(self.vertices(id).saturating_mul(VERTEX + TETS_A_POINT * TET))
     }
 
     /// Refuses a budget in which the largest chunk, with `extra` bytes for its job, does not fit; `memory` is the whole budget.
