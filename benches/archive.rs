@@ -68,7 +68,7 @@ fn tetrahedra(c: &mut Criterion) {
             b.iter(|| {
                 out.clear();
                 for block in &blocks[1..] {
-                    let block = TetBlock::open(black_box(block), vertices.len(), &mut scratch);
+                    let block = TetBlock::open(black_box(block), vertices.len());
                     let block = block.expect("the block was just made");
                     here.clear();
                     here.extend(block.vertices().iter().map(|&v| positions[v as usize]));

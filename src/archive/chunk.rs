@@ -216,7 +216,7 @@ impl<'a> TetBlock<'a> {
     ///
     /// # Errors
     /// When the bytes are not a block, or name a vertex that is not there.
-    pub fn open(bytes: &'a [u8], vertices: u32, scratch: &mut TetScratch) -> Result<Self, Malformed> {
+    pub fn open(bytes: &'a [u8], vertices: u32) -> Result<Self, Malformed> {
         let mut c = Cursor::new(bytes);
         match c.u8("codec")? {
             TETS_TUPLES => {
@@ -226,7 +226,7 @@ impl<'a> TetBlock<'a> {
             }
             TETS_STARS => {
                 let mut ids = vec![];
-                let reader = star::Reader::open(c.rest(), vertices, &mut scratch.stars, &mut ids)?;
+                let reader = star::Reader::open(c.rest(), vertices, &mut ids)?;
                 Ok(Self { vertices: ids, body: Body::Stars(reader) })
             }
             other => Err(Malformed::new("codec", "a known tetrahedron codec", other.to_string())),
@@ -414,10 +414,10 @@ pub(crate) mod tests {
     fn decode(encoded: &EncodedChunk, positions: &[LatticePos]) -> (ChunkVertices, Vec<Tet>) {
         let header = ChunkVertices::decode(&encoded.blocks[0]).unwrap();
         let (mut all, mut scratch) = (vec![], TetScratch::default());
-        let reopened = |bytes| TetBlock::open(bytes, header.len(), &mut TetScratch::default()).unwrap();
+        let reopened = |bytes| TetBlock::open(bytes, header.len()).unwrap();
         for (n, bytes) in encoded.blocks[1..].iter().enumerate() {
             let before = all.len();
-            let block = TetBlock::open(bytes, header.len(), &mut scratch).unwrap();
+            let block = TetBlock::open(bytes, header.len()).unwrap();
             let here: Vec<LatticePos> = block.vertices().iter().map(|&v| positions[v as usize]).collect();
             block.decode(&here, &mut scratch, &mut all).unwrap();
             assert_eq!(&all[before..], encoded.block_tets(n), "in the same order, turned the same way");

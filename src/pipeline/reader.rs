@@ -171,7 +171,7 @@ impl<'a> ChunkReader<'a> {
         is_wanted: &mut bool,
         out: &mut Block,
     ) -> Result<std::result::Result<(), Malformed>> {
-        let block = match TetBlock::open(bytes, self.shared.len() as u32, &mut self.memory.scratch) {
+        let block = match TetBlock::open(bytes, self.shared.len() as u32) {
             Ok(block) => block,
             Err(malformed) => return Ok(Err(malformed)),
         };
@@ -190,7 +190,7 @@ impl<'a> ChunkReader<'a> {
     }
 
     fn decode(&mut self, bytes: &[u8], out: &mut Vec<Tet>) -> Result<std::result::Result<(), Malformed>> {
-        let block = match TetBlock::open(bytes, self.shared.len() as u32, &mut self.memory.scratch) {
+        let block = match TetBlock::open(bytes, self.shared.len() as u32) {
             Ok(block) => block,
             Err(malformed) => return Ok(Err(malformed)),
         };

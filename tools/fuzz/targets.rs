@@ -107,7 +107,7 @@ pub(crate) fn blocks(bytes: &[u8]) -> Result<()> {
 
 fn tetrahedra(block: &[u8]) -> std::result::Result<(), isospan::archive::Malformed> {
     let mut scratch = TetScratch::default();
-    let block = TetBlock::open(block, 1 << (block.len() % 32), &mut scratch)?;
+    let block = TetBlock::open(block, 1 << (block.len() % 32))?;
     let scatter = |v: &u32| [1, 5, 25].map(|f| v.wrapping_mul(2_654_435_761u32.wrapping_mul(f)) >> 8);
     let positions: Vec<_> = block.vertices().iter().map(scatter).collect();
     block.decode(&positions, &mut scratch, &mut vec![])

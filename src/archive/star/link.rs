@@ -5,41 +5,61 @@
 //! line m0 + s n with n = c' × d'; a point w in front of the gate (n·w' > 0) is met at s = (1/2 - m0·w') / (n·w'), and the Delaunay
 //! triangle behind the gate is the one met first. All is scaled by 2 |n|², so that only the last step divides.
 //!
+//! The least of several s, and whose it is, is one number, the *key*: s with the place of the point in its lowest bits. So the first of
+//! points that are met at about the same s is foretold.
+//!
 //! Everything is `f32` arithmetic in a fixed order, with fused multiplications and additions where the code says so, which IEEE 754 makes
 //! the same everywhere; what it gets wrong costs bits, not truth.
 
 use crate::geom::LatticePos;
 
-/// The most vertices of a link at hand.
-pub(super) const MOST: usize = super::LARGEST_LINK;
-/// Those nearby that are taken at the beginning: the rest is for vertices that must be named.
-const MOST_NEAR: usize = 48;
-/// Gates that are looked at together.
-pub(super) const LANES: usize = 8;
+/// Room for a link: more than it may have vertices, for what ends the list.
+pub(super) const MOST: usize = super::LARGEST_LINK + 4;
 /// No vertex of a link.
-pub(super) const NOBODY: usize = MOST;
-/// Contexts of what lies behind a gate: how large the sphere is, and, last, that there is none.
-pub(super) const SIZES: usize = 32;
-/// Vertices of a block that are passed over together, where their box is not near.
-pub(super) const GROUP: usize = 32;
+pub(super) const NOBODY: usize = MOST - 1;
+/// Those nearby that are taken at the beginning: the rest is for vertices that must be named.
+pub(super) const MOST_NEAR: usize = 48;
+/// Gates that are looked at together.
+pub(super) const LANES: usize = 4;
+/// Bits of a key that tell the place.
+pub(super) const PLACE: u32 = MOST as u32 - 1;
+/// Entries of a ring of gates, of which at most half wait.
+const RING: usize = 2048;
+/// More than the vertices of a block.
+pub(super) const VERTICES: usize = 2 * super::LARGEST_LIST as usize;
 /// Points behind the last one, far from everything.
 const FAR: f32 = 1e18;
 
-/// A point, and nothing: so that it is one load.
+/// A point, and a number that goes with it: of an inverted one the sum of its absolute coordinates.
 pub(super) type Point = [f32; 4];
+/// A directed edge of a link: from a place, times 256, to another.
+pub(super) type Gate = u16;
+/// More than any gate.
+pub(super) const GATES: usize = MOST << 8;
+/// There is never such a gate.
+const NO_GATE: Gate = gate(NOBODY, NOBODY);
+
+#[inline(always)]
+pub(super) const fn gate(c: usize, d: usize) -> Gate {
+    (c << 8 | d) as Gate
+}
+
+/// The places that a gate is from and to.
+#[inline(always)]
+pub(super) fn ends(gate: Gate) -> [usize; 2] {
+    [usize::from(gate >> 8) % MOST, usize::from(gate & 255) % MOST]
+}
 
 /// How the inner loops are run; all ways give the same bits.
 pub(super) trait Path: Copy {
-    /// Sets a bit for each group, beginning with eight times `first`, of 64 at most, whose box is within the radius of a point.
-    fn near_groups(self, cloud: &Cloud, from: Point, first: usize) -> u64;
-    /// Sets a bit for each vertex of a group within the radius of a point.
-    fn near(self, cloud: &Cloud, from: Point, group: usize) -> u32;
+    /// Begins the list of a link with the vertices behind `v` that are within the radius of it, the first [`MOST_NEAR`].
+    fn near(self, cloud: &Cloud, v: usize, link: &mut Link);
     /// Inverts the first `len` points of a link, and may put anything into those behind them.
     fn invert(self, cloud: &Cloud, link: &mut Link);
-    /// The set of c that have gates.
-    fn active(self, link: &Link) -> u64;
     /// Foretells what is behind each of the gates, garbage beyond their number.
-    fn search(self, link: &Link, radius2: f32, gates: &mut Gates);
+    fn search(self, link: &Link, gates: &mut Gates);
+    /// Runs what is rare, out of the way of what is not.
+    fn apart<T>(self, f: impl FnOnce() -> T) -> T;
 }
 
 /// The path for every machine.
@@ -47,14 +67,18 @@ pub(super) trait Path: Copy {
 pub(super) struct Plain;
 
 /// The vertices of a block, in units in which the radius of a neighbourhood is between 1 and 2.
-#[derive(Default)]
 pub(super) struct Cloud {
-    /// Coordinates along x, y and z; whole groups.
+    /// Coordinates along x, y and z, in whole eights.
     pub(super) axes: [Vec<f32>; 3],
-    /// Least and largest coordinates of each group, eight groups at a time.
-    pub(super) boxes: [[Vec<f32>; 2]; 3],
-    pub(super) points: Vec<Point>,
+    points: Box<[Point; VERTICES]>,
+    len: usize,
     pub(super) radius2: f32,
+}
+
+impl Default for Cloud {
+    fn default() -> Self {
+        Self { axes: Default::default(), points: Box::new([[0.0; 4]; VERTICES]), len: 0, radius2: 0.0 }
+    }
 }
 
 impl Cloud {
@@ -67,27 +91,21 @@ impl Cloud {
         let base = positions.first().copied().unwrap_or_default();
         // Exact: less than 2^24, times a power of two.
         let along = |p: &LatticePos, k: usize| (p[k] as i32).wrapping_sub(base[k] as i32) as f32 * scale;
-        self.points.clear();
-        self.points.extend(positions.iter().map(|p| [along(p, 0), along(p, 1), along(p, 2), 0.0]));
-        let padded = positions.len().next_multiple_of(GROUP);
-        for (k, (axis, ends)) in self.axes.iter_mut().zip(&mut self.boxes).enumerate() {
+        self.len = positions.len();
+        for (to, p) in self.points.iter_mut().zip(positions) {
+            *to = [along(p, 0), along(p, 1), along(p, 2), 0.0];
+        }
+        for (k, axis) in self.axes.iter_mut().enumerate() {
             axis.clear();
-            axis.extend(self.points.iter().map(|p| p[k]));
-            // The last vertex again, lest the last box be large.
-            axis.resize(padded, axis.last().copied().unwrap_or_default());
-            let groups = axis.as_chunks::<GROUP>().0;
-            let [lo, hi] = ends;
-            for (end, least) in [(lo, true), (hi, false)] {
-                let better = |a: f32, b: f32| if (b < a) == least { b } else { a };
-                end.clear();
-                end.extend(groups.iter().map(|g| g.iter().copied().fold(g[0], better)));
-                end.resize(groups.len().next_multiple_of(8), FAR);
-            }
+            axis.extend(self.points[..self.len].iter().map(|p| p[k]));
+            axis.resize(self.len.next_multiple_of(8), FAR);
         }
     }
 
-    fn len(&self) -> usize {
-        self.points.len()
+    /// Where a vertex is.
+    #[inline(always)]
+    pub(super) fn point(&self, v: usize) -> &Point {
+        &self.points[v % VERTICES]
     }
 }
 
@@ -96,29 +114,44 @@ pub(super) struct Link {
     /// The vertex.
     pub(super) from: Point,
     pub(super) len: usize,
-    /// Block-local numbers of its vertices, and the inverted points.
+    /// Block-local numbers of its vertices, and the inverted points, behind which is a point that is in front of no gate.
     pub(super) id: [u16; MOST],
     pub(super) points: [Point; MOST],
-    /// For each vertex of the block where it was in `id` when it was there last, and 256 times the link's stamp then.
-    slot: Vec<u32>,
+    /// For each vertex of the block where it was in `id` when it, or another of its number, was there last, and 256 times the link's stamp then.
+    slot: Box<[u32; VERTICES]>,
     /// Of this link, shifted: no other's since the slots were cleared.
     stamp: u32,
-    /// For each c the set of d to which there is a gate.
-    pub(super) out: [u64; MOST],
+    /// For each gate whether it is open: 1 or 0.
+    open: Box<[u8; GATES]>,
+    /// Gates in the order in which they were opened, some closed again since. Those from `head` to `tail` wait to be looked at.
+    ring: Box<[Gate; RING]>,
+    head: usize,
+    tail: usize,
 }
 
 /// Some gates, and what is foretold behind each.
-#[derive(Default)]
 pub(super) struct Gates {
     pub(super) len: usize,
-    pub(super) c: [u8; LANES],
-    pub(super) d: [u8; LANES],
-    /// The place of the apex, [`NOBODY`] where nothing is in front; and 256 times the context.
-    pub(super) told: [u16; LANES],
+    /// And one that is not in use.
+    pub(super) gates: [Gate; LANES + 1],
+    /// The key of the apex, infinity where nothing is in front.
+    pub(super) told: [f32; LANES],
 }
 
-/// The least size of a sphere that has a context of its own: exponent and first bit.
-pub(super) const LEAST_SIZE: i32 = (127 - 5) << 1;
+impl Default for Gates {
+    fn default() -> Self {
+        Self { len: 0, gates: [NO_GATE; LANES + 1], told: [f32::INFINITY; LANES] }
+    }
+}
+
+impl Gates {
+    /// The place of the apex that is foretold of a gate; [`NOBODY`] if nothing is in front.
+    #[inline(always)]
+    pub(super) fn apex(&self, lane: usize) -> usize {
+        let key = self.told[lane % LANES];
+        if key < f32::INFINITY { (key.to_bits() & PLACE) as usize } else { NOBODY }
+    }
+}
 
 /// A plane through two inverted points: all that the search needs.
 #[derive(Clone, Copy, Default)]
@@ -137,51 +170,39 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 
 impl Hinge {
     #[inline(always)]
-    fn new(c: [f32; 3], d: [f32; 3]) -> Self {
+    fn new([cx, cy, cz, sc]: Point, [dx, dy, dz, sd]: Point) -> Self {
+        let (c, d) = ([cx, cy, cz], [dx, dy, dz]);
         let minor = |j: usize, k: usize| c[j].mul_add(d[k], -(c[k] * d[j]));
         let n = [minor(1, 2), minor(2, 0), minor(0, 1)];
         let (cc, cd, dd) = (dot(c, c), dot(c, d), dot(d, d));
         let (p, q) = (dd - cd, cc - cd);
         let u = [0, 1, 2].map(|k| p.mul_add(c[k], q * d[k]));
-        let sum = |a: [f32; 3]| a[0].abs() + a[1].abs() + a[2].abs();
-        let (sc, sd) = (sum(c), sum(d));
         Self { n, u, nn: dot(n, n), least: sc * sd * (sc + sd) * (1.0 / (1 << 21) as f32) }
     }
 
-    /// Where the sphere meets w; and whether w is in front.
+    /// Where the sphere meets the point at a place, which is in the lowest bits; no number if it is not in front.
     #[inline(always)]
-    fn meets(&self, w: [f32; 3]) -> (f32, bool) {
-        let h = dot(self.n, w);
+    fn key(&self, [x, y, z, _]: Point, place: usize) -> f32 {
+        let h = dot(self.n, [x, y, z]);
         let u = self.u;
-        let over = (-u[2]).mul_add(w[2], (-u[1]).mul_add(w[1], (-u[0]).mul_add(w[0], self.nn)));
-        (over / h, h > self.least)
-    }
-
-    /// Square of a sphere's size against the radius of the neighbourhood, in steps of a factor √2.
-    #[inline(always)]
-    fn size(&self, s: f32, radius2: f32) -> i32 {
-        let square = (s * s).mul_add(self.nn, dot(self.u, self.u)) / (self.nn * self.nn * (4.0 * radius2));
-        square.to_bits() as i32 >> 22
+        let over = (-u[2]).mul_add(z, (-u[1]).mul_add(y, (-u[0]).mul_add(x, self.nn)));
+        let key = f32::from_bits((over / h).to_bits() & !PLACE | place as u32);
+        if h > self.least { key } else { f32::NAN }
     }
 }
 
 impl Path for Plain {
-    fn near_groups(self, cloud: &Cloud, from: Point, first: usize) -> u64 {
-        let groups = cloud.boxes[0][0].len() - 8 * first;
-        (0..groups.min(64)).fold(0, |bits, i| {
-            let out = [0, 1, 2].map(|k| {
-                let [lo, hi] = &cloud.boxes[k];
-                (lo[8 * first + i] - from[k]).max(from[k] - hi[8 * first + i]).max(0.0)
-            });
-            bits | u64::from(dot(out, out) <= cloud.radius2) << i
-        })
-    }
-
-    fn near(self, cloud: &Cloud, from: Point, group: usize) -> u32 {
-        (0..GROUP).fold(0, |bits, i| {
-            let d = [0, 1, 2].map(|k| cloud.axes[k][group * GROUP + i] - from[k]);
-            bits | u32::from(dot(d, d) <= cloud.radius2) << i
-        })
+    fn near(self, cloud: &Cloud, v: usize, link: &mut Link) {
+        let from = cloud.point(v);
+        link.len = 0;
+        for w in v + 1..cloud.len {
+            let p = cloud.point(w);
+            let d = [p[0] - from[0], p[1] - from[1], p[2] - from[2]];
+            if dot(d, d) <= cloud.radius2 && link.len < MOST_NEAR {
+                link.id[link.len] = w as u16;
+                link.len += 1;
+            }
+        }
     }
 
     fn invert(self, cloud: &Cloud, link: &mut Link) {
@@ -190,28 +211,17 @@ impl Path for Plain {
         }
     }
 
-    fn active(self, link: &Link) -> u64 {
-        (0..link.len.min(MOST)).fold(0, |set, c| set | u64::from(link.out[c] != 0) << c)
+    fn search(self, link: &Link, gates: &mut Gates) {
+        for lane in 0..LANES {
+            let [c, d] = ends(gates.gates[lane]);
+            let hinge = Hinge::new(link.point(c), link.point(d));
+            let keys = (0..link.len).map(|i| hinge.key(link.point(i), i));
+            gates.told[lane] = keys.fold(f32::INFINITY, |best, key| if key < best { key } else { best });
+        }
     }
 
-    fn search(self, link: &Link, radius2: f32, gates: &mut Gates) {
-        let hinge = |l: usize| Hinge::new(link.point(gates.c[l].into()), link.point(gates.d[l].into()));
-        let hinges: [Hinge; LANES] = std::array::from_fn(hinge);
-        let (mut best, mut apex) = ([f32::INFINITY; LANES], [NOBODY as i32; LANES]);
-        for i in 0..link.len.min(MOST) {
-            let w = link.point(i);
-            for l in 0..LANES {
-                let (s, front) = hinges[l].meets(w);
-                let better = front & (s < best[l]);
-                best[l] = if better { s } else { best[l] };
-                apex[l] = if better { i as i32 } else { apex[l] };
-            }
-        }
-        for l in 0..LANES {
-            let size = (hinges[l].size(best[l], radius2) - LEAST_SIZE).clamp(0, SIZES as i32 - 2);
-            let size = if apex[l] == NOBODY as i32 { SIZES as i32 - 1 } else { size };
-            gates.told[l] = (size << 8 | apex[l]) as u16;
-        }
+    fn apart<T>(self, f: impl FnOnce() -> T) -> T {
+        f()
     }
 }
 
@@ -222,81 +232,67 @@ impl Default for Link {
             len: 0,
             id: [0; MOST],
             points: [[0.0; 4]; MOST],
-            slot: vec![],
+            slot: Box::new([0; VERTICES]),
             stamp: 0,
-            out: [0; MOST],
+            open: Box::new([0; GATES]),
+            ring: Box::new([NO_GATE; RING]),
+            head: 0,
+            tail: 0,
         }
     }
 }
 
 impl Link {
     /// Prepares for another block.
-    pub(super) fn clear(&mut self, vertices: usize) {
-        (self.len, self.stamp) = (0, 0);
-        self.slot.clear();
-        self.slot.resize(vertices, 0);
-        self.out = [0; MOST];
+    pub(super) fn clear(&mut self) {
+        self.len = 0;
+        (self.head, self.tail) = (0, 0);
+    }
+
+    /// Closes all gates, where a block is given up.
+    pub(super) fn give_up(&mut self) {
+        self.open.fill(0);
     }
 
     /// Begins the link of `v` with the larger vertices nearby.
     #[inline(always)]
     pub(super) fn begin(&mut self, path: impl Path, cloud: &Cloud, v: usize) {
-        let from = cloud.points[v];
-        let groups = cloud.len().div_ceil(GROUP);
-        // Those that are larger than v.
-        let (mut n, mut larger) = (0, u32::MAX << (v % GROUP) << 1);
-        let mut first = v / GROUP / 8;
-        // Groups before that of v are not near.
-        let mut behind = u64::MAX << (v / GROUP % 8);
-        while 8 * first < groups {
-            let mut near = path.near_groups(cloud, from, first) & behind;
-            while near != 0 {
-                let group = 8 * first + near.trailing_zeros() as usize;
-                near &= near - 1;
-                let bits = path.near(cloud, from, group);
-                // The last group may be filled up.
-                let filled = (group * GROUP + GROUP).saturating_sub(cloud.len()) as u32;
-                let larger = std::mem::replace(&mut larger, u32::MAX);
-                n = self.take(group * GROUP, bits & larger & u32::MAX >> filled, n);
-            }
-            (first, behind) = (first + 8, u64::MAX);
-        }
-        (self.from, self.len) = (from, n);
-        self.stamp += 1 << 8;
+        self.from = *cloud.point(v);
+        path.near(cloud, v, self);
         path.invert(cloud, self);
-        for (i, &w) in self.id.iter().enumerate().take(n) {
-            self.slot[usize::from(w)] = self.stamp | i as u32;
+        self.end_list();
+        self.stamp = self.stamp.wrapping_add(1 << 8);
+        if self.stamp == 0 {
+            self.slot.fill(0);
+            self.stamp = 1 << 8;
+        }
+        let (stamp, slot) = (self.stamp, &mut *self.slot);
+        for (&w, place) in self.id.iter().zip(0..self.len as u32) {
+            slot[usize::from(w) % VERTICES] = stamp | place;
         }
     }
 
-    /// Takes the vertices of a group that have a bit, as long as there is room.
+    /// Points in front of no gate behind the last one, so that they can be looked at in fours.
     #[inline(always)]
-    fn take(&mut self, first: usize, mut bits: u32, mut n: usize) -> usize {
-        // Four at a time, for the loop's end is a branch that cannot be foretold; what is too much is overwritten.
-        let end = (n + bits.count_ones() as usize).min(MOST_NEAR);
-        while n < end {
-            for k in 0..4 {
-                self.id[(n + k) % MOST] = (first + bits.trailing_zeros() as usize) as u16;
-                bits &= bits.wrapping_sub(1);
-            }
-            n += 4;
-        }
-        end
+    fn end_list(&mut self) {
+        let n = self.len.min(MOST - 4);
+        self.points[n..n + 4].fill([0.0; 4]);
     }
 
     /// A vertex of the block inverted, seen from this link's.
     #[inline(always)]
     fn inverted(&self, cloud: &Cloud, w: u16) -> Point {
-        let (p, from) = (cloud.points[usize::from(w)], self.from);
+        let (p, from) = (cloud.point(w.into()), self.from);
         let d = [p[0] - from[0], p[1] - from[1], p[2] - from[2]];
         let q = 1.0 / dot(d, d);
-        [d[0] * q, d[1] * q, d[2] * q, 0.0]
+        let [x, y, z] = d.map(|c| c * q);
+        [x, y, z, x.abs() + y.abs() + z.abs()]
     }
 
     /// The place of a vertex, if it has one.
     #[inline(always)]
     pub(super) fn find(&self, w: u16) -> Option<usize> {
-        let i = self.slot.get(usize::from(w))? ^ self.stamp;
+        let i = self.slot[usize::from(w) % VERTICES] ^ self.stamp;
         (i < MOST as u32).then_some(i as usize)
     }
 
@@ -312,80 +308,101 @@ impl Link {
     #[cold]
     fn add(&mut self, cloud: &Cloud, w: u16) -> Option<usize> {
         let i = self.len;
-        *self.id.get_mut(i)? = w;
-        self.slot[usize::from(w)] = self.stamp | i as u32;
+        if i >= super::LARGEST_LINK {
+            return None;
+        }
+        self.id[i] = w;
+        self.slot[usize::from(w) % VERTICES] = self.stamp | i as u32;
         self.points[i] = self.inverted(cloud, w);
         self.len += 1;
+        self.end_list();
         Some(i)
     }
 
     #[inline(always)]
-    fn point(&self, i: usize) -> [f32; 3] {
-        let [x, y, z, _] = self.points[i % MOST];
-        [x, y, z]
+    fn point(&self, i: usize) -> Point {
+        self.points[i % MOST]
+    }
+
+    #[inline(always)]
+    pub(super) fn is_open(&self, gate: Gate) -> bool {
+        self.open[usize::from(gate) % GATES] != 0
     }
 
     /// Opens a gate from c to d, whatever is beyond.
     #[inline(always)]
     pub(super) fn open(&mut self, c: usize, d: usize) {
-        self.out[c % MOST] |= 1 << (d % MOST);
+        self.open[usize::from(gate(c, d)) % GATES] = 1;
+        self.push(gate(c, d), 1);
     }
 
-    /// Closes a gate; false if there is none.
+    /// Closes a gate, if it is open.
     #[inline(always)]
-    pub(super) fn close(&mut self, c: usize, d: usize) -> bool {
-        let (out, bit) = (&mut self.out[c % MOST], 1 << (d % MOST));
-        let open = *out & bit != 0;
-        *out &= !bit;
-        open
+    pub(super) fn close(&mut self, gate: Gate) {
+        self.open[usize::from(gate) % GATES] = 0;
     }
 
     /// An edge of a new triangle: closes the gate of opposite direction, for both sides are known then; without one, opens a gate.
     #[inline(always)]
-    pub(super) fn meet(&mut self, c: usize, d: usize) {
-        let (c, d) = (c % MOST, d % MOST);
-        let back = self.out[d];
-        self.out[d] = back & !(1 << c);
-        self.out[c] |= (!back >> c & 1) << d;
+    pub(super) fn meet(&mut self, edge: Gate) {
+        let back = &mut self.open[usize::from(edge.rotate_left(8)) % GATES];
+        let new = std::mem::take(back) ^ 1;
+        self.open[usize::from(edge) % GATES] |= new;
+        self.push(edge, new);
     }
 
-    /// Some gates, one from each of the first vertices that have any, with what is foretold of them.
     #[inline(always)]
-    pub(super) fn foretell(&self, path: impl Path, cloud: &Cloud, gates: &mut Gates) {
-        let mut from = path.active(self);
-        gates.len = (from.count_ones() as usize).min(LANES);
-        for lane in 0..LANES {
-            let c = from.trailing_zeros() as usize;
-            let to = self.out[c % MOST];
-            (gates.c[lane], gates.d[lane]) = (c as u8, to.trailing_zeros() as u8);
-            from &= from.wrapping_sub(1);
-        }
-        if gates.len > 0 {
-            path.search(self, cloud.radius2, gates);
-        }
+    fn push(&mut self, gate: Gate, gates: u8) {
+        self.ring[self.tail % RING] = gate;
+        self.tail += usize::from(gates);
     }
 
-    /// Where the sphere through c and d meets each vertex; infinity for what is not in front.
+    /// Whether more gates wait than a mesh can have.
     #[inline(always)]
-    pub(super) fn scores(&self, c: usize, d: usize) -> [f32; MOST] {
+    pub(super) fn is_crowded(&self) -> bool {
+        self.tail - self.head > RING / 2
+    }
+
+    /// The next gates that are still open, with what is foretold of them. False if no gate waits; none may be open even so.
+    #[inline(always)]
+    pub(super) fn foretell(&mut self, path: impl Path, gates: &mut Gates) -> bool {
+        let waiting = self.tail - self.head;
+        let mut n = 0;
+        gates.gates = [NO_GATE; LANES + 1];
+        for k in 0..LANES {
+            let gate = self.ring[(self.head + k) % RING];
+            // What is not counted is overwritten.
+            gates.gates[n] = gate;
+            n += usize::from(u8::from(k < waiting) & self.open[usize::from(gate) % GATES]);
+        }
+        gates.gates[n] = NO_GATE;
+        gates.len = n;
+        self.head += waiting.min(LANES);
+        if n > 0 {
+            path.search(self, gates);
+        }
+        waiting > 0
+    }
+
+    /// The keys of all vertices; infinity for what is not in front.
+    #[inline(always)]
+    pub(super) fn scores(&self, gate: Gate) -> [f32; MOST] {
+        let [c, d] = ends(gate);
         let hinge = Hinge::new(self.point(c), self.point(d));
-        self.score(|w| match hinge.meets(w) {
-            (s, true) => s,
-            _ => f32::INFINITY,
-        })
+        self.score(|w, i| hinge.key(w, i))
     }
 
     /// Near vertices first.
     #[inline(always)]
     pub(super) fn by_distance(&self) -> [f32; MOST] {
-        self.score(|w| -dot(w, w))
+        self.score(|[x, y, z, _], _| -dot([x, y, z], [x, y, z]))
     }
 
     /// Small circles through the vertex and c first.
     #[inline(always)]
     pub(super) fn by_circle(&self, c: usize) -> [f32; MOST] {
         let p = self.point(c);
-        self.score(|w| {
+        self.score(|w, _| {
             let n = Hinge::new(p, w).nn;
             let e = [w[0] - p[0], w[1] - p[1], w[2] - p[2]];
             if n > 0.0 { -n / dot(e, e) } else { f32::INFINITY }
@@ -393,10 +410,10 @@ impl Link {
     }
 
     #[inline(always)]
-    fn score(&self, f: impl Fn([f32; 3]) -> f32) -> [f32; MOST] {
+    fn score(&self, f: impl Fn(Point, usize) -> f32) -> [f32; MOST] {
         let mut scores = [f32::INFINITY; MOST];
         for (i, score) in scores.iter_mut().enumerate().take(self.len) {
-            let s = f(self.point(i));
+            let s = f(self.point(i), i);
             *score = if s.is_finite() { s } else { f32::INFINITY };
         }
         scores
@@ -422,6 +439,6 @@ impl Link {
     pub(super) fn rank(&self, scores: &[f32; MOST], place: usize) -> Option<usize> {
         let score = scores[place % MOST];
         let before = |&(i, &s): &(usize, &f32)| s < score || (s == score && i < place);
-        (score < f32::INFINITY).then(|| scores.iter().enumerate().filter(before).count())
+        (score < f32::INFINITY).then(|| scores.iter().take(self.len).enumerate().filter(before).count())
     }
 }

@@ -1,7 +1,7 @@
 //! What [`link`](super::link) does most, with AVX2 and FMA: the same operations in the same order, eight at a time, so the same bits.
 #![allow(unsafe_code)]
 
-use super::link::{Cloud, GROUP, Gates, LANES, LEAST_SIZE, Link, MOST, NOBODY, Path, Point, SIZES};
+use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
 use crate::cpu::may_use;
 use std::arch::x86_64::*;
 
@@ -34,17 +34,17 @@ fn run<T>(f: impl FnOnce() -> T) -> T {
     f()
 }
 
+#[inline(never)]
+#[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt")]
+fn apart<T>(f: impl FnOnce() -> T) -> T {
+    f()
+}
+
 impl Path for Vectors {
     #[inline(always)]
-    fn near_groups(self, cloud: &Cloud, from: Point, first: usize) -> u64 {
+    fn near(self, cloud: &Cloud, v: usize, link: &mut Link) {
         // SAFETY: the features were found when this was made.
-        unsafe { near_groups_avx2(cloud, from, first) }
-    }
-
-    #[inline(always)]
-    fn near(self, cloud: &Cloud, from: Point, group: usize) -> u32 {
-        // SAFETY: the features were found when this was made.
-        unsafe { near_avx2(cloud, from, group) }
+        unsafe { near_avx2(cloud, v, link) }
     }
 
     #[inline(always)]
@@ -54,30 +54,16 @@ impl Path for Vectors {
     }
 
     #[inline(always)]
-    fn active(self, link: &Link) -> u64 {
+    fn search(self, link: &Link, gates: &mut Gates) {
         // SAFETY: the features were found when this was made.
-        unsafe { active_avx2(link) }
+        unsafe { search_avx2(link, gates) }
     }
 
     #[inline(always)]
-    fn search(self, link: &Link, radius2: f32, gates: &mut Gates) {
+    fn apart<T>(self, f: impl FnOnce() -> T) -> T {
         // SAFETY: the features were found when this was made.
-        unsafe { search_avx2(link, radius2, gates) }
+        unsafe { apart(f) }
     }
-}
-
-#[inline]
-#[target_feature(enable = "avx2,fma")]
-fn active_avx2(link: &Link) -> u64 {
-    let mut set = 0;
-    for (k, four) in link.out[..link.len.min(MOST).next_multiple_of(4)].as_chunks::<4>().0.iter().enumerate()
-    {
-        // SAFETY: four words are 32 bytes; the load need not be aligned.
-        let four = unsafe { _mm256_loadu_si256(four.as_ptr().cast()) };
-        let none = _mm256_castsi256_pd(_mm256_cmpeq_epi64(four, _mm256_setzero_si256()));
-        set |= u64::from(!_mm256_movemask_pd(none) as u8 & 15) << (4 * k);
-    }
-    set
 }
 
 /// Eight lanes of an array.
@@ -100,69 +86,75 @@ fn minus(a: [__m256; 3], b: [__m256; 3]) -> [__m256; 3] {
     [_mm256_sub_ps(a[0], b[0]), _mm256_sub_ps(a[1], b[1]), _mm256_sub_ps(a[2], b[2])]
 }
 
-#[inline]
-#[target_feature(enable = "avx2,fma")]
-fn near_groups_avx2(cloud: &Cloud, from: Point, first: usize) -> u64 {
-    let (at, radius2) = (splat(from), _mm256_set1_ps(cloud.radius2));
-    let count = (cloud.boxes[0][0].len() / 8 - first).min(8);
-    let mut bits = 0;
-    for i in 0..count {
-        let mut out = at;
-        for (k, [lo, hi]) in cloud.boxes.iter().enumerate() {
-            let lo = _mm256_sub_ps(load(&lo.as_chunks::<8>().0[first + i]), at[k]);
-            let hi = _mm256_sub_ps(at[k], load(&hi.as_chunks::<8>().0[first + i]));
-            out[k] = _mm256_max_ps(_mm256_max_ps(lo, hi), _mm256_setzero_ps());
+/// The places of the bits that are set in a byte, ascending.
+static PLACES: [[u16; 8]; 256] = {
+    let (mut places, mut byte) = ([[0; 8]; 256], 0);
+    while byte < 256 {
+        let (mut bit, mut n) = (0, 0);
+        while bit < 8 {
+            if byte >> bit & 1 == 1 {
+                places[byte][n] = bit;
+                n += 1;
+            }
+            bit += 1;
         }
-        let near = _mm256_cmp_ps::<_CMP_LE_OQ>(dot(out, out), radius2);
-        bits |= u64::from(_mm256_movemask_ps(near) as u8) << (8 * i);
+        byte += 1;
     }
-    bits
-}
+    places
+};
 
 #[inline]
 #[target_feature(enable = "avx2,fma")]
-fn near_avx2(cloud: &Cloud, from: Point, group: usize) -> u32 {
-    let (at, radius2) = (splat(from), _mm256_set1_ps(cloud.radius2));
+fn near_avx2(cloud: &Cloud, v: usize, link: &mut Link) {
+    let (at, radius2) = (splat(*cloud.point(v)), _mm256_set1_ps(cloud.radius2));
     let [x, y, z] = &cloud.axes;
-    let x = x.as_chunks::<GROUP>().0[group].as_chunks::<8>().0;
-    let y = y.as_chunks::<GROUP>().0[group].as_chunks::<8>().0;
-    let z = z.as_chunks::<GROUP>().0[group].as_chunks::<8>().0;
-    let mut bits = 0;
-    for i in 0..GROUP / 8 {
-        let d = minus([load(&x[i]), load(&y[i]), load(&z[i])], at);
-        let near = _mm256_cmp_ps::<_CMP_LE_OQ>(dot(d, d), radius2);
-        bits |= u32::from(_mm256_movemask_ps(near) as u8) << (8 * i);
+    let (x, y, z) = (x.as_chunks::<8>().0, y.as_chunks::<8>().0, z.as_chunks::<8>().0);
+    let (x, y, z) = (&x[v / 8..], &y[v / 8..], &z[v / 8..]);
+    // Those that are larger than v.
+    let (mut n, mut larger) = (0, 0xff << (v % 8) << 1);
+    let mut first = _mm_set1_epi16((v / 8 * 8) as i16);
+    for ((x, y), z) in x.iter().zip(y).zip(z) {
+        let d = minus([load(x), load(y), load(z)], at);
+        let near = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(dot(d, d), radius2)) & larger;
+        larger = 0xff;
+        let room: &mut [u16; 8] =
+            link.id[n..].first_chunk_mut().expect("there is more room than for those nearby");
+        // SAFETY: both arrays have 16 bytes; load and store need not be aligned.
+        unsafe {
+            let places = _mm_loadu_si128(PLACES[near as usize & 0xff].as_ptr().cast());
+            _mm_storeu_si128(room.as_mut_ptr().cast(), _mm_add_epi16(places, first));
+        }
+        n = (n + near.count_ones() as usize).min(MOST_NEAR);
+        first = _mm_add_epi16(first, _mm_set1_epi16(8));
     }
-    bits
+    link.len = n;
 }
 
-/// Eight points at a time.
 #[inline]
 #[target_feature(enable = "avx2,fma")]
 fn invert_avx2(cloud: &Cloud, link: &mut Link) {
     let (from, one) = (splat(link.from), _mm256_set1_ps(1.0));
-    let last = cloud.points.len() - 1;
     let eights = link.len.div_ceil(8);
     for (ids, points) in
         link.id.as_chunks::<8>().0.iter().zip(link.points.as_chunks_mut::<8>().0).take(eights)
     {
-        let mut at = [&cloud.points[0]; 8];
+        let mut at = [cloud.point(0); 8];
         for (at, &w) in at.iter_mut().zip(ids) {
             // Behind the last one are ids of other links and blocks.
-            *at = &cloud.points[usize::from(w).min(last)];
+            *at = cloud.point(w.into());
         }
         let d = minus(columns(at), from);
         let q = _mm256_div_ps(one, dot(d, d));
         let (x, y, z) = (_mm256_mul_ps(d[0], q), _mm256_mul_ps(d[1], q), _mm256_mul_ps(d[2], q));
-        // Back to rows: pairs (x, y) and (z, 0), then points; the low half has the first four.
-        let zero = _mm256_setzero_ps();
-        let (xy, z0) = (_mm256_unpacklo_ps(x, y), _mm256_unpacklo_ps(z, zero));
-        let (xy_high, z0_high) = (_mm256_unpackhi_ps(x, y), _mm256_unpackhi_ps(z, zero));
+        // Back to rows: pairs (x, y) and (z, sum), then points; the low half has the first four.
+        let sum = sum([x, y, z]);
+        let (xy, zs) = (_mm256_unpacklo_ps(x, y), _mm256_unpacklo_ps(z, sum));
+        let (xy_high, zs_high) = (_mm256_unpackhi_ps(x, y), _mm256_unpackhi_ps(z, sum));
         let rows = [
-            _mm256_shuffle_ps::<0x44>(xy, z0),
-            _mm256_shuffle_ps::<0xee>(xy, z0),
-            _mm256_shuffle_ps::<0x44>(xy_high, z0_high),
-            _mm256_shuffle_ps::<0xee>(xy_high, z0_high),
+            _mm256_shuffle_ps::<0x44>(xy, zs),
+            _mm256_shuffle_ps::<0xee>(xy, zs),
+            _mm256_shuffle_ps::<0x44>(xy_high, zs_high),
+            _mm256_shuffle_ps::<0xee>(xy_high, zs_high),
         ];
         for k in 0..4 {
             // SAFETY: a point has 16 bytes; the stores need not be aligned.
@@ -212,15 +204,34 @@ fn columns(points: [&Point; 8]) -> [__m256; 3] {
     [x, y, _mm256_shuffle_ps::<0x44>(ab_z, cd_z)]
 }
 
+/// A coordinate of four points each: x, y, z, and the number that goes with them; the same in both halves.
 #[inline]
 #[target_feature(enable = "avx2,fma")]
-fn search_avx2(link: &Link, radius2: f32, gates: &mut Gates) {
+fn four(points: [&Point; 4]) -> [__m256; 4] {
+    // SAFETY: a point has 16 bytes; the loads need not be aligned.
+    let row = |p: &Point| unsafe { _mm256_loadu2_m128(p.as_ptr(), p.as_ptr()) };
+    let (a, b, c, d) = (row(points[0]), row(points[1]), row(points[2]), row(points[3]));
+    let (ab, cd) = (_mm256_unpacklo_ps(a, b), _mm256_unpacklo_ps(c, d));
+    let (ab_high, cd_high) = (_mm256_unpackhi_ps(a, b), _mm256_unpackhi_ps(c, d));
+    [
+        _mm256_shuffle_ps::<0x44>(ab, cd),
+        _mm256_shuffle_ps::<0xee>(ab, cd),
+        _mm256_shuffle_ps::<0x44>(ab_high, cd_high),
+        _mm256_shuffle_ps::<0xee>(ab_high, cd_high),
+    ]
+}
+
+/// Two points at a time, one in each half, for four gates.
+#[inline]
+#[target_feature(enable = "avx2,fma")]
+fn search_avx2(link: &Link, gates: &mut Gates) {
     let (mut c, mut d) = ([&link.points[0]; LANES], [&link.points[0]; LANES]);
     for l in 0..LANES {
-        (c[l], d[l]) =
-            (&link.points[usize::from(gates.c[l]) % MOST], &link.points[usize::from(gates.d[l]) % MOST]);
+        let [from, to] = ends(gates.gates[l]);
+        (c[l], d[l]) = (&link.points[from], &link.points[to]);
     }
-    let (c, d) = (columns(c), columns(d));
+    let ([cx, cy, cz, sc], [dx, dy, dz, sd]) = (four(c), four(d));
+    let (c, d) = ([cx, cy, cz], [dx, dy, dz]);
     let n = [minor(c[1], d[2], c[2], d[1]), minor(c[2], d[0], c[0], d[2]), minor(c[0], d[1], c[1], d[0])];
     let (cc, cd, dd) = (dot(c, c), dot(c, d), dot(d, d));
     let (p, q) = (_mm256_sub_ps(dd, cd), _mm256_sub_ps(cc, cd));
@@ -229,37 +240,35 @@ fn search_avx2(link: &Link, radius2: f32, gates: &mut Gates) {
         u[k] = _mm256_fmadd_ps(p, c[k], _mm256_mul_ps(q, d[k]));
     }
     let nn = dot(n, n);
-    let (sc, sd) = (sum(c), sum(d));
     let tiny = _mm256_set1_ps(1.0 / (1 << 21) as f32);
     let least = _mm256_mul_ps(_mm256_mul_ps(_mm256_mul_ps(sc, sd), _mm256_add_ps(sc, sd)), tiny);
-    let mut best = _mm256_set1_ps(f32::INFINITY);
-    let mut apex = _mm256_castsi256_ps(_mm256_set1_epi32(NOBODY as i32));
-    let mut place = _mm256_setzero_si256();
-    let one = _mm256_set1_epi32(1);
-    let count = link.len.min(MOST);
-    for [x, y, z, _] in &link.points[..count] {
-        let w = [_mm256_broadcast_ss(x), _mm256_broadcast_ss(y), _mm256_broadcast_ss(z)];
+    let none = _mm256_set1_ps(f32::INFINITY);
+    let (mut best, mut other) = (none, none);
+    let mut place = _mm256_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1);
+    let (two, of_where) = (_mm256_set1_epi32(2), _mm256_set1_ps(f32::from_bits(!PLACE)));
+    let key = |pair: &[Point], place: __m256i| {
+        // SAFETY: two points have 32 bytes; the load need not be aligned.
+        let pair = unsafe { _mm256_loadu_ps(pair[..2].as_ptr().cast()) };
+        let w = [
+            _mm256_permute_ps::<0x00>(pair),
+            _mm256_permute_ps::<0x55>(pair),
+            _mm256_permute_ps::<0xaa>(pair),
+        ];
         let h = dot(n, w);
         let over = _mm256_fnmadd_ps(u[1], w[1], _mm256_fnmadd_ps(u[0], w[0], nn));
         let s = _mm256_div_ps(_mm256_fnmadd_ps(u[2], w[2], over), h);
-        let front = _mm256_cmp_ps::<_CMP_GT_OQ>(h, least);
-        let better = _mm256_and_ps(front, _mm256_cmp_ps::<_CMP_LT_OQ>(s, best));
-        best = _mm256_blendv_ps(best, s, better);
-        apex = _mm256_blendv_ps(apex, _mm256_castsi256_ps(place), better);
-        place = _mm256_add_epi32(place, one);
+        let key = _mm256_or_ps(_mm256_and_ps(s, of_where), _mm256_castsi256_ps(place));
+        // All bits where it is not in front: no number, which is never the least.
+        _mm256_or_ps(key, _mm256_cmp_ps::<_CMP_NGT_UQ>(h, least))
+    };
+    for points in &link.points.as_chunks::<4>().0[..link.len.div_ceil(4).min(MOST / 4)] {
+        best = _mm256_min_ps(key(&points[..2], place), best);
+        place = _mm256_add_epi32(place, two);
+        other = _mm256_min_ps(key(&points[2..], place), other);
+        place = _mm256_add_epi32(place, two);
     }
-    // Size of the spheres, as `Hinge::size`.
-    let over = _mm256_fmadd_ps(_mm256_mul_ps(best, best), nn, dot(u, u));
-    let under = _mm256_mul_ps(_mm256_mul_ps(nn, nn), _mm256_set1_ps(4.0 * radius2));
-    let size = _mm256_srai_epi32::<22>(_mm256_castps_si256(_mm256_div_ps(over, under)));
-    let size = _mm256_sub_epi32(size, _mm256_set1_epi32(LEAST_SIZE));
-    let size = _mm256_max_epi32(size, _mm256_setzero_si256());
-    let size = _mm256_min_epi32(size, _mm256_set1_epi32(SIZES as i32 - 2));
-    let apex = _mm256_castps_si256(apex);
-    let nobody = _mm256_cmpeq_epi32(apex, _mm256_set1_epi32(NOBODY as i32));
-    let size = _mm256_blendv_epi8(size, _mm256_set1_epi32(SIZES as i32 - 1), nobody);
-    let told = _mm256_or_si256(apex, _mm256_slli_epi32::<8>(size));
-    let told = _mm_packus_epi32(_mm256_castsi256_si128(told), _mm256_extracti128_si256::<1>(told));
+    best = _mm256_min_ps(other, best);
+    let told = _mm_min_ps(_mm256_castps256_ps128(best), _mm256_extractf128_ps::<1>(best));
     // SAFETY: the array has 16 bytes; the store need not be aligned.
-    unsafe { _mm_storeu_si128(gates.told.as_mut_ptr().cast(), told) };
+    unsafe { _mm_storeu_ps(gates.told.as_mut_ptr(), told) };
 }
