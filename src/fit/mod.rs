@@ -51,6 +51,7 @@ mod windows;
 
 pub use windows::{BrickTets, Windows, window_edge};
 
+use crate::exec::with_vectors;
 use crate::geom::LatticePos;
 use crate::grid::IndexBox;
 use crate::mesh::tet::Tet;
@@ -122,20 +123,33 @@ impl Fit {
         tets: &[u32],
     ) {
         assert_eq!(samples.len(), window.len(), "a value for each sample of the window");
+        let scanner = Scanner::new(grid, window);
+        with_vectors(
+            #[inline(always)]
+            || self.add_window(mesh, &scanner, samples, tets),
+        );
+    }
+
+    #[inline(always)]
+    fn add_window(&mut self, mesh: &FitMesh<'_>, scanner: &Scanner<'_>, samples: &[f32], tets: &[u32]) {
         self.owners.clear();
         self.owners.resize(samples.len(), NONE);
         self.weights.resize(samples.len(), [0.0; 4]);
-        let scanner = Scanner::new(grid, window);
         for &tet in tets {
             if mesh.corner_values(tet).iter().any(|v| v.is_nan()) {
                 continue;
             }
-            scanner.each_run(mesh.corners(tet), |place, run| {
-                for (i, w) in run.iter().enumerate() {
-                    self.owners[place + i] = tet;
-                    self.weights[place + i] = [w[0] as f32, w[1] as f32, w[2] as f32, w[3] as f32];
-                }
-            });
+            scanner.each_run(
+                mesh.corners(tet),
+                #[inline(always)]
+                |place, run| {
+                    let places = place..place + run.len();
+                    self.owners[places.clone()].fill(tet);
+                    for (weights, w) in self.weights[places].iter_mut().zip(run) {
+                        *weights = [w[0] as f32, w[1] as f32, w[2] as f32, w[3] as f32];
+                    }
+                },
+            );
         }
         self.add_owned(mesh, samples);
     }
@@ -168,6 +182,7 @@ impl Fit {
     }
 
     /// Adds the samples that have a tetrahedron, in their order.
+    #[inline(always)]
     fn add_owned(&mut self, mesh: &FitMesh<'_>, samples: &[f32]) {
         for ((&tet, weights), &sample) in self.owners.iter().zip(&self.weights).zip(samples) {
             if tet != NONE && !sample.is_nan() {

@@ -120,6 +120,24 @@ fn the_order_of_tetrahedra_and_corners_does_not_show() {
 }
 
 #[test]
+fn vectors_do_not_show() {
+    let (grid, positions, tets) = mesh();
+    let f: &dyn Fn([f64; 3]) -> f32 = &|p| (40.0 * p[0] * p[1]).sin() as f32 + p[2] as f32;
+    let values: Vec<f32> = positions.iter().map(|&p| f(at(&grid, p))).collect();
+    let mesh = FitMesh { positions: &positions, values: &values, tets: &tets };
+    let [mut plain, mut vectors] = [0, 1].map(|_| Fit::new(positions.len()));
+    for (window, tets) in Windows::new(&grid, [32; 3], &positions, &tets).iter() {
+        let samples = samples(&grid, &window, f);
+        vectors.add(&mesh, &grid, &window, &samples, tets);
+        plain.add_window(&mesh, &Scanner::new(&grid, &window), &samples, tets);
+    }
+    let bits =
+        |fit: &Fit| fit.sums.iter().map(|s| [s.pull.to_bits(), s.weight.to_bits()]).collect::<Vec<_>>();
+    assert_eq!(bits(&plain), bits(&vectors));
+    assert!(bits(&plain).iter().any(|s| s[0] != 0));
+}
+
+#[test]
 fn holes_do_not_leak() {
     let (grid, positions, tets) = mesh();
     let hole = |p: [f64; 3]| p[0] > 0.6 && p[2] < 0.4;
