@@ -21,7 +21,7 @@ use crate::grid::{ChunkId, IndexBox};
 use crate::measure::{BrickErrors, ErrorSums, FieldError, LevelError, Worst};
 use crate::mesh::tet::Tet;
 use crate::points::Levels;
-use crate::raster::{SampleGrid, Scanner, interpolate};
+use crate::raster::{BatchScan, MEMBERS, Members, SampleGrid, Scanner, interpolate};
 use crate::volume::VolumeReader;
 use std::ops::Range;
 
@@ -65,30 +65,30 @@ pub(super) struct Cells<'a> {
     pub(super) block_ends: &'a [usize],
 }
 
-/// A sample that is measured.
+/// Some samples that are measured, at a step.
 pub(super) struct Measured<'a> {
     /// Which of the steps.
     pub(super) step: usize,
-    pub(super) original: f32,
+    pub(super) originals: &'a [f32],
     /// NaN in a tetrahedron with a void corner.
-    pub(super) reduced: f32,
+    pub(super) reduced: &'a [f32],
     window: &'a IndexBox,
-    /// Its place in the window.
-    at: usize,
+    /// The place of each in the window.
+    places: &'a [u32],
 }
 
 impl Measured<'_> {
-    /// Its place among the samples of the volume.
+    /// The place of one among the samples of the volume.
     #[inline]
-    pub(super) fn place(&self) -> [u64; 3] {
-        let (at, [x, y, _]) = (self.at as u64, self.window.dims());
+    pub(super) fn place(&self, n: usize) -> [u64; 3] {
+        let (at, [x, y, _]) = (u64::from(self.places[n]), self.window.dims());
         [self.window.lo[0] + at % x, self.window.lo[1] + at / x % y, self.window.lo[2] + at / x / y]
     }
 
-    /// Its number in a volume of so many samples along each axis.
+    /// The number of one in a volume of so many samples along each axis.
     #[inline]
-    pub(super) fn number(&self, dims: [u64; 3]) -> u64 {
-        let [x, y, z] = self.place();
+    pub(super) fn number(&self, n: usize, dims: [u64; 3]) -> u64 {
+        let [x, y, z] = self.place(n);
         (z * dims[1] + y) * dims[0] + x
     }
 }
@@ -100,7 +100,7 @@ const TOGETHER: u64 = 1 << 15;
 
 /// Bytes that measuring a chunk at so many steps takes: samples, sums.
 pub(super) const fn working_bytes(steps: u64) -> u64 {
-    steps * (4 * WINDOW + (80 << 10)) + (256 << 10)
+    steps * (4 * WINDOW + (80 << 10)) + (256 << 10) + BatchScan::BYTES
 }
 
 /// Measures chunks of a volume.
@@ -132,7 +132,7 @@ impl Gauge {
             steps,
             read,
             #[inline(always)]
-            |m| sums[m.step].add(m.original, m.reduced, || m.number(dims)),
+            |m| sums[m.step].add_all(m.originals, m.reduced, |n| m.number(n, dims)),
         )?;
         Ok(sums)
     }
@@ -154,14 +154,16 @@ impl Gauge {
         let (dims, shift) = (self.dims(), levels.cells().lattice.log2_steps);
         self.each_sample(cells, steps, read, |m| {
             let errors = &mut all[m.step];
-            errors.sums.add(m.original, m.reduced, || m.number(dims));
-            let level = levels.at(m.place().map(|i| (i << shift) as u32));
-            errors.levels[usize::from(level)].add(m.original, m.reduced);
+            errors.sums.add_all(m.originals, m.reduced, |n| m.number(n, dims));
+            for (n, (&original, &reduced)) in m.originals.iter().zip(m.reduced).enumerate() {
+                let level = levels.at(m.place(n).map(|i| (i << shift) as u32));
+                errors.levels[usize::from(level)].add(original, reduced);
+            }
         })?;
         Ok(all)
     }
 
-    /// Calls `each` for all samples in the tetrahedra of a chunk, at each of some steps.
+    /// Calls `each` for all samples in the tetrahedra of a chunk, some at a time, at each of some steps.
     pub(super) fn each_sample(
         &self,
         cells: &Cells<'_>,
@@ -169,8 +171,12 @@ impl Gauge {
         mut read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
         mut each: impl FnMut(Measured<'_>),
     ) -> Result<()> {
-        let mut originals = vec![];
-        for (whole, tets) in self.groups(cells) {
+        let (mut originals, mut batch, mut room) = (vec![], BatchScan::default(), Room::default());
+        let groups = with_vectors(
+            #[inline(always)]
+            || self.groups(cells),
+        );
+        for (whole, tets) in groups {
             for window in windows(whole, WINDOW) {
                 let len = window.len();
                 originals.resize(steps.len() * len, 0.0);
@@ -180,7 +186,15 @@ impl Gauge {
                 let (tets, scanner) = (&cells.tets[tets.clone()], Scanner::new(&self.grid, &window));
                 with_vectors(
                     #[inline(always)]
-                    || scan(&scanner, &window, cells.positions, tets, steps, &originals, &mut each),
+                    || {
+                        batch.each_member(
+                            &scanner,
+                            cells.positions,
+                            tets,
+                            #[inline(always)]
+                            |members| room.compare(members, &window, tets, steps, &originals, &mut each),
+                        )
+                    },
                 );
             }
         }
@@ -188,6 +202,7 @@ impl Gauge {
     }
 
     /// Runs of blocks with the box of their samples, where they have some.
+    #[inline(always)]
     fn groups(&self, cells: &Cells<'_>) -> Vec<(IndexBox, Range<usize>)> {
         let mut groups: Vec<(IndexBox, Range<usize>)> = vec![];
         let mut start = 0;
@@ -205,13 +220,17 @@ impl Gauge {
     }
 
     /// The samples in the bounding box of some tetrahedra.
+    #[inline(always)]
     fn around(&self, positions: &[LatticePos], tets: &[Tet]) -> Option<IndexBox> {
-        let mut corners = tets.iter().flatten().map(|&v| positions[v as usize]);
-        let first = corners.next()?;
-        let (lo, hi) = corners.fold((first, first), |(lo, hi), p| {
-            (std::array::from_fn(|a| p[a].min(lo[a])), std::array::from_fn(|a| p[a].max(hi[a])))
-        });
-        Some(self.grid.within(lo, hi)).filter(|b| !b.is_empty())
+        let (mut lo, mut hi) = ([u32::MAX; 4], [0; 4]);
+        for &v in tets.iter().flatten() {
+            // Four lanes are a vector.
+            let [x, y, z] = positions[v as usize];
+            let p = [x, y, z, 0];
+            (lo, hi) = ([0, 1, 2, 3].map(|k| p[k].min(lo[k])), [0, 1, 2, 3].map(|k| p[k].max(hi[k])));
+        }
+        let ([x, y, z, _], [u, v, w, _]) = (lo, hi);
+        (!tets.is_empty()).then(|| self.grid.within([x, y, z], [u, v, w])).filter(|b| !b.is_empty())
     }
 }
 
@@ -222,33 +241,58 @@ fn union(a: &IndexBox, b: &IndexBox) -> IndexBox {
     }
 }
 
-/// Hands on the samples of a window; `originals` are its samples of each step.
-#[inline(always)]
-fn scan(
-    scanner: &Scanner<'_>,
-    window: &IndexBox,
-    positions: &[LatticePos],
-    tets: &[Tet],
-    steps: &[&[f32]],
-    originals: &[f32],
-    each: &mut impl FnMut(Measured<'_>),
-) {
-    let len = window.len();
-    for tet in tets {
-        scanner.each_run(
-            tet.map(|v| positions[v as usize]),
-            #[inline(always)]
-            |place, run| {
-                for ((step, values), originals) in steps.iter().enumerate().zip(originals.chunks_exact(len)) {
-                    let values = tet.map(|v| values[v as usize]);
-                    let void = values.iter().any(|v| v.is_nan());
-                    for ((at, &weights), &original) in (place..).zip(run).zip(&originals[place..]) {
-                        let reduced = if void { f32::NAN } else { interpolate(weights, values) };
-                        each(Measured { step, original, reduced, window, at });
-                    }
-                }
-            },
-        );
+/// Values at some samples, column by column.
+struct Room {
+    corners: [[f32; MEMBERS]; 4],
+    originals: [f32; MEMBERS],
+    reduced: [f32; MEMBERS],
+}
+
+impl Default for Room {
+    fn default() -> Self {
+        let column = [0.0; MEMBERS];
+        Self { corners: [column; 4], originals: column, reduced: column }
+    }
+}
+
+impl Room {
+    /// Hands on some samples of a window at each step; `originals` are the window's samples of each step.
+    #[inline(always)]
+    fn compare(
+        &mut self,
+        members: &Members,
+        window: &IndexBox,
+        tets: &[Tet],
+        steps: &[&[f32]],
+        originals: &[f32],
+        each: &mut impl FnMut(Measured<'_>),
+    ) {
+        let places = members.places();
+        let count = places.len().min(MEMBERS);
+        for ((step, values), originals) in steps.iter().enumerate().zip(originals.chunks_exact(window.len()))
+        {
+            for (i, (&tet, &place)) in members.tets().iter().zip(places).enumerate().take(count) {
+                let corners = tets[tet as usize];
+                (0..4).for_each(|k| self.corners[k][i] = values[corners[k] as usize]);
+                self.originals[i] = originals[place as usize];
+            }
+            self.interpolate(members, count);
+            let (originals, reduced) = (&self.originals[..count], &self.reduced[..count]);
+            each(Measured { step, originals, reduced, window, places });
+        }
+    }
+
+    /// The reduced values at all.
+    #[inline(always)]
+    fn interpolate(&mut self, members: &Members, count: usize) {
+        let [wa, wb, wc, wd] = members.weights().map(|w| &w[..count]);
+        let [a, b, c, d] = &self.corners;
+        for i in 0..count {
+            let values = [a[i], b[i], c[i], d[i]];
+            let value = interpolate([wa[i], wb[i], wc[i], wd[i]], values);
+            let void = a[i].is_nan() | b[i].is_nan() | c[i].is_nan() | d[i].is_nan();
+            self.reduced[i] = if void { f32::NAN } else { value };
+        }
     }
 }
 

@@ -453,9 +453,11 @@ impl AgainstSamples<'_> {
         let (bricks, steps) = (self.archive.chunks.bricks(), self.archive.manifest.plan.lattice.log2_steps);
         let (mut part, dims) = (Part::default(), self.gauge.dims());
         self.gauge.each_sample(&cells, &[values], read, |m| {
-            part.sums.add(m.original, m.reduced, || m.number(dims));
-            let brick = bricks.id(bricks.brick_at(m.place().map(|i| (i << steps) as u32)));
-            part.bricks.entry(brick.0).or_default().add(m.original, m.reduced);
+            part.sums.add_all(m.originals, m.reduced, |n| m.number(n, dims));
+            for (n, (&original, &reduced)) in m.originals.iter().zip(m.reduced).enumerate() {
+                let brick = bricks.id(bricks.brick_at(m.place(n).map(|i| (i << steps) as u32)));
+                part.bricks.entry(brick.0).or_default().add(original, reduced);
+            }
         })?;
         Ok(part)
     }

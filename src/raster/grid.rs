@@ -72,6 +72,11 @@ impl Axis {
         self.shift.map(|s| (1u32 << s) as f32)
     }
 
+    /// log2 of that, where the first sample is at 0.
+    pub(super) fn shift_from_zero(&self) -> Option<u32> {
+        self.shift.filter(|_| self.first == 0)
+    }
+
     /// Number of samples at or below a coordinate.
     #[inline]
     pub(super) fn up_to(&self, coordinate: u32) -> usize {

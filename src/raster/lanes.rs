@@ -17,11 +17,16 @@ impl Four {
         Self(imp::position(p))
     }
 
+    /// As integers, of whole numbers below 2^31.
+    #[inline(always)]
+    pub(super) fn whole(self) -> [u32; 4] {
+        imp::whole(self.0)
+    }
+
     /// The first three lanes of four rows as three columns.
     #[inline(always)]
     pub(super) fn columns(rows: [Self; 4]) -> [Self; 3] {
-        let [a, b, c, d] = rows.map(Self::lanes);
-        [0, 1, 2].map(|k| Self::new([a[k], b[k], c[k], d[k]]))
+        imp::columns(rows.map(|r| r.0)).map(Self)
     }
 
     #[inline(always)]
@@ -127,6 +132,20 @@ mod imp {
         unsafe { _mm_cvtepi32_ps(_mm_setr_epi32(x as i32, y as i32, z as i32, 0)) }
     }
     #[inline(always)]
+    pub(super) fn whole(x: Lanes) -> [u32; 4] {
+        // SAFETY: every x86-64 has SSE2.
+        bytemuck::cast(unsafe { _mm_cvttps_epi32(x) })
+    }
+    #[inline(always)]
+    pub(super) fn columns([a, b, c, d]: [Lanes; 4]) -> [Lanes; 3] {
+        // SAFETY: every x86-64 has SSE.
+        unsafe {
+            let (ab, cd) = (_mm_unpacklo_ps(a, b), _mm_unpacklo_ps(c, d));
+            let (ab_high, cd_high) = (_mm_unpackhi_ps(a, b), _mm_unpackhi_ps(c, d));
+            [_mm_movelh_ps(ab, cd), _mm_movehl_ps(cd, ab), _mm_movelh_ps(ab_high, cd_high)]
+        }
+    }
+    #[inline(always)]
     pub(super) fn turned(x: Lanes) -> Lanes {
         // SAFETY: every x86-64 has SSE.
         unsafe { _mm_shuffle_ps::<0b11_00_10_01>(x, x) }
@@ -173,6 +192,14 @@ mod imp {
     #[inline(always)]
     pub(super) fn position([x, y, z]: [u32; 3]) -> Lanes {
         [x as f32, y as f32, z as f32, 0.0]
+    }
+    #[inline(always)]
+    pub(super) fn whole(x: Lanes) -> [u32; 4] {
+        x.map(|x| x as u32)
+    }
+    #[inline(always)]
+    pub(super) fn columns([a, b, c, d]: [Lanes; 4]) -> [Lanes; 3] {
+        [0, 1, 2].map(|k| [a[k], b[k], c[k], d[k]])
     }
     #[inline(always)]
     pub(super) fn turned([a, b, c, d]: Lanes) -> Lanes {

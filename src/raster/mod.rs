@@ -26,7 +26,8 @@
 //!
 //! **Fast.** Most samples of a bounding box are outside, and a filter in `f32` with a proven error says so, sixteen at a time in a small
 //! box; exact integers see what is left. Cost: some 300 operations a tetrahedron with a sample in its box, 15 to 40 for
-//! each row of the box, 40 for each sample inside. Memory: none. [`Scanner`] hands samples on by runs.
+//! each row of the box, 40 for each sample inside. Memory: none. [`Scanner`] hands samples on by runs. [`BatchScan`] scans many
+//! small tetrahedra together, in half of that time.
 //!
 //! ```
 //! use isospan::geom::Lattice;
@@ -47,6 +48,7 @@
 //! # Ok::<(), isospan::Error>(())
 //! ```
 
+mod batch;
 mod grid;
 mod lanes;
 mod locate;
@@ -55,12 +57,13 @@ mod scan;
 #[cfg(test)]
 mod tests;
 
+pub use batch::{BatchScan, MEMBERS, Members};
 pub use grid::{Axis, SampleGrid};
 pub use locate::PointLocator;
 pub use scan::{Scanner, each_sample};
 
 /// The weighted sum of four corner values, whatever the order of the corners.
-#[inline]
+#[inline(always)]
 pub fn interpolate(weights: [f64; 4], values: [f32; 4]) -> f32 {
     let [a, b, c, d] = std::array::from_fn(|k| weights[k] * f64::from(values[k]));
     // Two selections without a branch: nobody can predict the order.

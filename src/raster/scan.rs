@@ -71,6 +71,33 @@ impl<'a> Scanner<'a> {
         Self { axes, far: grid.far(), lo, hi, strides, pitch }
     }
 
+    /// log2 of the distance of samples, where it is the same along all axes, and the first sample is at 0.
+    pub(super) fn even_shift(&self) -> Option<u32> {
+        let [x, y, z] = [0, 1, 2].map(|k| self.axes[k].shift_from_zero());
+        x.filter(|_| x == y && y == z)
+    }
+
+    /// Samples of the window.
+    pub(super) fn len(&self) -> u64 {
+        self.strides[1] as u64 * self.hi[2].saturating_sub(self.lo[2]) as u64
+    }
+
+    /// First and end of the window, and 0 and 1.
+    pub(super) fn window(&self) -> ([u32; 4], [u32; 4]) {
+        let ([x, y, z], [u, v, w]) = (self.lo.map(|n| n as u32), self.hi.map(|n| n as u32));
+        ([x, y, z, 0], [u, v, w, 1])
+    }
+
+    /// Samples of a row of the window, of a layer.
+    pub(super) fn strides(&self) -> [u32; 2] {
+        self.strides.map(|n| n as u32)
+    }
+
+    /// The largest position of the domain.
+    pub(super) fn far(&self) -> LatticePos {
+        self.far
+    }
+
     /// Calls `each` with the samples of the window that belong to a positively oriented tetrahedron, in runs along x: the place of a
     /// run's first sample in an x-fastest array of the window, and the weights of the corners at each of its samples. Runs come
     /// in the order of their places.

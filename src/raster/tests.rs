@@ -5,6 +5,7 @@ use super::*;
 use crate::geom::predicates::signed_volume6;
 use crate::geom::{Lattice, LatticeBox, LatticePos};
 use crate::grid::IndexBox;
+use crate::mesh::tet::Tet;
 use proptest::prelude::*;
 
 /// The six tetrahedra of each cell of a grid of planes: many samples lie on faces, edges and corners.
@@ -59,6 +60,15 @@ fn samples(grid: &SampleGrid) -> impl Iterator<Item = LatticePos> + '_ {
             (0..d[0] as usize).map(move |x| [xs.position(x), ys.position(y), zs.position(z)])
         })
     })
+}
+
+/// Coordinates within 12 voxels of 2^16 steps, most within 3; many on voxels or halfway between.
+fn corner() -> impl Strategy<Value = u32> {
+    prop_oneof![
+        4 => (12u32..=24).prop_map(|n| n << 15),
+        4 => (6u32 << 16)..=(9 << 16),
+        1 => 0u32..=(12 << 16),
+    ]
 }
 
 /// Planes at random places, the domain's faces included.
@@ -131,6 +141,49 @@ proptest! {
         locator.each_in(tet, |n, w| located.push((n as usize, w)));
         located.sort_by_key(|l| l.0);
         prop_assert_eq!(&located, &wanted);
+    }
+
+    #[test]
+    fn tetrahedra_scanned_together_have_the_samples_of_each(
+        corners in prop::collection::vec(prop::array::uniform3(corner()), 4..40),
+        picks in prop::collection::vec(prop::array::uniform4(any::<prop::sample::Index>()), 1..300),
+        far in any::<bool>(),
+        cut in any::<bool>(),
+    ) {
+        // 2^16 steps a voxel; at the near end of the domain, or at the far one.
+        let lattice = Lattice::new([257, 257, 257]).unwrap();
+        let base = if far { lattice.max()[0] - (12 << 16) } else { 0 };
+        let positions: Vec<LatticePos> = corners.iter().map(|p| p.map(|c| base + c)).collect();
+        let tets: Vec<Tet> = picks.iter().filter_map(|pick| {
+            let [a, b, c, d] = pick.map(|i| i.index(positions.len()) as u32);
+            let at = |v: u32| positions[v as usize];
+            match signed_volume6(at(a), at(b), at(c), at(d)) {
+                0 => None,
+                v if v > 0 => Some([a, b, c, d]),
+                _ => Some([a, b, d, c]),
+            }
+        }).collect();
+        let whole = IndexBox::whole(lattice.dims);
+        let window = IndexBox { lo: [u64::from(base >> 16) + 3; 3], hi: [u64::from(base >> 16) + 8; 3] };
+        let even = Axis::even(0, lattice.max()[0], 400).unwrap();
+        let grids = [SampleGrid::voxels(&lattice), SampleGrid::new(&lattice, [even.clone(), even.clone(), even]).unwrap()];
+        for grid in grids {
+            let window = if cut { window } else { whole };
+            let scanner = Scanner::new(&grid, &window);
+            let (mut found, mut wanted) = (vec![], vec![]);
+            BatchScan::default().each_member(&scanner, &positions, &tets, |members| {
+                let [a, b, c, d] = members.weights();
+                for (i, (&tet, &place)) in members.tets().iter().zip(members.places()).enumerate() {
+                    found.push((tet, place as usize, [a[i], b[i], c[i], d[i]].map(f64::to_bits)));
+                }
+            });
+            for (t, tet) in (0..).zip(&tets) {
+                let corners = tet.map(|v| positions[v as usize]);
+                scanner.each_sample(corners, |place, w| wanted.push((t, place, w.map(f64::to_bits))));
+            }
+            found.sort_unstable();
+            prop_assert_eq!(found, wanted);
+        }
     }
 
     #[test]
