@@ -17,7 +17,7 @@ pub use cancel::CancelToken;
 pub use limits::usable_memory;
 pub use progress::{Progress, Silent};
 pub use reorder::Reorder;
-pub(crate) use vectors::with_vectors;
+pub(crate) use vectors::{Avx2, with_vectors};
 
 use crate::error::{Error, Result};
 

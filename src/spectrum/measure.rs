@@ -3,12 +3,16 @@
 //! **How it is fast.** A step of a series is measured anew though its mesh is not made anew, so this is most of what a step costs.
 //! Tetrahedra are taken a batch at a time, column by column: edges, values, volume and gradient of all, then the values of each sorted by
 //! exchanges, and all divisions, in loops without branches that the compiler turns into vector code. Then, tetrahedron by tetrahedron, the
-//! knots in its range, side by side: of the three parabolas all are computed, and the one that holds is chosen; what comes of it is then added to the sums.
+//! knots in its range, four by four: of the three parabolas all are computed, and the one that holds is chosen. Fours begin at the same knots for all tetrahedra,
+//! and those out of a range get 0: so a sum is read as it was written, and the processor need not wait for the one before to leave its queue.
 
-use super::design::{Design, Limits, MOST_KNOTS};
+use super::design::{Design, Limits};
 use super::grid::Places;
+#[cfg(target_arch = "x86_64")]
+use super::wide::Vector;
+use super::wide::{Plain, Wide};
 use super::{Knot, Spectrum};
-use crate::exec::with_vectors;
+use crate::exec::{Avx2, with_vectors};
 use crate::mesh::tet::Tet;
 
 /// A corner of tetrahedra.
@@ -51,7 +55,18 @@ pub(super) struct Measured {
 impl ChunkPart {
     /// Measures tetrahedra whose values, void ones left out, have this range (the first above the second: all are void). A function of
     /// the order and of the turns of the tetrahedra too, in the last bits. Time: some nanoseconds for each tetrahedron, and for each knot in its range.
-    pub fn of(limits: Limits, range: [f32; 2], mut corners: Vec<Corner>, tets: &[Tet]) -> Self {
+    pub fn of(limits: Limits, range: [f32; 2], corners: Vec<Corner>, tets: &[Tet]) -> Self {
+        Self::of_with(limits, range, corners, tets, Avx2::found())
+    }
+
+    /// With vectors of AVX2, or without: the same bits.
+    pub(super) fn of_with(
+        limits: Limits,
+        range: [f32; 2],
+        mut corners: Vec<Corner>,
+        tets: &[Tet],
+        avx2: Option<Avx2>,
+    ) -> Self {
         if range[0] > range[1] {
             return Self { tetrahedra: 0, volume: 0.0, measured: None };
         }
@@ -62,10 +77,16 @@ impl ChunkPart {
             (c.knot, c.level) = (knots.of(c.value) as u16, levels.of(c.value) as u16);
         }
         let mut sums = Sums::new(&design);
-        with_vectors(
-            #[inline(always)]
-            || sums.add_all(&corners, tets),
-        );
+        #[cfg(target_arch = "x86_64")]
+        if let Some(proof) = avx2 {
+            with_vectors(
+                #[inline(always)]
+                || sums.add_all::<Vector>(proof, &corners, tets),
+            );
+            return sums.finish(design);
+        }
+        let _ = avx2;
+        sums.add_all::<Plain>((), &corners, tets);
         sums.finish(design)
     }
 }
@@ -96,14 +117,10 @@ struct Batch {
 
 /// Sums while they are made.
 struct Sums {
-    isovalues: Vec<f64>,
-    /// What a tetrahedron adds at the knots in its range.
-    share: Box<Share>,
+    isovalues: Vec<[f64; LANES]>,
     tetrahedra: u64,
-    /// At each knot, of the tetrahedra that it cuts: area, volume inside, gradient times area.
-    areas: Vec<f64>,
-    insides: Vec<f64>,
-    slopes: Vec<f64>,
+    /// At each knot, of the tetrahedra that it cuts.
+    cut: Vec<Cut>,
     /// Volume of tetrahedra whose least value has so many knots at or below it.
     whole: Vec<f64>,
     /// Minima less maxima that have so many knots, so many levels at or below them.
@@ -117,12 +134,9 @@ impl Sums {
         let (knots, levels) = (design.knots.count as usize, design.levels.count as usize);
         let batch = [0.0; BATCH];
         Self {
-            isovalues: padded(design.knots.values()),
-            share: Box::new(Share { area: [0.0; MOST], above: [0.0; MOST] }),
+            isovalues: side_by_side(&design.knots.values()),
             tetrahedra: 0,
-            areas: vec![0.0; knots],
-            insides: vec![0.0; knots],
-            slopes: vec![0.0; knots],
+            cut: vec![Cut::default(); knots.div_ceil(LANES)],
             whole: vec![0.0; knots + 1],
             ends: vec![0; knots + 1],
             level_ends: vec![0; levels + 1],
@@ -140,11 +154,11 @@ impl Sums {
     }
 
     #[inline(always)]
-    fn add_all(&mut self, corners: &[Corner], tets: &[Tet]) {
+    fn add_all<W: Wide>(&mut self, proof: W::Proof, corners: &[Corner], tets: &[Tet]) {
         for tets in tets.chunks(BATCH) {
             self.gather(corners, tets);
             self.batch.measure();
-            self.spread();
+            self.spread::<W>(proof);
         }
     }
 
@@ -182,7 +196,7 @@ impl Sums {
 
     /// Adds the tetrahedra of the batch at the knots in their ranges.
     #[inline(always)]
-    fn spread(&mut self) {
+    fn spread<W: Wide>(&mut self, proof: W::Proof) {
         let batch = &*self.batch;
         for i in 0..batch.len.min(BATCH) {
             let [lo, hi] = batch.knots[i].map(usize::from);
@@ -193,19 +207,10 @@ impl Sums {
             if lo == hi {
                 continue;
             }
-            // More than are wanted, so that vectors are full.
-            let isovalues = &self.isovalues[lo..lo + (hi - lo).next_multiple_of(LANES)];
-            batch.pieces(i).at(isovalues, &mut self.share);
-            let (area, slope, Share { area: density, above }) = (batch.area[i], batch.slope[i], &*self.share);
-            for (sum, density) in self.areas[lo..hi].iter_mut().zip(density) {
-                *sum += area * density;
-            }
-            let area = area * slope;
-            for (sum, density) in self.slopes[lo..hi].iter_mut().zip(density) {
-                *sum += area * density;
-            }
-            for (sum, above) in self.insides[lo..hi].iter_mut().zip(above) {
-                *sum += volume * above;
+            let pieces = batch.pieces(i);
+            let blocks = lo / LANES..hi.div_ceil(LANES);
+            for (isovalues, cut) in self.isovalues[blocks.clone()].iter().zip(&mut self.cut[blocks]) {
+                pieces.add::<W>(proof, isovalues, cut);
             }
         }
     }
@@ -222,9 +227,11 @@ impl Sums {
         };
         // Tetrahedra that lie inside as a whole: those whose least value is at or above the knot.
         let mut whole = 0.0;
-        let knots = 0..self.areas.len();
-        let mut sums: Vec<[f64; 3]> =
-            knots.map(|k| [self.areas[k], self.insides[k], self.slopes[k]]).collect();
+        let at = |k: usize| {
+            let cut = &self.cut[k / LANES];
+            [cut.area[k % LANES], cut.inside[k % LANES], cut.slope[k % LANES]]
+        };
+        let mut sums: Vec<[f64; 3]> = (0..design.knots.count as usize).map(at).collect();
         for (sum, volume) in sums.iter_mut().zip(&self.whole[1..]).rev() {
             whole += volume;
             sum[1] += whole;
@@ -270,25 +277,35 @@ impl Batch {
     fn pieces(&self, i: usize) -> Pieces {
         let f = [0, 1, 2, 3].map(|k| self.values[k][i]);
         let [d1, d2, d3, d12, d13, d23] = [0, 1, 2, 3, 4, 5].map(|k| self.inverse[k][i]);
-        Pieces { f, d2, d3, d12, d13, first: d1 * d2 * d3, third: d3 * d13 * d23 }
+        Pieces {
+            f,
+            d2,
+            d3,
+            d12,
+            d13,
+            first: d1 * d2 * d3,
+            third: d3 * d13 * d23,
+            volume: self.volume[i],
+            area: self.area[i],
+            slope: self.area[i] * self.slope[i],
+        }
     }
 }
 
-/// The most knots, a multiple of [`LANES`].
-const MOST: usize = MOST_KNOTS as usize;
-
-/// What is found at knots, from the first of a range on.
-struct Share {
-    /// The density of the area.
-    area: [f64; MOST],
-    /// The share of the volume at or above.
-    above: [f64; MOST],
+/// Sums at some knots.
+#[derive(Clone, Copy, Default)]
+struct Cut {
+    area: [f64; LANES],
+    /// Volume inside.
+    inside: [f64; LANES],
+    /// Gradient times area.
+    slope: [f64; LANES],
 }
 
-/// Isovalues, and some more, so that any range of them can be rounded up.
-fn padded(isovalues: Vec<f32>) -> Vec<f64> {
-    let last = isovalues.last().copied().unwrap_or(0.0);
-    isovalues.into_iter().chain([last; LANES]).map(f64::from).collect()
+/// Isovalues by lanes; behind the last one, such as are in no range.
+fn side_by_side(isovalues: &[f32]) -> Vec<[f64; LANES]> {
+    let lanes = |part: &[f32]| [0, 1, 2, 3].map(|k| part.get(k).map_or(f64::INFINITY, |&v| f64::from(v)));
+    isovalues.chunks(LANES).map(lanes).collect()
 }
 
 /// The three parabolas of a tetrahedron, and the cubics that are their integrals.
@@ -300,6 +317,10 @@ struct Pieces {
     d13: f64,
     first: f64,
     third: f64,
+    /// What the pieces are multiplied with.
+    volume: f64,
+    area: f64,
+    slope: f64,
 }
 
 /// One exchange of a sorting network: a minimum and a maximum of the machine's.
@@ -309,31 +330,36 @@ fn sorted(a: f64, b: f64) -> (f64, f64) {
 }
 
 impl Pieces {
-    /// The density of the area at knots, and the share of the volume above; anything at knots that are not in the range.
+    /// Adds what the tetrahedron has at some knots: at those in its range.
     #[inline(always)]
-    fn at(&self, knots: &[f64], out: &mut Share) {
-        let [f0, f1, f2, f3] = self.f;
-        let (d3, three) = (self.d3, 3.0 * self.d3);
-        for ((&v, area), above) in knots.iter().zip(&mut out.area).zip(&mut out.above) {
-            // A piece holds the knot that ends it, as min < v <= max holds the maximum: so no piece with a knot is empty, and its
-            // denominators are not zero. The others give anything, and are not taken.
-            // Below f1: a corner is outside.
-            let t = v - f0;
-            let first = t * t * self.first;
-            // How far along the four edges that are cut; the wedge below is three tetrahedra.
-            let u = v - f1;
-            let [t02, t12, t13] = [t * self.d2, u * self.d12, u * self.d13];
-            let cut = t02 * (1.0 - t12) + (1.0 - t13) * t12;
-            let wedge = t12 * t13 + t * d3 * cut;
-            // Above f2: a corner is inside.
-            let s = f3 - v;
-            let third = s * s * self.third;
-            let [low, high] = [v <= f1, v > f2];
-            let lower = if low { 3.0 * first } else { three * cut };
-            *area = if high { 3.0 * third } else { lower };
-            let lower = if low { 1.0 - t * first } else { 1.0 - wedge };
-            *above = if high { s * third } else { lower };
-        }
+    fn add<W: Wide>(&self, proof: W::Proof, knots: &[f64; LANES], sums: &mut Cut) {
+        let of = |x| W::splat(proof, x);
+        let [f0, f1, f2, f3] = self.f.map(of);
+        let (v, one, three) = (W::of(proof, knots), of(1.0), of(3.0));
+        // A piece holds the knot that ends it, as min < v <= max holds the maximum: so no piece with a knot is empty, and its
+        // denominators are not zero. The others give anything, and are not taken.
+        // Below f1: a corner is outside.
+        let t = v.minus(f0);
+        let first = t.times(t).times(of(self.first));
+        // How far along the four edges that are cut; the wedge below is three tetrahedra.
+        let u = v.minus(f1);
+        let [d2, d3, d12, d13] = [self.d2, self.d3, self.d12, self.d13].map(of);
+        let [t02, t12, t13] = [t.times(d2), u.times(d12), u.times(d13)];
+        let cut = t02.times(one.minus(t12)).plus(one.minus(t13).times(t12));
+        let wedge = t12.times(t13).plus(t.times(d3).times(cut));
+        // Above f2: a corner is inside.
+        let s = f3.minus(v);
+        let third = s.times(s).times(of(self.third));
+        let (low, high) = (v.up_to(f1), f2.below(v));
+        let lower = low.pick(three.times(first), three.times(d3).times(cut));
+        let density = high.pick(three.times(third), lower);
+        let above = high.pick(s.times(third), one.minus(low.pick(t.times(first), wedge)));
+        // A mask and a number: the number, or 0.
+        let within = f0.below(v).and(v.up_to(f3));
+        let (density, above) = (within.and(density), within.and(above));
+        sums.area = W::of(proof, &sums.area).plus(of(self.area).times(density)).lanes();
+        sums.inside = W::of(proof, &sums.inside).plus(of(self.volume).times(above)).lanes();
+        sums.slope = W::of(proof, &sums.slope).plus(of(self.slope).times(density)).lanes();
     }
 }
 

@@ -38,6 +38,7 @@ mod measure;
 mod part;
 mod store;
 pub mod suggest;
+mod wide;
 
 pub use design::{Design, Limits};
 pub use grid::{Family, Grid, Step};

@@ -90,6 +90,16 @@ fn built(values: &[f32], places: &[[f64; 3]], tets: &[Tet], points: u64) -> Opti
     Some(builder)
 }
 
+proptest! {
+    #[test]
+    fn vectors_give_the_bits_of_plain_code((values, places, tets) in soup()) {
+        let corners = || values.iter().zip(&places).map(|(&v, &at)| Corner::new(v, at)).collect::<Vec<_>>();
+        let limits = Limits::of_chunks(100_000);
+        let plain = ChunkPart::of_with(limits, [-40.0, 60.0], corners(), &tets, None);
+        prop_assert_eq!(ChunkPart::of(limits, [-40.0, 60.0], corners(), &tets).encode(), plain.encode());
+    }
+}
+
 #[test]
 fn damaged_parts_are_refused_or_harmless() {
     let places: Vec<[f64; 3]> = (0..60).map(|i| [i, i * i % 37, i * i * i % 41].map(f64::from)).collect();
