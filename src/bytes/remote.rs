@@ -9,8 +9,8 @@
 //! ```
 //!
 //! Keys and region come from the environment, as for Amazon's own tools (`AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`,
-//! `AWS_ENDPOINT_URL`; `AWS_SKIP_SIGNATURE=true` for public buckets). Failed requests are tried again by the client. A server must answer
-//! range requests; one that sends the whole file instead is an error.
+//! `AWS_ENDPOINT_URL`; `AWS_SKIP_SIGNATURE=true` for public buckets). Failed requests are tried again by the client; a server that is not there, or does not
+//! answer, is given up within about half a minute. A server must answer range requests; one that sends the whole file instead is an error.
 //!
 //! Without the feature `remote` there is no such file: opening one says so.
 
@@ -83,8 +83,10 @@ impl RemoteFile {
 #[cfg(feature = "remote")]
 mod with_client {
     use super::{Error, Result, Traffic};
+    use object_store::aws::AmazonS3Builder;
+    use object_store::http::HttpBuilder;
     use object_store::path::Path as Key;
-    use object_store::{GetOptions, GetRange, ObjectStore, ObjectStoreScheme};
+    use object_store::{BackoffConfig, GetOptions, GetRange, ObjectStore, ObjectStoreScheme, RetryConfig};
     use std::collections::{BTreeMap, VecDeque};
     use std::future::Future;
     use std::io;
@@ -92,8 +94,9 @@ mod with_client {
     use std::path::Path;
     use std::sync::atomic::{AtomicU64, Ordering};
     use std::sync::{Arc, LazyLock, Mutex, PoisonError};
+    use std::time::Duration;
     use tokio::runtime::{Builder, Runtime};
-    use url::Url;
+    use url::{Position, Url};
 
     /// Bytes of a page: a block of tetrahedra and its neighbours, or a few pages of an index.
     const PAGE: u64 = 16 << 10;
@@ -172,8 +175,8 @@ mod with_client {
             while at < end {
                 let n = at / PAGE;
                 let from_fetched = fetched.as_ref().and_then(|(first, bytes)| {
-                    let skip = (at - first).try_into().ok()?;
-                    (at >= *first).then(|| bytes.get(skip..)).flatten().filter(|b| !b.is_empty())
+                    let skip = usize::try_from(at.checked_sub(*first)?).ok()?;
+                    bytes.get(skip..).filter(|b| !b.is_empty())
                 });
                 let kept = if from_fetched.is_none() { self.page(n) } else { None };
                 let here = match (from_fetched, &kept) {
@@ -289,7 +292,7 @@ mod with_client {
         if url.query().is_some() || url.fragment().is_some() {
             return Err(bad("an address with ? or #".into()));
         }
-        let (_, key) = ObjectStoreScheme::parse(&url).map_err(|e| bad(one_line(&e)))?;
+        let (scheme, key) = ObjectStoreScheme::parse(&url).map_err(|e| bad(one_line(&e)))?;
         // What is left of the address without the key: a bucket may be told by the first part of the path.
         let mut origin = url.as_str().trim_end_matches('/');
         for _ in key.parts() {
@@ -302,7 +305,7 @@ mod with_client {
         }
         // Another library of the process may have chosen the cipher suites before.
         let _ = rustls::crypto::ring::default_provider().install_default();
-        let (store, _) = object_store::parse_url_opts(&url, options(&url)).map_err(|e| bad(one_line(&e)))?;
+        let store = client(&scheme, &url).map_err(|e| bad(one_line(&e)))?;
         let server = Arc::new(Server {
             store,
             requests: AtomicU64::new(0),
@@ -312,6 +315,32 @@ mod with_client {
         });
         servers.insert(origin, Arc::clone(&server));
         Ok((server, key))
+    }
+
+    /// Failed requests are tried again, but none is begun later than this. A request that nobody answers takes half a minute itself,
+    /// one whose server cannot be reached five seconds: by default of the client.
+    const TRIES_END: Duration = Duration::from_secs(15);
+    const LONGEST_PAUSE: Duration = Duration::from_secs(2);
+
+    /// A client of the server of an address.
+    fn client(scheme: &ObjectStoreScheme, url: &Url) -> object_store::Result<Box<dyn ObjectStore>> {
+        let backoff = BackoffConfig { max_backoff: LONGEST_PAUSE, ..BackoffConfig::default() };
+        let retry = RetryConfig { backoff, retry_timeout: TRIES_END, ..RetryConfig::default() };
+        let options = options(url).into_iter();
+        if matches!(scheme, ObjectStoreScheme::AmazonS3) {
+            let builder = AmazonS3Builder::new().with_url(url.as_str()).with_retry(retry);
+            let builder = options.fold(builder, |builder, (key, value)| match key.parse() {
+                Ok(key) => builder.with_config(key, value),
+                Err(_) => builder,
+            });
+            return Ok(Box::new(builder.build()?));
+        }
+        let builder = HttpBuilder::new().with_url(&url[..Position::BeforePath]).with_retry(retry);
+        let builder = options.fold(builder, |builder, (key, value)| match key.parse() {
+            Ok(key) => builder.with_config(key, value),
+            Err(_) => builder,
+        });
+        Ok(Box::new(builder.build()?))
     }
 
     /// Keys and region from the environment. Plain HTTP only where the address itself says so.
