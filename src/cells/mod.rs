@@ -85,6 +85,14 @@ pub struct CellsInfo {
     pub data_files: Vec<PathBuf>,
 }
 
+impl CellsInfo {
+    /// All files that make up the mesh, the one that was named first.
+    pub fn files(&self) -> Vec<PathBuf> {
+        let others = self.data_files.iter().filter(|f| **f != self.path);
+        std::iter::once(&self.path).chain(others).cloned().collect()
+    }
+}
+
 /// Numbers front to back.
 pub trait NumberStream: Send {
     /// Fills `out` with the next numbers.

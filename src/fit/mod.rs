@@ -83,6 +83,12 @@ impl FitMesh<'_> {
     fn corner_values(&self, tet: u32) -> [f32; 4] {
         self.tets[tet as usize].map(|v| self.values[v as usize])
     }
+
+    /// Those without a void corner: the others tell nothing.
+    #[inline(always)]
+    fn with_values(&self, tets: &[u32]) -> impl Iterator<Item = u32> {
+        tets.iter().copied().filter(|&tet| !self.corner_values(tet).iter().any(|v| v.is_nan()))
+    }
 }
 
 /// The sums at a vertex.
@@ -132,13 +138,8 @@ impl Fit {
 
     #[inline(always)]
     fn add_window(&mut self, mesh: &FitMesh<'_>, scanner: &Scanner<'_>, samples: &[f32], tets: &[u32]) {
-        self.owners.clear();
-        self.owners.resize(samples.len(), NONE);
-        self.weights.resize(samples.len(), [0.0; 4]);
-        for &tet in tets {
-            if mesh.corner_values(tet).iter().any(|v| v.is_nan()) {
-                continue;
-            }
+        self.start(samples.len());
+        for tet in mesh.with_values(tets) {
             scanner.each_run(
                 mesh.corners(tet),
                 #[inline(always)]
@@ -164,13 +165,8 @@ impl Fit {
         tets: &[u32],
         told_by: impl Fn(u32, u32) -> bool,
     ) {
-        self.owners.clear();
-        self.owners.resize(samples.len(), NONE);
-        self.weights.resize(samples.len(), [0.0; 4]);
-        for &tet in tets {
-            if mesh.corner_values(tet).iter().any(|v| v.is_nan()) {
-                continue;
-            }
+        self.start(samples.len());
+        for tet in mesh.with_values(tets) {
             points.each_in(mesh.corners(tet), |sample, weights| {
                 if told_by(tet, sample) {
                     self.owners[sample as usize] = tet;
@@ -179,6 +175,14 @@ impl Fit {
             });
         }
         self.add_owned(mesh, samples);
+    }
+
+    /// Prepares for so many samples, none of which has a tetrahedron yet.
+    #[inline(always)]
+    fn start(&mut self, samples: usize) {
+        self.owners.clear();
+        self.owners.resize(samples, NONE);
+        self.weights.resize(samples, [0.0; 4]);
     }
 
     /// Adds the samples that have a tetrahedron, in their order.

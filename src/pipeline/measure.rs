@@ -255,11 +255,7 @@ fn against_mesh(
     progress.begin("read the mesh", 0, "points");
     let scratch = settings.scratch();
     let store = mesh_store(archive, mesh, None, input, &store_settings(archive, settings, &scratch))?;
-    let info = mesh.info();
-    let files: Vec<PathBuf> = std::iter::once(info.path.clone())
-        .chain(info.data_files.iter().filter(|f| **f != info.path).cloned())
-        .collect();
-    let same = fingerprint(&files)? == recorded.fingerprint;
+    let same = fingerprint(&mesh.info().files())? == recorded.fingerprint;
     Ok((field_error(archive, &Originals::Mesh(&store, &store.values), settings, progress)?, same))
 }
 

@@ -308,12 +308,9 @@ fn quantiser(values: &Column<f32>, settings: &ReduceSettings) -> Result<Option<Q
 /// What the file tells; lattice and geometry follow when it has been read.
 fn source_of(mesh: &CellMesh) -> Result<Source> {
     let (info, field) = (mesh.info(), mesh.field()?);
-    let files: Vec<PathBuf> = std::iter::once(info.path.clone())
-        .chain(info.data_files.iter().filter(|f| **f != info.path).cloned())
-        .collect();
     Ok(Source {
         path: info.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
-        fingerprint: fingerprint(&files)?,
+        fingerprint: fingerprint(&info.files())?,
         format: info.format.clone(),
         dims: [2; 3],
         scalar: field.scalar,

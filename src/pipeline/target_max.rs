@@ -16,7 +16,6 @@
 //!
 //! Memory: 4 bytes a cell beside what measuring takes. The largest of errors does not depend on their order: the same archive for any threads.
 
-use super::beside::Beside;
 use super::gauge::{self, Cells, Gauge, Samples};
 use super::measure::Originals;
 use super::need;
@@ -35,6 +34,7 @@ use crate::grid::BrickGrid;
 use crate::points::PointSpec;
 use std::fs;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 /// Tries, at most.
@@ -80,7 +80,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
 /// The levels of a try, higher where errors are above the bound; `None` when nothing can be denser.
 fn raised(job: &Job<'_>, archive: &Path, bound: f64, samples: u64) -> Result<Option<Choice>> {
     let mut archive = OpenArchive::open_at(archive, StepChoice::First)?;
-    let levels = Beside::read(archive.path(), &archive.manifest.plan)?.levels.expect("its points adapt");
+    let levels = Arc::clone(archive.points.levels().expect("its points adapt"));
     let PointSpec::Halton { n } = archive.manifest.plan.points else {
         unreachable!("levels are those of a Halton set")
     };
