@@ -2,9 +2,10 @@
 
 use super::field::NanPolicy;
 use super::grid_field::treat_missing;
+use super::job::{RunSettings, threads};
 use super::need;
 use super::plan::ReduceSettings;
-use super::reduce::{RunSettings, random_access, threads};
+use super::reduce::random_access;
 use crate::density::{BlockErrors, Choice, ErrorCurves};
 use crate::error::{Error, Result};
 use crate::exec::{Silent, pool};

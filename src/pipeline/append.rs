@@ -7,9 +7,10 @@
 //! of its points and cells, by which others are refused, and the vertices that were one at the first step: so samples of its boundary are the same ones.
 
 use super::field::NanPolicy;
+use super::job::{Job, Part, ReduceReport, RunSettings};
 use super::open::OpenArchive;
 use super::plan::ReduceSettings;
-use super::reduce::{Job, Part, ReduceReport, RunSettings, reduce_volumes, refuse_remote};
+use super::reduce::{reduce_volumes, refuse_remote};
 use super::reduce_mesh::reduce_mesh;
 use crate::archive::manifest::{MANIFEST_NAME, Step};
 use crate::error::{Error, Result};

@@ -2,10 +2,10 @@
 //!
 //! Of the mesh, once: counts, and the proof that the tetrahedra fill the box. Of each step: its index and its spectrum.
 
+use super::job::{RunSettings, scratch_folder};
 use super::layout::Layout;
 use super::need;
 use super::plan::{MeshParts, Plan};
-use super::reduce::{RunSettings, scratch_folder};
 use super::spectrum::{limits, stored_part};
 use crate::archive::Malformed;
 use crate::archive::chunked::ChunkSegment;

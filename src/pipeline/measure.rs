@@ -10,10 +10,11 @@
 use super::beside::Beside;
 use super::fingerprint::fingerprint;
 use super::gauge::{self, Cells, Gauge, Samples, field_error_of};
+use super::job::RunSettings;
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
 use super::probe_points::{Find, each_value_of};
-use super::reduce::{MOST_STEPS_AT_ONCE, RunSettings, random_access};
+use super::reduce::{MOST_STEPS_AT_ONCE, random_access};
 use super::steps::StepChoice;
 use super::visit::{Blocks, Visit};
 use crate::archive::manifest::Source;

@@ -10,9 +10,9 @@
 use super::beside::Beside;
 use super::cell_field::CellField;
 use super::field::Field;
+use super::job::Job;
 use super::open::OpenArchive;
 use super::plan::{Amount, Plan, ReduceSettings};
-use super::reduce::Job;
 use super::reduce_mesh::check_job;
 use super::series::{Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
 use crate::archive::explicit::ExplicitRecord;

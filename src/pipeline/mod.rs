@@ -23,6 +23,7 @@ mod grid_field;
 mod handle;
 mod horizon;
 mod inspect;
+mod job;
 mod layout;
 mod measure;
 mod mesh_series;
@@ -61,6 +62,7 @@ pub use export::{Corners, ExportReport, ExportSettings};
 pub use field::NanPolicy;
 pub use fingerprint::fingerprint;
 pub use handle::{Archive, Tetrahedra};
+pub use job::{ReduceReport, RunSettings};
 pub use measure::{MeasureReport, MeasureSettings, measure};
 pub use need::Estimate;
 pub use open::{ArchiveSummary, LevelSummary, StepSummary, is_archive, summarize, summarize_at};
@@ -70,7 +72,7 @@ pub use probe::{ProbeReport, ProbeSettings};
 pub use query::{
     CountReport, OneSurface, SurfaceReport, SurfaceSettings, count_active, count_active_at, extract_surface,
 };
-pub use reduce::{ReduceReport, RunSettings, brick, estimate, estimate_series, reduce, reduce_series};
+pub use reduce::{brick, estimate, estimate_series, reduce, reduce_series};
 pub use refine::{Refine, RefineReport};
 pub use roi::{Roi, RoiSpace};
 pub use scan::{Scan, scan};

@@ -5,6 +5,7 @@
 
 use super::commit::Made;
 use super::gauge::stored_error;
+use super::job::{Job, Part, ReduceReport, RunSettings, finished, push_times, scratch_folder, threads};
 use super::layout::Layout;
 use super::measure::{MeasureSettings, reopened_errors};
 use super::need::{self, Estimate, Need, Question};
@@ -12,108 +13,23 @@ use super::open::{OpenArchive, StepSummary};
 use super::placed::write_coordinates;
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::reduce_mesh;
-use super::series::{Making, Means, Outcome, PlannedSource, SeriesPlan, SkippedStep, are_there};
-use super::shard::Shard;
+use super::series::{Making, Means, Outcome, PlannedSource, SeriesPlan};
 use super::steps::StepChoice;
-use super::target::{TargetReport, reduce_to_target};
+use super::target::reduce_to_target;
 use super::volume_series::{Known, VolumeFields, plan_volumes};
-use super::work::StageTimes;
-use crate::archive::coordinates::CellCount;
 use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest};
-use crate::archive::values::Quantiser;
 use crate::archive::{TEMPORARY_MARK, publish};
 use crate::bytes::remote::is_remote;
-use crate::density::Choice;
-use crate::domain::store::MeshCensus;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, Silent, available_threads};
+use crate::exec::{CancelToken, Progress, Silent};
 use crate::formats::{self, Input, OpenOptions, StepSource};
 use crate::grid::IndexBox;
-use crate::measure::FieldError;
 use crate::volume::bricked::BrickedVolume;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
-use serde::Serialize;
 use std::fs;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
-
-/// What decides how a run uses the machine, and not what it makes.
-#[derive(Clone, Debug)]
-pub struct RunSettings {
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for everything that grows; see [`Estimate`] for what it must be at least.
-    pub memory: u64,
-    /// Folder for the uncompressed copy of a compressed input; the system's temporary folder if not given.
-    pub scratch: Option<PathBuf>,
-    /// Whether an archive that is already there is replaced.
-    pub replace: bool,
-    /// Of a series: leave out steps that cannot be used, and report them. Changes what is made, but nothing of the other steps.
-    pub keep_going: bool,
-    /// Stops the run at the next chunk.
-    pub cancel: CancelToken,
-}
-
-impl Default for RunSettings {
-    fn default() -> Self {
-        Self {
-            threads: 0,
-            memory: crate::exec::usable_memory() / 2,
-            scratch: None,
-            replace: false,
-            keep_going: false,
-            cancel: CancelToken::new(),
-        }
-    }
-}
-
-/// What a reduction made.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct ReduceReport {
-    /// Samples of the volume; vertices of a mesh.
-    pub samples: u64,
-    /// Of a mesh: what was found in it.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub mesh: Option<MeshCensus>,
-    /// Points of the archive.
-    pub points: u64,
-    /// Of these, points that are no samples of the boundary, about.
-    pub inner_points: u64,
-    /// What came of looking for a wanted error.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub target: Option<TargetReport>,
-    /// The error that is wanted, in units of the field.
-    #[serde(skip)]
-    pub(super) bound: Option<f64>,
-    /// Of all points, those without a value.
-    pub void_points: u64,
-    /// Tetrahedra.
-    pub tetrahedra: u64,
-    /// Chunks.
-    pub chunks: u64,
-    /// Tetrahedron blocks.
-    pub blocks: u64,
-    /// How often a chunk's halo had to be widened.
-    pub halo_retries: u64,
-    /// Of a rectilinear or curvilinear grid: its bad cells.
-    pub grid_cells: Option<CellCount>,
-    /// Least and largest value.
-    pub range: Option<[f32; 2]>,
-    /// How values were rounded, if they were.
-    pub quantiser: Option<Quantiser>,
-    /// How far the reduced field is from the samples, if that was measured: of the first of the steps.
-    pub error: Option<FieldError>,
-    /// The steps that were made.
-    pub steps: Vec<StepSummary>,
-    /// Steps that could not be used, and were left out.
-    pub skipped: Vec<SkippedStep>,
-    /// Bytes of all files of the archive.
-    pub archive_bytes: u64,
-    /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those that run side by side.
-    pub seconds: Vec<(String, f64)>,
-}
 
 /// Copies a volume into bricks at `out`, using about `memory` bytes.
 ///
@@ -216,96 +132,6 @@ fn first_input(sources: &[(u64, StepSource)], run: &RunSettings) -> Result<Input
         }
     }
     Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")))
-}
-
-/// What a reduction is told.
-pub(super) struct Job<'a> {
-    /// The steps, by ascending numbers.
-    pub(super) sources: &'a [(u64, StepSource)],
-    pub(super) settings: &'a ReduceSettings,
-    pub(super) out: &'a Path,
-    pub(super) run: &'a RunSettings,
-    pub(super) progress: &'a dyn Progress,
-    pub(super) started: Instant,
-    pub(super) part: Part<'a>,
-    /// How dense points are to be, where that is known.
-    pub(super) choice: Option<&'a Choice>,
-}
-
-impl Job<'_> {
-    /// Whether errors tell the step.
-    pub(super) fn is_several(&self) -> bool {
-        self.sources.len() > 1 || self.part.archive().is_some()
-    }
-}
-
-/// What of a reduction a job does.
-#[derive(Clone, Copy)]
-pub(super) enum Part<'a> {
-    /// All of it: plan, segments, manifest.
-    Whole,
-    /// The segments of a shard, of the plan that was made before.
-    Shard(&'a Plan, Shard),
-    /// Further steps of an archive, and its new manifest.
-    Further(&'a OpenArchive),
-}
-
-impl<'a> Part<'a> {
-    /// The plan that was made before.
-    pub(super) fn planned(&self) -> Option<&'a Plan> {
-        match *self {
-            Self::Whole | Self::Further(_) => None,
-            Self::Shard(planned, _) => Some(planned),
-        }
-    }
-
-    /// The archive that steps are added to.
-    pub(super) fn archive(&self) -> Option<&'a OpenArchive> {
-        match *self {
-            Self::Further(archive) => Some(archive),
-            Self::Whole | Self::Shard(..) => None,
-        }
-    }
-
-    /// What there is to report when the archive ends with these very steps already.
-    pub(super) fn added_before(&self, series: &SeriesPlan) -> Result<Option<ReduceReport>> {
-        let Some(archive) = self.archive().filter(|archive| are_there(archive, &series.plan.steps)) else {
-            return Ok(None);
-        };
-        let (counts, source) = (archive.manifest.counts, &archive.step().plan.source);
-        Ok(Some(ReduceReport {
-            samples: source.mesh.as_ref().map_or_else(|| source.dims.iter().product(), |mesh| mesh.vertices),
-            points: counts.points,
-            tetrahedra: counts.tetrahedra,
-            chunks: counts.chunks,
-            blocks: counts.blocks,
-            skipped: series.skipped.clone(),
-            archive_bytes: archive.bytes()?,
-            ..ReduceReport::default()
-        }))
-    }
-
-    /// Refuses sources that are not those that were planned for.
-    pub(super) fn expect_planned(&self, series: &SeriesPlan) -> Result<()> {
-        let Some(planned) = self.planned().filter(|p| **p != series.plan) else { return Ok(()) };
-        let found = planned.steps.iter().zip(&series.plan.steps);
-        let n = found.into_iter().position(|(a, b)| a != b).unwrap_or(0);
-        let text = |p: &Plan| {
-            let source = &p.steps[n].source;
-            format!("{} {} {:?}, plan {}", source.format, source.fingerprint, source.dims, p.step_hash(n))
-        };
-        let path = &series.sources[n].source.path;
-        Err(Error::bad_input(path, "fingerprint and header", text(planned), text(&series.plan)).with_help(
-            "the file is not what it was when the plan was made: restore it, or plan again with --force",
-        ))
-    }
-
-    fn segments(&self, layout: &Layout) -> Range<u64> {
-        match self {
-            Self::Whole | Self::Further(_) => 0..layout.segment_count(),
-            Self::Shard(_, shard) => shard.range(layout.segment_count()),
-        }
-    }
 }
 
 /// Makes the plan of a job, and of the mesh what follows from it; tells what the job needs. Makes no segment.
@@ -515,12 +341,6 @@ fn completed(
     })
 }
 
-/// Notes the time of all.
-pub(super) fn finished(mut report: ReduceReport, started: Instant) -> ReduceReport {
-    report.seconds.push(("total".into(), started.elapsed().as_secs_f64()));
-    report
-}
-
 /// Removes what earlier runs that were killed have left.
 pub(super) fn sweep(layout: &Layout, plan: &Plan) {
     let mesh = layout.mesh(0);
@@ -600,21 +420,6 @@ const COPY_BUFFER: u64 = 8 << 20;
 fn copying_bytes(stream: &dyn SlabStream) -> u64 {
     let bricks = stream.info().dims.iter().map(|d| d.div_ceil(32)).fold(1, u64::saturating_mul);
     need::BASE.saturating_add(stream.working_bytes()).saturating_add(bricks.saturating_mul(8))
-}
-
-pub(super) fn threads(run: &RunSettings) -> usize {
-    if run.threads == 0 { available_threads() } else { run.threads }
-}
-
-pub(super) fn scratch_folder(run: &RunSettings) -> PathBuf {
-    run.scratch.clone().unwrap_or_else(std::env::temp_dir)
-}
-
-pub(super) fn push_times(seconds: &mut Vec<(String, f64)>, made: &Outcome) {
-    // What measuring takes is told with that of the whole.
-    let StageTimes { mesh, sample, measure: _, encode, write } = made.times;
-    let rows = [("mesh", mesh), ("sample", sample), ("encode", encode), ("write", write)];
-    seconds.extend(rows.map(|(name, time)| (name.to_owned(), time.as_secs_f64())));
 }
 
 /// Object stores and web servers are read only.

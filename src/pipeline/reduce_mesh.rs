@@ -7,13 +7,11 @@
 //! The amount is that of points **inside** the mesh: the set fills the box, so it has as many more as the box is larger.
 
 use super::field::NanPolicy;
+use super::job::{Job, ReduceReport, RunSettings, finished, scratch_folder, threads};
 use super::mesh_series::{MeshFields, Prepared, prepare};
 use super::need::{Estimate, Need, Question, free_bytes};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
-use super::reduce::{
-    Job, MOST_STEPS_AT_ONCE, ReduceReport, RunSettings, finished, folder_bytes, need_of, produce,
-    scratch_folder, threads,
-};
+use super::reduce::{MOST_STEPS_AT_ONCE, folder_bytes, need_of, produce};
 use super::series::{Means, SeriesPlan};
 use crate::cells::CellMesh;
 use crate::domain::boundary::BoundarySamples;

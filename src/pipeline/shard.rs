@@ -17,14 +17,12 @@
 
 use super::beside::Beside;
 use super::inspect::{Depth, SegmentState};
+use super::job::{Job, Part, ReduceReport, RunSettings, finished, threads};
 use super::layout::Layout;
 use super::need::{Estimate, Need};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::plan_file::{Cut, PlanFile, plan_path};
-use super::reduce::{
-    self, Job, Part, Publishing, ReduceReport, RunSettings, finished, grid_coordinates, numbered,
-    prepare_folder,
-};
+use super::reduce::{self, Publishing, grid_coordinates, numbered, prepare_folder};
 use super::series::Outcome;
 use super::status::Inventory;
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
@@ -262,7 +260,7 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
     Inventory::new(out, &file).expect_whole(run, progress)?;
     let verified = started.elapsed().as_secs_f64();
     let mesh = mesh_parts(out, &file.plan)?;
-    let workers = Need::of(&mesh).shares(run.memory, reduce::threads(run))?.workers;
+    let workers = Need::of(&mesh).shares(run.memory, threads(run))?.workers;
     let layout = Layout::new(out, mesh.chunks.len(), 0);
     let samples = match &file.plan.first().source.mesh {
         Some(mesh) => mesh.vertices,

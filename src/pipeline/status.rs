@@ -2,9 +2,9 @@
 
 use super::beside::Beside;
 use super::inspect::{Depth, SegmentState, inspect};
+use super::job::{RunSettings, threads};
 use super::layout::Layout;
 use super::plan_file::{PlanFile, work_folder};
-use super::reduce::{RunSettings, threads};
 use super::shard::Shard;
 use crate::archive::TEMPORARY_MARK;
 use crate::archive::manifest::MANIFEST_NAME;

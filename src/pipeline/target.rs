@@ -21,9 +21,10 @@
 //! The numbers of points follow from measured errors, which depend on nothing but the input: the same archive for any threads.
 
 use super::beside::Beside;
+use super::job::{Job, Part, ReduceReport, RunSettings, finished};
 use super::plan::{Amount, Plan, ReduceSettings};
 use super::plan_file::work_folder;
-use super::reduce::{Job, Part, ReduceReport, RunSettings, finished, make};
+use super::reduce::make;
 use super::target_max::reduce_to_max;
 use crate::archive::manifest::Manifest;
 use crate::error::{Error, Result};

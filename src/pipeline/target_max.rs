@@ -17,12 +17,13 @@
 //! Memory: 4 bytes a cell beside what measuring takes. The largest of errors does not depend on their order: the same archive for any threads.
 
 use super::gauge::{self, Cells, Gauge, Samples};
+use super::job::{Job, Part, ReduceReport, RunSettings, finished};
 use super::measure::Originals;
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
 use super::plan::ReduceSettings;
 use super::plan_file::work_folder;
-use super::reduce::{Job, Part, ReduceReport, RunSettings, finished, make, random_access};
+use super::reduce::{make, random_access};
 use super::steps::StepChoice;
 use super::target::{Target, TargetReport, error_of, full_cells, publish, remove};
 use super::visit::{Blocks, Visit};
