@@ -1,10 +1,13 @@
 use super::odds::SET;
+use super::write::Truth;
 use super::*;
 use crate::archive::chunk::tests::{corners, cubes, sorted};
+use crate::archive::wire::Malformed;
 use crate::geom::Lattice;
 use crate::geom::curve::{Order, hilbert_key};
 use crate::grid::{BrickGrid, BrickId};
 use crate::mesh::delaunay::Mesher;
+use crate::mesh::tet::Tet;
 use crate::points::{PointSet, PointSpec, SetKind, SetSettings};
 
 fn decode(bytes: &[u8], positions: &[LatticePos], out: &mut Vec<Tet>) -> Result<(), Malformed> {
