@@ -148,12 +148,13 @@ fn usage_errors() {
     let d = dir.path();
     write_npy(&d.join("b.npy"), [12, 12, 12], ball);
     ok(d, &["reduce", "b.npy", "-o", "b.isospan", "--fraction", "1"]);
-    let usage: [&[&str]; 9] = [
+    let usage: [&[&str]; 10] = [
         &["reduce", "b.npy", "-o", "b.isospan"],
         &["reduce", "b.npy", "-o", "b.zip"],
         &["reduce", "b.npy", "-o", "c.isospan", "--count", "0"],
         &["reduce", "b.npy", "-o", "c.isospan", "--cross-m", "3", "--cross-k", "2"],
         &["reduce", "b.npy", "-o", "c.isospan", "--shift", "1.5"],
+        &["reduce", "b.npy", "-o", "c.isospan", "--interp", "nearest", "--values", "fit"],
         &["surface", "b.isospan", "--isovalue", "0", "-o", "b.xyz"],
         &["surface", "b.isospan", "--isovalue", "nan", "-o", "b.ply"],
         &["count", "b.isospan", "--isovalue", "inf"],
@@ -186,6 +187,29 @@ fn usage_errors() {
     assert_eq!(fails(d, &["reduce", "b.npy", "-o", "mine.isospan", "--force"]).0, 2);
     assert_eq!(fs::read_to_string(d.join("mine.isospan/diary.txt")).unwrap(), "dear");
     assert_eq!(fails(d, &["surface", "mine.isospan", "--isovalue", "0", "-o", "m.ply"]).0, 5);
+}
+
+#[test]
+fn values_are_fitted_unless_the_very_values_of_samples_are_wanted() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("b.npy"), [20, 20, 20], |x, y, z| (20.0 * ball(x, y, z)).round());
+    let rms = |more: &[&str]| {
+        let args = ["reduce", "b.npy", "-o", "b.isospan", "--force", "--fraction", "1/4", "--json"];
+        json(&ok(d, &[&args[..], more].concat()))["error"]["rms"].as_f64().unwrap()
+    };
+    let is_fitted = |archive: &str| ok(d, &["info", archive]).contains("fitted to the samples");
+    let (usual, sampled) = (rms(&[]), rms(&["--values", "sample"]));
+    assert!(usual < 0.9 * sampled, "{usual} {sampled}");
+    assert_eq!(usual, rms(&["--values", "fit"]));
+    assert!(is_fitted("b.isospan"));
+    // Labels stay labels.
+    for interp in ["nearest", "cubic-thesis"] {
+        ok(d, &["reduce", "b.npy", "-o", "s.isospan", "--force", "--interp", interp]);
+        assert!(!is_fitted("s.isospan"), "{interp}");
+    }
+    ok(d, &["reduce", "b.npy", "-o", "c.isospan", "--interp", "cubic", "--value-bits", "12"]);
+    assert!(is_fitted("c.isospan"));
 }
 
 #[test]

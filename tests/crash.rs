@@ -101,7 +101,7 @@ fn twenty_kills_at_random_moments_cost_nothing() {
             out = format!("k{run}.isospan");
         }
         let at = run as usize;
-        let (threads, memory) = (["1", "2"][at % 2], ["32MiB", "64MiB", "1GiB"][at / 2 % 3]);
+        let (threads, memory) = (["1", "2"][at % 2], ["48MiB", "64MiB", "1GiB"][at / 2 % 3]);
         let mut child = spawn(case.path(), &reduce_with(&out, threads, memory));
         // Within a third of a whole run, so that most archives are killed several times; later, if that turns out to be too early.
         let within = case.took * (1 + run / 40) / 3;

@@ -27,7 +27,7 @@ fn the_budget_decides_no_byte() {
     let d = dir.path();
     let settings = waves_in(d);
     let mut first = None;
-    for (i, memory) in ["40MiB", "70MiB", "4GiB"].into_iter().enumerate() {
+    for (i, memory) in ["48MiB", "70MiB", "4GiB"].into_iter().enumerate() {
         let name = format!("{i}.isospan");
         let out = reduce_with(d, &name, memory, &settings);
         assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));

@@ -8,7 +8,7 @@ use isospan::formats::OpenOptions;
 use isospan::grid::Geometry;
 use isospan::pipeline::{self, Amount, NanPolicy, ReduceSettings};
 use isospan::points::SetKind;
-use isospan::sample::Interpolation;
+use isospan::sample::{Interpolation, Values};
 use isospan::surface::check::{boundary_outside, check};
 use std::f64::consts::PI;
 use std::fs;
@@ -184,8 +184,13 @@ fn interpolations_differ_and_all_work() {
         [Interpolation::Linear, Interpolation::Cubic, Interpolation::CubicThesis, Interpolation::Nearest]
     {
         let out = dir.path().join(format!("{}.isospan", interpolation.name()));
-        let settings =
-            ReduceSettings { interpolation, amount: Amount::Count(5_000), ..ReduceSettings::default() };
+        let values = Values::usual(interpolation);
+        let settings = ReduceSettings {
+            interpolation,
+            values,
+            amount: Amount::Count(5_000),
+            ..ReduceSettings::default()
+        };
         reduce(&input, &settings, &out, 2);
         pipeline::check_archive(&out).unwrap();
     }

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Surfaces of isospan against the full-resolution ones of VTK's Flying Edges, volume by volume.
 
-    compare_area.py [--data DIR] [--program target/release/isospan] [--all-isovalues] [--only WORD]
+    compare_area.py [--data DIR] [--program target/release/isospan] [--all-isovalues] [--values fit|sample] [--only WORD]
 
 For each volume of DIR/MANIFEST.tsv (DIR: $ISOSPAN_SHARED_DATA) and its first isovalue: reduce at fraction 1 and at fraction
 1/8, extract, check. One tab-separated row a volume: areas and their ratio at fraction 1, and at 1/8 the ratio again,
@@ -74,9 +74,10 @@ def run(command, may_fail=()):
     return done.stdout, time.monotonic() - start
 
 
-def reduced(program, source, field, fraction, folder):
+def reduced(program, source, field, fraction, values, folder):
     archive = folder / "x.isospan"
     command = [program, "reduce", source, "--points", "hammersley", "--fraction", fraction, "-o", archive, "--force"]
+    command += ["--values", values]
     seconds = run(command + (["--field", field] if field else []))[1]
     return archive, seconds
 
@@ -88,7 +89,7 @@ def surface_report(program, archive, isovalue, folder):
     return json.loads(run([program, "check", ply, "--within", archive, "--json"], may_fail=(5,))[0])
 
 
-def rows_of(program, data, row, isovalues, folder):
+def rows_of(program, data, row, isovalues, values, folder):
     path = Path(data) / row["file"]
     image = vtk_area.read_volume(path)
     vtk_area.choose_field(image)
@@ -100,7 +101,7 @@ def rows_of(program, data, row, isovalues, folder):
     slope, intercept = nifti_scale(path)
     reports = {}
     for fraction in ("1", "1/8"):
-        archive, seconds = reduced(program, source, field, fraction, folder)
+        archive, seconds = reduced(program, source, field, fraction, values, folder)
         for isovalue in isovalues:
             report = surface_report(program, archive, slope * isovalue + intercept, folder)
             reports[isovalue, fraction] = (report, seconds)
@@ -118,6 +119,7 @@ def main():
     root = Path(__file__).resolve().parent.parent
     parser.add_argument("--program", type=Path, default=root / "target" / "release" / "isospan")
     parser.add_argument("--all-isovalues", action="store_true")
+    parser.add_argument("--values", choices=("fit", "sample"), default="fit")
     parser.add_argument("--only", default="", help="volumes whose name contains this")
     parser.add_argument("--tolerance", type=float, default=0.05)
     args = parser.parse_args()
@@ -132,7 +134,7 @@ def main():
         with tempfile.TemporaryDirectory() as folder:
             try:
                 for isovalue, area, (full, slow), (eighth, quick) in rows_of(
-                    args.program, args.data, row, isovalues, Path(folder)
+                    args.program, args.data, row, isovalues, args.values, Path(folder)
                 ):
                     ratio = full["area"] / area
                     wrong = {**defects(full), **defects(eighth)}

@@ -161,7 +161,11 @@ pub struct StepPlan {
     /// How.
     pub interpolation: Interpolation,
     /// Whether the values are interpolated ones, or fitted to the samples.
-    #[serde(rename = "vertex_values", default, skip_serializing_if = "Values::is_sample")]
+    #[serde(
+        rename = "vertex_values",
+        default = "Values::sampled",
+        skip_serializing_if = "Values::is_sample"
+    )]
     pub values: Values,
     /// What was done with NaN and infinite samples, as on the command line: "error", "mask" or a number.
     pub nan: String,

@@ -48,9 +48,10 @@ pub(crate) struct Choices {
     /// How values are interpolated between samples.
     #[arg(long, value_enum, default_value_t = Interp::Linear)]
     interp: Interp,
-    /// "sample": the field at each point; "fit": values that bring the reduced field closer to all samples, at the same points.
-    #[arg(long, value_enum, default_value_t = Vertex::Sample)]
-    values: Vertex,
+    /// "fit": values that bring the reduced field closest to all samples (of a mesh: to the values at its vertices), for 0.5 to 0.9 of the error;
+    /// "sample": the field at each point, as the thesis has it [default: fit; sample with --interp nearest, cubic-thesis, quadratic-thesis].
+    #[arg(long, value_enum)]
+    values: Option<Vertex>,
     /// Samples that are NaN, infinite or missing: "error", "mask" (leave a hole) or a value to use instead.
     #[arg(long, value_name = "error|mask|VALUE", default_value = "error", value_parser = parse_nan, allow_negative_numbers = true)]
     nan: NanPolicy,
@@ -122,6 +123,19 @@ fn parse_focus(text: &str) -> std::result::Result<[f64; 2], String> {
     numbers.ok_or_else(|| format!("'{text}' is no range; write LO:HI, as in 300:900"))
 }
 
+impl Interp {
+    fn interpolation(self) -> Interpolation {
+        match self {
+            Self::Linear => Interpolation::Linear,
+            Self::Cubic => Interpolation::Cubic,
+            Self::CubicThesis => Interpolation::CubicThesis,
+            Self::Nearest => Interpolation::Nearest,
+            Self::Quadratic => Interpolation::Quadratic,
+            Self::QuadraticThesis => Interpolation::QuadraticThesis,
+        }
+    }
+}
+
 impl Choices {
     /// The settings that the flags say.
     pub(crate) fn settings(&self) -> Result<ReduceSettings> {
@@ -141,6 +155,7 @@ impl Choices {
         if (self.cross_m.is_some() || self.cross_k.is_some()) && points != Set::HyperbolicCross {
             return Err(Error::usage("--cross-m and --cross-k are for --points hyperbolic-cross"));
         }
+        let interpolation = self.interp.interpolation();
         let amount = match (self.count, self.fraction) {
             (Some(n), _) => Amount::Count(n),
             (None, fraction) => Amount::Fraction(fraction.unwrap_or(0.125)),
@@ -151,17 +166,11 @@ impl Choices {
             amount,
             adapt: adapt.then_some(Adapt { focus: self.focus }),
             target,
-            interpolation: match self.interp {
-                Interp::Linear => Interpolation::Linear,
-                Interp::Cubic => Interpolation::Cubic,
-                Interp::CubicThesis => Interpolation::CubicThesis,
-                Interp::Nearest => Interpolation::Nearest,
-                Interp::Quadratic => Interpolation::Quadratic,
-                Interp::QuadraticThesis => Interpolation::QuadraticThesis,
-            },
+            interpolation,
             values: match self.values {
-                Vertex::Sample => Values::Sample,
-                Vertex::Fit => Values::Fit,
+                Some(Vertex::Sample) => Values::Sample,
+                Some(Vertex::Fit) => Values::Fit,
+                None => Values::usual(interpolation),
             },
             nan: self.nan,
             missing: self.missing,

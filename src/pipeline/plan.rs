@@ -51,7 +51,7 @@ pub struct ReduceSettings {
     pub target: Option<Target>,
     /// How values are interpolated between samples.
     pub interpolation: Interpolation,
-    /// Whether values are fitted to the samples.
+    /// Whether values are fitted to the samples, as they are by default; not those of [`Interpolation::Nearest`].
     pub values: Values,
     /// What happens to samples that are no numbers.
     pub nan: NanPolicy,
@@ -83,7 +83,7 @@ impl Default for ReduceSettings {
             adapt: None,
             target: None,
             interpolation: Interpolation::Linear,
-            values: Values::Sample,
+            values: Values::Fit,
             nan: NanPolicy::Error,
             missing: None,
             value_bits: None,
@@ -155,6 +155,11 @@ impl Plan {
         {
             let (least, most) = Quantiser::BITS.into_inner();
             return Err(Error::usage(format!("values have {least} to {most} bits, not {bits}")));
+        }
+        if settings.values == Values::Fit && settings.interpolation == Interpolation::Nearest {
+            return Err(Error::usage(
+                "nearest gives points the very values of samples, and fitting gives them others: choose --values sample, or --interp linear",
+            ));
         }
         if settings.chunk_points < 100 {
             return Err(Error::usage(

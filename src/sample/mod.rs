@@ -120,17 +120,32 @@ impl Interpolation {
 }
 
 /// How a vertex comes by its value.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Values {
     /// The field is interpolated at the vertex.
-    #[default]
     Sample,
     /// From there it is moved towards the least squared error over the samples around it ([`crate::fit`]).
     Fit,
 }
 
 impl Values {
+    /// What is meant where nobody says how vertices come by their values: fitted, but for interpolations whose very values are wanted. The nearest
+    /// voxel's may be a label, between two of which there is nothing; the thesis's two are for its tables.
+    pub fn usual(interpolation: Interpolation) -> Self {
+        match interpolation {
+            Interpolation::Nearest | Interpolation::CubicThesis | Interpolation::QuadraticThesis => {
+                Self::Sample
+            }
+            Interpolation::Linear | Interpolation::Cubic | Interpolation::Quadratic => Self::Fit,
+        }
+    }
+
+    /// [`Values::Sample`].
+    pub(crate) fn sampled() -> Self {
+        Self::Sample
+    }
+
     /// Whether it is [`Values::Sample`].
     pub fn is_sample(&self) -> bool {
         *self == Self::Sample

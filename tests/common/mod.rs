@@ -8,6 +8,7 @@ use isospan::formats::OpenOptions;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::pipeline::{self, Amount, ReduceReport, ReduceSettings, RunSettings, SurfaceSettings};
 use isospan::points::SetKind;
+use isospan::sample::Values;
 use isospan::surface::TriMesh;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
@@ -150,8 +151,9 @@ pub(crate) fn ball(x: f64, y: f64, z: f64) -> f64 {
     0.49 - x * x - y * y - z * z
 }
 
+/// Sampled values: those of the field, and of a linear field to the last bit, which most tests compare with.
 pub(crate) fn settings(points: SetKind, amount: Amount, chunk_points: u64) -> ReduceSettings {
-    ReduceSettings { points, amount, chunk_points, ..ReduceSettings::default() }
+    ReduceSettings { points, amount, chunk_points, values: Values::Sample, ..ReduceSettings::default() }
 }
 
 pub(crate) fn run(threads: usize) -> RunSettings {

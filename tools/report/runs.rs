@@ -21,7 +21,7 @@ use isospan::pipeline::{
     Amount, ReduceReport, ReduceSettings, RunSettings, SurfaceSettings, extract_surface, reduce,
 };
 use isospan::points::{PointSet, PointSpec, SetKind};
-use isospan::sample::Interpolation;
+use isospan::sample::{Interpolation, Values};
 use isospan::surface::TriMesh;
 use isospan::{Archive, Result};
 use std::collections::BTreeMap;
@@ -348,6 +348,7 @@ impl Lab {
             points: kind,
             amount: Amount::Count(self.inside(key)),
             interpolation: key.how.interpolation(key.dataset),
+            values: Values::Sample,
             ..ReduceSettings::default()
         }
     }
@@ -379,8 +380,12 @@ impl Lab {
             let spec = PointSpec::Hammersley { n: inside, shift: 0.5 };
             PointSet::new(spec, Lattice::new([GRID as u64; 3])?)?.len()
         } else {
-            let settings =
-                ReduceSettings { amount: Amount::Count(inside), measure: false, ..ReduceSettings::default() };
+            let settings = ReduceSettings {
+                amount: Amount::Count(inside),
+                values: Values::Sample,
+                measure: false,
+                ..ReduceSettings::default()
+            };
             let report = self.reduce_into(dataset, &settings, &self.folder.join("reduced.isospan"), 0)?;
             report.points - report.void_points
         };
