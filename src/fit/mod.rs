@@ -31,17 +31,18 @@
 //!
 //! **The same bits for any chunk.** Sums of floating-point numbers depend on their order. So the samples are taken window by window,
 //! each in its order in the volume, whatever the order of the tetrahedra: scan conversion notes for each sample the
-//! tetrahedron it is in and its weights; the sums follow. Windows are those of the whole volume, and weights come from
+//! tetrahedron it is in, its weights and its difference; the sums follow. Windows are those of the whole volume, and weights come from
 //! exact integers. A vertex is right when all its tetrahedra are given.
 //!
 //! **Meshes.** The samples of a tetrahedral mesh are its vertices. They lie anywhere, so windows are bricks, and the tetrahedra look the samples
 //! of a brick up ([`crate::raster::PointLocator`]); else all is the same.
 //!
-//! **What holds.** A constant stays that constant, exactly; a linear field stays linear but for rounding. A tetrahedron with a
+//! **What holds.** A constant stays that constant, exactly, since a difference is Σ w (f - s), added in an order that the order of the corners
+//! does not show in; a linear field stays linear but for rounding. A tetrahedron with a
 //! void corner (NaN), and a sample that is NaN, tell nothing. Values may leave the range of the samples, by what a
 //! step in the field overshoots.
 //!
-//! Cost: one scan conversion of the tetrahedra, some 40 operations a sample. Memory: 20 bytes a vertex, 5 a tetrahedron, 24 a
+//! Cost: one scan conversion of the tetrahedra, some 40 operations a sample. Memory: 52 bytes a vertex, 9 a tetrahedron, 28 a
 //! sample of a window. Reference: Garland and Heckbert, "Fast polygonal approximation of terrains and height fields", 1995, for the field's
 //! error as the measure.
 
@@ -55,7 +56,7 @@ use crate::exec::with_vectors;
 use crate::geom::LatticePos;
 use crate::grid::IndexBox;
 use crate::mesh::tet::Tet;
-use crate::raster::{PointLocator, SampleGrid, Scanner};
+use crate::raster::{BatchScan, PointLocator, SampleGrid, Scanner};
 
 /// ω: the length of the step.
 const STEP: f64 = 0.6;
@@ -94,25 +95,55 @@ impl FitMesh<'_> {
 /// The sums at a vertex.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
-    /// Σ w (f - Σ w s).
+    /// Σ w times the difference.
     pull: f64,
     /// Σ w².
     weight: f64,
 }
 
+/// A sample of a window, as far as it counts.
+#[derive(Clone, Copy, Debug)]
+struct Told {
+    /// Its tetrahedron, as a number of those that the window was given with; or [`NONE`].
+    tet: u32,
+    /// Σ w (f - s).
+    difference: f32,
+    weights: [f32; 4],
+}
+
+const NOTHING: Told = Told { tet: NONE, difference: 0.0, weights: [0.0; 4] };
+
+impl Told {
+    /// By a sample in a tetrahedron whose corners have these values: nothing, if there is no number.
+    #[inline(always)]
+    fn new(tet: u32, values: [f32; 4], weights: [f64; 4], sample: f32) -> Self {
+        let weights = weights.map(|w| w as f32);
+        let f = f64::from(sample);
+        let [a, b, c, d] = [0, 1, 2, 3].map(|k| f64::from(weights[k]) * (f - f64::from(values[k])));
+        let difference = sorted_sum([a, b, c, d]);
+        let tet = if difference.is_nan() { NONE } else { tet };
+        Self { tet, difference: difference.clamp(-MOST, MOST) as f32, weights }
+    }
+}
+
+/// The largest difference of a sample that counts as such.
+const MOST: f64 = f32::MAX as f64;
+
 /// Sums over the samples of windows.
-#[derive(Debug)]
+#[derive(Default)]
 pub struct Fit {
     sums: Vec<Sums>,
-    /// For each sample of a window: its tetrahedron, and the weights of its corners.
-    owners: Vec<u32>,
-    weights: Vec<[f32; 4]>,
+    /// What each sample of a window tells.
+    told: Vec<Told>,
+    /// The tetrahedra of a window that tell something.
+    tets: Vec<Tet>,
+    batch: BatchScan,
 }
 
 impl Fit {
     /// For a mesh of so many vertices.
     pub fn new(vertices: usize) -> Self {
-        Self { sums: vec![Sums::default(); vertices], owners: vec![], weights: vec![] }
+        Self { sums: vec![Sums::default(); vertices], ..Self::default() }
     }
 
     /// Adds the samples of a window, given with those of the mesh's tetrahedra that touch it; NaN is no sample. The windows of a
@@ -139,20 +170,24 @@ impl Fit {
     #[inline(always)]
     fn add_window(&mut self, mesh: &FitMesh<'_>, scanner: &Scanner<'_>, samples: &[f32], tets: &[u32]) {
         self.start(samples.len());
-        for tet in mesh.with_values(tets) {
-            scanner.each_run(
-                mesh.corners(tet),
-                #[inline(always)]
-                |place, run| {
-                    let places = place..place + run.len();
-                    self.owners[places.clone()].fill(tet);
-                    for (weights, w) in self.weights[places].iter_mut().zip(run) {
-                        *weights = [w[0] as f32, w[1] as f32, w[2] as f32, w[3] as f32];
-                    }
-                },
-            );
-        }
-        self.add_owned(mesh, samples);
+        self.tets.clear();
+        self.tets.extend(mesh.with_values(tets).map(|tet| mesh.tets[tet as usize]));
+        let Self { told, tets, batch, .. } = self;
+        batch.each_member(
+            scanner,
+            mesh.positions,
+            tets,
+            #[inline(always)]
+            |members| {
+                let [a, b, c, d] = members.weights();
+                for (i, (&tet, &place)) in members.tets().iter().zip(members.places()).enumerate() {
+                    let values = tets[tet as usize].map(|v| mesh.values[v as usize]);
+                    let weights = [a[i], b[i], c[i], d[i]];
+                    told[place as usize] = Told::new(tet, values, weights, samples[place as usize]);
+                }
+            },
+        );
+        self.add_told();
     }
 
     /// Adds samples that lie anywhere, given with those of the mesh's tetrahedra that may have some; NaN is no sample. `points` has their
@@ -166,31 +201,36 @@ impl Fit {
         told_by: impl Fn(u32, u32) -> bool,
     ) {
         self.start(samples.len());
+        self.tets.clear();
         for tet in mesh.with_values(tets) {
+            let values = mesh.corner_values(tet);
             points.each_in(mesh.corners(tet), |sample, weights| {
                 if told_by(tet, sample) {
-                    self.owners[sample as usize] = tet;
-                    self.weights[sample as usize] = weights.map(|w| w as f32);
+                    let (number, at) = (self.tets.len() as u32, sample as usize);
+                    self.told[at] = Told::new(number, values, weights, samples[at]);
                 }
             });
+            self.tets.push(mesh.tets[tet as usize]);
         }
-        self.add_owned(mesh, samples);
+        self.add_told();
     }
 
     /// Prepares for so many samples, none of which has a tetrahedron yet.
     #[inline(always)]
     fn start(&mut self, samples: usize) {
-        self.owners.clear();
-        self.owners.resize(samples, NONE);
-        self.weights.resize(samples, [0.0; 4]);
+        self.told.clear();
+        self.told.resize(samples, NOTHING);
     }
 
-    /// Adds the samples that have a tetrahedron, in their order.
+    /// Adds what the samples tell to the sums at the corners of their tetrahedra, in their order.
     #[inline(always)]
-    fn add_owned(&mut self, mesh: &FitMesh<'_>, samples: &[f32]) {
-        for ((&tet, weights), &sample) in self.owners.iter().zip(&self.weights).zip(samples) {
-            if tet != NONE && !sample.is_nan() {
-                add_sample(&mut self.sums, &mesh.tets[tet as usize], mesh.values, weights, sample);
+    fn add_told(&mut self) {
+        for told in self.told.iter().filter(|told| told.tet != NONE) {
+            let difference = f64::from(told.difference);
+            for (v, w) in self.tets[told.tet as usize].into_iter().zip(told.weights.map(f64::from)) {
+                let at = &mut self.sums[v as usize];
+                at.pull += w * difference;
+                at.weight += w * w;
             }
         }
     }
@@ -203,22 +243,6 @@ impl Fit {
             if moved.is_nan() { value } else { (moved as f32).clamp(f32::MIN, f32::MAX) }
         };
         mesh.values[..count].iter().zip(&self.sums).map(fitted).collect()
-    }
-}
-
-/// Adds a sample to the sums at the corners of its tetrahedron. Its difference is Σ w (f - s), so that a constant has none, in
-/// ascending order of the products: the order of the corners does not show.
-#[inline]
-fn add_sample(sums: &mut [Sums], tet: &Tet, values: &[f32], weights: &[f32; 4], sample: f32) {
-    let f = f64::from(sample);
-    let [a, b, c, d] = tet.map(|v| v as usize);
-    let [wa, wb, wc, wd] = weights.map(f64::from);
-    let part = |w: f64, v: usize| w * (f - f64::from(values[v]));
-    let difference = sorted_sum([part(wa, a), part(wb, b), part(wc, c), part(wd, d)]);
-    for (v, w) in [(a, wa), (b, wb), (c, wc), (d, wd)] {
-        let at = &mut sums[v];
-        at.pull += w * difference;
-        at.weight += w * w;
     }
 }
 

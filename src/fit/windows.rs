@@ -3,6 +3,7 @@
 //! Windows are cubes of samples on a grid that belongs to the volume, not to a chunk. A window is read where tetrahedra have samples: its
 //! box is cut to theirs. Where samples lie anywhere, as the vertices of a mesh do, windows are bricks ([`BrickTets`]).
 
+use crate::exec::with_vectors;
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, BrickId, IndexBox};
 use crate::mesh::tet::Tet;
@@ -16,8 +17,11 @@ pub fn window_edge(brick: [u64; 3]) -> [u64; 3] {
     brick.map(|edge| edge * LEAST_EDGE.div_ceil(edge))
 }
 
-/// The window of each vertex, by coordinates.
-type Places = [[u32; 3]];
+/// Three coordinates for each vertex, such as those of its window, and a 0: four are a vector.
+type Places = [[u32; 4]];
+
+/// Of a tetrahedron in several windows.
+const SEVERAL: u32 = u32::MAX;
 
 /// Tetrahedra, window by window: a counting sort.
 #[derive(Debug)]
@@ -31,27 +35,48 @@ struct Sorted {
 }
 
 impl Sorted {
-    fn new(at: &Places, tets: &[Tet]) -> Self {
-        let lo = [0, 1, 2].map(|k| u64::from(at.iter().map(|w| w[k]).min().unwrap_or(0)));
-        let hi = [0, 1, 2].map(|k| u64::from(at.iter().map(|w| w[k] + 1).max().unwrap_or(0)));
-        let dims: [u64; 3] = std::array::from_fn(|k| hi[k].saturating_sub(lo[k]));
+    /// For vertices in these windows; without tetrahedra yet.
+    #[inline(always)]
+    fn around(at: &Places) -> Self {
+        let (mut lo, mut hi) = ([u32::MAX; 4], [0; 4]);
+        at.iter().for_each(|&w| (lo, hi) = (lesser(lo, w), greater(hi, w.map(|w| w + 1))));
+        let dims = std::array::from_fn(|k| u64::from(hi[k].saturating_sub(lo[k])));
         let count = dims.iter().product::<u64>() as usize;
-        let mut sorted = Self { lo, dims, ends: vec![0; count], tets: vec![] };
-        for tet in tets {
-            sorted.each_of(at, tet, |sorted, n| sorted.ends[n] += 1);
+        Self { lo: [0, 1, 2].map(|k| u64::from(lo[k])), dims, ends: vec![0; count], tets: vec![] }
+    }
+
+    /// Sorts tetrahedra, and calls `each` with each of them and its window, or [`SEVERAL`].
+    #[inline(always)]
+    fn sort(mut self, at: &Places, tets: &[Tet], mut each: impl FnMut(&Self, &Tet, u32)) -> Self {
+        let sorted = &mut self;
+        let mut only = vec![SEVERAL; tets.len()];
+        for (tet, only) in tets.iter().zip(&mut only) {
+            let [a, b, c, d] = tet.map(|v| at[v as usize]);
+            if (a == b) & (a == c) & (a == d) {
+                let n = sorted.number([0, 1, 2].map(|k| u64::from(a[k])));
+                *only = n as u32;
+                sorted.ends[n] += 1;
+            } else {
+                sorted.each_of(at, tet, |sorted, n| sorted.ends[n] += 1);
+            }
+            each(sorted, tet, *only);
         }
         let mut sum = 0;
         for n in &mut sorted.ends {
             sum += std::mem::replace(n, sum);
         }
         sorted.tets = vec![0; sum as usize];
-        for (t, tet) in tets.iter().enumerate() {
-            sorted.each_of(at, tet, |sorted, n| {
-                sorted.tets[sorted.ends[n] as usize] = t as u32;
-                sorted.ends[n] += 1;
-            });
+        let put = |sorted: &mut Self, n: usize, t: usize| {
+            sorted.tets[sorted.ends[n] as usize] = t as u32;
+            sorted.ends[n] += 1;
+        };
+        for (t, (tet, &only)) in tets.iter().zip(&only).enumerate() {
+            match only {
+                SEVERAL => sorted.each_of(at, tet, |sorted, n| put(sorted, n, t)),
+                n => put(sorted, n as usize, t),
+            }
         }
-        sorted
+        self
     }
 
     /// The tetrahedra of each window, ascending, x first.
@@ -60,6 +85,7 @@ impl Sorted {
         starts.zip(&self.ends).map(|(&start, &end)| &self.tets[start as usize..end as usize])
     }
 
+    #[inline(always)]
     fn number(&self, w: [u64; 3]) -> usize {
         let [x, y, z] = std::array::from_fn(|k| w[k] - self.lo[k]);
         ((z * self.dims[1] + y) * self.dims[0] + x) as usize
@@ -72,13 +98,8 @@ impl Sorted {
     }
 
     /// Calls `f` with the number of each window that a tetrahedron's bounding box touches.
-    #[inline]
     fn each_of(&mut self, at: &Places, tet: &Tet, mut f: impl FnMut(&mut Self, usize)) {
         let (lo, hi) = bounds(tet.map(|v| at[v as usize]));
-        if lo == hi {
-            let n = self.number(lo.map(u64::from));
-            return f(self, n);
-        }
         for z in lo[2]..=hi[2] {
             for y in lo[1]..=hi[1] {
                 for x in lo[0]..=hi[0] {
@@ -102,8 +123,9 @@ impl BrickTets {
     /// around all vertices touches.
     pub fn new(bricks: &BrickGrid, positions: &[LatticePos], tets: &[Tet]) -> Self {
         // A volume has at most 2^24 + 1 samples along an axis.
-        let at: Vec<[u32; 3]> = positions.iter().map(|&p| bricks.brick_at(p).map(|c| c as u32)).collect();
-        Self { bricks: *bricks, sorted: Sorted::new(&at, tets) }
+        let brick = |&p: &LatticePos| bricks.brick_at(p).map(|c| c as u32);
+        let at: Vec<[u32; 4]> = positions.iter().map(|p| with_zero(brick(p))).collect();
+        Self { bricks: *bricks, sorted: Sorted::around(&at).sort(&at, tets, |_, _, _| {}) }
     }
 
     /// The bricks that tetrahedra touch, ascending, with these.
@@ -116,76 +138,108 @@ impl BrickTets {
 /// Tetrahedra, window by window.
 #[derive(Debug)]
 pub struct Windows {
-    /// Samples along each edge.
-    edge: [u64; 3],
     sorted: Sorted,
     /// The samples of each window that tetrahedra may have.
-    boxes: Vec<IndexBox>,
+    boxes: Vec<Samples>,
 }
+
+/// The first and the last of a box of samples.
+#[derive(Clone, Copy, Debug)]
+struct Samples {
+    lo: [u32; 4],
+    hi: [u32; 4],
+}
+
+const NONE: Samples = Samples { lo: [u32::MAX; 4], hi: [0; 4] };
 
 impl Windows {
     /// Sorts tetrahedra into windows of `edge` samples. Time and memory also grow with the number of windows that the box around all vertices
     /// touches.
     pub fn new(grid: &SampleGrid, edge: [u64; 3], positions: &[LatticePos], tets: &[Tet]) -> Self {
-        // The window of the last sample at or before a vertex: a tetrahedron has no sample outside of those of its vertices.
-        let at: Vec<[u32; 3]> = positions.iter().map(|&p| window_of(grid, edge, p)).collect();
-        let sorted = Sorted::new(&at, tets);
-        let nothing = IndexBox { lo: [u64::MAX; 3], hi: [0; 3] };
-        let boxes = vec![nothing; sorted.ends.len()];
-        let mut windows = Self { edge, sorted, boxes };
-        for tet in tets {
-            windows.include(grid, &at, tet, positions);
-        }
-        windows
+        with_vectors(
+            #[inline(always)]
+            || Self::sort(grid, edge.map(|e| e as u32), positions, tets),
+        )
+    }
+
+    #[inline(always)]
+    fn sort(grid: &SampleGrid, edge: [u32; 3], positions: &[LatticePos], tets: &[Tet]) -> Self {
+        // The last sample at or before a vertex: a tetrahedron has no sample before the least of those of its vertices, and none behind the greatest.
+        let samples: Vec<[u32; 4]> = positions.iter().map(|&p| with_zero(sample_before(grid, p))).collect();
+        let window = |s: &[u32; 4]| with_zero(std::array::from_fn(|k| s[k] / edge[k]));
+        let at: Vec<[u32; 4]> = samples.iter().map(window).collect();
+        let sorted = Sorted::around(&at);
+        let mut boxes = vec![NONE; sorted.ends.len()];
+        let sorted = sorted.sort(
+            &at,
+            tets,
+            #[inline(always)]
+            |sorted, tet, only| {
+                let (lo, hi) = bounds(tet.map(|v| samples[v as usize]));
+                match only {
+                    SEVERAL => sorted.include(&mut boxes, edge, Samples { lo, hi }),
+                    n => {
+                        let b = &mut boxes[n as usize];
+                        *b = Samples { lo: lesser(b.lo, lo), hi: greater(b.hi, hi) };
+                    }
+                }
+            },
+        );
+        Self { sorted, boxes }
     }
 
     /// The windows that have samples, ascending, x first: the box of their samples, and their tetrahedra.
     pub fn iter(&self) -> impl Iterator<Item = (IndexBox, &[u32])> {
-        let all = self.boxes.iter().zip(self.sorted.iter());
-        all.filter(|(samples, _)| !samples.is_empty()).map(|(samples, tets)| (*samples, tets))
+        let all = self.boxes.iter().zip(self.sorted.iter()).filter(|(_, tets)| !tets.is_empty());
+        all.map(|(samples, tets)| {
+            let lo = [0, 1, 2].map(|k| u64::from(samples.lo[k]));
+            (IndexBox { lo, hi: [0, 1, 2].map(|k| u64::from(samples.hi[k]) + 1) }, tets)
+        })
     }
+}
 
-    /// Widens the boxes of a tetrahedron's windows to its samples.
-    #[inline]
-    fn include(&mut self, grid: &SampleGrid, at: &Places, tet: &Tet, positions: &[LatticePos]) {
-        let (lo, hi) = bounds(tet.map(|v| positions[v as usize]));
-        let samples = grid.within(lo, hi);
-        if samples.is_empty() {
-            return;
-        }
-        let edge = self.edge;
-        let (first, last) = bounds(tet.map(|v| at[v as usize]));
-        for z in first[2]..=last[2] {
-            for y in first[1]..=last[1] {
-                for x in first[0]..=last[0] {
-                    let w = [x, y, z].map(u64::from);
-                    let n = self.sorted.number(w);
-                    let own = IndexBox {
-                        lo: std::array::from_fn(|k| w[k] * edge[k]),
-                        hi: std::array::from_fn(|k| (w[k] + 1) * edge[k]),
-                    };
-                    let part = own.intersect(&samples);
-                    if !part.is_empty() {
-                        let b = &mut self.boxes[n];
-                        b.lo = std::array::from_fn(|k| b.lo[k].min(part.lo[k]));
-                        b.hi = std::array::from_fn(|k| b.hi[k].max(part.hi[k]));
-                    }
-                }
+impl Sorted {
+    /// Widens the boxes of all windows that a box of samples touches to its part in them.
+    fn include(&self, boxes: &mut [Samples], edge: [u32; 3], samples: Samples) {
+        let window = |s: [u32; 4], k: usize| s[k] / edge[k];
+        let [xs, ys, zs] = [0, 1, 2].map(|k| window(samples.lo, k)..=window(samples.hi, k));
+        for [y, z] in zs.flat_map(|z| ys.clone().map(move |y| [y, z])) {
+            for x in xs.clone() {
+                let w = [x, y, z];
+                let (first, last) =
+                    ([0, 1, 2].map(|k| w[k] * edge[k]), [0, 1, 2].map(|k| (w[k] + 1) * edge[k] - 1));
+                let b = &mut boxes[self.number(w.map(u64::from))];
+                *b = Samples {
+                    lo: lesser(b.lo, greater(samples.lo, with_zero(first))),
+                    hi: greater(b.hi, lesser(samples.hi, with_zero(last))),
+                };
             }
         }
     }
 }
 
-fn window_of(grid: &SampleGrid, edge: [u64; 3], p: LatticePos) -> [u32; 3] {
-    let sample = |k: usize| (grid.axes()[k].below(p[k] + 1) as u64).saturating_sub(1);
-    std::array::from_fn(|k| (sample(k) / edge[k]) as u32)
+#[inline(always)]
+fn sample_before(grid: &SampleGrid, p: LatticePos) -> [u32; 3] {
+    // A volume has at most 2^24 + 1 samples along an axis.
+    std::array::from_fn(|k| (grid.axes()[k].below(p[k] + 1) as u32).saturating_sub(1))
 }
 
-#[inline]
-fn bounds(c: [[u32; 3]; 4]) -> ([u32; 3], [u32; 3]) {
-    let [a, b, c, d] = c;
-    (
-        std::array::from_fn(|k| a[k].min(b[k]).min(c[k].min(d[k]))),
-        std::array::from_fn(|k| a[k].max(b[k]).max(c[k].max(d[k]))),
-    )
+#[inline(always)]
+fn with_zero([x, y, z]: [u32; 3]) -> [u32; 4] {
+    [x, y, z, 0]
+}
+
+#[inline(always)]
+fn bounds([a, b, c, d]: [[u32; 4]; 4]) -> ([u32; 4], [u32; 4]) {
+    (lesser(lesser(a, b), lesser(c, d)), greater(greater(a, b), greater(c, d)))
+}
+
+#[inline(always)]
+fn lesser(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
+    [0, 1, 2, 3].map(|k| a[k].min(b[k]))
+}
+
+#[inline(always)]
+fn greater(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
+    [0, 1, 2, 3].map(|k| a[k].max(b[k]))
 }
