@@ -19,8 +19,8 @@ pub(crate) struct Choices {
     /// Number of points (boundary samples come on top).
     #[arg(long, value_name = "N")]
     count: Option<u64>,
-    /// More points where the field needs them and fewer elsewhere, as many in all: the volume is read once more to find where. Of a series up
-    /// to eight steps are. For --points halton.
+    /// More points where the field needs them and fewer elsewhere, as many in all: the volume is read once more to find where (of a series up
+    /// to eight steps; of a mesh the first one, and where its vertices lie and its boundary is tell too). For --points halton.
     #[arg(long)]
     adapt: bool,
     /// With --adapt or a target: the values that somebody will look at; what happens below LO and above HI does not count.
@@ -30,7 +30,7 @@ pub(crate) struct Choices {
     /// N% of its range). Reduces several times, with --adapt; the error that was met is stored.
     #[arg(long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure"])]
     target_rms: Option<Bound>,
-    /// As --target-rms, for the largest error at a sample.
+    /// As --target-rms, for the largest error at a sample of a volume.
     #[arg(long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms"])]
     target_max: Option<Bound>,
     /// Hammersley: the shift t in (k + t)/n; 0 gives the classical set.

@@ -107,13 +107,13 @@ impl BlockErrors {
         }
     }
 
-    /// The cells, the sums of squared errors of each at all densities, and whether it has samples of both kinds.
-    pub(super) fn cells(&self) -> impl Iterator<Item = (BrickId, &[f64; SCALES], bool)> {
+    /// The cells, the sums of squared errors of each at all densities, and how many samples it has with a value, and without.
+    pub(super) fn cells(&self) -> impl Iterator<Item = (BrickId, &[f64; SCALES], [u32; 2])> {
         let [nx, ny, _] = self.dims;
-        self.sums.iter().zip(&self.samples).enumerate().map(move |(i, (sums, [good, bad]))| {
+        self.sums.iter().zip(&self.samples).enumerate().map(move |(i, (sums, &samples))| {
             let i = i as u64;
             let c = [i % nx, i / nx % ny, i / nx / ny];
-            (self.grid.id([0, 1, 2].map(|a| self.lo[a] + c[a])), sums, *good > 0 && *bad > 0)
+            (self.grid.id([0, 1, 2].map(|a| self.lo[a] + c[a])), sums, samples)
         })
     }
 }

@@ -49,7 +49,7 @@ struct Search<'a> {
 }
 
 impl Choice {
-    /// The levels of least error for `count` points inside the domain; found by the threads of the pool that this is called in.
+    /// The levels of least error for `count` points inside the domain (of a mesh: inside the mesh); found by the threads of the pool that this is called in.
     ///
     /// # Errors
     /// [`crate::Error::Usage`] when there are more points than a set may have.
@@ -58,7 +58,8 @@ impl Choice {
         if count as f64 >= voxels {
             // Nothing is left to choose; and noise, which fewer points would not lessen, is met.
             let levels = Levels::new(curves.cells, vec![0; curves.logs.len()])?;
-            return Ok(Self { n: count, levels });
+            let n = (count as f64 * (curves.box_voxels() / voxels)).round() as u64;
+            return Ok(Self { n, levels });
         }
         let search = Search::new(curves, count as f64 / voxels);
         let (mut dense, mut sparse) = (-LAMBDA_RANGE * LAMBDA_STEPS, LAMBDA_RANGE * LAMBDA_STEPS);
@@ -164,7 +165,7 @@ impl Choice {
 
     /// About the least number of points inside the domain with which the root mean square error at all samples is at most `rms`.
     pub fn count_of_rms(curves: &ErrorCurves, rms: f64) -> u64 {
-        let samples: f64 = curves.cells.lattice.dims.iter().map(|&d| d as f64).product();
+        let samples = curves.samples;
         let search = Search::new(curves, 1.0);
         let (mut dense, mut sparse) = (-LAMBDA_RANGE * LAMBDA_STEPS, LAMBDA_RANGE * LAMBDA_STEPS);
         while dense + 1 < sparse {
@@ -177,12 +178,22 @@ impl Choice {
 }
 
 impl ErrorCurves {
-    fn voxels(&self) -> f64 {
+    fn box_voxels(&self) -> f64 {
         self.cells.lattice.dims.iter().map(|&d| (d - 1) as f64).product()
     }
 
+    /// Voxels in which points count; at least one.
+    fn voxels(&self) -> f64 {
+        let inside = |all: &Vec<f32>| all.iter().map(|&v| f64::from(v)).sum::<f64>().max(1.0);
+        self.inside.as_ref().map_or_else(|| self.box_voxels(), inside)
+    }
+
+    /// Those of a cell.
     fn cell_voxels(&self, cell: usize) -> f64 {
-        crate::points::cell_voxels(&self.cells, BrickId(cell as u64)) as f64
+        match &self.inside {
+            Some(inside) => f64::from(inside[cell]),
+            None => crate::points::cell_voxels(&self.cells, BrickId(cell as u64)) as f64,
+        }
     }
 }
 
@@ -271,7 +282,7 @@ impl<'a> Search<'a> {
     /// Levels from 0 on, and how many points level 0 has for so many in all.
     fn choice(&self, mut levels: Vec<u8>, count: u64) -> Result<Choice> {
         let least = levels.iter().copied().min().unwrap_or(0);
-        let first = self.curves.voxels() * scale(1.0, i32::from(least) - self.top as i32);
+        let first = self.curves.box_voxels() * scale(1.0, i32::from(least) - self.top as i32);
         let n = (first * count as f64 / self.points(&levels)).round().max(1.0) as u64;
         levels.iter_mut().for_each(|l| *l -= least);
         Ok(Choice { n, levels: Levels::new(self.curves.cells, levels)? })

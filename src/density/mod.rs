@@ -55,6 +55,10 @@ pub struct ErrorCurves {
     logs: Vec<[i16; SCALES]>,
     /// Whether the cell has samples with a value, and others without.
     mixed: Vec<bool>,
+    /// Of a mesh that does not fill the box: how many voxels of each cell it has, about. Points elsewhere do not count.
+    inside: Option<Vec<f32>>,
+    /// How many samples the errors are sums over.
+    samples: f64,
 }
 
 impl ErrorCurves {
@@ -68,7 +72,31 @@ impl ErrorCurves {
         }
         let cells = at(edge);
         let len = cells.len() as usize;
-        Self { cells, logs: vec![[NOTHING; SCALES]; len], mixed: vec![false; len] }
+        let samples = lattice.dims.iter().map(|&d| d as f64).product();
+        Self { cells, logs: vec![[NOTHING; SCALES]; len], mixed: vec![false; len], inside: None, samples }
+    }
+
+    /// As [`ErrorCurves::new`], of a mesh in the lattice's box; it is where samples have values.
+    pub fn of_mesh(lattice: crate::geom::Lattice) -> Self {
+        let curves = Self::new(lattice);
+        let inside = Some(vec![0.0; curves.logs.len()]);
+        Self { inside, ..curves }
+    }
+
+    /// Makes errors of a mesh, which were sums over samples of the grid, sums over its vertices, of which each cell has so many: half of what a cell counts is
+    /// its part of them, half its part of the volume.
+    ///
+    /// # Panics
+    /// For curves that are not [of a mesh](Self::of_mesh).
+    pub fn weigh(&mut self, vertices: &[u32], all: u64) {
+        let inside = self.inside.as_ref().expect("the curves are of a mesh");
+        let a_voxel = all as f64 / inside.iter().map(|&v| f64::from(v)).sum::<f64>().max(1.0);
+        for ((logs, &voxels), &vertices) in self.logs.iter_mut().zip(inside).zip(vertices) {
+            let weight = (f64::from(vertices) / f64::from(voxels.max(1.0)) + a_voxel) / 2.0;
+            let log = (libm::log2(weight) * STEPS).round() as i16;
+            logs.iter_mut().filter(|l| **l != NOTHING).for_each(|l| *l = l.saturating_add(log));
+        }
+        self.samples = all as f64;
     }
 
     /// The cells.
@@ -82,11 +110,19 @@ impl ErrorCurves {
         cells.min(Levels::MOST_CELLS) * 13
     }
 
+    /// As [`ErrorCurves::bytes_for`], of a mesh, with the number of vertices of each cell.
+    pub fn bytes_for_mesh(lattice: crate::geom::Lattice) -> u64 {
+        Self::bytes_for(lattice) / 13 * 21
+    }
+
     /// Adds the errors of a block.
     pub fn add(&mut self, errors: &BlockErrors) {
-        for (cell, sums, mixed) in errors.cells() {
+        for (cell, sums, [good, bad]) in errors.cells() {
             let at = cell.0 as usize;
-            self.mixed[at] |= mixed;
+            self.mixed[at] |= good > 0 && bad > 0;
+            if let Some(inside) = &mut self.inside {
+                inside[at] += good as f32;
+            }
             for (log, &sum) in self.logs[at].iter_mut().zip(sums) {
                 *log = to_log(from_log(*log) + sum);
             }

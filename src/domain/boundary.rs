@@ -29,7 +29,7 @@ use super::store::CellStore;
 use crate::error::{Error, Result};
 use crate::geom::{Lattice, LatticeBox, LatticePos};
 use crate::locate::{FINE_BITS, FinePos, fine};
-use crate::points::{ExplicitPoints, radical_inverse};
+use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, radical_inverse};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -58,8 +58,52 @@ pub(crate) struct BoundarySamples {
     pub(crate) points: Arc<ExplicitPoints>,
     samples: Vec<Sample>,
     lattice: Lattice,
-    /// Mean distance of the points inside, in lattice steps.
-    spacing: u32,
+    spacing: Spacing,
+}
+
+/// Mean distance of the points inside, in lattice steps.
+#[derive(Clone, Debug)]
+pub(crate) struct Spacing {
+    /// Of each level; of one, where there are no levels.
+    by_level: Vec<u32>,
+    levels: Option<Arc<Levels>>,
+}
+
+impl Spacing {
+    /// That of a set of points: where its density differs from place to place, that of each level.
+    ///
+    /// # Errors
+    /// As [`PointSet::new`].
+    pub(crate) fn of(points: PointSpec, lattice: Lattice, levels: Option<Arc<Levels>>) -> Result<Self> {
+        let top = levels.as_ref().map_or(0, |levels| levels.top());
+        let of = |level: u8| {
+            let spec = match points {
+                PointSpec::Halton { n } => PointSpec::Halton { n: n << level },
+                other => other,
+            };
+            let spacing = PointSet::new(spec, lattice)?.mean_spacing();
+            Ok(spacing.into_iter().max().expect("three axes"))
+        };
+        Ok(Self { by_level: (0..=top).map(of).collect::<Result<_>>()?, levels })
+    }
+
+    /// The mean distance around a position of the domain.
+    pub(super) fn at(&self, pos: LatticePos) -> u32 {
+        let level = self.levels.as_ref().map_or(0, |levels| levels.at(pos));
+        self.by_level[usize::from(level)]
+    }
+
+    /// How many times as many samples a place of the boundary has as one of level 0.
+    fn denser(&self, pos: LatticePos) -> f64 {
+        let ratio = f64::from(self.by_level[0]) / f64::from(self.at(pos));
+        ratio * ratio
+    }
+
+    /// How many times as far apart as here points may lie in the neighbourhood.
+    fn unevenness(&self) -> f64 {
+        // Two levels.
+        if self.levels.is_some() { 1.6 } else { 1.0 }
+    }
 }
 
 /// Samples per square of the mean distance.
@@ -72,17 +116,19 @@ const NEAR: f64 = 0.75;
 const AROUND: f64 = 0.75;
 
 impl BoundarySamples {
-    /// Samples the boundary of a mesh whose inside has points at a mean distance of `spacing` lattice steps.
+    /// Samples the boundary of a mesh whose inside has points at this mean distance.
     ///
     /// # Errors
     /// [`Error::Budget`] when `memory` does not hold them.
-    pub(crate) fn new(store: &CellStore, spacing: u32, memory: u64, path: &Path) -> Result<Self> {
-        let step = f64::from(spacing) * f64::from(1u32 << FINE_BITS);
+    pub(crate) fn new(store: &CellStore, spacing: &Spacing, memory: u64, path: &Path) -> Result<Self> {
+        let step = f64::from(spacing.by_level[0]) * f64::from(1u32 << FINE_BITS);
         let each = step * step / DENSITY;
         let positions = store.positions.get()?;
         let triangles = store.boundary.get()?;
         let corners = |&[a, b, c, _]: &[u64; 4]| [a, b, c].map(|v| positions[v as usize]);
-        let total: f64 = triangles.iter().map(|t| area(corners(t))).sum();
+        // Where points are denser than at level 0, as if the triangle were larger.
+        let share = |p: [FinePos; 3]| area(p) * spacing.denser(rounded(mean(p, [1.0 / 3.0; 3])));
+        let total: f64 = triangles.iter().map(|t| share(corners(t))).sum();
         let count = total / each;
         let several = store.census.bodies > 1;
         // In the list, sorted, and while both are there; of several bodies as pairs too, and while they are located.
@@ -96,7 +142,7 @@ impl BoundarySamples {
         let (mut samples, mut before, mut k) = (vec![], 0.0, 0u64);
         for triangle in triangles {
             let p = corners(triangle);
-            let area = area(p);
+            let area = share(p);
             while (k as f64 + 0.5) * each < before + area {
                 let u = (((k as f64 + 0.5) * each - before) / area).clamp(0.0, 1.0).sqrt();
                 let v = if several { halves(k) } else { radical_inverse(2, k + 1).to_f64() };
@@ -110,15 +156,15 @@ impl BoundarySamples {
         let lattice = store.frame.lattice;
         if several {
             let free = samples.iter().step_by(DENSER as usize).map(|&(p, s)| (p, Sample::On(s)));
-            let free = Self::sorted(lattice, spacing, free.collect());
+            let free = Self::sorted(lattice, spacing.clone(), free.collect());
             let split = Contacts { free: &free, store, lattice, spacing }.split(&samples)?;
-            return Ok(Self::sorted(lattice, spacing, split));
+            return Ok(Self::sorted(lattice, spacing.clone(), split));
         }
         let samples = samples.into_iter().map(|(p, s)| (p, Sample::On(s))).collect();
-        Ok(Self::sorted(lattice, spacing, samples))
+        Ok(Self::sorted(lattice, spacing.clone(), samples))
     }
 
-    fn sorted(lattice: Lattice, spacing: u32, samples: Vec<(LatticePos, Sample)>) -> Self {
+    fn sorted(lattice: Lattice, spacing: Spacing, samples: Vec<(LatticePos, Sample)>) -> Self {
         let points = ExplicitPoints::new(&lattice, samples.iter().map(|s| s.0).collect());
         let mut first = vec![u32::MAX; points.positions().len()];
         for (i, sample) in samples.iter().enumerate() {
@@ -148,9 +194,11 @@ impl BoundarySamples {
         within: f64,
         accept: impl Fn(u64, [FinePos; 3]) -> bool,
     ) -> Result<Option<OnBoundary>> {
-        let spacing = f64::from(self.spacing);
-        let around = LatticeBox { lo: pos, hi: pos.map(|c| c + 1) }
-            .grow_within([((within + AROUND) * spacing) as u32; 3], &self.lattice.domain());
+        let spacing = f64::from(self.spacing.at(pos));
+        let around = LatticeBox { lo: pos, hi: pos.map(|c| c + 1) }.grow_within(
+            [((within + AROUND * self.spacing.unevenness()) * spacing) as u32; 3],
+            &self.lattice.domain(),
+        );
         let mut triangles = vec![];
         self.points.each_in(&around, |i| {
             if let Sample::On(sample) = &self.samples[i] {
@@ -212,6 +260,6 @@ pub(super) fn mean(corners: [FinePos; 3], weights: [f64; 3]) -> FinePos {
 }
 
 /// The nearest lattice position.
-pub(super) fn rounded(p: FinePos) -> LatticePos {
+pub(crate) fn rounded(p: FinePos) -> LatticePos {
     p.map(|c| ((c + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32)
 }

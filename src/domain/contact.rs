@@ -24,7 +24,9 @@
 //! asked which body has the point just beyond (all cells stream past once, [`PointGrid`]): a later one gets a partner there, and in an earlier one the
 //! sample is dropped.
 
-use super::boundary::{BoundarySamples, DENSER, OnBoundary, Sample, cross, difference, dot, mean, rounded};
+use super::boundary::{
+    BoundarySamples, DENSER, OnBoundary, Sample, Spacing, cross, difference, dot, mean, rounded,
+};
 use super::buckets::BATCH;
 use super::store::CellStore;
 use crate::error::Result;
@@ -42,8 +44,8 @@ pub(super) struct Contacts<'a> {
     pub(super) free: &'a BoundarySamples,
     pub(super) store: &'a CellStore,
     pub(super) lattice: Lattice,
-    /// Mean distance of the points inside, in lattice steps.
-    pub(super) spacing: u32,
+    /// Mean distance of the points inside.
+    pub(super) spacing: &'a Spacing,
 }
 
 /// A sample, as a place and a direction.
@@ -106,7 +108,7 @@ impl Contacts<'_> {
 
     /// A place moved by so many times [`INTO`] out of its body, within the box.
     fn moved(&self, from: &Placed, times: f64) -> LatticePos {
-        let steps = (INTO.0 * f64::from(self.spacing)).max(INTO.1);
+        let steps = (INTO.0 * f64::from(self.spacing.at(rounded(from.at)))).max(INTO.1);
         let n = from.normal;
         let scale = times * steps * f64::from(1u32 << FINE_BITS) / dot(n, n).sqrt();
         let most = fine(self.lattice.max());

@@ -38,3 +38,4 @@ pub(crate) mod merge;
 mod nearest;
 pub(crate) mod store;
 pub(crate) mod vertices;
+pub(crate) mod voxels;

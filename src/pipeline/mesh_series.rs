@@ -7,6 +7,7 @@
 //!
 //! Which vertices are one is decided by the values of the first step, and known of an archive that steps are added to.
 
+use super::adapt_mesh::{self, MeshChoice};
 use super::beside::Beside;
 use super::cell_field::CellField;
 use super::field::Field;
@@ -21,7 +22,7 @@ use crate::archive::repeated::RepeatedRecord;
 use crate::archive::segment::PlanHash;
 use crate::archive::values::Quantiser;
 use crate::cells::CellMesh;
-use crate::domain::boundary::BoundarySamples;
+use crate::domain::boundary::{BoundarySamples, Spacing};
 use crate::domain::buckets::Buckets;
 use crate::domain::column::Column;
 use crate::domain::gradients::gradients;
@@ -32,7 +33,7 @@ use crate::error::{Error, Result};
 use crate::formats::{self, Input, StepSource};
 use crate::grid::BrickGrid;
 use crate::pipeline::fingerprint::fingerprint;
-use crate::points::PointSet;
+use crate::points::Levels;
 use crate::sample::Interpolation;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -42,6 +43,8 @@ pub(super) struct Prepared {
     pub(super) store: CellStore,
     pub(super) series: SeriesPlan,
     pub(super) boundary: BoundarySamples,
+    /// Points inside that are wanted.
+    pub(super) inside: u64,
 }
 
 /// The mesh that all steps must have.
@@ -141,16 +144,61 @@ pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared
         None => new_plan(&mesh, &store, job.settings)?,
         Some(archive) => continued_plan(archive, job.settings),
     };
-    let spacing = PointSet::new(plan.mesh.points, plan.mesh.lattice)?.mean_spacing();
-    let spacing = spacing.into_iter().max().expect("three axes");
-    let boundary = BoundarySamples::new(&store, spacing, how.memory, path)?;
+    let dense = dense_where_needed(&mut plan, &store, job, how)?;
+    let spacing = Spacing::of(plan.mesh.points, plan.mesh.lattice, dense.levels.clone())?;
+    let boundary = BoundarySamples::new(&store, &spacing, how.memory, path)?;
     let listed = ExplicitRecord::of(&boundary.points);
     match job.part.archive() {
         None => plan.mesh.explicit = Some(listed),
         Some(archive) => expect_listed(archive, listed)?,
     }
     let series = plan_steps(&mesh, &store, &boundary, plan, job, how)?;
-    Ok(Prepared { store, series, boundary })
+    let series =
+        SeriesPlan { bound: dense.bound, beside: Beside { levels: dense.levels, ..series.beside }, ..series };
+    Ok(Prepared { store, series, boundary, inside: dense.inside })
+}
+
+/// How dense the points of a plan are.
+struct Dense {
+    levels: Option<Arc<Levels>>,
+    /// Points inside that are wanted.
+    inside: u64,
+    /// The error that is wanted, in units of the field.
+    bound: Option<f64>,
+}
+
+/// Makes the points of a plan denser where that is needed; or where it was when an archive, or the plan of a shard, was made.
+fn dense_where_needed(
+    plan: &mut Plan,
+    store: &CellStore,
+    job: &Job<'_>,
+    how: &StoreSettings<'_>,
+) -> Result<Dense> {
+    let inside = inside_of(job.settings, store.census.vertices).round().max(1.0) as u64;
+    let known = |levels| Ok(Dense { levels, inside, bound: None });
+    if let Some(archive) = job.part.archive() {
+        return known(archive.points.levels().cloned());
+    }
+    if let Some(planned) = job.part.planned() {
+        if planned.mesh.levels.is_none() || planned.mesh.lattice != plan.mesh.lattice {
+            return known(None);
+        }
+        plan.mesh.clone_from(&planned.mesh);
+        return known(Beside::read(job.out, &planned.mesh)?.levels);
+    }
+    let (Some(adapt), target) = (&job.settings.adapt, job.settings.target) else { return known(None) };
+    let MeshChoice { choice, count, bound } = adapt_mesh::choose(store, how, adapt, target, inside, job.run)?;
+    let levels = Arc::new(choice.levels);
+    plan.adapt(choice.n, &levels)?;
+    Ok(Dense { levels: Some(levels), inside: count, bound })
+}
+
+/// Points inside that the settings ask for, of a mesh of so many vertices.
+fn inside_of(settings: &ReduceSettings, vertices: u64) -> f64 {
+    match settings.amount {
+        Amount::Count(n) => n as f64,
+        Amount::Fraction(f) => vertices as f64 * f,
+    }
 }
 
 /// The plan of reducing a mesh, its steps and the samples of its boundary still missing.
@@ -169,10 +217,10 @@ fn new_plan(mesh: &CellMesh, store: &CellStore, settings: &ReduceSettings) -> Re
         mesh: Some(told),
         ..source_of(mesh)?
     };
-    let inside = match settings.amount {
-        Amount::Count(n) => n as f64,
-        Amount::Fraction(f) => told.vertices as f64 * f,
-    };
+    if let Some(adapt) = &settings.adapt {
+        adapt.check(settings)?;
+    }
+    let inside = inside_of(settings, told.vertices);
     let count = (inside / store.filled()).round().max(1.0) as u64;
     let mut plan = Plan::on_lattice(lattice, count, source, settings)?;
     plan.mesh.repeated = RepeatedRecord::of(store.firsts.pairs()?);

@@ -8,6 +8,7 @@
 //! [`reduce`] makes an archive, [`extract_surface`] and [`count_active`] ask it, [`check_archive`] proves it whole.
 
 mod adapt;
+mod adapt_mesh;
 mod append;
 mod beside;
 mod block;

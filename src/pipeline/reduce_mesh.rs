@@ -13,6 +13,7 @@ use super::need::{Estimate, Need, Question, free_bytes};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::reduce::{MOST_STEPS_AT_ONCE, folder_bytes, need_of, produce};
 use super::series::{Means, SeriesPlan};
+use super::target::Target;
 use crate::cells::CellMesh;
 use crate::domain::boundary::BoundarySamples;
 use crate::domain::buckets::Buckets;
@@ -39,7 +40,7 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     let reading = Instant::now();
     job.progress.begin("read the mesh", 0, "points");
     let settings = store_settings(job.settings, job.run, &scratch);
-    let Prepared { store, series, boundary } = prepare(job, &settings)?;
+    let Prepared { store, series, boundary, inside } = prepare(job, &settings)?;
     let mut seconds = vec![("read".to_owned(), reading.elapsed().as_secs_f64())];
     job.part.expect_planned(&series)?;
     if let Some(report) = job.part.added_before(&series)? {
@@ -58,6 +59,8 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     seconds.push(("sort".to_owned(), sorting.elapsed().as_secs_f64()));
     let report = ReduceReport {
         samples: store.census.vertices,
+        inner_points: inside,
+        bound: series.bound,
         mesh: Some(store.census),
         seconds,
         ..ReduceReport::default()
@@ -78,7 +81,8 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
 pub(super) fn plan_mesh(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimate)> {
     let (settings, scratch) = (job.settings, scratch_folder(job.run));
     job.progress.begin("read the mesh", 0, "points");
-    let Prepared { store, series, boundary } = prepare(job, &store_settings(settings, job.run, &scratch))?;
+    let Prepared { store, series, boundary, .. } =
+        prepare(job, &store_settings(settings, job.run, &scratch))?;
     let plan = &series.plan;
     let parts = parts(&plan.mesh, series.beside.clone())?;
     let memory = job.run.memory.saturating_sub(boundary_bytes(&boundary));
@@ -165,9 +169,9 @@ fn check_settings(settings: &ReduceSettings, path: &Path) -> Result<()> {
             settings.interpolation
         )));
     }
-    if settings.adapt.is_some() || settings.target.is_some() {
+    if let Some(Target::Max(_)) = settings.target {
         return Err(Error::usage(format!(
-            "--adapt and targets are for volumes; {path} is a mesh, reduced with the same density everywhere"
+            "--target-max is for volumes, and {path} is a mesh: --target-rms is for both"
         )));
     }
     Ok(())
