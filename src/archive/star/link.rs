@@ -351,6 +351,15 @@ impl Link {
         self.push(edge, new);
     }
 
+    /// [`Link::meet`] with 1, of an edge whose gate is not open; nothing with 0 and an edge at [`NOBODY`].
+    #[inline(always)]
+    pub(super) fn meet_new(&mut self, edge: Gate, edges: u8) {
+        let back = &mut self.open[usize::from(edge.rotate_left(8)) % GATES];
+        let new = std::mem::take(back) ^ edges;
+        self.open[usize::from(edge) % GATES] = new;
+        self.push(edge, new);
+    }
+
     #[inline(always)]
     fn push(&mut self, gate: Gate, gates: u8) {
         self.ring[self.tail % RING] = gate;
@@ -366,22 +375,33 @@ impl Link {
     /// The next gates that are still open, with what is foretold of them. False if no gate waits; none may be open even so.
     #[inline(always)]
     pub(super) fn foretell(&mut self, path: impl Path, gates: &mut Gates) -> bool {
-        let waiting = self.tail - self.head;
+        let Some(four) = self.next_four() else { return false };
         let mut n = 0;
         gates.gates = [NO_GATE; LANES + 1];
-        for k in 0..LANES {
-            let gate = self.ring[(self.head + k) % RING];
+        for (gate, is_open) in four {
             // What is not counted is overwritten.
             gates.gates[n] = gate;
-            n += usize::from(u8::from(k < waiting) & self.open[usize::from(gate) % GATES]);
+            n += usize::from(is_open);
         }
         gates.gates[n] = NO_GATE;
         gates.len = n;
-        self.head += waiting.min(LANES);
         if n > 0 {
             path.search(self, gates);
         }
-        waiting > 0
+        true
+    }
+
+    /// The gates that are to be looked at together, and of each whether it is still open: 1 or 0. `None` if no gate waits.
+    #[inline(always)]
+    pub(super) fn next_four(&mut self) -> Option<[(Gate, u8); LANES]> {
+        let (first, waiting) = (self.head, self.tail - self.head);
+        self.head += waiting.min(LANES);
+        let gate = |k: usize| {
+            // What does not wait is an old gate, which may be open again.
+            let gate = if k < waiting { self.ring[(first + k) % RING] } else { NO_GATE };
+            (gate, self.open[usize::from(gate) % GATES])
+        };
+        (waiting > 0).then(|| std::array::from_fn(gate))
     }
 
     /// The keys of all vertices; infinity for what is not in front.

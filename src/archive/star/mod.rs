@@ -32,11 +32,14 @@
 //! on it, takes longer than all the geometry.
 
 mod bits;
+mod even;
 mod link;
 mod odds;
 mod read;
 #[cfg(target_arch = "x86_64")]
 mod simd;
+#[cfg(target_arch = "x86_64")]
+mod wide;
 mod write;
 
 use self::link::{Cloud, Gate, Gates, LANES, Link, MOST, NOBODY, Path, Plain, ends, gate};
@@ -96,6 +99,22 @@ trait End {
     fn untold(&self, link: &Link, to: &mut Vec<[Local; 3]>);
     /// A tetrahedron that is told now.
     fn tell(&mut self, tet: [Local; 4]);
+    /// Tells the star that has begun, if this end knows that all of it is as foretold: the number of its triangles. If not, what it has begun with
+    /// is to be met once more.
+    #[inline(always)]
+    fn even(&mut self, _: impl Path, _: &mut Stars) -> Even {
+        Even::Unknown
+    }
+}
+
+/// What the encoder has found out about a star.
+enum Even {
+    /// It is even, and told: so many triangles.
+    Told(usize),
+    /// It seems to be odd. Nothing is told, and no gate open any more.
+    No,
+    /// It was not looked at.
+    Unknown,
 }
 
 /// A face that waits for its smallest vertex to come: the other two.
@@ -104,6 +123,15 @@ struct Waiting {
     /// The second one 2^16 times.
     others: u32,
     next: u16,
+}
+
+/// The vector code that may be used.
+#[derive(Clone, Copy, PartialEq)]
+enum Paths {
+    All,
+    #[cfg_attr(not(test), expect(dead_code, reason = "tests ask for it"))]
+    Narrow,
+    Plain,
 }
 
 /// What both ends know.
@@ -120,8 +148,8 @@ struct Stars {
     waiting: Vec<Waiting>,
     waiters: usize,
     untold: Vec<[Local; 3]>,
-    /// Whether to go without vector code: for tests.
-    plain: bool,
+    /// Narrowed by tests.
+    path: Paths,
 }
 
 impl Default for Stars {
@@ -138,7 +166,7 @@ impl Default for Stars {
             waiting: vec![],
             waiters: 0,
             untold: vec![],
-            plain: false,
+            path: Paths::All,
         }
     }
 }
@@ -160,7 +188,13 @@ impl Stars {
     fn begin(&mut self, path: impl Path, v: usize) -> Option<()> {
         self.v = v;
         self.link.begin(path, &self.cloud, v);
-        let mut at = self.heads[v];
+        self.meet_known()
+    }
+
+    /// Opens the gates of what is known of the link.
+    #[inline(always)]
+    fn meet_known(&mut self) -> Option<()> {
+        let mut at = self.heads[self.v];
         while let Some(&Waiting { others, next }) = self.waiting.get(usize::from(at)) {
             let (a, b) = (others as Local, (others >> 16) as Local);
             let (a, b) = (self.link.place(&self.cloud, a)?, self.link.place(&self.cloud, b)?);
@@ -252,6 +286,12 @@ impl Stars {
         self.link.meet(gate(w, d));
         let [c, d, w] = [c, d, w].map(|i| self.link.id[i % MOST]);
         end.tell([self.v as Local, c, d, w]);
+        self.wait(c, d, w)
+    }
+
+    /// A face waits for the star of its smallest vertex. `None` if there are more faces than tetrahedra.
+    #[inline(always)]
+    fn wait(&mut self, c: Local, d: Local, w: Local) -> Option<()> {
         // The least, and the other two by shifting (c, d, w, c): no branch, for none could be foretold.
         let least = c.min(d).min(w);
         let turn = if least == c {
@@ -317,9 +357,14 @@ impl Stars {
 
     fn tell_as_may_be<E: End>(&mut self, end: &mut E, tets: usize) -> Option<()> {
         #[cfg(target_arch = "x86_64")]
-        if let Some(vectors) = simd::Vectors::find()
-            && !self.plain
-        {
+        if let Some(wide) = wide::Wide::find().filter(|_| self.path == Paths::All) {
+            return wide.run(
+                #[inline(always)]
+                || self.tell_on(wide, end, tets),
+            );
+        }
+        #[cfg(target_arch = "x86_64")]
+        if let Some(vectors) = simd::Vectors::find().filter(|_| self.path != Paths::Plain) {
             return vectors.run(
                 #[inline(always)]
                 || self.tell_on(vectors, end, tets),
@@ -334,6 +379,14 @@ impl Stars {
         for v in 0..self.own {
             self.begin(path, v)?;
             end.star(v as Local, &self.link)?;
+            match end.even(path, self) {
+                Even::Told(triangles) => {
+                    left = left.checked_sub(triangles)?;
+                    continue;
+                }
+                Even::No => self.meet_known()?,
+                Even::Unknown => {}
+            }
             let (mut any, mut before) = (false, left + 1);
             loop {
                 if self.link.is_crowded() {

@@ -1,9 +1,10 @@
 //! The encoder's end of the star coder.
 
 use super::bits::BitWriter;
-use super::link::{GATES, Gate, Gates, LANES, Link, MOST, NOBODY, ends, gate};
+use super::even::{Found, Luck};
+use super::link::{GATES, Gate, Gates, LANES, Link, MOST, NOBODY, Path, ends, gate};
 use super::odds::first_odds;
-use super::{DECISIONS, End, LARGEST_LIST, LARGEST_STARS, Local, NONE, Stars};
+use super::{DECISIONS, End, Even, LARGEST_LIST, LARGEST_STARS, Local, NONE, Stars};
 use crate::archive::range::{Encoder, Odds};
 use crate::archive::wire::put_varint;
 use crate::geom::LatticePos;
@@ -25,7 +26,7 @@ pub(crate) struct Writer {
 /// The encoder's end: what it knows, and what it writes.
 pub(super) struct Truth {
     coder: Encoder,
-    bits: BitWriter,
+    pub(super) bits: BitWriter,
     /// Of the star: numbers of gates that were looked at together, with their hits; and whether there is more to it.
     hits: Vec<(u8, u8)>,
     is_odd: bool,
@@ -34,21 +35,24 @@ pub(super) struct Truth {
     rest: usize,
     star: Range<usize>,
     /// Triangles of the star that are not told.
-    untold: usize,
+    pub(super) untold: usize,
     /// For each directed edge between places of the link the third place of the triangle that has it and is not told.
-    thirds: Box<[u8; GATES]>,
+    pub(super) thirds: Box<[u8; GATES]>,
     /// Triangles that are not told and had a vertex without a place when the star began.
-    loose: Vec<[Local; 3]>,
+    pub(super) loose: Vec<[Local; 3]>,
     /// The vertices by local number, and the tetrahedra as they are told: as they will be decoded.
-    ids: Vec<u32>,
-    told: Vec<Tet>,
+    pub(super) ids: Vec<u32>,
+    pub(super) told: Vec<Tet>,
+    /// Of the star that was tried last.
+    pub(super) found: Found,
+    pub(super) luck: Luck,
     /// For the test that makes `odds.rs`: of each decision how often, and how often so.
     #[cfg(test)]
     pub(super) counts: std::collections::BTreeMap<usize, [f64; 2]>,
 }
 
 /// No third place.
-const TOLD: u8 = NOBODY as u8;
+pub(super) const TOLD: u8 = NOBODY as u8;
 
 impl Default for Truth {
     fn default() -> Self {
@@ -65,6 +69,8 @@ impl Default for Truth {
             loose: vec![],
             ids: vec![],
             told: vec![],
+            found: Found::default(),
+            luck: Luck::default(),
             #[cfg(test)]
             counts: Default::default(),
         }
@@ -371,5 +377,10 @@ impl End for Truth {
     fn tell(&mut self, tet: [Local; 4]) {
         let id = |v: Local| self.ids[usize::from(v)];
         self.told.push([id(tet[0]), id(tet[1]), id(tet[2]), id(tet[3])]);
+    }
+
+    #[inline(always)]
+    fn even(&mut self, path: impl Path, stars: &mut Stars) -> Even {
+        self.tell_even(path, stars)
     }
 }
