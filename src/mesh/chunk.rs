@@ -22,6 +22,7 @@
 use super::certify::Unseen;
 use super::delaunay::Mesher;
 use super::late::Late;
+use super::owned::Owned;
 use super::tet::Tet;
 use crate::error::{Error, Result};
 use crate::geom::curve::Order;
@@ -104,17 +105,17 @@ pub fn mesh_with_stars(
     }
     let region = &region;
     let mut owned = std::mem::take(&mut mesher.owned);
-    owned.clear();
+    owned.clear(positions.len());
     let mut sorter = Sorter::new(mesher, region, positions, owned);
     let mut late = None;
     let mut uncertified = sorter.run(mesher, region, first, &mut late);
     if stars && matches!(uncertified, Ok(0)) {
         uncertified = sorter.run_around(mesher, region, first, &mut late);
     }
-    let Sorter { owned, shared, around, .. } = sorter;
+    let Sorter { mut owned, shared, around, .. } = sorter;
     let spare = std::mem::take(&mut mesher.outgoing);
     let outcome = uncertified.map(|n| match n {
-        0 => ChunkOutcome::Done(ChunkMesh { tets: sorted(&owned, positions.len(), spare), shared, around }),
+        0 => ChunkOutcome::Done(ChunkMesh { tets: owned.sorted(spare), shared, around }),
         uncertified => ChunkOutcome::WidenHalo { uncertified },
     });
     mesher.owned = owned;
@@ -152,8 +153,7 @@ struct Sorter<'a> {
     close: Unseen,
     /// By vertex of the mesher: whether it lies in the core; infinity does not.
     in_core: Vec<bool>,
-    /// In no particular order.
-    owned: Vec<Tet>,
+    owned: Owned,
     shared: Vec<bool>,
     /// Records to be looked at again.
     doubtful: Vec<u32>,
@@ -164,7 +164,7 @@ struct Sorter<'a> {
 }
 
 impl<'a> Sorter<'a> {
-    fn new(mesher: &Mesher, region: &ChunkRegion, positions: &'a [LatticePos], owned: Vec<Tet>) -> Self {
+    fn new(mesher: &Mesher, region: &ChunkRegion, positions: &'a [LatticePos], owned: Owned) -> Self {
         let shared: Vec<bool> = positions.iter().map(|p| !region.core.contains(*p)).collect();
         let in_core =
             std::iter::once(false).chain(mesher.sources().iter().map(|&s| !shared[s as usize])).collect();
@@ -201,7 +201,7 @@ impl<'a> Sorter<'a> {
         late: &mut Option<Late<'a>>,
     ) -> Result<u64> {
         let mut used = vec![false; self.positions.len()];
-        self.owned.iter().flatten().for_each(|&v| used[v as usize] = true);
+        self.owned.tets.iter().flatten().for_each(|&v| used[v as usize] = true);
         self.used =
             std::iter::once(false).chain(mesher.sources().iter().map(|&s| used[s as usize])).collect();
         for id in 0..mesher.records() {
@@ -298,7 +298,7 @@ impl<'a> Sorter<'a> {
             }
         }
         if relation.owned {
-            self.owned.push(least_first(v.map(|v| mesher.source(v))));
+            self.owned.push(v.map(|v| mesher.source(v)));
         } else {
             // Those outside the core are shared already.
             v.iter().for_each(|&v| self.shared[mesher.source(v) as usize] = true);
@@ -310,10 +310,14 @@ impl<'a> Sorter<'a> {
     }
 
     fn relation(&self, mesher: &Mesher, v: [u32; 4], core: [bool; 4]) -> Relation {
-        let mut by_position: [(LatticePos, bool); 4] =
-            std::array::from_fn(|i| (self.at(mesher, v[i]), core[i]));
-        by_position.sort_unstable();
-        Relation { owned: by_position[0].1, checked: by_position[..3].iter().any(|p| p.1) }
+        let at = v.map(|v| self.at(mesher, v));
+        let (mut least, mut greatest) = (0, 0);
+        for i in 1..4 {
+            least = if at[i] < at[least] { i } else { least };
+            greatest = if at[i] > at[greatest] { i } else { greatest };
+        }
+        // Of four that differ, as the vertices of a tetrahedron do, three are less than the greatest.
+        Relation { owned: core[least], checked: (0..4).any(|i| core[i] & (i != greatest)) }
     }
 
     /// A hull facet at a core vertex: it must be one of the whole mesh.
@@ -325,36 +329,6 @@ impl<'a> Sorter<'a> {
             self.doubtful.push(id);
         }
     }
-}
-
-/// An even permutation with the least number first. Without branches: they would be taken at random.
-#[inline]
-fn least_first(t: Tet) -> Tet {
-    /// The others of each place, so that (place, others) is an even permutation.
-    const REST: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [3, 0, 1], [2, 1, 0]];
-    let (low, high) = (usize::from(t[1] < t[0]), 2 + usize::from(t[3] < t[2]));
-    let least = low + (high - low) * usize::from(t[high] < t[low]);
-    let [a, b, c] = REST[least].map(|i| t[i]);
-    [t[least], a, b, c]
-}
-
-/// Sorts tetrahedra of `vertices` vertices by their first ones, by counting, into memory that may hold others.
-fn sorted(tets: &[Tet], vertices: usize, mut all: Vec<Tet>) -> Vec<Tet> {
-    let mut end = vec![0u32; vertices + 1];
-    for t in tets {
-        end[t[0] as usize + 1] += 1;
-    }
-    for v in 0..vertices {
-        end[v + 1] += end[v];
-    }
-    // Whatever is there is written over.
-    all.resize(tets.len(), [0; 4]);
-    for &t in tets {
-        let place = &mut end[t[0] as usize];
-        all[*place as usize] = t;
-        *place += 1;
-    }
-    all
 }
 
 #[cfg(test)]

@@ -50,6 +50,7 @@ use crate::geom::curve::Order;
 use crate::geom::predicates::orient3d;
 use crate::geom::{Lattice, LatticePos};
 use crate::mesh::certify::Local;
+use crate::mesh::owned::Owned;
 use crate::mesh::tet::Tet;
 use arena::{Arena, FIRST_TAG, Frame, INFINITE, MOST_TETS, Margin, Point, Tetra};
 
@@ -92,7 +93,7 @@ pub struct Mesher {
     sorted: Vec<(u64, u32)>,
     spare: Vec<(u64, u32)>,
     /// Scratch of the chunk stage, kept here so that its pages are not asked for again in each chunk.
-    pub(super) owned: Vec<Tet>,
+    pub(super) owned: Owned,
     /// Memory for the tetrahedra of the next chunk.
     pub(super) outgoing: Vec<Tet>,
 }

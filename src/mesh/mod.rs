@@ -5,4 +5,5 @@ pub mod check;
 pub mod chunk;
 pub mod delaunay;
 mod late;
+mod owned;
 pub mod tet;

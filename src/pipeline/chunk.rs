@@ -111,67 +111,94 @@ pub(crate) enum Meshing {
     },
 }
 
-/// Enumerates the chunk's points and meshes them, beginning with the halo of try `first`, and widening it until every
-/// owned tetrahedron is certified, as long as the region fits in `room` bytes. What comes out does not depend on `room`.
-pub(crate) fn mesh(
-    recipe: &Recipe<'_>,
-    chunk: &Chunk,
-    mesher: &mut Mesher,
-    first: u32,
-    room: u64,
-    cancel: &CancelToken,
-) -> Result<Meshing> {
-    let domain = recipe.bricks.lattice.domain();
-    let (mut sites, mut one_brick, mut core_counts) = (vec![], vec![], vec![]);
-    for brick in chunk.bricks(&recipe.bricks) {
-        let brick_box = recipe.bricks.brick(brick);
-        check_brick(recipe.points, &brick_box)?;
-        recipe.points.sites_in(&brick_box, &mut one_brick);
-        core_counts
-            .push(u32::try_from(one_brick.len()).expect("a checked brick has far fewer than 2^32 points"));
-        sites.extend_from_slice(&one_brick);
-    }
-    let core = sites.len();
-    for retries in first.. {
-        cancel.check()?;
-        let grown = need::region(recipe.points, &chunk.core, &domain, recipe.halo, retries);
-        let bytes = need::room_for(recipe.points.count_in(&grown), recipe.halo);
-        if bytes > room {
-            return Ok(Meshing::NeedsRoom { retries, bytes });
-        }
-        let near = need::near(recipe.points, &chunk.core, &domain, recipe.halo, retries);
-        let region = ChunkRegion { core: chunk.core, near, region: grown, domain };
-        sites.truncate(core);
-        if core > 0 {
-            push_halo(recipe, chunk, &region, &mut sites);
-        }
-        let positions: Vec<LatticePos> = sites.iter().map(|s| s.pos).collect();
-        let stars = recipe.halo == Halo::Stars;
-        match mesh_with_stars(mesher, &region, &positions, &recipe.order, stars)? {
-            ChunkOutcome::Done(mesh) => {
-                let done = renumber(core_counts, &sites, core, mesh, retries);
-                return Ok(Meshing::Done(done));
-            }
-            // Twice as wide each time: a region that is the whole domain certifies everything, so this ends.
-            ChunkOutcome::WidenHalo { .. } => {}
-        }
-    }
-    unreachable!("the loop ends by returning")
+/// Makes meshes of chunks, with memory that it keeps from chunk to chunk.
+#[derive(Default)]
+pub(crate) struct Maker {
+    mesher: Mesher,
+    /// Those of the core, brick after brick, then those of the halo.
+    sites: Vec<Site>,
+    one_box: Vec<Site>,
+    late: Vec<Site>,
+    positions: Vec<LatticePos>,
 }
 
-/// Appends the sites of the region outside the chunk's core, those of its inner part first.
-fn push_halo(recipe: &Recipe<'_>, chunk: &Chunk, region: &ChunkRegion, sites: &mut Vec<Site>) {
-    let mut one_box = vec![];
-    let mut late = vec![];
-    for b in shell(&chunk.core, &region.region) {
-        recipe.points.candidates_in(&b, &mut one_box);
-        // Of equal positions the mesh keeps the first: it must be the one of the lowest id.
-        one_box.sort_unstable_by_key(|s| s.id);
-        for site in &one_box {
-            if region.near.contains(site.pos) { sites.push(*site) } else { late.push(*site) }
+impl Maker {
+    /// Enumerates the chunk's points and meshes them, beginning with the halo of try `first`, and widening it until every
+    /// owned tetrahedron is certified, as long as the region fits in `room` bytes. What comes out does not depend on `room`.
+    pub(crate) fn mesh(
+        &mut self,
+        recipe: &Recipe<'_>,
+        chunk: &Chunk,
+        first: u32,
+        room: u64,
+        cancel: &CancelToken,
+    ) -> Result<Meshing> {
+        let domain = recipe.bricks.lattice.domain();
+        let core_counts = self.list_core(recipe, chunk)?;
+        let core = self.sites.len();
+        for retries in first.. {
+            cancel.check()?;
+            let grown = need::region(recipe.points, &chunk.core, &domain, recipe.halo, retries);
+            let bytes = need::room_for(recipe.points.count_in(&grown), recipe.halo);
+            if bytes > room {
+                return Ok(Meshing::NeedsRoom { retries, bytes });
+            }
+            let near = need::near(recipe.points, &chunk.core, &domain, recipe.halo, retries);
+            let region = ChunkRegion { core: chunk.core, near, region: grown, domain };
+            self.sites.truncate(core);
+            if core > 0 {
+                self.list_halo(recipe, chunk, &region);
+            }
+            self.positions.clear();
+            self.positions.extend(self.sites.iter().map(|s| s.pos));
+            let stars = recipe.halo == Halo::Stars;
+            match mesh_with_stars(&mut self.mesher, &region, &self.positions, &recipe.order, stars)? {
+                ChunkOutcome::Done(mesh) => {
+                    let positions = std::mem::take(&mut self.positions);
+                    let done = renumber(core_counts, &self.sites, positions, mesh, retries);
+                    return Ok(Meshing::Done(done));
+                }
+                // Twice as wide each time: a region that is the whole domain certifies everything, so this ends.
+                ChunkOutcome::WidenHalo { .. } => {}
+            }
         }
+        unreachable!("the loop ends by returning")
     }
-    sites.append(&mut late);
+
+    /// Takes memory of a chunk that is finished, for the next.
+    pub(crate) fn reuse(&mut self, positions: Vec<LatticePos>, tets: Vec<Tet>) {
+        self.positions = positions;
+        self.mesher.reuse(tets);
+    }
+
+    /// Lists the sites of the core, and tells how many each brick has.
+    fn list_core(&mut self, recipe: &Recipe<'_>, chunk: &Chunk) -> Result<Vec<u32>> {
+        self.sites.clear();
+        let mut counts = vec![];
+        for brick in chunk.bricks(&recipe.bricks) {
+            let brick_box = recipe.bricks.brick(brick);
+            check_brick(recipe.points, &brick_box)?;
+            recipe.points.sites_in(&brick_box, &mut self.one_box);
+            let count = u32::try_from(self.one_box.len());
+            counts.push(count.expect("a checked brick has far fewer than 2^32 points"));
+            self.sites.extend_from_slice(&self.one_box);
+        }
+        Ok(counts)
+    }
+
+    /// Appends the sites of the region outside the chunk's core, those of its inner part first.
+    fn list_halo(&mut self, recipe: &Recipe<'_>, chunk: &Chunk, region: &ChunkRegion) {
+        let Self { sites, one_box, late, .. } = self;
+        for b in shell(&chunk.core, &region.region) {
+            recipe.points.candidates_in(&b, one_box);
+            // Of equal positions the mesh keeps the first: it must be the one of the lowest id.
+            one_box.sort_unstable_by_key(|s| s.id);
+            for site in &*one_box {
+                if region.near.contains(site.pos) { sites.push(*site) } else { late.push(*site) }
+            }
+        }
+        sites.append(late);
+    }
 }
 
 /// Six boxes that tile `outer` without `inner`.
@@ -187,19 +214,24 @@ fn shell(inner: &LatticeBox, outer: &LatticeBox) -> Vec<LatticeBox> {
     boxes
 }
 
-/// Keeps only the halo points that tetrahedra use, ordered by id.
+/// Keeps only the halo points that tetrahedra use, ordered by id; `positions` are those of all sites.
 fn renumber(
     core_counts: Vec<u32>,
     sites: &[Site],
-    core: usize,
+    mut positions: Vec<LatticePos>,
     mesh: ChunkMesh,
     retries: u32,
 ) -> MeshedChunk {
-    let ChunkMesh { mut tets, shared, around } = mesh;
+    let ChunkMesh { mut tets, mut shared, around } = mesh;
+    let core: usize = core_counts.iter().map(|&n| n as usize).sum();
     let mut used = vec![false; sites.len() - core];
-    for &v in tets.iter().flatten() {
-        if v as usize >= core {
-            used[v as usize - core] = true;
+    let mut with_halo = vec![];
+    for (i, t) in (0..).zip(&tets) {
+        // The least comes first.
+        if t[1].max(t[2]).max(t[3]) as usize >= core {
+            with_halo.push(i);
+            let outside = t.iter().filter_map(|&v| (v as usize).checked_sub(core));
+            outside.for_each(|v| used[v] = true);
         }
     }
     let mut halo: Vec<u32> = (0..used.len()).filter(|&i| used[i]).map(|i| (core + i) as u32).collect();
@@ -208,15 +240,16 @@ fn renumber(
     for (i, &v) in halo.iter().enumerate() {
         number[v as usize - core] = (core + i) as u32;
     }
-    for v in tets.iter_mut().flatten() {
-        if *v as usize >= core {
+    for i in with_halo {
+        let tet: &mut Tet = &mut tets[i];
+        for v in tet.iter_mut().filter(|v| **v as usize >= core) {
             *v = number[*v as usize - core];
         }
     }
     let around = renumber_around(sites, core, halo.len(), number, around);
-    let mut positions: Vec<LatticePos> = sites[..core].iter().map(|s| s.pos).collect();
+    positions.truncate(core);
     positions.extend(halo.iter().map(|&v| sites[v as usize].pos));
-    let mut shared = shared[..core].to_vec();
+    shared.truncate(core);
     shared.resize(positions.len(), true);
     let halo = halo.iter().map(|&v| sites[v as usize].id).collect();
     MeshedChunk { core_counts, halo, positions, shared, tets, retries, around }

@@ -16,7 +16,7 @@
 //! Of a series, the values of several steps are made while the mesh of a chunk is there: sampled, encoded against those of the step
 //! before, ranges measured. Where an earlier pass has made the mesh, it is decoded instead, and so are the values before the first step.
 
-use super::chunk::{self, MeshedChunk, Meshing, Recipe};
+use super::chunk::{Maker, MeshedChunk, Meshing, Recipe};
 use super::field::{Field, Placement};
 use super::gauge::{Cells, Gauge, Samples};
 use super::inspect::{Depth, SegmentState, inspect};
@@ -37,7 +37,6 @@ use crate::exec::{CancelToken, MemoryBudget, Permit, Progress, Reorder};
 use crate::geom::LatticePos;
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
-use crate::mesh::delaunay::Mesher;
 use crate::mesh::tet::Tet;
 use crossbeam::channel;
 use std::any::Any;
@@ -132,7 +131,7 @@ pub(crate) struct Rooms {
 /// Memory that a worker keeps from chunk to chunk.
 #[derive(Default)]
 struct Desk {
-    mesher: Mesher,
+    maker: Maker,
     encoder: ChunkEncoder,
 }
 
@@ -436,16 +435,14 @@ fn make_in_room(
         let again = match work.recipe.halo {
             Halo::Owned => None,
             // What values are fitted to is not stored: it is made again.
-            Halo::Stars => {
-                match chunk::mesh(work.recipe, chunk, &mut desk.mesher, first_try, room, work.cancel)? {
-                    Meshing::Done(mesh) => Some(mesh),
-                    Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
-                }
-            }
+            Halo::Stars => match desk.maker.mesh(work.recipe, chunk, first_try, room, work.cancel)? {
+                Meshing::Done(mesh) => Some(mesh),
+                Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
+            },
         };
         return make_from_stored(work, stored, chunk, again).map(Making::Done);
     }
-    let mut mesh = match chunk::mesh(work.recipe, chunk, &mut desk.mesher, first_try, room, work.cancel)? {
+    let mut mesh = match desk.maker.mesh(work.recipe, chunk, first_try, room, work.cancel)? {
         Meshing::Done(mesh) => mesh,
         Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
     };
@@ -458,7 +455,7 @@ fn make_in_room(
     lap.add_to(&mut times.encode);
     let value_blocks = encode_steps(work, &mesh, &placement, None, (encoded.tets(), &ends), &mut times)?;
     let (mut mesh_blocks, tets) = encoded.into_parts();
-    desk.mesher.reuse(tets);
+    desk.maker.reuse(mesh.positions, tets);
     mesh_blocks.push(summary.encode());
     Ok(Making::Done(Product { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
 }
