@@ -2,11 +2,13 @@
 """Meshes the same points with HXT, CGAL, Geogram and isospan, one after the other and round by round, and prints a table of ratios.
 
     compare.py [--sets hammersley,halton,cross,bcc,regular] [--counts 62500,250000,1000000] [--threads 1,2] [--rounds 5] [--cpu]
+               [--peers HXT,CGAL,Geogram|none] [--memory GIB]
 
 Builds what it needs: isospan with cargo; CGAL with g++ (Debian: apt-get install g++ libcgal-dev libtbb-dev); HXT (in the PyPI
 package gmsh) and Geogram (a static library in the PyPI package geogram) in a virtual environment under target/, or in one given by
 --python. A mesher that cannot be had is left out, saying why. Each figure is the median over the rounds. Wall seconds mean something on a
-quiet machine only; with --cpu the CPU seconds of all threads are compared instead.
+quiet machine only; with --cpu the CPU seconds of all threads are compared instead. With --memory each program gets so much address space:
+one that needs more fails, and is left out of that row. --peers none runs isospan alone.
 
 isospan meshes as one (kernel: one thread, memory reused) and in chunks (stage: samples of the boundary on top, halos and certification
 included; its points a second are those of all points, boundary samples too; several threads work on several chunks). Files of
@@ -14,6 +16,7 @@ points hold f64 triples of multiples of 2^-24, so all mesh the same points.
 """
 import argparse
 import pathlib
+import resource
 import shutil
 import statistics
 import subprocess
@@ -36,9 +39,15 @@ def settings():
     parser.add_argument("--threads", type=numbers, default=[1, 2])
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--chunk", type=int, default=375_000, help="points of a chunk at most; halved boxes hold 250 000 on average")
+    some = lambda text: [] if text == "none" else text.split(",")
+    parser.add_argument("--peers", type=some, default=PEERS, help="those to compare with, or none")
+    parser.add_argument("--memory", type=float, help="address space of each program in GiB; 10 million points take isospan 10")
     parser.add_argument("--cpu", action="store_true", help="compare CPU seconds, not wall seconds")
     parser.add_argument("--python", help="a Python that has numpy, gmsh and geogram")
-    return parser.parse_args()
+    chosen = parser.parse_args()
+    if unknown := set(chosen.peers) - set(PEERS):
+        parser.error(f"--peers knows {', '.join(PEERS)} and none, not {', '.join(sorted(unknown))}")
+    return chosen
 
 
 def left_out(name, why):
@@ -93,23 +102,25 @@ def hxt(python):
     return [python, str(HERE / "hxt.py")]
 
 
-def build(work, python):
+def build(work, python, wanted):
     """The commands that mesh a file: ours, and name -> (command before FILE REPEAT THREADS)."""
     subprocess.run(["cargo", "build", "--release", "--quiet", "--example", "mesh_points"], cwd=HERE, check=True)
-    python = python or environment()
+    python = python or (environment() if {"HXT", "Geogram"} & set(wanted) else None)
     cgal = [*CGAL_FLAGS, str(HERE / "cgal.cpp"), "-lgmp", "-lmpfr", "-ltbb", "-ltbbmalloc", "-lpthread"]
     peers = {
-        "HXT": hxt(python),
-        "CGAL": compile_cpp("CGAL", cgal, "apt-get install libcgal-dev libtbb-dev", str(work / "cgal")),
-        "Geogram": geogram(python, work),
+        "HXT": lambda: hxt(python),
+        "CGAL": lambda: compile_cpp("CGAL", cgal, "apt-get install libcgal-dev libtbb-dev", str(work / "cgal")),
+        "Geogram": lambda: geogram(python, work),
     }
     ours = str(root() / "target/release/examples/mesh_points")
-    return ours, {name: command for name, command in peers.items() if command}
+    return ours, {name: command for name in PEERS if name in wanted and (command := peers[name]())}
 
 
-def measure(command, cpu):
+def measure(command, cpu, memory):
     """(points, tetrahedra, mean seconds of the command's repetitions), or None if it failed."""
-    run = subprocess.run(command, capture_output=True, text=True)
+    most = int(memory * 2**30) if memory else resource.RLIM_INFINITY
+    limit = lambda: resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    run = subprocess.run(command, capture_output=True, text=True, preexec_fn=limit)
     rows = [line.split() for line in run.stdout.splitlines() if len(line.split()) == 4]
     if run.returncode != 0 or not rows:
         print("failed:", " ".join(command), run.stderr.strip()[-300:], file=sys.stderr)
@@ -127,7 +138,7 @@ def compare(ours, peers, file, threads, chosen):
     found = {name: [] for name in commands}
     for _ in range(chosen.rounds):
         for name, command in commands.items():
-            one = measure(command, chosen.cpu)
+            one = measure(command, chosen.cpu, chosen.memory)
             if one:
                 found[name].append(one)
     median = lambda runs: statistics.median(run[2] for run in runs)
@@ -150,7 +161,7 @@ def main():
     chosen = settings()
     with tempfile.TemporaryDirectory() as folder:
         work = pathlib.Path(folder)
-        ours, peers = build(work, chosen.python)
+        ours, peers = build(work, chosen.python, chosen.peers)
         unit = "CPU second" if chosen.cpu else "second"
         print(f"M points a {unit}, median of {chosen.rounds}; ratios: ours (kernel; with more threads, stage) to each, stage to kernel\n")
         print("| set | points | threads |", " | ".join(COLUMNS + [f"× {peer}" for peer in PEERS]), "| stage/kernel |")
@@ -160,7 +171,9 @@ def main():
                 file = str(work / "points")
                 subprocess.run([ours, "points", name, str(count), file], check=True)
                 for threads in chosen.threads:
-                    print(row(name, threads, compare(ours, peers, file, threads, chosen)), flush=True)
+                    of = compare(ours, peers, file, threads, chosen)
+                    if of:
+                        print(row(name, threads, of), flush=True)
 
 
 main()
