@@ -1,9 +1,12 @@
 //! The whole of `reduce`, in points a second: a volume from the disk to a finished archive, one thread and all; and steps of a series, in points of all
 //! steps a second.
 //!
-//! `cargo bench --bench reduce`; names are `reduce/FIELD/THREADS` and `series/STEPS/THREADS`.
+//! `cargo bench --bench reduce`, about a minute; names are `reduce/FIELD/THREADS` and `series/STEPS/THREADS`.
 
-use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use criterion::measurement::WallTime;
+use criterion::{
+    BenchmarkGroup, BenchmarkId, Criterion, SamplingMode, Throughput, criterion_group, criterion_main,
+};
 use isospan::exec::{Silent, available_threads};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce_series};
@@ -54,10 +57,17 @@ fn threads() -> Vec<usize> {
     all
 }
 
+/// Ten runs of each bench: a run takes about a second.
+fn group<'a>(c: &'a mut Criterion, name: &str) -> BenchmarkGroup<'a, WallTime> {
+    let mut group = c.benchmark_group(name);
+    group.sample_size(10).sampling_mode(SamplingMode::Flat);
+    group.warm_up_time(Duration::from_millis(100)).measurement_time(Duration::from_secs(4));
+    group
+}
+
 fn bench_reduce(c: &mut Criterion) {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut group = c.benchmark_group("reduce");
-    group.sample_size(10).measurement_time(Duration::from_secs(10));
+    let mut group = group(c, "reduce");
     for (name, noise) in [("smooth", 0.0), ("noise", 2.0)] {
         let step = [StepSource::new(&write_step(folder.path(), 0, noise), &OpenOptions::default())];
         for threads in threads() {
@@ -74,8 +84,7 @@ fn bench_series(c: &mut Criterion) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let step = |t| StepSource::new(&write_step(folder.path(), t, 0.01), &OpenOptions::default());
     let steps: Vec<StepSource> = (0..16).map(step).collect();
-    let mut group = c.benchmark_group("series");
-    group.sample_size(10).measurement_time(Duration::from_secs(20));
+    let mut group = group(c, "series");
     for count in [1, 16] {
         let points = reduce_all(&steps[..count], folder.path(), 1);
         group.throughput(Throughput::Elements(points * count as u64));
