@@ -99,6 +99,11 @@ impl Geometry {
         DMat3::from_cols(axis(0), axis(1), axis(2))
     }
 
+    /// World vectors of a step along each index axis.
+    pub(crate) fn axes(&self) -> [[f64; 3]; 3] {
+        self.matrix().to_cols_array_2d()
+    }
+
     /// World position of an index-space position.
     pub fn to_world(&self, ijk: [f64; 3]) -> [f64; 3] {
         (self.matrix() * DVec3::from_array(ijk) + DVec3::from_array(self.origin)).to_array()

@@ -11,6 +11,7 @@ mod limits;
 mod progress;
 mod reorder;
 mod vectors;
+mod wide;
 
 pub use budget::{MemoryBudget, Permit};
 pub use cancel::CancelToken;
@@ -18,6 +19,9 @@ pub use limits::usable_memory;
 pub use progress::{Progress, Silent};
 pub use reorder::Reorder;
 pub(crate) use vectors::{Avx2, with_vectors};
+#[cfg(target_arch = "x86_64")]
+pub(crate) use wide::Vector;
+pub(crate) use wide::{Plain, Wide};
 
 use crate::error::{Error, Result};
 

@@ -23,6 +23,7 @@ use crate::surface::WorldMap;
 use crate::surface::cap::select_boundary;
 use crate::surface::fans::split_fans;
 use crate::surface::marching_tets::{ChunkSurface, Sides};
+use crate::surface::patch::Patch;
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use rayon::prelude::*;
 use std::path::PathBuf;
@@ -194,14 +195,15 @@ impl Question<'_> {
 
 /// What a block is read into, and what it is worked on in.
 fn parts(buffers: &mut Buffers) -> (&mut Block, BlockBuffers<'_>) {
-    let Buffers { block, sides, tets, active, .. } = buffers;
-    (block, BlockBuffers { sides, tets, active })
+    let Buffers { block, sides, tets, active, patch, .. } = buffers;
+    (block, BlockBuffers { sides, tets, active, patch })
 }
 
 struct BlockBuffers<'a> {
     sides: &'a mut Sides,
     tets: &'a mut Vec<Tet>,
     active: &'a mut Vec<Tet>,
+    patch: &'a mut Patch,
 }
 
 /// A block, just read, or kept from before.
@@ -275,7 +277,9 @@ impl ChunkWorker<'_> {
             if is_active(entry.min, entry.max, isovalue) {
                 block.select(isovalue, buffers.sides, buffers.active);
                 question.keep_in_cut(corners, buffers.active);
+                surface.swap_patch(buffers.patch);
                 block.add_active(buffers.active, &question.world, surface);
+                surface.swap_patch(buffers.patch);
                 if let Some(reader) = reader.as_mut().filter(|_| !buffers.active.is_empty()) {
                     let used = buffers.active.iter().flatten().map(|&v| corners.numbers[v as usize]);
                     reader.count_active(std::mem::take(&mut bytes), used);

@@ -5,6 +5,7 @@ use super::block::Block;
 use super::reader::ReaderMemory;
 use crate::mesh::tet::Tet;
 use crate::surface::marching_tets::{ChunkSurface, Sides};
+use crate::surface::patch::Patch;
 use std::sync::{Mutex, PoisonError};
 
 /// Memory for the chunks to come; from any thread.
@@ -22,6 +23,7 @@ pub(super) struct Buffers {
     pub(super) sides: Sides,
     pub(super) tets: Vec<Tet>,
     pub(super) active: Vec<Tet>,
+    pub(super) patch: Patch,
 }
 
 struct List<T>(Mutex<Vec<T>>);

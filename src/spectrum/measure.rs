@@ -8,11 +8,10 @@
 
 use super::design::{Design, Limits};
 use super::grid::Places;
-#[cfg(target_arch = "x86_64")]
-use super::wide::Vector;
-use super::wide::{Plain, Wide};
 use super::{Knot, Spectrum};
-use crate::exec::{Avx2, with_vectors};
+#[cfg(target_arch = "x86_64")]
+use crate::exec::Vector;
+use crate::exec::{Avx2, Plain, Wide, with_vectors};
 use crate::mesh::tet::Tet;
 
 /// A corner of tetrahedra.

@@ -38,7 +38,6 @@ mod measure;
 mod part;
 mod store;
 pub mod suggest;
-mod wide;
 
 pub use design::{Design, Limits};
 pub use grid::{Family, Grid, Step};

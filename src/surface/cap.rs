@@ -76,18 +76,18 @@ impl ChunkSurface {
         (axis, upper): (usize, bool),
     ) {
         let inside = corners.map(|v| cells.values[v as usize] >= self.isovalue());
-        let (mut polygon, mut keys, mut count) = ([0; 4], [(PointId(0), PointId(0)); 4], 0);
+        let (mut polygon, mut keys, mut count) = ([0usize; 4], [(PointId(0), PointId(0)); 4], 0);
         for i in 0..3 {
             let j = (i + 1) % 3;
             let (a, b) = (corners[i], corners[j]);
             if inside[i] {
-                polygon[count] = self.vertex_on(cells, world, [a, a]);
+                polygon[count] = self.open_vertex(cells, world, [a, a]);
                 keys[count] = (cells.ids[a as usize], cells.ids[a as usize]);
                 count += 1;
             }
             if inside[i] != inside[j] {
                 let (low, high) = if cells.ids[a as usize] < cells.ids[b as usize] { (a, b) } else { (b, a) };
-                polygon[count] = self.vertex_on(cells, world, [low, high]);
+                polygon[count] = self.open_vertex(cells, world, [low, high]);
                 keys[count] = (cells.ids[low as usize], cells.ids[high as usize]);
                 count += 1;
             }

@@ -1,4 +1,4 @@
-//! The crossed edges of a chunk, found by their corners.
+//! The crossed edges of a chunk that several blocks may have, found by their corners.
 //!
 //! Each corner that is the lower one of crossed edges has a *bucket* of their higher ones, a cache line that is compared as a whole:
 //! which of them is wanted cannot be foretold, and a list that is searched one by one pays for a branch at each step.
@@ -77,16 +77,20 @@ impl EdgeTable {
             + self.overflow.capacity() * 16
     }
 
-    /// The number of an edge, if it is in the first bucket of its lower corner.
+    /// The number of an edge. The caller adds what belongs to a new one.
     #[inline(always)]
-    pub(super) fn find(&self, [low, high]: [u32; 2]) -> Option<u32> {
-        let bucket = &self.buckets[self.heads[low as usize] as usize];
-        let places = places_of(&bucket.high, high);
-        (places != 0).then(|| bucket.number[places.trailing_zeros() as usize % LANES])
+    pub(super) fn find_or_add(&mut self, edge: [u32; 2]) -> Found {
+        let bucket = &self.buckets[self.heads[edge[0] as usize] as usize];
+        let places = places_of(&bucket.high, edge[1]);
+        if places != 0 {
+            return Found::Known(bucket.number[places.trailing_zeros() as usize % LANES]);
+        }
+        self.find_or_add_behind(edge)
     }
 
-    /// The number of an edge that is not in the first bucket. The caller adds what belongs to a new one.
-    pub(super) fn find_or_add_behind(&mut self, [low, high]: [u32; 2]) -> Found {
+    /// The number of an edge that is not in the first bucket of its lower corner.
+    #[inline(never)]
+    fn find_or_add_behind(&mut self, [low, high]: [u32; 2]) -> Found {
         let mut at = self.heads[low as usize];
         let mut length = usize::from(at != NO_BUCKET);
         loop {

@@ -56,16 +56,23 @@
 //!
 //! # Cost
 //!
-//! One look-up for each crossed edge of an active tetrahedron, in a cache line of the edges of its lower corner (`edges.rs`); 4 bytes a
-//! corner, about 90 a vertex and 12 a triangle while a chunk is extracted. Buffers are kept for the next chunk.
+//! The tetrahedra of a block are worked on together (`patch.rs`): their edges are found in a table of their ends, small enough for the nearest
+//! cache. Only those around which the block has not all tetrahedra, a third of the edges but most of the look-ups, are then found in
+//! their chunk, in a cache line of the edges of their lower corner (`edges.rs`). 4 bytes a corner, 24 a vertex, about 70 more for
+//! each of those edges, and 12 a triangle while a chunk is extracted. Buffers are kept for the next chunk.
 //!
 //! # References
 //! Doi, Koide 1991, "An efficient method of triangulating equi-valued surfaces by using tetrahedral cells". The clamp
 //! is the symbolic perturbation of a value off the isovalue, made visible enough to leave every triangle an area.
 
-use super::cases::{CASES, ODD, ORDERS};
+use super::cases::{ODD, ORDERS};
 use super::edges::{EdgeTable, Found};
+use super::fours;
+use super::patch::{self, Patch};
 use super::{Vertex, WorldMap};
+#[cfg(target_arch = "x86_64")]
+use crate::exec::Vector;
+use crate::exec::{Avx2, Plain, Wide, with_vectors};
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;
 
@@ -104,15 +111,37 @@ pub struct SharedEdge {
 pub struct ChunkSurface {
     isovalue: f32,
     active_cells: u64,
+    /// The crossed edges that further tetrahedra may have, and what is known of each.
     edges: EdgeTable,
-    /// The gradient around each edge.
-    sums: Vec<GradientSum>,
+    open: Vec<OpenVertex>,
     vertices: Vec<Vertex>,
     shared: Vec<SharedEdge>,
     triangles: Vec<[u32; 3]>,
     /// Finds the active tetrahedra of a block, which are then here: buffers.
     sides: Sides,
     active: Vec<Tet>,
+    /// What is worked on, and what becomes of its edges: buffers.
+    patch: Patch,
+    joined: Joined,
+}
+
+/// A vertex of which the gradient is not yet summed up.
+#[derive(Clone, Copy, Debug)]
+struct OpenVertex {
+    gradient: [i64; 3],
+    vertex: u32,
+}
+
+/// The edges of a patch, in their chunk.
+#[derive(Debug, Default)]
+struct Joined {
+    /// The vertex of each.
+    vertices: Vec<u32>,
+    /// Those whose vertices are new.
+    new: Vec<u16>,
+    /// Those that the patch has alone; those that it is the first to have.
+    alone: Vec<u16>,
+    first: Vec<u16>,
 }
 
 /// Extracts a chunk whose tetrahedra are all at hand. For several blocks use the three methods that this calls.
@@ -131,7 +160,7 @@ impl ChunkSurface {
         self.isovalue = isovalue;
         self.active_cells = 0;
         self.edges.clear(corners);
-        self.sums.clear();
+        self.open.clear();
         self.vertices.clear();
         self.shared.clear();
         self.triangles.clear();
@@ -149,12 +178,17 @@ impl ChunkSurface {
         self.active = active;
     }
 
+    /// Works with other buffers than before, and leaves its own.
+    pub(crate) fn swap_patch(&mut self, patch: &mut Patch) {
+        std::mem::swap(&mut self.patch, patch);
+    }
+
     /// Adds tetrahedra that are known to be active: those that [`Sides::select`] finds.
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
     pub fn add_active(&mut self, cells: &CellSource<'_>, world: &WorldMap) {
-        self.add_batches(cells, world, |tet| Sorted::new(cells.ids, tet));
+        self.add_sorted(cells, world, Avx2::found(), |tet| Sorted::new(cells.ids, tet));
     }
 
     /// Adds active tetrahedra of a source whose corners have numbers in the order of their ids, and that are [`in_order`]: of those
@@ -163,70 +197,99 @@ impl ChunkSurface {
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
     pub(crate) fn add_active_in_order(&mut self, cells: &CellSource<'_>, world: &WorldMap) {
-        self.add_batches(cells, world, Sorted::of_ordered);
+        self.add_sorted(cells, world, Avx2::found(), Sorted::of_ordered);
     }
 
-    #[inline(always)]
-    fn add_batches(&mut self, cells: &CellSource<'_>, world: &WorldMap, sort: impl Fn(&Tet) -> Sorted) {
+    /// With vectors of AVX2, or without: the same bits.
+    fn add_sorted(
+        &mut self,
+        cells: &CellSource<'_>,
+        world: &WorldMap,
+        avx2: Option<Avx2>,
+        sort: impl Fn(&Tet) -> Sorted,
+    ) {
         self.active_cells += cells.tets.len() as u64;
-        let corners = Corners { cells, world, isovalue: self.isovalue };
-        // Step after step for many: what takes long in one is then found out while others are worked on.
-        let mut batch = [Sorted::default(); BATCH];
-        for tets in cells.tets.chunks(BATCH) {
-            let batch = &mut batch[..tets.len()];
-            for (sorted, tet) in batch.iter_mut().zip(tets) {
-                *sorted = sort(tet);
-                sorted.look(cells.values, self.isovalue);
-            }
-            for sorted in &mut *batch {
-                sorted.gradient = gradient(cells, sorted.corners, sorted.case);
-            }
-            match cells.numbers {
-                Some(numbers) => self.add_sorted(&corners, batch, |c| numbers[c as usize]),
-                None => self.add_sorted(&corners, batch, |c| c),
-            }
+        #[cfg(target_arch = "x86_64")]
+        if let Some(proof) = avx2 {
+            return with_vectors(
+                #[inline(always)]
+                || self.add_patches::<Vector>(proof, cells, world, sort),
+            );
         }
+        let _ = avx2;
+        self.add_patches::<Plain>((), cells, world, sort);
     }
 
-    /// Adds the triangles of tetrahedra, without a branch that depends on how many: the second triangle, the fourth edge are
-    /// written where there is none too, and ignored.
     #[inline(always)]
-    fn add_sorted(&mut self, corners: &Corners<'_>, batch: &[Sorted], number: impl Fn(u32) -> u32) {
-        const NOTHING: Gradient = Gradient { along: [0.0; 3], largest: 0.0 };
-        let mut count = self.triangles.len();
-        self.triangles.resize(count + 2 * batch.len(), [0; 3]);
-        for tet in batch {
-            let case = &CASES[usize::from(tet.case)];
-            let mut vertex = [0u32; 4];
-            for (k, vertex) in vertex.iter_mut().enumerate() {
-                let ends = case.edges[k].map(|i| tet.corners[usize::from(i) % 4]);
-                let edge = ends.map(&number);
-                *vertex = match self.edges.find(edge) {
-                    Some(vertex) => vertex,
-                    None => self.find_or_add_behind(corners, ends, edge),
-                };
-                let gradient = if k < 3 || case.triangles == 2 { &tet.gradient } else { &NOTHING };
-                self.sums[*vertex as usize].add(gradient);
-            }
-            for (k, edges) in case.corners.iter().enumerate() {
-                self.triangles[count + k] = edges.map(|e| vertex[usize::from(e) % 4]);
-            }
-            count += usize::from(case.triangles);
+    fn add_patches<W: Wide>(
+        &mut self,
+        proof: W::Proof,
+        cells: &CellSource<'_>,
+        world: &WorldMap,
+        sort: impl Fn(&Tet) -> Sorted,
+    ) {
+        let mut left = cells.tets;
+        while !left.is_empty() {
+            let cells = CellSource { tets: left, ..*cells };
+            let taken = self.patch.make::<W>(proof, &cells, self.isovalue, &sort);
+            left = &left[taken..];
+            self.join_edges(&cells);
+            self.append_vertices::<W>(proof, world);
+            let vertex = |edge: u16| self.joined.vertices[usize::from(edge)];
+            let triangles = self.patch.triangles().iter();
+            self.triangles.extend(triangles.map(|&[a, b, c]| [vertex(a), vertex(b), vertex(c)]));
         }
-        self.triangles.truncate(count);
     }
 
-    /// The vertex of an edge that is not in the first bucket of its chain. `ends` are numbers of the source, `edge` those of the
-    /// chunk.
-    #[inline(never)]
-    fn find_or_add_behind(&mut self, corners: &Corners<'_>, ends: [u32; 2], edge: [u32; 2]) -> u32 {
-        match self.edges.find_or_add_behind(edge) {
-            Found::Known(vertex) => vertex,
-            Found::New(vertex) => {
-                self.sums.push(GradientSum { gradient: [0; 3], unit: corners.unit(ends) });
-                self.vertices.push(corners.vertex(ends));
-                self.shared.extend(corners.shared_edge(ends, vertex));
-                vertex
+    /// Finds the vertex of each edge of the patch, or numbers it. What the patch has alone is not looked for.
+    #[inline(always)]
+    fn join_edges(&mut self, cells: &CellSource<'_>) {
+        let Joined { vertices, new, alone, first } = &mut self.joined;
+        vertices.clear();
+        for list in [&mut *new, &mut *alone, &mut *first] {
+            list.clear();
+        }
+        for edge in 0..self.patch.edges() {
+            let next = (self.vertices.len() + new.len()) as u32;
+            if self.patch.is_ring(edge) {
+                alone.push(edge as u16);
+                new.push(edge as u16);
+                vertices.push(next);
+                continue;
+            }
+            let ends = self.patch.ends(edge);
+            let (number, is_new) = find_or_open(&mut self.edges, &mut self.open, cells, ends, next);
+            let open = &mut self.open[number];
+            vertices.push(open.vertex);
+            for (sum, part) in open.gradient.iter_mut().zip(self.patch.gradient(edge)) {
+                *sum = sum.wrapping_add(part);
+            }
+            if is_new {
+                first.push(edge as u16);
+                new.push(edge as u16);
+                self.shared.extend(shared_edge(cells, ends, next));
+            }
+        }
+    }
+
+    /// Adds the new vertices, with normals where their gradients are known; until then a normal is what [`along_edge`] takes.
+    #[inline(always)]
+    fn append_vertices<W: Wide>(&mut self, proof: W::Proof, world: &WorldMap) {
+        let Joined { vertices, new, alone, first } = &self.joined;
+        self.patch.append_vertices::<W>(proof, new, self.isovalue, world, &mut self.vertices);
+        let vertex = |edge: u16| vertices[usize::from(edge)] as usize;
+        for &edge in first {
+            self.vertices[vertex(edge)].normal = self.patch.up(edge.into());
+        }
+        for four in alone.chunks(4) {
+            let mut sums = [[0; 3]; 4];
+            for (sum, &edge) in sums.iter_mut().zip(four) {
+                *sum = self.patch.gradient(edge.into());
+            }
+            let normals = fours::normals::<W>(proof, &sums, world);
+            for (&edge, normal) in four.iter().zip(normals) {
+                let normal = normal.unwrap_or_else(|| along_edge(self.patch.up(edge.into()), world));
+                self.vertices[vertex(edge)].normal = normal;
             }
         }
     }
@@ -234,15 +297,16 @@ impl ChunkSurface {
     /// Ends the chunk: finds normals, and turns the triangles over when `world`, the same as before, mirrors.
     pub fn finish(&mut self, world: &WorldMap) {
         let mut shared = self.shared.iter_mut().peekable();
-        for (i, (vertex, sum)) in self.vertices.iter_mut().zip(&self.sums).enumerate() {
-            let edge = shared.next_if(|edge| edge.vertex as usize == i);
+        for open in &self.open {
+            let edge = shared.next_if(|edge| edge.vertex == open.vertex);
             // The sum of a shared edge is known only at the end: until then its normal is the one for want of a sum.
             // A corner of a cap has no other for the time being: any part of its sum has a direction.
             let is_part = edge.as_ref().is_some_and(|edge| edge.key.0 != edge.key.1);
-            let normal = if is_part { None } else { world.unit_normal(sum.gradient.map(|x| x as f64)) };
+            let normal = if is_part { None } else { world.unit_normal(open.gradient.map(|x| x as f64)) };
+            let vertex = &mut self.vertices[open.vertex as usize];
             vertex.normal = normal.unwrap_or_else(|| along_edge(vertex.normal, world));
             if let Some(edge) = edge {
-                edge.gradient = sum.gradient;
+                edge.gradient = open.gradient;
             }
         }
         if world.mirrors() {
@@ -273,12 +337,13 @@ impl ChunkSurface {
     /// Bytes of memory that the buffers hold.
     pub fn bytes(&self) -> usize {
         self.edges.bytes()
-            + self.sums.capacity() * size_of::<GradientSum>()
+            + self.open.capacity() * size_of::<OpenVertex>()
             + self.vertices.capacity() * size_of::<Vertex>()
             + self.shared.capacity() * size_of::<SharedEdge>()
             + self.triangles.capacity() * size_of::<[u32; 3]>()
             + self.active.capacity() * size_of::<Tet>()
             + self.sides.0.capacity()
+            + self.patch.bytes()
     }
 
     /// The isovalue.
@@ -286,89 +351,72 @@ impl ChunkSurface {
         self.isovalue
     }
 
-    /// The vertex of a crossed edge, the corner of lower id first; or of a corner itself, as an edge without length.
-    pub(super) fn vertex_on(&mut self, cells: &CellSource<'_>, world: &WorldMap, ends: [u32; 2]) -> u32 {
-        let corners = Corners { cells, world, isovalue: self.isovalue };
-        let edge = ends.map(|c| cells.numbers.map_or(c, |numbers| numbers[c as usize]));
-        self.find_or_add_behind(&corners, ends, edge)
+    /// The number among the open vertices of that of a crossed edge, the corner of lower id first; or of that of a corner itself, as an
+    /// edge without length.
+    pub(super) fn open_vertex(&mut self, cells: &CellSource<'_>, world: &WorldMap, ends: [u32; 2]) -> usize {
+        let next = self.vertices.len() as u32;
+        let (number, is_new) = find_or_open(&mut self.edges, &mut self.open, cells, ends, next);
+        if is_new {
+            let at = ends.map(|c| {
+                let [x, y, z] = cells.positions[c as usize].map(f64::from);
+                [x, y, z, f64::from(cells.values[c as usize])]
+            });
+            let [a, b] = &at;
+            let [position, ..] = fours::crossings::<Plain>((), [[a, b]; 4], self.isovalue, world);
+            self.vertices.push(Vertex { position, normal: patch::up([a, b]) });
+            self.shared.extend(shared_edge(cells, ends, next));
+        }
+        number
     }
 
-    /// Adds to the gradient at a vertex, along an axis of the lattice.
-    pub(super) fn pull(&mut self, vertex: u32, axis: usize, units: i64) {
-        let sum = &mut self.sums[vertex as usize].gradient[axis];
+    /// Adds to the gradient at an open vertex, along an axis of the lattice.
+    pub(super) fn pull(&mut self, open: usize, axis: usize, units: i64) {
+        let sum = &mut self.open[open].gradient[axis];
         *sum = sum.wrapping_add(units);
     }
 
-    /// Adds a triangle of vertices that are there.
-    pub(super) fn push_triangle(&mut self, triangle: [u32; 3]) {
-        self.triangles.push(triangle);
+    /// Adds a triangle of open vertices.
+    pub(super) fn push_triangle(&mut self, open: [usize; 3]) {
+        self.triangles.push(open.map(|n| self.open[n].vertex));
     }
 }
 
-/// The ends of edges, and what is asked about them.
-struct Corners<'a> {
-    cells: &'a CellSource<'a>,
-    world: &'a WorldMap,
-    isovalue: f32,
-}
-
-impl Corners<'_> {
-    /// The power of two that takes |df| |b - a|² to 2^28 … 2^29 (exactly so: only the exponent's bits are looked at); 1 for a
-    /// corner itself.
-    #[inline]
-    fn unit(&self, [a, b]: [u32; 2]) -> f64 {
-        if a == b {
-            return 1.0;
+/// The number of an edge among the open vertices, and whether it is new: `next` is its vertex then. `ends` are numbers of the source.
+#[inline(always)]
+fn find_or_open(
+    edges: &mut EdgeTable,
+    open: &mut Vec<OpenVertex>,
+    cells: &CellSource<'_>,
+    ends: [u32; 2],
+    next: u32,
+) -> (usize, bool) {
+    let edge = match cells.numbers {
+        Some(numbers) => [numbers[ends[0] as usize], numbers[ends[1] as usize]],
+        None => ends,
+    };
+    match edges.find_or_add(edge) {
+        Found::Known(number) => (number as usize, false),
+        Found::New(number) => {
+            open.push(OpenVertex { gradient: [0; 3], vertex: next });
+            (number as usize, true)
         }
-        let [p, q] = [a, b].map(|c| self.cells.positions[c as usize].map(f64::from));
-        let [f, g] = [a, b].map(|c| f64::from(self.cells.values[c as usize]));
-        let length2: f64 = (0..3).map(|k| (q[k] - p[k]) * (q[k] - p[k])).sum();
-        let exponent = ((g - f).abs() * length2).to_bits() >> 52;
-        // The product of an f32 difference (2^-149 … 2^129, or infinite) and a squared length (up to 2^50) is a normal
-        // number or infinite, so the exponent below is that of a normal number.
-        f64::from_bits((2 * 1023 + 28 - exponent) << 52)
-    }
-
-    /// The vertex on an edge. Its normal is for the time being what [`along_edge`] takes.
-    #[inline]
-    fn vertex(&self, [a, b]: [u32; 2]) -> Vertex {
-        let [p, q] = [a, b].map(|c| self.cells.positions[c as usize]);
-        let [f, g] = [a, b].map(|c| self.cells.values[c as usize]);
-        let (low, high) = if f < g { (p, q) } else { (q, p) };
-        // At most 2^24 in size: exact.
-        let up = std::array::from_fn(|k| (high[k] as i32 - low[k] as i32) as f32);
-        Vertex { position: self.world.between(p, q, self.parameter(f, g)), normal: up }
-    }
-
-    /// Where on an edge with these values the surface crosses it.
-    #[inline]
-    fn parameter(&self, f: f32, g: f32) -> f64 {
-        const LEAST: f64 = 1.0 / 1024.0;
-        let (f, g) = (f64::from(f), f64::from(g));
-        let t = (f64::from(self.isovalue) - f) / (g - f);
-        // Two infinities leave no number; the middle is as good as any point.
-        if t.is_nan() { 0.5 } else { t.clamp(LEAST, 1.0 - LEAST) }
-    }
-
-    /// What is known of an edge that other chunks may have.
-    #[inline]
-    fn shared_edge(&self, ends: [u32; 2], vertex: u32) -> Option<SharedEdge> {
-        let shared = ends.iter().all(|&c| self.cells.shared[c as usize]);
-        let [a, b] = ends.map(|c| self.cells.ids[c as usize]);
-        shared.then_some(SharedEdge { key: (a, b), vertex, gradient: [0; 3] })
     }
 }
 
-/// Tetrahedra that are worked on together.
-const BATCH: usize = 64;
+/// What is known of an edge that other chunks may have.
+#[inline(always)]
+fn shared_edge(cells: &CellSource<'_>, ends: [u32; 2], vertex: u32) -> Option<SharedEdge> {
+    let [a, b] = [ends[0] as usize, ends[1] as usize];
+    let (shared, a, b) = (cells.shared[a] && cells.shared[b], cells.ids[a], cells.ids[b]);
+    shared.then_some(SharedEdge { key: (a, b), vertex, gradient: [0; 3] })
+}
 
 /// An active tetrahedron, its corners in the order of their ids.
 #[derive(Clone, Copy, Default)]
-struct Sorted {
-    corners: Tet,
+pub(super) struct Sorted {
+    pub(super) corners: Tet,
     /// The mask of corners inside, and [`ODD`].
-    case: u8,
-    gradient: Gradient,
+    pub(super) case: u8,
 }
 
 impl Sorted {
@@ -380,19 +428,19 @@ impl Sorted {
         let order = order | swapped(1, 2, 3) | swapped(1, 3, 4) | swapped(2, 3, 5);
         let order = &ORDERS[order];
         let corners = order.corners.map(|i| tet[usize::from(i) % 4]);
-        Self { corners, case: order.odd, gradient: Gradient::default() }
+        Self { corners, case: order.odd }
     }
 
     /// Of a tetrahedron that is [`in_order`], by numbers that ascend with the ids.
     #[inline(always)]
     fn of_ordered(&[a, b, c, d]: &Tet) -> Self {
         let odd = u8::from(d < c) * ODD;
-        Self { corners: [a, b, c.min(d), c.max(d)], case: odd, gradient: Gradient::default() }
+        Self { corners: [a, b, c.min(d), c.max(d)], case: odd }
     }
 
     /// Looks which corners are inside.
     #[inline(always)]
-    fn look(&mut self, values: &[f32], isovalue: f32) {
+    pub(super) fn look(&mut self, values: &[f32], isovalue: f32) {
         let inside = |i: usize| u8::from(values[self.corners[i] as usize] >= isovalue) << i;
         self.case |= inside(0) | inside(1) | inside(2) | inside(3);
     }
@@ -453,96 +501,12 @@ impl Sides {
     }
 }
 
-/// 6 V ∇f of the linear interpolant, V > 0. Differences and cross products of lattice positions are exact in `f64`; the
-/// rest is rounded, always in the same order because the corners are sorted.
-#[inline(always)]
-fn gradient(cells: &CellSource<'_>, corners: Tet, case: u8) -> Gradient {
-    // At most 2^24; unlike u32, i32 converts in one instruction.
-    let p = corners.map(|c| cells.positions[c as usize].map(|x| x as i32));
-    let f = corners.map(|c| f64::from(cells.values[c as usize]));
-    let e: [[f64; 3]; 3] = std::array::from_fn(|i| std::array::from_fn(|k| f64::from(p[i + 1][k] - p[0][k])));
-    let d: [f64; 3] = std::array::from_fn(|i| f[i + 1] - f[0]);
-    let (n1, n2, n3) = (cross(e[1], e[2]), cross(e[2], e[0]), cross(e[0], e[1]));
-    let sign = if case & ODD != 0 { -1.0 } else { 1.0 };
-    Gradient::new(std::array::from_fn(|k| sign * (d[0] * n1[k] + d[1] * n2[k] + d[2] * n3[k])))
-}
-
-#[inline]
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
 /// The normal for an edge without a gradient sum: that of the shortest gradient with the edge's two values, which goes from the
 /// lower one to the higher one.
 #[cold]
 fn along_edge(up: [f32; 3], world: &WorldMap) -> [f32; 3] {
     let up = up.map(f64::from);
     world.unit_normal(up).expect("the two ends of an edge differ, and the world map is invertible")
-}
-
-/// 6 V ∇f of a tetrahedron.
-#[derive(Clone, Copy, Default)]
-struct Gradient {
-    along: [f64; 3],
-    /// The largest component, in size; infinite or NaN if one of them is.
-    largest: f64,
-}
-
-impl Gradient {
-    #[inline(always)]
-    fn new(along: [f64; 3]) -> Self {
-        let [x, y, z] = along.map(f64::abs);
-        let largest = if x > y { x } else { y };
-        let largest = if largest > z { largest } else { z };
-        // Nothing is added but where a component is infinite or NaN.
-        Self { along, largest: largest + (x + y + z) * 0.0 }
-    }
-}
-
-/// The gradient around a crossed edge.
-#[derive(Clone, Copy, Debug)]
-struct GradientSum {
-    gradient: [i64; 3],
-    /// Units of the sum per value × lattice step².
-    unit: f64,
-}
-
-impl GradientSum {
-    /// Adds one tetrahedron's 6 V ∇f, rounded to integers.
-    #[inline]
-    fn add(&mut self, g: &Gradient) {
-        let mut term = g.along.map(|x| x * self.unit);
-        let length = g.largest * self.unit;
-        if length > LONGEST || length.is_nan() {
-            term = shorten(term);
-        }
-        for (sum, x) in self.gradient.iter_mut().zip(term) {
-            *sum = sum.wrapping_add(round(x));
-        }
-    }
-}
-
-/// Longest component of a term; 2^12 such terms do not overflow.
-const LONGEST: f64 = (1u64 << 50) as f64;
-
-/// A term too long to add, shortened by a power of two; nothing for one that is infinite or NaN.
-#[cold]
-fn shorten(term: [f64; 3]) -> [f64; 3] {
-    if !term.iter().all(|x| x.is_finite()) {
-        return [0.0; 3];
-    }
-    let mut term = term;
-    while term.iter().any(|x| x.abs() > LONGEST) {
-        term = term.map(|x| x * 0.5);
-    }
-    term
-}
-
-/// The nearest integer, for |x| <= 2^50: adding 1.5 · 2^52 leaves it in the low bits.
-#[inline]
-fn round(x: f64) -> i64 {
-    const MAGIC: f64 = (3u64 << 51) as f64;
-    ((x + MAGIC).to_bits() as i64).wrapping_sub(MAGIC.to_bits() as i64)
 }
 
 #[cfg(test)]

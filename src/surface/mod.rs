@@ -27,14 +27,16 @@ pub mod components;
 pub mod decimate;
 mod edges;
 pub mod fans;
+mod fours;
 pub mod marching_tets;
+pub(crate) mod patch;
 mod places;
 #[cfg(test)]
 mod testing;
 pub mod weld;
 
 use crate::error::Result;
-use crate::geom::{Lattice, LatticePos};
+use crate::geom::Lattice;
 use crate::grid::Geometry;
 
 /// A vertex of an output surface, in world coordinates.
@@ -163,6 +165,8 @@ pub struct WorldMap {
     geometry: Geometry,
     /// Voxels a lattice step, a power of two.
     step: f64,
+    /// World vectors of the three unit vectors of index space.
+    axes: [[f64; 3]; 3],
     /// World covectors of the three unit covectors of index space.
     covectors: [[f64; 3]; 3],
     mirrors: bool,
@@ -175,6 +179,7 @@ impl WorldMap {
         Self {
             geometry: *geometry,
             step: 1.0 / f64::from(1u32 << lattice.log2_steps),
+            axes: geometry.axes(),
             covectors: std::array::from_fn(|a| geometry.gradient_to_world(unit(a))),
             mirrors: geometry.mirrors(),
         }
@@ -185,30 +190,33 @@ impl WorldMap {
         self.mirrors
     }
 
-    /// The world position of `a + t (b - a)`.
-    #[inline]
-    fn between(&self, a: LatticePos, b: LatticePos, t: f64) -> [f32; 3] {
-        let along = |k: usize| {
-            let (x, y) = (f64::from(a[k]), f64::from(b[k]));
-            (x + t * (y - x)) * self.step
-        };
-        self.geometry.to_world([along(0), along(1), along(2)]).map(|x| x as f32)
-    }
-
     /// The unit world vector of minus the lattice covector `g`; `None` when that has no direction.
     #[inline]
     fn unit_normal(&self, g: [f64; 3]) -> Option<[f32; 3]> {
         let c = &self.covectors;
         let w: [f64; 3] = std::array::from_fn(|k| -(g[0] * c[0][k] + g[1] * c[1][k] + g[2] * c[2][k]));
         // Scaled by the largest component first: spacings of 1e-200 are legal, and their squares vanish.
-        let largest = w[0].abs().max(w[1].abs()).max(w[2].abs());
-        if !(largest > 0.0 && largest.is_finite()) {
+        let [x, y, z] = w.map(f64::abs);
+        let largest = if y < x { x } else { y };
+        let largest = if z < largest { largest } else { z };
+        if !Self::has_direction(largest) {
             return None;
         }
-        // By a power of two that makes it about 1; for the smallest numbers there is none large enough, nor need be.
-        let scale = f64::from_bits((2046 - (largest.to_bits() >> 52).min(2045)) << 52);
+        let scale = Self::scale_of(largest);
         let w = w.map(|x| x * scale);
         let inverse = 1.0 / (w[0] * w[0] + w[1] * w[1] + w[2] * w[2]).sqrt();
         Some(w.map(|x| (x * inverse) as f32))
+    }
+
+    /// Whether a vector with this largest component has a direction.
+    #[inline(always)]
+    fn has_direction(largest: f64) -> bool {
+        largest > 0.0 && largest.is_finite()
+    }
+
+    /// A power of two that makes the largest component about 1; for the smallest numbers there is none large enough, nor need be.
+    #[inline(always)]
+    fn scale_of(largest: f64) -> f64 {
+        f64::from_bits((2046 - (largest.to_bits() >> 52).min(2045)) << 52)
     }
 }

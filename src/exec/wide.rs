@@ -2,7 +2,7 @@
 #![allow(unsafe_code)]
 
 /// Four lanes. A mask has lanes of all bits or none.
-pub(super) trait Wide: Copy {
+pub(crate) trait Wide: Copy {
     /// What must be known before there are such lanes.
     type Proof: Copy;
     fn of(proof: Self::Proof, lanes: &[f64; 4]) -> Self;
@@ -11,6 +11,13 @@ pub(super) trait Wide: Copy {
     fn plus(self, other: Self) -> Self;
     fn minus(self, other: Self) -> Self;
     fn times(self, other: Self) -> Self;
+    fn over(self, other: Self) -> Self;
+    /// The square root.
+    fn root(self) -> Self;
+    /// The numbers as `f32`.
+    fn narrow(self) -> [f32; 4];
+    /// Rows as columns.
+    fn turned(rows: [Self; 4]) -> [Self; 4];
     /// Where this is less.
     fn below(self, other: Self) -> Self;
     /// Where this is less, or equal.
@@ -23,7 +30,7 @@ pub(super) trait Wide: Copy {
 
 /// Everywhere.
 #[derive(Clone, Copy)]
-pub(super) struct Plain([f64; 4]);
+pub(crate) struct Plain([f64; 4]);
 
 impl Plain {
     #[inline(always)]
@@ -64,6 +71,22 @@ impl Wide for Plain {
         self.each(other, |a, b| a * b)
     }
     #[inline(always)]
+    fn over(self, other: Self) -> Self {
+        self.each(other, |a, b| a / b)
+    }
+    #[inline(always)]
+    fn root(self) -> Self {
+        Self(self.0.map(f64::sqrt))
+    }
+    #[inline(always)]
+    fn narrow(self) -> [f32; 4] {
+        self.0.map(|x| x as f32)
+    }
+    #[inline(always)]
+    fn turned(rows: [Self; 4]) -> [Self; 4] {
+        std::array::from_fn(|k| Self(rows.map(|row| row.0[k])))
+    }
+    #[inline(always)]
     fn below(self, other: Self) -> Self {
         self.each(other, |a, b| mask(a < b))
     }
@@ -82,7 +105,7 @@ impl Wide for Plain {
 }
 
 #[cfg(target_arch = "x86_64")]
-pub(super) use avx2::Vector;
+pub(crate) use avx2::Vector;
 
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
@@ -124,6 +147,35 @@ mod avx2 {
         fn times(self, other: Self) -> Self {
             // SAFETY: AVX2 was found.
             Self(unsafe { _mm256_mul_pd(self.0, other.0) })
+        }
+        #[inline(always)]
+        fn over(self, other: Self) -> Self {
+            // SAFETY: AVX2 was found.
+            Self(unsafe { _mm256_div_pd(self.0, other.0) })
+        }
+        #[inline(always)]
+        fn root(self) -> Self {
+            // SAFETY: AVX2 was found.
+            Self(unsafe { _mm256_sqrt_pd(self.0) })
+        }
+        #[inline(always)]
+        fn narrow(self) -> [f32; 4] {
+            // SAFETY: AVX2 was found.
+            bytemuck::cast(unsafe { _mm256_cvtpd_ps(self.0) })
+        }
+        #[inline(always)]
+        fn turned([a, b, c, d]: [Self; 4]) -> [Self; 4] {
+            // SAFETY: AVX2 was found.
+            unsafe {
+                let (ab, ab_odd) = (_mm256_unpacklo_pd(a.0, b.0), _mm256_unpackhi_pd(a.0, b.0));
+                let (cd, cd_odd) = (_mm256_unpacklo_pd(c.0, d.0), _mm256_unpackhi_pd(c.0, d.0));
+                [
+                    Self(_mm256_permute2f128_pd::<0x20>(ab, cd)),
+                    Self(_mm256_permute2f128_pd::<0x20>(ab_odd, cd_odd)),
+                    Self(_mm256_permute2f128_pd::<0x31>(ab, cd)),
+                    Self(_mm256_permute2f128_pd::<0x31>(ab_odd, cd_odd)),
+                ]
+            }
         }
         #[inline(always)]
         fn below(self, other: Self) -> Self {
