@@ -5,6 +5,7 @@
 //! last stage is done with it. So a slow stage stops the ones before it, whatever the number of pieces. A thread of the
 //! compute pool never waits for a permit or a queue: permits are taken by the thread that feeds the pool.
 
+mod ahead;
 mod budget;
 mod cancel;
 mod limits;
@@ -13,6 +14,7 @@ mod reorder;
 mod vectors;
 mod wide;
 
+pub(crate) use ahead::will_read;
 pub use budget::{MemoryBudget, Permit};
 pub use cancel::CancelToken;
 pub use limits::usable_memory;

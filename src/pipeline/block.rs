@@ -11,6 +11,7 @@
 //! Which blocks go is found by a hand that goes round (the "clock" of Corbató 1968): it passes over a block that was used since
 //! it came by last, once.
 
+use crate::exec::will_read;
 use crate::geom::{LatticePos, PointId};
 use crate::grid::ChunkId;
 use crate::mesh::tet::{Tet, is_active, range};
@@ -112,6 +113,15 @@ impl KeptBlock {
         size_of::<Self>() + corners + self.tets.len() * 8 + self.ranges.len() * 8
     }
 
+    /// Asks the processor for what extraction reads.
+    pub(super) fn will_be_read(&self) {
+        will_read(&self.corners.values);
+        will_read(&self.ranges);
+        will_read(&self.tets);
+        will_read(&self.corners.positions);
+        will_read(&self.corners.numbers);
+    }
+
     /// Appends the active tetrahedra to `active`.
     pub(super) fn select(&self, isovalue: f32, sides: &mut Sides, active: &mut Vec<Tet>) {
         sides.set(&self.corners.values, isovalue);
@@ -170,16 +180,24 @@ impl Kept {
         self.most
     }
 
-    /// The block, if it is kept.
-    pub(super) fn get(&self, chunk: ChunkId, block: u32) -> Option<Arc<KeptBlock>> {
+    /// Replaces `out` by the blocks of a chunk, those that are kept.
+    pub(super) fn get(
+        &self,
+        chunk: ChunkId,
+        numbers: impl Iterator<Item = u32>,
+        out: &mut Vec<Option<Arc<KeptBlock>>>,
+    ) {
+        out.clear();
         if self.most == 0 {
-            return None;
+            return out.extend(numbers.map(|_| None));
         }
         let mut blocks = self.blocks();
-        let at = *blocks.by_place.get(&(chunk, block))?;
-        let slot = &mut blocks.slots[at];
-        slot.used = true;
-        Some(Arc::clone(&slot.block))
+        let KeptBlocks { by_place, slots, .. } = &mut *blocks;
+        out.extend(numbers.map(|number| {
+            let slot = &mut slots[*by_place.get(&(chunk, number))?];
+            slot.used = true;
+            Some(Arc::clone(&slot.block))
+        }));
     }
 
     /// Keeps a block, and drops others to make room.
@@ -283,16 +301,23 @@ mod tests {
         for n in 0..3 {
             kept.put(ChunkId(1), n, &block(100, n as f32));
         }
-        assert_eq!(kept.get(ChunkId(1), 0).unwrap().corners.values[0], 0.0);
+        let get = |chunk, number| {
+            let mut found = vec![];
+            kept.get(ChunkId(chunk), [number].into_iter(), &mut found);
+            found.pop().unwrap()
+        };
+        assert_eq!(get(1, 0).unwrap().corners.values[0], 0.0);
         kept.put(ChunkId(2), 1, &block(100, 9.0));
         assert_eq!(kept.bytes(), 3 * one);
-        let there = [(1, 0), (1, 1), (1, 2), (2, 1)].map(|(c, n)| kept.get(ChunkId(c), n).is_some());
+        let there = [(1, 0), (1, 1), (1, 2), (2, 1)].map(|(c, n)| get(c, n).is_some());
         assert_eq!(there, [true, false, true, true]);
         // What is larger than all is not kept, nothing is where nothing may be.
         kept.put(ChunkId(3), 0, &block(1000, 0.0));
-        assert!(kept.get(ChunkId(3), 0).is_none() && kept.bytes() == 3 * one);
+        assert!(get(3, 0).is_none() && kept.bytes() == 3 * one);
         let none = Kept::new(0);
         none.put(ChunkId(1), 0, &block(100, 0.0));
-        assert!(none.get(ChunkId(1), 0).is_none() && none.bytes() == 0);
+        let mut found = vec![];
+        none.get(ChunkId(1), 0..2, &mut found);
+        assert!(found.iter().all(Option::is_none) && found.len() == 2 && none.bytes() == 0);
     }
 }

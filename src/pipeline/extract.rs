@@ -120,6 +120,9 @@ fn batch_len<T>(next: &[T], room: u64, most: usize, bytes_of: impl Fn(&T) -> u64
     fit.count()
 }
 
+/// Kept blocks that are looked up together, and held meanwhile.
+const AT_ONCE: usize = 32;
+
 impl Question<'_> {
     /// Bytes in which the blocks of a chunk are extracted: from the plan's target and the point set, without reading.
     fn need(&self, work: &ChunkWork) -> u64 {
@@ -148,9 +151,18 @@ impl Question<'_> {
         let surfaces = self.isovalues.iter().map(|_| spare.surface()).collect();
         let (mut buffers, mut reader) = (spare.buffers(), None);
         let mut chunk = ChunkWorker { question: self, surfaces, started: false };
-        for block in &work.blocks {
-            if let Some(kept) = self.archive.kept.get(work.chunk, block.block) {
-                chunk.add(block, &Held::Kept(&kept), &mut parts(&mut buffers).1, None);
+        let mut kept = vec![];
+        for (n, block) in work.blocks.iter().enumerate() {
+            if n % AT_ONCE == 0 {
+                let next = work.blocks[n..].iter().take(AT_ONCE).map(|b| b.block);
+                self.archive.kept.get(work.chunk, next, &mut kept);
+            }
+            let ahead = |blocks: usize| kept.get(n % AT_ONCE + blocks).and_then(Option::as_ref);
+            if let Some(next) = ahead(1) {
+                next.will_be_read();
+            }
+            if let Some(kept) = ahead(0) {
+                chunk.add(block, &Held::Kept(kept), &mut parts(&mut buffers).1, None);
                 continue;
             }
             let reader = match &mut reader {
