@@ -12,6 +12,7 @@ use isospan::points::SetKind;
 use isospan::volume::VolumeSource;
 use isospan::{Archive, Error};
 use std::fs;
+use std::io::Read as _;
 use std::path::Path;
 
 fn linear(x: f64, y: f64, z: f64) -> f64 {
@@ -111,6 +112,67 @@ fn exported_tetrahedra_fill_the_domain_each_point_once() {
         }
     }
     assert!(sets[0] == sets[1], "the cut into chunks does not show in the mesh");
+}
+
+/// The arrays of a compressed VTU file, one after another, as they are before compression.
+fn unpacked(bytes: &[u8]) -> Vec<Vec<u8>> {
+    let mark = b"<AppendedData encoding=\"raw\">\n   _";
+    let mut rest = &bytes[bytes.windows(mark.len()).position(|w| w == mark).unwrap() + mark.len()..];
+    let mut next = |n: usize| rest.split_off(..n).unwrap();
+    let mut arrays = vec![];
+    for _ in 0..5 {
+        let mut int = || u64::from_le_bytes(next(8).try_into().unwrap()) as usize;
+        let (blocks, size, last) = (int(), int(), int());
+        let packed: Vec<usize> = (0..blocks).map(|_| int()).collect();
+        let mut array = vec![];
+        for (n, packed) in packed.into_iter().enumerate() {
+            let mut block = vec![];
+            flate2::read::ZlibDecoder::new(next(packed)).read_to_end(&mut block).unwrap();
+            assert_eq!(block.len(), if n + 1 == blocks && last > 0 { last } else { size });
+            array.extend(block);
+        }
+        arrays.push(array);
+    }
+    assert_eq!(rest, b"\n  </AppendedData>\n</VTKFile>\n");
+    arrays
+}
+
+#[test]
+fn a_compressed_export_holds_the_same_arrays() {
+    let dir = tempfile::tempdir().unwrap();
+    let (input, archive, out) =
+        (dir.path().join("w.npy"), dir.path().join("w.isospan"), dir.path().join("o.vtu"));
+    write_npy(&input, [40, 30, 24], waves);
+    reduce(&input, &settings(SetKind::Halton, Amount::Fraction(0.3), 900), &archive, 2);
+    let write = |settings: &ExportSettings| {
+        let report = Archive::open(&archive).unwrap().write_tetrahedra(settings, &out, &Silent).unwrap();
+        let bytes = fs::read(&out).unwrap();
+        assert_eq!(report.file_bytes, bytes.len() as u64);
+        bytes
+    };
+    // Some arrays take several blocks, and one ends with a full one where there is nothing.
+    for range in [None, Some([1e9, 2e9])] {
+        let plain = ExportSettings { range, ..ExportSettings::default() };
+        let packed = ExportSettings { compress: true, ..plain.clone() };
+        let (raw, small) = (write(&plain), write(&packed));
+        let (text, arrays) = (String::from_utf8_lossy(&small[..400]).into_owned(), unpacked(&small));
+        assert!(text.contains("compressor=\"vtkZLibDataCompressor\""), "{text}");
+        let as_raw: Vec<u8> =
+            arrays.iter().flat_map(|a| [&(a.len() as u64).to_le_bytes()[..], a].concat()).collect();
+        assert!(raw.windows(as_raw.len()).any(|w| w == as_raw));
+        assert_eq!(write(&ExportSettings { threads: 1, ..packed }), small);
+        if range.is_none() {
+            assert!(arrays[2].len() > 1 << 20 && small.len() * 3 < raw.len());
+            // So does our reader of compressed meshes.
+            let mesh = isospan::formats::open_mesh(&out, &OpenOptions::default()).unwrap();
+            let (mut points, mut batch) = (mesh.points().unwrap(), vec![]);
+            let mut read = vec![];
+            while points.next_block(&mut batch).unwrap() {
+                read.extend(batch.iter().flatten().flat_map(|x| x.to_le_bytes()));
+            }
+            assert!(read == arrays[0]);
+        }
+    }
 }
 
 #[test]

@@ -16,14 +16,28 @@
 //! </VTKFile>
 //! ```
 //!
+//! Or compressed (`compressor="vtkZLibDataCompressor"`): each array is then cut in blocks of 1 MiB, and in place of its length there is
+//!
+//! ```text
+//!     [u64 blocks n][u64 bytes of a block][u64 bytes of the last one, 0 if it is full][n × u64 compressed bytes][zlib streams]
+//! ```
+//!
+//! What lengths come out is known at the end only, so the streams wait in a nameless file beside the target until the head is written.
+//!
 //! Coordinates are `f64`: the lattice is finer than `f32` tells apart, and a flat tetrahedron could turn over by rounding. Every
 //! tetrahedron has a positive volume as VTK counts it, also where the volume's geometry mirrors; of a curvilinear grid all but those
 //! that its coordinates turn over: in folded cells, and slivers where cells are bent.
 
-use crate::error::Result;
+use crate::bytes::store::{read_at, write_at};
+use crate::error::{Error, Result};
 use crate::formats::surface::Sink;
 use crate::geom::LatticePos;
 use crate::tets::StoredTets;
+use flate2::Compression;
+use flate2::write::ZlibEncoder;
+use rayon::prelude::*;
+use std::fs::File;
+use std::io::Write;
 use std::path::Path;
 
 /// VTK's number of a tetrahedron.
@@ -39,6 +53,20 @@ pub struct TetMeta<'a> {
     pub field: String,
     /// Free text, a line.
     pub comment: String,
+    /// Compresses the arrays on the threads of a pool; they are written as they are without one.
+    pub compress: Option<&'a rayon::ThreadPool>,
+}
+
+/// The arrays of a file, in order.
+const ARRAYS: [Array; 5] = [Array::Points, Array::Values, Array::Connectivity, Array::Offsets, Array::Types];
+
+#[derive(Clone, Copy)]
+enum Array {
+    Points,
+    Values,
+    Connectivity,
+    Offsets,
+    Types,
 }
 
 /// Writes a mesh to `path` and returns the bytes of the file. A mesh without tetrahedra gives an empty, valid file.
@@ -48,39 +76,165 @@ pub struct TetMeta<'a> {
 /// reading the mesh. After an error nothing new lies under `path`.
 pub fn write_vtu(mesh: &StoredTets, path: &Path, meta: &TetMeta<'_>) -> Result<u64> {
     let mut sink = Sink::create(path)?;
-    let (points, tets) = (mesh.point_count(), mesh.tet_count());
-    // Fewer than 2^59 of each: no product overflows.
-    let lengths = [24 * points, 4 * points, 32 * tets, 8 * tets, tets];
-    sink.put(head(points, tets, &lengths, meta).as_bytes())?;
-    sink.put(&lengths[0].to_le_bytes())?;
-    mesh.points(&mut |batch| {
-        batch.iter().try_for_each(|p| {
-            let world = (meta.place)(p.pos)?;
-            world.iter().try_for_each(|x| sink.put(&x.to_le_bytes()))
-        })
-    })?;
-    sink.put(&lengths[1].to_le_bytes())?;
-    mesh.points(&mut |batch| batch.iter().try_for_each(|p| sink.put(&p.value.to_le_bytes())))?;
-    sink.put(&lengths[2].to_le_bytes())?;
-    mesh.tets(&mut |batch| {
-        batch.iter().try_for_each(|&[a, b, c, d]| {
-            let tet = if meta.mirrors { [a, b, d, c] } else { [a, b, c, d] };
-            tet.iter().try_for_each(|v| sink.put(&v.to_le_bytes()))
-        })
-    })?;
-    sink.put(&lengths[3].to_le_bytes())?;
-    (1..=tets).try_for_each(|n| sink.put(&(4 * n).to_le_bytes()))?;
-    sink.put(&lengths[4].to_le_bytes())?;
-    (0..tets).try_for_each(|_| sink.put(&[VTK_TETRA]))?;
+    match meta.compress {
+        None => put_plain(mesh, meta, &mut sink)?,
+        Some(pool) => put_compressed(mesh, meta, pool, &mut sink)?,
+    }
     sink.put(b"\n  </AppendedData>\n</VTKFile>\n")?;
     sink.publish()
 }
 
-fn head(points: u64, tets: u64, lengths: &[u64; 5], meta: &TetMeta<'_>) -> String {
+fn put_plain(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mut Sink) -> Result<()> {
+    let (points, tets) = (mesh.point_count(), mesh.tet_count());
+    // Fewer than 2^59 of each: no product overflows.
+    let lengths = [24 * points, 4 * points, 32 * tets, 8 * tets, tets];
+    sink.put(head(mesh, lengths.map(|length| 8 + length), meta).as_bytes())?;
+    for (array, length) in ARRAYS.into_iter().zip(lengths) {
+        sink.put(&length.to_le_bytes())?;
+        each_part(mesh, meta, array, &mut |bytes| sink.put(bytes))?;
+    }
+    Ok(())
+}
+
+fn put_compressed(
+    mesh: &StoredTets,
+    meta: &TetMeta<'_>,
+    pool: &rayon::ThreadPool,
+    sink: &mut Sink,
+) -> Result<()> {
+    let scratch = sink.scratch()?;
+    let failed = |e| Error::io("write compressed arrays beside", sink.target(), e);
+    let mut packer = Packer { pool, file: &scratch, at: 0, waiting: vec![], table: vec![] };
+    let mut packed = vec![];
+    for array in ARRAYS {
+        each_part(mesh, meta, array, &mut |bytes| packer.put(bytes).map_err(failed))?;
+        packed.push(packer.finish().map_err(failed)?);
+    }
+    let lengths = std::array::from_fn(|array| packed[array].0.len() as u64 + packed[array].1);
+    sink.put(head(mesh, lengths, meta).as_bytes())?;
+    let (mut buffer, mut at) = (vec![0; BLOCK], 0);
+    for (header, mut left) in packed {
+        sink.put(&header)?;
+        while left > 0 {
+            let part = &mut buffer[..left.min(BLOCK as u64) as usize];
+            read_at(&scratch, part, at)
+                .map_err(|e| Error::io("read compressed arrays beside", sink.target(), e))?;
+            sink.put(part)?;
+            (at, left) = (at + part.len() as u64, left - part.len() as u64);
+        }
+    }
+    Ok(())
+}
+
+/// Hands the bytes of an array to `put`, part by part.
+fn each_part(
+    mesh: &StoredTets,
+    meta: &TetMeta<'_>,
+    array: Array,
+    put: &mut dyn FnMut(&[u8]) -> Result<()>,
+) -> Result<()> {
+    let (mut bytes, tets) = (Vec::new(), mesh.tet_count());
+    match array {
+        Array::Points => mesh.points(&mut |batch| {
+            bytes.clear();
+            for point in batch {
+                (meta.place)(point.pos)?.iter().for_each(|x| bytes.extend(x.to_le_bytes()));
+            }
+            put(&bytes)
+        }),
+        Array::Values => mesh.points(&mut |batch| {
+            bytes.clear();
+            batch.iter().for_each(|point| bytes.extend(point.value.to_le_bytes()));
+            put(&bytes)
+        }),
+        Array::Connectivity => mesh.tets(&mut |batch| {
+            bytes.clear();
+            for &[a, b, c, d] in batch {
+                let tet = if meta.mirrors { [a, b, d, c] } else { [a, b, c, d] };
+                tet.iter().for_each(|v| bytes.extend(v.to_le_bytes()));
+            }
+            put(&bytes)
+        }),
+        Array::Offsets => (0..tets).step_by(PART).try_for_each(|first| {
+            bytes.clear();
+            let here = first + 1..=tets.min(first + PART as u64);
+            here.for_each(|n| bytes.extend((4 * n).to_le_bytes()));
+            put(&bytes)
+        }),
+        Array::Types => (0..tets)
+            .step_by(PART)
+            .try_for_each(|first| put(&[VTK_TETRA; PART][..(tets - first).min(PART as u64) as usize])),
+    }
+}
+
+/// Tetrahedra of which offsets and types are made at a time.
+const PART: usize = 4096;
+/// Bytes that are compressed together.
+const BLOCK: usize = 1 << 20;
+/// Blocks that are compressed at a time, side by side.
+const BLOCKS: usize = 8;
+/// Bytes of memory that compression takes: those that wait, a part of an array more, and the same compressed.
+pub const PACKING_BYTES: u64 = 3 * (BLOCKS * BLOCK) as u64;
+
+/// Compresses arrays into a file, one after another.
+struct Packer<'a> {
+    pool: &'a rayon::ThreadPool,
+    file: &'a File,
+    at: u64,
+    /// Bytes to be compressed: fewer than [`BLOCKS`] blocks, and a part of an array.
+    waiting: Vec<u8>,
+    /// Bytes of each block before and after.
+    table: Vec<[u64; 2]>,
+}
+
+impl Packer<'_> {
+    fn put(&mut self, bytes: &[u8]) -> std::io::Result<()> {
+        self.waiting.extend_from_slice(bytes);
+        let full = self.waiting.len() / BLOCK;
+        if full < BLOCKS {
+            return Ok(());
+        }
+        self.pack(full * BLOCK)
+    }
+
+    /// Compresses the first bytes that wait.
+    fn pack(&mut self, bytes: usize) -> std::io::Result<()> {
+        let compress = |block: &[u8]| {
+            let mut encoder = ZlibEncoder::new(Vec::new(), Compression::fast());
+            encoder.write_all(block)?;
+            encoder.finish()
+        };
+        let now = &self.waiting[..bytes];
+        let blocks: Vec<_> = self.pool.install(|| now.par_chunks(BLOCK).map(compress).collect());
+        for (block, packed) in now.chunks(BLOCK).zip(blocks) {
+            let packed = packed?;
+            write_at(self.file, &packed, self.at)?;
+            self.at += packed.len() as u64;
+            self.table.push([block.len() as u64, packed.len() as u64]);
+        }
+        self.waiting.drain(..bytes);
+        Ok(())
+    }
+
+    /// Ends an array; returns what comes before its blocks, and their bytes.
+    fn finish(&mut self) -> std::io::Result<(Vec<u8>, u64)> {
+        self.pack(self.waiting.len())?;
+        let last = self.table.last().map_or(0, |block| block[0] % BLOCK as u64);
+        let head = [self.table.len() as u64, BLOCK as u64, last];
+        let sizes = self.table.iter().map(|block| block[1]);
+        let header = head.into_iter().chain(sizes.clone()).flat_map(u64::to_le_bytes).collect();
+        let bytes = sizes.sum();
+        self.table.clear();
+        Ok((header, bytes))
+    }
+}
+
+fn head(mesh: &StoredTets, lengths: [u64; 5], meta: &TetMeta<'_>) -> String {
+    let (points, tets) = (mesh.point_count(), mesh.tet_count());
     let mut offset = 0;
     let [at_points, at_values, at_connectivity, at_offsets, at_types] = lengths.map(|length| {
         let at = offset;
-        offset += 8 + length;
+        offset += length;
         at
     });
     let name = attribute(&meta.field);
@@ -90,10 +244,11 @@ fn head(points: u64, tets: u64, lengths: &[u64; 5], meta: &TetMeta<'_>) -> Strin
              format=\"appended\" offset=\"{offset}\"/>\n"
         )
     };
+    let compressor = if meta.compress.is_some() { " compressor=\"vtkZLibDataCompressor\"" } else { "" };
     [
         format!("<?xml version=\"1.0\"?>\n<!-- {} -->\n", meta.comment.replace("--", "- -").replace("--", "- -")),
-        "<VTKFile type=\"UnstructuredGrid\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\">\n"
-            .into(),
+        "<VTKFile type=\"UnstructuredGrid\" version=\"1.0\" byte_order=\"LittleEndian\" header_type=\"UInt64\"".into(),
+        format!("{compressor}>\n"),
         format!("  <UnstructuredGrid>\n    <Piece NumberOfPoints=\"{points}\" NumberOfCells=\"{tets}\">\n"),
         format!("      <PointData Scalars=\"{name}\">\n"),
         array("Float32", &name, 1, at_values),

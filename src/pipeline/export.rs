@@ -7,8 +7,8 @@ use super::placed::Place;
 use super::roi::{Cut, Roi, RoiSpace};
 use super::visit::{Blocks, Visit};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress};
-use crate::formats::vtu::{TetMeta, write_vtu};
+use crate::exec::{CancelToken, Progress, pool};
+use crate::formats::vtu::{PACKING_BYTES, TetMeta, write_vtu};
 use crate::mesh::tet::Tet;
 use crate::tets::{ChunkTets, TetBuilder};
 use serde::Serialize;
@@ -36,6 +36,8 @@ pub struct ExportSettings {
     pub roi: Option<Roi>,
     /// Of those, in the order of the file, only each n-th; 1 is all.
     pub every: u64,
+    /// Compresses the file's arrays (zlib).
+    pub compress: bool,
     /// Threads; 0 means as many as the process may use.
     pub threads: usize,
     /// Bytes for everything that grows with the mesh.
@@ -53,6 +55,7 @@ impl Default for ExportSettings {
             corners: Corners::All,
             roi: None,
             every: 1,
+            compress: false,
             threads: 0,
             memory: crate::exec::usable_memory() / 2,
             scratch: None,
@@ -118,7 +121,7 @@ pub(super) fn export(
             Blocks::Some(entries)
         }
     };
-    let fixed = need::BASE + blocks.bytes();
+    let fixed = need::BASE + blocks.bytes() + if settings.compress { PACKING_BYTES } else { 0 };
     let rest = settings.memory.saturating_sub(fixed);
     let mut visit = Visit::new(archive, blocks, settings.threads, rest / 4 * 3, &settings.cancel)?;
     if let Some(cut) = &cut {
@@ -136,11 +139,13 @@ pub(super) fn export(
     let start = Instant::now();
     let place = Place::of(archive)?;
     let lattice = archive.manifest.plan.lattice;
+    let threads = settings.compress.then(|| pool(settings.threads)).transpose()?;
     let meta = TetMeta {
         place: &|p| place.world(lattice.to_index_space(p)),
         mirrors: place.mirrors(),
         field: source.field.clone(),
         comment: format!("isospan {}: reduced tetrahedra of {}", env!("CARGO_PKG_VERSION"), source.path),
+        compress: threads.as_ref(),
     };
     let file_bytes = write_vtu(&mesh, out, &meta)?;
     Ok(ExportReport {
