@@ -5,7 +5,7 @@
 //! little-endian; see `FORMAT.md`.
 
 use super::wire::{Cursor, Malformed};
-use crate::mesh::tet::{Tet, range};
+use crate::mesh::tet::Tet;
 
 /// The mesh of a chunk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -73,14 +73,45 @@ pub struct BlockRange {
 impl BlockRange {
     /// The range of tetrahedra, given the values of their vertices.
     pub fn of(tets: &[Tet], values: &[f32]) -> Self {
-        let mut all = Self { min: f32::INFINITY, max: f32::NEG_INFINITY, tets: 0 };
+        let [range] = Self::of_steps(tets, values.as_chunks().0);
+        range
+    }
+
+    /// The same at some steps, whose values lie side by side.
+    #[inline(always)]
+    pub(crate) fn of_steps<const N: usize>(tets: &[Tet], values: &[[f32; N]]) -> [Self; N] {
+        let (mut min, mut max, mut live) = ([f32::INFINITY; N], [f32::NEG_INFINITY; N], [0; N]);
         for tet in tets {
-            if let Some((lo, hi)) = range(tet.map(|v| values[v as usize])) {
-                all = Self { min: all.min.min(lo), max: all.max.max(hi), tets: all.tets + 1 };
+            let &[a, b, c, d] = tet;
+            let (a, b) = (values[a as usize], values[b as usize]);
+            let (c, d) = (values[c as usize], values[d as usize]);
+            let (lo, hi) = (lesser(lesser(a, b), lesser(c, d)), greater(greater(a, b), greater(c, d)));
+            for k in 0..N {
+                let void = a[k].is_nan() | b[k].is_nan() | c[k].is_nan() | d[k].is_nan();
+                let (lo, hi) = if void { (min[k], max[k]) } else { (lo[k], hi[k]) };
+                min[k] = if lo < min[k] { lo } else { min[k] };
+                max[k] = if hi > max[k] { hi } else { max[k] };
+                live[k] += u32::from(!void);
             }
         }
-        all
+        std::array::from_fn(|k| Self { min: min[k], max: max[k], tets: live[k] })
     }
+}
+
+#[inline(always)]
+fn lesser<const N: usize>(a: [f32; N], mut b: [f32; N]) -> [f32; N] {
+    for k in 0..N {
+        b[k] = if a[k] < b[k] { a[k] } else { b[k] };
+    }
+    b
+}
+
+#[inline(always)]
+fn greater<const N: usize>(a: [f32; N], mut b: [f32; N]) -> [f32; N] {
+    for k in 0..N {
+        b[k] = if a[k] > b[k] { a[k] } else { b[k] };
+    }
+    b
 }
 
 /// The values of a chunk.

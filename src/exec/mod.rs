@@ -8,6 +8,7 @@
 mod ahead;
 mod budget;
 mod cancel;
+pub(crate) mod lanes;
 mod limits;
 mod progress;
 mod reorder;
@@ -20,7 +21,7 @@ pub use cancel::CancelToken;
 pub use limits::usable_memory;
 pub use progress::{Progress, Silent};
 pub use reorder::Reorder;
-pub(crate) use vectors::{Avx2, with_vectors};
+pub(crate) use vectors::{Avx2, Avx512, with_avx512, with_vectors};
 #[cfg(target_arch = "x86_64")]
 pub(crate) use wide::Vector;
 pub(crate) use wide::{Plain, Wide};

@@ -29,10 +29,12 @@
 
 mod bricks;
 mod sums;
+mod tally;
 
 pub(crate) use bricks::{BrickErrors, BrickRecord, merged};
 pub use sums::ErrorSums;
 pub(crate) use sums::{BINS, EXPONENTS, Largest, Mantissas};
+pub(crate) use tally::Tally;
 
 use serde::{Deserialize, Serialize};
 

@@ -3,14 +3,10 @@
 use super::{FieldError, PERCENTILES, Percentile};
 
 /// Bins of absolute errors: the upper bits of a float without its sign.
-const BIN_SHIFT: u32 = 18;
+pub(super) const BIN_SHIFT: u32 = 18;
 pub(crate) const BINS: usize = 1 << (31 - BIN_SHIFT);
 /// All bits of a float but the sign, which have the order of its absolute value.
 const ABSOLUTE: u32 = 0x7fff_ffff;
-/// NaN, in place of an error's bits where there is none: more than all that are.
-const NONE: u32 = 0x7fc0_0000;
-/// Samples whose errors are computed together.
-const TOGETHER: usize = 64;
 /// Exponents of floats.
 pub(crate) const EXPONENTS: usize = 256;
 
@@ -98,33 +94,10 @@ impl ErrorSums {
         self.add_error(error);
     }
 
-    /// Adds many samples, as [`ErrorSums::add`] does one; the number is asked for of the n-th.
-    ///
-    /// # Panics
-    /// When there is not a reduced value for each original one.
+    /// Whether an error of these bits, without its sign, is less than the largest so far.
     #[inline(always)]
-    pub fn add_all(&mut self, originals: &[f32], reduced: &[f32], sample: impl Fn(usize) -> u64) {
-        assert_eq!(originals.len(), reduced.len(), "values in pairs");
-        let mut errors = [0; TOGETHER];
-        for (part, (originals, reduced)) in
-            originals.chunks(TOGETHER).zip(reduced.chunks(TOGETHER)).enumerate()
-        {
-            let errors = &mut errors[..originals.len()];
-            let mut most = 0;
-            for ((error, &original), &reduced) in errors.iter_mut().zip(originals).zip(reduced) {
-                let found = error_of(original, reduced).to_bits();
-                *error = if original.is_finite() & !reduced.is_nan() { found } else { NONE };
-                most = most.max(*error & ABSOLUTE);
-            }
-            if self.largest.is_some_and(|l| most < l.bits) {
-                self.measured += errors.len() as u64;
-                errors.iter().for_each(|&error| self.add_error(error));
-                continue;
-            }
-            for (n, (&original, &reduced)) in originals.iter().zip(reduced).enumerate() {
-                self.add(original, reduced, || sample(part * TOGETHER + n));
-            }
-        }
+    pub(super) fn is_less_than_largest(&self, bits: u32) -> bool {
+        self.largest.is_some_and(|l| bits < l.bits)
     }
 
     /// Adds the bits of an error to the sums.
@@ -251,11 +224,11 @@ fn power_of_two(n: i32) -> f64 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
     /// Values of all sizes, in no order.
-    fn pairs(n: u32) -> Vec<(f32, f32)> {
+    pub(in super::super) fn pairs(n: u32) -> Vec<(f32, f32)> {
         let mut state = 12345u64;
         let mut next = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -264,7 +237,7 @@ mod tests {
         (0..n).map(|_| (((next() - 0.5) * 100.0) as f32, ((next() - 0.5) * next() * 100.0) as f32)).collect()
     }
 
-    fn sums(pairs: &[(f32, f32)], first: u64) -> ErrorSums {
+    pub(in super::super) fn sums(pairs: &[(f32, f32)], first: u64) -> ErrorSums {
         let mut sums = ErrorSums::default();
         for (i, &(a, b)) in (first..).zip(pairs) {
             sums.add(a, b, || i);
@@ -302,24 +275,6 @@ mod tests {
             let mut merged = ErrorSums::default();
             order.iter().for_each(|&i: &usize| merged.merge(&parts[i]));
             assert_eq!(merged, whole);
-        }
-    }
-
-    #[test]
-    fn many_samples_are_added_as_one_by_one() {
-        let mut pairs = pairs(700);
-        // The largest errors come late, some samples have none, some errors are 0.
-        pairs.sort_by(|a, b| error_of(a.0, a.1).abs().total_cmp(&error_of(b.0, b.1).abs()));
-        let (void, missing) = ((1.0, f32::NAN), (f32::INFINITY, 1.0));
-        pairs.splice(
-            300..300,
-            [void, missing, (3.0, 3.0), (-0.0, 0.0), (f32::MAX, f32::MIN), (f32::MIN, f32::MAX)],
-        );
-        let (originals, reduced): (Vec<f32>, Vec<f32>) = pairs.iter().copied().unzip();
-        for (from, to) in [(0, 706), (0, 64), (5, 5), (100, 165), (290, 320), (400, 706)] {
-            let mut found = sums(&pairs[..from], 0);
-            found.add_all(&originals[from..to], &reduced[from..to], |n| (from + n) as u64);
-            assert_eq!(found, sums(&pairs[..to], 0), "{from}..{to}");
         }
     }
 

@@ -9,16 +9,21 @@
 //! samples lie in a tetrahedron, and with which weights, is found out once for all steps that are measured together.
 
 use super::commit::last_blocks;
+use super::grid_field::treat_missing;
 use super::measure::{Originals, world_of};
 use super::open::OpenArchive;
 use super::probe::windows;
+use super::sides::{Side, Sides};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::errors::{ChunkErrors, decode_errors};
 use crate::error::{Error, Result};
+use crate::exec::lanes::{Four, Plain, four, sorted};
 use crate::exec::with_vectors;
+#[cfg(target_arch = "x86_64")]
+use crate::exec::{Avx2, lanes::Vector};
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, IndexBox};
-use crate::measure::{BrickErrors, ErrorSums, FieldError, LevelError, Worst};
+use crate::measure::{BrickErrors, ErrorSums, FieldError, LevelError, Tally, Worst};
 use crate::mesh::tet::Tet;
 use crate::points::Levels;
 use crate::raster::{BatchScan, MEMBERS, Members, SampleGrid, Scanner, interpolate};
@@ -28,7 +33,7 @@ use std::ops::Range;
 /// The samples of a step's volume.
 pub(super) struct Samples<'a> {
     reader: &'a dyn VolumeReader,
-    missing: Option<f32>,
+    missing: Option<f64>,
     stand_in: f32,
 }
 
@@ -36,11 +41,9 @@ impl<'a> Samples<'a> {
     /// Those that values are made from; `None` of a mesh.
     pub(super) fn of(originals: &Originals<'a>) -> Option<Self> {
         match *originals {
-            Originals::Volume { reader, missing, stand_in } => Some(Self {
-                reader,
-                missing: missing.map(|m| m as f32),
-                stand_in: stand_in.unwrap_or(f32::NAN),
-            }),
+            Originals::Volume { reader, missing, stand_in } => {
+                Some(Self { reader, missing, stand_in: stand_in.unwrap_or(f32::NAN) })
+            }
             Originals::Mesh(..) => None,
         }
     }
@@ -48,11 +51,7 @@ impl<'a> Samples<'a> {
     /// Reads a window; NaN where there is no sample.
     pub(super) fn read(&self, window: IndexBox, out: &mut [f32]) -> Result<()> {
         self.reader.read_box(window, out)?;
-        for v in out {
-            if !v.is_finite() || Some(*v) == self.missing {
-                *v = self.stand_in;
-            }
-        }
+        treat_missing(self.missing, self.stand_in, out);
         Ok(())
     }
 }
@@ -100,7 +99,7 @@ const TOGETHER: u64 = 1 << 15;
 
 /// Bytes that measuring a chunk at so many steps takes: samples, sums.
 pub(super) const fn working_bytes(steps: u64) -> u64 {
-    steps * (4 * WINDOW + (80 << 10)) + (256 << 10) + BatchScan::BYTES
+    steps * (4 * WINDOW + (96 << 10)) + (256 << 10) + BatchScan::BYTES
 }
 
 /// Measures chunks of a volume.
@@ -122,26 +121,26 @@ impl Gauge {
     pub(super) fn errors(
         &self,
         cells: &Cells<'_>,
-        steps: &[&[f32]],
+        steps: &Sides<'_>,
         read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
     ) -> Result<Vec<ErrorSums>> {
-        let mut sums = vec![ErrorSums::default(); steps.len()];
+        let mut sums: Vec<Tally> = (0..steps.steps()).map(|_| Tally::default()).collect();
         let dims = self.dims();
         self.each_sample(
             cells,
             steps,
             read,
             #[inline(always)]
-            |m| sums[m.step].add_all(m.originals, m.reduced, |n| m.number(n, dims)),
+            |m| add(&mut sums[m.step], &m, dims),
         )?;
-        Ok(sums)
+        Ok(sums.into_iter().map(Tally::finish).collect())
     }
 
     /// The errors of a chunk as they are stored: as [`Gauge::errors`], and apart for the cells of each level.
     pub(super) fn chunk_errors(
         &self,
         cells: &Cells<'_>,
-        steps: &[&[f32]],
+        steps: &Sides<'_>,
         levels: Option<&Levels>,
         read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
     ) -> Result<Vec<ChunkErrors>> {
@@ -150,24 +149,24 @@ impl Gauge {
             return Ok(all.into_iter().map(|sums| ChunkErrors { sums, levels: vec![] }).collect());
         };
         let none = vec![BrickErrors::default(); usize::from(levels.top()) + 1];
-        let mut all = vec![ChunkErrors { sums: ErrorSums::default(), levels: none }; steps.len()];
+        let mut all: Vec<_> = (0..steps.steps()).map(|_| (Tally::default(), none.clone())).collect();
         let (dims, shift) = (self.dims(), levels.cells().lattice.log2_steps);
         self.each_sample(cells, steps, read, |m| {
-            let errors = &mut all[m.step];
-            errors.sums.add_all(m.originals, m.reduced, |n| m.number(n, dims));
+            let (sums, levels_of) = &mut all[m.step];
+            add(sums, &m, dims);
             for (n, (&original, &reduced)) in m.originals.iter().zip(m.reduced).enumerate() {
                 let level = levels.at(m.place(n).map(|i| (i << shift) as u32));
-                errors.levels[usize::from(level)].add(original, reduced);
+                levels_of[usize::from(level)].add(original, reduced);
             }
         })?;
-        Ok(all)
+        Ok(all.into_iter().map(|(sums, levels)| ChunkErrors { sums: sums.finish(), levels }).collect())
     }
 
     /// Calls `each` for all samples in the tetrahedra of a chunk, some at a time, at each of some steps.
     pub(super) fn each_sample(
         &self,
         cells: &Cells<'_>,
-        steps: &[&[f32]],
+        steps: &Sides<'_>,
         mut read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
         mut each: impl FnMut(Measured<'_>),
     ) -> Result<()> {
@@ -179,7 +178,7 @@ impl Gauge {
         for (whole, tets) in groups {
             for window in windows(whole, WINDOW) {
                 let len = window.len();
-                originals.resize(steps.len() * len, 0.0);
+                originals.resize(steps.steps() * len, 0.0);
                 for (n, out) in originals.chunks_exact_mut(len).enumerate() {
                     read(n, window, out)?;
                 }
@@ -241,17 +240,27 @@ fn union(a: &IndexBox, b: &IndexBox) -> IndexBox {
     }
 }
 
+/// Adds some samples to the sums of their step.
+#[inline(never)]
+pub(super) fn add(sums: &mut Tally, m: &Measured<'_>, dims: [u64; 3]) {
+    with_vectors(
+        #[inline(always)]
+        || sums.add_all(m.originals, m.reduced, |n| m.number(n, dims)),
+    );
+}
+
 /// Values at some samples, column by column.
+type Column = [f32; MEMBERS];
+
+/// The values at some samples, original and reduced at up to four steps.
 struct Room {
-    corners: [[f32; MEMBERS]; 4],
-    originals: [f32; MEMBERS],
-    reduced: [f32; MEMBERS],
+    originals: Column,
+    reduced: [Column; 4],
 }
 
 impl Default for Room {
     fn default() -> Self {
-        let column = [0.0; MEMBERS];
-        Self { corners: [column; 4], originals: column, reduced: column }
+        Self { originals: [0.0; MEMBERS], reduced: [[0.0; MEMBERS]; 4] }
     }
 }
 
@@ -263,35 +272,97 @@ impl Room {
         members: &Members,
         window: &IndexBox,
         tets: &[Tet],
-        steps: &[&[f32]],
+        steps: &Sides<'_>,
         originals: &[f32],
         each: &mut impl FnMut(Measured<'_>),
     ) {
         let places = members.places();
         let count = places.len().min(MEMBERS);
-        for ((step, values), originals) in steps.iter().enumerate().zip(originals.chunks_exact(window.len()))
-        {
-            for (i, (&tet, &place)) in members.tets().iter().zip(places).enumerate().take(count) {
-                let corners = tets[tet as usize];
-                (0..4).for_each(|k| self.corners[k][i] = values[corners[k] as usize]);
-                self.originals[i] = originals[place as usize];
+        for (steps, side) in steps.iter() {
+            match side {
+                Side::One(values) => interpolate_one(members, tets, values, &mut self.reduced[0]),
+                Side::Four(values) => interpolate_four(members, tets, values, &mut self.reduced),
             }
-            self.interpolate(members, count);
-            let (originals, reduced) = (&self.originals[..count], &self.reduced[..count]);
-            each(Measured { step, originals, reduced, window, places });
+            for (step, reduced) in steps.zip(&self.reduced) {
+                let of_step = &originals[step * window.len()..][..window.len()];
+                for (original, &place) in self.originals.iter_mut().zip(places) {
+                    *original = of_step[place as usize];
+                }
+                let (originals, reduced) = (&self.originals[..count], &reduced[..count]);
+                each(Measured { step, originals, reduced, window, places });
+            }
         }
     }
+}
 
-    /// The reduced values at all.
-    #[inline(always)]
-    fn interpolate(&mut self, members: &Members, count: usize) {
-        let [wa, wb, wc, wd] = members.weights().map(|w| &w[..count]);
-        let [a, b, c, d] = &self.corners;
-        for i in 0..count {
-            let values = [a[i], b[i], c[i], d[i]];
-            let value = interpolate([wa[i], wb[i], wc[i], wd[i]], values);
-            let void = a[i].is_nan() | b[i].is_nan() | c[i].is_nan() | d[i].is_nan();
-            self.reduced[i] = if void { f32::NAN } else { value };
+/// The reduced values at one step.
+#[inline(never)]
+fn interpolate_one(members: &Members, tets: &[Tet], values: &[f32], out: &mut Column) {
+    with_vectors(
+        #[inline(always)]
+        || {
+            let mut corners = [[0.0; MEMBERS]; 4];
+            let count = members.tets().len().min(MEMBERS);
+            for (i, &tet) in members.tets().iter().enumerate().take(count) {
+                let tet = tets[tet as usize];
+                (0..4).for_each(|k| corners[k][i] = values[tet[k] as usize]);
+            }
+            let ([wa, wb, wc, wd], [a, b, c, d]) = (members.weights().map(|w| &w[..count]), &corners);
+            for i in 0..count {
+                let value = interpolate([wa[i], wb[i], wc[i], wd[i]], [a[i], b[i], c[i], d[i]]);
+                let void = a[i].is_nan() | b[i].is_nan() | c[i].is_nan() | d[i].is_nan();
+                out[i] = if void { f32::NAN } else { value };
+            }
+        },
+    );
+}
+
+/// The reduced values at four steps.
+#[inline(never)]
+fn interpolate_four(members: &Members, tets: &[Tet], values: &[[f32; 4]], out: &mut [Column; 4]) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(proof) = Avx2::found() {
+        return with_vectors(
+            #[inline(always)]
+            || interpolate_wide::<Vector>(proof, members, tets, values, out),
+        );
+    }
+    interpolate_wide::<Plain>((), members, tets, values, out);
+}
+
+/// As [`interpolate`], and NaN where a corner is, of four steps at a time: the same bits.
+#[inline(always)]
+fn interpolate_wide<W: Four>(
+    proof: W::Proof,
+    members: &Members,
+    tets: &[Tet],
+    values: &[[f32; 4]],
+    out: &mut [Column; 4],
+) {
+    let (count, weights, void) = (members.tets().len(), members.weights(), W::splat(proof, f64::NAN));
+    for from in (0..count).step_by(4) {
+        let rows = four(
+            #[inline(always)]
+            |k| {
+                // Behind the last one, that again.
+                let i = (from + k).min(count - 1);
+                let tet = tets[members.tets()[i] as usize];
+                let corners = four(
+                    #[inline(always)]
+                    |k| W::of_floats(proof, &values[tet[k] as usize]),
+                );
+                let [a, b, c, d] = sorted(four(
+                    #[inline(always)]
+                    |k| corners[k].times(W::splat(proof, weights[k][i])),
+                ));
+                let value = a.plus(b).plus(c).plus(d);
+                let all = corners[0].plus(corners[1]).plus(corners[2].plus(corners[3]));
+                W::pick(all.is_number(), value, void).floats()
+            },
+        );
+        for (lane, column) in out.iter_mut().enumerate() {
+            let of_lane = [rows[0][lane], rows[1][lane], rows[2][lane], rows[3][lane]];
+            column[from..from + 4].copy_from_slice(&of_lane);
         }
     }
 }

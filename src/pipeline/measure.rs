@@ -15,6 +15,7 @@ use super::need;
 use super::open::{DecodedChunk, OpenArchive};
 use super::probe_points::{Find, each_value_of};
 use super::reduce::{MOST_STEPS_AT_ONCE, random_access};
+use super::sides::Sides;
 use super::steps::StepChoice;
 use super::visit::{Blocks, Visit};
 use crate::archive::manifest::Source;
@@ -30,7 +31,7 @@ use crate::formats::{self, Input, OpenOptions, StepSource};
 use crate::geom::LatticePos;
 use crate::grid::Geometry;
 use crate::locate::{FINE_BITS, FinePos};
-use crate::measure::{BrickErrors, BrickRecord, ErrorSums, FieldError, Worst, merged};
+use crate::measure::{BrickErrors, BrickRecord, ErrorSums, FieldError, Tally, Worst, merged};
 use crate::volume::{VolumeReader, VolumeSource};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -444,18 +445,19 @@ impl AgainstSamples<'_> {
         let cells = Cells { positions, tets, block_ends };
         let read = |_, window, out: &mut [f32]| self.samples.read(window, out);
         if !self.mapped {
-            let mut sums = self.gauge.errors(&cells, &[values], read)?;
+            let mut sums = self.gauge.errors(&cells, &Sides::new(&[values]), read)?;
             return Ok(Part { sums: sums.pop().expect("of one step"), ..Part::default() });
         }
         let (bricks, steps) = (self.archive.chunks.bricks(), self.archive.manifest.plan.lattice.log2_steps);
-        let (mut part, dims) = (Part::default(), self.gauge.dims());
-        self.gauge.each_sample(&cells, &[values], read, |m| {
-            part.sums.add_all(m.originals, m.reduced, |n| m.number(n, dims));
+        let (mut part, mut sums, dims) = (Part::default(), Tally::default(), self.gauge.dims());
+        self.gauge.each_sample(&cells, &Sides::new(&[values]), read, |m| {
+            gauge::add(&mut sums, &m, dims);
             for (n, (&original, &reduced)) in m.originals.iter().zip(m.reduced).enumerate() {
                 let brick = bricks.id(bricks.brick_at(m.place(n).map(|i| (i << steps) as u32)));
                 part.bricks.entry(brick.0).or_default().add(original, reduced);
             }
         })?;
+        part.sums = sums.finish();
         Ok(part)
     }
 }

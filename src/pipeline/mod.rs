@@ -44,6 +44,7 @@ mod roi;
 mod scan;
 mod series;
 mod shard;
+mod sides;
 mod spare;
 mod spectrum;
 mod status;

@@ -33,6 +33,8 @@ pub(crate) const BASE: u64 = 16 << 20;
 /// what waits to be written included) and rounded up: 6.8 tetrahedra of 64 bytes in the mesher, sort keys and sites of 100 bytes, then 16 bytes for each tetrahedron kept, two
 /// or three times while they are sorted and encoded, and what the C library holds back between workers.
 const PER_POINT: u64 = 900;
+/// And for each further step: its value, twice more while it is measured beside those of other steps, and where it lies in the spectrum.
+const FURTHER_PER_POINT: u64 = 16;
 /// And whatever the number of points: the samples around a brick, the encoder's tables.
 const PER_CHUNK: u64 = 4 << 20;
 /// Bytes of a point's share of an encoded chunk, at most: its value, and a little more than 6 tetrahedra.
@@ -219,7 +221,8 @@ impl Need {
 
     /// Bytes beside a chunk's room: the values of the steps after the first, and what measures the errors of all.
     fn beside(&self) -> u64 {
-        (self.steps - 1).saturating_mul(4 * self.region_points) + gauge::working_bytes(self.steps)
+        (self.steps - 1).saturating_mul(FURTHER_PER_POINT * self.region_points)
+            + gauge::working_bytes(self.steps)
     }
 
     fn of_workers(&self, workers: u64) -> u64 {
@@ -456,8 +459,8 @@ mod tests {
     fn fewer_steps_at_a_time_where_memory_is_short() {
         let steps = |memory| NEED.with_steps(16, memory, 1).steps();
         let least = NEED.least();
-        assert_eq!((steps(least - 1), steps(least), steps(least + (6 << 20)), steps(1 << 40)), (1, 1, 3, 16));
-        assert!(NEED.with_steps(16, least + (6 << 20), 1).least() <= least + (6 << 20));
+        assert_eq!((steps(least - 1), steps(least), steps(least + (7 << 20)), steps(1 << 40)), (1, 1, 3, 16));
+        assert!(NEED.with_steps(16, least + (7 << 20), 1).least() <= least + (7 << 20));
     }
 
     #[test]

@@ -394,7 +394,7 @@ pub(super) fn estimate_of(
         threads: threads(run),
         out,
         there: if out.is_dir() { folder_bytes(out)? } else { 0 },
-        scratch: (&scratch, largest(|s| s.copied).max(largest(|s| s.shared_copy))),
+        scratch: (&scratch, PlannedSource::copied_at_a_time(&series.sources)),
         copying: largest(|s| s.copying),
     }))
 }

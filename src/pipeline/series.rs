@@ -5,7 +5,8 @@
 //!  pass    mesh each chunk; sample, encode    │ decode each chunk; sample, encode    │ …
 //! ```
 //!
-//! A source that has no random access is copied into bricks, and then it is alone in its pass: one copy is on the disk at a time.
+//! Sources that have no random access are copied into bricks, small ones together: the copies that are on the disk at a time take no more than
+//! 256 MiB, or there is one.
 //!
 //! How steps are taken together decides no byte: a step refers to the one before, whichever pass has made that.
 //! A step that turns out to be bad in the middle of its pass is left out where that is wanted: the steps that refer to it have another hash then and are
@@ -62,6 +63,23 @@ pub(super) struct PlannedSource {
     pub(super) shared_copy: u64,
     /// Memory to make that copy in.
     pub(super) copying: u64,
+}
+
+/// Bytes of copies that are on the disk at a time, where there is more than one.
+const COPIES_TOGETHER: u64 = 256 << 20;
+
+impl PlannedSource {
+    /// Whether these may be made in one pass.
+    fn fit_together(sources: &[Self]) -> bool {
+        sources.len() == 1 || sources.iter().map(|s| s.copied).fold(0, u64::saturating_add) <= COPIES_TOGETHER
+    }
+
+    /// Bytes of the copies that are on the disk at a time, at most.
+    pub(super) fn copied_at_a_time(sources: &[Self]) -> u64 {
+        let all = sources.iter().map(|s| s.copied).fold(0, u64::saturating_add);
+        let largest = sources.iter().map(|s| s.copied.max(s.shared_copy)).max().unwrap_or(0);
+        largest.max(all.min(COPIES_TOGETHER))
+    }
 }
 
 /// The plan of a series, and where its steps come from.
@@ -218,11 +236,9 @@ impl Making<'_> {
                 next += 1;
                 continue;
             }
-            let mapped = |n: usize| series.sources[n].copied == 0;
             let mut end = next + 1;
             while end < series.plan.steps.len().min(next + self.means.at_once)
-                && mapped(next)
-                && mapped(end)
+                && PlannedSource::fit_together(&series.sources[next..=end])
                 && !is_there(series, end)
             {
                 end += 1;
@@ -417,5 +433,27 @@ impl Making<'_> {
             Ok(SegmentRecord { first_chunk, chunks, info: SegmentInfo::default() })
         };
         (0..self.layout.segment_count()).map(of).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::OpenOptions;
+
+    #[test]
+    fn small_copies_are_on_the_disk_together_and_large_ones_alone() {
+        let source = |copied: u64| PlannedSource {
+            source: StepSource::new(std::path::Path::new("a"), &OpenOptions::default()),
+            copied,
+            shared_copy: 0,
+            copying: 0,
+        };
+        let all: Vec<PlannedSource> = [0, 200 << 20, 56 << 20, 1, 300 << 20].map(source).into();
+        assert!(PlannedSource::fit_together(&all[..3]) && !PlannedSource::fit_together(&all[..4]));
+        assert!(PlannedSource::fit_together(&all[4..]) && !PlannedSource::fit_together(&all[3..]));
+        assert_eq!(PlannedSource::copied_at_a_time(&all), 300 << 20);
+        assert_eq!(PlannedSource::copied_at_a_time(&all[..4]), 256 << 20);
+        assert_eq!(PlannedSource::copied_at_a_time(&all[..2]), 200 << 20);
     }
 }

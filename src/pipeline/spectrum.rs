@@ -13,7 +13,7 @@ use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, Geometry};
 use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::{Suggestion, suggest};
-use crate::spectrum::{ChunkPart, Corner, Knot, Limits};
+use crate::spectrum::{ChunkPart, Knot, Limits, Vertices};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -53,34 +53,39 @@ impl Meter {
         self.limits
     }
 
-    /// The part of a chunk: all its tetrahedra, in the order in which its blocks decode, with the ranges of the blocks; positions and values
-    /// of its vertices.
-    pub(super) fn part(
+    /// The parts of a chunk at some steps: all its tetrahedra, in the order in which its blocks decode; positions of its vertices, their values at each
+    /// step, with the ranges of the blocks.
+    pub(super) fn parts(
         &self,
         positions: &[LatticePos],
-        values: &[f32],
         tets: &[Tet],
-        ranges: &[BlockRange],
-    ) -> Result<ChunkPart> {
-        let none = [f32::INFINITY, f32::NEG_INFINITY];
-        let range = ranges.iter().fold(none, |[lo, hi], r| [lo.min(r.min), hi.max(r.max)]);
-        let vertices = values.iter().zip(positions);
-        let corners = match &self.coordinates {
-            None => vertices.map(|(&v, &p)| Corner::new(v, self.place(p))).collect(),
+        steps: &[(&[f32], &[BlockRange])],
+    ) -> Result<Vec<ChunkPart>> {
+        let places: Vec<[f64; 4]> = match &self.coordinates {
+            None => positions.iter().map(|&p| four(self.place(p))).collect(),
             Some((path, hash, dims)) => {
                 // Each its own, for what it has read it keeps behind a lock.
                 let map = CoordinateMap::open(path, *hash, *dims)?;
                 let index = |p| self.lattice.to_index_space(p);
-                let corner = |(&v, &p)| Ok(Corner::new(v, map.place(index(p))?.position));
-                vertices.map(corner).collect::<Result<_>>()?
+                positions.iter().map(|&p| Ok(four(map.place(index(p))?.position))).collect::<Result<_>>()?
             }
         };
-        Ok(ChunkPart::of(self.limits, range, corners, tets))
+        let none = [f32::INFINITY, f32::NEG_INFINITY];
+        let all =
+            |ranges: &[BlockRange]| ranges.iter().fold(none, |[lo, hi], r| [lo.min(r.min), hi.max(r.max)]);
+        let steps: Vec<Vertices<'_>> =
+            steps.iter().map(|(values, ranges)| Vertices { values, range: all(ranges) }).collect();
+        Ok(ChunkPart::of_steps(self.limits, &places, tets, &steps))
     }
 
     fn place(&self, position: LatticePos) -> [f64; 3] {
         self.linear.to_world(self.lattice.to_index_space(position))
     }
+}
+
+/// A place in a vector.
+fn four([x, y, z]: [f64; 3]) -> [f64; 4] {
+    [x, y, z, 0.0]
 }
 
 /// How finely the chunks of a mesh of so many points are measured.

@@ -24,6 +24,7 @@ use super::open::{DecodedChunk, OpenArchive};
 use super::plan::ReduceSettings;
 use super::plan_file::work_folder;
 use super::reduce::{make, random_access};
+use super::sides::Sides;
 use super::steps::StepChoice;
 use super::target::{Target, TargetReport, error_of, full_cells, publish, remove};
 use super::visit::{Blocks, Visit};
@@ -135,7 +136,7 @@ impl Measuring<'_> {
         let DecodedChunk { positions, tets, block_ends, values, .. } = chunk;
         let steps = self.cells.lattice.log2_steps;
         let read = |_, window, out: &mut [f32]| samples.read(window, out);
-        gauge.each_sample(&Cells { positions, tets, block_ends }, &[values], read, |m| {
+        gauge.each_sample(&Cells { positions, tets, block_ends }, &Sides::new(&[values]), read, |m| {
             for (n, (&original, &reduced)) in m.originals.iter().zip(m.reduced).enumerate() {
                 let error = (f64::from(original) - f64::from(reduced)).abs();
                 if error > self.bound {

@@ -199,7 +199,8 @@ fn check_chunk(
     if archive.view.step == 0 {
         check_mesh(archive, &decoded, summary, id, file)?;
     }
-    let part = meter.part(&decoded.positions, &decoded.values, &decoded.tets, &ranges)?;
+    let mut parts = meter.parts(&decoded.positions, &decoded.tets, &[(&decoded.values, &ranges)])?;
+    let part = parts.pop().expect("of one step");
     if part != stored_part(&segment.values, id, meter.limits())? {
         return wrong("spectrum", "the sums over all tetrahedra".into(), "others".into());
     }

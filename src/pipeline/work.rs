@@ -24,6 +24,7 @@ use super::layout::Layout;
 use super::need::{self, Halo, Shares};
 use super::open::OpenArchive;
 use super::series::of_step;
+use super::sides::Sides;
 use super::spectrum::Meter;
 use crate::archive::chunk::{ChunkEncoder, ChunkVertices, EncodedChunk};
 use crate::archive::chunked::ChunkSegmentWriter;
@@ -535,19 +536,23 @@ fn encode_steps(
     let of_step = |n| work.cancel.check().and_then(|()| values_of(work, n, mesh, placement));
     let values = (0..work.steps.len()).map(of_step).collect::<Result<Vec<_>>>()?;
     lap.add_to(&mut times.sample);
-    let errors = errors(work, &Cells { positions: &mesh.positions, tets, block_ends }, &values)?;
+    let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
+    let sides = Sides::new(&of_steps);
+    let errors = errors(work, &Cells { positions: &mesh.positions, tets, block_ends }, &sides)?;
     lap.add_to(&mut times.measure);
+    let ranges = sides.ranges(tets, block_ends);
+    drop(sides);
+    let of_steps: Vec<(&[f32], &[BlockRange])> =
+        of_steps.into_iter().zip(&ranges).map(|(values, ranges)| (values, &**ranges)).collect();
+    let parts = work.meter.parts(&mesh.positions, tets, &of_steps)?;
     let (mut out, mut before) = (vec![], before);
-    for (n, step) in work.steps.iter().enumerate() {
+    for (n, ((step, part), ranges)) in work.steps.iter().zip(&parts).zip(ranges).enumerate() {
         work.cancel.check()?;
         let values = &*values[n];
         let base = step.plan.base.map(|_| before.expect("a base is the step before"));
         let mut encoded = encode_values(values, base, step.plan.quantiser.as_ref());
         encoded.extend(errors.get(n).map(encode_errors));
-        let starts = std::iter::once(&0).chain(block_ends);
-        let range = |(&from, &to): (&usize, &usize)| BlockRange::of(&tets[from..to], values);
-        let ranges: Vec<_> = starts.zip(block_ends).map(range).collect();
-        encoded.push(work.meter.part(&mesh.positions, values, tets, &ranges)?.encode());
+        encoded.push(part.encode());
         encoded.push(ValueSummary::of(&values[..mesh.core_len()], ranges).encode());
         out.push(encoded);
         before = Some(values);
@@ -557,11 +562,10 @@ fn encode_steps(
 }
 
 /// The errors of each step in a chunk; none where they are not measured.
-fn errors(work: &Work<'_>, cells: &Cells<'_>, values: &[Vec<f32>]) -> Result<Vec<ChunkErrors>> {
+fn errors(work: &Work<'_>, cells: &Cells<'_>, steps: &Sides<'_>) -> Result<Vec<ChunkErrors>> {
     let Some((gauge, samples)) = &work.gauge else { return Ok(vec![]) };
-    let steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
     let levels = work.recipe.points.levels().map(|levels| &**levels);
-    gauge.chunk_errors(cells, &steps, levels, |n, window, out| note(work, n, samples[n].read(window, out)))
+    gauge.chunk_errors(cells, steps, levels, |n, window, out| note(work, n, samples[n].read(window, out)))
 }
 
 /// Removes the tetrahedra that lie outside of the data, and the halo points that only they use; tells the six-fold volume of the chunk's own.

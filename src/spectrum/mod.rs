@@ -32,16 +32,20 @@
 //! **Determinism.** Integers are added in any order; `f64` sums are made over the tetrahedra of a chunk in the order in which its blocks decode, and
 //! over chunks in their order. A part is a function of the chunk, its values and the [`Limits`].
 
+mod builder;
 mod design;
 mod grid;
 mod measure;
 mod part;
 mod store;
 pub mod suggest;
+mod sums;
+mod tetra;
 
+pub use builder::SpectrumBuilder;
 pub use design::{Design, Limits};
 pub use grid::{Family, Grid, Step};
-pub use measure::{ChunkPart, Corner, SpectrumBuilder};
+pub use measure::{ChunkPart, Vertices};
 pub use store::SpectrumFile;
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
 //! A spectrum as a segment: block 0 has the knots, the others the levels, 4096 a page. `FORMAT.md` specifies the bytes.
 
+use super::builder::SpectrumBuilder;
 use super::design::MOST_LEVELS;
 use super::grid::Grid;
-use super::measure::SpectrumBuilder;
 use super::{Knot, Spectrum};
 use crate::archive::Malformed;
 use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};

@@ -1,7 +1,9 @@
 //! Against brute force: every tetrahedron cut by itself, with other formulas.
 
+use super::measure::Vectors;
 use super::*;
 use crate::archive::segment::PlanHash;
+use crate::exec::{Avx2, Avx512};
 use crate::mesh::tet::{Tet, is_active, range};
 use proptest::prelude::*;
 use std::path::Path;
@@ -67,6 +69,10 @@ fn soup() -> impl Strategy<Value = (Vec<f32>, Vec<[f64; 3]>, Vec<Tet>)> {
     })
 }
 
+fn vectors(places: &[[f64; 3]]) -> Vec<[f64; 4]> {
+    places.iter().map(|&[x, y, z]| [x, y, z, 0.0]).collect()
+}
+
 /// Chunks of seven tetrahedra, each through its bytes.
 fn built(values: &[f32], places: &[[f64; 3]], tets: &[Tet], points: u64) -> Option<SpectrumBuilder> {
     let limits = Limits::of_chunks(points);
@@ -80,8 +86,8 @@ fn built(values: &[f32], places: &[[f64; 3]], tets: &[Tet], points: u64) -> Opti
     }
     let mut builder = SpectrumBuilder::new(Design::new(all, limits));
     for tets in tets.chunks(7) {
-        let corners = values.iter().zip(places).map(|(&v, &at)| Corner::new(v, at)).collect();
-        let part = ChunkPart::of(limits, range_of(tets), corners, tets);
+        let step = Vertices { values, range: range_of(tets) };
+        let part = ChunkPart::of_steps(limits, &vectors(places), tets, &[step]).pop().unwrap();
         let bytes = part.encode();
         let back = ChunkPart::decode(&bytes, limits).unwrap();
         assert_eq!(back, part);
@@ -90,13 +96,37 @@ fn built(values: &[f32], places: &[[f64; 3]], tets: &[Tet], points: u64) -> Opti
     Some(builder)
 }
 
+/// A series: values that change from step to step, each its own way; at the last step all are void.
+fn series(values: &[f32], steps: usize) -> Vec<Vec<f32>> {
+    let at = |t: usize| values.iter().map(|v| v * (1.0 + t as f32) - t as f32).collect();
+    let mut all: Vec<Vec<f32>> = (0..steps).map(at).collect();
+    all.push(vec![f32::NAN; values.len()]);
+    all
+}
+
 proptest! {
     #[test]
-    fn vectors_give_the_bits_of_plain_code((values, places, tets) in soup()) {
-        let corners = || values.iter().zip(&places).map(|(&v, &at)| Corner::new(v, at)).collect::<Vec<_>>();
-        let limits = Limits::of_chunks(100_000);
-        let plain = ChunkPart::of_with(limits, [-40.0, 60.0], corners(), &tets, None);
-        prop_assert_eq!(ChunkPart::of(limits, [-40.0, 60.0], corners(), &tets).encode(), plain.encode());
+    fn vectors_and_other_steps_change_no_bit((values, places, tets) in soup(), steps in 1usize..7) {
+        let (places, limits) = (vectors(&places), Limits::of_chunks(100_000));
+        let all = series(&values, steps);
+        let ranges = all.iter().map(|values| {
+            let range = |t: &Tet| range(t.map(|v| values[v as usize]));
+            let none = [f32::INFINITY, f32::NEG_INFINITY];
+            tets.iter().filter_map(range).fold(none, |r, (lo, hi)| [r[0].min(lo), r[1].max(hi)])
+        });
+        let all: Vec<Vertices<'_>> = all.iter().zip(ranges).map(|(values, range)| Vertices { values, range }).collect();
+        let made = |steps: &[Vertices<'_>], vectors| -> Vec<Vec<u8>> {
+            ChunkPart::of_with(limits, &places, &tets, steps, vectors).iter().map(ChunkPart::encode).collect()
+        };
+        let plain = made(&all, Vectors::Plain);
+        prop_assert_eq!(plain.len(), steps + 1);
+        let vectors = [Avx2::found().map(Vectors::Avx2), Avx512::found().map(Vectors::Avx512)];
+        for vectors in vectors.into_iter().flatten().chain([Vectors::Plain]) {
+            prop_assert_eq!(&made(&all, vectors), &plain);
+            for (n, alone) in plain.iter().enumerate() {
+                prop_assert_eq!(&made(&all[n..=n], vectors)[0], alone);
+            }
+        }
     }
 }
 
@@ -106,8 +136,8 @@ fn damaged_parts_are_refused_or_harmless() {
     let values: Vec<f32> = (0..60u16).map(|i| f32::from(i * 61 % 199)).collect();
     let tets: Vec<Tet> = (0..50).map(|i| [i, i + 1, i + 2, i + 9]).collect();
     let limits = Limits::of_chunks(100);
-    let corners = values.iter().zip(&places).map(|(&v, &at)| Corner::new(v, at)).collect();
-    let part = ChunkPart::of(limits, [0.0, 198.0], corners, &tets);
+    let step = Vertices { values: &values, range: [0.0, 198.0] };
+    let part = ChunkPart::of_steps(limits, &vectors(&places), &tets, &[step]).pop().unwrap();
     let good = part.encode();
     let design = Design::new([-1e9, 1e9], limits);
     for i in 0..good.len() {
@@ -120,7 +150,8 @@ fn damaged_parts_are_refused_or_harmless() {
             }
         }
     }
-    let void = ChunkPart::of(limits, [f32::INFINITY, f32::NEG_INFINITY], vec![], &[]);
+    let nothing = Vertices { values: &[], range: [f32::INFINITY, f32::NEG_INFINITY] };
+    let void = ChunkPart::of_steps(limits, &[], &[], &[nothing]).pop().unwrap();
     assert_eq!(ChunkPart::decode(&void.encode(), limits).unwrap(), void);
 }
 

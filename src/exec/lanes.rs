@@ -1,0 +1,345 @@
+//! Some `f64` at a time: vectors of AVX2 and AVX-512, and the same in plain code, with the same bits.
+#![allow(unsafe_code)]
+
+/// Lanes. Each operation is that of each lane by itself, rounded once.
+pub(crate) trait Wide: Copy {
+    /// What must be known before there are such lanes.
+    type Proof: Copy;
+    /// As an array.
+    type Lanes: bytemuck::Pod;
+    /// A bit for each lane, in some form.
+    type Mask: Copy;
+    fn of(proof: Self::Proof, lanes: &Self::Lanes) -> Self;
+    fn splat(proof: Self::Proof, x: f64) -> Self;
+    fn lanes(self) -> Self::Lanes;
+    fn plus(self, other: Self) -> Self;
+    fn minus(self, other: Self) -> Self;
+    fn times(self, other: Self) -> Self;
+    /// This divided by the other.
+    fn over(self, other: Self) -> Self;
+    /// The square root.
+    fn root(self) -> Self;
+    /// This where it is less, else the other.
+    fn min(self, other: Self) -> Self;
+    /// This where it is greater, else the other.
+    fn max(self, other: Self) -> Self;
+    /// Where this is less.
+    fn below(self, other: Self) -> Self::Mask;
+    /// Where this is not NaN.
+    fn is_number(self) -> Self::Mask;
+    /// Of a mask: the one number where it is set, else the other.
+    fn pick(mask: Self::Mask, set: Self, unset: Self) -> Self;
+}
+
+/// Four lanes.
+pub(crate) trait Four: Wide<Lanes = [f64; 4]> {
+    fn of_floats(proof: Self::Proof, lanes: &[f32; 4]) -> Self;
+    /// Each rounded.
+    fn floats(self) -> [f32; 4];
+    /// Four rows as four columns.
+    fn columns(rows: [Self; 4]) -> [Self; 4];
+}
+
+/// As `[0, 1, 2].map`, which is inlined where the compiler likes it; but a vector that crosses a call is no gain.
+#[inline(always)]
+pub(crate) fn three<T>(mut of: impl FnMut(usize) -> T) -> [T; 3] {
+    [of(0), of(1), of(2)]
+}
+
+/// As `[0, 1, 2, 3].map`.
+#[inline(always)]
+pub(crate) fn four<T>(mut of: impl FnMut(usize) -> T) -> [T; 4] {
+    [of(0), of(1), of(2), of(3)]
+}
+
+/// The lesser and the greater one of each pair.
+#[inline(always)]
+fn exchanged<W: Wide>(a: W, b: W) -> (W, W) {
+    (a.min(b), b.max(a))
+}
+
+/// Four in ascending order, by a network of exchanges.
+#[inline(always)]
+pub(crate) fn sorted<W: Wide>([a, b, c, d]: [W; 4]) -> [W; 4] {
+    let ((a, b), (c, d)) = (exchanged(a, b), exchanged(c, d));
+    let ((a, c), (b, d)) = (exchanged(a, c), exchanged(b, d));
+    let (b, c) = exchanged(b, c);
+    [a, b, c, d]
+}
+
+/// Everywhere.
+#[derive(Clone, Copy)]
+pub(crate) struct Plain([f64; 4]);
+
+impl Plain {
+    #[inline(always)]
+    fn each(self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
+        Self(std::array::from_fn(|k| f(self.0[k], other.0[k])))
+    }
+}
+
+impl Wide for Plain {
+    type Proof = ();
+    type Lanes = [f64; 4];
+    type Mask = [bool; 4];
+    #[inline(always)]
+    fn of((): (), lanes: &[f64; 4]) -> Self {
+        Self(*lanes)
+    }
+    #[inline(always)]
+    fn splat((): (), x: f64) -> Self {
+        Self([x; 4])
+    }
+    #[inline(always)]
+    fn lanes(self) -> [f64; 4] {
+        self.0
+    }
+    #[inline(always)]
+    fn plus(self, other: Self) -> Self {
+        self.each(other, |a, b| a + b)
+    }
+    #[inline(always)]
+    fn minus(self, other: Self) -> Self {
+        self.each(other, |a, b| a - b)
+    }
+    #[inline(always)]
+    fn times(self, other: Self) -> Self {
+        self.each(other, |a, b| a * b)
+    }
+    #[inline(always)]
+    fn over(self, other: Self) -> Self {
+        self.each(other, |a, b| a / b)
+    }
+    #[inline(always)]
+    fn root(self) -> Self {
+        Self(self.0.map(f64::sqrt))
+    }
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        self.each(other, |a, b| if a < b { a } else { b })
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        self.each(other, |a, b| if a > b { a } else { b })
+    }
+    #[inline(always)]
+    fn below(self, other: Self) -> [bool; 4] {
+        std::array::from_fn(|k| self.0[k] < other.0[k])
+    }
+    #[inline(always)]
+    fn is_number(self) -> [bool; 4] {
+        self.0.map(|x| !x.is_nan())
+    }
+    #[inline(always)]
+    fn pick(mask: [bool; 4], set: Self, unset: Self) -> Self {
+        Self(std::array::from_fn(|k| if mask[k] { set.0[k] } else { unset.0[k] }))
+    }
+}
+
+impl Four for Plain {
+    #[inline(always)]
+    fn of_floats((): (), lanes: &[f32; 4]) -> Self {
+        Self(lanes.map(f64::from))
+    }
+    #[inline(always)]
+    fn floats(self) -> [f32; 4] {
+        self.0.map(|x| x as f32)
+    }
+    #[inline(always)]
+    fn columns(rows: [Self; 4]) -> [Self; 4] {
+        [0, 1, 2, 3].map(|k| Self(rows.map(|r| r.0[k])))
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+pub(crate) use vectors::{Eight, Vector};
+
+/// To be had with a proof only: so each has been made on a machine that has the instructions. Of use in code that is compiled for them.
+#[cfg(target_arch = "x86_64")]
+mod vectors {
+    use super::{Four, Wide};
+    use crate::exec::{Avx2, Avx512};
+    use std::arch::x86_64::*;
+
+    /// Four lanes of AVX2.
+    #[derive(Clone, Copy)]
+    pub(crate) struct Vector(__m256d);
+
+    /// Eight lanes of AVX-512.
+    #[derive(Clone, Copy)]
+    pub(crate) struct Eight(__m512d);
+
+    macro_rules! wide {
+        (
+            $t:ident, $proof:ty, $lanes:ty, $mask:ty, $load:ident, $store:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident,
+            $div:ident, $sqrt:ident, $min:ident, $max:ident
+        ) => {
+            impl Wide for $t {
+                type Proof = $proof;
+                type Lanes = $lanes;
+                type Mask = $mask;
+                #[inline(always)]
+                fn of(_: $proof, lanes: &$lanes) -> Self {
+                    // SAFETY: the instructions were found, and there are as many numbers to be read.
+                    Self(unsafe { $load(lanes.as_ptr()) })
+                }
+                #[inline(always)]
+                fn splat(_: $proof, x: f64) -> Self {
+                    // SAFETY: the instructions were found.
+                    Self(unsafe { $splat(x) })
+                }
+                #[inline(always)]
+                fn lanes(self) -> $lanes {
+                    let mut out: $lanes = [0.0; size_of::<$lanes>() / 8];
+                    // SAFETY: the instructions were found, and there is room for all numbers.
+                    unsafe { $store(out.as_mut_ptr(), self.0) };
+                    out
+                }
+                #[inline(always)]
+                fn plus(self, other: Self) -> Self {
+                    // SAFETY: the instructions were found.
+                    Self(unsafe { $add(self.0, other.0) })
+                }
+                #[inline(always)]
+                fn minus(self, other: Self) -> Self {
+                    // SAFETY: the instructions were found.
+                    Self(unsafe { $sub(self.0, other.0) })
+                }
+                #[inline(always)]
+                fn times(self, other: Self) -> Self {
+                    // SAFETY: the instructions were found.
+                    Self(unsafe { $mul(self.0, other.0) })
+                }
+                #[inline(always)]
+                fn over(self, other: Self) -> Self {
+                    // SAFETY: the instructions were found.
+                    Self(unsafe { $div(self.0, other.0) })
+                }
+                #[inline(always)]
+                fn root(self) -> Self {
+                    // SAFETY: the instructions were found.
+                    Self(unsafe { $sqrt(self.0) })
+                }
+                #[inline(always)]
+                fn min(self, other: Self) -> Self {
+                    // SAFETY: the instructions were found.
+                    Self(unsafe { $min(self.0, other.0) })
+                }
+                #[inline(always)]
+                fn max(self, other: Self) -> Self {
+                    // SAFETY: the instructions were found.
+                    Self(unsafe { $max(self.0, other.0) })
+                }
+                #[inline(always)]
+                fn below(self, other: Self) -> $mask {
+                    self.is_below(other)
+                }
+                #[inline(always)]
+                fn is_number(self) -> $mask {
+                    self.is_ordered()
+                }
+                #[inline(always)]
+                fn pick(mask: $mask, set: Self, unset: Self) -> Self {
+                    Self::picked(mask, set, unset)
+                }
+            }
+        };
+    }
+
+    wide!(
+        Vector,
+        Avx2,
+        [f64; 4],
+        __m256d,
+        _mm256_loadu_pd,
+        _mm256_storeu_pd,
+        _mm256_set1_pd,
+        _mm256_add_pd,
+        _mm256_sub_pd,
+        _mm256_mul_pd,
+        _mm256_div_pd,
+        _mm256_sqrt_pd,
+        _mm256_min_pd,
+        _mm256_max_pd
+    );
+
+    impl Vector {
+        #[inline(always)]
+        fn is_below(self, other: Self) -> __m256d {
+            // SAFETY: AVX2 was found.
+            unsafe { _mm256_cmp_pd::<_CMP_LT_OQ>(self.0, other.0) }
+        }
+        #[inline(always)]
+        fn is_ordered(self) -> __m256d {
+            // SAFETY: AVX2 was found.
+            unsafe { _mm256_cmp_pd::<_CMP_ORD_Q>(self.0, self.0) }
+        }
+        #[inline(always)]
+        fn picked(mask: __m256d, set: Self, unset: Self) -> Self {
+            // SAFETY: AVX2 was found.
+            Self(unsafe { _mm256_blendv_pd(unset.0, set.0, mask) })
+        }
+    }
+
+    wide!(
+        Eight,
+        Avx512,
+        [f64; 8],
+        __mmask8,
+        _mm512_loadu_pd,
+        _mm512_storeu_pd,
+        _mm512_set1_pd,
+        _mm512_add_pd,
+        _mm512_sub_pd,
+        _mm512_mul_pd,
+        _mm512_div_pd,
+        _mm512_sqrt_pd,
+        _mm512_min_pd,
+        _mm512_max_pd
+    );
+
+    impl Eight {
+        #[inline(always)]
+        fn is_below(self, other: Self) -> __mmask8 {
+            // SAFETY: AVX-512 was found.
+            unsafe { _mm512_cmp_pd_mask::<_CMP_LT_OQ>(self.0, other.0) }
+        }
+        #[inline(always)]
+        fn is_ordered(self) -> __mmask8 {
+            // SAFETY: AVX-512 was found.
+            unsafe { _mm512_cmp_pd_mask::<_CMP_ORD_Q>(self.0, self.0) }
+        }
+        #[inline(always)]
+        fn picked(mask: __mmask8, set: Self, unset: Self) -> Self {
+            // SAFETY: AVX-512 was found.
+            Self(unsafe { _mm512_mask_blend_pd(mask, unset.0, set.0) })
+        }
+    }
+
+    impl Four for Vector {
+        #[inline(always)]
+        fn of_floats(_: Avx2, lanes: &[f32; 4]) -> Self {
+            // SAFETY: AVX2 was found, and there are four numbers to be read.
+            Self(unsafe { _mm256_cvtps_pd(_mm_loadu_ps(lanes.as_ptr())) })
+        }
+        #[inline(always)]
+        fn floats(self) -> [f32; 4] {
+            // SAFETY: AVX2 was found.
+            bytemuck::cast(unsafe { _mm256_cvtpd_ps(self.0) })
+        }
+        #[inline(always)]
+        fn columns([a, b, c, d]: [Self; 4]) -> [Self; 4] {
+            // SAFETY: AVX2 was found.
+            unsafe {
+                let (ab, cd) = (_mm256_unpacklo_pd(a.0, b.0), _mm256_unpacklo_pd(c.0, d.0));
+                let (ab_odd, cd_odd) = (_mm256_unpackhi_pd(a.0, b.0), _mm256_unpackhi_pd(c.0, d.0));
+                [
+                    Self(_mm256_permute2f128_pd::<0x20>(ab, cd)),
+                    Self(_mm256_permute2f128_pd::<0x20>(ab_odd, cd_odd)),
+                    Self(_mm256_permute2f128_pd::<0x31>(ab, cd)),
+                    Self(_mm256_permute2f128_pd::<0x31>(ab_odd, cd_odd)),
+                ]
+            }
+        }
+    }
+}

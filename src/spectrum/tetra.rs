@@ -1,0 +1,277 @@
+//! What a tetrahedron contributes at the knots in its range.
+//!
+//! With the corner values in order, f0 <= f1 <= f2 <= f3, and `d01 = 1 / (f1 - f0)` and so on, let at an isovalue v be
+//!
+//! ```text
+//!   a   = (v - f0)·d01, at most 1      c   = (f3 - v)·d23, 1 up to f2, at least 0      t03 = (v - f0)·d03
+//!   t02 = (v - f0)·d02, at most 1      s13 = (f3 - v)·d13                              t12 = (v - f1)·d12, from 0 to 1
+//!   w   = a · c · (t02 + t12·(s13 - t02))
+//! ```
+//!
+//! Then the density of the volume over the values is `3·d03·w`, whichever of the three parabolas holds: below f1 the last factor is t02, above f2 it is s13.
+//! The share of the volume above v is `(1 - t03)·w` above f2, and `1 - (t12·(1 - s13) + t03·w)` up to there: the wedge below is three tetrahedra.
+//! Where two values are equal, the one over their difference is a number so large that the clamps do what the limit does, and no
+//! product overflows: differences of `f32` are at least 2^-149. So there is no branch, no NaN, and above f3 all is 0.
+//!
+//! The six quotients of a tetrahedron cost one division: each is the product of what is not its own over the product of all six, which
+//! is between 2^-894 and 2^774.
+
+use crate::exec::lanes::{Four, Wide, four, sorted, three};
+use crate::mesh::tet::Tet;
+
+/// Tetrahedra that are looked at together.
+pub(super) const BATCH: usize = 32;
+/// Knots that are looked at together.
+pub(super) const KNOTS: usize = 8;
+
+/// Tetrahedra, column by column, four by four.
+type Column = [[f64; 4]; BATCH / 4];
+
+/// What of a tetrahedron does not depend on values.
+#[derive(Default)]
+pub(super) struct Shapes {
+    /// The cross products of the edges from the first corner: those without the edge to the second, third, fourth corner.
+    normals: [[Column; 3]; 3],
+    /// Six times the volume, and one over that, or 0.
+    six: Column,
+    inverse: Column,
+}
+
+/// What of that four tetrahedra need, or one in four lanes.
+#[derive(Clone, Copy)]
+pub(super) struct Shape<W> {
+    normals: [[W; 3]; 3],
+    six: W,
+    inverse: W,
+}
+
+impl Shapes {
+    /// Of at most [`BATCH`] tetrahedra.
+    #[inline(always)]
+    pub(super) fn look<W: Four>(&mut self, proof: W::Proof, places: &[[f64; 4]], tets: &[Tet]) {
+        let (zero, one) = (W::splat(proof, 0.0), W::splat(proof, 1.0));
+        for (n, four) in tets.chunks(4).enumerate() {
+            // Of less than four, the last one again.
+            let four = [0, 1, 2, 3].map(|k| four[k.min(four.len() - 1)]);
+            let a = corners::<W>(proof, places, &four, 0);
+            let b = edge(proof, places, &four, 1, &a);
+            let c = edge(proof, places, &four, 2, &a);
+            let d = edge(proof, places, &four, 3, &a);
+            let six = dot(b, cross(c, d));
+            let six = six.max(zero.minus(six));
+            self.put(0, n, cross(c, d));
+            self.put(1, n, cross(d, b));
+            self.put(2, n, cross(b, c));
+            self.six[n] = six.lanes();
+            self.inverse[n] = W::pick(zero.below(six), one.over(six), zero).lanes();
+        }
+    }
+
+    #[inline(always)]
+    fn put<W: Four>(&mut self, normal: usize, n: usize, [x, y, z]: [W; 3]) {
+        let [to_x, to_y, to_z] = &mut self.normals[normal];
+        (to_x[n], to_y[n], to_z[n]) = (x.lanes(), y.lanes(), z.lanes());
+    }
+
+    /// The n-th four.
+    #[inline(always)]
+    pub(super) fn four<W: Four>(&self, proof: W::Proof, n: usize) -> Shape<W> {
+        self.map(
+            #[inline(always)]
+            |column| W::of(proof, &column[n]),
+        )
+    }
+
+    /// The i-th, in all lanes.
+    #[inline(always)]
+    pub(super) fn one<W: Four>(&self, proof: W::Proof, i: usize) -> Shape<W> {
+        self.map(
+            #[inline(always)]
+            |column| W::splat(proof, column[i / 4][i % 4]),
+        )
+    }
+
+    #[inline(always)]
+    fn map<W: Four>(&self, of: impl Fn(&Column) -> W) -> Shape<W> {
+        let [[a, b, c], [d, e, f], [g, h, i]] = &self.normals;
+        Shape {
+            normals: [[of(a), of(b), of(c)], [of(d), of(e), of(f)], [of(g), of(h), of(i)]],
+            six: of(&self.six),
+            inverse: of(&self.inverse),
+        }
+    }
+}
+
+/// A corner of each of four tetrahedra.
+#[inline(always)]
+fn corners<W: Four>(proof: W::Proof, places: &[[f64; 4]], tets: &[Tet; 4], corner: usize) -> [W; 4] {
+    four(
+        #[inline(always)]
+        |i| W::of(proof, &places[tets[i][corner] as usize]),
+    )
+}
+
+/// From corner a to another one.
+#[inline(always)]
+fn edge<W: Four>(
+    proof: W::Proof,
+    places: &[[f64; 4]],
+    tets: &[Tet; 4],
+    corner: usize,
+    from: &[W; 4],
+) -> [W; 3] {
+    let to = corners::<W>(proof, places, tets, corner);
+    let [x, y, z, _] = W::columns(four(
+        #[inline(always)]
+        |i| to[i].minus(from[i]),
+    ));
+    [x, y, z]
+}
+
+/// What the sums at the knots are made from: numbers that [`Pieces`] names, each of four tetrahedra, or of one at four steps.
+pub(super) type PiecesOfFour = [[f64; 4]; 13];
+/// Which of them the volume is.
+pub(super) const VOLUME: usize = 10;
+
+impl<W: Four> Shape<W> {
+    /// Of tetrahedra with these corner values.
+    #[inline(always)]
+    pub(super) fn pieces(&self, proof: W::Proof, values: [W; 4], out: &mut PiecesOfFour) {
+        let [a, b, c, d] = values;
+        let d = [b.minus(a), c.minus(a), d.minus(a)];
+        // Six times the volume times the gradient.
+        let gradient = three(
+            #[inline(always)]
+            |k| dot(d, [self.normals[0][k], self.normals[1][k], self.normals[2][k]]),
+        );
+        let length = dot(gradient, gradient).root();
+        let area = length.times(W::splat(proof, 0.5));
+        let slope = area.times(length.times(self.inverse));
+        let [f0, f1, f2, f3] = sorted(values);
+        let least = W::splat(proof, LEAST);
+        let (d01, d02, d03) = (f1.minus(f0).max(least), f2.minus(f0).max(least), f3.minus(f0).max(least));
+        let (d12, d13, d23) = (f2.minus(f1).max(least), f3.minus(f1).max(least), f3.minus(f2).max(least));
+        let (outer, low, high) = (d01.times(d23), d02.times(d03), d12.times(d13));
+        let inner = low.times(high);
+        let all = W::splat(proof, 1.0).over(outer.times(inner));
+        let (of_outer, of_inner) = (all.times(inner), all.times(outer));
+        let (of_low, of_high) = (of_inner.times(high), of_inner.times(low));
+        // One over the difference of f0 and f3.
+        let steep = of_low.times(d02);
+        // One by one: an array of all would be made elsewhere, and copied.
+        out[0] = f0.lanes();
+        out[1] = f1.lanes();
+        out[2] = f2.lanes();
+        out[3] = f3.lanes();
+        out[4] = of_outer.times(d23).lanes();
+        out[5] = of_low.times(d03).lanes();
+        out[6] = steep.lanes();
+        out[7] = of_high.times(d13).lanes();
+        out[8] = of_high.times(d12).lanes();
+        out[9] = of_outer.times(d01).lanes();
+        out[10] = self.six.times(W::splat(proof, 1.0 / 6.0)).lanes();
+        out[11] = area.times(steep).lanes();
+        out[12] = slope.times(steep).lanes();
+    }
+}
+
+/// The least difference of two `f32`.
+const LEAST: f64 = f64::from_bits((1023 - 149) << 52);
+
+#[inline(always)]
+fn cross<W: Wide>(u: [W; 3], v: [W; 3]) -> [W; 3] {
+    let ([ux, uy, uz], [vx, vy, vz]) = (u, v);
+    [uy.times(vz).minus(uz.times(vy)), uz.times(vx).minus(ux.times(vz)), ux.times(vy).minus(uy.times(vx))]
+}
+
+#[inline(always)]
+fn dot<W: Wide>(u: [W; 3], v: [W; 3]) -> W {
+    u[0].times(v[0]).plus(u[1].times(v[1])).plus(u[2].times(v[2]))
+}
+
+/// Sums at some knots that follow each other.
+#[derive(Clone, Copy, Default)]
+#[repr(C, align(64))]
+pub(super) struct Cut {
+    pub(super) area: [f64; KNOTS],
+    /// Volume inside.
+    pub(super) inside: [f64; KNOTS],
+    /// Gradient times area.
+    pub(super) slope: [f64; KNOTS],
+}
+
+/// What of a tetrahedron the sums are made from, in all lanes.
+pub(super) struct Pieces<W> {
+    f0: W,
+    f1: W,
+    f2: W,
+    f3: W,
+    d01: W,
+    d02: W,
+    d03: W,
+    d12: W,
+    d13: W,
+    d23: W,
+    volume: W,
+    /// The density times the volume times the gradient; that times the gradient.
+    area: W,
+    slope: W,
+}
+
+impl<W: Wide> Pieces<W> {
+    /// Of one of four.
+    #[inline(always)]
+    pub(super) fn new(proof: W::Proof, four: &PiecesOfFour, lane: usize) -> Self {
+        let [f0, f1, f2, f3, d01, d02, d03, d12, d13, d23, volume, area, slope] = four;
+        Self {
+            f0: W::splat(proof, f0[lane]),
+            f1: W::splat(proof, f1[lane]),
+            f2: W::splat(proof, f2[lane]),
+            f3: W::splat(proof, f3[lane]),
+            d01: W::splat(proof, d01[lane]),
+            d02: W::splat(proof, d02[lane]),
+            d03: W::splat(proof, d03[lane]),
+            d12: W::splat(proof, d12[lane]),
+            d13: W::splat(proof, d13[lane]),
+            d23: W::splat(proof, d23[lane]),
+            volume: W::splat(proof, volume[lane]),
+            area: W::splat(proof, area[lane]),
+            slope: W::splat(proof, slope[lane]),
+        }
+    }
+
+    /// Adds what the tetrahedron has at some knots, of which the first is above its least value, and the first `count` are in its range. What it has
+    /// at others is 0.
+    #[inline(always)]
+    pub(super) fn add(&self, proof: W::Proof, knots: &[f64; KNOTS], count: usize, sums: &mut Cut) {
+        let knots: &[W::Lanes] = bytemuck::cast_slice(knots);
+        let area: &mut [W::Lanes] = bytemuck::cast_slice_mut(&mut sums.area);
+        let inside: &mut [W::Lanes] = bytemuck::cast_slice_mut(&mut sums.inside);
+        let slope: &mut [W::Lanes] = bytemuck::cast_slice_mut(&mut sums.slope);
+        let lanes = KNOTS / knots.len();
+        for (n, knots) in knots.iter().enumerate() {
+            if n > 0 && n * lanes >= count {
+                break;
+            }
+            let (density, above) = self.at(proof, W::of(proof, knots));
+            area[n] = W::of(proof, &area[n]).plus(self.area.times(density)).lanes();
+            inside[n] = W::of(proof, &inside[n]).plus(self.volume.times(above)).lanes();
+            slope[n] = W::of(proof, &slope[n]).plus(self.slope.times(density)).lanes();
+        }
+    }
+
+    /// See the module: w, and the share of the volume above.
+    #[inline(always)]
+    fn at(&self, proof: W::Proof, v: W) -> (W, W) {
+        let (zero, one) = (W::splat(proof, 0.0), W::splat(proof, 1.0));
+        let (t, s) = (v.minus(self.f0), self.f3.minus(v));
+        let high = self.f2.below(v);
+        let a = t.times(self.d01).min(one);
+        let c = W::pick(high, s.times(self.d23).max(zero), one);
+        let (t02, t03, s13) = (t.times(self.d02).min(one), t.times(self.d03), s.times(self.d13));
+        let t12 = v.minus(self.f1).times(self.d12).max(zero).min(one);
+        let w = a.times(c).times(t02.plus(t12.times(s13.minus(t02))));
+        let below = t12.times(one.minus(s13)).plus(t03.times(w));
+        (w, W::pick(high, one.minus(t03).times(w), one.minus(below)))
+    }
+}
