@@ -13,7 +13,6 @@ mod limits;
 mod progress;
 mod reorder;
 mod vectors;
-mod wide;
 
 pub(crate) use ahead::will_read;
 pub use budget::{MemoryBudget, Permit};
@@ -22,9 +21,6 @@ pub use limits::usable_memory;
 pub use progress::{Progress, Silent};
 pub use reorder::Reorder;
 pub(crate) use vectors::{Avx2, Avx512, with_avx512, with_vectors};
-#[cfg(target_arch = "x86_64")]
-pub(crate) use wide::Vector;
-pub(crate) use wide::{Plain, Wide};
 
 use crate::error::{Error, Result};
 

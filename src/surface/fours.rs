@@ -3,7 +3,7 @@
 //! The formulas are those of [`super::marching_tets`]; each is evaluated in one order.
 
 use super::WorldMap;
-use crate::exec::Wide;
+use crate::exec::lanes::Four;
 
 /// A corner: its position in lattice steps, and its value.
 pub(super) type Corner = [f64; 4];
@@ -16,7 +16,7 @@ pub(super) type Gradient = [f64; 4];
 /// The gradients of four tetrahedra, V > 0, whose corners are sorted; `signs` is -1 where that is an odd order. Differences and
 /// cross products of lattice positions are exact; the rest is rounded.
 #[inline(always)]
-pub(super) fn gradients<W: Wide>(
+pub(super) fn gradients<W: Four>(
     proof: W::Proof,
     tets: [[&Corner; 4]; 4],
     signs: &[f64; 4],
@@ -37,14 +37,14 @@ pub(super) fn gradients<W: Wide>(
     let [x, y, z] = sizes(proof, along);
     // Nothing is added but where a component is infinite or NaN.
     let largest = largest([x, y, z]).plus(x.plus(y).plus(z).times(W::splat(proof, 0.0)));
-    let [a, b, c, d] = W::turned([along[0], along[1], along[2], largest]);
+    let [a, b, c, d] = W::columns([along[0], along[1], along[2], largest]);
     [a.lanes(), b.lanes(), c.lanes(), d.lanes()]
 }
 
 /// From the first to the second end of four edges, as columns.
 #[inline(always)]
-fn edges<W: Wide>(proof: W::Proof, [a, b, c, d]: [[&Corner; 2]; 4]) -> [W; 4] {
-    W::turned([
+fn edges<W: Four>(proof: W::Proof, [a, b, c, d]: [[&Corner; 2]; 4]) -> [W; 4] {
+    W::columns([
         W::of(proof, a[1]).minus(W::of(proof, a[0])),
         W::of(proof, b[1]).minus(W::of(proof, b[0])),
         W::of(proof, c[1]).minus(W::of(proof, c[0])),
@@ -53,7 +53,7 @@ fn edges<W: Wide>(proof: W::Proof, [a, b, c, d]: [[&Corner; 2]; 4]) -> [W; 4] {
 }
 
 #[inline(always)]
-fn cross<W: Wide>(a: [W; 4], b: [W; 4]) -> [W; 3] {
+fn cross<W: Four>(a: [W; 4], b: [W; 4]) -> [W; 3] {
     [
         a[1].times(b[2]).minus(a[2].times(b[1])),
         a[2].times(b[0]).minus(a[0].times(b[2])),
@@ -62,20 +62,19 @@ fn cross<W: Wide>(a: [W; 4], b: [W; 4]) -> [W; 3] {
 }
 
 #[inline(always)]
-fn sizes<W: Wide>(proof: W::Proof, [x, y, z]: [W; 3]) -> [W; 3] {
-    let size = W::splat(proof, f64::from_bits(!(1 << 63)));
-    [x.and(size), y.and(size), z.and(size)]
+fn sizes<W: Four>(proof: W::Proof, [x, y, z]: [W; 3]) -> [W; 3] {
+    let zero = W::splat(proof, 0.0);
+    [x.max(zero.minus(x)), y.max(zero.minus(y)), z.max(zero.minus(z))]
 }
 
 #[inline(always)]
-fn largest<W: Wide>([x, y, z]: [W; 3]) -> W {
-    let largest = y.below(x).pick(x, y);
-    z.below(largest).pick(largest, z)
+fn largest<W: Four>([x, y, z]: [W; 3]) -> W {
+    x.max(y).max(z)
 }
 
 /// The powers of two that take |df| |b - a|² of edges to 2^28 … 2^29 (exactly so: only the exponents' bits are looked at).
 #[inline(always)]
-pub(super) fn units<W: Wide>(proof: W::Proof, ends: [[&Corner; 2]; 4]) -> [f64; 4] {
+pub(super) fn units<W: Four>(proof: W::Proof, ends: [[&Corner; 2]; 4]) -> [f64; 4] {
     let d = edges::<W>(proof, ends);
     let length2 = d[0].times(d[0]).plus(d[1].times(d[1])).plus(d[2].times(d[2]));
     let mut units = d[3].times(length2).lanes();
@@ -90,14 +89,14 @@ pub(super) fn units<W: Wide>(proof: W::Proof, ends: [[&Corner; 2]; 4]) -> [f64; 
 
 /// Where the surface crosses edges, in the world.
 #[inline(always)]
-pub(super) fn crossings<W: Wide>(
+pub(super) fn crossings<W: Four>(
     proof: W::Proof,
     ends: [[&Corner; 2]; 4],
     isovalue: f32,
     world: &WorldMap,
 ) -> [[f32; 3]; 4] {
     let [a, b, c, d] = ends;
-    let p = W::turned([W::of(proof, a[0]), W::of(proof, b[0]), W::of(proof, c[0]), W::of(proof, d[0])]);
+    let p = W::columns([W::of(proof, a[0]), W::of(proof, b[0]), W::of(proof, c[0]), W::of(proof, d[0])]);
     let edge = edges::<W>(proof, ends);
     let t = parameter(proof, W::splat(proof, f64::from(isovalue)).minus(p[3]).over(edge[3]));
     let mut index = [t; 3];
@@ -109,7 +108,7 @@ pub(super) fn crossings<W: Wide>(
         let x = W::splat(proof, world.axes[0][k]).times(index[0]);
         let y = W::splat(proof, world.axes[1][k]).times(index[1]);
         let z = W::splat(proof, world.axes[2][k]).times(index[2]);
-        let column = x.plus(y).plus(z).plus(W::splat(proof, origin)).narrow();
+        let column = x.plus(y).plus(z).plus(W::splat(proof, origin)).floats();
         for (position, x) in positions.iter_mut().zip(column) {
             position[k] = x;
         }
@@ -119,18 +118,17 @@ pub(super) fn crossings<W: Wide>(
 
 /// The part of an edge at which the surface crosses it, not too close to its ends.
 #[inline(always)]
-fn parameter<W: Wide>(proof: W::Proof, t: W) -> W {
+fn parameter<W: Four>(proof: W::Proof, t: W) -> W {
     const LEAST: f64 = 1.0 / 1024.0;
     let (least, most) = (W::splat(proof, LEAST), W::splat(proof, 1.0 - LEAST));
     // Two infinities leave no number; the middle is as good as any point.
-    let t = t.up_to(t).pick(t, W::splat(proof, 0.5));
-    let t = t.below(least).pick(least, t);
-    most.below(t).pick(most, t)
+    let t = W::pick(t.is_number(), t, W::splat(proof, 0.5));
+    most.min(least.max(t))
 }
 
 /// The unit world vectors of minus four lattice covectors; `None` of those that have no direction.
 #[inline(always)]
-pub(super) fn normals<W: Wide>(
+pub(super) fn normals<W: Four>(
     proof: W::Proof,
     gradients: &[[i64; 3]; 4],
     world: &WorldMap,
@@ -158,7 +156,7 @@ pub(super) fn normals<W: Wide>(
     let scale = W::of(proof, &scale);
     let [x, y, z] = [along[0].times(scale), along[1].times(scale), along[2].times(scale)];
     let inverse = W::splat(proof, 1.0).over(x.times(x).plus(y.times(y)).plus(z.times(z)).root());
-    let [x, y, z] = [x.times(inverse).narrow(), y.times(inverse).narrow(), z.times(inverse).narrow()];
+    let [x, y, z] = [x.times(inverse).floats(), y.times(inverse).floats(), z.times(inverse).floats()];
     let mut normals = [None; 4];
     for v in 0..4 {
         if WorldMap::has_direction(largest[v]) {
@@ -171,7 +169,8 @@ pub(super) fn normals<W: Wide>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::exec::{Avx2, Plain};
+    use crate::exec::Avx2;
+    use crate::exec::lanes::Plain;
     use crate::geom::Lattice;
     use crate::surface::testing::mirrored;
     use proptest::prelude::*;
@@ -194,7 +193,7 @@ mod tests {
         ) {
             #[cfg(target_arch = "x86_64")]
             if let Some(proof) = Avx2::found() {
-                use crate::exec::Vector;
+                use crate::exec::lanes::Vector;
                 let world = WorldMap::new(&Lattice::new([9, 9, 9]).unwrap(), &mirrored());
                 let tets: [[&Corner; 4]; 4] = std::array::from_fn(|t| std::array::from_fn(|i| &corners[4 * t + i]));
                 let edges = tets.map(|t| [t[0], t[1]]);

@@ -71,8 +71,9 @@ use super::fours;
 use super::patch::{self, Patch};
 use super::{Vertex, WorldMap};
 #[cfg(target_arch = "x86_64")]
-use crate::exec::Vector;
-use crate::exec::{Avx2, Plain, Wide, with_vectors};
+use crate::exec::lanes::Vector;
+use crate::exec::lanes::{Four, Plain};
+use crate::exec::{Avx2, with_vectors};
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;
 
@@ -221,7 +222,7 @@ impl ChunkSurface {
     }
 
     #[inline(always)]
-    fn add_patches<W: Wide>(
+    fn add_patches<W: Four>(
         &mut self,
         proof: W::Proof,
         cells: &CellSource<'_>,
@@ -274,7 +275,7 @@ impl ChunkSurface {
 
     /// Adds the new vertices, with normals where their gradients are known; until then a normal is what [`along_edge`] takes.
     #[inline(always)]
-    fn append_vertices<W: Wide>(&mut self, proof: W::Proof, world: &WorldMap) {
+    fn append_vertices<W: Four>(&mut self, proof: W::Proof, world: &WorldMap) {
         let Joined { vertices, new, alone, first } = &self.joined;
         self.patch.append_vertices::<W>(proof, new, self.isovalue, world, &mut self.vertices);
         let vertex = |edge: u16| vertices[usize::from(edge)] as usize;

@@ -31,7 +31,7 @@ use super::cases::CASES;
 use super::fours::{self, Corner, Gradient};
 use super::marching_tets::{CellSource, Sorted};
 use super::{Vertex, WorldMap};
-use crate::exec::Wide;
+use crate::exec::lanes::Four;
 use crate::mesh::tet::Tet;
 
 /// Corners of a patch, at most: their numbers have a byte.
@@ -128,7 +128,7 @@ fn ends_of(edge: u16) -> [u8; 2] {
 impl Patch {
     /// The surface of the first ones of some active tetrahedra; tells how many.
     #[inline(always)]
-    pub(super) fn make<W: Wide>(
+    pub(super) fn make<W: Four>(
         &mut self,
         proof: W::Proof,
         cells: &CellSource<'_>,
@@ -219,7 +219,7 @@ impl Patch {
     }
 
     #[inline(always)]
-    fn find_gradients<W: Wide>(&mut self, proof: W::Proof) {
+    fn find_gradients<W: Four>(&mut self, proof: W::Proof) {
         self.gradients.clear();
         for four in self.tets.chunks(4) {
             let mut corners = [[&self.at[0]; 4]; 4];
@@ -235,7 +235,7 @@ impl Patch {
     }
 
     #[inline(always)]
-    fn find_units<W: Wide>(&mut self, proof: W::Proof) {
+    fn find_units<W: Four>(&mut self, proof: W::Proof) {
         self.edges.units.clear();
         for four in self.edges.ends.chunks(4) {
             let mut ends = [self.at_ends(four[0]); 4];
@@ -314,7 +314,7 @@ impl Patch {
 
     /// Appends the vertices of edges, without normals.
     #[inline(always)]
-    pub(super) fn append_vertices<W: Wide>(
+    pub(super) fn append_vertices<W: Four>(
         &self,
         proof: W::Proof,
         edges: &[u16],
