@@ -13,7 +13,7 @@
 //!
 //! The room of a chunk follows from the number of points of its region (core and halo), which the point set tells without
 //! listing them. If the budget does not hold as many chunks as there are threads, fewer run. A chunk whose halo must be
-//! widened beyond its room waits until it is alone and has all of them ([`super::work`]). The index is built in what memory there
+//! widened beyond its room waits until it is alone and has all of them ([`super::make`]). The index is built in what memory there
 //! is; what does not fit is sorted in the scratch folder.
 
 use super::gauge;

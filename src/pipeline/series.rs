@@ -19,14 +19,16 @@ use super::field::Field;
 use super::gauge::{Gauge, Samples};
 use super::job::RunSettings;
 use super::layout::Layout;
+use super::make::Rooms;
 use super::measure::{MeasureSettings, field_errors};
 use super::need::Shares;
 use super::open::OpenArchive;
 use super::plan::{MeshParts, Plan};
 use super::reduce::grid_coordinates;
+use super::sink;
 use super::spectrum::Meter;
 use super::steps::StepChoice;
-use super::work::{self, Rooms, StageTimes, StepWork, Stored, Work};
+use super::work::{self, StageTimes, StepWork, Stored, Work};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step, StepPlan};
 use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
@@ -226,11 +228,11 @@ impl Making<'_> {
         let (mut made, mut next) = (Outcome::default(), 0);
         made.coordinates = self.coordinates(series)?;
         let hash = series.plan.mesh_hash();
-        let mut has_mesh = self.old.is_some() || work::has_mesh(hash, self.layout, &self.segments);
+        let mut has_mesh = self.old.is_some() || sink::has_mesh(hash, self.layout, &self.segments);
         while next < series.plan.steps.len() {
             let is_there = |series: &SeriesPlan, n: usize| {
                 let (step, hash) = (&series.plan.steps[n], series.plan.step_hash(n));
-                has_mesh && work::has_values(step, hash, self.layout, &self.segments)
+                has_mesh && sink::has_values(step, hash, self.layout, &self.segments)
             };
             if is_there(series, next) {
                 next += 1;

@@ -1,0 +1,300 @@
+//! What is written of one chunk: meshed, sampled, measured, encoded.
+//!
+//! Each chunk at work has a room of its own. One that outgrows it (its halo had to be widened) drops all it has and starts again when no other is
+//! at work, with the rooms of all.
+//!
+//! Of a series, the values of several steps are made while the mesh of a chunk is there: sampled, encoded against those of the step
+//! before, ranges measured. Where an earlier pass has made the mesh, it is decoded instead, and so are the values before the first step.
+
+use super::chunk::{Maker, MeshedChunk, Meshing};
+use super::field::Placement;
+use super::gauge::Cells;
+use super::need::Halo;
+use super::series::of_step;
+use super::sides::Sides;
+use super::work::{StageTimes, Stored, Work};
+use crate::archive::chunk::{ChunkEncoder, ChunkVertices, EncodedChunk};
+use crate::archive::errors::{ChunkErrors, encode_errors};
+use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
+use crate::archive::values::encode_values;
+use crate::error::{Error, Result};
+use crate::geom::LatticePos;
+use crate::geom::predicates::signed_volume6;
+use crate::grid::Chunk;
+use crate::mesh::tet::Tet;
+use std::sync::{Mutex, PoisonError, RwLock};
+use std::time::{Duration, Instant};
+
+/// A chunk ready to be written.
+pub(super) struct Product {
+    pub(super) points: u64,
+    /// Empty where the mesh is there already.
+    pub(super) mesh_blocks: Vec<Vec<u8>>,
+    /// Of each step.
+    pub(super) value_blocks: Vec<Vec<Vec<u8>>>,
+    pub(super) times: StageTimes,
+}
+
+/// The working memory that chunks take turns in.
+#[derive(Default)]
+pub(crate) struct Rooms {
+    /// The memory of workers between two chunks.
+    desks: Mutex<Vec<Desk>>,
+    /// Held shared by chunks at work, alone by a chunk that needs the rooms of all.
+    turn: RwLock<()>,
+}
+
+/// Memory that a worker keeps from chunk to chunk.
+#[derive(Default)]
+struct Desk {
+    maker: Maker,
+    encoder: ChunkEncoder,
+}
+
+impl Rooms {
+    fn take_desk(&self) -> Desk {
+        self.desks.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+    }
+
+    fn put_desk(&self, desk: Desk) {
+        self.desks.lock().unwrap_or_else(PoisonError::into_inner).push(desk);
+    }
+
+    fn drop_desks(&self) {
+        self.desks.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    }
+}
+
+/// Makes a chunk in a room of its own; if that is too small, in the rooms of all.
+pub(super) fn make_chunk(work: &Work<'_>, chunk: &Chunk) -> Result<Product> {
+    let retries = {
+        let _together = work.rooms.turn.read().unwrap_or_else(PoisonError::into_inner);
+        let mut desk = work.rooms.take_desk();
+        match make_in_room(work, chunk, &mut desk, 0, work.shares.room)? {
+            Making::Done(product) => {
+                work.rooms.put_desk(desk);
+                return Ok(product);
+            }
+            Making::NeedsRoom { retries, .. } => retries,
+        }
+    };
+    let _alone = work.rooms.turn.write().unwrap_or_else(PoisonError::into_inner);
+    work.rooms.drop_desks();
+    match make_in_room(work, chunk, &mut Desk::default(), retries, work.shares.room_alone())? {
+        Making::Done(product) => Ok(product),
+        Making::NeedsRoom { bytes, .. } => Err(Error::Budget {
+            what: format!(
+                "memory (chunk {} needs a wide halo; smaller --chunk-points need less)",
+                chunk.id.0
+            ),
+            needed: work.shares.memory_for(bytes),
+            available: work.shares.memory_for(work.shares.room_alone()),
+        }),
+    }
+}
+
+/// As [`Meshing`].
+enum Making {
+    Done(Product),
+    NeedsRoom { retries: u32, bytes: u64 },
+}
+
+fn make_in_room(
+    work: &Work<'_>,
+    chunk: &Chunk,
+    desk: &mut Desk,
+    first_try: u32,
+    room: u64,
+) -> Result<Making> {
+    let mut times = StageTimes::default();
+    let mut lap = Lap(Instant::now());
+    if let Some(stored) = &work.stored {
+        let again = match work.recipe.halo {
+            Halo::Owned => None,
+            // What values are fitted to is not stored: it is made again.
+            Halo::Stars => match desk.maker.mesh(work.recipe, chunk, first_try, room, work.cancel)? {
+                Meshing::Done(mesh) => Some(mesh),
+                Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
+            },
+        };
+        return make_from_stored(work, stored, chunk, again).map(Making::Done);
+    }
+    let mut mesh = match desk.maker.mesh(work.recipe, chunk, first_try, room, work.cancel)? {
+        Meshing::Done(mesh) => mesh,
+        Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
+    };
+    lap.add_to(&mut times.mesh);
+    let mut placement = note(work, 0, work.steps[0].field.place(&mesh))?;
+    let outside6 = drop_outside(&mut mesh, &mut placement);
+    lap.add_to(&mut times.sample);
+    let (encoded, summary) = encode_mesh(work, &mut desk.encoder, &mut mesh, outside6);
+    let ends = encoded.block_ends();
+    lap.add_to(&mut times.encode);
+    let value_blocks = encode_steps(work, &mesh, &placement, None, (encoded.tets(), &ends), &mut times)?;
+    let (mut mesh_blocks, tets) = encoded.into_parts();
+    desk.maker.reuse(mesh.positions, tets);
+    mesh_blocks.push(summary.encode());
+    Ok(Making::Done(Product { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
+}
+
+/// The values of steps on a mesh that is there; `again` is that of the chunk with what is around it, where values ask for that.
+fn make_from_stored(
+    work: &Work<'_>,
+    stored: &Stored<'_>,
+    chunk: &Chunk,
+    again: Option<MeshedChunk>,
+) -> Result<Product> {
+    let mut times = StageTimes::default();
+    let mut lap = Lap(Instant::now());
+    let (mut mesh, ends) = stored.archive.stored_mesh(chunk.id)?;
+    let place = |mesh: &MeshedChunk| note(work, 0, work.steps[0].field.place(mesh));
+    let placement = match again {
+        // Of a mesh in which nothing lies outside any more.
+        None => place(&mesh)?,
+        Some(mut whole) => {
+            let mut placement = place(&whole)?;
+            drop_outside(&mut whole, &mut placement);
+            mesh.around = whole.around;
+            placement
+        }
+    };
+    lap.add_to(&mut times.sample);
+    let vertices = mesh.positions.len();
+    let before = stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
+    lap.add_to(&mut times.mesh);
+    let value_blocks =
+        encode_steps(work, &mesh, &placement, before.as_deref(), (&mesh.tets, &ends), &mut times)?;
+    Ok(Product { points: mesh.core_len() as u64, mesh_blocks: vec![], value_blocks, times })
+}
+
+/// Adds up what a stage takes.
+struct Lap(Instant);
+
+impl Lap {
+    fn add_to(&mut self, stage: &mut Duration) {
+        let now = Instant::now();
+        *stage += now - std::mem::replace(&mut self.0, now);
+    }
+}
+
+/// The values of a step, as they are stored.
+fn values_of(work: &Work<'_>, n: usize, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
+    let step = &work.steps[n];
+    let mut values = note(work, n, step.field.values(mesh, placement))?;
+    if let Some(quantiser) = &step.plan.quantiser {
+        values.iter_mut().for_each(|v| *v = quantiser.round(*v));
+    }
+    Ok(values)
+}
+
+/// Notes a step whose data cannot be used.
+fn note<T>(work: &Work<'_>, n: usize, found: Result<T>) -> Result<T> {
+    let step = &work.steps[n];
+    let found = found.map_err(|e| if work.several { of_step(e, step.plan.number) } else { e });
+    if let Err(e @ (Error::BadInput { .. } | Error::Io { .. })) = &found {
+        let mut bad = work.bad_steps.lock().unwrap_or_else(PoisonError::into_inner);
+        bad.entry(n).or_insert_with(|| e.to_string());
+    }
+    found
+}
+
+/// Samples, measures and encodes all steps: the blocks of each, values, errors, part of the spectrum, summary. `before` are the values
+/// of the first one's base; tetrahedra are those of all blocks, as they decode, with the end of each block.
+fn encode_steps(
+    work: &Work<'_>,
+    mesh: &MeshedChunk,
+    placement: &Placement,
+    before: Option<&[f32]>,
+    (tets, block_ends): (&[Tet], &[usize]),
+    times: &mut StageTimes,
+) -> Result<Vec<Vec<Vec<u8>>>> {
+    let mut lap = Lap(Instant::now());
+    let of_step = |n| work.cancel.check().and_then(|()| values_of(work, n, mesh, placement));
+    let values = (0..work.steps.len()).map(of_step).collect::<Result<Vec<_>>>()?;
+    lap.add_to(&mut times.sample);
+    let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
+    let sides = Sides::new(&of_steps);
+    let errors = errors(work, &Cells { positions: &mesh.positions, tets, block_ends }, &sides)?;
+    lap.add_to(&mut times.measure);
+    let ranges = sides.ranges(tets, block_ends);
+    drop(sides);
+    let of_steps: Vec<(&[f32], &[BlockRange])> =
+        of_steps.into_iter().zip(&ranges).map(|(values, ranges)| (values, &**ranges)).collect();
+    let parts = work.meter.parts(&mesh.positions, tets, &of_steps)?;
+    let (mut out, mut before) = (vec![], before);
+    for (n, ((step, part), ranges)) in work.steps.iter().zip(&parts).zip(ranges).enumerate() {
+        work.cancel.check()?;
+        let values = &*values[n];
+        let base = step.plan.base.map(|_| before.expect("a base is the step before"));
+        let mut encoded = encode_values(values, base, step.plan.quantiser.as_ref());
+        encoded.extend(errors.get(n).map(encode_errors));
+        encoded.push(part.encode());
+        encoded.push(ValueSummary::of(&values[..mesh.core_len()], ranges).encode());
+        out.push(encoded);
+        before = Some(values);
+    }
+    lap.add_to(&mut times.encode);
+    Ok(out)
+}
+
+/// The errors of each step in a chunk; none where they are not measured.
+fn errors(work: &Work<'_>, cells: &Cells<'_>, steps: &Sides<'_>) -> Result<Vec<ChunkErrors>> {
+    let Some((gauge, samples)) = &work.gauge else { return Ok(vec![]) };
+    let levels = work.recipe.points.levels().map(|levels| &**levels);
+    gauge.chunk_errors(cells, steps, levels, |n, window, out| note(work, n, samples[n].read(window, out)))
+}
+
+/// Removes the tetrahedra that lie outside of the data, and the halo points that only they use; tells the six-fold volume of the chunk's own.
+fn drop_outside(mesh: &mut MeshedChunk, placement: &mut Placement) -> i128 {
+    let outside = std::mem::take(&mut placement.outside);
+    if outside.is_empty() {
+        return 0;
+    }
+    let gone = mesh.tets.iter().zip(&outside).filter(|(_, gone)| **gone).map(|(t, _)| t);
+    let volume = volume6(&mesh.positions, gone);
+    let mut flags = outside.iter();
+    let mut stays = |_: &Tet| !flags.next().expect("a flag for each tetrahedron, those around last");
+    mesh.tets.retain(&mut stays);
+    mesh.around.tets.retain(&mut stays);
+    let before = mesh.drop_unused_halo();
+    placement.spots = before.iter().map(|&v| placement.spots[v as usize]).collect();
+    volume
+}
+
+fn volume6<'a>(positions: &[LatticePos], tets: impl Iterator<Item = &'a Tet>) -> i128 {
+    tets.map(|t| {
+        let [a, b, c, d] = t.map(|v| positions[v as usize]);
+        signed_volume6(a, b, c, d)
+    })
+    .sum()
+}
+
+/// A chunk's mesh, encoded, and its summary. Takes the tetrahedra, unless more than one step is to be surveyed on them.
+fn encode_mesh(
+    work: &Work<'_>,
+    encoder: &mut ChunkEncoder,
+    mesh: &mut MeshedChunk,
+    outside6: i128,
+) -> (EncodedChunk, MeshSummary) {
+    let mut summary = MeshSummary {
+        core: mesh.core_len() as u32,
+        halo: mesh.halo.len() as u32,
+        tet_blocks: 0,
+        retries: mesh.retries,
+        tets: mesh.tets.len() as u64,
+        volume6: volume6(&mesh.positions, mesh.tets.iter()),
+        outside6,
+    };
+    // Further steps ask for them, and so do values that are fitted to the samples in them.
+    let is_needed = work.steps.len() > 1 || work.recipe.halo == Halo::Stars;
+    let tets = if is_needed { mesh.tets.clone() } else { std::mem::take(&mut mesh.tets) };
+    let vertices = ChunkVertices {
+        core_counts: std::mem::take(&mut mesh.core_counts),
+        halo: std::mem::take(&mut mesh.halo),
+        shared: std::mem::take(&mut mesh.shared),
+    };
+    let encoded = encoder.encode(&vertices, &mesh.positions, tets, work.plan.block_tets);
+    ChunkVertices { core_counts: mesh.core_counts, halo: mesh.halo, shared: mesh.shared } = vertices;
+    summary.tet_blocks = encoded.tet_blocks() as u32;
+    (encoded, summary)
+}
