@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """A series of volumes: what a further step costs, and an isovalue of every step against VTK.
 
-usage: series.py [--isospan FILE] [--steps 100] [--size 256] [--batch 10] [--fraction 1/8] [--threads 2] [--folder FOLDER]
+usage: series.py [--isospan FILE] [--steps 100] [--size 256] [--batch 10] [--fraction 1/8] [--values fit|sample]
+                 [--threads 2] [--measure] [--folder FOLDER]
 
 Steps are f32 volumes of waves that drift and grow, made a batch at a time, reduced (the first batch) or appended, contoured by VTK
 (vtkFlyingEdges3D, read from the file by numpy's memory map), and removed again: the disk holds one batch. Needs numpy and vtk.
@@ -66,6 +67,7 @@ def main():
     p.add_argument("--size", type=int, default=256)
     p.add_argument("--batch", type=int, default=10)
     p.add_argument("--fraction", default="1/8")
+    p.add_argument("--values", choices=["fit", "sample"], default="sample", help="fitted values cost each step the same again")
     p.add_argument("--threads", default="2")
     p.add_argument("--isovalue", default="0.3")
     p.add_argument("--measure", action="store_true", help="measure each step against its samples")
@@ -73,6 +75,7 @@ def main():
     a = p.parse_args()
     folder = tempfile.mkdtemp(dir=a.folder)
     common = ["--threads", a.threads, "--json", "-q"] + ([] if a.measure else ["--no-measure"])
+    reduction = ["--fraction", a.fraction, "--values", a.values, *common]
     archive, vtk = os.path.join(folder, "series.isospan"), []
     try:
         for first in range(0, a.steps, a.batch):
@@ -83,9 +86,9 @@ def main():
             if first == 0:
                 # What the first step costs alone.
                 alone = os.path.join(folder, "alone.isospan")
-                one = run(a.isospan, "reduce", files[0], "-o", alone, "--fraction", a.fraction, *common)
+                one = run(a.isospan, "reduce", files[0], "-o", alone, *reduction)
                 shutil.rmtree(alone)
-                some = run(a.isospan, "reduce", *files, "-o", archive, "--fraction", a.fraction, *common)
+                some = run(a.isospan, "reduce", *files, "-o", archive, *reduction)
                 further = [(x - y) / (len(files) - 1) for x, y in zip(some[:2], one[:2])]
                 points = json.loads(one[2])["points"]
                 print(f"{a.size}^3, {points} points: first step {one[0]:.2f} s, CPU {one[1]:.2f} s")
