@@ -257,9 +257,15 @@ mod with_client {
         io::Error::new(kind, one_line(&error))
     }
 
-    /// A message: those of servers have line ends.
+    /// A message (those of servers have line ends), with its first cause, where it does not tell it.
     fn one_line(error: &dyn std::error::Error) -> String {
-        error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
+        let line = |e: &dyn std::error::Error| e.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+        let first = std::iter::successors(error.source(), |e| e.source()).last().map(line);
+        let message = line(error);
+        match first {
+            Some(cause) if !message.contains(&cause) => format!("{message}: {cause}"),
+            _ => message,
+        }
     }
 
     /// Runs a request to its end.
