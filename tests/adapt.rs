@@ -7,8 +7,7 @@ use common::*;
 use isospan::exec::Silent;
 use isospan::formats::OpenOptions;
 use isospan::pipeline::{
-    self, Adapt, Amount, Bound, LevelSummary, NanPolicy, ReduceSettings, RunSettings, Shard, Target,
-    check_archive, commit_shards, plan_shards, work_shard,
+    self, Adapt, Amount, Bound, LevelSummary, NanPolicy, ReduceSettings, RunSettings, Target, check_archive,
 };
 use isospan::points::SetKind;
 use isospan::sample::Values;
@@ -61,18 +60,13 @@ fn neither_chunks_nor_threads_show_where_the_density_differs() {
 #[test]
 fn shards_and_restarts_make_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
-    let (input, run) = (dir.path().join("ball.npy"), RunSettings { threads: 2, ..RunSettings::default() });
+    let input = dir.path().join("ball.npy");
     write_npy(&input, DIMS, ball);
     let settings = adapted(0.2, 150);
     let [whole, parts] = ["whole", "parts"].map(|n| dir.path().join(format!("{n}.isospan")));
     reduce(&input, &settings, &whole, 2);
     let expected = folder(&whole);
-    let sources = [isospan::formats::StepSource::new(&input, &OpenOptions::default())];
-    plan_shards(&sources, &settings, &parts, 2, &run, &Silent).unwrap();
-    for shard in [1, 0] {
-        work_shard(&parts, Shard::new(shard, 2).unwrap(), &run, &Silent).unwrap();
-    }
-    commit_shards(&parts, &run, &Silent).unwrap();
+    reduce_in_shards(&input, &settings, &parts);
     assert_eq!(folder(&parts), expected, "shards");
     // Killed before the manifest, and with a segment missing: the same command continues.
     let segments =

@@ -6,8 +6,8 @@ use common::*;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Adapt, Amount, AppendSettings, Bound, ReduceReport, ReduceSettings, RunSettings, Shard, Target,
-    append, check_archive, commit_shards, plan_shards, work_shard,
+    self, Adapt, Amount, AppendSettings, Bound, ReduceReport, ReduceSettings, RunSettings, Target, append,
+    check_archive,
 };
 use isospan::points::SetKind;
 use std::fs;
@@ -86,12 +86,7 @@ fn chunks_threads_memory_restarts_and_shards_do_not_show() {
     fs::remove_file(again.join("mesh/000000.seg")).unwrap();
     reduce(&input, &settings, &again, 2);
     assert_eq!(folder(&again), expected, "restart");
-    let sources = [StepSource::new(&input, &OpenOptions::default())];
-    plan_shards(&sources, &settings, &shards, 2, &run(2), &Silent).unwrap();
-    for shard in [1, 0] {
-        work_shard(&shards, Shard::new(shard, 2).unwrap(), &run(2), &Silent).unwrap();
-    }
-    commit_shards(&shards, &run(2), &Silent).unwrap();
+    reduce_in_shards(&input, &settings, &shards);
     assert_eq!(folder(&shards), expected, "shards");
     // Further steps lie on the same points.
     let second = dir.path().join("second.vtk");

@@ -5,11 +5,8 @@ mod common;
 
 use common::*;
 use isospan::exec::Silent;
-use isospan::formats::{OpenOptions, StepSource};
-use isospan::pipeline::{
-    Amount, NanPolicy, ReduceReport, ReduceSettings, Shard, check_archive, commit_shards, plan_shards,
-    work_shard,
-};
+use isospan::formats::OpenOptions;
+use isospan::pipeline::{Amount, NanPolicy, ReduceReport, ReduceSettings, check_archive};
 use isospan::sample::Values;
 use std::fs;
 use std::path::Path;
@@ -134,12 +131,7 @@ fn chunks_threads_memory_restarts_and_shards_do_not_show() {
     values.for_each(|p| fs::remove_file(again.join(p)).unwrap());
     reduce(&input, &settings, &again, 2);
     assert_eq!(folder(&again), expected, "restart");
-    let sources = [StepSource::new(&input, &OpenOptions::default())];
-    plan_shards(&sources, &settings, &shards, 2, &run(2), &Silent).unwrap();
-    for shard in [1, 0] {
-        work_shard(&shards, Shard::new(shard, 2).unwrap(), &run(2), &Silent).unwrap();
-    }
-    commit_shards(&shards, &run(2), &Silent).unwrap();
+    reduce_in_shards(&input, &settings, &shards);
     assert_eq!(folder(&shards), expected, "shards");
 }
 

@@ -7,7 +7,7 @@ use crate::exec::with_vectors;
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, BrickId, IndexBox};
 use crate::mesh::tet::Tet;
-use crate::raster::SampleGrid;
+use crate::raster::{SampleGrid, greater, lesser};
 
 /// Samples along an edge of a window, at least: few tetrahedra then touch two of them.
 const LEAST_EDGE: u64 = 32;
@@ -232,14 +232,4 @@ fn with_zero([x, y, z]: [u32; 3]) -> [u32; 4] {
 #[inline(always)]
 fn bounds([a, b, c, d]: [[u32; 4]; 4]) -> ([u32; 4], [u32; 4]) {
     (lesser(lesser(a, b), lesser(c, d)), greater(greater(a, b), greater(c, d)))
-}
-
-#[inline(always)]
-fn lesser(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
-    [0, 1, 2, 3].map(|k| a[k].min(b[k]))
-}
-
-#[inline(always)]
-fn greater(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
-    [0, 1, 2, 3].map(|k| a[k].max(b[k]))
 }

@@ -26,7 +26,7 @@ use crate::grid::{ChunkId, IndexBox};
 use crate::measure::{BrickErrors, ErrorSums, FieldError, LevelError, Tally, Worst};
 use crate::mesh::tet::Tet;
 use crate::points::Levels;
-use crate::raster::{BatchScan, MEMBERS, Members, SampleGrid, Scanner, interpolate};
+use crate::raster::{BatchScan, MEMBERS, Members, SampleGrid, Scanner, greater, interpolate, lesser};
 use crate::volume::VolumeReader;
 use std::ops::Range;
 
@@ -226,7 +226,7 @@ impl Gauge {
             // Four lanes are a vector.
             let [x, y, z] = positions[v as usize];
             let p = [x, y, z, 0];
-            (lo, hi) = ([0, 1, 2, 3].map(|k| p[k].min(lo[k])), [0, 1, 2, 3].map(|k| p[k].max(hi[k])));
+            (lo, hi) = (lesser(p, lo), greater(p, hi));
         }
         let ([x, y, z, _], [u, v, w, _]) = (lo, hi);
         (!tets.is_empty()).then(|| self.grid.within([x, y, z], [u, v, w])).filter(|b| !b.is_empty())

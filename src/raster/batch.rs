@@ -496,13 +496,15 @@ fn grown(lambda: [Four; 4], by: [Four; 4]) -> [Four; 4] {
     [0, 1, 2, 3].map(|k| lambda[k].plus(by[k]))
 }
 
+/// The lesser of each coordinate; four are a vector.
 #[inline(always)]
-fn lesser(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
+pub(crate) fn lesser(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
     [0, 1, 2, 3].map(|k| a[k].min(b[k]))
 }
 
+/// The greater of each coordinate.
 #[inline(always)]
-fn greater(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
+pub(crate) fn greater(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
     [0, 1, 2, 3].map(|k| a[k].max(b[k]))
 }
 

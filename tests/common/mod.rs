@@ -4,9 +4,9 @@
 use isospan::archive::manifest::Manifest;
 use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
-use isospan::pipeline::{self, Amount, ReduceReport, ReduceSettings, RunSettings, SurfaceSettings};
+use isospan::formats::{OpenOptions, StepSource};
+use isospan::pipeline::{self, Amount, ReduceReport, ReduceSettings, RunSettings, Shard, SurfaceSettings};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::TriMesh;
@@ -162,6 +162,16 @@ pub(crate) fn run(threads: usize) -> RunSettings {
 
 pub(crate) fn reduce(input: &Path, settings: &ReduceSettings, out: &Path, threads: usize) -> ReduceReport {
     pipeline::reduce(input, &OpenOptions::default(), settings, out, &run(threads), &Silent).unwrap()
+}
+
+/// As [`reduce`], in two shards, the second one first.
+pub(crate) fn reduce_in_shards(input: &Path, settings: &ReduceSettings, out: &Path) {
+    let (sources, run) = ([StepSource::new(input, &OpenOptions::default())], run(2));
+    pipeline::plan_shards(&sources, settings, out, 2, &run, &Silent).unwrap();
+    for shard in [1, 0] {
+        pipeline::work_shard(out, Shard::new(shard, 2).unwrap(), &run, &Silent).unwrap();
+    }
+    pipeline::commit_shards(out, &run, &Silent).unwrap();
 }
 
 pub(crate) fn surface(archive: &Path, isovalue: f32, out: &Path, threads: usize) -> pipeline::SurfaceReport {
