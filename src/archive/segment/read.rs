@@ -1,0 +1,199 @@
+//! Reading a segment: header and footer first, pages of the directory and blocks when they are asked for.
+
+use super::frame::{hex, read_footer, read_header, unseal};
+use super::positioned::PositionedFile;
+use super::{
+    FOOTER_BYTES, HEADER_BYTES, PAGE_BLOCKS, PAGE_ENTRY_BYTES, PAGE_FRAME_BYTES, PlanHash, SegmentInfo,
+    SegmentKind,
+};
+use crate::archive::wire::{Cursor, Malformed};
+use crate::error::{Error, Result};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use xxhash_rust::xxh3::Xxh3Default;
+
+/// A directory page that has been read: offset, length and checksum of each of its blocks.
+type Page = Arc<Vec<(u64, u32, u32)>>;
+
+/// An open segment: blocks by number, from any thread.
+pub struct Segment {
+    path: PathBuf,
+    file: PositionedFile,
+    plan: PlanHash,
+    info: SegmentInfo,
+    directory: u64,
+    pages: Mutex<std::collections::BTreeMap<u64, Page>>,
+    bytes_read: AtomicU64,
+}
+
+impl Segment {
+    /// Opens a finished segment; reads its header and footer only.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] when it is not a whole segment of this kind, of a version that can be read, and of this plan
+    /// (`None`: of any plan).
+    pub fn open(path: impl AsRef<Path>, kind: SegmentKind, plan: Option<PlanHash>) -> Result<Self> {
+        let path = path.as_ref().to_path_buf();
+        let file = PositionedFile::open(&path)?;
+        if file.len < HEADER_BYTES + FOOTER_BYTES {
+            return Err(Error::bad_input(
+                &path,
+                "file length",
+                format!("at least {} bytes", HEADER_BYTES + FOOTER_BYTES),
+                file.len.to_string(),
+            )
+            .with_help("the file is cut short or is not a segment of an isospan archive"));
+        }
+        let bytes_read = AtomicU64::new(0);
+        let mut head = [0; HEADER_BYTES as usize];
+        file.read_at(&path, 0, &mut head, &bytes_read)?;
+        let found = read_header(&head, kind).map_err(|m| at_frame(m, &path, "header"))?;
+        if let Some(plan) = plan
+            && plan != found
+        {
+            return Err(Error::bad_input(&path, "header: plan hash", plan.to_string(), found.to_string())
+                .with_help(
+                    "the file belongs to a run with other input or parameters: use another output name",
+                ));
+        }
+        let mut foot = [0; FOOTER_BYTES as usize];
+        file.read_at(&path, file.len - FOOTER_BYTES, &mut foot, &bytes_read)?;
+        let (info, directory) = read_footer(&foot, file.len).map_err(|m| at_frame(m, &path, "footer"))?;
+        Ok(Self { path, file, plan: found, info, directory, pages: Mutex::default(), bytes_read })
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The hash of the plan it belongs to.
+    pub fn plan(&self) -> PlanHash {
+        self.plan
+    }
+
+    /// Length, blocks and content hash, as the footer says.
+    pub fn info(&self) -> SegmentInfo {
+        self.info
+    }
+
+    /// Number of blocks.
+    pub fn block_count(&self) -> u64 {
+        self.info.blocks
+    }
+
+    /// Bytes read from the file since it was opened, header, footer and directory pages included.
+    pub fn bytes_read(&self) -> u64 {
+        self.bytes_read.load(Ordering::Relaxed)
+    }
+
+    /// Reads block `n` into `out` (cleared first) and checks its CRC32C.
+    ///
+    /// # Errors
+    /// When the file cannot be read or the block or its directory page is damaged.
+    ///
+    /// # Panics
+    /// When `n` is not below [`Segment::block_count`].
+    pub fn block(&self, n: u64, out: &mut Vec<u8>) -> Result<()> {
+        assert!(n < self.info.blocks, "block {n} of {}", self.info.blocks);
+        let page = self.page(n / PAGE_BLOCKS)?;
+        let (offset, len, crc) = page[(n % PAGE_BLOCKS) as usize];
+        out.clear();
+        out.resize(len as usize, 0);
+        self.read_at(offset, out)?;
+        let got = crc32c::crc32c(out);
+        if got != crc {
+            return Err(self.damage(format!("block {n}: CRC32C"), hex(crc), hex(got)));
+        }
+        Ok(())
+    }
+
+    fn read_at(&self, offset: u64, out: &mut [u8]) -> Result<()> {
+        self.file.read_at(&self.path, offset, out, &self.bytes_read)
+    }
+
+    fn damage(&self, at: String, expected: String, got: String) -> Error {
+        Error::bad_input(&self.path, at, expected, got)
+            .with_help("the file is damaged: restore it, or delete it and run the same reduction again")
+    }
+
+    fn page(&self, n: u64) -> Result<Page> {
+        // The lock is not held while reading: two threads may read the same page, and keep the same one.
+        if let Some(page) = self.pages.lock().expect("no thread panics with the page table locked").get(&n) {
+            return Ok(page.clone());
+        }
+        let page = Arc::new(self.read_page(n)?);
+        self.pages.lock().expect("no thread panics with the page table locked").insert(n, page.clone());
+        Ok(page)
+    }
+
+    fn read_page(&self, n: u64) -> Result<Vec<(u64, u32, u32)>> {
+        let entries = (self.info.blocks - n * PAGE_BLOCKS).min(PAGE_BLOCKS);
+        let full = PAGE_FRAME_BYTES + PAGE_BLOCKS * PAGE_ENTRY_BYTES;
+        let mut bytes = vec![0; (PAGE_FRAME_BYTES + entries * PAGE_ENTRY_BYTES) as usize];
+        self.read_at(self.directory + n * full, &mut bytes)?;
+        let parse = || -> std::result::Result<Vec<(u64, u32, u32)>, Malformed> {
+            let mut c = Cursor::new(unseal(&bytes, "CRC32C")?);
+            let mut offset = c.u64("offset")?;
+            let mut page = Vec::with_capacity(entries as usize);
+            for _ in 0..entries {
+                let (len, crc) = (c.u32("length")?, c.u32("checksum")?);
+                let end = offset.checked_add(u64::from(len)).filter(|&e| e <= self.directory);
+                let Some(end) = end else {
+                    let got = format!("offset {offset}, length {len}");
+                    return Err(Malformed::new("block", format!("an end up to {}", self.directory), got));
+                };
+                page.push((offset, len, crc));
+                offset = end;
+            }
+            Ok(page)
+        };
+        parse().map_err(|m| at_frame(m, &self.path, &format!("directory page {n}")))
+    }
+
+    /// Reads everything: each directory page, each block, that blocks follow each other without a gap, and the content hash.
+    ///
+    /// # Errors
+    /// The first damage found.
+    pub fn verify(&self) -> Result<()> {
+        let mut at = HEADER_BYTES;
+        let mut block = vec![];
+        for n in 0..self.info.blocks {
+            let (offset, len, _) = self.page(n / PAGE_BLOCKS)?[(n % PAGE_BLOCKS) as usize];
+            if offset != at {
+                return Err(self.damage(format!("block {n}: offset"), at.to_string(), offset.to_string()));
+            }
+            self.block(n, &mut block)?;
+            at += u64::from(len);
+        }
+        if at != self.directory {
+            return Err(self.damage("directory: offset".into(), at.to_string(), self.directory.to_string()));
+        }
+        self.verify_content_hash()
+    }
+
+    fn verify_content_hash(&self) -> Result<()> {
+        let end = self.info.bytes - FOOTER_BYTES;
+        let mut hash = Xxh3Default::new();
+        let mut buffer = vec![0; 1 << 18];
+        let mut at = 0;
+        while at < end {
+            let n = (end - at).min(buffer.len() as u64) as usize;
+            self.read_at(at, &mut buffer[..n])?;
+            hash.update(&buffer[..n]);
+            at += n as u64;
+        }
+        let (expected, got) = (self.info.content_hash, hash.digest());
+        if expected != got {
+            let text = |h: u64| format!("{h:016x}");
+            return Err(self.damage("footer: content hash".into(), text(expected), text(got)));
+        }
+        Ok(())
+    }
+}
+
+fn at_frame(m: Malformed, path: &Path, part: &str) -> Error {
+    Error::bad_input(path, format!("{part}: {}", m.at), m.expected, m.got)
+        .with_help("the file is damaged, or was not written by this version of isospan")
+}
