@@ -19,7 +19,7 @@ fn points(lattice: &Lattice, count: usize) -> Vec<LatticePos> {
             })
         })
         .collect();
-    let shift = lattice.log2_steps + 2;
+    let shift = lattice.log2_steps[0] + 2;
     points.sort_by_key(|p| (p[2] >> shift, p[1] >> shift, p[0] >> shift, *p));
     points
 }

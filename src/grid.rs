@@ -189,10 +189,10 @@ impl BrickGrid {
         let (max, d, s) = (self.lattice.max(), self.dims(), self.lattice.log2_steps);
         LatticeBox {
             lo: std::array::from_fn(|a| {
-                if lo[a] == d[a] { max[a] + 1 } else { ((lo[a] * self.edge[a]) << s) as u32 }
+                if lo[a] == d[a] { max[a] + 1 } else { ((lo[a] * self.edge[a]) << s[a]) as u32 }
             }),
             hi: std::array::from_fn(|a| {
-                if hi[a] == d[a] { max[a] + 1 } else { ((hi[a] * self.edge[a]) << s) as u32 }
+                if hi[a] == d[a] { max[a] + 1 } else { ((hi[a] * self.edge[a]) << s[a]) as u32 }
             }),
         }
     }
@@ -200,7 +200,7 @@ impl BrickGrid {
     /// Brick coordinates of the brick that holds a lattice position.
     pub fn brick_at(&self, pos: LatticePos) -> [u64; 3] {
         let (d, s) = (self.dims(), self.lattice.log2_steps);
-        std::array::from_fn(|a| (u64::from(pos[a] >> s) / self.edge[a]).min(d[a] - 1))
+        std::array::from_fn(|a| (u64::from(pos[a] >> s[a]) / self.edge[a]).min(d[a] - 1))
     }
 
     /// The lattice box of one brick.
@@ -283,10 +283,10 @@ impl ChunkGrid {
             x_cuts: Mutex::default(),
         };
         let d = bricks.dims();
-        let cells = bricks.lattice.dims.map(|n| (n - 1) as f64);
+        let cells = bricks.lattice.extent();
         let by_z = grid.counts(2, [0; 3], d);
         let wanted = by_z.iter().sum::<u64>().div_ceil(target).max(1) as f64;
-        // Cubic chunks: the edge, in voxels, that cuts the box into `wanted` cubes.
+        // Cubic chunks: the edge, in voxels of the axis with the fewest lattice steps, that cuts the box into `wanted` cubes.
         let edge = (cells[0] * cells[1] * cells[2] / wanted).cbrt();
         // A long thin box is cut into fewer, longer pieces: never more layers than chunks, nor more rows.
         let most = |bricks: u64, wanted: f64| bricks.min(wanted as u64).max(1);
@@ -437,7 +437,7 @@ mod tests {
         for edge in [[4, 4, 4], [16, 8, 5], [200, 200, 200], [1, 90, 7]] {
             let bricks = BrickGrid { lattice, edge };
             for target in [1, 1000, 20_000, 250_000, u64::MAX] {
-                let uniform = move |b: &LatticeBox| (b.volume() >> (3 * lattice.log2_steps)) as u64 / 8;
+                let uniform = move |b: &LatticeBox| (b.volume() >> (3 * lattice.log2_steps[0])) as u64 / 8;
                 tiles(
                     &ChunkGrid::new(bricks, target.max(if edge[0] < 5 { 500 } else { 1 }), uniform).unwrap(),
                 );
@@ -451,11 +451,11 @@ mod tests {
     fn uniform_chunks_are_near_the_target() {
         let lattice = Lattice::new([512, 512, 512]).unwrap();
         let grid = ChunkGrid::new(BrickGrid { lattice, edge: [16; 3] }, 250_000, move |b| {
-            (b.volume() >> (3 * lattice.log2_steps)) as u64 / 8
+            (b.volume() >> (3 * lattice.log2_steps[0])) as u64 / 8
         })
         .unwrap();
         for c in grid.iter() {
-            let points = (c.core.volume() >> (3 * lattice.log2_steps)) as u64 / 8;
+            let points = (c.core.volume() >> (3 * lattice.log2_steps[0])) as u64 / 8;
             assert!((125_000..500_000).contains(&points), "{points}");
         }
     }
@@ -466,7 +466,7 @@ mod tests {
             let mut dims = [2; 3];
             dims[axis] = 1_048_577;
             let lattice = Lattice::new(dims).unwrap();
-            let uniform = move |b: &LatticeBox| (b.volume() >> (3 * lattice.log2_steps)) as u64;
+            let uniform = move |b: &LatticeBox| (b.volume() >> (3 * lattice.log2_steps[0])) as u64;
             let grid = ChunkGrid::new(BrickGrid { lattice, edge: [64; 3] }, 50_000, uniform).unwrap();
             assert!(
                 (15..=30).contains(&grid.len()),

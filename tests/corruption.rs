@@ -272,8 +272,12 @@ fn absurd_manifests_with_good_checksums_are_refused_soon() {
         ("blocks of nothing", Box::new(|p| p.block_tets = 0)),
         ("no samples", Box::new(|p| p.lattice.dims = [0; 3])),
         ("2^64 samples", Box::new(|p| p.lattice.dims = [u64::MAX; 3])),
-        ("fine steps", Box::new(|p| p.lattice.log2_steps = 31)),
-        ("finer steps", Box::new(|p| p.lattice.log2_steps = u32::MAX)),
+        ("fine steps", Box::new(|p| p.lattice.log2_steps = [31; 3])),
+        (
+            "a stretched lattice",
+            Box::new(|p| p.lattice = Lattice::stretched(p.lattice.dims, [0, 1, 0]).unwrap()),
+        ),
+        ("finer steps", Box::new(|p| p.lattice.log2_steps = [u32::MAX; 3])),
     ];
     for (what, edit) in &plans {
         for chunks in [None, Some(1), Some(1 << 40), Some(u64::MAX)] {

@@ -390,7 +390,7 @@ impl Manifest {
             return bad("plan_hash", hash.to_string(), self.plan_hash.to_string());
         }
         let lattice = self.plan.lattice;
-        if Lattice::new(lattice.dims).ok() != Some(lattice) || self.plan.brick_edge.contains(&0) {
+        if !lattice.is_valid() || self.plan.brick_edge.contains(&0) {
             return bad("plan", "a lattice and bricks".into(), format!("{:?}", lattice.dims));
         }
         check_tiling(path, "mesh", &self.mesh, self.counts.chunks)?;

@@ -1,7 +1,8 @@
 //! From errors to levels: equal gain for every point; or, where the largest error counts, equal errors.
 
-use super::{ErrorCurves, NOTHING, SCALES, STEPS};
+use super::{Bend, ErrorCurves, NOTHING, SCALES, STEPS};
 use crate::error::Result;
+use crate::geom::Lattice;
 use crate::grid::BrickId;
 use crate::points::Levels;
 use rayon::prelude::*;
@@ -95,6 +96,24 @@ impl Choice {
         self.n as f64 / voxels * scale(1.0, level.into())
     }
 
+    /// The same levels on a lattice with more steps a voxel along the axes on which the field bends most, as far as coordinates have bits for that.
+    #[must_use]
+    pub fn stretched(self, bend: &Bend) -> Self {
+        let dims = self.levels.cells().lattice.dims;
+        // The distance that most points see.
+        let (mut points, mut squares) = (0.0, 0.0);
+        for (level, &voxels) in (0..).zip(&self.levels.voxels_by_level()) {
+            let density = self.density(level);
+            points += density * voxels as f64;
+            squares += density * density * voxels as f64;
+        }
+        let finer = bend.finer(libm::cbrt(points / squares));
+        match Lattice::stretched(dims, finer) {
+            Ok(lattice) => Self { levels: self.levels.on(lattice), ..self },
+            Err(_) => self,
+        }
+    }
+
     /// Denser where errors are above a bound: `worst` has the largest one at a sample in or at each cell. With more than `most` points the largest
     /// errors alone count. `None` when nothing can be denser.
     ///
@@ -148,9 +167,9 @@ impl Choice {
             let more = libm::ceil(1.5 * libm::log2(above)).clamp(1.0, MOST_RAISE) as u8;
             let to = level.saturating_add(more).min(highest);
             // The tetrahedron of the sample reaches about so far.
-            let spacing = libm::cbrt(1.0 / self.density(level));
+            let spacing = cells.lattice.cube().map(|edge| edge * libm::cbrt(1.0 / self.density(level)));
             let c = cells.coords(BrickId(cell as u64));
-            let reach = [0, 1, 2].map(|a| ((spacing / edge[a] as f64) as u64).min(MOST_REACH));
+            let reach = [0, 1, 2].map(|a| ((spacing[a] / edge[a] as f64) as u64).min(MOST_REACH));
             let [xs, ys, zs] =
                 [0, 1, 2].map(|a| c[a].saturating_sub(reach[a])..(c[a] + reach[a] + 1).min(dims[a]));
             for [y, z] in zs.flat_map(|z| ys.clone().map(move |y| [y, z])) {

@@ -30,9 +30,11 @@
 //! machine. Time: 15 operations a sample and density. Memory: 11 bytes a cell. References: D'Azevedo and Simpson, "On optimal interpolation
 //! triangle incidences", 1989 (error by second derivatives); Nadler, "Piecewise linear best L2 approximation on triangulations", 1986 (equal errors).
 
+mod bend;
 mod block;
 mod choose;
 
+pub use bend::Bend;
 pub use block::{BLOCK_EDGE, BlockErrors};
 pub use choose::Choice;
 

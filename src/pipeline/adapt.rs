@@ -6,7 +6,7 @@ use super::job::{RunSettings, threads};
 use super::need;
 use super::plan::ReduceSettings;
 use super::reduce::random_access;
-use crate::density::{BlockErrors, Choice, ErrorCurves};
+use crate::density::{Bend, BlockErrors, Choice, ErrorCurves};
 use crate::error::{Error, Result};
 use crate::exec::{Silent, pool};
 use crate::geom::Lattice;
@@ -55,6 +55,15 @@ pub(super) struct Errors<'a> {
     settings: &'a ReduceSettings,
     run: &'a RunSettings,
     curves: ErrorCurves,
+    bend: Bend,
+    range: Option<[f32; 2]>,
+}
+
+/// What is found in a block.
+struct Found {
+    errors: BlockErrors,
+    bend: Bend,
+    /// Of its samples.
     range: Option<[f32; 2]>,
 }
 
@@ -72,7 +81,14 @@ impl<'a> Errors<'a> {
             let what = "memory (to find where points are needed)".into();
             return Err(Error::Budget { what, needed, available: run.memory });
         }
-        Ok(Self { adapt, settings, run, curves: ErrorCurves::new(lattice), range: None })
+        Ok(Self {
+            adapt,
+            settings,
+            run,
+            curves: ErrorCurves::new(lattice),
+            bend: Bend::default(),
+            range: None,
+        })
     }
 
     /// Adds the errors of a step. One without random access is copied into bricks for that.
@@ -86,8 +102,9 @@ impl<'a> Errors<'a> {
             let found: Result<Vec<_>> = pool.install(|| {
                 run.into_par_iter().map(|block| self.block(&*reader, &blocks, BrickId(block))).collect()
             });
-            for (errors, range) in found? {
+            for Found { errors, bend, range } in found? {
                 self.curves.add(&errors);
+                self.bend.add(&bend);
                 let ranges = [self.range, range].into_iter().flatten();
                 self.range = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
             }
@@ -95,13 +112,7 @@ impl<'a> Errors<'a> {
         Ok(())
     }
 
-    /// The errors of a block, and the range of its samples.
-    fn block(
-        &self,
-        reader: &dyn VolumeReader,
-        blocks: &BrickGrid,
-        block: BrickId,
-    ) -> Result<(BlockErrors, Option<[f32; 2]>)> {
+    fn block(&self, reader: &dyn VolumeReader, blocks: &BrickGrid, block: BrickId) -> Result<Found> {
         let samples = BlockErrors::samples_of(blocks, block);
         let mut values = vec![0.0; samples.len()];
         reader.read_box(samples, &mut values)?;
@@ -115,7 +126,8 @@ impl<'a> Errors<'a> {
         if let Some([lo, hi]) = self.adapt.focus.map(|f| f.map(|v| v as f32)) {
             values.iter_mut().for_each(|v| *v = v.clamp(lo, hi));
         }
-        Ok((BlockErrors::measure(self.curves.cells(), &samples, &values), range))
+        let errors = BlockErrors::measure(self.curves.cells(), &samples, &values);
+        Ok(Found { errors, bend: Bend::of(&samples, &values), range })
     }
 
     /// The range of the samples that were seen.
@@ -130,11 +142,13 @@ impl<'a> Errors<'a> {
 
     /// Levels at which errors are about this everywhere, with at most so many points.
     pub(super) fn choice_of_bound(&self, bound: f64, most: u64) -> Result<Choice> {
-        pool(threads(self.run))?.install(|| Choice::of_bound(&self.curves, bound, most))
+        let choice = pool(threads(self.run))?.install(|| Choice::of_bound(&self.curves, bound, most))?;
+        Ok(choice.stretched(&self.bend))
     }
 
     /// The levels of so many points.
     pub(super) fn choice(&self, count: u64) -> Result<Choice> {
-        pool(threads(self.run))?.install(|| Choice::of_count(&self.curves, count))
+        let choice = pool(threads(self.run))?.install(|| Choice::of_count(&self.curves, count))?;
+        Ok(choice.stretched(&self.bend))
     }
 }

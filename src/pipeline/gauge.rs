@@ -150,12 +150,12 @@ impl Gauge {
         };
         let none = vec![BrickErrors::default(); usize::from(levels.top()) + 1];
         let mut all: Vec<_> = (0..steps.steps()).map(|_| (Tally::default(), none.clone())).collect();
-        let (dims, shift) = (self.dims(), levels.cells().lattice.log2_steps);
+        let (dims, lattice) = (self.dims(), levels.cells().lattice);
         self.each_sample(cells, steps, read, |m| {
             let (sums, levels_of) = &mut all[m.step];
             add(sums, &m, dims);
             for (n, (&original, &reduced)) in m.originals.iter().zip(m.reduced).enumerate() {
-                let level = levels.at(m.place(n).map(|i| (i << shift) as u32));
+                let level = levels.at(lattice.of_voxel(m.place(n)));
                 levels_of[usize::from(level)].add(original, reduced);
             }
         })?;

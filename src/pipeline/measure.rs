@@ -425,7 +425,7 @@ impl AgainstSamples<'_> {
                 map.add(chunk.id.0, &part.bricks)?;
             }
             // Samples below the layer of chunks before this one are done with: no halo reaches that far.
-            let slice = |z: u32| u64::from(z >> archive.manifest.plan.lattice.log2_steps);
+            let slice = |z: u32| u64::from(z >> archive.manifest.plan.lattice.log2_steps[2]);
             let keep = slice(chunk.core.lo[2]).saturating_sub(slice(chunk.core.hi[2] - chunk.core.lo[2]));
             if keep > released {
                 self.reader.release(released..keep);
@@ -448,12 +448,12 @@ impl AgainstSamples<'_> {
             let mut sums = self.gauge.errors(&cells, &Sides::new(&[values]), read)?;
             return Ok(Part { sums: sums.pop().expect("of one step"), ..Part::default() });
         }
-        let (bricks, steps) = (self.archive.chunks.bricks(), self.archive.manifest.plan.lattice.log2_steps);
+        let (bricks, lattice) = (self.archive.chunks.bricks(), self.archive.manifest.plan.lattice);
         let (mut part, mut sums, dims) = (Part::default(), Tally::default(), self.gauge.dims());
         self.gauge.each_sample(&cells, &Sides::new(&[values]), read, |m| {
             gauge::add(&mut sums, &m, dims);
             for (n, (&original, &reduced)) in m.originals.iter().zip(m.reduced).enumerate() {
-                let brick = bricks.id(bricks.brick_at(m.place(n).map(|i| (i << steps) as u32)));
+                let brick = bricks.id(bricks.brick_at(lattice.of_voxel(m.place(n))));
                 part.bricks.entry(brick.0).or_default().add(original, reduced);
             }
         })?;
@@ -533,8 +533,10 @@ fn measure_vertices(
 fn vertex_error(store: &CellStore, positions: &[FinePos], sums: &ErrorSums) -> FieldError {
     let mut error = sums.field_error(positions.len() as u64);
     error.worst = sums.largest().map(|l| {
-        let steps = f64::from(1u32 << FINE_BITS) * f64::from(1u32 << store.frame.lattice.log2_steps);
-        let ijk = positions[l.sample as usize].map(|c| c as f64 / steps);
+        let log2_steps = store.frame.lattice.log2_steps;
+        let steps = log2_steps.map(|s| f64::from(1u32 << FINE_BITS) * f64::from(1u32 << s));
+        let p = positions[l.sample as usize];
+        let ijk = std::array::from_fn(|a| p[a] as f64 / steps[a]);
         Worst {
             sample: l.sample,
             index: None,

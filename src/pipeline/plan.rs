@@ -204,12 +204,13 @@ impl Plan {
         })
     }
 
-    /// Makes the points denser in some places than in others: n of them at level 0 in the whole domain.
+    /// Makes the points denser in some places than in others: n of them at level 0 in the whole domain, on the lattice of the levels.
     ///
     /// # Errors
     /// [`Error::Usage`] for more points than a set may have.
     pub(crate) fn adapt(&mut self, n: u64, levels: &Arc<Levels>) -> Result<()> {
         let (mesh, spec) = (&mut self.mesh, PointSpec::Halton { n });
+        mesh.lattice = levels.cells().lattice;
         PointSet::graded(spec, mesh.lattice, Arc::clone(levels))?;
         mesh.points = spec;
         // As most points see them: they decide how large a brick of about a thousand is.
@@ -218,9 +219,10 @@ impl Plan {
             points += density * voxels as f64;
             squares += density * density * voxels as f64;
         }
-        let edge = libm::cbrt(BRICK_POINTS * points / squares).round() as u64;
+        let edge = libm::cbrt(BRICK_POINTS * points / squares);
         mesh.levels = Some(LevelsRecord::of(levels));
-        mesh.brick_edge = [edge.clamp(1, LARGEST_BRICK_EDGE); 3];
+        mesh.brick_edge =
+            mesh.lattice.cube().map(|a| ((edge * a).round() as u64).clamp(1, LARGEST_BRICK_EDGE));
         mesh.order_bits = Order::for_count(n << levels.top()).bits;
         Ok(())
     }
@@ -326,7 +328,8 @@ pub(crate) struct MeshParts {
 /// # Errors
 /// [`Error::Usage`] when a parameter is out of range.
 pub(crate) fn parts(plan: &MeshPlan, beside: Beside) -> Result<MeshParts> {
-    if Lattice::new(plan.lattice.dims)? != plan.lattice {
+    Lattice::new(plan.lattice.dims)?;
+    if !plan.lattice.is_valid() {
         return Err(Error::usage("the lattice is not that of its dimensions"));
     }
     if plan.brick_edge.iter().any(|e| !(1..=LARGEST_BRICK_EDGE).contains(e)) {

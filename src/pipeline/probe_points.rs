@@ -35,10 +35,10 @@ pub(super) struct Probed {
 /// The lattice position nearest to a world position; `None` outside the domain.
 fn lattice_position(world: [f64; 3], geometry: &Geometry, lattice: &Lattice) -> Option<LatticePos> {
     let (ijk, far) = (geometry.to_index(world), lattice.max());
-    let steps = f64::from(1u32 << lattice.log2_steps);
+    let steps = lattice.log2_steps.map(|s| f64::from(1u32 << s));
     let mut pos = [0; 3];
     for a in 0..3 {
-        let x = (ijk[a] * steps).round();
+        let x = (ijk[a] * steps[a]).round();
         // False for a NaN too. The faces belong to the domain, and what rounds to them.
         if !(0.0..=f64::from(far[a])).contains(&x) {
             return None;

@@ -109,7 +109,7 @@ impl Roi {
     ///
     /// # Errors
     /// [`Error::Usage`] for a box without volume, and for one outside the domain.
-    pub(super) fn cut(&self, geometry: &Geometry, dims: [u64; 3], log2_steps: u32) -> Result<Cut> {
+    pub(super) fn cut(&self, geometry: &Geometry, dims: [u64; 3], log2_steps: [u32; 3]) -> Result<Cut> {
         let text = || format!("{:?} to {:?}", self.lo, self.hi);
         // False for a NaN too.
         if !(0..3).all(|a| self.lo[a] < self.hi[a]) {
@@ -131,11 +131,11 @@ impl Roi {
                 domain[1]
             )));
         }
-        let steps = f64::from(1u32 << log2_steps);
+        let steps = log2_steps.map(|s| f64::from(1u32 << s));
         // One step more than rounding could lose; beyond the domain, casts saturate.
         let lattice = LatticeBox {
-            lo: lo.map(|x| ((x * steps).floor() - 1.0).max(0.0) as u32),
-            hi: hi.map(|x| ((x * steps).ceil() + 2.0).max(0.0) as u32),
+            lo: std::array::from_fn(|a| ((lo[a] * steps[a]).floor() - 1.0).max(0.0) as u32),
+            hi: std::array::from_fn(|a| ((hi[a] * steps[a]).ceil() + 2.0).max(0.0) as u32),
         };
         Ok(Cut { lattice, half_spaces: self.half_spaces(geometry, dims) })
     }
@@ -208,7 +208,8 @@ mod tests {
         let dims = [11, 21, 31];
         let index: Roi = "2:4,5:9,:7".parse().unwrap();
         let world: Roi = "world:91:95,204:208,:321".parse().unwrap();
-        let (a, b) = (index.cut(&geometry, dims, 4).unwrap(), world.cut(&geometry, dims, 4).unwrap());
+        let (a, b) =
+            (index.cut(&geometry, dims, [4; 3]).unwrap(), world.cut(&geometry, dims, [4; 3]).unwrap());
         assert_eq!(a.lattice, b.lattice);
         assert_eq!((a.half_spaces.len(), b.half_spaces.len()), (5, 5));
         for (p, inside) in
@@ -224,7 +225,7 @@ mod tests {
     fn a_box_without_volume_or_outside_is_refused() {
         let cut = |text: &str| {
             let roi: Roi = text.parse().unwrap();
-            roi.cut(&Geometry::default(), [10; 3], 3).map(drop).map_err(|e| e.to_string())
+            roi.cut(&Geometry::default(), [10; 3], [3; 3]).map(drop).map_err(|e| e.to_string())
         };
         assert!(cut("2:2,:,:").unwrap_err().contains("no volume"));
         assert!(cut("5:2,:,:").unwrap_err().contains("no volume"));

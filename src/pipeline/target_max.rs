@@ -134,14 +134,13 @@ impl Measuring<'_> {
 
     fn add_chunk(&self, gauge: &Gauge, samples: &Samples<'_>, chunk: &DecodedChunk) -> Result<()> {
         let DecodedChunk { positions, tets, block_ends, values, .. } = chunk;
-        let steps = self.cells.lattice.log2_steps;
+        let lattice = self.cells.lattice;
         let read = |_, window, out: &mut [f32]| samples.read(window, out);
         gauge.each_sample(&Cells { positions, tets, block_ends }, &Sides::new(&[values]), read, |m| {
             for (n, (&original, &reduced)) in m.originals.iter().zip(m.reduced).enumerate() {
                 let error = (f64::from(original) - f64::from(reduced)).abs();
                 if error > self.bound {
-                    let at = m.place(n).map(|i| (i << steps) as u32);
-                    self.note(at, error as f32);
+                    self.note(lattice.of_voxel(m.place(n)), error as f32);
                 }
             }
         })

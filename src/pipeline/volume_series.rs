@@ -208,7 +208,7 @@ impl Planner<'_> {
         let Some(plan) = &mut self.plan else { return Ok(()) };
         if let (Some(planned), Some(out)) = (self.planned, out)
             && planned.mesh.levels.is_some()
-            && planned.mesh.lattice == plan.mesh.lattice
+            && planned.mesh.lattice.dims == plan.mesh.lattice.dims
         {
             self.beside = Beside::read(out, &planned.mesh)?;
             plan.mesh.clone_from(&planned.mesh);

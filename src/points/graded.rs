@@ -179,7 +179,7 @@ mod tests {
         for (n, peaks) in [(3, vec![(0, 8), (290, 6)]), (400, vec![(77, 3)]), (20, vec![])] {
             let set = graded([33, 30, 27], n, &peaks);
             let domain = set.lattice().domain();
-            let s = set.lattice().log2_steps;
+            let s = set.lattice().log2_steps[0];
             let boxes = [
                 domain,
                 LatticeBox { lo: [3 << s, 5 << s, 0], hi: [19 << s, 20 << s, 9 << s] },
@@ -214,7 +214,7 @@ mod tests {
     #[test]
     fn halos_are_as_wide_as_the_coarsest_cells_ask() {
         let set = graded([65, 65, 65], 8, &[(0, 9)]);
-        let s = set.lattice().log2_steps;
+        let s = set.lattice().log2_steps[0];
         let whole = set.spacing_around(&set.lattice().domain());
         let corner = set.spacing_around(&LatticeBox { lo: [0; 3], hi: [4 << s; 3] });
         assert_eq!(whole[0], whole[1]);

@@ -124,7 +124,7 @@ impl Grids {
             vec![Ticks::Voxels {
                 count: counts[a],
                 cells: lattice.dims[a] - 1,
-                log2_steps: lattice.log2_steps,
+                log2_steps: lattice.log2_steps[a],
             }]
         });
         Self::new(ticks, [[0; 3]])
@@ -331,7 +331,7 @@ mod tests {
 
     #[test]
     fn a_body_centred_lattice_is_centred_and_complete() {
-        let lattice = Lattice { dims: [11, 8, 6], log2_steps: 2 };
+        let lattice = Lattice { dims: [11, 8, 6], log2_steps: [2; 3] };
         let grids = Grids::bcc(6, &lattice).unwrap();
         let mut sites = vec![];
         grids.sites_in(&lattice.domain(), &mut sites);

@@ -13,7 +13,7 @@
 //! Memory: a byte a cell, of which there are at most [`Levels::MOST_CELLS`] whatever the volume: cells grow with it.
 
 use crate::error::{Error, Result};
-use crate::geom::{LatticeBox, LatticePos};
+use crate::geom::{Lattice, LatticeBox, LatticePos};
 use crate::grid::{BrickGrid, BrickId};
 
 /// The level of each cell of a domain.
@@ -57,6 +57,17 @@ impl Levels {
             return Err(Error::usage("levels of neighbouring cells differ by more than one"));
         }
         Ok(Self { cells, levels, least, top })
+    }
+
+    /// The same levels on another lattice of the same samples.
+    ///
+    /// # Panics
+    /// When it is of other ones.
+    #[must_use]
+    pub fn on(mut self, lattice: Lattice) -> Self {
+        assert_eq!(self.cells.lattice.dims, lattice.dims, "a lattice of the same samples");
+        self.cells.lattice = lattice;
+        self
     }
 
     /// Raises levels, as few as possible, until those of neighbours differ by at most one. Two sweeps: distances in cells are those of a
@@ -226,7 +237,6 @@ pub(crate) fn cell_voxels(cells: &BrickGrid, cell: BrickId) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geom::Lattice;
 
     fn cells(dims: [u64; 3]) -> BrickGrid {
         BrickGrid { lattice: Lattice::new(dims).unwrap(), edge: [4; 3] }
@@ -278,7 +288,7 @@ mod tests {
         levels[9] = 3;
         Levels::grade(&grid, &mut levels);
         let levels = Levels::new(grid, levels).unwrap();
-        let s = grid.lattice.log2_steps;
+        let s = grid.lattice.log2_steps[0];
         let b = LatticeBox { lo: [5 << s, 0, 1 << s], hi: [(28 << s) + 7, 9 << s, 9 << s] };
         let mut volume = 0;
         levels.runs(&b, |level, run| {

@@ -24,7 +24,7 @@ fn lattices() -> [Lattice; 4] {
         Lattice::new([103, 30, 61]).unwrap(),
         Lattice::new([9, 200, 7]).unwrap(),
         // As coarse as a lattice gets: here many points round to one position, and onto the faces.
-        Lattice { dims: [12, 13, 14], log2_steps: 0 },
+        Lattice { dims: [12, 13, 14], log2_steps: [0; 3] },
     ]
 }
 
@@ -197,7 +197,7 @@ fn a_trillion_points_on_a_large_volume() {
     let n = 1_000_000_000_000;
     for spec in [PointSpec::Hammersley { n, shift: 0.5 }, PointSpec::Halton { n }] {
         let set = PointSet::new(spec, lattice).unwrap();
-        let size = 10 << lattice.log2_steps;
+        let size = 10 << lattice.log2_steps[0];
         let mut largest = 0;
         for lo in [[0; 3], [9_000_001, 5_000_000, 1_234_567], lattice.max().map(|m| m - size + 1)] {
             let b = LatticeBox { lo, hi: lo.map(|x| x + size) };
@@ -294,7 +294,7 @@ proptest! {
         fine in any::<bool>(),
     ) {
         let mut lattice = Lattice::new(dims).unwrap();
-        lattice.log2_steps = if fine { lattice.log2_steps } else { 1 };
+        lattice.log2_steps = if fine { lattice.log2_steps } else { [1; 3] };
         let spec = match SPECS[spec] {
             PointSpec::Hammersley { shift, .. } => PointSpec::Hammersley { n, shift },
             PointSpec::Halton { .. } => PointSpec::Halton { n },

@@ -163,11 +163,17 @@ struct Scene<'a> {
     scanner: &'a Scanner<'a>,
     positions: &'a [LatticePos],
     tets: &'a [Tet],
-    /// log2 of the distance of samples.
-    shift: u32,
+    /// log2 of the distance of samples along each axis, and a 0.
+    shifts: [u32; 4],
 }
 
 impl Scene<'_> {
+    /// The distance of samples along each axis, in lattice steps.
+    #[inline(always)]
+    fn pitch(&self) -> [f32; 3] {
+        [0, 1, 2].map(|k| (1u32 << self.shifts[k]) as f32)
+    }
+
     fn corners(&self, tet: u32) -> [LatticePos; 4] {
         self.tets[tet as usize].map(|v| self.positions[v as usize])
     }
@@ -192,12 +198,12 @@ impl BatchScan {
     ) {
         assert!(scanner.len() <= u64::from(u32::MAX), "places are numbers of 32 bits");
         // Without an even grid nothing is small.
-        let shift = scanner.even_shift();
-        let scene = Scene { scanner, positions, tets, shift: shift.unwrap_or(0) };
+        let shifts = scanner.even_shifts();
+        let scene = Scene { scanner, positions, tets, shifts: shifts.unwrap_or_default() };
         for from in (0..tets.len()).step_by(SORTED) {
             let to = tets.len().min(from + SORTED);
-            let small = if shift.is_some() { self.boxes(&scene, from..to, &mut each) } else { 0 };
-            if shift.is_none() {
+            let small = if shifts.is_some() { self.boxes(&scene, from..to, &mut each) } else { 0 };
+            if shifts.is_none() {
                 (from..to).for_each(|tet| self.alone(&scene, tet, &mut each));
             }
             let ends = self.sort(small);
@@ -206,7 +212,7 @@ impl BatchScan {
                 while start < end {
                     let count = (end - start).min(SIDE_BY_SIDE);
                     self.gather(&scene, start, count);
-                    self.columns.planes(count, (1u32 << scene.shift) as f32);
+                    self.columns.planes(count, scene.pitch());
                     self.scan(&scene, start, count, size, &mut each);
                     start += count;
                 }
@@ -225,13 +231,14 @@ impl BatchScan {
     ) -> usize {
         let (lo, hi) = scene.scanner.window();
         let strides = scene.scanner.strides();
-        let before = (1 << scene.shift) - 1;
+        let shifts = scene.shifts;
+        let before = shifts.map(|s| (1 << s) - 1);
         let mut len = 0;
         for t in range {
             let [a, b, c, d] = scene.tets[t].map(|v| Four::position(scene.positions[v as usize]));
             let (least, most) = (a.min(b).min(c.min(d)).whole(), a.max(b).max(c.max(d)).whole());
-            let from = greater([0, 1, 2, 3].map(|k| (least[k] + before) >> scene.shift), lo);
-            let to = lesser([0, 1, 2, 3].map(|k| (most[k] >> scene.shift) + 1), hi);
+            let from = greater([0, 1, 2, 3].map(|k| (least[k] + before[k]) >> shifts[k]), lo);
+            let to = lesser([0, 1, 2, 3].map(|k| (most[k] >> shifts[k]) + 1), hi);
             // One less than there are samples; of none a number that is no small one.
             let [x, y, z, _] = [0, 1, 2, 3].map(|k| to[k].wrapping_sub(from[k]).wrapping_sub(1));
             let longest = (most[0] - least[0]).max(most[1] - least[1]).max(most[2] - least[2]);
@@ -293,7 +300,9 @@ impl BatchScan {
             }
             put(
                 &mut columns.first,
-                Four::columns(small.map(|s| Four::position(s.first.map(|n| n << scene.shift)))),
+                Four::columns(
+                    small.map(|s| Four::position([0, 1, 2].map(|k| s.first[k] << scene.shifts[k]))),
+                ),
             );
             let longest = small.map(|s| s.longest as f32);
             columns.longest[4 * n..4 * n + 4].copy_from_slice(&longest);
@@ -312,7 +321,7 @@ impl BatchScan {
     ) {
         let [nx, ny, nz] = [size & 3, size >> 2 & 3, size >> 4 & 3].map(|n| n as u32 + 1);
         let strides = scene.scanner.strides();
-        let pitch = (1u32 << scene.shift) as f32;
+        let pitch = scene.pitch();
         let wanted = u64::MAX >> (SIDE_BY_SIDE - count);
         self.columns.look(count, [nx, ny, nz]);
         let mut seen = 0;
@@ -322,7 +331,7 @@ impl BatchScan {
                     let mut found = joined(&self.columns.inside[seen % SIZES]) & wanted;
                     seen += 1;
                     let place = z * strides[1] + y * strides[0] + x;
-                    let offset = [x, y, z].map(|n| n as f32 * pitch);
+                    let offset = [x as f32 * pitch[0], y as f32 * pitch[1], z as f32 * pitch[2]];
                     while found != 0 {
                         let i = found.trailing_zeros() as usize;
                         found &= found - 1;
@@ -392,8 +401,8 @@ impl BatchScan {
 impl Columns {
     /// The four planes of each, in samples.
     #[inline(always)]
-    fn planes(&mut self, count: usize, pitch: f32) {
-        let (error, pitch) = (Four::splat(ERROR), Four::splat(pitch));
+    fn planes(&mut self, count: usize, pitch: [f32; 3]) {
+        let (error, pitch) = (Four::splat(ERROR), pitch.map(Four::splat));
         for n in 0..count.div_ceil(4) {
             let [b, c, d] = [0, 1, 2].map(|e| [0, 1, 2].map(|k| four(&self.edges[e][k], n)));
             let (gb, gc, gd) = (cross(c, d), cross(d, b), cross(b, c));
@@ -404,7 +413,7 @@ impl Columns {
             let planes = [gb, gc, gd, ga];
             let raised = [error, error, error, dot(b, gb).plus(error)];
             self.lambda[n] = [0, 1, 2, 3].map(|k| dot(planes[k], first).plus(raised[k]).lanes());
-            self.growth[n] = [0, 1, 2].map(|axis| planes.map(|g| g[axis].times(pitch).lanes()));
+            self.growth[n] = [0, 1, 2].map(|axis| planes.map(|g| g[axis].times(pitch[axis]).lanes()));
         }
     }
 

@@ -133,7 +133,7 @@ impl SampleGrid {
     /// The samples of the volume that a lattice belongs to.
     pub fn voxels(lattice: &Lattice) -> Self {
         let axis =
-            |a: usize| Axis::of((0..lattice.dims[a]).map(|i| (i << lattice.log2_steps) as u32).collect());
+            |a: usize| Axis::of((0..lattice.dims[a]).map(|i| (i << lattice.log2_steps[a]) as u32).collect());
         Self { axes: std::array::from_fn(axis), far: lattice.max() }
     }
 

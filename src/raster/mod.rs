@@ -36,7 +36,7 @@
 //!
 //! let lattice = Lattice::new([9, 9, 9])?;
 //! let grid = SampleGrid::voxels(&lattice);
-//! let s = 1 << lattice.log2_steps;
+//! let s = 1 << lattice.log2_steps[0];
 //! let corners = [[0, 0, 0], [4 * s, 0, 0], [0, 4 * s, 0], [0, 0, 4 * s]];
 //! let mut found = vec![];
 //! each_sample(&grid, &IndexBox::whole([9, 9, 9]), corners, |at, weights| {

@@ -71,10 +71,10 @@ impl<'a> Scanner<'a> {
         Self { axes, far: grid.far(), lo, hi, strides, pitch }
     }
 
-    /// log2 of the distance of samples, where it is the same along all axes, and the first sample is at 0.
-    pub(super) fn even_shift(&self) -> Option<u32> {
+    /// log2 of the distance of samples along each axis, where it is the same for all of them, and the first sample is at 0; and a 0.
+    pub(super) fn even_shifts(&self) -> Option<[u32; 4]> {
         let [x, y, z] = [0, 1, 2].map(|k| self.axes[k].shift_from_zero());
-        x.filter(|_| x == y && y == z)
+        Some([x?, y?, z?, 0])
     }
 
     /// Samples of the window.

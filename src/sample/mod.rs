@@ -237,7 +237,7 @@ struct Axis {
 
 impl Axis {
     fn new(lattice: &Lattice, axis: usize) -> Self {
-        let log2_steps = lattice.log2_steps;
+        let log2_steps = lattice.log2_steps[axis];
         // A lattice has 2 to 2^24 + 1 samples an axis.
         let last_cell = (lattice.dims[axis] - 2) as u32;
         Self { log2_steps, last_cell, step: 1.0 / f64::from(1u32 << log2_steps) }

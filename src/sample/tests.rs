@@ -105,7 +105,7 @@ fn a_linear_field_is_exact_up_to_the_faces() {
     for dims in [[9, 6, 13], [2, 3, 4], [5, 2, 2]] {
         let v = Volume::new(dims, f);
         let mut random = Random(1);
-        let coarse = v.lattice.log2_steps - 10;
+        let coarse = v.lattice.log2_steps[0] - 10;
         let max = v.lattice.max();
         let positions: Vec<_> =
             (0..4000).map(|_| max.map(|m| random.below((m >> coarse) + 1) << coarse)).collect();
@@ -239,7 +239,7 @@ fn a_missing_voxel_voids_the_points_it_has_a_weight_in_and_no_others() {
     let mut holed = Volume::noise([9, 8, 7]);
     let hole = [4, 3, 3];
     holed.set(hole, f32::NAN);
-    let s = clean.lattice.log2_steps;
+    let s = clean.lattice.log2_steps[0];
     let mut random = Random(6);
     for round in 0..6000 {
         let mut p = random.position(&clean.lattice);
@@ -280,7 +280,7 @@ fn linear_stays_within_its_corners_and_cubic_stays_finite() {
     let mut random = Random(7);
     for _ in 0..20_000 {
         let p = random.position(&v.lattice);
-        let cell = p.map(|x| u64::from(x >> v.lattice.log2_steps).min(4));
+        let cell = p.map(|x| u64::from(x >> v.lattice.log2_steps[0]).min(4));
         let corners = v.cut(IndexBox { lo: cell, hi: cell.map(|c| c + 2) });
         let (lo, hi) = corners.iter().fold((f32::MAX, f32::MIN), |(l, h), &c| (l.min(c), h.max(c)));
         let s = v.sample(Interpolation::Linear, &[p])[0];
@@ -320,7 +320,7 @@ fn the_smallest_block_gives_the_same_bits_as_the_whole_volume() {
 #[test]
 fn nearest_takes_the_higher_voxel_half_way() {
     let v = Volume::noise([5, 4, 3]);
-    let (s, half) = (v.lattice.log2_steps, 1 << (v.lattice.log2_steps - 1));
+    let (s, half) = (v.lattice.log2_steps[0], 1 << (v.lattice.log2_steps[0] - 1));
     let at = |p| v.sample(Interpolation::Nearest, &[p])[0];
     assert_eq!(at([(1 << s) + half, 0, 0]), v.at([2, 0, 0]));
     assert_eq!(at([(1 << s) + half - 1, half, 0]), v.at([1, 1, 0]));
@@ -330,7 +330,7 @@ fn nearest_takes_the_higher_voxel_half_way() {
 #[test]
 fn the_longest_axis_has_one_step_a_voxel() {
     let lattice = Lattice::new([(1 << 24) + 1, 2, 2]).unwrap();
-    assert_eq!(lattice.log2_steps, 0);
+    assert_eq!(lattice.log2_steps, [0; 3]);
     let end = lattice.max();
     for how in of_volumes() {
         let voxels = how.voxels_for(&lattice, &[end]);

@@ -101,7 +101,7 @@ pub(super) fn crossings<W: Four>(
     let t = parameter(proof, W::splat(proof, f64::from(isovalue)).minus(p[3]).over(edge[3]));
     let mut index = [t; 3];
     for k in 0..3 {
-        index[k] = p[k].plus(t.times(edge[k])).times(W::splat(proof, world.step));
+        index[k] = p[k].plus(t.times(edge[k])).times(W::splat(proof, world.steps[k]));
     }
     let mut positions = [[0.0; 3]; 4];
     for (k, &origin) in world.geometry.origin.iter().enumerate() {

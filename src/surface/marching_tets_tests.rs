@@ -385,7 +385,7 @@ proptest! {
         chunk in prop::collection::vec(0usize..4, 384),
     ) {
         let mut grid = Grid::new([5; 3]);
-        let steps = 1i64 << grid.lattice.log2_steps;
+        let steps = 1i64 << grid.lattice.log2_steps[0];
         let max = grid.lattice.max();
         for (p, shift) in grid.positions.iter_mut().zip(&shifts) {
             if (0..3).all(|k| p[k] > 0 && p[k] < max[k]) {

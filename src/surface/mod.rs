@@ -163,11 +163,11 @@ impl SurfaceSource for Joined<'_> {
 #[derive(Clone, Copy, Debug)]
 pub struct WorldMap {
     geometry: Geometry,
-    /// Voxels a lattice step, a power of two.
-    step: f64,
+    /// Voxels a lattice step along each axis, powers of two.
+    steps: [f64; 3],
     /// World vectors of the three unit vectors of index space.
     axes: [[f64; 3]; 3],
-    /// World covectors of the three unit covectors of index space.
+    /// World covectors of the three unit covectors of the lattice, as long as those of index space where it has the fewest steps a voxel.
     covectors: [[f64; 3]; 3],
     mirrors: bool,
 }
@@ -176,11 +176,14 @@ impl WorldMap {
     /// The map of a structured volume.
     pub fn new(lattice: &Lattice, geometry: &Geometry) -> Self {
         let unit = |a: usize| std::array::from_fn(|b| if a == b { 1.0 } else { 0.0 });
+        let finer = lattice.finer().map(|f| f64::from(1u32 << f));
         Self {
             geometry: *geometry,
-            step: 1.0 / f64::from(1u32 << lattice.log2_steps),
+            steps: lattice.log2_steps.map(|s| 1.0 / f64::from(1u32 << s)),
             axes: geometry.axes(),
-            covectors: std::array::from_fn(|a| geometry.gradient_to_world(unit(a))),
+            covectors: std::array::from_fn(|a| {
+                geometry.gradient_to_world(unit(a).map(|x: f64| x * finer[a]))
+            }),
             mirrors: geometry.mirrors(),
         }
     }

@@ -64,7 +64,7 @@ impl TetField {
         let side: [f64; 3] = std::array::from_fn(|k| hi[k] - lo[k]);
         let voxel = side.iter().fold(0.0, |a: f64, &b| a.max(b)) / CELLS;
         let lattice = Lattice::new(side.map(|s| (s / voxel).ceil().max(1.0) as u64 + 1))?;
-        let steps = f64::from(1u32 << lattice.log2_steps);
+        let steps = f64::from(1u32 << lattice.log2_steps[0]);
         let max = lattice.max();
         let place = |p: &[f64; 3]| -> LatticePos {
             std::array::from_fn(|k| (((p[k] - lo[k]) / voxel * steps).round() as u32).min(max[k]))
