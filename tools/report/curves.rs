@@ -110,12 +110,10 @@ impl Way {
             return vec![sampled, fitted, Self::Adapted(Values::Sample), Self::Voxels];
         }
         let sets = Points::ALL.into_iter().filter(|p| p.kind().is_some());
-        if field.volume.is_none() {
-            return sets.map(|p| Self::Set(p, Values::Sample)).collect();
-        }
         let both = [Values::Sample, Values::Fit];
-        let all = sets.flat_map(|p| both.map(|v| Self::Set(p, v)));
-        all.chain(both.map(Self::Adapted)).chain([Self::Voxels]).collect()
+        let all = sets.flat_map(|p| both.map(|v| Self::Set(p, v))).chain(both.map(Self::Adapted));
+        // A mesh has no voxels.
+        all.chain(field.volume.is_some().then_some(Self::Voxels)).collect()
     }
 }
 
