@@ -31,11 +31,15 @@ pub(crate) trait Wide: Copy {
     fn pick(mask: Self::Mask, set: Self, unset: Self) -> Self;
 }
 
-/// Four lanes.
-pub(crate) trait Four: Wide<Lanes = [f64; 4]> {
-    fn of_floats(proof: Self::Proof, lanes: &[f32; 4]) -> Self;
+/// So many lanes, from `f32` and back.
+pub(crate) trait Floats<const N: usize>: Wide<Lanes = [f64; N]> {
+    fn of_floats(proof: Self::Proof, lanes: &[f32; N]) -> Self;
     /// Each rounded.
-    fn floats(self) -> [f32; 4];
+    fn floats(self) -> [f32; N];
+}
+
+/// Four lanes.
+pub(crate) trait Four: Floats<4> {
     /// Four rows as four columns.
     fn columns(rows: [Self; 4]) -> [Self; 4];
 }
@@ -136,7 +140,7 @@ impl Wide for Plain {
     }
 }
 
-impl Four for Plain {
+impl Floats<4> for Plain {
     #[inline(always)]
     fn of_floats((): (), lanes: &[f32; 4]) -> Self {
         Self(lanes.map(f64::from))
@@ -145,10 +149,132 @@ impl Four for Plain {
     fn floats(self) -> [f32; 4] {
         self.0.map(|x| x as f32)
     }
+}
+
+impl Four for Plain {
     #[inline(always)]
     fn columns(rows: [Self; 4]) -> [Self; 4] {
         [0, 1, 2, 3].map(|k| Self(rows.map(|r| r.0[k])))
     }
+}
+
+/// Eight lanes, as two times four.
+#[derive(Clone, Copy)]
+pub(crate) struct Pair<W>(W, W);
+
+impl<W: Four> Wide for Pair<W> {
+    type Proof = W::Proof;
+    type Lanes = [f64; 8];
+    type Mask = (W::Mask, W::Mask);
+    #[inline(always)]
+    fn of(proof: W::Proof, &[a, b, c, d, e, f, g, h]: &[f64; 8]) -> Self {
+        Self(W::of(proof, &[a, b, c, d]), W::of(proof, &[e, f, g, h]))
+    }
+    #[inline(always)]
+    fn splat(proof: W::Proof, x: f64) -> Self {
+        let all = W::splat(proof, x);
+        Self(all, all)
+    }
+    #[inline(always)]
+    fn lanes(self) -> [f64; 8] {
+        let ([a, b, c, d], [e, f, g, h]) = (self.0.lanes(), self.1.lanes());
+        [a, b, c, d, e, f, g, h]
+    }
+    #[inline(always)]
+    fn plus(self, other: Self) -> Self {
+        Self(self.0.plus(other.0), self.1.plus(other.1))
+    }
+    #[inline(always)]
+    fn minus(self, other: Self) -> Self {
+        Self(self.0.minus(other.0), self.1.minus(other.1))
+    }
+    #[inline(always)]
+    fn times(self, other: Self) -> Self {
+        Self(self.0.times(other.0), self.1.times(other.1))
+    }
+    #[inline(always)]
+    fn over(self, other: Self) -> Self {
+        Self(self.0.over(other.0), self.1.over(other.1))
+    }
+    #[inline(always)]
+    fn root(self) -> Self {
+        Self(self.0.root(), self.1.root())
+    }
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        Self(self.0.min(other.0), self.1.min(other.1))
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        Self(self.0.max(other.0), self.1.max(other.1))
+    }
+    #[inline(always)]
+    fn below(self, other: Self) -> Self::Mask {
+        (self.0.below(other.0), self.1.below(other.1))
+    }
+    #[inline(always)]
+    fn is_number(self) -> Self::Mask {
+        (self.0.is_number(), self.1.is_number())
+    }
+    #[inline(always)]
+    fn pick(mask: Self::Mask, set: Self, unset: Self) -> Self {
+        Self(W::pick(mask.0, set.0, unset.0), W::pick(mask.1, set.1, unset.1))
+    }
+}
+
+impl<W: Four> Floats<8> for Pair<W> {
+    #[inline(always)]
+    fn of_floats(proof: W::Proof, &[a, b, c, d, e, f, g, h]: &[f32; 8]) -> Self {
+        Self(W::of_floats(proof, &[a, b, c, d]), W::of_floats(proof, &[e, f, g, h]))
+    }
+    #[inline(always)]
+    fn floats(self) -> [f32; 8] {
+        let ([a, b, c, d], [e, f, g, h]) = (self.0.floats(), self.1.floats());
+        [a, b, c, d, e, f, g, h]
+    }
+}
+
+/// Eight bytes at a time. Every x86-64 has instructions for them, which compilers do not find by themselves.
+pub(crate) mod bytes {
+    #[cfg(target_arch = "x86_64")]
+    use std::arch::x86_64::*;
+
+    macro_rules! each {
+        ($(#[$doc:meta])* $name:ident, $vector:ident, $plain:expr) => {
+            $(#[$doc])*
+            #[inline(always)]
+            pub(crate) fn $name(a: [u8; 8], b: [u8; 8]) -> [u8; 8] {
+                #[cfg(target_arch = "x86_64")]
+                {
+                    // SAFETY: every x86-64 has SSE2.
+                    let of = |x: [u8; 8]| unsafe { _mm_cvtsi64_si128(i64::from_le_bytes(x)) };
+                    // SAFETY: as above.
+                    unsafe { _mm_cvtsi128_si64($vector(of(a), of(b))).to_le_bytes() }
+                }
+                #[cfg(not(target_arch = "x86_64"))]
+                std::array::from_fn(|k| $plain(a[k], b[k]))
+            }
+        };
+    }
+
+    each!(
+        /// The lesser of each pair.
+        lesser,
+        _mm_min_epu8,
+        |a: u8, b: u8| a.min(b)
+    );
+    each!(
+        /// The greater of each pair.
+        greater,
+        _mm_max_epu8,
+        |a: u8, b: u8| a.max(b)
+    );
+    each!(
+        /// All bits of each pair that is equal, none of others.
+        equal,
+        _mm_cmpeq_epi8,
+        |a: u8, b: u8| if a == b { u8::MAX } else { 0 }
+    );
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -157,7 +283,7 @@ pub(crate) use vectors::{Eight, Vector};
 /// To be had with a proof only: so each has been made on a machine that has the instructions. Of use in code that is compiled for them.
 #[cfg(target_arch = "x86_64")]
 mod vectors {
-    use super::{Four, Wide};
+    use super::{Floats, Four, Wide};
     use crate::exec::{Avx2, Avx512};
     use std::arch::x86_64::*;
 
@@ -316,7 +442,20 @@ mod vectors {
         }
     }
 
-    impl Four for Vector {
+    impl Floats<8> for Eight {
+        #[inline(always)]
+        fn of_floats(_: Avx512, lanes: &[f32; 8]) -> Self {
+            // SAFETY: AVX-512 was found, and there are eight numbers to be read.
+            Self(unsafe { _mm512_cvtps_pd(_mm256_loadu_ps(lanes.as_ptr())) })
+        }
+        #[inline(always)]
+        fn floats(self) -> [f32; 8] {
+            // SAFETY: AVX-512 was found.
+            bytemuck::cast(unsafe { _mm512_cvtpd_ps(self.0) })
+        }
+    }
+
+    impl Floats<4> for Vector {
         #[inline(always)]
         fn of_floats(_: Avx2, lanes: &[f32; 4]) -> Self {
             // SAFETY: AVX2 was found, and there are four numbers to be read.
@@ -327,6 +466,9 @@ mod vectors {
             // SAFETY: AVX2 was found.
             bytemuck::cast(unsafe { _mm256_cvtpd_ps(self.0) })
         }
+    }
+
+    impl Four for Vector {
         #[inline(always)]
         fn columns([a, b, c, d]: [Self; 4]) -> [Self; 4] {
             // SAFETY: AVX2 was found.

@@ -34,7 +34,7 @@ mod tally;
 pub(crate) use bricks::{BrickErrors, BrickRecord, merged};
 pub use sums::ErrorSums;
 pub(crate) use sums::{BINS, EXPONENTS, Largest, Mantissas};
-pub(crate) use tally::Tally;
+pub(crate) use tally::{Compared, ComparedAt, TOGETHER, Tally};
 
 use serde::{Deserialize, Serialize};
 

@@ -6,7 +6,7 @@ use super::{FieldError, PERCENTILES, Percentile};
 pub(super) const BIN_SHIFT: u32 = 18;
 pub(crate) const BINS: usize = 1 << (31 - BIN_SHIFT);
 /// All bits of a float but the sign, which have the order of its absolute value.
-const ABSOLUTE: u32 = 0x7fff_ffff;
+pub(super) const ABSOLUTE: u32 = 0x7fff_ffff;
 /// Exponents of floats.
 pub(crate) const EXPONENTS: usize = 256;
 

@@ -9,24 +9,23 @@
 //! samples lie in a tetrahedron, and with which weights, is found out once for all steps that are measured together.
 
 use super::commit::last_blocks;
+
 use super::grid_field::treat_missing;
 use super::measure::{Originals, world_of};
 use super::open::OpenArchive;
 use super::probe::windows;
-use super::sides::{Side, Sides};
+use super::side_errors::Room;
+use super::sides::Sides;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::errors::{ChunkErrors, decode_errors};
 use crate::error::{Error, Result};
-use crate::exec::lanes::{Four, Plain, four, sorted};
 use crate::exec::with_vectors;
-#[cfg(target_arch = "x86_64")]
-use crate::exec::{Avx2, lanes::Vector};
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, IndexBox};
-use crate::measure::{BrickErrors, ErrorSums, FieldError, LevelError, Tally, Worst};
+use crate::measure::{BrickErrors, ComparedAt, ErrorSums, FieldError, LevelError, Tally, Worst};
 use crate::mesh::tet::Tet;
 use crate::points::Levels;
-use crate::raster::{BatchScan, MEMBERS, Members, SampleGrid, Scanner, greater, interpolate, lesser};
+use crate::raster::{BatchScan, SampleGrid, Scanner, greater, lesser};
 use crate::volume::VolumeReader;
 use std::ops::Range;
 
@@ -68,12 +67,11 @@ pub(super) struct Cells<'a> {
 pub(super) struct Measured<'a> {
     /// Which of the steps.
     pub(super) step: usize,
-    pub(super) originals: &'a [f32],
-    /// NaN in a tetrahedron with a void corner.
-    pub(super) reduced: &'a [f32],
-    window: &'a IndexBox,
+    /// Reduced values are NaN in a tetrahedron with a void corner.
+    pub(super) compared: ComparedAt<'a>,
+    pub(super) window: &'a IndexBox,
     /// The place of each in the window.
-    places: &'a [u32],
+    pub(super) places: &'a [u32],
 }
 
 impl Measured<'_> {
@@ -95,7 +93,7 @@ impl Measured<'_> {
 /// Samples of a step that are read at a time: those around a block are fewer, but for coarse meshes.
 const WINDOW: u64 = 1 << 16;
 /// Blocks are taken together as long as the box around them has no more samples.
-const TOGETHER: u64 = 1 << 15;
+const AROUND_BLOCKS: u64 = 1 << 15;
 
 /// Bytes that measuring a chunk at so many steps takes: samples, sums.
 pub(super) const fn working_bytes(steps: u64) -> u64 {
@@ -154,7 +152,7 @@ impl Gauge {
         self.each_sample(cells, steps, read, |m| {
             let (sums, levels_of) = &mut all[m.step];
             add(sums, &m, dims);
-            for (n, (&original, &reduced)) in m.originals.iter().zip(m.reduced).enumerate() {
+            for (n, (original, reduced)) in m.compared.pairs().enumerate() {
                 let level = levels.at(lattice.of_voxel(m.place(n)));
                 levels_of[usize::from(level)].add(original, reduced);
             }
@@ -209,7 +207,7 @@ impl Gauge {
             let tets = std::mem::replace(&mut start, end)..end;
             let Some(samples) = self.around(cells.positions, &cells.tets[tets.clone()]) else { continue };
             match groups.last_mut().map(|last| (union(&last.0, &samples), last)) {
-                Some((both, last)) if both.checked_len().is_some_and(|n| n <= TOGETHER) => {
+                Some((both, last)) if both.checked_len().is_some_and(|n| n <= AROUND_BLOCKS) => {
                     *last = (both, last.1.start..tets.end);
                 }
                 _ => groups.push((samples, tets)),
@@ -245,126 +243,8 @@ fn union(a: &IndexBox, b: &IndexBox) -> IndexBox {
 pub(super) fn add(sums: &mut Tally, m: &Measured<'_>, dims: [u64; 3]) {
     with_vectors(
         #[inline(always)]
-        || sums.add_all(m.originals, m.reduced, |n| m.number(n, dims)),
+        || sums.add(&m.compared, |n| m.number(n, dims)),
     );
-}
-
-/// Values at some samples, column by column.
-type Column = [f32; MEMBERS];
-
-/// The values at some samples, original and reduced at up to four steps.
-struct Room {
-    originals: Column,
-    reduced: [Column; 4],
-}
-
-impl Default for Room {
-    fn default() -> Self {
-        Self { originals: [0.0; MEMBERS], reduced: [[0.0; MEMBERS]; 4] }
-    }
-}
-
-impl Room {
-    /// Hands on some samples of a window at each step; `originals` are the window's samples of each step.
-    #[inline(always)]
-    fn compare(
-        &mut self,
-        members: &Members,
-        window: &IndexBox,
-        tets: &[Tet],
-        steps: &Sides<'_>,
-        originals: &[f32],
-        each: &mut impl FnMut(Measured<'_>),
-    ) {
-        let places = members.places();
-        let count = places.len().min(MEMBERS);
-        for (steps, side) in steps.iter() {
-            match side {
-                Side::One(values) => interpolate_one(members, tets, values, &mut self.reduced[0]),
-                Side::Four(values) => interpolate_four(members, tets, values, &mut self.reduced),
-            }
-            for (step, reduced) in steps.zip(&self.reduced) {
-                let of_step = &originals[step * window.len()..][..window.len()];
-                for (original, &place) in self.originals.iter_mut().zip(places) {
-                    *original = of_step[place as usize];
-                }
-                let (originals, reduced) = (&self.originals[..count], &reduced[..count]);
-                each(Measured { step, originals, reduced, window, places });
-            }
-        }
-    }
-}
-
-/// The reduced values at one step.
-#[inline(never)]
-fn interpolate_one(members: &Members, tets: &[Tet], values: &[f32], out: &mut Column) {
-    with_vectors(
-        #[inline(always)]
-        || {
-            let mut corners = [[0.0; MEMBERS]; 4];
-            let count = members.tets().len().min(MEMBERS);
-            for (i, &tet) in members.tets().iter().enumerate().take(count) {
-                let tet = tets[tet as usize];
-                (0..4).for_each(|k| corners[k][i] = values[tet[k] as usize]);
-            }
-            let ([wa, wb, wc, wd], [a, b, c, d]) = (members.weights().map(|w| &w[..count]), &corners);
-            for i in 0..count {
-                let value = interpolate([wa[i], wb[i], wc[i], wd[i]], [a[i], b[i], c[i], d[i]]);
-                let void = a[i].is_nan() | b[i].is_nan() | c[i].is_nan() | d[i].is_nan();
-                out[i] = if void { f32::NAN } else { value };
-            }
-        },
-    );
-}
-
-/// The reduced values at four steps.
-#[inline(never)]
-fn interpolate_four(members: &Members, tets: &[Tet], values: &[[f32; 4]], out: &mut [Column; 4]) {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(proof) = Avx2::found() {
-        return with_vectors(
-            #[inline(always)]
-            || interpolate_wide::<Vector>(proof, members, tets, values, out),
-        );
-    }
-    interpolate_wide::<Plain>((), members, tets, values, out);
-}
-
-/// As [`interpolate`], and NaN where a corner is, of four steps at a time: the same bits.
-#[inline(always)]
-fn interpolate_wide<W: Four>(
-    proof: W::Proof,
-    members: &Members,
-    tets: &[Tet],
-    values: &[[f32; 4]],
-    out: &mut [Column; 4],
-) {
-    let (count, weights, void) = (members.tets().len(), members.weights(), W::splat(proof, f64::NAN));
-    for from in (0..count).step_by(4) {
-        let rows = four(
-            #[inline(always)]
-            |k| {
-                // Behind the last one, that again.
-                let i = (from + k).min(count - 1);
-                let tet = tets[members.tets()[i] as usize];
-                let corners = four(
-                    #[inline(always)]
-                    |k| W::of_floats(proof, &values[tet[k] as usize]),
-                );
-                let [a, b, c, d] = sorted(four(
-                    #[inline(always)]
-                    |k| corners[k].times(W::splat(proof, weights[k][i])),
-                ));
-                let value = a.plus(b).plus(c).plus(d);
-                let all = corners[0].plus(corners[1]).plus(corners[2].plus(corners[3]));
-                W::pick(all.is_number(), value, void).floats()
-            },
-        );
-        for (lane, column) in out.iter_mut().enumerate() {
-            let of_lane = [rows[0][lane], rows[1][lane], rows[2][lane], rows[3][lane]];
-            column[from..from + 4].copy_from_slice(&of_lane);
-        }
-    }
 }
 
 /// What is told of the errors of all samples of a volume, each once.

@@ -452,7 +452,7 @@ impl AgainstSamples<'_> {
         let (mut part, mut sums, dims) = (Part::default(), Tally::default(), self.gauge.dims());
         self.gauge.each_sample(&cells, &Sides::new(&[values]), read, |m| {
             gauge::add(&mut sums, &m, dims);
-            for (n, (&original, &reduced)) in m.originals.iter().zip(m.reduced).enumerate() {
+            for (n, (original, reduced)) in m.compared.pairs().enumerate() {
                 let brick = bricks.id(bricks.brick_at(lattice.of_voxel(m.place(n))));
                 part.bricks.entry(brick.0).or_default().add(original, reduced);
             }

@@ -45,6 +45,7 @@ mod roi;
 mod scan;
 mod series;
 mod shard;
+mod side_errors;
 mod sides;
 mod sink;
 mod spare;

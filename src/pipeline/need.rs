@@ -33,8 +33,9 @@ pub(crate) const BASE: u64 = 16 << 20;
 /// what waits to be written included) and rounded up: 6.8 tetrahedra of 64 bytes in the mesher, sort keys and sites of 100 bytes, then 16 bytes for each tetrahedron kept, two
 /// or three times while they are sorted and encoded, and what the C library holds back between workers.
 const PER_POINT: u64 = 900;
-/// And for each further step: its value, twice more while it is measured beside those of other steps, and where it lies in the spectrum.
-const FURTHER_PER_POINT: u64 = 16;
+/// And for each further step its value; for each eight steps, while they are measured side by side: values, where they lie in the spectrum, counts.
+const FURTHER_PER_POINT: u64 = 4;
+const SIDE_PER_POINT: u64 = 72;
 /// And whatever the number of points: the samples around a brick, the encoder's tables.
 const PER_CHUNK: u64 = 4 << 20;
 /// Bytes of a point's share of an encoded chunk, at most: its value, and a little more than 6 tetrahedra.
@@ -221,8 +222,9 @@ impl Need {
 
     /// Bytes beside a chunk's room: the values of the steps after the first, and what measures the errors of all.
     fn beside(&self) -> u64 {
-        (self.steps - 1).saturating_mul(FURTHER_PER_POINT * self.region_points)
-            + gauge::working_bytes(self.steps)
+        let sides = if self.steps > 1 { self.steps.div_ceil(8) } else { 0 };
+        let per_point = (self.steps - 1) * FURTHER_PER_POINT + sides * SIDE_PER_POINT;
+        per_point.saturating_mul(self.region_points) + gauge::working_bytes(self.steps)
     }
 
     fn of_workers(&self, workers: u64) -> u64 {
@@ -459,8 +461,11 @@ mod tests {
     fn fewer_steps_at_a_time_where_memory_is_short() {
         let steps = |memory| NEED.with_steps(16, memory, 1).steps();
         let least = NEED.least();
-        assert_eq!((steps(least - 1), steps(least), steps(least + (7 << 20)), steps(1 << 40)), (1, 1, 3, 16));
-        assert!(NEED.with_steps(16, least + (7 << 20), 1).least() <= least + (7 << 20));
+        assert_eq!(
+            (steps(least - 1), steps(least), steps(least + (14 << 20)), steps(1 << 40)),
+            (1, 1, 4, 16)
+        );
+        assert!(NEED.with_steps(16, least + (14 << 20), 1).least() <= least + (14 << 20));
     }
 
     #[test]

@@ -1,16 +1,18 @@
 //! The values of a chunk's vertices at several steps, side by side.
 //!
-//! What is asked of a chunk at many steps is asked at the same vertices. So those of four steps lie together, vertex by vertex, and one load has them.
+//! What is asked of a chunk at many steps is asked at the same vertices. So those of eight steps lie together, vertex by vertex, and one load has them.
 //! Steps that are left over have lanes that nobody looks at; a step by itself lies as it is.
 
 use crate::archive::summary::BlockRange;
 use crate::exec::with_vectors;
 use crate::mesh::tet::Tet;
+use std::ops::Range;
 
-/// The values of up to four steps.
+/// The values of up to eight steps.
 pub(super) enum Side<'a> {
     One(&'a [f32]),
     Four(Vec<[f32; 4]>),
+    Eight(Vec<[f32; 8]>),
 }
 
 /// The values of all steps.
@@ -19,12 +21,16 @@ pub(super) struct Sides<'a> {
     all: Vec<Side<'a>>,
 }
 
+/// Steps that lie side by side, at most.
+const MOST: usize = 8;
+
 impl<'a> Sides<'a> {
     /// Of the values of each step, as many as there are vertices.
     pub(super) fn new(steps: &[&'a [f32]]) -> Self {
-        let all = steps.chunks(4).map(|four| match *four {
+        let all = steps.chunks(MOST).map(|some| match *some {
             [values] => Side::One(values),
-            _ => Side::Four(four_of(four)),
+            _ if some.len() <= 4 => Side::Four(side_by_side(some)),
+            _ => Side::Eight(side_by_side(some)),
         });
         Self { steps: steps.len(), all: all.collect() }
     }
@@ -34,13 +40,11 @@ impl<'a> Sides<'a> {
         self.steps
     }
 
-    /// Four by four, with the steps that each has.
-    pub(super) fn iter(&self) -> impl Iterator<Item = (std::ops::Range<usize>, &Side<'a>)> {
-        (0..self.steps).step_by(4).map(|n| n..self.steps.min(n + 4)).zip(&self.all)
+    /// Some by some, with the steps that each has.
+    pub(super) fn iter(&self) -> impl Iterator<Item = (Range<usize>, &Side<'a>)> {
+        (0..self.steps).step_by(MOST).map(|n| n..self.steps.min(n + MOST)).zip(&self.all)
     }
-}
 
-impl Sides<'_> {
     /// The ranges of blocks at each step, given the end of each block.
     pub(super) fn ranges(&self, tets: &[Tet], block_ends: &[usize]) -> Vec<Vec<BlockRange>> {
         let mut out = vec![Vec::with_capacity(block_ends.len()); self.steps];
@@ -50,14 +54,9 @@ impl Sides<'_> {
             for &end in block_ends {
                 let tets = &tets[std::mem::replace(&mut start, end)..end];
                 match side {
-                    Side::One(values) => out[0].push(BlockRange::of(tets, values)),
-                    Side::Four(values) => {
-                        let four = with_vectors(
-                            #[inline(always)]
-                            || BlockRange::of_steps(tets, values),
-                        );
-                        out.iter_mut().zip(four).for_each(|(out, range)| out.push(range));
-                    }
+                    Side::One(values) => push(out, [BlockRange::of(tets, values)]),
+                    Side::Four(values) => push(out, ranges(tets, values)),
+                    Side::Eight(values) => push(out, ranges(tets, values)),
                 }
             }
         }
@@ -65,10 +64,27 @@ impl Sides<'_> {
     }
 }
 
-fn four_of(steps: &[&[f32]]) -> Vec<[f32; 4]> {
-    let mut out = vec![[0.0; 4]; steps[0].len()];
-    for (lane, values) in steps.iter().enumerate() {
-        out.iter_mut().zip(*values).for_each(|(four, &value)| four[lane] = value);
+fn ranges<const N: usize>(tets: &[Tet], values: &[[f32; N]]) -> [BlockRange; N] {
+    with_vectors(
+        #[inline(always)]
+        || BlockRange::of_steps(tets, values),
+    )
+}
+
+/// A block's range at each step.
+fn push<const N: usize>(out: &mut [Vec<BlockRange>], ranges: [BlockRange; N]) {
+    out.iter_mut().zip(ranges).for_each(|(out, range)| out.push(range));
+}
+
+/// Vertices that are put side by side at a time: they fit in the nearest cache.
+const SOME: usize = 256;
+
+fn side_by_side<const N: usize>(steps: &[&[f32]]) -> Vec<[f32; N]> {
+    let mut out = vec![[0.0; N]; steps[0].len()];
+    for (n, rows) in out.chunks_mut(SOME).enumerate() {
+        for (lane, values) in steps.iter().enumerate() {
+            rows.iter_mut().zip(&values[n * SOME..]).for_each(|(row, &value)| row[lane] = value);
+        }
     }
     out
 }

@@ -137,7 +137,7 @@ impl Measuring<'_> {
         let lattice = self.cells.lattice;
         let read = |_, window, out: &mut [f32]| samples.read(window, out);
         gauge.each_sample(&Cells { positions, tets, block_ends }, &Sides::new(&[values]), read, |m| {
-            for (n, (&original, &reduced)) in m.originals.iter().zip(m.reduced).enumerate() {
+            for (n, (original, reduced)) in m.compared.pairs().enumerate() {
                 let error = (f64::from(original) - f64::from(reduced)).abs();
                 if error > self.bound {
                     self.note(lattice.of_voxel(m.place(n)), error as f32);

@@ -240,6 +240,29 @@ impl Places {
     }
 }
 
+/// The same of a binary grid, without looking at its isovalues: they are exact multiples of the step, and so are, in `f64`, values divided by it.
+pub(super) struct BinaryPlaces {
+    scale: f64,
+    /// The multiple before the first.
+    before: f64,
+    count: f64,
+}
+
+impl BinaryPlaces {
+    pub(super) fn new(grid: &Grid) -> Self {
+        assert_eq!(grid.step.family, Family::Binary, "only its steps are powers of two");
+        let scale = 1.0 / grid.step.size();
+        Self { scale, before: grid.first as f64 - 1.0, count: f64::from(grid.count) }
+    }
+
+    /// How many isovalues are at or below `x`, which is not NaN.
+    #[inline(always)]
+    pub(super) fn of(&self, x: f32) -> u32 {
+        // A cast makes 0 of what is below.
+        ((f64::from(x) * self.scale).floor() - self.before).min(self.count) as u32
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -279,6 +302,13 @@ mod tests {
                 let (all, fine) = (Grid::new(family, [lo, hi], most), Grid::new(family, part, most));
                 prop_assert!(all.count <= most && fine.step.rung <= all.step.rung);
                 let places = Places::new(&fine);
+                if family == Family::Binary {
+                    let (binary, values) = (BinaryPlaces::new(&fine), fine.values());
+                    let between = within(0.5 * (c + d));
+                    for x in [part[0], part[1], between, between.next_up(), lo, hi, f32::MIN, f32::MAX, 0.0, -1e-45] {
+                        prop_assert_eq!(binary.of(x) as usize, values.partition_point(|&w| w <= x), "{}", x);
+                    }
+                }
                 for n in 0..all.count {
                     let v = all.value(n);
                     prop_assert!(lo < v && v <= hi, "{lo} < {v} <= {hi}");

@@ -1,19 +1,19 @@
 //! Sums over the tetrahedra of a chunk, at some steps.
 //!
 //! **How it is fast.** A step of a series is measured anew though its mesh is not made anew, so this is most of what a step costs. What of a tetrahedron
-//! does not depend on values is found out once for all steps. Its values, their gradient, and all quotients are computed four at a time, in vectors: of one
-//! tetrahedron at four steps that are measured together, the values of a vertex lying side by side; or of four tetrahedra at a step that is
-//! alone. Then, tetrahedron by tetrahedron, the knots in its range, eight by eight ([`super::tetra`], [`super::sums`]).
+//! does not depend on values is found out once for all steps. Its values, their gradient, and all quotients are computed eight at a time, in vectors: of one
+//! tetrahedron at up to eight steps that are measured together, what is known of a vertex lying side by side in a cache line; or of eight tetrahedra at a
+//! step that is alone. Then, tetrahedron by tetrahedron, the knots in its range, eight by eight ([`super::tetra`], [`super::sums`]).
 //!
 //! Each number of a step is made by the same operations, whatever else is in the vector: so it does not show with which steps it was measured.
 
 use super::design::{Design, Limits};
-use super::grid::Places;
-use super::sums::{Span, Sums, VOID};
-use super::tetra::{BATCH, PiecesOfFour, Shapes};
+use super::side::{Alone, Knots, OfStep, SIDE_BY_SIDE, Side, Together, ends_of, span_of};
+use super::sums::VOID;
+use super::tetra::{BATCH, PiecesOf, Shapes};
 #[cfg(target_arch = "x86_64")]
 use crate::exec::lanes::{Eight, Vector};
-use crate::exec::lanes::{Four, Plain, Wide, four};
+use crate::exec::lanes::{Floats, Four, Pair, Plain, Wide, four};
 use crate::exec::{Avx2, Avx512, with_avx512, with_vectors};
 use crate::mesh::tet::Tet;
 
@@ -79,109 +79,24 @@ impl ChunkPart {
         steps: &[Vertices<'_>],
         vectors: Vectors,
     ) -> Vec<Self> {
-        let mut sides: Vec<Side> = steps.chunks(4).map(|steps| Side::new(limits, steps)).collect();
+        let side = |steps| Side::new(limits, steps);
+        let mut sides: Vec<Side> = steps.chunks(SIDE_BY_SIDE).map(side).collect();
         let cells = Cells { places, tets };
         match vectors {
             #[cfg(target_arch = "x86_64")]
             Vectors::Avx512(proof) => with_avx512(
                 proof,
                 #[inline(always)]
-                || cells.add_all::<Vector, Eight>(proof.avx2(), proof, &mut sides),
+                || cells.add_all::<Vector, Eight, Eight>(proof.avx2(), proof, proof, &mut sides),
             ),
             #[cfg(target_arch = "x86_64")]
             Vectors::Avx2(proof) => with_vectors(
                 #[inline(always)]
-                || cells.add_all::<Vector, Vector>(proof, proof, &mut sides),
+                || cells.add_all::<Vector, Pair<Vector>, Vector>(proof, proof, proof, &mut sides),
             ),
-            _ => cells.add_all::<Plain, Plain>((), (), &mut sides),
+            _ => cells.add_all::<Plain, Pair<Plain>, Plain>((), (), (), &mut sides),
         }
-        sides.into_iter().flat_map(|side| side.sums).map(OfStep::finish).collect()
-    }
-}
-
-/// The sums of a step, and where they are made; none where all is void.
-struct OfStep(Option<(Design, Sums)>);
-
-impl OfStep {
-    fn new(limits: Limits, range: [f32; 2]) -> Self {
-        // Of two zeros either may be the least; only one is written.
-        let design = (range[0] <= range[1]).then(|| Design::new(range.map(|v| v + 0.0), limits));
-        Self(design.map(|design| (design, Sums::new(&design))))
-    }
-
-    fn finish(self) -> ChunkPart {
-        match self.0 {
-            Some((design, sums)) => sums.finish(design),
-            None => ChunkPart { tetrahedra: 0, volume: 0.0, measured: None },
-        }
-    }
-}
-
-/// The values of vertices at a step.
-#[derive(Clone, Copy)]
-struct Corner {
-    value: f32,
-    /// How many knots, how many levels are at or below it.
-    knots: u16,
-    levels: u16,
-}
-
-/// The same at four steps: knots, then levels. At the second half of a cache line begins the next.
-#[derive(Clone, Copy)]
-#[repr(C, align(32))]
-struct Corners {
-    values: [f32; 4],
-    ends: [u16; 8],
-}
-
-enum Values {
-    One(Vec<Corner>),
-    Four(Vec<Corners>),
-}
-
-/// Up to four steps that are measured side by side.
-struct Side {
-    values: Values,
-    sums: Vec<OfStep>,
-}
-
-impl Side {
-    fn new(limits: Limits, steps: &[Vertices<'_>]) -> Self {
-        let sums: Vec<OfStep> = steps.iter().map(|step| OfStep::new(limits, step.range)).collect();
-        let values = match steps {
-            [step] => {
-                let mut corners = Vec::with_capacity(step.values.len());
-                each_corner(step, &sums[0], |corner| corners.push(corner));
-                Values::One(corners)
-            }
-            _ => {
-                let void = Corners { values: [0.0; 4], ends: [VOID; 8] };
-                let mut corners = vec![void; steps.iter().map(|step| step.values.len()).max().unwrap_or(0)];
-                for (lane, (step, sums)) in steps.iter().zip(&sums).enumerate() {
-                    let mut to = corners.iter_mut();
-                    each_corner(step, sums, |corner| {
-                        let to = to.next().expect("as many as there are values");
-                        to.values[lane] = corner.value;
-                        (to.ends[lane], to.ends[lane + 4]) = (corner.knots, corner.levels);
-                    });
-                }
-                Values::Four(corners)
-            }
-        };
-        Self { values, sums }
-    }
-}
-
-/// Finds out where the values of a step lie.
-fn each_corner(step: &Vertices<'_>, sums: &OfStep, mut each: impl FnMut(Corner)) {
-    let Some((design, _)) = &sums.0 else {
-        let void = |&value: &f32| Corner { value, knots: VOID, levels: VOID };
-        return step.values.iter().map(void).for_each(each);
-    };
-    let (knots, levels) = (Places::new(&design.knots), Places::new(&design.levels));
-    for &value in step.values {
-        let place = |places: &Places| if value.is_nan() { VOID } else { places.of(value) as u16 };
-        each(Corner { value, knots: place(&knots), levels: place(&levels) });
+        sides.into_iter().flat_map(Side::finish).collect()
     }
 }
 
@@ -191,103 +106,100 @@ struct Cells<'a> {
     tets: &'a [Tet],
 }
 
-/// What is known of some tetrahedra.
-struct Room {
-    shapes: Shapes,
-    pieces: [PiecesOfFour; BATCH],
-    spans: [[Span; 4]; BATCH],
-}
-
 impl Cells<'_> {
     /// Adds all tetrahedra to the sums: those of all steps for some, then for the next ones.
     #[inline(always)]
-    fn add_all<W: Four, K: Wide>(&self, proof: W::Proof, knots: K::Proof, sides: &mut [Side]) {
-        let pieces = [[[0.0; 4]; 13]; BATCH];
-        let spans = [[Span::default(); 4]; BATCH];
-        let mut room = Box::new(Room { shapes: Shapes::default(), pieces, spans });
-        for tets in self.tets.chunks(BATCH) {
-            room.shapes.look::<W>(proof, self.places, tets);
-            for Side { values, sums } in &mut *sides {
-                match values {
-                    Values::One(corners) => {
-                        room.gather_one::<W>(proof, corners, tets);
-                        room.add::<K>(knots, tets.len(), &mut sums[0], |i| (i / 4, i % 4));
+    fn add_all<W: Four, S: Floats<8>, K: Wide>(
+        &self,
+        four: W::Proof,
+        eight: S::Proof,
+        knots: K::Proof,
+        sides: &mut [Side],
+    ) {
+        let (mut shapes, mut fours, mut eights) =
+            (Box::<Shapes>::default(), Room::<4>::new(), Room::<8>::new());
+        for from in (0..self.tets.len()).step_by(BATCH) {
+            let (tets, next) = self.tets[from..].split_at(BATCH.min(self.tets.len() - from));
+            let next = &next[..BATCH.min(next.len())];
+            shapes.look::<W>(four, self.places, tets);
+            for side in &mut *sides {
+                match side {
+                    Side::One(side) => {
+                        eights.gather_one::<S>(eight, &shapes, side, tets);
+                        eights.add::<K>(knots, tets.len(), &mut side.sums[0], |i| (i / 8, i % 8));
                     }
-                    Values::Four(corners) => {
-                        room.gather_four::<W>(proof, corners, tets);
-                        for (lane, sums) in sums.iter_mut().enumerate() {
-                            room.add::<K>(knots, tets.len(), sums, |i| (i, lane));
-                        }
-                    }
+                    Side::Four(side) => fours.measure::<W, K>((four, knots), &shapes, side, tets, next),
+                    Side::Eight(side) => eights.measure::<S, K>((eight, knots), &shapes, side, tets, next),
                 }
             }
         }
     }
 }
 
-impl Room {
-    /// Tetrahedra at one step: four by four.
+/// What is known of some tetrahedra.
+struct Room<const N: usize> {
+    pieces: [PiecesOf<N>; BATCH],
+    spans: [[Knots; 2]; BATCH],
+}
+
+impl<const N: usize> Room<N> {
+    fn new() -> Box<Self> {
+        Box::new(Self { pieces: [[[0.0; N]; 13]; BATCH], spans: [[[VOID; SIDE_BY_SIDE]; 2]; BATCH] })
+    }
+
+    /// Tetrahedra at some steps.
     #[inline(always)]
-    fn gather_one<W: Four>(&mut self, proof: W::Proof, corners: &[Corner], tets: &[Tet]) {
-        let rooms = self.pieces.iter_mut().zip(&mut self.spans);
-        for (n, (tets, (pieces, spans))) in tets.chunks(4).zip(rooms).enumerate() {
-            // Of less than four, the last one again.
-            let of = four(
+    fn measure<S: Floats<N>, K: Wide>(
+        &mut self,
+        (proof, knots): (S::Proof, K::Proof),
+        shapes: &Shapes,
+        side: &mut Together<N>,
+        tets: &[Tet],
+        next: &[Tet],
+    ) {
+        side.will_look_at(next);
+        self.gather::<S>(proof, shapes, side, tets);
+        for (lane, sums) in side.sums.iter_mut().enumerate() {
+            self.add::<K>(
+                knots,
+                tets.len(),
+                sums,
                 #[inline(always)]
-                |i| {
-                    let tet = tets[i.min(tets.len() - 1)];
-                    four(
-                        #[inline(always)]
-                        |k| corners[tet[k] as usize],
-                    )
-                },
+                |i| (i, lane),
             );
-            *spans = four(
-                #[inline(always)]
-                |i| {
-                    let [a, b, c, d] = of[i];
-                    Span {
-                        knots: ends(a.knots, b.knots, c.knots, d.knots),
-                        levels: ends(a.levels, b.levels, c.levels, d.levels),
-                    }
-                },
-            );
-            let values = four(
-                #[inline(always)]
-                |k| W::of_floats(proof, &[of[0][k].value, of[1][k].value, of[2][k].value, of[3][k].value]),
-            );
-            self.shapes.four::<W>(proof, n).pieces(proof, values, pieces);
         }
     }
 
-    /// Each tetrahedron at four steps.
     #[inline(always)]
-    fn gather_four<W: Four>(&mut self, proof: W::Proof, corners: &[Corners], tets: &[Tet]) {
+    fn gather<S: Floats<N>>(
+        &mut self,
+        proof: S::Proof,
+        shapes: &Shapes,
+        side: &mut Together<N>,
+        tets: &[Tet],
+    ) {
         let rooms = self.pieces.iter_mut().zip(&mut self.spans);
-        for (i, (tet, (pieces, spans))) in tets.iter().zip(rooms).enumerate() {
-            let of = four(
+        for (i, (tet, (pieces, span))) in tets.iter().zip(rooms).enumerate() {
+            let values = four(
                 #[inline(always)]
-                |k| &corners[tet[k] as usize],
+                |k| side.vertices[tet[k] as usize].values,
             );
-            let (mut low, mut high) = (of[0].ends, of[0].ends);
-            for corner in &of[1..] {
-                for (k, &end) in corner.ends.iter().enumerate() {
-                    (low[k], high[k]) = (low[k].min(end), high[k].max(end));
-                }
+            *span = span_of(four(
+                #[inline(always)]
+                |k| side.knots[tet[k] as usize],
+            ));
+            for (&v, ends) in tet.iter().zip(&ends_of(&values)) {
+                side.vertices[v as usize].ends.iter_mut().zip(ends).for_each(|(to, end)| *to += end);
             }
-            *spans = four(
-                #[inline(always)]
-                |k| Span { knots: [low[k], high[k]], levels: [low[k + 4], high[k + 4]] },
-            );
             let values = four(
                 #[inline(always)]
-                |k| W::of_floats(proof, &of[k].values),
+                |k| S::of_floats(proof, &values[k]),
             );
-            self.shapes.one::<W>(proof, i).pieces(proof, values, pieces);
+            shapes.one::<S>(proof, i).pieces(proof, values, pieces);
         }
     }
 
-    /// Adds the first tetrahedra to the sums of a step; `at` tells which four, and which of them, each is.
+    /// Adds the first tetrahedra to the sums of a step; `at` tells where each is, and in which lane.
     #[inline(always)]
     fn add<K: Wide>(
         &self,
@@ -299,12 +211,32 @@ impl Room {
         let Some((_, sums)) = &mut sums.0 else { return };
         for i in 0..count.min(BATCH) {
             let (n, lane) = at(i);
-            sums.add::<K>(proof, self.spans[n][lane], &self.pieces[n], lane);
+            let [lo, hi] = &self.spans[n];
+            sums.add::<K, N>(proof, [lo[lane], hi[lane]], &self.pieces[n], lane);
         }
     }
 }
 
-#[inline(always)]
-fn ends(a: u16, b: u16, c: u16, d: u16) -> [u16; 2] {
-    [a.min(b).min(c.min(d)), a.max(b).max(c.max(d))]
+impl Room<8> {
+    /// Tetrahedra at one step: eight by eight.
+    #[inline(always)]
+    fn gather_one<S: Floats<8>>(&mut self, proof: S::Proof, shapes: &Shapes, side: &mut Alone, tets: &[Tet]) {
+        let rooms = self.pieces.iter_mut().zip(&mut self.spans);
+        for (n, (tets, (pieces, span))) in tets.chunks(8).zip(rooms).enumerate() {
+            // Of less than eight, the last one again.
+            let corner = |k: usize, i: usize| tets[i.min(tets.len() - 1)][k] as usize;
+            let values = [0, 1, 2, 3].map(|k| std::array::from_fn(|i| side.values[corner(k, i)]));
+            let knots = [0, 1, 2, 3].map(|k| std::array::from_fn(|i| side.knots[corner(k, i)]));
+            *span = span_of(knots);
+            let ends = ends_of(&values);
+            for (i, tet) in tets.iter().enumerate() {
+                (0..4).for_each(|k| side.ends[tet[k] as usize] += ends[k][i]);
+            }
+            let values = four(
+                #[inline(always)]
+                |k| S::of_floats(proof, &values[k]),
+            );
+            shapes.eight::<S>(proof, n).pieces(proof, values, pieces);
+        }
+    }
 }

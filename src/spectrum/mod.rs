@@ -37,6 +37,7 @@ mod design;
 mod grid;
 mod measure;
 mod part;
+mod side;
 mod store;
 pub mod suggest;
 mod sums;

@@ -16,11 +16,11 @@
 //! The six quotients of a tetrahedron cost one division: each is the product of what is not its own over the product of all six, which
 //! is between 2^-894 and 2^774.
 
-use crate::exec::lanes::{Four, Wide, four, sorted, three};
+use crate::exec::lanes::{Floats, Four, Wide, four, sorted, three};
 use crate::mesh::tet::Tet;
 
 /// Tetrahedra that are looked at together.
-pub(super) const BATCH: usize = 32;
+pub(super) const BATCH: usize = 16;
 /// Knots that are looked at together.
 pub(super) const KNOTS: usize = 8;
 
@@ -37,7 +37,7 @@ pub(super) struct Shapes {
     inverse: Column,
 }
 
-/// What of that four tetrahedra need, or one in four lanes.
+/// What of that some tetrahedra need, or one in all lanes.
 #[derive(Clone, Copy)]
 pub(super) struct Shape<W> {
     normals: [[W; 3]; 3],
@@ -73,18 +73,18 @@ impl Shapes {
         (to_x[n], to_y[n], to_z[n]) = (x.lanes(), y.lanes(), z.lanes());
     }
 
-    /// The n-th four.
+    /// The n-th eight.
     #[inline(always)]
-    pub(super) fn four<W: Four>(&self, proof: W::Proof, n: usize) -> Shape<W> {
+    pub(super) fn eight<W: Floats<8>>(&self, proof: W::Proof, n: usize) -> Shape<W> {
         self.map(
             #[inline(always)]
-            |column| W::of(proof, &column[n]),
+            |column| W::of(proof, &column.as_flattened().as_chunks().0[n]),
         )
     }
 
     /// The i-th, in all lanes.
     #[inline(always)]
-    pub(super) fn one<W: Four>(&self, proof: W::Proof, i: usize) -> Shape<W> {
+    pub(super) fn one<W: Wide>(&self, proof: W::Proof, i: usize) -> Shape<W> {
         self.map(
             #[inline(always)]
             |column| W::splat(proof, column[i / 4][i % 4]),
@@ -92,7 +92,7 @@ impl Shapes {
     }
 
     #[inline(always)]
-    fn map<W: Four>(&self, of: impl Fn(&Column) -> W) -> Shape<W> {
+    fn map<W: Wide>(&self, of: impl Fn(&Column) -> W) -> Shape<W> {
         let [[a, b, c], [d, e, f], [g, h, i]] = &self.normals;
         Shape {
             normals: [[of(a), of(b), of(c)], [of(d), of(e), of(f)], [of(g), of(h), of(i)]],
@@ -128,15 +128,18 @@ fn edge<W: Four>(
     [x, y, z]
 }
 
-/// What the sums at the knots are made from: numbers that [`Pieces`] names, each of four tetrahedra, or of one at four steps.
-pub(super) type PiecesOfFour = [[f64; 4]; 13];
+/// What the sums at the knots are made from: numbers that [`Pieces`] names, each of some tetrahedra, or of one at some steps.
+pub(super) type PiecesOf<const N: usize> = [[f64; N]; 13];
 /// Which of them the volume is.
 pub(super) const VOLUME: usize = 10;
 
-impl<W: Four> Shape<W> {
+impl<W: Wide> Shape<W> {
     /// Of tetrahedra with these corner values.
     #[inline(always)]
-    pub(super) fn pieces(&self, proof: W::Proof, values: [W; 4], out: &mut PiecesOfFour) {
+    pub(super) fn pieces<const N: usize>(&self, proof: W::Proof, values: [W; 4], out: &mut PiecesOf<N>)
+    where
+        W: Wide<Lanes = [f64; N]>,
+    {
         let [a, b, c, d] = values;
         let d = [b.minus(a), c.minus(a), d.minus(a)];
         // Six times the volume times the gradient.
@@ -219,10 +222,10 @@ pub(super) struct Pieces<W> {
 }
 
 impl<W: Wide> Pieces<W> {
-    /// Of one of four.
+    /// Of one of them.
     #[inline(always)]
-    pub(super) fn new(proof: W::Proof, four: &PiecesOfFour, lane: usize) -> Self {
-        let [f0, f1, f2, f3, d01, d02, d03, d12, d13, d23, volume, area, slope] = four;
+    pub(super) fn new<const N: usize>(proof: W::Proof, of: &PiecesOf<N>, lane: usize) -> Self {
+        let [f0, f1, f2, f3, d01, d02, d03, d12, d13, d23, volume, area, slope] = of;
         Self {
             f0: W::splat(proof, f0[lane]),
             f1: W::splat(proof, f1[lane]),
