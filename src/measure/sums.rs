@@ -1,6 +1,6 @@
 //! Errors of samples, added up as integers.
 
-use super::{FieldError, PERCENTILES, Percentile};
+use super::{FieldError, LevelError, PERCENTILES, Percentile};
 
 /// Bins of absolute errors: the upper bits of a float without its sign.
 pub(super) const BIN_SHIFT: u32 = 18;
@@ -73,6 +73,15 @@ pub(crate) fn error_of(original: f32, reduced: f32) -> f32 {
 }
 
 impl ErrorSums {
+    /// Bytes that they take.
+    pub(crate) const BYTES: u64 = (BINS * size_of::<u64>() + EXPONENTS * size_of::<Mantissas>()) as u64 + 128;
+
+    /// What is told of the cells of a level.
+    pub(crate) fn level_error(&self) -> LevelError {
+        let rms = if self.measured == 0 { 0.0 } else { self.rms() };
+        LevelError { samples: self.measured, rms, max: self.max() }
+    }
+
     /// Adds a sample. An original that is no finite number counts as missing, a reduced value that is NaN as void; the number of
     /// the sample is asked for when its error is the largest so far.
     #[inline]

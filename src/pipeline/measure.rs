@@ -31,7 +31,7 @@ use crate::formats::{self, Input, OpenOptions, StepSource};
 use crate::geom::LatticePos;
 use crate::grid::Geometry;
 use crate::locate::{FINE_BITS, FinePos};
-use crate::measure::{BrickErrors, BrickRecord, ErrorSums, FieldError, Tally, Worst, merged};
+use crate::measure::{BrickErrors, BrickRecord, ErrorSums, FieldError, LevelError, Tally, Worst, merged};
 use crate::volume::{VolumeReader, VolumeSource};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -103,6 +103,9 @@ pub struct MeasureReport {
     pub seconds: f64,
 }
 
+/// The errors of a step: of the field; and of a mesh those at the vertices in the cells of each level, where its points have levels.
+pub(super) type StepErrors = (FieldError, Vec<LevelError>);
+
 /// The samples that an archive was made from.
 pub(super) enum Originals<'a> {
     Volume {
@@ -149,7 +152,7 @@ pub(super) fn reopened_errors(
     steps: &[(usize, &StepSource)],
     settings: &MeasureSettings,
     progress: &dyn Progress,
-) -> Result<Vec<FieldError>> {
+) -> Result<Vec<StepErrors>> {
     let (mut errors, mut store) = (vec![], None);
     for group in steps.chunks(MOST_STEPS_AT_ONCE as usize) {
         let mut columns = vec![];
@@ -157,7 +160,8 @@ pub(super) fn reopened_errors(
             archive.turn_to(position);
             match open_field(archive, path, options)? {
                 Input::Volume(source) => {
-                    errors.push(against_volume(archive, source, path, settings, progress)?.0);
+                    let error = against_volume(archive, source, path, settings, progress)?.0;
+                    errors.push((error, vec![]));
                 }
                 Input::Mesh(mesh) => {
                     columns.push((position, reopened_values(archive, &mesh, path, &mut store, settings)?));
@@ -173,7 +177,7 @@ pub(super) fn reopened_errors(
 }
 
 /// The values of a step on the mesh of a series, which the first of them lays out.
-fn reopened_values(
+pub(super) fn reopened_values(
     archive: &OpenArchive,
     mesh: &CellMesh,
     input: &Path,
@@ -331,7 +335,7 @@ pub(super) fn field_error(
         Originals::Mesh(store, values) => {
             let step = [(archive.view.step, *values)];
             let mut errors = measure_vertices(archive, store, &step, map, settings, progress)?;
-            Ok(errors.pop().expect("of one step"))
+            Ok(errors.pop().expect("of one step").0)
         }
     }
 }
@@ -343,13 +347,13 @@ pub(super) fn field_errors(
     originals: &[Originals<'_>],
     settings: &MeasureSettings,
     progress: &dyn Progress,
-) -> Result<Vec<FieldError>> {
+) -> Result<Vec<StepErrors>> {
     let (mut errors, mut on_mesh, mut store) = (vec![], vec![], None);
     for (position, original) in (first..).zip(originals) {
         match original {
             Originals::Volume { .. } => {
                 archive.turn_to(position);
-                errors.push(field_error(archive, original, settings, progress)?);
+                errors.push((field_error(archive, original, settings, progress)?, vec![]));
             }
             Originals::Mesh(mesh, values) => {
                 store = Some(*mesh);
@@ -371,7 +375,7 @@ fn vertex_errors(
     steps: &[(usize, &Column<f32>)],
     settings: &MeasureSettings,
     progress: &dyn Progress,
-) -> Result<Vec<FieldError>> {
+) -> Result<Vec<StepErrors>> {
     match measure_vertices(archive, store, steps, None, settings, progress) {
         // Refused before anything was read: fewer steps take less.
         Err(Error::Budget { .. }) if steps.len() > 1 => {
@@ -471,14 +475,14 @@ pub(super) fn world_of(archive: &OpenArchive, ijk: [f64; 3]) -> Result<[f64; 3]>
 }
 
 /// Bytes for a vertex of a batch: its place, three times while it is sorted and looked for, and its value.
-const VERTEX: u64 = 120;
+pub(super) const VERTEX: u64 = 120;
 /// Bytes for the value of each further step.
 const FURTHER: u64 = 8;
 /// The most vertices of a batch.
-const MOST_VERTICES: u64 = 1 << 31;
+pub(super) const MOST_VERTICES: u64 = 1 << 31;
 
 /// A position of a mesh on the lattice.
-fn on_lattice(p: FinePos) -> LatticePos {
+pub(super) fn on_lattice(p: FinePos) -> LatticePos {
     // The frame's box ends at whole lattice steps, so no position is rounded out of it.
     p.map(|c| ((c + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32)
 }
@@ -491,11 +495,15 @@ fn measure_vertices(
     mut map: Option<Map>,
     settings: &MeasureSettings,
     progress: &dyn Progress,
-) -> Result<Vec<FieldError>> {
+) -> Result<Vec<StepErrors>> {
     let positions = store.positions.get()?;
     let columns = steps.iter().map(|(_, values)| values.get()).collect::<Result<Vec<_>>>()?;
     let steps: Vec<usize> = steps.iter().map(|step| step.0).collect();
-    let rest = settings.memory.saturating_sub(need::BASE + map.as_ref().map_or(0, |m| m.memory));
+    let levels = archive.points.levels();
+    let none = vec![ErrorSums::default(); levels.map_or(0, |levels| usize::from(levels.top()) + 1)];
+    let sums_bytes = (steps.len() * (none.len() + 1)) as u64 * ErrorSums::BYTES;
+    let map_bytes = map.as_ref().map_or(0, |m| m.memory);
+    let rest = settings.memory.saturating_sub(need::BASE + map_bytes + sums_bytes);
     let vertex = VERTEX + FURTHER * (steps.len() as u64 - 1);
     let most = (rest / 8 / vertex).clamp(1, MOST_VERTICES) as usize;
     let find = Find {
@@ -505,17 +513,21 @@ fn measure_vertices(
         cancel: &settings.cancel,
     };
     let bricks = archive.chunks.bricks();
-    let mut sums: Vec<ErrorSums> = steps.iter().map(|_| ErrorSums::default()).collect();
+    let mut sums: Vec<_> = steps.iter().map(|_| (ErrorSums::default(), none.clone())).collect();
     for (batch, first) in positions.chunks(most).zip((0u64..).step_by(most)) {
         let mut errors = BTreeMap::<u64, BrickErrors>::new();
         let placed = batch.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
         each_value_of(archive, &steps, placed, &find, progress, "measure", |n, reduced| {
-            let number = first + u64::from(n);
-            for ((sums, values), &reduced) in sums.iter_mut().zip(&columns).zip(reduced) {
+            let (number, at) = (first + u64::from(n), on_lattice(batch[n as usize]));
+            let level = levels.map(|levels| usize::from(levels.at(at)));
+            for (((sums, of_levels), values), &reduced) in sums.iter_mut().zip(&columns).zip(reduced) {
                 sums.add(values[number as usize], reduced, || number);
+                if let Some(level) = level {
+                    of_levels[level].add(values[number as usize], reduced, || number);
+                }
             }
             if map.is_some() {
-                let brick = bricks.id(bricks.brick_at(on_lattice(batch[n as usize])));
+                let brick = bricks.id(bricks.brick_at(at));
                 errors.entry(brick.0).or_default().add(columns[0][number as usize], reduced[0]);
             }
         })?;
@@ -526,7 +538,10 @@ fn measure_vertices(
     if let Some(map) = map {
         map.finish()?;
     }
-    Ok(sums.iter().map(|sums| vertex_error(store, positions, sums)).collect())
+    let told = |(sums, of_levels): &(ErrorSums, Vec<ErrorSums>)| {
+        (vertex_error(store, positions, sums), of_levels.iter().map(ErrorSums::level_error).collect())
+    };
+    Ok(sums.iter().map(told).collect())
 }
 
 /// The error of a step at all vertices, and where it is largest.

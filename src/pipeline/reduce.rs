@@ -296,7 +296,7 @@ impl Publishing<'_> {
         for (position, source) in (before..).zip(&series.sources) {
             let step = &mut made.steps[position];
             match outcome.errors.remove(&step.plan.number) {
-                Some(error) => step.error = Some(error),
+                Some((error, levels)) => (step.error, step.level_errors) = (Some(error), levels),
                 None if step.plan.measured => {
                     archive.turn_to(position);
                     let (error, levels) = stored_error(&archive)?;
@@ -306,8 +306,8 @@ impl Publishing<'_> {
             }
         }
         let errors = reopened_errors(&mut archive, &missing, &settings, self.progress)?;
-        for ((position, _), error) in missing.into_iter().zip(errors) {
-            made.steps[position].error = Some(error);
+        for ((position, _), (error, levels)) in missing.into_iter().zip(errors) {
+            (made.steps[position].error, made.steps[position].level_errors) = (Some(error), levels);
         }
         Ok(())
     }

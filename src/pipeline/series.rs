@@ -20,7 +20,7 @@ use super::gauge::{Gauge, Samples};
 use super::job::RunSettings;
 use super::layout::Layout;
 use super::make::Rooms;
-use super::measure::{MeasureSettings, field_errors};
+use super::measure::{MeasureSettings, StepErrors, field_errors};
 use super::need::Shares;
 use super::open::OpenArchive;
 use super::plan::{MeshParts, Plan};
@@ -36,7 +36,6 @@ use crate::error::{Error, Result};
 use crate::exec::{Progress, pool};
 use crate::formats::StepSource;
 use crate::grid::ChunkId;
-use crate::measure::FieldError;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs;
@@ -217,7 +216,7 @@ pub(super) struct Outcome {
     /// Wall time of measuring.
     pub(super) measuring: Duration,
     /// Errors by the number of the step; not of steps that were there before.
-    pub(super) errors: BTreeMap<u64, FieldError>,
+    pub(super) errors: BTreeMap<u64, StepErrors>,
     /// The coordinates of a grid that has its own, which are in the archive.
     pub(super) coordinates: Option<CoordinateRecord>,
 }
