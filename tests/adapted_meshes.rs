@@ -53,6 +53,13 @@ fn points_go_where_the_field_bends() {
     assert!(rms(&dense) < 0.7 * rms(&same), "{} {}", rms(&dense), rms(&same));
     let summary = pipeline::summarize(&dir.path().join("dense.isospan")).unwrap();
     assert!(summary.levels.len() > 2, "{:?}", summary.levels);
+    // The errors of all levels are those of the field.
+    let (error, errors) = (summary.error.unwrap(), summary.levels.iter().map(|l| l.error.unwrap()));
+    let (vertices, squares, max) = errors.fold((0, 0.0, 0.0), |(n, sum, max), e| {
+        (n + e.samples, sum + e.rms * e.rms * e.samples as f64, f64::max(max, e.max))
+    });
+    assert_eq!((vertices, max), (error.measured, error.max));
+    assert!(((squares / vertices as f64).sqrt() / error.rms - 1.0).abs() < 1e-9, "{squares} {error:?}");
     let file = dir.path().join("s.ply");
     surface(&dir.path().join("dense.isospan"), 2.0, &file, 2);
     let report = isospan::surface::check::check(&read(&file));
@@ -109,9 +116,17 @@ fn a_target_is_met() {
     let told = report.target.unwrap();
     assert!(told.met && told.error <= told.bound && told.error == report.error.unwrap().rms, "{told:?}");
     assert!((told.bound - 0.05).abs() < 0.005 && report.points < report.samples, "{told:?}");
-    let out = dir.path().join("max.isospan");
-    let settings = with(Target::Max(Bound::Value(0.1)));
-    let error =
-        pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &run(1), &Silent).unwrap_err();
-    assert!(error.exit_code() == 2 && error.to_string().contains("--target-rms"), "{error}");
+    // The largest error: more points where it is, by any number of threads the same.
+    let settings = with(Target::Max(Bound::Value(0.4)));
+    let report = made(&input, &settings, "max.isospan");
+    let told = report.target.unwrap();
+    assert!(told.met && told.error <= 0.4 && told.error == report.error.unwrap().max, "{told:?}");
+    let again = dir.path().join("again.isospan");
+    reduce(&input, &settings, &again, 1);
+    assert_eq!(folder(&again), folder(&dir.path().join("max.isospan")), "threads");
+    let first = ReduceSettings { target: None, ..settings.clone() };
+    let even = made(&input, &ReduceSettings { adapt: None, ..first }, "even.isospan");
+    assert!(even.error.unwrap().max > 0.4, "the even points of the fraction do not do");
+    let told = made(&input, &with(Target::Max(Bound::Value(1e-7))), "no.isospan").target.unwrap();
+    assert!(!told.met && told.error > told.bound && told.full_cells[0] > 0, "{told:?}");
 }

@@ -30,7 +30,7 @@ pub(crate) struct Choices {
     /// N% of its range). Reduces several times, with --adapt; the error that was met is stored.
     #[arg(long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure"])]
     target_rms: Option<Bound>,
-    /// As --target-rms, for the largest error at a sample of a volume.
+    /// As --target-rms, for the largest error at a sample, or at a vertex of a mesh.
     #[arg(long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms"])]
     target_max: Option<Bound>,
     /// Hammersley: the shift t in (k + t)/n; 0 gives the classical set.

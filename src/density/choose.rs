@@ -90,6 +90,12 @@ impl Choice {
         search.choice(levels, points.round() as u64)
     }
 
+    /// About the number of points where the curves count them: of a mesh, those inside.
+    pub fn points_in(&self, curves: &ErrorCurves) -> u64 {
+        let of = |(cell, &level): (usize, &u8)| curves.cell_voxels(cell) * self.density(level);
+        self.levels.as_slice().iter().enumerate().map(of).sum::<f64>().round() as u64
+    }
+
     /// Points to a voxel at a level.
     fn density(&self, level: u8) -> f64 {
         let voxels: f64 = self.levels.cells().lattice.dims.iter().map(|&d| (d - 1) as f64).product();

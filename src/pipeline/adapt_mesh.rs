@@ -63,6 +63,10 @@ pub(super) fn choose(
     curves.weigh(&vertices, store.census.vertices);
     let bound = target.map(|t| t.bound().in_units(range));
     pool(threads(run))?.install(|| {
+        if let (Some(Target::Max(_)), Some(bound)) = (target, bound) {
+            let choice = Choice::of_bound(&curves, bound, store.census.vertices)?;
+            return Ok(MeshChoice { count: choice.points_in(&curves), choice, bound: Some(bound) });
+        }
         let count = bound.map_or(count, |bound| Choice::count_of_rms(&curves, bound));
         Ok(MeshChoice { choice: Choice::of_count(&curves, count)?, count, bound })
     })

@@ -186,6 +186,11 @@ fn dense_where_needed(
         plan.mesh.clone_from(&planned.mesh);
         return known(Beside::read(job.out, &planned.mesh)?.levels);
     }
+    if let Some(choice) = job.choice {
+        let levels = Arc::new(choice.levels.clone());
+        plan.adapt(choice.n, &levels)?;
+        return known(Some(levels));
+    }
     let (Some(adapt), target) = (&job.settings.adapt, job.settings.target) else { return known(None) };
     let MeshChoice { choice, count, bound } = adapt_mesh::choose(store, how, adapt, target, inside, job.run)?;
     let levels = Arc::new(choice.levels);

@@ -13,7 +13,6 @@ use super::need::{Estimate, Need, Question, free_bytes};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::reduce::{MOST_STEPS_AT_ONCE, folder_bytes, need_of, produce};
 use super::series::{Means, SeriesPlan};
-use super::target::Target;
 use crate::cells::CellMesh;
 use crate::domain::boundary::BoundarySamples;
 use crate::domain::buckets::Buckets;
@@ -167,11 +166,6 @@ fn check_settings(settings: &ReduceSettings, path: &Path) -> Result<()> {
         return Err(Error::usage(format!(
             "{} interpolation is for volumes; {path} is a mesh: choose linear or quadratic",
             settings.interpolation
-        )));
-    }
-    if let Some(Target::Max(_)) = settings.target {
-        return Err(Error::usage(format!(
-            "--target-max is for volumes, and {path} is a mesh: --target-rms is for both"
         )));
     }
     Ok(())

@@ -38,7 +38,7 @@ use std::path::Path;
 pub enum Target {
     /// The root of the mean square of the errors at all samples.
     Rms(Bound),
-    /// The largest absolute error at a sample.
+    /// The largest absolute error at a sample, or at a vertex of a mesh.
     Max(Bound),
 }
 

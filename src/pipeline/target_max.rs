@@ -2,7 +2,7 @@
 //!
 //! The largest error of a field is that of a few samples, at a peak, say: as many points as samples all over the volume need not meet it, where
 //! some more at the peak do. So this is no search for a number of points. The first try has levels at which the foretold error of each cell is the
-//! bound; then errors are measured at all samples, and the cells that have one above the bound are raised, with those around them as far as
+//! bound; then errors are measured at all samples (of a mesh: at all vertices), and the cells that have one above the bound are raised, with those around them as far as
 //! points lie apart; and so on:
 //!
 //! ```text
@@ -11,29 +11,32 @@
 //!            └────────── raise the cells that are not
 //! ```
 //!
-//! Levels only rise, and begin low, so few points are too many. The cap is as many points as samples in all; where the next levels would have
+//! Levels only rise, and begin low, so few points are too many. The cap is as many points as samples in all (about; of a mesh that fills a part of its box, as many inside as vertices); where the next levels would have
 //! more, only the largest errors raise theirs. When nothing can be raised any more the last try is published, and the report says so.
 //!
 //! Memory: 4 bytes a cell beside what measuring takes. The largest of errors does not depend on their order: the same archive for any threads.
 
 use super::gauge::{self, Cells, Gauge, Samples};
-use super::job::{Job, Part, ReduceReport, RunSettings, finished};
-use super::measure::Originals;
+use super::job::{Job, Part, ReduceReport, RunSettings, finished, threads};
+use super::measure::{MOST_VERTICES, MeasureSettings, Originals, VERTEX, on_lattice, reopened_values};
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
 use super::plan::ReduceSettings;
 use super::plan_file::work_folder;
+use super::probe_points::{Find, each_value};
 use super::reduce::{make, random_access};
 use super::sides::Sides;
 use super::steps::StepChoice;
 use super::target::{Target, TargetReport, error_of, full_cells, publish, remove};
 use super::visit::{Blocks, Visit};
+use crate::cells::CellMesh;
 use crate::density::Choice;
 use crate::error::{Error, Result};
 use crate::formats::{self, Input, StepSource};
 use crate::geom::LatticePos;
 use crate::grid::BrickGrid;
 use crate::points::PointSpec;
+use crate::volume::VolumeSource;
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -88,14 +91,17 @@ fn raised(job: &Job<'_>, archive: &Path, bound: f64, samples: u64) -> Result<Opt
     };
     let cells = *levels.cells();
     let worst: Vec<AtomicU32> = levels.as_slice().iter().map(|_| AtomicU32::new(0)).collect();
+    let mut filled = 1.0;
     for position in 0..archive.manifest.steps.len() {
         archive.turn_to(position);
         let number = archive.step().plan.number;
         let (_, source) = job.sources.iter().find(|s| s.0 == number).expect("a step of this job");
-        Measuring { archive: &archive, cells: &cells, bound, worst: &worst }.add(job, source)?;
+        filled = Measuring { archive: &archive, cells: &cells, bound, worst: &worst }.add(job, source)?;
     }
     let worst: Vec<f32> = worst.into_iter().map(|e| f32::from_bits(e.into_inner())).collect();
-    Choice { n, levels: (*levels).clone() }.raised(&worst, bound, samples)
+    // Points are those of the box, of which a mesh may fill a part.
+    let most = (samples as f64 / filled) as u64;
+    Choice { n, levels: (*levels).clone() }.raised(&worst, bound, most)
 }
 
 /// Looks for errors above a bound.
@@ -108,11 +114,38 @@ struct Measuring<'a> {
 }
 
 impl Measuring<'_> {
-    /// Adds the errors at the samples of a step.
-    fn add(&self, job: &Job<'_>, source: &StepSource) -> Result<()> {
-        let Input::Volume(volume) = formats::open_input(&source.path, &source.options)? else {
-            return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
-        };
+    /// Adds the errors at the samples of a step, or at the vertices of its mesh; returns the part of the box that they fill.
+    fn add(&self, job: &Job<'_>, source: &StepSource) -> Result<f64> {
+        match formats::open_input(&source.path, &source.options)? {
+            Input::Volume(volume) => self.add_samples(job, volume).map(|()| 1.0),
+            Input::Mesh(mesh) => self.add_vertices(job, &mesh, &source.path),
+        }
+    }
+
+    fn add_vertices(&self, job: &Job<'_>, mesh: &CellMesh, input: &Path) -> Result<f64> {
+        let (archive, run) = (self.archive, job.run);
+        let settings = MeasureSettings::of_run(run, threads(run));
+        let mut store = None;
+        let values = reopened_values(archive, mesh, input, &mut store, &settings)?;
+        let store = store.expect("it was laid out for the values");
+        let (positions, values) = (store.positions.get()?, values.get()?);
+        let rest = run.memory.saturating_sub(need::BASE + 4 * self.worst.len() as u64);
+        let batch = (rest / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
+        let (memory, all) = (rest / 8 * 7, run.memory);
+        let find = Find { threads: run.threads, memory, all, cancel: &run.cancel };
+        for (positions, values) in positions.chunks(batch).zip(values.chunks(batch)) {
+            let placed = positions.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
+            each_value(archive, placed, &find, job.progress, "measure", |n, reduced| {
+                let error = (f64::from(values[n as usize]) - f64::from(reduced)).abs();
+                if error > self.bound {
+                    self.note(on_lattice(positions[n as usize]), error as f32);
+                }
+            })?;
+        }
+        Ok(store.filled())
+    }
+
+    fn add_samples(&self, job: &Job<'_>, volume: VolumeSource) -> Result<()> {
         let (reader, _scratch) = random_access(volume, job.run, job.progress)?;
         let step = self.archive.step();
         let originals = Originals::Volume {
