@@ -40,10 +40,11 @@ fn main() -> isospan::Result<()> {
     let isovalues: Vec<f32> = args.map(|v| number(Some(v))).collect();
     for round in 0..rounds {
         let archive = Archive::open(&path)?.keeping(kept << 20);
+        let mut surfaces = vec![];
         for &isovalue in &isovalues {
             let settings = SurfaceSettings { threads, ..SurfaceSettings::of(isovalue) };
             let start = (Instant::now(), cpu_seconds());
-            let surfaces = archive.surfaces(&settings)?;
+            archive.surfaces_into(&settings, &mut surfaces)?;
             let (wall, cpu) = (start.0.elapsed().as_secs_f64(), cpu_seconds() - start.1);
             println!("{round} {isovalue} {wall:.6} {cpu:.6} {}", surfaces[0].triangles.len());
         }

@@ -28,6 +28,12 @@ impl<T: Pod> Store<T> {
         Self { tail: Vec::new(), most, file: None, written: 0, scratch: scratch.to_path_buf() }
     }
 
+    /// The same, which puts the first records where those of `memory` were, in place of them.
+    pub(crate) fn reusing(memory_bytes: usize, scratch: &Path, mut memory: Vec<T>) -> Self {
+        memory.clear();
+        Self { tail: memory, ..Self::new(memory_bytes, scratch) }
+    }
+
     pub(crate) fn len(&self) -> u64 {
         self.written + self.tail.len() as u64
     }

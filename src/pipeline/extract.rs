@@ -14,17 +14,17 @@ use super::reader::{self, ChunkReader, Wanted};
 use super::roi::Cut;
 use super::spare::{Buffers, Spare};
 use crate::error::Result;
-use crate::exec::{Progress, pool};
+use crate::exec::Progress;
 use crate::geom::LatticePos;
 use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::mesh::tet::{Tet, is_active};
-use crate::surface::WorldMap;
 use crate::surface::cap::select_boundary;
 use crate::surface::fans::split_fans;
 use crate::surface::marching_tets::{ChunkSurface, Sides};
 use crate::surface::patch::Patch;
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
+use crate::surface::{TriMesh, WorldMap};
 use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -70,11 +70,19 @@ pub(super) struct Extracted {
 /// The surfaces of a chunk, one for each isovalue.
 type ChunkSurfaces = Vec<ChunkSurface>;
 
-/// Extracts all isovalues from the active blocks of all chunks. What memory does not hold goes to `scratch`.
+/// Where surfaces are kept while they are made.
+pub(super) struct Room {
+    /// For what memory does not hold.
+    pub(super) scratch: PathBuf,
+    /// Surfaces that are no longer needed, of which the memory is used again: the first one for the first isovalue, and so on.
+    pub(super) reused: Vec<TriMesh>,
+}
+
+/// Extracts all isovalues from the active blocks of all chunks.
 pub(super) fn extract_surfaces(
     question: &Question<'_>,
     settings: &SurfaceSettings,
-    scratch: PathBuf,
+    room: Room,
     progress: &dyn Progress,
 ) -> Result<Vec<Extracted>> {
     let work = &question.work;
@@ -82,8 +90,8 @@ pub(super) fn extract_surfaces(
     let bytes_of = |work: &ChunkWork| question.need(work);
     let largest = work.iter().map(bytes_of).max().unwrap_or(0);
     let shares = SurfaceShares::of(settings.memory, active_blocks, largest)?;
-    let mut weld = Weld::new(question, settings, shares, scratch, progress);
-    let pool = pool(settings.threads)?;
+    let mut weld = Weld::new(question, settings, shares, room, progress);
+    let pool = question.archive.pools.lend(settings.threads)?;
     progress.begin("surface", active_blocks, "blocks");
     let (kept, of_this_question) = (&question.archive.kept, Spare::default());
     let spare = if kept.most() > 0 { &question.archive.spare } else { &of_this_question };
@@ -341,17 +349,19 @@ impl<'a> Weld<'a> {
         question: &'a Question<'a>,
         settings: &SurfaceSettings,
         shares: SurfaceShares,
-        scratch: PathBuf,
+        Room { scratch, reused }: Room,
         progress: &'a dyn Progress,
     ) -> Self {
         let count = question.isovalues.len();
         let memory_bytes = usize::try_from(shares.finished / count as u64).unwrap_or(usize::MAX);
         let place = BuilderSettings { scratch, memory_bytes };
-        let builder = || SurfaceBuilder::new(&question.world, &place);
+        let memory = reused.into_iter().chain(std::iter::repeat_with(TriMesh::default)).take(count);
         let open_edges = shares.open_edges / count as u64;
+        let builder =
+            |memory| (SurfaceBuilder::reusing(&question.world, &place, memory), Closing::new(open_edges));
         Self {
             question,
-            builders: (0..count).map(|_| (builder(), Closing::new(open_edges))).collect(),
+            builders: memory.map(builder).collect(),
             active_tetrahedra: vec![0; count],
             horizon: None,
             shares,

@@ -6,7 +6,7 @@ use super::layout::Layout;
 use super::plan::{MeshParts, Plan, parts};
 use super::reader::{ChunkReader, ReaderMemory};
 use super::reduce::folder_bytes;
-use super::spare::Spare;
+use super::spare::{Pools, Spare};
 use super::steps::{StepChoice, View};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::{CellCount, CoordinateMap};
@@ -262,6 +262,8 @@ pub(super) struct OpenArchive {
     pub(super) kept: Kept,
     /// Buffers for it, while blocks are kept.
     pub(super) spare: Spare,
+    /// The threads of questions that were answered.
+    pub(super) pools: Pools,
 }
 
 impl OpenArchive {
@@ -326,6 +328,7 @@ impl OpenArchive {
             bytes: OnceLock::new(),
             kept: Kept::default(),
             spare: Spare::default(),
+            pools: Pools::default(),
         })
     }
 

@@ -2,7 +2,7 @@
 
 use super::block::Block;
 use super::commit::mesh_summary;
-use super::extract::{ChunkWork, Extracted, Question, by_chunk, extract_surfaces};
+use super::extract::{ChunkWork, Extracted, Question, Room, by_chunk, extract_surfaces};
 use super::need;
 use super::open::OpenArchive;
 use super::placed::{in_memory, in_world, world_map};
@@ -294,7 +294,7 @@ pub(super) fn write_surfaces(
     progress: &dyn Progress,
 ) -> Result<SurfaceReport> {
     let scratch = settings.scratch.clone().unwrap_or_else(|| parent_of(out));
-    let mut made = make(archive, settings, &scratch, progress)?;
+    let mut made = make(archive, settings, Room { scratch, reused: vec![] }, progress)?;
     let start = Instant::now();
     let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
     let file_bytes = write_all(archive, &made.surfaces, &settings.isovalues, out, format, &comment)?;
@@ -337,7 +337,7 @@ struct Made {
 fn make(
     archive: &OpenArchive,
     settings: &SurfaceSettings,
-    scratch: &Path,
+    room: Room,
     progress: &dyn Progress,
 ) -> Result<Made> {
     settings.check()?;
@@ -362,14 +362,15 @@ fn make(
     let opened = start.elapsed();
 
     let start = Instant::now();
-    let mut surfaces = extract_surfaces(&question, settings, scratch.to_path_buf(), progress)?;
+    let scratch = room.scratch.clone();
+    let mut surfaces = extract_surfaces(&question, settings, room, progress)?;
     if let Some(cut) = &cut {
-        cut_all(&mut surfaces, cut, settings.memory, scratch)?;
+        cut_all(&mut surfaces, cut, settings.memory, &scratch)?;
     }
     let extracted = start.elapsed();
 
     let start = Instant::now();
-    let (surfaces, refined) = refine_all(surfaces, settings, scratch)?;
+    let (surfaces, refined) = refine_all(surfaces, settings, &scratch)?;
     Ok(Made {
         surfaces,
         refined,
@@ -409,10 +410,14 @@ fn work_of(
     }
 }
 
-/// Isosurfaces in memory, in the order of the isovalues.
-pub(super) fn surfaces_in_memory(archive: &OpenArchive, settings: &SurfaceSettings) -> Result<Vec<TriMesh>> {
+/// Isosurfaces in memory, in the order of the isovalues; in that of `reused`, as far as it goes.
+pub(super) fn surfaces_in_memory(
+    archive: &OpenArchive,
+    settings: &SurfaceSettings,
+    reused: Vec<TriMesh>,
+) -> Result<Vec<TriMesh>> {
     let scratch = settings.scratch.clone().unwrap_or_else(std::env::temp_dir);
-    let made = make(archive, settings, &scratch, &Silent)?;
+    let made = make(archive, settings, Room { scratch, reused }, &Silent)?;
     made.surfaces.into_iter().map(|found| in_memory(archive, found.surface)).collect()
 }
 

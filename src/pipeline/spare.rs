@@ -1,11 +1,15 @@
 //! The buffers of extraction, for the next chunk, and, while an archive keeps blocks, for the next question: pages that a process has
-//! need not be cleared again.
+//! need not be cleared again. And the threads, which need not be started again.
 
 use super::block::Block;
 use super::reader::ReaderMemory;
+use crate::error::Result;
+use crate::exec::{available_threads, pool};
 use crate::mesh::tet::Tet;
 use crate::surface::marching_tets::{ChunkSurface, Sides};
 use crate::surface::patch::Patch;
+use rayon::ThreadPool;
+use std::ops::Deref;
 use std::sync::{Mutex, PoisonError};
 
 /// Memory for the chunks to come; from any thread.
@@ -24,6 +28,44 @@ pub(super) struct Buffers {
     pub(super) tets: Vec<Tet>,
     pub(super) active: Vec<Tet>,
     pub(super) patch: Patch,
+}
+
+/// The threads of questions that were answered, for the next ones.
+#[derive(Default)]
+pub(super) struct Pools(Mutex<Vec<ThreadPool>>);
+
+/// Threads, until this is dropped. No other question has them meanwhile.
+pub(super) struct LentPool<'a> {
+    pools: &'a Pools,
+    /// There until the end.
+    pool: Option<ThreadPool>,
+}
+
+impl Pools {
+    /// So many threads; 0 means as many as the process may use.
+    pub(super) fn lend(&self, threads: usize) -> Result<LentPool<'_>> {
+        let count = if threads == 0 { available_threads() } else { threads };
+        let mut pools = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        // Those of another number are of no use any more.
+        pools.retain(|pool| pool.current_num_threads() == count);
+        let found = pools.pop();
+        drop(pools);
+        let pool = found.map_or_else(|| pool(count), Ok)?;
+        Ok(LentPool { pools: self, pool: Some(pool) })
+    }
+}
+
+impl Deref for LentPool<'_> {
+    type Target = ThreadPool;
+    fn deref(&self) -> &ThreadPool {
+        self.pool.as_ref().expect("it is given back only when this is dropped")
+    }
+}
+
+impl Drop for LentPool<'_> {
+    fn drop(&mut self) {
+        self.pools.0.lock().unwrap_or_else(PoisonError::into_inner).extend(self.pool.take());
+    }
 }
 
 struct List<T>(Mutex<Vec<T>>);

@@ -91,7 +91,12 @@ pub struct SurfaceBuilder {
 impl SurfaceBuilder {
     /// An empty surface. `world` is the map with which the chunks are finished.
     pub fn new(world: &WorldMap, settings: &BuilderSettings) -> Self {
-        let StoredSurface { vertices, triangles } = StoredSurface::new(settings);
+        Self::reusing(world, settings, TriMesh::default())
+    }
+
+    /// The same, in the memory of a surface that is no longer needed.
+    pub fn reusing(world: &WorldMap, settings: &BuilderSettings, memory: TriMesh) -> Self {
+        let StoredSurface { vertices, triangles } = StoredSurface::reusing(settings, memory);
         Self {
             vertices,
             triangles,
@@ -215,8 +220,16 @@ pub struct StoredSurface {
 impl StoredSurface {
     /// A surface without vertices, to be filled.
     pub fn new(settings: &BuilderSettings) -> Self {
+        Self::reusing(settings, TriMesh::default())
+    }
+
+    /// The same, in the memory of a surface that is no longer needed.
+    fn reusing(settings: &BuilderSettings, memory: TriMesh) -> Self {
         let half = settings.memory_bytes / 2;
-        Self { vertices: Store::new(half, &settings.scratch), triangles: Store::new(half, &settings.scratch) }
+        Self {
+            vertices: Store::reusing(half, &settings.scratch, memory.vertices),
+            triangles: Store::reusing(half, &settings.scratch, memory.triangles),
+        }
     }
 
     /// Appends a vertex.
