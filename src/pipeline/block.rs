@@ -1,8 +1,7 @@
 //! A block of a chunk, by itself: its corners, numbered from 0, and its tetrahedra.
 //!
 //! All that is looked at while a surface is extracted from it lies together: some ten kilobytes. Blocks that are kept for the next
-//! question ([`Kept`]) have small numbers, in the order of the corners' ids, so that tetrahedra need not be sorted again, and the range of
-//! values of each few tetrahedra that follow each other, so that an isovalue passes over most of them:
+//! question ([`Kept`]) are numbered once and for all ([`crate::surface::numbered`]):
 //!
 //! ```text
 //!  archive ──▶ Block (a buffer, read again and again) ──▶ KeptBlock, in the memory given, those not used lately dropped
@@ -14,8 +13,9 @@
 use crate::exec::will_read;
 use crate::geom::{LatticePos, PointId};
 use crate::grid::ChunkId;
-use crate::mesh::tet::{Tet, is_active, range};
-use crate::surface::marching_tets::{CellSource, Sides, in_order};
+use crate::mesh::tet::Tet;
+use crate::surface::marching_tets::{CellSource, Workbench};
+use crate::surface::numbered::{NumberedBlock, Unpacked};
 use rustc_hash::FxHashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -32,21 +32,6 @@ pub(super) struct BlockCorners {
 }
 
 impl BlockCorners {
-    /// The corners in another order.
-    fn permuted(&self, order: &[u16]) -> Self {
-        fn of<T: Copy>(all: &[T], order: &[u16]) -> Vec<T> {
-            order.iter().map(|&i| all[usize::from(i)]).collect()
-        }
-        Self {
-            numbers: of(&self.numbers, order),
-            positions: of(&self.positions, order),
-            ids: of(&self.ids, order),
-            values: of(&self.values, order),
-            shared: of(&self.shared, order),
-            of_chunk: self.of_chunk,
-        }
-    }
-
     /// Tetrahedra between these corners.
     pub(super) fn cells<'a>(&'a self, tets: &'a [Tet]) -> CellSource<'a> {
         CellSource {
@@ -66,75 +51,33 @@ pub(super) struct Block {
     pub(super) corners: BlockCorners,
     /// Corners are places in `corners`.
     pub(super) tets: Vec<Tet>,
-    /// Bytes that the tetrahedra took in the archive.
+    /// Bytes that the tetrahedra took in the archive; 0 of a block that was kept.
     pub(super) bytes: u64,
 }
-
-/// Tetrahedra that have a range of values together.
-const GROUP: usize = 16;
 
 /// A block kept in memory.
 #[derive(Debug)]
 pub(super) struct KeptBlock {
-    pub(super) corners: BlockCorners,
-    tets: Box<[[u16; 4]]>,
-    /// Least and largest value of each [`GROUP`] of tetrahedra, void ones left out.
-    ranges: Box<[[f32; 2]]>,
+    pub(super) numbered: NumberedBlock,
+    /// Corners of its chunk.
+    pub(super) of_chunk: usize,
 }
 
 impl KeptBlock {
-    /// `None` for a block with too many corners, which only a mesh that is no Delaunay tetrahedralization has.
-    fn of(block: &Block) -> Option<Self> {
-        let Block { corners, tets, .. } = block;
-        let count = corners.numbers.len();
-        if count > 1 << 16 {
-            return None;
-        }
-        let mut order: Vec<u16> = (0..count).map(|i| i as u16).collect();
-        order.sort_unstable_by_key(|&i| corners.ids[usize::from(i)]);
-        let mut rank = vec![0; count];
-        (0..).zip(&order).for_each(|(r, &i)| rank[usize::from(i)] = r);
-        let values = &corners.values;
-        let ranges = block.tets.chunks(GROUP).map(|group| {
-            group
-                .iter()
-                .filter_map(|t| range(t.map(|v| values[v as usize])))
-                .fold([f32::INFINITY, f32::NEG_INFINITY], |[lo, hi], (least, most)| {
-                    [lo.min(least), hi.max(most)]
-                })
-        });
-        let ranges = ranges.collect();
-        let ordered = |t: &Tet| in_order(&corners.ids, t).map(|v| rank[v as usize]);
-        Some(Self { corners: corners.permuted(&order), tets: tets.iter().map(ordered).collect(), ranges })
+    /// `None` for a block with too many corners, which are rare.
+    fn of(Block { corners, tets, .. }: &Block, bench: &mut Workbench) -> Option<Self> {
+        Some(Self { numbered: bench.number(&corners.cells(tets))?, of_chunk: corners.of_chunk })
     }
 
     fn bytes(&self) -> usize {
-        let corners = self.corners.numbers.len() * (4 + 12 + 8 + 4 + 1);
-        size_of::<Self>() + corners + self.tets.len() * 8 + self.ranges.len() * 8
+        size_of::<usize>() + self.numbered.bytes()
     }
 
-    /// Asks the processor for what extraction reads.
-    pub(super) fn will_be_read(&self) {
-        will_read(&self.corners.values);
-        will_read(&self.ranges);
-        will_read(&self.tets);
-        will_read(&self.corners.positions);
-        will_read(&self.corners.numbers);
-    }
-
-    /// Appends the active tetrahedra to `active`.
-    pub(super) fn select(&self, isovalue: f32, sides: &mut Sides, active: &mut Vec<Tet>) {
-        sides.set(&self.corners.values, isovalue);
-        for (group, &[lo, hi]) in self.tets.chunks(GROUP).zip(&self.ranges) {
-            if is_active(lo, hi, isovalue) {
-                sides.active_of(group, active);
-            }
-        }
-    }
-
-    /// Appends all tetrahedra.
-    pub(super) fn tets(&self, out: &mut Vec<Tet>) {
-        out.extend(self.tets.iter().map(|t| t.map(u32::from)));
+    /// The block as it was read, its corners in another order.
+    pub(super) fn unpack(&self, Block { corners, tets, bytes }: &mut Block) {
+        let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = corners;
+        self.numbered.unpack(&mut Unpacked { numbers, positions, ids, values, shared, tets });
+        (*of_chunk, *bytes) = (self.of_chunk, 0);
     }
 }
 
@@ -193,19 +136,26 @@ impl Kept {
         }
         let mut blocks = self.blocks();
         let KeptBlocks { by_place, slots, .. } = &mut *blocks;
-        out.extend(numbers.map(|number| {
-            let slot = &mut slots[*by_place.get(&(chunk, number))?];
+        let slots_of = numbers.map(|number| by_place.get(&(chunk, number)).copied());
+        let found: Vec<Option<usize>> = slots_of
+            .inspect(|slot| {
+                // A count that is in no cache is waited for, one after another.
+                slot.iter().for_each(|&slot| will_read(std::slice::from_ref(&*slots[slot].block)));
+            })
+            .collect();
+        out.extend(found.into_iter().map(|slot| {
+            let slot = &mut slots[slot?];
             slot.used = true;
             Some(Arc::clone(&slot.block))
         }));
     }
 
     /// Keeps a block, and drops others to make room.
-    pub(super) fn put(&self, chunk: ChunkId, number: u32, block: &Block) {
+    pub(super) fn put(&self, chunk: ChunkId, number: u32, block: &Block, bench: &mut Workbench) {
         if self.most == 0 {
             return;
         }
-        let Some(kept) = KeptBlock::of(block) else { return };
+        let Some(kept) = KeptBlock::of(block, bench) else { return };
         let (bytes, place) = (kept.bytes(), (chunk, number));
         let mut blocks = self.blocks();
         // Another thread may have been faster.
@@ -253,6 +203,7 @@ impl KeptBlocks {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::surface::marching_tets::in_order;
 
     /// Corners in a row, and tetrahedra of neighbours.
     fn block(corners: u32, first: f32) -> Block {
@@ -261,10 +212,10 @@ mod tests {
         Block {
             corners: BlockCorners {
                 numbers: (0..corners).map(|i| 2 * i).collect(),
-                positions: vec![[0; 3]; corners as usize],
+                positions: (0..corners).map(|i| [i, i * i, (1 << 24) - i]).collect(),
                 ids: (0..corners).map(|i| PointId(u64::from(i * 7919 % 8191))).collect(),
                 values,
-                shared: vec![false; corners as usize],
+                shared: (0..corners).map(|i| i % 3 == 0).collect(),
                 of_chunk: 2 * corners as usize,
             },
             tets: (3..corners).map(|i| [i, i - 1, i - 2, i - 3]).collect(),
@@ -273,49 +224,47 @@ mod tests {
     }
 
     #[test]
-    fn a_kept_block_has_the_active_tetrahedra_of_the_block() {
-        let block = block(200, 10.0);
-        let kept = KeptBlock::of(&block).unwrap();
-        let mut all = vec![];
-        kept.tets(&mut all);
-        let known = |tets: &[Tet], corners: &BlockCorners| -> Vec<_> {
-            let tet = |t: &Tet| in_order(&corners.ids, t).map(|v| corners.numbers[v as usize]);
-            tets.iter().map(tet).collect()
+    fn a_kept_block_is_the_block() {
+        let (block, mut bench) = (block(200, 10.0), Workbench::default());
+        let kept = KeptBlock::of(&block, &mut bench).unwrap();
+        let mut unpacked = Block::default();
+        kept.unpack(&mut unpacked);
+        let known = |Block { corners: c, tets, .. }: &Block| -> Vec<_> {
+            let corner = |v: u32| {
+                let v = v as usize;
+                (c.numbers[v], c.positions[v], c.ids[v], c.values[v].to_bits(), c.shared[v])
+            };
+            tets.iter().map(|t| in_order(&c.ids, t).map(corner)).collect()
         };
-        assert_eq!(known(&all, &kept.corners), known(&block.tets, &block.corners));
-        assert!(kept.corners.ids.is_sorted());
-        let mut sides = Sides::default();
-        for isovalue in [-1.0, 10.0, 10.5, 17.0, 18.5, 99.0, 209.0, 209.5, f32::NAN] {
-            let (mut here, mut there) = (vec![], vec![]);
-            kept.select(isovalue, &mut sides, &mut here);
-            sides.select(&block.tets, &block.corners.values, isovalue, &mut there);
-            assert_eq!(known(&here, &kept.corners), known(&there, &block.corners), "{isovalue}");
-        }
-        assert!(KeptBlock::of(&self::block(70_000, 0.0)).is_none());
+        assert_eq!(known(&unpacked), known(&block));
+        assert_eq!(unpacked.corners.of_chunk, block.corners.of_chunk);
+        assert!(unpacked.corners.ids.is_sorted());
+        assert!(KeptBlock::of(&self::block(257, 0.0), &mut bench).is_none());
     }
 
     #[test]
     fn blocks_that_were_not_used_go() {
-        let one = KeptBlock::of(&block(100, 0.0)).unwrap().bytes();
+        let mut bench = Workbench::default();
+        let one = KeptBlock::of(&block(100, 0.0), &mut bench).unwrap().bytes();
         let kept = Kept::new(3 * one + one / 2);
         for n in 0..3 {
-            kept.put(ChunkId(1), n, &block(100, n as f32));
+            kept.put(ChunkId(1), n, &block(100, n as f32), &mut bench);
         }
         let get = |chunk, number| {
             let mut found = vec![];
             kept.get(ChunkId(chunk), [number].into_iter(), &mut found);
             found.pop().unwrap()
         };
-        assert_eq!(get(1, 0).unwrap().corners.values[0], 0.0);
-        kept.put(ChunkId(2), 1, &block(100, 9.0));
+        assert_eq!(get(1, 0).unwrap().of_chunk, 200);
+        kept.put(ChunkId(2), 1, &block(100, 9.0), &mut bench);
         assert_eq!(kept.bytes(), 3 * one);
         let there = [(1, 0), (1, 1), (1, 2), (2, 1)].map(|(c, n)| get(c, n).is_some());
         assert_eq!(there, [true, false, true, true]);
         // What is larger than all is not kept, nothing is where nothing may be.
-        kept.put(ChunkId(3), 0, &block(1000, 0.0));
+        kept.put(ChunkId(3), 0, &block(1000, 0.0), &mut bench);
         assert!(get(3, 0).is_none() && kept.bytes() == 3 * one);
         let none = Kept::new(0);
-        none.put(ChunkId(1), 0, &block(100, 0.0));
+        none.put(ChunkId(1), 0, &block(100, 0.0), &mut bench);
         let mut found = vec![];
         none.get(ChunkId(1), 0..2, &mut found);
         assert!(found.iter().all(Option::is_none) && found.len() == 2 && none.bytes() == 0);

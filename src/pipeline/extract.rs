@@ -5,7 +5,7 @@
 //! Blocks of a chunk are decoded one after another into the same small buffer, so the memory of a chunk is that of its corners and
 //! of its surfaces, not of its tetrahedra.
 
-use super::block::{Block, BlockCorners, KeptBlock};
+use super::block::{BlockCorners, KeptBlock};
 use super::horizon::Horizon;
 use super::need::{self, SurfaceShares};
 use super::open::OpenArchive;
@@ -21,12 +21,12 @@ use crate::index::Entry;
 use crate::mesh::tet::{Tet, is_active};
 use crate::surface::cap::select_boundary;
 use crate::surface::fans::split_fans;
-use crate::surface::marching_tets::{ChunkSurface, Sides};
-use crate::surface::patch::Patch;
+use crate::surface::marching_tets::ChunkSurface;
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use crate::surface::{TriMesh, WorldMap};
 use rayon::prelude::*;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The blocks of a chunk that can hold an answer, in order.
@@ -166,11 +166,9 @@ impl Question<'_> {
                 self.archive.kept.get(work.chunk, next, &mut kept);
             }
             let ahead = |blocks: usize| kept.get(n % AT_ONCE + blocks).and_then(Option::as_ref);
-            if let Some(next) = ahead(1) {
-                next.will_be_read();
-            }
+            self.foretell(ahead(1), ahead(2));
             if let Some(kept) = ahead(0) {
-                chunk.add(block, &Held::Kept(kept), &mut parts(&mut buffers).1, None);
+                chunk.add_kept(block, kept, &mut buffers);
                 continue;
             }
             let reader = match &mut reader {
@@ -180,12 +178,12 @@ impl Question<'_> {
                     reader.insert(ChunkReader::open(self.archive, work.chunk, memory)?)
                 }
             };
-            let (read, mut buffers) = parts(&mut buffers);
+            let Buffers { block: read, bench, .. } = &mut buffers;
             if !reader.block(block.block, &self.wanted(block), read)? {
                 continue;
             }
-            self.archive.kept.put(work.chunk, block.block, read);
-            chunk.add(block, &Held::Read(read), &mut buffers, Some(reader));
+            self.archive.kept.put(work.chunk, block.block, read, bench);
+            chunk.add(block, &mut buffers, Some(reader));
         }
         if let Some(reader) = reader {
             self.active_bytes.fetch_add(reader.active_bytes(), Ordering::Relaxed);
@@ -193,6 +191,16 @@ impl Question<'_> {
         }
         spare.give_buffers(buffers);
         Ok(chunk.finish())
+    }
+
+    /// Asks the processor for the next kept blocks: of the one after the next what tells which tetrahedra of it may be active.
+    fn foretell(&self, next: Option<&Arc<KeptBlock>>, after: Option<&Arc<KeptBlock>>) {
+        if let Some(next) = next {
+            next.numbered.tets_will_be_read(self.isovalues);
+        }
+        if let Some(after) = after {
+            after.numbered.corners_will_be_read();
+        }
     }
 
     /// What is wanted of an entry's block; one without active tetrahedra is read for caps only.
@@ -213,64 +221,6 @@ impl Question<'_> {
     }
 }
 
-/// What a block is read into, and what it is worked on in.
-fn parts(buffers: &mut Buffers) -> (&mut Block, BlockBuffers<'_>) {
-    let Buffers { block, sides, tets, active, patch, .. } = buffers;
-    (block, BlockBuffers { sides, tets, active, patch })
-}
-
-struct BlockBuffers<'a> {
-    sides: &'a mut Sides,
-    tets: &'a mut Vec<Tet>,
-    active: &'a mut Vec<Tet>,
-    patch: &'a mut Patch,
-}
-
-/// A block, just read, or kept from before.
-enum Held<'a> {
-    Read(&'a Block),
-    Kept(&'a KeptBlock),
-}
-
-impl Held<'_> {
-    fn corners(&self) -> &BlockCorners {
-        match self {
-            Held::Read(block) => &block.corners,
-            Held::Kept(block) => &block.corners,
-        }
-    }
-
-    /// Replaces `active` by the active tetrahedra.
-    fn select(&self, isovalue: f32, sides: &mut Sides, active: &mut Vec<Tet>) {
-        active.clear();
-        match self {
-            Held::Read(block) => sides.select(&block.tets, &block.corners.values, isovalue, active),
-            Held::Kept(block) => block.select(isovalue, sides, active),
-        }
-    }
-
-    /// Adds active tetrahedra of the block to a surface.
-    fn add_active(&self, active: &[Tet], world: &WorldMap, surface: &mut ChunkSurface) {
-        let cells = self.corners().cells(active);
-        match self {
-            Held::Read(_) => surface.add_active(&cells, world),
-            Held::Kept(_) => surface.add_active_in_order(&cells, world),
-        }
-    }
-
-    /// All tetrahedra; `buffer` may be needed for them.
-    fn tets<'a>(&'a self, buffer: &'a mut Vec<Tet>) -> &'a [Tet] {
-        match self {
-            Held::Read(block) => &block.tets,
-            Held::Kept(block) => {
-                buffer.clear();
-                block.tets(buffer);
-                buffer
-            }
-        }
-    }
-}
-
 /// The surfaces of a chunk while blocks are added to them.
 struct ChunkWorker<'a> {
     question: &'a Question<'a>,
@@ -279,41 +229,52 @@ struct ChunkWorker<'a> {
 }
 
 impl ChunkWorker<'_> {
-    /// Adds a block to the surfaces. `reader` is told if it is active.
-    fn add(
-        &mut self,
-        entry: &Entry,
-        block: &Held<'_>,
-        buffers: &mut BlockBuffers<'_>,
-        mut reader: Option<&mut ChunkReader<'_>>,
-    ) {
-        let (question, corners) = (self.question, block.corners());
-        // The bytes of a block count once, whatever the number of isovalues.
-        let mut bytes = if let Held::Read(block) = block { block.bytes } else { 0 };
-        if !self.started {
-            self.start(corners.of_chunk);
+    /// Adds a kept block to the surfaces.
+    fn add_kept(&mut self, entry: &Entry, kept: &KeptBlock, buffers: &mut Buffers) {
+        let question = self.question;
+        if question.cut.is_some() || question.caps.is_some() {
+            kept.unpack(&mut buffers.block);
+            return self.add(entry, buffers, None);
         }
+        self.start(kept.of_chunk);
         for (surface, &isovalue) in self.surfaces.iter_mut().zip(question.isovalues) {
             if is_active(entry.min, entry.max, isovalue) {
-                block.select(isovalue, buffers.sides, buffers.active);
-                question.keep_in_cut(corners, buffers.active);
-                surface.swap_patch(buffers.patch);
-                block.add_active(buffers.active, &question.world, surface);
-                surface.swap_patch(buffers.patch);
-                if let Some(reader) = reader.as_mut().filter(|_| !buffers.active.is_empty()) {
-                    let used = buffers.active.iter().flatten().map(|&v| corners.numbers[v as usize]);
-                    reader.count_active(std::mem::take(&mut bytes), used);
-                }
-            }
-            if let Some(top) = question.caps.filter(|_| isovalue <= entry.max) {
-                buffers.active.clear();
-                select_boundary(&corners.cells(block.tets(buffers.tets)), top, isovalue, buffers.active);
-                surface.add_caps(&corners.cells(buffers.active), &question.world, top);
+                surface.add_numbered(&kept.numbered, &question.world, &mut buffers.bench);
             }
         }
     }
 
+    /// Adds the block that is in the buffers to the surfaces. `reader` is told if it is active.
+    fn add(&mut self, entry: &Entry, buffers: &mut Buffers, mut reader: Option<&mut ChunkReader<'_>>) {
+        let Buffers { block, sides, active, bench, .. } = buffers;
+        let (question, corners) = (self.question, &block.corners);
+        // The bytes of a block count once, whatever the number of isovalues.
+        let mut bytes = block.bytes;
+        self.start(corners.of_chunk);
+        for (surface, &isovalue) in self.surfaces.iter_mut().zip(question.isovalues) {
+            if is_active(entry.min, entry.max, isovalue) {
+                active.clear();
+                sides.select(&block.tets, &corners.values, isovalue, active);
+                question.keep_in_cut(corners, active);
+                surface.add_active(&corners.cells(active), &question.world, bench);
+                if let Some(reader) = reader.as_mut().filter(|_| !active.is_empty()) {
+                    let used = active.iter().flatten().map(|&v| corners.numbers[v as usize]);
+                    reader.count_active(std::mem::take(&mut bytes), used);
+                }
+            }
+            if let Some(top) = question.caps.filter(|_| isovalue <= entry.max) {
+                active.clear();
+                select_boundary(&corners.cells(&block.tets), top, isovalue, active);
+                surface.add_caps(&corners.cells(active), &question.world, top);
+            }
+        }
+    }
+
+    /// Empties the surfaces before the first block.
     fn start(&mut self, corners: usize) {
+        if self.started {
+            return;
+        }
         for (surface, &isovalue) in self.surfaces.iter_mut().zip(self.question.isovalues) {
             surface.start(isovalue, corners);
         }
@@ -321,9 +282,7 @@ impl ChunkWorker<'_> {
     }
 
     fn finish(mut self) -> ChunkSurfaces {
-        if !self.started {
-            self.start(0);
-        }
+        self.start(0);
         self.surfaces.iter_mut().for_each(|surface| surface.finish(&self.question.world));
         self.surfaces
     }

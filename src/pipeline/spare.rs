@@ -6,8 +6,7 @@ use super::reader::ReaderMemory;
 use crate::error::Result;
 use crate::exec::{available_threads, pool};
 use crate::mesh::tet::Tet;
-use crate::surface::marching_tets::{ChunkSurface, Sides};
-use crate::surface::patch::Patch;
+use crate::surface::marching_tets::{ChunkSurface, Sides, Workbench};
 use rayon::ThreadPool;
 use std::ops::Deref;
 use std::sync::{Mutex, PoisonError};
@@ -25,9 +24,8 @@ pub(super) struct Buffers {
     pub(super) reader: ReaderMemory,
     pub(super) block: Block,
     pub(super) sides: Sides,
-    pub(super) tets: Vec<Tet>,
     pub(super) active: Vec<Tet>,
-    pub(super) patch: Patch,
+    pub(super) bench: Workbench,
 }
 
 /// The threads of questions that were answered, for the next ones.

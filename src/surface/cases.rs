@@ -9,6 +9,8 @@ pub(super) const EDGES: [[u8; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], 
 pub(super) struct Case {
     /// The corners of its crossed edges, ascending; the last is the first again where there are but three.
     pub(super) edges: [[u8; 2]; 4],
+    /// Their places in [`EDGES`].
+    pub(super) numbers: [u8; 4],
     /// Triangles of places in `edges`, each beginning with its smallest; the first `triangles` count.
     pub(super) corners: [[u8; 3]; 2],
     pub(super) triangles: u8,
@@ -19,7 +21,7 @@ pub(super) const ODD: u8 = 16;
 
 /// By the mask of corners inside, and [`ODD`].
 pub(super) static CASES: [Case; 32] = {
-    let none = Case { edges: [[0, 1]; 4], corners: [[0; 3]; 2], triangles: 0 };
+    let none = Case { edges: [[0, 1]; 4], numbers: [0; 4], corners: [[0; 3]; 2], triangles: 0 };
     let mut cases = [none; 32];
     let mut mask = 1;
     while mask < 15 {
@@ -56,7 +58,7 @@ const fn derive_case(mask: usize) -> Case {
     if inside != 2 {
         let edges = [edge(i, j), edge(i, k), edge(i, l), edge(i, j)];
         let triangle = if turn { [0, 2, 1] } else { [0, 1, 2] };
-        return Case { edges: ends(edges), corners: [triangle, [0; 3]], triangles: 1 };
+        return Case { edges: ends(edges), numbers: edges, corners: [triangle, [0; 3]], triangles: 1 };
     }
     let quad = [edge(i, k), edge(i, l), edge(j, l), edge(j, k)];
     let quad = if turn { [quad[0], quad[3], quad[2], quad[1]] } else { quad };
@@ -76,7 +78,7 @@ const fn derive_case(mask: usize) -> Case {
         place(edges, quad[(s + 2) % 4]),
         place(edges, quad[(s + 3) % 4]),
     ];
-    Case { edges: ends(edges), corners: [[p, q, r], [p, r, t]], triangles: 2 }
+    Case { edges: ends(edges), numbers: edges, corners: [[p, q, r], [p, r, t]], triangles: 2 }
 }
 
 const fn ends(edges: [u8; 4]) -> [[u8; 2]; 4] {

@@ -7,6 +7,7 @@
 //! a hash table. What belongs to an edge is kept elsewhere, by its number.
 
 use super::places::{Eight, places_of};
+use crate::exec::will_read;
 use rustc_hash::FxHashMap;
 
 /// No corner.
@@ -75,6 +76,12 @@ impl EdgeTable {
         (self.heads.capacity() + self.lows.capacity()) * 4
             + self.buckets.capacity() * size_of::<Bucket>()
             + self.overflow.capacity() * 16
+    }
+
+    /// Asks the processor for what is looked at to find an edge.
+    #[inline(always)]
+    pub(super) fn will_be_looked_for(&self, edge: [u32; 2]) {
+        will_read(&self.buckets[self.heads[edge[0] as usize] as usize..][..1]);
     }
 
     /// The number of an edge. The caller adds what belongs to a new one.

@@ -5,8 +5,8 @@
 use super::WorldMap;
 use crate::exec::lanes::Four;
 
-/// A corner: its position in lattice steps, and its value.
-pub(super) type Corner = [f64; 4];
+/// A corner: its position in lattice steps, at most 2^24, and so exact, and its value.
+pub(super) type Corner = [f32; 4];
 
 /// 6 V ∇f of a tetrahedron, and the largest component of that, in size; infinite or NaN if one of them is.
 pub(super) type Gradient = [f64; 4];
@@ -45,10 +45,10 @@ pub(super) fn gradients<W: Four>(
 #[inline(always)]
 fn edges<W: Four>(proof: W::Proof, [a, b, c, d]: [[&Corner; 2]; 4]) -> [W; 4] {
     W::columns([
-        W::of(proof, a[1]).minus(W::of(proof, a[0])),
-        W::of(proof, b[1]).minus(W::of(proof, b[0])),
-        W::of(proof, c[1]).minus(W::of(proof, c[0])),
-        W::of(proof, d[1]).minus(W::of(proof, d[0])),
+        W::of_floats(proof, a[1]).minus(W::of_floats(proof, a[0])),
+        W::of_floats(proof, b[1]).minus(W::of_floats(proof, b[0])),
+        W::of_floats(proof, c[1]).minus(W::of_floats(proof, c[0])),
+        W::of_floats(proof, d[1]).minus(W::of_floats(proof, d[0])),
     ])
 }
 
@@ -96,7 +96,12 @@ pub(super) fn crossings<W: Four>(
     world: &WorldMap,
 ) -> [[f32; 3]; 4] {
     let [a, b, c, d] = ends;
-    let p = W::columns([W::of(proof, a[0]), W::of(proof, b[0]), W::of(proof, c[0]), W::of(proof, d[0])]);
+    let p = W::columns([
+        W::of_floats(proof, a[0]),
+        W::of_floats(proof, b[0]),
+        W::of_floats(proof, c[0]),
+        W::of_floats(proof, d[0]),
+    ]);
     let edge = edges::<W>(proof, ends);
     let t = parameter(proof, W::splat(proof, f64::from(isovalue)).minus(p[3]).over(edge[3]));
     let mut index = [t; 3];
@@ -178,7 +183,7 @@ mod tests {
     fn corner() -> impl Strategy<Value = Corner> {
         let value = prop_oneof![8 => -2.0f32..2.0, 1 => Just(f32::INFINITY), 1 => Just(f32::MIN), 1 => Just(1e-44f32)];
         (prop::array::uniform3(0u32..1 << 24), value)
-            .prop_map(|(p, v)| [f64::from(p[0]), f64::from(p[1]), f64::from(p[2]), f64::from(v)])
+            .prop_map(|(p, v)| [p[0] as f32, p[1] as f32, p[2] as f32, v])
     }
 
     fn bits<const N: usize>(all: [[f64; N]; 4]) -> [[Option<u64>; N]; 4] {

@@ -67,8 +67,10 @@
 
 use super::cases::{ODD, ORDERS};
 use super::edges::{EdgeTable, Found};
-use super::fours;
-use super::patch::{self, Patch};
+use super::fours::{self, Corner};
+use super::numbered::{BlockBuffers, NumberedBlock};
+use super::numbering::Numbering;
+use super::patch::{self, Corners, Patch};
 use super::{Vertex, WorldMap};
 #[cfg(target_arch = "x86_64")]
 use crate::exec::lanes::Vector;
@@ -122,8 +124,31 @@ pub struct ChunkSurface {
     sides: Sides,
     active: Vec<Tet>,
     /// What is worked on, and what becomes of its edges: buffers.
-    patch: Patch,
+    bench: Workbench,
     joined: Joined,
+}
+
+/// What surfaces are worked on: buffers, some hundred kilobytes. One is enough for all surfaces that a thread works on.
+#[derive(Debug, Default)]
+pub(crate) struct Workbench {
+    numbering: Numbering,
+    block: BlockBuffers,
+    patch: Patch,
+}
+
+impl Workbench {
+    /// Numbers a block, for many isovalues. `None` of one that is too large, or whose corners have no numbers in a chunk.
+    ///
+    /// # Panics
+    /// When a tetrahedron names a corner that is not there.
+    pub(crate) fn number(&mut self, block: &CellSource<'_>) -> Option<NumberedBlock> {
+        NumberedBlock::of(block, &mut self.numbering)
+    }
+
+    /// Bytes of memory that the buffers hold.
+    pub(crate) fn bytes(&self) -> usize {
+        self.numbering.bytes() + self.block.bytes() + self.patch.bytes()
+    }
 }
 
 /// A vertex of which the gradient is not yet summed up.
@@ -172,124 +197,166 @@ impl ChunkSurface {
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
     pub fn add(&mut self, cells: &CellSource<'_>, world: &WorldMap) {
-        let mut active = std::mem::take(&mut self.active);
+        let (mut active, mut bench) = (std::mem::take(&mut self.active), std::mem::take(&mut self.bench));
         active.clear();
         self.sides.select(cells.tets, cells.values, self.isovalue, &mut active);
-        self.add_active(&CellSource { tets: &active, ..*cells }, world);
-        self.active = active;
-    }
-
-    /// Works with other buffers than before, and leaves its own.
-    pub(crate) fn swap_patch(&mut self, patch: &mut Patch) {
-        std::mem::swap(&mut self.patch, patch);
+        self.add_active(&CellSource { tets: &active, ..*cells }, world, &mut bench);
+        (self.active, self.bench) = (active, bench);
     }
 
     /// Adds tetrahedra that are known to be active: those that [`Sides::select`] finds.
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
-    pub fn add_active(&mut self, cells: &CellSource<'_>, world: &WorldMap) {
-        self.add_sorted(cells, world, Avx2::found(), |tet| Sorted::new(cells.ids, tet));
-    }
-
-    /// Adds active tetrahedra of a source whose corners have numbers in the order of their ids, and that are [`in_order`]: of those
-    /// nothing is left to be sorted.
-    ///
-    /// # Panics
-    /// When a tetrahedron names a corner that is not there.
-    pub(crate) fn add_active_in_order(&mut self, cells: &CellSource<'_>, world: &WorldMap) {
-        self.add_sorted(cells, world, Avx2::found(), Sorted::of_ordered);
+    pub(crate) fn add_active(&mut self, cells: &CellSource<'_>, world: &WorldMap, bench: &mut Workbench) {
+        self.add_active_on(cells, world, bench, Avx2::found());
     }
 
     /// With vectors of AVX2, or without: the same bits.
-    fn add_sorted(
+    fn add_active_on(
         &mut self,
         cells: &CellSource<'_>,
         world: &WorldMap,
+        bench: &mut Workbench,
         avx2: Option<Avx2>,
-        sort: impl Fn(&Tet) -> Sorted,
     ) {
-        self.active_cells += cells.tets.len() as u64;
         #[cfg(target_arch = "x86_64")]
         if let Some(proof) = avx2 {
             return with_vectors(
                 #[inline(always)]
-                || self.add_patches::<Vector>(proof, cells, world, sort),
+                || self.add_cells::<Vector>(proof, cells, world, bench),
             );
         }
         let _ = avx2;
-        self.add_patches::<Plain>((), cells, world, sort);
+        self.add_cells::<Plain>((), cells, world, bench);
     }
 
     #[inline(always)]
-    fn add_patches<W: Four>(
+    fn add_cells<W: Four>(
         &mut self,
         proof: W::Proof,
         cells: &CellSource<'_>,
         world: &WorldMap,
-        sort: impl Fn(&Tet) -> Sorted,
+        Workbench { numbering, patch, .. }: &mut Workbench,
     ) {
+        self.active_cells += cells.tets.len() as u64;
         let mut left = cells.tets;
         while !left.is_empty() {
             let cells = CellSource { tets: left, ..*cells };
-            let taken = self.patch.make::<W>(proof, &cells, self.isovalue, &sort);
+            let taken = numbering.list(&cells, self.isovalue, |tet| Sorted::new(cells.ids, tet), patch);
             left = &left[taken..];
-            self.join_edges(&cells);
-            self.append_vertices::<W>(proof, world);
-            let vertex = |edge: u16| self.joined.vertices[usize::from(edge)];
-            let triangles = self.patch.triangles().iter();
-            self.triangles.extend(triangles.map(|&[a, b, c]| [vertex(a), vertex(b), vertex(c)]));
+            self.add_patch::<W>(proof, patch, &numbering.corners(&cells), world);
         }
+    }
+
+    /// Adds the active tetrahedra of a numbered block, whose numbers in the chunk are below that of its corners.
+    pub(crate) fn add_numbered(&mut self, block: &NumberedBlock, world: &WorldMap, bench: &mut Workbench) {
+        self.add_numbered_on(block, world, bench, Avx2::found());
+    }
+
+    /// With vectors of AVX2, or without: the same bits.
+    pub(super) fn add_numbered_on(
+        &mut self,
+        block: &NumberedBlock,
+        world: &WorldMap,
+        bench: &mut Workbench,
+        avx2: Option<Avx2>,
+    ) {
+        #[cfg(target_arch = "x86_64")]
+        if let Some(proof) = avx2 {
+            return with_vectors(
+                #[inline(always)]
+                || self.add_block::<Vector>(proof, block, world, bench),
+            );
+        }
+        let _ = avx2;
+        self.add_block::<Plain>((), block, world, bench);
+    }
+
+    #[inline(always)]
+    fn add_block<W: Four>(
+        &mut self,
+        proof: W::Proof,
+        block: &NumberedBlock,
+        world: &WorldMap,
+        Workbench { block: buffers, patch, .. }: &mut Workbench,
+    ) {
+        let active = block.list(self.isovalue, buffers, patch);
+        self.active_cells += active as u64;
+        if active > 0 {
+            self.add_patch::<W>(proof, patch, block, world);
+        }
+    }
+
+    #[inline(always)]
+    fn add_patch<W: Four>(
+        &mut self,
+        proof: W::Proof,
+        patch: &mut Patch,
+        corners: &impl Corners,
+        world: &WorldMap,
+    ) {
+        for (edge, &ends) in patch.edges().iter().enumerate() {
+            if !patch.is_alone(edge) {
+                self.edges.will_be_looked_for(ends.map(|corner| corners.number(corner)));
+            }
+        }
+        patch.sum_gradients::<W>(proof, corners.at());
+        self.join_edges(patch, corners);
+        self.append_vertices::<W>(proof, patch, corners.at(), world);
+        let vertex = |edge: u16| self.joined.vertices[usize::from(edge)];
+        self.triangles.extend(patch.triangles().iter().map(|t| t.map(vertex)));
     }
 
     /// Finds the vertex of each edge of the patch, or numbers it. What the patch has alone is not looked for.
     #[inline(always)]
-    fn join_edges(&mut self, cells: &CellSource<'_>) {
+    fn join_edges(&mut self, patch: &Patch, corners: &impl Corners) {
         let Joined { vertices, new, alone, first } = &mut self.joined;
         vertices.clear();
         for list in [&mut *new, &mut *alone, &mut *first] {
             list.clear();
         }
-        for edge in 0..self.patch.edges() {
+        for (edge, &ends) in patch.edges().iter().enumerate() {
             let next = (self.vertices.len() + new.len()) as u32;
-            if self.patch.is_ring(edge) {
+            if patch.is_alone(edge) {
                 alone.push(edge as u16);
                 new.push(edge as u16);
                 vertices.push(next);
                 continue;
             }
-            let ends = self.patch.ends(edge);
-            let (number, is_new) = find_or_open(&mut self.edges, &mut self.open, cells, ends, next);
+            let numbers = ends.map(|corner| corners.number(corner));
+            let (number, is_new) = find_or_open(&mut self.edges, &mut self.open, numbers, next);
             let open = &mut self.open[number];
             vertices.push(open.vertex);
-            for (sum, part) in open.gradient.iter_mut().zip(self.patch.gradient(edge)) {
+            for (sum, part) in open.gradient.iter_mut().zip(patch.gradient(edge)) {
                 *sum = sum.wrapping_add(part);
             }
             if is_new {
                 first.push(edge as u16);
                 new.push(edge as u16);
-                self.shared.extend(shared_edge(cells, ends, next));
+                let key = corners.shared(ends);
+                self.shared.extend(key.map(|key| SharedEdge { key, vertex: next, gradient: [0; 3] }));
             }
         }
     }
 
     /// Adds the new vertices, with normals where their gradients are known; until then a normal is what [`along_edge`] takes.
     #[inline(always)]
-    fn append_vertices<W: Four>(&mut self, proof: W::Proof, world: &WorldMap) {
+    fn append_vertices<W: Four>(&mut self, proof: W::Proof, patch: &Patch, at: &[Corner], world: &WorldMap) {
         let Joined { vertices, new, alone, first } = &self.joined;
-        self.patch.append_vertices::<W>(proof, new, self.isovalue, world, &mut self.vertices);
+        patch.append_vertices::<W>(proof, at, new, (self.isovalue, world), &mut self.vertices);
         let vertex = |edge: u16| vertices[usize::from(edge)] as usize;
         for &edge in first {
-            self.vertices[vertex(edge)].normal = self.patch.up(edge.into());
+            self.vertices[vertex(edge)].normal = patch.up(at, edge.into());
         }
         for four in alone.chunks(4) {
             let mut sums = [[0; 3]; 4];
             for (sum, &edge) in sums.iter_mut().zip(four) {
-                *sum = self.patch.gradient(edge.into());
+                *sum = patch.gradient(edge.into());
             }
             let normals = fours::normals::<W>(proof, &sums, world);
             for (&edge, normal) in four.iter().zip(normals) {
-                let normal = normal.unwrap_or_else(|| along_edge(self.patch.up(edge.into()), world));
+                let normal = normal.unwrap_or_else(|| along_edge(patch.up(at, edge.into()), world));
                 self.vertices[vertex(edge)].normal = normal;
             }
         }
@@ -297,21 +364,41 @@ impl ChunkSurface {
 
     /// Ends the chunk: finds normals, and turns the triangles over when `world`, the same as before, mirrors.
     pub fn finish(&mut self, world: &WorldMap) {
-        let mut shared = self.shared.iter_mut().peekable();
-        for open in &self.open {
-            let edge = shared.next_if(|edge| edge.vertex == open.vertex);
-            // The sum of a shared edge is known only at the end: until then its normal is the one for want of a sum.
-            // A corner of a cap has no other for the time being: any part of its sum has a direction.
-            let is_part = edge.as_ref().is_some_and(|edge| edge.key.0 != edge.key.1);
-            let normal = if is_part { None } else { world.unit_normal(open.gradient.map(|x| x as f64)) };
-            let vertex = &mut self.vertices[open.vertex as usize];
-            vertex.normal = normal.unwrap_or_else(|| along_edge(vertex.normal, world));
-            if let Some(edge) = edge {
-                edge.gradient = open.gradient;
-            }
+        match Avx2::found() {
+            #[cfg(target_arch = "x86_64")]
+            Some(proof) => with_vectors(
+                #[inline(always)]
+                || self.finish_normals::<Vector>(proof, world),
+            ),
+            _ => self.finish_normals::<Plain>((), world),
         }
         if world.mirrors() {
             self.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+        }
+    }
+
+    /// Finds the normals of open vertices.
+    #[inline(always)]
+    fn finish_normals<W: Four>(&mut self, proof: W::Proof, world: &WorldMap) {
+        let mut shared = self.shared.iter_mut().peekable();
+        for four in self.open.chunks(4) {
+            let mut sums = [[0; 3]; 4];
+            for (sum, open) in sums.iter_mut().zip(four) {
+                *sum = open.gradient;
+            }
+            let normals = fours::normals::<W>(proof, &sums, world);
+            for (open, normal) in four.iter().zip(normals) {
+                let edge = shared.next_if(|edge| edge.vertex == open.vertex);
+                // The sum of a shared edge is known only at the end: until then its normal is the one for want of a sum.
+                // A corner of a cap has no other for the time being: any part of its sum has a direction.
+                let is_part = edge.as_ref().is_some_and(|edge| edge.key.0 != edge.key.1);
+                let vertex = &mut self.vertices[open.vertex as usize];
+                let normal = if is_part { None } else { normal };
+                vertex.normal = normal.unwrap_or_else(|| along_edge(vertex.normal, world));
+                if let Some(edge) = edge {
+                    edge.gradient = open.gradient;
+                }
+            }
         }
     }
 
@@ -344,7 +431,7 @@ impl ChunkSurface {
             + self.triangles.capacity() * size_of::<[u32; 3]>()
             + self.active.capacity() * size_of::<Tet>()
             + self.sides.0.capacity()
-            + self.patch.bytes()
+            + self.bench.bytes()
     }
 
     /// The isovalue.
@@ -356,11 +443,16 @@ impl ChunkSurface {
     /// edge without length.
     pub(super) fn open_vertex(&mut self, cells: &CellSource<'_>, world: &WorldMap, ends: [u32; 2]) -> usize {
         let next = self.vertices.len() as u32;
-        let (number, is_new) = find_or_open(&mut self.edges, &mut self.open, cells, ends, next);
+        let numbers = match cells.numbers {
+            Some(numbers) => ends.map(|c| numbers[c as usize]),
+            None => ends,
+        };
+        let (number, is_new) = find_or_open(&mut self.edges, &mut self.open, numbers, next);
         if is_new {
             let at = ends.map(|c| {
-                let [x, y, z] = cells.positions[c as usize].map(f64::from);
-                [x, y, z, f64::from(cells.values[c as usize])]
+                // At most 2^24: exact.
+                let [x, y, z] = cells.positions[c as usize].map(|x| x as f32);
+                [x, y, z, cells.values[c as usize]]
             });
             let [a, b] = &at;
             let [position, ..] = fours::crossings::<Plain>((), [[a, b]; 4], self.isovalue, world);
@@ -382,19 +474,15 @@ impl ChunkSurface {
     }
 }
 
-/// The number of an edge among the open vertices, and whether it is new: `next` is its vertex then. `ends` are numbers of the source.
+/// The number of an edge among the open vertices, and whether it is new: `next` is its vertex then. Its ends are told by their numbers
+/// in the chunk.
 #[inline(always)]
 fn find_or_open(
     edges: &mut EdgeTable,
     open: &mut Vec<OpenVertex>,
-    cells: &CellSource<'_>,
-    ends: [u32; 2],
+    edge: [u32; 2],
     next: u32,
 ) -> (usize, bool) {
-    let edge = match cells.numbers {
-        Some(numbers) => [numbers[ends[0] as usize], numbers[ends[1] as usize]],
-        None => ends,
-    };
     match edges.find_or_add(edge) {
         Found::Known(number) => (number as usize, false),
         Found::New(number) => {
@@ -430,13 +518,6 @@ impl Sorted {
         let order = &ORDERS[order];
         let corners = order.corners.map(|i| tet[usize::from(i) % 4]);
         Self { corners, case: order.odd }
-    }
-
-    /// Of a tetrahedron that is [`in_order`], by numbers that ascend with the ids.
-    #[inline(always)]
-    fn of_ordered(&[a, b, c, d]: &Tet) -> Self {
-        let odd = u8::from(d < c) * ODD;
-        Self { corners: [a, b, c.min(d), c.max(d)], case: odd }
     }
 
     /// Looks which corners are inside.

@@ -29,7 +29,9 @@ mod edges;
 pub mod fans;
 mod fours;
 pub mod marching_tets;
-pub(crate) mod patch;
+pub(crate) mod numbered;
+mod numbering;
+mod patch;
 mod places;
 #[cfg(test)]
 mod testing;

@@ -1,0 +1,149 @@
+use super::*;
+use crate::exec::Avx2;
+use crate::grid::Geometry;
+use crate::surface::marching_tets::{ChunkSurface, Workbench};
+use crate::surface::testing::{Grid, mirrored};
+use crate::surface::{Vertex, WorldMap};
+use proptest::prelude::*;
+
+/// Blocks of neighbouring tetrahedra, with corners of their own, of which those on the faces of the grid are shared.
+struct Blocks {
+    grid: Grid,
+    blocks: Vec<(Vec<u32>, Vec<Tet>)>,
+}
+
+impl Blocks {
+    fn new(edge: u64, tets: usize) -> Self {
+        let grid = Grid::new([edge; 3]);
+        let block = |tets: &[Tet]| {
+            let mut numbers: Vec<u32> = tets.iter().flatten().copied().collect();
+            numbers.sort_unstable_by_key(|v| std::cmp::Reverse(*v));
+            numbers.dedup();
+            let own = |v: u32| numbers.iter().position(|&n| n == v).unwrap() as u32;
+            let tets = tets.iter().map(|t| t.map(own)).collect();
+            (numbers, tets)
+        };
+        let blocks = grid.tets.chunks(tets).map(block).collect();
+        Self { grid, blocks }
+    }
+
+    /// Calls `each` with every block.
+    fn each(&self, values: &[f32], mut each: impl FnMut(&CellSource<'_>)) {
+        let top = self.grid.lattice.max();
+        for (numbers, tets) in &self.blocks {
+            let all = || numbers.iter().map(|&v| v as usize);
+            let positions: Vec<LatticePos> = all().map(|v| self.grid.positions[v]).collect();
+            each(&CellSource {
+                positions: &positions,
+                values: &all().map(|v| values[v]).collect::<Vec<_>>(),
+                ids: &all().map(|v| self.grid.ids[v]).collect::<Vec<_>>(),
+                shared: &positions
+                    .iter()
+                    .map(|p| (0..3).any(|a| p[a] == 0 || p[a] == top[a]))
+                    .collect::<Vec<_>>(),
+                numbers: Some(numbers),
+                tets,
+            });
+        }
+    }
+
+    fn start(&self, isovalue: f32) -> ChunkSurface {
+        let mut surface = ChunkSurface::default();
+        surface.start(isovalue, self.grid.ids.len());
+        surface
+    }
+
+    /// The surface of blocks that have not been numbered, and of those that have, with vectors where there are any and without.
+    fn surfaces(&self, values: &[f32], isovalue: f32, geometry: &Geometry) -> [ChunkSurface; 3] {
+        let world = WorldMap::new(&self.grid.lattice, geometry);
+        let mut bench = Workbench::default();
+        let mut surfaces = [(); 3].map(|()| self.start(isovalue));
+        self.each(values, |cells| {
+            surfaces[0].add(cells, &world);
+            let block = bench.number(cells).expect("these blocks are small");
+            surfaces[1].add_numbered_on(&block, &world, &mut bench, Avx2::found());
+            surfaces[2].add_numbered_on(&block, &world, &mut bench, None);
+        });
+        surfaces.each_mut().map(|surface| surface.finish(&world));
+        surfaces
+    }
+}
+
+type Bits = (u64, Vec<[u32; 6]>, Vec<[u32; 3]>, Vec<u32>);
+
+fn bits(surface: &ChunkSurface) -> Bits {
+    let vertex = |v: &Vertex| bytemuck::cast::<Vertex, [u32; 6]>(*v);
+    let shared = surface.shared_edges().iter().map(|edge| edge.vertex).collect();
+    let vertices = surface.vertices().iter().map(vertex).collect();
+    (surface.active_cells(), vertices, surface.triangles().to_vec(), shared)
+}
+
+#[test]
+fn a_numbered_block_has_the_surface_of_the_block() {
+    let gyroid = |p: [f64; 3]| {
+        let [x, y, z] = p.map(|x| x * 0.7);
+        x.sin() * y.cos() + y.sin() * z.cos() + z.sin() * x.cos()
+    };
+    for (tets, geometry) in [(7, Geometry::default()), (150, mirrored()), (300, Geometry::default())] {
+        let blocks = Blocks::new(9, tets);
+        let values = blocks.grid.sample(gyroid);
+        for isovalue in [-0.4, 0.0, 0.3, values[100], 9.0] {
+            let [read, numbered, plain] = blocks.surfaces(&values, isovalue, &geometry);
+            assert_eq!(read.triangles().is_empty(), isovalue == 9.0);
+            assert!(bits(&read) == bits(&numbered), "{tets} tetrahedra, isovalue {isovalue}");
+            assert!(bits(&read) == bits(&plain), "{tets} tetrahedra, isovalue {isovalue}, without vectors");
+        }
+    }
+}
+
+/// Most edges have all their tetrahedra in a large block, and are not looked for.
+#[test]
+fn edges_inside_a_block_are_alone() {
+    let blocks = Blocks::new(5, 384);
+    let mut numbering = Numbering::default();
+    let values = vec![0.0; 125];
+    blocks.each(&values, |cells| {
+        let block = NumberedBlock::of(cells, &mut numbering).unwrap();
+        let mut edges: Vec<(u16, [u8; 2])> = vec![];
+        for tet in block.tets() {
+            let [a, b, c, d] = tet.corners;
+            let sorted = [a, b, c.min(d), c.max(d)];
+            assert!(sorted.is_sorted());
+            edges.extend(tet.edges.into_iter().zip(EDGES.map(|e| e.map(|i| sorted[usize::from(i)]))));
+        }
+        edges.sort_unstable();
+        edges.dedup();
+        assert!(
+            edges.iter().map(|e| usize::from(e.0)).eq(0..edges.len()),
+            "numbers without gaps, one an edge"
+        );
+        let top = blocks.grid.lattice.max();
+        let on_face = |v: u8| -> Vec<[bool; 2]> {
+            let position = block.at()[usize::from(v)];
+            (0..3).map(|k| [position[k] == 0.0, position[k] == top[k] as f32]).collect()
+        };
+        for &(edge, [a, b]) in &edges {
+            let together = on_face(a).into_iter().zip(on_face(b)).any(|(a, b)| a[0] && b[0] || a[1] && b[1]);
+            assert_eq!(edge < block.alone, !together, "edge {edge} between {a} and {b}");
+        }
+    });
+}
+
+proptest! {
+    /// Values at which tetrahedra are void, degenerate, and of any size.
+    #[test]
+    fn any_values_give_the_same_surface(
+        values in prop::collection::vec(
+            prop_oneof![6 => -2.0f32..2.0, 1 => Just(f32::NAN), 1 => Just(f32::INFINITY), 1 => Just(1e-44f32), 1 => Just(0.0f32), 1 => Just(f32::MAX)],
+            64,
+        ),
+        tets in 1usize..40,
+    ) {
+        let blocks = Blocks::new(4, tets);
+        let [read, numbered, plain] = blocks.surfaces(&values, 0.0, &Geometry::default());
+        prop_assert!(bits(&numbered) == bits(&plain));
+        prop_assert_eq!(read.triangles(), numbered.triangles());
+        let positions = |s: &ChunkSurface| s.vertices().iter().map(|v| v.position.map(f32::to_bits)).collect::<Vec<_>>();
+        prop_assert_eq!(positions(&read), positions(&numbered));
+    }
+}
