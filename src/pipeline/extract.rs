@@ -1,12 +1,13 @@
 //! Several isosurfaces out of an archive in one pass: each block is decoded once, whatever the number of isovalues.
 //!
-//! Chunks are extracted in parallel, a batch at a time, while the batch before is welded, in chunk order. Every
+//! Chunks are extracted in parallel, and welded in chunk order while others are extracted ([`super::line`]). Every
 //! isovalue has its own weld, which sees what it would see alone: a surface does not depend on what else was asked for.
 //! Blocks of a chunk are decoded one after another into the same small buffer, so the memory of a chunk is that of its corners and
 //! of its surfaces, not of its tetrahedra.
 
 use super::block::{BlockCorners, KeptBlock};
 use super::horizon::Horizon;
+use super::line::{Last, Line};
 use super::need::{self, SurfaceShares};
 use super::open::OpenArchive;
 use super::query::SurfaceSettings;
@@ -24,7 +25,6 @@ use crate::surface::fans::split_fans;
 use crate::surface::marching_tets::ChunkSurface;
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use crate::surface::{TriMesh, WorldMap};
-use rayon::prelude::*;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -87,45 +87,38 @@ pub(super) fn extract_surfaces(
 ) -> Result<Vec<Extracted>> {
     let work = &question.work;
     let active_blocks = work.iter().map(|w| w.blocks.len() as u64).sum::<u64>();
-    let bytes_of = |work: &ChunkWork| question.need(work);
-    let largest = work.iter().map(bytes_of).max().unwrap_or(0);
+    let bytes: Vec<u64> = work.iter().map(|work| question.need(work)).collect();
+    let largest = bytes.iter().copied().max().unwrap_or(0);
     let shares = SurfaceShares::of(settings.memory, active_blocks, largest)?;
-    let mut weld = Weld::new(question, settings, shares, room, progress);
+    let weld = Weld::new(question, settings, shares, room, progress);
     let pool = question.archive.pools.lend(settings.threads)?;
     progress.begin("surface", active_blocks, "blocks");
     let (kept, of_this_question) = (&question.archive.kept, Spare::default());
     let spare = if kept.most() > 0 { &question.archive.spare } else { &of_this_question };
-    let (mut waiting, mut waiting_bytes, mut next) = (vec![], 0, 0);
-    while next < work.len() || !waiting.is_empty() {
+    let extract = |n: usize| {
         settings.cancel.check()?;
-        let most = 2 * pool.current_num_threads();
-        let room = shares.batch.saturating_sub(waiting_bytes);
-        // What does not fit beside the chunks that wait is extracted after them; a chunk alone always fits.
-        let fit = batch_len(&work[next..], room, most, bytes_of);
-        let fit = if waiting.is_empty() { fit.max(1) } else { fit };
-        let batch = &work[next..(next + fit).min(work.len())];
-        let extract = || batch.par_iter().map(|w| question.chunk_surfaces(w, spare)).collect::<Vec<_>>();
-        let (welded, extracted) = pool.install(|| rayon::join(|| weld.push(waiting, spare), extract));
-        welded?;
-        if let Some(first) = batch.first() {
-            question.archive.close_before(first.chunk);
-        }
-        waiting = extracted;
-        waiting_bytes = batch.iter().map(bytes_of).sum();
-        next += batch.len();
-    }
+        question.chunk_surfaces(&work[n], spare)
+    };
+    let weld = Line::new(bytes, shares.batch, &pool, extract, Welder { weld, spare }).run(&pool)?.weld;
     spare.trim(kept.most() / 4);
     weld.finish()
 }
 
-/// How many of the next chunks fit, up to `most`.
-fn batch_len<T>(next: &[T], room: u64, most: usize, bytes_of: impl Fn(&T) -> u64) -> usize {
-    let mut sum = 0u64;
-    let fit = next.iter().take(most).take_while(|chunk| {
-        sum = sum.saturating_add(bytes_of(chunk));
-        sum <= room
-    });
-    fit.count()
+/// Takes chunks in order.
+struct Welder<'a> {
+    weld: Weld<'a>,
+    /// For their buffers.
+    spare: &'a Spare,
+}
+
+impl Last for Welder<'_> {
+    type Piece = ChunkSurfaces;
+
+    fn take(&mut self, n: usize, surfaces: ChunkSurfaces) -> Result<()> {
+        let question = self.weld.question;
+        question.archive.close_before(question.work[n].chunk);
+        self.weld.push(surfaces, self.spare)
+    }
 }
 
 /// Kept blocks that are looked up together, and held meanwhile.
@@ -331,20 +324,17 @@ impl<'a> Weld<'a> {
         }
     }
 
-    /// Adds the next chunks; the buffers go back to `spare`.
-    fn push(&mut self, chunks: Vec<Result<ChunkSurfaces>>, spare: &Spare) -> Result<()> {
-        for surfaces in chunks {
-            let surfaces = surfaces?;
-            for (i, surface) in surfaces.iter().enumerate() {
-                self.active_tetrahedra[i] += surface.active_cells();
-                self.builders[i].0.push(surface)?;
-            }
-            spare.give_surfaces(surfaces);
-            let blocks = self.question.work[self.done].blocks.len() as u64;
-            self.done += 1;
-            self.close_edges()?;
-            self.progress.advance(blocks);
+    /// Adds the next chunk; the buffers go back to `spare`.
+    fn push(&mut self, surfaces: ChunkSurfaces, spare: &Spare) -> Result<()> {
+        for (i, surface) in surfaces.iter().enumerate() {
+            self.active_tetrahedra[i] += surface.active_cells();
+            self.builders[i].0.push(surface)?;
         }
+        spare.give_surfaces(surfaces);
+        let blocks = self.question.work[self.done].blocks.len() as u64;
+        self.done += 1;
+        self.close_edges()?;
+        self.progress.advance(blocks);
         Ok(())
     }
 

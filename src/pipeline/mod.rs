@@ -26,6 +26,7 @@ mod horizon;
 mod inspect;
 mod job;
 mod layout;
+mod line;
 mod make;
 mod measure;
 mod mesh_series;

@@ -64,7 +64,7 @@ impl Blocks {
             surfaces[1].add_numbered_on(&block, &world, &mut bench, Avx2::found());
             surfaces[2].add_numbered_on(&block, &world, &mut bench, None);
         });
-        surfaces.each_mut().map(|surface| surface.finish(&world));
+        surfaces.iter_mut().for_each(|surface| surface.finish(&world));
         surfaces
     }
 }
