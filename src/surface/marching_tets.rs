@@ -142,7 +142,7 @@ impl Workbench {
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
     pub(crate) fn number(&mut self, block: &CellSource<'_>) -> Option<NumberedBlock> {
-        NumberedBlock::of(block, &mut self.numbering)
+        NumberedBlock::of(block, &mut self.block)
     }
 
     /// Bytes of memory that the buffers hold.

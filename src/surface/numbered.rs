@@ -14,7 +14,7 @@
 use super::cases::{EDGES, ODD};
 use super::fours::Corner;
 use super::marching_tets::{CellSource, in_order};
-use super::numbering::{Numbering, Ring, code_of, empty_slots, join};
+use super::numbering::{Ring, code_of};
 use super::patch::{CORNERS, Corners, Member, NO_EDGE, Patch};
 use crate::exec::will_read;
 use crate::geom::{LatticePos, PointId};
@@ -46,17 +46,88 @@ pub(crate) struct NumberedBlock {
     alone: u16,
 }
 
-/// What a block is numbered and worked on in: buffers.
+/// What blocks are numbered and worked on in: buffers.
 #[derive(Debug, Default)]
 pub(super) struct BlockBuffers {
     slots: Vec<u16>,
     active: Vec<u16>,
+    tets: Vec<NumberedTet>,
+    ends: Vec<[u8; 2]>,
+    rings: Vec<Ring>,
+    renumbered: Vec<u16>,
 }
 
 impl BlockBuffers {
     pub(super) fn bytes(&self) -> usize {
-        2 * (self.slots.capacity() + self.active.capacity())
+        2 * (self.slots.capacity()
+            + self.active.capacity()
+            + self.ends.capacity()
+            + self.renumbered.capacity())
+            + size_of::<NumberedTet>() * self.tets.capacity()
+            + size_of::<Ring>() * self.rings.capacity()
     }
+
+    /// A slot for each edge, empty.
+    fn slots(slots: &mut Vec<u16>) -> &mut [u16; EDGE_SLOTS] {
+        slots.resize(EDGE_SLOTS, NO_EDGE);
+        slots.as_mut_slice().try_into().expect("it was made so long just now")
+    }
+
+    /// Replaces `tets` by some, their edges numbered, those with all tetrahedra around them first; tells how many these are.
+    fn number(&mut self, tets: impl ExactSizeIterator<Item = [u8; 4]>) -> u16 {
+        let Self { ends, rings, .. } = self;
+        ends.resize((6 * tets.len() + 1).max(ends.len()), [0; 2]);
+        rings.resize((6 * tets.len() + 1).max(rings.len()), Ring::default());
+        let count = self.list_edges(tets);
+        let slots = Self::slots(&mut self.slots);
+        let (ends, rings) = (&self.ends[..count], &self.rings[..count]);
+        ends.iter().for_each(|&edge| slots[slot_of(edge)] = NO_EDGE);
+        let is_alone = || rings.iter().zip(ends).map(|(ring, &ends)| ring.is_closed(ends));
+        let alone = is_alone().filter(|&alone| alone).count() as u16;
+        let mut next = [alone, 0];
+        self.renumbered.clear();
+        self.renumbered.extend(is_alone().map(|alone| {
+            let next = &mut next[usize::from(alone)];
+            *next += 1;
+            *next - 1
+        }));
+        for edge in self.tets.iter_mut().flat_map(|tet| &mut tet.edges) {
+            *edge = self.renumbered[usize::from(*edge)];
+        }
+        alone
+    }
+
+    /// Numbers edges in the order in which they are met, without a branch for each; tells how many there are.
+    fn list_edges(&mut self, tets: impl Iterator<Item = [u8; 4]>) -> usize {
+        let (slots, mut count) = (Self::slots(&mut self.slots), 0);
+        self.tets.clear();
+        self.tets.extend(tets.map(|corners| {
+            let [a, b, c, d] = corners;
+            let (sorted, code) = ([a, b, c.min(d), c.max(d)], code_of(corners));
+            let edges = EDGES.map(|edge| {
+                let edge = edge.map(|i| sorted[usize::from(i) % 4]);
+                let slot = &mut slots[slot_of(edge)];
+                let is_new = *slot == NO_EDGE;
+                let number = if is_new { count as u16 } else { *slot };
+                *slot = number;
+                self.ends[count] = edge;
+                count += usize::from(is_new);
+                let ring = &mut self.rings[usize::from(number)];
+                *ring = if is_new { Ring::default() } else { *ring };
+                ring.add(code);
+                number
+            });
+            NumberedTet { corners, edges }
+        }));
+        count
+    }
+}
+
+/// A place for each edge: few of them, close together, where there are few corners.
+#[inline(always)]
+fn slot_of([low, high]: [u8; 2]) -> usize {
+    let high = usize::from(high);
+    (high * high.wrapping_sub(1) / 2 + usize::from(low)) % EDGE_SLOTS
 }
 
 impl NumberedBlock {
@@ -64,32 +135,36 @@ impl NumberedBlock {
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
-    pub(super) fn of(cells: &CellSource<'_>, numbering: &mut Numbering) -> Option<Self> {
-        let (numbers, count) = (cells.numbers?, cells.ids.len());
-        if count > CORNERS
-            || cells.tets.len() >= usize::from(u16::MAX)
-            || numbers.iter().any(|&n| n >= SHARED)
-        {
+    pub(super) fn of(cells: &CellSource<'_>, buffers: &mut BlockBuffers) -> Option<Self> {
+        let (numbers, corners, tets) = (cells.numbers?, cells.ids.len(), cells.tets.len());
+        if corners > CORNERS || tets >= usize::from(u16::MAX) || numbers.iter().any(|&n| n >= SHARED) {
             return None;
         }
-        let mut order: Vec<u8> = (0..count).map(|i| i as u8).collect();
+        let mut order: [u8; CORNERS] = std::array::from_fn(|i| i as u8);
+        let order = &mut order[..corners];
         order.sort_unstable_by_key(|&i| cells.ids[usize::from(i)]);
         let mut rank = [0; CORNERS];
-        (0..=255).zip(&order).for_each(|(r, &i)| rank[usize::from(i)] = r);
+        (0..=255).zip(&*order).for_each(|(r, &i)| rank[usize::from(i)] = r);
         let ordered = |t: &Tet| in_order(cells.ids, t).map(|v| rank[v as usize]);
-        let (tets, alone) = number_edges(cells.tets.iter().map(ordered), numbering);
-        let mut words = vec![];
-        let corners = order.iter().map(|&i| usize::from(i));
-        words.extend(cells.tets.chunks(GROUP).flat_map(|group| range_of(group, cells.values)));
-        words.extend(corners.clone().map(|i| numbers[i] | if cells.shared[i] { SHARED } else { 0 }));
-        words.extend(corners.clone().flat_map(|i| {
+        let alone = buffers.number(cells.tets.iter().map(ordered));
+        let mut words = Vec::with_capacity(2 * tets.div_ceil(GROUP) + 7 * corners + 4 * tets);
+        for group in cells.tets.chunks(GROUP) {
+            words.extend_from_slice(&range_of(group, cells.values));
+        }
+        let order = order.iter().map(|&i| usize::from(i));
+        words.extend(order.clone().map(|i| numbers[i] | if cells.shared[i] { SHARED } else { 0 }));
+        for i in order.clone() {
             // At most 2^24: exact.
             let [x, y, z] = cells.positions[i].map(|x| (x as f32).to_bits());
-            [x, y, z, cells.values[i].to_bits()]
-        }));
-        words.extend(tets.iter().flat_map(|tet| bytemuck::cast::<NumberedTet, [u32; 4]>(*tet)));
-        words.extend(corners.flat_map(|i| [cells.ids[i].0 as u32, (cells.ids[i].0 >> 32) as u32]));
-        Some(Self { words: words.into(), tets: tets.len(), corners: count, alone })
+            words.extend_from_slice(&[x, y, z, cells.values[i].to_bits()]);
+        }
+        for tet in &buffers.tets {
+            words.extend_from_slice(&bytemuck::cast::<NumberedTet, [u32; 4]>(*tet));
+        }
+        for id in order.map(|i| cells.ids[i].0) {
+            words.extend_from_slice(&[id as u32, (id >> 32) as u32]);
+        }
+        Some(Self { words: words.into(), tets, corners, alone })
     }
 
     /// Bytes of memory.
@@ -148,10 +223,7 @@ impl NumberedBlock {
     pub(super) fn list(&self, isovalue: f32, buffers: &mut BlockBuffers, patch: &mut Patch) -> usize {
         let sides = self.sides(isovalue);
         let (tets, active) = (self.tets(), self.active(isovalue, &sides, &mut buffers.active));
-        buffers.slots.resize(EDGE_SLOTS, NO_EDGE);
-        let slots: &mut [u16; EDGE_SLOTS] =
-            buffers.slots.as_mut_slice().try_into().expect("it was made so long just now");
-        let mut list = patch.list(active.len(), slots);
+        let mut list = patch.list(active.len(), BlockBuffers::slots(&mut buffers.slots));
         for &n in active {
             let tet = &tets[usize::from(n)];
             let [a, b, c, d] = tet.corners;
@@ -259,44 +331,6 @@ fn range_of(tets: &[Tet], values: &[f32]) -> [u32; 2] {
     let ranges = tets.iter().filter_map(|t| range(t.map(|v| values[v as usize])));
     let none = [f32::INFINITY, f32::NEG_INFINITY];
     ranges.fold(none, |[lo, hi], (least, most)| [lo.min(least), hi.max(most)]).map(f32::to_bits)
-}
-
-/// Numbers the edges of tetrahedra, those with all tetrahedra around them first, and tells how many these are.
-fn number_edges(tets: impl Iterator<Item = [u8; 4]>, numbering: &mut Numbering) -> (Vec<NumberedTet>, u16) {
-    let (slots, mut ends, mut rings) = (empty_slots(numbering.slots()), vec![], vec![]);
-    let number = |corners: [u8; 4]| {
-        let [a, b, c, d] = corners;
-        let (sorted, code) = ([a, b, c.min(d), c.max(d)], code_of(corners));
-        let edges = EDGES.map(|edge| {
-            let edge = edge.map(|i| sorted[usize::from(i)]);
-            let slot = &mut slots[usize::from(join(edge))];
-            if *slot == NO_EDGE {
-                *slot = ends.len() as u16;
-                ends.push(edge);
-                rings.push(Ring::default());
-            }
-            rings[usize::from(*slot)].add(code);
-            *slot
-        });
-        NumberedTet { corners, edges }
-    };
-    let mut tets: Vec<NumberedTet> = tets.map(number).collect();
-    ends.iter().for_each(|&edge| slots[usize::from(join(edge))] = NO_EDGE);
-    let is_alone: Vec<bool> = rings.iter().zip(&ends).map(|(ring, &ends)| ring.is_closed(ends)).collect();
-    let alone = is_alone.iter().filter(|&&alone| alone).count() as u16;
-    let mut next = [alone, 0];
-    let renumbered: Vec<u16> = is_alone
-        .iter()
-        .map(|&alone| {
-            let next = &mut next[usize::from(alone)];
-            *next += 1;
-            *next - 1
-        })
-        .collect();
-    for edge in tets.iter_mut().flat_map(|tet| &mut tet.edges) {
-        *edge = renumbered[usize::from(*edge)];
-    }
-    (tets, alone)
 }
 
 #[cfg(test)]

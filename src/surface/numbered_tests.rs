@@ -100,10 +100,10 @@ fn a_numbered_block_has_the_surface_of_the_block() {
 #[test]
 fn edges_inside_a_block_are_alone() {
     let blocks = Blocks::new(5, 384);
-    let mut numbering = Numbering::default();
+    let mut buffers = BlockBuffers::default();
     let values = vec![0.0; 125];
     blocks.each(&values, |cells| {
-        let block = NumberedBlock::of(cells, &mut numbering).unwrap();
+        let block = NumberedBlock::of(cells, &mut buffers).unwrap();
         let mut edges: Vec<(u16, [u8; 2])> = vec![];
         for tet in block.tets() {
             let [a, b, c, d] = tet.corners;

@@ -112,12 +112,12 @@ impl Ring {
 
 /// The slot of an edge.
 #[inline(always)]
-pub(super) fn join([low, high]: [u8; 2]) -> u16 {
+fn join([low, high]: [u8; 2]) -> u16 {
     u16::from(low) << 8 | u16::from(high)
 }
 
 /// A slot for each edge between the corners of a patch, empty.
-pub(super) fn empty_slots(slots: &mut Vec<u16>) -> &mut [u16; SLOTS] {
+fn empty_slots(slots: &mut Vec<u16>) -> &mut [u16; SLOTS] {
     slots.resize(SLOTS, NO_EDGE);
     slots.as_mut_slice().try_into().expect("it was made so long just now")
 }
@@ -184,11 +184,6 @@ impl Numbering {
             self.rings[usize::from(e)].add(self.codes[usize::from(t)]);
         }
         patch.tell_alone(|edge, ends| self.rings[edge].is_closed(ends));
-    }
-
-    /// For other edges, in between.
-    pub(super) fn slots(&mut self) -> &mut Vec<u16> {
-        &mut self.slots
     }
 
     /// The corners of the patch that was listed last, and of its source.

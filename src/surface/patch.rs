@@ -199,11 +199,11 @@ impl Patch {
                 *to = at_ends(at, self.edges.ends[usize::from(edge)]);
             }
             let positions = fours::crossings::<W>(proof, ends, isovalue, world);
-            let mut vertices = [Vertex::default(); 4];
-            for (vertex, position) in vertices.iter_mut().zip(positions) {
-                vertex.position = position;
+            let vertices = positions.map(|position| Vertex { position, normal: [0.0; 3] });
+            match four.len() {
+                4 => out.extend(vertices),
+                n => out.extend_from_slice(&vertices[..n]),
             }
-            out.extend_from_slice(&vertices[..four.len()]);
         }
     }
 
