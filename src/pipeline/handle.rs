@@ -261,7 +261,7 @@ impl Archive {
     }
 
     /// As [`Archive::surfaces`], in the memory of surfaces that were asked for before, which are replaced: a system that has to hand out
-    /// cleared pages for every answer takes about a sixth of the time of one of which the blocks are kept. For an isovalue that is dragged.
+    /// cleared pages for every answer takes about a tenth of the time of one of which the blocks are kept. For an isovalue that is dragged.
     ///
     /// ```
     /// # use isospan::{Archive, exec::Silent};
