@@ -149,9 +149,12 @@ proptest! {
         picks in prop::collection::vec(prop::array::uniform4(any::<prop::sample::Index>()), 1..300),
         far in any::<bool>(),
         cut in any::<bool>(),
+        finer in prop::sample::select(vec![[0u32, 0, 0], [0, 2, 1]]),
     ) {
-        // 2^16 steps a voxel; at the near end of the domain, or at the far one.
-        let lattice = Lattice::new([257, 257, 257]).unwrap();
+        // 2^16 steps a voxel, or also 2^15 and 2^14; at the near end of the domain, or at the far one.
+        let dims = finer.map(|f| (1 << (8 + finer[1] - f)) + 1);
+        let lattice = Lattice::stretched(dims, finer).unwrap();
+        assert_eq!((lattice.log2_steps[1], lattice.max()), (16, [1 << 24; 3]));
         let base = if far { lattice.max()[0] - (12 << 16) } else { 0 };
         let positions: Vec<LatticePos> = corners.iter().map(|p| p.map(|c| base + c)).collect();
         let tets: Vec<Tet> = picks.iter().filter_map(|pick| {
@@ -164,11 +167,12 @@ proptest! {
             }
         }).collect();
         let whole = IndexBox::whole(lattice.dims);
-        let window = IndexBox { lo: [u64::from(base >> 16) + 3; 3], hi: [u64::from(base >> 16) + 8; 3] };
+        let window = |less: u64| lattice.log2_steps.map(|s| u64::from(base >> s) + (less << (16 - s)));
+        let window = IndexBox { lo: window(3), hi: window(8) };
         let even = Axis::even(0, lattice.max()[0], 400).unwrap();
         let grids = [SampleGrid::voxels(&lattice), SampleGrid::new(&lattice, [even.clone(), even.clone(), even]).unwrap()];
         for grid in grids {
-            let window = if cut { window } else { whole };
+            let window = if cut { window } else { whole }.intersect(&IndexBox::whole(grid.dims()));
             let scanner = Scanner::new(&grid, &window);
             let (mut found, mut wanted) = (vec![], vec![]);
             BatchScan::default().each_member(&scanner, &positions, &tets, |members| {
