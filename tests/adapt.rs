@@ -221,3 +221,18 @@ fn what_cannot_be_is_a_usage_error() {
     let target = Some(Target::Rms(Bound::Value(0.0)));
     refused(ReduceSettings { target, ..adapted(0.1, 1_000) }, "above 0");
 }
+
+/// How finely a spectrum is measured follows from the set's number of points, which is that of an archive only nearly: on this way the two were a
+/// step of the grid apart, and chunks could not be added up.
+#[test]
+fn spectra_are_added_up_as_chunks_were_measured() {
+    let Some(shared) = shared_data() else { return };
+    let dir = tempfile::tempdir().unwrap();
+    let (input, out) = (shared.join("volumes/brain_mr_i16_gzip.nrrd"), dir.path().join("brain.isospan"));
+    let target = Some(Target::Rms(Bound::Value(136.43)));
+    let settings =
+        ReduceSettings { target, nan: NanPolicy::Value(0.0), values: Values::Fit, ..adapted(0.1, 250_000) };
+    let report = reduce(&input, &settings, &out, 2);
+    assert!(report.target.unwrap().met && report.points * 9 < 245_800, "{} points", report.points);
+    assert!(check_archive(&out).is_ok());
+}

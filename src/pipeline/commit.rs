@@ -71,6 +71,7 @@ impl Made {
         plan: &Plan,
         n: usize,
         layout: &Layout,
+        parts: &MeshParts,
         coordinates: Option<CoordinateRecord>,
         run: &RunSettings,
     ) -> Result<()> {
@@ -97,7 +98,8 @@ impl Made {
             }
             values.push(record(&file));
         }
-        let limits = limits(&plan.mesh, self.counts.points);
+        // Those that chunks were measured with: by the set's own number of points, which may be a little off.
+        let limits = limits(&plan.mesh, parts.points.len());
         let spectrum =
             (range[0] <= range[1]).then(|| sum_spectrum(&layout, hash, Design::new(range, limits), limits));
         self.steps.push(Step {

@@ -263,7 +263,7 @@ impl Publishing<'_> {
         for n in 0..plan.steps.len() {
             self.run.cancel.check()?;
             let coordinates = outcome.coordinates.filter(|_| made.steps.is_empty());
-            made.add_step(plan, n, layout, coordinates, self.run)?;
+            made.add_step(plan, n, layout, self.parts, coordinates, self.run)?;
         }
         report.seconds.push(("commit".into(), committing.elapsed().as_secs_f64()));
         if self.measure {
