@@ -180,6 +180,20 @@ pub fn extract(cells: &CellSource<'_>, isovalue: f32, world: &WorldMap, out: &mu
     out.finish(world);
 }
 
+/// Calls a method for any kind of four lanes with those of AVX2, where they were found, or with plain ones: the same bits.
+macro_rules! on_lanes {
+    ($avx2:expr, $this:ident.$method:ident($($argument:expr),*)) => {
+        match $avx2 {
+            #[cfg(target_arch = "x86_64")]
+            Some(proof) => with_vectors(
+                #[inline(always)]
+                || $this.$method::<Vector>(proof, $($argument),*),
+            ),
+            _ => $this.$method::<Plain>((), $($argument),*),
+        }
+    };
+}
+
 impl ChunkSurface {
     /// Empties the buffers for another chunk, of so many corners, or another isovalue.
     pub fn start(&mut self, isovalue: f32, corners: usize) {
@@ -220,15 +234,7 @@ impl ChunkSurface {
         bench: &mut Workbench,
         avx2: Option<Avx2>,
     ) {
-        #[cfg(target_arch = "x86_64")]
-        if let Some(proof) = avx2 {
-            return with_vectors(
-                #[inline(always)]
-                || self.add_cells::<Vector>(proof, cells, world, bench),
-            );
-        }
-        let _ = avx2;
-        self.add_cells::<Plain>((), cells, world, bench);
+        on_lanes!(avx2, self.add_cells(cells, world, bench));
     }
 
     #[inline(always)]
@@ -262,15 +268,7 @@ impl ChunkSurface {
         bench: &mut Workbench,
         avx2: Option<Avx2>,
     ) {
-        #[cfg(target_arch = "x86_64")]
-        if let Some(proof) = avx2 {
-            return with_vectors(
-                #[inline(always)]
-                || self.add_block::<Vector>(proof, block, world, bench),
-            );
-        }
-        let _ = avx2;
-        self.add_block::<Plain>((), block, world, bench);
+        on_lanes!(avx2, self.add_block(block, world, bench));
     }
 
     #[inline(always)]
@@ -364,14 +362,7 @@ impl ChunkSurface {
 
     /// Ends the chunk: finds normals, and turns the triangles over when `world`, the same as before, mirrors.
     pub fn finish(&mut self, world: &WorldMap) {
-        match Avx2::found() {
-            #[cfg(target_arch = "x86_64")]
-            Some(proof) => with_vectors(
-                #[inline(always)]
-                || self.finish_normals::<Vector>(proof, world),
-            ),
-            _ => self.finish_normals::<Plain>((), world),
-        }
+        on_lanes!(Avx2::found(), self.finish_normals(world));
         if world.mirrors() {
             self.triangles.iter_mut().for_each(|t| t.swap(1, 2));
         }
