@@ -9,8 +9,8 @@ use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Amount, AppendSettings, MeasureSettings, ReduceReport, ReduceSettings, RunSettings, StepChoice,
-    SurfaceSettings,
+    self, Amount, AppendSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings,
+    StepChoice, SurfaceSettings,
 };
 use isospan::points::SetKind;
 use isospan::sample::Interpolation;
@@ -395,6 +395,15 @@ fn surfaces_of_many_steps_have_a_list() {
         let alone = surface_at(&archive, choice(number), 0.5, &dir.path().join("one.vtp"));
         assert!(fs::read(&step.path).unwrap() == alone, "{number}");
     }
+    // What all steps share is read once: with little memory, where each is extracted by itself, more is.
+    let read = |memory| {
+        let settings = SurfaceSettings { memory, ..settings.clone() };
+        let report =
+            pipeline::extract_series(&archive, all, &settings, &out, SurfaceFormat::Vtp, &Silent).unwrap();
+        report.steps.iter().map(|s| s.report.bytes_read).sum::<u64>()
+    };
+    let passes = [1 << 30, 28 << 20, 24 << 20].map(read);
+    assert!(passes[0] < passes[1] && passes[1] < passes[2], "{passes:?}");
     assert_eq!(report.steps[2].report.triangles, 0);
     assert!(report.steps[2].report.bytes_read < report.steps[1].report.bytes_read);
     let (some, out) = ("1:2".parse().unwrap(), dir.path().join("t%d_{}.ply"));
@@ -443,4 +452,51 @@ fn meshes_are_located_once_for_all_steps() {
     let report = reduce_all(&steps, &settings, &out, &RunSettings { keep_going: true, ..run(2) });
     assert_eq!((report.steps.len(), report.skipped.len()), (5, 1));
     pipeline::check_archive(&out).unwrap();
+}
+
+/// Several steps are extracted in one pass, as many as memory has room for: each surface is the one that comes out alone.
+#[test]
+fn surfaces_of_steps_are_those_of_each_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = write_steps(dir.path(), 5);
+    // One without an answer, and one with a hole.
+    write_npy(&steps[1].path, DIMS, |x, _, _| 0.01 * x + 10.0);
+    let hole = |x: f64, y: f64, z: f64| (x - 0.4).abs() + (y - 0.5).abs() + (z - 0.5).abs() < 0.3;
+    write_npy(&steps[3].path, DIMS, |x, y, z| if hole(x, y, z) { f64::NAN } else { moving(3)(x, y, z) });
+    let asked = |cap, roi: Option<&str>| SurfaceSettings {
+        isovalues: vec![0.5, -0.25],
+        cap,
+        roi: roi.map(|roi| roi.parse().unwrap()),
+        ..SurfaceSettings::default()
+    };
+    let questions = [asked(false, None), asked(true, None), asked(false, Some("3:18,:,4:15"))];
+    for (bits, keyframes) in [(None, 3), (Some(12), 16)] {
+        let archive = dir.path().join(format!("a{keyframes}.isospan"));
+        let settings = ReduceSettings { value_bits: bits, keyframes, nan: NanPolicy::Mask, ..few_points() };
+        reduce_all(&steps, &settings, &archive, &run(2));
+        for question in &questions {
+            let alone = |step| {
+                let settings = SurfaceSettings { step: choice(step), ..question.clone() };
+                Archive::open_at(&archive, choice(step)).unwrap().surfaces(&settings).unwrap()
+            };
+            let alone: Vec<_> = (0..5).map(alone).collect();
+            assert!(alone[1][0].triangles.is_empty() != question.cap && alone[0] != alone[4]);
+            for (threads, memory) in [(1, 1 << 30), (3, 1 << 30), (2, 40 << 20), (1, 27 << 20)] {
+                let settings = SurfaceSettings { threads, memory, ..question.clone() };
+                let mut next = 0;
+                let compare = |step, time, surfaces: &mut Vec<_>| {
+                    assert_eq!((step, time), (next, 0.5 * next as f64));
+                    assert!(
+                        *surfaces == alone[step as usize],
+                        "step {step}, {threads} threads, {memory} bytes"
+                    );
+                    next += 1;
+                    Ok(())
+                };
+                let open = Archive::open(&archive).unwrap();
+                open.surfaces_of_steps(pipeline::StepRange::default(), &settings, compare).unwrap();
+                assert_eq!(next, 5);
+            }
+        }
+    }
 }

@@ -107,6 +107,11 @@ impl<T: Pod> Store<T> {
         Ok(all)
     }
 
+    /// The memory, for another store.
+    pub(crate) fn into_memory(self) -> Vec<T> {
+        self.tail
+    }
+
     /// Changes records in place. `patches` ascend by record number.
     pub(crate) fn patch<P>(&mut self, patches: &[(u32, P)], apply: impl Fn(&mut T, &P)) -> Result<()> {
         let on_disk = patches.partition_point(|&(number, _)| u64::from(number) < self.written);

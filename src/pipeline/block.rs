@@ -32,6 +32,12 @@ pub(super) struct BlockCorners {
 }
 
 impl BlockCorners {
+    /// Replaces the values by those that `values` has at the corners' numbers.
+    pub(super) fn take_values(&mut self, values: &[f32]) {
+        self.values.clear();
+        self.values.extend(self.numbers.iter().map(|&n| values[n as usize]));
+    }
+
     /// Tetrahedra between these corners.
     pub(super) fn cells<'a>(&'a self, tets: &'a [Tet]) -> CellSource<'a> {
         CellSource {
@@ -65,11 +71,11 @@ pub(super) struct KeptBlock {
 
 impl KeptBlock {
     /// `None` for a block with too many corners, which are rare.
-    fn of(Block { corners, tets, .. }: &Block, bench: &mut Workbench) -> Option<Self> {
+    pub(super) fn of(Block { corners, tets, .. }: &Block, bench: &mut Workbench) -> Option<Self> {
         Some(Self { numbered: bench.number(&corners.cells(tets))?, of_chunk: corners.of_chunk })
     }
 
-    fn bytes(&self) -> usize {
+    pub(super) fn bytes(&self) -> usize {
         size_of::<usize>() + self.numbered.bytes()
     }
 

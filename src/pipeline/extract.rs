@@ -49,6 +49,8 @@ pub(super) fn by_chunk(archive: &OpenArchive, refs: &[Entry]) -> Result<Vec<Chun
 /// What to extract.
 pub(super) struct Question<'a> {
     pub(super) archive: &'a OpenArchive,
+    /// Position in the manifest of the step.
+    pub(super) step: usize,
     pub(super) isovalues: &'a [f32],
     /// Where; everywhere without.
     pub(super) cut: Option<&'a Cut>,
@@ -56,7 +58,7 @@ pub(super) struct Question<'a> {
     /// The upper corner of the domain, where caps are wanted on its faces.
     pub(super) caps: Option<LatticePos>,
     /// Active blocks, chunk by chunk.
-    pub(super) work: Vec<ChunkWork>,
+    pub(super) work: &'a [ChunkWork],
     /// Counts the bytes of the blocks and values that hold an active tetrahedron.
     pub(super) active_bytes: AtomicU64,
 }
@@ -68,7 +70,7 @@ pub(super) struct Extracted {
 }
 
 /// The surfaces of a chunk, one for each isovalue.
-type ChunkSurfaces = Vec<ChunkSurface>;
+pub(super) type ChunkSurfaces = Vec<ChunkSurface>;
 
 /// Where surfaces are kept while they are made.
 pub(super) struct Room {
@@ -85,7 +87,7 @@ pub(super) fn extract_surfaces(
     room: Room,
     progress: &dyn Progress,
 ) -> Result<Vec<Extracted>> {
-    let work = &question.work;
+    let work = question.work;
     let active_blocks = work.iter().map(|w| w.blocks.len() as u64).sum::<u64>();
     let bytes: Vec<u64> = work.iter().map(|work| question.need(work)).collect();
     let largest = bytes.iter().copied().max().unwrap_or(0);
@@ -127,18 +129,23 @@ const AT_ONCE: usize = 32;
 impl Question<'_> {
     /// Bytes in which the blocks of a chunk are extracted: from the plan's target and the point set, without reading.
     fn need(&self, work: &ChunkWork) -> u64 {
+        let tets: u64 = work.blocks.iter().map(|b| u64::from(b.tets) * self.times_active(b)).sum();
+        let per_vertex = reader::BYTES_PER_VERTEX + need::SURFACE_PER_VERTEX * self.isovalues.len() as u64;
+        need::extraction_bytes(self.vertices_near(work.chunk), per_vertex, tets)
+    }
+
+    /// Vertices that a chunk uses, about.
+    pub(super) fn vertices_near(&self, chunk: ChunkId) -> u64 {
         let archive = self.archive;
-        let core = &archive.chunks.chunk(work.chunk).core;
+        let core = &archive.chunks.chunk(chunk).core;
         // The halo points that tetrahedra use lie within about one spacing.
         let near =
             core.grow_sides(archive.points.spacing_around(core), &archive.chunks.bricks().lattice.domain());
-        let tets: u64 = work.blocks.iter().map(|b| u64::from(b.tets) * self.times_active(b)).sum();
-        let per_vertex = reader::BYTES_PER_VERTEX + need::SURFACE_PER_VERTEX * self.isovalues.len() as u64;
-        need::extraction_bytes(archive.points.count_in(&near), per_vertex, tets)
+        archive.points.count_in(&near)
     }
 
     /// For how many isovalues a block can hold an answer.
-    fn times_active(&self, block: &Entry) -> u64 {
+    pub(super) fn times_active(&self, block: &Entry) -> u64 {
         self.isovalues.iter().filter(|&&v| self.is_wanted(block, v)).count() as u64
     }
 
@@ -149,9 +156,8 @@ impl Question<'_> {
 
     /// The surfaces of a chunk; buffers come from `spare` where there are any.
     fn chunk_surfaces(&self, work: &ChunkWork, spare: &Spare) -> Result<ChunkSurfaces> {
-        let surfaces = self.isovalues.iter().map(|_| spare.surface()).collect();
         let (mut buffers, mut reader) = (spare.buffers(), None);
-        let mut chunk = ChunkWorker { question: self, surfaces, started: false };
+        let mut chunk = ChunkWorker::new(self, spare);
         let mut kept = vec![];
         for (n, block) in work.blocks.iter().enumerate() {
             if n % AT_ONCE == 0 {
@@ -197,7 +203,7 @@ impl Question<'_> {
     }
 
     /// What is wanted of an entry's block; one without active tetrahedra is read for caps only.
-    fn wanted(&self, entry: &Entry) -> Wanted<'_> {
+    pub(super) fn wanted(&self, entry: &Entry) -> Wanted<'_> {
         match (self.cut, self.caps) {
             (Some(cut), _) => Wanted::Touching(cut),
             (None, Some(top)) if !self.isovalues.iter().any(|&v| is_active(entry.min, entry.max, v)) => {
@@ -215,15 +221,21 @@ impl Question<'_> {
 }
 
 /// The surfaces of a chunk while blocks are added to them.
-struct ChunkWorker<'a> {
+pub(super) struct ChunkWorker<'a> {
     question: &'a Question<'a>,
     surfaces: ChunkSurfaces,
     started: bool,
 }
 
-impl ChunkWorker<'_> {
+impl<'a> ChunkWorker<'a> {
+    /// No surfaces yet, in memory that is spare.
+    pub(super) fn new(question: &'a Question<'a>, spare: &Spare) -> Self {
+        let surfaces = question.isovalues.iter().map(|_| spare.surface()).collect();
+        Self { question, surfaces, started: false }
+    }
+
     /// Adds a kept block to the surfaces.
-    fn add_kept(&mut self, entry: &Entry, kept: &KeptBlock, buffers: &mut Buffers) {
+    pub(super) fn add_kept(&mut self, entry: &Entry, kept: &KeptBlock, buffers: &mut Buffers) {
         let question = self.question;
         if question.cut.is_some() || question.caps.is_some() {
             kept.unpack(&mut buffers.block);
@@ -238,7 +250,12 @@ impl ChunkWorker<'_> {
     }
 
     /// Adds the block that is in the buffers to the surfaces. `reader` is told if it is active.
-    fn add(&mut self, entry: &Entry, buffers: &mut Buffers, mut reader: Option<&mut ChunkReader<'_>>) {
+    pub(super) fn add(
+        &mut self,
+        entry: &Entry,
+        buffers: &mut Buffers,
+        mut reader: Option<&mut ChunkReader<'_>>,
+    ) {
         let Buffers { block, sides, active, bench, .. } = buffers;
         let (question, corners) = (self.question, &block.corners);
         // The bytes of a block count once, whatever the number of isovalues.
@@ -274,7 +291,12 @@ impl ChunkWorker<'_> {
         self.started = true;
     }
 
-    fn finish(mut self) -> ChunkSurfaces {
+    /// Active tetrahedra so far, once for each isovalue.
+    pub(super) fn active(&self) -> u64 {
+        self.surfaces.iter().map(|s| if self.started { s.active_cells() } else { 0 }).sum()
+    }
+
+    pub(super) fn finish(mut self) -> ChunkSurfaces {
         self.start(0);
         self.surfaces.iter_mut().for_each(|surface| surface.finish(&self.question.world));
         self.surfaces
@@ -282,7 +304,7 @@ impl ChunkWorker<'_> {
 }
 
 /// The welds of all isovalues, which take chunks in order.
-struct Weld<'a> {
+pub(super) struct Weld<'a> {
     question: &'a Question<'a>,
     builders: Vec<(SurfaceBuilder, Closing)>,
     active_tetrahedra: Vec<u64>,
@@ -297,7 +319,7 @@ struct Weld<'a> {
 }
 
 impl<'a> Weld<'a> {
-    fn new(
+    pub(super) fn new(
         question: &'a Question<'a>,
         settings: &SurfaceSettings,
         shares: SurfaceShares,
@@ -325,7 +347,7 @@ impl<'a> Weld<'a> {
     }
 
     /// Adds the next chunk; the buffers go back to `spare`.
-    fn push(&mut self, surfaces: ChunkSurfaces, spare: &Spare) -> Result<()> {
+    pub(super) fn push(&mut self, surfaces: ChunkSurfaces, spare: &Spare) -> Result<()> {
         for (i, surface) in surfaces.iter().enumerate() {
             self.active_tetrahedra[i] += surface.active_cells();
             self.builders[i].0.push(surface)?;
@@ -363,8 +385,8 @@ impl<'a> Weld<'a> {
         Ok(())
     }
 
-    fn finish(self) -> Result<Vec<Extracted>> {
-        let step = self.question.archive.step();
+    pub(super) fn finish(self) -> Result<Vec<Extracted>> {
+        let step = &self.question.archive.manifest.steps[self.question.step];
         // Only where tetrahedra are missing does a surface touch itself.
         let has_holes = step.void_points > 0 || step.plan.source.mesh.is_some();
         let (place, memory) = (self.place, self.shares.batch);

@@ -7,7 +7,8 @@ use super::probe::{ProbeReport, ProbeSettings, probe_grid, sample_grid};
 use super::probe_points::{probe_table, values_at};
 use super::query::{CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, write_surfaces};
 use super::spectrum::{self, SpectrumReport};
-use super::steps::StepChoice;
+use super::steps::{StepChoice, StepRange};
+use super::surface_series::surfaces_of_steps;
 use super::verify::{ArchiveCheck, check_archive};
 use crate::error::Result;
 use crate::exec::{Progress, Silent};
@@ -287,6 +288,41 @@ impl Archive {
         let reused = std::mem::take(surfaces);
         *surfaces = surfaces_in_memory(&self.open, settings, reused)?;
         Ok(())
+    }
+
+    /// Isosurfaces of many steps, in memory, step after step: `each` is told number and time of the step, and the surfaces. Steps are extracted
+    /// several at a time, as memory allows: what they share is decoded once. What `each` leaves of the surfaces is memory for later ones.
+    ///
+    /// ```
+    /// # use isospan::{Archive, exec::Silent, formats::StepSource};
+    /// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, StepRange, SurfaceSettings, reduce_series};
+    /// # fn main() -> isospan::Result<()> {
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("protein.isospan");
+    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
+    /// # let steps = vec![StepSource::new("datasets/ironprot.vtk".as_ref(), &Default::default()); 2];
+    /// # reduce_series(&steps, &settings, &path, &RunSettings::default(), &Silent)?;
+    /// let archive = Archive::open(&path)?;
+    /// let mut triangles = vec![];
+    /// archive.surfaces_of_steps(StepRange::default(), &SurfaceSettings::of(100.0), |_step, time, surfaces| {
+    ///     triangles.push((time, surfaces[0].triangles.len()));
+    ///     Ok(())
+    /// })?;
+    /// assert_eq!(triangles.len(), archive.info()?.steps.len());
+    /// # assert!(triangles.iter().all(|t| t.1 > 0));
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// As [`super::extract_series`], and those of `each`.
+    pub fn surfaces_of_steps(
+        &self,
+        steps: StepRange,
+        settings: &SurfaceSettings,
+        mut each: impl FnMut(u64, f64, &mut Vec<TriMesh>) -> Result<()>,
+    ) -> Result<()> {
+        surfaces_of_steps(&self.path, steps, settings, &mut each)
     }
 
     /// Writes isosurfaces to a file, in bounded memory; those of the archive's step, whatever the settings say.

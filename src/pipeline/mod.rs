@@ -17,6 +17,7 @@ mod chunk;
 mod commit;
 mod export;
 mod extract;
+mod extract_steps;
 mod field;
 mod fingerprint;
 mod gauge;

@@ -397,6 +397,11 @@ impl SurfaceShares {
         Ok(Self { finished: rest / 8, open_edges: rest / 4 / OPEN_EDGE, batch: rest / 8 * 5, rest })
     }
 
+    /// The shares of each of several questions that are answered together; chunks are worked on for all of them.
+    pub(crate) fn of_each(&self, questions: u64) -> Self {
+        Self { finished: self.finished / questions, open_edges: self.open_edges / questions, ..*self }
+    }
+
     /// The error for more open edges than there is memory for.
     pub(crate) fn too_many_open(&self, memory: u64, open: u64) -> Error {
         let needed = memory - self.rest + 4 * open.saturating_mul(OPEN_EDGE);

@@ -20,7 +20,7 @@ use crate::mesh::tet::is_active;
 use crate::surface::clip::clip;
 use crate::surface::marching_tets::Sides;
 use crate::surface::weld::BuilderSettings;
-use crate::surface::{Joined, SurfaceSource, TriMesh};
+use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -76,6 +76,11 @@ impl SurfaceSettings {
     pub(super) fn can_answer(&self, range: Option<[f32; 2]>) -> bool {
         let Some([lo, hi]) = range else { return false };
         self.isovalues.iter().any(|&v| is_active(lo, hi, v) || self.cap && v <= hi)
+    }
+
+    /// The folder for what does not fit in memory, of a file.
+    pub(super) fn scratch_of(&self, out: &Path) -> PathBuf {
+        self.scratch.clone().unwrap_or_else(|| parent_of(out))
     }
 
     pub(super) fn check(&self) -> Result<()> {
@@ -293,15 +298,26 @@ pub(super) fn write_surfaces(
     format: SurfaceFormat,
     progress: &dyn Progress,
 ) -> Result<SurfaceReport> {
-    let scratch = settings.scratch.clone().unwrap_or_else(|| parent_of(out));
-    let mut made = make(archive, settings, Room { scratch, reused: vec![] }, progress)?;
+    let scratch = settings.scratch_of(out);
+    let made = make(archive, settings, Room { scratch, reused: vec![] }, progress)?;
+    Ok(write_made(archive, settings, made, out, format)?.0)
+}
+
+/// Writes surfaces of the step that is looked at; they come back with the report.
+pub(super) fn write_made(
+    archive: &OpenArchive,
+    settings: &SurfaceSettings,
+    mut made: Made,
+    out: &Path,
+    format: SurfaceFormat,
+) -> Result<(SurfaceReport, Vec<Extracted>)> {
     let start = Instant::now();
     let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
     let file_bytes = write_all(archive, &made.surfaces, &settings.isovalues, out, format, &comment)?;
     made.seconds.push(("write", start.elapsed()));
     let totals = &archive.manifest.counts;
     let surfaces = describe(&made.surfaces, made.refined, &settings.isovalues, archive.value_range(), out);
-    Ok(SurfaceReport {
+    let report = SurfaceReport {
         range: archive.value_range(),
         roi: settings.roi,
         vertices: surfaces.iter().map(|s| s.vertices).sum(),
@@ -320,12 +336,13 @@ pub(super) fn write_surfaces(
         archive_bytes: archive.bytes()?,
         remote: None,
         seconds: made.seconds.iter().map(|(name, time)| ((*name).to_owned(), time.as_secs_f64())).collect(),
-    })
+    };
+    Ok((report, made.surfaces))
 }
 
 /// Surfaces, cut and refined, and what was read for them.
-struct Made {
-    surfaces: Vec<Extracted>,
+pub(super) struct Made {
+    pub(super) surfaces: Vec<Extracted>,
     refined: Vec<RefineReport>,
     active_blocks: u64,
     active_chunks: u64,
@@ -334,52 +351,109 @@ struct Made {
     seconds: Vec<(&'static str, Duration)>,
 }
 
-fn make(
+/// A question about a step, and the blocks that can hold an answer.
+pub(super) struct Prepared {
+    /// Position of the step in the manifest.
+    pub(super) step: usize,
+    pub(super) work: Vec<ChunkWork>,
+    cut: Option<Cut>,
+    world: WorldMap,
+    /// Bytes of the index that were read, and the time that it took.
+    index_bytes: u64,
+    opened: Duration,
+}
+
+/// What extraction has read, and its time.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Effort {
+    pub(super) bytes_read: u64,
+    pub(super) active_bytes: u64,
+    pub(super) time: Duration,
+}
+
+impl Prepared {
+    /// About the step that is looked at.
+    pub(super) fn new(archive: &OpenArchive, settings: &SurfaceSettings) -> Result<Self> {
+        let start = Instant::now();
+        let cut = cut_of(archive, settings)?;
+        // What the range of all values tells needs no index.
+        let index = settings.can_answer(archive.value_range()).then(|| archive.ranges()).transpose()?;
+        let work = match &index {
+            Some(index) => work_of(archive, index, settings, cut.as_ref())?,
+            None => vec![],
+        };
+        Ok(Self {
+            step: archive.view.step,
+            work,
+            cut,
+            world: world_map(archive),
+            index_bytes: index.map_or(0, |i| i.bytes_read()),
+            opened: start.elapsed(),
+        })
+    }
+
+    pub(super) fn question<'a>(
+        &'a self,
+        archive: &'a OpenArchive,
+        settings: &'a SurfaceSettings,
+    ) -> Question<'a> {
+        Question {
+            archive,
+            step: self.step,
+            isovalues: &settings.isovalues,
+            cut: self.cut.as_ref(),
+            world: self.world,
+            caps: settings.cap.then(|| archive.manifest.plan.lattice.max()),
+            work: &self.work,
+            active_bytes: AtomicU64::new(0),
+        }
+    }
+
+    /// Cuts and refines what was extracted.
+    pub(super) fn finish(
+        &self,
+        settings: &SurfaceSettings,
+        mut surfaces: Vec<Extracted>,
+        effort: Effort,
+        scratch: &Path,
+    ) -> Result<Made> {
+        let start = Instant::now();
+        if let Some(cut) = &self.cut {
+            cut_all(&mut surfaces, cut, settings.memory, scratch)?;
+        }
+        let extracted = effort.time + start.elapsed();
+        let start = Instant::now();
+        let (surfaces, refined) = refine_all(surfaces, settings, scratch)?;
+        Ok(Made {
+            surfaces,
+            refined,
+            active_blocks: self.work.iter().map(|w| w.blocks.len() as u64).sum(),
+            active_chunks: self.work.len() as u64,
+            bytes_read: self.index_bytes + effort.bytes_read,
+            active_bytes: effort.active_bytes,
+            seconds: vec![("open, index", self.opened), ("extract", extracted), ("refine", start.elapsed())],
+        })
+    }
+}
+
+pub(super) fn make(
     archive: &OpenArchive,
     settings: &SurfaceSettings,
     room: Room,
     progress: &dyn Progress,
 ) -> Result<Made> {
     settings.check()?;
-    let start = Instant::now();
     let read_before = archive.bytes_read();
-    let cut = cut_of(archive, settings)?;
-    // What the range of all values tells needs no index.
-    let index = settings.can_answer(archive.value_range()).then(|| archive.ranges()).transpose()?;
-    let work = match &index {
-        Some(index) => work_of(archive, index, settings, cut.as_ref())?,
-        None => vec![],
-    };
-    let question = Question {
-        archive,
-        isovalues: &settings.isovalues,
-        cut: cut.as_ref(),
-        world: world_map(archive),
-        caps: settings.cap.then(|| archive.manifest.plan.lattice.max()),
-        work,
-        active_bytes: AtomicU64::new(0),
-    };
-    let opened = start.elapsed();
-
-    let start = Instant::now();
-    let scratch = room.scratch.clone();
-    let mut surfaces = extract_surfaces(&question, settings, room, progress)?;
-    if let Some(cut) = &cut {
-        cut_all(&mut surfaces, cut, settings.memory, &scratch)?;
-    }
-    let extracted = start.elapsed();
-
-    let start = Instant::now();
-    let (surfaces, refined) = refine_all(surfaces, settings, &scratch)?;
-    Ok(Made {
-        surfaces,
-        refined,
-        active_blocks: question.work.iter().map(|w| w.blocks.len() as u64).sum(),
-        active_chunks: question.work.len() as u64,
-        bytes_read: archive.bytes_read() - read_before + index.map_or(0, |i| i.bytes_read()),
+    let prepared = Prepared::new(archive, settings)?;
+    let (start, scratch) = (Instant::now(), room.scratch.clone());
+    let question = prepared.question(archive, settings);
+    let surfaces = extract_surfaces(&question, settings, room, progress)?;
+    let effort = Effort {
+        bytes_read: archive.bytes_read() - read_before,
         active_bytes: question.active_bytes.into_inner(),
-        seconds: vec![("open, index", opened), ("extract", extracted), ("refine", start.elapsed())],
-    })
+        time: start.elapsed(),
+    };
+    prepared.finish(settings, surfaces, effort, &scratch)
 }
 
 fn cut_of(archive: &OpenArchive, settings: &SurfaceSettings) -> Result<Option<Cut>> {

@@ -111,8 +111,25 @@ impl<'a> ChunkReader<'a> {
         self.starts[self.starts.len() - 1] as usize
     }
 
+    /// Corners of the chunk, of the core and of the halo.
+    pub(super) fn vertices(&self) -> usize {
+        self.shared.len()
+    }
+
     /// Reads a block: its tetrahedra, and all of its corners. False, with nothing in `out`, if it is not wanted.
     pub(super) fn block(&mut self, number: u32, wanted: &Wanted<'_>, out: &mut Block) -> Result<bool> {
+        if !self.shape(number, wanted, out)? {
+            return Ok(false);
+        }
+        for i in 0..out.corners.numbers.len() {
+            self.load_value_of(out.corners.numbers[i])?;
+        }
+        gather(&self.memory.values, &out.corners.numbers, &mut out.corners.values);
+        Ok(true)
+    }
+
+    /// As [`ChunkReader::block`], but for the values of the corners: they mean nothing.
+    pub(super) fn shape(&mut self, number: u32, wanted: &Wanted<'_>, out: &mut Block) -> Result<bool> {
         out.tets.clear();
         out.bytes = self.read(number)?;
         let mut is_wanted = false;
@@ -120,14 +137,10 @@ impl<'a> ChunkReader<'a> {
         if !is_wanted {
             return Ok(false);
         }
-        for i in 0..out.corners.numbers.len() {
-            self.load_value_of(out.corners.numbers[i])?;
-        }
         let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = &mut out.corners;
-        let memory = &self.memory;
-        gather(&memory.ids, numbers, ids);
-        gather(&memory.values, numbers, values);
+        gather(&self.memory.ids, numbers, ids);
         gather(&self.shared, numbers, shared);
+        values.resize(numbers.len(), f32::NAN);
         std::mem::swap(positions, &mut self.memory.here);
         *of_chunk = self.shared.len();
         Ok(true)

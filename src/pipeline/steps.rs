@@ -133,6 +133,14 @@ impl View {
     }
 }
 
+/// Values of a block that are known already.
+#[derive(Clone, Copy)]
+struct Known<'a> {
+    /// Position in the manifest of the step that they are of.
+    step: usize,
+    values: &'a [f32],
+}
+
 /// "steps 0 to 7", "steps 0, 2, 3".
 fn numbers(steps: &[Step]) -> String {
     let all: Vec<u64> = steps.iter().map(|s| s.plan.number).collect();
@@ -168,15 +176,14 @@ impl OpenArchive {
         Ok(bytes)
     }
 
-    /// As [`OpenArchive::values_block`], of the step at a position in the manifest. `before`: the values of the step before it, if they are
-    /// known.
+    /// As [`OpenArchive::values_block`], of the step at a position in the manifest. `known`: the same values at a step before.
     fn block_of_step(
         &self,
         step: usize,
         id: ChunkId,
         block: u64,
         n: usize,
-        before: Option<&[f32]>,
+        known: Option<Known<'_>>,
         out: &mut Vec<f32>,
     ) -> Result<u64> {
         let segment = self.values_of(step, id)?;
@@ -188,10 +195,14 @@ impl OpenArchive {
         segment.block(id, block, &mut bytes)?;
         // The base is the step before: the manifest was checked.
         let needed = needs_before(&bytes) && self.manifest.steps[step].plan.base.is_some();
-        if needed && before.is_none() {
-            read = self.block_of_step(step - 1, id, block, n, None, &mut found)?;
-        }
-        let before = before.filter(|_| needed).unwrap_or(&found);
+        let before = match known {
+            Some(known) if needed && known.step + 1 == step => known.values,
+            _ if needed => {
+                read = self.block_of_step(step - 1, id, block, n, known, &mut found)?;
+                &found
+            }
+            _ => &[],
+        };
         decode_values(&bytes, n, before, out).map_err(|m| segment.blame(id, block, m))?;
         Ok(read + bytes.len() as u64)
     }
@@ -228,8 +239,8 @@ impl OpenArchive {
         let mut out = Vec::with_capacity(vertices);
         for (block, first) in (0..vertices).step_by(BLOCK_VALUES).enumerate() {
             let n = BLOCK_VALUES.min(vertices - first);
-            let before = before.map(|values| &values[first..first + n]);
-            self.block_of_step(step, id, block as u64, n, before, &mut out)?;
+            let known = before.map(|values| Known { step: step - 1, values: &values[first..first + n] });
+            self.block_of_step(step, id, block as u64, n, known, &mut out)?;
         }
         Ok(out)
     }
@@ -289,6 +300,63 @@ impl OpenArchive {
             found.extend(index_entries(id.0, &ranges).filter(&wanted));
         }
         Ok(found)
+    }
+}
+
+/// The values of a chunk's vertices at one step after another, a block at a time, when it is asked for.
+///
+/// A block that holds differences is told by its values at the last step at which it was asked for, where there is no keyframe since.
+pub(super) struct ValuesOverTime<'a> {
+    archive: &'a OpenArchive,
+    chunk: ChunkId,
+    values: Vec<f32>,
+    /// The step at which each block is.
+    at: Vec<Option<usize>>,
+    /// Bytes that were read of each for that step, and not yet taken.
+    bytes: Vec<u64>,
+    decoded: Vec<f32>,
+}
+
+impl<'a> ValuesOverTime<'a> {
+    pub(super) fn new(archive: &'a OpenArchive, chunk: ChunkId, vertices: usize) -> Self {
+        let blocks = vertices.div_ceil(BLOCK_VALUES);
+        let (at, bytes) = (vec![None; blocks], vec![0; blocks]);
+        Self { archive, chunk, values: vec![f32::NAN; vertices], at, bytes, decoded: vec![] }
+    }
+
+    /// Reads a block of values at the step at a position in the manifest, unless it is there.
+    #[inline]
+    pub(super) fn load(&mut self, block: usize, step: usize) -> Result<()> {
+        if self.at[block] == Some(step) { Ok(()) } else { self.read(block, step) }
+    }
+
+    #[cold]
+    fn read(&mut self, block: usize, step: usize) -> Result<()> {
+        let end = self.values.len().min((block + 1) * BLOCK_VALUES);
+        let values = &mut self.values[block * BLOCK_VALUES..end];
+        self.decoded.clear();
+        let known = self.at[block].map(|step| Known { step, values });
+        self.bytes[block] = self.archive.block_of_step(
+            step,
+            self.chunk,
+            block as u64,
+            values.len(),
+            known,
+            &mut self.decoded,
+        )?;
+        values.copy_from_slice(&self.decoded);
+        self.at[block] = Some(step);
+        Ok(())
+    }
+
+    /// Bytes that were read of a block for the step at which it is: once.
+    pub(super) fn take_bytes(&mut self, block: usize) -> u64 {
+        std::mem::take(&mut self.bytes[block])
+    }
+
+    /// The values, of each block at the step at which it was read last.
+    pub(super) fn values(&self) -> &[f32] {
+        &self.values
     }
 }
 

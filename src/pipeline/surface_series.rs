@@ -1,16 +1,19 @@
 //! Isosurfaces of many steps: a file each, and a list of the files with their times.
 //!
 //! `out_%04d.vtp` gives `out_0000.vtp`, `out_0001.vtp`, … and `out.pvd`; of other formats the list is ParaView's JSON, `out.ply.series`. Both are read
-//! by ParaView, and by [`crate::formats::steps_of`]. A step whose values all lie on one side of the isovalues is not read: its file is an empty
+//! by ParaView, and by [`crate::formats::steps_of`]. Several steps are extracted in one pass (`extract_steps.rs`). A step whose values all lie on one side of the isovalues is not read: its file is an empty
 //! surface, so that the list has all steps.
 
+use super::extract_steps::Pass;
 use super::open::OpenArchive;
-use super::query::{SurfaceReport, SurfaceSettings, file_of, is_each_alone, write_surfaces};
+use super::placed::in_memory;
+use super::query::{Made, SurfaceReport, SurfaceSettings, file_of, is_each_alone, write_made};
 use super::steps::StepRange;
 use crate::archive::publish::Unpublished;
 use crate::error::{Error, Result};
-use crate::exec::Progress;
+use crate::exec::{Progress, Silent};
 use crate::formats::surface::SurfaceFormat;
+use crate::surface::TriMesh;
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -24,7 +27,8 @@ pub struct StepSurfaces {
     pub time: f64,
     /// Whether nothing was read, as the range of its values tells that the surfaces are empty.
     pub skipped: bool,
-    /// What was extracted.
+    /// What was extracted. Several steps are extracted together: what was read for all of them, and the time that it took, is told with the
+    /// first.
     #[serde(flatten)]
     pub report: SurfaceReport,
 }
@@ -55,17 +59,17 @@ pub fn extract_series(
 ) -> Result<SeriesReport> {
     settings.check()?;
     let place = Place::in_name(out)?;
+    let scratch = settings.scratch_of(out);
     let mut archive = OpenArchive::open(path)?;
     let mut made: Vec<StepSurfaces> = vec![];
-    for position in steps.positions(&archive.manifest, path)? {
-        settings.cancel.check()?;
-        archive.turn_to(position);
+    let mut write = |archive: &OpenArchive, surfaces| {
         let plan = &archive.step().plan;
         let (step, time) = (plan.number, plan.time_or_number());
-        let file = place.name(step);
-        let report = write_surfaces(&archive, settings, &file, format, progress)?;
+        let (report, surfaces) = write_made(archive, settings, surfaces, &place.name(step), format)?;
         made.push(StepSurfaces { step, time, skipped: !settings.can_answer(archive.value_range()), report });
-    }
+        Ok(surfaces.into_iter().map(|s| s.surface.into_memory()).collect())
+    };
+    for_each_step(&mut archive, steps, settings, &scratch, progress, &mut write)?;
     let lists = if is_each_alone(out) { settings.isovalues.len() } else { 1 };
     let list = |n: usize| {
         let files: Vec<(f64, &Path)> = made.iter().map(|s| (s.time, &*s.report.surfaces[n].file)).collect();
@@ -75,6 +79,55 @@ pub fn extract_series(
     };
     let lists = (0..lists).map(list).collect::<Result<_>>()?;
     Ok(SeriesReport { skipped: made.iter().filter(|s| s.skipped).count() as u64, steps: made, lists })
+}
+
+/// What is done with the surfaces of a step, told its number and time.
+pub(super) type EachStep<'a> = dyn FnMut(u64, f64, &mut Vec<TriMesh>) -> Result<()> + 'a;
+
+/// Hands out the isosurfaces of many steps, in memory: number and time of each, and the surfaces, of which the memory serves those of
+/// later steps if it is left.
+pub(super) fn surfaces_of_steps(
+    path: &Path,
+    steps: StepRange,
+    settings: &SurfaceSettings,
+    each: &mut EachStep<'_>,
+) -> Result<()> {
+    settings.check()?;
+    let scratch = settings.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let mut hand_out = |archive: &OpenArchive, made: Made| {
+        let plan = &archive.step().plan;
+        let surfaces = made.surfaces.into_iter().map(|found| in_memory(archive, found.surface));
+        let mut surfaces = surfaces.collect::<Result<Vec<_>>>()?;
+        each(plan.number, plan.time_or_number(), &mut surfaces)?;
+        Ok(surfaces)
+    };
+    for_each_step(&mut OpenArchive::open(path)?, steps, settings, &scratch, &Silent, &mut hand_out)
+}
+
+/// What is done with the surfaces of a step, which the archive looks at; their memory comes back.
+type Use<'a> = dyn FnMut(&OpenArchive, Made) -> Result<Vec<TriMesh>> + 'a;
+
+/// Extracts surfaces of step after step, several in a pass.
+fn for_each_step(
+    archive: &mut OpenArchive,
+    steps: StepRange,
+    settings: &SurfaceSettings,
+    scratch: &Path,
+    progress: &dyn Progress,
+    use_them: &mut Use<'_>,
+) -> Result<()> {
+    let mut positions = steps.positions(&archive.manifest, archive.path())?;
+    let mut reused = vec![];
+    while !positions.is_empty() {
+        let pass = Pass::next(archive, settings, positions.clone(), scratch)?;
+        for (position, made) in pass.extract(archive, settings, &mut reused, progress)? {
+            settings.cancel.check()?;
+            archive.turn_to(position);
+            reused.push(use_them(archive, made)?);
+            positions.start = position + 1;
+        }
+    }
+    Ok(())
 }
 
 /// Where the number of a step is in a file's name: `before`, digits, `after`.

@@ -204,6 +204,17 @@ impl NumberedBlock {
         PointId(u64::from(self.words[at]) | u64::from(self.words[at + 1]) << 32)
     }
 
+    /// Gives the corners other values: those that `values` has at their numbers in the chunk.
+    pub(crate) fn set_values(&mut self, values: &[f32]) {
+        let [numbers, corners, tets, _] = self.starts();
+        // Nobody has asked for the ranges yet, and a look at all tetrahedra costs less than they would.
+        bytemuck::cast_slice_mut(&mut self.words[..numbers]).fill([f32::NEG_INFINITY, f32::INFINITY]);
+        let (numbers, at) = self.words[numbers..tets].split_at_mut(corners - numbers);
+        for (n, at) in numbers.iter().zip(at.chunks_exact_mut(4)) {
+            at[3] = values[(n & !SHARED) as usize].to_bits();
+        }
+    }
+
     /// Asks the processor for what is looked at of any block.
     pub(crate) fn corners_will_be_read(&self) {
         will_read(&self.words[..self.starts()[2]]);

@@ -248,6 +248,11 @@ impl StoredSurface {
         Ok(TriMesh { vertices: self.vertices.into_vec()?, triangles: self.triangles.into_vec()? })
     }
 
+    /// The memory of a surface that is no longer needed.
+    pub(crate) fn into_memory(self) -> TriMesh {
+        TriMesh { vertices: self.vertices.into_memory(), triangles: self.triangles.into_memory() }
+    }
+
     /// Single vertices, through a cache of about so many bytes.
     pub(super) fn random_vertices(&self, memory_bytes: usize) -> Cached<'_, Vertex> {
         Cached::new(&self.vertices, memory_bytes)
