@@ -197,7 +197,7 @@ impl SurfaceSource for Placed<'_> {
 
 /// A surface in memory, in the world.
 pub(super) fn in_memory(archive: &OpenArchive, surface: StoredSurface) -> Result<TriMesh> {
-    match archive.step().coordinates {
+    match archive.coordinate_record() {
         Some(_) => in_world(archive, &surface, TriMesh::from_source),
         None => surface.into_mesh(),
     }
