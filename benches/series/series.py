@@ -5,8 +5,9 @@ usage: series.py [--isospan FILE] [--steps 100] [--size 256] [--batch 10] [--fra
                  [--threads 2] [--measure] [--folder FOLDER]
 
 Steps are f32 volumes of waves that drift and grow, made a batch at a time, reduced (the first batch) or appended, contoured by VTK
-(vtkFlyingEdges3D, read from the file by numpy's memory map), and removed again: the disk holds one batch. Needs numpy and vtk.
-Times are wall times, and CPU times of the process and its threads.
+(vtkFlyingEdges3D, read from the file by numpy's memory map; its surface is then written as binary PLY), and removed again: the disk holds one
+batch. Needs numpy and vtk. Times are wall times, and CPU times of the process and its threads. isospan syncs each file that it writes, VTK
+does not.
 """
 import argparse, json, os, resource, shutil, subprocess, sys, tempfile, time
 
@@ -14,6 +15,7 @@ import numpy as np
 from vtkmodules.util.numpy_support import numpy_to_vtk
 from vtkmodules.vtkCommonDataModel import vtkImageData
 from vtkmodules.vtkFiltersCore import vtkFlyingEdges3D
+from vtkmodules.vtkIOPLY import vtkPLYWriter
 
 
 def field(size, t):
@@ -43,21 +45,30 @@ def run(*command):
     return time.perf_counter() - wall, cpu_of_children() - cpu, out
 
 
-def contour(file, isovalue):
-    """Reads a volume and contours it: seconds to read, seconds to contour, triangles."""
-    start = time.perf_counter()
+def contour(file, isovalue, out):
+    """Reads a volume, contours it, writes the surface: (wall, CPU) seconds of each, triangles."""
+    at = [(time.perf_counter(), time.process_time())]
+    lap = lambda: at.append((time.perf_counter(), time.process_time()))
     values = np.load(file, mmap_mode="r")
     image = vtkImageData()
     image.SetDimensions(*values.shape[::-1])
     flat = np.ascontiguousarray(values).ravel()
     image.GetPointData().SetScalars(numpy_to_vtk(flat))
-    read = time.perf_counter()
+    lap()
     edges = vtkFlyingEdges3D()
     edges.SetInputData(image)
     edges.SetValue(0, isovalue)
     edges.ComputeNormalsOn()
     edges.Update()
-    return read - start, time.perf_counter() - read, edges.GetOutput().GetNumberOfPolys()
+    lap()
+    writer = vtkPLYWriter()
+    writer.SetInputConnection(edges.GetOutputPort())
+    writer.SetFileName(out)
+    writer.SetFileTypeToBinary()
+    writer.Write()
+    lap()
+    os.remove(out)
+    return *[(y[0] - x[0], y[1] - x[1]) for x, y in zip(at, at[1:])], edges.GetOutput().GetNumberOfPolys()
 
 
 def main():
@@ -103,17 +114,23 @@ def main():
                 report = json.loads(out)
             sizes = [(s["value_bytes"], s["index_bytes"]) for s in report["steps"]]
             print(f"steps {first} on: {[s[0] for s in sizes]} bytes of values, {sizes[0][1]} of index and spectrum")
-            vtk += [contour(f, float(a.isovalue)) for f in files]
+            vtk += [contour(f, float(a.isovalue), os.path.join(folder, "vtk.ply")) for f in files]
             for f in files:
                 os.remove(f)
         out = os.path.join(folder, "s_%04d.ply")
         wall, cpu, text = run(
             a.isospan, "surface", archive, "-i", a.isovalue, "--all-steps", "-o", out, "--threads", "1", "--json", "-q"
         )
-        triangles = sum(s["triangles"] for s in json.loads(text)["steps"])
-        read, made = sum(v[0] for v in vtk), sum(v[1] for v in vtk)
-        print(f"isovalue {a.isovalue} of all {a.steps} steps, to files: {wall:.2f} s, CPU {cpu:.2f} s, {triangles} triangles")
-        print(f"VTK reads {read:.2f} s and contours {made:.2f} s, {sum(v[2] for v in vtk)} triangles, in memory")
+        of_steps = json.loads(text)["steps"]
+        triangles = sum(s["triangles"] for s in of_steps)
+        written = sum(seconds for s in of_steps for stage, seconds in s["seconds"] if stage == "write")
+        parts = [[sum(v[part][clock] for v in vtk) for clock in (0, 1)] for part in (0, 1, 2)]
+        (read, read_cpu), (made, made_cpu), (wrote, wrote_cpu) = parts
+        print(f"isovalue {a.isovalue} of all {a.steps} steps, to files: {wall:.2f} s (writing {written:.2f} s), CPU {cpu:.2f} s, {triangles} triangles")
+        print(
+            f"VTK reads {read:.2f} s and contours {made:.2f} s, CPU {read_cpu + made_cpu:.2f} s, {sum(v[3] for v in vtk)} triangles, in memory; "
+            f"writes them {wrote:.2f} s, CPU {wrote_cpu:.2f} s"
+        )
         print("archive:", sum(os.path.getsize(os.path.join(d, f)) for d, _, fs in os.walk(archive) for f in fs), "bytes")
     finally:
         shutil.rmtree(folder)
