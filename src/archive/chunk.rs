@@ -79,19 +79,14 @@ impl EncodedChunk {
         &self.tets[self.starts[n] as usize..self.starts[n + 1] as usize]
     }
 
-    /// The blocks, and the memory of the tetrahedra.
+    /// The blocks, and all tetrahedra, block after block, as their decoders give them.
     pub fn into_parts(self) -> (Vec<Vec<u8>>, Vec<Tet>) {
         (self.blocks, self.tets)
     }
 
-    /// The end of each tetrahedron block in [`EncodedChunk::tets`].
+    /// The end of each tetrahedron block in the tetrahedra of all.
     pub fn block_ends(&self) -> Vec<usize> {
         self.starts[1..].iter().map(|&end| end as usize).collect()
-    }
-
-    /// All tetrahedra, as decoders of all blocks give them.
-    pub fn tets(&self) -> &[Tet] {
-        &self.tets
     }
 }
 

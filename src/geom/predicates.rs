@@ -57,7 +57,14 @@ pub fn signed_volume6(a: LatticePos, b: LatticePos, c: LatticePos, d: LatticePos
     det3(minus(b, a), minus(c, a), minus(d, a))
 }
 
+#[inline]
 fn det3(u: [i64; 3], v: [i64; 3], w: [i64; 3]) -> i128 {
+    let reach = [u, v, w].iter().flatten().fold(0, |bits, c| bits | c.unsigned_abs());
+    if reach < 1 << 20 {
+        // Six products of less than 2^60.
+        let minor = |p: [i64; 3], q: [i64; 3]| p[0] * q[1] - p[1] * q[0];
+        return (u[2] * minor(v, w) - v[2] * minor(u, w) + w[2] * minor(u, v)).into();
+    }
     let minor = |p: [i64; 3], q: [i64; 3]| i128::from(p[0] * q[1] - p[1] * q[0]);
     i128::from(u[2]) * minor(v, w) - i128::from(v[2]) * minor(u, w) + i128::from(w[2]) * minor(u, v)
 }
@@ -212,14 +219,19 @@ mod tests {
 
     #[test]
     fn the_largest_values_do_not_overflow() {
-        let m = 1u32 << 24;
-        let corners: Vec<LatticePos> =
-            (0..8u32).map(|i| [i & 1, i >> 1 & 1, i >> 2].map(|b| b * m)).collect();
-        for i in 0..8usize.pow(5) {
-            let p: [LatticePos; 5] = std::array::from_fn(|k| corners[i / 8usize.pow(k as u32) % 8]);
-            let (o, s) = oracle(&p);
-            assert_eq!(orient3d(p[0], p[1], p[2], p[3]), o);
-            assert_eq!(insphere(p[0], p[1], p[2], p[3], p[4]), s);
+        // Of 64-bit determinants too.
+        for m in [1u32 << 24, 1 << 20, (1 << 20) - 1] {
+            let corners: Vec<LatticePos> =
+                (0..8u32).map(|i| [i & 1, i >> 1 & 1, i >> 2].map(|b| b * m)).collect();
+            for i in 0..8usize.pow(5) {
+                let p: [LatticePos; 5] = std::array::from_fn(|k| corners[i / 8usize.pow(k as u32) % 8]);
+                let (o, s) = oracle(&p);
+                assert_eq!(orient3d(p[0], p[1], p[2], p[3]), o);
+                assert_eq!(insphere(p[0], p[1], p[2], p[3], p[4]), s);
+                let (volume, cube) = (signed_volume6(p[0], p[1], p[2], p[3]), i128::from(m).pow(3));
+                assert_eq!(volume.signum() as i32, o);
+                assert!(volume % cube == 0 && volume.abs() <= 2 * cube, "{volume} {m}");
+            }
         }
     }
 

@@ -105,7 +105,7 @@ pub fn mesh_with_stars(
     }
     let region = &region;
     let mut owned = std::mem::take(&mut mesher.owned);
-    owned.clear(positions.len());
+    owned.clear(mesher.records());
     let mut sorter = Sorter::new(mesher, region, positions, owned);
     let mut late = None;
     let mut uncertified = sorter.run(mesher, region, first, &mut late);
@@ -115,7 +115,9 @@ pub fn mesh_with_stars(
     let Sorter { mut owned, shared, around, .. } = sorter;
     let spare = std::mem::take(&mut mesher.outgoing);
     let outcome = uncertified.map(|n| match n {
-        0 => ChunkOutcome::Done(ChunkMesh { tets: owned.sorted(spare), shared, around }),
+        0 => {
+            ChunkOutcome::Done(ChunkMesh { tets: owned.take(mesher, positions.len(), spare), shared, around })
+        }
         uncertified => ChunkOutcome::WidenHalo { uncertified },
     });
     mesher.owned = owned;
@@ -200,10 +202,10 @@ impl<'a> Sorter<'a> {
         first: usize,
         late: &mut Option<Late<'a>>,
     ) -> Result<u64> {
-        let mut used = vec![false; self.positions.len()];
-        self.owned.tets.iter().flatten().for_each(|&v| used[v as usize] = true);
-        self.used =
-            std::iter::once(false).chain(mesher.sources().iter().map(|&s| used[s as usize])).collect();
+        let mut used = vec![false; mesher.sources().len() + 1];
+        let owned = self.owned.iter().filter_map(|id| mesher.record(id));
+        owned.for_each(|(v, _)| v.iter().for_each(|&v| used[v as usize] = true));
+        self.used = used;
         for id in 0..mesher.records() {
             self.record(mesher, id, &mut None);
         }
@@ -233,6 +235,7 @@ impl<'a> Sorter<'a> {
                 return Ok(found.uncovered);
             }
             mesher.add(self.positions, found.take_wanted(), &mut self.doubtful)?;
+            self.owned.grow(mesher.records());
             self.doubtful.sort_unstable();
             self.doubtful.dedup();
             self.in_core.resize(mesher.sources().len() + 1, false);
@@ -255,15 +258,11 @@ impl<'a> Sorter<'a> {
     #[inline]
     fn record_around(&mut self, mesher: &Mesher, id: u32, late: &mut Option<Late<'_>>) {
         let Some((v, sphere)) = mesher.record(id) else { return };
-        let core = v.map(|v| self.in_core[v as usize]);
-        if core == [true; 4] || v.iter().all(|&v| !self.used[v as usize]) {
+        if self.owned.has(id) || v.iter().all(|&v| !self.used[v as usize]) {
             return;
         }
         if let Some(k) = v.iter().position(|&v| v == 0) {
             return self.ghost(mesher, id, super::delaunay::face(k).map(|i| v[i]), late);
-        }
-        if core != [false; 4] && self.relation(mesher, v, core).owned {
-            return;
         }
         if !self.close.quickly(sphere) {
             let tet = v.map(|v| self.at(mesher, v));
@@ -298,7 +297,7 @@ impl<'a> Sorter<'a> {
             }
         }
         if relation.owned {
-            self.owned.push(v.map(|v| mesher.source(v)));
+            self.owned.insert(id);
         } else {
             // Those outside the core are shared already.
             v.iter().for_each(|&v| self.shared[mesher.source(v) as usize] = true);

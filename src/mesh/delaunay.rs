@@ -36,7 +36,7 @@
 //!
 //! Expected time is O(n log n) with small constants (a cavity has about 20 tetrahedra), worst case O(n²) tetrahedra for points on
 //! curves. Memory: 64 bytes a tetrahedron, 16 bytes and a sort key (32 bytes) a point; it is kept in the [`Mesher`] and reused, which makes about 75 bytes a
-//! tetrahedron. A chunk has 32 more while its own are put in order, and its sites: some 110 in all.
+//! tetrahedron. A chunk has 16 more while its own are put in order (`owned.rs`), and its sites: some 95 in all.
 
 mod arena;
 mod exact;
@@ -55,6 +55,7 @@ use crate::mesh::certify::Local;
 use crate::mesh::owned::Owned;
 use crate::mesh::tet::Tet;
 use arena::{Arena, FIRST_TAG, Frame, INFINITE, MOST_TETS, Margin, Point, Tetra};
+pub(super) use pages::reserve;
 
 /// Which code inserts points; the tetrahedra are the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -130,8 +131,7 @@ impl Mesher {
         count: usize,
         order: &Order,
     ) -> Result<()> {
-        self.arena.tets.clear();
-        self.arena.free.clear();
+        self.clear();
         check(positions, order)?;
         self.prepare(positions, count, order);
         let Some(first) = self.first_four() else { return Ok(()) };
@@ -177,6 +177,30 @@ impl Mesher {
                 f(t.v.map(|v| self.source[v as usize - 1]));
             }
         }
+    }
+
+    /// Packs the vertices of some records, ascending, where the records were: input indices, turned by `turn`. What there was is gone, and the mesh is to be
+    /// [cleared](Mesher::clear) when they have been looked at.
+    pub(super) fn pack(
+        &mut self,
+        records: impl Iterator<Item = u32>,
+        mut turn: impl FnMut(Tet) -> Tet,
+    ) -> &[Tet] {
+        let rows: &mut [Tet] = bytemuck::cast_slice_mut(&mut self.arena.tets);
+        let mut packed = 0;
+        for id in records {
+            // A record is four rows, of which the third has the vertices: nothing that was packed lies behind it.
+            let v = rows[4 * id as usize + 2];
+            rows[packed] = turn(v.map(|v| self.source[v as usize - 1]));
+            packed += 1;
+        }
+        &rows[..packed]
+    }
+
+    /// Forgets the mesh, and keeps the memory.
+    pub(super) fn clear(&mut self) {
+        self.arena.tets.clear();
+        self.arena.free.clear();
     }
 
     /// Number of records, dead ones included.

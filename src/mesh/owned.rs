@@ -1,52 +1,90 @@
 //! The tetrahedra that a chunk keeps, put in the order of their first vertices by counting.
+//!
+//! Which records they are is a bit each. In the end their vertices are packed where the records were, which nobody needs any more, and from
+//! there go to their places: so tetrahedra take 64 bytes each while they are meshed and 16 in their final order, and nothing between.
 
+use super::delaunay::{Mesher, reserve};
 use super::tet::Tet;
 
-/// Tetrahedra in no particular order, the least number first in each, counted by it. Kept from chunk to chunk, so that its pages are not
-/// asked for again.
+/// Records of a mesher. Kept from chunk to chunk, so that its pages are not asked for again.
 #[derive(Debug, Default)]
 pub(super) struct Owned {
-    pub(super) tets: Vec<Tet>,
-    /// By number: how many have it first. One more at the end, for none.
+    bits: Vec<u64>,
+    /// By the number of a vertex: how many tetrahedra have it first. One more at the end, for none.
     counts: Vec<u32>,
 }
 
 impl Owned {
-    /// Prepares for tetrahedra between so many positions.
-    pub(super) fn clear(&mut self, positions: usize) {
-        self.tets.clear();
-        self.counts.clear();
-        self.counts.resize(positions + 1, 0);
+    /// Prepares for so many records.
+    pub(super) fn clear(&mut self, records: u32) {
+        self.bits.clear();
+        self.grow(records);
     }
 
-    /// Adds a tetrahedron, turned so that its least number comes first.
+    /// For more records.
+    pub(super) fn grow(&mut self, records: u32) {
+        self.bits.resize(records.div_ceil(u64::BITS) as usize, 0);
+    }
+
     #[inline]
-    pub(super) fn push(&mut self, t: Tet) {
-        let t = least_first(t);
-        self.counts[t[0] as usize] += 1;
-        self.tets.push(t);
+    pub(super) fn insert(&mut self, id: u32) {
+        self.bits[(id / u64::BITS) as usize] |= 1 << (id % u64::BITS);
     }
 
-    /// All of them, ascending by their first numbers, in memory that may hold others.
-    pub(super) fn sorted(&mut self, mut all: Vec<Tet>) -> Vec<Tet> {
-        let mut sum = 0;
-        for n in &mut self.counts {
-            // Each count becomes its run's start; placing the tetrahedra moves it to the run's end.
-            sum += std::mem::replace(n, sum);
-        }
-        if all.capacity() < self.tets.len() {
-            // Grown, it would be copied.
-            all = Vec::with_capacity(self.tets.len() + self.tets.len() / 8);
-        }
-        // Whatever is there is written over.
-        all.resize(self.tets.len(), [0; 4]);
-        for &t in &self.tets {
-            let place = &mut self.counts[t[0] as usize];
-            all[*place as usize] = t;
-            *place += 1;
-        }
+    #[inline]
+    pub(super) fn has(&self, id: u32) -> bool {
+        self.bits[(id / u64::BITS) as usize] >> (id % u64::BITS) & 1 == 1
+    }
+
+    /// Those kept, ascending.
+    pub(super) fn iter(&self) -> impl Iterator<Item = u32> {
+        let of_word = |(n, mut word): (u32, u64)| {
+            std::iter::from_fn(move || {
+                let bit = (word != 0).then(|| word.trailing_zeros())?;
+                word &= word - 1;
+                Some(n * u64::BITS + bit)
+            })
+        };
+        (0..).zip(self.bits.iter().copied()).flat_map(of_word)
+    }
+
+    /// All of them, as indices into so many positions, the least first in each, ascending by that; in memory that may hold others. The mesher
+    /// has no mesh then.
+    pub(super) fn take(&mut self, mesher: &mut Mesher, positions: usize, all: Vec<Tet>) -> Vec<Tet> {
+        let mut counts = std::mem::take(&mut self.counts);
+        counts.clear();
+        counts.resize(positions + 1, 0);
+        let packed = mesher.pack(self.iter(), |t| {
+            let t = least_first(t);
+            counts[t[0] as usize] += 1;
+            t
+        });
+        let all = sorted(packed, &mut counts, all);
+        mesher.clear();
+        self.counts = counts;
         all
     }
+}
+
+/// Tetrahedra ascending by their first vertices, of which `counts` tells how many have each.
+fn sorted(tets: &[Tet], counts: &mut [u32], mut all: Vec<Tet>) -> Vec<Tet> {
+    let mut sum = 0;
+    for n in &mut *counts {
+        // Each count becomes its run's start; placing the tetrahedra moves it to the run's end.
+        sum += std::mem::replace(n, sum);
+    }
+    if all.capacity() < tets.len() {
+        all.clear();
+        reserve(&mut all, tets.len());
+    }
+    // Whatever is there is written over.
+    all.resize(tets.len(), [0; 4]);
+    for &t in tets {
+        let place = &mut counts[t[0] as usize];
+        all[*place as usize] = t;
+        *place += 1;
+    }
+    all
 }
 
 /// An even permutation with the least number first. Without branches: they would be taken at random.
@@ -83,13 +121,28 @@ mod tests {
 
     #[test]
     fn tetrahedra_come_out_in_order_whatever_the_memory_held() {
-        let mut owned = Owned::default();
         let mut all = vec![[9; 4]; 3];
         for n in [7u32, 200, 3] {
-            owned.clear(n as usize + 3);
-            (0..n).map(|i| i * 11 % n).for_each(|i| owned.push([i + 1, i + 2, i, i + 3]));
-            all = owned.sorted(all);
+            let tets: Vec<Tet> = (0..n).map(|i| [i * 11 % n, i + 2, i + 1, i + 3]).collect();
+            let mut counts = vec![1; n as usize];
+            all = sorted(&tets, &mut counts, all);
             assert!(all.iter().map(|t| t[0]).eq(0..n), "{all:?}");
         }
+    }
+
+    #[test]
+    fn records_are_listed_as_they_were_noted() {
+        let (mut owned, mut noted) = (Owned::default(), BTreeSet::new());
+        owned.clear(10);
+        assert_eq!(owned.iter().count(), 0);
+        owned.grow(1000);
+        for id in (0..1000u32).map(|i| i * i % 1000).chain([63, 64, 999]) {
+            owned.insert(id);
+            noted.insert(id);
+        }
+        assert!(owned.iter().eq(noted.iter().copied()));
+        assert!((0..1000).all(|id| owned.has(id) == noted.contains(&id)));
+        owned.clear(5);
+        assert_eq!(owned.iter().count(), 0);
     }
 }

@@ -25,7 +25,7 @@ use crate::grid::{ChunkId, IndexBox};
 use crate::measure::{BrickErrors, ComparedAt, ErrorSums, FieldError, LevelError, Tally, Worst};
 use crate::mesh::tet::Tet;
 use crate::points::Levels;
-use crate::raster::{BatchScan, SampleGrid, Scanner, greater, lesser};
+use crate::raster::{BatchScan, SampleGrid, Scanner, corner_box, greater, lesser};
 use crate::volume::VolumeReader;
 use std::ops::Range;
 
@@ -220,11 +220,9 @@ impl Gauge {
     #[inline(always)]
     fn around(&self, positions: &[LatticePos], tets: &[Tet]) -> Option<IndexBox> {
         let (mut lo, mut hi) = ([u32::MAX; 4], [0; 4]);
-        for &v in tets.iter().flatten() {
-            // Four lanes are a vector.
-            let [x, y, z] = positions[v as usize];
-            let p = [x, y, z, 0];
-            (lo, hi) = (lesser(p, lo), greater(p, hi));
+        for tet in tets {
+            let (least, most) = corner_box(positions, tet);
+            (lo, hi) = (lesser(least, lo), greater(most, hi));
         }
         let ([x, y, z, _], [u, v, w, _]) = (lo, hi);
         (!tets.is_empty()).then(|| self.grid.within([x, y, z], [u, v, w])).filter(|b| !b.is_empty())

@@ -12,8 +12,9 @@ use super::gauge::Cells;
 use super::need::Halo;
 use super::series::of_step;
 use super::sides::Sides;
+use super::spectrum::Places;
 use super::work::{StageTimes, Stored, Work};
-use crate::archive::chunk::{ChunkEncoder, ChunkVertices, EncodedChunk};
+use crate::archive::chunk::{ChunkEncoder, ChunkVertices};
 use crate::archive::errors::{ChunkErrors, encode_errors};
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
 use crate::archive::values::encode_values;
@@ -49,6 +50,7 @@ pub(crate) struct Rooms {
 struct Desk {
     maker: Maker,
     encoder: ChunkEncoder,
+    places: Places,
 }
 
 impl Rooms {
@@ -117,7 +119,7 @@ fn make_in_room(
                 Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
             },
         };
-        return make_from_stored(work, stored, chunk, again).map(Making::Done);
+        return make_from_stored(work, stored, chunk, again, &mut desk.places).map(Making::Done);
     }
     let mut mesh = match desk.maker.mesh(work.recipe, chunk, first_try, room, work.cancel)? {
         Meshing::Done(mesh) => mesh,
@@ -127,12 +129,10 @@ fn make_in_room(
     let mut placement = note(work, 0, work.steps[0].field.place(&mesh))?;
     let outside6 = drop_outside(&mut mesh, &mut placement);
     lap.add_to(&mut times.sample);
-    let (encoded, summary) = encode_mesh(work, &mut desk.encoder, &mut mesh, outside6);
-    let ends = encoded.block_ends();
+    let (mut mesh_blocks, ends, summary) = encode_mesh(work, &mut desk.encoder, &mut mesh, outside6);
     lap.add_to(&mut times.encode);
-    let value_blocks = encode_steps(work, &mesh, &placement, None, (encoded.tets(), &ends), &mut times)?;
-    let (mut mesh_blocks, tets) = encoded.into_parts();
-    desk.maker.reuse(mesh.positions, tets);
+    let value_blocks = encode_steps(work, &mesh, &placement, None, &ends, &mut desk.places, &mut times)?;
+    desk.maker.reuse(mesh.positions, mesh.tets);
     mesh_blocks.push(summary.encode());
     Ok(Making::Done(Product { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
 }
@@ -143,6 +143,7 @@ fn make_from_stored(
     stored: &Stored<'_>,
     chunk: &Chunk,
     again: Option<MeshedChunk>,
+    places: &mut Places,
 ) -> Result<Product> {
     let mut times = StageTimes::default();
     let mut lap = Lap(Instant::now());
@@ -162,8 +163,7 @@ fn make_from_stored(
     let vertices = mesh.positions.len();
     let before = stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
     lap.add_to(&mut times.mesh);
-    let value_blocks =
-        encode_steps(work, &mesh, &placement, before.as_deref(), (&mesh.tets, &ends), &mut times)?;
+    let value_blocks = encode_steps(work, &mesh, &placement, before.as_deref(), &ends, places, &mut times)?;
     Ok(Product { points: mesh.core_len() as u64, mesh_blocks: vec![], value_blocks, times })
 }
 
@@ -199,13 +199,14 @@ fn note<T>(work: &Work<'_>, n: usize, found: Result<T>) -> Result<T> {
 }
 
 /// Samples, measures and encodes all steps: the blocks of each, values, errors, part of the spectrum, summary. `before` are the values
-/// of the first one's base; tetrahedra are those of all blocks, as they decode, with the end of each block.
+/// of the first one's base; the mesh has the tetrahedra of all blocks, as they decode, with the end of each block.
 fn encode_steps(
     work: &Work<'_>,
     mesh: &MeshedChunk,
     placement: &Placement,
     before: Option<&[f32]>,
-    (tets, block_ends): (&[Tet], &[usize]),
+    block_ends: &[usize],
+    places: &mut Places,
     times: &mut StageTimes,
 ) -> Result<Vec<Vec<Vec<u8>>>> {
     let mut lap = Lap(Instant::now());
@@ -214,13 +215,14 @@ fn encode_steps(
     lap.add_to(&mut times.sample);
     let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
     let sides = Sides::new(&of_steps);
-    let errors = errors(work, &Cells { positions: &mesh.positions, tets, block_ends }, &sides)?;
+    let (positions, tets) = (&*mesh.positions, &*mesh.tets);
+    let errors = errors(work, &Cells { positions, tets, block_ends }, &sides)?;
     lap.add_to(&mut times.measure);
     let ranges = sides.ranges(tets, block_ends);
     drop(sides);
     let of_steps: Vec<(&[f32], &[BlockRange])> =
         of_steps.into_iter().zip(&ranges).map(|(values, ranges)| (values, &**ranges)).collect();
-    let parts = work.meter.parts(&mesh.positions, tets, &of_steps)?;
+    let parts = work.meter.parts(positions, tets, &of_steps, places)?;
     let (mut out, mut before) = (vec![], before);
     for (n, ((step, part), ranges)) in work.steps.iter().zip(&parts).zip(ranges).enumerate() {
         work.cancel.check()?;
@@ -269,13 +271,13 @@ fn volume6<'a>(positions: &[LatticePos], tets: impl Iterator<Item = &'a Tet>) ->
     .sum()
 }
 
-/// A chunk's mesh, encoded, and its summary. Takes the tetrahedra, unless more than one step is to be surveyed on them.
+/// Encodes a chunk's mesh: its blocks, the end of each in the tetrahedra, and its summary. Leaves the mesh with the tetrahedra as they decode.
 fn encode_mesh(
     work: &Work<'_>,
     encoder: &mut ChunkEncoder,
     mesh: &mut MeshedChunk,
     outside6: i128,
-) -> (EncodedChunk, MeshSummary) {
+) -> (Vec<Vec<u8>>, Vec<usize>, MeshSummary) {
     let mut summary = MeshSummary {
         core: mesh.core_len() as u32,
         halo: mesh.halo.len() as u32,
@@ -285,16 +287,17 @@ fn encode_mesh(
         volume6: volume6(&mesh.positions, mesh.tets.iter()),
         outside6,
     };
-    // Further steps ask for them, and so do values that are fitted to the samples in them.
-    let is_needed = work.steps.len() > 1 || work.recipe.halo == Halo::Stars;
-    let tets = if is_needed { mesh.tets.clone() } else { std::mem::take(&mut mesh.tets) };
     let vertices = ChunkVertices {
         core_counts: std::mem::take(&mut mesh.core_counts),
         halo: std::mem::take(&mut mesh.halo),
         shared: std::mem::take(&mut mesh.shared),
     };
+    let tets = std::mem::take(&mut mesh.tets);
     let encoded = encoder.encode(&vertices, &mesh.positions, tets, work.plan.block_tets);
     ChunkVertices { core_counts: mesh.core_counts, halo: mesh.halo, shared: mesh.shared } = vertices;
     summary.tet_blocks = encoded.tet_blocks() as u32;
-    (encoded, summary)
+    let ends = encoded.block_ends();
+    let (blocks, tets) = encoded.into_parts();
+    mesh.tets = tets;
+    (blocks, ends, summary)
 }

@@ -17,6 +17,9 @@ use crate::spectrum::{ChunkPart, Knot, Limits, Vertices};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
+/// Vertices of a chunk in the world, up to a shift common to all. Kept from chunk to chunk, so that its pages are not asked for again.
+pub(super) type Places = Vec<[f64; 4]>;
+
 /// Measures chunks of a step: what that needs besides the chunk.
 pub(super) struct Meter {
     limits: Limits,
@@ -54,28 +57,32 @@ impl Meter {
     }
 
     /// The parts of a chunk at some steps: all its tetrahedra, in the order in which its blocks decode; positions of its vertices, their values at each
-    /// step, with the ranges of the blocks.
+    /// step, with the ranges of the blocks. `places` is memory.
     pub(super) fn parts(
         &self,
         positions: &[LatticePos],
         tets: &[Tet],
         steps: &[(&[f32], &[BlockRange])],
+        places: &mut Places,
     ) -> Result<Vec<ChunkPart>> {
-        let places: Vec<[f64; 4]> = match &self.coordinates {
-            None => positions.iter().map(|&p| four(self.place(p))).collect(),
+        places.clear();
+        match &self.coordinates {
+            None => places.extend(positions.iter().map(|&p| four(self.place(p)))),
             Some((path, hash, dims)) => {
                 // Each its own, for what it has read it keeps behind a lock.
                 let map = CoordinateMap::open(path, *hash, *dims)?;
                 let index = |p| self.lattice.to_index_space(p);
-                positions.iter().map(|&p| Ok(four(map.place(index(p))?.position))).collect::<Result<_>>()?
+                for &p in positions {
+                    places.push(four(map.place(index(p))?.position));
+                }
             }
-        };
+        }
         let none = [f32::INFINITY, f32::NEG_INFINITY];
         let all =
             |ranges: &[BlockRange]| ranges.iter().fold(none, |[lo, hi], r| [lo.min(r.min), hi.max(r.max)]);
         let steps: Vec<Vertices<'_>> =
             steps.iter().map(|(values, ranges)| Vertices { values, range: all(ranges) }).collect();
-        Ok(ChunkPart::of_steps(self.limits, &places, tets, &steps))
+        Ok(ChunkPart::of_steps(self.limits, places, tets, &steps))
     }
 
     fn place(&self, position: LatticePos) -> [f64; 3] {

@@ -199,7 +199,8 @@ fn check_chunk(
     if archive.view.step == 0 {
         check_mesh(archive, &decoded, summary, id, file)?;
     }
-    let mut parts = meter.parts(&decoded.positions, &decoded.tets, &[(&decoded.values, &ranges)])?;
+    let of_step = (&*decoded.values, &*ranges);
+    let mut parts = meter.parts(&decoded.positions, &decoded.tets, &[of_step], &mut vec![])?;
     let part = parts.pop().expect("of one step");
     if part != stored_part(&segment.values, id, meter.limits())? {
         return wrong("spectrum", "the sums over all tetrahedra".into(), "others".into());

@@ -22,6 +22,7 @@
 use super::lanes::Four;
 use super::planes::Planes;
 use super::scan::Scanner;
+use crate::exec::{Avx512, with_avx512};
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
 
@@ -235,8 +236,7 @@ impl BatchScan {
         let before = shifts.map(|s| (1 << s) - 1);
         let mut len = 0;
         for t in range {
-            let [a, b, c, d] = scene.tets[t].map(|v| Four::position(scene.positions[v as usize]));
-            let (least, most) = (a.min(b).min(c.min(d)).whole(), a.max(b).max(c.max(d)).whole());
+            let (least, most) = corner_box(scene.positions, &scene.tets[t]);
             let from = greater([0, 1, 2, 3].map(|k| (least[k] + before[k]) >> shifts[k]), lo);
             let to = lesser([0, 1, 2, 3].map(|k| (most[k] >> shifts[k]) + 1), hi);
             // One less than there are samples; of none a number that is no small one.
@@ -364,7 +364,15 @@ impl BatchScan {
     fn hand_on(&mut self, scene: &Scene<'_>, each: &mut impl FnMut(&Members)) {
         let (candidates, members) = (&mut *self.candidates, &mut *self.members);
         let count = members.len.min(MEMBERS);
-        candidates.decide(&mut members.weights, count);
+        let weights = &mut members.weights;
+        match Avx512::found() {
+            Some(proof) => with_avx512(
+                proof,
+                #[inline(always)]
+                || candidates.decide(weights, count),
+            ),
+            None => candidates.decide(weights, count),
+        }
         let (mut others, mut len) = ([0; MEMBERS], 0);
         for (i, &least) in candidates.least[..count].iter().enumerate() {
             others[len % MEMBERS] = i as u8;
@@ -503,6 +511,17 @@ fn joined(bits: &[u8; SIDE_BY_SIDE / 4]) -> u64 {
 #[inline(always)]
 fn grown(lambda: [Four; 4], by: [Four; 4]) -> [Four; 4] {
     [0, 1, 2, 3].map(|k| lambda[k].plus(by[k]))
+}
+
+/// The least and the greatest coordinates of a tetrahedron's corners, and a 0.
+#[inline(always)]
+pub(crate) fn corner_box(positions: &[LatticePos], tet: &Tet) -> ([u32; 4], [u32; 4]) {
+    let corner = |k: usize| {
+        let [x, y, z] = positions[tet[k] as usize];
+        [x, y, z, 0]
+    };
+    let (a, b, c, d) = (corner(0), corner(1), corner(2), corner(3));
+    (lesser(lesser(a, b), lesser(c, d)), greater(greater(a, b), greater(c, d)))
 }
 
 /// The lesser of each coordinate; four are a vector.

@@ -17,12 +17,6 @@ impl Four {
         Self(imp::position(p))
     }
 
-    /// As integers, of whole numbers below 2^31.
-    #[inline(always)]
-    pub(super) fn whole(self) -> [u32; 4] {
-        imp::whole(self.0)
-    }
-
     /// The first three lanes of four rows as three columns.
     #[inline(always)]
     pub(super) fn columns(rows: [Self; 4]) -> [Self; 3] {
@@ -132,11 +126,6 @@ mod imp {
         unsafe { _mm_cvtepi32_ps(_mm_setr_epi32(x as i32, y as i32, z as i32, 0)) }
     }
     #[inline(always)]
-    pub(super) fn whole(x: Lanes) -> [u32; 4] {
-        // SAFETY: every x86-64 has SSE2.
-        bytemuck::cast(unsafe { _mm_cvttps_epi32(x) })
-    }
-    #[inline(always)]
     pub(super) fn columns([a, b, c, d]: [Lanes; 4]) -> [Lanes; 3] {
         // SAFETY: every x86-64 has SSE.
         unsafe {
@@ -192,10 +181,6 @@ mod imp {
     #[inline(always)]
     pub(super) fn position([x, y, z]: [u32; 3]) -> Lanes {
         [x as f32, y as f32, z as f32, 0.0]
-    }
-    #[inline(always)]
-    pub(super) fn whole(x: Lanes) -> [u32; 4] {
-        x.map(|x| x as u32)
     }
     #[inline(always)]
     pub(super) fn columns([a, b, c, d]: [Lanes; 4]) -> [Lanes; 3] {

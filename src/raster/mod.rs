@@ -58,7 +58,7 @@ mod scan;
 mod tests;
 
 pub use batch::{BatchScan, MEMBERS, Members};
-pub(crate) use batch::{greater, lesser};
+pub(crate) use batch::{corner_box, greater, lesser};
 pub use grid::{Axis, SampleGrid};
 pub use locate::PointLocator;
 pub use scan::{Scanner, each_sample};

@@ -40,7 +40,7 @@ impl Point {
 }
 
 /// A tetrahedron, or a ghost (a hull facet joined to infinity): one cache line.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C, align(64))]
 pub(super) struct Tetra {
     /// Centre of the circumsphere and squared radius; all NaN when only the integers know.

@@ -7,7 +7,7 @@
 ///
 /// What is too small is given back first: to grow it would copy it, as empty as it is, and into small pages. An eighth more than asked for
 /// does for other chunks of the same plan.
-pub(super) fn reserve<T>(items: &mut Vec<T>, count: usize) {
+pub(in crate::mesh) fn reserve<T>(items: &mut Vec<T>, count: usize) {
     debug_assert!(items.is_empty());
     if items.capacity() >= count {
         return;
