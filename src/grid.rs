@@ -6,8 +6,11 @@
 //! * A **chunk** is a box of bricks whose points are meshed together (about 250 000). Chunks tile the domain in
 //!   layers along z, each layer in rows along y, each row in chunks along x; the cuts balance the number of points, so
 //!   a set that crowds the middle (a hyperbolic cross) still gets chunks of equal work. Chunk ids run x fastest: a
-//!   volume stored slice by slice is read front to back.
+//!   volume stored slice by slice is read front to back. Cuts can also be told ([`ChunkCuts`]).
 
+mod cuts;
+
+pub use self::cuts::ChunkCuts;
 use crate::error::{Error, Result};
 use crate::geom::{Lattice, LatticeBox, LatticePos};
 use glam::{DMat3, DVec3};
@@ -241,20 +244,29 @@ impl Chunk {
 /// Tells (exactly or nearly, but always the same) how many points a box holds.
 type Counter = Box<dyn Fn(&LatticeBox) -> u64 + Send + Sync>;
 
-/// The domain cut into chunks. Memory: a few bytes for each row of chunks.
+/// Where the cuts along x come from.
+enum XCuts {
+    /// Points are counted.
+    Counted {
+        count: Counter,
+        /// Cuts of the row asked for last: chunks are asked for in order, and a row may have a million bricks.
+        last: Mutex<Option<(usize, Arc<Vec<u64>>)>>,
+    },
+    /// Those of each row are told.
+    Told(Vec<Arc<Vec<u64>>>),
+}
+
+/// The domain cut into chunks. Memory: a few bytes for each row of chunks; where cuts are told, for each chunk.
 pub struct ChunkGrid {
     bricks: BrickGrid,
-    target: u64,
-    count: Counter,
     /// Cuts along z, in bricks.
     z_cuts: Vec<u64>,
     /// Cuts along y of each layer.
     y_cuts: Vec<Vec<u64>>,
+    x_cuts: XCuts,
     /// First chunk, layer and row in its layer of each row, in chunk order.
     rows: Vec<(u64, usize, usize)>,
     len: u64,
-    /// Cuts along x of the row asked for last: chunks are asked for in order, and a row may have a million bricks.
-    x_cuts: Mutex<Option<(usize, Arc<Vec<u64>>)>>,
 }
 
 impl ChunkGrid {
@@ -272,55 +284,58 @@ impl ChunkGrid {
             return Err(Error::usage("a chunk must hold at least one point"));
         }
         check_size(bricks.dims())?;
-        let mut grid = Self {
-            bricks,
-            target,
-            count: Box::new(count),
-            z_cuts: vec![],
-            y_cuts: vec![],
-            rows: vec![],
-            len: 0,
-            x_cuts: Mutex::default(),
-        };
+        let count: Counter = Box::new(count);
         let d = bricks.dims();
         let cells = bricks.lattice.extent();
-        let by_z = grid.counts(2, [0; 3], d);
+        let by_z = counts(&bricks, &count, 2, [0; 3], d);
         let wanted = by_z.iter().sum::<u64>().div_ceil(target).max(1) as f64;
         // Cubic chunks: the edge, in voxels of the axis with the fewest lattice steps, that cuts the box into `wanted` cubes.
         let edge = (cells[0] * cells[1] * cells[2] / wanted).cbrt();
         // A long thin box is cut into fewer, longer pieces: never more layers than chunks, nor more rows.
         let most = |bricks: u64, wanted: f64| bricks.min(wanted as u64).max(1);
-        grid.z_cuts = balanced_cuts(&by_z, ((cells[2] / edge).round() as u64).clamp(1, most(d[2], wanted)));
-        check_rows(grid.z_cuts.len() as u64 - 1, d[1])?;
-        for layer in 0..grid.z_cuts.len() - 1 {
-            let (z0, z1) = (grid.z_cuts[layer], grid.z_cuts[layer + 1]);
-            let by_y = grid.counts(1, [0, 0, z0], [d[0], d[1], z1]);
+        let z_cuts = balanced_cuts(&by_z, ((cells[2] / edge).round() as u64).clamp(1, most(d[2], wanted)));
+        check_rows(z_cuts.len() as u64 - 1, d[1])?;
+        let (mut y_cuts, mut rows, mut len) = (vec![], vec![], 0);
+        for (layer, z) in z_cuts.windows(2).enumerate() {
+            let by_y = counts(&bricks, &count, 1, [0, 0, z[0]], [d[0], d[1], z[1]]);
             let wanted = by_y.iter().sum::<u64>().div_ceil(target).max(1) as f64;
-            let rows = (wanted * cells[1] / cells[0]).sqrt().round() as u64;
-            let cuts = balanced_cuts(&by_y, rows.clamp(1, most(d[1], wanted)));
+            let in_layer = (wanted * cells[1] / cells[0]).sqrt().round() as u64;
+            let cuts = balanced_cuts(&by_y, in_layer.clamp(1, most(d[1], wanted)));
             for (row, y) in cuts.windows(2).enumerate() {
-                grid.rows.push((grid.len, layer, row));
-                grid.len += grid.chunks_in_row([y[0], z0], [y[1], z1]);
+                rows.push((len, layer, row));
+                let points = count(&bricks.lattice_box([0, y[0], z[0]], [d[0], y[1], z[1]]));
+                len += points.div_ceil(target).clamp(1, d[0]);
             }
-            grid.y_cuts.push(cuts);
+            y_cuts.push(cuts);
         }
-        Ok(grid)
+        let x_cuts = XCuts::Counted { count, last: Mutex::default() };
+        Ok(Self { bricks, z_cuts, y_cuts, x_cuts, rows, len })
     }
 
-    /// Points in each slice of one brick, across `axis`, of a box of bricks.
-    fn counts(&self, axis: usize, lo: [u64; 3], hi: [u64; 3]) -> Vec<u64> {
-        let slice = |i: u64| {
-            let (mut l, mut h) = (lo, hi);
-            (l[axis], h[axis]) = (i, i + 1);
-            (self.count)(&self.bricks.lattice_box(l, h))
+    /// The cuts along x of a row, by its place in the order of rows.
+    fn row_cuts(&self, at: usize) -> Arc<Vec<u64>> {
+        let (count, last) = match &self.x_cuts {
+            XCuts::Told(rows) => return Arc::clone(&rows[at]),
+            XCuts::Counted { count, last } => (count, last),
         };
-        (lo[axis]..hi[axis]).map(slice).collect()
+        let mut last = last.lock().unwrap_or_else(PoisonError::into_inner);
+        let cuts = match &*last {
+            Some((row, cuts)) if *row == at => Arc::clone(cuts),
+            _ => {
+                let (lo, hi) = self.row(at);
+                let in_row = self.rows.get(at + 1).map_or(self.len, |r| r.0) - self.rows[at].0;
+                Arc::new(balanced_cuts(&counts(&self.bricks, count, 0, lo, hi), in_row))
+            }
+        };
+        *last = Some((at, Arc::clone(&cuts)));
+        cuts
     }
 
-    fn chunks_in_row(&self, yz_lo: [u64; 2], yz_hi: [u64; 2]) -> u64 {
-        let d = self.bricks.dims();
-        let row = self.bricks.lattice_box([0, yz_lo[0], yz_lo[1]], [d[0], yz_hi[0], yz_hi[1]]);
-        (self.count)(&row).div_ceil(self.target).clamp(1, d[0])
+    /// The bricks of a row: first and past the last.
+    fn row(&self, at: usize) -> ([u64; 3], [u64; 3]) {
+        let (_, layer, row) = self.rows[at];
+        let (ys, zs) = (&self.y_cuts[layer], &self.z_cuts);
+        ([0, ys[row], zs[layer]], [self.bricks.dims()[0], ys[row + 1], zs[layer + 1]])
     }
 
     /// Number of chunks.
@@ -345,17 +360,8 @@ impl ChunkGrid {
     pub fn chunk(&self, id: ChunkId) -> Chunk {
         assert!(id.0 < self.len, "chunk {} of {}", id.0, self.len);
         let at = self.rows.partition_point(|r| r.0 <= id.0) - 1;
-        let (first, layer, row) = self.rows[at];
-        let in_row = self.rows.get(at + 1).map_or(self.len, |r| r.0) - first;
-        let (ys, zs) = (&self.y_cuts[layer], &self.z_cuts);
-        let (mut lo, mut hi) = ([0, ys[row], zs[layer]], [self.bricks.dims()[0], ys[row + 1], zs[layer + 1]]);
-        let mut last = self.x_cuts.lock().unwrap_or_else(PoisonError::into_inner);
-        let cuts = match &*last {
-            Some((row, cuts)) if *row == at => Arc::clone(cuts),
-            _ => Arc::new(balanced_cuts(&self.counts(0, lo, hi), in_row)),
-        };
-        *last = Some((at, Arc::clone(&cuts)));
-        drop(last);
+        let (first, cuts) = (self.rows[at].0, self.row_cuts(at));
+        let (mut lo, mut hi) = self.row(at);
         let x = (id.0 - first) as usize;
         (lo[0], hi[0]) = (cuts[x], cuts[x + 1]);
         Chunk { id, brick_lo: lo, brick_hi: hi, core: self.bricks.lattice_box(lo, hi) }
@@ -365,6 +371,16 @@ impl ChunkGrid {
     pub fn iter(&self) -> impl Iterator<Item = Chunk> + '_ {
         (0..self.len).map(|i| self.chunk(ChunkId(i)))
     }
+}
+
+/// Points in each slice of one brick, across `axis`, of a box of bricks.
+fn counts(bricks: &BrickGrid, count: &Counter, axis: usize, lo: [u64; 3], hi: [u64; 3]) -> Vec<u64> {
+    let slice = |i: u64| {
+        let (mut l, mut h) = (lo, hi);
+        (l[axis], h[axis]) = (i, i + 1);
+        count(&bricks.lattice_box(l, h))
+    };
+    (lo[axis]..hi[axis]).map(slice).collect()
 }
 
 /// The most bricks of a grid: their numbers fit 64 bits with room to spare.

@@ -14,7 +14,7 @@ const MOST_SAMPLES: u64 = 1 << 40;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct ChunkErrors {
     pub(crate) sums: ErrorSums,
-    /// Where the density of points differs from place to place: those in the cells of each level.
+    /// Where the density of points differs from place to place: those in the cells of each level, up to the last that has a sample of the chunk.
     pub(crate) levels: Vec<BrickErrors>,
 }
 
@@ -39,6 +39,9 @@ pub(crate) fn encode_errors(errors: &ChunkErrors) -> Vec<u8> {
         body.extend(l.original.to_le_bytes());
         body.extend(l.reduced.to_le_bytes());
     }
+    // Levels above have no sample in the chunk. It need not know how many there are elsewhere.
+    let last = levels.iter().rposition(|l| l.samples > 0);
+    let levels = &levels[..last.map_or(0, |n| n + 1)];
     put_varint(&mut body, levels.len() as u64);
     for level in levels {
         put_varint(&mut body, level.samples);

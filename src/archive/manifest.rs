@@ -18,7 +18,7 @@ use super::values::Quantiser;
 use crate::bytes::remote::{is_remote, read_all};
 use crate::error::{Error, Result};
 use crate::geom::Lattice;
-use crate::grid::{BrickGrid, Geometry};
+use crate::grid::{BrickGrid, ChunkCuts, Geometry};
 use crate::measure::{FieldError, LevelError};
 use crate::points::PointSpec;
 use crate::sample::{Interpolation, Values};
@@ -94,6 +94,18 @@ pub struct Plan {
     /// halos reach further.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stars: bool,
+    /// Where chunks and the order of points are not those that the points ask for: what they are.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<FrameRecord>,
+}
+
+/// What a plan has from an earlier one, so that chunks whose points did not change have the same bytes.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FrameRecord {
+    /// Bits an axis of the key that orders points: see [`PointSet::order_bits`](crate::points::PointSet::order_bits).
+    pub site_bits: u32,
+    /// Where bricks are cut into chunks.
+    pub cuts: ChunkCuts,
 }
 
 impl Plan {
@@ -495,6 +507,7 @@ pub(crate) mod tests {
             levels: None,
             repeated: None,
             stars: false,
+            frame: None,
         }
     }
 

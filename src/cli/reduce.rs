@@ -72,9 +72,9 @@ pub(super) fn tell(archive: &Path, report: &ReduceReport, json: bool, talk: &Tal
 fn target_line(t: &TargetReport) -> String {
     let what = if matches!(t.target, Target::Rms(_)) { "RMS" } else { "at most" };
     let met = if t.met { "met" } else { "NOT MET" };
-    let [full, all] = t.full_cells.map(text::count);
+    let ([full, all], [meshed, chunks]) = (t.full_cells.map(text::count), t.meshed_chunks.map(text::count));
     format!(
-        "  target      {met}: {what} {:.4} of {:.4} wanted, after {} tries; {full} of {all} cells have a point a sample",
+        "  target      {met}: {what} {:.4} of {:.4} wanted, after {} tries ({meshed} of their {chunks} chunks meshed); {full} of {all} cells have a point a sample",
         t.error, t.bound, t.tries
     )
 }

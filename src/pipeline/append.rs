@@ -60,7 +60,7 @@ pub fn append(
     let sources: Vec<_> = (last.plan.number + 1..).zip(sources.iter().cloned()).collect();
     let settings = settings_like(last, settings)?;
     let part = Part::Further(&archive);
-    let job = Job { sources: &sources, settings: &settings, out, run, progress, started, part, choice: None };
+    let job = Job { sources: &sources, settings: &settings, out, run, progress, started, part, round: None };
     match last.plan.source.mesh {
         None => reduce_volumes(&job),
         Some(_) => reduce_mesh(&job),

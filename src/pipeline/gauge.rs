@@ -283,10 +283,11 @@ pub(super) fn stored_error(archive: &OpenArchive) -> Result<(FieldError, Vec<Lev
         for chunk in chunks.map(ChunkId) {
             let segment = archive.segment_of(chunk)?;
             let found = stored_errors(&segment.values, chunk)?;
-            if found.levels.len() != levels {
+            let is_sorted = found.levels.is_empty() == (levels == 0 || found.sums.measured == 0);
+            if found.levels.len() > levels || !is_sorted {
                 let (path, got) = (segment.values.segment().path(), found.levels.len().to_string());
                 let at = format!("chunk {}, levels of its errors", chunk.0);
-                return Err(Error::bad_input(path, at, levels.to_string(), got));
+                return Err(Error::bad_input(path, at, format!("those of {levels} levels"), got));
             }
             sums.merge(&found.sums);
             by_level.iter_mut().zip(&found.levels).for_each(|(all, part)| all.merge(part));

@@ -3,13 +3,13 @@
 use super::layout::Layout;
 use super::open::{OpenArchive, StepSummary};
 use super::plan::{Plan, ReduceSettings};
+use super::rounds::Round;
 use super::series::{Outcome, SeriesPlan, SkippedStep, are_there};
 use super::shard::Shard;
 use super::target::TargetReport;
 use super::work::StageTimes;
 use crate::archive::coordinates::CellCount;
 use crate::archive::values::Quantiser;
-use crate::density::Choice;
 use crate::domain::store::MeshCensus;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, available_threads};
@@ -68,6 +68,9 @@ pub struct ReduceReport {
     /// The error that is wanted, in units of the field.
     #[serde(skip)]
     pub(super) bound: Option<f64>,
+    /// Chunks that were taken over from an earlier try.
+    #[serde(skip)]
+    pub(super) taken_chunks: u64,
     /// Of all points, those without a value.
     pub void_points: u64,
     /// Tetrahedra.
@@ -106,8 +109,8 @@ pub(super) struct Job<'a> {
     pub(super) progress: &'a dyn Progress,
     pub(super) started: Instant,
     pub(super) part: Part<'a>,
-    /// How dense points are to be, where that is known.
-    pub(super) choice: Option<&'a Choice>,
+    /// Of a search that has made a try before: what it does now.
+    pub(super) round: Option<&'a Round>,
 }
 
 impl Job<'_> {

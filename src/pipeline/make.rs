@@ -67,8 +67,13 @@ impl Rooms {
     }
 }
 
-/// Makes a chunk in a room of its own; if that is too small, in the rooms of all.
+/// Makes a chunk in a room of its own; if that is too small, in the rooms of all. One that an earlier try has made is taken over.
 pub(super) fn make_chunk(work: &Work<'_>, chunk: &Chunk) -> Result<Product> {
+    if let Some((taken, steps)) = &work.taken
+        && let Some(product) = taken.product(chunk.id, work.stored.is_none(), steps)?
+    {
+        return Ok(product);
+    }
     let retries = {
         let _together = work.rooms.turn.read().unwrap_or_else(PoisonError::into_inner);
         let mut desk = work.rooms.take_desk();

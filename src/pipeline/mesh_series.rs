@@ -186,15 +186,15 @@ fn dense_where_needed(
         plan.mesh.clone_from(&planned.mesh);
         return known(Beside::read(job.out, &planned.mesh)?.levels);
     }
-    if let Some(choice) = job.choice {
-        let levels = Arc::new(choice.levels.clone());
-        plan.adapt(choice.n, &levels)?;
+    if let Some(round) = job.round {
+        let levels = Arc::new(round.choice.levels.clone());
+        plan.adapt(round.choice.n, &levels, round.frame.as_ref())?;
         return known(Some(levels));
     }
     let (Some(adapt), target) = (&job.settings.adapt, job.settings.target) else { return known(None) };
     let MeshChoice { choice, count, bound } = adapt_mesh::choose(store, how, adapt, target, inside, job.run)?;
     let levels = Arc::new(choice.levels);
-    plan.adapt(choice.n, &levels)?;
+    plan.adapt(choice.n, &levels, None)?;
     Ok(Dense { levels: Some(levels), inside: count, bound })
 }
 

@@ -44,6 +44,7 @@ mod reduce;
 mod reduce_mesh;
 mod refine;
 mod roi;
+mod rounds;
 mod scan;
 mod series;
 mod shard;

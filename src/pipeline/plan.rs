@@ -6,6 +6,7 @@
 
 use super::adapt::Adapt;
 use super::beside::Beside;
+use super::rounds::Frame;
 use super::target::Target;
 use crate::archive::levels::LevelsRecord;
 use crate::archive::manifest::{BaseStep, LONGEST_CHAIN, Plan as MeshPlan, Source, StepPlan};
@@ -188,6 +189,7 @@ impl Plan {
                 explicit: None,
                 levels: None,
                 repeated: None,
+                frame: None,
                 stars: settings.values == Values::Fit,
             },
             steps: vec![StepPlan {
@@ -204,27 +206,34 @@ impl Plan {
         })
     }
 
-    /// Makes the points denser in some places than in others: n of them at level 0 in the whole domain, on the lattice of the levels.
+    /// Makes the points denser in some places than in others: n of them at level 0 in the whole domain, on the lattice of the levels; in the frame
+    /// of an earlier plan.
     ///
     /// # Errors
     /// [`Error::Usage`] for more points than a set may have.
-    pub(crate) fn adapt(&mut self, n: u64, levels: &Arc<Levels>) -> Result<()> {
+    pub(super) fn adapt(&mut self, n: u64, levels: &Arc<Levels>, frame: Option<&Frame>) -> Result<()> {
         let (mesh, spec) = (&mut self.mesh, PointSpec::Halton { n });
         mesh.lattice = levels.cells().lattice;
         PointSet::graded(spec, mesh.lattice, Arc::clone(levels))?;
         mesh.points = spec;
-        // As most points see them: they decide how large a brick of about a thousand is.
+        mesh.levels = Some(LevelsRecord::of(levels));
+        mesh.frame = frame.map(|f| f.record.clone());
+        (mesh.brick_edge, mesh.order_bits) = match frame {
+            Some(frame) => (frame.brick_edge, frame.order_bits),
+            None => (Self::brick_edge(mesh, levels), Order::for_count(n << levels.top()).bits),
+        };
+        Ok(())
+    }
+
+    /// The edges of a brick of about a thousand points, as most points see them.
+    pub(super) fn brick_edge(mesh: &MeshPlan, levels: &Levels) -> [u64; 3] {
         let (mut points, mut squares) = (0.0, 0.0);
         for (density, &voxels) in Self::densities(mesh, levels).into_iter().zip(&levels.voxels_by_level()) {
             points += density * voxels as f64;
             squares += density * density * voxels as f64;
         }
         let edge = libm::cbrt(BRICK_POINTS * points / squares);
-        mesh.levels = Some(LevelsRecord::of(levels));
-        mesh.brick_edge =
-            mesh.lattice.cube().map(|a| ((edge * a).round() as u64).clamp(1, LARGEST_BRICK_EDGE));
-        mesh.order_bits = Order::for_count(n << levels.top()).bits;
-        Ok(())
+        mesh.lattice.cube().map(|a| ((edge * a).round() as u64).clamp(1, LARGEST_BRICK_EDGE))
     }
 
     /// Points to a voxel at each level.
@@ -338,8 +347,8 @@ pub(crate) fn parts(plan: &MeshPlan, beside: Beside) -> Result<MeshParts> {
             plan.brick_edge
         )));
     }
-    if !(1..=Order::MOST_BITS).contains(&plan.order_bits) || plan.block_tets == 0 {
-        return Err(Error::usage("order bits or tetrahedra of a block out of range"));
+    if !(1..=Order::MOST_BITS).contains(&plan.order_bits) || plan.block_tets == 0 || plan.chunk_target == 0 {
+        return Err(Error::usage("order bits, tetrahedra of a block or points of a chunk out of range"));
     }
     let mut points = match beside.levels {
         Some(levels) => PointSet::graded(plan.points, plan.lattice, levels)?,
@@ -347,6 +356,9 @@ pub(crate) fn parts(plan: &MeshPlan, beside: Beside) -> Result<MeshParts> {
     };
     if let Some(explicit) = beside.explicit {
         points = points.with_explicit(explicit);
+    }
+    if let Some(frame) = &plan.frame {
+        points = points.ordered_by(frame.site_bits)?;
     }
     let bricks = plan.bricks().dims().iter().map(|&n| u128::from(n)).product::<u128>();
     if u128::from(points.len()) / MOST_BRICK_POINTS > bricks {
@@ -356,6 +368,9 @@ pub(crate) fn parts(plan: &MeshPlan, beside: Beside) -> Result<MeshParts> {
         )));
     }
     let counter = points.clone();
-    let chunks = ChunkGrid::new(plan.bricks(), plan.chunk_target, move |b| counter.count_in(b))?;
+    let chunks = match &plan.frame {
+        Some(frame) => ChunkGrid::told(plan.bricks(), &frame.cuts)?,
+        None => ChunkGrid::new(plan.bricks(), plan.chunk_target, move |b| counter.count_in(b))?,
+    };
     Ok(MeshParts { points, chunks, order: Order { bits: plan.order_bits }, halo: Halo::of(plan) })
 }

@@ -102,7 +102,7 @@ pub fn reduce_series(
     let started = Instant::now();
     refuse_overwriting(out, run)?;
     let sources = &numbered(sources);
-    let job = Job { sources, settings, out, run, progress, started, part: Part::Whole, choice: None };
+    let job = Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None };
     match settings.target {
         Some(target) => reduce_to_target(&job, target),
         None => make(&job),
@@ -152,7 +152,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
         planned: job.part.planned(),
         archive: job.part.archive(),
         out: Some(job.out),
-        choice: job.choice,
+        round: job.round,
     };
     let series = plan_volumes(job.sources, job.settings, job.run, known)?;
     job.part.expect_planned(&series)?;
@@ -198,12 +198,14 @@ pub(super) fn produce(
         layout: &layout,
         segments: job.part.segments(&layout),
         old,
+        before: job.round.map(|round| &round.before),
         measure: job.settings.measure && !matches!(job.part, Part::Shard(..)),
         run: job.run,
         progress: job.progress,
     };
     let made = making.make(&mut series)?;
     push_times(&mut report.seconds, &made);
+    report.taken_chunks = made.taken;
     if let Part::Shard(..) = job.part {
         return Ok(ReduceReport { points: making.points(), ..report });
     }
@@ -375,7 +377,7 @@ pub fn estimate_series(
 ) -> Result<Estimate> {
     refuse_overwriting(out, run)?;
     let (sources, progress, started) = (&numbered(sources), &Silent, Instant::now());
-    make_plan(&Job { sources, settings, out, run, progress, started, part: Part::Whole, choice: None })
+    make_plan(&Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None })
         .map(|made| made.2)
 }
 

@@ -25,6 +25,7 @@ use super::need::Shares;
 use super::open::OpenArchive;
 use super::plan::{MeshParts, Plan};
 use super::reduce::grid_coordinates;
+use super::rounds::Taken;
 use super::sink;
 use super::spectrum::Meter;
 use super::steps::StepChoice;
@@ -203,6 +204,8 @@ pub(super) struct Making<'a> {
     pub(super) segments: Range<u64>,
     /// The archive that has the mesh, and to which the steps are added.
     pub(super) old: Option<&'a Manifest>,
+    /// The try before, in a search: what did not change is taken over.
+    pub(super) before: Option<&'a OpenArchive>,
     /// Whether each step is measured against its source.
     pub(super) measure: bool,
     pub(super) run: &'a RunSettings,
@@ -213,6 +216,8 @@ pub(super) struct Making<'a> {
 #[derive(Default)]
 pub(super) struct Outcome {
     pub(super) times: StageTimes,
+    /// Chunks that were taken over from an earlier try.
+    pub(super) taken: u64,
     /// Wall time of measuring.
     pub(super) measuring: Duration,
     /// Errors by the number of the step; not of steps that were there before.
@@ -304,7 +309,11 @@ impl Making<'_> {
             let last = archive.manifest.steps.len() - 1;
             Stored { archive, base: plan.steps[steps.start].base.map(|_| last) }
         });
+        let taken = self.before.map(|before| Taken::new(before, plan, self.means.parts, steps.end));
+        let taken = taken.transpose()?.flatten();
+        let (taken_chunks, chunks) = (taken.as_ref().map_or(0, Taken::count), self.means.parts.chunks.len());
         let stage = match stored {
+            None if taken_chunks > 0 => format!("reduce {} of {chunks} chunks", chunks - taken_chunks),
             None => "reduce".to_owned(),
             Some(_) => {
                 let [first, last] = [steps.start, steps.end - 1].map(|n| plan.steps[n].number);
@@ -334,6 +343,7 @@ impl Making<'_> {
             mesh_hash: plan.mesh_hash(),
             steps: &steps_work,
             stored,
+            taken: taken.as_ref().map(|taken| (taken, steps.clone())),
             meter: &meter,
             gauge,
             bad_steps: &bad,
@@ -350,6 +360,9 @@ impl Making<'_> {
         });
         let bad = bad.into_inner().unwrap_or_else(PoisonError::into_inner);
         let bad = bad.into_iter().map(|(n, reason)| (steps.start + n, reason)).collect();
+        if !has_mesh {
+            made.taken = taken_chunks;
+        }
         made.times.add(&done.map_err(|error| Failed { error: Box::new(error), bad })?);
         if self.measure && !plan.steps[steps.start].measured {
             self.measure(plan, steps, &fields, made)?;

@@ -130,7 +130,7 @@ pub fn plan_shards(
     }
     reduce::refuse_overwriting(out, run)?;
     let (sources, part) = (&numbered(sources), Part::Whole);
-    let job = Job { sources, settings, out, run, progress, started: Instant::now(), part, choice: None };
+    let job = Job { sources, settings, out, run, progress, started: Instant::now(), part, round: None };
     let (series, mesh, needs) = reduce::make_plan(&job)?;
     let layout = Layout::new(out, mesh.chunks.len(), 0);
     let beside = series.beside.clone();
@@ -229,7 +229,7 @@ pub fn work_shard(
     let run = RunSettings { replace: false, keep_going: false, ..run.clone() };
     let (sources, settings) = (&file.numbered(), &file.settings);
     let made =
-        reduce::make(&Job { sources, settings, out, run: &run, progress, started, part, choice: None })?;
+        reduce::make(&Job { sources, settings, out, run: &run, progress, started, part, round: None })?;
     let made = finished(made, started);
     Ok(report(made.points, made.seconds))
 }

@@ -96,6 +96,8 @@ pub struct TargetReport {
     pub met: bool,
     /// Reductions that were made.
     pub tries: u32,
+    /// Chunks that were meshed in all these together, and chunks that these had together: those in which nothing changed are taken over.
+    pub meshed_chunks: [u64; 2],
     /// Cells that have a point a sample or more, and all cells.
     pub full_cells: [u64; 2],
 }
@@ -192,11 +194,13 @@ pub(super) fn reduce_to_target(job: &Job<'_>, target: Target) -> Result<ReduceRe
     [&trying, &best].into_iter().try_for_each(|f| remove(f))?;
     let mut search: Option<Search> = None;
     let mut found: Option<(ReduceReport, Try)> = None;
+    let mut chunks = 0;
     let (mut settings, mut wanted) = (job.settings.clone(), None);
     loop {
         fs::create_dir_all(&work).map_err(|e| Error::io("create the folder", &work, e))?;
         let run = RunSettings { replace: false, ..job.run.clone() };
         let report = make(&Job { settings: &settings, out: &trying, run: &run, part: Part::Whole, ..*job })?;
+        chunks += report.chunks;
         let bound = report.bound.or(search.as_ref().map(|s| s.bound)).expect("the first try tells it");
         let samples = report.samples as f64;
         let search = search.get_or_insert_with(|| Search { bound, cap: samples, tries: vec![] });
@@ -222,7 +226,8 @@ pub(super) fn reduce_to_target(job: &Job<'_>, target: Target) -> Result<ReduceRe
     let tries = search.tries.len() as u32;
     let full_cells = full_cells(&best)?;
     let met = made.error <= search.bound;
-    let told = TargetReport { target, bound: search.bound, error: made.error, met, tries, full_cells };
+    let (bound, error, meshed_chunks) = (search.bound, made.error, [chunks; 2]);
+    let told = TargetReport { target, bound, error, met, tries, meshed_chunks, full_cells };
     publish(job, &best, &work)?;
     report.target = Some(told);
     report.seconds.retain(|(name, _)| name != "total");
@@ -258,7 +263,7 @@ pub(super) fn publish(job: &Job<'_>, best: &Path, work: &Path) -> Result<()> {
     Ok(())
 }
 
-fn rename(from: &Path, to: &Path) -> Result<()> {
+pub(super) fn rename(from: &Path, to: &Path) -> Result<()> {
     fs::rename(from, to).map_err(|e| Error::io("rename", from, e))
 }
 

@@ -11,12 +11,15 @@
 //!            └────────── raise the cells that are not
 //! ```
 //!
+//! A round raises few cells, but the first ones: chunks in whose region none is raised are taken over from the try before ([`super::rounds`]), and
+//! only those that have an error above the bound are looked at for where it is.
+//!
 //! Levels only rise, and begin low, so few points are too many. The cap is as many points as samples in all (about; of a mesh that fills a part of its box, as many inside as vertices); where the next levels would have
 //! more, only the largest errors raise theirs. When nothing can be raised any more the last try is published, and the report says so.
 //!
 //! Memory: 4 bytes a cell beside what measuring takes. The largest of errors does not depend on their order: the same archive for any threads.
 
-use super::gauge::{self, Cells, Gauge, Samples};
+use super::gauge::{self, Cells, Gauge, Samples, stored_errors};
 use super::job::{Job, Part, ReduceReport, RunSettings, finished, threads};
 use super::measure::{MOST_VERTICES, MeasureSettings, Originals, VERTEX, on_lattice, reopened_values};
 use super::need;
@@ -25,16 +28,17 @@ use super::plan::ReduceSettings;
 use super::plan_file::work_folder;
 use super::probe_points::{Find, each_value};
 use super::reduce::{make, random_access};
+use super::rounds::Round;
 use super::sides::Sides;
 use super::steps::StepChoice;
-use super::target::{Target, TargetReport, error_of, full_cells, publish, remove};
+use super::target::{Target, TargetReport, error_of, full_cells, publish, remove, rename};
 use super::visit::{Blocks, Visit};
 use crate::cells::CellMesh;
 use crate::density::Choice;
 use crate::error::{Error, Result};
 use crate::formats::{self, Input, StepSource};
 use crate::geom::LatticePos;
-use crate::grid::BrickGrid;
+use crate::grid::{BrickGrid, ChunkId};
 use crate::points::PointSpec;
 use crate::volume::VolumeSource;
 use std::fs;
@@ -48,34 +52,42 @@ const MOST_TRIES: u32 = 16;
 /// Reduces to the archive `job.out` so that the largest error at a sample meets the target.
 pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceReport> {
     let work = work_folder(job.out);
-    let trying = work.join("try.isospan");
+    let [trying, last] = ["try.isospan", "last.isospan"].map(|name| work.join(name));
     let run = RunSettings { replace: false, ..job.run.clone() };
-    let (mut settings, mut choice, mut wanted) = (job.settings.clone(), None::<Choice>, None);
+    let (mut settings, mut round, mut wanted) = (job.settings.clone(), None::<Round>, None);
+    let mut meshed_chunks = [0, 0];
+    remove(&last)?;
     for tries in 1.. {
         remove(&trying)?;
         fs::create_dir_all(&work).map_err(|e| Error::io("create the folder", &work, e))?;
-        let (settings_now, choice_now) = (&settings, choice.as_ref());
+        let (settings_now, round_now) = (&settings, round.as_ref());
         let mut report = make(&Job {
             settings: settings_now,
-            choice: choice_now,
+            round: round_now,
             out: &trying,
             run: &run,
             part: Part::Whole,
             ..*job
         })?;
+        meshed_chunks[0] += report.chunks - report.taken_chunks;
+        meshed_chunks[1] += report.chunks;
         let bound = *wanted.get_or_insert(report.bound.unwrap_or_default());
         let error = error_of(target, &report);
         let met = error <= bound;
         let next =
             if met || tries == MOST_TRIES { None } else { raised(job, &trying, bound, report.samples)? };
-        if next.is_some() {
-            choice = next;
+        // The try before has served.
+        drop(round.take());
+        remove(&last)?;
+        if let Some(choice) = next {
+            rename(&trying, &last)?;
+            round = Some(Round::new(choice, OpenArchive::open(&last)?)?);
             settings = ReduceSettings { target: None, ..settings };
             continue;
         }
         let full_cells = full_cells(&trying)?;
         publish(job, &trying, &work)?;
-        report.target = Some(TargetReport { target, bound, error, met, tries, full_cells });
+        report.target = Some(TargetReport { target, bound, error, met, tries, meshed_chunks, full_cells });
         report.seconds.retain(|(name, _)| name != "total");
         return Ok(finished(report, job.started));
     }
@@ -157,12 +169,28 @@ impl Measuring<'_> {
         let gauge = Gauge::new(&self.archive.manifest.plan.lattice);
         let run = job.run;
         let rest = run.memory.saturating_sub(need::BASE + 4 * self.worst.len() as u64);
-        let visit = Visit::new(self.archive, Blocks::All, run.threads, rest, &run.cancel)?;
+        let mut visit = Visit::new(self.archive, Blocks::All, run.threads, rest, &run.cancel)?;
+        visit.chunks = self.chunks_above()?;
         let extra = gauge::working_bytes(1);
         visit.check_memory(run.memory, extra)?;
         job.progress.begin("measure", visit.chunks.len() as u64, "chunks");
         let part = |_, chunk: DecodedChunk| self.add_chunk(&gauge, &samples, &chunk);
         visit.each(extra, job.progress, part, |_, ()| Ok(()))
+    }
+
+    /// The chunks that have an error above the bound, as is stored with them.
+    fn chunks_above(&self) -> Result<Vec<ChunkId>> {
+        let mut above = vec![];
+        for id in (0..self.archive.chunks.len()).map(ChunkId) {
+            self.archive.close_before(id);
+            let sums = stored_errors(&self.archive.segment_of(id)?.values, id)?.sums;
+            // The largest is that of errors rounded to f32.
+            let is_above = |error: f64| error * (1.0 + f64::from(f32::EPSILON)) > self.bound;
+            if sums.largest.is_some_and(|l| is_above((f64::from(l.original) - f64::from(l.reduced)).abs())) {
+                above.push(id);
+            }
+        }
+        Ok(above)
     }
 
     fn add_chunk(&self, gauge: &Gauge, samples: &Samples<'_>, chunk: &DecodedChunk) -> Result<()> {

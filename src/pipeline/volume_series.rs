@@ -10,6 +10,7 @@ use super::open::OpenArchive;
 use super::placed::coordinate_hash;
 use super::plan::{Plan, ReduceSettings, count_of, source_of};
 use super::reduce::{copy_bytes, random_access};
+use super::rounds::{Frame, Round};
 use super::scan::{stream_range, value_range};
 use super::series::{Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
 use super::target::Target;
@@ -70,7 +71,7 @@ struct Planner<'a> {
     settings: &'a ReduceSettings,
     run: &'a RunSettings,
     planned: Option<&'a Plan>,
-    choice: Option<&'a Choice>,
+    round: Option<&'a Round>,
     common: Option<Common>,
     plan: Option<Plan>,
     /// Where points are needed, as far as steps were looked at for that.
@@ -90,8 +91,8 @@ pub(super) struct Known<'a> {
     pub(super) archive: Option<&'a OpenArchive>,
     /// The folder that has what is stored beside a plan that was made before.
     pub(super) out: Option<&'a Path>,
-    /// How dense points are to be, where that is known.
-    pub(super) choice: Option<&'a Choice>,
+    /// Of a search: how dense points are to be.
+    pub(super) round: Option<&'a Round>,
 }
 
 /// The most steps of a series that are read to find where points are needed: these, evenly spread.
@@ -106,12 +107,12 @@ pub(super) fn plan_volumes(
     known: Known<'_>,
 ) -> Result<SeriesPlan> {
     let before = known.archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone());
-    let Known { planned: plan_before, archive, out, choice } = known;
+    let Known { planned: plan_before, archive, out, round } = known;
     let mut planner = Planner {
         settings,
         run,
         planned: plan_before,
-        choice,
+        round,
         common: None,
         plan: None,
         errors: None,
@@ -176,9 +177,9 @@ fn share_copies(series: &mut SeriesPlan) -> Result<()> {
 }
 
 /// Makes the points of a plan as dense as was chosen.
-fn choose(plan: &mut Plan, beside: &mut Beside, choice: &Choice) -> Result<()> {
+fn choose(plan: &mut Plan, beside: &mut Beside, choice: &Choice, frame: Option<&Frame>) -> Result<()> {
     let levels = Arc::new(choice.levels.clone());
-    plan.adapt(choice.n, &levels)?;
+    plan.adapt(choice.n, &levels, frame)?;
     beside.levels = Some(levels);
     Ok(())
 }
@@ -200,7 +201,7 @@ impl Planner<'_> {
 
     /// Whether levels have to be found, and are not those of a plan or archive that is there.
     fn finds_levels(&self) -> bool {
-        self.settings.adapt.is_some() && self.planned.is_none() && self.choice.is_none()
+        self.settings.adapt.is_some() && self.planned.is_none() && self.round.is_none()
     }
 
     /// Makes points dense where that was found to be needed; or where it was when the plan was made.
@@ -221,10 +222,10 @@ impl Planner<'_> {
                 Some((Target::Max(_), bound)) => errors.choice_of_bound(bound, dims.iter().product())?,
                 None => errors.choice(count_of(self.settings, dims))?,
             };
-            choose(plan, &mut self.beside, &choice)?;
+            choose(plan, &mut self.beside, &choice, None)?;
         }
-        if let Some(choice) = self.choice {
-            choose(plan, &mut self.beside, choice)?;
+        if let Some(round) = self.round {
+            choose(plan, &mut self.beside, &round.choice, round.frame.as_ref())?;
         }
         Ok(())
     }

@@ -19,6 +19,7 @@ use super::layout::Layout;
 use super::make::{Product, Rooms, make_chunk};
 use super::need::{self, Shares};
 use super::open::OpenArchive;
+use super::rounds::Taken;
 use super::sink::{Sink, is_done};
 use super::spectrum::Meter;
 use crate::archive::manifest::{Plan as MeshPlan, StepPlan};
@@ -80,6 +81,8 @@ pub(crate) struct Work<'a> {
     pub(super) gauge: Option<(Gauge, Vec<Samples<'a>>)>,
     /// Where the mesh comes from, if it is there.
     pub(crate) stored: Option<Stored<'a>>,
+    /// Chunks that an earlier try has made, and where `steps` are in that.
+    pub(super) taken: Option<(&'a Taken<'a>, Range<usize>)>,
     /// Positions in `steps` whose data could not be used.
     pub(crate) bad_steps: &'a Mutex<BTreeMap<usize, String>>,
     /// Whether errors name the step.
@@ -209,6 +212,9 @@ fn write_in_order(
             work.steps.iter().for_each(|s| s.field.pass(&passed));
             if let Some(stored) = &work.stored {
                 stored.archive.close_before(passed.id);
+            }
+            if let Some((taken, _)) = &work.taken {
+                taken.pass(passed.id);
             }
             if missing == 1 {
                 times.add(&sink.finish()?);

@@ -136,6 +136,17 @@ impl Levels {
         spread
     }
 
+    /// Whether other levels of the same cells are the same in those that a box of the domain, not empty, touches.
+    pub(crate) fn same_in(&self, other: &Self, b: &LatticeBox) -> bool {
+        let (lo, hi) = self.cells_of(b);
+        let mut same = self.cells == other.cells;
+        self.rows(lo, hi, |row, at| {
+            let first = self.cells.id(at).0 as usize;
+            same = same && other.levels.get(first..first + row.len()) == Some(row);
+        });
+        same
+    }
+
     /// Calls `f` with each run of cells of one level along x, cut to the box.
     pub(super) fn runs(&self, b: &LatticeBox, mut f: impl FnMut(u8, &LatticeBox)) {
         if b.is_empty() {

@@ -55,6 +55,7 @@ use graded::Graded;
 use grids::Grids;
 use net::{Axis, Net};
 use radical_inverse::Base;
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 /// The most interior points a set may have: 2^59.
@@ -72,6 +73,7 @@ pub struct PointSet {
     graded: Option<Arc<Graded>>,
     /// (V/n)^(1/3) in 2^-16 lattice steps.
     spacing_q16: u64,
+    order_bits: u32,
 }
 
 #[derive(Clone, Debug)]
@@ -96,7 +98,8 @@ impl PointSet {
             PointSpec::Halton { .. } => Some(Boundary::new(lattice.max(), spacing_q16, true)),
             _ => Some(Boundary::new(lattice.max(), spacing_q16, false)),
         };
-        Ok(Self { spec, lattice, interior, boundary, explicit: None, graded: None, spacing_q16 })
+        let order_bits = order_bits(spacing_q16);
+        Ok(Self { spec, lattice, interior, boundary, explicit: None, graded: None, spacing_q16, order_bits })
     }
 
     /// The Halton set that has, where the levels say l, the points of the first n·2^l that lie there; n is that of `spec`.
@@ -262,9 +265,27 @@ impl PointSet {
     /// Bits an axis of the Hilbert key that orders sites: cells of the curve are a quarter to a half of the mean
     /// spacing wide, so that few points share one and keys are short.
     pub fn order_bits(&self) -> u32 {
-        let log2_spacing = (self.spacing_q16 >> 16).max(1).ilog2();
-        (24 + 1u32).saturating_sub(log2_spacing).clamp(1, 21)
+        self.order_bits
     }
+
+    /// The same set, whose sites are ordered by a key of so many bits: to order them as those of another set.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for none, or more than a position has.
+    pub fn ordered_by(self, bits: u32) -> Result<Self> {
+        if !ORDER_BITS.contains(&bits) {
+            return Err(Error::usage(format!("sites are ordered by 1 to 21 bits an axis, not {bits}")));
+        }
+        Ok(Self { order_bits: bits, ..self })
+    }
+}
+
+/// Bits that a key can have, an axis.
+const ORDER_BITS: RangeInclusive<u32> = 1..=21;
+
+fn order_bits(spacing_q16: u64) -> u32 {
+    let log2_spacing = (spacing_q16 >> 16).max(1).ilog2();
+    (24 + 1u32).saturating_sub(log2_spacing).clamp(*ORDER_BITS.start(), *ORDER_BITS.end())
 }
 
 impl Interior {
