@@ -1,11 +1,11 @@
 //! Rectilinear and curvilinear grids: meshed in index space, placed by their coordinates. Analytic maps say what must come out.
 
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    Amount, ExportSettings, ReduceReport, ReduceSettings, RunSettings, SurfaceSettings, check_archive,
-    contour_spectrum, extract_surface, reduce,
+    Amount, ExportSettings, ReduceReport, ReduceSettings, RunSettings, StepChoice, SurfaceSettings,
+    check_archive, contour_spectrum, extract_surface, reduce, reduce_series,
 };
 use isospan::surface::TriMesh;
 use isospan::surface::check::check;
@@ -63,9 +63,13 @@ fn curvilinear(path: &Path, place: Place, field: Field) {
     std::fs::write(path, text).unwrap();
 }
 
+fn small_chunks() -> ReduceSettings {
+    ReduceSettings { amount: Amount::Fraction(1.0), chunk_points: 1500, ..Default::default() }
+}
+
 fn make(input: &Path) -> Result<(PathBuf, ReduceReport)> {
     let archive = input.with_extension("isospan");
-    let settings = ReduceSettings { amount: Amount::Fraction(1.0), chunk_points: 1500, ..Default::default() };
+    let settings = small_chunks();
     let run = RunSettings::default();
     let report = reduce(input, &OpenOptions::default(), &settings, &archive, &run, &Silent)?;
     check_archive(&archive)?;
@@ -228,6 +232,12 @@ fn a_sphere_in_a_rectilinear_grid_is_a_sphere() {
         assert!((found / std::f64::consts::PI - 1.0).abs() < 0.05, "{found}");
         assert_eq!(check(&mesh).boundary_edges, 0, "closed");
         meshes.push(mesh);
+        // The coordinates are those of all steps.
+        let (input, out) =
+            (StepSource::new(&input, &OpenOptions::default()), archive.with_extension("steps.isospan"));
+        let run = RunSettings::default();
+        reduce_series(&[input.clone(), input], &small_chunks(), &out, &run, &Silent).unwrap();
+        assert_eq!(Archive::open_at(&out, StepChoice::Number(1)).unwrap().surface(0.5).unwrap(), meshes[0]);
         // What would be answered in index space is refused.
         let archive = Archive::open(&archive).unwrap();
         assert!(archive.probe(&[[0.0; 3]]).is_err());
