@@ -137,15 +137,29 @@ impl Unpublished {
     }
 
     /// Makes the file durable and visible under its name.
-    pub(crate) fn publish(mut self) -> Result<()> {
+    pub(crate) fn publish(self) -> Result<()> {
+        let path = self.path.clone();
+        self.rename(true)?;
+        sync_folder(&path)
+    }
+
+    /// Makes the file visible under its name. Of one that this process alone will read, and then remove: what a crash of the machine would leave
+    /// of it is of no use to anybody.
+    pub(crate) fn publish_for_now(self) -> Result<()> {
+        self.rename(false)
+    }
+
+    fn rename(mut self, sync: bool) -> Result<()> {
         let file = self.file.take().expect("the file is open until it is published");
         let file = file.into_inner().map_err(|e| Error::io("write", &self.temporary, e.into_error()))?;
-        file.sync_all().map_err(|e| Error::io("sync", &self.temporary, e))?;
+        if sync {
+            file.sync_all().map_err(|e| Error::io("sync", &self.temporary, e))?;
+        }
         std::fs::rename(&self.temporary, &self.path).map_err(|e| Error::io("rename a new", &self.path, e))?;
         // Closed, and so unlocked, under its final name only: no other process can take it for a leftover.
         drop(file);
         self.temporary = PathBuf::new();
-        sync_folder(&self.path)
+        Ok(())
     }
 }
 

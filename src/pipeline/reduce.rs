@@ -42,12 +42,26 @@ pub fn brick(
     cancel: &CancelToken,
     progress: &dyn Progress,
 ) -> Result<()> {
+    brick_with(BrickedVolume::build, source, out, memory, cancel, progress)
+}
+
+/// A function that copies a stream to a file, in so much memory, telling the samples done.
+type BuildBricks = fn(Box<dyn SlabStream>, &Path, usize, &mut dyn FnMut(u64)) -> Result<()>;
+
+fn brick_with(
+    build: BuildBricks,
+    source: VolumeSource,
+    out: &Path,
+    memory: u64,
+    cancel: &CancelToken,
+    progress: &dyn Progress,
+) -> Result<()> {
     let dims = source.info().dims;
     progress.begin("brick", dims.iter().product(), "samples");
     let mut before = 0;
     let memory = usize::try_from(memory).unwrap_or(usize::MAX);
     let stream = Box::new(Stoppable { stream: source.into_stream(), cancel: cancel.clone() });
-    BrickedVolume::build(stream, out, memory, &mut |done| {
+    build(stream, out, memory, &mut |done| {
         progress.advance(done - before);
         before = done;
     })
@@ -496,7 +510,7 @@ pub(super) fn random_access(
     // What runs that were killed while they copied have left.
     publish::sweep(&folder);
     let scratch = Scratch::new(&folder);
-    brick(source, &scratch.0, room / 2, &run.cancel, progress)?;
+    brick_with(BrickedVolume::build_scratch, source, &scratch.0, room / 2, &run.cancel, progress)?;
     let reader = BrickedVolume::open(&scratch.0)?;
     // An open file without a name is gone with the process, however that ends.
     #[cfg(unix)]

@@ -148,7 +148,20 @@ impl BrickedVolume {
         max_buffer_bytes: usize,
         progress: &mut dyn FnMut(u64),
     ) -> Result<()> {
-        build::build(stream, out, max_buffer_bytes, progress)
+        build::build(stream, out, max_buffer_bytes, build::Lasting::Kept, progress)
+    }
+
+    /// As [`BrickedVolume::build`], for a copy that this process reads and removes: the disk is not waited for.
+    ///
+    /// # Errors
+    /// Those of [`BrickedVolume::build`].
+    pub(crate) fn build_scratch(
+        stream: Box<dyn SlabStream>,
+        out: &Path,
+        max_buffer_bytes: usize,
+        progress: &mut dyn FnMut(u64),
+    ) -> Result<()> {
+        build::build(stream, out, max_buffer_bytes, build::Lasting::Scratch, progress)
     }
 
     /// Opens a bricked file in the I/O mode that suits its file system. Reads header and footer, no samples.

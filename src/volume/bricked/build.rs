@@ -10,11 +10,21 @@ use std::fs::File;
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
+/// How long a file is wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Lasting {
+    /// It is synced.
+    Kept,
+    /// As long as the process runs.
+    Scratch,
+}
+
 /// See [`super::BrickedVolume::build`].
 pub(super) fn build(
     mut stream: Box<dyn SlabStream>,
     out: &Path,
     max_buffer_bytes: usize,
+    lasting: Lasting,
     progress: &mut dyn FnMut(u64),
 ) -> Result<()> {
     let info = stream.info().clone();
@@ -40,7 +50,10 @@ pub(super) fn build(
         return Err(Error::bad_input(&info.path, "samples", expected, format!("{}", bricks.written)));
     }
     bricks.finish(&json)?;
-    temporary.publish()
+    match lasting {
+        Lasting::Kept => temporary.publish(),
+        Lasting::Scratch => temporary.publish_for_now(),
+    }
 }
 
 fn header_of(info: &VolumeInfo) -> Header {
