@@ -5,6 +5,7 @@ use super::field::{Field, NanPolicy, Placement, by_brick, in_bricks};
 use super::measure::Originals;
 use super::reduce::Scratch;
 use crate::error::{Error, Result};
+use crate::exec::with_vectors;
 use crate::fit::{Fit, FitMesh, Windows, window_edge};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, Chunk, IndexBox};
@@ -32,9 +33,14 @@ pub(crate) struct GridField {
 pub(super) fn treat_missing(missing: Option<f64>, stand_in: f32, samples: &mut [f32]) {
     // Where nothing is declared missing, a number that is equal to none. Written without a branch, for the compiler's vectors.
     let missing = missing.map_or(f32::NAN, |m| m as f32);
-    for v in samples {
-        *v = if v.is_finite() & (*v != missing) { *v } else { stand_in };
-    }
+    with_vectors(
+        #[inline(always)]
+        || {
+            for v in samples {
+                *v = if v.is_finite() & (*v != missing) { *v } else { stand_in };
+            }
+        },
+    );
 }
 
 impl Field for GridField {

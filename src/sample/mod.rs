@@ -41,6 +41,7 @@ pub mod nearest;
 pub mod trilinear;
 
 use crate::error::Error;
+use crate::exec::with_vectors;
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::IndexBox;
 use serde::{Deserialize, Serialize};
@@ -219,10 +220,19 @@ pub fn sample(
 
 /// Smallest and largest coordinate on each axis; `None` without positions.
 fn bounds(positions: &[LatticePos]) -> Option<(LatticePos, LatticePos)> {
-    let first = *positions.first()?;
-    Some(positions.iter().fold((first, first), |(lo, hi), p| {
-        (std::array::from_fn(|a| lo[a].min(p[a])), std::array::from_fn(|a| hi[a].max(p[a])))
-    }))
+    // Four lanes are a vector.
+    let four = |[x, y, z]: LatticePos| [x, y, z, z];
+    let first = four(*positions.first()?);
+    let ([x, y, z, _], [u, v, w, _]) = with_vectors(
+        #[inline(always)]
+        || {
+            positions.iter().fold((first, first), |(lo, hi), &p| {
+                let p = four(p);
+                ([0, 1, 2, 3].map(|a| p[a].min(lo[a])), [0, 1, 2, 3].map(|a| p[a].max(hi[a])))
+            })
+        },
+    );
+    Some(([x, y, z], [u, v, w]))
 }
 
 /// One axis of a lattice: from a coordinate to cell and fraction.

@@ -119,23 +119,21 @@ impl StridedVolume {
             let mut inside = voxels;
             inside.lo[2] = voxels.lo[2].max(z0);
             inside.hi[2] = voxels.hi[2].min(z0 + self.slices_per_part);
-            self.runs_of_part(part as usize, inside, z0, &mut buffers, &mut |axis, start, bytes| {
-                take(axis, voxels.offset(start), bytes);
-            })?;
+            self.runs_of_part(part as usize, (&voxels, inside), z0, &mut buffers, &mut take)?;
             self.parts[part as usize].check()?;
         }
         Ok(())
     }
 
-    /// The runs of a box that lies in one part, whose first slice is `z0`. The box is viewed piece by piece, and a piece is
+    /// The runs of a box, as far as it lies in one part (`inside`), whose first slice is `z0`. The box is viewed piece by piece, and a piece is
     /// a plane of the two axes of least step where that reads little that is not used, else a run.
     fn runs_of_part(
         &self,
         part: usize,
-        inside: IndexBox,
+        (voxels, inside): (&IndexBox, IndexBox),
         z0: u64,
         buffers: &mut Buffers,
-        take: &mut TakeRun<'_>,
+        take: &mut impl FnMut(usize, usize, &[u8]),
     ) -> Result<()> {
         let source = &self.parts[part];
         let (size, [axis, next, slow]) = (self.info.field.scalar.bytes(), self.axes_by_step());
@@ -144,6 +142,7 @@ impl StridedVolume {
         let gap = self.strides[next].unsigned_abs().saturating_sub(reach(axis));
         let whole = gap <= LARGEST_GAP && reach(axis) + reach(next) <= LARGEST_PIECE;
         let rows = if whole { dims[next] } else { 1 };
+        let to_next_row = steps_of(*voxels)[next];
         for s in inside.lo[slow]..inside.hi[slow] {
             for first in (inside.lo[next]..inside.hi[next]).step_by(rows as usize) {
                 let mut start = inside.lo;
@@ -151,11 +150,12 @@ impl StridedVolume {
                 let corner = self.byte_of(part, [start[0], start[1], start[2] - z0]);
                 let piece = self.piece(corner, (axis, dims[axis]), (next, rows), size);
                 let bytes = source.view(piece.clone(), &mut buffers.piece)?;
+                let mut place = voxels.offset(start);
                 for row in 0..rows {
                     let at =
                         corner.wrapping_add_signed(self.strides[next].wrapping_mul(row as i64)) - piece.start;
-                    start[next] = first + row;
-                    take(axis, start, run(bytes, at, self.strides[axis], count, size, &mut buffers.gathered));
+                    take(axis, place, run(bytes, at, self.strides[axis], count, size, &mut buffers.gathered));
+                    place += to_next_row;
                 }
             }
         }
@@ -186,9 +186,6 @@ impl StridedVolume {
         self.offsets[part].wrapping_add_signed(step(0).wrapping_add(step(1)).wrapping_add(step(2)))
     }
 }
-
-/// Takes a run of stored samples: the axis along which it runs, its first sample, its bytes.
-type TakeRun<'a> = dyn FnMut(usize, [u64; 3], &[u8]) + 'a;
 
 /// What a box is read through; empty while files are mapped and samples lie without gaps.
 #[derive(Default)]
