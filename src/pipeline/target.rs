@@ -14,7 +14,9 @@
 //! ```
 //!
 //! Every try is a whole reduction, in the folder `NAME.isospan.work` beside the archive: levels of all places follow from the one number, so another
-//! number moves points nearly everywhere, and there is little that could be kept. What is published is a try that met the
+//! number moves points nearly everywhere: at each level it is another piece of the sequence. The last step is not made in a few cells alone either, while all
+//! else is kept as [`target_max`](super::target_max) does: a sum of squares that is to become less by some percent is not the matter of a few cells. Equal gain for every point means that
+//! cells near the next level lie all over the volume, and those that would have to be raised are in every chunk. What is published is a try that met the
 //! target; its error, as measured, is in its manifest. The cap is a point a sample; where that does not do, the try at the cap is published and the
 //! report says so. The largest error is a matter of a few places: [`target_max`](super::target_max) makes those denser.
 //!
