@@ -5,8 +5,9 @@
 //! Blocks of a chunk are decoded one after another into the same small buffer, so the memory of a chunk is that of its corners and
 //! of its surfaces, not of its tetrahedra.
 
-use super::block::{BlockCorners, KeptBlock};
+use super::block::{Block, BlockCorners, NumberedShape};
 use super::horizon::Horizon;
+use super::kept::KeptBlock;
 use super::line::{Last, Line};
 use super::need::{self, SurfaceShares};
 use super::open::OpenArchive;
@@ -22,7 +23,8 @@ use crate::index::Entry;
 use crate::mesh::tet::{Tet, is_active};
 use crate::surface::cap::select_boundary;
 use crate::surface::fans::split_fans;
-use crate::surface::marching_tets::ChunkSurface;
+use crate::surface::known::KnownBlock;
+use crate::surface::marching_tets::{ChunkSurface, Workbench};
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use crate::surface::{TriMesh, WorldMap};
 use std::path::PathBuf;
@@ -167,7 +169,7 @@ impl Question<'_> {
             let ahead = |blocks: usize| kept.get(n % AT_ONCE + blocks).and_then(Option::as_ref);
             self.foretell(ahead(1), ahead(2));
             if let Some(kept) = ahead(0) {
-                chunk.add_kept(block, kept, &mut buffers);
+                chunk.add_kept(work.chunk, block, kept, &mut buffers);
                 continue;
             }
             let reader = match &mut reader {
@@ -177,11 +179,10 @@ impl Question<'_> {
                     reader.insert(ChunkReader::open(self.archive, work.chunk, memory)?)
                 }
             };
-            let Buffers { block: read, bench, .. } = &mut buffers;
-            if !reader.block(block.block, &self.wanted(block), read)? {
+            if !reader.block(block.block, &self.wanted(block), &mut buffers.block)? {
                 continue;
             }
-            self.archive.kept.put(work.chunk, block.block, read, bench);
+            self.archive.kept.put(work.chunk, block.block, &buffers.block);
             chunk.add(block, &mut buffers, Some(reader));
         }
         if let Some(reader) = reader {
@@ -195,10 +196,10 @@ impl Question<'_> {
     /// Asks the processor for the next kept blocks: of the one after the next what tells which tetrahedra of it may be active.
     fn foretell(&self, next: Option<&Arc<KeptBlock>>, after: Option<&Arc<KeptBlock>>) {
         if let Some(next) = next {
-            next.numbered.tets_will_be_read(self.isovalues);
+            next.rest_will_be_read(self.isovalues);
         }
         if let Some(after) = after {
-            after.numbered.corners_will_be_read();
+            after.will_be_read();
         }
     }
 
@@ -234,17 +235,45 @@ impl<'a> ChunkWorker<'a> {
         Self { question, surfaces, started: false }
     }
 
-    /// Adds a kept block to the surfaces.
-    pub(super) fn add_kept(&mut self, entry: &Entry, kept: &KeptBlock, buffers: &mut Buffers) {
+    /// Adds a block with the values of a step to the surfaces.
+    pub(super) fn add_shape(&mut self, entry: &Entry, shape: &NumberedShape, buffers: &mut Buffers) {
         let question = self.question;
         if question.cut.is_some() || question.caps.is_some() {
-            kept.unpack(&mut buffers.block);
+            shape.unpack(&mut buffers.block);
             return self.add(entry, buffers, None);
         }
-        self.start(kept.of_chunk);
+        self.start(shape.of_chunk);
         for (surface, &isovalue) in self.surfaces.iter_mut().zip(question.isovalues) {
             if is_active(entry.min, entry.max, isovalue) {
-                surface.add_numbered(&kept.numbered, &question.world, &mut buffers.bench);
+                surface.add_numbered(&shape.numbered, &question.world, &mut buffers.bench);
+            }
+        }
+    }
+
+    /// Adds a kept block to the surfaces, and finds out about it, if it was not used before.
+    fn add_kept(&mut self, chunk: ChunkId, entry: &Entry, kept: &KeptBlock, buffers: &mut Buffers) {
+        let question = self.question;
+        let is_whole = question.cut.is_none() && question.caps.is_none();
+        if let (KeptBlock::Known(block, of_chunk), true) = (kept, is_whole) {
+            return self.add_known(entry, block, *of_chunk, &mut buffers.bench);
+        }
+        kept.unpack(&mut buffers.block);
+        let Buffers { block: Block { corners, tets, .. }, bench, .. } = &mut *buffers;
+        match is_whole.then(|| bench.know(&corners.cells(tets), &question.world)).flatten() {
+            Some(known) => {
+                self.add_known(entry, &known, corners.of_chunk, bench);
+                let known = KeptBlock::Known(known, corners.of_chunk);
+                question.archive.kept.replace(chunk, entry.block, known);
+            }
+            None => self.add(entry, buffers, None),
+        }
+    }
+
+    fn add_known(&mut self, entry: &Entry, block: &KnownBlock, of_chunk: usize, bench: &mut Workbench) {
+        self.start(of_chunk);
+        for (surface, &isovalue) in self.surfaces.iter_mut().zip(self.question.isovalues) {
+            if is_active(entry.min, entry.max, isovalue) {
+                surface.add_known(block, &self.question.world, bench);
             }
         }
     }

@@ -12,7 +12,7 @@
 //! ([`Pass::next`]), and finished surfaces that exceed their share of it wait in the scratch folder; where there is a choice, a pass ends before a
 //! keyframe, so that no values are decoded for the differences to them.
 
-use super::block::{Block, KeptBlock};
+use super::block::{Block, NumberedShape};
 use super::extract::{ChunkSurfaces, ChunkWorker, Extracted, Question, Room, Weld};
 use super::line::{Last, Line};
 use super::need::{self, SurfaceShares};
@@ -245,8 +245,8 @@ impl<'a> Work<'a> {
             value_blocks.dedup();
             value_blocks.sort_unstable();
             value_blocks.dedup();
-            let corners = match KeptBlock::of(block, bench) {
-                Some(kept) => ShapeCorners::Numbered(kept),
+            let corners = match NumberedShape::of(block, bench) {
+                Some(shape) => ShapeCorners::Numbered(shape),
                 None => ShapeCorners::Plain(Box::new(std::mem::take(block))),
             };
             Ok(Some(Shape { corners, value_blocks: value_blocks.into(), bytes }))
@@ -278,7 +278,7 @@ struct Shape {
 }
 
 enum ShapeCorners {
-    Numbered(KeptBlock),
+    Numbered(NumberedShape),
     /// One with too many corners to be numbered, which is rare.
     Plain(Box<Block>),
 }
@@ -313,9 +313,9 @@ impl ShapedChunk<'_> {
             }
             let before = worker.active();
             match corners {
-                ShapeCorners::Numbered(kept) => {
-                    kept.numbered.set_values(values.values());
-                    worker.add_kept(entry, kept, buffers);
+                ShapeCorners::Numbered(shape) => {
+                    shape.numbered.set_values(values.values());
+                    worker.add_shape(entry, shape, buffers);
                 }
                 ShapeCorners::Plain(block) => {
                     std::mem::swap(&mut **block, &mut buffers.block);

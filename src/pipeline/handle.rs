@@ -24,9 +24,10 @@ use std::path::{Path, PathBuf};
 /// Opening reads the manifest. Every question reads what can hold its answer and nothing else; whether it is asked from this
 /// type or from the command line, the answer is the same. Questions may be asked from several threads at one time.
 ///
-/// Blocks of tetrahedra that a surface needed are kept, decoded, for the next one: about 28 bytes a tetrahedron, up to
-/// [`Archive::KEPT_BYTES`] or what [`Archive::keeping`] says, and a quarter more for buffers; those that were not used lately go first. So while
-/// an isovalue is dragged to and fro, a surface costs little more than its triangles.
+/// Blocks of tetrahedra that a surface needed are kept, decoded, for the next one, up to [`Archive::KEPT_BYTES`] or what [`Archive::keeping`]
+/// says, and a quarter more for buffers: about 20 bytes a tetrahedron, and where there is room some 60 when they are used again, for all that
+/// does not depend on the isovalue is known then. Those that were not used lately go first. So while an isovalue is dragged to and fro, a
+/// surface costs little more than its triangles.
 ///
 /// What fits in memory is returned ([`Archive::surface`], [`Archive::sample`], [`Archive::probe`], [`Archive::active`]); what may
 /// not is written to a file, in bounded memory, by a method with settings and progress ([`Archive::write_surface`],

@@ -26,6 +26,7 @@ mod handle;
 mod horizon;
 mod inspect;
 mod job;
+mod kept;
 mod layout;
 mod line;
 mod make;

@@ -1,7 +1,7 @@
 //! An archive opened for reading: manifest, point set, grids; segments are opened when first needed.
 
 use super::beside::Beside;
-use super::block::Kept;
+use super::kept::Kept;
 use super::layout::Layout;
 use super::plan::{MeshParts, Plan, parts};
 use super::reader::{ChunkReader, ReaderMemory};

@@ -13,6 +13,8 @@ pub(super) struct Case {
     pub(super) numbers: [u8; 4],
     /// Triangles of places in `edges`, each beginning with its smallest; the first `triangles` count.
     pub(super) corners: [[u8; 3]; 2],
+    /// The same triangles, of places in [`EDGES`].
+    pub(super) sides: [[u8; 3]; 2],
     pub(super) triangles: u8,
 }
 
@@ -21,14 +23,15 @@ pub(super) const ODD: u8 = 16;
 
 /// By the mask of corners inside, and [`ODD`].
 pub(super) static CASES: [Case; 32] = {
-    let none = Case { edges: [[0, 1]; 4], numbers: [0; 4], corners: [[0; 3]; 2], triangles: 0 };
+    let none =
+        Case { edges: [[0, 1]; 4], numbers: [0; 4], corners: [[0; 3]; 2], sides: [[0; 3]; 2], triangles: 0 };
     let mut cases = [none; 32];
     let mut mask = 1;
     while mask < 15 {
         let case = derive_case(mask);
-        let [[a, b, c], [d, e, f]] = case.corners;
         cases[mask] = case;
-        cases[mask + ODD as usize] = Case { corners: [[a, c, b], [d, f, e]], ..case };
+        cases[mask + ODD as usize] =
+            Case { corners: turned(case.corners), sides: turned(case.sides), ..case };
         mask += 1;
     }
     cases
@@ -58,7 +61,9 @@ const fn derive_case(mask: usize) -> Case {
     if inside != 2 {
         let edges = [edge(i, j), edge(i, k), edge(i, l), edge(i, j)];
         let triangle = if turn { [0, 2, 1] } else { [0, 1, 2] };
-        return Case { edges: ends(edges), numbers: edges, corners: [triangle, [0; 3]], triangles: 1 };
+        let corners = [triangle, [0; 3]];
+        let sides = named(edges, corners);
+        return Case { edges: ends(edges), numbers: edges, corners, sides, triangles: 1 };
     }
     let quad = [edge(i, k), edge(i, l), edge(j, l), edge(j, k)];
     let quad = if turn { [quad[0], quad[3], quad[2], quad[1]] } else { quad };
@@ -78,7 +83,21 @@ const fn derive_case(mask: usize) -> Case {
         place(edges, quad[(s + 2) % 4]),
         place(edges, quad[(s + 3) % 4]),
     ];
-    Case { edges: ends(edges), numbers: edges, corners: [[p, q, r], [p, r, t]], triangles: 2 }
+    let corners = [[p, q, r], [p, r, t]];
+    Case { edges: ends(edges), numbers: edges, corners, sides: named(edges, corners), triangles: 2 }
+}
+
+/// Triangles that look to the other side.
+const fn turned([[a, b, c], [d, e, f]]: [[u8; 3]; 2]) -> [[u8; 3]; 2] {
+    [[a, c, b], [d, f, e]]
+}
+
+/// Triangles of places in a list of edges, as triangles of these.
+const fn named(edges: [u8; 4], [[a, b, c], [d, e, f]]: [[u8; 3]; 2]) -> [[u8; 3]; 2] {
+    [
+        [edges[a as usize], edges[b as usize], edges[c as usize]],
+        [edges[d as usize], edges[e as usize], edges[f as usize]],
+    ]
 }
 
 const fn ends(edges: [u8; 4]) -> [[u8; 2]; 4] {

@@ -57,7 +57,8 @@
 //! # Cost
 //!
 //! The tetrahedra of a block are worked on together (`patch.rs`): their edges are found in a table of their ends, small enough for the nearest
-//! cache (`numbering.rs`), or, in a block that is kept for many isovalues, have been numbered before (`numbered.rs`). Only those around which the block has not all tetrahedra, a third of the edges but most of the look-ups, are then found in
+//! cache (`numbering.rs`), or, in a block whose values change, have been numbered before (`numbered.rs`); of a block that is kept for many isovalues all is known that does not
+//! depend on them (`known/`). Only those around which the block has not all tetrahedra, a third of the edges but most of the look-ups, are then found in
 //! their chunk, in a cache line of the edges of their lower corner (`edges.rs`). 4 bytes a corner, 24 a vertex, about 70 more for
 //! each of those edges, and 12 a triangle while a chunk is extracted. Buffers are kept for the next chunk.
 //!
@@ -68,6 +69,7 @@
 use super::cases::{ODD, ORDERS};
 use super::edges::{EdgeTable, Found};
 use super::fours::{self, Corner};
+use super::known::{Crossed, KnownBlock, Maker};
 use super::numbered::{BlockBuffers, NumberedBlock};
 use super::numbering::Numbering;
 use super::patch::{self, Corners, Patch};
@@ -112,14 +114,14 @@ pub struct SharedEdge {
 /// The surface of one chunk: vertices welded inside the chunk, in order of first use, and triangles.
 #[derive(Debug, Default)]
 pub struct ChunkSurface {
-    isovalue: f32,
-    active_cells: u64,
+    pub(super) isovalue: f32,
+    pub(super) active_cells: u64,
     /// The crossed edges that further tetrahedra may have, and what is known of each.
-    edges: EdgeTable,
-    open: Vec<OpenVertex>,
-    vertices: Vec<Vertex>,
-    shared: Vec<SharedEdge>,
-    triangles: Vec<[u32; 3]>,
+    pub(super) edges: EdgeTable,
+    pub(super) open: Vec<OpenVertex>,
+    pub(super) vertices: Vec<Vertex>,
+    pub(super) shared: Vec<SharedEdge>,
+    pub(super) triangles: Vec<[u32; 3]>,
     /// Finds the active tetrahedra of a block, which are then here: buffers.
     sides: Sides,
     active: Vec<Tet>,
@@ -134,6 +136,8 @@ pub(crate) struct Workbench {
     numbering: Numbering,
     block: BlockBuffers,
     patch: Patch,
+    maker: Maker,
+    pub(super) crossed: Crossed,
 }
 
 impl Workbench {
@@ -145,17 +149,29 @@ impl Workbench {
         NumberedBlock::of(block, &mut self.block)
     }
 
+    /// Finds out all about a block that does not depend on the isovalue. `None` of one that is too large.
+    ///
+    /// # Panics
+    /// When a tetrahedron names a corner that is not there.
+    pub(crate) fn know(&mut self, block: &CellSource<'_>, world: &WorldMap) -> Option<KnownBlock> {
+        self.maker.make(block, world)
+    }
+
     /// Bytes of memory that the buffers hold.
     pub(crate) fn bytes(&self) -> usize {
-        self.numbering.bytes() + self.block.bytes() + self.patch.bytes()
+        self.numbering.bytes()
+            + self.block.bytes()
+            + self.patch.bytes()
+            + self.maker.bytes()
+            + self.crossed.bytes()
     }
 }
 
 /// A vertex of which the gradient is not yet summed up.
 #[derive(Clone, Copy, Debug)]
-struct OpenVertex {
-    gradient: [i64; 3],
-    vertex: u32,
+pub(super) struct OpenVertex {
+    pub(super) gradient: [i64; 3],
+    pub(super) vertex: u32,
 }
 
 /// The edges of a patch, in their chunk.
@@ -193,6 +209,7 @@ macro_rules! on_lanes {
         }
     };
 }
+pub(super) use on_lanes;
 
 impl ChunkSurface {
     /// Empties the buffers for another chunk, of so many corners, or another isovalue.
@@ -577,7 +594,7 @@ impl Sides {
 /// The normal for an edge without a gradient sum: that of the shortest gradient with the edge's two values, which goes from the
 /// lower one to the higher one.
 #[cold]
-fn along_edge(up: [f32; 3], world: &WorldMap) -> [f32; 3] {
+pub(super) fn along_edge(up: [f32; 3], world: &WorldMap) -> [f32; 3] {
     let up = up.map(f64::from);
     world.unit_normal(up).expect("the two ends of an edge differ, and the world map is invertible")
 }

@@ -28,6 +28,7 @@ pub mod decimate;
 mod edges;
 pub mod fans;
 mod fours;
+pub(crate) mod known;
 pub mod marching_tets;
 pub(crate) mod numbered;
 mod numbering;

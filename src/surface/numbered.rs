@@ -1,4 +1,5 @@
-//! A block of tetrahedra whose corners and edges have been numbered once, for one isovalue after another.
+//! A block of tetrahedra whose corners and edges have been numbered once, for the values of one step after another. (Where isovalues change and values
+//! do not, more is known of a block: [`super::known`].)
 //!
 //! Corners are in the order of their ids. A tetrahedron of 16 bytes has the numbers of its corners and of its six edges, so that
 //! nothing is looked up when a surface is extracted, and edges with all their tetrahedra in the block ([`super::numbering`] tells which)
@@ -16,7 +17,6 @@ use super::fours::Corner;
 use super::marching_tets::{CellSource, in_order};
 use super::numbering::{Ring, code_of};
 use super::patch::{CORNERS, Corners, Member, NO_EDGE, Patch};
-use crate::exec::will_read;
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::{Tet, is_active, range};
 
@@ -167,11 +167,6 @@ impl NumberedBlock {
         Some(Self { words: words.into(), tets, corners, alone })
     }
 
-    /// Bytes of memory.
-    pub(crate) fn bytes(&self) -> usize {
-        size_of::<Self>() + size_of_val(&*self.words)
-    }
-
     /// Where corners' numbers, corners, tetrahedra and ids begin.
     #[inline(always)]
     fn starts(&self) -> [usize; 4] {
@@ -212,20 +207,6 @@ impl NumberedBlock {
         let (numbers, at) = self.words[numbers..tets].split_at_mut(corners - numbers);
         for (n, at) in numbers.iter().zip(at.chunks_exact_mut(4)) {
             at[3] = values[(n & !SHARED) as usize].to_bits();
-        }
-    }
-
-    /// Asks the processor for what is looked at of any block.
-    pub(crate) fn corners_will_be_read(&self) {
-        will_read(&self.words[..self.starts()[2]]);
-    }
-
-    /// Asks the processor for tetrahedra that may be active, of a block whose ranges are at hand.
-    pub(crate) fn tets_will_be_read(&self, isovalues: &[f32]) {
-        for (group, &[lo, hi]) in self.tets().chunks(GROUP).zip(self.ranges()) {
-            if isovalues.iter().any(|&v| is_active(lo, hi, v)) {
-                will_read(group);
-            }
         }
     }
 
@@ -346,4 +327,4 @@ fn range_of(tets: &[Tet], values: &[f32]) -> [u32; 2] {
 
 #[cfg(test)]
 #[path = "numbered_tests.rs"]
-mod tests;
+pub(super) mod tests;

@@ -1,19 +1,19 @@
 use super::*;
 use crate::exec::Avx2;
 use crate::grid::Geometry;
-use crate::surface::marching_tets::{ChunkSurface, Workbench};
+use crate::surface::marching_tets::{ChunkSurface, SharedEdge, Workbench};
 use crate::surface::testing::{Grid, mirrored};
 use crate::surface::{Vertex, WorldMap};
 use proptest::prelude::*;
 
 /// Blocks of neighbouring tetrahedra, with corners of their own, of which those on the faces of the grid are shared.
-struct Blocks {
-    grid: Grid,
+pub(in crate::surface) struct Blocks {
+    pub(in crate::surface) grid: Grid,
     blocks: Vec<(Vec<u32>, Vec<Tet>)>,
 }
 
 impl Blocks {
-    fn new(edge: u64, tets: usize) -> Self {
+    pub(in crate::surface) fn new(edge: u64, tets: usize) -> Self {
         let grid = Grid::new([edge; 3]);
         let block = |tets: &[Tet]| {
             let mut numbers: Vec<u32> = tets.iter().flatten().copied().collect();
@@ -28,7 +28,7 @@ impl Blocks {
     }
 
     /// Calls `each` with every block.
-    fn each(&self, values: &[f32], mut each: impl FnMut(&CellSource<'_>)) {
+    pub(in crate::surface) fn each(&self, values: &[f32], mut each: impl FnMut(&CellSource<'_>)) {
         let top = self.grid.lattice.max();
         for (numbers, tets) in &self.blocks {
             let all = || numbers.iter().map(|&v| v as usize);
@@ -47,7 +47,7 @@ impl Blocks {
         }
     }
 
-    fn start(&self, isovalue: f32) -> ChunkSurface {
+    pub(in crate::surface) fn start(&self, isovalue: f32) -> ChunkSurface {
         let mut surface = ChunkSurface::default();
         surface.start(isovalue, self.grid.ids.len());
         surface
@@ -69,11 +69,11 @@ impl Blocks {
     }
 }
 
-type Bits = (u64, Vec<[u32; 6]>, Vec<[u32; 3]>, Vec<u32>);
+pub(in crate::surface) type Bits = (u64, Vec<[u32; 6]>, Vec<[u32; 3]>, Vec<SharedEdge>);
 
-fn bits(surface: &ChunkSurface) -> Bits {
+pub(in crate::surface) fn bits(surface: &ChunkSurface) -> Bits {
     let vertex = |v: &Vertex| bytemuck::cast::<Vertex, [u32; 6]>(*v);
-    let shared = surface.shared_edges().iter().map(|edge| edge.vertex).collect();
+    let shared = surface.shared_edges().to_vec();
     let vertices = surface.vertices().iter().map(vertex).collect();
     (surface.active_cells(), vertices, surface.triangles().to_vec(), shared)
 }

@@ -153,8 +153,7 @@ impl Patch {
         }
         for &[t, e] in &*uses {
             let (gradient, unit) = (gradients[usize::from(t)], units[usize::from(e)]);
-            let term = gradient.map(|x| x * unit);
-            add(&mut sums[usize::from(e)], if term[3] <= LONGEST { term } else { shorten(term) });
+            add_term(&mut sums[usize::from(e)], gradient.map(|x| x * unit));
         }
     }
 
@@ -299,6 +298,12 @@ fn add(sum: &mut [i64; 4], term: Gradient) {
     for k in 0..4 {
         sum[k] = sum[k].wrapping_add(round(term[k]));
     }
+}
+
+/// Adds a term of any length.
+#[inline(always)]
+pub(super) fn add_term(sum: &mut [i64; 4], term: Gradient) {
+    add(sum, if term[3] <= LONGEST { term } else { shorten(term) });
 }
 
 /// A term too long to add, shortened by a power of two; nothing for one that is infinite or NaN.

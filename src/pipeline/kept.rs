@@ -1,0 +1,265 @@
+//! Decoded blocks that are kept for the next question, in bounded memory.
+//!
+//! ```text
+//!  archive ──▶ Block (a buffer, read again and again) ──▶ packed ──▶ when it is asked for again: known
+//! ```
+//!
+//! To find out all about a block ([`crate::surface::known`]) takes as long as some surfaces of it, and so waits until it is used again; it stays
+//! packed where there is no room for the other form, which is three times as large.
+//!
+//! Which blocks go is found by a hand that goes round (the "clock" of Corbató 1968): it passes over a block that was used since
+//! it came by last, once.
+
+use super::block::{Block, BlockCorners, PackedBlock};
+use crate::exec::will_read;
+use crate::grid::ChunkId;
+use crate::surface::known::KnownBlock;
+use crate::surface::numbered::Unpacked;
+use rustc_hash::FxHashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// A block kept in memory.
+#[derive(Debug)]
+pub(super) enum KeptBlock {
+    /// As it was read.
+    Packed(PackedBlock),
+    /// Known, for the surface of any isovalue; of a chunk of so many corners.
+    Known(KnownBlock, usize),
+}
+
+impl KeptBlock {
+    fn bytes(&self) -> usize {
+        match self {
+            Self::Packed(block) => size_of::<Self>() + block.bytes(),
+            Self::Known(block, _) => size_of::<Self>() + block.bytes(),
+        }
+    }
+
+    /// The block as it was read, its corners maybe in another order.
+    pub(super) fn unpack(&self, out: &mut Block) {
+        let (block, of_corners) = match self {
+            Self::Packed(block) => return block.unpack(out),
+            Self::Known(block, of_corners) => (block, *of_corners),
+        };
+        let Block { corners, tets, bytes } = out;
+        let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = corners;
+        block.unpack(&mut Unpacked { numbers, positions, ids, values, shared, tets });
+        (*of_chunk, *bytes) = (of_corners, 0);
+    }
+
+    /// Asks the processor for what is looked at in any case.
+    pub(super) fn will_be_read(&self) {
+        match self {
+            Self::Packed(block) => block.will_be_read(),
+            Self::Known(block, _) => block.corners_will_be_read(),
+        }
+    }
+
+    /// Asks for the rest.
+    pub(super) fn rest_will_be_read(&self, isovalues: &[f32]) {
+        if let Self::Known(block, _) = self {
+            block.tets_will_be_read(isovalues);
+        }
+    }
+}
+
+/// Blocks kept in memory, up to a number of bytes; from any thread.
+#[derive(Debug, Default)]
+pub(super) struct Kept {
+    most: usize,
+    blocks: Mutex<KeptBlocks>,
+}
+
+type Place = (ChunkId, u32);
+
+#[derive(Debug, Default)]
+struct KeptBlocks {
+    /// Where in `slots` each is.
+    by_place: FxHashMap<Place, usize>,
+    slots: Vec<Slot>,
+    /// The slot at which room is looked for next.
+    hand: usize,
+    bytes: usize,
+}
+
+#[derive(Debug)]
+struct Slot {
+    place: Place,
+    block: Arc<KeptBlock>,
+    /// Whether it was used since the hand came by.
+    used: bool,
+}
+
+impl Kept {
+    /// Keeps up to about so many bytes.
+    pub(super) fn new(most: usize) -> Self {
+        Self { most, blocks: Mutex::default() }
+    }
+
+    fn blocks(&self) -> MutexGuard<'_, KeptBlocks> {
+        self.blocks.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The most bytes that are kept.
+    pub(super) fn most(&self) -> usize {
+        self.most
+    }
+
+    /// Replaces `out` by the blocks of a chunk, those that are kept.
+    pub(super) fn get(
+        &self,
+        chunk: ChunkId,
+        numbers: impl Iterator<Item = u32>,
+        out: &mut Vec<Option<Arc<KeptBlock>>>,
+    ) {
+        out.clear();
+        if self.most == 0 {
+            return out.extend(numbers.map(|_| None));
+        }
+        let mut blocks = self.blocks();
+        let KeptBlocks { by_place, slots, .. } = &mut *blocks;
+        let slots_of = numbers.map(|number| by_place.get(&(chunk, number)).copied());
+        let found: Vec<Option<usize>> = slots_of
+            .inspect(|slot| {
+                // A count that is in no cache is waited for, one after another.
+                slot.iter().for_each(|&slot| will_read(std::slice::from_ref(&*slots[slot].block)));
+            })
+            .collect();
+        out.extend(found.into_iter().map(|slot| {
+            let slot = &mut slots[slot?];
+            slot.used = true;
+            Some(Arc::clone(&slot.block))
+        }));
+    }
+
+    /// Keeps a block, and drops others to make room.
+    pub(super) fn put(&self, chunk: ChunkId, number: u32, block: &Block) {
+        if self.most == 0 {
+            return;
+        }
+        let Some(packed) = PackedBlock::of(block) else { return };
+        let (block, place) = (KeptBlock::Packed(packed), (chunk, number));
+        let bytes = block.bytes();
+        let mut blocks = self.blocks();
+        // Another thread may have been faster.
+        if bytes > self.most || blocks.by_place.contains_key(&place) {
+            return;
+        }
+        while blocks.bytes + bytes > self.most {
+            blocks.drop_one();
+        }
+        blocks.add(Slot { place, block: Arc::new(block), used: false });
+    }
+
+    /// Keeps a block in another form, if it is kept still and there is room: others are worth more than this.
+    pub(super) fn replace(&self, chunk: ChunkId, number: u32, block: KeptBlock) {
+        let mut blocks = self.blocks();
+        let KeptBlocks { by_place, slots, bytes, .. } = &mut *blocks;
+        let Some(slot) = by_place.get(&(chunk, number)).map(|&slot| &mut slots[slot]) else { return };
+        let after = *bytes - slot.block.bytes() + block.bytes();
+        if after <= self.most {
+            (*bytes, slot.block) = (after, Arc::new(block));
+        }
+    }
+
+    /// Bytes that the blocks take.
+    pub(super) fn bytes(&self) -> usize {
+        self.blocks().bytes
+    }
+}
+
+impl KeptBlocks {
+    fn add(&mut self, slot: Slot) {
+        self.bytes += slot.block.bytes();
+        self.by_place.insert(slot.place, self.slots.len());
+        self.slots.push(slot);
+    }
+
+    /// Drops the next block that was not used since the hand came by.
+    fn drop_one(&mut self) {
+        loop {
+            self.hand %= self.slots.len();
+            let slot = &mut self.slots[self.hand];
+            if !std::mem::take(&mut slot.used) {
+                break;
+            }
+            self.hand += 1;
+        }
+        let dropped = self.slots.swap_remove(self.hand);
+        self.by_place.remove(&dropped.place);
+        self.bytes -= dropped.block.bytes();
+        if let Some(moved) = self.slots.get(self.hand) {
+            self.by_place.insert(moved.place, self.hand);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::block::tests::block;
+    use super::*;
+    use crate::geom::Lattice;
+    use crate::grid::Geometry;
+    use crate::surface::WorldMap;
+    use crate::surface::marching_tets::{Workbench, in_order};
+
+    fn known(Block { corners, tets, .. }: &Block) -> Option<KeptBlock> {
+        let world = WorldMap::new(&Lattice::new([9; 3]).unwrap(), &Geometry::default());
+        let block = Workbench::default().know(&corners.cells(tets), &world)?;
+        Some(KeptBlock::Known(block, corners.of_chunk))
+    }
+
+    #[test]
+    fn a_kept_block_is_the_block() {
+        let block = block(200, 10.0);
+        let mut unpacked = Block::default();
+        known(&block).unwrap().unpack(&mut unpacked);
+        let all = |Block { corners: c, tets, .. }: &Block| -> Vec<_> {
+            let corner = |v: u32| {
+                let v = v as usize;
+                (c.numbers[v], c.positions[v], c.ids[v], c.values[v].to_bits(), c.shared[v])
+            };
+            tets.iter().map(|t| in_order(&c.ids, t).map(corner)).collect()
+        };
+        assert_eq!(all(&unpacked), all(&block));
+        assert_eq!(unpacked.corners.of_chunk, block.corners.of_chunk);
+        assert!(unpacked.corners.ids.is_sorted());
+        assert!(known(&self::block(257, 0.0)).is_none());
+    }
+
+    #[test]
+    fn blocks_that_were_not_used_go() {
+        let one = KeptBlock::Packed(PackedBlock::of(&block(100, 0.0)).unwrap()).bytes();
+        let kept = Kept::new(3 * one + one / 2);
+        for n in 0..3 {
+            kept.put(ChunkId(1), n, &block(100, n as f32));
+        }
+        let get = |chunk, number| {
+            let mut found = vec![];
+            kept.get(ChunkId(chunk), [number].into_iter(), &mut found);
+            found.pop().unwrap()
+        };
+        assert!(get(1, 0).is_some());
+        kept.put(ChunkId(2), 1, &block(100, 9.0));
+        assert_eq!(kept.bytes(), 3 * one);
+        let there = [(1, 0), (1, 1), (1, 2), (2, 1)].map(|(c, n)| get(c, n).is_some());
+        assert_eq!(there, [true, false, true, true]);
+        // In another form where there is room, and where it is kept.
+        kept.replace(ChunkId(1), 0, known(&block(100, 0.0)).unwrap());
+        assert!(matches!(&*get(1, 0).unwrap(), KeptBlock::Packed(_)), "it is larger");
+        kept.replace(ChunkId(1), 0, known(&block(10, 0.0)).unwrap());
+        assert!(matches!(&*get(1, 0).unwrap(), KeptBlock::Known(_, 20)) && kept.bytes() < 3 * one);
+        kept.replace(ChunkId(1), 1, known(&block(10, 0.0)).unwrap());
+        assert!(get(1, 1).is_none());
+        kept.put(ChunkId(9), 9, &block(10, 0.0));
+        let bytes = kept.bytes();
+        // What is larger than all is not kept, nothing is where nothing may be.
+        kept.put(ChunkId(3), 0, &block(1000, 0.0));
+        assert!(get(3, 0).is_none() && kept.bytes() == bytes);
+        let none = Kept::new(0);
+        none.put(ChunkId(1), 0, &block(100, 0.0));
+        let mut found = vec![];
+        none.get(ChunkId(1), 0..2, &mut found);
+        assert!(found.iter().all(Option::is_none) && found.len() == 2 && none.bytes() == 0);
+    }
+}

@@ -1,0 +1,231 @@
+//! Numbers the corners and edges of a block, and sums up the gradients around its edges.
+
+use super::super::WorldMap;
+use super::super::cases::EDGES;
+use super::super::fours::{self, Corner, Gradient};
+use super::super::marching_tets::{CellSource, along_edge, in_order, on_lanes};
+use super::super::numbering::{Ring, code_of};
+use super::super::patch::{CORNERS, NO_EDGE, add_term, up};
+use super::{EDGES_MOST, GROUP, Group, KnownBlock, OPEN, SHARED, Slot, TURNED, TetEdges, is_void};
+#[cfg(target_arch = "x86_64")]
+use crate::exec::lanes::Vector;
+use crate::exec::lanes::{Four, Plain};
+use crate::exec::{Avx2, with_vectors};
+use crate::mesh::tet::range;
+
+/// Edges between as many corners as there may be: the next power of two.
+const EDGE_SLOTS: usize = 1 << 15;
+
+/// What blocks are numbered in: buffers, some hundred kilobytes.
+#[derive(Debug, Default)]
+pub(in super::super) struct Maker {
+    /// For each pair of corners the number of its edge, while edges are listed.
+    numbers: Vec<u16>,
+    at: Vec<Corner>,
+    tets: Vec<[u8; 4]>,
+    tet_edges: Vec<TetEdges>,
+    groups: Vec<Group>,
+    edges: Vec<[u8; 2]>,
+    slots_of_edges: Vec<u16>,
+    rings: Vec<Ring>,
+    gradients: Vec<Gradient>,
+    units: Vec<f64>,
+    sums: Vec<[i64; 4]>,
+    slots: Vec<Slot>,
+}
+
+/// A place for each edge: few of them, close together, where there are few corners.
+#[inline(always)]
+fn place_of([low, high]: [u8; 2]) -> usize {
+    let high = usize::from(high);
+    (high * high.wrapping_sub(1) / 2 + usize::from(low)) % EDGE_SLOTS
+}
+
+impl Maker {
+    pub(in super::super) fn bytes(&self) -> usize {
+        2 * self.numbers.capacity()
+            + size_of::<Corner>() * self.at.capacity()
+            + (4 + size_of::<TetEdges>() + size_of::<Gradient>()) * self.tets.capacity()
+            + size_of::<Group>() * self.groups.capacity()
+            + (4 + size_of::<Ring>() + 8 + 32) * self.edges.capacity()
+            + size_of::<Slot>() * self.slots.capacity()
+    }
+
+    /// Finds out about a block. `None` of one with too many corners or edges, which is rare, or of corners without numbers in a chunk.
+    ///
+    /// # Panics
+    /// When a tetrahedron names a corner that is not there.
+    pub(in super::super) fn make(&mut self, cells: &CellSource<'_>, world: &WorldMap) -> Option<KnownBlock> {
+        self.make_on(cells, world, Avx2::found())
+    }
+
+    /// With vectors of AVX2, or without: the same bits.
+    pub(super) fn make_on(
+        &mut self,
+        cells: &CellSource<'_>,
+        world: &WorldMap,
+        avx2: Option<Avx2>,
+    ) -> Option<KnownBlock> {
+        let (numbers, corners, tets) = (cells.numbers?, cells.ids.len(), cells.tets.len());
+        if corners > CORNERS || tets >= usize::from(u16::MAX) || numbers.iter().any(|&n| n >= SHARED) {
+            return None;
+        }
+        let mut order: [u8; CORNERS] = std::array::from_fn(|i| i as u8);
+        let order = &mut order[..corners];
+        order.sort_unstable_by_key(|&i| cells.ids[usize::from(i)]);
+        self.place(cells, order);
+        if !self.list(cells, order) {
+            return None;
+        }
+        on_lanes!(avx2, self.know_edges(world));
+        self.close_groups();
+        let order = || order.iter().map(|&i| usize::from(i));
+        let [groups, edges, slots] = [self.groups.len(), self.edges.len(), self.slots.len()];
+        let mut words = Vec::with_capacity(3 * groups + 7 * corners + edges + 4 * tets + 3 * slots);
+        words.extend_from_slice(bytemuck::cast_slice(&self.groups));
+        words.extend(order().map(|i| numbers[i] | if cells.shared[i] { SHARED } else { 0 }));
+        words.extend(self.at.iter().flatten().map(|x| x.to_bits()));
+        let begin = words.len();
+        words.resize(begin + edges, 0);
+        let (ends, slots_of_edges) =
+            bytemuck::cast_slice_mut::<u32, [u8; 2]>(&mut words[begin..]).split_at_mut(edges);
+        ends.copy_from_slice(&self.edges);
+        bytemuck::cast_slice_mut(slots_of_edges).copy_from_slice(&self.slots_of_edges);
+        words.extend(self.tets.iter().map(|&tet| bytemuck::cast::<[u8; 4], u32>(tet)));
+        words.extend(self.tet_edges.iter().flat_map(|&e| bytemuck::cast::<TetEdges, [u32; 3]>(e)));
+        words.extend_from_slice(self.slots.as_flattened());
+        words.extend(order().map(|i| cells.ids[i].0).flat_map(|id| [id as u32, (id >> 32) as u32]));
+        Some(KnownBlock { words: words.into(), corners, edges, tets, slots })
+    }
+
+    fn place(&mut self, cells: &CellSource<'_>, order: &[u8]) {
+        self.at.clear();
+        self.at.extend(order.iter().map(|&i| {
+            // At most 2^24: exact.
+            let [x, y, z] = cells.positions[usize::from(i)].map(|x| x as f32);
+            [x, y, z, cells.values[usize::from(i)]]
+        }));
+    }
+
+    /// Lists tetrahedra, groups and edges. False if there are too many.
+    fn list(&mut self, cells: &CellSource<'_>, order: &[u8]) -> bool {
+        let mut rank = [0; CORNERS];
+        (0..=255).zip(order).for_each(|(r, &i)| rank[usize::from(i)] = r);
+        self.numbers.resize(EDGE_SLOTS, NO_EDGE);
+        self.tets.clear();
+        self.tet_edges.clear();
+        self.groups.clear();
+        self.edges.clear();
+        self.rings.clear();
+        for group in cells.tets.chunks(GROUP) {
+            let none = [f32::INFINITY, f32::NEG_INFINITY];
+            let mut ends = none;
+            for tet in group {
+                let values = range(tet.map(|v| cells.values[v as usize]));
+                ends = values.map_or(ends, |(lo, hi)| [ends[0].min(lo), ends[1].max(hi)]);
+                let [a, b, c, d] = in_order(cells.ids, tet).map(|v| rank[v as usize]);
+                let (corners, turned) = ([a, b, c.min(d), c.max(d)], if d < c { TURNED } else { 0 });
+                let mut edges = if values.is_some() { self.number(corners) } else { [0; 6] };
+                edges[0] |= turned;
+                self.tets.push(corners);
+                self.tet_edges.push(edges);
+            }
+            // Less than 2^15 where the block is not refused below.
+            let edges_end = self.edges.len() as u16;
+            self.groups.push(Group { least: ends[0], most: ends[1], edges_end, slots_end: 0 });
+        }
+        self.edges.iter().for_each(|&edge| self.numbers[place_of(edge)] = NO_EDGE);
+        self.edges.len() <= EDGES_MOST
+    }
+
+    /// The edges of a tetrahedron, numbered in the order in which they are met.
+    #[inline(always)]
+    fn number(&mut self, corners: [u8; 4]) -> [u16; 6] {
+        let code = code_of(corners);
+        EDGES.map(|edge| {
+            let ends = edge.map(|i| corners[usize::from(i) % 4]);
+            let number = &mut self.numbers[place_of(ends)];
+            if *number == NO_EDGE {
+                *number = self.edges.len() as u16;
+                self.edges.push(ends);
+                self.rings.push(Ring::default());
+            }
+            self.rings[usize::from(*number)].add(code);
+            *number
+        })
+    }
+
+    /// Finds what is known of edges: the normals of those with all their tetrahedra here, of others the part of the sum.
+    #[inline(always)]
+    fn know_edges<W: Four>(&mut self, proof: W::Proof, world: &WorldMap) {
+        self.find_gradients::<W>(proof);
+        self.sum_up::<W>(proof);
+        self.slots.clear();
+        self.slots_of_edges.clear();
+        let known = self.sums.chunks(4).zip(self.rings.chunks(4));
+        for (edges, (sums, rings)) in self.edges.chunks(4).zip(known) {
+            let mut four = [[0; 3]; 4];
+            for (to, &[x, y, z, _]) in four.iter_mut().zip(sums) {
+                *to = [x, y, z];
+            }
+            let normals = fours::normals::<W>(proof, &four, world);
+            for (((&ends, sum), normal), ring) in edges.iter().zip(four).zip(normals).zip(rings) {
+                let slot = self.slots.len() as u16;
+                if ring.is_closed(ends) {
+                    let at = || ends.map(|corner| &self.at[usize::from(corner)]);
+                    let normal = normal.unwrap_or_else(|| along_edge(up(at()), world));
+                    self.slots.push(normal.map(f32::to_bits));
+                    self.slots_of_edges.push(slot);
+                } else {
+                    let [[a, b], [c, d], [e, f]] = sum.map(|x| [x as u32, (x >> 32) as u32]);
+                    self.slots.extend([[a, b, c], [d, e, f]]);
+                    self.slots_of_edges.push(slot | OPEN);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn find_gradients<W: Four>(&mut self, proof: W::Proof) {
+        self.gradients.clear();
+        for (tets, edges) in self.tets.chunks(4).zip(self.tet_edges.chunks(4)) {
+            let four = tets.iter().zip(edges);
+            let (mut corners, mut signs) = ([[&self.at[0]; 4]; 4], [1.0; 4]);
+            for (((tet, edges), corners), sign) in four.zip(&mut corners).zip(&mut signs) {
+                *corners = tet.map(|corner| &self.at[usize::from(corner)]);
+                *sign = if edges[0] & TURNED == 0 { 1.0 } else { -1.0 };
+            }
+            self.gradients.extend_from_slice(&fours::gradients::<W>(proof, corners, &signs));
+        }
+    }
+
+    /// Sums up the gradients around edges.
+    #[inline(always)]
+    fn sum_up<W: Four>(&mut self, proof: W::Proof) {
+        self.units.clear();
+        for four in self.edges.chunks(4) {
+            let mut ends = [[&self.at[0]; 2]; 4];
+            for (ends, edge) in ends.iter_mut().zip(four) {
+                *ends = edge.map(|corner| &self.at[usize::from(corner)]);
+            }
+            self.units.extend_from_slice(&fours::units::<W>(proof, ends));
+        }
+        self.sums.clear();
+        self.sums.resize(self.edges.len(), [0; 4]);
+        let live = self.tet_edges.iter().zip(&self.gradients).filter(|(edges, _)| !is_void(edges));
+        for (edges, gradient) in live {
+            for &edge in edges {
+                let edge = usize::from(edge & !TURNED);
+                add_term(&mut self.sums[edge], gradient.map(|x| x * self.units[edge]));
+            }
+        }
+    }
+
+    /// Tells groups where the slots of their edges end.
+    fn close_groups(&mut self) {
+        for group in &mut self.groups {
+            let next = self.slots_of_edges.get(usize::from(group.edges_end)).map(|slot| slot & !OPEN);
+            group.slots_end = next.unwrap_or(self.slots.len() as u16);
+        }
+    }
+}

@@ -1,0 +1,213 @@
+//! A block of tetrahedra of which all is known that does not depend on the isovalue, for one after another.
+//!
+//! Much of a surface does not depend on the isovalue. All tetrahedra around a crossed edge are active, so the sum of their gradients, and
+//! the normal of the vertex, is that of the edge, wherever it is crossed. A block that is kept knows it: of an edge with all its
+//! tetrahedra in the block ([`super::numbering`] tells which) the normal, of others the block's part of the sum. What is left to do
+//! is to look which edges are crossed, and where ([`extract`]).
+//!
+//! Corners are in the order of their ids, edges in that in which tetrahedra first have them: in both a surface numbers its vertices. So
+//! a group of tetrahedra that follow each other has a run of edges of its own. It has a range of values too, so that an isovalue passes over
+//! most groups. All of it is in one piece, in the order in which it is looked at:
+//!
+//! ```text
+//!  groups │ numbers of corners in the chunk │ corners: position, value │ ends of edges │ their slots │ corners of tetrahedra
+//!  │ edges of tetrahedra │ slots: normals, sums of edges │ ids of corners
+//! ```
+//!
+//! About 60 bytes a tetrahedron. (Blocks that get other values step by step are numbered only: [`super::numbered`].) Void tetrahedra have no edges: those between them are no one's.
+
+mod extract;
+mod make;
+mod sides;
+
+use super::fours::Corner;
+use super::numbered::Unpacked;
+use crate::exec::will_read;
+use crate::geom::PointId;
+use crate::mesh::tet::is_active;
+pub(super) use extract::Crossed;
+pub(super) use make::Maker;
+pub(super) use sides::ByteTables;
+use sides::Table;
+
+/// Tetrahedra that have a range of values, and edges, together.
+const GROUP: usize = 16;
+/// The most edges of a block; so many have less than 2^15 slots of what is known of them.
+const EDGES_MOST: usize = 1 << 14;
+/// In the number of a corner: other chunks may have it.
+const SHARED: u32 = 1 << 31;
+/// In the first edge of a tetrahedron: the order of its ids is an odd permutation of a positively oriented one.
+const TURNED: u16 = 1 << 15;
+/// In the slot of an edge: other blocks may have tetrahedra around it.
+const OPEN: u16 = 1 << 15;
+
+/// Some tetrahedra: least and greatest value, and where what belongs to the edges ends that they are the first to have.
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+struct Group {
+    least: f32,
+    most: f32,
+    edges_end: u16,
+    slots_end: u16,
+}
+
+/// The edges of a tetrahedron, its corners in the order of their ids, in the order of [`super::cases::EDGES`]; the first with [`TURNED`].
+type TetEdges = [u16; 6];
+
+/// Whether a tetrahedron has no edges: those of others differ.
+#[inline(always)]
+fn is_void(edges: &TetEdges) -> bool {
+    edges[1] == edges[2]
+}
+
+/// A normal, or half a sum.
+type Slot = [u32; 3];
+
+/// A block, with what is known of it.
+#[derive(Debug)]
+pub(crate) struct KnownBlock {
+    words: Box<[u32]>,
+    corners: usize,
+    edges: usize,
+    tets: usize,
+    slots: usize,
+}
+
+impl KnownBlock {
+    /// Bytes of memory.
+    pub(crate) fn bytes(&self) -> usize {
+        size_of::<Self>() + size_of_val(&*self.words)
+    }
+
+    /// Where the lists end, in their order; the slots of edges are in the same words as their ends.
+    #[inline(always)]
+    fn ends(&self) -> [usize; 7] {
+        let groups = 3 * self.tets.div_ceil(GROUP);
+        let numbers = groups + self.corners;
+        let corners = numbers + 4 * self.corners;
+        let edges = corners + self.edges;
+        let tets = edges + self.tets;
+        let tet_edges = tets + 3 * self.tets;
+        [groups, numbers, corners, edges, tets, tet_edges, tet_edges + 3 * self.slots]
+    }
+
+    #[inline(always)]
+    fn groups(&self) -> &[Group] {
+        bytemuck::cast_slice(&self.words[..self.ends()[0]])
+    }
+
+    #[inline(always)]
+    fn numbers(&self) -> &[u32] {
+        let [groups, numbers, ..] = self.ends();
+        &self.words[groups..numbers]
+    }
+
+    /// Where corners are, and their values.
+    #[inline(always)]
+    fn at(&self) -> &[Corner] {
+        let [_, numbers, corners, ..] = self.ends();
+        bytemuck::cast_slice(&self.words[numbers..corners])
+    }
+
+    /// The ends of edges, the corner of lower id first.
+    #[inline(always)]
+    fn edges(&self) -> &[[u8; 2]] {
+        let [_, _, corners, edges, ..] = self.ends();
+        &bytemuck::cast_slice(&self.words[corners..edges])[..self.edges]
+    }
+
+    /// The slot of the normal of each edge; with [`OPEN`], the first of two of its sum.
+    #[inline(always)]
+    fn slots_of_edges(&self) -> &[u16] {
+        let [_, _, corners, edges, ..] = self.ends();
+        &bytemuck::cast_slice(&self.words[corners..edges])[self.edges..]
+    }
+
+    /// The corners of tetrahedra, in the order of their ids.
+    #[inline(always)]
+    fn tets(&self) -> &[[u8; 4]] {
+        let [_, _, _, edges, tets, ..] = self.ends();
+        bytemuck::cast_slice(&self.words[edges..tets])
+    }
+
+    #[inline(always)]
+    fn edges_of_tets(&self) -> &[TetEdges] {
+        let [.., tets, tet_edges, _] = self.ends();
+        bytemuck::cast_slice(&self.words[tets..tet_edges])
+    }
+
+    #[inline(always)]
+    fn slots(&self) -> &[Slot] {
+        let [.., tet_edges, slots] = self.ends();
+        bytemuck::cast_slice(&self.words[tet_edges..slots])
+    }
+
+    #[inline(always)]
+    fn id(&self, corner: u8) -> PointId {
+        let at = self.ends()[6] + 2 * usize::from(corner);
+        PointId(u64::from(self.words[at]) | u64::from(self.words[at + 1]) << 32)
+    }
+
+    /// The ids of two corners, if other chunks may have both.
+    #[inline(always)]
+    fn shared(&self, [a, b]: [u8; 2]) -> Option<(PointId, PointId)> {
+        let is_shared = self.numbers()[usize::from(a)] & self.numbers()[usize::from(b)] & SHARED != 0;
+        is_shared.then(|| (self.id(a), self.id(b)))
+    }
+
+    /// Asks the processor for what is looked at of any block.
+    pub(crate) fn corners_will_be_read(&self) {
+        will_read(&self.words[..self.ends()[2]]);
+    }
+
+    /// Asks the processor for tetrahedra that may be active, and their edges, of a block whose groups are at hand.
+    pub(crate) fn tets_will_be_read(&self, isovalues: &[f32]) {
+        let (mut edge, mut slot) = (0, 0);
+        let tets = self.tets().chunks(GROUP).zip(self.edges_of_tets().chunks(GROUP));
+        for ((tets, tet_edges), group) in tets.zip(self.groups()) {
+            let ends = [group.edges_end, group.slots_end].map(usize::from);
+            if isovalues.iter().any(|&v| is_active(group.least, group.most, v)) {
+                will_read(tets);
+                will_read(tet_edges);
+                will_read(&self.edges()[edge..ends[0]]);
+                will_read(&self.slots_of_edges()[edge..ends[0]]);
+                will_read(&self.slots()[slot..ends[1]]);
+            }
+            [edge, slot] = ends;
+        }
+    }
+
+    /// On which side each corner is: inside 1, outside 16, a NaN 0.
+    #[inline(always)]
+    fn sides(&self, isovalue: f32) -> Table {
+        let mut sides: Table = [0; size_of::<Table>()];
+        for (side, corner) in sides.iter_mut().zip(self.at()) {
+            let v = corner[3];
+            *side = u8::from(v >= isovalue) | u8::from(v < isovalue) << 4;
+        }
+        sides
+    }
+
+    /// All of the block as it was: its corners in the order of their ids.
+    pub(crate) fn unpack(&self, out: &mut Unpacked<'_>) {
+        let whole = |x: f32| x as u32;
+        out.numbers.clear();
+        out.numbers.extend(self.numbers().iter().map(|n| n & !SHARED));
+        out.shared.clear();
+        out.shared.extend(self.numbers().iter().map(|n| n & SHARED != 0));
+        out.positions.clear();
+        out.positions.extend(self.at().iter().map(|&[x, y, z, _]| [whole(x), whole(y), whole(z)]));
+        out.values.clear();
+        out.values.extend(self.at().iter().map(|at| at[3]));
+        out.ids.clear();
+        out.ids.extend((0..self.corners).map(|i| self.id(i as u8)));
+        out.tets.clear();
+        out.tets.extend(self.tets().iter().zip(self.edges_of_tets()).map(|(tet, edges)| {
+            let [a, b, c, d] = tet.map(u32::from);
+            if edges[0] & TURNED == 0 { [a, b, c, d] } else { [a, b, d, c] }
+        }));
+    }
+}
+
+#[cfg(test)]
+mod tests;
