@@ -246,3 +246,23 @@ fn what_an_open_archive_keeps_does_not_show() {
         assert!(read(&file) == alone[0]);
     }
 }
+
+/// Of values, those of blocks are read in which the surface is, or next to which; no other neighbours of its tetrahedra.
+#[test]
+fn a_surface_reads_little_that_it_does_not_need() {
+    let dir = tempfile::tempdir().unwrap();
+    let (input, out) = (dir.path().join("far.npy"), dir.path().join("far.isospan"));
+    let far = |x: f64, y: f64, z: f64| ((x - 0.7).powi(2) + (y + 0.3).powi(2) + (z - 0.1).powi(2)).sqrt();
+    write_npy(&input, [64; 3], far);
+    reduce(&input, &settings(SetKind::Hammersley, Amount::Fraction(0.125), 100_000), &out, 2);
+    let (file, mut ratios) = (dir.path().join("one.ply"), vec![]);
+    let archive = isospan::Archive::open(&out).unwrap();
+    for isovalue in (2..20).map(|n| 0.1 * n as f32) {
+        let report = surface(&out, isovalue, &file, 1);
+        // Of blocks that are kept all values are read.
+        assert!(read(&file) == archive.surface(isovalue).unwrap());
+        ratios.push(report.bytes_read as f64 / report.active_bytes as f64);
+    }
+    ratios.sort_by(f64::total_cmp);
+    assert!(ratios[ratios.len() / 2] < 1.6 && ratios[ratios.len() - 2] < 2.0, "{ratios:?}");
+}

@@ -201,9 +201,9 @@ pub struct BaseStep {
 }
 
 impl StepPlan {
-    /// Blocks of a chunk behind those of its values: its errors where they are stored, its part of the spectrum, its summary.
+    /// Blocks of a chunk behind those of its values: their ranges, its errors where they are stored, its part of the spectrum, its summary.
     pub fn blocks_behind_values(&self) -> u64 {
-        2 + u64::from(self.measured)
+        3 + u64::from(self.measured)
     }
 
     /// The time of the step: what the input told, else its number.

@@ -34,7 +34,7 @@ pub const HEADER_BYTES: u64 = 40;
 /// Bytes of the footer.
 pub const FOOTER_BYTES: u64 = 48;
 /// Blocks described by a full directory page.
-pub const PAGE_BLOCKS: u64 = 126;
+pub const PAGE_BLOCKS: u64 = 62;
 /// Bytes of a directory page besides its entries: the offset of its first block before them, and its checksum behind.
 pub const PAGE_FRAME_BYTES: u64 = 12;
 /// Bytes of a directory entry: length and checksum of a block.

@@ -3,7 +3,11 @@
 //! In a mesh segment: how many tetrahedra the chunk owns, their volume, how often its halo was widened. In a value segment:
 //! the range of its values, and of every tetrahedron block, from which the index of the step is built. Fixed fields,
 //! little-endian; see `FORMAT.md`.
+//!
+//! Also the ranges of the chunk's value blocks, by themselves: where a surface does not pass, a reader that knows on which side of it all
+//! values of a block are need not read them.
 
+use super::values::BLOCK_VALUES;
 use super::wire::{Cursor, Malformed};
 use crate::mesh::tet::Tet;
 
@@ -167,6 +171,42 @@ impl ValueSummary {
     }
 }
 
+/// Least and largest of some values, voids left out; infinite if all are void: then the least is above the largest.
+pub type ValueRange = [f32; 2];
+
+/// The ranges of the value blocks of a chunk with these values.
+pub fn value_ranges(values: &[f32]) -> Vec<ValueRange> {
+    let none = [f32::INFINITY, f32::NEG_INFINITY];
+    // Of two zeros the first one, whatever the machine.
+    let wider = |[lo, hi]: ValueRange, &v: &f32| [if v < lo { v } else { lo }, if v > hi { v } else { hi }];
+    let range = |block: &[f32]| block.iter().fold(none, wider);
+    values.chunks(BLOCK_VALUES).map(range).collect()
+}
+
+/// The same as the bytes of a block: 8 each.
+pub fn encode_value_ranges(values: &[f32]) -> Vec<u8> {
+    value_ranges(values).into_iter().flatten().flat_map(f32::to_le_bytes).collect()
+}
+
+/// The ranges of so many value blocks.
+///
+/// # Errors
+/// When the length is another, or one is no range.
+pub fn decode_value_ranges(bytes: &[u8], blocks: usize) -> Result<Vec<ValueRange>, Malformed> {
+    if bytes.len() as u64 != 8 * blocks as u64 {
+        let expected = format!("{} bytes", 8 * blocks as u64);
+        return Err(Malformed::new("value ranges", expected, bytes.len().to_string()));
+    }
+    let mut c = Cursor::new(bytes);
+    let ranges: Vec<ValueRange> = (0..blocks)
+        .map(|_| Ok([c.f32("least value")?, c.f32("largest value")?]))
+        .collect::<Result<_, _>>()?;
+    match ranges.iter().find(|[lo, hi]| !(lo <= hi || *lo == f32::INFINITY && *hi == f32::NEG_INFINITY)) {
+        Some([lo, hi]) => Err(Malformed::new("value ranges", "least <= largest", format!("{lo} to {hi}"))),
+        None => Ok(ranges),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -192,6 +232,23 @@ mod tests {
             assert!(MeshSummary::decode(&mesh.encode()[..n]).is_err());
         }
         assert!(ValueSummary::decode(&values.encode()[..20]).is_err());
+    }
+
+    #[test]
+    fn ranges_of_value_blocks_come_back() {
+        let mut values: Vec<f32> = (0..BLOCK_VALUES as u32 + 3).map(|i| i as f32).collect();
+        values[0] = f32::NAN;
+        let last = (BLOCK_VALUES + 2) as f32;
+        let expected = vec![[1.0, BLOCK_VALUES as f32 - 1.0], [BLOCK_VALUES as f32, last]];
+        let bytes = encode_value_ranges(&values);
+        assert_eq!(decode_value_ranges(&bytes, 2).unwrap(), expected);
+        assert!(decode_value_ranges(&bytes, 1).is_err() && decode_value_ranges(&bytes[..15], 2).is_err());
+        let void = decode_value_ranges(&encode_value_ranges(&[f32::NAN; 3]), 1).unwrap();
+        assert_eq!(void, [[f32::INFINITY, f32::NEG_INFINITY]]);
+        for wrong in [[2.0, 1.0], [f32::NAN, 1.0], [0.0, f32::NAN]] {
+            let bytes: Vec<u8> = wrong.into_iter().flat_map(f32::to_le_bytes).collect();
+            assert!(decode_value_ranges(&bytes, 1).is_err(), "{wrong:?}");
+        }
     }
 
     #[test]

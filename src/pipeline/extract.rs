@@ -12,7 +12,7 @@ use super::line::{Last, Line};
 use super::need::{self, SurfaceShares};
 use super::open::OpenArchive;
 use super::query::SurfaceSettings;
-use super::reader::{self, ChunkReader, Wanted};
+use super::reader::{self, ChunkReader, Needed, Wanted};
 use super::roi::Cut;
 use super::spare::{Buffers, Spare};
 use crate::error::Result;
@@ -179,7 +179,7 @@ impl Question<'_> {
                     reader.insert(ChunkReader::open(self.archive, work.chunk, memory)?)
                 }
             };
-            if !reader.block(block.block, &self.wanted(block), &mut buffers.block)? {
+            if !reader.block(block.block, &self.wanted(block), &self.needed(), &mut buffers.block)? {
                 continue;
             }
             self.archive.kept.put(work.chunk, block.block, &buffers.block);
@@ -211,6 +211,14 @@ impl Question<'_> {
                 Wanted::AtEnds(top)
             }
             _ => Wanted::All,
+        }
+    }
+
+    /// Caps have triangles in tetrahedra that are not active, and what is kept is for other isovalues too.
+    fn needed(&self) -> Needed<'_> {
+        match self.caps.is_some() || self.archive.kept.most() > 0 {
+            true => Needed::All,
+            false => Needed::ForActive(self.isovalues),
         }
     }
 

@@ -16,7 +16,7 @@ use super::spectrum::Places;
 use super::work::{StageTimes, Stored, Work};
 use crate::archive::chunk::{ChunkEncoder, ChunkVertices};
 use crate::archive::errors::{ChunkErrors, encode_errors};
-use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
+use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary, encode_value_ranges};
 use crate::archive::values::encode_values;
 use crate::error::{Error, Result};
 use crate::geom::LatticePos;
@@ -203,8 +203,8 @@ fn note<T>(work: &Work<'_>, n: usize, found: Result<T>) -> Result<T> {
     found
 }
 
-/// Samples, measures and encodes all steps: the blocks of each, values, errors, part of the spectrum, summary. `before` are the values
-/// of the first one's base; the mesh has the tetrahedra of all blocks, as they decode, with the end of each block.
+/// Samples, measures and encodes all steps: the blocks of each, values, their ranges, errors, part of the spectrum, summary. `before` are the
+/// values of the first one's base; the mesh has the tetrahedra of all blocks, as they decode, with the end of each block.
 fn encode_steps(
     work: &Work<'_>,
     mesh: &MeshedChunk,
@@ -234,6 +234,7 @@ fn encode_steps(
         let values = &*values[n];
         let base = step.plan.base.map(|_| before.expect("a base is the step before"));
         let mut encoded = encode_values(values, base, step.plan.quantiser.as_ref());
+        encoded.push(encode_value_ranges(values));
         encoded.extend(errors.get(n).map(encode_errors));
         encoded.push(part.encode());
         encoded.push(ValueSummary::of(&values[..mesh.core_len()], ranges).encode());

@@ -6,7 +6,7 @@ use super::extract::{ChunkWork, Extracted, Question, Room, by_chunk, extract_sur
 use super::need;
 use super::open::OpenArchive;
 use super::placed::{in_memory, in_world, world_map};
-use super::reader::{ChunkReader, ReaderMemory, Wanted};
+use super::reader::{ChunkReader, Needed, ReaderMemory, Wanted};
 use super::refine::{Means, Refine, RefineReport};
 use super::roi::{Cut, Roi, RoiSpace};
 use super::steps::{Ranges, StepChoice};
@@ -244,7 +244,7 @@ fn count_in_chunk(archive: &OpenArchive, work: &ChunkWork, isovalue: f32) -> Res
     let mut reader = ChunkReader::open(archive, work.chunk, ReaderMemory::default())?;
     let (mut block, mut sides, mut active, mut count) = (Block::default(), Sides::default(), vec![], 0);
     for entry in &work.blocks {
-        reader.block(entry.block, &Wanted::All, &mut block)?;
+        reader.block(entry.block, &Wanted::All, &Needed::ForActive(&[isovalue]), &mut block)?;
         active.clear();
         sides.select(&block.tets, &block.corners.values, isovalue, &mut active);
         count += active.len() as u64;

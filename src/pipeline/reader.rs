@@ -5,7 +5,8 @@
 //! ```
 //!
 //! The tetrahedra of a block are decoded from the positions of its corners. Values come in blocks of [`BLOCK_VALUES`] and positions
-//! brick by brick (a brick lists its points again from the formula of the point set), each when a corner of theirs is first needed.
+//! brick by brick (a brick lists its points again from the formula of the point set), each when a corner of theirs is first needed; a question
+//! about isovalues needs but those of values that are on both sides of one, or have neighbours on the other side.
 //! So a chunk whose surface is small costs a few bricks.
 
 use super::block::{Block, BlockCorners};
@@ -16,11 +17,12 @@ use super::roi::Cut;
 use crate::archive::Malformed;
 use crate::archive::chunk::{ChunkVertices, TetBlock, TetScratch};
 use crate::archive::chunked::ChunkSegment;
+use crate::archive::summary::ValueRange;
 use crate::archive::values::BLOCK_VALUES;
 use crate::error::{Error, Result};
 use crate::geom::{LatticeBox, LatticePos, PointId, Site};
 use crate::grid::{BrickId, Chunk, ChunkId};
-use crate::mesh::tet::Tet;
+use crate::mesh::tet::{Tet, is_active, range};
 use std::sync::Arc;
 
 /// A position that no corner has: the lattice ends at 2^24.
@@ -38,6 +40,8 @@ pub(super) struct ChunkReader<'a> {
     shared: Vec<bool>,
     /// Bytes of each block of values that has been read; 0 of the others.
     value_bytes: Vec<u32>,
+    /// What is known of the values that have not been read, once that was needed.
+    value_ranges: Option<Vec<ValueRange>>,
     /// Of each block of values, whether a corner of an active tetrahedron is in it.
     active_values: Vec<bool>,
     /// Bytes of the blocks that hold an active tetrahedron.
@@ -100,6 +104,7 @@ impl<'a> ChunkReader<'a> {
             halo: header.halo,
             shared: header.shared,
             value_bytes: vec![0; value_blocks],
+            value_ranges: None,
             active_values: vec![false; value_blocks],
             active_bytes: 0,
             memory,
@@ -116,15 +121,26 @@ impl<'a> ChunkReader<'a> {
         self.shared.len()
     }
 
-    /// Reads a block: its tetrahedra, and all of its corners. False, with nothing in `out`, if it is not wanted.
-    pub(super) fn block(&mut self, number: u32, wanted: &Wanted<'_>, out: &mut Block) -> Result<bool> {
+    /// Reads a block: its tetrahedra, and all of its corners, their values as far as they are `needed`. False, with nothing in `out`, if
+    /// it is not wanted.
+    pub(super) fn block(
+        &mut self,
+        number: u32,
+        wanted: &Wanted<'_>,
+        needed: &Needed<'_>,
+        out: &mut Block,
+    ) -> Result<bool> {
         if !self.shape(number, wanted, out)? {
             return Ok(false);
         }
-        for i in 0..out.corners.numbers.len() {
-            self.load_value_of(out.corners.numbers[i])?;
+        let BlockCorners { numbers, values, .. } = &mut out.corners;
+        match needed {
+            Needed::All => {
+                numbers.iter().try_for_each(|&v| self.load_value_of(v))?;
+                gather(&self.memory.values, numbers, values);
+            }
+            Needed::ForActive(isovalues) => self.load_for_active(isovalues, &out.tets, numbers, values)?,
         }
-        gather(&self.memory.values, &out.corners.numbers, &mut out.corners.values);
         Ok(true)
     }
 
@@ -221,6 +237,65 @@ impl<'a> ChunkReader<'a> {
     fn load_value_of(&mut self, v: u32) -> Result<()> {
         let block = v as usize / BLOCK_VALUES;
         if self.value_bytes[block] == 0 { self.read_values(block) } else { Ok(()) }
+    }
+
+    /// Finds values of corners, exact for all that active tetrahedra have. Blocks of values in which all are on the same side of each
+    /// isovalue are read only if a tetrahedron reaches from there to the other side; else one of the range is taken for
+    /// each of them, and the tetrahedron stays inactive.
+    fn load_for_active(
+        &mut self,
+        isovalues: &[f32],
+        tets: &[Tet],
+        numbers: &[u32],
+        values: &mut Vec<f32>,
+    ) -> Result<()> {
+        if self.value_ranges.is_none() {
+            let ranges = self.archive.value_ranges(self.chunk.id, self.value_bytes.len())?;
+            // Of a moment between two steps: one that each isovalue may be in.
+            let any = || vec![[f32::NEG_INFINITY, f32::INFINITY]; self.value_bytes.len()];
+            self.value_ranges = Some(ranges.unwrap_or_else(any));
+        }
+        let mut is_whole = true;
+        for &v in numbers {
+            let block = v as usize / BLOCK_VALUES;
+            if self.value_bytes[block] == 0 {
+                let [lo, hi] = self.range_of(block);
+                if isovalues.iter().any(|&v| is_active(lo, hi, v)) {
+                    self.read_values(block)?;
+                } else {
+                    is_whole = false;
+                }
+            }
+        }
+        self.gather_known(numbers, values);
+        if is_whole {
+            return Ok(());
+        }
+        for tet in tets {
+            let Some((lo, hi)) = range(tet.map(|c| values[c as usize])) else { continue };
+            if isovalues.iter().any(|&v| is_active(lo, hi, v)) {
+                tet.iter().try_for_each(|&c| self.load_value_of(numbers[c as usize]))?;
+            }
+        }
+        self.gather_known(numbers, values);
+        Ok(())
+    }
+
+    fn range_of(&self, block: usize) -> ValueRange {
+        self.value_ranges.as_ref().expect("ranges were read before")[block]
+    }
+
+    /// The values of corners, of those that have not been read the least that they may have; NaN where all are void.
+    fn gather_known(&self, numbers: &[u32], values: &mut Vec<f32>) {
+        values.clear();
+        values.extend(numbers.iter().map(|&v| {
+            let block = v as usize / BLOCK_VALUES;
+            if self.value_bytes[block] != 0 {
+                return self.memory.values[v as usize];
+            }
+            let [lo, hi] = self.range_of(block);
+            if lo <= hi { lo } else { f32::NAN }
+        }));
     }
 
     #[cold]
@@ -352,6 +427,13 @@ impl<'a> ChunkReader<'a> {
     pub(super) fn into_memory(self) -> ReaderMemory {
         self.memory
     }
+}
+
+/// Which values of a block's corners are needed.
+pub(super) enum Needed<'a> {
+    All,
+    /// Those of tetrahedra that some isovalue crosses.
+    ForActive(&'a [f32]),
 }
 
 /// Which blocks are wanted, by where their corners are.

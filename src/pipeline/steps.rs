@@ -17,7 +17,7 @@ use super::commit::{index_entries, mesh_summary, value_summary};
 use super::open::OpenArchive;
 use super::reader::{ChunkReader, ReaderMemory, damaged};
 use crate::archive::manifest::{Manifest, Step};
-use crate::archive::summary::BlockRange;
+use crate::archive::summary::{BlockRange, ValueRange, decode_value_ranges};
 use crate::archive::values::{BLOCK_VALUES, decode_values, needs_before};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
@@ -205,6 +205,17 @@ impl OpenArchive {
         };
         decode_values(&bytes, n, before, out).map_err(|m| segment.blame(id, block, m))?;
         Ok(read + bytes.len() as u64)
+    }
+
+    /// The ranges of the value blocks of a chunk; none of a moment between two steps.
+    pub(super) fn value_ranges(&self, id: ChunkId, blocks: usize) -> Result<Option<Vec<ValueRange>>> {
+        if self.view.beyond.is_some() {
+            return Ok(None);
+        }
+        let (segment, mut bytes) = (self.values_of(self.view.step, id)?, vec![]);
+        segment.block(id, blocks as u64, &mut bytes)?;
+        let ranges = decode_value_ranges(&bytes, blocks);
+        ranges.map(Some).map_err(|m| segment.blame(id, blocks as u64, m))
     }
 
     /// The values of all `vertices` of a chunk, at the step at a position in the manifest.

@@ -3,7 +3,7 @@
 //! * every block of every segment has its checksum, every table its size;
 //! * each brick has the number of points that the point set gives it, each halo id is a point outside the chunk;
 //! * each tetrahedron is positively oriented, belongs to the chunk that holds it, and all together fill the box exactly;
-//! * the ranges of the blocks, the entries of the index, and the sums of the spectrum are those of the values;
+//! * the ranges of the blocks, of tetrahedra and of values, the entries of the index, and the sums of the spectrum are those of the values;
 //! * the error of a volume's step is that of all chunks together.
 
 use super::commit::{domain_volume6, index_entries, mesh_summary, value_summary};
@@ -12,7 +12,7 @@ use super::open::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
 use super::spectrum::{Meter, stored_part};
 use crate::archive::repeated::RepeatedReader;
 use crate::archive::segment::Segment;
-use crate::archive::summary::{BlockRange, MeshSummary};
+use crate::archive::summary::{BlockRange, MeshSummary, value_ranges};
 use crate::error::{Error, Result};
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkId};
@@ -195,6 +195,12 @@ fn check_chunk(
     }
     if ranges != values.ranges {
         return wrong("ranges", "those of the values".into(), "others".into());
+    }
+    let found = value_ranges(&decoded.values);
+    let stored = archive.value_ranges(id, found.len())?.expect("a step is looked at");
+    // Blocks of values that no tetrahedron uses were not decoded.
+    if found.iter().zip(&stored).any(|(found, stored)| found[0] <= found[1] && found != stored) {
+        return wrong("ranges of values", "those of the values".into(), "others".into());
     }
     if archive.view.step == 0 {
         check_mesh(archive, &decoded, summary, id, file)?;

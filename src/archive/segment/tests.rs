@@ -20,7 +20,7 @@ fn write(path: &Path, blocks: &[Vec<u8>]) -> SegmentInfo {
 #[test]
 fn blocks_come_back_in_any_order() {
     let dir = tempfile::tempdir().unwrap();
-    for n in [0, 1, 2, 125, 126, 127, 253, 1021] {
+    for n in [0, 1, 2, 61, 62, 63, 125, 1021] {
         let path = dir.path().join(format!("{n}.seg"));
         let expected = blocks(n);
         let info = write(&path, &expected);
