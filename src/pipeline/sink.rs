@@ -94,20 +94,6 @@ impl Part {
     }
 }
 
-/// Files that are synced at a time: those of several steps take the disk little longer than one.
-const SYNCED_TOGETHER: usize = 8;
-
-/// Finishes some files; tells the first error.
-fn finish_together(writers: impl Iterator<Item = ChunkSegmentWriter>) -> Result<()> {
-    std::thread::scope(|threads| {
-        let finishing: Vec<_> = writers.map(|writer| threads.spawn(|| writer.finish())).collect();
-        let mut joined = finishing
-            .into_iter()
-            .map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
-        joined.try_for_each(|finished| finished.map(drop))
-    })
-}
-
 /// The files of a segment being written; none in place of one that is there.
 pub(super) struct Sink {
     files: Vec<(Part, Option<ChunkSegmentWriter>)>,
@@ -147,9 +133,8 @@ impl Sink {
 
     pub(super) fn finish(mut self) -> Result<StageTimes> {
         let start = Instant::now();
-        let mut writers = self.files.into_iter().filter_map(|(_, writer)| writer).peekable();
-        while writers.peek().is_some() {
-            finish_together(writers.by_ref().take(SYNCED_TOGETHER))?;
+        for writer in self.files.into_iter().filter_map(|(_, writer)| writer) {
+            writer.finish()?;
         }
         self.times.write += start.elapsed();
         Ok(self.times)
