@@ -41,6 +41,58 @@ fn place_of([low, high]: [u8; 2]) -> usize {
     (high * high.wrapping_sub(1) / 2 + usize::from(low)) % EDGE_SLOTS
 }
 
+/// Edges while they are numbered, in the order in which they are met, without a branch for each.
+struct EdgeList<'a> {
+    /// The number of each that was met.
+    numbers: &'a mut [u16; EDGE_SLOTS],
+    edges: &'a mut [[u8; 2]],
+    rings: &'a mut [Ring],
+    count: usize,
+}
+
+impl<'a> EdgeList<'a> {
+    /// Room for the edges of so many tetrahedra.
+    fn new(
+        tets: usize,
+        numbers: &'a mut Vec<u16>,
+        edges: &'a mut Vec<[u8; 2]>,
+        rings: &'a mut Vec<Ring>,
+    ) -> Self {
+        numbers.resize(EDGE_SLOTS, NO_EDGE);
+        edges.resize(6 * tets + 1, [0; 2]);
+        rings.resize(6 * tets + 1, Ring::default());
+        let numbers = numbers.as_mut_slice().try_into().expect("it was made so long just now");
+        Self { numbers, edges, rings, count: 0 }
+    }
+
+    /// The edges of a tetrahedron.
+    #[inline(always)]
+    fn number(&mut self, corners: [u8; 4]) -> [u16; 6] {
+        let code = code_of(corners);
+        EDGES.map(|edge| {
+            let ends = edge.map(|i| corners[usize::from(i) % 4]);
+            let slot = &mut self.numbers[place_of(ends)];
+            let is_new = *slot == NO_EDGE;
+            let number = if is_new { self.count as u16 } else { *slot };
+            *slot = number;
+            self.edges[self.count] = ends;
+            self.count += usize::from(is_new);
+            let ring = &mut self.rings[usize::from(number)];
+            *ring = if is_new { Ring::default() } else { *ring };
+            ring.add(code);
+            number
+        })
+    }
+
+    /// Forgets the numbers; tells how many there were.
+    fn end(self) -> usize {
+        for &edge in &self.edges[..self.count] {
+            self.numbers[place_of(edge)] = NO_EDGE;
+        }
+        self.count
+    }
+}
+
 impl Maker {
     pub(in super::super) fn bytes(&self) -> usize {
         2 * self.numbers.capacity()
@@ -84,15 +136,18 @@ impl Maker {
         let mut words = Vec::with_capacity(3 * groups + 7 * corners + edges + 4 * tets + 3 * slots);
         words.extend_from_slice(bytemuck::cast_slice(&self.groups));
         words.extend(order().map(|i| numbers[i] | if cells.shared[i] { SHARED } else { 0 }));
-        words.extend(self.at.iter().flatten().map(|x| x.to_bits()));
+        words.extend_from_slice(bytemuck::cast_slice(&self.at));
         let begin = words.len();
         words.resize(begin + edges, 0);
         let (ends, slots_of_edges) =
             bytemuck::cast_slice_mut::<u32, [u8; 2]>(&mut words[begin..]).split_at_mut(edges);
         ends.copy_from_slice(&self.edges);
         bytemuck::cast_slice_mut(slots_of_edges).copy_from_slice(&self.slots_of_edges);
-        words.extend(self.tets.iter().map(|&tet| bytemuck::cast::<[u8; 4], u32>(tet)));
-        words.extend(self.tet_edges.iter().flat_map(|&e| bytemuck::cast::<TetEdges, [u32; 3]>(e)));
+        let begin = words.len();
+        words.resize(begin + 4 * tets, 0);
+        let (of_corners, of_edges) = words[begin..].split_at_mut(tets);
+        bytemuck::cast_slice_mut(of_corners).copy_from_slice(&self.tets);
+        bytemuck::cast_slice_mut(of_edges).copy_from_slice(&self.tet_edges);
         words.extend_from_slice(self.slots.as_flattened());
         words.extend(order().map(|i| cells.ids[i].0).flat_map(|id| [id as u32, (id >> 32) as u32]));
         Some(KnownBlock { words: words.into(), corners, edges, tets, slots })
@@ -111,12 +166,10 @@ impl Maker {
     fn list(&mut self, cells: &CellSource<'_>, order: &[u8]) -> bool {
         let mut rank = [0; CORNERS];
         (0..=255).zip(order).for_each(|(r, &i)| rank[usize::from(i)] = r);
-        self.numbers.resize(EDGE_SLOTS, NO_EDGE);
         self.tets.clear();
         self.tet_edges.clear();
         self.groups.clear();
-        self.edges.clear();
-        self.rings.clear();
+        let mut list = EdgeList::new(cells.tets.len(), &mut self.numbers, &mut self.edges, &mut self.rings);
         for group in cells.tets.chunks(GROUP) {
             let none = [f32::INFINITY, f32::NEG_INFINITY];
             let mut ends = none;
@@ -125,34 +178,19 @@ impl Maker {
                 ends = values.map_or(ends, |(lo, hi)| [ends[0].min(lo), ends[1].max(hi)]);
                 let [a, b, c, d] = in_order(cells.ids, tet).map(|v| rank[v as usize]);
                 let (corners, turned) = ([a, b, c.min(d), c.max(d)], if d < c { TURNED } else { 0 });
-                let mut edges = if values.is_some() { self.number(corners) } else { [0; 6] };
+                let mut edges = if values.is_some() { list.number(corners) } else { [0; 6] };
                 edges[0] |= turned;
                 self.tets.push(corners);
                 self.tet_edges.push(edges);
             }
             // Less than 2^15 where the block is not refused below.
-            let edges_end = self.edges.len() as u16;
+            let edges_end = list.count as u16;
             self.groups.push(Group { least: ends[0], most: ends[1], edges_end, slots_end: 0 });
         }
-        self.edges.iter().for_each(|&edge| self.numbers[place_of(edge)] = NO_EDGE);
-        self.edges.len() <= EDGES_MOST
-    }
-
-    /// The edges of a tetrahedron, numbered in the order in which they are met.
-    #[inline(always)]
-    fn number(&mut self, corners: [u8; 4]) -> [u16; 6] {
-        let code = code_of(corners);
-        EDGES.map(|edge| {
-            let ends = edge.map(|i| corners[usize::from(i) % 4]);
-            let number = &mut self.numbers[place_of(ends)];
-            if *number == NO_EDGE {
-                *number = self.edges.len() as u16;
-                self.edges.push(ends);
-                self.rings.push(Ring::default());
-            }
-            self.rings[usize::from(*number)].add(code);
-            *number
-        })
+        let count = list.end();
+        self.edges.truncate(count);
+        self.rings.truncate(count);
+        count <= EDGES_MOST
     }
 
     /// Finds what is known of edges: the normals of those with all their tetrahedra here, of others the part of the sum.
