@@ -49,6 +49,17 @@ struct Search<'a> {
     mean: u8,
 }
 
+/// Two prices of a point, and the level of each cell by itself at them: at those between it is between, for the more a point costs, the lower a level is.
+/// So most cells need not be looked at again when the range is halved.
+struct Prices {
+    dense: i32,
+    sparse: i32,
+    /// At `dense`.
+    high: Vec<u8>,
+    /// At `sparse`.
+    low: Vec<u8>,
+}
+
 impl Choice {
     /// The levels of least error for `count` points inside the domain (of a mesh: inside the mesh); found by the threads of the pool that this is called in.
     ///
@@ -63,13 +74,8 @@ impl Choice {
             return Ok(Self { n, levels });
         }
         let search = Search::new(curves, count as f64 / voxels);
-        let (mut dense, mut sparse) = (-LAMBDA_RANGE * LAMBDA_STEPS, LAMBDA_RANGE * LAMBDA_STEPS);
-        while dense + 1 < sparse {
-            let middle = dense.midpoint(sparse);
-            let points = search.points(&search.levels(middle));
-            if points > count as f64 { dense = middle } else { sparse = middle }
-        }
-        search.choice(search.levels(sparse), count)
+        let prices = search.bisect(|levels| search.points(levels) <= count as f64);
+        search.choice(search.graded(search.own_levels(prices.sparse, &prices)), count)
     }
 }
 
@@ -192,13 +198,9 @@ impl Choice {
     pub fn count_of_rms(curves: &ErrorCurves, rms: f64) -> u64 {
         let samples = curves.samples;
         let search = Search::new(curves, 1.0);
-        let (mut dense, mut sparse) = (-LAMBDA_RANGE * LAMBDA_STEPS, LAMBDA_RANGE * LAMBDA_STEPS);
-        while dense + 1 < sparse {
-            let middle = dense.midpoint(sparse);
-            let error = search.total_error(&search.levels(middle));
-            if error > rms * rms * samples { sparse = middle } else { dense = middle }
-        }
-        search.points(&search.levels(dense)).min(samples).max(1.0) as u64
+        let prices = search.bisect(|levels| search.total_error(levels) > rms * rms * samples);
+        let levels = search.graded(search.own_levels(prices.dense, &prices));
+        search.points(&levels).min(samples).max(1.0) as u64
     }
 }
 
@@ -250,24 +252,23 @@ impl<'a> Search<'a> {
         scale(power, parts.div_euclid(PARTS))
     }
 
-    /// The level of a cell by itself.
-    fn level(&self, cell: usize, lambda: f64) -> u8 {
+    /// The level of a cell by itself, of those from `low` to `high`.
+    fn level(&self, cell: usize, lambda: f64, [low, high]: [u8; 2]) -> u8 {
         let logs = self.curves.logs[cell];
-        let least = if self.curves.mixed[cell] { self.mean } else { 0 };
-        if logs[SCALES - 1] == NOTHING && logs.iter().all(|&l| l == NOTHING) {
-            return least;
+        if low == high || logs[SCALES - 1] == NOTHING && logs.iter().all(|&l| l == NOTHING) {
+            return low;
         }
         let logs = rising(logs);
         let price = lambda * self.curves.cell_voxels(cell);
         let cost = |level: u32| self.error(&logs, level) + price * scale(1.0, level as i32 - self.top as i32);
-        let mut best = (f64::INFINITY, 0);
-        for level in 0..=self.top {
-            let cost = cost(level);
+        let mut best = (f64::INFINITY, low);
+        for level in low..=high {
+            let cost = cost(level.into());
             if cost < best.0 {
                 best = (cost, level);
             }
         }
-        (best.1 as u8).max(least)
+        best.1
     }
 
     /// The least level of a cell with which its root mean square error is at most this.
@@ -282,11 +283,34 @@ impl<'a> Search<'a> {
         (level as u8).max(least)
     }
 
-    /// The graded levels for a price of a point.
-    fn levels(&self, lambda: i32) -> Vec<u8> {
+    /// Halves the range of prices until it is known from which one on `is_sparse` holds of the graded levels.
+    fn bisect(&self, is_sparse: impl Fn(&[u8]) -> bool) -> Prices {
+        let (cells, most) = (self.curves.logs.len(), LAMBDA_RANGE * LAMBDA_STEPS);
+        let mut prices =
+            Prices { dense: -most, sparse: most, high: vec![self.top as u8; cells], low: vec![0; cells] };
+        while prices.dense + 1 < prices.sparse {
+            let middle = prices.dense.midpoint(prices.sparse);
+            let levels = self.own_levels(middle, &prices);
+            if is_sparse(&self.graded(levels.clone())) {
+                (prices.sparse, prices.low) = (middle, levels);
+            } else {
+                (prices.dense, prices.high) = (middle, levels);
+            }
+        }
+        prices
+    }
+
+    /// The level of each cell by itself for a price of a point, of those between which prices are known.
+    fn own_levels(&self, lambda: i32, prices: &Prices) -> Vec<u8> {
         let lambda = libm::exp2(f64::from(lambda) / f64::from(LAMBDA_STEPS));
-        let cells = 0..self.curves.logs.len();
-        let mut levels: Vec<u8> = cells.into_par_iter().map(|c| self.level(c, lambda)).collect();
+        let ranges = prices.low.par_iter().zip(&prices.high).enumerate();
+        ranges.map(|(cell, (&low, &high))| self.level(cell, lambda, [low, high])).collect()
+    }
+
+    /// No less than cells with samples of both kinds have, and graded.
+    fn graded(&self, mut levels: Vec<u8>) -> Vec<u8> {
+        let mixed = levels.iter_mut().zip(&self.curves.mixed).filter(|(_, mixed)| **mixed);
+        mixed.for_each(|(level, _)| *level = (*level).max(self.mean));
         Levels::grade(&self.curves.cells, &mut levels);
         levels
     }

@@ -109,12 +109,12 @@ impl ErrorCurves {
     /// Bytes that the curves of a lattice take, and the levels made of them.
     pub fn bytes_for(lattice: crate::geom::Lattice) -> u64 {
         let cells = lattice.dims.iter().map(|&d| (d - 1).div_ceil(LEAST_EDGE)).fold(1, u64::saturating_mul);
-        cells.min(Levels::MOST_CELLS) * 13
+        cells.min(Levels::MOST_CELLS) * 16
     }
 
     /// As [`ErrorCurves::bytes_for`], of a mesh, with the number of vertices of each cell.
     pub fn bytes_for_mesh(lattice: crate::geom::Lattice) -> u64 {
-        Self::bytes_for(lattice) / 13 * 21
+        Self::bytes_for(lattice) / 16 * 24
     }
 
     /// Adds the errors of a block.
