@@ -1,17 +1,20 @@
-//! Scan conversion, in samples a second: `cargo bench --bench raster`; names are `raster/SAMPLES A POINT`.
+//! Scan conversion, in samples a second: `cargo bench --bench raster`; names are `raster/SAMPLES A POINT` and `fit/SAMPLES A POINT`.
 //!
-//! Every sample of a volume of 128³ is visited once, in the order of the tetrahedra of a chunk.
+//! Every sample of a volume of 128³ is visited once, in the order of the tetrahedra of a chunk: one by one, and to fit values to the samples, many
+//! tetrahedra together (sorting them into windows and adding up what the samples tell included).
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use isospan::fit::{Fit, FitMesh, Windows, window_edge};
 use isospan::geom::curve::Order;
 use isospan::geom::{Lattice, LatticePos};
 use isospan::grid::IndexBox;
 use isospan::mesh::chunk::{ChunkOutcome, ChunkRegion, mesh_chunk};
 use isospan::mesh::delaunay::Mesher;
+use isospan::mesh::tet::Tet;
 use isospan::points::{PointSet, PointSpec};
 use isospan::raster::{SampleGrid, Scanner};
 
-fn tetrahedra(lattice: Lattice, n: u64) -> Vec<[LatticePos; 4]> {
+fn mesh(lattice: Lattice, n: u64) -> (Vec<LatticePos>, Vec<Tet>) {
     let set = PointSet::new(PointSpec::Hammersley { n, shift: 0.5 }, lattice).expect("a set");
     let mut sites = vec![];
     set.sites_in(&lattice.domain(), &mut sites);
@@ -20,7 +23,7 @@ fn tetrahedra(lattice: Lattice, n: u64) -> Vec<[LatticePos; 4]> {
     let region = ChunkRegion { core: whole, near: whole, region: whole, domain: whole };
     let order = Order::for_count(n);
     match mesh_chunk(&mut Mesher::new(), &region, &positions, &order).expect("a mesh") {
-        ChunkOutcome::Done(mesh) => mesh.tets.iter().map(|t| t.map(|v| positions[v as usize])).collect(),
+        ChunkOutcome::Done(mesh) => (positions, mesh.tets),
         ChunkOutcome::WidenHalo { .. } => unreachable!("nothing is unseen"),
     }
 }
@@ -32,7 +35,8 @@ fn bench(c: &mut Criterion) {
     let mut group = c.benchmark_group("raster");
     group.throughput(Throughput::Elements(whole.len() as u64)).sample_size(10);
     for share in [1, 8, 16, 64, 512] {
-        let tets = tetrahedra(lattice, whole.len() as u64 / share);
+        let (positions, tets) = mesh(lattice, whole.len() as u64 / share);
+        let tets: Vec<[LatticePos; 4]> = tets.iter().map(|t| t.map(|v| positions[v as usize])).collect();
         group.bench_function(BenchmarkId::from_parameter(share), |b| {
             b.iter(|| {
                 let (mut count, mut sum) = (0, 0.0);
@@ -44,6 +48,25 @@ fn bench(c: &mut Criterion) {
                 }
                 assert_eq!(count, whole.len());
                 sum
+            });
+        });
+    }
+    group.finish();
+    let mut group = c.benchmark_group("fit");
+    group.throughput(Throughput::Elements(whole.len() as u64)).sample_size(10);
+    for share in [8, 16, 64] {
+        let (positions, tets) = mesh(lattice, whole.len() as u64 / share);
+        let values: Vec<f32> = (0..positions.len()).map(|i| i as f32).collect();
+        let mesh = FitMesh { positions: &positions, values: &values, tets: &tets };
+        let mut samples = vec![];
+        group.bench_function(BenchmarkId::from_parameter(share), |b| {
+            b.iter(|| {
+                let mut fit = Fit::new(positions.len());
+                for (window, tets) in Windows::new(&grid, window_edge([16; 3]), &positions, &tets).iter() {
+                    samples.resize(window.len(), 1.0);
+                    fit.add(&mesh, &grid, &window, &samples, tets);
+                }
+                fit.values(&mesh, positions.len())
             });
         });
     }
