@@ -7,7 +7,8 @@ use crate::exec::will_read;
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;
 use crate::surface::marching_tets::{CellSource, Workbench};
-use crate::surface::numbered::{NumberedBlock, Unpacked};
+use crate::surface::numbered::NumberedBlock;
+use crate::surface::ordered::Unpacked;
 
 /// The corners of a block, and of its chunk how many.
 #[derive(Clone, Debug, Default)]

@@ -14,7 +14,7 @@ use super::block::{Block, BlockCorners, PackedBlock};
 use crate::exec::will_read;
 use crate::grid::ChunkId;
 use crate::surface::known::KnownBlock;
-use crate::surface::numbered::Unpacked;
+use crate::surface::ordered::Unpacked;
 use rustc_hash::FxHashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 

@@ -32,6 +32,7 @@ pub(crate) mod known;
 pub mod marching_tets;
 pub(crate) mod numbered;
 mod numbering;
+pub(crate) mod ordered;
 mod patch;
 mod places;
 #[cfg(test)]

@@ -16,17 +16,13 @@ use super::cases::{EDGES, ODD};
 use super::fours::Corner;
 use super::marching_tets::{CellSource, in_order};
 use super::numbering::{Ring, code_of};
+use super::ordered::{EDGE_SLOTS, Order, SHARED, Unpacked, shared_ids, sides_of, slot_of};
 use super::patch::{CORNERS, Corners, Member, NO_EDGE, Patch};
-use crate::geom::{LatticePos, PointId};
+use crate::geom::PointId;
 use crate::mesh::tet::{Tet, is_active, range};
 
 /// Tetrahedra that have a range of values together.
 const GROUP: usize = 16;
-/// Edges between as many corners as there may be: the next power of two.
-const EDGE_SLOTS: usize = 1 << 15;
-/// In the number of a corner: other chunks may have it.
-const SHARED: u32 = 1 << 31;
-
 /// A tetrahedron, its last two corners swapped where the order of its ids is an odd permutation of a positively oriented one.
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
@@ -123,47 +119,26 @@ impl BlockBuffers {
     }
 }
 
-/// A place for each edge: few of them, close together, where there are few corners.
-#[inline(always)]
-fn slot_of([low, high]: [u8; 2]) -> usize {
-    let high = usize::from(high);
-    (high * high.wrapping_sub(1) / 2 + usize::from(low)) % EDGE_SLOTS
-}
-
 impl NumberedBlock {
     /// Numbers a block. `None` of one with too many corners or tetrahedra, which is rare, or of corners without numbers in a chunk.
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
     pub(super) fn of(cells: &CellSource<'_>, buffers: &mut BlockBuffers) -> Option<Self> {
-        let (numbers, corners, tets) = (cells.numbers?, cells.ids.len(), cells.tets.len());
-        if corners > CORNERS || tets >= usize::from(u16::MAX) || numbers.iter().any(|&n| n >= SHARED) {
-            return None;
-        }
-        let mut order: [u8; CORNERS] = std::array::from_fn(|i| i as u8);
-        let order = &mut order[..corners];
-        order.sort_unstable_by_key(|&i| cells.ids[usize::from(i)]);
-        let mut rank = [0; CORNERS];
-        (0..=255).zip(&*order).for_each(|(r, &i)| rank[usize::from(i)] = r);
+        let (order, corners, tets) = (Order::of(cells)?, cells.ids.len(), cells.tets.len());
+        let rank = order.ranks();
         let ordered = |t: &Tet| in_order(cells.ids, t).map(|v| rank[v as usize]);
         let alone = buffers.number(cells.tets.iter().map(ordered));
         let mut words = Vec::with_capacity(2 * tets.div_ceil(GROUP) + 7 * corners + 4 * tets);
         for group in cells.tets.chunks(GROUP) {
             words.extend_from_slice(&range_of(group, cells.values));
         }
-        let order = order.iter().map(|&i| usize::from(i));
-        words.extend(order.clone().map(|i| numbers[i] | if cells.shared[i] { SHARED } else { 0 }));
-        for i in order.clone() {
-            // At most 2^24: exact.
-            let [x, y, z] = cells.positions[i].map(|x| (x as f32).to_bits());
-            words.extend_from_slice(&[x, y, z, cells.values[i].to_bits()]);
-        }
+        words.extend(order.numbers(cells));
+        words.extend(order.corners(cells).flat_map(|corner| corner.map(f32::to_bits)));
         for tet in &buffers.tets {
             words.extend_from_slice(&bytemuck::cast::<NumberedTet, [u32; 4]>(*tet));
         }
-        for id in order.map(|i| cells.ids[i].0) {
-            words.extend_from_slice(&[id as u32, (id >> 32) as u32]);
-        }
+        words.extend(order.ids(cells));
         Some(Self { words: words.into(), tets, corners, alone })
     }
 
@@ -194,9 +169,8 @@ impl NumberedBlock {
     }
 
     #[inline(always)]
-    fn id(&self, corner: usize) -> PointId {
-        let at = self.starts()[3] + 2 * corner;
-        PointId(u64::from(self.words[at]) | u64::from(self.words[at + 1]) << 32)
+    fn ids(&self) -> &[u32] {
+        &self.words[self.starts()[3]..]
     }
 
     /// Gives the corners other values: those that `values` has at their numbers in the chunk.
@@ -213,7 +187,7 @@ impl NumberedBlock {
     /// Lists the active tetrahedra; tells how many.
     #[inline(always)]
     pub(super) fn list(&self, isovalue: f32, buffers: &mut BlockBuffers, patch: &mut Patch) -> usize {
-        let sides = self.sides(isovalue);
+        let sides = sides_of(self.at(), isovalue);
         let (tets, active) = (self.tets(), self.active(isovalue, &sides, &mut buffers.active));
         let mut list = patch.list(active.len(), BlockBuffers::slots(&mut buffers.slots));
         for &n in active {
@@ -228,17 +202,6 @@ impl NumberedBlock {
         list.end();
         patch.alone_are(|edge| edge < self.alone);
         active.len()
-    }
-
-    /// On which side each corner is: inside 1, outside 16, a NaN 0.
-    #[inline(always)]
-    fn sides(&self, isovalue: f32) -> [u8; CORNERS] {
-        let mut sides = [0; CORNERS];
-        for (side, corner) in sides.iter_mut().zip(self.at()) {
-            let v = corner[3];
-            *side = u8::from(v >= isovalue) | u8::from(v < isovalue) << 4;
-        }
-        sides
     }
 
     /// The numbers of the active tetrahedra, found without a branch for each.
@@ -264,30 +227,9 @@ impl NumberedBlock {
 
     /// All of the block as it was: its corners in the order of their ids.
     pub(crate) fn unpack(&self, out: &mut Unpacked<'_>) {
-        let whole = |x: f32| x as u32;
-        out.numbers.clear();
-        out.numbers.extend(self.numbers().iter().map(|n| n & !SHARED));
-        out.shared.clear();
-        out.shared.extend(self.numbers().iter().map(|n| n & SHARED != 0));
-        out.positions.clear();
-        out.positions.extend(self.at().iter().map(|&[x, y, z, _]| [whole(x), whole(y), whole(z)]));
-        out.values.clear();
-        out.values.extend(self.at().iter().map(|at| at[3]));
-        out.ids.clear();
-        out.ids.extend((0..self.corners).map(|i| self.id(i)));
-        out.tets.clear();
-        out.tets.extend(self.tets().iter().map(|t| t.corners.map(u32::from)));
+        let tets = self.tets().iter().map(|t| t.corners.map(u32::from));
+        out.put(self.numbers(), self.at(), self.ids(), tets);
     }
-}
-
-/// Where a block is unpacked.
-pub(crate) struct Unpacked<'a> {
-    pub(crate) numbers: &'a mut Vec<u32>,
-    pub(crate) positions: &'a mut Vec<LatticePos>,
-    pub(crate) ids: &'a mut Vec<PointId>,
-    pub(crate) values: &'a mut Vec<f32>,
-    pub(crate) shared: &'a mut Vec<bool>,
-    pub(crate) tets: &'a mut Vec<Tet>,
 }
 
 impl Corners for NumberedBlock {
@@ -303,10 +245,8 @@ impl Corners for NumberedBlock {
     }
 
     #[inline(always)]
-    fn shared(&self, [a, b]: [u8; 2]) -> Option<(PointId, PointId)> {
-        let [a, b] = [usize::from(a), usize::from(b)];
-        let is_shared = self.numbers()[a] & self.numbers()[b] & SHARED != 0;
-        is_shared.then(|| (self.id(a), self.id(b)))
+    fn shared(&self, ends: [u8; 2]) -> Option<(PointId, PointId)> {
+        shared_ids(self.numbers(), self.ids(), ends)
     }
 }
 

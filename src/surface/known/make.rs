@@ -5,16 +5,14 @@ use super::super::cases::EDGES;
 use super::super::fours::{self, Corner, Gradient};
 use super::super::marching_tets::{CellSource, along_edge, in_order, on_lanes};
 use super::super::numbering::{Ring, code_of};
+use super::super::ordered::{EDGE_SLOTS, Order, slot_of};
 use super::super::patch::{CORNERS, NO_EDGE, add_term, up};
-use super::{EDGES_MOST, GROUP, Group, KnownBlock, OPEN, SHARED, Slot, TURNED, TetEdges, is_void};
+use super::{EDGES_MOST, GROUP, Group, KnownBlock, OPEN, Slot, TURNED, TetEdges, is_void};
 #[cfg(target_arch = "x86_64")]
 use crate::exec::lanes::Vector;
 use crate::exec::lanes::{Four, Plain};
 use crate::exec::{Avx2, with_vectors};
 use crate::mesh::tet::range;
-
-/// Edges between as many corners as there may be: the next power of two.
-const EDGE_SLOTS: usize = 1 << 15;
 
 /// What blocks are numbered in: buffers, some hundred kilobytes.
 #[derive(Debug, Default)]
@@ -32,13 +30,6 @@ pub(in super::super) struct Maker {
     units: Vec<f64>,
     sums: Vec<[i64; 4]>,
     slots: Vec<Slot>,
-}
-
-/// A place for each edge: few of them, close together, where there are few corners.
-#[inline(always)]
-fn place_of([low, high]: [u8; 2]) -> usize {
-    let high = usize::from(high);
-    (high * high.wrapping_sub(1) / 2 + usize::from(low)) % EDGE_SLOTS
 }
 
 /// Edges while they are numbered, in the order in which they are met, without a branch for each.
@@ -71,7 +62,7 @@ impl<'a> EdgeList<'a> {
         let code = code_of(corners);
         EDGES.map(|edge| {
             let ends = edge.map(|i| corners[usize::from(i) % 4]);
-            let slot = &mut self.numbers[place_of(ends)];
+            let slot = &mut self.numbers[slot_of(ends)];
             let is_new = *slot == NO_EDGE;
             let number = if is_new { self.count as u16 } else { *slot };
             *slot = number;
@@ -87,7 +78,7 @@ impl<'a> EdgeList<'a> {
     /// Forgets the numbers; tells how many there were.
     fn end(self) -> usize {
         for &edge in &self.edges[..self.count] {
-            self.numbers[place_of(edge)] = NO_EDGE;
+            self.numbers[slot_of(edge)] = NO_EDGE;
         }
         self.count
     }
@@ -118,24 +109,18 @@ impl Maker {
         world: &WorldMap,
         avx2: Option<Avx2>,
     ) -> Option<KnownBlock> {
-        let (numbers, corners, tets) = (cells.numbers?, cells.ids.len(), cells.tets.len());
-        if corners > CORNERS || tets >= usize::from(u16::MAX) || numbers.iter().any(|&n| n >= SHARED) {
-            return None;
-        }
-        let mut order: [u8; CORNERS] = std::array::from_fn(|i| i as u8);
-        let order = &mut order[..corners];
-        order.sort_unstable_by_key(|&i| cells.ids[usize::from(i)]);
-        self.place(cells, order);
-        if !self.list(cells, order) {
+        let (order, corners, tets) = (Order::of(cells)?, cells.ids.len(), cells.tets.len());
+        self.at.clear();
+        self.at.extend(order.corners(cells));
+        if !self.list(cells, &order.ranks()) {
             return None;
         }
         on_lanes!(avx2, self.know_edges(world));
         self.close_groups();
-        let order = || order.iter().map(|&i| usize::from(i));
         let [groups, edges, slots] = [self.groups.len(), self.edges.len(), self.slots.len()];
         let mut words = Vec::with_capacity(3 * groups + 7 * corners + edges + 4 * tets + 3 * slots);
         words.extend_from_slice(bytemuck::cast_slice(&self.groups));
-        words.extend(order().map(|i| numbers[i] | if cells.shared[i] { SHARED } else { 0 }));
+        words.extend(order.numbers(cells));
         words.extend_from_slice(bytemuck::cast_slice(&self.at));
         let begin = words.len();
         words.resize(begin + edges, 0);
@@ -149,23 +134,12 @@ impl Maker {
         bytemuck::cast_slice_mut(of_corners).copy_from_slice(&self.tets);
         bytemuck::cast_slice_mut(of_edges).copy_from_slice(&self.tet_edges);
         words.extend_from_slice(self.slots.as_flattened());
-        words.extend(order().map(|i| cells.ids[i].0).flat_map(|id| [id as u32, (id >> 32) as u32]));
+        words.extend(order.ids(cells));
         Some(KnownBlock { words: words.into(), corners, edges, tets, slots })
     }
 
-    fn place(&mut self, cells: &CellSource<'_>, order: &[u8]) {
-        self.at.clear();
-        self.at.extend(order.iter().map(|&i| {
-            // At most 2^24: exact.
-            let [x, y, z] = cells.positions[usize::from(i)].map(|x| x as f32);
-            [x, y, z, cells.values[usize::from(i)]]
-        }));
-    }
-
     /// Lists tetrahedra, groups and edges. False if there are too many.
-    fn list(&mut self, cells: &CellSource<'_>, order: &[u8]) -> bool {
-        let mut rank = [0; CORNERS];
-        (0..=255).zip(order).for_each(|(r, &i)| rank[usize::from(i)] = r);
+    fn list(&mut self, cells: &CellSource<'_>, rank: &[u8; CORNERS]) -> bool {
         self.tets.clear();
         self.tet_edges.clear();
         self.groups.clear();

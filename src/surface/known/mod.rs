@@ -21,7 +21,7 @@ mod make;
 mod sides;
 
 use super::fours::Corner;
-use super::numbered::Unpacked;
+use super::ordered::{SHARED, Unpacked, shared_ids, sides_of};
 use crate::exec::will_read;
 use crate::geom::PointId;
 use crate::mesh::tet::is_active;
@@ -34,8 +34,6 @@ use sides::Table;
 const GROUP: usize = 16;
 /// The most edges of a block; so many have less than 2^15 slots of what is known of them.
 const EDGES_MOST: usize = 1 << 14;
-/// In the number of a corner: other chunks may have it.
-const SHARED: u32 = 1 << 31;
 /// In the first edge of a tetrahedron: the order of its ids is an odd permutation of a positively oriented one.
 const TURNED: u16 = 1 << 15;
 /// In the slot of an edge: other blocks may have tetrahedra around it.
@@ -143,16 +141,14 @@ impl KnownBlock {
     }
 
     #[inline(always)]
-    fn id(&self, corner: u8) -> PointId {
-        let at = self.ends()[6] + 2 * usize::from(corner);
-        PointId(u64::from(self.words[at]) | u64::from(self.words[at + 1]) << 32)
+    fn ids(&self) -> &[u32] {
+        &self.words[self.ends()[6]..]
     }
 
     /// The ids of two corners, if other chunks may have both.
     #[inline(always)]
-    fn shared(&self, [a, b]: [u8; 2]) -> Option<(PointId, PointId)> {
-        let is_shared = self.numbers()[usize::from(a)] & self.numbers()[usize::from(b)] & SHARED != 0;
-        is_shared.then(|| (self.id(a), self.id(b)))
+    fn shared(&self, ends: [u8; 2]) -> Option<(PointId, PointId)> {
+        shared_ids(self.numbers(), self.ids(), ends)
     }
 
     /// Asks the processor for what is looked at of any block.
@@ -180,32 +176,16 @@ impl KnownBlock {
     /// On which side each corner is: inside 1, outside 16, a NaN 0.
     #[inline(always)]
     fn sides(&self, isovalue: f32) -> Table {
-        let mut sides: Table = [0; size_of::<Table>()];
-        for (side, corner) in sides.iter_mut().zip(self.at()) {
-            let v = corner[3];
-            *side = u8::from(v >= isovalue) | u8::from(v < isovalue) << 4;
-        }
-        sides
+        sides_of(self.at(), isovalue)
     }
 
     /// All of the block as it was: its corners in the order of their ids.
     pub(crate) fn unpack(&self, out: &mut Unpacked<'_>) {
-        let whole = |x: f32| x as u32;
-        out.numbers.clear();
-        out.numbers.extend(self.numbers().iter().map(|n| n & !SHARED));
-        out.shared.clear();
-        out.shared.extend(self.numbers().iter().map(|n| n & SHARED != 0));
-        out.positions.clear();
-        out.positions.extend(self.at().iter().map(|&[x, y, z, _]| [whole(x), whole(y), whole(z)]));
-        out.values.clear();
-        out.values.extend(self.at().iter().map(|at| at[3]));
-        out.ids.clear();
-        out.ids.extend((0..self.corners).map(|i| self.id(i as u8)));
-        out.tets.clear();
-        out.tets.extend(self.tets().iter().zip(self.edges_of_tets()).map(|(tet, edges)| {
+        let tets = self.tets().iter().zip(self.edges_of_tets()).map(|(tet, edges)| {
             let [a, b, c, d] = tet.map(u32::from);
             if edges[0] & TURNED == 0 { [a, b, c, d] } else { [a, b, d, c] }
-        }));
+        });
+        out.put(self.numbers(), self.at(), self.ids(), tets);
     }
 }
 
