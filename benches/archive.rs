@@ -3,8 +3,9 @@
 //! `cargo bench --bench archive`; names are `encode/SET`, `decode/SET`, `values/encode` and `values/decode`.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use isospan::archive::chunk::{ChunkEncoder, ChunkVertices, TetBlock, TetScratch};
+use isospan::archive::chunk::{ChunkEncoder, TetBlock, TetScratch};
 use isospan::archive::values::{BLOCK_VALUES, decode_values, encode_values};
+use isospan::archive::vertices::ChunkVertices;
 use isospan::geom::curve::Order;
 use isospan::geom::{Lattice, LatticePos};
 use isospan::grid::{BrickGrid, BrickId};
@@ -60,14 +61,15 @@ fn tetrahedra(c: &mut Criterion) {
                 encoder.encode(&vertices, &positions, black_box(&tets).clone(), BLOCK_TETS).tet_blocks()
             });
         });
-        let blocks = encoder.encode(&vertices, &positions, tets.clone(), BLOCK_TETS).blocks;
-        let bytes: usize = blocks[1..].iter().map(Vec::len).sum();
+        let blocks = encoder.encode(&vertices, &positions, tets.clone(), BLOCK_TETS);
+        let blocks = blocks.blocks_of_tets();
+        let bytes: usize = blocks.iter().map(Vec::len).sum();
         eprintln!("    {name}: {:.2} bits a tetrahedron", bytes as f64 * 8.0 / tets.len() as f64);
         let (mut out, mut scratch, mut here) = (vec![], TetScratch::default(), vec![]);
         group.bench_function(format!("decode/{name}"), |b| {
             b.iter(|| {
                 out.clear();
-                for block in &blocks[1..] {
+                for block in blocks {
                     let block = TetBlock::open(black_box(block), vertices.len());
                     let block = block.expect("the block was just made");
                     here.clear();

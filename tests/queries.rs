@@ -53,6 +53,25 @@ fn several_isovalues_give_the_bytes_of_each_alone() {
     }
 }
 
+/// Of a chunk that a surface touches but its header is read, and pages of what its blocks have.
+#[test]
+fn a_surface_reads_at_most_twice_the_bytes_of_its_blocks() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("ball.npy");
+    write_npy(&input, DIMS, ball);
+    let archive = dir.path().join("ball.isospan");
+    reduce(&input, &settings(SetKind::Halton, Amount::Count(60_000), 8_000), &archive, 2);
+    let mut asked = 0;
+    for isovalue in [0.45f32, 0.4, 0.3, 0.2, 0.0, -0.3, -0.8, -1.5, -2.2] {
+        let report = surface(&archive, isovalue, &dir.path().join("ball.ply"), 1);
+        if report.active_blocks >= 64 {
+            asked += 1;
+            assert!(report.bytes_read <= 2 * report.active_bytes, "{isovalue}: {report:?}");
+        }
+    }
+    assert!(asked > 3, "{asked}");
+}
+
 #[test]
 fn several_isovalues_in_one_file_follow_each_other() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,9 +1,4 @@
-//! The mesh of one chunk as blocks: a header with the vertices, then the tetrahedra, some hundred a block.
-//!
-//! **Vertices** have ids local to the chunk: first the core points, brick after brick, each brick's in the order in
-//! which the point set enumerates them (along the Hilbert curve), then the halo points that some tetrahedron uses, by
-//! ascending [`PointId`]. Ids and positions of core points cost nothing (the point set tells them from the counts); a
-//! halo point costs a difference of ids, one or two bytes.
+//! The mesh of one chunk as blocks: the vertices ([`super::vertices`]), then the tetrahedra, some hundred a block.
 //!
 //! **Blocks.** A tetrahedron belongs to its smallest local vertex. A block is a run of vertices with all their
 //! tetrahedra: as ids follow the bricks and, inside a brick, the Hilbert curve, a block is compact in space, its (min, max) are
@@ -14,53 +9,19 @@
 
 use super::star;
 use super::tuples::{self, canonical};
-use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
-use crate::geom::{LatticePos, PointId};
+use super::vertices::ChunkVertices;
+use super::wire::{Cursor, Malformed};
+use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
 
-/// Codec of a header block: one zstd frame.
-pub const HEADER_ZSTD: u8 = 0;
 /// Codec of a tetrahedron block: sorted tuples, differences, zstd.
 pub const TETS_TUPLES: u8 = 0;
 /// Codec of a tetrahedron block: star after star.
 pub const TETS_STARS: u8 = 1;
-/// Compression level of headers: most of one are differences of ids, which no level shrinks much.
-const HEADER_LEVEL: i32 = 3;
-/// The most bytes of an expanded header.
-pub const LARGEST_HEADER: usize = 1 << 28;
-
-/// The vertices of a chunk's mesh.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct ChunkVertices {
-    /// Points of each brick of the chunk, in brick order. Local ids run through them in this order.
-    pub core_counts: Vec<u32>,
-    /// Halo points in use, ascending; the local id of one is the number of core points plus its position here.
-    pub halo: Vec<PointId>,
-    /// For each local vertex, whether another chunk has it too; always true for halo points.
-    pub shared: Vec<bool>,
-}
-
-impl ChunkVertices {
-    /// Number of core points.
-    pub fn core_len(&self) -> u32 {
-        self.core_counts.iter().sum()
-    }
-
-    /// Number of local vertices.
-    pub fn len(&self) -> u32 {
-        self.core_len() + self.halo.len() as u32
-    }
-
-    /// Whether there is no vertex.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-}
-
 /// A chunk ready to be written.
 #[derive(Clone, Debug, Default)]
 pub struct EncodedChunk {
-    /// Block 0 is the header, the others hold the tetrahedra.
+    /// The vertices' blocks, then the tetrahedra's.
     pub blocks: Vec<Vec<u8>>,
     /// All tetrahedra, block after block.
     tets: Vec<Tet>,
@@ -74,7 +35,17 @@ impl EncodedChunk {
         self.starts.len() - 1
     }
 
-    /// The tetrahedra of tetrahedron block `n`, which is `blocks[n + 1]`, as its decoder gives them.
+    /// The blocks of the vertices: the header, and its pages.
+    pub fn vertex_blocks(&self) -> &[Vec<u8>] {
+        &self.blocks[..self.blocks.len() - self.tet_blocks()]
+    }
+
+    /// The tetrahedron blocks.
+    pub fn blocks_of_tets(&self) -> &[Vec<u8>] {
+        &self.blocks[self.blocks.len() - self.tet_blocks()..]
+    }
+
+    /// The tetrahedra of tetrahedron block `n`, as its decoder gives them.
     pub fn block_tets(&self, n: usize) -> &[Tet] {
         &self.tets[self.starts[n] as usize..self.starts[n + 1] as usize]
     }
@@ -149,7 +120,7 @@ impl ChunkEncoder {
     /// each, and they ascend by that.
     ///
     /// # Panics
-    /// When a vertex id is not local, `positions` or `shared` is not as long as the vertices, the halo is not ascending, or `block_tets` is 0.
+    /// When a vertex id is not local, `positions` or `shared` is not as long as the vertices, or `block_tets` is 0.
     pub fn encode(
         &mut self,
         vertices: &ChunkVertices,
@@ -164,7 +135,7 @@ impl ChunkEncoder {
         assert!(tets.is_empty() || largest < vertices.len(), "every vertex is local");
         let mut tets = by_vertex(tets, vertices.len());
         let starts = block_starts(&tets, block_tets);
-        let mut blocks = vec![encode_header(vertices)];
+        let mut blocks = vertices.encode();
         for w in starts.windows(2) {
             let tets = &mut tets[w[0] as usize..w[1] as usize];
             blocks.push(encode_tets(&mut self.0, tets, positions));
@@ -286,79 +257,10 @@ impl<'a> TetBlock<'a> {
     }
 }
 
-fn encode_header(vertices: &ChunkVertices) -> Vec<u8> {
-    let mut body = vec![];
-    put_varint(&mut body, vertices.core_counts.len() as u64);
-    vertices.core_counts.iter().for_each(|&n| put_varint(&mut body, u64::from(n)));
-    put_varint(&mut body, vertices.halo.len() as u64);
-    let mut next = 0;
-    for id in &vertices.halo {
-        put_varint(&mut body, id.0.checked_sub(next).expect("halo ids ascend"));
-        next = id.0 + 1;
-    }
-    let core = &vertices.shared[..vertices.core_len() as usize];
-    for eight in core.chunks(8) {
-        body.push(eight.iter().enumerate().fold(0, |byte, (i, &bit)| byte | u8::from(bit) << i));
-    }
-    let mut out = vec![HEADER_ZSTD];
-    out.extend(to_zstd(&body, HEADER_LEVEL));
-    out
-}
-
-/// Reads a count and as many 32-bit numbers; each takes at least a byte, so a lying count is found first.
-fn counted(c: &mut Cursor<'_>, at: &'static str) -> Result<Vec<u32>, Malformed> {
-    let n = checked_count(c, at)?;
-    (0..n).map(|_| c.varint32(at)).collect()
-}
-
-fn checked_count(c: &mut Cursor<'_>, at: &'static str) -> Result<usize, Malformed> {
-    let n = c.varint32(at)? as usize;
-    if n > c.rest().len() {
-        return Err(Malformed::new(at, format!("at most {} numbers", c.rest().len()), n.to_string()));
-    }
-    Ok(n)
-}
-
-impl ChunkVertices {
-    /// Decodes block 0 of a chunk, its header.
-    ///
-    /// # Errors
-    /// When the bytes are not such a block.
-    pub fn decode(bytes: &[u8]) -> Result<Self, Malformed> {
-        let mut c = Cursor::new(bytes);
-        let codec = c.u8("codec")?;
-        if codec != HEADER_ZSTD {
-            return Err(Malformed::new("codec", "a known header codec", codec.to_string()));
-        }
-        let body = unzstd(c.rest(), LARGEST_HEADER, "chunk header")?;
-        let mut c = Cursor::new(&body);
-        let core_counts = counted(&mut c, "points of a brick")?;
-        let n = checked_count(&mut c, "halo points")?;
-        let mut halo = Vec::with_capacity(n);
-        let mut next = Some(0u64);
-        for _ in 0..n {
-            let gap = c.varint("halo point")?;
-            let id = next.and_then(|n| n.checked_add(gap));
-            let id = id.ok_or_else(|| Malformed::new("halo point", "an id of 64 bits", "a larger one"))?;
-            halo.push(PointId(id));
-            next = id.checked_add(1);
-        }
-        let core = core_counts.iter().map(|&n| u64::from(n)).sum::<u64>();
-        if core + n as u64 > u64::from(u32::MAX) {
-            return Err(Malformed::new("vertices", "at most 2^32 - 1", (core + n as u64).to_string()));
-        }
-        let bits = c.take(core.div_ceil(8) as usize, "shared flags")?;
-        c.end("chunk header")?;
-        let mut shared: Vec<bool> = (0..core as usize).map(|i| bits[i / 8] >> (i % 8) & 1 == 1).collect();
-        shared.resize(core as usize + n, true);
-        Ok(Self { core_counts, halo, shared })
-    }
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::geom::PointClass;
+    use crate::geom::PointId;
 
     /// A box of cubes, each cut in six tetrahedra around its diagonal, positively oriented; vertices x fastest.
     pub(crate) fn cubes(n: [u32; 3]) -> Vec<Tet> {
@@ -406,23 +308,22 @@ pub(crate) mod tests {
         tets
     }
 
-    fn decode(encoded: &EncodedChunk, positions: &[LatticePos]) -> (ChunkVertices, Vec<Tet>) {
-        let header = ChunkVertices::decode(&encoded.blocks[0]).unwrap();
+    fn decode(encoded: &EncodedChunk, positions: &[LatticePos]) -> Vec<Tet> {
         let (mut all, mut scratch) = (vec![], TetScratch::default());
-        let reopened = |bytes| TetBlock::open(bytes, header.len()).unwrap();
-        for (n, bytes) in encoded.blocks[1..].iter().enumerate() {
+        let open = |bytes| TetBlock::open(bytes, positions.len() as u32).unwrap();
+        for (n, bytes) in encoded.blocks_of_tets().iter().enumerate() {
             let before = all.len();
-            let block = TetBlock::open(bytes, header.len()).unwrap();
+            let block = open(bytes);
             let here: Vec<LatticePos> = block.vertices().iter().map(|&v| positions[v as usize]).collect();
             block.decode(&here, &mut scratch, &mut all).unwrap();
             assert_eq!(&all[before..], encoded.block_tets(n), "in the same order, turned the same way");
-            let (block, mut places) = (reopened(bytes), vec![]);
+            let (block, mut places) = (open(bytes), vec![]);
             let vertices = block.vertices().to_vec();
             block.decode_places(&here, &mut scratch, &mut places).unwrap();
             let named: Vec<Tet> = places.iter().map(|t| t.map(|p| vertices[p as usize])).collect();
             assert_eq!(named, all[before..]);
         }
-        (header, all)
+        all
     }
 
     #[test]
@@ -432,10 +333,8 @@ pub(crate) mod tests {
         for block_tets in [1, 7, 100, 1000, 1_000_000] {
             let positions = corners([9, 7, 8]);
             let encoded = encode_chunk(&vertices, &positions, &tets, block_tets);
-            assert_eq!(encoded.blocks.len(), encoded.tet_blocks() + 1);
-            let (header, back) = decode(&encoded, &positions);
-            assert_eq!(header, vertices);
-            assert_eq!(sorted(&back), sorted(&tets));
+            assert_eq!(encoded.vertex_blocks(), vertices.encode());
+            assert_eq!(sorted(&decode(&encoded, &positions)), sorted(&tets));
         }
     }
 
@@ -452,10 +351,10 @@ pub(crate) mod tests {
 
     #[test]
     fn no_tetrahedra_and_no_vertices_are_a_chunk_too() {
-        let (header, tets) = decode(&encode_chunk(&ChunkVertices::default(), &[], &[], 1000), &[]);
-        assert_eq!((header, tets.len()), (ChunkVertices::default(), 0));
-        let (header, _) = decode(&encode_chunk(&vertices_of(10), &[[0; 3]; 10], &[], 1000), &[]);
-        assert_eq!(header, vertices_of(10));
+        for n in [0, 10] {
+            let encoded = encode_chunk(&vertices_of(n), &vec![[0; 3]; n as usize], &[], 1000);
+            assert_eq!((encoded.tet_blocks(), &*encoded.blocks), (0, &*vertices_of(n).encode()));
+        }
     }
 
     #[test]
@@ -468,7 +367,7 @@ pub(crate) mod tests {
         let positions: Vec<LatticePos> = (0..40).map(|_| [0; 3].map(|_: u32| next(1 << 20))).collect();
         let round_trip = |tets: &[Tet]| {
             let encoded = encode_chunk(&vertices_of(40), &positions, tets, 1000);
-            assert_eq!(sorted(&decode(&encoded, &positions).1), sorted(tets));
+            assert_eq!(sorted(&decode(&encoded, &positions)), sorted(tets));
             let mut other: Vec<Tet> = tets.iter().rev().map(|&[a, b, c, d]| [c, d, a, b]).collect();
             other.rotate_left(tets.len() / 2);
             assert_eq!(encode_chunk(&vertices_of(40), &positions, &other, 1000).blocks, encoded.blocks);
@@ -492,35 +391,6 @@ pub(crate) mod tests {
         assert_eq!(encoded.tet_blocks(), 6);
         for n in 0..6 {
             assert!((900..1100).contains(&encoded.block_tets(n).len()), "{}", encoded.block_tets(n).len());
-        }
-    }
-
-    #[test]
-    fn damaged_headers_never_panic() {
-        let mut vertices = vertices_of(50);
-        vertices.halo.push(PointId::new(PointClass::Corner, 7));
-        vertices.shared.push(true);
-        let positions = vec![[0; 3]; vertices.len() as usize];
-        let good = encode_chunk(&vertices, &positions, &[], 10).blocks.remove(0);
-        assert_eq!(ChunkVertices::decode(&good).unwrap(), vertices);
-        for i in 0..good.len() {
-            assert!(ChunkVertices::decode(&good[..i]).is_err());
-            for bit in 0..8 {
-                let mut bad = good.clone();
-                bad[i] ^= 1 << bit;
-                let _ = ChunkVertices::decode(&bad);
-            }
-        }
-        // A body without compression, so that the fields themselves are hit.
-        let body = unzstd(&good[1..], 1 << 20, "body").unwrap();
-        for i in 0..body.len() {
-            for value in [0, 0x7f, 0x80, 0xff] {
-                let mut bad = body.clone();
-                bad[i] = value;
-                let mut block = vec![HEADER_ZSTD];
-                block.extend(to_zstd(&bad, 1));
-                let _ = ChunkVertices::decode(&block);
-            }
         }
     }
 }

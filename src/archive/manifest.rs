@@ -13,7 +13,7 @@ use super::explicit::ExplicitRecord;
 use super::levels::LevelsRecord;
 use super::publish::Unpublished;
 use super::repeated::RepeatedRecord;
-use super::segment::{FORMAT_VERSION, OLDEST_READER, PlanHash, SegmentInfo};
+use super::segment::{FORMAT_VERSION, OLDEST_FORMAT, OLDEST_READER, PlanHash, SegmentInfo};
 use super::values::Quantiser;
 use crate::bytes::remote::{is_remote, read_all};
 use crate::error::{Error, Result};
@@ -380,7 +380,19 @@ impl Manifest {
         if version.format != MANIFEST_FORMAT {
             return Err(Error::bad_input(path, "format", MANIFEST_FORMAT, version.format));
         }
-        if version.oldest_reader > FORMAT_VERSION || version.format_version == 0 {
+        if version.format_version < OLDEST_FORMAT {
+            let expected = format!("format {OLDEST_FORMAT} or later");
+            return Err(Error::bad_input(
+                path,
+                "format_version",
+                expected,
+                version.format_version.to_string(),
+            )
+            .with_help(
+                "an earlier isospan has made it: run the same reduction again, with another output name",
+            ));
+        }
+        if version.oldest_reader > FORMAT_VERSION {
             return Err(Error::bad_input(
                 path,
                 "format_version",
@@ -603,6 +615,10 @@ pub(crate) mod tests {
         .unwrap();
         let e = Manifest::read(dir.path()).unwrap_err().to_string();
         assert!(e.contains("got 9, for programs of format 8 on; use a newer isospan"), "{e}");
+        let old = r#"{"format":"isospan archive","format_version":1,"oldest_reader":1}"#;
+        std::fs::write(&path, old).unwrap();
+        let e = Manifest::read(dir.path()).unwrap_err().to_string();
+        assert!(e.contains("expected format 2 or later, got 1; an earlier isospan has made it"), "{e}");
         std::fs::write(&path, "{}").unwrap();
         assert!(
             Manifest::read(dir.path()).unwrap_err().to_string().contains("manifest of an isospan archive")

@@ -7,6 +7,7 @@
 //! * [`manifest`]: what the archive is of and which segments it has; written last.
 //! * [`summary`]: what a chunk's last block tells of it.
 //! * [`values`]: the values of a chunk's vertices.
+//! * [`vertices`]: which they are.
 //!
 //! What is promised: a file under its name is complete, and was synced before it got the name; a damaged byte is an error
 //! when it is read, never a wrong answer and never a panic; the bytes of a file depend on what it holds alone. Not promised:
@@ -29,6 +30,7 @@ mod star;
 pub mod summary;
 mod tuples;
 pub mod values;
+pub mod vertices;
 pub(crate) mod wire;
 
 pub use publish::TEMPORARY_MARK;
@@ -36,7 +38,7 @@ pub use wire::Malformed;
 
 #[cfg(test)]
 mod tests {
-    use super::{chunk, coordinates, levels, manifest, segment, star, values};
+    use super::{chunk, coordinates, levels, manifest, segment, star, values, vertices};
     use crate::index::page;
     use crate::spectrum;
 
@@ -47,14 +49,17 @@ mod tests {
         let constants: &[(&str, u64)] = &[
             ("FORMAT_VERSION", u64::from(segment::FORMAT_VERSION)),
             ("OLDEST_READER", u64::from(segment::OLDEST_READER)),
+            ("OLDEST_FORMAT", u64::from(segment::OLDEST_FORMAT)),
             ("HEADER_BYTES", segment::HEADER_BYTES),
             ("FOOTER_BYTES", segment::FOOTER_BYTES),
             ("PAGE_BLOCKS", segment::PAGE_BLOCKS),
             ("PAGE_FRAME_BYTES", segment::PAGE_FRAME_BYTES),
             ("PAGE_ENTRY_BYTES", segment::PAGE_ENTRY_BYTES),
             ("LARGEST_BLOCK", segment::LARGEST_BLOCK),
-            ("LARGEST_HEADER", chunk::LARGEST_HEADER as u64),
-            ("HEADER_ZSTD", u64::from(chunk::HEADER_ZSTD)),
+            ("LARGEST_HEADER", vertices::LARGEST_HEADER as u64),
+            ("HEADER_ZSTD", u64::from(vertices::HEADER_ZSTD)),
+            ("PAGE_FLAGS", vertices::PAGE_FLAGS as u64),
+            ("PAGE_IDS", vertices::PAGE_IDS as u64),
             ("TETS_TUPLES", u64::from(chunk::TETS_TUPLES)),
             ("TETS_STARS", u64::from(chunk::TETS_STARS)),
             ("LARGEST_STARS", star::LARGEST_STARS as u64),

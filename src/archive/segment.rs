@@ -26,15 +26,17 @@ pub const MAGIC: [u8; 8] = *b"\x89ISO\r\n\x1a\n";
 /// Last bytes but eight of a segment.
 pub const END_MAGIC: [u8; 8] = *b"ISOEND\r\n";
 /// The version this program writes.
-pub const FORMAT_VERSION: u16 = 1;
+pub const FORMAT_VERSION: u16 = 2;
 /// The oldest program version (in the same numbering) that can read what this program writes.
-pub const OLDEST_READER: u16 = 1;
+pub const OLDEST_READER: u16 = 2;
+/// The oldest version that this program reads.
+pub const OLDEST_FORMAT: u16 = 2;
 /// Bytes of the header.
 pub const HEADER_BYTES: u64 = 40;
 /// Bytes of the footer.
 pub const FOOTER_BYTES: u64 = 48;
 /// Blocks described by a full directory page.
-pub const PAGE_BLOCKS: u64 = 62;
+pub const PAGE_BLOCKS: u64 = 16;
 /// Bytes of a directory page besides its entries: the offset of its first block before them, and its checksum behind.
 pub const PAGE_FRAME_BYTES: u64 = 12;
 /// Bytes of a directory entry: length and checksum of a block.

@@ -18,8 +18,8 @@
 //! **The tree on disk** is a kd-tree that alternates between min and max, as NOISE's, and without pointers, as NOISE's: where
 //! the halves lie follows from the number of entries alone. Unlike NOISE's, entries are in the leaves only, and a node
 //! tells for each child the lowest min and the highest max below it, so that a child is read only if its own
-//! bounds say that it can hold an answer. Eight levels of halving make one page of at most 256 children; a leaf page has at
-//! most 256 entries. Pages are blocks of a segment in depth-first order ([`build`] writes, [`query`] reads).
+//! bounds say that it can hold an answer. Six levels of halving make one page of at most 64 children; a leaf page has at
+//! most 64 entries. Pages are blocks of a segment in depth-first order ([`build`] writes, [`query`] reads).
 //!
 //! **Cost.** Opening reads the segment's header and footer and one small block. A query of k answers reads O(√(n/L) + k/L) pages of L
 //! entries. Building takes as much memory as it is given: what does not fit is cut on disk ([`build`]); the bytes are the same.

@@ -6,9 +6,9 @@ use crate::archive::wire::{Cursor, put_varint};
 use std::collections::BTreeMap;
 
 /// The most entries of a leaf page.
-pub(crate) const LEAF_ENTRIES: u64 = 256;
-/// Levels of halving in an inner page: at most 2^8 children.
-pub(crate) const PAGE_LEVELS: u32 = 8;
+pub(crate) const LEAF_ENTRIES: u64 = 64;
+/// Levels of halving in an inner page: at most 2^6 children.
+pub(crate) const PAGE_LEVELS: u32 = 6;
 /// First byte of a leaf page.
 pub(crate) const LEAF: u8 = 0;
 /// First byte of an inner page.

@@ -5,6 +5,7 @@
 
 use super::need::{self, Halo};
 use super::plan::check_brick;
+use crate::archive::vertices::order_halo;
 use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::geom::curve::Order;
@@ -30,7 +31,7 @@ pub(crate) struct Recipe<'a> {
 pub(crate) struct MeshedChunk {
     /// Points in each brick of the chunk, in brick order.
     pub(crate) core_counts: Vec<u32>,
-    /// Ids of the halo points, ascending; vertex numbers continue those of the core.
+    /// Ids of the halo points, ordered as they are stored; vertex numbers continue those of the core.
     pub(crate) halo: Vec<PointId>,
     /// Positions of core points, then of halo points.
     pub(crate) positions: Vec<LatticePos>,
@@ -214,7 +215,7 @@ fn shell(inner: &LatticeBox, outer: &LatticeBox) -> Vec<LatticeBox> {
     boxes
 }
 
-/// Keeps only the halo points that tetrahedra use, ordered by id; `positions` are those of all sites.
+/// Keeps only the halo points that tetrahedra use, ordered as they are stored; `positions` are those of all sites.
 fn renumber(
     core_counts: Vec<u32>,
     sites: &[Site],
@@ -235,7 +236,7 @@ fn renumber(
         }
     }
     let mut halo: Vec<u32> = (0..used.len()).filter(|&i| used[i]).map(|i| (core + i) as u32).collect();
-    halo.sort_unstable_by_key(|&v| sites[v as usize].id);
+    order_halo(core, &mut halo, |&v| sites[v as usize].pos, |&v| sites[v as usize].id);
     let mut number = vec![u32::MAX; used.len()];
     for (i, &v) in halo.iter().enumerate() {
         number[v as usize - core] = (core + i) as u32;

@@ -577,6 +577,7 @@ impl OpenArchive {
             block_ends.push(tets.len());
         }
         reader.load_values(&tets)?;
+        reader.load_all_flags()?;
         let core = reader.core();
         let (positions, ids, values, shared) = reader.into_corners();
         Ok(DecodedChunk { positions, ids, values, shared, tets, block_ends, core })

@@ -4,9 +4,9 @@
 //!  header (once) ─▶ block(n): its corners, their positions ─▶ its tetrahedra ─▶ the corners' values
 //! ```
 //!
-//! The tetrahedra of a block are decoded from the positions of its corners. Values come in blocks of [`BLOCK_VALUES`] and positions
-//! brick by brick (a brick lists its points again from the formula of the point set), each when a corner of theirs is first needed; a question
-//! about isovalues needs but those of values that are on both sides of one, or have neighbours on the other side.
+//! The tetrahedra of a block are decoded from the positions of its corners. Values come in blocks of [`BLOCK_VALUES`], ids of halo points and
+//! flags in pages, and positions brick by brick (a brick lists its points again from the formula of the point set), each when a corner of theirs
+//! is first needed; a question about isovalues needs but those of values that are on both sides of one, or have neighbours on the other side.
 //! So a chunk whose surface is small costs a few bricks.
 
 use super::block::{Block, BlockCorners};
@@ -15,10 +15,11 @@ use super::open::{OpenArchive, OpenSegment};
 use super::plan::check_brick;
 use super::roi::Cut;
 use crate::archive::Malformed;
-use crate::archive::chunk::{ChunkVertices, TetBlock, TetScratch};
+use crate::archive::chunk::{TetBlock, TetScratch};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::summary::ValueRange;
 use crate::archive::values::BLOCK_VALUES;
+use crate::archive::vertices::{ChunkHeader, PAGE_FLAGS, PAGE_IDS, decode_flags, decode_ids};
 use crate::error::{Error, Result};
 use crate::geom::{LatticeBox, LatticePos, PointId, Site};
 use crate::grid::{BrickId, Chunk, ChunkId};
@@ -36,8 +37,9 @@ pub(super) struct ChunkReader<'a> {
     bricks: Vec<BrickId>,
     /// First corner of each brick, and the number of core corners.
     starts: Vec<u32>,
-    halo: Vec<PointId>,
+    /// Whether another chunk has a corner, of core corners once their page has been read.
     shared: Vec<bool>,
+    pages: Pages,
     /// Bytes of each block of values that has been read; 0 of the others.
     value_bytes: Vec<u32>,
     /// What is known of the values that have not been read, once that was needed.
@@ -47,6 +49,14 @@ pub(super) struct ChunkReader<'a> {
     /// Bytes of the blocks that hold an active tetrahedron.
     active_bytes: u64,
     memory: ReaderMemory,
+}
+
+/// The pages of a chunk's corners.
+struct Pages {
+    /// Pages of flags; behind them are those of ids.
+    of_flags: usize,
+    /// Of each page whether it has been read.
+    read: Vec<bool>,
 }
 
 /// The memory of a reader, for the next one: pages that a process has need not be cleared again.
@@ -78,11 +88,14 @@ impl<'a> ChunkReader<'a> {
             return Err(damaged(&segment.mesh, id, "block count", &blocks));
         }
         segment.mesh.block(id, 0, &mut memory.bytes)?;
-        let header = ChunkVertices::decode(&memory.bytes).map_err(|m| segment.mesh.blame(id, 0, m))?;
+        let header = ChunkHeader::decode(&memory.bytes).map_err(|m| segment.mesh.blame(id, 0, m))?;
         if header.core_counts.len() as u64 != chunk.brick_count() {
             return Err(damaged(&segment.mesh, id, "header", "it has another number of bricks"));
         }
-        let vertices = header.len() as usize;
+        let (vertices, pages) = (header.len(), header.flag_pages() + header.id_pages());
+        if (pages as u64) > blocks - 2 {
+            return Err(damaged(&segment.mesh, id, "block count", &blocks));
+        }
         let value_blocks = vertices.div_ceil(BLOCK_VALUES);
         let others = archive.step().plan.blocks_behind_values();
         if segment.values.block_count(id) != value_blocks as u64 + others {
@@ -95,14 +108,16 @@ impl<'a> ChunkReader<'a> {
             Some(*sum)
         }));
         memory.start(vertices);
+        let mut shared = vec![false; header.core_len()];
+        shared.resize(vertices, true);
         Ok(Self {
             archive,
             segment,
             bricks: chunk.bricks(archive.chunks.bricks()).collect(),
             chunk,
             starts,
-            halo: header.halo,
-            shared: header.shared,
+            shared,
+            pages: Pages { of_flags: header.flag_pages(), read: vec![false; pages] },
             value_bytes: vec![0; value_blocks],
             value_ranges: None,
             active_values: vec![false; value_blocks],
@@ -153,6 +168,7 @@ impl<'a> ChunkReader<'a> {
         if !is_wanted {
             return Ok(false);
         }
+        self.load_flags(&out.corners.numbers)?;
         let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = &mut out.corners;
         gather(&self.memory.ids, numbers, ids);
         gather(&self.shared, numbers, shared);
@@ -172,13 +188,23 @@ impl<'a> ChunkReader<'a> {
     fn read(&mut self, number: u32) -> Result<u64> {
         let (mesh, id) = (&self.segment.mesh, self.chunk.id);
         let blocks = mesh.block_count(id);
-        // The first block is the header, the last the summary.
-        let at = u64::from(number) + 1;
+        // The last block is the summary.
+        let at = self.block_at(number);
         if at + 1 >= blocks {
-            return Err(damaged(mesh, id, "index", &format!("block {number} of {}", blocks - 2)));
+            return Err(damaged(
+                mesh,
+                id,
+                "index",
+                &format!("block {number} of {}", blocks - 1 - self.block_at(0)),
+            ));
         }
         mesh.block(id, at, &mut self.memory.bytes)?;
         Ok(self.memory.bytes.len() as u64)
+    }
+
+    /// Which block of the chunk a tetrahedron block is: before them are the header and its pages.
+    fn block_at(&self, number: u32) -> u64 {
+        (1 + self.pages.read.len()) as u64 + u64::from(number)
     }
 
     /// Decodes the bytes that were read. The inner error of `decode` is the block's.
@@ -190,7 +216,7 @@ impl<'a> ChunkReader<'a> {
         let bytes = std::mem::take(&mut self.memory.bytes);
         let decoded = decode(self, &bytes);
         self.memory.bytes = bytes;
-        decoded?.map_err(|m| self.segment.mesh.blame(self.chunk.id, u64::from(number) + 1, m))
+        decoded?.map_err(|m| self.segment.mesh.blame(self.chunk.id, self.block_at(number), m))
     }
 
     fn decode_alone(
@@ -324,7 +350,7 @@ impl<'a> ChunkReader<'a> {
     }
 
     /// A box that holds some corners, without placing them: those of core corners are in their bricks.
-    fn hull_of(&self, corners: &[u32]) -> Result<LatticeBox> {
+    fn hull_of(&mut self, corners: &[u32]) -> Result<LatticeBox> {
         let (core, bricks) = (self.core(), self.archive.chunks.bricks());
         let mut hull = LatticeBox { lo: UNPLACED, hi: [0; 3] };
         let mut brick_end = 0;
@@ -345,10 +371,54 @@ impl<'a> ChunkReader<'a> {
         Ok(hull)
     }
 
-    fn halo_position(&self, v: usize) -> Result<LatticePos> {
-        let id = self.halo[v - self.core()];
+    fn halo_position(&mut self, v: usize) -> Result<LatticePos> {
+        self.load_page(self.pages.of_flags + v / PAGE_IDS - self.core() / PAGE_IDS)?;
+        let id = self.memory.ids[v];
         let wrong = || damaged(&self.segment.mesh, self.chunk.id, "halo", &format!("no point {:#x}", id.0));
         self.archive.points.position(id).ok_or_else(wrong)
+    }
+
+    /// Reads the flags of corners, of which the numbers of core ones come first.
+    fn load_flags(&mut self, corners: &[u32]) -> Result<()> {
+        let mut last = usize::MAX;
+        for &v in corners {
+            let page = v as usize / PAGE_FLAGS;
+            if page == last {
+                continue;
+            }
+            if v as usize >= self.core() {
+                break;
+            }
+            last = page;
+            self.load_page(page)?;
+        }
+        Ok(())
+    }
+
+    #[inline]
+    fn load_page(&mut self, page: usize) -> Result<()> {
+        if self.pages.read[page] { Ok(()) } else { self.read_page(page) }
+    }
+
+    #[cold]
+    fn read_page(&mut self, page: usize) -> Result<()> {
+        let (core, vertices) = (self.core(), self.vertices());
+        let (mesh, id, at) = (&self.segment.mesh, self.chunk.id, 1 + page as u64);
+        let mut bytes = vec![];
+        mesh.block(id, at, &mut bytes)?;
+        let decoded = match page.checked_sub(self.pages.of_flags) {
+            None => {
+                let first = page * PAGE_FLAGS;
+                decode_flags(&bytes, &mut self.shared[first..core.min(first + PAGE_FLAGS)])
+            }
+            Some(n) => {
+                let first = (core / PAGE_IDS + n) * PAGE_IDS;
+                decode_ids(&bytes, &mut self.memory.ids[first.max(core)..vertices.min(first + PAGE_IDS)])
+            }
+        };
+        decoded.map_err(|m| mesh.blame(id, at, m))?;
+        self.pages.read[page] = true;
+        Ok(())
     }
 
     /// Finds the positions of corners, which are then in `here`, and their ids.
@@ -368,7 +438,8 @@ impl<'a> ChunkReader<'a> {
     /// Finds positions and ids of all corners.
     pub(super) fn place_all(&mut self) -> Result<()> {
         (0..self.starts.len() - 1).try_for_each(|brick| self.place_brick(brick))?;
-        (self.core()..self.shared.len()).try_for_each(|v| self.place_corner(v))
+        (self.core()..self.shared.len()).try_for_each(|v| self.place_corner(v))?;
+        self.load_all_flags()
     }
 
     /// A halo corner's position is a formula of its id; a core corner's brick is enumerated.
@@ -380,7 +451,6 @@ impl<'a> ChunkReader<'a> {
             return self.place_brick(brick);
         }
         self.memory.positions[v] = self.halo_position(v)?;
-        self.memory.ids[v] = self.halo[v - core];
         Ok(())
     }
 
@@ -404,11 +474,17 @@ impl<'a> ChunkReader<'a> {
         Ok(())
     }
 
+    /// Reads the flags of all corners.
+    pub(super) fn load_all_flags(&mut self) -> Result<()> {
+        (0..self.pages.of_flags).try_for_each(|page| self.load_page(page))
+    }
+
     /// The mesh of the chunk, of which all corners have been placed.
     pub(super) fn into_mesh(self, tets: Vec<Tet>) -> MeshedChunk {
+        let core = self.core();
         MeshedChunk {
             core_counts: self.starts.windows(2).map(|w| w[1] - w[0]).collect(),
-            halo: self.halo,
+            halo: self.memory.ids[core..self.shared.len()].to_vec(),
             positions: self.memory.positions,
             shared: self.shared,
             tets,
@@ -417,7 +493,7 @@ impl<'a> ChunkReader<'a> {
         }
     }
 
-    /// What has been read of the corners: positions, ids, values (NaN where not loaded), whether shared.
+    /// What has been read of the corners: positions, ids (any of those not placed), values (NaN where not loaded), whether shared.
     pub(super) fn into_corners(self) -> (Vec<LatticePos>, Vec<PointId>, Vec<f32>, Vec<bool>) {
         let ReaderMemory { positions, ids, values, .. } = self.memory;
         (positions, ids, values, self.shared)

@@ -13,6 +13,7 @@ use super::spectrum::{Meter, stored_part};
 use crate::archive::repeated::RepeatedReader;
 use crate::archive::segment::Segment;
 use crate::archive::summary::{BlockRange, MeshSummary, value_ranges};
+use crate::archive::vertices::ChunkHeader;
 use crate::error::{Error, Result};
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkId};
@@ -181,9 +182,10 @@ fn check_chunk(
     let wrong = |at: &str, expected: String, got: String| {
         Err(Error::bad_input(file, format!("chunk {}, {at}", id.0), expected, got))
     };
-    // A chunk has a header and a summary besides.
+    // A chunk has the blocks of its vertices and a summary besides.
     let blocks = segment.mesh.block_count(id);
-    if u64::from(summary.tet_blocks) + 2 != blocks {
+    let of_vertices = ChunkHeader { core_counts: vec![summary.core], halo: summary.halo }.blocks() as u64;
+    if u64::from(summary.tet_blocks) + of_vertices + 1 != blocks {
         return wrong("summary", format!("that of {blocks} blocks"), format!("{summary:?}"));
     }
     let blocks: Vec<u32> = (0..summary.tet_blocks).collect();
@@ -240,6 +242,11 @@ fn check_mesh(
     if let Some(v) = (decoded.core..used.len()).find(|&v| !used[v] || core.contains(decoded.positions[v])) {
         let at = format!("{:?}", decoded.positions[v]);
         return wrong("halo", "points of other chunks that tetrahedra use".into(), at);
+    }
+    let mut halo = decoded.ids[decoded.core..].to_vec();
+    halo.sort_unstable();
+    if halo.windows(2).any(|w| w[0] == w[1]) {
+        return wrong("halo", "each point once".into(), "one twice".into());
     }
     Ok(())
 }

@@ -2,19 +2,21 @@
 
 use crate::mutate::{Random, mutate};
 use crate::seeds::{get, partner, put};
-use isospan::archive::chunk::{ChunkVertices, TetBlock, TetScratch};
+use isospan::archive::chunk::{TetBlock, TetScratch};
 use isospan::archive::manifest::{
     MANIFEST_NAME, Manifest, index_path, mesh_segment_path, values_segment_path,
 };
 use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use isospan::archive::summary::{MeshSummary, ValueSummary};
 use isospan::archive::values::decode_values;
+use isospan::archive::vertices::{ChunkHeader, decode_flags, decode_ids};
 use isospan::bytes::IoMode;
 use isospan::cells::scan::{scan, scan_field};
 use isospan::exec::Silent;
 use isospan::formats::raw::RawLayout;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, open_mesh, open_volume};
+use isospan::geom::PointId;
 use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, SurfaceSettings};
 use isospan::points::SetKind;
 use isospan::surface::check::check;
@@ -96,12 +98,14 @@ pub(crate) fn blocks(bytes: &[u8]) -> Result<()> {
     let Some((&which, block)) = bytes.split_first() else { return Ok(()) };
     let blame = |m: isospan::archive::Malformed| m.in_block(Path::new("a block"), 0);
     match which {
-        0 => ChunkVertices::decode(block).map(drop).map_err(blame),
+        0 => ChunkHeader::decode(block).map(drop).map_err(blame),
         1 => tetrahedra(block).map_err(blame),
         2 => decode_values(block, block.len() % 5000, &vec![1.5; block.len() % 5000], &mut vec![])
             .map_err(blame),
         3 => MeshSummary::decode(block).map(drop).map_err(blame),
-        _ => ValueSummary::decode(block).map(drop).map_err(blame),
+        4 => ValueSummary::decode(block).map(drop).map_err(blame),
+        5 => decode_flags(block, &mut vec![false; block.len() % 5000]).map_err(blame),
+        _ => decode_ids(block, &mut vec![PointId(0); block.len() % 1024]).map_err(blame),
     }
 }
 
@@ -170,11 +174,11 @@ impl Archive {
         let mesh = Segment::open(mesh_segment_path(&self.good, 0), SegmentKind::Mesh, None)?;
         let values = Segment::open(values_segment_path(&self.good, 0, 0), SegmentKind::Values, None)?;
         let mut inputs = vec![];
-        for (segment, kinds) in [(&mesh, [0u8, 1, 3]), (&values, [2, 4, 4])] {
+        for (segment, kinds) in [(&mesh, &[0u8, 1, 3, 5, 6][..]), (&values, &[2, 4])] {
             let mut block = vec![];
             for n in 0..segment.block_count().min(12) {
                 segment.block(n, &mut block)?;
-                inputs.extend(kinds.map(|k| [&[k], &block[..]].concat()));
+                inputs.extend(kinds.iter().map(|&k| [&[k], &block[..]].concat()));
             }
         }
         Ok(inputs)

@@ -1,7 +1,7 @@
 //! Header, footer and directory pages of a segment, each with its checksum behind.
 
 use super::{
-    END_MAGIC, FOOTER_BYTES, FORMAT_VERSION, HEADER_BYTES, MAGIC, OLDEST_READER, PAGE_BLOCKS,
+    END_MAGIC, FOOTER_BYTES, FORMAT_VERSION, HEADER_BYTES, MAGIC, OLDEST_FORMAT, OLDEST_READER, PAGE_BLOCKS,
     PAGE_ENTRY_BYTES, PAGE_FRAME_BYTES, PlanHash, SegmentInfo, SegmentKind,
 };
 use crate::archive::wire::{Cursor, Malformed};
@@ -64,10 +64,10 @@ pub(super) fn read_header(bytes: &[u8], kind: SegmentKind) -> std::result::Resul
         return Err(Malformed::new("magic", "a segment of an isospan archive", format!("\"{got}\"")));
     }
     let (version, oldest) = (c.u16("version")?, c.u16("version")?);
-    if oldest > FORMAT_VERSION || version == 0 {
+    if oldest > FORMAT_VERSION || version < OLDEST_FORMAT {
         return Err(Malformed::new(
             "format version",
-            format!("a version that format {FORMAT_VERSION} programs can read"),
+            format!("a version that format {FORMAT_VERSION} programs can read ({OLDEST_FORMAT} and later)"),
             format!("version {version}, for programs of format {oldest} and later"),
         ));
     }
