@@ -14,7 +14,7 @@ use super::grid_field::treat_missing;
 use super::measure::{Originals, world_of};
 use super::open::OpenArchive;
 use super::probe::windows;
-use super::side_errors::Room;
+use super::side_errors::{Room, Scene};
 use super::sides::Sides;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::errors::{ChunkErrors, decode_errors};
@@ -47,10 +47,12 @@ impl<'a> Samples<'a> {
         }
     }
 
-    /// Reads a window; NaN where there is no sample.
+    /// Reads a window; no finite number where there is no sample.
     pub(super) fn read(&self, window: IndexBox, out: &mut [f32]) -> Result<()> {
         self.reader.read_box(window, out)?;
-        treat_missing(self.missing, self.stand_in, out);
+        if self.missing.is_some() || !self.stand_in.is_nan() {
+            treat_missing(self.missing, self.stand_in, out);
+        }
         Ok(())
     }
 }
@@ -181,6 +183,7 @@ impl Gauge {
                     read(n, window, out)?;
                 }
                 let (tets, scanner) = (&cells.tets[tets.clone()], Scanner::new(&self.grid, &window));
+                let scene = Scene { window: &window, tets, steps, originals: &originals };
                 with_vectors(
                     #[inline(always)]
                     || {
@@ -189,8 +192,9 @@ impl Gauge {
                             cells.positions,
                             tets,
                             #[inline(always)]
-                            |members| room.compare(members, &window, tets, steps, &originals, &mut each),
-                        )
+                            |members| room.compare(members, &scene, &mut each),
+                        );
+                        room.finish(&scene, &mut each);
                     },
                 );
             }
