@@ -197,6 +197,16 @@ impl ByteSource {
         }
     }
 
+    /// The bytes of a range that need not be read first, for they are in memory or mapped; `None` of others, and beyond the end.
+    pub(crate) fn at_hand(&self, range: Range<u64>) -> Option<&[u8]> {
+        let bytes = match &self.bytes {
+            Bytes::Mapped(_, mapping) => mapping.bytes(),
+            Bytes::Memory(bytes) => bytes,
+            Bytes::Read(..) => return None,
+        };
+        bytes.get(usize::try_from(range.start).ok()?..usize::try_from(range.end).ok()?)
+    }
+
     /// Borrows a range of bytes. Of a file that is read and not mapped too, through a mapping made for that: for headers,
     /// directories and text that must be searched, of which only what is touched is loaded. Samples are had by
     /// [`ByteSource::view`]. When they have been used, [`ByteSource::check`] tells whether they were the file's.

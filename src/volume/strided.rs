@@ -12,6 +12,7 @@
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
+use crate::exec::will_read;
 use crate::grid::IndexBox;
 use crate::volume::{ScalarType, VolumeInfo, VolumeReader};
 use std::ops::Range;
@@ -143,23 +144,38 @@ impl StridedVolume {
         let whole = gap <= LARGEST_GAP && reach(axis) + reach(next) <= LARGEST_PIECE;
         let rows = if whole { dims[next] } else { 1 };
         let to_next_row = steps_of(*voxels)[next];
+        let ahead = whole && self.strides[axis] == size as i64 && (count * size) as u64 * rows <= MOST_AHEAD;
         for s in inside.lo[slow]..inside.hi[slow] {
             for first in (inside.lo[next]..inside.hi[next]).step_by(rows as usize) {
                 let mut start = inside.lo;
                 (start[slow], start[next]) = (s, first);
                 let corner = self.byte_of(part, [start[0], start[1], start[2] - z0]);
                 let piece = self.piece(corner, (axis, dims[axis]), (next, rows), size);
+                if ahead && s + 1 < inside.hi[slow] {
+                    let corner = corner.wrapping_add_signed(self.strides[slow]);
+                    let piece = self.piece(corner, (axis, dims[axis]), (next, rows), size);
+                    if let Some(bytes) = source.at_hand(piece.clone()) {
+                        for row in 0..rows {
+                            let at = self.row_at(corner, next, row) - piece.start;
+                            will_read(run(bytes, at, size as i64, count, size, &mut buffers.gathered));
+                        }
+                    }
+                }
                 let bytes = source.view(piece.clone(), &mut buffers.piece)?;
                 let mut place = voxels.offset(start);
                 for row in 0..rows {
-                    let at =
-                        corner.wrapping_add_signed(self.strides[next].wrapping_mul(row as i64)) - piece.start;
+                    let at = self.row_at(corner, next, row) - piece.start;
                     take(axis, place, run(bytes, at, self.strides[axis], count, size, &mut buffers.gathered));
                     place += to_next_row;
                 }
             }
         }
         Ok(())
+    }
+
+    /// Where a row begins, counted from one that begins at byte `corner` along an axis.
+    fn row_at(&self, corner: u64, axis: usize, row: u64) -> u64 {
+        corner.wrapping_add_signed(self.strides[axis].wrapping_mul(row as i64))
     }
 
     /// The axes, that of the least step first; of equal ones, as where a dimension is 1, x before y before z.
@@ -196,8 +212,13 @@ struct Buffers {
 
 /// Bytes between two runs that are read along with them: a read of its own costs about as much as copying these.
 const LARGEST_GAP: u64 = 8 << 10;
+/// Bytes between two slices that are asked for with them.
+const BETWEEN: u64 = 256 << 10;
 /// Bytes of a plane that is read at once.
 const LARGEST_PIECE: u64 = 4 << 20;
+
+/// Bytes of a plane that the processor is told of while the one before is read: half of its nearest cache. Of longer rows it finds out by itself.
+const MOST_AHEAD: u64 = 16 << 10;
 
 /// `count` samples from byte `at` of a piece on, `stride` apart.
 fn run<'a>(
@@ -266,18 +287,28 @@ impl VolumeReader for StridedVolume {
     }
 
     fn will_need(&self, voxels: IndexBox) {
-        // The rows between the first and the last of each slice; slices of a large volume are far apart.
+        // The rows between the first and the last of each slice; slices of a large volume are far apart. Others are asked for together.
         let slowest_is_z = self.strides[2].unsigned_abs() >= self.strides[1].unsigned_abs();
         if voxels.is_empty() || !slowest_is_z || self.strides.iter().any(|&s| s < 0) {
             return;
         }
         let size = self.info.field.scalar.bytes() as u64;
+        let mut asked: Option<(usize, Range<u64>)> = None;
         for z in voxels.lo[2]..voxels.hi[2] {
             let (part, z) = ((z / self.slices_per_part) as usize, z % self.slices_per_part);
             let lo = self.byte_of(part, [voxels.lo[0], voxels.lo[1], z]);
             let hi = self.byte_of(part, [voxels.hi[0] - 1, voxels.hi[1] - 1, z]) + size;
-            self.parts[part].advise_will_need(lo..hi);
+            match &mut asked {
+                Some((before, range)) if *before == part && lo <= range.end.saturating_add(BETWEEN) => {
+                    range.end = hi
+                }
+                _ => {
+                    let before = asked.replace((part, lo..hi));
+                    before.into_iter().for_each(|(part, range)| self.parts[part].advise_will_need(range));
+                }
+            }
         }
+        asked.into_iter().for_each(|(part, range)| self.parts[part].advise_will_need(range));
     }
 
     fn release(&self, slices: Range<u64>) {
