@@ -46,7 +46,7 @@ impl Field for CellField<'_> {
         let mut spots = by_brick(&self.bricks, mesh, &mut find)?;
         spots.extend(in_bricks(&self.bricks, &mesh.around.positions, &mut find)?);
         let outside = self.outside(mesh, &spots, &mut batch)?;
-        Ok(Placement { spots, outside })
+        Ok(Placement { spots, outside, ..Placement::default() })
     }
 
     fn values(&self, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {

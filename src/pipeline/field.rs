@@ -54,6 +54,8 @@ pub(crate) struct Placement {
     pub(crate) spots: Vec<Spot>,
     /// For each tetrahedron, those around the chunk last, whether it lies outside of the data; empty where none does.
     pub(crate) outside: Vec<bool>,
+    /// Of a volume: the halo's vertices in the order of their bricks.
+    pub(crate) halo: Vec<(BrickId, u32)>,
 }
 
 /// Where a vertex of a chunk lies in a tetrahedral mesh; by default nowhere.
@@ -112,6 +114,16 @@ pub(crate) trait Field: Sync {
 pub(crate) fn by_brick<T: Clone + Default>(
     bricks: &BrickGrid,
     mesh: &MeshedChunk,
+    sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
+) -> Result<Vec<T>> {
+    by_brick_in_order(bricks, mesh, &brick_order(bricks, &mesh.positions[mesh.core_len()..]), sample)
+}
+
+/// As [`by_brick`], given the [`brick_order`] of the halo.
+pub(crate) fn by_brick_in_order<T: Clone + Default>(
+    bricks: &BrickGrid,
+    mesh: &MeshedChunk,
+    halo: &[(BrickId, u32)],
     mut sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
 ) -> Result<Vec<T>> {
     let mut out = Vec::with_capacity(mesh.positions.len());
@@ -123,7 +135,7 @@ pub(crate) fn by_brick<T: Clone + Default>(
         }
         start += count as usize;
     }
-    let halo = in_bricks(bricks, &mesh.positions[start..], sample)?;
+    let halo = in_order(&mesh.positions[start..], halo, sample)?;
     out.extend(halo);
     Ok(out)
 }
@@ -140,9 +152,17 @@ pub(crate) fn brick_order(bricks: &BrickGrid, positions: &[LatticePos]) -> Vec<(
 pub(crate) fn in_bricks<T: Clone + Default>(
     bricks: &BrickGrid,
     positions: &[LatticePos],
+    sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
+) -> Result<Vec<T>> {
+    in_order(positions, &brick_order(bricks, positions), sample)
+}
+
+/// As [`in_bricks`], given their [`brick_order`].
+fn in_order<T: Clone + Default>(
+    positions: &[LatticePos],
+    order: &[(BrickId, u32)],
     mut sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
 ) -> Result<Vec<T>> {
-    let order = brick_order(bricks, positions);
     let mut out = vec![T::default(); positions.len()];
     let (mut group, mut found) = (vec![], vec![]);
     for run in order.chunk_by(|a, b| a.0 == b.0) {

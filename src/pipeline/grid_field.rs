@@ -1,7 +1,7 @@
 //! The field of a structured volume: each brick's points are interpolated from the samples around them, read for that.
 
 use super::chunk::MeshedChunk;
-use super::field::{Field, NanPolicy, Placement, by_brick, in_bricks};
+use super::field::{Field, NanPolicy, Placement, brick_order, by_brick_in_order, in_bricks};
 use super::measure::Originals;
 use super::reduce::Scratch;
 use crate::error::{Error, Result};
@@ -44,15 +44,16 @@ pub(super) fn treat_missing(missing: Option<f64>, stand_in: f32, samples: &mut [
 }
 
 impl Field for GridField {
-    fn place(&self, _: &MeshedChunk) -> Result<Placement> {
-        Ok(Placement::default())
+    fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
+        let halo = brick_order(&self.bricks, &mesh.positions[mesh.core_len()..]);
+        Ok(Placement { halo, ..Placement::default() })
     }
 
-    fn values(&self, mesh: &MeshedChunk, _: &Placement) -> Result<Vec<f32>> {
+    fn values(&self, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
         let mut voxels = vec![];
         let mut sample =
             |_, positions: &[LatticePos], out: &mut Vec<f32>| self.sample(positions, &mut voxels, out);
-        let mut values = by_brick(&self.bricks, mesh, &mut sample)?;
+        let mut values = by_brick_in_order(&self.bricks, mesh, &placement.halo, &mut sample)?;
         if self.values == Values::Fit {
             let around = &mesh.around;
             values.extend(in_bricks(&self.bricks, &around.positions, &mut sample)?);
