@@ -1,6 +1,7 @@
 //! A file that appears whole or not at all.
 //!
-//! It is written under a temporary name in its final folder, synced, renamed, and the folder synced. The temporary
+//! It is written under a temporary name in its final folder, synced, renamed, and the folder synced (of the parts of an archive once for all,
+//! before the manifest names them: [`sync_folders`]). The temporary
 //! name is unique per host, process and file, so two writers of the same file do not disturb each other: they write the
 //! same bytes and the later rename wins. A writer that is dropped unfinished removes its temporary.
 //!
@@ -143,6 +144,12 @@ impl Unpublished {
         sync_folder(&path)
     }
 
+    /// Makes the file durable, and visible under its name; its name is durable when [`sync_folders`] has been called. Of one that nobody takes for
+    /// there until another file names it, whose writer calls that first: so a folder is synced once for all that is new in it.
+    pub(crate) fn publish_part(self) -> Result<()> {
+        self.rename(true)
+    }
+
     /// Makes the file visible under its name. Of one that this process alone will read, and then remove: what a crash of the machine would leave
     /// of it is of no use to anybody.
     pub(crate) fn publish_for_now(self) -> Result<()> {
@@ -163,11 +170,19 @@ impl Unpublished {
     }
 }
 
-/// A rename is durable once its folder is; only Unix can sync a folder.
+/// Makes names durable: those in each of these folders.
+pub(crate) fn sync_folders(folders: impl IntoIterator<Item = PathBuf>) -> Result<()> {
+    folders.into_iter().try_for_each(|folder| sync(&folder))
+}
+
 fn sync_folder(path: &Path) -> Result<()> {
+    sync(folder_of(path))
+}
+
+/// A rename is durable once its folder is; only Unix can sync a folder.
+fn sync(folder: &Path) -> Result<()> {
     #[cfg(unix)]
     {
-        let folder = folder_of(path);
         match File::open(folder).and_then(|f| f.sync_all()) {
             // Some file systems cannot sync a folder, and then need not.
             Err(e) if !matches!(e.kind(), ErrorKind::InvalidInput | ErrorKind::Unsupported) => {
@@ -177,7 +192,7 @@ fn sync_folder(path: &Path) -> Result<()> {
         }
     }
     #[cfg(not(unix))]
-    let _ = path;
+    let _ = folder;
     Ok(())
 }
 

@@ -1,6 +1,8 @@
 //! Where the files of an archive are.
 
-use crate::archive::manifest;
+use crate::archive::manifest::{self, StepPlan};
+use crate::archive::publish::sync_folders;
+use crate::error::Result;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -32,6 +34,17 @@ impl Layout {
 
     pub(crate) fn root(&self) -> &Path {
         &self.root
+    }
+
+    /// Makes the names of all files durable that the mesh and these steps have, before something names them. A shard without segments has made no folder
+    /// of its steps.
+    pub(crate) fn sync<'a>(&self, steps: impl IntoIterator<Item = &'a StepPlan>) -> Result<()> {
+        let mesh = self.mesh(0).parent().map(Path::to_path_buf);
+        let of_steps: Vec<PathBuf> =
+            steps.into_iter().map(|step| self.at(step.number).step_folder()).collect();
+        let all = of_steps.first().and_then(|folder| folder.parent()).map(Path::to_path_buf);
+        let folders = mesh.into_iter().chain(of_steps).chain(all).chain([self.root.clone()]);
+        sync_folders(folders.filter(|folder| folder.exists()))
     }
 
     pub(crate) fn segment_count(&self) -> u64 {

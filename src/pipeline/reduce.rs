@@ -221,6 +221,7 @@ pub(super) fn produce(
     push_times(&mut report.seconds, &made);
     report.taken_chunks = made.taken;
     if let Part::Shard(..) = job.part {
+        layout.sync(&series.plan.steps)?;
         return Ok(ReduceReport { points: making.points(), ..report });
     }
     let publishing = Publishing {
@@ -292,6 +293,7 @@ impl Publishing<'_> {
             let text = "another run has changed the archive meanwhile: run the same command again";
             return Err(Error::io("add steps to", layout.root(), std::io::Error::other(text)));
         }
+        layout.sync(&plan.steps)?;
         made.manifest(plan).write(layout.root())?;
         completed(&made, before, series, layout, report)
     }

@@ -82,6 +82,10 @@ impl Part {
         }
         let (kind, hash) = self.kind(work);
         let path = self.path(work, segment);
+        if chunks.end - chunks.start == 1 {
+            // It is published as soon as it is written: there is nothing to go on with, and no need of a journal.
+            return ChunkSegmentWriter::create(path, kind, hash, ChunkId(chunks.start)).map(Some);
+        }
         ChunkSegmentWriter::resume(path, kind, hash, ChunkId(chunks.start), most).map(Some)
     }
 

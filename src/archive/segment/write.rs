@@ -110,7 +110,7 @@ impl SegmentWriter {
         self.entries.len() as u64
     }
 
-    /// Writes directory and footer, and publishes the file.
+    /// Writes directory and footer, and publishes the file as a part of an archive, whose folders are synced before its manifest is written.
     ///
     /// # Errors
     /// When the file cannot be written, synced or renamed; then no file of that name has been made.
@@ -128,7 +128,7 @@ impl SegmentWriter {
             content_hash: self.hash.digest(),
         };
         self.out.write(&footer(&info, directory))?;
-        self.out.publish()?;
+        self.out.publish_part()?;
         Ok(info)
     }
 }
