@@ -1,7 +1,7 @@
-//! Scan conversion, in samples a second: `cargo bench --bench raster`; names are `raster/SAMPLES A POINT` and `fit/SAMPLES A POINT`.
+//! Scan conversion, in samples a second: `cargo bench --bench raster`; names are `raster/SAMPLES A POINT`, `scan/…` and `fit/…`.
 //!
-//! Every sample of a volume of 128³ is visited once, in the order of the tetrahedra of a chunk: one by one, and to fit values to the samples, many
-//! tetrahedra together (sorting them into windows and adding up what the samples tell included).
+//! Every sample of a volume of 128³ is visited once, with its weights: the tetrahedra of a chunk one by one (`raster`), or many together (`scan`); and so to fit values to the
+//! samples, tetrahedra sorted into windows and what the samples tell added up (`fit`).
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use isospan::fit::{Fit, FitMesh, Windows, window_edge};
@@ -12,7 +12,7 @@ use isospan::mesh::chunk::{ChunkOutcome, ChunkRegion, mesh_chunk};
 use isospan::mesh::delaunay::Mesher;
 use isospan::mesh::tet::Tet;
 use isospan::points::{PointSet, PointSpec};
-use isospan::raster::{SampleGrid, Scanner};
+use isospan::raster::{BatchScan, SampleGrid, Scanner};
 
 fn mesh(lattice: Lattice, n: u64) -> (Vec<LatticePos>, Vec<Tet>) {
     let set = PointSet::new(PointSpec::Hammersley { n, shift: 0.5 }, lattice).expect("a set");
@@ -46,6 +46,27 @@ fn bench(c: &mut Criterion) {
                         weights.iter().for_each(|w| sum += w[0] - w[1] + w[2] * w[3]);
                     });
                 }
+                assert_eq!(count, whole.len());
+                sum
+            });
+        });
+    }
+    group.finish();
+    let mut group = c.benchmark_group("scan");
+    group.throughput(Throughput::Elements(whole.len() as u64)).sample_size(10);
+    for share in [8, 16, 64] {
+        let (positions, tets) = mesh(lattice, whole.len() as u64 / share);
+        let mut batch = BatchScan::default();
+        group.bench_function(BenchmarkId::from_parameter(share), |b| {
+            b.iter(|| {
+                let (mut count, mut sum) = (0, 0.0);
+                batch.each_member(&scanner, &positions, &tets, |members| {
+                    count += members.places().len();
+                    let [a, b, c, d] = members.weights();
+                    for (((a, b), c), d) in a.iter().zip(b).zip(c).zip(d) {
+                        sum += a - b + c * d;
+                    }
+                });
                 assert_eq!(count, whole.len());
                 sum
             });

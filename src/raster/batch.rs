@@ -2,43 +2,60 @@
 //!
 //! A tetrahedron of a mesh of about a point for eight samples has one sample or two, in a box of some ten. What a scan by itself
 //! ([`super::scan`]) costs there are branches that nobody can foretell: how many rows, how many samples, which of them. So tetrahedra are sorted by the
-//! size of their box first; those of one size are looked at side by side, in loops without branches that the compiler turns into vector code:
+//! rows of their box first; sixteen of like boxes are looked at side by side, a lane each:
 //!
 //! ```text
-//!  tetrahedra ─▶ boxes ─▶ sorted by size ─▶ planes in f32 ─▶ least λ at each sample of the box ─▶ candidates ─▶ exact λ ─▶ members
-//!     2048       16 each    64 sizes          64 at a time      a bit each                           128 at a time
+//!  tetrahedra ─▶ boxes ─▶ sorted by rows ─▶ planes in f32 ─▶ where each row enters and leaves ─▶ candidates ─▶ exact λ ─▶ members
+//!     2048      16 each                       16 each                  16 each                              128 at a time
 //! ```
 //!
-//! The **filter** is that of `scan.rs`, in `f32`; only its last step differs: λ grows by additions, at most 9 from the first sample of a box to
-//! its last. Each rounds by at most 18·M³u, which makes 162·M³u more than the 200·M³u there.
+//! The **filter** is that of `scan.rs`, in `f32`; only its last steps differ. From row to row λ grows by additions, at most 30 from the first row of
+//! a box to its last. Each rounds by at most 18·M³u, which makes 540·M³u more than the 200·M³u there. Along a row, λ + g·x >= 0 for a sample x that is inside,
+//! `g` as computed: where g > 0, x is not less than -λ/g, where g < 0 not greater. The quotient is wrong by 3u of itself; if it is one that matters, it is less
+//! than 16, and [`SLACK`] is more than its error.
 //!
-//! **Exact λ in `f64`.** With corners less than 2^19 lattice steps apart along each axis, a component of a plane's gradient is an integer of at most 2^39, and exact.
-//! A difference of positions is cut in two, `r = 1024·h + l` with `|l| <= 512` and `|h| <= 2^9`: so all products and the sums of up to twelve of them stay below 2^53, exact too.
+//! **Exact λ in `f64`.** With corners at most M = 2^20 lattice steps apart along each axis, a component of a plane's gradient (twice the area of a triangle in a
+//! square of edge M) is an integer of at most M² = 2^40, and exact. A difference of positions is cut in two, `r = 1024·h + l` with `|l| <= 512` and `|h| <= 2^10`: products
+//! and sums of three are exact, those with l below 2^51, those with h below 2^52. A λ is at most 2·M³ = 2^61 (the largest tetrahedron in a cube takes a third of it), so its part H in `λ = 1024·H + L`
+//! is less than 2^51 + 2^42. So sums of up to three such parts, and their difference from a fourth, stay below 2^53, exact too.
 //! Only `1024·H + L` is rounded, once: it is the `f64` that is nearest to the integer λ, which is what `scan.rs` makes
 //! of its 64 bits. Weights are the same bits. Where a λ is 0, the tie rule is asked, in integers.
 //!
 //! Larger boxes and tetrahedra go through `scan.rs`, and all do on grids that are no voxels. Memory: [`BatchScan::BYTES`].
 
-use super::lanes::Four;
-use super::planes::Planes;
+use super::planes::{LONGEST_64, Planes};
 use super::scan::Scanner;
-use crate::exec::{Avx512, with_avx512};
+use super::sixteen::{Bits, Floats, Ints, Plain};
+#[cfg(target_arch = "x86_64")]
+use super::sixteen::{FloatPair, FloatVector};
+use crate::exec::lanes::{four, three};
+use crate::exec::{Avx2, Avx512, with_avx512, with_vectors};
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
 
-/// Members handed on at a time, at most.
+/// Members handed on at a time.
 pub const MEMBERS: usize = 128;
 /// Tetrahedra that are sorted together.
 const SORTED: usize = 2048;
-/// Tetrahedra of one size that are looked at side by side, a bit of a word each.
-const SIDE_BY_SIDE: usize = 64;
-/// Samples along each edge of a box, at most, and how many sizes that makes.
-const EDGE: u32 = 4;
-const SIZES: usize = (EDGE * EDGE * EDGE) as usize;
+/// Tetrahedra that are looked at side by side.
+const LANES: usize = 16;
+/// Candidates of a row are noted while there is room for one of each lane.
+const FOUND: usize = 64 + LANES;
+/// Samples along each edge of a box, at most.
+const EDGE: u32 = 16;
+/// How many boxes there are, by their rows and layers.
+const SIZES: usize = (EDGE * EDGE) as usize;
 /// The longest edge of a box, in lattice steps: see above.
-const LONGEST: u32 = 1 << 19;
+const LONGEST: u32 = 1 << 20;
+const _: () = assert!(LONGEST <= LONGEST_64);
 /// The error of the filter, in M³: see above.
-const ERROR: f32 = 512.0 / (1u32 << 24) as f32;
+const ERROR: f32 = 1024.0 / (1u32 << 24) as f32;
+/// What an end of a row may be wrong by, in samples: far more than it is (2^-17).
+const SLACK: f32 = 1.0 / 4096.0;
+/// A growth that is none: λ does not change from -16 to 16.
+const NO_GROWTH: f32 = 1e-30;
+/// The lanes.
+const NUMBERS: [u32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
 /// What positions are cut at.
 const CUT: f64 = 1024.0;
 /// Added to a number below 2^51 and taken away, it rounds to an integer.
@@ -82,32 +99,6 @@ impl Members {
     }
 }
 
-/// A tetrahedron with a small box.
-#[derive(Clone, Copy, Default)]
-struct Small {
-    tet: u32,
-    /// Its first sample: in the grid, and its place in the window.
-    first: [u32; 3],
-    place: u32,
-    /// The longest edge of its box.
-    longest: u32,
-}
-
-type Lanes = [f32; SIDE_BY_SIDE];
-
-/// Tetrahedra of one size, column by column.
-struct Columns {
-    /// From corner a to the others, and to the first sample: exact.
-    edges: [[Lanes; 3]; 3],
-    first: [Lanes; 3],
-    longest: Lanes,
-    /// Four by four: λ of b, c, d, a at the first sample, raised by the error; what it grows by along each axis, from sample to sample.
-    lambda: [[[f32; 4]; 4]; SIDE_BY_SIDE / 4],
-    growth: [[[[f32; 4]; 4]; 3]; SIDE_BY_SIDE / 4],
-    /// For each sample of a box, a bit for each tetrahedron that can have it: four bits a byte.
-    inside: [[u8; SIDE_BY_SIDE / 4]; SIZES],
-}
-
 /// Samples that may be members: what decides it.
 struct Candidates {
     edges: [[[f32; MEMBERS]; 3]; 3],
@@ -119,29 +110,24 @@ struct Candidates {
 
 /// The memory in which tetrahedra are scanned together; kept from one call to the next.
 pub struct BatchScan {
-    small: Box<[Small; SORTED]>,
-    sizes: Box<[u8; SORTED]>,
-    order: Box<[u16; SORTED]>,
-    columns: Box<Columns>,
+    /// Tetrahedra with small boxes, and the sizes of these.
+    small: Box<[u32; SORTED + LANES]>,
+    sizes: Box<[u32; SORTED + LANES]>,
+    sorted: Box<[u32; SORTED]>,
+    /// Candidates of some rows of sixteen tetrahedra: lane, and x, y and z in the box, four bits each but the last.
+    found: Box<[u32; FOUND]>,
     candidates: Box<Candidates>,
     members: Box<Members>,
 }
 
 impl Default for BatchScan {
     fn default() -> Self {
-        let (lanes, many) = ([0.0; SIDE_BY_SIDE], [0.0; MEMBERS]);
+        let many = [0.0; MEMBERS];
         Self {
-            small: Box::new([Small::default(); SORTED]),
-            sizes: Box::new([0; SORTED]),
-            order: Box::new([0; SORTED]),
-            columns: Box::new(Columns {
-                edges: [[lanes; 3]; 3],
-                first: [lanes; 3],
-                longest: lanes,
-                lambda: [[[0.0; 4]; 4]; SIDE_BY_SIDE / 4],
-                growth: [[[[0.0; 4]; 4]; 3]; SIDE_BY_SIDE / 4],
-                inside: [[0; SIDE_BY_SIDE / 4]; SIZES],
-            }),
+            small: Box::new([0; SORTED + LANES]),
+            sizes: Box::new([0; SORTED + LANES]),
+            sorted: Box::new([0; SORTED]),
+            found: Box::new([0; FOUND]),
             candidates: Box::new(Candidates { edges: [[many; 3]; 3], at: [many; 3], least: [0.0; MEMBERS] }),
             members: Box::new(Members {
                 len: 0,
@@ -154,8 +140,8 @@ impl Default for BatchScan {
 }
 
 const _: () = assert!(
-    size_of::<([Small; SORTED], [u8; SORTED], [u16; SORTED])>() as u64
-        + size_of::<(Columns, Candidates, Members)>() as u64
+    size_of::<([[u32; SORTED + LANES]; 2], [u32; SORTED], [u32; FOUND])>() as u64
+        + size_of::<(Candidates, Members)>() as u64
         <= BatchScan::BYTES
 );
 
@@ -164,32 +150,84 @@ struct Scene<'a> {
     scanner: &'a Scanner<'a>,
     positions: &'a [LatticePos],
     tets: &'a [Tet],
-    /// log2 of the distance of samples along each axis, and a 0.
-    shifts: [u32; 4],
+    /// log2 of the distance of samples along each axis.
+    shifts: [u32; 3],
 }
 
 impl Scene<'_> {
-    /// The distance of samples along each axis, in lattice steps.
-    #[inline(always)]
-    fn pitch(&self) -> [f32; 3] {
-        [0, 1, 2].map(|k| (1u32 << self.shifts[k]) as f32)
-    }
-
     fn corners(&self, tet: u32) -> [LatticePos; 4] {
         self.tets[tet as usize].map(|v| self.positions[v as usize])
     }
 }
 
+/// Sixteen tetrahedra, coordinate by coordinate.
+struct Boxes<I> {
+    corners: [[I; 3]; 4],
+    /// The first sample of the box and the end of it, in the window.
+    from: [I; 3],
+    to: [I; 3],
+    /// The longest edge of the bounding box.
+    longest: I,
+}
+
+impl<I: Ints> Boxes<I> {
+    #[inline(always)]
+    fn new(proof: I::Proof, scene: &Scene<'_>, tet: impl Fn(usize) -> u32) -> Self {
+        let tets: [Tet; LANES] = std::array::from_fn(|n| scene.tets[tet(n) as usize]);
+        let corners = four(
+            #[inline(always)]
+            |k| {
+                I::columns(
+                    proof,
+                    #[inline(always)]
+                    |n| scene.positions[tets[n][k] as usize],
+                )
+            },
+        );
+        let [a, b, c, d] = &corners;
+        let (lo, hi) = scene.scanner.window();
+        let mut longest = I::splat(proof, 0);
+        let ranges = three(
+            #[inline(always)]
+            |k| {
+                let least = a[k].min(b[k]).min(c[k].min(d[k]));
+                let most = a[k].max(b[k]).max(c[k].max(d[k]));
+                let shift = scene.shifts[k];
+                let before = I::splat(proof, (1 << shift) - 1);
+                let from = least.plus(before).shifted_right(shift).max(I::splat(proof, lo[k]));
+                let to = most.shifted_right(shift).plus(I::splat(proof, 1)).min(I::splat(proof, hi[k]));
+                longest = longest.max(most.minus(least));
+                (from, to)
+            },
+        );
+        let [x, y, z] = ranges;
+        Self { corners, from: [x.0, y.0, z.0], to: [x.1, y.1, z.1], longest }
+    }
+
+    /// Samples along each axis; no number of any where there are none.
+    #[inline(always)]
+    fn samples(&self) -> [I; 3] {
+        let [x, y, z] = &self.to;
+        [x.minus(self.from[0]), y.minus(self.from[1]), z.minus(self.from[2])]
+    }
+
+    /// Those that have samples.
+    #[inline(always)]
+    fn with_samples(&self) -> Bits {
+        let ([x, y, z], [u, v, w]) = (&self.from, &self.to);
+        x.below(*u) & y.below(*v) & z.below(*w)
+    }
+}
+
 impl BatchScan {
     /// Bytes that it takes, at most.
-    pub const BYTES: u64 = 96 << 10;
+    pub const BYTES: u64 = 64 << 10;
 
     /// Calls `each` with the samples of the scanner's window that belong to positively oriented tetrahedra, some at a time: each sample
     /// as often as [`Scanner::each_run`] hands it on, with the same weights, in an order that follows from the tetrahedra and their order.
     ///
     /// # Panics
     /// For a window of 2^32 samples or more.
-    #[inline(always)]
     pub fn each_member(
         &mut self,
         scanner: &Scanner<'_>,
@@ -198,169 +236,216 @@ impl BatchScan {
         mut each: impl FnMut(&Members),
     ) {
         assert!(scanner.len() <= u64::from(u32::MAX), "places are numbers of 32 bits");
-        // Without an even grid nothing is small.
-        let shifts = scanner.even_shifts();
-        let scene = Scene { scanner, positions, tets, shifts: shifts.unwrap_or_default() };
-        for from in (0..tets.len()).step_by(SORTED) {
-            let to = tets.len().min(from + SORTED);
-            let small = if shifts.is_some() { self.boxes(&scene, from..to, &mut each) } else { 0 };
-            if shifts.is_none() {
-                (from..to).for_each(|tet| self.alone(&scene, tet, &mut each));
-            }
-            let ends = self.sort(small);
-            let mut start = 0;
-            for (size, end) in ends.into_iter().enumerate() {
-                while start < end {
-                    let count = (end - start).min(SIDE_BY_SIDE);
-                    self.gather(&scene, start, count);
-                    self.columns.planes(count, scene.pitch());
-                    self.scan(&scene, start, count, size, &mut each);
-                    start += count;
-                }
-            }
+        let Some(shifts) = scanner.even_shifts() else {
+            // Without an even grid nothing is small.
+            let scene = Scene { scanner, positions, tets, shifts: [0; 3] };
+            return (0..tets.len()).for_each(|tet| self.alone(&scene, tet as u32, &mut each));
+        };
+        let scene = Scene { scanner, positions, tets, shifts };
+        #[cfg(target_arch = "x86_64")]
+        if let Some(proof) = Avx512::found() {
+            return with_avx512(
+                proof,
+                #[inline(always)]
+                || self.run::<FloatVector>(proof, &scene, &mut each),
+            );
         }
-        self.hand_on(&scene, &mut each);
+        #[cfg(target_arch = "x86_64")]
+        if let Some(proof) = Avx2::found() {
+            return with_vectors(
+                #[inline(always)]
+                || self.run::<FloatPair>(proof, &scene, &mut each),
+            );
+        }
+        self.run::<Plain<f32>>((), &scene, &mut each);
     }
 
-    /// Notes the boxes of tetrahedra that have samples in them; returns how many are small. The others are scanned at once.
-    #[inline(always)]
-    fn boxes(
+    /// As [`BatchScan::each_member`] with AVX2, or where there are no vectors; of voxels.
+    #[cfg(test)]
+    pub(super) fn each_member_with(
         &mut self,
+        avx2: Option<Avx2>,
+        scanner: &Scanner<'_>,
+        positions: &[LatticePos],
+        tets: &[Tet],
+        mut each: impl FnMut(&Members),
+    ) {
+        let shifts = scanner.even_shifts().expect("voxels");
+        let scene = Scene { scanner, positions, tets, shifts };
+        match avx2 {
+            #[cfg(target_arch = "x86_64")]
+            Some(proof) => self.run::<FloatPair>(proof, &scene, &mut each),
+            _ => self.run::<Plain<f32>>((), &scene, &mut each),
+        }
+    }
+
+    #[inline(always)]
+    fn run<F: Floats>(&mut self, proof: F::Proof, scene: &Scene<'_>, each: &mut impl FnMut(&Members)) {
+        for from in (0..scene.tets.len()).step_by(SORTED) {
+            let to = scene.tets.len().min(from + SORTED);
+            let small = self.boxes::<F::Ints>(proof, scene, from..to, each);
+            self.sort(small);
+            for start in (0..small).step_by(LANES) {
+                self.look::<F>(proof, scene, start, LANES.min(small - start), each);
+            }
+        }
+        self.hand_on(scene, each);
+    }
+
+    /// Notes the sizes of boxes that have samples in them; returns how many are small. The others are scanned at once.
+    #[inline(always)]
+    fn boxes<I: Ints>(
+        &mut self,
+        proof: I::Proof,
         scene: &Scene<'_>,
         range: std::ops::Range<usize>,
         each: &mut impl FnMut(&Members),
     ) -> usize {
-        let (lo, hi) = scene.scanner.window();
-        let strides = scene.scanner.strides();
-        let shifts = scene.shifts;
-        let before = shifts.map(|s| (1 << s) - 1);
+        let (one, edge) = (I::splat(proof, 1), I::splat(proof, EDGE));
+        let numbers = I::of(proof, &NUMBERS);
         let mut len = 0;
-        for t in range {
-            let (least, most) = corner_box(scene.positions, &scene.tets[t]);
-            let from = greater([0, 1, 2, 3].map(|k| (least[k] + before[k]) >> shifts[k]), lo);
-            let to = lesser([0, 1, 2, 3].map(|k| (most[k] >> shifts[k]) + 1), hi);
-            // One less than there are samples; of none a number that is no small one.
-            let [x, y, z, _] = [0, 1, 2, 3].map(|k| to[k].wrapping_sub(from[k]).wrapping_sub(1));
-            let longest = (most[0] - least[0]).max(most[1] - least[1]).max(most[2] - least[2]);
-            let small = ((x | y | z) < EDGE) & (longest <= LONGEST);
-            let place = (from[2].wrapping_sub(lo[2]))
-                .wrapping_mul(strides[1])
-                .wrapping_add(from[1].wrapping_sub(lo[1]).wrapping_mul(strides[0]))
-                .wrapping_add(from[0].wrapping_sub(lo[0]));
-            self.small[len % SORTED] =
-                Small { tet: t as u32, first: [from[0], from[1], from[2]], place, longest };
-            self.sizes[len % SORTED] = (x | y << 2 | z << 4) as u8;
-            len += usize::from(small);
-            if !small && (from[0] < to[0]) & (from[1] < to[1]) & (from[2] < to[2]) {
-                self.alone(scene, t, each);
+        for start in range.clone().step_by(LANES) {
+            let count = LANES.min(range.end - start);
+            // Of less than sixteen, the last one again.
+            let boxes = Boxes::<I>::new(proof, scene, |n| (start + n.min(count - 1)) as u32);
+            let [x, y, z] = boxes.samples().map(|n| n.minus(one));
+            let sizes = y.plus(z.times(edge));
+            let found = boxes.with_samples() & (Bits::MAX >> (LANES - count));
+            let fits = x.max(y).max(z).below(edge) & boxes.longest.below(I::splat(proof, LONGEST + 1));
+            let small = found & fits;
+            put(&mut *self.small, len, numbers.plus(I::splat(proof, start as u32)).packed(small));
+            put(&mut *self.sizes, len, sizes.packed(small));
+            len += small.count_ones() as usize;
+            let mut large = found & !fits;
+            while large != 0 {
+                self.alone(scene, start as u32 + large.trailing_zeros(), each);
+                large &= large - 1;
             }
         }
         len
     }
 
-    /// Puts the small ones in the order of their sizes; returns the end of each size.
+    /// Puts the small ones in the order of their sizes.
     #[inline(always)]
-    fn sort(&mut self, count: usize) -> [usize; SIZES] {
-        let mut ends = [0; SIZES];
-        let sizes = &self.sizes[..count];
+    fn sort(&mut self, count: usize) {
+        let mut ends = [0u32; SIZES];
+        let (small, sizes) = (&self.small[..count], &self.sizes[..count]);
         for &size in sizes {
-            ends[usize::from(size) % SIZES] += 1;
+            ends[size as usize % SIZES] += 1;
         }
         let mut sum = 0;
         for n in &mut ends {
             sum += std::mem::replace(n, sum);
         }
-        for (i, &size) in sizes.iter().enumerate() {
-            let at = &mut ends[usize::from(size) % SIZES];
-            self.order[*at % SORTED] = i as u16;
+        for (&tet, &size) in small.iter().zip(sizes) {
+            let at = &mut ends[size as usize % SIZES];
+            self.sorted[*at as usize % SORTED] = tet;
             *at += 1;
         }
-        ends
     }
 
-    /// Takes tetrahedra of one size into the columns.
+    /// Finds the samples that can be members of some tetrahedra of like boxes.
     #[inline(always)]
-    fn gather(&mut self, scene: &Scene<'_>, start: usize, count: usize) {
-        let columns = &mut *self.columns;
-        let order = &self.order[start..start + count];
-        // Of less than four, the last one again.
-        for (n, four) in order.chunks(4).enumerate() {
-            let small = [0, 1, 2, 3].map(|k| &self.small[usize::from(four[k.min(four.len() - 1)]) % SORTED]);
-            let corners = small.map(|s| scene.tets[s.tet as usize]);
-            let corner =
-                |k: usize| Four::columns(corners.map(|tet| Four::position(scene.positions[tet[k] as usize])));
-            let a = corner(0);
-            let put = |column: &mut [Lanes; 3], p: [Four; 3]| {
-                for ((column, p), a) in column.iter_mut().zip(p).zip(a) {
-                    column[4 * n..4 * n + 4].copy_from_slice(&p.minus(a).lanes());
-                }
-            };
-            for (k, column) in columns.edges.iter_mut().enumerate() {
-                put(column, corner(k + 1));
-            }
-            put(
-                &mut columns.first,
-                Four::columns(
-                    small.map(|s| Four::position([0, 1, 2].map(|k| s.first[k] << scene.shifts[k]))),
-                ),
-            );
-            let longest = small.map(|s| s.longest as f32);
-            columns.longest[4 * n..4 * n + 4].copy_from_slice(&longest);
-        }
-    }
-
-    /// Finds the samples of boxes that can be members.
-    #[inline(always)]
-    fn scan(
+    fn look<F: Floats>(
         &mut self,
+        proof: F::Proof,
         scene: &Scene<'_>,
         start: usize,
         count: usize,
-        size: usize,
         each: &mut impl FnMut(&Members),
     ) {
-        let [nx, ny, nz] = [size & 3, size >> 2 & 3, size >> 4 & 3].map(|n| n as u32 + 1);
-        let strides = scene.scanner.strides();
-        let pitch = scene.pitch();
-        let wanted = u64::MAX >> (SIDE_BY_SIDE - count);
-        self.columns.look(count, [nx, ny, nz]);
-        let mut seen = 0;
-        for z in 0..nz {
-            for y in 0..ny {
-                for x in 0..nx {
-                    let mut found = joined(&self.columns.inside[seen % SIZES]) & wanted;
-                    seen += 1;
-                    let place = z * strides[1] + y * strides[0] + x;
-                    let offset = [x as f32 * pitch[0], y as f32 * pitch[1], z as f32 * pitch[2]];
-                    while found != 0 {
-                        let i = found.trailing_zeros() as usize;
-                        found &= found - 1;
-                        self.note(i, self.order[(start + i) % SORTED], place, offset);
-                        if self.members.len == MEMBERS {
-                            self.hand_on(scene, each);
-                        }
+        // Of less than sixteen, the last one again.
+        let tets: [u32; LANES] = std::array::from_fn(|n| self.sorted[(start + n.min(count - 1)) % SORTED]);
+        let boxes = Boxes::<F::Ints>::new(proof, scene, |n| tets[n]);
+        let filter = Filter::<F>::new(proof, &boxes, scene.shifts);
+        let columns = Columns::new(proof, scene, &boxes, &filter, F::Ints::of(proof, &tets));
+        let [nx, ny, nz] = boxes.samples();
+        let (one, numbers) = (F::Ints::splat(proof, 1), F::Ints::of(proof, &NUMBERS));
+        let (zero, slack) = (F::splat(proof, 0.0), F::splat(proof, SLACK));
+        // Cut off, it is rounded up, but for what is less than SLACK above an integer.
+        let up = F::splat(proof, 1.0 - SLACK);
+        let last = nx.minus(one).floats();
+        let live = Bits::MAX >> (LANES - count);
+        let mut noted = 0;
+        let mut layer = filter.lambda;
+        for z in 0..nz.greatest() {
+            let live = F::Ints::splat(proof, z).below(nz) & live;
+            let mut row = layer;
+            for y in 0..ny.greatest() {
+                let (mut enter, mut leave) = (zero, last);
+                for (k, lambda) in row.iter_mut().enumerate() {
+                    let at = lambda.times(filter.crossing[k]);
+                    enter = enter.greater_where(filter.rises[k], at);
+                    leave = leave.lesser_where(filter.falls[k], at);
+                    *lambda = lambda.plus(filter.growth[1][k]);
+                }
+                let leave = leave.plus(slack);
+                let mut x = enter.plus(up).cut();
+                let end = leave.cut().plus(one);
+                let at = numbers.plus(F::Ints::splat(proof, y << 8 | z << 12));
+                let mut found =
+                    F::Ints::splat(proof, y).below(ny) & live & !F::bits(leave.below(enter)) & x.below(end);
+                while found != 0 {
+                    put(&mut *self.found, noted, at.plus(x.shifted_left(4)).packed(found));
+                    noted += found.count_ones() as usize;
+                    x = x.plus(one);
+                    found &= x.below(end);
+                    if noted > FOUND - LANES {
+                        self.note(proof, scene, &columns, noted, each);
+                        noted = 0;
                     }
                 }
+            }
+            for (lambda, &by) in layer.iter_mut().zip(&filter.growth[2]) {
+                *lambda = lambda.plus(by);
+            }
+        }
+        self.note(proof, scene, &columns, noted, each);
+    }
+
+    /// Notes the candidates found so far.
+    #[inline(always)]
+    fn note<F: Floats>(
+        &mut self,
+        proof: F::Proof,
+        scene: &Scene<'_>,
+        columns: &Columns<F>,
+        count: usize,
+        each: &mut impl FnMut(&Members),
+    ) {
+        let fifteen = F::Ints::splat(proof, 15);
+        let strides = scene.scanner.strides();
+        for from in (0..count).step_by(LANES) {
+            let found = F::Ints::of(proof, sixteen(&*self.found, from));
+            let number = |bits| found.shifted_right(bits).and(fifteen);
+            let xyz = [number(4), number(8), number(12)];
+            let (candidates, members) = (&mut *self.candidates, &mut *self.members);
+            let n = members.len;
+            for (to, edge) in candidates.edges.iter_mut().zip(&columns.edges) {
+                for (to, edge) in to.iter_mut().zip(edge) {
+                    put(to, n, edge.at(found).lanes());
+                }
+            }
+            for (axis, to) in candidates.at.iter_mut().enumerate() {
+                let offset = xyz[axis].shifted_left(scene.shifts[axis]).floats();
+                put(to, n, columns.first[axis].at(found).plus(offset).lanes());
+            }
+            let [x, y, z] = xyz;
+            let place = z
+                .times(F::Ints::splat(proof, strides[1]))
+                .plus(y.times(F::Ints::splat(proof, strides[0])))
+                .plus(x);
+            put(&mut members.places, n, columns.places.at(found).plus(place).lanes());
+            put(&mut members.tets, n, columns.tets.at(found).lanes());
+            members.len += LANES.min(count - from);
+            if members.len > MEMBERS - LANES {
+                self.hand_on(scene, each);
             }
         }
     }
 
-    /// Notes a candidate: a sample of the i-th tetrahedron of the columns.
-    #[inline(always)]
-    fn note(&mut self, i: usize, small: u16, place: u32, offset: [f32; 3]) {
-        let (columns, candidates) = (&*self.columns, &mut *self.candidates);
-        let (i, n) = (i % SIDE_BY_SIDE, self.members.len % MEMBERS);
-        for (to, from) in candidates.edges.iter_mut().zip(&columns.edges) {
-            (0..3).for_each(|k| to[k][n] = from[k][i]);
-        }
-        (0..3).for_each(|k| candidates.at[k][n] = columns.first[k][i] + offset[k]);
-        let small = &self.small[usize::from(small) % SORTED];
-        (self.members.tets[n], self.members.places[n]) = (small.tet, small.place + place);
-        self.members.len = n + 1;
-    }
-
     /// Decides on the candidates, and hands on those that are members.
-    #[inline(always)]
+    #[inline(never)]
     fn hand_on(&mut self, scene: &Scene<'_>, each: &mut impl FnMut(&Members)) {
         let (candidates, members) = (&mut *self.candidates, &mut *self.members);
         let count = members.len.min(MEMBERS);
@@ -390,12 +475,12 @@ impl BatchScan {
 
     /// Hands on the samples of a tetrahedron that is scanned by itself.
     #[inline(never)]
-    fn alone(&mut self, scene: &Scene<'_>, tet: usize, each: &mut impl FnMut(&Members)) {
+    fn alone(&mut self, scene: &Scene<'_>, tet: u32, each: &mut impl FnMut(&Members)) {
         self.hand_on(scene, each);
         let members = &mut *self.members;
-        scene.scanner.each_run(scene.corners(tet as u32), |place, run| {
+        scene.scanner.each_run(scene.corners(tet), |place, run| {
             for (i, weights) in run.iter().enumerate() {
-                members.tets[i] = tet as u32;
+                members.tets[i] = tet;
                 members.places[i] = (place + i) as u32;
                 (0..4).for_each(|k| members.weights[k][i] = weights[k]);
             }
@@ -406,47 +491,104 @@ impl BatchScan {
     }
 }
 
-impl Columns {
-    /// The four planes of each, in samples.
-    #[inline(always)]
-    fn planes(&mut self, count: usize, pitch: [f32; 3]) {
-        let (error, pitch) = (Four::splat(ERROR), pitch.map(Four::splat));
-        for n in 0..count.div_ceil(4) {
-            let [b, c, d] = [0, 1, 2].map(|e| [0, 1, 2].map(|k| four(&self.edges[e][k], n)));
-            let (gb, gc, gd) = (cross(c, d), cross(d, b), cross(b, c));
-            let ga = [0, 1, 2].map(|k| Four::splat(0.0).minus(gb[k].plus(gc[k]).plus(gd[k])));
-            let first = [0, 1, 2].map(|k| four(&self.first[k], n));
-            let m = four(&self.longest, n);
-            let error = error.times(m).times(m).times(m);
-            let planes = [gb, gc, gd, ga];
-            let raised = [error, error, error, dot(b, gb).plus(error)];
-            self.lambda[n] = [0, 1, 2, 3].map(|k| dot(planes[k], first).plus(raised[k]).lanes());
-            self.growth[n] = [0, 1, 2].map(|axis| planes.map(|g| g[axis].times(pitch[axis]).lanes()));
-        }
-    }
+/// What is noted of sixteen tetrahedra.
+struct Columns<F: Floats> {
+    tets: F::Ints,
+    /// The place of the first sample in the window.
+    places: F::Ints,
+    edges: [[F; 3]; 3],
+    first: [F; 3],
+}
 
-    /// Finds out which of the first tetrahedra can hold which samples of their boxes, all of one size.
+impl<F: Floats> Columns<F> {
     #[inline(always)]
-    fn look(&mut self, count: usize, [nx, ny, nz]: [u32; 3]) {
-        for n in 0..count.div_ceil(4) {
-            let mut seen = 0;
-            let [x, y, z] = self.growth[n].map(|g| g.map(Four::new));
-            let mut layer = self.lambda[n].map(Four::new);
-            for _ in 0..nz {
-                let mut row = layer;
-                for _ in 0..ny {
-                    let mut at = row;
-                    for _ in 0..nx {
-                        let [b, c, d, a] = at;
-                        self.inside[seen % SIZES][n] = b.min(c).min(d.min(a)).signs() as u8 ^ 15;
-                        seen += 1;
-                        at = grown(at, x);
-                    }
-                    row = grown(row, y);
-                }
-                layer = grown(layer, z);
-            }
-        }
+    fn new(
+        proof: F::Proof,
+        scene: &Scene<'_>,
+        boxes: &Boxes<F::Ints>,
+        filter: &Filter<F>,
+        tets: F::Ints,
+    ) -> Self {
+        let (lo, strides) = (scene.scanner.window().0, scene.scanner.strides());
+        let [x, y, z] = three(
+            #[inline(always)]
+            |k| boxes.from[k].minus(F::Ints::splat(proof, lo[k])),
+        );
+        let [row, layer] = [F::Ints::splat(proof, strides[0]), F::Ints::splat(proof, strides[1])];
+        let places = z.times(layer).plus(y.times(row)).plus(x);
+        Self { tets, places, edges: filter.edges, first: filter.first }
+    }
+}
+
+/// The four planes of sixteen tetrahedra, in samples; of corners b, c, d, a.
+struct Filter<F: Floats> {
+    /// From corner a to the others, and to the first sample: exact.
+    edges: [[F; 3]; 3],
+    first: [F; 3],
+    /// λ at the first sample, raised by the error.
+    lambda: [F; 4],
+    /// What it grows by along each axis, from sample to sample.
+    growth: [[F; 4]; 3],
+    /// Times λ, the sample of the row at which it is 0.
+    crossing: [F; 4],
+    /// Where it grows along a row, and where not.
+    rises: [F::Mask; 4],
+    falls: [F::Mask; 4],
+}
+
+impl<F: Floats> Filter<F> {
+    #[inline(always)]
+    fn new(proof: F::Proof, boxes: &Boxes<F::Ints>, shifts: [u32; 3]) -> Self {
+        let [a, b, c, d] = &boxes.corners;
+        let edges = [between::<F>(a, b), between::<F>(a, c), between::<F>(a, d)];
+        let first = three(
+            #[inline(always)]
+            |k| boxes.from[k].shifted_left(shifts[k]).minus(a[k]).floats(),
+        );
+        let [b, c, d] = edges;
+        let (gb, gc, gd) = (cross(c, d), cross(d, b), cross(b, c));
+        let zero = F::splat(proof, 0.0);
+        let ga = three(
+            #[inline(always)]
+            |k| zero.minus(gb[k].plus(gc[k]).plus(gd[k])),
+        );
+        let m = boxes.longest.floats();
+        let error = F::splat(proof, ERROR).times(m).times(m).times(m);
+        let planes = [gb, gc, gd, ga];
+        let raised = [error, error, error, dot(b, gb).plus(error)];
+        let lambda = four(
+            #[inline(always)]
+            |k| dot(planes[k], first).plus(raised[k]),
+        );
+        let growth = three(
+            #[inline(always)]
+            |axis| {
+                let pitch = F::splat(proof, (1u32 << shifts[axis]) as f32);
+                four(
+                    #[inline(always)]
+                    |k| planes[k][axis].times(pitch),
+                )
+            },
+        );
+        let along = growth[0];
+        let rises = four(
+            #[inline(always)]
+            |k| zero.below(along[k]),
+        );
+        let (minus_one, none) = (F::splat(proof, -1.0), F::splat(proof, -NO_GROWTH));
+        let slopes = four(
+            #[inline(always)]
+            |k| F::pick(rises[k], along[k], F::pick(along[k].below(zero), along[k], none)),
+        );
+        let falls = four(
+            #[inline(always)]
+            |k| slopes[k].below(zero),
+        );
+        let crossing = four(
+            #[inline(always)]
+            |k| minus_one.over(slopes[k]),
+        );
+        Self { edges, first, lambda, growth, crossing, rises, falls }
     }
 }
 
@@ -495,24 +637,6 @@ fn wins_tie(scene: &Scene<'_>, tet: u32, from_a: [i32; 3]) -> bool {
     planes.has(planes.at(p), p, scene.scanner.far())
 }
 
-/// Four bits of each byte, as the bits of a word.
-#[inline(always)]
-fn joined(bits: &[u8; SIDE_BY_SIDE / 4]) -> u64 {
-    let (low, high) = bits.split_at(8);
-    let word = |half: &[u8]| {
-        let x = half.iter().rev().fold(0, |x, &b| x << 8 | u64::from(b));
-        let x = (x | x >> 4) & 0x00ff_00ff_00ff_00ff;
-        let x = (x | x >> 8) & 0x0000_ffff_0000_ffff;
-        (x | x >> 16) & 0xffff_ffff
-    };
-    word(low) | word(high) << 32
-}
-
-#[inline(always)]
-fn grown(lambda: [Four; 4], by: [Four; 4]) -> [Four; 4] {
-    [0, 1, 2, 3].map(|k| lambda[k].plus(by[k]))
-}
-
 /// The least and the greatest coordinates of a tetrahedron's corners, and a 0.
 #[inline(always)]
 pub(crate) fn corner_box(positions: &[LatticePos], tet: &Tet) -> ([u32; 4], [u32; 4]) {
@@ -536,20 +660,35 @@ pub(crate) fn greater(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
     [0, 1, 2, 3].map(|k| a[k].max(b[k]))
 }
 
-/// The n-th four of a column.
+/// From one position to another.
 #[inline(always)]
-fn four(column: &Lanes, n: usize) -> Four {
-    Four::new(column.as_chunks().0[n])
+fn between<F: Floats>(a: &[F::Ints; 3], b: &[F::Ints; 3]) -> [F; 3] {
+    three(
+        #[inline(always)]
+        |k| b[k].minus(a[k]).floats(),
+    )
 }
 
 #[inline(always)]
-fn cross(u: [Four; 3], v: [Four; 3]) -> [Four; 3] {
-    [(1, 2), (2, 0), (0, 1)].map(|(i, j)| u[i].times(v[j]).minus(u[j].times(v[i])))
+fn cross<F: Floats>(u: [F; 3], v: [F; 3]) -> [F; 3] {
+    let ([a, b, c], [x, y, z]) = (u, v);
+    [b.times(z).minus(c.times(y)), c.times(x).minus(a.times(z)), a.times(y).minus(b.times(x))]
 }
 
 #[inline(always)]
-fn dot(u: [Four; 3], v: [Four; 3]) -> Four {
+fn dot<F: Floats>(u: [F; 3], v: [F; 3]) -> F {
     u[0].times(v[0]).plus(u[1].times(v[1])).plus(u[2].times(v[2]))
+}
+
+/// Puts some numbers into a list, at a place that has room for all of them.
+#[inline(always)]
+fn put<T: Copy>(list: &mut [T], at: usize, numbers: [T; LANES]) {
+    list[at..at + LANES].copy_from_slice(&numbers);
+}
+
+#[inline(always)]
+fn sixteen<T>(list: &[T], at: usize) -> &[T; LANES] {
+    list[at..].first_chunk().expect("there is room for all of them")
 }
 
 #[inline(always)]

@@ -27,7 +27,7 @@
 //! **Fast.** Most samples of a bounding box are outside, and a filter in `f32` with a proven error says so, sixteen at a time in a small
 //! box; exact integers see what is left. Cost: some 300 operations a tetrahedron with a sample in its box, 15 to 40 for
 //! each row of the box, 40 for each sample inside. Memory: none. [`Scanner`] hands samples on by runs. [`BatchScan`] scans many
-//! small tetrahedra together, in half of that time.
+//! small tetrahedra together, sixteen side by side, in a third of that time.
 //!
 //! ```
 //! use isospan::geom::Lattice;
@@ -54,6 +54,7 @@ mod lanes;
 mod locate;
 mod planes;
 mod scan;
+mod sixteen;
 #[cfg(test)]
 mod tests;
 

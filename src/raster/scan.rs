@@ -71,10 +71,10 @@ impl<'a> Scanner<'a> {
         Self { axes, far: grid.far(), lo, hi, strides, pitch }
     }
 
-    /// log2 of the distance of samples along each axis, where it is the same for all of them, and the first sample is at 0; and a 0.
-    pub(super) fn even_shifts(&self) -> Option<[u32; 4]> {
+    /// log2 of the distance of samples along each axis, where it is the same for all of them, and the first sample is at 0.
+    pub(super) fn even_shifts(&self) -> Option<[u32; 3]> {
         let [x, y, z] = [0, 1, 2].map(|k| self.axes[k].shift_from_zero());
-        Some([x?, y?, z?, 0])
+        Some([x?, y?, z?])
     }
 
     /// Samples of the window.
@@ -82,10 +82,9 @@ impl<'a> Scanner<'a> {
         self.strides[1] as u64 * self.hi[2].saturating_sub(self.lo[2]) as u64
     }
 
-    /// First and end of the window, and 0 and 1.
-    pub(super) fn window(&self) -> ([u32; 4], [u32; 4]) {
-        let ([x, y, z], [u, v, w]) = (self.lo.map(|n| n as u32), self.hi.map(|n| n as u32));
-        ([x, y, z, 0], [u, v, w, 1])
+    /// First and end of the window.
+    pub(super) fn window(&self) -> ([u32; 3], [u32; 3]) {
+        (self.lo.map(|n| n as u32), self.hi.map(|n| n as u32))
     }
 
     /// Samples of a row of the window, of a layer.

@@ -2,6 +2,7 @@
 
 use super::planes::{Planes, bounds};
 use super::*;
+use crate::exec::Avx2;
 use crate::geom::predicates::signed_volume6;
 use crate::geom::{Lattice, LatticeBox, LatticePos};
 use crate::grid::IndexBox;
@@ -68,6 +69,7 @@ fn corner() -> impl Strategy<Value = u32> {
         4 => (12u32..=24).prop_map(|n| n << 15),
         4 => (6u32 << 16)..=(9 << 16),
         1 => 0u32..=(12 << 16),
+        1 => 0u32..=(24 << 16),
     ]
 }
 
@@ -155,7 +157,7 @@ proptest! {
         let dims = finer.map(|f| (1 << (8 + finer[1] - f)) + 1);
         let lattice = Lattice::stretched(dims, finer).unwrap();
         assert_eq!((lattice.log2_steps[1], lattice.max()), (16, [1 << 24; 3]));
-        let base = if far { lattice.max()[0] - (12 << 16) } else { 0 };
+        let base = if far { lattice.max()[0] - (24 << 16) } else { 0 };
         let positions: Vec<LatticePos> = corners.iter().map(|p| p.map(|c| base + c)).collect();
         let tets: Vec<Tet> = picks.iter().filter_map(|pick| {
             let [a, b, c, d] = pick.map(|i| i.index(positions.len()) as u32);
@@ -175,12 +177,14 @@ proptest! {
             let window = if cut { window } else { whole }.intersect(&IndexBox::whole(grid.dims()));
             let scanner = Scanner::new(&grid, &window);
             let (mut found, mut wanted) = (vec![], vec![]);
-            BatchScan::default().each_member(&scanner, &positions, &tets, |members| {
-                let [a, b, c, d] = members.weights();
-                for (i, (&tet, &place)) in members.tets().iter().zip(members.places()).enumerate() {
-                    found.push((tet, place as usize, [a[i], b[i], c[i], d[i]].map(f64::to_bits)));
+            BatchScan::default().each_member(&scanner, &positions, &tets, |m| found.extend(listed(m)));
+            for vectors in [None, Avx2::found()] {
+                if scanner.even_shifts().is_some() {
+                    let (mut batch, mut same) = (BatchScan::default(), vec![]);
+                    batch.each_member_with(vectors, &scanner, &positions, &tets, |m| same.extend(listed(m)));
+                    prop_assert_eq!(&found, &same);
                 }
-            });
+            }
             for (t, tet) in (0..).zip(&tets) {
                 let corners = tet.map(|v| positions[v as usize]);
                 scanner.each_sample(corners, |place, w| wanted.push((t, place, w.map(f64::to_bits))));
@@ -204,6 +208,13 @@ proptest! {
         turned.swap(0, 1);
         prop_assert_eq!(before.to_bits(), interpolate(weights, turned).to_bits());
     }
+}
+
+/// Tetrahedron, place and bits of the weights of each.
+fn listed(members: &Members) -> Vec<(u32, usize, [u64; 4])> {
+    let [a, b, c, d] = members.weights();
+    let places = members.tets().iter().zip(members.places()).enumerate();
+    places.map(|(i, (&tet, &at))| (tet, at as usize, [a[i], b[i], c[i], d[i]].map(f64::to_bits))).collect()
 }
 
 #[test]
