@@ -1,15 +1,25 @@
-//! Extraction, welding and checking of a gyroid in a chunk of 262 144 points and 1.5 million tetrahedra.
+//! Extraction, welding and checking of a gyroid in a chunk of 262 144 points and 1.5 million tetrahedra; and whole surfaces of archives whose blocks
+//! are kept and known (`kept/FIELD/POINTS`, one thread: of 60 000 points what is kept fits in the caches, of a million it does not).
 //! Throughput is in triangles.
+//!
+//! `cargo bench --bench surface`, about a minute.
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
+use isospan::Archive;
+use isospan::exec::Silent;
+use isospan::formats::OpenOptions;
 use isospan::geom::{Lattice, LatticePos, PointId};
 use isospan::grid::Geometry;
 use isospan::mesh::tet::{self, Tet};
+use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, reduce};
+use isospan::points::SetKind;
+use isospan::sample::Values;
 use isospan::surface::check::check;
 use isospan::surface::marching_tets::{CellSource, ChunkSurface, extract};
 use isospan::surface::weld::{BuilderSettings, SurfaceBuilder};
 use isospan::surface::{TriMesh, WorldMap};
 use std::hint::black_box;
+use std::path::{Path, PathBuf};
 
 const N: u64 = 64;
 const ISOVALUE: f32 = 0.1;
@@ -107,5 +117,63 @@ fn surface(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, surface);
+/// A gyroid with so many turns along each axis, reduced to an archive of so many points.
+fn archive(folder: &Path, turns: f32, points: u64) -> PathBuf {
+    const SIZE: u32 = 128;
+    let input = folder.join("gyroid.nrrd");
+    let sizes = format!("sizes: {SIZE} {SIZE} {SIZE}");
+    let head = format!("NRRD0004\ntype: float\ndimension: 3\n{sizes}\nendian: little\nencoding: raw\n\n");
+    let wave = |i: u32| (i as f32 / SIZE as f32 * turns * std::f32::consts::TAU).sin_cos();
+    let mut bytes = head.into_bytes();
+    for z in 0..SIZE {
+        for y in 0..SIZE {
+            for x in 0..SIZE {
+                let [(sx, cx), (sy, cy), (sz, cz)] = [x, y, z].map(wave);
+                bytes.extend((sx * cy + sy * cz + sz * cx).to_le_bytes());
+            }
+        }
+    }
+    std::fs::write(&input, bytes).expect("the folder is ours");
+    let out = folder.join(format!("{turns}-{points}.isospan"));
+    let amount = Amount::Count(points);
+    let settings = ReduceSettings {
+        points: SetKind::Halton,
+        amount,
+        values: Values::Sample,
+        measure: false,
+        ..ReduceSettings::default()
+    };
+    let (options, run) = (OpenOptions::default(), RunSettings::default());
+    reduce(&input, &options, &settings, &out, &run, &Silent).expect("the volume is whole");
+    out
+}
+
+/// Somebody drags an isovalue: questions to blocks of which all is known.
+fn kept(c: &mut Criterion) {
+    let folder = tempfile::tempdir().expect("a folder for temporary files");
+    let mut group = c.benchmark_group("kept");
+    for (field, turns) in [("smooth", 1.0), ("busy", 5.0)] {
+        for points in [60_000, 1_000_000] {
+            let archive = Archive::open(archive(folder.path(), turns, points)).expect("it was just made");
+            let archive = archive.keeping(4 << 30);
+            let questions =
+                [0.0, 0.01, 0.02, 0.03].map(|v| SurfaceSettings { threads: 1, ..SurfaceSettings::of(v) });
+            let mut surfaces = vec![];
+            let mut ask = || -> u64 {
+                let triangles = questions.iter().map(|question| {
+                    archive.surfaces_into(question, &mut surfaces).expect("memory suffices");
+                    surfaces[0].triangles.len() as u64
+                });
+                triangles.sum()
+            };
+            // Blocks are read, then found out about.
+            let triangles = [ask(), ask(), ask()][2];
+            group.throughput(Throughput::Elements(triangles));
+            group.bench_function(format!("{field}/{points}"), |b| b.iter(&mut ask));
+        }
+    }
+    group.finish();
+}
+
+criterion_group!(benches, surface, kept);
 criterion_main!(benches);
