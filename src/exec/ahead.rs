@@ -6,10 +6,16 @@
 #[inline]
 pub(crate) fn will_read<T>(items: &[T]) {
     #[cfg(target_arch = "x86_64")]
-    for line in (0..size_of_val(items)).step_by(64) {
+    {
         use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
-        // SAFETY: the address lies in the slice, and nothing but time depends on it; every x86-64 has SSE.
-        unsafe { _mm_prefetch::<_MM_HINT_T0>(items.as_ptr().cast::<i8>().add(line)) };
+        let first = items.as_ptr().cast::<i8>();
+        // The lines that the slice touches: it may begin within one.
+        let before = first.addr() % 64;
+        for line in (0..before + size_of_val(items)).step_by(64) {
+            let at = first.wrapping_sub(before).wrapping_add(line);
+            // SAFETY: nothing but time depends on the address; every x86-64 has SSE.
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(at) };
+        }
     }
     #[cfg(not(target_arch = "x86_64"))]
     let _ = items;

@@ -13,7 +13,8 @@ use super::super::fours;
 use super::super::marching_tets::{ChunkSurface, OpenVertex, SharedEdge, Workbench, on_lanes};
 use super::super::patch::up;
 use super::super::{Vertex, WorldMap};
-use super::{ByteTables, EDGES_MOST, GROUP, KnownBlock, OPEN, SHARED, TURNED, is_void};
+use super::sides::SPARE;
+use super::{ByteTables, EDGES_MOST, GROUP, KnownBlock, OPEN, SHARED, TURNED};
 #[cfg(target_arch = "x86_64")]
 use crate::exec::lanes::Vector;
 use crate::exec::lanes::{Four, Plain};
@@ -31,8 +32,6 @@ pub(in super::super) struct Crossed {
     open: Vec<u16>,
     /// Active tetrahedra, and the corners inside of each.
     tets: Vec<[u16; 2]>,
-    /// Sides of corners, a bit each.
-    sides: Vec<u64>,
     /// How many there are of each of these.
     counts: [usize; 3],
     /// The vertex of each crossed edge.
@@ -53,10 +52,10 @@ impl Crossed {
     /// Room for all of a block.
     fn make_room(&mut self, block: &KnownBlock) {
         let grow = |list: &mut Vec<u16>, most: usize| list.resize(most.max(list.len()), 0);
-        grow(&mut self.edges, block.edges + 1);
-        grow(&mut self.open, block.edges + 1);
-        grow(&mut self.new, block.edges + 1);
-        self.tets.resize((block.tets + 1).max(self.tets.len()), [0; 2]);
+        grow(&mut self.edges, block.edges + SPARE);
+        grow(&mut self.open, block.edges + SPARE);
+        grow(&mut self.new, block.edges + SPARE);
+        self.tets.resize((block.tets + SPARE).max(self.tets.len()), [0; 2]);
         self.triangles.resize((2 * block.tets + 2).max(self.triangles.len()), [0; 3]);
         self.vertices.resize(EDGES_MOST, NEW);
     }
@@ -66,42 +65,15 @@ impl Crossed {
         &self.tets[..self.counts[2]]
     }
 
-    /// Looks what is crossed, 64 corners at a time.
+    /// Looks what is crossed, 64 corners at a time, in a block without void tetrahedra.
     #[inline(always)]
     fn find_at_once(&mut self, block: &KnownBlock, isovalue: f32, tables: ByteTables) {
         self.make_room(block);
         let table = block.sides(isovalue);
-        let ([mut crossed, mut open, mut active], mut first) = ([0; 3], 0);
-        // Neither end is a NaN, and there are no edges behind the last.
-        tables.look_up(&table, block.edges().as_flattened(), &mut self.sides);
-        for sides in &self.sides {
-            let mut left = (sides ^ sides >> 1) & (u64::MAX / 3);
-            while left != 0 {
-                self.edges[crossed] = first + left.trailing_zeros() as u16 / 2;
-                crossed += 1;
-                left &= left - 1;
-            }
-            first += 32;
-        }
-        let slots = block.slots_of_edges();
-        for &n in &self.edges[..crossed] {
-            self.open[open] = n;
-            open += usize::from(slots[usize::from(n)] >> 15);
-        }
-        tables.look_up(&table, block.tets().as_flattened(), &mut self.sides);
-        let edges = block.edges_of_tets();
-        for (sides, n) in self.sides.iter().zip((0..).step_by(GROUP)) {
-            let (any, all) = (sides | sides >> 1, sides & sides >> 1);
-            let mut left = (any | any >> 2) & !(all & all >> 2) & (u64::MAX / 15);
-            while left != 0 {
-                let at = left.trailing_zeros();
-                let tet = n + at as usize / 4;
-                self.tets[active] = [tet as u16, (sides >> at & 15) as u16];
-                active += usize::from(!is_void(&edges[tet]));
-                left &= left - 1;
-            }
-        }
-        self.counts = [crossed, open, active];
+        // Neither end of an edge is a NaN.
+        let lists = [&mut self.edges[..], &mut self.open];
+        let [crossed, open] = tables.edges(&table, block.edges(), block.slots_of_edges(), lists);
+        self.counts = [crossed, open, tables.tets(&table, block.tets(), &mut self.tets)];
     }
 
     /// Looks what is crossed.
@@ -194,7 +166,7 @@ impl ChunkSurface {
         crossed: &mut Crossed,
         (avx2, tables): (Option<Avx2>, Option<ByteTables>),
     ) {
-        match tables {
+        match tables.filter(|_| !block.has_void) {
             Some(tables) => crossed.find_at_once(block, self.isovalue, tables),
             None => crossed.find(block, self.isovalue),
         }

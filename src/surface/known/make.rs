@@ -135,7 +135,8 @@ impl Maker {
         bytemuck::cast_slice_mut(of_edges).copy_from_slice(&self.tet_edges);
         words.extend_from_slice(self.slots.as_flattened());
         words.extend(order.ids(cells));
-        Some(KnownBlock { words: words.into(), corners, edges, tets, slots })
+        let has_void = self.tet_edges.iter().any(is_void);
+        Some(KnownBlock { words: words.into(), corners, edges, tets, slots, has_void })
     }
 
     /// Lists tetrahedra, groups and edges. False if there are too many.

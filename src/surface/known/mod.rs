@@ -69,6 +69,8 @@ pub(crate) struct KnownBlock {
     edges: usize,
     tets: usize,
     slots: usize,
+    /// Whether some tetrahedron has no edges.
+    has_void: bool,
 }
 
 impl KnownBlock {
@@ -151,25 +153,22 @@ impl KnownBlock {
         shared_ids(self.numbers(), self.ids(), ends)
     }
 
-    /// Asks the processor for what is looked at of any block.
+    /// Asks the processor for what is looked at of any block: all but the edges of tetrahedra, slots and ids.
     pub(crate) fn corners_will_be_read(&self) {
-        will_read(&self.words[..self.ends()[2]]);
+        will_read(&self.words[..self.ends()[4]]);
     }
 
-    /// Asks the processor for tetrahedra that may be active, and their edges, of a block whose groups are at hand.
+    /// Asks the processor for the rest, of tetrahedra that may be active, of a block whose groups are at hand.
     pub(crate) fn tets_will_be_read(&self, isovalues: &[f32]) {
-        let (mut edge, mut slot) = (0, 0);
-        let tets = self.tets().chunks(GROUP).zip(self.edges_of_tets().chunks(GROUP));
-        for ((tets, tet_edges), group) in tets.zip(self.groups()) {
-            let ends = [group.edges_end, group.slots_end].map(usize::from);
+        let (tets, slots) = (self.edges_of_tets(), self.slots());
+        let mut slot = 0;
+        for (tets, group) in tets.chunks(GROUP).zip(self.groups()) {
+            let end = usize::from(group.slots_end);
             if isovalues.iter().any(|&v| is_active(group.least, group.most, v)) {
                 will_read(tets);
-                will_read(tet_edges);
-                will_read(&self.edges()[edge..ends[0]]);
-                will_read(&self.slots_of_edges()[edge..ends[0]]);
-                will_read(&self.slots()[slot..ends[1]]);
+                will_read(&slots[slot..end]);
             }
-            [edge, slot] = ends;
+            slot = end;
         }
     }
 
