@@ -23,12 +23,16 @@
 //!
 //! Larger boxes and tetrahedra go through `scan.rs`, and all do on grids that are no voxels. Memory: [`BatchScan::BYTES`].
 
-use super::planes::{LONGEST_64, Planes};
+mod boxes;
+mod exact;
+
+use self::boxes::{Boxes, Columns, Filter, Scene};
+use self::exact::{Candidates, wins_tie};
+use super::planes::LONGEST_64;
 use super::scan::Scanner;
 use super::sixteen::{Bits, Floats, Ints, Plain};
 #[cfg(target_arch = "x86_64")]
 use super::sixteen::{FloatPair, FloatVector};
-use crate::exec::lanes::{four, three};
 use crate::exec::{Avx2, Avx512, with_avx512, with_vectors};
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
@@ -48,19 +52,10 @@ const SIZES: usize = (EDGE * EDGE) as usize;
 /// The longest edge of a box, in lattice steps: see above.
 const LONGEST: u32 = 1 << 20;
 const _: () = assert!(LONGEST <= LONGEST_64);
-/// The error of the filter, in M³: see above.
-const ERROR: f32 = 1024.0 / (1u32 << 24) as f32;
 /// What an end of a row may be wrong by, in samples: far more than it is (2^-17).
 const SLACK: f32 = 1.0 / 4096.0;
-/// A growth that is none: λ does not change from -16 to 16.
-const NO_GROWTH: f32 = 1e-30;
 /// The lanes.
 const NUMBERS: [u32; LANES] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15];
-/// What positions are cut at.
-const CUT: f64 = 1024.0;
-/// Added to a number below 2^51 and taken away, it rounds to an integer.
-const ROUND: f64 = 1.5 * (1u64 << 52) as f64;
-
 /// Samples, each in the tetrahedron that it belongs to.
 pub struct Members {
     len: usize,
@@ -99,15 +94,6 @@ impl Members {
     }
 }
 
-/// Samples that may be members: what decides it.
-struct Candidates {
-    edges: [[[f32; MEMBERS]; 3]; 3],
-    /// From corner a.
-    at: [[f32; MEMBERS]; 3],
-    /// The least of the four exact λ.
-    least: [f64; MEMBERS],
-}
-
 /// The memory in which tetrahedra are scanned together; kept from one call to the next.
 pub struct BatchScan {
     /// Tetrahedra with small boxes, and the sizes of these.
@@ -144,80 +130,6 @@ const _: () = assert!(
         + size_of::<(Candidates, Members)>() as u64
         <= BatchScan::BYTES
 );
-
-/// What a scan is of.
-struct Scene<'a> {
-    scanner: &'a Scanner<'a>,
-    positions: &'a [LatticePos],
-    tets: &'a [Tet],
-    /// log2 of the distance of samples along each axis.
-    shifts: [u32; 3],
-}
-
-impl Scene<'_> {
-    fn corners(&self, tet: u32) -> [LatticePos; 4] {
-        self.tets[tet as usize].map(|v| self.positions[v as usize])
-    }
-}
-
-/// Sixteen tetrahedra, coordinate by coordinate.
-struct Boxes<I> {
-    corners: [[I; 3]; 4],
-    /// The first sample of the box and the end of it, in the window.
-    from: [I; 3],
-    to: [I; 3],
-    /// The longest edge of the bounding box.
-    longest: I,
-}
-
-impl<I: Ints> Boxes<I> {
-    #[inline(always)]
-    fn new(proof: I::Proof, scene: &Scene<'_>, tet: impl Fn(usize) -> u32) -> Self {
-        let tets: [Tet; LANES] = std::array::from_fn(|n| scene.tets[tet(n) as usize]);
-        let corners = four(
-            #[inline(always)]
-            |k| {
-                I::columns(
-                    proof,
-                    #[inline(always)]
-                    |n| scene.positions[tets[n][k] as usize],
-                )
-            },
-        );
-        let [a, b, c, d] = &corners;
-        let (lo, hi) = scene.scanner.window();
-        let mut longest = I::splat(proof, 0);
-        let ranges = three(
-            #[inline(always)]
-            |k| {
-                let least = a[k].min(b[k]).min(c[k].min(d[k]));
-                let most = a[k].max(b[k]).max(c[k].max(d[k]));
-                let shift = scene.shifts[k];
-                let before = I::splat(proof, (1 << shift) - 1);
-                let from = least.plus(before).shifted_right(shift).max(I::splat(proof, lo[k]));
-                let to = most.shifted_right(shift).plus(I::splat(proof, 1)).min(I::splat(proof, hi[k]));
-                longest = longest.max(most.minus(least));
-                (from, to)
-            },
-        );
-        let [x, y, z] = ranges;
-        Self { corners, from: [x.0, y.0, z.0], to: [x.1, y.1, z.1], longest }
-    }
-
-    /// Samples along each axis; no number of any where there are none.
-    #[inline(always)]
-    fn samples(&self) -> [I; 3] {
-        let [x, y, z] = &self.to;
-        [x.minus(self.from[0]), y.minus(self.from[1]), z.minus(self.from[2])]
-    }
-
-    /// Those that have samples.
-    #[inline(always)]
-    fn with_samples(&self) -> Bits {
-        let ([x, y, z], [u, v, w]) = (&self.from, &self.to);
-        x.below(*u) & y.below(*v) & z.below(*w)
-    }
-}
 
 impl BatchScan {
     /// Bytes that it takes, at most.
@@ -491,152 +403,6 @@ impl BatchScan {
     }
 }
 
-/// What is noted of sixteen tetrahedra.
-struct Columns<F: Floats> {
-    tets: F::Ints,
-    /// The place of the first sample in the window.
-    places: F::Ints,
-    edges: [[F; 3]; 3],
-    first: [F; 3],
-}
-
-impl<F: Floats> Columns<F> {
-    #[inline(always)]
-    fn new(
-        proof: F::Proof,
-        scene: &Scene<'_>,
-        boxes: &Boxes<F::Ints>,
-        filter: &Filter<F>,
-        tets: F::Ints,
-    ) -> Self {
-        let (lo, strides) = (scene.scanner.window().0, scene.scanner.strides());
-        let [x, y, z] = three(
-            #[inline(always)]
-            |k| boxes.from[k].minus(F::Ints::splat(proof, lo[k])),
-        );
-        let [row, layer] = [F::Ints::splat(proof, strides[0]), F::Ints::splat(proof, strides[1])];
-        let places = z.times(layer).plus(y.times(row)).plus(x);
-        Self { tets, places, edges: filter.edges, first: filter.first }
-    }
-}
-
-/// The four planes of sixteen tetrahedra, in samples; of corners b, c, d, a.
-struct Filter<F: Floats> {
-    /// From corner a to the others, and to the first sample: exact.
-    edges: [[F; 3]; 3],
-    first: [F; 3],
-    /// λ at the first sample, raised by the error.
-    lambda: [F; 4],
-    /// What it grows by along each axis, from sample to sample.
-    growth: [[F; 4]; 3],
-    /// Times λ, the sample of the row at which it is 0.
-    crossing: [F; 4],
-    /// Where it grows along a row, and where not.
-    rises: [F::Mask; 4],
-    falls: [F::Mask; 4],
-}
-
-impl<F: Floats> Filter<F> {
-    #[inline(always)]
-    fn new(proof: F::Proof, boxes: &Boxes<F::Ints>, shifts: [u32; 3]) -> Self {
-        let [a, b, c, d] = &boxes.corners;
-        let edges = [between::<F>(a, b), between::<F>(a, c), between::<F>(a, d)];
-        let first = three(
-            #[inline(always)]
-            |k| boxes.from[k].shifted_left(shifts[k]).minus(a[k]).floats(),
-        );
-        let [b, c, d] = edges;
-        let (gb, gc, gd) = (cross(c, d), cross(d, b), cross(b, c));
-        let zero = F::splat(proof, 0.0);
-        let ga = three(
-            #[inline(always)]
-            |k| zero.minus(gb[k].plus(gc[k]).plus(gd[k])),
-        );
-        let m = boxes.longest.floats();
-        let error = F::splat(proof, ERROR).times(m).times(m).times(m);
-        let planes = [gb, gc, gd, ga];
-        let raised = [error, error, error, dot(b, gb).plus(error)];
-        let lambda = four(
-            #[inline(always)]
-            |k| dot(planes[k], first).plus(raised[k]),
-        );
-        let growth = three(
-            #[inline(always)]
-            |axis| {
-                let pitch = F::splat(proof, (1u32 << shifts[axis]) as f32);
-                four(
-                    #[inline(always)]
-                    |k| planes[k][axis].times(pitch),
-                )
-            },
-        );
-        let along = growth[0];
-        let rises = four(
-            #[inline(always)]
-            |k| zero.below(along[k]),
-        );
-        let (minus_one, none) = (F::splat(proof, -1.0), F::splat(proof, -NO_GROWTH));
-        let slopes = four(
-            #[inline(always)]
-            |k| F::pick(rises[k], along[k], F::pick(along[k].below(zero), along[k], none)),
-        );
-        let falls = four(
-            #[inline(always)]
-            |k| slopes[k].below(zero),
-        );
-        let crossing = four(
-            #[inline(always)]
-            |k| minus_one.over(slopes[k]),
-        );
-        Self { edges, first, lambda, growth, crossing, rises, falls }
-    }
-}
-
-impl Candidates {
-    /// Computes the weights of the first ones, and the least λ of each.
-    #[inline(always)]
-    fn decide(&mut self, weights: &mut [[f64; MEMBERS]; 4], count: usize) {
-        let [b, c, d] = &self.edges;
-        for i in 0..count.next_multiple_of(8).min(MEMBERS) {
-            let [b, c, d] = [b, c, d].map(|e| [0, 1, 2].map(|k| f64::from(e[k][i])));
-            let r = [0, 1, 2].map(|k| f64::from(self.at[k][i]));
-            let (gb, gc, gd) = (cross_of(c, d), cross_of(d, b), cross_of(b, c));
-            let cut = |p: [f64; 3]| {
-                let high = p.map(|x| (x * (1.0 / CUT) + ROUND) - ROUND);
-                (high, [0, 1, 2].map(|k| p[k] - high[k] * CUT))
-            };
-            let ((rh, rl), (eh, el)) = (cut(r), cut(b));
-            let parts = |g: [f64; 3]| (dot_of(g, rh), dot_of(g, rl));
-            let (pb, pc, pd) = (parts(gb), parts(gc), parts(gd));
-            let whole = (dot_of(gb, eh), dot_of(gb, el));
-            let pa = (whole.0 - (pb.0 + pc.0 + pd.0), whole.1 - (pb.1 + pc.1 + pd.1));
-            let joined = |(high, low): (f64, f64)| high * CUT + low;
-            let unit = 1.0 / joined(whole);
-            let lambda = [joined(pa), joined(pb), joined(pc), joined(pd)];
-            for (weights, lambda) in weights.iter_mut().zip(lambda) {
-                weights[i] = lambda * unit;
-            }
-            let [la, lb, lc, ld] = lambda;
-            let order = |x: f64, y: f64| if x < y { x } else { y };
-            self.least[i] = order(order(la, lb), order(lc, ld));
-        }
-    }
-
-    /// Where a candidate is from corner a, in lattice steps.
-    fn place(&self, i: usize) -> [i32; 3] {
-        [0, 1, 2].map(|k| self.at[k][i] as i32)
-    }
-}
-
-/// The tie rule, in integers.
-#[inline(never)]
-fn wins_tie(scene: &Scene<'_>, tet: u32, from_a: [i32; 3]) -> bool {
-    let corners = scene.corners(tet);
-    let p = std::array::from_fn(|k| (corners[0][k] as i32 + from_a[k]) as u32);
-    let planes = Planes::<i64>::new(corners);
-    planes.has(planes.at(p), p, scene.scanner.far())
-}
-
 /// The least and the greatest coordinates of a tetrahedron's corners, and a 0.
 #[inline(always)]
 pub(crate) fn corner_box(positions: &[LatticePos], tet: &Tet) -> ([u32; 4], [u32; 4]) {
@@ -660,26 +426,6 @@ pub(crate) fn greater(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
     [0, 1, 2, 3].map(|k| a[k].max(b[k]))
 }
 
-/// From one position to another.
-#[inline(always)]
-fn between<F: Floats>(a: &[F::Ints; 3], b: &[F::Ints; 3]) -> [F; 3] {
-    three(
-        #[inline(always)]
-        |k| b[k].minus(a[k]).floats(),
-    )
-}
-
-#[inline(always)]
-fn cross<F: Floats>(u: [F; 3], v: [F; 3]) -> [F; 3] {
-    let ([a, b, c], [x, y, z]) = (u, v);
-    [b.times(z).minus(c.times(y)), c.times(x).minus(a.times(z)), a.times(y).minus(b.times(x))]
-}
-
-#[inline(always)]
-fn dot<F: Floats>(u: [F; 3], v: [F; 3]) -> F {
-    u[0].times(v[0]).plus(u[1].times(v[1])).plus(u[2].times(v[2]))
-}
-
 /// Puts some numbers into a list, at a place that has room for all of them.
 #[inline(always)]
 fn put<T: Copy>(list: &mut [T], at: usize, numbers: [T; LANES]) {
@@ -689,14 +435,4 @@ fn put<T: Copy>(list: &mut [T], at: usize, numbers: [T; LANES]) {
 #[inline(always)]
 fn sixteen<T>(list: &[T], at: usize) -> &[T; LANES] {
     list[at..].first_chunk().expect("there is room for all of them")
-}
-
-#[inline(always)]
-fn cross_of(u: [f64; 3], v: [f64; 3]) -> [f64; 3] {
-    [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
-}
-
-#[inline(always)]
-fn dot_of(u: [f64; 3], v: [f64; 3]) -> f64 {
-    u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 }
