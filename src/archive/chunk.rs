@@ -18,6 +18,7 @@ use crate::mesh::tet::Tet;
 pub const TETS_TUPLES: u8 = 0;
 /// Codec of a tetrahedron block: star after star.
 pub const TETS_STARS: u8 = 1;
+
 /// A chunk ready to be written.
 #[derive(Clone, Debug, Default)]
 pub struct EncodedChunk {

@@ -14,7 +14,7 @@ use super::grid_field::treat_missing;
 use super::measure::{Originals, world_of};
 use super::open::OpenArchive;
 use super::probe::windows;
-use super::side_errors::{Room, Scene};
+use super::side_errors::Room;
 use super::sides::Sides;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::errors::{ChunkErrors, decode_errors};
@@ -183,7 +183,6 @@ impl Gauge {
                     read(n, window, out)?;
                 }
                 let (tets, scanner) = (&cells.tets[tets.clone()], Scanner::new(&self.grid, &window));
-                let scene = Scene { window: &window, tets, steps, originals: &originals };
                 with_vectors(
                     #[inline(always)]
                     || {
@@ -192,9 +191,8 @@ impl Gauge {
                             cells.positions,
                             tets,
                             #[inline(always)]
-                            |members| room.compare(members, &scene, &mut each),
-                        );
-                        room.finish(&scene, &mut each);
+                            |members| room.compare(members, &window, tets, steps, &originals, &mut each),
+                        )
                     },
                 );
             }

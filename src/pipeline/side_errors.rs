@@ -16,68 +16,8 @@ use std::slice::ChunksExact;
 
 const _: () = assert!(MEMBERS <= TOGETHER);
 
-/// Some samples, the tetrahedra that have them, and the weights of the corners.
-#[derive(Clone, Copy)]
-struct Located<'a> {
-    tets: &'a [u32],
-    places: &'a [u32],
-    weights: [&'a [f64]; 4],
-}
-
-/// Samples that came few by few, until they are many: what is done for some at each step takes its time however few they are.
-struct Waiting {
-    len: usize,
-    tets: [u32; MEMBERS],
-    places: [u32; MEMBERS],
-    weights: [[f64; MEMBERS]; 4],
-}
-
-/// So many samples need not wait.
-const MANY: usize = MEMBERS / 2;
-
-impl Waiting {
-    fn new() -> Box<Self> {
-        let (numbers, weights) = ([0; MEMBERS], [[0.0; MEMBERS]; 4]);
-        Box::new(Self { len: 0, tets: numbers, places: numbers, weights })
-    }
-
-    /// Adds samples, for which there is room.
-    #[inline(always)]
-    fn add(&mut self, some: &Located<'_>) {
-        let (from, to) = (self.len, self.len + some.places.len());
-        self.tets[from..to].copy_from_slice(some.tets);
-        self.places[from..to].copy_from_slice(some.places);
-        for (weights, some) in self.weights.iter_mut().zip(some.weights) {
-            weights[from..to].copy_from_slice(some);
-        }
-        self.len = to;
-    }
-
-    fn all(&self) -> Located<'_> {
-        let n = self.len;
-        let weights = [0, 1, 2, 3].map(|k| &self.weights[k][..n]);
-        Located { tets: &self.tets[..n], places: &self.places[..n], weights }
-    }
-}
-
-/// The samples of a window, each in one of some tetrahedra, at each step.
-#[derive(Clone, Copy)]
-pub(super) struct Scene<'a> {
-    pub(super) window: &'a IndexBox,
-    pub(super) tets: &'a [Tet],
-    pub(super) steps: &'a Sides<'a>,
-    /// The window's samples, step after step.
-    pub(super) originals: &'a [f32],
-}
-
-/// The memory in which samples are compared.
-pub(super) struct Room {
-    waiting: Box<Waiting>,
-    comparing: Comparing,
-}
-
 /// Some samples at the steps that lie side by side.
-struct Comparing {
+pub(super) struct Room {
     one: Box<Compared<1>>,
     four: Box<Compared<4>>,
     eight: Box<Compared<8>>,
@@ -85,43 +25,23 @@ struct Comparing {
 
 impl Default for Room {
     fn default() -> Self {
-        let comparing = Comparing { one: Compared::new(), four: Compared::new(), eight: Compared::new() };
-        Self { waiting: Waiting::new(), comparing }
+        Self { one: Compared::new(), four: Compared::new(), eight: Compared::new() }
     }
 }
 
 impl Room {
-    /// Takes some samples of a window, and hands on some of those that it has, at each step.
+    /// Hands on some samples of a window at each step; `originals` are the window's samples of each step.
     #[inline(always)]
     pub(super) fn compare(
         &mut self,
         members: &Members,
-        scene: &Scene<'_>,
+        window: &IndexBox,
+        tets: &[Tet],
+        steps: &Sides<'_>,
+        originals: &[f32],
         each: &mut impl FnMut(Measured<'_>),
     ) {
-        let some = Located { tets: members.tets(), places: members.places(), weights: members.weights() };
-        let count = some.places.len();
-        if count >= MANY {
-            return self.comparing.compare(&some, scene, each);
-        }
-        if self.waiting.len + count > MEMBERS {
-            self.finish(scene, each);
-        }
-        self.waiting.add(&some);
-    }
-
-    /// Hands on the samples of a window that are left.
-    pub(super) fn finish(&mut self, scene: &Scene<'_>, each: &mut impl FnMut(Measured<'_>)) {
-        self.comparing.compare(&self.waiting.all(), scene, each);
-        self.waiting.len = 0;
-    }
-}
-
-impl Comparing {
-    #[inline(always)]
-    fn compare(&mut self, some: &Located<'_>, scene: &Scene<'_>, each: &mut impl FnMut(Measured<'_>)) {
-        let &Scene { window, tets, steps, originals } = scene;
-        let places = some.places;
+        let places = members.places();
         let count = places.len().min(MEMBERS);
         if count == 0 {
             return;
@@ -130,9 +50,9 @@ impl Comparing {
             let originals =
                 originals[steps.start * window.len()..steps.end * window.len()].chunks_exact(window.len());
             match side {
-                Side::One(values) => compare_one(some, tets, values, originals, &mut self.one),
-                Side::Four(values) => compare_four(some, tets, values, originals, &mut self.four),
-                Side::Eight(values) => compare_eight(some, tets, values, originals, &mut self.eight),
+                Side::One(values) => compare_one(members, tets, values, originals, &mut self.one),
+                Side::Four(values) => compare_four(members, tets, values, originals, &mut self.four),
+                Side::Eight(values) => compare_eight(members, tets, values, originals, &mut self.eight),
             }
             for (lane, step) in steps.enumerate() {
                 let compared = match side {
@@ -149,7 +69,7 @@ impl Comparing {
 /// Values and errors of some samples at one step.
 #[inline(never)]
 fn compare_one(
-    some: &Located<'_>,
+    members: &Members,
     tets: &[Tet],
     values: &[f32],
     originals: ChunksExact<'_, f32>,
@@ -159,18 +79,18 @@ fn compare_one(
         #[inline(always)]
         || {
             let mut corners = [[0.0; MEMBERS]; 4];
-            let count = some.tets.len().min(MEMBERS);
-            for (i, &tet) in some.tets.iter().enumerate().take(count) {
+            let count = members.tets().len().min(MEMBERS);
+            for (i, &tet) in members.tets().iter().enumerate().take(count) {
                 let tet = tets[tet as usize];
                 (0..4).for_each(|k| corners[k][i] = values[tet[k] as usize]);
             }
-            let ([wa, wb, wc, wd], [a, b, c, d]) = (some.weights.map(|w| &w[..count]), &corners);
+            let ([wa, wb, wc, wd], [a, b, c, d]) = (members.weights().map(|w| &w[..count]), &corners);
             for i in 0..count {
                 let value = interpolate([wa[i], wb[i], wc[i], wd[i]], [a[i], b[i], c[i], d[i]]);
                 let void = a[i].is_nan() | b[i].is_nan() | c[i].is_nan() | d[i].is_nan();
                 out.reduced[i] = [if void { f32::NAN } else { value }];
             }
-            find_errors(some.places, originals, out);
+            find_errors(members, originals, out);
         },
     );
 }
@@ -178,7 +98,7 @@ fn compare_one(
 /// The same at four steps.
 #[inline(never)]
 fn compare_four(
-    some: &Located<'_>,
+    members: &Members,
     tets: &[Tet],
     values: &[[f32; 4]],
     originals: ChunksExact<'_, f32>,
@@ -188,16 +108,16 @@ fn compare_four(
     if let Some(proof) = Avx2::found() {
         return with_vectors(
             #[inline(always)]
-            || compare_wide::<Vector, 4>(proof, some, tets, values, originals, out),
+            || compare_wide::<Vector, 4>(proof, members, tets, values, originals, out),
         );
     }
-    compare_wide::<Plain, 4>((), some, tets, values, originals, out);
+    compare_wide::<Plain, 4>((), members, tets, values, originals, out);
 }
 
 /// The same at eight steps.
 #[inline(never)]
 fn compare_eight(
-    some: &Located<'_>,
+    members: &Members,
     tets: &[Tet],
     values: &[[f32; 8]],
     originals: ChunksExact<'_, f32>,
@@ -208,31 +128,31 @@ fn compare_eight(
         return with_avx512(
             proof,
             #[inline(always)]
-            || compare_wide::<Eight, 8>(proof, some, tets, values, originals, out),
+            || compare_wide::<Eight, 8>(proof, members, tets, values, originals, out),
         );
     }
     #[cfg(target_arch = "x86_64")]
     if let Some(proof) = Avx2::found() {
         return with_vectors(
             #[inline(always)]
-            || compare_wide::<Pair<Vector>, 8>(proof, some, tets, values, originals, out),
+            || compare_wide::<Pair<Vector>, 8>(proof, members, tets, values, originals, out),
         );
     }
-    compare_wide::<Pair<Plain>, 8>((), some, tets, values, originals, out);
+    compare_wide::<Pair<Plain>, 8>((), members, tets, values, originals, out);
 }
 
 /// As [`interpolate`], and NaN where a corner is, sample by sample, at all steps at a time: the same bits.
 #[inline(always)]
 fn compare_wide<W: Floats<N>, const N: usize>(
     proof: W::Proof,
-    some: &Located<'_>,
+    members: &Members,
     tets: &[Tet],
     values: &[[f32; N]],
     originals: ChunksExact<'_, f32>,
     out: &mut Compared<N>,
 ) {
-    let (weights, void) = (some.weights, W::splat(proof, f64::NAN));
-    for ((i, &tet), reduced) in some.tets.iter().enumerate().zip(&mut out.reduced) {
+    let (weights, void) = (members.weights(), W::splat(proof, f64::NAN));
+    for ((i, &tet), reduced) in members.tets().iter().enumerate().zip(&mut out.reduced) {
         let tet = tets[tet as usize];
         let corners = four(
             #[inline(always)]
@@ -246,16 +166,16 @@ fn compare_wide<W: Floats<N>, const N: usize>(
         let all = corners[0].plus(corners[1]).plus(corners[2].plus(corners[3]));
         *reduced = W::pick(all.is_number(), value, void).floats();
     }
-    find_errors(some.places, originals, out);
+    find_errors(members, originals, out);
 }
 
 /// Looks up the original values among those of the window, step by step, and computes the errors.
 #[inline(always)]
-fn find_errors<const N: usize>(places: &[u32], originals: ChunksExact<'_, f32>, out: &mut Compared<N>) {
+fn find_errors<const N: usize>(members: &Members, originals: ChunksExact<'_, f32>, out: &mut Compared<N>) {
     for (lane, of_step) in originals.enumerate().take(N) {
-        for (row, &place) in out.originals.iter_mut().zip(places) {
+        for (row, &place) in out.originals.iter_mut().zip(members.places()) {
             row[lane] = of_step[place as usize];
         }
     }
-    out.find_errors(places.len());
+    out.find_errors(members.places().len());
 }

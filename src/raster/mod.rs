@@ -59,9 +59,9 @@ mod sixteen;
 mod tests;
 
 pub use batch::{BatchScan, MEMBERS, Members};
-pub(crate) use batch::{corner_box, greater, lesser};
 pub use grid::{Axis, SampleGrid};
 pub use locate::PointLocator;
+pub(crate) use planes::{corner_box, greater, lesser};
 pub use scan::{Scanner, each_sample};
 
 /// The weighted sum of four corner values, whatever the order of the corners.

@@ -1,6 +1,7 @@
 //! The four weights of a tetrahedron as integer functions of the position.
 
 use crate::geom::LatticePos;
+use crate::mesh::tet::Tet;
 
 /// The integers that weights are computed in. A trait, because one width is fast and the other always suffices.
 pub(super) trait Int: Copy + Ord {
@@ -48,6 +49,29 @@ int!(i128);
 /// The longest edge of a bounding box for which 64 bits suffice: λ is a sum of three products of a length and a component of a
 /// cross product (at most 2·m²), so at most 6·m³ < 2^63.
 pub(super) const LONGEST_64: u32 = 1 << 20;
+
+/// The least and the greatest coordinates of a tetrahedron's corners, and a 0.
+#[inline(always)]
+pub(crate) fn corner_box(positions: &[LatticePos], tet: &Tet) -> ([u32; 4], [u32; 4]) {
+    let corner = |k: usize| {
+        let [x, y, z] = positions[tet[k] as usize];
+        [x, y, z, 0]
+    };
+    let (a, b, c, d) = (corner(0), corner(1), corner(2), corner(3));
+    (lesser(lesser(a, b), lesser(c, d)), greater(greater(a, b), greater(c, d)))
+}
+
+/// The lesser of each coordinate; four are a vector.
+#[inline(always)]
+pub(crate) fn lesser(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
+    [0, 1, 2, 3].map(|k| a[k].min(b[k]))
+}
+
+/// The greater of each coordinate.
+#[inline(always)]
+pub(crate) fn greater(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
+    [0, 1, 2, 3].map(|k| a[k].max(b[k]))
+}
 
 /// A tetrahedron's bounding box, both ends included.
 #[inline]

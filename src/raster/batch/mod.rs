@@ -37,7 +37,7 @@ use crate::exec::{Avx2, Avx512, with_avx512, with_vectors};
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
 
-/// Members handed on at a time.
+/// Members handed on at a time, at most.
 pub const MEMBERS: usize = 128;
 /// Tetrahedra that are sorted together.
 const SORTED: usize = 2048;
@@ -65,6 +65,19 @@ pub struct Members {
 }
 
 impl Members {
+    fn none() -> Box<Self> {
+        let (numbers, weights) = ([0; MEMBERS], [[0.0; MEMBERS]; 4]);
+        Box::new(Self { len: 0, tets: numbers, places: numbers, weights })
+    }
+
+    /// Hands all of them on, if there are some.
+    fn hand_on(&mut self, each: &mut impl FnMut(&Self)) {
+        if self.len > 0 {
+            each(self);
+        }
+        self.len = 0;
+    }
+
     /// For each sample, which of the tetrahedra that were given it belongs to.
     #[inline(always)]
     pub fn tets(&self) -> &[u32] {
@@ -104,6 +117,8 @@ pub struct BatchScan {
     found: Box<[u32; FOUND]>,
     candidates: Box<Candidates>,
     members: Box<Members>,
+    /// Those of tetrahedra that are scanned by themselves, until they are many.
+    alone: Box<Members>,
 }
 
 impl Default for BatchScan {
@@ -115,19 +130,15 @@ impl Default for BatchScan {
             sorted: Box::new([0; SORTED]),
             found: Box::new([0; FOUND]),
             candidates: Box::new(Candidates { edges: [[many; 3]; 3], at: [many; 3], least: [0.0; MEMBERS] }),
-            members: Box::new(Members {
-                len: 0,
-                tets: [0; MEMBERS],
-                places: [0; MEMBERS],
-                weights: [[0.0; MEMBERS]; 4],
-            }),
+            members: Members::none(),
+            alone: Members::none(),
         }
     }
 }
 
 const _: () = assert!(
     size_of::<([[u32; SORTED + LANES]; 2], [u32; SORTED], [u32; FOUND])>() as u64
-        + size_of::<(Candidates, Members)>() as u64
+        + size_of::<(Candidates, [Members; 2])>() as u64
         <= BatchScan::BYTES
 );
 
@@ -151,7 +162,8 @@ impl BatchScan {
         let Some(shifts) = scanner.even_shifts() else {
             // Without an even grid nothing is small.
             let scene = Scene { scanner, positions, tets, shifts: [0; 3] };
-            return (0..tets.len()).for_each(|tet| self.alone(&scene, tet as u32, &mut each));
+            (0..tets.len()).for_each(|tet| self.alone(&scene, tet as u32, &mut each));
+            return self.alone.hand_on(&mut each);
         };
         let scene = Scene { scanner, positions, tets, shifts };
         #[cfg(target_arch = "x86_64")]
@@ -202,6 +214,7 @@ impl BatchScan {
             }
         }
         self.hand_on(scene, each);
+        self.alone.hand_on(each);
     }
 
     /// Notes the sizes of boxes that have samples in them; returns how many are small. The others are scanned at once.
@@ -381,49 +394,25 @@ impl BatchScan {
         for &i in others[..len].iter().rev() {
             members.remove(usize::from(i) % MEMBERS);
         }
-        each(members);
-        members.len = 0;
+        members.hand_on(each);
     }
 
-    /// Hands on the samples of a tetrahedron that is scanned by itself.
+    /// Scans a tetrahedron by itself.
     #[inline(never)]
     fn alone(&mut self, scene: &Scene<'_>, tet: u32, each: &mut impl FnMut(&Members)) {
-        self.hand_on(scene, each);
-        let members = &mut *self.members;
+        let alone = &mut *self.alone;
         scene.scanner.each_run(scene.corners(tet), |place, run| {
-            for (i, weights) in run.iter().enumerate() {
-                members.tets[i] = tet;
-                members.places[i] = (place + i) as u32;
-                (0..4).for_each(|k| members.weights[k][i] = weights[k]);
+            if alone.len + run.len() > MEMBERS {
+                alone.hand_on(each);
             }
-            members.len = run.len();
-            each(members);
+            for (i, weights) in run.iter().enumerate() {
+                let n = alone.len % MEMBERS;
+                (alone.tets[n], alone.places[n]) = (tet, (place + i) as u32);
+                (0..4).for_each(|k| alone.weights[k][n] = weights[k]);
+                alone.len = n + 1;
+            }
         });
-        members.len = 0;
     }
-}
-
-/// The least and the greatest coordinates of a tetrahedron's corners, and a 0.
-#[inline(always)]
-pub(crate) fn corner_box(positions: &[LatticePos], tet: &Tet) -> ([u32; 4], [u32; 4]) {
-    let corner = |k: usize| {
-        let [x, y, z] = positions[tet[k] as usize];
-        [x, y, z, 0]
-    };
-    let (a, b, c, d) = (corner(0), corner(1), corner(2), corner(3));
-    (lesser(lesser(a, b), lesser(c, d)), greater(greater(a, b), greater(c, d)))
-}
-
-/// The lesser of each coordinate; four are a vector.
-#[inline(always)]
-pub(crate) fn lesser(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
-    [0, 1, 2, 3].map(|k| a[k].min(b[k]))
-}
-
-/// The greater of each coordinate.
-#[inline(always)]
-pub(crate) fn greater(a: [u32; 4], b: [u32; 4]) -> [u32; 4] {
-    [0, 1, 2, 3].map(|k| a[k].max(b[k]))
 }
 
 /// Puts some numbers into a list, at a place that has room for all of them.
