@@ -58,10 +58,11 @@ fn tetrahedra(c: &mut Criterion) {
         group.throughput(Throughput::Elements(tets.len() as u64));
         group.bench_function(format!("encode/{name}"), |b| {
             b.iter(|| {
-                encoder.encode(&vertices, &positions, black_box(&tets).clone(), BLOCK_TETS).tet_blocks()
+                let mut tets = black_box(&tets).clone();
+                encoder.encode(&vertices, &positions, &mut tets, BLOCK_TETS).tet_blocks()
             });
         });
-        let blocks = encoder.encode(&vertices, &positions, tets.clone(), BLOCK_TETS);
+        let blocks = encoder.encode(&vertices, &positions, &mut tets.clone(), BLOCK_TETS);
         let blocks = blocks.blocks_of_tets();
         let bytes: usize = blocks.iter().map(Vec::len).sum();
         eprintln!("    {name}: {:.2} bits a tetrahedron", bytes as f64 * 8.0 / tets.len() as f64);

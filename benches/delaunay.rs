@@ -114,7 +114,11 @@ fn stage(c: &mut Criterion) {
     group.sample_size(10).measurement_time(Duration::from_secs(4)).throughput(Throughput::Elements(owned));
     group.bench_function(BenchmarkId::new("hammersley", format!("{} {owned}", positions.len())), |b| {
         b.iter(|| match mesh_chunk(&mut mesher, &boxes, black_box(&positions), &order).unwrap() {
-            ChunkOutcome::Done(mesh) => mesh.tets.len(),
+            ChunkOutcome::Done(mesh) => {
+                let tets = mesh.tets.len();
+                mesher.reuse(mesh.tets);
+                tets
+            }
             ChunkOutcome::WidenHalo { uncertified } => panic!("{uncertified} uncertified"),
         });
     });

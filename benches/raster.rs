@@ -23,7 +23,7 @@ fn mesh(lattice: Lattice, n: u64) -> (Vec<LatticePos>, Vec<Tet>) {
     let region = ChunkRegion { core: whole, near: whole, region: whole, domain: whole };
     let order = Order::for_count(n);
     match mesh_chunk(&mut Mesher::new(), &region, &positions, &order).expect("a mesh") {
-        ChunkOutcome::Done(mesh) => (positions, mesh.tets),
+        ChunkOutcome::Done(mesh) => (positions, mesh.tets.to_vec()),
         ChunkOutcome::WidenHalo { .. } => unreachable!("nothing is unseen"),
     }
 }

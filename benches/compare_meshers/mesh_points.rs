@@ -136,7 +136,11 @@ fn stage(points: Vec<LatticePos>, repeat: usize, threads: usize, chunk: usize) -
                     while let Some(input) = inputs.get(next.fetch_add(1, Ordering::Relaxed)) {
                         let outcome = mesh_chunk(mesher, &input.boxes, &input.positions, &order);
                         let tets = match outcome.expect("the points are on the lattice") {
-                            ChunkOutcome::Done(mesh) => mesh.tets.len(),
+                            ChunkOutcome::Done(mesh) => {
+                                let tets = mesh.tets.len();
+                                mesher.reuse(mesh.tets);
+                                tets
+                            }
                             ChunkOutcome::WidenHalo { uncertified } => {
                                 panic!("a halo of three spacings leaves {uncertified} uncertified")
                             }

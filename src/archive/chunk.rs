@@ -24,8 +24,6 @@ pub const TETS_STARS: u8 = 1;
 pub struct EncodedChunk {
     /// The vertices' blocks, then the tetrahedra's.
     pub blocks: Vec<Vec<u8>>,
-    /// All tetrahedra, block after block.
-    tets: Vec<Tet>,
     /// First tetrahedron of each block, and the number of all.
     starts: Vec<u32>,
 }
@@ -46,16 +44,6 @@ impl EncodedChunk {
         &self.blocks[self.blocks.len() - self.tet_blocks()..]
     }
 
-    /// The tetrahedra of tetrahedron block `n`, as its decoder gives them.
-    pub fn block_tets(&self, n: usize) -> &[Tet] {
-        &self.tets[self.starts[n] as usize..self.starts[n + 1] as usize]
-    }
-
-    /// The blocks, and all tetrahedra, block after block, as their decoders give them.
-    pub fn into_parts(self) -> (Vec<Vec<u8>>, Vec<Tet>) {
-        (self.blocks, self.tets)
-    }
-
     /// The end of each tetrahedron block in the tetrahedra of all.
     pub fn block_ends(&self) -> Vec<usize> {
         self.starts[1..].iter().map(|&end| end as usize).collect()
@@ -63,30 +51,16 @@ impl EncodedChunk {
 }
 
 /// Turns each tetrahedron so that its smallest vertex comes first, and sorts by that; nothing is done where all are so already.
-fn by_vertex(tets: Vec<Tet>, vertices: u32) -> Vec<Tet> {
+fn by_vertex(tets: &mut [Tet]) {
     let mut before = 0;
     let in_order = |t: &Tet| {
         let before = std::mem::replace(&mut before, t[0]);
         (before <= t[0]) & (t[0] < t[1]) & (t[0] < t[2]) & (t[0] < t[3])
     };
-    if tets.iter().all(in_order) {
-        return tets;
+    if !tets.iter().all(in_order) {
+        tets.iter_mut().for_each(|t| *t = canonical(*t));
+        tets.sort_unstable();
     }
-    let canonical: Vec<Tet> = tets.into_iter().map(canonical).collect();
-    let mut places = vec![0u32; vertices as usize];
-    canonical.iter().for_each(|t| places[t[0] as usize] += 1);
-    let mut sum = 0;
-    for n in &mut places {
-        // Each count becomes its run's start; placing the tetrahedra moves it to the run's end.
-        sum += std::mem::replace(n, sum);
-    }
-    let mut sorted = vec![[0; 4]; canonical.len()];
-    for t in canonical {
-        let at = &mut places[t[0] as usize];
-        sorted[*at as usize] = t;
-        *at += 1;
-    }
-    sorted
 }
 
 /// Cuts between runs of tetrahedra of one first vertex so that blocks have about `block_tets` tetrahedra.
@@ -118,7 +92,7 @@ pub struct ChunkEncoder(star::Writer);
 impl ChunkEncoder {
     /// Turns a chunk's mesh into blocks of about `block_tets` tetrahedra; `positions` are those of the local vertices. The bytes depend on
     /// the *set* of tetrahedra, not on their order nor on how each is turned; least is to be done where the smallest vertex comes first in
-    /// each, and they ascend by that.
+    /// each, and they ascend by that. Leaves the tetrahedra block after block, as their decoders give them.
     ///
     /// # Panics
     /// When a vertex id is not local, `positions` or `shared` is not as long as the vertices, or `block_tets` is 0.
@@ -126,7 +100,7 @@ impl ChunkEncoder {
         &mut self,
         vertices: &ChunkVertices,
         positions: &[LatticePos],
-        tets: Vec<Tet>,
+        tets: &mut [Tet],
         block_tets: u32,
     ) -> EncodedChunk {
         assert!(block_tets > 0, "a block holds at least one tetrahedron");
@@ -134,14 +108,14 @@ impl ChunkEncoder {
         assert_eq!(vertices.shared.len(), vertices.len() as usize, "one shared flag a vertex");
         let largest = tets.iter().fold(0, |most, t| t.iter().fold(most, |most, &v| most.max(v)));
         assert!(tets.is_empty() || largest < vertices.len(), "every vertex is local");
-        let mut tets = by_vertex(tets, vertices.len());
-        let starts = block_starts(&tets, block_tets);
+        by_vertex(tets);
+        let starts = block_starts(tets, block_tets);
         let mut blocks = vertices.encode();
         for w in starts.windows(2) {
             let tets = &mut tets[w[0] as usize..w[1] as usize];
             blocks.push(encode_tets(&mut self.0, tets, positions));
         }
-        EncodedChunk { blocks, tets, starts }
+        EncodedChunk { blocks, starts }
     }
 }
 
@@ -290,8 +264,9 @@ pub(crate) mod tests {
         positions: &[LatticePos],
         tets: &[Tet],
         block_tets: u32,
-    ) -> EncodedChunk {
-        ChunkEncoder::default().encode(vertices, positions, tets.to_vec(), block_tets)
+    ) -> (EncodedChunk, Vec<Tet>) {
+        let mut tets = tets.to_vec();
+        (ChunkEncoder::default().encode(vertices, positions, &mut tets, block_tets), tets)
     }
 
     fn vertices_of(n: u32) -> ChunkVertices {
@@ -309,7 +284,8 @@ pub(crate) mod tests {
         tets
     }
 
-    fn decode(encoded: &EncodedChunk, positions: &[LatticePos]) -> Vec<Tet> {
+    /// Of a chunk and the tetrahedra that its encoder left.
+    fn decode((encoded, told): &(EncodedChunk, Vec<Tet>), positions: &[LatticePos]) -> Vec<Tet> {
         let (mut all, mut scratch) = (vec![], TetScratch::default());
         let open = |bytes| TetBlock::open(bytes, positions.len() as u32).unwrap();
         for (n, bytes) in encoded.blocks_of_tets().iter().enumerate() {
@@ -317,7 +293,8 @@ pub(crate) mod tests {
             let block = open(bytes);
             let here: Vec<LatticePos> = block.vertices().iter().map(|&v| positions[v as usize]).collect();
             block.decode(&here, &mut scratch, &mut all).unwrap();
-            assert_eq!(&all[before..], encoded.block_tets(n), "in the same order, turned the same way");
+            let [start, end] = [n, n + 1].map(|n| encoded.starts[n] as usize);
+            assert_eq!(all[before..], told[start..end], "in the same order, turned the same way");
             let (block, mut places) = (open(bytes), vec![]);
             let vertices = block.vertices().to_vec();
             block.decode_places(&here, &mut scratch, &mut places).unwrap();
@@ -334,7 +311,7 @@ pub(crate) mod tests {
         for block_tets in [1, 7, 100, 1000, 1_000_000] {
             let positions = corners([9, 7, 8]);
             let encoded = encode_chunk(&vertices, &positions, &tets, block_tets);
-            assert_eq!(encoded.vertex_blocks(), vertices.encode());
+            assert_eq!(encoded.0.vertex_blocks(), vertices.encode());
             assert_eq!(sorted(&decode(&encoded, &positions)), sorted(&tets));
         }
     }
@@ -347,13 +324,13 @@ pub(crate) mod tests {
         let one = encode_chunk(&vertices, &positions, &tets, 100);
         tets.reverse();
         tets.iter_mut().for_each(|t| *t = [t[2], t[3], t[0], t[1]]);
-        assert_eq!(one.blocks, encode_chunk(&vertices, &positions, &tets, 100).blocks);
+        assert_eq!(one.0.blocks, encode_chunk(&vertices, &positions, &tets, 100).0.blocks);
     }
 
     #[test]
     fn no_tetrahedra_and_no_vertices_are_a_chunk_too() {
         for n in [0, 10] {
-            let encoded = encode_chunk(&vertices_of(n), &vec![[0; 3]; n as usize], &[], 1000);
+            let (encoded, _) = encode_chunk(&vertices_of(n), &vec![[0; 3]; n as usize], &[], 1000);
             assert_eq!((encoded.tet_blocks(), &*encoded.blocks), (0, &*vertices_of(n).encode()));
         }
     }
@@ -371,7 +348,7 @@ pub(crate) mod tests {
             assert_eq!(sorted(&decode(&encoded, &positions)), sorted(tets));
             let mut other: Vec<Tet> = tets.iter().rev().map(|&[a, b, c, d]| [c, d, a, b]).collect();
             other.rotate_left(tets.len() / 2);
-            assert_eq!(encode_chunk(&vertices_of(40), &positions, &other, 1000).blocks, encoded.blocks);
+            assert_eq!(encode_chunk(&vertices_of(40), &positions, &other, 1000).0.blocks, encoded.0.blocks);
         };
         for n in [1, 2, 10, 500, 3000] {
             let any: Vec<Tet> = std::iter::repeat_with(|| [0; 4].map(|_: u32| next(40)))
@@ -388,10 +365,10 @@ pub(crate) mod tests {
 
     #[test]
     fn blocks_are_near_the_size_asked_for() {
-        let encoded = encode_chunk(&vertices_of(11 * 11 * 11), &corners([10; 3]), &cubes([10; 3]), 1000);
+        let (encoded, _) = encode_chunk(&vertices_of(11 * 11 * 11), &corners([10; 3]), &cubes([10; 3]), 1000);
         assert_eq!(encoded.tet_blocks(), 6);
-        for n in 0..6 {
-            assert!((900..1100).contains(&encoded.block_tets(n).len()), "{}", encoded.block_tets(n).len());
+        for pair in encoded.starts.windows(2) {
+            assert!((900..1100).contains(&(pair[1] - pair[0])), "{pair:?}");
         }
     }
 }

@@ -22,6 +22,7 @@
 use super::certify::Unseen;
 use super::delaunay::Mesher;
 use super::late::Late;
+use super::list::TetList;
 use super::owned::Owned;
 use super::tet::Tet;
 use crate::error::{Error, Result};
@@ -47,7 +48,7 @@ pub struct ChunkRegion {
 pub struct ChunkMesh {
     /// Owned tetrahedra: vertex numbers are indices into the chunk's positions, positively oriented, least number first;
     /// ascending by that.
-    pub tets: Vec<Tet>,
+    pub tets: TetList,
     /// For each position: whether another chunk may own a tetrahedron at it. Only an edge between two shared
     /// vertices can also occur in another chunk. Positions outside the core are always shared.
     pub shared: Vec<bool>,
@@ -113,11 +114,8 @@ pub fn mesh_with_stars(
         uncertified = sorter.run_around(mesher, region, first, &mut late);
     }
     let Sorter { mut owned, shared, around, .. } = sorter;
-    let spare = std::mem::take(&mut mesher.outgoing);
     let outcome = uncertified.map(|n| match n {
-        0 => {
-            ChunkOutcome::Done(ChunkMesh { tets: owned.take(mesher, positions.len(), spare), shared, around })
-        }
+        0 => ChunkOutcome::Done(ChunkMesh { tets: owned.take(mesher, positions.len()), shared, around }),
         uncertified => ChunkOutcome::WidenHalo { uncertified },
     });
     mesher.owned = owned;

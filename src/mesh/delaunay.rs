@@ -36,7 +36,7 @@
 //!
 //! Expected time is O(n log n) with small constants (a cavity has about 20 tetrahedra), worst case O(n²) tetrahedra for points on
 //! curves. Memory: 64 bytes a tetrahedron, 16 bytes and a sort key (32 bytes) a point; it is kept in the [`Mesher`] and reused, which makes about 75 bytes a
-//! tetrahedron. A chunk has 16 more while its own are put in order (`owned.rs`), and its sites: some 95 in all.
+//! tetrahedron. A chunk has its sites besides: some 80 in all.
 
 mod arena;
 mod exact;
@@ -52,10 +52,11 @@ use crate::geom::curve::Order;
 use crate::geom::predicates::orient3d;
 use crate::geom::{Lattice, LatticePos};
 use crate::mesh::certify::Local;
+use crate::mesh::list::TetList;
 use crate::mesh::owned::Owned;
 use crate::mesh::tet::Tet;
-use arena::{Arena, FIRST_TAG, Frame, INFINITE, MOST_TETS, Margin, Point, Tetra};
-pub(super) use pages::reserve;
+pub(super) use arena::Tetra;
+use arena::{Arena, FIRST_TAG, Frame, INFINITE, MOST_TETS, Margin, Point};
 
 /// Which code inserts points; the tetrahedra are the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -97,8 +98,6 @@ pub struct Mesher {
     spare: Vec<(u64, u32)>,
     /// Scratch of the chunk stage, kept here so that its pages are not asked for again in each chunk.
     pub(super) owned: Owned,
-    /// Memory for the tetrahedra of the next chunk.
-    pub(super) outgoing: Vec<Tet>,
 }
 
 impl Mesher {
@@ -107,9 +106,14 @@ impl Mesher {
         Self::default()
     }
 
-    /// Gives memory for the tetrahedra of the next chunk, most often those of the last one.
-    pub fn reuse(&mut self, tets: Vec<Tet>) {
-        self.outgoing = tets;
+    /// Gives back the memory in which the tetrahedra of a chunk are: the next will be meshed in it.
+    pub fn reuse(&mut self, tets: TetList) {
+        if let Some(records) = tets.into_records()
+            && records.capacity() > self.arena.tets.capacity()
+        {
+            (self.arena.tets, self.arena.free) = (records, vec![]);
+            self.arena.tets.clear();
+        }
     }
 
     /// Tetrahedralizes `positions`; of equal positions only the first becomes a vertex. Sets that span no volume (fewer than
@@ -179,22 +183,24 @@ impl Mesher {
         }
     }
 
-    /// Packs the vertices of some records, ascending, where the records were: input indices, turned by `turn`. What there was is gone, and the mesh is to be
-    /// [cleared](Mesher::clear) when they have been looked at.
+    /// Packs the vertices of some records, ascending, where the records were, four rows each: input indices, turned by `turn`. The memory of the records, and how many
+    /// rows are packed; the mesher has no mesh then.
     pub(super) fn pack(
         &mut self,
-        records: impl Iterator<Item = u32>,
+        kept: impl Iterator<Item = u32>,
         mut turn: impl FnMut(Tet) -> Tet,
-    ) -> &[Tet] {
-        let rows: &mut [Tet] = bytemuck::cast_slice_mut(&mut self.arena.tets);
+    ) -> (Vec<Tetra>, usize) {
+        let mut records = std::mem::take(&mut self.arena.tets);
+        self.clear();
+        let rows: &mut [Tet] = bytemuck::cast_slice_mut(&mut records);
         let mut packed = 0;
-        for id in records {
+        for id in kept {
             // A record is four rows, of which the third has the vertices: nothing that was packed lies behind it.
             let v = rows[4 * id as usize + 2];
             rows[packed] = turn(v.map(|v| self.source[v as usize - 1]));
             packed += 1;
         }
-        &rows[..packed]
+        (records, packed)
     }
 
     /// Forgets the mesh, and keeps the memory.

@@ -5,5 +5,6 @@ pub mod check;
 pub mod chunk;
 pub mod delaunay;
 mod late;
+pub mod list;
 mod owned;
 pub mod tet;

@@ -1,9 +1,10 @@
 //! The tetrahedra that a chunk keeps, put in the order of their first vertices by counting.
 //!
-//! Which records they are is a bit each. In the end their vertices are packed where the records were, which nobody needs any more, and from
-//! there go to their places: so tetrahedra take 64 bytes each while they are meshed and 16 in their final order, and nothing between.
+//! Which records they are is a bit each. In the end their vertices are packed where the first quarter of the records was, which nobody needs any more, and
+//! from there go to their places behind it: so tetrahedra take 64 bytes each, and nothing besides.
 
-use super::delaunay::{Mesher, reserve};
+use super::delaunay::Mesher;
+use super::list::TetList;
 use super::tet::Tet;
 
 /// Records of a mesher. Kept from chunk to chunk, so that its pages are not asked for again.
@@ -48,43 +49,36 @@ impl Owned {
         (0..).zip(self.bits.iter().copied()).flat_map(of_word)
     }
 
-    /// All of them, as indices into so many positions, the least first in each, ascending by that; in memory that may hold others. The mesher
-    /// has no mesh then.
-    pub(super) fn take(&mut self, mesher: &mut Mesher, positions: usize, all: Vec<Tet>) -> Vec<Tet> {
+    /// All of them, as indices into so many positions, the least first in each, ascending by that; in the memory of the mesher, which has no
+    /// mesh then.
+    pub(super) fn take(&mut self, mesher: &mut Mesher, positions: usize) -> TetList {
         let mut counts = std::mem::take(&mut self.counts);
         counts.clear();
         counts.resize(positions + 1, 0);
-        let packed = mesher.pack(self.iter(), |t| {
+        let (mut records, packed) = mesher.pack(self.iter(), |t| {
             let t = least_first(t);
             counts[t[0] as usize] += 1;
             t
         });
-        let all = sorted(packed, &mut counts, all);
-        mesher.clear();
+        let (tets, room) = bytemuck::cast_slice_mut(&mut records).split_at_mut(packed);
+        sort(tets, &mut counts, &mut room[..packed]);
         self.counts = counts;
-        all
+        TetList::among(records, packed..2 * packed)
     }
 }
 
-/// Tetrahedra ascending by their first vertices, of which `counts` tells how many have each.
-fn sorted(tets: &[Tet], counts: &mut [u32], mut all: Vec<Tet>) -> Vec<Tet> {
+/// Puts tetrahedra into another place, ascending by their first vertices, of which `counts` tells how many have each.
+fn sort(tets: &[Tet], counts: &mut [u32], all: &mut [Tet]) {
     let mut sum = 0;
     for n in &mut *counts {
         // Each count becomes its run's start; placing the tetrahedra moves it to the run's end.
         sum += std::mem::replace(n, sum);
     }
-    if all.capacity() < tets.len() {
-        all.clear();
-        reserve(&mut all, tets.len());
-    }
-    // Whatever is there is written over.
-    all.resize(tets.len(), [0; 4]);
     for &t in tets {
         let place = &mut counts[t[0] as usize];
         all[*place as usize] = t;
         *place += 1;
     }
-    all
 }
 
 /// An even permutation with the least number first. Without branches: they would be taken at random.
@@ -121,11 +115,11 @@ mod tests {
 
     #[test]
     fn tetrahedra_come_out_in_order_whatever_the_memory_held() {
-        let mut all = vec![[9; 4]; 3];
+        let mut memory = [[9; 4]; 200];
         for n in [7u32, 200, 3] {
             let tets: Vec<Tet> = (0..n).map(|i| [i * 11 % n, i + 2, i + 1, i + 3]).collect();
-            let mut counts = vec![1; n as usize];
-            all = sorted(&tets, &mut counts, all);
+            let (mut counts, all) = (vec![1; n as usize], &mut memory[..n as usize]);
+            sort(&tets, &mut counts, all);
             assert!(all.iter().map(|t| t[0]).eq(0..n), "{all:?}");
         }
     }

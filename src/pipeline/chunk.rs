@@ -13,6 +13,7 @@ use crate::geom::{LatticeBox, LatticePos, PointId, Site};
 use crate::grid::{BrickGrid, Chunk};
 use crate::mesh::chunk::{ChunkMesh, ChunkOutcome, ChunkRegion, mesh_with_stars};
 use crate::mesh::delaunay::Mesher;
+use crate::mesh::list::TetList;
 use crate::mesh::tet::Tet;
 use crate::points::PointSet;
 use std::borrow::Cow;
@@ -38,7 +39,7 @@ pub(crate) struct MeshedChunk {
     /// Whether another chunk may have tetrahedra at the vertex.
     pub(crate) shared: Vec<bool>,
     /// Tetrahedra, as numbers into `positions`.
-    pub(crate) tets: Vec<Tet>,
+    pub(crate) tets: TetList,
     /// How often the halo had to be widened.
     pub(crate) retries: u32,
     /// With [`Halo::Stars`]: the rest of the tetrahedra at all vertices.
@@ -62,7 +63,7 @@ impl MeshedChunk {
     /// The chunk's vertices and tetrahedra, then those around.
     pub(crate) fn whole(&self) -> (Cow<'_, [LatticePos]>, Cow<'_, [Tet]>) {
         if self.around.tets.is_empty() {
-            return (self.positions.as_slice().into(), self.tets.as_slice().into());
+            return (self.positions.as_slice().into(), (*self.tets).into());
         }
         let positions = [&*self.positions, &*self.around.positions].concat();
         (positions.into(), [&*self.tets, &*self.around.tets].concat().into())
@@ -167,7 +168,7 @@ impl Maker {
     }
 
     /// Takes memory of a chunk that is finished, for the next.
-    pub(crate) fn reuse(&mut self, positions: Vec<LatticePos>, tets: Vec<Tet>) {
+    pub(crate) fn reuse(&mut self, positions: Vec<LatticePos>, tets: TetList) {
         self.positions = positions;
         self.mesher.reuse(tets);
     }
@@ -227,7 +228,8 @@ fn renumber(
     let core: usize = core_counts.iter().map(|&n| n as usize).sum();
     let mut used = vec![false; sites.len() - core];
     let mut with_halo = vec![];
-    for (i, t) in (0..).zip(&tets) {
+    let all: &mut [Tet] = &mut tets;
+    for (i, t) in (0..).zip(&*all) {
         // The least comes first.
         if t[1].max(t[2]).max(t[3]) as usize >= core {
             with_halo.push(i);
@@ -242,8 +244,7 @@ fn renumber(
         number[v as usize - core] = (core + i) as u32;
     }
     for i in with_halo {
-        let tet: &mut Tet = &mut tets[i];
-        for v in tet.iter_mut().filter(|v| **v as usize >= core) {
+        for v in all[i].iter_mut().filter(|v| **v as usize >= core) {
             *v = number[*v as usize - core];
         }
     }

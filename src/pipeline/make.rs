@@ -125,7 +125,7 @@ fn make_in_room(
                 Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
             },
         };
-        return make_from_stored(work, stored, chunk, again, &mut desk.places).map(Making::Done);
+        return make_from_stored(work, stored, chunk, again, desk).map(Making::Done);
     }
     let mut mesh = match desk.maker.mesh(work.recipe, chunk, first_try, room, work.cancel)? {
         Meshing::Done(mesh) => mesh,
@@ -149,7 +149,7 @@ fn make_from_stored(
     stored: &Stored<'_>,
     chunk: &Chunk,
     again: Option<MeshedChunk>,
-    places: &mut Places,
+    desk: &mut Desk,
 ) -> Result<Product> {
     let mut times = StageTimes::default();
     let mut lap = Lap(Instant::now());
@@ -162,6 +162,7 @@ fn make_from_stored(
             let mut placement = place(&whole)?;
             drop_outside(&mut whole, &mut placement);
             mesh.around = whole.around;
+            desk.maker.reuse(whole.positions, whole.tets);
             placement
         }
     };
@@ -169,7 +170,8 @@ fn make_from_stored(
     let vertices = mesh.positions.len();
     let before = stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
     lap.add_to(&mut times.mesh);
-    let value_blocks = encode_steps(work, &mesh, &placement, before.as_deref(), &ends, places, &mut times)?;
+    let (before, places) = (before.as_deref(), &mut desk.places);
+    let value_blocks = encode_steps(work, &mesh, &placement, before, &ends, places, &mut times)?;
     Ok(Product { points: mesh.core_len() as u64, mesh_blocks: vec![], value_blocks, times })
 }
 
@@ -299,12 +301,9 @@ fn encode_mesh(
         halo: std::mem::take(&mut mesh.halo),
         shared: std::mem::take(&mut mesh.shared),
     };
-    let tets = std::mem::take(&mut mesh.tets);
-    let encoded = encoder.encode(&vertices, &mesh.positions, tets, work.plan.block_tets);
+    let encoded = encoder.encode(&vertices, &mesh.positions, &mut mesh.tets, work.plan.block_tets);
     ChunkVertices { core_counts: mesh.core_counts, halo: mesh.halo, shared: mesh.shared } = vertices;
     summary.tet_blocks = encoded.tet_blocks() as u32;
     let ends = encoded.block_ends();
-    let (blocks, tets) = encoded.into_parts();
-    mesh.tets = tets;
-    (blocks, ends, summary)
+    (encoded.blocks, ends, summary)
 }

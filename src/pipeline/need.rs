@@ -30,8 +30,8 @@ use std::path::Path;
 /// What the process needs whatever it works on: code and tables, stacks, buffers of readers and writers.
 pub(crate) const BASE: u64 = 16 << 20;
 /// Working memory of a chunk for a point of its region, measured (chunks of 60 000 and 250 000 points took at most 830 in all,
-/// what waits to be written included) and rounded up: 6.8 tetrahedra of 64 bytes in the mesher, sort keys and sites of 100 bytes, then 16 bytes for each tetrahedron kept, two
-/// or three times while they are sorted and encoded, and what the C library holds back between workers.
+/// what waits to be written included) and rounded up: 6.8 tetrahedra of 64 bytes, where they are meshed and stay, sort keys and sites of 100 bytes, then what fits values, finds
+/// samples and sums up the spectrum, and what the C library holds back between workers.
 const PER_POINT: u64 = 900;
 /// And for each further step its value; for each eight steps, while they are measured side by side: values, where they lie in the spectrum, counts.
 const FURTHER_PER_POINT: u64 = 4;

@@ -487,7 +487,7 @@ impl<'a> ChunkReader<'a> {
             halo: self.memory.ids[core..self.shared.len()].to_vec(),
             positions: self.memory.positions,
             shared: self.shared,
-            tets,
+            tets: tets.into(),
             retries: 0,
             around: Around::default(),
         }

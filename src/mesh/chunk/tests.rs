@@ -152,7 +152,7 @@ fn part(local: &[LatticePos], mesh: &ChunkMesh) -> Part {
     for pair in mesh.tets.windows(2) {
         assert!(pair[0][0] <= pair[1][0], "sorted by the first");
     }
-    for t in &mesh.tets {
+    for t in mesh.tets.iter() {
         assert!(t[0] < t[1] && t[0] < t[2] && t[0] < t[3]);
         let at = t.map(|v| local[v as usize]);
         assert!(crate::geom::predicates::orient3d(at[0], at[1], at[2], at[3]) > 0);

@@ -42,7 +42,7 @@ impl Point {
 /// A tetrahedron, or a ghost (a hull facet joined to infinity): one cache line.
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C, align(64))]
-pub(super) struct Tetra {
+pub(in crate::mesh) struct Tetra {
     /// Centre of the circumsphere and squared radius; all NaN when only the integers know.
     pub(super) sphere: [f64; 4],
     /// Vertices, positively oriented; [`INFINITE`] in a ghost, which is oriented as if infinity were just beyond the
@@ -53,7 +53,7 @@ pub(super) struct Tetra {
 }
 
 impl Tetra {
-    pub(super) const NONE: Self = Self { sphere: [f64::NAN; 4], v: [DEAD, 0, 0, 0], n: [0; 4] };
+    pub(in crate::mesh) const NONE: Self = Self { sphere: [f64::NAN; 4], v: [DEAD, 0, 0, 0], n: [0; 4] };
 
     #[inline]
     pub(super) fn is_dead(&self) -> bool {
