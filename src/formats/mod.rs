@@ -9,6 +9,7 @@
 //! right-anterior-superior. They are not converted into one another.
 
 pub(crate) mod brick_map;
+mod centers;
 pub mod coordinates;
 mod folder;
 pub mod glb;

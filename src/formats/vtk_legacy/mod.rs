@@ -28,7 +28,8 @@
 //!
 //! **Fields** are the arrays of the point data. Without `--field` the one array under `SCALARS` is read where there is
 //! exactly one with one component (VTK's writer puts the active scalars there and all others under `FIELD`), else the
-//! only array with one component.
+//! only array with one component. Cell data of structured points are samples in the middles of the cells: one fewer along each axis, the first half a
+//! step from the origin. They are read where no array of the point data is a scalar, or by their name; those of grids are refused.
 //!
 //! A `long` is taken to have 8 bytes, as on every 64-bit Unix; `char` is signed; a binary `vtkIdType` is stored in 4
 //! bytes, whatever it has in memory. Arrays of bits and strings are passed over.
@@ -37,14 +38,15 @@ mod cells;
 mod scan;
 
 use crate::bytes::ByteSource;
-use crate::cells::{CellMesh, NumberStream};
+use crate::cells::{CellMesh, Center, NumberStream};
 use crate::error::{Error, Result};
+use crate::formats::centers::{Picked, first_sample, pick, samples};
 use crate::formats::coordinates::GridCoordinates;
 use crate::formats::ranges::RangeNumbers;
 use crate::formats::stream::{TextSlabs, sample_bytes};
-use crate::formats::{OpenOptions, header, pick_field};
+use crate::formats::{OpenOptions, header};
 use crate::volume::strided::StridedVolume;
-use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
+use crate::volume::{ScalarType, VolumeInfo, VolumeSource};
 use scan::{Array, Dataset, Scanned, Scanner, Type};
 use std::ops::Range;
 use std::path::Path;
@@ -53,7 +55,7 @@ use std::sync::Arc;
 /// Opens the structured points of a legacy VTK file.
 ///
 /// # Errors
-/// [`Error::BadInput`] for a malformed file, another kind of dataset, cell data, bits;
+/// [`Error::BadInput`] for a malformed file, another kind of dataset, cell data of a grid, bits;
 /// [`Error::Usage`] when several fields ask for a choice.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     open_source(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
@@ -62,26 +64,33 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
 fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeSource> {
     let path = source.path();
     let file = Scanner::new(path, source.slice(0..source.len())?, &GRIDS)?.scan()?;
-    let fields: Vec<FieldInfo> = file.arrays.iter().filter_map(Array::field).collect();
-    let readable: Vec<&Array> = file.arrays.iter().filter(|a| a.field().is_some()).collect();
-    let chosen = choose(path, &file, &readable, &fields, wanted)?;
+    let Picked { field, center, index, fields } = choose(path, &file, wanted)?;
+    let mut readable = arrays_of(&file, center).iter().filter(|a| a.field().is_some());
+    let chosen = readable.nth(index).expect("it was picked among those");
+    let first = first_sample(file.dims, center);
+    let origin = std::array::from_fn(|a| file.origin[a] + first[a] * file.spacing[a]);
     let info = VolumeInfo {
         path: path.to_path_buf(),
         format: format!(
             "legacy VTK {} ({})",
             file.dataset.name().to_ascii_lowercase().replace('_', " "),
-            if file.binary { "binary" } else { "ascii" }
+            match (file.binary, center) {
+                (true, Center::Point) => "binary",
+                (false, Center::Point) => "ascii",
+                (true, Center::Cell) => "cell data, binary",
+                (false, Center::Cell) => "cell data, ascii",
+            }
         ),
-        dims: file.dims,
-        field: fields[chosen].clone(),
+        dims: samples(file.dims, center),
+        field,
         fields,
-        geometry: header::geometry(path, "ORIGIN, SPACING", file.origin, header::scaled_axes(file.spacing))?,
+        geometry: header::geometry(path, "ORIGIN, SPACING", origin, header::scaled_axes(file.spacing))?,
         slope: 1.0,
         intercept: 0.0,
         missing: None,
         data_files: vec![],
     };
-    let data = readable[chosen].data.clone();
+    let data = chosen.data.clone();
     if !file.binary {
         return Ok(VolumeSource::Stream(Box::new(TextSlabs::new(info, Arc::clone(source), data)?)));
     }
@@ -164,14 +173,15 @@ pub(super) fn is_mesh(head: &[u8]) -> bool {
         && words.next() == Some(b"UNSTRUCTURED_GRID")
 }
 
-/// The index of the field to read.
-fn choose(
-    path: &Path,
-    file: &Scanned,
-    readable: &[&Array],
-    fields: &[FieldInfo],
-    wanted: Option<&str>,
-) -> Result<usize> {
+fn arrays_of(file: &Scanned, center: Center) -> &[Array] {
+    match center {
+        Center::Point => &file.arrays,
+        Center::Cell => &file.cell_arrays,
+    }
+}
+
+/// The field to read, and all that can be told of.
+fn choose(path: &Path, file: &Scanned, wanted: Option<&str>) -> Result<Picked> {
     let refuse = |got: String, help: &str| {
         let expected = match wanted {
             Some(name) => format!("an array '{name}' of numbers"),
@@ -179,7 +189,12 @@ fn choose(
         };
         Err(Error::bad_input(path, "POINT_DATA", expected, got).with_help(help))
     };
-    let missing = |name: &str| !fields.iter().any(|f| f.name == name);
+    let of = |center| arrays_of(file, center).iter().filter_map(Array::field).collect::<Vec<_>>();
+    let (points, mut cells) = (of(Center::Point), of(Center::Cell));
+    if file.dataset != Dataset::StructuredPoints {
+        cells.clear();
+    }
+    let missing = |name: &str| !points.iter().chain(&cells).any(|f| f.name == name);
     if let Some(name) = wanted.filter(|name| missing(name)) {
         if file.arrays.iter().any(|a| a.name == name) {
             return refuse("one of bits or strings".into(), "write it as unsigned_char");
@@ -188,17 +203,17 @@ fn choose(
             return refuse("cell data of that name".into(), "convert cell data to point data first");
         }
     }
-    if fields.is_empty() && !file.cell_arrays.is_empty() {
+    if points.is_empty() && cells.is_empty() && !file.cell_arrays.is_empty() {
         let names: Vec<&str> = file.cell_arrays.iter().map(|a| &a.name[..]).collect();
         let got = format!("cell data only: {}", names.join(", "));
         return refuse(got, "convert cell data to point data first");
     }
-    let active = |i: &usize| readable[*i].is_scalars && fields[*i].components == 1;
-    let active: Vec<usize> = (0..fields.len()).filter(active).collect();
-    match (wanted, &active[..]) {
-        (None, &[only]) => Ok(only),
-        _ => pick_field(path, fields, wanted),
-    }
+    let active = |center| {
+        let active = |a: &&Array| a.is_scalars && a.field().is_some_and(|f| f.components == 1);
+        let mut active = arrays_of(file, center).iter().filter(active);
+        active.next().filter(|_| active.next().is_none()).map(|a| &a.name[..])
+    };
+    pick(path, points, cells, wanted, active)
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! From front to back through a legacy VTK file: where everything lies.
 
+use crate::cells::Center;
 use crate::error::{Error, Result};
+use crate::formats::centers;
 use crate::formats::stream::sample_bytes;
 use crate::formats::text::Words;
 use crate::volume::{FieldInfo, ScalarType};
@@ -245,7 +247,10 @@ impl<'a> Scanner<'a> {
         let n: u64 = self.words.parse("a number of cells")?;
         match &self.out.connectivity {
             Some(cells) => self.same(n, cells.cells(), "CELL_DATA"),
-            None => Ok(n),
+            None => {
+                sample_bytes(self.path, self.out.dims, ScalarType::U8)?;
+                self.same(n, centers::samples(self.out.dims, Center::Cell).iter().product(), "CELL_DATA")
+            }
         }
     }
 

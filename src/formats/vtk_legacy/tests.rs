@@ -118,7 +118,16 @@ fn every_attribute_is_gone_over() {
         assert_eq!((values, info.field.scalar), (expected(), ScalarType::U16), "binary: {binary}");
         assert_eq!(info.geometry.to_world([1.0, 1.0, 1.0]), [1.5, 4.0, 7.0]);
         let names: Vec<(&str, u32)> = info.fields.iter().map(|f| (&f.name[..], f.components)).collect();
-        let listed = [("v", 3), ("two w%rds", 1), ("colors", 2), ("t", 9), ("uv", 2), ("n", 3), ("last", 1)];
+        let listed = [
+            ("v", 3),
+            ("two w%rds", 1),
+            ("colors", 2),
+            ("t", 9),
+            ("uv", 2),
+            ("n", 3),
+            ("last", 1),
+            ("cells", 1),
+        ];
         assert_eq!(names, listed);
         let (_, last) = read_all(open_bytes(&rich(binary), Some("last")).unwrap());
         assert_eq!(last, expected().iter().map(|v| v / 8.0).collect::<Vec<_>>());
@@ -174,16 +183,32 @@ fn refused(bytes: &[u8], field: Option<&str>) -> String {
 #[test]
 fn the_field_is_chosen_or_asked_for() {
     let text = String::from_utf8(rich(false)).unwrap();
-    for (field, says) in
-        [("cells", "cell data of that name"), ("bits", "bits or strings"), ("v", "no scalar field v")]
-    {
+    for (field, says) in [("bits", "bits or strings"), ("v", "no scalar field v")] {
         assert!(refused(text.as_bytes(), Some(field)).contains(says));
     }
     let several =
         text.replace("SCALARS two", "GLOBAL_IDS two").replace("short 1\nLOOKUP_TABLE mine", "short");
     assert!(refused(several.as_bytes(), None).contains("two w%rds (u16), colors (2 x f32"));
-    let cells = Fixture::new(false).bytes;
-    assert!(refused(&cells, None).contains("cell data only: cells"));
+    let grid = text.replace("STRUCTURED_POINTS", "STRUCTURED_GRID").replace("ORIGIN 1 2 3", "");
+    let grid = grid.replace("spacing 0.5 2 4", "");
+    assert!(refused(grid.as_bytes(), Some("cells")).contains("cell data of that name"));
+    let (cells_only, _) = grid.split_once("POINT_DATA").unwrap();
+    assert!(refused(cells_only.as_bytes(), None).contains("cell data only: cells"));
+}
+
+#[test]
+fn cell_data_of_structured_points_are_samples_in_the_middles() {
+    for binary in [false, true] {
+        // The file has no array of the point data, or has some.
+        for (bytes, field) in [(Fixture::new(binary).bytes, None), (rich(binary), Some("cells"))] {
+            let (info, values) = read_all(open_bytes(&bytes, field).unwrap());
+            assert_eq!((info.dims, &info.field.name[..], &values[..]), ([3, 2, 1], "cells", &[7.0; 6][..]));
+            assert_eq!(info.geometry.to_world([0.0; 3]), [1.25, 3.0, 5.0]);
+            assert!(info.format.contains("cell data"), "{}", info.format);
+        }
+    }
+    let text = String::from_utf8(Fixture::new(false).bytes).unwrap().replace("CELL_DATA 6", "CELL_DATA 24");
+    assert!(refused(text.as_bytes(), None).contains("CELL_DATA 6"));
 }
 
 #[test]

@@ -3,9 +3,11 @@
 use super::array::{ArrayStream, in_place, scalar_type};
 use super::head::{Document, Element};
 use crate::bytes::ByteSource;
+use crate::cells::Center;
 use crate::error::Result;
+use crate::formats::centers::{Picked, first_sample, pick, samples};
+use crate::formats::header;
 use crate::formats::stream::sample_bytes;
-use crate::formats::{header, pick_field};
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::slabs::SlabWalk;
 use crate::volume::strided::StridedVolume;
@@ -18,13 +20,16 @@ const MOST_PIECES: usize = 1024;
 pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeSource> {
     let doc = Document::open_one_of(source, &["ImageData", "RectilinearGrid", "StructuredGrid"])?;
     let whole = extent(&doc, &doc.data, "WholeExtent")?;
-    let pieces = pieces(&doc, &whole)?;
-    let (field, fields) = choose(&doc, pieces[0].element, wanted)?;
+    let first = pieces(&doc, &whole)?[0].element;
+    let Picked { field, fields, center, .. } = choose(&doc, first, wanted)?;
+    let pieces = pieces_of(&doc, &whole, center)?;
+    let how = how_stored(&doc, arrays(data_of(first, center)).find(|a| name_of(a) == field.name));
+    let how = if center == Center::Cell { format!("cell data, {how}") } else { how };
     let info = VolumeInfo {
         path: source.path().to_path_buf(),
-        format: format!("VTK XML {} ({})", doc.kind, how_field_stored(&doc, pieces[0].element, &field)),
-        dims: whole.dims,
-        geometry: geometry(&doc, &whole)?,
+        format: format!("VTK XML {} ({how})", doc.kind),
+        dims: samples(whole.dims, center),
+        geometry: geometry(&doc, &whole, center)?,
         field,
         fields,
         slope: 1.0,
@@ -34,7 +39,7 @@ pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Vol
     };
     sample_bytes(&info.path, info.dims, info.field.scalar)?;
     if let [only] = &pieces[..] {
-        let element = array(&doc, only, &info.field)?;
+        let element = array(&doc, only, &info.field, center)?;
         if let Some(offset) = in_place(&doc, element, only.bytes(&info.field))? {
             let strides = StridedVolume::packed_strides(info.dims, info.field.scalar);
             let strides = strides.expect("the size of the samples was checked");
@@ -42,7 +47,7 @@ pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Vol
             return Ok(VolumeSource::Random(Box::new(volume)));
         }
     }
-    Ok(VolumeSource::Stream(Box::new(PieceSlabs::new(doc, info, &whole)?)))
+    Ok(VolumeSource::Stream(Box::new(PieceSlabs::new(doc, info, &whole, center)?)))
 }
 
 /// Inclusive bounds, as a first sample and numbers of samples.
@@ -71,6 +76,8 @@ pub(super) fn extent(doc: &Document, element: &Element, name: &str) -> Result<Ex
 
 /// A piece and the samples that it stores.
 pub(super) struct Piece<'a> {
+    /// Which of the document's pieces it is.
+    number: usize,
     pub(super) element: &'a Element,
     pub(super) voxels: IndexBox,
 }
@@ -85,7 +92,7 @@ impl Piece<'_> {
 /// The pieces, which together cover the whole extent.
 pub(super) fn pieces<'a>(doc: &'a Document, whole: &Extent) -> Result<Vec<Piece<'a>>> {
     let mut pieces = vec![];
-    for element in doc.data.all("Piece") {
+    for (number, element) in doc.data.all("Piece").enumerate() {
         let part = extent(doc, element, "Extent")?;
         let lo = std::array::from_fn(|a| (part.lo[a] - whole.lo[a]) as u64);
         let voxels = IndexBox { lo, hi: std::array::from_fn(|a| lo[a].wrapping_add(part.dims[a])) };
@@ -93,13 +100,33 @@ pub(super) fn pieces<'a>(doc: &'a Document, whole: &Extent) -> Result<Vec<Piece<
             let got = format!("'{}'", element.attribute("Extent").unwrap_or_default());
             return Err(doc.wrong(element, "an Extent within WholeExtent", got));
         }
-        pieces.push(Piece { element, voxels });
+        pieces.push(Piece { number, element, voxels });
     }
     if pieces.is_empty() || pieces.len() > MOST_PIECES {
         let expected = format!("1 to {MOST_PIECES} pieces");
         return Err(doc.wrong(&doc.data, expected, format!("{}", pieces.len())));
     }
-    match uncovered(whole.dims, &pieces) {
+    covering(doc, whole.dims, pieces)
+}
+
+/// The pieces with the samples that they have of a field: all of its points, or its cells, which lie between points of one piece.
+fn pieces_of<'a>(doc: &'a Document, whole: &Extent, center: Center) -> Result<Vec<Piece<'a>>> {
+    let mut pieces = pieces(doc, whole)?;
+    if center == Center::Cell {
+        for piece in &mut pieces {
+            let IndexBox { lo, hi } = piece.voxels;
+            piece.voxels.hi =
+                std::array::from_fn(|a| if whole.dims[a] > 1 { hi[a] - 1 } else { hi[a] }.max(lo[a]));
+        }
+        pieces.retain(|p| !p.voxels.is_empty());
+        return covering(doc, samples(whole.dims, center), pieces);
+    }
+    Ok(pieces)
+}
+
+/// Checks that every sample is in some piece.
+fn covering<'a>(doc: &Document, dims: [u64; 3], pieces: Vec<Piece<'a>>) -> Result<Vec<Piece<'a>>> {
+    match uncovered(dims, &pieces) {
         None => Ok(pieces),
         Some(p) => {
             let got = format!("none for sample ({}, {}, {})", p[0], p[1], p[2]);
@@ -139,7 +166,7 @@ fn uncovered(dims: [u64; 3], pieces: &[Piece<'_>]) -> Option<[u64; 3]> {
 }
 
 /// VTK's `Direction` is a matrix, row by row, whose columns are the directions of the axes.
-fn geometry(doc: &Document, whole: &Extent) -> Result<Geometry> {
+fn geometry(doc: &Document, whole: &Extent, center: Center) -> Result<Geometry> {
     if doc.kind != "ImageData" {
         // The grid's coordinates say where its samples are.
         return Ok(Geometry::default());
@@ -150,31 +177,40 @@ fn geometry(doc: &Document, whole: &Extent) -> Result<Geometry> {
     let rows: [f64; 9] = doc.numbers(&doc.data, "Direction")?.unwrap_or(identity);
     let columns: [[f64; 3]; 3] =
         std::array::from_fn(|a| std::array::from_fn(|i| rows[3 * i + a] * spacing[a]));
-    let step = |i: usize| -> f64 { (0..3).map(|a| columns[a][i] * whole.lo[a] as f64).sum() };
+    let first = first_sample(whole.dims, center);
+    let first: [f64; 3] = std::array::from_fn(|a| whole.lo[a] as f64 + first[a]);
+    let step = |i: usize| -> f64 { (0..3).map(|a| columns[a][i] * first[a]).sum() };
     let origin = std::array::from_fn(|i| origin[i] + step(i));
     header::geometry(doc.source.path(), "Origin, Spacing and Direction", origin, columns)
 }
 
+/// The arrays of a piece.
+fn data_of(piece: &Element, center: Center) -> Option<&Element> {
+    piece.child(match center {
+        Center::Point => "PointData",
+        Center::Cell => "CellData",
+    })
+}
+
 /// The field to read, and all that can be told of.
-fn choose(doc: &Document, piece: &Element, wanted: Option<&str>) -> Result<(FieldInfo, Vec<FieldInfo>)> {
-    let (points, cells) = (piece.child("PointData"), piece.child("CellData"));
-    let fields = fields(doc, points)?;
-    let named = |name: &str| fields.iter().find(|f| f.name == name && f.components == 1);
-    let cell_fields: Vec<String> = arrays(cells).map(name_of).collect();
-    if let Some(name) = wanted.filter(|n| named(n).is_none() && cell_fields.iter().any(|c| c == n)) {
-        let error = doc.wrong(piece, format!("point data '{name}'"), "cell data of that name");
-        return Err(error.with_help("convert cell data to point data first"));
+fn choose(doc: &Document, piece: &Element, wanted: Option<&str>) -> Result<Picked> {
+    let of = |center| fields(doc, data_of(piece, center));
+    let (points, mut cells) = (of(Center::Point)?, of(Center::Cell)?);
+    if doc.kind != "ImageData" {
+        let cell_fields: Vec<String> = cells.drain(..).map(|f| f.name).collect();
+        let refused = |expected: String, got: String| {
+            Err(doc.wrong(piece, expected, got).with_help("convert cell data to point data first"))
+        };
+        let missing = |name: &str| !points.iter().any(|f| f.name == name && f.components == 1);
+        if let Some(name) = wanted.filter(|n| missing(n) && cell_fields.iter().any(|c| c == n)) {
+            return refused(format!("point data '{name}'"), "cell data of that name".into());
+        }
+        if points.is_empty() && !cell_fields.is_empty() {
+            return refused("point data".into(), format!("cell data only: {}", cell_fields.join(", ")));
+        }
     }
-    if fields.is_empty() && !cell_fields.is_empty() {
-        let got = format!("cell data only: {}", cell_fields.join(", "));
-        let error = doc.wrong(piece, "point data", got);
-        return Err(error.with_help("convert cell data to point data first"));
-    }
-    let active = points.and_then(|p| p.attribute("Scalars")).and_then(named);
-    match active.filter(|_| wanted.is_none()) {
-        Some(field) => Ok((field.clone(), fields)),
-        None => Ok((fields[pick_field(doc.source.path(), &fields, wanted)?].clone(), fields)),
-    }
+    let active = |center| data_of(piece, center).and_then(|d| d.attribute("Scalars"));
+    pick(doc.source.path(), points, cells, wanted, active)
 }
 
 pub(super) fn arrays(data: Option<&Element>) -> impl Iterator<Item = &Element> {
@@ -185,7 +221,7 @@ pub(super) fn name_of(array: &Element) -> String {
     array.attribute("Name").unwrap_or("data").to_string()
 }
 
-/// The numeric arrays of the point data.
+/// The numeric arrays of the point or cell data.
 pub(super) fn fields(doc: &Document, data: Option<&Element>) -> Result<Vec<FieldInfo>> {
     let mut fields = vec![];
     for array in arrays(data) {
@@ -200,21 +236,16 @@ pub(super) fn fields(doc: &Document, data: Option<&Element>) -> Result<Vec<Field
 }
 
 /// The array of the field in a piece.
-fn array<'a>(doc: &Document, piece: &Piece<'a>, field: &FieldInfo) -> Result<&'a Element> {
+fn array<'a>(doc: &Document, piece: &Piece<'a>, field: &FieldInfo, center: Center) -> Result<&'a Element> {
     let same = |a: &&Element| {
         let components = doc.count(a, "NumberOfComponents", 1);
         let scalar = a.attribute("type").and_then(scalar_type);
         name_of(a) == field.name && scalar == Some(field.scalar) && components.is_ok_and(|n| n == 1)
     };
-    arrays(piece.element.child("PointData")).find(same).ok_or_else(|| {
+    arrays(data_of(piece.element, center)).find(same).ok_or_else(|| {
         let expected = format!("an array '{}' of type {} in every piece", field.name, field.scalar.name());
         doc.wrong(piece.element, expected, "none like it")
     })
-}
-
-/// How the field's array in a piece is stored.
-fn how_field_stored(doc: &Document, piece: &Element, field: &FieldInfo) -> String {
-    how_stored(doc, arrays(piece.child("PointData")).find(|a| name_of(a) == field.name))
 }
 
 /// "appended raw, zlib, UInt64 header" and so on, for people.
@@ -233,6 +264,7 @@ pub(super) fn how_stored(doc: &Document, element: Option<&Element>) -> String {
 struct PieceSlabs {
     doc: Document,
     info: VolumeInfo,
+    center: Center,
     walk: SlabWalk,
     /// By their first slices, so that pieces one above the other are not open together.
     pieces: Vec<OpenPiece>,
@@ -255,27 +287,26 @@ fn most_at_once(needs: &[(IndexBox, u64)]) -> u64 {
 }
 
 struct OpenPiece {
-    /// Which of the document's pieces it is.
     number: usize,
     voxels: IndexBox,
     stream: Option<ArrayStream>,
 }
 
 impl PieceSlabs {
-    fn new(doc: Document, info: VolumeInfo, whole: &Extent) -> Result<Self> {
-        let found = pieces(&doc, whole)?;
+    fn new(doc: Document, info: VolumeInfo, whole: &Extent, center: Center) -> Result<Self> {
+        let found = pieces_of(&doc, whole, center)?;
         let mut needs = vec![];
         for piece in &found {
             // Every header is checked before the first slab.
-            let element = array(&doc, piece, &info.field)?;
+            let element = array(&doc, piece, &info.field, center)?;
             let stream = ArrayStream::open(&doc, element, info.field.scalar, piece.bytes(&info.field))?;
             needs.push((piece.voxels, stream.working_bytes()));
         }
-        let open = |(number, p): (usize, Piece<'_>)| OpenPiece { number, voxels: p.voxels, stream: None };
-        let mut pieces: Vec<OpenPiece> = found.into_iter().enumerate().map(open).collect();
+        let open = |p: Piece<'_>| OpenPiece { number: p.number, voxels: p.voxels, stream: None };
+        let mut pieces: Vec<OpenPiece> = found.into_iter().map(open).collect();
         pieces.sort_by_key(|p| p.voxels.lo[2]);
         let walk = SlabWalk::new(info.dims, info.field.scalar.bytes());
-        Ok(Self { doc, info, walk, pieces, row: vec![], working_bytes: most_at_once(&needs) })
+        Ok(Self { doc, info, center, walk, pieces, row: vec![], working_bytes: most_at_once(&needs) })
     }
 
     /// Copies what piece `number` has of the slab into `out`.
@@ -285,8 +316,8 @@ impl PieceSlabs {
         let common = piece.voxels.intersect(slab);
         if piece.stream.is_none() {
             let element = self.doc.data.all("Piece").nth(piece.number).expect("pieces were listed from it");
-            let found = Piece { element, voxels: piece.voxels };
-            let element = array(&self.doc, &found, &self.info.field)?;
+            let found = Piece { number: piece.number, element, voxels: piece.voxels };
+            let element = array(&self.doc, &found, &self.info.field, self.center)?;
             let bytes = found.bytes(&self.info.field);
             piece.stream = Some(ArrayStream::open(&self.doc, element, self.info.field.scalar, bytes)?);
         }

@@ -22,7 +22,10 @@
 //! samples, which is stored twice.
 //!
 //! **Fields** are the arrays of the point data. Without `--field` the one that the file names as its active `Scalars`
-//! is read, else the only one with one component. Cell data are values of voxel cells, not of samples: refused.
+//! is read, else the only one with one component.
+//!
+//! **Cell data** of an image are samples in the middles of its cells: one fewer along each axis, the first half a step from the origin. They are read
+//! where there is no scalar point data, or by their name. Those of rectilinear and curvilinear grids are refused.
 //!
 //! **Rectilinear and curvilinear grids** (`.vtr`, `.vts`) are read like images, in index space; [`coordinates`] tells where their
 //! samples are.
@@ -55,7 +58,7 @@ use std::sync::Arc;
 /// Opens the image of a `.vti` file, or the samples of the grid of a `.vtr` or `.vts` file.
 ///
 /// # Errors
-/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file, another VTK type, cell data, vectors;
+/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file, another VTK type, cell data of a grid, vectors;
 /// [`Error::Usage`](crate::Error::Usage) when several fields ask for a choice.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     image::open(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())

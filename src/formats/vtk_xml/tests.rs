@@ -211,7 +211,7 @@ fn every_encoding_gives_the_samples_in_order() {
         assert_eq!(matches!(source, VolumeSource::Random(_)), mapped);
         let (info, values) = read_all(source);
         assert_eq!((info.dims, &info.field.name[..]), ([5, 4, 3], "b"), "{encoding:?}");
-        assert_eq!((info.field.scalar, info.fields.len()), (ScalarType::I16, 3));
+        assert_eq!((info.field.scalar, info.fields.len()), (ScalarType::I16, 4));
         assert_eq!(values, expected(), "{encoding:?}");
         let (_, other) = read_all(open_bytes(&image(encoding, &ONE), Some("a & c")).unwrap());
         assert_eq!(other[7], expected()[7] + 1.0);
@@ -286,6 +286,61 @@ fn the_first_sample_of_the_extent_is_ours_and_in_its_place() {
     assert_eq!(info.geometry.to_world([0.0; 3]), [-3.0, 1.5, 3.0]);
 }
 
+/// An image of cells alone: 4 x 3 x 2 of them, at most, those of each piece by where they are.
+fn cells(encoding: Encoding, points: [i64; 6], pieces: &[[i64; 6]]) -> Vec<u8> {
+    let text = |e: &[i64; 6]| e.map(|n| n.to_string()).join(" ");
+    let mut file =
+        encoding.file("ImageData", &format!("WholeExtent=\"{}\" Spacing=\"2 1 1\"", text(&points)));
+    for p in pieces {
+        file.text(&format!("<Piece Extent=\"{}\">\n<PointData/><CellData Scalars=\"c\">\n", text(p)));
+        let along = |a: usize| {
+            p[2 * a]..p[2 * a + 1].max(points[2 * a] + i64::from(points[2 * a] == points[2 * a + 1]))
+        };
+        let mut values = vec![];
+        for z in along(2) {
+            for y in along(1) {
+                values.extend(along(0).map(|x| (x + 10 * y + 100 * z) as f32));
+            }
+        }
+        file.array("other", 1, &values.iter().map(|v| v + 0.5).collect::<Vec<f32>>());
+        file.array("c", 1, &values);
+        file.text("</CellData></Piece>\n");
+    }
+    file.finish()
+}
+
+#[test]
+fn cell_data_of_an_image_are_samples_in_the_middles() {
+    let whole = [0, 4, 0, 3, 0, 2];
+    let expected: Vec<f32> = (0..24).map(|i| (i % 4 + 10 * (i / 4 % 3) + 100 * (i / 12)) as f32).collect();
+    for encoding in every_encoding() {
+        // The third piece is a plane of points, which has no cells.
+        for pieces in
+            [&[whole][..], &[[0, 4, 0, 3, 1, 2], [0, 2, 0, 3, 0, 1], [4, 4, 0, 3, 0, 2], [2, 4, 0, 3, 0, 1]]]
+        {
+            let (info, values) = read_all(open_bytes(&cells(encoding, whole, pieces), None).unwrap());
+            assert_eq!(
+                (info.dims, &info.field.name[..], values),
+                ([4, 3, 2], "c", expected.clone()),
+                "{encoding:?}"
+            );
+            assert_eq!(info.geometry.to_world([0.0; 3]), [1.0, 0.5, 0.5]);
+            assert!(info.format.contains("cell data"), "{}", info.format);
+        }
+    }
+    let encoding = every_encoding()[0];
+    let (_, other) = read_all(open_bytes(&cells(encoding, whole, &[whole]), Some("other")).unwrap());
+    assert_eq!(other[5], expected[5] + 0.5);
+    // One point thick: so are the cells.
+    let flat = [0, 4, 0, 3, 0, 0];
+    let (info, values) = read_all(open_bytes(&cells(encoding, flat, &[flat]), None).unwrap());
+    assert_eq!((info.dims, &values[..]), ([4, 3, 1], &expected[..12]));
+    assert_eq!(info.geometry.to_world([0.0; 3]), [1.0, 0.5, 0.0]);
+    // Points side by side do not make cells.
+    let apart = cells(encoding, whole, &[[0, 1, 0, 3, 0, 2], [2, 4, 0, 3, 0, 2]]);
+    assert!(refused(&apart, None).contains("none for sample (1, 0, 0)"));
+}
+
 fn refused(bytes: &[u8], field: Option<&str>) -> String {
     let source = open_bytes(bytes, field);
     let error = source.and_then(try_read_all).expect_err("the file is refused");
@@ -299,10 +354,11 @@ fn the_field_is_chosen_or_asked_for() {
     let no_active = good.replace(" Scalars=\"b\"", "");
     assert!(refused(no_active.as_bytes(), None).contains("a & c (i16), b (i16), v (2 x f32, not scalar)"));
     assert!(open_bytes(no_active.as_bytes(), Some("b")).is_ok());
-    assert!(refused(good.as_bytes(), Some("cell")).contains("cell data of that name"));
     assert!(refused(good.as_bytes(), Some("v")).contains("no scalar field v"));
     assert!(refused(good.as_bytes(), Some("w")).contains("no scalar field w"));
-    let cells_only = good.replace("PointData", "OtherData");
+    let grid = good.replace("ImageData", "StructuredGrid");
+    assert!(refused(grid.as_bytes(), Some("cell")).contains("cell data of that name"));
+    let cells_only = grid.replace("PointData", "OtherData");
     assert!(refused(cells_only.as_bytes(), None).contains("cell data only: cell"));
     // The only scalar array needs no mark.
     let one = no_active
