@@ -78,16 +78,16 @@ fn bench(c: &mut Criterion) {
     for share in [8, 16, 64] {
         let (positions, tets) = mesh(lattice, whole.len() as u64 / share);
         let values: Vec<f32> = (0..positions.len()).map(|i| i as f32).collect();
-        let mesh = FitMesh { positions: &positions, values: &values, tets: &tets };
+        let mesh = FitMesh { positions: &positions, tets: &tets };
         let mut samples = vec![];
         group.bench_function(BenchmarkId::from_parameter(share), |b| {
             b.iter(|| {
-                let mut fit = Fit::new(positions.len());
+                let mut fit = Fit::new(mesh, &[&values]);
                 for (window, tets) in Windows::new(&grid, window_edge([16; 3]), &positions, &tets).iter() {
                     samples.resize(window.len(), 1.0);
-                    fit.add(&mesh, &grid, &window, &samples, tets);
+                    fit.add(&grid, &window, &samples, tets);
                 }
-                fit.values(&mesh, positions.len())
+                fit.values(positions.len())
             });
         });
     }

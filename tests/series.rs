@@ -13,7 +13,7 @@ use isospan::pipeline::{
     StepChoice, SurfaceSettings,
 };
 use isospan::points::SetKind;
-use isospan::sample::Interpolation;
+use isospan::sample::{Interpolation, Values};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -100,6 +100,36 @@ fn each_step_is_what_it_is_alone() {
             assert_eq!(measured.error, stored(&all, number));
             assert_eq!(measured.error, stored(&one, 0));
         }
+    }
+}
+
+/// Steps are fitted together, and some have holes of their own: each is what it is alone, however many are made at a time.
+#[test]
+fn steps_with_holes_are_fitted_as_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = write_steps(dir.path(), 10);
+    for (t, at) in [(2, 0.2), (3, 0.7), (8, 0.5)] {
+        let hole = move |x: f64, y: f64, z: f64| (x - at).abs() + (y - 0.5).abs() + (z - 0.5).abs() < 0.3;
+        let field = move |x, y, z| if hole(x, y, z) { f64::NAN } else { moving(t)(x, y, z) };
+        write_npy(&steps[t].path, DIMS, field);
+    }
+    let out = |name: &str| dir.path().join(name);
+    let settings = ReduceSettings { nan: NanPolicy::Mask, values: Values::Fit, ..few_points() };
+    let report = reduce_all(&steps, &settings, &out("all.isospan"), &run(2));
+    let void = report.steps.iter().map(|s| s.void_points > 0).collect::<Vec<_>>();
+    assert_eq!((0..10).filter(|&t| void[t]).collect::<Vec<_>>(), [2, 3, 8]);
+    let small = RunSettings { memory: 33 << 20, ..run(1) };
+    reduce_all(&steps, &settings, &out("small.isospan"), &small);
+    assert!(folder(&out("all.isospan")) == folder(&out("small.isospan")));
+    reduce_all(&steps[..3], &settings, &out("grown.isospan"), &run(2));
+    let how = AppendSettings { keyframes: 3, ..AppendSettings::default() };
+    pipeline::append(&steps[3..], &how, &out("grown.isospan"), &run(2), &Silent).unwrap();
+    assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")));
+    for number in [1, 2, 3, 8, 9] {
+        let _ = fs::remove_dir_all(out("one.isospan"));
+        let step = &steps[number as usize..=number as usize];
+        reduce_all(step, &settings, &out("one.isospan"), &run(1));
+        same_answers(dir.path(), (&out("all.isospan"), number), (&out("one.isospan"), 0));
     }
 }
 

@@ -29,6 +29,8 @@ pub(crate) trait Wide: Copy {
     fn is_number(self) -> Self::Mask;
     /// Of a mask: the one number where it is set, else the other.
     fn pick(mask: Self::Mask, set: Self, unset: Self) -> Self;
+    /// A mask as a number: bit k is that of lane k.
+    fn bits(mask: Self::Mask) -> u32;
 }
 
 /// So many lanes, from `f32` and back.
@@ -71,31 +73,34 @@ pub(crate) fn sorted<W: Wide>([a, b, c, d]: [W; 4]) -> [W; 4] {
     [a, b, c, d]
 }
 
-/// Everywhere.
+/// Everywhere, and of any number.
 #[derive(Clone, Copy)]
-pub(crate) struct Plain([f64; 4]);
+pub(crate) struct Plain<const N: usize = 4>([f64; N]);
 
-impl Plain {
+impl<const N: usize> Plain<N> {
     #[inline(always)]
     fn each(self, other: Self, f: impl Fn(f64, f64) -> f64) -> Self {
         Self(std::array::from_fn(|k| f(self.0[k], other.0[k])))
     }
 }
 
-impl Wide for Plain {
+impl<const N: usize> Wide for Plain<N>
+where
+    [f64; N]: bytemuck::Pod,
+{
     type Proof = ();
-    type Lanes = [f64; 4];
-    type Mask = [bool; 4];
+    type Lanes = [f64; N];
+    type Mask = [bool; N];
     #[inline(always)]
-    fn of((): (), lanes: &[f64; 4]) -> Self {
+    fn of((): (), lanes: &[f64; N]) -> Self {
         Self(*lanes)
     }
     #[inline(always)]
     fn splat((): (), x: f64) -> Self {
-        Self([x; 4])
+        Self([x; N])
     }
     #[inline(always)]
-    fn lanes(self) -> [f64; 4] {
+    fn lanes(self) -> [f64; N] {
         self.0
     }
     #[inline(always)]
@@ -127,26 +132,33 @@ impl Wide for Plain {
         self.each(other, |a, b| if a > b { a } else { b })
     }
     #[inline(always)]
-    fn below(self, other: Self) -> [bool; 4] {
+    fn below(self, other: Self) -> [bool; N] {
         std::array::from_fn(|k| self.0[k] < other.0[k])
     }
     #[inline(always)]
-    fn is_number(self) -> [bool; 4] {
+    fn is_number(self) -> [bool; N] {
         self.0.map(|x| !x.is_nan())
     }
     #[inline(always)]
-    fn pick(mask: [bool; 4], set: Self, unset: Self) -> Self {
+    fn pick(mask: [bool; N], set: Self, unset: Self) -> Self {
         Self(std::array::from_fn(|k| if mask[k] { set.0[k] } else { unset.0[k] }))
+    }
+    #[inline(always)]
+    fn bits(mask: [bool; N]) -> u32 {
+        mask.iter().enumerate().map(|(k, &set)| u32::from(set) << k).sum()
     }
 }
 
-impl Floats<4> for Plain {
+impl<const N: usize> Floats<N> for Plain<N>
+where
+    [f64; N]: bytemuck::Pod,
+{
     #[inline(always)]
-    fn of_floats((): (), lanes: &[f32; 4]) -> Self {
+    fn of_floats((): (), lanes: &[f32; N]) -> Self {
         Self(lanes.map(f64::from))
     }
     #[inline(always)]
-    fn floats(self) -> [f32; 4] {
+    fn floats(self) -> [f32; N] {
         self.0.map(|x| x as f32)
     }
 }
@@ -219,6 +231,10 @@ impl<W: Four> Wide for Pair<W> {
     #[inline(always)]
     fn pick(mask: Self::Mask, set: Self, unset: Self) -> Self {
         Self(W::pick(mask.0, set.0, unset.0), W::pick(mask.1, set.1, unset.1))
+    }
+    #[inline(always)]
+    fn bits(mask: Self::Mask) -> u32 {
+        W::bits(mask.0) | W::bits(mask.1) << 4
     }
 }
 
@@ -368,6 +384,10 @@ mod vectors {
                 fn pick(mask: $mask, set: Self, unset: Self) -> Self {
                     Self::picked(mask, set, unset)
                 }
+                #[inline(always)]
+                fn bits(mask: $mask) -> u32 {
+                    Self::bits_of(mask)
+                }
             }
         };
     }
@@ -405,6 +425,11 @@ mod vectors {
             // SAFETY: AVX2 was found.
             Self(unsafe { _mm256_blendv_pd(unset.0, set.0, mask) })
         }
+        #[inline(always)]
+        fn bits_of(mask: __m256d) -> u32 {
+            // SAFETY: AVX2 was found.
+            (unsafe { _mm256_movemask_pd(mask) }) as u32
+        }
     }
 
     wide!(
@@ -439,6 +464,10 @@ mod vectors {
         fn picked(mask: __mmask8, set: Self, unset: Self) -> Self {
             // SAFETY: AVX-512 was found.
             Self(unsafe { _mm512_mask_blend_pd(mask, unset.0, set.0) })
+        }
+        #[inline(always)]
+        fn bits_of(mask: __mmask8) -> u32 {
+            u32::from(mask)
         }
     }
 

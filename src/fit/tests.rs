@@ -43,13 +43,31 @@ fn samples(grid: &SampleGrid, window: &IndexBox, f: &dyn Fn([f64; 3]) -> f32) ->
     out
 }
 
-fn fitted(grid: &SampleGrid, edge: [u64; 3], mesh: &FitMesh<'_>, f: &dyn Fn([f64; 3]) -> f32) -> Vec<f32> {
+fn fitted(
+    grid: &SampleGrid,
+    edge: [u64; 3],
+    mesh: &FitMesh<'_>,
+    values: &[f32],
+    f: &dyn Fn([f64; 3]) -> f32,
+) -> Vec<f32> {
+    fitted_steps(grid, edge, mesh, &[values], &[f]).remove(0)
+}
+
+/// The same of some steps together.
+fn fitted_steps(
+    grid: &SampleGrid,
+    edge: [u64; 3],
+    mesh: &FitMesh<'_>,
+    values: &[&[f32]],
+    steps: &[&dyn Fn([f64; 3]) -> f32],
+) -> Vec<Vec<f32>> {
     let windows = Windows::new(grid, edge, mesh.positions, mesh.tets);
-    let mut fit = Fit::new(mesh.positions.len());
+    let mut fit = Fit::new(*mesh, values);
     for (window, tets) in windows.iter() {
-        fit.add(mesh, grid, &window, &samples(grid, &window, f), tets);
+        let samples: Vec<f32> = steps.iter().flat_map(|f| samples(grid, &window, f)).collect();
+        fit.add(grid, &window, &samples, tets);
     }
-    fit.values(mesh, mesh.positions.len())
+    fit.values(mesh.positions.len())
 }
 
 fn rms(grid: &SampleGrid, mesh: &FitMesh<'_>, values: &[f32], f: &dyn Fn([f64; 3]) -> f32) -> f64 {
@@ -78,8 +96,8 @@ fn constants_stay_and_linear_fields_stay_linear() {
         (&|p: [f64; 3]| (100.0 + 3.0 * p[0] - 2.0 * p[1] + p[2]) as f32, 1e-5),
     ] {
         let values: Vec<f32> = positions.iter().map(|&p| f(at(&grid, p))).collect();
-        let mesh = FitMesh { positions: &positions, values: &values, tets: &tets };
-        for (new, old) in fitted(&grid, [32; 3], &mesh, f).iter().zip(&values) {
+        let mesh = FitMesh { positions: &positions, tets: &tets };
+        for (new, old) in fitted(&grid, [32; 3], &mesh, &values, f).iter().zip(&values) {
             assert!((new - old).abs() <= bound, "{new} {old}");
         }
     }
@@ -91,9 +109,9 @@ fn the_error_falls_on_curved_fields() {
     let f: &dyn Fn([f64; 3]) -> f32 =
         &|p| (9.0 * p[0]).sin() as f32 * (8.0 * p[1]).cos() as f32 + (11.0 * p[2]).sin() as f32;
     let values: Vec<f32> = positions.iter().map(|&p| f(at(&grid, p))).collect();
-    let mesh = FitMesh { positions: &positions, values: &values, tets: &tets };
+    let mesh = FitMesh { positions: &positions, tets: &tets };
     let (before, after) =
-        (rms(&grid, &mesh, &values, f), rms(&grid, &mesh, &fitted(&grid, [32; 3], &mesh, f), f));
+        (rms(&grid, &mesh, &values, f), rms(&grid, &mesh, &fitted(&grid, [32; 3], &mesh, &values, f), f));
     assert!(after < 0.7 * before, "{after} {before}");
 }
 
@@ -103,8 +121,8 @@ fn the_order_of_tetrahedra_and_corners_does_not_show() {
     let f: &dyn Fn([f64; 3]) -> f32 = &|p| (40.0 * p[0] * p[1]).sin() as f32 + p[2] as f32;
     let values: Vec<f32> = positions.iter().map(|&p| f(at(&grid, p))).collect();
     let bits = |tets: &[Tet]| -> Vec<u32> {
-        let mesh = FitMesh { positions: &positions, values: &values, tets };
-        fitted(&grid, [8, 16, 8], &mesh, f).iter().map(|v| v.to_bits()).collect()
+        let mesh = FitMesh { positions: &positions, tets };
+        fitted(&grid, [8, 16, 8], &mesh, &values, f).iter().map(|v| v.to_bits()).collect()
     };
     let turned: Vec<Tet> = tets.iter().rev().map(|&[a, b, c, d]| [d, c, b, a]).collect();
     assert_eq!(bits(&tets), bits(&turned));
@@ -119,22 +137,56 @@ fn the_order_of_tetrahedra_and_corners_does_not_show() {
     }
 }
 
+/// Steps that differ, in places where some of them have no value.
+fn with_holes(step: usize, holes: bool) -> impl Fn([f64; 3]) -> f32 {
+    let t = step as f64;
+    move |p| {
+        let is_hole = (3.0 * p[0] + 2.0 * p[1] + 0.4 * t).sin() > 0.95 || (step == 3 && p[2] < 0.5);
+        if holes && is_hole { f32::NAN } else { ((40.0 + t) * p[0] * p[1]).sin() as f32 + (t * p[2]) as f32 }
+    }
+}
+
+#[test]
+fn steps_together_are_what_each_is_alone() {
+    let (grid, positions, tets) = mesh();
+    let mesh = FitMesh { positions: &positions, tets: &tets };
+    for (count, holes) in [(2, false), (3, true), (4, false), (8, true), (13, true), (17, false)] {
+        let fields: Vec<_> = (0..count).map(|step| with_holes(step, holes)).collect();
+        let values: Vec<Vec<f32>> =
+            fields.iter().map(|f| positions.iter().map(|&p| f(at(&grid, p))).collect()).collect();
+        let steps: Vec<&dyn Fn([f64; 3]) -> f32> = fields.iter().map(|f| f as _).collect();
+        let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
+        let together = fitted_steps(&grid, [8, 16, 8], &mesh, &of_steps, &steps);
+        assert_eq!(together.len(), count);
+        for (n, found) in together.iter().enumerate() {
+            let alone = fitted(&grid, [8, 16, 8], &mesh, of_steps[n], steps[n]);
+            assert!(found.iter().zip(&alone).all(|(a, b)| a.to_bits() == b.to_bits()), "step {n} of {count}");
+            assert!(found.iter().zip(of_steps[n]).any(|(a, b)| a != b && !b.is_nan()));
+        }
+        assert_eq!(together.iter().flatten().any(|v| v.is_nan()), holes);
+    }
+}
+
 #[test]
 fn vectors_do_not_show() {
     let (grid, positions, tets) = mesh();
-    let f: &dyn Fn([f64; 3]) -> f32 = &|p| (40.0 * p[0] * p[1]).sin() as f32 + p[2] as f32;
-    let values: Vec<f32> = positions.iter().map(|&p| f(at(&grid, p))).collect();
-    let mesh = FitMesh { positions: &positions, values: &values, tets: &tets };
-    let [mut plain, mut vectors] = [0, 1].map(|_| Fit::new(positions.len()));
-    for (window, tets) in Windows::new(&grid, [32; 3], &positions, &tets).iter() {
-        let samples = samples(&grid, &window, f);
-        vectors.add(&mesh, &grid, &window, &samples, tets);
-        plain.add_window(&mesh, &Scanner::new(&grid, &window), &samples, tets);
+    let mesh = FitMesh { positions: &positions, tets: &tets };
+    for count in [1, 4, 7] {
+        let fields: Vec<_> = (0..count).map(|step| with_holes(step, true)).collect();
+        let values: Vec<Vec<f32>> =
+            fields.iter().map(|f| positions.iter().map(|&p| f(at(&grid, p))).collect()).collect();
+        let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
+        let [mut plain, mut vectors] = [0, 1].map(|_| Fit::new(mesh, &of_steps));
+        for (window, tets) in Windows::new(&grid, [32; 3], &positions, &tets).iter() {
+            let samples: Vec<f32> = fields.iter().flat_map(|f| samples(&grid, &window, f)).collect();
+            vectors.add(&grid, &window, &samples, tets);
+            plain.scan(&Scanner::new(&grid, &window), window.len(), tets);
+            plain.sides[0].add_plain(&plain.told, &samples, &plain.tets);
+        }
+        let bits = |fit: &Fit<'_>| fit.sides[0].bits();
+        assert!(bits(&plain) == bits(&vectors));
+        assert!(bits(&plain).iter().any(|s| s[0] != 0));
     }
-    let bits =
-        |fit: &Fit| fit.sums.iter().map(|s| [s.pull.to_bits(), s.weight.to_bits()]).collect::<Vec<_>>();
-    assert_eq!(bits(&plain), bits(&vectors));
-    assert!(bits(&plain).iter().any(|s| s[0] != 0));
 }
 
 #[test]
@@ -143,8 +195,8 @@ fn holes_do_not_leak() {
     let hole = |p: [f64; 3]| p[0] > 0.6 && p[2] < 0.4;
     let f: &dyn Fn([f64; 3]) -> f32 = &|p| if hole(p) { f32::NAN } else { 7.5 };
     let values: Vec<f32> = positions.iter().map(|&p| f(at(&grid, p))).collect();
-    let mesh = FitMesh { positions: &positions, values: &values, tets: &tets };
-    let found = fitted(&grid, [32; 3], &mesh, f);
+    let mesh = FitMesh { positions: &positions, tets: &tets };
+    let found = fitted(&grid, [32; 3], &mesh, &values, f);
     assert!(found.iter().any(|v| v.is_nan()));
     assert!(found.iter().zip(&values).all(|(a, b)| a.to_bits() == b.to_bits()));
 }

@@ -1,10 +1,10 @@
 //! The field of a tetrahedral mesh: each point is located among the cells of its brick.
 //!
-//! Values can be fitted to those at the mesh's vertices ([`crate::fit`]): each vertex lies in one tetrahedron of the reduction, and tells its
-//! corners where that is of the same body.
+//! Values can be fitted to those at the mesh's vertices ([`super::fitted`]).
 
 use super::chunk::MeshedChunk;
 use super::field::{Field, NO_BODY, Place, Placement, Spot, brick_order, by_brick, in_bricks};
+use super::fitted::FittedTo;
 use super::measure::Originals;
 use crate::domain::boundary::{BoundarySamples, OnBoundary, Sample};
 use crate::domain::buckets::Buckets;
@@ -12,14 +12,11 @@ use crate::domain::column::Column;
 use crate::domain::store::CellStore;
 use crate::domain::vertices::Vertices;
 use crate::error::Result;
-use crate::fit::{BrickTets, Fit, FitMesh};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, BrickId, Chunk};
 use crate::locate::{
     CellBatch, Corner, FINE_BITS, FinePos, Found, PointGrid, fine, linear, quadratic, quadratic_thesis,
 };
-use crate::mesh::tet::Tet;
-use crate::raster::PointLocator;
 use crate::sample::Interpolation;
 
 /// A mesh, and how it is sampled.
@@ -49,17 +46,17 @@ impl Field for CellField<'_> {
         Ok(Placement { spots, outside, ..Placement::default() })
     }
 
-    fn values(&self, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
+    fn interpolated(&self, _mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
         let value = |spot: &Spot| match &spot.at {
             Place::Nowhere => Ok(f32::NAN),
             Place::Cell(found) => self.value(found),
             Place::Boundary(place) => self.on_boundary(place),
         };
-        let values: Vec<f32> = placement.spots.iter().map(value).collect::<Result<_>>()?;
-        match self.fitted_to {
-            None => Ok(values),
-            Some(vertices) => self.fit(vertices, mesh, placement, &values),
-        }
+        placement.spots.iter().map(value).collect()
+    }
+
+    fn fitted_to(&self) -> FittedTo<'_> {
+        self.fitted_to.map_or(FittedTo::Nothing, |vertices| FittedTo::Vertices(self, vertices))
     }
 
     fn originals(&self) -> Originals<'_> {
@@ -157,33 +154,6 @@ impl CellField<'_> {
             outside[t] = Some(self.body(&found)?) != body_of(t);
         }
         Ok(outside)
-    }
-
-    /// The values of a chunk's vertices, fitted to those at the mesh's vertices in all tetrahedra at them; from the interpolated ones of
-    /// these and of the vertices around.
-    fn fit(
-        &self,
-        vertices: &Vertices,
-        mesh: &MeshedChunk,
-        placement: &Placement,
-        interpolated: &[f32],
-    ) -> Result<Vec<f32>> {
-        let ((positions, tets), originals) = (mesh.whole(), self.values.get()?);
-        let whole = FitMesh { positions: &positions, values: interpolated, tets: &tets };
-        let (mut fit, mut samples) = (Fit::new(positions.len()), vec![]);
-        let body_of = |[v, ..]: Tet| placement.spots[v as usize].body;
-        for (brick, touching) in BrickTets::new(&self.bricks, &positions, &tets).iter() {
-            vertices.each_batch(self.store, brick, |batch| {
-                samples.clear();
-                samples.extend(batch.iter().map(|v| originals[v.number as usize]));
-                let places = batch.iter().map(|v| v.pos).zip(0..);
-                let points = PointLocator::new(self.bricks.brick(brick), self.bricks.lattice.max(), places);
-                // A body tells nothing of another one that it touches or overlaps.
-                let told_by = |tet: u32, v: u32| body_of(tets[tet as usize]) == batch[v as usize].body;
-                fit.add_points(&whole, &points, &samples, touching, told_by);
-            })?;
-        }
-        Ok(fit.values(&whole, mesh.positions.len()))
     }
 
     fn value(&self, found: &Found) -> Result<f32> {

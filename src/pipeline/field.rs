@@ -4,6 +4,7 @@
 //! what it reads for a group lies together.
 
 use super::chunk::MeshedChunk;
+use super::fitted::FittedTo;
 use super::measure::Originals;
 use crate::domain::boundary::OnBoundary;
 use crate::error::Result;
@@ -56,6 +57,8 @@ pub(crate) struct Placement {
     pub(crate) outside: Vec<bool>,
     /// Of a volume: the halo's vertices in the order of their bricks.
     pub(crate) halo: Vec<(BrickId, u32)>,
+    /// And those of the vertices around.
+    pub(crate) around: Vec<(BrickId, u32)>,
 }
 
 /// Where a vertex of a chunk lies in a tetrahedral mesh; by default nowhere.
@@ -93,11 +96,14 @@ pub(crate) trait Field: Sync {
     /// When the data cannot be read.
     fn place(&self, mesh: &MeshedChunk) -> Result<Placement>;
 
-    /// Values at the vertices of a chunk, in their order.
+    /// Interpolated values at the vertices of a chunk, in their order; where values are fitted, then those at the vertices around.
     ///
     /// # Errors
     /// When the data cannot be read, or hold what the settings refuse.
-    fn values(&self, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>>;
+    fn interpolated(&self, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>>;
+
+    /// What values are to be fitted to: the same for all steps.
+    fn fitted_to(&self) -> FittedTo<'_>;
 
     /// The samples that the values are made from.
     fn originals(&self) -> Originals<'_>;
@@ -158,7 +164,7 @@ pub(crate) fn in_bricks<T: Clone + Default>(
 }
 
 /// As [`in_bricks`], given their [`brick_order`].
-fn in_order<T: Clone + Default>(
+pub(crate) fn in_order<T: Clone + Default>(
     positions: &[LatticePos],
     order: &[(BrickId, u32)],
     mut sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,

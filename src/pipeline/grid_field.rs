@@ -1,15 +1,14 @@
 //! The field of a structured volume: each brick's points are interpolated from the samples around them, read for that.
 
 use super::chunk::MeshedChunk;
-use super::field::{Field, NanPolicy, Placement, brick_order, by_brick_in_order, in_bricks};
+use super::field::{Field, NanPolicy, Placement, brick_order, by_brick_in_order, in_order};
+use super::fitted::FittedTo;
 use super::measure::Originals;
 use super::reduce::Scratch;
 use crate::error::{Error, Result};
 use crate::exec::with_vectors;
-use crate::fit::{Fit, FitMesh, Windows, window_edge};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, Chunk, IndexBox};
-use crate::raster::SampleGrid;
 use crate::sample::{Interpolation, Values, VoxelBlock, sample};
 use crate::volume::VolumeReader;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -46,20 +45,26 @@ pub(super) fn treat_missing(missing: Option<f64>, stand_in: f32, samples: &mut [
 impl Field for GridField {
     fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
         let halo = brick_order(&self.bricks, &mesh.positions[mesh.core_len()..]);
-        Ok(Placement { halo, ..Placement::default() })
+        let around = brick_order(&self.bricks, &mesh.around.positions);
+        Ok(Placement { halo, around, ..Placement::default() })
     }
 
-    fn values(&self, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
+    fn interpolated(&self, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
         let mut voxels = vec![];
         let mut sample =
             |_, positions: &[LatticePos], out: &mut Vec<f32>| self.sample(positions, &mut voxels, out);
         let mut values = by_brick_in_order(&self.bricks, mesh, &placement.halo, &mut sample)?;
         if self.values == Values::Fit {
-            let around = &mesh.around;
-            values.extend(in_bricks(&self.bricks, &around.positions, &mut sample)?);
-            values = self.fit(mesh, &values)?;
+            values.extend(in_order(&mesh.around.positions, &placement.around, &mut sample)?);
         }
         Ok(values)
+    }
+
+    fn fitted_to(&self) -> FittedTo<'_> {
+        match self.values {
+            Values::Fit => FittedTo::Samples(self),
+            Values::Sample => FittedTo::Nothing,
+        }
     }
 
     fn originals(&self) -> Originals<'_> {
@@ -87,29 +92,19 @@ impl Field for GridField {
 }
 
 impl GridField {
-    /// The values of a chunk's vertices, fitted to the samples in all tetrahedra at them; from the interpolated ones of these
-    /// and of the vertices around.
-    fn fit(&self, mesh: &MeshedChunk, values: &[f32]) -> Result<Vec<f32>> {
-        let (positions, tets) = mesh.whole();
-        let grid = SampleGrid::voxels(&self.bricks.lattice);
-        let windows = Windows::new(&grid, window_edge(self.bricks.edge), &positions, &tets);
-        let whole = FitMesh { positions: &positions, values, tets: &tets };
-        let (mut fit, mut samples) = (Fit::new(positions.len()), vec![]);
-        for (window, tets) in windows.iter() {
-            samples.resize(window.len(), 0.0);
-            self.reader.read_box(window, &mut samples)?;
-            self.treat_missing(&mut samples);
-            if self.nan == NanPolicy::Error
-                && let Some(bad) = samples.iter().position(|v| v.is_nan())
-            {
-                let (d, i) = (window.dims(), bad as u64);
-                let at = [i % d[0], i / d[0] % d[1], i / d[0] / d[1]];
-                let sample = std::array::from_fn(|k| window.lo[k] + at[k]);
-                return Err(self.nan_error(self.bricks.lattice.of_voxel(sample)));
-            }
-            fit.add(&whole, &grid, &window, &samples, tets);
+    /// Reads the samples of a window that values are fitted to; NaN is none.
+    pub(super) fn read_window(&self, window: IndexBox, out: &mut [f32]) -> Result<()> {
+        self.reader.read_box(window, out)?;
+        self.treat_missing(out);
+        if self.nan == NanPolicy::Error
+            && let Some(bad) = out.iter().position(|v| v.is_nan())
+        {
+            let (d, i) = (window.dims(), bad as u64);
+            let at = [i % d[0], i / d[0] % d[1], i / d[0] / d[1]];
+            let sample = std::array::from_fn(|k| window.lo[k] + at[k]);
+            return Err(self.nan_error(self.bricks.lattice.of_voxel(sample)));
         }
-        Ok(fit.values(&whole, mesh.positions.len()))
+        Ok(())
     }
 
     fn sample(&self, positions: &[LatticePos], voxels: &mut Vec<f32>, out: &mut Vec<f32>) -> Result<()> {

@@ -7,13 +7,14 @@
 //! before, ranges measured. Where an earlier pass has made the mesh, it is decoded instead, and so are the values before the first step.
 
 use super::chunk::{Maker, MeshedChunk, Meshing};
-use super::field::Placement;
+use super::field::{Field, Placement};
+use super::fitted::fitted;
 use super::gauge::Cells;
 use super::need::Halo;
 use super::series::of_step;
 use super::sides::Sides;
 use super::spectrum::Places;
-use super::work::{StageTimes, Stored, Work};
+use super::work::{StageTimes, StepWork, Stored, Work};
 use crate::archive::chunk::ChunkEncoder;
 use crate::archive::errors::{ChunkErrors, encode_errors};
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary, encode_value_ranges};
@@ -185,12 +186,19 @@ impl Lap {
     }
 }
 
-/// The values of a step, as they are stored.
-fn values_of(work: &Work<'_>, n: usize, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
-    let step = &work.steps[n];
-    let mut values = note(work, n, step.field.values(mesh, placement))?;
-    if let Some(quantiser) = &step.plan.quantiser {
-        values.iter_mut().for_each(|v| *v = quantiser.round(*v));
+/// The values of all steps, as they are stored.
+fn values_of(work: &Work<'_>, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<Vec<f32>>> {
+    let interpolated = |(n, step): (usize, &StepWork<'_>)| {
+        work.cancel.check().and_then(|()| note(work, n, step.field.interpolated(mesh, placement)))
+    };
+    let interpolated = work.steps.iter().enumerate().map(interpolated).collect::<Result<Vec<_>>>()?;
+    let fields: Vec<&dyn Field> = work.steps.iter().map(|step| step.field).collect();
+    let note = |n, read| note(work, n, read);
+    let mut values = fitted(&fields, mesh, placement, interpolated, work.cancel, note)?;
+    for (step, values) in work.steps.iter().zip(&mut values) {
+        if let Some(quantiser) = &step.plan.quantiser {
+            values.iter_mut().for_each(|v| *v = quantiser.round(*v));
+        }
     }
     Ok(values)
 }
@@ -218,8 +226,7 @@ fn encode_steps(
     times: &mut StageTimes,
 ) -> Result<Vec<Vec<Vec<u8>>>> {
     let mut lap = Lap(Instant::now());
-    let of_step = |n| work.cancel.check().and_then(|()| values_of(work, n, mesh, placement));
-    let values = (0..work.steps.len()).map(of_step).collect::<Result<Vec<_>>>()?;
+    let values = values_of(work, mesh, placement)?;
     lap.add_to(&mut times.sample);
     let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
     let sides = Sides::new(&of_steps);

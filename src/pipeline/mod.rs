@@ -20,6 +20,7 @@ mod extract;
 mod extract_steps;
 mod field;
 mod fingerprint;
+mod fitted;
 mod gauge;
 mod grid_field;
 mod handle;

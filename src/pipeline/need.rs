@@ -20,6 +20,7 @@ use super::gauge;
 use super::plan::{BLOCK_TETS, MeshParts, Plan};
 use crate::archive::manifest::Plan as MeshPlan;
 use crate::error::{Error, Result};
+use crate::fit::window_edge;
 use crate::geom::{LatticeBox, LatticePos};
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
 use crate::index::BuildSettings;
@@ -36,6 +37,9 @@ const PER_POINT: u64 = 900;
 /// And for each further step its value; for each eight steps, while they are measured side by side: values, where they lie in the spectrum, counts.
 const FURTHER_PER_POINT: u64 = 4;
 const SIDE_PER_POINT: u64 = 72;
+/// Before that, where values are fitted: fitted ones besides, and for each eight steps sums.
+const FITTED_PER_POINT: u64 = 4;
+const SUMS_PER_POINT: u64 = 168;
 /// And whatever the number of points: the samples around a brick, the encoder's tables.
 const PER_CHUNK: u64 = 4 << 20;
 /// Bytes of a point's share of an encoded chunk, at most: its value, and a little more than 6 tetrahedra.
@@ -173,6 +177,8 @@ pub(crate) struct Need {
     /// Points of the largest chunk, encoded with the values of so many steps.
     core_points: u64,
     steps: u64,
+    /// Samples of a window, where values are fitted to those.
+    window: u64,
     /// Of the index.
     entries: u64,
 }
@@ -200,6 +206,10 @@ impl Need {
             region_points,
             core_points,
             steps: 1,
+            window: match parts.halo {
+                Halo::Owned => 0,
+                Halo::Stars => window_edge(parts.chunks.bricks().edge).iter().product(),
+            },
             entries: points.saturating_mul(TETS_PER_POINT) / u64::from(BLOCK_TETS) + parts.chunks.len(),
         }
     }
@@ -222,9 +232,17 @@ impl Need {
 
     /// Bytes beside a chunk's room: the values of the steps after the first, and what measures the errors of all.
     fn beside(&self) -> u64 {
-        let sides = if self.steps > 1 { self.steps.div_ceil(8) } else { 0 };
-        let per_point = (self.steps - 1) * FURTHER_PER_POINT + sides * SIDE_PER_POINT;
-        per_point.saturating_mul(self.region_points) + gauge::working_bytes(self.steps)
+        let (further, sides) = (self.steps - 1, if self.steps > 1 { self.steps.div_ceil(8) } else { 0 });
+        let (per_point, window) = match self.window {
+            0 => (further * FURTHER_PER_POINT + sides * SIDE_PER_POINT, 0),
+            window => {
+                let per_point = further * (FURTHER_PER_POINT + FITTED_PER_POINT) + sides * SUMS_PER_POINT;
+                (per_point, window.saturating_mul(4 * further))
+            }
+        };
+        per_point
+            .saturating_mul(self.region_points)
+            .saturating_add(gauge::working_bytes(self.steps).max(window))
     }
 
     fn of_workers(&self, workers: u64) -> u64 {
@@ -443,6 +461,7 @@ mod tests {
         region_points: 100_000,
         core_points: 70_000,
         steps: 1,
+        window: 0,
         entries: 1 << 15,
     };
     const PRODUCT: u64 = 70_000 * 26 + (256 << 10);

@@ -1,0 +1,245 @@
+//! The sums at the vertices, of steps that lie side by side.
+//!
+//! What a sample tells goes to the four corners of its tetrahedron, at each step. So the values and sums of up to eight steps lie together, vertex by vertex; Σ w² once for
+//! all of them, until a sample counts at one step and not at another: from then on each has its own, with what all had in common so far. Steps that are left over have
+//! lanes that nobody looks at.
+
+use super::{NONE, Told};
+#[cfg(target_arch = "x86_64")]
+use crate::exec::lanes::{Eight, Vector};
+use crate::exec::lanes::{Floats, Pair, Plain, four, sorted};
+use crate::exec::with_vectors;
+#[cfg(target_arch = "x86_64")]
+use crate::exec::{Avx2, Avx512, with_avx512};
+use crate::mesh::tet::Tet;
+
+/// ω: the length of the step.
+const STEP: f64 = 0.6;
+/// c: what a vertex' interpolated value counts, in samples.
+const PULL: f64 = 0.25;
+/// The largest difference of a sample that counts as such.
+const MOST: f64 = f32::MAX as f64;
+/// Samples that are put side by side at a time: they fit in the nearest cache.
+const SOME: usize = 256;
+/// Steps that lie side by side, at most.
+const TOGETHER: usize = 8;
+
+/// A vertex at some steps.
+#[derive(Clone, Copy, Debug)]
+struct Vertex<const N: usize> {
+    /// Interpolated values.
+    values: [f32; N],
+    /// Σ w times the difference.
+    pulls: [f64; N],
+    /// Σ w².
+    weight: f64,
+}
+
+/// The vertices at some steps.
+pub(super) struct Sums<const N: usize> {
+    /// Steps; there may be fewer than lanes.
+    steps: usize,
+    vertices: Vec<Vertex<N>>,
+    /// Σ w² of each step, where it is not the same for all.
+    apart: Vec<[f64; N]>,
+    /// Some samples, side by side.
+    rows: Vec<[f32; N]>,
+}
+
+/// One step, or some side by side.
+pub(super) enum Side {
+    One(Sums<1>),
+    Four(Sums<4>),
+    Eight(Sums<8>),
+}
+
+impl Side {
+    /// All steps, given the interpolated values of each.
+    pub(super) fn all(steps: &[&[f32]]) -> Vec<Self> {
+        let side = |some: &[&[f32]]| match some.len() {
+            1 => Self::One(Sums::new(some)),
+            2..=4 => Self::Four(Sums::new(some)),
+            _ => Self::Eight(Sums::new(some)),
+        };
+        steps.chunks(TOGETHER).map(side).collect()
+    }
+
+    pub(super) fn steps(&self) -> usize {
+        match self {
+            Self::One(sums) => sums.steps,
+            Self::Four(sums) => sums.steps,
+            Self::Eight(sums) => sums.steps,
+        }
+    }
+
+    /// Adds what samples tell, in their order; those of each step follow each other.
+    pub(super) fn add(&mut self, told: &[Told], samples: &[f32], tets: &[Tet]) {
+        match self {
+            Self::One(sums) => with_vectors(
+                #[inline(always)]
+                || sums.add::<Plain<1>>((), told, samples, tets),
+            ),
+            Self::Four(sums) => add_four(sums, told, samples, tets),
+            Self::Eight(sums) => add_eight(sums, told, samples, tets),
+        }
+    }
+
+    /// The fitted values of the first `count` vertices at each step.
+    pub(super) fn values(&self, count: usize) -> Vec<Vec<f32>> {
+        match self {
+            Self::One(sums) => sums.values(count),
+            Self::Four(sums) => sums.values(count),
+            Self::Eight(sums) => sums.values(count),
+        }
+    }
+}
+
+#[inline(never)]
+fn add_four(sums: &mut Sums<4>, told: &[Told], samples: &[f32], tets: &[Tet]) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(proof) = Avx2::found() {
+        return with_vectors(
+            #[inline(always)]
+            || sums.add::<Vector>(proof, told, samples, tets),
+        );
+    }
+    sums.add::<Plain>((), told, samples, tets);
+}
+
+#[inline(never)]
+fn add_eight(sums: &mut Sums<8>, told: &[Told], samples: &[f32], tets: &[Tet]) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(proof) = Avx512::found() {
+        return with_avx512(
+            proof,
+            #[inline(always)]
+            || sums.add::<Eight>(proof, told, samples, tets),
+        );
+    }
+    #[cfg(target_arch = "x86_64")]
+    if let Some(proof) = Avx2::found() {
+        return with_vectors(
+            #[inline(always)]
+            || sums.add::<Pair<Vector>>(proof, told, samples, tets),
+        );
+    }
+    sums.add::<Pair<Plain>>((), told, samples, tets);
+}
+
+impl<const N: usize> Sums<N> {
+    fn new(steps: &[&[f32]]) -> Self {
+        let none = Vertex { values: [0.0; N], pulls: [0.0; N], weight: 0.0 };
+        let mut vertices = vec![none; steps[0].len()];
+        for (lane, values) in steps.iter().enumerate() {
+            vertices.iter_mut().zip(*values).for_each(|(vertex, &value)| vertex.values[lane] = value);
+        }
+        Self { steps: steps.len(), vertices, apart: vec![], rows: vec![[0.0; N]; SOME] }
+    }
+
+    /// Adds what samples tell: nothing at a step where one, or a corner of its tetrahedron, is no number.
+    #[inline(always)]
+    pub(super) fn add<W: Floats<N>>(
+        &mut self,
+        proof: W::Proof,
+        told: &[Told],
+        samples: &[f32],
+        tets: &[Tet],
+    ) {
+        let all = (1 << self.steps) - 1;
+        let (least, most, zero) = (W::splat(proof, -MOST), W::splat(proof, MOST), W::splat(proof, 0.0));
+        for (n, some) in told.chunks(SOME).enumerate() {
+            for (lane, of_step) in samples.chunks_exact(told.len()).enumerate().take(N) {
+                let of_step = &of_step[n * SOME..];
+                self.rows.iter_mut().zip(of_step).for_each(|(row, &sample)| row[lane] = sample);
+            }
+            for (told, i) in some.iter().zip(0..SOME).filter(|(told, _)| told.tet != NONE) {
+                let (tet, sample) = (tets[told.tet as usize], W::of_floats(proof, &self.rows[i]));
+                let weights = told.weights.map(f64::from);
+                let [a, b, c, d] = sorted(four(
+                    #[inline(always)]
+                    |k| {
+                        let value = W::of_floats(proof, &self.vertices[tet[k] as usize].values);
+                        W::splat(proof, weights[k]).times(sample.minus(value))
+                    },
+                ));
+                let sum = a.plus(b).plus(c).plus(d);
+                let counts = W::bits(sum.is_number()) & all;
+                if counts == 0 {
+                    continue;
+                }
+                // To add 0 changes no sum: none is -0, as they begin at 0.
+                let sum = W::pick(sum.is_number(), sum.min(most).max(least), zero);
+                let difference = W::of_floats(proof, &sum.floats());
+                for (v, w) in tet.into_iter().zip(weights) {
+                    let at = &mut self.vertices[v as usize];
+                    let pulls = W::of(proof, &at.pulls);
+                    at.pulls = pulls.plus(W::splat(proof, w).times(difference)).lanes();
+                    if counts == all {
+                        at.weight += w * w;
+                    }
+                }
+                if counts != all || !self.apart.is_empty() {
+                    self.add_apart(tet, weights, counts);
+                }
+            }
+        }
+    }
+
+    /// Adds to the weights of those steps at which a sample counts.
+    #[inline(never)]
+    fn add_apart(&mut self, tet: Tet, weights: [f64; 4], counts: u32) {
+        if self.apart.is_empty() {
+            self.apart = self.vertices.iter().map(|vertex| [vertex.weight; N]).collect();
+        }
+        for (v, w) in tet.into_iter().zip(weights) {
+            let at = &mut self.apart[v as usize];
+            let of = |lane: usize| if counts >> lane & 1 == 1 { w * w } else { 0.0 };
+            (0..N).for_each(|lane| at[lane] += of(lane));
+        }
+    }
+
+    fn values(&self, count: usize) -> Vec<Vec<f32>> {
+        let of_lane = |lane: usize| {
+            let fitted = |(v, vertex): (usize, &Vertex<N>)| {
+                let weight = self.apart.get(v).map_or(vertex.weight, |weights| weights[lane]);
+                let value = vertex.values[lane];
+                let moved = f64::from(value) + STEP * vertex.pulls[lane] / (PULL + weight);
+                // A void one stays void; what overshoots the range of `f32` becomes its largest value.
+                if moved.is_nan() { value } else { (moved as f32).clamp(f32::MIN, f32::MAX) }
+            };
+            self.vertices[..count].iter().enumerate().map(fitted).collect()
+        };
+        (0..self.steps).map(of_lane).collect()
+    }
+
+    /// Σ w · difference and Σ w² of each vertex at each step, as bits.
+    #[cfg(test)]
+    fn bits(&self) -> Vec<[u64; 2]> {
+        let weight = |v: usize, lane: usize| self.apart.get(v).map_or(self.vertices[v].weight, |w| w[lane]);
+        let of = |v: usize| {
+            let pulls = self.vertices[v].pulls;
+            (0..self.steps).map(move |lane| [pulls[lane].to_bits(), weight(v, lane).to_bits()])
+        };
+        (0..self.vertices.len()).flat_map(of).collect()
+    }
+}
+
+#[cfg(test)]
+impl Side {
+    /// As [`Side::add`] where there are no vectors.
+    pub(super) fn add_plain(&mut self, told: &[Told], samples: &[f32], tets: &[Tet]) {
+        match self {
+            Self::One(sums) => sums.add::<Plain<1>>((), told, samples, tets),
+            Self::Four(sums) => sums.add::<Plain>((), told, samples, tets),
+            Self::Eight(sums) => sums.add::<Pair<Plain>>((), told, samples, tets),
+        }
+    }
+
+    pub(super) fn bits(&self) -> Vec<[u64; 2]> {
+        match self {
+            Self::One(sums) => sums.bits(),
+            Self::Four(sums) => sums.bits(),
+            Self::Eight(sums) => sums.bits(),
+        }
+    }
+}

@@ -1,0 +1,119 @@
+//! Values of a chunk's vertices that are fitted to samples ([`crate::fit`]), at several steps together: those in all tetrahedra at them.
+//!
+//! ```text
+//!  tetrahedra ─▶ windows (of a mesh: bricks) ─▶ read the samples of each step ─▶ one scan ─▶ sums, steps side by side ─▶ values
+//! ```
+//!
+//! The samples of a mesh are its vertices: each lies in one tetrahedron of the reduction, and tells its corners where that is of the same body.
+
+use super::cell_field::CellField;
+use super::chunk::MeshedChunk;
+use super::field::{Field, Placement};
+use super::grid_field::GridField;
+use crate::domain::vertices::Vertices;
+use crate::error::Result;
+use crate::exec::CancelToken;
+use crate::fit::{BrickTets, Fit, FitMesh, Windows, window_edge};
+use crate::mesh::tet::Tet;
+use crate::raster::{PointLocator, SampleGrid};
+
+/// What values are fitted to.
+pub(crate) enum FittedTo<'a> {
+    Nothing,
+    /// The samples of a volume.
+    Samples(&'a GridField),
+    /// The values of a mesh at its vertices, which lie there.
+    Vertices(&'a CellField<'a>, &'a Vertices),
+}
+
+/// The values of a chunk's vertices at some steps, fitted where that is wanted; from the interpolated ones of these and of the vertices around. `note` is told of the
+/// step whose samples were read.
+pub(super) fn fitted(
+    fields: &[&dyn Field],
+    mesh: &MeshedChunk,
+    placement: &Placement,
+    interpolated: Vec<Vec<f32>>,
+    cancel: &CancelToken,
+    note: impl Fn(usize, Result<()>) -> Result<()>,
+) -> Result<Vec<Vec<f32>>> {
+    let steps: Vec<&[f32]> = interpolated.iter().map(Vec::as_slice).collect();
+    let (mut grids, mut cells) = (vec![], vec![]);
+    for field in fields {
+        match field.fitted_to() {
+            FittedTo::Nothing => {}
+            FittedTo::Samples(field) => grids.push(field),
+            FittedTo::Vertices(field, vertices) => cells.push((field, vertices)),
+        }
+    }
+    if grids.is_empty() && cells.is_empty() {
+        return Ok(interpolated);
+    }
+    let (positions, tets) = mesh.whole();
+    let whole = FitMesh { positions: &positions, tets: &tets };
+    let mut fit = Fit::new(whole, &steps);
+    match cells.first() {
+        None => add_samples(&mut fit, &whole, &grids, cancel, note)?,
+        Some(&(_, vertices)) => {
+            let cells: Vec<&CellField<'_>> = cells.iter().map(|&(field, _)| field).collect();
+            add_vertices(&mut fit, &whole, &cells, vertices, placement, cancel, note)?;
+        }
+    }
+    Ok(fit.values(mesh.positions.len()))
+}
+
+/// Adds the samples of volumes.
+fn add_samples(
+    fit: &mut Fit<'_>,
+    mesh: &FitMesh<'_>,
+    fields: &[&GridField],
+    cancel: &CancelToken,
+    note: impl Fn(usize, Result<()>) -> Result<()>,
+) -> Result<()> {
+    let bricks = &fields[0].bricks;
+    let grid = SampleGrid::voxels(&bricks.lattice);
+    let windows = Windows::new(&grid, window_edge(bricks.edge), mesh.positions, mesh.tets);
+    let mut samples = vec![];
+    for (window, tets) in windows.iter() {
+        cancel.check()?;
+        samples.resize(fields.len() * window.len(), 0.0);
+        for (n, (field, out)) in fields.iter().zip(samples.chunks_exact_mut(window.len())).enumerate() {
+            note(n, field.read_window(window, out))?;
+        }
+        fit.add(&grid, &window, &samples, tets);
+    }
+    Ok(())
+}
+
+/// Adds the values of steps at the vertices of their mesh.
+fn add_vertices(
+    fit: &mut Fit<'_>,
+    mesh: &FitMesh<'_>,
+    fields: &[&CellField<'_>],
+    vertices: &Vertices,
+    placement: &Placement,
+    cancel: &CancelToken,
+    note: impl Fn(usize, Result<()>) -> Result<()>,
+) -> Result<()> {
+    let (bricks, store) = (&fields[0].bricks, fields[0].store);
+    let mut originals = vec![];
+    for (n, field) in fields.iter().enumerate() {
+        note(n, field.values.get().map(|values| originals.push(values)))?;
+    }
+    let body_of = |[v, ..]: Tet| placement.spots[v as usize].body;
+    let mut samples = vec![];
+    for (brick, touching) in BrickTets::new(bricks, mesh.positions, mesh.tets).iter() {
+        cancel.check()?;
+        vertices.each_batch(store, brick, |batch| {
+            samples.clear();
+            for values in &originals {
+                samples.extend(batch.iter().map(|v| values[v.number as usize]));
+            }
+            let places = batch.iter().map(|v| v.pos).zip(0..);
+            let points = PointLocator::new(bricks.brick(brick), bricks.lattice.max(), places);
+            // A body tells nothing of another one that it touches or overlaps.
+            let told_by = |tet: u32, v: u32| body_of(mesh.tets[tet as usize]) == batch[v as usize].body;
+            fit.add_points(&points, &samples, touching, told_by);
+        })?;
+    }
+    Ok(())
+}
