@@ -21,6 +21,7 @@
 //! Φ₃ ∈ [1/3, 2/3), k ≡ 1 (mod 3), that is k ≡ 1 (mod 12).
 
 use super::radical_inverse::{Base, mirror, round_fraction};
+use crate::exec::{Avx512, with_avx512, with_vectors};
 use crate::geom::{LatticeBox, LatticePos, PointClass, PointId, Site};
 
 /// What a coordinate of a [`Net`] is, k being the point's number and i = k - first its index.
@@ -178,13 +179,31 @@ struct Batch<'a> {
     net: &'a Net,
     bounds: LatticeBox,
     out: &'a mut Vec<Site>,
+    /// Whether all numbers of the net are ones that [`Base::positions`] takes.
+    is_short: bool,
     numbers: [u64; BATCH],
+    pos: [[u32; BATCH]; 3],
+    /// Of each whether it is in the box: 1 or 0.
+    inside: [u8; BATCH],
     len: usize,
 }
 
 impl<'a> Batch<'a> {
     fn new(net: &'a Net, bounds: &LatticeBox, out: &'a mut Vec<Site>) -> Self {
-        Self { net, bounds: *bounds, out, numbers: [0; BATCH], len: 0 }
+        let takes = |axis: &Axis| match axis {
+            Axis::Radical(base) => base.takes(net.first + net.n),
+            _ => Base::Two.takes(net.first + net.n),
+        };
+        Self {
+            net,
+            bounds: *bounds,
+            out,
+            is_short: net.axes.iter().all(takes),
+            numbers: [0; BATCH],
+            pos: [[0; BATCH]; 3],
+            inside: [0; BATCH],
+            len: 0,
+        }
     }
 
     #[inline]
@@ -197,9 +216,40 @@ impl<'a> Batch<'a> {
     }
 
     fn flush(&mut self) {
+        match self.is_short {
+            true => match Avx512::found() {
+                Some(proof) => with_avx512(
+                    proof,
+                    #[inline(always)]
+                    || self.place_short(),
+                ),
+                None => with_vectors(
+                    #[inline(always)]
+                    || self.place_short(),
+                ),
+            },
+            false => self.place(),
+        }
         let numbers = &self.numbers[..self.len];
-        let mut pos = [[0u32; BATCH]; 3];
-        for (a, pos) in pos.iter_mut().enumerate() {
+        // Which are kept is unpredictable: select without branches, then copy.
+        let [xs, ys, zs] = &self.pos;
+        let (mut kept, mut many) = ([0u16; BATCH], 0);
+        for (j, is_inside) in self.inside[..self.len].iter().enumerate() {
+            kept[many] = j as u16;
+            many += usize::from(*is_inside);
+        }
+        self.out.extend(kept[..many].iter().map(|&j| {
+            let j = usize::from(j) % BATCH;
+            let index = (numbers[j] - self.net.first) * self.net.stride + self.net.offset;
+            Site { id: PointId::new(self.net.class, index), pos: [xs[j], ys[j], zs[j]] }
+        }));
+        self.len = 0;
+    }
+
+    /// Places the numbers, and looks which are in the box.
+    fn place(&mut self) {
+        let numbers = &self.numbers[..self.len];
+        for (a, pos) in self.pos.iter_mut().enumerate() {
             let max = self.net.max[a];
             let each = pos.iter_mut().zip(numbers);
             match self.net.axes[a] {
@@ -210,19 +260,40 @@ impl<'a> Batch<'a> {
                 Axis::Radical(Base::Five) => each.for_each(|(p, &k)| *p = Base::Five.position(k, max)),
             }
         }
-        // Which are kept is unpredictable: select without branches, then copy.
-        let (mut kept, mut many) = ([0u16; BATCH], 0);
-        let [xs, ys, zs] = &pos;
-        for (j, ((&x, &y), &z)) in xs.iter().zip(ys).zip(zs).enumerate().take(self.len) {
-            kept[many] = j as u16;
-            many += usize::from(self.bounds.contains([x, y, z]));
+        self.look_inside();
+    }
+
+    /// The same, of numbers that [`Base::positions`] takes.
+    #[inline(always)]
+    fn place_short(&mut self) {
+        let (mut short, n) = ([0u32; BATCH], self.len.min(BATCH));
+        short.iter_mut().zip(&self.numbers).for_each(|(short, &k)| *short = k as u32);
+        for (a, pos) in self.pos.iter_mut().enumerate() {
+            let (max, numbers, pos) = (self.net.max[a], &short[..n], &mut pos[..n]);
+            match self.net.axes[a] {
+                Axis::Fixed(p) => pos.fill(p),
+                Axis::Even => {
+                    let index = |k: u32| u64::from(k) - self.net.first;
+                    pos.iter_mut()
+                        .zip(numbers)
+                        .for_each(|(p, &k)| *p = self.net.even_position(index(k), max));
+                }
+                Axis::Radical(Base::Two) => Base::Two.positions(numbers, max, pos),
+                Axis::Radical(Base::Three) => Base::Three.positions(numbers, max, pos),
+                Axis::Radical(Base::Five) => Base::Five.positions(numbers, max, pos),
+            }
         }
-        self.out.extend(kept[..many].iter().map(|&j| {
-            let j = usize::from(j);
-            let index = (numbers[j] - self.net.first) * self.net.stride + self.net.offset;
-            Site { id: PointId::new(self.net.class, index), pos: [pos[0][j], pos[1][j], pos[2][j]] }
-        }));
-        self.len = 0;
+        self.look_inside();
+    }
+
+    #[inline(always)]
+    fn look_inside(&mut self) {
+        let LatticeBox { lo, hi } = self.bounds;
+        let ([xs, ys, zs], inside) = (&self.pos, &mut self.inside);
+        for (((inside, x), y), z) in inside.iter_mut().zip(xs).zip(ys).zip(zs) {
+            let within = |p: u32, a: usize| p.wrapping_sub(lo[a]) < hi[a] - lo[a];
+            *inside = u8::from(within(*x, 0) & within(*y, 1) & within(*z, 2));
+        }
     }
 }
 
@@ -253,7 +324,7 @@ impl Digits {
 const MOST_INTERVALS: u64 = 64;
 
 /// Residue arithmetic adds two numbers below M in 64 bits, and k + M must not overflow.
-const LARGEST_MODULUS: u128 = 1 << 62;
+const LARGEST_MODULUS: f64 = (1u64 << 62) as f64;
 
 impl Cover {
     /// `None` when the box holds no point of a radical axis.
@@ -319,13 +390,14 @@ fn cheapest(choices: &[Vec<Digits>; 3], numbers: u64) -> [Digits; 3] {
     for d0 in &choices[0] {
         for d1 in &choices[1] {
             for d2 in &choices[2] {
-                let modulus = u128::from(d0.power) * u128::from(d1.power) * u128::from(d2.power);
+                // In floating-point numbers: that a modulus is a little above the limit does no harm.
+                let modulus = [d0, d1, d2].iter().map(|d| d.power as f64).product::<f64>();
                 if modulus > LARGEST_MODULUS {
                     continue;
                 }
                 let m = [d0, d1, d2].map(|d| d.intervals() as f64);
                 let classes = m[0] * m[1] * m[2];
-                let candidates = classes * (numbers as f64 / modulus as f64);
+                let candidates = classes * (numbers as f64 / modulus);
                 let cost = candidates + CLASS_COST * classes + INTERVAL_COST * (m[0] + m[1] + m[2]);
                 if cost < least {
                     (least, best) = (cost, [*d0, *d1, *d2]);
