@@ -1,12 +1,13 @@
 //! The mesh of one chunk as blocks: the vertices ([`super::vertices`]), then the tetrahedra, some hundred a block.
 //!
 //! **Blocks.** A tetrahedron belongs to its smallest local vertex. A block is a run of vertices with all their
-//! tetrahedra: as ids follow the bricks and, inside a brick, the Hilbert curve, a block is compact in space, its (min, max) are
-//! near each other, and few of its vertices are shared with other blocks.
+//! tetrahedra: as ids follow the bricks and, inside a brick, the Hilbert curve, and runs are cut where that makes them so ([`super::runs`]), a block is compact
+//! in space, its (min, max) are near each other, and few of its vertices are shared with other blocks.
 //!
 //! A block decodes on its own, in two steps: [`TetBlock::open`] tells its vertices ([`ChunkVertices`] gives their number, against which every id is
 //! checked); [`TetBlock::decode`] takes their positions, which foretell most of the tetrahedra.
 
+use super::runs::block_starts;
 use super::star;
 use super::tuples::{self, canonical};
 use super::vertices::ChunkVertices;
@@ -63,28 +64,6 @@ fn by_vertex(tets: &mut [Tet]) {
     }
 }
 
-/// Cuts between runs of tetrahedra of one first vertex so that blocks have about `block_tets` tetrahedra.
-fn block_starts(tets: &[Tet], block_tets: u32) -> Vec<u32> {
-    let total = tets.len() as u32;
-    let wanted = u64::from(total.div_ceil(block_tets)).max(1);
-    let mut starts = vec![0];
-    for i in 1..wanted {
-        // The run that the goal is in, or ends.
-        let goal = (u64::from(total) * i / wanted) as usize;
-        let v = tets[goal - 1][0];
-        let above = goal + tets[goal..].iter().take_while(|t| t[0] == v).count();
-        let below = goal - tets[..goal].iter().rev().take_while(|t| t[0] == v).count();
-        let cut = (if above - goal <= goal - below { above } else { below }) as u32;
-        if cut > starts[starts.len() - 1] && cut < total {
-            starts.push(cut);
-        }
-    }
-    if total > 0 {
-        starts.push(total);
-    }
-    starts
-}
-
 /// Turns meshes of chunks into blocks, with memory that it keeps from chunk to chunk.
 #[derive(Default)]
 pub struct ChunkEncoder(star::Writer);
@@ -109,7 +88,7 @@ impl ChunkEncoder {
         let largest = tets.iter().fold(0, |most, t| t.iter().fold(most, |most, &v| most.max(v)));
         assert!(tets.is_empty() || largest < vertices.len(), "every vertex is local");
         by_vertex(tets);
-        let starts = block_starts(tets, block_tets);
+        let starts = block_starts(tets, positions, block_tets);
         let mut blocks = vertices.encode();
         for w in starts.windows(2) {
             let tets = &mut tets[w[0] as usize..w[1] as usize];
@@ -366,9 +345,9 @@ pub(crate) mod tests {
     #[test]
     fn blocks_are_near_the_size_asked_for() {
         let (encoded, _) = encode_chunk(&vertices_of(11 * 11 * 11), &corners([10; 3]), &cubes([10; 3]), 1000);
-        assert_eq!(encoded.tet_blocks(), 6);
+        assert!((5..8).contains(&encoded.tet_blocks()));
         for pair in encoded.starts.windows(2) {
-            assert!((900..1100).contains(&(pair[1] - pair[0])), "{pair:?}");
+            assert!((500..=1250).contains(&(pair[1] - pair[0])), "{pair:?}");
         }
     }
 }

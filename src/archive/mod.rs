@@ -25,6 +25,7 @@ pub mod manifest;
 pub(crate) mod publish;
 mod range;
 pub mod repeated;
+mod runs;
 pub mod segment;
 mod star;
 pub mod summary;

@@ -26,6 +26,8 @@ use std::cmp::Ordering;
 
 /// States of the curve: 8 entry corners times 3 directions.
 const STATES: usize = 24;
+/// Rows of a table, so that a remainder is within it.
+const ROWS: usize = 32;
 
 /// Coordinates carry 24 bits; the value 2^24 itself is in the cell of 2^24 - 1.
 const COORDINATE_BITS: u32 = 24;
@@ -65,8 +67,8 @@ const fn one_level() -> [[u16; 8]; STATES] {
 }
 
 /// Two levels: `[state][xx yy zz] -> steps << 8 | next state`, two bits of each coordinate.
-const fn two_levels() -> [[u16; 64]; STATES] {
-    let mut table = [[0u16; 64]; STATES];
+const fn two_levels() -> [[u16; 64]; ROWS] {
+    let mut table = [[0u16; 64]; ROWS];
     let mut state = 0;
     while state < STATES {
         let mut cell = 0;
@@ -84,7 +86,7 @@ const fn two_levels() -> [[u16; 64]; STATES] {
 
 static ONE_LEVEL: [[u16; 8]; STATES] = ONE;
 const ONE: [[u16; 8]; STATES] = one_level();
-static TWO_LEVELS: [[u16; 64]; STATES] = two_levels();
+static TWO_LEVELS: [[u16; 64]; ROWS] = two_levels();
 
 /// The number of a position's cell along a Hilbert curve through the cube of 2^24 lattice steps, cut into
 /// `2^bits_per_axis` cells along each axis.
@@ -96,17 +98,26 @@ static TWO_LEVELS: [[u16; 64]; STATES] = two_levels();
 #[inline]
 pub fn hilbert_key(pos: LatticePos, bits_per_axis: u32) -> u64 {
     assert!(bits_per_axis <= 21, "a key of {bits_per_axis} bits an axis does not fit 64 bits");
-    let [x, y, z] = pos.map(|c| c.min(Lattice::LARGEST - 1) >> (COORDINATE_BITS - bits_per_axis));
-    let (mut key, mut state, mut level) = (0u64, 0usize, bits_per_axis);
+    hilbert_number(
+        pos.map(|c| c.min(Lattice::LARGEST - 1) >> (COORDINATE_BITS - bits_per_axis)),
+        bits_per_axis,
+    )
+}
+
+/// The number of a cell along the curve through a cube of `2^bits` cells along each axis, at most 21.
+#[inline(always)]
+pub(crate) fn hilbert_number([x, y, z]: [u32; 3], bits: u32) -> u64 {
+    let (mut key, mut state, mut level) = (0u64, 0usize, bits);
     if level % 2 == 1 {
         level -= 1;
-        let step = ONE_LEVEL[0][(x >> level << 2 | y >> level << 1 | z >> level) as usize];
+        let octant = (x >> level & 1) << 2 | (y >> level & 1) << 1 | z >> level & 1;
+        let step = ONE_LEVEL[0][octant as usize];
         (key, state) = (u64::from(step >> 8), usize::from(step & 255));
     }
     while level > 0 {
         level -= 2;
         let cell = (x >> level & 3) << 4 | (y >> level & 3) << 2 | z >> level & 3;
-        let step = TWO_LEVELS[state][cell as usize];
+        let step = TWO_LEVELS[state % ROWS][cell as usize];
         (key, state) = (key << 6 | u64::from(step >> 8), usize::from(step & 255));
     }
     key

@@ -29,7 +29,7 @@
 //! # Ok::<(), isospan::Error>(())
 //! ```
 //!
-//! Cost of [`PointSet::sites_in`] for a box of a thousand points: 10 to 20 ns a point to find it, three times that to
+//! Cost of [`PointSet::sites_in`] for a box of a thousand points: about 10 ns a point to find it, as much to
 //! sort; memory for the answer and its sort. References: Hammersley (1960); Halton (1960); Temlyakov (1987); Niederreiter (1992).
 
 mod boundary;
@@ -177,10 +177,10 @@ impl PointSet {
     }
 
     /// Replaces `out` by all sites whose position lies in the box: each position once, with the lowest of its ids,
-    /// sorted by Hilbert key at [`PointSet::order_bits`], then x, y, z.
+    /// sorted along a Hilbert curve through the box, with cells at most as wide as [`PointSet::order_bits`] says, then by x, y, z.
     pub fn sites_in(&self, b: &LatticeBox, out: &mut Vec<Site>) {
         self.candidates_in(b, out);
-        order::sort_and_dedup(out, self.order_bits());
+        order::sort_and_dedup(out, &b.intersect(&self.lattice.domain()), self.order_bits());
     }
 
     /// As [`PointSet::sites_in`], but in no particular order and with duplicate positions: for a caller that merges
@@ -262,13 +262,13 @@ impl PointSet {
         }
     }
 
-    /// Bits an axis of the Hilbert key that orders sites: cells of the curve are a quarter to a half of the mean
-    /// spacing wide, so that few points share one and keys are short.
+    /// Bits an axis of a Hilbert curve through the whole lattice with cells as wide as those of the curves that order sites, at most: a quarter to a
+    /// half of the mean spacing, so that few points share one and keys are short.
     pub fn order_bits(&self) -> u32 {
         self.order_bits
     }
 
-    /// The same set, whose sites are ordered by a key of so many bits: to order them as those of another set.
+    /// The same set, whose sites are ordered by curves of so many bits: to order them as those of another set.
     ///
     /// # Errors
     /// [`Error::Usage`] for none, or more than a position has.

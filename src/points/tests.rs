@@ -1,7 +1,6 @@
 //! The promises of a point set, for every kind: boxes agree with the plain sequence.
 
 use super::*;
-use crate::geom::curve::hilbert_key;
 use crate::grid::BrickGrid;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
@@ -117,7 +116,8 @@ fn bricks_together_are_the_plain_sequence() {
 fn sites_are_sorted_along_the_curve() {
     for set in sets() {
         let all = sites(&set, &set.lattice().domain());
-        let key = |s: &Site| (hilbert_key(s.pos, set.order_bits()), s.pos);
+        let cells = order::Cells::new(&set.lattice().domain(), set.order_bits());
+        let key = |s: &Site| (cells.key(s.pos), s.pos);
         assert!(all.windows(2).all(|w| key(&w[0]) < key(&w[1])));
         assert_eq!(all, sites(&set, &set.lattice().domain()), "the same again");
     }
