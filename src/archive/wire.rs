@@ -1,7 +1,9 @@
 //! Little-endian fields and variable-length integers, read with every length checked.
 
 use crate::error::Error;
+use std::cell::RefCell;
 use std::path::Path;
+use zstd::bulk::Decompressor;
 
 /// Bytes of a block that do not mean what they should. The decoder of a block knows no file: whoever read the block
 /// turns this into an [`Error`] with [`Malformed::in_block`].
@@ -118,8 +120,18 @@ pub(crate) fn unzstd(bytes: &[u8], most: usize, at: &'static str) -> Result<Vec<
     if bound > most as u64 {
         return Err(Malformed::new(at, format!("at most {most} bytes"), format!("{bound} bytes")));
     }
-    zstd::bulk::decompress(bytes, bound as usize)
-        .map_err(|e| Malformed::new(at, "a zstd frame", format!("damage: {e}")))
+    unpack(bytes, bound as usize).map_err(|e| Malformed::new(at, "a zstd frame", format!("damage: {e}")))
+}
+
+/// Decompresses with what the thread has for that: to make one takes longer than most frames.
+fn unpack(bytes: &[u8], bound: usize) -> std::io::Result<Vec<u8>> {
+    thread_local! {
+        static UNPACKER: RefCell<Option<Decompressor<'static>>> = const { RefCell::new(None) };
+    }
+    UNPACKER.with_borrow_mut(|unpacker| match unpacker {
+        Some(unpacker) => unpacker.decompress(bytes, bound),
+        None => unpacker.insert(Decompressor::new()?).decompress(bytes, bound),
+    })
 }
 
 /// Compresses with zstd at `level`; a frame that tells its size and has no checksum of its own.
