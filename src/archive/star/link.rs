@@ -68,7 +68,7 @@ pub(super) struct Plain;
 
 /// The vertices of a block, in units in which the radius of a neighbourhood is between 1 and 2.
 pub(super) struct Cloud {
-    /// Coordinates along x, y and z, in whole eights.
+    /// Coordinates along x, y and z, in whole sixteens.
     pub(super) axes: [Vec<f32>; 3],
     points: Box<[Point; VERTICES]>,
     len: usize,
@@ -98,7 +98,7 @@ impl Cloud {
         for (k, axis) in self.axes.iter_mut().enumerate() {
             axis.clear();
             axis.extend(self.points[..self.len].iter().map(|p| p[k]));
-            axis.resize(self.len.next_multiple_of(8), FAR);
+            axis.resize(self.len.next_multiple_of(16), FAR);
         }
     }
 
@@ -109,14 +109,16 @@ impl Cloud {
     }
 }
 
-/// What is known of the link of one vertex.
+/// What is known of the link of one vertex. Its points begin a cache line, so that four of them are one.
+#[repr(C, align(64))]
 pub(super) struct Link {
+    /// Its vertices, inverted, behind which is a point that is in front of no gate.
+    pub(super) points: [Point; MOST],
     /// The vertex.
     pub(super) from: Point,
     pub(super) len: usize,
-    /// Block-local numbers of its vertices, and the inverted points, behind which is a point that is in front of no gate.
+    /// Block-local numbers of its vertices.
     pub(super) id: [u16; MOST],
-    pub(super) points: [Point; MOST],
     /// For each vertex of the block where it was in `id` when it, or another of its number, was there last, and 256 times the link's stamp then.
     slot: Box<[u32; VERTICES]>,
     /// Of this link, shifted: no other's since the slots were cleared.

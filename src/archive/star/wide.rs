@@ -2,7 +2,7 @@
 //! all keys is one number, whatever the order in which they are looked at.
 #![allow(unsafe_code)]
 
-use super::link::{Cloud, Gates, LANES, Link, MOST, PLACE, Path, Point, ends};
+use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
 use super::simd::Vectors;
 use crate::cpu::may_use;
 use std::arch::x86_64::*;
@@ -31,12 +31,14 @@ impl Wide {
 impl Path for Wide {
     #[inline(always)]
     fn near(self, cloud: &Cloud, v: usize, link: &mut Link) {
-        self.0.near(cloud, v, link);
+        // SAFETY: the features were found when this was made.
+        unsafe { near_avx512(cloud, v, link) }
     }
 
     #[inline(always)]
     fn invert(self, cloud: &Cloud, link: &mut Link) {
-        self.0.invert(cloud, link);
+        // SAFETY: the features were found when this was made.
+        unsafe { invert_avx512(cloud, link) }
     }
 
     #[inline(always)]
@@ -48,6 +50,87 @@ impl Path for Wide {
     #[inline(always)]
     fn apart<T>(self, f: impl FnOnce() -> T) -> T {
         self.0.apart(f)
+    }
+}
+
+/// The squares of the lengths of sixteen vectors.
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
+fn squares([x, y, z]: [__m512; 3]) -> __m512 {
+    _mm512_fmadd_ps(z, z, _mm512_fmadd_ps(y, y, _mm512_mul_ps(x, x)))
+}
+
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
+fn near_avx512(cloud: &Cloud, v: usize, link: &mut Link) {
+    let at = cloud.point(v);
+    let radius2 = _mm512_set1_ps(cloud.radius2);
+    let axis = |k: usize| &cloud.axes[k].as_chunks::<16>().0[v / 16..];
+    // Those that are larger than v.
+    let (mut n, mut larger) = (0, (0xffff_u32 << (v % 16) << 1) as u16);
+    let mut places = _mm512_add_epi32(
+        _mm512_set1_epi32((v / 16 * 16) as i32),
+        _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15),
+    );
+    for ((x, y), z) in axis(0).iter().zip(axis(1)).zip(axis(2)) {
+        let minus = |sixteen: &[f32; 16], from: f32| {
+            // SAFETY: the array has 64 bytes; the load need not be aligned.
+            let sixteen = unsafe { _mm512_loadu_ps(sixteen.as_ptr()) };
+            _mm512_sub_ps(sixteen, _mm512_set1_ps(from))
+        };
+        let d = [minus(x, at[0]), minus(y, at[1]), minus(z, at[2])];
+        let near = _mm512_cmp_ps_mask::<_CMP_LE_OQ>(squares(d), radius2) & larger;
+        larger = 0xffff;
+        let room: &mut [u16; 16] =
+            link.id[n..].first_chunk_mut().expect("there is more room than for those nearby");
+        let found = _mm512_cvtepi32_epi16(_mm512_maskz_compress_epi32(near, places));
+        // SAFETY: the array has 32 bytes; the store need not be aligned.
+        unsafe { _mm256_storeu_si256(room.as_mut_ptr().cast(), found) };
+        n = (n + near.count_ones() as usize).min(MOST_NEAR);
+        places = _mm512_add_epi32(places, _mm512_set1_epi32(16));
+    }
+    link.len = n;
+}
+
+/// Four rows of four points each become four columns of sixteen numbers, and the other way round.
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
+fn turned([a, b, c, d]: [__m512; 4]) -> [__m512; 4] {
+    let (ab, cd) = (_mm512_unpacklo_ps(a, b), _mm512_unpacklo_ps(c, d));
+    let (ab_high, cd_high) = (_mm512_unpackhi_ps(a, b), _mm512_unpackhi_ps(c, d));
+    [
+        _mm512_shuffle_ps::<0x44>(ab, cd),
+        _mm512_shuffle_ps::<0xee>(ab, cd),
+        _mm512_shuffle_ps::<0x44>(ab_high, cd_high),
+        _mm512_shuffle_ps::<0xee>(ab_high, cd_high),
+    ]
+}
+
+/// What is stored is what the search loads, four points at a time: else it would wait for the stores.
+#[inline]
+#[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
+fn invert_avx512(cloud: &Cloud, link: &mut Link) {
+    let from = link.from;
+    let (ids, points) = (link.id.as_chunks::<16>().0, link.points.as_chunks_mut::<16>().0);
+    for (ids, points) in ids.iter().zip(points).take(link.len.div_ceil(16)) {
+        let mut rows = [_mm512_setzero_ps(); 4];
+        for (row, ids) in rows.iter_mut().zip(ids.as_chunks::<4>().0) {
+            // Behind the last one are ids of other links and blocks.
+            // SAFETY: a point has 16 bytes; the loads need not be aligned.
+            let [a, b, c, d] = ids.map(|w| unsafe { _mm_loadu_ps(cloud.point(w.into()).as_ptr()) });
+            let (ab, cd) = (_mm256_set_m128(b, a), _mm256_set_m128(d, c));
+            *row = _mm512_insertf32x8::<1>(_mm512_castps256_ps512(ab), cd);
+        }
+        let [x, y, z, _] = turned(rows);
+        let minus = |a, k: usize| _mm512_sub_ps(a, _mm512_set1_ps(from[k]));
+        let d = [minus(x, 0), minus(y, 1), minus(z, 2)];
+        let q = _mm512_div_ps(_mm512_set1_ps(1.0), squares(d));
+        let [x, y, z] = d.map(|d| _mm512_mul_ps(d, q));
+        let sum = _mm512_add_ps(_mm512_add_ps(_mm512_abs_ps(x), _mm512_abs_ps(y)), _mm512_abs_ps(z));
+        for (four, row) in points.as_chunks_mut::<4>().0.iter_mut().zip(turned([x, y, z, sum])) {
+            // SAFETY: four points have 64 bytes; the store need not be aligned.
+            unsafe { _mm512_storeu_ps(four.as_mut_ptr().cast(), row) };
+        }
     }
 }
 
