@@ -109,7 +109,7 @@ pub struct Plan {
 const BRICK_POINTS: f64 = 1024.0;
 /// A brick's samples (with a border) are held in memory while its points are interpolated.
 const LARGEST_BRICK_EDGE: u64 = 64;
-/// Tetrahedra a block, about. An isosurface of a smooth field crosses a tenth of the tetrahedra of blocks of 1024 that it meets, a seventh of
+/// Tetrahedra a block, about. An isosurface of a smooth field crosses a tenth of the tetrahedra of blocks of 1024 that it meets, nearly a fifth of
 /// those of 256, for 1.2 bits more each; still smaller blocks take more bits, and no less time, for each has its list of vertices.
 pub(super) const BLOCK_TETS: u32 = 256;
 
