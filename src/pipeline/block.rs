@@ -77,7 +77,7 @@ impl NumberedShape {
 /// A block in as little memory as is quickly had: a copy.
 #[derive(Debug)]
 pub(super) struct PackedBlock {
-    /// Number, position, value and id of each corner, then the corners of each tetrahedron, two in a word.
+    /// Number, position, value and id of each corner, then the corners of each tetrahedron, of two bytes each.
     words: Box<[u32]>,
     corners: usize,
     of_chunk: usize,
@@ -101,7 +101,7 @@ impl PackedBlock {
             let number = numbers[i] | if shared[i] { SHARED } else { 0 };
             words.extend([number, x, y, z, values[i].to_bits(), id as u32, (id >> 32) as u32]);
         }
-        words.extend(tets.iter().flat_map(|&[a, b, c, d]| [a | b << 16, c | d << 16]));
+        words.extend(tets.iter().flat_map(|t| bytemuck::cast::<[u16; 4], [u32; 2]>(t.map(|v| v as u16))));
         Some(Self { words: words.into(), corners: numbers.len(), of_chunk: *of_chunk })
     }
 
@@ -116,10 +116,21 @@ impl PackedBlock {
 
     /// The block as it was, but for its bytes in the archive.
     pub(super) fn unpack(&self, Block { corners, tets, bytes }: &mut Block) {
+        self.unpack_corners(corners);
+        tets.clear();
+        tets.extend(self.tets().iter().map(|t| t.map(u32::from)));
+        *bytes = 0;
+    }
+
+    /// Its tetrahedra.
+    pub(super) fn tets(&self) -> &[[u16; 4]] {
+        bytemuck::cast_slice(&self.words[PER_CORNER * self.corners..])
+    }
+
+    /// The corners as they were.
+    pub(super) fn unpack_corners(&self, corners: &mut BlockCorners) {
         let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = corners;
-        let (of_corners, of_tets) = self.words.split_at(PER_CORNER * self.corners);
-        let (of_corners, _) = of_corners.as_chunks::<PER_CORNER>();
-        let (of_tets, _) = of_tets.as_chunks::<2>();
+        let (of_corners, _) = self.words[..PER_CORNER * self.corners].as_chunks::<PER_CORNER>();
         numbers.clear();
         numbers.extend(of_corners.iter().map(|c| c[0] & !SHARED));
         shared.clear();
@@ -130,9 +141,7 @@ impl PackedBlock {
         values.extend(of_corners.iter().map(|c| f32::from_bits(c[4])));
         ids.clear();
         ids.extend(of_corners.iter().map(|c| PointId(u64::from(c[5]) | u64::from(c[6]) << 32)));
-        tets.clear();
-        tets.extend(of_tets.iter().map(|[ab, cd]| [ab & 0xffff, ab >> 16, cd & 0xffff, cd >> 16]));
-        (*of_chunk, *bytes) = (self.of_chunk, 0);
+        *of_chunk = self.of_chunk;
     }
 }
 

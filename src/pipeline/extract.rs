@@ -5,9 +5,9 @@
 //! Blocks of a chunk are decoded one after another into the same small buffer, so the memory of a chunk is that of its corners and
 //! of its surfaces, not of its tetrahedra.
 
-use super::block::{Block, BlockCorners, NumberedShape};
+use super::block::{Block, BlockCorners, NumberedShape, PackedBlock};
 use super::horizon::Horizon;
-use super::kept::KeptBlock;
+use super::kept::{Found, KeptBlock};
 use super::line::{Last, Line};
 use super::need::{self, SurfaceShares};
 use super::open::OpenArchive;
@@ -28,7 +28,6 @@ use crate::surface::marching_tets::{ChunkSurface, Workbench};
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use crate::surface::{TriMesh, WorldMap};
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The blocks of a chunk that can hold an answer, in order.
@@ -168,8 +167,8 @@ impl Question<'_> {
             }
             let ahead = |blocks: usize| kept.get(n % AT_ONCE + blocks).and_then(Option::as_ref);
             self.foretell(ahead(1), ahead(2));
-            if let Some(kept) = ahead(0) {
-                chunk.add_kept(work.chunk, block, kept, &mut buffers);
+            if let Some(found) = ahead(0) {
+                chunk.add_kept(work.chunk, block, found, &mut buffers);
                 continue;
             }
             let reader = match &mut reader {
@@ -194,12 +193,12 @@ impl Question<'_> {
     }
 
     /// Asks the processor for the next kept blocks: of the one after the next what tells which tetrahedra of it may be active.
-    fn foretell(&self, next: Option<&Arc<KeptBlock>>, after: Option<&Arc<KeptBlock>>) {
+    fn foretell(&self, next: Option<&Found>, after: Option<&Found>) {
         if let Some(next) = next {
-            next.rest_will_be_read(self.isovalues);
+            next.block.rest_will_be_read(self.isovalues);
         }
         if let Some(after) = after {
-            after.will_be_read();
+            after.block.will_be_read();
         }
     }
 
@@ -258,14 +257,19 @@ impl<'a> ChunkWorker<'a> {
         }
     }
 
-    /// Adds a kept block to the surfaces, and finds out about it, if it was not used before.
-    fn add_kept(&mut self, chunk: ChunkId, entry: &Entry, kept: &KeptBlock, buffers: &mut Buffers) {
+    /// Adds a kept block to the surfaces, and finds out about it, if that is due.
+    fn add_kept(&mut self, chunk: ChunkId, entry: &Entry, found: &Found, buffers: &mut Buffers) {
         let question = self.question;
         let is_whole = question.cut.is_none() && question.caps.is_none();
-        if let (KeptBlock::Known(block, of_chunk), true) = (kept, is_whole) {
-            return self.add_known(entry, block, *of_chunk, &mut buffers.bench);
+        match (&*found.block, is_whole) {
+            (KeptBlock::Known(block, of_chunk), true) => {
+                return self.add_known(entry, block, *of_chunk, &mut buffers.bench);
+            }
+            (KeptBlock::Packed(block), true) if !found.is_due => {
+                return self.add_packed(entry, block, buffers);
+            }
+            (block, _) => block.unpack(&mut buffers.block),
         }
-        kept.unpack(&mut buffers.block);
         let Buffers { block: Block { corners, tets, .. }, bench, .. } = &mut *buffers;
         match is_whole.then(|| bench.know(&corners.cells(tets), &question.world)).flatten() {
             Some(known) => {
@@ -274,6 +278,21 @@ impl<'a> ChunkWorker<'a> {
                 question.archive.kept.replace(chunk, entry.block, known);
             }
             None => self.add(entry, buffers, None),
+        }
+    }
+
+    /// Unpacks the corners, and of the tetrahedra those that are active.
+    fn add_packed(&mut self, entry: &Entry, block: &PackedBlock, buffers: &mut Buffers) {
+        let Buffers { block: Block { corners, .. }, sides, active, bench, .. } = buffers;
+        block.unpack_corners(corners);
+        self.start(corners.of_chunk);
+        for (surface, &isovalue) in self.surfaces.iter_mut().zip(self.question.isovalues) {
+            if is_active(entry.min, entry.max, isovalue) {
+                active.clear();
+                sides.set(&corners.values, isovalue);
+                sides.active_of(block.tets(), active);
+                surface.add_active(&corners.cells(active), &self.question.world, bench);
+            }
         }
     }
 

@@ -4,8 +4,9 @@
 //!  archive ──▶ Block (a buffer, read again and again) ──▶ packed ──▶ when it is asked for again: known
 //! ```
 //!
-//! To find out all about a block ([`crate::surface::known`]) takes as long as some surfaces of it, and so waits until it is used again; it stays
-//! packed where there is no room for the other form, which is three times as large.
+//! To find out all about a block ([`crate::surface::known`]) takes as long as ten surfaces of it that is packed, and so waits until it is used again; one block is
+//! due when that happens for the first time, the next one at the second time, and so on, so that no question takes much longer than others. A
+//! block stays packed where there is no room for the other form, which is three times as large.
 //!
 //! Which blocks go is found by a hand that goes round (the "clock" of Corbató 1968): it passes over a block that was used since
 //! it came by last, once.
@@ -63,6 +64,17 @@ impl KeptBlock {
     }
 }
 
+/// A kept block that was asked for.
+#[derive(Debug)]
+pub(super) struct Found {
+    pub(super) block: Arc<KeptBlock>,
+    /// Whether all is to be found out about it now, if it is packed.
+    pub(super) is_due: bool,
+}
+
+/// So many uses after the first one, all is known of a block; of others after fewer.
+const DUE: u32 = 8;
+
 /// Blocks kept in memory, up to a number of bytes; from any thread.
 #[derive(Debug, Default)]
 pub(super) struct Kept {
@@ -88,6 +100,8 @@ struct Slot {
     block: Arc<KeptBlock>,
     /// Whether it was used since the hand came by.
     used: bool,
+    /// How often it was used since it was read, at most [`DUE`].
+    uses: u32,
 }
 
 impl Kept {
@@ -110,7 +124,7 @@ impl Kept {
         &self,
         chunk: ChunkId,
         numbers: impl Iterator<Item = u32>,
-        out: &mut Vec<Option<Arc<KeptBlock>>>,
+        out: &mut Vec<Option<Found>>,
     ) {
         out.clear();
         if self.most == 0 {
@@ -128,7 +142,8 @@ impl Kept {
         out.extend(found.into_iter().map(|slot| {
             let slot = &mut slots[slot?];
             slot.used = true;
-            Some(Arc::clone(&slot.block))
+            slot.uses = DUE.min(slot.uses + 1);
+            Some(Found { block: Arc::clone(&slot.block), is_due: slot.uses > slot.place.1 % DUE })
         }));
     }
 
@@ -148,7 +163,7 @@ impl Kept {
         while blocks.bytes + bytes > self.most {
             blocks.drop_one();
         }
-        blocks.add(Slot { place, block: Arc::new(block), used: false });
+        blocks.add(Slot { place, block: Arc::new(block), used: false, uses: 0 });
     }
 
     /// Keeps a block in another form, if it is kept still and there is room: others are worth more than this.
@@ -237,7 +252,7 @@ mod tests {
         let get = |chunk, number| {
             let mut found = vec![];
             kept.get(ChunkId(chunk), [number].into_iter(), &mut found);
-            found.pop().unwrap()
+            found.pop().unwrap().map(|found: Found| found.block)
         };
         assert!(get(1, 0).is_some());
         kept.put(ChunkId(2), 1, &block(100, 9.0));
@@ -256,6 +271,14 @@ mod tests {
         // What is larger than all is not kept, nothing is where nothing may be.
         kept.put(ChunkId(3), 0, &block(1000, 0.0));
         assert!(get(3, 0).is_none() && kept.bytes() == bytes);
+        // Block 3 is due when it is used for the fourth time, and from then on.
+        let (kept, mut found) = (Kept::new(1 << 20), vec![]);
+        kept.put(ChunkId(1), 3, &block(10, 0.0));
+        let mut is_due = || {
+            kept.get(ChunkId(1), [3].into_iter(), &mut found);
+            found[0].as_ref().unwrap().is_due
+        };
+        assert!((0..20).map(|_| is_due()).eq((0..20).map(|n| n >= 3)));
         let none = Kept::new(0);
         none.put(ChunkId(1), 0, &block(100, 0.0));
         let mut found = vec![];
