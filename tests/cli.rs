@@ -237,7 +237,7 @@ fn a_damaged_archive_or_surface_is_told() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     write_npy(&d.join("b.npy"), [16, 16, 16], ball);
-    ok(d, &["reduce", "b.npy", "-o", "b.isospan", "--fraction", "1"]);
+    ok(d, &["reduce", "b.npy", "-o", "b.isospan", "--fraction", "1", "--chunk-points", "1000"]);
     for file in [
         "mesh/000000.seg",
         "steps/000000/values-000000.seg",

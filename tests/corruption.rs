@@ -75,12 +75,26 @@ fn error_or_right(archive: &Path, right: &Answers, what: &str) {
 
 /// An archive of several chunks and about 20 kB.
 fn small(dir: &Path, name: &str, seed: f64) -> PathBuf {
+    let (out, chunks) = of_chunks(dir, name, seed, 200);
+    assert!(chunks > 2, "several chunks");
+    out
+}
+
+/// One of a single chunk: it has neither index nor spectrum.
+fn single(dir: &Path) -> PathBuf {
+    let (out, chunks) = of_chunks(dir, "single", 0.0, 100_000);
+    assert_eq!(chunks, 1);
+    assert!(Manifest::read(&out).unwrap().steps[0].index.is_none());
+    out
+}
+
+fn of_chunks(dir: &Path, name: &str, seed: f64, chunk_points: u64) -> (PathBuf, u64) {
     let input = dir.join(format!("{name}.npy"));
     write_npy(&input, [30, 6, 5], |x, y, z| waves(x + seed, y, z));
     let out = dir.join(format!("{name}.isospan"));
-    let report = reduce(&input, &settings(SetKind::Hammersley, Amount::Fraction(1.0), 200), &out, 1);
-    assert!(report.chunks > 2, "several chunks");
-    out
+    let settings = settings(SetKind::Hammersley, Amount::Fraction(1.0), chunk_points);
+    let report = reduce(&input, &settings, &out, 1);
+    (out, report.chunks)
 }
 
 fn copy(from: &Path, to: &Path) {
@@ -127,13 +141,17 @@ fn places(file: &Path, len: usize) -> impl Iterator<Item = usize> {
 #[test]
 fn every_flipped_byte_is_found_or_harmless() {
     let dir = tempfile::tempdir().unwrap();
-    let archive = small(dir.path(), "a", 0.0);
-    let right = answers(&archive);
-    let files: Vec<_> = folder(&archive).into_iter().collect();
+    flip_every_byte(&small(dir.path(), "a", 0.0));
+    flip_every_byte(&single(dir.path()));
+}
+
+fn flip_every_byte(archive: &Path) {
+    let right = answers(archive);
+    let files: Vec<_> = folder(archive).into_iter().collect();
     let jobs: Vec<(usize, usize)> =
         (0..files.len()).flat_map(|f| places(&files[f].0, files[f].1.len()).map(move |i| (f, i))).collect();
     assert!(jobs.len() > 2_000, "{} places", jobs.len());
-    share(&archive, jobs.len(), |copy, job| {
+    share(archive, jobs.len(), |copy, job| {
         let (file, at) = jobs[job];
         let (name, good) = &files[file];
         let mut bad = good.clone();
@@ -327,7 +345,8 @@ fn manifests_that_contradict_themselves_are_refused() {
         ("counts", Box::new(|m| m.counts.points = u64::MAX)),
         ("another length", Box::new(|m| m.mesh[0].info.bytes += 1)),
         ("another hash of values", Box::new(|m| m.steps[0].values[0].info.content_hash ^= 1)),
-        ("another hash of the index", Box::new(|m| m.steps[0].index.content_hash ^= 1)),
+        ("another hash of the index", Box::new(|m| m.steps[0].index.as_mut().unwrap().content_hash ^= 1)),
+        ("no index of several chunks", Box::new(|m| (m.steps[0].index, m.steps[0].spectrum) = (None, None))),
         ("a flat geometry", Box::new(|m| m.steps[0].plan.source.geometry.spacing = [0.0; 3])),
         ("an endless geometry", Box::new(|m| m.steps[0].plan.source.geometry.origin = [f64::MAX; 3])),
         ("other dimensions", Box::new(|m| m.steps[0].plan.source.dims = [3; 3])),
@@ -349,14 +368,18 @@ fn manifests_that_contradict_themselves_are_refused() {
 #[test]
 fn blocks_that_lie_behind_good_checksums_do_no_harm() {
     let dir = tempfile::tempdir().unwrap();
-    let good = small(dir.path(), "a", 0.0);
-    let manifest = Manifest::read(&good).unwrap();
+    lie_in_every_block(&small(dir.path(), "a", 0.0));
+    lie_in_every_block(&single(dir.path()));
+}
+
+fn lie_in_every_block(good: &Path) {
+    let manifest = Manifest::read(good).unwrap();
     let step = &manifest.steps[0];
     let mut jobs = vec![];
     for (kind, blocks) in [
         (SegmentKind::Mesh, manifest.mesh[0].info.blocks),
         (SegmentKind::Values, step.values[0].info.blocks),
-        (SegmentKind::Index, step.index.blocks),
+        (SegmentKind::Index, step.index.map_or(0, |i| i.blocks)),
     ] {
         for block in 0..blocks {
             // The first chunk, the summary and the table behind the last, and some in between.
@@ -367,8 +390,8 @@ fn blocks_that_lie_behind_good_checksums_do_no_harm() {
             }
         }
     }
-    let good_files = folder(&good);
-    share(&good, jobs.len(), |copy, job| {
+    let good_files = folder(good);
+    share(good, jobs.len(), |copy, job| {
         let (kind, block, at, value) = jobs[job];
         // Bytes from `at` on, so that whole fields become 0 or as large as they can be.
         reseal_all(

@@ -33,7 +33,7 @@ fn put_index(archive: &Path, change: impl Fn(&mut Vec<Entry>)) {
     let mut index = IndexBuilder::default();
     entries.into_iter().try_for_each(|e| index.push(e)).unwrap();
     std::fs::remove_file(&path).unwrap();
-    manifest.steps[0].index = index.finish(&path, hash).unwrap();
+    manifest.steps[0].index = Some(index.finish(&path, hash).unwrap());
     manifest.write(archive).unwrap();
 }
 

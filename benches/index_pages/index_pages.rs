@@ -67,7 +67,7 @@ fn ask(n: u64, path: &Path) -> isospan::Result<()> {
     for isovalue in [0.0005f32, 0.1, 0.5, 0.9] {
         let start = Instant::now();
         let index = SpanIndex::open(path, Some(PLAN))?;
-        let opened = index.segment().bytes_read();
+        let opened = index.segment().expect("a file").bytes_read();
         let found = index.query(isovalue)?.len() as u64;
         let took = start.elapsed();
         let brute = if n <= 10_000_000 {
@@ -81,7 +81,7 @@ fn ask(n: u64, path: &Path) -> isospan::Result<()> {
             "{n:>11}  {isovalue:<7} {found:>8} {:>7} {expected:>9.0} {:>6.2} {opened:>8} {:>9} {:>8.1}",
             index.pages_read(),
             index.pages_read() as f64 / expected,
-            index.segment().bytes_read(),
+            index.segment().expect("a file").bytes_read(),
             took.as_secs_f64() * 1e3
         );
     }

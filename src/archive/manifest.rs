@@ -30,6 +30,8 @@ use std::path::{Path, PathBuf};
 pub const MANIFEST_NAME: &str = "manifest.json";
 /// Value of the manifest's first member.
 pub const MANIFEST_FORMAT: &str = "isospan archive";
+/// An archive of one chunk with at most so many blocks has neither index nor spectrum of its steps: they follow from what the chunk tells of itself.
+pub const MOST_UNINDEXED: u64 = 1024;
 /// The most bytes of a manifest.
 pub const LARGEST_MANIFEST: u64 = 1 << 30;
 
@@ -245,9 +247,9 @@ pub struct Step {
     pub void_points: u64,
     /// Value segments, in chunk order; the n-th is `values-n.seg`.
     pub values: Vec<SegmentRecord>,
-    /// The index.
-    pub index: SegmentInfo,
-    /// The contour spectrum; none where every tetrahedron is void.
+    /// The index; none of a small archive, of which the summary of its only chunk tells as much.
+    pub index: Option<SegmentInfo>,
+    /// The contour spectrum; none where every tetrahedron is void, nor without an index: it is that of the only chunk.
     pub spectrum: Option<SegmentInfo>,
     /// The coordinates, where the source is a rectilinear or curvilinear grid.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -280,6 +282,13 @@ pub struct Counts {
     pub chunks: u64,
     /// Tetrahedron blocks.
     pub blocks: u64,
+}
+
+impl Counts {
+    /// Whether the steps of such a mesh have an index each: see [`MOST_UNINDEXED`].
+    pub fn is_indexed(&self) -> bool {
+        self.chunks != 1 || self.blocks > MOST_UNINDEXED
+    }
 }
 
 /// The manifest of an archive.
@@ -420,6 +429,13 @@ impl Manifest {
         check_tiling(path, "mesh", &self.mesh, self.counts.chunks)?;
         for step in &self.steps {
             check_tiling(path, "values of a step", &step.values, self.counts.chunks)?;
+            if step.index.is_none() && (self.counts.chunks != 1 || step.spectrum.is_some()) {
+                return bad(
+                    "index of a step",
+                    "one, of several chunks, or with a spectrum".into(),
+                    "none".into(),
+                );
+            }
         }
         if !self.steps.is_sorted_by(|a, b| a.plan.number < b.plan.number) {
             return bad("steps", "ascending numbers".into(), "others".into());
@@ -559,7 +575,7 @@ pub(crate) mod tests {
             value_range: Some([-0.1, 1e30]),
             void_points: 0,
             values: vec![record(0, 5)],
-            index: info,
+            index: Some(info),
             spectrum: (number == 0).then_some(info),
             coordinates: None,
             error: None,

@@ -74,6 +74,7 @@ mod tests {
             ("VALUES_AFTER", u64::from(values::VALUES_AFTER)),
             ("VALUES_AFTER_QUANTISED", u64::from(values::VALUES_AFTER_QUANTISED)),
             ("LONGEST_CHAIN", manifest::LONGEST_CHAIN),
+            ("MOST_UNINDEXED", manifest::MOST_UNINDEXED),
             ("COORDINATES_AXES", u64::from(coordinates::COORDINATES_AXES)),
             ("COORDINATES_POINTS", u64::from(coordinates::COORDINATES_POINTS)),
             ("COORDINATES_RUN", coordinates::RUN),

@@ -40,7 +40,12 @@ pub const TEMPORARY_MARK: &str = ".tmp-";
 const BUFFER_BYTES: usize = 1 << 18;
 
 /// This host, in letters that may be part of a file name. Two processes of one host know each other by their numbers.
-pub(crate) fn host() -> String {
+pub(crate) fn host() -> &'static str {
+    static HOST: LazyLock<String> = LazyLock::new(find_host);
+    &HOST
+}
+
+fn find_host() -> String {
     #[cfg(unix)]
     let name = rustix::system::uname().nodename().to_string_lossy().into_owned();
     #[cfg(not(unix))]
@@ -252,10 +257,10 @@ pub(crate) fn sweep(folder: &Path) {
 
 fn dead_in(folder: &Path, wanted: impl Fn(&str) -> bool) -> Vec<Dead> {
     let Ok(entries) = std::fs::read_dir(folder) else { return vec![] };
-    let (host, mut dead) = (host(), vec![]);
+    let mut dead = vec![];
     for entry in entries.flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
-        let Some(process) = process_of(&name, &host).filter(|_| wanted(&name)) else { continue };
+        let Some(process) = process_of(&name, host()).filter(|_| wanted(&name)) else { continue };
         dead.extend(dead_file(entry.path(), process));
     }
     // The order of a folder's entries is the system's.

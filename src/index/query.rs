@@ -12,13 +12,30 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 /// An open index; may be asked from any thread.
 pub struct SpanIndex {
-    segment: Segment,
+    pages: Pages,
     len: u64,
     bounds: Bounds,
     pages_read: AtomicU64,
 }
 
+/// Where the entries are.
+enum Pages {
+    File(Segment),
+    /// In memory, in order of chunk and block: few enough to look at all of them.
+    Known(Vec<Entry>),
+}
+
 impl SpanIndex {
+    /// An index of some entries, in order of chunk and block, that are not stored as such.
+    ///
+    /// # Panics
+    /// When they are in another order, or one is there twice.
+    pub fn of_entries(entries: Vec<Entry>) -> Self {
+        assert!(entries.is_sorted_by(|a, b| a.place() < b.place()), "each block once, in order");
+        let (len, bounds) = (entries.len() as u64, Bounds::of(&entries));
+        Self { pages: Pages::Known(entries), len, bounds, pages_read: AtomicU64::new(0) }
+    }
+
     /// Opens an index; reads header, footer and one small block, whatever the number of entries.
     ///
     /// # Errors
@@ -32,7 +49,7 @@ impl SpanIndex {
         segment.block(0, &mut block)?;
         let (len, bounds) =
             read_root(&block, segment.block_count()).map_err(|m| m.in_block(segment.path(), 0))?;
-        Ok(Self { segment, len, bounds, pages_read: AtomicU64::new(0) })
+        Ok(Self { pages: Pages::File(segment), len, bounds, pages_read: AtomicU64::new(0) })
     }
 
     /// Number of entries: blocks that are not void.
@@ -50,9 +67,17 @@ impl SpanIndex {
         (self.len > 0).then_some((self.bounds.lowest, self.bounds.highest))
     }
 
-    /// The container: path, bytes read, verification.
-    pub fn segment(&self) -> &Segment {
-        &self.segment
+    /// The container: path, bytes read, verification. None of entries in memory.
+    pub fn segment(&self) -> Option<&Segment> {
+        match &self.pages {
+            Pages::File(segment) => Some(segment),
+            Pages::Known(_) => None,
+        }
+    }
+
+    /// Bytes read from its own file.
+    pub fn bytes_read(&self) -> u64 {
+        self.segment().map_or(0, Segment::bytes_read)
     }
 
     /// Pages read by all queries since the index was opened.
@@ -131,6 +156,13 @@ impl SpanIndex {
         wanted: impl Fn(f32, f32) -> bool,
         keep: impl Fn(&Entry) -> bool,
     ) -> Result<Vec<Entry>> {
+        let segment = match &self.pages {
+            Pages::File(segment) => segment,
+            Pages::Known(all) => {
+                let found = all.iter().filter(|e| wanted(e.min, e.max) && keep(e));
+                return Ok(found.copied().collect());
+            }
+        };
         let mut found = vec![];
         let mut counts = PageCounts::default();
         let mut bytes = vec![];
@@ -139,9 +171,9 @@ impl SpanIndex {
             open.push((1u64, self.len));
         }
         while let Some((page, n)) = open.pop() {
-            self.segment.block(page, &mut bytes)?;
+            segment.block(page, &mut bytes)?;
             self.pages_read.fetch_add(1, Ordering::Relaxed);
-            let blame = |m: Malformed| m.in_block(self.segment.path(), page);
+            let blame = |m: Malformed| m.in_block(segment.path(), page);
             if n <= LEAF_ENTRIES {
                 let entries = decode_leaf(&bytes, n).map_err(blame)?;
                 found.extend(entries.into_iter().filter(|e| wanted(e.min, e.max) && keep(e)));
@@ -161,7 +193,7 @@ impl SpanIndex {
         // A block extracted twice would give each of its triangles twice.
         if let Some(twice) = found.windows(2).find(|w| w[0].place() == w[1].place()) {
             let got = format!("block {} of chunk {} twice", twice[0].block, twice[0].chunk);
-            return Err(Error::bad_input(self.segment.path(), "entries", "each block once", got));
+            return Err(Error::bad_input(segment.path(), "entries", "each block once", got));
         }
         Ok(found)
     }
@@ -172,68 +204,72 @@ impl SpanIndex {
     /// # Errors
     /// The first thing that is wrong.
     pub fn verify(&self) -> Result<EntryDigest> {
-        self.segment.verify()?;
         let (mut counts, mut digest) = (PageCounts::default(), EntryDigest::default());
-        if self.len > 0 {
-            let found = self.verify_subtree(1, self.len, &mut counts, &mut digest)?;
-            self.expect_bounds(0, self.bounds, found)?;
+        match &self.pages {
+            Pages::File(segment) => {
+                segment.verify()?;
+                if self.len > 0 {
+                    let found = verify_subtree(segment, 1, self.len, &mut counts, &mut digest)?;
+                    expect_bounds(segment, 0, self.bounds, found)?;
+                }
+            }
+            Pages::Known(all) => all.iter().for_each(|e| digest.add(e)),
         }
         Ok(digest)
     }
+}
 
-    fn expect_bounds(&self, block: u64, said: Bounds, found: Bounds) -> Result<()> {
-        if said == found {
-            return Ok(());
-        }
-        Err(Malformed::new("bounds", format!("{found:?}"), format!("{said:?}"))
-            .in_block(self.segment.path(), block))
+fn expect_bounds(segment: &Segment, block: u64, said: Bounds, found: Bounds) -> Result<()> {
+    if said == found {
+        return Ok(());
     }
+    Err(Malformed::new("bounds", format!("{found:?}"), format!("{said:?}")).in_block(segment.path(), block))
+}
 
-    /// The bounds of the entries below a page; an error where a page says others.
-    fn verify_subtree(
-        &self,
-        page: u64,
-        n: u64,
-        counts: &mut PageCounts,
-        digest: &mut EntryDigest,
-    ) -> Result<Bounds> {
-        let mut bytes = vec![];
-        self.segment.block(page, &mut bytes)?;
-        let blame = |m: Malformed| m.in_block(self.segment.path(), page);
-        let mut all = Bounds { lowest: f32::INFINITY, highest: f32::NEG_INFINITY };
-        let mut join = |b: Bounds| {
-            all.lowest = all.lowest.min(b.lowest);
-            all.highest = all.highest.max(b.highest);
-        };
-        if n <= LEAF_ENTRIES {
-            let entries = decode_leaf(&bytes, n).map_err(blame)?;
-            if !entries.is_sorted_by(|a, b| a.place() < b.place()) {
-                return Err(blame(Malformed::new(
-                    "entries",
-                    "each block once, in order",
-                    "a block twice or too late",
-                )));
-            }
-            for e in entries {
-                digest.add(&e);
-                if e.min.is_nan() || e.max.is_nan() || e.min > e.max {
-                    let got = format!("{} to {}", e.min, e.max);
-                    return Err(blame(Malformed::new("range", "min <= max", got)));
-                }
-                join(Bounds { lowest: e.min, highest: e.max });
-            }
-            return Ok(all);
+/// The bounds of the entries below a page; an error where a page says others.
+fn verify_subtree(
+    segment: &Segment,
+    page: u64,
+    n: u64,
+    counts: &mut PageCounts,
+    digest: &mut EntryDigest,
+) -> Result<Bounds> {
+    let mut bytes = vec![];
+    segment.block(page, &mut bytes)?;
+    let blame = |m: Malformed| m.in_block(segment.path(), page);
+    let mut all = Bounds { lowest: f32::INFINITY, highest: f32::NEG_INFINITY };
+    let mut join = |b: Bounds| {
+        all.lowest = all.lowest.min(b.lowest);
+        all.highest = all.highest.max(b.highest);
+    };
+    if n <= LEAF_ENTRIES {
+        let entries = decode_leaf(&bytes, n).map_err(blame)?;
+        if !entries.is_sorted_by(|a, b| a.place() < b.place()) {
+            return Err(blame(Malformed::new(
+                "entries",
+                "each block once, in order",
+                "a block twice or too late",
+            )));
         }
-        let sizes = child_sizes(n);
-        let mut child_page = page + 1;
-        for (child, n) in decode_inner(&bytes, sizes.len()).map_err(blame)?.into_iter().zip(sizes) {
-            let found = self.verify_subtree(child_page, n, counts, digest)?;
-            self.expect_bounds(page, child, found)?;
-            join(found);
-            child_page += counts.of(n);
+        for e in entries {
+            digest.add(&e);
+            if e.min.is_nan() || e.max.is_nan() || e.min > e.max {
+                let got = format!("{} to {}", e.min, e.max);
+                return Err(blame(Malformed::new("range", "min <= max", got)));
+            }
+            join(Bounds { lowest: e.min, highest: e.max });
         }
-        Ok(all)
+        return Ok(all);
     }
+    let sizes = child_sizes(n);
+    let mut child_page = page + 1;
+    for (child, n) in decode_inner(&bytes, sizes.len()).map_err(blame)?.into_iter().zip(sizes) {
+        let found = verify_subtree(segment, child_page, n, counts, digest)?;
+        expect_bounds(segment, page, child, found)?;
+        join(found);
+        child_page += counts.of(n);
+    }
+    Ok(all)
 }
 
 fn number(isovalue: f32) -> Result<()> {
@@ -395,7 +431,9 @@ mod tests {
             entries.iter().for_each(|&e| b.push(e).unwrap());
             assert_eq!(b.len(), entries.len() as u64);
             b.finish(&path, PLAN).unwrap();
-            assert!(std::fs::read(&path).unwrap() == std::fs::read(in_memory.segment().path()).unwrap());
+            assert!(
+                std::fs::read(&path).unwrap() == std::fs::read(in_memory.segment().unwrap().path()).unwrap()
+            );
             let mut digest = EntryDigest::default();
             entries.iter().for_each(|e| digest.add(e));
             assert_eq!(in_memory.verify().unwrap(), digest);
@@ -409,7 +447,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         for n in [10_000usize, 100_000, 1_000_000] {
             let index = index_of(&entries_of(&synthetic(n)), dir.path());
-            let opened = index.segment().bytes_read();
+            let opened = index.segment().unwrap().bytes_read();
             assert!(opened < 6_000, "{opened} bytes to open {n} entries");
             for v in [0.001, 0.25, 0.5, 0.9] {
                 let before = index.pages_read();
@@ -452,8 +490,8 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("index.seg");
         let index = index_of(&entries_of(&synthetic(300)), dir.path());
-        let mut blocks: Vec<Vec<u8>> = vec![vec![]; index.segment().block_count() as usize];
-        (0..).zip(&mut blocks).for_each(|(n, b)| index.segment().block(n, b).unwrap());
+        let mut blocks: Vec<Vec<u8>> = vec![vec![]; index.segment().unwrap().block_count() as usize];
+        (0..).zip(&mut blocks).for_each(|(n, b)| index.segment().unwrap().block(n, b).unwrap());
         for block in 0..blocks.len() {
             for at in (0..blocks[block].len().min(120)).step_by(7) {
                 let mut bad = blocks.clone();

@@ -64,7 +64,7 @@ impl Made {
         Ok(made)
     }
 
-    /// Adds the `n`-th step of the plan: builds its index, and its spectrum of what chunks have measured. `coordinates`: of a grid that has
+    /// Adds the `n`-th step of the plan: builds its index, and its spectrum of what chunks have measured, but for small archives. `coordinates`: of a grid that has
     /// some, with the first step of the archive.
     pub(super) fn add_step(
         &mut self,
@@ -78,6 +78,7 @@ impl Made {
         let (step, hash) = (&plan.steps[n], plan.step_hash(n));
         let layout = layout.at(step.number);
         let (mut values, mut void_points) = (vec![], 0);
+        let is_indexed = self.counts.is_indexed();
         // Of all points, and of the tetrahedra that are not void.
         let mut value_range = [f32::INFINITY, f32::NEG_INFINITY];
         let mut range = value_range;
@@ -91,7 +92,7 @@ impl Made {
                 let summary = value_summary(&file, ChunkId(chunk))?;
                 void_points += u64::from(summary.void);
                 value_range = [value_range[0].min(summary.min), value_range[1].max(summary.max)];
-                for entry in index_entries(chunk, &summary.ranges) {
+                for entry in index_entries(chunk, &summary.ranges).filter(|_| is_indexed) {
                     range = [range[0].min(entry.min), range[1].max(entry.max)];
                     index.push(entry)?;
                 }
@@ -100,14 +101,14 @@ impl Made {
         }
         // Those that chunks were measured with: by the set's own number of points, which may be a little off.
         let limits = limits(&plan.mesh, parts.points.len());
-        let spectrum =
-            (range[0] <= range[1]).then(|| sum_spectrum(&layout, hash, Design::new(range, limits), limits));
+        let spectrum = (is_indexed && range[0] <= range[1])
+            .then(|| sum_spectrum(&layout, hash, Design::new(range, limits), limits));
         self.steps.push(Step {
             plan: step.clone(),
             value_range: (value_range[0] <= value_range[1]).then_some(value_range),
             void_points,
             values,
-            index: index.finish(layout.index(), hash)?,
+            index: is_indexed.then(|| index.finish(layout.index(), hash)).transpose()?,
             spectrum: spectrum.transpose()?,
             coordinates,
             error: None,

@@ -283,11 +283,11 @@ pub(super) fn stored_error(archive: &OpenArchive) -> Result<(FieldError, Vec<Lev
         let chunks = archive.layout.chunks_of(number);
         archive.close_before(ChunkId(chunks.start));
         for chunk in chunks.map(ChunkId) {
-            let segment = archive.segment_of(chunk)?;
-            let found = stored_errors(&segment.values, chunk)?;
+            let values = archive.values_of(archive.view.step, chunk)?;
+            let found = stored_errors(&values, chunk)?;
             let is_sorted = found.levels.is_empty() == (levels == 0 || found.sums.measured == 0);
             if found.levels.len() > levels || !is_sorted {
-                let (path, got) = (segment.values.segment().path(), found.levels.len().to_string());
+                let (path, got) = (values.segment().path(), found.levels.len().to_string());
                 let at = format!("chunk {}, levels of its errors", chunk.0);
                 return Err(Error::bad_input(path, at, format!("those of {levels} levels"), got));
             }

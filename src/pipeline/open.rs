@@ -1,12 +1,14 @@
 //! An archive opened for reading: manifest, point set, grids; segments are opened when first needed.
 
 use super::beside::Beside;
+use super::commit::{index_entries, value_summary};
 use super::kept::Kept;
 use super::layout::Layout;
 use super::plan::{MeshParts, Plan, parts};
 use super::reader::{ChunkReader, ReaderMemory};
 use super::reduce::folder_bytes;
 use super::spare::{Pools, Spare};
+use super::spectrum::{limits, stored_part};
 use super::steps::{StepChoice, View};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::{CellCount, CoordinateMap};
@@ -21,8 +23,8 @@ use crate::index::SpanIndex;
 use crate::measure::{FieldError, LevelError};
 use crate::mesh::tet::Tet;
 use crate::points::{Levels, PointSet};
-use crate::spectrum::SpectrumFile;
 use crate::spectrum::suggest::Suggestion;
+use crate::spectrum::{SpectrumBuilder, SpectrumFile};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -184,7 +186,7 @@ impl StepSummary {
             void_points: step.void_points,
             error: step.error.as_ref().map(|e| [e.rms, e.max]),
             value_bytes: step.values.iter().map(|v| v.info.bytes).sum(),
-            index_bytes: step.index.bytes + step.spectrum.map_or(0, |s| s.bytes),
+            index_bytes: step.index.map_or(0, |s| s.bytes) + step.spectrum.map_or(0, |s| s.bytes),
         }
     }
 }
@@ -350,9 +352,14 @@ impl OpenArchive {
         self.step().plan.hash(self.manifest.plan_hash)
     }
 
+    /// The index; of a small archive made of the ranges that its only chunk tells.
     pub(super) fn index(&self) -> Result<SpanIndex> {
+        let Some(recorded) = &self.step().index else {
+            let summary = value_summary(&*self.only_values()?, ChunkId(0))?;
+            return Ok(SpanIndex::of_entries(index_entries(0, &summary.ranges).collect()));
+        };
         let index = SpanIndex::open(self.layout.index(), Some(self.step_hash())).map_err(|e| self.lost(e))?;
-        expect_recorded(index.segment(), Some(&self.step().index))?;
+        index.segment().map_or(Ok(()), |file| expect_recorded(file, Some(recorded)))?;
         Ok(index)
     }
 
@@ -399,12 +406,17 @@ impl OpenArchive {
         }
     }
 
-    /// The contour spectrum; none where every tetrahedron is void.
+    /// The contour spectrum; none where every tetrahedron is void. Of a small archive it is the part of its only chunk.
     pub(super) fn spectrum(&self) -> Result<Option<SpectrumFile>> {
+        if self.step().index.is_none() {
+            let limits = limits(&self.manifest.plan, self.points.len());
+            let part = stored_part(&*self.only_values()?, ChunkId(0), limits)?;
+            return Ok(SpectrumBuilder::of_part(&part).map(SpectrumFile::of));
+        }
         let Some(recorded) = &self.step().spectrum else { return Ok(None) };
         let file =
             SpectrumFile::open(self.layout.spectrum(), Some(self.step_hash())).map_err(|e| self.lost(e))?;
-        expect_recorded(file.segment(), Some(recorded))?;
+        file.segment().map_or(Ok(()), |segment| expect_recorded(segment, Some(recorded)))?;
         Ok(Some(file))
     }
 
@@ -421,7 +433,7 @@ impl OpenArchive {
     fn bytes_told(&self) -> u64 {
         let m = &self.manifest;
         let of_steps = m.steps.iter().flat_map(|s| {
-            let others = [Some(s.index), s.spectrum, s.coordinates.map(|c| c.info)];
+            let others = [s.index, s.spectrum, s.coordinates.map(|c| c.info)];
             s.values.iter().map(|v| v.info).chain(others.into_iter().flatten())
         });
         m.mesh.iter().map(|r| r.info).chain(of_steps).map(|f| f.bytes).sum::<u64>() + m.text_bytes()
@@ -500,6 +512,11 @@ impl OpenArchive {
     /// The value segment of a step, by its position in the manifest, that has a chunk.
     pub(super) fn values_of(&self, step: usize, chunk: ChunkId) -> Result<Arc<ChunkSegment>> {
         self.values_segment(step, self.segment_number(chunk))
+    }
+
+    /// The value segment of an archive of one chunk.
+    fn only_values(&self) -> Result<Arc<ChunkSegment>> {
+        self.values_segment(self.view.step, 0)
     }
 
     /// A file that is not there makes the archive incomplete, which the same reduction repairs.

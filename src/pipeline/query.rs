@@ -208,12 +208,13 @@ pub fn count_active_at(path: &Path, step: StepChoice, isovalue: f32) -> Result<C
 /// As [`count_active`], of an archive that is open; bytes that were read before are not in the report.
 pub(super) fn count(archive: &OpenArchive, isovalue: f32) -> Result<CountReport> {
     finite(isovalue)?;
+    let read_before = archive.bytes_read();
     let spectrum = if archive.view.beyond.is_none() { archive.spectrum()? } else { None };
     let stored = match &spectrum {
         Some(file) => file.active(isovalue)?,
         None => archive.view.beyond.is_none().then_some(0),
     };
-    let mut bytes_read = spectrum.map_or(0, |f| f.segment().bytes_read());
+    let mut bytes_read = spectrum.map_or(0, |f| f.bytes_read()) + archive.bytes_read() - read_before;
     let active_tetrahedra = match stored {
         Some(n) => n,
         None => {

@@ -415,7 +415,7 @@ impl Making<'_> {
                 value_range: None,
                 void_points: 0,
                 values: self.records(plan.step_hash(n), SegmentKind::Values, |n| layout.values(n))?,
-                index: SegmentInfo::default(),
+                index: None,
                 spectrum: None,
                 coordinates: None,
                 error: None,

@@ -174,7 +174,7 @@ pub(super) fn report(archive: &OpenArchive) -> Result<SpectrumReport> {
             archive.path().display()
         )));
     }
-    let bytes_read = archive.manifest_bytes()?;
+    let (bytes_read, read_before) = (archive.manifest_bytes()?, archive.bytes_read());
     let Some(file) = archive.spectrum()? else {
         let none = SpectrumReport {
             range: None,
@@ -193,6 +193,6 @@ pub(super) fn report(archive: &OpenArchive) -> Result<SpectrumReport> {
         volume: spectrum.volume,
         knots: spectrum.knots.clone(),
         suggestions: suggest(spectrum),
-        bytes_read: bytes_read + file.segment().bytes_read(),
+        bytes_read: bytes_read + file.bytes_read() + archive.bytes_read() - read_before,
     })
 }

@@ -416,7 +416,7 @@ impl Ranges<'_> {
     /// Bytes read for the answers; those of value segments are counted by the archive.
     pub(super) fn bytes_read(&self) -> u64 {
         match self {
-            Self::Index(index) => index.segment().bytes_read(),
+            Self::Index(index) => index.bytes_read(),
             Self::Between(..) => 0,
         }
     }

@@ -122,7 +122,7 @@ fn check_step(archive: &OpenArchive, check: &mut ArchiveCheck) -> Result<()> {
     match (spectrum, measured) {
         (Some(file), Some(measured)) => {
             file.verify(&measured)?;
-            check.add(file.segment());
+            file.segment().into_iter().for_each(|file| check.add(file));
         }
         _ if entries.count > 0 => {
             return Err(Error::bad_input(archive.path(), "spectrum", "one, as there are values", "none"));
@@ -277,7 +277,7 @@ fn check_index(archive: &OpenArchive, expected: EntryDigest, check: &mut Archive
         let expected = format!("{}, one a block of finite values", text(expected));
         return Err(Error::bad_input(archive.layout.index(), "entries", expected, got));
     }
-    check.add(index.segment());
+    index.segment().into_iter().for_each(|file| check.add(file));
     check.index_entries += found.count;
     Ok(())
 }

@@ -30,6 +30,13 @@ impl SpectrumBuilder {
         }
     }
 
+    /// That of a chunk alone; none where all its tetrahedra are void.
+    pub fn of_part(part: &ChunkPart) -> Option<Self> {
+        let mut alone = Self::new(part.measured.as_ref()?.design);
+        alone.add(part);
+        Some(alone)
+    }
+
     /// What is measured.
     pub fn design(&self) -> &Design {
         &self.design

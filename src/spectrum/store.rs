@@ -126,8 +126,15 @@ fn decode_page(bytes: &[u8], levels: u32, n: u32) -> std::result::Result<u64, Ma
 
 /// An open spectrum.
 pub struct SpectrumFile {
-    segment: Segment,
+    levels: Levels,
     spectrum: Spectrum,
+}
+
+/// Where the numbers at the levels are.
+enum Levels {
+    File(Segment),
+    /// In memory.
+    Known(SpectrumBuilder),
 }
 
 impl SpectrumFile {
@@ -148,7 +155,12 @@ impl SpectrumFile {
             let got = segment.block_count().to_string();
             return Err(Error::bad_input(segment.path(), "block count", blocks.to_string(), got));
         }
-        Ok(Self { segment, spectrum })
+        Ok(Self { levels: Levels::File(segment), spectrum })
+    }
+
+    /// A spectrum that is not stored as such.
+    pub fn of(builder: SpectrumBuilder) -> Self {
+        Self { spectrum: builder.spectrum(), levels: Levels::Known(builder) }
     }
 
     /// The spectrum at its knots.
@@ -156,9 +168,17 @@ impl SpectrumFile {
         &self.spectrum
     }
 
-    /// The container: path, bytes read, verification.
-    pub fn segment(&self) -> &Segment {
-        &self.segment
+    /// The container: path, bytes read, verification. None of a spectrum in memory.
+    pub fn segment(&self) -> Option<&Segment> {
+        match &self.levels {
+            Levels::File(segment) => Some(segment),
+            Levels::Known(_) => None,
+        }
+    }
+
+    /// Bytes read from its own file.
+    pub fn bytes_read(&self) -> u64 {
+        self.segment().map_or(0, Segment::bytes_read)
     }
 
     /// The number of active tetrahedra, exactly; `None` at an isovalue at which it is not stored. Reads a page.
@@ -176,12 +196,16 @@ impl SpectrumFile {
         }
         let levels = self.spectrum.levels;
         let Some(n) = levels.find(isovalue) else { return Ok(None) };
+        let segment = match &self.levels {
+            Levels::File(segment) => segment,
+            Levels::Known(builder) => return Ok(Some(builder.levels[n as usize])),
+        };
         let (page, at) = (n / PAGE_ACTIVE, n % PAGE_ACTIVE);
         let number = u64::from(page) + 1;
         let mut block = vec![];
-        self.segment.block(number, &mut block)?;
+        segment.block(number, &mut block)?;
         let in_page = (levels.count - page * PAGE_ACTIVE).min(PAGE_ACTIVE);
-        let active = decode_page(&block, in_page, at).map_err(|m| m.in_block(self.segment.path(), number))?;
+        let active = decode_page(&block, in_page, at).map_err(|m| m.in_block(segment.path(), number))?;
         Ok(Some(active))
     }
 
@@ -190,19 +214,16 @@ impl SpectrumFile {
     /// # Errors
     /// The first thing that is wrong.
     pub fn verify(&self, expected: &SpectrumBuilder) -> Result<()> {
-        self.segment.verify()?;
+        // One in memory was made of parts, which are verified where they are stored.
+        let Levels::File(segment) = &self.levels else { return Ok(()) };
+        segment.verify()?;
         let mut found = vec![];
-        for (n, block) in (0..self.segment.block_count()).zip(expected.blocks()) {
-            self.segment.block(n, &mut found)?;
+        for (n, block) in (0..segment.block_count()).zip(expected.blocks()) {
+            segment.block(n, &mut found)?;
             if found != block {
-                let at = format!("block {n}");
-                return Err(Error::bad_input(
-                    self.segment.path(),
-                    at,
-                    "the sums over all tetrahedra",
-                    "others",
-                )
-                .with_help("the archive is damaged or was written by a faulty program: make it again"));
+                let (expected, got) = ("the sums over all tetrahedra", "others");
+                return Err(Error::bad_input(segment.path(), format!("block {n}"), expected, got)
+                    .with_help("the archive is damaged or was written by a faulty program: make it again"));
             }
         }
         Ok(())

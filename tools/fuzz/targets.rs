@@ -227,7 +227,7 @@ impl Archive {
             let values = values_segment_path(&self.copy, 0, 0);
             manifest.steps[0].values[0].info = reseal(&values, SegmentKind::Values, hash, |_, _| {})?;
             manifest.steps[0].index =
-                reseal(&index_path(&self.copy, 0), SegmentKind::Index, hash, |_, _| {})?;
+                Some(reseal(&index_path(&self.copy, 0), SegmentKind::Index, hash, |_, _| {})?);
         }
         manifest.write(&self.copy)
     }
@@ -245,7 +245,7 @@ impl Archive {
                 &mut manifest.mesh[0].info,
             ),
             1 => (values_segment_path(&self.copy, 0, 0), SegmentKind::Values, hash, &mut step.values[0].info),
-            _ => (index_path(&self.copy, 0), SegmentKind::Index, hash, &mut step.index),
+            _ => (index_path(&self.copy, 0), SegmentKind::Index, hash, step.index.get_or_insert_default()),
         };
         let block = random.next() % info.blocks;
         *what = format!("block {block} of {}, sealed again", path.display());
