@@ -240,9 +240,9 @@ fn a_damaged_archive_or_surface_is_told() {
     ok(d, &["reduce", "b.npy", "-o", "b.isospan", "--fraction", "1", "--chunk-points", "1000"]);
     for file in [
         "mesh/000000.seg",
-        "steps/000000/values-000000.seg",
-        "steps/000000/index.seg",
-        "steps/000000/spectrum.seg",
+        "steps/000000-values-000000.seg",
+        "steps/000000-index.seg",
+        "steps/000000-spectrum.seg",
         "manifest.json",
     ] {
         let path = d.join("b.isospan").join(file);

@@ -134,7 +134,7 @@ fn share(archive: &Path, n: usize, job: impl Fn(&Path, usize) + Sync) {
 
 /// The places of a file to damage: all near its ends and in a manifest, and of the middle every seventh.
 fn places(file: &Path, len: usize) -> impl Iterator<Item = usize> {
-    let (all, near) = (file.ends_with(MANIFEST_NAME) || file.ends_with("index.seg"), 300);
+    let (all, near) = (file.ends_with(MANIFEST_NAME) || file.ends_with("000000-index.seg"), 300);
     (0..len).filter(move |&i| all || i < near || i + near >= len || i % 7 == 0)
 }
 
@@ -204,7 +204,7 @@ fn lost_files_are_named_and_other_files_are_ignored() {
     }
     fs::write(archive.join("notes.txt"), "mine").unwrap();
     fs::write(archive.join("mesh/000099.seg"), "not a segment").unwrap();
-    fs::create_dir_all(archive.join("steps/000007")).unwrap();
+    fs::write(archive.join("steps/000007-values-000000.seg"), "not a segment").unwrap();
     assert!(answers(&archive) == right);
 }
 

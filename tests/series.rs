@@ -281,7 +281,8 @@ fn a_bad_step_costs_itself_alone() {
     assert!(report.skipped.iter().all(|s| !s.reason.contains('\n')), "{:?}", report.skipped);
     pipeline::check_archive(&out("a.isospan")).unwrap();
     assert_eq!(Manifest::read(&out("a.isospan")).unwrap().steps[2].plan.base.unwrap().number, 3);
-    assert!(!out("a.isospan/steps/000004").exists(), "nothing is left of it");
+    let left = folder(&out("a.isospan")).into_keys().any(|file| file.to_string_lossy().contains("000004-"));
+    assert!(!left, "nothing is left of it");
     for number in [0, 3, 5] {
         let one = out("one.isospan");
         let _ = fs::remove_dir_all(&one);
@@ -353,7 +354,7 @@ fn a_damaged_step_does_not_hurt_others() {
     let steps = write_steps(dir.path(), 4);
     let out = dir.path().join("a.isospan");
     reduce_all(&steps, &few_points(), &out, &run(2));
-    let file = out.join("steps/000001/values-000000.seg");
+    let file = out.join("steps/000001-values-000000.seg");
     let good = fs::read(&file).unwrap();
     let answer = |step| Archive::open_at(&out, choice(step)).and_then(|a| a.sample([9, 9, 9]));
     let expected: Vec<Vec<f32>> = (0..4).map(|s| answer(s).unwrap()).collect();
@@ -366,7 +367,7 @@ fn a_damaged_step_does_not_hurt_others() {
     assert_eq!(pipeline::check_archive(&out).unwrap_err().exit_code(), 5);
     fs::remove_file(&file).unwrap();
     let e = answer(1).unwrap_err();
-    assert!(e.exit_code() == 3 && e.to_string().contains("steps/000001/values-000000.seg"), "{e}");
+    assert!(e.exit_code() == 3 && e.to_string().contains("steps/000001-values-000000.seg"), "{e}");
     // The same reduction makes it again, and nothing else.
     fs::remove_file(out.join("manifest.json")).unwrap();
     reduce_all(&steps, &few_points(), &out, &run(1));

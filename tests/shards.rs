@@ -260,7 +260,7 @@ fn commit_refuses_what_is_missing_damaged_or_foreign_and_deletes_nothing() {
     ok(d, &["work", "u.isospan", "--shard", "0/2"]);
     let archive = d.join("t.isospan");
     fs::remove_file(archive.join("mesh/000003.seg")).unwrap();
-    let cut = archive.join("steps/000000/values-000000.seg");
+    let cut = archive.join("steps/000000-values-000000.seg");
     fs::write(&cut, &fs::read(&cut).unwrap()[..1000]).unwrap();
     fs::copy(d.join("u.isospan/mesh/000001.seg"), archive.join("mesh/000001.seg")).unwrap();
     let flipped = archive.join("mesh/000002.seg");

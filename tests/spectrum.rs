@@ -88,7 +88,7 @@ fn nothing_but_void_has_no_spectrum() {
     let out = dir.path().join("void.isospan");
     let settings = ReduceSettings { nan: NanPolicy::Mask, ..ReduceSettings::default() };
     pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &common::run(1), &Silent).unwrap();
-    assert!(!folder(&out).keys().any(|f| f.ends_with("spectrum.seg")));
+    assert!(!folder(&out).keys().any(|f| f.ends_with("000000-spectrum.seg")));
     let spectrum = pipeline::contour_spectrum(&out).unwrap();
     assert!(spectrum.range.is_none() && spectrum.knots.is_empty());
     assert_eq!(pipeline::count_active(&out, 0.0).unwrap().active_tetrahedra, 0);

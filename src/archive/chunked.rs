@@ -32,6 +32,22 @@ impl ChunkSegmentWriter {
         Ok(Self { segment, first, block_counts: vec![], journal: None })
     }
 
+    /// As [`ChunkSegmentWriter::resume`], or without a `journal` as [`ChunkSegmentWriter::create`], where no writer has left anything.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn begin(
+        path: impl AsRef<Path>,
+        kind: SegmentKind,
+        plan: PlanHash,
+        first: ChunkId,
+        journal: bool,
+    ) -> Result<Self> {
+        let segment = SegmentWriter::create_unlooked(path, kind, plan)?;
+        let journal = journal.then(|| Journal::create(segment.temporary())).transpose()?;
+        Ok(Self { segment, first, block_counts: vec![], journal })
+    }
+
     /// Begins a segment, or goes on with what a writer left that was killed or stopped: with its chunks up to `most` that are
     /// whole ([`ChunkSegmentWriter::chunk_count`] tells how many). What this writer has written is there for the next
     /// one, chunk by chunk; other leftovers of the same segment are removed. The finished file is the same in any case.
@@ -62,9 +78,7 @@ impl ChunkSegmentWriter {
         if let Some(found) = found {
             return Ok(found);
         }
-        let mut writer = Self::create(path, kind, plan, first)?;
-        writer.journal = Some(Journal::create(writer.segment.temporary())?);
-        Ok(writer)
+        Self::begin(path, kind, plan, first, true)
     }
 
     fn adopt(

@@ -38,34 +38,48 @@ pub const LARGEST_MANIFEST: u64 = 1 << 30;
 /// The most steps between a step and the keyframe that its values may go back to.
 pub const LONGEST_CHAIN: u64 = 255;
 
-/// Path of a mesh segment.
-pub fn mesh_segment_path(archive: &Path, segment: u64) -> PathBuf {
-    archive.join(format!("mesh/{segment:06}.seg"))
+/// Folder of the mesh.
+pub fn mesh_folder(archive: &Path) -> PathBuf {
+    archive.join("mesh")
 }
 
-/// Folder of a step's files.
-pub fn step_folder(archive: &Path, step: u64) -> PathBuf {
-    archive.join(format!("steps/{step:06}"))
+/// Path of a mesh segment.
+pub fn mesh_segment_path(archive: &Path, segment: u64) -> PathBuf {
+    mesh_folder(archive).join(format!("{segment:06}.seg"))
+}
+
+/// Folder of the files of all steps.
+pub fn steps_folder(archive: &Path) -> PathBuf {
+    archive.join("steps")
+}
+
+/// What the names of a step's files begin with.
+pub fn step_prefix(step: u64) -> String {
+    format!("{step:06}-")
+}
+
+fn of_step(archive: &Path, step: u64, name: &str) -> PathBuf {
+    steps_folder(archive).join(step_prefix(step) + name)
 }
 
 /// Path of a value segment of a step.
 pub fn values_segment_path(archive: &Path, step: u64, segment: u64) -> PathBuf {
-    step_folder(archive, step).join(format!("values-{segment:06}.seg"))
+    of_step(archive, step, &format!("values-{segment:06}.seg"))
 }
 
 /// Path of the index of a step.
 pub fn index_path(archive: &Path, step: u64) -> PathBuf {
-    step_folder(archive, step).join("index.seg")
+    of_step(archive, step, "index.seg")
 }
 
 /// Path of the contour spectrum of a step.
 pub fn spectrum_path(archive: &Path, step: u64) -> PathBuf {
-    step_folder(archive, step).join("spectrum.seg")
+    of_step(archive, step, "spectrum.seg")
 }
 
 /// Path of the coordinates of a step's grid.
 pub fn coordinates_path(archive: &Path, step: u64) -> PathBuf {
-    step_folder(archive, step).join("coordinates.seg")
+    of_step(archive, step, "coordinates.seg")
 }
 
 /// Everything that decides the bytes of the mesh.

@@ -246,6 +246,13 @@ pub(crate) fn dead_of(path: &Path) -> Vec<Dead> {
     dead_in(folder_of(path), |name| name.starts_with(&prefix))
 }
 
+/// Whether a folder has temporaries, of writers that run or are dead. One that is not there has none.
+pub(crate) fn has_temporaries(folder: &Path) -> bool {
+    let is_one = |name: &str| name.starts_with('.') && name.contains(TEMPORARY_MARK);
+    std::fs::read_dir(folder)
+        .is_ok_and(|entries| entries.flatten().any(|e| is_one(&e.file_name().to_string_lossy())))
+}
+
 fn remove_dead(path: &Path) {
     dead_of(path).into_iter().for_each(Dead::remove);
 }

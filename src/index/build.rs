@@ -116,7 +116,7 @@ impl IndexBuilder {
         if self.spill.is_some() {
             self.spill_all()?;
         }
-        let mut out = SegmentWriter::create(path, SegmentKind::Index, plan)?;
+        let mut out = SegmentWriter::create_unlooked(path, SegmentKind::Index, plan)?;
         if let Some(spill) = self.spill {
             out.push_block(&root_block(self.len, spill.bounds()))?;
             spill.write(self.entries, self.capacity, &mut out)?;

@@ -47,12 +47,8 @@ impl Field for CellField<'_> {
     }
 
     fn interpolated(&self, _mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
-        let value = |spot: &Spot| match &spot.at {
-            Place::Nowhere => Ok(f32::NAN),
-            Place::Cell(found) => self.value(found),
-            Place::Boundary(place) => self.on_boundary(place),
-        };
-        placement.spots.iter().map(value).collect()
+        let at_hand = AtHand::of(self)?;
+        Ok(placement.spots.iter().map(|spot| at_hand.value(&spot.at)).collect())
     }
 
     fn fitted_to(&self) -> FittedTo<'_> {
@@ -155,40 +151,66 @@ impl CellField<'_> {
         }
         Ok(outside)
     }
+}
 
-    fn value(&self, found: &Found) -> Result<f32> {
-        let tet = self.store.tets.get()?[found.id as usize];
-        let values = self.values.get()?;
-        let at = tet.map(|v| f64::from(values[v as usize]));
-        Ok(match (self.interpolation, &self.gradients) {
-            (Interpolation::QuadraticThesis, _) => quadratic_thesis(&found.weights, &at),
-            (Interpolation::Quadratic, Some(gradients)) => {
-                quadratic(&found.weights, &self.corners(tet, gradients.get()?)?)
-            }
-            _ => linear(&found.weights, &at),
-        } as f32)
+/// What values are made from, at hand.
+struct AtHand<'a> {
+    interpolation: Interpolation,
+    tets: &'a [[u64; 4]],
+    positions: &'a [FinePos],
+    values: &'a [f32],
+    gradients: Option<&'a [[f64; 3]]>,
+}
+
+impl<'a> AtHand<'a> {
+    fn of(field: &'a CellField<'_>) -> Result<Self> {
+        Ok(Self {
+            interpolation: field.interpolation,
+            tets: field.store.tets.get()?,
+            positions: field.store.positions.get()?,
+            values: field.values.get()?,
+            gradients: field.gradients.as_ref().map(Column::get).transpose()?,
+        })
     }
 
-    fn corners<const N: usize>(&self, vertices: [u64; N], gradients: &[[f64; 3]]) -> Result<[Corner; N]> {
-        let (positions, values) = (self.store.positions.get()?, self.values.get()?);
-        Ok(vertices.map(|v| Corner {
-            position: positions[v as usize].map(|c| c as f64),
-            value: f64::from(values[v as usize]),
+    fn value(&self, place: &Place) -> f32 {
+        match place {
+            Place::Nowhere => f32::NAN,
+            Place::Cell(found) => self.in_cell(found),
+            Place::Boundary(place) => self.on_boundary(place),
+        }
+    }
+
+    fn in_cell(&self, found: &Found) -> f32 {
+        let tet = self.tets[found.id as usize];
+        let at = tet.map(|v| f64::from(self.values[v as usize]));
+        (match (self.interpolation, self.gradients) {
+            (Interpolation::QuadraticThesis, _) => quadratic_thesis(&found.weights, &at),
+            (Interpolation::Quadratic, Some(gradients)) => {
+                quadratic(&found.weights, &self.corners(tet, gradients))
+            }
+            _ => linear(&found.weights, &at),
+        }) as f32
+    }
+
+    fn corners<const N: usize>(&self, vertices: [u64; N], gradients: &[[f64; 3]]) -> [Corner; N] {
+        vertices.map(|v| Corner {
+            position: self.positions[v as usize].map(|c| c as f64),
+            value: f64::from(self.values[v as usize]),
             gradient: gradients[v as usize],
-        }))
+        })
     }
 
     /// As in a tetrahedron with the triangle as one of its faces.
-    fn on_boundary(&self, place: &OnBoundary) -> Result<f32> {
-        let values = self.values.get()?;
-        let [a, b, c] = place.triangle.map(|v| f64::from(values[v as usize]));
+    fn on_boundary(&self, place: &OnBoundary) -> f32 {
+        let [a, b, c] = place.triangle.map(|v| f64::from(self.values[v as usize]));
         let weights = [place.weights[0], place.weights[1], place.weights[2], 0.0];
-        Ok(match (self.interpolation, &self.gradients) {
+        (match (self.interpolation, self.gradients) {
             (Interpolation::Quadratic, Some(gradients)) => {
-                let [a, b, c] = self.corners(place.triangle, gradients.get()?)?;
+                let [a, b, c] = self.corners(place.triangle, gradients);
                 quadratic(&weights, &[a, b, c, Corner::default()])
             }
             _ => linear(&weights, &[a, b, c, 0.0]),
-        } as f32)
+        }) as f32
     }
 }

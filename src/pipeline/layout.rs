@@ -1,8 +1,10 @@
 //! Where the files of an archive are.
 
-use crate::archive::manifest::{self, StepPlan};
+use crate::archive::manifest;
 use crate::archive::publish::sync_folders;
-use crate::error::Result;
+use crate::error::{Error, Result};
+use std::fs;
+use std::io::ErrorKind;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -27,24 +29,46 @@ impl Layout {
         Self { step, ..self.clone() }
     }
 
-    /// The folder of the step.
-    pub(crate) fn step_folder(&self) -> PathBuf {
-        manifest::step_folder(&self.root, self.step)
+    /// The folder of the files of all steps.
+    pub(crate) fn steps_folder(&self) -> PathBuf {
+        manifest::steps_folder(&self.root)
+    }
+
+    /// Removes all files of the step.
+    pub(crate) fn remove_step(&self) -> Result<()> {
+        let (folder, prefix) = (self.steps_folder(), manifest::step_prefix(self.step));
+        let entries = match fs::read_dir(&folder) {
+            Err(e) if e.kind() == ErrorKind::NotFound => return Ok(()),
+            entries => entries.map_err(|e| Error::io("list", &folder, e))?,
+        };
+        for entry in entries {
+            let entry = entry.map_err(|e| Error::io("list", &folder, e))?;
+            // Names of temporaries begin with a dot.
+            if entry.file_name().to_string_lossy().trim_start_matches('.').starts_with(&prefix) {
+                fs::remove_file(entry.path()).map_err(|e| Error::io("remove", entry.path(), e))?;
+            }
+        }
+        Ok(())
     }
 
     pub(crate) fn root(&self) -> &Path {
         &self.root
     }
 
-    /// Makes the names of all files durable that the mesh and these steps have, before something names them. A shard without segments has made no folder
-    /// of its steps.
-    pub(crate) fn sync<'a>(&self, steps: impl IntoIterator<Item = &'a StepPlan>) -> Result<()> {
-        let mesh = self.mesh(0).parent().map(Path::to_path_buf);
-        let of_steps: Vec<PathBuf> =
-            steps.into_iter().map(|step| self.at(step.number).step_folder()).collect();
-        let all = of_steps.first().and_then(|folder| folder.parent()).map(Path::to_path_buf);
-        let folders = mesh.into_iter().chain(of_steps).chain(all).chain([self.root.clone()]);
-        sync_folders(folders.filter(|folder| folder.exists()))
+    /// Makes the folders of the mesh and of the steps.
+    pub(crate) fn make_folders(&self) -> Result<()> {
+        let make =
+            |folder| fs::create_dir_all(&folder).map_err(|e| Error::io("create the folder", folder, e));
+        [self.mesh_folder(), self.steps_folder()].into_iter().try_for_each(make)
+    }
+
+    /// Makes the names of all files durable that the mesh and steps have, before something names them.
+    pub(crate) fn sync(&self) -> Result<()> {
+        sync_folders([self.mesh_folder(), self.steps_folder(), self.root.clone()])
+    }
+
+    pub(crate) fn mesh_folder(&self) -> PathBuf {
+        manifest::mesh_folder(&self.root)
     }
 
     pub(crate) fn segment_count(&self) -> u64 {

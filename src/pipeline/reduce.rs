@@ -11,7 +11,7 @@ use super::measure::{MeasureSettings, reopened_errors};
 use super::need::{self, Estimate, Need, Question};
 use super::open::{OpenArchive, StepSummary};
 use super::placed::write_coordinates;
-use super::plan::{MeshParts, Plan, ReduceSettings, parts};
+use super::plan::{MeshParts, ReduceSettings, parts};
 use super::reduce_mesh;
 use super::series::{Making, Means, Outcome, PlannedSource, SeriesPlan};
 use super::steps::StepChoice;
@@ -178,8 +178,12 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     let mesh = parts(&series.plan.mesh, series.beside.clone())?;
     let need = need_of(&mesh, series.plan.steps.len(), job.run.memory, job.run);
     estimate_of(&series, &need, job.out, job.run)?.check()?;
-    let shares = need.shares(job.run.memory, threads(job.run))?;
-    let fields = VolumeFields::new(job.settings, job.run, job.progress);
+    // Small copies of inputs are made in memory where that leaves as many threads at work.
+    let (memory, workers) = (job.run.memory, threads(job.run));
+    let rest = memory - PlannedSource::small_copies(&series.sources, need.steps()).min(memory);
+    let in_memory = need.comfortable(workers) <= rest;
+    let shares = need.shares(if in_memory { rest } else { memory }, workers)?;
+    let fields = VolumeFields::new(job.settings, job.run, job.progress, in_memory);
     let inner_points = mesh.points.interior_len();
     let bound = series.bound;
     let report = ReduceReport { samples, seconds, inner_points, bound, ..ReduceReport::default() };
@@ -221,7 +225,7 @@ pub(super) fn produce(
     push_times(&mut report.seconds, &made);
     report.taken_chunks = made.taken;
     if let Part::Shard(..) = job.part {
-        layout.sync(&series.plan.steps)?;
+        layout.sync()?;
         return Ok(ReduceReport { points: making.points(), ..report });
     }
     let publishing = Publishing {
@@ -235,7 +239,7 @@ pub(super) fn produce(
     };
     let report = publishing.publish(&series, made, report)?;
     // What earlier runs that were killed have left. Where others may be at work, gc removes it.
-    sweep(&layout, &series.plan);
+    sweep(&layout);
     Ok(finished(report, job.started))
 }
 
@@ -245,8 +249,6 @@ pub(super) fn grid_coordinates(series: &SeriesPlan, layout: &Layout) -> Result<O
     if step.source.mesh.is_some() {
         return Ok(None);
     }
-    let folder = layout.at(step.number).step_folder();
-    fs::create_dir_all(&folder).map_err(|e| Error::io("create the folder", &folder, e))?;
     write_coordinates(source, &series.plan, layout)
 }
 
@@ -293,7 +295,7 @@ impl Publishing<'_> {
             let text = "another run has changed the archive meanwhile: run the same command again";
             return Err(Error::io("add steps to", layout.root(), std::io::Error::other(text)));
         }
-        layout.sync(&plan.steps)?;
+        layout.sync()?;
         made.manifest(plan).write(layout.root())?;
         completed(&made, before, series, layout, report)
     }
@@ -360,11 +362,9 @@ fn completed(
 }
 
 /// Removes what earlier runs that were killed have left.
-pub(super) fn sweep(layout: &Layout, plan: &Plan) {
-    let mesh = layout.mesh(0);
-    let folder = mesh.parent().expect("a segment lies in a folder of the archive");
-    [layout.root(), folder].into_iter().for_each(publish::sweep);
-    plan.steps.iter().for_each(|s| publish::sweep(&layout.at(s.number).step_folder()));
+pub(super) fn sweep(layout: &Layout) {
+    let folders = [layout.root().to_path_buf(), layout.mesh_folder(), layout.steps_folder()];
+    folders.iter().for_each(|folder| publish::sweep(folder));
 }
 
 /// Tells what a reduction would need, without beginning it.
@@ -493,9 +493,7 @@ pub(super) fn prepare_folder(layout: &Layout, run: &RunSettings) -> Result<()> {
             fs::remove_dir_all(folder).map_err(|e| Error::io("remove", folder, e))?;
         }
     }
-    let mesh = layout.mesh(0);
-    let folder = mesh.parent().expect("a segment lies in a folder of the archive");
-    fs::create_dir_all(folder).map_err(|e| Error::io("create the folder", folder, e))
+    layout.make_folders()
 }
 
 /// A stream is copied into bricks first; the copy is removed when the second value is dropped.

@@ -39,7 +39,6 @@ use crate::formats::StepSource;
 use crate::grid::ChunkId;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::fs;
 use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
@@ -67,6 +66,8 @@ pub(super) struct PlannedSource {
     pub(super) copying: u64,
 }
 
+/// Bytes of a copy that is made in memory, at most, where there is enough of that.
+const SMALL_COPY: u64 = 4 << 20;
 /// Bytes of copies that are on the disk at a time, where there is more than one.
 const COPIES_TOGETHER: u64 = 256 << 20;
 
@@ -74,6 +75,17 @@ impl PlannedSource {
     /// Whether these may be made in one pass.
     fn fit_together(sources: &[Self]) -> bool {
         sources.len() == 1 || sources.iter().map(|s| s.copied).fold(0, u64::saturating_add) <= COPIES_TOGETHER
+    }
+
+    /// Whether its copy is small.
+    pub(super) fn is_small(&self) -> bool {
+        self.copied <= SMALL_COPY
+    }
+
+    /// Bytes of the small copies of so many steps at a time, at most.
+    pub(super) fn small_copies(sources: &[Self], at_once: usize) -> u64 {
+        let largest = sources.iter().filter(|s| s.is_small()).map(|s| s.copied).max().unwrap_or(0);
+        largest * at_once.min(sources.len()) as u64
     }
 
     /// Bytes of the copies that are on the disk at a time, at most.
@@ -137,10 +149,7 @@ impl SeriesPlan {
         for (n, reason) in bad.into_iter().rev() {
             let (step, source) = (self.plan.steps.remove(n), self.sources.remove(n));
             self.skip(step.number, &source.source, reason);
-            let folder = layout.at(step.number).step_folder();
-            if folder.exists() {
-                fs::remove_dir_all(&folder).map_err(|e| Error::io("remove", &folder, e))?;
-            }
+            layout.at(step.number).remove_step()?;
         }
         self.connect()
     }
@@ -295,8 +304,6 @@ impl Making<'_> {
                 let bad = is_of_data(&error).then(|| (n, error.to_string()));
                 Failed { bad: bad.into_iter().collect(), error: Box::new(error) }
             })?);
-            let folder = self.layout.at(number).step_folder();
-            fs::create_dir_all(&folder).map_err(|e| Error::io("create the folder", &folder, e))?;
         }
         let steps_work: Vec<StepWork<'_>> = steps
             .clone()

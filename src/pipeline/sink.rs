@@ -6,6 +6,7 @@ use super::make::Product;
 use super::work::{StageTimes, Work};
 use crate::archive::chunked::ChunkSegmentWriter;
 use crate::archive::manifest::StepPlan;
+use crate::archive::publish::has_temporaries;
 use crate::archive::segment::{PlanHash, SegmentKind};
 use crate::error::Result;
 use crate::grid::ChunkId;
@@ -17,6 +18,11 @@ use std::time::Instant;
 pub(super) fn is_done(work: &Work<'_>, segment: u64) -> bool {
     let chunks = work.layout.chunks_of(segment);
     Part::all(work).all(|part| part.is_whole(work, segment, &chunks))
+}
+
+/// Whether writers that run, or were killed, have left files: looked up once, for the folder of the steps may have many.
+pub(super) fn left(layout: &Layout) -> bool {
+    [layout.mesh_folder(), layout.steps_folder()].iter().any(|folder| has_temporaries(folder))
 }
 
 /// Whether the mesh of some segments is there.
@@ -68,25 +74,29 @@ impl Part {
         is_whole(&self.path(work, segment), kind, hash, chunks)
     }
 
-    /// A writer that goes on behind at most `most` chunks; `None` when the file is whole already: a run was killed between
-    /// two of them.
+    /// A writer that goes on behind at most `most` chunks, where writers may have `left` some; `None` when the file is whole already: a run was
+    /// killed between two of them.
     fn resume(
         self,
         work: &Work<'_>,
         segment: u64,
         chunks: &Range<u64>,
         most: u64,
+        left: bool,
     ) -> Result<Option<ChunkSegmentWriter>> {
         if self.is_whole(work, segment, chunks) {
             return Ok(None);
         }
         let (kind, hash) = self.kind(work);
-        let path = self.path(work, segment);
-        if chunks.end - chunks.start == 1 {
-            // It is published as soon as it is written: there is nothing to go on with, and no need of a journal.
-            return ChunkSegmentWriter::create(path, kind, hash, ChunkId(chunks.start)).map(Some);
+        let (path, first) = (self.path(work, segment), ChunkId(chunks.start));
+        // One of a chunk is published as soon as it is written: there is nothing to go on with, and no need of a journal.
+        let several = chunks.end - chunks.start > 1;
+        match (left, several) {
+            (false, journal) => ChunkSegmentWriter::begin(path, kind, hash, first, journal),
+            (true, false) => ChunkSegmentWriter::create(path, kind, hash, first),
+            (true, true) => ChunkSegmentWriter::resume(path, kind, hash, first, most),
         }
-        ChunkSegmentWriter::resume(path, kind, hash, ChunkId(chunks.start), most).map(Some)
+        .map(Some)
     }
 
     /// The blocks that a product has for the file.
@@ -105,11 +115,17 @@ pub(super) struct Sink {
 }
 
 impl Sink {
-    /// Goes on behind the chunks that an earlier run has left in all files; also tells how many these are.
-    pub(super) fn resume(work: &Work<'_>, segment: u64, chunks: &Range<u64>) -> Result<(Self, u64)> {
+    /// Goes on behind the chunks that an earlier run has left in all files; also tells how many these are. `left`: whether anything was
+    /// [`left`].
+    pub(super) fn resume(
+        work: &Work<'_>,
+        segment: u64,
+        chunks: &Range<u64>,
+        left: bool,
+    ) -> Result<(Self, u64)> {
         let all = chunks.end - chunks.start;
         let count = |w: &Option<ChunkSegmentWriter>| w.as_ref().map_or(all, ChunkSegmentWriter::chunk_count);
-        let open = |part: Part| Ok((part, part.resume(work, segment, chunks, all)?));
+        let open = |part: Part| Ok((part, part.resume(work, segment, chunks, all, left)?));
         let mut files: Vec<(Part, Option<ChunkSegmentWriter>)> =
             Part::all(work).map(open).collect::<Result<_>>()?;
         // Of a file that is whole nothing is written again; the others need all chunks behind their last common one.
@@ -117,7 +133,7 @@ impl Sink {
         for (part, writer) in &mut files {
             if writer.is_some() && count(writer) > done {
                 *writer = None;
-                *writer = part.resume(work, segment, chunks, done)?;
+                *writer = part.resume(work, segment, chunks, done, true)?;
             }
         }
         Ok((Self { files, times: StageTimes::default() }, done))

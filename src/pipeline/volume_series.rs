@@ -21,7 +21,8 @@ use crate::error::{Error, Result};
 use crate::exec::Progress;
 use crate::formats::{self, Input, StepSource, UnpackedFrames};
 use crate::grid::Geometry;
-use crate::volume::{VolumeInfo, VolumeSource};
+use crate::volume::unpacked::unpack;
+use crate::volume::{VolumeInfo, VolumeReader, VolumeSource};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -313,6 +314,8 @@ pub(super) struct VolumeFields<'a> {
     pub(super) settings: &'a ReduceSettings,
     pub(super) run: &'a RunSettings,
     pub(super) progress: &'a dyn Progress,
+    /// Whether small copies are made in memory.
+    in_memory: bool,
     unpacked: Mutex<Option<(PathBuf, Arc<UnpackedFrames>)>>,
 }
 
@@ -321,8 +324,9 @@ impl<'a> VolumeFields<'a> {
         settings: &'a ReduceSettings,
         run: &'a RunSettings,
         progress: &'a dyn Progress,
+        in_memory: bool,
     ) -> Self {
-        Self { settings, run, progress, unpacked: Mutex::default() }
+        Self { settings, run, progress, in_memory, unpacked: Mutex::default() }
     }
 
     /// The copy of a packed file: the one that was made last, or a new one.
@@ -351,8 +355,12 @@ impl Fields for VolumeFields<'_> {
             let (expected, got) = (shape(step.source.dims), shape(volume.info().dims));
             return Err(Error::bad_input(&source.path, "dimensions", expected, got));
         }
-        let (reader, scratch) = match series.sources[n].shared_copy {
-            0 => random_access(volume, self.run, self.progress)?,
+        let planned = &series.sources[n];
+        let (reader, scratch) = match (planned.shared_copy, volume) {
+            (0, VolumeSource::Stream(stream)) if self.in_memory && planned.is_small() => {
+                (Box::new(unpack(stream)?) as Box<dyn VolumeReader>, None)
+            }
+            (0, volume) => random_access(volume, self.run, self.progress)?,
             _ => (self.unpacked(source)?.open(&step.source.field)?, None),
         };
         Ok(Box::new(GridField {

@@ -20,7 +20,7 @@ use super::make::{Product, Rooms, make_chunk};
 use super::need::{self, Shares};
 use super::open::OpenArchive;
 use super::rounds::Taken;
-use super::sink::{Sink, is_done};
+use super::sink::{Sink, is_done, left};
 use super::spectrum::Meter;
 use crate::archive::manifest::{Plan as MeshPlan, StepPlan};
 use crate::archive::segment::PlanHash;
@@ -151,7 +151,7 @@ fn feed(
     to_pool: &channel::Sender<(u64, Chunk, Permit)>,
     to_sinks: &channel::Sender<(Sink, u64)>,
 ) -> Result<()> {
-    let mut number = 0;
+    let (mut number, left) = (0, left(work.layout));
     for segment in work.segments.clone() {
         work.cancel.check()?;
         let chunks = work.layout.chunks_of(segment);
@@ -159,7 +159,7 @@ fn feed(
             work.progress.advance(points_in(work, &chunks));
             continue;
         }
-        let (sink, done) = Sink::resume(work, segment, &chunks)?;
+        let (sink, done) = Sink::resume(work, segment, &chunks, left)?;
         let first = chunks.start + done;
         work.progress.advance(points_in(work, &(chunks.start..first)));
         if to_sinks.send((sink, chunks.end - first)).is_err() {

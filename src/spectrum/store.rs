@@ -22,7 +22,7 @@ impl SpectrumBuilder {
     /// # Errors
     /// When the file cannot be written.
     pub fn finish(&self, path: impl AsRef<Path>, plan: PlanHash) -> Result<SegmentInfo> {
-        let mut out = SegmentWriter::create(path, SegmentKind::Spectrum, plan)?;
+        let mut out = SegmentWriter::create_unlooked(path, SegmentKind::Spectrum, plan)?;
         self.blocks().try_for_each(|block| out.push_block(&block).map(drop))?;
         out.finish()
     }

@@ -1,11 +1,12 @@
 //! Volumes: what a reader tells of a structured scalar field, and how its samples are had.
 //!
 //! A format of `formats/` gives either random access (a mapped file, [`VolumeReader`]) or a sequence of slabs
-//! ([`SlabStream`]: compressed or text files). A stream is turned into random access by [`bricked`], once.
+//! ([`SlabStream`]: compressed or text files). A stream is turned into random access by [`bricked`], once; a small one in memory.
 
 pub mod bricked;
 pub mod slabs;
 pub mod strided;
+pub(crate) mod unpacked;
 
 use crate::error::Result;
 use crate::grid::{Geometry, IndexBox};

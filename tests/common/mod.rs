@@ -262,13 +262,13 @@ pub(crate) fn reseal_all(
     let step = &mut manifest.steps[0];
     let hash = step.plan.hash(manifest.plan_hash);
     let files = [
-        ("values-000000.seg", SegmentKind::Values),
-        ("index.seg", SegmentKind::Index),
-        ("spectrum.seg", SegmentKind::Spectrum),
+        ("000000-values-000000.seg", SegmentKind::Values),
+        ("000000-index.seg", SegmentKind::Index),
+        ("000000-spectrum.seg", SegmentKind::Spectrum),
     ];
     // A small archive has values alone.
     let [values, index, spectrum] = files.map(|(file, kind)| {
-        let path = archive.join("steps/000000").join(file);
+        let path = archive.join("steps").join(file);
         path.exists().then(|| reseal(&path, kind, hash, |n, b| edit(kind, n, b)))
     });
     (step.values[0].info, step.index, step.spectrum) = (values.expect("values are there"), index, spectrum);

@@ -149,13 +149,13 @@ impl Archive {
         let (good, copy) = (folder.join("good.isospan"), folder.join("copy.isospan"));
         let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };
         pipeline::reduce(&input, &options, &settings, &good, &RunSettings::default(), &Silent)?;
-        let step = "steps/000000";
+        let step = "steps/000000-";
         let names = [
             MANIFEST_NAME.into(),
             "mesh/000000.seg".into(),
-            format!("{step}/values-000000.seg"),
-            format!("{step}/index.seg"),
-            format!("{step}/spectrum.seg"),
+            format!("{step}values-000000.seg"),
+            format!("{step}index.seg"),
+            format!("{step}spectrum.seg"),
         ];
         let mut files = vec![];
         for name in names.map(PathBuf::from) {

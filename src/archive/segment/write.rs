@@ -27,7 +27,19 @@ impl SegmentWriter {
     /// When the temporary file cannot be made.
     pub fn create(path: impl AsRef<Path>, kind: SegmentKind, plan: PlanHash) -> Result<Self> {
         let path = path.as_ref().to_path_buf();
-        let out = Unpublished::create(&path)?;
+        Self::begin(Unpublished::create(&path)?, path, kind, plan)
+    }
+
+    /// As [`SegmentWriter::create`], without looking in its folder, which may have many files, for what dead writers of it left.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn create_unlooked(path: impl AsRef<Path>, kind: SegmentKind, plan: PlanHash) -> Result<Self> {
+        let path = path.as_ref().to_path_buf();
+        Self::begin(Unpublished::begin(&path)?, path, kind, plan)
+    }
+
+    fn begin(out: Unpublished, path: PathBuf, kind: SegmentKind, plan: PlanHash) -> Result<Self> {
         let mut writer = Self { out, path, hash: Xxh3Default::new(), offset: 0, entries: vec![] };
         writer.put(&header(kind as u32, plan))?;
         Ok(writer)
