@@ -246,11 +246,22 @@ pub(crate) fn dead_of(path: &Path) -> Vec<Dead> {
     dead_in(folder_of(path), |name| name.starts_with(&prefix))
 }
 
-/// Whether a folder has temporaries, of writers that run or are dead. One that is not there has none.
-pub(crate) fn has_temporaries(folder: &Path) -> bool {
-    let is_one = |name: &str| name.starts_with('.') && name.contains(TEMPORARY_MARK);
-    std::fs::read_dir(folder)
-        .is_ok_and(|entries| entries.flatten().any(|e| is_one(&e.file_name().to_string_lossy())))
+/// Temporaries in some folders, of writers that run or are dead, looked up once: a folder may have many files, of which each has its own writer.
+pub(crate) struct Left(Vec<String>);
+
+impl Left {
+    /// In these folders; one that cannot be listed has none.
+    pub(crate) fn in_folders(folders: &[PathBuf]) -> Self {
+        let entries = folders.iter().filter_map(|folder| std::fs::read_dir(folder).ok()).flatten().flatten();
+        let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+        Self(names.filter(|name| name.starts_with('.') && name.contains(TEMPORARY_MARK)).collect())
+    }
+
+    /// Whether there was one of this file.
+    pub(crate) fn has(&self, path: &Path) -> bool {
+        let prefix = path.file_name().map(|name| format!(".{}{TEMPORARY_MARK}", name.to_string_lossy()));
+        prefix.is_some_and(|prefix| self.0.iter().any(|name| name.starts_with(&prefix)))
+    }
 }
 
 fn remove_dead(path: &Path) {
@@ -352,10 +363,10 @@ mod tests {
         let path = dir.path().join("a.seg");
         let name = |host: &str, process: u32| dir.path().join(format!(".a.seg.tmp-{host}-{process}-0"));
         // Process numbers are below 2^22 on Linux.
-        let dead = name(&host(), 1 << 30);
+        let dead = name(host(), 1 << 30);
         let others = [
             name("elsewhere", 1 << 30),
-            name(&host(), 1),
+            name(host(), 1),
             dir.path().join(format!(".b.seg.tmp-{}-{}-0", host(), 1 << 30)),
             dir.path().join("a.seg.tmp"),
         ];

@@ -30,13 +30,13 @@ use crate::domain::identity::Identity;
 use crate::domain::store::{CellStore, StoreSettings};
 use crate::domain::vertices::Vertices;
 use crate::error::{Error, Result};
-use crate::formats::{self, Input, StepSource};
+use crate::formats::{self, Input, OpenOptions, StepSource};
 use crate::grid::BrickGrid;
 use crate::pipeline::fingerprint::fingerprint;
 use crate::points::Levels;
 use crate::sample::Interpolation;
 use std::path::PathBuf;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// A mesh made ready.
 pub(super) struct Prepared {
@@ -103,6 +103,26 @@ fn open_mesh_of(source: &StepSource) -> Result<CellMesh> {
             let expected = "a mesh, as other steps are";
             Err(Error::bad_input(&source.path, "kind of file", expected, "a volume"))
         }
+    }
+}
+
+/// The file of a mesh that was opened last: its other fields are had without reading its head again.
+pub(super) struct LastMesh {
+    source: StepSource,
+    mesh: CellMesh,
+}
+
+impl LastMesh {
+    fn new(source: &StepSource, mesh: &CellMesh) -> Self {
+        Self { source: source.clone(), mesh: mesh.clone() }
+    }
+
+    /// The mesh of a source that is another field of this file; `None` of another file.
+    fn of(&self, source: &StepSource) -> Option<Result<CellMesh>> {
+        let fieldless = |s: &StepSource| OpenOptions { field: None, ..s.options.clone() };
+        let is_same = self.source.path == source.path && fieldless(&self.source) == fieldless(source);
+        let name = source.options.field.as_ref().filter(|_| is_same)?;
+        Some(self.mesh.with_field(name))
     }
 }
 
@@ -268,6 +288,7 @@ fn plan_steps(
     let repeated = (store.firsts.repeated > 0).then(|| Arc::clone(&store.firsts));
     let mut planner = StepPlanner {
         common: archive.map_or_else(|| Common::of_store(first, store), Common::of_archive),
+        last: None,
         template: plan.first().clone(),
         read: (first.info().path.clone(), store.identity),
         store,
@@ -311,6 +332,7 @@ fn plan_steps(
 /// Plans one step after another.
 struct StepPlanner<'a> {
     common: Common,
+    last: Option<LastMesh>,
     /// What all steps have in common.
     template: StepPlan,
     /// The file whose points and cells were read last, which may have many steps.
@@ -322,7 +344,11 @@ struct StepPlanner<'a> {
 
 impl StepPlanner<'_> {
     fn step(&mut self, number: u64, source: &StepSource) -> Result<StepPlan> {
-        let mesh = open_mesh_of(source)?;
+        let mesh = match self.last.as_ref().and_then(|last| last.of(source)) {
+            Some(mesh) => mesh?,
+            None => open_mesh_of(source)?,
+        };
+        self.last = Some(LastMesh::new(source, &mesh));
         if self.read.0 != mesh.info().path {
             self.common.check_number(&mesh)?;
             self.read = (mesh.info().path.clone(), Identity::of(&mesh, self.how.cancel)?);
@@ -384,12 +410,25 @@ pub(super) struct MeshFields<'a> {
     pub(super) fitted_to: Option<&'a Vertices>,
     pub(super) bricks: BrickGrid,
     pub(super) settings: StoreSettings<'a>,
+    pub(super) last: Mutex<Option<LastMesh>>,
+}
+
+impl MeshFields<'_> {
+    fn open_mesh(&self, source: &StepSource) -> Result<CellMesh> {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mesh = match last.as_ref().and_then(|last| last.of(source)) {
+            Some(mesh) => mesh?,
+            None => formats::open_mesh(&source.path, &source.options)?,
+        };
+        *last = Some(LastMesh::new(source, &mesh));
+        Ok(mesh)
+    }
 }
 
 impl Fields for MeshFields<'_> {
     fn open<'a>(&'a self, series: &SeriesPlan, n: usize) -> Result<Box<dyn Field + 'a>> {
         let source = &series.sources[n].source;
-        let mesh = formats::open_mesh(&source.path, &source.options)?;
+        let mesh = self.open_mesh(source)?;
         let values = self.store.values_of(&mesh, &self.settings)?;
         let interpolation = series.plan.steps[n].interpolation;
         let gradients = match interpolation {

@@ -192,10 +192,15 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
 
 /// Steps whose files are open, and whose values are made, at a time.
 pub(super) const MOST_STEPS_AT_ONCE: u64 = 16;
+/// The same where there are no more points than this: to make their mesh again, or to decode it, is then a large part of the cost.
+pub(super) const MOST_SMALL_STEPS_AT_ONCE: u64 = 64;
+const FEW_POINTS: u64 = 1 << 16;
 
 /// What the chunks need, with as many steps at a time as the memory allows.
 pub(super) fn need_of(parts: &MeshParts, steps: usize, memory: u64, run: &RunSettings) -> Need {
-    Need::of(parts).with_steps((steps as u64).min(MOST_STEPS_AT_ONCE), memory, threads(run))
+    let few = parts.points.len() <= FEW_POINTS;
+    let most = if few { MOST_SMALL_STEPS_AT_ONCE } else { MOST_STEPS_AT_ONCE };
+    Need::of(parts).with_steps((steps as u64).min(most), memory, threads(run))
 }
 
 /// Makes the archive of a series, or the job's part of it: its segments, then the manifest. Completes the report.

@@ -11,7 +11,7 @@ use super::job::{Job, ReduceReport, RunSettings, finished, scratch_folder, threa
 use super::mesh_series::{MeshFields, Prepared, prepare};
 use super::need::{Estimate, Need, Question, free_bytes};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
-use super::reduce::{MOST_STEPS_AT_ONCE, folder_bytes, need_of, produce};
+use super::reduce::{MOST_SMALL_STEPS_AT_ONCE, folder_bytes, need_of, produce};
 use super::series::{Means, SeriesPlan};
 use crate::cells::CellMesh;
 use crate::domain::boundary::BoundarySamples;
@@ -21,6 +21,7 @@ use crate::domain::vertices::Vertices;
 use crate::error::{Error, Result};
 use crate::sample::{Interpolation, Values};
 use std::path::Path;
+use std::sync::Mutex;
 use std::time::Instant;
 
 /// Scratch bytes of a vertex (position in the world and on the lattice, value; to find equals, sorted in runs and merged) and of a tetrahedron
@@ -72,6 +73,7 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
         fitted_to: vertices.as_ref(),
         bricks,
         settings,
+        last: Mutex::default(),
     };
     produce(job, series, &Means { parts: &parts, fields: &fields, shares, at_once: need.steps() }, report)
 }
@@ -140,7 +142,7 @@ fn scratch_bytes([points, cells]: [u64; 2], job: &Job<'_>) -> u64 {
     let quadratic = u64::from(job.settings.interpolation == Interpolation::Quadratic);
     let fitted = u64::from(job.settings.values == Values::Fit);
     // Values and gradients of the steps that are made at a time.
-    let steps = (job.sources.len() as u64).min(MOST_STEPS_AT_ONCE);
+    let steps = (job.sources.len() as u64).min(MOST_SMALL_STEPS_AT_ONCE);
     points
         .saturating_mul(VERTEX_BYTES + fitted * FITTED_VERTEX + steps * (4 + quadratic * GRADIENT_BYTES))
         .saturating_add(cells.saturating_mul(TET_BYTES + quadratic * GRADIENT_RECORDS))

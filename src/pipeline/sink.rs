@@ -6,7 +6,7 @@ use super::make::Product;
 use super::work::{StageTimes, Work};
 use crate::archive::chunked::ChunkSegmentWriter;
 use crate::archive::manifest::StepPlan;
-use crate::archive::publish::has_temporaries;
+use crate::archive::publish::Left;
 use crate::archive::segment::{PlanHash, SegmentKind};
 use crate::error::Result;
 use crate::grid::ChunkId;
@@ -20,9 +20,9 @@ pub(super) fn is_done(work: &Work<'_>, segment: u64) -> bool {
     Part::all(work).all(|part| part.is_whole(work, segment, &chunks))
 }
 
-/// Whether writers that run, or were killed, have left files: looked up once, for the folder of the steps may have many.
-pub(super) fn left(layout: &Layout) -> bool {
-    [layout.mesh_folder(), layout.steps_folder()].iter().any(|folder| has_temporaries(folder))
+/// What writers that run, or were killed, have left of an archive.
+pub(super) fn left(layout: &Layout) -> Left {
+    Left::in_folders(&[layout.mesh_folder(), layout.steps_folder()])
 }
 
 /// Whether the mesh of some segments is there.
@@ -115,17 +115,18 @@ pub(super) struct Sink {
 }
 
 impl Sink {
-    /// Goes on behind the chunks that an earlier run has left in all files; also tells how many these are. `left`: whether anything was
-    /// [`left`].
+    /// Goes on behind the chunks that an earlier run has left in all files; also tells how many these are. `left`: what they have left.
     pub(super) fn resume(
         work: &Work<'_>,
         segment: u64,
         chunks: &Range<u64>,
-        left: bool,
+        left: &Left,
     ) -> Result<(Self, u64)> {
         let all = chunks.end - chunks.start;
         let count = |w: &Option<ChunkSegmentWriter>| w.as_ref().map_or(all, ChunkSegmentWriter::chunk_count);
-        let open = |part: Part| Ok((part, part.resume(work, segment, chunks, all, left)?));
+        let open = |part: Part| {
+            Ok((part, part.resume(work, segment, chunks, all, left.has(&part.path(work, segment)))?))
+        };
         let mut files: Vec<(Part, Option<ChunkSegmentWriter>)> =
             Part::all(work).map(open).collect::<Result<_>>()?;
         // Of a file that is whole nothing is written again; the others need all chunks behind their last common one.

@@ -159,7 +159,7 @@ fn feed(
             work.progress.advance(points_in(work, &chunks));
             continue;
         }
-        let (sink, done) = Sink::resume(work, segment, &chunks, left)?;
+        let (sink, done) = Sink::resume(work, segment, &chunks, &left)?;
         let first = chunks.start + done;
         work.progress.advance(points_in(work, &(chunks.start..first)));
         if to_sinks.send((sink, chunks.end - first)).is_err() {
