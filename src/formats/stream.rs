@@ -95,13 +95,19 @@ pub struct ByteSlabs {
     walk: SlabWalk,
     /// Decoded bytes so far, those skipped included: where an error is.
     at: u64,
+    /// Bytes that are skipped when the first slab is asked for.
+    before: u64,
 }
+
+/// Bytes that are skipped, and so looked at, when a stream is opened, at most: what many headers tell is asked of files that nobody reads then.
+const SKIPPED_AT_ONCE: u64 = 1 << 16;
 
 impl ByteSlabs {
     /// The samples that follow the first `skip` decoded bytes of a compressed range.
     ///
     /// # Errors
-    /// [`Error::BadInput`] when the range is not in the file, cannot hold so many samples, or ends before `skip`.
+    /// [`Error::BadInput`] when the range is not in the file, cannot hold so many samples, or ends before `skip`, if that is no more than a header;
+    /// else reading tells.
     pub fn new(
         info: VolumeInfo,
         source: &Arc<ByteSource>,
@@ -124,12 +130,15 @@ impl ByteSlabs {
         let walk = SlabWalk::new(info.dims, size);
         let decoded = codec.reader(source, range)?;
         let file = source.path().to_path_buf();
-        let mut slabs = Self { info, file, codec, decoded, big_endian, tail, walk, at: 0 };
-        slabs.skip(skip)?;
+        let mut slabs = Self { info, file, codec, decoded, big_endian, tail, walk, at: 0, before: skip };
+        if skip <= SKIPPED_AT_ONCE {
+            slabs.skip_before()?;
+        }
         Ok(slabs)
     }
 
-    fn skip(&mut self, bytes: u64) -> Result<()> {
+    fn skip_before(&mut self) -> Result<()> {
+        let bytes = std::mem::take(&mut self.before);
         let got = io::copy(&mut (&mut self.decoded).take(bytes), &mut io::sink());
         let got = got.map_err(|e| self.damaged(&e))?;
         self.at += got;
@@ -167,6 +176,7 @@ impl SlabStream for ByteSlabs {
     }
 
     fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
+        self.skip_before()?;
         out.clear();
         let Some(slab) = self.walk.next() else {
             if self.tail == Tail::Nothing {

@@ -9,7 +9,7 @@ use super::job::{RunSettings, scratch_folder};
 use super::open::OpenArchive;
 use super::placed::coordinate_hash;
 use super::plan::{Plan, ReduceSettings, count_of, source_of};
-use super::reduce::{copy_bytes, random_access};
+use super::reduce::{Scratch, copy_bytes, random_access};
 use super::rounds::{Frame, Round};
 use super::scan::{stream_range, value_range};
 use super::series::{Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
@@ -329,6 +329,20 @@ impl<'a> VolumeFields<'a> {
         Self { settings, run, progress, in_memory, unpacked: Mutex::default() }
     }
 
+    /// Opens a source that is read by itself, with the copy that is made of it where that is needed.
+    fn random_access(&self, planned: &PlannedSource) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
+        let source = &planned.source;
+        let Input::Volume(volume) = formats::open_input(&source.path, &source.options)? else {
+            return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
+        };
+        match volume {
+            VolumeSource::Stream(stream) if self.in_memory && planned.is_small() => {
+                Ok((Box::new(unpack(stream)?), None))
+            }
+            volume => random_access(volume, self.run, self.progress),
+        }
+    }
+
     /// The copy of a packed file: the one that was made last, or a new one.
     fn unpacked(&self, source: &StepSource) -> Result<Arc<UnpackedFrames>> {
         let mut last = self.unpacked.lock().unwrap_or_else(PoisonError::into_inner);
@@ -346,23 +360,17 @@ impl<'a> VolumeFields<'a> {
 
 impl Fields for VolumeFields<'_> {
     fn open<'a>(&'a self, series: &SeriesPlan, n: usize) -> Result<Box<dyn Field + 'a>> {
-        let source = &series.sources[n].source;
-        let Input::Volume(volume) = formats::open_input(&source.path, &source.options)? else {
-            return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
-        };
-        let step = &series.plan.steps[n];
-        if volume.info().dims != step.source.dims {
-            let (expected, got) = (shape(step.source.dims), shape(volume.info().dims));
-            return Err(Error::bad_input(&source.path, "dimensions", expected, got));
-        }
-        let planned = &series.sources[n];
-        let (reader, scratch) = match (planned.shared_copy, volume) {
-            (0, VolumeSource::Stream(stream)) if self.in_memory && planned.is_small() => {
-                (Box::new(unpack(stream)?) as Box<dyn VolumeReader>, None)
-            }
-            (0, volume) => random_access(volume, self.run, self.progress)?,
+        let (planned, step) = (&series.sources[n], &series.plan.steps[n]);
+        let source = &planned.source;
+        let (reader, scratch) = match planned.shared_copy {
+            0 => self.random_access(planned)?,
+            // Not opened by itself: a frame is found by decoding all before it.
             _ => (self.unpacked(source)?.open(&step.source.field)?, None),
         };
+        if reader.info().dims != step.source.dims {
+            let (expected, got) = (shape(step.source.dims), shape(reader.info().dims));
+            return Err(Error::bad_input(&source.path, "dimensions", expected, got));
+        }
         Ok(Box::new(GridField {
             reader,
             scratch,
