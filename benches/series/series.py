@@ -78,7 +78,7 @@ def main():
     p.add_argument("--size", type=int, default=256)
     p.add_argument("--batch", type=int, default=10)
     p.add_argument("--fraction", default="1/8")
-    p.add_argument("--values", choices=["fit", "sample"], default="sample", help="fitted values cost each step the same again")
+    p.add_argument("--values", choices=["fit", "sample"], default="sample")
     p.add_argument("--threads", default="2")
     p.add_argument("--isovalue", default="0.3")
     p.add_argument("--measure", action="store_true", help="measure each step against its samples")
