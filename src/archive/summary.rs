@@ -9,6 +9,7 @@
 
 use super::values::BLOCK_VALUES;
 use super::wire::{Cursor, Malformed};
+use crate::exec::with_vectors;
 use crate::mesh::tet::Tet;
 
 /// The mesh of a chunk.
@@ -176,11 +177,25 @@ pub type ValueRange = [f32; 2];
 
 /// The ranges of the value blocks of a chunk with these values.
 pub fn value_ranges(values: &[f32]) -> Vec<ValueRange> {
-    let none = [f32::INFINITY, f32::NEG_INFINITY];
-    // Of two zeros the first one, whatever the machine.
-    let wider = |[lo, hi]: ValueRange, &v: &f32| [if v < lo { v } else { lo }, if v > hi { v } else { hi }];
-    let range = |block: &[f32]| block.iter().fold(none, wider);
-    values.chunks(BLOCK_VALUES).map(range).collect()
+    with_vectors(
+        #[inline(always)]
+        || values.chunks(BLOCK_VALUES).map(value_range).collect(),
+    )
+}
+
+/// The range of some values. Of two zeros the first one, whatever the machine.
+#[inline(always)]
+fn value_range(values: &[f32]) -> ValueRange {
+    const LANES: usize = 32;
+    let (mut lo, mut hi) = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
+    let (rows, rest) = values.as_chunks();
+    for &row in rows {
+        (lo, hi) = (lesser(row, lo), greater(row, hi));
+    }
+    let lo = lo.iter().chain(rest).fold(f32::INFINITY, |lo, &v| if v < lo { v } else { lo });
+    let hi = hi.iter().chain(rest).fold(f32::NEG_INFINITY, |hi, &v| if v > hi { v } else { hi });
+    let first = |end: f32| if end == 0.0 { values.iter().copied().find(|v| *v == 0.0) } else { None };
+    [first(lo).unwrap_or(lo), first(hi).unwrap_or(hi)]
 }
 
 /// The same as the bytes of a block: 8 each.
@@ -248,6 +263,29 @@ mod tests {
         for wrong in [[2.0, 1.0], [f32::NAN, 1.0], [0.0, f32::NAN]] {
             let bytes: Vec<u8> = wrong.into_iter().flat_map(f32::to_le_bytes).collect();
             assert!(decode_value_ranges(&bytes, 1).is_err(), "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn ranges_are_those_of_values_taken_one_by_one() {
+        let numbers = [0.0, -0.0, 1.5, f32::NAN, -3.0, 1e-45, -1e-45, f32::MAX, f32::INFINITY];
+        let mut state = 7u32;
+        for len in [1, 31, 32, 33, 100, BLOCK_VALUES, 3000] {
+            for kinds in 1..=numbers.len() {
+                let mut next = || {
+                    state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    numbers[(state >> 16) as usize % kinds]
+                };
+                let values: Vec<f32> = (0..len).map(|_| next()).collect();
+                let none = [f32::INFINITY, f32::NEG_INFINITY];
+                let wider = |[lo, hi]: ValueRange, &v: &f32| {
+                    [if v < lo { v } else { lo }, if v > hi { v } else { hi }]
+                };
+                let one_by_one = values.chunks(BLOCK_VALUES).map(|block| block.iter().fold(none, wider));
+                let bits = |range: ValueRange| range.map(f32::to_bits);
+                let expected: Vec<_> = one_by_one.map(bits).collect();
+                assert_eq!(value_ranges(&values).into_iter().map(bits).collect::<Vec<_>>(), expected);
+            }
         }
     }
 

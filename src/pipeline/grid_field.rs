@@ -34,7 +34,8 @@ pub(super) fn treat_missing(missing: Option<f64>, stand_in: f32, samples: &mut [
     let missing = missing.map_or(f32::NAN, |m| m as f32);
     with_vectors(
         #[inline(always)]
-        || {
+        // What it compares with by value: through a reference it could be one of the samples.
+        move || {
             for v in samples {
                 *v = if v.is_finite() & (*v != missing) { *v } else { stand_in };
             }
