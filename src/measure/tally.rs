@@ -108,14 +108,15 @@ struct Recent {
 /// An [`ErrorSums`] in the making: what was added last waits in 64 bits.
 pub(crate) struct Tally {
     sums: ErrorSums,
-    /// By the upper nine bits of an error: its sign and its exponent.
-    recent: Box<[Recent; 512]>,
+    /// By the upper nine bits of an error: its sign and its exponent. Two of each, in turns: many errors have the same exponent, and the next sum need
+    /// not wait for the one before.
+    recent: Box<[[Recent; 512]; 2]>,
     waiting: usize,
 }
 
 impl Default for Tally {
     fn default() -> Self {
-        Self { sums: ErrorSums::default(), recent: Box::new([Recent::default(); 512]), waiting: 0 }
+        Self { sums: ErrorSums::default(), recent: Box::new([[Recent::default(); 512]; 2]), waiting: 0 }
     }
 }
 
@@ -136,9 +137,10 @@ impl Tally {
     fn add_errors(&mut self, some: &ComparedAt<'_>) {
         let bins: &mut [u64; 1 << (31 - BIN_SHIFT)] = (&mut self.sums.bins[..]).try_into().expect("all bins");
         let mantissas = some.mantissas.iter().step_by(some.stride);
-        for (&error, &mantissa) in some.errors.iter().step_by(some.stride).zip(mantissas) {
+        let errors = some.errors.iter().step_by(some.stride).zip(mantissas);
+        for (n, (&error, &mantissa)) in errors.enumerate() {
             bins[((error & ABSOLUTE) >> BIN_SHIFT) as usize] += 1;
-            let (mantissa, recent) = (u64::from(mantissa), &mut self.recent[(error >> 23) as usize]);
+            let (mantissa, recent) = (u64::from(mantissa), &mut self.recent[n % 2][(error >> 23) as usize]);
             recent.sum += mantissa;
             recent.squares += mantissa * mantissa;
         }
@@ -154,13 +156,15 @@ impl Tally {
 
     #[cold]
     fn flush(&mut self) {
-        let (positive, negative) = self.recent.split_at(256);
-        for (all, (plus, minus)) in self.sums.mantissas.iter_mut().zip(positive.iter().zip(negative)) {
-            all.sum += u128::from(plus.sum + minus.sum);
-            all.signed += i128::from(plus.sum) - i128::from(minus.sum);
-            all.squares += u128::from(plus.squares) + u128::from(minus.squares);
+        for recent in self.recent.iter_mut() {
+            let (positive, negative) = recent.split_at(256);
+            for (all, (plus, minus)) in self.sums.mantissas.iter_mut().zip(positive.iter().zip(negative)) {
+                all.sum += u128::from(plus.sum + minus.sum);
+                all.signed += i128::from(plus.sum) - i128::from(minus.sum);
+                all.squares += u128::from(plus.squares) + u128::from(minus.squares);
+            }
+            recent.fill(Recent::default());
         }
-        self.recent.fill(Recent::default());
         self.waiting = 0;
     }
 
