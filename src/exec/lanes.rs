@@ -15,6 +15,8 @@ pub(crate) trait Wide: Copy {
     fn plus(self, other: Self) -> Self;
     fn minus(self, other: Self) -> Self;
     fn times(self, other: Self) -> Self;
+    /// This times the one, plus the other: rounded once.
+    fn times_plus(self, factor: Self, more: Self) -> Self;
     /// This divided by the other.
     fn over(self, other: Self) -> Self;
     /// The square root.
@@ -116,6 +118,10 @@ where
         self.each(other, |a, b| a * b)
     }
     #[inline(always)]
+    fn times_plus(self, factor: Self, more: Self) -> Self {
+        Self(std::array::from_fn(|k| self.0[k].mul_add(factor.0[k], more.0[k])))
+    }
+    #[inline(always)]
     fn over(self, other: Self) -> Self {
         self.each(other, |a, b| a / b)
     }
@@ -203,6 +209,10 @@ impl<W: Four> Wide for Pair<W> {
     #[inline(always)]
     fn times(self, other: Self) -> Self {
         Self(self.0.times(other.0), self.1.times(other.1))
+    }
+    #[inline(always)]
+    fn times_plus(self, factor: Self, more: Self) -> Self {
+        Self(self.0.times_plus(factor.0, more.0), self.1.times_plus(factor.1, more.1))
     }
     #[inline(always)]
     fn over(self, other: Self) -> Self {
@@ -313,7 +323,7 @@ mod vectors {
 
     macro_rules! wide {
         (
-            $t:ident, $proof:ty, $lanes:ty, $mask:ty, $load:ident, $store:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident,
+            $t:ident, $proof:ty, $lanes:ty, $mask:ty, $load:ident, $store:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $fma:ident,
             $div:ident, $sqrt:ident, $min:ident, $max:ident
         ) => {
             impl Wide for $t {
@@ -351,6 +361,11 @@ mod vectors {
                 fn times(self, other: Self) -> Self {
                     // SAFETY: the instructions were found.
                     Self(unsafe { $mul(self.0, other.0) })
+                }
+                #[inline(always)]
+                fn times_plus(self, factor: Self, more: Self) -> Self {
+                    // SAFETY: the instructions were found.
+                    Self(unsafe { $fma(self.0, factor.0, more.0) })
                 }
                 #[inline(always)]
                 fn over(self, other: Self) -> Self {
@@ -403,6 +418,7 @@ mod vectors {
         _mm256_add_pd,
         _mm256_sub_pd,
         _mm256_mul_pd,
+        _mm256_fmadd_pd,
         _mm256_div_pd,
         _mm256_sqrt_pd,
         _mm256_min_pd,
@@ -443,6 +459,7 @@ mod vectors {
         _mm512_add_pd,
         _mm512_sub_pd,
         _mm512_mul_pd,
+        _mm512_fmadd_pd,
         _mm512_div_pd,
         _mm512_sqrt_pd,
         _mm512_min_pd,

@@ -1,19 +1,20 @@
 //! Code that the compiler makes for this machine's vectors, where it has them; the same operations, so the same bits.
 #![allow(unsafe_code)]
 
-/// Proof that the machine has AVX2, and that it may be used.
+/// Proof that the machine has AVX2 and FMA, and that they may be used.
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(());
 
 impl Avx2 {
-    /// Looks for it.
+    /// Looks for them.
     #[inline]
     pub(crate) fn found() -> Option<Self> {
         #[cfg(target_arch = "x86_64")]
-        if crate::cpu::may_use(&["AVX2", "BMI1", "BMI2"])
+        if crate::cpu::may_use(&["AVX2", "BMI1", "BMI2", "FMA"])
             && is_x86_feature_detected!("avx2")
             && is_x86_feature_detected!("bmi1")
             && is_x86_feature_detected!("bmi2")
+            && is_x86_feature_detected!("fma")
         {
             return Some(Self(()));
         }
@@ -68,13 +69,13 @@ pub(crate) fn with_avx512<T>(_: Avx512, f: impl FnOnce() -> T) -> T {
 }
 
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,bmi1,bmi2")]
+#[target_feature(enable = "avx2,bmi1,bmi2,fma")]
 fn on_avx2<T>(f: impl FnOnce() -> T) -> T {
     f()
 }
 
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512vl,avx2,bmi1,bmi2")]
+#[target_feature(enable = "avx512f,avx512vl,avx2,bmi1,bmi2,fma")]
 fn on_avx512<T>(f: impl FnOnce() -> T) -> T {
     f()
 }

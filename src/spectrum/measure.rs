@@ -144,7 +144,7 @@ struct Room<const N: usize> {
 
 impl<const N: usize> Room<N> {
     fn new() -> Box<Self> {
-        Box::new(Self { pieces: [[[0.0; N]; 13]; BATCH], spans: [[[VOID; SIDE_BY_SIDE]; 2]; BATCH] })
+        Box::new(Self { pieces: [[[0.0; N]; 12]; BATCH], spans: [[[VOID; SIDE_BY_SIDE]; 2]; BATCH] })
     }
 
     /// Tetrahedra at some steps.
@@ -159,14 +159,13 @@ impl<const N: usize> Room<N> {
     ) {
         side.will_look_at(next);
         self.gather::<S>(proof, shapes, side, tets);
-        for (lane, sums) in side.sums.iter_mut().enumerate() {
-            self.add::<K>(
-                knots,
-                tets.len(),
-                sums,
-                #[inline(always)]
-                |i| (i, lane),
-            );
+        // All steps of one, then of the next: so a sum need not wait for what was added to it just before.
+        for (pieces, [lo, hi]) in self.pieces.iter().zip(&self.spans).take(tets.len()) {
+            for (lane, sums) in side.sums.iter_mut().enumerate().take(N) {
+                if let Some((_, sums)) = &mut sums.0 {
+                    sums.add::<K, N>(knots, [lo[lane], hi[lane]], pieces, lane);
+                }
+            }
         }
     }
 

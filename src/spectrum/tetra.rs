@@ -3,13 +3,13 @@
 //! With the corner values in order, f0 <= f1 <= f2 <= f3, and `d01 = 1 / (f1 - f0)` and so on, let at an isovalue v be
 //!
 //! ```text
-//!   a   = (v - f0)·d01, at most 1      c   = (f3 - v)·d23, 1 up to f2, at least 0      t03 = (v - f0)·d03
-//!   t02 = (v - f0)·d02, at most 1      s13 = (f3 - v)·d13                              t12 = (v - f1)·d12, from 0 to 1
-//!   w   = a · c · (t02 + t12·(s13 - t02))
+//!   a   = (v - f0)·d01, at most 1              t02 = (v - f0)·d02     t03 = (v - f0)·d03
+//!   b   = (v - f1)·d12, from 0 to 1            s13 = (f3 - v)·d13
+//!   c   = (f3 - v)·d23, from 0 to b            w   = t02·(a - b) + s13·c
 //! ```
 //!
-//! Then the density of the volume over the values is `3·d03·w`, whichever of the three parabolas holds: below f1 the last factor is t02, above f2 it is s13.
-//! The share of the volume above v is `(1 - t03)·w` above f2, and `1 - (t12·(1 - s13) + t03·w)` up to there: the wedge below is three tetrahedra.
+//! Then the density of the volume over the values is `3·d03·w`, whichever of the three parabolas holds: below f1 it is t02·a, for b and c are 0; above f2 it is
+//! s13·c, for a and b are 1; between, t02·(1 - b) + s13·b. The share of the volume above v is `1 - b + s13·c - t03·w`: up to f2 the wedge below is three tetrahedra.
 //! Where two values are equal, the one over their difference is a number so large that the clamps do what the limit does, and no
 //! product overflows: differences of `f32` are at least 2^-149. So there is no branch, no NaN, and above f3 all is 0.
 //!
@@ -129,9 +129,9 @@ fn edge<W: Four>(
 }
 
 /// What the sums at the knots are made from: numbers that [`Pieces`] names, each of some tetrahedra, or of one at some steps.
-pub(super) type PiecesOf<const N: usize> = [[f64; N]; 13];
+pub(super) type PiecesOf<const N: usize> = [[f64; N]; 12];
 /// Which of them the volume is.
-pub(super) const VOLUME: usize = 10;
+pub(super) const VOLUME: usize = 9;
 
 impl<W: Wide> Shape<W> {
     /// Of tetrahedra with these corner values.
@@ -164,17 +164,18 @@ impl<W: Wide> Shape<W> {
         // One by one: an array of all would be made elsewhere, and copied.
         out[0] = f0.lanes();
         out[1] = f1.lanes();
-        out[2] = f2.lanes();
-        out[3] = f3.lanes();
-        out[4] = of_outer.times(d23).lanes();
-        out[5] = of_low.times(d03).lanes();
-        out[6] = steep.lanes();
-        out[7] = of_high.times(d13).lanes();
-        out[8] = of_high.times(d12).lanes();
-        out[9] = of_outer.times(d01).lanes();
-        out[10] = self.six.times(W::splat(proof, 1.0 / 6.0)).lanes();
-        out[11] = area.times(steep).lanes();
-        out[12] = slope.times(steep).lanes();
+        out[2] = f3.lanes();
+        // A little more, lest a clamp miss 1 for rounding: what is 0 above f3 is so exactly.
+        let more = W::splat(proof, 1.0 + 8.0 * f64::EPSILON);
+        out[3] = of_outer.times(d23).times(more).lanes();
+        out[4] = of_low.times(d03).lanes();
+        out[5] = steep.lanes();
+        out[6] = of_high.times(d13).times(more).lanes();
+        out[7] = of_high.times(d12).lanes();
+        out[8] = of_outer.times(d01).lanes();
+        out[9] = self.six.times(W::splat(proof, 1.0 / 6.0)).lanes();
+        out[10] = area.times(steep).lanes();
+        out[11] = slope.times(steep).lanes();
     }
 }
 
@@ -189,7 +190,7 @@ fn cross<W: Wide>(u: [W; 3], v: [W; 3]) -> [W; 3] {
 
 #[inline(always)]
 fn dot<W: Wide>(u: [W; 3], v: [W; 3]) -> W {
-    u[0].times(v[0]).plus(u[1].times(v[1])).plus(u[2].times(v[2]))
+    u[2].times_plus(v[2], u[1].times_plus(v[1], u[0].times(v[0])))
 }
 
 /// Sums at some knots that follow each other.
@@ -207,7 +208,6 @@ pub(super) struct Cut {
 pub(super) struct Pieces<W> {
     f0: W,
     f1: W,
-    f2: W,
     f3: W,
     d01: W,
     d02: W,
@@ -225,11 +225,10 @@ impl<W: Wide> Pieces<W> {
     /// Of one of them.
     #[inline(always)]
     pub(super) fn new<const N: usize>(proof: W::Proof, of: &PiecesOf<N>, lane: usize) -> Self {
-        let [f0, f1, f2, f3, d01, d02, d03, d12, d13, d23, volume, area, slope] = of;
+        let [f0, f1, f3, d01, d02, d03, d12, d13, d23, volume, area, slope] = of;
         Self {
             f0: W::splat(proof, f0[lane]),
             f1: W::splat(proof, f1[lane]),
-            f2: W::splat(proof, f2[lane]),
             f3: W::splat(proof, f3[lane]),
             d01: W::splat(proof, d01[lane]),
             d02: W::splat(proof, d02[lane]),
@@ -257,9 +256,9 @@ impl<W: Wide> Pieces<W> {
                 break;
             }
             let (density, above) = self.at(proof, W::of(proof, knots));
-            area[n] = W::of(proof, &area[n]).plus(self.area.times(density)).lanes();
-            inside[n] = W::of(proof, &inside[n]).plus(self.volume.times(above)).lanes();
-            slope[n] = W::of(proof, &slope[n]).plus(self.slope.times(density)).lanes();
+            area[n] = self.area.times_plus(density, W::of(proof, &area[n])).lanes();
+            inside[n] = self.volume.times_plus(above, W::of(proof, &inside[n])).lanes();
+            slope[n] = self.slope.times_plus(density, W::of(proof, &slope[n])).lanes();
         }
     }
 
@@ -268,13 +267,10 @@ impl<W: Wide> Pieces<W> {
     fn at(&self, proof: W::Proof, v: W) -> (W, W) {
         let (zero, one) = (W::splat(proof, 0.0), W::splat(proof, 1.0));
         let (t, s) = (v.minus(self.f0), self.f3.minus(v));
-        let high = self.f2.below(v);
         let a = t.times(self.d01).min(one);
-        let c = W::pick(high, s.times(self.d23).max(zero), one);
-        let (t02, t03, s13) = (t.times(self.d02).min(one), t.times(self.d03), s.times(self.d13));
-        let t12 = v.minus(self.f1).times(self.d12).max(zero).min(one);
-        let w = a.times(c).times(t02.plus(t12.times(s13.minus(t02))));
-        let below = t12.times(one.minus(s13)).plus(t03.times(w));
-        (w, W::pick(high, one.minus(t03).times(w), one.minus(below)))
+        let b = v.minus(self.f1).times(self.d12).max(zero).min(one);
+        let right = s.times(self.d13).times(s.times(self.d23).max(zero).min(b));
+        let w = t.times(self.d02).times_plus(a.minus(b), right);
+        (w, one.minus(b).plus(right).minus(t.times(self.d03).times(w)))
     }
 }
