@@ -12,8 +12,8 @@ use super::fitted::fitted;
 use super::gauge::Cells;
 use super::need::Halo;
 use super::series::of_step;
-use super::sides::Sides;
-use super::spectrum::Places;
+use super::sides::{self, Sides};
+use super::spectrum;
 use super::work::{StageTimes, StepWork, Stored, Work};
 use crate::archive::chunk::ChunkEncoder;
 use crate::archive::errors::{ChunkErrors, encode_errors};
@@ -52,7 +52,14 @@ pub(crate) struct Rooms {
 struct Desk {
     maker: Maker,
     encoder: ChunkEncoder,
-    places: Places,
+    bench: Bench,
+}
+
+/// What the values of several steps are measured in.
+#[derive(Default)]
+struct Bench {
+    sides: sides::Room,
+    spectrum: spectrum::Bench,
 }
 
 impl Rooms {
@@ -138,7 +145,7 @@ fn make_in_room(
     lap.add_to(&mut times.sample);
     let (mut mesh_blocks, ends, summary) = encode_mesh(work, &mut desk.encoder, &mut mesh, outside6);
     lap.add_to(&mut times.encode);
-    let value_blocks = encode_steps(work, &mesh, &placement, None, &ends, &mut desk.places, &mut times)?;
+    let value_blocks = encode_steps(work, &mesh, &placement, None, &ends, &mut desk.bench, &mut times)?;
     desk.maker.reuse(mesh.positions, mesh.tets);
     mesh_blocks.push(summary.encode());
     Ok(Making::Done(Product { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
@@ -171,8 +178,8 @@ fn make_from_stored(
     let vertices = mesh.positions.len();
     let before = stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
     lap.add_to(&mut times.mesh);
-    let (before, places) = (before.as_deref(), &mut desk.places);
-    let value_blocks = encode_steps(work, &mesh, &placement, before, &ends, places, &mut times)?;
+    let (before, bench) = (before.as_deref(), &mut desk.bench);
+    let value_blocks = encode_steps(work, &mesh, &placement, before, &ends, bench, &mut times)?;
     Ok(Product { points: mesh.core_len() as u64, mesh_blocks: vec![], value_blocks, times })
 }
 
@@ -222,22 +229,22 @@ fn encode_steps(
     placement: &Placement,
     before: Option<&[f32]>,
     block_ends: &[usize],
-    places: &mut Places,
+    bench: &mut Bench,
     times: &mut StageTimes,
 ) -> Result<Vec<Vec<Vec<u8>>>> {
     let mut lap = Lap(Instant::now());
     let values = values_of(work, mesh, placement)?;
     lap.add_to(&mut times.sample);
     let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
-    let sides = Sides::new(&of_steps);
+    let sides = Sides::new(&of_steps, &mut bench.sides);
     let (positions, tets) = (&*mesh.positions, &*mesh.tets);
     let errors = errors(work, &Cells { positions, tets, block_ends }, &sides)?;
     lap.add_to(&mut times.measure);
     let ranges = sides.ranges(tets, block_ends);
-    drop(sides);
+    sides.give_back(&mut bench.sides);
     let of_steps: Vec<(&[f32], &[BlockRange])> =
         of_steps.into_iter().zip(&ranges).map(|(values, ranges)| (values, &**ranges)).collect();
-    let parts = work.meter.parts(positions, tets, &of_steps, places)?;
+    let parts = work.meter.parts(positions, tets, &of_steps, &mut bench.spectrum)?;
     let (mut out, mut before) = (vec![], before);
     for (n, ((step, part), ranges)) in work.steps.iter().zip(&parts).zip(ranges).enumerate() {
         work.cancel.check()?;

@@ -449,12 +449,12 @@ impl AgainstSamples<'_> {
         let cells = Cells { positions, tets, block_ends };
         let read = |_, window, out: &mut [f32]| self.samples.read(window, out);
         if !self.mapped {
-            let mut sums = self.gauge.errors(&cells, &Sides::new(&[values]), read)?;
+            let mut sums = self.gauge.errors(&cells, &Sides::one(values), read)?;
             return Ok(Part { sums: sums.pop().expect("of one step"), ..Part::default() });
         }
         let (bricks, lattice) = (self.archive.chunks.bricks(), self.archive.manifest.plan.lattice);
         let (mut part, mut sums, dims) = (Part::default(), Tally::default(), self.gauge.dims());
-        self.gauge.each_sample(&cells, &Sides::new(&[values]), read, |m| {
+        self.gauge.each_sample(&cells, &Sides::one(values), read, |m| {
             gauge::add(&mut sums, &m, dims);
             for (n, (original, reduced)) in m.compared.pairs().enumerate() {
                 let brick = bricks.id(bricks.brick_at(lattice.of_voxel(m.place(n))));

@@ -34,10 +34,10 @@ pub(crate) const BASE: u64 = 16 << 20;
 /// what waits to be written included) and rounded up: 6.8 tetrahedra of 64 bytes, where they are meshed and stay, sort keys and sites of 100 bytes, then what fits values, finds
 /// samples and sums up the spectrum, and what the C library holds back between workers.
 const PER_POINT: u64 = 900;
-/// And for each further step its value; for each eight steps, while they are measured side by side: values, where they lie in the spectrum, counts.
+/// And for each further step its value; for each eight steps, which are measured side by side: values; values, where they lie in the spectrum, counts.
 const FURTHER_PER_POINT: u64 = 4;
-const SIDE_PER_POINT: u64 = 72;
-/// Before that, where values are fitted: fitted ones besides, and for each eight steps sums.
+const SIDE_PER_POINT: u64 = 104;
+/// Besides, where values are fitted: fitted ones, and for each eight steps sums.
 const FITTED_PER_POINT: u64 = 4;
 const SUMS_PER_POINT: u64 = 168;
 /// And whatever the number of points: the samples around a brick, the encoder's tables.
@@ -236,7 +236,8 @@ impl Need {
         let (per_point, window) = match self.window {
             0 => (further * FURTHER_PER_POINT + sides * SIDE_PER_POINT, 0),
             window => {
-                let per_point = further * (FURTHER_PER_POINT + FITTED_PER_POINT) + sides * SUMS_PER_POINT;
+                let per_point = further * (FURTHER_PER_POINT + FITTED_PER_POINT)
+                    + sides * (SIDE_PER_POINT + SUMS_PER_POINT);
                 (per_point, window.saturating_mul(4 * further))
             }
         };
@@ -487,7 +488,7 @@ mod tests {
         let least = NEED.least();
         assert_eq!(
             (steps(least - 1), steps(least), steps(least + (14 << 20)), steps(1 << 40)),
-            (1, 1, 4, 16)
+            (1, 1, 3, 16)
         );
         assert!(NEED.with_steps(16, least + (14 << 20), 1).least() <= least + (14 << 20));
     }

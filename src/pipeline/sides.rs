@@ -8,6 +8,10 @@ use crate::exec::with_vectors;
 use crate::mesh::tet::Tet;
 use std::ops::Range;
 
+/// The memory of values side by side, kept from chunk to chunk so that its pages are not asked for again.
+#[derive(Default)]
+pub(super) struct Room(Vec<Vec<[f32; 8]>>);
+
 /// The values of up to eight steps.
 pub(super) enum Side<'a> {
     One(&'a [f32]),
@@ -26,13 +30,27 @@ const MOST: usize = 8;
 
 impl<'a> Sides<'a> {
     /// Of the values of each step, as many as there are vertices.
-    pub(super) fn new(steps: &[&'a [f32]]) -> Self {
+    pub(super) fn new(steps: &[&'a [f32]], room: &mut Room) -> Self {
         let all = steps.chunks(MOST).map(|some| match *some {
             [values] => Side::One(values),
-            _ if some.len() <= 4 => Side::Four(side_by_side(some)),
-            _ => Side::Eight(side_by_side(some)),
+            _ if some.len() <= 4 => Side::Four(side_by_side(some, vec![])),
+            _ => Side::Eight(side_by_side(some, room.0.pop().unwrap_or_default())),
         });
         Self { steps: steps.len(), all: all.collect() }
+    }
+
+    /// Of the values of one step.
+    pub(super) fn one(values: &'a [f32]) -> Self {
+        Self { steps: 1, all: vec![Side::One(values)] }
+    }
+
+    /// Gives its memory back.
+    pub(super) fn give_back(self, room: &mut Room) {
+        for side in self.all {
+            if let Side::Eight(values) = side {
+                room.0.push(values);
+            }
+        }
     }
 
     /// How many steps there are.
@@ -79,8 +97,9 @@ fn push<const N: usize>(out: &mut [Vec<BlockRange>], ranges: [BlockRange; N]) {
 /// Vertices that are put side by side at a time: they fit in the nearest cache.
 const SOME: usize = 256;
 
-fn side_by_side<const N: usize>(steps: &[&[f32]]) -> Vec<[f32; N]> {
-    let mut out = vec![[0.0; N]; steps[0].len()];
+/// Lanes without a step have what was there.
+fn side_by_side<const N: usize>(steps: &[&[f32]], mut out: Vec<[f32; N]>) -> Vec<[f32; N]> {
+    out.resize(steps[0].len(), [0.0; N]);
     for (n, rows) in out.chunks_mut(SOME).enumerate() {
         for (lane, values) in steps.iter().enumerate() {
             rows.iter_mut().zip(&values[n * SOME..]).for_each(|(row, &value)| row[lane] = value);

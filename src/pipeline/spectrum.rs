@@ -13,12 +13,17 @@ use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, Geometry};
 use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::{Suggestion, suggest};
-use crate::spectrum::{ChunkPart, Knot, Limits, Vertices};
+use crate::spectrum::{ChunkPart, Knot, Limits, Room, Vertices};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Vertices of a chunk in the world, up to a shift common to all. Kept from chunk to chunk, so that its pages are not asked for again.
-pub(super) type Places = Vec<[f64; 4]>;
+/// The memory in which chunks are measured, kept from chunk to chunk so that its pages are not asked for again.
+#[derive(Default)]
+pub(super) struct Bench {
+    /// Vertices in the world, up to a shift common to all.
+    places: Vec<[f64; 4]>,
+    room: Room,
+}
 
 /// Measures chunks of a step: what that needs besides the chunk.
 pub(super) struct Meter {
@@ -57,14 +62,15 @@ impl Meter {
     }
 
     /// The parts of a chunk at some steps: all its tetrahedra, in the order in which its blocks decode; positions of its vertices, their values at each
-    /// step, with the ranges of the blocks. `places` is memory.
+    /// step, with the ranges of the blocks. `bench` is memory.
     pub(super) fn parts(
         &self,
         positions: &[LatticePos],
         tets: &[Tet],
         steps: &[(&[f32], &[BlockRange])],
-        places: &mut Places,
+        bench: &mut Bench,
     ) -> Result<Vec<ChunkPart>> {
+        let Bench { places, room } = bench;
         places.clear();
         match &self.coordinates {
             None => places.extend(positions.iter().map(|&p| four(self.place(p)))),
@@ -82,7 +88,7 @@ impl Meter {
             |ranges: &[BlockRange]| ranges.iter().fold(none, |[lo, hi], r| [lo.min(r.min), hi.max(r.max)]);
         let steps: Vec<Vertices<'_>> =
             steps.iter().map(|(values, ranges)| Vertices { values, range: all(ranges) }).collect();
-        Ok(ChunkPart::of_steps(self.limits, places, tets, &steps))
+        Ok(ChunkPart::of_steps(self.limits, places, tets, &steps, room))
     }
 
     fn place(&self, position: LatticePos) -> [f64; 3] {

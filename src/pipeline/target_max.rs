@@ -197,7 +197,7 @@ impl Measuring<'_> {
         let DecodedChunk { positions, tets, block_ends, values, .. } = chunk;
         let lattice = self.cells.lattice;
         let read = |_, window, out: &mut [f32]| samples.read(window, out);
-        gauge.each_sample(&Cells { positions, tets, block_ends }, &Sides::new(&[values]), read, |m| {
+        gauge.each_sample(&Cells { positions, tets, block_ends }, &Sides::one(values), read, |m| {
             for (n, (original, reduced)) in m.compared.pairs().enumerate() {
                 let error = (f64::from(original) - f64::from(reduced)).abs();
                 if original.is_finite() && error > self.bound {

@@ -9,7 +9,7 @@
 use super::commit::{domain_volume6, index_entries, mesh_summary, value_summary};
 use super::gauge::stored_error;
 use super::open::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
-use super::spectrum::{Meter, stored_part};
+use super::spectrum::{Bench, Meter, stored_part};
 use crate::archive::repeated::RepeatedReader;
 use crate::archive::segment::Segment;
 use crate::archive::summary::{BlockRange, MeshSummary, value_ranges};
@@ -208,7 +208,7 @@ fn check_chunk(
         check_mesh(archive, &decoded, summary, id, file)?;
     }
     let of_step = (&*decoded.values, &*ranges);
-    let mut parts = meter.parts(&decoded.positions, &decoded.tets, &[of_step], &mut vec![])?;
+    let mut parts = meter.parts(&decoded.positions, &decoded.tets, &[of_step], &mut Bench::default())?;
     let part = parts.pop().expect("of one step");
     if part != stored_part(&segment.values, id, meter.limits())? {
         return wrong("spectrum", "the sums over all tetrahedra".into(), "others".into());

@@ -8,7 +8,7 @@
 //! Each number of a step is made by the same operations, whatever else is in the vector: so it does not show with which steps it was measured.
 
 use super::design::{Design, Limits};
-use super::side::{Alone, Knots, OfStep, SIDE_BY_SIDE, Side, Together, ends_of, span_of};
+use super::side::{Alone, Knots, OfStep, Room as Memory, SIDE_BY_SIDE, Side, Together, ends_of, span_of};
 use super::sums::VOID;
 use super::tetra::{BATCH, PiecesOf, Shapes};
 #[cfg(target_arch = "x86_64")]
@@ -67,8 +67,14 @@ impl Vectors {
 impl ChunkPart {
     /// Measures tetrahedra at some steps: a part for each. `places` are those of the vertices in the world, up to a shift common to all, and a 0. A function of
     /// the order and of the turns of the tetrahedra too, in the last bits. Time: some nanoseconds for each tetrahedron and step, and for each eight knots in its range.
-    pub fn of_steps(limits: Limits, places: &[[f64; 4]], tets: &[Tet], steps: &[Vertices<'_>]) -> Vec<Self> {
-        Self::of_with(limits, places, tets, steps, Vectors::found())
+    pub fn of_steps(
+        limits: Limits,
+        places: &[[f64; 4]],
+        tets: &[Tet],
+        steps: &[Vertices<'_>],
+        memory: &mut Memory,
+    ) -> Vec<Self> {
+        Self::of_with(limits, places, tets, steps, Vectors::found(), memory)
     }
 
     /// With these vectors: the same bits.
@@ -78,9 +84,10 @@ impl ChunkPart {
         tets: &[Tet],
         steps: &[Vertices<'_>],
         vectors: Vectors,
+        memory: &mut Memory,
     ) -> Vec<Self> {
-        let side = |steps| Side::new(limits, steps);
-        let mut sides: Vec<Side> = steps.chunks(SIDE_BY_SIDE).map(side).collect();
+        let mut sides: Vec<Side> =
+            steps.chunks(SIDE_BY_SIDE).map(|steps| Side::new(limits, steps, memory)).collect();
         let cells = Cells { places, tets };
         match vectors {
             #[cfg(target_arch = "x86_64")]
@@ -96,7 +103,7 @@ impl ChunkPart {
             ),
             _ => cells.add_all::<Plain, Pair<Plain>, Plain>((), (), (), &mut sides),
         }
-        sides.into_iter().flat_map(Side::finish).collect()
+        sides.into_iter().flat_map(|side| side.finish(memory)).collect()
     }
 }
 

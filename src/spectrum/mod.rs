@@ -47,6 +47,7 @@ pub use builder::SpectrumBuilder;
 pub use design::{Design, Limits};
 pub use grid::{Family, Grid, Step};
 pub use measure::{ChunkPart, Vertices};
+pub use side::Room;
 pub use store::SpectrumFile;
 
 #[cfg(test)]

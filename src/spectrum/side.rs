@@ -55,23 +55,27 @@ pub(super) enum Side {
 }
 
 impl Side {
-    pub(super) fn new(limits: Limits, steps: &[Vertices<'_>]) -> Self {
+    pub(super) fn new(limits: Limits, steps: &[Vertices<'_>], room: &mut Room) -> Self {
         let sums: Vec<OfStep> = steps.iter().map(|step| OfStep::new(limits, step.range)).collect();
         with_vectors(
             #[inline(always)]
             || match steps {
                 [step] => Self::One(Alone::new(step, sums)),
-                _ if steps.len() <= 4 => Self::Four(Together::new(steps, sums)),
-                _ => Self::Eight(Together::new(steps, sums)),
+                _ if steps.len() <= 4 => Self::Four(Together::new(steps, sums, Memory::default())),
+                _ => Self::Eight(Together::new(steps, sums, room.0.pop().unwrap_or_default())),
             },
         )
     }
 
-    pub(super) fn finish(self) -> Vec<ChunkPart> {
+    pub(super) fn finish(self, room: &mut Room) -> Vec<ChunkPart> {
         match self {
             Self::One(side) => side.finish(),
-            Self::Four(side) => side.finish(),
-            Self::Eight(side) => side.finish(),
+            Self::Four(side) => side.finish().0,
+            Self::Eight(side) => {
+                let (parts, memory) = side.finish();
+                room.0.push(memory);
+                parts
+            }
         }
     }
 }
@@ -126,13 +130,23 @@ pub(super) struct Together<const N: usize> {
 /// Vertices that are put side by side at a time: they fit in the nearest cache.
 const SOME: usize = 256;
 
+/// Memory of steps side by side.
+type Memory<const N: usize> = (Vec<Vertex<N>>, Vec<Knots>);
+
+/// The memory of eight steps side by side, kept from chunk to chunk so that its pages are not asked for again.
+#[derive(Default)]
+pub struct Room(Vec<Memory<8>>);
+
 impl<const N: usize> Together<N> {
     #[inline(always)]
-    fn new(steps: &[Vertices<'_>], sums: Vec<OfStep>) -> Self {
+    fn new(steps: &[Vertices<'_>], sums: Vec<OfStep>, (mut vertices, mut knots): Memory<N>) -> Self {
         let count = steps[0].values.len();
-        let mut vertices = vec![Vertex { values: [f32::NAN; N], ends: [0; N] }; count];
-        let mut knots = vec![[VOID; SIDE_BY_SIDE]; count];
+        let nothing = Vertex { values: [f32::NAN; N], ends: [0; N] };
+        vertices.resize(count, nothing);
+        knots.resize(count, [VOID; SIDE_BY_SIDE]);
         for (n, (vertices, knots)) in vertices.chunks_mut(SOME).zip(knots.chunks_mut(SOME)).enumerate() {
+            vertices.fill(nothing);
+            knots.fill([VOID; SIDE_BY_SIDE]);
             for (lane, (step, sums)) in steps.iter().zip(&sums).enumerate() {
                 let values = &step.values[n * SOME..][..vertices.len()];
                 vertices.iter_mut().zip(values).for_each(|(to, &value)| to.values[lane] = value);
@@ -142,16 +156,19 @@ impl<const N: usize> Together<N> {
         Self { vertices, knots, sums }
     }
 
-    fn finish(self) -> Vec<ChunkPart> {
-        let mut all: Vec<Option<Ends>> = self.sums.iter().map(OfStep::ends).collect();
-        for (vertex, knots) in self.vertices.iter().zip(&self.knots) {
+    /// The parts, and the memory.
+    fn finish(self) -> (Vec<ChunkPart>, Memory<N>) {
+        let Self { vertices, knots, sums } = self;
+        let mut all: Vec<Option<Ends>> = sums.iter().map(OfStep::ends).collect();
+        for (vertex, knots) in vertices.iter().zip(&knots) {
             for (lane, to) in all.iter_mut().enumerate() {
                 if let Some(to) = to {
                     to.add(vertex.values[lane], knots[lane], vertex.ends[lane]);
                 }
             }
         }
-        self.sums.into_iter().zip(all).map(|(sums, ends)| sums.finish(ends)).collect()
+        let parts = sums.into_iter().zip(all).map(|(sums, ends)| sums.finish(ends));
+        (parts.collect(), (vertices, knots))
     }
 
     /// Asks for the vertices of tetrahedra that come next.
