@@ -57,9 +57,22 @@ fn cut(p: [[f64; 3]; 4], f: [f64; 4], v: f64) -> (f64, f64) {
 }
 
 /// Some tetrahedra on shared corners, with few distinct values among many, and void ones.
-fn soup() -> impl Strategy<Value = (Vec<f32>, Vec<[f64; 3]>, Vec<Tet>)> {
-    let value =
-        prop_oneof![4 => -40f32..60.0, 3 => (-4i8..6).prop_map(|v| f32::from(v) * 10.0), 1 => Just(f32::NAN)];
+fn soup() -> impl Strategy<Value = Soup> {
+    soup_of(
+        prop_oneof![4 => -40f32..60.0, 3 => (-4i8..6).prop_map(|v| f32::from(v) * 10.0), 1 => Just(f32::NAN)],
+    )
+}
+
+/// The same with values that are equal, nearly so, huge or next to nothing.
+fn odd_soup() -> impl Strategy<Value = Soup> {
+    let few = [0.0, -0.0, 1.0, 1f32.next_up(), 1f32.next_down(), 1e-45, -1e-45, 1e-30, 3e37, -3e37, f32::NAN];
+    soup_of(prop_oneof![prop::sample::select(few.to_vec()), -2f32..2.0])
+}
+
+/// Values, places, tetrahedra.
+type Soup = (Vec<f32>, Vec<[f64; 3]>, Vec<Tet>);
+
+fn soup_of(value: impl Strategy<Value = f32>) -> impl Strategy<Value = Soup> {
     let corner = (value, prop::array::uniform3(-3f64..3.0));
     prop::collection::vec(corner, 8..60).prop_flat_map(|corners| {
         let n = corners.len() as u32;
@@ -107,7 +120,9 @@ fn series(values: &[f32], steps: usize) -> Vec<Vec<f32>> {
 
 proptest! {
     #[test]
-    fn vectors_and_other_steps_change_no_bit((values, places, tets) in soup(), steps in 1usize..7) {
+    fn vectors_and_other_steps_change_no_bit(
+        (values, places, tets) in prop_oneof![soup(), odd_soup()], steps in 1usize..10,
+    ) {
         let (places, limits) = (vectors(&places), Limits::of_chunks(100_000));
         let all = series(&values, steps);
         let ranges = all.iter().map(|values| {
@@ -122,6 +137,9 @@ proptest! {
         };
         let plain = made(&all, Vectors::Plain);
         prop_assert_eq!(plain.len(), steps + 1);
+        let parts: Vec<ChunkPart> = plain.iter().map(|part| ChunkPart::decode(part, limits).unwrap()).collect();
+        let sums = parts.iter().filter_map(|part| part.measured.as_ref()).flat_map(|m| m.sums.as_flattened());
+        prop_assert!(sums.into_iter().all(|sum| !sum.is_nan()));
         let vectors = [Avx2::found().map(Vectors::Avx2), Avx512::found().map(Vectors::Avx512)];
         for vectors in vectors.into_iter().flatten().chain([Vectors::Plain]) {
             prop_assert_eq!(&made(&all, vectors), &plain);
