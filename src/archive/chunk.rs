@@ -1,7 +1,7 @@
 //! The mesh of one chunk as blocks: the vertices ([`super::vertices`]), then the tetrahedra, some hundred a block.
 //!
 //! **Blocks.** A tetrahedron belongs to its smallest local vertex. A block is a run of vertices with all their
-//! tetrahedra: as ids follow the bricks and, inside a brick, the Hilbert curve, and runs are cut where that makes them so ([`super::runs`]), a block is compact
+//! tetrahedra: as ids follow the bricks and, inside a brick, the Hilbert curve, and runs are cut where that makes them so (`runs.rs`), a block is compact
 //! in space, its (min, max) are near each other, and few of its vertices are shared with other blocks.
 //!
 //! A block decodes on its own, in two steps: [`TetBlock::open`] tells its vertices ([`ChunkVertices`] gives their number, against which every id is
