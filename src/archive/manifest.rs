@@ -31,7 +31,7 @@ pub const MANIFEST_NAME: &str = "manifest.json";
 /// Value of the manifest's first member.
 pub const MANIFEST_FORMAT: &str = "isospan archive";
 /// An archive of one chunk with at most so many blocks has neither index nor spectrum of its steps: they follow from what the chunk tells of itself.
-pub const MOST_UNINDEXED: u64 = 1024;
+pub const MOST_UNINDEXED: u64 = 512;
 /// The most bytes of a manifest.
 pub const LARGEST_MANIFEST: u64 = 1 << 30;
 
