@@ -84,14 +84,20 @@ fn counts_are_exact_whether_stored_or_not() {
 fn nothing_but_void_has_no_spectrum() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("void.npy");
-    write_npy(&input, [8, 8, 8], |_, _, _| f64::NAN);
-    let out = dir.path().join("void.isospan");
-    let settings = ReduceSettings { nan: NanPolicy::Mask, ..ReduceSettings::default() };
-    pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &common::run(1), &Silent).unwrap();
-    assert!(!folder(&out).keys().any(|f| f.ends_with("000000-spectrum.seg")));
-    let spectrum = pipeline::contour_spectrum(&out).unwrap();
-    assert!(spectrum.range.is_none() && spectrum.knots.is_empty());
-    assert_eq!(pipeline::count_active(&out, 0.0).unwrap().active_tetrahedra, 0);
-    pipeline::check_archive(&out).unwrap();
-    assert!(pipeline::summarize(&out).unwrap().suggestions.is_empty());
+    write_npy(&input, [20, 20, 20], |_, _, _| f64::NAN);
+    // Of one chunk, which has no file of a spectrum in any case, and of several, which have an index.
+    for (name, amount, chunk_points) in [("one", 0.125, 100_000), ("several", 1.0, 1000)] {
+        let out = dir.path().join(format!("{name}.isospan"));
+        let amount = Amount::Fraction(amount);
+        let settings =
+            ReduceSettings { nan: NanPolicy::Mask, amount, chunk_points, ..ReduceSettings::default() };
+        pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &common::run(1), &Silent).unwrap();
+        let has = |file: &str| folder(&out).keys().any(|f| f.ends_with(file));
+        assert_eq!((has("000000-index.seg"), has("000000-spectrum.seg")), (name == "several", false));
+        let spectrum = pipeline::contour_spectrum(&out).unwrap();
+        assert!(spectrum.range.is_none() && spectrum.knots.is_empty());
+        assert_eq!(pipeline::count_active(&out, 0.0).unwrap().active_tetrahedra, 0);
+        pipeline::check_archive(&out).unwrap();
+        assert!(pipeline::summarize(&out).unwrap().suggestions.is_empty());
+    }
 }

@@ -20,9 +20,10 @@ const MOST_PIECES: usize = 1024;
 pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeSource> {
     let doc = Document::open_one_of(source, &["ImageData", "RectilinearGrid", "StructuredGrid"])?;
     let whole = extent(&doc, &doc.data, "WholeExtent")?;
-    let first = pieces(&doc, &whole)?[0].element;
+    let pieces = pieces(&doc, &whole)?;
+    let first = pieces[0].element;
     let Picked { field, fields, center, .. } = choose(&doc, first, wanted)?;
-    let pieces = pieces_of(&doc, &whole, center)?;
+    let pieces = centred(&doc, &whole, pieces, center)?;
     let how = how_stored(&doc, arrays(data_of(first, center)).find(|a| name_of(a) == field.name));
     let how = if center == Center::Cell { format!("cell data, {how}") } else { how };
     let info = VolumeInfo {
@@ -110,8 +111,12 @@ pub(super) fn pieces<'a>(doc: &'a Document, whole: &Extent) -> Result<Vec<Piece<
 }
 
 /// The pieces with the samples that they have of a field: all of its points, or its cells, which lie between points of one piece.
-fn pieces_of<'a>(doc: &'a Document, whole: &Extent, center: Center) -> Result<Vec<Piece<'a>>> {
-    let mut pieces = pieces(doc, whole)?;
+fn centred<'a>(
+    doc: &Document,
+    whole: &Extent,
+    mut pieces: Vec<Piece<'a>>,
+    center: Center,
+) -> Result<Vec<Piece<'a>>> {
     if center == Center::Cell {
         for piece in &mut pieces {
             let IndexBox { lo, hi } = piece.voxels;
@@ -294,7 +299,7 @@ struct OpenPiece {
 
 impl PieceSlabs {
     fn new(doc: Document, info: VolumeInfo, whole: &Extent, center: Center) -> Result<Self> {
-        let found = pieces_of(&doc, whole, center)?;
+        let found = centred(&doc, whole, pieces(&doc, whole)?, center)?;
         let mut needs = vec![];
         for piece in &found {
             // Every header is checked before the first slab.
