@@ -12,6 +12,7 @@
 
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
+use glam::{UVec3, Vec4};
 
 /// Steps in a block of the size asked for.
 const STEPS: u32 = 16;
@@ -29,6 +30,11 @@ struct Step {
 impl Step {
     /// Around nothing.
     const NONE: Self = Self { end: 0, lo: [u32::MAX; 3], hi: [0; 3] };
+
+    #[inline(always)]
+    fn between(end: u32, lo: Vec4, hi: Vec4) -> Self {
+        Self { end, lo: lo.truncate().as_uvec3().into(), hi: hi.truncate().as_uvec3().into() }
+    }
 
     #[inline(always)]
     fn around(&self, end: u32, lo: LatticePos, hi: LatticePos) -> Self {
@@ -82,22 +88,26 @@ pub(super) fn block_starts(tets: &[Tet], positions: &[LatticePos], block_tets: u
 
 /// The tetrahedra of some vertices each, of at least so many tetrahedra together but for the last.
 fn steps(tets: &[Tet], positions: &[LatticePos], least: u32) -> Vec<Step> {
+    // Exact: of 24 bits. Of such vectors the least and the greatest are one instruction each.
+    let rows: Vec<Vec4> = positions.iter().map(|&p| UVec3::from(p).as_vec3().extend(0.0)).collect();
     let mut steps = Vec::with_capacity(tets.len() / least as usize + 1);
-    let (mut start, mut end, mut now) = (0, 0, Step::NONE);
-    for of_vertex in tets.chunk_by(|a, b| a[0] == b[0]) {
-        end += of_vertex.len() as u32;
-        now.end = end;
-        for &v in of_vertex.as_flattened() {
-            let at = positions[v as usize];
-            now = now.around(end, at, at);
+    let (mut lo, mut hi) = (Vec4::INFINITY, Vec4::ZERO);
+    let (mut start, mut before) = (0, None);
+    for (n, &[own, others @ ..]) in (0..).zip(tets) {
+        if before != Some(own) {
+            if n - start >= least {
+                steps.push(Step::between(n, lo, hi));
+                (start, lo, hi) = (n, Vec4::INFINITY, Vec4::ZERO);
+            }
+            before = Some(own);
+            let row = rows[own as usize];
+            (lo, hi) = (lo.min(row), hi.max(row));
         }
-        if end - start >= least {
-            steps.push(now);
-            (start, now) = (end, Step::NONE);
-        }
+        let [b, c, d] = others.map(|v| rows[v as usize]);
+        (lo, hi) = (lo.min(b).min(c.min(d)), hi.max(b).max(c.max(d)));
     }
-    if end > start {
-        steps.push(now);
+    if before.is_some() {
+        steps.push(Step::between(tets.len() as u32, lo, hi));
     }
     steps
 }

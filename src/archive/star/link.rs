@@ -444,16 +444,22 @@ impl Link {
     /// The place of rank `rank` when the vertices are ordered by finite scores, least first, of equal ones the first.
     #[inline(always)]
     pub(super) fn nth(&self, scores: &[f32; MOST], rank: usize) -> Option<usize> {
-        let mut last = (f32::NEG_INFINITY, 0);
-        for _ in 0..=rank {
-            let mut next = (f32::INFINITY, MOST);
-            for (i, &s) in scores.iter().enumerate().take(self.len) {
-                let later = (s > last.0) | ((s == last.0) & (i > last.1));
-                next = if later & (s < next.0) { (s, i) } else { next };
+        // Behind the last one they are infinite, too; so many can be looked at in vectors.
+        let scores = &scores[..self.len.next_multiple_of(8).min(MOST)];
+        let (mut last, mut before) = (f32::NEG_INFINITY, 0);
+        loop {
+            let later = scores.iter().map(|&s| if s > last { s } else { f32::INFINITY });
+            last = later.fold(f32::INFINITY, |least, s| if s < least { s } else { least });
+            if last == f32::INFINITY {
+                return None;
             }
-            last = next;
+            let equal: usize = scores.iter().map(|&s| usize::from(s == last)).sum();
+            if rank < before + equal {
+                let mut places = (0..scores.len()).filter(|&i| scores[i] == last);
+                return places.nth(rank - before);
+            }
+            before += equal;
         }
-        (last.1 < MOST).then_some(last.1)
     }
 
     /// The rank of a place; `None` if its score is not finite.

@@ -262,12 +262,12 @@ impl Stars {
         odds: usize,
         truth: Local,
     ) -> Option<usize> {
-        let known =
-            if E::KNOWS { self.link.find(truth).and_then(|i| self.link.rank(scores, i)) } else { None };
+        let place = if E::KNOWS { self.link.find(truth) } else { None };
+        let known = place.and_then(|i| self.link.rank(scores, i));
         let known = known.filter(|&r| r >= least).unwrap_or(FAR_RANK);
         let told = |k: &usize| end.bit(&mut self.odds, odds + k, *k == known);
         if let Some(rank) = (least..FAR_RANK).find(told) {
-            return self.link.nth(scores, rank);
+            return if E::KNOWS { place } else { self.link.nth(scores, rank) };
         }
         // Numbers begin behind the vertex whose star this is.
         let first = self.v + 1;
