@@ -13,6 +13,7 @@
 use super::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use super::wire::Malformed;
 use crate::error::{Error, Result};
+use byteorder::{ByteOrder, LE};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -320,8 +321,8 @@ fn numbers(segment: &Segment, block: u64, bytes: &[u8], count: usize) -> Result<
     if bytes.len() != 8 * count {
         return Err(bad("length", format!("{count} numbers"), "another"));
     }
-    let number = |b: &[u8]| f64::from_le_bytes(b.try_into().expect("chunks have 8 bytes"));
-    let out: Vec<f64> = bytes.chunks_exact(8).map(number).collect();
+    let mut out = vec![0.0; count];
+    LE::read_f64_into(bytes, &mut out);
     if out.iter().all(|x| x.is_finite()) {
         Ok(out)
     } else {

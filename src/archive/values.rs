@@ -21,6 +21,7 @@
 //! are coded both ways, and the shorter way is taken for all of the chunk.
 
 use super::wire::{Cursor, Malformed};
+use byteorder::{ByteOrder, LE};
 use pco::standalone::{simple_compress, simple_decompress_into};
 use pco::{ChunkConfig, DeltaSpec};
 use serde::{Deserialize, Serialize};
@@ -249,7 +250,9 @@ pub fn decode_values(bytes: &[u8], n: usize, before: &[f32], out: &mut Vec<f32>)
             if body.len() != 4 * n {
                 return Err(Malformed::new("values", format!("{n} values"), format!("{} bytes", body.len())));
             }
-            out.extend(body.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)));
+            let before = out.len();
+            out.resize(before + n, 0.0);
+            LE::read_f32_into(body, &mut out[before..]);
         }
         VALUES_PCO => {
             let mut values = [0f32; BLOCK_VALUES];

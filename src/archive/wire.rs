@@ -1,6 +1,7 @@
 //! Little-endian fields and variable-length integers, read with every length checked.
 
 use crate::error::Error;
+use byteorder::{ByteOrder, LE};
 use std::cell::RefCell;
 use std::path::Path;
 use zstd::bulk::Decompressor;
@@ -36,10 +37,9 @@ pub(crate) struct Cursor<'a> {
 }
 
 macro_rules! field {
-    ($name:ident, $type:ty) => {
+    ($name:ident, $type:ty, $read:expr) => {
         pub(crate) fn $name(&mut self, at: &'static str) -> Result<$type, Malformed> {
-            let bytes = self.take(size_of::<$type>(), at)?;
-            Ok(<$type>::from_le_bytes(bytes.try_into().expect("take gives as many bytes as asked")))
+            self.take(size_of::<$type>(), at).map($read)
         }
     };
 }
@@ -62,14 +62,14 @@ impl<'a> Cursor<'a> {
         Ok(head)
     }
 
-    field!(u8, u8);
-    field!(u16, u16);
-    field!(u32, u32);
-    field!(u64, u64);
-    field!(u128, u128);
-    field!(i128, i128);
-    field!(f32, f32);
-    field!(f64, f64);
+    field!(u8, u8, |b| b[0]);
+    field!(u16, u16, LE::read_u16);
+    field!(u32, u32, LE::read_u32);
+    field!(u64, u64, LE::read_u64);
+    field!(u128, u128, LE::read_u128);
+    field!(i128, i128, LE::read_i128);
+    field!(f32, f32, LE::read_f32);
+    field!(f64, f64, LE::read_f64);
 
     /// An unsigned LEB128 integer: seven bits a byte, lowest first, the high bit set on all but the last.
     pub(crate) fn varint(&mut self, at: &'static str) -> Result<u64, Malformed> {

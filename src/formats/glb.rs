@@ -28,6 +28,7 @@ use crate::formats::ply::check_indices;
 use crate::formats::surface::{Room, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, put_floats};
 use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, Vertex};
+use byteorder::{ByteOrder, LE};
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -183,15 +184,16 @@ impl<'a> Elements<'a> {
     }
 
     fn vector(&self, i: usize) -> [f32; 3] {
-        let b = self.bytes(i);
-        [0, 4, 8].map(|k| f32::from_le_bytes([b[k], b[k + 1], b[k + 2], b[k + 3]]))
+        let mut vector = [0.0; 3];
+        LE::read_f32_into(&self.bytes(i)[..12], &mut vector);
+        vector
     }
 }
 
 impl<'a> File<'a> {
     fn parse(path: &'a Path, bytes: &'a [u8], room: &Room) -> Result<Self> {
         let bad = |at: &str, expected: &str, got: String| Err(Error::bad_input(path, at, expected, got));
-        let word = |at: usize| bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map(u32::from_le_bytes);
+        let word = |at: usize| bytes.get(at..at + 4).map(LE::read_u32);
         if word(4) != Some(2) {
             return bad("version", "2", word(4).map_or("the end".into(), |v| v.to_string()));
         }

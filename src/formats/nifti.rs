@@ -35,6 +35,7 @@ use crate::exec::CancelToken;
 use crate::grid::Geometry;
 use crate::volume::strided::StridedVolume;
 use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeReader, VolumeSource};
+use byteorder::{BE, ByteOrder, LE};
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -259,8 +260,7 @@ impl Header {
         };
         let read = reader.take(Self::BYTES[1] as u64).read_to_end(&mut bytes);
         let path = source.path().to_path_buf();
-        let first = bytes.get(..4).map(|b| [b[0], b[1], b[2], b[3]]).unwrap_or_default();
-        let both = [i32::from_le_bytes(first), i32::from_be_bytes(first)];
+        let both = bytes.get(..4).map_or([0; 2], |first| [LE::read_i32(first), BE::read_i32(first)]);
         let known = [(348, 1), (540, 2)].into_iter().find_map(|(size, version)| {
             let order = both.iter().position(|&s| s == size)?;
             Some((version, order == 1))
@@ -283,29 +283,21 @@ impl Header {
         Ok(Self { path, bytes, big_endian, version })
     }
 
-    fn array<const N: usize>(&self, at: usize) -> [u8; N] {
-        let mut bytes: [u8; N] = self.bytes[at..at + N].try_into().expect("N bytes");
-        if self.big_endian {
-            bytes.reverse();
-        }
-        bytes
-    }
-
     /// An integer: `at` and bytes of the field in version 1 and in version 2.
     fn integer(&self, one: (usize, usize), two: (usize, usize)) -> i64 {
         let (at, size) = if self.version == 1 { one } else { two };
-        match size {
-            2 => i64::from(i16::from_le_bytes(self.array(at))),
-            4 => i64::from(i32::from_le_bytes(self.array(at))),
-            _ => i64::from_le_bytes(self.array(at)),
-        }
+        let field = &self.bytes[at..at + size];
+        if self.big_endian { BE::read_int(field, size) } else { LE::read_int(field, size) }
     }
 
     /// The `i`-th float of a field that has `f32`s at `one` in version 1, `f64`s at `two` in version 2.
     fn float(&self, one: usize, two: usize, i: usize) -> f64 {
-        match self.version {
-            1 => f64::from(f32::from_le_bytes(self.array(one + 4 * i))),
-            _ => f64::from_le_bytes(self.array(two + 8 * i)),
+        let field = &self.bytes[if self.version == 1 { one + 4 * i } else { two + 8 * i }..];
+        match (self.version, self.big_endian) {
+            (1, false) => LE::read_f32(field).into(),
+            (1, true) => BE::read_f32(field).into(),
+            (_, false) => LE::read_f64(field),
+            (_, true) => BE::read_f64(field),
         }
     }
 

@@ -1,29 +1,29 @@
 //! Stored numbers of any type as what a mesh is made of: `f64`, and numbers of points.
 
 use crate::volume::ScalarType;
+use byteorder::{ByteOrder, LE};
 
 /// Applies a function to each of the little-endian numbers in `$bytes`, as their own type.
 macro_rules! each {
     ($scalar:expr, $bytes:expr, $v:ident => $body:expr) => {{
         macro_rules! of {
-            ($t:ty) => {
-                for b in $bytes.chunks_exact(size_of::<$t>()) {
-                    let $v = <$t>::from_le_bytes(b.try_into().expect("chunks have this size"));
+            ($t:ty, $read:expr) => {
+                for $v in $bytes.chunks_exact(size_of::<$t>()).map($read) {
                     $body
                 }
             };
         }
         match $scalar {
-            ScalarType::U8 => of!(u8),
-            ScalarType::I8 => of!(i8),
-            ScalarType::U16 => of!(u16),
-            ScalarType::I16 => of!(i16),
-            ScalarType::U32 => of!(u32),
-            ScalarType::I32 => of!(i32),
-            ScalarType::U64 => of!(u64),
-            ScalarType::I64 => of!(i64),
-            ScalarType::F32 => of!(f32),
-            ScalarType::F64 => of!(f64),
+            ScalarType::U8 => of!(u8, |b| b[0]),
+            ScalarType::I8 => of!(i8, |b| b[0] as i8),
+            ScalarType::U16 => of!(u16, LE::read_u16),
+            ScalarType::I16 => of!(i16, LE::read_i16),
+            ScalarType::U32 => of!(u32, LE::read_u32),
+            ScalarType::I32 => of!(i32, LE::read_i32),
+            ScalarType::U64 => of!(u64, LE::read_u64),
+            ScalarType::I64 => of!(i64, LE::read_i64),
+            ScalarType::F32 => of!(f32, LE::read_f32),
+            ScalarType::F64 => of!(f64, LE::read_f64),
         }
     }};
 }

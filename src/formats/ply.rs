@@ -23,6 +23,7 @@ use crate::formats::surface::{Fan, Sink, SurfaceMeta, each_triangle, each_vertex
 use crate::formats::text::Words;
 use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, Vertex};
+use byteorder::{BE, ByteOrder, LE};
 use std::path::Path;
 
 /// Writes a surface as binary little-endian PLY.
@@ -38,9 +39,7 @@ pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceM
     })?;
     each_triangle(source, sink, |buffer, _, t| {
         let mut record = [3; 13];
-        for (field, value) in record[1..].chunks_exact_mut(4).zip(t) {
-            field.copy_from_slice(&value.to_le_bytes());
-        }
+        LE::write_u32_into(&t, &mut record[1..]);
         buffer.extend_from_slice(&record);
         Ok(())
     })
@@ -103,6 +102,20 @@ impl Kind {
 
     fn is_integer(self) -> bool {
         !matches!(self, Self::F32 | Self::F64)
+    }
+
+    /// A number of this type, of as many bytes.
+    fn read<B: ByteOrder>(self, stored: &[u8]) -> f64 {
+        match self {
+            Self::I8 => (stored[0] as i8).into(),
+            Self::U8 => stored[0].into(),
+            Self::I16 => B::read_i16(stored).into(),
+            Self::U16 => B::read_u16(stored).into(),
+            Self::I32 => B::read_i32(stored).into(),
+            Self::U32 => B::read_u32(stored).into(),
+            Self::F32 => B::read_f32(stored).into(),
+            Self::F64 => B::read_f64(stored),
+        }
     }
 }
 
@@ -265,22 +278,7 @@ impl Body<'_> {
         let Some(stored) = self.words.take(kind.bytes()) else {
             return Err(self.wrong("a number".into(), "the end of the file".into()));
         };
-        let mut b = [0; 8];
-        b[..stored.len()].copy_from_slice(stored);
-        if big_endian {
-            b[..stored.len()].reverse();
-        }
-        let [b0, b1, b2, b3, ..] = b;
-        Ok(match kind {
-            Kind::I8 => i8::from_le_bytes([b0]).into(),
-            Kind::U8 => b0.into(),
-            Kind::I16 => i16::from_le_bytes([b0, b1]).into(),
-            Kind::U16 => u16::from_le_bytes([b0, b1]).into(),
-            Kind::I32 => i32::from_le_bytes([b0, b1, b2, b3]).into(),
-            Kind::U32 => u32::from_le_bytes([b0, b1, b2, b3]).into(),
-            Kind::F32 => f32::from_le_bytes([b0, b1, b2, b3]).into(),
-            Kind::F64 => f64::from_le_bytes(b),
-        })
+        Ok(if big_endian { kind.read::<BE>(stored) } else { kind.read::<LE>(stored) })
     }
 
     /// The length of a list.

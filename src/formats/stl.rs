@@ -27,6 +27,7 @@ use crate::formats::surface::{Room, Sink, SurfaceMeta, each_triangle, is_finite,
 use crate::formats::text::Words;
 use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, Vertex};
+use byteorder::{ByteOrder, LE};
 use std::io::Write;
 use std::path::Path;
 
@@ -72,10 +73,8 @@ fn header(meta: &SurfaceMeta) -> [u8; HEADER] {
 
 fn record(corners: [[f32; 3]; 3]) -> [u8; RECORD] {
     let mut out = [0; RECORD];
-    let numbers = std::iter::once(normal(corners)).chain(corners).flatten();
-    for (field, value) in out.chunks_exact_mut(4).zip(numbers) {
-        field.copy_from_slice(&value.to_le_bytes());
-    }
+    let [a, b, c] = corners;
+    LE::write_f32_into([normal(corners), a, b, c].as_flattened(), &mut out[..48]);
     out
 }
 
@@ -122,13 +121,14 @@ impl Positions {
 
 /// Three little-endian numbers.
 fn position(bytes: &[u8]) -> [f32; 3] {
-    std::array::from_fn(|a| f32::from_le_bytes(std::array::from_fn(|i| bytes[4 * a + i])))
+    let mut position = [0.0; 3];
+    LE::read_f32_into(&bytes[..12], &mut position);
+    position
 }
 
 /// The number of triangles that byte 80 tells.
 fn count(bytes: &[u8]) -> Option<u64> {
-    let field = bytes.get(HEADER..HEADER + 4)?;
-    Some(u32::from_le_bytes(field.try_into().expect("four bytes")).into())
+    bytes.get(HEADER..HEADER + 4).map(|field| LE::read_u32(field).into())
 }
 
 /// Whether the length agrees with the count of a binary file.

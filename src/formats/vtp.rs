@@ -32,6 +32,7 @@ use crate::formats::vtk_xml::head::{Document, Element};
 use crate::surface::weld::StoredSurface;
 use crate::surface::{SurfaceSource, Vertex};
 use crate::volume::ScalarType;
+use byteorder::{ByteOrder, LE};
 use std::sync::Arc;
 
 /// Writes a surface as VTP.
@@ -267,11 +268,8 @@ impl<'a> Numbers<'a> {
     fn next_point(&mut self) -> Result<[f32; 3]> {
         let mut point = [0.0; 3];
         for c in &mut point {
-            *c = match *self.next()? {
-                [a, b, c, d] => f32::from_le_bytes([a, b, c, d]),
-                [a, b, c, d, e, f, g, h] => f64::from_le_bytes([a, b, c, d, e, f, g, h]) as f32,
-                _ => unreachable!("floating-point numbers have 4 or 8 bytes"),
-            };
+            let stored = self.next()?;
+            *c = if stored.len() == 4 { LE::read_f32(stored) } else { LE::read_f64(stored) as f32 };
         }
         Ok(point)
     }
@@ -284,9 +282,7 @@ impl<'a> Numbers<'a> {
         if signed && value[value.len() - 1] & 0x80 != 0 {
             return Err(self.doc.wrong(self.array, "no negative numbers", "one"));
         }
-        let mut b = [0; 8];
-        b[..value.len()].copy_from_slice(value);
-        Ok(u64::from_le_bytes(b))
+        Ok(LE::read_uint(value, value.len()))
     }
 
     /// To be called after the last number.

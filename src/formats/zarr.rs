@@ -39,6 +39,7 @@ use crate::error::{Error, Result};
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::strided::swap_bytes;
 use crate::volume::{FieldInfo, SlabStream, VolumeInfo, VolumeSource};
+use byteorder::{ByteOrder, LE};
 use meta::Array;
 use serde_json::Value;
 use std::ops::Range;
@@ -512,8 +513,7 @@ impl Chunks {
         let place = self.place(self.inner, |f| f.number % chunk[f.axis] / unit[f.axis]);
         let number = place.iter().zip(chunk.iter().zip(unit)).fold(0, |n, (p, (c, u))| n * (c / u) + p);
         let entry = &index[16 * number as usize..][..16];
-        let number = |at: usize| u64::from_le_bytes(entry[at..at + 8].try_into().expect("eight bytes"));
-        let (at, length) = (number(0), number(8));
+        let (at, length) = (LE::read_u64(entry), LE::read_u64(&entry[8..]));
         if (at, length) == (u64::MAX, u64::MAX) {
             return Ok(None);
         }

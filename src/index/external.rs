@@ -16,40 +16,28 @@
 //!
 //! Disk: two files of 24 bytes an entry, without a name (where the system allows), so that nothing is left behind.
 
-use super::Entry;
 use super::build::{Axis, split, write_subtree};
 use super::page::{Bounds, LEAF_ENTRIES, PAGE_LEVELS, encode_inner, split_sizes};
+use super::{Entry, RECORD, record};
 use crate::archive::segment::SegmentWriter;
 use crate::error::{Error, Result};
+use byteorder::{ByteOrder, LE};
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// Bytes of an entry on disk.
-const RECORD: usize = 24;
 /// Records of a buffer.
 const BUFFERED: usize = 1 << 15;
 /// Buckets of a count.
 const BUCKETS: usize = 1 << 16;
 
-fn encode(e: &Entry) -> [u8; RECORD] {
-    let mut r = [0; RECORD];
-    r[..4].copy_from_slice(&e.min.to_le_bytes());
-    r[4..8].copy_from_slice(&e.max.to_le_bytes());
-    r[8..16].copy_from_slice(&e.chunk.to_le_bytes());
-    r[16..20].copy_from_slice(&e.block.to_le_bytes());
-    r[20..].copy_from_slice(&e.tets.to_le_bytes());
-    r
-}
-
 fn decode(r: &[u8]) -> Entry {
-    let four = |at: usize| <[u8; 4]>::try_from(&r[at..at + 4]).expect("four bytes of a record");
     Entry {
-        min: f32::from_le_bytes(four(0)),
-        max: f32::from_le_bytes(four(4)),
-        chunk: u64::from_le_bytes(r[8..16].try_into().expect("eight bytes of a record")),
-        block: u32::from_le_bytes(four(16)),
-        tets: u32::from_le_bytes(four(20)),
+        min: LE::read_f32(r),
+        max: LE::read_f32(&r[4..]),
+        chunk: LE::read_u64(&r[8..]),
+        block: LE::read_u32(&r[16..]),
+        tets: LE::read_u32(&r[20..]),
     }
 }
 
@@ -157,7 +145,7 @@ impl Target {
         if self.buffer.len() == RECORD * BUFFERED {
             self.flush(spill, file)?;
         }
-        self.buffer.extend(encode(e));
+        self.buffer.extend(record(e));
         Ok(())
     }
 

@@ -30,7 +30,11 @@ pub(crate) mod page;
 pub mod query;
 
 pub use build::{BuildSettings, IndexBuilder};
+use byteorder::{ByteOrder, LE};
 pub use query::SpanIndex;
+
+/// Bytes of an entry on disk, and where it is told which set of them is there.
+const RECORD: usize = 24;
 
 /// One block, as a point of span space.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,6 +58,14 @@ impl Entry {
     }
 }
 
+fn record(e: &Entry) -> [u8; RECORD] {
+    let mut r = [0; RECORD];
+    LE::write_f32_into(&[e.min, e.max], &mut r[..8]);
+    LE::write_u64(&mut r[8..], e.chunk);
+    LE::write_u32_into(&[e.block, e.tets], &mut r[16..]);
+    r
+}
+
 /// A number for each `f32`, in the order of [`f32::total_cmp`].
 pub(crate) fn ordered_key(v: f32) -> u32 {
     let bits = v.to_bits();
@@ -72,13 +84,7 @@ pub struct EntryDigest {
 impl EntryDigest {
     /// Takes an entry in.
     pub fn add(&mut self, e: &Entry) {
-        let mut bytes = [0; 24];
-        bytes[..4].copy_from_slice(&e.min.to_le_bytes());
-        bytes[4..8].copy_from_slice(&e.max.to_le_bytes());
-        bytes[8..16].copy_from_slice(&e.chunk.to_le_bytes());
-        bytes[16..20].copy_from_slice(&e.block.to_le_bytes());
-        bytes[20..].copy_from_slice(&e.tets.to_le_bytes());
         self.count += 1;
-        self.sum = self.sum.wrapping_add(xxhash_rust::xxh3::xxh3_128(&bytes));
+        self.sum = self.sum.wrapping_add(xxhash_rust::xxh3::xxh3_128(&record(e)));
     }
 }

@@ -35,6 +35,7 @@ use crate::error::{Error, Result};
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::strided::convert_row;
 use crate::volume::{FieldInfo, SlabStream, VolumeInfo, VolumeReader};
+use byteorder::{ByteOrder, LE};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::path::Path;
@@ -366,7 +367,7 @@ fn damaged(path: &Path, at: String, expected: u32, got: u32) -> Error {
 }
 
 fn le32(bytes: &[u8]) -> u32 {
-    u32::from_le_bytes(bytes[..4].try_into().expect("four bytes"))
+    LE::read_u32(bytes)
 }
 
 #[cfg(test)]

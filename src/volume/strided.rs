@@ -15,6 +15,7 @@ use crate::error::{Error, Result};
 use crate::exec::will_read;
 use crate::grid::IndexBox;
 use crate::volume::{ScalarType, VolumeInfo, VolumeReader};
+use byteorder::{BE, ByteOrder, LE};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -395,9 +396,8 @@ pub fn convert_row(
     let plain = slope == 1.0 && intercept == 0.0 && missing.is_none();
     // One loop for each type, order of bytes and kind of scaling, each simple enough to be vectorised.
     macro_rules! row {
-        ($t:ty, $from:ident) => {{
-            let stored = bytes.chunks_exact(size_of::<$t>());
-            let stored = stored.map(|b| <$t>::$from(b.try_into().expect("exact chunks")));
+        ($t:ty, $read:expr) => {{
+            let stored = bytes.chunks_exact(size_of::<$t>()).map($read);
             let out = out.iter_mut();
             if plain {
                 out.zip(stored).for_each(|(o, v)| *o = (v as f64) as f32);
@@ -415,22 +415,22 @@ pub fn convert_row(
         }};
     }
     macro_rules! typed {
-        ($from:ident) => {
+        ($order:ty) => {
             match scalar {
-                ScalarType::U8 => row!(u8, $from),
-                ScalarType::I8 => row!(i8, $from),
-                ScalarType::U16 => row!(u16, $from),
-                ScalarType::I16 => row!(i16, $from),
-                ScalarType::U32 => row!(u32, $from),
-                ScalarType::I32 => row!(i32, $from),
-                ScalarType::U64 => row!(u64, $from),
-                ScalarType::I64 => row!(i64, $from),
-                ScalarType::F32 => row!(f32, $from),
-                ScalarType::F64 => row!(f64, $from),
+                ScalarType::U8 => row!(u8, |b| b[0]),
+                ScalarType::I8 => row!(i8, |b| b[0] as i8),
+                ScalarType::U16 => row!(u16, <$order>::read_u16),
+                ScalarType::I16 => row!(i16, <$order>::read_i16),
+                ScalarType::U32 => row!(u32, <$order>::read_u32),
+                ScalarType::I32 => row!(i32, <$order>::read_i32),
+                ScalarType::U64 => row!(u64, <$order>::read_u64),
+                ScalarType::I64 => row!(i64, <$order>::read_i64),
+                ScalarType::F32 => row!(f32, <$order>::read_f32),
+                ScalarType::F64 => row!(f64, <$order>::read_f64),
             }
         };
     }
-    if big_endian { typed!(from_be_bytes) } else { typed!(from_le_bytes) }
+    if big_endian { typed!(BE) } else { typed!(LE) }
 }
 
 #[cfg(test)]

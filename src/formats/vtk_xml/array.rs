@@ -20,6 +20,7 @@ use super::stored::Stored;
 use crate::error::Result;
 use crate::formats::text::TextNumbers;
 use crate::volume::ScalarType;
+use byteorder::{BE, ByteOrder, LE};
 use flate2::{Decompress, FlushDecompress, Status};
 
 /// The largest LZ4 block that is decoded, in bytes; VTK writes blocks of 32 KiB.
@@ -255,10 +256,7 @@ fn word(stored: &mut Stored, doc: &Document) -> Result<u64> {
     let mut b = [0; 8];
     let n = if doc.wide { 8 } else { 4 };
     stored.read_exact(&mut b[..n])?;
-    if doc.big_endian {
-        b[..n].reverse();
-    }
-    Ok(u64::from_le_bytes(b))
+    Ok(if doc.big_endian { BE::read_uint(&b, n) } else { LE::read_uint(&b, n) })
 }
 
 /// A block-compressed array.

@@ -13,6 +13,7 @@
 //!
 //! The format: <https://github.com/Blosc/c-blosc/blob/main/README_CHUNK_FORMAT.rst>. Snappy is refused by name.
 
+use byteorder::{ByteOrder, LE};
 use flate2::bufread::ZlibDecoder;
 use std::io::Read;
 
@@ -57,8 +58,7 @@ pub(super) fn decode(stored: &[u8], limit: usize, out: &mut Vec<u8>) -> Words {
 }
 
 fn le32(bytes: &[u8], at: usize) -> Option<u32> {
-    let four = bytes.get(at..at.checked_add(4)?)?;
-    Some(u32::from_le_bytes(four.try_into().expect("four bytes")))
+    bytes.get(at..at.checked_add(4)?).map(LE::read_u32)
 }
 
 fn decode_block(compressor: u8, mut streams: &[u8], splits: usize, out: &mut [u8]) -> Words {
