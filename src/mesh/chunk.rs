@@ -24,7 +24,6 @@ use super::delaunay::Mesher;
 use super::late::Late;
 use super::list::TetList;
 use super::owned::Owned;
-use super::tet::Tet;
 use crate::error::{Error, Result};
 use crate::geom::curve::Order;
 use crate::geom::{LatticeBox, LatticePos};
@@ -47,14 +46,11 @@ pub struct ChunkRegion {
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ChunkMesh {
     /// Owned tetrahedra: vertex numbers are indices into the chunk's positions, positively oriented, least number first;
-    /// ascending by that.
+    /// ascending by that. Behind them, where they were asked for, those around, positively oriented.
     pub tets: TetList,
     /// For each position: whether another chunk may own a tetrahedron at it. Only an edge between two shared
     /// vertices can also occur in another chunk. Positions outside the core are always shared.
     pub shared: Vec<bool>,
-    /// Where they were asked for: the tetrahedra not owned that have a vertex of an owned one, positively oriented, in no particular
-    /// order.
-    pub around: Vec<Tet>,
 }
 
 /// What came of meshing a chunk.
@@ -85,7 +81,7 @@ pub fn mesh_chunk(
     mesh_with_stars(mesher, region, positions, order, false)
 }
 
-/// As [`mesh_chunk`]; with `stars`, also the tetrahedra around those owned ([`ChunkMesh::around`]), so that all tetrahedra
+/// As [`mesh_chunk`]; with `stars`, also the tetrahedra around those owned ([`TetList::around`]), so that all tetrahedra
 /// at each vertex of an owned one are known. That takes a wider halo, by one tetrahedron and its sphere.
 ///
 /// # Errors
@@ -113,9 +109,9 @@ pub fn mesh_with_stars(
     if stars && matches!(uncertified, Ok(0)) {
         uncertified = sorter.run_around(mesher, region, first, &mut late);
     }
-    let Sorter { mut owned, shared, around, .. } = sorter;
+    let Sorter { mut owned, shared, .. } = sorter;
     let outcome = uncertified.map(|n| match n {
-        0 => ChunkOutcome::Done(ChunkMesh { tets: owned.take(mesher, positions.len()), shared, around }),
+        0 => ChunkOutcome::Done(ChunkMesh { tets: owned.take(mesher, positions.len()), shared }),
         uncertified => ChunkOutcome::WidenHalo { uncertified },
     });
     mesher.owned = owned;
@@ -159,8 +155,6 @@ struct Sorter<'a> {
     doubtful: Vec<u32>,
     /// By vertex of the mesher: whether an owned tetrahedron has it. Empty while they are looked for.
     used: Vec<bool>,
-    /// Not owned, at such a vertex.
-    around: Vec<Tet>,
 }
 
 impl<'a> Sorter<'a> {
@@ -169,7 +163,7 @@ impl<'a> Sorter<'a> {
         let in_core =
             std::iter::once(false).chain(mesher.sources().iter().map(|&s| !shared[s as usize])).collect();
         let close = Unseen::new(region.near, region.domain, mesher.local());
-        Self { positions, close, in_core, owned, shared, doubtful: vec![], used: vec![], around: vec![] }
+        Self { positions, close, in_core, owned, shared, doubtful: vec![], used: vec![] }
     }
 
     /// Sorts all records; then inserts what the doubtful ones ask for, until none is left. Returns how many cannot be
@@ -269,7 +263,7 @@ impl<'a> Sorter<'a> {
                 return;
             }
         }
-        self.around.push(v.map(|v| mesher.source(v)));
+        self.owned.insert_around(id);
     }
 
     #[inline]

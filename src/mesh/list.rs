@@ -3,15 +3,26 @@
 //! A record of the mesher has 64 bytes, its vertices are 16 of them. When nothing else of the records is needed any more, there is room among them
 //! for the vertices twice: as they are found, and in their final order. So a chunk takes 64 bytes a tetrahedron and no more, from its first point to
 //! its last block; then the memory goes back to the mesher ([`Mesher::reuse`](super::delaunay::Mesher::reuse)), its pages warm.
+//!
+//! Where the tetrahedra around the chunk's own are wanted too, they lie behind those:
+//!
+//! ```text
+//!  records   │ as found │ own, in order        │ around   │ free   │
+//!                       └───────── whole ─────────────────┘
+//! ```
 
 use super::delaunay::Tetra;
 use super::tet::Tet;
 use std::fmt;
 use std::ops::{Deref, DerefMut, Range};
 
-/// A list of tetrahedra, used as a slice.
+/// A list of tetrahedra, used as a slice; behind it there may be those around them ([`TetList::around`]).
 #[derive(Clone)]
-pub struct TetList(Memory);
+pub struct TetList {
+    memory: Memory,
+    /// How many are in the list; those that follow are around.
+    own: usize,
+}
 
 #[derive(Clone)]
 enum Memory {
@@ -21,30 +32,72 @@ enum Memory {
 }
 
 impl TetList {
-    /// Some of the rows that the memory of the records has.
-    pub(super) fn among(records: Vec<Tetra>, rows: Range<usize>) -> Self {
-        Self(Memory::Among(records, rows))
+    /// Some of the rows that the memory of the records has, the first of which are its `own`.
+    pub(super) fn among(records: Vec<Tetra>, rows: Range<usize>, own: usize) -> Self {
+        Self { memory: Memory::Among(records, rows), own }
     }
 
     /// The memory of the records, where the list is in such.
     pub(super) fn into_records(self) -> Option<Vec<Tetra>> {
-        match self.0 {
+        match self.memory {
             Memory::Among(records, _) => Some(records),
             Memory::Listed(_) => None,
         }
     }
 
-    /// Keeps those of which `stays` is true, in their order.
+    /// The list, then those around.
+    pub fn whole(&self) -> &[Tet] {
+        match &self.memory {
+            Memory::Listed(tets) => tets,
+            Memory::Among(records, rows) => &bytemuck::cast_slice(records)[rows.clone()],
+        }
+    }
+
+    /// As [`TetList::whole`].
+    pub fn whole_mut(&mut self) -> &mut [Tet] {
+        match &mut self.memory {
+            Memory::Listed(tets) => tets,
+            Memory::Among(records, rows) => &mut bytemuck::cast_slice_mut(records)[rows.clone()],
+        }
+    }
+
+    /// The tetrahedra not in the list that have a vertex of one in it, where they were asked for; in no particular order.
+    pub fn around(&self) -> &[Tet] {
+        &self.whole()[self.own..]
+    }
+
+    /// As [`TetList::around`].
+    pub fn around_mut(&mut self) -> &mut [Tet] {
+        let own = self.own;
+        &mut self.whole_mut()[own..]
+    }
+
+    /// Puts others into the place of those around.
+    pub fn surround(&mut self, around: &[Tet]) {
+        let mut whole = match std::mem::replace(&mut self.memory, Memory::Listed(vec![])) {
+            Memory::Listed(tets) => tets,
+            Memory::Among(records, rows) => bytemuck::cast_slice(&records)[rows].to_vec(),
+        };
+        whole.truncate(self.own);
+        whole.extend_from_slice(around);
+        self.memory = Memory::Listed(whole);
+    }
+
+    /// Keeps those of which `stays` is true, in their order; it is asked of those around last.
     pub fn retain(&mut self, mut stays: impl FnMut(&Tet) -> bool) {
-        let (mut kept, all) = (0, &mut **self);
-        for i in 0..all.len() {
-            let tet = all[i];
+        let before = self.own;
+        let (mut own, mut kept) = (0, 0);
+        let whole = self.whole_mut();
+        for i in 0..whole.len() {
+            let tet = whole[i];
             if stays(&tet) {
-                all[kept] = tet;
+                whole[kept] = tet;
                 kept += 1;
+                own += usize::from(i < before);
             }
         }
-        match &mut self.0 {
+        self.own = own;
+        match &mut self.memory {
             Memory::Listed(tets) => tets.truncate(kept),
             Memory::Among(_, rows) => rows.end = rows.start + kept,
         }
@@ -55,25 +108,20 @@ impl Deref for TetList {
     type Target = [Tet];
 
     fn deref(&self) -> &[Tet] {
-        match &self.0 {
-            Memory::Listed(tets) => tets,
-            Memory::Among(records, rows) => &bytemuck::cast_slice(records)[rows.clone()],
-        }
+        &self.whole()[..self.own]
     }
 }
 
 impl DerefMut for TetList {
     fn deref_mut(&mut self) -> &mut [Tet] {
-        match &mut self.0 {
-            Memory::Listed(tets) => tets,
-            Memory::Among(records, rows) => &mut bytemuck::cast_slice_mut(records)[rows.clone()],
-        }
+        let own = self.own;
+        &mut self.whole_mut()[..own]
     }
 }
 
 impl From<Vec<Tet>> for TetList {
     fn from(tets: Vec<Tet>) -> Self {
-        Self(Memory::Listed(tets))
+        Self { own: tets.len(), memory: Memory::Listed(tets) }
     }
 }
 
@@ -85,7 +133,7 @@ impl Default for TetList {
 
 impl PartialEq for TetList {
     fn eq(&self, other: &Self) -> bool {
-        **self == **other
+        **self == **other && self.around() == other.around()
     }
 }
 
@@ -106,14 +154,22 @@ mod tests {
         let tets: Vec<Tet> = (0..9).map(|i| [i, i + 1, i + 2, i + 3]).collect();
         let mut records = vec![Tetra::NONE; 5];
         bytemuck::cast_slice_mut(&mut records)[7..16].copy_from_slice(&tets);
-        let (mut among, mut listed) = (TetList::among(records, 7..16), TetList::from(tets));
-        for stays in [|t: &Tet| t[0] != 4, |t: &Tet| t[0] & 3 != 1, |_: &Tet| false] {
+        let (mut among, mut listed) = (TetList::among(records, 7..16, 6), TetList::from(tets[..6].to_vec()));
+        assert!(among != listed && listed.around().is_empty());
+        listed.surround(&tets[6..]);
+        let mut lengths = vec![];
+        for stays in [|t: &Tet| t[0] != 4, |t: &Tet| t[0] & 3 != 3, |_: &Tet| false] {
             assert_eq!(format!("{among:?}"), format!("{listed:?}"));
-            assert!(among == listed && among.len() == listed.len());
+            assert!(among == listed && among.whole() == [&*listed, listed.around()].concat());
+            lengths.push((among.len(), among.around().len()));
+            let mut copy = among.clone();
+            copy.surround(&tets[..2]);
+            assert!(*copy == *among && copy.around() == &tets[..2]);
             among.retain(stays);
             listed.retain(stays);
         }
-        assert_eq!((among.len(), listed.len()), (0, 0));
+        assert_eq!(lengths, [(6, 3), (5, 3), (4, 2)]);
+        assert!(among.whole().is_empty() && listed.whole().is_empty());
         assert_eq!(among.into_records().map(|r| r.len()), Some(5));
         assert!(listed.into_records().is_none());
     }

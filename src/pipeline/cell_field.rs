@@ -41,7 +41,7 @@ impl Field for CellField<'_> {
             self.spots(brick, positions, &mut batch, out)
         };
         let mut spots = by_brick(&self.bricks, mesh, &mut find)?;
-        spots.extend(in_bricks(&self.bricks, &mesh.around.positions, &mut find)?);
+        spots.extend(in_bricks(&self.bricks, mesh.positions_around(), &mut find)?);
         let outside = self.outside(mesh, &spots, &mut batch)?;
         Ok(Placement { spots, outside, ..Placement::default() })
     }
@@ -131,7 +131,7 @@ impl CellField<'_> {
     /// Which tetrahedra lie outside of the mesh: those whose corners are not all of one body, and of those with a corner at the
     /// rim the ones whose centroid is not in that body.
     fn outside(&self, mesh: &MeshedChunk, spots: &[Spot], batch: &mut CellBatch) -> Result<Vec<bool>> {
-        let (positions, tets) = mesh.whole();
+        let (positions, tets) = (&mesh.all_positions, mesh.tets.whole());
         let corners = |t: usize| tets[t].map(|v| v as usize);
         let body_of = |t: usize| {
             let [a, b, c, d] = corners(t).map(|v| spots[v].body);

@@ -16,7 +16,6 @@ use crate::mesh::delaunay::Mesher;
 use crate::mesh::list::TetList;
 use crate::mesh::tet::Tet;
 use crate::points::PointSet;
-use std::borrow::Cow;
 
 /// What the chunks of one archive have in common.
 pub(crate) struct Recipe<'a> {
@@ -34,50 +33,55 @@ pub(crate) struct MeshedChunk {
     pub(crate) core_counts: Vec<u32>,
     /// Ids of the halo points, ordered as they are stored; vertex numbers continue those of the core.
     pub(crate) halo: Vec<PointId>,
-    /// Positions of core points, then of halo points.
-    pub(crate) positions: Vec<LatticePos>,
+    /// Positions of core points, of halo points, then of those that only tetrahedra around have.
+    pub(crate) all_positions: Vec<LatticePos>,
+    /// How many are of the last kind: the others are the chunk's vertices.
+    pub(crate) around: usize,
     /// Whether another chunk may have tetrahedra at the vertex.
     pub(crate) shared: Vec<bool>,
-    /// Tetrahedra, as numbers into `positions`.
+    /// Tetrahedra, as numbers into `all_positions`. With [`Halo::Stars`] the rest of the tetrahedra at all vertices are around them.
     pub(crate) tets: TetList,
     /// How often the halo had to be widened.
     pub(crate) retries: u32,
-    /// With [`Halo::Stars`]: the rest of the tetrahedra at all vertices.
-    pub(crate) around: Around,
-}
-
-/// Tetrahedra that have a vertex of a chunk's and are not its own.
-#[derive(Default)]
-pub(crate) struct Around {
-    /// Positions of their vertices that are none of the chunk's.
-    pub(crate) positions: Vec<LatticePos>,
-    /// As numbers of the chunk's vertices, then of these.
-    pub(crate) tets: Vec<Tet>,
 }
 
 impl MeshedChunk {
     pub(crate) fn core_len(&self) -> usize {
-        self.positions.len() - self.halo.len()
+        self.vertices() - self.halo.len()
     }
 
-    /// The chunk's vertices and tetrahedra, then those around.
-    pub(crate) fn whole(&self) -> (Cow<'_, [LatticePos]>, Cow<'_, [Tet]>) {
-        if self.around.tets.is_empty() {
-            return (self.positions.as_slice().into(), (*self.tets).into());
-        }
-        let positions = [&*self.positions, &*self.around.positions].concat();
-        (positions.into(), [&*self.tets, &*self.around.tets].concat().into())
+    /// How many vertices the chunk has.
+    pub(crate) fn vertices(&self) -> usize {
+        self.all_positions.len() - self.around
+    }
+
+    /// The positions of the chunk's vertices.
+    pub(crate) fn positions(&self) -> &[LatticePos] {
+        &self.all_positions[..self.vertices()]
+    }
+
+    /// The positions of the others that tetrahedra around have.
+    pub(crate) fn positions_around(&self) -> &[LatticePos] {
+        &self.all_positions[self.vertices()..]
+    }
+
+    /// Takes over what is around the same chunk, meshed again.
+    pub(crate) fn surround(&mut self, again: &Self) {
+        self.tets.surround(again.tets.around());
+        self.all_positions.truncate(self.vertices());
+        self.all_positions.extend_from_slice(again.positions_around());
+        self.around = again.around;
     }
 
     /// Removes the halo points that no tetrahedron of the chunk's uses; those that tetrahedra around use become vertices around. Tells the
     /// number that each vertex had, those around last.
     pub(crate) fn drop_unused_halo(&mut self) -> Vec<u32> {
-        let (core, vertices) = (self.core_len(), self.positions.len());
+        let (core, vertices) = (self.core_len(), self.vertices());
         let mut kept = vec![false; vertices];
         kept[..core].fill(true);
         self.tets.iter().flatten().for_each(|&v| kept[v as usize] = true);
         let mut wanted = vec![false; vertices];
-        self.around.tets.iter().flatten().for_each(|&v| {
+        self.tets.around().iter().flatten().for_each(|&v| {
             if let Some(wanted) = wanted.get_mut(v as usize) {
                 *wanted = !kept[v as usize];
             }
@@ -85,20 +89,19 @@ impl MeshedChunk {
         let numbered =
             |flags: &[bool]| (0..vertices as u32).filter(|&v| flags[v as usize]).collect::<Vec<_>>();
         let (stay, moved) = (numbered(&kept), numbered(&wanted));
-        let around = vertices as u32..(vertices + self.around.positions.len()) as u32;
-        self.around.positions.extend(moved.iter().map(|&v| self.positions[v as usize]));
-        let before: Vec<u32> = stay.into_iter().chain(around.clone()).chain(moved).collect();
+        let around = vertices as u32..self.all_positions.len() as u32;
+        self.around = around.len() + moved.len();
         let mut numbers = vec![u32::MAX; around.end as usize];
+        let before: Vec<u32> = stay.into_iter().chain(around).chain(moved).collect();
         (0..).zip(&before).for_each(|(number, &v)| numbers[v as usize] = number);
-        let tets = self.tets.iter_mut().chain(&mut self.around.tets);
-        tets.flatten().for_each(|v| *v = numbers[*v as usize]);
+        self.tets.whole_mut().iter_mut().flatten().for_each(|v| *v = numbers[*v as usize]);
         fn keep<T>(all: &mut Vec<T>, kept: &[bool]) {
             let mut kept = kept.iter();
             all.retain(|_| *kept.next().expect("a flag for each"));
         }
         keep(&mut self.halo, &kept[core..]);
-        keep(&mut self.positions, &kept);
         keep(&mut self.shared, &kept);
+        self.all_positions = before.iter().map(|&v| self.all_positions[v as usize]).collect();
         before
     }
 }
@@ -224,7 +227,7 @@ fn renumber(
     mesh: ChunkMesh,
     retries: u32,
 ) -> MeshedChunk {
-    let ChunkMesh { mut tets, mut shared, around } = mesh;
+    let ChunkMesh { mut tets, mut shared } = mesh;
     let core: usize = core_counts.iter().map(|&n| n as usize).sum();
     let mut used = vec![false; sites.len() - core];
     let mut with_halo = vec![];
@@ -248,34 +251,21 @@ fn renumber(
             *v = number[*v as usize - core];
         }
     }
-    let around = renumber_around(sites, core, halo.len(), number, around);
     positions.truncate(core);
     positions.extend(halo.iter().map(|&v| sites[v as usize].pos));
-    shared.truncate(core);
-    shared.resize(positions.len(), true);
-    let halo = halo.iter().map(|&v| sites[v as usize].id).collect();
-    MeshedChunk { core_counts, halo, positions, shared, tets, retries, around }
-}
-
-/// Numbers the vertices that only tetrahedra around the chunk have behind the `halo` ones, which have theirs in `number`.
-fn renumber_around(
-    sites: &[Site],
-    core: usize,
-    halo: usize,
-    mut number: Vec<u32>,
-    mut tets: Vec<Tet>,
-) -> Around {
-    let mut positions = vec![];
-    for v in tets.iter_mut().flatten() {
-        if (*v as usize) < core {
-            continue;
-        }
+    let vertices = positions.len();
+    // Those that only tetrahedra around have follow, as they come.
+    for v in tets.around_mut().iter_mut().flatten().filter(|v| **v as usize >= core) {
         let number = &mut number[*v as usize - core];
         if *number == u32::MAX {
-            *number = (core + halo + positions.len()) as u32;
+            *number = positions.len() as u32;
             positions.push(sites[*v as usize].pos);
         }
         *v = *number;
     }
-    Around { positions, tets }
+    shared.truncate(core);
+    shared.resize(vertices, true);
+    let halo = halo.iter().map(|&v| sites[v as usize].id).collect();
+    let around = positions.len() - vertices;
+    MeshedChunk { core_counts, halo, all_positions: positions, around, shared, tets, retries }
 }

@@ -122,7 +122,7 @@ pub(crate) fn by_brick<T: Clone + Default>(
     mesh: &MeshedChunk,
     sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
 ) -> Result<Vec<T>> {
-    by_brick_in_order(bricks, mesh, &brick_order(bricks, &mesh.positions[mesh.core_len()..]), sample)
+    by_brick_in_order(bricks, mesh, &brick_order(bricks, &mesh.positions()[mesh.core_len()..]), sample)
 }
 
 /// As [`by_brick`], given the [`brick_order`] of the halo.
@@ -132,16 +132,16 @@ pub(crate) fn by_brick_in_order<T: Clone + Default>(
     halo: &[(BrickId, u32)],
     mut sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
 ) -> Result<Vec<T>> {
-    let mut out = Vec::with_capacity(mesh.positions.len());
+    let mut out = Vec::with_capacity(mesh.vertices());
     let mut start = 0;
     for &count in &mesh.core_counts {
-        let group = &mesh.positions[start..start + count as usize];
+        let group = &mesh.positions()[start..start + count as usize];
         if let Some(&first) = group.first() {
             sample(bricks.id(bricks.brick_at(first)), group, &mut out)?;
         }
         start += count as usize;
     }
-    let halo = in_order(&mesh.positions[start..], halo, sample)?;
+    let halo = in_order(&mesh.positions()[start..], halo, sample)?;
     out.extend(halo);
     Ok(out)
 }

@@ -48,8 +48,7 @@ pub(super) fn fitted(
     if grids.is_empty() && cells.is_empty() {
         return Ok(interpolated);
     }
-    let (positions, tets) = mesh.whole();
-    let whole = FitMesh { positions: &positions, tets: &tets };
+    let whole = FitMesh { positions: &mesh.all_positions, tets: mesh.tets.whole() };
     let mut fit = Fit::new(whole, &steps);
     match cells.first() {
         None => add_samples(&mut fit, &whole, &grids, cancel, note)?,
@@ -58,7 +57,7 @@ pub(super) fn fitted(
             add_vertices(&mut fit, &whole, &cells, vertices, placement, cancel, note)?;
         }
     }
-    Ok(fit.values(mesh.positions.len()))
+    Ok(fit.values(mesh.vertices()))
 }
 
 /// Adds the samples of volumes.

@@ -45,8 +45,8 @@ pub(super) fn treat_missing(missing: Option<f64>, stand_in: f32, samples: &mut [
 
 impl Field for GridField {
     fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
-        let halo = brick_order(&self.bricks, &mesh.positions[mesh.core_len()..]);
-        let around = brick_order(&self.bricks, &mesh.around.positions);
+        let halo = brick_order(&self.bricks, &mesh.positions()[mesh.core_len()..]);
+        let around = brick_order(&self.bricks, mesh.positions_around());
         Ok(Placement { halo, around, ..Placement::default() })
     }
 
@@ -56,7 +56,7 @@ impl Field for GridField {
             |_, positions: &[LatticePos], out: &mut Vec<f32>| self.sample(positions, &mut voxels, out);
         let mut values = by_brick_in_order(&self.bricks, mesh, &placement.halo, &mut sample)?;
         if self.values == Values::Fit {
-            values.extend(in_order(&mesh.around.positions, &placement.around, &mut sample)?);
+            values.extend(in_order(mesh.positions_around(), &placement.around, &mut sample)?);
         }
         Ok(values)
     }

@@ -146,7 +146,7 @@ fn make_in_room(
     let (mut mesh_blocks, ends, summary) = encode_mesh(work, &mut desk.encoder, &mut mesh, outside6);
     lap.add_to(&mut times.encode);
     let value_blocks = encode_steps(work, &mesh, &placement, None, &ends, &mut desk.bench, &mut times)?;
-    desk.maker.reuse(mesh.positions, mesh.tets);
+    desk.maker.reuse(mesh.all_positions, mesh.tets);
     mesh_blocks.push(summary.encode());
     Ok(Making::Done(Product { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
 }
@@ -169,13 +169,13 @@ fn make_from_stored(
         Some(mut whole) => {
             let mut placement = place(&whole)?;
             drop_outside(&mut whole, &mut placement);
-            mesh.around = whole.around;
-            desk.maker.reuse(whole.positions, whole.tets);
+            mesh.surround(&whole);
+            desk.maker.reuse(whole.all_positions, whole.tets);
             placement
         }
     };
     lap.add_to(&mut times.sample);
-    let vertices = mesh.positions.len();
+    let vertices = mesh.vertices();
     let before = stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
     lap.add_to(&mut times.mesh);
     let (before, bench) = (before.as_deref(), &mut desk.bench);
@@ -237,7 +237,7 @@ fn encode_steps(
     lap.add_to(&mut times.sample);
     let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
     let sides = Sides::new(&of_steps, &mut bench.sides);
-    let (positions, tets) = (&*mesh.positions, &*mesh.tets);
+    let (positions, tets) = (mesh.positions(), &*mesh.tets);
     let errors = errors(work, &Cells { positions, tets, block_ends }, &sides)?;
     lap.add_to(&mut times.measure);
     let ranges = sides.ranges(tets, block_ends);
@@ -276,11 +276,10 @@ fn drop_outside(mesh: &mut MeshedChunk, placement: &mut Placement) -> i128 {
         return 0;
     }
     let gone = mesh.tets.iter().zip(&outside).filter(|(_, gone)| **gone).map(|(t, _)| t);
-    let volume = volume6(&mesh.positions, gone);
+    let volume = volume6(mesh.positions(), gone);
     let mut flags = outside.iter();
-    let mut stays = |_: &Tet| !flags.next().expect("a flag for each tetrahedron, those around last");
-    mesh.tets.retain(&mut stays);
-    mesh.around.tets.retain(&mut stays);
+    let stays = |_: &Tet| !flags.next().expect("a flag for each tetrahedron, those around last");
+    mesh.tets.retain(stays);
     let before = mesh.drop_unused_halo();
     placement.spots = before.iter().map(|&v| placement.spots[v as usize]).collect();
     volume
@@ -307,7 +306,7 @@ fn encode_mesh(
         tet_blocks: 0,
         retries: mesh.retries,
         tets: mesh.tets.len() as u64,
-        volume6: volume6(&mesh.positions, mesh.tets.iter()),
+        volume6: volume6(mesh.positions(), mesh.tets.iter()),
         outside6,
     };
     let vertices = ChunkVertices {
@@ -315,7 +314,8 @@ fn encode_mesh(
         halo: std::mem::take(&mut mesh.halo),
         shared: std::mem::take(&mut mesh.shared),
     };
-    let encoded = encoder.encode(&vertices, &mesh.positions, &mut mesh.tets, work.plan.block_tets);
+    let positions = &mesh.all_positions[..mesh.all_positions.len() - mesh.around];
+    let encoded = encoder.encode(&vertices, positions, &mut mesh.tets, work.plan.block_tets);
     ChunkVertices { core_counts: mesh.core_counts, halo: mesh.halo, shared: mesh.shared } = vertices;
     summary.tet_blocks = encoded.tet_blocks() as u32;
     let ends = encoded.block_ends();

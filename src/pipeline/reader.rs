@@ -10,7 +10,7 @@
 //! So a chunk whose surface is small costs a few bricks.
 
 use super::block::{Block, BlockCorners};
-use super::chunk::{Around, MeshedChunk};
+use super::chunk::MeshedChunk;
 use super::open::{OpenArchive, OpenSegment};
 use super::plan::check_brick;
 use super::roi::Cut;
@@ -485,11 +485,11 @@ impl<'a> ChunkReader<'a> {
         MeshedChunk {
             core_counts: self.starts.windows(2).map(|w| w[1] - w[0]).collect(),
             halo: self.memory.ids[core..self.shared.len()].to_vec(),
-            positions: self.memory.positions,
+            all_positions: self.memory.positions,
+            around: 0,
             shared: self.shared,
             tets: tets.into(),
             retries: 0,
-            around: Around::default(),
         }
     }
 

@@ -470,7 +470,7 @@ mod tests {
             for id in (0..archive.chunks.len()).map(ChunkId) {
                 let (mesh, ends) = archive.stored_mesh(id).unwrap();
                 let mut values = vec![];
-                let all = mesh.positions.len();
+                let all = mesh.vertices();
                 for (block, first) in (0..all).step_by(BLOCK_VALUES).enumerate() {
                     archive
                         .values_block(id, block as u64, BLOCK_VALUES.min(all - first), &mut values)

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::mesh::check;
+use crate::mesh::tet::Tet;
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -112,7 +113,7 @@ fn stars(
         let boxes = ChunkRegion { core, near, region, domain };
         if let ChunkOutcome::Done(mesh) = mesh_with_stars(&mut mesher, &boxes, &local, &order, true).unwrap()
         {
-            let found: Vec<_> = mesh.around.iter().map(|t| four(t, &local)).collect();
+            let found: Vec<_> = mesh.tets.around().iter().map(|t| four(t, &local)).collect();
             let set: BTreeSet<_> = found.iter().copied().collect();
             assert_eq!(set.len(), found.len(), "each once");
             return [wanted, set];
