@@ -15,6 +15,7 @@ use isospan::points::{PointSet, PointSpec, SetKind, SetSettings};
 use std::collections::BTreeSet;
 use std::error::Error;
 use std::io::Write;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
@@ -111,6 +112,15 @@ fn kernel(points: &[LatticePos], repeat: usize) -> Result<(), Box<dyn Error>> {
     })
 }
 
+/// Halos of a chunk at most, each twice as wide as the one before; the last holds all points.
+const TRIES: usize = 26;
+
+/// A chunk's core, and its boxes and points at each try, made when they are first asked for: in the run before those that are measured.
+struct Chunk {
+    core: LatticeBox,
+    tries: [OnceLock<Input>; TRIES],
+}
+
 /// A chunk's boxes and points.
 struct Input {
     boxes: ChunkRegion,
@@ -126,25 +136,31 @@ fn stage(points: Vec<LatticePos>, repeat: usize, threads: usize, chunk: usize) -
     let domain = LatticeBox { lo: [0; 3], hi: [SIDE + 1; 3] };
     let mut cores = vec![];
     cut(all.clone(), domain, chunk.max(1), &mut cores);
-    let inputs: Vec<Input> = cores.iter().map(|core| input(&all, *core, domain, spacing)).collect();
+    let chunks: Vec<Chunk> =
+        cores.iter().map(|&core| Chunk { core, tries: [const { OnceLock::new() }; TRIES] }).collect();
+    let mesh = |mesher: &mut Mesher, chunk: &Chunk| -> Result<usize, isospan::Error> {
+        for (widened, input) in (0..).zip(&chunk.tries) {
+            let input = input.get_or_init(|| halo(&all, chunk.core, domain, spacing, widened));
+            match mesh_chunk(mesher, &input.boxes, &input.positions, &order)? {
+                ChunkOutcome::Done(mesh) => {
+                    let tets = mesh.tets.len();
+                    mesher.reuse(mesh.tets);
+                    return Ok(tets);
+                }
+                // As a reduction does.
+                ChunkOutcome::WidenHalo { .. } => {}
+            }
+        }
+        unreachable!("a region that is the whole domain certifies everything")
+    };
     let mut meshers: Vec<Mesher> = (0..threads).map(|_| Mesher::new()).collect();
     report(repeat, all.len(), || {
         let (next, total) = (AtomicUsize::new(0), AtomicUsize::new(0));
         std::thread::scope(|scope| {
             for mesher in &mut meshers {
                 scope.spawn(|| {
-                    while let Some(input) = inputs.get(next.fetch_add(1, Ordering::Relaxed)) {
-                        let outcome = mesh_chunk(mesher, &input.boxes, &input.positions, &order);
-                        let tets = match outcome.expect("the points are on the lattice") {
-                            ChunkOutcome::Done(mesh) => {
-                                let tets = mesh.tets.len();
-                                mesher.reuse(mesh.tets);
-                                tets
-                            }
-                            ChunkOutcome::WidenHalo { uncertified } => {
-                                panic!("a halo of three spacings leaves {uncertified} uncertified")
-                            }
-                        };
+                    while let Some(chunk) = chunks.get(next.fetch_add(1, Ordering::Relaxed)) {
+                        let tets = mesh(mesher, chunk).expect("the points are on the lattice");
                         total.fetch_add(tets, Ordering::Relaxed);
                     }
                 });
@@ -187,9 +203,11 @@ fn cut(points: Vec<LatticePos>, part: LatticeBox, most: usize, cores: &mut Vec<L
     cut(above, high, most, cores);
 }
 
-fn input(all: &[LatticePos], core: LatticeBox, domain: LatticeBox, spacing: u32) -> Input {
-    let near = core.grow_within([spacing / 4 * quarters("NEAR", 6); 3], &domain);
-    let region = core.grow_within([spacing / 4 * quarters("FAR", 16); 3], &domain);
+/// The halo of a chunk, widened so many times.
+fn halo(all: &[LatticePos], core: LatticeBox, domain: LatticeBox, spacing: u32, widened: u32) -> Input {
+    let width = |quarters: u32| (u64::from(spacing / 4 * quarters) << widened).min(u64::from(SIDE)) as u32;
+    let near = core.grow_within([width(quarters("NEAR", 6)); 3], &domain);
+    let region = core.grow_within([width(quarters("FAR", 16)); 3], &domain);
     let mut positions: Vec<LatticePos> = all.iter().copied().filter(|p| region.contains(*p)).collect();
     positions.sort_by_key(|p| !near.contains(*p));
     Input { boxes: ChunkRegion { core, near, region, domain }, positions }
