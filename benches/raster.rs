@@ -4,6 +4,7 @@
 //! samples, tetrahedra sorted into windows and what the samples tell added up (`fit`).
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use isospan::exec::Room;
 use isospan::fit::{Fit, FitMesh, Windows, window_edge};
 use isospan::geom::curve::Order;
 use isospan::geom::{Lattice, LatticePos};
@@ -79,11 +80,13 @@ fn bench(c: &mut Criterion) {
         let (positions, tets) = mesh(lattice, whole.len() as u64 / share);
         let values: Vec<f32> = (0..positions.len()).map(|i| i as f32).collect();
         let mesh = FitMesh { positions: &positions, tets: &tets };
-        let mut samples = vec![];
+        let (mut samples, mut memory) = (vec![], vec![0; 4 * tets.len()]);
         group.bench_function(BenchmarkId::from_parameter(share), |b| {
             b.iter(|| {
-                let mut fit = Fit::new(mesh, &[&values]);
-                for (window, tets) in Windows::new(&grid, window_edge([16; 3]), &positions, &tets).iter() {
+                let room = &mut Room::new(&mut memory);
+                let mut fit = Fit::new(mesh, &[&values], room);
+                let edge = window_edge([16; 3]);
+                for (window, tets) in Windows::new(&grid, edge, &positions, &tets, room).iter() {
                     samples.resize(window.len(), 1.0);
                     fit.add(&grid, &window, &samples, tets);
                 }

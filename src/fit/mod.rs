@@ -46,8 +46,8 @@
 //! void corner (NaN), and a sample that is NaN, tell nothing. Values may leave the range of the samples, by what a
 //! step in the field overshoots.
 //!
-//! Cost: one scan conversion of the tetrahedra, some 40 operations a sample and step (or eight steps, with AVX-512). Memory: 46 bytes a vertex, 9 a
-//! tetrahedron, 24 a sample of a window; of each eight steps 104 bytes a vertex (168 where voids differ), 32 a sample of a window. Reference: Garland and Heckbert, "Fast polygonal approximation of terrains and height fields", 1995, for the field's
+//! Cost: one scan conversion of the tetrahedra, some 40 operations a sample and step (or eight steps, with AVX-512). Memory: 52 bytes a vertex, 9 a
+//! tetrahedron (what stands empty of a chunk's, as far as that goes), 24 a sample of a window; of each eight steps 104 bytes a vertex (168 where voids differ), 32 a sample of a window. Reference: Garland and Heckbert, "Fast polygonal approximation of terrains and height fields", 1995, for the field's
 //! error as the measure.
 
 mod sums;
@@ -58,7 +58,7 @@ mod windows;
 use self::sums::Side;
 pub use windows::{BrickTets, Windows, window_edge};
 
-use crate::exec::with_vectors;
+use crate::exec::{Room, with_vectors};
 use crate::geom::LatticePos;
 use crate::grid::IndexBox;
 use crate::mesh::tet::Tet;
@@ -90,7 +90,7 @@ const NOTHING: Told = Told { tet: NONE, weights: [0.0; 4] };
 pub struct Fit<'a> {
     mesh: FitMesh<'a>,
     steps: usize,
-    sides: Vec<Side>,
+    sides: Vec<Side<'a>>,
     /// Whether each vertex is void at all steps; empty where none is.
     void: Vec<bool>,
     /// What each sample of a window tells.
@@ -101,19 +101,25 @@ pub struct Fit<'a> {
 }
 
 impl<'a> Fit<'a> {
-    /// Of the interpolated values at each step, one for each vertex; NaN of a void one.
-    pub fn new(mesh: FitMesh<'a>, steps: &[&[f32]]) -> Self {
+    /// Of the interpolated values at each step, one for each vertex; NaN of a void one. Works in `room`, as far as that goes.
+    pub fn new(mesh: FitMesh<'a>, steps: &[&[f32]], room: &mut Room<'a>) -> Self {
         let is_void = |v: usize| steps.iter().all(|values| values[v].is_nan());
-        let void: Vec<bool> = (0..mesh.positions.len()).map(is_void).collect();
+        let vertices = 0..mesh.positions.len();
+        let some_void = vertices.clone().any(is_void);
         Self {
             mesh,
             steps: steps.len(),
-            sides: Side::all(steps),
-            void: if void.contains(&true) { void } else { vec![] },
+            sides: Side::all(steps, room),
+            void: if some_void { vertices.map(is_void).collect() } else { vec![] },
             told: vec![],
             tets: vec![],
             batch: BatchScan::default(),
         }
+    }
+
+    /// What was given.
+    pub fn mesh(&self) -> FitMesh<'a> {
+        self.mesh
     }
 
     /// Adds the samples of a window, those of each step after those of the one before, given with those of the mesh's tetrahedra that touch it; NaN is no

@@ -8,10 +8,11 @@ use super::{NONE, Told};
 #[cfg(target_arch = "x86_64")]
 use crate::exec::lanes::{Eight, Vector};
 use crate::exec::lanes::{Floats, Pair, Plain, four, sorted};
-use crate::exec::with_vectors;
 #[cfg(target_arch = "x86_64")]
 use crate::exec::{Avx2, Avx512, with_avx512};
+use crate::exec::{Lent, Room, with_vectors};
 use crate::mesh::tet::Tet;
+use bytemuck::{Pod, Zeroable};
 
 /// ω: the length of the step.
 const STEP: f64 = 0.6;
@@ -24,8 +25,9 @@ const SOME: usize = 256;
 /// Steps that lie side by side, at most.
 const TOGETHER: usize = 8;
 
-/// A vertex at some steps.
-#[derive(Clone, Copy, Debug)]
+/// A vertex at some steps. Packed, so that it has no bytes without a meaning, and any memory will do.
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+#[repr(C, packed)]
 struct Vertex<const N: usize> {
     /// Interpolated values.
     values: [f32; N],
@@ -36,10 +38,10 @@ struct Vertex<const N: usize> {
 }
 
 /// The vertices at some steps.
-pub(super) struct Sums<const N: usize> {
+pub(super) struct Sums<'a, const N: usize> {
     /// Steps; there may be fewer than lanes.
     steps: usize,
-    vertices: Vec<Vertex<N>>,
+    vertices: Lent<'a, Vertex<N>>,
     /// Σ w² of each step, where it is not the same for all.
     apart: Vec<[f64; N]>,
     /// Some samples, side by side.
@@ -47,19 +49,19 @@ pub(super) struct Sums<const N: usize> {
 }
 
 /// One step, or some side by side.
-pub(super) enum Side {
-    One(Sums<1>),
-    Four(Sums<4>),
-    Eight(Sums<8>),
+pub(super) enum Side<'a> {
+    One(Sums<'a, 1>),
+    Four(Sums<'a, 4>),
+    Eight(Sums<'a, 8>),
 }
 
-impl Side {
+impl<'a> Side<'a> {
     /// All steps, given the interpolated values of each.
-    pub(super) fn all(steps: &[&[f32]]) -> Vec<Self> {
+    pub(super) fn all(steps: &[&[f32]], room: &mut Room<'a>) -> Vec<Self> {
         let side = |some: &[&[f32]]| match some.len() {
-            1 => Self::One(Sums::new(some)),
-            2..=4 => Self::Four(Sums::new(some)),
-            _ => Self::Eight(Sums::new(some)),
+            1 => Self::One(Sums::new(some, room)),
+            2..=4 => Self::Four(Sums::new(some, room)),
+            _ => Self::Eight(Sums::new(some, room)),
         };
         steps.chunks(TOGETHER).map(side).collect()
     }
@@ -95,7 +97,7 @@ impl Side {
 }
 
 #[inline(never)]
-fn add_four(sums: &mut Sums<4>, told: &[Told], samples: &[f32], tets: &[Tet]) {
+fn add_four(sums: &mut Sums<'_, 4>, told: &[Told], samples: &[f32], tets: &[Tet]) {
     #[cfg(target_arch = "x86_64")]
     if let Some(proof) = Avx2::found() {
         return with_vectors(
@@ -107,7 +109,7 @@ fn add_four(sums: &mut Sums<4>, told: &[Told], samples: &[f32], tets: &[Tet]) {
 }
 
 #[inline(never)]
-fn add_eight(sums: &mut Sums<8>, told: &[Told], samples: &[f32], tets: &[Tet]) {
+fn add_eight(sums: &mut Sums<'_, 8>, told: &[Told], samples: &[f32], tets: &[Tet]) {
     #[cfg(target_arch = "x86_64")]
     if let Some(proof) = Avx512::found() {
         return with_avx512(
@@ -126,10 +128,10 @@ fn add_eight(sums: &mut Sums<8>, told: &[Told], samples: &[f32], tets: &[Tet]) {
     sums.add::<Pair<Plain>>((), told, samples, tets);
 }
 
-impl<const N: usize> Sums<N> {
-    fn new(steps: &[&[f32]]) -> Self {
+impl<'a, const N: usize> Sums<'a, N> {
+    fn new(steps: &[&[f32]], room: &mut Room<'a>) -> Self {
         let none = Vertex { values: [0.0; N], pulls: [0.0; N], weight: 0.0 };
-        let mut vertices = vec![none; steps[0].len()];
+        let mut vertices = room.lend(steps[0].len(), none);
         for (lane, values) in steps.iter().enumerate() {
             vertices.iter_mut().zip(*values).for_each(|(vertex, &value)| vertex.values[lane] = value);
         }
@@ -158,7 +160,7 @@ impl<const N: usize> Sums<N> {
                 let [a, b, c, d] = sorted(four(
                     #[inline(always)]
                     |k| {
-                        let value = W::of_floats(proof, &self.vertices[tet[k] as usize].values);
+                        let value = W::of_floats(proof, &{ self.vertices[tet[k] as usize].values });
                         W::splat(proof, weights[k]).times(sample.minus(value))
                     },
                 ));
@@ -172,7 +174,7 @@ impl<const N: usize> Sums<N> {
                 let difference = W::of_floats(proof, &sum.floats());
                 for (v, w) in tet.into_iter().zip(weights) {
                     let at = &mut self.vertices[v as usize];
-                    let pulls = W::of(proof, &at.pulls);
+                    let pulls = W::of(proof, &{ at.pulls });
                     at.pulls = pulls.plus(W::splat(proof, w).times(difference)).lanes();
                     if counts == all {
                         at.weight += w * w;
@@ -225,7 +227,7 @@ impl<const N: usize> Sums<N> {
 }
 
 #[cfg(test)]
-impl Side {
+impl Side<'_> {
     /// As [`Side::add`] where there are no vectors.
     pub(super) fn add_plain(&mut self, told: &[Told], samples: &[f32], tets: &[Tet]) {
         match self {

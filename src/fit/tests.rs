@@ -61,8 +61,11 @@ fn fitted_steps(
     values: &[&[f32]],
     steps: &[&dyn Fn([f64; 3]) -> f32],
 ) -> Vec<Vec<f32>> {
-    let windows = Windows::new(grid, edge, mesh.positions, mesh.tets);
-    let mut fit = Fit::new(*mesh, values);
+    // Some of it fits, some does not.
+    let mut memory = vec![u64::MAX; 5 * mesh.positions.len()];
+    let room = &mut Room::new(&mut memory);
+    let windows = Windows::new(grid, edge, mesh.positions, mesh.tets, room);
+    let mut fit = Fit::new(*mesh, values, room);
     for (window, tets) in windows.iter() {
         let samples: Vec<f32> = steps.iter().flat_map(|f| samples(grid, &window, f)).collect();
         fit.add(grid, &window, &samples, tets);
@@ -176,8 +179,8 @@ fn vectors_do_not_show() {
         let values: Vec<Vec<f32>> =
             fields.iter().map(|f| positions.iter().map(|&p| f(at(&grid, p))).collect()).collect();
         let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
-        let [mut plain, mut vectors] = [0, 1].map(|_| Fit::new(mesh, &of_steps));
-        for (window, tets) in Windows::new(&grid, [32; 3], &positions, &tets).iter() {
+        let [mut plain, mut vectors] = [0, 1].map(|_| Fit::new(mesh, &of_steps, &mut Room::none()));
+        for (window, tets) in Windows::new(&grid, [32; 3], &positions, &tets, &mut Room::none()).iter() {
             let samples: Vec<f32> = fields.iter().flat_map(|f| samples(&grid, &window, f)).collect();
             vectors.add(&grid, &window, &samples, tets);
             plain.scan(&Scanner::new(&grid, &window), window.len(), tets);
@@ -205,7 +208,7 @@ fn holes_do_not_leak() {
 fn windows_hold_each_sample_of_each_tetrahedron_once() {
     let (grid, positions, tets) = mesh();
     for edge in [[5, 7, 3], window_edge([3, 20, 64])] {
-        let windows = Windows::new(&grid, edge, &positions, &tets);
+        let windows = Windows::new(&grid, edge, &positions, &tets, &mut Room::none());
         let mut count = 0;
         for (window, tets_of) in windows.iter() {
             let scanner = Scanner::new(&grid, &window);
@@ -217,5 +220,5 @@ fn windows_hold_each_sample_of_each_tetrahedron_once() {
         assert_eq!(count as u64, DIMS.iter().product::<u64>());
     }
     assert_eq!(window_edge([3, 20, 64]), [33, 40, 64]);
-    assert_eq!(Windows::new(&grid, [32; 3], &[], &[]).iter().count(), 0);
+    assert_eq!(Windows::new(&grid, [32; 3], &[], &[], &mut Room::none()).iter().count(), 0);
 }

@@ -3,7 +3,7 @@
 //! Windows are cubes of samples on a grid that belongs to the volume, not to a chunk. A window is read where tetrahedra have samples: its
 //! box is cut to theirs. Where samples lie anywhere, as the vertices of a mesh do, windows are bricks ([`BrickTets`]).
 
-use crate::exec::with_vectors;
+use crate::exec::{Lent, Room, with_vectors};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, BrickId, IndexBox};
 use crate::mesh::tet::Tet;
@@ -25,16 +25,16 @@ const SEVERAL: u32 = u32::MAX;
 
 /// Tetrahedra, window by window: a counting sort.
 #[derive(Debug)]
-struct Sorted {
+struct Sorted<'a> {
     /// The first window that a vertex lies in, and how many follow along each axis.
     lo: [u64; 3],
     dims: [u64; 3],
     /// End of each window's tetrahedra.
     ends: Vec<u32>,
-    tets: Vec<u32>,
+    tets: Lent<'a, u32>,
 }
 
-impl Sorted {
+impl<'a> Sorted<'a> {
     /// For vertices in these windows; without tetrahedra yet.
     #[inline(always)]
     fn around(at: &Places) -> Self {
@@ -42,15 +42,26 @@ impl Sorted {
         at.iter().for_each(|&w| (lo, hi) = (lesser(lo, w), greater(hi, w.map(|w| w + 1))));
         let dims = std::array::from_fn(|k| u64::from(hi[k].saturating_sub(lo[k])));
         let count = dims.iter().product::<u64>() as usize;
-        Self { lo: [0, 1, 2].map(|k| u64::from(lo[k])), dims, ends: vec![0; count], tets: vec![] }
+        Self {
+            lo: [0, 1, 2].map(|k| u64::from(lo[k])),
+            dims,
+            ends: vec![0; count],
+            tets: Room::none().lend(0, 0),
+        }
     }
 
     /// Sorts tetrahedra, and calls `each` with each of them and its window, or [`SEVERAL`].
     #[inline(always)]
-    fn sort(mut self, at: &Places, tets: &[Tet], mut each: impl FnMut(&Self, &Tet, u32)) -> Self {
+    fn sort(
+        mut self,
+        at: &Places,
+        tets: &[Tet],
+        room: &mut Room<'a>,
+        mut each: impl FnMut(&Self, &Tet, u32),
+    ) -> Self {
         let sorted = &mut self;
-        let mut only = vec![SEVERAL; tets.len()];
-        for (tet, only) in tets.iter().zip(&mut only) {
+        let mut only = room.lend(tets.len(), SEVERAL);
+        for (tet, only) in tets.iter().zip(&mut *only) {
             let [a, b, c, d] = tet.map(|v| at[v as usize]);
             if (a == b) & (a == c) & (a == d) {
                 let n = sorted.number([0, 1, 2].map(|k| u64::from(a[k])));
@@ -65,12 +76,12 @@ impl Sorted {
         for n in &mut sorted.ends {
             sum += std::mem::replace(n, sum);
         }
-        sorted.tets = vec![0; sum as usize];
+        sorted.tets = room.lend(sum as usize, 0);
         let put = |sorted: &mut Self, n: usize, t: usize| {
             sorted.tets[sorted.ends[n] as usize] = t as u32;
             sorted.ends[n] += 1;
         };
-        for (t, (tet, &only)) in tets.iter().zip(&only).enumerate() {
+        for (t, (tet, &only)) in tets.iter().zip(&*only).enumerate() {
             match only {
                 SEVERAL => sorted.each_of(at, tet, |sorted, n| put(sorted, n, t)),
                 n => put(sorted, n as usize, t),
@@ -113,19 +124,19 @@ impl Sorted {
 
 /// Tetrahedra, brick by brick.
 #[derive(Debug)]
-pub struct BrickTets {
+pub struct BrickTets<'a> {
     bricks: BrickGrid,
-    sorted: Sorted,
+    sorted: Sorted<'a>,
 }
 
-impl BrickTets {
+impl<'a> BrickTets<'a> {
     /// Sorts tetrahedra into the bricks that their bounding boxes touch. Time and memory also grow with the number of bricks that the box
     /// around all vertices touches.
-    pub fn new(bricks: &BrickGrid, positions: &[LatticePos], tets: &[Tet]) -> Self {
+    pub fn new(bricks: &BrickGrid, positions: &[LatticePos], tets: &[Tet], room: &mut Room<'a>) -> Self {
         // A volume has at most 2^24 + 1 samples along an axis.
         let brick = |&p: &LatticePos| bricks.brick_at(p).map(|c| c as u32);
-        let at: Vec<[u32; 4]> = positions.iter().map(|p| with_zero(brick(p))).collect();
-        Self { bricks: *bricks, sorted: Sorted::around(&at).sort(&at, tets, |_, _, _| {}) }
+        let at = places(room, positions, |p| with_zero(brick(p)));
+        Self { bricks: *bricks, sorted: Sorted::around(&at).sort(&at, tets, room, |_, _, _| {}) }
     }
 
     /// The bricks that tetrahedra touch, ascending, with these.
@@ -137,8 +148,8 @@ impl BrickTets {
 
 /// Tetrahedra, window by window.
 #[derive(Debug)]
-pub struct Windows {
-    sorted: Sorted,
+pub struct Windows<'a> {
+    sorted: Sorted<'a>,
     /// The samples of each window that tetrahedra may have.
     boxes: Vec<Samples>,
 }
@@ -152,27 +163,40 @@ struct Samples {
 
 const NONE: Samples = Samples { lo: [u32::MAX; 4], hi: [0; 4] };
 
-impl Windows {
+impl<'a> Windows<'a> {
     /// Sorts tetrahedra into windows of `edge` samples. Time and memory also grow with the number of windows that the box around all vertices
     /// touches.
-    pub fn new(grid: &SampleGrid, edge: [u64; 3], positions: &[LatticePos], tets: &[Tet]) -> Self {
+    pub fn new(
+        grid: &SampleGrid,
+        edge: [u64; 3],
+        positions: &[LatticePos],
+        tets: &[Tet],
+        room: &mut Room<'a>,
+    ) -> Self {
         with_vectors(
             #[inline(always)]
-            || Self::sort(grid, edge.map(|e| e as u32), positions, tets),
+            || Self::sort(grid, edge.map(|e| e as u32), positions, tets, room),
         )
     }
 
     #[inline(always)]
-    fn sort(grid: &SampleGrid, edge: [u32; 3], positions: &[LatticePos], tets: &[Tet]) -> Self {
+    fn sort(
+        grid: &SampleGrid,
+        edge: [u32; 3],
+        positions: &[LatticePos],
+        tets: &[Tet],
+        room: &mut Room<'a>,
+    ) -> Self {
         // The last sample at or before a vertex: a tetrahedron has no sample before the least of those of its vertices, and none behind the greatest.
-        let samples: Vec<[u32; 4]> = positions.iter().map(|&p| with_zero(sample_before(grid, p))).collect();
+        let samples = places(room, positions, |&p| with_zero(sample_before(grid, p)));
         let window = |s: &[u32; 4]| with_zero(std::array::from_fn(|k| s[k] / edge[k]));
-        let at: Vec<[u32; 4]> = samples.iter().map(window).collect();
+        let at = places(room, &samples, window);
         let sorted = Sorted::around(&at);
         let mut boxes = vec![NONE; sorted.ends.len()];
         let sorted = sorted.sort(
             &at,
             tets,
+            room,
             #[inline(always)]
             |sorted, tet, only| {
                 let (lo, hi) = bounds(tet.map(|v| samples[v as usize]));
@@ -198,7 +222,7 @@ impl Windows {
     }
 }
 
-impl Sorted {
+impl Sorted<'_> {
     /// Widens the boxes of all windows that a box of samples touches to its part in them.
     fn include(&self, boxes: &mut [Samples], edge: [u32; 3], samples: Samples) {
         let window = |s: [u32; 4], k: usize| s[k] / edge[k];
@@ -216,6 +240,14 @@ impl Sorted {
             }
         }
     }
+}
+
+/// Three coordinates of each item, and a 0.
+#[inline(always)]
+fn places<'a, T>(room: &mut Room<'a>, items: &[T], place: impl Fn(&T) -> [u32; 4]) -> Lent<'a, [u32; 4]> {
+    let mut all = room.lend(items.len(), [0; 4]);
+    all.iter_mut().zip(items).for_each(|(at, item)| *at = place(item));
+    all
 }
 
 #[inline(always)]

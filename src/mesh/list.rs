@@ -72,15 +72,15 @@ impl TetList {
         &mut self.whole_mut()[own..]
     }
 
-    /// Puts others into the place of those around.
-    pub fn surround(&mut self, around: &[Tet]) {
-        let mut whole = match std::mem::replace(&mut self.memory, Memory::Listed(vec![])) {
-            Memory::Listed(tets) => tets,
-            Memory::Among(records, rows) => bytemuck::cast_slice(&records)[rows].to_vec(),
-        };
-        whole.truncate(self.own);
-        whole.extend_from_slice(around);
-        self.memory = Memory::Listed(whole);
+    /// As [`TetList::whole`], with the memory behind that nobody needs.
+    pub fn with_room(&mut self) -> (&[Tet], &mut [u64]) {
+        match &mut self.memory {
+            Memory::Listed(tets) => (tets, &mut []),
+            Memory::Among(records, rows) => {
+                let (tets, room) = bytemuck::cast_slice_mut::<Tetra, Tet>(records).split_at_mut(rows.end);
+                (&tets[rows.start..], bytemuck::cast_slice_mut(room))
+            }
+        }
     }
 
     /// Keeps those of which `stays` is true, in their order; it is asked of those around last.
@@ -155,18 +155,19 @@ mod tests {
         let mut records = vec![Tetra::NONE; 5];
         bytemuck::cast_slice_mut(&mut records)[7..16].copy_from_slice(&tets);
         let (mut among, mut listed) = (TetList::among(records, 7..16, 6), TetList::from(tets[..6].to_vec()));
-        assert!(among != listed && listed.around().is_empty());
-        listed.surround(&tets[6..]);
-        let mut lengths = vec![];
+        assert!(among != listed && listed.around().is_empty() && listed.with_room().1.is_empty());
+        let (mut lengths, mut all) = (vec![], tets);
         for stays in [|t: &Tet| t[0] != 4, |t: &Tet| t[0] & 3 != 3, |_: &Tet| false] {
             assert_eq!(format!("{among:?}"), format!("{listed:?}"));
-            assert!(among == listed && among.whole() == [&*listed, listed.around()].concat());
+            assert!(*among == *listed && among.whole() == all);
             lengths.push((among.len(), among.around().len()));
-            let mut copy = among.clone();
-            copy.surround(&tets[..2]);
-            assert!(*copy == *among && copy.around() == &tets[..2]);
+            let (whole, room) = among.with_room();
+            assert_eq!((whole, room.len()), (&*all, 2 * (20 - 7 - all.len())));
+            room.fill(u64::MAX);
+            assert_eq!(among.whole(), all);
             among.retain(stays);
             listed.retain(stays);
+            all.retain(stays);
         }
         assert_eq!(lengths, [(6, 3), (5, 3), (4, 2)]);
         assert!(among.whole().is_empty() && listed.whole().is_empty());

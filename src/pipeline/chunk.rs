@@ -65,12 +65,12 @@ impl MeshedChunk {
         &self.all_positions[self.vertices()..]
     }
 
-    /// Takes over what is around the same chunk, meshed again.
-    pub(crate) fn surround(&mut self, again: &Self) {
-        self.tets.surround(again.tets.around());
+    /// Takes over what is around the same chunk, meshed again to as many tetrahedra, and the memory of those.
+    pub(crate) fn surround(&mut self, mut again: Self) {
+        again.tets.copy_from_slice(&self.tets);
         self.all_positions.truncate(self.vertices());
         self.all_positions.extend_from_slice(again.positions_around());
-        self.around = again.around;
+        (self.tets, self.around) = (again.tets, again.around);
     }
 
     /// Removes the halo points that no tetrahedron of the chunk's uses; those that tetrahedra around use become vertices around. Tells the

@@ -12,7 +12,7 @@ use super::field::{Field, Placement};
 use super::grid_field::GridField;
 use crate::domain::vertices::Vertices;
 use crate::error::Result;
-use crate::exec::CancelToken;
+use crate::exec::{CancelToken, Room};
 use crate::fit::{BrickTets, Fit, FitMesh, Windows, window_edge};
 use crate::mesh::tet::Tet;
 use crate::raster::{PointLocator, SampleGrid};
@@ -30,7 +30,7 @@ pub(crate) enum FittedTo<'a> {
 /// step whose samples were read.
 pub(super) fn fitted(
     fields: &[&dyn Field],
-    mesh: &MeshedChunk,
+    mesh: &mut MeshedChunk,
     placement: &Placement,
     interpolated: Vec<Vec<f32>>,
     cancel: &CancelToken,
@@ -48,29 +48,31 @@ pub(super) fn fitted(
     if grids.is_empty() && cells.is_empty() {
         return Ok(interpolated);
     }
-    let whole = FitMesh { positions: &mesh.all_positions, tets: mesh.tets.whole() };
-    let mut fit = Fit::new(whole, &steps);
+    let vertices = mesh.vertices();
+    let (tets, room) = mesh.tets.with_room();
+    let mut room = Room::new(room);
+    let mut fit = Fit::new(FitMesh { positions: &mesh.all_positions, tets }, &steps, &mut room);
     match cells.first() {
-        None => add_samples(&mut fit, &whole, &grids, cancel, note)?,
-        Some(&(_, vertices)) => {
+        None => add_samples(&mut fit, &mut room, &grids, cancel, note)?,
+        Some(&(_, lying)) => {
             let cells: Vec<&CellField<'_>> = cells.iter().map(|&(field, _)| field).collect();
-            add_vertices(&mut fit, &whole, &cells, vertices, placement, cancel, note)?;
+            add_vertices(&mut fit, &mut room, &cells, lying, placement, cancel, note)?;
         }
     }
-    Ok(fit.values(mesh.vertices()))
+    Ok(fit.values(vertices))
 }
 
 /// Adds the samples of volumes.
-fn add_samples(
-    fit: &mut Fit<'_>,
-    mesh: &FitMesh<'_>,
+fn add_samples<'a>(
+    fit: &mut Fit<'a>,
+    room: &mut Room<'a>,
     fields: &[&GridField],
     cancel: &CancelToken,
     note: impl Fn(usize, Result<()>) -> Result<()>,
 ) -> Result<()> {
-    let bricks = &fields[0].bricks;
+    let (bricks, mesh) = (&fields[0].bricks, fit.mesh());
     let grid = SampleGrid::voxels(&bricks.lattice);
-    let windows = Windows::new(&grid, window_edge(bricks.edge), mesh.positions, mesh.tets);
+    let windows = Windows::new(&grid, window_edge(bricks.edge), mesh.positions, mesh.tets, room);
     let mut samples = vec![];
     for (window, tets) in windows.iter() {
         cancel.check()?;
@@ -84,23 +86,23 @@ fn add_samples(
 }
 
 /// Adds the values of steps at the vertices of their mesh.
-fn add_vertices(
-    fit: &mut Fit<'_>,
-    mesh: &FitMesh<'_>,
+fn add_vertices<'a>(
+    fit: &mut Fit<'a>,
+    room: &mut Room<'a>,
     fields: &[&CellField<'_>],
     vertices: &Vertices,
     placement: &Placement,
     cancel: &CancelToken,
     note: impl Fn(usize, Result<()>) -> Result<()>,
 ) -> Result<()> {
-    let (bricks, store) = (&fields[0].bricks, fields[0].store);
+    let (bricks, store, mesh) = (&fields[0].bricks, fields[0].store, fit.mesh());
     let mut originals = vec![];
     for (n, field) in fields.iter().enumerate() {
         note(n, field.values.get().map(|values| originals.push(values)))?;
     }
     let body_of = |[v, ..]: Tet| placement.spots[v as usize].body;
     let mut samples = vec![];
-    for (brick, touching) in BrickTets::new(bricks, mesh.positions, mesh.tets).iter() {
+    for (brick, touching) in BrickTets::new(bricks, mesh.positions, mesh.tets, room).iter() {
         cancel.check()?;
         vertices.each_batch(store, brick, |batch| {
             samples.clear();

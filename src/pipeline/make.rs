@@ -145,7 +145,7 @@ fn make_in_room(
     lap.add_to(&mut times.sample);
     let (mut mesh_blocks, ends, summary) = encode_mesh(work, &mut desk.encoder, &mut mesh, outside6);
     lap.add_to(&mut times.encode);
-    let value_blocks = encode_steps(work, &mesh, &placement, None, &ends, &mut desk.bench, &mut times)?;
+    let value_blocks = encode_steps(work, &mut mesh, &placement, None, &ends, &mut desk.bench, &mut times)?;
     desk.maker.reuse(mesh.all_positions, mesh.tets);
     mesh_blocks.push(summary.encode());
     Ok(Making::Done(Product { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
@@ -169,8 +169,14 @@ fn make_from_stored(
         Some(mut whole) => {
             let mut placement = place(&whole)?;
             drop_outside(&mut whole, &mut placement);
-            mesh.surround(&whole);
-            desk.maker.reuse(whole.all_positions, whole.tets);
+            let counts = [&whole, &mesh].map(|mesh| mesh.tets.len());
+            if counts[0] != counts[1] {
+                let [expected, got] = counts.map(|n| n.to_string());
+                let at = format!("chunk {}, tetrahedra", chunk.id.0);
+                return Err(Error::bad_input(stored.archive.path(), at, expected, got)
+                    .with_help("isospan check tells more"));
+            }
+            mesh.surround(whole);
             placement
         }
     };
@@ -179,8 +185,10 @@ fn make_from_stored(
     let before = stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
     lap.add_to(&mut times.mesh);
     let (before, bench) = (before.as_deref(), &mut desk.bench);
-    let value_blocks = encode_steps(work, &mesh, &placement, before, &ends, bench, &mut times)?;
-    Ok(Product { points: mesh.core_len() as u64, mesh_blocks: vec![], value_blocks, times })
+    let value_blocks = encode_steps(work, &mut mesh, &placement, before, &ends, bench, &mut times)?;
+    let points = mesh.core_len() as u64;
+    desk.maker.reuse(mesh.all_positions, mesh.tets);
+    Ok(Product { points, mesh_blocks: vec![], value_blocks, times })
 }
 
 /// Adds up what a stage takes.
@@ -194,7 +202,7 @@ impl Lap {
 }
 
 /// The values of all steps, as they are stored.
-fn values_of(work: &Work<'_>, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<Vec<f32>>> {
+fn values_of(work: &Work<'_>, mesh: &mut MeshedChunk, placement: &Placement) -> Result<Vec<Vec<f32>>> {
     let interpolated = |(n, step): (usize, &StepWork<'_>)| {
         work.cancel.check().and_then(|()| note(work, n, step.field.interpolated(mesh, placement)))
     };
@@ -225,7 +233,7 @@ fn note<T>(work: &Work<'_>, n: usize, found: Result<T>) -> Result<T> {
 /// values of the first one's base; the mesh has the tetrahedra of all blocks, as they decode, with the end of each block.
 fn encode_steps(
     work: &Work<'_>,
-    mesh: &MeshedChunk,
+    mesh: &mut MeshedChunk,
     placement: &Placement,
     before: Option<&[f32]>,
     block_ends: &[usize],

@@ -31,15 +31,16 @@ use std::path::Path;
 /// What the process needs whatever it works on: code and tables, stacks, buffers of readers and writers.
 pub(crate) const BASE: u64 = 16 << 20;
 /// Working memory of a chunk for a point of its region, measured (chunks of 60 000 and 250 000 points took at most 830 in all,
-/// what waits to be written included) and rounded up: 6.8 tetrahedra of 64 bytes, where they are meshed and stay, sort keys and sites of 100 bytes, then what fits values, finds
-/// samples and sums up the spectrum, and what the C library holds back between workers.
+/// what waits to be written included) and rounded up: 6.8 tetrahedra of 64 bytes, where they are meshed and stay, sort keys and sites of 100 bytes, then what finds
+/// samples and sums up the spectrum, and what the C library holds back between workers. What fits values works in what stands empty of the first.
 const PER_POINT: u64 = 900;
 /// And for each further step its value; for each eight steps, which are measured side by side: values; values, where they lie in the spectrum, counts.
 const FURTHER_PER_POINT: u64 = 4;
 const SIDE_PER_POINT: u64 = 104;
-/// Besides, where values are fitted: fitted ones, and for each eight steps sums.
+/// Besides, where values are fitted: fitted ones, for each eight steps but the first sums, and for each eight weights, where voids differ.
 const FITTED_PER_POINT: u64 = 4;
-const SUMS_PER_POINT: u64 = 168;
+const SUMS_PER_POINT: u64 = 104;
+const WEIGHTS_PER_POINT: u64 = 64;
 /// And whatever the number of points: the samples around a brick, the encoder's tables.
 const PER_CHUNK: u64 = 4 << 20;
 /// Bytes of a point's share of an encoded chunk, at most: its value, and a little more than 6 tetrahedra.
@@ -237,7 +238,8 @@ impl Need {
             0 => (further * FURTHER_PER_POINT + sides * SIDE_PER_POINT, 0),
             window => {
                 let per_point = further * (FURTHER_PER_POINT + FITTED_PER_POINT)
-                    + sides * (SIDE_PER_POINT + SUMS_PER_POINT);
+                    + sides * (SIDE_PER_POINT + WEIGHTS_PER_POINT)
+                    + sides.saturating_sub(1) * SUMS_PER_POINT;
                 (per_point, window.saturating_mul(4 * further))
             }
         };

@@ -1,0 +1,101 @@
+//! Memory that stands empty for a while, lent out piece by piece.
+//!
+//! Large vectors come from the system and go back to it, and to clear their pages takes longer than much that is done in them. So what works
+//! on a chunk is lent what stands empty in the memory in which the chunk was meshed ([`crate::mesh::list::TetList::with_room`]); what does not fit in that is
+//! allocated as ever.
+
+use bytemuck::Pod;
+use std::ops::{Deref, DerefMut};
+
+/// What stands empty and is not lent yet.
+#[derive(Debug, Default)]
+pub struct Room<'a>(&'a mut [u64]);
+
+/// A piece of a room, or where that was too small a vector.
+#[derive(Debug)]
+pub enum Lent<'a, T> {
+    /// Memory of a room.
+    Piece(&'a mut [T]),
+    /// Memory of its own.
+    Own(Vec<T>),
+}
+
+impl<'a> Room<'a> {
+    /// Of memory whose contents nobody needs.
+    pub fn new(empty: &'a mut [u64]) -> Self {
+        Self(empty)
+    }
+
+    /// Without any memory: all that is lent is allocated.
+    pub fn none() -> Self {
+        Self::default()
+    }
+
+    /// Lends room for `count` items, each with this value.
+    pub fn lend<T: Pod>(&mut self, count: usize, value: T) -> Lent<'a, T> {
+        const WORD: usize = size_of::<u64>();
+        let bytes = count.checked_mul(size_of::<T>());
+        let Some(bytes) = bytes.filter(|&n| align_of::<T>() <= WORD && n.div_ceil(WORD) <= self.0.len())
+        else {
+            return Lent::Own(vec![value; count]);
+        };
+        let (piece, rest) = std::mem::take(&mut self.0).split_at_mut(bytes.div_ceil(WORD));
+        self.0 = rest;
+        let items = bytemuck::cast_slice_mut(&mut bytemuck::cast_slice_mut::<u64, u8>(piece)[..bytes]);
+        items.fill(value);
+        Lent::Piece(items)
+    }
+}
+
+impl<T> Deref for Lent<'_, T> {
+    type Target = [T];
+
+    #[inline(always)]
+    fn deref(&self) -> &[T] {
+        match self {
+            Self::Piece(items) => items,
+            Self::Own(items) => items,
+        }
+    }
+}
+
+impl<T> DerefMut for Lent<'_, T> {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut [T] {
+        match self {
+            Self::Piece(items) => items,
+            Self::Own(items) => items,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_lent_lies_apart_and_has_its_value() {
+        for words in [0, 3, 8, 40] {
+            let mut memory = vec![u64::MAX; words];
+            let mut room = Room::new(&mut memory);
+            let mut small = room.lend(5, 7u8);
+            let mut rows = room.lend(2, [1u32, 2, 3, 4]);
+            let none = room.lend(0, 0.0f64);
+            let mut wide = room.lend(20, 9.0f64);
+            assert_eq!(
+                (&*small, &*rows, &*none, &*wide),
+                (&[7u8; 5][..], &[[1, 2, 3, 4]; 2][..], &[][..], &[9.0; 20][..])
+            );
+            small.fill(1);
+            rows.fill([5; 4]);
+            wide.fill(3.0);
+            assert_eq!((&*small, &*rows, &*wide), (&[1u8; 5][..], &[[5; 4]; 2][..], &[3.0; 20][..]));
+            let is_piece = [
+                matches!(small, Lent::Piece(_)),
+                matches!(rows, Lent::Piece(_)),
+                matches!(wide, Lent::Piece(_)),
+            ];
+            assert_eq!(is_piece, [words >= 1, words >= 5, words >= 25], "{words}");
+        }
+    }
+}
