@@ -122,8 +122,9 @@ impl Unseen {
     #[inline]
     pub(super) fn quickly(&self, sphere: &[f64; 4]) -> bool {
         let r = self.grown(sphere);
-        // False for the NaN of a sphere that is not trusted.
-        (0..3).all(|a| sphere[a] - r >= self.lo[a] && sphere[a] + r <= self.hi[a])
+        // False for the NaN of a sphere that is not trusted. Without branches.
+        let within = |a: usize| (sphere[a] - r >= self.lo[a]) & (sphere[a] + r <= self.hi[a]);
+        within(0) & within(1) & within(2)
     }
 
     fn spares_exactly(&self, [a, b, c, p]: [LatticePos; 4]) -> bool {

@@ -23,7 +23,7 @@ use super::certify::Unseen;
 use super::delaunay::Mesher;
 use super::late::Late;
 use super::list::TetList;
-use super::owned::Owned;
+use super::owned::{Owned, each_bit};
 use crate::error::{Error, Result};
 use crate::geom::curve::Order;
 use crate::geom::{LatticeBox, LatticePos};
@@ -103,7 +103,7 @@ pub fn mesh_with_stars(
     let region = &region;
     let mut owned = std::mem::take(&mut mesher.owned);
     owned.clear(mesher.records());
-    let mut sorter = Sorter::new(mesher, region, positions, owned);
+    let mut sorter = Sorter::new(mesher, region, positions, owned, stars);
     let mut late = None;
     let mut uncertified = sorter.run(mesher, region, first, &mut late);
     if stars && matches!(uncertified, Ok(0)) {
@@ -153,17 +153,26 @@ struct Sorter<'a> {
     shared: Vec<bool>,
     /// Records to be looked at again.
     doubtful: Vec<u32>,
-    /// By vertex of the mesher: whether an owned tetrahedron has it. Empty while they are looked for.
+    /// By vertex of the mesher: whether an owned tetrahedron has it. Empty where nobody asks for those around.
     used: Vec<bool>,
+    /// Whether those around are looked for: the owned ones are known.
+    looks_around: bool,
 }
 
 impl<'a> Sorter<'a> {
-    fn new(mesher: &Mesher, region: &ChunkRegion, positions: &'a [LatticePos], owned: Owned) -> Self {
+    fn new(
+        mesher: &Mesher,
+        region: &ChunkRegion,
+        positions: &'a [LatticePos],
+        owned: Owned,
+        stars: bool,
+    ) -> Self {
         let shared: Vec<bool> = positions.iter().map(|p| !region.core.contains(*p)).collect();
         let in_core =
             std::iter::once(false).chain(mesher.sources().iter().map(|&s| !shared[s as usize])).collect();
         let close = Unseen::new(region.near, region.domain, mesher.local());
-        Self { positions, close, in_core, owned, shared, doubtful: vec![], used: vec![] }
+        let used = vec![false; if stars { mesher.sources().len() + 1 } else { 0 }];
+        Self { positions, close, in_core, owned, shared, doubtful: vec![], used, looks_around: false }
     }
 
     /// Sorts all records; then inserts what the doubtful ones ask for, until none is left. Returns how many cannot be
@@ -179,8 +188,20 @@ impl<'a> Sorter<'a> {
             // No tetrahedron to tell what the core's points are joined to.
             return Ok(self.in_core.iter().filter(|&&c| c).count() as u64);
         }
-        for id in 0..mesher.records() {
-            self.record(mesher, id, &mut None);
+        for first in (0..mesher.records()).step_by(u64::BITS as usize) {
+            let mut inner = 0u64;
+            for id in first..mesher.records().min(first + u64::BITS) {
+                let Some((v, sphere)) = mesher.record(id) else { continue };
+                let core = v.map(|v| self.in_core[v as usize]);
+                // The usual cases: nothing of the core's, and nothing but that and certified.
+                if core[0] & core[1] & core[2] & core[3] && self.close.quickly(sphere) {
+                    inner |= 1 << (id - first);
+                    self.use_corners(v);
+                } else if core[0] | core[1] | core[2] | core[3] {
+                    self.core_record(mesher, id, &mut None);
+                }
+            }
+            self.owned.insert_word(first, inner);
         }
         self.settle(mesher, region, first, late)
     }
@@ -194,12 +215,11 @@ impl<'a> Sorter<'a> {
         first: usize,
         late: &mut Option<Late<'a>>,
     ) -> Result<u64> {
-        let mut used = vec![false; mesher.sources().len() + 1];
-        let owned = self.owned.iter().filter_map(|id| mesher.record(id));
-        owned.for_each(|(v, _)| v.iter().for_each(|&v| used[v as usize] = true));
-        self.used = used;
-        for id in 0..mesher.records() {
-            self.record(mesher, id, &mut None);
+        self.looks_around = true;
+        for first in (0..mesher.records()).step_by(u64::BITS as usize) {
+            for bit in each_bit(self.owned.others(first)).take_while(|bit| first + bit < mesher.records()) {
+                self.record_around(mesher, first + bit, &mut None);
+            }
         }
         self.settle(mesher, region, first, late)
     }
@@ -240,10 +260,18 @@ impl<'a> Sorter<'a> {
 
     #[inline]
     fn record(&mut self, mesher: &Mesher, id: u32, late: &mut Option<Late<'_>>) {
-        if self.used.is_empty() {
-            self.core_record(mesher, id, late);
-        } else {
+        if self.looks_around {
             self.record_around(mesher, id, late);
+        } else {
+            self.core_record(mesher, id, late);
+        }
+    }
+
+    /// Notes that an owned tetrahedron has these vertices.
+    #[inline]
+    fn use_corners(&mut self, v: [u32; 4]) {
+        if !self.used.is_empty() {
+            v.iter().for_each(|&v| self.used[v as usize] = true);
         }
     }
 
@@ -266,7 +294,6 @@ impl<'a> Sorter<'a> {
         self.owned.insert_around(id);
     }
 
-    #[inline]
     fn core_record(&mut self, mesher: &Mesher, id: u32, late: &mut Option<Late<'_>>) {
         let Some((v, sphere)) = mesher.record(id) else { return };
         let core = v.map(|v| self.in_core[v as usize]);
@@ -290,6 +317,7 @@ impl<'a> Sorter<'a> {
         }
         if relation.owned {
             self.owned.insert(id);
+            self.use_corners(v);
         } else {
             // Those outside the core are shared already.
             v.iter().for_each(|&v| self.shared[mesher.source(v) as usize] = true);

@@ -183,21 +183,21 @@ impl Mesher {
         }
     }
 
-    /// Packs the vertices of some records, ascending, where the records were, four rows each: input indices, turned by `turn`, which is told the record. The memory of the records, and how many
-    /// rows are packed; the mesher has no mesh then.
-    pub(super) fn pack(
+    /// Packs the vertices of some records, ascending, where the records were, four rows each: input indices, turned by `turn`,
+    /// which is told what is noted of each. The memory of the records, and how many rows are packed; the mesher has no mesh then.
+    pub(super) fn pack<T>(
         &mut self,
-        kept: impl Iterator<Item = u32>,
-        mut turn: impl FnMut(u32, Tet) -> Tet,
+        kept: impl Iterator<Item = (u32, T)>,
+        mut turn: impl FnMut(T, Tet) -> Tet,
     ) -> (Vec<Tetra>, usize) {
         let mut records = std::mem::take(&mut self.arena.tets);
         self.clear();
         let rows: &mut [Tet] = bytemuck::cast_slice_mut(&mut records);
         let mut packed = 0;
-        for id in kept {
+        for (id, note) in kept {
             // A record is four rows, of which the third has the vertices: nothing that was packed lies behind it.
             let v = rows[4 * id as usize + 2];
-            rows[packed] = turn(id, v.map(|v| self.source[v as usize - 1]));
+            rows[packed] = turn(note, v.map(|v| self.source[v as usize - 1]));
             packed += 1;
         }
         (records, packed)

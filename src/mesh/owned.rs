@@ -34,23 +34,43 @@ impl Owned {
 
     #[inline]
     pub(super) fn insert(&mut self, id: u32) {
-        set(&mut self.bits, id);
+        self.bits[(id / u64::BITS) as usize] |= 1 << (id % u64::BITS);
+    }
+
+    /// Notes 64 records, the first of which is a multiple of that.
+    #[inline]
+    pub(super) fn insert_word(&mut self, first: u32, word: u64) {
+        self.bits[(first / u64::BITS) as usize] |= word;
     }
 
     #[inline]
     pub(super) fn has(&self, id: u32) -> bool {
-        is_set(&self.bits, id)
+        self.bits[(id / u64::BITS) as usize] >> (id % u64::BITS) & 1 == 1
+    }
+
+    /// Of 64 records, the first of which is a multiple of that, those that are not owned.
+    #[inline]
+    pub(super) fn others(&self, first: u32) -> u64 {
+        !self.bits[(first / u64::BITS) as usize]
     }
 
     /// Notes a record around, which is not owned.
     #[inline]
     pub(super) fn insert_around(&mut self, id: u32) {
-        set(&mut self.around, id);
+        self.around[(id / u64::BITS) as usize] |= 1 << (id % u64::BITS);
     }
 
     /// Those owned, ascending.
-    pub(super) fn iter(&self) -> impl Iterator<Item = u32> {
-        each_set(self.bits.iter().copied())
+    fn iter(&self) -> impl Iterator<Item = u32> {
+        (0..).zip(&self.bits).flat_map(|(n, &own)| each_bit(own).map(move |bit| n * u64::BITS + bit))
+    }
+
+    /// Those owned and those around, ascending, and whether each is around.
+    fn iter_all(&self) -> impl Iterator<Item = (u32, bool)> {
+        let of_word = |(n, (&own, &around)): (u32, (&u64, &u64))| {
+            each_bit(own | around).map(move |bit| (n * u64::BITS + bit, around >> bit & 1 == 1))
+        };
+        (0..).zip(self.bits.iter().zip(&self.around)).flat_map(of_word)
     }
 
     /// Those owned, as indices into so many positions, the least first in each, ascending by that; then those around; in the memory of the mesher,
@@ -59,21 +79,28 @@ impl Owned {
         let mut counts = std::mem::take(&mut self.counts);
         counts.clear();
         counts.resize(positions + 1, 0);
-        let mut own = 0;
-        let all = self.bits.iter().zip(&self.around).map(|(bits, around)| bits | around);
-        let (mut records, packed) = mesher.pack(each_set(all), |id, mut t| {
-            if is_set(&self.around, id) {
-                t[0] |= AROUND;
-            } else {
-                t = least_first(t);
-                counts[t[0] as usize] += 1;
-                own += 1;
-            }
+        let mut around = 0;
+        let mut count = |t: Tet| {
+            let t = least_first(t);
+            counts[t[0] as usize] += 1;
             t
-        });
+        };
+        let (mut records, packed) = if self.around.iter().all(|&word| word == 0) {
+            mesher.pack(self.iter().map(|id| (id, ())), |(), t| count(t))
+        } else {
+            mesher.pack(self.iter_all(), |is_around, [a, b, c, d]| {
+                around += usize::from(is_around);
+                if is_around { [a | AROUND, b, c, d] } else { count([a, b, c, d]) }
+            })
+        };
+        let own = packed - around;
         let (tets, room) = bytemuck::cast_slice_mut(&mut records).split_at_mut(packed);
         let (sorted, around) = room[..packed].split_at_mut(own);
-        sort(tets, &mut counts, sorted, around);
+        if around.is_empty() {
+            sort::<false>(tets, &mut counts, sorted, around);
+        } else {
+            sort::<true>(tets, &mut counts, sorted, around);
+        }
         self.counts = counts;
         TetList::among(records, packed..2 * packed, own)
     }
@@ -82,30 +109,19 @@ impl Owned {
 /// Marks the first vertex of a packed tetrahedron around: positions are fewer.
 const AROUND: u32 = 1 << 31;
 
+/// The bits that are set, ascending.
 #[inline]
-fn set(bits: &mut [u64], id: u32) {
-    bits[(id / u64::BITS) as usize] |= 1 << (id % u64::BITS);
+pub(super) fn each_bit(mut word: u64) -> impl Iterator<Item = u32> {
+    std::iter::from_fn(move || {
+        let bit = (word != 0).then(|| word.trailing_zeros())?;
+        word &= word - 1;
+        Some(bit)
+    })
 }
 
-#[inline]
-fn is_set(bits: &[u64], id: u32) -> bool {
-    bits[(id / u64::BITS) as usize] >> (id % u64::BITS) & 1 == 1
-}
-
-/// The numbers of the bits that are set, ascending.
-fn each_set(words: impl Iterator<Item = u64>) -> impl Iterator<Item = u32> {
-    let of_word = |(n, mut word): (u32, u64)| {
-        std::iter::from_fn(move || {
-            let bit = (word != 0).then(|| word.trailing_zeros())?;
-            word &= word - 1;
-            Some(n * u64::BITS + bit)
-        })
-    };
-    (0..).zip(words).flat_map(of_word)
-}
-
-/// Puts tetrahedra into another place, ascending by their first vertices, of which `counts` tells how many have each; those marked as around apart, as they come.
-fn sort(tets: &[Tet], counts: &mut [u32], own: &mut [Tet], around: &mut [Tet]) {
+/// Puts tetrahedra into another place, ascending by their first vertices, of which `counts` tells how many have each; those marked as around apart, as they come,
+/// where there are `SOME` such.
+fn sort<const SOME: bool>(tets: &[Tet], counts: &mut [u32], own: &mut [Tet], around: &mut [Tet]) {
     let mut sum = 0;
     for n in &mut *counts {
         // Each count becomes its run's start; placing the tetrahedra moves it to the run's end.
@@ -113,7 +129,7 @@ fn sort(tets: &[Tet], counts: &mut [u32], own: &mut [Tet], around: &mut [Tet]) {
     }
     let mut around = around.iter_mut();
     for &[a, b, c, d] in tets {
-        if a & AROUND != 0 {
+        if SOME && a & AROUND != 0 {
             *around.next().expect("a place for each that is marked") = [a & !AROUND, b, c, d];
         } else {
             let place = &mut counts[a as usize];
@@ -164,7 +180,7 @@ mod tests {
             let marked: Vec<Tet> = marked.collect();
             let (mut counts, all) = (vec![1; n as usize], &mut memory[..2 * n as usize]);
             let (own, around) = all.split_at_mut(n as usize);
-            sort(&marked, &mut counts, own, around);
+            sort::<true>(&marked, &mut counts, own, around);
             assert!(own.iter().map(|t| t[0]).eq(0..n), "{own:?}");
             assert!(around.iter().map(|&[a, b, c, d]| [a, d, c, b]).eq(tets), "{around:?}");
         }
@@ -174,15 +190,24 @@ mod tests {
     fn records_are_listed_as_they_were_noted() {
         let (mut owned, mut noted) = (Owned::default(), BTreeSet::new());
         owned.clear(10);
-        assert_eq!(owned.iter().count(), 0);
+        assert_eq!(owned.iter_all().count(), 0);
         owned.grow(1000);
         for id in (0..1000u32).map(|i| i * i % 1000).chain([63, 64, 999]) {
             owned.insert(id);
-            noted.insert(id);
+            noted.insert((id, false));
         }
-        assert!(owned.iter().eq(noted.iter().copied()));
-        assert!((0..1000).all(|id| owned.has(id) == noted.contains(&id)));
+        owned.insert_word(192, 1 << 63 | 1 << 7);
+        noted.extend([(199, false), (255, false)]);
+        for id in [2, 198, 257] {
+            assert!(!owned.has(id));
+            owned.insert_around(id);
+            noted.insert((id, true));
+        }
+        assert!(owned.iter_all().eq(noted.iter().copied()));
+        assert!(owned.iter().eq(noted.iter().filter(|(_, around)| !around).map(|&(id, _)| id)));
+        assert!((0..1000).all(|id| owned.has(id) == noted.contains(&(id, false))));
+        assert!((0..960).all(|id| owned.has(id) == (owned.others(id / 64 * 64) >> (id % 64) & 1 == 0)));
         owned.clear(5);
-        assert_eq!(owned.iter().count(), 0);
+        assert_eq!(owned.iter_all().count(), 0);
     }
 }
