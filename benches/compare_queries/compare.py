@@ -6,10 +6,11 @@
 Two questions, of a smooth field (a sphere) and of a busy one (a gyroid of 12 periods):
 
 * *mesh*: the tetrahedra of an archive of Halton points, for one isovalue after another. VTK has the mesh in memory, and a scalar tree built
-  (vtkSpanSpace), its best case. isospan is asked four ways: as a process that opens the archive, whose files are in the page cache, and writes a PLY
+  (vtkSpanSpace), its best case. isospan is asked several ways: as a process that opens the archive, whose files are in the page cache, and writes a PLY
   file ("process"); as one that does so for all isovalues in one pass, a file each ("one pass", of which an isovalue's share is told); as a program
   that has the archive open and asks for surfaces in memory, with nothing kept from one to the next ("open archive") and with decoded blocks kept, about all of
-  which all is known ("open archive, warm"; "second time" where they were needed but once, or a few times).
+  which all is known ("open archive, warm"; "second time" where they were needed but once, or a few times). The first and the third are also asked of a copy
+  whose blocks are unpacked on disk ("unpacked"), the open archive also for the second time.
 * *volume*: isospan from an archive with 1/8 of the samples of an EDGE^3 f32 volume, vtkFlyingEdges3D on the whole volume in memory.
 
 Ratios are of CPU time, which a busy machine disturbs less; with one thread that is the time on a quiet one. The oracle of active tetrahedra is brute
@@ -21,6 +22,7 @@ target/compare_queries and vtk is installed there from PyPI.
 import argparse
 import os
 import pathlib
+import shutil
 import statistics
 import subprocess
 import sys
@@ -170,6 +172,23 @@ def ask_kept(programs, archive, isovalues, threads, mib):
     yield from (("isospan, open archive, warm", answer) for answer in answers[9 * n :])
 
 
+def unpack(programs, archive):
+    """A copy of an archive whose blocks are unpacked."""
+    copy = archive.with_name("unpacked.isospan")
+    shutil.copytree(archive, copy)
+    run(programs / "isospan", "-q", "unpack", copy)
+    return copy
+
+
+def ask_unpacked(programs, archive, isovalues, threads):
+    """A label and an answer for each isovalue, of an open archive whose blocks are unpacked: what is read for the first time is verified. It keeps what
+    archives do unless told otherwise: no blocks, for none are decoded, but buffers."""
+    n = len(isovalues)
+    answers = ask_open(programs, archive, 2 * isovalues, threads, 1, 256)[0]
+    yield from (("isospan, unpacked, open archive", answer) for answer in answers[:n])
+    yield from (("isospan, unpacked, second time", answer) for answer in answers[n:])
+
+
 def mesh_question(args, programs, work, field):
     (make, (low, high)) = FIELDS[field]
     volume, archive, mesh, out = (work / name for name in ("mesh.nrrd", "mesh.isospan", "mesh.vtu", "out.ply"))
@@ -184,10 +203,14 @@ def mesh_question(args, programs, work, field):
     tets = vtk_to_numpy(grid.GetCells().GetConnectivityArray()).reshape(-1, 4)
     filters = vtk_filters(grid, array.GetName())
     isovalues = [float(numpy.float32(v)) for v in numpy.linspace(low, high, args.isovalues)]
+    unpacked = unpack(programs, archive)
     table = Table()
     for _ in range(args.rounds):
         for v in isovalues:
             table.add("isospan, process", *ask_process(programs, archive, v, args.threads, out))
+            table.add("isospan, unpacked, process", *ask_process(programs, unpacked, v, args.threads, out))
+        for label, answer in ask_unpacked(programs, unpacked, isovalues, args.threads):
+            table.add(label, *answer)
         table.add("isospan, one pass", *ask_in_one_pass(programs, archive, isovalues, args.threads, out))
         for answer in ask_open(programs, archive, isovalues, args.threads, 1, 0)[0]:
             table.add("isospan, open archive", *answer)

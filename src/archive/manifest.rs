@@ -77,6 +77,11 @@ pub fn spectrum_path(archive: &Path, step: u64) -> PathBuf {
     of_step(archive, step, "spectrum.seg")
 }
 
+/// Path of the unpacked blocks of a step.
+pub fn unpacked_path(archive: &Path, step: u64) -> PathBuf {
+    of_step(archive, step, "unpacked.seg")
+}
+
 /// Path of the coordinates of a step's grid.
 pub fn coordinates_path(archive: &Path, step: u64) -> PathBuf {
     of_step(archive, step, "coordinates.seg")

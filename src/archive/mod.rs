@@ -6,6 +6,7 @@
 //! * [`coordinates`]: those of a rectilinear or curvilinear grid.
 //! * [`manifest`]: what the archive is of and which segments it has; written last.
 //! * [`summary`]: what a chunk's last block tells of it.
+//! * [`unpacked`]: blocks that are used where they lie, beside those of a step, on request.
 //! * [`values`]: the values of a chunk's vertices.
 //! * [`vertices`]: which they are.
 //!
@@ -30,6 +31,7 @@ pub mod segment;
 mod star;
 pub mod summary;
 mod tuples;
+pub mod unpacked;
 pub mod values;
 pub mod vertices;
 pub(crate) mod wire;
@@ -39,7 +41,7 @@ pub use wire::Malformed;
 
 #[cfg(test)]
 mod tests {
-    use super::{chunk, coordinates, levels, manifest, segment, star, values, vertices};
+    use super::{chunk, coordinates, levels, manifest, segment, star, unpacked, values, vertices};
     use crate::index::page;
     use crate::spectrum;
 
@@ -73,6 +75,9 @@ mod tests {
             ("VALUES_QUANTISED", u64::from(values::VALUES_QUANTISED)),
             ("VALUES_AFTER", u64::from(values::VALUES_AFTER)),
             ("VALUES_AFTER_QUANTISED", u64::from(values::VALUES_AFTER_QUANTISED)),
+            ("UNPACKED_VERSION", u64::from(unpacked::UNPACKED_VERSION)),
+            ("UNPACKED_ALIGNED", unpacked::UNPACKED_ALIGNED as u64),
+            ("UNPACKED_CORNERS", unpacked::UNPACKED_CORNERS),
             ("LONGEST_CHAIN", manifest::LONGEST_CHAIN),
             ("MOST_UNINDEXED", manifest::MOST_UNINDEXED),
             ("COORDINATES_AXES", u64::from(coordinates::COORDINATES_AXES)),

@@ -16,6 +16,7 @@ mod positioned;
 mod read;
 mod write;
 
+pub(crate) use self::read::BlockPlace;
 pub use self::read::Segment;
 pub use self::write::SegmentWriter;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -66,6 +67,8 @@ pub enum SegmentKind {
     Levels = 8,
     /// Vertices that a source mesh tells more than once.
     Repeated = 9,
+    /// Unpacked blocks of one step.
+    Unpacked = 10,
 }
 
 impl SegmentKind {
@@ -80,6 +83,7 @@ impl SegmentKind {
             7 => "coordinates".into(),
             8 => "levels".into(),
             9 => "repeated vertices".into(),
+            10 => "unpacked blocks".into(),
             other => format!("unknown kind {other}"),
         }
     }

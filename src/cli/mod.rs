@@ -31,6 +31,7 @@ mod status;
 mod step;
 mod surface;
 mod text;
+mod unpack;
 mod work;
 
 use clap::{Parser, Subcommand};
@@ -54,6 +55,7 @@ enum Command {
     Reduce(Box<reduce::Args>),
     Append(append::Args),
     Surface(surface::Args),
+    Unpack(unpack::Args),
     Compare(compare::Args),
     Count(count::Args),
     Export(export::Args),
@@ -113,6 +115,7 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Reduce(args) => reduce::run(args, &cli.talk),
         Command::Append(args) => append::run(args, &cli.talk),
         Command::Surface(args) => surface::run(args, &cli.talk),
+        Command::Unpack(args) => unpack::run(args, &cli.talk),
         Command::Compare(args) => compare::run(args, &cli.talk),
         Command::Count(args) => count::run(args),
         Command::Export(args) => export::run(args, &cli.talk),

@@ -42,6 +42,11 @@ pub(crate) struct StepArgs {
 }
 
 impl StepArgs {
+    /// Whether one is asked.
+    pub(crate) fn is_given(&self) -> bool {
+        self.step.is_some() || self.time.is_some()
+    }
+
     pub(crate) fn choice(&self) -> StepChoice {
         match (self.step, self.time) {
             (Some(number), _) => StepChoice::Number(number),

@@ -15,6 +15,7 @@ use super::query::SurfaceSettings;
 use super::reader::{self, ChunkReader, Needed, Wanted};
 use super::roi::Cut;
 use super::spare::{Buffers, Spare};
+use super::unpacked::UnpackedChunk;
 use crate::error::Result;
 use crate::exec::Progress;
 use crate::geom::LatticePos;
@@ -23,7 +24,7 @@ use crate::index::Entry;
 use crate::mesh::tet::{Tet, is_active};
 use crate::surface::cap::select_boundary;
 use crate::surface::fans::split_fans;
-use crate::surface::known::KnownBlock;
+use crate::surface::known::{Known, KnownBlock};
 use crate::surface::marching_tets::{ChunkSurface, Workbench};
 use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
 use crate::surface::{TriMesh, WorldMap};
@@ -159,13 +160,21 @@ impl Question<'_> {
     fn chunk_surfaces(&self, work: &ChunkWork, spare: &Spare) -> Result<ChunkSurfaces> {
         let (mut buffers, mut reader) = (spare.buffers(), None);
         let mut chunk = ChunkWorker::new(self, spare);
+        let mut unpacked = UnpackedChunk::of(self.archive, work)?;
+        // Blocks that are unpacked are not kept: they need not be looked up.
+        let at_once = if unpacked.is_none() { AT_ONCE } else { 1 };
         let mut kept = vec![];
         for (n, block) in work.blocks.iter().enumerate() {
-            if n % AT_ONCE == 0 {
-                let next = work.blocks[n..].iter().take(AT_ONCE).map(|b| b.block);
+            if let Some(unpacked) = &mut unpacked
+                && unpacked.add(n, block, &mut chunk, &mut buffers)?
+            {
+                continue;
+            }
+            if n % at_once == 0 {
+                let next = work.blocks[n..].iter().take(at_once).map(|b| b.block);
                 self.archive.kept.get(work.chunk, next, &mut kept);
             }
-            let ahead = |blocks: usize| kept.get(n % AT_ONCE + blocks).and_then(Option::as_ref);
+            let ahead = |blocks: usize| kept.get(n % at_once + blocks).and_then(Option::as_ref);
             self.foretell(ahead(1), ahead(2));
             if let Some(found) = ahead(0) {
                 chunk.add_kept(work.chunk, block, found, &mut buffers);
@@ -184,12 +193,18 @@ impl Question<'_> {
             self.archive.kept.put(work.chunk, block.block, &buffers.block);
             chunk.add(block, &mut buffers, Some(reader));
         }
+        unpacked.map_or(Ok(()), UnpackedChunk::end)?;
         if let Some(reader) = reader {
             self.active_bytes.fetch_add(reader.active_bytes(), Ordering::Relaxed);
             buffers.reader = reader.into_memory();
         }
         spare.give_buffers(buffers);
         Ok(chunk.finish())
+    }
+
+    /// Whether all tetrahedra of a block are wanted, and but their surfaces.
+    pub(super) fn is_whole(&self) -> bool {
+        self.cut.is_none() && self.caps.is_none()
     }
 
     /// Asks the processor for the next kept blocks: of the one after the next what tells which tetrahedra of it may be active.
@@ -230,7 +245,7 @@ impl Question<'_> {
 
 /// The surfaces of a chunk while blocks are added to them.
 pub(super) struct ChunkWorker<'a> {
-    question: &'a Question<'a>,
+    pub(super) question: &'a Question<'a>,
     surfaces: ChunkSurfaces,
     started: bool,
 }
@@ -260,10 +275,10 @@ impl<'a> ChunkWorker<'a> {
     /// Adds a kept block to the surfaces, and finds out about it, if that is due.
     fn add_kept(&mut self, chunk: ChunkId, entry: &Entry, found: &Found, buffers: &mut Buffers) {
         let question = self.question;
-        let is_whole = question.cut.is_none() && question.caps.is_none();
+        let is_whole = question.is_whole();
         match (&*found.block, is_whole) {
             (KeptBlock::Known(block, of_chunk), true) => {
-                return self.add_known(entry, block, *of_chunk, &mut buffers.bench);
+                return self.add_kept_known(entry, block, *of_chunk, &mut buffers.bench);
             }
             (KeptBlock::Packed(block), true) if !found.is_due => {
                 return self.add_packed(entry, block, buffers);
@@ -273,7 +288,7 @@ impl<'a> ChunkWorker<'a> {
         let Buffers { block: Block { corners, tets, .. }, bench, .. } = &mut *buffers;
         match is_whole.then(|| bench.know(&corners.cells(tets), &question.world)).flatten() {
             Some(known) => {
-                self.add_known(entry, &known, corners.of_chunk, bench);
+                self.add_kept_known(entry, &known, corners.of_chunk, bench);
                 let known = KeptBlock::Known(known, corners.of_chunk);
                 question.archive.kept.replace(chunk, entry.block, known);
             }
@@ -296,13 +311,33 @@ impl<'a> ChunkWorker<'a> {
         }
     }
 
-    fn add_known(&mut self, entry: &Entry, block: &KnownBlock, of_chunk: usize, bench: &mut Workbench) {
+    fn add_kept_known(&mut self, entry: &Entry, block: &KnownBlock, of_chunk: usize, bench: &mut Workbench) {
+        let is_sound = self.add_known(entry, block.view(), of_chunk, bench);
+        assert!(is_sound, "a block that was made here has the edges of its tetrahedra");
+    }
+
+    /// Makes room for so many edges of the chunk that have numbers.
+    pub(super) fn number_edges(&mut self, count: usize) {
+        self.surfaces.iter_mut().for_each(|surface| surface.number_edges(count));
+    }
+
+    /// Adds a known block to the surfaces. False if it is none: see [`ChunkSurface::add_known`].
+    #[must_use]
+    pub(super) fn add_known(
+        &mut self,
+        entry: &Entry,
+        block: Known<'_>,
+        of_chunk: usize,
+        bench: &mut Workbench,
+    ) -> bool {
         self.start(of_chunk);
+        let mut is_sound = true;
         for (surface, &isovalue) in self.surfaces.iter_mut().zip(self.question.isovalues) {
             if is_active(entry.min, entry.max, isovalue) {
-                surface.add_known(block, &self.question.world, bench);
+                is_sound &= surface.add_known(block, &self.question.world, bench);
             }
         }
+        is_sound
     }
 
     /// Adds the block that is in the buffers to the surfaces. `reader` is told if it is active.

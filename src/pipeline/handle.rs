@@ -27,7 +27,8 @@ use std::path::{Path, PathBuf};
 /// Blocks of tetrahedra that a surface needed are kept, decoded, for the next one, up to [`Archive::KEPT_BYTES`] or what [`Archive::keeping`]
 /// says, and a quarter more for buffers: about 20 bytes a tetrahedron, and where there is room some 60 when they are used again, for all that
 /// does not depend on the isovalue is known then. Those that were not used lately go first. So while an isovalue is dragged to and fro, a
-/// surface costs little more than its triangles.
+/// surface costs little more than its triangles. Of a step that was unpacked ([`super::unpack`]) all of that is on disk, in a file that is mapped: it costs no memory of
+/// the process, and the first question is as fast as later ones, but for checksums.
 ///
 /// What fits in memory is returned ([`Archive::surface`], [`Archive::sample`], [`Archive::probe`], [`Archive::active`]); what may
 /// not is written to a file, in bounded memory, by a method with settings and progress ([`Archive::write_surface`],

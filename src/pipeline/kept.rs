@@ -14,7 +14,7 @@
 use super::block::{Block, BlockCorners, PackedBlock};
 use crate::exec::will_read;
 use crate::grid::ChunkId;
-use crate::surface::known::KnownBlock;
+use crate::surface::known::{Known, KnownBlock};
 use crate::surface::ordered::Unpacked;
 use rustc_hash::FxHashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -42,26 +42,31 @@ impl KeptBlock {
             Self::Packed(block) => return block.unpack(out),
             Self::Known(block, of_corners) => (block, *of_corners),
         };
-        let Block { corners, tets, bytes } = out;
-        let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = corners;
-        block.unpack(&mut Unpacked { numbers, positions, ids, values, shared, tets });
-        (*of_chunk, *bytes) = (of_corners, 0);
+        unpack_known(block.view(), of_corners, out);
     }
 
     /// Asks the processor for what is looked at in any case.
     pub(super) fn will_be_read(&self) {
         match self {
             Self::Packed(block) => block.will_be_read(),
-            Self::Known(block, _) => block.corners_will_be_read(),
+            Self::Known(block, _) => block.view().corners_will_be_read(),
         }
     }
 
     /// Asks for the rest.
     pub(super) fn rest_will_be_read(&self, isovalues: &[f32]) {
         if let Self::Known(block, _) = self {
-            block.tets_will_be_read(isovalues);
+            block.view().tets_will_be_read(isovalues);
         }
     }
+}
+
+/// A known block as it was read, its corners maybe in another order; of a chunk of so many corners.
+pub(super) fn unpack_known(block: Known<'_>, of_corners: usize, out: &mut Block) {
+    let Block { corners, tets, bytes } = out;
+    let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = corners;
+    block.unpack(&mut Unpacked { numbers, positions, ids, values, shared, tets });
+    (*of_chunk, *bytes) = (of_corners, 0);
 }
 
 /// A kept block that was asked for.

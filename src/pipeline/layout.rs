@@ -96,6 +96,10 @@ impl Layout {
         manifest::coordinates_path(&self.root, self.step)
     }
 
+    pub(crate) fn unpacked(&self) -> PathBuf {
+        manifest::unpacked_path(&self.root, self.step)
+    }
+
     pub(crate) fn spectrum(&self) -> PathBuf {
         manifest::spectrum_path(&self.root, self.step)
     }

@@ -14,6 +14,7 @@ use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::{CellCount, CoordinateMap};
 use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, MeshSource, SegmentRecord, Step};
 use crate::archive::segment::{FORMAT_VERSION, PlanHash, Segment, SegmentInfo, SegmentKind};
+use crate::archive::unpacked::Unpacked;
 use crate::archive::values::Quantiser;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
@@ -144,7 +145,7 @@ pub struct ArchiveSummary {
     pub suggestions: Vec<Suggestion>,
     /// How far the reduced field is from the samples of its source, where that was measured.
     pub error: Option<FieldError>,
-    /// Bytes of all files.
+    /// Bytes of all files, but for unpacked blocks.
     pub bytes: u64,
 }
 
@@ -171,6 +172,9 @@ pub struct StepSummary {
     pub value_bytes: u64,
     /// Bytes of its index and spectrum.
     pub index_bytes: u64,
+    /// Where its blocks are unpacked: of the file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unpacked_bytes: Option<u64>,
 }
 
 impl StepSummary {
@@ -187,6 +191,7 @@ impl StepSummary {
             error: step.error.as_ref().map(|e| [e.rms, e.max]),
             value_bytes: step.values.iter().map(|v| v.info.bytes).sum(),
             index_bytes: step.index.map_or(0, |s| s.bytes) + step.spectrum.map_or(0, |s| s.bytes),
+            unpacked_bytes: None,
         }
     }
 }
@@ -208,6 +213,7 @@ pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
     let (plan, counts, step) = (&archive.manifest.plan, &archive.manifest.counts, archive.step());
     let source = &step.plan.source;
     let spectrum = super::spectrum::report(&archive)?;
+    let steps = archive.summarized_steps()?;
     Ok(ArchiveSummary {
         kind: "archive",
         format: FORMAT_VERSION,
@@ -230,12 +236,12 @@ pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
         chunks: counts.chunks,
         blocks: counts.blocks,
         step: step.plan.number,
-        steps: archive.manifest.steps.iter().map(StepSummary::of).collect(),
+        bytes: archive.bytes()?.saturating_sub(steps.iter().filter_map(|s| s.unpacked_bytes).sum()),
+        steps,
         range: step.value_range,
         areas: spectrum.knots.iter().map(|k| [f64::from(k.isovalue), k.area]).collect(),
         suggestions: spectrum.suggestions,
         error: step.error.clone(),
-        bytes: archive.bytes()?,
     })
 }
 
@@ -262,6 +268,8 @@ pub(super) struct OpenArchive {
     bytes: OnceLock<u64>,
     /// Blocks that are kept for the next question.
     pub(super) kept: Kept,
+    /// The unpacked blocks of the step, once they were looked for.
+    pub(super) unpacked: OnceLock<Option<Unpacked>>,
     /// Buffers for it, while blocks are kept.
     pub(super) spare: Spare,
     /// The threads of questions that were answered.
@@ -329,6 +337,7 @@ impl OpenArchive {
             read_before: AtomicU64::new(0),
             bytes: OnceLock::new(),
             kept: Kept::default(),
+            unpacked: OnceLock::new(),
             spare: Spare::default(),
             pools: Pools::default(),
         })
@@ -390,6 +399,9 @@ impl OpenArchive {
     pub(super) fn turn_to(&mut self, step: usize) {
         self.view = View { step, beyond: None };
         (self.kept, self.spare) = (Kept::default(), Spare::default());
+        let unpacked = std::mem::take(&mut self.unpacked).into_inner().flatten();
+        let read = unpacked.map_or(0, |file| file.segment().bytes_read());
+        self.read_before.fetch_add(read, Ordering::Relaxed);
         self.layout = self.layout.at(self.manifest.steps[step].plan.number);
         // Of the mesh and of other steps nothing changes, but a segment here has values of the step.
         self.close_before(ChunkId(u64::MAX));
@@ -539,7 +551,9 @@ impl OpenArchive {
         let values = self.values.lock().unwrap_or_else(PoisonError::into_inner);
         let meshes = open.values().map(|s| s.mesh.segment().bytes_read()).sum::<u64>();
         let values = values.values().map(|s| s.segment().bytes_read()).sum::<u64>();
-        self.read_before.load(Ordering::Relaxed) + meshes + values
+        let unpacked = self.unpacked.get().and_then(Option::as_ref);
+        let unpacked = unpacked.map_or(0, |file| file.segment().bytes_read());
+        self.read_before.load(Ordering::Relaxed) + meshes + values + unpacked
     }
 
     /// Closes the segments before that of a chunk: their files, and the pages of their directories that are kept.

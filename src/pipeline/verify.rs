@@ -4,12 +4,14 @@
 //! * each brick has the number of points that the point set gives it, each halo id is a point outside the chunk;
 //! * each tetrahedron is positively oriented, belongs to the chunk that holds it, and all together fill the box exactly;
 //! * the ranges of the blocks, of tetrahedra and of values, the entries of the index, and the sums of the spectrum are those of the values;
+//! * unpacked blocks, where there are any, are those that would be made now;
 //! * the error of a volume's step is that of all chunks together.
 
 use super::commit::{domain_volume6, index_entries, mesh_summary, value_summary};
 use super::gauge::stored_error;
 use super::open::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
 use super::spectrum::{Bench, Meter, stored_part};
+use super::unpack::check_unpacked;
 use crate::archive::repeated::RepeatedReader;
 use crate::archive::segment::Segment;
 use crate::archive::summary::{BlockRange, MeshSummary, value_ranges};
@@ -90,6 +92,11 @@ fn check_step(archive: &OpenArchive, check: &mut ArchiveCheck) -> Result<()> {
     let mut measured = spectrum
         .as_ref()
         .map(|file| SpectrumBuilder::new(Design::new(file.spectrum().range, meter.limits())));
+    let unpacked = archive.unpacked()?;
+    if let Some(file) = unpacked {
+        file.verify()?;
+        check.add(file.segment());
+    }
     for number in 0..archive.layout.segment_count() {
         let chunks: Vec<u64> = archive.layout.chunks_of(number).collect();
         archive.close_before(ChunkId(chunks[0]));
@@ -102,6 +109,9 @@ fn check_step(archive: &OpenArchive, check: &mut ArchiveCheck) -> Result<()> {
             .par_iter()
             .map(|&c| check_chunk(archive, &segment, ChunkId(c), &meter))
             .collect::<Result<_>>()?;
+        if let Some(file) = unpacked {
+            chunks.par_iter().try_for_each(|&c| check_unpacked(archive, file, ChunkId(c)))?;
+        }
         for CheckedChunk { summary, ranges, part } in checked {
             if let Some(measured) = &mut measured {
                 measured.add(&part);

@@ -4,7 +4,7 @@ use crate::mutate::{Random, mutate};
 use crate::seeds::{get, partner, put};
 use isospan::archive::chunk::{TetBlock, TetScratch};
 use isospan::archive::manifest::{
-    MANIFEST_NAME, Manifest, index_path, mesh_segment_path, values_segment_path,
+    MANIFEST_NAME, Manifest, index_path, mesh_segment_path, unpacked_path, values_segment_path,
 };
 use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use isospan::archive::summary::{MeshSummary, ValueSummary};
@@ -17,7 +17,7 @@ use isospan::formats::raw::RawLayout;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, open_mesh, open_volume};
 use isospan::geom::PointId;
-use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, SurfaceSettings};
+use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, SurfaceSettings, UnpackSettings};
 use isospan::points::SetKind;
 use isospan::surface::check::check;
 use isospan::volume::{ScalarType, VolumeSource};
@@ -193,11 +193,14 @@ impl Archive {
 
     /// Puts the good files back, also after a panic.
     pub(crate) fn repair(&self) -> Result<()> {
+        // Only some cases have it.
+        let _ = fs::remove_file(unpacked_path(&self.copy, 0));
         self.files.iter().try_for_each(|(name, bytes)| put(&self.copy.join(name), bytes))
     }
 
     fn damage(&self, random: &mut Random, what: &mut String) -> Result<()> {
-        match random.below(8) {
+        match random.below(9) {
+            8 => self.damage_unpacked(random, what),
             0 | 1 => {
                 let (name, bytes) = random.pick(&self.files);
                 *what = format!("bytes of {}", name.display());
@@ -257,16 +260,68 @@ impl Archive {
         manifest.write(&self.copy)
     }
 
+    /// Unpacks the copy, and damages a block of that, behind good checksums or not.
+    fn damage_unpacked(&self, random: &mut Random, what: &mut String) -> Result<()> {
+        pipeline::unpack(&self.copy, &UnpackSettings { threads: 1, ..UnpackSettings::default() }, &Silent)?;
+        let path = unpacked_path(&self.copy, 0);
+        if random.below(4) == 0 {
+            *what = "bytes of unpacked blocks".into();
+            return put(&path, &mutate(&get(&path)?, b"", random));
+        }
+        let segment = Segment::open(&path, SegmentKind::Unpacked, None)?;
+        let (plan, block) = (segment.plan(), random.next() % segment.block_count());
+        *what = format!("unpacked block {block}, sealed again");
+        reseal(&path, SegmentKind::Unpacked, plan, |n, bytes| {
+            if n == block {
+                *bytes = mutate(bytes, b"", random);
+                seal_words(bytes);
+            }
+        })
+        .map(drop)
+    }
+
     fn ask(&self) -> Result<()> {
         let out = self.copy.with_extension("ply");
         let settings = SurfaceSettings { threads: 1, ..SurfaceSettings::of(ISOVALUE) };
+        let capped = SurfaceSettings { cap: true, ..settings.clone() };
         let outcomes = [
             pipeline::check_archive(&self.copy).map(drop),
             pipeline::count_active(&self.copy, ISOVALUE).map(drop),
             pipeline::extract_surface(&self.copy, &settings, &out, SurfaceFormat::Ply, &Silent).map(drop),
+            pipeline::extract_surface(&self.copy, &capped, &out, SurfaceFormat::Ply, &Silent).map(drop),
             pipeline::summarize(&self.copy).map(drop),
         ];
         outcomes.into_iter().collect()
+    }
+}
+
+/// Gives the words of an unpacked block the checksums that fit them, as the format has them, where it is as long as it tells.
+fn seal_words(bytes: &mut [u8]) {
+    let mut words: Vec<u32> = bytes.as_chunks().0.iter().map(|&word| u32::from_le_bytes(word)).collect();
+    let Some(&[c, e, t, s]) = words.first_chunk() else { return };
+    let [c, e, t, s] = [c, e, t, s].map(|n| n as usize % (1 << 16));
+    let groups = t.div_ceil(16);
+    let lists = 8 + groups;
+    let tets_end = lists + 3 * groups + 5 * c + e + t;
+    let edges_end = tets_end + 3 * t;
+    let ids = edges_end + s..edges_end + s + 2 * c;
+    if words.len() < ids.end {
+        return;
+    }
+    let crc = |crc: u32, words: &[u32]| {
+        crc32c::crc32c_append(crc, &words.iter().flat_map(|word| word.to_le_bytes()).collect::<Vec<_>>())
+    };
+    let mut begin = 0;
+    for n in 0..groups {
+        let end = ((words[lists + 3 * n + 2] >> 16) as usize).clamp(begin, s);
+        let edges = &words[tets_end + 48 * n..edges_end.min(tets_end + 48 * (n + 1))];
+        words[8 + n] = crc(crc(0, edges), &words[edges_end + begin..edges_end + end]);
+        begin = end;
+    }
+    words[5] = crc(crc(crc(0, &words[..5]), &words[8..lists]), &words[lists..tets_end]);
+    words[6] = crc(0, &words[ids]);
+    for (bytes, word) in bytes.as_chunks_mut().0.iter_mut().zip(words) {
+        *bytes = word.to_le_bytes();
     }
 }
 

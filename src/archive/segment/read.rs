@@ -16,6 +16,15 @@ use xxhash_rust::xxh3::Xxh3Default;
 /// A directory page that has been read: offset, length and checksum of each of its blocks.
 type Page = Arc<Vec<(u64, u32, u32)>>;
 
+/// Where a block is. The bytes of a mapped file lie there, not yet compared with their checksum: when they have been used, [`Segment::check_mapped`]
+/// tells whether they were the file's.
+#[derive(Clone, Copy)]
+pub(crate) struct BlockPlace<'a> {
+    pub(crate) number: u64,
+    pub(crate) len: u32,
+    pub(crate) bytes: Option<&'a [u8]>,
+}
+
 /// An open segment: blocks by number, from any thread.
 pub struct Segment {
     path: PathBuf,
@@ -36,6 +45,23 @@ impl Segment {
     pub fn open(path: impl AsRef<Path>, kind: SegmentKind, plan: Option<PlanHash>) -> Result<Self> {
         let path = path.as_ref().to_path_buf();
         let file = PositionedFile::open(&path)?;
+        Self::of_file(path, file, kind, plan)
+    }
+
+    /// As [`Segment::open`], of a file on this machine that is mapped, where files are: for [`Segment::places`].
+    ///
+    /// # Errors
+    /// As there.
+    pub(crate) fn map(path: &Path, kind: SegmentKind, plan: Option<PlanHash>) -> Result<Self> {
+        Self::of_file(path.to_path_buf(), PositionedFile::map(path)?, kind, plan)
+    }
+
+    fn of_file(
+        path: PathBuf,
+        file: PositionedFile,
+        kind: SegmentKind,
+        plan: Option<PlanHash>,
+    ) -> Result<Self> {
         if file.len < HEADER_BYTES + FOOTER_BYTES {
             return Err(Error::bad_input(
                 &path,
@@ -107,6 +133,46 @@ impl Segment {
             return Err(self.damage(format!("block {n}: CRC32C"), hex(crc), hex(got)));
         }
         Ok(())
+    }
+
+    /// Where blocks are, one after another; page after page of the directory is looked up once, if they ascend.
+    ///
+    /// # Errors
+    /// When a directory page is damaged.
+    ///
+    /// # Panics
+    /// When a number is not below [`Segment::block_count`].
+    pub(crate) fn places<'a>(
+        &'a self,
+        numbers: impl Iterator<Item = u64>,
+        out: &mut Vec<BlockPlace<'a>>,
+    ) -> Result<()> {
+        let mut last: Option<(u64, Page)> = None;
+        for n in numbers {
+            assert!(n < self.info.blocks, "block {n} of {}", self.info.blocks);
+            let (wanted, in_page) = (n / PAGE_BLOCKS, (n % PAGE_BLOCKS) as usize);
+            let page = match last.take() {
+                Some((number, page)) if number == wanted => page,
+                _ => self.page(wanted)?,
+            };
+            let (offset, len, _) = page[in_page];
+            out.push(BlockPlace { number: n, len, bytes: self.file.at_hand(offset, len.into()) });
+            last = Some((wanted, page));
+        }
+        Ok(())
+    }
+
+    /// Whether the bytes of a mapped file that were used so far were those of the file.
+    ///
+    /// # Errors
+    /// When it has become shorter, or its device failed.
+    pub(crate) fn check_mapped(&self) -> Result<()> {
+        self.file.check()
+    }
+
+    /// Counts bytes that were used where they lie.
+    pub(crate) fn count_used(&self, bytes: u64) {
+        self.bytes_read.fetch_add(bytes, Ordering::Relaxed);
     }
 
     fn read_at(&self, offset: u64, out: &mut [u8]) -> Result<()> {

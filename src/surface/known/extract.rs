@@ -14,7 +14,7 @@ use super::super::marching_tets::{ChunkSurface, OpenVertex, SharedEdge, Workbenc
 use super::super::patch::up;
 use super::super::{Vertex, WorldMap};
 use super::sides::SPARE;
-use super::{ByteTables, EDGES_MOST, GROUP, KnownBlock, OPEN, SHARED, TURNED};
+use super::{ByteTables, EDGES_MOST, FIRST, GROUP, Known, Normal, OPEN, SHARED, SUM, TURNED};
 #[cfg(target_arch = "x86_64")]
 use crate::exec::lanes::Vector;
 use crate::exec::lanes::{Four, Plain};
@@ -39,6 +39,8 @@ pub(in super::super) struct Crossed {
     /// The edges whose vertices are new; those of them that others may look for.
     new: Vec<u16>,
     first: Vec<u16>,
+    /// The edges with a number in the chunk whose vertices are new.
+    numbered: Vec<(u16, u32)>,
     triangles: Vec<[u32; 3]>,
 }
 
@@ -47,16 +49,17 @@ impl Crossed {
         2 * (self.edges.capacity() + self.open.capacity() + self.new.capacity() + self.first.capacity())
             + 4 * (self.tets.capacity() + self.vertices.capacity())
             + 12 * self.triangles.capacity()
+            + 8 * self.numbered.capacity()
     }
 
     /// Room for all of a block.
-    fn make_room(&mut self, block: &KnownBlock) {
+    fn make_room(&mut self, block: Known<'_>) {
         let grow = |list: &mut Vec<u16>, most: usize| list.resize(most.max(list.len()), 0);
-        grow(&mut self.edges, block.edges + SPARE);
-        grow(&mut self.open, block.edges + SPARE);
-        grow(&mut self.new, block.edges + SPARE);
-        self.tets.resize((block.tets + SPARE).max(self.tets.len()), [0; 2]);
-        self.triangles.resize((2 * block.tets + 2).max(self.triangles.len()), [0; 3]);
+        grow(&mut self.edges, block.shape.edges + SPARE);
+        grow(&mut self.open, block.shape.edges + SPARE);
+        grow(&mut self.new, block.shape.edges + SPARE);
+        self.tets.resize((block.shape.tets + SPARE).max(self.tets.len()), [0; 2]);
+        self.triangles.resize((2 * block.shape.tets + 2).max(self.triangles.len()), [0; 3]);
         self.vertices.resize(EDGES_MOST, NEW);
     }
 
@@ -67,7 +70,7 @@ impl Crossed {
 
     /// Looks what is crossed, 64 corners at a time, in a block without void tetrahedra.
     #[inline(always)]
-    fn find_at_once(&mut self, block: &KnownBlock, isovalue: f32, tables: ByteTables) {
+    fn find_at_once(&mut self, block: Known<'_>, isovalue: f32, tables: ByteTables) {
         self.make_room(block);
         let table = block.sides(isovalue);
         // Neither end of an edge is a NaN.
@@ -78,7 +81,7 @@ impl Crossed {
 
     /// Looks what is crossed.
     #[inline(always)]
-    fn find(&mut self, block: &KnownBlock, isovalue: f32) {
+    fn find(&mut self, block: Known<'_>, isovalue: f32) {
         self.make_room(block);
         let sides = block.sides(isovalue);
         let (edges, slots, tets) = (block.edges(), block.slots_of_edges(), block.tets());
@@ -86,7 +89,8 @@ impl Crossed {
         let (list, open_list, active_list) = (&mut list[..], &mut open_list[..], &mut active_list[..]);
         let ([mut crossed, mut open, mut active], mut first) = ([0; 3], 0);
         for (group, n) in block.groups().iter().zip((0..tets.len()).step_by(GROUP)) {
-            let (begin, end) = (first, usize::from(group.edges_end));
+            // Those of a block in a file that is cut short meanwhile may be 0.
+            let (begin, end) = (first, first.max(group.edges_end.into()).min(edges.len()));
             first = end;
             if !is_active(group.least, group.most, isovalue) {
                 continue;
@@ -126,7 +130,7 @@ impl Crossed {
 
     /// Makes the triangles.
     #[inline(always)]
-    fn list_triangles(&mut self, block: &KnownBlock) -> &[[u32; 3]] {
+    fn list_triangles(&mut self, block: Known<'_>) -> &[[u32; 3]] {
         let (tets, mut end) = (block.edges_of_tets(), 0);
         let vertices: &[u32; EDGES_MOST] =
             self.vertices.as_slice().try_into().expect("it was made so long before");
@@ -153,64 +157,90 @@ fn is_crossed(sum: u8) -> bool {
 }
 
 impl ChunkSurface {
-    /// Adds the active tetrahedra of a known block, whose numbers in the chunk are below that of its corners. `world` is that of the block.
-    pub(crate) fn add_known(&mut self, block: &KnownBlock, world: &WorldMap, bench: &mut Workbench) {
-        self.add_known_on(block, world, &mut bench.crossed, (Avx2::found(), ByteTables::found()));
+    /// Adds the active tetrahedra of a known block, whose numbers in the chunk are below that of its corners. `world` is that of the block. False
+    /// if a triangle has no vertex: then the edges of a tetrahedron are not those between its corners, and the surface is of no use.
+    #[must_use]
+    pub(crate) fn add_known(&mut self, block: Known<'_>, world: &WorldMap, bench: &mut Workbench) -> bool {
+        self.add_known_on(block, world, &mut bench.crossed, (Avx2::found(), ByteTables::found()))
     }
 
     /// With vectors of AVX2, with tables, or without: the same bits.
     pub(super) fn add_known_on(
         &mut self,
-        block: &KnownBlock,
+        block: Known<'_>,
         world: &WorldMap,
         crossed: &mut Crossed,
         (avx2, tables): (Option<Avx2>, Option<ByteTables>),
-    ) {
-        match tables.filter(|_| !block.has_void) {
+    ) -> bool {
+        match tables.filter(|_| !block.shape.has_void) {
             Some(tables) => crossed.find_at_once(block, self.isovalue, tables),
             None => crossed.find(block, self.isovalue),
         }
-        if !crossed.tets().is_empty() {
-            on_lanes!(avx2, self.add_found(block, world, crossed));
-        }
+        crossed.tets().is_empty() || on_lanes!(avx2, self.add_found(block, world, crossed))
     }
 
-    /// Adds what was found to be crossed.
+    /// Adds what was found to be crossed. False if a triangle has no vertex.
     #[inline(always)]
     fn add_found<W: Four>(
         &mut self,
         proof: W::Proof,
-        block: &KnownBlock,
+        block: Known<'_>,
         world: &WorldMap,
         crossed: &mut Crossed,
-    ) {
+    ) -> bool {
         self.active_cells += crossed.tets().len() as u64;
         let before = self.open.len();
-        self.join_open(block, crossed);
+        let mut is_sound = self.join_open(block, crossed);
         let count = crossed.number_new(self.vertices.len() as u32);
         self.append_new::<W>(proof, block, world, &crossed.new[..count]);
-        self.note_first(block, crossed, before);
-        self.triangles.extend_from_slice(crossed.list_triangles(block));
+        is_sound &= self.note_first(block, crossed, before);
+        let triangles = crossed.list_triangles(block);
+        self.triangles.extend_from_slice(triangles);
+        let most = triangles.as_flattened().iter().fold(0, |most: u32, &vertex| most.max(vertex));
+        is_sound && (most as usize) < self.vertices.len()
     }
 
-    /// Looks for the edges that other blocks may have too, and adds this block's part of their sums.
+    /// Looks for the edges that other blocks may have too, and adds this block's part of their sums. False if a slot is not there.
     #[inline(always)]
-    fn join_open(&mut self, block: &KnownBlock, crossed: &mut Crossed) {
+    fn join_open(&mut self, block: Known<'_>, crossed: &mut Crossed) -> bool {
         let (edges, of_edges, slots) = (block.edges(), block.slots_of_edges(), block.slots());
-        let Crossed { edges: list, open, counts, vertices, first, .. } = crossed;
+        let Crossed { edges: list, open, counts, vertices, first, numbered, .. } = crossed;
         for &n in &list[..counts[0]] {
             vertices[usize::from(n)] = NEW;
         }
         let of_corners = block.numbers();
         let numbers = |n: u16| edges[usize::from(n)].map(|corner| of_corners[usize::from(corner)] & !SHARED);
-        let open = &open[..counts[1]];
-        for &n in open {
-            self.edges.will_be_looked_for(numbers(n));
-        }
+        let slot_of = |n: u16| usize::from(of_edges[usize::from(n)] & !OPEN);
         first.clear();
-        for &n in open {
-            let slot = usize::from(of_edges[usize::from(n)] & !OPEN);
-            let gradient: [i64; 3] = sum_of(slots[slot], slots[slot + 1]);
+        numbered.clear();
+        let (mut is_sound, mut sums) = (true, 0);
+        let list = &mut open[..counts[1]];
+        for at in 0..list.len() {
+            let n = list[at];
+            let kind = slot_of(n).checked_sub(1).and_then(|at| slots.get(at)).copied();
+            let Some(kind) = kind else {
+                is_sound = false;
+                continue;
+            };
+            if kind & SUM != 0 {
+                self.edges.will_be_looked_for(numbers(n));
+                list[sums] = n;
+                sums += 1;
+            } else if kind & FIRST != 0 {
+                numbered.push((n, kind & !FIRST));
+            } else {
+                match self.of_numbers.get(kind as usize) {
+                    Some(&vertex) => vertices[usize::from(n)] = vertex,
+                    None => is_sound = false,
+                }
+            }
+        }
+        for &n in &list[..sums] {
+            let Some(sum) = slots[slot_of(n)..].first_chunk() else {
+                is_sound = false;
+                continue;
+            };
+            let gradient = sum_of(sum);
             match self.edges.find_or_add(numbers(n)) {
                 Found::Known(number) => {
                     let known = &mut self.open[number as usize];
@@ -225,24 +255,35 @@ impl ChunkSurface {
                 }
             }
         }
+        is_sound
     }
 
-    /// Notes what others may ask of new vertices: `before` is the number of open ones before.
+    /// Notes what others may ask of new vertices: `before` is the number of open ones before. False if an edge has no length, or its number is not
+    /// one of the chunk's.
     #[inline(always)]
-    fn note_first(&mut self, block: &KnownBlock, crossed: &Crossed, before: usize) {
-        let at = block.at();
+    fn note_first(&mut self, block: Known<'_>, crossed: &Crossed, before: usize) -> bool {
+        let (at, mut is_sound) = (block.at(), true);
         for (&n, open) in crossed.first.iter().zip(&mut self.open[before..]) {
             let (vertex, ends) = (crossed.vertices[usize::from(n)], block.edges()[usize::from(n)]);
             open.vertex = vertex;
-            self.vertices[vertex as usize].normal = up(ends.map(|corner| &at[usize::from(corner)]));
+            let up = up(ends.map(|corner| &at[usize::from(corner)]));
+            is_sound &= up != [0.0; 3];
+            self.vertices[vertex as usize].normal = up;
             let key = block.shared(ends);
             self.shared.extend(key.map(|key| SharedEdge { key, vertex, gradient: [0; 3] }));
         }
+        for &(n, number) in &crossed.numbered {
+            match self.of_numbers.get_mut(number as usize) {
+                Some(vertex) => *vertex = crossed.vertices[usize::from(n)],
+                None => is_sound = false,
+            }
+        }
+        is_sound
     }
 
     /// Appends vertices; the normals of open ones mean nothing yet.
     #[inline(always)]
-    fn append_new<W: Four>(&mut self, proof: W::Proof, block: &KnownBlock, world: &WorldMap, new: &[u16]) {
+    fn append_new<W: Four>(&mut self, proof: W::Proof, block: Known<'_>, world: &WorldMap, new: &[u16]) {
         let (edges, of_edges) = (block.edges(), block.slots_of_edges());
         let (slots, at) = (block.slots(), block.at());
         for four in new.chunks(4) {
@@ -250,7 +291,9 @@ impl ChunkSurface {
             let mut vertices = [Vertex::default(); 4];
             for ((&n, ends), vertex) in four.iter().zip(&mut ends).zip(&mut vertices) {
                 *ends = edges[usize::from(n)].map(|corner| &at[usize::from(corner)]);
-                vertex.normal = slots[usize::from(of_edges[usize::from(n)] & !OPEN)].map(f32::from_bits);
+                let slot = usize::from(of_edges[usize::from(n)] & !OPEN);
+                let normal: Normal = slots[slot..slot + 3].try_into().expect("three words");
+                vertex.normal = normal.map(f32::from_bits);
             }
             let positions = fours::crossings::<W>(proof, ends, self.isovalue, world);
             for (vertex, position) in vertices.iter_mut().zip(positions) {
@@ -264,9 +307,8 @@ impl ChunkSurface {
     }
 }
 
-/// A sum, of its two slots.
+/// A sum, of its words.
 #[inline(always)]
-fn sum_of(low: super::Slot, high: super::Slot) -> [i64; 3] {
-    let [a, b, c, d, e, f] = bytemuck::cast::<[super::Slot; 2], [u32; 6]>([low, high]);
+pub(super) fn sum_of(&[a, b, c, d, e, f]: &[u32; 6]) -> [i64; 3] {
     [[a, b], [c, d], [e, f]].map(|[low, high]| (u64::from(low) | u64::from(high) << 32) as i64)
 }

@@ -7,7 +7,10 @@ use super::super::marching_tets::{CellSource, along_edge, in_order, on_lanes};
 use super::super::numbering::{Ring, code_of};
 use super::super::ordered::{EDGE_SLOTS, Order, slot_of};
 use super::super::patch::{CORNERS, NO_EDGE, add_term, up};
-use super::{EDGES_MOST, GROUP, Group, KnownBlock, OPEN, Slot, TURNED, TetEdges, is_void};
+use super::{
+    EDGES_MOST, GROUP, Group, KnownBlock, OPEN, SLOTS_BEHIND, SLOTS_MOST, SUM, Shape, TURNED, TetEdges,
+    is_void,
+};
 #[cfg(target_arch = "x86_64")]
 use crate::exec::lanes::Vector;
 use crate::exec::lanes::{Four, Plain};
@@ -29,7 +32,7 @@ pub(in super::super) struct Maker {
     gradients: Vec<Gradient>,
     units: Vec<f64>,
     sums: Vec<[i64; 4]>,
-    slots: Vec<Slot>,
+    slots: Vec<u32>,
 }
 
 /// Edges while they are numbered, in the order in which they are met, without a branch for each.
@@ -91,7 +94,7 @@ impl Maker {
             + (4 + size_of::<TetEdges>() + size_of::<Gradient>()) * self.tets.capacity()
             + size_of::<Group>() * self.groups.capacity()
             + (4 + size_of::<Ring>() + 8 + 32) * self.edges.capacity()
-            + size_of::<Slot>() * self.slots.capacity()
+            + 4 * self.slots.capacity()
     }
 
     /// Finds out about a block. `None` of one with too many corners or edges, which is rare, or of corners without numbers in a chunk.
@@ -116,9 +119,11 @@ impl Maker {
             return None;
         }
         on_lanes!(avx2, self.know_edges(world));
-        self.close_groups();
+        if self.slots.len() > SLOTS_MOST {
+            return None;
+        }
         let [groups, edges, slots] = [self.groups.len(), self.edges.len(), self.slots.len()];
-        let mut words = Vec::with_capacity(3 * groups + 7 * corners + edges + 4 * tets + 3 * slots);
+        let mut words = Vec::with_capacity(3 * groups + 7 * corners + edges + 4 * tets + slots);
         words.extend_from_slice(bytemuck::cast_slice(&self.groups));
         words.extend(order.numbers(cells));
         words.extend_from_slice(bytemuck::cast_slice(&self.at));
@@ -133,10 +138,11 @@ impl Maker {
         let (of_corners, of_edges) = words[begin..].split_at_mut(tets);
         bytemuck::cast_slice_mut(of_corners).copy_from_slice(&self.tets);
         bytemuck::cast_slice_mut(of_edges).copy_from_slice(&self.tet_edges);
-        words.extend_from_slice(self.slots.as_flattened());
+        words.extend_from_slice(&self.slots);
         words.extend(order.ids(cells));
         let has_void = self.tet_edges.iter().any(is_void);
-        Some(KnownBlock { words: words.into(), corners, edges, tets, slots, has_void })
+        let shape = Shape { corners, edges, tets, slots, has_void };
+        Some(KnownBlock { words: words.into(), shape })
     }
 
     /// Lists tetrahedra, groups and edges. False if there are too many.
@@ -183,19 +189,20 @@ impl Maker {
             }
             let normals = fours::normals::<W>(proof, &four, world);
             for (((&ends, sum), normal), ring) in edges.iter().zip(four).zip(normals).zip(rings) {
-                let slot = self.slots.len() as u16;
                 if ring.is_closed(ends) {
                     let at = || ends.map(|corner| &self.at[usize::from(corner)]);
                     let normal = normal.unwrap_or_else(|| along_edge(up(at()), world));
-                    self.slots.push(normal.map(f32::to_bits));
-                    self.slots_of_edges.push(slot);
+                    self.slots_of_edges.push(self.slots.len() as u16);
+                    self.slots.extend(normal.map(f32::to_bits));
                 } else {
-                    let [[a, b], [c, d], [e, f]] = sum.map(|x| [x as u32, (x >> 32) as u32]);
-                    self.slots.extend([[a, b, c], [d, e, f]]);
-                    self.slots_of_edges.push(slot | OPEN);
+                    self.slots.push(SUM);
+                    self.slots_of_edges.push(self.slots.len() as u16 | OPEN);
+                    self.slots.extend(sum.iter().flat_map(|&x| [x as u32, (x >> 32) as u32]));
                 }
             }
         }
+        close_groups(&mut self.groups, &self.slots_of_edges, self.slots.len());
+        self.slots.extend([0; SLOTS_BEHIND]);
     }
 
     #[inline(always)]
@@ -233,12 +240,13 @@ impl Maker {
             }
         }
     }
+}
 
-    /// Tells groups where the slots of their edges end.
-    fn close_groups(&mut self) {
-        for group in &mut self.groups {
-            let next = self.slots_of_edges.get(usize::from(group.edges_end)).map(|slot| slot & !OPEN);
-            group.slots_end = next.unwrap_or(self.slots.len() as u16);
-        }
+/// Tells groups where the slots of their edges end, those of all in so many words.
+pub(super) fn close_groups(groups: &mut [Group], slots_of_edges: &[u16], words: usize) {
+    for group in groups {
+        let next = slots_of_edges.get(usize::from(group.edges_end));
+        // The word that tells what a slot is belongs to it.
+        group.slots_end = next.map_or(words as u16, |slot| (slot & !OPEN) - (slot >> 15));
     }
 }

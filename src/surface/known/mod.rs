@@ -2,8 +2,8 @@
 //!
 //! Much of a surface does not depend on the isovalue. All tetrahedra around a crossed edge are active, so the sum of their gradients, and
 //! the normal of the vertex, is that of the edge, wherever it is crossed. A block that is kept knows it: of an edge with all its
-//! tetrahedra in the block ([`super::numbering`] tells which) the normal, of others the block's part of the sum. What is left to do
-//! is to look which edges are crossed, and where ([`extract`]).
+//! tetrahedra in the block ([`super::numbering`] tells which) the normal, of others the block's part of the sum. Where all blocks of a chunk
+//! are at hand, most of those sums can be added up too ([`join`]). What is left to do is to look which edges are crossed, and where ([`extract`]).
 //!
 //! Corners are in the order of their ids, edges in that in which tetrahedra first have them: in both a surface numbers its vertices. So
 //! a group of tetrahedra that follow each other has a run of edges of its own. It has a range of values too, so that an isovalue passes over
@@ -11,14 +11,24 @@
 //!
 //! ```text
 //!  groups │ numbers of corners in the chunk │ corners: position, value │ ends of edges │ their slots │ corners of tetrahedra
-//!  │ edges of tetrahedra │ slots: normals, sums of edges │ ids of corners
+//!  │ edges of tetrahedra │ slots of edges │ ids of corners
 //! ```
 //!
-//! About 60 bytes a tetrahedron. (Blocks that get other values step by step are numbered only: [`super::numbered`].) Void tetrahedra have no edges: those between them are no one's.
+//! The slot of an edge with all its tetrahedra in the block is the normal, three words. Before that of another one is a word that tells its kind:
+//!
+//! ```text
+//!  SUM │ three sums, two words each      blocks that are not at hand may have the edge: it is looked for in the chunk
+//!  FIRST + number │ normal               the first block of the chunk that has the edge, of which all is known
+//!  number                                another one: the vertex is that which the first has made
+//! ```
+//!
+//! About 70 bytes a tetrahedron. (Blocks that get other values step by step are numbered only: [`super::numbered`].) Void tetrahedra have no edges: those between them are no one's.
 
 mod extract;
+mod join;
 mod make;
 mod sides;
+mod stored;
 
 use super::fours::Corner;
 use super::ordered::{SHARED, Unpacked, shared_ids, sides_of};
@@ -26,9 +36,11 @@ use crate::exec::will_read;
 use crate::geom::PointId;
 use crate::mesh::tet::is_active;
 pub(super) use extract::Crossed;
+pub(crate) use join::Joiner;
 pub(super) use make::Maker;
 pub(super) use sides::ByteTables;
 use sides::Table;
+pub(crate) use stored::Flaw;
 
 /// Tetrahedra that have a range of values, and edges, together.
 const GROUP: usize = 16;
@@ -38,6 +50,13 @@ const EDGES_MOST: usize = 1 << 14;
 const TURNED: u16 = 1 << 15;
 /// In the slot of an edge: other blocks may have tetrahedra around it.
 const OPEN: u16 = 1 << 15;
+/// Before the slot of such an edge: what is in it. Else it is an edge of the chunk with a number, and nothing is.
+const SUM: u32 = 1 << 31;
+const FIRST: u32 = 1 << 30;
+/// The most words of slots, so that the place of each has 15 bits.
+const SLOTS_MOST: usize = (1 << 15) - 8;
+/// Words behind the last slot: so each can be read as a normal, whatever it is.
+const SLOTS_BEHIND: usize = 3;
 
 /// Some tetrahedra: least and greatest value, and where what belongs to the edges ends that they are the first to have.
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
@@ -58,13 +77,19 @@ fn is_void(edges: &TetEdges) -> bool {
     edges[1] == edges[2]
 }
 
-/// A normal, or half a sum.
-type Slot = [u32; 3];
+/// A normal, its bits.
+type Normal = [u32; 3];
 
 /// A block, with what is known of it.
 #[derive(Debug)]
 pub(crate) struct KnownBlock {
     words: Box<[u32]>,
+    shape: Shape,
+}
+
+/// How long the lists of a block are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Shape {
     corners: usize,
     edges: usize,
     tets: usize,
@@ -73,13 +98,8 @@ pub(crate) struct KnownBlock {
     has_void: bool,
 }
 
-impl KnownBlock {
-    /// Bytes of memory.
-    pub(crate) fn bytes(&self) -> usize {
-        size_of::<Self>() + size_of_val(&*self.words)
-    }
-
-    /// Where the lists end, in their order; the slots of edges are in the same words as their ends.
+impl Shape {
+    /// Where the lists end, in their order; behind the last are the ids.
     #[inline(always)]
     fn ends(&self) -> [usize; 7] {
         let groups = 3 * self.tets.div_ceil(GROUP);
@@ -88,62 +108,90 @@ impl KnownBlock {
         let edges = corners + self.edges;
         let tets = edges + self.tets;
         let tet_edges = tets + 3 * self.tets;
-        [groups, numbers, corners, edges, tets, tet_edges, tet_edges + 3 * self.slots]
+        [groups, numbers, corners, edges, tets, tet_edges, tet_edges + self.slots]
+    }
+}
+
+impl KnownBlock {
+    /// Bytes of memory.
+    pub(crate) fn bytes(&self) -> usize {
+        size_of::<Self>() + size_of_val(&*self.words)
+    }
+
+    /// The block, to be looked at.
+    #[inline]
+    pub(crate) fn view(&self) -> Known<'_> {
+        Known { words: &self.words, shape: self.shape }
+    }
+}
+
+/// A block of which all is known, in memory or in a file that is mapped.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Known<'a> {
+    words: &'a [u32],
+    shape: Shape,
+}
+
+impl<'a> Known<'a> {
+    /// Where the lists end, in their order; the slots of edges are in the same words as their ends.
+    #[inline(always)]
+    fn ends(&self) -> [usize; 7] {
+        self.shape.ends()
     }
 
     #[inline(always)]
-    fn groups(&self) -> &[Group] {
+    fn groups(&self) -> &'a [Group] {
         bytemuck::cast_slice(&self.words[..self.ends()[0]])
     }
 
     #[inline(always)]
-    fn numbers(&self) -> &[u32] {
+    fn numbers(&self) -> &'a [u32] {
         let [groups, numbers, ..] = self.ends();
         &self.words[groups..numbers]
     }
 
     /// Where corners are, and their values.
     #[inline(always)]
-    fn at(&self) -> &[Corner] {
+    fn at(&self) -> &'a [Corner] {
         let [_, numbers, corners, ..] = self.ends();
         bytemuck::cast_slice(&self.words[numbers..corners])
     }
 
     /// The ends of edges, the corner of lower id first.
     #[inline(always)]
-    fn edges(&self) -> &[[u8; 2]] {
+    fn edges(&self) -> &'a [[u8; 2]] {
         let [_, _, corners, edges, ..] = self.ends();
-        &bytemuck::cast_slice(&self.words[corners..edges])[..self.edges]
+        &bytemuck::cast_slice(&self.words[corners..edges])[..self.shape.edges]
     }
 
-    /// The slot of the normal of each edge; with [`OPEN`], the first of two of its sum.
+    /// Where in the slots that of each edge begins; with [`OPEN`], behind the word that tells what it is.
     #[inline(always)]
-    fn slots_of_edges(&self) -> &[u16] {
+    fn slots_of_edges(&self) -> &'a [u16] {
         let [_, _, corners, edges, ..] = self.ends();
-        &bytemuck::cast_slice(&self.words[corners..edges])[self.edges..]
+        &bytemuck::cast_slice(&self.words[corners..edges])[self.shape.edges..]
     }
 
     /// The corners of tetrahedra, in the order of their ids.
     #[inline(always)]
-    fn tets(&self) -> &[[u8; 4]] {
+    fn tets(&self) -> &'a [[u8; 4]] {
         let [_, _, _, edges, tets, ..] = self.ends();
         bytemuck::cast_slice(&self.words[edges..tets])
     }
 
     #[inline(always)]
-    fn edges_of_tets(&self) -> &[TetEdges] {
+    fn edges_of_tets(&self) -> &'a [TetEdges] {
         let [.., tets, tet_edges, _] = self.ends();
         bytemuck::cast_slice(&self.words[tets..tet_edges])
     }
 
     #[inline(always)]
-    fn slots(&self) -> &[Slot] {
+    fn slots(&self) -> &'a [u32] {
         let [.., tet_edges, slots] = self.ends();
-        bytemuck::cast_slice(&self.words[tet_edges..slots])
+        &self.words[tet_edges..slots]
     }
 
     #[inline(always)]
-    fn ids(&self) -> &[u32] {
+    fn ids(&self) -> &'a [u32] {
         &self.words[self.ends()[6]..]
     }
 
@@ -163,7 +211,7 @@ impl KnownBlock {
         let (tets, slots) = (self.edges_of_tets(), self.slots());
         let mut slot = 0;
         for (tets, group) in tets.chunks(GROUP).zip(self.groups()) {
-            let end = usize::from(group.slots_end);
+            let end = slot.max(group.slots_end.into()).min(slots.len());
             if isovalues.iter().any(|&v| is_active(group.least, group.most, v)) {
                 will_read(tets);
                 will_read(&slots[slot..end]);
@@ -176,6 +224,16 @@ impl KnownBlock {
     #[inline(always)]
     fn sides(&self, isovalue: f32) -> Table {
         sides_of(self.at(), isovalue)
+    }
+
+    /// Whether the corners of each tetrahedron are in different places.
+    pub(crate) fn has_whole_tets(&self) -> bool {
+        let at = self.at();
+        let place = |corner: u8| [0, 1, 2].map(|k| at[usize::from(corner)][k]);
+        self.tets().iter().all(|tet| {
+            let places = tet.map(place);
+            (1..4).all(|i| !places[..i].contains(&places[i]))
+        })
     }
 
     /// All of the block as it was: its corners in the order of their ids.

@@ -14,9 +14,10 @@ fn surfaces(of: &Blocks, values: &[f32], isovalue: f32, geometry: &Geometry) -> 
     of.each(values, |cells| {
         surfaces[0].add(cells, &world);
         let block = bench.know(cells, &world).expect("these blocks are small");
-        surfaces[1].add_known(&block, &world, &mut bench);
+        let is_whole = surfaces[1].add_known(block.view(), &world, &mut bench);
+        assert!(is_whole);
         let block = Maker::default().make_on(cells, &world, None).unwrap();
-        surfaces[2].add_known_on(&block, &world, &mut bench.crossed, (None, None));
+        assert!(surfaces[2].add_known_on(block.view(), &world, &mut bench.crossed, (None, None)));
     });
     surfaces.iter_mut().for_each(|surface| surface.finish(&world));
     surfaces
@@ -35,6 +36,7 @@ fn edges_inside_a_block_are_alone() {
     blocks.each(&values, |cells| {
         let world = WorldMap::new(&blocks.grid.lattice, &Geometry::default());
         let block = Maker::default().make(cells, &world).unwrap();
+        let block = block.view();
         let mut edges: Vec<(u16, [u8; 2])> = vec![];
         for (tet, of_tet) in block.tets().iter().zip(block.edges_of_tets()) {
             assert!(tet.is_sorted());
@@ -65,5 +67,59 @@ proptest! {
     #[test]
     fn any_values_give_the_same_surface(values in any_values(), tets in 1usize..40) {
         any_agree(surfaces(&Blocks::new(4, tets), &values, 0.0, &Geometry::default()))?;
+    }
+}
+
+/// Blocks whose edges are joined have the surface of those whose are not; also where one of them is not at hand.
+#[test]
+fn joined_blocks_have_the_same_surface() {
+    let blocks = Blocks::new(6, 90);
+    let values: Vec<f32> =
+        (0..216).map(|i| if i == 100 { f32::NAN } else { ((i * 37) % 41) as f32 }).collect();
+    let world = WorldMap::new(&blocks.grid.lattice, &Geometry::default());
+    let mut bench = Workbench::default();
+    for left_out in [usize::MAX, 2] {
+        let (mut joiner, mut known, mut n) = (Joiner::default(), vec![], 0);
+        blocks.each(&values, |cells| {
+            let block = bench.know(cells, &world).filter(|_| n != left_out);
+            match &block {
+                Some(block) => joiner.add(block),
+                None => joiner.keep_apart(cells),
+            }
+            known.push(block);
+            n += 1;
+        });
+        let words =
+            |blocks: &[Option<KnownBlock>]| blocks.iter().flatten().map(|b| b.words.len()).sum::<usize>();
+        let before = words(&known);
+        for block in known.iter_mut().flatten() {
+            *block = joiner.join(block, &world);
+        }
+        assert!(known.len() > 3 && joiner.count() > 50, "{}", joiner.count());
+        assert!(words(&known) + joiner.count() as usize * 3 < before, "joined edges take less");
+        for isovalue in [0.0, 7.5, 20.0, 39.0, 50.0] {
+            let mut surfaces = [(); 3].map(|()| blocks.start(isovalue));
+            surfaces.iter_mut().for_each(|surface| surface.number_edges(joiner.count() as usize));
+            let mut number = 0;
+            blocks.each(&values, |cells| {
+                surfaces[0].add(cells, &world);
+                match &known[number] {
+                    Some(block) => {
+                        let block = block.view();
+                        assert!(surfaces[1].add_known(block, &world, &mut bench));
+                        assert!(surfaces[2].add_known_on(block, &world, &mut bench.crossed, (None, None)));
+                    }
+                    None => surfaces[1..].iter_mut().for_each(|surface| surface.add(cells, &world)),
+                }
+                number += 1;
+            });
+            surfaces.iter_mut().for_each(|surface| surface.finish(&world));
+            let [right, joined, plain] = &surfaces;
+            for surface in [joined, plain] {
+                assert!(surface.vertices() == right.vertices(), "isovalue {isovalue}");
+                assert!(surface.triangles() == right.triangles(), "isovalue {isovalue}");
+                assert!(surface.shared_edges() == right.shared_edges(), "isovalue {isovalue}");
+            }
+        }
     }
 }

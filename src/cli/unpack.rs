@@ -1,0 +1,123 @@
+//! `isospan unpack`: disk for time.
+
+use super::progress::Talk;
+use super::step::StepArgs;
+use super::{machine::Machine, text};
+use isospan::pipeline::{StepRange, UnpackReport, UnpackSettings, remove_unpacked, unpack};
+use isospan::{Error, Result};
+use std::fmt::Write as _;
+use std::path::PathBuf;
+
+/// Unpack the blocks of an archive, on disk: surfaces of it take a fraction of the time.
+///
+/// Beside the packed blocks of a step, of a few bits a tetrahedron, it writes all that surfaces need of them, about 60 bytes a tetrahedron, in the form in which
+/// they use it. Surfaces are the same, byte for byte; all commands that make surfaces use the file from then on. It is mapped, so it costs memory only as a cache
+/// that the system takes back. Steps that are appended later leave it valid.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The archive.
+    archive: PathBuf,
+    #[command(flatten)]
+    step: StepArgs,
+    /// Of a series: all steps.
+    #[arg(long, conflicts_with_all = ["step", "time", "steps"])]
+    all_steps: bool,
+    /// Of a series: the steps FIRST:LAST by number; an end may be left out.
+    #[arg(long, value_name = "RANGE", conflicts_with_all = ["step", "time"])]
+    steps: Option<StepRange>,
+    /// Only blocks that can answer isovalues in this range; surfaces at others decode blocks, as without.
+    #[arg(long, value_name = "LO:HI", value_parser = parse_range, allow_hyphen_values = true)]
+    range: Option<Range>,
+    /// Remove what was unpacked: of all steps, or of those that are named.
+    #[arg(long, conflicts_with = "range")]
+    remove: bool,
+    #[command(flatten)]
+    machine: Machine,
+    /// Print the result as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Range([f32; 2]);
+
+fn parse_range(given: &str) -> std::result::Result<Range, String> {
+    let bad = || format!("'{given}' is no range of isovalues; write LO:HI, as in 550:700");
+    let (low, high) = given.split_once(':').ok_or_else(bad)?;
+    let end = |s: &str, open: f32| match s.trim() {
+        "" => Ok(open),
+        s => s.parse::<f32>().ok().filter(|v| v.is_finite()).ok_or_else(bad),
+    };
+    let range = [end(low, f32::NEG_INFINITY)?, end(high, f32::INFINITY)?];
+    if range[0] <= range[1] { Ok(Range(range)) } else { Err(bad()) }
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let all = UnpackSettings::default();
+    let settings = UnpackSettings {
+        step: args.step.choice(),
+        steps: args.steps.or(args.all_steps.then(StepRange::default)),
+        range: args.range.map_or(all.range, |range| range.0),
+        threads: args.machine.threads,
+        memory: if args.remove { all.memory } else { args.machine.memory(talk) },
+        cancel: super::signals::cancel_token(),
+    };
+    if !isospan::pipeline::is_archive(&args.archive) {
+        return Err(Error::bad_input(&args.archive, "archive", "a folder made by isospan reduce", "none"));
+    }
+    let report = if args.remove {
+        remove_unpacked(&args.archive, &settings, args.step.is_given() || settings.steps.is_some())?
+    } else {
+        let bar = talk.progress();
+        let report = unpack(&args.archive, &settings, &*bar);
+        bar.end();
+        report?
+    };
+    if args.json {
+        return super::print_json(&report);
+    }
+    super::print(&if args.remove { removed_text(&report) } else { unpacked_text(&report) })
+}
+
+fn unpacked_text(report: &UnpackReport) -> String {
+    let mut out = String::new();
+    for f in &report.files {
+        let _ = writeln!(
+            out,
+            "{}: {} blocks, {} tetrahedra, {} ({:.1} bytes a tetrahedron)",
+            f.file.display(),
+            text::count(f.blocks),
+            text::count(f.tetrahedra),
+            text::bytes(f.bytes),
+            f.bytes as f64 / f.tetrahedra.max(1) as f64
+        );
+        if f.packed_blocks > 0 {
+            let _ = writeln!(out, "  {} other blocks stay packed", text::count(f.packed_blocks));
+        }
+    }
+    if report.files.len() > 1 {
+        let _ = writeln!(out, "{} files, {}", report.files.len(), text::bytes(report.bytes));
+    }
+    out
+}
+
+fn removed_text(report: &UnpackReport) -> String {
+    let names: String = report.files.iter().map(|f| format!("{}\n", f.file.display())).collect();
+    format!("{names}{} files, {} removed\n", report.files.len(), text::bytes(report.bytes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_have_two_ends() {
+        let all = [f32::NEG_INFINITY, f32::INFINITY];
+        assert_eq!(parse_range("-1.5:2"), Ok(Range([-1.5, 2.0])));
+        assert_eq!(parse_range("3:"), Ok(Range([3.0, all[1]])));
+        assert_eq!(parse_range(":"), Ok(Range(all)));
+        for bad in ["", "3", "2:1", "a:b", "nan:", "inf:", "1:2:3"] {
+            assert!(parse_range(bad).is_err(), "{bad}");
+        }
+    }
+}
