@@ -1,19 +1,29 @@
 //! Errors of many samples, added up quickly.
 //!
 //! ```text
-//!  originals, reduced: samples × steps ─▶ errors, in vectors ─▶ step by step: bins, sums of mantissas
+//!  originals, reduced: samples × steps ─▶ errors, in vectors ─▶ step by step: bins ─▶ sums of mantissas
 //! ```
 //!
 //! What a sample has at several steps lies side by side, so that one load has it.
+//!
+//! An error is put into one bin, of those with its sign, its exponent, and the upper five bits of its mantissa. A bin has how many there are, and the sums of
+//! their lower bits and of the squares of these: so the sums of mantissas and of their squares follow at the end, exactly. Errors of one sign and
+//! exponent are many, those of one bin few: it is seldom that a sum must wait for what was added to it just before.
 
-use super::sums::{ABSOLUTE, BIN_SHIFT, ErrorSums, error_of};
+use super::sums::{ABSOLUTE, BIN_SHIFT, BINS, ErrorSums, error_of};
 
 /// NaN, in place of an error's bits where there is none: more than all that are.
 const NONE: u32 = 0x7fc0_0000;
 /// Samples whose errors are computed together.
 pub(crate) const TOGETHER: usize = 128;
-/// Sums of so many mantissas, and of their squares, have room in 64 bits.
-const MOST_WAITING: usize = 1 << 14;
+/// Bits of an error that do not tell its bin.
+const LOWER: u32 = (1 << BIN_SHIFT) - 1;
+/// How many errors a bin has is counted from this bit on, above the sum of their lower bits.
+const COUNT_SHIFT: u32 = 44;
+/// So many have room in a bin.
+const MOST_WAITING: usize = 1 << 20;
+const _: () =
+    assert!(MOST_WAITING << BIN_SHIFT <= 1 << COUNT_SHIFT && MOST_WAITING <= 1 << (64 - COUNT_SHIFT));
 
 /// Some samples at `N` steps: a row each.
 pub(crate) struct Compared<const N: usize> {
@@ -21,9 +31,9 @@ pub(crate) struct Compared<const N: usize> {
     pub(crate) reduced: [[f32; N]; TOGETHER],
     /// Bits of errors.
     errors: [[u32; N]; TOGETHER],
-    mantissas: [[u32; N]; TOGETHER],
-    /// Of each step: the bits of the largest absolute error, [`NONE`] where a sample has none; how many are 0.
+    /// Of each step: the bits of the largest absolute error, [`NONE`] where a sample has none; those of the least that is not 0, less 1; how many are 0.
     most: [u32; N],
+    least: [u32; N],
     zeros: [u32; N],
 }
 
@@ -32,7 +42,7 @@ impl<const N: usize> Compared<N> {
     pub(crate) fn new() -> Box<Self> {
         let (values, bits) = ([[0.0; N]; TOGETHER], [[0; N]; TOGETHER]);
         let (most, zeros) = ([0; N], [0; N]);
-        Box::new(Self { originals: values, reduced: values, errors: bits, mantissas: bits, most, zeros })
+        Box::new(Self { originals: values, reduced: values, errors: bits, most, least: most, zeros })
     }
 
     /// Computes the errors of the first samples, of which there are at most [`TOGETHER`].
@@ -40,18 +50,15 @@ impl<const N: usize> Compared<N> {
     pub(crate) fn find_errors(&mut self, count: usize) {
         let count = count.min(TOGETHER);
         let values = self.originals[..count].as_flattened().iter().zip(self.reduced[..count].as_flattened());
-        let bits = self.errors[..count].as_flattened_mut().iter_mut();
-        let bits = bits.zip(self.mantissas[..count].as_flattened_mut());
-        for ((error, mantissa), (&original, &reduced)) in bits.zip(values) {
+        for (error, (&original, &reduced)) in self.errors[..count].as_flattened_mut().iter_mut().zip(values) {
             let found = error_of(original, reduced).to_bits();
             *error = if original.is_finite() & !reduced.is_nan() { found } else { NONE };
-            let normal = *error & 0x7f80_0000 != 0;
-            *mantissa = *error & 0x7f_ffff | u32::from(normal) << 23;
         }
-        (self.most, self.zeros) = ([0; N], [0; N]);
+        (self.most, self.least, self.zeros) = ([0; N], [u32::MAX; N], [0; N]);
         for row in &self.errors[..count] {
             for (k, error) in row.iter().enumerate() {
                 self.most[k] = self.most[k].max(error & ABSOLUTE);
+                self.least[k] = self.least[k].min((error & ABSOLUTE).wrapping_sub(1));
                 self.zeros[k] += u32::from(error & ABSOLUTE == 0);
             }
         }
@@ -64,10 +71,10 @@ impl<const N: usize> Compared<N> {
             originals: &self.originals.as_flattened()[step..count * N],
             reduced: &self.reduced.as_flattened()[step..count * N],
             errors: &self.errors.as_flattened()[step..count * N],
-            mantissas: &self.mantissas.as_flattened()[step..count * N],
             stride: N,
             count,
             most: self.most[step],
+            least: self.least[step],
             zeros: self.zeros[step],
         }
     }
@@ -79,10 +86,10 @@ pub(crate) struct ComparedAt<'a> {
     originals: &'a [f32],
     reduced: &'a [f32],
     errors: &'a [u32],
-    mantissas: &'a [u32],
     stride: usize,
     count: usize,
     most: u32,
+    least: u32,
     zeros: u32,
 }
 
@@ -98,25 +105,27 @@ impl<'a> ComparedAt<'a> {
     }
 }
 
-/// Sums of mantissas, and of their squares, of one sign and exponent.
-#[derive(Clone, Copy, Default)]
-struct Recent {
-    sum: u64,
-    squares: u64,
-}
+/// Errors that share their upper bits: how many there are and the sum of their lower bits; the sum of the squares of these.
+type Bin = [u64; 2];
 
-/// An [`ErrorSums`] in the making: what was added last waits in 64 bits.
+/// An [`ErrorSums`] in the making.
 pub(crate) struct Tally {
     sums: ErrorSums,
-    /// By the upper nine bits of an error: its sign and its exponent. Two of each, in turns: many errors have the same exponent, and the next sum need
-    /// not wait for the one before.
-    recent: Box<[[Recent; 512]; 2]>,
+    /// What was added last, by the upper bits of an error: first positive ones.
+    bins: Box<[Bin; 2 * BINS]>,
+    /// How many were added last; of these, such as are exactly 0.
     waiting: usize,
+    zeros: u64,
+    /// Bits of the least and the largest of the others, or less and more.
+    least: u32,
+    most: u32,
 }
 
 impl Default for Tally {
     fn default() -> Self {
-        Self { sums: ErrorSums::default(), recent: Box::new([[Recent::default(); 512]; 2]), waiting: 0 }
+        // Zeros that the system gives: of most bins not a page is touched.
+        let bins = vec![[0; 2]; 2 * BINS].into_boxed_slice().try_into().expect("so many");
+        Self { sums: ErrorSums::default(), bins, waiting: 0, zeros: 0, least: u32::MAX, most: 0 }
     }
 }
 
@@ -135,17 +144,14 @@ impl Tally {
     /// Adds errors, none of them the largest.
     #[inline(always)]
     fn add_errors(&mut self, some: &ComparedAt<'_>) {
-        let bins: &mut [u64; 1 << (31 - BIN_SHIFT)] = (&mut self.sums.bins[..]).try_into().expect("all bins");
-        let mantissas = some.mantissas.iter().step_by(some.stride);
-        let errors = some.errors.iter().step_by(some.stride).zip(mantissas);
-        for (n, (&error, &mantissa)) in errors.enumerate() {
-            bins[((error & ABSOLUTE) >> BIN_SHIFT) as usize] += 1;
-            let (mantissa, recent) = (u64::from(mantissa), &mut self.recent[n % 2][(error >> 23) as usize]);
-            recent.sum += mantissa;
-            recent.squares += mantissa * mantissa;
+        for &error in some.errors.iter().step_by(some.stride) {
+            let lower = u64::from(error & LOWER);
+            let [counted, squares] = &mut self.bins[(error >> BIN_SHIFT) as usize];
+            *counted += lower + (1 << COUNT_SHIFT);
+            *squares += lower * lower;
         }
-        // Those of exactly 0 are in no bin.
-        bins[0] -= u64::from(some.zeros);
+        (self.least, self.most) = (self.least.min(some.least), self.most.max(some.most));
+        self.zeros += u64::from(some.zeros);
         self.sums.zeros += u64::from(some.zeros);
         self.sums.measured += some.count as u64;
         self.waiting += some.count;
@@ -156,16 +162,30 @@ impl Tally {
 
     #[cold]
     fn flush(&mut self) {
-        for recent in self.recent.iter_mut() {
-            let (positive, negative) = recent.split_at(256);
-            for (all, (plus, minus)) in self.sums.mantissas.iter_mut().zip(positive.iter().zip(negative)) {
-                all.sum += u128::from(plus.sum + minus.sum);
-                all.signed += i128::from(plus.sum) - i128::from(minus.sum);
-                all.squares += u128::from(plus.squares) + u128::from(minus.squares);
+        let (positive, negative) = self.bins.split_at_mut(BINS);
+        // Others have not been touched.
+        let bins = (self.least >> BIN_SHIFT).max(1)..=self.most >> BIN_SHIFT;
+        for n in std::iter::once(0).chain(bins).map(|n| n as usize) {
+            let [plus, minus] = [&mut positive[n], &mut negative[n]].map(std::mem::take);
+            if (plus[0] | minus[0]) == 0 {
+                continue;
             }
-            recent.fill(Recent::default());
+            let first = (n as u32) << BIN_SHIFT;
+            let all = &mut self.sums.mantissas[(first >> 23) as usize];
+            let base = i128::from(first & 0x7f_ffff | u32::from(first >> 23 > 0) << 23);
+            for ([counted, squares], sign) in [(plus, 1), (minus, -1)] {
+                let (count, lower) = (counted >> COUNT_SHIFT, i128::from(counted & ((1 << COUNT_SHIFT) - 1)));
+                self.sums.bins[n] += count;
+                let (count, squares) = (i128::from(count), i128::from(squares));
+                let sum = count * base + lower;
+                all.sum += sum as u128;
+                all.signed += sign * sum;
+                all.squares += (count * base * base + 2 * base * lower + squares) as u128;
+            }
         }
-        self.waiting = 0;
+        // Those of exactly 0 are in no bin.
+        self.sums.bins[0] -= std::mem::take(&mut self.zeros);
+        (self.waiting, self.least, self.most) = (0, u32::MAX, 0);
     }
 
     /// What all samples make.

@@ -99,7 +99,7 @@ const AROUND_BLOCKS: u64 = 1 << 15;
 
 /// Bytes that measuring a chunk at so many steps takes: samples, sums.
 pub(super) const fn working_bytes(steps: u64) -> u64 {
-    steps * (4 * WINDOW + (96 << 10)) + (256 << 10) + BatchScan::BYTES
+    steps * (4 * WINDOW + (116 << 10)) + (256 << 10) + BatchScan::BYTES
 }
 
 /// Measures chunks of a volume.
