@@ -21,14 +21,17 @@
 use crate::error::{Error, Result};
 use std::fs::{File, TryLockError};
 use std::hash::{BuildHasher, Hasher, RandomState};
-use std::io::{BufWriter, ErrorKind, Seek, SeekFrom, Write};
+use std::io::{ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// A file being written; see the module.
 pub(crate) struct Unpublished {
-    file: Option<BufWriter<File>>,
+    file: Option<File>,
+    /// What is not written yet: less than `piece` bytes.
+    rest: Vec<u8>,
+    piece: usize,
     temporary: PathBuf,
     path: PathBuf,
     keep: bool,
@@ -37,7 +40,10 @@ pub(crate) struct Unpublished {
 /// The mark of a temporary's name, between the final name and host, process and number.
 pub const TEMPORARY_MARK: &str = ".tmp-";
 
-const BUFFER_BYTES: usize = 1 << 18;
+/// Bytes that are written at once.
+const PIECE: usize = 1 << 18;
+/// The same of a file that will be mapped: the system caches what is written at once in pages of up to this size, and maps such a page at once.
+const LARGE_PIECE: usize = 1 << 22;
 
 /// This host, in letters that may be part of a file name. Two processes of one host know each other by their numbers.
 pub(crate) fn host() -> &'static str {
@@ -101,8 +107,8 @@ impl Unpublished {
     }
 
     fn of(file: File, temporary: PathBuf, path: &Path) -> Self {
-        let file = Some(BufWriter::with_capacity(BUFFER_BYTES, file));
-        Self { file, temporary, path: path.to_path_buf(), keep: false }
+        let path = path.to_path_buf();
+        Self { file: Some(file), rest: vec![], piece: PIECE, temporary, path, keep: false }
     }
 
     /// Goes on with what a dead writer left, its first `len` bytes.
@@ -124,22 +130,39 @@ impl Unpublished {
         self.keep = true;
     }
 
-    pub(crate) fn write(&mut self, bytes: &[u8]) -> Result<()> {
-        self.out().write_all(bytes).map_err(|e| Error::io("write", &self.temporary, e))
+    /// Tells, before anything is flushed, that the file will be mapped.
+    pub(crate) fn will_be_mapped(&mut self) {
+        self.piece = LARGE_PIECE;
+    }
+
+    pub(crate) fn write(&mut self, mut bytes: &[u8]) -> Result<()> {
+        while let Some((now, later)) = bytes.split_at_checked(self.piece - self.rest.len()) {
+            if self.rest.is_empty() {
+                self.hand_on(now)?;
+            } else {
+                self.rest.extend_from_slice(now);
+                self.flush()?;
+            }
+            bytes = later;
+        }
+        self.rest.extend_from_slice(bytes);
+        Ok(())
     }
 
     /// Hands all bytes to the system: they survive this process, though not the machine.
     pub(crate) fn flush(&mut self) -> Result<()> {
-        self.out().flush().map_err(|e| Error::io("write", &self.temporary, e))
+        self.hand_on(&self.rest)?;
+        self.rest.clear();
+        Ok(())
     }
 
-    fn out(&mut self) -> &mut BufWriter<File> {
-        self.file.as_mut().expect("the file is open until it is published")
+    fn hand_on(&self, bytes: &[u8]) -> Result<()> {
+        self.file().write_all(bytes).map_err(|e| Error::io("write", &self.temporary, e))
     }
 
-    /// The file, with all bytes written so far in it.
+    /// The file, with all bytes in it that were flushed.
     pub(crate) fn file(&self) -> &File {
-        self.file.as_ref().expect("the file is open until it is published").get_ref()
+        self.file.as_ref().expect("the file is open until it is published")
     }
 
     /// Makes the file durable and visible under its name.
@@ -162,8 +185,8 @@ impl Unpublished {
     }
 
     fn rename(mut self, sync: bool) -> Result<()> {
+        self.flush()?;
         let file = self.file.take().expect("the file is open until it is published");
-        let file = file.into_inner().map_err(|e| Error::io("write", &self.temporary, e.into_error()))?;
         if sync {
             file.sync_all().map_err(|e| Error::io("sync", &self.temporary, e))?;
         }
@@ -347,6 +370,31 @@ mod tests {
         two.publish().unwrap();
         assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
         assert_eq!(std::fs::read(&path).unwrap(), b"same");
+    }
+
+    #[test]
+    fn bytes_are_written_in_pieces_and_in_order() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a");
+        let bytes: Vec<u8> = (0..3 * PIECE + 5).map(|i| (i / 7 % 251) as u8).collect();
+        for is_mapped in [false, true] {
+            for cuts in [vec![], vec![1, PIECE], vec![PIECE - 1, PIECE + 1], vec![PIECE, 3 * PIECE + 5]] {
+                let mut out = Unpublished::create(&path).unwrap();
+                if is_mapped {
+                    out.will_be_mapped();
+                }
+                let mut from = 0;
+                for to in cuts.into_iter().chain([bytes.len()]) {
+                    out.write(&bytes[from..to]).unwrap();
+                    let written = out.file().metadata().unwrap().len();
+                    let expected = if is_mapped { 0 } else { to / PIECE * PIECE };
+                    assert_eq!(written, expected as u64, "up to {to}");
+                    from = to;
+                }
+                out.publish().unwrap();
+                assert!(std::fs::read(&path).unwrap() == bytes);
+            }
+        }
     }
 
     #[test]

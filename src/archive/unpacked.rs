@@ -123,6 +123,7 @@ impl UnpackedWriter {
     pub fn create(path: &Path, hash: PlanHash, range: [f32; 2]) -> Result<Self> {
         expect_little_endian(path)?;
         let mut segment = SegmentWriter::create(path, SegmentKind::Unpacked, hash)?;
+        segment.will_be_mapped();
         // The blocks behind it begin at a multiple of the alignment.
         segment.push_block(&[0; UNPACKED_ALIGNED - HEADER_BYTES as usize])?;
         Ok(Self { segment, table: UnpackedTable { range, chunks: vec![] } })
