@@ -236,7 +236,7 @@ pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
         chunks: counts.chunks,
         blocks: counts.blocks,
         step: step.plan.number,
-        bytes: archive.bytes()?.saturating_sub(steps.iter().filter_map(|s| s.unpacked_bytes).sum()),
+        bytes: archive.bytes()?,
         steps,
         range: step.value_range,
         areas: spectrum.knots.iter().map(|k| [f64::from(k.isovalue), k.area]).collect(),
@@ -432,13 +432,15 @@ impl OpenArchive {
         Ok(Some(file))
     }
 
-    /// Bytes of all files of the archive; of those that the manifest tells of, where files cannot be listed.
+    /// Bytes of all files of the archive, with unpacked blocks that are used; of those that the manifest tells of, where files cannot be listed.
     pub(super) fn bytes(&self) -> Result<u64> {
+        let unpacked = self.unpacked.get().and_then(Option::as_ref);
+        let unpacked = unpacked.map_or(0, |file| file.segment().info().bytes);
         if let Some(&bytes) = self.bytes.get() {
-            return Ok(bytes);
+            return Ok(bytes + unpacked);
         }
         let bytes = if is_remote(self.path()) { self.bytes_told() } else { folder_bytes(self.path())? };
-        Ok(*self.bytes.get_or_init(|| bytes))
+        Ok(*self.bytes.get_or_init(|| bytes) + unpacked)
     }
 
     /// Bytes of the files that the manifest tells of, and its own.

@@ -17,7 +17,7 @@ use super::series::{Making, Means, Outcome, PlannedSource, SeriesPlan};
 use super::steps::StepChoice;
 use super::target::reduce_to_target;
 use super::volume_series::{Known, VolumeFields, plan_volumes};
-use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest};
+use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, unpacked_step};
 use crate::archive::{TEMPORARY_MARK, publish};
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
@@ -549,13 +549,17 @@ impl Drop for Scratch {
     }
 }
 
-/// Bytes of all files below a folder.
+/// Bytes of all files below a folder, but for unpacked blocks, which are no part of an archive.
 pub(super) fn folder_bytes(folder: &Path) -> Result<u64> {
     let mut bytes = 0;
     for entry in fs::read_dir(folder).map_err(|e| Error::io("list", folder, e))? {
         let entry = entry.map_err(|e| Error::io("list", folder, e))?;
         let meta = entry.metadata().map_err(|e| Error::io("look at", entry.path(), e))?;
-        bytes += if meta.is_dir() { folder_bytes(&entry.path())? } else { meta.len() };
+        bytes += match meta.is_dir() {
+            true => folder_bytes(&entry.path())?,
+            false if unpacked_step(&entry.file_name().to_string_lossy()).is_some() => 0,
+            false => meta.len(),
+        };
     }
     Ok(bytes)
 }

@@ -15,7 +15,7 @@ use super::placed::world_map;
 use super::reader::{BYTES_PER_VERTEX, ChunkReader, Needed, Wanted};
 use super::spare::{Buffers, Spare};
 use super::steps::{StepChoice, StepRange, View};
-use crate::archive::manifest::{Manifest, steps_folder, unpacked_path};
+use crate::archive::manifest::{Manifest, steps_folder, unpacked_path, unpacked_step};
 use crate::archive::publish::sync_folders;
 use crate::archive::summary::{BlockRange, MeshSummary};
 use crate::archive::unpacked::{Unpacked, UnpackedChunk, UnpackedWriter};
@@ -157,7 +157,7 @@ pub fn remove_unpacked(path: &Path, settings: &UnpackSettings, chosen_only: bool
         for entry in fs::read_dir(&folder).map_err(list)? {
             let name = entry.map_err(list)?.file_name().to_string_lossy().into_owned();
             // Those of steps that are no more too.
-            if name.strip_suffix("-unpacked.seg").is_some_and(|n| n.parse::<u64>().is_ok()) {
+            if unpacked_step(&name).is_some() {
                 files.push(folder.join(name));
             }
         }
@@ -175,10 +175,9 @@ fn remove(report: &mut UnpackReport, file: &Path) -> Result<()> {
         Err(e) => Err(Error::io("remove", file, e)),
         Ok(bytes) => {
             let name = file.file_name().unwrap_or_default().to_string_lossy();
-            let step = name.split('-').next().and_then(|n| n.parse().ok()).unwrap_or(0);
             report.bytes += bytes;
             report.files.push(UnpackedFile {
-                step,
+                step: unpacked_step(&name).expect("only such files are removed"),
                 file: file.to_path_buf(),
                 bytes,
                 ..UnpackedFile::default()
