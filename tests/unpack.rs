@@ -9,8 +9,8 @@ use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Amount, AppendSettings, NanPolicy, Refine, StepChoice, StepRange, SurfaceSettings, UnpackReport,
-    UnpackSettings, check_archive, remove_unpacked, unpack,
+    self, Amount, AppendSettings, NanPolicy, Refine, StepChoice, StepRange, SurfaceReport, SurfaceSettings,
+    UnpackReport, UnpackSettings, check_archive, remove_unpacked, unpack,
 };
 use isospan::points::SetKind;
 use isospan::surface::components::ComponentFilter;
@@ -160,13 +160,16 @@ fn steps_are_unpacked_by_themselves() {
             SurfaceFormat::Ply,
             &Silent,
         );
-        let files = made.unwrap().steps.into_iter().map(|s| s.report.surfaces[0].file.clone());
-        files.map(|file| fs::read(file).unwrap()).collect::<Vec<_>>()
+        let of_step =
+            |report: &SurfaceReport| (fs::read(&report.surfaces[0].file).unwrap(), report.bytes_read);
+        made.unwrap().steps.iter().map(|s| of_step(&s.report)).unzip::<_, _, Vec<_>, Vec<_>>()
     };
-    let before = series("before");
+    let (before, _) = series("before");
     let all = UnpackSettings { steps: Some(StepRange::default()), ..UnpackSettings::default() };
     assert_eq!(unpacked(&archive, &all).files.len(), 3);
-    assert!(series("after") == before && at(0).0 == right[0].0);
+    let (after, read) = series("after");
+    assert!(after == before && at(0).0 == right[0].0);
+    assert!(read.iter().zip([0, 1, 2].map(at)).all(|(read, (_, alone))| *read > alone / 2), "{read:?}");
     check_archive(&archive).unwrap();
     // A moment between two steps has no file, and is answered as ever.
     let between = SurfaceSettings { step: StepChoice::Time(0.5), ..SurfaceSettings::of(0.3) };

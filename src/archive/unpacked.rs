@@ -58,6 +58,12 @@ pub struct UnpackedChunk {
 }
 
 impl UnpackedTable {
+    /// Whether the range holds all of these isovalues.
+    pub fn answers(&self, isovalues: &[f32]) -> bool {
+        let [low, high] = self.range;
+        isovalues.iter().all(|v| (low..=high).contains(v))
+    }
+
     fn encode(&self) -> Vec<u8> {
         let mut out = vec![];
         out.extend(UNPACKED_VERSION.to_le_bytes());

@@ -64,7 +64,15 @@ impl Pass {
         for position in positions.take(count) {
             settings.cancel.check()?;
             archive.turn_to(position);
+            // Nothing of an unpacked step is decoded: it is quickest by itself.
+            let is_alone = archive.unpacked()?.is_some_and(|file| file.table().answers(&settings.isovalues));
+            if is_alone && !steps.is_empty() {
+                break;
+            }
             steps.push(Prepared::new(archive, settings)?);
+            if is_alone {
+                break;
+            }
         }
         while steps.len() > 1 && !Work::of(archive, settings, &steps).fits(settings, scratch) {
             steps.truncate(steps.len() / 2);
