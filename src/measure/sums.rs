@@ -66,10 +66,10 @@ impl Default for ErrorSums {
     }
 }
 
-/// Reduced less original, as an `f32`: the largest one where there is none.
+/// Reduced less original, rounded to `f32` once: the largest one where there is none.
 #[inline(always)]
 pub(crate) fn error_of(original: f32, reduced: f32) -> f32 {
-    ((f64::from(reduced) - f64::from(original)) as f32).clamp(f32::MIN, f32::MAX)
+    (reduced - original).clamp(f32::MIN, f32::MAX)
 }
 
 impl ErrorSums {
