@@ -6,8 +6,9 @@
 //! A block is one chunk of [pcodec](https://docs.rs/pco), which finds out whether numbers are multiples of something or lie on few
 //! values, and codes each in a bin of its own with bits of its own; or the values as they are, where that is shorter. On values that were
 //! interpolated from ten real volumes (CT, MR, simulations; at 1/8 of the samples) it takes 0.70 to 3.14 bytes a value; zstd of shuffled
-//! bytes, of themselves or of differences, whichever is shorter, takes 1 to 26 % more on each of them, and was dropped. Whether differences are
-//! worth trying (they are in smooth simulations, for 5 %) is found out with the first block of a chunk.
+//! bytes, of themselves or of differences, whichever is shorter, takes 1 to 26 % more on each of them, and was dropped. Bins alone are found faster
+//! by a writer of ours (`binned.rs`), for a few thousandths of the bytes. Whether pcodec's search is worth its time, whether differences of neighbours are
+//! (they are in smooth simulations, for 5 %), is found out with some blocks of a chunk.
 //!
 //! Bits come back as they were, except that every NaN (void) becomes the one NaN `0x7fc00000`: two programs that make
 //! a void value differently write the same bytes.
@@ -17,9 +18,10 @@
 //!
 //! **Steps of a series** lie on the same vertices, and the value of a vertex is often near that of the step before. A block may hold the
 //! differences to it: of the integers of a quantised value, else of the floats' bits as integers in the order of the floats (as in Lindstrom and
-//! Isenburg 2006, "Fast and efficient compression of floating-point data", where the prediction is one of space). Three blocks of a chunk
+//! Isenburg 2006, "Fast and efficient compression of floating-point data", where the prediction is one of space). Some blocks of a chunk
 //! are coded both ways, and the shorter way is taken for all of the chunk.
 
+use super::binned::{Kind, Packer};
 use super::wire::{Cursor, Malformed};
 use byteorder::{ByteOrder, LE};
 use pco::standalone::{simple_compress, simple_decompress_into};
@@ -103,87 +105,127 @@ impl Quantiser {
 /// # Panics
 /// When there is not one value a vertex before.
 pub fn encode_values(values: &[f32], before: Option<&[f32]>, quantiser: Option<&Quantiser>) -> Vec<Vec<u8>> {
-    let before = before.filter(|before| is_nearer(values, before, quantiser));
-    let mut deltas = None;
+    if let Some(before) = before {
+        assert_eq!(values.len(), before.len(), "one value a vertex");
+    }
+    let mut encoder =
+        Encoder { quantiser, packer: Packer::new(), block: vec![], numbers: vec![], steps: vec![] };
+    let how = encoder.choose(values, before);
     let blocks = values.chunks(BLOCK_VALUES).enumerate();
-    let encode = |(n, block): (usize, &[f32])| match before {
-        None => encode_block(block, quantiser, &mut deltas),
-        Some(before) => encode_after(block, &before[n * BLOCK_VALUES..][..block.len()], quantiser),
-    };
-    blocks.map(encode).collect()
+    blocks
+        .map(|(n, block)| {
+            let before =
+                before.filter(|_| how.after).map(|before| &before[n * BLOCK_VALUES..][..block.len()]);
+            encoder.encode(block, before, how.coder).to_vec()
+        })
+        .collect()
 }
 
-/// Whether the values are told in fewer bytes by those of the step before: found out with the first, a middle and the last block.
-fn is_nearer(values: &[f32], before: &[f32], quantiser: Option<&Quantiser>) -> bool {
-    assert_eq!(values.len(), before.len(), "one value a vertex");
-    let blocks = values.len().div_ceil(BLOCK_VALUES);
-    let mut tried: Vec<usize> =
-        [0, blocks / 2, blocks.saturating_sub(1)].into_iter().filter(|&n| n < blocks).collect();
-    tried.dedup();
-    let (mut alone, mut after, mut deltas) = (0, 0, None);
-    for n in tried {
-        let (from, to) = (n * BLOCK_VALUES, values.len().min((n + 1) * BLOCK_VALUES));
-        alone += encode_block(&values[from..to], quantiser, &mut deltas).len();
-        after += encode_after(&values[from..to], &before[from..to], quantiser).len();
-    }
-    // Less than 2 % is not worth to look back for.
-    after * 50 < alone * 49
+/// How the numbers of a block are coded, in the format of pcodec.
+#[derive(Clone, Copy, PartialEq)]
+enum Coder {
+    /// By [`Packer`].
+    Binned,
+    /// By pcodec, of differences of neighbours or of the numbers themselves.
+    Searched { differences: bool },
 }
 
-fn encode_block(values: &[f32], quantiser: Option<&Quantiser>, deltas: &mut Option<bool>) -> Vec<u8> {
-    let plain = one_void(values);
-    if let Some(q) = quantiser
-        && let Some(steps) = as_steps(&plain, q)
-    {
-        let mut out = quantised_head(VALUES_QUANTISED, q);
-        out.extend(packed(&steps, deltas));
-        return out;
-    }
-    let mut out = vec![VALUES_PCO];
-    out.extend(packed(&plain, deltas));
-    shorter_than_raw(out, &plain)
+/// How the blocks of a chunk are coded.
+#[derive(Clone, Copy)]
+struct How {
+    /// As differences to those of the step before.
+    after: bool,
+    coder: Coder,
 }
 
-/// A block of differences to the values before.
-fn encode_after(values: &[f32], before: &[f32], quantiser: Option<&Quantiser>) -> Vec<u8> {
-    let plain = one_void(values);
-    let differences = &mut Some(false);
-    if let Some(q) = quantiser
-        && let Some(mut steps) = as_steps(&plain, q)
-    {
-        for (step, &before) in steps.iter_mut().zip(before) {
-            *step = step.wrapping_sub(q.steps_or_void(before));
+/// Encodes block after block.
+struct Encoder<'a> {
+    quantiser: Option<&'a Quantiser>,
+    packer: Box<Packer>,
+    /// The bytes of the block.
+    block: Vec<u8>,
+    /// Its values, all void ones the same.
+    numbers: Vec<f32>,
+    /// What is coded in their place.
+    steps: Vec<i32>,
+}
+
+impl Encoder<'_> {
+    /// Finds out which way takes the fewest bytes, with some blocks: of a chunk with many its first, a middle and the last one, else a middle one.
+    fn choose(&mut self, values: &[f32], before: Option<&[f32]>) -> How {
+        let blocks = values.len().div_ceil(BLOCK_VALUES);
+        let tried = if blocks < TRY_MORE { vec![blocks / 2] } else { vec![0, blocks / 2, blocks - 1] };
+        let mut bytes_of = |after: Option<&[f32]>, coder| -> usize {
+            let block = |&n: &usize| {
+                let part = n * BLOCK_VALUES..values.len().min((n + 1) * BLOCK_VALUES);
+                self.encode(&values[part.clone()], after.map(|before| &before[part]), coder).len()
+            };
+            tried.iter().filter(|n| **n < blocks).map(block).sum()
+        };
+        let [plain, differences] = [false, true].map(|differences| Coder::Searched { differences });
+        // pcodec's search takes three times as long: it has to be worth 2 % with these few, and is then about 1 % with all.
+        let least = |[binned, searched]: [usize; 2], coder| {
+            if binned * 50 <= searched * 51 { (binned, Coder::Binned) } else { (searched, coder) }
+        };
+        let sorted = [plain, differences].map(|coder| (bytes_of(None, coder), coder));
+        let (bytes, coder) = if sorted[1].0 < sorted[0].0 { sorted[1] } else { sorted[0] };
+        let (alone, coder) = least([bytes_of(None, Coder::Binned), bytes], coder);
+        if before.is_some() {
+            let bytes = [bytes_of(before, Coder::Binned), bytes_of(before, plain)];
+            let (after, coder) = least(bytes, plain);
+            // Less than 2 % is not worth to look back for.
+            if after * 50 < alone * 49 {
+                return How { after: true, coder };
+            }
         }
-        let mut out = quantised_head(VALUES_AFTER_QUANTISED, q);
-        out.extend(packed(&steps, differences));
-        return out;
+        How { after: false, coder }
     }
-    let difference = |(v, b): (&f32, &f32)| ordered(*v).wrapping_sub(ordered(*b));
-    let numbers: Vec<i32> = plain.iter().zip(&one_void(before)).map(difference).collect();
-    let mut out = vec![VALUES_AFTER];
-    out.extend(packed(&numbers, differences));
-    shorter_than_raw(out, &plain)
-}
 
-fn quantised_head(codec: u8, q: &Quantiser) -> Vec<u8> {
-    let mut out = vec![codec];
-    out.extend(q.origin.to_le_bytes());
-    out.extend(q.step.to_le_bytes());
-    out
-}
-
-fn shorter_than_raw(packed: Vec<u8>, values: &[f32]) -> Vec<u8> {
-    if packed.len() <= values.len() * 4 {
-        return packed;
+    /// The bytes of a block; of one that refers to the values `before`, of the differences to them.
+    fn encode(&mut self, values: &[f32], before: Option<&[f32]>, coder: Coder) -> &[u8] {
+        let Self { quantiser, packer, block, numbers, steps } = self;
+        block.clear();
+        numbers.clear();
+        numbers.extend(values.iter().map(|&v| one_void(v)));
+        if let Some(q) = quantiser
+            && as_steps(numbers, q, steps)
+        {
+            if let Some(before) = before {
+                let differ =
+                    |(step, &before): (&mut i32, &f32)| *step = step.wrapping_sub(q.steps_or_void(before));
+                steps.iter_mut().zip(before).for_each(differ);
+            }
+            block.push(if before.is_some() { VALUES_AFTER_QUANTISED } else { VALUES_QUANTISED });
+            block.extend(q.origin.to_le_bytes());
+            block.extend(q.step.to_le_bytes());
+            pack(packer, steps, coder, block);
+            return block;
+        }
+        match before {
+            None => {
+                block.push(VALUES_PCO);
+                pack(packer, numbers, coder, block);
+            }
+            Some(before) => {
+                steps.clear();
+                let difference = |(&v, &b): (&f32, &f32)| ordered(v).wrapping_sub(ordered(one_void(b)));
+                steps.extend(numbers.iter().zip(before).map(difference));
+                block.push(VALUES_AFTER);
+                pack(packer, steps, coder, block);
+            }
+        }
+        if block.len() > numbers.len() * 4 {
+            block.clear();
+            block.push(VALUES_RAW);
+            block.extend(numbers.iter().flat_map(|v| v.to_le_bytes()));
+        }
+        block
     }
-    let mut out = vec![VALUES_RAW];
-    out.extend(values.iter().flat_map(|v| v.to_le_bytes()));
-    out
 }
 
-/// All void values by the same bits.
-fn one_void(values: &[f32]) -> Vec<f32> {
-    values.iter().map(|v| if v.is_nan() { f32::from_bits(VOID) } else { *v }).collect()
+/// The value, or the one bits of all void ones.
+fn one_void(v: f32) -> f32 {
+    if v.is_nan() { f32::from_bits(VOID) } else { v }
 }
 
 /// The bits as an integer in the order of the floats (IEEE 754 totalOrder); its own inverse but for the type.
@@ -196,32 +238,54 @@ fn turned(bits: i32) -> i32 {
     bits ^ ((bits >> 31) as u32 >> 1) as i32
 }
 
-/// The steps of quantised values; `None` if one is no multiple.
-fn as_steps(values: &[f32], q: &Quantiser) -> Option<Vec<i32>> {
-    let steps = |&v: &f32| {
-        let steps = q.steps_or_void(v);
-        (q.value_or_void(steps).to_bits() == v.to_bits()).then_some(steps)
-    };
-    values.iter().map(steps).collect()
+/// The steps of quantised values; false if one is no multiple.
+fn as_steps(values: &[f32], q: &Quantiser, out: &mut Vec<i32>) -> bool {
+    out.clear();
+    out.extend(values.iter().map(|&v| q.steps_or_void(v)));
+    values.iter().zip(out).all(|(v, steps)| q.value_or_void(*steps).to_bits() == v.to_bits())
 }
+
+/// Chunks of so many blocks try their ways with more than one.
+const TRY_MORE: usize = 64;
 
 /// pcodec's level: how many bins it tries. The default, 8, takes twice the time for half a percent of the bytes.
 const LEVEL: usize = 5;
 
-/// One chunk of pcodec; the first of all finds out whether differences are shorter.
-fn packed<T: pco::data_types::Number>(numbers: &[T], deltas: &mut Option<bool>) -> Vec<u8> {
-    let with = |spec| {
-        let config = ChunkConfig::default().with_compression_level(LEVEL).with_delta_spec(spec);
-        simple_compress(numbers, &config).expect("the settings are right, and memory takes all bytes")
-    };
-    let (differences, none) = (DeltaSpec::TryConsecutive(1), DeltaSpec::NoOp);
-    match *deltas {
-        Some(true) => with(differences),
-        Some(false) => with(none),
-        None => {
-            let (a, b) = (with(differences), with(none));
-            *deltas = Some(a.len() < b.len());
-            if a.len() < b.len() { a } else { b }
+/// What is coded.
+trait Coded: pco::data_types::Number {
+    const KIND: Kind;
+
+    /// An unsigned integer in the order of the numbers.
+    fn place(self) -> u32;
+}
+
+impl Coded for i32 {
+    const KIND: Kind = Kind::I32;
+
+    fn place(self) -> u32 {
+        self as u32 ^ 1 << 31
+    }
+}
+
+impl Coded for f32 {
+    const KIND: Kind = Kind::F32;
+
+    fn place(self) -> u32 {
+        ordered(self).place()
+    }
+}
+
+/// Appends one chunk of pcodec.
+fn pack<T: Coded>(packer: &mut Packer, numbers: &[T], coder: Coder, out: &mut Vec<u8>) {
+    match coder {
+        Coder::Binned => packer.pack(T::KIND, numbers.iter().map(|n| n.place()), out),
+        Coder::Searched { differences } => {
+            let spec = if differences { DeltaSpec::TryConsecutive(1) } else { DeltaSpec::NoOp };
+            let config = ChunkConfig::default().with_compression_level(LEVEL).with_delta_spec(spec);
+            out.extend(
+                simple_compress(numbers, &config)
+                    .expect("the settings are right, and memory takes all bytes"),
+            );
         }
     }
 }
@@ -267,10 +331,8 @@ pub fn decode_values(bytes: &[u8], n: usize, before: &[f32], out: &mut Vec<f32>)
         VALUES_AFTER => {
             let mut numbers = [0i32; BLOCK_VALUES];
             unpacked(c.rest(), &mut numbers[..n])?;
-            let value = |(d, b): (&i32, &f32)| {
-                let v = f32::from_bits(turned(ordered(*b).wrapping_add(*d)) as u32);
-                if v.is_nan() { f32::from_bits(VOID) } else { v }
-            };
+            let value =
+                |(d, b): (&i32, &f32)| one_void(f32::from_bits(turned(ordered(*b).wrapping_add(*d)) as u32));
             out.extend(numbers.iter().zip(before).map(value));
         }
         VALUES_AFTER_QUANTISED => {

@@ -3,7 +3,7 @@
 //! Values can be fitted to those at the mesh's vertices ([`super::fitted`]).
 
 use super::chunk::MeshedChunk;
-use super::field::{Field, NO_BODY, Place, Placement, Spot, brick_order, by_brick, in_bricks};
+use super::field::{Field, NO_BODY, Place, Placement, Source, Spot, brick_order, by_brick, in_bricks};
 use super::fitted::FittedTo;
 use super::measure::Originals;
 use crate::domain::boundary::{BoundarySamples, OnBoundary, Sample};
@@ -46,9 +46,8 @@ impl Field for CellField<'_> {
         Ok(Placement { spots, outside, ..Placement::default() })
     }
 
-    fn interpolated(&self, _mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
-        let at_hand = AtHand::of(self)?;
-        Ok(placement.spots.iter().map(|spot| at_hand.value(&spot.at)).collect())
+    fn source(&self) -> Source<'_> {
+        Source::Cells(self)
     }
 
     fn fitted_to(&self) -> FittedTo<'_> {
@@ -65,6 +64,12 @@ impl Field for CellField<'_> {
 }
 
 impl CellField<'_> {
+    /// The values at the vertices of a chunk, and at those around.
+    pub(super) fn interpolated(&self, placement: &Placement) -> Result<Vec<f32>> {
+        let at_hand = AtHand::of(self)?;
+        Ok(placement.spots.iter().map(|spot| at_hand.value(&spot.at)).collect())
+    }
+
     /// What is known of positions of a brick.
     fn spots(
         &self,

@@ -1,13 +1,17 @@
 //! Where the values at the vertices of a chunk come from, and which tetrahedra lie outside of the data.
 //!
-//! The mesh of a chunk knows positions only. A [`Field`] is asked for each chunk and step; it groups the vertices by brick, so that
-//! what it reads for a group lies together.
+//! The mesh of a chunk knows positions only. A [`Field`] of each step is asked for each chunk; vertices are grouped by bricks, so that
+//! what is read for a group lies together.
 
+use super::cell_field::CellField;
 use super::chunk::MeshedChunk;
 use super::fitted::FittedTo;
+use super::grid_field::{self, GridField};
+use super::groups::Groups;
 use super::measure::Originals;
 use crate::domain::boundary::OnBoundary;
 use crate::error::Result;
+use crate::exec::CancelToken;
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, BrickId, Chunk};
 use crate::locate::Found;
@@ -55,10 +59,8 @@ pub(crate) struct Placement {
     pub(crate) spots: Vec<Spot>,
     /// For each tetrahedron, those around the chunk last, whether it lies outside of the data; empty where none does.
     pub(crate) outside: Vec<bool>,
-    /// Of a volume: the halo's vertices in the order of their bricks.
-    pub(crate) halo: Vec<(BrickId, u32)>,
-    /// And those of the vertices around.
-    pub(crate) around: Vec<(BrickId, u32)>,
+    /// Of a volume: which vertices are sampled together.
+    pub(crate) groups: Groups,
 }
 
 /// Where a vertex of a chunk lies in a tetrahedral mesh; by default nowhere.
@@ -88,6 +90,38 @@ impl Default for Spot {
     }
 }
 
+/// What values are interpolated from.
+pub(crate) enum Source<'a> {
+    Grid(&'a GridField),
+    Cells(&'a CellField<'a>),
+}
+
+/// Interpolated values at the vertices of a chunk at some steps, in their order; where values are fitted, then those at the vertices around.
+/// `note` is told of the step that was read.
+pub(super) fn interpolated(
+    fields: &[&dyn Field],
+    mesh: &MeshedChunk,
+    placement: &Placement,
+    cancel: &CancelToken,
+    note: impl Fn(usize, Result<()>) -> Result<()>,
+) -> Result<Vec<Vec<f32>>> {
+    let mut values = vec![vec![]; fields.len()];
+    let mut grids = vec![];
+    for (n, field) in fields.iter().enumerate() {
+        match field.source() {
+            Source::Grid(grid) => grids.push(grid),
+            Source::Cells(cells) => {
+                cancel.check()?;
+                note(n, cells.interpolated(placement).map(|found| values[n] = found))?;
+            }
+        }
+    }
+    if !grids.is_empty() {
+        grid_field::interpolate(&grids, mesh, &placement.groups, &mut values, cancel, note)?;
+    }
+    Ok(values)
+}
+
 /// A source of values.
 pub(crate) trait Field: Sync {
     /// Where the vertices of a chunk lie, and its tetrahedra outside of the data. The answer serves all steps of a series.
@@ -96,11 +130,8 @@ pub(crate) trait Field: Sync {
     /// When the data cannot be read.
     fn place(&self, mesh: &MeshedChunk) -> Result<Placement>;
 
-    /// Interpolated values at the vertices of a chunk, in their order; where values are fitted, then those at the vertices around.
-    ///
-    /// # Errors
-    /// When the data cannot be read, or hold what the settings refuse.
-    fn interpolated(&self, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>>;
+    /// What values are interpolated from: the same for all steps.
+    fn source(&self) -> Source<'_>;
 
     /// What values are to be fitted to: the same for all steps.
     fn fitted_to(&self) -> FittedTo<'_>;
@@ -120,16 +151,6 @@ pub(crate) trait Field: Sync {
 pub(crate) fn by_brick<T: Clone + Default>(
     bricks: &BrickGrid,
     mesh: &MeshedChunk,
-    sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
-) -> Result<Vec<T>> {
-    by_brick_in_order(bricks, mesh, &brick_order(bricks, &mesh.positions()[mesh.core_len()..]), sample)
-}
-
-/// As [`by_brick`], given the [`brick_order`] of the halo.
-pub(crate) fn by_brick_in_order<T: Clone + Default>(
-    bricks: &BrickGrid,
-    mesh: &MeshedChunk,
-    halo: &[(BrickId, u32)],
     mut sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
 ) -> Result<Vec<T>> {
     let mut out = Vec::with_capacity(mesh.vertices());
@@ -141,7 +162,7 @@ pub(crate) fn by_brick_in_order<T: Clone + Default>(
         }
         start += count as usize;
     }
-    let halo = in_order(&mesh.positions()[start..], halo, sample)?;
+    let halo = in_bricks(bricks, &mesh.positions()[start..], sample)?;
     out.extend(halo);
     Ok(out)
 }
@@ -158,20 +179,11 @@ pub(crate) fn brick_order(bricks: &BrickGrid, positions: &[LatticePos]) -> Vec<(
 pub(crate) fn in_bricks<T: Clone + Default>(
     bricks: &BrickGrid,
     positions: &[LatticePos],
-    sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
-) -> Result<Vec<T>> {
-    in_order(positions, &brick_order(bricks, positions), sample)
-}
-
-/// As [`in_bricks`], given their [`brick_order`].
-pub(crate) fn in_order<T: Clone + Default>(
-    positions: &[LatticePos],
-    order: &[(BrickId, u32)],
     mut sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
 ) -> Result<Vec<T>> {
     let mut out = vec![T::default(); positions.len()];
     let (mut group, mut found) = (vec![], vec![]);
-    for run in order.chunk_by(|a, b| a.0 == b.0) {
+    for run in brick_order(bricks, positions).chunk_by(|a, b| a.0 == b.0) {
         group.clear();
         group.extend(run.iter().map(|&(_, i)| positions[i as usize]));
         found.clear();

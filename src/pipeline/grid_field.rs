@@ -1,15 +1,16 @@
-//! The field of a structured volume: each brick's points are interpolated from the samples around them, read for that.
+//! The field of a structured volume: the points of some bricks are interpolated from the samples around them, read for that.
 
 use super::chunk::MeshedChunk;
-use super::field::{Field, NanPolicy, Placement, brick_order, by_brick_in_order, in_order};
+use super::field::{Field, NanPolicy, Placement, Source};
 use super::fitted::FittedTo;
+use super::groups::Groups;
 use super::measure::Originals;
 use super::reduce::Scratch;
 use crate::error::{Error, Result};
-use crate::exec::with_vectors;
+use crate::exec::{CancelToken, with_vectors};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, Chunk, IndexBox};
-use crate::sample::{Interpolation, Values, VoxelBlock, sample};
+use crate::sample::{Interpolation, Places, Values};
 use crate::volume::VolumeReader;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -43,22 +44,41 @@ pub(super) fn treat_missing(missing: Option<f64>, stand_in: f32, samples: &mut [
     );
 }
 
+/// Interpolates the values of some steps, group by group: where a vertex lies is found out once for all of them.
+pub(super) fn interpolate(
+    fields: &[&GridField],
+    mesh: &MeshedChunk,
+    groups: &Groups,
+    values: &mut [Vec<f32>],
+    cancel: &CancelToken,
+    note: impl Fn(usize, Result<()>) -> Result<()>,
+) -> Result<()> {
+    let GridField { bricks, interpolation, values: wanted, .. } = fields[0];
+    let vertices = if *wanted == Values::Fit { mesh.all_positions.len() } else { mesh.vertices() };
+    values.iter_mut().for_each(|values| values.resize(vertices, 0.0));
+    let mut places = Places::new(*interpolation, &bricks.lattice);
+    let (mut voxels, mut found) = (vec![], vec![]);
+    for (core, others) in groups.iter() {
+        cancel.check()?;
+        places.find(&mesh.all_positions, core.clone(), others);
+        for (n, (field, values)) in fields.iter().zip(&mut *values).enumerate() {
+            found.clear();
+            note(n, field.sample(&places, &mut voxels, &mut found))?;
+            let (of_core, of_others) = found.split_at(core.len());
+            values[core.clone()].copy_from_slice(of_core);
+            others.iter().zip(of_others).for_each(|(&v, &value)| values[v as usize] = value);
+        }
+    }
+    Ok(())
+}
+
 impl Field for GridField {
     fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
-        let halo = brick_order(&self.bricks, &mesh.positions()[mesh.core_len()..]);
-        let around = brick_order(&self.bricks, mesh.positions_around());
-        Ok(Placement { halo, around, ..Placement::default() })
+        Ok(Placement { groups: Groups::of(&self.bricks, mesh), ..Placement::default() })
     }
 
-    fn interpolated(&self, mesh: &MeshedChunk, placement: &Placement) -> Result<Vec<f32>> {
-        let mut voxels = vec![];
-        let mut sample =
-            |_, positions: &[LatticePos], out: &mut Vec<f32>| self.sample(positions, &mut voxels, out);
-        let mut values = by_brick_in_order(&self.bricks, mesh, &placement.halo, &mut sample)?;
-        if self.values == Values::Fit {
-            values.extend(in_order(mesh.positions_around(), &placement.around, &mut sample)?);
-        }
-        Ok(values)
+    fn source(&self) -> Source<'_> {
+        Source::Grid(self)
     }
 
     fn fitted_to(&self) -> FittedTo<'_> {
@@ -108,18 +128,20 @@ impl GridField {
         Ok(())
     }
 
-    fn sample(&self, positions: &[LatticePos], voxels: &mut Vec<f32>, out: &mut Vec<f32>) -> Result<()> {
-        let needed = self.interpolation.voxels_for(&self.bricks.lattice, positions);
-        voxels.resize(needed.len(), 0.0);
-        self.reader.read_box(needed, voxels)?;
-        self.treat_missing(voxels);
+    /// Appends the values at some places, whose samples are read into `voxels`.
+    fn sample(&self, places: &Places<'_>, voxels: &mut Vec<f32>, out: &mut Vec<f32>) -> Result<()> {
+        voxels.resize(places.voxels().len(), 0.0);
+        self.reader.read_box(places.voxels(), voxels)?;
+        // Where infinite samples are refused, they show in the values.
+        if self.nan != NanPolicy::Error || self.missing.is_some() {
+            self.treat_missing(voxels);
+        }
         let first = out.len();
-        let block = VoxelBlock { voxels: needed, values: voxels };
-        sample(self.interpolation, &self.bricks.lattice, &block, positions, out);
+        places.sample(voxels, out);
         if self.nan == NanPolicy::Error
             && let Some(bad) = out[first..].iter().position(|v| !v.is_finite())
         {
-            return Err(self.nan_error(positions[bad]));
+            return Err(self.nan_error(places.positions()[bad]));
         }
         Ok(())
     }

@@ -7,14 +7,14 @@
 //! before, ranges measured. Where an earlier pass has made the mesh, it is decoded instead, and so are the values before the first step.
 
 use super::chunk::{Maker, MeshedChunk, Meshing};
-use super::field::{Field, Placement};
+use super::field::{Field, Placement, interpolated};
 use super::fitted::fitted;
 use super::gauge::Cells;
 use super::need::Halo;
 use super::series::of_step;
 use super::sides::{self, Sides};
 use super::spectrum;
-use super::work::{StageTimes, StepWork, Stored, Work};
+use super::work::{StageTimes, Stored, Work};
 use crate::archive::chunk::ChunkEncoder;
 use crate::archive::errors::{ChunkErrors, encode_errors};
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary, encode_value_ranges};
@@ -203,12 +203,9 @@ impl Lap {
 
 /// The values of all steps, as they are stored.
 fn values_of(work: &Work<'_>, mesh: &mut MeshedChunk, placement: &Placement) -> Result<Vec<Vec<f32>>> {
-    let interpolated = |(n, step): (usize, &StepWork<'_>)| {
-        work.cancel.check().and_then(|()| note(work, n, step.field.interpolated(mesh, placement)))
-    };
-    let interpolated = work.steps.iter().enumerate().map(interpolated).collect::<Result<Vec<_>>>()?;
     let fields: Vec<&dyn Field> = work.steps.iter().map(|step| step.field).collect();
     let note = |n, read| note(work, n, read);
+    let interpolated = interpolated(&fields, mesh, placement, work.cancel, note)?;
     let mut values = fitted(&fields, mesh, placement, interpolated, work.cancel, note)?;
     for (step, values) in work.steps.iter().zip(&mut values) {
         if let Some(quantiser) = &step.plan.quantiser {

@@ -23,6 +23,7 @@ mod fingerprint;
 mod fitted;
 mod gauge;
 mod grid_field;
+mod groups;
 mod handle;
 mod horizon;
 mod inspect;

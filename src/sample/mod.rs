@@ -46,6 +46,7 @@ use crate::geom::{Lattice, LatticePos};
 use crate::grid::IndexBox;
 use serde::{Deserialize, Serialize};
 use std::fmt;
+use std::ops::Range;
 use std::str::FromStr;
 
 /// How a value between voxels is had from them.
@@ -210,11 +211,72 @@ pub fn sample(
         block.voxels
     );
     match how {
-        Interpolation::Linear => trilinear::sample(lattice, block, positions, out),
+        Interpolation::Linear => with_vectors(
+            #[inline(always)]
+            || trilinear::sample(block, trilinear::spots(lattice, &block.voxels, positions), out),
+        ),
         Interpolation::Cubic => cubic::sample(lattice, block, positions, out),
         Interpolation::CubicThesis => cubic::sample_thesis(lattice, block, positions, out),
         Interpolation::Nearest => nearest::sample(lattice, block, positions, out),
         Interpolation::Quadratic | Interpolation::QuadraticThesis => unreachable!("{OF_MESHES}"),
+    }
+}
+
+/// Some positions that are sampled in several volumes alike: what does not depend on the samples is found out once.
+pub(crate) struct Places<'a> {
+    how: Interpolation,
+    lattice: &'a Lattice,
+    positions: Vec<LatticePos>,
+    voxels: IndexBox,
+    /// Of linear interpolation alone: it is the one where the rest takes no longer.
+    spots: Vec<trilinear::Spot>,
+}
+
+impl<'a> Places<'a> {
+    pub(crate) fn new(how: Interpolation, lattice: &'a Lattice) -> Self {
+        let voxels = IndexBox { lo: [0; 3], hi: [0; 3] };
+        Self { how, lattice, positions: vec![], voxels, spots: vec![] }
+    }
+
+    /// Goes on to others: of these positions those in a range, then some of given numbers.
+    pub(crate) fn find(&mut self, positions: &[LatticePos], range: Range<usize>, others: &[u32]) {
+        let Self { how, lattice, positions: all, voxels, spots } = self;
+        all.clear();
+        all.extend_from_slice(&positions[range]);
+        all.extend(others.iter().map(|&v| positions[v as usize]));
+        *voxels = how.voxels_for(lattice, all);
+        spots.clear();
+        if *how == Interpolation::Linear {
+            with_vectors(
+                #[inline(always)]
+                || spots.extend(trilinear::spots(lattice, voxels, all)),
+            );
+        }
+    }
+
+    /// The samples that are needed.
+    pub(crate) fn voxels(&self) -> IndexBox {
+        self.voxels
+    }
+
+    pub(crate) fn positions(&self) -> &[LatticePos] {
+        &self.positions
+    }
+
+    /// Appends the value at each position, given the samples.
+    ///
+    /// # Panics
+    /// When they are not those of [`Places::voxels`].
+    pub(crate) fn sample(&self, values: &[f32], out: &mut Vec<f32>) {
+        let block = VoxelBlock { voxels: self.voxels, values };
+        if self.how != Interpolation::Linear {
+            return sample(self.how, self.lattice, &block, &self.positions, out);
+        }
+        assert_eq!(values.len(), self.voxels.len(), "a block holds every voxel of its box once");
+        with_vectors(
+            #[inline(always)]
+            || trilinear::sample(&block, self.spots.iter().copied(), out),
+        );
     }
 }
 

@@ -7,6 +7,7 @@
 
 use super::{Axis, VoxelBlock, to_f32};
 use crate::geom::{Lattice, LatticePos};
+use crate::grid::IndexBox;
 
 /// The voxels needed on one axis: the two of the cell.
 pub(super) fn span(axis: &Axis, p: u32) -> (u64, u64) {
@@ -14,36 +15,64 @@ pub(super) fn span(axis: &Axis, p: u32) -> (u64, u64) {
     (i, i + 2)
 }
 
-/// See [`super::sample`].
-pub(super) fn sample(
+/// Where a position lies among the samples of a box.
+#[derive(Clone, Copy)]
+pub(super) struct Spot {
+    /// The first sample of its cell.
+    first: usize,
+    /// The fractions; exact, since a coordinate has 24 bits.
+    b: [f32; 3],
+}
+
+/// Where positions lie among the samples of a box.
+#[inline(always)]
+pub(super) fn spots<'a>(
     lattice: &Lattice,
-    block: &VoxelBlock<'_>,
-    positions: &[LatticePos],
-    out: &mut Vec<f32>,
-) {
-    let axes = Axis::of(lattice);
-    let d = block.voxels.dims().map(|n| n as usize);
-    let (row, layer) = (d[0], d[0] * d[1]);
-    let lo = block.voxels.lo.map(|l| l as usize);
+    voxels: &IndexBox,
+    positions: &'a [LatticePos],
+) -> impl ExactSizeIterator<Item = Spot> + use<'a> {
+    let (axes, [_, row, layer]) = (Axis::of(lattice), steps(voxels));
+    let lo = voxels.lo.map(|l| l as usize);
+    positions.iter().map(
+        #[inline(always)]
+        move |p| {
+            let cell: [u32; 3] = std::array::from_fn(|a| axes[a].cell(p[a]));
+            let b = std::array::from_fn(|a| axes[a].fraction(p[a], cell[a]) as f32);
+            let ijk: [usize; 3] = std::array::from_fn(|a| cell[a] as usize - lo[a]);
+            Spot { first: ijk[2] * layer + ijk[1] * row + ijk[0], b }
+        },
+    )
+}
+
+/// Steps along each axis of the samples of a box.
+fn steps(voxels: &IndexBox) -> [usize; 3] {
+    let d = voxels.dims().map(|n| n as usize);
+    [1, d[0], d[0] * d[1]]
+}
+
+/// Appends the value at each spot.
+#[inline(always)]
+pub(super) fn sample(block: &VoxelBlock<'_>, spots: impl ExactSizeIterator<Item = Spot>, out: &mut Vec<f32>) {
+    let [_, row, layer] = steps(&block.voxels);
     // From a cell's first voxel to its last, so that one check covers all eight.
     let reach = layer + row + 2;
-    out.extend(positions.iter().map(|p| {
-        let cell: [u32; 3] = std::array::from_fn(|a| axes[a].cell(p[a]));
-        let b: [f64; 3] = std::array::from_fn(|a| axes[a].fraction(p[a], cell[a]));
-        let ijk: [usize; 3] = std::array::from_fn(|a| cell[a] as usize - lo[a]);
-        let first = ijk[2] * layer + ijk[1] * row + ijk[0];
-        let v = &block.values[first..first + reach];
-        let corners = [
-            [[v[0], v[1]], [v[row], v[row + 1]]],
-            [[v[layer], v[layer + 1]], [v[layer + row], v[layer + row + 1]]],
-        ];
-        let value = blend(&corners, b);
-        if value.is_finite() { to_f32(value) } else { to_f32(blend_present(&corners, b)) }
-    }));
+    out.extend(spots.map(
+        #[inline(always)]
+        |spot| {
+            let v = &block.values[spot.first..spot.first + reach];
+            let corners = [
+                [[v[0], v[1]], [v[row], v[row + 1]]],
+                [[v[layer], v[layer + 1]], [v[layer + row], v[layer + row + 1]]],
+            ];
+            let b = spot.b.map(f64::from);
+            let value = blend(&corners, b);
+            if value.is_finite() { to_f32(value) } else { to_f32(blend_present(&corners, b)) }
+        },
+    ));
 }
 
 /// The value of finite corners, indexed `[z][y][x]`.
-#[inline]
+#[inline(always)]
 fn blend(f: &[[[f32; 2]; 2]; 2], b: [f64; 3]) -> f64 {
     let a = b.map(|b| 1.0 - b);
     let x = |e: [f32; 2]| a[0] * f64::from(e[0]) + b[0] * f64::from(e[1]);

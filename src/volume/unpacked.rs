@@ -25,9 +25,15 @@ pub(crate) fn unpack(mut stream: Box<dyn SlabStream>) -> Result<StridedVolume> {
     let (Some(bytes), Some(strides)) = (bytes, strides) else {
         return Err(bad("a volume that fits in memory".into(), format!("{:?}", info.dims)));
     };
-    let (mut all, mut slab, mut written) = (vec![0; bytes], vec![], 0u64);
+    let (mut all, mut slab, mut written) = (vec![], vec![], 0u64);
     while let Some(part) = stream.next_slab(&mut slab)? {
         assert!(part.intersect(&whole) == part && slab.len() == part.len() * size, "the samples of a box");
+        if part == whole && written == 0 {
+            // Most small ones come at once.
+            (all, written) = (std::mem::take(&mut slab), part.len() as u64);
+            continue;
+        }
+        all.resize(bytes, 0);
         let row = part.dims()[0] as usize * size;
         let rows = (part.lo[2]..part.hi[2]).flat_map(|z| (part.lo[1]..part.hi[1]).map(move |y| [y, z]));
         for ([y, z], from) in rows.zip(slab.chunks_exact(row.max(1))) {
