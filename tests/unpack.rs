@@ -373,3 +373,25 @@ fn the_command_line_unpacks_and_removes() {
     assert_eq!(isospan(&["unpack", name, "--range", "1:2", "--remove"], "").0, 2);
     assert_eq!(isospan(&["unpack", dir.path().to_str().unwrap()], "").0, 5);
 }
+
+#[test]
+fn what_a_killed_run_has_left_is_swept() {
+    let dir = tempfile::tempdir().unwrap();
+    let archive = archive(dir.path(), "a", 0.0);
+    let name = archive.to_str().unwrap();
+    let right = extract(&archive).unwrap();
+    let file = unpacked_path(&archive, 0);
+    unpacked(&archive, &UnpackSettings::default());
+    let whole = fs::read(&file).unwrap();
+    fs::remove_file(&file).unwrap();
+    // A part of the file, under the name that it is written under.
+    let left = file.with_file_name(".000000-unpacked.seg.tmp-elsewhere-12-ab");
+    fs::write(&left, &whole[..whole.len() / 2]).unwrap();
+    assert!(extract(&archive).unwrap() == right);
+    unpacked(&archive, &UnpackSettings::default());
+    assert!(fs::read(&file).unwrap() == whole && extract(&archive).unwrap() == right);
+    let (code, text) = isospan(&["gc", name, "--older-than", "1h"], "");
+    assert!(code == 0 && left.exists(), "{text}");
+    let (code, text) = isospan(&["gc", name, "--older-than", "0s"], "");
+    assert!(code == 0 && text.contains("1 file") && !left.exists() && file.exists(), "{text}");
+}
