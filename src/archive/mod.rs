@@ -15,7 +15,6 @@
 //! that the meaning of a block was checked because its checksum was, for that see the checks of [`crate::pipeline`].
 #![doc = include_str!("FORMAT.md")]
 
-mod binned;
 pub mod chunk;
 pub mod chunked;
 pub mod coordinates;

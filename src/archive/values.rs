@@ -6,9 +6,8 @@
 //! A block is one chunk of [pcodec](https://docs.rs/pco), which finds out whether numbers are multiples of something or lie on few
 //! values, and codes each in a bin of its own with bits of its own; or the values as they are, where that is shorter. On values that were
 //! interpolated from ten real volumes (CT, MR, simulations; at 1/8 of the samples) it takes 0.70 to 3.14 bytes a value; zstd of shuffled
-//! bytes, of themselves or of differences, whichever is shorter, takes 1 to 26 % more on each of them, and was dropped. Bins alone are found faster
-//! by a writer of ours (`binned.rs`), for a few thousandths of the bytes. Whether pcodec's search is worth its time, whether differences of neighbours are
-//! (they are in smooth simulations, for 5 %), is found out with some blocks of a chunk.
+//! bytes, of themselves or of differences, whichever is shorter, takes 1 to 26 % more on each of them, and was dropped. Whether differences of neighbours are
+//! worth trying (they are in smooth simulations, for 5 %), and whether the numbers are multiples of something, is found out with some blocks of a chunk.
 //!
 //! Bits come back as they were, except that every NaN (void) becomes the one NaN `0x7fc00000`: two programs that make
 //! a void value differently write the same bytes.
@@ -21,11 +20,10 @@
 //! Isenburg 2006, "Fast and efficient compression of floating-point data", where the prediction is one of space). Some blocks of a chunk
 //! are coded both ways, and the shorter way is taken for all of the chunk.
 
-use super::binned::{Kind, Packer};
 use super::wire::{Cursor, Malformed};
 use byteorder::{ByteOrder, LE};
 use pco::standalone::{simple_compress, simple_decompress_into};
-use pco::{ChunkConfig, DeltaSpec};
+use pco::{ChunkConfig, DeltaSpec, ModeSpec};
 use serde::{Deserialize, Serialize};
 
 /// Values in a block, the last one of a chunk excepted.
@@ -108,8 +106,7 @@ pub fn encode_values(values: &[f32], before: Option<&[f32]>, quantiser: Option<&
     if let Some(before) = before {
         assert_eq!(values.len(), before.len(), "one value a vertex");
     }
-    let mut encoder =
-        Encoder { quantiser, packer: Packer::new(), block: vec![], numbers: vec![], steps: vec![] };
+    let mut encoder = Encoder { quantiser, block: vec![], numbers: vec![], steps: vec![] };
     let how = encoder.choose(values, before);
     let blocks = values.chunks(BLOCK_VALUES).enumerate();
     blocks
@@ -121,13 +118,13 @@ pub fn encode_values(values: &[f32], before: Option<&[f32]>, quantiser: Option<&
         .collect()
 }
 
-/// How the numbers of a block are coded, in the format of pcodec.
-#[derive(Clone, Copy, PartialEq)]
-enum Coder {
-    /// By [`Packer`].
-    Binned,
-    /// By pcodec, of differences of neighbours or of the numbers themselves.
-    Searched { differences: bool },
+/// What pcodec is told of the numbers of a block.
+#[derive(Clone, Copy)]
+struct Coder {
+    /// To look for what they may be multiples of.
+    searched: bool,
+    /// To code differences of neighbours, where they are worth it.
+    differences: bool,
 }
 
 /// How the blocks of a chunk are coded.
@@ -141,7 +138,6 @@ struct How {
 /// Encodes block after block.
 struct Encoder<'a> {
     quantiser: Option<&'a Quantiser>,
-    packer: Box<Packer>,
     /// The bytes of the block.
     block: Vec<u8>,
     /// Its values, all void ones the same.
@@ -162,17 +158,17 @@ impl Encoder<'_> {
             };
             tried.iter().filter(|n| **n < blocks).map(block).sum()
         };
-        let [plain, differences] = [false, true].map(|differences| Coder::Searched { differences });
-        // pcodec's search takes three times as long: it has to be worth 2 % with these few, and is then about 1 % with all.
-        let least = |[binned, searched]: [usize; 2], coder| {
-            if binned * 50 <= searched * 51 { (binned, Coder::Binned) } else { (searched, coder) }
+        // The plainest one of those that take the fewest bytes.
+        let all = [(false, false), (true, false), (true, true)];
+        let [plain, searched, differences] =
+            all.map(|(searched, differences)| Coder { searched, differences });
+        let mut fewest = |after, coders: &[Coder]| {
+            let found = coders.iter().map(|&coder| (bytes_of(after, coder), coder));
+            found.min_by_key(|(bytes, _)| *bytes).expect("there are some")
         };
-        let sorted = [plain, differences].map(|coder| (bytes_of(None, coder), coder));
-        let (bytes, coder) = if sorted[1].0 < sorted[0].0 { sorted[1] } else { sorted[0] };
-        let (alone, coder) = least([bytes_of(None, Coder::Binned), bytes], coder);
+        let (alone, coder) = fewest(None, &[plain, searched, differences]);
         if before.is_some() {
-            let bytes = [bytes_of(before, Coder::Binned), bytes_of(before, plain)];
-            let (after, coder) = least(bytes, plain);
+            let (after, coder) = fewest(before, &[plain, searched]);
             // Less than 2 % is not worth to look back for.
             if after * 50 < alone * 49 {
                 return How { after: true, coder };
@@ -183,7 +179,7 @@ impl Encoder<'_> {
 
     /// The bytes of a block; of one that refers to the values `before`, of the differences to them.
     fn encode(&mut self, values: &[f32], before: Option<&[f32]>, coder: Coder) -> &[u8] {
-        let Self { quantiser, packer, block, numbers, steps } = self;
+        let Self { quantiser, block, numbers, steps } = self;
         block.clear();
         numbers.clear();
         numbers.extend(values.iter().map(|&v| one_void(v)));
@@ -198,20 +194,20 @@ impl Encoder<'_> {
             block.push(if before.is_some() { VALUES_AFTER_QUANTISED } else { VALUES_QUANTISED });
             block.extend(q.origin.to_le_bytes());
             block.extend(q.step.to_le_bytes());
-            pack(packer, steps, coder, block);
+            pack(steps, coder, block);
             return block;
         }
         match before {
             None => {
                 block.push(VALUES_PCO);
-                pack(packer, numbers, coder, block);
+                pack(numbers, coder, block);
             }
             Some(before) => {
                 steps.clear();
                 let difference = |(&v, &b): (&f32, &f32)| ordered(v).wrapping_sub(ordered(one_void(b)));
                 steps.extend(numbers.iter().zip(before).map(difference));
                 block.push(VALUES_AFTER);
-                pack(packer, steps, coder, block);
+                pack(steps, coder, block);
             }
         }
         if block.len() > numbers.len() * 4 {
@@ -251,43 +247,14 @@ const TRY_MORE: usize = 64;
 /// pcodec's level: how many bins it tries. The default, 8, takes twice the time for half a percent of the bytes.
 const LEVEL: usize = 5;
 
-/// What is coded.
-trait Coded: pco::data_types::Number {
-    const KIND: Kind;
-
-    /// An unsigned integer in the order of the numbers.
-    fn place(self) -> u32;
-}
-
-impl Coded for i32 {
-    const KIND: Kind = Kind::I32;
-
-    fn place(self) -> u32 {
-        self as u32 ^ 1 << 31
-    }
-}
-
-impl Coded for f32 {
-    const KIND: Kind = Kind::F32;
-
-    fn place(self) -> u32 {
-        ordered(self).place()
-    }
-}
-
 /// Appends one chunk of pcodec.
-fn pack<T: Coded>(packer: &mut Packer, numbers: &[T], coder: Coder, out: &mut Vec<u8>) {
-    match coder {
-        Coder::Binned => packer.pack(T::KIND, numbers.iter().map(|n| n.place()), out),
-        Coder::Searched { differences } => {
-            let spec = if differences { DeltaSpec::TryConsecutive(1) } else { DeltaSpec::NoOp };
-            let config = ChunkConfig::default().with_compression_level(LEVEL).with_delta_spec(spec);
-            out.extend(
-                simple_compress(numbers, &config)
-                    .expect("the settings are right, and memory takes all bytes"),
-            );
-        }
-    }
+fn pack<T: pco::data_types::Number>(numbers: &[T], coder: Coder, out: &mut Vec<u8>) {
+    let config = ChunkConfig::default()
+        .with_compression_level(LEVEL)
+        .with_mode_spec(if coder.searched { ModeSpec::Auto } else { ModeSpec::Classic })
+        .with_delta_spec(if coder.differences { DeltaSpec::TryConsecutive(1) } else { DeltaSpec::NoOp });
+    let packed = simple_compress(numbers, &config);
+    out.extend(packed.expect("the settings are right, and memory takes all bytes"));
 }
 
 /// Whether a block of values is told by that of the step before.
