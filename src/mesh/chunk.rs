@@ -17,6 +17,10 @@
 //! again with the outer points at hand (`late.rs`), and those found in a sphere are inserted, until each tetrahedron is
 //! certified. When a sphere leaves even the region the answer is [`ChunkOutcome::WidenHalo`], and the caller gathers a larger one.
 //!
+//! Of 2.2 M points in 11 chunks a tenth more are inserted than owned (8 to 13 % by chunk; 16 to 25 % with the tetrahedra around), and hardly any late. An inner halo a
+//! quarter of a spacing narrower takes Hammersley points 2 % less time, but Halton points, the cross and the regular grid 2 to 3 % more; half a spacing narrower
+//! gains nothing, three quarters lose 8 %.
+//!
 //! Time: that of the kernel for the points inserted, plus about a tenth for ownership, certification and output order.
 
 use super::certify::Unseen;
