@@ -147,3 +147,44 @@ impl<'a> Near<'a> {
         if is_near { group.into() } else { alone }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geom::{Lattice, PointId};
+    use crate::mesh::list::TetList;
+
+    #[test]
+    fn each_vertex_is_in_one_group() {
+        let bricks = BrickGrid { lattice: Lattice { dims: [101; 3], log2_steps: [4; 3] }, edge: [10; 3] };
+        // Three bricks along x, of which the middle one is empty, and one above the first.
+        let core: Vec<LatticePos> =
+            [[20, 20, 20], [25, 29, 23], [40, 20, 20], [21, 35, 22]].map(scaled).into();
+        // Near the first row, near the brick above, within half a brick of a corner, and farther.
+        let others =
+            [[19, 19, 19], [31, 25, 33], [22, 44, 25], [15, 15, 15], [14, 20, 20], [90, 90, 90]].map(scaled);
+        let mesh = MeshedChunk {
+            core_counts: vec![2, 0, 1, 1, 0],
+            halo: vec![PointId(0); 4],
+            all_positions: [&core[..], &others].concat(),
+            around: 2,
+            shared: vec![],
+            tets: TetList::default(),
+            retries: 0,
+        };
+        let found: Vec<(Range<usize>, Vec<u32>)> =
+            Groups::of(&bricks, &mesh).iter().map(|(core, others)| (core, others.to_vec())).collect();
+        let expected = [(0..3, vec![4, 5, 7]), (3..4, vec![6]), (0..0, vec![8]), (0..0, vec![9])];
+        assert_eq!(found, expected);
+        // Rows end where a box would have too many samples, and where nothing is.
+        let wide = BrickGrid { edge: [30; 3], ..bricks };
+        assert_eq!(Groups::of(&wide, &mesh).iter().map(|(core, _)| core.len()).sum::<usize>(), 4);
+        let none = MeshedChunk { core_counts: vec![], all_positions: others.to_vec(), ..mesh };
+        let alone: Vec<usize> = Groups::of(&bricks, &none).iter().map(|(_, others)| others.len()).collect();
+        assert_eq!(alone.iter().sum::<usize>(), others.len());
+    }
+
+    fn scaled(voxel: [u32; 3]) -> LatticePos {
+        voxel.map(|v| v << 4)
+    }
+}
