@@ -116,6 +116,14 @@ impl CellMesh {
         CellBlocks::new(&*self.file)
     }
 
+    /// A hash of all that points and cells are read from: see [`CellFile::stored_hash`].
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    pub fn stored_hash(&self) -> Result<Option<u128>> {
+        self.file.stored_hash()
+    }
+
     /// The numbers of the field `info().fields[field]` as they are stored, one a point or cell: its value, or its magnitude
     /// where it has several components.
     ///

@@ -140,6 +140,15 @@ pub trait CellFile: Send + Sync {
     /// # Errors
     /// When the file cannot be read.
     fn field(&self, field: usize) -> Result<Box<dyn NumberStream>>;
+
+    /// A hash of all that points and cells are read from, as it is stored: files of the same one have the same of both. `None` where that is not
+    /// told sooner than they are read.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    fn stored_hash(&self) -> Result<Option<u128>> {
+        Ok(None)
+    }
 }
 
 /// The field of cells in which VTK marks those that another piece has too (1), and hidden ones (32).

@@ -5,6 +5,8 @@
 //!  further first file ─▶ store ─▶ both as in the archive?       ─▶ …
 //! ```
 //!
+//! A file that stores points and cells by the very bytes of the one before ([`CellMesh::stored_hash`]) has the same of both, and they are not decoded.
+//!
 //! Which vertices are one is decided by the values of the first step, and known of an archive that steps are added to.
 
 use super::adapt_mesh::{self, MeshChoice};
@@ -290,7 +292,11 @@ fn plan_steps(
         common: archive.map_or_else(|| Common::of_store(first, store), Common::of_archive),
         last: None,
         template: plan.first().clone(),
-        read: (first.info().path.clone(), store.identity),
+        read: ReadMesh {
+            path: first.info().path.clone(),
+            identity: store.identity,
+            stored: if job.is_several() { first.stored_hash()? } else { None },
+        },
         store,
         job,
         how,
@@ -329,14 +335,21 @@ fn plan_steps(
     Ok(series)
 }
 
+/// The file whose points and cells were read last, which may have many steps.
+struct ReadMesh {
+    path: PathBuf,
+    identity: Identity,
+    /// The hash of them as they are stored: of another file that stores the same ones they need not be read.
+    stored: Option<u128>,
+}
+
 /// Plans one step after another.
 struct StepPlanner<'a> {
     common: Common,
     last: Option<LastMesh>,
     /// What all steps have in common.
     template: StepPlan,
-    /// The file whose points and cells were read last, which may have many steps.
-    read: (PathBuf, Identity),
+    read: ReadMesh,
     store: &'a CellStore,
     job: &'a Job<'a>,
     how: &'a StoreSettings<'a>,
@@ -349,11 +362,15 @@ impl StepPlanner<'_> {
             None => open_mesh_of(source)?,
         };
         self.last = Some(LastMesh::new(source, &mesh));
-        if self.read.0 != mesh.info().path {
+        if self.read.path != mesh.info().path {
             self.common.check_number(&mesh)?;
-            self.read = (mesh.info().path.clone(), Identity::of(&mesh, self.how.cancel)?);
+            let stored = mesh.stored_hash()?;
+            if stored.is_none() || stored != self.read.stored {
+                self.read.identity = Identity::of(&mesh, self.how.cancel)?;
+            }
+            (self.read.path, self.read.stored) = (mesh.info().path.clone(), stored);
         }
-        self.common.check(&mesh, self.read.1)?;
+        self.common.check(&mesh, self.read.identity)?;
         let told = source_of(&mesh)?;
         let source_record = Source {
             path: told.path,

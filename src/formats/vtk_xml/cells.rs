@@ -24,7 +24,7 @@ use super::head::{Document, Element};
 use super::image::{arrays, fields, how_stored, name_of};
 use crate::bytes::{ByteSource, IoMode};
 use crate::cells::{
-    BLOCK, CellBlock, CellField, CellFile, CellKind, CellStream, CellsInfo, Center, NumberStream,
+    BLOCK, CellBlock, CellField, CellFile, CellKind, CellStream, CellsInfo, Center, GHOSTS, NumberStream,
 };
 use crate::error::{Error, Result};
 use crate::formats::header;
@@ -32,6 +32,7 @@ use crate::formats::numbers::{push_ids, to_f64};
 use crate::volume::ScalarType;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use xxhash_rust::xxh3::Xxh3;
 
 /// Files that an index may list.
 const MOST_FILES: usize = 1 << 16;
@@ -194,6 +195,30 @@ impl CellFile for Grid {
 
     fn field(&self, field: usize) -> Result<Box<dyn NumberStream>> {
         Ok(self.numbers(What::Field(field)))
+    }
+
+    /// Of arrays that lie in their elements, in one file. Where cells are marked as ghosts, that is a part of the mesh which is told elsewhere.
+    fn stored_hash(&self) -> Result<Option<u128>> {
+        if self.0.info.fields.iter().any(|f| f.name == GHOSTS) {
+            return Ok(None);
+        }
+        let mut hash = Xxh3::new();
+        for piece in &self.0.pieces {
+            let Place::Open(doc) = &piece.place else { return Ok(None) };
+            let element = piece.element(doc)?;
+            hash.update(format!("{} {} {}", piece.points, piece.cells, doc.stored_as()).as_bytes());
+            for parent in ["Points", "Cells"] {
+                for array in arrays(element.child(parent)) {
+                    if array.attribute("format") == Some("appended") {
+                        return Ok(None);
+                    }
+                    let length = array.text.end - array.text.start;
+                    hash.update(format!("{parent} {:?} {length} ", array.attributes()).as_bytes());
+                    doc.hash_text(array, &mut hash)?;
+                }
+            }
+        }
+        Ok(Some(hash.digest128()))
     }
 }
 

@@ -10,6 +10,7 @@ use quick_xml::events::{BytesStart, Event};
 use quick_xml::{Reader, XmlVersion};
 use std::ops::Range;
 use std::sync::Arc;
+use xxhash_rust::xxh3::Xxh3;
 
 const MOST_ELEMENTS: usize = 1 << 18;
 const MOST_DEPTH: usize = 32;
@@ -34,6 +35,11 @@ impl Element {
     /// The value of an attribute.
     pub(in crate::formats) fn attribute(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(n, _)| n == name).map(|(_, value)| value.as_str())
+    }
+
+    /// All attributes and what they are, in file order.
+    pub(super) fn attributes(&self) -> &[(String, String)] {
+        &self.attributes
     }
 
     /// The children of a name.
@@ -154,6 +160,24 @@ impl Document {
             expected,
             got,
         )
+    }
+
+    /// What tells how the bytes of arrays are to be read.
+    pub(super) fn stored_as(&self) -> String {
+        format!("{} {} {:?}", self.big_endian, self.wide, self.compressor)
+    }
+
+    /// Adds the text of an element to a hash, as it is stored.
+    pub(super) fn hash_text(&self, element: &Element, hash: &mut Xxh3) -> Result<()> {
+        let mut part = vec![0; 1 << 16];
+        let Range { mut start, end } = element.text;
+        while start < end {
+            let n = (end - start).min(part.len() as u64) as usize;
+            self.source.read_at(start, &mut part[..n])?;
+            hash.update(&part[..n]);
+            start += n as u64;
+        }
+        Ok(())
     }
 
     /// A list of `N` numbers in an attribute; `None` where there is no such attribute.

@@ -2,14 +2,18 @@ use crate::cells::{CellKind, CellMesh, Center};
 use crate::error::Result;
 use crate::formats::mesh::tests::{read_whole, torture};
 use crate::formats::tests::write;
-use crate::formats::vtk_xml::tests::{Encoding, every_encoding};
+use crate::formats::vtk_xml::tests::{Encoding, Fixture, every_encoding};
 use crate::formats::{OpenOptions, open_mesh};
 
 /// A tetrahedron, a triangle and a pyramid on five points; `x` moves them.
-fn piece(file: &mut crate::formats::vtk_xml::tests::Fixture, x: f32) {
+fn piece(file: &mut Fixture, x: f32) {
+    piece_of(file, x, x);
+}
+
+fn piece_of(file: &mut Fixture, x: f32, value: f32) {
     file.text("<Piece NumberOfPoints=\"5\" NumberOfCells=\"3\">\n<PointData Scalars=\"p\">");
     file.array("v", 3, &(0..15).map(|i| i as i16).collect::<Vec<i16>>());
-    file.array("p", 1, &[1.5, 2.0, 3.0, 4.0, x]);
+    file.array("p", 1, &[1.5, 2.0, 3.0, 4.0, value]);
     file.text("</PointData>\n<CellData>");
     file.array("c", 1, &[1u8, 2, 4]);
     file.text("</CellData>\n<Points>");
@@ -59,6 +63,25 @@ fn every_encoding_gives_the_mesh() {
     let fields: Vec<_> = info.fields.iter().map(|f| (&f.name[..], f.components, f.center)).collect();
     assert_eq!(fields, [("v", 3, Center::Point), ("p", 1, Center::Point), ("c", 1, Center::Cell)]);
     assert!(info.format.contains("inline base64, uncompressed, UInt32"), "{}", info.format);
+}
+
+#[test]
+fn files_that_store_the_same_mesh_have_one_hash() {
+    let hash = |encoding: Encoding, x, value| {
+        let mut file = encoding.file("UnstructuredGrid", "");
+        piece_of(&mut file, x, value);
+        open(&file.finish(), None).unwrap().stored_hash().unwrap()
+    };
+    let mut all = vec![];
+    for encoding in every_encoding() {
+        let first = hash(encoding, 1.0, 1.0);
+        assert_eq!(first, hash(encoding, 1.0, 7.0), "{encoding:?}: of other values");
+        assert!(first.is_none() || first != hash(encoding, 2.0, 1.0), "{encoding:?}: of moved points");
+        all.extend(first);
+    }
+    assert!(all.len() > 3);
+    all.sort_unstable();
+    assert!(all.windows(2).all(|pair| pair[0] != pair[1]), "as many as there are ways to store it");
 }
 
 #[test]
