@@ -21,6 +21,8 @@ pub(crate) trait Wide: Copy {
     fn over(self, other: Self) -> Self;
     /// The square root.
     fn root(self) -> Self;
+    /// The largest integer that is not above.
+    fn floor(self) -> Self;
     /// This where it is less, else the other.
     fn min(self, other: Self) -> Self;
     /// This where it is greater, else the other.
@@ -130,6 +132,10 @@ where
         Self(self.0.map(f64::sqrt))
     }
     #[inline(always)]
+    fn floor(self) -> Self {
+        Self(self.0.map(f64::floor))
+    }
+    #[inline(always)]
     fn min(self, other: Self) -> Self {
         self.each(other, |a, b| if a < b { a } else { b })
     }
@@ -223,6 +229,10 @@ impl<W: Four> Wide for Pair<W> {
         Self(self.0.root(), self.1.root())
     }
     #[inline(always)]
+    fn floor(self) -> Self {
+        Self(self.0.floor(), self.1.floor())
+    }
+    #[inline(always)]
     fn min(self, other: Self) -> Self {
         Self(self.0.min(other.0), self.1.min(other.1))
     }
@@ -260,49 +270,6 @@ impl<W: Four> Floats<8> for Pair<W> {
     }
 }
 
-/// Eight bytes at a time. Every x86-64 has instructions for them, which compilers do not find by themselves.
-pub(crate) mod bytes {
-    #[cfg(target_arch = "x86_64")]
-    use std::arch::x86_64::*;
-
-    macro_rules! each {
-        ($(#[$doc:meta])* $name:ident, $vector:ident, $plain:expr) => {
-            $(#[$doc])*
-            #[inline(always)]
-            pub(crate) fn $name(a: [u8; 8], b: [u8; 8]) -> [u8; 8] {
-                #[cfg(target_arch = "x86_64")]
-                {
-                    // SAFETY: every x86-64 has SSE2.
-                    let of = |x: [u8; 8]| unsafe { _mm_cvtsi64_si128(i64::from_le_bytes(x)) };
-                    // SAFETY: as above.
-                    unsafe { _mm_cvtsi128_si64($vector(of(a), of(b))).to_le_bytes() }
-                }
-                #[cfg(not(target_arch = "x86_64"))]
-                std::array::from_fn(|k| $plain(a[k], b[k]))
-            }
-        };
-    }
-
-    each!(
-        /// The lesser of each pair.
-        lesser,
-        _mm_min_epu8,
-        |a: u8, b: u8| a.min(b)
-    );
-    each!(
-        /// The greater of each pair.
-        greater,
-        _mm_max_epu8,
-        |a: u8, b: u8| a.max(b)
-    );
-    each!(
-        /// All bits of each pair that is equal, none of others.
-        equal,
-        _mm_cmpeq_epi8,
-        |a: u8, b: u8| if a == b { u8::MAX } else { 0 }
-    );
-}
-
 #[cfg(target_arch = "x86_64")]
 pub(crate) use vectors::{Eight, Vector};
 
@@ -324,7 +291,7 @@ mod vectors {
     macro_rules! wide {
         (
             $t:ident, $proof:ty, $lanes:ty, $mask:ty, $load:ident, $store:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $fma:ident,
-            $div:ident, $sqrt:ident, $min:ident, $max:ident
+            $div:ident, $sqrt:ident, $floor:ident, $min:ident, $max:ident
         ) => {
             impl Wide for $t {
                 type Proof = $proof;
@@ -378,6 +345,11 @@ mod vectors {
                     Self(unsafe { $sqrt(self.0) })
                 }
                 #[inline(always)]
+                fn floor(self) -> Self {
+                    // SAFETY: the instructions were found.
+                    Self(unsafe { $floor::<{ _MM_FROUND_TO_NEG_INF | _MM_FROUND_NO_EXC }>(self.0) })
+                }
+                #[inline(always)]
                 fn min(self, other: Self) -> Self {
                     // SAFETY: the instructions were found.
                     Self(unsafe { $min(self.0, other.0) })
@@ -421,6 +393,7 @@ mod vectors {
         _mm256_fmadd_pd,
         _mm256_div_pd,
         _mm256_sqrt_pd,
+        _mm256_round_pd,
         _mm256_min_pd,
         _mm256_max_pd
     );
@@ -462,6 +435,7 @@ mod vectors {
         _mm512_fmadd_pd,
         _mm512_div_pd,
         _mm512_sqrt_pd,
+        _mm512_roundscale_pd,
         _mm512_min_pd,
         _mm512_max_pd
     );

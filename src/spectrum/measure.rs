@@ -3,14 +3,14 @@
 //! **How it is fast.** A step of a series is measured anew though its mesh is not made anew, so this is most of what a step costs. What of a tetrahedron
 //! does not depend on values is found out once for all steps. Its values, their gradient, and all quotients are computed eight at a time, in vectors: of one
 //! tetrahedron at up to eight steps that are measured together, what is known of a vertex lying side by side in a cache line; or of eight tetrahedra at a
-//! step that is alone. Then, tetrahedron by tetrahedron, the knots in its range, eight by eight ([`super::tetra`], [`super::sums`]).
+//! step that is alone. Then, tetrahedron by tetrahedron, the knots in its range, eight by eight ([`super::tetra`], [`super::sums`]): what bounds that is
+//! how much is read, so where the knots are is told with the quotients, and the volume is read once for all steps.
 //!
 //! Each number of a step is made by the same operations, whatever else is in the vector: so it does not show with which steps it was measured.
 
 use super::design::{Design, Limits};
-use super::side::{Alone, Knots, OfStep, Room as Memory, SIDE_BY_SIDE, Side, Together, ends_of, span_of};
-use super::sums::VOID;
-use super::tetra::{BATCH, PiecesOf, Shapes};
+use super::side::{Alone, Room as Memory, SIDE_BY_SIDE, Side, Together, ends_of};
+use super::tetra::{BATCH, Ladder, PiecesOf, Shapes};
 #[cfg(target_arch = "x86_64")]
 use crate::exec::lanes::{Eight, Vector};
 use crate::exec::lanes::{Floats, Four, Pair, Plain, Wide, four};
@@ -86,8 +86,7 @@ impl ChunkPart {
         vectors: Vectors,
         memory: &mut Memory,
     ) -> Vec<Self> {
-        let mut sides: Vec<Side> =
-            steps.chunks(SIDE_BY_SIDE).map(|steps| Side::new(limits, steps, memory)).collect();
+        let mut sides = Side::all(limits, steps, memory);
         let cells = Cells { places, tets };
         match vectors {
             #[cfg(target_arch = "x86_64")]
@@ -103,7 +102,7 @@ impl ChunkPart {
             ),
             _ => cells.add_all::<Plain, Pair<Plain>, Plain>((), (), (), &mut sides),
         }
-        sides.into_iter().flat_map(|side| side.finish(memory)).collect()
+        sides.into_iter().flat_map(|side| side.finish(tets.len() as u64, memory)).collect()
     }
 }
 
@@ -123,20 +122,15 @@ impl Cells<'_> {
         knots: K::Proof,
         sides: &mut [Side],
     ) {
-        let (mut shapes, mut fours, mut eights) =
-            (Box::<Shapes>::default(), Room::<4>::new(), Room::<8>::new());
+        let (mut shapes, mut room) = (Box::<Shapes>::default(), Box::new(Room([PiecesOf::NONE; BATCH])));
         for from in (0..self.tets.len()).step_by(BATCH) {
             let (tets, next) = self.tets[from..].split_at(BATCH.min(self.tets.len() - from));
             let next = &next[..BATCH.min(next.len())];
             shapes.look::<W>(four, self.places, tets);
             for side in &mut *sides {
                 match side {
-                    Side::One(side) => {
-                        eights.gather_one::<S>(eight, &shapes, side, tets);
-                        eights.add::<K>(knots, tets.len(), &mut side.sums[0], |i| (i / 8, i % 8));
-                    }
-                    Side::Four(side) => fours.measure::<W, K>((four, knots), &shapes, side, tets, next),
-                    Side::Eight(side) => eights.measure::<S, K>((eight, knots), &shapes, side, tets, next),
+                    Side::One(side) => room.measure_one::<S, K>((eight, knots), &shapes, side, tets),
+                    Side::Eight(side) => room.measure::<S, K>((eight, knots), &shapes, side, tets, next),
                 }
             }
         }
@@ -144,105 +138,98 @@ impl Cells<'_> {
 }
 
 /// What is known of some tetrahedra.
-struct Room<const N: usize> {
-    pieces: [PiecesOf<N>; BATCH],
-    spans: [[Knots; 2]; BATCH],
-}
+struct Room([PiecesOf; BATCH]);
 
-impl<const N: usize> Room<N> {
-    fn new() -> Box<Self> {
-        Box::new(Self { pieces: [[[0.0; N]; 12]; BATCH], spans: [[[VOID; SIDE_BY_SIDE]; 2]; BATCH] })
-    }
-
+impl Room {
     /// Tetrahedra at some steps.
     #[inline(always)]
-    fn measure<S: Floats<N>, K: Wide>(
+    fn measure<S: Floats<8>, K: Wide>(
         &mut self,
         (proof, knots): (S::Proof, K::Proof),
         shapes: &Shapes,
-        side: &mut Together<N>,
+        side: &mut Together,
         tets: &[Tet],
         next: &[Tet],
     ) {
         side.will_look_at(next);
-        self.gather::<S>(proof, shapes, side, tets);
-        // All steps of one, then of the next: so a sum need not wait for what was added to it just before.
-        for (pieces, [lo, hi]) in self.pieces.iter().zip(&self.spans).take(tets.len()) {
-            for (lane, sums) in side.sums.iter_mut().enumerate().take(N) {
-                if let Some((_, sums)) = &mut sums.0 {
-                    sums.add::<K, N>(knots, [lo[lane], hi[lane]], pieces, lane);
-                }
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn gather<S: Floats<N>>(
-        &mut self,
-        proof: S::Proof,
-        shapes: &Shapes,
-        side: &mut Together<N>,
-        tets: &[Tet],
-    ) {
-        let rooms = self.pieces.iter_mut().zip(&mut self.spans);
-        for (i, (tet, (pieces, span))) in tets.iter().zip(rooms).enumerate() {
-            let values = four(
+        let ladder = Ladder::<S>::new(proof, side.designs.each_ref().map(Option::as_ref));
+        for (i, (tet, pieces)) in tets.iter().zip(&mut self.0).enumerate() {
+            let floats = four(
                 #[inline(always)]
                 |k| side.vertices[tet[k] as usize].values,
             );
-            *span = span_of(four(
-                #[inline(always)]
-                |k| side.knots[tet[k] as usize],
-            ));
-            for (&v, ends) in tet.iter().zip(&ends_of(&values)) {
-                side.vertices[v as usize].ends.iter_mut().zip(ends).for_each(|(to, end)| *to += end);
-            }
             let values = four(
                 #[inline(always)]
-                |k| S::of_floats(proof, &values[k]),
+                |k| S::of_floats(proof, &floats[k]),
             );
-            shapes.one::<S>(proof, i).pieces(proof, values, pieces);
+            let void = voids(values);
+            let mut ends = ends_of(&floats);
+            if void != 0 {
+                for lane in (0..SIDE_BY_SIDE).filter(|lane| void >> lane & 1 != 0) {
+                    side.void[lane] += 1;
+                    ends.iter_mut().for_each(|ends| ends[lane] = 0);
+                }
+            }
+            for (&v, ends) in tet.iter().zip(&ends) {
+                side.vertices[v as usize].ends.iter_mut().zip(ends).for_each(|(to, end)| *to += end);
+            }
+            shapes.one::<S>(proof, i).pieces(proof, &ladder, values, void, pieces);
+        }
+        // All steps of one, then of the next: so a sum need not wait for what was added to it just before.
+        for pieces in self.0.iter().take(tets.len()) {
+            let (volume, [a, b, c, d, e, f, g, h]) = (pieces.volume[0], &mut *side.sums);
+            // Without a loop: so where each lies is known beforehand.
+            a.add::<K>(knots, pieces, 0, volume);
+            b.add::<K>(knots, pieces, 1, volume);
+            c.add::<K>(knots, pieces, 2, volume);
+            d.add::<K>(knots, pieces, 3, volume);
+            e.add::<K>(knots, pieces, 4, volume);
+            f.add::<K>(knots, pieces, 5, volume);
+            g.add::<K>(knots, pieces, 6, volume);
+            h.add::<K>(knots, pieces, 7, volume);
         }
     }
 
-    /// Adds the first tetrahedra to the sums of a step; `at` tells where each is, and in which lane.
+    /// Tetrahedra at one step: eight by eight.
     #[inline(always)]
-    fn add<K: Wide>(
-        &self,
-        proof: K::Proof,
-        count: usize,
-        sums: &mut OfStep,
-        at: impl Fn(usize) -> (usize, usize),
+    fn measure_one<S: Floats<8>, K: Wide>(
+        &mut self,
+        (proof, knots): (S::Proof, K::Proof),
+        shapes: &Shapes,
+        side: &mut Alone,
+        tets: &[Tet],
     ) {
-        let Some((_, sums)) = &mut sums.0 else { return };
-        for i in 0..count.min(BATCH) {
-            let (n, lane) = at(i);
-            let [lo, hi] = &self.spans[n];
-            sums.add::<K, N>(proof, [lo[lane], hi[lane]], &self.pieces[n], lane);
+        let Some(design) = &side.design else { return };
+        let ladder = Ladder::<S>::new(proof, [Some(design); 8]);
+        for (n, (tets, pieces)) in tets.chunks(8).zip(&mut self.0).enumerate() {
+            // Of less than eight, the last one again.
+            let corner = |k: usize, i: usize| tets[i.min(tets.len() - 1)][k] as usize;
+            let floats = [0, 1, 2, 3].map(|k| std::array::from_fn(|i| side.values[corner(k, i)]));
+            let values = four(
+                #[inline(always)]
+                |k| S::of_floats(proof, &floats[k]),
+            );
+            let void = voids(values);
+            let ends = ends_of(&floats);
+            for (i, tet) in tets.iter().enumerate() {
+                if void >> i & 1 == 0 {
+                    (0..4).for_each(|k| side.ends[tet[k] as usize] += ends[k][i]);
+                } else {
+                    side.void += 1;
+                }
+            }
+            shapes.eight::<S>(proof, n).pieces(proof, &ladder, values, void, pieces);
+        }
+        for (tets, pieces) in tets.chunks(8).zip(&self.0) {
+            for lane in 0..tets.len() {
+                side.sums.add::<K>(knots, pieces, lane % 8, pieces.volume[lane % 8]);
+            }
         }
     }
 }
 
-impl Room<8> {
-    /// Tetrahedra at one step: eight by eight.
-    #[inline(always)]
-    fn gather_one<S: Floats<8>>(&mut self, proof: S::Proof, shapes: &Shapes, side: &mut Alone, tets: &[Tet]) {
-        let rooms = self.pieces.iter_mut().zip(&mut self.spans);
-        for (n, (tets, (pieces, span))) in tets.chunks(8).zip(rooms).enumerate() {
-            // Of less than eight, the last one again.
-            let corner = |k: usize, i: usize| tets[i.min(tets.len() - 1)][k] as usize;
-            let values = [0, 1, 2, 3].map(|k| std::array::from_fn(|i| side.values[corner(k, i)]));
-            let knots = [0, 1, 2, 3].map(|k| std::array::from_fn(|i| side.knots[corner(k, i)]));
-            *span = span_of(knots);
-            let ends = ends_of(&values);
-            for (i, tet) in tets.iter().enumerate() {
-                (0..4).for_each(|k| side.ends[tet[k] as usize] += ends[k][i]);
-            }
-            let values = four(
-                #[inline(always)]
-                |k| S::of_floats(proof, &values[k]),
-            );
-            shapes.eight::<S>(proof, n).pieces(proof, values, pieces);
-        }
-    }
+/// Tetrahedra of which a value is NaN, bit by bit.
+#[inline(always)]
+fn voids<S: Floats<8>>([a, b, c, d]: [S; 4]) -> u32 {
+    !S::bits(a.plus(b).plus(c.plus(d)).is_number()) & 0xff
 }

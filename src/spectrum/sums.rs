@@ -8,9 +8,9 @@
 //! corners lie among the isovalues; a vertex has some two dozen tetrahedra.
 
 use super::design::{Design, MOST_KNOTS};
-use super::grid::Places;
+use super::grid::{BinaryPlaces, Places};
 use super::measure::{ChunkPart, Measured};
-use super::tetra::{Cut, KNOTS, Pieces, PiecesOf, VOLUME};
+use super::tetra::{Cut, KNOTS, Pieces, PiecesOf};
 use crate::exec::lanes::Wide;
 
 /// How many knots are at or below a void value: more than there are.
@@ -19,54 +19,58 @@ pub(super) const VOID: u8 = u8::MAX;
 const CUTS: usize = MOST_KNOTS as usize;
 const _: () = assert!(CUTS.is_power_of_two() && CUTS < VOID as usize);
 
-/// The sums.
+/// The sums of a step, in one piece: so those of the next one are found without a look elsewhere.
+#[repr(C, align(64))]
 pub(super) struct Sums {
-    tetrahedra: u64,
-    /// Isovalues, and behind the last one such as would follow.
-    knots: Box<[f64; CUTS + KNOTS]>,
     /// At the knots from each one on, of tetrahedra whose least value has so many knots at or below it.
-    cuts: Box<[Cut; CUTS]>,
-    /// Volume of such tetrahedra; the last is that of void ones.
-    whole: Box<[f64; VOID as usize + 1]>,
+    cuts: [Cut; CUTS],
+    /// Isovalues, and behind the last one such as would follow.
+    knots: [f64; CUTS + KNOTS],
+    /// Volume of tetrahedra whose least value has so many knots at or below it; the last is that of void ones.
+    whole: [f64; VOID as usize + 1],
 }
 
 impl Sums {
-    pub(super) fn new(design: &Design) -> Self {
-        let mut knots = Box::new([0.0; CUTS + KNOTS]);
-        let (mut last, step) = (0.0, design.knots.step.size());
-        for (n, knot) in knots.iter_mut().enumerate() {
-            let is_there = n < design.knots.count as usize;
-            last = if is_there { f64::from(design.knots.value(n as u32)) } else { last + step };
-            *knot = last;
+    /// Of nothing, at isovalues, if there are such.
+    pub(super) fn new(design: Option<&Design>) -> Self {
+        let mut knots = [0.0; CUTS + KNOTS];
+        if let Some(design) = design {
+            let (mut last, step) = (0.0, design.knots.step.size());
+            for (n, knot) in knots.iter_mut().enumerate() {
+                let is_there = n < design.knots.count as usize;
+                last = if is_there { f64::from(design.knots.value(n as u32)) } else { last + step };
+                *knot = last;
+            }
         }
-        let cuts = Box::new([Cut::default(); CUTS]);
-        Self { tetrahedra: 0, knots, cuts, whole: Box::new([0.0; VOID as usize + 1]) }
+        Self { cuts: [Cut::default(); CUTS], knots, whole: [0.0; VOID as usize + 1] }
     }
 
-    /// Adds a tetrahedron: one of some. At or below its least and its largest value there are so many knots; [`VOID`] where it is void.
+    /// Adds a tetrahedron of this volume: one of some.
     #[inline(always)]
-    pub(super) fn add<W: Wide, const N: usize>(
-        &mut self,
-        proof: W::Proof,
-        [lo, hi]: [u8; 2],
-        of: &PiecesOf<N>,
-        lane: usize,
-    ) {
-        self.tetrahedra += u64::from(hi != VOID);
-        self.whole[usize::from(lo)] += of[VOLUME][lane];
-        if lo == hi {
+    pub(super) fn add<W: Wide>(&mut self, proof: W::Proof, of: &PiecesOf, lane: usize, volume: f64) {
+        let below = usize::from(of.below(lane));
+        self.whole[below] += volume;
+        if of.flat >> lane & 1 != 0 {
             return;
         }
-        let pieces = Pieces::<W>::new(proof, of, lane);
-        for from in (usize::from(lo)..usize::from(hi)).step_by(KNOTS) {
-            let from = from % CUTS;
-            let knots = self.knots[from..].first_chunk().expect("there are more behind the last");
-            pieces.add(proof, knots, usize::from(hi) - from, &mut self.cuts[from]);
+        let from = below % CUTS;
+        let knots = self.knots[from..].first_chunk().expect("there are more behind the last");
+        let most = of.most(lane);
+        Pieces::<W>::new(proof, of, lane).add(proof, volume, most, knots, &mut self.cuts[from]);
+        if of.steep >> lane & 1 != 0 {
+            let pieces = Pieces::<W>::new(proof, of, lane);
+            for from in (from + KNOTS..CUTS).step_by(KNOTS) {
+                if self.knots[from] > most {
+                    break;
+                }
+                let knots = self.knots[from..].first_chunk().expect("there are more behind the last");
+                pieces.add(proof, volume, most, knots, &mut self.cuts[from]);
+            }
         }
     }
 
-    /// What is known when all tetrahedra have been added.
-    pub(super) fn finish(self, design: Design, ends: &Ends) -> ChunkPart {
+    /// What is known when all tetrahedra have been added, so many that are not void.
+    pub(super) fn finish(&self, tetrahedra: u64, design: Design, ends: &Ends) -> ChunkPart {
         let count = design.knots.count as usize;
         let at = |k: usize| {
             let first = (k + 1).saturating_sub(KNOTS);
@@ -84,7 +88,7 @@ impl Sums {
         }
         let (active, levels) = (counts(&ends.knots), counts(&ends.levels));
         let measured = Measured { design, active, sums, levels };
-        ChunkPart { tetrahedra: self.tetrahedra, volume: whole + self.whole[0], measured: Some(measured) }
+        ChunkPart { tetrahedra, volume: whole + self.whole[0], measured: Some(measured) }
     }
 }
 
@@ -92,23 +96,28 @@ impl Sums {
 pub(super) struct Ends {
     knots: Vec<i64>,
     levels: Vec<i64>,
-    places: Places,
+    knot_places: BinaryPlaces,
+    level_places: Places,
 }
 
 impl Ends {
     pub(super) fn new(design: &Design) -> Self {
         let none = |count: u32| vec![0; count as usize + 1];
-        let places = Places::new(&design.levels);
-        Self { knots: none(design.knots.count), levels: none(design.levels.count), places }
+        Self {
+            knots: none(design.knots.count),
+            levels: none(design.levels.count),
+            knot_places: BinaryPlaces::new(&design.knots),
+            level_places: Places::new(&design.levels),
+        }
     }
 
     /// Adds those at a vertex.
     #[inline(always)]
-    pub(super) fn add(&mut self, value: f32, knots: u8, ends: i32) {
+    pub(super) fn add(&mut self, value: f32, ends: i32) {
         // Of no tetrahedron but void ones, a vertex may have any value.
         if ends != 0 {
-            self.knots[usize::from(knots)] += i64::from(ends);
-            self.levels[self.places.of(value) as usize] += i64::from(ends);
+            self.knots[self.knot_places.of(value) as usize] += i64::from(ends);
+            self.levels[self.level_places.of(value) as usize] += i64::from(ends);
         }
     }
 }

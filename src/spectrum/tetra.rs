@@ -16,6 +16,8 @@
 //! The six quotients of a tetrahedron cost one division: each is the product of what is not its own over the product of all six, which
 //! is between 2^-894 and 2^774.
 
+use super::design::Design;
+use super::sums::VOID;
 use crate::exec::lanes::{Floats, Four, Wide, four, sorted, three};
 use crate::mesh::tet::Tet;
 
@@ -128,18 +130,72 @@ fn edge<W: Four>(
     [x, y, z]
 }
 
-/// What the sums at the knots are made from: numbers that [`Pieces`] names, each of some tetrahedra, or of one at some steps.
-pub(super) type PiecesOf<const N: usize> = [[f64; N]; 12];
-/// Which of them the volume is.
-pub(super) const VOLUME: usize = 9;
+/// What the sums at the knots are made from, of some tetrahedra, or of one at some steps: numbers that [`Pieces`] names.
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+pub(super) struct PiecesOf {
+    numbers: [[f64; 8]; 11],
+    /// The volumes.
+    pub(super) volume: [f64; 8],
+    /// In the last byte the number of knots at or below the least value.
+    below: [f64; 8],
+    /// Bit by bit: those without a knot in their range; with more than [`KNOTS`].
+    pub(super) flat: u32,
+    pub(super) steep: u32,
+}
 
-impl<W: Wide> Shape<W> {
-    /// Of tetrahedra with these corner values.
+/// So large that the last bits of a number a little larger are those of an integer.
+const WHOLE: f64 = (1u64 << 52) as f64;
+
+/// Where knots lie, of a step in each lane: what takes a value to steps between knots, and a multiple to a number whose last byte is that of the knots below it.
+#[derive(Clone, Copy)]
+pub(super) struct Ladder<W> {
+    step: W,
+    scale: W,
+    first: W,
+}
+
+impl<W: Floats<8>> Ladder<W> {
+    /// Of designs; none where there is no step.
     #[inline(always)]
-    pub(super) fn pieces<const N: usize>(&self, proof: W::Proof, values: [W; 4], out: &mut PiecesOf<N>)
-    where
-        W: Wide<Lanes = [f64; N]>,
-    {
+    pub(super) fn new(proof: W::Proof, designs: [Option<&Design>; 8]) -> Self {
+        let of = |f: fn(&Design) -> f64, none| W::of(proof, &designs.map(|design| design.map_or(none, f)));
+        Self {
+            step: of(|design| design.knots.step.size(), 1.0),
+            scale: of(|design| 1.0 / design.knots.step.size(), 0.0),
+            first: of(|design| WHOLE + 1.0 - design.knots.first as f64, WHOLE),
+        }
+    }
+}
+
+impl PiecesOf {
+    pub(super) const NONE: Self =
+        Self { numbers: [[0.0; 8]; 11], volume: [0.0; 8], below: [0.0; 8], flat: 0, steep: 0 };
+
+    /// The largest value.
+    #[inline(always)]
+    pub(super) fn most(&self, lane: usize) -> f64 {
+        self.numbers[2][lane]
+    }
+
+    /// How many knots are at or below the least value.
+    #[inline(always)]
+    pub(super) fn below(&self, lane: usize) -> u8 {
+        self.below[lane].to_bits() as u8
+    }
+}
+
+impl<W: Floats<8>> Shape<W> {
+    /// Of tetrahedra with these corner values, void ones bit by bit.
+    #[inline(always)]
+    pub(super) fn pieces(
+        &self,
+        proof: W::Proof,
+        ladder: &Ladder<W>,
+        values: [W; 4],
+        void: u32,
+        out: &mut PiecesOf,
+    ) {
         let [a, b, c, d] = values;
         let d = [b.minus(a), c.minus(a), d.minus(a)];
         // Six times the volume times the gradient.
@@ -151,6 +207,17 @@ impl<W: Wide> Shape<W> {
         let area = length.times(W::splat(proof, 0.5));
         let slope = area.times(length.times(self.inverse));
         let [f0, f1, f2, f3] = sorted(values);
+        let multiple = f0.times(ladder.scale).floor();
+        out.below = multiple.plus(ladder.first).lanes();
+        let v = multiple.plus(W::splat(proof, 1.0)).times(ladder.step);
+        let up = f3.minus(v);
+        out.flat = W::bits(up.below(W::splat(proof, 0.0))) | void;
+        out.steep = !W::bits(up.below(ladder.step.times(W::splat(proof, KNOTS as f64))));
+        if void != 0 {
+            for (lane, below) in out.below.iter_mut().enumerate() {
+                *below = if void >> lane & 1 == 0 { *below } else { WHOLE + f64::from(VOID) };
+            }
+        }
         let least = W::splat(proof, LEAST);
         let (d01, d02, d03) = (f1.minus(f0).max(least), f2.minus(f0).max(least), f3.minus(f0).max(least));
         let (d12, d13, d23) = (f2.minus(f1).max(least), f3.minus(f1).max(least), f3.minus(f2).max(least));
@@ -162,20 +229,21 @@ impl<W: Wide> Shape<W> {
         // One over the difference of f0 and f3.
         let steep = of_low.times(d02);
         // One by one: an array of all would be made elsewhere, and copied.
-        out[0] = f0.lanes();
-        out[1] = f1.lanes();
-        out[2] = f3.lanes();
+        let to = &mut out.numbers;
+        to[0] = f0.lanes();
+        to[1] = f1.lanes();
+        to[2] = f3.lanes();
         // A little more, lest a clamp miss 1 for rounding: what is 0 above f3 is so exactly.
         let more = W::splat(proof, 1.0 + 8.0 * f64::EPSILON);
-        out[3] = of_outer.times(d23).times(more).lanes();
-        out[4] = of_low.times(d03).lanes();
-        out[5] = steep.lanes();
-        out[6] = of_high.times(d13).times(more).lanes();
-        out[7] = of_high.times(d12).lanes();
-        out[8] = of_outer.times(d01).lanes();
-        out[9] = self.six.times(W::splat(proof, 1.0 / 6.0)).lanes();
-        out[10] = area.times(steep).lanes();
-        out[11] = slope.times(steep).lanes();
+        to[3] = of_outer.times(d23).times(more).lanes();
+        to[4] = of_low.times(d03).lanes();
+        to[5] = steep.lanes();
+        to[6] = of_high.times(d13).times(more).lanes();
+        to[7] = of_high.times(d12).lanes();
+        to[8] = of_outer.times(d01).lanes();
+        to[9] = area.times(steep).lanes();
+        to[10] = slope.times(steep).lanes();
+        out.volume = self.six.times(W::splat(proof, 1.0 / 6.0)).lanes();
     }
 }
 
@@ -215,7 +283,6 @@ pub(super) struct Pieces<W> {
     d12: W,
     d13: W,
     d23: W,
-    volume: W,
     /// The density times the volume times the gradient; that times the gradient.
     area: W,
     slope: W,
@@ -224,8 +291,8 @@ pub(super) struct Pieces<W> {
 impl<W: Wide> Pieces<W> {
     /// Of one of them.
     #[inline(always)]
-    pub(super) fn new<const N: usize>(proof: W::Proof, of: &PiecesOf<N>, lane: usize) -> Self {
-        let [f0, f1, f3, d01, d02, d03, d12, d13, d23, volume, area, slope] = of;
+    pub(super) fn new(proof: W::Proof, of: &PiecesOf, lane: usize) -> Self {
+        let [f0, f1, f3, d01, d02, d03, d12, d13, d23, area, slope] = &of.numbers;
         Self {
             f0: W::splat(proof, f0[lane]),
             f1: W::splat(proof, f1[lane]),
@@ -236,33 +303,32 @@ impl<W: Wide> Pieces<W> {
             d12: W::splat(proof, d12[lane]),
             d13: W::splat(proof, d13[lane]),
             d23: W::splat(proof, d23[lane]),
-            volume: W::splat(proof, volume[lane]),
             area: W::splat(proof, area[lane]),
             slope: W::splat(proof, slope[lane]),
         }
     }
 
-    /// Adds what the tetrahedron has at some knots, of which the first is above its least value, and the first `count` are in its range. What it has
-    /// at others is 0.
+    /// Adds what the tetrahedron, of this volume and largest value, has at some knots, of which the first is above its least value. What it has at others than those
+    /// in its range is 0.
     #[inline(always)]
-    pub(super) fn add(&self, proof: W::Proof, knots: &[f64; KNOTS], count: usize, sums: &mut Cut) {
-        let knots: &[W::Lanes] = bytemuck::cast_slice(knots);
+    pub(super) fn add(&self, proof: W::Proof, volume: f64, most: f64, knots: &[f64; KNOTS], sums: &mut Cut) {
+        let wide: &[W::Lanes] = bytemuck::cast_slice(knots);
         let area: &mut [W::Lanes] = bytemuck::cast_slice_mut(&mut sums.area);
         let inside: &mut [W::Lanes] = bytemuck::cast_slice_mut(&mut sums.inside);
         let slope: &mut [W::Lanes] = bytemuck::cast_slice_mut(&mut sums.slope);
-        let lanes = KNOTS / knots.len();
-        for (n, knots) in knots.iter().enumerate() {
-            if n > 0 && n * lanes >= count {
+        let (volume, lanes) = (W::splat(proof, volume), KNOTS / wide.len());
+        for (n, wide) in wide.iter().enumerate() {
+            if n > 0 && knots[n * lanes] > most {
                 break;
             }
-            let (density, above) = self.at(proof, W::of(proof, knots));
+            let (density, above) = self.at(proof, W::of(proof, wide));
             area[n] = self.area.times_plus(density, W::of(proof, &area[n])).lanes();
-            inside[n] = self.volume.times_plus(above, W::of(proof, &inside[n])).lanes();
+            inside[n] = volume.times_plus(above, W::of(proof, &inside[n])).lanes();
             slope[n] = self.slope.times_plus(density, W::of(proof, &slope[n])).lanes();
         }
     }
 
-    /// See the module: w, and the share of the volume above.
+    /// See the module: w, and the share of the volume above, at an isovalue.
     #[inline(always)]
     fn at(&self, proof: W::Proof, v: W) -> (W, W) {
         let (zero, one) = (W::splat(proof, 0.0), W::splat(proof, 1.0));
