@@ -137,6 +137,9 @@ impl Cells<'_> {
     }
 }
 
+/// So many tetrahedra later the sums are made: what was just written can not be read piece by piece at once, and the processor has two things to do.
+const LATER: usize = 2;
+
 /// What is known of some tetrahedra.
 struct Room([PiecesOf; BATCH]);
 
@@ -153,40 +156,44 @@ impl Room {
     ) {
         side.will_look_at(next);
         let ladder = Ladder::<S>::new(proof, side.designs.each_ref().map(Option::as_ref));
-        for (i, (tet, pieces)) in tets.iter().zip(&mut self.0).enumerate() {
-            let floats = four(
-                #[inline(always)]
-                |k| side.vertices[tet[k] as usize].values,
-            );
-            let values = four(
-                #[inline(always)]
-                |k| S::of_floats(proof, &floats[k]),
-            );
-            let void = voids(values);
-            let mut ends = ends_of(&floats);
-            if void != 0 {
-                for lane in (0..SIDE_BY_SIDE).filter(|lane| void >> lane & 1 != 0) {
-                    side.void[lane] += 1;
-                    ends.iter_mut().for_each(|ends| ends[lane] = 0);
+        for i in 0..tets.len() + LATER {
+            if let Some(tet) = tets.get(i) {
+                let pieces = &mut self.0[i % BATCH];
+                let floats = four(
+                    #[inline(always)]
+                    |k| side.vertices[tet[k] as usize].values,
+                );
+                let values = four(
+                    #[inline(always)]
+                    |k| S::of_floats(proof, &floats[k]),
+                );
+                let void = voids(values);
+                let mut ends = ends_of(&floats);
+                if void != 0 {
+                    for lane in (0..SIDE_BY_SIDE).filter(|lane| void >> lane & 1 != 0) {
+                        side.void[lane] += 1;
+                        ends.iter_mut().for_each(|ends| ends[lane] = 0);
+                    }
                 }
+                for (&v, ends) in tet.iter().zip(&ends) {
+                    side.vertices[v as usize].ends.iter_mut().zip(ends).for_each(|(to, end)| *to += end);
+                }
+                shapes.one::<S>(proof, i).pieces(proof, &ladder, values, void, pieces);
             }
-            for (&v, ends) in tet.iter().zip(&ends) {
-                side.vertices[v as usize].ends.iter_mut().zip(ends).for_each(|(to, end)| *to += end);
+            // All steps of one, then of the next: so a sum need not wait for what was added to it just before.
+            if i >= LATER {
+                let pieces = &self.0[(i - LATER) % BATCH];
+                let (volume, [a, b, c, d, e, f, g, h]) = (pieces.volume[0], &mut *side.sums);
+                // Without a loop: so where each lies is known beforehand.
+                a.add::<K>(knots, pieces, 0, volume);
+                b.add::<K>(knots, pieces, 1, volume);
+                c.add::<K>(knots, pieces, 2, volume);
+                d.add::<K>(knots, pieces, 3, volume);
+                e.add::<K>(knots, pieces, 4, volume);
+                f.add::<K>(knots, pieces, 5, volume);
+                g.add::<K>(knots, pieces, 6, volume);
+                h.add::<K>(knots, pieces, 7, volume);
             }
-            shapes.one::<S>(proof, i).pieces(proof, &ladder, values, void, pieces);
-        }
-        // All steps of one, then of the next: so a sum need not wait for what was added to it just before.
-        for pieces in self.0.iter().take(tets.len()) {
-            let (volume, [a, b, c, d, e, f, g, h]) = (pieces.volume[0], &mut *side.sums);
-            // Without a loop: so where each lies is known beforehand.
-            a.add::<K>(knots, pieces, 0, volume);
-            b.add::<K>(knots, pieces, 1, volume);
-            c.add::<K>(knots, pieces, 2, volume);
-            d.add::<K>(knots, pieces, 3, volume);
-            e.add::<K>(knots, pieces, 4, volume);
-            f.add::<K>(knots, pieces, 5, volume);
-            g.add::<K>(knots, pieces, 6, volume);
-            h.add::<K>(knots, pieces, 7, volume);
         }
     }
 
