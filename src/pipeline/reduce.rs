@@ -191,7 +191,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
 }
 
 /// Steps whose files are open, and whose values are made, at a time.
-pub(super) const MOST_STEPS_AT_ONCE: u64 = 16;
+pub(super) const MOST_STEPS_AT_ONCE: u64 = 32;
 /// The same where there are no more points than this: to make their mesh again, or to decode it, is then a large part of the cost.
 pub(super) const MOST_SMALL_STEPS_AT_ONCE: u64 = 64;
 const FEW_POINTS: u64 = 1 << 16;
