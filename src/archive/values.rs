@@ -147,10 +147,11 @@ struct Encoder<'a> {
 }
 
 impl Encoder<'_> {
-    /// Finds out which way takes the fewest bytes, with some blocks: of a chunk with many its first, a middle and the last one, else a middle one.
+    /// Finds out which way takes the fewest bytes, with the first block, a middle and the last one.
     fn choose(&mut self, values: &[f32], before: Option<&[f32]>) -> How {
         let blocks = values.len().div_ceil(BLOCK_VALUES);
-        let tried = if blocks < TRY_MORE { vec![blocks / 2] } else { vec![0, blocks / 2, blocks - 1] };
+        let mut tried = vec![0, blocks / 2, blocks.saturating_sub(1)];
+        tried.dedup();
         let mut bytes_of = |after: Option<&[f32]>, coder| -> usize {
             let block = |&n: &usize| {
                 let part = n * BLOCK_VALUES..values.len().min((n + 1) * BLOCK_VALUES);
@@ -240,9 +241,6 @@ fn as_steps(values: &[f32], q: &Quantiser, out: &mut Vec<i32>) -> bool {
     out.extend(values.iter().map(|&v| q.steps_or_void(v)));
     values.iter().zip(out).all(|(v, steps)| q.value_or_void(*steps).to_bits() == v.to_bits())
 }
-
-/// Chunks of so many blocks try their ways with more than one.
-const TRY_MORE: usize = 64;
 
 /// pcodec's level: how many bins it tries. The default, 8, takes twice the time for half a percent of the bytes.
 const LEVEL: usize = 5;
