@@ -1,34 +1,153 @@
-//! Even stars, told by the encoder with half of the geometry.
+//! Even stars, told by the encoder with half of the geometry and none of the tables.
 //!
 //! The coder looks at gates four at a time, foretells what is behind each, and compares that with the truth before it looks at the next. The encoder
 //! need not: it knows the truth. If the star is even, each gate behind which is an untold triangle was a hit, and each other one was none; so
 //! gates, hits and bits follow from the triangles alone. What remains to be found out is whether all hits are foretold, and that is asked
 //! afterwards, of many gates at once, all lanes in use, and not at all of gates behind which is nothing (about two of five).
 //!
-//! If one is not, the star is told in the usual way: it is mostly odd. Where most stars are (many points on
+//! Those that are not told yet are bits of one word. A gate is the *side* on which the triangle behind it is entered: four times that triangle's
+//! number and which of its three; one number is of all that is not there, one of all that was known before. A table has the side of each directed
+//! edge. A triangle that is told opens the gates across its two other edges, but those to what is known; none need be closed. All without a branch,
+//! for none could be foretold.
+//!
+//! If the star is not even, it is told in the usual way: it is mostly odd. Where most stars are (many points on
 //! one sphere) only few are tried.
 
-use super::link::{GATES, Gate, Gates, LANES, Link, MOST, NOBODY, Path, ends, gate};
-use super::write::{TOLD, Truth};
-use super::{Even, Stars};
+use super::link::{Gate, Gates, LANES, Link, Path};
+use super::write::Truth;
+use super::{Stars, Waiting, least_first};
 
-/// The most triangles of a star that is tried, and the most bits.
+/// Places of a link that is tried.
+const PLACES: usize = 64;
+/// The most of them that known triangles add.
+const MORE_PLACES: usize = 8;
+/// The most triangles of a star that is tried, known ones of which it has edges, and bits.
 const MOST_HITS: usize = 60;
+const MOST_KNOWN: usize = 60;
 const MOST_BITS: u32 = 60;
-
-/// More than a multiple of [`LANES`] behind them.
+/// Room for so many triangles, a multiple of [`LANES`], and numbers for two that are none.
 const ROOM: usize = 64;
+/// More than all gates of a star.
+const RING: usize = 256;
+/// The side of a triangle that is not there, and of one that is known.
+const NOTHING: u8 = 62 << 2;
+const KNOWN: u8 = 63 << 2;
 
-/// The gates that are hits if all are foretold, the places of what is behind them, and their number.
+/// What is found out about a star.
 pub(super) struct Found {
-    gates: [Gate; ROOM],
-    places: [u8; ROOM],
-    len: usize,
+    /// For each directed edge, a row of [`PLACES`] for each place that it is from, the side of the triangle that has it.
+    sides: Box<[u8; PLACES * PLACES]>,
+    /// The places of a triangle (a, b, c), a byte each: a, b, c, a, b. Entered on side i, it is that from byte i.
+    triangles: [u64; ROOM],
+    /// Gates that are open in the beginning, as the table has their edges.
+    known: [u16; ROOM],
+    /// Gates in the order in which they are opened: a triangle opens two at most.
+    ring: [u8; RING],
+    /// The gates that are hits if all are foretold, and the triangles behind them as they are entered.
+    hits: [u8; ROOM],
+    places: [u32; ROOM],
 }
 
 impl Default for Found {
     fn default() -> Self {
-        Self { gates: [gate(NOBODY, NOBODY); ROOM], places: [0; ROOM], len: 0 }
+        Self {
+            sides: Box::new([NOTHING; PLACES * PLACES]),
+            triangles: [0; ROOM],
+            known: [0; ROOM],
+            ring: [KNOWN; RING],
+            hits: [0; ROOM],
+            places: [0; ROOM],
+        }
+    }
+}
+
+/// Where the table has an edge.
+#[inline(always)]
+fn edge(from: usize, to: usize) -> usize {
+    (from * PLACES + to) % (PLACES * PLACES)
+}
+
+impl Found {
+    /// Gives what is known of the link a place, clears the table, and notes the gates that open: their number. `None` if they are too many, or those of
+    /// no mesh.
+    #[inline(always)]
+    fn set_known(&mut self, stars: &mut Stars) -> Option<usize> {
+        let rows = stars.link.len + MORE_PLACES;
+        let (sides, known) = (&mut *self.sides, &mut self.known);
+        sides.get_mut(..rows * PLACES)?.fill(NOTHING);
+        let (link, cloud, waiting) = (&mut stars.link, &stars.cloud, &stars.waiting[..]);
+        let (mut at, mut n, mut open, mut double) = (stars.heads[stars.v], 0, 0, 0);
+        while let Some(&Waiting { others, next }) = waiting.get(usize::from(at)) {
+            let from = link.place(cloud, others as u16)?;
+            let to = link.place(cloud, (others >> 16) as u16)?;
+            // A known triangle has the edge of the other direction.
+            double |= std::mem::replace(&mut sides[edge(to, from)], KNOWN) ^ NOTHING;
+            known[open % ROOM] = edge(from, to) as u16;
+            open += usize::from(sides[edge(from, to)] != KNOWN);
+            n += 1;
+            at = next;
+        }
+        (n <= MOST_KNOWN && link.len <= rows && double == 0).then_some(open)
+    }
+
+    /// Finds out what is behind the gates as if all were foretold, given how many open and how many triangles there are. Gives the bits of the star and
+    /// their number; `None` if not all triangles are found.
+    #[inline(always)]
+    fn follow(&mut self, known: usize, n: usize) -> Option<(u64, u32)> {
+        let Self { sides, triangles, known: edges, ring, hits, places: behind, .. } = self;
+        let (sides, triangles) = (&**sides, &*triangles);
+        for (gate, &at) in ring.iter_mut().zip(&edges[..known]) {
+            *gate = sides[usize::from(at) % (PLACES * PLACES)];
+        }
+        // A star that is not odd begins with a zero.
+        let (mut bits, mut len) = (0u64, 1u32);
+        let (mut head, mut tail, mut found) = (0, known, 0);
+        // Bits of triangles; behind a gate to nothing is what is never told.
+        const NEVER: u64 = 1 << (NOTHING >> 2);
+        let mut untold = (1u64 << n) - 1;
+        while head < tail {
+            for k in 0..LANES {
+                ring[(tail + k) % RING] = KNOWN;
+            }
+            let were_open = untold | NEVER;
+            let four: [u8; LANES] = std::array::from_fn(|k| ring[(head + k) % RING]);
+            head += LANES.min(tail - head);
+            for side in four {
+                let triangle = side >> 2;
+                let hit = untold >> triangle & 1;
+                untold ^= hit << triangle;
+                let are_open = untold | NEVER;
+                let places = (triangles[usize::from(triangle)] >> (8 * (side & 3))) as u32;
+                let [c, d, w] = [0, 8, 16].map(|bit| (places >> bit) as usize % PLACES);
+                for across in [sides[edge(c, w)], sides[edge(w, d)]] {
+                    ring[tail % RING] = across;
+                    tail += (are_open >> (across >> 2) & hit) as usize;
+                }
+                bits |= hit.wrapping_shl(len);
+                len += (were_open >> triangle & 1) as u32;
+                (hits[found % ROOM], behind[found % ROOM]) = (side, places);
+                found += hit as usize;
+            }
+        }
+        (untold == 0 && len <= MOST_BITS).then_some((bits, len))
+    }
+
+    /// Whether all that was found is foretold.
+    #[inline(always)]
+    fn are_foretold(&self, path: impl Path, link: &Link, n: usize) -> bool {
+        let (mut gates, mut good) = (Gates::default(), true);
+        for first in (0..n).step_by(LANES) {
+            let four: [u32; LANES] = std::array::from_fn(|k| self.places[first + k]);
+            for (gate, places) in gates.gates.iter_mut().zip(four) {
+                *gate = (places as Gate).swap_bytes();
+            }
+            path.search(link, &mut gates);
+            for (lane, places) in four.into_iter().enumerate() {
+                let is_told = gates.apex(lane) == (places >> 16) as usize % 256;
+                good &= is_told | (first + lane >= n);
+            }
+        }
+        good
     }
 }
 
@@ -60,90 +179,77 @@ impl Luck {
 }
 
 impl Truth {
-    /// Tells the star that has begun, if it is even.
+    /// Tells the star that begins, if it is even: the number of its triangles. If not, nothing is told and no gate open.
     #[inline(always)]
-    pub(super) fn tell_even(&mut self, path: impl Path, stars: &mut Stars) -> Even {
-        let fits = self.untold <= MOST_HITS && self.loose.is_empty() && !stars.link.is_crowded();
-        if !fits || !self.luck.tries() {
-            return Even::Unknown;
+    pub(super) fn tell_even(&mut self, path: impl Path, stars: &mut Stars) -> Option<usize> {
+        if !self.luck.tries() {
+            return None;
         }
-        let (bits, len) = self.follow(&mut stars.link);
-        let is_even = self.found.len == self.untold && len <= MOST_BITS && self.are_foretold(path, stars);
-        self.luck.learn(is_even);
-        if !is_even {
-            return Even::No;
-        }
+        let found = self.find(path, stars);
+        self.luck.learn(found.is_some());
+        let (n, bits, len) = found?;
         let first = len.min(32);
         self.bits.put((bits & 0xffff_ffff) as u32, first);
         self.bits.put((bits >> first) as u32, len - first);
-        Even::Told(self.tell_found(stars))
+        self.tell_found(stars, n);
+        Some(n)
     }
 
-    /// Finds out what is behind the gates as if all were foretold, and closes them. Gives the bits of the star and their number.
+    /// The number of the star's triangles, its bits and their number. `None` if it is not even.
     #[inline(always)]
-    fn follow(&mut self, link: &mut Link) -> (u64, u32) {
-        // A star that is not odd begins with a zero.
-        let (mut bits, mut len) = (0u64, 1u32);
-        let (mut n, found, thirds) = (0, &mut self.found, &*self.thirds);
-        // Of what is no mesh, triangles might be found again and again.
-        while n <= self.untold
-            && let Some(gates) = link.next_four()
-        {
-            for (on, was_open) in gates {
-                let third = thirds[usize::from(on) % GATES];
-                // One that a triangle before it has closed is no hit.
-                let hit = u8::from(link.is_open(on) & (third != TOLD)) & was_open;
-                // Of no triangle the third place is that of nobody, whose gates are always closed.
-                let w = if hit == 1 { usize::from(third) } else { NOBODY };
-                link.close(on);
-                let [c, d] = ends(on);
-                link.meet_new(gate(c, w), hit);
-                link.meet_new(gate(w, d), hit);
-                bits |= u64::from(hit).wrapping_shl(len);
-                len += u32::from(was_open);
-                (found.gates[n % ROOM], found.places[n % ROOM]) = (on, w as u8);
-                n += usize::from(hit);
-            }
-        }
-        found.len = n;
-        while let Some(gates) = link.next_four() {
-            gates.into_iter().for_each(|(gate, _)| link.close(gate));
-        }
-        (bits, len)
+    fn find(&mut self, path: impl Path, stars: &mut Stars) -> Option<(usize, u64, u32)> {
+        let known = self.found.set_known(stars)?;
+        let n = self.set_triangles(stars)?;
+        let (bits, len) = self.found.follow(known, n)?;
+        self.found.are_foretold(path, &stars.link, n).then_some((n, bits, len))
     }
 
-    /// Whether all that was found is foretold.
+    /// Numbers the triangles of the star. `None` if they are too many, or no mesh, or have a vertex without a place.
     #[inline(always)]
-    fn are_foretold(&self, path: impl Path, stars: &Stars) -> bool {
-        let mut gates = Gates::default();
-        let (found, mut good) = (&self.found, true);
-        for first in (0..found.len).step_by(LANES) {
-            gates.gates[..LANES].copy_from_slice(&found.gates[first..first + LANES]);
-            path.search(&stars.link, &mut gates);
-            for lane in 0..LANES {
-                let is_told = gates.apex(lane) == usize::from(found.places[first + lane]);
-                good &= is_told | (first + lane >= found.len);
+    fn set_triangles(&mut self, stars: &Stars) -> Option<usize> {
+        let (v, link) = (stars.v, &stars.link);
+        let Found { sides, triangles, .. } = &mut self.found;
+        let sides = &mut **sides;
+        let (mut n, mut places, mut double) = (0, 0, 0);
+        for &[first, a, b, c] in &self.tets[self.rest..] {
+            if usize::from(first) != v {
+                break;
             }
+            let [a, b, c] = [a, b, c].map(|w| link.place_if_any(w));
+            places |= a | b | c;
+            let [a, b, c] = [a, b, c].map(|place| place as usize % PLACES);
+            for (i, (from, to)) in (0..).zip([(a, b), (b, c), (c, a)]) {
+                let side = (n << 2) as u8 | i;
+                double |= std::mem::replace(&mut sides[edge(from, to)], side) ^ NOTHING;
+            }
+            triangles[n % ROOM] = (a | b << 8 | c << 16 | a << 24 | b << 32) as u64;
+            n += 1;
         }
-        good
+        (n <= MOST_HITS && double == 0 && places < PLACES as u32).then_some(n)
     }
 
     /// Tells the triangles that were found.
     #[inline(always)]
-    fn tell_found(&mut self, stars: &mut Stars) -> usize {
-        let (v, n) = (self.ids[stars.v], self.found.len);
+    fn tell_found(&mut self, stars: &mut Stars, n: usize) {
+        let (ids, hits) = (&self.ids[..], &self.found.hits[..n]);
+        let tets = &self.tets[self.rest..self.rest + n];
+        let told = &mut self.told[self.at..self.at + n];
+        self.rest += n;
+        self.at += n;
+        let (heads, waiting) = (&mut stars.heads[..], &mut stars.waiting[stars.waiters..stars.waiters + n]);
         for k in 0..n {
-            let [c, d] = ends(self.found.gates[k]);
-            let w = usize::from(self.found.places[k]);
-            for edge in [gate(c, d), gate(d, w), gate(w, c)] {
-                self.thirds[usize::from(edge) % GATES] = TOLD;
-            }
-            let [c, d, w] = [c, d, w].map(|i| stars.link.id[i % MOST]);
-            let id = |v: u16| self.ids[usize::from(v)];
-            self.told.push([v, id(c), id(d), id(w)]);
-            stars.wait(c, d, w).expect("there is room for a face of each tetrahedron");
+            let side = hits[k];
+            let [v, a, b, c] = tets[usize::from(side >> 2)].map(u64::from);
+            let turn = 16 * (side & 3);
+            let all = a | b << 16 | c << 32;
+            let all = all >> turn | all << (48 - turn);
+            let [c, d, w] = [0, 16, 32].map(|bit| (all >> bit) as u16);
+            told[k] = [v as u16, c, d, w].map(|i| ids[usize::from(i)]);
+            let (least, others) = least_first([c, d, w]);
+            let head = &mut heads[usize::from(least).min(stars.own)];
+            let next = std::mem::replace(head, (stars.waiters + k) as u16);
+            waiting[k] = Waiting { others, next };
         }
-        self.untold = 0;
-        n
+        stars.waiters += n;
     }
 }

@@ -291,10 +291,16 @@ impl Link {
         [x, y, z, x.abs() + y.abs() + z.abs()]
     }
 
+    /// The place of a vertex, or a number that is none.
+    #[inline(always)]
+    pub(super) fn place_if_any(&self, w: u16) -> u32 {
+        self.slot[usize::from(w) % VERTICES] ^ self.stamp
+    }
+
     /// The place of a vertex, if it has one.
     #[inline(always)]
     pub(super) fn find(&self, w: u16) -> Option<usize> {
-        let i = self.slot[usize::from(w) % VERTICES] ^ self.stamp;
+        let i = self.place_if_any(w);
         (i < MOST as u32).then_some(i as usize)
     }
 
@@ -350,15 +356,6 @@ impl Link {
         let back = &mut self.open[usize::from(edge.rotate_left(8)) % GATES];
         let new = std::mem::take(back) ^ 1;
         self.open[usize::from(edge) % GATES] |= new;
-        self.push(edge, new);
-    }
-
-    /// [`Link::meet`] with 1, of an edge whose gate is not open; nothing with 0 and an edge at [`NOBODY`].
-    #[inline(always)]
-    pub(super) fn meet_new(&mut self, edge: Gate, edges: u8) {
-        let back = &mut self.open[usize::from(edge.rotate_left(8)) % GATES];
-        let new = std::mem::take(back) ^ edges;
-        self.open[usize::from(edge) % GATES] = new;
         self.push(edge, new);
     }
 

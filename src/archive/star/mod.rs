@@ -31,8 +31,8 @@
 //! of four are read at once: a bit a gate is more than its entropy (about 0.7), but whatever waits for one bit after another, and branches
 //! on it, takes longer than all the geometry.
 //!
-//! The decoder has to foretell what is behind one gate before it knows the next. The encoder knows them all (`even.rs`): half of its time goes into
-//! following gates and telling what is behind them, a fifth into foretelling, a fifth into numbering vertices, a tenth into odd stars.
+//! The decoder has to foretell what is behind one gate before it knows the next. The encoder knows them all (`even.rs`): a third of its time goes into
+//! following gates and telling what is behind them, a quarter into foretelling, a fifth into numbering vertices, an eighth into odd stars.
 
 mod bits;
 mod even;
@@ -102,22 +102,11 @@ trait End {
     fn untold(&self, link: &Link, to: &mut Vec<[Local; 3]>);
     /// A tetrahedron that is told now.
     fn tell(&mut self, tet: [Local; 4]);
-    /// Tells the star that has begun, if this end knows that all of it is as foretold: the number of its triangles. If not, what it has begun with
-    /// is to be met once more.
+    /// Tells the star that begins, if this end knows that all of it is as foretold: the number of its triangles.
     #[inline(always)]
-    fn even(&mut self, _: impl Path, _: &mut Stars) -> Even {
-        Even::Unknown
+    fn even(&mut self, _: impl Path, _: &mut Stars) -> Option<usize> {
+        None
     }
-}
-
-/// What the encoder has found out about a star.
-enum Even {
-    /// It is even, and told: so many triangles.
-    Told(usize),
-    /// It seems to be odd. Nothing is told, and no gate open any more.
-    No,
-    /// It was not looked at.
-    Unknown,
 }
 
 /// A face that waits for its smallest vertex to come: the other two.
@@ -126,6 +115,16 @@ struct Waiting {
     /// The second one 2^16 times.
     others: u32,
     next: u16,
+}
+
+/// Of the vertices of a face the least, and the two that follow it, the second one 2^16 times.
+#[inline(always)]
+fn least_first([c, d, w]: [Local; 3]) -> (Local, u32) {
+    // By shifting (c, d, w, c): no branch, for none could be foretold.
+    let least = c.min(d).min(w);
+    let turn = 16 * u32::from(least == c) + 32 * u32::from(least == d);
+    let [c, d, w] = [c, d, w].map(u64::from);
+    (least, ((c | d << 16 | w << 32 | c << 48) >> turn) as u32)
 }
 
 /// The vector code that may be used.
@@ -184,14 +183,6 @@ impl Stars {
         self.heads.resize(own + 1, NONE);
         self.waiting.resize(self.waiting.len().max(tets), Waiting::default());
         self.waiters = 0;
-    }
-
-    /// Begins the star of the next vertex with what is known of its link.
-    #[inline(always)]
-    fn begin(&mut self, path: impl Path, v: usize) -> Option<()> {
-        self.v = v;
-        self.link.begin(path, &self.cloud, v);
-        self.meet_known()
     }
 
     /// Opens the gates of what is known of the link.
@@ -295,17 +286,7 @@ impl Stars {
     /// A face waits for the star of its smallest vertex. `None` if there are more faces than tetrahedra.
     #[inline(always)]
     fn wait(&mut self, c: Local, d: Local, w: Local) -> Option<()> {
-        // The least, and the other two by shifting (c, d, w, c): no branch, for none could be foretold.
-        let least = c.min(d).min(w);
-        let turn = if least == c {
-            16
-        } else if least == d {
-            32
-        } else {
-            0
-        };
-        let [c, d, w] = [c, d, w].map(u64::from);
-        let others = ((c | d << 16 | w << 32 | c << 48) >> turn) as u32;
+        let (least, others) = least_first([c, d, w]);
         let head = self.heads.get_mut(usize::from(least).min(self.own))?;
         let next = std::mem::replace(head, self.waiters as u16);
         *self.waiting.get_mut(self.waiters)? = Waiting { others, next };
@@ -380,16 +361,14 @@ impl Stars {
     fn tell_on<E: End>(&mut self, path: impl Path, end: &mut E, tets: usize) -> Option<()> {
         let mut left = tets;
         for v in 0..self.own {
-            self.begin(path, v)?;
-            end.star(v as Local, &self.link)?;
-            match end.even(path, self) {
-                Even::Told(triangles) => {
-                    left = left.checked_sub(triangles)?;
-                    continue;
-                }
-                Even::No => self.meet_known()?,
-                Even::Unknown => {}
+            self.v = v;
+            self.link.begin(path, &self.cloud, v);
+            if let Some(triangles) = end.even(path, self) {
+                left = left.checked_sub(triangles)?;
+                continue;
             }
+            self.meet_known()?;
+            end.star(v as Local, &self.link)?;
             let (mut any, mut before) = (false, left + 1);
             loop {
                 if self.link.is_crowded() {

@@ -126,6 +126,37 @@ fn an_even_star_is_told_as_an_odd_one_would_be() {
     }
 }
 
+/// A mesh in which tetrahedra are missing, there twice, turned over, or have another vertex is refused, or comes back.
+#[test]
+fn what_is_almost_a_mesh_comes_back_or_is_refused() {
+    let (positions, tets) = delaunay(1000);
+    let (mut next, mut writer, mut taken) = (noise(), Writer::default(), 0);
+    for n in 0..600 {
+        let start = next(tets.len() as u32 - 400) as usize;
+        let mut some = vec![];
+        for &t in &tets[start..start + 400] {
+            if next(100) < n % 4 * 10 {
+                continue;
+            }
+            some.push(t);
+            match next(600) {
+                0 => some.push(t),
+                1 => some.push([t[0], t[2], t[1], t[3]]),
+                2 => some.push([t[0], t[1], t[2], next(positions.len() as u32)]),
+                _ => {}
+            }
+        }
+        some.retain(|t| (1..4).all(|i| !t[..i].contains(&t[i])));
+        let (some, mut bytes, mut back) = (sorted(&some), vec![], vec![]);
+        if writer.encode(&some, &positions, &mut bytes) {
+            taken += 1;
+            decode(&bytes, &positions, &mut back).unwrap();
+            assert!(back == writer.told() && sorted(&back) == some, "{n}");
+        }
+    }
+    assert!((50..550).contains(&taken), "{taken} of 600");
+}
+
 /// The mesher's order within a star depends on the instructions that it may use.
 #[test]
 fn the_order_within_stars_decides_no_byte() {

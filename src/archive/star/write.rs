@@ -4,7 +4,7 @@ use super::bits::BitWriter;
 use super::even::{Found, Luck};
 use super::link::{GATES, Gate, Gates, LANES, Link, MOST, NOBODY, Path, ends, gate};
 use super::odds::first_odds;
-use super::{DECISIONS, End, Even, LARGEST_LIST, LARGEST_STARS, Local, NONE, Stars};
+use super::{DECISIONS, End, LARGEST_LIST, LARGEST_STARS, Local, NONE, Stars};
 use crate::archive::range::{Encoder, Odds};
 use crate::archive::wire::put_varint;
 use crate::geom::LatticePos;
@@ -30,19 +30,21 @@ pub(super) struct Truth {
     /// Of the star: numbers of gates that were looked at together, with their hits; and whether there is more to it.
     hits: Vec<(u8, u8)>,
     is_odd: bool,
-    tets: Vec<[Local; 4]>,
+    pub(super) tets: Vec<[Local; 4]>,
     /// Where the tetrahedra of the stars to come begin.
-    rest: usize,
+    pub(super) rest: usize,
     star: Range<usize>,
     /// Triangles of the star that are not told.
-    pub(super) untold: usize,
+    untold: usize,
     /// For each directed edge between places of the link the third place of the triangle that has it and is not told.
-    pub(super) thirds: Box<[u8; GATES]>,
+    thirds: Box<[u8; GATES]>,
     /// Triangles that are not told and had a vertex without a place when the star began.
-    pub(super) loose: Vec<[Local; 3]>,
+    loose: Vec<[Local; 3]>,
     /// The vertices by local number, and the tetrahedra as they are told: as they will be decoded.
     pub(super) ids: Vec<u32>,
     pub(super) told: Vec<Tet>,
+    /// How many are told.
+    pub(super) at: usize,
     /// Of the star that was tried last.
     pub(super) found: Found,
     pub(super) luck: Luck,
@@ -52,7 +54,7 @@ pub(super) struct Truth {
 }
 
 /// No third place.
-pub(super) const TOLD: u8 = NOBODY as u8;
+const TOLD: u8 = NOBODY as u8;
 
 impl Default for Truth {
     fn default() -> Self {
@@ -69,6 +71,7 @@ impl Default for Truth {
             loose: vec![],
             ids: vec![],
             told: vec![],
+            at: 0,
             found: Found::default(),
             luck: Luck::default(),
             #[cfg(test)]
@@ -95,7 +98,7 @@ impl Writer {
         let ids = (first..first + own).chain(self.others.iter().copied());
         self.truth.ids.clear();
         self.truth.ids.extend(ids);
-        self.truth.told.clear();
+        self.truth.told.resize(tets.len(), [0; 4]);
         self.positions.clear();
         self.positions.extend(self.truth.ids.iter().map(|&v| positions[v as usize]));
         let size = self.size();
@@ -137,16 +140,14 @@ impl Writer {
         }
         let stamp = u32::from(self.block) << 16;
         let numbers = &mut self.numbers[..];
-        (stamp..).zip(&mut numbers[first as usize..(first + own) as usize]).for_each(|(n, to)| *to = n);
+        numbers[first as usize..(first + own) as usize].fill(stamp);
         // What is not new is overwritten: no branch, for none could be foretold.
         self.others.resize(3 * tets.len() + 1, 0);
         let (mut n, others) = (0, &mut self.others[..]);
         for t in tets {
             for &v in &t[1..] {
-                let number = &mut numbers[v as usize];
                 others[n] = v;
-                n += usize::from(*number < stamp);
-                *number = stamp.max(*number);
+                n += usize::from(std::mem::replace(&mut numbers[v as usize], stamp) < stamp);
             }
         }
         self.others.truncate(n);
@@ -154,6 +155,7 @@ impl Writer {
             return false;
         }
         self.others.sort_unstable();
+        (stamp..).zip(&mut numbers[first as usize..(first + own) as usize]).for_each(|(n, to)| *to = n);
         (stamp + own..).zip(&self.others).for_each(|(n, &v)| numbers[v as usize] = n);
         let here = &mut self.truth.tets;
         here.resize(tets.len(), [0; 4]);
@@ -191,7 +193,7 @@ impl Writer {
 impl Truth {
     /// Prepares for a block.
     fn begin(&mut self) {
-        (self.rest, self.star, self.untold) = (0, 0..0, 0);
+        (self.rest, self.star, self.untold, self.at) = (0, 0..0, 0, 0);
     }
 
     /// Forgets what a block has left that cannot be told.
@@ -376,11 +378,12 @@ impl End for Truth {
     #[inline(always)]
     fn tell(&mut self, tet: [Local; 4]) {
         let id = |v: Local| self.ids[usize::from(v)];
-        self.told.push([id(tet[0]), id(tet[1]), id(tet[2]), id(tet[3])]);
+        self.told[self.at] = [id(tet[0]), id(tet[1]), id(tet[2]), id(tet[3])];
+        self.at += 1;
     }
 
     #[inline(always)]
-    fn even(&mut self, path: impl Path, stars: &mut Stars) -> Even {
+    fn even(&mut self, path: impl Path, stars: &mut Stars) -> Option<usize> {
         self.tell_even(path, stars)
     }
 }
