@@ -59,12 +59,6 @@ pub fn signed_volume6(a: LatticePos, b: LatticePos, c: LatticePos, d: LatticePos
 
 #[inline]
 fn det3(u: [i64; 3], v: [i64; 3], w: [i64; 3]) -> i128 {
-    let reach = [u, v, w].iter().flatten().fold(0, |bits, c| bits | c.unsigned_abs());
-    if reach < 1 << 20 {
-        // Six products of less than 2^60.
-        let minor = |p: [i64; 3], q: [i64; 3]| p[0] * q[1] - p[1] * q[0];
-        return (u[2] * minor(v, w) - v[2] * minor(u, w) + w[2] * minor(u, v)).into();
-    }
     let minor = |p: [i64; 3], q: [i64; 3]| i128::from(p[0] * q[1] - p[1] * q[0]);
     i128::from(u[2]) * minor(v, w) - i128::from(v[2]) * minor(u, w) + i128::from(w[2]) * minor(u, v)
 }
