@@ -38,7 +38,7 @@ def settings():
     parser.add_argument("--counts", type=numbers, default=[62_500, 250_000, 1_000_000])
     parser.add_argument("--threads", type=numbers, default=[1, 2])
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--chunk", type=int, default=375_000, help="points of a chunk at most; halved boxes hold 250 000 on average")
+    parser.add_argument("--chunk", type=int, default=250_000, help="points of a chunk, about")
     some = lambda text: [] if text == "none" else text.split(",")
     parser.add_argument("--peers", type=some, default=PEERS, help="those to compare with, or none")
     parser.add_argument("--memory", type=float, help="address space of each program in GiB; 10 million points take isospan 10")

@@ -2,14 +2,15 @@
 //!
 //! * `mesh_points points SET COUNT FILE`: writes points of the unit cube as little-endian f64 triples.
 //! * `mesh_points kernel FILE REPEAT`: rounds them to the lattice and meshes them as one, in memory that is reused.
-//! * `mesh_points stage FILE REPEAT THREADS CHUNK`: adds samples of the cube's boundary, as a reduction has them, cuts the
-//!   cube into chunks of at most CHUNK points, and meshes those, halos and certification included.
+//! * `mesh_points stage FILE REPEAT THREADS CHUNK`: adds samples of the cube's boundary, and cuts the
+//!   cube into chunks of about CHUNK points, both as a reduction does; meshes those, halos and certification included.
 //!
 //! Prints a line a repetition: points, tetrahedra, wall seconds, CPU seconds (of all threads).
 
 use isospan::geom::curve::Order;
 use isospan::geom::{Lattice, LatticeBox, LatticePos, PointClass};
-use isospan::mesh::chunk::{ChunkOutcome, ChunkRegion, mesh_chunk};
+use isospan::grid::{BrickGrid, ChunkGrid};
+use isospan::mesh::chunk::{ChunkOutcome, ChunkRegion, mesh_widening};
 use isospan::mesh::delaunay::Mesher;
 use isospan::points::{PointSet, PointSpec, SetKind, SetSettings};
 use std::collections::BTreeSet;
@@ -112,55 +113,59 @@ fn kernel(points: &[LatticePos], repeat: usize) -> Result<(), Box<dyn Error>> {
     })
 }
 
-/// Halos of a chunk at most, each twice as wide as the one before; the last holds all points.
-const TRIES: usize = 26;
+/// A worker, and its list of positions.
+type Desk = (Mesher, Vec<LatticePos>);
 
-/// A chunk's core, and its boxes and points at each try, made when they are first asked for: in the run before those that are measured.
+/// Halos of a chunk at most, each twice as wide as the one before; the last holds all points.
+const WIDTHS: usize = 26;
+
+/// A chunk's core; its boxes and points, and those of each wider halo, made when they are first asked for: in the run before those that are measured.
 struct Chunk {
     core: LatticeBox,
-    tries: [OnceLock<Input>; TRIES],
+    first: OnceLock<(ChunkRegion, Vec<LatticePos>)>,
+    wider: [OnceLock<(LatticeBox, Vec<LatticePos>)>; WIDTHS],
 }
 
-/// A chunk's boxes and points.
-struct Input {
-    boxes: ChunkRegion,
-    positions: Vec<LatticePos>,
-}
-
-fn stage(points: Vec<LatticePos>, repeat: usize, threads: usize, chunk: usize) -> Result<(), Box<dyn Error>> {
+fn stage(points: Vec<LatticePos>, repeat: usize, threads: usize, chunk: u64) -> Result<(), Box<dyn Error>> {
     let spacing = (f64::from(SIDE) / (points.len() as f64).cbrt()) as u32;
     let on_faces = boundary(points.len() as u64)?;
     let all: BTreeSet<LatticePos> = points.into_iter().chain(on_faces).collect();
     let all: Vec<LatticePos> = all.into_iter().collect();
     let order = Order::for_count(all.len() as u64);
     let domain = LatticeBox { lo: [0; 3], hi: [SIDE + 1; 3] };
-    let mut cores = vec![];
-    cut(all.clone(), domain, chunk.max(1), &mut cores);
-    let chunks: Vec<Chunk> =
-        cores.iter().map(|&core| Chunk { core, tries: [const { OnceLock::new() }; TRIES] }).collect();
-    let mesh = |mesher: &mut Mesher, chunk: &Chunk| -> Result<usize, isospan::Error> {
-        for (widened, input) in (0..).zip(&chunk.tries) {
-            let input = input.get_or_init(|| halo(&all, chunk.core, domain, spacing, widened));
-            match mesh_chunk(mesher, &input.boxes, &input.positions, &order)? {
-                ChunkOutcome::Done(mesh) => {
-                    let tets = mesh.tets.len();
-                    mesher.reuse(mesh.tets);
-                    return Ok(tets);
-                }
-                // As a reduction does.
-                ChunkOutcome::WidenHalo { .. } => {}
+    let cores = cores(&all, chunk)?;
+    let no_more = [const { OnceLock::new() }; WIDTHS];
+    let chunks = cores.into_iter().map(|core| Chunk { core, first: OnceLock::new(), wider: no_more.clone() });
+    let chunks: Vec<Chunk> = chunks.collect();
+    let mesh = |(mesher, positions): &mut Desk, chunk: &Chunk| -> Result<usize, isospan::Error> {
+        let (boxes, first) = chunk.first.get_or_init(|| halo(&all, chunk.core, domain, spacing));
+        positions.clear();
+        positions.extend_from_slice(first);
+        let mut wider = (1..).zip(&chunk.wider);
+        let mut widen = |positions: &mut Vec<LatticePos>| {
+            let (widened, points) =
+                wider.next().expect("a region that is the whole domain certifies everything");
+            let (region, more) = points.get_or_init(|| widened_halo(&all, boxes, spacing, widened));
+            positions.extend_from_slice(more);
+            Ok(Some(*region))
+        };
+        match mesh_widening(mesher, boxes, positions, &order, false, &mut widen)? {
+            ChunkOutcome::Done(mesh) => {
+                let tets = mesh.tets.len();
+                mesher.reuse(mesh.tets);
+                Ok(tets)
             }
+            ChunkOutcome::WidenHalo { .. } => unreachable!("there is always a wider halo"),
         }
-        unreachable!("a region that is the whole domain certifies everything")
     };
-    let mut meshers: Vec<Mesher> = (0..threads).map(|_| Mesher::new()).collect();
+    let mut desks: Vec<Desk> = (0..threads).map(|_| (Mesher::new(), vec![])).collect();
     report(repeat, all.len(), || {
         let (next, total) = (AtomicUsize::new(0), AtomicUsize::new(0));
         std::thread::scope(|scope| {
-            for mesher in &mut meshers {
+            for desk in &mut desks {
                 scope.spawn(|| {
                     while let Some(chunk) = chunks.get(next.fetch_add(1, Ordering::Relaxed)) {
-                        let tets = mesh(mesher, chunk).expect("the points are on the lattice");
+                        let tets = mesh(desk, chunk).expect("the points are on the lattice");
                         total.fetch_add(tets, Ordering::Relaxed);
                     }
                 });
@@ -187,30 +192,53 @@ fn boundary(count: u64) -> Result<Vec<LatticePos>, Box<dyn Error>> {
     Ok(all)
 }
 
-/// Halves the box across its longest edge until each part has at most `most` points.
-fn cut(points: Vec<LatticePos>, part: LatticeBox, most: usize, cores: &mut Vec<LatticeBox>) {
-    let axis = (0..3).max_by_key(|&a| part.hi[a] - part.lo[a]).expect("there are three axes");
-    let mut along: Vec<u32> = points.iter().map(|p| p[axis]).collect();
-    let middle = along.len() / 2;
-    if points.len() <= most || part.hi[axis] - part.lo[axis] < 2 {
-        return cores.push(part);
+/// Chunks of about so many points, cut between bricks of about a thousand, as a reduction has them.
+fn cores(all: &[LatticePos], chunk: u64) -> Result<Vec<LatticeBox>, Box<dyn Error>> {
+    let lattice = Lattice::new([1025; 3])?;
+    let edge = 1024.0 * (1024.0 / all.len() as f64).cbrt();
+    let bricks = BrickGrid { lattice, edge: [(edge.round() as u64).clamp(1, 64); 3] };
+    let mut counts = vec![0u64; usize::try_from(bricks.len())?];
+    for &p in all {
+        counts[bricks.id(bricks.brick_at(p)).0 as usize] += 1;
     }
-    let at = (*along.select_nth_unstable(middle).1).clamp(part.lo[axis] + 1, part.hi[axis] - 1);
-    let (below, above): (Vec<_>, Vec<_>) = points.into_iter().partition(|p| p[axis] < at);
-    let (mut low, mut high) = (part, part);
-    (low.hi[axis], high.lo[axis]) = (at, at);
-    cut(below, low, most, cores);
-    cut(above, high, most, cores);
+    let count = move |b: &LatticeBox| {
+        let (lo, hi) = (bricks.brick_at(b.lo), bricks.brick_at(b.hi.map(|c| c - 1)));
+        let rows = (lo[2]..=hi[2]).flat_map(|z| (lo[1]..=hi[1]).map(move |y| (y, z)));
+        let row = |(y, z)| &counts[bricks.id([lo[0], y, z]).0 as usize..=bricks.id([hi[0], y, z]).0 as usize];
+        rows.flat_map(row).sum()
+    };
+    Ok(ChunkGrid::new(bricks, chunk, count)?.iter().map(|chunk| chunk.core).collect())
 }
 
-/// The halo of a chunk, widened so many times.
-fn halo(all: &[LatticePos], core: LatticeBox, domain: LatticeBox, spacing: u32, widened: u32) -> Input {
-    let width = |quarters: u32| (u64::from(spacing / 4 * quarters) << widened).min(u64::from(SIDE)) as u32;
-    let near = core.grow_within([width(quarters("NEAR", 6)); 3], &domain);
-    let region = core.grow_within([width(quarters("FAR", 16)); 3], &domain);
+/// The halo of a chunk.
+fn halo(
+    all: &[LatticePos],
+    core: LatticeBox,
+    domain: LatticeBox,
+    spacing: u32,
+) -> (ChunkRegion, Vec<LatticePos>) {
+    let near = core.grow_within([spacing / 4 * quarters("NEAR", 7); 3], &domain);
+    let region = core.grow_within([far(spacing, 0); 3], &domain);
     let mut positions: Vec<LatticePos> = all.iter().copied().filter(|p| region.contains(*p)).collect();
     positions.sort_by_key(|p| !near.contains(*p));
-    Input { boxes: ChunkRegion { core, near, region, domain }, positions }
+    (ChunkRegion { core, near, region, domain }, positions)
+}
+
+/// A halo that is twice as wide so many times, and what it has more than the one before.
+fn widened_halo(
+    all: &[LatticePos],
+    boxes: &ChunkRegion,
+    spacing: u32,
+    widened: u32,
+) -> (LatticeBox, Vec<LatticePos>) {
+    let region = |widened| boxes.core.grow_within([far(spacing, widened); 3], &boxes.domain);
+    let (before, region) = (region(widened - 1), region(widened));
+    (region, all.iter().copied().filter(|p| region.contains(*p) && !before.contains(*p)).collect())
+}
+
+/// The width of the region, widened so many times.
+fn far(spacing: u32, widened: u32) -> u32 {
+    (u64::from(spacing / 4 * quarters("FAR", 12)) << widened).min(u64::from(SIDE)) as u32
 }
 
 /// A width in quarters of the spacing, to try others.

@@ -96,11 +96,6 @@ impl Unseen {
         Self { domain, slabs, lo, hi, grow_r2: local.margin + 0.5, grow_r }
     }
 
-    /// Whether nothing is unseen.
-    pub(super) fn is_empty(&self) -> bool {
-        self.slabs.is_empty()
-    }
-
     /// Whether a positively oriented tetrahedron is certified; `sphere` as the kernel stored it.
     #[inline]
     pub(super) fn spares(&self, tet: impl FnOnce() -> [LatticePos; 4], sphere: &[f64; 4]) -> bool {

@@ -146,32 +146,62 @@ impl Mesher {
         self.insert_all(first)
     }
 
-    /// Adds positions to a mesh that has tetrahedra; `indices` are those of [`Mesher::delaunay_of_first`] beyond its `count`,
-    /// in any order, of positions that are not in the mesh yet. Puts the new records into `touched`.
+    /// Adds a position to a mesh that has tetrahedra, `index` its number among the input positions; it is not in the mesh yet, and
+    /// [`Mesher::has_room`] for it. `near` is a record, best one that it ends. Returns the new records.
     ///
     /// The result is the tetrahedralization of all of them: the tie rule is that of the positions, whenever they come.
     ///
     /// # Errors
     /// [`Error::Usage`] as [`Mesher::delaunay`].
-    pub(super) fn add(
-        &mut self,
-        positions: &[LatticePos],
-        mut indices: Vec<u32>,
-        touched: &mut Vec<u32>,
-    ) -> Result<()> {
-        self.arena.in_order = false;
+    pub(super) fn add(&mut self, position: LatticePos, index: u32, near: u32) -> Result<&[u32]> {
+        let arena = &mut self.arena;
+        arena.in_order = false;
         // The spheres of a half-lattice call a tie "not in conflict", half a quantum beyond the margin; now a tie is a
         // question for the full rule.
-        self.arena.margin.above = self.arena.margin.e + 1.0;
-        // Neighbours one after the other, and of equal positions only the first.
-        let order = self.arena.order;
-        indices.sort_unstable_by_key(|&i| (order.key(positions[i as usize]), positions[i as usize], i));
-        indices.dedup_by_key(|i| positions[*i as usize]);
-        for i in indices {
-            self.arena.points.push(self.arena.frame.point(positions[i as usize]));
-            self.source.push(i);
-            self.insert(self.source.len() as u32, None)?;
-            touched.extend_from_slice(&self.arena.star.id);
+        arena.margin.above = arena.margin.e + 1.0;
+        let point = arena.frame.point(position);
+        arena.points.push(point);
+        self.source.push(index);
+        let vertex = self.source.len() as u32;
+        arena.cavity.clear();
+        if !arena.tets[near as usize].is_dead() {
+            arena.hint = near;
+            if arena.conflicts(near, vertex, point.f64s()) {
+                arena.cavity.push(near);
+            }
+        }
+        self.insert(vertex, None)?;
+        Ok(&self.arena.star.id)
+    }
+
+    /// Where a position is along the curve of the insertion order.
+    pub(super) fn key(&self, position: LatticePos) -> u64 {
+        self.arena.order.key(position)
+    }
+
+    /// Whether [`Mesher::add`] can add a position.
+    pub(super) fn has_room(&self, position: LatticePos) -> bool {
+        self.arena.frame.has(position)
+    }
+
+    /// Makes room for more positions, which now are among `positions`; the others are where they were.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] as [`Mesher::delaunay`].
+    pub(super) fn make_room(&mut self, positions: &[LatticePos]) -> Result<()> {
+        check(positions, &self.arena.order)?;
+        // Other coordinates, and other spheres for the same tetrahedra.
+        let frame = Frame::around(positions);
+        let points = &mut self.arena.points;
+        for (point, &i) in points[1..].iter_mut().zip(&self.source) {
+            point.at = frame.point(positions[i as usize]).at;
+        }
+        self.arena.margin = margin(points, &frame);
+        self.arena.frame = frame;
+        for tet in 0..self.arena.tets.len() {
+            if !self.arena.tets[tet].is_dead() {
+                self.arena.tets[tet].sphere = self.arena.sphere_of(tet as u32);
+            }
         }
         Ok(())
     }
@@ -257,7 +287,7 @@ impl Mesher {
         points.clear();
         points.push(Point { at: [f32::NAN; 3], tag: 0 });
         points.extend(self.source.iter().map(|&i| frame.point(positions[i as usize])));
-        self.arena.margin = margin(points);
+        self.arena.margin = margin(points, &frame);
         (self.arena.frame, self.arena.order, self.arena.tag) = (frame, *order, FIRST_TAG);
         // Uniform points have 6.8 tetrahedra each, and ghosts.
         pages::reserve(&mut self.arena.tets, 8 * self.source.len());
@@ -379,17 +409,18 @@ fn collinear(a: LatticePos, b: LatticePos, c: LatticePos) -> bool {
 }
 
 /// The margin that suits the points: small against their spacing, and exact spheres where they look like a lattice.
-fn margin(points: &[Point]) -> Margin {
+fn margin(points: &[Point], frame: &Frame) -> Margin {
     let finite = &points[1..];
-    let size = finite.iter().fold([0f64; 3], |m, p| {
-        let at = p.f64s();
-        std::array::from_fn(|k| m[k].max(at[k]))
+    let (least, most) = finite.iter().fold(([f32::MAX; 3], [0f32; 3]), |(least, most), p| {
+        (std::array::from_fn(|k| least[k].min(p.at[k])), std::array::from_fn(|k| most[k].max(p.at[k])))
     });
-    let largest = size.into_iter().fold(1.0, f64::max);
+    let size: [f64; 3] = std::array::from_fn(|k| f64::from((most[k] - least[k]).max(0.0)));
+    let extent = size.into_iter().fold(1.0, f64::max);
     let volume = size.into_iter().map(|s| s.max(1.0)).product::<f64>();
     let spacing = (volume / finite.len().max(1) as f64).cbrt();
     let wished = spacing * spacing / f64::from(1u32 << 16);
-    Margin::new(wished, largest, largest <= 65_536.0 || mostly_coarse(finite))
+    // Positions that come later may be the largest.
+    Margin::new(wished, frame.largest(), extent <= 65_536.0 || mostly_coarse(finite))
 }
 
 /// Whether at least a quarter of the points (of a sample) lie on a lattice 16 times coarser, wherever its origin: in a chunk,

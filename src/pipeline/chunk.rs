@@ -11,7 +11,7 @@ use crate::exec::CancelToken;
 use crate::geom::curve::Order;
 use crate::geom::{LatticeBox, LatticePos, PointId, Site};
 use crate::grid::{BrickGrid, Chunk};
-use crate::mesh::chunk::{ChunkMesh, ChunkOutcome, ChunkRegion, mesh_with_stars};
+use crate::mesh::chunk::{ChunkMesh, ChunkOutcome, ChunkRegion, mesh_widening};
 use crate::mesh::delaunay::Mesher;
 use crate::mesh::list::TetList;
 use crate::mesh::tet::Tet;
@@ -109,9 +109,8 @@ impl MeshedChunk {
 /// What came of meshing a chunk.
 pub(crate) enum Meshing {
     Done(MeshedChunk),
-    /// This try needs more memory than there is room for.
+    /// A halo that is wide enough needs more memory than there is room for.
     NeedsRoom {
-        retries: u32,
         bytes: u64,
     },
 }
@@ -128,46 +127,59 @@ pub(crate) struct Maker {
 }
 
 impl Maker {
-    /// Enumerates the chunk's points and meshes them, beginning with the halo of try `first`, and widening it until every
+    /// Enumerates the chunk's points and meshes them; the halo is widened until every
     /// owned tetrahedron is certified, as long as the region fits in `room` bytes. What comes out does not depend on `room`.
     pub(crate) fn mesh(
         &mut self,
         recipe: &Recipe<'_>,
         chunk: &Chunk,
-        first: u32,
         room: u64,
         cancel: &CancelToken,
     ) -> Result<Meshing> {
+        cancel.check()?;
         let domain = recipe.bricks.lattice.domain();
         let core_counts = self.list_core(recipe, chunk)?;
         let core = self.sites.len();
-        for retries in first.. {
-            cancel.check()?;
-            let grown = need::region(recipe.points, &chunk.core, &domain, recipe.halo, retries);
-            let bytes = need::room_for(recipe.points.count_in(&grown), recipe.halo);
-            if bytes > room {
-                return Ok(Meshing::NeedsRoom { retries, bytes });
-            }
-            let near = need::near(recipe.points, &chunk.core, &domain, recipe.halo, retries);
-            let region = ChunkRegion { core: chunk.core, near, region: grown, domain };
-            self.sites.truncate(core);
-            if core > 0 {
-                self.list_halo(recipe, chunk, &region);
-            }
-            self.positions.clear();
-            self.positions.extend(self.sites.iter().map(|s| s.pos));
-            let stars = recipe.halo == Halo::Stars;
-            match mesh_with_stars(&mut self.mesher, &region, &self.positions, &recipe.order, stars)? {
-                ChunkOutcome::Done(mesh) => {
-                    let positions = std::mem::take(&mut self.positions);
-                    let done = renumber(core_counts, &self.sites, positions, mesh, retries);
-                    return Ok(Meshing::Done(done));
-                }
-                // Twice as wide each time: a region that is the whole domain certifies everything, so this ends.
-                ChunkOutcome::WidenHalo { .. } => {}
-            }
+        let region = |retries| need::region(recipe.points, &chunk.core, &domain, recipe.halo, retries);
+        let needs = |region: &LatticeBox| need::room_for(recipe.points.count_in(region), recipe.halo);
+        let near = need::near(recipe.points, &chunk.core, &domain, recipe.halo);
+        let boxes = ChunkRegion { core: chunk.core, near, region: region(0), domain };
+        let bytes = needs(&boxes.region);
+        if bytes > room {
+            return Ok(Meshing::NeedsRoom { bytes });
         }
-        unreachable!("the loop ends by returning")
+        if core > 0 {
+            self.list_halo(recipe, &boxes);
+        }
+        self.positions.clear();
+        self.positions.extend(self.sites.iter().map(|s| s.pos));
+        let (mut retries, mut bytes) = (0, bytes);
+        let Self { mesher, sites, one_box, positions, .. } = self;
+        // Twice as wide each time: a region that is the whole domain certifies everything, so this ends.
+        let mut widen = |positions: &mut Vec<LatticePos>| {
+            cancel.check()?;
+            let (narrow, wide) = (region(retries), region(retries + 1));
+            retries += 1;
+            bytes = needs(&wide);
+            if bytes > room {
+                return Ok(None);
+            }
+            for b in shell(&narrow, &wide) {
+                list_box(recipe.points, &b, one_box);
+                sites.extend_from_slice(one_box);
+            }
+            let known = positions.len();
+            positions.extend(sites[known..].iter().map(|s| s.pos));
+            Ok(Some(wide))
+        };
+        let stars = recipe.halo == Halo::Stars;
+        match mesh_widening(mesher, &boxes, positions, &recipe.order, stars, &mut widen)? {
+            ChunkOutcome::Done(mesh) => {
+                let positions = std::mem::take(&mut self.positions);
+                Ok(Meshing::Done(renumber(core_counts, &self.sites, positions, mesh, retries)))
+            }
+            ChunkOutcome::WidenHalo { .. } => Ok(Meshing::NeedsRoom { bytes }),
+        }
     }
 
     /// Takes memory of a chunk that is finished, for the next.
@@ -192,18 +204,22 @@ impl Maker {
     }
 
     /// Appends the sites of the region outside the chunk's core, those of its inner part first.
-    fn list_halo(&mut self, recipe: &Recipe<'_>, chunk: &Chunk, region: &ChunkRegion) {
+    fn list_halo(&mut self, recipe: &Recipe<'_>, boxes: &ChunkRegion) {
         let Self { sites, one_box, late, .. } = self;
-        for b in shell(&chunk.core, &region.region) {
-            recipe.points.candidates_in(&b, one_box);
-            // Of equal positions the mesh keeps the first: it must be the one of the lowest id.
-            one_box.sort_unstable_by_key(|s| s.id);
+        for b in shell(&boxes.core, &boxes.region) {
+            list_box(recipe.points, &b, one_box);
             for site in &*one_box {
-                if region.near.contains(site.pos) { sites.push(*site) } else { late.push(*site) }
+                if boxes.near.contains(site.pos) { sites.push(*site) } else { late.push(*site) }
             }
         }
         sites.append(late);
     }
+}
+
+/// Lists the sites of a box by their ids: of equal positions the mesh keeps the first, which must be the one of the lowest id.
+fn list_box(points: &PointSet, b: &LatticeBox, sites: &mut Vec<Site>) {
+    points.candidates_in(b, sites);
+    sites.sort_unstable_by_key(|s| s.id);
 }
 
 /// Six boxes that tile `outer` without `inner`.

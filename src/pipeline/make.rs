@@ -83,22 +83,22 @@ pub(super) fn make_chunk(work: &Work<'_>, chunk: &Chunk) -> Result<Product> {
     {
         return Ok(product);
     }
-    let retries = {
+    {
         let _together = work.rooms.turn.read().unwrap_or_else(PoisonError::into_inner);
         let mut desk = work.rooms.take_desk();
-        match make_in_room(work, chunk, &mut desk, 0, work.shares.room)? {
+        match make_in_room(work, chunk, &mut desk, work.shares.room)? {
             Making::Done(product) => {
                 work.rooms.put_desk(desk);
                 return Ok(product);
             }
-            Making::NeedsRoom { retries, .. } => retries,
+            Making::NeedsRoom { .. } => {}
         }
-    };
+    }
     let _alone = work.rooms.turn.write().unwrap_or_else(PoisonError::into_inner);
     work.rooms.drop_desks();
-    match make_in_room(work, chunk, &mut Desk::default(), retries, work.shares.room_alone())? {
+    match make_in_room(work, chunk, &mut Desk::default(), work.shares.room_alone())? {
         Making::Done(product) => Ok(product),
-        Making::NeedsRoom { bytes, .. } => Err(Error::Budget {
+        Making::NeedsRoom { bytes } => Err(Error::Budget {
             what: format!(
                 "memory (chunk {} needs a wide halo; smaller --chunk-points need less)",
                 chunk.id.0
@@ -112,32 +112,26 @@ pub(super) fn make_chunk(work: &Work<'_>, chunk: &Chunk) -> Result<Product> {
 /// As [`Meshing`].
 enum Making {
     Done(Product),
-    NeedsRoom { retries: u32, bytes: u64 },
+    NeedsRoom { bytes: u64 },
 }
 
-fn make_in_room(
-    work: &Work<'_>,
-    chunk: &Chunk,
-    desk: &mut Desk,
-    first_try: u32,
-    room: u64,
-) -> Result<Making> {
+fn make_in_room(work: &Work<'_>, chunk: &Chunk, desk: &mut Desk, room: u64) -> Result<Making> {
     let mut times = StageTimes::default();
     let mut lap = Lap(Instant::now());
     if let Some(stored) = &work.stored {
         let again = match work.recipe.halo {
             Halo::Owned => None,
             // What values are fitted to is not stored: it is made again.
-            Halo::Stars => match desk.maker.mesh(work.recipe, chunk, first_try, room, work.cancel)? {
+            Halo::Stars => match desk.maker.mesh(work.recipe, chunk, room, work.cancel)? {
                 Meshing::Done(mesh) => Some(mesh),
-                Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
+                Meshing::NeedsRoom { bytes } => return Ok(Making::NeedsRoom { bytes }),
             },
         };
         return make_from_stored(work, stored, chunk, again, desk).map(Making::Done);
     }
-    let mut mesh = match desk.maker.mesh(work.recipe, chunk, first_try, room, work.cancel)? {
+    let mut mesh = match desk.maker.mesh(work.recipe, chunk, room, work.cancel)? {
         Meshing::Done(mesh) => mesh,
-        Meshing::NeedsRoom { retries, bytes } => return Ok(Making::NeedsRoom { retries, bytes }),
+        Meshing::NeedsRoom { bytes } => return Ok(Making::NeedsRoom { bytes }),
     };
     lap.add_to(&mut times.mesh);
     let mut placement = note(work, 0, work.steps[0].field.place(&mesh))?;

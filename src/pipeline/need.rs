@@ -64,8 +64,9 @@ const POINTS_PER_SECOND: f64 = 150_000.0;
 /// Chunks looked at to find the largest.
 const MOST_LOOKED_AT: u64 = 1 << 16;
 
-/// Halo width in quarters of the mean point spacing of the first try: each further try doubles both. All points within the
-/// first are inserted at once; those within the second are known, and inserted where a tetrahedron needs them.
+/// Halo width in quarters of the mean point spacing. All points within the
+/// first are inserted at once; those within the second are known, and inserted where a tetrahedron needs them. The second is doubled as often as a
+/// sphere leaves it.
 const NEAR_QUARTERS: u64 = 7;
 const HALO_QUARTERS: u64 = 12;
 /// More of both where the tetrahedra around the chunk's are needed: they reach one edge further.
@@ -95,7 +96,7 @@ impl Halo {
     }
 }
 
-/// The core of a chunk with the halo of a try.
+/// The core of a chunk with its halo, widened so many times.
 pub(crate) fn region(
     points: &PointSet,
     core: &LatticeBox,
@@ -106,15 +107,9 @@ pub(crate) fn region(
     core.grow_sides(widths(points, core, HALO_QUARTERS + halo.extra_quarters(), retries), domain)
 }
 
-/// The core of a chunk with the inner halo of a try, whose points are all inserted.
-pub(crate) fn near(
-    points: &PointSet,
-    core: &LatticeBox,
-    domain: &LatticeBox,
-    halo: Halo,
-    retries: u32,
-) -> LatticeBox {
-    core.grow_sides(widths(points, core, NEAR_QUARTERS + halo.extra_quarters(), retries), domain)
+/// The core of a chunk with its inner halo, whose points are all inserted.
+pub(crate) fn near(points: &PointSet, core: &LatticeBox, domain: &LatticeBox, halo: Halo) -> LatticeBox {
+    core.grow_sides(widths(points, core, NEAR_QUARTERS + halo.extra_quarters(), 0), domain)
 }
 
 /// On the low sides, and on the high ones.

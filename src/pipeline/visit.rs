@@ -118,7 +118,6 @@ impl<'a> Visit<'a> {
             &archive.chunks.chunk(id).core,
             &archive.chunks.bricks().lattice.domain(),
             need::Halo::Owned,
-            0,
         ))
     }
 

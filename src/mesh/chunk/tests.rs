@@ -64,23 +64,38 @@ struct Part {
     unshared: BTreeSet<LatticePos>,
 }
 
+/// Meshes a chunk, its halo at first so wide; counts how often it was widened.
 fn chunk(all: &[LatticePos], domain: LatticeBox, core: LatticeBox, halo: u32, retries: &mut u32) -> Part {
+    let (mesh, local) = widening(all, domain, core, halo, false, retries);
+    part(&local, &mesh)
+}
+
+fn widening(
+    all: &[LatticePos],
+    domain: LatticeBox,
+    core: LatticeBox,
+    mut halo: u32,
+    stars: bool,
+    retries: &mut u32,
+) -> (ChunkMesh, Vec<LatticePos>) {
     let order = Order::for_count(all.len() as u64);
-    let mut mesher = Mesher::new();
-    let mut halo = halo;
-    loop {
-        let region = core.grow_within([halo; 3], &domain);
-        let near = core.grow_within([halo / 3; 3], &domain);
-        let mut local: Vec<LatticePos> = all.iter().copied().filter(|p| region.contains(*p)).collect();
-        local.sort_by_key(|p| !near.contains(*p));
-        match mesh_chunk(&mut mesher, &ChunkRegion { core, near, region, domain }, &local, &order).unwrap() {
-            ChunkOutcome::Done(mesh) => return part(&local, &mesh),
-            ChunkOutcome::WidenHalo { uncertified } => {
-                assert!(uncertified > 0 && region != domain);
-                *retries += 1;
-                halo = halo * 3 / 2 + 1;
-            }
-        }
+    let region = core.grow_within([halo; 3], &domain);
+    let near = core.grow_within([halo / 3; 3], &domain);
+    let mut local: Vec<LatticePos> = all.iter().copied().filter(|p| region.contains(*p)).collect();
+    local.sort_by_key(|p| !near.contains(*p));
+    let boxes = ChunkRegion { core, near, region, domain };
+    let mut widen = |positions: &mut Vec<LatticePos>| {
+        let narrow = core.grow_within([halo; 3], &domain);
+        assert!(narrow != domain);
+        *retries += 1;
+        halo = halo * 3 / 2 + 1;
+        let wide = core.grow_within([halo; 3], &domain);
+        positions.extend(all.iter().filter(|p| wide.contains(**p) && !narrow.contains(**p)));
+        Ok(Some(wide))
+    };
+    match mesh_widening(&mut Mesher::new(), &boxes, &mut local, &order, stars, &mut widen).unwrap() {
+        ChunkOutcome::Done(mesh) => (mesh, local),
+        ChunkOutcome::WidenHalo { .. } => unreachable!("there is always a wider halo"),
     }
 }
 
@@ -89,7 +104,7 @@ fn stars(
     all: &[LatticePos],
     domain: LatticeBox,
     core: LatticeBox,
-    mut halo: u32,
+    halo: u32,
 ) -> [BTreeSet<[LatticePos; 4]>; 2] {
     let order = Order::for_count(all.len() as u64);
     let mut mesher = Mesher::new();
@@ -105,21 +120,11 @@ fn stars(
         whole.iter().filter(|t| core.contains(t[0])).flatten().copied().collect();
     let wanted =
         whole.into_iter().filter(|t| !core.contains(t[0]) && t.iter().any(|p| used.contains(p))).collect();
-    loop {
-        let region = core.grow_within([halo; 3], &domain);
-        let near = core.grow_within([halo / 3; 3], &domain);
-        let mut local: Vec<LatticePos> = all.iter().copied().filter(|p| region.contains(*p)).collect();
-        local.sort_by_key(|p| !near.contains(*p));
-        let boxes = ChunkRegion { core, near, region, domain };
-        if let ChunkOutcome::Done(mesh) = mesh_with_stars(&mut mesher, &boxes, &local, &order, true).unwrap()
-        {
-            let found: Vec<_> = mesh.tets.around().iter().map(|t| four(t, &local)).collect();
-            let set: BTreeSet<_> = found.iter().copied().collect();
-            assert_eq!(set.len(), found.len(), "each once");
-            return [wanted, set];
-        }
-        halo = halo * 3 / 2 + 1;
-    }
+    let (mesh, local) = widening(all, domain, core, halo, true, &mut 0);
+    let found: Vec<_> = mesh.tets.around().iter().map(|t| four(t, &local)).collect();
+    let set: BTreeSet<_> = found.iter().copied().collect();
+    assert_eq!(set.len(), found.len(), "each once");
+    [wanted, set]
 }
 
 #[test]
@@ -283,6 +288,63 @@ fn bad_boxes_and_stray_positions_are_refused() {
     assert!(stray.to_string().contains("outside its chunk's region"));
     let late = mesh_chunk(&mut mesher, &good, &[[1, 1, 7], [1, 1, 5]], &order).unwrap_err();
     assert!(late.to_string().contains("must come before"));
+}
+
+#[test]
+fn where_no_wider_halo_is_given_the_answer_says_so() {
+    let all = with_boundary(600, [FULL; 3], 4);
+    let domain = domain_of([FULL; 3]);
+    let core = cores(&domain, [2, 2, 2])[0];
+    let boxes = ChunkRegion { core, near: core, region: core, domain };
+    let local: Vec<LatticePos> = all.iter().copied().filter(|p| core.contains(*p)).collect();
+    let order = Order::for_count(all.len() as u64);
+    let outcome = mesh_chunk(&mut Mesher::new(), &boxes, &local, &order).unwrap();
+    assert!(matches!(outcome, ChunkOutcome::WidenHalo { uncertified } if uncertified > 0));
+    // Nor may one be no wider, or come with positions that are known.
+    let wrong = |region: LatticeBox, more: &[LatticePos]| {
+        let mut widen = |positions: &mut Vec<LatticePos>| {
+            positions.extend_from_slice(more);
+            Ok(Some(region))
+        };
+        let mut mesher = Mesher::new();
+        mesh_widening(&mut mesher, &boxes, &mut local.clone(), &order, false, &mut widen)
+            .unwrap_err()
+            .to_string()
+    };
+    assert!(wrong(core, &[]).contains("is not widened"));
+    assert!(wrong(domain, &local[..1]).contains("lies outside what"));
+}
+
+#[test]
+fn of_equal_positions_the_first_is_the_vertex_wherever_it_is_asked_for() {
+    let all = with_boundary(1500, [FULL; 3], 6);
+    let domain = domain_of([FULL; 3]);
+    let core = cores(&domain, [2, 2, 2])[0];
+    let twice: Vec<LatticePos> = all.iter().flat_map(|&p| [p; 2]).collect();
+    let mut widened = 0;
+    let (mesh, local) = widening(&twice, domain, core, FULL / 60, false, &mut widened);
+    let mut first = BTreeMap::new();
+    (0u32..).zip(&local).for_each(|(i, &p)| _ = first.entry(p).or_insert(i));
+    assert!(widened > 0 && mesh.tets.iter().flatten().all(|&v| first[&local[v as usize]] == v));
+    assert_eq!(mesh.tets.len(), chunk(&all, domain, core, FULL, &mut 0).tets.len());
+}
+
+#[test]
+fn positions_that_come_later_need_not_fit_the_coordinates_of_the_first() {
+    // Inside all are multiples of 2^10; below and between lie others.
+    let mut all: BTreeSet<LatticePos> =
+        grid(17, 1 << 10).into_iter().map(|p| p.map(|c| c + (1 << 15))).collect();
+    let mut r = Lcg(3);
+    all.extend(
+        (0..2000)
+            .map(|_| [r.below(1 << 16), r.below(1 << 16), r.below(1 << 16)])
+            .filter(|p| p.iter().any(|&c| !((1 << 15) - 900..(1 << 15) + (17 << 10)).contains(&c))),
+    );
+    let all: Vec<LatticePos> = all.into_iter().collect();
+    let max = [(1 << 16) - 1; 3];
+    for halo in [1, 300, 3000] {
+        assert!(same("later", &all, max, [2, 2, 2], halo).0 > 0);
+    }
 }
 
 proptest! {

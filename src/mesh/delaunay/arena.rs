@@ -1,7 +1,7 @@
 //! The memory of one worker: points, tetrahedra with their spheres, and the error margin of the spheres.
 
-use crate::geom::LatticePos;
 use crate::geom::curve::Order;
+use crate::geom::{Lattice, LatticePos};
 
 /// Vertex number of the point at infinity.
 pub(super) const INFINITE: u32 = 0;
@@ -188,7 +188,25 @@ impl Frame {
     pub(super) fn around(positions: &[LatticePos]) -> Self {
         let origin = positions.iter().fold([u32::MAX; 3], |m, p| std::array::from_fn(|k| m[k].min(p[k])));
         let bits = positions.iter().fold(0, |bits, p| (0..3).fold(bits, |bits, k| bits | (p[k] - origin[k])));
-        Self { origin, shift: if bits == 0 { 0 } else { bits.trailing_zeros() } }
+        let shift = if bits == 0 { 0 } else { bits.trailing_zeros() };
+        // Space below, for positions that come later.
+        let most = positions.iter().fold([0; 3], |m, p| std::array::from_fn(|k| m[k].max(p[k])));
+        let below = |k: usize| origin[k].min(most[k] - origin[k]) >> shift << shift;
+        let origin =
+            if positions.is_empty() { origin } else { std::array::from_fn(|k| origin[k] - below(k)) };
+        Self { origin, shift }
+    }
+
+    /// Whether a position has coordinates here.
+    pub(super) fn has(&self, p: LatticePos) -> bool {
+        let last = (1 << self.shift) - 1;
+        (0..3).all(|k| p[k] >= self.origin[k] && (p[k] - self.origin[k]) & last == 0)
+    }
+
+    /// No coordinate of a position is larger.
+    pub(super) fn largest(&self) -> f64 {
+        let most = self.origin.map(|c| (Lattice::LARGEST - c) >> self.shift);
+        f64::from(most[0].max(most[1]).max(most[2]))
     }
 
     pub(super) fn point(&self, p: LatticePos) -> Point {
