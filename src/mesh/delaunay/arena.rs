@@ -205,7 +205,7 @@ impl Frame {
 
     /// No coordinate of a position is larger.
     pub(super) fn largest(&self) -> f64 {
-        let most = self.origin.map(|c| (Lattice::LARGEST - c) >> self.shift);
+        let most = self.origin.map(|c| Lattice::LARGEST.saturating_sub(c) >> self.shift);
         f64::from(most[0].max(most[1]).max(most[2]))
     }
 
