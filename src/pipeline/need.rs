@@ -30,10 +30,10 @@ use std::path::Path;
 
 /// What the process needs whatever it works on: code and tables, stacks, buffers of readers and writers.
 pub(crate) const BASE: u64 = 16 << 20;
-/// Working memory of a chunk for a point of its region, measured (chunks of 60 000 and 250 000 points took at most 830 in all,
-/// what waits to be written included) and rounded up: 6.8 tetrahedra of 64 bytes, where they are meshed and stay, sort keys and sites of 100 bytes, then what finds
+/// Working memory of a chunk for a point of its region, measured (all point sets, chunks of 30 000 to 500 000 points, one and two workers took at most 550
+/// in all, what waits to be written included) and rounded up: 6.8 tetrahedra of 64 bytes, where they are meshed and stay, sort keys and sites of 100 bytes, then what finds
 /// samples and sums up the spectrum, and what the C library holds back between workers. What fits values works in what stands empty of the first.
-const PER_POINT: u64 = 900;
+const PER_POINT: u64 = 600;
 /// And for each further step its value; for each eight steps, which are measured side by side: values; values, where they lie in the spectrum, counts.
 const FURTHER_PER_POINT: u64 = 4;
 const SIDE_PER_POINT: u64 = 104;
@@ -57,8 +57,11 @@ const INDEX_ENTRY_ON_DISK: u64 = 48;
 const ARCHIVE_PER_POINT: u64 = 10;
 /// And for a point of a further step: a value, its share of ranges, index and spectrum.
 const VALUES_PER_POINT: u64 = 4;
-/// The time of a further step, as a part of the first.
-const FURTHER_STEP: f64 = 0.1;
+/// The time of a further step, as a part of the first, and that of a further pass: the mesh is decoded and scanned again, or, where values are
+/// fitted, made again.
+const FURTHER_STEP: f64 = 0.06;
+const FURTHER_PASS: f64 = 0.3;
+const FURTHER_FITTED_PASS: f64 = 0.9;
 /// Points a second of one thread, meshed and encoded, on a machine of 2020: rough.
 const POINTS_PER_SECOND: f64 = 150_000.0;
 /// Chunks looked at to find the largest.
@@ -210,11 +213,24 @@ impl Need {
         }
     }
 
-    /// The same where as many steps of `most` are made at a time as do not make fewer threads work.
-    pub(crate) fn with_steps(self, most: u64, memory: u64, threads: usize) -> Self {
+    /// The same with as many of `steps` made at a time, at most `most`, as takes the least time: more of them make fewer passes over the
+    /// mesh, but the memory that they take may cost threads.
+    pub(crate) fn with_steps(self, steps: u64, most: u64, memory: u64, threads: usize) -> Self {
         let of = |steps| Self { steps, ..self };
         let useful = (threads as u64).min(self.chunks).max(1);
-        (2..=most).rev().map(of).find(|need| need.of_workers(useful) <= memory).unwrap_or(of(1))
+        let choices = (1..=useful).rev().filter_map(|workers| {
+            let need = (1..=most.min(steps)).rev().map(of).find(|need| need.of_workers(workers) <= memory)?;
+            Some((need.work(steps) / workers as f64, need))
+        });
+        // The most threads of those that are equal.
+        choices.reduce(|a, b| if b.0 < a.0 { b } else { a }).map_or(of(1), |(_, need)| need)
+    }
+
+    /// The work of so many steps, in that of the first one.
+    fn work(&self, steps: u64) -> f64 {
+        let pass = if self.window == 0 { FURTHER_PASS } else { FURTHER_FITTED_PASS };
+        let passes = steps.div_ceil(self.steps).max(1);
+        1.0 + pass * (passes - 1) as f64 + FURTHER_STEP * steps.saturating_sub(1) as f64
     }
 
     /// Steps that are made at a time.
@@ -266,8 +282,7 @@ impl Need {
 
     /// Seconds of so many workers for so many steps, roughly.
     pub(crate) fn seconds(&self, workers: usize, steps: usize) -> f64 {
-        let further = steps.saturating_sub(1) as f64;
-        self.points as f64 * (1.0 + FURTHER_STEP * further) / (POINTS_PER_SECOND * workers.max(1) as f64)
+        self.points as f64 * self.work(steps as u64) / (POINTS_PER_SECOND * workers.max(1) as f64)
     }
 
     /// Shares `memory` out to at most `threads` workers.
@@ -481,13 +496,32 @@ mod tests {
 
     #[test]
     fn fewer_steps_at_a_time_where_memory_is_short() {
-        let steps = |memory| NEED.with_steps(16, memory, 1).steps();
+        let steps = |memory| NEED.with_steps(16, 16, memory, 1).steps();
         let least = NEED.least();
         assert_eq!(
             (steps(least - 1), steps(least), steps(least + (14 << 20)), steps(1 << 40)),
             (1, 1, 3, 16)
         );
-        assert!(NEED.with_steps(16, least + (14 << 20), 1).least() <= least + (14 << 20));
+        assert!(NEED.with_steps(16, 16, least + (14 << 20), 1).least() <= least + (14 << 20));
+    }
+
+    #[test]
+    fn threads_are_given_up_for_steps_where_that_is_faster() {
+        let steps_of = |need: Need| Need { steps: 32, ..need }.least();
+        let found = |need: Need, memory| {
+            let need = need.with_steps(32, 32, memory, 2);
+            (need.steps(), need.shares(memory, 2).unwrap().workers)
+        };
+        // Two workers have room for a step each; one for all of them.
+        let memory = NEED.of_workers(2).max(steps_of(NEED));
+        assert_eq!(found(NEED, memory), (32, 1));
+        // One pass less is not worth a thread.
+        let two = Need { steps: 16, ..NEED }.of_workers(2);
+        assert!(two >= steps_of(NEED));
+        assert_eq!(found(NEED, two), (16, 2));
+        let fitted = Need { window: 30 * 30 * 30, ..NEED };
+        let memory = fitted.of_workers(2).max(steps_of(fitted));
+        assert_eq!(found(fitted, memory), (32, 1));
     }
 
     #[test]

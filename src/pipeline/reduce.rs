@@ -181,8 +181,9 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     // Small copies of inputs are made in memory where that leaves as many threads at work.
     let (memory, workers) = (job.run.memory, threads(job.run));
     let rest = memory - PlannedSource::small_copies(&series.sources, need.steps()).min(memory);
-    let in_memory = need.comfortable(workers) <= rest;
-    let shares = need.shares(if in_memory { rest } else { memory }, workers)?;
+    let all = need.shares(memory, workers)?;
+    let copied = need.shares(rest, workers).ok().filter(|shares| shares.workers == all.workers);
+    let (in_memory, shares) = (copied.is_some(), copied.unwrap_or(all));
     let fields = VolumeFields::new(job.settings, job.run, job.progress, in_memory);
     let inner_points = mesh.points.interior_len();
     let bound = series.bound;
@@ -200,7 +201,7 @@ const FEW_POINTS: u64 = 1 << 16;
 pub(super) fn need_of(parts: &MeshParts, steps: usize, memory: u64, run: &RunSettings) -> Need {
     let few = parts.points.len() <= FEW_POINTS;
     let most = if few { MOST_SMALL_STEPS_AT_ONCE } else { MOST_STEPS_AT_ONCE };
-    Need::of(parts).with_steps((steps as u64).min(most), memory, threads(run))
+    Need::of(parts).with_steps(steps as u64, most, memory, threads(run))
 }
 
 /// Makes the archive of a series, or the job's part of it: its segments, then the manifest. Completes the report.
