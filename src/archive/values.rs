@@ -242,8 +242,9 @@ fn as_steps(values: &[f32], q: &Quantiser, out: &mut Vec<i32>) -> bool {
     values.iter().zip(out).all(|(v, steps)| q.value_or_void(*steps).to_bits() == v.to_bits())
 }
 
-/// pcodec's level: how many bins it tries. The default, 8, takes twice the time for half a percent of the bytes.
-const LEVEL: usize = 5;
+/// pcodec's level: how many bins it tries. Level 5 takes a quarter more time for 0.3 % of an archive's bytes, the default, 8, more than twice the
+/// time for 0.4 % (medians of eight volumes at 1/8 of the samples).
+const LEVEL: usize = 4;
 
 /// Appends one chunk of pcodec.
 fn pack<T: pco::data_types::Number>(numbers: &[T], coder: Coder, out: &mut Vec<u8>) {
@@ -394,7 +395,7 @@ mod tests {
                 }
                 let blocks = round_trip(&rounded, Some(&q));
                 // The bits asked for and some fifty bytes a block; the first has a NaN, which is told apart.
-                for (b, own) in blocks.iter().zip([250].into_iter().chain(std::iter::repeat(50))) {
+                for (b, own) in blocks.iter().zip([300].into_iter().chain(std::iter::repeat(50))) {
                     assert!(b.len() <= BLOCK_VALUES * usize::from(bits) / 8 + own, "{bits}: {}", b.len());
                 }
             }
