@@ -141,6 +141,8 @@ pub(crate) fn product_bytes(core_points: u64, steps: u64) -> u64 {
 /// The memory of a run, as it is shared out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Shares {
+    /// Of the process itself, and what is there all the time.
+    base: u64,
     /// Chunks at work at one time.
     pub(crate) workers: usize,
     /// Working memory of each.
@@ -159,14 +161,14 @@ impl Shares {
 
     /// The memory with which such a chunk could be made.
     pub(crate) fn memory_for(&self, room: u64) -> u64 {
-        BASE + self.queue + self.beside + room
+        self.base + self.queue + self.beside + room
     }
 }
 
 /// What the largest chunks of a plan need, and the index of all.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Need {
-    /// The process itself, and how dense the points are.
+    /// The process itself, how dense the points are, and what else is there all the time.
     base: u64,
     points: u64,
     chunks: u64,
@@ -211,6 +213,11 @@ impl Need {
             },
             entries: points.saturating_mul(TETS_PER_POINT) / u64::from(BLOCK_TETS) + parts.chunks.len(),
         }
+    }
+
+    /// The same where so many bytes more are there all the time.
+    pub(crate) fn holding(self, bytes: u64) -> Self {
+        Self { base: self.base.saturating_add(bytes), ..self }
     }
 
     /// The same with as many of `steps` made at a time, at most `most`, as takes the least time: more of them make fewer passes over the
@@ -297,7 +304,7 @@ impl Need {
         let workers = (1..=useful).rev().find(|&w| self.of_workers(w) <= memory).unwrap_or(1);
         let queue = workers * WAITING * self.product();
         let (beside, each) = (self.beside(), (memory - self.base - queue) / workers);
-        Ok(Shares { workers: workers as usize, room: each - beside, queue, beside })
+        Ok(Shares { base: self.base, workers: workers as usize, room: each - beside, queue, beside })
     }
 }
 

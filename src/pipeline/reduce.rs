@@ -155,7 +155,7 @@ pub(super) fn make_plan(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimat
     }
     let series = plan_volumes(job.sources, job.settings, job.run, Known::default())?;
     let mesh = parts(&series.plan.mesh, series.beside.clone())?;
-    let need = need_of(&mesh, series.plan.steps.len(), job.run.memory, job.run);
+    let need = need_of(&mesh, 0, series.plan.steps.len(), job.run.memory, job.run);
     let estimate = estimate_of(&series, &need, job.out, job.run)?;
     Ok((series, mesh, estimate))
 }
@@ -176,7 +176,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     let samples = series.plan.first().source.dims.iter().product();
     let seconds = vec![("plan".to_owned(), planning.elapsed().as_secs_f64())];
     let mesh = parts(&series.plan.mesh, series.beside.clone())?;
-    let need = need_of(&mesh, series.plan.steps.len(), job.run.memory, job.run);
+    let need = need_of(&mesh, 0, series.plan.steps.len(), job.run.memory, job.run);
     estimate_of(&series, &need, job.out, job.run)?.check()?;
     // Small copies of inputs are made in memory where that leaves as many threads at work.
     let (memory, workers) = (job.run.memory, threads(job.run));
@@ -197,11 +197,11 @@ pub(super) const MOST_STEPS_AT_ONCE: u64 = 32;
 pub(super) const MOST_SMALL_STEPS_AT_ONCE: u64 = 64;
 const FEW_POINTS: u64 = 1 << 16;
 
-/// What the chunks need, with as many steps at a time as the memory allows.
-pub(super) fn need_of(parts: &MeshParts, steps: usize, memory: u64, run: &RunSettings) -> Need {
+/// What the chunks need beside `held` bytes, with as many steps at a time as the memory allows.
+pub(super) fn need_of(parts: &MeshParts, held: u64, steps: usize, memory: u64, run: &RunSettings) -> Need {
     let few = parts.points.len() <= FEW_POINTS;
     let most = if few { MOST_SMALL_STEPS_AT_ONCE } else { MOST_STEPS_AT_ONCE };
-    Need::of(parts).with_steps(steps as u64, most, memory, threads(run))
+    Need::of(parts).holding(held).with_steps(steps as u64, most, memory, threads(run))
 }
 
 /// Makes the archive of a series, or the job's part of it: its segments, then the manifest. Completes the report.

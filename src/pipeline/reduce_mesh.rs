@@ -48,8 +48,8 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     }
     let plan = &series.plan;
     let parts = parts(&plan.mesh, series.beside.clone())?;
-    let memory = job.run.memory.saturating_sub(boundary_bytes(&boundary));
-    let need = need_of(&parts, plan.steps.len(), memory, job.run);
+    let (held, memory) = (boundary_bytes(&boundary), job.run.memory);
+    let need = need_of(&parts, held, plan.steps.len(), memory, job.run);
     estimate_of(plan, &need, memory, job.out, job.run, (&scratch, 0))?.check()?;
     let shares = need.shares(memory, threads(job.run))?;
     let sorting = Instant::now();
@@ -86,9 +86,9 @@ pub(super) fn plan_mesh(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimat
         prepare(job, &store_settings(settings, job.run, &scratch))?;
     let plan = &series.plan;
     let parts = parts(&plan.mesh, series.beside.clone())?;
-    let memory = job.run.memory.saturating_sub(boundary_bytes(&boundary));
+    let (held, memory) = (boundary_bytes(&boundary), job.run.memory);
     let bytes = scratch_bytes([store.census.vertices, store.census.cells], job);
-    let need = need_of(&parts, plan.steps.len(), memory, job.run);
+    let need = need_of(&parts, held, plan.steps.len(), memory, job.run);
     let estimate = estimate_of(plan, &need, memory, job.out, job.run, (&scratch, bytes))?;
     Ok((series, parts, estimate))
 }

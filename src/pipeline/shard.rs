@@ -175,7 +175,7 @@ pub fn planned(out: &Path, threads: usize) -> Result<Planned> {
     let file = PlanFile::read(out)?;
     let mesh = mesh_parts(out, &file.plan)?;
     let steps = file.plan.steps.len();
-    let need = reduce::need_of(&mesh, steps, u64::MAX, &RunSettings { threads, ..RunSettings::default() });
+    let need = reduce::need_of(&mesh, 0, steps, u64::MAX, &RunSettings { threads, ..RunSettings::default() });
     Ok(Planned {
         shards: file.shards,
         segments: Inventory::new(out, &file).segments(),
