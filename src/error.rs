@@ -92,6 +92,17 @@ impl Error {
         self
     }
 
+    /// The error of work that was given `share` of a run's memory, told for the `whole` of it.
+    #[must_use]
+    pub fn of_share(mut self, share: u64, whole: u64) -> Self {
+        if let Self::Budget { needed, available, .. } = &mut self {
+            let all = u128::from(*needed) * u128::from(whole);
+            *needed = u64::try_from(all.div_ceil(u128::from(share.max(1)))).unwrap_or(u64::MAX);
+            *available = whole;
+        }
+        self
+    }
+
     /// The process exit code for this error: 1 failed, 2 usage, 3 incomplete, 4 budget (memory, disk), 5 bad input, 75 resumable.
     pub fn exit_code(&self) -> u8 {
         match self {

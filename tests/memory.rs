@@ -53,6 +53,33 @@ fn the_least_that_works_is_named_and_works() {
 }
 
 #[test]
+fn what_is_named_for_a_mesh_is_of_all_memory() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_mesh(&d.join("ball.vtk"), 10, |_| true, |p| p, |p| p[0] + p[1] * p[2]);
+    let reduce = |memory: &str| {
+        let settings = ["--count", "20000", "--memory", memory];
+        isospan(d, &[&["-q", "reduce", "ball.vtk", "-o", "a.isospan"][..], &settings].concat())
+    };
+    // The samples of the boundary get a part of the memory; what is named is the whole of it. Then chunks have a need of their own.
+    let mut memory = "1MiB".to_owned();
+    let mut said = vec![];
+    loop {
+        let out = reduce(&memory);
+        if out.status.success() {
+            break;
+        }
+        let stderr = String::from_utf8(out.stderr).unwrap();
+        assert_eq!((out.status.code(), stderr.lines().count()), (Some(4), 1), "{stderr}");
+        let what = stderr.split(": the run needs").next().unwrap().to_owned();
+        assert!(!said.contains(&what), "told twice: {stderr}");
+        said.push(what);
+        memory = stderr.trim_end().rsplit(' ').next().unwrap().to_owned();
+    }
+    assert!(said[0].contains("samples of the boundary"), "{said:?}");
+}
+
+#[test]
 fn a_dry_run_tells_and_makes_nothing() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();

@@ -211,12 +211,9 @@ impl Job<'_> {
                 None => args.colour[n % args.colour.len()],
             };
             let subject = Subject { surface: &panel.surface, paint, values: &panel.distances };
-            layout.put(
-                &mut canvas,
-                n,
-                &render(&subject, &view, &self.settings(layout.bytes()))?,
-                captions.get(n),
-            );
+            let settings = self.settings(layout.bytes());
+            let drawn = render(&subject, &view, &settings).map_err(|e| self.whole(e, settings.memory))?;
+            layout.put(&mut canvas, n, &drawn, captions.get(n));
             progress.advance(1);
         }
         let report = |p: &Panel| PanelReport {
@@ -248,6 +245,11 @@ impl Job<'_> {
         }
     }
 
+    /// The error of work that was given a share of the memory.
+    fn whole(&self, error: Error, share: u64) -> Error {
+        error.of_share(share, self.memory)
+    }
+
     /// Reads all surfaces, and extracts those of archives.
     fn panels(&self, progress: &dyn Progress) -> Result<Vec<Panel>> {
         let args = self.args;
@@ -266,7 +268,7 @@ impl Job<'_> {
         for input in &args.inputs {
             let name = input.display().to_string();
             if !is_archive(input) {
-                let surface = load_surface(input, &check)?;
+                let surface = load_surface(input, &check).map_err(|e| self.whole(e, check.memory))?;
                 panels.push(Panel { name, isovalue: None, surface, distances: vec![] });
                 continue;
             }
@@ -301,14 +303,15 @@ impl Job<'_> {
             cancel: self.cancel.clone(),
             ..SurfaceSettings::of(isovalue)
         };
-        let found = extract_surface(archive, &settings, &file, SurfaceFormat::Ply, progress)?;
+        let found = extract_surface(archive, &settings, &file, SurfaceFormat::Ply, progress)
+            .map_err(|e| self.whole(e, settings.memory))?;
         if found.triangles == 0 {
             return Err(Error::usage(format!(
                 "{}: the isovalue {isovalue} gives no surface",
                 archive.display()
             )));
         }
-        load_surface(&file, check)
+        load_surface(&file, check).map_err(|e| self.whole(e, check.memory))
     }
 
     fn captions(&self, panels: &[Panel]) -> Result<Vec<String>> {
@@ -332,7 +335,7 @@ impl Job<'_> {
     fn measure(&self, panels: &mut [Panel], progress: &dyn Progress) -> Result<Option<f32>> {
         let Some(target) = &self.args.distance_to else { return Ok(None) };
         let check = CheckSettings { memory: self.memory / 4, scratch: self.scratch.clone() };
-        let target = load_surface(target, &check)?;
+        let target = load_surface(target, &check).map_err(|e| self.whole(e, check.memory))?;
         let settings = CompareSettings {
             threads: self.args.machine.threads,
             memory: self.memory / 2,
@@ -343,7 +346,8 @@ impl Job<'_> {
         progress.begin("distances", panels.len() as u64, "panels");
         let mut end = 0.0f32;
         for panel in panels {
-            panel.distances = distances(&panel.surface, &target, &settings)?;
+            panel.distances =
+                distances(&panel.surface, &target, &settings).map_err(|e| self.whole(e, settings.memory))?;
             let mut sorted = panel.distances.clone();
             let place = (sorted.len() as f64 * 0.995) as usize;
             let (_, at, _) =

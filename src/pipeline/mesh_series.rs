@@ -168,7 +168,8 @@ pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared
     };
     let dense = dense_where_needed(&mut plan, &store, job, how)?;
     let spacing = Spacing::of(plan.mesh.points, plan.mesh.lattice, dense.levels.clone())?;
-    let boundary = BoundarySamples::new(&store, &spacing, how.memory, path)?;
+    let boundary = BoundarySamples::new(&store, &spacing, how.memory, path)
+        .map_err(|e| e.of_share(how.memory, job.run.memory))?;
     let listed = ExplicitRecord::of(&boundary.points);
     match job.part.archive() {
         None => plan.mesh.explicit = Some(listed),

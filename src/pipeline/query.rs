@@ -569,7 +569,8 @@ fn cut_all(surfaces: &mut [Extracted], cut: &Cut, memory: u64, scratch: &Path) -
     let memory_bytes = usize::try_from(memory / 8 / surfaces.len() as u64).unwrap_or(usize::MAX);
     let settings = BuilderSettings { memory_bytes, scratch: scratch.to_path_buf() };
     for extracted in surfaces {
-        extracted.surface = clip(&extracted.surface, &cut.half_spaces, &settings, memory / 2)?;
+        extracted.surface = clip(&extracted.surface, &cut.half_spaces, &settings, memory / 2)
+            .map_err(|e| e.of_share(memory / 2, memory))?;
     }
     Ok(())
 }

@@ -63,7 +63,8 @@ impl Refine {
         let (mut surface, mut report) = (surface, RefineReport::default());
         if let Some(filter) = &self.components {
             means.cancel.check()?;
-            let (kept, found) = components(surface, filter, &settings)?;
+            let (kept, found) = components(surface, filter, &settings)
+                .map_err(|e| e.of_share(means.memory / share, means.memory))?;
             (surface, report.components) = (kept, Some(found));
         }
         if let Some(goal) = &self.decimate {

@@ -107,7 +107,7 @@ pub fn components(
         measure_vertices(&surface, &mut labels, &mut records, &mut positions)?;
         measure_triangles(&surface, &mut labels, &mut records, &mut positions)?;
     }
-    let (report, all) = choose(&mut records, filter, paged(1))?;
+    let (report, all) = choose(&mut records, filter, paged(1)).map_err(|e| e.of_share(paged(1), memory))?;
     if all {
         return Ok((surface, report));
     }
@@ -319,7 +319,7 @@ fn choose(
     let wanted = filter.largest.unwrap_or(u64::MAX).min(records.len());
     let chosen = filter.largest.is_some() && wanted < records.len();
     if chosen && wanted.saturating_mul(CHOICE) > memory {
-        let what = format!("memory (a share of it, for the {wanted} largest components)");
+        let what = format!("memory (for the {wanted} largest components)");
         return Err(Error::Budget { what, needed: wanted.saturating_mul(CHOICE), available: memory });
     }
     let mut report = ComponentReport::default();

@@ -125,6 +125,14 @@ fn more_of_the_largest_than_memory_holds_are_refused() {
     let filter = ComponentFilter { largest: Some(2), ..Default::default() };
     let error = components(stored(&mesh, &settings), &filter, &settings).unwrap_err();
     assert_eq!(error.exit_code(), 4);
+    // What the error names suffices, and no less does.
+    let Error::Budget { needed, available, .. } = error else { panic!("{error}") };
+    assert_eq!(available, 8 * CHOICE);
+    let with = |memory: u64| {
+        let settings = BuilderSettings { memory_bytes: memory as usize, ..Default::default() };
+        components(stored(&mesh, &settings), &filter, &settings)
+    };
+    assert!(with(needed).is_ok() && with(needed - 1).is_err());
 }
 
 #[test]
