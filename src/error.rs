@@ -56,6 +56,9 @@ pub enum Error {
     Cancelled,
 }
 
+/// What [`Error::Budget`] calls memory begins with it.
+const MEMORY: &str = "memory";
+
 impl Error {
     /// An [`Error::Io`]; use as `.map_err(|e| Error::io("read", &path, e))`.
     pub fn io(doing: impl Into<String>, path: impl AsRef<Path>, source: io::Error) -> Self {
@@ -92,10 +95,23 @@ impl Error {
         self
     }
 
+    /// The error of work that had the memory that was left beside so many bytes, told for both.
+    #[must_use]
+    pub fn beside(mut self, held: u64) -> Self {
+        if let Self::Budget { what, needed, available } = &mut self
+            && what.starts_with(MEMORY)
+        {
+            (*needed, *available) = (needed.saturating_add(held), available.saturating_add(held));
+        }
+        self
+    }
+
     /// The error of work that was given `share` of a run's memory, told for the `whole` of it.
     #[must_use]
     pub fn of_share(mut self, share: u64, whole: u64) -> Self {
-        if let Self::Budget { needed, available, .. } = &mut self {
+        if let Self::Budget { what, needed, available } = &mut self
+            && what.starts_with(MEMORY)
+        {
             let all = u128::from(*needed) * u128::from(whole);
             *needed = u64::try_from(all.div_ceil(u128::from(share.max(1)))).unwrap_or(u64::MAX);
             *available = whole;
@@ -183,5 +199,23 @@ impl std::error::Error for Error {
             Self::Io { source, .. } => Some(source),
             _ => None,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_suffices_is_told_for_the_whole_run() {
+        let of = |what: &str| Error::Budget { what: what.into(), needed: 101, available: 30 };
+        let told = |e| match e {
+            Error::Budget { needed, available, .. } => (needed, available),
+            e => panic!("{e}"),
+        };
+        // A third of what is left beside 20 bytes, rounded up.
+        assert_eq!(told(of("memory (to draw)").beside(20).of_share(100, 300)), (363, 300));
+        assert_eq!(told(of("memory").of_share(0, 7)), (707, 7));
+        assert_eq!(told(of("disk").beside(20).of_share(100, 300)), (101, 30), "not shared out");
     }
 }

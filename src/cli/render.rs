@@ -211,8 +211,9 @@ impl Job<'_> {
                 None => args.colour[n % args.colour.len()],
             };
             let subject = Subject { surface: &panel.surface, paint, values: &panel.distances };
-            let settings = self.settings(layout.bytes());
-            let drawn = render(&subject, &view, &settings).map_err(|e| self.whole(e, settings.memory))?;
+            let taken = layout.bytes();
+            let drawn = render(&subject, &view, &self.settings(taken))
+                .map_err(|e| self.whole(e.beside(taken), self.memory / 8 * 7))?;
             layout.put(&mut canvas, n, &drawn, captions.get(n));
             progress.advance(1);
         }

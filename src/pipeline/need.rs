@@ -60,7 +60,7 @@ const VALUES_PER_POINT: u64 = 4;
 /// The time of a further step, as a part of the first, and that of a further pass: the mesh is decoded and scanned again, or, where values are
 /// fitted, made again.
 const FURTHER_STEP: f64 = 0.06;
-const FURTHER_PASS: f64 = 0.3;
+const FURTHER_PASS: f64 = 0.35;
 const FURTHER_FITTED_PASS: f64 = 0.9;
 /// Points a second of one thread, meshed and encoded, on a machine of 2020: rough.
 const POINTS_PER_SECOND: f64 = 150_000.0;

@@ -188,6 +188,10 @@ impl Truth {
         let found = self.find(path, stars);
         self.luck.learn(found.is_some());
         let (n, bits, len) = found?;
+        // Of what is no mesh more may have been told than there is.
+        if self.at + n > self.told.len() || stars.waiters + n > stars.waiting.len() {
+            return None;
+        }
         let first = len.min(32);
         self.bits.put((bits & 0xffff_ffff) as u32, first);
         self.bits.put((bits >> first) as u32, len - first);

@@ -378,7 +378,10 @@ impl End for Truth {
     #[inline(always)]
     fn tell(&mut self, tet: [Local; 4]) {
         let id = |v: Local| self.ids[usize::from(v)];
-        self.told[self.at] = [id(tet[0]), id(tet[1]), id(tet[2]), id(tet[3])];
+        // Of what is no mesh more may be told than there is: it is refused when the star ends.
+        if let Some(told) = self.told.get_mut(self.at) {
+            *told = [id(tet[0]), id(tet[1]), id(tet[2]), id(tet[3])];
+        }
         self.at += 1;
     }
 
