@@ -122,10 +122,10 @@ impl Cells<'_> {
         knots: K::Proof,
         sides: &mut [Side],
     ) {
-        let (mut shapes, mut room) = (Box::<Shapes>::default(), Box::new(Room([PiecesOf::NONE; BATCH])));
+        let (mut shapes, mut room) = (Box::<Shapes>::default(), Box::new(Room([PiecesOf::NONE; AT_HAND])));
         for from in (0..self.tets.len()).step_by(BATCH) {
-            let (tets, next) = self.tets[from..].split_at(BATCH.min(self.tets.len() - from));
-            let next = &next[..BATCH.min(next.len())];
+            let tets = &self.tets[from..self.tets.len().min(from + BATCH)];
+            let next = self.tets.get(from + AHEAD..).unwrap_or_default();
             shapes.look::<W>(four, self.places, tets);
             for side in &mut *sides {
                 match side {
@@ -140,11 +140,17 @@ impl Cells<'_> {
 /// So many tetrahedra later the sums are made: what was just written can not be read piece by piece at once, and the processor has two things to do.
 const LATER: usize = 2;
 
-/// What is known of some tetrahedra.
-struct Room([PiecesOf; BATCH]);
+/// So many tetrahedra before they are looked at their vertices are asked for.
+const AHEAD: usize = 16;
+
+/// What is known of some tetrahedra; of one at some steps, or of eight at one.
+struct Room([PiecesOf; AT_HAND]);
+
+const AT_HAND: usize = BATCH / 8;
+const _: () = assert!(AT_HAND > LATER);
 
 impl Room {
-    /// Tetrahedra at some steps.
+    /// Tetrahedra at some steps; `next` are those that lie [`AHEAD`] of each.
     #[inline(always)]
     fn measure<S: Floats<8>, K: Wide>(
         &mut self,
@@ -154,11 +160,13 @@ impl Room {
         tets: &[Tet],
         next: &[Tet],
     ) {
-        side.will_look_at(next);
         let ladder = Ladder::<S>::new(proof, side.designs.each_ref().map(Option::as_ref));
         for i in 0..tets.len() + LATER {
             if let Some(tet) = tets.get(i) {
-                let pieces = &mut self.0[i % BATCH];
+                if let Some(next) = next.get(i) {
+                    side.will_look_at(next);
+                }
+                let pieces = &mut self.0[i % AT_HAND];
                 let floats = four(
                     #[inline(always)]
                     |k| side.vertices[tet[k] as usize].values,
@@ -182,7 +190,7 @@ impl Room {
             }
             // All steps of one, then of the next: so a sum need not wait for what was added to it just before.
             if i >= LATER {
-                let pieces = &self.0[(i - LATER) % BATCH];
+                let pieces = &self.0[(i - LATER) % AT_HAND];
                 let (volume, [a, b, c, d, e, f, g, h]) = (pieces.volume[0], &mut *side.sums);
                 // Without a loop: so where each lies is known beforehand.
                 a.add::<K>(knots, pieces, 0, volume);

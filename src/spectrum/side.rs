@@ -149,10 +149,10 @@ impl Together {
         ((0..self.steps).map(part).collect(), self.vertices)
     }
 
-    /// Asks for the vertices of tetrahedra that come next.
+    /// Asks for the vertices of a tetrahedron that comes soon.
     #[inline(always)]
-    pub(super) fn will_look_at(&self, tets: &[Tet]) {
-        for &v in tets.as_flattened() {
+    pub(super) fn will_look_at(&self, tet: &Tet) {
+        for &v in tet {
             will_read(&self.vertices[v as usize..v as usize + 1]);
         }
     }

@@ -21,8 +21,8 @@ use super::sums::VOID;
 use crate::exec::lanes::{Floats, Four, Wide, four, sorted, three};
 use crate::mesh::tet::Tet;
 
-/// Tetrahedra that are looked at together.
-pub(super) const BATCH: usize = 16;
+/// Tetrahedra that are looked at together: so many that of the sums of some steps those near their values are fetched once for many of them.
+pub(super) const BATCH: usize = 64;
 /// Knots that are looked at together.
 pub(super) const KNOTS: usize = 8;
 
