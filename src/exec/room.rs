@@ -7,9 +7,9 @@
 use bytemuck::Pod;
 use std::ops::{Deref, DerefMut};
 
-/// What stands empty and is not lent yet.
+/// What stands empty and is not lent yet: some pieces of memory.
 #[derive(Debug, Default)]
-pub struct Room<'a>(&'a mut [u64]);
+pub struct Room<'a>(Vec<&'a mut [u64]>);
 
 /// A piece of a room, or where that was too small a vector.
 #[derive(Debug)]
@@ -23,7 +23,14 @@ pub enum Lent<'a, T> {
 impl<'a> Room<'a> {
     /// Of memory whose contents nobody needs.
     pub fn new(empty: &'a mut [u64]) -> Self {
-        Self(empty)
+        Self(vec![empty])
+    }
+
+    /// The same with more, from which is lent what does not fit in the first.
+    #[must_use]
+    pub fn and(mut self, more: &'a mut [u64]) -> Self {
+        self.0.push(more);
+        self
     }
 
     /// Without any memory: all that is lent is allocated.
@@ -34,13 +41,12 @@ impl<'a> Room<'a> {
     /// Lends room for `count` items, each with this value.
     pub fn lend<T: Pod>(&mut self, count: usize, value: T) -> Lent<'a, T> {
         const WORD: usize = size_of::<u64>();
-        let bytes = count.checked_mul(size_of::<T>());
-        let Some(bytes) = bytes.filter(|&n| align_of::<T>() <= WORD && n.div_ceil(WORD) <= self.0.len())
-        else {
-            return Lent::Own(vec![value; count]);
-        };
-        let (piece, rest) = std::mem::take(&mut self.0).split_at_mut(bytes.div_ceil(WORD));
-        self.0 = rest;
+        let bytes = count.checked_mul(size_of::<T>()).filter(|_| align_of::<T>() <= WORD);
+        let found =
+            bytes.and_then(|n| self.0.iter_mut().find(|empty| n.div_ceil(WORD) <= empty.len()).zip(bytes));
+        let Some((empty, bytes)) = found else { return Lent::Own(vec![value; count]) };
+        let (piece, rest) = std::mem::take(empty).split_at_mut(bytes.div_ceil(WORD));
+        *empty = rest;
         let items = bytemuck::cast_slice_mut(&mut bytemuck::cast_slice_mut::<u64, u8>(piece)[..bytes]);
         items.fill(value);
         Lent::Piece(items)
@@ -96,6 +102,10 @@ mod tests {
                 matches!(wide, Lent::Piece(_)),
             ];
             assert_eq!(is_piece, [words >= 1, words >= 5, words >= 25], "{words}");
+            let mut more = [u64::MAX; 20];
+            let mut room = Room::new(&mut memory).and(&mut more);
+            let (large, small) = (room.lend(20, 2u64), room.lend(1, 3u64));
+            assert!(matches!(large, Lent::Piece(_)) && large.iter().all(|&n| n == 2) && *small == [3]);
         }
     }
 }

@@ -47,7 +47,7 @@
 //! step in the field overshoots.
 //!
 //! Cost: one scan conversion of the tetrahedra, some 40 operations a sample and step (or eight steps, with AVX-512). Memory: 52 bytes a vertex, 9 a
-//! tetrahedron (what stands empty of a chunk's, as far as that goes), 24 a sample of a window; of each eight steps 104 bytes a vertex (168 where voids differ), 32 a sample of a window. Reference: Garland and Heckbert, "Fast polygonal approximation of terrains and height fields", 1995, for the field's
+//! tetrahedron (what stands empty of a chunk's, as far as that goes), 24 a sample of a window; of each eight steps 104 bytes a vertex (168 where voids differ), and 32 bytes a sample of some slices. Reference: Garland and Heckbert, "Fast polygonal approximation of terrains and height fields", 1995, for the field's
 //! error as the measure.
 
 mod sums;
@@ -63,6 +63,9 @@ use crate::geom::LatticePos;
 use crate::grid::IndexBox;
 use crate::mesh::tet::Tet;
 use crate::raster::{BatchScan, PointLocator, SampleGrid, Scanner};
+
+/// Samples of a step that are read at a time, where a slice has no more.
+const SLICES: usize = 1 << 13;
 
 /// A sample that is in no tetrahedron.
 const NONE: u32 = u32::MAX;
@@ -97,6 +100,8 @@ pub struct Fit<'a> {
     told: Vec<Told>,
     /// The tetrahedra of a window that tell something.
     tets: Vec<Tet>,
+    /// Samples of some slices, step after step.
+    samples: Vec<f32>,
     batch: BatchScan,
 }
 
@@ -113,8 +118,14 @@ impl<'a> Fit<'a> {
             void: if some_void { vertices.map(is_void).collect() } else { vec![] },
             told: vec![],
             tets: vec![],
+            samples: vec![],
             batch: BatchScan::default(),
         }
+    }
+
+    /// Words of memory that the sums of some steps take besides those of the first ones.
+    pub fn further_words(vertices: usize, steps: usize) -> usize {
+        Side::words(vertices).saturating_mul(Side::count(steps).saturating_sub(1))
     }
 
     /// What was given.
@@ -122,19 +133,45 @@ impl<'a> Fit<'a> {
         self.mesh
     }
 
-    /// Adds the samples of a window, those of each step after those of the one before, given with those of the mesh's tetrahedra that touch it; NaN is no
-    /// sample. The windows of a volume come in ascending order, and may leave out samples at their borders that no tetrahedron has.
+    /// Adds the samples of a window, given with those of the mesh's tetrahedra that touch it. `read` reads samples of a step: those of some slices of the
+    /// window, x fastest; NaN is no sample. The windows of a volume come in ascending order, and may leave out samples at their borders that no tetrahedron has.
     ///
-    /// # Panics
-    /// When the samples are not as many as the window has.
-    pub fn add(&mut self, grid: &SampleGrid, window: &IndexBox, samples: &[f32], tets: &[u32]) {
-        assert_eq!(samples.len(), self.steps * window.len(), "a value for each sample of the window");
+    /// Of up to eight steps after another all slices are read and added, a few at a time: so what is read lies in a near cache when it is asked for, and so do the sums.
+    ///
+    /// # Errors
+    /// Those of `read`.
+    pub fn add<E>(
+        &mut self,
+        grid: &SampleGrid,
+        window: &IndexBox,
+        tets: &[u32],
+        mut read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        if window.is_empty() {
+            return Ok(());
+        }
         let scanner = Scanner::new(grid, window);
         with_vectors(
             #[inline(always)]
             || self.scan(&scanner, window.len(), tets),
         );
-        self.add_told(samples);
+        let slice = window.len() / window.dims()[2] as usize;
+        let at_a_time = (SLICES / slice).max(1);
+        let mut first = 0;
+        for side in &mut self.sides {
+            let (steps, mut part) = (first..first + side.steps(), *window);
+            for told in self.told.chunks(at_a_time * slice) {
+                part.hi[2] = part.lo[2] + (told.len() / slice) as u64;
+                self.samples.resize(steps.len() * told.len(), 0.0);
+                for (step, out) in steps.clone().zip(self.samples.chunks_exact_mut(told.len())) {
+                    read(step, part, out)?;
+                }
+                side.add(told, &self.samples, &self.tets);
+                part.lo[2] = part.hi[2];
+            }
+            first = steps.end;
+        }
+        Ok(())
     }
 
     /// Notes what the samples of a window tell.

@@ -20,7 +20,7 @@ const STEP: f64 = 0.6;
 const PULL: f64 = 0.25;
 /// The largest difference of a sample that counts as such.
 const MOST: f64 = f32::MAX as f64;
-/// Samples that are put side by side at a time: they fit in the nearest cache.
+/// Samples, or vertices, that are put side by side at a time, or apart: they fit in the nearest cache.
 const SOME: usize = 256;
 /// Steps that lie side by side, at most.
 const TOGETHER: usize = 8;
@@ -64,6 +64,15 @@ impl<'a> Side<'a> {
             _ => Self::Eight(Sums::new(some, room)),
         };
         steps.chunks(TOGETHER).map(side).collect()
+    }
+
+    /// How many sides so many steps make, and the words of memory that each takes, at most.
+    pub(super) fn count(steps: usize) -> usize {
+        steps.div_ceil(TOGETHER)
+    }
+
+    pub(super) fn words(vertices: usize) -> usize {
+        vertices.saturating_mul(size_of::<Vertex<TOGETHER>>().div_ceil(size_of::<u64>()))
     }
 
     pub(super) fn steps(&self) -> usize {
@@ -132,8 +141,11 @@ impl<'a, const N: usize> Sums<'a, N> {
     fn new(steps: &[&[f32]], room: &mut Room<'a>) -> Self {
         let none = Vertex { values: [0.0; N], pulls: [0.0; N], weight: 0.0 };
         let mut vertices = room.lend(steps[0].len(), none);
-        for (lane, values) in steps.iter().enumerate() {
-            vertices.iter_mut().zip(*values).for_each(|(vertex, &value)| vertex.values[lane] = value);
+        for (n, vertices) in vertices.chunks_mut(SOME).enumerate() {
+            for (lane, values) in steps.iter().enumerate() {
+                let values = &values[n * SOME..];
+                vertices.iter_mut().zip(values).for_each(|(vertex, &value)| vertex.values[lane] = value);
+            }
         }
         Self { steps: steps.len(), vertices, apart: vec![], rows: vec![[0.0; N]; SOME] }
     }
@@ -201,17 +213,20 @@ impl<'a, const N: usize> Sums<'a, N> {
     }
 
     fn values(&self, count: usize) -> Vec<Vec<f32>> {
-        let of_lane = |lane: usize| {
-            let fitted = |(v, vertex): (usize, &Vertex<N>)| {
-                let weight = self.apart.get(v).map_or(vertex.weight, |weights| weights[lane]);
-                let value = vertex.values[lane];
-                let moved = f64::from(value) + STEP * vertex.pulls[lane] / (PULL + weight);
-                // A void one stays void; what overshoots the range of `f32` becomes its largest value.
-                if moved.is_nan() { value } else { (moved as f32).clamp(f32::MIN, f32::MAX) }
-            };
-            self.vertices[..count].iter().enumerate().map(fitted).collect()
-        };
-        (0..self.steps).map(of_lane).collect()
+        let mut out: Vec<Vec<f32>> = (0..self.steps).map(|_| Vec::with_capacity(count)).collect();
+        for (n, vertices) in self.vertices[..count].chunks(SOME).enumerate() {
+            for (lane, out) in out.iter_mut().enumerate() {
+                let fitted = |(v, vertex): (usize, &Vertex<N>)| {
+                    let weight = self.apart.get(n * SOME + v).map_or(vertex.weight, |weights| weights[lane]);
+                    let value = vertex.values[lane];
+                    let moved = f64::from(value) + STEP * vertex.pulls[lane] / (PULL + weight);
+                    // A void one stays void; what overshoots the range of `f32` becomes its largest value.
+                    if moved.is_nan() { value } else { (moved as f32).clamp(f32::MIN, f32::MAX) }
+                };
+                out.extend(vertices.iter().enumerate().map(fitted));
+            }
+        }
+        out
     }
 
     /// Σ w · difference and Σ w² of each vertex at each step, as bits.

@@ -6,6 +6,7 @@ use crate::geom::curve::Order;
 use crate::mesh::delaunay::Mesher;
 use crate::points::{PointSet, PointSpec};
 use crate::raster::interpolate;
+use std::convert::Infallible;
 
 const DIMS: [u64; 3] = [21, 17, 38];
 
@@ -43,6 +44,21 @@ fn samples(grid: &SampleGrid, window: &IndexBox, f: &dyn Fn([f64; 3]) -> f32) ->
     out
 }
 
+/// Adds a window of some steps.
+fn add(
+    fit: &mut Fit<'_>,
+    grid: &SampleGrid,
+    window: &IndexBox,
+    tets: &[u32],
+    steps: &[&dyn Fn([f64; 3]) -> f32],
+) {
+    fit.add(grid, window, tets, |step, part, out| {
+        out.copy_from_slice(&samples(grid, &part, steps[step]));
+        Ok::<(), Infallible>(())
+    })
+    .unwrap();
+}
+
 fn fitted(
     grid: &SampleGrid,
     edge: [u64; 3],
@@ -67,8 +83,7 @@ fn fitted_steps(
     let windows = Windows::new(grid, edge, mesh.positions, mesh.tets, room);
     let mut fit = Fit::new(*mesh, values, room);
     for (window, tets) in windows.iter() {
-        let samples: Vec<f32> = steps.iter().flat_map(|f| samples(grid, &window, f)).collect();
-        fit.add(grid, &window, &samples, tets);
+        add(&mut fit, grid, &window, tets, steps);
     }
     fit.values(mesh.positions.len())
 }
@@ -182,7 +197,8 @@ fn vectors_do_not_show() {
         let [mut plain, mut vectors] = [0, 1].map(|_| Fit::new(mesh, &of_steps, &mut Room::none()));
         for (window, tets) in Windows::new(&grid, [32; 3], &positions, &tets, &mut Room::none()).iter() {
             let samples: Vec<f32> = fields.iter().flat_map(|f| samples(&grid, &window, f)).collect();
-            vectors.add(&grid, &window, &samples, tets);
+            let steps: Vec<&dyn Fn([f64; 3]) -> f32> = fields.iter().map(|f| f as _).collect();
+            add(&mut vectors, &grid, &window, tets, &steps);
             plain.scan(&Scanner::new(&grid, &window), window.len(), tets);
             plain.sides[0].add_plain(&plain.told, &samples, &plain.tets);
         }

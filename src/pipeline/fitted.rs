@@ -27,12 +27,13 @@ pub(crate) enum FittedTo<'a> {
 }
 
 /// The values of a chunk's vertices at some steps, fitted where that is wanted; from the interpolated ones of these and of the vertices around. `note` is told of the
-/// step whose samples were read.
+/// step whose samples were read; `memory` is kept from chunk to chunk, so that its pages are not asked for again.
 pub(super) fn fitted(
     fields: &[&dyn Field],
     mesh: &mut MeshedChunk,
     placement: &Placement,
     interpolated: Vec<Vec<f32>>,
+    memory: &mut Vec<u64>,
     cancel: &CancelToken,
     note: impl Fn(usize, Result<()>) -> Result<()>,
 ) -> Result<Vec<Vec<f32>>> {
@@ -50,7 +51,13 @@ pub(super) fn fitted(
     }
     let vertices = mesh.vertices();
     let (tets, room) = mesh.tets.with_room();
-    let mut room = Room::new(room);
+    let words = Fit::further_words(mesh.all_positions.len(), steps.len());
+    if memory.len() < words {
+        // Not resized: what it had would be copied.
+        *memory = vec![];
+        *memory = vec![0; words];
+    }
+    let mut room = Room::new(room).and(memory);
     let mut fit = Fit::new(FitMesh { positions: &mesh.all_positions, tets }, &steps, &mut room);
     match cells.first() {
         None => add_samples(&mut fit, &mut room, &grids, cancel, note)?,
@@ -73,14 +80,9 @@ fn add_samples<'a>(
     let (bricks, mesh) = (&fields[0].bricks, fit.mesh());
     let grid = SampleGrid::voxels(&bricks.lattice);
     let windows = Windows::new(&grid, window_edge(bricks.edge), mesh.positions, mesh.tets, room);
-    let mut samples = vec![];
     for (window, tets) in windows.iter() {
         cancel.check()?;
-        samples.resize(fields.len() * window.len(), 0.0);
-        for (n, (field, out)) in fields.iter().zip(samples.chunks_exact_mut(window.len())).enumerate() {
-            note(n, field.read_window(window, out))?;
-        }
-        fit.add(&grid, &window, &samples, tets);
+        fit.add(&grid, &window, tets, |n, part, out| note(n, fields[n].read_window(part, out)))?;
     }
     Ok(())
 }

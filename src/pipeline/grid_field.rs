@@ -44,6 +44,14 @@ pub(super) fn treat_missing(missing: Option<f64>, stand_in: f32, samples: &mut [
     );
 }
 
+/// Whether all samples are finite. Looks at all of them, in vectors.
+fn all_finite(samples: &[f32]) -> bool {
+    with_vectors(
+        #[inline(always)]
+        || samples.iter().fold(true, |all, v| all & v.is_finite()),
+    )
+}
+
 /// Interpolates the values of some steps, group by group: where a vertex lies is found out once for all of them.
 pub(super) fn interpolate(
     fields: &[&GridField],
@@ -116,6 +124,9 @@ impl GridField {
     /// Reads the samples of a window that values are fitted to; NaN is none.
     pub(super) fn read_window(&self, window: IndexBox, out: &mut [f32]) -> Result<()> {
         self.reader.read_box(window, out)?;
+        if self.nan == NanPolicy::Error && self.missing.is_none() && all_finite(out) {
+            return Ok(());
+        }
         self.treat_missing(out);
         if self.nan == NanPolicy::Error
             && let Some(bad) = out.iter().position(|v| v.is_nan())

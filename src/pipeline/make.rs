@@ -60,6 +60,8 @@ struct Desk {
 struct Bench {
     sides: sides::Room,
     spectrum: spectrum::Bench,
+    /// What values are fitted in.
+    fit: Vec<u64>,
 }
 
 impl Rooms {
@@ -196,11 +198,16 @@ impl Lap {
 }
 
 /// The values of all steps, as they are stored.
-fn values_of(work: &Work<'_>, mesh: &mut MeshedChunk, placement: &Placement) -> Result<Vec<Vec<f32>>> {
+fn values_of(
+    work: &Work<'_>,
+    mesh: &mut MeshedChunk,
+    placement: &Placement,
+    memory: &mut Vec<u64>,
+) -> Result<Vec<Vec<f32>>> {
     let fields: Vec<&dyn Field> = work.steps.iter().map(|step| step.field).collect();
     let note = |n, read| note(work, n, read);
     let interpolated = interpolated(&fields, mesh, placement, work.cancel, note)?;
-    let mut values = fitted(&fields, mesh, placement, interpolated, work.cancel, note)?;
+    let mut values = fitted(&fields, mesh, placement, interpolated, memory, work.cancel, note)?;
     for (step, values) in work.steps.iter().zip(&mut values) {
         if let Some(quantiser) = &step.plan.quantiser {
             values.iter_mut().for_each(|v| *v = quantiser.round(*v));
@@ -232,7 +239,7 @@ fn encode_steps(
     times: &mut StageTimes,
 ) -> Result<Vec<Vec<Vec<u8>>>> {
     let mut lap = Lap(Instant::now());
-    let values = values_of(work, mesh, placement)?;
+    let values = values_of(work, mesh, placement, &mut bench.fit)?;
     lap.add_to(&mut times.sample);
     let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
     let sides = Sides::new(&of_steps, &mut bench.sides);

@@ -258,7 +258,8 @@ impl Need {
                 let per_point = further * (FURTHER_PER_POINT + FITTED_PER_POINT)
                     + sides * (SIDE_PER_POINT + WEIGHTS_PER_POINT)
                     + sides.saturating_sub(1) * SUMS_PER_POINT;
-                (per_point, window.saturating_mul(4 * further))
+                // The samples of eight steps are there at a time.
+                (per_point, window.saturating_mul(4 * further.min(7)))
             }
         };
         per_point
