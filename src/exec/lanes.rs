@@ -271,7 +271,7 @@ impl<W: Four> Floats<8> for Pair<W> {
 }
 
 #[cfg(target_arch = "x86_64")]
-pub(crate) use vectors::{Eight, Vector};
+pub(crate) use vectors::{Eight, Vector, turned};
 
 /// To be had with a proof only: so each has been made on a machine that has the instructions. Of use in code that is compiled for them.
 #[cfg(target_arch = "x86_64")]
@@ -485,6 +485,45 @@ mod vectors {
         fn floats(self) -> [f32; 4] {
             // SAFETY: AVX2 was found.
             bytemuck::cast(unsafe { _mm256_cvtpd_ps(self.0) })
+        }
+    }
+
+    /// Eight rows as eight columns: bits are moved, and nothing else. The compiler would make gathers of a loop over such.
+    #[inline(always)]
+    pub(crate) fn turned(_: Avx2, rows: [&[f32; 8]; 8]) -> [[f32; 8]; 8] {
+        // SAFETY: AVX2 was found, and each row has eight numbers to be read.
+        unsafe {
+            let [a, b, c, d, e, f, g, h] = [
+                _mm256_loadu_ps(rows[0].as_ptr()),
+                _mm256_loadu_ps(rows[1].as_ptr()),
+                _mm256_loadu_ps(rows[2].as_ptr()),
+                _mm256_loadu_ps(rows[3].as_ptr()),
+                _mm256_loadu_ps(rows[4].as_ptr()),
+                _mm256_loadu_ps(rows[5].as_ptr()),
+                _mm256_loadu_ps(rows[6].as_ptr()),
+                _mm256_loadu_ps(rows[7].as_ptr()),
+            ];
+            let (ab, cd) = (_mm256_unpacklo_ps(a, b), _mm256_unpacklo_ps(c, d));
+            let (ef, gh) = (_mm256_unpacklo_ps(e, f), _mm256_unpacklo_ps(g, h));
+            let (ab_high, cd_high) = (_mm256_unpackhi_ps(a, b), _mm256_unpackhi_ps(c, d));
+            let (ef_high, gh_high) = (_mm256_unpackhi_ps(e, f), _mm256_unpackhi_ps(g, h));
+            // Columns 0 and 4, 1 and 5, 2 and 6, 3 and 7: of the first four rows, of the last four.
+            let (x0, y0) = (_mm256_shuffle_ps::<0x44>(ab, cd), _mm256_shuffle_ps::<0x44>(ef, gh));
+            let (x1, y1) = (_mm256_shuffle_ps::<0xee>(ab, cd), _mm256_shuffle_ps::<0xee>(ef, gh));
+            let (x2, y2) =
+                (_mm256_shuffle_ps::<0x44>(ab_high, cd_high), _mm256_shuffle_ps::<0x44>(ef_high, gh_high));
+            let (x3, y3) =
+                (_mm256_shuffle_ps::<0xee>(ab_high, cd_high), _mm256_shuffle_ps::<0xee>(ef_high, gh_high));
+            [
+                bytemuck::cast(_mm256_permute2f128_ps::<0x20>(x0, y0)),
+                bytemuck::cast(_mm256_permute2f128_ps::<0x20>(x1, y1)),
+                bytemuck::cast(_mm256_permute2f128_ps::<0x20>(x2, y2)),
+                bytemuck::cast(_mm256_permute2f128_ps::<0x20>(x3, y3)),
+                bytemuck::cast(_mm256_permute2f128_ps::<0x31>(x0, y0)),
+                bytemuck::cast(_mm256_permute2f128_ps::<0x31>(x1, y1)),
+                bytemuck::cast(_mm256_permute2f128_ps::<0x31>(x2, y2)),
+                bytemuck::cast(_mm256_permute2f128_ps::<0x31>(x3, y3)),
+            ]
         }
     }
 

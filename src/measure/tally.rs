@@ -54,12 +54,18 @@ impl<const N: usize> Compared<N> {
             let found = error_of(original, reduced).to_bits();
             *error = if original.is_finite() & !reduced.is_nan() { found } else { NONE };
         }
+        let mut seen = Seen { most: [0; WIDTH], least: [u32::MAX; WIDTH], zeros: [0; WIDTH] };
+        let (some, rest) = self.errors[..count].as_flattened().as_chunks::<WIDTH>();
+        some.iter().for_each(|errors| seen.add(errors));
+        seen.add(rest);
         (self.most, self.least, self.zeros) = ([0; N], [u32::MAX; N], [0; N]);
-        for row in &self.errors[..count] {
-            for (k, error) in row.iter().enumerate() {
-                self.most[k] = self.most[k].max(error & ABSOLUTE);
-                self.least[k] = self.least[k].min((error & ABSOLUTE).wrapping_sub(1));
-                self.zeros[k] += u32::from(error & ABSOLUTE == 0);
+        let rows = seen.most.as_chunks().0.iter().zip(seen.least.as_chunks().0).zip(seen.zeros.as_chunks().0);
+        for ((most, least), zeros) in rows {
+            let (most, least, zeros): (&[u32; N], &[u32; N], &[u32; N]) = (most, least, zeros);
+            for k in 0..N {
+                self.most[k] = self.most[k].max(most[k]);
+                self.least[k] = self.least[k].min(least[k]);
+                self.zeros[k] += zeros[k];
             }
         }
     }
@@ -76,6 +82,29 @@ impl<const N: usize> Compared<N> {
             most: self.most[step],
             least: self.least[step],
             zeros: self.zeros[step],
+        }
+    }
+}
+
+/// Errors that are looked at side by side: some samples, each at all steps. So many, for that the compiler makes vectors of the loop over them, and not of that over samples.
+const WIDTH: usize = 64;
+
+/// As in [`Compared`], of each [`WIDTH`]-th error.
+struct Seen {
+    most: [u32; WIDTH],
+    least: [u32; WIDTH],
+    zeros: [u32; WIDTH],
+}
+
+impl Seen {
+    #[inline(always)]
+    fn add(&mut self, errors: &[u32]) {
+        let seen = self.most.iter_mut().zip(&mut self.least).zip(&mut self.zeros);
+        for (error, ((most, least), zeros)) in errors.iter().zip(seen) {
+            let size = error & ABSOLUTE;
+            *most = size.max(*most);
+            *least = size.wrapping_sub(1).min(*least);
+            *zeros += u32::from(size == 0);
         }
     }
 }

@@ -15,6 +15,7 @@ use super::measure::{Originals, world_of};
 use super::open::OpenArchive;
 use super::probe::windows;
 use super::side_errors::Room;
+use super::side_samples::WindowSamples;
 use super::sides::Sides;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::errors::{ChunkErrors, decode_errors};
@@ -97,9 +98,20 @@ const WINDOW: u64 = 1 << 16;
 /// Blocks are taken together as long as the box around them has no more samples.
 const AROUND_BLOCKS: u64 = 1 << 15;
 
-/// Bytes that measuring a chunk at so many steps takes: samples, sums.
+/// Bytes that measuring a chunk at so many steps takes: samples, those of up to eight steps once more while they are put side by side, sums.
 pub(super) const fn working_bytes(steps: u64) -> u64 {
-    steps * (4 * WINDOW + (116 << 10)) + (256 << 10) + BatchScan::BYTES
+    // As they lie side by side.
+    let lanes = match steps % 8 {
+        0 | 1 => steps,
+        2..=4 => steps / 8 * 8 + 4,
+        _ => steps / 8 * 8 + 8,
+    };
+    let more = match steps {
+        0 | 1 => 0,
+        2..8 => steps,
+        _ => 8,
+    };
+    (lanes + more) * 4 * WINDOW + steps * (116 << 10) + (256 << 10) + BatchScan::BYTES
 }
 
 /// Measures chunks of a volume.
@@ -170,18 +182,15 @@ impl Gauge {
         mut read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
         mut each: impl FnMut(Measured<'_>),
     ) -> Result<()> {
-        let (mut originals, mut batch, mut room) = (vec![], BatchScan::default(), Room::default());
+        let (mut batch, mut room) = (BatchScan::default(), Room::default());
+        let mut originals = WindowSamples::new(steps);
         let groups = with_vectors(
             #[inline(always)]
             || self.groups(cells),
         );
         for (whole, tets) in groups {
             for window in windows(whole, WINDOW) {
-                let len = window.len();
-                originals.resize(steps.steps() * len, 0.0);
-                for (n, out) in originals.chunks_exact_mut(len).enumerate() {
-                    read(n, window, out)?;
-                }
+                originals.read(window, &mut read)?;
                 let (tets, scanner) = (&cells.tets[tets.clone()], Scanner::new(&self.grid, &window));
                 with_vectors(
                     #[inline(always)]

@@ -52,6 +52,7 @@ mod scan;
 mod series;
 mod shard;
 mod side_errors;
+mod side_samples;
 mod sides;
 mod sink;
 mod spare;

@@ -507,10 +507,10 @@ mod tests {
         let steps = |memory| NEED.with_steps(16, 16, memory, 1).steps();
         let least = NEED.least();
         assert_eq!(
-            (steps(least - 1), steps(least), steps(least + (14 << 20)), steps(1 << 40)),
+            (steps(least - 1), steps(least), steps(least + (16 << 20)), steps(1 << 40)),
             (1, 1, 3, 16)
         );
-        assert!(NEED.with_steps(16, 16, least + (14 << 20), 1).least() <= least + (14 << 20));
+        assert!(NEED.with_steps(16, 16, least + (16 << 20), 1).least() <= least + (16 << 20));
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! Which tetrahedron has a sample, and with which weights, is the same at all steps. So the values of a vertex at some steps lie side by side.
 
 use super::gauge::Measured;
+use super::side_samples::{Rows, WindowSamples};
 use super::sides::{Side, Sides};
 #[cfg(target_arch = "x86_64")]
 use crate::exec::lanes::{Eight, Vector};
@@ -12,7 +13,6 @@ use crate::grid::IndexBox;
 use crate::measure::{Compared, TOGETHER};
 use crate::mesh::tet::Tet;
 use crate::raster::{MEMBERS, Members, interpolate};
-use std::slice::ChunksExact;
 
 const _: () = assert!(MEMBERS <= TOGETHER);
 
@@ -30,7 +30,7 @@ impl Default for Room {
 }
 
 impl Room {
-    /// Hands on some samples of a window at each step; `originals` are the window's samples of each step.
+    /// Hands on some samples of a window at each step; `originals` are all samples of the window.
     #[inline(always)]
     pub(super) fn compare(
         &mut self,
@@ -38,7 +38,7 @@ impl Room {
         window: &IndexBox,
         tets: &[Tet],
         steps: &Sides<'_>,
-        originals: &[f32],
+        originals: &WindowSamples,
         each: &mut impl FnMut(Measured<'_>),
     ) {
         let places = members.places();
@@ -46,13 +46,18 @@ impl Room {
         if count == 0 {
             return;
         }
-        for (steps, side) in steps.iter() {
-            let originals =
-                originals[steps.start * window.len()..steps.end * window.len()].chunks_exact(window.len());
-            match side {
-                Side::One(values) => compare_one(members, tets, values, originals, &mut self.one),
-                Side::Four(values) => compare_four(members, tets, values, originals, &mut self.four),
-                Side::Eight(values) => compare_eight(members, tets, values, originals, &mut self.eight),
+        for ((steps, side), originals) in steps.iter().zip(originals.sides()) {
+            match (side, originals) {
+                (Side::One(values), Rows::One(originals)) => {
+                    compare_one(members, tets, values, originals, &mut self.one);
+                }
+                (Side::Four(values), Rows::Four(originals)) => {
+                    compare_four(members, tets, values, originals, &mut self.four);
+                }
+                (Side::Eight(values), Rows::Eight(originals)) => {
+                    compare_eight(members, tets, values, originals, &mut self.eight);
+                }
+                _ => unreachable!("samples lie as the values do"),
             }
             for (lane, step) in steps.enumerate() {
                 let compared = match side {
@@ -68,13 +73,7 @@ impl Room {
 
 /// Values and errors of some samples at one step.
 #[inline(never)]
-fn compare_one(
-    members: &Members,
-    tets: &[Tet],
-    values: &[f32],
-    originals: ChunksExact<'_, f32>,
-    out: &mut Compared<1>,
-) {
+fn compare_one(members: &Members, tets: &[Tet], values: &[f32], originals: &[f32], out: &mut Compared<1>) {
     with_vectors(
         #[inline(always)]
         || {
@@ -90,7 +89,7 @@ fn compare_one(
                 let void = a[i].is_nan() | b[i].is_nan() | c[i].is_nan() | d[i].is_nan();
                 out.reduced[i] = [if void { f32::NAN } else { value }];
             }
-            find_errors(members, originals, out);
+            find_errors(members, originals.as_chunks().0, out);
         },
     );
 }
@@ -101,7 +100,7 @@ fn compare_four(
     members: &Members,
     tets: &[Tet],
     values: &[[f32; 4]],
-    originals: ChunksExact<'_, f32>,
+    originals: &[[f32; 4]],
     out: &mut Compared<4>,
 ) {
     #[cfg(target_arch = "x86_64")]
@@ -120,7 +119,7 @@ fn compare_eight(
     members: &Members,
     tets: &[Tet],
     values: &[[f32; 8]],
-    originals: ChunksExact<'_, f32>,
+    originals: &[[f32; 8]],
     out: &mut Compared<8>,
 ) {
     #[cfg(target_arch = "x86_64")]
@@ -148,7 +147,7 @@ fn compare_wide<W: Floats<N>, const N: usize>(
     members: &Members,
     tets: &[Tet],
     values: &[[f32; N]],
-    originals: ChunksExact<'_, f32>,
+    originals: &[[f32; N]],
     out: &mut Compared<N>,
 ) {
     let (weights, void) = (members.weights(), W::splat(proof, f64::NAN));
@@ -169,13 +168,11 @@ fn compare_wide<W: Floats<N>, const N: usize>(
     find_errors(members, originals, out);
 }
 
-/// Looks up the original values among those of the window, step by step, and computes the errors.
+/// Looks up the original values among those of the window, and computes the errors.
 #[inline(always)]
-fn find_errors<const N: usize>(members: &Members, originals: ChunksExact<'_, f32>, out: &mut Compared<N>) {
-    for (lane, of_step) in originals.enumerate().take(N) {
-        for (row, &place) in out.originals.iter_mut().zip(members.places()) {
-            row[lane] = of_step[place as usize];
-        }
+fn find_errors<const N: usize>(members: &Members, originals: &[[f32; N]], out: &mut Compared<N>) {
+    for (row, &place) in out.originals.iter_mut().zip(members.places()) {
+        *row = originals[place as usize];
     }
     out.find_errors(members.places().len());
 }

@@ -4,7 +4,9 @@
 //! Steps that are left over have lanes that nobody looks at; a step by itself lies as it is.
 
 use crate::archive::summary::BlockRange;
-use crate::exec::with_vectors;
+#[cfg(target_arch = "x86_64")]
+use crate::exec::lanes::turned;
+use crate::exec::{Avx2, with_vectors};
 use crate::mesh::tet::Tet;
 use std::ops::Range;
 
@@ -94,16 +96,68 @@ fn push<const N: usize>(out: &mut [Vec<BlockRange>], ranges: [BlockRange; N]) {
     out.iter_mut().zip(ranges).for_each(|(out, range)| out.push(range));
 }
 
-/// Vertices that are put side by side at a time: they fit in the nearest cache.
+/// Values that are put side by side at a time: they fit in the nearest cache.
 const SOME: usize = 256;
 
-/// Lanes without a step have what was there.
-fn side_by_side<const N: usize>(steps: &[&[f32]], mut out: Vec<[f32; N]>) -> Vec<[f32; N]> {
-    out.resize(steps[0].len(), [0.0; N]);
-    for (n, rows) in out.chunks_mut(SOME).enumerate() {
-        for (lane, values) in steps.iter().enumerate() {
-            rows.iter_mut().zip(&values[n * SOME..]).for_each(|(row, &value)| row[lane] = value);
+/// Puts columns side by side, of which there are no more than lanes. Lanes without a column have any number.
+pub(super) fn put_side_by_side<const N: usize>(columns: &[&[f32]], rows: &mut [[f32; N]]) {
+    let mut done = 0;
+    #[cfg(target_arch = "x86_64")]
+    if N == 8
+        && let (Some(proof), Ok(rows)) = (Avx2::found(), bytemuck::try_cast_slice_mut(rows))
+    {
+        done = with_vectors(
+            #[inline(always)]
+            || put_eights(proof, columns, rows),
+        );
+    }
+    for (n, rows) in rows[done..].chunks_mut(SOME).enumerate() {
+        for (lane, values) in columns.iter().enumerate() {
+            rows.iter_mut().zip(&values[done + n * SOME..]).for_each(|(row, &value)| row[lane] = value);
         }
     }
+}
+
+/// Those of eight lanes, eight rows at a time; returns how many rows are done.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+fn put_eights(proof: Avx2, columns: &[&[f32]], rows: &mut [[f32; 8]]) -> usize {
+    let eights = rows.as_chunks_mut::<8>().0;
+    let columns: [&[[f32; 8]]; 8] =
+        std::array::from_fn(|lane| &columns[lane.min(columns.len() - 1)].as_chunks().0[..eights.len()]);
+    for (n, rows) in eights.iter_mut().enumerate() {
+        let [a, b, c, d, e, f, g, h] = &columns;
+        *rows = turned(proof, [&a[n], &b[n], &c[n], &d[n], &e[n], &f[n], &g[n], &h[n]]);
+    }
+    8 * eights.len()
+}
+
+fn side_by_side<const N: usize>(steps: &[&[f32]], mut out: Vec<[f32; N]>) -> Vec<[f32; N]> {
+    out.resize(steps[0].len(), [0.0; N]);
+    put_side_by_side(steps, &mut out);
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_lie_side_by_side() {
+        for (steps, len) in [(1, 3), (3, 8), (5, 7), (8, 16), (8, 8 * SOME + 13), (4, SOME + 1)] {
+            let of = |step: usize, n: usize| f32::from_bits((step << 20 | n) as u32);
+            let columns: Vec<Vec<f32>> =
+                (0..steps).map(|step| (0..len).map(|n| of(step, n)).collect()).collect();
+            let columns: Vec<&[f32]> = columns.iter().map(Vec::as_slice).collect();
+            let mut eight = vec![[0.0f32; 8]; len];
+            put_side_by_side(&columns, &mut eight);
+            let mut same = (0..len).all(|n| (0..steps).all(|k| eight[n][k].to_bits() == of(k, n).to_bits()));
+            if steps <= 4 {
+                let mut four = vec![[0.0f32; 4]; len];
+                put_side_by_side(&columns, &mut four);
+                same &= (0..len).all(|n| (0..steps).all(|k| four[n][k].to_bits() == of(k, n).to_bits()));
+            }
+            assert!(same, "{steps} steps, {len} vertices");
+        }
+    }
 }
