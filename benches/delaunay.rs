@@ -3,9 +3,9 @@
 //! `cargo bench --bench delaunay`; names are `delaunay/SET/POINTS` and `chunk/SET/POINTS OWNED`.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use isospan::geom::curve::Order;
+use isospan::geom::curve::{Order, hilbert_key};
 use isospan::geom::{LatticeBox, LatticePos};
-use isospan::mesh::chunk::{ChunkOutcome, ChunkRegion, mesh_chunk};
+use isospan::mesh::chunk::{ChunkOutcome, ChunkRegion, Manner, mesh_widening};
 use isospan::mesh::delaunay::Mesher;
 use std::collections::BTreeSet;
 use std::hint::black_box;
@@ -96,7 +96,7 @@ fn kernel(c: &mut Criterion) {
     group.finish();
 }
 
-/// A core in the middle of a larger set, with a halo of three spacings, half of it inserted at once.
+/// A core in the middle of a larger set, with a halo of three spacings, half of it inserted at once; by insertion, and star by star.
 fn stage(c: &mut Criterion) {
     let all = hammersley(2_000_000);
     let order = Order::for_count(all.len() as u64);
@@ -106,22 +106,30 @@ fn stage(c: &mut Criterion) {
     let near = core.grow_within([3 * spacing / 2; 3], &domain);
     let region = core.grow_within([3 * spacing; 3], &domain);
     let mut positions: Vec<LatticePos> = all.into_iter().filter(|p| region.contains(*p)).collect();
-    positions.sort_by_key(|p| !near.contains(*p));
+    positions.sort_by_cached_key(|p| (!core.contains(*p), !near.contains(*p), hilbert_key(*p, 12)));
     let owned = positions.iter().filter(|p| core.contains(**p)).count() as u64;
     let boxes = ChunkRegion { core, near, region, domain };
     let mut mesher = Mesher::new();
     let mut group = c.benchmark_group("chunk");
     group.sample_size(10).measurement_time(Duration::from_secs(4)).throughput(Throughput::Elements(owned));
-    group.bench_function(BenchmarkId::new("hammersley", format!("{} {owned}", positions.len())), |b| {
-        b.iter(|| match mesh_chunk(&mut mesher, &boxes, black_box(&positions), &order).unwrap() {
-            ChunkOutcome::Done(mesh) => {
-                let tets = mesh.tets.len();
-                mesher.reuse(mesh.tets);
-                tets
-            }
-            ChunkOutcome::WidenHalo { uncertified } => panic!("{uncertified} uncertified"),
+    for (name, even) in [("hammersley", false), ("hammersley stars", true)] {
+        let manner = Manner { around: false, even };
+        group.bench_function(BenchmarkId::new(name, format!("{} {owned}", positions.len())), |b| {
+            b.iter(|| {
+                let positions = black_box(&mut positions);
+                match mesh_widening(&mut mesher, &boxes, positions, &order, manner, &mut |_| Ok(None))
+                    .unwrap()
+                {
+                    ChunkOutcome::Done(mesh) => {
+                        let tets = mesh.tets.len();
+                        mesher.reuse(mesh.tets);
+                        tets
+                    }
+                    ChunkOutcome::WidenHalo { uncertified } => panic!("{uncertified} uncertified"),
+                }
+            });
         });
-    });
+    }
     group.finish();
 }
 

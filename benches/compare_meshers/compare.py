@@ -27,6 +27,8 @@ import venv
 HERE = pathlib.Path(__file__).resolve().parent
 CGAL_FLAGS = ["-march=native", "-frounding-math"]
 PEERS = ["HXT", "CGAL", "Geogram"]
+# Sets whose chunks a reduction meshes star by star.
+EVEN = ("hammersley", "halton")
 COLUMNS = [*PEERS, "kernel", "stage"]
 CGAL_FLAGS += ["-DCGAL_LINKED_WITH_TBB", "-DCGAL_CONCURRENT_TRIANGULATION_3"]
 
@@ -129,20 +131,21 @@ def measure(command, cpu, memory):
     return int(rows[0][0]), int(rows[0][1]), seconds
 
 
-def compare(ours, peers, file, threads, chosen):
+def compare(ours, peers, name, file, threads, chosen):
     """Median seconds and the counts of each mesher on a file."""
-    commands = {name: [*command, file, "1", str(threads)] for name, command in peers.items()}
+    commands = {peer: [*command, file, "1", str(threads)] for peer, command in peers.items()}
     if threads == 1:
         commands["kernel"] = [ours, "kernel", file, "5"]
-    commands["stage"] = [ours, "stage", file, "1", str(threads), str(chosen.chunk)]
-    found = {name: [] for name in commands}
+    manner = ["even"] if name in EVEN else []
+    commands["stage"] = [ours, "stage", file, "1", str(threads), str(chosen.chunk), *manner]
+    found = {mesher: [] for mesher in commands}
     for _ in range(chosen.rounds):
-        for name, command in commands.items():
+        for mesher, command in commands.items():
             one = measure(command, chosen.cpu, chosen.memory)
             if one:
-                found[name].append(one)
+                found[mesher].append(one)
     median = lambda runs: statistics.median(run[2] for run in runs)
-    return {name: (runs[0][0], runs[0][1], median(runs)) for name, runs in found.items() if runs}
+    return {mesher: (runs[0][0], runs[0][1], median(runs)) for mesher, runs in found.items() if runs}
 
 
 def row(name, threads, of):
@@ -171,7 +174,7 @@ def main():
                 file = str(work / "points")
                 subprocess.run([ours, "points", name, str(count), file], check=True)
                 for threads in chosen.threads:
-                    of = compare(ours, peers, file, threads, chosen)
+                    of = compare(ours, peers, name, file, threads, chosen)
                     if of:
                         print(row(name, threads, of), flush=True)
 

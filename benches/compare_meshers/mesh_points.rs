@@ -2,15 +2,15 @@
 //!
 //! * `mesh_points points SET COUNT FILE`: writes points of the unit cube as little-endian f64 triples.
 //! * `mesh_points kernel FILE REPEAT`: rounds them to the lattice and meshes them as one, in memory that is reused.
-//! * `mesh_points stage FILE REPEAT THREADS CHUNK`: adds samples of the cube's boundary, and cuts the
-//!   cube into chunks of about CHUNK points, both as a reduction does; meshes those, halos and certification included.
+//! * `mesh_points stage FILE REPEAT THREADS CHUNK [even]`: adds samples of the cube's boundary, and cuts the
+//!   cube into chunks of about CHUNK points, both as a reduction does; meshes those, halos and certification included, `even` ones star by star.
 //!
 //! Prints a line a repetition: points, tetrahedra, wall seconds, CPU seconds (of all threads).
 
-use isospan::geom::curve::Order;
+use isospan::geom::curve::{Order, hilbert_key};
 use isospan::geom::{Lattice, LatticeBox, LatticePos, PointClass};
 use isospan::grid::{BrickGrid, ChunkGrid};
-use isospan::mesh::chunk::{ChunkOutcome, ChunkRegion, mesh_widening};
+use isospan::mesh::chunk::{ChunkOutcome, ChunkRegion, Manner, mesh_widening};
 use isospan::mesh::delaunay::Mesher;
 use isospan::points::{PointSet, PointSpec, SetKind, SetSettings};
 use std::collections::BTreeSet;
@@ -21,7 +21,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 const SIDE: u32 = Lattice::LARGEST;
-const USAGE: &str = "points SET COUNT FILE | kernel FILE REPEAT | stage FILE REPEAT THREADS CHUNK";
+const USAGE: &str = "points SET COUNT FILE | kernel FILE REPEAT | stage FILE REPEAT THREADS CHUNK [even]";
 
 fn main() -> Result<(), Box<dyn Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -29,8 +29,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     match args[..] {
         ["points", set, count, file] => write_points(file, &points(set, count.parse()?)?),
         ["kernel", file, repeat] => kernel(&read_points(file)?, repeat.parse()?),
-        ["stage", file, repeat, threads, chunk] => {
-            stage(read_points(file)?, repeat.parse()?, threads.parse()?, chunk.parse()?)
+        ["stage", file, repeat, threads, chunk, ref manner @ ..] if matches!(manner, [] | ["even"]) => {
+            stage(read_points(file)?, repeat.parse()?, threads.parse()?, chunk.parse()?, !manner.is_empty())
         }
         _ => Err(USAGE.into()),
     }
@@ -126,7 +126,13 @@ struct Chunk {
     wider: [OnceLock<(LatticeBox, Vec<LatticePos>)>; WIDTHS],
 }
 
-fn stage(points: Vec<LatticePos>, repeat: usize, threads: usize, chunk: u64) -> Result<(), Box<dyn Error>> {
+fn stage(
+    points: Vec<LatticePos>,
+    repeat: usize,
+    threads: usize,
+    chunk: u64,
+    even: bool,
+) -> Result<(), Box<dyn Error>> {
     let spacing = (f64::from(SIDE) / (points.len() as f64).cbrt()) as u32;
     let on_faces = boundary(points.len() as u64)?;
     let all: BTreeSet<LatticePos> = points.into_iter().chain(on_faces).collect();
@@ -149,7 +155,7 @@ fn stage(points: Vec<LatticePos>, repeat: usize, threads: usize, chunk: u64) -> 
             positions.extend_from_slice(more);
             Ok(Some(*region))
         };
-        match mesh_widening(mesher, boxes, positions, &order, false, &mut widen)? {
+        match mesh_widening(mesher, boxes, positions, &order, Manner { around: false, even }, &mut widen)? {
             ChunkOutcome::Done(mesh) => {
                 let tets = mesh.tets.len();
                 mesher.reuse(mesh.tets);
@@ -220,7 +226,8 @@ fn halo(
     let near = core.grow_within([spacing / 4 * quarters("NEAR", 7); 3], &domain);
     let region = core.grow_within([far(spacing, 0); 3], &domain);
     let mut positions: Vec<LatticePos> = all.iter().copied().filter(|p| region.contains(*p)).collect();
-    positions.sort_by_key(|p| !near.contains(*p));
+    // Those of the core along a curve, as a reduction lists them.
+    positions.sort_by_cached_key(|p| (!core.contains(*p), !near.contains(*p), hilbert_key(*p, 12)));
     (ChunkRegion { core, near, region, domain }, positions)
 }
 

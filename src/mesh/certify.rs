@@ -24,16 +24,15 @@
 //! Let L be the local tetrahedralization of the points of the region, G the global one; both are unique, ties
 //! included. The chunk owns the tetrahedra whose least vertex (x, then y, then z) lies in the core. It is done when
 //!
-//! 1. every tetrahedron of L with one of its **three least** vertices in the core is certified, and
+//! 1. every tetrahedron of L with a vertex in the core is certified, and
 //! 2. no slab point lies strictly beyond the hull facets of L with a vertex in the core.
 //!
 //! *Nothing wrong is emitted.* A certified tetrahedron is empty of all points, seen and unseen (the closed sphere excludes even ties),
 //! so it is in G.
 //!
-//! *Nothing is missing.* Let T be in G with its least vertex v in the core. Near v, T fills directions that increase in the
-//! order. By 2 the hull of L near v is the hull of G near v (every point, unseen too, is on the inner side of each facet of L's
-//! hull at v), so those directions are filled by tetrahedra of L at v. Such a tetrahedron has a vertex greater than v (all its edges
-//! at v would decrease otherwise), so v is among its three least, and by 1 it is in G. Tetrahedra of G do not overlap, so it is T. It would not
+//! *Nothing is missing.* Let T be in G with a vertex v in the core. By 2 the hull of L near v is the hull of G near v (every point, unseen too, is on the inner
+//! side of each facet of L's hull at v), so around v the tetrahedra of L at v fill what those of G fill; by 1 they are in G, whose tetrahedra do not overlap: T is one of them.
+//! So all tetrahedra at the core's points are known, those that are owned and those that tell which points are shared. It would not
 //! suffice to check owned tetrahedra alone: a wrong one whose least vertex lies outside the core can hide T.
 
 use crate::geom::predicates::signed_volume6;

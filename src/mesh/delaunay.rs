@@ -55,11 +55,12 @@ use crate::geom::curve::Order;
 use crate::geom::predicates::orient3d;
 use crate::geom::{Lattice, LatticePos};
 use crate::mesh::certify::Local;
-use crate::mesh::list::TetList;
+use crate::mesh::list::{Memory, TetList};
 use crate::mesh::owned::Owned;
 use crate::mesh::tet::Tet;
 pub(super) use arena::Tetra;
 use arena::{Arena, FIRST_TAG, Frame, INFINITE, MOST_TETS, Margin, Point};
+pub(super) use pages::reserve;
 
 /// Which code inserts points; the tetrahedra are the same.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -101,6 +102,8 @@ pub struct Mesher {
     spare: Vec<(u64, u32)>,
     /// Scratch of the chunk stage, kept here so that its pages are not asked for again in each chunk.
     pub(super) owned: Owned,
+    #[cfg(target_arch = "x86_64")]
+    pub(super) stars: crate::mesh::stars::Stars,
 }
 
 impl Mesher {
@@ -111,11 +114,17 @@ impl Mesher {
 
     /// Gives back the memory in which the tetrahedra of a chunk are: the next will be meshed in it.
     pub fn reuse(&mut self, tets: TetList) {
-        if let Some(records) = tets.into_records()
-            && records.capacity() > self.arena.tets.capacity()
-        {
-            (self.arena.tets, self.arena.free) = (records, vec![]);
-            self.arena.tets.clear();
+        match tets.into_memory() {
+            Memory::Among(records, _) => {
+                if records.capacity() > self.arena.tets.capacity() {
+                    (self.arena.tets, self.arena.free) = (records, vec![]);
+                    self.arena.tets.clear();
+                }
+            }
+            #[cfg(target_arch = "x86_64")]
+            Memory::Listed(tets) => self.stars.reuse(tets),
+            #[cfg(not(target_arch = "x86_64"))]
+            Memory::Listed(_) => {}
         }
     }
 

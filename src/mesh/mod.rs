@@ -7,4 +7,6 @@ pub mod delaunay;
 mod late;
 pub mod list;
 mod owned;
+#[cfg(target_arch = "x86_64")]
+mod stars;
 pub mod tet;

@@ -100,6 +100,7 @@ impl Owned {
             sort::<false>(tets, &mut counts, sorted, around);
         } else {
             sort::<true>(tets, &mut counts, sorted, around);
+            sort_around(around);
         }
         self.counts = counts;
         TetList::among(records, packed..2 * packed, own)
@@ -137,6 +138,21 @@ fn sort<const SOME: bool>(tets: &[Tet], counts: &mut [u32], own: &mut [Tet], aro
             *place += 1;
         }
     }
+}
+
+/// Puts tetrahedra into an order that does not depend on how they were found.
+pub(super) fn sort_around(tets: &mut [Tet]) {
+    for t in &mut *tets {
+        let [a, b, c, d] = least_first(*t);
+        *t = if b < c && b < d {
+            [a, b, c, d]
+        } else if c < d {
+            [a, c, d, b]
+        } else {
+            [a, d, b, c]
+        };
+    }
+    tets.sort_unstable();
 }
 
 /// An even permutation with the least number first. Without branches: they would be taken at random.

@@ -11,7 +11,7 @@ use crate::exec::CancelToken;
 use crate::geom::curve::Order;
 use crate::geom::{LatticeBox, LatticePos, PointId, Site};
 use crate::grid::{BrickGrid, Chunk};
-use crate::mesh::chunk::{ChunkMesh, ChunkOutcome, ChunkRegion, mesh_widening};
+use crate::mesh::chunk::{ChunkMesh, ChunkOutcome, ChunkRegion, Manner, mesh_widening};
 use crate::mesh::delaunay::Mesher;
 use crate::mesh::list::TetList;
 use crate::mesh::tet::Tet;
@@ -172,8 +172,8 @@ impl Maker {
             positions.extend(sites[known..].iter().map(|s| s.pos));
             Ok(Some(wide))
         };
-        let stars = recipe.halo == Halo::Stars;
-        match mesh_widening(mesher, &boxes, positions, &recipe.order, stars, &mut widen)? {
+        let manner = Manner { around: recipe.halo == Halo::Stars, even: recipe.points.is_even() };
+        match mesh_widening(mesher, &boxes, positions, &recipe.order, manner, &mut widen)? {
             ChunkOutcome::Done(mesh) => {
                 let positions = std::mem::take(&mut self.positions);
                 Ok(Meshing::Done(renumber(core_counts, &self.sites, positions, mesh, retries)))

@@ -127,6 +127,13 @@ impl PointSet {
         self.explicit.as_deref()
     }
 
+    /// Whether its points lie as dense everywhere, and no more of them than by chance on a plane or a sphere, but for the domain's faces.
+    pub fn is_even(&self) -> bool {
+        matches!(self.spec, PointSpec::Hammersley { .. } | PointSpec::Halton { .. })
+            && self.graded.is_none()
+            && self.explicit.is_none()
+    }
+
     /// What the set was made from.
     pub fn spec(&self) -> &PointSpec {
         &self.spec

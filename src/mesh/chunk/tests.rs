@@ -93,7 +93,16 @@ fn widening(
         positions.extend(all.iter().filter(|p| wide.contains(**p) && !narrow.contains(**p)));
         Ok(Some(wide))
     };
-    match mesh_widening(&mut Mesher::new(), &boxes, &mut local, &order, stars, &mut widen).unwrap() {
+    match mesh_widening(
+        &mut Mesher::new(),
+        &boxes,
+        &mut local,
+        &order,
+        Manner { around: stars, even: false },
+        &mut widen,
+    )
+    .unwrap()
+    {
         ChunkOutcome::Done(mesh) => (mesh, local),
         ChunkOutcome::WidenHalo { .. } => unreachable!("there is always a wider halo"),
     }
@@ -307,7 +316,7 @@ fn where_no_wider_halo_is_given_the_answer_says_so() {
             Ok(Some(region))
         };
         let mut mesher = Mesher::new();
-        mesh_widening(&mut mesher, &boxes, &mut local.clone(), &order, false, &mut widen)
+        mesh_widening(&mut mesher, &boxes, &mut local.clone(), &order, Manner::default(), &mut widen)
             .unwrap_err()
             .to_string()
     };

@@ -1,0 +1,526 @@
+//! A chunk meshed star by star: the tetrahedra at one point after another, each tetrahedron once.
+//!
+//! An insertion (`delaunay.rs`) makes 27 tetrahedra a point, of which 6.8 stay. Where points lie evenly, which tetrahedron lies behind
+//! a known face can be asked of the points around directly (gift wrapping: Chand and Kapur, 1970; Tanemura, Ogawa and Ogita, 1983), and sixteen are looked at by one
+//! instruction:
+//!
+//! ```text
+//!      ┄┄┄ c              The tetrahedra at p, seen from p, are the triangles of a sphere, the *link* of p. Those with a point that had its turn
+//!     known ╲    · w      before p are known; the faces at p that bound them wait for it. Each is a *gate* cd: behind it is the
+//!            ╲  ·         point w in front of p, c, d with the smallest (c - t n)-sphere: the least t of |w - m|² - r² = 2t n·w,
+//!      ┄┄┄┄┄┄ d           (m, r) the circle through p, c, d. The triangle cwd opens gates cw and wd, or closes them.
+//! ```
+//!
+//! When no gate is open the star is whole. The face across from p of each new tetrahedron waits for the first of its
+//! points to have its turn. Points have their turns in the order of their numbers, so tetrahedra come out in the order of their least numbers, and a chunk needs no
+//! tetrahedron but those at its own points: no halo is meshed, only looked at.
+//!
+//! # Why the tetrahedra are those of the whole mesh
+//! Floating point only guesses. A star of p is taken when for each of its new tetrahedra it is proven, within error bounds (`wide.rs`), that
+//!
+//! 1. it is positively oriented, and its sphere leaves out all points within D of p but its own four;
+//! 2. the diameter of its sphere is less than D, so that these are all that could lie in it, for a sphere through p reaches no further.
+//!
+//! So each is a tetrahedron of the whole mesh 𝒟, and no tie is involved. Across each of its faces at p is another one of the star, or nothing where the
+//! three corners of the face lie in one face of the domain. The tetrahedra of 𝒟 at p are connected across such faces; hence what is
+//! closed across them, and not empty, is all of them.
+//!
+//! Time: some 0.6 µs a point on a machine on which insertion takes 1 with its halo: a third is following gates, an eighth listing the points nearby. Memory: 16 bytes a tetrahedron
+//! and 30 a point. Tried, for no gain: two gates that share no point at once, reciprocals in place of divisions.
+//!
+//! Where that proof fails (a large sphere at the domain's boundary, a tie, a point twice) D grows, and at last the points of a box around p
+//! are tetrahedralized by insertion, exactly, and certified as a chunk is (`certify.rs`). Where even that fails, or happens often, as on a lattice, the chunk is
+//! left to insertion altogether. The outcome is the same.
+
+mod wide;
+
+use super::certify::Unseen;
+use super::chunk::{ChunkMesh, ChunkRegion};
+use super::delaunay::{self, Mesher};
+use super::list::TetList;
+use super::tet::Tet;
+use crate::error::Result;
+use crate::geom::curve::Order;
+use crate::geom::{LatticeBox, LatticePos};
+use wide::{Neighbourhood, View, Wide};
+
+/// D in mean spacings, at first and where that does not do. With 2.15, one star in fifty wants more.
+const REACHES: [f64; 3] = [2.15, 2.7, 3.3];
+/// Half the edge of the box whose points are tetrahedralized, in mean spacings; doubled where that does not do.
+const BOX: f64 = 3.0;
+/// How many stars may ask for that: so many, and one of so many.
+const SLOW: (usize, usize) = (200, 50);
+
+/// A point that had no tetrahedron yet, as the first face that waits for it.
+const NEW: u32 = u32::MAX;
+/// None.
+const END: u32 = u32::MAX - 1;
+
+/// A face that waits for a point of it to have its turn: the other two, as they follow each other in its link seen from the known
+/// tetrahedron; and the next face of that point.
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    others: [u32; 2],
+    next: u32,
+}
+
+/// The memory of one worker.
+#[derive(Debug, Default)]
+pub(super) struct Stars {
+    grid: Grid,
+    near: Box<Neighbourhood>,
+    /// By point: the first face that waits for it.
+    first: Vec<u32>,
+    waiting: Vec<Waiting>,
+    free: Vec<u32>,
+    /// Memory of tetrahedra that nobody needs any more.
+    spare: Vec<Tet>,
+    tets: Vec<Tet>,
+    /// The new tetrahedra of the star at hand, the point first.
+    star: Vec<Tet>,
+    slow: Slow,
+}
+
+/// What a star by insertion needs.
+#[derive(Debug, Default)]
+struct Slow {
+    numbers: Vec<u32>,
+    positions: Vec<LatticePos>,
+    stars: usize,
+}
+
+/// The points of a region by cells, row after row along x.
+#[derive(Debug, Default)]
+struct Grid {
+    lo: LatticePos,
+    /// Cells a lattice step, rounded down.
+    per_step: f64,
+    cells: [usize; 3],
+    /// Where the points of each cell begin; the end at the end.
+    starts: Vec<u32>,
+    /// Coordinates from `lo`, by a power of two so that the mean spacing is about 1: exact. Cell after cell, with some room behind.
+    at: [Vec<f32>; 3],
+    ids: Vec<u32>,
+    scale: f32,
+}
+
+impl Grid {
+    /// `side`: of a cell, in lattice steps.
+    fn fill(&mut self, region: &LatticeBox, positions: &[LatticePos], side: f64, spacing: f64) {
+        self.lo = region.lo;
+        self.per_step = (1.0 - 1e-9) / side;
+        self.scale = f32::exp2(-(spacing.log2().round() as f32));
+        self.cells =
+            std::array::from_fn(|a| (f64::from(region.hi[a] - region.lo[a]) * self.per_step) as usize + 1);
+        self.starts.clear();
+        self.starts.resize(self.cells.iter().product::<usize>() + 1, 0);
+        for p in positions {
+            let cell = self.index(self.cell(p));
+            self.starts[cell] += 1;
+        }
+        let mut sum = 0;
+        for n in &mut self.starts {
+            sum += *n;
+            *n = sum;
+        }
+        for at in &mut self.at {
+            at.resize(positions.len() + LANES, 0.0);
+        }
+        self.ids.resize(positions.len() + LANES, 0);
+        // Backwards, so that the points of a cell ascend.
+        for (id, p) in positions.iter().enumerate().rev() {
+            let cell = self.index(self.cell(p));
+            self.starts[cell] -= 1;
+            let place = self.starts[cell] as usize;
+            for a in 0..3 {
+                self.at[a][place] = self.local(p, a);
+            }
+            self.ids[place] = id as u32;
+        }
+    }
+
+    #[inline]
+    fn local(&self, p: &LatticePos, a: usize) -> f32 {
+        (p[a] - self.lo[a]) as f32 * self.scale
+    }
+
+    #[inline]
+    fn cell(&self, p: &LatticePos) -> [usize; 3] {
+        std::array::from_fn(|a| (f64::from(p[a] - self.lo[a]) * self.per_step) as usize)
+    }
+
+    #[inline]
+    fn index(&self, [x, y, z]: [usize; 3]) -> usize {
+        (z * self.cells[1] + y) * self.cells[0] + x
+    }
+
+    /// The places of the points of each row of the cells within `reach` cells.
+    fn rows(&self, cell: [usize; 3], reach: usize, rows: &mut Vec<[u32; 2]>) {
+        let span = |a: usize| cell[a].saturating_sub(reach)..(cell[a] + reach + 1).min(self.cells[a]);
+        rows.clear();
+        for z in span(2) {
+            for y in span(1) {
+                let row = [span(0).start, span(0).end].map(|x| self.starts[self.index([x, y, z])]);
+                rows.push(row);
+            }
+        }
+    }
+}
+
+/// Points that are looked at together; there is room for so many more behind lists.
+const LANES: usize = 16;
+
+/// How a star ended.
+enum Star {
+    Whole,
+    /// A larger D may do.
+    TooNear,
+    /// Only integers can tell.
+    Doubtful,
+}
+
+impl Stars {
+    /// Takes the memory of a list that nobody needs any more.
+    pub(super) fn reuse(&mut self, tets: Vec<Tet>) {
+        if tets.capacity() > self.spare.capacity() {
+            self.spare = tets;
+        }
+    }
+
+    /// The mesh of a chunk of evenly spread points, those of the core first; `None` where insertion is to make it. With `around`, also the tetrahedra around those owned.
+    ///
+    /// # Errors
+    /// As [`Mesher::delaunay`].
+    pub(super) fn mesh(
+        &mut self,
+        mesher: &mut Mesher,
+        boxes: &ChunkRegion,
+        positions: &[LatticePos],
+        order: &Order,
+        around: bool,
+    ) -> Result<Option<ChunkMesh>> {
+        let core = positions.iter().take_while(|p| boxes.core.contains(**p)).count();
+        let Some(wide) = Wide::found() else { return Ok(None) };
+        if core < 64 || positions[core..].iter().any(|p| boxes.core.contains(*p)) {
+            return Ok(None);
+        }
+        let volume: f64 = (0..3).map(|a| f64::from(boxes.region.hi[a] - boxes.region.lo[a])).product();
+        let spacing = (volume / positions.len() as f64).cbrt();
+        self.grid.fill(&boxes.region, positions, REACHES[0] * spacing, spacing);
+        self.first.clear();
+        self.first.resize(positions.len(), NEW);
+        self.waiting.clear();
+        self.free.clear();
+        self.slow.stars = 0;
+        let spare = std::mem::take(&mut self.spare);
+        if spare.capacity() > self.tets.capacity() {
+            self.tets = spare;
+        }
+        self.tets.clear();
+        delaunay::reserve(&mut self.tets, 7 * core);
+        let found = Chunk {
+            wide,
+            boxes,
+            positions,
+            order,
+            spacing,
+            core,
+            rows: vec![],
+            cell: [usize::MAX; 3],
+            used: vec![],
+        }
+        .mesh(self, mesher, around)?;
+        Ok(found)
+    }
+}
+
+/// A chunk at work.
+struct Chunk<'a> {
+    wide: Wide,
+    boxes: &'a ChunkRegion,
+    positions: &'a [LatticePos],
+    order: &'a Order,
+    spacing: f64,
+    /// How many positions are the core's.
+    core: usize,
+    rows: Vec<[u32; 2]>,
+    /// The cell around which the rows are, with the first reach.
+    cell: [usize; 3],
+    /// By position outside the core: whether an owned tetrahedron has it. Empty until all those are known.
+    used: Vec<bool>,
+}
+
+impl Chunk<'_> {
+    fn mesh(mut self, room: &mut Stars, mesher: &mut Mesher, around: bool) -> Result<Option<ChunkMesh>> {
+        let mut shared: Vec<bool> = vec![false; self.core];
+        shared.resize(self.positions.len(), true);
+        let mut foreign = vec![];
+        for p in 0..self.core as u32 {
+            if !self.close(room, mesher, p)? {
+                return Ok(None);
+            }
+            let Stars { tets, star, .. } = room;
+            for &tet in &*star {
+                if self.owns(tet) {
+                    tets.push(tet);
+                } else {
+                    tet.iter().for_each(|&v| shared[v as usize] = true);
+                    if around {
+                        foreign.push(tet);
+                    }
+                }
+            }
+            self.wait(room, around);
+        }
+        let own = room.tets.len();
+        if around && !self.add_around(room, mesher, foreign)? {
+            return Ok(None);
+        }
+        let mut tets = TetList::from(std::mem::take(&mut room.tets));
+        tets.split_at(own);
+        Ok(Some(ChunkMesh { tets, shared }))
+    }
+
+    /// Appends the tetrahedra around those owned; `foreign` are those at points of the core that are not owned.
+    fn add_around(&mut self, room: &mut Stars, mesher: &mut Mesher, foreign: Vec<Tet>) -> Result<bool> {
+        let mut used = vec![false; self.positions.len()];
+        room.tets.iter().flatten().for_each(|&v| used[v as usize] = true);
+        let own = room.tets.len();
+        let is_around = |t: &Tet| t.iter().any(|&v| used[v as usize]);
+        room.tets.extend(foreign.into_iter().filter(is_around));
+        // Faces that no point of the core has wait for the first that is used.
+        let Stars { first, waiting, .. } = &mut *room;
+        let mut loose = vec![];
+        for (v, first) in (0u32..).zip(&mut *first).skip(self.core) {
+            let mut at = *first;
+            while at < END {
+                let Waiting { others: [c, d], next } = waiting[at as usize];
+                loose.push([v, d, c]);
+                at = next;
+            }
+            *first = (*first).max(END);
+        }
+        waiting.clear();
+        room.free.clear();
+        self.used = used;
+        loose.into_iter().for_each(|face| self.wait_for(room, face));
+        for p in self.core as u32..self.positions.len() as u32 {
+            if self.used[p as usize] {
+                if !self.close(room, mesher, p)? {
+                    return Ok(false);
+                }
+                room.tets.extend_from_slice(&room.star);
+                self.wait(room, true);
+            }
+        }
+        super::owned::sort_around(&mut room.tets[own..]);
+        Ok(true)
+    }
+
+    fn owns(&self, tet: Tet) -> bool {
+        let core = self.core as u32;
+        if tet[1].max(tet[2]).max(tet[3]) < core {
+            return true;
+        }
+        let least = tet.into_iter().min_by_key(|&v| self.positions[v as usize]);
+        least.is_some_and(|v| v < core)
+    }
+
+    /// Lets the faces of the new tetrahedra wait that lie across from the point.
+    fn wait(&self, room: &mut Stars, around: bool) {
+        for i in 0..room.star.len() {
+            let [_, b, a, c] = room.star[i];
+            for v in [b, a, c] {
+                let first = &mut room.first[v as usize];
+                *first = (*first).min(END);
+            }
+            if around || b.min(a).min(c) < self.core as u32 {
+                self.wait_for(room, [b, a, c]);
+            }
+        }
+    }
+
+    /// Lets a face wait for the first of its points that has its turn, if any; seen from the known tetrahedron the three follow each other the other way round.
+    #[inline]
+    fn wait_for(&self, room: &mut Stars, [b, a, c]: [u32; 3]) {
+        let turn = |v: u32| if self.used.is_empty() || self.used[v as usize] { v } else { u32::MAX };
+        let (tb, ta, tc) = (turn(b), turn(a), turn(c));
+        let least = tb.min(ta).min(tc);
+        if least == u32::MAX {
+            return;
+        }
+        let others = if least == tb {
+            [c, a]
+        } else if least == ta {
+            [b, c]
+        } else {
+            [a, b]
+        };
+        let first = &mut room.first[least as usize];
+        let face = Waiting { others, next: (*first).min(END) };
+        if let Some(place) = room.free.pop() {
+            room.waiting[place as usize] = face;
+            *first = place;
+        } else {
+            *first = room.waiting.len() as u32;
+            room.waiting.push(face);
+        }
+    }
+
+    /// Makes the new tetrahedra at a point; false where that cannot be.
+    fn close(&mut self, room: &mut Stars, mesher: &mut Mesher, p: u32) -> Result<bool> {
+        let at = self.positions[p as usize];
+        room.star.clear();
+        let Stars { grid, near, first, waiting, free, star, slow, .. } = room;
+        let mut next = first[p as usize];
+        if next == END {
+            // All its tetrahedra are known.
+            return Ok(true);
+        }
+        let is_new = next == NEW;
+        near.gates.clear();
+        while next < END {
+            let face = waiting[next as usize];
+            near.gates.push(face.others);
+            free.push(next);
+            next = face.next;
+        }
+        let cell = grid.cell(&at);
+        let ends = |a: usize| [self.boxes.domain.lo[a], self.boxes.domain.hi[a] - 1];
+        let mut view = View {
+            p,
+            at: std::array::from_fn(|a| grid.local(&at, a)),
+            is_new,
+            reach: 0.0,
+            domain: std::array::from_fn(|a| {
+                ends(a).map(|end| (f64::from(end) - f64::from(at[a])) * f64::from(grid.scale))
+            }),
+        };
+        for (n, reach) in REACHES.into_iter().enumerate() {
+            let d = reach * self.spacing;
+            if !self.knows(at, d) {
+                break;
+            }
+            if n > 0 || cell != self.cell {
+                let cells = (reach / REACHES[0]).ceil() as usize;
+                grid.rows(cell, cells, &mut self.rows);
+                self.cell = if n == 0 { cell } else { [usize::MAX; 3] };
+            }
+            view.reach = (d * f64::from(grid.scale)) as f32;
+            match near.star(self.wide, grid, &self.rows, &view, |face| self.is_outer(face)) {
+                Star::Whole => {
+                    near.tets(p, star);
+                    return Ok(true);
+                }
+                Star::TooNear => {}
+                Star::Doubtful => break,
+            }
+        }
+        slow.stars += 1;
+        if slow.stars > SLOW.0 + p as usize / SLOW.1 {
+            return Ok(false);
+        }
+        self.close_slowly(grid, slow, star, mesher, p)
+    }
+
+    /// Whether all points within `d` of a position are at hand.
+    fn knows(&self, at: LatticePos, d: f64) -> bool {
+        let ChunkRegion { region, domain, .. } = self.boxes;
+        let d = d as u32 + 1;
+        (0..3).all(|a| {
+            (region.lo[a] == domain.lo[a] || at[a] >= region.lo[a].saturating_add(d))
+                && (region.hi[a] == domain.hi[a] || at[a].saturating_add(d) < region.hi[a])
+        })
+    }
+
+    /// Whether three points lie in one face of the domain, with nothing beyond: where (p, a, b, x) is negatively oriented.
+    fn is_outer(&self, face: [u32; 3]) -> bool {
+        let domain = &self.boxes.domain;
+        let [p, a, b] = face.map(|v| self.positions[v as usize]);
+        (0..3).any(|k| {
+            let (i, j) = ((k + 1) % 3, (k + 2) % 3);
+            let from_p = |q: LatticePos, k: usize| i64::from(q[k]) - i64::from(p[k]);
+            let turn = from_p(b, i) * from_p(a, j) - from_p(b, j) * from_p(a, i);
+            p[k] == a[k]
+                && p[k] == b[k]
+                && (p[k] == domain.lo[k] && turn < 0 || p[k] + 1 == domain.hi[k] && turn > 0)
+        })
+    }
+
+    /// The new tetrahedra at a point, from the points of a box around it; false where they cannot be certified.
+    fn close_slowly(
+        &self,
+        grid: &Grid,
+        slow: &mut Slow,
+        star: &mut Vec<Tet>,
+        mesher: &mut Mesher,
+        p: u32,
+    ) -> Result<bool> {
+        let ChunkRegion { region, domain, .. } = self.boxes;
+        let at = self.positions[p as usize];
+        let mut half = BOX * self.spacing;
+        loop {
+            let w = half as u32 + 1;
+            let around = LatticeBox {
+                lo: std::array::from_fn(|a| at[a].saturating_sub(w).max(region.lo[a])),
+                hi: std::array::from_fn(|a| at[a].saturating_add(w).min(region.hi[a])),
+            };
+            let mut rows = vec![];
+            grid.rows(grid.cell(&at), (half * grid.per_step).ceil() as usize + 1, &mut rows);
+            let ids = rows.iter().flat_map(|&[start, end]| &grid.ids[start as usize..end as usize]);
+            slow.numbers.clear();
+            slow.numbers.extend(ids.copied().filter(|&v| around.contains(self.positions[v as usize])));
+            slow.numbers.sort_unstable();
+            slow.positions.clear();
+            slow.positions.extend(slow.numbers.iter().map(|&v| self.positions[v as usize]));
+            mesher.delaunay(&slow.positions, self.order)?;
+            if self.take_star(&Unseen::new(around, *domain, mesher.local()), slow, star, mesher, p) {
+                return Ok(true);
+            }
+            if around == *region {
+                return Ok(false);
+            }
+            half *= 2.0;
+        }
+    }
+
+    /// Takes the new tetrahedra at a point from the mesher's mesh; false where one of the star is not certified.
+    fn take_star(&self, unseen: &Unseen, slow: &Slow, star: &mut Vec<Tet>, mesher: &Mesher, p: u32) -> bool {
+        star.clear();
+        let mut any = false;
+        for id in 0..mesher.records() {
+            let Some((v, sphere)) = mesher.record(id) else { continue };
+            // Infinity is vertex 0.
+            let ids = v.map(|v| if v == 0 { None } else { Some(slow.numbers[mesher.source(v) as usize]) });
+            let Some(place) = ids.iter().position(|&v| v == Some(p)) else { continue };
+            any = true;
+            let at = |v: Option<u32>| v.map(|v| self.positions[v as usize]);
+            if let Some(k) = ids.iter().position(Option::is_none) {
+                let [Some(a), Some(b), Some(c)] = delaunay::face(k).map(|i| at(ids[i])) else { return false };
+                if !unseen.spares_beyond([a, b, c]) {
+                    return false;
+                }
+                continue;
+            }
+            let [Some(a), Some(b), Some(c), Some(d)] = ids.map(at) else { return false };
+            if !unseen.spares(|| [a, b, c, d], sphere) {
+                return false;
+            }
+            let tet = ids.map(|v| v.unwrap_or(p));
+            if tet.iter().all(|&v| v == p || !self.had_turn(v, p)) {
+                let face = delaunay::face(place).map(|i| tet[i]);
+                // Seen from beyond the face the three are ordered; the point comes first, an even permutation of the four.
+                star.push([p, face[0], face[2], face[1]]);
+            }
+        }
+        any
+    }
+
+    /// Whether a point had its turn when it is that of `p`.
+    fn had_turn(&self, v: u32, p: u32) -> bool {
+        v < p && (v < self.core as u32 || self.used.get(v as usize).is_some_and(|used| *used))
+    }
+}
+
+#[cfg(test)]
+mod tests;
