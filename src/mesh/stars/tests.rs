@@ -35,7 +35,9 @@ fn both(
     // Each part in the order in which it was.
     local.sort_by_key(|p| (!boxes.core.contains(*p), !boxes.near.contains(*p)));
     let mut mesher = Mesher::new();
-    let stars = Stars::default().mesh(&mut mesher, boxes, &local, order, around).unwrap();
+    let mut stars = Stars::default();
+    stars.slow.patience = Patience(200);
+    let stars = stars.mesh(&mut mesher, boxes, &local, order, around).unwrap();
     let manner = Manner { around, even: false };
     let mut widen = |_: &mut Vec<LatticePos>| Ok(None);
     match mesh_widening(&mut mesher, boxes, &mut local, order, manner, &mut widen).unwrap() {
