@@ -7,8 +7,9 @@
 //! ```text
 //!      ┄┄┄ c              The tetrahedra at p, seen from p, are the triangles of a sphere, the *link* of p. Those with a point that had its turn
 //!     known ╲    · w      before p are known; the faces at p that bound them wait for it. Each is a *gate* cd: behind it is the
-//!            ╲  ·         point w in front of p, c, d with the smallest (c - t n)-sphere: the least t of |w - m|² - r² = 2t n·w,
-//!      ┄┄┄┄┄┄ d           (m, r) the circle through p, c, d. The triangle cwd opens gates cw and wd, or closes them.
+//!            ╲  ·         point w in front of p, c, d whose sphere with them reaches least far to the front: the least
+//!      ┄┄┄┄┄┄ d           (|w - m|² - r²) / n·w, (m, r) the circle through p, c, d and n its normal. The triangle cwd
+//!                         opens gates cw and wd, or closes them.
 //! ```
 //!
 //! When no gate is open the star is whole. The face across from p of each new tetrahedron waits for the first of its
@@ -117,13 +118,16 @@ struct Grid {
 }
 
 impl Grid {
-    /// `side`: of a cell, in lattice steps.
-    fn fill(&mut self, region: &LatticeBox, positions: &[LatticePos], side: f64, spacing: f64) {
+    /// `side`: of a cell, in lattice steps. False where there would be more cells than points, as in a domain that is much thinner than a cell.
+    fn fill(&mut self, region: &LatticeBox, positions: &[LatticePos], side: f64, spacing: f64) -> bool {
         self.lo = region.lo;
         self.per_step = (1.0 - 1e-9) / side;
         self.scale = f32::exp2(-(spacing.log2().round() as f32));
         self.cells =
             std::array::from_fn(|a| (f64::from(region.hi[a] - region.lo[a]) * self.per_step) as usize + 1);
+        if self.cells.iter().map(|&n| n as f64).product::<f64>() > positions.len() as f64 {
+            return false;
+        }
         self.starts.clear();
         self.starts.resize(self.cells.iter().product::<usize>() + 1, 0);
         for p in positions {
@@ -149,6 +153,7 @@ impl Grid {
             }
             self.ids[place] = id as u32;
         }
+        true
     }
 
     #[inline]
@@ -218,7 +223,9 @@ impl Stars {
         }
         let volume: f64 = (0..3).map(|a| f64::from(boxes.region.hi[a] - boxes.region.lo[a])).product();
         let spacing = (volume / positions.len() as f64).cbrt();
-        self.grid.fill(&boxes.region, positions, REACHES[0] * spacing, spacing);
+        if !self.grid.fill(&boxes.region, positions, REACHES[0] * spacing, spacing) {
+            return Ok(None);
+        }
         self.first.clear();
         self.first.resize(positions.len(), NEW);
         self.waiting.clear();
