@@ -58,6 +58,18 @@ impl IndexBox {
         (0..3).any(|a| self.lo[a] >= self.hi[a])
     }
 
+    /// Parts of whole slices along z, front to back, of at most so many samples; of one slice where that has more.
+    pub(crate) fn slices(self, samples: usize) -> impl Iterator<Item = Self> {
+        let [x, y, _] = self.dims();
+        let step = (samples as u64 / (x * y).max(1)).max(1);
+        let part = move |z: u64| {
+            let mut part = self;
+            (part.lo[2], part.hi[2]) = (z, self.hi[2].min(z + step));
+            part
+        };
+        (self.lo[2]..self.hi[2]).step_by(step as usize).map(part)
+    }
+
     /// The common part of two boxes.
     #[must_use]
     pub fn intersect(&self, other: &Self) -> Self {
@@ -491,6 +503,26 @@ mod tests {
             );
             tiles(&grid);
         }
+    }
+
+    #[test]
+    fn slices_make_a_box() {
+        for (dims, samples) in
+            [([3, 2, 50], 60), ([30, 11, 7], 330), ([30, 11, 7], 329), ([4, 4, 5], 1 << 20)]
+        {
+            let lo = [5u64, 6, 7];
+            let b = IndexBox { lo, hi: std::array::from_fn(|a| lo[a] + dims[a]) };
+            let parts: Vec<IndexBox> = b.slices(samples).collect();
+            let ends = parts.iter().flat_map(|p| [p.lo[2], p.hi[2]]);
+            assert!(
+                ends.clone().skip(1).step_by(2).take(parts.len() - 1).eq(ends.clone().skip(2).step_by(2))
+            );
+            assert_eq!((ends.clone().next(), ends.last()), (Some(b.lo[2]), Some(b.hi[2])));
+            let slice = (dims[0] * dims[1]) as usize;
+            assert!(parts.iter().all(|p| p.len() <= samples.max(slice) && !p.is_empty()));
+            assert_eq!(parts.len() as u64, dims[2].div_ceil((samples / slice).max(1) as u64));
+        }
+        assert_eq!(IndexBox { lo: [3; 3], hi: [5, 5, 3] }.slices(9).count(), 0);
     }
 
     #[test]

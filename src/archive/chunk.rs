@@ -9,11 +9,11 @@
 
 use super::runs::block_starts;
 use super::star;
-use super::tuples::{self, canonical};
+use super::tuples;
 use super::vertices::ChunkVertices;
 use super::wire::{Cursor, Malformed};
 use crate::geom::LatticePos;
-use crate::mesh::tet::Tet;
+use crate::mesh::tet::{Tet, canonical};
 
 /// Codec of a tetrahedron block: sorted tuples, differences, zstd.
 pub const TETS_TUPLES: u8 = 0;

@@ -12,22 +12,6 @@ use crate::mesh::tet::Tet;
 /// The most bytes that a body may expand to, for each tetrahedron: four vertex differences and four numbers of five bytes.
 const MOST_BYTES_EACH: usize = 40;
 
-/// The same tetrahedron, its smallest vertex first, the smallest of the others second, the orientation kept.
-#[inline]
-pub(crate) fn canonical(t: Tet) -> Tet {
-    // The place of the least by comparing (vertex, place): no branch, for none could be foretold. Two swaps at once are an even
-    // permutation.
-    const EVEN: [[u8; 4]; 4] = [[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]];
-    const TURNS: [[u8; 3]; 4] = [[0; 3], [1, 2, 3], [2, 3, 1], [3, 1, 2]];
-    let placed = |t: Tet, i: usize| u64::from(t[i]) << 2 | i as u64;
-    let least = placed(t, 0).min(placed(t, 1)).min(placed(t, 2).min(placed(t, 3)));
-    let [a, b, c, d] = EVEN[(least & 3) as usize].map(|i| t[usize::from(i)]);
-    let t = [a, b, c, d];
-    let second = placed(t, 1).min(placed(t, 2)).min(placed(t, 3));
-    let [b, c, d] = TURNS[(second & 3) as usize].map(|i| t[usize::from(i)]);
-    [a, b, c, d]
-}
-
 /// The sorted distinct vertices of `tets`.
 pub(crate) fn vertex_list(tets: &[Tet]) -> Vec<u32> {
     let mut list: Vec<u32> = tets.iter().flatten().copied().collect();
@@ -116,28 +100,7 @@ fn decode_list(c: &mut Cursor<'_>, vertices: u32) -> Result<Vec<u32>, Malformed>
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Sign of a permutation of distinct numbers.
-    fn parity(t: Tet) -> bool {
-        let mut odd = false;
-        for i in 0..4 {
-            for j in i + 1..4 {
-                odd ^= t[i] > t[j];
-            }
-        }
-        odd
-    }
-
-    #[test]
-    fn canonical_keeps_the_orientation() {
-        for code in 0..256u32 {
-            let t: Tet = std::array::from_fn(|i| code >> (2 * i) & 3);
-            if (0..4).all(|v| t.contains(&v)) {
-                let c = canonical(t);
-                assert_eq!((c[0], c[1], parity(c)), (0, 1, parity(t)), "{t:?}");
-            }
-        }
-    }
+    use crate::mesh::tet::canonical;
 
     #[test]
     fn no_damage_panics_or_gives_a_vertex_that_is_not_there() {

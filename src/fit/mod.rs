@@ -155,19 +155,17 @@ impl<'a> Fit<'a> {
             #[inline(always)]
             || self.scan(&scanner, window.len(), tets),
         );
-        let slice = window.len() / window.dims()[2] as usize;
-        let at_a_time = (SLICES / slice).max(1);
         let mut first = 0;
         for side in &mut self.sides {
-            let (steps, mut part) = (first..first + side.steps(), *window);
-            for told in self.told.chunks(at_a_time * slice) {
-                part.hi[2] = part.lo[2] + (told.len() / slice) as u64;
+            let (steps, mut rest) = (first..first + side.steps(), &*self.told);
+            for part in window.slices(SLICES) {
+                let told;
+                (told, rest) = rest.split_at(part.len());
                 self.samples.resize(steps.len() * told.len(), 0.0);
                 for (step, out) in steps.clone().zip(self.samples.chunks_exact_mut(told.len())) {
                     read(step, part, out)?;
                 }
                 side.add(told, &self.samples, &self.tets);
-                part.lo[2] = part.hi[2];
             }
             first = steps.end;
         }

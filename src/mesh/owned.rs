@@ -5,7 +5,7 @@
 
 use super::delaunay::Mesher;
 use super::list::TetList;
-use super::tet::Tet;
+use super::tet::{Tet, canonical};
 
 /// Records of a mesher. Kept from chunk to chunk, so that its pages are not asked for again.
 #[derive(Debug, Default)]
@@ -142,16 +142,7 @@ fn sort<const SOME: bool>(tets: &[Tet], counts: &mut [u32], own: &mut [Tet], aro
 
 /// Puts tetrahedra into an order that does not depend on how they were found.
 pub(super) fn sort_around(tets: &mut [Tet]) {
-    for t in &mut *tets {
-        let [a, b, c, d] = least_first(*t);
-        *t = if b < c && b < d {
-            [a, b, c, d]
-        } else if c < d {
-            [a, c, d, b]
-        } else {
-            [a, d, b, c]
-        };
-    }
+    tets.iter_mut().for_each(|t| *t = canonical(*t));
     tets.sort_unstable();
 }
 

@@ -75,8 +75,6 @@ pub(super) struct Stars {
     first: Vec<u32>,
     waiting: Vec<Waiting>,
     free: Vec<u32>,
-    /// Memory of tetrahedra that nobody needs any more.
-    spare: Vec<Tet>,
     tets: Vec<Tet>,
     /// The new tetrahedra of the star at hand, the point first.
     star: Vec<Tet>,
@@ -199,8 +197,8 @@ enum Star {
 impl Stars {
     /// Takes the memory of a list that nobody needs any more.
     pub(super) fn reuse(&mut self, tets: Vec<Tet>) {
-        if tets.capacity() > self.spare.capacity() {
-            self.spare = tets;
+        if tets.capacity() > self.tets.capacity() {
+            self.tets = tets;
         }
     }
 
@@ -231,13 +229,9 @@ impl Stars {
         self.waiting.clear();
         self.free.clear();
         self.slow.stars = 0;
-        let spare = std::mem::take(&mut self.spare);
-        if spare.capacity() > self.tets.capacity() {
-            self.tets = spare;
-        }
         self.tets.clear();
         delaunay::reserve(&mut self.tets, 7 * core);
-        let found = Chunk {
+        Chunk {
             wide,
             boxes,
             positions,
@@ -248,8 +242,7 @@ impl Stars {
             cell: [usize::MAX; 3],
             used: vec![],
         }
-        .mesh(self, mesher, around)?;
-        Ok(found)
+        .mesh(self, mesher, around)
     }
 }
 

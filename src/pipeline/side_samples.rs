@@ -68,18 +68,16 @@ fn fill<const N: usize>(
     read: &mut impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
 ) -> Result<()> {
     rows.resize(window.len(), [0.0; N]);
-    let slice = window.len() / window.dims()[2] as usize;
-    let at_a_time = (SOME / slice).max(1);
-    let mut part = window;
-    for rows in rows.chunks_mut(at_a_time * slice) {
-        part.hi[2] = part.lo[2] + (rows.len() / slice) as u64;
+    let mut rest = &mut **rows;
+    for part in window.slices(SOME) {
+        let rows;
+        (rows, rest) = rest.split_at_mut(part.len());
         slices.resize(steps.len() * rows.len(), 0.0);
         for (step, out) in steps.clone().zip(slices.chunks_exact_mut(rows.len())) {
             read(step, part, out)?;
         }
         let columns: Vec<&[f32]> = slices.chunks_exact(rows.len()).collect();
         put_side_by_side(&columns, rows);
-        part.lo[2] = part.hi[2];
     }
     Ok(())
 }

@@ -25,6 +25,7 @@
 use super::{Grid, LANES, Star};
 use crate::cpu::may_use;
 use crate::mesh::tet::Tet;
+use glam::DVec3;
 use std::arch::x86_64::*;
 use std::sync::LazyLock;
 
@@ -99,7 +100,7 @@ pub(super) struct Neighbourhood {
     /// Edges that were opened, as such indices, in that order.
     queue: [u16; GATES],
     /// The new triangles, by places, and the coordinates of their corners: three of each.
-    found: [[u32; 4]; TRIANGLES],
+    found: [[u32; 3]; TRIANGLES],
     corners: [[f32; TRIANGLES]; 9],
     /// Twice the centres of their spheres, and from which power on a point is outside.
     centres: [[f32; TRIANGLES]; 4],
@@ -116,7 +117,7 @@ impl Default for Box<Neighbourhood> {
             ids: [0; ROOM],
             open: [0; MOST * MOST],
             queue: [0; GATES],
-            found: [[0; 4]; TRIANGLES],
+            found: [[0; 3]; TRIANGLES],
             corners: [[0.0; TRIANGLES]; 9],
             centres: [[0.0; TRIANGLES]; 4],
             count: 0,
@@ -248,15 +249,14 @@ impl Neighbourhood {
 
     /// Opens the first gate of a star of which nothing is known: of the nearest point and the one that makes the smallest circle with it.
     fn begin(&mut self) -> Option<usize> {
-        let at = |i: usize| [0, 1, 2].map(|a| f64::from(self.at[a][i]));
         let squares = &self.at[3][..self.count];
         let others = || (0..squares.len()).filter(|&i| squares[i] > 0.0);
         let a = others().min_by(|&i, &j| squares[i].total_cmp(&squares[j]))?;
         let circle = |b: usize| {
-            let ([u, v], n) = ([at(a), at(b)], cross(at(a), at(b)));
-            let (vn, nu) = (cross(v, n), cross(n, u));
-            let m: [f64; 3] = std::array::from_fn(|k| dot(u, u) * vn[k] + dot(v, v) * nu[k]);
-            let squared = dot(m, m) / (dot(n, n) * dot(n, n));
+            let (u, v) = (self.relative(a), self.relative(b));
+            let n = u.cross(v);
+            let m = u.length_squared() * v.cross(n) + v.length_squared() * n.cross(u);
+            let squared = m.length_squared() / n.length_squared().powi(2);
             if squared.is_nan() { f64::INFINITY } else { squared }
         };
         let b = others().filter(|&b| b != a).min_by(|&b, &c| circle(b).total_cmp(&circle(c)))?;
@@ -369,7 +369,7 @@ impl Neighbourhood {
             }
             self.toggle(a, c, &mut tail);
             self.toggle(c, b, &mut tail);
-            self.found[count] = [b as u32, a as u32, c as u32, 0];
+            self.found[count] = [b as u32, a as u32, c as u32];
             let apex = [0, 1, 2].map(|k| self.at[k][c]);
             for (corner, at) in self.corners.iter_mut().zip([[bx, by, bz], [ax, ay, az], apex].as_flattened())
             {
@@ -456,32 +456,35 @@ impl Neighbourhood {
         doubtful <= which.len() && which[..doubtful].iter().all(|&t| self.is_empty(usize::from(t), reach))
     }
 
+    /// Where a listed point is, seen from the one.
+    fn relative(&self, place: usize) -> DVec3 {
+        DVec3::from_array([0, 1, 2].map(|a| f64::from(self.at[a][place])))
+    }
+
     /// Whether the sphere of a new tetrahedron is proven to leave out all points but its own.
     fn is_empty(&self, triangle: usize, reach: f32) -> bool {
-        let [i, j, k, _] = self.found[triangle].map(|place| place as usize);
-        let at = |i: usize| [0, 1, 2].map(|a| f64::from(self.at[a][i]));
-        let [u, v, w] = [i, j, k].map(at);
-        let (vw, wu, uv) = (cross(v, w), cross(w, u), cross(u, v));
-        let det = dot(u, vw);
-        let [uu, vv, ww] = [u, v, w].map(|a| dot(a, a) / det);
-        let centre: [f64; 3] = std::array::from_fn(|a| vw[a] * uu + (wu[a] * vv + uv[a] * ww));
+        let [i, j, k] = self.found[triangle].map(|place| place as usize);
+        let [u, v, w] = [i, j, k].map(|place| self.relative(place));
+        let (vw, wu, uv) = (v.cross(w), w.cross(u), u.cross(v));
+        let det = u.dot(vw);
+        let [uu, vv, ww] = [u, v, w].map(|a| a.length_squared() / det);
+        let centre = vw * uu + (wu * vv + uv * ww);
         let d = f64::from(reach);
-        let outside = OUTSIDE_F64 * d.powi(4) * dot(centre, centre).sqrt().max(d) / det;
+        let outside = OUTSIDE_F64 * d.powi(4) * centre.length().max(d) / det;
         let mut zeros = 0;
         let spares = |place: usize| {
-            let q = at(place);
-            let square = dot(q, q);
+            let q = self.relative(place);
+            let square = q.length_squared();
             zeros += usize::from(square == 0.0);
-            square == 0.0 || [i, j, k].contains(&place) || square - dot(centre, q) > outside
+            square == 0.0 || [i, j, k].contains(&place) || square - centre.dot(q) > outside
         };
         (0..self.count).all(spares) && zeros == 1
     }
 
     /// Lists the new tetrahedra of the point, itself first.
     pub(super) fn tets(&self, p: u32, out: &mut Vec<Tet>) {
-        let ids = |[b, a, c, _]: [u32; 4]| [b, a, c].map(|place| self.ids[place as usize & PLACE]);
-        out.extend(self.found[..self.triangles].iter().map(|&t| {
-            let [b, a, c] = ids(t);
+        out.extend(self.found[..self.triangles].iter().map(|triangle| {
+            let [b, a, c] = triangle.map(|place| self.ids[place as usize & PLACE]);
             [p, b, a, c]
         }));
     }
@@ -501,12 +504,4 @@ fn store(list: &mut [f32; ROOM], place: usize, batch: __m512) {
     let to = &mut list[place..place + LANES];
     // SAFETY: so many are there.
     unsafe { _mm512_storeu_ps(to.as_mut_ptr(), batch) };
-}
-
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
-    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-}
-
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
