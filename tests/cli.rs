@@ -148,12 +148,16 @@ fn usage_errors() {
     let d = dir.path();
     write_npy(&d.join("b.npy"), [12, 12, 12], ball);
     ok(d, &["reduce", "b.npy", "-o", "b.isospan", "--fraction", "1"]);
-    let usage: [&[&str]; 10] = [
+    let usage: [&[&str]; 13] = [
         &["reduce", "b.npy", "-o", "b.isospan"],
         &["reduce", "b.npy", "-o", "b.zip"],
         &["reduce", "b.npy", "-o", "c.isospan", "--count", "0"],
         &["reduce", "b.npy", "-o", "c.isospan", "--cross-m", "3", "--cross-k", "2"],
         &["reduce", "b.npy", "-o", "c.isospan", "--shift", "1.5"],
+        // What would change nothing is refused.
+        &["reduce", "b.npy", "-o", "c.isospan", "--points", "halton", "--shift", "0.5"],
+        &["reduce", "b.npy", "-o", "c.isospan", "--cross-r", "2,1,1"],
+        &["reduce", "b.npy", "-o", "c.isospan", "--value-file", "b.npy"],
         &["reduce", "b.npy", "-o", "c.isospan", "--interp", "nearest", "--values", "fit"],
         &["surface", "b.isospan", "--isovalue", "0", "-o", "b.xyz"],
         &["surface", "b.isospan", "--isovalue", "nan", "-o", "b.ply"],
@@ -266,6 +270,27 @@ fn a_damaged_archive_or_surface_is_told() {
     assert_eq!(out.status.code(), Some(5));
     assert!(String::from_utf8_lossy(&out.stdout).contains("NOT SOUND"));
     assert!(String::from_utf8_lossy(&out.stderr).contains("non-manifold"));
+}
+
+#[test]
+fn the_report_of_a_series_tells_its_largest_errors() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    // Nothing to get wrong in the first step, most in the third.
+    for (step, height) in [(0, 0.0), (1, 1.0), (2, 3.0), (3, 2.0)] {
+        write_npy(&d.join(format!("s{step}.npy")), [14, 12, 10], |x, y, z| height * ball(x, y, z));
+    }
+    let text = ok(d, &["reduce", "s*.npy", "-o", "s.isospan", "--fraction", "1/4"]);
+    let line = text.lines().find(|l| l.starts_with("  error ")).unwrap();
+    assert_eq!(line.matches("(step 2)").count(), 2, "{line}");
+    let steps = json(&ok(d, &["info", "s.isospan", "--json"]))["steps"].clone();
+    assert_eq!(steps[0]["error"][0], 0.0);
+    let rms = steps[2]["error"][0].as_f64().unwrap();
+    let told: f64 = line.split("RMS at most ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    assert!((told / rms - 1.0).abs() < 1e-3, "{line}: {rms}");
+    // Of one step it is that one's.
+    let text = ok(d, &["reduce", "s1.npy", "-o", "one.isospan", "--fraction", "1/4"]);
+    assert!(text.lines().any(|l| l.starts_with("  error       RMS ") && l.ends_with(" samples")), "{text}");
 }
 
 #[test]

@@ -389,6 +389,11 @@ fn nightly_jobs(c: &Cluster) {
     fs::remove_file(c.path().join("scope/t4.npy")).unwrap();
     let (code, summary) = night("0");
     assert!(code == "0:0" && count(&summary, "new") == 0, "{code} {summary}");
+    // A folder that is not there, which a summary tells of too.
+    fs::rename(c.path().join("scope"), c.path().join("away")).unwrap();
+    let (code, summary) = night("0");
+    assert!(code == "5:0" && summary["error"].as_str().unwrap().contains("scope"), "{code} {summary}");
+    fs::rename(c.path().join("away"), c.path().join("scope")).unwrap();
     let all = ["t1.npy", "t2.npy", "t3.npy"].map(|f| format!("scope/{f}"));
     let all: Vec<&str> = all.iter().map(String::as_str).collect();
     c.ok(&[&["reduce", "-o", "at-once.isospan"], &all[..], &CHOICES[..]].concat());

@@ -33,18 +33,18 @@ pub(crate) struct Choices {
     /// As --target-rms, for the largest error at a sample, or at a vertex of a mesh.
     #[arg(long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms"])]
     target_max: Option<Bound>,
-    /// Hammersley: the shift t in (k + t)/n; 0 gives the classical set.
-    #[arg(long, value_name = "T", default_value_t = 0.5)]
-    shift: f64,
-    /// Hyperbolic cross: the level m, instead of the one whose size is nearest to the wanted count.
+    /// Hammersley: the shift t in (k + t)/n; 0 gives the classical set [default: 0.5].
+    #[arg(long, value_name = "T")]
+    shift: Option<f64>,
+    /// Hyperbolic cross: the level m, instead of the one whose size is nearest to the wanted count. Needs --cross-k.
     #[arg(long, value_name = "M", conflicts_with_all = ["fraction", "count"], requires = "cross_k")]
     cross_m: Option<u32>,
     /// Hyperbolic cross: log2 of the cells of the coarsest grid, 2 to 5 [default: what brings the size nearest to the count].
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(2..=5))]
     cross_k: Option<u32>,
-    /// Hyperbolic cross: regularity of the field along x, y and z.
-    #[arg(long, value_name = "X,Y,Z", default_value = "1,1,1", value_parser = parse_regularity)]
-    cross_r: [u32; 3],
+    /// Hyperbolic cross: regularity of the field along x, y and z [default: 1,1,1].
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_regularity)]
+    cross_r: Option<[u32; 3]>,
     /// How values are interpolated between samples.
     #[arg(long, value_enum, default_value_t = Interp::Linear)]
     interp: Interp,
@@ -152,8 +152,12 @@ impl Choices {
             Set::Regular => SetKind::Regular,
             Set::Lattice => SetKind::Bcc,
         };
-        if (self.cross_m.is_some() || self.cross_k.is_some()) && points != Set::HyperbolicCross {
-            return Err(Error::usage("--cross-m and --cross-k are for --points hyperbolic-cross"));
+        let cross = self.cross_m.is_some() || self.cross_k.is_some() || self.cross_r.is_some();
+        if cross && points != Set::HyperbolicCross {
+            return Err(Error::usage("--cross-m, --cross-k and --cross-r are for --points hyperbolic-cross"));
+        }
+        if self.shift.is_some() && points != Set::Hammersley {
+            return Err(Error::usage("--shift is for --points hammersley"));
         }
         let interpolation = self.interp.interpolation();
         let amount = match (self.count, self.fraction) {
@@ -162,7 +166,12 @@ impl Choices {
         };
         Ok(ReduceSettings {
             points: kind,
-            set: SetSettings { shift: self.shift, m: self.cross_m, k: self.cross_k, r: self.cross_r },
+            set: SetSettings {
+                shift: self.shift.unwrap_or(0.5),
+                m: self.cross_m,
+                k: self.cross_k,
+                r: self.cross_r.unwrap_or([1; 3]),
+            },
             amount,
             adapt: adapt.then_some(Adapt { focus: self.focus }),
             target,

@@ -79,6 +79,21 @@ fn target_line(t: &TargetReport) -> String {
     )
 }
 
+/// The error of the one step, or the largest of several.
+fn error_line(report: &ReduceReport) -> Option<String> {
+    if report.steps.len() < 2 {
+        return report.error.as_ref().map(super::measure::line);
+    }
+    let largest = |which: fn([f64; 2]) -> f64| {
+        let errors = report.steps.iter().filter_map(|s| Some((which(s.error?), s.number)));
+        // The first of equal ones.
+        errors.reduce(|a, b| if b.0 > a.0 { b } else { a })
+    };
+    let (rms, max) = (largest(|[rms, _]| rms)?, largest(|[_, max]| max)?);
+    let [of_rms, of_max] = [rms.0, max.0].map(|v| text::value(text::figures(v, 4)));
+    Some(format!("  error       RMS at most {of_rms} (step {}), at most {of_max} (step {})", rms.1, max.1))
+}
+
 fn in_words(archive: &Path, report: &ReduceReport) -> String {
     let mut out = String::new();
     let per_point = report.archive_bytes as f64 / report.points.max(1) as f64;
@@ -110,8 +125,8 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
     if let Some(q) = &report.quantiser {
         let _ = writeln!(out, "  values      {} bits, within {:.3e}", q.bits, q.bound);
     }
-    if let Some(error) = &report.error {
-        let _ = writeln!(out, "{}", super::measure::line(error));
+    if let Some(line) = error_line(report) {
+        let _ = writeln!(out, "{line}");
     }
     if let Some(t) = &report.target {
         let _ = writeln!(out, "{}", target_line(t));

@@ -18,7 +18,8 @@ pub(crate) fn parse_bytes(text: &str) -> Result<u64, String> {
         "gb" => 1e9,
         "t" | "tib" => 1_099_511_627_776.0,
         "tb" => 1e12,
-        "%" if number <= 100.0 => isospan::exec::usable_memory() as f64 / 100.0,
+        "%" if number > 100.0 => return Err(format!("'{text}' is out of range")),
+        "%" => isospan::exec::usable_memory() as f64 / 100.0,
         other => {
             return Err(format!(
                 "'{other}' is not a unit of size; write KiB, MiB, GiB, TiB, kB, MB, GB, TB or %"

@@ -107,8 +107,11 @@ impl Kind {
 ///
 /// # Errors
 /// [`Error::BadInput`] for a malformed file or an unknown kind; [`Error::Usage`] when several fields ask for a choice,
-/// when a headerless file comes without its layout, or another with one.
+/// when a headerless file comes without its layout, or another with one, or a volume with a table of values.
 pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
+    if options.values.is_some() {
+        return Err(Error::usage(format!("{} is no mesh: leave out --value-file", path.display())));
+    }
     if folder::is_several(path) {
         return folder::open(path, options);
     }
