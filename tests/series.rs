@@ -9,8 +9,8 @@ use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Amount, AppendSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings,
-    StepChoice, SurfaceSettings,
+    self, Adapt, Amount, AppendSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings,
+    RunSettings, StepChoice, SurfaceSettings,
 };
 use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};
@@ -37,6 +37,10 @@ fn write_steps(dir: &Path, count: usize) -> Vec<StepSource> {
 
 fn few_points() -> ReduceSettings {
     ReduceSettings { keyframes: 3, ..settings(SetKind::Halton, Amount::Fraction(0.3), 900) }
+}
+
+fn few_points_of(fraction: f64) -> ReduceSettings {
+    ReduceSettings { amount: Amount::Fraction(fraction), ..few_points() }
 }
 
 fn reduce_all(
@@ -369,10 +373,47 @@ fn a_damaged_step_does_not_hurt_others() {
     let e = answer(1).unwrap_err();
     assert!(e.exit_code() == 3 && e.to_string().contains("steps/000001-values-000000.seg"), "{e}");
     // The same reduction makes it again, and nothing else.
-    fs::remove_file(out.join("manifest.json")).unwrap();
     reduce_all(&steps, &few_points(), &out, &run(1));
     assert!(fs::read(&file).unwrap() == good);
     assert_eq!(answer(2).unwrap(), expected[2]);
+}
+
+/// Whatever file of a finished archive is lost, the same reduction makes it again; another one does not touch what is there.
+#[test]
+fn files_that_were_lost_are_made_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = write_steps(dir.path(), 3);
+    let adapted = ReduceSettings { adapt: Some(Adapt::default()), ..few_points() };
+    for settings in [few_points(), adapted] {
+        let out = dir.path().join("a.isospan");
+        reduce_all(&steps, &settings, &out, &RunSettings { replace: true, ..run(2) });
+        let whole = folder(&out);
+        let again = |settings: &ReduceSettings, steps: &[StepSource]| {
+            pipeline::reduce_series(steps, settings, &out, &run(2), &Silent)
+        };
+        let refused = |result: isospan::Result<ReduceReport>, text: &str| {
+            let e = result.unwrap_err();
+            assert!(e.to_string().contains(text) && e.exit_code() == 2, "{e}");
+        };
+        refused(again(&settings, &steps), "exists; choose another name");
+        let lost: Vec<PathBuf> =
+            whole.keys().filter(|f| !f.ends_with("manifest.json")).map(|f| out.join(f)).collect();
+        assert!(lost.len() > 8, "{lost:?}");
+        for path in &lost {
+            fs::remove_file(path).unwrap();
+            let there = folder(&out);
+            refused(again(&few_points_of(0.2), &steps), "not made by this reduction alone");
+            refused(again(&settings, &steps[..2]), "not made by this reduction alone");
+            assert!(folder(&out) == there, "{path:?}");
+            again(&settings, &steps).unwrap();
+            assert!(folder(&out) == whole, "{path:?}");
+        }
+        // One that was cut short is as good as lost.
+        fs::OpenOptions::new().write(true).open(&lost[0]).unwrap().set_len(100).unwrap();
+        again(&settings, &steps).unwrap();
+        assert!(folder(&out) == whole);
+        refused(again(&settings, &steps), "exists; choose another name");
+    }
 }
 
 fn shared_series(name: &str) -> Option<PathBuf> {

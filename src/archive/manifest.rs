@@ -434,7 +434,8 @@ impl Manifest {
             )
             .with_help("use a newer isospan"));
         }
-        let help = "the manifest was damaged or edited: restore it, or run the same reduction again";
+        let help =
+            "the manifest was damaged or edited: restore it, or delete it and run the same reduction again";
         check_sum(bytes, path, help)?;
         serde_json::from_slice(bytes).map_err(json)
     }

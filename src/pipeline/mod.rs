@@ -46,6 +46,7 @@ mod reader;
 mod reduce;
 mod reduce_mesh;
 mod refine;
+mod repair;
 mod roi;
 mod rounds;
 mod scan;

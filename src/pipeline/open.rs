@@ -628,7 +628,9 @@ fn expect_recorded(segment: &Segment, recorded: Option<&SegmentInfo>) -> Result<
     };
     let expected = recorded.map_or_else(|| "no such segment".to_owned(), text);
     Err(Error::bad_input(segment.path(), "length, blocks and hash in the manifest", expected, text(&found))
-        .with_help("the file is not this archive's: restore it, or run the same reduction again"))
+        .with_help(
+            "the file is not this archive's: restore it, or delete it and run the same reduction again",
+        ))
 }
 
 /// Which corners some tetrahedron uses.

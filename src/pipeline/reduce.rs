@@ -13,6 +13,7 @@ use super::open::{OpenArchive, StepSummary};
 use super::placed::write_coordinates;
 use super::plan::{MeshParts, ReduceSettings, parts};
 use super::reduce_mesh;
+use super::repair;
 use super::series::{Making, Means, Outcome, PlannedSource, SeriesPlan};
 use super::steps::StepChoice;
 use super::target::reduce_to_target;
@@ -114,7 +115,7 @@ pub fn reduce_series(
     progress: &dyn Progress,
 ) -> Result<ReduceReport> {
     let started = Instant::now();
-    refuse_overwriting(out, run)?;
+    refuse_finished(out, settings, run)?;
     let sources = &numbered(sources);
     let job = Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None };
     match settings.target {
@@ -214,6 +215,9 @@ pub(super) fn produce(
     let layout = Layout::new(job.out, means.parts.chunks.len(), 0);
     let old = job.part.archive().map(|archive| &archive.manifest);
     if old.is_none() {
+        if matches!(job.part, Part::Whole) && !job.run.replace {
+            repair::expect_same(job.out, &series.plan)?;
+        }
         prepare_folder(&layout, job.run)?;
         series.beside.write(job.out, series.plan.mesh_hash())?;
     }
@@ -397,7 +401,7 @@ pub fn estimate_series(
     out: &Path,
     run: &RunSettings,
 ) -> Result<Estimate> {
-    refuse_overwriting(out, run)?;
+    refuse_finished(out, settings, run)?;
     let (sources, progress, started) = (&numbered(sources), &Silent, Instant::now());
     make_plan(&Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None })
         .map(|made| made.2)
@@ -455,6 +459,16 @@ pub(super) fn refuse_remote(out: &Path) -> Result<()> {
     Ok(())
 }
 
+/// As [`refuse_overwriting`], but for an archive that has lost files: of such a one they are made again. What a target is met with is found anew
+/// each time, so that there is nothing to add to.
+fn refuse_finished(out: &Path, settings: &ReduceSettings, run: &RunSettings) -> Result<()> {
+    let lost = || out.join(MANIFEST_NAME).exists() && settings.target.is_none() && repair::lacks_files(out);
+    match refuse_overwriting(out, run) {
+        Err(_) if !is_remote(out) && lost() && is_ours(out)? => Ok(()),
+        other => other,
+    }
+}
+
 /// Folders and files that are not ours are never touched; an archive only when asked to.
 pub(super) fn refuse_overwriting(out: &Path, run: &RunSettings) -> Result<()> {
     refuse_remote(out)?;
@@ -490,7 +504,7 @@ fn is_ours(out: &Path) -> Result<bool> {
     Ok(true)
 }
 
-/// Without its manifest the old archive is no archive any more; then segments of this plan are kept and others replaced.
+/// An archive that is to be replaced is removed; of one that is unfinished, or has lost files, segments of this plan are kept.
 pub(super) fn prepare_folder(layout: &Layout, run: &RunSettings) -> Result<()> {
     let old = layout.root().join(MANIFEST_NAME);
     if old.exists() && run.replace {

@@ -23,6 +23,7 @@ use super::need::{Estimate, Need};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::plan_file::{Cut, PlanFile, plan_path};
 use super::reduce::{self, Publishing, grid_coordinates, numbered, prepare_folder};
+use super::repair;
 use super::series::Outcome;
 use super::status::Inventory;
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
@@ -239,10 +240,7 @@ fn expect_no_other_archive(out: &Path, file: &PlanFile) -> Result<()> {
     if !out.join(MANIFEST_NAME).exists() {
         return Ok(());
     }
-    let manifest = Manifest::read(out)?;
-    let same =
-        manifest.plan_hash == file.mesh_hash && manifest.steps.iter().map(|s| &s.plan).eq(&file.plan.steps);
-    if same {
+    if repair::is_of(&Manifest::read(out)?, file.mesh_hash, &file.plan) {
         return Ok(());
     }
     let text = "holds an archive that was not made by this plan; plan again with --force to replace it";

@@ -1,0 +1,51 @@
+//! A finished archive that has lost files: the reduction that made it makes these again, and keeps the others.
+//!
+//! The manifest stays in its place meanwhile; it tells that this is the same reduction, and its like replaces it in the end.
+
+use super::beside::Beside;
+use super::plan::Plan;
+use crate::archive::manifest::{
+    MANIFEST_NAME, Manifest, coordinates_path, index_path, mesh_segment_path, spectrum_path,
+    values_segment_path,
+};
+use crate::archive::segment::PlanHash;
+use crate::error::{Error, Result};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Whether a file that the manifest of an archive names is not there, or not as long as it was. What a file holds is not looked at.
+pub(super) fn lacks_files(archive: &Path) -> bool {
+    // An archive whose manifest cannot be read may be anything.
+    let Ok(manifest) = Manifest::read(archive) else { return false };
+    let gone = |path: PathBuf, bytes: u64| fs::metadata(path).map_or(true, |file| file.len() != bytes);
+    let of_mesh = (0..).zip(&manifest.mesh).any(|(n, s)| gone(mesh_segment_path(archive, n), s.info.bytes));
+    let of_steps = manifest.steps.iter().any(|step| {
+        let number = step.plan.number;
+        let values = (0..).zip(&step.values);
+        let mut others = [
+            step.index.map(|i| (index_path(archive, number), i)),
+            step.spectrum.map(|i| (spectrum_path(archive, number), i)),
+            step.coordinates.map(|c| (coordinates_path(archive, number), c.info)),
+        ]
+        .into_iter()
+        .flatten();
+        values.into_iter().any(|(n, s)| gone(values_segment_path(archive, number, n), s.info.bytes))
+            || others.any(|(path, info)| gone(path, info.bytes))
+    });
+    of_mesh || of_steps || !Beside::missing(archive, &manifest.plan).is_empty()
+}
+
+/// Whether a manifest is that of a plan: the same mesh, the same steps.
+pub(super) fn is_of(manifest: &Manifest, mesh: PlanHash, plan: &Plan) -> bool {
+    manifest.plan_hash == mesh && manifest.steps.iter().map(|s| &s.plan).eq(&plan.steps)
+}
+
+/// # Errors
+/// [`Error::Usage`] when there is a finished archive of another plan, or with steps that were appended.
+pub(super) fn expect_same(out: &Path, plan: &Plan) -> Result<()> {
+    if !out.join(MANIFEST_NAME).exists() || is_of(&Manifest::read(out)?, plan.mesh_hash(), plan) {
+        return Ok(());
+    }
+    let text = "lacks files, and was not made by this reduction alone; choose another name, or --force to replace it";
+    Err(Error::usage(format!("{} {text}", out.display())))
+}
