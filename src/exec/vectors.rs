@@ -2,7 +2,7 @@
 #![allow(unsafe_code)]
 
 /// Proof that the machine has AVX2 and FMA, and that they may be used.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Avx2(());
 
 impl Avx2 {
@@ -23,7 +23,7 @@ impl Avx2 {
 }
 
 /// Proof that the machine has AVX-512 and AVX2, and that they may be used.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Avx512(Avx2);
 
 impl Avx512 {

@@ -1,14 +1,17 @@
-//! The points near one, and its star closed among them, with AVX-512.
+//! The points near one, and its star closed among them, with vectors of AVX2 or AVX-512.
 //!
 //! Coordinates are relative to the point: differences of integers, below 2^24, times a power of two, hence exact in `f32`. A gate's apex is guessed in `f32`;
 //! the spheres of all new tetrahedra are made in `f64` and held against all points nearby in `f32`, and against what comes close in `f64`.
 //!
 //! # Error bounds
+//! They hold for both: an operation has the same bits with either (`lanes.rs`: each lane is rounded once, products that are added or taken away are fused), and so has the outcome. (In spheres, cross
+//! products alone are not fused: they are exact.)
+//!
 //! Let u = 2^-24, v = 2^-53, and 0, a, b, c a tetrahedron relative to its point, |a|, |b|, |c| ≤ D; det = a·(b×c), and
 //! k = (|a|² b×c + |b|² c×a + |c|² a×b) / det twice the centre of its sphere; K the larger of |k| and D. A point q lies outside when S(q) = |q|² - k·q > 0.
 //!
 //! *The sphere.* Coordinates of the cross products are integers below 2^50, squared lengths too: exact in `f64`. det is a sum of three products, by fused steps: its
-//! error is below 4v·D³. We take only det ≥ 2^-26·D³; so orientations are certain. A coordinate of k is a sum of three terms, each at most D⁴/det and with
+//! error is below 4v·D³. We take only det > 2^-26·D³; so orientations are certain. A coordinate of k is a sum of three terms, each at most D⁴/det and with
 //! seven roundings at most, and has the relative error of det besides: it is off by less than e = 32v·D³K/det ≤ 2^-22·K.
 //!
 //! *In `f32`.* For |q| ≤ D, |q|² is off by 3u·D², rounding k costs u·KD, the three fused steps 9u·KD, and e at most √3·2^-22·KD: in all less than 2^-19.6·KD.
@@ -18,16 +21,14 @@
 //!
 //! *How far a sphere reaches.* No point lies outside of the domain, a box. Let k' be k, each coordinate moved into twice the box (seen from the point). A point x of the
 //! box has |x - k/2|² ≥ |x - k'/2|² + |k/2 - k'/2|²; so what the sphere holds of the box lies in a ball around k'/2 of radius r, 4r² = |k|² - |k - k'|², which is the sum of k'(2k - k') over the axes.
-//! The point is in it, so nothing in it is further than 2r from it; and |k'| ≤ 2r. We take only 4r² ≤ (1 - 2^-12)·D², as it is computed: with an error of at most
-//! 2√3·D·e ≤ 2^-13·D², where KD² ≤ 2^33·det. The list has all points with |q| ≤ (1 - 2^-21)·D.
-#![allow(unsafe_code)]
+//! The point is in it, so nothing in it is further than 2r from it; and |k'| ≤ 2r. We take only 4r² < (1 - 2^-12)·D², as it is computed: with an error of at most
+//! 2√3·D·e ≤ 2^-13·D², where KD² < 2^33·det. The list has all points with |q| ≤ (1 - 2^-21)·D.
 
+use super::lanes::{Batch, Machine};
 use super::{Grid, LANES, Star};
-use crate::cpu::may_use;
+use crate::exec::lanes::{Wide, four, three};
 use crate::mesh::tet::Tet;
 use glam::DVec3;
-use std::arch::x86_64::*;
-use std::sync::LazyLock;
 
 /// The most points that are looked at, the one itself included.
 const MOST: usize = 128;
@@ -49,31 +50,6 @@ const WITHIN: f64 = 1.0 - 1.0 / (1u64 << 12) as f64;
 const LARGEST: f64 = (1u64 << 33) as f64;
 const OUTSIDE: f64 = 1.001 / (1u64 << 19) as f64;
 const OUTSIDE_F64: f64 = 128.0 / (1u64 << 53) as f64;
-
-/// Proof that this machine has the instructions.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Wide(());
-
-impl Wide {
-    /// Looks for them.
-    pub(super) fn found() -> Option<Self> {
-        static FOUND: LazyLock<bool> = LazyLock::new(is_available);
-        FOUND.then_some(Self(()))
-    }
-}
-
-fn is_available() -> bool {
-    may_use(&["AVX2", "BMI1", "BMI2", "FMA", "LZCNT", "POPCNT", "AVX512F", "AVX512VL", "AVX512DQ"])
-        && is_x86_feature_detected!("avx2")
-        && is_x86_feature_detected!("bmi1")
-        && is_x86_feature_detected!("bmi2")
-        && is_x86_feature_detected!("fma")
-        && is_x86_feature_detected!("lzcnt")
-        && is_x86_feature_detected!("popcnt")
-        && is_x86_feature_detected!("avx512f")
-        && is_x86_feature_detected!("avx512vl")
-        && is_x86_feature_detected!("avx512dq")
-}
 
 /// How a point looks around.
 pub(super) struct View {
@@ -129,86 +105,27 @@ impl Default for Box<Neighbourhood> {
 
 impl Neighbourhood {
     /// Closes the star of point `p` among those within the reach.
-    pub(super) fn star(
+    pub(super) fn star<M: Machine>(
         &mut self,
-        _: Wide,
+        machine: M,
         grid: &Grid,
         rows: &[[u32; 2]],
         view: &View,
         is_outer: impl Fn([u32; 3]) -> bool,
     ) -> Star {
-        // SAFETY: there is a proof that the instructions were found.
-        unsafe {
-            if self.gather(&grid.at, &grid.ids, rows, view.at, view.reach) {
-                self.close(view, is_outer)
-            } else {
-                Star::Doubtful
-            }
+        if !machine.gather(self, grid, rows, view.at, view.reach) {
+            return Star::Doubtful;
         }
-    }
-
-    /// Lists the points within `reach` of `p`, itself included; false if they are too many. `rows` are ranges of places in `at` and `ids`, behind which those go
-    /// on for [`LANES`] more.
-    #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn gather(
-        &mut self,
-        at: &[Vec<f32>; 3],
-        ids: &[u32],
-        rows: &[[u32; 2]],
-        p: [f32; 3],
-        reach: f32,
-    ) -> bool {
-        let end = rows.iter().map(|row| row[1] as usize).max().unwrap_or(0);
-        assert!(
-            at.iter().map(Vec::len).chain([ids.len()]).all(|n| n >= end + LANES),
-            "room behind the lists"
-        );
-        let [x, y, z] = [0, 1, 2].map(|a| at[a].as_ptr());
-        let [px, py, pz] = p.map(|c| _mm512_set1_ps(c));
-        let within = _mm512_set1_ps(reach * reach);
-        let mut count = 0;
-        for &[start, end] in rows {
-            let mut i = start as usize;
-            while i < end as usize {
-                // SAFETY: the lists go on for LANES beyond `end`, as asserted; ours for LANES beyond MOST, and `count` is at most that.
-                unsafe {
-                    let dx = _mm512_sub_ps(_mm512_loadu_ps(x.add(i)), px);
-                    let dy = _mm512_sub_ps(_mm512_loadu_ps(y.add(i)), py);
-                    let dz = _mm512_sub_ps(_mm512_loadu_ps(z.add(i)), pz);
-                    let id = _mm512_loadu_epi32(ids.as_ptr().add(i).cast());
-                    let square = _mm512_fmadd_ps(dx, dx, _mm512_fmadd_ps(dy, dy, _mm512_mul_ps(dz, dz)));
-                    let lanes = _bzhi_u32(0xffff, (end - i as u32).min(LANES as u32)) as u16;
-                    let near = _mm512_mask_cmp_ps_mask::<_CMP_LE_OQ>(lanes, square, within);
-                    let mut list = |a: usize| self.at[a].as_mut_ptr().wrapping_add(count);
-                    _mm512_storeu_ps(list(0), _mm512_maskz_compress_ps(near, dx));
-                    _mm512_storeu_ps(list(1), _mm512_maskz_compress_ps(near, dy));
-                    _mm512_storeu_ps(list(2), _mm512_maskz_compress_ps(near, dz));
-                    _mm512_storeu_epi32(
-                        self.ids.as_mut_ptr().add(count).cast(),
-                        _mm512_maskz_compress_epi32(near, id),
-                    );
-                    count += near.count_ones() as usize;
-                }
-                if count > MOST {
-                    return false;
-                }
-                i += LANES;
-            }
-        }
-        self.count = count;
-        true
-    }
-
-    /// Closes the star among the points that are listed. `is_outer` tells of three points a, b, c whether nothing of the domain can lie beyond them, where (a, b, c, x)
-    /// is negatively oriented.
-    #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn close(&mut self, view: &View, is_outer: impl Fn([u32; 3]) -> bool) -> Star {
-        let star = match self.count.div_ceil(LANES) {
-            0..=2 => self.close_among::<2>(view, is_outer),
-            3 => self.close_among::<3>(view, is_outer),
-            4 => self.close_among::<4>(view, is_outer),
-            5 | 6 => self.close_among::<6>(view, is_outer),
-            _ => self.close_among::<8>(view, is_outer),
+        // With AVX-512, at most 8.
+        let star = match self.count.div_ceil(M::Batch::LANES) {
+            0..=2 => machine.close::<2>(self, view, is_outer),
+            3 => machine.close::<3>(self, view, is_outer),
+            4 => machine.close::<4>(self, view, is_outer),
+            5 => machine.close::<5>(self, view, is_outer),
+            6 => machine.close::<6>(self, view, is_outer),
+            7 | 8 => machine.close::<8>(self, view, is_outer),
+            9..=12 => machine.close::<12>(self, view, is_outer),
+            _ => machine.close::<16>(self, view, is_outer),
         };
         if !matches!(star, Star::Whole) {
             self.open.fill(0);
@@ -216,34 +133,81 @@ impl Neighbourhood {
         star
     }
 
-    /// As [`Neighbourhood::close`], among so many batches of points.
-    #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn close_among<const N: usize>(&mut self, view: &View, is_outer: impl Fn([u32; 3]) -> bool) -> Star {
-        self.pad::<N>();
-        let Some(gates) = (if view.is_new { self.begin() } else { self.open_waiting::<N>() }) else {
+    /// Lists the points within `reach` of `p`, itself included; false if they are too many. `rows` are ranges of places in `at` and `ids`, behind which those go
+    /// on for [`LANES`] more.
+    #[inline(always)]
+    pub(super) fn gather<B: Batch>(
+        &mut self,
+        proof: B::Proof,
+        grid: &Grid,
+        rows: &[[u32; 2]],
+        p: [f32; 3],
+        reach: f32,
+    ) -> bool {
+        let ([x, y, z], ids) = (&grid.at, bytemuck::cast_slice(&grid.ids));
+        let [px, py, pz] = three(|a| B::splat(proof, p[a]));
+        let within = B::splat(proof, reach * reach);
+        let mut count = 0;
+        for &[start, end] in rows {
+            let (mut i, end) = (start as usize, end as usize);
+            while i < end {
+                let dx = B::load(proof, x, i).minus(px);
+                let dy = B::load(proof, y, i).minus(py);
+                let dz = B::load(proof, z, i).minus(pz);
+                let id = B::load(proof, ids, i);
+                let square = dx.times_plus(dx, dy.times_plus(dy, dz.times(dz)));
+                let lanes = (1u32 << (end - i).min(B::LANES)) - 1;
+                let near = square.below_in(within, lanes);
+                let packing = B::packing(proof, near);
+                dx.packed(packing).store(&mut self.at[0], count);
+                dy.packed(packing).store(&mut self.at[1], count);
+                dz.packed(packing).store(&mut self.at[2], count);
+                id.packed(packing).store(bytemuck::cast_slice_mut(&mut self.ids), count);
+                count += near.count_ones() as usize;
+                if count > MOST {
+                    return false;
+                }
+                i += B::LANES;
+            }
+        }
+        self.count = count;
+        true
+    }
+
+    /// Closes the star among the points that are listed, in so many batches. `is_outer` tells of three points a, b, c whether nothing of the domain can lie beyond them,
+    /// where (a, b, c, x) is negatively oriented.
+    #[inline(always)]
+    pub(super) fn close<const N: usize, B: Batch>(
+        &mut self,
+        proof: B::Proof,
+        view: &View,
+        is_outer: impl Fn([u32; 3]) -> bool,
+    ) -> Star {
+        self.pad::<N, B>(proof);
+        let Some(gates) = (if view.is_new { self.begin() } else { self.open_waiting::<N, B>(proof) }) else {
             return Star::TooNear;
         };
-        if !self.follow::<N>(gates, view, is_outer) {
+        if !self.follow::<N, B>(proof, gates, view, is_outer) {
             return Star::TooNear;
         }
-        match self.spheres(view) {
-            Star::Whole if self.are_empty::<N>(view.reach) => Star::Whole,
+        match self.spheres::<B>(proof, view) {
+            Star::Whole if self.are_empty::<N, B>(proof, view.reach) => Star::Whole,
             Star::Whole => Star::Doubtful,
             other => other,
         }
     }
 
     /// Fills up the batches with points that are nowhere, and squares the lengths.
-    #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn pad<const N: usize>(&mut self) {
+    #[inline(always)]
+    fn pad<const N: usize, B: Batch>(&mut self, proof: B::Proof) {
         let [x, y, z, square] = &mut self.at;
-        for place in (self.count..N * LANES).step_by(LANES) {
-            store(x, place, _mm512_set1_ps(f32::NAN));
-            self.ids[place..place + LANES].fill(u32::MAX);
+        for place in (self.count..N * B::LANES).step_by(B::LANES) {
+            B::splat(proof, f32::NAN).store(x, place);
+            self.ids[place..place + B::LANES].fill(u32::MAX);
         }
-        for place in (0..N * LANES).step_by(LANES) {
-            let [x, y, z] = [load(x, place), load(y, place), load(z, place)];
-            store(square, place, _mm512_fmadd_ps(x, x, _mm512_fmadd_ps(y, y, _mm512_mul_ps(z, z))));
+        for place in (0..N * B::LANES).step_by(B::LANES) {
+            let [x, y, z] = [B::load(proof, x, place), B::load(proof, y, place), B::load(proof, z, place)];
+            x.times_plus(x, y.times_plus(y, z.times(z))).store(square, place);
         }
     }
 
@@ -270,14 +234,15 @@ impl Neighbourhood {
     }
 
     /// Opens the gates that wait, as many as are left when those with two sides are gone; `None` if a corner is not in the list.
-    #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn open_waiting<const N: usize>(&mut self) -> Option<usize> {
+    #[inline(always)]
+    fn open_waiting<const N: usize, B: Batch>(&mut self, proof: B::Proof) -> Option<usize> {
         if self.gates.len() > WAITING {
             return None;
         }
         let mut tail = 0;
         for gate in 0..self.gates.len() {
-            let [a, b] = self.gates[gate].map(|id| self.place::<N>(id));
+            let [a, b] = self.gates[gate];
+            let (a, b) = (self.place::<N, B>(proof, a), self.place::<N, B>(proof, b));
             if a.max(b) == NOWHERE {
                 return None;
             }
@@ -286,15 +251,11 @@ impl Neighbourhood {
         Some(tail)
     }
 
-    #[inline]
-    #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn place<const N: usize>(&self, id: u32) -> usize {
-        let id = _mm512_set1_epi32(id as i32);
+    #[inline(always)]
+    fn place<const N: usize, B: Batch>(&self, proof: B::Proof, id: u32) -> usize {
         let mut found = 0u128;
         for batch in 0..N {
-            // SAFETY: a batch of the list.
-            let ids = unsafe { _mm512_loadu_epi32(self.ids.as_ptr().add(batch * LANES).cast()) };
-            found |= u128::from(_mm512_cmpeq_epi32_mask(ids, id)) << (batch * LANES);
+            found |= u128::from(B::find(proof, &self.ids, batch * B::LANES, id)) << (batch * B::LANES);
         }
         found.trailing_zeros() as usize
     }
@@ -311,16 +272,16 @@ impl Neighbourhood {
     }
 
     /// Follows gates until none is open; false where nothing is found behind one that is not in the domain's boundary.
-    #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn follow<const N: usize>(
+    #[inline(always)]
+    fn follow<const N: usize, B: Batch>(
         &mut self,
+        proof: B::Proof,
         mut tail: usize,
         view: &View,
         is_outer: impl Fn([u32; 3]) -> bool,
     ) -> bool {
-        let [x, y, z, square] =
-            [0, 1, 2, 3].map(|k| std::array::from_fn::<_, N, _>(|batch| load(&self.at[k], batch * LANES)));
-        let infinite = _mm512_set1_ps(f32::INFINITY);
+        let held = self.hold::<N, B>(proof);
+        let infinite = B::splat(proof, f32::INFINITY);
         let (mut head, mut count) = (0, 0);
         while head != tail {
             let gate = usize::from(self.queue[head]);
@@ -336,25 +297,23 @@ impl Neighbourhood {
             let nn = nx * nx + ny * ny + nz * nz;
             let [cx, cy, cz] = [ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx];
             let [ex, ey, ez] = [ny * bz - nz * by, nz * bx - nx * bz, nx * by - ny * bx];
-            let [mx, my, mz] =
-                [bb * cx + aa * ex, bb * cy + aa * ey, bb * cz + aa * ez].map(|c| _mm512_set1_ps(c));
-            let [nx, ny, nz, nn] = [nx, ny, nz, nn].map(|c| _mm512_set1_ps(c));
+            let m = [bb * cx + aa * ex, bb * cy + aa * ey, bb * cz + aa * ez];
+            let [mx, my, mz] = three(|k| B::splat(proof, m[k]));
+            let [nx, ny, nz, nn] = four(|k| B::splat(proof, [nx, ny, nz, nn][k]));
             // What rounding may make of 0.
-            let least = _mm512_set1_ps(5e-7 * view.reach * (aa * bb).sqrt());
+            let least = B::splat(proof, 5e-7 * view.reach * (aa * bb).sqrt());
             let (mut best, mut all) = (infinite, [infinite; N]);
             for (i, all) in all.iter_mut().enumerate() {
-                let height = _mm512_fmadd_ps(x[i], nx, _mm512_fmadd_ps(y[i], ny, _mm512_mul_ps(z[i], nz)));
-                let power = _mm512_fmsub_ps(square[i], nn, _mm512_mul_ps(z[i], mz));
-                let power = _mm512_fnmadd_ps(x[i], mx, _mm512_fnmadd_ps(y[i], my, power));
-                let in_front = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(height, least);
-                *all = _mm512_mask_div_ps(infinite, in_front, power, height);
-                best = _mm512_min_ps(best, *all);
+                let [x, y, z, square] = self.batch(proof, &held, i);
+                let height = x.times_plus(nx, y.times_plus(ny, z.times(nz)));
+                let power = square.times(nn).less_product(z, mz).less_product(y, my).less_product(x, mx);
+                *all = B::pick(least.below(height), power.over(height), infinite);
+                best = best.min(*all);
             }
-            let best = _mm512_reduce_min_ps(best);
+            let (best, everywhere) = best.least();
             let mut found = 0u128;
             for (i, all) in all.into_iter().enumerate() {
-                let equal = _mm512_cmp_ps_mask::<_CMP_EQ_OQ>(all, _mm512_set1_ps(best));
-                found |= u128::from(equal) << (i * LANES);
+                found |= u128::from(B::bits(all.equals(everywhere))) << (i * B::LANES);
             }
             self.open[gate & (MOST * MOST - 1)] = 0;
             if best == f32::INFINITY {
@@ -381,73 +340,88 @@ impl Neighbourhood {
         true
     }
 
-    /// Makes the spheres of the new tetrahedra.
-    #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn spheres(&mut self, view: &View) -> Star {
-        let d = f64::from(view.reach);
-        let (largest, least) = (_mm512_set1_pd(d * d * WITHIN), _mm512_set1_pd(d * d * d * LEAST_VOLUME));
-        let outside = _mm512_set1_pd(OUTSIDE * d);
-        let far = _mm512_set1_pd(LARGEST / (d * d));
-        let domain = view.domain.map(|ends| ends.map(|c| _mm512_set1_pd(2.0 * c)));
-        let (mut large, mut flat) = (0u8, 0u8);
-        for first in (0..self.triangles).step_by(8) {
-            let lanes = _bzhi_u32(0xff, (self.triangles - first).min(8) as u32) as u8;
-            let coordinates = |k: usize| {
-                let eight = &self.corners[k][first..first + 8];
-                // SAFETY: eight of them.
-                _mm512_cvtps_pd(unsafe { _mm256_loadu_ps(eight.as_ptr()) })
-            };
-            let [u, v, w] = [0, 3, 6].map(|k| [k, k + 1, k + 2].map(coordinates));
-            let mul = |a, b| _mm512_mul_pd(a, b);
-            let minor = |a: [__m512d; 3], b: [__m512d; 3], i: usize, j: usize| {
-                _mm512_fmsub_pd(a[i], b[j], _mm512_mul_pd(a[j], b[i]))
-            };
-            let cross = |a, b| [minor(a, b, 1, 2), minor(a, b, 2, 0), minor(a, b, 0, 1)];
-            let dot = |a: [__m512d; 3], b: [__m512d; 3]| {
-                _mm512_fmadd_pd(a[0], b[0], _mm512_fmadd_pd(a[1], b[1], _mm512_mul_pd(a[2], b[2])))
-            };
-            let (vw, wu, uv) = (cross(v, w), cross(w, u), cross(u, v));
-            let det = dot(u, vw);
-            let by_det = _mm512_div_pd(_mm512_set1_pd(1.0), det);
-            let [uu, vv, ww] = [u, v, w].map(|a| mul(dot(a, a), by_det));
-            let k: [__m512d; 3] = std::array::from_fn(|a| {
-                _mm512_fmadd_pd(vw[a], uu, _mm512_fmadd_pd(wu[a], vv, mul(uv[a], ww)))
-            });
-            flat |= lanes & _mm512_cmp_pd_mask::<_CMP_NGE_UQ>(det, least);
-            let within: [__m512d; 3] =
-                std::array::from_fn(|a| _mm512_min_pd(_mm512_max_pd(k[a], domain[a][0]), domain[a][1]));
-            let beyond = std::array::from_fn(|a| _mm512_sub_pd(_mm512_add_pd(k[a], k[a]), within[a]));
-            large |= lanes & _mm512_cmp_pd_mask::<_CMP_NLE_UQ>(dot(within, beyond), largest);
-            let kk = dot(k, k);
-            let far = mul(det, far);
-            flat |= lanes & _mm512_cmp_pd_mask::<_CMP_NLE_UQ>(kk, mul(far, far));
-            let outside = mul(_mm512_sqrt_pd(_mm512_max_pd(kk, _mm512_set1_pd(d * d))), outside);
-            for (a, k) in k.into_iter().chain([outside]).enumerate() {
-                let centres = self.centres[a][first..first + 8].as_mut_ptr();
-                // SAFETY: eight of them.
-                unsafe { _mm256_storeu_ps(centres, _mm512_cvtpd_ps(k)) };
+    /// The points nearby, where there are registers for them.
+    #[inline(always)]
+    fn hold<const N: usize, B: Batch>(&self, proof: B::Proof) -> [[B; 4]; N] {
+        let mut held = [[B::splat(proof, 0.0); 4]; N];
+        if B::HOLDS {
+            for (i, held) in held.iter_mut().enumerate() {
+                *held = self.load(proof, i);
             }
         }
-        match (large, flat) {
-            (0, 0) => Star::Whole,
-            (0, _) => Star::Doubtful,
+        held
+    }
+
+    #[inline(always)]
+    fn load<B: Batch>(&self, proof: B::Proof, i: usize) -> [B; 4] {
+        let [x, y, z, square] = &self.at;
+        let place = i * B::LANES;
+        [
+            B::load(proof, x, place),
+            B::load(proof, y, place),
+            B::load(proof, z, place),
+            B::load(proof, square, place),
+        ]
+    }
+
+    /// Coordinates and squared lengths of a batch.
+    #[inline(always)]
+    fn batch<const N: usize, B: Batch>(&self, proof: B::Proof, held: &[[B; 4]; N], i: usize) -> [B; 4] {
+        if B::HOLDS { held[i] } else { self.load(proof, i) }
+    }
+
+    /// Makes the spheres of the new tetrahedra.
+    #[inline(always)]
+    fn spheres<B: Batch>(&mut self, proof: B::Proof, view: &View) -> Star {
+        let d = f64::from(view.reach);
+        let splat = |x| B::doubles(proof, x);
+        let (largest, least) = (splat(d * d * WITHIN), splat(d * d * d * LEAST_VOLUME));
+        let (shortest, outside) = (splat(d * d), splat(OUTSIDE * d));
+        let far = splat(LARGEST / (d * d));
+        let domain = three(|a| [splat(2.0 * view.domain[a][0]), splat(2.0 * view.domain[a][1])]);
+        let (mut whole, mut fat) = (u32::MAX, u32::MAX);
+        for first in (0..self.triangles).step_by(B::LANES / 2) {
+            let others = u32::MAX << (self.triangles - first).min(B::LANES / 2);
+            let u = three(|a| B::load_doubles(proof, &self.corners[a], first));
+            let v = three(|a| B::load_doubles(proof, &self.corners[3 + a], first));
+            let w = three(|a| B::load_doubles(proof, &self.corners[6 + a], first));
+            let (vw, wu, uv) = (cross(v, w), cross(w, u), cross(u, v));
+            let det = dot(u, vw);
+            let by_det = splat(1.0).over(det);
+            let (uu, vv, ww) = (dot(u, u).times(by_det), dot(v, v).times(by_det), dot(w, w).times(by_det));
+            let k = three(|a| vw[a].times_plus(uu, wu[a].times_plus(vv, uv[a].times(ww))));
+            fat &= others | bits::<B::Doubles>(least.below(det));
+            let within = three(|a| k[a].max(domain[a][0]).min(domain[a][1]));
+            let beyond = three(|a| k[a].plus(k[a]).minus(within[a]));
+            whole &= others | bits::<B::Doubles>(dot(within, beyond).below(largest));
+            let kk = dot(k, k);
+            let far = det.times(far);
+            fat &= others | bits::<B::Doubles>(kk.below(far.times(far)));
+            let outside = kk.max(shortest).root().times(outside);
+            for (a, k) in [k[0], k[1], k[2], outside].into_iter().enumerate() {
+                B::store_doubles(k, &mut self.centres[a], first);
+            }
+        }
+        match (whole, fat) {
+            (u32::MAX, u32::MAX) => Star::Whole,
+            (u32::MAX, _) => Star::Doubtful,
             _ => Star::TooNear,
         }
     }
 
     /// Whether the spheres are proven to leave out all points but their own.
-    #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,bmi1,bmi2,popcnt,lzcnt")]
-    fn are_empty<const N: usize>(&self, reach: f32) -> bool {
-        let [x, y, z, square] =
-            [0, 1, 2, 3].map(|k| std::array::from_fn::<_, N, _>(|batch| load(&self.at[k], batch * LANES)));
+    #[inline(always)]
+    fn are_empty<const N: usize, B: Batch>(&self, proof: B::Proof, reach: f32) -> bool {
+        let held = self.hold::<N, B>(proof);
         let (mut doubtful, mut which) = (0, [0u16; 8]);
         for triangle in 0..self.triangles {
-            let [kx, ky, kz, outside] = self.centres.each_ref().map(|of| _mm512_set1_ps(of[triangle]));
+            let [kx, ky, kz] = three(|a| B::splat(proof, self.centres[a][triangle]));
+            let outside = B::splat(proof, self.centres[3][triangle]);
             let mut near = 0u128;
             for i in 0..N {
-                let power = _mm512_fnmadd_ps(z[i], kz, square[i]);
-                let power = _mm512_fnmadd_ps(x[i], kx, _mm512_fnmadd_ps(y[i], ky, power));
-                near |= u128::from(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(power, outside)) << (i * LANES);
+                let [x, y, z, square] = self.batch(proof, &held, i);
+                let power = square.less_product(z, kz).less_product(y, ky).less_product(x, kx);
+                near |= u128::from(B::bits(power.below(outside))) << (i * B::LANES);
             }
             // The tetrahedron's own are always near.
             which[doubtful & 7] = triangle as u16;
@@ -490,18 +464,22 @@ impl Neighbourhood {
     }
 }
 
-#[inline]
-#[target_feature(enable = "avx512f")]
-fn load(list: &[f32; ROOM], place: usize) -> __m512 {
-    let batch = &list[place..place + LANES];
-    // SAFETY: so many are there.
-    unsafe { _mm512_loadu_ps(batch.as_ptr()) }
+#[inline(always)]
+fn minor<W: Wide>(a: [W; 3], b: [W; 3], i: usize, j: usize) -> W {
+    a[i].times(b[j]).minus(a[j].times(b[i]))
 }
 
-#[inline]
-#[target_feature(enable = "avx512f")]
-fn store(list: &mut [f32; ROOM], place: usize, batch: __m512) {
-    let to = &mut list[place..place + LANES];
-    // SAFETY: so many are there.
-    unsafe { _mm512_storeu_ps(to.as_mut_ptr(), batch) };
+#[inline(always)]
+fn cross<W: Wide>(a: [W; 3], b: [W; 3]) -> [W; 3] {
+    [minor(a, b, 1, 2), minor(a, b, 2, 0), minor(a, b, 0, 1)]
+}
+
+#[inline(always)]
+fn dot<W: Wide>(a: [W; 3], b: [W; 3]) -> W {
+    a[0].times_plus(b[0], a[1].times_plus(b[1], a[2].times(b[2])))
+}
+
+#[inline(always)]
+fn bits<W: Wide>(mask: W::Mask) -> u32 {
+    W::bits(mask)
 }
