@@ -79,6 +79,42 @@ fn what_is_named_for_a_mesh_is_of_all_memory() {
     assert!(said[0].contains("samples of the boundary"), "{said:?}");
 }
 
+/// Of the questions that read all of an archive: what is named once is enough for what asked for it.
+#[test]
+fn the_least_for_a_question_is_named_and_works() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let settings = waves_in(d);
+    assert!(reduce_with(d, "a.isospan", "1GiB", &settings).status.success());
+    // One point: of more, each may lie in a chunk that needs more.
+    fs::write(d.join("points.csv"), "x,y,z\n1,2,3\n").unwrap();
+    let questions: [&[&str]; 5] = [
+        &["export", "a.isospan", "-o", "a.vtu"],
+        &["probe", "a.isospan", "--grid", "9,9,9", "-o", "a.npy"],
+        &["probe", "a.isospan", "--at", "points.csv", "-o", "a.csv"],
+        &["measure", "a.isospan", "--against", "w.npy"],
+        &["measure", "a.isospan", "--against", "w.npy", "--map", "a.vti"],
+    ];
+    for question in questions {
+        let (mut memory, mut said) = ("1".to_owned(), vec![]);
+        loop {
+            let out = isospan(d, &[question, &["-q", "--memory", &memory]].concat());
+            if out.status.success() {
+                break;
+            }
+            let stderr = String::from_utf8(out.stderr).unwrap();
+            assert_eq!((out.status.code(), stderr.lines().count()), (Some(4), 1), "{question:?}: {stderr}");
+            let what = stderr.split(": the run needs").next().unwrap().to_owned();
+            // How many points chunks share turns out as they come.
+            let known = !what.contains("points that chunks share");
+            assert!(!(known && said.contains(&what)), "{question:?} told twice: {stderr}");
+            said.push(what);
+            memory = stderr.trim_end().rsplit(' ').next().unwrap().to_owned();
+        }
+        assert!(!said.is_empty(), "{question:?}");
+    }
+}
+
 #[test]
 fn a_dry_run_tells_and_makes_nothing() {
     let dir = tempfile::tempdir().unwrap();

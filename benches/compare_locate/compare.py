@@ -83,6 +83,8 @@ def compare(program, path, field, args, scratch):
     print(f"{pathlib.Path(path).name}: {grid.GetNumberOfCells()} cells, {args.points} points, {both.sum()} found by both,"
           f" {(numpy.isnan(ours) != numpy.isnan(values)).sum()} by one; largest difference {abs(ours - values)[both].max():.3g}")
     print(f"  grid     {ours_grid * 1e3:8.1f} ms")
+    if ours_grid == 0:
+        raise SystemExit("compare.py: too few --points: they take less than the clock of CPU time tells")
     print(f"  kd-tree  {(build + answer) * 1e3:8.1f} ms  ({build * 1e3:.1f} to build, {answer * 1e3:.1f} to answer); {(build + answer) / ours_grid:.1f} x grid")
     print(f"  VTK      {theirs * 1e3:8.1f} ms; {theirs / ours_grid:.1f} x grid")
 

@@ -123,11 +123,12 @@ pub(super) fn export(
     };
     let fixed = need::BASE + blocks.bytes() + if settings.compress { PACKING_BYTES } else { 0 };
     let rest = settings.memory.saturating_sub(fixed);
-    let mut visit = Visit::new(archive, blocks, settings.threads, rest / 4 * 3, &settings.cancel)?;
+    let share = |memory: u64| memory.saturating_sub(fixed) / 4 * 3;
+    let mut visit = Visit::new(archive, blocks, settings.threads, share(settings.memory), &settings.cancel)?;
     if let Some(cut) = &cut {
         visit.confine(|region| cut.may_touch_box(region))?;
     }
-    visit.check_memory(settings.memory, 0)?;
+    visit.check_memory(settings.memory, share, 0)?;
     let scratch = settings.scratch.clone().unwrap_or_else(|| parent_of(out));
     let mut join = Join::new(&visit, settings, rest / 8, &scratch);
     progress.begin("export", visit.chunks.len() as u64, "chunks");

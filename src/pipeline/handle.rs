@@ -350,7 +350,7 @@ impl Archive {
     /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Usage`] for 2^32 points or more.
     pub fn probe(&self, points: &[[f64; 3]]) -> Result<Vec<f32>> {
         let settings = ProbeSettings::default();
-        Ok(values_at(&self.open, points, &settings, settings.memory, &Silent)?.values)
+        Ok(values_at(&self.open, points, &settings, &|memory| memory, &Silent)?.values)
     }
 
     /// Writes a table of points (CSV) with the field's value beside each, or the values alone (NPY), in bounded memory.

@@ -416,9 +416,12 @@ impl AgainstSamples<'_> {
         progress: &dyn Progress,
     ) -> Result<FieldError> {
         let archive = self.archive;
-        let rest = settings.memory.saturating_sub(need::BASE + map.as_ref().map_or(0, |m| m.memory));
-        let visit = Visit::new(archive, Blocks::All, settings.threads, rest, &settings.cancel)?;
-        visit.check_memory(settings.memory, EXTRA)?;
+        let mapped = map.is_some();
+        let of_map = |memory: u64| if mapped { map_bytes(memory) } else { 0 };
+        let share = |memory: u64| memory.saturating_sub(need::BASE + of_map(memory));
+        let visit =
+            Visit::new(archive, Blocks::All, settings.threads, share(settings.memory), &settings.cancel)?;
+        visit.check_memory(settings.memory, share, EXTRA)?;
         progress.begin("measure", visit.chunks.len() as u64, "chunks");
         let (mut sums, mut released) = (ErrorSums::default(), 0);
         let job = |_, chunk: DecodedChunk| self.part(&chunk);
@@ -502,16 +505,14 @@ fn measure_vertices(
     let levels = archive.points.levels();
     let none = vec![ErrorSums::default(); levels.map_or(0, |levels| usize::from(levels.top()) + 1)];
     let sums_bytes = (steps.len() * (none.len() + 1)) as u64 * ErrorSums::BYTES;
-    let map_bytes = map.as_ref().map_or(0, |m| m.memory);
-    let rest = settings.memory.saturating_sub(need::BASE + map_bytes + sums_bytes);
+    let mapped = map.is_some();
+    let of_map = |memory: u64| if mapped { map_bytes(memory) } else { 0 };
+    let rest = |memory: u64| memory.saturating_sub(need::BASE + of_map(memory) + sums_bytes);
+    let share = |memory: u64| rest(memory) / 8 * 7;
     let vertex = VERTEX + FURTHER * (steps.len() as u64 - 1);
-    let most = (rest / 8 / vertex).clamp(1, MOST_VERTICES) as usize;
-    let find = Find {
-        threads: settings.threads,
-        memory: rest / 8 * 7,
-        all: settings.memory,
-        cancel: &settings.cancel,
-    };
+    let most = (rest(settings.memory) / 8 / vertex).clamp(1, MOST_VERTICES) as usize;
+    let find =
+        Find { threads: settings.threads, memory: settings.memory, share: &share, cancel: &settings.cancel };
     let bricks = archive.chunks.bricks();
     let mut sums: Vec<_> = steps.iter().map(|_| (ErrorSums::default(), none.clone())).collect();
     for (batch, first) in positions.chunks(most).zip((0u64..).step_by(most)) {
@@ -568,8 +569,11 @@ struct Map {
     file: BrickMapFile,
     bricks: u64,
     sorter: Sorter<BrickRecord>,
-    /// Bytes that sorting takes.
-    memory: u64,
+}
+
+/// What sorting for a map takes of a budget.
+fn map_bytes(memory: u64) -> u64 {
+    (memory / 8).min(64 << 20)
 }
 
 /// Bricks that are written at a time.
@@ -579,12 +583,11 @@ impl Map {
     fn new(archive: &OpenArchive, path: &Path, settings: &MeasureSettings) -> Result<Self> {
         let (bricks, g) = (archive.chunks.bricks(), &archive.step().plan.source.geometry);
         let spacing = std::array::from_fn(|a| g.spacing[a] * bricks.edge[a] as f64);
-        let memory = (settings.memory / 8).min(64 << 20);
+        let memory = map_bytes(settings.memory);
         Ok(Self {
             file: BrickMapFile::create(path, bricks.dims(), &Geometry { spacing, ..*g })?,
             bricks: bricks.len(),
             sorter: Sorter::new(memory as usize, &settings.scratch()),
-            memory,
         })
     }
 

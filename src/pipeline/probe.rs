@@ -133,9 +133,10 @@ impl<'a> GridScan<'a> {
     fn new(archive: &'a OpenArchive, dims: [u64; 3], settings: &'a ProbeSettings) -> Result<Self> {
         let grid = spanning_grid(archive, dims)?;
         let axes = 4 * dims.iter().sum::<u64>();
-        let rest = settings.memory.saturating_sub(need::BASE + axes);
-        let visit = Visit::new(archive, Blocks::All, settings.threads, rest, &settings.cancel)?;
-        visit.check_memory(settings.memory, 4 * WINDOW)?;
+        let share = |memory: u64| memory.saturating_sub(need::BASE + axes);
+        let visit =
+            Visit::new(archive, Blocks::All, settings.threads, share(settings.memory), &settings.cancel)?;
+        visit.check_memory(settings.memory, share, 4 * WINDOW)?;
         let has_gaps = visit.volume6()? != domain_volume6(&archive.manifest.plan.lattice);
         Ok(Self { visit, grid, has_gaps })
     }

@@ -114,7 +114,8 @@ pub(super) fn probe_table(
         if batch.is_empty() {
             break;
         }
-        let probed = values_at(archive, &batch, settings, rest / 2, progress)?;
+        let share = |memory: u64| memory.saturating_sub(need::BASE) / 2;
+        let probed = values_at(archive, &batch, settings, &share, progress)?;
         out.write(report.samples, &probed.values)?;
         report.samples += batch.len() as u64;
         report.outside += probed.outside;
@@ -164,7 +165,7 @@ pub(super) fn values_at(
     archive: &OpenArchive,
     points: &[[f64; 3]],
     settings: &ProbeSettings,
-    memory: u64,
+    share: &dyn Fn(u64) -> u64,
     progress: &dyn Progress,
 ) -> Result<Probed> {
     archive.refuse_coordinates("a probe at points")?;
@@ -183,7 +184,7 @@ pub(super) fn values_at(
         .collect();
     let outside = (points.len() - placed.len()) as u64;
     let mut values = vec![f32::NAN; points.len()];
-    let find = Find { threads: settings.threads, memory, all: settings.memory, cancel: &settings.cancel };
+    let find = Find { threads: settings.threads, memory: settings.memory, share, cancel: &settings.cancel };
     let chunks_read = each_value(archive, placed.into_iter(), &find, progress, "probe", |n, value| {
         values[n as usize] = value
     })?;
@@ -193,10 +194,10 @@ pub(super) fn values_at(
 /// How points are looked for.
 pub(super) struct Find<'a> {
     pub(super) threads: usize,
-    /// Bytes for chunks.
-    pub(super) memory: u64,
     /// Bytes of the whole question.
-    pub(super) all: u64,
+    pub(super) memory: u64,
+    /// What chunks have of so many.
+    pub(super) share: &'a dyn Fn(u64) -> u64,
     pub(super) cancel: &'a CancelToken,
 }
 
@@ -244,10 +245,10 @@ fn find_each(
 ) -> Result<u64> {
     let far = archive.manifest.plan.lattice.max();
     let batch = Batch::new(archive.chunks.bricks(), points);
-    let mut visit = Visit::new(archive, Blocks::All, find.threads, find.memory, find.cancel)?;
+    let mut visit = Visit::new(archive, Blocks::All, find.threads, (find.share)(find.memory), find.cancel)?;
     visit.confine(|region| batch.within(*region).next().is_some())?;
     let extra = further * visit.most_vertices() * size_of::<f32>() as u64;
-    visit.check_memory(find.all, extra)?;
+    visit.check_memory(find.memory, find.share, extra)?;
     progress.begin(stage, visit.chunks.len() as u64, "chunks");
     let job = |id, mut chunk: DecodedChunk| {
         let region = full_region(archive, id)?;

@@ -141,10 +141,10 @@ impl Measuring<'_> {
         let values = reopened_values(archive, mesh, input, &mut store, &settings)?;
         let store = store.expect("it was laid out for the values");
         let (positions, values) = (store.positions.get()?, values.get()?);
-        let rest = run.memory.saturating_sub(need::BASE + 4 * self.worst.len() as u64);
-        let batch = (rest / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
-        let (memory, all) = (rest / 8 * 7, run.memory);
-        let find = Find { threads: run.threads, memory, all, cancel: &run.cancel };
+        let rest = |memory: u64| memory.saturating_sub(need::BASE + 4 * self.worst.len() as u64);
+        let batch = (rest(run.memory) / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
+        let share = |memory: u64| rest(memory) / 8 * 7;
+        let find = Find { threads: run.threads, memory: run.memory, share: &share, cancel: &run.cancel };
         for (positions, values) in positions.chunks(batch).zip(values.chunks(batch)) {
             let placed = positions.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
             each_value(archive, placed, &find, job.progress, "measure", |n, reduced| {
@@ -168,11 +168,11 @@ impl Measuring<'_> {
         let samples = Samples::of(&originals).expect("those of a volume");
         let gauge = Gauge::new(&self.archive.manifest.plan.lattice);
         let run = job.run;
-        let rest = run.memory.saturating_sub(need::BASE + 4 * self.worst.len() as u64);
-        let mut visit = Visit::new(self.archive, Blocks::All, run.threads, rest, &run.cancel)?;
+        let share = |memory: u64| memory.saturating_sub(need::BASE + 4 * self.worst.len() as u64);
+        let mut visit = Visit::new(self.archive, Blocks::All, run.threads, share(run.memory), &run.cancel)?;
         visit.chunks = self.chunks_above()?;
         let extra = gauge::working_bytes(1);
-        visit.check_memory(run.memory, extra)?;
+        visit.check_memory(run.memory, share, extra)?;
         job.progress.begin("measure", visit.chunks.len() as u64, "chunks");
         let part = |_, chunk: DecodedChunk| self.add_chunk(&gauge, &samples, &chunk);
         visit.each(extra, job.progress, part, |_, ()| Ok(()))

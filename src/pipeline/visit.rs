@@ -131,14 +131,15 @@ impl<'a> Visit<'a> {
         CHUNK.saturating_add(self.vertices(id).saturating_mul(VERTEX + TETS_A_POINT * TET))
     }
 
-    /// Refuses a budget in which the largest chunk, with `extra` bytes for its job, does not fit; `memory` is the whole budget.
+    /// Refuses a budget in which the largest chunk, with `extra` bytes for its job, does not fit; `memory` is the whole budget, and `share` tells
+    /// what chunks have of one.
     ///
     /// # Errors
-    /// [`Error::Budget`] naming what would do.
-    pub(super) fn check_memory(&self, memory: u64, extra: u64) -> Result<()> {
+    /// [`Error::Budget`] naming the least that would do.
+    pub(super) fn check_memory(&self, memory: u64, share: impl Fn(u64) -> u64, extra: u64) -> Result<()> {
         let largest = self.chunks.iter().map(|&c| self.need(c)).max().unwrap_or(0).saturating_add(extra);
         if largest > self.memory {
-            let needed = memory.saturating_add(largest - self.memory);
+            let needed = least_with(largest, share);
             return Err(Error::Budget { what: "memory".into(), needed, available: memory });
         }
         Ok(())
@@ -177,6 +178,22 @@ impl<'a> Visit<'a> {
         }
         Ok(())
     }
+}
+
+/// The least budget of which the share, which grows with it, is `wanted` bytes.
+fn least_with(wanted: u64, share: impl Fn(u64) -> u64) -> u64 {
+    let (mut too_little, mut enough) = (0, wanted.max(1));
+    while share(enough) < wanted {
+        if enough == u64::MAX {
+            return enough;
+        }
+        (too_little, enough) = (enough, enough.saturating_mul(2));
+    }
+    while enough - too_little > 1 {
+        let middle = too_little + (enough - too_little) / 2;
+        if share(middle) < wanted { too_little = middle } else { enough = middle }
+    }
+    enough
 }
 
 fn region(archive: &OpenArchive, id: ChunkId, retries: u32) -> LatticeBox {
