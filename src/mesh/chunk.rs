@@ -32,6 +32,7 @@ use super::delaunay::Mesher;
 use super::late::{Finding, Late, Outer};
 use super::list::TetList;
 use super::owned::{Owned, each_bit};
+use super::tet::Tet;
 use crate::error::{Error, Result};
 use crate::geom::curve::Order;
 use crate::geom::{Lattice, LatticeBox, LatticePos};
@@ -83,6 +84,17 @@ pub struct Manner {
     /// Whether the points are as dense everywhere, no more of them than by chance on a sphere, and those of the core come first: then the chunk is meshed star by star,
     /// where the machine has the instructions for it, to the same mesh in less time.
     pub even: bool,
+}
+
+/// What a chunk owns, in numbers of its positions.
+#[derive(Clone, Copy, Debug)]
+pub struct OwnedCells<'a> {
+    /// Its tetrahedra.
+    pub tets: &'a [Tet],
+    /// Which positions they have.
+    pub used: &'a [bool],
+    /// Which positions may have tetrahedra that it does not own.
+    pub shared: &'a [bool],
 }
 
 /// Gives a wider region: appends the positions between the old one and the new one, and returns that; `None` where there is no room for it.
@@ -156,6 +168,33 @@ pub fn mesh_widening(
     });
     mesher.owned = owned;
     outcome
+}
+
+/// The tetrahedra around those that a chunk owns, which are known: as [`mesh_widening`] finds them of evenly spread points, in canonical order, but in the time that they take and not the
+/// chunk. `positions` are as there. `None` where that can not be done: then the chunk has to be meshed.
+///
+/// # Errors
+/// As [`mesh_chunk`].
+pub fn mesh_around(
+    mesher: &mut Mesher,
+    boxes: &ChunkRegion,
+    positions: &[LatticePos],
+    order: &Order,
+    owned: OwnedCells<'_>,
+) -> Result<Option<Vec<Tet>>> {
+    check(boxes, positions)?;
+    #[cfg(target_arch = "x86_64")]
+    {
+        let mut room = std::mem::take(&mut mesher.stars);
+        let around = room.around(mesher, boxes, positions, order, owned);
+        mesher.stars = room;
+        around
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    {
+        let _ = (mesher, order, owned);
+        Ok(None)
+    }
 }
 
 /// The positions from `first` on, which are not inserted.

@@ -47,6 +47,17 @@ impl TetList {
         self.own = own;
     }
 
+    /// Puts others around the list, in place of those that were.
+    pub fn put_around(&mut self, around: &[Tet]) {
+        match &mut self.memory {
+            Memory::Listed(tets) => {
+                tets.truncate(self.own);
+                tets.extend_from_slice(around);
+            }
+            Memory::Among(..) => self.memory = Memory::Listed([&**self, around].concat()),
+        }
+    }
+
     /// The list, then those around.
     pub fn whole(&self) -> &[Tet] {
         match &self.memory {

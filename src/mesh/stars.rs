@@ -33,6 +33,7 @@
 //! are tetrahedralized by insertion, exactly, and certified as a chunk is (`certify.rs`). Where even that fails, or happens often, as on a lattice, the chunk is
 //! left to insertion altogether. The outcome is the same.
 
+mod around;
 mod lanes;
 mod wide;
 
@@ -230,23 +231,35 @@ impl Stars {
         order: &Order,
         around: bool,
     ) -> Result<Option<ChunkMesh>> {
+        match self.begin(vectors, boxes, positions, order) {
+            Some(chunk) => chunk.mesh(self, mesher, around),
+            None => Ok(None),
+        }
+    }
+
+    /// Prepares for a chunk; `None` where this is nothing for it.
+    fn begin<'a>(
+        &mut self,
+        vectors: Vectors,
+        boxes: &'a ChunkRegion,
+        positions: &'a [LatticePos],
+        order: &'a Order,
+    ) -> Option<Chunk<'a>> {
         let core = positions.iter().take_while(|p| boxes.core.contains(**p)).count();
         if core < 64 || positions[core..].iter().any(|p| boxes.core.contains(*p)) {
-            return Ok(None);
+            return None;
         }
         let volume: f64 = (0..3).map(|a| f64::from(boxes.region.hi[a] - boxes.region.lo[a])).product();
         let spacing = (volume / positions.len() as f64).cbrt();
         if !self.grid.fill(&boxes.region, positions, REACHES[0] * spacing, spacing) {
-            return Ok(None);
+            return None;
         }
         self.first.clear();
         self.first.resize(positions.len(), NEW);
         self.waiting.clear();
         self.free.clear();
         self.slow.stars = 0;
-        self.tets.clear();
-        delaunay::reserve(&mut self.tets, 7 * core);
-        Chunk {
+        Some(Chunk {
             vectors,
             boxes,
             positions,
@@ -256,8 +269,8 @@ impl Stars {
             rows: vec![],
             cell: [usize::MAX; 3],
             used: vec![],
-        }
-        .mesh(self, mesher, around)
+            turned: core,
+        })
     }
 }
 
@@ -273,12 +286,16 @@ struct Chunk<'a> {
     rows: Vec<[u32; 2]>,
     /// The cell around which the rows are, with the first reach.
     cell: [usize; 3],
-    /// By position outside the core: whether an owned tetrahedron has it. Empty until all those are known.
+    /// By position: whether an owned tetrahedron has it, and others may. Empty until all those are known.
     used: Vec<bool>,
+    /// So many of the first positions have their turn, used or not.
+    turned: usize,
 }
 
 impl Chunk<'_> {
     fn mesh(mut self, room: &mut Stars, mesher: &mut Mesher, around: bool) -> Result<Option<ChunkMesh>> {
+        room.tets.clear();
+        delaunay::reserve(&mut room.tets, 7 * self.core);
         let mut shared: Vec<bool> = vec![false; self.core];
         shared.resize(self.positions.len(), true);
         let mut foreign = vec![];
@@ -308,45 +325,9 @@ impl Chunk<'_> {
         Ok(Some(ChunkMesh { tets, shared }))
     }
 
-    /// Appends the tetrahedra around those owned; `foreign` are those at points of the core that are not owned.
-    fn add_around(&mut self, room: &mut Stars, mesher: &mut Mesher, foreign: Vec<Tet>) -> Result<bool> {
-        let mut used = vec![false; self.positions.len()];
-        room.tets.iter().flatten().for_each(|&v| used[v as usize] = true);
-        let own = room.tets.len();
-        let is_around = |t: &Tet| t.iter().any(|&v| used[v as usize]);
-        room.tets.extend(foreign.into_iter().filter(is_around));
-        // Faces that no point of the core has wait for the first that is used.
-        let Stars { first, waiting, .. } = &mut *room;
-        let mut loose = vec![];
-        for (v, first) in (0u32..).zip(&mut *first).skip(self.core) {
-            let mut at = *first;
-            while at < END {
-                let Waiting { others: [c, d], next } = waiting[at as usize];
-                loose.push([v, d, c]);
-                at = next;
-            }
-            *first = (*first).max(END);
-        }
-        waiting.clear();
-        room.free.clear();
-        self.used = used;
-        loose.into_iter().for_each(|face| self.wait_for(room, face));
-        for p in self.core as u32..self.positions.len() as u32 {
-            if self.used[p as usize] {
-                if !self.close(room, mesher, p)? {
-                    return Ok(false);
-                }
-                room.tets.extend_from_slice(&room.star);
-                self.wait(room, true);
-            }
-        }
-        super::owned::sort_around(&mut room.tets[own..]);
-        Ok(true)
-    }
-
     fn owns(&self, tet: Tet) -> bool {
         let core = self.core as u32;
-        if tet[1].max(tet[2]).max(tet[3]) < core {
+        if tet.iter().all(|&v| v < core) {
             return true;
         }
         let least = tet.into_iter().min_by_key(|&v| self.positions[v as usize]);
@@ -539,7 +520,9 @@ impl Chunk<'_> {
                 return false;
             }
             let tet = ids.map(|v| v.unwrap_or(p));
-            if tet.iter().all(|&v| v == p || !self.had_turn(v, p)) {
+            // Without points that have their turn anyhow, those owned are known.
+            let is_known = self.turned == 0 && self.owns(tet);
+            if !is_known && tet.iter().all(|&v| v == p || !self.had_turn(v, p)) {
                 let face = delaunay::face(place).map(|i| tet[i]);
                 // Seen from beyond the face the three are ordered; the point comes first, an even permutation of the four.
                 star.push([p, face[0], face[2], face[1]]);
@@ -550,7 +533,7 @@ impl Chunk<'_> {
 
     /// Whether a point had its turn when it is that of `p`.
     fn had_turn(&self, v: u32, p: u32) -> bool {
-        v < p && (v < self.core as u32 || self.used.get(v as usize).is_some_and(|used| *used))
+        v < p && (v < self.turned as u32 || self.used.get(v as usize).is_some_and(|used| *used))
     }
 }
 

@@ -11,11 +11,14 @@ use crate::exec::CancelToken;
 use crate::geom::curve::Order;
 use crate::geom::{LatticeBox, LatticePos, PointId, Site};
 use crate::grid::{BrickGrid, Chunk};
-use crate::mesh::chunk::{ChunkMesh, ChunkOutcome, ChunkRegion, Manner, mesh_widening};
+use crate::mesh::chunk::{
+    ChunkMesh, ChunkOutcome, ChunkRegion, Manner, OwnedCells, mesh_around, mesh_widening,
+};
 use crate::mesh::delaunay::Mesher;
 use crate::mesh::list::TetList;
 use crate::mesh::tet::Tet;
 use crate::points::PointSet;
+use std::collections::HashMap;
 
 /// What the chunks of one archive have in common.
 pub(crate) struct Recipe<'a> {
@@ -63,6 +66,14 @@ impl MeshedChunk {
     /// The positions of the others that tetrahedra around have.
     pub(crate) fn positions_around(&self) -> &[LatticePos] {
         &self.all_positions[self.vertices()..]
+    }
+
+    /// Puts other tetrahedra, whose further positions follow those of the vertices, around its own.
+    fn put_around(&mut self, around: &[Tet], positions: Vec<LatticePos>) {
+        self.all_positions.truncate(self.vertices());
+        self.around = positions.len();
+        self.all_positions.extend(positions);
+        self.tets.put_around(around);
     }
 
     /// Takes over what is around the same chunk, meshed again to as many tetrahedra, and the memory of those.
@@ -182,6 +193,55 @@ impl Maker {
         }
     }
 
+    /// Finds what is around a chunk whose own tetrahedra are known; false where it has to be meshed again for that.
+    pub(crate) fn surround(
+        &mut self,
+        recipe: &Recipe<'_>,
+        chunk: &Chunk,
+        mesh: &mut MeshedChunk,
+        room: u64,
+        cancel: &CancelToken,
+    ) -> Result<bool> {
+        cancel.check()?;
+        let domain = recipe.bricks.lattice.domain();
+        let near = need::near(recipe.points, &chunk.core, &domain, recipe.halo);
+        let region = need::region(recipe.points, &chunk.core, &domain, recipe.halo, 0);
+        let boxes = ChunkRegion { core: chunk.core, near, region, domain };
+        let fits = need::room_for(recipe.points.count_in(&region), recipe.halo) <= room;
+        if !recipe.points.is_even() || !fits || self.list_core(recipe, chunk)? != mesh.core_counts {
+            return Ok(false);
+        }
+        let core = self.sites.len();
+        self.list_halo(recipe, &boxes);
+        self.positions.clear();
+        self.positions.extend(self.sites.iter().map(|s| s.pos));
+        // Vertices of the core have the numbers of their sites; where are those of the halo?
+        let places: HashMap<PointId, u32> =
+            (core as u32..).zip(&self.sites[core..]).map(|(i, s)| (s.id, i)).collect();
+        let halo: Option<Vec<u32>> = mesh.halo.iter().map(|id| places.get(id).copied()).collect();
+        let Some(halo) = halo else { return Ok(false) };
+        let site = |v: u32| (v as usize).checked_sub(core).map_or(v, |i| halo[i]);
+        let is_border = |tet: &&Tet| tet.iter().filter(|&&v| mesh.shared[v as usize]).count() >= 3;
+        let border: Vec<Tet> = mesh.tets.iter().filter(is_border).map(|tet| tet.map(site)).collect();
+        let mut used = vec![false; self.sites.len()];
+        mesh.tets.iter().flatten().for_each(|&v| used[site(v) as usize] = true);
+        let mut shared = mesh.shared[..core].to_vec();
+        shared.resize(self.sites.len(), true);
+        let owned = OwnedCells { tets: &border, used: &used, shared: &shared };
+        let Some(mut around) = mesh_around(&mut self.mesher, &boxes, &self.positions, &recipe.order, owned)?
+        else {
+            return Ok(false);
+        };
+        let mut numbers = vec![u32::MAX; self.sites.len() - core];
+        (core as u32..).zip(&halo).for_each(|(number, &site)| numbers[site as usize - core] = number);
+        let mut positions = vec![];
+        number_others(&mut around, &mut numbers, core, mesh.vertices(), |site| {
+            positions.push(self.sites[site].pos)
+        });
+        mesh.put_around(&around, positions);
+        Ok(true)
+    }
+
     /// Takes memory of a chunk that is finished, for the next.
     pub(crate) fn reuse(&mut self, positions: Vec<LatticePos>, tets: TetList) {
         self.positions = positions;
@@ -270,18 +330,30 @@ fn renumber(
     positions.truncate(core);
     positions.extend(halo.iter().map(|&v| sites[v as usize].pos));
     let vertices = positions.len();
-    // Those that only tetrahedra around have follow, as they come.
-    for v in tets.around_mut().iter_mut().flatten().filter(|v| **v as usize >= core) {
-        let number = &mut number[*v as usize - core];
-        if *number == u32::MAX {
-            *number = positions.len() as u32;
-            positions.push(sites[*v as usize].pos);
-        }
-        *v = *number;
-    }
+    number_others(tets.around_mut(), &mut number, core, vertices, |site| positions.push(sites[site].pos));
     shared.truncate(core);
     shared.resize(vertices, true);
     let halo = halo.iter().map(|&v| sites[v as usize].id).collect();
     let around = positions.len() - vertices;
     MeshedChunk { core_counts, halo, all_positions: positions, around, shared, tets, retries }
+}
+
+/// Numbers the sites outside the core that tetrahedra around have: those that are vertices have numbers, the others follow `vertices`, as they come.
+fn number_others(
+    around: &mut [Tet],
+    numbers: &mut [u32],
+    core: usize,
+    vertices: usize,
+    mut found: impl FnMut(usize),
+) {
+    let mut next = vertices as u32;
+    for v in around.iter_mut().flatten().filter(|v| **v as usize >= core) {
+        let number = &mut numbers[*v as usize - core];
+        if *number == u32::MAX {
+            *number = next;
+            next += 1;
+            found(*v as usize);
+        }
+        *v = *number;
+    }
 }

@@ -121,15 +121,19 @@ fn make_in_room(work: &Work<'_>, chunk: &Chunk, desk: &mut Desk, room: u64) -> R
     let mut times = StageTimes::default();
     let mut lap = Lap(Instant::now());
     if let Some(stored) = &work.stored {
-        let again = match work.recipe.halo {
-            Halo::Owned => None,
-            // What values are fitted to is not stored: it is made again.
-            Halo::Stars => match desk.maker.mesh(work.recipe, chunk, room, work.cancel)? {
-                Meshing::Done(mesh) => Some(mesh),
+        let (mut mesh, ends) = stored.archive.stored_mesh(chunk.id)?;
+        // What values are fitted to is not stored: it is found around the mesh, or made again with it.
+        let mut again = None;
+        if work.recipe.halo == Halo::Stars
+            && !desk.maker.surround(work.recipe, chunk, &mut mesh, room, work.cancel)?
+        {
+            match desk.maker.mesh(work.recipe, chunk, room, work.cancel)? {
+                Meshing::Done(mesh) => again = Some(mesh),
                 Meshing::NeedsRoom { bytes } => return Ok(Making::NeedsRoom { bytes }),
-            },
-        };
-        return make_from_stored(work, stored, chunk, again, desk).map(Making::Done);
+            }
+        }
+        lap.add_to(&mut times.mesh);
+        return make_from_stored(work, stored, chunk, (mesh, ends), again, desk, times).map(Making::Done);
     }
     let mut mesh = match desk.maker.mesh(work.recipe, chunk, room, work.cancel)? {
         Meshing::Done(mesh) => mesh,
@@ -147,17 +151,17 @@ fn make_in_room(work: &Work<'_>, chunk: &Chunk, desk: &mut Desk, room: u64) -> R
     Ok(Making::Done(Product { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
 }
 
-/// The values of steps on a mesh that is there; `again` is that of the chunk with what is around it, where values ask for that.
+/// The values of steps on a mesh that is there, with the ends of its blocks; `again` is that of the chunk with what is around it, where values ask for that and it is not there.
 fn make_from_stored(
     work: &Work<'_>,
     stored: &Stored<'_>,
     chunk: &Chunk,
+    (mut mesh, ends): (MeshedChunk, Vec<usize>),
     again: Option<MeshedChunk>,
     desk: &mut Desk,
+    mut times: StageTimes,
 ) -> Result<Product> {
-    let mut times = StageTimes::default();
     let mut lap = Lap(Instant::now());
-    let (mut mesh, ends) = stored.archive.stored_mesh(chunk.id)?;
     let place = |mesh: &MeshedChunk| note(work, 0, work.steps[0].field.place(mesh));
     let placement = match again {
         // Of a mesh in which nothing lies outside any more.

@@ -57,11 +57,11 @@ const INDEX_ENTRY_ON_DISK: u64 = 48;
 const ARCHIVE_PER_POINT: u64 = 10;
 /// And for a point of a further step: a value, its share of ranges, index and spectrum.
 const VALUES_PER_POINT: u64 = 4;
-/// The time of a further step, as a part of the first, and that of a further pass: the mesh is decoded and scanned again, or, where values are
-/// fitted, made again.
+/// The time of a further step, as a part of the first, and that of a further pass: the mesh is decoded and scanned again, and where values are
+/// fitted, what is around it found (0.7), or all of it made again (0.9).
 const FURTHER_STEP: f64 = 0.06;
 const FURTHER_PASS: f64 = 0.35;
-const FURTHER_FITTED_PASS: f64 = 0.9;
+const FURTHER_FITTED_PASS: f64 = 0.8;
 /// Points a second of one thread, meshed and encoded, on a machine of 2020: rough.
 const POINTS_PER_SECOND: f64 = 150_000.0;
 /// Chunks looked at to find the largest.

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::geom::{Lattice, Site};
-use crate::mesh::chunk::{ChunkOutcome, Manner, mesh_widening};
+use crate::mesh::chunk::{ChunkOutcome, Manner, OwnedCells, mesh_widening};
 use crate::points::{PointSet, PointSpec, SetKind, SetSettings};
 use proptest::prelude::*;
 
@@ -24,6 +24,32 @@ fn boxes(domain: LatticeBox, core: LatticeBox, spacing: u32, quarters: u32) -> C
     ChunkRegion { core, near: core.grow_within([spacing * quarters / 8; 3], &domain), region, domain }
 }
 
+/// The positions of a region.
+fn local(boxes: &ChunkRegion, all: &[LatticePos]) -> Vec<LatticePos> {
+    let mut local: Vec<LatticePos> = all.iter().copied().filter(|p| boxes.region.contains(*p)).collect();
+    // Each part in the order in which it was.
+    local.sort_by_key(|p| (!boxes.core.contains(*p), !boxes.near.contains(*p)));
+    local
+}
+
+/// What is around the tetrahedra of a mesh, found from those, as far as it can be, with what vectors the machine has.
+fn around_again(
+    boxes: &ChunkRegion,
+    all: &[LatticePos],
+    order: &Order,
+    mesh: &ChunkMesh,
+) -> Vec<Option<Vec<Tet>>> {
+    let local = local(boxes, all);
+    let mut used = vec![false; local.len()];
+    mesh.tets.iter().flatten().for_each(|&v| used[v as usize] = true);
+    let owned = OwnedCells { tets: &mesh.tets, used: &used, shared: &mesh.shared };
+    let mut stars = Stars::default();
+    stars.slow.patience = Patience(200);
+    let mut mesher = Mesher::new();
+    let mut around = |vectors| stars.around_with(vectors, &mut mesher, boxes, &local, order, owned).unwrap();
+    Vectors::all().into_iter().flatten().map(&mut around).collect()
+}
+
 /// Meshes by stars, if they do, with what vectors the machine has, and the mesh by insertion.
 fn both(
     boxes: &ChunkRegion,
@@ -31,9 +57,7 @@ fn both(
     order: &Order,
     around: bool,
 ) -> (Vec<Option<ChunkMesh>>, Option<ChunkMesh>) {
-    let mut local: Vec<LatticePos> = all.iter().copied().filter(|p| boxes.region.contains(*p)).collect();
-    // Each part in the order in which it was.
-    local.sort_by_key(|p| (!boxes.core.contains(*p), !boxes.near.contains(*p)));
+    let mut local = local(boxes, all);
     let mut mesher = Mesher::new();
     let mut stars = Stars::default();
     stars.slow.patience = Patience(200);
@@ -94,6 +118,12 @@ fn chunks_of_even_sets_are_those_of_insertion() {
                 for stars in stars {
                     assert_same(&stars.unwrap(), &insertion);
                 }
+                if around {
+                    assert!(!insertion.tets.around().is_empty());
+                    for again in around_again(&boxes, &all, &order, &insertion) {
+                        assert_eq!(again.as_deref(), Some(insertion.tets.around()));
+                    }
+                }
             }
         }
         let whole = boxes(domain, domain, spacing, 12);
@@ -151,6 +181,7 @@ proptest! {
         log2_step in 0u32..21,
         quarters in 3u32..16,
         around in any::<bool>(),
+        from in 0u32..3,
     ) {
         let mut state = seed;
         let mut below = |n: u32| {
@@ -170,16 +201,22 @@ proptest! {
         all.sort_unstable();
         all.dedup();
         let domain = LatticeBox { lo: [0; 3], hi: [(1 << 24) + 1; 3] };
-        let core = LatticeBox { lo: [0, 1 << 22, 0], hi: [1 << 23, 3 << 22, (1 << 24) + 1] };
+        let core = LatticeBox { lo: [from << 22, 1 << 22, 0], hi: [(from + 2) << 22, 3 << 22, (1 << 24) + 1] };
         // Twice, but not in the core.
         let twice: Vec<_> = all.iter().copied().filter(|p| !core.contains(*p)).step_by(97).collect();
         all.extend(twice);
         let spacing = ((1u64 << 24) as f64 / (n as f64).cbrt()) as u32;
         let order = Order::for_count(n as u64);
-        let (stars, insertion) = both(&boxes(domain, core, spacing, quarters), &all, &order, around);
+        let boxes = boxes(domain, core, spacing, quarters);
+        let (stars, insertion) = both(&boxes, &all, &order, around);
         // Where insertion wants a wider region, stars cannot be certified either.
         for stars in stars.into_iter().flatten() {
             assert_same(&stars, insertion.as_ref().expect("a mesh as certain"));
+        }
+        if let Some(insertion) = insertion.filter(|_| around) {
+            for again in around_again(&boxes, &all, &order, &insertion).into_iter().flatten() {
+                prop_assert_eq!(&*again, insertion.tets.around());
+            }
         }
     }
 }

@@ -1,0 +1,122 @@
+//! The tetrahedra around those that a chunk owns.
+//!
+//! Where the owned ones are known, be it that they were just made, or that they come from an archive, the others at their points are those beyond the faces that bound them: the
+//! stars of the points of such faces are closed, one after another.
+
+use super::lanes::Vectors;
+use super::{Chunk, END, Stars, Waiting};
+use crate::error::Result;
+use crate::geom::LatticePos;
+use crate::geom::curve::Order;
+use crate::mesh::chunk::{ChunkRegion, OwnedCells};
+use crate::mesh::delaunay::{self, Mesher};
+use crate::mesh::owned::sort_around;
+use crate::mesh::tet::Tet;
+
+impl Stars {
+    /// The tetrahedra around those that a chunk owns, in canonical order; `None` where insertion is to tell them.
+    ///
+    /// # Errors
+    /// As [`Mesher::delaunay`].
+    pub(in crate::mesh) fn around(
+        &mut self,
+        mesher: &mut Mesher,
+        boxes: &ChunkRegion,
+        positions: &[LatticePos],
+        order: &Order,
+        owned: OwnedCells<'_>,
+    ) -> Result<Option<Vec<Tet>>> {
+        let Some(vectors) = Vectors::found() else { return Ok(None) };
+        self.around_with(vectors, mesher, boxes, positions, order, owned)
+    }
+
+    /// As [`Stars::around`], with these vectors.
+    pub(super) fn around_with(
+        &mut self,
+        vectors: Vectors,
+        mesher: &mut Mesher,
+        boxes: &ChunkRegion,
+        positions: &[LatticePos],
+        order: &Order,
+        owned: OwnedCells<'_>,
+    ) -> Result<Option<Vec<Tet>>> {
+        let Some(mut chunk) = self.begin(vectors, boxes, positions, order) else { return Ok(None) };
+        // What nobody shares has no other tetrahedra.
+        chunk.used = owned.used.iter().zip(owned.shared).map(|(used, shared)| used & shared).collect();
+        chunk.turned = 0;
+        self.first.fill(END);
+        let is_shared = |v: &u32| owned.shared[*v as usize];
+        for tet in owned.tets.iter().filter(|tet| tet.iter().filter(|v| is_shared(v)).count() >= 3) {
+            for place in 0..4 {
+                let [a, b, c] = delaunay::face(place).map(|i| tet[i]);
+                // A face of two owned ones waits twice for the same point, and goes when that has its turn.
+                if [a, b, c].iter().all(is_shared) {
+                    chunk.wait_for(self, [a, c, b]);
+                }
+            }
+        }
+        let mut around = vec![];
+        if !chunk.close_used(self, mesher, 0, &mut around)? {
+            return Ok(None);
+        }
+        sort_around(&mut around);
+        Ok(Some(around))
+    }
+}
+
+impl Chunk<'_> {
+    /// Appends the tetrahedra around those owned; `foreign` are those at points of the core that are not owned.
+    pub(super) fn add_around(
+        &mut self,
+        room: &mut Stars,
+        mesher: &mut Mesher,
+        foreign: Vec<Tet>,
+    ) -> Result<bool> {
+        let mut used = vec![false; self.positions.len()];
+        room.tets.iter().flatten().for_each(|&v| used[v as usize] = true);
+        let own = room.tets.len();
+        let is_around = |t: &Tet| t.iter().any(|&v| used[v as usize]);
+        room.tets.extend(foreign.into_iter().filter(is_around));
+        // Faces that no point of the core has wait for the first that is used.
+        let Stars { first, waiting, .. } = &mut *room;
+        let mut loose = vec![];
+        for (v, first) in (0u32..).zip(&mut *first).skip(self.core) {
+            let mut at = *first;
+            while at < END {
+                let Waiting { others: [c, d], next } = waiting[at as usize];
+                loose.push([v, d, c]);
+                at = next;
+            }
+            *first = (*first).max(END);
+        }
+        waiting.clear();
+        room.free.clear();
+        self.used = used;
+        loose.into_iter().for_each(|face| self.wait_for(room, face));
+        let mut tets = std::mem::take(&mut room.tets);
+        let done = self.close_used(room, mesher, self.core, &mut tets)?;
+        room.tets = tets;
+        sort_around(&mut room.tets[own..]);
+        Ok(done)
+    }
+
+    /// Closes the stars of used points from the `first` on, and appends what is new; false where one cannot be.
+    fn close_used(
+        &mut self,
+        room: &mut Stars,
+        mesher: &mut Mesher,
+        first: usize,
+        tets: &mut Vec<Tet>,
+    ) -> Result<bool> {
+        for p in first as u32..self.positions.len() as u32 {
+            if self.used[p as usize] {
+                if !self.close(room, mesher, p)? {
+                    return Ok(false);
+                }
+                tets.extend_from_slice(&room.star);
+                self.wait(room, true);
+            }
+        }
+        Ok(true)
+    }
+}
