@@ -50,6 +50,24 @@ pub(crate) trait Four: Floats<4> {
     fn columns(rows: [Self; 4]) -> [Self; 4];
 }
 
+/// The places of the bits that are set in a byte, ascending.
+#[cfg(target_arch = "x86_64")]
+pub(crate) static PLACES: [[u8; 8]; 256] = {
+    let (mut places, mut byte) = ([[0; 8]; 256], 0);
+    while byte < 256 {
+        let (mut bit, mut n) = (0, 0);
+        while bit < 8 {
+            if byte >> bit & 1 == 1 {
+                places[byte][n] = bit;
+                n += 1;
+            }
+            bit += 1;
+        }
+        byte += 1;
+    }
+    places
+};
+
 /// As `[0, 1, 2].map`, which is inlined where the compiler likes it; but a vector that crosses a call is no gain.
 #[inline(always)]
 pub(crate) fn three<T>(mut of: impl FnMut(usize) -> T) -> [T; 3] {

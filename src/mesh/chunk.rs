@@ -86,15 +86,13 @@ pub struct Manner {
     pub even: bool,
 }
 
-/// What a chunk owns, in numbers of its positions.
+/// Where what a chunk owns borders on the tetrahedra of others, in numbers of its positions.
 #[derive(Clone, Copy, Debug)]
-pub struct OwnedCells<'a> {
-    /// Its tetrahedra.
+pub struct Border<'a> {
+    /// Its tetrahedra with three such points or more; there may be others.
     pub tets: &'a [Tet],
-    /// Which positions they have.
-    pub used: &'a [bool],
-    /// Which positions may have tetrahedra that it does not own.
-    pub shared: &'a [bool],
+    /// Of each position, whether one of its tetrahedra has it and one of others may.
+    pub points: &'a [bool],
 }
 
 /// Gives a wider region: appends the positions between the old one and the new one, and returns that; `None` where there is no room for it.
@@ -170,7 +168,7 @@ pub fn mesh_widening(
     outcome
 }
 
-/// The tetrahedra around those that a chunk owns, which are known: as [`mesh_widening`] finds them of evenly spread points, in canonical order, but in the time that they take and not the
+/// The tetrahedra around those that a chunk owns, of which the border is known: as [`mesh_widening`] finds them of evenly spread points, in canonical order, but in the time that they take and not the
 /// chunk. `positions` are as there. `None` where that can not be done: then the chunk has to be meshed.
 ///
 /// # Errors
@@ -180,19 +178,19 @@ pub fn mesh_around(
     boxes: &ChunkRegion,
     positions: &[LatticePos],
     order: &Order,
-    owned: OwnedCells<'_>,
+    border: Border<'_>,
 ) -> Result<Option<Vec<Tet>>> {
     check(boxes, positions)?;
     #[cfg(target_arch = "x86_64")]
     {
         let mut room = std::mem::take(&mut mesher.stars);
-        let around = room.around(mesher, boxes, positions, order, owned);
+        let around = room.around(mesher, boxes, positions, order, border);
         mesher.stars = room;
         around
     }
     #[cfg(not(target_arch = "x86_64"))]
     {
-        let _ = (mesher, order, owned);
+        let _ = (mesher, order, border);
         Ok(None)
     }
 }

@@ -11,9 +11,7 @@ use crate::exec::CancelToken;
 use crate::geom::curve::Order;
 use crate::geom::{LatticeBox, LatticePos, PointId, Site};
 use crate::grid::{BrickGrid, Chunk};
-use crate::mesh::chunk::{
-    ChunkMesh, ChunkOutcome, ChunkRegion, Manner, OwnedCells, mesh_around, mesh_widening,
-};
+use crate::mesh::chunk::{Border, ChunkMesh, ChunkOutcome, ChunkRegion, Manner, mesh_around, mesh_widening};
 use crate::mesh::delaunay::Mesher;
 use crate::mesh::list::TetList;
 use crate::mesh::tet::Tet;
@@ -27,6 +25,15 @@ pub(crate) struct Recipe<'a> {
     pub(crate) order: Order,
     /// What is asked for of a chunk's surroundings.
     pub(crate) halo: Halo,
+}
+
+impl Recipe<'_> {
+    /// The boxes of a chunk, at first.
+    fn boxes(&self, chunk: &Chunk) -> ChunkRegion {
+        let (points, core, domain) = (self.points, chunk.core, self.bricks.lattice.domain());
+        let near = need::near(points, &core, &domain, self.halo);
+        ChunkRegion { core, near, region: need::region(points, &core, &domain, self.halo, 0), domain }
+    }
 }
 
 /// The mesh of a chunk: its own points (core), the points of its neighbours that its tetrahedra need (halo), and the
@@ -153,8 +160,7 @@ impl Maker {
         let core = self.sites.len();
         let region = |retries| need::region(recipe.points, &chunk.core, &domain, recipe.halo, retries);
         let needs = |region: &LatticeBox| need::room_for(recipe.points.count_in(region), recipe.halo);
-        let near = need::near(recipe.points, &chunk.core, &domain, recipe.halo);
-        let boxes = ChunkRegion { core: chunk.core, near, region: region(0), domain };
+        let boxes = recipe.boxes(chunk);
         let bytes = needs(&boxes.region);
         if bytes > room {
             return Ok(Meshing::NeedsRoom { bytes });
@@ -203,12 +209,12 @@ impl Maker {
         cancel: &CancelToken,
     ) -> Result<bool> {
         cancel.check()?;
-        let domain = recipe.bricks.lattice.domain();
-        let near = need::near(recipe.points, &chunk.core, &domain, recipe.halo);
-        let region = need::region(recipe.points, &chunk.core, &domain, recipe.halo, 0);
-        let boxes = ChunkRegion { core: chunk.core, near, region, domain };
-        let fits = need::room_for(recipe.points.count_in(&region), recipe.halo) <= room;
-        if !recipe.points.is_even() || !fits || self.list_core(recipe, chunk)? != mesh.core_counts {
+        if !recipe.points.is_even() {
+            return Ok(false);
+        }
+        let boxes = recipe.boxes(chunk);
+        let fits = need::room_for(recipe.points.count_in(&boxes.region), recipe.halo) <= room;
+        if !fits || self.list_core(recipe, chunk)? != mesh.core_counts {
             return Ok(false);
         }
         let core = self.sites.len();
@@ -221,14 +227,19 @@ impl Maker {
         let halo: Option<Vec<u32>> = mesh.halo.iter().map(|id| places.get(id).copied()).collect();
         let Some(halo) = halo else { return Ok(false) };
         let site = |v: u32| (v as usize).checked_sub(core).map_or(v, |i| halo[i]);
-        let is_border = |tet: &&Tet| tet.iter().filter(|&&v| mesh.shared[v as usize]).count() >= 3;
-        let border: Vec<Tet> = mesh.tets.iter().filter(is_border).map(|tet| tet.map(site)).collect();
-        let mut used = vec![false; self.sites.len()];
-        mesh.tets.iter().flatten().for_each(|&v| used[site(v) as usize] = true);
-        let mut shared = mesh.shared[..core].to_vec();
-        shared.resize(self.sites.len(), true);
-        let owned = OwnedCells { tets: &border, used: &used, shared: &shared };
-        let Some(mut around) = mesh_around(&mut self.mesher, &boxes, &self.positions, &recipe.order, owned)?
+        let (mut tets, mut points) = (vec![], vec![false; self.sites.len()]);
+        for tet in mesh.tets.iter() {
+            let mut shared = 0;
+            for &v in tet.iter().filter(|&&v| mesh.shared[v as usize]) {
+                points[site(v) as usize] = true;
+                shared += 1;
+            }
+            if shared >= 3 {
+                tets.push(tet.map(site));
+            }
+        }
+        let border = Border { tets: &tets, points: &points };
+        let Some(mut around) = mesh_around(&mut self.mesher, &boxes, &self.positions, &recipe.order, border)?
         else {
             return Ok(false);
         };

@@ -3,6 +3,7 @@
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
 use crate::cpu::may_use;
+use crate::exec::lanes::PLACES;
 use std::arch::x86_64::*;
 
 /// The proof that this machine can.
@@ -86,23 +87,6 @@ fn minus(a: [__m256; 3], b: [__m256; 3]) -> [__m256; 3] {
     [_mm256_sub_ps(a[0], b[0]), _mm256_sub_ps(a[1], b[1]), _mm256_sub_ps(a[2], b[2])]
 }
 
-/// The places of the bits that are set in a byte, ascending.
-static PLACES: [[u16; 8]; 256] = {
-    let (mut places, mut byte) = ([[0; 8]; 256], 0);
-    while byte < 256 {
-        let (mut bit, mut n) = (0, 0);
-        while bit < 8 {
-            if byte >> bit & 1 == 1 {
-                places[byte][n] = bit;
-                n += 1;
-            }
-            bit += 1;
-        }
-        byte += 1;
-    }
-    places
-};
-
 #[inline]
 #[target_feature(enable = "avx2,fma")]
 fn near_avx2(cloud: &Cloud, v: usize, link: &mut Link) {
@@ -119,9 +103,9 @@ fn near_avx2(cloud: &Cloud, v: usize, link: &mut Link) {
         larger = 0xff;
         let room: &mut [u16; 8] =
             link.id[n..].first_chunk_mut().expect("there is more room than for those nearby");
-        // SAFETY: both arrays have 16 bytes; load and store need not be aligned.
+        // SAFETY: the one array has 8 bytes, the other 16; load and store need not be aligned.
         unsafe {
-            let places = _mm_loadu_si128(PLACES[near as usize & 0xff].as_ptr().cast());
+            let places = _mm_cvtepu8_epi16(_mm_loadl_epi64(PLACES[near as usize & 0xff].as_ptr().cast()));
             _mm_storeu_si128(room.as_mut_ptr().cast(), _mm_add_epi16(places, first));
         }
         n = (n + near.count_ones() as usize).min(MOST_NEAR);

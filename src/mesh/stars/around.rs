@@ -8,7 +8,7 @@ use super::{Chunk, END, Stars, Waiting};
 use crate::error::Result;
 use crate::geom::LatticePos;
 use crate::geom::curve::Order;
-use crate::mesh::chunk::{ChunkRegion, OwnedCells};
+use crate::mesh::chunk::{Border, ChunkRegion};
 use crate::mesh::delaunay::{self, Mesher};
 use crate::mesh::owned::sort_around;
 use crate::mesh::tet::Tet;
@@ -24,10 +24,10 @@ impl Stars {
         boxes: &ChunkRegion,
         positions: &[LatticePos],
         order: &Order,
-        owned: OwnedCells<'_>,
+        border: Border<'_>,
     ) -> Result<Option<Vec<Tet>>> {
         let Some(vectors) = Vectors::found() else { return Ok(None) };
-        self.around_with(vectors, mesher, boxes, positions, order, owned)
+        self.around_with(vectors, mesher, boxes, positions, order, border)
     }
 
     /// As [`Stars::around`], with these vectors.
@@ -38,19 +38,17 @@ impl Stars {
         boxes: &ChunkRegion,
         positions: &[LatticePos],
         order: &Order,
-        owned: OwnedCells<'_>,
+        border: Border<'_>,
     ) -> Result<Option<Vec<Tet>>> {
         let Some(mut chunk) = self.begin(vectors, boxes, positions, order) else { return Ok(None) };
-        // What nobody shares has no other tetrahedra.
-        chunk.used = owned.used.iter().zip(owned.shared).map(|(used, shared)| used & shared).collect();
+        chunk.used = border.points.to_vec();
         chunk.turned = 0;
         self.first.fill(END);
-        let is_shared = |v: &u32| owned.shared[*v as usize];
-        for tet in owned.tets.iter().filter(|tet| tet.iter().filter(|v| is_shared(v)).count() >= 3) {
+        for tet in border.tets {
             for place in 0..4 {
                 let [a, b, c] = delaunay::face(place).map(|i| tet[i]);
                 // A face of two owned ones waits twice for the same point, and goes when that has its turn.
-                if [a, b, c].iter().all(is_shared) {
+                if [a, b, c].iter().all(|&v| border.points[v as usize]) {
                     chunk.wait_for(self, [a, c, b]);
                 }
             }

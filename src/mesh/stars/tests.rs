@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::geom::{Lattice, Site};
-use crate::mesh::chunk::{ChunkOutcome, Manner, OwnedCells, mesh_widening};
+use crate::mesh::chunk::{Border, ChunkOutcome, Manner, mesh_widening};
 use crate::points::{PointSet, PointSpec, SetKind, SetSettings};
 use proptest::prelude::*;
 
@@ -40,13 +40,13 @@ fn around_again(
     mesh: &ChunkMesh,
 ) -> Vec<Option<Vec<Tet>>> {
     let local = local(boxes, all);
-    let mut used = vec![false; local.len()];
-    mesh.tets.iter().flatten().for_each(|&v| used[v as usize] = true);
-    let owned = OwnedCells { tets: &mesh.tets, used: &used, shared: &mesh.shared };
+    let mut points = vec![false; local.len()];
+    mesh.tets.iter().flatten().for_each(|&v| points[v as usize] = mesh.shared[v as usize]);
+    let border = Border { tets: &mesh.tets, points: &points };
     let mut stars = Stars::default();
     stars.slow.patience = Patience(200);
     let mut mesher = Mesher::new();
-    let mut around = |vectors| stars.around_with(vectors, &mut mesher, boxes, &local, order, owned).unwrap();
+    let mut around = |vectors| stars.around_with(vectors, &mut mesher, boxes, &local, order, border).unwrap();
     Vectors::all().into_iter().flatten().map(&mut around).collect()
 }
 

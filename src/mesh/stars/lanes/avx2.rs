@@ -4,7 +4,7 @@
 use super::{Batch, Machine};
 use crate::cpu::may_use;
 use crate::exec::Avx2;
-use crate::exec::lanes::{Floats, Vector, Wide as _};
+use crate::exec::lanes::{Floats, PLACES, Vector, Wide as _};
 use crate::mesh::stars::wide::{Neighbourhood, View};
 use crate::mesh::stars::{Grid, Star};
 use std::arch::x86_64::*;
@@ -68,23 +68,6 @@ fn close<const N: usize>(
 ) -> Star {
     near.close::<N, Eight>(proof, view, is_outer)
 }
-
-/// The places of the bits that are set in a byte, ascending.
-static PLACES: [[u8; 8]; 256] = {
-    let (mut places, mut byte) = ([[0; 8]; 256], 0);
-    while byte < 256 {
-        let (mut bit, mut n) = (0, 0);
-        while bit < 8 {
-            if byte >> bit & 1 == 1 {
-                places[byte][n] = bit;
-                n += 1;
-            }
-            bit += 1;
-        }
-        byte += 1;
-    }
-    places
-};
 
 /// To be had with a proof only: so each has been made on a machine that has the instructions.
 #[derive(Clone, Copy, Debug)]
