@@ -302,7 +302,7 @@ impl ChunkGrid {
         let by_z = counts(&bricks, &count, 2, [0; 3], d);
         let wanted = by_z.iter().sum::<u64>().div_ceil(target).max(1) as f64;
         // Cubic chunks: the edge, in voxels of the axis with the fewest lattice steps, that cuts the box into `wanted` cubes.
-        let edge = (cells[0] * cells[1] * cells[2] / wanted).cbrt();
+        let edge = libm::cbrt(cells[0] * cells[1] * cells[2] / wanted);
         // A long thin box is cut into fewer, longer pieces: never more layers than chunks, nor more rows.
         let most = |bricks: u64, wanted: f64| bricks.min(wanted as u64).max(1);
         let z_cuts = balanced_cuts(&by_z, ((cells[2] / edge).round() as u64).clamp(1, most(d[2], wanted)));

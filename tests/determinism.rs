@@ -143,3 +143,15 @@ fn rounded_values_are_the_same_in_all_chunks_and_smaller() {
     }
     assert!(sets[0].len() > 1000 && sets[0] == sets[1]);
 }
+
+#[test]
+fn zeros_have_no_sign() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("zeros.npy");
+    // The largest values are zeros of both signs: which of them is the largest one differs from machine to machine.
+    write_npy(&input, [24, 22, 20], |x, y, z| if x > y { -0.5 - x.abs() } else { 0f64.copysign(z) });
+    let out = dir.path().join("zeros.isospan");
+    let report = reduce(&input, &settings(SetKind::Regular, Amount::Fraction(1.0), 2_000), &out, 2);
+    assert_eq!(report.range.map(|range| range.map(f32::to_bits)), Some([-1.5f32, 0.0].map(f32::to_bits)));
+    isospan::pipeline::check_archive(&out).unwrap();
+}

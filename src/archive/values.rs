@@ -79,7 +79,8 @@ impl Quantiser {
     }
 
     fn value(&self, steps: i32) -> f32 {
-        (self.origin + f64::from(steps) * self.step) as f32
+        // A zero has no sign.
+        (self.origin + f64::from(steps) * self.step) as f32 + 0.0
     }
 
     fn steps_or_void(&self, value: f32) -> i32 {

@@ -81,5 +81,7 @@ pub fn scan_field(mesh: &CellMesh, field: usize) -> Result<FieldScan> {
             }
         }
     }
+    // A zero has no sign: which of two zeros is the lesser one differs from machine to machine.
+    [out.min, out.max] = [out.min, out.max].map(|end| end.map(|v| v + 0.0));
     Ok(out)
 }

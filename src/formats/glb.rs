@@ -119,7 +119,8 @@ fn document(vertices: u64, triangles: u64, bounds: [[f32; 3]; 2], meta: &Surface
     if triangles == 0 {
         return json!({ "asset": asset, "scene": 0, "scenes": [{}] });
     }
-    let [lo, hi] = bounds.map(|b| b.map(f64::from));
+    // A zero has no sign: which of two zeros is the lesser one differs from machine to machine.
+    let [lo, hi] = bounds.map(|b| b.map(|x| f64::from(x) + 0.0));
     let view = |offset: u64, length: u64, target: u64| json!({ "buffer": 0, "byteOffset": offset, "byteLength": length, "target": target });
     json!({
         "asset": asset,

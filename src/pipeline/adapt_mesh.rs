@@ -103,7 +103,7 @@ fn measure(
     let range = values.fold(None, |range: Option<[f32; 2]>, &v| {
         Some(range.map_or([v, v], |[lo, hi]| [lo.min(v), hi.max(v)]))
     });
-    Ok(range.unwrap_or_default())
+    Ok(range.unwrap_or_default().map(|v| v + 0.0))
 }
 
 /// The number of vertices in each cell.

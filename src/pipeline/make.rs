@@ -213,8 +213,10 @@ fn values_of(
     let interpolated = interpolated(&fields, mesh, placement, work.cancel, note)?;
     let mut values = fitted(&fields, mesh, placement, interpolated, memory, work.cancel, note)?;
     for (step, values) in work.steps.iter().zip(&mut values) {
-        if let Some(quantiser) = &step.plan.quantiser {
-            values.iter_mut().for_each(|v| *v = quantiser.round(*v));
+        match &step.plan.quantiser {
+            Some(quantiser) => values.iter_mut().for_each(|v| *v = quantiser.round(*v)),
+            // A zero has no sign: which of two zeros is the lesser one differs from machine to machine.
+            None => values.iter_mut().for_each(|v| *v += 0.0),
         }
     }
     Ok(values)

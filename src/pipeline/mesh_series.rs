@@ -398,7 +398,7 @@ fn quantiser(values: &Column<f32>, settings: &ReduceSettings) -> Result<Option<Q
     let Some(bits) = settings.value_bits else { return Ok(None) };
     let values = values.get()?.iter().filter(|v| !v.is_nan());
     let range = values.fold([f32::INFINITY, f32::NEG_INFINITY], |[lo, hi], &v| [lo.min(v), hi.max(v)]);
-    let range = if range[0] <= range[1] { range } else { Default::default() };
+    let range = if range[0] <= range[1] { range.map(|v| v + 0.0) } else { Default::default() };
     Ok(Some(Quantiser::new(bits, range)))
 }
 

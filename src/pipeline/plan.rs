@@ -170,7 +170,7 @@ impl Plan {
         let samples = lattice.dims.iter().map(|&d| d as f64).product::<f64>();
         let points = PointSpec::with_count(settings.points, &lattice, count, &settings.set)?;
         let total = PointSet::new(points, lattice)?.len();
-        let edge = (samples / total as f64 * BRICK_POINTS).cbrt().round() as u64;
+        let edge = libm::cbrt(samples / total as f64 * BRICK_POINTS).round() as u64;
         if !(1..=LONGEST_CHAIN + 1).contains(&settings.keyframes) {
             return Err(Error::usage(format!(
                 "every 1st to {}th step can be a keyframe, not every {}th",

@@ -80,8 +80,8 @@ impl Counter {
             histogram[bin.min(Scan::BINS - 1)] += count;
         }
         Scan {
-            min: known.then_some(self.min),
-            max: known.then_some(self.max),
+            min: known.then_some(self.min + 0.0),
+            max: known.then_some(self.max + 0.0),
             mean: known.then(|| self.sum / self.finite as f64),
             nan: self.nan,
             infinite: self.infinite,
@@ -167,8 +167,9 @@ impl Extent {
         }
     }
 
+    /// A zero has no sign here: which of two zeros is the lesser one differs from machine to machine.
     fn found(&self) -> Option<[f32; 2]> {
-        (self.low <= self.high).then_some([self.low, self.high])
+        (self.low <= self.high).then_some([self.low + 0.0, self.high + 0.0])
     }
 }
 

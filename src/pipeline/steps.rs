@@ -157,9 +157,9 @@ fn numbers(steps: &[Step]) -> String {
     }
 }
 
-/// A value between two, `share` of the way from the first; void where one of them is. Monotonic in both.
+/// A value between two, `share` of the way from the first; void where one of them is. Monotonic in both; a zero has no sign.
 fn mean(a: f32, b: f32, share: f64) -> f32 {
-    (f64::from(a) * (1.0 - share) + f64::from(b) * share) as f32
+    (f64::from(a) * (1.0 - share) + f64::from(b) * share) as f32 + 0.0
 }
 
 impl OpenArchive {

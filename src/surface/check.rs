@@ -421,7 +421,8 @@ fn measure(
 
 fn widen(bounds: Option<[[f32; 3]; 2]>, p: [f32; 3]) -> [[f32; 3]; 2] {
     let [lo, hi] = bounds.unwrap_or([p; 2]);
-    [std::array::from_fn(|k| lo[k].min(p[k])), std::array::from_fn(|k| hi[k].max(p[k]))]
+    // A zero has no sign: which of two zeros is the lesser one differs from machine to machine.
+    [std::array::from_fn(|k| lo[k].min(p[k]) + 0.0), std::array::from_fn(|k| hi[k].max(p[k]) + 0.0)]
 }
 
 fn minus(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {

@@ -189,7 +189,7 @@ impl Record {
             area: self.area,
             volume: self.volume(),
             closed: self.is_closed(),
-            bounding_box: [self.lo, self.hi],
+            bounding_box: [self.lo, self.hi].map(|corner| corner.map(|x| x + 0.0)),
         }
     }
 }
