@@ -27,8 +27,6 @@ import venv
 HERE = pathlib.Path(__file__).resolve().parent
 CGAL_FLAGS = ["-march=native", "-frounding-math"]
 PEERS = ["HXT", "CGAL", "Geogram"]
-# Sets whose chunks a reduction meshes star by star.
-EVEN = ("hammersley", "halton")
 COLUMNS = [*PEERS, "kernel", "stage"]
 CGAL_FLAGS += ["-DCGAL_LINKED_WITH_TBB", "-DCGAL_CONCURRENT_TRIANGULATION_3"]
 
@@ -131,13 +129,12 @@ def measure(command, cpu, memory):
     return int(rows[0][0]), int(rows[0][1]), seconds
 
 
-def compare(ours, peers, name, file, threads, chosen):
-    """Median seconds and the counts of each mesher on a file."""
+def compare(ours, peers, name, count, file, threads, chosen):
+    """Median seconds and the counts of each mesher on a file, which has so many points of a set."""
     commands = {peer: [*command, file, "1", str(threads)] for peer, command in peers.items()}
     if threads == 1:
         commands["kernel"] = [ours, "kernel", file, "5"]
-    manner = ["even"] if name in EVEN else []
-    commands["stage"] = [ours, "stage", file, "1", str(threads), str(chosen.chunk), *manner]
+    commands["stage"] = [ours, "stage", name, str(count), "1", str(threads), str(chosen.chunk)]
     found = {mesher: [] for mesher in commands}
     for _ in range(chosen.rounds):
         for mesher, command in commands.items():
@@ -174,7 +171,7 @@ def main():
                 file = str(work / "points")
                 subprocess.run([ours, "points", name, str(count), file], check=True)
                 for threads in chosen.threads:
-                    of = compare(ours, peers, name, file, threads, chosen)
+                    of = compare(ours, peers, name, count, file, threads, chosen)
                     if of:
                         print(row(name, threads, of), flush=True)
 

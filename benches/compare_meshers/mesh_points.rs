@@ -2,8 +2,8 @@
 //!
 //! * `mesh_points points SET COUNT FILE`: writes points of the unit cube as little-endian f64 triples.
 //! * `mesh_points kernel FILE REPEAT`: rounds them to the lattice and meshes them as one, in memory that is reused.
-//! * `mesh_points stage FILE REPEAT THREADS CHUNK [even]`: adds samples of the cube's boundary, and cuts the
-//!   cube into chunks of about CHUNK points, both as a reduction does; meshes those, halos and certification included, `even` ones star by star.
+//! * `mesh_points stage SET COUNT REPEAT THREADS CHUNK`: makes points with the samples of the cube's boundary that a reduction adds to them, cuts the
+//!   cube into chunks of about CHUNK points as a reduction to 1/8 of the samples does, and meshes those, halos and certification included, evenly spread ones star by star.
 //!
 //! Prints a line a repetition: points, tetrahedra, wall seconds, CPU seconds (of all threads).
 
@@ -21,24 +21,25 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 const SIDE: u32 = Lattice::LARGEST;
-const USAGE: &str = "points SET COUNT FILE | kernel FILE REPEAT | stage FILE REPEAT THREADS CHUNK [even]";
+const USAGE: &str = "points SET COUNT FILE | kernel FILE REPEAT | stage SET COUNT REPEAT THREADS CHUNK";
 
 fn main() -> Result<(), Box<dyn Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
     match args[..] {
-        ["points", set, count, file] => write_points(file, &points(set, count.parse()?)?),
+        ["points", set, count, file] => write_points(file, &interior(set, count.parse()?)?),
         ["kernel", file, repeat] => kernel(&read_points(file)?, repeat.parse()?),
-        ["stage", file, repeat, threads, chunk, ref manner @ ..] if matches!(manner, [] | ["even"]) => {
-            stage(read_points(file)?, repeat.parse()?, threads.parse()?, chunk.parse()?, !manner.is_empty())
+        ["stage", set, count, repeat, threads, chunk] => {
+            stage(&Whole::new(set, count.parse()?)?, repeat.parse()?, threads.parse()?, chunk.parse()?)
         }
         _ => Err(USAGE.into()),
     }
 }
 
-fn points(set: &str, count: u64) -> Result<Vec<LatticePos>, Box<dyn Error>> {
+/// A set of about so many points; `None` of independent ones, which are no set.
+fn point_set(set: &str, count: u64) -> Result<Option<PointSet>, Box<dyn Error>> {
     let kind = match set {
-        "uniform" => return Ok(uniform(count)),
+        "uniform" => return Ok(None),
         "hammersley" => SetKind::Hammersley,
         "halton" => SetKind::Halton,
         "cross" => SetKind::HyperbolicCross,
@@ -48,8 +49,13 @@ fn points(set: &str, count: u64) -> Result<Vec<LatticePos>, Box<dyn Error>> {
     };
     let lattice = Lattice::new([1025; 3])?;
     let spec = PointSpec::with_count(kind, &lattice, count, &SetSettings::default())?;
+    Ok(Some(PointSet::new(spec, lattice)?))
+}
+
+fn interior(set: &str, count: u64) -> Result<Vec<LatticePos>, Box<dyn Error>> {
+    let Some(set) = point_set(set, count)? else { return Ok(uniform(count)) };
     let mut sites = vec![];
-    PointSet::new(spec, lattice)?.sites_in(&lattice.domain(), &mut sites);
+    set.sites_in(&set.lattice().domain(), &mut sites);
     Ok(sites.iter().filter(|s| s.id.class() == Some(PointClass::Interior)).map(|s| s.pos).collect())
 }
 
@@ -113,6 +119,32 @@ fn kernel(points: &[LatticePos], repeat: usize) -> Result<(), Box<dyn Error>> {
     })
 }
 
+/// Points, those of the boundary too, each place once.
+struct Whole {
+    points: Vec<LatticePos>,
+    /// The mean distance of neighbours.
+    spacing: u32,
+    even: bool,
+}
+
+impl Whole {
+    fn new(set: &str, count: u64) -> Result<Self, Box<dyn Error>> {
+        let (points, spacing, even) = match point_set(set, count)? {
+            Some(set) => {
+                let (domain, mut sites) = (set.lattice().domain(), vec![]);
+                set.sites_in(&domain, &mut sites);
+                let points: BTreeSet<LatticePos> = sites.iter().map(|s| s.pos).collect();
+                (points, set.spacing_around(&domain)[0][0], set.is_even())
+            }
+            None => {
+                let spacing = (f64::from(SIDE) / (count as f64).cbrt()) as u32;
+                (uniform(count).into_iter().chain(boundary(count)?).collect(), spacing, false)
+            }
+        };
+        Ok(Self { points: points.into_iter().collect(), spacing, even })
+    }
+}
+
 /// A worker, and its list of positions.
 type Desk = (Mesher, Vec<LatticePos>);
 
@@ -126,32 +158,23 @@ struct Chunk {
     wider: [OnceLock<(LatticeBox, Vec<LatticePos>)>; WIDTHS],
 }
 
-fn stage(
-    points: Vec<LatticePos>,
-    repeat: usize,
-    threads: usize,
-    chunk: u64,
-    even: bool,
-) -> Result<(), Box<dyn Error>> {
-    let spacing = (f64::from(SIDE) / (points.len() as f64).cbrt()) as u32;
-    let on_faces = boundary(points.len() as u64)?;
-    let all: BTreeSet<LatticePos> = points.into_iter().chain(on_faces).collect();
-    let all: Vec<LatticePos> = all.into_iter().collect();
+fn stage(whole: &Whole, repeat: usize, threads: usize, chunk: u64) -> Result<(), Box<dyn Error>> {
+    let &Whole { points: ref all, spacing, even } = whole;
     let order = Order::for_count(all.len() as u64);
     let domain = LatticeBox { lo: [0; 3], hi: [SIDE + 1; 3] };
-    let cores = cores(&all, chunk)?;
+    let cores = cores(all, chunk)?;
     let no_more = [const { OnceLock::new() }; WIDTHS];
     let chunks = cores.into_iter().map(|core| Chunk { core, first: OnceLock::new(), wider: no_more.clone() });
     let chunks: Vec<Chunk> = chunks.collect();
     let mesh = |(mesher, positions): &mut Desk, chunk: &Chunk| -> Result<usize, isospan::Error> {
-        let (boxes, first) = chunk.first.get_or_init(|| halo(&all, chunk.core, domain, spacing));
+        let (boxes, first) = chunk.first.get_or_init(|| halo(all, chunk.core, domain, spacing));
         positions.clear();
         positions.extend_from_slice(first);
         let mut wider = (1..).zip(&chunk.wider);
         let mut widen = |positions: &mut Vec<LatticePos>| {
             let (widened, points) =
                 wider.next().expect("a region that is the whole domain certifies everything");
-            let (region, more) = points.get_or_init(|| widened_halo(&all, boxes, spacing, widened));
+            let (region, more) = points.get_or_init(|| widened_halo(all, boxes, spacing, widened));
             positions.extend_from_slice(more);
             Ok(Some(*region))
         };
@@ -181,7 +204,7 @@ fn stage(
     })
 }
 
-/// The samples of the boundary that a reduction to `count` points has.
+/// The samples of the boundary that a reduction to `count` evenly spread points has.
 fn boundary(count: u64) -> Result<Vec<LatticePos>, Box<dyn Error>> {
     let lattice = Lattice::new([1025; 3])?;
     let set = PointSet::new(PointSpec::Hammersley { n: count, shift: 0.5 }, lattice)?;
@@ -201,8 +224,8 @@ fn boundary(count: u64) -> Result<Vec<LatticePos>, Box<dyn Error>> {
 /// Chunks of about so many points, cut between bricks of about a thousand, as a reduction has them.
 fn cores(all: &[LatticePos], chunk: u64) -> Result<Vec<LatticeBox>, Box<dyn Error>> {
     let lattice = Lattice::new([1025; 3])?;
-    let edge = 1024.0 * (1024.0 / all.len() as f64).cbrt();
-    let bricks = BrickGrid { lattice, edge: [(edge.round() as u64).clamp(1, 64); 3] };
+    let edge = 1025.0 * (1024.0 / all.len() as f64).cbrt();
+    let bricks = BrickGrid { lattice, edge: [(edge.round() as u64).max(1); 3] };
     let mut counts = vec![0u64; usize::try_from(bricks.len())?];
     for &p in all {
         counts[bricks.id(bricks.brick_at(p)).0 as usize] += 1;
