@@ -205,7 +205,10 @@ pub(super) fn scratch_folder(run: &RunSettings) -> PathBuf {
 
 pub(super) fn push_times(seconds: &mut Vec<(String, f64)>, made: &Outcome) {
     // What measuring takes is told with that of the whole.
-    let StageTimes { mesh, sample, measure: _, encode, write } = made.times;
-    let rows = [("mesh", mesh), ("sample", sample), ("encode", encode), ("write", write)];
+    let StageTimes { mesh, sample, fit, measure: _, encode, spectrum, write } = made.times;
+    // Values that are not fitted take no time for it.
+    let fit = Some(("fit", fit)).filter(|_| !fit.is_zero());
+    let rows = [("mesh", mesh), ("sample", sample)].into_iter().chain(fit);
+    let rows = rows.chain([("encode", encode), ("spectrum", spectrum), ("write", write)]);
     seconds.extend(rows.map(|(name, time)| (name.to_owned(), time.as_secs_f64())));
 }

@@ -207,11 +207,17 @@ fn values_of(
     mesh: &mut MeshedChunk,
     placement: &Placement,
     memory: &mut Vec<u64>,
+    times: &mut StageTimes,
 ) -> Result<Vec<Vec<f32>>> {
+    let mut lap = Lap(Instant::now());
     let fields: Vec<&dyn Field> = work.steps.iter().map(|step| step.field).collect();
     let note = |n, read| note(work, n, read);
     let interpolated = interpolated(&fields, mesh, placement, work.cancel, note)?;
+    lap.add_to(&mut times.sample);
     let mut values = fitted(&fields, mesh, placement, interpolated, memory, work.cancel, note)?;
+    if work.recipe.halo == Halo::Stars {
+        lap.add_to(&mut times.fit);
+    }
     for (step, values) in work.steps.iter().zip(&mut values) {
         match &step.plan.quantiser {
             Some(quantiser) => values.iter_mut().for_each(|v| *v = quantiser.round(*v)),
@@ -244,9 +250,8 @@ fn encode_steps(
     bench: &mut Bench,
     times: &mut StageTimes,
 ) -> Result<Vec<Vec<Vec<u8>>>> {
+    let values = values_of(work, mesh, placement, &mut bench.fit, times)?;
     let mut lap = Lap(Instant::now());
-    let values = values_of(work, mesh, placement, &mut bench.fit)?;
-    lap.add_to(&mut times.sample);
     let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
     let sides = Sides::new(&of_steps, &mut bench.sides);
     let (positions, tets) = (mesh.positions(), &*mesh.tets);
@@ -254,9 +259,11 @@ fn encode_steps(
     lap.add_to(&mut times.measure);
     let ranges = sides.ranges(tets, block_ends);
     sides.give_back(&mut bench.sides);
+    lap.add_to(&mut times.encode);
     let of_steps: Vec<(&[f32], &[BlockRange])> =
         of_steps.into_iter().zip(&ranges).map(|(values, ranges)| (values, &**ranges)).collect();
     let parts = work.meter.parts(positions, tets, &of_steps, &mut bench.spectrum)?;
+    lap.add_to(&mut times.spectrum);
     let (mut out, mut before) = (vec![], before);
     for (n, ((step, part), ranges)) in work.steps.iter().zip(&parts).zip(ranges).enumerate() {
         work.cancel.check()?;

@@ -40,8 +40,10 @@ use std::time::Duration;
 pub(crate) struct StageTimes {
     pub(crate) mesh: Duration,
     pub(crate) sample: Duration,
+    pub(crate) fit: Duration,
     pub(crate) measure: Duration,
     pub(crate) encode: Duration,
+    pub(crate) spectrum: Duration,
     pub(crate) write: Duration,
 }
 
@@ -49,8 +51,10 @@ impl StageTimes {
     pub(crate) fn add(&mut self, other: &Self) {
         self.mesh += other.mesh;
         self.sample += other.sample;
+        self.fit += other.fit;
         self.measure += other.measure;
         self.encode += other.encode;
+        self.spectrum += other.spectrum;
         self.write += other.write;
     }
 }
