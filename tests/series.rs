@@ -378,9 +378,9 @@ fn a_damaged_step_does_not_hurt_others() {
     assert_eq!(answer(2).unwrap(), expected[2]);
 }
 
-/// Whatever file of a finished archive is lost, the same reduction makes it again; another one does not touch what is there.
+/// The same reduction once more finds nothing to make, and makes again whatever file of the archive is lost; another one does not touch what is there.
 #[test]
-fn files_that_were_lost_are_made_again() {
+fn the_same_reduction_makes_what_is_missing() {
     let dir = tempfile::tempdir().unwrap();
     let steps = write_steps(dir.path(), 3);
     let adapted = ReduceSettings { adapt: Some(Adapt::default()), ..few_points() };
@@ -395,7 +395,12 @@ fn files_that_were_lost_are_made_again() {
             let e = result.unwrap_err();
             assert!(e.to_string().contains(text) && e.exit_code() == 2, "{e}");
         };
-        refused(again(&settings, &steps), "exists; choose another name");
+        let report = again(&settings, &steps).unwrap();
+        assert!(report.made_before && report.steps.len() == 3 && report.error.is_some());
+        assert!(folder(&out) == whole);
+        refused(again(&few_points_of(0.2), &steps), "exists; choose another name");
+        refused(again(&settings, &steps[..2]), "exists; choose another name");
+        assert!(folder(&out) == whole);
         let lost: Vec<PathBuf> =
             whole.keys().filter(|f| !f.ends_with("manifest.json")).map(|f| out.join(f)).collect();
         assert!(lost.len() > 8, "{lost:?}");
@@ -405,14 +410,13 @@ fn files_that_were_lost_are_made_again() {
             refused(again(&few_points_of(0.2), &steps), "not made by this reduction alone");
             refused(again(&settings, &steps[..2]), "not made by this reduction alone");
             assert!(folder(&out) == there, "{path:?}");
-            again(&settings, &steps).unwrap();
+            assert!(!again(&settings, &steps).unwrap().made_before);
             assert!(folder(&out) == whole, "{path:?}");
         }
         // One that was cut short is as good as lost.
         fs::OpenOptions::new().write(true).open(&lost[0]).unwrap().set_len(100).unwrap();
-        again(&settings, &steps).unwrap();
+        assert!(!again(&settings, &steps).unwrap().made_before);
         assert!(folder(&out) == whole);
-        refused(again(&settings, &steps), "exists; choose another name");
     }
 }
 

@@ -174,6 +174,13 @@ pub struct Source {
     pub mesh: Option<MeshSource>,
 }
 
+impl Source {
+    /// Its samples; of a mesh its vertices.
+    pub fn samples(&self) -> u64 {
+        self.mesh.map_or_else(|| self.dims.iter().product(), |mesh| mesh.vertices)
+    }
+}
+
 /// A tetrahedral mesh that a step was sampled from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MeshSource {

@@ -133,6 +133,8 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
     }
     if report.steps.is_empty() {
         let _ = writeln!(out, "  steps       none added: the archive ends with these already");
+    } else if report.made_before {
+        let _ = writeln!(out, "  state       finished before: there was nothing left to make");
     } else if report.steps.len() + report.skipped.len() > 1 {
         let bytes = report.steps.iter().map(|s| s.value_bytes + s.index_bytes).sum::<u64>();
         let each = bytes / report.steps.len().max(1) as u64;

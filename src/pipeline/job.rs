@@ -93,6 +93,8 @@ pub struct ReduceReport {
     pub steps: Vec<StepSummary>,
     /// Steps that could not be used, and were left out.
     pub skipped: Vec<SkippedStep>,
+    /// Whether all was there already, and nothing was made.
+    pub made_before: bool,
     /// Bytes of all files of the archive.
     pub archive_bytes: u64,
     /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those that run side by side.
@@ -148,24 +150,6 @@ impl<'a> Part<'a> {
         }
     }
 
-    /// What there is to report when the archive ends with these very steps already.
-    pub(super) fn added_before(&self, series: &SeriesPlan) -> Result<Option<ReduceReport>> {
-        let Some(archive) = self.archive().filter(|archive| are_there(archive, &series.plan.steps)) else {
-            return Ok(None);
-        };
-        let (counts, source) = (archive.manifest.counts, &archive.step().plan.source);
-        Ok(Some(ReduceReport {
-            samples: source.mesh.as_ref().map_or_else(|| source.dims.iter().product(), |mesh| mesh.vertices),
-            points: counts.points,
-            tetrahedra: counts.tetrahedra,
-            chunks: counts.chunks,
-            blocks: counts.blocks,
-            skipped: series.skipped.clone(),
-            archive_bytes: archive.bytes()?,
-            ..ReduceReport::default()
-        }))
-    }
-
     /// Refuses sources that are not those that were planned for.
     pub(super) fn expect_planned(&self, series: &SeriesPlan) -> Result<()> {
         let Some(planned) = self.planned().filter(|p| **p != series.plan) else { return Ok(()) };
@@ -187,6 +171,25 @@ impl<'a> Part<'a> {
             Self::Shard(_, shard) => shard.range(layout.segment_count()),
         }
     }
+}
+
+/// What there is to report when an archive ends with these very steps already.
+pub(super) fn added_before(archive: &OpenArchive, series: &SeriesPlan) -> Result<Option<ReduceReport>> {
+    if !are_there(archive, &series.plan.steps) {
+        return Ok(None);
+    }
+    let counts = archive.manifest.counts;
+    Ok(Some(ReduceReport {
+        samples: archive.step().plan.source.samples(),
+        points: counts.points,
+        tetrahedra: counts.tetrahedra,
+        chunks: counts.chunks,
+        blocks: counts.blocks,
+        skipped: series.skipped.clone(),
+        archive_bytes: archive.bytes()?,
+        made_before: true,
+        ..ReduceReport::default()
+    }))
 }
 
 /// Notes the time of all.

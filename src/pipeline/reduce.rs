@@ -5,7 +5,9 @@
 
 use super::commit::Made;
 use super::gauge::stored_error;
-use super::job::{Job, Part, ReduceReport, RunSettings, finished, push_times, scratch_folder, threads};
+use super::job::{
+    Job, Part, ReduceReport, RunSettings, added_before, finished, push_times, scratch_folder, threads,
+};
 use super::layout::Layout;
 use super::measure::{MeasureSettings, reopened_errors};
 use super::need::{self, Estimate, Need, Question};
@@ -88,7 +90,7 @@ impl SlabStream for Stoppable {
 /// Reduces the volume or mesh `input` to the archive `out`.
 ///
 /// # Errors
-/// [`Error::Usage`] when there is an archive already, [`Error::BadInput`] for a volume that cannot be used,
+/// [`Error::Usage`] when there is another archive already, [`Error::BadInput`] for a volume that cannot be used,
 /// [`Error::Budget`] when the memory does not suffice for one chunk, [`Error::Cancelled`] when stopped: the same call continues.
 pub fn reduce(
     input: &Path,
@@ -105,6 +107,8 @@ pub fn reduce(
 ///
 /// Steps are numbered from 0. With [`RunSettings::keep_going`] one that cannot be used is left out, its number too.
 ///
+/// Where this very archive is there already, nothing is made but what it has lost: so the same call continues a run that was killed at any moment.
+///
 /// # Errors
 /// Those of [`reduce`]; [`Error::BadInput`], naming the step, where dimensions or geometry are not those of the first.
 pub fn reduce_series(
@@ -115,7 +119,7 @@ pub fn reduce_series(
     progress: &dyn Progress,
 ) -> Result<ReduceReport> {
     let started = Instant::now();
-    refuse_finished(out, settings, run)?;
+    refuse_finished(out, sources.len(), settings, run)?;
     let sources = &numbered(sources);
     let job = Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None };
     match settings.target {
@@ -171,12 +175,13 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     };
     let series = plan_volumes(job.sources, job.settings, job.run, known)?;
     job.part.expect_planned(&series)?;
-    if let Some(report) = job.part.added_before(&series)? {
+    let mesh = parts(&series.plan.mesh, series.beside.clone())?;
+    let inner_points = mesh.points.interior_len();
+    if let Some(report) = made_before(job, &series, inner_points)? {
         return Ok(finished(report, job.started));
     }
-    let samples = series.plan.first().source.dims.iter().product();
+    let samples = series.plan.first().source.samples();
     let seconds = vec![("plan".to_owned(), planning.elapsed().as_secs_f64())];
-    let mesh = parts(&series.plan.mesh, series.beside.clone())?;
     let need = need_of(&mesh, 0, series.plan.steps.len(), job.run.memory, job.run);
     estimate_of(&series, &need, job.out, job.run)?.check()?;
     // Small copies of inputs are made in memory where that leaves as many threads at work.
@@ -186,10 +191,32 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     let copied = need.shares(rest, workers).ok().filter(|shares| shares.workers == all.workers);
     let (in_memory, shares) = (copied.is_some(), copied.unwrap_or(all));
     let fields = VolumeFields::new(job.settings, job.run, job.progress, in_memory);
-    let inner_points = mesh.points.interior_len();
     let bound = series.bound;
     let report = ReduceReport { samples, seconds, inner_points, bound, ..ReduceReport::default() };
     produce(job, series, &Means { parts: &mesh, fields: &fields, shares, at_once: need.steps() }, report)
+}
+
+/// What there is to report when all that a job is to make is there already.
+pub(super) fn made_before(
+    job: &Job<'_>,
+    series: &SeriesPlan,
+    inner_points: u64,
+) -> Result<Option<ReduceReport>> {
+    match job.part {
+        Part::Further(archive) => added_before(archive, series),
+        Part::Whole if !job.run.replace => {
+            let Some(manifest) = repair::finished(job.out, &series.plan)? else { return Ok(None) };
+            if repair::lacks_files(job.out) {
+                return Ok(None);
+            }
+            let layout = Layout::new(job.out, manifest.counts.chunks, 0);
+            sweep(&layout);
+            let samples = series.plan.first().source.samples();
+            let report = ReduceReport { samples, inner_points, made_before: true, ..ReduceReport::default() };
+            completed(&Made::of(&manifest), 0, series, &layout, report).map(Some)
+        }
+        Part::Whole | Part::Shard(..) => Ok(None),
+    }
 }
 
 /// Steps whose files are open, and whose values are made, at a time.
@@ -216,7 +243,7 @@ pub(super) fn produce(
     let old = job.part.archive().map(|archive| &archive.manifest);
     if old.is_none() {
         if matches!(job.part, Part::Whole) && !job.run.replace {
-            repair::expect_same(job.out, &series.plan)?;
+            repair::finished(job.out, &series.plan)?;
         }
         prepare_folder(&layout, job.run)?;
         series.beside.write(job.out, series.plan.mesh_hash())?;
@@ -401,7 +428,7 @@ pub fn estimate_series(
     out: &Path,
     run: &RunSettings,
 ) -> Result<Estimate> {
-    refuse_finished(out, settings, run)?;
+    refuse_finished(out, sources.len(), settings, run)?;
     let (sources, progress, started) = (&numbered(sources), &Silent, Instant::now());
     make_plan(&Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None })
         .map(|made| made.2)
@@ -459,12 +486,11 @@ pub(super) fn refuse_remote(out: &Path) -> Result<()> {
     Ok(())
 }
 
-/// As [`refuse_overwriting`], but for an archive that has lost files: of such a one they are made again. What a target is met with is found anew
-/// each time, so that there is nothing to add to.
-fn refuse_finished(out: &Path, settings: &ReduceSettings, run: &RunSettings) -> Result<()> {
-    let lost = || out.join(MANIFEST_NAME).exists() && settings.target.is_none() && repair::lacks_files(out);
+/// As [`refuse_overwriting`], but for an archive that may be the one that is to be made: the plan will tell.
+fn refuse_finished(out: &Path, steps: usize, settings: &ReduceSettings, run: &RunSettings) -> Result<()> {
+    let is_finished = || !is_remote(out) && out.join(MANIFEST_NAME).exists();
     match refuse_overwriting(out, run) {
-        Err(_) if !is_remote(out) && lost() && is_ours(out)? => Ok(()),
+        Err(_) if is_finished() && repair::may_be_of(out, steps, settings) && is_ours(out)? => Ok(()),
         other => other,
     }
 }
@@ -482,9 +508,7 @@ pub(super) fn refuse_overwriting(out: &Path, run: &RunSettings) -> Result<()> {
         Ok(m) if !m.is_dir() => {
             Err(Error::usage(format!("{shown} exists and is not an archive; choose another name")))
         }
-        Ok(_) if out.join(MANIFEST_NAME).exists() && !run.replace => {
-            Err(Error::usage(format!("{shown} exists; choose another name, or --force to replace it")))
-        }
+        Ok(_) if out.join(MANIFEST_NAME).exists() && !run.replace => Err(repair::exists(out)),
         Ok(_) if !is_ours(out)? => {
             Err(Error::usage(format!("{shown} exists and holds other files; choose another name")))
         }

@@ -11,7 +11,7 @@ use super::job::{Job, ReduceReport, RunSettings, finished, scratch_folder, threa
 use super::mesh_series::{MeshFields, Prepared, prepare};
 use super::need::{Estimate, Need, Question, free_bytes};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
-use super::reduce::{MOST_SMALL_STEPS_AT_ONCE, folder_bytes, need_of, produce};
+use super::reduce::{MOST_SMALL_STEPS_AT_ONCE, folder_bytes, made_before, need_of, produce};
 use super::series::{Means, SeriesPlan};
 use crate::cells::CellMesh;
 use crate::domain::boundary::BoundarySamples;
@@ -43,7 +43,7 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     let Prepared { store, series, boundary, inside } = prepare(job, &settings)?;
     let mut seconds = vec![("read".to_owned(), reading.elapsed().as_secs_f64())];
     job.part.expect_planned(&series)?;
-    if let Some(report) = job.part.added_before(&series)? {
+    if let Some(report) = made_before(job, &series, inside)? {
         return Ok(finished(report, job.started));
     }
     let plan = &series.plan;

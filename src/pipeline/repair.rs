@@ -1,9 +1,10 @@
-//! A finished archive that has lost files: the reduction that made it makes these again, and keeps the others.
+//! A finished archive, and the reduction that made it once more: a run that was killed when all was done is asked to continue, or files have got lost.
 //!
-//! The manifest stays in its place meanwhile; it tells that this is the same reduction, and its like replaces it in the end.
+//! Nothing is done where nothing is missing; files that are lost are made again, and the others kept. The manifest stays in its place meanwhile; it tells that this is the same
+//! reduction, and its like replaces it in the end.
 
 use super::beside::Beside;
-use super::plan::Plan;
+use super::plan::{Plan, ReduceSettings};
 use crate::archive::manifest::{
     MANIFEST_NAME, Manifest, coordinates_path, index_path, mesh_segment_path, spectrum_path,
     values_segment_path,
@@ -40,12 +41,39 @@ pub(super) fn is_of(manifest: &Manifest, mesh: PlanHash, plan: &Plan) -> bool {
     manifest.plan_hash == mesh && manifest.steps.iter().map(|s| &s.plan).eq(&plan.steps)
 }
 
+/// Whether a finished archive may be that of a reduction of so many steps, or one that has lost files: its plan will tell. To plan may take reading all samples; so what has other settings is
+/// told from it without. What a target is met with is found anew each time.
+pub(super) fn may_be_of(archive: &Path, steps: usize, settings: &ReduceSettings) -> bool {
+    // An archive whose manifest cannot be read may be anything.
+    let Ok(manifest) = Manifest::read(archive) else { return false };
+    let quantiser = manifest.steps.first().and_then(|step| step.plan.quantiser);
+    let is_alike = manifest.steps.len() <= steps
+        && manifest.plan.levels.is_some() == settings.adapt.is_some()
+        && quantiser.map(|q| q.bits) == settings.value_bits;
+    settings.target.is_none() && (is_alike || lacks_files(archive))
+}
+
+/// The manifest, if there is one: of a finished archive of this very plan.
+///
 /// # Errors
 /// [`Error::Usage`] when there is a finished archive of another plan, or with steps that were appended.
-pub(super) fn expect_same(out: &Path, plan: &Plan) -> Result<()> {
-    if !out.join(MANIFEST_NAME).exists() || is_of(&Manifest::read(out)?, plan.mesh_hash(), plan) {
-        return Ok(());
+pub(super) fn finished(out: &Path, plan: &Plan) -> Result<Option<Manifest>> {
+    if !out.join(MANIFEST_NAME).exists() {
+        return Ok(None);
     }
-    let text = "lacks files, and was not made by this reduction alone; choose another name, or --force to replace it";
-    Err(Error::usage(format!("{} {text}", out.display())))
+    let manifest = Manifest::read(out)?;
+    if is_of(&manifest, plan.mesh_hash(), plan) {
+        return Ok(Some(manifest));
+    }
+    Err(if lacks_files(out) {
+        let text = "lacks files, and was not made by this reduction alone; choose another name, or --force to replace it";
+        Error::usage(format!("{} {text}", out.display()))
+    } else {
+        exists(out)
+    })
+}
+
+/// There is something of this name.
+pub(super) fn exists(out: &Path) -> Error {
+    Error::usage(format!("{} exists; choose another name, or --force to replace it", out.display()))
 }
