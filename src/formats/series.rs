@@ -65,10 +65,10 @@ pub fn steps_of(inputs: &[PathBuf], options: &OpenOptions) -> Result<Vec<StepSou
 /// The files that an input stands for, and their times.
 fn files_of(input: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
     if has_suffix(input, &[".pvd"]) {
-        return pvd(input);
+        return pvd(input).map(by_times);
     }
     if has_suffix(input, &[".series"]) {
-        return json_series(input);
+        return json_series(input).map(by_times);
     }
     let text = input.to_string_lossy();
     if !is_pattern(&text) || input.exists() {
@@ -91,6 +91,15 @@ fn files_of(input: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
     }
     by_numbers(&mut files, |f| f.to_string_lossy().into_owned());
     Ok(files.into_iter().map(|f| (f, None)).collect())
+}
+
+/// A list in the order of its times, as ParaView plays it, whatever the order in which files were added to it.
+fn by_times(mut files: Vec<(PathBuf, Option<f64>)>) -> Vec<(PathBuf, Option<f64>)> {
+    let times: Option<Vec<f64>> = files.iter().map(|(_, time)| time.filter(|t| t.is_finite())).collect();
+    if times.is_some() {
+        files.sort_by(|(_, a), (_, b)| a.partial_cmp(b).expect("finite numbers have an order"));
+    }
+    files
 }
 
 fn is_pattern(text: &str) -> bool {
@@ -316,6 +325,12 @@ mod tests {
             (vec!["x & y.vti".into(), "b.vti".into()], vec![Some(0.5), Some(2.0)])
         );
         assert_eq!(steps[0].path, dir.path().join("x & y.vti"));
+        let mixed = br#"<Collection><DataSet timestep="10" file="c"/><DataSet timestep="9" file="b"/><DataSet timestep="-1" file="a"/></Collection>"#;
+        let steps = of(&write(&dir, "mixed.pvd", mixed)).unwrap();
+        assert_eq!(names(&steps), ["a", "b", "c"]);
+        let some = br#"{"files": [{"name": "b", "time": 1}, {"name": "a", "time": 0}, {"name": "c"}]}"#;
+        let steps = of(&write(&dir, "some.series", some)).unwrap();
+        assert_eq!(names(&steps), ["b", "a", "c"], "without all times, as they are listed");
         let json = write(
             &dir,
             "a.vti.series",
