@@ -51,7 +51,6 @@ pub(crate) trait Four: Floats<4> {
 }
 
 /// The places of the bits that are set in a byte, ascending.
-#[cfg(target_arch = "x86_64")]
 pub(crate) static PLACES: [[u8; 8]; 256] = {
     let (mut places, mut byte) = ([[0; 8]; 256], 0);
     while byte < 256 {

@@ -127,7 +127,6 @@ pub fn mesh_widening(
     widen: &mut Widen<'_>,
 ) -> Result<ChunkOutcome> {
     let (mut boxes, mut first) = (*boxes, check(boxes, positions)?);
-    #[cfg(target_arch = "x86_64")]
     if manner.even {
         let mut room = std::mem::take(&mut mesher.stars);
         let mesh = room.mesh(mesher, &boxes, positions, order, manner.around);
@@ -181,18 +180,10 @@ pub fn mesh_around(
     border: Border<'_>,
 ) -> Result<Option<Vec<Tet>>> {
     check(boxes, positions)?;
-    #[cfg(target_arch = "x86_64")]
-    {
-        let mut room = std::mem::take(&mut mesher.stars);
-        let around = room.around(mesher, boxes, positions, order, border);
-        mesher.stars = room;
-        around
-    }
-    #[cfg(not(target_arch = "x86_64"))]
-    {
-        let _ = (mesher, order, border);
-        Ok(None)
-    }
+    let mut room = std::mem::take(&mut mesher.stars);
+    let around = room.around(mesher, boxes, positions, order, border);
+    mesher.stars = room;
+    around
 }
 
 /// The positions from `first` on, which are not inserted.

@@ -102,7 +102,6 @@ pub struct Mesher {
     spare: Vec<(u64, u32)>,
     /// Scratch of the chunk stage, kept here so that its pages are not asked for again in each chunk.
     pub(super) owned: Owned,
-    #[cfg(target_arch = "x86_64")]
     pub(super) stars: crate::mesh::stars::Stars,
 }
 
@@ -121,10 +120,7 @@ impl Mesher {
                     self.arena.tets.clear();
                 }
             }
-            #[cfg(target_arch = "x86_64")]
             Memory::Listed(tets) => self.stars.reuse(tets),
-            #[cfg(not(target_arch = "x86_64"))]
-            Memory::Listed(_) => {}
         }
     }
 

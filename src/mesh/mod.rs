@@ -7,6 +7,5 @@ pub mod delaunay;
 mod late;
 pub mod list;
 mod owned;
-#[cfg(target_arch = "x86_64")]
 mod stars;
 pub mod tet;

@@ -1,7 +1,7 @@
 //! A chunk meshed star by star: the tetrahedra at one point after another, each tetrahedron once.
 //!
 //! An insertion (`delaunay.rs`) makes 27 tetrahedra a point, of which 6.8 stay. Where points lie evenly, which tetrahedron lies behind
-//! a known face can be asked of the points around directly (gift wrapping: Chand and Kapur, 1970; Tanemura, Ogawa and Ogita, 1983), and eight (AVX2) or sixteen (AVX-512) are
+//! a known face can be asked of the points around directly (gift wrapping: Chand and Kapur, 1970; Tanemura, Ogawa and Ogita, 1983), and four (NEON), eight (AVX2) or sixteen (AVX-512) are
 //! looked at by one instruction:
 //!
 //! ```text
@@ -337,8 +337,11 @@ impl Chunk<'_> {
             view.reach = (d * f64::from(grid.scale)) as f32;
             let is_outer = |face| self.is_outer(face);
             let end = match self.vectors {
+                #[cfg(target_arch = "x86_64")]
                 Vectors::Wide(wide) => near.star(wide, grid, &self.rows, &view, is_outer),
+                #[cfg(target_arch = "x86_64")]
                 Vectors::Narrow(narrow) => near.star(narrow, grid, &self.rows, &view, is_outer),
+                Vectors::Plain(plain) => near.star(plain, grid, &self.rows, &view, is_outer),
             };
             match end {
                 Star::Whole => {

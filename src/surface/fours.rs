@@ -171,7 +171,7 @@ pub(super) fn normals<W: Four>(
     normals
 }
 
-#[cfg(test)]
+#[cfg(all(test, target_arch = "x86_64"))]
 mod tests {
     use super::*;
     use crate::exec::Avx2;
@@ -196,7 +196,6 @@ mod tests {
             corners in prop::array::uniform16(corner()),
             sums in prop::array::uniform4(prop::array::uniform3(-(1i64 << 50)..1 << 50)),
         ) {
-            #[cfg(target_arch = "x86_64")]
             if let Some(proof) = Avx2::found() {
                 use crate::exec::lanes::Vector;
                 let world = WorldMap::new(&Lattice::new([9, 9, 9]).unwrap(), &mirrored());

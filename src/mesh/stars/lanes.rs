@@ -1,32 +1,48 @@
-//! Batches of `f32`: vectors of AVX2 and AVX-512. A proof that the machine has the instructions comes before each.
+//! Batches of `f32`: vectors of AVX2 and AVX-512, of which a proof that the machine has the instructions comes before each; and those
+//! that all machines of a kind have.
 
+#[cfg(target_arch = "x86_64")]
 mod avx2;
+#[cfg(target_arch = "x86_64")]
 mod avx512;
+mod plain;
 
 use super::wide::{Neighbourhood, View};
 use super::{Grid, Star};
 use crate::exec::lanes;
+#[cfg(target_arch = "x86_64")]
 use avx2::Narrow;
+#[cfg(target_arch = "x86_64")]
 use avx512::Wide;
+use plain::Plain;
 
 /// The vectors that a machine has.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Vectors {
     /// AVX-512.
+    #[cfg(target_arch = "x86_64")]
     Wide(Wide),
     /// AVX2.
+    #[cfg(target_arch = "x86_64")]
     Narrow(Narrow),
+    /// Whatever there is.
+    Plain(Plain),
 }
 
 impl Vectors {
-    /// The widest ones.
+    /// The widest ones; none where insertion takes less time.
     pub(super) fn found() -> Option<Self> {
-        Self::all().into_iter().flatten().next()
+        let pays = |vectors: &Self| !matches!(vectors, Self::Plain(_)) || plain::PAYS;
+        Self::all().into_iter().flatten().find(pays)
     }
 
     /// All that there are, the widest first.
-    pub(super) fn all() -> [Option<Self>; 2] {
-        [Wide::found().map(Self::Wide), Narrow::found().map(Self::Narrow)]
+    pub(super) fn all() -> [Option<Self>; 3] {
+        #[cfg(target_arch = "x86_64")]
+        let [wide, narrow] = [Wide::found().map(Self::Wide), Narrow::found().map(Self::Narrow)];
+        #[cfg(not(target_arch = "x86_64"))]
+        let [wide, narrow] = [None, None];
+        [wide, narrow, Some(Self::Plain(Plain))]
     }
 }
 

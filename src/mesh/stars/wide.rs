@@ -1,10 +1,10 @@
-//! The points near one, and its star closed among them, with vectors of AVX2 or AVX-512.
+//! The points near one, and its star closed among them, with vectors (`lanes.rs`).
 //!
 //! Coordinates are relative to the point: differences of integers, below 2^24, times a power of two, hence exact in `f32`. A gate's apex is guessed in `f32`;
 //! the spheres of all new tetrahedra are made in `f64` and held against all points nearby in `f32`, and against what comes close in `f64`.
 //!
 //! # Error bounds
-//! They hold for both: an operation has the same bits with either (`lanes.rs`: each lane is rounded once, products that are added or taken away are fused), and so has the outcome. (In spheres, cross
+//! They hold for all: an operation has the same bits with each (`lanes.rs`: each lane is rounded once, products that are added or taken away are fused), and so has the outcome. (In spheres, cross
 //! products alone are not fused: they are exact.)
 //!
 //! Let u = 2^-24, v = 2^-53, and 0, a, b, c a tetrahedron relative to its point, |a|, |b|, |c| ≤ D; det = a·(b×c), and
