@@ -82,6 +82,11 @@
 // What only vector code of x86-64 uses is looked for there.
 #![cfg_attr(not(target_arch = "x86_64"), allow(dead_code, unused_imports, unused_mut))]
 
+#[cfg(target_endian = "big")]
+compile_error!(
+    "isospan is for machines whose integers begin with the lowest byte: on s390x, Hammersley points were wrong"
+);
+
 pub mod archive;
 pub mod bytes;
 pub mod cells;
