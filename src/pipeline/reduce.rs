@@ -119,7 +119,7 @@ pub fn reduce_series(
     progress: &dyn Progress,
 ) -> Result<ReduceReport> {
     let started = Instant::now();
-    refuse_finished(out, sources.len(), settings, run)?;
+    refuse_finished(out, sources, settings, run)?;
     let sources = &numbered(sources);
     let job = Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None };
     match settings.target {
@@ -428,7 +428,7 @@ pub fn estimate_series(
     out: &Path,
     run: &RunSettings,
 ) -> Result<Estimate> {
-    refuse_finished(out, sources.len(), settings, run)?;
+    refuse_finished(out, sources, settings, run)?;
     let (sources, progress, started) = (&numbered(sources), &Silent, Instant::now());
     make_plan(&Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None })
         .map(|made| made.2)
@@ -487,10 +487,15 @@ pub(super) fn refuse_remote(out: &Path) -> Result<()> {
 }
 
 /// As [`refuse_overwriting`], but for an archive that may be the one that is to be made: the plan will tell.
-fn refuse_finished(out: &Path, steps: usize, settings: &ReduceSettings, run: &RunSettings) -> Result<()> {
+fn refuse_finished(
+    out: &Path,
+    sources: &[StepSource],
+    settings: &ReduceSettings,
+    run: &RunSettings,
+) -> Result<()> {
     let is_finished = || !is_remote(out) && out.join(MANIFEST_NAME).exists();
     match refuse_overwriting(out, run) {
-        Err(_) if is_finished() && repair::may_be_of(out, steps, settings) && is_ours(out)? => Ok(()),
+        Err(_) if is_finished() && repair::may_be_of(out, sources, settings) && is_ours(out)? => Ok(()),
         other => other,
     }
 }

@@ -11,6 +11,7 @@ use crate::archive::manifest::{
 };
 use crate::archive::segment::PlanHash;
 use crate::error::{Error, Result};
+use crate::formats::StepSource;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -41,15 +42,17 @@ pub(super) fn is_of(manifest: &Manifest, mesh: PlanHash, plan: &Plan) -> bool {
     manifest.plan_hash == mesh && manifest.steps.iter().map(|s| &s.plan).eq(&plan.steps)
 }
 
-/// Whether a finished archive may be that of a reduction of so many steps, or one that has lost files: its plan will tell. To plan may take reading all samples; so what has other settings is
-/// told from it without. What a target is met with is found anew each time.
-pub(super) fn may_be_of(archive: &Path, steps: usize, settings: &ReduceSettings) -> bool {
+/// Whether a finished archive may be that of a reduction of these steps, or one that has lost files: its plan will tell. To plan may take reading all samples, or a mesh; so what has other
+/// settings, or was made from a file of another name, is told from it without. What a target is met with is found anew each time.
+pub(super) fn may_be_of(archive: &Path, steps: &[StepSource], settings: &ReduceSettings) -> bool {
     // An archive whose manifest cannot be read may be anything.
     let Ok(manifest) = Manifest::read(archive) else { return false };
-    let quantiser = manifest.steps.first().and_then(|step| step.plan.quantiser);
-    let is_alike = manifest.steps.len() <= steps
+    let first = manifest.steps.first().map(|step| &step.plan);
+    let name = |step: &StepSource| step.path.file_name().map(|name| name.to_string_lossy().into_owned());
+    let is_alike = manifest.steps.len() <= steps.len()
         && manifest.plan.levels.is_some() == settings.adapt.is_some()
-        && quantiser.map(|q| q.bits) == settings.value_bits;
+        && first.and_then(|plan| plan.quantiser).map(|q| q.bits) == settings.value_bits
+        && steps.iter().any(|step| name(step).as_ref() == first.map(|plan| &plan.source.path));
     settings.target.is_none() && (is_alike || lacks_files(archive))
 }
 

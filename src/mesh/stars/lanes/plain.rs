@@ -11,7 +11,6 @@ pub(super) const PAYS: bool = cfg!(any(
     target_arch = "aarch64",
     target_arch = "powerpc64",
     target_arch = "riscv64",
-    target_arch = "s390x",
     target_feature = "fma"
 ));
 
