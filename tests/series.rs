@@ -400,6 +400,10 @@ fn the_same_reduction_makes_what_is_missing() {
         assert!(folder(&out) == whole);
         refused(again(&few_points_of(0.2), &steps), "exists; choose another name");
         refused(again(&settings, &steps[..2]), "exists; choose another name");
+        let planned = |settings| pipeline::estimate_series(&steps, settings, &out, &run(2));
+        assert!(planned(&settings).is_ok());
+        let e = planned(&few_points_of(0.2)).unwrap_err();
+        assert!(e.to_string().contains("exists; choose another name"), "{e}");
         assert!(folder(&out) == whole);
         let lost: Vec<PathBuf> =
             whole.keys().filter(|f| !f.ends_with("manifest.json")).map(|f| out.join(f)).collect();

@@ -206,7 +206,7 @@ pub(super) fn made_before(
         Part::Further(archive) => added_before(archive, series),
         Part::Whole if !job.run.replace => {
             let Some(manifest) = repair::finished(job.out, &series.plan)? else { return Ok(None) };
-            if repair::lacks_files(job.out) {
+            if repair::lacks_files(job.out, &manifest) {
                 return Ok(None);
             }
             let layout = Layout::new(job.out, manifest.counts.chunks, 0);
@@ -430,8 +430,12 @@ pub fn estimate_series(
 ) -> Result<Estimate> {
     refuse_finished(out, sources, settings, run)?;
     let (sources, progress, started) = (&numbered(sources), &Silent, Instant::now());
-    make_plan(&Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None })
-        .map(|made| made.2)
+    let job = Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None };
+    let (series, _, estimate) = make_plan(&job)?;
+    if !run.replace {
+        repair::finished(out, &series.plan)?;
+    }
+    Ok(estimate)
 }
 
 pub(super) fn estimate_of(

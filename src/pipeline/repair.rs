@@ -16,9 +16,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Whether a file that the manifest of an archive names is not there, or not as long as it was. What a file holds is not looked at.
-pub(super) fn lacks_files(archive: &Path) -> bool {
-    // An archive whose manifest cannot be read may be anything.
-    let Ok(manifest) = Manifest::read(archive) else { return false };
+pub(super) fn lacks_files(archive: &Path, manifest: &Manifest) -> bool {
     let gone = |path: PathBuf, bytes: u64| fs::metadata(path).map_or(true, |file| file.len() != bytes);
     let of_mesh = (0..).zip(&manifest.mesh).any(|(n, s)| gone(mesh_segment_path(archive, n), s.info.bytes));
     let of_steps = manifest.steps.iter().any(|step| {
@@ -53,7 +51,7 @@ pub(super) fn may_be_of(archive: &Path, steps: &[StepSource], settings: &ReduceS
         && manifest.plan.levels.is_some() == settings.adapt.is_some()
         && first.and_then(|plan| plan.quantiser).map(|q| q.bits) == settings.value_bits
         && steps.iter().any(|step| name(step).as_ref() == first.map(|plan| &plan.source.path));
-    settings.target.is_none() && (is_alike || lacks_files(archive))
+    settings.target.is_none() && (is_alike || lacks_files(archive, &manifest))
 }
 
 /// The manifest, if there is one: of a finished archive of this very plan.
@@ -68,7 +66,7 @@ pub(super) fn finished(out: &Path, plan: &Plan) -> Result<Option<Manifest>> {
     if is_of(&manifest, plan.mesh_hash(), plan) {
         return Ok(Some(manifest));
     }
-    Err(if lacks_files(out) {
+    Err(if lacks_files(out, &manifest) {
         let text = "lacks files, and was not made by this reduction alone; choose another name, or --force to replace it";
         Error::usage(format!("{} {text}", out.display()))
     } else {
