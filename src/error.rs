@@ -52,6 +52,13 @@ pub enum Error {
         /// What is missing, a name each.
         missing: Vec<String>,
     },
+    /// Another process writes the archive.
+    Busy {
+        /// The archive.
+        path: PathBuf,
+        /// Who writes it, as its lock file says: "process 17 on node3"; may be empty.
+        writer: String,
+    },
     /// The run was cancelled; the same command continues it.
     Cancelled,
 }
@@ -119,7 +126,8 @@ impl Error {
         self
     }
 
-    /// The process exit code for this error: 1 failed, 2 usage, 3 incomplete, 4 budget (memory, disk), 5 bad input, 75 resumable.
+    /// The process exit code for this error: 1 failed, 2 usage, 3 incomplete, 4 budget (memory, disk), 5 bad input, 75 the same
+    /// command can succeed later: it was stopped, or another process writes the archive.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Io { source, .. } if is_full(source) => 4,
@@ -128,7 +136,7 @@ impl Error {
             Self::Incomplete { .. } => 3,
             Self::Budget { .. } => 4,
             Self::BadInput { .. } => 5,
-            Self::Cancelled => 75,
+            Self::Cancelled | Self::Busy { .. } => 75,
         }
     }
 }
@@ -187,6 +195,11 @@ impl fmt::Display for Error {
                     missing.len(),
                     one_line(&missing.join(" "))
                 )
+            }
+            Self::Busy { path, writer } => {
+                let writer = if writer.is_empty() { "another process" } else { writer };
+                write!(f, "{} is being written by {}", path.display(), one_line(writer))?;
+                f.write_str("; wait until that has ended, or choose another name")
             }
             Self::Cancelled => f.write_str("stopped by a signal; the same command continues"),
         }

@@ -22,6 +22,7 @@ pub(crate) mod errors;
 pub mod explicit;
 mod journal;
 pub mod levels;
+pub(crate) mod lock;
 pub mod manifest;
 pub(crate) mod publish;
 mod range;

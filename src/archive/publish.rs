@@ -45,6 +45,12 @@ const PIECE: usize = 1 << 18;
 /// The same of a file that will be mapped: the system caches what is written at once in pages of up to this size, and maps such a page at once.
 const LARGE_PIECE: usize = 1 << 22;
 
+/// Whether a file has the name of a temporary, of a writer that runs or is dead.
+pub(crate) fn is_temporary(path: &Path) -> bool {
+    let name = path.file_name().map(|name| name.to_string_lossy());
+    name.is_some_and(|name| name.starts_with('.') && name.contains(TEMPORARY_MARK))
+}
+
 /// This host, in letters that may be part of a file name. Two processes of one host know each other by their numbers.
 pub(crate) fn host() -> &'static str {
     static HOST: LazyLock<String> = LazyLock::new(find_host);
@@ -205,6 +211,53 @@ pub(crate) fn sync_folders(folders: impl IntoIterator<Item = PathBuf>) -> Result
 
 fn sync_folder(path: &Path) -> Result<()> {
     sync(folder_of(path))
+}
+
+/// Puts the folder `new` in the place of `out`, and removes what was there. At any moment there is a whole folder
+/// under `out`; where the file system cannot exchange two names, but for the moment between two renames: then what
+/// was there is found under `aside`, and [`restore_folder`] puts it back.
+pub(crate) fn replace_folder(new: &Path, out: &Path, aside: &Path) -> Result<()> {
+    let failed = |e| Error::io("replace", out, e);
+    match () {
+        () if !out.exists() => std::fs::rename(new, out).map_err(failed)?,
+        () if exchange(new, out) => std::fs::rename(new, aside).map_err(failed)?,
+        () => {
+            std::fs::rename(out, aside).map_err(failed)?;
+            std::fs::rename(new, out).map_err(failed)?;
+        }
+    }
+    sync_folder(out)?;
+    remove_folder(aside)
+}
+
+/// Undoes what a run did that was killed within [`replace_folder`], or finishes it.
+pub(crate) fn restore_folder(out: &Path, aside: &Path) -> Result<()> {
+    if aside.exists() && !out.exists() {
+        std::fs::rename(aside, out).map_err(|e| Error::io("restore", out, e))?;
+    }
+    remove_folder(aside)
+}
+
+/// Removes a folder, if it is there.
+pub(crate) fn remove_folder(folder: &Path) -> Result<()> {
+    match std::fs::remove_dir_all(folder) {
+        Err(e) if e.kind() != ErrorKind::NotFound => Err(Error::io("remove", folder, e)),
+        _ => Ok(()),
+    }
+}
+
+/// Gives each of two folders the name of the other, where the system and the file system can.
+fn exchange(a: &Path, b: &Path) -> bool {
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::fs::{CWD, RenameFlags, renameat_with};
+        renameat_with(CWD, a, CWD, b, RenameFlags::EXCHANGE).is_ok()
+    }
+    #[cfg(not(target_os = "linux"))]
+    {
+        let _ = (a, b);
+        false
+    }
 }
 
 /// A rename is durable once its folder is; only Unix can sync a folder.

@@ -16,8 +16,8 @@ mod positioned;
 mod read;
 mod write;
 
-pub(crate) use self::read::BlockPlace;
 pub use self::read::Segment;
+pub(crate) use self::read::{BlockPlace, segment_plan};
 pub use self::write::SegmentWriter;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;

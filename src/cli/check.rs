@@ -147,5 +147,9 @@ fn archive_text(path: &Path, r: &ArchiveCheck) -> String {
     let _ = writeln!(out, "  volume      the tetrahedra fill the domain exactly");
     let _ =
         writeln!(out, "  index       {} entries, equal to the blocks' ranges", text::count(r.index_entries));
+    for file in &r.strays {
+        let name = file.strip_prefix(path).unwrap_or(file).display();
+        let _ = writeln!(out, "  stray       {name} is no part of the archive; it can be deleted");
+    }
     out
 }

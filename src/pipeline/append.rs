@@ -10,7 +10,7 @@ use super::field::NanPolicy;
 use super::job::{Job, Part, ReduceReport, RunSettings};
 use super::open::OpenArchive;
 use super::plan::ReduceSettings;
-use super::reduce::{reduce_volumes, refuse_remote};
+use super::reduce::{lock_for_writing, reduce_volumes};
 use super::reduce_mesh::reduce_mesh;
 use crate::archive::manifest::{MANIFEST_NAME, Step};
 use crate::error::{Error, Result};
@@ -54,7 +54,7 @@ pub fn append(
     progress: &dyn Progress,
 ) -> Result<ReduceReport> {
     let started = Instant::now();
-    refuse_remote(out)?;
+    let _lock = lock_for_writing(out)?;
     let archive = OpenArchive::open(out)?;
     let last = archive.manifest.steps.last().expect("an archive that was opened has a step");
     let sources: Vec<_> = (last.plan.number + 1..).zip(sources.iter().cloned()).collect();

@@ -68,11 +68,16 @@ impl Beside {
         self.repeated.as_ref().map_or(Ok(()), |firsts| write_repeated(archive, hash, firsts.pairs()?))
     }
 
-    /// The files of a plan that are not there.
-    pub(crate) fn missing(archive: &Path, plan: &MeshPlan) -> Vec<PathBuf> {
+    /// The files that a plan speaks of.
+    pub(crate) fn files(archive: &Path, plan: &MeshPlan) -> Vec<PathBuf> {
         let explicit = plan.explicit.is_some().then(|| explicit_path(archive));
         let levels = plan.levels.is_some().then(|| levels_path(archive));
         let repeated = plan.repeated.is_some().then(|| repeated_path(archive));
-        explicit.into_iter().chain(levels).chain(repeated).filter(|p| !p.exists()).collect()
+        explicit.into_iter().chain(levels).chain(repeated).collect()
+    }
+
+    /// Those of them that are not there.
+    pub(crate) fn missing(archive: &Path, plan: &MeshPlan) -> Vec<PathBuf> {
+        Self::files(archive, plan).into_iter().filter(|p| !p.exists()).collect()
     }
 }

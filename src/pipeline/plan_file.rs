@@ -4,6 +4,7 @@
 //!  tooth.isospan/               the archive: segments as they are done, in the end the manifest
 //!  tooth.isospan.work/          what makes it, and is no part of it
 //!      plan.json                this file
+//!      new.isospan/             the archive, where it replaces a finished one (--force)
 //!      slurm/                   job scripts and logs, where Slurm runs it
 //! ```
 //!
@@ -15,8 +16,9 @@
 
 use super::beside::Beside;
 use super::plan::{Plan, ReduceSettings};
+use super::repair;
 use super::series::{PlannedSource, SeriesPlan, SkippedStep};
-use crate::archive::manifest::{check_sum, sealed_text};
+use crate::archive::manifest::{Manifest, check_sum, sealed_text};
 use crate::archive::publish::Unpublished;
 use crate::archive::segment::PlanHash;
 use crate::error::{Error, Result};
@@ -35,6 +37,16 @@ pub fn work_folder(archive: &Path) -> PathBuf {
     let mut name = archive.as_os_str().to_owned();
     name.push(".work");
     name.into()
+}
+
+/// Where an archive is made that is to replace a finished one.
+pub(super) fn new_archive(archive: &Path) -> PathBuf {
+    work_folder(archive).join("new.isospan")
+}
+
+/// Where the one that was replaced is until it is removed.
+pub(super) fn old_archive(archive: &Path) -> PathBuf {
+    work_folder(archive).join("old.isospan")
 }
 
 /// Path of the plan of an archive.
@@ -61,6 +73,8 @@ pub(super) struct PlanFile {
     pub(super) shards: u64,
     /// The least memory of a worker.
     pub(super) memory_least: u64,
+    /// Whether a finished archive was there, which stays until this one is committed.
+    replaces: bool,
 }
 
 /// How the work is cut.
@@ -68,6 +82,8 @@ pub(super) struct Cut {
     pub(super) chunks: u64,
     pub(super) shards: u64,
     pub(super) memory_least: u64,
+    /// Whether it replaces a finished archive.
+    pub(super) replaces: bool,
 }
 
 impl PlanFile {
@@ -91,7 +107,17 @@ impl PlanFile {
             chunks: cut.chunks,
             shards: cut.shards,
             memory_least: cut.memory_least,
+            replaces: cut.replaces,
         })
+    }
+
+    /// The folder in which the archive `out` is made: its own, or one beside it while that has a finished archive.
+    pub(super) fn root(&self, out: &Path) -> PathBuf {
+        let is_committed = || {
+            let manifest = Manifest::read(out);
+            manifest.is_ok_and(|manifest| repair::is_of(&manifest, self.mesh_hash, &self.plan))
+        };
+        if self.replaces && !is_committed() { new_archive(out) } else { out.to_path_buf() }
     }
 
     /// The sources with the numbers of their steps.

@@ -13,13 +13,15 @@ use super::measure::{MeasureSettings, reopened_errors};
 use super::need::{self, Estimate, Need, Question};
 use super::open::{OpenArchive, StepSummary};
 use super::placed::write_coordinates;
-use super::plan::{MeshParts, ReduceSettings, parts};
+use super::plan::{MeshParts, Plan, ReduceSettings, parts};
+use super::plan_file::{new_archive, old_archive, work_folder};
 use super::reduce_mesh;
 use super::repair;
 use super::series::{Making, Means, Outcome, PlannedSource, SeriesPlan};
 use super::steps::StepChoice;
 use super::target::reduce_to_target;
 use super::volume_series::{Known, VolumeFields, plan_volumes};
+use crate::archive::lock::WriterLock;
 use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, unpacked_step};
 use crate::archive::{TEMPORARY_MARK, publish};
 use crate::bytes::remote::is_remote;
@@ -119,13 +121,42 @@ pub fn reduce_series(
     progress: &dyn Progress,
 ) -> Result<ReduceReport> {
     let started = Instant::now();
+    let _lock = lock_for_writing(out)?;
     refuse_finished(out, sources, settings, run)?;
     let sources = &numbered(sources);
     let job = Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None };
-    match settings.target {
-        Some(target) => reduce_to_target(&job, target),
-        None => make(&job),
+    if let Some(target) = settings.target {
+        return reduce_to_target(&job, target);
     }
+    if !(run.replace && is_finished(out)) {
+        return make(&job);
+    }
+    let new = new_archive(out);
+    let report = make(&Job { out: &new, ..job })?;
+    replace_archive(&new, out)?;
+    Ok(ReduceReport { made_before: false, ..report })
+}
+
+/// Locks an archive that is to be written. One that was being replaced when a run was killed is there again.
+pub(super) fn lock_for_writing(out: &Path) -> Result<WriterLock> {
+    refuse_remote(out)?;
+    refuse_name(out)?;
+    let lock = WriterLock::acquire(out)?;
+    publish::restore_folder(out, &old_archive(out))?;
+    Ok(lock)
+}
+
+/// Whether there is a finished archive of this name on this machine.
+pub(super) fn is_finished(out: &Path) -> bool {
+    !is_remote(out) && out.join(MANIFEST_NAME).exists()
+}
+
+/// Puts a new archive in the place of the one of its name, which was whole until then.
+pub(super) fn replace_archive(new: &Path, out: &Path) -> Result<()> {
+    publish::replace_folder(new, out, &old_archive(out))?;
+    // There may be a plan, or logs.
+    let _ = fs::remove_dir(work_folder(out));
+    Ok(())
 }
 
 /// Steps with their numbers.
@@ -204,8 +235,13 @@ pub(super) fn made_before(
 ) -> Result<Option<ReduceReport>> {
     match job.part {
         Part::Further(archive) => added_before(archive, series),
-        Part::Whole if !job.run.replace => {
-            let Some(manifest) = repair::finished(job.out, &series.plan)? else { return Ok(None) };
+        Part::Whole => {
+            let found = match repair::finished(job.out, &series.plan) {
+                // Another one is removed before this one is made.
+                Err(_) if job.run.replace => None,
+                found => found?,
+            };
+            let Some(manifest) = found else { return Ok(None) };
             if repair::lacks_files(job.out, &manifest) {
                 return Ok(None);
             }
@@ -215,7 +251,7 @@ pub(super) fn made_before(
             let report = ReduceReport { samples, inner_points, made_before: true, ..ReduceReport::default() };
             completed(&Made::of(&manifest), 0, series, &layout, report).map(Some)
         }
-        Part::Whole | Part::Shard(..) => Ok(None),
+        Part::Shard(..) => Ok(None),
     }
 }
 
@@ -242,10 +278,10 @@ pub(super) fn produce(
     let layout = Layout::new(job.out, means.parts.chunks.len(), 0);
     let old = job.part.archive().map(|archive| &archive.manifest);
     if old.is_none() {
-        if matches!(job.part, Part::Whole) && !job.run.replace {
-            repair::finished(job.out, &series.plan)?;
+        if matches!(job.part, Part::Whole) {
+            prepare_folder(&layout, &series.plan, job.run)?;
         }
-        prepare_folder(&layout, job.run)?;
+        layout.make_folders()?;
         series.beside.write(job.out, series.plan.mesh_hash())?;
     }
     let making = Making {
@@ -333,7 +369,13 @@ impl Publishing<'_> {
             return Err(Error::io("add steps to", layout.root(), std::io::Error::other(text)));
         }
         layout.sync()?;
-        made.manifest(plan).write(layout.root())?;
+        let manifest = made.manifest(plan);
+        if repair::lacks_files(layout.root(), &manifest) {
+            let text = "another run has removed files meanwhile: run the same command again";
+            return Err(Error::io("finish", layout.root(), std::io::Error::other(text)));
+        }
+        manifest.write(layout.root())?;
+        repair::remove_strays(layout.root(), &manifest);
         completed(&made, before, series, layout, report)
     }
 
@@ -490,6 +532,19 @@ pub(super) fn refuse_remote(out: &Path) -> Result<()> {
     Ok(())
 }
 
+/// Refuses a name that no archive has.
+fn refuse_name(out: &Path) -> Result<()> {
+    if out.extension().is_none_or(|e| e != "isospan") {
+        return Err(Error::usage(format!("{}: an archive's name ends in .isospan", out.display())));
+    }
+    match fs::metadata(out) {
+        Ok(m) if !m.is_dir() => {
+            Err(Error::usage(format!("{} exists and is not an archive; choose another name", out.display())))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// As [`refuse_overwriting`], but for an archive that may be the one that is to be made: the plan will tell.
 fn refuse_finished(
     out: &Path,
@@ -497,9 +552,8 @@ fn refuse_finished(
     settings: &ReduceSettings,
     run: &RunSettings,
 ) -> Result<()> {
-    let is_finished = || !is_remote(out) && out.join(MANIFEST_NAME).exists();
     match refuse_overwriting(out, run) {
-        Err(_) if is_finished() && repair::may_be_of(out, sources, settings) && is_ours(out)? => Ok(()),
+        Err(_) if is_finished(out) && repair::may_be_of(out, sources, settings) && is_ours(out)? => Ok(()),
         other => other,
     }
 }
@@ -507,16 +561,11 @@ fn refuse_finished(
 /// Folders and files that are not ours are never touched; an archive only when asked to.
 pub(super) fn refuse_overwriting(out: &Path, run: &RunSettings) -> Result<()> {
     refuse_remote(out)?;
+    refuse_name(out)?;
     let shown = out.display();
-    if out.extension().is_none_or(|e| e != "isospan") {
-        return Err(Error::usage(format!("{shown}: an archive's name ends in .isospan")));
-    }
     match fs::metadata(out) {
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(()),
         Err(e) => Err(Error::io("look at", out, e)),
-        Ok(m) if !m.is_dir() => {
-            Err(Error::usage(format!("{shown} exists and is not an archive; choose another name")))
-        }
         Ok(_) if out.join(MANIFEST_NAME).exists() && !run.replace => Err(repair::exists(out)),
         Ok(_) if !is_ours(out)? => {
             Err(Error::usage(format!("{shown} exists and holds other files; choose another name")))
@@ -537,16 +586,35 @@ fn is_ours(out: &Path) -> Result<bool> {
     Ok(true)
 }
 
-/// An archive that is to be replaced is removed; of one that is unfinished, or has lost files, segments of this plan are kept.
-pub(super) fn prepare_folder(layout: &Layout, run: &RunSettings) -> Result<()> {
-    let old = layout.root().join(MANIFEST_NAME);
-    if old.exists() && run.replace {
-        fs::remove_file(&old).map_err(|e| Error::io("remove", &old, e))?;
-        for folder in ["mesh", "steps"].map(|f| layout.root().join(f)).iter().filter(|f| f.exists()) {
-            fs::remove_dir_all(folder).map_err(|e| Error::io("remove", folder, e))?;
-        }
+/// Empties the folder of an archive that is to be made, where it holds another one, or the work on another one;
+/// segments of this plan stay.
+///
+/// # Errors
+/// [`Error::Usage`] where that was not asked for.
+pub(super) fn prepare_folder(layout: &Layout, plan: &Plan, run: &RunSettings) -> Result<()> {
+    let root = layout.root();
+    match repair::finished(root, plan) {
+        Err(e) if !run.replace => Err(e),
+        Err(_) => empty(layout),
+        Ok(Some(_)) => Ok(()),
+        Ok(None) => match repair::other_work(root, plan, run.keep_going) {
+            Some(_) if run.replace => empty(layout),
+            Some(file) => Err(repair::is_unfinished(root, &file)),
+            None => Ok(()),
+        },
     }
-    layout.make_folders()
+}
+
+/// Removes what an archive consists of, its manifest first.
+fn empty(layout: &Layout) -> Result<()> {
+    let manifest = layout.root().join(MANIFEST_NAME);
+    match fs::remove_file(&manifest) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+            return Err(Error::io("remove", &manifest, e));
+        }
+        _ => {}
+    }
+    [layout.mesh_folder(), layout.steps_folder()].iter().try_for_each(|f| publish::remove_folder(f))
 }
 
 /// A stream is copied into bricks first; the copy is removed when the second value is dropped.

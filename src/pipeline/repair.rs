@@ -6,33 +6,98 @@
 use super::beside::Beside;
 use super::plan::{Plan, ReduceSettings};
 use crate::archive::manifest::{
-    MANIFEST_NAME, Manifest, coordinates_path, index_path, mesh_segment_path, spectrum_path,
-    values_segment_path,
+    MANIFEST_NAME, Manifest, Step, coordinates_path, index_path, mesh_folder, mesh_segment_path,
+    spectrum_path, steps_folder, unpacked_path, unpacked_step, values_segment_path,
 };
-use crate::archive::segment::PlanHash;
+use crate::archive::publish;
+use crate::archive::segment::{PlanHash, segment_plan};
 use crate::error::{Error, Result};
 use crate::formats::StepSource;
+use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Whether a file that the manifest of an archive names is not there, or not as long as it was. What a file holds is not looked at.
-pub(super) fn lacks_files(archive: &Path, manifest: &Manifest) -> bool {
-    let gone = |path: PathBuf, bytes: u64| fs::metadata(path).map_or(true, |file| file.len() != bytes);
-    let of_mesh = (0..).zip(&manifest.mesh).any(|(n, s)| gone(mesh_segment_path(archive, n), s.info.bytes));
-    let of_steps = manifest.steps.iter().any(|step| {
+/// The segments that the manifest of an archive names, and their lengths.
+fn segments(archive: &Path, manifest: &Manifest) -> Vec<(PathBuf, u64)> {
+    let mesh = (0..).zip(&manifest.mesh).map(|(n, s)| (mesh_segment_path(archive, n), s.info.bytes));
+    let of_step = |step: &Step| {
         let number = step.plan.number;
         let values = (0..).zip(&step.values);
-        let mut others = [
+        let values = values.map(|(n, s)| (values_segment_path(archive, number, n), s.info.bytes));
+        let others = [
             step.index.map(|i| (index_path(archive, number), i)),
             step.spectrum.map(|i| (spectrum_path(archive, number), i)),
             step.coordinates.map(|c| (coordinates_path(archive, number), c.info)),
-        ]
+        ];
+        let others = others.into_iter().flatten().map(|(path, info)| (path, info.bytes));
+        values.chain(others).collect::<Vec<_>>()
+    };
+    mesh.chain(manifest.steps.iter().flat_map(of_step)).collect()
+}
+
+/// Whether a file that the manifest of an archive names is not there, or not as long as it was. What a file holds is not looked at.
+pub(super) fn lacks_files(archive: &Path, manifest: &Manifest) -> bool {
+    let gone = |(path, bytes): &(PathBuf, u64)| fs::metadata(path).map_or(true, |f| f.len() != *bytes);
+    segments(archive, manifest).iter().any(gone) || !Beside::missing(archive, &manifest.plan).is_empty()
+}
+
+/// Files of an archive that its manifest does not name, in order of their names. Temporary files, which may
+/// belong to a running process, and unpacked blocks of its steps are left out.
+///
+/// # Errors
+/// When a folder cannot be listed.
+pub(super) fn strays(archive: &Path, manifest: &Manifest) -> Result<Vec<PathBuf>> {
+    let named: HashSet<PathBuf> = segments(archive, manifest)
         .into_iter()
-        .flatten();
-        values.into_iter().any(|(n, s)| gone(values_segment_path(archive, number, n), s.info.bytes))
-            || others.any(|(path, info)| gone(path, info.bytes))
-    });
-    of_mesh || of_steps || !Beside::missing(archive, &manifest.plan).is_empty()
+        .map(|(path, _)| path)
+        .chain(Beside::files(archive, &manifest.plan))
+        .chain(manifest.steps.iter().map(|step| unpacked_path(archive, step.plan.number)))
+        .collect();
+    let mut strays = vec![];
+    for folder in [mesh_folder(archive), steps_folder(archive)] {
+        let list = |e| Error::io("list", &folder, e);
+        for entry in fs::read_dir(&folder).map_err(list)? {
+            let path = entry.map_err(list)?.path();
+            if !publish::is_temporary(&path) && !named.contains(&path) {
+                strays.push(path);
+            }
+        }
+    }
+    strays.sort();
+    Ok(strays)
+}
+
+/// Removes those of them that have the names of segments: the archive's writer calls it, which holds its lock.
+/// What another, unfinished `append` made is among them. A failure to do so costs disk space alone.
+pub(super) fn remove_strays(archive: &Path, manifest: &Manifest) {
+    let segments = |path: &PathBuf| path.extension().is_some_and(|e| e == "seg") && path.is_file();
+    for path in strays(archive, manifest).unwrap_or_default().iter().filter(|path| segments(path)) {
+        let _ = fs::remove_file(path);
+    }
+}
+
+/// A segment in the folder of an unfinished archive, or the beginning of one, that is not of this plan: somebody
+/// else's work. `None` where there is none, and where the archive is finished.
+pub(super) fn other_work(archive: &Path, plan: &Plan, keep_going: bool) -> Option<PathBuf> {
+    let mesh = plan.mesh_hash();
+    let steps: HashSet<PlanHash> = (0..plan.steps.len()).map(|n| plan.step_hash(n)).collect();
+    let is_other = |path: &PathBuf, own: &dyn Fn(PlanHash) -> bool| {
+        let unpacked = path.file_name().is_some_and(|n| unpacked_step(&n.to_string_lossy()).is_some());
+        !unpacked && segment_plan(path).is_some_and(|plan| !own(plan))
+    };
+    let files = |folder: PathBuf| {
+        let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+        let mut files: Vec<PathBuf> = entries.map(|entry| entry.path()).collect();
+        files.sort();
+        files
+    };
+    let in_mesh = files(mesh_folder(archive)).into_iter().find(|f| is_other(f, &|plan| plan == mesh));
+    // A step that was left out has changed the hashes of those after it.
+    let in_steps = || {
+        let mut files = files(steps_folder(archive)).into_iter().filter(|_| !keep_going);
+        files.find(|f| is_other(f, &|plan| steps.contains(&plan)))
+    };
+    in_mesh.or_else(in_steps)
 }
 
 /// Whether a manifest is that of a plan: the same mesh, the same steps.
@@ -72,6 +137,15 @@ pub(super) fn finished(out: &Path, plan: &Plan) -> Result<Option<Manifest>> {
     } else {
         exists(out)
     })
+}
+
+/// There is unfinished work of something else, of which this is a file.
+pub(super) fn is_unfinished(out: &Path, file: &Path) -> Error {
+    let file = file.strip_prefix(out).unwrap_or(file).display();
+    Error::usage(format!(
+        "{} holds the unfinished work of another input, or of other settings ({file}): continue that, choose another name, or --force to start anew",
+        out.display()
+    ))
 }
 
 /// There is something of this name.

@@ -129,17 +129,22 @@ pub fn plan_shards(
             "a target is met by trying: reduce does that; a plan has a count or a fraction",
         ));
     }
+    let _lock = reduce::lock_for_writing(out)?;
     reduce::refuse_overwriting(out, run)?;
     let (sources, part) = (&numbered(sources), Part::Whole);
     let job = Job { sources, settings, out, run, progress, started: Instant::now(), part, round: None };
     let (series, mesh, needs) = reduce::make_plan(&job)?;
-    let layout = Layout::new(out, mesh.chunks.len(), 0);
     let beside = series.beside.clone();
-    let cut = Cut { chunks: mesh.chunks.len(), shards, memory_least: needs.memory_least };
-    let file = PlanFile::new(settings, series, cut)?;
+    let (memory_least, replaces) = (needs.memory_least, reduce::is_finished(out));
+    let file =
+        PlanFile::new(settings, series, Cut { chunks: mesh.chunks.len(), shards, memory_least, replaces })?;
+    let root = file.root(out);
+    let layout = Layout::new(&root, mesh.chunks.len(), 0);
+    // Before the plan is there: a worker finds no work of another one.
+    prepare_folder(&layout, &file.plan, run)?;
     file.write(out, run.replace)?;
-    prepare_folder(&layout, run)?;
-    beside.write(out, file.mesh_hash)?;
+    layout.make_folders()?;
+    beside.write(&root, file.mesh_hash)?;
     let segments = layout.segment_count();
     let shard_segments = segments.div_ceil(shards);
     Ok(PlanReport {
@@ -174,12 +179,12 @@ pub struct Planned {
 /// [`Error::BadInput`] when there is no plan.
 pub fn planned(out: &Path, threads: usize) -> Result<Planned> {
     let file = PlanFile::read(out)?;
-    let mesh = mesh_parts(out, &file.plan)?;
+    let mesh = mesh_parts(&file.root(out), &file.plan)?;
     let steps = file.plan.steps.len();
     let need = reduce::need_of(&mesh, 0, steps, u64::MAX, &RunSettings { threads, ..RunSettings::default() });
     Ok(Planned {
         shards: file.shards,
-        segments: Inventory::new(out, &file).segments(),
+        segments: Inventory::new(&file.root(out), &file).segments(),
         memory_least: file.memory_least,
         memory: need.comfortable(threads).max(file.memory_least),
         seconds: need.seconds(threads, steps),
@@ -212,6 +217,7 @@ pub fn work_shard(
     let started = Instant::now();
     let file = PlanFile::read(out)?;
     expect_no_other_archive(out, &file)?;
+    let out = &file.root(out);
     let inventory = Inventory::new(out, &file);
     let segments = shard.range(inventory.segments());
     let report = |points, seconds| WorkReport {
@@ -235,9 +241,9 @@ pub fn work_shard(
     Ok(report(made.points, made.seconds))
 }
 
-/// A finished archive of another plan is not written into.
+/// A finished archive of another plan is not written into; the one that is to be replaced stays as it is.
 fn expect_no_other_archive(out: &Path, file: &PlanFile) -> Result<()> {
-    if !out.join(MANIFEST_NAME).exists() {
+    if !out.join(MANIFEST_NAME).exists() || file.root(out) != out {
         return Ok(());
     }
     if repair::is_of(&Manifest::read(out)?, file.mesh_hash, &file.plan) {
@@ -253,13 +259,15 @@ fn expect_no_other_archive(out: &Path, file: &PlanFile) -> Result<()> {
 /// [`Error::Incomplete`] with each segment that is missing, damaged or of another plan.
 pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> Result<ReduceReport> {
     let started = Instant::now();
+    let _lock = reduce::lock_for_writing(out)?;
     let file = PlanFile::read(out)?;
     expect_no_other_archive(out, &file)?;
-    Inventory::new(out, &file).expect_whole(run, progress)?;
+    let root = file.root(out);
+    Inventory::new(&root, &file).expect_whole(run, progress)?;
     let verified = started.elapsed().as_secs_f64();
-    let mesh = mesh_parts(out, &file.plan)?;
+    let mesh = mesh_parts(&root, &file.plan)?;
     let workers = Need::of(&mesh).shares(run.memory, threads(run))?.workers;
-    let layout = Layout::new(out, mesh.chunks.len(), 0);
+    let layout = Layout::new(&root, mesh.chunks.len(), 0);
     let samples = match &file.plan.first().source.mesh {
         Some(mesh) => mesh.vertices,
         None => file.plan.first().source.dims.iter().product(),
@@ -271,6 +279,9 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
     let made = Outcome { coordinates: grid_coordinates(&series, &layout)?, ..Outcome::default() };
     let publishing = Publishing { parts: &mesh, layout: &layout, old: None, measure, workers, run, progress };
     let report = publishing.publish(&series, made, report)?;
+    if root != out {
+        reduce::replace_archive(&root, out)?;
+    }
     Ok(finished(report, started))
 }
 

@@ -142,7 +142,8 @@ pub fn shard_status(
     cancel: CancelToken,
 ) -> Result<StatusReport> {
     let file = PlanFile::read(out)?;
-    let inventory = Inventory::new(out, &file);
+    let root = file.root(out);
+    let inventory = Inventory::new(&root, &file);
     let depth = if quick { Depth::Frame } else { Depth::All };
     let run = RunSettings { memory: 0, cancel, ..RunSettings::default() };
     let faults = inventory.all_faults(depth, &run, &Silent)?;
@@ -153,7 +154,7 @@ pub fn shard_status(
     let left = leftovers(out)?;
     Ok(StatusReport {
         archive: out.to_path_buf(),
-        committed: out.join(MANIFEST_NAME).exists(),
+        committed: root == out && out.join(MANIFEST_NAME).exists(),
         segments: inventory.segments(),
         done: inventory.segments() - faults.chunk_by(|a, b| a.segment == b.segment).count() as u64,
         shards,

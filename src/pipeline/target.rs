@@ -25,10 +25,11 @@
 use super::beside::Beside;
 use super::job::{Job, Part, ReduceReport, RunSettings, finished};
 use super::plan::{Amount, Plan, ReduceSettings};
-use super::plan_file::work_folder;
+use super::plan_file::{old_archive, work_folder};
 use super::reduce::make;
 use super::target_max::reduce_to_max;
 use crate::archive::manifest::Manifest;
+use crate::archive::publish::{remove_folder, replace_folder};
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -193,7 +194,7 @@ pub(super) fn reduce_to_target(job: &Job<'_>, target: Target) -> Result<ReduceRe
     }
     let work = work_folder(job.out);
     let [trying, best] = ["try.isospan", "best.isospan"].map(|name| work.join(name));
-    [&trying, &best].into_iter().try_for_each(|f| remove(f))?;
+    [&trying, &best].into_iter().try_for_each(|f| remove_folder(f))?;
     let mut search: Option<Search> = None;
     let mut found: Option<(ReduceReport, Try)> = None;
     let mut chunks = 0;
@@ -214,11 +215,11 @@ pub(super) fn reduce_to_target(job: &Job<'_>, target: Target) -> Result<ReduceRe
         // The try at the cap is all that is possible.
         let better = found.as_ref().is_none_or(|(_, best)| made.points < best.points);
         if made.error <= bound && better || next.is_none() && found.is_none() {
-            remove(&best)?;
+            remove_folder(&best)?;
             rename(&trying, &best)?;
             found = Some((report, made));
         } else {
-            remove(&trying)?;
+            remove_folder(&trying)?;
         }
         let Some(count) = next else { break };
         wanted = Some(count);
@@ -255,11 +256,9 @@ pub(super) fn full_cells(archive: &Path) -> Result<[u64; 2]> {
 /// Points a voxel of which one says that there is one for each: numbers of points are rounded.
 const FULL: f64 = 0.9;
 
-/// Puts a try in the place of the archive.
+/// Puts a try in the place of the archive. One that is there is whole until then.
 pub(super) fn publish(job: &Job<'_>, best: &Path, work: &Path) -> Result<()> {
-    // What is there is to be replaced, or is the unfinished work of another run: else this one would not have begun.
-    remove(job.out)?;
-    rename(best, job.out)?;
+    replace_folder(best, job.out, &old_archive(job.out))?;
     // There may be a plan, or logs, of somebody else.
     let _ = fs::remove_dir(work);
     Ok(())
@@ -267,13 +266,6 @@ pub(super) fn publish(job: &Job<'_>, best: &Path, work: &Path) -> Result<()> {
 
 pub(super) fn rename(from: &Path, to: &Path) -> Result<()> {
     fs::rename(from, to).map_err(|e| Error::io("rename", from, e))
-}
-
-pub(super) fn remove(folder: &Path) -> Result<()> {
-    match fs::remove_dir_all(folder) {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io("remove", folder, e)),
-        _ => Ok(()),
-    }
 }
 
 #[cfg(test)]

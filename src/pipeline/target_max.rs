@@ -31,8 +31,9 @@ use super::reduce::{make, random_access};
 use super::rounds::Round;
 use super::sides::Sides;
 use super::steps::StepChoice;
-use super::target::{Target, TargetReport, error_of, full_cells, publish, remove, rename};
+use super::target::{Target, TargetReport, error_of, full_cells, publish, rename};
 use super::visit::{Blocks, Visit};
+use crate::archive::publish::remove_folder;
 use crate::cells::CellMesh;
 use crate::density::Choice;
 use crate::error::{Error, Result};
@@ -56,9 +57,9 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
     let run = RunSettings { replace: false, ..job.run.clone() };
     let (mut settings, mut round, mut wanted) = (job.settings.clone(), None::<Round>, None);
     let mut meshed_chunks = [0, 0];
-    remove(&last)?;
+    remove_folder(&last)?;
     for tries in 1.. {
-        remove(&trying)?;
+        remove_folder(&trying)?;
         fs::create_dir_all(&work).map_err(|e| Error::io("create the folder", &work, e))?;
         let (settings_now, round_now) = (&settings, round.as_ref());
         let mut report = make(&Job {
@@ -78,7 +79,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
             if met || tries == MOST_TRIES { None } else { raised(job, &trying, bound, report.samples)? };
         // The try before has served.
         drop(round.take());
-        remove(&last)?;
+        remove_folder(&last)?;
         if let Some(choice) = next {
             rename(&trying, &last)?;
             round = Some(Round::new(choice, OpenArchive::open(&last)?)?);

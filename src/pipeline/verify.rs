@@ -10,12 +10,14 @@
 use super::commit::{domain_volume6, index_entries, mesh_summary, value_summary};
 use super::gauge::stored_error;
 use super::open::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
+use super::repair::strays;
 use super::spectrum::{Bench, Meter, stored_part};
 use super::unpack::check_unpacked;
 use crate::archive::repeated::RepeatedReader;
 use crate::archive::segment::Segment;
 use crate::archive::summary::{BlockRange, MeshSummary, value_ranges};
 use crate::archive::vertices::ChunkHeader;
+use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkId};
@@ -23,7 +25,7 @@ use crate::index::{Entry, EntryDigest};
 use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
 use rayon::prelude::*;
 use serde::Serialize;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What was verified.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -42,6 +44,8 @@ pub struct ArchiveCheck {
     pub tetrahedra: u64,
     /// Entries of the index.
     pub index_entries: u64,
+    /// Files in the archive's folders that it does not name; nothing reads them.
+    pub strays: Vec<PathBuf>,
 }
 
 /// Verifies a whole archive. Cost: reading and decoding all of it.
@@ -51,6 +55,9 @@ pub struct ArchiveCheck {
 pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
     let mut check = ArchiveCheck::default();
     let mut archive = OpenArchive::open(path)?;
+    if !is_remote(path) {
+        check.strays = strays(path, &archive.manifest)?;
+    }
     for step in 0..archive.manifest.steps.len() {
         archive.turn_to(step);
         check_step(&archive, &mut check)?;

@@ -81,6 +81,13 @@ pub(super) fn read_header(bytes: &[u8], kind: SegmentKind) -> std::result::Resul
     Ok(PlanHash(c.u128("plan hash")?))
 }
 
+/// The plan hash of a whole header of any kind.
+pub(super) fn header_plan(bytes: &[u8]) -> Option<PlanHash> {
+    let body = unseal(bytes, "CRC32C").ok()?.strip_prefix(&MAGIC)?;
+    // Versions and kind come before it.
+    Cursor::new(&body[8..]).u128("plan hash").ok().map(PlanHash)
+}
+
 pub(super) fn read_footer(bytes: &[u8], file_len: u64) -> std::result::Result<(SegmentInfo, u64), Malformed> {
     let mut c = Cursor::new(unseal(bytes, "CRC32C")?);
     let (blocks, directory, length) = (c.u64("block count")?, c.u64("directory")?, c.u64("length")?);

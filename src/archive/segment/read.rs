@@ -1,6 +1,6 @@
 //! Reading a segment: header and footer first, pages of the directory and blocks when they are asked for.
 
-use super::frame::{hex, read_footer, read_header, unseal};
+use super::frame::{header_plan, hex, read_footer, read_header, unseal};
 use super::positioned::PositionedFile;
 use super::{
     FOOTER_BYTES, HEADER_BYTES, PAGE_BLOCKS, PAGE_ENTRY_BYTES, PAGE_FRAME_BYTES, PlanHash, SegmentInfo,
@@ -8,6 +8,7 @@ use super::{
 };
 use crate::archive::wire::{Cursor, Malformed};
 use crate::error::{Error, Result};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
@@ -23,6 +24,16 @@ pub(crate) struct BlockPlace<'a> {
     pub(crate) number: u64,
     pub(crate) len: u32,
     pub(crate) bytes: Option<&'a [u8]>,
+}
+
+/// The plan hash in the header of a segment of any kind, finished or not; `None` of any other file.
+pub(crate) fn segment_plan(path: &Path) -> Option<PlanHash> {
+    let mut head = [0; HEADER_BYTES as usize];
+    if !std::fs::metadata(path).ok()?.is_file() {
+        return None;
+    }
+    std::fs::File::open(path).ok()?.read_exact(&mut head).ok()?;
+    header_plan(&head)
 }
 
 /// An open segment: blocks by number, from any thread.

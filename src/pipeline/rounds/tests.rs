@@ -10,7 +10,7 @@ use crate::pipeline::job::{Job, Part};
 use crate::pipeline::layout::Layout;
 use crate::pipeline::open::OpenArchive;
 use crate::pipeline::plan_file::{Cut, PlanFile};
-use crate::pipeline::reduce::{make, numbered, prepare_folder};
+use crate::pipeline::reduce::{make, numbered};
 use crate::pipeline::series::{PlannedSource, SeriesPlan};
 use crate::pipeline::{
     Adapt, Bound, Plan, ReduceReport, ReduceSettings, RunSettings, Shard, Target, commit_shards,
@@ -126,9 +126,10 @@ fn made_again(archive: &Path, sources: &[StepSource], values: Values, out: &Path
         bound: None,
     };
     let chunks = manifest.counts.chunks;
-    let file = PlanFile::new(&settings, series, Cut { chunks, shards, memory_least: 0 }).unwrap();
+    let file =
+        PlanFile::new(&settings, series, Cut { chunks, shards, memory_least: 0, replaces: false }).unwrap();
     file.write(out, false).unwrap();
-    prepare_folder(&Layout::new(out, chunks, 0), &run(2)).unwrap();
+    Layout::new(out, chunks, 0).make_folders().unwrap();
     beside.write(out, file.mesh_hash).unwrap();
     for shard in 0..shards {
         work_shard(out, Shard::new(shard, shards).unwrap(), &run(2), &Silent).unwrap();
