@@ -5,6 +5,7 @@
 mod common;
 
 use common::*;
+use rustix::process::Signal;
 use std::fs;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
@@ -32,9 +33,8 @@ fn ok(dir: &Path, args: &[&str]) {
     assert!(status.success() && text.is_empty(), "{args:?}: {status}: {text}");
 }
 
-fn signal(child: &Child, signal: &str) {
-    let sent = Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).output().unwrap();
-    assert!(sent.status.success(), "the process {} is still there", child.id());
+fn signal(child: &Child, signal: Signal) {
+    assert!(send_signal(child.id(), signal), "the process {} is still there", child.id());
 }
 
 /// Numbers below `n`, the same in every run of the test.
@@ -167,12 +167,14 @@ fn a_killed_run_is_continued_chunk_by_chunk() {
 #[test]
 fn signals_stop_a_run_in_a_state_that_continues() {
     let case = Case::new();
-    for (n, name) in (3u32..).zip(["TERM", "INT", "USR1", "XCPU"]) {
+    let signals =
+        [("TERM", Signal::TERM), ("INT", Signal::INT), ("USR1", Signal::USR1), ("XCPU", Signal::XCPU)];
+    for (n, (name, sent)) in (3u32..).zip(signals) {
         let out = format!("{name}.isospan");
         let stopped = (0..60u32).find_map(|tries| {
             let child = spawn(case.path(), &reduce_to(&out));
             std::thread::sleep(case.took * (1 + (n + 2 * tries) % 11) / 12);
-            signal(&child, name);
+            signal(&child, sent);
             let (status, text) = end(child);
             if status.code() == Some(75) {
                 return Some((status, text));
@@ -200,8 +202,9 @@ fn a_second_interrupt_ends_a_run_at_once() {
         let child = spawn(case.path(), &reduce_to("i.isospan"));
         std::thread::sleep(case.took * (2 + tries % 7) / 10);
         // Time between the two to be seen as two, and too little for the run to end by itself, most often.
-        let twice = format!("kill -INT {0}; sleep 0.00{1}; kill -INT {0}", child.id(), tries % 5 + 1);
-        Command::new("bash").args(["-c", &twice]).stderr(Stdio::null()).status().unwrap();
+        send_signal(child.id(), Signal::INT);
+        std::thread::sleep(Duration::from_millis(u64::from(tries) % 5 + 1));
+        send_signal(child.id(), Signal::INT);
         let (status, text) = end(child);
         if status.signal() == Some(2) {
             assert_eq!(text, "", "ended by the signal, and by nothing else");
@@ -240,7 +243,7 @@ fn a_stopped_or_killed_surface_is_never_half_written() {
             if kill {
                 let _ = child.kill();
             } else if child.try_wait().unwrap().is_none() {
-                let _ = Command::new("kill").args(["-TERM", &child.id().to_string()]).output().unwrap();
+                send_signal(child.id(), Signal::TERM);
             }
             let (status, text) = end(child);
             stopped += u32::from(status.code() == Some(75));
@@ -398,7 +401,7 @@ fn brick_and_surface_leave_nothing() {
             left += temporaries(dir.path()).len();
             continue;
         }
-        signal(&child, "TERM");
+        signal(&child, Signal::TERM);
         let (status, text) = end(child);
         // Stopped, done before the signal came, or ended by it before the program was set up.
         if status.code() == Some(75) {
@@ -448,7 +451,7 @@ fn kills_while_steps_are_added_leave_the_archive_as_it_was() {
         assert!(run < 400, "{kills} kills, {kept} left something to continue");
         let child = spawn(d, &append);
         std::thread::sleep(Duration::from_micros(dice.roll(took.as_micros() as u64)));
-        signal(&child, "KILL");
+        signal(&child, Signal::KILL);
         let (status, text) = end(child);
         let manifest = Path::new("manifest.json");
         if fs::read(archive.join(manifest)).unwrap() != old[manifest] {

@@ -234,7 +234,7 @@ fn a_terminated_worker_continues() {
         let mut c = command(d, &["work", "t.isospan", "--threads", "1"]);
         let worker = c.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         std::thread::sleep(std::time::Duration::from_millis(20 + 7 * n));
-        let _ = Command::new("kill").args(["-TERM", &worker.id().to_string()]).output().unwrap();
+        send_signal(worker.id(), rustix::process::Signal::TERM);
         let out = worker.wait_with_output().unwrap();
         match out.status.code() {
             Some(75) => stopped += 1,

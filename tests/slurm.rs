@@ -7,6 +7,7 @@
 mod common;
 
 use common::*;
+use rustix::process::Signal;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -110,11 +111,11 @@ impl Cluster {
     fn held_at_work(&self, out: &str, node: &str) -> PathBuf {
         loop {
             let file = self.at_work(out, node);
-            self.signal("-STOP", out);
+            self.signal(Signal::STOP, out);
             if file.exists() {
                 return file;
             }
-            self.signal("-CONT", out);
+            self.signal(Signal::CONT, out);
         }
     }
 
@@ -131,8 +132,8 @@ impl Cluster {
     }
 
     /// A signal to the workers of an archive that run now.
-    fn signal(&self, signal: &str, out: &str) -> usize {
-        let send = |pid: &String| Command::new("kill").args([signal, pid]).status().unwrap().success();
+    fn signal(&self, signal: Signal, out: &str) -> usize {
+        let send = |pid: &String| send_signal(pid.parse().unwrap(), signal);
         self.workers(out).iter().filter(|pid| send(pid)).count()
     }
 
@@ -237,7 +238,7 @@ fn a_node_loses_power(c: &Cluster) {
     c.submit("power.isospan", &["--threads", "2"]);
     let left = c.held_at_work("power.isospan", "n1");
     c.control(&["kill-node", "n1"]);
-    c.signal("-CONT", "power.isospan");
+    c.signal(Signal::CONT, "power.isospan");
     c.finish("what the other node does");
     let manifest = c.path().join("power.isospan/manifest.json");
     assert!(manifest.exists(), "{}", c.logs("power.isospan"));
@@ -259,7 +260,7 @@ fn a_node_loses_the_network(c: &Cluster) {
         // The task on the living node sleeps too: only the other one is given up.
         array().lines().any(|l| l.starts_with("PENDING"))
     });
-    assert!(c.signal("-CONT", "cut.isospan") > 0, "the given-up task is still there");
+    assert!(c.signal(Signal::CONT, "cut.isospan") > 0, "the given-up task is still there");
     c.finish("both tasks");
     c.control(&["heal-node", "n1"]);
     c.same("cut.isospan");
@@ -274,7 +275,7 @@ fn a_task_is_told_to_stop(c: &Cluster) {
     c.run("scancel", &["--batch", "--signal=TERM", &job]);
     // The signal waits for the worker to wake up.
     wait("the signal", || c.is_told_to_end("term.isospan"));
-    c.signal("-CONT", "term.isospan");
+    c.signal(Signal::CONT, "term.isospan");
     c.finish("a second try");
     c.same("term.isospan");
     let logs = c.logs("term.isospan");

@@ -160,10 +160,27 @@ impl Job {
         Ok(Self { minutes, ask, words })
     }
 
-    /// A template with its words, `@NAME@` each, filled in.
+    /// A template with its words, `@NAME@` each, filled in. In one pass: a value may contain the like of a word.
     fn fill(&self, template: &str) -> String {
-        let fill = |text: String, (name, value): &(&str, String)| text.replace(&format!("@{name}@"), value);
-        self.words.iter().fold(template.to_owned(), fill)
+        let (mut out, mut rest) = (String::new(), template);
+        while let Some((before, after)) = rest.split_once('@') {
+            out += before;
+            let word = after.split_once('@').and_then(|(name, after)| {
+                let (_, value) = self.words.iter().find(|(known, _)| *known == name)?;
+                Some((value, after))
+            });
+            rest = match word {
+                Some((value, after)) => {
+                    out += value;
+                    after
+                }
+                None => {
+                    out.push('@');
+                    after
+                }
+            };
+        }
+        out + rest
     }
 }
 
@@ -226,6 +243,16 @@ mod tests {
         assert_eq!(quoted(Path::new("/a b/it's")), r"'/a b/it'\''s'");
         assert!(in_directive(Path::new("/a b")).is_ok());
         assert!(["/a%j", "/a\"b", "/a\nb"].iter().all(|p| in_directive(Path::new(p)).is_err()));
+    }
+
+    /// A value is not looked at again: it may be a name that somebody else has chosen.
+    #[test]
+    fn values_are_not_filled_in() {
+        let nasty = "@QUOTED_FOLDER@;touch pwned;x";
+        let words = vec![("ARCHIVE", nasty.to_owned()), ("QUOTED_FOLDER", "'/f'".to_owned())];
+        let job = Job { minutes: 1, ask: 1, words };
+        let text = job.fill("# @ARCHIVE@ a@b @NO@ TERM@@QUOTED_FOLDER@\n@ARCHIVE@@");
+        assert_eq!(text, format!("# {nasty} a@b @NO@ TERM@'/f'\n{nasty}@"));
     }
 
     /// Every word of a template is known.

@@ -214,6 +214,13 @@ pub(crate) fn folder(path: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     files
 }
 
+/// Sends a signal to a process, if it is still there. Without the program `kill`, which not every machine has.
+#[cfg(unix)]
+pub(crate) fn send_signal(process: u32, signal: rustix::process::Signal) -> bool {
+    let process = rustix::process::Pid::from_raw(process as i32).unwrap();
+    rustix::process::kill_process(process, signal).is_ok()
+}
+
 /// The folder of real data sets, where there is one.
 pub(crate) fn shared_data() -> Option<PathBuf> {
     let folder = std::env::var_os("ISOSPAN_SHARED_DATA").map(PathBuf::from).filter(|p| p.is_dir());
