@@ -126,7 +126,7 @@ fn steps_with_holes_are_fitted_as_alone() {
     reduce_all(&steps, &settings, &out("small.isospan"), &small);
     assert!(folder(&out("all.isospan")) == folder(&out("small.isospan")));
     reduce_all(&steps[..3], &settings, &out("grown.isospan"), &run(2));
-    let how = AppendSettings { keyframes: 3, ..AppendSettings::default() };
+    let how = AppendSettings { keyframes: Some(3), ..AppendSettings::default() };
     pipeline::append(&steps[3..], &how, &out("grown.isospan"), &run(2), &Silent).unwrap();
     assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")));
     for number in [1, 2, 3, 8, 9] {
@@ -201,13 +201,13 @@ fn appending_is_reducing_all_at_once() {
         reduce_all(&steps, &settings, &all, &run(2));
         reduce_all(&steps[..2], &settings, &grown, &run(2));
         for (from, to) in [(2, 3), (3, 7)] {
-            let how = AppendSettings { keyframes: 3, ..AppendSettings::default() };
+            let how = AppendSettings { keyframes: Some(3), ..AppendSettings::default() };
             let report = pipeline::append(&steps[from..to], &how, &grown, &run(1), &Silent).unwrap();
             assert_eq!(report.steps.len(), to - from);
         }
         assert!(folder(&all) == folder(&grown), "{bits:?}");
         // Once more is not twice.
-        let how = AppendSettings { keyframes: 3, ..AppendSettings::default() };
+        let how = AppendSettings { keyframes: Some(3), ..AppendSettings::default() };
         let report = pipeline::append(&steps[3..7], &how, &grown, &run(1), &Silent).unwrap();
         assert!(report.steps.is_empty() && folder(&all) == folder(&grown));
         // The same file at another time is another step.
@@ -222,7 +222,7 @@ fn appending_is_reducing_all_at_once() {
 fn appending_to_a_mesh_is_reducing_all_at_once() {
     let dir = tempfile::tempdir().unwrap();
     let field = |name: &str| OpenOptions { field: Some(name.into()), ..OpenOptions::default() };
-    let how = AppendSettings { keyframes: 3, ..AppendSettings::default() };
+    let how = AppendSettings { keyframes: Some(3), ..AppendSettings::default() };
     let grow = |steps: &[StepSource], cuts: &[usize], settings: &ReduceSettings| {
         let out = |name: &str| dir.path().join(name);
         for name in ["all.isospan", "grown.isospan"] {
@@ -579,4 +579,62 @@ fn surfaces_of_steps_are_those_of_each_alone() {
             }
         }
     }
+}
+
+/// What was said of the first steps holds for further ones: the value that means "no data", keyframes, the field of a file with several.
+#[test]
+fn appended_steps_take_over_what_was_said_of_the_first() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = |name: &str| dir.path().join(name);
+    let steps = write_steps(dir.path(), 5);
+    for (t, step) in steps.iter().enumerate() {
+        let wave = moving(t);
+        write_npy(&step.path, DIMS, |x, y, z| if x > 0.4 { -1e34 } else { wave(x, y, z) });
+    }
+    let settings = ReduceSettings { nan: NanPolicy::Mask, missing: Some(-1e34), ..few_points() };
+    reduce_all(&steps, &settings, &out("all.isospan"), &run(2));
+    reduce_all(&steps[..2], &settings, &out("grown.isospan"), &run(2));
+    let append = |steps: &[StepSource], how: &AppendSettings| {
+        pipeline::append(steps, how, &out("grown.isospan"), &run(2), &Silent).unwrap()
+    };
+    append(&steps[2..3], &AppendSettings::default());
+    let report = append(&steps[3..], &AppendSettings::default());
+    assert!(report.range.is_some_and(|[lo, hi]| lo > -10.0 && hi < 10.0), "{:?}", report.range);
+    assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")));
+    // Another value that is told is that of the new step, and of those behind it; it is measured without being told again.
+    let other = StepSource { time: Some(9.0), ..StepSource::new(&out("o.npy"), &OpenOptions::default()) };
+    write_npy(&other.path, DIMS, |x, y, z| if x > 0.4 { -9999.0 } else { waves(x, y, z) });
+    let how = AppendSettings { missing: Some(-9999.0), ..AppendSettings::default() };
+    let report = append(std::slice::from_ref(&other), &how);
+    assert!(report.range.is_some_and(|[lo, _]| lo > -10.0), "{:?}", report.range);
+    let of_step = MeasureSettings { step: Some(5), memory: 1 << 28, ..Default::default() };
+    let measured =
+        pipeline::measure(&out("grown.isospan"), &other.path, &OpenOptions::default(), &of_step, &Silent);
+    assert_eq!(measured.unwrap().error, report.error.unwrap());
+
+    let vti = |name: &str, t: f64| {
+        let values = |f: fn(f64, f64) -> f64| {
+            (0..64).map(|i| f(f64::from(i), t).to_string()).collect::<Vec<_>>().join(" ")
+        };
+        let array = |name: &str, values: String| {
+            format!("<DataArray type=\"Float32\" Name=\"{name}\" format=\"ascii\">{values}</DataArray>")
+        };
+        let text = format!(
+            "<?xml version=\"1.0\"?><VTKFile type=\"ImageData\" version=\"1.0\" byte_order=\"LittleEndian\"><ImageData \
+             WholeExtent=\"0 3 0 3 0 3\" Origin=\"0 0 0\" Spacing=\"1 1 1\"><Piece Extent=\"0 3 0 3 0 3\"><PointData>{}{}\
+             </PointData></Piece></ImageData></VTKFile>",
+            array("heat", values(|i, t| i + t)),
+            array("salt", values(|i, t| 1000.0 + i + t))
+        );
+        fs::write(out(name), text).unwrap();
+        out(name)
+    };
+    let salt = OpenOptions { field: Some("salt".into()), ..OpenOptions::default() };
+    let first = StepSource::new(&vti("a.vti", 0.0), &salt);
+    reduce_all(&[first], &few_points(), &out("salt.isospan"), &run(1));
+    let next = StepSource::new(&vti("b.vti", 3.0), &OpenOptions::default());
+    let report =
+        pipeline::append(&[next], &AppendSettings::default(), &out("salt.isospan"), &run(1), &Silent)
+            .unwrap();
+    assert_eq!(report.steps[0].field, "salt");
 }

@@ -167,7 +167,7 @@ pub struct Source {
     pub slope: f64,
     /// See `slope`.
     pub intercept: f64,
-    /// The stored value that means "no data"; a finite number.
+    /// The stored value that the file declares to mean "no data"; a finite number.
     pub missing: Option<f64>,
     /// Of a tetrahedral mesh: its vertices and tetrahedra.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -214,14 +214,32 @@ pub struct StepPlan {
     pub values: Values,
     /// What was done with NaN and infinite samples, as on the command line: "error", "mask" or a number.
     pub nan: String,
+    /// The value that the user says means "no data", besides what the file declares; a finite number.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub missing: Option<f64>,
     /// How values were rounded, if they were.
     pub quantiser: Option<Quantiser>,
+    /// Steps from one keyframe to the next, by number; further steps go on with it.
+    #[serde(default = "usual_keyframes", skip_serializing_if = "is_usual_keyframes")]
+    pub keyframes: u64,
     /// Whether the errors at the samples of a volume are stored chunk by chunk, beside the values.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub measured: bool,
     /// The step before, against which values may be coded; none of a keyframe.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub base: Option<BaseStep>,
+}
+
+/// Steps from one keyframe to the next, where nobody chooses.
+pub const KEYFRAMES: u64 = 16;
+
+fn usual_keyframes() -> u64 {
+    KEYFRAMES
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_usual_keyframes(keyframes: &u64) -> bool {
+    *keyframes == KEYFRAMES
 }
 
 /// A step against whose values those of another may be coded.
@@ -593,7 +611,9 @@ pub(crate) mod tests {
             interpolation,
             values: Values::Sample,
             nan: "error".into(),
+            missing: None,
             quantiser: None,
+            keyframes: KEYFRAMES,
             measured: false,
             base: None,
         }

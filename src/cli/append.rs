@@ -5,12 +5,12 @@ use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
 use super::step::StepInputs;
 use isospan::Result;
-use isospan::pipeline::{AppendSettings, ReduceSettings, RunSettings, append};
+use isospan::pipeline::{AppendSettings, RunSettings, append};
 use std::path::PathBuf;
 
 /// Add time steps to an archive, on its mesh.
 ///
-/// Points, interpolation and rounding are those of the steps that are there. The archive stays what it was until the new steps are
+/// Points, interpolation, rounding, field, keyframes, and what is no data, are as for the last step that is there. The archive stays what it was until the new steps are
 /// complete; when the run is killed, the same command continues it.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
@@ -18,12 +18,12 @@ pub(crate) struct Args {
     archive: PathBuf,
     #[command(flatten)]
     steps: StepInputs,
-    /// A value that means "no data here".
+    /// A value that means "no data here" [default: that of the archive's last step].
     #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
     missing: Option<f64>,
-    /// Store every N-th step without reference to the one before.
-    #[arg(long, value_name = "N", default_value_t = ReduceSettings::KEYFRAMES)]
-    keyframes: u64,
+    /// Store every N-th step without reference to the one before [default: as for the archive's last step].
+    #[arg(long, value_name = "N")]
+    keyframes: Option<u64>,
     /// Do not measure the field against the samples of the source in the end.
     #[arg(long)]
     no_measure: bool,

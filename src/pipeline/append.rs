@@ -15,24 +15,24 @@ use super::reduce_mesh::reduce_mesh;
 use crate::archive::manifest::{MANIFEST_NAME, Step};
 use crate::error::{Error, Result};
 use crate::exec::Progress;
-use crate::formats::StepSource;
+use crate::formats::{self, OpenOptions, StepSource};
 use std::path::Path;
 use std::time::Instant;
 
 /// What the user chooses of further steps; all else is as it was for the last one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AppendSettings {
-    /// A value that means "no data", besides what the file declares.
+    /// A value that means "no data", besides what the file declares; that of the last step if not given.
     pub missing: Option<f64>,
-    /// Steps from one keyframe to the next, by number.
-    pub keyframes: u64,
+    /// Steps from one keyframe to the next, by number; as for the last step if not given.
+    pub keyframes: Option<u64>,
     /// Whether the field is measured at every sample of the source.
     pub measure: bool,
 }
 
 impl Default for AppendSettings {
     fn default() -> Self {
-        Self { missing: None, keyframes: ReduceSettings::KEYFRAMES, measure: true }
+        Self { missing: None, keyframes: None, measure: true }
     }
 }
 
@@ -57,13 +57,25 @@ pub fn append(
     let _lock = lock_for_writing(out)?;
     let archive = OpenArchive::open(out)?;
     let last = archive.manifest.steps.last().expect("an archive that was opened has a step");
-    let sources: Vec<_> = (last.plan.number + 1..).zip(sources.iter().cloned()).collect();
+    let field = &last.plan.source.field;
+    let sources = sources.iter().map(|source| with_field(source, field));
+    let sources: Vec<_> = (last.plan.number + 1..).zip(sources).collect();
     let settings = settings_like(last, settings)?;
     let part = Part::Further(&archive);
     let job = Job { sources: &sources, settings: &settings, out, run, progress, started, part, round: None };
     match last.plan.source.mesh {
         None => reduce_volumes(&job),
         Some(_) => reduce_mesh(&job),
+    }
+}
+
+/// A further step; where nobody names a field, that of the archive, if the file has it.
+fn with_field(source: &StepSource, field: &str) -> StepSource {
+    let options = OpenOptions { field: Some(field.to_owned()), ..source.options.clone() };
+    // Of a format without names, or of a file with another field, the reader chooses or refuses.
+    match source.options.field.is_none() && formats::open_input(&source.path, &options).is_ok() {
+        true => StepSource { options, ..source.clone() },
+        false => source.clone(),
     }
 }
 
@@ -77,9 +89,9 @@ fn settings_like(step: &Step, settings: &AppendSettings) -> Result<ReduceSetting
             let expected = "error, mask or a number";
             Error::bad_input(MANIFEST_NAME, format!("nan of step {}", plan.number), expected, &plan.nan)
         })?,
-        missing: settings.missing,
+        missing: settings.missing.or(plan.missing),
         value_bits: plan.quantiser.map(|q| q.bits),
-        keyframes: settings.keyframes,
+        keyframes: settings.keyframes.unwrap_or(plan.keyframes),
         measure: settings.measure,
         ..ReduceSettings::default()
     })

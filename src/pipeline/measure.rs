@@ -246,7 +246,7 @@ fn against_volume(
     };
     let (reader, _scratch) = random_access(source, &run, progress)?;
     let stand_in = archive.step().plan.nan.parse().ok();
-    let originals = Originals::Volume { reader: &*reader, missing: recorded.missing, stand_in };
+    let originals = Originals::Volume { reader: &*reader, missing: archive.step().plan.missing, stand_in };
     Ok((field_error(archive, &originals, settings, progress)?, same))
 }
 
@@ -276,7 +276,7 @@ fn store_settings<'a>(
         memory: settings.memory / 4,
         scratch,
         bad_value: step.nan.parse().map_or(BadValue::Void, BadValue::Use),
-        missing: step.source.missing,
+        missing: step.missing,
         cancel: &settings.cancel,
     }
 }

@@ -238,13 +238,7 @@ fn new_plan(mesh: &CellMesh, store: &CellStore, settings: &ReduceSettings) -> Re
         point_hash: PlanHash(store.identity.points),
         cell_hash: PlanHash(store.identity.cells),
     };
-    let source = Source {
-        dims: lattice.dims,
-        geometry,
-        missing: settings.missing,
-        mesh: Some(told),
-        ..source_of(mesh)?
-    };
+    let source = Source { dims: lattice.dims, geometry, mesh: Some(told), ..source_of(mesh)? };
     if let Some(adapt) = &settings.adapt {
         adapt.check(settings)?;
     }
@@ -258,8 +252,8 @@ fn new_plan(mesh: &CellMesh, store: &CellStore, settings: &ReduceSettings) -> Re
 /// The plan of an archive, and its last step as an example.
 fn continued_plan(archive: &OpenArchive, settings: &ReduceSettings) -> Plan {
     let last = &archive.manifest.steps.last().expect("an archive that was opened has a step").plan;
-    let source = Source { missing: settings.missing, ..last.source.clone() };
-    let step = StepPlan { quantiser: None, base: None, source, ..last.clone() };
+    let (missing, keyframes) = (settings.finite_missing(), settings.keyframes);
+    let step = StepPlan { quantiser: None, base: None, missing, keyframes, ..last.clone() };
     Plan { mesh: archive.manifest.plan.clone(), steps: vec![step] }
 }
 

@@ -9,7 +9,7 @@ use super::beside::Beside;
 use super::rounds::Frame;
 use super::target::Target;
 use crate::archive::levels::LevelsRecord;
-use crate::archive::manifest::{BaseStep, LONGEST_CHAIN, Plan as MeshPlan, Source, StepPlan};
+use crate::archive::manifest::{BaseStep, KEYFRAMES, LONGEST_CHAIN, Plan as MeshPlan, Source, StepPlan};
 use crate::archive::segment::PlanHash;
 use crate::archive::values::Quantiser;
 use crate::error::{Error, Result};
@@ -71,8 +71,13 @@ pub struct ReduceSettings {
 impl ReduceSettings {
     /// Default of `chunk_points`.
     pub const CHUNK_POINTS: u64 = 250_000;
+    /// The value that means "no data", as a plan records it: NaN and infinity always do.
+    pub(super) fn finite_missing(&self) -> Option<f64> {
+        self.missing.filter(|m| m.is_finite())
+    }
+
     /// Default of `keyframes`.
-    pub const KEYFRAMES: u64 = 16;
+    pub const KEYFRAMES: u64 = KEYFRAMES;
 }
 
 impl Default for ReduceSettings {
@@ -141,7 +146,7 @@ impl Plan {
                 info.path.display()
             )));
         }
-        Self::on_lattice(lattice, count, source_of(info, settings, fingerprint(&info.files())?), settings)
+        Self::on_lattice(lattice, count, source_of(info, fingerprint(&info.files())?), settings)
     }
 
     /// A plan of so many points on a lattice.
@@ -199,7 +204,9 @@ impl Plan {
                 interpolation: settings.interpolation,
                 values: settings.values,
                 nan: settings.nan.to_string(),
+                missing: settings.finite_missing(),
                 quantiser: None,
+                keyframes: settings.keyframes,
                 measured: false,
                 base: None,
             }],
@@ -290,7 +297,7 @@ pub(super) fn count_of(settings: &ReduceSettings, dims: [u64; 3]) -> u64 {
 }
 
 /// The source, as far as it decides the bytes: its name without folders, and a fingerprint of its content.
-pub(super) fn source_of(info: &VolumeInfo, settings: &ReduceSettings, fingerprint: String) -> Source {
+pub(super) fn source_of(info: &VolumeInfo, fingerprint: String) -> Source {
     Source {
         path: info.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
         fingerprint,
@@ -301,7 +308,7 @@ pub(super) fn source_of(info: &VolumeInfo, settings: &ReduceSettings, fingerprin
         geometry: info.geometry,
         slope: info.slope,
         intercept: info.intercept,
-        missing: settings.missing.or(info.missing).filter(|m| m.is_finite()),
+        missing: info.missing.filter(|m| m.is_finite()),
         mesh: None,
     }
 }

@@ -159,7 +159,8 @@ impl SeriesPlan {
 pub(super) fn are_there(archive: &OpenArchive, steps: &[StepPlan]) -> bool {
     let mut there = archive.manifest.steps.iter().rev().zip(steps.iter().rev());
     steps.len() <= archive.manifest.steps.len()
-        && there.all(|(a, b)| a.plan.source == b.source && a.plan.time == b.time)
+        && there
+            .all(|(a, b)| a.plan.source == b.source && a.plan.time == b.time && a.plan.missing == b.missing)
 }
 
 /// The error of a step of several.

@@ -163,7 +163,7 @@ impl Measuring<'_> {
         let step = self.archive.step();
         let originals = Originals::Volume {
             reader: &*reader,
-            missing: step.plan.source.missing,
+            missing: step.plan.missing,
             stand_in: step.plan.nan.parse().ok(),
         };
         let samples = Samples::of(&originals).expect("those of a volume");

@@ -274,11 +274,13 @@ impl Planner<'_> {
         let step = StepPlan {
             number,
             time: source.time,
-            source: source_of(&info, self.settings, fingerprint),
+            source: source_of(&info, fingerprint),
             interpolation: self.settings.interpolation,
             values: self.settings.values,
             nan: self.settings.nan.to_string(),
+            missing: self.settings.finite_missing(),
             quantiser,
+            keyframes: self.settings.keyframes,
             measured: self.settings.measure,
             base: None,
         };
