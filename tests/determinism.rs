@@ -152,6 +152,6 @@ fn zeros_have_no_sign() {
     write_npy(&input, [24, 22, 20], |x, y, z| if x > y { -0.5 - x.abs() } else { 0f64.copysign(z) });
     let out = dir.path().join("zeros.isospan");
     let report = reduce(&input, &settings(SetKind::Regular, Amount::Fraction(1.0), 2_000), &out, 2);
-    assert_eq!(report.range.map(|range| range.map(f32::to_bits)), Some([-1.5f32, 0.0].map(f32::to_bits)));
+    assert_eq!(report.range.map(|range| range.map(f64::to_bits)), Some([-1.5f64, 0.0].map(f64::to_bits)));
     isospan::pipeline::check_archive(&out).unwrap();
 }

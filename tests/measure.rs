@@ -35,7 +35,7 @@ fn errors(archive: &Path, input: &Path, dims: [u64; 3]) -> Vec<f64> {
     let mut originals = vec![0.0; dims.iter().product::<u64>() as usize];
     reader.read_box(IndexBox::whole(dims), &mut originals).unwrap();
     let reduced = Archive::open(archive).unwrap().sample(dims).unwrap();
-    reduced.iter().zip(&originals).map(|(r, o)| f64::from(r - o)).collect()
+    reduced.iter().zip(&originals).map(|(r, o)| f64::from(*r as f32 - o)).collect()
 }
 
 #[test]

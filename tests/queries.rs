@@ -32,7 +32,7 @@ fn ask(archive: &Path, settings: &SurfaceSettings, out: &Path) -> SurfaceReport 
 fn several_isovalues_give_the_bytes_of_each_alone() {
     let dir = tempfile::tempdir().unwrap();
     let archive = archive(dir.path(), SetKind::Hammersley);
-    let isovalues = [0.9f32, -0.7, 1e9, 0.0];
+    let isovalues = [0.9, -0.7, 1e9, 0.0];
     for extension in ["ply", "stl", "obj", "vtp"] {
         let settings =
             SurfaceSettings { isovalues: isovalues.to_vec(), threads: 2, ..SurfaceSettings::default() };
@@ -76,7 +76,7 @@ fn a_surface_reads_at_most_twice_the_bytes_of_its_blocks() {
 fn several_isovalues_in_one_file_follow_each_other() {
     let dir = tempfile::tempdir().unwrap();
     let archive = archive(dir.path(), SetKind::Halton);
-    let isovalues = [0.9f32, -0.7, 0.0];
+    let isovalues = [0.9, -0.7, 0.0];
     let settings = SurfaceSettings { isovalues: isovalues.to_vec(), ..SurfaceSettings::default() };
     for extension in ["ply", "obj", "vtp"] {
         let all = dir.path().join(format!("all.{extension}"));
@@ -98,7 +98,7 @@ fn several_isovalues_in_one_file_follow_each_other() {
         };
         assert!(text.contains(named) && text.contains("isovalue 0.9 -0.7"), "{extension}");
     }
-    for isovalues in [vec![], vec![1.0, 2.0, 1.0], vec![1.0, f32::NAN]] {
+    for isovalues in [vec![], vec![1.0, 2.0, 1.0], vec![1.0, f64::NAN], vec![1e300]] {
         let wrong = SurfaceSettings { isovalues, ..SurfaceSettings::default() };
         let out = dir.path().join("x.ply");
         let error = pipeline::extract_surface(&archive, &wrong, &out, SurfaceFormat::Ply, &Silent);
@@ -231,7 +231,7 @@ fn what_an_open_archive_keeps_does_not_show() {
     let file = dir.path().join("s.ply");
     let roi: Option<Roi> = Some("10:30,5:20.5,8:30".parse().unwrap());
     let questions: Vec<SurfaceSettings> =
-        [(0.1f32, false, None), (0.15, true, None), (-0.3, false, roi), (0.1, false, None)]
+        [(0.1, false, None), (0.15, true, None), (-0.3, false, roi), (0.1, false, None)]
             .into_iter()
             .flat_map(|(isovalue, cap, roi)| {
                 let settings = SurfaceSettings { cap, roi, threads: 2, ..SurfaceSettings::of(isovalue) };

@@ -188,7 +188,8 @@ fn a_range_and_a_mask_choose_tetrahedra() {
     let values = |t: &[([u64; 3], u32)]| -> Vec<f32> { t.iter().map(|c| f32::from_bits(c.1)).collect() };
     for [lo, hi] in [[-0.2, 0.3], [1.3, f32::INFINITY], [0.1, 0.1], [50.0, 60.0]] {
         for corners in [Corners::All, Corners::Any] {
-            let settings = ExportSettings { range: Some([lo, hi]), corners, ..ExportSettings::default() };
+            let settings =
+                ExportSettings { range: Some([lo, hi].map(f64::from)), corners, ..ExportSettings::default() };
             let (report, some) = export(&archive, settings, &out);
             let inside = |v: &f32| (lo..=hi).contains(v);
             let wanted: Vec<_> = all
@@ -343,7 +344,7 @@ fn points_get_the_values_of_samples_and_a_table_keeps_its_columns() {
             .iter()
             .all(|v| v.is_nan())
     );
-    assert_eq!(archive.probe(&[]).unwrap(), Vec::<f32>::new());
+    assert_eq!(archive.probe(&[]).unwrap(), Vec::<f64>::new());
 
     points.reverse();
     points.push([99.0, 0.0, 0.0]);
@@ -363,7 +364,7 @@ fn points_get_the_values_of_samples_and_a_table_keeps_its_columns() {
     let mut lines = outputs[0].lines();
     assert!(lines.next().unwrap().starts_with("n,x,y,z,"));
     for (line, wanted) in lines.clone().zip(samples.iter().rev()) {
-        assert_eq!(line.rsplit(',').next().unwrap().parse::<f32>().unwrap(), *wanted);
+        assert_eq!(line.rsplit(',').next().unwrap().parse::<f32>().unwrap(), *wanted as f32);
     }
     assert!(lines.next_back().unwrap().ends_with(",99,0,0,nan"));
     let out = dir.path().join("q.npy");

@@ -361,7 +361,7 @@ fn a_damaged_step_does_not_hurt_others() {
     let file = out.join("steps/000001-values-000000.seg");
     let good = fs::read(&file).unwrap();
     let answer = |step| Archive::open_at(&out, choice(step)).and_then(|a| a.sample([9, 9, 9]));
-    let expected: Vec<Vec<f32>> = (0..4).map(|s| answer(s).unwrap()).collect();
+    let expected: Vec<Vec<f64>> = (0..4).map(|s| answer(s).unwrap()).collect();
     let mut bad = good.clone();
     bad[100] ^= 4;
     fs::write(&file, &bad).unwrap();

@@ -86,7 +86,7 @@ fn read_mesh(path: &Path, field: &str) -> Result<Mesh, Box<dyn Error>> {
     }
     let (mut values, mut stream, mut block) = (vec![], mesh.values(1 << 30)?, vec![]);
     while stream.next_block(&mut block)? {
-        values.extend_from_slice(&block);
+        values.extend(block.iter().map(|&v| v as f32));
     }
     let bound = |pick: fn(f64, f64) -> f64| -> [f64; 3] {
         std::array::from_fn(|a| points.iter().map(|p| p[a]).reduce(pick).expect("a mesh has points"))

@@ -22,7 +22,7 @@ use crate::grid::{BrickGrid, ChunkCuts, Geometry};
 use crate::measure::{FieldError, LevelError};
 use crate::points::PointSpec;
 use crate::sample::{Interpolation, Values};
-use crate::volume::ScalarType;
+use crate::volume::{ScalarType, shifted::shortest};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -169,12 +169,34 @@ pub struct Source {
     pub intercept: f64,
     /// The stored value that the file declares to mean "no data"; a finite number.
     pub missing: Option<f64>,
+    /// All values of the archive are `f32`, and are those of the file less this; the same for all steps.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub offset: f64,
+    /// The largest difference of a sample from the `f32` that stands for it, where that matters: more than 2^-20 of the range, or of
+    /// whole numbers any. Errors include it.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub rounding: f64,
     /// Of a tetrahedral mesh: its vertices and tetrahedra.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mesh: Option<MeshSource>,
 }
 
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_zero(v: &f64) -> bool {
+    *v == 0.0
+}
+
 impl Source {
+    /// The file's value of one of the archive, as a person writes it: 0.1, not 0.10000000149011612.
+    pub fn told(&self, v: f32) -> f64 {
+        self.offset + shortest(v)
+    }
+
+    /// What the archive has of a value of the file.
+    pub fn kept(&self, v: f64) -> f32 {
+        (v - self.offset) as f32
+    }
+
     /// Its samples; of a mesh its vertices.
     pub fn samples(&self) -> u64 {
         self.mesh.map_or_else(|| self.dims.iter().product(), |mesh| mesh.vertices)
@@ -290,7 +312,7 @@ pub struct Step {
     /// What it is of.
     #[serde(flatten)]
     pub plan: StepPlan,
-    /// Smallest and largest value; none when every point is void.
+    /// Smallest and largest value, less the offset of the source; none when every point is void.
     pub value_range: Option<[f32; 2]>,
     /// Points without a value.
     pub void_points: u64,
@@ -309,6 +331,18 @@ pub struct Step {
     /// Where the density of points differs from place to place: the errors of each level.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub level_errors: Vec<LevelError>,
+}
+
+impl Step {
+    /// Smallest and largest value, as the file has values.
+    pub fn told_range(&self) -> Option<[f64; 2]> {
+        self.value_range.map(|range| range.map(|v| self.plan.source.told(v)))
+    }
+
+    /// What the samples lost when they became `f32`, at most, where that matters.
+    pub fn told_rounding(&self) -> Option<f64> {
+        Some(self.plan.source.rounding).filter(|lost| *lost > 0.0)
+    }
 }
 
 /// The coordinates of a grid.
@@ -477,6 +511,10 @@ impl Manifest {
             return bad("plan", "a lattice and bricks".into(), format!("{:?}", lattice.dims));
         }
         check_tiling(path, "mesh", &self.mesh, self.counts.chunks)?;
+        let offset = self.steps.first().map_or(0.0, |step| step.plan.source.offset);
+        if !self.steps.iter().all(|s| s.plan.source.offset == offset && s.plan.source.rounding >= 0.0) {
+            return bad("offset of a step", format!("{offset}, as of the first"), "another".into());
+        }
         for step in &self.steps {
             check_tiling(path, "values of a step", &step.values, self.counts.chunks)?;
             if step.index.is_none() && (self.counts.chunks != 1 || step.spectrum.is_some()) {
@@ -601,6 +639,8 @@ pub(crate) mod tests {
             slope: 1.0,
             intercept: 0.1 + 0.2,
             missing: None,
+            offset: 0.0,
+            rounding: 0.0,
             mesh: None,
         };
         let interpolation = Interpolation::Linear;

@@ -35,7 +35,7 @@ impl Averages {
         Self { file, field, part, window, next: 0, sums: vec![], counts: vec![], used: 0 }
     }
 
-    pub(super) fn next_block(&mut self, out: &mut Vec<f32>) -> Result<bool> {
+    pub(super) fn next_block(&mut self, out: &mut Vec<f64>) -> Result<bool> {
         out.clear();
         if self.used == self.sums.len() {
             let points = self.file.info().points;
@@ -47,8 +47,8 @@ impl Averages {
         }
         let end = self.sums.len().min(self.used + BLOCK);
         let mean = |i: usize| match self.counts[i] {
-            0 => f32::NAN,
-            count => (self.sums[i] / f64::from(count)) as f32,
+            0 => f64::NAN,
+            count => self.sums[i] / f64::from(count),
         };
         out.extend((self.used..end).map(mean));
         self.used = end;

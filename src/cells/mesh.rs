@@ -343,15 +343,15 @@ impl ValueBlocks {
     ///
     /// # Errors
     /// When the file cannot be read.
-    pub fn next_block(&mut self, out: &mut Vec<f32>) -> Result<bool> {
+    pub fn next_block(&mut self, out: &mut Vec<f64>) -> Result<bool> {
         match &mut self.0 {
             From::Coordinate(points, axis, block) => {
                 let more = points.next_block(block)?;
                 out.clear();
-                out.extend(block.iter().map(|p| p[*axis] as f32));
+                out.extend(block.iter().map(|p| p[*axis]));
                 Ok(more)
             }
-            From::Tuples(tuples) => tuples.next_block(out, |v| v as f32),
+            From::Tuples(tuples) => tuples.next_block(out, |v| v),
             From::Average(averages) => averages.next_block(out),
         }
     }

@@ -22,7 +22,7 @@ pub(crate) struct Args {
         value_delimiter = ',',
         allow_hyphen_values = true
     )]
-    isovalue: Vec<f32>,
+    isovalue: Vec<f64>,
     #[command(flatten)]
     step: StepArgs,
     /// Print the result as JSON, one object a line.

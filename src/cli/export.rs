@@ -20,7 +20,7 @@ pub(crate) struct Args {
     /// Only tetrahedra whose corners all have values in this range, ends included; an end may be left out. Only blocks that
     /// can have some are read.
     #[arg(long, value_name = "LO:HI", value_parser = parse_range, allow_hyphen_values = true)]
-    range: Option<[f32; 2]>,
+    range: Option<[f64; 2]>,
     /// With --range: tetrahedra with at least one corner in the range.
     #[arg(long, requires = "range")]
     any_corner: bool,
@@ -45,13 +45,13 @@ pub(crate) struct Args {
     json: bool,
 }
 
-fn parse_range(text: &str) -> std::result::Result<[f32; 2], String> {
-    let end = |part: &str, open: f32| match part.trim() {
+fn parse_range(text: &str) -> std::result::Result<[f64; 2], String> {
+    let end = |part: &str, open: f64| match part.trim() {
         "" => Some(open),
-        number => number.parse().ok().filter(|v: &f32| !v.is_nan()),
+        number => number.parse().ok().filter(|v: &f64| !v.is_nan()),
     };
     text.split_once(':')
-        .and_then(|(lo, hi)| Some([end(lo, f32::NEG_INFINITY)?, end(hi, f32::INFINITY)?]))
+        .and_then(|(lo, hi)| Some([end(lo, f64::NEG_INFINITY)?, end(hi, f64::INFINITY)?]))
         .ok_or_else(|| format!("'{text}' is no range; write LO:HI, as in 100:200 or 100:"))
 }
 

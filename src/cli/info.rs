@@ -94,7 +94,7 @@ fn volume_text(info: &VolumeInfo, scan: Option<&Scan>, own: bool) -> String {
 fn scan_text(out: &mut String, info: &VolumeInfo, scan: &Scan) {
     match (scan.min, scan.max, scan.mean) {
         (Some(lo), Some(hi), Some(mean)) => {
-            let (lo, hi) = (text::value(shortest(lo)), text::value(shortest(hi)));
+            let (lo, hi) = (text::value(lo), text::value(hi));
             let mean = text::value((mean * 1e6).round() / 1e6);
             let _ = writeln!(out, "  range      {lo} .. {hi}  (mean {mean})");
         }
@@ -120,15 +120,10 @@ fn scan_text(out: &mut String, info: &VolumeInfo, scan: &Scan) {
     );
 }
 
-/// The `f64` that prints as the `f32` does.
-fn shortest(v: f32) -> f64 {
-    v.to_string().parse().unwrap_or(f64::from(v))
-}
-
 /// The range of the stored numbers, where values are scaled from them.
 fn stored_range(info: &VolumeInfo, scan: &Scan) -> Option<[f64; 2]> {
-    let back = |v: f32| {
-        let stored = (f64::from(v) - info.intercept) / info.slope;
+    let back = |v: f64| {
+        let stored = (v - info.intercept) / info.slope;
         // Values were rounded to f32: integers come back to the nearest one.
         let float = matches!(info.field.scalar.name(), "f32" | "f64");
         if float { stored } else { stored.round() }
@@ -232,6 +227,7 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     if let Some([lo, hi]) = s.range {
         let _ = writeln!(out, "  range       {lo} .. {hi}");
     }
+    out += &text::rounding(s.rounding);
     if !s.areas.is_empty() {
         let _ = writeln!(out, "  area        {}", area_line(&s.areas));
     }

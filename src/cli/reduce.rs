@@ -125,6 +125,7 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
     if let Some(q) = &report.quantiser {
         let _ = writeln!(out, "  values      {} bits, within {:.3e}", q.bits, q.bound);
     }
+    out += &text::rounding(report.steps.iter().filter_map(|s| s.rounding).reduce(f64::max));
     if let Some(line) = error_line(report) {
         let _ = writeln!(out, "{line}");
     }

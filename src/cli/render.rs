@@ -40,7 +40,7 @@ pub(crate) struct Args {
         value_delimiter = ',',
         allow_hyphen_values = true
     )]
-    isovalue: Vec<f32>,
+    isovalue: Vec<f64>,
     /// The words below a panel, once for each panel. Without, several panels have the names of their files.
     #[arg(long, value_name = "TEXT")]
     caption: Vec<String>,
@@ -136,7 +136,7 @@ fn parse_background(text: &str) -> std::result::Result<[u8; 4], String> {
 /// What is in a panel.
 struct Panel {
     name: String,
-    isovalue: Option<f32>,
+    isovalue: Option<f64>,
     surface: StoredSurface,
     /// Of each vertex, where they are asked for.
     distances: Vec<f32>,
@@ -146,7 +146,7 @@ struct Panel {
 #[derive(Serialize)]
 struct PanelReport {
     input: String,
-    isovalue: Option<f32>,
+    isovalue: Option<f64>,
     vertices: u64,
     triangles: u64,
     largest_distance: Option<f32>,
@@ -290,7 +290,7 @@ impl Job<'_> {
     fn extract(
         &self,
         archive: &Path,
-        isovalue: f32,
+        isovalue: f64,
         check: &CheckSettings,
         progress: &dyn Progress,
     ) -> Result<StoredSurface> {

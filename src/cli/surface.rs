@@ -30,7 +30,7 @@ pub(crate) struct Args {
         required = true,
         allow_hyphen_values = true
     )]
-    isovalue: Vec<f32>,
+    isovalue: Vec<f64>,
     /// The file to write: .ply .stl .obj .vtp or .glb. Several isovalues go to one file, told apart by an array 'isovalue' of the points
     /// (.vtp, .ply) or by groups (.obj); with {} in the name, each to a file of its own: surface_{}.ply.
     #[arg(short, long, value_name = "FILE")]

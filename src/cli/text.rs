@@ -147,6 +147,16 @@ pub(crate) fn rough_duration(d: Duration) -> String {
     }
 }
 
+/// A line on what samples have lost because values are `f32`, where that matters.
+pub(crate) fn rounding(lost: Option<f64>) -> String {
+    lost.map_or_else(String::new, |lost| {
+        format!(
+            "  rounded     samples to f32, by up to {}, which the errors include\n",
+            value(figures(lost, 4))
+        )
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -39,16 +39,16 @@ pub(crate) struct Args {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Range([f32; 2]);
+struct Range([f64; 2]);
 
 fn parse_range(given: &str) -> std::result::Result<Range, String> {
     let bad = || format!("'{given}' is no range of isovalues; write LO:HI, as in 550:700");
     let (low, high) = given.split_once(':').ok_or_else(bad)?;
-    let end = |s: &str, open: f32| match s.trim() {
+    let end = |s: &str, open: f64| match s.trim() {
         "" => Ok(open),
-        s => s.parse::<f32>().ok().filter(|v| v.is_finite()).ok_or_else(bad),
+        s => s.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(bad),
     };
-    let range = [end(low, f32::NEG_INFINITY)?, end(high, f32::INFINITY)?];
+    let range = [end(low, f64::NEG_INFINITY)?, end(high, f64::INFINITY)?];
     if range[0] <= range[1] { Ok(Range(range)) } else { Err(bad()) }
 }
 
@@ -112,7 +112,7 @@ mod tests {
 
     #[test]
     fn ranges_have_two_ends() {
-        let all = [f32::NEG_INFINITY, f32::INFINITY];
+        let all = [f64::NEG_INFINITY, f64::INFINITY];
         assert_eq!(parse_range("-1.5:2"), Ok(Range([-1.5, 2.0])));
         assert_eq!(parse_range("3:"), Ok(Range([3.0, all[1]])));
         assert_eq!(parse_range(":"), Ok(Range(all)));

@@ -138,6 +138,7 @@ mod tests {
                 scratch: scratch.path(),
                 bad_value: BadValue::Refuse,
                 missing: None,
+                offset: 0.0,
                 cancel: &cancel,
             };
             // Three bodies by the remainder of 3, chained back to front; and one alone.

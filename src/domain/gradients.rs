@@ -112,6 +112,7 @@ mod tests {
             scratch: dir.path(),
             bad_value: BadValue::Refuse,
             missing: None,
+            offset: 0.0,
             cancel: &cancel,
         };
         let store = CellStore::build(&open_mesh(&path, &OpenOptions::default()).unwrap(), &settings).unwrap();

@@ -32,6 +32,8 @@ pub(crate) struct StoreSettings<'a> {
     pub(crate) scratch: &'a Path,
     pub(crate) bad_value: BadValue,
     pub(crate) missing: Option<f64>,
+    /// What is subtracted from all values before they become `f32`; [`BadValue::Use`] is meant after that.
+    pub(crate) offset: f64,
     pub(crate) cancel: &'a CancelToken,
 }
 
@@ -142,12 +144,13 @@ impl CellStore {
             let other = values[first[0] as usize];
             if *value != other && !(value.is_nan() && other.is_nan()) {
                 let at = format!("{}, points {} and {v}", mesh.field()?.name, first[0]);
+                let told = |v| settings.offset + f64::from(v);
                 let expected = "one value, as they lie in one place and had one value at the first step";
                 return Err(Error::bad_input(
                     &mesh.info().path,
                     at,
                     expected,
-                    format!("{other} and {value}"),
+                    format!("{} and {}", told(other), told(*value)),
                 ));
             }
         }
@@ -196,13 +199,18 @@ fn read_points(
 fn read_values(mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<Column<f32>> {
     let mut out = ColumnWriter::new(settings.scratch)?;
     let (mut values, mut block) = (mesh.values(settings.memory)?, vec![]);
-    let missing = settings.missing.map(|m| m as f32);
+    // As a text says it, "-1e20" is no f32 that a file may have.
+    let missing = |v: f64| {
+        let alike = |m: f64| m == v || settings.offset == 0.0 && m as f32 == v as f32;
+        settings.missing.is_some_and(alike)
+    };
     while values.next_block(&mut block)? {
         settings.cancel.check()?;
         for &v in &block {
-            let good = v.is_finite() && Some(v) != missing;
+            let value = (v - settings.offset) as f32;
+            let good = value.is_finite() && !missing(v);
             out.push(&match settings.bad_value {
-                _ if good => v,
+                _ if good => value,
                 BadValue::Void => f32::NAN,
                 BadValue::Use(value) => value,
                 BadValue::Refuse => {

@@ -15,7 +15,7 @@
 //! ```
 //!
 //! We write vertex numbers as `int`, which every reader knows, and as `uint` only where there are more than 2³¹-1
-//! vertices. Several surfaces in one file have a seventh property, `float isovalue`. Read: `vertex` needs `x`, `y`, `z` (`nx`, `ny`, `nz` are kept); `face` needs the list `vertex_indices` or
+//! vertices. Several surfaces in one file have a seventh property, `float isovalue` (`double` where one has more digits). Read: `vertex` needs `x`, `y`, `z` (`nx`, `ny`, `nz` are kept); `face` needs the list `vertex_indices` or
 //! `vertex_index`; all other elements and properties are skipped. Triangle strips are refused.
 
 use crate::error::{Error, Result};
@@ -29,12 +29,12 @@ use std::path::Path;
 /// Writes a surface as binary little-endian PLY.
 pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceMeta) -> Result<()> {
     sink.put(header(source.vertex_count(), source.triangle_count(), meta).as_bytes())?;
-    let isovalue = meta.vertex_isovalues();
+    let put_isovalue = meta.put_isovalue();
     each_vertex(source, sink, |buffer, number, v| {
         put_floats(buffer, v.position);
         put_floats(buffer, v.normal);
         if !meta.parts.is_empty() {
-            buffer.extend_from_slice(&isovalue(number).to_le_bytes());
+            put_isovalue(number, buffer);
         }
     })?;
     each_triangle(source, sink, |buffer, _, t| {
@@ -57,7 +57,8 @@ fn header(vertices: u64, triangles: u64, meta: &SurfaceMeta) -> String {
         text += &format!("property float {name}\n");
     }
     if !meta.parts.is_empty() {
-        text += "property float isovalue\n";
+        let kind = if meta.isovalue_bytes() == 4 { "float" } else { "double" };
+        text += &format!("property {kind} isovalue\n");
     }
     let index = if vertices <= i32::MAX as u64 + 1 { "int" } else { "uint" };
     text + &format!("element face {triangles}\nproperty list uchar {index} vertex_indices\nend_header\n")

@@ -185,7 +185,7 @@ impl PointWriter {
     ///
     /// # Errors
     /// [`Error::BadInput`] when the input has become shorter; those of reading and writing.
-    pub fn write(&mut self, values: &[f32]) -> Result<()> {
+    pub fn write(&mut self, values: &[f64]) -> Result<()> {
         for value in values {
             if !self.input.read()? {
                 return Err(self.input.bad("the end", "the points that were there before", "fewer"));
@@ -266,7 +266,7 @@ mod tests {
             std::fs::write(&input, text).unwrap();
             let mut writer = PointWriter::create(&output, &input, "density").unwrap();
             writer.write(&[0.5]).unwrap();
-            writer.write(&[f32::NAN]).unwrap();
+            writer.write(&[f64::NAN]).unwrap();
             assert_eq!(writer.write(&[1.0]).unwrap_err().exit_code(), 5);
             assert_eq!(writer.publish().unwrap(), wanted.len() as u64);
             assert_eq!(std::fs::read_to_string(&output).unwrap(), wanted);

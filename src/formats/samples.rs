@@ -1,6 +1,6 @@
 //! Samples of a field on a grid, written in any order: VTI and NPY.
 //!
-//! Both formats are a head whose length is known beforehand and `f32` samples, x fastest, one after another; so a run of samples has its
+//! Both formats are a head whose length is known beforehand and samples, `f32` or, where they are counted from an offset, `f64`, x fastest, one after another; so a run of samples has its
 //! place in the file whenever it is ready, and the memory used is that of a head. The bytes go to a temporary file beside
 //! the target, which is synced and then renamed.
 //!
@@ -52,6 +52,8 @@ pub struct GridMeta {
     pub geometry: Geometry,
     /// Name of the field.
     pub field: String,
+    /// What is added to all values; where it is not 0 they are written as `f64`.
+    pub offset: f64,
 }
 
 impl GridMeta {
@@ -72,6 +74,7 @@ pub struct SampleFile {
     /// Where the samples begin.
     start: u64,
     bytes: u64,
+    offset: f64,
 }
 
 impl SampleFile {
@@ -84,30 +87,36 @@ impl SampleFile {
         match format {
             SampleFormat::Npy => {
                 let [x, y, z] = meta.dims;
-                Self::begin(path, &npy_head(&format!("({z}, {y}, {x})")), samples, &[])
+                Self::begin(
+                    path,
+                    &npy_head(&format!("({z}, {y}, {x})"), meta.offset),
+                    samples,
+                    &[],
+                    meta.offset,
+                )
             }
             SampleFormat::Vti => {
                 let mut head = vti_head(meta).into_bytes();
-                head.extend((4 * samples).to_le_bytes());
-                Self::begin(path, &head, samples, b"\n  </AppendedData>\n</VTKFile>\n")
+                head.extend((sample_bytes(meta.offset) * samples).to_le_bytes());
+                Self::begin(path, &head, samples, b"\n  </AppendedData>\n</VTKFile>\n", meta.offset)
             }
         }
     }
 
-    /// Begins a file of a list of samples, as NPY.
+    /// Begins a file of a list of samples, as NPY; see [`GridMeta::offset`].
     ///
     /// # Errors
     /// As [`SampleFile::create`].
-    pub fn create_list(path: &Path, samples: u64) -> Result<Self> {
-        Self::begin(path, &npy_head(&format!("({samples},)")), samples, &[])
+    pub fn create_list(path: &Path, samples: u64, offset: f64) -> Result<Self> {
+        Self::begin(path, &npy_head(&format!("({samples},)"), offset), samples, &[], offset)
     }
 
-    fn begin(path: &Path, head: &[u8], samples: u64, tail: &[u8]) -> Result<Self> {
+    fn begin(path: &Path, head: &[u8], samples: u64, tail: &[u8], offset: f64) -> Result<Self> {
         let mut out = publishable(path)?;
         out.write(head)?;
         out.flush()?;
-        let (start, end) = (head.len() as u64, head.len() as u64 + 4 * samples);
-        let file = Self { out, start, bytes: end + tail.len() as u64 };
+        let (start, end) = (head.len() as u64, head.len() as u64 + sample_bytes(offset) * samples);
+        let file = Self { out, start, bytes: end + tail.len() as u64, offset };
         file.put(tail, end)?;
         if tail.is_empty() {
             file.out.file().set_len(end).map_err(|e| Error::io("write", file.out.temporary(), e))?;
@@ -124,11 +133,17 @@ impl SampleFile {
     /// # Errors
     /// When the system refuses to write.
     pub fn write(&self, first: u64, samples: &[f32]) -> Result<()> {
+        let at = self.start + sample_bytes(self.offset) * first;
+        if self.offset != 0.0 {
+            let value = |v: &f32| (self.offset + f64::from(*v)).to_le_bytes();
+            let bytes: Vec<u8> = samples.iter().flat_map(value).collect();
+            return self.put(&bytes, at);
+        }
         if cfg!(target_endian = "little") {
-            return self.put(bytemuck::cast_slice(samples), self.start + 4 * first);
+            return self.put(bytemuck::cast_slice(samples), at);
         }
         let bytes: Vec<u8> = samples.iter().flat_map(|v| v.to_le_bytes()).collect();
-        self.put(&bytes, self.start + 4 * first)
+        self.put(&bytes, at)
     }
 
     /// Makes the file durable, then visible; returns its bytes.
@@ -139,6 +154,11 @@ impl SampleFile {
         self.out.publish()?;
         Ok(self.bytes)
     }
+}
+
+/// Bytes of a sample that is counted from an offset.
+fn sample_bytes(offset: f64) -> u64 {
+    if offset == 0.0 { 4 } else { 8 }
 }
 
 /// A file that gets its name when it is complete.
@@ -155,8 +175,9 @@ pub(super) fn numbers(list: &[f64]) -> String {
     text
 }
 
-fn npy_head(shape: &str) -> Vec<u8> {
-    let mut text = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
+fn npy_head(shape: &str, offset: f64) -> Vec<u8> {
+    let mut text =
+        format!("{{'descr': '<f{}', 'fortran_order': False, 'shape': {shape}, }}", sample_bytes(offset));
     // Magic, version and length take ten bytes; the data begin at a multiple of 64.
     while !(10 + text.len() + 1).is_multiple_of(64) {
         text.push(' ');
@@ -174,12 +195,13 @@ fn vti_head(meta: &GridMeta) -> String {
     format!(
         "<?xml version=\"1.0\"?>\n<VTKFile type=\"ImageData\" version=\"1.0\" byte_order=\"LittleEndian\" \
          header_type=\"UInt64\">\n  <ImageData WholeExtent=\"{extent}\" Origin=\"{}\" Spacing=\"{}\" Direction=\"{}\">\n    \
-         <Piece Extent=\"{extent}\">\n      <PointData Scalars=\"{name}\">\n        <DataArray type=\"Float32\" \
+         <Piece Extent=\"{extent}\">\n      <PointData Scalars=\"{name}\">\n        <DataArray type=\"Float{}\" \
          Name=\"{name}\" NumberOfComponents=\"1\" format=\"appended\" offset=\"0\"/>\n      </PointData>\n    </Piece>\n  \
          </ImageData>\n  <AppendedData encoding=\"raw\">\n   _",
         numbers(&g.origin),
         numbers(&g.spacing),
         numbers(&direction),
+        8 * sample_bytes(meta.offset),
     )
 }
 
@@ -197,7 +219,7 @@ mod tests {
             spacing: [0.5, 2.0, 3.0],
             direction: [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
         };
-        let meta = GridMeta { dims: [4, 3, 2], geometry, field: "a < \"b\"".into() };
+        let meta = GridMeta { dims: [4, 3, 2], geometry, field: "a < \"b\"".into(), offset: 0.0 };
         for name in ["a.vti", "a.npy"] {
             let path = dir.path().join(name);
             let file = SampleFile::create(&path, SampleFormat::from_path(&path).unwrap(), &meta).unwrap();
@@ -218,7 +240,8 @@ mod tests {
     #[test]
     fn other_names_and_endless_grids_are_refused() {
         assert!(SampleFormat::from_path(Path::new("a.csv")).is_err());
-        let endless = GridMeta { dims: [1 << 24; 3], geometry: Geometry::default(), field: String::new() };
+        let endless =
+            GridMeta { dims: [1 << 24; 3], geometry: Geometry::default(), field: String::new(), offset: 0.0 };
         assert_eq!(endless.samples().unwrap_err().exit_code(), 2);
     }
 }

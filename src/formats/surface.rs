@@ -26,6 +26,7 @@ use crate::formats::{glb, obj, ply, stl, vtp};
 use crate::surface::check::CheckSettings;
 use crate::surface::weld::{BuilderSettings, StoredSurface};
 use crate::surface::{SurfaceSource, TriMesh, Vertex};
+use crate::volume::shifted::shortest;
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -107,21 +108,30 @@ impl SurfaceMeta {
     }
 
     /// For each part, its end among the vertices and its isovalue.
-    fn vertex_ends(&self) -> Vec<(u64, f32)> {
+    fn vertex_ends(&self) -> Vec<(u64, f64)> {
         let mut sum = 0;
         let end = |part: &SurfacePart| {
             sum += part.vertices;
-            (sum, part.isovalue as f32)
+            (sum, part.isovalue)
         };
         self.parts.iter().map(end).collect()
     }
 
-    /// Tells the isovalue of each vertex of several parts.
-    pub(super) fn vertex_isovalues(&self) -> impl Fn(u64) -> f32 + use<> {
-        let ends = self.vertex_ends();
-        move |vertex| {
+    /// Bytes of the isovalue of a vertex of several parts: an `f32`, or an `f64` where an isovalue has more digits.
+    pub(super) fn isovalue_bytes(&self) -> usize {
+        if self.parts.iter().all(|p| shortest(p.isovalue as f32) == p.isovalue) { 4 } else { 8 }
+    }
+
+    /// Appends the isovalue of a vertex of several parts, in so many bytes.
+    pub(super) fn put_isovalue(&self) -> impl Fn(u64, &mut Vec<u8>) + use<> {
+        let (ends, bytes) = (self.vertex_ends(), self.isovalue_bytes());
+        move |vertex, out| {
             let at = ends.partition_point(|&(end, _)| end <= vertex);
-            ends.get(at).map_or(f32::NAN, |part| part.1)
+            let isovalue = ends.get(at).map_or(f64::NAN, |part| part.1);
+            match bytes {
+                4 => out.extend_from_slice(&(isovalue as f32).to_le_bytes()),
+                _ => out.extend_from_slice(&isovalue.to_le_bytes()),
+            }
         }
     }
 

@@ -9,7 +9,7 @@
 //!   <AppendedData encoding="raw">
 //!    _[u64 length][Points 3 × f32 a vertex]
 //!     [u64 length][Normals 3 × f32 a vertex]
-//!     [u64 length][isovalue f32 a vertex]            of several surfaces in one file only
+//!     [u64 length][isovalue f32 a vertex]            (f64 where one has more digits) of several surfaces in one file only
 //!     [u64 length][connectivity 3 × i64 a triangle]
 //!     [u64 length][offsets i64 a triangle: 3, 6, 9, …]
 //!   </AppendedData>
@@ -39,7 +39,7 @@ use std::sync::Arc;
 pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceMeta) -> Result<()> {
     let (vertices, triangles) = (source.vertex_count(), source.triangle_count());
     // At most 2³² vertices and far fewer than 2⁵⁸ triangles: no product overflows.
-    let scalars = if meta.parts.is_empty() { 0 } else { 4 * vertices };
+    let scalars = if meta.parts.is_empty() { 0 } else { meta.isovalue_bytes() as u64 * vertices };
     let lengths = [12 * vertices, 12 * vertices, scalars, 24 * triangles, 8 * triangles];
     sink.put(head(vertices, triangles, lengths, meta).as_bytes())?;
     sink.put(&lengths[0].to_le_bytes())?;
@@ -47,9 +47,9 @@ pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceM
     sink.put(&lengths[1].to_le_bytes())?;
     each_vertex(source, sink, |buffer, _, v| put_floats(buffer, v.normal))?;
     if !meta.parts.is_empty() {
-        let isovalue = meta.vertex_isovalues();
+        let put_isovalue = meta.put_isovalue();
         sink.put(&lengths[2].to_le_bytes())?;
-        each_vertex(source, sink, |buffer, v, _| buffer.extend_from_slice(&isovalue(v).to_le_bytes()))?;
+        each_vertex(source, sink, |buffer, v, _| put_isovalue(v, buffer))?;
     }
     sink.put(&lengths[3].to_le_bytes())?;
     each_triangle(source, sink, |buffer, _, t| {
@@ -76,6 +76,7 @@ fn head(vertices: u64, triangles: u64, lengths: [u64; 5], meta: &SurfaceMeta) ->
     let scalars = if several { place(lengths[2]) } else { 0 };
     let (connectivity, offsets) = (place(lengths[3]), place(lengths[4]));
     let comment: String = meta.lines().iter().map(|line| format!("  {}\n", comment_text(line))).collect();
+    let float = if meta.isovalue_bytes() == 4 { "Float32" } else { "Float64" };
     let values = meta.isovalues();
     let isovalue = if values.is_empty() {
         String::new()
@@ -109,7 +110,7 @@ fn head(vertices: u64, triangles: u64, lengths: [u64; 5], meta: &SurfaceMeta) ->
             if several { " Scalars=\"isovalue\"" } else { "" }
         ),
         array("Float32", "Normals", 3, normals),
-        if several { array("Float32", "isovalue", 1, scalars) } else { String::new() },
+        if several { array(float, "isovalue", 1, scalars) } else { String::new() },
         "      </PointData>\n      <Points>\n".to_string(),
         array("Float32", "Points", 3, points),
         "      </Points>\n      <Polys>\n".to_string(),

@@ -8,7 +8,7 @@
 //!   …  DataArray … format="appended" offset="N"     N counted from the byte after the '_'
 //!   <AppendedData encoding="raw">
 //!    _[u64 length][Points 3 × f64 a point]
-//!     [u64 length][the field f32 a point]
+//!     [u64 length][the field f32 a point]                  (f64 where it is counted from an offset)
 //!     [u64 length][connectivity 4 × i64 a tetrahedron]
 //!     [u64 length][offsets i64 a tetrahedron: 4, 8, 12, …]
 //!     [u64 length][types u8 a tetrahedron: 10]
@@ -51,10 +51,18 @@ pub struct TetMeta<'a> {
     pub mirrors: bool,
     /// Name of the field.
     pub field: String,
+    /// What is added to all values; where it is not 0 they are written as `f64`.
+    pub offset: f64,
     /// Free text, a line.
     pub comment: String,
     /// Compresses the arrays on the threads of a pool; they are written as they are without one.
     pub compress: Option<&'a rayon::ThreadPool>,
+}
+
+impl TetMeta<'_> {
+    fn value_bytes(&self) -> u64 {
+        if self.offset == 0.0 { 4 } else { 8 }
+    }
 }
 
 /// The arrays of a file, in order.
@@ -87,7 +95,7 @@ pub fn write_vtu(mesh: &StoredTets, path: &Path, meta: &TetMeta<'_>) -> Result<u
 fn put_plain(mesh: &StoredTets, meta: &TetMeta<'_>, sink: &mut Sink) -> Result<()> {
     let (points, tets) = (mesh.point_count(), mesh.tet_count());
     // Fewer than 2^59 of each: no product overflows.
-    let lengths = [24 * points, 4 * points, 32 * tets, 8 * tets, tets];
+    let lengths = [24 * points, meta.value_bytes() * points, 32 * tets, 8 * tets, tets];
     sink.put(head(mesh, lengths.map(|length| 8 + length), meta).as_bytes())?;
     for (array, length) in ARRAYS.into_iter().zip(lengths) {
         sink.put(&length.to_le_bytes())?;
@@ -144,7 +152,12 @@ fn each_part(
         }),
         Array::Values => mesh.points(&mut |batch| {
             bytes.clear();
-            batch.iter().for_each(|point| bytes.extend(point.value.to_le_bytes()));
+            match meta.offset {
+                0.0 => batch.iter().for_each(|point| bytes.extend(point.value.to_le_bytes())),
+                offset => {
+                    batch.iter().for_each(|p| bytes.extend((offset + f64::from(p.value)).to_le_bytes()))
+                }
+            }
             put(&bytes)
         }),
         Array::Connectivity => mesh.tets(&mut |batch| {
@@ -251,7 +264,7 @@ fn head(mesh: &StoredTets, lengths: [u64; 5], meta: &TetMeta<'_>) -> String {
         format!("{compressor}>\n"),
         format!("  <UnstructuredGrid>\n    <Piece NumberOfPoints=\"{points}\" NumberOfCells=\"{tets}\">\n"),
         format!("      <PointData Scalars=\"{name}\">\n"),
-        array("Float32", &name, 1, at_values),
+        array(&format!("Float{}", 8 * meta.value_bytes()), &name, 1, at_values),
         "      </PointData>\n      <Points>\n".into(),
         array("Float64", "Points", 3, at_points),
         "      </Points>\n      <Cells>\n".into(),

@@ -68,6 +68,29 @@ pub struct FieldError {
     pub worst: Option<Worst>,
 }
 
+impl FieldError {
+    /// The errors with what samples had lost before they were compared, so much at most: figures are then no less than the true ones,
+    /// but for the bias.
+    pub(crate) fn with_rounding(mut self, lost: f64) -> Self {
+        if lost > 0.0 && self.measured > 0 {
+            let others = [&mut self.max, &mut self.rms, &mut self.mean];
+            others
+                .into_iter()
+                .chain(self.percentiles.iter_mut().map(|p| &mut p.error))
+                .for_each(|e| *e += lost);
+        }
+        self
+    }
+}
+
+impl LevelError {
+    /// As [`FieldError::with_rounding`].
+    pub(crate) fn with_rounding(self, lost: f64) -> Self {
+        let lost = if self.samples > 0 { lost } else { 0.0 };
+        Self { rms: self.rms + lost, max: self.max + lost, ..self }
+    }
+}
+
 /// The errors in the cells of a level, where the density of points differs from place to place.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LevelError {
@@ -99,7 +122,7 @@ pub struct Worst {
     /// Its place in the world.
     pub world: [f64; 3],
     /// The value in the source.
-    pub original: f32,
+    pub original: f64,
     /// The value in the archive.
-    pub reduced: f32,
+    pub reduced: f64,
 }

@@ -1,11 +1,11 @@
 //! Levels for a volume, or for a series of them: one pass over the samples of each step ([`crate::density`]).
 
-use super::field::NanPolicy;
 use super::grid_field::treat_missing;
 use super::job::{RunSettings, threads};
 use super::need;
 use super::plan::ReduceSettings;
 use super::reduce::random_access;
+use super::shift::Reading;
 use crate::density::{Bend, BlockErrors, Choice, ErrorCurves};
 use crate::error::{Error, Result};
 use crate::exec::{Silent, pool};
@@ -52,7 +52,6 @@ const BLOCK_BYTES: u64 = 33 * 33 * 33 * 4 + 17 * 17 * 17 * 48;
 /// Measures the errors of steps.
 pub(super) struct Errors<'a> {
     adapt: &'a Adapt,
-    settings: &'a ReduceSettings,
     run: &'a RunSettings,
     curves: ErrorCurves,
     bend: Bend,
@@ -70,37 +69,28 @@ struct Found {
 impl<'a> Errors<'a> {
     /// # Errors
     /// [`Error::Budget`] when the memory does not hold the curves.
-    pub(super) fn new(
-        lattice: Lattice,
-        adapt: &'a Adapt,
-        settings: &'a ReduceSettings,
-        run: &'a RunSettings,
-    ) -> Result<Self> {
+    pub(super) fn new(lattice: Lattice, adapt: &'a Adapt, run: &'a RunSettings) -> Result<Self> {
         let needed = need::BASE + ErrorCurves::bytes_for(lattice) + BLOCKS_AT_ONCE * BLOCK_BYTES;
         if run.memory < needed {
             let what = "memory (to find where points are needed)".into();
             return Err(Error::Budget { what, needed, available: run.memory });
         }
-        Ok(Self {
-            adapt,
-            settings,
-            run,
-            curves: ErrorCurves::new(lattice),
-            bend: Bend::default(),
-            range: None,
-        })
+        Ok(Self { adapt, run, curves: ErrorCurves::new(lattice), bend: Bend::default(), range: None })
     }
 
     /// Adds the errors of a step. One without random access is copied into bricks for that.
-    pub(super) fn add(&mut self, source: VolumeSource) -> Result<()> {
+    pub(super) fn add(&mut self, source: VolumeSource, reading: Reading) -> Result<()> {
         let (reader, _copy) = random_access(source, self.run, &Silent)?;
+        let reader = reading.reader(reader);
         let blocks = BlockErrors::blocks(self.curves.cells());
         let pool = pool(threads(self.run))?;
         for first in (0..blocks.len()).step_by(BLOCKS_AT_ONCE as usize) {
             self.run.cancel.check()?;
             let run = first..(first + BLOCKS_AT_ONCE).min(blocks.len());
             let found: Result<Vec<_>> = pool.install(|| {
-                run.into_par_iter().map(|block| self.block(&*reader, &blocks, BrickId(block))).collect()
+                run.into_par_iter()
+                    .map(|block| self.block(&*reader, reading, &blocks, BrickId(block)))
+                    .collect()
             });
             for Found { errors, bend, range } in found? {
                 self.curves.add(&errors);
@@ -112,18 +102,20 @@ impl<'a> Errors<'a> {
         Ok(())
     }
 
-    fn block(&self, reader: &dyn VolumeReader, blocks: &BrickGrid, block: BrickId) -> Result<Found> {
+    fn block(
+        &self,
+        reader: &dyn VolumeReader,
+        reading: Reading,
+        blocks: &BrickGrid,
+        block: BrickId,
+    ) -> Result<Found> {
         let samples = BlockErrors::samples_of(blocks, block);
         let mut values = vec![0.0; samples.len()];
         reader.read_box(samples, &mut values)?;
-        let stand_in = match self.settings.nan {
-            NanPolicy::Value(v) => v,
-            NanPolicy::Error | NanPolicy::Mask => f32::NAN,
-        };
-        treat_missing(self.settings.missing, stand_in, &mut values);
+        treat_missing(reading.missing(), reading.stand_in().unwrap_or(f32::NAN), &mut values);
         let seen = values.iter().filter(|v| !v.is_nan()).map(|&v| [v, v]);
         let range = seen.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
-        if let Some([lo, hi]) = self.adapt.focus.map(|f| f.map(|v| v as f32)) {
+        if let Some([lo, hi]) = self.adapt.focus.map(|f| f.map(|v| (v - reading.offset()) as f32)) {
             values.iter_mut().for_each(|v| *v = v.clamp(lo, hi));
         }
         let errors = BlockErrors::measure(self.curves.cells(), &samples, &values);

@@ -91,7 +91,7 @@ fn measure(
         let of = |block| {
             let samples = BlockErrors::samples_of(&blocks, BrickId(block));
             let mut values = voxels.read(BrickId(block), &samples)?;
-            if let Some([lo, hi]) = adapt.focus.map(|f| f.map(|v| v as f32)) {
+            if let Some([lo, hi]) = adapt.focus.map(|f| f.map(|v| (v - how.offset) as f32)) {
                 values.iter_mut().for_each(|v| *v = v.clamp(lo, hi));
             }
             Ok(BlockErrors::measure(cells, &samples, &values))

@@ -29,7 +29,7 @@ pub enum Corners {
 #[derive(Clone, Debug)]
 pub struct ExportSettings {
     /// Only tetrahedra with values in this range, both ends included.
-    pub range: Option<[f32; 2]>,
+    pub range: Option<[f64; 2]>,
     /// How many of their corners.
     pub corners: Corners,
     /// Only tetrahedra whose bounding box touches this box.
@@ -112,7 +112,8 @@ pub(super) fn export(
     let log2_steps = archive.manifest.plan.lattice.log2_steps;
     let cut = settings.roi.map(|roi| roi.cut(&source.geometry, source.dims, log2_steps)).transpose()?;
     let mut index_bytes = 0;
-    let blocks = match settings.range {
+    let range = settings.range.map(|range| range.map(|v| source.kept(v)));
+    let blocks = match range {
         None => Blocks::All,
         Some([lo, hi]) => {
             let index = archive.ranges()?;
@@ -132,7 +133,7 @@ pub(super) fn export(
     let scratch = settings.scratch.clone().unwrap_or_else(|| parent_of(out));
     let mut join = Join::new(&visit, settings, rest / 8, &scratch);
     progress.begin("export", visit.chunks.len() as u64, "chunks");
-    let select = |_, chunk: DecodedChunk| Ok(selected(chunk, settings, cut.as_ref()));
+    let select = |_, chunk: DecodedChunk| Ok(selected(chunk, range, settings.corners, cut.as_ref()));
     visit.each(0, progress, select, |n, chosen| join.push(n, &chosen))?;
     let (void_tetrahedra, mesh) = (join.void, join.builder.finish());
     let read = start.elapsed();
@@ -145,6 +146,7 @@ pub(super) fn export(
         place: &|p| place.world(lattice.to_index_space(p)),
         mirrors: place.mirrors(),
         field: source.field.clone(),
+        offset: source.offset,
         comment: format!("isospan {}: reduced tetrahedra of {}", env!("CARGO_PKG_VERSION"), source.path),
         compress: threads.as_ref(),
     };
@@ -181,27 +183,32 @@ struct Selected {
     void: u64,
 }
 
-fn selected(mut chunk: DecodedChunk, settings: &ExportSettings, cut: Option<&Cut>) -> Selected {
+fn selected(
+    mut chunk: DecodedChunk,
+    range: Option<[f32; 2]>,
+    corners: Corners,
+    cut: Option<&Cut>,
+) -> Selected {
     let mut void = 0;
     let (values, positions) = (&chunk.values, &chunk.positions);
     chunk.tets.retain(|tet: &Tet| {
         if cut.is_some_and(|cut| !cut.may_touch(&tet.map(|v| positions[v as usize]))) {
             return false;
         }
-        let corners = tet.map(|v| values[v as usize]);
-        let has_void = corners.iter().any(|v| v.is_nan());
+        let of_tet = tet.map(|v| values[v as usize]);
+        let has_void = of_tet.iter().any(|v| v.is_nan());
         void += u64::from(has_void);
-        !has_void && in_range(corners, settings)
+        !has_void && in_range(of_tet, range, corners)
     });
     Selected { chunk, void }
 }
 
-fn in_range(corners: [f32; 4], settings: &ExportSettings) -> bool {
-    let Some([lo, hi]) = settings.range else { return true };
+fn in_range(values: [f32; 4], range: Option<[f32; 2]>, corners: Corners) -> bool {
+    let Some([lo, hi]) = range else { return true };
     let inside = |v: &f32| (lo..=hi).contains(v);
-    match settings.corners {
-        Corners::All => corners.iter().all(inside),
-        Corners::Any => corners.iter().any(inside),
+    match corners {
+        Corners::All => values.iter().all(inside),
+        Corners::Any => values.iter().any(inside),
     }
 }
 

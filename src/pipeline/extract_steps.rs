@@ -65,7 +65,8 @@ impl Pass {
             settings.cancel.check()?;
             archive.turn_to(position);
             // Nothing of an unpacked step is decoded: it is quickest by itself.
-            let is_alone = archive.unpacked()?.is_some_and(|file| file.table().answers(&settings.isovalues));
+            let is_alone =
+                archive.unpacked()?.is_some_and(|file| file.table().answers(&settings.kept(archive)));
             if is_alone && !steps.is_empty() {
                 break;
             }

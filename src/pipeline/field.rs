@@ -28,7 +28,7 @@ pub enum NanPolicy {
     /// A point that such a sample contributes to is void, and a tetrahedron with a void corner is never extracted.
     Mask,
     /// Use this value in place of such a sample.
-    Value(f32),
+    Value(f64),
 }
 
 impl NanPolicy {
@@ -37,7 +37,7 @@ impl NanPolicy {
         match text {
             "error" => Some(Self::Error),
             "mask" => Some(Self::Mask),
-            number => number.parse::<f32>().ok().filter(|v| v.is_finite()).map(Self::Value),
+            number => number.parse::<f64>().ok().filter(|v| v.is_finite()).map(Self::Value),
         }
     }
 }

@@ -258,7 +258,8 @@ pub(super) fn add(sums: &mut Tally, m: &Measured<'_>, dims: [u64; 3]) {
 
 /// What is told of the errors of all samples of a volume, each once.
 pub(super) fn field_error_of(archive: &OpenArchive, sums: &ErrorSums) -> Result<FieldError> {
-    let dims = archive.step().plan.source.dims;
+    let source = &archive.step().plan.source;
+    let dims = source.dims;
     let samples = dims.iter().product::<u64>();
     if sums.samples() != samples {
         let expected = format!("tetrahedra that hold {samples} samples, each once");
@@ -272,11 +273,11 @@ pub(super) fn field_error_of(archive: &OpenArchive, sums: &ErrorSums) -> Result<
             sample: l.sample,
             index: Some(index),
             world: world_of(archive, index.map(|i| i as f64))?,
-            original: l.original,
-            reduced: l.reduced,
+            original: source.told(l.original),
+            reduced: source.told(l.reduced),
         });
     }
-    Ok(error)
+    Ok(error.with_rounding(source.rounding))
 }
 
 /// The errors of a chunk that are stored with its values, where the plan of the step says so: behind them.
@@ -309,5 +310,7 @@ pub(super) fn stored_error(archive: &OpenArchive) -> Result<(FieldError, Vec<Lev
         rms: if e.samples == 0 { 0.0 } else { e.rms() },
         max: e.max,
     };
+    let rounding = archive.step().plan.source.rounding;
+    let told = |e: &BrickErrors| told(e).with_rounding(rounding);
     Ok((field_error_of(archive, &sums)?, by_level.iter().map(told).collect()))
 }

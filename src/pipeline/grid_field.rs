@@ -24,6 +24,8 @@ pub(crate) struct GridField {
     pub(crate) interpolation: Interpolation,
     pub(crate) values: Values,
     pub(crate) nan: NanPolicy,
+    /// What stands for samples that are no finite numbers.
+    pub(crate) stand_in: Option<f32>,
     pub(crate) missing: Option<f64>,
     /// Slices below have been given up.
     pub(crate) released: AtomicU64,
@@ -97,11 +99,7 @@ impl Field for GridField {
     }
 
     fn originals(&self) -> Originals<'_> {
-        let stand_in = match self.nan {
-            NanPolicy::Value(v) => Some(v),
-            NanPolicy::Error | NanPolicy::Mask => None,
-        };
-        Originals::Volume { reader: &*self.reader, missing: self.missing, stand_in }
+        Originals::Volume { reader: &*self.reader, missing: self.missing, stand_in: self.stand_in }
     }
 
     fn will_need(&self, chunk: &Chunk) {
@@ -159,11 +157,7 @@ impl GridField {
 
     /// Missing and infinite samples become NaN, or the value that stands for them.
     fn treat_missing(&self, voxels: &mut [f32]) {
-        let stand_in = match self.nan {
-            NanPolicy::Value(v) => v,
-            NanPolicy::Error | NanPolicy::Mask => f32::NAN,
-        };
-        treat_missing(self.missing, stand_in, voxels);
+        treat_missing(self.missing, self.stand_in.unwrap_or(f32::NAN), voxels);
     }
 
     fn nan_error(&self, at: LatticePos) -> Error {

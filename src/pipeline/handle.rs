@@ -73,7 +73,7 @@ pub struct Tetrahedra {
     /// World positions of the points; those that several chunks use are in each of them.
     pub points: Vec<[f64; 3]>,
     /// Value of each point; NaN where the source has no data.
-    pub values: Vec<f32>,
+    pub values: Vec<f64>,
     /// Corners: numbers into `points`. Positively oriented in the world.
     pub tetrahedra: Vec<[u32; 4]>,
 }
@@ -120,8 +120,14 @@ impl Archive {
     }
 
     /// Least and largest value; `None` when no point has one.
-    pub fn value_range(&self) -> Option<[f32; 2]> {
-        self.open.value_range()
+    pub fn value_range(&self) -> Option<[f64; 2]> {
+        self.open.told_range()
+    }
+
+    /// What all values of the archive are counted from: they are `f32`, and those of the file less this. 0 wherever `f32` holds them well.
+    /// Only [`Archive::active_blocks`] tells values less the offset.
+    pub fn offset(&self) -> f64 {
+        self.open.step().plan.source.offset
     }
 
     /// From numbers of samples of the source to the world.
@@ -138,8 +144,8 @@ impl Archive {
     ///
     /// # Errors
     /// [`crate::Error::Usage`] for an isovalue that is not finite; [`crate::Error::BadInput`] for a damaged archive.
-    pub fn count(&self, isovalue: f32) -> Result<CountReport> {
-        count(&self.open, isovalue)
+    pub fn count(&self, isovalue: impl Into<f64>) -> Result<CountReport> {
+        count(&self.open, isovalue.into())
     }
 
     /// How large isosurfaces are, over the isovalue, and isovalues that are worth a look. Reads some ten thousand bytes.
@@ -150,12 +156,12 @@ impl Archive {
         spectrum::report(&self.open)
     }
 
-    /// The blocks that an isosurface may cross, as the index tells, in order.
+    /// The blocks that an isosurface may cross, as the index tells, in order; their ranges are less [`Archive::offset`].
     ///
     /// # Errors
     /// As [`Archive::count`].
-    pub fn active_blocks(&self, isovalue: f32) -> Result<Vec<Entry>> {
-        self.open.ranges()?.query_any(&[isovalue])
+    pub fn active_blocks(&self, isovalue: impl Into<f64>) -> Result<Vec<Entry>> {
+        self.open.ranges()?.query_any(&[self.open.step().plan.source.kept(isovalue.into())])
     }
 
     /// The tetrahedra of the blocks that an isosurface may cross, chunk after chunk, each read when it is asked for.
@@ -184,7 +190,7 @@ impl Archive {
     ///
     /// # Errors
     /// As [`Archive::count`], and for each chunk.
-    pub fn active(&self, isovalue: f32) -> Result<impl Iterator<Item = Result<Tetrahedra>> + '_> {
+    pub fn active(&self, isovalue: impl Into<f64>) -> Result<impl Iterator<Item = Result<Tetrahedra>>> {
         let mut blocks = self.active_blocks(isovalue)?.into_iter().peekable();
         let place = Place::of(&self.open)?;
         Ok(std::iter::from_fn(move || {
@@ -208,7 +214,7 @@ impl Archive {
                 if numbers[v] == u32::MAX {
                     numbers[v] = out.points.len() as u32;
                     out.points.push(place.world(lattice.to_index_space(decoded.positions[v]))?);
-                    out.values.push(decoded.values[v]);
+                    out.values.push(self.offset() + f64::from(decoded.values[v]));
                 }
             }
             let mut corners = tet.map(|v| numbers[v as usize]);
@@ -224,7 +230,7 @@ impl Archive {
     ///
     /// # Errors
     /// As [`Archive::count`]; [`crate::Error::Usage`] for a surface of 2^32 vertices or more.
-    pub fn surface(&self, isovalue: f32) -> Result<TriMesh> {
+    pub fn surface(&self, isovalue: impl Into<f64>) -> Result<TriMesh> {
         let mut surfaces = self.surfaces(&SurfaceSettings::of(isovalue))?;
         Ok(surfaces.pop().expect("there is a surface for each isovalue"))
     }
@@ -348,9 +354,10 @@ impl Archive {
     ///
     /// # Errors
     /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Usage`] for 2^32 points or more.
-    pub fn probe(&self, points: &[[f64; 3]]) -> Result<Vec<f32>> {
+    pub fn probe(&self, points: &[[f64; 3]]) -> Result<Vec<f64>> {
         let settings = ProbeSettings::default();
-        Ok(values_at(&self.open, points, &settings, &|memory| memory, &Silent)?.values)
+        let found = values_at(&self.open, points, &settings, &|memory| memory, &Silent)?.values;
+        Ok(found.into_iter().map(|v| self.offset() + f64::from(v)).collect())
     }
 
     /// Writes a table of points (CSV) with the field's value beside each, or the values alone (NPY), in bounded memory.
@@ -388,7 +395,7 @@ impl Archive {
     ///
     /// # Errors
     /// [`crate::Error::Usage`] for a grid that cannot be; [`crate::Error::BadInput`] for a damaged archive.
-    pub fn sample(&self, dims: [u64; 3]) -> Result<Vec<f32>> {
+    pub fn sample(&self, dims: [u64; 3]) -> Result<Vec<f64>> {
         sample_grid(&self.open, dims, &ProbeSettings::default())
     }
 

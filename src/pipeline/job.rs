@@ -84,7 +84,7 @@ pub struct ReduceReport {
     /// Of a rectilinear or curvilinear grid: its bad cells.
     pub grid_cells: Option<CellCount>,
     /// Least and largest value.
-    pub range: Option<[f32; 2]>,
+    pub range: Option<[f64; 2]>,
     /// How values were rounded, if they were.
     pub quantiser: Option<Quantiser>,
     /// How far the reduced field is from the samples, if that was measured: of the first of the steps.

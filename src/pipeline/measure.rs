@@ -15,6 +15,7 @@ use super::need;
 use super::open::{DecodedChunk, OpenArchive};
 use super::probe_points::{Find, each_value_of};
 use super::reduce::{MOST_STEPS_AT_ONCE, random_access};
+use super::shift::Reading;
 use super::sides::Sides;
 use super::steps::StepChoice;
 use super::visit::{Blocks, Visit};
@@ -94,7 +95,7 @@ pub struct MeasureReport {
     #[serde(flatten)]
     pub error: FieldError,
     /// Least and largest value of the archive.
-    pub range: Option<[f32; 2]>,
+    pub range: Option<[f64; 2]>,
     /// Whether the input is the one that the archive was made from, as its fingerprint tells.
     pub same_source: bool,
     /// Bricks of the map along each axis, if one was written.
@@ -138,7 +139,7 @@ pub fn measure(
     let (error, same_source) = against(&archive, input, options, settings, progress)?;
     Ok(MeasureReport {
         error,
-        range: archive.step().value_range,
+        range: archive.step().told_range(),
         same_source,
         map_bricks: settings.map.as_ref().map(|_| archive.chunks.bricks().dims()),
         seconds: start.elapsed().as_secs_f64(),
@@ -245,8 +246,9 @@ fn against_volume(
         cancel: settings.cancel.clone(),
     };
     let (reader, _scratch) = random_access(source, &run, progress)?;
-    let stand_in = archive.step().plan.nan.parse().ok();
-    let originals = Originals::Volume { reader: &*reader, missing: archive.step().plan.missing, stand_in };
+    let reading = Reading::of(&archive.step().plan);
+    let (reader, missing, stand_in) = (reading.reader(reader), reading.missing(), reading.stand_in());
+    let originals = Originals::Volume { reader: &*reader, missing, stand_in };
     Ok((field_error(archive, &originals, settings, progress)?, same))
 }
 
@@ -275,7 +277,8 @@ fn store_settings<'a>(
     StoreSettings {
         memory: settings.memory / 4,
         scratch,
-        bad_value: step.nan.parse().map_or(BadValue::Void, BadValue::Use),
+        bad_value: Reading::of(step).stand_in().map_or(BadValue::Void, BadValue::Use),
+        offset: step.source.offset,
         missing: step.missing,
         cancel: &settings.cancel,
     }
@@ -539,14 +542,16 @@ fn measure_vertices(
     if let Some(map) = map {
         map.finish()?;
     }
-    let told = |(sums, of_levels): &(ErrorSums, Vec<ErrorSums>)| {
-        (vertex_error(store, positions, sums), of_levels.iter().map(ErrorSums::level_error).collect())
+    let told = |(&position, (sums, of_levels)): (&usize, &(ErrorSums, Vec<ErrorSums>))| {
+        let source = &archive.manifest.steps[position].plan.source;
+        let of_level = |sums: &ErrorSums| sums.level_error().with_rounding(source.rounding);
+        (vertex_error(store, positions, sums, source), of_levels.iter().map(of_level).collect())
     };
-    Ok(sums.iter().map(told).collect())
+    Ok(steps.iter().zip(&sums).map(told).collect())
 }
 
 /// The error of a step at all vertices, and where it is largest.
-fn vertex_error(store: &CellStore, positions: &[FinePos], sums: &ErrorSums) -> FieldError {
+fn vertex_error(store: &CellStore, positions: &[FinePos], sums: &ErrorSums, source: &Source) -> FieldError {
     let mut error = sums.field_error(positions.len() as u64);
     error.worst = sums.largest().map(|l| {
         let log2_steps = store.frame.lattice.log2_steps;
@@ -557,11 +562,11 @@ fn vertex_error(store: &CellStore, positions: &[FinePos], sums: &ErrorSums) -> F
             sample: l.sample,
             index: None,
             world: store.frame.geometry.to_world(ijk),
-            original: l.original,
-            reduced: l.reduced,
+            original: source.told(l.original),
+            reduced: source.told(l.reduced),
         }
     });
-    error
+    error.with_rounding(source.rounding)
 }
 
 /// The map of bricks, being collected.

@@ -18,6 +18,7 @@ use super::open::OpenArchive;
 use super::plan::{Amount, Plan, ReduceSettings};
 use super::reduce_mesh::check_job;
 use super::series::{Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
+use super::shift::Shift;
 use crate::archive::explicit::ExplicitRecord;
 use crate::archive::manifest::{MeshSource, Source, StepPlan};
 use crate::archive::repeated::RepeatedRecord;
@@ -128,6 +129,29 @@ impl LastMesh {
     }
 }
 
+/// What is subtracted from the values of all steps: as the archive or the plan has it, else as the first source that can be opened asks for.
+pub(super) fn offset_of(job: &Job<'_>) -> Result<f64> {
+    let known = job.part.archive().map(|archive| &archive.manifest.steps[0].plan);
+    if let Some(step) = known.or_else(|| job.part.planned().map(Plan::first)) {
+        return Ok(step.source.offset);
+    }
+    let mut first_error = None;
+    for (number, source) in job.sources {
+        let shift = open_mesh_of(source).and_then(|mesh| {
+            check_job(job, &mesh)?;
+            let (memory, cancel) = (job.run.memory / 4, &job.run.cancel);
+            Shift::of_mesh(&mesh, None, job.settings.missing, memory, cancel)
+        });
+        match shift.map_err(|e| if job.is_several() { of_step(e, *number) } else { e }) {
+            Err(e) if job.run.keep_going && job.is_several() && is_of_data(&e) => {
+                first_error.get_or_insert(e);
+            }
+            other => return Ok(other?.offset),
+        }
+    }
+    Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")))
+}
+
 /// The mesh of a job on disk, of the first source that can be used.
 fn base_of(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<(CellMesh, CellStore)> {
     let mut first_error = None;
@@ -163,7 +187,7 @@ pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared
     let (mesh, store) = base_of(job, how)?;
     let path = &mesh.info().path;
     let mut plan = match job.part.archive() {
-        None => new_plan(&mesh, &store, job.settings)?,
+        None => new_plan(&mesh, &store, job.settings, how.offset)?,
         Some(archive) => continued_plan(archive, job.settings),
     };
     let dense = dense_where_needed(&mut plan, &store, job, how)?;
@@ -230,7 +254,7 @@ fn inside_of(settings: &ReduceSettings, vertices: u64) -> f64 {
 }
 
 /// The plan of reducing a mesh, its steps and the samples of its boundary still missing.
-fn new_plan(mesh: &CellMesh, store: &CellStore, settings: &ReduceSettings) -> Result<Plan> {
+fn new_plan(mesh: &CellMesh, store: &CellStore, settings: &ReduceSettings, offset: f64) -> Result<Plan> {
     let (lattice, geometry) = (store.frame.lattice, store.frame.geometry);
     let told = MeshSource {
         vertices: store.census.vertices,
@@ -238,7 +262,7 @@ fn new_plan(mesh: &CellMesh, store: &CellStore, settings: &ReduceSettings) -> Re
         point_hash: PlanHash(store.identity.points),
         cell_hash: PlanHash(store.identity.cells),
     };
-    let source = Source { dims: lattice.dims, geometry, mesh: Some(told), ..source_of(mesh)? };
+    let source = Source { dims: lattice.dims, geometry, offset, mesh: Some(told), ..source_of(mesh)? };
     if let Some(adapt) = &settings.adapt {
         adapt.check(settings)?;
     }
@@ -351,6 +375,15 @@ struct StepPlanner<'a> {
 }
 
 impl StepPlanner<'_> {
+    /// What the values of a step lose.
+    fn rounding(&self, number: u64, mesh: &CellMesh) -> Result<f64> {
+        if let Some(plan) = self.job.part.planned() {
+            return Ok(plan.steps.iter().find(|s| s.number == number).map_or(0.0, |s| s.source.rounding));
+        }
+        let (offset, missing) = (Some(self.how.offset), self.job.settings.missing);
+        Ok(Shift::of_mesh(mesh, offset, missing, self.how.memory, self.how.cancel)?.rounding)
+    }
+
     fn step(&mut self, number: u64, source: &StepSource) -> Result<StepPlan> {
         let mesh = match self.last.as_ref().and_then(|last| last.of(source)) {
             Some(mesh) => mesh?,
@@ -373,6 +406,7 @@ impl StepPlanner<'_> {
             format: told.format,
             scalar: told.scalar,
             field: told.field,
+            rounding: self.rounding(number, &mesh)?,
             ..self.template.source.clone()
         };
         let settings = self.job.settings;
@@ -410,6 +444,8 @@ fn source_of(mesh: &CellMesh) -> Result<Source> {
         slope: 1.0,
         intercept: 0.0,
         missing: None,
+        offset: 0.0,
+        rounding: 0.0,
         mesh: None,
     })
 }

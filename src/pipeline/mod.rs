@@ -52,6 +52,7 @@ mod rounds;
 mod scan;
 mod series;
 mod shard;
+mod shift;
 mod side_errors;
 mod side_samples;
 mod sides;
@@ -93,7 +94,9 @@ pub use roi::{Roi, RoiSpace};
 pub use scan::{Scan, scan};
 pub use series::SkippedStep;
 pub use shard::{PlanReport, Planned, Shard, WorkReport, commit_shards, plan_shards, planned, work_shard};
-pub use spectrum::{SpectrumReport, StepSpectrum, contour_spectrum, contour_spectrum_at, spectra};
+pub use spectrum::{
+    Knot, SpectrumReport, StepSpectrum, Suggestion, contour_spectrum, contour_spectrum_at, spectra,
+};
 pub use status::{GcReport, StatusReport, collect_garbage, shard_status};
 pub use steps::{StepChoice, StepRange};
 pub use surface_series::{SeriesReport, StepSurfaces, extract_series};

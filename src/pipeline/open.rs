@@ -8,6 +8,7 @@ use super::plan::{MeshParts, Plan, parts};
 use super::reader::{ChunkReader, ReaderMemory};
 use super::reduce::folder_bytes;
 use super::spare::{Pools, Spare};
+use super::spectrum::Suggestion;
 use super::spectrum::{limits, stored_part};
 use super::steps::{StepChoice, View};
 use crate::archive::chunked::ChunkSegment;
@@ -24,7 +25,6 @@ use crate::index::SpanIndex;
 use crate::measure::{FieldError, LevelError};
 use crate::mesh::tet::Tet;
 use crate::points::{Levels, PointSet};
-use crate::spectrum::suggest::Suggestion;
 use crate::spectrum::{SpectrumBuilder, SpectrumFile};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -138,7 +138,10 @@ pub struct ArchiveSummary {
     /// All time steps.
     pub steps: Vec<StepSummary>,
     /// Least and largest value.
-    pub range: Option<[f32; 2]>,
+    pub range: Option<[f64; 2]>,
+    /// What the samples lost when they became `f32`, at most, where that matters; errors include it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rounding: Option<f64>,
     /// Area of the isosurface at each isovalue of the contour spectrum.
     pub areas: Vec<[f64; 2]>,
     /// Isovalues that are worth a look, the most marked one first.
@@ -163,7 +166,10 @@ pub struct StepSummary {
     /// The step that its values refer to; none of a keyframe.
     pub base: Option<u64>,
     /// Least and largest value.
-    pub range: Option<[f32; 2]>,
+    pub range: Option<[f64; 2]>,
+    /// What the samples lost when they became `f32`, at most, where that matters; errors include it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rounding: Option<f64>,
     /// Points without a value.
     pub void_points: u64,
     /// Root of the mean square of the reduced field's errors at the samples of its source, and the largest, where they were measured.
@@ -186,7 +192,8 @@ impl StepSummary {
             source: plan.source.path.clone(),
             field: plan.source.field.clone(),
             base: plan.base.map(|b| b.number),
-            range: step.value_range,
+            range: step.told_range(),
+            rounding: step.told_rounding(),
             void_points: step.void_points,
             error: step.error.as_ref().map(|e| [e.rms, e.max]),
             value_bytes: step.values.iter().map(|v| v.info.bytes).sum(),
@@ -238,8 +245,9 @@ pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
         step: step.plan.number,
         bytes: archive.bytes()?,
         steps,
-        range: step.value_range,
-        areas: spectrum.knots.iter().map(|k| [f64::from(k.isovalue), k.area]).collect(),
+        range: step.told_range(),
+        rounding: step.told_rounding(),
+        areas: spectrum.knots.iter().map(|k| [k.isovalue, k.area]).collect(),
         suggestions: spectrum.suggestions,
         error: step.error.clone(),
     })

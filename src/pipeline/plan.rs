@@ -309,6 +309,8 @@ pub(super) fn source_of(info: &VolumeInfo, fingerprint: String) -> Source {
         slope: info.slope,
         intercept: info.intercept,
         missing: info.missing.filter(|m| m.is_finite()),
+        offset: 0.0,
+        rounding: 0.0,
         mesh: None,
     }
 }

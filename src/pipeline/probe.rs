@@ -78,7 +78,7 @@ pub(super) fn probe_grid(
     let (start, read_before) = (Instant::now(), archive.bytes_read());
     let source = &archive.step().plan.source;
     let geometry = grid_geometry(&source.geometry, source.dims, dims)?;
-    let meta = GridMeta { dims, geometry, field: source.field.clone() };
+    let meta = GridMeta { dims, geometry, field: source.field.clone(), offset: source.offset };
     let samples = meta.samples()?;
     let scan = GridScan::new(archive, dims, settings)?;
     let file = SampleFile::create(out, format, &meta)?;
@@ -105,17 +105,18 @@ pub(super) fn sample_grid(
     archive: &OpenArchive,
     dims: [u64; 3],
     settings: &ProbeSettings,
-) -> Result<Vec<f32>> {
-    let samples = GridMeta { dims, geometry: Geometry::default(), field: String::new() }.samples()?;
-    let bytes = 4 * samples;
+) -> Result<Vec<f64>> {
+    let meta = GridMeta { dims, geometry: Geometry::default(), field: String::new(), offset: 0.0 };
+    let (samples, offset) = (meta.samples()?, archive.step().plan.source.offset);
+    let bytes = 8 * samples;
     if bytes > settings.memory {
         return Err(Error::Budget { what: "memory".into(), needed: bytes, available: settings.memory });
     }
     let scan = GridScan::new(archive, dims, settings)?;
-    let all = Mutex::new(vec![f32::NAN; samples as usize]);
+    let all = Mutex::new(vec![f64::NAN; samples as usize]);
     scan.run(samples, &Silent, |first, run| {
         let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
-        all[first as usize..first as usize + run.len()].copy_from_slice(run);
+        all[first as usize..].iter_mut().zip(run).for_each(|(out, &v)| *out = offset + f64::from(v));
         Ok(())
     })?;
     Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner))

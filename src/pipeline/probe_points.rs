@@ -9,6 +9,7 @@ use super::need;
 use super::open::{DecodedChunk, OpenArchive};
 use super::probe::{ProbeReport, ProbeSettings};
 use super::visit::{Blocks, Visit, full_region};
+use crate::archive::manifest::Source;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress};
 use crate::formats::point_list::{PointReader, PointWriter};
@@ -49,22 +50,24 @@ fn lattice_position(world: [f64; 3], geometry: &Geometry, lattice: &Lattice) -> 
 }
 
 /// Where values go.
-enum Out {
-    Table(Box<PointWriter>),
+enum Out<'a> {
+    Table(Box<PointWriter>, &'a Source),
     List(SampleFile),
 }
 
-impl Out {
-    fn create(out: &Path, points: &Path, field: &str) -> Result<Self> {
+impl<'a> Out<'a> {
+    fn create(out: &Path, points: &Path, source: &'a Source) -> Result<Self> {
         let extension = out.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
         match extension.as_deref() {
-            Some("csv") => Ok(Self::Table(Box::new(PointWriter::create(out, points, field)?))),
+            Some("csv") => {
+                Ok(Self::Table(Box::new(PointWriter::create(out, points, &source.field)?), source))
+            }
             Some("npy") => {
                 let (mut reader, mut count) = (PointReader::open(points)?, 0);
                 while reader.next_point()?.is_some() {
                     count += 1;
                 }
-                Ok(Self::List(SampleFile::create_list(out, count)?))
+                Ok(Self::List(SampleFile::create_list(out, count, source.offset)?))
             }
             _ => Err(Error::usage(format!(
                 "cannot tell the format of values at points from {}: end its name in .csv or .npy",
@@ -75,14 +78,17 @@ impl Out {
 
     fn write(&mut self, first: u64, values: &[f32]) -> Result<()> {
         match self {
-            Self::Table(table) => table.write(values),
+            Self::Table(table, source) => {
+                let values: Vec<f64> = values.iter().map(|&v| source.told(v)).collect();
+                table.write(&values)
+            }
             Self::List(list) => list.write(first, values),
         }
     }
 
     fn publish(self) -> Result<u64> {
         match self {
-            Self::Table(table) => table.publish(),
+            Self::Table(table, _) => table.publish(),
             Self::List(list) => list.publish(),
         }
     }
@@ -99,7 +105,7 @@ pub(super) fn probe_table(
     archive.refuse_coordinates("a probe at points")?;
     let (start, read_before) = (Instant::now(), archive.bytes_read());
     let mut reader = PointReader::open(points)?;
-    let mut out = Out::create(out, points, &archive.step().plan.source.field)?;
+    let mut out = Out::create(out, points, &archive.step().plan.source)?;
     let rest = settings.memory.saturating_sub(need::BASE);
     // Half for points, half for chunks.
     let most = (rest / 2 / POINT).clamp(1, MOST);

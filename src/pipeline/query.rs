@@ -31,7 +31,7 @@ use std::time::{Duration, Instant};
 #[derive(Clone, Debug)]
 pub struct SurfaceSettings {
     /// The isovalues, each once: a value `>=` it is inside. All are extracted in one pass.
-    pub isovalues: Vec<f32>,
+    pub isovalues: Vec<f64>,
     /// The box at which the surfaces are cut; the whole domain if not given.
     pub roi: Option<Roi>,
     /// Threads; 0 means as many as the process may use.
@@ -68,14 +68,20 @@ impl Default for SurfaceSettings {
 
 impl SurfaceSettings {
     /// The default settings for an isovalue.
-    pub fn of(isovalue: f32) -> Self {
-        Self { isovalues: vec![isovalue], ..Self::default() }
+    pub fn of(isovalue: impl Into<f64>) -> Self {
+        Self { isovalues: vec![isovalue.into()], ..Self::default() }
+    }
+
+    /// The isovalues as the archive has values.
+    pub(super) fn kept(&self, archive: &OpenArchive) -> Vec<f32> {
+        let source = &archive.step().plan.source;
+        self.isovalues.iter().map(|&v| source.kept(v)).collect()
     }
 
     /// Whether a surface can have a triangle where values are in this range.
-    pub(super) fn can_answer(&self, range: Option<[f32; 2]>) -> bool {
-        let Some([lo, hi]) = range else { return false };
-        self.isovalues.iter().any(|&v| is_active(lo, hi, v) || self.cap && v <= hi)
+    pub(super) fn can_answer(&self, archive: &OpenArchive) -> bool {
+        let Some([lo, hi]) = archive.value_range() else { return false };
+        self.kept(archive).into_iter().any(|v| is_active(lo, hi, v) || self.cap && v <= hi)
     }
 
     /// The folder for what does not fit in memory, of a file.
@@ -109,7 +115,7 @@ pub struct SurfaceReport {
     /// Each surface, in the order of the isovalues.
     pub surfaces: Vec<OneSurface>,
     /// Least and largest value of the archive.
-    pub range: Option<[f32; 2]>,
+    pub range: Option<[f64; 2]>,
     /// The box at which the surfaces were cut.
     pub roi: Option<Roi>,
     /// Vertices written.
@@ -150,7 +156,7 @@ pub struct SurfaceReport {
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct OneSurface {
     /// Its isovalue.
-    pub isovalue: f32,
+    pub isovalue: f64,
     /// The file that it is in.
     pub file: PathBuf,
     /// Whether no value lies below the isovalue, or none at or above it; then the surface is empty.
@@ -170,7 +176,7 @@ pub struct OneSurface {
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct CountReport {
     /// The isovalue.
-    pub isovalue: f32,
+    pub isovalue: f64,
     /// Tetrahedra that the surface crosses.
     pub active_tetrahedra: u64,
     /// Tetrahedra of the archive.
@@ -182,8 +188,12 @@ pub struct CountReport {
     pub bytes_read: u64,
 }
 
-fn finite(isovalue: f32) -> Result<()> {
-    if isovalue.is_finite() { Ok(()) } else { Err(Error::usage("the isovalue must be a finite number")) }
+fn finite(isovalue: f64) -> Result<()> {
+    if (isovalue as f32).is_finite() {
+        Ok(())
+    } else {
+        Err(Error::usage("the isovalue must be a finite number"))
+    }
 }
 
 /// Counts the active tetrahedra of an isovalue, exactly: from the spectrum where it is stored ([`crate::spectrum`]: at any
@@ -191,7 +201,7 @@ fn finite(isovalue: f32) -> Result<()> {
 ///
 /// # Errors
 /// [`Error::BadInput`] for a damaged archive.
-pub fn count_active(path: &Path, isovalue: f32) -> Result<CountReport> {
+pub fn count_active(path: &Path, isovalue: impl Into<f64>) -> Result<CountReport> {
     count_active_at(path, StepChoice::First, isovalue)
 }
 
@@ -199,15 +209,16 @@ pub fn count_active(path: &Path, isovalue: f32) -> Result<CountReport> {
 ///
 /// # Errors
 /// As [`count_active`]; [`Error::Usage`] for a step or a time that is not in the archive.
-pub fn count_active_at(path: &Path, step: StepChoice, isovalue: f32) -> Result<CountReport> {
+pub fn count_active_at(path: &Path, step: StepChoice, isovalue: impl Into<f64>) -> Result<CountReport> {
     let archive = OpenArchive::open_at(path, step)?;
-    let report = count(&archive, isovalue)?;
+    let report = count(&archive, isovalue.into())?;
     Ok(CountReport { bytes_read: report.bytes_read + archive.manifest_bytes()?, ..report })
 }
 
 /// As [`count_active`], of an archive that is open; bytes that were read before are not in the report.
-pub(super) fn count(archive: &OpenArchive, isovalue: f32) -> Result<CountReport> {
-    finite(isovalue)?;
+pub(super) fn count(archive: &OpenArchive, told: f64) -> Result<CountReport> {
+    finite(told)?;
+    let isovalue = archive.step().plan.source.kept(told);
     let read_before = archive.bytes_read();
     let spectrum = if archive.view.beyond.is_none() { archive.spectrum()? } else { None };
     let stored = match &spectrum {
@@ -224,7 +235,7 @@ pub(super) fn count(archive: &OpenArchive, isovalue: f32) -> Result<CountReport>
         }
     };
     Ok(CountReport {
-        isovalue,
+        isovalue: told,
         active_tetrahedra,
         tetrahedra: archive.manifest.counts.tetrahedra,
         stored: stored.is_some(),
@@ -317,9 +328,9 @@ pub(super) fn write_made(
     let file_bytes = write_all(archive, &made.surfaces, &settings.isovalues, out, format, &comment)?;
     made.seconds.push(("write", start.elapsed()));
     let totals = &archive.manifest.counts;
-    let surfaces = describe(&made.surfaces, made.refined, &settings.isovalues, archive.value_range(), out);
+    let surfaces = describe(archive, &made.surfaces, made.refined, &settings.isovalues, out);
     let report = SurfaceReport {
-        range: archive.value_range(),
+        range: archive.told_range(),
         roi: settings.roi,
         vertices: surfaces.iter().map(|s| s.vertices).sum(),
         triangles: surfaces.iter().map(|s| s.triangles).sum(),
@@ -357,6 +368,8 @@ pub(super) struct Prepared {
     /// Position of the step in the manifest.
     pub(super) step: usize,
     pub(super) work: Vec<ChunkWork>,
+    /// The isovalues, as the archive has values.
+    isovalues: Vec<f32>,
     cut: Option<Cut>,
     world: WorldMap,
     /// Bytes of the index that were read, and the time that it took.
@@ -378,7 +391,7 @@ impl Prepared {
         let start = Instant::now();
         let cut = cut_of(archive, settings)?;
         // What the range of all values tells needs no index.
-        let index = settings.can_answer(archive.value_range()).then(|| archive.ranges()).transpose()?;
+        let index = settings.can_answer(archive).then(|| archive.ranges()).transpose()?;
         let work = match &index {
             Some(index) => work_of(archive, index, settings, cut.as_ref())?,
             None => vec![],
@@ -386,6 +399,7 @@ impl Prepared {
         Ok(Self {
             step: archive.view.step,
             work,
+            isovalues: settings.kept(archive),
             cut,
             world: world_map(archive),
             index_bytes: index.map_or(0, |i| i.bytes_read()),
@@ -401,7 +415,7 @@ impl Prepared {
         Question {
             archive,
             step: self.step,
-            isovalues: &settings.isovalues,
+            isovalues: &self.isovalues,
             cut: self.cut.as_ref(),
             world: self.world,
             caps: settings.cap.then(|| archive.manifest.plan.lattice.max()),
@@ -473,11 +487,9 @@ fn work_of(
     settings: &SurfaceSettings,
     cut: Option<&Cut>,
 ) -> Result<Vec<ChunkWork>> {
-    let refs = if settings.cap {
-        with_inside(archive, index, &settings.isovalues)?
-    } else {
-        index.query_any(&settings.isovalues)?
-    };
+    let isovalues = settings.kept(archive);
+    let refs =
+        if settings.cap { with_inside(archive, index, &isovalues)? } else { index.query_any(&isovalues)? };
     let work = by_chunk(archive, &refs)?;
     match cut {
         Some(cut) => touching(archive, cut, work),
@@ -575,18 +587,13 @@ fn cut_all(surfaces: &mut [Extracted], cut: &Cut, memory: u64, scratch: &Path) -
     Ok(())
 }
 
-/// The number that the user gave: 0.9 is not the 0.8999999761581421 that its `f32` is.
-fn as_written(isovalue: f32) -> f64 {
-    isovalue.to_string().parse().expect("a finite number's text is a number")
-}
-
 /// Whether each isovalue has a file of its own.
 pub(super) fn is_each_alone(out: &Path) -> bool {
     out.file_name().is_some_and(|name| name.to_string_lossy().contains(PLACEHOLDER))
 }
 
 /// The file of an isovalue.
-pub(super) fn file_of(out: &Path, isovalue: f32) -> PathBuf {
+pub(super) fn file_of(out: &Path, isovalue: f64) -> PathBuf {
     match out.file_name().and_then(|name| name.to_str()) {
         Some(name) => out.with_file_name(name.replace(PLACEHOLDER, &isovalue.to_string())),
         None => out.to_path_buf(),
@@ -597,24 +604,21 @@ pub(super) fn file_of(out: &Path, isovalue: f32) -> PathBuf {
 fn write_all(
     archive: &OpenArchive,
     surfaces: &[Extracted],
-    isovalues: &[f32],
+    isovalues: &[f64],
     out: &Path,
     format: SurfaceFormat,
     comment: &str,
 ) -> Result<u64> {
-    let meta = |isovalue: Option<f32>| SurfaceMeta {
-        isovalue: isovalue.map(as_written),
-        comments: vec![comment.to_owned()],
-        parts: vec![],
-    };
+    let meta =
+        |isovalue: Option<f64>| SurfaceMeta { isovalue, comments: vec![comment.to_owned()], parts: vec![] };
     if is_each_alone(out) || surfaces.len() == 1 {
-        let write = |(s, &v): (&Extracted, &f32)| {
+        let write = |(s, &v): (&Extracted, &f64)| {
             in_world(archive, &s.surface, |s| write_surface(s, &file_of(out, v), format, &meta(Some(v))))
         };
         return surfaces.iter().zip(isovalues).map(write).sum();
     }
-    let part = |(s, &v): (&Extracted, &f32)| SurfacePart {
-        isovalue: as_written(v),
+    let part = |(s, &v): (&Extracted, &f64)| SurfacePart {
+        isovalue: v,
         vertices: s.surface.vertex_count(),
         triangles: s.surface.triangle_count(),
     };
@@ -624,16 +628,18 @@ fn write_all(
 }
 
 fn describe(
+    archive: &OpenArchive,
     surfaces: &[Extracted],
     refined: Vec<RefineReport>,
-    isovalues: &[f32],
-    range: Option<[f32; 2]>,
+    isovalues: &[f64],
     out: &Path,
 ) -> Vec<OneSurface> {
-    let one = |((s, &isovalue), refined): ((&Extracted, &f32), RefineReport)| OneSurface {
+    let (range, source) = (archive.value_range(), &archive.step().plan.source);
+    let is_outside = |v: f32| range.is_none_or(|[lo, hi]| v <= lo || v > hi);
+    let one = |((s, &isovalue), refined): ((&Extracted, &f64), RefineReport)| OneSurface {
         isovalue,
         file: file_of(out, isovalue),
-        outside_range: range.is_none_or(|[lo, hi]| isovalue <= lo || isovalue > hi),
+        outside_range: is_outside(source.kept(isovalue)),
         vertices: s.surface.vertex_count(),
         triangles: s.surface.triangle_count(),
         active_tetrahedra: s.active_tetrahedra,

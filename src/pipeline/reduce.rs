@@ -22,7 +22,7 @@ use super::steps::StepChoice;
 use super::target::reduce_to_target;
 use super::volume_series::{Known, VolumeFields, plan_volumes};
 use crate::archive::lock::WriterLock;
-use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, unpacked_step};
+use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, Step, unpacked_step};
 use crate::archive::{TEMPORARY_MARK, publish};
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
@@ -421,7 +421,7 @@ fn completed(
     report: ReduceReport,
 ) -> Result<ReduceReport> {
     let steps = &made.steps[before..];
-    let ranges = steps.iter().filter_map(|s| s.value_range);
+    let ranges = steps.iter().filter_map(Step::told_range);
     Ok(ReduceReport {
         points: made.counts.points,
         void_points: steps.iter().map(|s| s.void_points).sum(),

@@ -8,7 +8,7 @@
 
 use super::field::NanPolicy;
 use super::job::{Job, ReduceReport, RunSettings, finished, scratch_folder, threads};
-use super::mesh_series::{MeshFields, Prepared, prepare};
+use super::mesh_series::{MeshFields, Prepared, offset_of, prepare};
 use super::need::{Estimate, Need, Question, free_bytes};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::reduce::{MOST_SMALL_STEPS_AT_ONCE, folder_bytes, made_before, need_of, produce};
@@ -39,7 +39,7 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     let scratch = scratch_folder(job.run);
     let reading = Instant::now();
     job.progress.begin("read the mesh", 0, "points");
-    let settings = store_settings(job.settings, job.run, &scratch);
+    let settings = store_settings(job.settings, job.run, &scratch, offset_of(job)?);
     let Prepared { store, series, boundary, inside } = prepare(job, &settings)?;
     let mut seconds = vec![("read".to_owned(), reading.elapsed().as_secs_f64())];
     job.part.expect_planned(&series)?;
@@ -83,7 +83,7 @@ pub(super) fn plan_mesh(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimat
     let (settings, scratch) = (job.settings, scratch_folder(job.run));
     job.progress.begin("read the mesh", 0, "points");
     let Prepared { store, series, boundary, .. } =
-        prepare(job, &store_settings(settings, job.run, &scratch))?;
+        prepare(job, &store_settings(settings, job.run, &scratch, offset_of(job)?))?;
     let plan = &series.plan;
     let parts = parts(&plan.mesh, series.beside.clone())?;
     let (held, memory) = (boundary_bytes(&boundary), job.run.memory);
@@ -117,6 +117,7 @@ fn store_settings<'a>(
     settings: &ReduceSettings,
     run: &'a RunSettings,
     scratch: &'a Path,
+    offset: f64,
 ) -> StoreSettings<'a> {
     StoreSettings {
         // Two sorters are there at a time, of which one merges into the other, and the bodies.
@@ -125,9 +126,10 @@ fn store_settings<'a>(
         bad_value: match settings.nan {
             NanPolicy::Error => BadValue::Refuse,
             NanPolicy::Mask => BadValue::Void,
-            NanPolicy::Value(v) => BadValue::Use(v),
+            NanPolicy::Value(v) => BadValue::Use((v - offset) as f32),
         },
         missing: settings.missing,
+        offset,
         cancel: &run.cancel,
     }
 }

@@ -3,6 +3,7 @@
 use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::grid::IndexBox;
+use crate::volume::shifted::{each_value, may_need_offset, shortest};
 use crate::volume::strided::convert_row;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use serde::Serialize;
@@ -11,9 +12,9 @@ use serde::Serialize;
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Scan {
     /// Least finite value; `None` if there is no finite sample.
-    pub min: Option<f32>,
+    pub min: Option<f64>,
     /// Largest finite value.
-    pub max: Option<f32>,
+    pub max: Option<f64>,
     /// Mean of the finite values.
     pub mean: Option<f64>,
     /// Samples that are NaN, or declared missing by the file.
@@ -30,11 +31,12 @@ impl Scan {
 }
 
 /// Counts values by the 16 leading bits of an order-preserving key of the `f32`: one pass without knowing the range
-/// first. A bin of the final histogram is therefore exact to 1/128 of a value.
+/// first. A bin of the final histogram is therefore exact to 1/128 of a value. Values that `f32` may not hold are counted from the first one.
 struct Counter {
     by_key: Vec<u64>,
-    min: f32,
-    max: f32,
+    base: Option<f64>,
+    min: f64,
+    max: f64,
     sum: f64,
     finite: u64,
     nan: u64,
@@ -45,8 +47,9 @@ impl Counter {
     fn new() -> Self {
         Self {
             by_key: vec![0; 1 << 16],
-            min: f32::MAX,
-            max: f32::MIN,
+            base: None,
+            min: f64::INFINITY,
+            max: f64::NEG_INFINITY,
             sum: 0.0,
             finite: 0,
             nan: 0,
@@ -55,27 +58,31 @@ impl Counter {
     }
 
     fn add(&mut self, values: &[f32]) {
-        for &v in values {
-            if v.is_finite() {
-                self.by_key[(ordered_key(v) >> 16) as usize] += 1;
-                self.min = self.min.min(v);
-                self.max = self.max.max(v);
-                self.sum += f64::from(v);
-                self.finite += 1;
-            } else if v.is_nan() {
-                self.nan += 1;
-            } else {
-                self.infinite += 1;
-            }
+        self.base = Some(0.0);
+        values.iter().for_each(|&v| self.add_one(f64::from(v)));
+    }
+
+    fn add_one(&mut self, v: f64) {
+        if v.is_finite() {
+            let base = *self.base.get_or_insert(v);
+            self.by_key[(ordered_key((v - base) as f32) >> 16) as usize] += 1;
+            self.min = self.min.min(v);
+            self.max = self.max.max(v);
+            self.sum += v;
+            self.finite += 1;
+        } else if v.is_nan() {
+            self.nan += 1;
+        } else {
+            self.infinite += 1;
         }
     }
 
     fn finish(self) -> Scan {
         let known = self.finite > 0;
         let mut histogram = vec![0; Scan::BINS];
-        let width = f64::from(self.max) - f64::from(self.min);
+        let (width, base) = (self.max - self.min, self.base.unwrap_or(0.0));
         for (key, &count) in self.by_key.iter().enumerate().filter(|(_, c)| **c > 0) {
-            let value = f64::from(value_of_key((key as u32) << 16 | 0x8000)) - f64::from(self.min);
+            let value = f64::from(value_of_key((key as u32) << 16 | 0x8000)) + (base - self.min);
             let bin = if width > 0.0 { (value / width * Scan::BINS as f64) as usize } else { 0 };
             histogram[bin.min(Scan::BINS - 1)] += count;
         }
@@ -108,10 +115,20 @@ pub fn scan(source: VolumeSource) -> Result<(VolumeInfo, Scan)> {
     let mut counter = Counter::new();
     let info = source.info().clone();
     match source {
+        source if may_need_offset(info.field.scalar, info.slope, info.intercept) => {
+            let (mut stream, mut bytes) = (source.into_stream(), vec![]);
+            let stored = stream.info().clone();
+            while stream.next_slab(&mut bytes)?.is_some() {
+                each_value(&bytes, &stored, None, 0.0, |v| counter.add_one(v));
+            }
+            return Ok((info, counter.finish()));
+        }
         VolumeSource::Random(reader) => scan_random(&*reader, &mut counter)?,
         VolumeSource::Stream(mut stream) => scan_stream(&mut *stream, &mut counter)?,
     }
-    Ok((info, counter.finish()))
+    let scan = counter.finish();
+    let told = |v: Option<f64>| v.map(|v| shortest(v as f32));
+    Ok((info, Scan { min: told(scan.min), max: told(scan.max), ..scan }))
 }
 
 fn scan_random(reader: &dyn VolumeReader, counter: &mut Counter) -> Result<()> {

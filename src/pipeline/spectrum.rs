@@ -12,8 +12,8 @@ use crate::error::{Error, Result};
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, Geometry};
 use crate::mesh::tet::Tet;
-use crate::spectrum::suggest::{Suggestion, suggest};
-use crate::spectrum::{ChunkPart, Knot, Limits, Room, Vertices};
+use crate::spectrum::suggest::suggest;
+use crate::spectrum::{ChunkPart, Limits, Room, Vertices};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -111,11 +111,35 @@ pub(super) fn stored_part(segment: &ChunkSegment, chunk: ChunkId, limits: Limits
     last_blocks(segment, chunk, 1, |bytes| ChunkPart::decode(bytes, limits))
 }
 
+/// The isosurface of one isovalue, as [`crate::spectrum`] measures it. Lengths are world units.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Knot {
+    /// The isovalue.
+    pub isovalue: f64,
+    /// Tetrahedra that the isosurface crosses.
+    pub active_tetrahedra: u64,
+    /// Its area.
+    pub area: f64,
+    /// The volume of the tetrahedra where the field is at or above the isovalue.
+    pub volume: f64,
+    /// The length of the gradient, integrated over the isosurface.
+    pub gradient: f64,
+}
+
+/// An isovalue, and how much speaks for it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Suggestion {
+    /// The isovalue: a round number next to a knot of the spectrum.
+    pub isovalue: f64,
+    /// How far it stands out: 1 is the highest possible.
+    pub strength: f64,
+}
+
 /// The contour spectrum of an archive.
 #[derive(Clone, Debug, Serialize)]
 pub struct SpectrumReport {
     /// Least and largest value of tetrahedra that are not void; `None` if all are void.
-    pub range: Option<[f32; 2]>,
+    pub range: Option<[f64; 2]>,
     /// Tetrahedra that are not void.
     pub tetrahedra: u64,
     /// Their volume, in world units.
@@ -192,13 +216,23 @@ pub(super) fn report(archive: &OpenArchive) -> Result<SpectrumReport> {
         };
         return Ok(none);
     };
-    let spectrum = file.spectrum();
+    let (spectrum, source) = (file.spectrum(), &archive.step().plan.source);
+    let knot = |k: &crate::spectrum::Knot| Knot {
+        isovalue: source.told(k.isovalue),
+        active_tetrahedra: k.active_tetrahedra,
+        area: k.area,
+        volume: k.volume,
+        gradient: k.gradient,
+    };
+    let suggestions = suggest(spectrum).into_iter();
     Ok(SpectrumReport {
-        range: Some(spectrum.range),
+        range: Some(spectrum.range.map(|v| source.told(v))),
         tetrahedra: spectrum.tetrahedra,
         volume: spectrum.volume,
-        knots: spectrum.knots.clone(),
-        suggestions: suggest(spectrum),
+        knots: spectrum.knots.iter().map(knot).collect(),
+        suggestions: suggestions
+            .map(|s| Suggestion { isovalue: source.told(s.isovalue), strength: s.strength })
+            .collect(),
         bytes_read: bytes_read + file.bytes_read() + archive.bytes_read() - read_before,
     })
 }

@@ -270,6 +270,11 @@ impl OpenArchive {
     }
 
     /// Least and largest value; between two steps, what bounds them.
+    pub(super) fn told_range(&self) -> Option<[f64; 2]> {
+        self.value_range().map(|range| range.map(|v| self.step().plan.source.told(v)))
+    }
+
+    /// The same, less the archive's offset.
     pub(super) fn value_range(&self) -> Option<[f32; 2]> {
         let View { step, beyond } = self.view;
         let range = self.manifest.steps[step].value_range?;

@@ -66,7 +66,7 @@ pub fn extract_series(
         let plan = &archive.step().plan;
         let (step, time) = (plan.number, plan.time_or_number());
         let (report, surfaces) = write_made(archive, settings, surfaces, &place.name(step), format)?;
-        made.push(StepSurfaces { step, time, skipped: !settings.can_answer(archive.value_range()), report });
+        made.push(StepSurfaces { step, time, skipped: !settings.can_answer(archive), report });
         Ok(surfaces.into_iter().map(|s| s.surface.into_memory()).collect())
     };
     for_each_step(&mut archive, steps, settings, &scratch, progress, &mut write)?;

@@ -29,6 +29,7 @@ use super::plan_file::work_folder;
 use super::probe_points::{Find, each_value};
 use super::reduce::{make, random_access};
 use super::rounds::Round;
+use super::shift::Reading;
 use super::sides::Sides;
 use super::steps::StepChoice;
 use super::target::{Target, TargetReport, error_of, full_cells, publish, rename};
@@ -160,12 +161,9 @@ impl Measuring<'_> {
 
     fn add_samples(&self, job: &Job<'_>, volume: VolumeSource) -> Result<()> {
         let (reader, _scratch) = random_access(volume, job.run, job.progress)?;
-        let step = self.archive.step();
-        let originals = Originals::Volume {
-            reader: &*reader,
-            missing: step.plan.missing,
-            stand_in: step.plan.nan.parse().ok(),
-        };
+        let reading = Reading::of(&self.archive.step().plan);
+        let (reader, missing, stand_in) = (reading.reader(reader), reading.missing(), reading.stand_in());
+        let originals = Originals::Volume { reader: &*reader, missing, stand_in };
         let samples = Samples::of(&originals).expect("those of a volume");
         let gauge = Gauge::new(&self.archive.manifest.plan.lattice);
         let run = job.run;

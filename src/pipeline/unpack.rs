@@ -38,7 +38,7 @@ pub struct UnpackSettings {
     /// Several steps, in place of one.
     pub steps: Option<StepRange>,
     /// Only blocks that can answer isovalues from the first to the second; surfaces at others decode blocks.
-    pub range: [f32; 2],
+    pub range: [f64; 2],
     /// Threads; 0 means as many as the process may use.
     pub threads: usize,
     /// Bytes for the chunks at work.
@@ -61,7 +61,7 @@ impl Default for UnpackSettings {
 }
 
 /// All isovalues.
-const EVERYTHING: [f32; 2] = [f32::NEG_INFINITY, f32::INFINITY];
+const EVERYTHING: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
 
 /// What was unpacked, or removed.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -213,7 +213,8 @@ fn unpack_step(
     settings: &UnpackSettings,
     progress: &dyn Progress,
 ) -> Result<UnpackedFile> {
-    let parts = parts_of(archive, settings.range)?;
+    let range = settings.range.map(|v| archive.step().plan.source.kept(v));
+    let parts = parts_of(archive, range)?;
     let bytes: Vec<u64> = parts.iter().map(Part::need).collect();
     let largest = need::BASE + bytes.iter().copied().max().unwrap_or(0);
     if settings.memory < largest {
@@ -225,7 +226,7 @@ fn unpack_step(
         return Err(Error::Budget { what: "disk".into(), needed: on_disk, available });
     }
     let path = archive.layout.unpacked();
-    let writer = UnpackedWriter::create(&path, archive.unpacked_hash(archive.view.step), settings.range)?;
+    let writer = UnpackedWriter::create(&path, archive.unpacked_hash(archive.view.step), range)?;
     let step = archive.step().plan.number;
     progress.begin(&format!("unpack step {step}"), parts.len() as u64, "chunks");
     let pool = pool(settings.threads)?;
@@ -233,7 +234,7 @@ fn unpack_step(
     let make = |n: usize| {
         settings.cancel.check()?;
         let mut buffers = spare.buffers();
-        let made = MadeChunk::of(archive, ChunkId(n as u64), settings.range, &world, &mut buffers)?;
+        let made = MadeChunk::of(archive, ChunkId(n as u64), range, &world, &mut buffers)?;
         spare.give_buffers(buffers);
         Ok(made)
     };

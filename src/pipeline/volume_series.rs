@@ -2,7 +2,7 @@
 
 use super::adapt::Errors;
 use super::beside::Beside;
-use super::field::{Field, NanPolicy};
+use super::field::Field;
 use super::fingerprint::fingerprint;
 use super::grid_field::GridField;
 use super::job::{RunSettings, scratch_folder};
@@ -13,14 +13,16 @@ use super::reduce::{Scratch, copy_bytes, random_access};
 use super::rounds::{Frame, Round};
 use super::scan::{stream_range, value_range};
 use super::series::{Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
+use super::shift::{Reading, Shift};
 use super::target::Target;
-use crate::archive::manifest::StepPlan;
+use crate::archive::manifest::{Source, StepPlan};
 use crate::archive::values::Quantiser;
 use crate::density::Choice;
 use crate::error::{Error, Result};
 use crate::exec::Progress;
 use crate::formats::{self, Input, StepSource, UnpackedFrames};
 use crate::grid::Geometry;
+use crate::volume::shifted::survey;
 use crate::volume::unpacked::unpack;
 use crate::volume::{VolumeInfo, VolumeReader, VolumeSource};
 use std::path::{Path, PathBuf};
@@ -81,6 +83,10 @@ struct Planner<'a> {
     bound: Option<f64>,
     /// The files that were hashed last, which may hold many steps.
     hashed: (Vec<PathBuf>, String),
+    /// What is subtracted from the values of all steps, once it is known.
+    offset: Option<f64>,
+    /// The packed file that was read last to find what is lost.
+    looked_into: Option<PathBuf>,
 }
 
 /// What is known before sources are looked at.
@@ -120,6 +126,8 @@ pub(super) fn plan_volumes(
         beside: Beside::default(),
         bound: None,
         hashed: Default::default(),
+        offset: None,
+        looked_into: None,
     };
     if let Some(archive) = archive {
         planner.join(archive)?;
@@ -195,6 +203,7 @@ impl Planner<'_> {
             geometry: first.plan.source.geometry,
             coordinates: archive.coordinates()?.map(|map| map.hash()).transpose()?,
         });
+        self.offset = Some(first.plan.source.offset);
         self.plan = Some(Plan { mesh: archive.manifest.plan.clone(), steps: vec![] });
         self.beside = Beside::read(archive.path(), &archive.manifest.plan)?;
         Ok(())
@@ -235,12 +244,13 @@ impl Planner<'_> {
     fn look_at(&mut self, source: &StepSource) -> Result<()> {
         let (Some(plan), Some(adapt)) = (&self.plan, &self.settings.adapt) else { return Ok(()) };
         if self.errors.is_none() {
-            self.errors = Some(Errors::new(plan.mesh.lattice, adapt, self.settings, self.run)?);
+            self.errors = Some(Errors::new(plan.mesh.lattice, adapt, self.run)?);
         }
         let Input::Volume(volume) = formats::open_input(&source.path, &source.options)? else {
             return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
         };
-        self.errors.as_mut().map_or(Ok(()), |errors| errors.add(volume))
+        let reading = self.reading();
+        self.errors.as_mut().map_or(Ok(()), |errors| errors.add(volume, reading))
     }
 
     fn step(&mut self, number: u64, source: &StepSource, look: bool) -> Result<(StepPlan, PlannedSource)> {
@@ -263,6 +273,8 @@ impl Planner<'_> {
                 self.common = Some(Common { step: number, dims, geometry, coordinates });
             }
         }
+        let shift = self.shift(number, source, &volume)?;
+        self.offset = Some(shift.offset);
         if look && self.finds_levels() {
             self.look_at(source)?;
         }
@@ -274,7 +286,11 @@ impl Planner<'_> {
         let step = StepPlan {
             number,
             time: source.time,
-            source: source_of(&info, fingerprint),
+            source: Source {
+                offset: shift.offset,
+                rounding: shift.rounding,
+                ..source_of(&info, fingerprint)
+            },
             interpolation: self.settings.interpolation,
             values: self.settings.values,
             nan: self.settings.nan.to_string(),
@@ -295,17 +311,49 @@ impl Planner<'_> {
         Ok(self.hashed.1.clone())
     }
 
+    /// How samples are read, once the offset is known.
+    fn reading(&self) -> Reading {
+        Reading::new(self.offset.unwrap_or(0.0), self.settings.missing, self.settings.nan)
+    }
+
+    /// How the values of a step are kept.
+    fn shift(&mut self, number: u64, source: &StepSource, volume: &VolumeSource) -> Result<Shift> {
+        if let Some(plan) = self.planned {
+            return Ok(plan.steps.iter().find(|s| s.number == number).map_or_else(Shift::default, Shift::of));
+        }
+        // To each step of a packed file there is no way but through those before it: the first one stands for all.
+        let is_packed = matches!(volume, VolumeSource::Stream(_));
+        if let (Some(offset), true) =
+            (self.offset, is_packed && self.looked_into.as_ref() == Some(&source.path))
+        {
+            return Ok(Shift { offset, rounding: 0.0 });
+        }
+        self.looked_into = is_packed.then(|| source.path.clone());
+        let open = || match formats::open_input(&source.path, &source.options)? {
+            Input::Volume(volume) => Ok(volume),
+            Input::Mesh(_) => {
+                Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"))
+            }
+        };
+        Shift::of_volume(open, self.offset, self.settings.missing, &self.run.cancel)
+    }
+
     /// Steps of the source's range, which is read for that: the same everywhere, so that what chunks share stays equal.
     fn quantiser(&self, source: VolumeSource, bits: u8) -> Result<Quantiser> {
-        let missing = self.settings.missing.or(source.info().missing);
-        let found = match source {
-            VolumeSource::Random(reader) => value_range(&*reader, missing, &self.run.cancel)?,
-            VolumeSource::Stream(mut stream) => stream_range(&mut *stream, missing, &self.run.cancel)?,
+        let reading = self.reading();
+        let found = match (source, reading.offset()) {
+            (VolumeSource::Random(reader), _) => {
+                value_range(&*reading.reader(reader), reading.missing(), &self.run.cancel)?
+            }
+            (VolumeSource::Stream(mut stream), 0.0) => {
+                stream_range(&mut *stream, reading.missing(), &self.run.cancel)?
+            }
+            (VolumeSource::Stream(stream), offset) => {
+                let [lo, hi] = survey(stream, self.settings.missing, offset, &self.run.cancel)?.range;
+                (lo <= hi).then_some([lo as f32, hi as f32])
+            }
         };
-        let stand_in = match self.settings.nan {
-            NanPolicy::Value(v) => Some([v, v]),
-            NanPolicy::Error | NanPolicy::Mask => None,
-        };
+        let stand_in = reading.stand_in().map(|v| [v, v]);
         let range = [found, stand_in].into_iter().flatten().reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
         Ok(Quantiser::new(bits, range.unwrap_or_default()))
     }
@@ -373,14 +421,16 @@ impl Fields for VolumeFields<'_> {
             let (expected, got) = (shape(step.source.dims), shape(reader.info().dims));
             return Err(Error::bad_input(&source.path, "dimensions", expected, got));
         }
+        let reading = Reading::new(step.source.offset, self.settings.missing, self.settings.nan);
         Ok(Box::new(GridField {
-            reader,
+            reader: reading.reader(reader),
             scratch,
             bricks: series.plan.mesh.bricks(),
             interpolation: step.interpolation,
             values: step.values,
             nan: self.settings.nan,
-            missing: self.settings.missing,
+            stand_in: reading.stand_in(),
+            missing: reading.missing(),
             released: AtomicU64::new(0),
         }))
     }

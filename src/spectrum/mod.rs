@@ -56,10 +56,8 @@ pub(crate) use {
     store::{LARGEST_KNOTS, PAGE_ACTIVE},
 };
 
-use serde::Serialize;
-
 /// The isosurface of one isovalue. Lengths are world units.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Knot {
     /// The isovalue.
     pub isovalue: f32,

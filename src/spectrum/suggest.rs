@@ -11,7 +11,6 @@
 
 use super::grid::{Family, Step};
 use super::{Knot, Spectrum};
-use serde::Serialize;
 
 /// The most suggestions.
 const MOST: usize = 5;
@@ -21,7 +20,7 @@ const SMOOTHING: f64 = 0.04;
 const LEAST_STRENGTH: f64 = 0.03;
 
 /// An isovalue, and how much speaks for it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Suggestion {
     /// The isovalue: a round number next to a knot of the spectrum.
     pub isovalue: f32,

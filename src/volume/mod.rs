@@ -4,6 +4,7 @@
 //! ([`SlabStream`]: compressed or text files). A stream is turned into random access by [`bricked`], once; a small one in memory.
 
 pub mod bricked;
+pub(crate) mod shifted;
 pub mod slabs;
 pub mod strided;
 pub(crate) mod unpacked;

@@ -174,7 +174,12 @@ pub(crate) fn reduce_in_shards(input: &Path, settings: &ReduceSettings, out: &Pa
     pipeline::commit_shards(out, &run, &Silent).unwrap();
 }
 
-pub(crate) fn surface(archive: &Path, isovalue: f32, out: &Path, threads: usize) -> pipeline::SurfaceReport {
+pub(crate) fn surface(
+    archive: &Path,
+    isovalue: impl Into<f64>,
+    out: &Path,
+    threads: usize,
+) -> pipeline::SurfaceReport {
     let settings = SurfaceSettings { threads, ..SurfaceSettings::of(isovalue) };
     pipeline::extract_surface(archive, &settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent)
         .unwrap()

@@ -81,7 +81,7 @@ pub(crate) fn two() -> Memory {
 fn all(mesh: &CellMesh, memory: u64) -> Vec<f32> {
     let (mut values, mut block, mut out) = (mesh.values(memory).unwrap(), vec![], vec![]);
     while values.next_block(&mut block).unwrap() {
-        out.extend_from_slice(&block);
+        out.extend(block.iter().map(|&v| v as f32));
     }
     out
 }

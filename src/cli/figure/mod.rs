@@ -150,10 +150,10 @@ fn draw<B: DrawingBackend>(
     name: &str,
 ) -> std::result::Result<(), DrawingAreaErrorKind<B::ErrorType>> {
     root.fill(&WHITE)?;
-    let [lo, hi] = report.range.unwrap_or([0.0, 1.0]).map(f64::from);
+    let [lo, hi] = report.range.unwrap_or([0.0, 1.0]);
     let hi = if lo < hi { hi } else { lo + 1.0 };
-    let curve = |y: fn(&isospan::spectrum::Knot) -> f64| {
-        report.knots.iter().map(|k| (f64::from(k.isovalue), y(k))).collect::<Vec<_>>()
+    let curve = |y: fn(&isospan::pipeline::Knot) -> f64| {
+        report.knots.iter().map(|k| (k.isovalue, y(k))).collect::<Vec<_>>()
     };
     let panels = [
         ("active tetrahedra", curve(|k| k.active_tetrahedra as f64)),
@@ -212,14 +212,14 @@ fn panel<B: DrawingBackend>(
         .set_all_tick_mark_size(4 * scale)
         .draw()?;
     for s in &report.suggestions {
-        let x = f64::from(s.isovalue);
+        let x = s.isovalue;
         let dashes = (0..25).map(|i| f64::from(i) * top / 25.0);
         chart.draw_series(dashes.map(|y| {
             PathElement::new(vec![(x, y), (x, y + top / 50.0)], RGBColor(120, 120, 120).stroke_width(scale))
         }))?;
     }
     if panel.names {
-        let names = report.suggestions.iter().map(|s| (f64::from(s.isovalue), s.isovalue.to_string()));
+        let names = report.suggestions.iter().map(|s| (s.isovalue, s.isovalue.to_string()));
         let at = |(x, name): (f64, String)| Text::new(name, (x + 0.004 * (hi - lo), top), font(13));
         chart.draw_series(names.map(at))?;
     }
@@ -271,8 +271,8 @@ mod tests {
 
     #[test]
     fn a_figure_says_what_it_shows() {
-        let knot = |i: u8| isospan::spectrum::Knot {
-            isovalue: f32::from(i),
+        let knot = |i: u8| isospan::pipeline::Knot {
+            isovalue: f64::from(i),
             active_tetrahedra: 10 * u64::from(i),
             area: f64::from(i * i) * 1e4,
             volume: 100.0 - f64::from(i),

@@ -69,7 +69,7 @@ impl OverTime<'_> {
     /// Of the values of all steps.
     fn range(&self) -> [f64; 2] {
         let ranges = self.steps.iter().filter_map(|s| s.spectrum.range);
-        let all = ranges.map(|r| r.map(f64::from)).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+        let all = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
         let [lo, hi] = all.unwrap_or([0.0, 1.0]);
         if lo < hi { [lo, hi] } else { [lo, lo + 1.0] }
     }
@@ -91,13 +91,13 @@ fn edges(times: &[f64]) -> Vec<f64> {
 
 /// The area at an isovalue, between knots by their line; none outside of the step's values.
 fn area_at(step: &StepSpectrum, isovalue: f64) -> f64 {
-    let Some([lo, hi]) = step.spectrum.range.map(|r| r.map(f64::from)) else { return 0.0 };
+    let Some([lo, hi]) = step.spectrum.range else { return 0.0 };
     if isovalue <= lo || isovalue > hi {
         return 0.0;
     }
     let knots = &step.spectrum.knots;
-    let at = |k: usize| (f64::from(knots[k].isovalue), knots[k].area);
-    let after = knots.partition_point(|k| f64::from(k.isovalue) < isovalue);
+    let at = |k: usize| (knots[k].isovalue, knots[k].area);
+    let after = knots.partition_point(|k| k.isovalue < isovalue);
     let (left, right) = (
         if after > 0 { at(after - 1) } else { (lo, 0.0) },
         if after < knots.len() { at(after) } else { (hi, 0.0) },
@@ -118,11 +118,11 @@ fn colour(share: f64) -> RGBColor {
 mod tests {
     use super::super::{Format, write_figure};
     use super::*;
+    use isospan::pipeline::Knot;
     use isospan::pipeline::SpectrumReport;
-    use isospan::spectrum::Knot;
 
     fn step(time: f64, area: f64) -> StepSpectrum {
-        let knot = |i: u8| Knot { isovalue: f32::from(i), area: area * f64::from(i), ..Knot::default() };
+        let knot = |i: u8| Knot { isovalue: f64::from(i), area: area * f64::from(i), ..Knot::default() };
         let spectrum = SpectrumReport {
             range: Some([0.0, 4.0]),
             tetrahedra: 1,

@@ -27,7 +27,7 @@ pub(in crate::formats) fn read_whole(mesh: &CellMesh) -> Result<Whole> {
     if mesh.field().is_ok() {
         let (mut values, mut block) = (mesh.values(0)?, vec![]);
         while values.next_block(&mut block)? {
-            out.values.extend_from_slice(&block);
+            out.values.extend(block.iter().map(|&v| v as f32));
         }
         assert_eq!(out.values.len() as u64, mesh.info().points);
     }

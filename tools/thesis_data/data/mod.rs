@@ -179,7 +179,7 @@ fn seis_in(folder: &Path) -> Result<Made> {
 }
 
 fn write_grid(path: &Path, geometry: &Geometry, field: &str, samples: &[f32]) -> Result<()> {
-    let meta = GridMeta { dims: [GRID as u64; 3], geometry: *geometry, field: field.into() };
+    let meta = GridMeta { dims: [GRID as u64; 3], geometry: *geometry, field: field.into(), offset: 0.0 };
     let file = SampleFile::create(path, SampleFormat::Vti, &meta)?;
     file.write(0, samples)?;
     file.publish()?;

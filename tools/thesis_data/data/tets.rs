@@ -193,6 +193,6 @@ pub(super) mod tests {
         assert_eq!(read.field().unwrap().name, "potential");
         let (mut values, mut block) = (read.values(0).unwrap(), vec![]);
         assert!(values.next_block(&mut block).unwrap());
-        assert_eq!(block, mesh.values);
+        assert_eq!(block.iter().map(|&v| v as f32).collect::<Vec<_>>(), mesh.values);
     }
 }
