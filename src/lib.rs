@@ -70,7 +70,8 @@
 //!
 //! * An input that is changed while it is read, without becoming shorter, is not noticed.
 //! * The check of a surface needs 4 bytes of memory for each of its vertices.
-//! * Values are `f32`: `f64` and wide integer samples are rounded to it after interpolation.
+//! * Values are `f32` inside. Where that would lose what matters of `f64` or wide integer samples, they are counted from an offset
+//!   ([`Archive::offset`]), which is added wherever values come out. What is lost all the same is told, and errors include it.
 //!
 //! # Features
 //!

@@ -172,7 +172,7 @@ fn every_way_to_make_an_archive_has_the_offset() {
     write_pressure(&out("a.npy"), PASCAL, 0.0);
     write_pressure(&out("b.npy"), PASCAL, 1.5);
     // Some samples mean "no data", and one is none.
-    let hole = |n: usize, p| if n % 7 == 0 { -999.0 } else { PASCAL + wave(p) };
+    let hole = |n: usize, p| if n.is_multiple_of(7) { -999.0 } else { PASCAL + wave(p) };
     write_wide(&out("c.npy"), "f8", f64::to_le_bytes, |n, p| if n == 5 { f64::NAN } else { hole(n, p) });
     let step = |name: &str| StepSource::new(&out(name), &OpenOptions::default());
     let with = ReduceSettings { value_bits: Some(16), ..quarter() };
@@ -193,7 +193,7 @@ fn every_way_to_make_an_archive_has_the_offset() {
     let report = reduce(&out("c.npy"), &settings, &out("c.isospan"), 2);
     assert!(report.range.unwrap()[0] > PASCAL - 5.0 && report.void_points == 0, "{:?}", report.range);
     let focus = Some([PASCAL - 1.0, PASCAL + 1.0]);
-    let adapt = Some(Adapt { focus, ..Adapt::default() });
+    let adapt = Some(Adapt { focus });
     let report = reduce(&out("a.npy"), &ReduceSettings { adapt, ..quarter() }, &out("d.isospan"), 2);
     assert!(report.error.unwrap().rms < 0.5);
     // A step that the offset does not suit says what it loses.
@@ -241,7 +241,12 @@ fn whole_numbers_are_exact_where_they_can_be() {
         }
     }
     // Over all of 32 bits no offset helps: what is lost is told, and the error is not 0.
-    write_wide(&out("wide.npy"), "u8", u64::to_le_bytes, |n, _| if n % 2 == 0 { 7 } else { 4_000_000_063 });
+    write_wide(
+        &out("wide.npy"),
+        "u8",
+        u64::to_le_bytes,
+        |n, _| if n.is_multiple_of(2) { 7 } else { 4_000_000_063 },
+    );
     let report = reduce(&out("wide.npy"), &nearest, &out("wide.isospan"), 2);
     assert_eq!(report.steps[0].rounding, Some(63.0));
     assert!(report.error.unwrap().max >= 63.0);

@@ -57,7 +57,7 @@ fn volumes_are_what_the_manifest_says() {
         let (info, scan) = pipeline::scan(source).unwrap();
         assert_eq!((info.dims, info.field.scalar.name()), (e.dims, e.scalar.as_str()), "{}", e.file);
         // The manifest gives stored values.
-        let stored = [scan.min, scan.max].map(|v| (f64::from(v.unwrap()) - info.intercept) / info.slope);
+        let stored = [scan.min, scan.max].map(|v| (v.unwrap() - info.intercept) / info.slope);
         for (got, expected) in stored.iter().zip(e.range) {
             assert!((got - expected).abs() <= 1e-5 * expected.abs().max(1.0), "{}: {got} {expected}", e.file);
         }

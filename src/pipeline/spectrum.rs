@@ -144,6 +144,9 @@ pub struct SpectrumReport {
     pub tetrahedra: u64,
     /// Their volume, in world units.
     pub volume: f64,
+    /// Whether lengths are those of tetrahedra with straight edges between their corners, of a grid that has coordinates of its own: the
+    /// vertices of a surface are placed one by one, and follow the grid where it is bent. So its area differs a little.
+    pub straight_edges: bool,
     /// Isovalues, ascending, with what was measured there.
     pub knots: Vec<Knot>,
     /// Isovalues that are worth a look, the most marked one first.
@@ -210,6 +213,7 @@ pub(super) fn report(archive: &OpenArchive) -> Result<SpectrumReport> {
             range: None,
             tetrahedra: 0,
             volume: 0.0,
+            straight_edges: false,
             knots: vec![],
             suggestions: vec![],
             bytes_read,
@@ -229,6 +233,7 @@ pub(super) fn report(archive: &OpenArchive) -> Result<SpectrumReport> {
         range: Some(spectrum.range.map(|v| source.told(v))),
         tetrahedra: spectrum.tetrahedra,
         volume: spectrum.volume,
+        straight_edges: archive.coordinate_record().is_some(),
         knots: spectrum.knots.iter().map(knot).collect(),
         suggestions: suggestions
             .map(|s| Suggestion { isovalue: source.told(s.isovalue), strength: s.strength })

@@ -80,13 +80,18 @@ impl Surveyed {
             return 0.0;
         }
         let middle = lo + width / 2.0;
-        let least = if whole { 1.0 } else { 0.0 };
-        let unit = if width > 0.0 { libm::pow(10.0, libm::floor(libm::log10(width / 8.0))) } else { 0.0 };
-        let (unit, middle) = (unit.max(least), if whole { middle.round() } else { middle });
-        let round = (middle / unit).round() * unit;
-        let offset = if unit > 0.0 && (middle / unit).abs() < 1e15 { round } else { middle };
-        let exact = whole && (self.range[0] - offset).abs().max((self.range[1] - offset).abs()) <= WHOLE;
-        if exact || middle.abs() >= FAR * width { offset } else { 0.0 }
+        let middle = if whole { middle.round() } else { middle };
+        // Powers of ten below 1 are no f64; their inverses are.
+        let digits = if width > 0.0 { libm::floor(libm::log10(width / 2.0)) } else { f64::NAN };
+        let unit = libm::pow(10.0, digits.abs());
+        let round = match digits {
+            d if d >= 0.0 => (middle / unit).round() * unit,
+            d if d < 0.0 && !whole && (middle * unit).abs() < 1e15 => (middle * unit).round() / unit,
+            _ => middle,
+        };
+        let reach = |offset: f64| (self.range[0] - offset).abs().max((self.range[1] - offset).abs());
+        let exact = [round, middle].into_iter().find(|&offset| whole && reach(offset) <= WHOLE);
+        exact.unwrap_or(if middle.abs() >= FAR * width { round } else { 0.0 })
     }
 
     /// What is lost, where it is worth a word.
@@ -226,6 +231,7 @@ mod tests {
     fn offsets_are_chosen_where_f32_is_too_coarse() {
         assert_eq!(surveyed(&[101_324_997.3, 101_325_002.9]).offset(false), 101_325_000.0);
         assert_eq!(surveyed(&[2e9, 2e9 + 1000.0, 2e9 + 7.0]).offset(true), 2_000_000_500.0);
+        assert_eq!(surveyed(&[101_325_000.31, 101_325_000.9]).offset(false), 101_325_000.6);
         // Of a constant all is the offset.
         assert_eq!(surveyed(&[101_325_000.3]).offset(false), 101_325_000.3);
         // A hundred million whole numbers from 0 on are too many, whatever the offset; thirty million are not.

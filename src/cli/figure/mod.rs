@@ -282,6 +282,7 @@ mod tests {
             range: Some([0.0, 9.0]),
             tetrahedra: 100,
             volume: 100.0,
+            straight_edges: false,
             knots: (1..=9).map(knot).collect(),
             suggestions: vec![],
             bytes_read: 0,

@@ -127,6 +127,7 @@ mod tests {
             range: Some([0.0, 4.0]),
             tetrahedra: 1,
             volume: 1.0,
+            straight_edges: false,
             knots: (1..4).map(knot).collect(),
             suggestions: vec![],
             bytes_read: 0,
