@@ -66,7 +66,7 @@ fn the_error_is_that_of_the_probed_field() {
             (at as u64, Some([at as u64 % 31, at as u64 / 31 % 28, at as u64 / 31 / 28]))
         );
         assert_eq!(worst.world, worst.index.unwrap().map(|i| i as f64), "the file has no geometry");
-        assert!((f64::from(worst.reduced - worst.original).abs() - max).abs() < 1e-6);
+        assert!(((worst.reduced - worst.original).abs() - max).abs() < 1e-6);
     }
 }
 

@@ -315,7 +315,7 @@ fn the_error_at_the_vertices_is_measured() {
     assert!(e.measured > e.samples * 9 / 10, "{e:?}");
     assert!(e.rms > 1e-4 && e.max < 0.1, "{e:?}");
     let worst = e.worst.as_ref().unwrap();
-    assert!((f64::from(worst.original) - field(worst.world)).abs() < 1e-5, "{worst:?}");
+    assert!((worst.original - field(worst.world)).abs() < 1e-5, "{worst:?}");
     let again = MeasureSettings { threads: 1, memory: 1 << 30, ..MeasureSettings::default() };
     let again = measure(&out, &input, &OpenOptions::default(), &again, &Silent).unwrap();
     assert!(again.same_source && again.error == e);

@@ -172,7 +172,8 @@ fn every_way_to_make_an_archive_has_the_offset() {
     write_pressure(&out("a.npy"), PASCAL, 0.0);
     write_pressure(&out("b.npy"), PASCAL, 1.5);
     // Some samples mean "no data", and one is none.
-    let hole = |n: usize, p| if n.is_multiple_of(7) { -999.0 } else { PASCAL + wave(p) };
+    let fill = f64::from(-999.9f32);
+    let hole = |n: usize, p| if n.is_multiple_of(7) { fill } else { PASCAL + wave(p) };
     write_wide(&out("c.npy"), "f8", f64::to_le_bytes, |n, p| if n == 5 { f64::NAN } else { hole(n, p) });
     let step = |name: &str| StepSource::new(&out(name), &OpenOptions::default());
     let with = ReduceSettings { value_bits: Some(16), ..quarter() };
@@ -189,7 +190,7 @@ fn every_way_to_make_an_archive_has_the_offset() {
         let [first, second] = [0, 1].map(|s: usize| report.steps[s].range.unwrap());
         assert!((second[0] - first[0] - 1.5).abs() < 0.2 && second[0] > PASCAL - 3.0, "{first:?} {second:?}");
     }
-    let settings = ReduceSettings { nan: NanPolicy::Value(PASCAL + 0.5), missing: Some(-999.0), ..quarter() };
+    let settings = ReduceSettings { nan: NanPolicy::Value(PASCAL + 0.5), missing: Some(-999.9), ..quarter() };
     let report = reduce(&out("c.npy"), &settings, &out("c.isospan"), 2);
     assert!(report.range.unwrap()[0] > PASCAL - 5.0 && report.void_points == 0, "{:?}", report.range);
     let focus = Some([PASCAL - 1.0, PASCAL + 1.0]);
@@ -250,6 +251,10 @@ fn whole_numbers_are_exact_where_they_can_be() {
     let report = reduce(&out("wide.npy"), &nearest, &out("wide.isospan"), 2);
     assert_eq!(report.steps[0].rounding, Some(63.0));
     assert!(report.error.unwrap().max >= 63.0);
+    let estimate =
+        pipeline::estimate(&out("wide.npy"), &OpenOptions::default(), &nearest, &out("w.isospan"), &run(1))
+            .unwrap();
+    assert_eq!(estimate.rounding, Some(63.0));
     pipeline::check_archive(&out("wide.isospan")).unwrap();
     assert_eq!(pipeline::summarize(&out("wide.isospan")).unwrap().rounding, Some(63.0));
     // And what f32 cannot hold at all is refused.

@@ -129,7 +129,7 @@ fn samples_points_and_the_stored_error_agree() {
     let unit = |p: [usize; 3]| [0, 1, 2].map(|a| 2.0 * p[a] as f64 / (DIMS[a] - 1) as f64 - 1.0);
     let squares = samples.iter().zip(&places).map(|(&v, &p)| {
         let [x, y, z] = unit(p);
-        (f64::from(sheets(x, y, z) as f32) - f64::from(v)).powi(2)
+        (f64::from(sheets(x, y, z) as f32) - v).powi(2)
     });
     let rms = (squares.sum::<f64>() / samples.len() as f64).sqrt();
     let stored = report.error.unwrap().rms;

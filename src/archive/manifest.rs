@@ -192,6 +192,11 @@ impl Source {
         self.offset + shortest(v)
     }
 
+    /// What the samples lost when they became `f32`, at most, where that matters.
+    pub fn told_rounding(&self) -> Option<f64> {
+        Some(self.rounding).filter(|lost| *lost > 0.0)
+    }
+
     /// What the archive has of a value of the file.
     pub fn kept(&self, v: f64) -> f32 {
         (v - self.offset) as f32
@@ -274,6 +279,11 @@ pub struct BaseStep {
 }
 
 impl StepPlan {
+    /// How values were rounded, as the file has values.
+    pub fn told_quantiser(&self) -> Option<Quantiser> {
+        self.quantiser.map(|q| Quantiser { origin: q.origin + self.source.offset, ..q })
+    }
+
     /// Blocks of a chunk behind those of its values: their ranges, its errors where they are stored, its part of the spectrum, its summary.
     pub fn blocks_behind_values(&self) -> u64 {
         3 + u64::from(self.measured)
@@ -341,7 +351,7 @@ impl Step {
 
     /// What the samples lost when they became `f32`, at most, where that matters.
     pub fn told_rounding(&self) -> Option<f64> {
-        Some(self.plan.source.rounding).filter(|lost| *lost > 0.0)
+        self.plan.source.told_rounding()
     }
 }
 

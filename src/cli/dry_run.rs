@@ -40,6 +40,9 @@ fn in_words(e: &Estimate, output: &Path) -> String {
         0 => row("scratch", "none".into()),
         n => row("scratch", format!("about {} ({} free)", text::bytes(n), free(e.scratch_free))),
     }
+    if let Some(lost) = e.rounding {
+        row("rounded", text::rounding_words(lost));
+    }
     row("time", format!("roughly {}", text::duration(Duration::from_secs(e.seconds.ceil() as u64))));
     out
 }

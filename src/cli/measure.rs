@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 
 /// Measure the field of an archive at every sample of the volume, or vertex of the mesh, that it was made from.
 ///
-/// Errors are the reduced value less the original one. Percentiles are at most 1/32 too large, everything else is exact.
+/// Errors are the reduced value less the original one. Percentiles are at most 1/32 too large, everything else is exact; but where
+/// samples lost something to f32 (info tells), figures include that, and are no less than the true ones.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// The archive.

@@ -61,6 +61,9 @@ fn in_words(archive: &Path, r: &PlanReport) -> String {
     let plural = |n: u64, what: &str| format!("{} {what}{}", text::count(n), if n == 1 { "" } else { "s" });
     row("hash", r.hash.join(" "));
     row("points", format!("{} in {}", text::count(e.points), plural(e.chunks, "chunk")));
+    if let Some(lost) = e.rounding {
+        row("rounded", text::rounding_words(lost));
+    }
     row(
         "shards",
         format!("{} of at most {}, of {} in all", r.shards, plural(r.shard_segments, "segment"), r.segments),

@@ -149,12 +149,12 @@ pub(crate) fn rough_duration(d: Duration) -> String {
 
 /// A line on what samples have lost because values are `f32`, where that matters.
 pub(crate) fn rounding(lost: Option<f64>) -> String {
-    lost.map_or_else(String::new, |lost| {
-        format!(
-            "  rounded     samples to f32, by up to {}, which the errors include\n",
-            value(figures(lost, 4))
-        )
-    })
+    lost.map_or_else(String::new, |lost| format!("  rounded     {}\n", rounding_words(lost)))
+}
+
+/// What such a line says.
+pub(crate) fn rounding_words(lost: f64) -> String {
+    format!("samples to f32, by up to {}, which the errors include", value(figures(lost, 4)))
 }
 
 #[cfg(test)]

@@ -201,7 +201,8 @@ fn read_values(mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<Column<f
     let (mut values, mut block) = (mesh.values(settings.memory)?, vec![]);
     // As a text says it, "-1e20" is no f32 that a file may have.
     let missing = |v: f64| {
-        let alike = |m: f64| m == v || settings.offset == 0.0 && m as f32 == v as f32;
+        let alike =
+            |m: f64| m == v || f64::from(m as f32) == v || settings.offset == 0.0 && m as f32 == v as f32;
         settings.missing.is_some_and(alike)
     };
     while values.next_block(&mut block)? {

@@ -37,7 +37,7 @@ impl NanPolicy {
         match text {
             "error" => Some(Self::Error),
             "mask" => Some(Self::Mask),
-            number => number.parse::<f64>().ok().filter(|v| v.is_finite()).map(Self::Value),
+            number => number.parse::<f64>().ok().filter(|v| (*v as f32).is_finite()).map(Self::Value),
         }
     }
 }

@@ -340,6 +340,9 @@ pub struct Estimate {
     pub scratch_bytes: u64,
     /// Bytes that are free for it.
     pub scratch_free: Option<u64>,
+    /// What samples lose when they become `f32`, at most, where that matters; errors will include it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rounding: Option<f64>,
     /// Seconds of work, roughly: from the speed of a machine of 2020.
     pub seconds: f64,
     #[serde(skip)]
@@ -381,6 +384,7 @@ impl Estimate {
             // The copy of the input is gone when the index is built.
             scratch_bytes: q.scratch.1.max(q.need.index_scratch(q.memory)),
             scratch_free: free_bytes(q.scratch.0),
+            rounding: q.plan.steps.iter().filter_map(|s| s.source.told_rounding()).reduce(f64::max),
             seconds: q.need.seconds(workers, q.plan.steps.len()),
             archive: q.out.to_path_buf(),
             scratch: q.scratch.0.to_path_buf(),

@@ -236,7 +236,7 @@ pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
         levels: archive.points.levels().map_or_else(Vec::new, |levels| LevelSummary::all(&archive, levels)),
         interpolation: step.plan.interpolation.name().into(),
         values: step.plan.values.name().into(),
-        quantiser: step.plan.quantiser,
+        quantiser: step.plan.told_quantiser(),
         points: counts.points,
         void_points: step.void_points,
         tetrahedra: counts.tetrahedra,

@@ -431,7 +431,7 @@ fn completed(
         halo_retries: made.halo_retries,
         grid_cells: made.steps[0].coordinates.map(|c| c.cells),
         range: ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]),
-        quantiser: series.plan.first().quantiser,
+        quantiser: series.plan.first().told_quantiser(),
         error: steps[0].error.clone(),
         steps: steps.iter().map(StepSummary::of).collect(),
         skipped: series.skipped.clone(),

@@ -8,7 +8,7 @@ use crate::archive::manifest::StepPlan;
 use crate::cells::CellMesh;
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
-use crate::volume::shifted::{Shifted, Surveyed, is_whole, may_need_offset, survey};
+use crate::volume::shifted::{Shifted, Surveyed, is_missing, is_whole, may_need_offset, survey};
 use crate::volume::{ScalarType, VolumeInfo, VolumeReader, VolumeSource};
 use std::path::Path;
 
@@ -76,7 +76,7 @@ impl Shift {
             let (mut values, mut block, mut found) = (mesh.values(memory)?, vec![], Surveyed::NONE);
             while values.next_block(&mut block)? {
                 cancel.check()?;
-                block.iter().filter(|v| Some(**v) != missing).for_each(|v| found.add(v - offset));
+                block.iter().filter(|v| !is_missing(**v, missing)).for_each(|v| found.add(v - offset));
             }
             Ok(found)
         };

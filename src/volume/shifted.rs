@@ -40,6 +40,11 @@ pub(crate) fn is_whole(scalar: ScalarType, slope: f64, intercept: f64) -> bool {
     !matches!(scalar, ScalarType::F32 | ScalarType::F64) && slope == 1.0 && intercept.fract() == 0.0
 }
 
+/// Whether a value is the one that means "no data", which a file may have rounded to `f32`.
+pub(crate) fn is_missing(value: f64, missing: Option<f64>) -> bool {
+    missing.is_some_and(|m| value == m || value == f64::from(m as f32))
+}
+
 /// What a pass over samples tells of their values less an offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Surveyed {
@@ -141,7 +146,7 @@ pub(crate) fn each_value(
     let declared = info.missing.map(|m| if scalar == ScalarType::F32 { f64::from(m as f32) } else { m });
     let mut float = |stored: f64| {
         let value = if plain { stored } else { slope * stored + intercept };
-        let none = Some(stored) == declared || Some(value) == missing;
+        let none = Some(stored) == declared || is_missing(value, missing);
         take(if none { f64::NAN } else { value - offset });
     };
     macro_rules! floats {
@@ -154,7 +159,7 @@ pub(crate) fn each_value(
         ($read:expr) => {
             bytes.chunks_exact(8).map($read).for_each(|v| {
                 let stored = v as f64;
-                let none = Some(stored) == declared || Some(stored) == missing;
+                let none = Some(stored) == declared || is_missing(stored, missing);
                 take(if none { f64::NAN } else { (i128::from(v) - offset as i128) as f64 });
             })
         };
