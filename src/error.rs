@@ -182,10 +182,9 @@ impl fmt::Display for Error {
             }
             Self::Usage(message) => f.write_str(message),
             Self::Budget { what, needed, available } => {
-                write!(
-                    f,
-                    "not enough {what}: the run needs {needed} bytes and has {available}; give at least {needed}"
-                )
+                // The last word can be given to --memory, to the byte.
+                let [needs, has] = [bytes_text(*needed, f64::ceil), bytes_text(*available, f64::floor)];
+                write!(f, "not enough {what}: the run needs {needs} and has {has}; give at least {needed}")
             }
             Self::Incomplete { path, missing } => {
                 write!(
@@ -204,6 +203,16 @@ impl fmt::Display for Error {
             Self::Cancelled => f.write_str("stopped by a signal; the same command continues"),
         }
     }
+}
+
+/// Bytes for a person: "3.4 MiB", rounded to the tenth that `round` tells.
+pub(crate) fn bytes_text(n: u64, round: fn(f64) -> f64) -> String {
+    let (mut value, mut unit) = (n as f64, 0);
+    while value >= 1024.0 && unit < 5 {
+        (value, unit) = (value / 1024.0, unit + 1);
+    }
+    let name = ["B", "KiB", "MiB", "GiB", "TiB", "PiB"][unit];
+    if unit == 0 { format!("{n} B") } else { format!("{:.1} {name}", round(value * 10.0) / 10.0) }
 }
 
 impl std::error::Error for Error {

@@ -35,7 +35,7 @@ fn in_words(e: &Estimate, output: &Path) -> String {
             if e.workers == 1 { "1 chunk".to_owned() } else { format!("{} chunks", e.workers) }
         ),
     );
-    row("archive", format!("about {} ({} free)", text::bytes(e.archive_bytes), free(e.archive_free)));
+    row("archive", format!("up to {} ({} free)", text::bytes(e.archive_bytes), free(e.archive_free)));
     match e.scratch_bytes {
         0 => row("scratch", "none".into()),
         n => row("scratch", format!("about {} ({} free)", text::bytes(n), free(e.scratch_free))),

@@ -1,6 +1,7 @@
 //! `isospan info`: what is in a volume, a mesh or an archive.
 
 use super::input::InputArgs;
+use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
 use isospan::pipeline::{self, ArchiveSummary, Scan};
@@ -27,11 +28,11 @@ pub(crate) struct Args {
     read: InputArgs,
 }
 
-pub(crate) fn run(args: &Args) -> Result<()> {
-    args.inputs.iter().try_for_each(|path| one(path, args))
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    args.inputs.iter().try_for_each(|path| one(path, args, talk))
 }
 
-fn one(path: &Path, args: &Args) -> Result<()> {
+fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
     if pipeline::is_archive(path) {
         let summary = pipeline::summarize_at(path, args.step.choice())?;
         return if args.json {
@@ -42,16 +43,18 @@ fn one(path: &Path, args: &Args) -> Result<()> {
     }
     let source = match formats::open_input(path, &args.read.options()?)? {
         formats::Input::Volume(source) => source,
-        formats::Input::Mesh(mesh) => return super::info_mesh::run(&mesh, !args.no_scan, args.json),
+        formats::Input::Mesh(mesh) => return super::info_mesh::run(&mesh, !args.no_scan, args.json, talk),
     };
-    let (info, scan) = if args.no_scan {
-        (source.info().clone(), None)
+    let (info, scan, notices) = if args.no_scan {
+        (source.info().clone(), None, vec![])
     } else {
-        let (info, scan) = pipeline::scan(source)?;
-        (info, Some(scan))
+        let (info, scan, notices) = pipeline::scan_with_notices(source)?;
+        (info, Some(scan), notices)
     };
+    talk.notices(&notices);
     if args.json {
-        let mut value = serde_json::json!({ "kind": "volume", "info": info, "scan": scan });
+        let mut value =
+            serde_json::json!({ "kind": "volume", "info": info, "scan": scan, "notices": notices });
         if let Some([lo, hi]) = scan.as_ref().and_then(|s| stored_range(&info, s)) {
             value["stored_range"] = serde_json::json!([lo, hi]);
         }

@@ -1,13 +1,15 @@
 //! `isospan info` of a mesh.
 
+use super::progress::Talk;
 use super::text;
 use isospan::Result;
 use isospan::cells::scan::{FieldScan, MeshScan, scan, scan_field};
 use isospan::cells::{CellField, CellMesh, Center};
+use isospan::pipeline::mesh_notices;
 use std::fmt::Write as _;
 
 /// Prints what is in a mesh; without `read` only what its head tells.
-pub(super) fn run(mesh: &CellMesh, read: bool, json: bool) -> Result<()> {
+pub(super) fn run(mesh: &CellMesh, read: bool, json: bool, talk: &Talk) -> Result<()> {
     let info = mesh.info();
     let (mut found, mut ranges) = (None, vec![]);
     ranges.resize_with(info.fields.len(), || None);
@@ -18,9 +20,15 @@ pub(super) fn run(mesh: &CellMesh, read: bool, json: bool) -> Result<()> {
         }
     }
     let chosen = mesh.field().ok().map(|f| f.name.clone());
+    // A field that cannot be read is told with its range.
+    let notices = match &chosen {
+        Some(_) if read => mesh_notices(mesh).unwrap_or_default(),
+        _ => vec![],
+    };
+    talk.notices(&notices);
     if json {
         return super::print_json(&serde_json::json!({
-            "kind": "mesh", "info": info, "field": chosen, "scan": found,
+            "kind": "mesh", "info": info, "field": chosen, "scan": found, "notices": notices,
             "field_scans": ranges.iter().map(|r| r.as_ref().map(range_json)).collect::<Vec<_>>(),
         }));
     }

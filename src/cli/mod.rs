@@ -111,7 +111,7 @@ pub(crate) fn main() -> ExitCode {
 
 fn run(cli: &Cli) -> Result<()> {
     match &cli.command {
-        Command::Info(args) => info::run(args),
+        Command::Info(args) => info::run(args, &cli.talk),
         Command::Reduce(args) => reduce::run(args, &cli.talk),
         Command::Append(args) => append::run(args, &cli.talk),
         Command::Surface(args) => surface::run(args, &cli.talk),

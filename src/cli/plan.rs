@@ -68,7 +68,7 @@ fn in_words(archive: &Path, r: &PlanReport) -> String {
         "shards",
         format!("{} of at most {}, of {} in all", r.shards, plural(r.shard_segments, "segment"), r.segments),
     );
-    row("archive", format!("about {}", text::bytes(e.archive_bytes)));
+    row("archive", format!("up to {}", text::bytes(e.archive_bytes)));
     let at_work = if e.workers == 1 { "one chunk".into() } else { format!("{} chunks", e.workers) };
     let (least, all) = (text::bytes(e.memory_least), text::bytes(e.memory_comfortable));
     row("each shard", format!("memory at least {least}, {all} for all threads"));

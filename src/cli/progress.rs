@@ -7,6 +7,7 @@ use super::text;
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use isospan::exec::{Progress, Silent};
+use isospan::pipeline::Notice;
 use std::fmt;
 use std::io::{IsTerminal, Write};
 use std::sync::{Mutex, PoisonError};
@@ -46,7 +47,7 @@ impl Talk {
     pub(crate) fn progress(&self) -> Box<dyn Progress> {
         match self.progress {
             _ if self.quiet => Box::new(Silent),
-            Form::None => Box::new(Silent),
+            Form::None => Box::new(Notices),
             Form::Auto if std::io::stderr().is_terminal() => Box::new(Bar(Mutex::new(ProgressBar::hidden()))),
             Form::Bar => Box::new(Bar(Mutex::new(ProgressBar::hidden()))),
             Form::Auto | Form::Plain => Box::new(Lines::new(false)),
@@ -76,6 +77,11 @@ impl Talk {
         }
     }
 
+    /// What the library found that the user should know.
+    pub(crate) fn notices(&self, notices: &[Notice]) {
+        notices.iter().for_each(|notice| self.note(&notice.text));
+    }
+
     /// The time of each stage of a report.
     pub(crate) fn stages(&self, seconds: &[(String, f64)]) {
         for (stage, time) in seconds {
@@ -87,6 +93,21 @@ impl Talk {
 /// Writes a line; who closed standard error does not want it.
 fn tell(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// No progress, but what the user should know.
+struct Notices;
+
+impl Progress for Notices {
+    fn begin(&self, _stage: &str, _total: u64, _unit: &str) {}
+
+    fn advance(&self, _units: u64) {}
+
+    fn end(&self) {}
+
+    fn notice(&self, line: &str) {
+        tell(&format!("isospan: {line}"));
+    }
 }
 
 struct Bar(Mutex<ProgressBar>);
@@ -118,6 +139,11 @@ impl Progress for Bar {
 
     fn end(&self) {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).finish_and_clear();
+    }
+
+    fn notice(&self, line: &str) {
+        let bar = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        bar.suspend(|| tell(&format!("isospan: {line}")));
     }
 }
 
@@ -216,6 +242,14 @@ impl Progress for Lines {
         let stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(stage) = stage.filter(|_| self.json) {
             tell(&stage.object("end"));
+        }
+    }
+
+    fn notice(&self, line: &str) {
+        if self.json {
+            tell(&serde_json::json!({ "event": "note", "text": line }).to_string());
+        } else {
+            tell(&format!("isospan: {line}"));
         }
     }
 }

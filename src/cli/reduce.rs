@@ -44,6 +44,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let (steps, settings) = (args.steps.all(&args.read)?, args.choices.settings()?);
     if args.dry_run {
         let found = estimate_series(&steps, &settings, &args.output, &run)?;
+        talk.notices(&found.notices);
         return dry_run::tell(&found, &args.output, args.json);
     }
     let threads = if run.threads == 0 { isospan::exec::available_threads() } else { run.threads };
@@ -92,6 +93,24 @@ fn error_line(report: &ReduceReport) -> Option<String> {
     let (rms, max) = (largest(|[rms, _]| rms)?, largest(|[_, max]| max)?);
     let [of_rms, of_max] = [rms.0, max.0].map(|v| text::value(text::figures(v, 4)));
     Some(format!("  error       RMS at most {of_rms} (step {}), at most {of_max} (step {})", rms.1, max.1))
+}
+
+/// How much smaller the archive is than its source, and the bits of both.
+fn size_line(report: &ReduceReport, source: u64) -> String {
+    let samples = report.samples.max(1) * report.steps.len().max(1) as u64;
+    let bits = |bytes: u64| format!("{:.2}", bytes as f64 * 8.0 / samples as f64);
+    let (ours, theirs) = (report.archive_bytes.max(1) as f64, source.max(1) as f64);
+    let ratio = if ours <= theirs {
+        format!("1/{:.1} of the source", theirs / ours)
+    } else {
+        format!("{:.1} TIMES THE SOURCE", ours / theirs)
+    };
+    let (what, ours) = (if report.mesh.is_some() { "vertex" } else { "sample" }, bits(report.archive_bytes));
+    format!(
+        "  ratio       {ratio} ({}): {ours} bits a {what}, the source {}",
+        text::bytes(source),
+        bits(source)
+    )
 }
 
 fn in_words(archive: &Path, report: &ReduceReport) -> String {
@@ -154,6 +173,9 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
     }
     let _ =
         writeln!(out, "  archive     {} ({per_point:.2} bytes a point)", text::bytes(report.archive_bytes));
+    if let Some(source) = report.source_bytes {
+        let _ = writeln!(out, "{}", size_line(report, source));
+    }
     for (stage, time) in &report.seconds {
         let _ = writeln!(out, "  {stage:<11} {}", text::duration(std::time::Duration::from_secs_f64(*time)));
     }

@@ -30,14 +30,17 @@ pub(crate) fn parse_bytes(text: &str) -> Result<u64, String> {
     if (1.0..1e18).contains(&bytes) { Ok(bytes as u64) } else { Err(format!("'{text}' is out of range")) }
 }
 
-/// Parses a fraction of the samples: `1/8`, `0.125`, `1`.
+/// Parses a fraction of the samples: `1/8`, `0.125`, `12.5%`, `1`.
 pub(crate) fn parse_fraction(text: &str) -> Result<f64, String> {
     let number = |s: &str| s.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
-    let value = match text.split_once('/') {
-        Some((a, b)) => number(a).zip(number(b)).map(|(a, b)| a / b),
-        None => number(text),
+    let value = match (text.split_once('/'), text.strip_suffix('%')) {
+        (Some((a, b)), _) => number(a).zip(number(b)).map(|(a, b)| a / b),
+        (None, Some(percent)) => number(percent).map(|p| p / 100.0),
+        (None, None) => number(text),
     };
-    value.filter(|v| *v <= 64.0).ok_or_else(|| format!("'{text}' is not a fraction; write 1/8 or 0.125"))
+    value
+        .filter(|v| *v <= 64.0)
+        .ok_or_else(|| format!("'{text}' is not a fraction; write 1/8, 0.125 or 12.5%"))
 }
 
 /// Parses three comma-separated values.
@@ -186,7 +189,8 @@ mod tests {
     fn fractions_and_triples() {
         assert_eq!(parse_fraction("1/8"), Ok(0.125));
         assert_eq!(parse_fraction("0.5"), Ok(0.5));
-        for bad in ["0", "-1/8", "1/0", "x", "1/", "nan", "1000"] {
+        assert_eq!(parse_fraction("12.5%"), Ok(0.125));
+        for bad in ["%", "1/8%", "0%", "6401%", "0", "-1/8", "1/0", "x", "1/", "nan", "1000"] {
             assert!(parse_fraction(bad).is_err(), "{bad}");
         }
         assert_eq!(parse_triple::<u64>("1,2,3", "dims"), Ok([1, 2, 3]));

@@ -8,6 +8,7 @@
 
 use super::field::NanPolicy;
 use super::job::{Job, Part, ReduceReport, RunSettings};
+use super::notice::look;
 use super::open::OpenArchive;
 use super::plan::ReduceSettings;
 use super::reduce::{lock_for_writing, reduce_volumes};
@@ -63,10 +64,12 @@ pub fn append(
     let settings = settings_like(last, settings)?;
     let part = Part::Further(&archive);
     let job = Job { sources: &sources, settings: &settings, out, run, progress, started, part, round: None };
-    match last.plan.source.mesh {
+    let notices = look(&job, true)?.notices;
+    let report = match last.plan.source.mesh {
         None => reduce_volumes(&job),
         Some(_) => reduce_mesh(&job),
-    }
+    }?;
+    Ok(ReduceReport { notices, ..report })
 }
 
 /// A further step; where nobody names a field, that of the archive, if the file has it.

@@ -1,6 +1,7 @@
 //! What a reduction is told, and what it tells: the same for volumes and meshes, for a whole archive, a shard, and further steps.
 
 use super::layout::Layout;
+use super::notice::Notice;
 use super::open::{OpenArchive, StepSummary};
 use super::plan::{Plan, ReduceSettings};
 use super::rounds::Round;
@@ -97,6 +98,10 @@ pub struct ReduceReport {
     pub made_before: bool,
     /// Bytes of all files of the archive.
     pub archive_bytes: u64,
+    /// Bytes of the source: of its files, or of its samples as they are stored, whichever is less. Where an archive was made as a whole.
+    pub source_bytes: Option<u64>,
+    /// What the user should know: see [`Notice`].
+    pub notices: Vec<Notice>,
     /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those that run side by side.
     pub seconds: Vec<(String, f64)>,
 }

@@ -17,6 +17,7 @@
 //! is; what does not fit is sorted in the scratch folder.
 
 use super::gauge;
+use super::notice::Notice;
 use super::plan::{BLOCK_TETS, MeshParts, Plan};
 use crate::archive::manifest::Plan as MeshPlan;
 use crate::error::{Error, Result};
@@ -332,7 +333,7 @@ pub struct Estimate {
     pub memory_comfortable: u64,
     /// Chunks at work at one time with the memory given; 0 when it does not suffice.
     pub workers: usize,
-    /// Bytes of the archive, about.
+    /// Bytes of the archive, at most: rather less are usual.
     pub archive_bytes: u64,
     /// Bytes that are free for it, what is there of it already included; `None` where the system does not tell.
     pub archive_free: Option<u64>,
@@ -345,6 +346,8 @@ pub struct Estimate {
     pub rounding: Option<f64>,
     /// Seconds of work, roughly: from the speed of a machine of 2020.
     pub seconds: f64,
+    /// What the user should know: see [`Notice`].
+    pub notices: Vec<Notice>,
     #[serde(skip)]
     archive: std::path::PathBuf,
     #[serde(skip)]
@@ -386,6 +389,7 @@ impl Estimate {
             scratch_free: free_bytes(q.scratch.0),
             rounding: q.plan.steps.iter().filter_map(|s| s.source.told_rounding()).reduce(f64::max),
             seconds: q.need.seconds(workers, q.plan.steps.len()),
+            notices: vec![],
             archive: q.out.to_path_buf(),
             scratch: q.scratch.0.to_path_buf(),
         }

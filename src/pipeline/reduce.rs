@@ -11,6 +11,7 @@ use super::job::{
 use super::layout::Layout;
 use super::measure::{MeasureSettings, reopened_errors};
 use super::need::{self, Estimate, Need, Question};
+use super::notice::look;
 use super::open::{OpenArchive, StepSummary};
 use super::placed::write_coordinates;
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
@@ -125,15 +126,20 @@ pub fn reduce_series(
     refuse_finished(out, sources, settings, run)?;
     let sources = &numbered(sources);
     let job = Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None };
-    if let Some(target) = settings.target {
-        return reduce_to_target(&job, target);
-    }
-    if !(run.replace && is_finished(out)) {
-        return make(&job);
-    }
-    let new = new_archive(out);
-    let report = make(&Job { out: &new, ..job })?;
-    replace_archive(&new, out)?;
+    let looked = look(&job, false)?;
+    let report = match settings.target {
+        Some(target) => reduce_to_target(&job, target),
+        None if run.replace && is_finished(out) => replace(&job),
+        None => make(&job),
+    }?;
+    Ok(looked.complete(&sources[0].1.path, report, &job))
+}
+
+/// Makes an archive beside the finished one of its name, which is whole until then, and puts it there.
+fn replace(job: &Job<'_>) -> Result<ReduceReport> {
+    let new = new_archive(job.out);
+    let report = make(&Job { out: &new, ..*job })?;
+    replace_archive(&new, job.out)?;
     Ok(ReduceReport { made_before: false, ..report })
 }
 
@@ -473,10 +479,12 @@ pub fn estimate_series(
     refuse_finished(out, sources, settings, run)?;
     let (sources, progress, started) = (&numbered(sources), &Silent, Instant::now());
     let job = Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None };
-    let (series, _, estimate) = make_plan(&job)?;
+    let notices = look(&job, false)?.notices;
+    let (series, _, mut estimate) = make_plan(&job)?;
     if !run.replace {
         repair::finished(out, &series.plan)?;
     }
+    estimate.notices = notices;
     Ok(estimate)
 }
 

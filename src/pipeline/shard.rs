@@ -20,6 +20,7 @@ use super::inspect::{Depth, SegmentState};
 use super::job::{Job, Part, ReduceReport, RunSettings, finished, threads};
 use super::layout::Layout;
 use super::need::{Estimate, Need};
+use super::notice::look;
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::plan_file::{Cut, PlanFile, plan_path};
 use super::reduce::{self, Publishing, grid_coordinates, numbered, prepare_folder};
@@ -133,7 +134,9 @@ pub fn plan_shards(
     reduce::refuse_overwriting(out, run)?;
     let (sources, part) = (&numbered(sources), Part::Whole);
     let job = Job { sources, settings, out, run, progress, started: Instant::now(), part, round: None };
-    let (series, mesh, needs) = reduce::make_plan(&job)?;
+    let notices = look(&job, false)?.notices;
+    let (series, mesh, mut needs) = reduce::make_plan(&job)?;
+    needs.notices = notices;
     let beside = series.beside.clone();
     let (memory_least, replaces) = (needs.memory_least, reduce::is_finished(out));
     let file =
