@@ -50,32 +50,32 @@ pub enum Finding {
     /// Many samples have exactly one value, far from all others: it may mean "no data".
     Fill {
         /// The value.
-        value: f32,
+        value: f64,
         /// The part of the samples that have it, from 0 to 1.
         share: f64,
         /// Least and largest of the other values.
-        others: [f32; 2],
+        others: [f64; 2],
     },
     /// All samples (fill values apart) are equal: no isovalue has a surface.
     Constant {
         /// The value.
-        value: f32,
+        value: f64,
     },
     /// A few samples make the range a hundred times wider, or more.
     Stretched {
         /// How many do, of those that were looked at.
         count: u64,
         /// The one that is farthest from the others.
-        value: f32,
+        value: f64,
         /// Least and largest of the other values.
-        others: [f32; 2],
+        others: [f64; 2],
     },
     /// The samples are names of parts, as of a segmentation: values between them mean nothing.
     Labels {
         /// Different values, among the samples that were looked at.
         values: u64,
         /// Least and largest.
-        range: [f32; 2],
+        range: [f64; 2],
     },
     /// More points are asked for than there are samples.
     MorePoints {
@@ -429,8 +429,8 @@ fn part(share: f64, seen: Seen) -> String {
     }
 }
 
-/// A value as it is typed: the shortest that is read as the same `f32`.
-fn number(v: f32) -> String {
+/// A value for a person.
+fn number(v: f64) -> String {
     if v != 0.0 && !(1e-4..1e9).contains(&v.abs()) { format!("{v:e}") } else { v.to_string() }
 }
 

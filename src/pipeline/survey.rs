@@ -4,10 +4,9 @@
 //! small volume); of a stream, which has no random access, they come from its beginning, unless it is read to the end anyway.
 //! Which samples these are depends on the volume's size alone, so the same input always gives the same findings.
 
-use crate::cells::{CellMesh, Center};
+use crate::cells::{CellField, CellMesh, Center};
 use crate::error::Result;
 use crate::grid::IndexBox;
-use crate::volume::strided::convert_row;
 use crate::volume::{ScalarType, SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -75,11 +74,11 @@ pub(super) enum Seen {
 /// A value that many samples have exactly, far from all others.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Fill {
-    pub(super) value: f32,
+    pub(super) value: f64,
     /// The part of the finite samples that have it.
     pub(super) share: f64,
     /// Least and largest of the others.
-    pub(super) others: [f32; 2],
+    pub(super) others: [f64; 2],
 }
 
 /// A few samples far from all others.
@@ -89,10 +88,10 @@ pub(super) struct Stretch {
     pub(super) count: u64,
     pub(super) of: u64,
     /// Their value, where they have but one; else the farthest.
-    pub(super) value: f32,
+    pub(super) value: f64,
     pub(super) is_one_value: bool,
     /// Least and largest of the others.
-    pub(super) others: [f32; 2],
+    pub(super) others: [f64; 2],
 }
 
 /// What the samples tell.
@@ -100,10 +99,10 @@ pub(super) struct Stretch {
 pub(super) struct Found {
     pub(super) fills: Vec<Fill>,
     /// The value of all samples, fill values apart.
-    pub(super) constant: Option<f32>,
+    pub(super) constant: Option<f64>,
     pub(super) stretch: Option<Stretch>,
     /// Number, least and largest of the values of labels.
-    pub(super) labels: Option<(u64, [f32; 2])>,
+    pub(super) labels: Option<(u64, [f64; 2])>,
 }
 
 /// Some samples of a field.
@@ -111,9 +110,11 @@ pub(super) struct Found {
 pub(super) struct Survey {
     pub(super) seen: Seen,
     /// Finite values.
-    values: Vec<f32>,
+    values: Vec<f64>,
     /// Whether they may be labels.
     is_grid: bool,
+    /// Whether values are f32 when they are used.
+    is_single: bool,
     /// Slope and intercept of the stored numbers.
     scaling: [f64; 2],
     /// Neighbours along a row that are both finite: equal ones, and those that differ by more than 1, by at most that.
@@ -121,12 +122,19 @@ pub(super) struct Survey {
 }
 
 impl Survey {
-    fn new(seen: Seen, is_grid: bool, scaling: [f64; 2]) -> Self {
-        Self { seen, values: vec![], is_grid, scaling, pairs: [0; 3] }
+    fn new(seen: Seen, is_grid: bool, is_single: bool) -> Self {
+        Self { seen, values: vec![], is_grid, is_single, scaling: [1.0, 0.0], pairs: [0; 3] }
+    }
+
+    /// Of a volume.
+    fn of(info: &VolumeInfo, budget: u64) -> Self {
+        let scaling = [info.slope, info.intercept];
+        let is_single = info.field.scalar == ScalarType::F32 || scaling != [1.0, 0.0];
+        Self { scaling, ..Self::new(seen(info.dims, budget), true, is_single) }
     }
 
     /// Adds neighbouring samples of a row.
-    fn add(&mut self, row: &[f32]) {
+    fn add(&mut self, row: &[f64]) {
         for pair in row.windows(2) {
             let jump = (pair[1] - pair[0]).abs();
             if jump.is_finite() {
@@ -138,10 +146,28 @@ impl Survey {
     }
 
     /// What the samples tell, where `missing` has no data.
-    pub(super) fn found(mut self, missing: Option<f64>) -> Found {
+    pub(super) fn found(self, missing: Option<f64>) -> Found {
+        let is_single = self.is_single;
+        // The shortest numbers that mean the same samples, as they are typed.
+        let told = |v: f64| if is_single { (v as f32).to_string().parse().unwrap_or(v) } else { v };
+        let found = self.found_exactly(missing);
+        Found {
+            fills: found
+                .fills
+                .into_iter()
+                .map(|f| Fill { value: told(f.value), others: f.others.map(told), ..f })
+                .collect(),
+            constant: found.constant.map(told),
+            stretch: found.stretch.map(|s| Stretch { value: told(s.value), others: s.others.map(told), ..s }),
+            labels: found.labels,
+        }
+    }
+
+    fn found_exactly(mut self, missing: Option<f64>) -> Found {
+        // A reduction compares values as f32 too.
         let missing = missing.map(|m| m as f32);
-        self.values.retain(|v| Some(*v) != missing);
-        self.values.sort_unstable_by(f32::total_cmp);
+        self.values.retain(|v| Some(*v as f32) != missing);
+        self.values.sort_unstable_by(f64::total_cmp);
         let runs: Vec<Run> = self.values.chunk_by(|a, b| a == b).map(|c| (c[0], c.len() as u64)).collect();
         let mut rest = &runs[..];
         let mut found = Found::default();
@@ -174,18 +200,20 @@ impl Survey {
         })
     }
 
-    fn is_fill(&self, value: f32, share: f64, others: &[Run]) -> bool {
+    fn is_fill(&self, v: f64, share: f64, others: &[Run]) -> bool {
         if share < FILL_SHARE || share * (self.values.len() as f64) < 4.0 {
             return false;
         }
-        let [lo, hi] = ends(others).map(f64::from);
-        let (v, width) = (f64::from(value), hi - lo);
+        let [lo, hi] = ends(others);
+        let width = hi - lo;
         let gap = (lo - v).max(v - hi);
         let [slope, intercept] = self.scaling;
         let stored = (v - intercept) / slope;
         let is_near = |a: f64, b: f64| (a - b).abs() <= 1e-6 * b.abs();
         let is_one_of = |known: &[f64]| {
-            known.iter().any(|&k| value == k as f32 || (slope, intercept) != (1.0, 0.0) && is_near(stored, k))
+            known
+                .iter()
+                .any(|&k| v as f32 == k as f32 || (slope, intercept) != (1.0, 0.0) && is_near(stored, k))
         };
         let is_usual = is_one_of(&USUAL_FILLS) && gap >= 500.0 * slope.abs().min(1.0);
         // A peak at a usual value behind a gap is one; any other value must lie farther off than data do.
@@ -208,21 +236,21 @@ impl Survey {
 }
 
 /// A value, and how many samples have it.
-type Run = (f32, u64);
+type Run = (f64, u64);
 
-fn ends(runs: &[Run]) -> [f32; 2] {
+fn ends(runs: &[Run]) -> [f64; 2] {
     [runs[0].0, runs[runs.len() - 1].0]
 }
 
 /// Outliers: at most a thousandth of the samples, without which the range is less than a hundredth.
 fn stretch(runs: &[Run]) -> Option<Stretch> {
-    let width = |runs: &[Run]| f64::from(ends(runs)[1]) - f64::from(ends(runs)[0]);
+    let width = |runs: &[Run]| ends(runs)[1] - ends(runs)[0];
     let number = |runs: &[Run]| runs.iter().map(|r| r.1).sum::<u64>();
     let of = number(runs);
     let (mut rest, mut out) = (runs, vec![]);
     // Outliers may lie on both sides.
     while out.len() < 4 && rest.len() > 1 {
-        let gap = |i: &usize| f64::from(rest[*i].0) - f64::from(rest[*i - 1].0);
+        let gap = |i: &usize| rest[*i].0 - rest[*i - 1].0;
         let at = (1..rest.len()).max_by(|a, b| gap(a).total_cmp(&gap(b)))?;
         let (below, above) = rest.split_at(at);
         let (few, most) = if number(below) < number(above) { (below, above) } else { (above, below) };
@@ -275,8 +303,48 @@ fn pieces(dims: [u64; 3], budget: u64) -> Vec<IndexBox> {
     out
 }
 
-fn scaling(info: &VolumeInfo) -> [f64; 2] {
-    [info.slope, info.intercept]
+/// How values are made of stored samples. They are `f64` here: `f32` does not tell all samples of wide types apart.
+#[derive(Clone, Copy, Debug)]
+struct Stored {
+    scalar: ScalarType,
+    slope: f64,
+    intercept: f64,
+    missing: Option<f64>,
+}
+
+impl Stored {
+    fn of(info: &VolumeInfo) -> Self {
+        let VolumeInfo { slope, intercept, missing, .. } = *info;
+        Self { scalar: info.field.scalar, slope, intercept, missing }
+    }
+
+    /// Puts the values of a row of little-endian samples into `out`; NaN where they are declared missing.
+    fn values(&self, bytes: &[u8], out: &mut Vec<f64>) {
+        let Self { scalar, slope, intercept, missing } = *self;
+        let single = scalar == ScalarType::F32;
+        let missing = missing.map(|m| if single { f64::from(m as f32) } else { m });
+        out.clear();
+        macro_rules! row {
+            ($t:ty) => {
+                out.extend(bytes.as_chunks().0.iter().map(|b| {
+                    let v = <$t>::from_le_bytes(*b) as f64;
+                    if Some(v) == missing { f64::NAN } else { slope * v + intercept }
+                }))
+            };
+        }
+        match scalar {
+            ScalarType::U8 => row!(u8),
+            ScalarType::I8 => row!(i8),
+            ScalarType::U16 => row!(u16),
+            ScalarType::I16 => row!(i16),
+            ScalarType::U32 => row!(u32),
+            ScalarType::I32 => row!(i32),
+            ScalarType::U64 => row!(u64),
+            ScalarType::I64 => row!(i64),
+            ScalarType::F32 => row!(f32),
+            ScalarType::F64 => row!(f64),
+        }
+    }
 }
 
 fn seen(dims: [u64; 3], budget: u64) -> Seen {
@@ -311,13 +379,16 @@ pub(super) fn survey_volume(source: VolumeSource, budget: u64) -> Result<Survey>
 }
 
 fn survey_reader(reader: &dyn VolumeReader, budget: u64) -> Result<Survey> {
-    let info = reader.info();
-    let mut survey = Survey::new(seen(info.dims, budget), true, scaling(info));
-    let mut values = vec![];
+    let info = reader.stored_info();
+    let mut survey = Survey::of(&info, budget);
+    let (stored, mut bytes, mut row) = (Stored::of(&info), vec![], vec![]);
     for piece in pieces(info.dims, budget) {
-        values.resize(piece.len(), 0.0);
-        reader.read_box(piece, &mut values)?;
-        values.chunks(piece.dims()[0] as usize).for_each(|row| survey.add(row));
+        bytes.resize(piece.len() * stored.scalar.bytes(), 0);
+        reader.read_stored(piece, &mut bytes)?;
+        for samples in bytes.chunks(piece.dims()[0] as usize * stored.scalar.bytes()) {
+            stored.values(samples, &mut row);
+            survey.add(&row);
+        }
     }
     Ok(survey)
 }
@@ -353,7 +424,7 @@ impl Watched {
             Self::Done(survey) => survey,
             Self::Reading(watch) => {
                 let mut watch = watch.lock().unwrap_or_else(PoisonError::into_inner);
-                let empty = Survey::new(Seen::All, false, [1.0, 0.0]);
+                let empty = Survey::new(Seen::All, false, false);
                 std::mem::replace(&mut watch.survey, empty)
             }
         }
@@ -364,23 +435,16 @@ impl Watched {
 pub(super) struct Watch {
     survey: Survey,
     pieces: Vec<IndexBox>,
-    scalar: ScalarType,
-    missing: Option<f64>,
+    stored: Stored,
 }
 
 impl Watch {
     fn new(info: &VolumeInfo, budget: u64) -> Self {
-        Self {
-            survey: Survey::new(seen(info.dims, budget), true, scaling(info)),
-            pieces: pieces(info.dims, budget),
-            scalar: info.field.scalar,
-            missing: info.missing,
-        }
+        Self { survey: Survey::of(info, budget), pieces: pieces(info.dims, budget), stored: Stored::of(info) }
     }
 
     fn see(&mut self, slab: IndexBox, bytes: &[u8]) {
-        let ([sx, sy, _], size) = (slab.dims(), self.scalar.bytes());
-        let [slope, intercept] = self.survey.scaling;
+        let ([sx, sy, _], size) = (slab.dims(), self.stored.scalar.bytes());
         let mut row = vec![];
         for piece in &self.pieces {
             let lo: [u64; 3] = std::array::from_fn(|a| piece.lo[a].max(slab.lo[a]));
@@ -388,13 +452,12 @@ impl Watch {
             if (IndexBox { lo, hi }).is_empty() {
                 continue;
             }
-            row.resize((hi[0] - lo[0]) as usize, 0.0);
+            let n = (hi[0] - lo[0]) as usize;
             for z in lo[2]..hi[2] {
                 for y in lo[1]..hi[1] {
                     let at = ((z - slab.lo[2]) * sy + y - slab.lo[1]) * sx + lo[0] - slab.lo[0];
                     let from = at as usize * size;
-                    let stored = &bytes[from..from + row.len() * size];
-                    convert_row(stored, self.scalar, false, slope, intercept, self.missing, &mut row);
+                    self.stored.values(&bytes[from..from + n * size], &mut row);
                     self.survey.add(&row);
                 }
             }
@@ -432,27 +495,21 @@ impl SlabStream for Seeing {
 /// Those of [`CellMesh::field`]; when the file cannot be read.
 pub(super) fn survey_mesh(mesh: &CellMesh) -> Result<Survey> {
     let (info, field) = (mesh.info(), mesh.field()?);
-    let mut survey = Survey::new(Seen::All, false, [1.0, 0.0]);
-    let on_cells = |f: &crate::cells::CellField| f.center == Center::Cell && f.name == field.name;
-    match info.fields.iter().position(on_cells).filter(|_| field.center == Center::Cell) {
+    let mut survey = Survey::new(Seen::All, false, field.scalar == ScalarType::F32);
+    let is_stored = |f: &CellField| f.center == field.center && f.name == field.name && f.components == 1;
+    match info.fields.iter().position(is_stored) {
         Some(index) => {
             let (mut values, mut block) = (mesh.stored(index)?, vec![]);
-            while values.next_block(&mut block)? {
-                survey.add(&block.iter().map(|v| *v as f32).collect::<Vec<_>>());
-                if survey.is_full() {
-                    break;
-                }
+            while !survey.is_full() && values.next_block(&mut block)? {
+                survey.add(&block);
             }
         }
         // A component or a magnitude of cell data is not stored by itself, and averaging needs all cells.
         None if field.center == Center::Cell => {}
         None => {
             let (mut values, mut block) = (mesh.values(BUDGET)?, vec![]);
-            while values.next_block(&mut block)? {
-                survey.add(&block);
-                if survey.is_full() {
-                    break;
-                }
+            while !survey.is_full() && values.next_block(&mut block)? {
+                survey.add(&block.iter().map(|v| f64::from(*v)).collect::<Vec<_>>());
             }
         }
     }
@@ -476,19 +533,19 @@ mod tests {
     use crate::formats::{OpenOptions, raw::RawLayout};
 
     /// What is found in rows of samples that are all there are.
-    fn found(rows: &[Vec<f32>]) -> Found {
-        let mut survey = Survey::new(Seen::All, true, [1.0, 0.0]);
+    fn found(rows: &[Vec<f64>]) -> Found {
+        let mut survey = Survey::new(Seen::All, true, false);
         rows.iter().for_each(|row| survey.add(row));
         survey.found(None)
     }
 
     /// Rows of a smooth field between two values.
-    fn waves(lo: f32, hi: f32) -> Vec<Vec<f32>> {
-        let wave = |i: usize| lo + (hi - lo) * (0.5 + 0.5 * (i as f32 * 0.01).sin());
+    fn waves(lo: f64, hi: f64) -> Vec<Vec<f64>> {
+        let wave = |i: usize| lo + (hi - lo) * (0.5 + 0.5 * (i as f64 * 0.01).sin());
         (0..40).map(|r| (0..200).map(|i| wave(r * 17 + i)).collect()).collect()
     }
 
-    fn with(mut rows: Vec<Vec<f32>>, every: usize, value: f32) -> Vec<Vec<f32>> {
+    fn with(mut rows: Vec<Vec<f64>>, every: usize, value: f64) -> Vec<Vec<f64>> {
         rows.iter_mut().flatten().step_by(every).for_each(|v| *v = value);
         rows
     }
@@ -499,9 +556,9 @@ mod tests {
         // Air as 0; a clipped top; noise in whole numbers; a narrow peak.
         assert_eq!(found(&with(waves(0.0, 1300.0), 3, 0.0)), Found::default());
         assert_eq!(found(&with(waves(0.0, 4095.0), 5, 4095.0)), Found::default());
-        let noise = |n: u32| (n.wrapping_mul(2_654_435_761) >> 20) as f32 % 100.0;
+        let noise = |n: u32| (n.wrapping_mul(2_654_435_761) >> 20) as f64 % 100.0;
         assert_eq!(found(&[(0..5000).map(noise).collect()]), Found::default());
-        let peak = |i: usize| (-((i as f32 - 2500.0) / 20.0).powi(2)).exp() * 1e6;
+        let peak = |i: usize| (-((i as f64 - 2500.0) / 20.0).powi(2)).exp() * 1e6;
         assert_eq!(found(&[(0..5000).map(peak).collect()]), Found::default());
         // A background far below the masked data, as of a brain without its head.
         assert_eq!(found(&with(waves(200.0, 1000.0), 2, 0.0)), Found::default());
@@ -509,7 +566,16 @@ mod tests {
 
     #[test]
     fn fill_values_are_found() {
-        let values = [-1e34, 1e20, 9.96921e36, -9999.0, -999.0, -32768.0, f32::MAX, f32::MIN];
+        let values = [
+            -1e34,
+            1e20,
+            9.969_209_968_386_869e36,
+            -9999.0,
+            -999.0,
+            -32768.0,
+            f32::MAX.into(),
+            f32::MIN.into(),
+        ];
         for value in values {
             let fills = found(&with(waves(-30.0, 40.0), 2, value)).fills;
             assert_eq!(fills.len(), 1, "{value}");
@@ -524,12 +590,14 @@ mod tests {
         let both = with(with(waves(0.0, 1.0), 2, 1e20), 3, -9999.0);
         assert_eq!(found(&both).fills.iter().map(|f| f.value).collect::<Vec<_>>(), [1e20, -9999.0]);
         assert!(found(&both).fills.iter().all(|f| f.others[1] <= 1.0));
+        // Samples that f32 does not tell apart are no constant.
+        assert_eq!(found(&waves(101_325_000.0, 101_325_003.0)), Found::default());
         // A value that is declared to be missing already.
-        let mut survey = Survey::new(Seen::All, true, [1.0, 0.0]);
+        let mut survey = Survey::new(Seen::All, true, false);
         with(waves(0.0, 1.0), 2, 1e20).iter().for_each(|row| survey.add(row));
         assert_eq!(survey.found(Some(1e20)), Found::default());
         // Stored as -32768, of a scaled volume.
-        let mut survey = Survey::new(Seen::All, true, [0.01, 5.0]);
+        let mut survey = Survey { scaling: [0.01, 5.0], ..Survey::new(Seen::All, true, true) };
         with(waves(-20.0, 30.0), 2, -322.68).iter().for_each(|row| survey.add(row));
         assert_eq!(survey.found(None).fills[0].value, -322.68);
     }
@@ -550,16 +618,16 @@ mod tests {
 
     #[test]
     fn labels_are_found() {
-        let labels = |names: &[f32], run: usize| {
-            let row: Vec<f32> = (0..3000).map(|i| names[i / run * 7 % names.len()]).collect();
+        let labels = |names: &[f64], run: usize| {
+            let row: Vec<f64> = (0..3000).map(|i| names[i / run * 7 % names.len()]).collect();
             found(&[row])
         };
         assert_eq!(labels(&[0.0, 1.0], 50).labels, Some((2, [0.0, 1.0])));
         assert_eq!(labels(&[0.0, 1.0, 2.0, 3.0, 4.0], 20).labels, Some((5, [0.0, 4.0])));
-        let many: Vec<f32> = (0..100).map(|i| (i * 11 % 2035) as f32).collect();
+        let many: Vec<f64> = (0..100).map(|i| (i * 11 % 2035) as f64).collect();
         assert_eq!(labels(&many, 12).labels.map(|l| l.0), Some(100));
         // Grey levels: runs, but steps of 1.
-        let grey: Vec<f32> = (0..3000).map(|i| (i / 30) as f32).collect();
+        let grey: Vec<f64> = (0..3000).map(|i| (i / 30) as f64).collect();
         assert_eq!(found(&[grey]), Found::default());
         assert_eq!(labels(&[0.0, 0.5, 1.0], 50).labels, None);
     }
@@ -577,7 +645,7 @@ mod tests {
             let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };
             let open = || crate::formats::open_volume(&path, &options).unwrap();
             let sorted = |mut s: Survey| {
-                s.values.sort_unstable_by(f32::total_cmp);
+                s.values.sort_unstable_by(f64::total_cmp);
                 (s.values, s.pairs)
             };
             let random = survey_volume(open(), BUDGET).unwrap();
