@@ -166,7 +166,7 @@ fn an_archive_larger_than_its_source_is_told_after_a_search() {
         "isospan: n.nrrd: the archive takes {kib:.1} KiB ({bits:.1} bits a sample), more than its source, 62.5 KiB (8.0 bits a sample): \
          a larger error or --value-bits makes it smaller"
     );
-    assert_eq!(said, [line.clone()]);
+    assert_eq!(said.as_slice(), std::slice::from_ref(&line));
     assert_eq!(report["notices"][0]["text"], line["isospan: ".len()..]);
     assert_eq!(report["notices"][0]["estimated"], false);
     // The report for a person has both sizes, whatever they are.

@@ -1,7 +1,8 @@
 //! What goes to standard error besides errors: progress, notes, and with `-v` details.
 //!
 //! Progress is a bar with rate and ETA on a terminal, a plain line at most every ten seconds elsewhere, or JSON, one object a
-//! line: `{"event":"begin"|"progress"|"end","stage":…,"unit":…,"done":…,"total":…,"seconds":…,"eta_seconds":…}`.
+//! line: `{"event":"begin"|"progress"|"end","stage":…,"unit":…,"done":…,"total":…,"seconds":…,"eta_seconds":…}`, and notes
+//! as `{"event":"note","text":…}`.
 
 use super::text;
 use clap::ValueEnum;
