@@ -16,6 +16,7 @@
 //! the frames of a series: the fields `NAME:t0`, `NAME:t1`, …; their times are those of OME-Zarr's `coordinateTransformations`. Other axes
 //! (channels) must have one entry. Spacing and origin are those of `coordinateTransformations`, else 1 and 0.
 //! (A chunk of several frames is decoded for each of them.)
+//! Attributes of CF, as xarray writes them, are followed: `scale_factor`, `add_offset`, `_FillValue`, `missing_value`.
 //!
 //! Compressors: Blosc (with BloscLZ, LZ4, zlib, zstd; shuffled by bytes or bits), gzip, zlib, zstd, LZ4; also shards with
 //! their index, CRC32C, `transpose`, order C or F. Others are refused by name. A chunk that is not there reads as the fill value,
@@ -90,6 +91,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let mut info = plain_info(path, format, dims, array.scalar, geometry);
     info.field = field;
     info.fields = infos;
+    ([info.slope, info.intercept], info.missing) = (array.scaling, array.missing);
     info.data_files = files(&array, frame);
     Ok(VolumeSource::Stream(Box::new(Chunks::new(info, array, axes, frame, options.io))))
 }

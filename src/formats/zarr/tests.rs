@@ -3,6 +3,7 @@ use super::*;
 use crate::formats::open_volume;
 use crate::volume::ScalarType;
 use crate::volume::strided::convert_row;
+use base64::prelude::{BASE64_STANDARD, Engine};
 use serde_json::json;
 use std::fs;
 
@@ -379,6 +380,42 @@ fn metadata_that_are_not_read_are_named() {
     put(dir.path(), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
     put(dir.path(), ".zattrs", &json!({ "_ARRAY_DIMENSIONS": ["t", "y", "x"] }));
     check_fill(dir.path(), 4.0);
+}
+
+#[test]
+fn attributes_of_cf_are_followed() {
+    let base64 = |v: f64| json!(BASE64_STANDARD.encode(v.to_le_bytes()));
+    // By the names of both versions; NaN is missing anyway.
+    for (fill, missing) in
+        [(json!(7), Some(7.0)), (base64(7.0), Some(7.0)), (base64(f64::NAN), None), (json!("NaN"), None)]
+    {
+        let attributes = json!({ "scale_factor": 0.5, "add_offset": -3, "_FillValue": fill });
+        let dir = tempfile::tempdir().unwrap();
+        put(dir.path(), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
+        put(dir.path(), ".zattrs", &attributes);
+        let info = read(dir.path(), None).unwrap().0;
+        assert_eq!((info.slope, info.intercept, info.missing), (0.5, -3.0, missing));
+        let dir = tempfile::tempdir().unwrap();
+        let mut meta = v3(json!([{ "name": "bytes", "configuration": { "endian": "little" } }]));
+        meta["attributes"] = attributes;
+        put(dir.path(), "zarr.json", &meta);
+        let info = read(dir.path(), None).unwrap().0;
+        assert_eq!((info.slope, info.intercept, info.missing), (0.5, -3.0, missing));
+    }
+    for (bad, reason) in [
+        (json!({ "_FillValue": [1] }), "_FillValue: expected a number, got [1]"),
+        (
+            json!({ "scale_factor": 0 }),
+            "scale_factor, add_offset: expected finite numbers, the first not 0, got 0 and 0",
+        ),
+        (json!({ "_FillValue": 1, "missing_value": 2 }), "expected one value, got 1 and 2"),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        put(dir.path(), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
+        put(dir.path(), ".zattrs", &bad);
+        let line = refusal(dir.path());
+        assert!(line.contains(reason) && line.contains(".zattrs"), "{line}");
+    }
 }
 
 fn check_fill(path: &Path, fill: f32) {
