@@ -46,8 +46,8 @@
 //! void corner (NaN), and a sample that is NaN, tell nothing. Values may leave the range of the samples, by what a
 //! step in the field overshoots.
 //!
-//! Cost: one scan conversion of the tetrahedra, some 40 operations a sample and step (or eight steps, with AVX-512). Memory: 52 bytes a vertex, 9 a
-//! tetrahedron (what stands empty of a chunk's, as far as that goes), 24 a sample of a window; of each eight steps 104 bytes a vertex (168 where voids differ), and 32 bytes a sample of some slices. Reference: Garland and Heckbert, "Fast polygonal approximation of terrains and height fields", 1995, for the field's
+//! Cost: one scan conversion of the tetrahedra, some 40 operations a sample and step (or eight steps, with AVX-512). Memory: 60 bytes a vertex, 9 a
+//! tetrahedron (what stands empty of a chunk's, as far as that goes), 24 a sample of a window; of each eight steps 168 bytes a vertex (232 where voids differ), and 32 bytes a sample of some slices. Reference: Garland and Heckbert, "Fast polygonal approximation of terrains and height fields", 1995, for the field's
 //! error as the measure.
 
 mod sums;

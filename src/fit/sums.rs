@@ -15,7 +15,9 @@ use crate::mesh::tet::Tet;
 use bytemuck::{Pod, Zeroable};
 
 /// ω: the length of the step.
-const STEP: f64 = 0.6;
+const STEP: f64 = 1.16;
+/// γ: the weight at which a sample begins to pull a corner the other way.
+const TURN: f64 = 0.125;
 /// c: what a vertex' interpolated value counts, in samples.
 const PULL: f64 = 0.25;
 /// The largest difference of a sample that counts as such.
@@ -31,7 +33,10 @@ const TOGETHER: usize = 8;
 struct Vertex<const N: usize> {
     /// Interpolated values.
     values: [f32; N],
-    /// Σ w times the difference.
+    /// The least and the largest of the interpolated value and the samples that count.
+    least: [f32; N],
+    largest: [f32; N],
+    /// Σ (w - γ) times the difference.
     pulls: [f64; N],
     /// Σ w².
     weight: f64,
@@ -137,14 +142,38 @@ fn add_eight(sums: &mut Sums<'_, 8>, told: &[Told], samples: &[f32], tets: &[Tet
     sums.add::<Pair<Plain>>((), told, samples, tets);
 }
 
+/// The first where it is less, else the second: a NaN that comes first changes nothing.
+#[inline(always)]
+fn lesser<const N: usize>(a: [f32; N], mut b: [f32; N]) -> [f32; N] {
+    for (a, b) in a.into_iter().zip(&mut b) {
+        *b = if a < *b { a } else { *b };
+    }
+    b
+}
+
+/// The first where it is greater, else the second.
+#[inline(always)]
+fn greater<const N: usize>(a: [f32; N], mut b: [f32; N]) -> [f32; N] {
+    for (a, b) in a.into_iter().zip(&mut b) {
+        *b = if a > *b { a } else { *b };
+    }
+    b
+}
+
 impl<'a, const N: usize> Sums<'a, N> {
     fn new(steps: &[&[f32]], room: &mut Room<'a>) -> Self {
-        let none = Vertex { values: [0.0; N], pulls: [0.0; N], weight: 0.0 };
+        let none =
+            Vertex { values: [0.0; N], least: [0.0; N], largest: [0.0; N], pulls: [0.0; N], weight: 0.0 };
         let mut vertices = room.lend(steps[0].len(), none);
         for (n, vertices) in vertices.chunks_mut(SOME).enumerate() {
             for (lane, values) in steps.iter().enumerate() {
                 let values = &values[n * SOME..];
-                vertices.iter_mut().zip(values).for_each(|(vertex, &value)| vertex.values[lane] = value);
+                for (vertex, &value) in vertices.iter_mut().zip(values) {
+                    vertex.values[lane] = value;
+                    // An interpolated value may exceed the range of `f32`, a stored one may not.
+                    let bound = value.clamp(f32::MIN, f32::MAX);
+                    (vertex.least[lane], vertex.largest[lane]) = (bound, bound);
+                }
             }
         }
         Self { steps: steps.len(), vertices, apart: vec![], rows: vec![[0.0; N]; SOME] }
@@ -184,10 +213,16 @@ impl<'a, const N: usize> Sums<'a, N> {
                 // To add 0 changes no sum: none is -0, as they begin at 0.
                 let sum = W::pick(sum.is_number(), sum.min(most).max(least), zero);
                 let difference = W::of_floats(proof, &sum.floats());
+                let mut row = self.rows[i];
+                if counts != all {
+                    let uncounted = |&lane: &usize| counts >> lane & 1 == 0;
+                    (0..N).filter(uncounted).for_each(|lane| row[lane] = f32::NAN);
+                }
                 for (v, w) in tet.into_iter().zip(weights) {
                     let at = &mut self.vertices[v as usize];
+                    (at.least, at.largest) = (lesser(row, at.least), greater(row, at.largest));
                     let pulls = W::of(proof, &{ at.pulls });
-                    at.pulls = pulls.plus(W::splat(proof, w).times(difference)).lanes();
+                    at.pulls = pulls.plus(W::splat(proof, w - TURN).times(difference)).lanes();
                     if counts == all {
                         at.weight += w * w;
                     }
@@ -220,8 +255,12 @@ impl<'a, const N: usize> Sums<'a, N> {
                     let weight = self.apart.get(n * SOME + v).map_or(vertex.weight, |weights| weights[lane]);
                     let value = vertex.values[lane];
                     let moved = f64::from(value) + STEP * vertex.pulls[lane] / (PULL + weight);
-                    // A void one stays void; what overshoots the range of `f32` becomes its largest value.
-                    if moved.is_nan() { value } else { (moved as f32).clamp(f32::MIN, f32::MAX) }
+                    // A void one stays void: it has no bounds.
+                    if moved.is_nan() {
+                        value
+                    } else {
+                        (moved as f32).clamp(vertex.least[lane], vertex.largest[lane])
+                    }
                 };
                 out.extend(vertices.iter().enumerate().map(fitted));
             }
@@ -229,7 +268,7 @@ impl<'a, const N: usize> Sums<'a, N> {
         out
     }
 
-    /// Σ w · difference and Σ w² of each vertex at each step, as bits.
+    /// Σ (w - γ) · difference and Σ w² of each vertex at each step, as bits.
     #[cfg(test)]
     fn bits(&self) -> Vec<[u64; 2]> {
         let weight = |v: usize, lane: usize| self.apart.get(v).map_or(self.vertices[v].weight, |w| w[lane]);

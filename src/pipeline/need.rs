@@ -40,7 +40,7 @@ const FURTHER_PER_POINT: u64 = 4;
 const SIDE_PER_POINT: u64 = 104;
 /// Besides, where values are fitted: fitted ones, for each eight steps but the first sums, and for each eight weights, where voids differ.
 const FITTED_PER_POINT: u64 = 4;
-const SUMS_PER_POINT: u64 = 104;
+const SUMS_PER_POINT: u64 = 168;
 const WEIGHTS_PER_POINT: u64 = 64;
 /// And whatever the number of points: the samples around a brick, the encoder's tables.
 const PER_CHUNK: u64 = 4 << 20;
