@@ -39,6 +39,9 @@ pub(crate) fn encode_errors(errors: &ChunkErrors) -> Vec<u8> {
         body.extend(l.original.to_le_bytes());
         body.extend(l.reduced.to_le_bytes());
     }
+    if let Some(range) = sums.source_range() {
+        range.iter().for_each(|v| body.extend(v.to_le_bytes()));
+    }
     // Levels above have no sample in the chunk. It need not know how many there are elsewhere.
     let last = levels.iter().rposition(|l| l.samples > 0);
     let levels = &levels[..last.map_or(0, |n| n + 1)];
@@ -141,6 +144,14 @@ pub(crate) fn decode_errors(bytes: &[u8]) -> Result<ChunkErrors, Malformed> {
     if sums.measured > 0 {
         let sample = c.varint("sample")?;
         sums.largest = Some(Largest::new(sample, c.f32("original")?, c.f32("value")?));
+    }
+    if sums.measured + sums.void > 0 {
+        let range = [c.f32("range")?, c.f32("range")?];
+        if !(range[0] <= range[1] && range.iter().all(|v| v.is_finite())) {
+            let got = format!("{} .. {}", range[0], range[1]);
+            return Err(Malformed::new("range of the samples", "two numbers, the lesser one first", got));
+        }
+        sums.range = range;
     }
     let levels = decode_levels(&mut c, sums.measured)?;
     c.end("errors")?;

@@ -54,6 +54,9 @@ pub struct FieldError {
     pub void: u64,
     /// Others, in no tetrahedron: near the boundary of a mesh.
     pub outside: u64,
+    /// Least and largest value of the source at its samples or vertices; none if it has no value.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source_range: Option<[f32; 2]>,
     /// Largest absolute error, exact.
     pub max: f64,
     /// Root mean square.

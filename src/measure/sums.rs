@@ -50,6 +50,8 @@ pub struct ErrorSums {
     pub(crate) bins: Vec<u64>,
     pub(crate) mantissas: Vec<Mantissas>,
     pub(crate) largest: Option<Largest>,
+    /// Least and largest original value; more than less where there is none.
+    pub(crate) range: [f32; 2],
 }
 
 impl Default for ErrorSums {
@@ -62,6 +64,7 @@ impl Default for ErrorSums {
             bins: vec![0; BINS],
             mantissas: vec![Mantissas::default(); EXPONENTS],
             largest: None,
+            range: [f32::INFINITY, f32::NEG_INFINITY],
         }
     }
 }
@@ -90,6 +93,7 @@ impl ErrorSums {
             self.missing += 1;
             return;
         }
+        self.widen([original; 2]);
         if reduced.is_nan() {
             self.void += 1;
             return;
@@ -126,6 +130,14 @@ impl ErrorSums {
         sums.squares += u128::from(mantissa * mantissa);
     }
 
+    /// Widens the range of the original values to that of some of them.
+    #[inline(always)]
+    pub(super) fn widen(&mut self, [least, largest]: [f32; 2]) {
+        let [lo, hi] = &mut self.range;
+        *lo = if least < *lo { least } else { *lo };
+        *hi = if largest > *hi { largest } else { *hi };
+    }
+
     #[cold]
     fn candidate(&mut self, new: Largest) {
         if self.largest.is_none_or(|old| new.is_before(&old)) {
@@ -139,6 +151,7 @@ impl ErrorSums {
         self.missing += other.missing;
         self.void += other.void;
         self.zeros += other.zeros;
+        self.widen(other.range);
         self.bins.iter_mut().zip(&other.bins).for_each(|(a, b)| *a += b);
         for (a, b) in self.mantissas.iter_mut().zip(&other.mantissas) {
             (a.sum, a.signed, a.squares) = (a.sum + b.sum, a.signed + b.signed, a.squares + b.squares);
@@ -206,6 +219,12 @@ impl ErrorSums {
         self.max()
     }
 
+    /// Least and largest original value, if there is any.
+    pub(crate) fn source_range(&self) -> Option<[f32; 2]> {
+        // A zero has no sign.
+        (self.range[0] <= self.range[1]).then(|| self.range.map(|v| v + 0.0))
+    }
+
     /// What is said of them. `samples` are all of the source; those that were not added lie outside. The worst place is to be
     /// filled in.
     pub(crate) fn field_error(&self, samples: u64) -> FieldError {
@@ -215,6 +234,7 @@ impl ErrorSums {
             missing: self.missing,
             void: self.void,
             outside: samples - self.samples(),
+            source_range: self.source_range(),
             max: self.max(),
             rms: self.rms(),
             mean: self.mean(),

@@ -35,6 +35,8 @@ pub(crate) struct Compared<const N: usize> {
     most: [u32; N],
     least: [u32; N],
     zeros: [u32; N],
+    /// Of each step the least and the largest original value.
+    range: [[f32; N]; 2],
 }
 
 impl<const N: usize> Compared<N> {
@@ -42,7 +44,8 @@ impl<const N: usize> Compared<N> {
     pub(crate) fn new() -> Box<Self> {
         let (values, bits) = ([[0.0; N]; TOGETHER], [[0; N]; TOGETHER]);
         let (most, zeros) = ([0; N], [0; N]);
-        Box::new(Self { originals: values, reduced: values, errors: bits, most, least: most, zeros })
+        let range = [[0.0; N]; 2];
+        Box::new(Self { originals: values, reduced: values, errors: bits, most, least: most, zeros, range })
     }
 
     /// Computes the errors of the first samples, of which there are at most [`TOGETHER`].
@@ -55,6 +58,7 @@ impl<const N: usize> Compared<N> {
             *error = if original.is_finite() & !reduced.is_nan() { found } else { NONE };
         }
         let mut seen = Seen { most: [0; WIDTH], least: [u32::MAX; WIDTH], zeros: [0; WIDTH] };
+        self.range = range_of(self.originals[..count].as_flattened());
         let (some, rest) = self.errors[..count].as_flattened().as_chunks::<WIDTH>();
         some.iter().for_each(|errors| seen.add(errors));
         seen.add(rest);
@@ -82,8 +86,28 @@ impl<const N: usize> Compared<N> {
             most: self.most[step],
             least: self.least[step],
             zeros: self.zeros[step],
+            range: self.range.map(|ends| ends[step]),
         }
     }
+}
+
+/// The least and the largest of each `N`-th number. Side by side, as in [`Seen`]: so many that vectors have them.
+#[inline(always)]
+fn range_of<const N: usize>(values: &[f32]) -> [[f32; N]; 2] {
+    let (mut least, mut largest) = ([f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]);
+    for values in values.chunks(WIDTH) {
+        for (value, (lo, hi)) in values.iter().zip(least.iter_mut().zip(&mut largest)) {
+            *lo = if *value < *lo { *value } else { *lo };
+            *hi = if *value > *hi { *value } else { *hi };
+        }
+    }
+    let mut range = [[f32::INFINITY; N], [f32::NEG_INFINITY; N]];
+    for (n, (lo, hi)) in least.iter().zip(&largest).enumerate() {
+        let [least, largest] = &mut range;
+        least[n % N] = if *lo < least[n % N] { *lo } else { least[n % N] };
+        largest[n % N] = if *hi > largest[n % N] { *hi } else { largest[n % N] };
+    }
+    range
 }
 
 /// Errors that are looked at side by side: some samples, each at all steps. So many, for that the compiler makes vectors of the loop over them, and not of that over samples.
@@ -120,6 +144,7 @@ pub(crate) struct ComparedAt<'a> {
     most: u32,
     least: u32,
     zeros: u32,
+    range: [f32; 2],
 }
 
 impl<'a> ComparedAt<'a> {
@@ -180,6 +205,7 @@ impl Tally {
             *squares += lower * lower;
         }
         (self.least, self.most) = (self.least.min(some.least), self.most.max(some.most));
+        self.sums.widen(some.range);
         self.zeros += u64::from(some.zeros);
         self.sums.zeros += u64::from(some.zeros);
         self.sums.measured += some.count as u64;

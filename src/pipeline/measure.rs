@@ -542,12 +542,21 @@ fn measure_vertices(
     if let Some(map) = map {
         map.finish()?;
     }
-    let told = |(&position, (sums, of_levels)): (&usize, &(ErrorSums, Vec<ErrorSums>))| {
-        let source = &archive.manifest.steps[position].plan.source;
-        let of_level = |sums: &ErrorSums| sums.level_error().with_rounding(source.rounding);
-        (vertex_error(store, positions, sums, source), of_levels.iter().map(of_level).collect())
-    };
-    Ok(steps.iter().zip(&sums).map(told).collect())
+    let told =
+        |((&position, (sums, of_levels)), values): ((&usize, &(ErrorSums, Vec<ErrorSums>)), &&[f32])| {
+            let source = &archive.manifest.steps[position].plan.source;
+            let of_level = |sums: &ErrorSums| sums.level_error().with_rounding(source.rounding);
+            let mut error = vertex_error(store, positions, sums, source);
+            error.source_range = range_of(values);
+            (error, of_levels.iter().map(of_level).collect())
+        };
+    Ok(steps.iter().zip(&sums).zip(&columns).map(told).collect())
+}
+
+/// The least and the largest value at the vertices of a mesh, those outside of all tetrahedra included.
+fn range_of(values: &[f32]) -> Option<[f32; 2]> {
+    let all = values.iter().filter(|v| v.is_finite()).map(|v| v + 0.0);
+    all.fold(None, |range: Option<[f32; 2]>, v| Some(range.map_or([v; 2], |[lo, hi]| [lo.min(v), hi.max(v)])))
 }
 
 /// The error of a step at all vertices, and where it is largest.
