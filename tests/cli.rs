@@ -217,6 +217,22 @@ fn values_are_fitted_unless_the_very_values_of_samples_are_wanted() {
 }
 
 #[test]
+fn percentages_of_errors_are_of_the_source_as_those_of_targets() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    // The reduced field keeps little of the peak: its own range is another one.
+    write_npy(&d.join("p.npy"), [21, 21, 21], |x, y, z| if x * x + y * y + z * z < 1e-9 { 100.0 } else { x });
+    ok(d, &["reduce", "p.npy", "-o", "p.isospan", "--fraction", "1/16", "--values", "sample"]);
+    let args = ["measure", "p.isospan", "--against", "p.npy"];
+    let found = json(&ok(d, &[&args[..], &["--json"]].concat()));
+    assert_eq!(found["source_range"], serde_json::json!([-1.0, 100.0]));
+    assert!(found["range"][1].as_f64().unwrap() < 60.0, "{found}");
+    let expected = format!("({:.3} % of the source's range)", 100.0 * found["rms"].as_f64().unwrap() / 101.0);
+    let text = ok(d, &args);
+    assert!(text.contains(&expected), "{expected}: {text}");
+}
+
+#[test]
 fn spectra_are_printed_and_drawn_and_counts_looked_up() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();

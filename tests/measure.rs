@@ -9,6 +9,7 @@ use isospan::grid::IndexBox;
 use isospan::measure::FieldError;
 use isospan::pipeline::{self, Amount, MeasureReport, MeasureSettings, NanPolicy, ReduceSettings, measure};
 use isospan::points::SetKind;
+use isospan::sample::Values;
 use isospan::volume::VolumeSource;
 use isospan::{Archive, Error};
 use std::path::Path;
@@ -179,4 +180,33 @@ fn another_input_is_refused_in_one_line() {
         "{e}"
     );
     assert!(matches!(refused(&input, 1 << 20), Error::Budget { .. }));
+}
+
+#[test]
+fn the_range_is_that_of_the_source() {
+    let dir = tempfile::tempdir().unwrap();
+    let (input, out) = (dir.path().join("peak.npy"), dir.path().join("peak.isospan"));
+    // A peak that few points see, and a sample beside it that is missing.
+    let is_at = |a: f64, b: f64| (a - b).abs() < 1e-9;
+    write_npy(&input, [21, 19, 23], |x, y, z| {
+        if is_at(x, 0.0) && is_at(y, 0.0) && is_at(z, 0.0) {
+            100.0
+        } else if is_at(x, -1.0) && is_at(y, 0.0) {
+            f64::NAN
+        } else {
+            -(x * y)
+        }
+    });
+    for values in [Values::Sample, Values::Fit] {
+        for chunk_points in [300, 100_000] {
+            let base = settings(SetKind::Hammersley, Amount::Fraction(0.05), chunk_points);
+            let settings = ReduceSettings { values, nan: NanPolicy::Mask, ..base };
+            let _ = std::fs::remove_dir_all(&out);
+            reduce(&input, &settings, &out, 2);
+            let report = measured(&out, &input, 2, None);
+            assert_eq!(report.error.source_range, Some([-1.0, 100.0]));
+            assert!(report.range.unwrap()[1] < 50.0, "the reduced field has another one: {:?}", report.range);
+            assert_eq!(stored(&out), report.error);
+        }
+    }
 }

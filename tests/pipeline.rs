@@ -3,6 +3,7 @@
 mod common;
 
 use common::*;
+use isospan::Archive;
 use isospan::exec::Silent;
 use isospan::formats::OpenOptions;
 use isospan::grid::Geometry;
@@ -223,4 +224,47 @@ fn sound(archive: &Path, dir: &Path) {
     surface(archive, 0.0, &file, 1);
     let report = check(&read(&file));
     assert!(report.triangles > 0 && report.is_manifold() && report.is_oriented(), "{report:?}");
+}
+
+/// A noisy block in air that was cut off at -1024, and a small bright one far from it; the coordinates are numbers of samples.
+fn blocks(x: f64, y: f64, z: f64) -> f64 {
+    let all_in = |lo: f64, hi: f64| [y, z].iter().all(|c| (lo..hi).contains(c));
+    if x < 24.0 && all_in(8.0, 24.0) {
+        let n = (x as u32).wrapping_mul(73_856_093) ^ (y as u32).wrapping_mul(19_349_663);
+        let n = (n ^ (z as u32).wrapping_mul(83_492_791)).wrapping_mul(0x5bd1_e995);
+        900.0 + f64::from((n ^ (n >> 15)) % 201)
+    } else if x >= 40.0 && all_in(12.0, 20.0) {
+        1500.0
+    } else {
+        -1024.0
+    }
+}
+
+#[test]
+fn fitted_values_make_no_surface_far_from_that_of_all_samples() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("blocks.npy");
+    let of = |c: f64, n: f64| ((c + 1.0) / 2.0 * (n - 1.0)).round();
+    write_npy(&input, [48, 32, 32], |x, y, z| blocks(of(x, 48.0), of(y, 32.0), of(z, 32.0)));
+    let archive = |name: &str, settings: &ReduceSettings| {
+        let out = dir.path().join(name);
+        let report = reduce(&input, settings, &out, 2);
+        (Archive::open(&out).unwrap(), report.range.unwrap())
+    };
+    let all = settings(SetKind::Regular, Amount::Fraction(1.0), 250_000);
+    let (full, range) = archive("full.isospan", &all);
+    let few = ReduceSettings { amount: Amount::Fraction(0.125), values: Values::Fit, ..Default::default() };
+    let (fitted, of_fitted) = archive("fitted.isospan", &few);
+    assert!(range[0] <= of_fitted[0] && of_fitted[1] <= range[1], "{range:?} {of_fitted:?}");
+    // At 1200 there is the bright block alone; nothing is below the air.
+    for isovalue in [-1000.0, 0.0, 950.0, 1050.0, 1200.0, 1490.0, -1030.0] {
+        let [fitted, full] = [&fitted, &full].map(|archive| archive.surface(isovalue).unwrap().vertices);
+        for v in &fitted {
+            let near = full.iter().any(|w| {
+                (0..3).map(|k| (v.position[k] - w.position[k]).powi(2)).sum::<f32>() <= 4.0f32.powi(2)
+            });
+            assert!(near, "{isovalue}: {v:?} is further than two spacings from all samples' surface");
+        }
+        assert_eq!(fitted.is_empty(), full.is_empty(), "{isovalue}");
+    }
 }

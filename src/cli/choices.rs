@@ -48,8 +48,8 @@ pub(crate) struct Choices {
     /// How values are interpolated between samples.
     #[arg(long, value_enum, default_value_t = Interp::Linear)]
     interp: Interp,
-    /// "fit": values that bring the reduced field closest to all samples (of a mesh: to the values at its vertices), for 0.5 to 0.9 of the error;
-    /// "sample": the field at each point, as the thesis has it [default: fit; sample with --interp nearest, cubic-thesis, quadratic-thesis].
+    /// "fit": values that bring the reduced field closer to all samples (of a mesh: to the values at its vertices), none beyond the samples around it,
+    /// for 0.56 to 0.93 of the RMS error; "sample": the field at each point, as the thesis has it [default: fit; sample with --interp nearest, cubic-thesis, quadratic-thesis].
     #[arg(long, value_enum)]
     values: Option<Vertex>,
     /// Samples that are NaN, infinite or missing: "error", "mask" (leave a hole) or a value to use instead.

@@ -1,33 +1,47 @@
 //! Which values at the vertices bring the reduced field closest to the samples?
 //!
-//! A field that is linear in each tetrahedron is off between its vertices, even where it has the right value at each of them. So the
-//! values are moved towards those of least squared error over all samples. With x the values at the vertices, f a sample, and w
-//! its weights in its tetrahedron, that error is
+//! A field that is linear in each tetrahedron is off between its vertices, even where it has the
+//! right value at each of them. So the values are moved, one step, towards those of least squared
+//! error over all samples, and not past the samples around. With x the values at the vertices, f a
+//! sample, and w its weights in its tetrahedron, that error is
 //!
 //! ```text
-//!     E(x) = Σ (f - Σ w_v x_v)²  +  c Σ (x_v - s_v)²          s: the interpolated values, which hold where few samples are
-//!           samples              vertices
+//!     E(x) = Σ (f - Σ w_v x_v)²  +  c Σ (x_v - s_v)²      s: the interpolated values, which hold
+//!           samples              vertices                    where few samples are
 //! ```
 //!
-//! and one step down from s, each vertex by its own part of the curvature, makes most of the way:
+//! and the step from s, over the samples in the tetrahedra at v,
 //!
 //! ```text
-//!     x_v = s_v + ω · Σ w_v (f - Σ w s)  /  (c + Σ w_v²)      over the samples in the tetrahedra at v
+//!     x_v = s_v + ω · Σ (w_v - γ) (f - Σ w s)  /  (c + Σ w_v²)      bounded by the least and the
+//!                                                                   largest of these f and s_v
 //! ```
 //!
-//! **Why one step.** Each step makes values depend on one more ring of tetrahedra, which a chunk would have to mesh beyond
-//! its own. Root mean square errors after steps with the best coefficients, against that of the interpolated values:
+//! **Why bounds.** Where a field is steep or is cut off, as air is in CT, values of least error overshoot
+//! the samples. Surfaces then have islands where there is nothing: up to 28 point spacings from the
+//! surface of all samples. With bounds an edge of the mesh crosses an isovalue only where the samples
+//! around its ends, or the interpolated values there, do so too: nothing is further than two spacings
+//! on the data tried (`benches/compare_fit`), and no value leaves the range of the samples.
 //!
-//! | data, points a sample | one step, ω = 0.6 | two | three | least |
-//! |---|---|---|---|---|
-//! | tooth CT, 1/8 | 0.76 | 0.74 | 0.74 | 0.74 |
-//! | tooth CT, 1/64 | 0.84 | 0.82 | 0.81 | 0.81 |
-//! | hydrogen, 1/8 | 0.51 | 0.48 | 0.48 | 0.48 |
-//! | hurricane, 1/8 | 0.70 | 0.66 | 0.65 | 0.65 |
+//! **Why γ.** The other corners of a sample's tetrahedron move as well, so a vertex that moves as if it were
+//! alone goes too far; ω < 1 damps all of them alike. With γ a vertex follows what is near it, and
+//! is turned against what is far, which its neighbours follow. For a tetrahedron alone, densely sampled,
+//! γ = 1/5 gives the least squares: its corners' dual functions are 20 (w - 1/5). Around a vertex 1/8 with
+//! ω = 1.16 was best, with bounds, over all data tried.
 //!
-//! The eigenvalues of D⁻¹A, A the matrix of E and D its diagonal, lie between 1/2 and 5/2 for fine sampling (Wathen, "Realistic
-//! eigenvalue bounds for the Galerkin mass matrix", 1987); ω = 2/(1/2 + 5/2) = 2/3 is the best step for all of them, and 0.6 was for all
-//! data tried.
+//! **Why one step.** Each step makes values depend on one more ring of tetrahedra, which a chunk would have
+//! to mesh beyond its own. RMS errors, to those of the interpolated values; the steps without bounds
+//! have γ = 0 and the best ω:
+//!
+//! | data, points a sample | the bounded step | one step without bounds | two | three | least |
+//! |---|---|---|---|---|---|
+//! | tooth CT, 1/8 | 0.77 | 0.76 | 0.74 | 0.74 | 0.74 |
+//! | tooth CT, 1/64 | 0.85 | 0.84 | 0.82 | 0.81 | 0.81 |
+//! | hydrogen, 1/8 | 0.56 | 0.51 | 0.48 | 0.48 | 0.48 |
+//! | hurricane, 1/8 | 0.71 | 0.70 | 0.66 | 0.65 | 0.65 |
+//!
+//! Bounds cost most where samples are cut off at an end of their range (engine CT, 1/8: 0.70 where 0.65 was): most
+//! of that is lost as soon as values stay within the range of all samples.
 //!
 //! **The same bits for any chunk.** Sums of floating-point numbers depend on their order. So the samples are taken window by window,
 //! each in its order in the volume, whatever the order of the tetrahedra: scan conversion notes for each sample the
@@ -43,8 +57,8 @@
 //!
 //! **What holds.** A constant stays that constant, exactly, since a difference is Σ w (f - s), added in an order that the order of the corners
 //! does not show in; a linear field stays linear but for rounding. A tetrahedron with a
-//! void corner (NaN), and a sample that is NaN, tell nothing. Values may leave the range of the samples, by what a
-//! step in the field overshoots.
+//! void corner (NaN), and a sample that is NaN, tell nothing. A value is between the least and the
+//! largest of its interpolated value and the samples in the tetrahedra around.
 //!
 //! Cost: one scan conversion of the tetrahedra, some 40 operations a sample and step (or eight steps, with AVX-512). Memory: 60 bytes a vertex, 9 a
 //! tetrahedron (what stands empty of a chunk's, as far as that goes), 24 a sample of a window; of each eight steps 168 bytes a vertex (232 where voids differ), and 32 bytes a sample of some slices. Reference: Garland and Heckbert, "Fast polygonal approximation of terrains and height fields", 1995, for the field's

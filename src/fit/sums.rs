@@ -268,13 +268,17 @@ impl<'a, const N: usize> Sums<'a, N> {
         out
     }
 
-    /// Σ (w - γ) · difference and Σ w² of each vertex at each step, as bits.
+    /// Σ (w - γ) · difference, Σ w² and the bounds of each vertex at each step, as bits.
     #[cfg(test)]
-    fn bits(&self) -> Vec<[u64; 2]> {
+    fn bits(&self) -> Vec<[u64; 4]> {
         let weight = |v: usize, lane: usize| self.apart.get(v).map_or(self.vertices[v].weight, |w| w[lane]);
         let of = |v: usize| {
-            let pulls = self.vertices[v].pulls;
-            (0..self.steps).map(move |lane| [pulls[lane].to_bits(), weight(v, lane).to_bits()])
+            let Vertex { pulls, least, largest, .. } = self.vertices[v];
+            let bound = |x: f32| u64::from(x.to_bits());
+            (0..self.steps).map(move |lane| {
+                let sums = [pulls[lane], weight(v, lane)].map(f64::to_bits);
+                [sums[0], sums[1], bound(least[lane]), bound(largest[lane])]
+            })
         };
         (0..self.vertices.len()).flat_map(of).collect()
     }
@@ -291,7 +295,7 @@ impl Side<'_> {
         }
     }
 
-    pub(super) fn bits(&self) -> Vec<[u64; 2]> {
+    pub(super) fn bits(&self) -> Vec<[u64; 4]> {
         match self {
             Self::One(sums) => sums.bits(),
             Self::Four(sums) => sums.bits(),

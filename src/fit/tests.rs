@@ -1,4 +1,4 @@
-//! Constants stay, linear fields stay, errors fall, nothing leaks from holes; neither order nor windows show.
+//! Constants stay, linear fields stay, errors fall, values stay between samples, nothing leaks from holes; neither order nor windows show.
 
 use super::*;
 use crate::geom::Lattice;
@@ -182,6 +182,49 @@ fn steps_together_are_what_each_is_alone() {
             assert!(found.iter().zip(of_steps[n]).any(|(a, b)| a != b && !b.is_nan()));
         }
         assert_eq!(together.iter().flatten().any(|v| v.is_nan()), holes);
+    }
+}
+
+#[test]
+fn values_stay_between_the_samples_around() {
+    let (grid, positions, tets) = mesh();
+    let mesh = FitMesh { positions: &positions, tets: &tets };
+    let whole = IndexBox::whole(grid.dims());
+    for (count, holes) in [(1, false), (1, true), (3, false), (4, true), (8, false), (11, true)] {
+        // Steep: an unbounded step leaves the range of the samples.
+        let fields: Vec<_> = (0..count)
+            .map(|step| {
+                let smooth = with_holes(step, holes);
+                move |p| (20.0 * smooth(p)).clamp(-9.0, 9.0) + smooth(p)
+            })
+            .collect();
+        let values: Vec<Vec<f32>> =
+            fields.iter().map(|f| positions.iter().map(|&p| f(at(&grid, p))).collect()).collect();
+        let steps: Vec<&dyn Fn([f64; 3]) -> f32> = fields.iter().map(|f| f as _).collect();
+        let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
+        let found = fitted_steps(&grid, [8, 16, 8], &mesh, &of_steps, &steps);
+        for (n, values) in values.iter().enumerate() {
+            let truth = samples(&grid, &whole, steps[n]);
+            let mut bounds: Vec<[f32; 2]> = values.iter().map(|&v| [v, v]).collect();
+            let scanner = Scanner::new(&grid, &whole);
+            for tet in tets.iter().filter(|tet| tet.iter().all(|&v| !values[v as usize].is_nan())) {
+                scanner.each_run(tet.map(|v| positions[v as usize]), |place, run| {
+                    for &sample in &truth[place..place + run.len()] {
+                        for &v in tet {
+                            let [lo, hi] = &mut bounds[v as usize];
+                            (*lo, *hi) = (lo.min(sample), hi.max(sample));
+                        }
+                    }
+                });
+            }
+            let mut at_bound = 0;
+            for ((found, [lo, hi]), value) in found[n].iter().zip(&bounds).zip(values) {
+                assert_eq!(found.is_nan(), value.is_nan());
+                assert!(found.is_nan() || (lo <= found && found <= hi), "{count} {n}: {lo} {found} {hi}");
+                at_bound += usize::from(found != value && (found == lo || found == hi));
+            }
+            assert!(at_bound > 20, "{count} {n}: {at_bound} of {} are bounded", positions.len());
+        }
     }
 }
 

@@ -127,7 +127,7 @@ impl Interpolation {
 pub enum Values {
     /// The field is interpolated at the vertex.
     Sample,
-    /// From there it is moved towards the least squared error over the samples around it ([`crate::fit`]).
+    /// From there it is moved towards the least squared error over the samples around it, not past them ([`crate::fit`]).
     Fit,
 }
 
