@@ -42,6 +42,10 @@ pub(crate) trait Floats<const N: usize>: Wide<Lanes = [f64; N]> {
     fn of_floats(proof: Self::Proof, lanes: &[f32; N]) -> Self;
     /// Each rounded.
     fn floats(self) -> [f32; N];
+    /// Of each the first where it is less, else the second: a NaN that comes first changes nothing.
+    fn lesser(proof: Self::Proof, a: &[f32; N], b: &[f32; N]) -> [f32; N];
+    /// Of each the first where it is greater, else the second.
+    fn greater(proof: Self::Proof, a: &[f32; N], b: &[f32; N]) -> [f32; N];
 }
 
 /// Four lanes.
@@ -190,6 +194,14 @@ where
     fn floats(self) -> [f32; N] {
         self.0.map(|x| x as f32)
     }
+    #[inline(always)]
+    fn lesser((): (), a: &[f32; N], b: &[f32; N]) -> [f32; N] {
+        std::array::from_fn(|k| if a[k] < b[k] { a[k] } else { b[k] })
+    }
+    #[inline(always)]
+    fn greater((): (), a: &[f32; N], b: &[f32; N]) -> [f32; N] {
+        std::array::from_fn(|k| if a[k] > b[k] { a[k] } else { b[k] })
+    }
 }
 
 impl Four for Plain {
@@ -285,6 +297,21 @@ impl<W: Four> Floats<8> for Pair<W> {
         let ([a, b, c, d], [e, f, g, h]) = (self.0.floats(), self.1.floats());
         [a, b, c, d, e, f, g, h]
     }
+    #[inline(always)]
+    fn lesser(proof: W::Proof, a: &[f32; 8], b: &[f32; 8]) -> [f32; 8] {
+        let ([a, more_a], [b, more_b]) = (halves(a), halves(b));
+        bytemuck::cast([W::lesser(proof, a, b), W::lesser(proof, more_a, more_b)])
+    }
+    #[inline(always)]
+    fn greater(proof: W::Proof, a: &[f32; 8], b: &[f32; 8]) -> [f32; 8] {
+        let ([a, more_a], [b, more_b]) = (halves(a), halves(b));
+        bytemuck::cast([W::greater(proof, a, b), W::greater(proof, more_a, more_b)])
+    }
+}
+
+#[inline(always)]
+fn halves(all: &[f32; 8]) -> &[[f32; 4]; 2] {
+    bytemuck::cast_ref(all)
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -490,6 +517,16 @@ mod vectors {
             // SAFETY: AVX-512 was found.
             bytemuck::cast(unsafe { _mm512_cvtpd_ps(self.0) })
         }
+        #[inline(always)]
+        fn lesser(_: Avx512, a: &[f32; 8], b: &[f32; 8]) -> [f32; 8] {
+            // SAFETY: AVX-512 was found, and there are eight numbers to be read.
+            bytemuck::cast(unsafe { _mm256_min_ps(_mm256_loadu_ps(a.as_ptr()), _mm256_loadu_ps(b.as_ptr())) })
+        }
+        #[inline(always)]
+        fn greater(_: Avx512, a: &[f32; 8], b: &[f32; 8]) -> [f32; 8] {
+            // SAFETY: AVX-512 was found, and there are eight numbers to be read.
+            bytemuck::cast(unsafe { _mm256_max_ps(_mm256_loadu_ps(a.as_ptr()), _mm256_loadu_ps(b.as_ptr())) })
+        }
     }
 
     impl Floats<4> for Vector {
@@ -502,6 +539,16 @@ mod vectors {
         fn floats(self) -> [f32; 4] {
             // SAFETY: AVX2 was found.
             bytemuck::cast(unsafe { _mm256_cvtpd_ps(self.0) })
+        }
+        #[inline(always)]
+        fn lesser(_: Avx2, a: &[f32; 4], b: &[f32; 4]) -> [f32; 4] {
+            // SAFETY: AVX2 was found, and there are four numbers to be read.
+            bytemuck::cast(unsafe { _mm_min_ps(_mm_loadu_ps(a.as_ptr()), _mm_loadu_ps(b.as_ptr())) })
+        }
+        #[inline(always)]
+        fn greater(_: Avx2, a: &[f32; 4], b: &[f32; 4]) -> [f32; 4] {
+            // SAFETY: AVX2 was found, and there are four numbers to be read.
+            bytemuck::cast(unsafe { _mm_max_ps(_mm_loadu_ps(a.as_ptr()), _mm_loadu_ps(b.as_ptr())) })
         }
     }
 

@@ -142,24 +142,6 @@ fn add_eight(sums: &mut Sums<'_, 8>, told: &[Told], samples: &[f32], tets: &[Tet
     sums.add::<Pair<Plain>>((), told, samples, tets);
 }
 
-/// The first where it is less, else the second: a NaN that comes first changes nothing.
-#[inline(always)]
-fn lesser<const N: usize>(a: [f32; N], mut b: [f32; N]) -> [f32; N] {
-    for (a, b) in a.into_iter().zip(&mut b) {
-        *b = if a < *b { a } else { *b };
-    }
-    b
-}
-
-/// The first where it is greater, else the second.
-#[inline(always)]
-fn greater<const N: usize>(a: [f32; N], mut b: [f32; N]) -> [f32; N] {
-    for (a, b) in a.into_iter().zip(&mut b) {
-        *b = if a > *b { a } else { *b };
-    }
-    b
-}
-
 impl<'a, const N: usize> Sums<'a, N> {
     fn new(steps: &[&[f32]], room: &mut Room<'a>) -> Self {
         let none =
@@ -220,7 +202,8 @@ impl<'a, const N: usize> Sums<'a, N> {
                 }
                 for (v, w) in tet.into_iter().zip(weights) {
                     let at = &mut self.vertices[v as usize];
-                    (at.least, at.largest) = (lesser(row, at.least), greater(row, at.largest));
+                    at.least = W::lesser(proof, &row, &{ at.least });
+                    at.largest = W::greater(proof, &row, &{ at.largest });
                     let pulls = W::of(proof, &{ at.pulls });
                     at.pulls = pulls.plus(W::splat(proof, w - TURN).times(difference)).lanes();
                     if counts == all {
