@@ -66,7 +66,7 @@ pub(crate) fn line(e: &FieldError) -> String {
 fn report_text(archive: &Path, report: &MeasureReport) -> String {
     let e = &report.error;
     let value = |v: f64| text::value(text::figures(v, 6));
-    let range = e.source_range.map(|[lo, hi]| f64::from(hi) - f64::from(lo)).filter(|r| *r > 0.0);
+    let range = e.source_range.map(|[lo, hi]| hi - lo).filter(|r| *r > 0.0);
     let share =
         |v: f64| range.map_or(String::new(), |r| format!("  ({:.3} % of the source's range)", 100.0 * v / r));
     let mut out = format!(

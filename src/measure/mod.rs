@@ -56,7 +56,7 @@ pub struct FieldError {
     pub outside: u64,
     /// Least and largest value of the source at its samples or vertices; none if it has no value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub source_range: Option<[f32; 2]>,
+    pub source_range: Option<[f64; 2]>,
     /// Largest absolute error, exact.
     pub max: f64,
     /// Root mean square.
@@ -74,7 +74,10 @@ pub struct FieldError {
 impl FieldError {
     /// The errors with what samples had lost before they were compared, so much at most: figures are then no less than the true ones,
     /// but for the bias.
-    pub(crate) fn with_rounding(mut self, lost: f64) -> Self {
+    ///
+    /// Values were compared less the `offset` of their source: its range is that of the file.
+    pub(crate) fn of_source(mut self, offset: f64, lost: f64) -> Self {
+        self.source_range = self.source_range.map(|range| range.map(|v| v + offset));
         if lost > 0.0 && self.measured > 0 {
             let others = [&mut self.max, &mut self.rms, &mut self.mean];
             others
@@ -87,7 +90,7 @@ impl FieldError {
 }
 
 impl LevelError {
-    /// As [`FieldError::with_rounding`].
+    /// As [`FieldError::of_source`].
     pub(crate) fn with_rounding(self, lost: f64) -> Self {
         let lost = if self.samples > 0 { lost } else { 0.0 };
         Self { rms: self.rms + lost, max: self.max + lost, ..self }

@@ -234,7 +234,7 @@ impl ErrorSums {
             missing: self.missing,
             void: self.void,
             outside: samples - self.samples(),
-            source_range: self.source_range(),
+            source_range: self.source_range().map(|range| range.map(f64::from)),
             max: self.max(),
             rms: self.rms(),
             mean: self.mean(),

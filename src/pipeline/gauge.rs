@@ -277,7 +277,7 @@ pub(super) fn field_error_of(archive: &OpenArchive, sums: &ErrorSums) -> Result<
             reduced: source.told(l.reduced),
         });
     }
-    Ok(error.with_rounding(source.rounding))
+    Ok(error.of_source(source.offset, source.rounding))
 }
 
 /// The errors of a chunk that are stored with its values, where the plan of the step says so: behind them.

@@ -547,7 +547,7 @@ fn measure_vertices(
             let source = &archive.manifest.steps[position].plan.source;
             let of_level = |sums: &ErrorSums| sums.level_error().with_rounding(source.rounding);
             let mut error = vertex_error(store, positions, sums, source);
-            error.source_range = range_of(values);
+            error.source_range = range_of(values).map(|r| r.map(|v| f64::from(v) + source.offset));
             (error, of_levels.iter().map(of_level).collect())
         };
     Ok(steps.iter().zip(&sums).zip(&columns).map(told).collect())
@@ -575,7 +575,7 @@ fn vertex_error(store: &CellStore, positions: &[FinePos], sums: &ErrorSums, sour
             reduced: source.told(l.reduced),
         }
     });
-    error.with_rounding(source.rounding)
+    error.of_source(source.offset, source.rounding)
 }
 
 /// The map of bricks, being collected.
