@@ -20,7 +20,7 @@ const STREAM_SAMPLES: u64 = 1 << 23;
 const FILL_SHARE: f64 = 0.001;
 /// The most values of labels, and the number up to which a field of whole numbers is one of labels whatever its neighbours are.
 const MOST_LABELS: usize = 256;
-const FEW: usize = 8;
+const FEW: usize = 5;
 
 /// Values that programs write where they have no data.
 const USUAL_FILLS: [f64; 32] = [
@@ -219,7 +219,7 @@ impl Survey {
         // A peak at a usual value behind a gap is one; any other value must lie farther off than data do.
         is_usual && (gap >= width / 2.0 || share >= 0.01 && gap >= width / 20.0)
             || is_one_of(&CT_PADDING) && share >= 0.01 && gap >= 200.0 && others.len() >= 200
-            || others.len() >= 32 && gap >= 20.0 * width
+            || others.len() >= 32 && gap >= 10.0 * width
     }
 
     /// Whether values are the names of parts: few whole numbers, in runs of equal ones, next to any others.
@@ -227,10 +227,14 @@ impl Survey {
         let [equal, jumps, steps] = self.pairs;
         let is_whole = runs.len() <= MOST_LABELS && runs.iter().all(|(v, _)| v.fract() == 0.0);
         let different = jumps + steps;
+        let [all, most] =
+            [runs.iter().map(|r| r.1).sum::<u64>(), runs.iter().map(|r| r.1).max().unwrap_or(0)];
         // The noise of an image jumps too, but its runs are short, and so are those of few grey levels.
         self.is_grid
             && is_whole
             && equal >= 4 * different
+            // A few samples in an empty field are a source, not a part.
+            && (all - most) * 1000 >= all
             && (runs.len() <= FEW || jumps > steps && different > 0)
     }
 }
@@ -584,6 +588,7 @@ mod tests {
         }
         // No usual value, but far from all others.
         assert_eq!(found(&with(waves(101_300.0, 101_400.0), 9, 0.0)).fills[0].value, 0.0);
+        assert_eq!(found(&with(waves(278.0, 298.0), 9, 0.0)).fills[0].value, 0.0);
         // Padding around a CT's field of view, below air.
         assert_eq!(found(&with(waves(-1024.0, 3071.0), 4, -2000.0)).fills[0].value, -2000.0);
         // Two of them.
@@ -630,6 +635,11 @@ mod tests {
         let grey: Vec<f64> = (0..3000).map(|i| (i / 30) as f64).collect();
         assert_eq!(found(&[grey]), Found::default());
         assert_eq!(labels(&[0.0, 0.5, 1.0], 50).labels, None);
+        let levels: Vec<f64> = (0..3000).map(|i| (i / 300) as f64).collect();
+        assert_eq!(found(&[levels]), Found::default());
+        let mut source = vec![0.0; 3000];
+        source[1500] = 7.0;
+        assert_eq!(found(&[source]), Found::default());
     }
 
     /// A stream that is read to its end shows the samples that random access has; of one that is not, the first ones are known.
