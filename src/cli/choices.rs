@@ -49,7 +49,7 @@ pub(crate) struct Choices {
     #[arg(long, value_enum, default_value_t = Interp::Linear)]
     interp: Interp,
     /// "fit": values that bring the reduced field closer to all samples (of a mesh: to the values at its vertices), none beyond the samples around it,
-    /// for 0.56 to 0.93 of the RMS error; "sample": the field at each point, as the thesis has it [default: fit; sample with --interp nearest, cubic-thesis, quadratic-thesis].
+    /// for 0.56 to 0.92 of the RMS error; "sample": the field at each point, as the thesis has it [default: fit; sample with --interp nearest, cubic-thesis, quadratic-thesis].
     #[arg(long, value_enum)]
     values: Option<Vertex>,
     /// Samples that are NaN, infinite or missing: "error", "mask" (leave a hole) or a value to use instead.
