@@ -1,6 +1,7 @@
 //! One error type: what was being done, on which file, where in it, what was expected, what was found,
 //! and what the user can do. `Display` is always a single line; the command line maps [`Error::exit_code`].
 
+use std::borrow::Cow;
 use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -147,6 +148,20 @@ fn is_full(error: &io::Error) -> bool {
     matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge)
 }
 
+/// A text as it may be shown on a terminal: control characters but new lines and tabs, which names from files may have in them to
+/// steer the terminal, and those that turn the direction of writing, as `\u001b` (as in JSON).
+pub fn printable(text: &str) -> Cow<'_, str> {
+    let steers = |c: char| {
+        c.is_control() && !matches!(c, '\n' | '\t')
+            || matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+    };
+    if !text.contains(steers) {
+        return Cow::Borrowed(text);
+    }
+    let show = |c: char| if steers(c) { format!("\\u{:04x}", u32::from(c)) } else { c.to_string() };
+    Cow::Owned(text.chars().map(show).collect())
+}
+
 /// Text from a file may hold anything; an error message is one printable line of bounded length.
 fn one_line(text: &str) -> String {
     const MOST: usize = 200;
@@ -160,6 +175,15 @@ fn one_line(text: &str) -> String {
 
 impl fmt::Display for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut text = String::new();
+        self.write(&mut text)?;
+        f.write_str(&printable(&text).replace(['\n', '\t'], " "))
+    }
+}
+
+impl Error {
+    /// The message, with what names of files and fields have in them.
+    fn write(&self, f: &mut impl fmt::Write) -> fmt::Result {
         match self {
             Self::Io { doing, path, source } => {
                 write!(f, "cannot {doing} {}: {source}", path.display())?;

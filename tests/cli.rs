@@ -320,3 +320,166 @@ fn completions_and_manual() {
     assert!(dir.path().join("pages/isospan-reduce.1").exists());
     assert!(ok(dir.path(), &["--help"]).contains("surface"));
 }
+
+/// A legacy VTK image of 6 x 6 x 6 samples with arrays of a value that rises along x, and lines before and after them.
+fn legacy(names: &[&str], head: &str, tail: &str) -> String {
+    let values: String = (0..216).map(|i| format!("{} ", i % 6)).collect();
+    let arrays: String =
+        names.iter().map(|n| format!("SCALARS {n} float\nLOOKUP_TABLE default\n{values}\n")).collect();
+    format!(
+        "# vtk DataFile Version 3.0\na\nASCII\nDATASET STRUCTURED_POINTS\n{head}DIMENSIONS 6 6 6\nSPACING 1 1 1\n\
+         ORIGIN 0 0 0\nPOINT_DATA 216\n{arrays}{tail}"
+    )
+}
+
+/// A VTI of 6 x 6 x 6 samples, with elements before its piece, and arrays beside the field.
+fn vti(head: &str, points: &str, cells: &str) -> String {
+    let values: String = (0..216).map(|i| format!("{} ", i % 6)).collect();
+    format!(
+        "<VTKFile type=\"ImageData\"><ImageData WholeExtent=\"0 5 0 5 0 5\">{head}<Piece Extent=\"0 5 0 5 0 5\">\
+         <PointData><DataArray type=\"Float32\" Name=\"v\">{values}</DataArray>{points}</PointData>\
+         <CellData>{cells}</CellData></Piece></ImageData></VTKFile>"
+    )
+}
+
+#[test]
+fn names_from_files_do_not_steer_the_terminal() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    // Names of legacy VTK are percent-encoded: red letters, a bell, a new line, the C1 form of the same, a right-to-left override.
+    let evil = "a%1b%5b31mb%07c%0aisospan:%20error:%20d%c2%9b31me%e2%80%ae";
+    fs::write(d.join("one.vtk"), legacy(&[evil], "", "")).unwrap();
+    fs::write(d.join("two.vtk"), legacy(&[evil, "other"], "", "")).unwrap();
+    let series = |more: &[&str]| -> Vec<String> { more.iter().map(|s| s.to_string()).collect() };
+    let commands = [
+        series(&["info", "one.vtk"]),
+        series(&["info", "one.vtk", "--json"]),
+        series(&["info", "two.vtk"]),
+        series(&["info", "two.vtk", "--field", "none"]),
+        series(&["reduce", "two.vtk", "-o", "x.isospan"]),
+        series(&["reduce", "one.vtk", "-o", "a.isospan", "--dry-run"]),
+        series(&["reduce", "one.vtk", "-o", "a.isospan", "-v"]),
+        series(&["reduce", "one.vtk", "one.vtk", "-o", "b.isospan", "--json"]),
+        series(&["append", "b.isospan", "one.vtk"]),
+        series(&["info", "a.isospan"]),
+        series(&["info", "b.isospan"]),
+        series(&["info", "b.isospan", "--json"]),
+        series(&["surface", "a.isospan", "--isovalue", "2.5", "-o", "a.ply", "--stats"]),
+        series(&["count", "a.isospan", "--isovalue", "2.5"]),
+        series(&["spectrum", "a.isospan"]),
+        series(&["check", "a.isospan"]),
+        series(&["check", "a.ply"]),
+        series(&["measure", "a.isospan", "--against", "one.vtk"]),
+        series(&["export", "a.isospan", "-o", "a.vtu"]),
+        series(&["probe", "a.isospan", "--grid", "3,3,3", "-o", "a.vti"]),
+        series(&["brick", "one.vtk", "-o", "a.bricks"]),
+        series(&["info", "a.bricks"]),
+        series(&["unpack", "a.isospan"]),
+        series(&["plan", "one.vtk", "-o", "p.isospan", "--shards", "2"]),
+        series(&["status", "p.isospan"]),
+        series(&["work", "p.isospan", "--shard", "1/1"]),
+        series(&["commit", "p.isospan"]),
+    ];
+    for args in &commands {
+        let args: Vec<&str> = args.iter().map(String::as_str).collect();
+        let out = isospan(d, &args);
+        for bytes in [&out.stdout, &out.stderr] {
+            let text = std::str::from_utf8(bytes).unwrap();
+            let steers = |c: char| c.is_control() && c != '\n' || c == '\u{202e}';
+            assert!(!text.contains(steers), "{args:?}: {text:?}");
+            assert!(!text.lines().any(|l| l.starts_with("isospan: error: d")), "{args:?}: {text}");
+        }
+    }
+    assert!(ok(d, &["info", "one.vtk"]).contains("a\\u001b[31mb\\u0007c\\nisospan"));
+}
+
+#[test]
+fn info_lists_fields_and_steps() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    fs::write(d.join("two.vtk"), legacy(&["heat", "speed"], "", "")).unwrap();
+    let text = ok(d, &["info", "two.vtk"]);
+    assert!(text.contains("heat (f32), speed (f32)") && text.contains("--field NAME"), "{text}");
+    let levels = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/levels.nc");
+    let levels = levels.to_str().unwrap();
+    let text = ok(d, &["info", levels, "--field", "temp"]);
+    assert!(text.contains("steps      3, of which this is the first; times 0 .. 18"), "{text}");
+    assert!(text.contains("placed     by the grid's coordinates"), "{text}");
+    ok(d, &["reduce", levels, "--field", "temp", "-o", "t.isospan", "--nan", "mask"]);
+    let info = json(&ok(d, &["info", "t.isospan", "--json"]));
+    let times: Vec<_> = info["steps"].as_array().unwrap().iter().map(|s| s["time"].as_f64()).collect();
+    assert_eq!(times, [Some(0.0), Some(6.0), Some(18.0)]);
+    ok(d, &["surface", "t.isospan", "--isovalue", "10.25", "-o", "t.ply"]);
+    // Latitude 30 at the first row, pressure 1000 at the lowest level, as the file has them.
+    let bounds = json(&ok(d, &["check", "t.ply", "--json"]))["bounds"].clone();
+    if !bounds.is_null() {
+        assert!(bounds[0][2].as_f64().unwrap() >= 700.0, "{bounds}");
+    }
+}
+
+#[test]
+fn files_tell_their_times_and_an_order_in_doubt_is_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let time = |t: &str| {
+        vti(
+            &format!(
+                "<FieldData><DataArray type=\"Float64\" Name=\"TimeValue\" NumberOfTuples=\"1\">{t}</DataArray></FieldData>"
+            ),
+            "",
+            "",
+        )
+    };
+    for (name, t) in [("s_1.vti", "0.5"), ("s_2.vti", "0.75"), ("s_10.vti", "2.5")] {
+        fs::write(d.join(name), time(t)).unwrap();
+    }
+    fs::write(d.join("t_1.vtk"), legacy(&["v"], "FIELD FieldData 1\nTIME 1 1 double\n4\n", "")).unwrap();
+    let times = |archive: &str| -> Vec<Option<f64>> {
+        let info = json(&ok(d, &["info", archive, "--json"]));
+        info["steps"].as_array().unwrap().iter().map(|s| s["time"].as_f64()).collect()
+    };
+    ok(d, &["reduce", "s_*.vti", "t_1.vtk", "--field", "v", "-o", "a.isospan"]);
+    assert_eq!(times("a.isospan"), [Some(0.5), Some(0.75), Some(2.5), Some(4.0)]);
+    let told = |args: &[&str]| String::from_utf8(isospan(d, args).stderr).unwrap();
+    let text = told(&["reduce", "s_1.vti", "s_10.vti", "s_2.vti", "-o", "b.isospan"]);
+    assert!(
+        text.contains("warning: the times of the steps do not rise (time 0.75 comes after 2.5)"),
+        "{text}"
+    );
+    for n in ["1", "10", "2"] {
+        write_npy(&d.join(format!("n_{n}.npy")), [6, 6, 6], ball);
+    }
+    let text = told(&["reduce", "n_1.npy", "n_10.npy", "n_2.npy", "-o", "c.isospan"]);
+    assert!(text.contains("do not rise (n_2.npy comes after n_10.npy): a quoted pattern"), "{text}");
+    let text = told(&["reduce", "n_1.npy", "n_10.npy", "n_2.npy", "--times", "0,1,2", "-o", "d.isospan"]);
+    assert!(!text.contains("warning"), "{text}");
+}
+
+#[test]
+fn hidden_points_and_cells_of_images_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let marks = |count: usize, mark: u8| {
+        let marks: String = (0..count).map(|i| format!("{} ", if i == 7 { mark } else { 0 })).collect();
+        format!("<DataArray type=\"UInt8\" Name=\"vtkGhostType\">{marks}</DataArray>")
+    };
+    for (text, what) in
+        [(vti("", &marks(216, 2), ""), "1 of 216"), (vti("", "", &marks(125, 32)), "1 of 125")]
+    {
+        fs::write(d.join("a.vti"), text).unwrap();
+        let (code, line) = fails(d, &["reduce", "a.vti", "-o", "a.isospan"]);
+        assert!(
+            code == 5 && line.contains("vtkGhostType") && line.contains(what) && line.contains("--nan"),
+            "{line}"
+        );
+    }
+    let cells: String = (0..125).map(|i| format!("{} ", if i == 3 { 32 } else { 0 })).collect();
+    let tail = format!("CELL_DATA 125\nSCALARS vtkGhostType unsigned_char\nLOOKUP_TABLE default\n{cells}\n");
+    fs::write(d.join("a.vtk"), legacy(&["v"], "", &tail)).unwrap();
+    let (code, line) = fails(d, &["info", "a.vtk"]);
+    assert!(code == 5 && line.contains("CELL_DATA, vtkGhostType"), "{line}");
+    // Copies are data, and no field to choose.
+    fs::write(d.join("b.vti"), vti("", &marks(216, 1), &marks(125, 1))).unwrap();
+    let text = ok(d, &["info", "b.vti"]);
+    assert!(!text.contains("vtkGhostType"), "{text}");
+}

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes tests/data/*.h5 and *.nc, small HDF5 and NetCDF-4 files for the tests of src/formats/hdf5.rs.
+"""Writes tests/data/*.h5, *.hdf, *.mnc, *.ims and *.nc, small HDF5 and NetCDF-4 files for the tests of src/formats/hdf5.rs.
 
 Needs h5py, netCDF4 and numpy. Sample (z, y, x) of each dataset is its index in C order, unless said otherwise.
 Usage: tools/make_golden_hdf5.py
@@ -78,6 +78,71 @@ def small():
         f.create_dataset("v", data=RAMP.astype("<i2"), **FILTERS)
 
 
+def dialects():
+    """Conventions of other programs, as they write them."""
+    ramp = RAMP.astype("<u2")
+    with h5py.File(OUT / "vtkhdf.hdf", "w", libver="latest") as f:
+        g = f.create_group("VTKHDF")
+        g.attrs.create("Type", b"ImageData", dtype="S9")
+        g.attrs["Version"] = np.array([2, 3])
+        g.attrs["WholeExtent"] = np.array([2, 6, 0, 3, 0, 2])
+        g.attrs["Origin"] = np.array([10.0, 20.0, 30.0])
+        g.attrs["Spacing"] = np.array([0.5, 0.25, 2.0])
+        g.attrs["Direction"] = np.array([0.0, -1, 0, 1, 0, 0, 0, 0, 1])
+        g.create_dataset("PointData/heat", data=ramp)
+        g.create_dataset("PointData/flow", data=np.zeros((3, 4, 5, 3), "<f4"))
+        g.create_dataset("CellData/mass", data=np.arange(24, dtype="<f4").reshape(2, 3, 4))
+    with h5py.File(OUT / "vtkhdf_mesh.hdf", "w", libver="latest") as f:
+        f.create_group("VTKHDF").attrs.create("Type", b"UnstructuredGrid", dtype="S16")
+    with h5py.File(OUT / "imaris.ims", "w", libver="latest") as f:
+        f.attrs["ImarisDataSet"] = np.bytes_("ImarisDataSet")
+        f.create_dataset("DataSet/ResolutionLevel 0/TimePoint 0/Channel 0/Data", data=ramp)
+    with h5py.File(OUT / "minc.mnc", "w", libver="latest") as f:
+        for name, start, step, cosines in (
+            ("xspace", -10, 7, (0, 1, 0)), ("yspace", 20, -8, (-1, 0, 0)), ("zspace", 30, 9, (0, 0, 1)),
+        ):
+            d = f.create_dataset(f"minc-2.0/dimensions/{name}", data=np.int32(0))
+            d.attrs["start"], d.attrs["step"], d.attrs["direction_cosines"] = float(start), float(step), np.array(cosines, float)
+            d.attrs["spacing"] = np.bytes_("regular__")
+        image = f.create_dataset("minc-2.0/image/0/image", data=ramp, chunks=(2, 3, 5), compression="gzip")
+        image.attrs["dimorder"] = np.bytes_("yspace,zspace,xspace")
+        image.attrs["valid_range"] = np.array([0.0, 50.0])
+        f["minc-2.0/image/0/image-min"] = np.array([0.0, 100.0, 200.0])
+        f["minc-2.0/image/0/image-max"] = np.array([50.0, 200.0, 300.0])
+    with h5py.File(OUT / "itk.h5", "w", libver="latest") as f:
+        f["ITKImage/0/VoxelData"] = ramp
+        f["ITKImage/0/Origin"] = np.array([1.0, 2.0, 3.0])
+        f["ITKImage/0/Spacing"] = np.array([0.5, 0.25, 2.0])
+        f["ITKImage/0/Directions"] = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    with h5py.File(OUT / "axes.h5", "w", libver="latest") as f:
+        f.create_dataset("sized", data=ramp).attrs["element_size_um"] = np.array([2.0, 0.5, 0.25])
+        f["vectors"] = np.zeros((6, 6, 6, 3), "<f4")
+        f.create_dataset("fortran", data=ramp)
+        for axis, label in enumerate("xyz"):
+            f["fortran"].dims[axis].label = label
+        f.create_dataset("channels", data=np.zeros((2, 3, 4, 5), "<u2"))
+        for axis, label in enumerate("czyx"):
+            f["channels"].dims[axis].label = label
+        g = f.create_group("entry")
+        g.attrs["NX_class"] = "NXdata"
+        g.attrs["signal"] = "counts"
+        g.attrs["axes"] = ["z", "y", "x"]
+        g["counts"], g["z"] = ramp, np.arange(3) * 2.0 + 1
+        g["y"], g["x"] = np.arange(4) * 0.5, np.arange(5) * 0.25
+    with netCDF4.Dataset(OUT / "levels.nc", "w") as f:
+        for name, values in (("time", [0, 6, 18]), ("lev", [1000, 925, 700]), ("lat", [30, 20, 10, 0]), ("lon", range(5))):
+            f.createDimension(name, len(values))
+            f.createVariable(name, "f4", (name,))[:] = list(values)
+        f["time"].units = "hours since 2000-01-01"
+        v = f.createVariable("temp", "i2", ("time", "lev", "lat", "lon"), fill_value=-999)
+        v.set_auto_maskandscale(False)
+        v.scale_factor, v.valid_range = 0.5, np.array([0, 1000], "i2")
+        v[:] = np.stack([RAMP, RAMP + 100, RAMP + 200])
+        v[1, 0, 0, 0] = 2000
+        w = f.createVariable("wind", "f4", ("lev", "lat", "lon"))
+        w[:] = RAMP
+
+
 if __name__ == "__main__":
     OUT.mkdir(parents=True, exist_ok=True)
     for version in ("earliest", "latest"):
@@ -85,3 +150,4 @@ if __name__ == "__main__":
         layouts(version)
     netcdf()
     small()
+    dialects()

@@ -1,13 +1,14 @@
 //! A mesh as the pipeline reads it: which field, and checked blocks of points, values and cells.
 
 use super::average::Averages;
+use super::order::Orders;
 use super::{
     BLOCK, CellBlock, CellField, CellFile, CellStream, CellsInfo, Center, GHOSTS, NumberStream, is_ghost,
 };
 use crate::error::{Error, Result};
 use crate::volume::ScalarType;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 /// What is taken of a point's or cell's numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,6 +53,8 @@ pub struct ChosenField {
 pub struct CellMesh {
     file: Arc<dyn CellFile>,
     field: Option<ChosenField>,
+    /// In which order cells have the vertices on their edges; known when cells were first asked for.
+    orders: Arc<OnceLock<Orders>>,
 }
 
 impl CellMesh {
@@ -67,7 +70,7 @@ impl CellMesh {
             Some(name) => Some(find(file.info(), name)?),
             None => default_field(file.info()),
         };
-        Ok(Self { file, field })
+        Ok(Self { file, field, orders: Arc::default() })
     }
 
     /// The same mesh with another field.
@@ -75,7 +78,8 @@ impl CellMesh {
     /// # Errors
     /// Those of [`CellMesh::new`].
     pub fn with_field(&self, name: &str) -> Result<Self> {
-        Self::new(Arc::clone(&self.file), Some(name))
+        let other = Self::new(Arc::clone(&self.file), Some(name))?;
+        Ok(Self { orders: Arc::clone(&self.orders), ..other })
     }
 
     /// What the file tells.
@@ -108,12 +112,20 @@ impl CellMesh {
         Ok(PointBlocks { path, stream: self.file.points()?, left, at: 0, numbers: vec![] })
     }
 
-    /// The cells.
+    /// The cells, their vertices in VTK's order.
     ///
     /// # Errors
-    /// When the file cannot be read.
+    /// When the file cannot be read; [`Error::BadInput`] for vertices in an order that is not understood.
     pub fn cells(&self) -> Result<CellBlocks> {
-        CellBlocks::new(&*self.file)
+        let stored = || CellBlocks::new(&*self.file);
+        let orders = match self.orders.get() {
+            Some(orders) => orders,
+            None => {
+                let found = Orders::of(self, stored)?;
+                self.orders.get_or_init(|| found)
+            }
+        };
+        Ok(CellBlocks { orders: orders.clone(), ..stored()? })
     }
 
     /// A hash of all that points and cells are read from: see [`CellFile::stored_hash`].
@@ -274,6 +286,7 @@ pub struct CellBlocks {
     marks: Option<Box<dyn NumberStream>>,
     numbers: Vec<f64>,
     ghosts: u64,
+    orders: Orders,
 }
 
 impl CellBlocks {
@@ -289,6 +302,7 @@ impl CellBlocks {
             marks,
             numbers: vec![],
             ghosts: 0,
+            orders: Orders::default(),
         })
     }
 
@@ -324,6 +338,7 @@ impl CellBlocks {
             }
         }
         self.at += out.len() as u64;
+        self.orders.apply(out);
         Ok(true)
     }
 }

@@ -23,6 +23,7 @@
 
 pub mod average;
 pub mod kind;
+mod order;
 pub mod orient;
 pub mod quadratic;
 pub mod scan;
@@ -158,6 +159,9 @@ pub(crate) const GHOSTS: &str = "vtkGhostType";
 fn is_ghost(marks: f64) -> bool {
     marks as u8 & (1 | 32) != 0
 }
+
+/// The marks of points that are hidden, and of cells that are hidden or refined by other cells; of a structured grid.
+pub(crate) const HIDDEN: [(&str, u8); 2] = [("PointData", 2), ("CellData", 8 | 32)];
 
 /// Some cells, one after another.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -40,7 +40,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings { keep_going: args.steps.keep_going, ..args.machine.run(&args.scratch, talk) };
-    let steps = args.steps.all(&args.read)?;
+    let steps = args.steps.all(&args.read, talk)?;
     let settings =
         AppendSettings { missing: args.missing, keyframes: args.keyframes, measure: !args.no_measure };
     let bar = talk.progress();

@@ -4,9 +4,10 @@ use super::input::InputArgs;
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{self, ArchiveSummary, Scan};
 use isospan::volume::VolumeInfo;
-use isospan::{Result, formats};
+use isospan::{Error, Result, formats};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -41,7 +42,8 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
             super::print(&archive_text(path, &summary))
         };
     }
-    let source = match formats::open_input(path, &args.read.options()?)? {
+    let Opened { input, options, steps, several } = open(path, args)?;
+    let source = match input {
         formats::Input::Volume(source) => source,
         formats::Input::Mesh(mesh) => return super::info_mesh::run(&mesh, !args.no_scan, args.json, talk),
     };
@@ -55,13 +57,54 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
     if args.json {
         let mut value =
             serde_json::json!({ "kind": "volume", "info": info, "scan": scan, "notices": notices });
+        if steps.len() > 1 {
+            let step = |s: &StepSource| serde_json::json!({ "field": s.options.field, "time": s.time });
+            value["steps"] = steps.iter().map(step).collect();
+        }
         if let Some([lo, hi]) = scan.as_ref().and_then(|s| stored_range(&info, s)) {
             value["stored_range"] = serde_json::json!([lo, hi]);
         }
         return super::print_json(&value);
     }
-    let own = formats::open_coordinates(path, &args.read.options()?)?.is_some();
-    super::print(&volume_text(&info, scan.as_ref(), own))
+    let own = formats::open_coordinates(&info.path, &options)?.is_some();
+    let mut text = volume_text(&info, scan.as_ref(), own);
+    if let [first, .., last] = &steps[..] {
+        let _ = write!(text, "  steps      {}, of which this is the first", text::count(steps.len() as u64));
+        let _ = match (first.time, last.time) {
+            (Some(lo), Some(hi)) => writeln!(text, "; times {lo} .. {hi}"),
+            _ => writeln!(text),
+        };
+    } else if several {
+        let _ = writeln!(text, "  next       --field NAME chooses another field than this, the first");
+    }
+    super::print(&text)
+}
+
+/// What is shown of an input.
+struct Opened {
+    input: formats::Input,
+    options: OpenOptions,
+    /// The steps in it, of which the first is opened.
+    steps: Vec<StepSource>,
+    /// Whether there are several fields, none of which was chosen: the first is opened.
+    several: bool,
+}
+
+fn open(path: &Path, args: &Args) -> Result<Opened> {
+    let options = args.read.options()?;
+    let steps = formats::steps_of(&[path.to_path_buf()], &options)?;
+    let first = steps.first().cloned().unwrap_or_else(|| StepSource::new(path, &options));
+    let (mut options, mut several) = (first.options, false);
+    let input = match formats::open_input(&first.path, &options) {
+        Err(error @ Error::Usage(_)) if options.field.is_none() => {
+            // Any field: what is in the file is to be told, to choose from.
+            options.field = Some("*".into());
+            several = true;
+            formats::open_input(&first.path, &options).map_err(|_| error)?
+        }
+        opened => opened?,
+    };
+    Ok(Opened { input, options, steps, several })
 }
 
 /// `own`: whether a grid has coordinates of its own.
@@ -71,7 +114,7 @@ fn volume_text(info: &VolumeInfo, scan: Option<&Scan>, own: bool) -> String {
     let _ = writeln!(out, "{}: {}", info.path.display(), info.format);
     let _ = writeln!(out, "  dims       {x} x {y} x {z}  ({} samples)", text::count(x * y * z));
     let _ = writeln!(out, "  type       {}", info.field.scalar.name());
-    let _ = writeln!(out, "  field      {}", info.field.name);
+    let _ = writeln!(out, "  field      {}", text::name(&info.field.name));
     if info.fields.len() > 1 {
         let names: Vec<String> = info.fields.iter().map(field_text).collect();
         let _ = writeln!(out, "  fields     {}", names.join(", "));
@@ -140,9 +183,9 @@ fn stored_range(info: &VolumeInfo, scan: &Scan) -> Option<[f64; 2]> {
 
 fn field_text(f: &isospan::volume::FieldInfo) -> String {
     if f.components == 1 {
-        format!("{} ({})", f.name, f.scalar.name())
+        format!("{} ({})", text::name(&f.name), f.scalar.name())
     } else {
-        format!("{} ({} x{})", f.name, f.scalar.name(), f.components)
+        format!("{} ({} x{})", text::name(&f.name), f.scalar.name(), f.components)
     }
 }
 
@@ -186,7 +229,13 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     let [x, y, z] = s.dims;
     let mut out = String::new();
     let _ = writeln!(out, "{}: isospan archive, format {}", path.display(), s.format);
-    let _ = writeln!(out, "  source      {} ({}, {x} x {y} x {z} {})", s.source, s.source_format, s.scalar);
+    let _ = writeln!(
+        out,
+        "  source      {} ({}, {x} x {y} x {z} {})",
+        text::name(&s.source),
+        s.source_format,
+        s.scalar
+    );
     let _ = writeln!(out, "  points      {} ({})", text::count(s.points), s.point_set);
     let all: u64 = s.levels.iter().map(|l| l.voxels).sum();
     for (n, level) in s.levels.iter().enumerate() {
@@ -280,7 +329,9 @@ fn steps_text(s: &ArchiveSummary) -> String {
         let _ = writeln!(
             out,
             " {asked}{:>6} {time:>12} {range:>24} {error:>12} {values:>10} {index:>10}  {}: {}{key}",
-            step.number, step.source, step.field
+            step.number,
+            text::name(&step.source),
+            text::name(&step.field)
         );
     }
     out

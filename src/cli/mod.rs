@@ -150,8 +150,9 @@ fn is_broken_pipe(error: &isospan::Error) -> bool {
     matches!(error, isospan::Error::Io { source, .. } if source.kind() == std::io::ErrorKind::BrokenPipe)
 }
 
-/// Writes a result to standard output.
+/// Writes a result to standard output. Names from files do not steer the terminal.
 fn print(text: &str) -> Result<()> {
+    let text = isospan::error::printable(text);
     let mut out = std::io::stdout().lock();
     out.write_all(text.as_bytes())
         .and_then(|()| out.flush())

@@ -45,7 +45,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
     let run = RunSettings { keep_going: args.steps.keep_going, ..run };
-    let (steps, settings) = (args.steps.all(&args.read)?, args.choices.settings()?);
+    let (steps, settings) = (args.steps.all(&args.read, talk)?, args.choices.settings()?);
     let bar = talk.progress();
     let report = plan_shards(&steps, &settings, &args.output, args.shards, &run, &*bar);
     bar.end();

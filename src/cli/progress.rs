@@ -93,7 +93,7 @@ impl Talk {
 
 /// Writes a line; who closed standard error does not want it.
 fn tell(line: &str) {
-    let _ = writeln!(std::io::stderr(), "{line}");
+    let _ = writeln!(std::io::stderr(), "{}", isospan::error::printable(line));
 }
 
 /// No progress, but what the user should know.

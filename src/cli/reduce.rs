@@ -41,7 +41,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
     let run = RunSettings { keep_going: args.steps.keep_going, ..run };
-    let (steps, settings) = (args.steps.all(&args.read)?, args.choices.settings()?);
+    let (steps, settings) = (args.steps.all(&args.read, talk)?, args.choices.settings()?);
     if args.dry_run {
         let found = estimate_series(&steps, &settings, &args.output, &run)?;
         talk.notices(&found.notices);

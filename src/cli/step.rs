@@ -1,7 +1,8 @@
 //! The flags that choose a step of an archive, and those that tell the times of steps.
 
 use super::input::InputArgs;
-use isospan::formats::{StepSource, steps_of};
+use super::progress::Talk;
+use isospan::formats::{StepSource, order_in_doubt, steps_of};
 use isospan::pipeline::StepChoice;
 use isospan::{Error, Result};
 use std::path::PathBuf;
@@ -23,8 +24,12 @@ pub(crate) struct StepInputs {
 
 impl StepInputs {
     /// All steps, in order.
-    pub(crate) fn all(&self, read: &InputArgs) -> Result<Vec<StepSource>> {
+    pub(crate) fn all(&self, read: &InputArgs, talk: &Talk) -> Result<Vec<StepSource>> {
         let mut steps = steps_of(&self.inputs, &read.options()?)?;
+        if let (None, Some(doubt)) = (&self.times, order_in_doubt(&self.inputs, &steps)) {
+            let help = "a quoted pattern (\"step_*.vti\") takes files in the order of their numbers, --times tells the times";
+            talk.note(&format!("warning: {doubt}: {help}"));
+        }
         self.times.as_ref().map_or(Ok(()), |times| times.apply(&mut steps))?;
         Ok(steps)
     }

@@ -68,6 +68,11 @@ pub(crate) fn parse_duration(text: &str) -> Result<Duration, String> {
     Ok(Duration::from_secs(u64::from(number) * seconds))
 }
 
+/// A name from a file, on one line.
+pub(crate) fn name(name: &str) -> String {
+    name.replace('\n', "\\n").replace('\t', "\\t")
+}
+
 /// `1234567` as `1 234 567`.
 pub(crate) fn count(n: u64) -> String {
     let digits = n.to_string();

@@ -27,6 +27,8 @@ pub fn open_coordinates(path: &Path, options: &OpenOptions) -> Result<Option<Gri
     match kind_of(&source) {
         Some(super::Kind::VtkXml) => vtk_xml::coordinates(&source),
         Some(super::Kind::VtkLegacy) => vtk_legacy::coordinates(&source),
+        #[cfg(feature = "hdf5")]
+        Some(super::Kind::Hdf5) => super::hdf5::coordinates(path, options),
         _ => Ok(None),
     }
 }

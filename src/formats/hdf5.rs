@@ -7,10 +7,17 @@
 //!
 //! Datasets of three axes (slowest first: z, y, x, as in NPY) and of one number a sample are the fields, named by their path.
 //! Axes before the last three must have one entry; of a dataset of four axes each entry of the first is a field of its own,
-//! `name:t0`, `name:t1`, …. Links to one dataset are one field.
+//! `name:t0`, `name:t1`, …; `name` is all of them, as a series. Links to one dataset are one field.
 //!
-//! Attributes that are followed: `scale_factor`, `add_offset`; `_FillValue`, `missing_value`; NetCDF's coordinate variables
-//! (`DIMENSION_LIST`), where they are regular to a thousandth of a step, are spacing and origin, else these are 1 and 0.
+//! **Axes with names** (dimension scales, `DIMENSION_LABELS`, `axistags`; CF's `axis` and `units`) are what they are called: time, x, y, z in
+//! any order, channels. Of four axes without names, the last of at most four entries, the components of vectors are the last: they
+//! are listed, and not read.
+//!
+//! Attributes that are followed: `scale_factor`, `add_offset`; `_FillValue`, `missing_value`, `valid_range`, `valid_min`, `valid_max`;
+//! `element_size_um` (z, y, x); coordinate variables (`DIMENSION_LIST`, or `axes` of NeXus): where all are regular to a thousandth of a
+//! step they are spacing and origin, else the dataset is a rectilinear grid. Without any, spacing is 1 and origin 0.
+//!
+//! Conventions of other programs: see [`dialect`].
 //!
 //! A contiguous dataset is mapped where it lies. Others are a stream, chunk by chunk (deflate, shuffle, Fletcher-32,
 //! scale-offset, N-bit, szip, LZF), of which small ones are taken together. Memory: one chunk, stored, decoded and once more
@@ -30,7 +37,10 @@
 //!
 //! The format: "HDF5 File Format Specification Version 4.0", The HDF Group.
 
-use super::header::{geometry, plain_info, scaled_axes};
+mod dialect;
+
+use super::coordinates::GridCoordinates;
+use super::header::{geometry, plain_info};
 use super::stream::sample_bytes;
 use super::{OpenOptions, pick_field};
 use crate::bytes::ByteSource;
@@ -38,12 +48,14 @@ use crate::error::{Error, Result};
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::strided::StridedVolume;
 use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
+use dialect::{Convert, Dialect, Placed};
+use hdf5_reader::attribute_api::Attribute;
 use hdf5_reader::group::Group;
 use hdf5_reader::io::Cursor;
 use hdf5_reader::messages::HdfMessage;
 use hdf5_reader::messages::layout::DataLayout;
 use hdf5_reader::{ByteOrder, Dataset, Datatype, Hdf5File, SliceInfo, SliceInfoElem, Storage, StorageBuffer};
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -66,36 +78,119 @@ const MOST_COORDINATES: u64 = 1 << 24;
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let file = open_file(path, &source)?;
-    let mut tree = Tree::of(path, &file)?;
-    let wanted = options.field.as_deref().map(|name| tree.full_name(&file, name));
-    tree.check_wanted(path, wanted.as_deref())?;
-    let fields: Vec<FieldInfo> = tree.fields.iter().map(|f| f.info.clone()).collect();
-    let field = &tree.fields[pick_field(path, &fields, wanted.as_deref())?];
-    let mut info = field.volume_info(path, &tree)?;
+    let dialect = Dialect::of(path, &file)?;
+    let mut tree = Tree::of(path, &file, dialect)?;
+    let Placed { number, fields, field: info, geometry, convert } =
+        tree.pick(path, &file, dialect, options.field.as_deref())?;
+    let field = &tree.fields[number];
+    let mut info = field.volume_info(path, dialect, info, geometry)?;
     info.fields = fields;
+    if let Some(convert) = convert {
+        return Ok(VolumeSource::Stream(Box::new(Pieces::new(info, field, Some(convert))?)));
+    }
+    if let Some(convert) = field.valid_range(path, &info)? {
+        (info.slope, info.intercept, info.missing) = (1.0, 0.0, None);
+        return Ok(VolumeSource::Stream(Box::new(Pieces::new(info, field, Some(convert))?)));
+    }
     if let Some((at, strides)) = field.in_place(path, &file)? {
         let volume = StridedVolume::new(info, source, at, field.big_endian, strides)?;
         return Ok(VolumeSource::Random(Box::new(volume)));
     }
-    Ok(VolumeSource::Stream(Box::new(Pieces::new(info, field)?)))
+    Ok(VolumeSource::Stream(Box::new(Pieces::new(info, field, None)?)))
 }
 
-/// The frames of a file whose only dataset has four axes, by the names of their fields, and their times, where the first axis has a coordinate
-/// variable. None of other files.
+/// The coordinates of a dataset along its axes, where those of one of them are not regular; else `None`.
+///
+/// # Errors
+/// As [`open`], and where the coordinates of an axis neither rise nor fall throughout.
+pub(super) fn coordinates(path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let file = open_file(path, &source)?;
+    let dialect = Dialect::of(path, &file)?;
+    if dialect != Dialect::Plain {
+        return Ok(None);
+    }
+    let mut tree = Tree::of(path, &file, dialect)?;
+    let number = tree.pick(path, &file, dialect, options.field.as_deref())?.number;
+    let field = &tree.fields[number];
+    let lines = field.lines(&tree);
+    if lines.iter().flatten().all(|l| l.regular.is_some()) {
+        return Ok(None);
+    }
+    let dims = field.dims();
+    let mut axes: [Vec<f64>; 3] = Default::default();
+    for (a, line) in lines.into_iter().enumerate() {
+        // Of an axis without coordinates: the numbers of its samples.
+        let values = line.map_or_else(|| (0..dims[a]).map(|i| i as f64).collect(), |l| l.values);
+        let falls = values.windows(2).all(|w| w[1] < w[0]);
+        if !falls && !values.windows(2).all(|w| w[1] > w[0]) {
+            let axis = ["x", "y", "z"][a];
+            let expected = "coordinates that rise or fall throughout";
+            let got = "others";
+            return Err(Error::bad_input(
+                path,
+                field.at(&format!("coordinates along {axis}")),
+                expected,
+                got,
+            )
+            .with_help("correct the coordinate variable, or write the dataset without it"));
+        }
+        axes[a] = values;
+    }
+    if field.world != [0, 1, 2] {
+        let expected = "axes in the order z, y, x where coordinates are not evenly spaced";
+        let got = "another order";
+        return Err(Error::bad_input(path, field.at("axes"), expected, got)
+            .with_help("write the dataset again in the order z, y, x"));
+    }
+    Ok(Some(GridCoordinates::Axes(axes)))
+}
+
+/// The frames of the dataset with four axes that is `wanted`, or of the file's only one, by the names of their fields, and their times, where the
+/// first axis has a coordinate variable. None of others.
 ///
 /// # Errors
 /// As [`open`].
-pub(super) fn frames(path: &Path, options: &OpenOptions) -> Result<super::series::Frames> {
+pub(super) fn frames(
+    path: &Path,
+    options: &OpenOptions,
+    wanted: Option<&str>,
+) -> Result<super::series::Frames> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let file = open_file(path, &source)?;
-    let tree = Tree::of(path, &file)?;
-    let Some(first) = tree.fields.first().filter(|f| f.before.len() == 1) else { return Ok(vec![]) };
-    if tree.fields.iter().any(|f| f.dataset.address() != first.dataset.address()) || tree.fields.len() == 1 {
+    let tree = Tree::of(path, &file, Dialect::of(path, &file)?)?;
+    let number = match wanted {
+        Some(name) => tree.first_frame(&file, name),
+        None => tree.fields.first().filter(|f| f.is_frame()).map(|_| 0),
+    };
+    let Some(first) = number.map(|n| &tree.fields[n]) else { return Ok(vec![]) };
+    let frames: Vec<&Field> =
+        tree.fields.iter().filter(|f| f.dataset.address() == first.dataset.address()).collect();
+    if wanted.is_none() && (frames.len() != tree.fields.len() || tree.fields.len() == 1) {
         return Ok(vec![]);
     }
-    let times = first.times(&tree).filter(|t| t.len() == tree.fields.len());
+    let times = first.line(0, &tree).filter(|t| t.len() == frames.len() && t.iter().all(|t| t.is_finite()));
     let time = |n: usize| times.as_ref().map(|t| t[n]);
-    Ok(tree.fields.iter().enumerate().map(|(n, f)| (f.info.name.clone(), time(n))).collect())
+    Ok(frames.iter().enumerate().map(|(n, f)| (f.info.name.clone(), time(n))).collect())
+}
+
+/// The times of frames by the names of their fields, where their datasets tell them.
+///
+/// # Errors
+/// As [`open`].
+pub(super) fn times(path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let file = open_file(path, &source)?;
+    let tree = Tree::of(path, &file, Dialect::of(path, &file)?)?;
+    let (mut out, mut last) = (HashMap::new(), (0, None));
+    for field in tree.fields.iter().filter(|f| f.is_frame()) {
+        if last.0 != field.dataset.address() {
+            last = (field.dataset.address(), field.line(0, &tree));
+        }
+        let time = last.1.as_ref().and_then(|t| t.get(field.before[0] as usize));
+        out.extend(time.filter(|t| t.is_finite()).map(|&t| (field.info.name.clone(), t)));
+    }
+    Ok(out)
 }
 
 fn open_file(path: &Path, source: &Arc<ByteSource>) -> Result<Hdf5File> {
@@ -138,21 +233,31 @@ fn damaged(path: &Path, at: &str, error: &hdf5_reader::error::Error) -> Error {
 /// The datasets of a file.
 struct Tree {
     fields: Vec<Field>,
-    /// Datasets of one axis: coordinates, maybe.
-    lines: Vec<Dataset>,
+    /// Datasets of one axis, by their paths: coordinates, maybe.
+    lines: Vec<(String, Dataset)>,
+    /// Of groups that NeXus marks, by their paths: the datasets that are the axes of those in it.
+    axes: HashMap<String, Vec<String>>,
     /// Datasets of three axes or more that cannot be read, and why.
     refused: Vec<(String, Error)>,
 }
 
 impl Tree {
-    fn of(path: &Path, file: &Hdf5File) -> Result<Self> {
-        let mut tree = Self { fields: vec![], lines: vec![], refused: vec![] };
+    fn of(path: &Path, file: &Hdf5File, dialect: Dialect) -> Result<Self> {
+        let mut tree = Self { fields: vec![], lines: vec![], axes: HashMap::new(), refused: vec![] };
+        let mut volumes = vec![];
         let root = file.root_group().map_err(|e| damaged(path, "/", &e))?;
         let (mut groups, mut seen) = (vec![(String::new(), root)], HashSet::new());
         while let Some((name, group)) = groups.pop() {
             if seen.insert(group.address()) {
-                let below = tree.add(path, &name, &group, &mut seen)?;
+                let below = tree.add(path, &name, &group, &mut seen, &mut volumes)?;
                 groups.extend(below.into_iter().rev());
+            }
+        }
+        for (name, dataset) in volumes.into_iter().filter(|(n, _)| n.starts_with(dialect.within())) {
+            let kinds = tree.axis_kinds(&name, &dataset);
+            match fields_of(path, &name, &dataset, &kinds, dialect) {
+                Ok(fields) => tree.fields.extend(fields),
+                Err(e) => tree.refused.push((name, e)),
             }
         }
         Ok(tree)
@@ -165,16 +270,24 @@ impl Tree {
         prefix: &str,
         group: &Group,
         seen: &mut HashSet<u64>,
+        volumes: &mut Vec<(String, Dataset)>,
     ) -> Result<Vec<(String, Group)>> {
         let (mut groups, mut datasets) =
             group.member_names().map_err(|e| damaged(path, &format!("/{prefix}"), &e))?;
         groups.sort();
         datasets.sort();
+        if let Some(axes) = dialect::nexus_axes(path, group, &format!("/{prefix}"), &datasets)? {
+            self.axes.insert(prefix.to_string(), axes);
+        }
         for short in datasets {
             let name = format!("{prefix}{short}");
             match group.dataset(&short) {
                 Err(e) => self.refused.push((name.clone(), damaged(path, &name, &e))),
-                Ok(dataset) if seen.insert(dataset.address()) => self.add_dataset(path, name, dataset),
+                Ok(dataset) if seen.insert(dataset.address()) => match dataset.ndim() {
+                    0 | 2 => {}
+                    1 => self.lines.push((name, dataset)),
+                    _ => volumes.push((name, dataset)),
+                },
                 Ok(_) => {}
             }
         }
@@ -185,15 +298,67 @@ impl Tree {
         groups.into_iter().map(open).collect()
     }
 
-    fn add_dataset(&mut self, path: &Path, name: String, dataset: Dataset) {
-        match dataset.ndim() {
-            0 | 2 => {}
-            1 => self.lines.push(dataset),
-            _ => match fields_of(path, &name, &dataset) {
-                Ok(fields) => self.fields.extend(fields),
-                Err(e) => self.refused.push((name, e)),
-            },
+    /// What each axis of a dataset is: x, y, z, t (time), c (channels, components), or '?'.
+    fn axis_kinds(&self, name: &str, dataset: &Dataset) -> Vec<char> {
+        let rank = dataset.ndim();
+        let labels = dataset.attribute("DIMENSION_LABELS").ok().and_then(|a| a.read_strings().ok());
+        let tags = dataset.attribute("axistags").ok().and_then(|a| attribute_text(&a));
+        let tags: serde_json::Value = tags.and_then(|t| serde_json::from_str(&t).ok()).unwrap_or_default();
+        let kind = |axis: usize| {
+            let of_line = self.line_of(name, dataset, axis).map(|(path, line)| kind_of_line(path, line));
+            let label = labels.as_ref().and_then(|l| l.get(axis)).map(|l| kind_of_name(l));
+            let tag = tags["axes"][axis]["key"].as_str().map(kind_of_name);
+            [of_line, label, tag].into_iter().flatten().find(|&k| k != '?').unwrap_or('?')
+        };
+        (0..rank).map(kind).collect()
+    }
+
+    /// The dataset of the coordinates along an axis of a dataset, or of its dimension's name alone.
+    fn line_of(&self, name: &str, dataset: &Dataset, axis: usize) -> Option<(&str, &Dataset)> {
+        let found = if let Ok(list) = dataset.attribute("DIMENSION_LIST") {
+            let size = dataset.vlen_reference_size();
+            let reference = list.raw_data.get(axis * size..(axis + 1) * size)?;
+            let bytes = dataset.resolve_vlen_reference_bytes(reference, 8).ok()?;
+            let address = u64::from_le_bytes(bytes.get(..8)?.try_into().ok()?);
+            self.lines.iter().find(|(_, d)| d.address() == address)
+        } else {
+            let group = name.rfind('/').map_or("", |at| &name[..=at]);
+            let axes = self.axes.get(group).filter(|a| a.len() == dataset.ndim())?;
+            let path = format!("{group}{}", axes[axis]);
+            self.lines.iter().find(|(p, _)| *p == path)
+        };
+        found.map(|(path, line)| (path.as_str(), line))
+    }
+
+    /// Picks a field by the file's convention.
+    fn pick(
+        &mut self,
+        path: &Path,
+        file: &Hdf5File,
+        dialect: Dialect,
+        wanted: Option<&str>,
+    ) -> Result<Placed> {
+        let wanted = wanted.map(|name| self.full_name(file, name));
+        if dialect != Dialect::Vtk {
+            self.check_wanted(path, wanted.as_deref())?;
         }
+        let wanted = wanted.as_deref();
+        match dialect {
+            Dialect::Vtk => return dialect::vtk(path, file, self, wanted),
+            Dialect::Minc => return dialect::minc(path, file, self, wanted),
+            Dialect::Itk => return dialect::itk(path, file, self, wanted),
+            Dialect::Plain => {}
+        }
+        let fields: Vec<FieldInfo> = self.fields.iter().map(|f| f.info.clone()).collect();
+        let number = pick_field(path, &fields, wanted)?;
+        let geometry = self.fields[number].placed(path, self)?;
+        Ok(Placed { number, field: fields[number].clone(), fields, geometry, convert: None })
+    }
+
+    /// The first frame of the dataset with four axes that a user's word means.
+    fn first_frame(&self, file: &Hdf5File, wanted: &str) -> Option<usize> {
+        let first = self.full_name(file, &format!("{wanted}:t0"));
+        self.fields.iter().position(|f| f.is_frame() && f.info.name == first)
     }
 
     /// The field that a user's word means: the path with or without its first "/", or that of another link to the dataset.
@@ -205,9 +370,12 @@ impl Tree {
         };
         let known = |name: &str| self.fields.iter().any(|f| f.info.name == name);
         let linked = file.dataset(path).ok().filter(|_| !known(wanted)).map(|d| d.address());
-        let found = self.fields.iter().filter(|f| Some(f.dataset.address()) == linked).find(|f| {
-            frame.is_none_or(|frame| f.info.name.rsplit_once(":t").is_some_and(|(_, t)| t == frame))
-        });
+        // The name of a dataset with frames is none of a frame.
+        let found =
+            self.fields.iter().filter(|f| Some(f.dataset.address()) == linked).find(|f| match frame {
+                None => !f.is_frame(),
+                Some(frame) => f.info.name.rsplit_once(":t").is_some_and(|(_, t)| t == frame),
+            });
         found.map_or_else(|| wanted.to_string(), |f| f.info.name.clone())
     }
 
@@ -235,28 +403,125 @@ struct Field {
     big_endian: bool,
     /// The entry of each axis before the last three.
     before: Vec<u64>,
+    /// The axis of the world along which each of the last three lies, the last one first.
+    world: [usize; 3],
+}
+
+/// What an axis of a name is.
+fn kind_of_name(name: &str) -> char {
+    match name.rsplit('/').next().unwrap_or(name).to_ascii_lowercase().as_str() {
+        "x" | "lon" | "longitude" => 'x',
+        "y" | "lat" | "latitude" => 'y',
+        "z" | "lev" | "level" | "depth" | "height" | "altitude" | "plev" => 'z',
+        "t" | "time" => 't',
+        "c" | "channel" | "channels" | "component" | "components" | "band" | "rgb" => 'c',
+        _ => '?',
+    }
+}
+
+/// What an axis with a coordinate variable is: as that tells by CF's attributes, else by its name.
+fn kind_of_line(path: &str, line: &Dataset) -> char {
+    let text = |name: &str| line.attribute(name).ok().and_then(|a| attribute_text(&a)).unwrap_or_default();
+    let (axis, units) = (text("axis"), text("units"));
+    match axis.as_str() {
+        "X" => 'x',
+        "Y" => 'y',
+        "Z" => 'z',
+        "T" => 't',
+        _ if units.contains(" since ") => 't',
+        _ if ["degrees_east", "degree_east", "degrees_E"].contains(&units.as_str()) => 'x',
+        _ if ["degrees_north", "degree_north", "degrees_N"].contains(&units.as_str()) => 'y',
+        _ => kind_of_name(path),
+    }
+}
+
+/// The text of an attribute.
+fn attribute_text(attribute: &Attribute) -> Option<String> {
+    let one = attribute.read_string().ok();
+    let text = one.or_else(|| attribute.read_strings().ok()?.into_iter().next())?;
+    Some(text.trim_end_matches('\0').to_string())
+}
+
+/// The numbers of an attribute.
+fn attribute_numbers(attribute: &Attribute) -> Option<Vec<f64>> {
+    macro_rules! of {
+        ($type:ty) => {
+            attribute.read_1d::<$type>().ok()?.into_iter().map(|v| v as f64).collect()
+        };
+    }
+    Some(match &attribute.datatype {
+        Datatype::FloatingPoint { size: 4, .. } => of!(f32),
+        Datatype::FloatingPoint { size: 8, .. } => of!(f64),
+        Datatype::FixedPoint { size: 1, signed: true, .. } => of!(i8),
+        Datatype::FixedPoint { size: 1, .. } => of!(u8),
+        Datatype::FixedPoint { size: 2, signed: true, .. } => of!(i16),
+        Datatype::FixedPoint { size: 2, .. } => of!(u16),
+        Datatype::FixedPoint { size: 4, signed: true, .. } => of!(i32),
+        Datatype::FixedPoint { size: 4, .. } => of!(u32),
+        Datatype::FixedPoint { size: 8, signed: true, .. } => of!(i64),
+        Datatype::FixedPoint { size: 8, .. } => of!(u64),
+        _ => return None,
+    })
+}
+
+/// Whether a dataset has a number that is not 0; one that cannot be read may have.
+fn any_nonzero(dataset: &Dataset, scalar: ScalarType) -> bool {
+    dataset.num_elements().map_or(true, |n| n > MOST_COORDINATES)
+        || all_f64(dataset, scalar).map_or(true, |all| all.iter().any(|&v| v != 0.0))
 }
 
 /// The fields of a dataset with three axes or more.
-fn fields_of(path: &Path, name: &str, dataset: &Dataset) -> Result<Vec<Field>> {
+fn fields_of(
+    path: &Path,
+    name: &str,
+    dataset: &Dataset,
+    kinds: &[char],
+    dialect: Dialect,
+) -> Result<Vec<Field>> {
     let (scalar, big_endian) = scalar_of(path, name, dataset)?;
-    let before = &dataset.shape()[..dataset.ndim() - 3];
-    let field = |name: String, before: Vec<u64>| Field {
-        info: FieldInfo { name, scalar, components: 1 },
+    let (shape, rank) = (dataset.shape(), dataset.ndim());
+    let before = &shape[..rank - 3];
+    let last: [char; 3] = std::array::from_fn(|a| kinds[rank - 1 - a]);
+    let place = |kind: char| ['x', 'y', 'z'].iter().position(|&k| k == kind);
+    let world = last.map(place);
+    let all = (0..3).all(|a| world.contains(&Some(a)));
+    let world: [usize; 3] = if all { world.map(|w| w.unwrap_or(0)) } else { [0, 1, 2] };
+    let field = |name: String, before: Vec<u64>, components: u32| Field {
+        info: FieldInfo { name, scalar, components },
         dataset: dataset.clone(),
         big_endian,
         before,
+        world,
     };
+    let refuse = |expected: &str, help: &str| {
+        let axis =
+            |(n, kind): (&u64, &char)| if *kind == '?' { n.to_string() } else { format!("{n} ({kind})") };
+        let got: Vec<String> = shape.iter().zip(kinds).map(axis).collect();
+        Err(Error::bad_input(path, name, expected, got.join(" x ")).with_help(help))
+    };
+    let ours = "write the part that is wanted to a dataset of its own, its axes z, y, x";
+    let few = shape[rank - 1] <= 4 && rank == 4 && shape[1] > 4 && shape[2] > 4;
+    let unnamed = dialect != Dialect::Plain || kinds.iter().all(|&k| k == '?');
+    let vectors = few && unnamed || rank == 4 && matches!(dialect, Dialect::Vtk | Dialect::Itk);
+    if rank > 3 && shape[rank - 1] > 1 && (last[0] == 'c' || vectors) {
+        let components = u32::try_from(shape[rank - 1]).unwrap_or(u32::MAX);
+        return Ok(vec![field(name.into(), vec![0; before.len()], components)]);
+    }
+    if few && unnamed || kinds.iter().zip(shape).any(|(&k, &n)| k == 'c' && n > 1) {
+        return refuse("one number a sample", ours);
+    }
+    if rank > 3 && last.contains(&'t') || kinds.iter().zip(before).any(|(&k, &n)| place(k).is_some() && n > 1)
+    {
+        return refuse("time as the first axis, before z, y and x", "write the dataset again in this order");
+    }
     match before {
-        &[frames] if frames != 1 && frames <= MOST_FRAMES => {
-            Ok((0..frames).map(|t| field(format!("{name}:t{t}"), vec![t])).collect())
+        &[frames] if frames != 1 && frames <= MOST_FRAMES && dialect == Dialect::Plain => {
+            Ok((0..frames).map(|t| field(format!("{name}:t{t}"), vec![t], 1)).collect())
         }
-        _ if before.iter().all(|&n| n == 1) => Ok(vec![field(name.into(), vec![0; before.len()])]),
+        _ if before.iter().all(|&n| n == 1) => Ok(vec![field(name.into(), vec![0; before.len()], 1)]),
         _ => {
-            let shape: Vec<String> = dataset.shape().iter().map(u64::to_string).collect();
             let expected = "three axes, one more of at most 65536 frames before them, others of one entry";
-            Err(Error::bad_input(path, name, expected, shape.join(" x "))
-                .with_help("write the part that is wanted to a dataset of its own"))
+            refuse(expected, "write the part that is wanted to a dataset of its own")
         }
     }
 }
@@ -329,15 +594,28 @@ impl Field {
         std::array::from_fn(|a| shape[shape.len() - 1 - a])
     }
 
-    fn volume_info(&self, path: &Path, tree: &Tree) -> Result<VolumeInfo> {
+    /// Whether it is one of several frames of its dataset.
+    fn is_frame(&self) -> bool {
+        self.before.len() == 1 && self.dataset.shape()[0] > 1 && self.info.components == 1
+    }
+
+    fn volume_info(
+        &self,
+        path: &Path,
+        dialect: Dialect,
+        field: FieldInfo,
+        geometry: Geometry,
+    ) -> Result<VolumeInfo> {
         let dims = self.dims();
         sample_bytes(path, dims, self.info.scalar)?;
-        let mut info = plain_info(path, "HDF5", dims, self.info.scalar, self.placed(path, tree)?);
-        info.format = match self.dataset.chunks() {
-            Some(_) => "HDF5 (chunked)".into(),
-            None => "HDF5".into(),
-        };
-        info.field = self.info.clone();
+        let mut info = plain_info(path, dialect.name(), dims, self.info.scalar, geometry);
+        if self.dataset.chunks().is_some() {
+            info.format += " (chunked)";
+        }
+        info.field = field;
+        if dialect != Dialect::Plain {
+            return Ok(info);
+        }
         info.slope = self.number(path, "scale_factor")?.unwrap_or(1.0);
         info.intercept = self.number(path, "add_offset")?.unwrap_or(0.0);
         let scaled = info.slope.is_finite() && info.slope != 0.0 && info.intercept.is_finite();
@@ -374,41 +652,85 @@ impl Field {
         attribute.read_as_f64().map(Some).map_err(|_| wrong(kind(&attribute.datatype).into()))
     }
 
-    /// Spacing and origin, from the coordinate variables.
-    fn placed(&self, path: &Path, tree: &Tree) -> Result<Geometry> {
-        let (mut origin, mut spacing) = ([0.0; 3], [1.0; 3]);
-        let rank = self.dataset.ndim();
-        if let Ok(list) = self.dataset.attribute("DIMENSION_LIST") {
-            let size = self.dataset.vlen_reference_size();
-            for a in 0..3 {
-                let reference = list.raw_data.get((rank - 1 - a) * size..(rank - a) * size);
-                let line = reference.and_then(|r| self.coordinates(r, tree));
-                if let Some((start, step)) = line.filter(|l| l.2 == self.dims()[a]).map(|l| (l.0, l.1)) {
-                    (origin[a], spacing[a]) = (start, step);
-                }
-            }
+    /// What turns samples outside of the range that CF's attributes declare into missing ones; `None` where there is no such range.
+    fn valid_range(&self, path: &Path, info: &VolumeInfo) -> Result<Option<Convert>> {
+        let mut valid = [f64::NEG_INFINITY, f64::INFINITY];
+        let mut float = false;
+        for (name, at, count) in [("valid_range", 0, 2), ("valid_min", 0, 1), ("valid_max", 1, 1)] {
+            let Ok(attribute) = self.dataset.attribute(name) else { continue };
+            let numbers = attribute_numbers(&attribute).filter(|n| n.len() == count).ok_or_else(|| {
+                let expected = format!("{count} number(s)");
+                Error::bad_input(path, self.at(name), expected, kind(&attribute.datatype))
+            })?;
+            valid[at..at + count].copy_from_slice(&numbers);
+            float |= matches!(attribute.datatype, Datatype::FloatingPoint { .. });
         }
-        geometry(path, "coordinate variables", origin, scaled_axes(spacing))
+        if valid == [f64::NEG_INFINITY, f64::INFINITY] || info.field.scalar == ScalarType::I64 {
+            return Ok(None);
+        }
+        // Where packed integers have a range of floats, it is that of the values.
+        let packed = !matches!(info.field.scalar, ScalarType::F32 | ScalarType::F64);
+        if packed && float {
+            valid = valid.map(|v| (v - info.intercept) / info.slope);
+            valid.sort_by(f64::total_cmp);
+        }
+        let lines = vec![[info.slope, info.intercept]];
+        Ok(Some(Convert { valid, missing: info.missing, lines, slices: [1, 1] }))
     }
 
-    /// The times of the frames: the coordinate variable of the first axis, in its own unit.
-    fn times(&self, tree: &Tree) -> Option<Vec<f64>> {
-        let list = self.dataset.attribute("DIMENSION_LIST").ok()?;
-        let reference = list.raw_data.get(..self.dataset.vlen_reference_size())?;
-        self.line(reference, tree).filter(|times| times.iter().all(|t| t.is_finite()))
+    /// The coordinates along x, y, z, where the file has them.
+    fn lines(&self, tree: &Tree) -> [Option<Line>; 3] {
+        let (rank, dims) = (self.dataset.ndim(), self.dims());
+        std::array::from_fn(|a| {
+            let (_, line) = tree.line_of(&self.info.name, &self.dataset, rank - 1 - a)?;
+            let single = matches!(line.dtype(), Datatype::FloatingPoint { size: 4, .. });
+            let values = self.line(rank - 1 - a, tree).filter(|l| l.len() as u64 == dims[a])?;
+            Some(Line { regular: regular(&values, single), values })
+        })
     }
 
-    /// Start, step and number of the coordinates that an entry of `DIMENSION_LIST` refers to, where they are regular.
-    fn coordinates(&self, reference: &[u8], tree: &Tree) -> Option<(f64, f64, u64)> {
-        let values = self.line(reference, tree)?;
-        regular(&values).map(|(start, step)| (start, step, values.len() as u64))
+    /// Spacing, origin and directions, from the coordinate variables, or from what other attributes tell of the voxels.
+    fn placed(&self, path: &Path, tree: &Tree) -> Result<Geometry> {
+        let lines = self.lines(tree);
+        if lines.iter().flatten().any(|l| l.regular.is_none()) {
+            // A rectilinear grid: see `coordinates`.
+            return Ok(Geometry::default());
+        }
+        let none = lines.iter().all(Option::is_none);
+        let sizes = if none { self.voxel_sizes(path)? } else { [1.0; 3] };
+        let (mut origin, mut columns) = ([0.0; 3], [[0.0; 3]; 3]);
+        for (a, line) in lines.iter().enumerate() {
+            let along = line.as_ref().and_then(|l| l.regular);
+            let (start, step) = along.unwrap_or((0.0, sizes[a]));
+            (origin[self.world[a]], columns[a][self.world[a]]) = (start, step);
+        }
+        geometry(path, "coordinate variables", origin, columns)
     }
 
-    /// The coordinates that an entry of `DIMENSION_LIST` refers to.
-    fn line(&self, reference: &[u8], tree: &Tree) -> Option<Vec<f64>> {
-        let bytes = self.dataset.resolve_vlen_reference_bytes(reference, 8).ok()?;
-        let address = u64::from_le_bytes(bytes.get(..8)?.try_into().ok()?);
-        let line = tree.lines.iter().find(|d| d.address() == address)?;
+    /// The sizes of voxels along x, y, z: `element_size_um` of ilastik and Fiji, `axistags` of vigra.
+    fn voxel_sizes(&self, path: &Path) -> Result<[f64; 3]> {
+        if let Ok(attribute) = self.dataset.attribute("element_size_um") {
+            let sizes = attribute_numbers(&attribute).unwrap_or_default();
+            let good = sizes.len() >= 3 && sizes.iter().all(|s| s.is_finite() && *s > 0.0);
+            if !good {
+                let expected = "three positive numbers, of z, y, x";
+                let at = self.at("element_size_um");
+                return Err(Error::bad_input(path, at, expected, format!("{sizes:?}")));
+            }
+            return Ok(std::array::from_fn(|a| sizes[sizes.len() - 1 - a]));
+        }
+        let tags = self.dataset.attribute("axistags").ok().and_then(|a| attribute_text(&a));
+        let tags: serde_json::Value = tags.and_then(|t| serde_json::from_str(&t).ok()).unwrap_or_default();
+        let rank = self.dataset.ndim();
+        let size = |a: usize| tags["axes"][rank - 1 - a]["resolution"].as_f64();
+        Ok(std::array::from_fn(|a| size(a).filter(|s| s.is_finite() && *s > 0.0).unwrap_or(1.0)))
+    }
+
+    /// The numbers of the coordinate variable of an axis.
+    fn line(&self, axis: usize, tree: &Tree) -> Option<Vec<f64>> {
+        let dataset_name = self.info.name.rsplit_once(":t").filter(|_| self.is_frame());
+        let name = dataset_name.map_or(self.info.name.as_str(), |(name, _)| name);
+        let (_, line) = tree.line_of(name, &self.dataset, axis)?;
         // A dimension without coordinates has a dataset too, of zeros.
         let name = line.attribute("NAME").ok().and_then(|a| a.read_string().ok()).unwrap_or_default();
         if name.starts_with("This is a netCDF dimension but not a netCDF variable") {
@@ -451,11 +773,21 @@ impl Field {
     }
 }
 
-/// Start and step of numbers that are regular to a thousandth of a step.
-fn regular(values: &[f64]) -> Option<(f64, f64)> {
+/// The coordinates along an axis.
+struct Line {
+    values: Vec<f64>,
+    /// Start and step, where they are regular.
+    regular: Option<(f64, f64)>,
+}
+
+/// Start and step of numbers that are regular to a thousandth of a step, or of `single` precision, as far as their rounding goes.
+fn regular(values: &[f64], single: bool) -> Option<(f64, f64)> {
     let (first, last) = (*values.first()?, *values.last()?);
     let step = if values.len() == 1 { 1.0 } else { (last - first) / (values.len() - 1) as f64 };
-    let near = |(i, v): (usize, &f64)| (v - (first + i as f64 * step)).abs() <= 1e-3 * step.abs();
+    let largest = values.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    let rounding = if single { largest * f64::from(f32::EPSILON) } else { 0.0 };
+    let near = (1e-3 * step.abs()).max(rounding.min(0.05 * step.abs()));
+    let near = |(i, v): (usize, &f64)| (v - (first + i as f64 * step)).abs() <= near;
     let good = first.is_finite() && step.is_finite() && step != 0.0 && values.iter().enumerate().all(near);
     good.then_some((first, step))
 }
@@ -503,6 +835,18 @@ fn little_endian(
     Ok(())
 }
 
+/// A box of a dataset as little-endian bytes of the `f64` that its numbers become.
+fn converted(
+    dataset: &Dataset,
+    scalar: ScalarType,
+    selection: &SliceInfo,
+    out: &mut Vec<u8>,
+    mut of: impl FnMut(f64) -> f64,
+) -> hdf5_reader::error::Result<()> {
+    each_sample!(dataset, selection, scalar, value, out.extend_from_slice(&of(value as f64).to_le_bytes()));
+    Ok(())
+}
+
 /// The samples of a dataset, some chunks after the others.
 struct Pieces {
     info: VolumeInfo,
@@ -517,10 +861,16 @@ struct Pieces {
     bytes: Vec<u8>,
     /// Bytes of a chunk.
     chunk_bytes: u64,
+    /// The type in the file, and how its numbers become values, where that is not told by `info`; values are `f64` then.
+    convert: Option<(ScalarType, Convert)>,
 }
 
 impl Pieces {
-    fn new(info: VolumeInfo, field: &Field) -> Result<Self> {
+    fn new(mut info: VolumeInfo, field: &Field, convert: Option<Convert>) -> Result<Self> {
+        let convert = convert.map(|convert| (info.field.scalar, convert));
+        if convert.is_some() {
+            info.field.scalar = ScalarType::F64;
+        }
         let (dims, size) = (info.dims, info.field.scalar.bytes() as u64);
         let wrong = |got: String| {
             Error::bad_input(
@@ -550,7 +900,17 @@ impl Pieces {
         }
         let left = IndexBox { lo: [0; 3], hi: [0; 3] };
         let (dataset, before) = (field.dataset.clone(), field.before.clone());
-        Ok(Self { info, dataset, before, piece, next: Some([0; 3]), left, bytes: vec![], chunk_bytes })
+        Ok(Self {
+            info,
+            dataset,
+            before,
+            piece,
+            next: Some([0; 3]),
+            left,
+            bytes: vec![],
+            chunk_bytes,
+            convert,
+        })
     }
 
     /// Reads the piece that starts at `lo`.
@@ -566,8 +926,18 @@ impl Pieces {
         self.bytes.reserve(needed);
         let selection = SliceInfo { selections };
         let at = format!("{}, samples from {lo:?} on", self.info.field.name);
-        little_endian(&self.dataset, self.info.field.scalar, &selection, &mut self.bytes)
-            .map_err(|e| damaged(&self.info.path, &at, &e))?;
+        match &self.convert {
+            None => little_endian(&self.dataset, self.info.field.scalar, &selection, &mut self.bytes),
+            Some((scalar, convert)) => {
+                let ([nx, ny, _], mut i) = (self.left.dims(), 0u64);
+                converted(&self.dataset, *scalar, &selection, &mut self.bytes, |stored| {
+                    let at = [lo[1] + i / nx % ny, lo[2] + i / (nx * ny)];
+                    i += 1;
+                    convert.value(stored, at)
+                })
+            }
+        }
+        .map_err(|e| damaged(&self.info.path, &at, &e))?;
         if self.bytes.len() != needed {
             let (expected, got) = (format!("{needed} bytes"), format!("{}", self.bytes.len()));
             return Err(Error::bad_input(&self.info.path, at, expected, got));

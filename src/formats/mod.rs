@@ -55,7 +55,7 @@ use stream::Codec;
 pub use coordinates::open_coordinates;
 pub use mesh::{Input, is_mesh, open_input, open_mesh};
 pub use nifti::UnpackedFrames;
-pub use series::{StepSource, packed_frames, steps_of, unpack_frames};
+pub use series::{StepSource, order_in_doubt, packed_frames, steps_of, unpack_frames};
 
 /// How to open a volume.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]

@@ -6,14 +6,16 @@
 //! | a pattern, `"step_*.vti"`, `"run_?/out.vtu"` | the files that match, by the numbers in their names |
 //! | `.pvd` (ParaView) | its data sets, with their times |
 //! | `.series` (ParaView, JSON) | its files, with their times |
-//! | a 4-D NIfTI file; a four-dimensional dataset of an HDF5 or NetCDF file; a Zarr array with a time axis | its frames, with their times |
+//! | a 4-D NIfTI file; a four-dimensional dataset of an HDF5 or NetCDF file; a Zarr array with a time axis (where there are several: named by `--field`) | its frames, with their times |
 //! | any file, and a pattern for its fields, `V_*` | the fields that match, by the numbers in their names |
 //!
-//! A pattern that matches TIFF files is one volume: its slices.
+//! A pattern that matches TIFF files is one volume: its slices. The time of a VTK file is that which it has in its field data: `TimeValue`, or `TIME`.
 
 use super::nifti::UnpackedFrames;
-use super::stack::by_numbers;
-use super::{Kind, OpenOptions, has_suffix, kind_of, mesh, nifti, open_volume, tiff, zarr};
+use super::stack::{by_numbers, rise};
+use super::{
+    Kind, OpenOptions, has_suffix, kind_of, mesh, nifti, open_volume, tiff, vtk_legacy, vtk_xml, zarr,
+};
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
@@ -21,6 +23,7 @@ use glob::Pattern;
 use quick_xml::Reader;
 use quick_xml::events::Event;
 use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -106,16 +109,31 @@ fn is_pattern(text: &str) -> bool {
     text.contains(['*', '?', '['])
 }
 
+/// What speaks against the order in which files were named, as a shell without numbers gives it: their names differ in numbers
+/// alone, which do not rise, or their times fall. `None` where nothing does.
+pub fn order_in_doubt(inputs: &[PathBuf], steps: &[StepSource]) -> Option<String> {
+    let times: Option<Vec<f64>> = steps.iter().map(|s| s.time).collect();
+    if let Some(times) = times.filter(|t| t.len() > 1) {
+        let falls = times.windows(2).position(|t| t[1] < t[0])?;
+        let text = format!("time {} comes after {}", times[falls + 1], times[falls]);
+        return Some(format!("the times of the steps do not rise ({text})"));
+    }
+    let name = |p: &PathBuf| p.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let names: Vec<String> = inputs.iter().map(name).collect();
+    let falls = names.windows(2).position(|pair| !rise(&pair[0], &pair[1]))?;
+    let (before, after) = (&names[falls], &names[falls + 1]);
+    Some(format!("the numbers in the names of the files do not rise ({after} comes after {before})"))
+}
+
 /// The steps in a file. One that cannot be opened is a step: opening it will tell why.
 fn steps_in(path: &Path, options: &OpenOptions, time: Option<f64>) -> Vec<StepSource> {
-    let one = StepSource { time, ..StepSource::new(path, options) };
-    let fields = match &options.field {
-        Some(name) if is_pattern(name) => matching_fields(path, options, name),
-        Some(_) => return vec![one],
+    let pattern = options.field.as_deref().filter(|name| is_pattern(name));
+    let fields = match pattern {
+        Some(pattern) => matching_fields(path, options, pattern),
         None => frames(path, options).map(|f| f.unwrap_or_default()),
     };
     match fields {
-        Ok(fields) if fields.len() > 1 || fields.len() == 1 && options.field.is_some() => fields
+        Ok(fields) if fields.len() > 1 || fields.len() == 1 && pattern.is_some() => fields
             .into_iter()
             .map(|(name, own)| StepSource {
                 time: own.or(time),
@@ -123,8 +141,25 @@ fn steps_in(path: &Path, options: &OpenOptions, time: Option<f64>) -> Vec<StepSo
                 path: path.to_path_buf(),
             })
             .collect(),
-        _ => vec![one],
+        _ => {
+            let time = time.or_else(|| time_of(path, options).ok().flatten());
+            vec![StepSource { time, ..StepSource::new(path, options) }]
+        }
     }
+}
+
+/// The time that a file tells of itself.
+fn time_of(path: &Path, options: &OpenOptions) -> Result<Option<f64>> {
+    if options.raw.is_some() || !path.is_file() {
+        return Ok(None);
+    }
+    let source = Arc::new(ByteSource::open(path, options.io)?);
+    let time = match kind_of(&source) {
+        Some(Kind::VtkXml) => vtk_xml::time(&source)?,
+        Some(Kind::VtkLegacy) => vtk_legacy::time(&source)?,
+        _ => None,
+    };
+    Ok(time.filter(|t| t.is_finite()))
 }
 
 /// What a single file with its own layout is.
@@ -135,16 +170,32 @@ fn frame_kind(path: &Path, options: &OpenOptions) -> Result<Option<Kind>> {
     Ok(kind_of(&Arc::new(ByteSource::open(path, options.io)?)))
 }
 
-/// The frames of a file that is a series by itself, and their times.
+/// The frames of a file that is a series by itself, or of the array in it that is named; and their times.
 fn frames(path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
+    let wanted = options.field.as_deref();
     if options.raw.is_none() && zarr::is_zarr(path) {
-        return zarr::frames(path).map(Some);
+        return zarr::frames(path, wanted).map(Some);
     }
     match frame_kind(path, options)? {
-        Some(Kind::Nifti) => nifti::frames(path, options).map(Some),
+        Some(Kind::Nifti) if wanted.is_none() => nifti::frames(path, options).map(Some),
         #[cfg(feature = "hdf5")]
-        Some(Kind::Hdf5) => super::hdf5::frames(path, options).map(Some),
+        Some(Kind::Hdf5) => super::hdf5::frames(path, options, wanted).map(Some),
         _ => Ok(None),
+    }
+}
+
+/// The times of fields that are frames, by their names.
+fn times(path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
+    let all = OpenOptions { field: None, ..options.clone() };
+    let known = |frames: Frames| frames.into_iter().filter_map(|(name, time)| Some((name, time?))).collect();
+    if options.raw.is_none() && zarr::is_zarr(path) {
+        return zarr::all_frames(path).map(known);
+    }
+    match frame_kind(path, options)? {
+        Some(Kind::Nifti) => nifti::frames(path, &all).map(known),
+        #[cfg(feature = "hdf5")]
+        Some(Kind::Hdf5) => super::hdf5::times(path, options),
+        _ => Ok(HashMap::new()),
     }
 }
 
@@ -189,7 +240,8 @@ fn matching_fields(path: &Path, options: &OpenOptions, pattern: &str) -> Result<
     }
     names.retain(|n| field_matches(pattern, n));
     by_numbers(&mut names, Clone::clone);
-    Ok(names.into_iter().map(|n| (n, None)).collect())
+    let times = times(path, options)?;
+    Ok(names.into_iter().map(|n| (n.clone(), times.get(&n).copied())).collect())
 }
 
 /// Whether a field's name matches a pattern.

@@ -94,6 +94,12 @@ pub(super) fn by_numbers<T>(all: &mut [T], name: impl Fn(&T) -> String) {
     });
 }
 
+/// Whether a name comes before another by its numbers, or is another's for other reasons than these.
+pub(super) fn rise(before: &str, after: &str) -> bool {
+    let (before, after) = (parts(before), parts(after));
+    before.0 != after.0 || before.1 <= after.1
+}
+
 /// Puts names in the order of their numbers.
 fn in_order(path: &Path, mut names: Vec<String>) -> Result<Vec<String>> {
     if names.len() < 2 {

@@ -96,33 +96,50 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     Ok(VolumeSource::Stream(Box::new(Chunks::new(info, array, axes, frame, options.io))))
 }
 
-/// The frames of the array that is read without a choice, by the names of their fields, and their times, where OME-Zarr tells them. None
-/// where there is one volume.
+/// The frames of the array that is `wanted`, or that is read without a choice, by the names of their fields, and their times, where OME-Zarr tells
+/// them. None where there is one volume.
 ///
 /// # Errors
 /// As [`open`].
-pub(super) fn frames(path: &Path) -> Result<super::series::Frames> {
+pub(super) fn frames(path: &Path, wanted: Option<&str>) -> Result<super::series::Frames> {
     let (image, arrays) = arrays(path)?;
-    if image.is_none() && arrays.len() != 1 {
-        return Ok(vec![]);
-    }
-    let Some((_, array)) = arrays.first() else { return Ok(vec![]) };
-    let around = match &image {
-        Some(image) => Some(image.clone()),
-        None => image_around(&array.folder)?,
+    let number = match wanted {
+        Some(name) => {
+            let names: Vec<&str> = arrays.iter().map(|(name, _)| name.as_str()).collect();
+            let full = full_name(name, &names);
+            names.iter().position(|n| *n == full)
+        }
+        None => (image.is_some() || arrays.len() == 1).then_some(0),
     };
-    let fields = fields(image.as_ref(), &arrays)?;
-    let of_first = fields.into_iter().filter(|f| f.array == 0);
-    Ok(of_first
-        .filter_map(|f| {
-            let frame = f.frame?;
-            let time = around.as_ref().map(|image| {
-                let (scale, shift) = image.scale_and_shift(array, frame.axis);
-                shift + scale * frame.number as f64
-            });
-            Some((f.info.name, time.filter(|t| t.is_finite())))
-        })
-        .collect())
+    number.map_or(Ok(vec![]), |number| frames_of(image.as_ref(), &arrays, |n| n == number))
+}
+
+/// The frames of all arrays.
+pub(super) fn all_frames(path: &Path) -> Result<super::series::Frames> {
+    let (image, arrays) = arrays(path)?;
+    frames_of(image.as_ref(), &arrays, |_| true)
+}
+
+fn frames_of(
+    image: Option<&Image>,
+    arrays: &Named,
+    taken: impl Fn(usize) -> bool,
+) -> Result<super::series::Frames> {
+    let mut out = vec![];
+    for field in fields(image, arrays)?.into_iter().filter(|f| taken(f.array)) {
+        let Some(frame) = field.frame else { continue };
+        let array = &arrays[field.array].1;
+        let around = match image {
+            Some(image) => Some(image.clone()),
+            None => image_around(&array.folder)?,
+        };
+        let time = around.map(|image| {
+            let (scale, shift) = image.scale_and_shift(array, frame.axis);
+            shift + scale * frame.number as f64
+        });
+        out.push((field.info.name, time.filter(|t| t.is_finite())));
+    }
+    Ok(out)
 }
 
 /// A volume that can be chosen: an array, or a frame of one.
@@ -314,6 +331,8 @@ fn axes(array: &Array, image: Option<&Image>) -> Result<(Axes, Option<usize>)> {
     };
     match others[..] {
         [] if rank >= 3 => return Ok((axes, None)),
+        // The last of four axes that is as short as this has the components of vectors, or colours.
+        [_] if names.is_none() && rank == 4 && array.shape[3] <= 4 && array.shape[2] > 4 => {}
         [time] if rank >= 3 && is_time(time) && (1..=MOST_FRAMES).contains(&array.shape[time]) => {
             return Ok((axes, Some(time)));
         }

@@ -148,14 +148,117 @@ fn netcdf_places_scales_and_marks_what_is_missing() {
     let source = open("grid.nc", "temp").unwrap();
     let info = source.info().clone();
     assert_eq!((info.slope, info.intercept, info.missing), (0.5, 10.0, Some(-999.0)));
-    // Levels 100, 110, 150 are not regular; latitude falls.
-    assert_eq!((info.geometry.spacing, info.geometry.origin), ([0.5, 2.5, 1.0], [0.0, 5.0, 0.0]));
-    assert_eq!(info.geometry.to_world([2.0, 1.0, 1.0]), [1.0, 2.5, 1.0]);
+    // Levels 100, 110, 150 are not regular; latitude falls. So it is a rectilinear grid.
+    assert_eq!(info.geometry, Geometry::default());
+    let axes = axes_of("grid.nc", "temp").unwrap().unwrap();
+    assert_eq!(axes[0], [0.0, 0.5, 1.0, 1.5, 2.0]);
+    assert_eq!(axes[1], [5.0, 2.5, 0.0, -2.5]);
+    assert_eq!(axes[2], [100.0, 110.0, 150.0]);
     let values = values(source);
     assert!(values[1].is_nan());
     assert_eq!((values[0], values[2], values[59]), (10.0, 11.0, 39.5));
     let (info, values) = read_all(open("grid.nc", "plain").unwrap());
-    assert_eq!((info.geometry.spacing, values), ([1.0, 2.5, 1.0], ramp()));
+    assert_eq!((info.geometry.spacing, values), ([1.0; 3], ramp()));
+    let axes = axes_of("grid.nc", "plain").unwrap().unwrap();
+    assert_eq!(axes[0], [0.0, 1.0, 2.0, 3.0, 4.0], "an axis without coordinates");
+}
+
+/// The coordinates of a rectilinear grid.
+fn axes_of(name: &str, field: &str) -> Result<Option<[Vec<f64>; 3]>> {
+    let options = OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
+    Ok(crate::formats::open_coordinates(&data(name), &options)?.map(|found| match found {
+        GridCoordinates::Axes(axes) => axes,
+        GridCoordinates::Points(_) => panic!("axes"),
+    }))
+}
+
+/// World coordinates of sample (1, 2, 1), to a millionth.
+fn place(source: &VolumeSource) -> [f64; 3] {
+    source.info().geometry.to_world([1.0, 2.0, 1.0]).map(|x| (x * 1e6).round() / 1e6)
+}
+
+#[test]
+fn images_of_vtkhdf_are_placed_and_other_types_refused() {
+    let source = open("vtkhdf.hdf", "heat").unwrap();
+    assert!(source.info().format.contains("VTKHDF"), "{}", source.info().format);
+    // x is (2 + 1) steps of 0.5 along y, y is 2 steps of 0.25 against x.
+    assert_eq!(place(&source), [9.5, 21.5, 32.0]);
+    assert_eq!(values(source), ramp());
+    let cells = open("vtkhdf.hdf", "VTKHDF/CellData/mass").unwrap();
+    assert_eq!((cells.info().dims, place(&cells)), ([4, 3, 2], [9.375, 21.75, 33.0]));
+    assert_eq!(open_volume(&data("vtkhdf.hdf"), &OpenOptions::default()).unwrap().info().field.name, "heat");
+    let line = open("vtkhdf.hdf", "flow").err().expect("vectors").to_string();
+    assert!(line.contains("flow (3 x f32, not scalar)"), "{line}");
+    for (name, what) in [
+        ("vtkhdf_mesh.hdf", "VTKHDF file of type 'UnstructuredGrid'; write it as .vtu"),
+        ("imaris.ims", "an Imaris file"),
+    ] {
+        let error = open_volume(&data(name), &OpenOptions::default()).err().expect("refused");
+        assert_eq!(error.exit_code(), 5);
+        assert!(error.to_string().contains(what), "{error}");
+    }
+}
+
+#[test]
+fn minc_is_placed_and_scaled_slice_by_slice() {
+    let source = open_volume(&data("minc.mnc"), &OpenOptions::default()).unwrap();
+    // Fastest is x, along world y; then z; slowest y, whose steps of -8 go along -x.
+    assert_eq!(source.info().dims, [5, 4, 3]);
+    assert_eq!(place(&source), [-20.0 + 8.0, -10.0 + 7.0, 30.0 + 2.0 * 9.0]);
+    let found = values(source);
+    let value = |i: usize| {
+        let (lo, hi) = [(0.0, 50.0), (100.0, 200.0), (200.0, 300.0)][i / 20];
+        lo + i as f64 / 50.0 * (hi - lo)
+    };
+    for (i, v) in found.into_iter().enumerate() {
+        // 51 to 59 are out of the valid range.
+        let right = if i > 50 { v.is_nan() } else { (f64::from(v) - value(i)).abs() < 1e-4 };
+        assert!(right, "{i}: {v}");
+    }
+}
+
+#[test]
+fn images_of_itk_are_placed() {
+    let source = open_volume(&data("itk.h5"), &OpenOptions::default()).unwrap();
+    assert_eq!(place(&source), [1.0 - 0.5, 2.0 + 0.5, 3.0 + 2.0]);
+    assert_eq!(values(source), ramp());
+}
+
+#[test]
+fn axes_are_what_they_are_called() {
+    assert_eq!(open("axes.h5", "sized").unwrap().info().geometry.spacing, [0.25, 0.5, 2.0]);
+    // The first axis is x: what is read fastest lies along z.
+    assert_eq!(place(&open("axes.h5", "fortran").unwrap()), [1.0, 2.0, 1.0].map(|x: f64| x));
+    let fortran = open("axes.h5", "fortran").unwrap();
+    assert_eq!(fortran.info().geometry.to_world([4.0, 0.0, 0.0]), [0.0, 0.0, 4.0]);
+    let nexus = open("axes.h5", "entry/counts").unwrap();
+    assert_eq!(
+        (nexus.info().geometry.spacing, nexus.info().geometry.origin),
+        ([0.25, 0.5, 2.0], [0.0, 0.0, 1.0])
+    );
+    let line = open("axes.h5", "vectors").err().expect("vectors").to_string();
+    assert!(line.contains("vectors (3 x f32, not scalar)"), "{line}");
+    let line = open("axes.h5", "channels").err().expect("channels").to_string();
+    assert!(line.contains("2 (c) x 3 (z) x 4 (y) x 5 (x)"), "{line}");
+}
+
+#[test]
+fn levels_are_a_grid_and_steps_have_their_times() {
+    let axes = axes_of("levels.nc", "temp:t1").unwrap().unwrap();
+    assert_eq!((&axes[1][..], &axes[2][..]), (&[30.0, 20.0, 10.0, 0.0][..], &[1000.0, 925.0, 700.0][..]));
+    let options = |field: &str| OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
+    for field in ["temp", "temp*", "/temp"] {
+        let steps = crate::formats::steps_of(&[data("levels.nc")], &options(field)).unwrap();
+        let names: Vec<_> = steps.iter().map(|s| s.options.field.clone().unwrap()).collect();
+        let times: Vec<_> = steps.iter().map(|s| s.time).collect();
+        assert_eq!(names, ["temp:t0", "temp:t1", "temp:t2"], "{field}");
+        assert_eq!(times, [Some(0.0), Some(6.0), Some(18.0)], "{field}");
+    }
+    let line = open("levels.nc", "temp").err().expect("three of them").to_string();
+    assert!(line.contains("temp:t0"), "{line}");
+    let found = values(open("levels.nc", "temp:t1").unwrap());
+    assert!(found[0].is_nan(), "out of the valid range");
+    assert_eq!((found[1], found[59]), (50.5, 79.5));
 }
 
 /// Opens and reads each field of a damaged file, or what of it comes first; panics are the test's failures.
@@ -241,9 +344,12 @@ fn damaged_samples_are_found_by_their_checksum() {
 
 #[test]
 fn steps_are_regular_or_not() {
-    assert_eq!(regular(&[1.0, 3.0, 5.0]), Some((1.0, 2.0)));
-    assert_eq!(regular(&[4.0]), Some((4.0, 1.0)));
+    assert_eq!(regular(&[1.0, 3.0, 5.0], false), Some((1.0, 2.0)));
+    assert_eq!(regular(&[4.0], false), Some((4.0, 1.0)));
+    // Longitudes of single precision, a hundredth of a degree apart, are even as far as they go.
+    let fine: Vec<f64> = (0..36000).map(|i| f64::from(i as f32 * 0.01)).collect();
+    assert!(regular(&fine, false).is_none() && regular(&fine, true).is_some());
     for bad in [&[][..], &[1.0, 1.0], &[1.0, 2.0, 4.0], &[f64::NAN, 1.0], &[0.0, f64::INFINITY]] {
-        assert_eq!(regular(bad), None, "{bad:?}");
+        assert_eq!(regular(bad, false), None, "{bad:?}");
     }
 }

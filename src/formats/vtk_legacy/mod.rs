@@ -38,7 +38,7 @@ mod cells;
 mod scan;
 
 use crate::bytes::ByteSource;
-use crate::cells::{CellMesh, Center, NumberStream};
+use crate::cells::{CellMesh, Center, GHOSTS, HIDDEN, NumberStream};
 use crate::error::{Error, Result};
 use crate::formats::centers::{Picked, first_sample, pick, samples};
 use crate::formats::coordinates::GridCoordinates;
@@ -65,7 +65,9 @@ fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeS
     let path = source.path();
     let file = Scanner::new(path, source.slice(0..source.len())?, &GRIDS)?.scan()?;
     let Picked { field, center, index, fields } = choose(path, &file, wanted)?;
-    let mut readable = arrays_of(&file, center).iter().filter(|a| a.field().is_some());
+    refuse_hidden(source, &file)?;
+    let of_center = arrays_of(&file, center).iter();
+    let mut readable = of_center.filter(|a| a.name != GHOSTS && a.field().is_some());
     let chosen = readable.nth(index).expect("it was picked among those");
     let first = first_sample(file.dims, center);
     let origin = std::array::from_fn(|a| file.origin[a] + first[a] * file.spacing[a]);
@@ -99,6 +101,34 @@ fn open_source(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<VolumeS
     let strides = strides.expect("the size of the samples was checked");
     let volume = StridedVolume::new(info, Arc::clone(source), data.start, true, strides)?;
     Ok(VolumeSource::Random(Box::new(volume)))
+}
+
+/// Refuses points and cells that are marked as hidden: what is there would be taken for data.
+fn refuse_hidden(source: &Arc<ByteSource>, file: &Scanned) -> Result<()> {
+    for (place, hidden) in HIDDEN {
+        let (center, section) = match place {
+            "CellData" => (Center::Cell, "CELL_DATA"),
+            _ => (Center::Point, "POINT_DATA"),
+        };
+        let Some(array) = arrays_of(file, center).iter().find(|a| a.name == GHOSTS) else { continue };
+        let Type::Number(scalar) = array.kind else { continue };
+        let count = samples(file.dims, center).iter().product::<u64>();
+        let (mut left, mut found, mut stream) = (count, 0u64, numbers(source, file, &array.data, scalar));
+        let mut marks = vec![];
+        while left > 0 {
+            marks.resize(left.min(1 << 16) as usize, 0.0);
+            stream.fill(&mut marks)?;
+            found += marks.iter().filter(|&&m| m as u8 & hidden != 0).count() as u64;
+            left -= marks.len() as u64;
+        }
+        if found > 0 {
+            let (at, got) = (format!("{section}, {GHOSTS}"), format!("{found} of {count}"));
+            return Err(Error::bad_input(source.path(), at, "no hidden points or cells", got).with_help(
+                "give the samples there the value NaN (then see --nan), or write what is visible as .vtu",
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// The datasets whose samples are a volume.
@@ -153,6 +183,19 @@ pub fn coordinates(source: &Arc<ByteSource>) -> Result<Option<GridCoordinates>> 
     }
 }
 
+/// The time that a file has in its field data, as `TIME` or `TimeValue`.
+///
+/// # Errors
+/// [`Error::BadInput`] for a malformed file.
+pub(super) fn time(source: &Arc<ByteSource>) -> Result<Option<f64>> {
+    let all = [GRIDS[0], GRIDS[1], GRIDS[2], Dataset::UnstructuredGrid];
+    let file = Scanner::new(source.path(), source.slice(0..source.len())?, &all)?.scan()?;
+    let Some(Array { kind: Type::Number(scalar), data, .. }) = &file.time else { return Ok(None) };
+    let mut time = [0.0];
+    numbers(source, &file, data, *scalar).fill(&mut time)?;
+    Ok(Some(time[0]))
+}
+
 /// Opens the unstructured grid of a legacy VTK file.
 ///
 /// # Errors
@@ -189,7 +232,9 @@ fn choose(path: &Path, file: &Scanned, wanted: Option<&str>) -> Result<Picked> {
         };
         Err(Error::bad_input(path, "POINT_DATA", expected, got).with_help(help))
     };
-    let of = |center| arrays_of(file, center).iter().filter_map(Array::field).collect::<Vec<_>>();
+    let fields =
+        |center| arrays_of(file, center).iter().filter(|a| a.name != GHOSTS).filter_map(Array::field);
+    let of = |center| fields(center).collect::<Vec<_>>();
     let (points, mut cells) = (of(Center::Point), of(Center::Cell));
     if file.dataset != Dataset::StructuredPoints {
         cells.clear();

@@ -86,6 +86,8 @@ pub(super) struct Scanned {
     pub(super) arrays: Vec<Array>,
     /// Arrays of the cell data.
     pub(super) cell_arrays: Vec<Array>,
+    /// The array of the field data that is its time.
+    pub(super) time: Option<Array>,
 }
 
 /// The datasets that are read.
@@ -445,6 +447,9 @@ impl<'a> Scanner<'a> {
             }
             Section::Cells(_) if tuples == n && components > 0 => {
                 self.out.cell_arrays.push(Array { name, kind, components, is_scalars, data });
+            }
+            Section::File if components == 1 && tuples == 1 && ["TIME", "TimeValue"].contains(&&name[..]) => {
+                self.out.time = Some(Array { name, kind, components, is_scalars, data });
             }
             _ => {}
         }

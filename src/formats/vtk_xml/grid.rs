@@ -9,7 +9,7 @@
 
 use super::array::{ArrayStream, scalar_type};
 use super::head::{Document, Element};
-use super::image::{Extent, arrays, extent, pieces};
+use super::image::{Extent, arrays, extent, name_of, pieces};
 use crate::cells::NumberStream;
 use crate::error::Result;
 use crate::formats::coordinates::GridCoordinates;
@@ -23,6 +23,15 @@ pub(super) fn coordinates(doc: &Document) -> Result<Option<GridCoordinates>> {
         "StructuredGrid" => points(doc).map(Some),
         _ => Ok(None),
     }
+}
+
+/// The number of the field data that is called `TimeValue`.
+pub(super) fn time(doc: &Document) -> Result<Option<f64>> {
+    let array = arrays(doc.data.child("FieldData")).find(|a| name_of(a) == "TimeValue");
+    let Some(array) = array else { return Ok(None) };
+    let mut time = vec![];
+    Numbers::open(doc, array, 1)?.read_all(1, &mut time)?;
+    Ok(time.first().copied())
 }
 
 /// The tables of all pieces, joined.

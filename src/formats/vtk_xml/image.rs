@@ -3,7 +3,7 @@
 use super::array::{ArrayStream, in_place, scalar_type};
 use super::head::{Document, Element};
 use crate::bytes::ByteSource;
-use crate::cells::Center;
+use crate::cells::{Center, GHOSTS, HIDDEN};
 use crate::error::Result;
 use crate::formats::centers::{Picked, first_sample, pick, samples};
 use crate::formats::header;
@@ -11,7 +11,7 @@ use crate::formats::stream::sample_bytes;
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::slabs::SlabWalk;
 use crate::volume::strided::StridedVolume;
-use crate::volume::{FieldInfo, SlabStream, VolumeInfo, VolumeSource};
+use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
 use std::sync::Arc;
 
 /// Pieces that are joined; the check that they cover the image is quadratic.
@@ -23,6 +23,7 @@ pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Vol
     let pieces = pieces(&doc, &whole)?;
     let first = pieces[0].element;
     let Picked { field, fields, center, .. } = choose(&doc, first, wanted)?;
+    refuse_hidden(&doc, &whole, &pieces)?;
     let pieces = centred(&doc, &whole, pieces, center)?;
     let how = how_stored(&doc, arrays(data_of(first, center)).find(|a| name_of(a) == field.name));
     let how = if center == Center::Cell { format!("cell data, {how}") } else { how };
@@ -49,6 +50,40 @@ pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Vol
         }
     }
     Ok(VolumeSource::Stream(Box::new(PieceSlabs::new(doc, info, &whole, center)?)))
+}
+
+/// Refuses points and cells that are marked as hidden: what is there would be taken for data.
+fn refuse_hidden(doc: &Document, whole: &Extent, pieces: &[Piece<'_>]) -> Result<()> {
+    for piece in pieces {
+        for (place, hidden) in HIDDEN {
+            let Some(array) = arrays(piece.element.child(place)).find(|a| name_of(a) == GHOSTS) else {
+                continue;
+            };
+            let scalar = array.attribute("type").and_then(scalar_type);
+            if scalar != Some(ScalarType::U8) {
+                return Err(doc.wrong(array, "marks of type UInt8", "another type"));
+            }
+            let cells = |a: usize| if whole.dims[a] > 1 { piece.voxels.dims()[a] - 1 } else { 1 };
+            let count: u64 = match place {
+                "CellData" => (0..3).map(cells).product(),
+                _ => piece.voxels.dims().iter().product(),
+            };
+            let mut stream = ArrayStream::open(doc, array, ScalarType::U8, count)?;
+            let (mut left, mut found, mut marks) = (count, 0u64, vec![]);
+            while left > 0 {
+                marks.resize(left.min(1 << 16) as usize, 0);
+                stream.fill(&mut marks)?;
+                found += marks.iter().filter(|&&m| m & hidden != 0).count() as u64;
+                left -= marks.len() as u64;
+            }
+            if found > 0 {
+                return Err(doc.wrong(array, "no hidden points or cells", format!("{found} of {count}")).with_help(
+                    "give the samples there the value NaN (then see --nan), or write what is visible as .vtu",
+                ));
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Inclusive bounds, as a first sample and numbers of samples.
@@ -229,7 +264,7 @@ pub(super) fn name_of(array: &Element) -> String {
 /// The numeric arrays of the point or cell data.
 pub(super) fn fields(doc: &Document, data: Option<&Element>) -> Result<Vec<FieldInfo>> {
     let mut fields = vec![];
-    for array in arrays(data) {
+    for array in arrays(data).filter(|a| doc.kind.ends_with("UnstructuredGrid") || name_of(a) != GHOSTS) {
         let Some(scalar) = array.attribute("type").and_then(scalar_type) else { continue };
         let components = doc.count(array, "NumberOfComponents", 1)?;
         let components = u32::try_from(components).ok().filter(|&n| n > 0);

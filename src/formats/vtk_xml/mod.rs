@@ -73,6 +73,15 @@ pub fn coordinates(source: &Arc<ByteSource>) -> Result<Option<GridCoordinates>> 
     grid::coordinates(&doc)
 }
 
+/// The time that a file has in its field data, as `TimeValue`.
+///
+/// # Errors
+/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file.
+pub(super) fn time(source: &Arc<ByteSource>) -> Result<Option<f64>> {
+    let kinds = ["ImageData", "RectilinearGrid", "StructuredGrid", "UnstructuredGrid"];
+    grid::time(&Document::open_one_of(source, &kinds)?)
+}
+
 /// Opens the mesh of a `.vtu` or `.pvtu` file.
 ///
 /// # Errors

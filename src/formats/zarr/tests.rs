@@ -632,7 +632,7 @@ fn a_time_axis_gives_frames() {
     for (path, name, times) in
         [(&plain, "data", [None; 3]), (&ome, "0", [Some(10.0), Some(10.5), Some(11.0)])]
     {
-        let found = frames(path).unwrap();
+        let found = frames(path, None).unwrap();
         let expected_frames: Vec<_> = (0..3).map(|t| (format!("{name}:t{t}"), times[t])).collect();
         assert_eq!(found, expected_frames);
         for t in 0..3u64 {
