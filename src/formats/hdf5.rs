@@ -39,7 +39,7 @@
 
 mod dialect;
 
-use super::coordinates::GridCoordinates;
+use super::coordinates::{GridCoordinates, rectilinear, regular};
 use super::header::{geometry, plain_info};
 use super::stream::sample_bytes;
 use super::{OpenOptions, pick_field};
@@ -117,33 +117,14 @@ pub(super) fn coordinates(path: &Path, options: &OpenOptions) -> Result<Option<G
     if lines.iter().flatten().all(|l| l.regular.is_some()) {
         return Ok(None);
     }
-    let dims = field.dims();
-    let mut axes: [Vec<f64>; 3] = Default::default();
-    for (a, line) in lines.into_iter().enumerate() {
-        // Of an axis without coordinates: the numbers of its samples.
-        let values = line.map_or_else(|| (0..dims[a]).map(|i| i as f64).collect(), |l| l.values);
-        let falls = values.windows(2).all(|w| w[1] < w[0]);
-        if !falls && !values.windows(2).all(|w| w[1] > w[0]) {
-            let axis = ["x", "y", "z"][a];
-            let expected = "coordinates that rise or fall throughout";
-            let got = "others";
-            return Err(Error::bad_input(
-                path,
-                field.at(&format!("coordinates along {axis}")),
-                expected,
-                got,
-            )
-            .with_help("correct the coordinate variable, or write the dataset without it"));
-        }
-        axes[a] = values;
-    }
     if field.world != [0, 1, 2] {
         let expected = "axes in the order z, y, x where coordinates are not evenly spaced";
         let got = "another order";
         return Err(Error::bad_input(path, field.at("axes"), expected, got)
             .with_help("write the dataset again in the order z, y, x"));
     }
-    Ok(Some(GridCoordinates::Axes(axes)))
+    let lines = lines.map(|l| l.map(|l| l.values));
+    rectilinear(path, &field.info.name, lines, field.dims()).map(Some)
 }
 
 /// The frames of the dataset with four axes that is `wanted`, or of the file's only one, by the names of their fields, and their times, where the
@@ -778,18 +759,6 @@ struct Line {
     values: Vec<f64>,
     /// Start and step, where they are regular.
     regular: Option<(f64, f64)>,
-}
-
-/// Start and step of numbers that are regular to a thousandth of a step, or of `single` precision, as far as their rounding goes.
-fn regular(values: &[f64], single: bool) -> Option<(f64, f64)> {
-    let (first, last) = (*values.first()?, *values.last()?);
-    let step = if values.len() == 1 { 1.0 } else { (last - first) / (values.len() - 1) as f64 };
-    let largest = values.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-    let rounding = if single { largest * f64::from(f32::EPSILON) } else { 0.0 };
-    let near = (1e-3 * step.abs()).max(rounding.min(0.05 * step.abs()));
-    let near = |(i, v): (usize, &f64)| (v - (first + i as f64 * step)).abs() <= near;
-    let good = first.is_finite() && step.is_finite() && step != 0.0 && values.iter().enumerate().all(near);
-    good.then_some((first, step))
 }
 
 /// Runs `$body` with each sample `$value`, in its own type, of a selection of a dataset.

@@ -14,9 +14,10 @@
 //! Axes x, y, z are found by their names (OME-Zarr's `axes`, `dimension_names`, `_ARRAY_DIMENSIONS`); without names the last
 //! axis is x, the one before y, then z. One more axis of several entries, named t or time or without a name the first of four, has
 //! the frames of a series: the fields `NAME:t0`, `NAME:t1`, …; their times are those of OME-Zarr's `coordinateTransformations`. Other axes
-//! (channels) must have one entry. Spacing and origin are those of `coordinateTransformations`, else 1 and 0.
+//! (channels) must have one entry. Spacing and origin are those of `coordinateTransformations`; else of the arrays beside the array
+//! that are named like its axes (xarray), which make a rectilinear grid where they are not regular; else 1 and 0. `scale_factor`, `add_offset`,
+//! `_FillValue` and `missing_value` are followed. Four axes without names, the last of at most four entries, are refused: vectors, or colours.
 //! (A chunk of several frames is decoded for each of them.)
-//! Attributes of CF, as xarray writes them, are followed: `scale_factor`, `add_offset`, `_FillValue`, `missing_value`.
 //!
 //! Compressors: Blosc (with BloscLZ, LZ4, zlib, zstd; shuffled by bytes or bits), gzip, zlib, zstd, LZ4; also shards with
 //! their index, CRC32C, `transpose`, order C or F. Others are refused by name. A chunk that is not there reads as the fill value,
@@ -32,7 +33,9 @@ mod blosc;
 mod codec;
 mod meta;
 
+use super::coordinates::{GridCoordinates, rectilinear, regular};
 use super::header::{geometry, plain_info, scaled_axes};
+use super::numbers::to_f64;
 use super::stream::sample_bytes;
 use super::{OpenOptions, pick_field};
 use crate::bytes::{ByteSource, IoMode};
@@ -40,6 +43,7 @@ use crate::error::{Error, Result};
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::strided::swap_bytes;
 use crate::volume::{FieldInfo, SlabStream, VolumeInfo, VolumeSource};
+use base64::prelude::{BASE64_STANDARD, Engine};
 use byteorder::{ByteOrder, LE};
 use meta::Array;
 use serde_json::Value;
@@ -50,6 +54,8 @@ use std::path::{Path, PathBuf};
 const MOST_CHUNK: u64 = 1 << 30;
 /// Bytes of a slab, unless a row of a chunk has more.
 const SLAB_BYTES: u64 = 4 << 20;
+/// Most numbers of coordinates along an axis.
+const MOST_COORDINATES: u64 = 1 << 24;
 /// Most frames of an array.
 const MOST_FRAMES: u64 = 1 << 16;
 /// Of a large array, so many chunk files stand for all in [`VolumeInfo::data_files`].
@@ -82,16 +88,19 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let dims = axes.map(|a| a.map_or(1, |a| array.shape[a]));
     sample_bytes(&array.file, dims, array.scalar)?;
     check_chunks(&array)?;
-    let geometry = placed(&array, image.as_ref(), axes)?;
+    let geometry = match &image {
+        Some(_) => placed(&array, image.as_ref(), axes)?,
+        None => spaced(&array, &lines(&array, axes, options.io))?,
+    };
     let compressor = array.codecs.iter().map(|c| c.name()).collect::<Vec<_>>().join(" + ");
     let compressor = if compressor.is_empty() { "raw" } else { &compressor };
     let sharded = if array.shard.is_some() { ", shards" } else { "" };
     let kind = if image.is_some() { "OME-Zarr" } else { "Zarr" };
     let format = format!("{kind} (version {}, {compressor}{sharded})", array.version);
     let mut info = plain_info(path, format, dims, array.scalar, geometry);
+    packing(&array, &mut info)?;
     info.field = field;
     info.fields = infos;
-    ([info.slope, info.intercept], info.missing) = (array.scaling, array.missing);
     info.data_files = files(&array, frame);
     Ok(VolumeSource::Stream(Box::new(Chunks::new(info, array, axes, frame, options.io))))
 }
@@ -133,13 +142,139 @@ fn frames_of(
             Some(image) => Some(image.clone()),
             None => image_around(&array.folder)?,
         };
-        let time = around.map(|image| {
-            let (scale, shift) = image.scale_and_shift(array, frame.axis);
-            shift + scale * frame.number as f64
-        });
+        let time = match around {
+            Some(image) => {
+                let (scale, shift) = image.scale_and_shift(array, frame.axis);
+                Some(shift + scale * frame.number as f64)
+            }
+            None => line(array, frame.axis, IoMode::Auto)
+                .and_then(|(times, _)| times.get(frame.number as usize).copied()),
+        };
         out.push((field.info.name, time.filter(|t| t.is_finite())));
     }
     Ok(out)
+}
+
+/// The coordinates along the axes of the array that is read, where those of one of them are not regular; else `None`.
+///
+/// # Errors
+/// As [`open`], and where the coordinates of an axis neither rise nor fall throughout.
+pub(super) fn coordinates(path: &Path, options: &OpenOptions) -> Result<Option<GridCoordinates>> {
+    let (image, arrays) = arrays(path)?;
+    if image.is_some() {
+        return Ok(None);
+    }
+    let fields = fields(None, &arrays)?;
+    let names: Vec<&str> = arrays.iter().map(|(name, _)| name.as_str()).collect();
+    let wanted = options.field.as_deref().map(|w| full_name(w, &names));
+    let infos: Vec<FieldInfo> = fields.iter().map(|f| f.info.clone()).collect();
+    let field = &fields[pick_field(path, &infos, wanted.as_deref())?];
+    let array = &arrays[field.array].1;
+    let lines = lines(array, field.axes, options.io);
+    if image_around(&array.folder)?.is_some() || lines.iter().flatten().all(|l| regular(&l.0, l.1).is_some())
+    {
+        return Ok(None);
+    }
+    let dims = field.axes.map(|a| a.map_or(1, |a| array.shape[a]));
+    rectilinear(path, &field.info.name, lines.map(|l| l.map(|l| l.0)), dims).map(Some)
+}
+
+/// Coordinates along an axis, and whether they are of single precision.
+type Coordinates = (Vec<f64>, bool);
+
+/// The coordinates along x, y, z, where arrays beside the array have them, as xarray writes them.
+fn lines(array: &Array, axes: Axes, io: IoMode) -> [Option<Coordinates>; 3] {
+    axes.map(|axis| line(array, axis?, io))
+}
+
+/// The numbers of the array of one axis that is named like an axis of an array, and lies beside it.
+fn line(array: &Array, axis: usize, io: IoMode) -> Option<Coordinates> {
+    let name = array.names.as_ref().filter(|n| n.len() == array.shape.len())?.get(axis)?;
+    let inside = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
+    let folder = array.folder.parent().filter(|_| inside)?.join(name);
+    let own = meta::array(&folder).ok()??;
+    if own.shape != [array.shape[axis]] || own.shape[0] > MOST_COORDINATES || check_chunks(&own).is_err() {
+        return None;
+    }
+    let single = own.scalar == crate::volume::ScalarType::F32;
+    let mut info = plain_info(&own.file, "Zarr", [own.shape[0], 1, 1], own.scalar, Geometry::default());
+    packing(&own, &mut info).ok()?;
+    let (slope, intercept, scalar) = (info.slope, info.intercept, own.scalar);
+    let (mut chunks, mut bytes, mut out) =
+        (Chunks::new(info, own, [Some(0), None, None], None, io), vec![], vec![]);
+    while chunks.next_slab(&mut bytes).ok()?.is_some() {
+        let mut part = vec![0.0; bytes.len() / scalar.bytes()];
+        to_f64(scalar, &bytes, &mut part);
+        out.extend(part.into_iter().map(|v| slope * v + intercept));
+    }
+    Some((out, single))
+}
+
+/// Spacing and origin by coordinates, where those of all axes are regular.
+fn spaced(array: &Array, lines: &[Option<Coordinates>; 3]) -> Result<Geometry> {
+    let along: Option<Vec<(f64, f64)>> =
+        lines.iter().map(|l| l.as_ref().map_or(Some((0.0, 1.0)), |l| regular(&l.0, l.1))).collect();
+    let Some(along) = along else { return Ok(Geometry::default()) };
+    let columns = scaled_axes(std::array::from_fn(|a| along[a].1));
+    geometry(&array.file, "coordinates", std::array::from_fn(|a| along[a].0), columns)
+}
+
+/// What CF's attributes say of stored numbers. Zarr's own `fill_value` is what an absent chunk reads as; it
+/// means "no data" where numbers are packed and no attribute says what does, as xarray writes them.
+fn packing(array: &Array, info: &mut VolumeInfo) -> Result<()> {
+    let file = attributes_file(array);
+    let bad = |at: &str, expected: &str, got: String| Error::bad_input(&file, at, expected, got);
+    let number = |name: &str| {
+        let value = &array.attributes[name];
+        let found = match value {
+            Value::Null => return Ok(None),
+            // In version 3 xarray writes floats as base64 of a little-endian f64.
+            Value::String(text) => {
+                let bytes = BASE64_STANDARD.decode(text).ok().and_then(|b| <[u8; 8]>::try_from(b).ok());
+                bytes.map(f64::from_le_bytes).or_else(|| text.parse().ok())
+            }
+            value => value.as_f64(),
+        };
+        found.map(Some).ok_or_else(|| bad(name, "a number", value.to_string()))
+    };
+    let (slope, intercept) = (number("scale_factor")?, number("add_offset")?);
+    let is_packed = slope.is_some() || intercept.is_some();
+    (info.slope, info.intercept) = (slope.unwrap_or(1.0), intercept.unwrap_or(0.0));
+    if !(info.slope.is_finite() && info.slope != 0.0 && info.intercept.is_finite()) {
+        let got = format!("{} and {}", info.slope, info.intercept);
+        return Err(bad("scale_factor, add_offset", "finite numbers, the first not 0", got));
+    }
+    for name in ["valid_range", "valid_min", "valid_max"] {
+        if !array.attributes[name].is_null() {
+            let got = array.attributes[name].to_string();
+            return Err(bad(name, "no range of valid numbers", got)
+                .with_help("give samples outside of it the fill value, and delete the attribute"));
+        }
+    }
+    info.missing = match [number("_FillValue")?, number("missing_value")?] {
+        [None, None] => is_packed.then(|| {
+            let mut fill = [0.0];
+            to_f64(array.scalar, &array.fill, &mut fill);
+            fill[0]
+        }),
+        [Some(a), Some(b)] if a != b && !a.is_nan() && !b.is_nan() => {
+            let got = format!("{a} and {b}");
+            return Err(bad("_FillValue, missing_value", "one value", got)
+                .with_help("replace the one by the other, and delete its attribute"));
+        }
+        both => both.into_iter().flatten().find(|v| !v.is_nan()),
+    }
+    // What is not a number is missing anyway.
+    .filter(|v| !v.is_nan());
+    Ok(())
+}
+
+/// The file that has the attributes of an array.
+fn attributes_file(array: &Array) -> PathBuf {
+    match array.file.file_name() {
+        Some(name) if name == ".zarray" => array.file.with_file_name(".zattrs"),
+        _ => array.file.clone(),
+    }
 }
 
 /// A volume that can be chosen: an array, or a frame of one.

@@ -3,7 +3,6 @@
 use super::codec::Codec;
 use crate::error::{Error, Result};
 use crate::volume::ScalarType;
-use base64::prelude::{BASE64_STANDARD, Engine};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -30,9 +29,8 @@ pub(super) struct Array {
     pub(super) fill: Vec<u8>,
     /// Names of the axes, where the metadata tell them.
     pub(super) names: Option<Vec<String>>,
-    /// Slope and intercept of the stored numbers, and the one that means "no data": the attributes of CF, which xarray writes.
-    pub(super) scaling: [f64; 2],
-    pub(super) missing: Option<f64>,
+    /// What users and conventions tell of it.
+    pub(super) attributes: Value,
     key: Key,
 }
 
@@ -85,10 +83,9 @@ pub(super) fn array(folder: &Path) -> Result<Option<Array>> {
     let file = folder.join(".zarray");
     let Some(json) = json(&file)? else { return Ok(None) };
     let mut array = Parser { file: &file, json: &json }.v2(folder)?;
-    let file = folder.join(".zattrs");
-    let attributes = self::json(&file)?.unwrap_or_default();
-    Parser { file: &file, json: &attributes }.conventions(&attributes, &mut array)?;
+    let attributes = self::json(&folder.join(".zattrs"))?.unwrap_or_default();
     array.names = strings(&attributes["_ARRAY_DIMENSIONS"]);
+    array.attributes = attributes;
     Ok(Some(array))
 }
 
@@ -156,8 +153,7 @@ impl Parser<'_> {
             codecs,
             fill,
             names: None,
-            scaling: [1.0, 0.0],
-            missing: None,
+            attributes: Value::Null,
             key,
         })
     }
@@ -211,12 +207,10 @@ impl Parser<'_> {
             codecs: vec![],
             fill,
             names: strings(&json["dimension_names"]),
-            scaling: [1.0, 0.0],
-            missing: None,
+            attributes: json["attributes"].clone(),
             key,
         };
         self.codecs(&json["codecs"], &mut array)?;
-        self.conventions(&json["attributes"], &mut array)?;
         Ok(array)
     }
 
@@ -308,37 +302,6 @@ impl Parser<'_> {
                 return Err(self.wrong(at, expected, name).with_help("write it again with one of these"));
             }
         })
-    }
-
-    /// Follows the attributes of CF. (Zarr's own `fill_value` is what an absent chunk reads as, and may be a sample like others.)
-    fn conventions(&self, attributes: &Value, array: &mut Array) -> Result<()> {
-        let number = |name: &str| match &attributes[name] {
-            Value::Null => Ok(None),
-            // In version 3 xarray writes floats as base64 of a little-endian f64.
-            Value::String(text) => {
-                let bytes = BASE64_STANDARD.decode(text).ok().and_then(|b| <[u8; 8]>::try_from(b).ok());
-                let value = bytes.map(f64::from_le_bytes).or_else(|| text.parse().ok());
-                value.map(Some).ok_or_else(|| self.wrong(name, "a number", &attributes[name]))
-            }
-            value => value.as_f64().map(Some).ok_or_else(|| self.wrong(name, "a number", value)),
-        };
-        let [slope, intercept] =
-            [number("scale_factor")?.unwrap_or(1.0), number("add_offset")?.unwrap_or(0.0)];
-        if !slope.is_finite() || slope == 0.0 || !intercept.is_finite() {
-            let (expected, got) = ("finite numbers, the first not 0", format!("{slope} and {intercept}"));
-            return Err(Error::bad_input(self.file, "scale_factor, add_offset", expected, got));
-        }
-        array.scaling = [slope, intercept];
-        array.missing = match [number("_FillValue")?, number("missing_value")?] {
-            [Some(a), Some(b)] if a != b && !a.is_nan() && !b.is_nan() => {
-                let got = format!("{a} and {b}");
-                return Err(Error::bad_input(self.file, "_FillValue, missing_value", "one value", got)
-                    .with_help("replace the one by the other, and delete its attribute"));
-            }
-            // What is not a number is missing anyway.
-            both => both.into_iter().flatten().find(|v| !v.is_nan()),
-        };
-        Ok(())
     }
 
     /// One sample of the fill value, little-endian.

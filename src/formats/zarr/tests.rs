@@ -652,3 +652,54 @@ fn a_time_axis_gives_frames() {
     );
     assert!(refusal(&ome).contains("one of time"), "{}", refusal(&ome));
 }
+
+#[test]
+fn arrays_of_xarray_have_coordinates_packing_and_times() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let array = |name: &str, shape: Value, dtype: &str, names: Value, more: Value, bytes: Vec<u8>| {
+        let folder = d.join(name);
+        let n = shape.as_array().unwrap().len();
+        let meta = json!({ "zarr_format": 2, "shape": shape, "chunks": shape, "dtype": dtype, "compressor": null,
+            "fill_value": 7, "order": "C", "filters": null });
+        put(&folder, ".zarray", &meta);
+        let mut attributes = json!({ "_ARRAY_DIMENSIONS": names });
+        attributes.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        put(&folder, ".zattrs", &attributes);
+        fs::write(folder.join(vec!["0"; n].join(".")), bytes).unwrap();
+    };
+    put(d, ".zgroup", &json!({ "zarr_format": 2 }));
+    let doubles = |v: &[f64]| v.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
+    let names = json!(["time", "lev", "lat", "lon"]);
+    let all: Vec<u8> = (0..2 * 3 * 4 * 5u8).flat_map(|i| i16::from(i).to_le_bytes()).collect();
+    array("temp", json!([2, 3, 4, 5]), "<i2", names, json!({ "scale_factor": 0.5, "add_offset": 10.0 }), all);
+    array("time", json!([2]), "<f8", json!(["time"]), json!({}), doubles(&[6.0, 18.0]));
+    array("lev", json!([3]), "<f8", json!(["lev"]), json!({}), doubles(&[1000.0, 925.0, 700.0]));
+    array("lat", json!([4]), "<f8", json!(["lat"]), json!({}), doubles(&[30.0, 20.0, 10.0, 0.0]));
+    let named = |field: &str| OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
+    let steps = crate::formats::steps_of(&[d.to_path_buf()], &named("temp")).unwrap();
+    assert_eq!(steps.iter().map(|s| s.time).collect::<Vec<_>>(), [Some(6.0), Some(18.0)]);
+    let (_, values) = read(d, Some("temp:t0")).unwrap();
+    assert_eq!((values[0], values[1], values[59]), (10.0, 10.5, 39.5));
+    assert!(values[7].is_nan(), "the fill value of what is packed");
+    let Some(GridCoordinates::Axes(axes)) = coordinates(d, &named("temp:t1")).unwrap() else {
+        panic!("axes")
+    };
+    assert_eq!((&axes[1][..], &axes[2][..]), (&[30.0, 20.0, 10.0, 0.0][..], &[1000.0, 925.0, 700.0][..]));
+    assert_eq!(axes[0], [0.0, 1.0, 2.0, 3.0, 4.0]);
+    // Regular levels are a spacing.
+    array("lev", json!([3]), "<f8", json!(["lev"]), json!({}), doubles(&[10.0, 12.0, 14.0]));
+    assert!(coordinates(d, &named("temp:t1")).unwrap().is_none());
+    let (info, _) = read(d, Some("temp:t1")).unwrap();
+    assert_eq!((info.geometry.spacing, info.geometry.origin), ([1.0, 10.0, 2.0], [0.0, 30.0, 10.0]));
+}
+
+#[test]
+fn a_short_last_axis_without_a_name_has_components() {
+    let dir = tempfile::tempdir().unwrap();
+    let meta = json!({ "zarr_format": 2, "shape": [6, 6, 6, 3], "chunks": [6, 6, 6, 3], "dtype": "<f4",
+        "compressor": null, "fill_value": 0, "order": "C", "filters": null });
+    put(dir.path(), ".zarray", &meta);
+    let line = read(dir.path(), None).unwrap_err().to_string();
+    assert!(line.contains("6 x 6 x 6 x 3") && line.contains("write one channel"), "{line}");
+}
