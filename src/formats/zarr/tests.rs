@@ -679,7 +679,7 @@ fn arrays_of_xarray_have_coordinates_packing_and_times() {
     let named = |field: &str| OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
     let steps = crate::formats::steps_of(&[d.to_path_buf()], &named("temp")).unwrap();
     assert_eq!(steps.iter().map(|s| s.time).collect::<Vec<_>>(), [Some(6.0), Some(18.0)]);
-    let (_, values) = read(d, Some("temp:t0")).unwrap();
+    let (_, values) = crate::formats::tests::read_all(open_volume(d, &named("temp:t0")).unwrap());
     assert_eq!((values[0], values[1], values[59]), (10.0, 10.5, 39.5));
     assert!(values[7].is_nan(), "the fill value of what is packed");
     let Some(GridCoordinates::Axes(axes)) = coordinates(d, &named("temp:t1")).unwrap() else {
