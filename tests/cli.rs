@@ -483,3 +483,86 @@ fn hidden_points_and_cells_of_images_are_refused() {
     let text = ok(d, &["info", "b.vti"]);
     assert!(!text.contains("vtkGhostType"), "{text}");
 }
+
+/// A pipe without a writer would be waited for, and `/dev/zero` has no end: both are refused at once.
+#[test]
+#[cfg(unix)]
+fn what_is_no_regular_file_is_refused_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [20, 18, 16], waves);
+    let planned = ["plan", "v.npy", "-o", "p.isospan", "-q"];
+    ok(d, &["reduce", "v.npy", "-o", "a.isospan", "-q"]);
+    ok(d, &planned);
+    let fifo = |name: &str| {
+        let made = Command::new("mkfifo").arg(d.join(name)).status().unwrap();
+        assert!(made.success());
+    };
+    let zero = |name: &str| std::os::unix::fs::symlink("/dev/zero", d.join(name)).unwrap();
+    let refused = |args: &[&str], file: &str| {
+        let out = Command::new("timeout")
+            .args(["20", env!("CARGO_BIN_EXE_isospan")])
+            .args(args)
+            .current_dir(d)
+            .output()
+            .unwrap();
+        let text = String::from_utf8(out.stderr).unwrap();
+        assert!(matches!(out.status.code(), Some(2 | 5)), "{args:?}: {}: {text}", out.status);
+        assert!(text.trim_end().lines().count() == 1 && text.contains(file), "{args:?}: {text}");
+    };
+    let surface = ["surface", "a.isospan", "--isovalue", "0.1", "-o", "s.ply", "-q"];
+    let reduce = ["reduce", "v.npy", "-o", "a.isospan", "-q"];
+    for (file, questions) in [
+        (
+            "a.isospan/manifest.json",
+            vec![&surface[..], &["check", "a.isospan"], &["info", "a.isospan"], &reduce],
+        ),
+        ("a.isospan/mesh/000000.seg", vec![&surface[..], &["check", "a.isospan"]]),
+        ("a.isospan/steps/000000-values-000000.seg", vec![&surface[..], &["check", "a.isospan"]]),
+        (
+            "p.isospan.work/plan.json",
+            vec![
+                &["work", "p.isospan", "-q"][..],
+                &["commit", "p.isospan", "-q"],
+                &["status", "p.isospan"],
+                &planned,
+            ],
+        ),
+    ] {
+        let (path, aside) = (d.join(file), d.join("aside"));
+        fs::rename(&path, &aside).unwrap();
+        for make in [&fifo as &dyn Fn(&str), &zero] {
+            make(file);
+            let name = Path::new(file).components().next_back().unwrap().as_os_str().to_string_lossy();
+            let name = if name == "plan.json" { "p.isospan" } else { &*name };
+            let name = if name == "manifest.json" { "a.isospan" } else { name };
+            questions.iter().for_each(|args| refused(args, name));
+            fs::remove_file(&path).unwrap();
+        }
+        fs::rename(&aside, &path).unwrap();
+    }
+    // Inputs of every kind.
+    for end in [
+        "nrrd", "nhdr", "mha", "mhd", "npy", "npz", "nii", "nii.gz", "hdr", "vti", "vtk", "vtr", "vts",
+        "tif", "h5", "nc", "bricks", "vtu", "pvtu", "msh", "node", "ele", "pts", "tet", "raw", "pvd",
+        "series", "ply", "stl", "obj", "vtp", "glb", "csv",
+    ] {
+        let file = format!("pipe.{end}");
+        fifo(&file);
+        match end {
+            "ply" | "stl" | "obj" | "vtp" | "glb" => refused(&["check", &file], &file),
+            "csv" => refused(&["probe", "a.isospan", "--at", &file, "-o", "o.csv", "-q"], &file),
+            _ => refused(&["info", &file, "--dims", "4,4,4", "--type", "u8"], &file),
+        }
+        if !matches!(end, "ply" | "stl" | "obj" | "vtp" | "glb" | "csv" | "raw") {
+            refused(&["reduce", &file, "-o", "x.isospan", "-q"], &file);
+        }
+    }
+    // Metadata and chunks of a folder.
+    fs::create_dir(d.join("z.zarr")).unwrap();
+    for name in ["z.zarr/zarr.json", "z.zarr/.zarray"] {
+        fifo(name);
+        refused(&["info", "z.zarr"], "z.zarr");
+        fs::remove_file(d.join(name)).unwrap();
+    }
+}

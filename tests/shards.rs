@@ -357,3 +357,33 @@ fn gc_removes_old_temporaries_and_nothing_else() {
     case.same("t.isospan");
     assert_eq!(fails(d, &["gc", "none.isospan", "--older-than", "2d"]).0, 5);
 }
+
+#[test]
+fn gc_touches_no_other_folder() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let name = ".000001.seg.tmp-elsewhere-12-ab";
+    let put = |folder: &str, name: &str| {
+        fs::create_dir_all(d.join(folder)).unwrap();
+        fs::write(d.join(folder).join(name), "mine").unwrap();
+    };
+    // No archive: its mesh is somebody else's.
+    put("photos/mesh", name);
+    put("photos", "holiday.jpg");
+    let (code, text) = fails(d, &["gc", "photos", "--older-than", "0s"]);
+    assert!(code == 5 && text.contains("nothing was removed"), "{text}");
+    // Of an archive: folders that are not its own, those behind links, and other names.
+    write_npy(&d.join("v.npy"), [20, 18, 16], waves);
+    plan(d, "v.npy", "t.isospan", "1", &[]);
+    put("t.isospan/mine", name);
+    put("t.isospan/mesh", ".notes.tmp-1");
+    put("t.isospan/mesh", ".notes.txt.tmp-elsewhere-12-ab");
+    put("elsewhere", name);
+    fs::remove_dir(d.join("t.isospan/steps")).unwrap();
+    std::os::unix::fs::symlink(d.join("elsewhere"), d.join("t.isospan/steps")).unwrap();
+    let before = folder(d);
+    assert!(ok(d, &["gc", "t.isospan", "--older-than", "0s"]).contains("0 files"));
+    assert_eq!(folder(d), before);
+    put("t.isospan/mesh", name);
+    assert!(ok(d, &["gc", "t.isospan", "--older-than", "0s"]).contains("1 files"));
+}

@@ -16,7 +16,7 @@
 //! blocks have their checksums ([`super::segment::SegmentWriter::adopt`]). So neither a torn record nor a machine that
 //! lost power can do more than lose chunks. The journal is no part of the archive and is gone when the segment is done.
 
-use super::publish::{Dead, TEMPORARY_MARK};
+use super::publish::{Dead, TEMPORARY_MARK, open_own};
 use super::wire::Cursor;
 use crate::error::{Error, Result};
 use std::fs::File;
@@ -91,7 +91,7 @@ impl Journal {
     /// The journal that a dead writer left with its temporary, and its whole records.
     pub(super) fn of_dead(dead: &Dead) -> Option<(Self, Vec<Record>)> {
         let path = name(&dead.path);
-        let mut file = File::options().read(true).write(true).open(&path).ok()?;
+        let mut file = open_own(&path)?;
         let _ = file.try_lock();
         let (mut bytes, mut records) = (vec![], vec![]);
         file.read_to_end(&mut bytes).ok()?;

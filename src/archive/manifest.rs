@@ -15,6 +15,7 @@ use super::publish::Unpublished;
 use super::repeated::RepeatedRecord;
 use super::segment::{FORMAT_VERSION, OLDEST_FORMAT, OLDEST_READER, PlanHash, SegmentInfo};
 use super::values::Quantiser;
+use crate::bytes::read_whole;
 use crate::bytes::remote::{is_remote, read_all};
 use crate::error::{Error, Result};
 use crate::geom::Lattice;
@@ -462,13 +463,7 @@ impl Manifest {
             return Err(Error::bad_input(archive, MANIFEST_NAME, "a manifest", "none")
                 .with_help("the archive is not finished: run the same reduction again"));
         }
-        let len = std::fs::metadata(&path).map_err(|e| Error::io("read", &path, e))?.len();
-        if len > LARGEST_MANIFEST {
-            let most = format!("at most {LARGEST_MANIFEST} bytes");
-            return Err(Error::bad_input(&path, "file length", most, format!("{len} bytes")));
-        }
-        let bytes = std::fs::read(&path).map_err(|e| Error::io("read", &path, e))?;
-        let manifest = Self::parse(&bytes, &path)?;
+        let manifest = Self::parse(&read_whole(&path, LARGEST_MANIFEST)?, &path)?;
         manifest.check(&path)?;
         Ok(manifest)
     }

@@ -362,6 +362,19 @@ fn dead_in(folder: &Path, wanted: impl Fn(&str) -> bool) -> Vec<Dead> {
     dead
 }
 
+/// The name that a temporary of this name is to get; `None` of a name that no writer gives.
+pub(crate) fn final_name(name: &str) -> Option<&str> {
+    let (last, rest) = name.strip_prefix('.')?.rsplit_once(TEMPORARY_MARK)?;
+    let mut parts = rest.split('-');
+    let [host, process, number] = [parts.next()?, parts.next()?, parts.next()?];
+    let is_hex = |c: char| c.is_ascii_hexdigit() || c == 'x';
+    let of_ours = host.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+        && process.parse::<u32>().is_ok()
+        && !number.is_empty()
+        && number.chars().all(is_hex);
+    (of_ours && parts.next().is_none() && !last.is_empty()).then_some(last)
+}
+
 /// The process in a temporary's name, if it was made on this host.
 fn process_of(name: &str, host: &str) -> Option<u32> {
     let (_, rest) = name.strip_prefix('.')?.rsplit_once(TEMPORARY_MARK)?;
@@ -369,12 +382,18 @@ fn process_of(name: &str, host: &str) -> Option<u32> {
     parts.next()?.parse().ok()
 }
 
+/// Opens a temporary for reading and writing; `None` of a link, a pipe or a device, which no writer makes.
+pub(crate) fn open_own(path: &Path) -> Option<File> {
+    let is_file = std::fs::symlink_metadata(path).is_ok_and(|about| about.is_file());
+    is_file.then(|| File::options().read(true).write(true).open(path).ok())?
+}
+
 fn dead_file(path: PathBuf, process: u32) -> Option<Dead> {
     let ours = process == std::process::id();
     if !ours && is_alive(process) {
         return None;
     }
-    let file = File::options().read(true).write(true).open(&path).ok()?;
+    let file = open_own(&path)?;
     match file.try_lock() {
         Ok(()) => {}
         // No locks here: of our own process number, only the lock tells whether a thread of ours writes it.
@@ -480,6 +499,18 @@ mod tests {
         sweep(dir.path());
         assert!(living.temporary().exists(), "locked by its writer");
         assert_eq!(others.map(|f| f.exists()), [true, true, false, true]);
+    }
+
+    #[test]
+    fn only_names_that_writers_give_are_those_of_temporaries() {
+        let own = temporary_name(Path::new("mesh/000007.seg")).unwrap();
+        let own = own.file_name().unwrap().to_string_lossy().into_owned();
+        assert_eq!(final_name(&own), Some("000007.seg"), "{own}");
+        for other in
+            [".a.tmp-", ".a.tmp-1", ".a.tmp-host-1", ".a.tmp-host-x-1", "a.tmp-host-1-1", ".a.tmp-h-1-z"]
+        {
+            assert_eq!(final_name(other), None, "{other}");
+        }
     }
 
     #[test]

@@ -94,7 +94,7 @@ impl ByteSource {
     /// [`Error::Io`] when the system refuses; [`Error::BadInput`] for a folder, a pipe or device, or an empty file.
     pub fn open(path: impl AsRef<Path>, mode: IoMode) -> Result<Self> {
         let path = path.as_ref();
-        Self::of_file(path, open_regular(path)?, mode)
+        Self::of_file(path, open_with_data(path)?, mode)
     }
 
     /// [`ByteSource::open`] with [`IoMode::Map`].
@@ -358,20 +358,70 @@ fn read_exact_at(file: &File, bytes: &mut [u8], offset: u64) -> io::Result<()> {
     Ok(())
 }
 
-/// Opens a file with data. Looks before it opens: opening a pipe would wait for a writer for ever.
-fn open_regular(path: &Path) -> Result<File> {
-    let refuse = |got: &str| Error::bad_input(path, "file", "a regular file with data", got);
-    let about = std::fs::metadata(path).map_err(|e| Error::io("open", path, e))?;
+/// Opens a regular file with data.
+fn open_with_data(path: &Path) -> Result<File> {
+    let file = open_regular(path)?;
+    let about = file.metadata().map_err(|e| Error::io("read the length of", path, e))?;
+    if about.len() == 0 {
+        return Err(not_regular(path, "an empty file"));
+    }
+    Ok(file)
+}
+
+/// Opens a regular file for reading. Never waits, and never touches a device: a pipe without a writer would
+/// block for ever, a device may have no end.
+///
+/// # Errors
+/// [`Error::Io`] when the system refuses; [`Error::BadInput`] for a folder, a pipe, a socket or a device.
+pub(crate) fn open_regular(path: &Path) -> Result<File> {
+    expect_regular(path, &std::fs::metadata(path).map_err(|e| Error::io("open", path, e))?)?;
+    let mut options = File::options();
+    options.read(true);
+    // Another process may replace the file by a pipe after the look above.
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::custom_flags(
+        &mut options,
+        rustix::fs::OFlags::NONBLOCK.bits().cast_signed(),
+    );
+    let file = options.open(path).map_err(|e| Error::io("open", path, e))?;
+    expect_regular(path, &file.metadata().map_err(|e| Error::io("read the length of", path, e))?)?;
+    Ok(file)
+}
+
+/// Reads a regular file of at most `most` bytes into memory.
+///
+/// # Errors
+/// Those of [`open_regular`]; [`Error::BadInput`] for a longer file.
+pub(crate) fn read_whole(path: &Path, most: u64) -> Result<Vec<u8>> {
+    let file = open_regular(path)?;
+    let len = file.metadata().map_err(|e| Error::io("read the length of", path, e))?.len();
+    let mut bytes = vec![];
+    if len <= most {
+        // One byte more than allowed shows a file that grows while it is read.
+        file.take(most + 1).read_to_end(&mut bytes).map_err(|e| Error::io("read", path, e))?;
+    }
+    match len.max(bytes.len() as u64) {
+        len if len <= most => Ok(bytes),
+        len => {
+            let (most, got) = (format!("at most {most} bytes"), format!("{len} bytes"));
+            Err(Error::bad_input(path, "file length", most, got))
+        }
+    }
+}
+
+fn expect_regular(path: &Path, about: &std::fs::Metadata) -> Result<()> {
     if about.is_dir() {
-        return Err(refuse("a folder").with_help("name a file in it"));
+        return Err(not_regular(path, "a folder").with_help("name a file in it"));
     }
     if !about.is_file() {
-        return Err(refuse("a pipe, socket or device").with_help("copy the data to a file first"));
+        let error = not_regular(path, "a pipe, socket or device");
+        return Err(error.with_help("copy the data to a file first"));
     }
-    if about.len() == 0 {
-        return Err(refuse("an empty file"));
-    }
-    File::open(path).map_err(|e| Error::io("open", path, e))
+    Ok(())
+}
+
+fn not_regular(path: &Path, got: &str) -> Error {
+    Error::bad_input(path, "file", "a regular file with data", got)
 }
 
 /// Reads a range of a [`ByteSource`] front to back.

@@ -9,7 +9,7 @@ use std::time::Duration;
 /// Remove temporary files that killed workers have left in an archive.
 ///
 /// Files that nobody has written to for the given time, and that no process holds. A worker writes after each chunk, so an hour is
-/// much; what is removed costs time and no bytes. Segments are never removed.
+/// much; what is removed costs time and no bytes. Segments are never removed, and nothing in a folder that is no archive.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// The archive, finished or not.

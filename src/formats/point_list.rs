@@ -7,6 +7,7 @@
 
 use super::surface::resolve;
 use crate::archive::publish::Unpublished;
+use crate::bytes::open_regular;
 use crate::error::{Error, Result};
 use std::fs::File;
 use std::io::{BufRead, BufReader};
@@ -35,7 +36,7 @@ impl PointReader {
     /// [`Error::BadInput`] for a table without coordinates; [`Error::Io`] when it cannot be read.
     pub fn open(path: &Path) -> Result<Self> {
         let delimiter = delimiter(path)?;
-        let file = File::open(path).map_err(|e| Error::io("open", path, e))?;
+        let file = open_regular(path)?;
         let records = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
@@ -117,7 +118,7 @@ impl PointReader {
 
 /// What separates the numbers of the first line that is not a comment.
 fn delimiter(path: &Path) -> Result<u8> {
-    let file = File::open(path).map_err(|e| Error::io("open", path, e))?;
+    let file = open_regular(path)?;
     let mut lines = BufReader::new(std::io::Read::take(file, LONGEST_LINE)).split(b'\n');
     let line = loop {
         match lines.next().transpose().map_err(|e| Error::io("read", path, e))? {

@@ -16,7 +16,7 @@ use super::stack::{by_numbers, rise};
 use super::{
     Kind, OpenOptions, has_suffix, kind_of, mesh, nifti, open_volume, tiff, vtk_legacy, vtk_xml, zarr,
 };
-use crate::bytes::ByteSource;
+use crate::bytes::{ByteSource, read_whole};
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
 use glob::Pattern;
@@ -250,13 +250,8 @@ pub(super) fn field_matches(pattern: &str, name: &str) -> bool {
 }
 
 fn list_text(path: &Path) -> Result<String> {
-    let io = |e| Error::io("read", path, e);
-    let len = std::fs::metadata(path).map_err(io)?.len();
-    if len > LARGEST_LIST {
-        let most = format!("at most {LARGEST_LIST} bytes");
-        return Err(Error::bad_input(path, "file length", most, format!("{len} bytes")));
-    }
-    std::fs::read_to_string(path).map_err(io)
+    String::from_utf8(read_whole(path, LARGEST_LIST)?)
+        .map_err(|_| Error::bad_input(path, "list of files", "text in UTF-8", "other bytes"))
 }
 
 fn no_files(path: &Path) -> Error {

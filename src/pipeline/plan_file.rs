@@ -21,6 +21,7 @@ use super::series::{PlannedSource, SeriesPlan, SkippedStep};
 use crate::archive::manifest::{Manifest, check_sum, sealed_text};
 use crate::archive::publish::Unpublished;
 use crate::archive::segment::PlanHash;
+use crate::bytes::read_whole;
 use crate::error::{Error, Result};
 use crate::formats::{OpenOptions, StepSource};
 use serde::{Deserialize, Serialize};
@@ -170,18 +171,13 @@ impl PlanFile {
         let bad = |at: &str, expected: String, got: String, help: &str| {
             Err(Error::bad_input(&path, at, expected, got).with_help(help))
         };
-        let len = match std::fs::metadata(&path) {
-            Ok(about) => about.len(),
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+        let bytes = match read_whole(&path, LARGEST_PLAN) {
+            Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {
                 let help = "make one: isospan plan INPUT -o NAME.isospan --shards N";
                 return bad("file", format!("the plan of {}", archive.display()), "nothing".into(), help);
             }
-            Err(e) => return Err(Error::io("read", &path, e)),
+            bytes => bytes.map_err(|e| e.with_help(HELP))?,
         };
-        if len > LARGEST_PLAN {
-            return bad("file length", format!("at most {LARGEST_PLAN} bytes"), format!("{len} bytes"), HELP);
-        }
-        let bytes = std::fs::read(&path).map_err(|e| Error::io("read", &path, e))?;
         let json = |e: serde_json::Error| {
             let at = format!("line {} column {}", e.line(), e.column());
             Error::bad_input(&path, at, "the plan of a reduction", e.to_string()).with_help(HELP)

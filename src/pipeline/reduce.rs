@@ -582,7 +582,8 @@ pub(super) fn refuse_overwriting(out: &Path, run: &RunSettings) -> Result<()> {
     }
 }
 
-fn is_ours(out: &Path) -> Result<bool> {
+/// Whether a folder holds nothing but what archives have.
+pub(super) fn is_ours(out: &Path) -> Result<bool> {
     let ours = ["mesh", "steps", MANIFEST_NAME];
     for entry in fs::read_dir(out).map_err(|e| Error::io("list", out, e))? {
         let name = entry.map_err(|e| Error::io("list", out, e))?.file_name();

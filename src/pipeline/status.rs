@@ -4,10 +4,11 @@ use super::beside::Beside;
 use super::inspect::{Depth, SegmentState, inspect};
 use super::job::{RunSettings, threads};
 use super::layout::Layout;
-use super::plan_file::{PlanFile, work_folder};
+use super::plan_file::{PlanFile, plan_path, work_folder};
+use super::reduce::is_ours;
 use super::shard::Shard;
-use crate::archive::TEMPORARY_MARK;
-use crate::archive::manifest::MANIFEST_NAME;
+use crate::archive::manifest::{MANIFEST_NAME, mesh_folder, steps_folder};
+use crate::archive::publish::{final_name, open_own};
 use crate::archive::segment::{PlanHash, SegmentKind};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent, pool};
@@ -175,13 +176,18 @@ pub struct GcReport {
 }
 
 /// Removes temporary files of an archive and of its plan that nobody has written to for some time, and that no process of this
-/// machine holds. Segments and manifests are never touched. With `dry_run` it only tells which.
+/// machine holds. Only files are removed whose names a writer gives, in folders that an archive has. With `dry_run` it only tells
+/// which.
 ///
 /// # Errors
-/// When a folder cannot be listed or a file not removed.
+/// [`Error::BadInput`] for a folder that is neither an archive, finished or not, nor has a plan; when a folder cannot be listed or a
+/// file not removed.
 pub fn collect_garbage(out: &Path, older_than: Duration, dry_run: bool) -> Result<GcReport> {
-    if !out.is_dir() && !work_folder(out).is_dir() {
-        return Err(Error::bad_input(out, "archive", "a folder made by isospan plan or reduce", "none"));
+    let is_unfinished = || Ok(mesh_folder(out).is_dir() && is_ours(out)?);
+    if !out.join(MANIFEST_NAME).is_file() && !plan_path(out).is_file() && !is_unfinished()? {
+        let expected = "a folder made by isospan reduce or plan";
+        let got = if out.exists() { "something else; nothing was removed" } else { "none" };
+        return Err(Error::bad_input(out, "archive", expected, got));
     }
     let mut report = GcReport::default();
     for file in leftovers(out)?.into_iter().filter(|f| f.age >= older_than && !is_held(&f.path)) {
@@ -201,8 +207,7 @@ pub fn collect_garbage(out: &Path, older_than: Duration, dry_run: bool) -> Resul
 
 /// Whether a writer on this machine (or, where the file system tells, on another) has the file locked.
 fn is_held(path: &Path) -> bool {
-    let file = fs::File::options().read(true).write(true).open(path);
-    file.is_ok_and(|f| matches!(f.try_lock(), Err(fs::TryLockError::WouldBlock)))
+    open_own(path).is_some_and(|f| matches!(f.try_lock(), Err(fs::TryLockError::WouldBlock)))
 }
 
 struct Leftover {
@@ -211,24 +216,41 @@ struct Leftover {
     age: Duration,
 }
 
+/// The folders that writers of an archive, of its plan, and of tries for a target use. Links to folders are not followed.
+fn folders_of(out: &Path) -> Result<Vec<PathBuf>> {
+    let work = work_folder(out);
+    let mut archives = vec![out.to_path_buf()];
+    for entry in entries_of(&work)? {
+        let is_archive = entry.path().extension().is_some_and(|e| e == "isospan");
+        if is_archive && entry.file_type().is_ok_and(|t| t.is_dir()) {
+            archives.push(entry.path());
+        }
+    }
+    let is_folder = |path: &PathBuf| fs::symlink_metadata(path).is_ok_and(|about| about.is_dir());
+    let inner = archives.iter().flat_map(|a| [mesh_folder(a), steps_folder(a)]).filter(is_folder);
+    let inner: Vec<PathBuf> = inner.collect();
+    Ok(archives.into_iter().chain([work]).chain(inner).collect())
+}
+
+/// The entries of a folder; none of one that is not there.
+fn entries_of(folder: &Path) -> Result<Vec<fs::DirEntry>> {
+    let list = |e| Error::io("list", folder, e);
+    match fs::read_dir(folder) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(vec![]),
+        entries => entries.map_err(list)?.map(|entry| entry.map_err(list)).collect(),
+    }
+}
+
 /// All temporaries of an archive and of its plan, in order of their paths.
 fn leftovers(out: &Path) -> Result<Vec<Leftover>> {
     let (mut found, now) = (vec![], SystemTime::now());
-    let mut folders = vec![out.to_path_buf(), work_folder(out)];
-    while let Some(folder) = folders.pop() {
-        let entries = match fs::read_dir(&folder) {
-            Ok(entries) => entries,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => continue,
-            Err(e) => return Err(Error::io("list", &folder, e)),
-        };
-        for entry in entries {
-            let entry = entry.map_err(|e| Error::io("list", &folder, e))?;
+    for folder in folders_of(out)? {
+        for entry in entries_of(&folder)? {
             let name = entry.file_name().to_string_lossy().into_owned();
+            let ours = final_name(&name).is_some_and(|n| MADE.iter().any(|e| n.ends_with(e)));
             // Published or removed meanwhile: no leftover.
             let Ok(about) = entry.metadata() else { continue };
-            if about.is_dir() {
-                folders.push(entry.path());
-            } else if name.starts_with('.') && name.contains(TEMPORARY_MARK) {
+            if ours && about.is_file() {
                 let age = about.modified().ok().and_then(|m| now.duration_since(m).ok()).unwrap_or_default();
                 found.push(Leftover { path: entry.path(), bytes: about.len(), age });
             }
@@ -237,3 +259,6 @@ fn leftovers(out: &Path) -> Result<Vec<Leftover>> {
     found.sort_by(|a, b| a.path.cmp(&b.path));
     Ok(found)
 }
+
+/// How the names of the files end that writers make: segments, their journals, manifests and plans.
+const MADE: [&str; 3] = [".seg", ".seg.chunks", ".json"];

@@ -1,7 +1,7 @@
 //! A file read at offsets, on disk or in an object store.
 
 use crate::bytes::remote::{RemoteFile, is_remote};
-use crate::bytes::{ByteSource, IoMode};
+use crate::bytes::{ByteSource, IoMode, open_regular};
 use crate::error::{Error, Result};
 use std::fs::File;
 use std::path::Path;
@@ -32,11 +32,8 @@ impl PositionedFile {
             let file = RemoteFile::open(path)?;
             return Ok(Self { len: file.len(), bytes: Bytes::Remote(file) });
         }
-        let file = File::open(path).map_err(|e| Error::io("open", path, e))?;
+        let file = open_regular(path)?;
         let meta = file.metadata().map_err(|e| Error::io("read the length of", path, e))?;
-        if !meta.is_file() {
-            return Err(Error::bad_input(path, "file", "a segment of an isospan archive", "not a file"));
-        }
         #[cfg(not(unix))]
         let file = Mutex::new(file);
         Ok(Self { bytes: Bytes::Local(file), len: meta.len() })

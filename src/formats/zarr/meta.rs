@@ -1,6 +1,7 @@
 //! The metadata of a Zarr array, versions 2 (`.zarray`) and 3 (`zarr.json`), as one structure.
 
 use super::codec::Codec;
+use crate::bytes::read_whole;
 use crate::error::{Error, Result};
 use crate::volume::ScalarType;
 use serde_json::Value;
@@ -68,7 +69,7 @@ pub(super) fn json(file: &Path) -> Result<Option<Value>> {
             format!("{} bytes", about.len()),
         ));
     }
-    let bytes = std::fs::read(file).map_err(|e| Error::io("read", file, e))?;
+    let bytes = read_whole(file, MOST)?;
     let value = serde_json::from_slice(&bytes);
     value.map(Some).map_err(|e| Error::bad_input(file, "metadata", "JSON", e.to_string()))
 }
