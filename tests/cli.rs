@@ -79,7 +79,14 @@ fn bricks_are_the_same_volume() {
     }
     let surface = |name: &str| triangle_set(&read(&d.join(name)));
     assert_eq!(surface("w.npy.vtp"), surface("w.bricks.vtp"));
-    assert_eq!(fails(d, &["brick", "w.npy", "-o", "w.bricks"]).0, 2);
+    // Asked again: nothing is left to do. Other bricks stay.
+    let again = ["brick", "w.npy", "-o", "w.bricks"];
+    assert!(ok(d, &again).contains("finished before"));
+    write_npy(&d.join("w.npy"), [37, 45, 34], |x, y, z| waves(x, y, z) + if z > 0.99 { 1.0 } else { 0.0 });
+    assert_eq!(fails(d, &again).0, 2);
+    write_npy(&d.join("w.npy"), [37, 45, 34], waves);
+    fs::write(d.join("other.bricks"), "mine").unwrap();
+    assert_eq!(fails(d, &["brick", "w.npy", "-o", "other.bricks"]).0, 2);
     ok(d, &["brick", "w.npy", "-o", "w.bricks", "--force"]);
 }
 
@@ -564,5 +571,47 @@ fn what_is_no_regular_file_is_refused_at_once() {
         fifo(name);
         refused(&["info", "z.zarr"], "z.zarr");
         fs::remove_file(d.join(name)).unwrap();
+    }
+}
+
+/// Under any name: a link, a hard link, the raw data of a header, a file in the archive's folder.
+#[test]
+#[cfg(unix)]
+fn an_output_never_replaces_an_input() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [20, 18, 16], waves);
+    let samples: Vec<u8> = (0..20 * 18 * 16u32).flat_map(|i| ((i % 97) as f32).to_le_bytes()).collect();
+    fs::write(d.join("v.raw"), &samples).unwrap();
+    let head = "NRRD0004\ntype: float\ndimension: 3\nsizes: 20 18 16\nencoding: raw\nendian: little\ndata file: v.raw\n";
+    fs::write(d.join("v.nhdr"), head).unwrap();
+    fs::hard_link(d.join("v.raw"), d.join("hard.bricks")).unwrap();
+    std::os::unix::fs::symlink("v.raw", d.join("soft.bricks")).unwrap();
+    ok(d, &["reduce", "v.nhdr", "-o", "a.isospan", "-q"]);
+    ok(d, &["surface", "a.isospan", "-i", "40", "-o", "s.ply", "-q"]);
+    fs::write(d.join("points.csv"), "1,2,3\n").unwrap();
+    fs::copy(d.join("s.ply"), d.join("s.png")).unwrap();
+    let into = |file: &str| format!("a.isospan/{file}");
+    let before = folder(d);
+    for args in [
+        vec!["brick", "v.nhdr", "--force", "-o", "v.nhdr"],
+        vec!["brick", "v.nhdr", "--force", "-o", "v.raw"],
+        vec!["brick", "v.nhdr", "--force", "-o", "./hard.bricks"],
+        vec!["brick", "v.nhdr", "--force", "-o", "soft.bricks"],
+        vec!["surface", "a.isospan", "-i", "40", "-q", "-o", &into("s.ply")],
+        vec!["surface", "a.isospan", "-i", "40,41", "-q", "-o", &into("s_{}.ply")],
+        vec!["export", "a.isospan", "-q", "-o", &into("mesh/e.vtu")],
+        vec!["probe", "a.isospan", "--grid", "4,4,4", "-q", "-o", &into("p.vti")],
+        vec!["probe", "a.isospan", "--at", "points.csv", "-q", "-o", "points.csv"],
+        vec!["spectrum", "a.isospan", "--plot", &into("p.svg")],
+        vec!["render", "s.png", "-q", "-o", "s.png"],
+        vec!["render", "a.isospan", "-i", "40", "-q", "-o", &into("r.png")],
+        vec!["measure", "a.isospan", "--against", "v.nhdr", "-q", "--map", &into("m.vti")],
+        vec!["reduce", "a.isospan/mesh/000000.seg", "-o", "a.isospan", "--force", "-q"],
+        vec!["plan", "a.isospan/mesh/000000.seg", "-o", "a.isospan", "--force", "-q"],
+    ] {
+        let (code, text) = fails(d, &args);
+        assert!(code == 2 && text.contains("choose another name"), "{args:?}: {code}: {text}");
+        assert!(folder(d) == before, "{args:?}");
     }
 }

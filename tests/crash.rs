@@ -517,3 +517,135 @@ fn a_kill_while_a_step_is_added_to_a_mesh_leaves_the_archive_as_it_was() {
     ok(d, &append);
     assert!(folder(&archive) == folder(&d.join("whole.isospan")) && temporaries(d).is_empty());
 }
+
+/// A file above 16 MiB of which a byte changes, far from both ends: it is another file.
+#[test]
+fn a_changed_byte_in_a_large_input_is_noticed() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let side = 272usize;
+    let bytes: Vec<u8> =
+        (0..side.pow(3)).map(|i| ((i / side / side) as u8) ^ ((i % side) as u8 >> 4)).collect();
+    assert!(bytes.len() > 19 << 20);
+    let path = d.join("v.raw");
+    let layout = ["--dims", "272,272,272", "--type", "u8"];
+    let reduce =
+        [&["reduce", "-q", "v.raw", "-o", "a.isospan", "--count", "3000", "--no-measure"], &layout[..]]
+            .concat();
+    let reduce = [&reduce[..], &["--values", "sample"]].concat();
+    let plan = [&["plan", "-q"], &reduce[2..3], &["-o", "p.isospan"], &reduce[5..]].concat();
+    let append = ["append", "-q", "a.isospan", "v.raw", "--dims", "272,272,272", "--type", "u8"];
+    fs::write(&path, &bytes).unwrap();
+    ok(d, &reduce);
+    let first = folder(&d.join("a.isospan"));
+    let planned = command(d, &plan).status().unwrap();
+    assert!(planned.success());
+    ok(d, &append);
+    // Asked again, the archive ends with this very step already.
+    ok(d, &append);
+    assert_eq!(steps_of(&d.join("a.isospan")), 2);
+    let mut changed = bytes.clone();
+    // Between two of 64 evenly spaced pieces of 64 KiB.
+    changed[(10 << 20) + 230_000] ^= 1;
+    fs::write(&path, &changed).unwrap();
+    let (status, text) = end(spawn(d, &["work", "-q", "p.isospan"]));
+    assert!(status.code() == Some(5) && text.contains("not what it was when the plan was made"), "{text}");
+    ok(d, &append);
+    assert_eq!(steps_of(&d.join("a.isospan")), 3, "another step");
+    fs::remove_dir_all(d.join("a.isospan")).unwrap();
+    fs::write(&path, &bytes).unwrap();
+    ok(d, &reduce);
+    assert!(folder(&d.join("a.isospan")) == first);
+    fs::write(&path, &changed).unwrap();
+    let (status, text) = end(spawn(d, &reduce));
+    assert!(status.code() == Some(2) && text.contains("exists"), "{status}: {text}");
+    // What is as it was when it was planned, but for its times, is the same file.
+    fs::write(&path, &bytes).unwrap();
+    ok(d, &["work", "-q", "p.isospan"]);
+    assert!(command(d, &["commit", "-q", "p.isospan"]).status().unwrap().success());
+    assert!(folder(&d.join("p.isospan")) == first);
+}
+
+fn steps_of(archive: &Path) -> usize {
+    isospan::archive::manifest::Manifest::read(archive).unwrap().steps.len()
+}
+
+/// An input that is written while it is read: nothing is published, and what is stored was read before.
+#[test]
+fn an_input_that_changes_during_a_run_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [36, 34, 72], waves);
+    let original = fs::read(d.join("v.npy")).unwrap();
+    // As slices: more files than are looked at before each chunk.
+    let slice = 36 * 34 * 4;
+    for (z, bytes) in original[original.len() - 72 * slice..].chunks(slice).enumerate() {
+        fs::write(d.join(format!("s{z:03}.raw")), bytes).unwrap();
+    }
+    let header = "NRRD0004\ntype: float\ndimension: 3\nsizes: 36 34 72\nencoding: raw\nendian: little\ndata file: s%03d.raw 0 71 1 2\n";
+    fs::write(d.join("v.nhdr"), header).unwrap();
+    for (input, file) in [("v.npy", "v.npy"), ("v.nhdr", "s071.raw")] {
+        let args =
+            reduce_with("x.isospan", "1", "1GiB").into_iter().map(|a| if a == "v.npy" { input } else { a });
+        let args: Vec<&str> = args.collect();
+        ok(d, &args);
+        let expected = folder(&d.join("x.isospan"));
+        fs::remove_dir_all(d.join("x.isospan")).unwrap();
+        let before = fs::read(d.join(file)).unwrap();
+        for tries in 0.. {
+            assert!(tries < 60, "{input}: every run was done before the change");
+            let mut child = spawn(d, &args);
+            let begun =
+                || fs::read_dir(d.join("x.isospan/mesh")).is_ok_and(|mut files| files.next().is_some());
+            while !begun() && child.try_wait().unwrap().is_none() {}
+            let _ = Command::new("kill").args(["-STOP", &child.id().to_string()]).output().unwrap();
+            let mut changed = before.clone();
+            *changed.last_mut().unwrap() ^= 1;
+            fs::write(d.join(file), changed).unwrap();
+            let _ = Command::new("kill").args(["-CONT", &child.id().to_string()]).output().unwrap();
+            let (status, text) = end(child);
+            fs::write(d.join(file), &before).unwrap();
+            if status.code() == Some(5) {
+                assert!(text.trim_end().lines().count() == 1 && text.contains(file), "{text}");
+                assert!(text.contains("run the same command again"), "{text}");
+                assert!(!d.join("x.isospan/manifest.json").exists());
+                break;
+            }
+            assert!(status.success(), "{status}: {text}");
+            fs::remove_dir_all(d.join("x.isospan")).unwrap();
+        }
+        // With the bytes that it had, the run continues.
+        ok(d, &args);
+        assert!(folder(&d.join("x.isospan")) == expected, "{input}");
+        fs::remove_dir_all(d.join("x.isospan")).unwrap();
+    }
+}
+
+/// Whatever a killed commit has left is gone after the next one.
+#[test]
+fn a_commit_sweeps_what_killed_processes_have_left() {
+    let case = Case::new();
+    let d = case.path();
+    let plan = [&["plan"], &REDUCE[1..], &["w.isospan"]].concat();
+    for tries in 0.. {
+        assert!(tries < 100, "no worker was killed with a segment open");
+        assert!(command(d, &plan).status().unwrap().success());
+        let mut child = spawn(d, &["work", "-q", "w.isospan", "--threads", "1"]);
+        std::thread::sleep(case.took * (2 + tries % 9) / 12);
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let left = temporaries(&d.join("w.isospan"));
+        let Some(one) = left.first() else {
+            let _ = fs::remove_dir_all(d.join("w.isospan"));
+            continue;
+        };
+        // The same writer might have left a file that nobody will write again.
+        let name = one.file_name().unwrap().to_string_lossy().into_owned();
+        let (_, writer) = name.split_once(".tmp-").unwrap();
+        fs::write(d.join("w.isospan/steps").join(format!(".000009-index.seg.tmp-{writer}")), "left").unwrap();
+        break;
+    }
+    ok(d, &["work", "-q", "w.isospan"]);
+    assert!(command(d, &["commit", "-q", "w.isospan"]).status().unwrap().success());
+    case.same("w.isospan");
+}

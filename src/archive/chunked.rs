@@ -105,7 +105,7 @@ impl ChunkSegmentWriter {
     }
 
     /// Removes the temporary files.
-    fn discard(self) {
+    pub(crate) fn discard(self) {
         let temporary = self.segment.temporary().to_path_buf();
         self.journal.into_iter().for_each(Journal::remove);
         drop(self.segment);

@@ -1,6 +1,7 @@
 //! `isospan brick`: a bricked, mapped copy of a volume.
 
 use super::input::InputArgs;
+use super::output::expect_no_input;
 use super::progress::Talk;
 use super::text;
 use isospan::volume::bricked::BrickedVolume;
@@ -8,6 +9,8 @@ use isospan::{Error, Result, formats};
 use std::path::PathBuf;
 
 /// Copy a volume into bricks that are mapped instead of read: do it once for a compressed or slow input that is used often.
+///
+/// Where the output is the copy of this very input already, it says so.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// The volume.
@@ -29,10 +32,6 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    if args.output.exists() && !args.force {
-        let text = format!("{} exists; choose another name, or --force to replace it", args.output.display());
-        return Err(Error::usage(text));
-    }
     if formats::open_coordinates(&args.input, &args.read.options()?)?.is_some() {
         return Err(isospan::Error::usage(format!(
             "{}: a bricked copy would lose the grid's coordinates; reduce the file itself",
@@ -40,9 +39,16 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         )));
     }
     let source = formats::open_volume(&args.input, &args.read.options()?)?;
+    expect_no_input(&args.output, source.info().files().iter().chain([&args.input]))?;
     talk.detail(&args.read.io_text(&args.input));
-    let bar = talk.progress();
-    isospan::pipeline::brick(source, &args.output, args.memory, &super::signals::cancel_token(), &*bar)?;
+    let (bar, cancel) = (talk.progress(), super::signals::cancel_token());
+    let made_before = args.output.exists() && !args.force;
+    if !made_before {
+        isospan::pipeline::brick(source, &args.output, args.memory, &cancel, &*bar)?;
+    } else if !isospan::pipeline::is_bricked(source, &args.output, &cancel, &*bar)? {
+        let text = format!("{} exists; choose another name, or --force to replace it", args.output.display());
+        return Err(Error::usage(text));
+    }
     bar.end();
     let bricks = BrickedVolume::open(&args.output)?;
     let info = isospan::volume::VolumeReader::info(&bricks);
@@ -50,14 +56,15 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         std::fs::metadata(&args.output).map_err(|e| Error::io("read the size of", &args.output, e))?.len();
     if args.json {
         return super::print_json(
-            &serde_json::json!({ "file": args.output, "bytes": bytes, "dims": info.dims }),
+            &serde_json::json!({ "file": args.output, "bytes": bytes, "dims": info.dims, "made_before": made_before }),
         );
     }
     let [x, y, z] = info.dims;
     super::print(&format!(
-        "{}: {x} x {y} x {z} {}, {}\n",
+        "{}: {x} x {y} x {z} {}, {}{}\n",
         args.output.display(),
         info.field.scalar.name(),
-        text::bytes(bytes)
+        text::bytes(bytes),
+        if made_before { ": finished before, there was nothing left to make" } else { "" }
     ))
 }

@@ -8,7 +8,8 @@ use std::path::PathBuf;
 
 /// Put a planned reduction together: verify every segment, make the index, publish the manifest.
 ///
-/// Exit code 3, and a list, when segments are missing, damaged or of another plan. Deletes nothing.
+/// Exit code 3, and a list, when segments are missing, damaged or of another plan. Deletes nothing but what
+/// dead processes of this machine have left unfinished.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// The archive that was planned.

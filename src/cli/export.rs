@@ -1,6 +1,7 @@
 //! `isospan export`: the tetrahedra of an archive for other programs.
 
 use super::machine::{Machine, OutputScratch};
+use super::output::expect_no_input;
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
@@ -67,6 +68,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         scratch: args.scratch.scratch.clone(),
         cancel: super::signals::cancel_token(),
     };
+    expect_no_input(&args.output, [&args.archive])?;
     let archive = Archive::open_at(&args.archive, args.step.choice())?;
     let bar = talk.progress();
     let report = archive.write_tetrahedra(&settings, &args.output, &*bar);

@@ -2,6 +2,7 @@
 
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
+use super::output::{expect_no_input, files_of};
 use super::progress::Talk;
 use super::text;
 use isospan::Result;
@@ -47,6 +48,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         map: args.map.clone(),
         cancel: super::signals::cancel_token(),
     };
+    if let Some(map) = &args.map {
+        expect_no_input(map, files_of(&args.against, &args.read.options()?).iter().chain([&args.archive]))?;
+    }
     let bar = talk.progress();
     let report = measure(&args.archive, &args.against, &args.read.options()?, &settings, &*bar);
     bar.end();

@@ -19,6 +19,7 @@ mod input;
 mod machine;
 mod measure;
 mod misc;
+mod output;
 mod plan;
 mod probe;
 mod progress;

@@ -3,6 +3,7 @@
 use super::choices::Choices;
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
+use super::output::expect_apart;
 use super::progress::Talk;
 use super::step::StepInputs;
 use super::text;
@@ -46,6 +47,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
     let run = RunSettings { keep_going: args.steps.keep_going, ..run };
     let (steps, settings) = (args.steps.all(&args.read, talk)?, args.choices.settings()?);
+    expect_apart(&args.output, steps.iter().map(|step| &step.path))?;
     let bar = talk.progress();
     let report = plan_shards(&steps, &settings, &args.output, args.shards, &run, &*bar);
     bar.end();

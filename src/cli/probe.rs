@@ -1,6 +1,7 @@
 //! `isospan probe`: the reduced field on a grid, or at points.
 
 use super::machine::Machine;
+use super::output::expect_no_input;
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
@@ -43,6 +44,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         memory: args.machine.memory(talk),
         cancel: super::signals::cancel_token(),
     };
+    expect_no_input(&args.output, args.at.iter().chain([&args.archive]))?;
     let archive = Archive::open_at(&args.archive, args.step.choice())?;
     let bar = talk.progress();
     let report = match (args.grid, &args.at) {

@@ -3,6 +3,7 @@
 use super::choices::Choices;
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
+use super::output::expect_apart;
 use super::progress::Talk;
 use super::step::StepInputs;
 use super::{dry_run, text};
@@ -42,6 +43,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
     let run = RunSettings { keep_going: args.steps.keep_going, ..run };
     let (steps, settings) = (args.steps.all(&args.read, talk)?, args.choices.settings()?);
+    expect_apart(&args.output, steps.iter().map(|step| &step.path))?;
     if args.dry_run {
         let found = estimate_series(&steps, &settings, &args.output, &run)?;
         talk.notices(&found.notices);

@@ -3,6 +3,7 @@
 use super::figure::canvas::{Canvas, ticks};
 use super::figure::publish;
 use super::machine::Machine;
+use super::output::expect_no_input;
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
@@ -156,6 +157,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if args.output.extension().is_none_or(|e| !e.eq_ignore_ascii_case("png")) {
         return Err(Error::usage(format!("{}: a picture's name ends in .png", args.output.display())));
     }
+    expect_no_input(&args.output, args.inputs.iter().chain(&args.distance_to))?;
     let memory = args.machine.memory(talk);
     let (cancel, bar) = (super::signals::cancel_token(), talk.progress());
     let job = Job { args, memory, scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir), cancel };

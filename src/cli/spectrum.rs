@@ -1,5 +1,6 @@
 //! `isospan spectrum`: how the isosurface changes with the isovalue.
 
+use super::output::expect_no_input;
 use super::step::StepArgs;
 use super::{figure, text};
 use isospan::Result;
@@ -35,6 +36,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let format = args.plot.as_deref().map(figure::Format::of).transpose()?;
+    args.plot.iter().try_for_each(|plot| expect_no_input(plot, [&args.archive]))?;
     let name = args.archive.file_stem().unwrap_or_default().to_string_lossy();
     if args.over_time {
         let steps = spectra(&args.archive, args.steps.unwrap_or_default())?;

@@ -1,6 +1,7 @@
 //! `isospan surface`: isosurfaces out of an archive.
 
 use super::machine::{Machine, OutputScratch};
+use super::output::expect_no_input;
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
@@ -105,6 +106,7 @@ fn refine(args: &Args) -> Refine {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let format = SurfaceFormat::from_path(&args.output)?;
+    expect_no_input(&args.output, [&args.archive])?;
     let settings = SurfaceSettings {
         isovalues: args.isovalue.clone(),
         roi: args.roi,

@@ -58,8 +58,8 @@ const SLAB_BYTES: u64 = 4 << 20;
 const MOST_COORDINATES: u64 = 1 << 24;
 /// Most frames of an array.
 const MOST_FRAMES: u64 = 1 << 16;
-/// Of a large array, so many chunk files stand for all in [`VolumeInfo::data_files`].
-const LISTED: u64 = 1024;
+/// Of an array of more chunk files, so many stand for all in [`VolumeInfo::data_files`], evenly spread.
+const LISTED: u64 = 1 << 20;
 
 /// Whether a folder is a Zarr array or group.
 pub(super) fn is_zarr(folder: &Path) -> bool {
@@ -527,7 +527,7 @@ fn files(array: &Array, frame: Option<Frame>) -> Vec<PathBuf> {
     };
     let some = (0..count.min(LISTED))
         .map(|i| (u128::from(i) * u128::from(count) / u128::from(count.min(LISTED))) as u64);
-    std::iter::once(array.file.clone()).chain(some.map(place).filter(|f| f.is_file())).collect()
+    std::iter::once(array.file.clone()).chain(some.map(place)).collect()
 }
 
 /// The chunks of an array, one after the other.

@@ -1,9 +1,11 @@
 //! What a reduction is told, and what it tells: the same for volumes and meshes, for a whole archive, a shard, and further steps.
 
+use super::fingerprint::RecordedFile;
 use super::layout::Layout;
 use super::notice::Notice;
 use super::open::{OpenArchive, StepSummary};
 use super::plan::{Plan, ReduceSettings};
+use super::plan_file::PlanFile;
 use super::rounds::Round;
 use super::series::{Outcome, SeriesPlan, SkippedStep, are_there};
 use super::shard::Shard;
@@ -133,7 +135,7 @@ pub(super) enum Part<'a> {
     /// All of it: plan, segments, manifest.
     Whole,
     /// The segments of a shard, of the plan that was made before.
-    Shard(&'a Plan, Shard),
+    Shard(&'a PlanFile, Shard),
     /// Further steps of an archive, and its new manifest.
     Further(&'a OpenArchive),
 }
@@ -143,7 +145,15 @@ impl<'a> Part<'a> {
     pub(super) fn planned(&self) -> Option<&'a Plan> {
         match *self {
             Self::Whole | Self::Further(_) => None,
-            Self::Shard(planned, _) => Some(planned),
+            Self::Shard(file, _) => Some(&file.plan),
+        }
+    }
+
+    /// The files that the plan was made from.
+    pub(super) fn planned_files(&self) -> &'a [RecordedFile] {
+        match *self {
+            Self::Whole | Self::Further(_) => &[],
+            Self::Shard(file, _) => &file.files,
         }
     }
 

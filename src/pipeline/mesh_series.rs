@@ -35,7 +35,7 @@ use crate::domain::vertices::Vertices;
 use crate::error::{Error, Result};
 use crate::formats::{self, Input, OpenOptions, StepSource};
 use crate::grid::BrickGrid;
-use crate::pipeline::fingerprint::fingerprint;
+use crate::pipeline::fingerprint::{Inputs, Watch};
 use crate::points::Levels;
 use crate::sample::Interpolation;
 use std::path::PathBuf;
@@ -153,11 +153,11 @@ pub(super) fn offset_of(job: &Job<'_>) -> Result<f64> {
 }
 
 /// The mesh of a job on disk, of the first source that can be used.
-fn base_of(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<(CellMesh, CellStore)> {
+fn base_of(job: &Job<'_>, how: &StoreSettings<'_>, inputs: &mut Inputs<'_>) -> Result<(CellMesh, CellStore)> {
     let mut first_error = None;
     for (number, source) in job.sources {
         let told = |e| if job.is_several() { of_step(e, *number) } else { e };
-        match base_from(source, job, how).map_err(told) {
+        match base_from(source, job, how, inputs).map_err(told) {
             Err(e) if job.run.keep_going && job.is_several() && is_of_data(&e) => {
                 first_error.get_or_insert(e);
             }
@@ -167,8 +167,15 @@ fn base_of(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<(CellMesh, CellStor
     Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")))
 }
 
-fn base_from(source: &StepSource, job: &Job<'_>, how: &StoreSettings<'_>) -> Result<(CellMesh, CellStore)> {
+fn base_from(
+    source: &StepSource,
+    job: &Job<'_>,
+    how: &StoreSettings<'_>,
+    inputs: &mut Inputs<'_>,
+) -> Result<(CellMesh, CellStore)> {
+    inputs.watch.add(std::slice::from_ref(&source.path));
     let mesh = open_mesh_of(source)?;
+    inputs.watch.add(&mesh.info().files());
     check_job(job, &mesh)?;
     let Some(archive) = job.part.archive() else {
         let store = CellStore::build(&mesh, how)?;
@@ -184,7 +191,11 @@ fn base_from(source: &StepSource, job: &Job<'_>, how: &StoreSettings<'_>) -> Res
 
 /// Reads the mesh of a job and plans its steps.
 pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared> {
-    let (mesh, store) = base_of(job, how)?;
+    let mut inputs = job
+        .part
+        .planned()
+        .map_or_else(Inputs::default, |plan| Inputs::planned(job.part.planned_files(), plan.fingerprints()));
+    let (mesh, store) = base_of(job, how, &mut inputs)?;
     let path = &mesh.info().path;
     let mut plan = match job.part.archive() {
         None => new_plan(&mesh, &store, job.settings, how.offset)?,
@@ -199,7 +210,7 @@ pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared
         None => plan.mesh.explicit = Some(listed),
         Some(archive) => expect_listed(archive, listed)?,
     }
-    let series = plan_steps(&mesh, &store, &boundary, plan, job, how)?;
+    let series = plan_steps(&mesh, &store, &boundary, plan, (job, how, inputs))?;
     let series =
         SeriesPlan { bound: dense.bound, beside: Beside { levels: dense.levels, ..series.beside }, ..series };
     Ok(Prepared { store, series, boundary, inside: dense.inside })
@@ -262,7 +273,14 @@ fn new_plan(mesh: &CellMesh, store: &CellStore, settings: &ReduceSettings, offse
         point_hash: PlanHash(store.identity.points),
         cell_hash: PlanHash(store.identity.cells),
     };
-    let source = Source { dims: lattice.dims, geometry, offset, mesh: Some(told), ..source_of(mesh)? };
+    let source = Source {
+        dims: lattice.dims,
+        geometry,
+        offset,
+        mesh: Some(told),
+        // Each step has its own fingerprint.
+        ..source_of(mesh, String::new())?
+    };
     if let Some(adapt) = &settings.adapt {
         adapt.check(settings)?;
     }
@@ -302,8 +320,7 @@ fn plan_steps(
     store: &CellStore,
     boundary: &BoundarySamples,
     plan: Plan,
-    job: &Job<'_>,
-    how: &StoreSettings<'_>,
+    (job, how, inputs): (&Job<'_>, &StoreSettings<'_>, Inputs<'_>),
 ) -> Result<SeriesPlan> {
     let archive = job.part.archive();
     let repeated = (store.firsts.repeated > 0).then(|| Arc::clone(&store.firsts));
@@ -319,6 +336,7 @@ fn plan_steps(
         store,
         job,
         how,
+        inputs,
     };
     let mut series = SeriesPlan {
         plan: Plan { steps: vec![], ..plan },
@@ -328,6 +346,7 @@ fn plan_steps(
         keyframes: job.settings.keyframes,
         beside: Beside { explicit: Some(Arc::clone(&boundary.points)), levels: None, repeated },
         bound: None,
+        watch: Watch::default(),
     };
     let mut first_error = None;
     for (number, source) in job.sources {
@@ -348,6 +367,7 @@ fn plan_steps(
     if series.plan.steps.is_empty() {
         return Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")));
     }
+    series.watch = planner.inputs.watch;
     if !archive.is_some_and(|archive| are_there(archive, &series.plan.steps)) {
         series.connect()?;
     }
@@ -372,6 +392,7 @@ struct StepPlanner<'a> {
     store: &'a CellStore,
     job: &'a Job<'a>,
     how: &'a StoreSettings<'a>,
+    inputs: Inputs<'a>,
 }
 
 impl StepPlanner<'_> {
@@ -385,6 +406,8 @@ impl StepPlanner<'_> {
     }
 
     fn step(&mut self, number: u64, source: &StepSource) -> Result<StepPlan> {
+        // Before its head is read.
+        self.inputs.watch.add(std::slice::from_ref(&source.path));
         let mesh = match self.last.as_ref().and_then(|last| last.of(source)) {
             Some(mesh) => mesh?,
             None => open_mesh_of(source)?,
@@ -399,7 +422,8 @@ impl StepPlanner<'_> {
             (self.read.path, self.read.stored) = (mesh.info().path.clone(), stored);
         }
         self.common.check(&mesh, self.read.identity)?;
-        let told = source_of(&mesh)?;
+        let fingerprint = self.inputs.fingerprint(number, &mesh.info().files(), self.how.cancel)?;
+        let told = source_of(&mesh, fingerprint)?;
         let source_record = Source {
             path: told.path,
             fingerprint: told.fingerprint,
@@ -431,11 +455,11 @@ fn quantiser(values: &Column<f32>, settings: &ReduceSettings) -> Result<Option<Q
 }
 
 /// What the file tells; lattice and geometry follow when it has been read.
-fn source_of(mesh: &CellMesh) -> Result<Source> {
+fn source_of(mesh: &CellMesh, fingerprint: String) -> Result<Source> {
     let (info, field) = (mesh.info(), mesh.field()?);
     Ok(Source {
         path: info.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
-        fingerprint: fingerprint(&info.files())?,
+        fingerprint,
         format: info.format.clone(),
         dims: [2; 3],
         scalar: field.scalar,

@@ -91,7 +91,7 @@ pub use probe::{ProbeReport, ProbeSettings};
 pub use query::{
     CountReport, OneSurface, SurfaceReport, SurfaceSettings, count_active, count_active_at, extract_surface,
 };
-pub use reduce::{brick, estimate, estimate_series, reduce, reduce_series};
+pub use reduce::{brick, estimate, estimate_series, is_bricked, reduce, reduce_series};
 pub use refine::{Refine, RefineReport};
 pub use roi::{Roi, RoiSpace};
 pub use scan::{Scan, scan};

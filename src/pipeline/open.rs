@@ -34,7 +34,7 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// Whether `path` is an archive: a folder with a manifest. Nothing else is read from an object store or a web server.
 pub fn is_archive(path: &Path) -> bool {
-    is_remote(path) || path.is_dir() && path.join(MANIFEST_NAME).is_file()
+    is_remote(path) || path.is_dir() && path.join(MANIFEST_NAME).exists()
 }
 
 /// A level of density.

@@ -23,6 +23,7 @@ use crate::points::{Levels, PointSet, PointSpec, SetKind, SetSettings};
 use crate::sample::{Interpolation, Values};
 use crate::volume::VolumeInfo;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// How many points.
@@ -124,6 +125,15 @@ impl Plan {
     /// # Errors
     /// [`Error::Usage`] for settings that cannot be met; [`Error::Io`] when the source cannot be read.
     pub fn new(info: &VolumeInfo, settings: &ReduceSettings) -> Result<Self> {
+        Self::with_fingerprint(info, settings, fingerprint(&info.files())?)
+    }
+
+    /// As [`Plan::new`], of a volume whose files were hashed already.
+    pub(super) fn with_fingerprint(
+        info: &VolumeInfo,
+        settings: &ReduceSettings,
+        fingerprint: String,
+    ) -> Result<Self> {
         let lattice = Lattice::new(info.dims).map_err(|e| {
             Error::bad_input(&info.path, "dimensions", "2 to 2^24 + 1 samples along each axis", e.to_string())
         })?;
@@ -146,7 +156,7 @@ impl Plan {
                 info.path.display()
             )));
         }
-        Self::on_lattice(lattice, count, source_of(info, fingerprint(&info.files())?), settings)
+        Self::on_lattice(lattice, count, source_of(info, fingerprint), settings)
     }
 
     /// A plan of so many points on a lattice.
@@ -266,6 +276,11 @@ impl Plan {
     /// The hash that the value and index segments of the `n`-th step of the plan carry.
     pub fn step_hash(&self, n: usize) -> PlanHash {
         self.steps[n].hash(self.mesh_hash())
+    }
+
+    /// The fingerprints of the sources, by the numbers of their steps.
+    pub(super) fn fingerprints(&self) -> BTreeMap<u64, &str> {
+        self.steps.iter().map(|step| (step.number, &*step.source.fingerprint)).collect()
     }
 
     /// A hash of all steps.

@@ -12,9 +12,14 @@
 //! worker makes the plan again from the input that it finds and refuses to work when the two differ: then the input has
 //! changed, or is another. It also refuses a plan of another version of the program, for versions may differ in bytes.
 //!
+//! Of the files of the input it has lengths and times of change: a worker that finds the same ones does not read them all
+//! to hash them.
+//!
 //! The file is written once and never changed: JSON, its last member a checksum of all bytes before it, as in a manifest.
 
 use super::beside::Beside;
+use super::fingerprint::{Inputs, RecordedFile, Watch};
+use super::job::RunSettings;
 use super::plan::{Plan, ReduceSettings};
 use super::repair;
 use super::series::{PlannedSource, SeriesPlan, SkippedStep};
@@ -23,12 +28,12 @@ use crate::archive::publish::Unpublished;
 use crate::archive::segment::PlanHash;
 use crate::bytes::read_whole;
 use crate::error::{Error, Result};
-use crate::formats::{OpenOptions, StepSource};
+use crate::formats::{self, Input, OpenOptions, StepSource};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 const FORMAT: &str = "isospan plan";
-const FORMAT_VERSION: u16 = 1;
+const FORMAT_VERSION: u16 = 2;
 /// The most bytes of a plan: paths, settings, and a record for each step.
 const LARGEST_PLAN: u64 = 1 << 28;
 const HELP: &str = "the plan was damaged or edited: make it again with isospan plan --force";
@@ -63,6 +68,8 @@ pub(super) struct PlanFile {
     isospan_version: String,
     /// Where each step of the plan comes from; paths are absolute.
     sources: Vec<StepSource>,
+    /// The files of all steps, by ascending paths.
+    pub(super) files: Vec<RecordedFile>,
     /// Steps that could not be used when the plan was made.
     skipped: Vec<SkippedStep>,
     pub(super) settings: ReduceSettings,
@@ -93,13 +100,15 @@ impl PlanFile {
         if settings.missing.is_some_and(|m| !m.is_finite()) {
             return Err(Error::usage("--missing of a plan is a finite number; NaN is always missing"));
         }
-        let SeriesPlan { plan, sources, skipped, .. } = series;
+        let SeriesPlan { plan, sources, skipped, watch, .. } = series;
+        watch.check()?;
         let sources = sources.into_iter().map(|s| with_absolute_paths(s.source)).collect::<Result<_>>()?;
         Ok(Self {
             format: FORMAT.into(),
             format_version: FORMAT_VERSION,
             isospan_version: env!("CARGO_PKG_VERSION").into(),
             sources,
+            files: watch.records(),
             skipped,
             settings: settings.clone(),
             mesh_hash: plan.mesh_hash(),
@@ -137,7 +146,30 @@ impl PlanFile {
             keyframes: self.settings.keyframes,
             beside: Beside::default(),
             bound: None,
+            watch: Watch::default(),
         }
+    }
+
+    /// Refuses inputs that are not those of the plan; the watch is of their files.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] that names one.
+    pub(super) fn expect_same_inputs(&self, run: &RunSettings) -> Result<Watch> {
+        let mut inputs = Inputs::planned(&self.files, self.plan.fingerprints());
+        for (step, source) in self.plan.steps.iter().zip(&self.sources) {
+            let files = match formats::open_input(&source.path, &source.options)? {
+                Input::Volume(volume) => volume.info().files(),
+                Input::Mesh(mesh) => mesh.info().files(),
+            };
+            let found = inputs.fingerprint(step.number, &files, &run.cancel)?;
+            if found != step.source.fingerprint {
+                let expected = format!("fingerprint {}", step.source.fingerprint);
+                return Err(Error::bad_input(&source.path, "file", expected, found).with_help(
+                    "the file is not what it was when the plan was made: restore it, or plan again with --force",
+                ));
+            }
+        }
+        Ok(inputs.watch)
     }
 
     /// Writes the plan of an archive. One that is there stays what it is, unless it is to be replaced.
@@ -148,7 +180,7 @@ impl PlanFile {
         let path = plan_path(archive);
         if !replace && path.exists() {
             return match Self::read(archive) {
-                Ok(there) if there == *self => Ok(()),
+                Ok(there) if self.is_alike(&there) => Ok(()),
                 _ => Err(Error::usage(format!(
                     "{} is another plan; choose another name, or --force to replace it",
                     path.display()
@@ -160,6 +192,11 @@ impl PlanFile {
         let mut out = Unpublished::create(&path)?;
         out.write(sealed_text(self).as_bytes())?;
         out.publish()
+    }
+
+    /// Whether two plans differ at most in the times of change of their files, which a copy has anew.
+    fn is_alike(&self, other: &Self) -> bool {
+        Self { files: self.files.clone(), ..other.clone() } == *self
     }
 
     /// Reads the plan of an archive.

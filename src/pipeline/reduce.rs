@@ -51,6 +51,26 @@ pub fn brick(
     brick_with(BrickedVolume::build, source, out, memory, cancel, progress)
 }
 
+/// Whether the file at `out` is the bricked copy of a volume, sample by sample.
+///
+/// # Errors
+/// Those of reading the volume; a file that holds no bricks is none.
+pub fn is_bricked(
+    source: VolumeSource,
+    out: &Path,
+    cancel: &CancelToken,
+    progress: &dyn Progress,
+) -> Result<bool> {
+    let Ok(bricks) = BrickedVolume::open(out) else { return Ok(false) };
+    progress.begin("compare", source.info().dims.iter().product(), "samples");
+    let mut before = 0;
+    let stream = Box::new(Stoppable { stream: source.into_stream(), cancel: cancel.clone() });
+    bricks.is_copy_of(stream, &mut |done| {
+        progress.advance(done - before);
+        before = done;
+    })
+}
+
 /// A function that copies a stream to a file, in so much memory, telling the samples done.
 type BuildBricks = fn(Box<dyn SlabStream>, &Path, usize, &mut dyn FnMut(u64)) -> Result<()>;
 
@@ -209,6 +229,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
         archive: job.part.archive(),
         out: Some(job.out),
         round: job.round,
+        files: job.part.planned_files(),
     };
     let series = plan_volumes(job.sources, job.settings, job.run, known)?;
     job.part.expect_planned(&series)?;
@@ -375,6 +396,7 @@ impl Publishing<'_> {
             return Err(Error::io("add steps to", layout.root(), std::io::Error::other(text)));
         }
         layout.sync()?;
+        series.watch.check()?;
         let manifest = made.manifest(plan);
         if repair::lacks_files(layout.root(), &manifest) {
             let text = "another run has removed files meanwhile: run the same command again";

@@ -16,6 +16,7 @@ use super::beside::Beside;
 use super::chunk::Recipe;
 use super::commit::record;
 use super::field::Field;
+use super::fingerprint::Watch;
 use super::gauge::{Gauge, Samples};
 use super::job::RunSettings;
 use super::layout::Layout;
@@ -109,6 +110,8 @@ pub(super) struct SeriesPlan {
     pub(super) beside: Beside,
     /// The error that is wanted, in units of the field.
     pub(super) bound: Option<f64>,
+    /// The files of all steps, which must not change until all is made.
+    pub(super) watch: Watch,
 }
 
 impl SeriesPlan {
@@ -363,6 +366,7 @@ impl Making<'_> {
             pool: &pool(shares.workers)?,
             shares: *shares,
             rooms: &rooms,
+            watch: &series.watch,
             cancel: &self.run.cancel,
             progress: self.progress,
         });

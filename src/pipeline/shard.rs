@@ -16,6 +16,7 @@
 //! of a tetrahedral mesh are made by each of them, in its own `scratch`: nothing is shared between machines but the archive.
 
 use super::beside::Beside;
+use super::fingerprint::Watch;
 use super::inspect::{Depth, SegmentState};
 use super::job::{Job, Part, ReduceReport, RunSettings, finished, threads};
 use super::layout::Layout;
@@ -25,7 +26,7 @@ use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::plan_file::{Cut, PlanFile, plan_path};
 use super::reduce::{self, Publishing, grid_coordinates, numbered, prepare_folder};
 use super::repair;
-use super::series::Outcome;
+use super::series::{Outcome, SeriesPlan};
 use super::status::Inventory;
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
 use crate::error::{Error, Result};
@@ -234,7 +235,7 @@ pub fn work_shard(
     if done.all(|f| inventory.look(&f, Depth::All) == SegmentState::Whole) {
         return Ok(report(0, vec![]));
     }
-    let part = Part::Shard(&file.plan, shard);
+    let part = Part::Shard(&file, shard);
     // The plan says which steps there are: a worker leaves none out.
     let run = RunSettings { replace: false, keep_going: false, ..run.clone() };
     let (sources, settings) = (&file.numbered(), &file.settings);
@@ -256,7 +257,8 @@ fn expect_no_other_archive(out: &Path, file: &PlanFile) -> Result<()> {
     Err(Error::usage(format!("{} {text}", out.display())))
 }
 
-/// Verifies every segment of a plan and publishes the archive: index, then manifest. Deletes nothing.
+/// Verifies every segment of a plan and publishes the archive: index, then manifest. Deletes nothing but what
+/// dead processes of this machine have left unfinished.
 ///
 /// # Errors
 /// [`Error::Incomplete`] with each segment that is missing, damaged or of another plan.
@@ -278,10 +280,15 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
     let seconds = vec![("verify".to_owned(), verified)];
     let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
     let measure = file.settings.measure;
-    let series = file.into_series();
+    // Of a mesh its vertices are read once more, to measure; of a volume workers have done that.
+    let is_read = measure && file.plan.first().source.mesh.is_some();
+    let watch = if is_read { file.expect_same_inputs(run)? } else { Watch::default() };
+    let series = SeriesPlan { watch, ..file.into_series() };
     let made = Outcome { coordinates: grid_coordinates(&series, &layout)?, ..Outcome::default() };
     let publishing = Publishing { parts: &mesh, layout: &layout, old: None, measure, workers, run, progress };
     let report = publishing.publish(&series, made, report)?;
+    // What commits and workers of this machine have left that were killed.
+    reduce::sweep(&layout);
     if root != out {
         reduce::replace_archive(&root, out)?;
     }

@@ -1,5 +1,6 @@
 //! The files of a segment while they are made: the mesh, and the values of each step.
 
+use super::fingerprint::Watch;
 use super::inspect::{Depth, SegmentState, inspect};
 use super::layout::Layout;
 use super::make::Product;
@@ -152,8 +153,14 @@ impl Sink {
         Ok(())
     }
 
-    pub(super) fn finish(mut self) -> Result<StageTimes> {
+    /// Publishes the files; where the input has changed meanwhile, removes them.
+    pub(super) fn finish(mut self, watch: &Watch) -> Result<StageTimes> {
         let start = Instant::now();
+        if let Err(e) = watch.check() {
+            let writers = self.files.into_iter().filter_map(|(_, writer)| writer);
+            writers.for_each(ChunkSegmentWriter::discard);
+            return Err(e);
+        }
         for writer in self.files.into_iter().filter_map(|(_, writer)| writer) {
             writer.finish()?;
         }

@@ -3,7 +3,7 @@
 use super::adapt::Errors;
 use super::beside::Beside;
 use super::field::Field;
-use super::fingerprint::fingerprint;
+use super::fingerprint::{Inputs, RecordedFile};
 use super::grid_field::GridField;
 use super::job::{RunSettings, scratch_folder};
 use super::open::OpenArchive;
@@ -81,8 +81,7 @@ struct Planner<'a> {
     errors: Option<Errors<'a>>,
     beside: Beside,
     bound: Option<f64>,
-    /// The files that were hashed last, which may hold many steps.
-    hashed: (Vec<PathBuf>, String),
+    inputs: Inputs<'a>,
     /// What is subtracted from the values of all steps, once it is known.
     offset: Option<f64>,
     /// The packed file that was read last to find what is lost.
@@ -100,6 +99,8 @@ pub(super) struct Known<'a> {
     pub(super) out: Option<&'a Path>,
     /// Of a search: how dense points are to be.
     pub(super) round: Option<&'a Round>,
+    /// Of a plan that was made before: the files that it was made from.
+    pub(super) files: &'a [RecordedFile],
 }
 
 /// The most steps of a series that are read to find where points are needed: these, evenly spread.
@@ -114,7 +115,7 @@ pub(super) fn plan_volumes(
     known: Known<'_>,
 ) -> Result<SeriesPlan> {
     let before = known.archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone());
-    let Known { planned: plan_before, archive, out, round } = known;
+    let Known { planned: plan_before, archive, out, round, files } = known;
     let mut planner = Planner {
         settings,
         run,
@@ -125,7 +126,7 @@ pub(super) fn plan_volumes(
         errors: None,
         beside: Beside::default(),
         bound: None,
-        hashed: Default::default(),
+        inputs: plan_before.map_or_else(Inputs::default, |plan| Inputs::planned(files, plan.fingerprints())),
         offset: None,
         looked_into: None,
     };
@@ -153,7 +154,7 @@ pub(super) fn plan_volumes(
         }
     }
     planner.set_levels(out)?;
-    let (beside, bound) = (planner.beside, planner.bound);
+    let (beside, bound, watch) = (planner.beside, planner.bound, planner.inputs.watch);
     let Some(plan) = planner.plan.filter(|_| !steps.is_empty()) else {
         return Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")));
     };
@@ -165,6 +166,7 @@ pub(super) fn plan_volumes(
         keyframes: settings.keyframes,
         beside,
         bound,
+        watch,
     };
     skipped.into_iter().for_each(|(number, source, reason)| series.skip(number, source, reason));
     share_copies(&mut series)?;
@@ -254,6 +256,8 @@ impl Planner<'_> {
     }
 
     fn step(&mut self, number: u64, source: &StepSource, look: bool) -> Result<(StepPlan, PlannedSource)> {
+        // Before its head is read.
+        self.inputs.watch.add(std::slice::from_ref(&source.path));
         let Input::Volume(volume) = formats::open_input(&source.path, &source.options)? else {
             return Err(Error::bad_input(
                 &source.path,
@@ -263,12 +267,12 @@ impl Planner<'_> {
             ));
         };
         let info = volume.info().clone();
-        let fingerprint = self.fingerprint(&info)?;
+        let fingerprint = self.inputs.fingerprint(number, &info.files(), &self.run.cancel)?;
         let coordinates = coordinate_hash(source, info.dims)?;
         match &self.common {
             Some(common) => common.check(&info, coordinates)?,
             None => {
-                self.plan = Some(Plan::new(&info, self.settings)?);
+                self.plan = Some(Plan::with_fingerprint(&info, self.settings, fingerprint.clone())?);
                 let (dims, geometry) = (info.dims, info.geometry);
                 self.common = Some(Common { step: number, dims, geometry, coordinates });
             }
@@ -301,14 +305,6 @@ impl Planner<'_> {
             base: None,
         };
         Ok((step, PlannedSource { source: source.clone(), copied, shared_copy: 0, copying }))
-    }
-
-    fn fingerprint(&mut self, info: &VolumeInfo) -> Result<String> {
-        let files = info.files();
-        if self.hashed.0 != files {
-            self.hashed = (files.clone(), fingerprint(&files)?);
-        }
-        Ok(self.hashed.1.clone())
     }
 
     /// How samples are read, once the offset is known.

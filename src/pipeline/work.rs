@@ -14,6 +14,7 @@
 
 use super::chunk::Recipe;
 use super::field::Field;
+use super::fingerprint::Watch;
 use super::gauge::{Gauge, Samples};
 use super::layout::Layout;
 use super::make::{Product, Rooms, make_chunk};
@@ -99,6 +100,8 @@ pub(crate) struct Work<'a> {
     pub(crate) pool: &'a rayon::ThreadPool,
     pub(crate) shares: Shares,
     pub(crate) rooms: &'a Rooms,
+    /// The files that are read, which must not change.
+    pub(super) watch: &'a Watch,
     pub(crate) cancel: &'a CancelToken,
     pub(crate) progress: &'a dyn Progress,
 }
@@ -205,10 +208,10 @@ fn write_in_order(
             let product = product?;
             let (mut sink, missing) = match open.take() {
                 Some(open) => open,
-                None => {
-                    next_sink(sinks, &mut times)?.expect("a segment is opened before its chunks are sent")
-                }
+                None => next_sink(work, sinks, &mut times)?
+                    .expect("a segment is opened before its chunks are sent"),
             };
+            work.watch.check_few()?;
             sink.write(&product)?;
             work.progress.advance(product.points);
             drop(permit);
@@ -221,7 +224,7 @@ fn write_in_order(
                 taken.pass(passed.id);
             }
             if missing == 1 {
-                times.add(&sink.finish()?);
+                times.add(&sink.finish(work.watch)?);
             } else {
                 open = Some((sink, missing - 1));
             }
@@ -231,18 +234,22 @@ fn write_in_order(
     if open.is_none() {
         // Segments whose chunks were all there, but not under their names yet. Where one comes that misses chunks, the
         // feeder has stopped, and says why.
-        next_sink(sinks, &mut times)?;
+        next_sink(work, sinks, &mut times)?;
     }
     Ok(times)
 }
 
 /// The next segment with missing chunks; those without are finished.
-fn next_sink(sinks: &channel::Receiver<(Sink, u64)>, times: &mut StageTimes) -> Result<Option<(Sink, u64)>> {
+fn next_sink(
+    work: &Work<'_>,
+    sinks: &channel::Receiver<(Sink, u64)>,
+    times: &mut StageTimes,
+) -> Result<Option<(Sink, u64)>> {
     while let Ok((sink, missing)) = sinks.recv() {
         if missing > 0 {
             return Ok(Some((sink, missing)));
         }
-        times.add(&sink.finish()?);
+        times.add(&sink.finish(work.watch)?);
     }
     Ok(None)
 }

@@ -165,6 +165,27 @@ impl BrickedVolume {
         build::build(stream, out, max_buffer_bytes, build::Lasting::Scratch, progress)
     }
 
+    /// Whether this is the bricked copy of what a stream reads: the same header, the same samples. Cost: reading both.
+    ///
+    /// # Errors
+    /// Those of the stream, and of reading this file.
+    pub fn is_copy_of(&self, mut stream: Box<dyn SlabStream>, progress: &mut dyn FnMut(u64)) -> Result<bool> {
+        if build::header_of(stream.info()) != read_header(&self.source)?.0 {
+            return Ok(false);
+        }
+        let (mut theirs, mut ours, mut done) = (vec![], vec![], 0);
+        while let Some(voxels) = stream.next_slab(&mut theirs)? {
+            ours.resize(theirs.len(), 0);
+            self.read_stored(voxels, &mut ours)?;
+            if ours != theirs {
+                return Ok(false);
+            }
+            done += voxels.len() as u64;
+            progress(done);
+        }
+        Ok(true)
+    }
+
     /// Opens a bricked file in the I/O mode that suits its file system. Reads header and footer, no samples.
     ///
     /// # Errors

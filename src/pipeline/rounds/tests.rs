@@ -124,6 +124,7 @@ fn made_again(archive: &Path, sources: &[StepSource], values: Values, out: &Path
         keyframes: settings.keyframes,
         beside: Beside::default(),
         bound: None,
+        watch: Default::default(),
     };
     let chunks = manifest.counts.chunks;
     let file =

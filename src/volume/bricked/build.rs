@@ -56,7 +56,7 @@ pub(super) fn build(
     }
 }
 
-fn header_of(info: &VolumeInfo) -> Header {
+pub(super) fn header_of(info: &VolumeInfo) -> Header {
     let name = info.path.file_name().map(|n| n.to_string_lossy().into_owned());
     Header {
         dims: info.dims,
