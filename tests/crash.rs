@@ -169,12 +169,12 @@ fn signals_stop_a_run_in_a_state_that_continues() {
     let case = Case::new();
     let signals =
         [("TERM", Signal::TERM), ("INT", Signal::INT), ("USR1", Signal::USR1), ("XCPU", Signal::XCPU)];
-    for (n, (name, sent)) in (3u32..).zip(signals) {
+    for (n, (name, number)) in (3u32..).zip(signals) {
         let out = format!("{name}.isospan");
         let stopped = (0..60u32).find_map(|tries| {
             let child = spawn(case.path(), &reduce_to(&out));
             std::thread::sleep(case.took * (1 + (n + 2 * tries) % 11) / 12);
-            signal(&child, sent);
+            signal(&child, number);
             let (status, text) = end(child);
             if status.code() == Some(75) {
                 return Some((status, text));
@@ -202,9 +202,10 @@ fn a_second_interrupt_ends_a_run_at_once() {
         let child = spawn(case.path(), &reduce_to("i.isospan"));
         std::thread::sleep(case.took * (2 + tries % 7) / 10);
         // Time between the two to be seen as two, and too little for the run to end by itself, most often.
-        send_signal(child.id(), Signal::INT);
-        std::thread::sleep(Duration::from_millis(u64::from(tries) % 5 + 1));
-        send_signal(child.id(), Signal::INT);
+        for pause in [u64::from(tries % 5 + 1), 0] {
+            send_signal(child.id(), Signal::INT);
+            std::thread::sleep(Duration::from_millis(pause));
+        }
         let (status, text) = end(child);
         if status.signal() == Some(2) {
             assert_eq!(text, "", "ended by the signal, and by nothing else");
@@ -303,9 +304,10 @@ fn no_room_is_one_line_and_resumable() {
     }
 }
 
-/// The same with a real full file system, where this process may mount one.
+/// The same with a real full file system.
 #[test]
 #[cfg(target_os = "linux")]
+#[ignore = "mounts a file system, which wants root; tools/check runs it"]
 fn a_full_file_system_is_one_line_and_resumable() {
     let case = Case::new();
     // A small file system that only the shell and its children see; it fills up while the run, asleep, has a segment open.
@@ -327,10 +329,7 @@ fn a_full_file_system_is_one_line_and_resumable() {
         .current_dir(case.path())
         .output();
     let code = fs::read_to_string(case.path().join("full.code")).unwrap_or_default();
-    if code.is_empty() {
-        eprintln!("skipped: no right to mount a file system: {out:?}");
-        return;
-    }
+    assert!(!code.is_empty(), "no right to mount a file system? {out:?}");
     let text = fs::read_to_string(case.path().join("full.err")).unwrap();
     assert_eq!(code, "4\n0\n", "{text}");
     assert!(text.trim_end().lines().count() == 1 && text.contains("No space left"), "{text}");
@@ -338,7 +337,7 @@ fn a_full_file_system_is_one_line_and_resumable() {
     case.same("full.isospan");
 }
 
-/// Folders that cannot be written to: a file in the place of one, and, unless permissions do not bind us, a read-only one.
+/// Folders that cannot be written to: a file in the place of one, and a read-only one.
 #[test]
 fn targets_that_cannot_be_written_are_one_line() {
     use std::os::unix::fs::PermissionsExt;
@@ -349,12 +348,20 @@ fn targets_that_cannot_be_written_are_one_line() {
     let locked = dir.path().join("locked");
     fs::create_dir(&locked).unwrap();
     fs::set_permissions(&locked, fs::Permissions::from_mode(0o555)).unwrap();
-    let binding = fs::write(locked.join("probe"), "x").is_err();
-    if !binding {
-        eprintln!("skipped in part: permissions do not bind this user");
-    }
-    let folders = if binding { &["file", "locked"][..] } else { &["file"] };
-    for folder in folders {
+    // Root is bound by permissions once its capabilities are gone, which setpriv of util-linux takes.
+    let bound = fs::write(locked.join("probe"), "x").is_err();
+    let run = |args: &[&str]| match bound {
+        true => spawn(dir.path(), args),
+        false => Command::new("setpriv")
+            .current_dir(dir.path())
+            .args(["--inh-caps=-all", "--bounding-set=-all", env!("CARGO_BIN_EXE_isospan")])
+            .args(args)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap(),
+    };
+    for folder in ["file", "locked"] {
         for args in [
             ["reduce", "-q", "v.npy", "-o", &format!("{folder}/x.isospan")].map(str::to_owned).to_vec(),
             ["brick", "v.npy", "-o", &format!("{folder}/x.bricks")].map(str::to_owned).to_vec(),
@@ -363,7 +370,7 @@ fn targets_that_cannot_be_written_are_one_line() {
                 .to_vec(),
         ] {
             let args: Vec<&str> = args.iter().map(String::as_str).collect();
-            let (status, text) = end(spawn(dir.path(), &args));
+            let (status, text) = end(run(&args));
             assert!(matches!(status.code(), Some(1 | 2)), "{args:?}: {status}: {text}");
             assert!(text.trim_end().lines().count() == 1 && text.contains(folder), "{text}");
         }

@@ -19,6 +19,59 @@ fn ok(dir: &Path, args: &[&str]) -> (String, String) {
     (stdout, stderr)
 }
 
+/// Others of a machine do not read what one user's data is copied to; what the user asks for has the usual permissions.
+#[test]
+#[cfg(target_os = "linux")]
+fn copies_in_the_scratch_folder_are_private() {
+    use std::os::unix::fs::PermissionsExt;
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    fs::create_dir(d.join("scratch")).unwrap();
+    write_npy(&d.join("w.npy"), [200, 200, 200], waves);
+    let plain = fs::read(d.join("w.npy")).unwrap();
+    let mut packed = flate2::write::GzEncoder::new(
+        fs::File::create(d.join("w.raw.gz")).unwrap(),
+        flate2::Compression::fast(),
+    );
+    std::io::Write::write_all(&mut packed, &plain[plain.len() - 4 * 200 * 200 * 200..]).unwrap();
+    packed.finish().unwrap();
+    // While it is copied the copy has a name; it is looked at from outside, again and again.
+    let mut seen = vec![];
+    for _ in 0..20 {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_isospan"))
+            .current_dir(d)
+            .args([
+                "reduce",
+                "-q",
+                "w.raw.gz",
+                "--dims",
+                "200,200,200",
+                "--type",
+                "f32",
+                "--fraction",
+                "1/64",
+                "--no-measure",
+            ])
+            .args(["--memory", "40MiB", "--scratch", "scratch", "--force", "-o", "w.isospan"])
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        while child.try_wait().unwrap().is_none() {
+            for entry in fs::read_dir(d.join("scratch")).unwrap().flatten() {
+                seen.extend(entry.metadata().map(|about| about.permissions().mode() & 0o777));
+            }
+        }
+        assert!(child.wait().unwrap().success());
+        if !seen.is_empty() {
+            break;
+        }
+    }
+    assert!(!seen.is_empty() && seen.iter().all(|&mode| mode == 0o600), "{seen:?}");
+    let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
+    fs::write(d.join("usual"), "").unwrap();
+    assert_eq!(mode(&d.join("w.isospan/manifest.json")), mode(&d.join("usual")));
+}
+
 #[test]
 fn mapped_and_read_files_give_the_same() {
     let dir = tempfile::tempdir().unwrap();

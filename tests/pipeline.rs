@@ -181,20 +181,28 @@ fn interpolations_differ_and_all_work() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("waves.npy");
     write_npy(&input, [24, 24, 24], waves);
-    for interpolation in
-        [Interpolation::Linear, Interpolation::Cubic, Interpolation::CubicThesis, Interpolation::Nearest]
-    {
+    let all =
+        [Interpolation::Linear, Interpolation::Cubic, Interpolation::CubicThesis, Interpolation::Nearest];
+    // Values at the same points: the field's own, and what each interpolation makes of the samples around.
+    let errors = all.map(|interpolation| {
         let out = dir.path().join(format!("{}.isospan", interpolation.name()));
-        let values = Values::usual(interpolation);
-        let settings = ReduceSettings {
-            interpolation,
-            values,
-            amount: Amount::Count(5_000),
-            ..ReduceSettings::default()
-        };
+        let settings =
+            ReduceSettings { interpolation, ..settings(SetKind::Halton, Amount::Count(5_000), 250_000) };
         reduce(&input, &settings, &out, 2);
         pipeline::check_archive(&out).unwrap();
-    }
+        let archive = isospan::Archive::open(&out).unwrap();
+        let surface = archive.surface(0.1).unwrap();
+        assert!(surface.vertices.len() > 500, "{}", interpolation.name());
+        let off = |v: &isospan::surface::Vertex| {
+            let [x, y, z] = v.position.map(|c| 2.0 * f64::from(c) / 23.0 - 1.0);
+            (waves(x, y, z) - 0.1).powi(2)
+        };
+        let squares: f64 = surface.vertices.iter().map(off).sum();
+        (squares / surface.vertices.len() as f64).sqrt()
+    });
+    let [linear, cubic, thesis, nearest] = errors;
+    assert!(cubic < linear && thesis < linear && linear < nearest / 2.0, "{errors:?}");
+    assert!(cubic != thesis, "{errors:?}");
 }
 
 #[test]

@@ -219,6 +219,7 @@ fn appending_is_reducing_all_at_once() {
 
 /// On a mesh: fields of one file that come later, and files.
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn appending_to_a_mesh_is_reducing_all_at_once() {
     let dir = tempfile::tempdir().unwrap();
     let field = |name: &str| OpenOptions { field: Some(name.into()), ..OpenOptions::default() };
@@ -244,17 +245,15 @@ fn appending_to_a_mesh_is_reducing_all_at_once() {
         pipeline::check_archive(&out("grown.isospan")).unwrap();
     };
     let settings = ReduceSettings { amount: Amount::Fraction(1.0), ..few_points() };
-    if let Some(path) = shared_series("monodomain3d_tet_51steps.vtu") {
-        let steps = isospan::formats::steps_of(&[path], &field("V_*")).unwrap();
-        grow(&steps, &[20, 21, 51], &settings);
-        let rounded = ReduceSettings { value_bits: Some(12), ..settings.clone() };
-        grow(&steps[..8], &[3, 8], &rounded);
-    }
-    if let Some(folder) = shared_series("heart_activation") {
-        let steps = isospan::formats::steps_of(&[folder.join("*.vtu")], &field("activation")).unwrap();
-        let quadratic = ReduceSettings { interpolation: Interpolation::Quadratic, ..settings };
-        grow(&steps, &[1, 3, 5], &quadratic);
-    }
+    let path = shared_series("monodomain3d_tet_51steps.vtu");
+    let steps = isospan::formats::steps_of(&[path], &field("V_*")).unwrap();
+    grow(&steps, &[20, 21, 51], &settings);
+    let rounded = ReduceSettings { value_bits: Some(12), ..settings.clone() };
+    grow(&steps[..8], &[3, 8], &rounded);
+    let folder = shared_series("heart_activation");
+    let steps = isospan::formats::steps_of(&[folder.join("*.vtu")], &field("activation")).unwrap();
+    let quadratic = ReduceSettings { interpolation: Interpolation::Quadratic, ..settings };
+    grow(&steps, &[1, 3, 5], &quadratic);
 }
 
 /// As one reduction of the good steps, under their own numbers.
@@ -424,11 +423,12 @@ fn the_same_reduction_makes_what_is_missing() {
     }
 }
 
-fn shared_series(name: &str) -> Option<PathBuf> {
-    shared_data().map(|d| d.join("series").join(name)).filter(|p| p.exists())
+fn shared_series(name: &str) -> PathBuf {
+    shared_data().join("series").join(name)
 }
 
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn frames_and_patterns_of_real_data() {
     let dir = tempfile::tempdir().unwrap();
     let reduce_pattern = |pattern: PathBuf, options: &OpenOptions, out: &Path| {
@@ -437,21 +437,19 @@ fn frames_and_patterns_of_real_data() {
         pipeline::check_archive(out).unwrap();
         report
     };
-    if let Some(path) = shared_series("echo4d_f32_11frames.nii.gz") {
-        let out = dir.path().join("echo.isospan");
-        let report = reduce_pattern(path.clone(), &OpenOptions::default(), &out);
-        assert_eq!(report.steps.len(), 11);
-        let one = dir.path().join("echo7.isospan");
-        let options = OpenOptions { field: Some("t7".into()), ..OpenOptions::default() };
-        reduce_all(&[StepSource::new(&path, &options)], &few_points(), &one, &run(2));
-        same_answers(dir.path(), (&out, 7), (&one, 0));
-    }
-    if let Some(folder) = shared_series("viscous_fingers_f32") {
-        let out = dir.path().join("fingers.isospan");
-        let report = reduce_pattern(folder.join("*.vti"), &OpenOptions::default(), &out);
-        assert_eq!(report.steps.len(), 8);
-        assert_eq!(report.steps[7].source, "density_t080.vti");
-    }
+    let path = shared_series("echo4d_f32_11frames.nii.gz");
+    let out = dir.path().join("echo.isospan");
+    let report = reduce_pattern(path.clone(), &OpenOptions::default(), &out);
+    assert_eq!(report.steps.len(), 11);
+    let one = dir.path().join("echo7.isospan");
+    let options = OpenOptions { field: Some("t7".into()), ..OpenOptions::default() };
+    reduce_all(&[StepSource::new(&path, &options)], &few_points(), &one, &run(2));
+    same_answers(dir.path(), (&out, 7), (&one, 0));
+    let folder = shared_series("viscous_fingers_f32");
+    let out = dir.path().join("fingers.isospan");
+    let report = reduce_pattern(folder.join("*.vti"), &OpenOptions::default(), &out);
+    assert_eq!(report.steps.len(), 8);
+    assert_eq!(report.steps[7].source, "density_t080.vti");
 }
 
 #[test]
@@ -505,11 +503,12 @@ fn surfaces_of_many_steps_have_a_list() {
 
 /// A simulation on one tetrahedral mesh: all steps in one file; and one file a step.
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn meshes_are_located_once_for_all_steps() {
     let dir = tempfile::tempdir().unwrap();
     let settings = ReduceSettings { amount: Amount::Fraction(1.0), ..few_points() };
     let field = |name: &str| OpenOptions { field: Some(name.into()), ..OpenOptions::default() };
-    let Some(path) = shared_series("monodomain3d_tet_51steps.vtu") else { return };
+    let path = shared_series("monodomain3d_tet_51steps.vtu");
     let steps = isospan::formats::steps_of(std::slice::from_ref(&path), &field("V_*")).unwrap();
     assert_eq!(steps.len(), 51);
     let out = dir.path().join("m.isospan");
@@ -530,7 +529,7 @@ fn meshes_are_located_once_for_all_steps() {
             assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-4 || a.is_nan() && b.is_nan()));
         }
     }
-    let Some(folder) = shared_series("heart_activation") else { return };
+    let folder = shared_series("heart_activation");
     let mut steps = isospan::formats::steps_of(&[folder.join("*.vtu")], &field("activation")).unwrap();
     assert_eq!(steps.len(), 5);
     steps.push(StepSource::new(&path, &field("V_000010")));

@@ -387,3 +387,62 @@ fn gc_touches_no_other_folder() {
     put("t.isospan/mesh", name);
     assert!(ok(d, &["gc", "t.isospan", "--older-than", "0s"]).contains("1 files"));
 }
+
+/// Scripts for Slurm run nothing that a name says. Here `sbatch` is a stub, which runs what it is given as Slurm would, without an array.
+#[test]
+fn no_name_of_an_archive_is_a_command_in_the_scripts_for_slurm() {
+    use std::os::unix::fs::PermissionsExt;
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let stub = d.join("bin/sbatch");
+    fs::create_dir(d.join("bin")).unwrap();
+    fs::write(&stub, "#!/bin/bash\nprintf '%s\\n' \"$@\" >>\"$SEEN\"; echo 7\n").unwrap();
+    fs::set_permissions(&stub, fs::Permissions::from_mode(0o755)).unwrap();
+    write_npy(&d.join("v.npy"), [20, 20, 20], waves);
+    let path = format!("{}:{}", d.join("bin").display(), std::env::var("PATH").unwrap());
+    let names = [
+        "@QUOTED_FOLDER@;touch pwned;x",
+        "@QUOTED@;touch pwned;@PROGRAM@",
+        "@ARCHIVE@@OPTIONS@@SCRATCH@",
+        "'; touch pwned; '",
+        "$(touch pwned)`touch pwned`",
+        "a & touch pwned & b | c > pwned",
+        "-rf * ~ #! {a,b} [x]",
+        "@",
+        "a@b@@",
+    ];
+    for (n, name) in names.iter().enumerate() {
+        let home = d.join(format!("{n}"));
+        fs::create_dir(&home).unwrap();
+        let out = format!("./{name}.isospan");
+        ok(&home, &[&["plan", "../v.npy", "-o", &out, "--shards", "1"], &CHOICES[..]].concat());
+        ok(&home, &["slurm", &out, "--scratch", &format!("./{name}.scratch")]);
+        let scripts = home.join(format!("{name}.isospan.work/slurm"));
+        let run = |script: &str| {
+            let mut command = Command::new("bash");
+            command
+                .arg(scripts.join(script))
+                .current_dir(&home)
+                .env("PATH", &path)
+                .env("SEEN", home.join("seen"));
+            let out = command.env("SLURM_ARRAY_TASK_ID", "0").stdin(Stdio::null()).output().unwrap();
+            (out.status.code(), String::from_utf8(out.stderr).unwrap())
+        };
+        fs::create_dir(home.join(format!("{name}.scratch"))).unwrap();
+        assert_eq!(run("submit.sh"), (Some(0), String::new()), "{name}");
+        // Nothing is there to commit: what is missing is submitted again, under the script's own name.
+        assert_eq!(run("commit.sh").0, Some(3), "{name}");
+        let seen = fs::read_to_string(home.join("seen")).unwrap();
+        let submitted =
+            |script: &str| seen.lines().filter(|l| *l == scripts.join(script).to_str().unwrap()).count();
+        assert_eq!((submitted("work.sh"), submitted("commit.sh")), (2, 2), "{name}: {seen}");
+        let (code, text) = run("work.sh");
+        assert_eq!(code, Some(0), "{name}: {text}");
+        let (code, text) = run("commit.sh");
+        assert_eq!(code, Some(0), "{name}: {text}");
+        let mut left: Vec<String> =
+            fs::read_dir(&home).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        left.retain(|f| f != "seen" && !f.starts_with(name));
+        assert!(left.is_empty(), "{name}: {left:?}");
+    }
+}

@@ -48,8 +48,9 @@ fn options(_: &Entry) -> OpenOptions {
 }
 
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn volumes_are_what_the_manifest_says() {
-    let Some(folder) = shared_data() else { return };
+    let folder = shared_data();
     let entries = volumes(&folder);
     assert!(entries.len() >= 10, "{} volumes", entries.len());
     for e in entries {
@@ -65,8 +66,9 @@ fn volumes_are_what_the_manifest_says() {
 }
 
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn each_volume_reduces_to_a_sound_surface() {
-    let Some(folder) = shared_data() else { return };
+    let folder = shared_data();
     let dir = tempfile::tempdir().unwrap();
     for e in volumes(&folder) {
         let input = folder.join(&e.file);
@@ -95,8 +97,9 @@ fn each_volume_reduces_to_a_sound_surface() {
 }
 
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn samples_that_are_no_numbers_are_refused_or_masked() {
-    let Some(folder) = shared_data() else { return };
+    let folder = shared_data();
     let input = folder.join("variants/nan_inf_f32.mha");
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("v.isospan");
@@ -119,8 +122,9 @@ fn told(file: &Path) -> (Option<i32>, Vec<u8>, String) {
 }
 
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn meshes_are_what_the_manifest_says_and_other_files_take_one_line() {
-    let Some(folder) = shared_data() else { return };
+    let folder = shared_data();
     let text = fs::read_to_string(folder.join("MANIFEST.tsv")).unwrap();
     let (mut good, mut refused) = (0, 0);
     for c in text.lines().map(|line| line.split('\t').collect::<Vec<_>>()) {

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Surfaces of isospan against the full-resolution ones of VTK's Flying Edges, volume by volume.
 
-    compare_area.py [--data DIR] [--program target/release/isospan] [--all-isovalues] [--values fit|sample] [--only WORD]
+    compare_area.py [--data DIR] [--program PATH] [--all-isovalues] [--values fit|sample] [--only WORD]
 
 For each volume of DIR/MANIFEST.tsv (DIR: $ISOSPAN_SHARED_DATA) and its first isovalue: reduce at fraction 1 and at fraction
 1/8, extract, check. One tab-separated row a volume: areas and their ratio at fraction 1, and at 1/8 the ratio again,
@@ -117,12 +117,15 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", default=os.environ.get("ISOSPAN_SHARED_DATA"))
     root = Path(__file__).resolve().parent.parent
-    parser.add_argument("--program", type=Path, default=root / "target" / "release" / "isospan")
+    parser.add_argument("--program", type=Path, help="[release of this tree]")
     parser.add_argument("--all-isovalues", action="store_true")
     parser.add_argument("--values", choices=("fit", "sample"), default="fit")
     parser.add_argument("--only", default="", help="volumes whose name contains this")
     parser.add_argument("--tolerance", type=float, default=0.05)
     args = parser.parse_args()
+    if not args.program:
+        target = subprocess.check_output([root / "tools/target_folder"], text=True).strip()
+        args.program = Path(target) / "release" / "isospan"
     if not args.data:
         parser.error("give --data, or set ISOSPAN_SHARED_DATA")
     print("file\tisovalue\tVTK area\tarea at 1\tratio\tratio at 1/8\tdefects\tboundary at 1/8\tinside\treduce s")

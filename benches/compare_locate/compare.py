@@ -61,7 +61,8 @@ def main():
     program = args.program
     if program is None:
         subprocess.run(["cargo", "build", "-q", "--release", "--example", "locate_points"], cwd=ROOT, check=True)
-        program = ROOT / "target/release/examples/locate_points"
+        target = subprocess.check_output([ROOT / "tools/target_folder"], text=True).strip()
+        program = pathlib.Path(target) / "release/examples/locate_points"
     with tempfile.TemporaryDirectory() as scratch:
         for mesh in args.meshes:
             compare(program, *mesh.rsplit(":", 1), args, pathlib.Path(scratch))

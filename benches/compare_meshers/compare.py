@@ -5,7 +5,7 @@
                [--peers HXT,CGAL,Geogram|none] [--memory GIB]
 
 Builds what it needs: isospan with cargo; CGAL with g++ (Debian: apt-get install g++ libcgal-dev libtbb-dev); HXT (in the PyPI
-package gmsh) and Geogram (a static library in the PyPI package geogram) in a virtual environment under target/, or in one given by
+package gmsh) and Geogram (a static library in the PyPI package geogram) in a virtual environment where cargo builds, or in one given by
 --python. A mesher that cannot be had is left out, saying why. Each figure is the median over the rounds. Wall seconds mean something on a
 quiet machine only; with --cpu the CPU seconds of all threads are compared instead. With --memory each program gets so much address space:
 one that needs more fails, and is left out of that row. --peers none runs isospan alone.
@@ -60,9 +60,14 @@ def root():
     return pathlib.Path(subprocess.run(found, cwd=HERE, check=True, capture_output=True, text=True).stdout.strip()).parent
 
 
+def target():
+    """Where cargo builds."""
+    return pathlib.Path(subprocess.check_output([root() / "tools/target_folder"], text=True).strip())
+
+
 def environment():
-    """A Python with the packages of HXT and Geogram, made under target/ at the first run."""
-    folder = root() / "target/compare_meshers"
+    """A Python with the packages of HXT and Geogram, made where cargo builds at the first run."""
+    folder = target() / "compare_meshers"
     python = folder / "bin/python"
     if not python.exists():
         venv.create(folder, with_pip=True, clear=True)
@@ -112,7 +117,7 @@ def build(work, python, wanted):
         "CGAL": lambda: compile_cpp("CGAL", cgal, "apt-get install libcgal-dev libtbb-dev", str(work / "cgal")),
         "Geogram": lambda: geogram(python, work),
     }
-    ours = str(root() / "target/release/examples/mesh_points")
+    ours = str(target() / "release/examples/mesh_points")
     return ours, {name: command for name in PEERS if name in wanted and (command := peers[name]())}
 
 

@@ -31,6 +31,7 @@ import tempfile
 import time
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
+TARGET = pathlib.Path(subprocess.check_output([ROOT / "tools/target_folder"], text=True).strip())
 FIELDS = {"smooth": (["sphere"], (-0.12, 0.2)), "busy": (["gyroid", "--periods", "12"], (-0.9, 0.9))}
 
 try:
@@ -38,7 +39,7 @@ try:
     import vtk
     from vtk.util.numpy_support import vtk_to_numpy
 except ImportError:
-    folder = ROOT / "target/compare_queries"
+    folder = TARGET / "compare_queries"
     python = folder / "bin/python"
     if pathlib.Path(sys.prefix) == folder:
         raise
@@ -258,7 +259,7 @@ def build():
     subprocess.run(["cargo", "build", "--release", "--quiet", "--bin", "isospan", *examples], cwd=ROOT, check=True)
     folder = pathlib.Path(tempfile.mkdtemp(prefix="compare_queries"))
     for path in ("isospan", "examples/make_volume", "examples/ask_archive"):
-        (folder / pathlib.Path(path).name).symlink_to(ROOT / "target/release" / path)
+        (folder / pathlib.Path(path).name).symlink_to(TARGET / "release" / path)
     return folder
 
 

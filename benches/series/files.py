@@ -14,7 +14,7 @@ from vtkmodules.vtkFiltersCore import vtkContour3DLinearGrid, vtkFlyingEdges3D
 from vtkmodules.vtkIOImage import vtkNIFTIImageReader
 from vtkmodules.vtkIOXML import vtkXMLImageDataReader, vtkXMLUnstructuredGridReader
 
-from series import run
+from series import built, run
 
 
 def triangles(filter, data, isovalue, array=None):
@@ -57,7 +57,7 @@ def contours(file, pattern, isovalue):
 
 def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--isospan", default="target/release/isospan")
+    p.add_argument("--isospan", help="the program [release of this tree]")
     p.add_argument("--fraction", default="1/8")
     p.add_argument("--values", choices=["fit", "sample"], default="fit")
     p.add_argument("--threads", default="2")
@@ -67,6 +67,7 @@ def main():
     p.add_argument("--first", help="of one file: the field of the first step")
     p.add_argument("input", nargs="+")
     a = p.parse_args()
+    a.isospan = a.isospan or built()
     folder = tempfile.mkdtemp()
     archive = os.path.join(folder, "series.isospan")
     common = ["--threads", a.threads, "--json", "-q"]

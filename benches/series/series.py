@@ -71,9 +71,15 @@ def contour(file, isovalue, out):
     return *[(y[0] - x[0], y[1] - x[1]) for x, y in zip(at, at[1:])], edges.GetOutput().GetNumberOfPolys()
 
 
+def built():
+    """The program, where cargo builds its release."""
+    tool = os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "..", "tools", "target_folder")
+    return os.path.join(subprocess.check_output([tool], text=True).strip(), "release", "isospan")
+
+
 def main():
     p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    p.add_argument("--isospan", default="target/release/isospan")
+    p.add_argument("--isospan", help="the program [release of this tree]")
     p.add_argument("--steps", type=int, default=100)
     p.add_argument("--size", type=int, default=256)
     p.add_argument("--batch", type=int, default=10)
@@ -84,6 +90,7 @@ def main():
     p.add_argument("--measure", action="store_true", help="measure each step against its samples")
     p.add_argument("--folder", help="where the volumes and the archive are [a temporary folder]")
     a = p.parse_args()
+    a.isospan = a.isospan or built()
     folder = tempfile.mkdtemp(dir=a.folder)
     common = ["--threads", a.threads, "--json", "-q"] + ([] if a.measure else ["--no-measure"])
     reduction = ["--fraction", a.fraction, "--values", a.values, *common]

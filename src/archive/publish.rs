@@ -101,10 +101,22 @@ impl Unpublished {
         Self::begin(path)
     }
 
+    /// As [`Unpublished::create`], of a file that this user alone may read, whatever the umask: a copy in a folder of all users.
+    pub(crate) fn create_private(path: &Path) -> Result<Self> {
+        remove_dead(path);
+        let mut options = File::options();
+        #[cfg(unix)]
+        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+        Self::begin_with(options, path)
+    }
+
     /// Begins a file without looking for what others left.
     pub(crate) fn begin(path: &Path) -> Result<Self> {
+        Self::begin_with(File::options(), path)
+    }
+
+    fn begin_with(mut options: std::fs::OpenOptions, path: &Path) -> Result<Self> {
         let temporary = temporary_name(path)?;
-        let mut options = File::options();
         let file = options.read(true).write(true).create_new(true).open(&temporary);
         let file = file.map_err(|e| Error::io("create", &temporary, e))?;
         // Where there are no locks, the process number alone tells that the writer is alive.

@@ -137,13 +137,13 @@ impl Job {
         let letter = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
         let throttle = args.throttle.map_or_else(String::new, |n| format!("%{n}"));
         let program = std::env::current_exe().map_err(|e| Error::io("find", "this program", e))?;
-        let scratch = args.scratch.as_ref().map(|s| format!(" --scratch {}", quoted(s)));
+        let scratch = args.scratch.as_deref().map(quoted).transpose()?.map(|s| format!(" --scratch {s}"));
         let words = vec![
-            ("ARCHIVE", shown.replace(['\n', '\r'], " ")),
-            ("QUOTED", quoted(archive)),
-            ("QUOTED_FOLDER", quoted(folder)),
+            ("ARCHIVE", shown.replace(|c: char| c.is_control(), " ")),
+            ("QUOTED", quoted(archive)?),
+            ("QUOTED_FOLDER", quoted(folder)?),
             ("FOLDER", in_directive(folder)?),
-            ("PROGRAM", quoted(&program)),
+            ("PROGRAM", quoted(&program)?),
             ("JOB", format!("isospan-{}", name.chars().map(letter).collect::<String>())),
             ("ARRAY", format!("0-{}{throttle}", tasks - 1)),
             ("THROTTLE", throttle),
@@ -160,33 +160,30 @@ impl Job {
         Ok(Self { minutes, ask, words })
     }
 
-    /// A template with its words, `@NAME@` each, filled in. In one pass: a value may contain the like of a word.
+    /// A template with its words, `@NAME@` each, filled in: in one pass, so that a value is never searched for words.
     fn fill(&self, template: &str) -> String {
         let (mut out, mut rest) = (String::new(), template);
-        while let Some((before, after)) = rest.split_once('@') {
+        while let Some(at) = rest.find('@') {
+            let (before, from) = rest.split_at(at);
             out += before;
-            let word = after.split_once('@').and_then(|(name, after)| {
-                let (_, value) = self.words.iter().find(|(known, _)| *known == name)?;
-                Some((value, after))
+            let word = self.words.iter().find_map(|(name, value)| {
+                let rest = from.strip_prefix('@')?.strip_prefix(name)?.strip_prefix('@')?;
+                Some((value.as_str(), rest))
             });
-            rest = match word {
-                Some((value, after)) => {
-                    out += value;
-                    after
-                }
-                None => {
-                    out.push('@');
-                    after
-                }
-            };
+            let (text, after) = word.unwrap_or_else(|| from.split_at(1));
+            out += text;
+            rest = after;
         }
         out + rest
     }
 }
 
-/// A path as a word of a shell.
-fn quoted(path: &Path) -> String {
-    format!("'{}'", path.to_string_lossy().replace('\'', r"'\''"))
+/// A path as a word of a shell. A script is text: a path that is not UTF-8 is refused.
+fn quoted(path: &Path) -> Result<String> {
+    let text = path.to_str().ok_or_else(|| {
+        Error::usage(format!("{}: the path is not UTF-8; rename it, for scripts name it", path.display()))
+    })?;
+    Ok(format!("'{}'", text.replace('\'', r"'\''")))
 }
 
 /// A path between the quotes of a directive, where Slurm replaces what follows a `%`.
@@ -240,7 +237,7 @@ mod tests {
 
     #[test]
     fn paths_are_words_of_a_shell() {
-        assert_eq!(quoted(Path::new("/a b/it's")), r"'/a b/it'\''s'");
+        assert_eq!(quoted(Path::new("/a b/it's")).unwrap(), r"'/a b/it'\''s'");
         assert!(in_directive(Path::new("/a b")).is_ok());
         assert!(["/a%j", "/a\"b", "/a\nb"].iter().all(|p| in_directive(Path::new(p)).is_err()));
     }

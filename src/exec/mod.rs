@@ -26,20 +26,52 @@ pub(crate) use vectors::{Avx2, Avx512, with_avx512, with_vectors};
 
 use crate::error::{Error, Result};
 
-/// A pool of `threads` worker threads of our own; 0 means as many as the process may use.
+/// A pool of `threads` worker threads of our own; 0 means as many as the process may use. Where the system refuses so many, half of them, and so
+/// on down to one: the results are the same.
 ///
 /// # Errors
-/// [`Error::Io`] when the system refuses threads.
+/// [`Error::Io`] when the system refuses even one thread.
 pub fn pool(threads: usize) -> Result<rayon::ThreadPool> {
     let threads = if threads == 0 { available_threads() } else { threads };
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .thread_name(|i| format!("isospan-{i}"))
-        .build()
-        .map_err(|e| Error::io("start the threads of", "the compute pool", std::io::Error::other(e)))
+    fewer_if_refused(threads, |threads| {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("isospan-{i}")).build()
+    })
+    .map_err(no_thread)
+}
+
+fn fewer_if_refused<T, E>(
+    threads: usize,
+    start: impl Fn(usize) -> std::result::Result<T, E>,
+) -> std::result::Result<T, E> {
+    match start(threads) {
+        Err(_) if threads > 1 => fewer_if_refused(threads / 2, start),
+        result => result,
+    }
+}
+
+/// The error of a thread that the system refuses.
+pub(crate) fn no_thread(why: impl std::fmt::Display) -> Error {
+    let hint = std::io::Error::other(format!("{why}; raise the limit of processes (ulimit -u), or end some"));
+    Error::io("start", "a thread", hint)
 }
 
 /// Threads that this process may use (affinity and cgroup quota respected).
 pub fn available_threads() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refused_threads_are_fewer_threads_or_one_line() {
+        let start = |most: usize| move |n: usize| if n <= most { Ok(n) } else { Err("refused") };
+        assert_eq!(fewer_if_refused(16, start(16)), Ok(16));
+        assert_eq!(fewer_if_refused(16, start(5)), Ok(4));
+        assert_eq!(fewer_if_refused(7, start(1)), Ok(1));
+        assert_eq!(fewer_if_refused(7, start(0)), Err("refused"));
+        let line = no_thread("refused").to_string();
+        assert!(line.contains("ulimit -u") && !line.contains('\n'), "{line}");
+    }
 }

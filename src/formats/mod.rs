@@ -280,6 +280,13 @@ pub(crate) mod tests {
     use crate::volume::{ScalarType, VolumeInfo, strided::convert_row};
     use std::io::Write;
 
+    /// The folder of real data sets, for tests that are ignored unless asked for.
+    pub(crate) fn shared_data() -> PathBuf {
+        PathBuf::from(
+            std::env::var_os("ISOSPAN_SHARED_DATA").expect("ISOSPAN_SHARED_DATA names a folder of real data"),
+        )
+    }
+
     /// Writes a file in a temporary folder.
     pub(crate) fn write(dir: &tempfile::TempDir, name: &str, bytes: &[u8]) -> PathBuf {
         let path = dir.path().join(name);

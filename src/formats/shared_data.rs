@@ -1,5 +1,5 @@
-//! Tests on real files: the folder named by `ISOSPAN_SHARED_DATA`, whose MANIFEST.tsv tells what a file holds. Without
-//! the variable they are skipped, and say so.
+//! Tests on real files: the folder named by `ISOSPAN_SHARED_DATA`, whose MANIFEST.tsv tells what a file holds. They are
+//! ignored unless asked for, as tools/check does where the variable is set.
 
 use super::tests::try_read_all;
 use super::*;
@@ -17,10 +17,7 @@ struct Row {
 }
 
 fn rows() -> Vec<Row> {
-    let Some(root) = std::env::var_os("ISOSPAN_SHARED_DATA").map(PathBuf::from) else {
-        eprintln!("skipped: ISOSPAN_SHARED_DATA is not set");
-        return vec![];
-    };
+    let root = super::tests::shared_data();
     let text = std::fs::read_to_string(root.join("MANIFEST.tsv")).expect("the manifest is there");
     let row = |line: &str| {
         let cells: Vec<String> = line.split('\t').map(str::to_string).collect();
@@ -75,6 +72,7 @@ fn read(path: &Path) -> Result<(VolumeInfo, Vec<f32>)> {
 }
 
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn volumes_have_the_manifests_dims_type_and_range() {
     let mut seen = 0;
     for row in rows().into_iter().filter(|r| r.file.starts_with("volumes/") && ours(&r.path)) {
@@ -88,10 +86,11 @@ fn volumes_have_the_manifests_dims_type_and_range() {
         assert!(info.geometry.is_valid());
         seen += 1;
     }
-    assert!(seen >= 6 || std::env::var_os("ISOSPAN_SHARED_DATA").is_none(), "{seen} volumes");
+    assert!(seen >= 6, "{seen} volumes");
 }
 
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn variants_are_read_right_or_refused_clearly() {
     for row in rows().into_iter().filter(|r| r.file.starts_with("variants/") && ours(&r.path)) {
         let result = read(&row.path);
@@ -113,6 +112,7 @@ fn variants_are_read_right_or_refused_clearly() {
 }
 
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn known_traps_are_named() {
     let rows = rows();
     for (file, message) in [
@@ -129,10 +129,10 @@ fn known_traps_are_named() {
         ("minimal_extended_hdr.nii", "dim[0]"),
         ("avg152T1_LR_nifti.hdr.gz", "avg152T1_LR_nifti.img"),
     ] {
-        let Some(row) = rows.iter().find(|r| r.file.ends_with(file)) else {
-            assert!(rows.is_empty(), "{file} is in the manifest");
-            continue;
-        };
+        let row = rows
+            .iter()
+            .find(|r| r.file.ends_with(file))
+            .unwrap_or_else(|| panic!("{file} is in the manifest"));
         let line = read(&row.path).expect_err(file).to_string();
         assert!(line.contains(message), "{line}");
     }

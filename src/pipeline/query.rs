@@ -12,7 +12,7 @@ use super::roi::{Cut, Roi, RoiSpace};
 use super::steps::{Ranges, StepChoice};
 use crate::bytes::remote::{self, Traffic};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, Silent};
+use crate::exec::{CancelToken, Progress, Silent, pool};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
 use crate::grid::ChunkId;
 use crate::index::Entry;
@@ -248,7 +248,8 @@ fn decoded_count(archive: &OpenArchive, isovalue: f32) -> Result<(u64, u64)> {
     let (index, read_before) = (archive.ranges()?, archive.bytes_read());
     let refs = index.query_any(&[isovalue])?;
     let count = |work: &ChunkWork| count_in_chunk(archive, work, isovalue);
-    let active = by_chunk(archive, &refs)?.par_iter().map(count).sum::<Result<u64>>()?;
+    let chunks = by_chunk(archive, &refs)?;
+    let active = pool(0)?.install(|| chunks.par_iter().map(count).sum::<Result<u64>>())?;
     Ok((active, index.bytes_read() + archive.bytes_read() - read_before))
 }
 

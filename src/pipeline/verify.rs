@@ -19,6 +19,7 @@ use crate::archive::summary::{BlockRange, MeshSummary, value_ranges};
 use crate::archive::vertices::ChunkHeader;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
+use crate::exec::pool;
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkId};
 use crate::index::{Entry, EntryDigest};
@@ -58,9 +59,10 @@ pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
     if !is_remote(path) {
         check.strays = strays(path, &archive.manifest)?;
     }
+    let pool = pool(0)?;
     for step in 0..archive.manifest.steps.len() {
         archive.turn_to(step);
-        check_step(&archive, &mut check)?;
+        pool.install(|| check_step(&archive, &mut check))?;
         check.steps += 1;
     }
     if let Some(record) = &archive.manifest.plan.repeated {

@@ -26,7 +26,7 @@ use super::spectrum::Meter;
 use crate::archive::manifest::{Plan as MeshPlan, StepPlan};
 use crate::archive::segment::PlanHash;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, MemoryBudget, Permit, Progress, Reorder};
+use crate::exec::{CancelToken, MemoryBudget, Permit, Progress, Reorder, no_thread};
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
 use crossbeam::channel;
 use std::any::Any;
@@ -117,14 +117,16 @@ pub(crate) fn make_segments(work: &Work<'_>) -> Result<StageTimes> {
     let budget = MemoryBudget::new(work.shares.queue);
     let stop = &CancelToken::new();
     std::thread::scope(|threads| {
+        let thread = || std::thread::Builder::new();
         // Feeder: the queues need no bound of their own, every chunk in them holds a permit of the budget.
-        let feeder = threads.spawn(|| {
+        let feed = || {
             let (to_pool, to_sinks) = (to_pool, to_sinks);
             feed(work, &budget, stop, &to_pool, &to_sinks)
-        });
+        };
+        let feeder = thread().spawn_scoped(threads, feed).map_err(no_thread)?;
         // Dispatcher: hands tasks to the pool; never more at a time than the pool has threads, so that a mesher's memory
         // belongs to a thread at work.
-        let dispatcher = threads.spawn(move || {
+        let dispatch = move || {
             work.pool.in_place_scope(|scope| {
                 for (number, chunk, permit) in tasks {
                     let to_writer = to_writer.clone();
@@ -138,7 +140,9 @@ pub(crate) fn make_segments(work: &Work<'_>) -> Result<StageTimes> {
                     });
                 }
             });
-        });
+        };
+        // Where it is refused, the tasks have no receiver any more, which ends the feeder.
+        let dispatcher = thread().spawn_scoped(threads, dispatch).map_err(no_thread)?;
         let written = write_in_order(work, &sinks, products);
         if written.is_err() {
             stop.cancel();

@@ -219,20 +219,17 @@ pub(crate) fn folder(path: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     files
 }
 
-/// Sends a signal to a process, if it is still there. Without the program `kill`, which not every machine has.
-#[cfg(unix)]
-pub(crate) fn send_signal(process: u32, signal: rustix::process::Signal) -> bool {
-    let process = rustix::process::Pid::from_raw(process as i32).unwrap();
-    rustix::process::kill_process(process, signal).is_ok()
+/// The folder of real data sets. Tests that want it are ignored unless they are asked for, as `tools/check` does where there is one.
+pub(crate) fn shared_data() -> PathBuf {
+    let folder = std::env::var_os("ISOSPAN_SHARED_DATA").map(PathBuf::from).filter(|p| p.is_dir());
+    folder.expect("ISOSPAN_SHARED_DATA names a folder of real data")
 }
 
-/// The folder of real data sets, where there is one.
-pub(crate) fn shared_data() -> Option<PathBuf> {
-    let folder = std::env::var_os("ISOSPAN_SHARED_DATA").map(PathBuf::from).filter(|p| p.is_dir());
-    if folder.is_none() {
-        eprintln!("skipped: ISOSPAN_SHARED_DATA does not name a folder of real data");
-    }
-    folder
+/// Sends a signal; whether there was a process to take it.
+#[cfg(unix)]
+pub(crate) fn send_signal(process: u32, signal: rustix::process::Signal) -> bool {
+    let process = i32::try_from(process).ok().and_then(rustix::process::Pid::from_raw);
+    rustix::process::kill_process(process.expect("a number of a process"), signal).is_ok()
 }
 
 /// Rewrites a segment, with good checksums, under another plan hash and with blocks changed by `edit`.

@@ -456,11 +456,9 @@ fn a_chain_without_an_end_is_refused() {
 }
 
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn real_slices() {
-    let Some(root) = std::env::var_os("ISOSPAN_SHARED_DATA").map(PathBuf::from) else {
-        eprintln!("skipped: ISOSPAN_SHARED_DATA is not set");
-        return;
-    };
+    let root = crate::formats::tests::shared_data();
     let (info, values) = open_ok(&root.join("volumes/bone_uct_u8_tiff"));
     assert_eq!((info.dims, info.field.scalar), ([200, 200, 96], ScalarType::U8));
     let range = values.iter().fold((f32::MAX, f32::MIN), |(lo, hi), &v| (lo.min(v), hi.max(v)));

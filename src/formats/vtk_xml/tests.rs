@@ -510,13 +510,9 @@ fn a_head_beyond_all_reason_is_refused() {
     }
 }
 
-/// A file of the shared test data; `None`, and a line on stderr, where there are none.
-pub(in crate::formats) fn shared(name: &str) -> Option<std::path::PathBuf> {
-    let Some(folder) = std::env::var_os("ISOSPAN_SHARED_DATA") else {
-        eprintln!("skipped: ISOSPAN_SHARED_DATA is not set");
-        return None;
-    };
-    Some(Path::new(&folder).join(name))
+/// A file of the shared test data.
+pub(in crate::formats) fn shared(name: &str) -> std::path::PathBuf {
+    crate::formats::tests::shared_data().join(name)
 }
 
 /// Smallest and largest value, as printed with six significant digits.
@@ -525,6 +521,7 @@ pub(in crate::formats) fn range(values: &[f32]) -> (f32, f32) {
 }
 
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn real_files_have_the_published_dimensions_and_ranges() {
     let viscous = |n: u32| format!("series/viscous_fingers_f32/density_t0{n}.vti");
     let mut files = vec![
@@ -537,7 +534,7 @@ fn real_files_have_the_published_dimensions_and_ranges() {
         files.push((viscous(10 * (i as u32 + 1)), [64; 3], ScalarType::F32, (0.0, hi)));
     }
     for (name, dims, scalar, (lo, hi)) in files {
-        let Some(path) = shared(&name) else { return };
+        let path = shared(&name);
         let (info, values) = read_all(open(&path, &OpenOptions::default()).unwrap());
         assert_eq!((info.dims, info.field.scalar), (dims, scalar), "{name}");
         let found = range(&values);
@@ -546,6 +543,7 @@ fn real_files_have_the_published_dimensions_and_ranges() {
 }
 
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn real_files_that_are_no_scalar_image_are_refused_by_name() {
     for (name, says) in [
         ("variants/vase_4component_u8.vti", "Scalars_ (4 x u8, not scalar)"),
@@ -555,7 +553,7 @@ fn real_files_that_are_no_scalar_image_are_refused_by_name() {
         ("variants/vtkio/polyEx0.vtp", "a surface (.vtp)"),
         ("variants/vtkio/cube.pvtp", "PPolyData"),
     ] {
-        let Some(path) = shared(name) else { return };
+        let path = shared(name);
         let error = open(&path, &OpenOptions::default()).err().unwrap();
         assert!(error.exit_code() == 5 && error.to_string().contains(says), "{error}");
     }

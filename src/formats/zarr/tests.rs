@@ -554,11 +554,9 @@ fn blosc_data_of_the_reference() {
 }
 
 #[test]
+#[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn a_real_image() {
-    let Some(root) = std::env::var_os("ISOSPAN_SHARED_DATA").map(PathBuf::from) else {
-        eprintln!("skipped: ISOSPAN_SHARED_DATA is not set");
-        return;
-    };
+    let root = crate::formats::tests::shared_data();
     let path = root.join("volumes/mni152_f64.ome.zarr");
     for (path, field) in [(path.clone(), Some("scale2")), (path.join("scale2"), None)] {
         let (info, values) = read(&path, field).unwrap();

@@ -31,7 +31,10 @@ pub(super) fn build(
     let json = serde_json::to_vec(&header_of(&info)).expect("plain numbers and strings are JSON");
     let size = info.field.scalar.bytes();
     let layout = Layout::new(info.dims, size, json.len() as u64).ok_or_else(|| no_volume(&info))?;
-    let temporary = Unpublished::create(out)?;
+    let temporary = match lasting {
+        Lasting::Kept => Unpublished::create(out)?,
+        Lasting::Scratch => Unpublished::create_private(out)?,
+    };
     let mut bricks = Bricks::new(out, temporary.file(), layout)?;
     let mut raster = Raster::new(&layout, max_buffer_bytes);
     let mut slab = vec![];
