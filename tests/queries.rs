@@ -6,10 +6,12 @@ use common::*;
 use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::grid::Geometry;
-use isospan::pipeline::{self, Amount, Roi, SurfaceReport, SurfaceSettings};
+use isospan::Archive;
+use isospan::pipeline::{self, Amount, NanPolicy, ReduceSettings, Roi, SurfaceReport, SurfaceSettings};
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
-use isospan::surface::check::{boundary_edges, boundary_outside, check};
+use isospan::surface::check::{CheckSettings, Domain, OpenEdges, boundary_edges, boundary_outside, check, check_within};
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -284,4 +286,48 @@ fn a_surface_reads_little_that_it_does_not_need() {
     }
     ratios.sort_by(f64::total_cmp);
     assert!(ratios[ratios.len() / 2] < 1.6 && ratios[ratios.len() - 2] < 2.0, "{ratios:?}");
+}
+
+/// A surface ends at samples without data, and is right; with a triangle less it has a hole, wherever that is.
+#[test]
+fn a_surface_that_ends_at_missing_samples_is_sound() {
+    let dir = tempfile::tempdir().unwrap();
+    let (input, archive) = (dir.path().join("m.npy"), dir.path().join("m.isospan"));
+    let far = |x: f64, y: f64, z: f64| (x - 0.3).powi(2) + y * y + z * z > 0.2;
+    write_npy(&input, [34, 30, 28], |x, y, z| if far(x, y, z) { waves(x, y, z) } else { f64::NAN });
+    let masked = ReduceSettings { nan: NanPolicy::Mask, ..settings(SetKind::Halton, Amount::Fraction(0.5), 3_000) };
+    reduce(&input, &masked, &archive, 2);
+    let asked = Archive::open(&archive).unwrap();
+    let geometry = Geometry::default();
+    let domain = Domain { geometry: &geometry, dims: [34, 30, 28], tolerance: 1e-2 };
+    let open = |mesh: &TriMesh| {
+        let mut at_missing = |edges: &[[[f32; 3]; 2]]| asked.edges_at_missing(edges);
+        check_within(mesh, &domain, &CheckSettings::default(), &mut at_missing).unwrap().1
+    };
+    let whole = asked.surface(0.3).unwrap();
+    let found = open(&whole);
+    assert!(found.outside == 0 && found.at_missing > 100, "{found:?}");
+    // Holes far from the boundary, each of one triangle.
+    let rim: BTreeSet<u32> = boundary_edges(&whole).into_iter().flatten().collect();
+    let inner: Vec<usize> = (0..whole.triangles.len())
+        .filter(|&t| {
+            let middle = |v: u32| whole.vertices[v as usize].position;
+            let apart = |v: u32| rim.iter().all(|&r| (0..3).map(|a| (middle(v)[a] - middle(r)[a]).powi(2)).sum::<f32>() > 1.0);
+            t % 97 == 0 && whole.triangles[t].into_iter().all(apart)
+        })
+        .collect();
+    assert!(inner.len() > 5, "{}", inner.len());
+    for t in inner {
+        let mut holed = whole.clone();
+        holed.triangles.remove(t);
+        assert_eq!(open(&holed), OpenEdges { outside: 3, ..found }, "triangle {t}");
+    }
+    let out = dir.path().join("m.ply");
+    surface(&archive, 0.3, &out, 2);
+    let run = std::process::Command::new(env!("CARGO_BIN_EXE_isospan"))
+        .args(["check", out.to_str().unwrap(), "--within", archive.to_str().unwrap()])
+        .output()
+        .unwrap();
+    let text = String::from_utf8(run.stdout).unwrap();
+    assert!(run.status.success() && text.contains("at missing samples"), "{text}");
 }

@@ -211,14 +211,14 @@ fn a_range_and_a_mask_choose_tetrahedra() {
             }
         }
     }
-    // A region: exactly the tetrahedra whose bounding box touches it, to a lattice step.
+    // A region: exactly the tetrahedra whose bounding box touches it.
     let region =
         ExportSettings { roi: Some("3.5:7,10:12.5,20:".parse().unwrap()), ..ExportSettings::default() };
     let (report, some) = export(&archive, region, &out);
     let touches = |t: &&Vec<([u64; 3], u32)>| {
         let reach = |a: usize, lo: f64, hi: f64| {
             let along: Vec<f64> = t.iter().map(|c| f64::from_bits(c.0[a])).collect();
-            along.iter().any(|&x| x >= lo - 4e-6) && along.iter().any(|&x| x <= hi + 4e-6)
+            along.iter().any(|&x| x >= lo) && along.iter().any(|&x| x <= hi)
         };
         reach(0, 3.5, 7.0) && reach(1, 10.0, 12.5) && reach(2, 20.0, 29.0)
     };
@@ -241,6 +241,37 @@ fn a_range_and_a_mask_choose_tetrahedra() {
         Error::Usage(_)
     ));
     assert!(matches!(wrong(ExportSettings::default(), "o.vtk"), Error::Usage(_)));
+}
+
+/// Of a volume that is turned, the tetrahedra whose bounding box in the world touches a box of the world, and no others.
+#[test]
+fn a_box_of_the_world_is_one_in_a_turned_volume_too() {
+    let dir = tempfile::tempdir().unwrap();
+    let (npy, input) = (dir.path().join("w.npy"), dir.path().join("w.nrrd"));
+    let (archive, out) = (dir.path().join("w.isospan"), dir.path().join("o.vtu"));
+    write_npy(&npy, [24, 24, 24], waves);
+    let samples = fs::read(&npy).unwrap();
+    let head = "NRRD0004\ntype: float\ndimension: 3\nsizes: 24 24 24\nencoding: raw\nendian: little\nspace dimension: 3\n\
+        space directions: (1.2,0.9,0) (-0.6,0.8,0) (0,0.5,2)\nspace origin: (-5,7,1)\n\n";
+    fs::write(&input, [head.as_bytes(), &samples[samples.len() - 4 * 24 * 24 * 24..]].concat()).unwrap();
+    reduce(&input, &settings(SetKind::Halton, Amount::Fraction(0.5), 1_000), &archive, 2);
+    let (_, whole) = export(&archive, ExportSettings::default(), &out);
+    let [lo, hi] = [[0.0, 18.0, 20.0], [6.0, 26.0, 30.0]];
+    let region =
+        ExportSettings { roi: Some("world:0:6,18:26,20:30".parse().unwrap()), ..ExportSettings::default() };
+    let (report, some) = export(&archive, region, &out);
+    let touches = |t: &&[usize; 4]| {
+        (0..3).all(|a| {
+            t.iter().any(|&v| whole.points[v][a] >= lo[a]) && t.iter().any(|&v| whole.points[v][a] <= hi[a])
+        })
+    };
+    let wanted = whole.tets.iter().filter(touches).count();
+    assert!(wanted > 500 && wanted < whole.tets.len() / 4, "{wanted} of {}", whole.tets.len());
+    assert_eq!(report.tetrahedra, wanted as u64);
+    let corners = |vtu: &Vtu, t: &[usize; 4]| t.map(|v| vtu.points[v]);
+    let kept: Vec<_> = some.tets.iter().map(|t| corners(&some, t)).collect();
+    let right: Vec<_> = whole.tets.iter().filter(touches).map(|t| corners(&whole, t)).collect();
+    assert!(kept == right);
 }
 
 fn probe(archive: &Path, dims: [u64; 3], settings: &ProbeSettings, out: &Path) -> (ProbeReport, Vec<f32>) {

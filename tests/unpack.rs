@@ -351,7 +351,16 @@ fn the_command_line_unpacks_and_removes() {
         fs::read(&out).unwrap()
     };
     let right = surface("");
+    // What it will write is said before, and is near to what it writes.
+    let before = folder(&archive);
+    let (code, text) = isospan(&["unpack", name, "--range", "-1:0.5", "--dry-run", "--json"], "");
+    let need: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert!(code == 0 && folder(&archive) == before, "{text}");
     let (code, text) = isospan(&["unpack", name, "--range", "-1:0.5", "--threads", "1"], "");
+    let bytes = fs::metadata(unpacked_path(&archive, 0)).unwrap().len() as f64;
+    let foretold = need["bytes"].as_u64().unwrap() as f64;
+    assert!(bytes < 1.1 * foretold && bytes > 0.5 * foretold, "{bytes} of {foretold}");
+    assert!(text.contains("that are free, for"), "{text}");
     assert!(
         code == 0 && text.contains("000000-unpacked.seg") && text.contains("bytes a tetrahedron"),
         "{text}"
@@ -394,4 +403,23 @@ fn what_a_killed_run_has_left_is_swept() {
     assert!(code == 0 && left.exists(), "{text}");
     let (code, text) = isospan(&["gc", name, "--older-than", "0s"], "");
     assert!(code == 0 && text.contains("1 file") && !left.exists() && file.exists(), "{text}");
+}
+
+/// A file system that is too small is told before anything is written.
+#[test]
+#[cfg(target_os = "linux")]
+#[ignore = "mounts a file system, which wants root; tools/check runs it"]
+fn a_disk_that_is_too_small_is_refused_beforehand() {
+    let dir = tempfile::tempdir().unwrap();
+    archive(dir.path(), "a", 0.0);
+    let script = "mkdir small && mount -t tmpfs -o size=1m tmpfs small && cp -r a.isospan small/ || exit 99
+        \"$0\" unpack small/a.isospan 2>&1; code=$?; ls small/a.isospan/steps; exit $code";
+    let out = Command::new("unshare")
+        .args(["--mount", "bash", "-c", script, env!("CARGO_BIN_EXE_isospan")])
+        .current_dir(dir.path())
+        .output()
+        .unwrap();
+    let text = String::from_utf8(out.stdout).unwrap();
+    assert_eq!(out.status.code(), Some(4), "{text}");
+    assert!(text.contains("disk") && !text.contains("unpacked"), "{text}");
 }

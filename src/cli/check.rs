@@ -4,8 +4,8 @@ use super::progress::Talk;
 use super::text;
 use isospan::formats::surface::load_surface;
 use isospan::pipeline::{self, ArchiveCheck};
-use isospan::surface::check::{CheckSettings, Domain, SurfaceReport, check_source};
-use isospan::{Error, Result};
+use isospan::surface::check::{CheckSettings, Domain, OpenEdges, SurfaceReport, check_source, check_within};
+use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 pub(crate) struct Args {
     /// An archive, or a surface file: .ply .stl .obj .vtp .glb.
     input: PathBuf,
-    /// Surface: also check that boundary edges lie on the boundary of this archive's domain.
+    /// Surface: also check that boundary edges lie on the boundary of this archive's domain, or where it has no data.
     #[arg(long, value_name = "ARCHIVE")]
     within: Option<PathBuf>,
     /// Surface: memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use].
@@ -62,18 +62,27 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         tolerance: BOUNDARY_TOLERANCE,
     });
     let surface = load_surface(&args.input, &settings)?;
-    let (report, outside) = check_source(&surface, domain.as_ref(), &settings)?;
+    let (report, open) = match (&domain, &args.within) {
+        (Some(domain), Some(path)) => {
+            let archive = Archive::open(path)?;
+            let (report, open) =
+                check_within(&surface, domain, &settings, &mut |edges| archive.edges_at_missing(edges))?;
+            (report, Some(open))
+        }
+        _ => (check_source(&surface, None, &settings)?.0, None),
+    };
     if args.json {
         let mut value = serde_json::to_value(&report)
             .map_err(|e| Error::io("write JSON to", "standard output", std::io::Error::other(e)))?;
-        if let Some(n) = outside {
-            value["boundary_edges_outside"] = n.into();
+        if let Some(open) = open {
+            value["boundary_edges_outside"] = open.outside.into();
+            value["boundary_edges_at_missing"] = open.at_missing.into();
         }
         super::print_json(&value)?;
     } else {
-        super::print(&surface_text(&args.input, &report, outside))?;
+        super::print(&surface_text(&args.input, &report, open))?;
     }
-    let defects = defects(&report, outside);
+    let defects = defects(&report, open);
     if defects.is_empty() {
         return Ok(());
     }
@@ -88,7 +97,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
 /// How far from the domain's faces, in voxel edges, a boundary edge may lie: positions in a file are `f32`.
 const BOUNDARY_TOLERANCE: f64 = 1e-2;
 
-fn defects(r: &SurfaceReport, outside: Option<u64>) -> Vec<String> {
+fn defects(r: &SurfaceReport, open: Option<OpenEdges>) -> Vec<String> {
     let mut list = vec![];
     let mut note = |n: u64, what: &str| {
         if n > 0 {
@@ -103,13 +112,13 @@ fn defects(r: &SurfaceReport, outside: Option<u64>) -> Vec<String> {
     note(r.zero_area_triangles, "triangles without area");
     note(r.out_of_range_triangles, "triangles with a vertex that does not exist");
     note(r.non_finite_vertices, "vertices that are no numbers");
-    note(outside.unwrap_or(0), "boundary edges inside the domain");
+    note(open.map_or(0, |open| open.outside), "boundary edges inside the domain");
     list
 }
 
-fn surface_text(path: &Path, r: &SurfaceReport, outside: Option<u64>) -> String {
+fn surface_text(path: &Path, r: &SurfaceReport, open: Option<OpenEdges>) -> String {
     let mut out = String::new();
-    let sound = defects(r, outside).is_empty();
+    let sound = defects(r, open).is_empty();
     let _ = writeln!(out, "{}: {}", path.display(), if sound { "sound" } else { "NOT SOUND" });
     let mut row = |name: &str, value: String| {
         let _ = writeln!(out, "  {name:<22} {value}");
@@ -122,8 +131,11 @@ fn surface_text(path: &Path, r: &SurfaceReport, outside: Option<u64>) -> String 
         "boundary edges",
         format!("{} in {} loops", text::count(r.boundary_edges), text::count(r.boundary_loops)),
     );
-    if let Some(n) = outside {
-        row("  inside the domain", text::count(n));
+    if let Some(open) = open {
+        row("  inside the domain", text::count(open.outside));
+        if open.at_missing > 0 {
+            row("  at missing samples", text::count(open.at_missing));
+        }
     }
     row("non-manifold edges", text::count(r.non_manifold_edges));
     row("non-manifold vertices", text::count(r.non_manifold_vertices));

@@ -3,7 +3,7 @@
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::{machine::Machine, text};
-use isospan::pipeline::{StepRange, UnpackReport, UnpackSettings, remove_unpacked, unpack};
+use isospan::pipeline::{StepRange, UnpackReport, UnpackSettings, remove_unpacked, unpack, unpack_need};
 use isospan::{Error, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
@@ -31,6 +31,9 @@ pub(crate) struct Args {
     /// Remove what was unpacked: of all steps, or of those that are named.
     #[arg(long, conflicts_with = "range")]
     remove: bool,
+    /// Tell what would be written, and write nothing.
+    #[arg(long, conflicts_with = "remove")]
+    dry_run: bool,
     #[command(flatten)]
     machine: Machine,
     /// Print the result as JSON.
@@ -68,6 +71,18 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let report = if args.remove {
         remove_unpacked(&args.archive, &settings, args.step.is_given() || settings.steps.is_some())?
     } else {
+        let need = unpack_need(&args.archive, &settings)?;
+        let free =
+            need.free.map_or_else(String::new, |free| format!(" of {} that are free", text::bytes(free)));
+        let about = format!(
+            "about {}{free}, for {} tetrahedra",
+            text::bytes(need.bytes),
+            text::count(need.tetrahedra)
+        );
+        if args.dry_run {
+            return if args.json { super::print_json(&need) } else { super::print(&format!("{about}\n")) };
+        }
+        talk.note(&format!("writes {about}; unpack --remove removes them"));
         let bar = talk.progress();
         let report = unpack(&args.archive, &settings, &*bar);
         bar.end();

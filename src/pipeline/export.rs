@@ -192,7 +192,7 @@ fn selected(
     let mut void = 0;
     let (values, positions) = (&chunk.values, &chunk.positions);
     chunk.tets.retain(|tet: &Tet| {
-        if cut.is_some_and(|cut| !cut.may_touch(&tet.map(|v| positions[v as usize]))) {
+        if cut.is_some_and(|cut| !cut.touches(&tet.map(|v| positions[v as usize]))) {
             return false;
         }
         let of_tet = tet.map(|v| values[v as usize]);

@@ -4,7 +4,7 @@ use super::export::{ExportReport, ExportSettings, export};
 use super::open::{ArchiveSummary, OpenArchive, summarize_at};
 use super::placed::Place;
 use super::probe::{ProbeReport, ProbeSettings, probe_grid, sample_grid};
-use super::probe_points::{probe_table, values_at};
+use super::probe_points::{edges_at_missing, probe_table, values_at};
 use super::query::{CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, write_surfaces};
 use super::spectrum::{self, SpectrumReport};
 use super::steps::{StepChoice, StepRange};
@@ -358,6 +358,16 @@ impl Archive {
         let settings = ProbeSettings::default();
         let found = values_at(&self.open, points, &settings, &|memory| memory, &Silent)?.values;
         Ok(found.into_iter().map(|v| self.offset() + f64::from(v)).collect())
+    }
+
+    /// How many of some edges, given by their ends in world coordinates, lie where the archive has no data: within a fifth of a voxel from their middle,
+    /// around them, and inside the domain. An isosurface ends there, at faces of tetrahedra that have a corner without a value.
+    ///
+    /// # Errors
+    /// As [`Archive::probe`].
+    pub fn edges_at_missing(&self, edges: &[[[f32; 3]; 2]]) -> Result<u64> {
+        let source = &self.open.step().plan.source;
+        edges_at_missing(edges, &source.geometry, source.dims, &|points| self.probe(points))
     }
 
     /// Writes a table of points (CSV) with the field's value beside each, or the values alone (NPY), in bounded memory.

@@ -104,5 +104,7 @@ pub use status::{GcReport, StatusReport, collect_garbage, shard_status};
 pub use steps::{StepChoice, StepRange};
 pub use surface_series::{SeriesReport, StepSurfaces, extract_series};
 pub use target::{Bound, Target, TargetReport};
-pub use unpack::{UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked, unpack};
+pub use unpack::{
+    UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked, unpack, unpack_need,
+};
 pub use verify::{ArchiveCheck, check_archive};

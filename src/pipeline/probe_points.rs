@@ -17,6 +17,7 @@ use crate::formats::samples::SampleFile;
 use crate::geom::{Lattice, LatticeBox, LatticePos};
 use crate::grid::{BrickGrid, ChunkId, Geometry};
 use crate::raster::{PointLocator, interpolate};
+use glam::DVec3;
 use std::path::Path;
 use std::time::Instant;
 
@@ -47,6 +48,37 @@ fn lattice_position(world: [f64; 3], geometry: &Geometry, lattice: &Lattice) -> 
         pos[a] = x as u32;
     }
     Some(pos)
+}
+
+/// Distances from an edge's middle, in voxels, at which data are looked for: an edge may be as short as the least of them, or lie in a thin tetrahedron.
+const AROUND: [f64; 4] = [0.2, 0.05, 0.01, 0.002];
+
+/// See [`super::Archive::edges_at_missing`]; `values` are those of the field at points of the world.
+pub(super) fn edges_at_missing(
+    edges: &[[[f32; 3]; 2]],
+    geometry: &Geometry,
+    dims: [u64; 3],
+    values: &dyn Fn(&[[f64; 3]]) -> Result<Vec<f32>>,
+) -> Result<u64> {
+    let inside = |p: &[f64; 3]| (0..3).all(|a| p[a] > 0.0 && p[a] < (dims[a] - 1) as f64);
+    let (mut points, mut ends) = (vec![], vec![]);
+    for edge in edges {
+        let [a, b] = edge.map(|end| DVec3::from_array(geometry.to_index(end.map(f64::from))));
+        // In the plane across the edge half of the directions point to the other side of the face that the edge lies on.
+        let along = (b - a).try_normalize().unwrap_or(DVec3::X);
+        let (u, w) = along.any_orthonormal_pair();
+        let diagonal = std::f64::consts::FRAC_1_SQRT_2;
+        let directions = [u, w, (u + w) * diagonal, (u - w) * diagonal];
+        for direction in directions.into_iter().flat_map(|d| [d, -d]) {
+            let around = AROUND.map(|r| ((a + b) * 0.5 + direction * r).to_array());
+            points.extend(around.into_iter().filter(inside).map(|p| geometry.to_world(p)));
+        }
+        ends.push(points.len());
+    }
+    let found = values(&points)?;
+    let mut first = 0;
+    let at_missing = |&end: &usize| found[std::mem::replace(&mut first, end)..end].iter().any(|v| v.is_nan());
+    Ok(ends.iter().map(at_missing).map(u64::from).sum())
 }
 
 /// Where values go.

@@ -137,7 +137,13 @@ impl Roi {
             lo: std::array::from_fn(|a| ((lo[a] * steps[a]).floor() - 1.0).max(0.0) as u32),
             hi: std::array::from_fn(|a| ((hi[a] * steps[a]).ceil() + 2.0).max(0.0) as u32),
         };
-        Ok(Cut { lattice, half_spaces: self.half_spaces(geometry, dims) })
+        Ok(Cut {
+            lattice,
+            half_spaces: self.half_spaces(geometry, dims),
+            roi: *self,
+            geometry: *geometry,
+            steps,
+        })
     }
 }
 
@@ -163,6 +169,10 @@ pub(super) struct Cut {
     /// Holds the box.
     lattice: LatticeBox,
     pub(super) half_spaces: Vec<HalfSpace>,
+    roi: Roi,
+    geometry: Geometry,
+    /// Steps of the lattice in a voxel, along each axis.
+    steps: [f64; 3],
 }
 
 impl Cut {
@@ -173,6 +183,23 @@ impl Cut {
             let mut along = corners.iter().map(|p| p[a]);
             along.clone().any(|x| x >= self.lattice.lo[a]) && along.any(|x| x < self.lattice.hi[a])
         })
+    }
+
+    /// Whether the bounding box of some corners touches the region, both in the coordinates of the region: in a volume that is
+    /// turned, a box of the world is none of the lattice.
+    pub(super) fn touches(&self, corners: &[LatticePos]) -> bool {
+        let place = |p: &LatticePos| {
+            let ijk = std::array::from_fn(|a| f64::from(p[a]) / self.steps[a]);
+            match self.roi.space {
+                RoiSpace::World => self.geometry.to_world(ijk),
+                RoiSpace::Index => ijk,
+            }
+        };
+        let ends = |[lo, hi]: [[f64; 3]; 2], p: [f64; 3]| {
+            [std::array::from_fn(|a| p[a].min(lo[a])), std::array::from_fn(|a| p[a].max(hi[a]))]
+        };
+        let [lo, hi] = corners.iter().map(place).fold([[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]], ends);
+        (0..3).all(|a| lo[a] <= self.roi.hi[a] && hi[a] >= self.roi.lo[a])
     }
 
     /// Whether a box of the lattice touches the box's hull.

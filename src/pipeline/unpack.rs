@@ -95,6 +95,50 @@ const BYTES_ON_DISK: u64 = 64;
 /// What a chunk takes whatever its size.
 const PER_CHUNK: u64 = 4 << 20;
 
+/// What [`unpack`] will write.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct UnpackNeed {
+    /// Bytes of the new files, about; seldom more.
+    pub bytes: u64,
+    /// Tetrahedra in them.
+    pub tetrahedra: u64,
+    /// Bytes that are free where they go (a file is replaced when the new one is complete); `None` where the system does not tell.
+    pub free: Option<u64>,
+}
+
+/// What [`unpack`] will write with these settings; nothing is written.
+///
+/// # Errors
+/// As [`unpack`]; [`Error::Budget`] when the disk does not have room for it.
+pub fn unpack_need(path: &Path, settings: &UnpackSettings) -> Result<UnpackNeed> {
+    let (mut archive, positions) = open_chosen(path, settings)?;
+    let mut tetrahedra = 0;
+    for position in positions {
+        archive.turn_to(position);
+        tetrahedra += parts_of(&archive, settings.range)?.iter().map(|part| part.wanted_tets).sum::<u64>();
+    }
+    let bytes = tetrahedra * BYTES_ON_DISK;
+    let free = need::free_bytes(archive.path());
+    match free {
+        Some(available) if available < bytes => {
+            Err(Error::Budget { what: "disk".into(), needed: bytes, available })
+        }
+        _ => Ok(UnpackNeed { bytes, tetrahedra, free }),
+    }
+}
+
+/// The archive, and the positions of the steps that are meant.
+fn open_chosen(path: &Path, settings: &UnpackSettings) -> Result<(OpenArchive, std::ops::Range<usize>)> {
+    expect_local(path)?;
+    let [low, high] = settings.range;
+    if low.is_nan() || high.is_nan() || low > high {
+        return Err(Error::usage(format!("the range {low} to {high} is empty: give the lower value first")));
+    }
+    let archive = OpenArchive::open_at(path, settings.step)?;
+    let positions = chosen(&archive.manifest, settings, path)?;
+    Ok((archive, positions))
+}
+
 /// Unpacks steps of an archive: surfaces of them read their blocks, about sixty bytes a tetrahedron, where they lie, several times as fast as they
 /// decode the few bits that the archive has of each. The surfaces are the same, byte for byte.
 ///
@@ -120,13 +164,9 @@ const PER_CHUNK: u64 = 4 << 20;
 /// [`Error::BadInput`] for a damaged archive; [`Error::Usage`] for one on a server, for a moment between two steps, or an empty range;
 /// [`Error::Budget`] when memory or disk do not suffice; those of writing the files.
 pub fn unpack(path: &Path, settings: &UnpackSettings, progress: &dyn Progress) -> Result<UnpackReport> {
-    expect_local(path)?;
-    let [low, high] = settings.range;
-    if low.is_nan() || high.is_nan() || low > high {
-        return Err(Error::usage(format!("the range {low} to {high} is empty: give the lower value first")));
-    }
-    let mut archive = OpenArchive::open_at(path, settings.step)?;
-    let positions = chosen(&archive.manifest, settings, path)?;
+    // All steps at once: disk that does for the first ones alone is found too small before anything is written.
+    unpack_need(path, settings)?;
+    let (mut archive, positions) = open_chosen(path, settings)?;
     let mut report = UnpackReport::default();
     for position in positions {
         archive.turn_to(position);
@@ -220,10 +260,6 @@ fn unpack_step(
     if settings.memory < largest {
         let (what, available) = ("memory".into(), settings.memory);
         return Err(Error::Budget { what, needed: largest, available });
-    }
-    let on_disk = parts.iter().map(|part| part.wanted_tets * BYTES_ON_DISK).sum();
-    if let Some(available) = need::free_bytes(archive.path()).filter(|&free| free < on_disk) {
-        return Err(Error::Budget { what: "disk".into(), needed: on_disk, available });
     }
     let path = archive.layout.unpacked();
     let writer = UnpackedWriter::create(&path, archive.unpacked_hash(archive.view.step), range)?;

@@ -164,14 +164,46 @@ pub fn check_source(
     domain: Option<&Domain<'_>>,
     settings: &CheckSettings,
 ) -> Result<(SurfaceReport, Option<u64>)> {
-    check_in(source, domain, &Shares::of(source.vertex_count(), settings)?)
+    let (report, open) =
+        check_in(source, domain, &Shares::of(source.vertex_count(), settings)?, &mut |_| Ok(0))?;
+    Ok((report, domain.map(|_| open.outside)))
 }
+
+/// Boundary edges that lie on no face of the domain.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct OpenEdges {
+    /// Those that nothing explains: holes.
+    pub outside: u64,
+    /// Those at samples without data.
+    pub at_missing: u64,
+}
+
+/// Edges as the positions of their ends, in the world; answers how many of them lie where there is no data.
+pub type Explain<'a> = dyn FnMut(&[[[f32; 3]; 2]]) -> Result<u64> + 'a;
+
+/// As [`check_source`], where boundary edges may also lie at what has no data: `at_missing` is asked about those on no face, so many at a time as
+/// [`EDGES_ASKED`] at most.
+///
+/// # Errors
+/// As [`check_source`], and those of `at_missing`.
+pub fn check_within(
+    source: &dyn SurfaceSource,
+    domain: &Domain<'_>,
+    settings: &CheckSettings,
+    at_missing: &mut Explain<'_>,
+) -> Result<(SurfaceReport, OpenEdges)> {
+    check_in(source, Some(domain), &Shares::of(source.vertex_count(), settings)?, at_missing)
+}
+
+/// Boundary edges that are asked about at a time, at most.
+pub const EDGES_ASKED: usize = 1 << 13;
 
 fn check_in(
     source: &dyn SurfaceSource,
     domain: Option<&Domain<'_>>,
     shares: &Shares<'_>,
-) -> Result<(SurfaceReport, Option<u64>)> {
+    at_missing: &mut Explain<'_>,
+) -> Result<(SurfaceReport, OpenEdges)> {
     let mut report = SurfaceReport {
         vertices: source.vertex_count(),
         triangles: source.triangle_count(),
@@ -194,8 +226,8 @@ fn check_in(
     report.components = pieces.count();
     report.boundary_loops = loops(&rims, &mut pieces)?;
     measure(source, &mut places, &mut report)?;
-    let outside = domain.map(|domain| edges_outside(&rims, &mut places, domain)).transpose()?;
-    Ok((report, outside))
+    let open = domain.map(|domain| edges_outside(&rims, &mut places, domain, at_missing)).transpose()?;
+    Ok((report, open.unwrap_or_default()))
 }
 
 /// The boundary edges, each as its triangle runs along it, in the order of their first vertices.
@@ -372,16 +404,30 @@ fn edges_outside(
     edges: &Store<[u32; 2]>,
     places: &mut Cached<'_, [f32; 3]>,
     domain: &Domain<'_>,
-) -> Result<u64> {
-    let mut outside = 0;
+    at_missing: &mut Explain<'_>,
+) -> Result<OpenEdges> {
+    let (mut open, mut waiting) = (OpenEdges::default(), vec![]);
+    let mut ask = |edges: &mut Vec<[[f32; 3]; 2]>| {
+        let explained = if edges.is_empty() { 0 } else { at_missing(edges)? };
+        open.at_missing += explained;
+        open.outside += edges.len() as u64 - explained;
+        edges.clear();
+        Ok(())
+    };
     edges.each(&mut |batch| {
         for &[a, b] in batch {
-            let faces = domain.faces_of(places.get(a.into())?) & domain.faces_of(places.get(b.into())?);
-            outside += u64::from(faces == 0);
+            let ends = [places.get(a.into())?, places.get(b.into())?];
+            if domain.faces_of(ends[0]) & domain.faces_of(ends[1]) == 0 {
+                waiting.push(ends);
+                if waiting.len() == EDGES_ASKED {
+                    ask(&mut waiting)?;
+                }
+            }
         }
         Ok(())
     })?;
-    Ok(outside)
+    ask(&mut waiting)?;
+    Ok(open)
 }
 
 /// Areas, the enclosed volume and the Euler number, in triangle order, all in `f64`.
