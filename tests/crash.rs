@@ -656,3 +656,26 @@ fn a_commit_sweeps_what_killed_processes_have_left() {
     assert!(command(d, &["commit", "-q", "w.isospan"]).status().unwrap().success());
     case.same("w.isospan");
 }
+
+/// A search that had finished is asked for again: it says so. Of another input, or with another target, it is refused.
+#[test]
+fn a_target_that_was_met_is_not_looked_for_again() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [24, 22, 20], waves);
+    for target in [["--target-rms", "3%"], ["--target-max", "30%"]] {
+        let args = [&["reduce", "-q", "v.npy", "-o", "t.isospan"], &target[..]].concat();
+        ok(d, &args);
+        let made = folder(&d.join("t.isospan"));
+        let out = Command::new(env!("CARGO_BIN_EXE_isospan")).current_dir(d).args(&args).output().unwrap();
+        let text = String::from_utf8(out.stdout).unwrap();
+        assert!(out.status.success() && text.contains("nothing left to make"), "{text}");
+        let other = [&args[..6], &[if target[0] == "--target-rms" { "2%" } else { "29%" }]].concat();
+        assert_eq!(end(spawn(d, &other)).0.code(), Some(2));
+        write_npy(&d.join("v.npy"), [24, 22, 20], |x, y, z| waves(x, y, z) * 1.5);
+        assert_eq!(end(spawn(d, &args)).0.code(), Some(2));
+        write_npy(&d.join("v.npy"), [24, 22, 20], waves);
+        assert!(folder(&d.join("t.isospan")) == made);
+        fs::remove_dir_all(d.join("t.isospan")).unwrap();
+    }
+}

@@ -403,6 +403,10 @@ pub struct Manifest {
     pub mesh: Vec<SegmentRecord>,
     /// Steps, in order of their numbers.
     pub steps: Vec<Step>,
+    /// Of an archive that was made for a wanted error, by several tries: XXH3 (128 bits) of the settings. By it the same call knows
+    /// that it is done.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target: Option<PlanHash>,
 }
 
 /// What a manifest of any version has.
@@ -426,6 +430,7 @@ impl Manifest {
             counts,
             mesh,
             steps,
+            target: None,
         }
     }
 

@@ -70,6 +70,11 @@ pub struct ReduceSettings {
 }
 
 impl ReduceSettings {
+    /// A hash of all of them.
+    pub(super) fn hash(&self) -> PlanHash {
+        PlanHash::of(&serde_json::to_vec(self).expect("settings are plain data"))
+    }
+
     /// Default of `chunk_points`.
     pub const CHUNK_POINTS: u64 = 250_000;
     /// The value that means "no data", as a plan records it: NaN and infinity always do.

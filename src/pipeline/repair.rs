@@ -116,7 +116,11 @@ pub(super) fn may_be_of(archive: &Path, steps: &[StepSource], settings: &ReduceS
         && manifest.plan.levels.is_some() == settings.adapt.is_some()
         && first.and_then(|plan| plan.quantiser).map(|q| q.bits) == settings.value_bits
         && steps.iter().any(|step| name(step).as_ref() == first.map(|plan| &plan.source.path));
-    settings.target.is_none() && (is_alike || lacks_files(archive, &manifest))
+    // What a target is met with tells so; how many points it has is no matter of the settings.
+    match settings.target {
+        Some(_) => manifest.target == Some(settings.hash()),
+        None => is_alike || lacks_files(archive, &manifest),
+    }
 }
 
 /// The manifest, if there is one: of a finished archive of this very plan.

@@ -23,14 +23,18 @@
 //! The numbers of points follow from measured errors, which depend on nothing but the input: the same archive for any threads.
 
 use super::beside::Beside;
+use super::fingerprint::Inputs;
 use super::job::{Job, Part, ReduceReport, RunSettings, finished};
+use super::open::StepSummary;
 use super::plan::{Amount, Plan, ReduceSettings};
 use super::plan_file::{old_archive, work_folder};
-use super::reduce::make;
+use super::reduce::{folder_bytes, is_finished, make};
+use super::repair::{exists, lacks_files};
 use super::target_max::reduce_to_max;
-use crate::archive::manifest::Manifest;
+use crate::archive::manifest::{Manifest, Step};
 use crate::archive::publish::{remove_folder, replace_folder};
 use crate::error::{Error, Result};
+use crate::formats::{self, Input};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::Path;
@@ -189,6 +193,9 @@ const USUAL_POWER: f64 = 0.5;
 /// As those of a reduction; [`Error::Usage`] for a target that cannot be one.
 pub(super) fn reduce_to_target(job: &Job<'_>, target: Target) -> Result<ReduceReport> {
     target.check(job.settings)?;
+    if let Some(report) = made_before(job)? {
+        return Ok(finished(report, job.started));
+    }
     if let Target::Max(_) = target {
         return reduce_to_max(job, target);
     }
@@ -237,6 +244,50 @@ pub(super) fn reduce_to_target(job: &Job<'_>, target: Target) -> Result<ReduceRe
     Ok(finished(report, job.started))
 }
 
+/// The report of an archive that this very call has made before: with the same settings, of the same files.
+///
+/// # Errors
+/// [`Error::Usage`] when there is another one.
+fn made_before(job: &Job<'_>) -> Result<Option<ReduceReport>> {
+    if job.run.replace || !is_finished(job.out) {
+        return Ok(None);
+    }
+    let manifest = Manifest::read(job.out)?;
+    let (mut inputs, mut is_same) = (Inputs::default(), manifest.target == Some(job.settings.hash()));
+    is_same &= manifest.steps.len() == job.sources.len() && !lacks_files(job.out, &manifest);
+    for (step, (number, source)) in manifest.steps.iter().zip(job.sources).take_while(|_| is_same) {
+        let (files, field) = match formats::open_input(&source.path, &source.options)? {
+            Input::Volume(volume) => (volume.info().files(), volume.info().field.name.clone()),
+            Input::Mesh(mesh) => (mesh.info().files(), mesh.field()?.name.clone()),
+        };
+        let found = inputs.fingerprint(*number, &files, &job.run.cancel)?;
+        let (plan, of_source) = (&step.plan, &step.plan.source);
+        is_same &= (plan.number, plan.time) == (*number, source.time)
+            && (&of_source.fingerprint, &of_source.field) == (&found, &field);
+    }
+    if !is_same {
+        return Err(exists(job.out));
+    }
+    let (counts, first) = (manifest.counts, &manifest.steps[0]);
+    let ranges = manifest.steps.iter().filter_map(Step::told_range);
+    Ok(Some(ReduceReport {
+        samples: first.plan.source.samples(),
+        points: counts.points,
+        void_points: manifest.steps.iter().map(|s| s.void_points).sum(),
+        tetrahedra: counts.tetrahedra,
+        chunks: counts.chunks,
+        blocks: counts.blocks,
+        grid_cells: first.coordinates.map(|c| c.cells),
+        range: ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]),
+        quantiser: first.plan.told_quantiser(),
+        error: first.error.clone(),
+        steps: manifest.steps.iter().map(StepSummary::of).collect(),
+        archive_bytes: folder_bytes(job.out)?,
+        made_before: true,
+        ..ReduceReport::default()
+    }))
+}
+
 /// The error of the worst step.
 pub(super) fn error_of(target: Target, report: &ReduceReport) -> f64 {
     let which = usize::from(matches!(target, Target::Max(_)));
@@ -258,6 +309,8 @@ const FULL: f64 = 0.9;
 
 /// Puts a try in the place of the archive. One that is there is whole until then.
 pub(super) fn publish(job: &Job<'_>, best: &Path, work: &Path) -> Result<()> {
+    let manifest = Manifest { target: Some(job.settings.hash()), ..Manifest::read(best)? };
+    manifest.write(best)?;
     replace_folder(best, job.out, &old_archive(job.out))?;
     // There may be a plan, or logs, of somebody else.
     let _ = fs::remove_dir(work);
