@@ -8,7 +8,7 @@
 //! ```
 //!
 //! A **shard** I of N is the I-th of N runs of whole segments. N is free: the segments, and so the archive's bytes, are the same
-//! for any N, and workers of different N may run together. A shard does all steps of its chunks. Nothing is locked and nobody is asked. A worker skips segments that
+//! for any N, and workers of different N may run together. A shard does all steps of its chunks. Workers lock nothing and ask nobody. A worker skips segments that
 //! are done; two that make the same one write the same bytes to temporaries of different names, and the later rename
 //! replaces a file by its copy. So a task may be started twice, or go on after its machine was given up for dead.
 //!
