@@ -3,14 +3,16 @@
 mod common;
 
 use common::*;
+use isospan::Archive;
 use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::grid::Geometry;
-use isospan::Archive;
 use isospan::pipeline::{self, Amount, NanPolicy, ReduceSettings, Roi, SurfaceReport, SurfaceSettings};
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
-use isospan::surface::check::{CheckSettings, Domain, OpenEdges, boundary_edges, boundary_outside, check, check_within};
+use isospan::surface::check::{
+    CheckSettings, Domain, OpenEdges, boundary_edges, boundary_outside, check, check_within,
+};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -295,7 +297,8 @@ fn a_surface_that_ends_at_missing_samples_is_sound() {
     let (input, archive) = (dir.path().join("m.npy"), dir.path().join("m.isospan"));
     let far = |x: f64, y: f64, z: f64| (x - 0.3).powi(2) + y * y + z * z > 0.2;
     write_npy(&input, [34, 30, 28], |x, y, z| if far(x, y, z) { waves(x, y, z) } else { f64::NAN });
-    let masked = ReduceSettings { nan: NanPolicy::Mask, ..settings(SetKind::Halton, Amount::Fraction(0.5), 3_000) };
+    let masked =
+        ReduceSettings { nan: NanPolicy::Mask, ..settings(SetKind::Halton, Amount::Fraction(0.5), 3_000) };
     reduce(&input, &masked, &archive, 2);
     let asked = Archive::open(&archive).unwrap();
     let geometry = Geometry::default();
@@ -312,7 +315,9 @@ fn a_surface_that_ends_at_missing_samples_is_sound() {
     let inner: Vec<usize> = (0..whole.triangles.len())
         .filter(|&t| {
             let middle = |v: u32| whole.vertices[v as usize].position;
-            let apart = |v: u32| rim.iter().all(|&r| (0..3).map(|a| (middle(v)[a] - middle(r)[a]).powi(2)).sum::<f32>() > 1.0);
+            let apart = |v: u32| {
+                rim.iter().all(|&r| (0..3).map(|a| (middle(v)[a] - middle(r)[a]).powi(2)).sum::<f32>() > 1.0)
+            };
             t % 97 == 0 && whole.triangles[t].into_iter().all(apart)
         })
         .collect();

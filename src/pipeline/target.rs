@@ -255,7 +255,10 @@ fn made_before(job: &Job<'_>) -> Result<Option<ReduceReport>> {
     let manifest = Manifest::read(job.out)?;
     let (mut inputs, mut is_same) = (Inputs::default(), manifest.target == Some(job.settings.hash()));
     is_same &= manifest.steps.len() == job.sources.len() && !lacks_files(job.out, &manifest);
-    for (step, (number, source)) in manifest.steps.iter().zip(job.sources).take_while(|_| is_same) {
+    for (step, (number, source)) in manifest.steps.iter().zip(job.sources) {
+        if !is_same {
+            break;
+        }
         let (files, field) = match formats::open_input(&source.path, &source.options)? {
             Input::Volume(volume) => (volume.info().files(), volume.info().field.name.clone()),
             Input::Mesh(mesh) => (mesh.info().files(), mesh.field()?.name.clone()),
@@ -309,7 +312,8 @@ const FULL: f64 = 0.9;
 
 /// Puts a try in the place of the archive. One that is there is whole until then.
 pub(super) fn publish(job: &Job<'_>, best: &Path, work: &Path) -> Result<()> {
-    let manifest = Manifest { target: Some(job.settings.hash()), ..Manifest::read(best)? };
+    let mut manifest = Manifest::read(best)?;
+    manifest.target = Some(job.settings.hash());
     manifest.write(best)?;
     replace_folder(best, job.out, &old_archive(job.out))?;
     // There may be a plan, or logs, of somebody else.

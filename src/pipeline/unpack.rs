@@ -115,7 +115,8 @@ pub fn unpack_need(path: &Path, settings: &UnpackSettings) -> Result<UnpackNeed>
     let mut tetrahedra = 0;
     for position in positions {
         archive.turn_to(position);
-        tetrahedra += parts_of(&archive, settings.range)?.iter().map(|part| part.wanted_tets).sum::<u64>();
+        let range = settings.range.map(|v| archive.step().plan.source.kept(v));
+        tetrahedra += parts_of(&archive, range)?.iter().map(|part| part.wanted_tets).sum::<u64>();
     }
     let bytes = tetrahedra * BYTES_ON_DISK;
     let free = need::free_bytes(archive.path());

@@ -162,8 +162,7 @@ fn tiny(mesh: &TriMesh, domain: &Domain<'_>) -> (SurfaceReport, Option<u64>) {
     let settings = CheckSettings { scratch: scratch.path().into(), ..CheckSettings::default() };
     let mut shares = Shares::of(mesh.vertex_count(), &settings).unwrap();
     (shares.arcs, shares.positions) = (12 * 5, 8);
-    let (report, open) =
-        check_in(&Batches(mesh.clone()), Some(domain), &shares, &mut |_| Ok(0)).unwrap();
+    let (report, open) = check_in(&Batches(mesh.clone()), Some(domain), &shares, &mut |_| Ok(0)).unwrap();
     assert_eq!(std::fs::read_dir(scratch.path()).unwrap().count(), 0);
     (report, Some(open.outside))
 }
