@@ -52,7 +52,7 @@ fn copies_in_the_scratch_folder_are_private() {
                 "1/64",
                 "--no-measure",
             ])
-            .args(["--memory", "40MiB", "--scratch", "scratch", "--force", "-o", "w.isospan"])
+            .args(["--memory", "160MiB", "--scratch", "scratch", "--force", "-o", "w.isospan"])
             .stdout(Stdio::null())
             .spawn()
             .unwrap();

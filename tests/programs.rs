@@ -34,7 +34,7 @@ fn tests_call_programs_that_every_debian_has() {
             let called = called.trim_start();
             let program = match called.strip_prefix('"') {
                 Some(literal) => literal.split('"').next().unwrap(),
-                None => called.split([',', ';', '.', ' ']).next().unwrap().trim_end_matches(')'),
+                None => called.split([',', ';', '.', ' ']).next().unwrap().trim_end().trim_end_matches(')'),
             };
             let known = match called.starts_with('"') {
                 true => EVERYWHERE.contains(&program) || ASKED_FOR.contains(&program),

@@ -318,10 +318,11 @@ fn a_surface_that_ends_at_missing_samples_is_sound() {
             let apart = |v: u32| {
                 rim.iter().all(|&r| (0..3).map(|a| (middle(v)[a] - middle(r)[a]).powi(2)).sum::<f32>() > 1.0)
             };
-            t % 97 == 0 && whole.triangles[t].into_iter().all(apart)
+            t % 997 == 0 && whole.triangles[t].into_iter().all(apart)
         })
+        .take(3)
         .collect();
-    assert!(inner.len() > 5, "{}", inner.len());
+    assert_eq!(inner.len(), 3);
     for t in inner {
         let mut holed = whole.clone();
         holed.triangles.remove(t);

@@ -64,7 +64,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let surface = load_surface(&args.input, &settings)?;
     let (report, open) = match (&domain, &args.within) {
         (Some(domain), Some(path)) => {
-            let archive = Archive::open(path)?;
+            let archive = Archive::open(path)?.keeping(0);
             let (report, open) =
                 check_within(&surface, domain, &settings, &mut |edges| archive.edges_at_missing(edges))?;
             (report, Some(open))

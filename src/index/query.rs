@@ -492,6 +492,7 @@ mod tests {
         let index = index_of(&entries_of(&synthetic(300)), dir.path());
         let mut blocks: Vec<Vec<u8>> = vec![vec![]; index.segment().unwrap().block_count() as usize];
         (0..).zip(&mut blocks).for_each(|(n, b)| index.segment().unwrap().block(n, b).unwrap());
+        let (mut cases, mut refused) = (0, 0);
         for block in 0..blocks.len() {
             for at in (0..blocks[block].len().min(120)).step_by(7) {
                 let mut bad = blocks.clone();
@@ -503,10 +504,11 @@ mod tests {
                 }
                 w.finish().unwrap();
                 // Never a panic; places may change unnoticed, bounds and shapes may not.
-                if let Ok(index) = SpanIndex::open(&path, None) {
-                    let _ = (index.query(0.5), index.verify());
-                }
+                let survived = SpanIndex::open(&path, None)
+                    .is_ok_and(|index| index.query(0.5).is_ok() & index.verify().is_ok());
+                (cases, refused) = (cases + 1, refused + u32::from(!survived));
             }
         }
+        assert!(refused > cases / 4 && cases > 20, "{refused} of {cases}");
     }
 }
