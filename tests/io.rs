@@ -27,13 +27,13 @@ fn copies_in_the_scratch_folder_are_private() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
     fs::create_dir(d.join("scratch")).unwrap();
-    write_npy(&d.join("w.npy"), [200, 200, 200], waves);
+    write_npy(&d.join("w.npy"), [128, 128, 100], waves);
     let plain = fs::read(d.join("w.npy")).unwrap();
     let mut packed = flate2::write::GzEncoder::new(
         fs::File::create(d.join("w.raw.gz")).unwrap(),
         flate2::Compression::fast(),
     );
-    std::io::Write::write_all(&mut packed, &plain[plain.len() - 4 * 200 * 200 * 200..]).unwrap();
+    std::io::Write::write_all(&mut packed, &plain[plain.len() - 4 * 128 * 128 * 100..]).unwrap();
     packed.finish().unwrap();
     // While it is copied the copy has a name; it is looked at from outside, again and again.
     let mut seen = vec![];
@@ -45,7 +45,7 @@ fn copies_in_the_scratch_folder_are_private() {
                 "-q",
                 "w.raw.gz",
                 "--dims",
-                "200,200,200",
+                "128,128,100",
                 "--type",
                 "f32",
                 "--fraction",

@@ -367,7 +367,7 @@ impl Archive {
     /// As [`Archive::probe`].
     pub fn edges_at_missing(&self, edges: &[[[f32; 3]; 2]]) -> Result<u64> {
         let source = &self.open.step().plan.source;
-        edges_at_missing(edges, &source.geometry, source.dims, &|points| self.probe(points))
+        edges_at_missing(edges, &source.geometry, source.dims, |points| self.probe(points))
     }
 
     /// Writes a table of points (CSV) with the field's value beside each, or the values alone (NPY), in bounded memory.

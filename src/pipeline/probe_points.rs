@@ -58,7 +58,7 @@ pub(super) fn edges_at_missing(
     edges: &[[[f32; 3]; 2]],
     geometry: &Geometry,
     dims: [u64; 3],
-    values: &dyn Fn(&[[f64; 3]]) -> Result<Vec<f64>>,
+    values: impl FnOnce(&[[f64; 3]]) -> Result<Vec<f64>>,
 ) -> Result<u64> {
     let inside = |p: &[f64; 3]| (0..3).all(|a| p[a] > 0.0 && p[a] < (dims[a] - 1) as f64);
     let (mut points, mut ends) = (vec![], vec![]);
