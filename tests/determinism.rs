@@ -5,7 +5,9 @@ mod common;
 
 use common::*;
 use isospan::measure::FieldError;
-use isospan::pipeline::{Amount, ReduceSettings};
+use isospan::exec::Silent;
+use isospan::formats::OpenOptions;
+use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use std::fs;
@@ -113,7 +115,13 @@ fn segments_of_another_plan_are_not_taken() {
     reduce(&input, &settings(SetKind::Halton, AMOUNT, 5_000), &out, 2);
     fs::remove_file(out.join("manifest.json")).unwrap();
     let other = settings(SetKind::Halton, Amount::Fraction(0.4), 5_000);
-    reduce(&input, &other, &out, 2);
+    let anew = |replace| {
+        let run = RunSettings { replace, ..run(2) };
+        pipeline::reduce(&input, &OpenOptions::default(), &other, &out, &run, &Silent)
+    };
+    let error = anew(false).unwrap_err();
+    assert!(error.exit_code() == 2 && error.to_string().contains("unfinished work"), "{error}");
+    anew(true).unwrap();
     let fresh = dir.path().join("b.isospan");
     reduce(&input, &other, &fresh, 2);
     assert_eq!(folder(&out), folder(&fresh));
