@@ -4,9 +4,9 @@
 mod common;
 
 use common::*;
-use isospan::measure::FieldError;
 use isospan::exec::Silent;
 use isospan::formats::OpenOptions;
+use isospan::measure::FieldError;
 use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings};
 use isospan::points::SetKind;
 use isospan::sample::Values;

@@ -108,7 +108,7 @@ fn chunks_threads_memory_restarts_and_shards_do_not_show() {
     write_ball(&input);
     let mut sets = vec![];
     for chunk_points in [300, 1_000, u64::MAX >> 20] {
-        let settings = ReduceSettings { chunk_points, ..fitted(0.6) };
+        let settings = ReduceSettings { chunk_points, ..fitted(1.6) };
         let out = dir.path().join(format!("{chunk_points}.isospan"));
         let report = reduce(&input, &settings, &out, 2);
         assert!(report.chunks > 4 || chunk_points > 1_000, "{} chunks", report.chunks);
@@ -119,7 +119,7 @@ fn chunks_threads_memory_restarts_and_shards_do_not_show() {
     assert!(sets[0].0.len() > 500 && sets.iter().all(|s| *s == sets[0]), "chunks");
 
     let (settings, out) =
-        (ReduceSettings { chunk_points: 300, ..fitted(0.6) }, dir.path().join("300.isospan"));
+        (ReduceSettings { chunk_points: 300, ..fitted(1.6) }, dir.path().join("300.isospan"));
     let expected = folder(&out);
     let [again, shards] = ["again", "shards"].map(|n| dir.path().join(format!("{n}.isospan")));
     let small = isospan::pipeline::RunSettings { memory: 64 << 20, ..run(1) };

@@ -13,7 +13,7 @@ pub(crate) struct Choices {
     /// The point set [default: hammersley; with --adapt halton].
     #[arg(long, value_enum)]
     points: Option<Set>,
-    /// Number of points as a fraction of the samples: 1/8, 0.125 or 12.5% [default: 1/8].
+    /// Number of points as a fraction of the samples: 1/8, 0.125 or 12.5% [default: 1/8]; of a mesh, of its vertices, boundary included.
     #[arg(long, value_name = "FRACTION", value_parser = text::parse_fraction, conflicts_with = "count")]
     fraction: Option<f64>,
     /// Number of points (boundary samples come on top).

@@ -64,7 +64,19 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
 /// The figures as a line of a report on an archive.
 pub(crate) fn line(e: &FieldError) -> String {
     let [rms, max] = [e.rms, e.max].map(|v| text::value(text::figures(v, 4)));
-    format!("  error       RMS {rms}, at most {max}, at {} samples", text::count(e.measured))
+    let beyond = beyond(e).map_or(String::new(), |line| format!("\n  outside     {line}"));
+    format!("  error       RMS {rms}, at most {max}, at {} samples{beyond}", text::count(e.measured))
+}
+
+/// Of a mesh: how many of its vertices the reduced domain leaves out.
+fn beyond(e: &FieldError) -> Option<String> {
+    let share = 100.0 * e.beyond as f64 / e.samples.max(1) as f64;
+    (e.beyond > 0).then(|| {
+        format!(
+            "{} vertices ({share:.1} %) lie outside of the reduced domain: measured against its nearest value",
+            text::count(e.beyond)
+        )
+    })
 }
 
 fn report_text(archive: &Path, report: &MeasureReport) -> String {
@@ -87,6 +99,9 @@ fn report_text(archive: &Path, report: &MeasureReport) -> String {
         if count > 0 {
             let _ = writeln!(out, "  not         {} {why}", text::count(count));
         }
+    }
+    if let Some(line) = beyond(e) {
+        let _ = writeln!(out, "  outside     {line}");
     }
     if e.measured == 0 {
         return out;

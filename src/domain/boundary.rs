@@ -1,8 +1,8 @@
 //! Samples of the boundary of a mesh, by area.
 //!
 //! The boundary's triangles are put behind one another along a space-filling curve; sample k sits where the area before it is
-//! (k + ½)·h², h the mean distance of the points inside. So each stretch of the boundary has its share, and neighbours on the curve are neighbours in
-//! space. Within its triangle (corners a, b, c) the place is
+//! (k + ½)·h², h the mean distance of the points inside: as dense as those. So each stretch of the boundary has its share, and neighbours on the
+//! curve are neighbours in space. Within its triangle (corners a, b, c) the place is
 //!
 //! ```text
 //! (1 - √u)·a + √u·(1 - v)·b + √u·v·c      u: how far into the triangle's area, v = Φ2(k + 1)
@@ -11,13 +11,15 @@
 //! which spreads points evenly over a triangle. Positions are rounded to the lattice. A sample is a point of the mesh even where rounding has
 //! pushed it outside: then its value is interpolated in its triangle.
 //!
+//! Where that would be more samples than the boundary has vertices, the vertices are the samples; of several bodies, as many samples. Triangles in a side of the box have none: points
+//! of the set lie there already, as densely. Places of the boundary are looked for among denser samples, which are no points of the archive.
+//!
 //! # Points outside, near the boundary
 //!
 //! The samples alone do not make the boundary a part of the tetrahedralization: a tetrahedron with a corner a little outside may
 //! reach deep inside, and to leave it out would gnaw at the mesh everywhere. So a point outside that is near the boundary gets the
 //! value of the nearest place of the boundary, and counts as a point of that body; of the tetrahedra at such points those are kept whose
-//! centroid is in the body. What is left out inside and what is kept outside then balance: at as many points as vertices the volume of the
-//! reduced domain is within 1 % of the mesh's on the meshes that it was tried on, where without it up to 14 % were missing.
+//! centroid is in the body. What is left out inside and what is kept outside then balance. Without it up to 14 % of a mesh's volume were missing.
 //!
 //! # Bodies that touch
 //!
@@ -57,6 +59,14 @@ pub(crate) enum Sample {
 pub(crate) struct BoundarySamples {
     pub(crate) points: Arc<ExplicitPoints>,
     samples: Vec<Sample>,
+    /// Samples of all triangles, by which the nearest place of the boundary is found.
+    near: Near,
+}
+
+/// Finds the nearest place of the boundary.
+pub(super) struct Near {
+    points: ExplicitPoints,
+    samples: Vec<OnBoundary>,
     lattice: Lattice,
     spacing: Spacing,
 }
@@ -67,6 +77,8 @@ pub(crate) struct Spacing {
     /// Of each level; of one, where there are no levels.
     by_level: Vec<u32>,
     levels: Option<Arc<Levels>>,
+    /// Whether the set has points on the sides of the box.
+    has_sides: bool,
 }
 
 impl Spacing {
@@ -84,7 +96,9 @@ impl Spacing {
             let spacing = PointSet::new(spec, lattice)?.mean_spacing();
             Ok(spacing.into_iter().max().expect("three axes"))
         };
-        Ok(Self { by_level: (0..=top).map(of).collect::<Result<_>>()?, levels })
+        let set = PointSet::new(points, lattice)?;
+        let has_sides = set.len() > set.interior_len();
+        Ok(Self { by_level: (0..=top).map(of).collect::<Result<_>>()?, levels, has_sides })
     }
 
     /// The mean distance around a position of the domain.
@@ -106,10 +120,10 @@ impl Spacing {
     }
 }
 
-/// Samples per square of the mean distance.
-const DENSITY: f64 = 2.0;
+/// Samples per square of the mean distance by which places of the boundary are found.
+const NEAR_DENSITY: f64 = 2.0;
 /// Where bodies touch there are so many times as many, a whole number: see [`contact`](super::contact).
-pub(super) const DENSER: f64 = 2.0;
+pub(super) const DENSER: u64 = 4;
 /// A point outside of the mesh is near its boundary within so many mean distances.
 const NEAR: f64 = 0.75;
 /// The triangle nearest to a point has a sample within so many mean distances of its nearest place, mostly.
@@ -122,57 +136,48 @@ impl BoundarySamples {
     /// [`Error::Budget`] when `memory` does not hold them.
     pub(crate) fn new(store: &CellStore, spacing: &Spacing, memory: u64, path: &Path) -> Result<Self> {
         let step = f64::from(spacing.by_level[0]) * f64::from(1u32 << FINE_BITS);
-        let each = step * step / DENSITY;
+        let (each, near_each) = (step * step, step * step / NEAR_DENSITY);
         let positions = store.positions.get()?;
         let triangles = store.boundary.get()?;
-        let corners = |&[a, b, c, _]: &[u64; 4]| [a, b, c].map(|v| positions[v as usize]);
-        // Where points are denser than at level 0, as if the triangle were larger.
-        let share = |p: [FinePos; 3]| area(p) * spacing.denser(rounded(mean(p, [1.0 / 3.0; 3])));
-        let total: f64 = triangles.iter().map(|t| share(corners(t))).sum();
-        let count = total / each;
+        let surface = Surface { positions, triangles, spacing };
+        let everywhere = |_: [FinePos; 3]| true;
+        let near_count = surface.area(everywhere) / near_each;
         let several = store.census.bodies > 1;
         // In the list, sorted, and while both are there; of several bodies as pairs too, and while they are located.
-        let lists = if several { 4.0 * DENSER } else { 3.0 };
-        let bytes = (count * lists * size_of::<(LatticePos, Sample)>() as f64) as u64;
-        if bytes > memory || count > ExplicitPoints::MOST as f64 {
-            let what = format!("memory for {count:.0} samples of the boundary of {}", path.display());
+        let lists = if several { 8.0 } else { 3.0 };
+        let bytes = (near_count * lists * size_of::<(LatticePos, Sample)>() as f64) as u64;
+        if bytes > memory || near_count > ExplicitPoints::MOST as f64 {
+            let what = format!("memory for {near_count:.0} samples of the boundary of {}", path.display());
             return Err(Error::Budget { what, needed: bytes, available: memory });
         }
-        let each = if several { each / DENSER } else { each };
-        let (mut samples, mut before, mut k) = (vec![], 0.0, 0u64);
-        for triangle in triangles {
-            let p = corners(triangle);
-            let area = share(p);
-            while (k as f64 + 0.5) * each < before + area {
-                let u = (((k as f64 + 0.5) * each - before) / area).clamp(0.0, 1.0).sqrt();
-                let v = if several { halves(k) } else { radical_inverse(2, k + 1).to_f64() };
-                let weights = [1.0 - u, u * (1.0 - v), u * v];
-                let [a, b, c, body] = *triangle;
-                samples.push((rounded(mean(p, weights)), OnBoundary { triangle: [a, b, c], body, weights }));
-                k += 1;
-            }
-            before += area;
-        }
         let lattice = store.frame.lattice;
-        if several {
-            let free = samples.iter().step_by(DENSER as usize).map(|&(p, s)| (p, Sample::On(s)));
-            let free = Self::sorted(lattice, spacing.clone(), free.collect());
-            let split = Contacts { free: &free, store, lattice, spacing }.split(&samples)?;
-            return Ok(Self::sorted(lattice, spacing.clone(), split));
-        }
-        let samples = samples.into_iter().map(|(p, s)| (p, Sample::On(s))).collect();
-        Ok(Self::sorted(lattice, spacing.clone(), samples))
-    }
-
-    fn sorted(lattice: Lattice, spacing: Spacing, samples: Vec<(LatticePos, Sample)>) -> Self {
-        let points = ExplicitPoints::new(&lattice, samples.iter().map(|s| s.0).collect());
-        let mut first = vec![u32::MAX; points.positions().len()];
-        for (i, sample) in samples.iter().enumerate() {
-            let at = &mut first[points.find(sample.0).expect("the list has each position")];
-            *at = (*at).min(i as u32);
-        }
-        let samples = first.iter().map(|&i| samples[i as usize].1).collect();
-        Self { points: Arc::new(points), samples, lattice, spacing }
+        let near = Near::new(
+            lattice,
+            spacing.clone(),
+            surface.sampled(near_each, everywhere, |k| radical_inverse(2, k + 1).to_f64()),
+        );
+        let most = fine(lattice.max());
+        let in_side = |p: [FinePos; 3]| {
+            (0..3).any(|a| p.iter().all(|p| p[a] == 0) || p.iter().all(|p| p[a] == most[a]))
+        };
+        let is_sampled = |p: [FinePos; 3]| !(spacing.has_sides && in_side(p));
+        let (vertices, sampled_area) = (surface.vertices(is_sampled), surface.area(is_sampled));
+        // Not more than the boundary's own vertices, but where bodies touch: there samples are denser, and of those elsewhere only some stay.
+        let (samples, every) = if several {
+            let each = each.max(sampled_area / vertices.len().max(1) as f64);
+            (surface.sampled(each / DENSER as f64, is_sampled, turned), DENSER as usize)
+        } else if sampled_area / each > vertices.len() as f64 {
+            (vertices, 1)
+        } else {
+            (surface.sampled(each, is_sampled, |k| radical_inverse(2, k + 1).to_f64()), 1)
+        };
+        let samples = if several {
+            Contacts { near: &near, store, lattice, spacing }.split(&samples, every)?
+        } else {
+            samples.into_iter().map(|(p, s)| (p, Sample::On(s))).collect()
+        };
+        let (points, samples) = sorted(lattice, &samples);
+        Ok(Self { points: Arc::new(points), samples, near })
     }
 
     /// The sample at a position.
@@ -180,9 +185,92 @@ impl BoundarySamples {
         self.points.find(pos).map(|i| &self.samples[i])
     }
 
+    /// How many samples places of the boundary are found by.
+    pub(crate) fn held(&self) -> u64 {
+        self.points.len() + self.near.points.len()
+    }
+
     /// The place of the boundary that is nearest to a position, if it is near: within [`NEAR`] of the mean distance.
     pub(crate) fn near(&self, store: &CellStore, pos: LatticePos) -> Result<Option<OnBoundary>> {
-        self.nearest_of(store, pos, NEAR, |_, _| true)
+        self.near.nearest_of(store, pos, NEAR, |_, _| true)
+    }
+}
+
+/// Positions in canonical order, each once, with the first sample of each.
+fn sorted<T: Copy>(lattice: Lattice, samples: &[(LatticePos, T)]) -> (ExplicitPoints, Vec<T>) {
+    let points = ExplicitPoints::new(&lattice, samples.iter().map(|s| s.0).collect());
+    let mut first = vec![u32::MAX; points.positions().len()];
+    for (i, sample) in samples.iter().enumerate() {
+        let at = &mut first[points.find(sample.0).expect("the list has each position")];
+        *at = (*at).min(i as u32);
+    }
+    let samples = first.iter().map(|&i| samples[i as usize].1).collect();
+    (points, samples)
+}
+
+/// The triangles of a boundary.
+struct Surface<'a> {
+    positions: &'a [FinePos],
+    triangles: &'a [[u64; 4]],
+    spacing: &'a Spacing,
+}
+
+impl Surface<'_> {
+    /// Those that are accepted, with their corners and their shares: where points are denser than at level 0, as if the triangle were larger.
+    fn each(
+        &self,
+        accept: impl Fn([FinePos; 3]) -> bool,
+    ) -> impl Iterator<Item = ([u64; 4], [FinePos; 3], f64)> {
+        let corners = |&[a, b, c, _]: &[u64; 4]| [a, b, c].map(|v| self.positions[v as usize]);
+        let share = |p: [FinePos; 3]| area(p) * self.spacing.denser(rounded(mean(p, [1.0 / 3.0; 3])));
+        let with_corners = self.triangles.iter().map(move |t| (*t, corners(t)));
+        with_corners.filter(move |&(_, p)| accept(p)).map(move |(t, p)| (t, p, share(p)))
+    }
+
+    fn area(&self, accept: impl Fn([FinePos; 3]) -> bool) -> f64 {
+        self.each(accept).map(|(_, _, share)| share).sum()
+    }
+
+    /// A sample for so much area each, at the place across its triangle that its number has.
+    fn sampled(
+        &self,
+        each: f64,
+        accept: impl Fn([FinePos; 3]) -> bool,
+        across: impl Fn(u64) -> f64,
+    ) -> Vec<(LatticePos, OnBoundary)> {
+        let (mut samples, mut before, mut k) = (vec![], 0.0, 0u64);
+        for ([a, b, c, body], p, area) in self.each(accept) {
+            while (k as f64 + 0.5) * each < before + area {
+                let u = (((k as f64 + 0.5) * each - before) / area).clamp(0.0, 1.0).sqrt();
+                let v = across(k);
+                let weights = [1.0 - u, u * (1.0 - v), u * v];
+                samples.push((rounded(mean(p, weights)), OnBoundary { triangle: [a, b, c], body, weights }));
+                k += 1;
+            }
+            before += area;
+        }
+        samples
+    }
+
+    /// A sample for each vertex of a body, in its first triangle.
+    fn vertices(&self, accept: impl Fn([FinePos; 3]) -> bool) -> Vec<(LatticePos, OnBoundary)> {
+        let (mut seen, mut samples) = (std::collections::HashSet::new(), vec![]);
+        for ([a, b, c, body], p, _) in self.each(accept) {
+            for (k, vertex) in [a, b, c].into_iter().enumerate() {
+                if seen.insert((vertex, body)) {
+                    let weights = std::array::from_fn(|i| f64::from(u8::from(i == k)));
+                    samples.push((rounded(p[k]), OnBoundary { triangle: [a, b, c], body, weights }));
+                }
+            }
+        }
+        samples
+    }
+}
+
+impl Near {
+    fn new(lattice: Lattice, spacing: Spacing, samples: Vec<(LatticePos, OnBoundary)>) -> Self {
+        let (points, samples) = sorted(lattice, &samples);
+        Self { points, samples, lattice, spacing }
     }
 
     /// The place of some triangles (three positions) of bodies that is nearest to a position, within so many mean distances. Only
@@ -201,9 +289,7 @@ impl BoundarySamples {
         );
         let mut triangles = vec![];
         self.points.each_in(&around, |i| {
-            if let Sample::On(sample) = &self.samples[i] {
-                triangles.push((sample.body, sample.triangle));
-            }
+            triangles.push((self.samples[i].body, self.samples[i].triangle));
         });
         triangles.sort_unstable();
         triangles.dedup();
@@ -224,10 +310,9 @@ impl BoundarySamples {
     }
 }
 
-/// Radical inverses for the samples of even numbers, and half a turn from them for those of odd ones: either half is spread evenly.
-fn halves(k: u64) -> f64 {
-    let v = radical_inverse(2, k / 2 + 1).to_f64();
-    if k.is_multiple_of(2) { v } else { (v + 0.5) % 1.0 }
+/// Radical inverses for one of [`DENSER`] samples, and parts of a turn from them for the others: each part is spread evenly.
+fn turned(k: u64) -> f64 {
+    (radical_inverse(2, k / DENSER + 1).to_f64() + (k % DENSER) as f64 / DENSER as f64) % 1.0
 }
 
 /// `a - b`, exactly.

@@ -24,9 +24,7 @@
 //! asked which body has the point just beyond (all cells stream past once, [`PointGrid`]): a later one gets a partner there, and in an earlier one the
 //! sample is dropped.
 
-use super::boundary::{
-    BoundarySamples, DENSER, OnBoundary, Sample, Spacing, cross, difference, dot, mean, rounded,
-};
+use super::boundary::{Near, OnBoundary, Sample, Spacing, cross, difference, dot, mean, rounded};
 use super::buckets::BATCH;
 use super::store::CellStore;
 use crate::error::Result;
@@ -40,8 +38,8 @@ const INTO: (f64, f64) = (1.0 / 128.0, 4.0);
 
 /// The boundary of several bodies.
 pub(super) struct Contacts<'a> {
-    /// Its samples as if no bodies touched, to find places near others.
-    pub(super) free: &'a BoundarySamples,
+    /// Finds places near others.
+    pub(super) near: &'a Near,
     pub(super) store: &'a CellStore,
     pub(super) lattice: Lattice,
     /// Mean distance of the points inside.
@@ -57,8 +55,12 @@ struct Placed {
 }
 
 impl Contacts<'_> {
-    /// Makes pairs of samples at places where bodies touch or overlap; of the others only those of the density of free boundaries stay.
-    pub(super) fn split(&self, samples: &[(LatticePos, OnBoundary)]) -> Result<Vec<(LatticePos, Sample)>> {
+    /// Makes pairs of samples at places where bodies touch or overlap; of the others one of `every` so many stays.
+    pub(super) fn split(
+        &self,
+        samples: &[(LatticePos, OnBoundary)],
+        every: usize,
+    ) -> Result<Vec<(LatticePos, Sample)>> {
         let (mut split, mut alone, mut beyond) = (vec![], vec![], vec![]);
         for (k, &(pos, sample)) in samples.iter().enumerate() {
             let placed = self.placed(sample)?;
@@ -79,7 +81,7 @@ impl Contacts<'_> {
                     split.push((self.moved(placed, -1.0), Sample::On(placed.sample)));
                     split.push((self.moved(placed, 1.0), Sample::Beside));
                 }
-                _ if k % DENSER as usize == 0 => split.push((*pos, Sample::On(placed.sample))),
+                _ if k % every == 0 => split.push((*pos, Sample::On(placed.sample))),
                 _ => {}
             }
         }
@@ -94,7 +96,7 @@ impl Contacts<'_> {
 
     /// The nearest place of the boundary of another body that faces a sample.
     fn facing(&self, pos: LatticePos, of: &Placed) -> Result<Option<OnBoundary>> {
-        self.free.nearest_of(self.store, pos, TOUCH, |body, corners| {
+        self.near.nearest_of(self.store, pos, TOUCH, |body, corners| {
             body != of.sample.body && dot(normal(corners), of.normal) < 0.0
         })
     }

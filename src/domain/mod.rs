@@ -26,6 +26,7 @@
 //! mesh ([`bodies`]) and, where a corner is a boundary sample, its centroid does too: what spans a hole, a concavity, the gap between two bodies or
 //! the face at which they touch is left out.
 
+pub(crate) mod amount;
 pub(crate) mod bodies;
 pub(crate) mod boundary;
 pub(crate) mod buckets;
@@ -35,7 +36,7 @@ pub(crate) mod frame;
 pub(crate) mod gradients;
 pub(crate) mod identity;
 pub(crate) mod merge;
-mod nearest;
+pub(crate) mod nearest;
 pub(crate) mod store;
 pub(crate) mod vertices;
 pub(crate) mod voxels;

@@ -7,7 +7,7 @@ use super::boundary::{cross, difference, dot};
 use crate::locate::FinePos;
 
 /// Weights of the corners of a triangle at its point nearest to `p`, and the square of the distance in fine steps.
-pub(super) fn nearest(corners: [FinePos; 3], p: FinePos) -> ([f64; 3], f64) {
+pub(crate) fn nearest(corners: [FinePos; 3], p: FinePos) -> ([f64; 3], f64) {
     let [a, b, c] = corners;
     let weights = weights(a, b, c, p);
     let to: [f64; 3] = std::array::from_fn(|k| {

@@ -52,11 +52,14 @@ pub struct FieldError {
     pub missing: u64,
     /// Others, in a tetrahedron with a void corner.
     pub void: u64,
-    /// Others, in no tetrahedron: near the boundary of a mesh.
+    /// Others, in no tetrahedron.
     pub outside: u64,
     /// Least and largest value of the source at its samples or vertices; none if it has no value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source_range: Option<[f64; 2]>,
+    /// Of those measured, vertices of a mesh outside of the reduced domain: there the value is that of its nearest place.
+    #[serde(default)]
+    pub beyond: u64,
     /// Largest absolute error, exact.
     pub max: f64,
     /// Root mean square.

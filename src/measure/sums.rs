@@ -235,6 +235,7 @@ impl ErrorSums {
             void: self.void,
             outside: samples - self.samples(),
             source_range: self.source_range().map(|range| range.map(f64::from)),
+            beyond: 0,
             max: self.max(),
             rms: self.rms(),
             mean: self.mean(),

@@ -37,39 +37,58 @@ pub(super) struct MeshChoice {
     pub(super) bound: Option<f64>,
 }
 
-/// Levels for `count` points inside a mesh, or for as many as a target asks for.
-///
-/// # Errors
-/// [`Error::Budget`] when the memory does not hold the curves; when the scratch folder cannot be written.
-pub(super) fn choose(
-    store: &CellStore,
-    how: &StoreSettings<'_>,
-    adapt: &Adapt,
-    target: Option<Target>,
-    count: u64,
-    run: &RunSettings,
-) -> Result<MeshChoice> {
-    let lattice = store.frame.lattice;
-    let fixed = need::BASE + ErrorCurves::bytes_for_mesh(lattice);
-    let needed = fixed + BLOCK_BYTES;
-    if run.memory < needed {
-        let what = "memory (to find where points are needed)".into();
-        return Err(Error::Budget { what, needed, available: run.memory });
-    }
-    let at_once = ((run.memory - fixed) / BLOCK_BYTES).min(BLOCKS_A_THREAD * threads(run) as u64);
-    let mut curves = ErrorCurves::of_mesh(lattice);
-    let range = measure(store, how, adapt, at_once, run, &mut curves)?;
-    let vertices = vertices_by_cell(store, curves.cells())?;
-    curves.weigh(&vertices, store.census.vertices);
-    let bound = target.map(|t| t.bound().in_units(range));
-    pool(threads(run))?.install(|| {
-        if let (Some(Target::Max(_)), Some(bound)) = (target, bound) {
-            let choice = Choice::of_bound(&curves, bound, store.census.vertices)?;
-            return Ok(MeshChoice { count: choice.points_in(&curves), choice, bound: Some(bound) });
+/// The errors of simple reductions of a mesh, from which levels are chosen.
+pub(super) struct MeshCurves {
+    curves: ErrorCurves,
+    /// Of the values at vertices.
+    range: [f32; 2],
+    vertices: u64,
+    threads: usize,
+}
+
+impl MeshCurves {
+    /// Measures them.
+    ///
+    /// # Errors
+    /// [`Error::Budget`] when the memory does not hold the curves; when the scratch folder cannot be written.
+    pub(super) fn new(
+        store: &CellStore,
+        how: &StoreSettings<'_>,
+        adapt: &Adapt,
+        run: &RunSettings,
+    ) -> Result<Self> {
+        let lattice = store.frame.lattice;
+        let fixed = need::BASE + ErrorCurves::bytes_for_mesh(lattice);
+        let needed = fixed + BLOCK_BYTES;
+        if run.memory < needed {
+            let what = "memory (to find where points are needed)".into();
+            return Err(Error::Budget { what, needed, available: run.memory });
         }
-        let count = bound.map_or(count, |bound| Choice::count_of_rms(&curves, bound));
-        Ok(MeshChoice { choice: Choice::of_count(&curves, count)?, count, bound })
-    })
+        let threads = threads(run);
+        let at_once = ((run.memory - fixed) / BLOCK_BYTES).min(BLOCKS_A_THREAD * threads as u64);
+        let mut curves = ErrorCurves::of_mesh(lattice);
+        let range = measure(store, how, adapt, at_once, run, &mut curves)?;
+        let at_cells = vertices_by_cell(store, curves.cells())?;
+        curves.weigh(&at_cells, store.census.vertices);
+        Ok(Self { curves, range, vertices: store.census.vertices, threads })
+    }
+
+    /// Levels for `count` points inside the mesh, or for as many as a target asks for.
+    ///
+    /// # Errors
+    /// When threads cannot be started.
+    pub(super) fn choose(&self, target: Option<Target>, count: u64) -> Result<MeshChoice> {
+        let curves = &self.curves;
+        let bound = target.map(|t| t.bound().in_units(self.range));
+        pool(self.threads)?.install(|| {
+            if let (Some(Target::Max(_)), Some(bound)) = (target, bound) {
+                let choice = Choice::of_bound(curves, bound, self.vertices)?;
+                return Ok(MeshChoice { count: choice.points_in(curves), choice, bound: Some(bound) });
+            }
+            let count = bound.map_or(count, |bound| Choice::count_of_rms(curves, bound));
+            Ok(MeshChoice { choice: Choice::of_count(curves, count)?, count, bound })
+        })
+    }
 }
 
 /// Adds the errors of all blocks; returns the range of the values at vertices.

@@ -350,7 +350,8 @@ impl Archive {
     /// The field, linear in each tetrahedron, at points in world coordinates: NaN outside the domain, and where the source has no data.
     ///
     /// Every point lies in exactly one tetrahedron, by a rule where they touch, so the answer is always the same. Points
-    /// are rounded to the lattice, 2^-24 of the domain's longest side. Few points cost as much as the chunks that they lie in.
+    /// are rounded to the lattice, 2^-24 of the domain's longest side. A point outside by no more than `f32` and the lattice round
+    /// coordinates has the value of the nearest place: so vertices of a surface file have values. Few points cost as much as the chunks that they lie in.
     ///
     /// # Errors
     /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Usage`] for 2^32 points or more.

@@ -63,7 +63,7 @@ pub struct ReduceReport {
     pub mesh: Option<MeshCensus>,
     /// Points of the archive.
     pub points: u64,
-    /// Of these, points that are no samples of the boundary, about.
+    /// Of a volume: points that are no samples of the boundary, about. Of a mesh: points with a value that were asked for, boundary included.
     pub inner_points: u64,
     /// What came of looking for a wanted error.
     #[serde(skip_serializing_if = "Option::is_none")]

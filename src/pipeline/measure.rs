@@ -13,7 +13,7 @@ use super::gauge::{self, Cells, Gauge, Samples, field_error_of};
 use super::job::RunSettings;
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
-use super::probe_points::{Find, each_value_of};
+use super::probe_points::{Find, Outside, each_value_of};
 use super::reduce::{MOST_STEPS_AT_ONCE, random_access};
 use super::shift::Reading;
 use super::sides::Sides;
@@ -480,10 +480,10 @@ pub(super) fn world_of(archive: &OpenArchive, ijk: [f64; 3]) -> Result<[f64; 3]>
     }
 }
 
-/// Bytes for a vertex of a batch: its place, three times while it is sorted and looked for, and its value.
-pub(super) const VERTEX: u64 = 120;
+/// Bytes for a vertex of a batch: its place, three times while it is sorted and looked for, its value, and the nearest place.
+pub(super) const VERTEX: u64 = 300;
 /// Bytes for the value of each further step.
-const FURTHER: u64 = 8;
+const FURTHER: u64 = 16;
 /// The most vertices of a batch.
 pub(super) const MOST_VERTICES: u64 = 1 << 31;
 
@@ -514,17 +514,27 @@ fn measure_vertices(
     let share = |memory: u64| rest(memory) / 8 * 7;
     let vertex = VERTEX + FURTHER * (steps.len() as u64 - 1);
     let most = (rest(settings.memory) / 8 / vertex).clamp(1, MOST_VERTICES) as usize;
-    let find =
-        Find { threads: settings.threads, memory: settings.memory, share: &share, cancel: &settings.cancel };
+    let find = Find {
+        threads: settings.threads,
+        memory: settings.memory,
+        share: &share,
+        cancel: &settings.cancel,
+        outside: Outside::All,
+    };
     let bricks = archive.chunks.bricks();
+    let mut beyond = vec![0u64; steps.len()];
     let mut sums: Vec<_> = steps.iter().map(|_| (ErrorSums::default(), none.clone())).collect();
     for (batch, first) in positions.chunks(most).zip((0u64..).step_by(most)) {
         let mut errors = BTreeMap::<u64, BrickErrors>::new();
         let placed = batch.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
-        each_value_of(archive, &steps, placed, &find, progress, "measure", |n, reduced| {
+        each_value_of(archive, &steps, placed, &find, progress, "measure", |n, reduced, is_inside| {
             let (number, at) = (first + u64::from(n), on_lattice(batch[n as usize]));
             let level = levels.map(|levels| usize::from(levels.at(at)));
-            for (((sums, of_levels), values), &reduced) in sums.iter_mut().zip(&columns).zip(reduced) {
+            for ((((sums, of_levels), values), &reduced), beyond) in
+                sums.iter_mut().zip(&columns).zip(reduced).zip(&mut beyond)
+            {
+                let is_measured = !reduced.is_nan() && !values[number as usize].is_nan();
+                *beyond += u64::from(!is_inside && is_measured);
                 sums.add(values[number as usize], reduced, || number);
                 if let Some(level) = level {
                     of_levels[level].add(values[number as usize], reduced, || number);
@@ -542,15 +552,18 @@ fn measure_vertices(
     if let Some(map) = map {
         map.finish()?;
     }
-    let told =
-        |((&position, (sums, of_levels)), values): ((&usize, &(ErrorSums, Vec<ErrorSums>)), &&[f32])| {
-            let source = &archive.manifest.steps[position].plan.source;
-            let of_level = |sums: &ErrorSums| sums.level_error().with_rounding(source.rounding);
-            let mut error = vertex_error(store, positions, sums, source);
-            error.source_range = range_of(values).map(|r| r.map(|v| f64::from(v) + source.offset));
-            (error, of_levels.iter().map(of_level).collect())
-        };
-    Ok(steps.iter().zip(&sums).zip(&columns).map(told).collect())
+    let told = |(((&position, (sums, of_levels)), values), &beyond): (
+        ((&usize, &(ErrorSums, Vec<ErrorSums>)), &&[f32]),
+        &u64,
+    )| {
+        let source = &archive.manifest.steps[position].plan.source;
+        let of_level = |sums: &ErrorSums| sums.level_error().with_rounding(source.rounding);
+        let mut error = vertex_error(store, positions, sums, source);
+        error.source_range = range_of(values).map(|r| r.map(|v| f64::from(v) + source.offset));
+        error.beyond = beyond;
+        (error, of_levels.iter().map(of_level).collect())
+    };
+    Ok(steps.iter().zip(&sums).zip(&columns).zip(&beyond).map(told).collect())
 }
 
 /// The least and the largest value at the vertices of a mesh, those outside of all tetrahedra included.

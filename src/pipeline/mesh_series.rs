@@ -9,7 +9,7 @@
 //!
 //! Which vertices are one is decided by the values of the first step, and known of an archive that steps are added to.
 
-use super::adapt_mesh::{self, MeshChoice};
+use super::adapt_mesh::{MeshChoice, MeshCurves};
 use super::beside::Beside;
 use super::cell_field::CellField;
 use super::field::Field;
@@ -20,11 +20,12 @@ use super::reduce_mesh::check_job;
 use super::series::{Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
 use super::shift::Shift;
 use crate::archive::explicit::ExplicitRecord;
-use crate::archive::manifest::{MeshSource, Source, StepPlan};
+use crate::archive::manifest::{MeshSource, Plan as MeshPlan, Source, StepPlan};
 use crate::archive::repeated::RepeatedRecord;
 use crate::archive::segment::PlanHash;
 use crate::archive::values::Quantiser;
 use crate::cells::CellMesh;
+use crate::domain::amount::{countable, next_amount, valued};
 use crate::domain::boundary::{BoundarySamples, Spacing};
 use crate::domain::buckets::Buckets;
 use crate::domain::column::Column;
@@ -36,9 +37,9 @@ use crate::error::{Error, Result};
 use crate::formats::{self, Input, OpenOptions, StepSource};
 use crate::grid::BrickGrid;
 use crate::pipeline::fingerprint::{Inputs, Watch};
-use crate::points::Levels;
+use crate::points::{Levels, PointSet, PointSpec};
 use crate::sample::Interpolation;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// A mesh made ready.
@@ -46,8 +47,8 @@ pub(super) struct Prepared {
     pub(super) store: CellStore,
     pub(super) series: SeriesPlan,
     pub(super) boundary: BoundarySamples,
-    /// Points inside that are wanted.
-    pub(super) inside: u64,
+    /// Points with a value that are wanted, boundary included.
+    pub(super) wanted: u64,
 }
 
 /// The mesh that all steps must have.
@@ -197,13 +198,12 @@ pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared
         .map_or_else(Inputs::default, |plan| Inputs::planned(job.part.planned_files(), plan.fingerprints()));
     let (mesh, store) = base_of(job, how, &mut inputs)?;
     let path = &mesh.info().path;
+    let wanted = wanted_of(job.settings, store.census.vertices).round().max(1.0) as u64;
     let mut plan = match job.part.archive() {
-        None => new_plan(&mesh, &store, job.settings, how.offset)?,
+        None => new_plan(&mesh, &store, wanted, job.settings, how.offset)?,
         Some(archive) => continued_plan(archive, job.settings),
     };
-    let dense = dense_where_needed(&mut plan, &store, job, how)?;
-    let spacing = Spacing::of(plan.mesh.points, plan.mesh.lattice, dense.levels.clone())?;
-    let boundary = BoundarySamples::new(&store, &spacing, how.memory, path)
+    let (dense, boundary) = dense_enough(&mut plan, &store, wanted, job, how, path)
         .map_err(|e| e.of_share(how.memory, job.run.memory))?;
     let listed = ExplicitRecord::of(&boundary.points);
     match job.part.archive() {
@@ -213,51 +213,159 @@ pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared
     let series = plan_steps(&mesh, &store, &boundary, plan, (job, how, inputs))?;
     let series =
         SeriesPlan { bound: dense.bound, beside: Beside { levels: dense.levels, ..series.beside }, ..series };
-    Ok(Prepared { store, series, boundary, inside: dense.inside })
+    Ok(Prepared { store, series, boundary, wanted: dense.wanted })
 }
 
 /// How dense the points of a plan are.
 struct Dense {
     levels: Option<Arc<Levels>>,
-    /// Points inside that are wanted.
-    inside: u64,
+    /// Points that are wanted.
+    wanted: u64,
     /// The error that is wanted, in units of the field.
     bound: Option<f64>,
 }
 
-/// Makes the points of a plan denser where that is needed; or where it was when an archive, or the plan of a shard, was made.
-fn dense_where_needed(
+/// Gives a plan as many points as are wanted, boundary included, denser in some places where that is asked for; or those of an
+/// archive, or of the plan of a shard. Tells the samples of the boundary that belong to them.
+fn dense_enough(
     plan: &mut Plan,
     store: &CellStore,
+    wanted: u64,
     job: &Job<'_>,
     how: &StoreSettings<'_>,
-) -> Result<Dense> {
-    let inside = inside_of(job.settings, store.census.vertices).round().max(1.0) as u64;
-    let known = |levels| Ok(Dense { levels, inside, bound: None });
+    path: &Path,
+) -> Result<(Dense, BoundarySamples)> {
+    let known = |levels, plan: &Plan| {
+        let boundary = boundary_of(plan.mesh.points, &levels, store, how, path)?;
+        Ok((Dense { levels, wanted, bound: None }, boundary))
+    };
     if let Some(archive) = job.part.archive() {
-        return known(archive.points.levels().cloned());
+        return known(archive.points.levels().cloned(), plan);
     }
-    if let Some(planned) = job.part.planned() {
-        if planned.mesh.levels.is_none() || planned.mesh.lattice != plan.mesh.lattice {
-            return known(None);
-        }
+    if let Some(planned) = job.part.planned()
+        && planned.mesh.lattice == plan.mesh.lattice
+    {
         plan.mesh.clone_from(&planned.mesh);
-        return known(Beside::read(job.out, &planned.mesh)?.levels);
+        return known(Beside::read(job.out, &planned.mesh)?.levels, plan);
     }
     if let Some(round) = job.round {
         let levels = Arc::new(round.choice.levels.clone());
         plan.adapt(round.choice.n, &levels, round.frame.as_ref())?;
-        return known(Some(levels));
+        return known(Some(levels), plan);
     }
-    let (Some(adapt), target) = (&job.settings.adapt, job.settings.target) else { return known(None) };
-    let MeshChoice { choice, count, bound } = adapt_mesh::choose(store, how, adapt, target, inside, job.run)?;
-    let levels = Arc::new(choice.levels);
-    plan.adapt(choice.n, &levels, None)?;
-    Ok(Dense { levels: Some(levels), inside: count, bound })
+    let Some(adapt) = &job.settings.adapt else {
+        let set = &job.settings.set;
+        let (points, boundary) = Search { store, how, path, wanted }.find(store.filled(), |count| {
+            let points = PointSpec::with_count(job.settings.points, &plan.mesh.lattice, count, set)?;
+            Ok((points, None, points))
+        })?;
+        let count = PointSet::new(points, plan.mesh.lattice)?.interior_len();
+        let spaced = Plan::on_lattice(plan.mesh.lattice, count, plan.first().source.clone(), job.settings)?;
+        plan.mesh = MeshPlan { points, repeated: plan.mesh.repeated, ..spaced.mesh };
+        return Ok((Dense { levels: None, wanted, bound: None }, boundary));
+    };
+    let curves = MeshCurves::new(store, how, adapt, job.run)?;
+    let adapted = |plan: &mut Plan, choice: MeshChoice| {
+        let levels = Arc::new(choice.choice.levels);
+        plan.adapt(choice.choice.n, &levels, None)?;
+        Ok((plan.mesh.points, levels))
+    };
+    if let Some(target) = job.settings.target {
+        let choice = curves.choose(Some(target), wanted)?;
+        let (wanted, bound) = (choice.count, choice.bound);
+        let levels = Some(adapted(plan, choice)?.1);
+        let boundary = boundary_of(plan.mesh.points, &levels, store, how, path)?;
+        return Ok((Dense { levels, wanted, bound }, boundary));
+    }
+    let (adapted, boundary) = Search { store, how, path, wanted }.find(1.0, |count| {
+        let mut plan = plan.clone();
+        let (points, levels) = adapted(&mut plan, curves.choose(None, count)?)?;
+        Ok((points, Some(Arc::clone(&levels)), (plan.mesh, levels)))
+    })?;
+    let (mesh, levels) = adapted;
+    plan.mesh = mesh;
+    Ok((Dense { levels: Some(levels), wanted, bound: None }, boundary))
 }
 
-/// Points inside that the settings ask for, of a mesh of so many vertices.
-fn inside_of(settings: &ReduceSettings, vertices: u64) -> f64 {
+/// The samples of the boundary that belong to a set of points.
+fn boundary_of(
+    points: PointSpec,
+    levels: &Option<Arc<Levels>>,
+    store: &CellStore,
+    how: &StoreSettings<'_>,
+    path: &Path,
+) -> Result<BoundarySamples> {
+    let lattice = levels.as_ref().map_or(store.frame.lattice, |levels| levels.cells().lattice);
+    BoundarySamples::new(store, &Spacing::of(points, lattice, levels.clone())?, how.memory, path)
+}
+
+/// Looks for the set with as many points as are wanted.
+struct Search<'a> {
+    store: &'a CellStore,
+    how: &'a StoreSettings<'a>,
+    path: &'a Path,
+    wanted: u64,
+}
+
+/// Tries, at most.
+const TRIES: usize = 8;
+/// A number of points is met within this part of it.
+const MET: f64 = 0.005;
+
+impl Search<'_> {
+    /// Looks among the sets that `make` gives for a count; of `count` points so many as `filled` of them lie inside, about. Sets too large to be counted are
+    /// judged by smaller ones.
+    fn find<T>(
+        &self,
+        filled: f64,
+        make: impl Fn(u64) -> Result<(PointSpec, Option<Arc<Levels>>, T)>,
+    ) -> Result<(T, BoundarySamples)> {
+        let (wanted, most) = (self.wanted as f64, countable(self.how.memory));
+        let mut best: Option<(f64, u64)> = None;
+        let mut tried = vec![];
+        let mut count = (wanted / filled).round().max(1.0);
+        for _ in 0..TRIES {
+            let asked = count as u64;
+            if tried.contains(&asked) {
+                break;
+            }
+            tried.push(asked);
+            let (points, levels, _) = make(asked)?;
+            let lattice = levels.as_ref().map_or(self.store.frame.lattice, |l| l.cells().lattice);
+            let set = match &levels {
+                Some(levels) => PointSet::graded(points, lattice, Arc::clone(levels))?,
+                None => PointSet::new(points, lattice)?,
+            };
+            if set.len() > most {
+                if best.is_some() {
+                    // Extrapolated from the largest set that can be counted.
+                    best = Some((0.0, asked));
+                    break;
+                }
+                count = (count * most as f64 / set.len() as f64 * 0.9).floor().max(1.0);
+                continue;
+            }
+            let boundary = boundary_of(points, &levels, self.store, self.how, self.path)?;
+            let made = valued(self.store, &set, &boundary)? as f64;
+            self.how.cancel.check()?;
+            let off = (made - wanted).abs();
+            if best.is_none_or(|(least, _)| off < least) {
+                best = Some((off, asked));
+            }
+            if off <= MET * wanted {
+                break;
+            }
+            count = next_amount(wanted, asked as f64, made, filled).round();
+        }
+        let asked = best.map_or(count as u64, |(_, asked)| asked);
+        let (points, levels, found) = make(asked)?;
+        let boundary = boundary_of(points, &levels, self.store, self.how, self.path)?;
+        Ok((found, boundary))
+    }
+}
+
+/// Points that the settings ask for, of a mesh of so many vertices.
+fn wanted_of(settings: &ReduceSettings, vertices: u64) -> f64 {
     match settings.amount {
         Amount::Count(n) => n as f64,
         Amount::Fraction(f) => vertices as f64 * f,
@@ -265,7 +373,13 @@ fn inside_of(settings: &ReduceSettings, vertices: u64) -> f64 {
 }
 
 /// The plan of reducing a mesh, its steps and the samples of its boundary still missing.
-fn new_plan(mesh: &CellMesh, store: &CellStore, settings: &ReduceSettings, offset: f64) -> Result<Plan> {
+fn new_plan(
+    mesh: &CellMesh,
+    store: &CellStore,
+    wanted: u64,
+    settings: &ReduceSettings,
+    offset: f64,
+) -> Result<Plan> {
     let (lattice, geometry) = (store.frame.lattice, store.frame.geometry);
     let told = MeshSource {
         vertices: store.census.vertices,
@@ -284,9 +398,7 @@ fn new_plan(mesh: &CellMesh, store: &CellStore, settings: &ReduceSettings, offse
     if let Some(adapt) = &settings.adapt {
         adapt.check(settings)?;
     }
-    let inside = inside_of(settings, told.vertices);
-    let count = (inside / store.filled()).round().max(1.0) as u64;
-    let mut plan = Plan::on_lattice(lattice, count, source, settings)?;
+    let mut plan = Plan::on_lattice(lattice, wanted, source, settings)?;
     plan.mesh.repeated = RepeatedRecord::of(store.firsts.pairs()?);
     Ok(plan)
 }

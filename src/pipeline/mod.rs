@@ -34,6 +34,7 @@ mod line;
 mod make;
 mod measure;
 mod mesh_series;
+mod nearest;
 mod need;
 mod notice;
 mod open;

@@ -43,7 +43,7 @@ pub struct ReduceSettings {
     pub points: SetKind,
     /// Its parameters that do not follow from the amount.
     pub set: SetSettings,
-    /// Number of interior points.
+    /// Number of interior points of a volume; of points with a value of a mesh, boundary included.
     pub amount: Amount,
     /// Whether points are dense where the field needs them; a Halton set can be.
     #[serde(default)]

@@ -4,7 +4,11 @@
 //! few runs of that list; the chunk's tetrahedra then look up the points in their boxes ([`PointLocator`]), which is scan conversion
 //! with points for samples. Chunks without a point near them are not read. A list that does not fit in memory is taken in
 //! batches, each of which reads the archive again where it has points.
+//!
+//! Surfaces are written in `f32`, so a vertex on the boundary lies a rounding outside as often as inside. So a point in no tetrahedron takes the value
+//! of the nearest place of one ([`super::nearest`]) when that is as near as such a rounding: chunks around it are read once more.
 
+use super::nearest::{keep, near_places};
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
 use super::probe::{ProbeReport, ProbeSettings};
@@ -18,11 +22,12 @@ use crate::geom::{Lattice, LatticeBox, LatticePos};
 use crate::grid::{BrickGrid, ChunkId, Geometry};
 use crate::raster::{PointLocator, interpolate};
 use glam::DVec3;
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
 
-/// Bytes for a point of a batch: position, place in the list, value, and its copy while a chunk looks for it.
-const POINT: u64 = 120;
+/// Bytes for a point of a batch: position, place in the list, value, its copy while a chunk looks for it, and the nearest place.
+const POINT: u64 = 300;
 /// The most points of a batch.
 const MOST: u64 = 1 << 31;
 
@@ -34,18 +39,40 @@ pub(super) struct Probed {
     pub(super) chunks_read: u64,
 }
 
-/// The lattice position nearest to a world position; `None` outside the domain.
-fn lattice_position(world: [f64; 3], geometry: &Geometry, lattice: &Lattice) -> Option<LatticePos> {
+/// Lattice steps that rounding world coordinates of the domain to `f32`, and positions to the lattice, may move a point by, along each axis.
+fn tolerance(geometry: &Geometry, lattice: &Lattice) -> u32 {
+    let far = lattice.max();
+    let steps = lattice.log2_steps.map(|s| f64::from(1u32 << s));
+    // An affine map has its largest coordinates at corners.
+    let largest = (0..8u32).fold(0.0, |largest: f64, corner| {
+        let ijk =
+            std::array::from_fn(|a| if corner >> a & 1 == 1 { f64::from(far[a]) / steps[a] } else { 0.0 });
+        geometry.to_world(ijk).iter().fold(largest, |largest, c| largest.max(c.abs()))
+    });
+    // Half a unit in the last place, on each of three axes.
+    let moved = largest * f64::from(f32::EPSILON) / 2.0 * 1.75;
+    let of_axis = |a: usize| moved / geometry.spacing[a].abs() * steps[a];
+    let most = (0..3).map(of_axis).fold(0.0, f64::max);
+    (most.ceil() + 2.0).min(f64::from(Lattice::LARGEST)) as u32
+}
+
+/// The lattice position nearest to a world position; `None` where the domain is farther than `tolerance` steps.
+fn lattice_position(
+    world: [f64; 3],
+    geometry: &Geometry,
+    lattice: &Lattice,
+    tolerance: u32,
+) -> Option<LatticePos> {
     let (ijk, far) = (geometry.to_index(world), lattice.max());
     let steps = lattice.log2_steps.map(|s| f64::from(1u32 << s));
     let mut pos = [0; 3];
     for a in 0..3 {
-        let x = (ijk[a] * steps[a]).round();
+        let (x, far, tolerance) = ((ijk[a] * steps[a]).round(), f64::from(far[a]), f64::from(tolerance));
         // False for a NaN too. The faces belong to the domain, and what rounds to them.
-        if !(0.0..=f64::from(far[a])).contains(&x) {
+        if !(-tolerance..=far + tolerance).contains(&x) {
             return None;
         }
-        pos[a] = x as u32;
+        pos[a] = x.clamp(0.0, far) as u32;
     }
     Some(pos)
 }
@@ -181,6 +208,11 @@ impl<'a> Batch<'a> {
         Self { bricks, sorted }
     }
 
+    /// One more than the largest number of a point.
+    fn numbers(&self) -> usize {
+        self.sorted.iter().map(|s| s.2 as usize + 1).max().unwrap_or(0)
+    }
+
     /// The points in a box of the lattice, which is not empty.
     fn within(&self, region: LatticeBox) -> impl Iterator<Item = (LatticePos, u32)> + '_ {
         let (lo, hi) = (self.bricks.brick_at(region.lo), self.bricks.brick_at(region.hi.map(|x| x - 1)));
@@ -215,18 +247,25 @@ pub(super) fn values_at(
     }
     let lattice = archive.manifest.plan.lattice;
     let geometry = &archive.step().plan.source.geometry;
+    let tolerance = tolerance(geometry, &lattice);
     let placed: Vec<_> = points
         .iter()
         .zip(0u32..)
-        .filter_map(|(&p, n)| Some((lattice_position(p, geometry, &lattice)?, n)))
+        .filter_map(|(&p, n)| Some((lattice_position(p, geometry, &lattice, tolerance)?, n)))
         .collect();
-    let outside = (points.len() - placed.len()) as u64;
-    let mut values = vec![f32::NAN; points.len()];
-    let find = Find { threads: settings.threads, memory: settings.memory, share, cancel: &settings.cancel };
+    let (mut values, mut found) = (vec![f32::NAN; points.len()], 0);
+    let find = Find {
+        threads: settings.threads,
+        memory: settings.memory,
+        share,
+        cancel: &settings.cancel,
+        outside: Outside::Within(tolerance),
+    };
     let chunks_read = each_value(archive, placed.into_iter(), &find, progress, "probe", |n, value| {
-        values[n as usize] = value
+        values[n as usize] = value;
+        found += 1;
     })?;
-    Ok(Probed { values, outside, chunks_read })
+    Ok(Probed { values, outside: points.len() as u64 - found, chunks_read })
 }
 
 /// How points are looked for.
@@ -237,9 +276,20 @@ pub(super) struct Find<'a> {
     /// What chunks have of so many.
     pub(super) share: &'a dyn Fn(u64) -> u64,
     pub(super) cancel: &'a CancelToken,
+    /// Which points in no tetrahedron have the value of the nearest place.
+    pub(super) outside: Outside,
 }
 
-/// Calls `each` with the number and the value of every point that lies in a tetrahedron, NaN in one with a void corner. Returns the
+/// Points that lie in no tetrahedron.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Outside {
+    /// Those within so many lattice steps of one have a value.
+    Within(u32),
+    /// All have one.
+    All,
+}
+
+/// Calls `each` with the number and the value of every point that lies in a tetrahedron, or outside of all as [`Find`] tells, NaN in one with a void corner. Returns the
 /// number of chunks read.
 pub(super) fn each_value(
     archive: &OpenArchive,
@@ -250,10 +300,10 @@ pub(super) fn each_value(
     mut each: impl FnMut(u32, f32),
 ) -> Result<u64> {
     let values = |_, chunk: &mut DecodedChunk| Ok(vec![std::mem::take(&mut chunk.values)]);
-    find_each(archive, points, find, progress, stage, 0, values, |n, values| each(n, values[0]))
+    find_each(archive, points, find, progress, stage, 0, values, |n, values, _| each(n, values[0]))
 }
 
-/// As [`each_value`], at steps by ascending positions in the manifest: each point is looked for once.
+/// As [`each_value`], at steps by ascending positions in the manifest: each point is looked for once. `each` is also told whether the point is in a tetrahedron.
 pub(super) fn each_value_of(
     archive: &OpenArchive,
     steps: &[usize],
@@ -261,7 +311,7 @@ pub(super) fn each_value_of(
     find: &Find<'_>,
     progress: &dyn Progress,
     stage: &str,
-    each: impl FnMut(u32, &[f32]),
+    each: impl FnMut(u32, &[f32], bool),
 ) -> Result<u64> {
     let values = |id, chunk: &mut DecodedChunk| archive.chunk_values_of(steps, id, chunk.positions.len());
     let further = steps.len() as u64 - 1;
@@ -279,10 +329,10 @@ fn find_each(
     stage: &str,
     further: u64,
     values: impl Fn(ChunkId, &mut DecodedChunk) -> Result<Vec<Vec<f32>>> + Sync,
-    mut each: impl FnMut(u32, &[f32]),
+    mut each: impl FnMut(u32, &[f32], bool),
 ) -> Result<u64> {
     let far = archive.manifest.plan.lattice.max();
-    let batch = Batch::new(archive.chunks.bricks(), points);
+    let mut batch = Batch::new(archive.chunks.bricks(), points);
     let mut visit = Visit::new(archive, Blocks::All, find.threads, (find.share)(find.memory), find.cancel)?;
     visit.confine(|region| batch.within(*region).next().is_some())?;
     let extra = further * visit.most_vertices() * size_of::<f32>() as u64;
@@ -293,12 +343,52 @@ fn find_each(
         let values = values(id, &mut chunk)?;
         Ok(locate(&chunk, &values, &PointLocator::new(region, far, batch.within(region))))
     };
+    let mut is_found = vec![0u64; batch.numbers().div_ceil(64)];
     visit.each(extra, progress, job, |_, found: Found| {
         let lists = found.values.len().checked_div(found.points.len()).unwrap_or(1);
-        found.points.iter().zip(found.values.chunks(lists.max(1))).for_each(|(&n, at)| each(n, at));
+        found.points.iter().zip(found.values.chunks(lists.max(1))).for_each(|(&n, at)| {
+            is_found[n as usize / 64] |= 1 << (n % 64);
+            each(n, at, true);
+        });
         Ok(())
     })?;
-    Ok(visit.chunks.len() as u64)
+    let mut chunks_read = visit.chunks.len() as u64;
+    batch.sorted.retain(|s| is_found[s.2 as usize / 64] >> (s.2 % 64) & 1 == 0);
+    drop(is_found);
+    let lattice = archive.manifest.plan.lattice;
+    let whole = far.into_iter().max().unwrap_or(0);
+    let mut reach = match find.outside {
+        Outside::Within(steps) => steps,
+        Outside::All => archive.points.mean_spacing().into_iter().max().unwrap_or(1).max(1),
+    };
+    while !batch.sorted.is_empty() {
+        let around = |region: &LatticeBox| region.grow_within([reach; 3], &lattice.domain());
+        let mut visit =
+            Visit::new(archive, Blocks::All, find.threads, (find.share)(find.memory), find.cancel)?;
+        visit.confine(|region| batch.within(around(region)).next().is_some())?;
+        visit.check_memory(find.memory, find.share, extra)?;
+        let job = |id, mut chunk: DecodedChunk| {
+            let region = around(&full_region(archive, id)?);
+            let values = values(id, &mut chunk)?;
+            let points = PointLocator::new(region, far, batch.within(region));
+            Ok(near_places(&chunk, &values, &points, reach, &lattice))
+        };
+        let mut places = BTreeMap::new();
+        visit.each(extra, progress, job, |_, found| {
+            found.into_iter().for_each(|(n, place)| keep(&mut places, n, place));
+            Ok(())
+        })?;
+        chunks_read += visit.chunks.len() as u64;
+        // What is farther than the reach along some axis was not looked at.
+        places.retain(|_, place| place.is_within(reach));
+        places.iter().for_each(|(&n, place)| each(n, &place.values, false));
+        if find.outside != Outside::All || reach >= whole.saturating_mul(2) {
+            break;
+        }
+        batch.sorted.retain(|s| !places.contains_key(&s.2));
+        reach = reach.saturating_mul(2);
+    }
+    Ok(chunks_read)
 }
 
 /// Points of a chunk, and the values of all lists at the first, the second, ….

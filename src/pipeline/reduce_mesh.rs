@@ -4,7 +4,7 @@
 //!  mesh ─▶ store (files) ─▶ how much of the box is filled ─▶ plan: points of the box ─▶ boundary samples, cells by brick ─▶ produce
 //! ```
 //!
-//! The amount is that of points **inside** the mesh: the set fills the box, so it has as many more as the box is larger.
+//! The amount is that of points **with a value**, the boundary's samples included. The set fills the box, so it has more.
 
 use super::field::NanPolicy;
 use super::job::{Job, ReduceReport, RunSettings, finished, scratch_folder, threads};
@@ -40,10 +40,10 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     let reading = Instant::now();
     job.progress.begin("read the mesh", 0, "points");
     let settings = store_settings(job.settings, job.run, &scratch, offset_of(job)?);
-    let Prepared { store, series, boundary, inside } = prepare(job, &settings)?;
+    let Prepared { store, series, boundary, wanted } = prepare(job, &settings)?;
     let mut seconds = vec![("read".to_owned(), reading.elapsed().as_secs_f64())];
     job.part.expect_planned(&series)?;
-    if let Some(report) = made_before(job, &series, inside)? {
+    if let Some(report) = made_before(job, &series, wanted)? {
         return Ok(finished(report, job.started));
     }
     let plan = &series.plan;
@@ -59,7 +59,7 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     seconds.push(("sort".to_owned(), sorting.elapsed().as_secs_f64()));
     let report = ReduceReport {
         samples: store.census.vertices,
-        inner_points: inside,
+        inner_points: wanted,
         bound: series.bound,
         mesh: Some(store.census),
         seconds,
@@ -136,7 +136,7 @@ fn store_settings<'a>(
 
 /// Memory of the boundary's samples and of the list of their positions.
 fn boundary_bytes(boundary: &BoundarySamples) -> u64 {
-    boundary.points.len().saturating_mul(100)
+    boundary.held().saturating_mul(100)
 }
 
 /// Of a mesh of so many points and cells.

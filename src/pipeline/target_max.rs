@@ -26,7 +26,7 @@ use super::need;
 use super::open::{DecodedChunk, OpenArchive};
 use super::plan::ReduceSettings;
 use super::plan_file::work_folder;
-use super::probe_points::{Find, each_value};
+use super::probe_points::{Find, Outside, each_value};
 use super::reduce::{make, random_access};
 use super::rounds::Round;
 use super::shift::Reading;
@@ -146,7 +146,13 @@ impl Measuring<'_> {
         let rest = |memory: u64| memory.saturating_sub(need::BASE + 4 * self.worst.len() as u64);
         let batch = (rest(run.memory) / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
         let share = |memory: u64| rest(memory) / 8 * 7;
-        let find = Find { threads: run.threads, memory: run.memory, share: &share, cancel: &run.cancel };
+        let find = Find {
+            threads: run.threads,
+            memory: run.memory,
+            share: &share,
+            cancel: &run.cancel,
+            outside: Outside::All,
+        };
         for (positions, values) in positions.chunks(batch).zip(values.chunks(batch)) {
             let placed = positions.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
             each_value(archive, placed, &find, job.progress, "measure", |n, reduced| {

@@ -85,6 +85,22 @@ impl PointLocator {
         }
     }
 
+    /// Calls `each` with the position and the number of every point in a box, both ends included.
+    pub fn each_within(&self, lo: LatticePos, hi: LatticePos, mut each: impl FnMut(LatticePos, u32)) {
+        let (first, last) = (self.coordinates(lo), self.coordinates(hi));
+        for z in first[2]..=last[2] {
+            for y in first[1]..=last[1] {
+                let (from, to) = (self.cell([first[0], y, z]), self.cell([last[0], y, z]));
+                let start = if from == 0 { 0 } else { self.ends[from - 1] as usize };
+                for &(p, number) in &self.points[start..self.ends[to] as usize] {
+                    if (0..3).all(|k| lo[k] <= p[k] && p[k] <= hi[k]) {
+                        each(p, number);
+                    }
+                }
+            }
+        }
+    }
+
     fn each_of<I: Int>(&self, corners: [LatticePos; 4], mut each: impl FnMut(u32, [f64; 4])) {
         let (lo, hi) = bounds(&corners);
         // Most tetrahedra have no point in their box.
