@@ -604,11 +604,11 @@ fn an_input_that_changes_during_a_run_is_refused() {
             let begun =
                 || fs::read_dir(d.join("x.isospan/mesh")).is_ok_and(|mut files| files.next().is_some());
             while !begun() && child.try_wait().unwrap().is_none() {}
-            let _ = Command::new("kill").args(["-STOP", &child.id().to_string()]).output().unwrap();
+            send_signal(child.id(), Signal::STOP);
             let mut changed = before.clone();
             *changed.last_mut().unwrap() ^= 1;
             fs::write(d.join(file), changed).unwrap();
-            let _ = Command::new("kill").args(["-CONT", &child.id().to_string()]).output().unwrap();
+            send_signal(child.id(), Signal::CONT);
             let (status, text) = end(child);
             fs::write(d.join(file), &before).unwrap();
             if status.code() == Some(5) {
