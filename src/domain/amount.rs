@@ -11,15 +11,8 @@ use crate::geom::{LatticePos, Site};
 use crate::locate::{CellBatch, Found, PointGrid, fine};
 use crate::points::PointSet;
 
-/// Bytes for a point while points are counted.
-const POINT: u64 = 160;
-/// The most points that are counted one by one.
-const MOST: u64 = 1 << 20;
-
-/// The points of a set, without listed ones, that can be counted in so many bytes.
-pub(crate) fn countable(memory: u64) -> u64 {
-    (memory / POINT).clamp(1000, MOST)
-}
+/// The most points that are counted one by one, in some 10 MB. The same for any memory that a run has: it decides bytes.
+pub(crate) const COUNTABLE: u64 = 1 << 16;
 
 /// The number of points of a set, and samples of the boundary, that have a value. The set has no listed points.
 ///

@@ -552,18 +552,16 @@ fn measure_vertices(
     if let Some(map) = map {
         map.finish()?;
     }
-    let told = |(((&position, (sums, of_levels)), values), &beyond): (
-        ((&usize, &(ErrorSums, Vec<ErrorSums>)), &&[f32]),
-        &u64,
-    )| {
+    let mut told = vec![];
+    for (n, (&position, (sums, of_levels))) in steps.iter().zip(&sums).enumerate() {
         let source = &archive.manifest.steps[position].plan.source;
         let of_level = |sums: &ErrorSums| sums.level_error().with_rounding(source.rounding);
         let mut error = vertex_error(store, positions, sums, source);
-        error.source_range = range_of(values).map(|r| r.map(|v| f64::from(v) + source.offset));
-        error.beyond = beyond;
-        (error, of_levels.iter().map(of_level).collect())
-    };
-    Ok(steps.iter().zip(&sums).zip(&columns).zip(&beyond).map(told).collect())
+        error.source_range = range_of(columns[n]).map(|r| r.map(|v| f64::from(v) + source.offset));
+        error.beyond = beyond[n];
+        told.push((error, of_levels.iter().map(of_level).collect()));
+    }
+    Ok(told)
 }
 
 /// The least and the largest value at the vertices of a mesh, those outside of all tetrahedra included.

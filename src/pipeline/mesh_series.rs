@@ -25,7 +25,7 @@ use crate::archive::repeated::RepeatedRecord;
 use crate::archive::segment::PlanHash;
 use crate::archive::values::Quantiser;
 use crate::cells::CellMesh;
-use crate::domain::amount::{countable, next_amount, valued};
+use crate::domain::amount::{COUNTABLE, next_amount, valued};
 use crate::domain::boundary::{BoundarySamples, Spacing};
 use crate::domain::buckets::Buckets;
 use crate::domain::column::Column;
@@ -320,7 +320,7 @@ impl Search<'_> {
         filled: f64,
         make: impl Fn(u64) -> Result<(PointSpec, Option<Arc<Levels>>, T)>,
     ) -> Result<(T, BoundarySamples)> {
-        let (wanted, most) = (self.wanted as f64, countable(self.how.memory));
+        let (wanted, most) = (self.wanted as f64, COUNTABLE);
         let mut best: Option<(f64, u64)> = None;
         let mut tried = vec![];
         let mut count = (wanted / filled).round().max(1.0);

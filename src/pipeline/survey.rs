@@ -513,7 +513,7 @@ pub(super) fn survey_mesh(mesh: &CellMesh) -> Result<Survey> {
         None => {
             let (mut values, mut block) = (mesh.values(BUDGET)?, vec![]);
             while !survey.is_full() && values.next_block(&mut block)? {
-                survey.add(&block.iter().map(|v| f64::from(*v)).collect::<Vec<_>>());
+                survey.add(&block);
             }
         }
     }
