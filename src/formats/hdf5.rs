@@ -17,7 +17,7 @@
 //! `element_size_um` (z, y, x); coordinate variables (`DIMENSION_LIST`, or `axes` of NeXus): where all are regular to a thousandth of a
 //! step they are spacing and origin, else the dataset is a rectilinear grid. Without any, spacing is 1 and origin 0.
 //!
-//! Conventions of other programs: see [`dialect`].
+//! Conventions of other programs: see the module `dialect`.
 //!
 //! A contiguous dataset is mapped where it lies. Others are a stream, chunk by chunk (deflate, shuffle, Fletcher-32,
 //! scale-offset, N-bit, szip, LZF), of which small ones are taken together. Memory: one chunk, stored, decoded and once more
