@@ -169,7 +169,7 @@ impl Archive {
     /// Not all of them are active: a block has some hundred. Memory: the list of blocks, and a chunk.
     ///
     /// ```
-    /// # use isospan::{Archive, exec::Silent, mesh::tet};
+    /// # use isospan::{Archive, exec::Silent};
     /// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
@@ -180,8 +180,8 @@ impl Archive {
     /// let mut active = 0;
     /// for chunk in archive.active(100.0)? {
     ///     let chunk = chunk?;
-    ///     let ranges = chunk.tetrahedra.iter().filter_map(|t| tet::range(t.map(|v| chunk.values[v as usize])));
-    ///     active += ranges.filter(|&(lo, hi)| tet::is_active(lo, hi, 100.0)).count() as u64;
+    ///     let inside = |t: &[u32; 4]| t.iter().filter(|&&v| chunk.values[v as usize] >= 100.0).count();
+    ///     active += chunk.tetrahedra.iter().filter(|t| (1..4).contains(&inside(t))).count() as u64;
     /// }
     /// assert_eq!(active, archive.count(100.0)?.active_tetrahedra);
     /// # Ok(())
