@@ -16,7 +16,7 @@ pub(crate) struct Choices {
     /// Number of points as a fraction of the samples: 1/8, 0.125 or 12.5% [default: 1/8]; of a mesh, of its vertices, boundary included.
     #[arg(long, value_name = "FRACTION", value_parser = text::parse_fraction, conflicts_with = "count")]
     fraction: Option<f64>,
-    /// Number of points (boundary samples come on top).
+    /// Number of points (of a volume, boundary samples come on top).
     #[arg(long, value_name = "N")]
     count: Option<u64>,
     /// More points where the field needs them and fewer elsewhere, as many in all: the volume is read once more to find where (of a series up
