@@ -645,3 +645,38 @@ fn appended_steps_take_over_what_was_said_of_the_first() {
             .unwrap();
     assert_eq!(report.steps[0].field, "salt");
 }
+
+#[test]
+fn a_field_of_another_name_is_no_step() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = |name: &str| dir.path().join(name);
+    let image = |file: &str, field: &str, shift: f64| {
+        let values: Vec<String> = (0..64).map(|i| (f64::from(i) + shift).to_string()).collect();
+        let text = format!(
+            "# vtk DataFile Version 3.0\nx\nASCII\nDATASET STRUCTURED_POINTS\nDIMENSIONS 4 4 4\nORIGIN 0 0 0\n\
+             SPACING 1 1 1\nPOINT_DATA 64\nSCALARS {field} float 1\nLOOKUP_TABLE default\n{}\n",
+            values.join(" ")
+        );
+        fs::write(out(file), text).unwrap();
+        StepSource::new(&out(file), &OpenOptions::default())
+    };
+    let (heat, later) = (image("a.vtk", "heat", 0.0), image("b.vtk", "heat", 2.0));
+    let salt = image("c.vtk", "salt", 1000.0);
+    let archive = out("a.isospan");
+    let both = [heat.clone(), salt.clone()];
+    let reduced = pipeline::reduce_series(&both, &few_points(), &archive, &run(1), &Silent);
+    let refused = reduced.unwrap_err().to_string();
+    assert!(refused.contains("c.vtk: its field is salt, the field of step 0 is heat"), "{refused}");
+    assert!(!archive.exists());
+
+    reduce_all(&[heat], &few_points(), &archive, &run(1));
+    let append = |source: &StepSource| {
+        let settings = AppendSettings::default();
+        pipeline::append(std::slice::from_ref(source), &settings, &archive, &run(1), &Silent)
+    };
+    assert!(append(&salt).unwrap_err().to_string().contains("its field is salt"));
+    assert_eq!(append(&later).unwrap().steps[0].field, "heat");
+    let pattern = OpenOptions { field: Some("*".into()), ..OpenOptions::default() };
+    let chosen = StepSource::new(&salt.path, &pattern);
+    assert_eq!(append(&chosen).unwrap().steps[0].field, "salt");
+}

@@ -75,7 +75,7 @@ pub fn append(
 /// A further step; where nobody names a field, that of the archive, if the file has it.
 fn with_field(source: &StepSource, field: &str) -> StepSource {
     let options = OpenOptions { field: Some(field.to_owned()), ..source.options.clone() };
-    // Of a format without names, or of a file with another field, the reader chooses or refuses.
+    // In a format without names the reader chooses. Another name is refused when the step is planned.
     match source.options.field.is_none() && formats::open_input(&source.path, &options).is_ok() {
         true => StepSource { options, ..source.clone() },
         false => source.clone(),

@@ -17,7 +17,7 @@ use super::job::Job;
 use super::open::OpenArchive;
 use super::plan::{Amount, Plan, ReduceSettings};
 use super::reduce_mesh::check_job;
-use super::series::{Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
+use super::series::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
 use super::shift::Shift;
 use crate::archive::explicit::ExplicitRecord;
 use crate::archive::manifest::{MeshSource, Plan as MeshPlan, Source, StepPlan};
@@ -438,6 +438,10 @@ fn plan_steps(
     let repeated = (store.firsts.repeated > 0).then(|| Arc::clone(&store.firsts));
     let mut planner = StepPlanner {
         common: archive.map_or_else(|| Common::of_store(first, store), Common::of_archive),
+        field: archive.map(|archive| {
+            let plan = &archive.manifest.steps[0].plan;
+            FieldOfSeries::new(plan.number, &plan.source.field)
+        }),
         last: None,
         template: plan.first().clone(),
         read: ReadMesh {
@@ -497,6 +501,7 @@ struct ReadMesh {
 /// Plans one step after another.
 struct StepPlanner<'a> {
     common: Common,
+    field: Option<FieldOfSeries>,
     last: Option<LastMesh>,
     /// What all steps have in common.
     template: StepPlan,
@@ -536,6 +541,8 @@ impl StepPlanner<'_> {
         self.common.check(&mesh, self.read.identity)?;
         let fingerprint = self.inputs.fingerprint(number, &mesh.info().files(), self.how.cancel)?;
         let told = source_of(&mesh, fingerprint)?;
+        let field = self.field.get_or_insert_with(|| FieldOfSeries::new(number, &told.field));
+        field.check(source, &told.field)?;
         let source_record = Source {
             path: told.path,
             fingerprint: told.fingerprint,

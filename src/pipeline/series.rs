@@ -166,6 +166,38 @@ pub(super) fn are_there(archive: &OpenArchive, steps: &[StepPlan]) -> bool {
             .all(|(a, b)| a.plan.source == b.source && a.plan.time == b.time && a.plan.missing == b.missing)
 }
 
+/// The field of the first step of a series. Files whose only field has another name need a choice.
+pub(super) struct FieldOfSeries {
+    step: u64,
+    name: String,
+}
+
+/// The name that readers give to the field of a format without names.
+const NAMELESS: &str = "data";
+
+impl FieldOfSeries {
+    pub(super) fn new(step: u64, name: &str) -> Self {
+        Self { step, name: name.to_owned() }
+    }
+
+    /// Whether the field that a reader chose is the one of the series.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] if its name is another one and no `--field` asked for it.
+    pub(super) fn check(&self, source: &StepSource, name: &str) -> Result<()> {
+        let is_chosen = source.options.field.is_some();
+        if is_chosen || name == self.name || [name, &self.name[..]].contains(&NAMELESS) {
+            return Ok(());
+        }
+        Err(Error::usage(format!(
+            "{}: its field is {name}, the field of step {} is {}; if both are meant, say so with --field PATTERN",
+            source.path.display(),
+            self.step,
+            self.name
+        )))
+    }
+}
+
 /// The error of a step of several.
 pub(super) fn of_step(error: Error, number: u64) -> Error {
     match error {

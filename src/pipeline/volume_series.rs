@@ -12,7 +12,7 @@ use super::plan::{Plan, ReduceSettings, count_of, source_of};
 use super::reduce::{Scratch, copy_bytes, random_access};
 use super::rounds::{Frame, Round};
 use super::scan::{stream_range, value_range};
-use super::series::{Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
+use super::series::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
 use super::shift::{Reading, Shift};
 use super::target::Target;
 use crate::archive::manifest::{Source, StepPlan};
@@ -32,6 +32,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// What all steps must agree on.
 struct Common {
     step: u64,
+    field: FieldOfSeries,
     dims: [u64; 3],
     geometry: Geometry,
     /// Of the coordinates of a grid that has its own.
@@ -201,6 +202,7 @@ impl Planner<'_> {
         let first = &archive.manifest.steps[0];
         self.common = Some(Common {
             step: first.plan.number,
+            field: FieldOfSeries::new(first.plan.number, &first.plan.source.field),
             dims: first.plan.source.dims,
             geometry: first.plan.source.geometry,
             coordinates: archive.coordinates()?.map(|map| map.hash()).transpose()?,
@@ -270,11 +272,15 @@ impl Planner<'_> {
         let fingerprint = self.inputs.fingerprint(number, &info.files(), &self.run.cancel)?;
         let coordinates = coordinate_hash(source, info.dims)?;
         match &self.common {
-            Some(common) => common.check(&info, coordinates)?,
+            Some(common) => {
+                common.field.check(source, &info.field.name)?;
+                common.check(&info, coordinates)?;
+            }
             None => {
                 self.plan = Some(Plan::with_fingerprint(&info, self.settings, fingerprint.clone())?);
                 let (dims, geometry) = (info.dims, info.geometry);
-                self.common = Some(Common { step: number, dims, geometry, coordinates });
+                let field = FieldOfSeries::new(number, &info.field.name);
+                self.common = Some(Common { step: number, field, dims, geometry, coordinates });
             }
         }
         let shift = self.shift(number, source, &volume)?;
