@@ -27,7 +27,7 @@ fn mesh(kind: SetKind) -> (Vec<LatticePos>, Vec<Tet>) {
     let points = PointSet::new(spec, lattice).expect("it is possible");
     // About a thousand points a brick.
     let edge = (SAMPLES as f64 * (1024.0 / points.len() as f64).cbrt()).round() as u64;
-    let bricks = BrickGrid { lattice, edge: [edge; 3] };
+    let bricks = BrickGrid::new(lattice, [edge; 3]);
     let (mut positions, mut sites): (Vec<LatticePos>, _) = (vec![], vec![]);
     for brick in 0..bricks.len() {
         points.sites_in(&bricks.brick(BrickId(brick)), &mut sites);

@@ -2,7 +2,8 @@
 //!
 //! This is the only place that does brick, chunk and halo arithmetic.
 //!
-//! * A **brick** is a box of a fixed number of voxel cells that enumerates its own points (about a thousand).
+//! * A **brick** is a box of a fixed number of cells that enumerates its own points (about a thousand). Cells are voxel
+//!   cells, or those of a body-centred cubic lattice.
 //! * A **chunk** is a box of bricks whose points are meshed together (about 250 000). Chunks tile the domain in
 //!   layers along z, each layer in rows along y, each row in chunks along x; the cuts balance the number of points, so
 //!   a set that crowds the middle (a hyperbolic cross) still gets chunks of equal work. Chunk ids run x fastest: a
@@ -12,7 +13,7 @@ mod cuts;
 
 pub use self::cuts::ChunkCuts;
 use crate::error::{Error, Result};
-use crate::geom::{Lattice, LatticeBox, LatticePos};
+use crate::geom::{Lattice, LatticeBox, LatticePos, half_plane};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -162,19 +163,49 @@ pub struct BrickId(pub u64);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct ChunkId(pub u64);
 
-/// The domain cut into bricks of `edge` voxel cells.
+/// The domain cut into bricks of `edge` cells.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BrickGrid {
     /// The lattice of the domain.
     pub lattice: Lattice,
-    /// Voxel cells along each edge of a brick.
+    /// Cells along each edge of a brick.
     pub edge: [u64; 3],
+    /// Cells along each axis of the domain.
+    cells: [u64; 3],
 }
 
 impl BrickGrid {
+    /// Bricks of voxel cells.
+    pub fn new(lattice: Lattice, edge: [u64; 3]) -> Self {
+        Self { lattice, edge, cells: lattice.dims.map(|d| d - 1) }
+    }
+
+    /// Bricks of cells of equal size that are no voxels; at least one along each axis, and at most one a lattice step.
+    pub fn of_cells(lattice: Lattice, edge: [u64; 3], cells: [u32; 3]) -> Self {
+        Self { lattice, edge, cells: cells.map(u64::from) }
+    }
+
+    /// Whether cells are voxels.
+    fn of_voxels(&self, axis: usize) -> bool {
+        self.cells[axis] == self.lattice.dims[axis] - 1
+    }
+
+    /// The cells of a chunk: the first along each axis, and the one past the last.
+    pub(crate) fn cells_of(&self, chunk: &Chunk) -> [[u32; 3]; 2] {
+        [chunk.brick_lo, chunk.brick_hi]
+            .map(|bricks| std::array::from_fn(|a| (bricks[a] * self.edge[a]).min(self.cells[a]) as u32))
+    }
+
+    /// Voxel cells along each edge of a brick.
+    pub fn voxels(&self) -> [f64; 3] {
+        std::array::from_fn(|a| {
+            self.edge[a] as f64 * ((self.lattice.dims[a] - 1) as f64 / self.cells[a] as f64)
+        })
+    }
+
     /// Bricks along each axis.
     pub fn dims(&self) -> [u64; 3] {
-        std::array::from_fn(|a| (self.lattice.dims[a] - 1).div_ceil(self.edge[a]))
+        std::array::from_fn(|a| self.cells[a].div_ceil(self.edge[a]))
     }
 
     /// Number of bricks.
@@ -199,23 +230,38 @@ impl BrickGrid {
         BrickId((c[2] * d[1] + c[1]) * d[0] + c[0])
     }
 
+    /// Where the bricks of an axis begin that have this coordinate; behind the last one, past the domain.
+    fn start(&self, axis: usize, brick: u64) -> u32 {
+        let max = self.lattice.max()[axis];
+        match self.cells[axis] {
+            cells if brick * self.edge[axis] >= cells => max + 1,
+            _ if self.of_voxels(axis) => ((brick * self.edge[axis]) << self.lattice.log2_steps[axis]) as u32,
+            cells => half_plane(2 * brick * self.edge[axis], cells as u32, max),
+        }
+    }
+
     /// The lattice box of the bricks `lo <= c < hi`. The last brick of an axis includes the domain's far face.
     pub fn lattice_box(&self, lo: [u64; 3], hi: [u64; 3]) -> LatticeBox {
-        let (max, d, s) = (self.lattice.max(), self.dims(), self.lattice.log2_steps);
         LatticeBox {
-            lo: std::array::from_fn(|a| {
-                if lo[a] == d[a] { max[a] + 1 } else { ((lo[a] * self.edge[a]) << s[a]) as u32 }
-            }),
-            hi: std::array::from_fn(|a| {
-                if hi[a] == d[a] { max[a] + 1 } else { ((hi[a] * self.edge[a]) << s[a]) as u32 }
-            }),
+            lo: std::array::from_fn(|a| self.start(a, lo[a])),
+            hi: std::array::from_fn(|a| self.start(a, hi[a])),
         }
     }
 
     /// Brick coordinates of the brick that holds a lattice position.
     pub fn brick_at(&self, pos: LatticePos) -> [u64; 3] {
         let (d, s) = (self.dims(), self.lattice.log2_steps);
-        std::array::from_fn(|a| (u64::from(pos[a] >> s[a]) / self.edge[a]).min(d[a] - 1))
+        std::array::from_fn(|a| {
+            let cell = match self.cells[a] {
+                _ if self.of_voxels(a) => u64::from(pos[a] >> s[a]),
+                // The last cell that begins at or before the position.
+                cells => {
+                    let max = u64::from(self.lattice.max()[a]);
+                    ((2 * u64::from(pos[a]) + 1) * cells).div_ceil(2 * max) - 1
+                }
+            };
+            (cell / self.edge[a]).min(d[a] - 1)
+        })
     }
 
     /// The lattice box of one brick.
@@ -463,7 +509,7 @@ mod tests {
     fn chunks_tile_the_domain_whatever_the_density() {
         let lattice = Lattice::new([103, 94, 161]).unwrap();
         for edge in [[4, 4, 4], [16, 8, 5], [200, 200, 200], [1, 90, 7]] {
-            let bricks = BrickGrid { lattice, edge };
+            let bricks = BrickGrid::new(lattice, edge);
             for target in [1, 1000, 20_000, 250_000, u64::MAX] {
                 let uniform = move |b: &LatticeBox| (b.volume() >> (3 * lattice.log2_steps[0])) as u64 / 8;
                 tiles(
@@ -478,7 +524,7 @@ mod tests {
     #[test]
     fn uniform_chunks_are_near_the_target() {
         let lattice = Lattice::new([512, 512, 512]).unwrap();
-        let grid = ChunkGrid::new(BrickGrid { lattice, edge: [16; 3] }, 250_000, move |b| {
+        let grid = ChunkGrid::new(BrickGrid::new(lattice, [16; 3]), 250_000, move |b| {
             (b.volume() >> (3 * lattice.log2_steps[0])) as u64 / 8
         })
         .unwrap();
@@ -495,7 +541,7 @@ mod tests {
             dims[axis] = 1_048_577;
             let lattice = Lattice::new(dims).unwrap();
             let uniform = move |b: &LatticeBox| (b.volume() >> (3 * lattice.log2_steps[0])) as u64;
-            let grid = ChunkGrid::new(BrickGrid { lattice, edge: [64; 3] }, 50_000, uniform).unwrap();
+            let grid = ChunkGrid::new(BrickGrid::new(lattice, [64; 3]), 50_000, uniform).unwrap();
             assert!(
                 (15..=30).contains(&grid.len()),
                 "axis {axis}: {} chunks of a million points",

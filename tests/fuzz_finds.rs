@@ -113,7 +113,8 @@ fn more_points_than_bricks_can_hold_are_refused_at_once() {
             let settings = settings(kind, Amount::Count(count), 250_000);
             let made = pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &run(1), &Silent);
             match made {
-                Err(e) => assert_eq!(e.exit_code(), 2, "{kind} {count}: {e}"),
+                // A lattice is made whatever its size, if there is a disk for it.
+                Err(e) => assert!(matches!(e.exit_code(), 2 | 4), "{kind} {count}: {e}"),
                 Ok(_) => panic!("{kind}: {count} points were made"),
             }
             assert!(start.elapsed() < Duration::from_secs(120), "{kind} {count}: {:?}", start.elapsed());

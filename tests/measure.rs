@@ -58,14 +58,13 @@ fn the_error_is_that_of_the_probed_field() {
         near(e.rms * e.rms, errors.iter().map(|x| x * x).sum());
         near(e.mean, errors.iter().map(|x| x.abs()).sum());
         near(e.bias, errors.iter().sum());
-        let (at, max) =
-            errors.iter().map(|x| x.abs()).enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap();
+        let max = errors.iter().map(|x| x.abs()).max_by(f64::total_cmp).unwrap();
         let worst = e.worst.unwrap();
+        // Symmetric samples may have errors that differ by rounding alone.
+        let at = worst.sample as usize;
+        assert!((errors[at].abs() - max).abs() <= 1e-6 * max, "{} {max}", errors[at]);
         assert!((e.max - max).abs() <= 1e-6 * max && e.max > 0.01, "{} {max}", e.max);
-        assert_eq!(
-            (worst.sample, worst.index),
-            (at as u64, Some([at as u64 % 31, at as u64 / 31 % 28, at as u64 / 31 / 28]))
-        );
+        assert_eq!(worst.index, Some([at as u64 % 31, at as u64 / 31 % 28, at as u64 / 31 / 28]));
         assert_eq!(worst.world, worst.index.unwrap().map(|i| i as f64), "the file has no geometry");
         assert!(((worst.reduced - worst.original).abs() - max).abs() < 1e-6);
     }

@@ -225,7 +225,7 @@ fn boundary(count: u64) -> Result<Vec<LatticePos>, Box<dyn Error>> {
 fn cores(all: &[LatticePos], chunk: u64) -> Result<Vec<LatticeBox>, Box<dyn Error>> {
     let lattice = Lattice::new([1025; 3])?;
     let edge = 1025.0 * (1024.0 / all.len() as f64).cbrt();
-    let bricks = BrickGrid { lattice, edge: [(edge.round() as u64).max(1); 3] };
+    let bricks = BrickGrid::new(lattice, [(edge.round() as u64).max(1); 3]);
     let mut counts = vec![0u64; usize::try_from(bricks.len())?];
     for &p in all {
         counts[bricks.id(bricks.brick_at(p)).0 as usize] += 1;

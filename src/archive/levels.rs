@@ -67,7 +67,7 @@ pub fn read_levels(
     if record.edge == 0 || record.edge >= Lattice::LARGEST.into() {
         return bad("edge of the plan's cells", "1 to 2^24 voxels".into(), record.edge.to_string());
     }
-    let cells = BrickGrid { lattice: *lattice, edge: [record.edge; 3] };
+    let cells = BrickGrid::new(*lattice, [record.edge; 3]);
     let count = cells.dims().iter().map(|&n| u128::from(n)).product::<u128>();
     if count > u128::from(Levels::MOST_CELLS) {
         return bad("cells", format!("at most {}", Levels::MOST_CELLS), count.to_string());
@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     fn levels() -> Levels {
-        let cells = BrickGrid { lattice: Lattice::new([200, 90, 90]).unwrap(), edge: [2; 3] };
+        let cells = BrickGrid::new(Lattice::new([200, 90, 90]).unwrap(), [2; 3]);
         let mut levels: Vec<u8> = (0..cells.len()).map(|i| (i % 12_347 == 0) as u8 * 7).collect();
         Levels::grade(&cells, &mut levels);
         Levels::new(cells, levels).unwrap()

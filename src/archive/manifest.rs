@@ -102,7 +102,7 @@ pub struct Plan {
     pub points: PointSpec,
     /// Bits an axis of the curve in the insertion order, on which the tetrahedra of cospherical points depend.
     pub order_bits: u32,
-    /// Voxel cells along each edge of a brick.
+    /// Cells along each edge of a brick: of the body-centred cubic lattice, where that is all of the points; else of voxels.
     pub brick_edge: [u64; 3],
     /// Points of a chunk, about.
     pub chunk_target: u64,
@@ -135,6 +135,9 @@ pub struct FrameRecord {
     pub cuts: ChunkCuts,
 }
 
+/// Voxels along an edge of a lattice's cell, at most, for its tetrahedra to follow by formula.
+const LARGEST_CELL: u64 = 64;
+
 impl Plan {
     /// The hash that mesh segments carry: of the plan as JSON without spaces, members in the order of this struct.
     pub fn hash(&self) -> PlanHash {
@@ -143,7 +146,22 @@ impl Plan {
 
     /// The bricks.
     pub fn bricks(&self) -> BrickGrid {
-        BrickGrid { lattice: self.lattice, edge: self.brick_edge }
+        match self.lattice_cells() {
+            Some(cells) => BrickGrid::of_cells(self.lattice, self.brick_edge, cells),
+            None => BrickGrid::new(self.lattice, self.brick_edge),
+        }
+    }
+
+    /// The cells along each axis of a body-centred cubic lattice that is all of the points: its tetrahedra follow by
+    /// formula. Not of one whose cells are longer than 64 voxels, which bricks of a cell would have to be too.
+    pub fn lattice_cells(&self) -> Option<[u32; 3]> {
+        match self.points {
+            PointSpec::Bcc { cells } if self.explicit.is_none() => {
+                let fits = |a: usize| self.lattice.dims[a] - 1 <= LARGEST_CELL * u64::from(cells[a]);
+                (0..3).all(fits).then_some(cells)
+            }
+            _ => None,
+        }
     }
 }
 

@@ -15,6 +15,7 @@
 //! that the meaning of a block was checked because its checksum was, for that see the checks of [`crate::pipeline`].
 #![doc = include_str!("FORMAT.md")]
 
+pub(crate) mod brick_values;
 pub mod chunk;
 pub mod chunked;
 pub mod coordinates;
@@ -76,6 +77,8 @@ mod tests {
             ("VALUES_QUANTISED", u64::from(values::VALUES_QUANTISED)),
             ("VALUES_AFTER", u64::from(values::VALUES_AFTER)),
             ("VALUES_AFTER_QUANTISED", u64::from(values::VALUES_AFTER_QUANTISED)),
+            ("VALUES_BRICK", u64::from(values::VALUES_BRICK)),
+            ("VALUES_BRICK_AFTER", u64::from(values::VALUES_BRICK_AFTER)),
             ("UNPACKED_VERSION", u64::from(unpacked::UNPACKED_VERSION)),
             ("UNPACKED_ALIGNED", unpacked::UNPACKED_ALIGNED as u64),
             ("UNPACKED_CORNERS", unpacked::UNPACKED_CORNERS),

@@ -27,11 +27,11 @@ pub const MAGIC: [u8; 8] = *b"\x89ISO\r\n\x1a\n";
 /// Last bytes but eight of a segment.
 pub const END_MAGIC: [u8; 8] = *b"ISOEND\r\n";
 /// The version this program writes.
-pub const FORMAT_VERSION: u16 = 4;
+pub const FORMAT_VERSION: u16 = 5;
 /// The oldest program version (in the same numbering) that can read what this program writes.
-pub const OLDEST_READER: u16 = 4;
+pub const OLDEST_READER: u16 = 5;
 /// The oldest version that this program reads.
-pub const OLDEST_FORMAT: u16 = 4;
+pub const OLDEST_FORMAT: u16 = 5;
 /// Bytes of the header.
 pub const HEADER_BYTES: u64 = 40;
 /// Bytes of the footer.

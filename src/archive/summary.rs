@@ -7,7 +7,7 @@
 //! Also the ranges of the chunk's value blocks, by themselves: where a surface does not pass, a reader that knows on which side of it all
 //! values of a block are need not read them.
 
-use super::values::BLOCK_VALUES;
+use super::values::ValueBlocks;
 use super::wire::{Cursor, Malformed};
 use crate::exec::with_vectors;
 use crate::mesh::tet::Tet;
@@ -176,10 +176,10 @@ impl ValueSummary {
 pub type ValueRange = [f32; 2];
 
 /// The ranges of the value blocks of a chunk with these values.
-pub fn value_ranges(values: &[f32]) -> Vec<ValueRange> {
+pub fn value_ranges(values: &[f32], blocks: &ValueBlocks) -> Vec<ValueRange> {
     with_vectors(
         #[inline(always)]
-        || values.chunks(BLOCK_VALUES).map(value_range).collect(),
+        || (0..blocks.count()).map(|n| value_range(&values[blocks.range(n)])).collect(),
     )
 }
 
@@ -199,8 +199,8 @@ fn value_range(values: &[f32]) -> ValueRange {
 }
 
 /// The same as the bytes of a block: 8 each.
-pub fn encode_value_ranges(values: &[f32]) -> Vec<u8> {
-    value_ranges(values).into_iter().flatten().flat_map(f32::to_le_bytes).collect()
+pub fn encode_value_ranges(values: &[f32], blocks: &ValueBlocks) -> Vec<u8> {
+    value_ranges(values, blocks).into_iter().flatten().flat_map(f32::to_le_bytes).collect()
 }
 
 /// The ranges of so many value blocks.
@@ -225,6 +225,7 @@ pub fn decode_value_ranges(bytes: &[u8], blocks: usize) -> Result<Vec<ValueRange
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::archive::values::BLOCK_VALUES;
 
     #[test]
     fn summaries_come_back() {
@@ -255,10 +256,11 @@ mod tests {
         values[0] = f32::NAN;
         let last = (BLOCK_VALUES + 2) as f32;
         let expected = vec![[1.0, BLOCK_VALUES as f32 - 1.0], [BLOCK_VALUES as f32, last]];
-        let bytes = encode_value_ranges(&values);
+        let bytes = encode_value_ranges(&values, &ValueBlocks::even(values.len()));
         assert_eq!(decode_value_ranges(&bytes, 2).unwrap(), expected);
         assert!(decode_value_ranges(&bytes, 1).is_err() && decode_value_ranges(&bytes[..15], 2).is_err());
-        let void = decode_value_ranges(&encode_value_ranges(&[f32::NAN; 3]), 1).unwrap();
+        let void =
+            decode_value_ranges(&encode_value_ranges(&[f32::NAN; 3], &ValueBlocks::even(3)), 1).unwrap();
         assert_eq!(void, [[f32::INFINITY, f32::NEG_INFINITY]]);
         for wrong in [[2.0, 1.0], [f32::NAN, 1.0], [0.0, f32::NAN]] {
             let bytes: Vec<u8> = wrong.into_iter().flat_map(f32::to_le_bytes).collect();
@@ -284,7 +286,11 @@ mod tests {
                 let one_by_one = values.chunks(BLOCK_VALUES).map(|block| block.iter().fold(none, wider));
                 let bits = |range: ValueRange| range.map(f32::to_bits);
                 let expected: Vec<_> = one_by_one.map(bits).collect();
-                assert_eq!(value_ranges(&values).into_iter().map(bits).collect::<Vec<_>>(), expected);
+                let blocks = ValueBlocks::even(values.len());
+                assert_eq!(
+                    value_ranges(&values, &blocks).into_iter().map(bits).collect::<Vec<_>>(),
+                    expected
+                );
             }
         }
     }

@@ -20,11 +20,13 @@
 //! Isenburg 2006, "Fast and efficient compression of floating-point data", where the prediction is one of space). Some blocks of a chunk
 //! are coded both ways, and the shorter way is taken for all of the chunk.
 
+use super::brick_values::{self, Template};
 use super::wire::{Cursor, Malformed};
 use byteorder::{ByteOrder, LE};
 use pco::standalone::{simple_compress, simple_decompress_into};
 use pco::{ChunkConfig, DeltaSpec, ModeSpec};
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// Values in a block, the last one of a chunk excepted.
 pub const BLOCK_VALUES: usize = 1024;
@@ -39,6 +41,11 @@ pub const VALUES_QUANTISED: u8 = 17;
 pub const VALUES_AFTER: u8 = 32;
 /// Codec: pcodec of differences of multiples of a step to those of the step before.
 pub const VALUES_AFTER_QUANTISED: u8 = 33;
+
+/// Codec: a brick of a lattice, multiples of the plan's step.
+pub const VALUES_BRICK: u8 = 48;
+/// Codec: a brick of a lattice, differences of multiples of the plan's step to those of the step before.
+pub const VALUES_BRICK_AFTER: u8 = 49;
 
 /// The bits of every void value.
 const VOID: u32 = 0x7fc0_0000;
@@ -97,26 +104,96 @@ impl Quantiser {
     }
 }
 
-/// Encodes the values of all local vertices of a chunk, core then halo: one block for each [`BLOCK_VALUES`] values. Values that
+/// How the values of a chunk are cut into blocks: bricks of a lattice, where there are some, then [`BLOCK_VALUES`] each.
+#[derive(Clone, Debug)]
+pub struct ValueBlocks {
+    /// The cells of each brick, and the number of its first value.
+    bricks: Vec<([u32; 3], usize)>,
+    /// Values of all bricks, and all values.
+    in_bricks: usize,
+    len: usize,
+}
+
+impl ValueBlocks {
+    /// Blocks of [`BLOCK_VALUES`].
+    pub fn even(len: usize) -> Self {
+        Self { bricks: vec![], in_bricks: 0, len }
+    }
+
+    /// Bricks of so many cells, 1 to 8 along each axis, with two values a cell, then blocks of [`BLOCK_VALUES`].
+    pub fn bricks(cells: impl IntoIterator<Item = [u32; 3]>, len: usize) -> Self {
+        let mut in_bricks = 0;
+        let brick = |cells: [u32; 3]| {
+            let first = in_bricks;
+            in_bricks += 2 * cells.iter().product::<u32>() as usize;
+            (cells, first)
+        };
+        let bricks = cells.into_iter().map(brick).collect();
+        Self { bricks, in_bricks, len }
+    }
+
+    /// Number of blocks.
+    pub fn count(&self) -> usize {
+        self.bricks.len() + (self.len - self.in_bricks).div_ceil(BLOCK_VALUES)
+    }
+
+    /// Number of values.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether there is no value.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// The block that has a value.
+    #[inline]
+    pub fn of(&self, value: usize) -> usize {
+        match value.checked_sub(self.in_bricks) {
+            Some(behind) => self.bricks.len() + behind / BLOCK_VALUES,
+            None => self.bricks.partition_point(|b| b.1 <= value) - 1,
+        }
+    }
+
+    /// The values of a block.
+    pub fn range(&self, block: usize) -> Range<usize> {
+        match block.checked_sub(self.bricks.len()) {
+            Some(behind) => {
+                let first = self.in_bricks + behind * BLOCK_VALUES;
+                first..self.len.min(first + BLOCK_VALUES)
+            }
+            None => self.bricks[block].1..self.bricks.get(block + 1).map_or(self.in_bricks, |b| b.1),
+        }
+    }
+
+    /// The cells of a block that is a brick.
+    pub fn cells(&self, block: usize) -> Option<[u32; 3]> {
+        self.bricks.get(block).map(|b| b.0)
+    }
+}
+
+/// Encodes the values of all local vertices of a chunk, core then halo, block by block. Values that
 /// [`Quantiser::round`] has made of others are stored as steps. `before` are the values of the same vertices at the step that blocks may
 /// refer to.
 ///
 /// # Panics
 /// When there is not one value a vertex before.
-pub fn encode_values(values: &[f32], before: Option<&[f32]>, quantiser: Option<&Quantiser>) -> Vec<Vec<u8>> {
+pub fn encode_values(
+    values: &[f32],
+    blocks: &ValueBlocks,
+    before: Option<&[f32]>,
+    quantiser: Option<&Quantiser>,
+) -> Vec<Vec<u8>> {
+    assert_eq!(values.len(), blocks.len(), "as many values as there are in blocks");
     if let Some(before) = before {
         assert_eq!(values.len(), before.len(), "one value a vertex");
     }
-    let mut encoder = Encoder { quantiser, block: vec![], numbers: vec![], steps: vec![] };
+    let mut encoder = Encoder { quantiser, blocks, block: vec![], numbers: vec![], steps: vec![] };
     let how = encoder.choose(values, before);
-    let blocks = values.chunks(BLOCK_VALUES).enumerate();
-    blocks
-        .map(|(n, block)| {
-            let before =
-                before.filter(|_| how.after).map(|before| &before[n * BLOCK_VALUES..][..block.len()]);
-            encoder.encode(block, before, how.coder).to_vec()
-        })
-        .collect()
+    let before = before.filter(|_| how.after);
+    let encode = |n| encoder.encode(n, values, before, how.coder).to_vec();
+    (0..blocks.count()).map(encode).collect()
 }
 
 /// What pcodec is told of the numbers of a block.
@@ -139,6 +216,7 @@ struct How {
 /// Encodes block after block.
 struct Encoder<'a> {
     quantiser: Option<&'a Quantiser>,
+    blocks: &'a ValueBlocks,
     /// The bytes of the block.
     block: Vec<u8>,
     /// Its values, all void ones the same.
@@ -150,14 +228,11 @@ struct Encoder<'a> {
 impl Encoder<'_> {
     /// Finds out which way takes the fewest bytes, with the first block, a middle and the last one.
     fn choose(&mut self, values: &[f32], before: Option<&[f32]>) -> How {
-        let blocks = values.len().div_ceil(BLOCK_VALUES);
+        let blocks = self.blocks.count();
         let mut tried = vec![0, blocks / 2, blocks.saturating_sub(1)];
         tried.dedup();
         let mut bytes_of = |after: Option<&[f32]>, coder| -> usize {
-            let block = |&n: &usize| {
-                let part = n * BLOCK_VALUES..values.len().min((n + 1) * BLOCK_VALUES);
-                self.encode(&values[part.clone()], after.map(|before| &before[part]), coder).len()
-            };
+            let block = |&n: &usize| self.encode(n, values, after, coder).len();
             tried.iter().filter(|n| **n < blocks).map(block).sum()
         };
         // The plainest one of those that take the fewest bytes.
@@ -180,8 +255,10 @@ impl Encoder<'_> {
     }
 
     /// The bytes of a block; of one that refers to the values `before`, of the differences to them.
-    fn encode(&mut self, values: &[f32], before: Option<&[f32]>, coder: Coder) -> &[u8] {
-        let Self { quantiser, block, numbers, steps } = self;
+    fn encode(&mut self, n: usize, values: &[f32], before: Option<&[f32]>, coder: Coder) -> &[u8] {
+        let Self { quantiser, blocks, block, numbers, steps } = self;
+        let (range, cells) = (blocks.range(n), blocks.cells(n));
+        let (values, before) = (&values[range.clone()], before.map(|before| &before[range]));
         block.clear();
         numbers.clear();
         numbers.extend(values.iter().map(|&v| one_void(v)));
@@ -193,6 +270,11 @@ impl Encoder<'_> {
                 let differ =
                     |(step, &before): (&mut i32, &f32)| *step = step.wrapping_sub(q.steps_or_void(before));
                 steps.iter_mut().zip(before).for_each(differ);
+            }
+            if let Some(cells) = cells.filter(|_| level == LEVEL) {
+                block.push(if before.is_some() { VALUES_BRICK_AFTER } else { VALUES_BRICK });
+                brick_values::encode(Template::of(cells), steps, block);
+                return block;
             }
             block.push(if before.is_some() { VALUES_AFTER_QUANTISED } else { VALUES_QUANTISED });
             block.extend(q.origin.to_le_bytes());
@@ -262,15 +344,28 @@ fn pack<T: pco::data_types::Number>(numbers: &[T], coder: Coder, level: usize, o
 
 /// Whether a block of values is told by that of the step before.
 pub fn needs_before(bytes: &[u8]) -> bool {
-    matches!(bytes.first(), Some(&(VALUES_AFTER | VALUES_AFTER_QUANTISED)))
+    matches!(bytes.first(), Some(&(VALUES_AFTER | VALUES_AFTER_QUANTISED | VALUES_BRICK_AFTER)))
 }
 
-/// Decodes a block of `n` values and appends them to `out`. `before` are the `n` values of the step before, of a block that
-/// [`needs_before`]; of others they are not looked at.
+/// What is known of a block of values before it is read.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct KnownOfBlock<'a> {
+    /// How many values it has.
+    pub n: usize,
+    /// The cells of a brick.
+    pub cells: Option<[u32; 3]>,
+    /// The plan's.
+    pub quantiser: Option<&'a Quantiser>,
+    /// The values of the step before, of a block that [`needs_before`]; of others they are not looked at.
+    pub before: &'a [f32],
+}
+
+/// Decodes a block of values and appends them to `out`.
 ///
 /// # Errors
 /// When the bytes are not a block of `n` values, or need others that are not there; `out` is then unchanged.
-pub fn decode_values(bytes: &[u8], n: usize, before: &[f32], out: &mut Vec<f32>) -> Result<(), Malformed> {
+pub fn decode_values(bytes: &[u8], known: &KnownOfBlock<'_>, out: &mut Vec<f32>) -> Result<(), Malformed> {
+    let KnownOfBlock { n, before, .. } = *known;
     if n > BLOCK_VALUES {
         return Err(Malformed::new("values", format!("at most {BLOCK_VALUES} values"), n.to_string()));
     }
@@ -311,6 +406,20 @@ pub fn decode_values(bytes: &[u8], n: usize, before: &[f32], out: &mut Vec<f32>)
             let value = |(d, b): (&i32, &f32)| q.value_or_void(q.steps_or_void(*b).wrapping_add(*d));
             out.extend(steps.iter().zip(before).map(value));
         }
+        codec @ (VALUES_BRICK | VALUES_BRICK_AFTER) => {
+            let (q, mut steps) = (known.quantiser, [0i32; BLOCK_VALUES]);
+            let template = known.cells.map(Template::of).filter(|template| template.len() == n);
+            let (Some(q), Some(template)) = (q, template) else {
+                let expected = "one for values without a lattice, or that are not rounded";
+                return Err(Malformed::new("codec", expected, codec.to_string()));
+            };
+            if !brick_values::decode(template, c.rest(), &mut steps[..n]) {
+                return Err(Malformed::new("values", format!("{n} values of a brick"), "other bytes"));
+            }
+            let before = |i: usize| if codec == VALUES_BRICK { 0 } else { q.steps_or_void(before[i]) };
+            let value = |(i, &s): (usize, &i32)| q.value_or_void(before(i).wrapping_add(s));
+            out.extend(steps[..n].iter().enumerate().map(value));
+        }
         other => return Err(Malformed::new("codec", "a known value codec", other.to_string())),
     }
     Ok(())
@@ -337,12 +446,68 @@ fn unpacked<T: pco::data_types::Number>(bytes: &[u8], numbers: &mut [T]) -> Resu
 mod tests {
     use super::*;
 
+    fn encode_even(values: &[f32], before: Option<&[f32]>, quantiser: Option<&Quantiser>) -> Vec<Vec<u8>> {
+        encode_values(values, &ValueBlocks::even(values.len()), before, quantiser)
+    }
+
+    fn decode_even(bytes: &[u8], n: usize, before: &[f32], out: &mut Vec<f32>) -> Result<(), Malformed> {
+        decode_values(bytes, &KnownOfBlock { n, before, ..KnownOfBlock::default() }, out)
+    }
+
+    #[test]
+    fn bricks_of_a_lattice_come_back_and_damage_does_no_harm() {
+        let q = Quantiser::new(8, [0.0, 100.0]);
+        let cells = [[8, 8, 8], [8, 8, 2], [3, 1, 5]];
+        let len = 1024 + 256 + 30 + 2000;
+        let blocks = ValueBlocks::bricks(cells, len);
+        assert_eq!((blocks.count(), blocks.range(4)), (5, 1310 + 1024..len));
+        for block in 0..blocks.count() {
+            assert!(blocks.range(block).all(|v| blocks.of(v) == block));
+        }
+        let at = |i: usize, t: f32| q.round(50.0 + 30.0 * (i as f32 / 90.0 + t).sin());
+        let [before, values]: [Vec<f32>; 2] = [0.0, 0.01].map(|t| (0..len).map(|i| at(i, t)).collect());
+        let mut holey = values.clone();
+        holey[1100] = f32::NAN;
+        for (values, before) in [(&values, None), (&values, Some(&*before)), (&holey, Some(&*before))] {
+            let encoded = encode_values(values, &blocks, before, Some(&q));
+            let mut back = vec![];
+            for (n, block) in encoded.iter().enumerate() {
+                let range = blocks.range(n);
+                let before = before.map_or(&[][..], |before| &before[range.clone()]);
+                let known =
+                    KnownOfBlock { n: range.len(), cells: blocks.cells(n), quantiser: Some(&q), before };
+                decode_values(block, &known, &mut back).unwrap();
+                let is_brick = [VALUES_BRICK, VALUES_BRICK_AFTER].contains(&block[0]);
+                assert_eq!(is_brick, n < 3 && !values[range].iter().any(|v| v.is_nan()));
+                let mut out = vec![];
+                for wrong in [
+                    KnownOfBlock { cells: None, ..known },
+                    KnownOfBlock { quantiser: None, ..known },
+                    KnownOfBlock { cells: Some([8, 8, 1]), ..known },
+                ] {
+                    assert!(!is_brick || decode_values(block, &wrong, &mut out).is_err());
+                }
+                for i in 0..block.len() {
+                    for bad in [0, block[i] ^ 1, block[i] ^ 128] {
+                        let mut damaged = block.clone();
+                        damaged[i] = bad;
+                        out.clear();
+                        let _ = decode_values(&damaged, &known, &mut out);
+                        assert!(out.is_empty() || out.len() == known.n);
+                    }
+                }
+            }
+            let bits = |v: &[f32]| v.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+            assert_eq!(bits(&back), bits(values));
+        }
+    }
+
     fn round_trip(values: &[f32], quantiser: Option<&Quantiser>) -> Vec<Vec<u8>> {
-        let blocks = encode_values(values, None, quantiser);
+        let blocks = encode_even(values, None, quantiser);
         assert_eq!(blocks.len(), values.len().div_ceil(BLOCK_VALUES));
         let mut back = vec![];
         for (block, part) in blocks.iter().zip(values.chunks(BLOCK_VALUES)) {
-            decode_values(block, part.len(), &[], &mut back).unwrap();
+            decode_even(block, part.len(), &[], &mut back).unwrap();
         }
         let bits = |v: &[f32]| v.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
         assert_eq!(bits(&back), bits(values));
@@ -408,16 +573,16 @@ mod tests {
         let q = Quantiser::new(8, [0.0, 1.0]);
         assert_eq!(
             round_trip(&[0.1, 0.7], Some(&q))[0][0],
-            VALUES_PCO.min(encode_values(&[0.1, 0.7], None, None)[0][0])
+            VALUES_PCO.min(encode_even(&[0.1, 0.7], None, None)[0][0])
         );
     }
 
     #[test]
     fn all_nans_are_one() {
         let nans = [0x7fc0_0000, 0xffc0_0000, 0x7f80_0001, 0x7fff_ffff].map(f32::from_bits);
-        assert_eq!(encode_values(&nans, None, None), encode_values(&[f32::NAN; 4], None, None));
+        assert_eq!(encode_even(&nans, None, None), encode_even(&[f32::NAN; 4], None, None));
         let mut back = vec![];
-        decode_values(&encode_values(&nans, None, None)[0], 4, &[], &mut back).unwrap();
+        decode_even(&encode_even(&nans, None, None)[0], 4, &[], &mut back).unwrap();
         assert!(back.iter().all(|v| v.to_bits() == VOID));
     }
 
@@ -427,32 +592,32 @@ mod tests {
         let q = Quantiser::new(12, [0.0, 90_000.0]);
         let rounded: Vec<f32> = smooth.iter().map(|&v| q.round(v)).collect();
         for good in
-            [encode_values(&smooth, None, None).remove(0), encode_values(&rounded, None, Some(&q)).remove(0)]
+            [encode_even(&smooth, None, None).remove(0), encode_even(&rounded, None, Some(&q)).remove(0)]
         {
             assert_ne!(good[0], VALUES_RAW);
             for n in [0, 299, 301, BLOCK_VALUES, usize::MAX] {
-                assert!(decode_values(&good, n, &[], &mut vec![]).is_err(), "{n}");
+                assert!(decode_even(&good, n, &[], &mut vec![]).is_err(), "{n}");
             }
             for i in 0..good.len() {
-                assert!(decode_values(&good[..i], 300, &[], &mut vec![]).is_err());
+                assert!(decode_even(&good[..i], 300, &[], &mut vec![]).is_err());
                 for bit in 0..8 {
                     let mut bad = good.clone();
                     bad[i] ^= 1 << bit;
                     let mut out = vec![];
-                    assert!(decode_values(&bad, 300, &[], &mut out).is_err() || out.len() == 300);
+                    assert!(decode_even(&bad, 300, &[], &mut out).is_err() || out.len() == 300);
                 }
             }
         }
-        assert!(decode_values(&[99, 0], 1, &[], &mut vec![]).unwrap_err().got.contains("99"));
+        assert!(decode_even(&[99, 0], 1, &[], &mut vec![]).unwrap_err().got.contains("99"));
     }
 
     /// Encodes values after others, decodes them, and tells the codec of the first block.
     fn after(values: &[f32], before: &[f32], q: Option<&Quantiser>) -> u8 {
-        let blocks = encode_values(values, Some(before), q);
+        let blocks = encode_even(values, Some(before), q);
         let mut back = vec![];
         for (n, (block, part)) in blocks.iter().zip(values.chunks(BLOCK_VALUES)).enumerate() {
-            decode_values(block, part.len(), &before[n * BLOCK_VALUES..][..part.len()], &mut back).unwrap();
-            let alone = decode_values(block, part.len(), &[], &mut vec![]);
+            decode_even(block, part.len(), &before[n * BLOCK_VALUES..][..part.len()], &mut back).unwrap();
+            let alone = decode_even(block, part.len(), &[], &mut vec![]);
             assert_eq!(alone.is_err(), needs_before(block));
         }
         assert!(back.iter().zip(values).all(|(a, b)| a.to_bits() == b.to_bits() || a.is_nan() && b.is_nan()));
@@ -476,8 +641,8 @@ mod tests {
         // Values that do not look back are shorter alone.
         let ramp: Vec<f32> = (0..9000).map(|i| i as f32).collect();
         assert_eq!(after(&ramp, &a, None), VALUES_PCO);
-        assert!(!needs_before(&encode_values(&a, Some(&ramp), None)[0]));
-        assert!(encode_values(&[], Some(&[]), None).is_empty());
+        assert!(!needs_before(&encode_even(&a, Some(&ramp), None)[0]));
+        assert!(encode_even(&[], Some(&[]), None).is_empty());
     }
 
     #[test]
@@ -487,17 +652,17 @@ mod tests {
         let q = Quantiser::new(20, [0.0, 5e9]);
         let rounded: Vec<f32> = values.iter().map(|&v| q.round(v)).collect();
         for good in [
-            encode_values(&values, Some(&before), None).remove(0),
-            encode_values(&rounded, Some(&before), Some(&q)).remove(0),
+            encode_even(&values, Some(&before), None).remove(0),
+            encode_even(&rounded, Some(&before), Some(&q)).remove(0),
         ] {
             assert!(needs_before(&good));
             for i in 0..good.len() {
-                assert!(decode_values(&good[..i], 300, &before, &mut vec![]).is_err());
+                assert!(decode_even(&good[..i], 300, &before, &mut vec![]).is_err());
                 for bit in 0..8 {
                     let mut bad = good.clone();
                     bad[i] ^= 1 << bit;
                     let mut out = vec![];
-                    assert!(decode_values(&bad, 300, &before, &mut out).is_err() || out.len() == 300);
+                    assert!(decode_even(&bad, 300, &before, &mut out).is_err() || out.len() == 300);
                 }
             }
         }

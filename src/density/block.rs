@@ -29,7 +29,7 @@ struct Between {
 impl BlockErrors {
     /// The blocks of a volume. The samples of one are those of its voxel cells, on both sides: [`BlockErrors::samples_of`].
     pub fn blocks(cells: &BrickGrid) -> BrickGrid {
-        BrickGrid { lattice: cells.lattice, edge: [BLOCK_EDGE; 3] }
+        BrickGrid::new(cells.lattice, [BLOCK_EDGE; 3])
     }
 
     /// The samples that a block needs.

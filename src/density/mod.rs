@@ -66,7 +66,7 @@ pub struct ErrorCurves {
 impl ErrorCurves {
     /// Of the cells of a lattice that are as small as may be.
     pub fn new(lattice: crate::geom::Lattice) -> Self {
-        let at = |edge| BrickGrid { lattice, edge: [edge; 3] };
+        let at = |edge| BrickGrid::new(lattice, [edge; 3]);
         let count = |edge| at(edge).dims().iter().map(|&n| u128::from(n)).product::<u128>();
         let mut edge = LEAST_EDGE;
         while count(edge) > u128::from(Levels::MOST_CELLS) {

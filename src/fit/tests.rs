@@ -266,7 +266,7 @@ fn holes_do_not_leak() {
 #[test]
 fn windows_hold_each_sample_of_each_tetrahedron_once() {
     let (grid, positions, tets) = mesh();
-    for edge in [[5, 7, 3], window_edge([3, 20, 64])] {
+    for edge in [[5, 7, 3], window_edge([3.0, 20.0, 64.0])] {
         let windows = Windows::new(&grid, edge, &positions, &tets, &mut Room::none());
         let mut count = 0;
         for (window, tets_of) in windows.iter() {
@@ -278,6 +278,6 @@ fn windows_hold_each_sample_of_each_tetrahedron_once() {
         }
         assert_eq!(count as u64, DIMS.iter().product::<u64>());
     }
-    assert_eq!(window_edge([3, 20, 64]), [33, 40, 64]);
+    assert_eq!(window_edge([3.0, 20.0, 64.0]), [33, 40, 64]);
     assert_eq!(Windows::new(&grid, [32; 3], &[], &[], &mut Room::none()).iter().count(), 0);
 }

@@ -13,8 +13,11 @@ use crate::raster::{SampleGrid, greater, lesser};
 const LEAST_EDGE: u64 = 32;
 
 /// Samples along the edges of a window where bricks have so many cells: bricks, or some of them together.
-pub fn window_edge(brick: [u64; 3]) -> [u64; 3] {
-    brick.map(|edge| edge * LEAST_EDGE.div_ceil(edge))
+pub fn window_edge(brick: [f64; 3]) -> [u64; 3] {
+    brick.map(|edge| {
+        let edge = (edge.ceil() as u64).max(1);
+        edge * LEAST_EDGE.div_ceil(edge)
+    })
 }
 
 /// Three coordinates for each vertex, such as those of its window, and a 0: four are a vector.

@@ -4,6 +4,7 @@ pub mod curve;
 pub mod lattice;
 pub mod predicates;
 
+pub(crate) use lattice::half_plane;
 pub use lattice::{Lattice, LatticeBox, LatticePos};
 
 /// The kind of a sample site; the four highest bits of its [`PointId`].

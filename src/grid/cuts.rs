@@ -126,7 +126,7 @@ mod tests {
     use crate::geom::Lattice;
 
     fn grid(target: u64) -> ChunkGrid {
-        let bricks = BrickGrid { lattice: Lattice::new([103, 94, 161]).unwrap(), edge: [4, 4, 5] };
+        let bricks = BrickGrid::new(Lattice::new([103, 94, 161]).unwrap(), [4, 4, 5]);
         ChunkGrid::new(bricks, target, points(1)).unwrap()
     }
 

@@ -5,12 +5,14 @@
 
 use super::need::{self, Halo};
 use super::plan::check_brick;
+use crate::archive::values::ValueBlocks;
 use crate::archive::vertices::order_halo;
 use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::geom::curve::Order;
 use crate::geom::{LatticeBox, LatticePos, PointId, Site};
 use crate::grid::{BrickGrid, Chunk};
+use crate::mesh::bcc::{BccChunk, BccMesh};
 use crate::mesh::chunk::{Border, ChunkMesh, ChunkOutcome, ChunkRegion, Manner, mesh_around, mesh_widening};
 use crate::mesh::delaunay::Mesher;
 use crate::mesh::list::TetList;
@@ -25,9 +27,17 @@ pub(crate) struct Recipe<'a> {
     pub(crate) order: Order,
     /// What is asked for of a chunk's surroundings.
     pub(crate) halo: Halo,
+    /// The mesh, where it follows by formula.
+    pub(crate) bcc: Option<BccMesh>,
 }
 
 impl Recipe<'_> {
+    /// A chunk whose mesh follows by formula.
+    pub(crate) fn bcc_chunk(&self, chunk: &Chunk) -> Option<BccChunk> {
+        let [lo, hi] = self.bricks.cells_of(chunk);
+        self.bcc.map(|mesh| mesh.chunk(lo, hi))
+    }
+
     /// The boxes of a chunk, at first.
     fn boxes(&self, chunk: &Chunk) -> ChunkRegion {
         let (points, core, domain) = (self.points, chunk.core, self.bricks.lattice.domain());
@@ -53,9 +63,41 @@ pub(crate) struct MeshedChunk {
     pub(crate) tets: TetList,
     /// How often the halo had to be widened.
     pub(crate) retries: u32,
+    /// How values are cut into blocks, of a chunk of a lattice.
+    pub(crate) bricks: Option<ValueBlocks>,
 }
 
 impl MeshedChunk {
+    /// The mesh of a chunk of a lattice; with the tetrahedra around it, where they are asked for.
+    pub(crate) fn of_bcc(chunk: &BccChunk, halo: Halo) -> Self {
+        let (mut all_positions, mut ids, mut shared) = (vec![], vec![], vec![]);
+        for (position, id, is_shared) in chunk.listed() {
+            all_positions.push(position);
+            ids.push(id);
+            shared.push(is_shared);
+        }
+        let mut mesh = Self {
+            core_counts: chunk.bricks().map(|cells| 2 * cells.iter().product::<u32>()).collect(),
+            halo: ids.split_off(chunk.core()),
+            all_positions,
+            around: 0,
+            shared,
+            tets: chunk.tets().into(),
+            retries: 0,
+            bricks: Some(value_blocks(chunk)),
+        };
+        if halo == Halo::Stars {
+            let (around, positions) = chunk.around();
+            mesh.put_around(&around, positions);
+        }
+        mesh
+    }
+
+    /// How the values of its vertices are cut into blocks.
+    pub(crate) fn value_blocks(&self) -> ValueBlocks {
+        self.bricks.clone().unwrap_or_else(|| ValueBlocks::even(self.vertices()))
+    }
+
     pub(crate) fn core_len(&self) -> usize {
         self.vertices() - self.halo.len()
     }
@@ -124,6 +166,14 @@ impl MeshedChunk {
     }
 }
 
+/// How the values of a lattice's chunk are cut into blocks: bricks, where those have as many values as a block.
+pub(crate) fn value_blocks(chunk: &BccChunk) -> ValueBlocks {
+    match chunk.has_whole_bricks() {
+        true => ValueBlocks::bricks(chunk.bricks(), chunk.points()),
+        false => ValueBlocks::even(chunk.points()),
+    }
+}
+
 /// What came of meshing a chunk.
 pub(crate) enum Meshing {
     Done(MeshedChunk),
@@ -155,6 +205,13 @@ impl Maker {
         cancel: &CancelToken,
     ) -> Result<Meshing> {
         cancel.check()?;
+        if let Some(chunk) = recipe.bcc_chunk(chunk) {
+            let bytes = need::room_for(chunk.points() as u64, recipe.halo);
+            return Ok(match bytes > room {
+                true => Meshing::NeedsRoom { bytes },
+                false => Meshing::Done(MeshedChunk::of_bcc(&chunk, recipe.halo)),
+            });
+        }
         let domain = recipe.bricks.lattice.domain();
         let core_counts = self.list_core(recipe, chunk)?;
         let core = self.sites.len();
@@ -209,6 +266,11 @@ impl Maker {
         cancel: &CancelToken,
     ) -> Result<bool> {
         cancel.check()?;
+        if let Some(chunk) = recipe.bcc_chunk(chunk) {
+            let (around, positions) = chunk.around();
+            mesh.put_around(&around, positions);
+            return Ok(true);
+        }
         if !recipe.points.is_even() {
             return Ok(false);
         }
@@ -346,7 +408,7 @@ fn renumber(
     shared.resize(vertices, true);
     let halo = halo.iter().map(|&v| sites[v as usize].id).collect();
     let around = positions.len() - vertices;
-    MeshedChunk { core_counts, halo, all_positions: positions, around, shared, tets, retries }
+    MeshedChunk { core_counts, halo, all_positions: positions, around, shared, tets, retries, bricks: None }
 }
 
 /// Numbers the sites outside the core that tetrahedra around have: those that are vertices have numbers, the others follow `vertices`, as they come.

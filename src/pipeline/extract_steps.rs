@@ -21,7 +21,6 @@ use super::query::{Effort, Made, Prepared, SurfaceSettings, make};
 use super::reader::{self, ChunkReader};
 use super::spare::{Buffers, Spare};
 use super::steps::ValuesOverTime;
-use crate::archive::values::BLOCK_VALUES;
 use crate::error::{Error, Result};
 use crate::exec::Progress;
 use crate::grid::ChunkId;
@@ -250,7 +249,8 @@ impl<'a> Work<'a> {
                 return Ok(None);
             }
             let (bytes, mut value_blocks) = (block.bytes, vec![]);
-            value_blocks.extend(block.corners.numbers.iter().map(|n| n / BLOCK_VALUES as u32));
+            let of = |&n: &u32| reader.value_blocks().of(n as usize) as u32;
+            value_blocks.extend(block.corners.numbers.iter().map(of));
             value_blocks.dedup();
             value_blocks.sort_unstable();
             value_blocks.dedup();

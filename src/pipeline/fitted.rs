@@ -79,7 +79,7 @@ fn add_samples<'a>(
 ) -> Result<()> {
     let (bricks, mesh) = (&fields[0].bricks, fit.mesh());
     let grid = SampleGrid::voxels(&bricks.lattice);
-    let windows = Windows::new(&grid, window_edge(bricks.edge), mesh.positions, mesh.tets, room);
+    let windows = Windows::new(&grid, window_edge(bricks.voxels()), mesh.positions, mesh.tets, room);
     for (window, tets) in windows.iter() {
         cancel.check()?;
         fit.add(&grid, &window, tets, |n, part, out| note(n, fields[n].read_window(part, out)))?;

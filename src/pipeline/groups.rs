@@ -37,7 +37,8 @@ impl Groups {
     pub(crate) fn of(bricks: &BrickGrid, mesh: &MeshedChunk) -> Self {
         let rows = rows(bricks, mesh);
         let near = Near::new(bricks, &rows);
-        let outside = mesh.all_positions.iter().enumerate().skip(mesh.core_len());
+        let listed: usize = mesh.core_counts.iter().map(|&n| n as usize).sum();
+        let outside = mesh.all_positions.iter().enumerate().skip(listed);
         let mut sorted: Vec<(u64, u32)> = outside.map(|(v, &pos)| (near.group(pos), v as u32)).collect();
         sorted.sort_unstable();
         let mut end = 0;
@@ -57,7 +58,7 @@ impl Groups {
         Self { groups, others: sorted.into_iter().map(|(_, v)| v).collect() }
     }
 
-    /// Of each group, the vertices of the core and the others.
+    /// Of each group, the vertices listed by bricks and the others.
     pub(crate) fn iter(&self) -> impl Iterator<Item = (Range<usize>, &[u32])> {
         let mut start = 0;
         self.groups
@@ -90,8 +91,8 @@ fn rows(bricks: &BrickGrid, mesh: &MeshedChunk) -> Vec<Row> {
 
 /// Whether the samples of a row that ends at brick `end` are few.
 fn fits(bricks: &BrickGrid, row: &Row, end: u64) -> bool {
-    let [x, y, z] = bricks.edge.map(|edge| edge.saturating_add(2));
-    (end - row.lo[0]).saturating_mul(x).saturating_mul(y).saturating_mul(z) <= MOST_SAMPLES
+    let [x, y, z] = bricks.voxels().map(|edge| edge + 2.0);
+    (end - row.lo[0]) as f64 * x * y * z <= MOST_SAMPLES as f64
 }
 
 /// The rows of bricks by place.
@@ -139,10 +140,12 @@ impl<'a> Near<'a> {
         }
         let nearest = std::array::from_fn(|a| brick[a].clamp(self.lo[a], self.hi[a] - 1));
         let Some(group) = self.of[self.at(nearest)] else { return alone };
-        let (row, edge) = (&self.rows[group as usize], self.bricks.edge);
+        let row = &self.rows[group as usize];
+        let (core, first) =
+            (self.bricks.lattice_box(row.lo, row.hi), self.bricks.lattice_box([0; 3], [1; 3]));
         let is_near = (0..3).all(|a| {
-            let (cell, half) = (u64::from(pos[a] >> self.bricks.lattice.log2_steps[a]), edge[a] / 2);
-            cell + half >= row.lo[a] * edge[a] && cell < row.hi[a] * edge[a] + half
+            let half = first.hi[a] / 2;
+            pos[a] + half >= core.lo[a] && pos[a] < core.hi[a] + half
         });
         if is_near { group.into() } else { alone }
     }
@@ -156,7 +159,7 @@ mod tests {
 
     #[test]
     fn each_vertex_is_in_one_group() {
-        let bricks = BrickGrid { lattice: Lattice { dims: [101; 3], log2_steps: [4; 3] }, edge: [10; 3] };
+        let bricks = BrickGrid::new(Lattice { dims: [101; 3], log2_steps: [4; 3] }, [10; 3]);
         // Three bricks along x, of which the middle one is empty, and one above the first.
         let core: Vec<LatticePos> =
             [[20, 20, 20], [25, 29, 23], [40, 20, 20], [21, 35, 22]].map(scaled).into();
@@ -171,13 +174,14 @@ mod tests {
             shared: vec![],
             tets: TetList::default(),
             retries: 0,
+            bricks: None,
         };
         let found: Vec<(Range<usize>, Vec<u32>)> =
             Groups::of(&bricks, &mesh).iter().map(|(core, others)| (core, others.to_vec())).collect();
         let expected = [(0..3, vec![4, 5, 7]), (3..4, vec![6]), (0..0, vec![8]), (0..0, vec![9])];
         assert_eq!(found, expected);
         // Rows end where a box would have too many samples, and where nothing is.
-        let wide = BrickGrid { edge: [30; 3], ..bricks };
+        let wide = BrickGrid::new(bricks.lattice, [30; 3]);
         assert_eq!(Groups::of(&wide, &mesh).iter().map(|(core, _)| core.len()).sum::<usize>(), 4);
         let none = MeshedChunk { core_counts: vec![], all_positions: others.to_vec(), ..mesh };
         let alone: Vec<usize> = Groups::of(&bricks, &none).iter().map(|(_, others)| others.len()).collect();

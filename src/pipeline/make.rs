@@ -143,7 +143,7 @@ fn make_in_room(work: &Work<'_>, chunk: &Chunk, desk: &mut Desk, room: u64) -> R
     let mut placement = note(work, 0, work.steps[0].field.place(&mesh))?;
     let outside6 = drop_outside(&mut mesh, &mut placement);
     lap.add_to(&mut times.sample);
-    let (mut mesh_blocks, ends, summary) = encode_mesh(work, &mut desk.encoder, &mut mesh, outside6);
+    let (mut mesh_blocks, ends, summary) = encode_mesh(work, chunk, &mut desk.encoder, &mut mesh, outside6);
     lap.add_to(&mut times.encode);
     let value_blocks = encode_steps(work, &mut mesh, &placement, None, &ends, &mut desk.bench, &mut times)?;
     desk.maker.reuse(mesh.all_positions, mesh.tets);
@@ -264,13 +264,13 @@ fn encode_steps(
         of_steps.into_iter().zip(&ranges).map(|(values, ranges)| (values, &**ranges)).collect();
     let parts = work.meter.parts(positions, tets, &of_steps, &mut bench.spectrum)?;
     lap.add_to(&mut times.spectrum);
-    let (mut out, mut before) = (vec![], before);
+    let (mut out, mut before, blocks) = (vec![], before, &mesh.value_blocks());
     for (n, ((step, part), ranges)) in work.steps.iter().zip(&parts).zip(ranges).enumerate() {
         work.cancel.check()?;
         let values = &*values[n];
         let base = step.plan.base.map(|_| before.expect("a base is the step before"));
-        let mut encoded = encode_values(values, base, step.plan.quantiser.as_ref());
-        encoded.push(encode_value_ranges(values));
+        let mut encoded = encode_values(values, blocks, base, step.plan.quantiser.as_ref());
+        encoded.push(encode_value_ranges(values, blocks));
         encoded.extend(errors.get(n).map(encode_errors));
         encoded.push(part.encode());
         encoded.push(ValueSummary::of(&values[..mesh.core_len()], ranges).encode());
@@ -315,6 +315,7 @@ fn volume6<'a>(positions: &[LatticePos], tets: impl Iterator<Item = &'a Tet>) ->
 /// Encodes a chunk's mesh: its blocks, the end of each in the tetrahedra, and its summary. Leaves the mesh with the tetrahedra as they decode.
 fn encode_mesh(
     work: &Work<'_>,
+    chunk: &Chunk,
     encoder: &mut ChunkEncoder,
     mesh: &mut MeshedChunk,
     outside6: i128,
@@ -328,6 +329,11 @@ fn encode_mesh(
         volume6: volume6(mesh.positions(), mesh.tets.iter()),
         outside6,
     };
+    // What follows by formula is not stored.
+    if let Some(chunk) = work.recipe.bcc_chunk(chunk) {
+        summary.tet_blocks = chunk.brick_count() as u32;
+        return (vec![], chunk.brick_ends(), summary);
+    }
     let vertices = ChunkVertices {
         core_counts: std::mem::take(&mut mesh.core_counts),
         halo: std::mem::take(&mut mesh.halo),

@@ -607,7 +607,7 @@ const BATCH: usize = 1 << 12;
 impl Map {
     fn new(archive: &OpenArchive, path: &Path, settings: &MeasureSettings) -> Result<Self> {
         let (bricks, g) = (archive.chunks.bricks(), &archive.step().plan.source.geometry);
-        let spacing = std::array::from_fn(|a| g.spacing[a] * bricks.edge[a] as f64);
+        let spacing = std::array::from_fn(|a| g.spacing[a] * bricks.voxels()[a]);
         let memory = map_bytes(settings.memory);
         Ok(Self {
             file: BrickMapFile::create(path, bricks.dims(), &Geometry { spacing, ..*g })?,

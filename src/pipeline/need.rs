@@ -56,6 +56,8 @@ const INDEX_ENTRY: u64 = 25;
 const INDEX_ENTRY_ON_DISK: u64 = 48;
 /// Bytes of an archive for a point: 6.7 tetrahedra at 5 bits, a value, its share of tables.
 const ARCHIVE_PER_POINT: u64 = 10;
+/// Where the mesh follows by formula: a value, its share of tables.
+const LATTICE_PER_POINT: u64 = 5;
 /// And for a point of a further step: a value, its share of ranges, index and spectrum.
 const VALUES_PER_POINT: u64 = 4;
 /// The time of a further step, as a part of the first, and that of a further pass: the mesh is decoded and scanned again, and where values are
@@ -210,7 +212,7 @@ impl Need {
             steps: 1,
             window: match parts.halo {
                 Halo::Owned => 0,
-                Halo::Stars => window_edge(parts.chunks.bricks().edge).iter().product(),
+                Halo::Stars => window_edge(parts.chunks.bricks().voxels()).iter().product(),
             },
             entries: points.saturating_mul(TETS_PER_POINT) / u64::from(BLOCK_TETS) + parts.chunks.len(),
         }
@@ -373,6 +375,8 @@ impl Estimate {
     pub(crate) fn new(q: &Question<'_>) -> Self {
         let workers = q.need.shares(q.memory, q.threads).map_or(0, |s| s.workers);
         let further = q.plan.steps.len() as u64 - 1;
+        let by_formula = q.plan.mesh.lattice_cells().is_some();
+        let first = if by_formula { LATTICE_PER_POINT } else { ARCHIVE_PER_POINT };
         Self {
             samples: q.plan.first().source.dims.iter().product(),
             points: q.need.points,
@@ -381,7 +385,7 @@ impl Estimate {
             memory_least: q.need.least().max(q.copying),
             memory_comfortable: q.need.comfortable(q.threads).max(q.copying),
             workers,
-            archive_bytes: q.need.points.saturating_mul(ARCHIVE_PER_POINT + VALUES_PER_POINT * further)
+            archive_bytes: q.need.points.saturating_mul(first + VALUES_PER_POINT * further)
                 + (64 << 10) * (1 + further),
             archive_free: free_bytes(q.out).map(|free| free.saturating_add(q.there)),
             // The copy of the input is gone when the index is built.

@@ -12,7 +12,7 @@ use crate::cells::CellMesh;
 use crate::error::{Result, bytes_text};
 use crate::formats::{self, Input, StepSource};
 use crate::geom::Lattice;
-use crate::points::{PointSet, PointSpec};
+use crate::points::{PointSet, PointSpec, SetKind};
 use crate::sample::Interpolation;
 use crate::volume::{VolumeInfo, VolumeSource};
 use serde::Serialize;
@@ -26,6 +26,9 @@ const SAMPLES: u64 = 1 << 20;
 /// Bytes of a point in an archive, as measured: 5 to 7, with values as they are; less what rounding them saves; and of a further step.
 const POINT_BYTES: f64 = 6.0;
 const ROUNDED_POINT_BYTES: f64 = 3.0;
+/// The same of a lattice, whose mesh is not stored: as it is, and the least of a rounded value.
+const LATTICE_POINT_BYTES: f64 = 3.5;
+const LEAST_POINT_BYTES: f64 = 0.15;
 const STEP_BYTES: f64 = 2.0;
 /// Smaller archives are not worth a word.
 const SMALL: u64 = 256 << 10;
@@ -331,7 +334,13 @@ fn of_numbers(
             format!("{flag} asks for {asked_text} points, more than its {samples_text} {what}: {help}");
         out.push(Notice::new(path, Finding::MorePoints { points: asked, samples }, &text));
     }
-    let point = settings.value_bits.map_or(POINT_BYTES, |b| ROUNDED_POINT_BYTES + f64::from(b) / 8.0);
+    let is_lattice = settings.points == SetKind::Bcc && matches!(input, Input::Volume(_));
+    let point = match settings.value_bits.map(f64::from) {
+        Some(bits) if is_lattice => ((bits - 3.0) / 8.0).max(LEAST_POINT_BYTES),
+        None if is_lattice => LATTICE_POINT_BYTES,
+        Some(bits) => ROUNDED_POINT_BYTES + bits / 8.0,
+        None => POINT_BYTES,
+    };
     let each = point.min(POINT_BYTES) + STEP_BYTES * (steps - 1) as f64;
     let archive = (points as f64 * each) as u64;
     if archive > size.bytes.max(SMALL) {

@@ -23,6 +23,7 @@ use crate::geom::{LatticePos, PointId};
 use crate::grid::{ChunkGrid, ChunkId, Geometry};
 use crate::index::SpanIndex;
 use crate::measure::{FieldError, LevelError};
+use crate::mesh::bcc::{BccChunk, BccMesh};
 use crate::mesh::tet::Tet;
 use crate::points::{Levels, PointSet};
 use crate::spectrum::{SpectrumBuilder, SpectrumFile};
@@ -264,6 +265,8 @@ pub(super) struct OpenArchive {
     pub(super) manifest: Manifest,
     pub(super) points: PointSet,
     pub(super) chunks: ChunkGrid,
+    /// The mesh, where it follows by formula.
+    pub(super) bcc: Option<BccMesh>,
     /// The files of the step that is looked at.
     pub(super) layout: Layout,
     pub(super) view: View,
@@ -303,7 +306,7 @@ impl OpenArchive {
             Err(Error::bad_input(root.join(MANIFEST_NAME), at, expected, got))
         };
         let beside = Beside::read_of(root, manifest.plan_hash, &manifest.plan).map_err(|e| lost(root, e))?;
-        let MeshParts { points, chunks, .. } = match parts(&manifest.plan, beside) {
+        let MeshParts { points, chunks, bcc, .. } = match parts(&manifest.plan, beside) {
             Ok(parts) => parts,
             Err(e) => return bad("plan", "a plan that can be carried out".into(), e.to_string()),
         };
@@ -338,6 +341,7 @@ impl OpenArchive {
             manifest,
             points,
             chunks,
+            bcc,
             layout,
             view,
             segments: Mutex::default(),
@@ -608,6 +612,13 @@ pub(super) struct DecodedChunk {
 }
 
 impl OpenArchive {
+    /// A chunk whose mesh follows by formula.
+    pub(super) fn bcc_chunk(&self, id: ChunkId) -> Option<BccChunk> {
+        let mesh = self.bcc?;
+        let [lo, hi] = self.chunks.bricks().cells_of(&self.chunks.chunk(id));
+        Some(mesh.chunk(lo, hi))
+    }
+
     /// Decodes `blocks` (numbers within the chunk) of a chunk, and of its values and positions what they use. For a question
     /// that needs but some of that, or a block at a time, there is [`ChunkReader`].
     pub(super) fn decode(&self, id: ChunkId, blocks: &[u32]) -> Result<DecodedChunk> {

@@ -16,6 +16,7 @@ use crate::error::{Error, Result};
 use crate::geom::curve::Order;
 use crate::geom::{Lattice, LatticeBox};
 use crate::grid::ChunkGrid;
+use crate::mesh::bcc::BccMesh;
 use crate::pipeline::field::NanPolicy;
 use crate::pipeline::fingerprint::fingerprint;
 use crate::pipeline::need::Halo;
@@ -198,20 +199,24 @@ impl Plan {
                 settings.keyframes
             )));
         }
+        let mut mesh = MeshPlan {
+            lattice,
+            points,
+            order_bits: Order::for_count(total).bits,
+            brick_edge: [edge.clamp(1, LARGEST_BRICK_EDGE); 3],
+            chunk_target: settings.chunk_points,
+            block_tets: BLOCK_TETS,
+            explicit: None,
+            levels: None,
+            repeated: None,
+            frame: None,
+            stars: settings.values == Values::Fit,
+        };
+        if let (Some(cells), None) = (mesh.lattice_cells(), source.mesh) {
+            mesh.brick_edge = [bcc_brick(cells, &lattice); 3];
+        }
         Ok(Self {
-            mesh: MeshPlan {
-                lattice,
-                points,
-                order_bits: Order::for_count(total).bits,
-                brick_edge: [edge.clamp(1, LARGEST_BRICK_EDGE); 3],
-                chunk_target: settings.chunk_points,
-                block_tets: BLOCK_TETS,
-                explicit: None,
-                levels: None,
-                repeated: None,
-                frame: None,
-                stars: settings.values == Values::Fit,
-            },
+            mesh,
             steps: vec![StepPlan {
                 number: 0,
                 time: None,
@@ -308,6 +313,14 @@ impl Plan {
     }
 }
 
+/// Cells of a lattice along an edge of a brick: 8, or fewer where those are too many voxels.
+fn bcc_brick(cells: [u32; 3], lattice: &Lattice) -> u64 {
+    let fits = |brick: &u64| {
+        (0..3).all(|a| brick * (lattice.dims[a] - 1) <= LARGEST_BRICK_EDGE * u64::from(cells[a]))
+    };
+    [8, 4, 2].into_iter().find(fits).unwrap_or(1)
+}
+
 /// The number of interior points that is wanted of a volume.
 pub(super) fn count_of(settings: &ReduceSettings, dims: [u64; 3]) -> u64 {
     match settings.amount {
@@ -359,6 +372,8 @@ pub(crate) struct MeshParts {
     pub(crate) chunks: ChunkGrid,
     pub(crate) order: Order,
     pub(crate) halo: Halo,
+    /// The mesh, where it follows by formula.
+    pub(crate) bcc: Option<BccMesh>,
 }
 
 /// Makes the parts of a plan, which may come from a file, and of what is stored beside it.
@@ -379,6 +394,12 @@ pub(crate) fn parts(plan: &MeshPlan, beside: Beside) -> Result<MeshParts> {
     if !(1..=Order::MOST_BITS).contains(&plan.order_bits) || plan.block_tets == 0 || plan.chunk_target == 0 {
         return Err(Error::usage("order bits, tetrahedra of a block or points of a chunk out of range"));
     }
+    plan.points.check(&plan.lattice)?;
+    let wrong = || Error::usage(format!("bricks of {:?} cells; an edge is 1, 2, 4 or 8", plan.brick_edge));
+    let bcc = plan
+        .lattice_cells()
+        .map(|cells| BccMesh::new(cells, &plan.lattice, plan.brick_edge).ok_or_else(wrong));
+    let bcc = bcc.transpose()?;
     let mut points = match beside.levels {
         Some(levels) => PointSet::graded(plan.points, plan.lattice, levels)?,
         None => PointSet::new(plan.points, plan.lattice)?,
@@ -401,5 +422,6 @@ pub(crate) fn parts(plan: &MeshPlan, beside: Beside) -> Result<MeshParts> {
         Some(frame) => ChunkGrid::told(plan.bricks(), &frame.cuts)?,
         None => ChunkGrid::new(plan.bricks(), plan.chunk_target, move |b| counter.count_in(b))?,
     };
-    Ok(MeshParts { points, chunks, order: Order { bits: plan.order_bits }, halo: Halo::of(plan) })
+    let order = Order { bits: plan.order_bits };
+    Ok(MeshParts { points, chunks, order, halo: Halo::of(plan), bcc })
 }

@@ -340,7 +340,7 @@ pub(super) fn write_made(
         tetrahedra: totals.tetrahedra,
         active_tetrahedra: surfaces.iter().map(|s| s.active_tetrahedra).sum(),
         surfaces,
-        blocks: totals.blocks,
+        blocks: archive.block_total(),
         active_blocks: made.active_blocks,
         chunks: totals.chunks,
         active_chunks: made.active_chunks,

@@ -4,13 +4,13 @@
 //!  header (once) ─▶ block(n): its corners, their positions ─▶ its tetrahedra ─▶ the corners' values
 //! ```
 //!
-//! The tetrahedra of a block are decoded from the positions of its corners. Values come in blocks of [`BLOCK_VALUES`], ids of halo points and
+//! The tetrahedra of a block are decoded from the positions of its corners. Values come in blocks ([`ValueBlocks`]), ids of halo points and
 //! flags in pages, and positions brick by brick (a brick lists its points again from the formula of the point set), each when a corner of theirs
 //! is first needed; a question about isovalues needs but those of values that are on both sides of one, or have neighbours on the other side.
-//! So a chunk whose surface is small costs a few bricks.
+//! So a chunk whose surface is small costs a few bricks. Of a lattice all but the values follows by formula ([`BccChunk`]).
 
 use super::block::{Block, BlockCorners};
-use super::chunk::MeshedChunk;
+use super::chunk::{MeshedChunk, value_blocks};
 use super::open::{OpenArchive, OpenSegment};
 use super::plan::check_brick;
 use super::roi::Cut;
@@ -18,11 +18,12 @@ use crate::archive::Malformed;
 use crate::archive::chunk::{TetBlock, TetScratch};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::summary::ValueRange;
-use crate::archive::values::BLOCK_VALUES;
+use crate::archive::values::ValueBlocks;
 use crate::archive::vertices::{ChunkHeader, PAGE_FLAGS, PAGE_IDS, decode_flags, decode_ids};
 use crate::error::{Error, Result};
 use crate::geom::{LatticeBox, LatticePos, PointId, Site};
 use crate::grid::{BrickId, Chunk, ChunkId};
+use crate::mesh::bcc::{BccBlock, BccChunk};
 use crate::mesh::tet::{Tet, is_active, range};
 use std::sync::Arc;
 
@@ -34,6 +35,8 @@ pub(super) struct ChunkReader<'a> {
     archive: &'a OpenArchive,
     segment: Arc<OpenSegment>,
     chunk: Chunk,
+    /// The mesh, where it follows by formula: there is neither header nor page nor brick then.
+    bcc: Option<BccChunk>,
     bricks: Vec<BrickId>,
     /// First corner of each brick, and the number of core corners.
     starts: Vec<u32>,
@@ -42,6 +45,7 @@ pub(super) struct ChunkReader<'a> {
     pages: Pages,
     /// Bytes of each block of values that has been read; 0 of the others.
     value_bytes: Vec<u32>,
+    value_blocks: ValueBlocks,
     /// What is known of the values that have not been read, once that was needed.
     value_ranges: Option<Vec<ValueRange>>,
     /// Of each block of values, whether a corner of an active tetrahedron is in it.
@@ -72,6 +76,8 @@ pub(super) struct ReaderMemory {
     /// Positions of the corners of a block, and what decoding it needs.
     here: Vec<LatticePos>,
     scratch: TetScratch,
+    /// A block whose mesh follows by formula.
+    by_formula: BccBlock,
 }
 
 /// Bytes that a reader holds for each vertex of its chunk, a little more than counted: they are allocated once.
@@ -83,6 +89,9 @@ impl<'a> ChunkReader<'a> {
         archive.expect_chunk(id)?;
         let segment = archive.segment_of(id)?;
         let chunk = archive.chunks.chunk(id);
+        if let Some(bcc) = archive.bcc_chunk(id) {
+            return Self::open_bcc(archive, segment, chunk, bcc, memory);
+        }
         let blocks = segment.mesh.block_count(id);
         if blocks < 2 {
             return Err(damaged(&segment.mesh, id, "block count", &blocks));
@@ -96,12 +105,8 @@ impl<'a> ChunkReader<'a> {
         if (pages as u64) > blocks - 2 {
             return Err(damaged(&segment.mesh, id, "block count", &blocks));
         }
-        let value_blocks = vertices.div_ceil(BLOCK_VALUES);
-        let others = archive.step().plan.blocks_behind_values();
-        if segment.values.block_count(id) != value_blocks as u64 + others {
-            let got = format!("{} blocks", segment.values.block_count(id));
-            return Err(damaged(&segment.values, id, "chunk table", &got));
-        }
+        let value_blocks = ValueBlocks::even(vertices);
+        expect_values(archive, &segment, id, &value_blocks)?;
         let mut starts = vec![0];
         starts.extend(header.core_counts.iter().scan(0, |sum, n| {
             *sum += n;
@@ -113,22 +118,145 @@ impl<'a> ChunkReader<'a> {
         Ok(Self {
             archive,
             segment,
+            bcc: None,
             bricks: chunk.bricks(archive.chunks.bricks()).collect(),
             chunk,
             starts,
             shared,
             pages: Pages { of_flags: header.flag_pages(), read: vec![false; pages] },
-            value_bytes: vec![0; value_blocks],
+            value_bytes: vec![0; value_blocks.count()],
             value_ranges: None,
-            active_values: vec![false; value_blocks],
+            active_values: vec![false; value_blocks.count()],
+            value_blocks,
             active_bytes: 0,
             memory,
         })
     }
 
+    /// As [`ChunkReader::open`], of a chunk whose mesh follows by formula.
+    fn open_bcc(
+        archive: &'a OpenArchive,
+        segment: Arc<OpenSegment>,
+        chunk: Chunk,
+        bcc: BccChunk,
+        mut memory: ReaderMemory,
+    ) -> Result<Self> {
+        let blocks = segment.mesh.block_count(chunk.id);
+        if blocks != 1 {
+            return Err(damaged(&segment.mesh, chunk.id, "block count", &blocks));
+        }
+        let vertices = bcc.points();
+        let value_blocks = value_blocks(&bcc);
+        expect_values(archive, &segment, chunk.id, &value_blocks)?;
+        memory.start(vertices);
+        Ok(Self {
+            archive,
+            segment,
+            chunk,
+            bricks: vec![],
+            starts: vec![0, bcc.core() as u32],
+            bcc: Some(bcc),
+            shared: vec![true; vertices],
+            pages: Pages { of_flags: 0, read: vec![] },
+            value_bytes: vec![0; value_blocks.count()],
+            value_ranges: None,
+            active_values: vec![false; value_blocks.count()],
+            value_blocks,
+            active_bytes: 0,
+            memory,
+        })
+    }
+
+    /// Whether some isovalue lies between the values of some corners, or their least and largest ones may be on both sides.
+    fn is_active(&mut self, isovalues: &[f32], numbers: &[u32]) -> Result<bool> {
+        self.load_ranges()?;
+        let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
+        for &v in numbers {
+            let block = self.value_blocks.of(v as usize);
+            let [least, most] = self.range_of(block);
+            if self.value_bytes[block] == 0 {
+                if isovalues.iter().any(|&v| is_active(least, most, v)) {
+                    self.read_values(block)?;
+                } else {
+                    (lo, hi) = (lo.min(least), hi.max(most));
+                    continue;
+                }
+            }
+            // A void is neither.
+            let value = self.memory.values[v as usize];
+            (lo, hi) = (lo.min(value), hi.max(value));
+        }
+        Ok(isovalues.iter().any(|&v| is_active(lo, hi, v)))
+    }
+
+    /// The block of this number, of a chunk whose mesh follows by formula.
+    fn by_formula(&mut self, number: u32) -> Result<()> {
+        self.expect_block(number)?;
+        let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
+        bcc.block(number as usize, &mut self.memory.by_formula);
+        Ok(())
+    }
+
+    /// Whether a chunk whose mesh follows by formula has a block of this number.
+    fn expect_block(&self, number: u32) -> Result<()> {
+        let blocks = self.bcc.as_ref().map_or(0, BccChunk::block_count);
+        if (number as usize) < blocks {
+            return Ok(());
+        }
+        let got = format!("block {number} of {blocks}");
+        Err(damaged(&self.segment.mesh, self.chunk.id, "index", &got))
+    }
+
+    /// As [`ChunkReader::shape`], of a chunk whose mesh follows by formula.
+    fn shape_bcc(&mut self, number: u32, wanted: &Wanted<'_>, out: &mut Block) -> Result<bool> {
+        out.tets.clear();
+        out.bytes = 0;
+        self.by_formula(number)?;
+        let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
+        let [lo, hi] = bcc.hull(number as usize);
+        if !wanted.may_be(|| Ok(LatticeBox { lo, hi: hi.map(|x| x + 1) }))? {
+            return Ok(false);
+        }
+        let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = &mut out.corners;
+        (numbers.clear(), positions.clear(), ids.clear(), shared.clear());
+        for (number, position, id, is_shared) in bcc.corners(&self.memory.by_formula) {
+            numbers.push(number);
+            positions.push(position);
+            ids.push(id);
+            shared.push(is_shared);
+        }
+        if !wanted.is(positions) {
+            return Ok(false);
+        }
+        values.resize(numbers.len(), f32::NAN);
+        out.tets.extend_from_slice(&self.memory.by_formula.tets);
+        *of_chunk = bcc.points();
+        Ok(true)
+    }
+
+    /// As [`ChunkReader::tets`], of a chunk whose mesh follows by formula.
+    fn tets_bcc(&mut self, number: u32, out: &mut Vec<Tet>) -> Result<()> {
+        self.by_formula(number)?;
+        let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
+        let ReaderMemory { positions, ids, by_formula, .. } = &mut self.memory;
+        let mut numbers = Vec::with_capacity(positions.len().min(1 << 9));
+        for (number, position, id, is_shared) in bcc.corners(by_formula) {
+            let v = number as usize;
+            (positions[v], ids[v], self.shared[v]) = (position, id, is_shared);
+            numbers.push(number);
+        }
+        out.extend(by_formula.tets.iter().map(|t| t.map(|v| numbers[v as usize])));
+        Ok(())
+    }
+
     /// Corners that the chunk owns; the others are halo.
     pub(super) fn core(&self) -> usize {
         self.starts[self.starts.len() - 1] as usize
+    }
+
+    /// How the values of its corners are cut into blocks.
+    pub(super) fn value_blocks(&self) -> &ValueBlocks {
+        &self.value_blocks
     }
 
     /// Corners of the chunk, of the core and of the halo.
@@ -145,6 +273,14 @@ impl<'a> ChunkReader<'a> {
         needed: &Needed<'_>,
         out: &mut Block,
     ) -> Result<bool> {
+        if let (Some(bcc), Needed::ForActive(isovalues)) = (&self.bcc, needed) {
+            self.expect_block(number)?;
+            bcc.block(number as usize, &mut self.memory.by_formula);
+            bcc.numbers(&self.memory.by_formula, &mut out.corners.numbers);
+            if !self.is_active(isovalues, &out.corners.numbers)? {
+                return Ok(false);
+            }
+        }
         if !self.shape(number, wanted, out)? {
             return Ok(false);
         }
@@ -161,6 +297,9 @@ impl<'a> ChunkReader<'a> {
 
     /// As [`ChunkReader::block`], but for the values of the corners: they mean nothing.
     pub(super) fn shape(&mut self, number: u32, wanted: &Wanted<'_>, out: &mut Block) -> Result<bool> {
+        if self.bcc.is_some() {
+            return self.shape_bcc(number, wanted, out);
+        }
         out.tets.clear();
         out.bytes = self.read(number)?;
         let mut is_wanted = false;
@@ -180,6 +319,9 @@ impl<'a> ChunkReader<'a> {
 
     /// Appends the tetrahedra of a block, corners numbered as in the chunk. Finds positions and ids of the block's corners.
     pub(super) fn tets(&mut self, number: u32, out: &mut Vec<Tet>) -> Result<()> {
+        if self.bcc.is_some() {
+            return self.tets_bcc(number, out);
+        }
         self.read(number)?;
         self.decoded(number, |reader, bytes| reader.decode(bytes, out))
     }
@@ -261,7 +403,7 @@ impl<'a> ChunkReader<'a> {
 
     #[inline]
     fn load_value_of(&mut self, v: u32) -> Result<()> {
-        let block = v as usize / BLOCK_VALUES;
+        let block = self.value_blocks.of(v as usize);
         if self.value_bytes[block] == 0 { self.read_values(block) } else { Ok(()) }
     }
 
@@ -275,15 +417,10 @@ impl<'a> ChunkReader<'a> {
         numbers: &[u32],
         values: &mut Vec<f32>,
     ) -> Result<()> {
-        if self.value_ranges.is_none() {
-            let ranges = self.archive.value_ranges(self.chunk.id, self.value_bytes.len())?;
-            // Of a moment between two steps: one that each isovalue may be in.
-            let any = || vec![[f32::NEG_INFINITY, f32::INFINITY]; self.value_bytes.len()];
-            self.value_ranges = Some(ranges.unwrap_or_else(any));
-        }
+        self.load_ranges()?;
         let mut is_whole = true;
         for &v in numbers {
-            let block = v as usize / BLOCK_VALUES;
+            let block = self.value_blocks.of(v as usize);
             if self.value_bytes[block] == 0 {
                 let [lo, hi] = self.range_of(block);
                 if isovalues.iter().any(|&v| is_active(lo, hi, v)) {
@@ -307,6 +444,17 @@ impl<'a> ChunkReader<'a> {
         Ok(())
     }
 
+    /// Reads the ranges of the blocks of values.
+    fn load_ranges(&mut self) -> Result<()> {
+        if self.value_ranges.is_none() {
+            let ranges = self.archive.value_ranges(self.chunk.id, self.value_bytes.len())?;
+            // Of a moment between two steps: one that each isovalue may be in.
+            let any = || vec![[f32::NEG_INFINITY, f32::INFINITY]; self.value_bytes.len()];
+            self.value_ranges = Some(ranges.unwrap_or_else(any));
+        }
+        Ok(())
+    }
+
     fn range_of(&self, block: usize) -> ValueRange {
         self.value_ranges.as_ref().expect("ranges were read before")[block]
     }
@@ -315,7 +463,7 @@ impl<'a> ChunkReader<'a> {
     fn gather_known(&self, numbers: &[u32], values: &mut Vec<f32>) {
         values.clear();
         values.extend(numbers.iter().map(|&v| {
-            let block = v as usize / BLOCK_VALUES;
+            let block = self.value_blocks.of(v as usize);
             if self.value_bytes[block] != 0 {
                 return self.memory.values[v as usize];
             }
@@ -327,10 +475,9 @@ impl<'a> ChunkReader<'a> {
     #[cold]
     fn read_values(&mut self, block: usize) -> Result<()> {
         let ReaderMemory { values, decoded, .. } = &mut self.memory;
-        let end = values.len().min((block + 1) * BLOCK_VALUES);
-        let place = &mut values[block * BLOCK_VALUES..end];
+        let place = &mut values[self.value_blocks.range(block)];
         decoded.clear();
-        let bytes = self.archive.values_block(self.chunk.id, block as u64, place.len(), decoded)?;
+        let bytes = self.archive.values_block(self.chunk.id, block, &self.value_blocks, decoded)?;
         place.copy_from_slice(decoded);
         // A block has at least the byte of its codec.
         self.value_bytes[block] = u32::try_from(bytes).unwrap_or(u32::MAX);
@@ -340,7 +487,7 @@ impl<'a> ChunkReader<'a> {
     /// Notes that a block of so many bytes holds active tetrahedra, with these corners.
     pub(super) fn count_active(&mut self, block_bytes: u64, corners: impl Iterator<Item = u32>) {
         self.active_bytes += block_bytes;
-        corners.for_each(|v| self.active_values[v as usize / BLOCK_VALUES] = true);
+        corners.for_each(|v| self.active_values[self.value_blocks.of(v as usize)] = true);
     }
 
     /// Bytes of the blocks and of the values that hold an active tetrahedron.
@@ -490,6 +637,7 @@ impl<'a> ChunkReader<'a> {
             shared: self.shared,
             tets: tets.into(),
             retries: 0,
+            bricks: None,
         }
     }
 
@@ -562,6 +710,22 @@ impl ReaderMemory {
         self.ids.resize(vertices, PointId(0));
         self.values.resize(vertices, f32::NAN);
     }
+}
+
+/// Whether a chunk has so many blocks of values.
+fn expect_values(
+    archive: &OpenArchive,
+    segment: &OpenSegment,
+    id: ChunkId,
+    expected: &ValueBlocks,
+) -> Result<()> {
+    let blocks = expected.count();
+    let others = archive.step().plan.blocks_behind_values();
+    if segment.values.block_count(id) != blocks as u64 + others {
+        let got = format!("{} blocks", segment.values.block_count(id));
+        return Err(damaged(&segment.values, id, "chunk table", &got));
+    }
+    Ok(())
 }
 
 /// What an array has at certain places. They begin with a run.

@@ -370,6 +370,7 @@ impl Making<'_> {
             bricks: plan.mesh.bricks(),
             order: parts.order,
             halo: parts.halo,
+            bcc: parts.bcc,
         };
         let (rooms, bad) = (Rooms::default(), Mutex::default());
         let first = self.old.map_or(plan.first(), |old| &old.steps[0].plan);

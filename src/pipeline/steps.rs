@@ -12,16 +12,18 @@
 //! and the other above is active between them, and in neither), so the ranges of all blocks of both are looked at: the range of a mean is the
 //! mean of the ranges, or within it, also in rounded arithmetic, as rounding keeps the order.
 
-use super::chunk::MeshedChunk;
+use super::chunk::{MeshedChunk, value_blocks};
 use super::commit::{index_entries, mesh_summary, value_summary};
+use super::need::Halo;
 use super::open::OpenArchive;
 use super::reader::{ChunkReader, ReaderMemory, damaged};
 use crate::archive::manifest::{Manifest, Step};
 use crate::archive::summary::{BlockRange, ValueRange, decode_value_ranges};
-use crate::archive::values::{BLOCK_VALUES, decode_values, needs_before};
+use crate::archive::values::{KnownOfBlock, ValueBlocks, decode_values, needs_before};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
 use crate::index::{Entry, SpanIndex};
+use crate::mesh::bcc::BccChunk;
 use crate::mesh::tet::is_active;
 use std::ops::Range;
 use std::path::Path;
@@ -141,6 +143,13 @@ struct Known<'a> {
     values: &'a [f32],
 }
 
+/// A block of a chunk's values.
+#[derive(Clone, Copy)]
+struct BlockAt<'a> {
+    block: usize,
+    blocks: &'a ValueBlocks,
+}
+
 /// "steps 0 to 7", "steps 0, 2, 3".
 fn numbers(steps: &[Step]) -> String {
     let all: Vec<u64> = steps.iter().map(|s| s.plan.number).collect();
@@ -163,14 +172,25 @@ fn mean(a: f32, b: f32, share: f64) -> f32 {
 }
 
 impl OpenArchive {
-    /// Appends `n` values, block `block` of a chunk, of what is looked at; tells the bytes read.
-    pub(super) fn values_block(&self, id: ChunkId, block: u64, n: usize, out: &mut Vec<f32>) -> Result<u64> {
+    /// How the values of a chunk with so many vertices are cut into blocks.
+    pub(super) fn value_blocks(&self, id: ChunkId, vertices: usize) -> ValueBlocks {
+        self.bcc_chunk(id).map_or_else(|| ValueBlocks::even(vertices), |chunk| value_blocks(&chunk))
+    }
+
+    /// Appends the values of a block of a chunk, of what is looked at; tells the bytes read.
+    pub(super) fn values_block(
+        &self,
+        id: ChunkId,
+        block: usize,
+        blocks: &ValueBlocks,
+        out: &mut Vec<f32>,
+    ) -> Result<u64> {
         let View { step, beyond } = self.view;
-        let first = out.len();
-        let mut bytes = self.block_of_step(step, id, block, n, None, out)?;
+        let (first, block) = (out.len(), BlockAt { block, blocks });
+        let mut bytes = self.block_of_step(step, id, block, None, out)?;
         if let Some(share) = beyond {
             let mut next = vec![];
-            bytes += self.block_of_step(step + 1, id, block, n, None, &mut next)?;
+            bytes += self.block_of_step(step + 1, id, block, None, &mut next)?;
             out[first..].iter_mut().zip(next).for_each(|(a, b)| *a = mean(*a, b, share));
         }
         Ok(bytes)
@@ -181,13 +201,12 @@ impl OpenArchive {
         &self,
         step: usize,
         id: ChunkId,
-        block: u64,
-        n: usize,
+        at: BlockAt<'_>,
         known: Option<Known<'_>>,
         out: &mut Vec<f32>,
     ) -> Result<u64> {
         let segment = self.values_of(step, id)?;
-        let count = segment.block_count(id);
+        let (count, block) = (segment.block_count(id), at.block as u64);
         if block + self.manifest.steps[step].plan.blocks_behind_values() >= count {
             return Err(damaged(&segment, id, "chunk table", &format!("{count} blocks")));
         }
@@ -198,12 +217,15 @@ impl OpenArchive {
         let before = match known {
             Some(known) if needed && known.step + 1 == step => known.values,
             _ if needed => {
-                read = self.block_of_step(step - 1, id, block, n, known, &mut found)?;
+                read = self.block_of_step(step - 1, id, at, known, &mut found)?;
                 &found
             }
             _ => &[],
         };
-        decode_values(&bytes, n, before, out).map_err(|m| segment.blame(id, block, m))?;
+        let (n, cells) = (at.blocks.range(at.block).len(), at.blocks.cells(at.block));
+        let quantiser = self.manifest.steps[step].plan.quantiser.as_ref();
+        let known = KnownOfBlock { n, cells, quantiser, before };
+        decode_values(&bytes, &known, out).map_err(|m| segment.blame(id, block, m))?;
         Ok(read + bytes.len() as u64)
     }
 
@@ -248,16 +270,19 @@ impl OpenArchive {
         before: Option<&[f32]>,
     ) -> Result<Vec<f32>> {
         let mut out = Vec::with_capacity(vertices);
-        for (block, first) in (0..vertices).step_by(BLOCK_VALUES).enumerate() {
-            let n = BLOCK_VALUES.min(vertices - first);
-            let known = before.map(|values| Known { step: step - 1, values: &values[first..first + n] });
-            self.block_of_step(step, id, block as u64, n, known, &mut out)?;
+        let blocks = &self.value_blocks(id, vertices);
+        for block in 0..blocks.count() {
+            let known = before.map(|values| Known { step: step - 1, values: &values[blocks.range(block)] });
+            self.block_of_step(step, id, BlockAt { block, blocks }, known, &mut out)?;
         }
         Ok(out)
     }
 
     /// The mesh of a chunk as it is stored: all its vertices, the tetrahedra block after block, and the end of each block.
     pub(super) fn stored_mesh(&self, id: ChunkId) -> Result<(MeshedChunk, Vec<usize>)> {
+        if let Some(chunk) = self.bcc_chunk(id) {
+            return Ok((MeshedChunk::of_bcc(&chunk, Halo::Owned), chunk.brick_ends()));
+        }
         let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
         let (mut tets, mut ends) = (vec![], vec![]);
         let blocks = mesh_summary(&self.segment_of(id)?.mesh, id)?.tet_blocks;
@@ -290,9 +315,37 @@ impl OpenArchive {
     /// What tells the blocks that can hold an answer.
     pub(super) fn ranges(&self) -> Result<Ranges<'_>> {
         Ok(match self.view.beyond {
-            None => Ranges::Index(self.index()?),
+            None => Ranges::Index(self, self.index()?),
             Some(share) => Ranges::Between(self, share),
         })
+    }
+
+    /// All blocks of the archive.
+    pub(super) fn block_total(&self) -> u64 {
+        self.bcc.map_or(self.manifest.counts.blocks, |mesh| mesh.block_total())
+    }
+
+    /// The blocks that an entry of the index stands for: of a lattice, those of a brick.
+    pub(super) fn blocks_of(&self, id: ChunkId) -> EntryBlocks {
+        EntryBlocks(self.bcc_chunk(id))
+    }
+
+    /// For each entry one for each of its blocks.
+    fn expanded(&self, entries: Vec<Entry>) -> Vec<Entry> {
+        // A chunk that is not there is named when it is read.
+        let is_there = |e: &Entry| e.chunk < self.chunks.len();
+        if !entries.first().is_some_and(|e| is_there(e) && self.bcc_chunk(ChunkId(e.chunk)).is_some()) {
+            return entries;
+        }
+        let mut found = vec![];
+        for of_chunk in entries.chunk_by(|a, b| a.chunk == b.chunk) {
+            let blocks = is_there(&of_chunk[0]).then(|| self.blocks_of(ChunkId(of_chunk[0].chunk)));
+            for entry in of_chunk {
+                let blocks = blocks.as_ref().map_or(entry.block..entry.block + 1, |all| all.of(entry.block));
+                found.extend(blocks.map(|block| Entry { block, ..*entry }));
+            }
+        }
+        found
     }
 
     /// The blocks of all chunks whose range between two steps `wanted` accepts, in order.
@@ -315,7 +368,26 @@ impl OpenArchive {
             let ranges: Vec<BlockRange> = a.iter().zip(&b).map(between).collect();
             found.extend(index_entries(id.0, &ranges).filter(&wanted));
         }
-        Ok(found)
+        Ok(self.expanded(found))
+    }
+}
+
+/// The blocks of a chunk that each entry of the index stands for.
+pub(super) struct EntryBlocks(Option<BccChunk>);
+
+impl EntryBlocks {
+    /// The blocks of an entry; of one that is not there, a block that is not there.
+    pub(super) fn of(&self, entry: u32) -> Range<u32> {
+        match &self.0 {
+            Some(chunk) if (entry as usize) < chunk.brick_count() => chunk.blocks_of(entry as usize),
+            Some(_) => u32::MAX - 1..u32::MAX,
+            None => entry..entry.saturating_add(1),
+        }
+    }
+
+    /// All blocks of a chunk with so many entries.
+    pub(super) fn all(&self, entries: u32) -> Range<u32> {
+        self.0.as_ref().map_or(0..entries, |chunk| 0..chunk.block_count() as u32)
     }
 }
 
@@ -325,6 +397,7 @@ impl OpenArchive {
 pub(super) struct ValuesOverTime<'a> {
     archive: &'a OpenArchive,
     chunk: ChunkId,
+    blocks: ValueBlocks,
     values: Vec<f32>,
     /// The step at which each block is.
     at: Vec<Option<usize>>,
@@ -335,9 +408,9 @@ pub(super) struct ValuesOverTime<'a> {
 
 impl<'a> ValuesOverTime<'a> {
     pub(super) fn new(archive: &'a OpenArchive, chunk: ChunkId, vertices: usize) -> Self {
-        let blocks = vertices.div_ceil(BLOCK_VALUES);
-        let (at, bytes) = (vec![None; blocks], vec![0; blocks]);
-        Self { archive, chunk, values: vec![f32::NAN; vertices], at, bytes, decoded: vec![] }
+        let blocks = archive.value_blocks(chunk, vertices);
+        let (at, bytes) = (vec![None; blocks.count()], vec![0; blocks.count()]);
+        Self { archive, chunk, blocks, values: vec![f32::NAN; vertices], at, bytes, decoded: vec![] }
     }
 
     /// Reads a block of values at the step at a position in the manifest, unless it is there.
@@ -348,15 +421,13 @@ impl<'a> ValuesOverTime<'a> {
 
     #[cold]
     fn read(&mut self, block: usize, step: usize) -> Result<()> {
-        let end = self.values.len().min((block + 1) * BLOCK_VALUES);
-        let values = &mut self.values[block * BLOCK_VALUES..end];
+        let values = &mut self.values[self.blocks.range(block)];
         self.decoded.clear();
         let known = self.at[block].map(|step| Known { step, values });
         self.bytes[block] = self.archive.block_of_step(
             step,
             self.chunk,
-            block as u64,
-            values.len(),
+            BlockAt { block, blocks: &self.blocks },
             known,
             &mut self.decoded,
         )?;
@@ -378,7 +449,7 @@ impl<'a> ValuesOverTime<'a> {
 
 /// Answers the questions of a [`SpanIndex`] at a step, or between two.
 pub(super) enum Ranges<'a> {
-    Index(SpanIndex),
+    Index(&'a OpenArchive, SpanIndex),
     /// How far the next step is.
     Between(&'a OpenArchive, f64),
 }
@@ -387,7 +458,7 @@ impl Ranges<'_> {
     /// [`SpanIndex::query_any`].
     pub(super) fn query_any(&self, isovalues: &[f32]) -> Result<Vec<Entry>> {
         match self {
-            Self::Index(index) => index.query_any(isovalues),
+            Self::Index(archive, index) => index.query_any(isovalues).map(|found| archive.expanded(found)),
             Self::Between(archive, share) => {
                 let active = |e: &Entry| isovalues.iter().any(|&v| is_active(e.min, e.max, v));
                 archive.blocks_between(*share, active)
@@ -398,7 +469,9 @@ impl Ranges<'_> {
     /// [`SpanIndex::query_inside`].
     pub(super) fn query_inside(&self, isovalue: f32, wanted: impl Fn(u64) -> bool) -> Result<Vec<Entry>> {
         match self {
-            Self::Index(index) => index.query_inside(isovalue, wanted),
+            Self::Index(archive, index) => {
+                index.query_inside(isovalue, wanted).map(|found| archive.expanded(found))
+            }
             Self::Between(archive, share) => {
                 archive.blocks_between(*share, |e| isovalue <= e.max && wanted(e.chunk))
             }
@@ -408,7 +481,7 @@ impl Ranges<'_> {
     /// [`SpanIndex::query_values`].
     pub(super) fn query_values(&self, low: f32, high: f32) -> Result<Vec<Entry>> {
         match self {
-            Self::Index(index) => index.query_values(low, high),
+            Self::Index(archive, index) => index.query_values(low, high).map(|found| archive.expanded(found)),
             Self::Between(..) if low.is_nan() || high.is_nan() || low > high => {
                 Err(Error::usage(format!("the range {low} to {high} is empty: give the lower value first")))
             }
@@ -421,7 +494,7 @@ impl Ranges<'_> {
     /// Bytes read for the answers; those of value segments are counted by the archive.
     pub(super) fn bytes_read(&self) -> u64 {
         match self {
-            Self::Index(index) => index.bytes_read(),
+            Self::Index(_, index) => index.bytes_read(),
             Self::Between(..) => 0,
         }
     }
@@ -475,11 +548,9 @@ mod tests {
             for id in (0..archive.chunks.len()).map(ChunkId) {
                 let (mesh, ends) = archive.stored_mesh(id).unwrap();
                 let mut values = vec![];
-                let all = mesh.vertices();
-                for (block, first) in (0..all).step_by(BLOCK_VALUES).enumerate() {
-                    archive
-                        .values_block(id, block as u64, BLOCK_VALUES.min(all - first), &mut values)
-                        .unwrap();
+                let blocks = archive.value_blocks(id, mesh.vertices());
+                for block in 0..blocks.count() {
+                    archive.values_block(id, block, &blocks, &mut values).unwrap();
                 }
                 for (block, &end) in ends.iter().enumerate() {
                     let start = if block == 0 { 0 } else { ends[block - 1] };

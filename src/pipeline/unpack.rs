@@ -338,7 +338,9 @@ impl MadeChunk {
         let mut reader = ChunkReader::open(archive, id, std::mem::take(&mut buffers.reader))?;
         let Buffers { block, bench, .. } = buffers;
         let (mut known, mut joiner) = (vec![], Joiner::default());
-        for (n, of_block) in (0..).zip(&ranges) {
+        let of_entries = archive.blocks_of(id);
+        let blocks = (0..).zip(&ranges).flat_map(|(n, range)| of_entries.of(n).map(move |n| (n, range)));
+        for (n, of_block) in blocks {
             let mut found = None;
             // One without a value has no surface.
             if of_block.tets > 0 {

@@ -203,28 +203,39 @@ fn check_chunk(
     };
     // A chunk has the blocks of its vertices and a summary besides.
     let blocks = segment.mesh.block_count(id);
-    let of_vertices = ChunkHeader { core_counts: vec![summary.core], halo: summary.halo }.blocks() as u64;
-    if u64::from(summary.tet_blocks) + of_vertices + 1 != blocks {
+    let by_formula = archive.bcc_chunk(id);
+    let is_whole = match &by_formula {
+        // All but the summary follows.
+        Some(chunk) => blocks == 1 && chunk.brick_count() == summary.tet_blocks as usize,
+        None => {
+            let header = ChunkHeader { core_counts: vec![summary.core], halo: summary.halo };
+            u64::from(summary.tet_blocks) + header.blocks() as u64 + 1 == blocks
+        }
+    };
+    if !is_whole {
         return wrong("summary", format!("that of {blocks} blocks"), format!("{summary:?}"));
     }
-    let blocks: Vec<u32> = (0..summary.tet_blocks).collect();
+    let of_entries = archive.blocks_of(id);
+    let blocks: Vec<u32> = of_entries.all(summary.tet_blocks).collect();
     let decoded = archive.decode(id, &blocks)?;
     let (mut ranges, mut start) = (vec![], 0);
-    for &end in &decoded.block_ends {
+    for entry in 0..summary.tet_blocks {
+        let last = of_entries.of(entry).end as usize;
+        let end = last.checked_sub(1).map_or(0, |last| decoded.block_ends[last]);
         ranges.push(BlockRange::of(&decoded.tets[start..end], &decoded.values));
         start = end;
     }
     if ranges != values.ranges {
         return wrong("ranges", "those of the values".into(), "others".into());
     }
-    let found = value_ranges(&decoded.values);
+    let found = value_ranges(&decoded.values, &archive.value_blocks(id, decoded.values.len()));
     let stored = archive.value_ranges(id, found.len())?.expect("a step is looked at");
     // Blocks of values that no tetrahedron uses were not decoded.
     if found.iter().zip(&stored).any(|(found, stored)| found[0] <= found[1] && found != stored) {
         return wrong("ranges of values", "those of the values".into(), "others".into());
     }
     if archive.view.step == 0 {
-        check_mesh(archive, &decoded, summary, id, file)?;
+        check_mesh(archive, &decoded, summary, id, (file, by_formula.is_some()))?;
     }
     let of_step = (&*decoded.values, &*ranges);
     let mut parts = meter.parts(&decoded.positions, &decoded.tets, &[of_step], &mut Bench::default())?;
@@ -241,7 +252,7 @@ fn check_mesh(
     decoded: &DecodedChunk,
     summary: MeshSummary,
     id: ChunkId,
-    file: &Path,
+    (file, by_formula): (&Path, bool),
 ) -> Result<()> {
     let wrong = |at: &str, expected: String, got: String| {
         Err(Error::bad_input(file, format!("chunk {}, {at}", id.0), expected, got))
@@ -250,7 +261,7 @@ fn check_mesh(
         core: decoded.core as u32,
         halo: (decoded.positions.len() - decoded.core) as u32,
         tets: decoded.tets.len() as u64,
-        volume6: check_tets(decoded, &archive.chunks.chunk(id), file)?,
+        volume6: check_tets(decoded, &archive.chunks.chunk(id), (file, by_formula))?,
         ..summary
     };
     if found != summary {
@@ -271,13 +282,15 @@ fn check_mesh(
 }
 
 /// Every tetrahedron is positively oriented and the chunk's own; returns their volume.
-fn check_tets(decoded: &DecodedChunk, chunk: &Chunk, file: &Path) -> Result<i128> {
+fn check_tets(decoded: &DecodedChunk, chunk: &Chunk, (file, by_formula): (&Path, bool)) -> Result<i128> {
     let mut volume6 = 0;
     for tet in &decoded.tets {
         let corners = tet.map(|v| decoded.positions[v as usize]);
         let [a, b, c, d] = corners;
         let volume = signed_volume6(a, b, c, d);
-        if volume <= 0 || !chunk.core.contains(a.min(b).min(c).min(d)) {
+        // Of a lattice, those of a chunk are those of its cells.
+        let is_own = by_formula || chunk.core.contains(a.min(b).min(c).min(d));
+        if volume <= 0 || !is_own {
             let at = format!("chunk {}, a tetrahedron", chunk.id.0);
             return Err(Error::bad_input(file, at, "positive, and the chunk's own", format!("{corners:?}")));
         }

@@ -91,7 +91,7 @@ impl<'a> Visit<'a> {
         match &self.blocks {
             Blocks::All => {
                 let blocks = mesh_summary(&self.archive.segment_of(id)?.mesh, id)?.tet_blocks;
-                Ok((0..blocks).collect())
+                Ok(self.archive.blocks_of(id).all(blocks).collect())
             }
             Blocks::Some(entries) => {
                 let first = entries.partition_point(|e| e.chunk < id.0);

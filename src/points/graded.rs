@@ -153,7 +153,7 @@ mod tests {
 
     fn graded(dims: [u64; 3], n: u64, peaks: &[(u64, u8)]) -> PointSet {
         let lattice = Lattice::new(dims).unwrap();
-        let cells = BrickGrid { lattice, edge: [4; 3] };
+        let cells = BrickGrid::new(lattice, [4; 3]);
         let mut levels = vec![0u8; cells.len() as usize];
         peaks.iter().for_each(|&(c, l)| levels[c as usize] = l);
         Levels::grade(&cells, &mut levels);
@@ -224,7 +224,7 @@ mod tests {
     #[test]
     fn other_sets_are_refused() {
         let lattice = Lattice::new([9, 9, 9]).unwrap();
-        let cells = BrickGrid { lattice, edge: [4; 3] };
+        let cells = BrickGrid::new(lattice, [4; 3]);
         let levels = Arc::new(Levels::new(cells, vec![0; 8]).unwrap());
         let other = PointSpec::Hammersley { n: 9, shift: 0.5 };
         let error = PointSet::graded(other, lattice, levels).unwrap_err();

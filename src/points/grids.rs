@@ -5,9 +5,9 @@
 //!
 //! **Regular** is one grid of voxels: tick i of c is the voxel nearest to i·(dim-1)/(c-1), halves up.
 //!
-//! **Body-centred cubic**: planes half a spacing apart on each axis, as many as fit, centred in the box; the points
-//! whose three plane numbers are all even, and those where all are odd. So no plane is nearer than half of that
-//! distance to a face, and the domain's boundary samples do not crowd it.
+//! **Body-centred cubic**: the box is cut into cells, and planes at their faces and halfway between are numbered from 0
+//! on each axis. The set has the points whose three plane numbers are all even (corners of cells), those where all are
+//! odd (centres), and in each face of the box the centres of the cells' faces. So the box is filled exactly.
 //!
 //! **Hyperbolic cross** (Temlyakov 1987; here eq. 2.1 of the thesis with its flexible k): the union over s ∈ N³,
 //! Σ (r_j+1)·s_j <= m·(r_min+1), of the grids l_j/2^(s_j+k), l_j = 1 … 2^(s_j+k)-1. Those grids overlap. Reduce a
@@ -24,7 +24,7 @@
 //! Each point has one triple of levels, so a grid for each admissible triple lists the set without duplicates. Only
 //! rounding to the lattice can make two points one, and only where the levels are finer than the lattice.
 
-use crate::geom::{Lattice, LatticeBox, LatticePos, PointClass, PointId, Site};
+use crate::geom::{Lattice, LatticeBox, LatticePos, PointClass, PointId, Site, half_plane};
 use std::ops::Range;
 
 /// An increasing list of positions on an axis, not stored.
@@ -32,8 +32,10 @@ use std::ops::Range;
 enum Ticks {
     /// `count` voxels spread over `cells + 1`, each of 2^`log2_steps` lattice steps.
     Voxels { count: u64, cells: u64, log2_steps: u32 },
-    /// first, first + step, …
-    Planes { first: u32, step: u32, count: u64 },
+    /// One position.
+    Plane(u32),
+    /// The faces of `cells` cells from 0 to `max`, or the planes halfway between (`centres`), rounded, halves up.
+    Halves { cells: u32, max: u32, centres: bool },
     /// A level of the hyperbolic cross: multiples of 2^-k, or odd multiples of 2^-(k+level), of `max`.
     Level { k: u32, level: u32, max: u32 },
 }
@@ -41,7 +43,9 @@ enum Ticks {
 impl Ticks {
     fn count(self) -> u64 {
         match self {
-            Self::Voxels { count, .. } | Self::Planes { count, .. } => count,
+            Self::Voxels { count, .. } => count,
+            Self::Plane(_) => 1,
+            Self::Halves { cells, centres, .. } => u64::from(cells) + u64::from(!centres),
             Self::Level { k, level: 0, .. } => (1 << k) - 1,
             Self::Level { k, level, .. } => 1 << (k + level - 1),
         }
@@ -54,7 +58,8 @@ impl Ticks {
                 let gaps = count - 1;
                 (((2 * i * cells + gaps) / (2 * gaps)) << log2_steps) as u32
             }
-            Self::Planes { first, step, .. } => first + i as u32 * step,
+            Self::Plane(at) => at,
+            Self::Halves { cells, max, centres } => half_plane(2 * i + u64::from(centres), cells, max),
             Self::Level { k, level, max } => {
                 let (l, t) = (if level == 0 { i + 1 } else { 2 * i + 1 }, k + level);
                 ((u128::from(l) * 2 * u128::from(max) + (1 << t)) >> (t + 1)) as u32
@@ -73,7 +78,13 @@ impl Ticks {
                 let voxel = u64::from(p).div_ceil(1 << log2_steps);
                 ((2 * voxel - 1) * (count - 1)).div_ceil(2 * cells)
             }
-            Self::Planes { first, step, .. } => u64::from(p.saturating_sub(first).div_ceil(step)),
+            Self::Plane(at) => u64::from(p > at),
+            // (j·max + cells) / (2·cells) >= p
+            Self::Halves { cells, max, centres } => {
+                let (p, cells) = (u64::from(p), u64::from(cells));
+                let j = ((2 * p - 1) * cells).div_ceil(u64::from(max));
+                if centres { j / 2 } else { j.div_ceil(2) }
+            }
             // l·max/2^t + 1/2 >= p; the numerators are i + 1, or 2i + 1.
             Self::Level { k, level, max } => {
                 let l = (u128::from(2 * p - 1) << (k + level)).div_ceil(2 * u128::from(max)) as u64;
@@ -130,19 +141,19 @@ impl Grids {
         Self::new(ticks, [[0; 3]])
     }
 
-    /// The body-centred cubic lattice of an even `spacing`.
-    pub(super) fn bcc(spacing: u32, lattice: &Lattice) -> Option<Self> {
+    /// The body-centred cubic lattice of so many cells along each axis.
+    pub(super) fn bcc(cells: [u32; 3], lattice: &Lattice) -> Option<Self> {
         let max = lattice.max();
-        let ticks = max.map(|max| {
-            let planes = bcc_planes(spacing, max);
-            let first = (max - (planes - 1) * (spacing / 2)) / 2;
-            let count = u64::from(planes);
-            vec![
-                Ticks::Planes { first, step: spacing, count: count.div_ceil(2) },
-                Ticks::Planes { first: first + spacing / 2, step: spacing, count: count / 2 },
-            ]
+        let ticks = std::array::from_fn(|a| {
+            let halves = |centres| Ticks::Halves { cells: cells[a], max: max[a], centres };
+            vec![halves(false), halves(true), Ticks::Plane(0), Ticks::Plane(max[a])]
         });
-        Self::new(ticks, [[0; 3], [1; 3]])
+        let faces = (0..6).map(|face| {
+            let mut choice = [1; 3];
+            choice[face / 2] = 2 + face % 2;
+            choice
+        });
+        Self::new(ticks, [[0; 3], [1; 3]].into_iter().chain(faces))
     }
 
     /// The hyperbolic cross.
@@ -220,15 +231,10 @@ impl Grids {
     }
 }
 
-/// Planes half a spacing apart that fit an axis; one, in the middle, where none does.
-fn bcc_planes(spacing: u32, max: u32) -> u32 {
-    (max / (spacing / 2)).max(1)
-}
-
 /// Number of points of a body-centred cubic lattice.
-pub(super) fn bcc_len(spacing: u32, lattice: &Lattice) -> u128 {
-    let planes = lattice.max().map(|max| u128::from(bcc_planes(spacing, max)));
-    planes.iter().map(|p| p.div_ceil(2)).product::<u128>() + planes.iter().map(|p| p / 2).product::<u128>()
+pub(super) fn bcc_len(cells: [u32; 3]) -> u128 {
+    let [x, y, z] = cells.map(u128::from);
+    (x + 1) * (y + 1) * (z + 1) + x * y * z + 2 * (x * y + y * z + z * x)
 }
 
 /// Number of points of a hyperbolic cross.
@@ -271,8 +277,11 @@ mod tests {
             Ticks::Voxels { count: 7, cells: 30, log2_steps: 3 },
             Ticks::Voxels { count: 30, cells: 30, log2_steps: 0 },
             Ticks::Voxels { count: 2, cells: 1, log2_steps: 4 },
-            Ticks::Planes { first: 3, step: 14, count: 9 },
-            Ticks::Planes { first: 3, step: 14, count: 0 },
+            Ticks::Plane(17),
+            Ticks::Halves { cells: 9, max: 250, centres: false },
+            Ticks::Halves { cells: 9, max: 250, centres: true },
+            Ticks::Halves { cells: 1, max: 250, centres: true },
+            Ticks::Halves { cells: 125, max: 250, centres: false },
         ];
         for level in 0..6 {
             lists.extend([100, 128, 7].map(|max| Ticks::Level { k: 2, level, max }));
@@ -330,18 +339,22 @@ mod tests {
     }
 
     #[test]
-    fn a_body_centred_lattice_is_centred_and_complete() {
+    fn a_body_centred_lattice_fills_the_box() {
         let lattice = Lattice { dims: [11, 8, 6], log2_steps: [2; 3] };
-        let grids = Grids::bcc(6, &lattice).unwrap();
+        let cells = [6, 5, 3];
+        let grids = Grids::bcc(cells, &lattice).unwrap();
         let mut sites = vec![];
         grids.sites_in(&lattice.domain(), &mut sites);
-        assert_eq!((sites.len() as u64, bcc_len(6, &lattice)), (grids.len(), u128::from(grids.len())));
-        for s in &sites {
-            assert!((0..3).all(|a| s.pos[a] >= 1 && s.pos[a] < lattice.max()[a]));
-            // The neighbour half a diagonal further, where it is inside.
-            let next = s.pos.map(|p| p + 3);
-            let inside = (0..3).all(|a| next[a] + 1 < lattice.max()[a]);
-            assert!(!inside || sites.iter().any(|t| t.pos == next), "{:?}", s.pos);
+        assert_eq!((sites.len() as u64, bcc_len(cells)), (grids.len(), u128::from(grids.len())));
+        let all: BTreeSet<LatticePos> = sites.iter().map(|s| s.pos).collect();
+        assert_eq!(all.len(), sites.len(), "each position once");
+        let plane = |a: usize, j: u32| half_plane(j.into(), cells[a], lattice.max()[a]);
+        for (x, y, z) in (0..=12).flat_map(|x| (0..=10).flat_map(move |y| (0..=6).map(move |z| (x, y, z)))) {
+            let (j, last) = ([x, y, z], cells.map(|n| 2 * n));
+            let odd = j.iter().filter(|j| *j % 2 == 1).count();
+            let on_face = (0..3).any(|a| j[a] == 0 || j[a] == last[a]);
+            let expected = odd == 0 || odd == 3 || odd == 2 && on_face;
+            assert_eq!(all.contains(&std::array::from_fn(|a| plane(a, j[a]))), expected, "{j:?}");
         }
     }
 

@@ -250,7 +250,7 @@ mod tests {
     use super::*;
 
     fn cells(dims: [u64; 3]) -> BrickGrid {
-        BrickGrid { lattice: Lattice::new(dims).unwrap(), edge: [4; 3] }
+        BrickGrid::new(Lattice::new(dims).unwrap(), [4; 3])
     }
 
     #[test]
@@ -284,7 +284,7 @@ mod tests {
         };
         refused(vec![0; 7], "8 cells");
         refused(vec![41; 8], "level 41");
-        let huge = BrickGrid { lattice: Lattice::new([2000; 3]).unwrap(), edge: [4; 3] };
+        let huge = BrickGrid::new(Lattice::new([2000; 3]).unwrap(), [4; 3]);
         assert!(Levels::new(huge, vec![]).unwrap_err().to_string().contains("at most"));
         let grid = cells([13, 9, 9]);
         let levels = vec![0, 1, 2, 0, 1, 2, 0, 1, 2, 0, 1, 2];

@@ -6,10 +6,10 @@
 //! | Halton | (Φ₂(k), Φ₃(k), Φ₅(k)), k = 1 … n | `net` |
 //! | hyperbolic cross | union of dyadic grids whose levels satisfy an inequality | `grids` |
 //! | regular | a sub-grid of the voxels, faces included | `grids` |
-//! | lattice | body-centred cubic | `grids` |
+//! | lattice | body-centred cubic, faces included | `grids` |
 //!
 //! scaled to the domain box and rounded to its [`Lattice`], halves up, in integers throughout. All but the regular
-//! set get samples of the domain's boundary besides (`boundary`), and a set may have a list of points that follow no formula
+//! set and the lattice get samples of the domain's boundary besides (`boundary`), and a set may have a list of points that follow no formula
 //! ([`ExplicitPoints`]). A Halton set may be denser in some places than in others ([`Levels`], `graded`).
 //!
 //! A point is its [`PointId`]: [`PointSet::position`] is a formula, so positions need not be stored. And a box finds
@@ -94,7 +94,7 @@ impl PointSet {
             .ok_or_else(|| Error::usage(format!("a {} set has at most {MOST_POINTS} points", spec.kind())))?;
         let spacing_q16 = mean_spacing_q16(&lattice, interior.len());
         let boundary = match spec {
-            PointSpec::Regular { .. } => None,
+            PointSpec::Regular { .. } | PointSpec::Bcc { .. } => None,
             PointSpec::Halton { .. } => Some(Boundary::new(lattice.max(), spacing_q16, true)),
             _ => Some(Boundary::new(lattice.max(), spacing_q16, false)),
         };
@@ -249,13 +249,14 @@ impl PointSet {
     }
 
     /// The mean distance of interior points along each axis, in lattice steps, rounded up: (V/n)^(1/3), or the pitch
-    /// of a regular set; where the density differs, that of its highest level.
+    /// of a regular set, or the edge of a lattice's cells; where the density differs, that of its highest level.
     pub fn mean_spacing(&self) -> [u32; 3] {
         match self.spec {
             PointSpec::Regular { counts } => {
                 let max = self.lattice.max();
                 std::array::from_fn(|a| u64::from(max[a]).div_ceil(counts[a] - 1) as u32)
             }
+            PointSpec::Bcc { cells } => std::array::from_fn(|a| self.lattice.max()[a].div_ceil(cells[a])),
             _ => [self.spacing_q16.div_ceil(1 << 16) as u32; 3],
         }
     }
@@ -307,7 +308,7 @@ impl Interior {
             PointSpec::Halton { n } => Self::Net(Net::new([two, three, five], max, 1, n, 0)),
             PointSpec::HyperbolicCross { m, k, r } => Self::Grids(Grids::hyperbolic_cross(m, k, r, lattice)?),
             PointSpec::Regular { counts } => Self::Grids(Grids::regular(counts, lattice)?),
-            PointSpec::Bcc { spacing } => Self::Grids(Grids::bcc(spacing, lattice)?),
+            PointSpec::Bcc { cells } => Self::Grids(Grids::bcc(cells, lattice)?),
         })
     }
 

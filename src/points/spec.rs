@@ -89,11 +89,11 @@ pub enum PointSpec {
         /// Voxels along each axis: at least 2, at most the volume's.
         counts: [u64; 3],
     },
-    /// A body-centred cubic lattice.
+    /// A body-centred cubic lattice, which includes the faces of the box.
     #[serde(rename = "lattice")]
     Bcc {
-        /// Edge of its cubes in lattice steps; even, at most 2^25.
-        spacing: u32,
+        /// Cells along each axis: at least 1, at most half the axis's lattice steps.
+        cells: [u32; 3],
     },
 }
 
@@ -120,7 +120,6 @@ impl Default for SetSettings {
 const LARGEST_M: u32 = 40;
 const KS: std::ops::RangeInclusive<u32> = 2..=5;
 const LARGEST_R: u32 = 1000;
-const LARGEST_SPACING: u32 = 1 << 25;
 
 impl PointSpec {
     /// The set of a kind with a number of interior points as near to `count` as the kind allows. Samples of the
@@ -137,7 +136,7 @@ impl PointSpec {
             SetKind::Halton => Self::Halton { n: count },
             SetKind::HyperbolicCross => nearest_cross(count, settings),
             SetKind::Regular => Self::Regular { counts: nearest_counts(count, lattice.dims) },
-            SetKind::Bcc => Self::Bcc { spacing: nearest_spacing(count, lattice) },
+            SetKind::Bcc => Self::Bcc { cells: nearest_cells(count, lattice) },
         };
         spec.check(lattice)?;
         Ok(spec.canonical())
@@ -165,12 +164,12 @@ impl PointSpec {
     }
 
     /// Number of interior points, not to be asked of parameters that [`PointSpec::check`] refuses.
-    fn interior(&self, lattice: &Lattice) -> u128 {
+    fn interior(&self) -> u128 {
         match *self {
             Self::Hammersley { n, .. } | Self::Halton { n } => u128::from(n),
             Self::HyperbolicCross { m, k, r } => hyperbolic_cross_len(m, k, r),
             Self::Regular { counts } => counts.iter().map(|&c| u128::from(c)).product(),
-            Self::Bcc { spacing } => bcc_len(spacing, lattice),
+            Self::Bcc { cells } => bcc_len(cells),
         }
     }
 
@@ -207,12 +206,16 @@ impl PointSpec {
                     }
                 }
             }
-            Self::Bcc { spacing } if spacing == 0 || spacing % 2 == 1 || spacing > LARGEST_SPACING => {
-                return refuse("the spacing of a lattice", spacing, "an even number from 2 to 2^25");
+            Self::Bcc { cells } => {
+                for (c, max) in cells.into_iter().zip(lattice.max()) {
+                    if !(1..=max / 2).contains(&c) {
+                        return refuse("an axis of a lattice", c, &format!("1 to {} cells", max / 2));
+                    }
+                }
             }
             _ => {}
         }
-        match self.interior(lattice) {
+        match self.interior() {
             n if n == 0 || n > u128::from(MOST_POINTS) => refuse(
                 &format!("the size of a {} set", self.kind()),
                 n,
@@ -277,14 +280,21 @@ fn nearest_counts(count: u64, dims: [u64; 3]) -> [u64; 3] {
     nearest(count, grids, len).unwrap_or(base)
 }
 
-/// The even spacing whose lattice has nearly `count` points: bisection, as fewer fit the wider it is.
-fn nearest_spacing(count: u64, lattice: &Lattice) -> u32 {
-    let (mut lo, mut hi) = (1, LARGEST_SPACING / 2);
-    while lo < hi {
-        let half = (lo + hi) / 2;
-        if bcc_len(2 * half, lattice) <= u128::from(count) { hi = half } else { lo = half + 1 }
+/// The cells, as nearly cubes of voxels as possible, of a lattice with nearly `count` points.
+fn nearest_cells(count: u64, lattice: &Lattice) -> [u32; 3] {
+    let voxels = lattice.dims.map(|d| (d - 1) as f64);
+    let most = lattice.max().map(|max| (max / 2).max(1));
+    let at = |edge: f64| -> [u32; 3] {
+        std::array::from_fn(|a| ((voxels[a] / edge).round() as u32).clamp(1, most[a]))
+    };
+    let (mut fine, mut coarse) = (0.0, voxels.into_iter().fold(1.0, f64::max));
+    for _ in 0..60 {
+        let middle = (fine + coarse) / 2.0;
+        if bcc_len(at(middle)) > u128::from(count) { fine = middle } else { coarse = middle }
     }
-    nearest(count, [2 * lo, 2 * (lo - 1).max(1)], |s| bcc_len(s, lattice)).unwrap_or(2 * lo)
+    let base = at(coarse);
+    let lattices = (0..8u32).map(|more| std::array::from_fn(|a| (base[a] + (more >> a & 1)).min(most[a])));
+    nearest(count, lattices, bcc_len).unwrap_or(base)
 }
 
 #[cfg(test)]
@@ -301,7 +311,7 @@ mod tests {
         for count in [20, 500, 9000, 194_851, 1_000_000] {
             for kind in SetKind::ALL {
                 let spec = PointSpec::with_count(kind, &l, count, &SetSettings::default()).unwrap();
-                let off = spec.interior(&l) as f64 / count as f64;
+                let off = spec.interior() as f64 / count as f64;
                 let allowed = match kind {
                     SetKind::Hammersley | SetKind::Halton => 1.0,
                     SetKind::Regular if count >= 500 => 1.1,
@@ -344,7 +354,7 @@ mod tests {
         refused(PointSpec::HyperbolicCross { m: 2, k: 3, r: [1, u32::MAX, 1] }, "regularity");
         refused(PointSpec::Regular { counts: [4, 95, 4] }, "94");
         refused(PointSpec::Regular { counts: [4, 1, 4] }, "regular");
-        refused(PointSpec::Bcc { spacing: 7 }, "even");
+        refused(PointSpec::Bcc { cells: [7, 0, 7] }, "cells");
         let settings = SetSettings { k: Some(9), ..SetSettings::default() };
         assert!(PointSpec::with_count(SetKind::HyperbolicCross, &lattice(), 100, &settings).is_err());
         assert!(PointSpec::with_count(SetKind::Halton, &lattice(), 0, &SetSettings::default()).is_err());

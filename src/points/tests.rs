@@ -14,7 +14,7 @@ const SPECS: [PointSpec; 9] = [
     PointSpec::HyperbolicCross { m: 3, k: 2, r: [1; 3] },
     PointSpec::HyperbolicCross { m: 2, k: 3, r: [1, 2, 4] },
     PointSpec::Regular { counts: [9, 5, 7] },
-    PointSpec::Bcc { spacing: 1 << 15 },
+    PointSpec::Bcc { cells: [4, 5, 6] },
 ];
 
 fn lattices() -> [Lattice; 4] {
@@ -99,7 +99,7 @@ fn bricks_together_are_the_plain_sequence() {
     for set in sets() {
         let plain = plain_sequence(&set);
         for edge in [[300, 300, 300], [5, 5, 5], [1, 40, 6], [7, 3, 11]] {
-            let bricks = BrickGrid { lattice: *set.lattice(), edge };
+            let bricks = BrickGrid::new(*set.lattice(), edge);
             let mut union = BTreeMap::new();
             for brick in (0..bricks.len()).map(|i| bricks.brick(crate::grid::BrickId(i))) {
                 for s in sites(&set, &brick) {
@@ -180,7 +180,7 @@ fn counts_are_near_the_truth() {
     for set in sets() {
         let domain = set.lattice().domain();
         assert!(set.count_in(&domain).abs_diff(set.len()) <= 8, "{:?}", set.spec());
-        let bricks = BrickGrid { lattice: *set.lattice(), edge: [6, 6, 6] };
+        let bricks = BrickGrid::new(*set.lattice(), [6, 6, 6]);
         for brick in (0..bricks.len()).map(|i| bricks.brick(crate::grid::BrickId(i))) {
             let mut out = vec![];
             set.candidates_in(&brick, &mut out);

@@ -264,7 +264,7 @@ fn mesh_of(kind: SetKind, count: u64) -> (Vec<LatticePos>, Vec<Tet>) {
     )
     .unwrap();
     let edge = (101.0 * (1024.0 / points.len() as f64).cbrt()).round() as u64;
-    let bricks = BrickGrid { lattice, edge: [edge; 3] };
+    let bricks = BrickGrid::new(lattice, [edge; 3]);
     let (mut positions, mut sites): (Vec<LatticePos>, _) = (vec![], vec![]);
     for brick in 0..bricks.len() {
         points.sites_in(&bricks.brick(BrickId(brick)), &mut sites);
