@@ -52,7 +52,8 @@ const COMMANDS: &[&str] = &[
     "reduce zeros.npy -o zeros.isospan --fraction 1/4 --values sample",
     "reduce zeros.npy -o zeros-bits.isospan --fraction 1/4 --value-bits 8",
     "reduce step_?.npy -o series.isospan --fraction 1/8 --keyframes 2 --chunk-points 2000",
-    "reduce cells.vtk -o cells.isospan --fraction 1/1",
+    "reduce cells.vtk -o cells.isospan --fraction 0.99",
+    "reduce cells.vtk -o own.isospan --fraction 1 --chunk-points 100",
     "reduce cells.vtk -o quadratic.isospan --fraction 1/1 --values sample --interp quadratic",
     // Every form of an answer.
     "surface hammersley.isospan -i 0.2 -o waves.ply",
@@ -60,6 +61,7 @@ const COMMANDS: &[&str] = &[
     "surface hammersley.isospan -i 0.2 -o waves.glb --roi 3:20,2:19,4:17",
     "surface zeros.isospan -i 0 -o zeros.stl",
     "surface cells.isospan -i 0.3 -o cells.obj",
+    "surface own.isospan -i 0.3 -o own.ply",
     "surface hammersley.isospan -i 0.2 -o fewer.ply --decimate 0.3 --largest 2",
     "surface series.isospan -i 0.1 -o between.ply --time 1.3",
     "unpack halton.isospan",

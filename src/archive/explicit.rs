@@ -52,7 +52,7 @@ pub fn write_explicit(archive: &Path, plan: PlanHash, points: &ExplicitPoints) -
     out.finish().map(|_| ())
 }
 
-/// Reads the list that a plan speaks of.
+/// Reads the list that a plan speaks of, in which positions may be repeated where they are those of `own` vertices.
 ///
 /// # Errors
 /// [`Error::BadInput`] when it is damaged, or another; [`Error::Io`] when it is not there.
@@ -61,6 +61,7 @@ pub fn read_explicit(
     plan: PlanHash,
     lattice: &Lattice,
     record: &ExplicitRecord,
+    own: bool,
 ) -> Result<ExplicitPoints> {
     let path = explicit_path(archive);
     let segment = Segment::open(&path, SegmentKind::Points, Some(plan))?;
@@ -78,7 +79,8 @@ pub fn read_explicit(
     if let Some(p) = positions.iter().find(|&&p| !domain.contains(p)) {
         return Err(Error::bad_input(&path, "positions", "points of the domain", format!("{p:?}")));
     }
-    let points = ExplicitPoints::new(lattice, positions);
+    let list = if own { ExplicitPoints::with_repeats } else { ExplicitPoints::new };
+    let points = list(lattice, positions);
     match ExplicitRecord::of(&points) {
         found if found == *record => Ok(points),
         found => Err(Error::bad_input(&path, "positions", record.hash.to_string(), found.hash.to_string())),
@@ -137,12 +139,20 @@ mod tests {
             let (lattice, points) = list(count);
             let (plan, record) = (PlanHash(u128::from(count)), ExplicitRecord::of(&points));
             write_explicit(dir.path(), plan, &points).unwrap();
-            assert_eq!(read_explicit(dir.path(), plan, &lattice, &record).unwrap(), points);
+            assert_eq!(read_explicit(dir.path(), plan, &lattice, &record, false).unwrap(), points);
             let other = ExplicitRecord { hash: PlanHash(1), ..record };
-            assert!(read_explicit(dir.path(), plan, &lattice, &other).is_err());
+            assert!(read_explicit(dir.path(), plan, &lattice, &other, false).is_err());
             let other = ExplicitRecord { count: record.count + 4096, ..record };
-            assert!(read_explicit(dir.path(), plan, &lattice, &other).is_err());
+            assert!(read_explicit(dir.path(), plan, &lattice, &other, false).is_err());
         }
+        let (lattice, points) = list(3000);
+        let twice = points.positions().iter().chain(points.positions()).copied().collect();
+        let twice = ExplicitPoints::with_repeats(&lattice, twice);
+        let record = ExplicitRecord::of(&twice);
+        write_explicit(dir.path(), PlanHash(2), &twice).unwrap();
+        let read = |own| read_explicit(dir.path(), PlanHash(2), &lattice, &record, own);
+        assert_eq!(read(true).unwrap(), twice);
+        assert!(read(false).is_err(), "samples of a boundary have positions of their own");
     }
 
     #[test]

@@ -111,6 +111,9 @@ pub struct Plan {
     /// The points of the set that are listed and follow no formula.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub explicit: Option<ExplicitRecord>,
+    /// Where points and tetrahedra are those of a mesh: what is known of these.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub own: Option<OwnRecord>,
     /// Where the density of the points differs from place to place: how.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub levels: Option<LevelsRecord>,
@@ -124,6 +127,27 @@ pub struct Plan {
     /// Where chunks and the order of points are not those that the points ask for: what they are.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frame: Option<FrameRecord>,
+}
+
+/// What a plan says of a mesh's own tetrahedra.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OwnRecord {
+    /// Number of tetrahedra.
+    pub tetrahedra: u64,
+    /// Six times the volume of all in lattice steps, its low and its high 64 bits.
+    pub volume6: [u64; 2],
+}
+
+impl OwnRecord {
+    /// Of so many tetrahedra of a volume.
+    pub(crate) fn new(tetrahedra: u64, volume6: u128) -> Self {
+        Self { tetrahedra, volume6: [volume6 as u64, (volume6 >> 64) as u64] }
+    }
+
+    /// Six times the volume of all in lattice steps; that of a damaged record may be any.
+    pub(crate) fn volume6(&self) -> i128 {
+        (u128::from(self.volume6[1]) << 64 | u128::from(self.volume6[0])) as i128
+    }
 }
 
 /// What a plan has from an earlier one, so that chunks whose points did not change have the same bytes.
@@ -648,6 +672,7 @@ pub(crate) mod tests {
             chunk_target: 250_000,
             block_tets: 1000,
             explicit: None,
+            own: None,
             levels: None,
             repeated: None,
             stars: false,

@@ -76,7 +76,7 @@ impl Firsts {
     }
 
     /// Puts the first of its equals in the place of each vertex.
-    pub(super) fn replace(&self, vertices: &mut [u64]) -> Result<()> {
+    pub(crate) fn replace(&self, vertices: &mut [u64]) -> Result<()> {
         if let Some(of) = &self.of {
             let of = of.get()?;
             vertices.iter_mut().for_each(|v| *v = of[*v as usize]);

@@ -19,6 +19,10 @@
 //! The mesh lies in a box of cubes ("voxels", so that bricks and chunks are those of a volume) on the integer lattice: the longest side of its
 //! bounding box is 2^24 steps, the others are rounded up to whole cubes. Points of the set outside of the mesh are void.
 //!
+//! # Its own vertices
+//!
+//! A mesh that is asked for whole is not sampled: see [`own`]. What follows is about those that are.
+//!
 //! # Its boundary
 //!
 //! Points inside stop short of the boundary, and the reduced domain would end a point spacing too early. So the boundary is sampled
@@ -37,6 +41,7 @@ pub(crate) mod gradients;
 pub(crate) mod identity;
 pub(crate) mod merge;
 pub(crate) mod nearest;
+pub(crate) mod own;
 pub(crate) mod store;
 pub(crate) mod vertices;
 pub(crate) mod voxels;

@@ -9,7 +9,7 @@ use crate::archive::segment::PlanHash;
 use crate::domain::merge::Firsts;
 use crate::domain::store::StoreSettings;
 use crate::error::Result;
-use crate::points::{ExplicitPoints, Levels};
+use crate::points::{ExplicitPoints, Levels, SetKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -33,7 +33,8 @@ impl Beside {
 
     /// As [`Beside::read`], of files that carry a hash.
     pub(crate) fn read_of(archive: &Path, hash: PlanHash, plan: &MeshPlan) -> Result<Self> {
-        let explicit = plan.explicit.as_ref().map(|r| read_explicit(archive, hash, &plan.lattice, r));
+        let own = plan.points.kind() == SetKind::Own;
+        let explicit = plan.explicit.as_ref().map(|r| read_explicit(archive, hash, &plan.lattice, r, own));
         let levels = plan.levels.as_ref().map(|r| read_levels(archive, hash, &plan.lattice, r));
         let (explicit, levels) = (explicit.transpose()?.map(Arc::new), levels.transpose()?.map(Arc::new));
         Ok(Self { explicit, levels, repeated: None })

@@ -4,6 +4,7 @@
 //! order, on any machine, twice, and give the same result.
 
 use super::need::{self, Halo};
+use super::own::OwnMesh;
 use super::plan::check_brick;
 use crate::archive::values::ValueBlocks;
 use crate::archive::vertices::order_halo;
@@ -29,6 +30,8 @@ pub(crate) struct Recipe<'a> {
     pub(crate) halo: Halo,
     /// The mesh, where it follows by formula.
     pub(crate) bcc: Option<BccMesh>,
+    /// The mesh whose own tetrahedra are kept, where they are.
+    pub(crate) own: Option<OwnMesh<'a>>,
 }
 
 impl Recipe<'_> {
@@ -212,6 +215,9 @@ impl Maker {
                 false => Meshing::Done(MeshedChunk::of_bcc(&chunk, recipe.halo)),
             });
         }
+        if let Some(own) = recipe.own {
+            return self.keep_own(own, recipe, chunk, room);
+        }
         let domain = recipe.bricks.lattice.domain();
         let core_counts = self.list_core(recipe, chunk)?;
         let core = self.sites.len();
@@ -254,6 +260,23 @@ impl Maker {
             }
             ChunkOutcome::WidenHalo { .. } => Ok(Meshing::NeedsRoom { bytes }),
         }
+    }
+
+    /// As [`Maker::mesh`], of a mesh whose own tetrahedra are kept.
+    fn keep_own(
+        &mut self,
+        own: OwnMesh<'_>,
+        recipe: &Recipe<'_>,
+        chunk: &Chunk,
+        room: u64,
+    ) -> Result<Meshing> {
+        let points = own.points_of(recipe, chunk, recipe.points.count_in(&chunk.core))?;
+        let bytes = need::room_for(points, recipe.halo);
+        if bytes > room {
+            return Ok(Meshing::NeedsRoom { bytes });
+        }
+        let core_counts = self.list_core(recipe, chunk)?;
+        own.chunk(recipe, chunk, core_counts, &self.sites).map(Meshing::Done)
     }
 
     /// Finds what is around a chunk whose own tetrahedra are known; false where it has to be meshed again for that.

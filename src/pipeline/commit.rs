@@ -9,7 +9,7 @@ use super::plan::{MeshParts, Plan};
 use super::spectrum::{limits, stored_part};
 use crate::archive::Malformed;
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};
+use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, Plan as MeshPlan, SegmentRecord, Step};
 use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
 use crate::error::{Error, Result};
@@ -171,14 +171,19 @@ pub(super) fn last_blocks<T>(
     decode(&bytes).map_err(|m| segment.blame(chunk, block, m))
 }
 
-/// The owned tetrahedra of all chunks tile the box: their volumes add up to its volume, exactly.
+/// The owned tetrahedra of all chunks tile the box, or are those of the mesh: their volumes add up to its volume, exactly.
 fn check_volume(plan: &Plan, volume6: i128, out: &Path) -> Result<()> {
-    let whole = domain_volume6(&plan.mesh.lattice);
+    let whole = whole_volume6(&plan.mesh);
     if volume6 == whole {
         return Ok(());
     }
-    let text = format!("internal error: the tetrahedra fill {volume6} of the domain's {whole} sixths");
+    let text = format!("internal error: the tetrahedra fill {volume6} of {whole} sixths");
     Err(Error::io("commit", out, std::io::Error::other(text)))
+}
+
+/// Six times the volume of all tetrahedra that chunks make, in lattice steps: of the domain, or of the mesh that they are from.
+pub(super) fn whole_volume6(plan: &MeshPlan) -> i128 {
+    plan.own.map_or_else(|| domain_volume6(&plan.lattice), |own| own.volume6())
 }
 
 /// Six times the volume of the domain, in lattice steps.

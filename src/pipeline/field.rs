@@ -9,6 +9,7 @@ use super::fitted::FittedTo;
 use super::grid_field::{self, GridField};
 use super::groups::Groups;
 use super::measure::Originals;
+use super::own::OwnField;
 use crate::domain::boundary::OnBoundary;
 use crate::error::Result;
 use crate::exec::CancelToken;
@@ -61,6 +62,8 @@ pub(crate) struct Placement {
     pub(crate) outside: Vec<bool>,
     /// Of a volume: which vertices are sampled together.
     pub(crate) groups: Groups,
+    /// Of a mesh that is kept as it is: which of its vertices each is.
+    pub(crate) vertices: Vec<u64>,
 }
 
 /// Where a vertex of a chunk lies in a tetrahedral mesh; by default nowhere.
@@ -94,6 +97,7 @@ impl Default for Spot {
 pub(crate) enum Source<'a> {
     Grid(&'a GridField),
     Cells(&'a CellField<'a>),
+    Own(&'a OwnField<'a>),
 }
 
 /// Interpolated values at the vertices of a chunk at some steps, in their order; where values are fitted, then those at the vertices around.
@@ -113,6 +117,10 @@ pub(super) fn interpolated(
             Source::Cells(cells) => {
                 cancel.check()?;
                 note(n, cells.interpolated(placement).map(|found| values[n] = found))?;
+            }
+            Source::Own(own) => {
+                cancel.check()?;
+                note(n, own.at_vertices(placement).map(|found| values[n] = found))?;
             }
         }
     }

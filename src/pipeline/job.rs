@@ -61,6 +61,8 @@ pub struct ReduceReport {
     /// Of a mesh: what was found in it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mesh: Option<MeshCensus>,
+    /// Of a mesh: whether the archive has its own vertices and tetrahedra.
+    pub own: bool,
     /// Points of the archive.
     pub points: u64,
     /// Of a volume: points that are no samples of the boundary, about. Of a mesh: points with a value that were asked for, boundary included.

@@ -13,6 +13,7 @@ use super::gauge::{self, Cells, Gauge, Samples, field_error_of};
 use super::job::RunSettings;
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
+use super::own_errors::own_errors;
 use super::probe_points::{Find, Outside, each_value_of};
 use super::reduce::{MOST_STEPS_AT_ONCE, random_access};
 use super::shift::Reading;
@@ -307,6 +308,13 @@ fn triple([x, y, z]: [u64; 3]) -> String {
     format!("{x} x {y} x {z}")
 }
 
+/// The error of a mesh of the archive's size whose vertices are others.
+pub(super) fn other_mesh(archive: &OpenArchive) -> Error {
+    let expected = "the mesh that it keeps";
+    Error::bad_input(archive.path(), "vertices", expected, "a mesh with others")
+        .with_help(format!("the archive was made from {}", archive.step().plan.source.path))
+}
+
 /// The error of an input that cannot be what the archive was made from.
 fn other_input(input: &Path, recorded: &Source, got: String) -> Error {
     let expected = match recorded.mesh {
@@ -502,6 +510,13 @@ fn measure_vertices(
     settings: &MeasureSettings,
     progress: &dyn Progress,
 ) -> Result<Vec<StepErrors>> {
+    if archive.manifest.plan.own.is_some() {
+        let scratch = settings.scratch();
+        let (how, memory) = (store_settings(archive, settings, &scratch), settings.memory);
+        let of_map = if map.is_some() { map_bytes(memory) } else { 0 };
+        let rest = memory.saturating_sub(of_map);
+        return own_errors(archive, store, steps, map, &how, rest, progress).map_err(|e| e.beside(of_map));
+    }
     let positions = store.positions.get()?;
     let columns = steps.iter().map(|(_, values)| values.get()).collect::<Result<Vec<_>>>()?;
     let steps: Vec<usize> = steps.iter().map(|step| step.0).collect();
@@ -552,8 +567,21 @@ fn measure_vertices(
     if let Some(map) = map {
         map.finish()?;
     }
+    told_errors(archive, store, &steps, &columns, &sums, &beyond)
+}
+
+/// Errors at the vertices, as they are told: of steps by positions in the manifest, with their values, and vertices outside.
+pub(super) fn told_errors(
+    archive: &OpenArchive,
+    store: &CellStore,
+    steps: &[usize],
+    columns: &[&[f32]],
+    sums: &[(ErrorSums, Vec<ErrorSums>)],
+    beyond: &[u64],
+) -> Result<Vec<StepErrors>> {
+    let positions = store.positions.get()?;
     let mut told = vec![];
-    for (n, (&position, (sums, of_levels))) in steps.iter().zip(&sums).enumerate() {
+    for (n, (&position, (sums, of_levels))) in steps.iter().zip(sums).enumerate() {
         let source = &archive.manifest.steps[position].plan.source;
         let of_level = |sums: &ErrorSums| sums.level_error().with_rounding(source.rounding);
         let mut error = vertex_error(store, positions, sums, source);
@@ -590,7 +618,7 @@ fn vertex_error(store: &CellStore, positions: &[FinePos], sums: &ErrorSums, sour
 }
 
 /// The map of bricks, being collected.
-struct Map {
+pub(super) struct Map {
     file: BrickMapFile,
     bricks: u64,
     sorter: Sorter<BrickRecord>,
@@ -616,12 +644,12 @@ impl Map {
         })
     }
 
-    fn add(&mut self, chunk: u64, bricks: &BTreeMap<u64, BrickErrors>) -> Result<()> {
+    pub(super) fn add(&mut self, chunk: u64, bricks: &BTreeMap<u64, BrickErrors>) -> Result<()> {
         BrickRecord::of(chunk, bricks).into_iter().try_for_each(|record| self.sorter.push(record))
     }
 
     /// Writes all bricks, those without a sample too.
-    fn finish(self) -> Result<u64> {
+    pub(super) fn finish(self) -> Result<u64> {
         const NONE: BrickNumbers = BrickNumbers { rms: f32::NAN, max: f32::NAN, samples: 0 };
         let mut records = self.sorter.finish()?;
         let (mut batch, mut first) = (vec![], 0u64);

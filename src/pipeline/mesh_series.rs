@@ -15,12 +15,13 @@ use super::cell_field::CellField;
 use super::field::Field;
 use super::job::Job;
 use super::open::OpenArchive;
+use super::own::{OwnField, OwnMesh};
 use super::plan::{Amount, Plan, ReduceSettings};
 use super::reduce_mesh::check_job;
 use super::series::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
 use super::shift::Shift;
 use crate::archive::explicit::ExplicitRecord;
-use crate::archive::manifest::{MeshSource, Plan as MeshPlan, Source, StepPlan};
+use crate::archive::manifest::{MeshSource, OwnRecord, Plan as MeshPlan, Source, StepPlan};
 use crate::archive::repeated::RepeatedRecord;
 use crate::archive::segment::PlanHash;
 use crate::archive::values::Quantiser;
@@ -31,22 +32,54 @@ use crate::domain::buckets::Buckets;
 use crate::domain::column::Column;
 use crate::domain::gradients::gradients;
 use crate::domain::identity::Identity;
+use crate::domain::own::{OwnCells, OwnVertices};
 use crate::domain::store::{CellStore, StoreSettings};
 use crate::domain::vertices::Vertices;
 use crate::error::{Error, Result};
 use crate::formats::{self, Input, OpenOptions, StepSource};
 use crate::grid::BrickGrid;
 use crate::pipeline::fingerprint::{Inputs, Watch};
-use crate::points::{Levels, PointSet, PointSpec};
-use crate::sample::Interpolation;
+use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec};
+use crate::sample::{Interpolation, Values};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
+
+/// The points of a mesh that are listed, and what is known of them.
+pub(super) enum Listed {
+    /// Samples of its boundary.
+    Boundary(BoundarySamples),
+    /// Its own vertices: it is kept as it is.
+    Own(OwnVertices),
+}
+
+/// Bytes that a listed point takes all the time: its position, its part of the grid that finds it.
+const OWN_BYTES: u64 = 16;
+/// Of a sample of the boundary, and of those by which the nearest place is found.
+const SAMPLE_BYTES: u64 = 100;
+
+impl Listed {
+    /// Their positions.
+    pub(super) fn points(&self) -> &Arc<ExplicitPoints> {
+        match self {
+            Self::Boundary(boundary) => &boundary.points,
+            Self::Own(vertices) => &vertices.points,
+        }
+    }
+
+    /// The memory that they take.
+    pub(super) fn bytes(&self) -> u64 {
+        match self {
+            Self::Boundary(boundary) => boundary.held().saturating_mul(SAMPLE_BYTES),
+            Self::Own(vertices) => vertices.points.len().saturating_mul(OWN_BYTES),
+        }
+    }
+}
 
 /// A mesh made ready.
 pub(super) struct Prepared {
     pub(super) store: CellStore,
     pub(super) series: SeriesPlan,
-    pub(super) boundary: BoundarySamples,
+    pub(super) listed: Listed,
     /// Points with a value that are wanted, boundary included.
     pub(super) wanted: u64,
 }
@@ -199,21 +232,57 @@ pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared
     let (mesh, store) = base_of(job, how, &mut inputs)?;
     let path = &mesh.info().path;
     let wanted = wanted_of(job.settings, store.census.vertices).round().max(1.0) as u64;
+    let own = is_own(job, store.census.vertices);
     let mut plan = match job.part.archive() {
-        None => new_plan(&mesh, &store, wanted, job.settings, how.offset)?,
+        None => {
+            let points = if own { store.census.vertices } else { wanted };
+            new_plan(&mesh, &store, points, job.settings, how.offset)?
+        }
         Some(archive) => continued_plan(archive, job.settings),
     };
-    let (dense, boundary) = dense_enough(&mut plan, &store, wanted, job, how, path)
-        .map_err(|e| e.of_share(how.memory, job.run.memory))?;
-    let listed = ExplicitRecord::of(&boundary.points);
+    let of_share = |e: Error| e.of_share(how.memory, job.run.memory);
+    let (dense, listed) = if own {
+        let vertices = OwnVertices::new(&store, how, path).map_err(of_share)?;
+        if job.part.archive().is_none() {
+            let record = OwnRecord::new(store.census.tetrahedra, vertices.volume6);
+            plan.keep_own(&vertices.points, record)?;
+        }
+        (Dense { levels: None, wanted, bound: None }, Listed::Own(vertices))
+    } else {
+        let (dense, boundary) = dense_enough(&mut plan, &store, wanted, job, how, path).map_err(of_share)?;
+        (dense, Listed::Boundary(boundary))
+    };
+    let record = ExplicitRecord::of(listed.points());
     match job.part.archive() {
-        None => plan.mesh.explicit = Some(listed),
-        Some(archive) => expect_listed(archive, listed)?,
+        None => plan.mesh.explicit = Some(record),
+        Some(archive) => expect_listed(archive, record)?,
     }
-    let series = plan_steps(&mesh, &store, &boundary, plan, (job, how, inputs))?;
+    let series = plan_steps(&mesh, &store, listed.points(), plan, (job, how, inputs))?;
     let series =
         SeriesPlan { bound: dense.bound, beside: Beside { levels: dense.levels, ..series.beside }, ..series };
-    Ok(Prepared { store, series, boundary, wanted: dense.wanted })
+    Ok(Prepared { store, series, listed, wanted: dense.wanted })
+}
+
+/// Whether a mesh of so many vertices is kept as it is: as the archive or the plan has it, else as the settings ask.
+fn is_own(job: &Job<'_>, vertices: u64) -> bool {
+    let known = job.part.archive().map(|archive| &archive.manifest.plan);
+    match known.or_else(|| job.part.planned().map(|plan| &plan.mesh)) {
+        Some(plan) => plan.own.is_some(),
+        None => job.round.is_none() && keeps_own(job.settings, vertices),
+    }
+}
+
+/// Whether settings ask for a mesh as it is: for all of its vertices, and for no other points or values.
+pub(super) fn keeps_own(settings: &ReduceSettings, vertices: u64) -> bool {
+    let all = match settings.amount {
+        Amount::Fraction(f) => f == 1.0,
+        Amount::Count(n) => n >= vertices,
+    };
+    let ReduceSettings { points, set, .. } = ReduceSettings::default();
+    all && (settings.points, settings.set) == (points, set)
+        && settings.interpolation == Interpolation::Linear
+        && settings.adapt.is_none()
+        && settings.target.is_none()
 }
 
 /// How dense the points of a plan are.
@@ -411,17 +480,16 @@ fn continued_plan(archive: &OpenArchive, settings: &ReduceSettings) -> Plan {
     Plan { mesh: archive.manifest.plan.clone(), steps: vec![step] }
 }
 
-/// The samples of the boundary that were found must be those of an archive.
+/// The samples of the boundary, or the vertices, that were found must be those of an archive.
 fn expect_listed(archive: &OpenArchive, found: ExplicitRecord) -> Result<()> {
     let text = |r: &ExplicitRecord| format!("{} of hash {}", r.count, r.hash);
     match archive.manifest.plan.explicit {
         Some(listed) if listed == found => Ok(()),
         other => {
             let expected = other.as_ref().map_or("none".into(), text);
-            Err(Error::bad_input(archive.path(), "samples of the boundary", expected, text(&found))
-                .with_help(
-                    "the archive is of another version of isospan: reduce all steps at once with this one",
-                ))
+            Err(Error::bad_input(archive.path(), "listed points", expected, text(&found)).with_help(
+                "the archive is of another version of isospan: reduce all steps at once with this one",
+            ))
         }
     }
 }
@@ -430,7 +498,7 @@ fn expect_listed(archive: &OpenArchive, found: ExplicitRecord) -> Result<()> {
 fn plan_steps(
     first: &CellMesh,
     store: &CellStore,
-    boundary: &BoundarySamples,
+    listed: &Arc<ExplicitPoints>,
     plan: Plan,
     (job, how, inputs): (&Job<'_>, &StoreSettings<'_>, Inputs<'_>),
 ) -> Result<SeriesPlan> {
@@ -460,7 +528,7 @@ fn plan_steps(
         skipped: vec![],
         before: archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone()),
         keyframes: job.settings.keyframes,
-        beside: Beside { explicit: Some(Arc::clone(&boundary.points)), levels: None, repeated },
+        beside: Beside { explicit: Some(Arc::clone(listed)), levels: None, repeated },
         bound: None,
         watch: Watch::default(),
     };
@@ -593,12 +661,37 @@ fn source_of(mesh: &CellMesh, fingerprint: String) -> Result<Source> {
     })
 }
 
+/// What the values of a mesh are found with, brick by brick.
+pub(super) enum Laid {
+    Sampled { buckets: Buckets, boundary: BoundarySamples, fitted_to: Option<Vertices> },
+    Own(OwnCells),
+}
+
+impl Laid {
+    /// Lays out the cells of a mesh, and the vertices that values are fitted to.
+    pub(super) fn new(
+        listed: Listed,
+        store: &CellStore,
+        plan: &Plan,
+        settings: &StoreSettings<'_>,
+    ) -> Result<Self> {
+        let bricks = plan.mesh.bricks();
+        Ok(match listed {
+            Listed::Own(vertices) => Self::Own(OwnCells::new(vertices, store, &bricks, settings)?),
+            Listed::Boundary(boundary) => {
+                let is_fitted = plan.first().values == Values::Fit;
+                let buckets = Buckets::new(store, &bricks, settings)?;
+                let fitted_to = is_fitted.then(|| Vertices::new(store, &bricks, settings)).transpose()?;
+                Self::Sampled { buckets, boundary, fitted_to }
+            }
+        })
+    }
+}
+
 /// Opens the values of steps on a mesh.
 pub(super) struct MeshFields<'a> {
     pub(super) store: &'a CellStore,
-    pub(super) buckets: &'a Buckets,
-    pub(super) boundary: &'a BoundarySamples,
-    pub(super) fitted_to: Option<&'a Vertices>,
+    pub(super) laid: Laid,
     pub(super) bricks: BrickGrid,
     pub(super) settings: StoreSettings<'a>,
     pub(super) last: Mutex<Option<LastMesh>>,
@@ -621,6 +714,13 @@ impl Fields for MeshFields<'_> {
         let source = &series.sources[n].source;
         let mesh = self.open_mesh(source)?;
         let values = self.store.values_of(&mesh, &self.settings)?;
+        let (buckets, boundary, fitted_to) = match &self.laid {
+            Laid::Sampled { buckets, boundary, fitted_to } => (buckets, boundary, fitted_to.as_ref()),
+            Laid::Own(cells) => {
+                let mesh = OwnMesh { store: self.store, cells };
+                return Ok(Box::new(OwnField { mesh, values }));
+            }
+        };
         let interpolation = series.plan.steps[n].interpolation;
         let gradients = match interpolation {
             Interpolation::Quadratic => Some(gradients(self.store, &values, &self.settings)?),
@@ -628,13 +728,20 @@ impl Fields for MeshFields<'_> {
         };
         Ok(Box::new(CellField {
             store: self.store,
-            buckets: self.buckets,
-            boundary: self.boundary,
+            buckets,
+            boundary,
             bricks: self.bricks,
             interpolation,
             values,
             gradients,
-            fitted_to: self.fitted_to,
+            fitted_to,
         }))
+    }
+
+    fn own(&self) -> Option<OwnMesh<'_>> {
+        match &self.laid {
+            Laid::Own(cells) => Some(OwnMesh { store: self.store, cells }),
+            Laid::Sampled { .. } => None,
+        }
     }
 }

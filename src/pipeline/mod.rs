@@ -38,6 +38,8 @@ mod nearest;
 mod need;
 mod notice;
 mod open;
+mod own;
+mod own_errors;
 mod placed;
 mod plan;
 mod plan_file;

@@ -201,7 +201,8 @@ impl Need {
             )));
             core_points = core_points.max(parts.points.count_in(&chunk.core));
         }
-        let points = parts.points.len();
+        let [region_points, core_points, points] =
+            [region_points, core_points, parts.points.len()].map(|n| n.saturating_mul(parts.times));
         Self {
             base: BASE + parts.points.levels().map_or(0, |l| l.as_slice().len() as u64),
             points,

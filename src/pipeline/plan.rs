@@ -8,23 +8,26 @@ use super::adapt::Adapt;
 use super::beside::Beside;
 use super::rounds::Frame;
 use super::target::Target;
+use crate::archive::explicit::ExplicitRecord;
 use crate::archive::levels::LevelsRecord;
-use crate::archive::manifest::{BaseStep, KEYFRAMES, LONGEST_CHAIN, Plan as MeshPlan, Source, StepPlan};
+use crate::archive::manifest::{
+    BaseStep, KEYFRAMES, LONGEST_CHAIN, OwnRecord, Plan as MeshPlan, Source, StepPlan,
+};
 use crate::archive::segment::PlanHash;
 use crate::archive::values::Quantiser;
 use crate::error::{Error, Result};
 use crate::geom::curve::Order;
 use crate::geom::{Lattice, LatticeBox};
-use crate::grid::ChunkGrid;
+use crate::grid::{BrickGrid, BrickId, ChunkGrid};
 use crate::mesh::bcc::BccMesh;
 use crate::pipeline::field::NanPolicy;
 use crate::pipeline::fingerprint::fingerprint;
 use crate::pipeline::need::Halo;
-use crate::points::{Levels, PointSet, PointSpec, SetKind, SetSettings};
+use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind, SetSettings};
 use crate::sample::{Interpolation, Values};
 use crate::volume::VolumeInfo;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 /// How many points.
@@ -119,6 +122,10 @@ pub struct Plan {
 /// Points of a brick, about: few enough that a query enumerates little more than it needs, many enough that the
 /// cost of starting an enumeration does not show.
 const BRICK_POINTS: f64 = 1024.0;
+/// Tetrahedra for a point of a Delaunay mesh, about.
+const TETS_A_POINT: u64 = 6;
+/// Bricks of own vertices have so many times as many, at most, as long as they can be halved.
+const MOST_CROWD: f64 = 4.0;
 /// A brick's samples (with a border) are held in memory while its points are interpolated.
 const LARGEST_BRICK_EDGE: u64 = 64;
 /// Tetrahedra a block, about. An isosurface of a smooth field crosses a tenth of the tetrahedra of blocks of 1024 that it meets, nearly a fifth of
@@ -207,6 +214,7 @@ impl Plan {
             chunk_target: settings.chunk_points,
             block_tets: BLOCK_TETS,
             explicit: None,
+            own: None,
             levels: None,
             repeated: None,
             frame: None,
@@ -249,6 +257,29 @@ impl Plan {
             Some(frame) => (frame.brick_edge, frame.order_bits),
             None => (Self::brick_edge(mesh, levels), Order::for_count(n << levels.top()).bits),
         };
+        Ok(())
+    }
+
+    /// Makes points and tetrahedra those of a mesh. Nothing is fitted: the values are those of the vertices.
+    ///
+    /// # Errors
+    /// As [`PointSet::new`].
+    pub(super) fn keep_own(&mut self, listed: &Arc<ExplicitPoints>, own: OwnRecord) -> Result<()> {
+        let (mesh, spec) = (&mut self.mesh, PointSpec::Own { n: listed.len() });
+        let points = PointSet::new(spec, mesh.lattice)?.with_explicit(Arc::clone(listed));
+        mesh.points = spec;
+        mesh.order_bits = Order::for_count(points.len()).bits;
+        mesh.explicit = Some(ExplicitRecord::of(listed));
+        mesh.own = Some(own);
+        mesh.stars = false;
+        let samples = mesh.lattice.dims.iter().map(|&d| d as f64).product::<f64>();
+        let edge = libm::cbrt(samples / points.len() as f64 * BRICK_POINTS).round() as u64;
+        mesh.brick_edge = [edge.clamp(1, LARGEST_BRICK_EDGE); 3];
+        // Where vertices crowd in some places, smaller bricks.
+        while mesh.brick_edge[0] > 1 && crowd(&mesh.bricks(), listed) > MOST_CROWD * BRICK_POINTS {
+            mesh.brick_edge = mesh.brick_edge.map(|edge| edge.div_ceil(2));
+        }
+        self.steps.iter_mut().for_each(|step| step.values = Values::Sample);
         Ok(())
     }
 
@@ -321,6 +352,16 @@ fn bcc_brick(cells: [u32; 3], lattice: &Lattice) -> u64 {
     [8, 4, 2].into_iter().find(fits).unwrap_or(1)
 }
 
+/// Points of a brick, as the mean point sees them.
+fn crowd(bricks: &BrickGrid, listed: &ExplicitPoints) -> f64 {
+    let mut counts: HashMap<BrickId, u64> = HashMap::new();
+    for &p in listed.positions() {
+        *counts.entry(bricks.id(bricks.brick_at(p))).or_default() += 1;
+    }
+    let squares: u128 = counts.values().map(|&n| u128::from(n) * u128::from(n)).sum();
+    squares as f64 / listed.len() as f64
+}
+
 /// The number of interior points that is wanted of a volume.
 pub(super) fn count_of(settings: &ReduceSettings, dims: [u64; 3]) -> u64 {
     match settings.amount {
@@ -374,6 +415,8 @@ pub(crate) struct MeshParts {
     pub(crate) halo: Halo,
     /// The mesh, where it follows by formula.
     pub(crate) bcc: Option<BccMesh>,
+    /// So many times as much as of a Delaunay mesh is needed of each point: there are as many times more tetrahedra.
+    pub(crate) times: u64,
 }
 
 /// Makes the parts of a plan, which may come from a file, and of what is stored beside it.
@@ -404,6 +447,14 @@ pub(crate) fn parts(plan: &MeshPlan, beside: Beside) -> Result<MeshParts> {
         Some(levels) => PointSet::graded(plan.points, plan.lattice, levels)?,
         None => PointSet::new(plan.points, plan.lattice)?,
     };
+    let listed = beside.explicit.as_ref().map(|listed| listed.len());
+    let own = match plan.points {
+        PointSpec::Own { n } => Some(n),
+        _ => None,
+    };
+    if own.is_some() != plan.own.is_some() || own.is_some() && (own != listed || plan.stars) {
+        return Err(Error::usage("the plan of a mesh's own tetrahedra lacks its vertices, or has others"));
+    }
     if let Some(explicit) = beside.explicit {
         points = points.with_explicit(explicit);
     }
@@ -422,6 +473,8 @@ pub(crate) fn parts(plan: &MeshPlan, beside: Beside) -> Result<MeshParts> {
         Some(frame) => ChunkGrid::told(plan.bricks(), &frame.cuts)?,
         None => ChunkGrid::new(plan.bricks(), plan.chunk_target, move |b| counter.count_in(b))?,
     };
+    let times =
+         plan.own.map_or(1, |own| (own.tetrahedra / points.len().max(1)).div_ceil(TETS_A_POINT).max(1));
     let order = Order { bits: plan.order_bits };
-    Ok(MeshParts { points, chunks, order, halo: Halo::of(plan), bcc })
+    Ok(MeshParts { points, chunks, order, halo: Halo::of(plan), bcc, times })
 }

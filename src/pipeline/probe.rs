@@ -6,6 +6,9 @@
 //!
 //! Each sample is in exactly one tetrahedron ([`crate::raster`]), so each is written exactly once, by whichever chunk has that
 //! tetrahedron, and chunks need not wait for each other. Memory: some chunks, and a window for each.
+//!
+//! The own tetrahedra of a mesh may overlap. Then the value of the first one counts. A bit a sample tells which are taken; where two chunks
+//! have one, all is done again on one thread, chunk by chunk.
 
 use super::commit::domain_volume6;
 use super::need;
@@ -18,6 +21,7 @@ use crate::grid::{Geometry, IndexBox};
 use crate::raster::{Axis, SampleGrid, Scanner, interpolate};
 use serde::Serialize;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
@@ -128,35 +132,88 @@ struct GridScan<'a> {
     grid: SampleGrid,
     /// Whether the tetrahedra do not fill the domain: where there is none, there is no value.
     has_gaps: bool,
+    /// Whether tetrahedra may overlap.
+    may_overlap: bool,
+}
+
+/// Samples that have a value, where tetrahedra may overlap.
+struct TakenSamples {
+    bits: Vec<AtomicU64>,
+    /// Whether a sample was taken twice.
+    twice: AtomicBool,
+    counted: Mutex<Counted>,
+}
+
+/// Bytes for bits of so many samples.
+fn taken_bytes(samples: u64) -> u64 {
+    8 * samples.div_ceil(64)
+}
+
+impl TakenSamples {
+    fn new(samples: u64) -> Self {
+        let bits = (0..samples.div_ceil(64)).map(|_| AtomicU64::new(0)).collect();
+        Self { bits, twice: AtomicBool::new(false), counted: Mutex::default() }
+    }
+
+    /// Takes the samples of a run that nobody has, and hands them on.
+    fn take(&self, first: u64, run: &[f32], write: impl Fn(u64, &[f32]) -> Result<()>) -> Result<()> {
+        let is_free = |n: usize| {
+            let (word, bit) = ((first + n as u64) / 64, 1 << ((first + n as u64) % 64));
+            self.bits[word as usize].fetch_or(bit, Ordering::Relaxed) & bit == 0
+        };
+        let free: Vec<bool> = (0..run.len()).map(is_free).collect();
+        if free.contains(&false) {
+            self.twice.store(true, Ordering::Relaxed);
+        }
+        let (mut at, mut counted) = (0, Counted::default());
+        for group in free.chunk_by(|a, b| a == b) {
+            let values = &run[at..at + group.len()];
+            if group[0] {
+                counted.set += values.len() as u64;
+                counted.void += values.iter().filter(|v| v.is_nan()).count() as u64;
+                write(first + at as u64, values)?;
+            }
+            at += group.len();
+        }
+        self.counted.lock().unwrap_or_else(PoisonError::into_inner).add(counted);
+        Ok(())
+    }
 }
 
 impl<'a> GridScan<'a> {
     fn new(archive: &'a OpenArchive, dims: [u64; 3], settings: &'a ProbeSettings) -> Result<Self> {
         let grid = spanning_grid(archive, dims)?;
         let axes = 4 * dims.iter().sum::<u64>();
-        let share = |memory: u64| memory.saturating_sub(need::BASE + axes);
+        let may_overlap = archive.manifest.plan.own.is_some();
+        let bits = if may_overlap { taken_bytes(dims.iter().product()) } else { 0 };
+        let share = |memory: u64| memory.saturating_sub(need::BASE + axes + bits);
         let visit =
             Visit::new(archive, Blocks::All, settings.threads, share(settings.memory), &settings.cancel)?;
         visit.check_memory(settings.memory, share, 4 * WINDOW)?;
-        let has_gaps = visit.volume6()? != domain_volume6(&archive.manifest.plan.lattice);
-        Ok(Self { visit, grid, has_gaps })
+        let plan = &archive.manifest.plan;
+        // The tetrahedra of a mesh may overlap: their volume tells nothing.
+        let has_gaps = may_overlap || visit.volume6()? != domain_volume6(&plan.lattice);
+        Ok(Self { visit, grid, has_gaps, may_overlap })
     }
 
-    /// Hands all samples to `write`, in runs, from any thread in any order; returns the number of those without a value.
+    /// Hands all samples to `write`, in runs, from any thread in any order; returns the number of those without a value. Where tetrahedra
+    /// overlap, some samples are handed on again.
     fn run(
         &self,
         samples: u64,
         progress: &dyn Progress,
         write: impl Fn(u64, &[f32]) -> Result<()> + Sync,
     ) -> Result<u64> {
-        progress.begin("probe", self.visit.chunks.len() as u64, "chunks");
-        let mut total = Counted::default();
-        let job = |_, chunk: DecodedChunk| scan_chunk(&chunk, &self.grid, &write);
-        self.visit.each(4 * WINDOW, progress, job, |_, counted| {
-            total.set += counted.set;
-            total.void += counted.void;
-            Ok(())
-        })?;
+        if self.may_overlap {
+            let (mut total, twice) = self.scan_taking(&self.visit, samples, progress, &write)?;
+            if twice {
+                let Visit { archive, memory, cancel, .. } = self.visit;
+                let in_order = Visit::new(archive, Blocks::All, 1, memory, cancel)?;
+                total = self.scan_taking(&in_order, samples, progress, &write)?.0;
+            }
+            return Ok(total.void + (samples - total.set));
+        }
+        let total = self.scan(&self.visit, progress, &write)?;
         if total.set == samples || (self.has_gaps && total.set < samples) {
             return Ok(total.void + (samples - total.set));
         }
@@ -164,6 +221,37 @@ impl<'a> GridScan<'a> {
         let path = self.visit.archive.path();
         Err(Error::bad_input(path, "tetrahedra", expected, total.set.to_string())
             .with_help("isospan check tells more"))
+    }
+
+    /// Hands the samples of all chunks to `write`.
+    fn scan(
+        &self,
+        visit: &Visit<'_>,
+        progress: &dyn Progress,
+        write: impl Fn(u64, &[f32]) -> Result<()> + Sync,
+    ) -> Result<Counted> {
+        progress.begin("probe", visit.chunks.len() as u64, "chunks");
+        let mut total = Counted::default();
+        let job = |_, chunk: DecodedChunk| scan_chunk(&chunk, &self.grid, self.may_overlap, &write);
+        visit.each(4 * WINDOW, progress, job, |_, counted| {
+            total.add(counted);
+            Ok(())
+        })?;
+        Ok(total)
+    }
+
+    /// As [`GridScan::scan`], but each sample once. Tells also whether two chunks had one.
+    fn scan_taking(
+        &self,
+        visit: &Visit<'_>,
+        samples: u64,
+        progress: &dyn Progress,
+        write: impl Fn(u64, &[f32]) -> Result<()> + Sync,
+    ) -> Result<(Counted, bool)> {
+        let taken = TakenSamples::new(samples);
+        self.scan(visit, progress, |first, run: &[f32]| taken.take(first, run, &write))?;
+        let counted = taken.counted.into_inner().unwrap_or_else(PoisonError::into_inner);
+        Ok((counted, taken.twice.into_inner()))
     }
 }
 
@@ -197,10 +285,18 @@ struct Counted {
     void: u64,
 }
 
+impl Counted {
+    fn add(&mut self, other: Self) {
+        self.set += other.set;
+        self.void += other.void;
+    }
+}
+
 /// Samples the tetrahedra of a chunk, and hands runs of samples (the number of the first in the grid, their values) to `write`.
 fn scan_chunk(
     chunk: &DecodedChunk,
     grid: &SampleGrid,
+    may_overlap: bool,
     write: impl Fn(u64, &[f32]) -> Result<()>,
 ) -> Result<Counted> {
     let mut counted = Counted::default();
@@ -215,7 +311,9 @@ fn scan_chunk(
             let void = values.iter().any(|v| v.is_nan());
             scanner.each_run(tet.map(|v| chunk.positions[v as usize]), |place, run| {
                 for (sample, &weights) in samples[place..].iter_mut().zip(run) {
-                    *sample = if void { f32::NAN } else { interpolate(weights, values) };
+                    if !may_overlap || sample.to_bits() == UNSET {
+                        *sample = if void { f32::NAN } else { interpolate(weights, values) };
+                    }
                 }
                 counted.set += run.len() as u64;
                 counted.void += if void { run.len() as u64 } else { 0 };

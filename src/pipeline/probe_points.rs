@@ -346,10 +346,14 @@ fn find_each(
     let mut is_found = vec![0u64; batch.numbers().div_ceil(64)];
     visit.each(extra, progress, job, |_, found: Found| {
         let lists = found.values.len().checked_div(found.points.len()).unwrap_or(1);
-        found.points.iter().zip(found.values.chunks(lists.max(1))).for_each(|(&n, at)| {
-            is_found[n as usize / 64] |= 1 << (n % 64);
-            each(n, at, true);
-        });
+        // The own tetrahedra of a mesh may overlap: the first one's value counts.
+        for (&n, at) in found.points.iter().zip(found.values.chunks(lists.max(1))) {
+            let (word, bit) = (&mut is_found[n as usize / 64], 1 << (n % 64));
+            if *word & bit == 0 {
+                *word |= bit;
+                each(n, at, true);
+            }
+        }
         Ok(())
     })?;
     let mut chunks_read = visit.chunks.len() as u64;

@@ -450,13 +450,16 @@ fn completed(
 ) -> Result<ReduceReport> {
     let steps = &made.steps[before..];
     let ranges = steps.iter().filter_map(Step::told_range);
+    let own = series.plan.mesh.own.is_some();
     Ok(ReduceReport {
+        own,
         points: made.counts.points,
         void_points: steps.iter().map(|s| s.void_points).sum(),
         tetrahedra: made.counts.tetrahedra,
         chunks: made.counts.chunks,
         blocks: made.counts.blocks,
-        halo_retries: made.halo_retries,
+        // No halo was made of a mesh's own tetrahedra.
+        halo_retries: if own { 0 } else { made.halo_retries },
         grid_cells: made.steps[0].coordinates.map(|c| c.cells),
         range: ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]),
         quantiser: series.plan.first().told_quantiser(),

@@ -2,22 +2,20 @@
 //!
 //! ```text
 //!  mesh ─▶ store (files) ─▶ how much of the box is filled ─▶ plan: points of the box ─▶ boundary samples, cells by brick ─▶ produce
+//!                       └▶ asked for whole ─▶ plan: its own vertices ─▶ its own cells by brick ─────────────────────────┘
 //! ```
 //!
 //! The amount is that of points **with a value**, the boundary's samples included. The set fills the box, so it has more.
 
 use super::field::NanPolicy;
 use super::job::{Job, ReduceReport, RunSettings, finished, scratch_folder, threads};
-use super::mesh_series::{MeshFields, Prepared, offset_of, prepare};
+use super::mesh_series::{Laid, MeshFields, Prepared, offset_of, prepare};
 use super::need::{Estimate, Need, Question, free_bytes};
 use super::plan::{MeshParts, Plan, ReduceSettings, parts};
 use super::reduce::{MOST_SMALL_STEPS_AT_ONCE, folder_bytes, made_before, need_of, produce};
 use super::series::{Means, SeriesPlan};
 use crate::cells::CellMesh;
-use crate::domain::boundary::BoundarySamples;
-use crate::domain::buckets::Buckets;
 use crate::domain::store::{BadValue, StoreSettings};
-use crate::domain::vertices::Vertices;
 use crate::error::{Error, Result};
 use crate::sample::{Interpolation, Values};
 use std::path::Path;
@@ -40,7 +38,7 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     let reading = Instant::now();
     job.progress.begin("read the mesh", 0, "points");
     let settings = store_settings(job.settings, job.run, &scratch, offset_of(job)?);
-    let Prepared { store, series, boundary, wanted } = prepare(job, &settings)?;
+    let Prepared { store, series, listed, wanted } = prepare(job, &settings)?;
     let mut seconds = vec![("read".to_owned(), reading.elapsed().as_secs_f64())];
     job.part.expect_planned(&series)?;
     if let Some(report) = made_before(job, &series, wanted)? {
@@ -48,14 +46,12 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     }
     let plan = &series.plan;
     let parts = parts(&plan.mesh, series.beside.clone())?;
-    let (held, memory) = (boundary_bytes(&boundary), job.run.memory);
+    let (held, memory) = (listed.bytes(), job.run.memory);
     let need = need_of(&parts, held, plan.steps.len(), memory, job.run);
     estimate_of(plan, &need, memory, job.out, job.run, (&scratch, 0))?.check()?;
     let shares = need.shares(memory, threads(job.run))?;
     let sorting = Instant::now();
-    let buckets = Buckets::new(&store, &plan.mesh.bricks(), &settings)?;
-    let is_fitted = plan.first().values == Values::Fit;
-    let vertices = is_fitted.then(|| Vertices::new(&store, &plan.mesh.bricks(), &settings)).transpose()?;
+    let laid = Laid::new(listed, &store, plan, &settings)?;
     seconds.push(("sort".to_owned(), sorting.elapsed().as_secs_f64()));
     let report = ReduceReport {
         samples: store.census.vertices,
@@ -66,15 +62,7 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
         ..ReduceReport::default()
     };
     let bricks = plan.mesh.bricks();
-    let fields = MeshFields {
-        store: &store,
-        buckets: &buckets,
-        boundary: &boundary,
-        fitted_to: vertices.as_ref(),
-        bricks,
-        settings,
-        last: Mutex::default(),
-    };
+    let fields = MeshFields { store: &store, laid, bricks, settings, last: Mutex::default() };
     produce(job, series, &Means { parts: &parts, fields: &fields, shares, at_once: need.steps() }, report)
 }
 
@@ -82,11 +70,11 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
 pub(super) fn plan_mesh(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimate)> {
     let (settings, scratch) = (job.settings, scratch_folder(job.run));
     job.progress.begin("read the mesh", 0, "points");
-    let Prepared { store, series, boundary, .. } =
+    let Prepared { store, series, listed, .. } =
         prepare(job, &store_settings(settings, job.run, &scratch, offset_of(job)?))?;
     let plan = &series.plan;
     let parts = parts(&plan.mesh, series.beside.clone())?;
-    let (held, memory) = (boundary_bytes(&boundary), job.run.memory);
+    let (held, memory) = (listed.bytes(), job.run.memory);
     let bytes = scratch_bytes([store.census.vertices, store.census.cells], job);
     let need = need_of(&parts, held, plan.steps.len(), memory, job.run);
     let estimate = estimate_of(plan, &need, memory, job.out, job.run, (&scratch, bytes))?;
@@ -132,11 +120,6 @@ fn store_settings<'a>(
         offset,
         cancel: &run.cancel,
     }
-}
-
-/// Memory of the boundary's samples and of the list of their positions.
-fn boundary_bytes(boundary: &BoundarySamples) -> u64 {
-    boundary.held().saturating_mul(100)
 }
 
 /// Of a mesh of so many points and cells.

@@ -24,6 +24,7 @@ use super::make::Rooms;
 use super::measure::{MeasureSettings, StepErrors, field_errors};
 use super::need::Shares;
 use super::open::OpenArchive;
+use super::own::OwnMesh;
 use super::plan::{MeshParts, Plan};
 use super::reduce::grid_coordinates;
 use super::rounds::Taken;
@@ -217,6 +218,11 @@ pub(super) fn is_of_data(error: &Error) -> bool {
 pub(super) trait Fields {
     /// That of the `n`-th step of the plan.
     fn open<'a>(&'a self, series: &SeriesPlan, n: usize) -> Result<Box<dyn Field + 'a>>;
+
+    /// The mesh whose own tetrahedra are kept, where they are.
+    fn own(&self) -> Option<OwnMesh<'_>> {
+        None
+    }
 }
 
 /// A pass that did not succeed.
@@ -364,13 +370,14 @@ impl Making<'_> {
             }
         };
         self.progress.begin(&stage, self.points(), "points");
-        let Means { parts, shares, .. } = self.means;
+        let Means { parts, fields: source, shares, .. } = self.means;
         let recipe = Recipe {
             points: &parts.points,
             bricks: plan.mesh.bricks(),
             order: parts.order,
             halo: parts.halo,
             bcc: parts.bcc,
+            own: source.own(),
         };
         let (rooms, bad) = (Rooms::default(), Mutex::default());
         let first = self.old.map_or(plan.first(), |old| &old.steps[0].plan);

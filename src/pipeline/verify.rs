@@ -7,7 +7,7 @@
 //! * unpacked blocks, where there are any, are those that would be made now;
 //! * the error of a volume's step is that of all chunks together.
 
-use super::commit::{domain_volume6, index_entries, mesh_summary, value_summary};
+use super::commit::{index_entries, mesh_summary, value_summary, whole_volume6};
 use super::gauge::stored_error;
 use super::open::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
 use super::repair::strays;
@@ -151,9 +151,9 @@ fn check_step(archive: &OpenArchive, check: &mut ArchiveCheck) -> Result<()> {
     Ok(())
 }
 
-/// The tetrahedra fill the box, and are as many as the manifest says.
+/// The tetrahedra fill the box, or have the volume of the mesh that they are from, and are as many as the manifest says.
 fn check_totals(archive: &OpenArchive, volume6: i128, check: &ArchiveCheck) -> Result<()> {
-    let (path, whole) = (archive.path(), domain_volume6(&archive.manifest.plan.lattice));
+    let (path, whole) = (archive.path(), whole_volume6(&archive.manifest.plan));
     if volume6 != whole {
         let expected = format!("a volume of {whole}/6 lattice cells");
         return Err(Error::bad_input(path, "tetrahedra", expected, volume6.to_string()));

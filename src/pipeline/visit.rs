@@ -154,7 +154,8 @@ impl<'a> Visit<'a> {
         mut take: impl FnMut(usize, T) -> Result<()>,
     ) -> Result<()> {
         let pool = pool(self.threads)?;
-        let most = 2 * pool.current_num_threads();
+        // One thread takes chunk after chunk, so its jobs run in order.
+        let most = if self.threads == 1 { 1 } else { 2 * pool.current_num_threads() };
         let mut done = 0;
         while done < self.chunks.len() {
             self.cancel.check()?;

@@ -3,6 +3,9 @@
 //! The boundary of a tetrahedral mesh has any shape, so its samples are a list, made once and kept with the archive. The list is
 //! sorted by the cells of a coarse grid, x fastest, and within a cell by x, y, z, each position once; the id of a point is its
 //! place in that order. A box finds its points by looking at the cells that it meets.
+//!
+//! The vertices of a mesh may be listed too ([`ExplicitPoints::with_repeats`]). Of those, several may share a position: bodies that touch have
+//! vertices of their own. Each is a point then, and they follow each other.
 
 use crate::geom::{Lattice, LatticeBox, LatticePos, PointClass, PointId, Site};
 
@@ -57,11 +60,24 @@ impl ExplicitPoints {
     /// # Panics
     /// When there are more than [`ExplicitPoints::MOST`], or one lies outside.
     pub fn new(lattice: &Lattice, mut positions: Vec<LatticePos>) -> Self {
+        positions.sort_unstable();
+        positions.dedup();
+        Self::of_sorted(lattice, positions)
+    }
+
+    /// As [`ExplicitPoints::new`], but each position stays as often as it is there.
+    ///
+    /// # Panics
+    /// As [`ExplicitPoints::new`].
+    pub fn with_repeats(lattice: &Lattice, mut positions: Vec<LatticePos>) -> Self {
+        positions.sort_unstable();
+        Self::of_sorted(lattice, positions)
+    }
+
+    fn of_sorted(lattice: &Lattice, mut positions: Vec<LatticePos>) -> Self {
         assert!(positions.len() <= Self::MOST, "the caller bounds the list");
         let domain = lattice.domain();
         assert!(positions.iter().all(|&p| domain.contains(p)), "points lie in the domain");
-        positions.sort_unstable();
-        positions.dedup();
         let grid = Cells::new(lattice, positions.len());
         // Stable: within a cell the order stays that of x, y, z.
         positions.sort_by_key(|&p| grid.number(grid.of(p)));
@@ -90,7 +106,7 @@ impl ExplicitPoints {
         self.positions.is_empty()
     }
 
-    /// The place in the list of a position.
+    /// The place in the list of a position; the first, where it is there more than once.
     pub fn find(&self, p: LatticePos) -> Option<usize> {
         let c = self.grid.of(p);
         if (0..3).any(|a| c[a] >= self.grid.dims[a]) {
@@ -98,7 +114,8 @@ impl ExplicitPoints {
         }
         let n = self.grid.number(c);
         let (from, to) = (self.starts[n] as usize, self.starts[n + 1] as usize);
-        self.positions[from..to].binary_search(&p).ok().map(|i| from + i)
+        let first = from + self.positions[from..to].partition_point(|&q| q < p);
+        (first < to && self.positions[first] == p).then_some(first)
     }
 
     /// Calls `visit` with the place in the list of each point of a box within the domain, in ascending order of cells.
@@ -199,6 +216,20 @@ mod tests {
         assert_eq!(list.position(3000), None);
         assert_eq!(list.find([u32::MAX; 3]), None);
         assert!(ExplicitPoints::new(&lattice(), vec![]).is_empty());
+    }
+
+    #[test]
+    fn repeats_follow_each_other_where_they_are_kept() {
+        let points = mixed(900);
+        let thrice: Vec<_> = points.iter().chain(&points).chain(&points).copied().collect();
+        let list = ExplicitPoints::with_repeats(&lattice(), thrice.clone());
+        assert_eq!(list.len(), 3 * ExplicitPoints::new(&lattice(), thrice).len());
+        for p in points {
+            let first = list.find(p).unwrap();
+            assert_eq!(list.positions()[first..first + 3], [p; 3]);
+            assert!(first == 0 || list.positions()[first - 1] != p);
+        }
+        assert_eq!(list.find([u32::MAX; 3]), None);
     }
 
     proptest! {

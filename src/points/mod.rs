@@ -10,7 +10,7 @@
 //!
 //! scaled to the domain box and rounded to its [`Lattice`], halves up, in integers throughout. All but the regular
 //! set and the lattice get samples of the domain's boundary besides (`boundary`), and a set may have a list of points that follow no formula
-//! ([`ExplicitPoints`]). A Halton set may be denser in some places than in others ([`Levels`], `graded`).
+//! ([`ExplicitPoints`]). The own vertices of a mesh are such a list and nothing else ([`PointSpec::Own`]). A Halton set may be denser in some places than in others ([`Levels`], `graded`).
 //!
 //! A point is its [`PointId`]: [`PointSet::position`] is a formula, so positions need not be stored. And a box finds
 //! its own points ([`PointSet::sites_in`]) from the formula, whatever the size of the whole set: no pass over all
@@ -80,6 +80,8 @@ pub struct PointSet {
 enum Interior {
     Net(Net),
     Grids(Grids),
+    /// All points are listed.
+    Nothing,
 }
 
 impl PointSet {
@@ -92,9 +94,10 @@ impl PointSet {
         let spec = spec.canonical();
         let interior = Interior::new(&spec, &lattice)
             .ok_or_else(|| Error::usage(format!("a {} set has at most {MOST_POINTS} points", spec.kind())))?;
-        let spacing_q16 = mean_spacing_q16(&lattice, interior.len());
+        let points = if let PointSpec::Own { n } = spec { n } else { interior.len() };
+        let spacing_q16 = mean_spacing_q16(&lattice, points);
         let boundary = match spec {
-            PointSpec::Regular { .. } | PointSpec::Bcc { .. } => None,
+            PointSpec::Regular { .. } | PointSpec::Bcc { .. } | PointSpec::Own { .. } => None,
             PointSpec::Halton { .. } => Some(Boundary::new(lattice.max(), spacing_q16, true)),
             _ => Some(Boundary::new(lattice.max(), spacing_q16, false)),
         };
@@ -134,6 +137,11 @@ impl PointSet {
             && self.explicit.is_none()
     }
 
+    /// Whether its points are the own vertices of a mesh.
+    pub fn is_own(&self) -> bool {
+        matches!(self.spec, PointSpec::Own { .. })
+    }
+
     /// What the set was made from.
     pub fn spec(&self) -> &PointSpec {
         &self.spec
@@ -159,7 +167,7 @@ impl PointSet {
         self.graded.as_ref().map_or(self.interior.len(), |g| g.interior_len())
     }
 
-    /// Never true: a set has at least one point.
+    /// Never true: a set has at least one point, once the listed ones are there.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -179,15 +187,17 @@ impl PointSet {
         let interior = match &self.interior {
             Interior::Net(net) => net.count_in(&b),
             Interior::Grids(grids) => grids.count_in(&b),
+            Interior::Nothing => 0,
         };
         interior + self.boundary.as_ref().map_or(0, |s| s.count_in(&b)) + listed
     }
 
-    /// Replaces `out` by all sites whose position lies in the box: each position once, with the lowest of its ids,
+    /// Replaces `out` by all sites whose position lies in the box: each position once, with the lowest of its ids (of own vertices all),
     /// sorted along a Hilbert curve through the box, with cells at most as wide as [`PointSet::order_bits`] says, then by x, y, z.
     pub fn sites_in(&self, b: &LatticeBox, out: &mut Vec<Site>) {
         self.candidates_in(b, out);
-        order::sort_and_dedup(out, &b.intersect(&self.lattice.domain()), self.order_bits());
+        let repeats = self.is_own();
+        order::sort_and_dedup(out, &b.intersect(&self.lattice.domain()), self.order_bits(), repeats);
     }
 
     /// As [`PointSet::sites_in`], but in no particular order and with duplicate positions: for a caller that merges
@@ -213,6 +223,7 @@ impl PointSet {
         match &self.interior {
             Interior::Net(net) => net.sites_in(b, out),
             Interior::Grids(grids) => grids.sites_in(b, out),
+            Interior::Nothing => {}
         }
         if let Some(boundary) = &self.boundary {
             boundary.sites_in(b, out);
@@ -242,6 +253,7 @@ impl PointSet {
             PointClass::Interior => match &self.interior {
                 Interior::Net(net) => net.position(id.index()),
                 Interior::Grids(grids) => grids.position(id.index()),
+                Interior::Nothing => None,
             },
             PointClass::Explicit => self.explicit.as_ref()?.position(id.index()),
             class => self.boundary.as_ref()?.position(class, id.index()),
@@ -309,6 +321,7 @@ impl Interior {
             PointSpec::HyperbolicCross { m, k, r } => Self::Grids(Grids::hyperbolic_cross(m, k, r, lattice)?),
             PointSpec::Regular { counts } => Self::Grids(Grids::regular(counts, lattice)?),
             PointSpec::Bcc { cells } => Self::Grids(Grids::bcc(cells, lattice)?),
+            PointSpec::Own { .. } => Self::Nothing,
         })
     }
 
@@ -317,6 +330,7 @@ impl Interior {
         match self {
             Self::Net(net) => net.share_in(b),
             Self::Grids(grids) => grids.count_in(b) as f64,
+            Self::Nothing => 0.0,
         }
     }
 
@@ -324,6 +338,7 @@ impl Interior {
         match self {
             Self::Net(net) => net.len(),
             Self::Grids(grids) => grids.len(),
+            Self::Nothing => 0,
         }
     }
 }

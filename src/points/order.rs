@@ -35,10 +35,10 @@ impl Cells {
     }
 }
 
-/// Sorts the sites of a box by (Hilbert key, x, y, z) and keeps the lowest id of each position.
+/// Sorts the sites of a box by (Hilbert key, x, y, z, id) and keeps the lowest id of each position; all, where `repeats` are points.
 ///
 /// What is sorted is the key and the number of the site, by radix. Keys are nearly distinct; sites of equal keys are put in order afterwards.
-pub(super) fn sort_and_dedup(sites: &mut Vec<Site>, b: &LatticeBox, bits: u32) {
+pub(super) fn sort_and_dedup(sites: &mut Vec<Site>, b: &LatticeBox, bits: u32, repeats: bool) {
     let (cells, number) =
         (Cells::new(b, bits), |i| u32::try_from(i).expect("fewer sites than 2^32 fit in memory"));
     let mut sorted: Vec<Site> = Vec::with_capacity(sites.len());
@@ -46,12 +46,12 @@ pub(super) fn sort_and_dedup(sites: &mut Vec<Site>, b: &LatticeBox, bits: u32) {
         let mut keys: Vec<u64> =
             sites.iter().enumerate().map(|(i, s)| cells.key(s.pos) << 32 | u64::from(number(i))).collect();
         sort_short(&mut keys, 3 * cells.bits);
-        append(keys.iter().map(|&k| (k >> 32, k as u32)), sites, &mut sorted);
+        append(keys.iter().map(|&k| (k >> 32, k as u32)), sites, &mut sorted, repeats);
     } else {
         let mut keys: Vec<(u64, u32)> =
             sites.iter().enumerate().map(|(i, s)| (cells.key(s.pos), number(i))).collect();
         radix_sort(&mut keys, &mut vec![]);
-        append(keys.into_iter(), sites, &mut sorted);
+        append(keys.into_iter(), sites, &mut sorted, repeats);
     }
     *sites = sorted;
 }
@@ -73,26 +73,29 @@ fn sort_short(keys: &mut Vec<u64>, bits: u32) {
     }
 }
 
-/// Appends sites in the order of their keys, those of equal keys by position, each position once.
+/// Appends sites in the order of their keys, those of equal keys by position, each position once unless there are `repeats`.
 #[inline(always)]
-fn append(keys: impl Iterator<Item = (u64, u32)>, sites: &[Site], sorted: &mut Vec<Site>) {
+fn append(keys: impl Iterator<Item = (u64, u32)>, sites: &[Site], sorted: &mut Vec<Site>, repeats: bool) {
     let (mut last, mut start) = (u64::MAX, 0);
     for (key, i) in keys {
         if key != last {
             if sorted.len() - start > 1 {
-                end_run(start, sorted);
+                end_run(start, sorted, repeats);
             }
             (last, start) = (key, sorted.len());
         }
         sorted.push(sites[i as usize]);
     }
-    end_run(start, sorted);
+    end_run(start, sorted, repeats);
 }
 
 /// Orders the last sites, which have one key.
 #[cold]
-fn end_run(start: usize, sorted: &mut Vec<Site>) {
+fn end_run(start: usize, sorted: &mut Vec<Site>, repeats: bool) {
     sorted[start..].sort_unstable_by_key(|s| (s.pos, s.id));
+    if repeats {
+        return;
+    }
     let mut kept = start;
     for i in start + 1..sorted.len() {
         if sorted[i].pos != sorted[kept].pos {
@@ -122,8 +125,11 @@ mod tests {
                 assert!(cells.key(b.hi.map(|x| x - 1)) < 1 << (3 * cells.bits));
                 let mut expected = sites.clone();
                 expected.sort_by_key(|s| (cells.key(s.pos), s.pos, s.id));
+                let mut all = sites.clone();
+                sort_and_dedup(&mut all, &b, bits, true);
+                assert_eq!(all, expected, "{bits}");
                 expected.dedup_by_key(|s| s.pos);
-                sort_and_dedup(&mut sites, &b, bits);
+                sort_and_dedup(&mut sites, &b, bits, false);
                 assert_eq!(sites, expected, "{bits}");
             }
         }
@@ -137,7 +143,7 @@ mod tests {
         let mut sites: Vec<Site> = (0..24 * 24 * 24)
             .map(|i| Site { id: PointId(i.into()), pos: [at(i, 0), at(i / 24, 1), at(i / 576, 2)] })
             .collect();
-        sort_and_dedup(&mut sites, &b, 9);
+        sort_and_dedup(&mut sites, &b, 9, false);
         let octant = |s: &Site| (0..3).map(|a| u32::from(2 * (s.pos[a] - lo[a]) >= edge) << a).sum::<u32>();
         assert_eq!(sites.chunk_by(|s, t| octant(s) == octant(t)).count(), 8);
     }
@@ -146,7 +152,7 @@ mod tests {
     fn nothing_and_one() {
         for n in [0, 1] {
             let mut sites = vec![Site { id: PointId(3), pos: [1, 2, 3] }; n];
-            sort_and_dedup(&mut sites, &LatticeBox { lo: [0; 3], hi: [1 << 24; 3] }, 21);
+            sort_and_dedup(&mut sites, &LatticeBox { lo: [0; 3], hi: [1 << 24; 3] }, 21, false);
             assert_eq!(sites.len(), n);
         }
     }

@@ -1,6 +1,7 @@
 //! Which point set: its parameters as they are stored, and their choice from a wanted number of points.
 
 use super::MOST_POINTS;
+use super::explicit::ExplicitPoints;
 use super::grids::{bcc_len, hyperbolic_cross_len};
 use crate::error::{Error, Result};
 use crate::geom::Lattice;
@@ -23,10 +24,12 @@ pub enum SetKind {
     /// The body-centred cubic lattice.
     #[serde(rename = "lattice")]
     Bcc,
+    /// The own vertices of a mesh. It is not chosen by name: a mesh that is asked for whole has it.
+    Own,
 }
 
 impl SetKind {
-    /// All kinds, in the order in which they are presented.
+    /// All kinds that are chosen by name, in the order in which they are presented.
     pub const ALL: [Self; 5] =
         [Self::Hammersley, Self::Halton, Self::HyperbolicCross, Self::Regular, Self::Bcc];
 
@@ -38,6 +41,7 @@ impl SetKind {
             Self::HyperbolicCross => "hyperbolic-cross",
             Self::Regular => "regular",
             Self::Bcc => "lattice",
+            Self::Own => "own",
         }
     }
 }
@@ -95,6 +99,11 @@ pub enum PointSpec {
         /// Cells along each axis: at least 1, at most half the axis's lattice steps.
         cells: [u32; 3],
     },
+    /// Listed points alone: the own vertices of a mesh. Several may share a position.
+    Own {
+        /// Number of points, at least 1 and at most [`ExplicitPoints::MOST`].
+        n: u64,
+    },
 }
 
 /// What [`PointSpec::with_count`] may not choose itself.
@@ -137,6 +146,7 @@ impl PointSpec {
             SetKind::HyperbolicCross => nearest_cross(count, settings),
             SetKind::Regular => Self::Regular { counts: nearest_counts(count, lattice.dims) },
             SetKind::Bcc => Self::Bcc { cells: nearest_cells(count, lattice) },
+            SetKind::Own => Self::Own { n: count },
         };
         spec.check(lattice)?;
         Ok(spec.canonical())
@@ -160,13 +170,14 @@ impl PointSpec {
             Self::HyperbolicCross { .. } => SetKind::HyperbolicCross,
             Self::Regular { .. } => SetKind::Regular,
             Self::Bcc { .. } => SetKind::Bcc,
+            Self::Own { .. } => SetKind::Own,
         }
     }
 
     /// Number of interior points, not to be asked of parameters that [`PointSpec::check`] refuses.
     fn interior(&self) -> u128 {
         match *self {
-            Self::Hammersley { n, .. } | Self::Halton { n } => u128::from(n),
+            Self::Hammersley { n, .. } | Self::Halton { n } | Self::Own { n } => u128::from(n),
             Self::HyperbolicCross { m, k, r } => hyperbolic_cross_len(m, k, r),
             Self::Regular { counts } => counts.iter().map(|&c| u128::from(c)).product(),
             Self::Bcc { cells } => bcc_len(cells),
@@ -212,6 +223,13 @@ impl PointSpec {
                         return refuse("an axis of a lattice", c, &format!("1 to {} cells", max / 2));
                     }
                 }
+            }
+            Self::Own { n } if n > ExplicitPoints::MOST as u64 => {
+                return refuse(
+                    "the number of listed points",
+                    n,
+                    &format!("at most {}", ExplicitPoints::MOST),
+                );
             }
             _ => {}
         }
