@@ -177,3 +177,46 @@ fn an_archive_larger_than_its_source_is_told_after_a_search() {
     assert!(text.contains("  ratio       1/1.") && text.contains(" of the source (62.5 KiB): "), "{text}");
     assert!(text.contains(" bits a sample, the source 8.00\n"), "{text}");
 }
+
+/// Where the mesh itself would be the better archive, that is said once: before work by its size, or after it by the error.
+#[test]
+fn a_mesh_that_would_better_be_kept_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    let noise = |p: [f64; 3]| (1e4 * (p[0] * 12.9898 + p[1] * 78.233 + p[2] * 37.719).sin()).fract();
+    common::write_mesh(&d.join("small.vtk"), 8, |_| true, |p| p, |p| p[0]);
+    common::write_mesh(&d.join("large.vtk"), 26, |_| true, |p| p, noise);
+    let asked = |input: &str, more: &[&str]| {
+        notices(d, &[&["reduce", input, "-o", "m.isospan", "--force"], more].concat())
+    };
+    let small = "isospan: small.vtk: 91 points of its 729 vertices take about 5.7 KiB, and have an error: \
+                 --fraction 1 keeps the mesh itself, with no error, in about 15.6 KiB";
+    assert_eq!(asked("small.vtk", &["--dry-run"]), [small]);
+    assert_eq!(asked("small.vtk", &[]), [small]);
+    let rounded = asked("small.vtk", &["--dry-run", "--value-bits", "8"]);
+    assert!(rounded.len() == 1 && rounded[0].contains("no error but that of --value-bits"), "{rounded:?}");
+    for kept in [&["--fraction", "1"][..], &["--count", "729"]] {
+        assert_eq!(asked("small.vtk", kept), [""; 0]);
+    }
+    let more = "isospan: small.vtk: --count 800 asks for 800 points, more than its 729 vertices: \
+                the mesh itself is kept, as by --fraction 1";
+    assert_eq!(asked("small.vtk", &["--count", "800"]), [more]);
+    let more = "isospan: small.vtk: --fraction 2 asks for 1 458 points, more than its 729 vertices: \
+                --fraction 1 keeps the mesh itself, with no error";
+    assert_eq!(asked("small.vtk", &["--fraction", "2", "--dry-run"]), [more]);
+    // Other points were asked for by name.
+    assert_eq!(asked("small.vtk", &["--points", "halton", "--dry-run"]), [""; 0]);
+    // A large mesh: nothing is known before its error is.
+    assert_eq!(asked("large.vtk", &["--dry-run"]), [""; 0]);
+    let said = asked("large.vtk", &[]);
+    assert!(said.len() == 1 && said[0].contains("large.vtk: the RMS error is "), "{said:?}");
+    assert!(
+        said[0].ends_with("--fraction 1 keeps the mesh itself, with no error, in about 293.2 KiB"),
+        "{said:?}"
+    );
+    let nearly = asked("large.vtk", &["--fraction", "0.7"]);
+    assert!(
+        nearly.len() == 1 && nearly[0].contains("13 778 points of its 19 683 vertices take"),
+        "{nearly:?}"
+    );
+}

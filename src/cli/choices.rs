@@ -14,9 +14,10 @@ pub(crate) struct Choices {
     #[arg(long, value_enum)]
     points: Option<Set>,
     /// Number of points as a fraction of the samples: 1/8, 0.125 or 12.5% [default: 1/8]; of a mesh, of its vertices, boundary included.
+    /// At 1 a mesh is kept as it is: its own vertices and tetrahedra, with no error; not with other --points, --interp, or --adapt.
     #[arg(long, value_name = "FRACTION", value_parser = text::parse_fraction, conflicts_with = "count")]
     fraction: Option<f64>,
-    /// Number of points (of a volume, boundary samples come on top).
+    /// Number of points (of a volume, boundary samples come on top). That of a mesh's vertices, or more, keeps the mesh as --fraction 1 does.
     #[arg(long, value_name = "N")]
     count: Option<u64>,
     /// More points where the field needs them and fewer elsewhere, as many in all: the volume is read once more to find where (of a series up

@@ -266,9 +266,10 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     if let Some(mesh) = s.mesh {
         let _ = writeln!(
             out,
-            "  mesh        {} vertices, {} tetrahedra",
+            "  mesh        {} vertices, {} tetrahedra{}",
             text::count(mesh.vertices),
-            text::count(mesh.tetrahedra)
+            text::count(mesh.tetrahedra),
+            if s.own { ", kept as they are" } else { "" }
         );
     }
     let fitted = if s.values == "fit" { ", fitted to the samples" } else { "" };

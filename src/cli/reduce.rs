@@ -133,7 +133,8 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
         let _ = writeln!(out, "{}", text::grid_cells(&cells));
     }
     if let Some(mesh) = report.mesh {
-        let _ = writeln!(out, "{}", text::mesh_census(&mesh));
+        let kept = if report.own { "; kept as it is" } else { "" };
+        let _ = writeln!(out, "{}{kept}", text::mesh_census(&mesh));
     }
     if report.void_points > 0 {
         let _ = writeln!(out, "  void        {} points without a value", text::count(report.void_points));

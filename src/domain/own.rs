@@ -28,8 +28,8 @@ use crate::points::ExplicitPoints;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Bytes of a vertex while the list is made: its position twice, its cell, how many of its position were met, whether it is used.
-pub(crate) const POINT_BYTES: u64 = 64;
+/// Bytes of a vertex while the list is made: its position, once more while that is sorted, its part of the grid, whether it is used.
+pub(crate) const POINT_BYTES: u64 = 32;
 /// Tetrahedra or vertices between two looks at whether to stop.
 const BATCH: usize = 1 << 15;
 /// The place of a vertex that no tetrahedron has.
@@ -63,8 +63,9 @@ impl OwnVertices {
         }
         let mut used = vec![false; positions.len()];
         let volume6 = check_tets(store, settings, path, &mut used)?;
-        let listed = positions.iter().zip(&used).filter(|(_, used)| **used).map(|(&p, _)| rounded(p));
-        let points = ExplicitPoints::with_repeats(&store.frame.lattice, listed.collect());
+        let mut listed = Vec::with_capacity(used.iter().filter(|used| **used).count());
+        listed.extend(positions.iter().zip(&used).filter(|(_, used)| **used).map(|(&p, _)| rounded(p)));
+        let points = ExplicitPoints::with_repeats(&store.frame.lattice, listed);
         // Of one position, the vertices have places by ascending numbers.
         let mut met = vec![0u32; points.len() as usize];
         let mut places = ColumnWriter::new(settings.scratch)?;

@@ -5,6 +5,7 @@
 
 use super::field::NanPolicy;
 use super::job::{Job, ReduceReport};
+use super::mesh_series::keeps_own;
 use super::plan::{Amount, ReduceSettings, count_of};
 use super::scan::{Scan, scan};
 use super::survey::{Fill, Seen, Stretch, Survey, survey_mesh, survey_volume, watched};
@@ -30,6 +31,15 @@ const ROUNDED_POINT_BYTES: f64 = 3.0;
 const LATTICE_POINT_BYTES: f64 = 3.5;
 const LEAST_POINT_BYTES: f64 = 0.15;
 const STEP_BYTES: f64 = 2.0;
+/// Bytes of a point with a value of a mesh: 6 to 10 as measured. Of an own vertex with its tetrahedra, 7 to 15; and of a further step of those. Of any archive.
+const MESH_POINT_BYTES: f64 = 9.0;
+const OWN_BYTES: f64 = 15.0;
+const OWN_STEP_BYTES: f64 = 4.0;
+const LEAST_BYTES: f64 = 5000.0;
+/// From this part of a mesh's vertices on, its own vertices take less than twice the bytes, and have no error.
+const NEARLY_ALL: f64 = 2.0 / 3.0;
+/// An RMS error of a mesh from this part of the range on is worth a word, where the mesh itself would have none.
+const LARGE_ERROR: f64 = 0.05;
 /// Smaller archives are not worth a word.
 const SMALL: u64 = 256 << 10;
 
@@ -86,6 +96,15 @@ pub enum Finding {
         points: u64,
         /// Samples of a volume; vertices of a mesh.
         samples: u64,
+    },
+    /// The own vertices of a mesh would be the better archive.
+    OwnIsBetter {
+        /// Points asked for.
+        points: u64,
+        /// Vertices of the mesh.
+        vertices: u64,
+        /// Bytes of an archive of its own vertices, about.
+        own: u64,
     },
     /// The archive takes more bytes than its source.
     LargerThanSource {
@@ -146,6 +165,16 @@ impl Notice {
         Self::new(path, Finding::Stretched { count, value, others }, &text)
     }
 
+    /// That the own vertices of a mesh would be the better archive; `why` says so of the one that was asked for.
+    fn of_own(path: &Path, points: u64, vertices: u64, own: u64, why: &str, rounded: bool) -> Self {
+        let error = if rounded { "no error but that of --value-bits" } else { "no error" };
+        let text = format!(
+            "{why}: --fraction 1 keeps the mesh itself, with {error}, in about {}",
+            bytes_text(own, f64::round)
+        );
+        Self::new(path, Finding::OwnIsBetter { points, vertices, own }, &text)
+    }
+
     /// That an archive of so many bytes was made of a source, if it is the larger one.
     pub(super) fn of_size(path: &Path, archive: u64, size: &SourceSize, target: bool) -> Option<Self> {
         let help = if target { "a larger error" } else { "fewer points (--fraction)" };
@@ -201,8 +230,38 @@ impl Looked {
             }
             notices.push(larger);
         }
+        if let Some(better) = own_is_better(path, &report, &notices, job) {
+            job.progress.notice(&better.text);
+            notices.push(better);
+        }
         ReduceReport { source_bytes: size.map(|s| s.bytes), notices, ..report }
     }
+}
+
+/// That a mesh was reduced with a large error, where it would have had none; unless something of the kind was said before.
+fn own_is_better(path: &Path, report: &ReduceReport, said: &[Notice], job: &Job<'_>) -> Option<Notice> {
+    let is_said = said.iter().any(|n| matches!(n.finding, Finding::OwnIsBetter { .. }));
+    let (error, vertices) = (report.error.as_ref()?, report.samples);
+    let [lo, hi] = error.source_range?;
+    let share = error.rms / (hi - lo);
+    let could = report.mesh.is_some() && !report.own && could_keep_own(job.settings);
+    if is_said || !could || report.points == 0 || share.is_nan() || share < LARGE_ERROR {
+        return None;
+    }
+    let why = format!("the RMS error is {:.0} % of the range", 100.0 * share);
+    let own = own_bytes(vertices, job.sources.len());
+    let rounded = job.settings.value_bits.is_some();
+    Some(Notice::of_own(path, report.inner_points, vertices, own, &why, rounded))
+}
+
+/// Bytes of an archive of a mesh's own vertices, about.
+fn own_bytes(vertices: u64, steps: usize) -> u64 {
+    (LEAST_BYTES + vertices as f64 * (OWN_BYTES + OWN_STEP_BYTES * steps.saturating_sub(1) as f64)) as u64
+}
+
+/// Whether all vertices of a mesh would be kept with these settings, were they asked for.
+fn could_keep_own(settings: &ReduceSettings) -> bool {
+    keeps_own(&ReduceSettings { amount: Amount::Fraction(1.0), ..settings.clone() }, 0)
 }
 
 /// Looks at the sources of a reduction, and tells what is found before work begins. Of steps that are added to an archive (`further`), points and interpolation are chosen already.
@@ -305,6 +364,7 @@ fn of_numbers(
         return vec![];
     }
     let (mut out, path) = (vec![], &source.path);
+    let own = matches!(input, Input::Mesh(mesh) if keeps_own(settings, mesh.info().points));
     let (samples, asked, points) = match input {
         Input::Volume(volume) => {
             let dims = volume.info().dims;
@@ -327,6 +387,10 @@ fn of_numbers(
         };
         let [what, help] = match input {
             Input::Volume(_) => ["samples", "--points regular --fraction 1 has a point at each sample"],
+            Input::Mesh(_) if own => ["vertices", "the mesh itself is kept, as by --fraction 1"],
+            Input::Mesh(_) if could_keep_own(settings) => {
+                ["vertices", "--fraction 1 keeps the mesh itself, with no error"]
+            }
             Input::Mesh(_) => ["vertices", "--fraction 1 asks for as many as there are"],
         };
         let [asked_text, samples_text] = [asked, samples].map(grouped);
@@ -342,7 +406,21 @@ fn of_numbers(
         None => POINT_BYTES,
     };
     let each = point.min(POINT_BYTES) + STEP_BYTES * (steps - 1) as f64;
-    let archive = (points as f64 * each) as u64;
+    let archive = if own { own_bytes(samples, steps) } else { (points as f64 * each) as u64 };
+    if let Input::Mesh(_) = input {
+        let (of_own, rounded) = (own_bytes(samples, steps), settings.value_bits.is_some());
+        let is_much = asked as f64 >= NEARLY_ALL * samples as f64 || of_own <= SMALL;
+        if asked < samples && is_much && could_keep_own(settings) {
+            let bytes = (LEAST_BYTES + asked as f64 * MESH_POINT_BYTES) as u64;
+            let why = format!(
+                "{} points of its {} vertices take about {}, and have an error",
+                grouped(asked),
+                grouped(samples),
+                bytes_text(bytes, f64::round)
+            );
+            out.push(Notice::of_own(path, asked, samples, of_own, &why, rounded));
+        }
+    }
     if archive > size.bytes.max(SMALL) {
         let flags = smaller(archive, size.bytes, settings);
         let text = format!(

@@ -113,6 +113,8 @@ pub struct ArchiveSummary {
     pub grid_cells: Option<CellCount>,
     /// Of a tetrahedral mesh: what it had.
     pub mesh: Option<MeshSource>,
+    /// Whether points and tetrahedra are those of that mesh.
+    pub own: bool,
     /// The point set, with its parameters.
     pub point_set: serde_json::Value,
     /// Where the density of the points differs from place to place: each level, the coarsest first.
@@ -233,6 +235,7 @@ pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
         geometry: source.geometry,
         grid_cells: archive.coordinate_record().map(|c| c.cells),
         mesh: source.mesh,
+        own: archive.manifest.plan.own.is_some(),
         point_set: serde_json::json!(plan.points),
         levels: archive.points.levels().map_or_else(Vec::new, |levels| LevelSummary::all(&archive, levels)),
         interpolation: step.plan.interpolation.name().into(),
