@@ -4,7 +4,7 @@
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use isospan::archive::chunk::{ChunkEncoder, TetBlock, TetScratch};
-use isospan::archive::values::{BLOCK_VALUES, decode_values, encode_values};
+use isospan::archive::values::{BLOCK_VALUES, KnownOfBlock, ValueBlocks, decode_values, encode_values};
 use isospan::archive::vertices::ChunkVertices;
 use isospan::geom::curve::Order;
 use isospan::geom::{Lattice, LatticePos};
@@ -91,14 +91,16 @@ fn values(c: &mut Criterion) {
         .collect();
     let mut group = c.benchmark_group("values");
     group.sample_size(10).throughput(Throughput::Elements(POINTS));
-    group.bench_function("encode", |b| b.iter(|| encode_values(black_box(&values), None, None).len()));
-    let blocks = encode_values(&values, None, None);
+    let of = ValueBlocks::even(values.len());
+    group.bench_function("encode", |b| b.iter(|| encode_values(black_box(&values), &of, None, None).len()));
+    let blocks = encode_values(&values, &of, None, None);
     let mut out = vec![];
     group.bench_function("decode", |b| {
         b.iter(|| {
             out.clear();
             for (block, part) in blocks.iter().zip(values.chunks(BLOCK_VALUES)) {
-                decode_values(black_box(block), part.len(), &[], &mut out).expect("the block was just made");
+                let known = KnownOfBlock { n: part.len(), ..KnownOfBlock::default() };
+                decode_values(black_box(block), &known, &mut out).expect("the block was just made");
             }
             out.len()
         });

@@ -474,7 +474,7 @@ pub(crate) fn parts(plan: &MeshPlan, beside: Beside) -> Result<MeshParts> {
         None => ChunkGrid::new(plan.bricks(), plan.chunk_target, move |b| counter.count_in(b))?,
     };
     let times =
-         plan.own.map_or(1, |own| (own.tetrahedra / points.len().max(1)).div_ceil(TETS_A_POINT).max(1));
+        plan.own.map_or(1, |own| (own.tetrahedra / points.len().max(1)).div_ceil(TETS_A_POINT).max(1));
     let order = Order { bits: plan.order_bits };
     Ok(MeshParts { points, chunks, order, halo: Halo::of(plan), bcc, times })
 }

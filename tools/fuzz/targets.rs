@@ -9,7 +9,7 @@ use isospan::archive::manifest::{
 };
 use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use isospan::archive::summary::{MeshSummary, ValueSummary};
-use isospan::archive::values::decode_values;
+use isospan::archive::values::{KnownOfBlock, Quantiser, decode_values};
 use isospan::archive::vertices::{ChunkHeader, decode_flags, decode_ids};
 use isospan::bytes::IoMode;
 use isospan::cells::scan::{scan, scan_field};
@@ -101,8 +101,15 @@ pub(crate) fn blocks(bytes: &[u8]) -> Result<()> {
     match which {
         0 => ChunkHeader::decode(block).map(drop).map_err(blame),
         1 => tetrahedra(block).map_err(blame),
-        2 => decode_values(block, block.len() % 5000, &vec![1.5; block.len() % 5000], &mut vec![])
-            .map_err(blame),
+        2 => {
+            let (n, quantiser) = (block.len() % 5000, Quantiser::new(8, [0.0, 1.0]));
+            let cells = [8, 8, 1 + block.len() as u32 % 8];
+            let n =
+                if block.len().is_multiple_of(2) { n } else { 2 * cells.iter().product::<u32>() as usize };
+            let before = vec![1.5; n];
+            let known = KnownOfBlock { n, cells: Some(cells), quantiser: Some(&quantiser), before: &before };
+            decode_values(block, &known, &mut vec![]).map_err(blame)
+        }
         3 => MeshSummary::decode(block).map(drop).map_err(blame),
         4 => ValueSummary::decode(block).map(drop).map_err(blame),
         5 => decode_flags(block, &mut vec![false; block.len() % 5000]).map_err(blame),
