@@ -295,8 +295,8 @@ mod tests {
                 let mut back = vec![0; values.len()];
                 assert!(decode(template, &bytes, &mut back), "{cells:?} {bits}");
                 assert_eq!(back, values);
-                // Noise takes its bits and little more.
-                let most = template.len() * (bits as usize + 2) / 8 + 16;
+                // Noise takes its bits and few more: of the sign, the length, and odds that are not its own.
+                let most = template.len() * (bits as usize + 4) / 8 + 16;
                 assert!(bytes.len() <= most, "{} bytes for {bits} bits", bytes.len());
             }
         }
@@ -312,7 +312,8 @@ mod tests {
         }
         let mut bytes = vec![];
         encode(template, &values, &mut bytes);
-        assert!(bytes.len() < 1024 * 3 / 8, "{}", bytes.len());
+        // Of the 8 that each would take for itself.
+        assert!(bytes.len() < 1024 * 4 / 8, "{}", bytes.len());
     }
 
     #[test]

@@ -776,10 +776,10 @@ pub(crate) mod tests {
         .unwrap();
         let e = Manifest::read(dir.path()).unwrap_err().to_string();
         assert!(e.contains("got 9, for programs of format 8 on; use a newer isospan"), "{e}");
-        let old = r#"{"format":"isospan archive","format_version":3,"oldest_reader":3}"#;
+        let old = r#"{"format":"isospan archive","format_version":4,"oldest_reader":4}"#;
         std::fs::write(&path, old).unwrap();
         let e = Manifest::read(dir.path()).unwrap_err().to_string();
-        assert!(e.contains("expected format 4 or later, got 3; an earlier isospan has made it"), "{e}");
+        assert!(e.contains("expected format 5 or later, got 4; an earlier isospan has made it"), "{e}");
         std::fs::write(&path, "{}").unwrap();
         assert!(
             Manifest::read(dir.path()).unwrap_err().to_string().contains("manifest of an isospan archive")
