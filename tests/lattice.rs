@@ -1,0 +1,121 @@
+//! Archives of lattices: their mesh follows by formula, so all that other archives answer must hold without it.
+
+mod common;
+
+use common::*;
+use isospan::Archive;
+use isospan::exec::Silent;
+use isospan::formats::{OpenOptions, StepSource};
+use isospan::pipeline::{
+    self, Amount, AppendSettings, NanPolicy, ReduceSettings, UnpackSettings, check_archive, unpack,
+};
+use isospan::points::SetKind;
+use isospan::sample::Values;
+use std::fs;
+
+fn lattice(amount: Amount, chunk_points: u64) -> ReduceSettings {
+    settings(SetKind::Bcc, amount, chunk_points)
+}
+
+#[test]
+fn a_linear_field_comes_back_up_to_the_faces() {
+    let dir = tempfile::tempdir().unwrap();
+    let (input, out) = (dir.path().join("ramp.npy"), dir.path().join("ramp.isospan"));
+    write_npy(&input, [33, 20, 47], |x, y, z| 2.0 * x + 3.0 * y - z);
+    for values in [Values::Sample, Values::Fit] {
+        for count in [40, 700, 9_000] {
+            let settings = ReduceSettings { values, ..lattice(Amount::Count(count), 2_000) };
+            let report = reduce(&input, &settings, &out, 2);
+            let error = report.error.unwrap();
+            assert_eq!((error.samples, error.measured), (33 * 20 * 47, 33 * 20 * 47), "all lie in the mesh");
+            assert!(error.max < 1e-5, "{values:?} {count}: {}", error.max);
+            assert_eq!(report.range, Some([-6.0, 6.0]), "the corners are points");
+            check_archive(&out).unwrap();
+            fs::remove_dir_all(&out).unwrap();
+        }
+    }
+}
+
+#[test]
+fn cells_of_any_size_are_sound() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("waves.npy");
+    write_npy(&input, [150, 9, 140], waves);
+    // Bricks of 8, 4 and 2 cells; cells longer than 64 voxels, whose mesh is stored.
+    for (count, stored) in [(20_000, false), (600, false), (60, false), (15, true)] {
+        let out = dir.path().join(format!("{count}.isospan"));
+        let fitted = ReduceSettings { values: Values::Fit, ..lattice(Amount::Count(count), 250_000) };
+        reduce(&input, &fitted, &out, 2);
+        let mesh = fs::metadata(out.join("mesh/000000.seg")).unwrap().len();
+        assert_eq!(mesh > 200, stored, "{count}: {mesh} bytes of mesh");
+        check_archive(&out).unwrap();
+    }
+}
+
+#[test]
+fn rounded_steps_with_holes_are_the_same_however_they_are_made() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps: Vec<StepSource> = (0..4)
+        .map(|t| {
+            let path = dir.path().join(format!("{t}.npy"));
+            let moved = 0.05 * f64::from(t);
+            write_npy(&path, [40, 36, 34], |x, y, z| {
+                if x * x + y * y < 0.02 { f64::NAN } else { waves(x + moved, y, z) }
+            });
+            StepSource { time: Some(f64::from(t)), ..StepSource::new(&path, &OpenOptions::default()) }
+        })
+        .collect();
+    let settings = ReduceSettings {
+        values: Values::Fit,
+        value_bits: Some(7),
+        nan: NanPolicy::Mask,
+        ..lattice(Amount::Fraction(0.3), 4_000)
+    };
+    let out = |name: &str| dir.path().join(name);
+    let make = |steps: &[StepSource], name: &str, threads| {
+        pipeline::reduce_series(steps, &settings, &out(name), &run(threads), &Silent).unwrap()
+    };
+    make(&steps, "all.isospan", 2);
+    make(&steps, "one.isospan", 1);
+    assert!(folder(&out("all.isospan")) == folder(&out("one.isospan")), "threads");
+    make(&steps[..2], "grown.isospan", 2);
+    let more = AppendSettings::default();
+    pipeline::append(&steps[2..], &more, &out("grown.isospan"), &run(2), &Silent).unwrap();
+    assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")), "appended");
+    check_archive(&out("all.isospan")).unwrap();
+
+    // Packed, unpacked and asked again, in one chunk and in many.
+    let (all, large) = (out("all.isospan"), out("large.isospan"));
+    let in_one = ReduceSettings { chunk_points: 1_000_000, ..settings.clone() };
+    pipeline::reduce_series(&steps, &in_one, &large, &run(2), &Silent).unwrap();
+    for step in [0.0, 1.5, 3.0] {
+        let choice = pipeline::StepChoice::Time(step);
+        let ask = |path: &std::path::Path| {
+            let archive = Archive::open_at(path, choice).unwrap();
+            [archive.surface(0.1).unwrap(), archive.surface(0.1).unwrap()]
+        };
+        let [packed, kept] = ask(&all);
+        assert!(packed.triangles.len() > 1_000);
+        assert_eq!(packed, kept, "kept blocks");
+        assert_eq!(triangle_set(&packed), triangle_set(&ask(&large)[0]), "chunks");
+        if step == 3.0 {
+            let settings = UnpackSettings { step: choice, ..UnpackSettings::default() };
+            assert!(unpack(&all, &settings, &Silent).unwrap().files[0].blocks > 0);
+            assert_eq!(packed, ask(&all)[0], "unpacked");
+            check_archive(&all).unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_surface_of_a_lattice_reads_the_bricks_that_it_crosses() {
+    let dir = tempfile::tempdir().unwrap();
+    let (input, out) = (dir.path().join("ball.npy"), dir.path().join("ball.isospan"));
+    write_npy(&input, [90, 90, 90], |x, y, z| (x * x + y * y + z * z).sqrt());
+    let rounded = ReduceSettings { value_bits: Some(8), ..lattice(Amount::Fraction(0.5), 20_000) };
+    let report = reduce(&input, &rounded, &out, 2);
+    let small = surface(&out, 0.1, &dir.path().join("s.ply"), 1);
+    let large = surface(&out, 0.9, &dir.path().join("l.ply"), 1);
+    let read = [&small, &large].map(|r| r.bytes_read as f64 / report.archive_bytes as f64);
+    assert!(small.triangles > 500 && read[0] < 0.1 && read[1] < 0.9, "{read:?}");
+}
