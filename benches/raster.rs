@@ -86,7 +86,7 @@ fn bench(c: &mut Criterion) {
             b.iter(|| {
                 let room = &mut Room::new(&mut memory);
                 let mut fit = Fit::new(mesh, &[&values], room);
-                let edge = window_edge([16; 3]);
+                let edge = window_edge([16.0; 3]);
                 for (window, tets) in Windows::new(&grid, edge, &positions, &tets, room).iter() {
                     let read = |_, _, out: &mut [f32]| {
                         out.fill(1.0);

@@ -56,9 +56,9 @@ fn the_least_that_works_is_named_and_works() {
 fn what_is_named_for_a_mesh_is_of_all_memory() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
-    write_mesh(&d.join("ball.vtk"), 10, |_| true, |p| p, |p| p[0] + p[1] * p[2]);
+    write_mesh(&d.join("ball.vtk"), 24, |_| true, |p| p, |p| p[0] + p[1] * p[2]);
     let reduce = |memory: &str| {
-        let settings = ["--count", "20000", "--memory", memory];
+        let settings = ["--count", "15000", "--memory", memory];
         isospan(d, &[&["-q", "reduce", "ball.vtk", "-o", "a.isospan"][..], &settings].concat())
     };
     // The samples of the boundary get a part of the memory; what is named is the whole of it. Then chunks have a need of their own.

@@ -96,6 +96,65 @@ fn no_surface_is_invented_in_a_cavity_a_hole_or_a_gap() {
     }
 }
 
+/// Sections of solids with flat, thin and round walls, along the axes and turned. The field is
+/// linear, so their areas are known.
+#[test]
+fn sections_have_the_areas_of_the_solids() {
+    let dir = tempfile::tempdir().unwrap();
+    // A rotation about (1, 2, 3).
+    let turned = |p: [f64; 3]| {
+        let axis = [1.0, 2.0, 3.0].map(|c: f64| c / 14f64.sqrt());
+        let (sin, cos) = 0.7f64.sin_cos();
+        let along: f64 = (0..3).map(|k| axis[k] * p[k]).sum();
+        std::array::from_fn(|k| {
+            let (l, m) = ((k + 1) % 3, (k + 2) % 3);
+            cos * p[k] + sin * (axis[l] * p[m] - axis[m] * p[l]) + (1.0 - cos) * along * axis[k]
+        })
+    };
+    // Angle, radius and height; the two ends of the angle are one.
+    let ring = |[a, r, z]: [f64; 3]| {
+        let (sin, cos) = if a == 1.0 { (0.0, 1.0) } else { (std::f64::consts::TAU * a).sin_cos() };
+        [(1.0 + r) * cos, (1.0 + r) * sin, z]
+    };
+    let ring_area = 7.0 * (std::f64::consts::TAU / 14.0).sin() * 3.0;
+    type Map<'a> = &'a dyn Fn([f64; 3]) -> [f64; 3];
+    type Keep<'a> = &'a dyn Fn([f64; 3]) -> bool;
+    // Cells that are kept of the cube, where they are put, the area of a section, its Euler number.
+    let cases: [(&str, Keep<'_>, Map<'_>, f64, i64); 6] = [
+        ("box", &|_| true, &|p| p, 1.0, 1),
+        ("ell", &|p| p[0] < 0.5 || p[1] < 0.5, &|p| p, 0.75, 1),
+        (
+            "channel",
+            &|p| p[0] < 2.0 / 14.0 || p[0] > 12.0 / 14.0 || p[1] < 2.0 / 14.0,
+            &|p| p,
+            1.0 - 120.0 / 196.0,
+            1,
+        ),
+        ("plate", &|_| true, &|[x, y, z]| [0.02 * x, y, z], 0.02, 1),
+        ("rod", &|_| true, &|[x, y, z]| [0.05 * x, 0.1 * y, z], 0.005, 1),
+        ("ring", &|_| true, &ring, ring_area, 0),
+    ];
+    for (name, keep, place, area, euler) in cases {
+        let input = dir.path().join(format!("{name}.vtk"));
+        for is_turned in [false, true] {
+            let placed = |p| if is_turned { turned(place(p)) } else { place(p) };
+            write_placed(&input, 14, keep, |p| (placed(p), place(p)[2]));
+            // Points of the least fraction are five times as far apart as the plate is thick.
+            let fractions = if name == "plate" { &[0.99, 0.5][..] } else { &[0.99, 0.5, 0.125] };
+            for &fraction in fractions {
+                let (archive, _) = reduced(&input, &settings(fraction), "section.isospan", &run_again());
+                for isovalue in [0.27, 0.51, 0.77] {
+                    let (_, found) = extracted(&archive, isovalue);
+                    let off = found.area / area - 1.0;
+                    let at = format!("{name}, turned {is_turned}, {fraction}, {isovalue}");
+                    assert!(off.abs() < 0.02, "{at}: {} of {area}", found.area);
+                    assert_eq!(found.euler, euler, "{at}");
+                }
+            }
+        }
+    }
+}
+
 #[test]
 fn bodies_that_touch_or_overlap_are_whole_where_the_field_jumps() {
     let dir = tempfile::tempdir().unwrap();

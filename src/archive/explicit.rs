@@ -1,7 +1,9 @@
-//! The listed points of an archive: positions for which there is no formula, in a segment of their own.
+//! The listed points of an archive: positions for which there is no formula, in a segment of their
+//! own.
 //!
-//! Blocks of up to [`BLOCK_POINTS`] positions in canonical order, the last of the rest; each block is zstd of three columns x, y, z, each the
-//! differences to the point before (the first: to 0), sign moved to the lowest bit, as varints. The plan has their number and the hash of all
+//! Blocks of up to [`BLOCK_POINTS`] positions in canonical order, the last of the rest; each block
+//! is zstd of three columns x, y, z, each the differences to the point before (the first: to 0),
+//! sign moved to the lowest bit, as varints. The plan has their number and the hash of all
 //! positions, so that a mesh is never decoded with other points.
 
 use super::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
@@ -25,13 +27,21 @@ pub struct ExplicitRecord {
     pub count: u64,
     /// XXH3 (128 bits) of the positions, x y z as u32, in order.
     pub hash: PlanHash,
+    /// No other point lies within so many lattice steps of one of these, but the corners of the
+    /// domain.
+    #[serde(default, skip_serializing_if = "is_none")]
+    pub clear: u32,
+}
+
+fn is_none(clear: &u32) -> bool {
+    *clear == 0
 }
 
 impl ExplicitRecord {
     /// Of a list.
     pub fn of(points: &ExplicitPoints) -> Self {
         let bytes: Vec<u8> = points.positions().iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
-        Self { count: points.len(), hash: PlanHash::of(&bytes) }
+        Self { count: points.len(), hash: PlanHash::of(&bytes), clear: points.clear() }
     }
 }
 
@@ -52,7 +62,8 @@ pub fn write_explicit(archive: &Path, plan: PlanHash, points: &ExplicitPoints) -
     out.finish().map(|_| ())
 }
 
-/// Reads the list that a plan speaks of, in which positions may be repeated where they are those of `own` vertices.
+/// Reads the list that a plan speaks of, in which positions may be repeated where they are those of
+/// `own` vertices.
 ///
 /// # Errors
 /// [`Error::BadInput`] when it is damaged, or another; [`Error::Io`] when it is not there.
@@ -80,7 +91,7 @@ pub fn read_explicit(
         return Err(Error::bad_input(&path, "positions", "points of the domain", format!("{p:?}")));
     }
     let list = if own { ExplicitPoints::with_repeats } else { ExplicitPoints::new };
-    let points = list(lattice, positions);
+    let points = list(lattice, positions).clearing(record.clear);
     match ExplicitRecord::of(&points) {
         found if found == *record => Ok(points),
         found => Err(Error::bad_input(&path, "positions", record.hash.to_string(), found.hash.to_string())),

@@ -1,32 +1,37 @@
-//! Samples of the boundary of a mesh, by area.
+//! Samples of the boundary of a mesh, and what they clear around them.
 //!
-//! The boundary's triangles are put behind one another along a space-filling curve; sample k sits where the area before it is
-//! (k + ½)·h², h the mean distance of the points inside: as dense as those. So each stretch of the boundary has its share, and neighbours on the
-//! curve are neighbours in space. Within its triangle (corners a, b, c) the place is
+//! Samples keep their distance from each other, corners and edges first
+//! ([`scatter`](super::scatter)), about as far apart as points inside. Positions are rounded to the
+//! lattice. A sample is a point of the mesh even where rounding has pushed it outside: then its
+//! value is interpolated in its triangle.
+//!
+//! # The boundary becomes faces
+//!
+//! Samples alone do not make the boundary a part of the tetrahedralization. A point outside that is
+//! nearer to the wall than samples are to each other takes tetrahedra that reach deep inside; to
+//! keep those lets the wall stick out, to leave them out gnaws at it. So no point of the set lies
+//! near a sample, on either side: within [`CLEAR`] mean distances, √2 times the radius of the
+//! circles between samples and more, as spheres reach further out where a body is thin.
 //!
 //! ```text
-//! (1 - √u)·a + √u·(1 - v)·b + √u·v·c      u: how far into the triangle's area, v = Φ2(k + 1)
+//!      p                A sphere through three samples whose circle has the radius r reaches a
+//!    ·╱ ╲·    a         above the wall and b below, a·b = r². Let p above and q below be at least
+//!  ──s───s──            √2·r from each sample: then both are at least r from the wall near the
+//!    ·╲ ╱·    b         circle's middle, and no sphere through s and p holds q. So the triangle is
+//!      q                a face of the Delaunay tetrahedralization: a flat wall is made of faces.
 //! ```
 //!
-//! which spreads points evenly over a triangle. Positions are rounded to the lattice. A sample is a point of the mesh even where rounding has
-//! pushed it outside: then its value is interpolated in its triangle.
-//!
-//! Where that would be more samples than the boundary has vertices, the vertices are the samples; of several bodies, as many samples. Triangles in a side of the box have none: points
-//! of the set lie there already, as densely. Places of the boundary are looked for among denser samples, which are no points of the archive.
-//!
-//! # Points outside, near the boundary
-//!
-//! The samples alone do not make the boundary a part of the tetrahedralization: a tetrahedron with a corner a little outside may
-//! reach deep inside, and to leave it out would gnaw at the mesh everywhere. So a point outside that is near the boundary gets the
-//! value of the nearest place of the boundary, and counts as a point of that body; of the tetrahedra at such points those are kept whose
-//! centroid is in the body. What is left out inside and what is kept outside then balance. Without it up to 14 % of a mesh's volume were missing.
+//! Then each tetrahedron lies on one side, and its centroid tells which. Four samples of a flat wall
+//! are a tetrahedron without thickness but what rounding gives it; it is left out.
 //!
 //! # Bodies that touch
 //!
-//! A point has one value. So where two bodies touch, each sample is two, one a little inside of either: see [`contact`](super::contact).
+//! A point has one value. So where two bodies touch, each sample is two, one a little inside of
+//! either: see [`contact`](super::contact).
 
 use super::contact::Contacts;
 use super::nearest::nearest;
+use super::scatter::scattered;
 use super::store::CellStore;
 use crate::error::{Error, Result};
 use crate::geom::{Lattice, LatticeBox, LatticePos};
@@ -59,8 +64,6 @@ pub(crate) enum Sample {
 pub(crate) struct BoundarySamples {
     pub(crate) points: Arc<ExplicitPoints>,
     samples: Vec<Sample>,
-    /// Samples of all triangles, by which the nearest place of the boundary is found.
-    near: Near,
 }
 
 /// Finds the nearest place of the boundary.
@@ -75,10 +78,8 @@ pub(super) struct Near {
 #[derive(Clone, Debug)]
 pub(crate) struct Spacing {
     /// Of each level; of one, where there are no levels.
-    by_level: Vec<u32>,
+    pub(super) by_level: Vec<u32>,
     levels: Option<Arc<Levels>>,
-    /// Whether the set has points on the sides of the box.
-    has_sides: bool,
 }
 
 impl Spacing {
@@ -96,9 +97,7 @@ impl Spacing {
             let spacing = PointSet::new(spec, lattice)?.mean_spacing();
             Ok(spacing.into_iter().max().expect("three axes"))
         };
-        let set = PointSet::new(points, lattice)?;
-        let has_sides = set.len() > set.interior_len();
-        Ok(Self { by_level: (0..=top).map(of).collect::<Result<_>>()?, levels, has_sides })
+        Ok(Self { by_level: (0..=top).map(of).collect::<Result<_>>()?, levels })
     }
 
     /// The mean distance around a position of the domain.
@@ -122,12 +121,10 @@ impl Spacing {
 
 /// Samples per square of the mean distance by which places of the boundary are found.
 const NEAR_DENSITY: f64 = 2.0;
-/// Where bodies touch there are so many times as many, a whole number: see [`contact`](super::contact).
-pub(super) const DENSER: u64 = 4;
-/// A point outside of the mesh is near its boundary within so many mean distances.
-const NEAR: f64 = 0.75;
 /// The triangle nearest to a point has a sample within so many mean distances of its nearest place, mostly.
 const AROUND: f64 = 0.75;
+/// No point that follows a formula lies within so many mean distances of a sample.
+const CLEAR: f64 = 1.2;
 
 impl BoundarySamples {
     /// Samples the boundary of a mesh whose inside has points at this mean distance.
@@ -136,63 +133,33 @@ impl BoundarySamples {
     /// [`Error::Budget`] when `memory` does not hold them.
     pub(crate) fn new(store: &CellStore, spacing: &Spacing, memory: u64, path: &Path) -> Result<Self> {
         let step = f64::from(spacing.by_level[0]) * f64::from(1u32 << FINE_BITS);
-        let (each, near_each) = (step * step, step * step / NEAR_DENSITY);
-        let positions = store.positions.get()?;
-        let triangles = store.boundary.get()?;
+        let near_each = step * step / NEAR_DENSITY;
+        let (positions, triangles) = (store.positions.get()?, store.boundary.get()?);
         let surface = Surface { positions, triangles, spacing };
-        let everywhere = |_: [FinePos; 3]| true;
-        let near_count = surface.area(everywhere) / near_each;
-        let several = store.census.bodies > 1;
-        // In the list, sorted, and while both are there; of several bodies as pairs too, and while they are located.
-        let lists = if several { 8.0 } else { 3.0 };
-        let bytes = (near_count * lists * size_of::<(LatticePos, Sample)>() as f64) as u64;
-        if bytes > memory || near_count > ExplicitPoints::MOST as f64 {
-            let what = format!("memory for {near_count:.0} samples of the boundary of {}", path.display());
+        let count = surface.area() / near_each;
+        // The list, its neighbourhoods, sorted; of several bodies pairs, places by which neighbours are found, and while they are located.
+        let lists = if store.census.bodies > 1 { 8.0 } else { 4.0 };
+        let bytes = (count * lists * size_of::<(LatticePos, Sample)>() as f64) as u64;
+        if bytes > memory || count > ExplicitPoints::MOST as f64 {
+            let what = format!("memory for {count:.0} samples of the boundary of {}", path.display());
             return Err(Error::Budget { what, needed: bytes, available: memory });
         }
         let lattice = store.frame.lattice;
-        let near = Near::new(
-            lattice,
-            spacing.clone(),
-            surface.sampled(near_each, everywhere, |k| radical_inverse(2, k + 1).to_f64()),
-        );
-        let most = fine(lattice.max());
-        let in_side = |p: [FinePos; 3]| {
-            (0..3).any(|a| p.iter().all(|p| p[a] == 0) || p.iter().all(|p| p[a] == most[a]))
-        };
-        let is_sampled = |p: [FinePos; 3]| !(spacing.has_sides && in_side(p));
-        let (vertices, sampled_area) = (surface.vertices(is_sampled), surface.area(is_sampled));
-        // Not more than the boundary's own vertices, but where bodies touch: there samples are denser, and of those elsewhere only some stay.
-        let (samples, every) = if several {
-            let each = each.max(sampled_area / vertices.len().max(1) as f64);
-            (surface.sampled(each / DENSER as f64, is_sampled, turned), DENSER as usize)
-        } else if sampled_area / each > vertices.len() as f64 {
-            (vertices, 1)
-        } else {
-            (surface.sampled(each, is_sampled, |k| radical_inverse(2, k + 1).to_f64()), 1)
-        };
-        let samples = if several {
-            Contacts { near: &near, store, lattice, spacing }.split(&samples, every)?
+        let samples = scattered(store, &surface)?;
+        let samples: Vec<(LatticePos, Sample)> = if store.census.bodies > 1 {
+            let near = Near::new(lattice, spacing.clone(), surface.sampled(near_each));
+            Contacts { near: &near, store, lattice, spacing }.split(&samples)?
         } else {
             samples.into_iter().map(|(p, s)| (p, Sample::On(s))).collect()
         };
         let (points, samples) = sorted(lattice, &samples);
-        Ok(Self { points: Arc::new(points), samples, near })
+        let clear = (CLEAR * f64::from(spacing.by_level[0])).round() as u32;
+        Ok(Self { points: Arc::new(points.clearing(clear)), samples })
     }
 
     /// The sample at a position.
     pub(crate) fn at(&self, pos: LatticePos) -> Option<&Sample> {
         self.points.find(pos).map(|i| &self.samples[i])
-    }
-
-    /// How many samples places of the boundary are found by.
-    pub(crate) fn held(&self) -> u64 {
-        self.points.len() + self.near.points.len()
-    }
-
-    /// The place of the boundary that is nearest to a position, if it is near: within [`NEAR`] of the mean distance.
-    pub(crate) fn near(&self, store: &CellStore, pos: LatticePos) -> Result<Option<OnBoundary>> {
-        self.near.nearest_of(store, pos, NEAR, |_, _| true)
     }
 }
 
@@ -209,60 +176,47 @@ fn sorted<T: Copy>(lattice: Lattice, samples: &[(LatticePos, T)]) -> (ExplicitPo
 }
 
 /// The triangles of a boundary.
-struct Surface<'a> {
-    positions: &'a [FinePos],
-    triangles: &'a [[u64; 4]],
-    spacing: &'a Spacing,
+pub(super) struct Surface<'a> {
+    pub(super) positions: &'a [FinePos],
+    pub(super) triangles: &'a [[u64; 4]],
+    pub(super) spacing: &'a Spacing,
 }
 
 impl Surface<'_> {
-    /// Those that are accepted, with their corners and their shares: where points are denser than at level 0, as if the triangle were larger.
-    fn each(
-        &self,
-        accept: impl Fn([FinePos; 3]) -> bool,
-    ) -> impl Iterator<Item = ([u64; 4], [FinePos; 3], f64)> {
-        let corners = |&[a, b, c, _]: &[u64; 4]| [a, b, c].map(|v| self.positions[v as usize]);
-        let share = |p: [FinePos; 3]| area(p) * self.spacing.denser(rounded(mean(p, [1.0 / 3.0; 3])));
-        let with_corners = self.triangles.iter().map(move |t| (*t, corners(t)));
-        with_corners.filter(move |&(_, p)| accept(p)).map(move |(t, p)| (t, p, share(p)))
+    pub(super) fn corners(&self, [a, b, c, _]: [u64; 4]) -> [FinePos; 3] {
+        [a, b, c].map(|v| self.positions[v as usize])
     }
 
-    fn area(&self, accept: impl Fn([FinePos; 3]) -> bool) -> f64 {
-        self.each(accept).map(|(_, _, share)| share).sum()
+    /// A triangle's share of the samples: where points are denser than at level 0, as if it were larger.
+    fn share(&self, corners: [FinePos; 3]) -> f64 {
+        area(corners) * self.spacing.denser(rounded(mean(corners, [1.0 / 3.0; 3])))
     }
 
-    /// A sample for so much area each, at the place across its triangle that its number has.
-    fn sampled(
-        &self,
-        each: f64,
-        accept: impl Fn([FinePos; 3]) -> bool,
-        across: impl Fn(u64) -> f64,
-    ) -> Vec<(LatticePos, OnBoundary)> {
-        let (mut samples, mut before, mut k) = (vec![], 0.0, 0u64);
-        for ([a, b, c, body], p, area) in self.each(accept) {
+    fn area(&self) -> f64 {
+        self.triangles.iter().map(|&t| self.share(self.corners(t))).sum()
+    }
+
+    /// Calls `visit` with a place for so much area each, and the corners of its triangle.
+    pub(super) fn each_place(&self, each: f64, mut visit: impl FnMut(FinePos, OnBoundary, [FinePos; 3])) {
+        let (mut before, mut k) = (0.0, 0u64);
+        for &[a, b, c, body] in self.triangles {
+            let p = self.corners([a, b, c, body]);
+            let area = self.share(p);
             while (k as f64 + 0.5) * each < before + area {
                 let u = (((k as f64 + 0.5) * each - before) / area).clamp(0.0, 1.0).sqrt();
-                let v = across(k);
+                let v = radical_inverse(2, k + 1).to_f64();
                 let weights = [1.0 - u, u * (1.0 - v), u * v];
-                samples.push((rounded(mean(p, weights)), OnBoundary { triangle: [a, b, c], body, weights }));
+                visit(mean(p, weights), OnBoundary { triangle: [a, b, c], body, weights }, p);
                 k += 1;
             }
             before += area;
         }
-        samples
     }
 
-    /// A sample for each vertex of a body, in its first triangle.
-    fn vertices(&self, accept: impl Fn([FinePos; 3]) -> bool) -> Vec<(LatticePos, OnBoundary)> {
-        let (mut seen, mut samples) = (std::collections::HashSet::new(), vec![]);
-        for ([a, b, c, body], p, _) in self.each(accept) {
-            for (k, vertex) in [a, b, c].into_iter().enumerate() {
-                if seen.insert((vertex, body)) {
-                    let weights = std::array::from_fn(|i| f64::from(u8::from(i == k)));
-                    samples.push((rounded(p[k]), OnBoundary { triangle: [a, b, c], body, weights }));
-                }
-            }
-        }
+    /// A place for so much area each.
+    fn sampled(&self, each: f64) -> Vec<(LatticePos, OnBoundary)> {
+        let mut samples = vec![];
+        self.each_place(each, |p, place, _| samples.push((rounded(p), place)));
         samples
     }
 }
@@ -308,11 +262,6 @@ impl Near {
         }
         Ok(best.map(|(_, place)| place))
     }
-}
-
-/// Radical inverses for one of [`DENSER`] samples, and parts of a turn from them for the others: each part is spread evenly.
-fn turned(k: u64) -> f64 {
-    (radical_inverse(2, k / DENSER + 1).to_f64() + (k % DENSER) as f64 / DENSER as f64) % 1.0
 }
 
 /// `a - b`, exactly.

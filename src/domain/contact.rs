@@ -55,25 +55,21 @@ struct Placed {
 }
 
 impl Contacts<'_> {
-    /// Makes pairs of samples at places where bodies touch or overlap; of the others one of `every` so many stays.
-    pub(super) fn split(
-        &self,
-        samples: &[(LatticePos, OnBoundary)],
-        every: usize,
-    ) -> Result<Vec<(LatticePos, Sample)>> {
+    /// Makes pairs of samples at places where bodies touch or overlap; the others stay.
+    pub(super) fn split(&self, samples: &[(LatticePos, OnBoundary)]) -> Result<Vec<(LatticePos, Sample)>> {
         let (mut split, mut alone, mut beyond) = (vec![], vec![], vec![]);
-        for (k, &(pos, sample)) in samples.iter().enumerate() {
+        for &(pos, sample) in samples {
             let placed = self.placed(sample)?;
             match self.facing(pos, &placed)? {
                 Some(other) if other.body < sample.body => {}
                 Some(other) => split.extend(self.pair(&placed, &self.placed(other)?)),
                 None => {
                     beyond.push(fine(self.moved(&placed, 1.0)));
-                    alone.push((k, pos, placed));
+                    alone.push((pos, placed));
                 }
             }
         }
-        for ((k, pos, placed), found) in alone.iter().zip(self.locate(&beyond)?) {
+        for ((pos, placed), found) in alone.iter().zip(self.locate(&beyond)?) {
             let body = if found.id == Found::NOWHERE { None } else { Some(self.store.bodies.of(found.id)?) };
             match body {
                 Some(body) if body < placed.sample.body => {}
@@ -81,8 +77,8 @@ impl Contacts<'_> {
                     split.push((self.moved(placed, -1.0), Sample::On(placed.sample)));
                     split.push((self.moved(placed, 1.0), Sample::Beside));
                 }
-                _ if k % every == 0 => split.push((*pos, Sample::On(placed.sample))),
-                _ => {}
+                Some(_) => {}
+                None => split.push((*pos, Sample::On(placed.sample))),
             }
         }
         Ok(split)

@@ -26,7 +26,7 @@
 //! # Its boundary
 //!
 //! Points inside stop short of the boundary, and the reduced domain would end a point spacing too early. So the boundary is sampled
-//! too ([`boundary`]), at matching density. A tetrahedron of the reduction is **inside** if all its corners lie in one body of the
+//! too ([`boundary`]), at matching density, its corners and edges ([`creases`]) first. A tetrahedron of the reduction is **inside** if all its corners lie in one body of the
 //! mesh ([`bodies`]) and, where a corner is a boundary sample, its centroid does too: what spans a hole, a concavity, the gap between two bodies or
 //! the face at which they touch is left out.
 
@@ -36,12 +36,14 @@ pub(crate) mod boundary;
 pub(crate) mod buckets;
 pub(crate) mod column;
 mod contact;
+mod creases;
 pub(crate) mod frame;
 pub(crate) mod gradients;
 pub(crate) mod identity;
 pub(crate) mod merge;
 pub(crate) mod nearest;
 pub(crate) mod own;
+mod scatter;
 pub(crate) mod store;
 pub(crate) mod vertices;
 pub(crate) mod voxels;

@@ -2,6 +2,7 @@
 
 use super::bodies::{Bodies, BodyOf, Unions};
 use super::column::{Column, ColumnWriter};
+use super::creases::Creases;
 use super::frame::{Bounds, Frame};
 use super::identity::{Identity, IdentityHash};
 use super::merge::Firsts;
@@ -71,6 +72,8 @@ pub(crate) struct CellStore {
     pub(crate) bodies: Bodies,
     /// Triangles of the boundary, along a space-filling curve: three vertices, counter-clockwise seen from outside, and the body.
     pub(crate) boundary: Column<[u64; 4]>,
+    /// Where the boundary bends.
+    pub(super) creases: Creases,
     /// Vertices that are one.
     pub(crate) firsts: Arc<Firsts>,
     pub(crate) identity: Identity,
@@ -118,6 +121,7 @@ impl CellStore {
             return Err(Error::bad_input(path, "cells", "at least one tetrahedron", got));
         }
         let (boundary, body_of) = boundary_of(sink.faces, sink.tets.len(), positions.get()?, settings)?;
+        let creases = Creases::new(&boundary, positions.get()?, settings)?;
         let census = MeshCensus {
             vertices: positions.get()?.len() as u64,
             boundary_triangles: boundary.get()?.len() as u64,
@@ -128,7 +132,19 @@ impl CellStore {
         let (tets, bodies) = body_of.arrange(sink.tets.finish()?, settings)?;
         let volume6 = sink.volume6;
         let (firsts, identity) = (Arc::new(firsts), identity.finish());
-        Ok(Self { frame, census, positions, values, tets, bodies, boundary, firsts, identity, volume6 })
+        Ok(Self {
+            frame,
+            census,
+            positions,
+            values,
+            tets,
+            bodies,
+            boundary,
+            creases,
+            firsts,
+            identity,
+            volume6,
+        })
     }
 
     /// The values of another step on the same mesh: `mesh` with its field.

@@ -336,7 +336,7 @@ impl BccChunk {
             (0, ends) => in_piece(ends - 1),
             (3, 1 | 2 | 4) => in_piece(ABOVE + ends.trailing_zeros() as usize),
             (2, _) => {
-                let axis = (0..3).find(|&a| at[a] % 2 == 0)?;
+                let axis = (0..3).find(|&a| at[a].is_multiple_of(2))?;
                 let above = at[axis] == 2 * self.mesh.cells[axis];
                 in_piece(if above { ABOVE + axis } else { BELOW + axis })
             }
@@ -385,11 +385,11 @@ impl BccChunk {
         // Behind the last cells of each axis, and before the first ones of the domain.
         let mut layers = [[0; 2]; 3];
         for a in 0..3 {
-            for side in 0..2 {
+            for (side, first) in layers[a].iter_mut().enumerate() {
                 if side == 1 && lo[a] > 0 {
                     continue;
                 }
-                layers[a][side] = places.len() as u32;
+                *first = places.len() as u32;
                 let mut layer = block;
                 (layer.lo[a], layer.hi[a]) = (lo[a], lo[a] + 1);
                 let at = match (side, block.hi[a] == self.mesh.cells[a]) {

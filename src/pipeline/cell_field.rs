@@ -13,6 +13,7 @@ use crate::domain::store::CellStore;
 use crate::domain::vertices::Vertices;
 use crate::error::Result;
 use crate::geom::LatticePos;
+use crate::geom::predicates::signed_volume6;
 use crate::grid::{BrickGrid, BrickId, Chunk};
 use crate::locate::{
     CellBatch, Corner, FINE_BITS, FinePos, Found, PointGrid, fine, linear, quadratic, quadratic_thesis,
@@ -85,7 +86,6 @@ impl CellField<'_> {
             let place = match sample {
                 // Rounding puts a sample beside the boundary; where bodies overlap it belongs to the first of them.
                 Some(Sample::On(sample)) if sample.body < self.body(found)? => Some(*sample),
-                None if found.id == Found::NOWHERE => self.boundary.near(self.store, pos)?,
                 _ => None,
             };
             out.push(match place {
@@ -133,8 +133,8 @@ impl CellField<'_> {
         Ok(all)
     }
 
-    /// Which tetrahedra lie outside of the mesh: those whose corners are not all of one body, and of those with a corner at the
-    /// rim the ones whose centroid is not in that body.
+    /// Which tetrahedra lie outside of the mesh: those whose corners are not all of one body, and of
+    /// those with a corner at the rim the ones that are not in that body ([`Self::places_in`]).
     fn outside(&self, mesh: &MeshedChunk, spots: &[Spot], batch: &mut CellBatch) -> Result<Vec<bool>> {
         let (positions, tets) = (&mesh.all_positions, mesh.tets.whole());
         let corners = |t: usize| tets[t].map(|v| v as usize);
@@ -143,19 +143,62 @@ impl CellField<'_> {
             (a != NO_BODY && a == b && a == c && a == d).then_some(a)
         };
         let mut outside: Vec<bool> = (0..tets.len()).map(|t| body_of(t).is_none()).collect();
-        let doubtful: Vec<usize> =
-            (0..tets.len()).filter(|&t| !outside[t] && corners(t).iter().any(|&v| spots[v].rim)).collect();
-        // Four times the centroid, in lattice steps, is exact; so is the centroid in fine steps.
-        let centroid = |&t: &usize| -> FinePos {
-            let corners = corners(t).map(|v| positions[v]);
-            std::array::from_fn(|a| corners.iter().map(|c| i64::from(c[a])).sum::<i64>() << (FINE_BITS - 2))
-        };
-        let centroids: Vec<FinePos> = doubtful.iter().map(centroid).collect();
-        for (&t, found) in doubtful.iter().zip(self.locate_anywhere(&centroids, batch)?) {
-            outside[t] = Some(self.body(&found)?) != body_of(t);
+        let (mut doubtful, mut places) = (vec![], vec![]);
+        for (t, outside) in outside.iter_mut().enumerate() {
+            let at_rim = corners(t).iter().filter(|&&v| spots[v].rim).count();
+            if at_rim == 0 || *outside {
+                continue;
+            }
+            match self.places_in(corners(t).map(|v| positions[v]), at_rim == 4) {
+                Some(of_tet) => places.extend(of_tet),
+                None => *outside = true,
+            }
+            doubtful.resize(places.len(), t);
+        }
+        for (t, found) in doubtful.into_iter().zip(self.locate_anywhere(&places, batch)?) {
+            outside[t] |= Some(self.body(&found)?) != body_of(t);
         }
         Ok(outside)
     }
+
+    /// The places that a body has if a tetrahedron is in it: the centroid; of a flat one on the rim
+    /// a place on either side, as it may be a part of a wall. `None` if one lies outside of the box.
+    fn places_in(&self, corners: [LatticePos; 4], on_rim: bool) -> Option<Vec<FinePos>> {
+        // Four times the centroid, in lattice steps, is exact; so is the centroid in fine steps.
+        let centroid: FinePos =
+            std::array::from_fn(|a| corners.iter().map(|c| i64::from(c[a])).sum::<i64>() << (FINE_BITS - 2));
+        let Some(normal) = flat_normal(corners).filter(|_| on_rim) else { return Some(vec![centroid]) };
+        let domain = fine(self.store.frame.lattice.domain().hi);
+        let beside = |side: f64| -> FinePos {
+            let far = side * BESIDE * f64::from(1u32 << FINE_BITS);
+            std::array::from_fn(|a| centroid[a] + (far * normal[a]).round() as i64)
+        };
+        let sides = vec![beside(1.0), beside(-1.0)];
+        let in_box = |p: &FinePos| (0..3).all(|a| (0..domain[a]).contains(&p[a]));
+        sides.iter().all(in_box).then_some(sides)
+    }
+}
+
+/// Rounding gives a flat wall no more thickness, in lattice steps.
+const ROUNDED: f64 = 4.0;
+/// A place beside a flat wall is so far from it, in lattice steps: more than rounding moves it.
+const BESIDE: f64 = 16.0;
+
+/// The unit normal of a tetrahedron that has no thickness but what rounding gave it.
+fn flat_normal(corners: [LatticePos; 4]) -> Option<[f64; 3]> {
+    let [a, b, c, d] = corners;
+    let edge = |p: LatticePos, q: LatticePos| -> [f64; 3] {
+        std::array::from_fn(|k| f64::from(q[k]) - f64::from(p[k]))
+    };
+    let cross = |u: [f64; 3], v: [f64; 3]| {
+        [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+    };
+    let faces = [[b, c, d], [a, c, d], [a, b, d], [a, b, c]];
+    let normals = faces.map(|[p, q, r]| cross(edge(p, q), edge(p, r)));
+    let length = |n: &[f64; 3]| n.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let largest = normals.iter().max_by(|m, n| length(m).total_cmp(&length(n))).expect("four faces");
+    let is_flat = signed_volume6(a, b, c, d) as f64 <= ROUNDED * length(largest);
+    is_flat.then(|| largest.map(|c| c / length(largest)))
 }
 
 /// What values are made from, at hand.

@@ -72,7 +72,7 @@ pub(crate) struct Spot {
     pub(crate) at: Place,
     /// The body that it belongs to.
     pub(crate) body: u64,
-    /// On the boundary, or outside and near it: tetrahedra there may be outside.
+    /// On the boundary: tetrahedra there may be outside.
     pub(crate) rim: bool,
 }
 

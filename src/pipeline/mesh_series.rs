@@ -26,7 +26,7 @@ use crate::archive::repeated::RepeatedRecord;
 use crate::archive::segment::PlanHash;
 use crate::archive::values::Quantiser;
 use crate::cells::CellMesh;
-use crate::domain::amount::{COUNTABLE, next_amount, valued};
+use crate::domain::amount::{COUNTABLE, amount_between, next_amount, valued};
 use crate::domain::boundary::{BoundarySamples, Spacing};
 use crate::domain::buckets::Buckets;
 use crate::domain::column::Column;
@@ -69,7 +69,7 @@ impl Listed {
     /// The memory that they take.
     pub(super) fn bytes(&self) -> u64 {
         match self {
-            Self::Boundary(boundary) => boundary.held().saturating_mul(SAMPLE_BYTES),
+            Self::Boundary(boundary) => boundary.points.len().saturating_mul(SAMPLE_BYTES),
             Self::Own(vertices) => vertices.points.len().saturating_mul(OWN_BYTES),
         }
     }
@@ -377,7 +377,7 @@ struct Search<'a> {
 }
 
 /// Tries, at most.
-const TRIES: usize = 8;
+const TRIES: usize = 12;
 /// A number of points is met within this part of it.
 const MET: f64 = 0.005;
 
@@ -391,7 +391,7 @@ impl Search<'_> {
     ) -> Result<(T, BoundarySamples)> {
         let (wanted, most) = (self.wanted as f64, COUNTABLE);
         let mut best: Option<(f64, u64)> = None;
-        let mut tried = vec![];
+        let (mut tried, mut ends) = (vec![], [None; 2]);
         let mut count = (wanted / filled).round().max(1.0);
         for _ in 0..TRIES {
             let asked = count as u64;
@@ -424,7 +424,13 @@ impl Search<'_> {
             if off <= MET * wanted {
                 break;
             }
-            count = next_amount(wanted, asked as f64, made, filled).round();
+            let counted = (asked as f64, made);
+            ends[usize::from(made > wanted)] = Some(counted);
+            count = match ends {
+                [Some(few), Some(many)] => amount_between(wanted, few, many),
+                _ => next_amount(wanted, counted.0, made, filled),
+            }
+            .round();
         }
         let asked = best.map_or(count as u64, |(_, asked)| asked);
         let (points, levels, found) = make(asked)?;

@@ -218,7 +218,10 @@ impl<'a> ChunkReader<'a> {
             return Ok(false);
         }
         let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = &mut out.corners;
-        (numbers.clear(), positions.clear(), ids.clear(), shared.clear());
+        numbers.clear();
+        positions.clear();
+        ids.clear();
+        shared.clear();
         for (number, position, id, is_shared) in bcc.corners(&self.memory.by_formula) {
             numbers.push(number);
             positions.push(position);

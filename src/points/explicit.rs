@@ -1,11 +1,13 @@
 //! Points for which there is no formula: they are listed.
 //!
-//! The boundary of a tetrahedral mesh has any shape, so its samples are a list, made once and kept with the archive. The list is
-//! sorted by the cells of a coarse grid, x fastest, and within a cell by x, y, z, each position once; the id of a point is its
-//! place in that order. A box finds its points by looking at the cells that it meets.
+//! The boundary of a tetrahedral mesh has any shape, so its samples are a list, made once and kept
+//! with the archive. The list is sorted by the cells of a coarse grid, x fastest, and within a cell
+//! by x, y, z, each position once; the id of a point is its place in that order. A box finds its
+//! points by looking at the cells that it meets.
 //!
-//! The vertices of a mesh may be listed too ([`ExplicitPoints::with_repeats`]). Of those, several may share a position: bodies that touch have
-//! vertices of their own. Each is a point then, and they follow each other.
+//! The vertices of a mesh may be listed too ([`ExplicitPoints::with_repeats`]). Of those, several
+//! may share a position: bodies that touch have vertices of their own. Each is a point then, and
+//! they follow each other.
 
 use crate::geom::{Lattice, LatticeBox, LatticePos, PointClass, PointId, Site};
 
@@ -16,6 +18,8 @@ pub struct ExplicitPoints {
     grid: Cells,
     /// Where each cell begins, and the end.
     starts: Vec<u32>,
+    /// No other point of a set lies as near as this; 0 leaves all.
+    clear: u32,
 }
 
 /// The coarse grid: cells of 2^shift lattice steps.
@@ -23,6 +27,13 @@ pub struct ExplicitPoints {
 struct Cells {
     shift: u32,
     dims: [usize; 3],
+}
+
+/// A length where there are 2^level times as many points a volume.
+fn at_level(length: u32, level: u8) -> u32 {
+    // 2^(-1/3) and 2^(-2/3).
+    let part = [1 << 16, 52_016, 41_285][usize::from(level % 3)];
+    ((u64::from(length) * part) >> (16 + level / 3)) as u32
 }
 
 /// Points a cell of the domain, about; those that hold any hold more, as points lie on a surface.
@@ -88,7 +99,43 @@ impl ExplicitPoints {
         for i in 0..grid.len() {
             starts[i + 1] += starts[i];
         }
-        Self { positions, grid, starts }
+        Self { positions, grid, starts, clear: 0 }
+    }
+
+    /// The same list, of a set in which no other point lies within so many lattice steps of one of
+    /// these; of a denser part, as many fewer as its points are closer.
+    #[must_use]
+    pub fn clearing(self, clear: u32) -> Self {
+        Self { clear, ..self }
+    }
+
+    /// The distance within which no other point of a set lies.
+    pub fn clear(&self) -> u32 {
+        self.clear
+    }
+
+    /// Removes the sites that lie too near to a point of the list; `level` tells the level at a
+    /// position. They lie in the box.
+    pub(super) fn drop_near(
+        &self,
+        domain: &LatticeBox,
+        b: &LatticeBox,
+        sites: &mut Vec<Site>,
+        level: impl Fn(LatticePos) -> u8,
+    ) {
+        if self.clear == 0 || self.count_in(&b.grow_within([self.clear; 3], domain)) == 0 {
+            return;
+        }
+        sites.retain(|site| {
+            let reach = at_level(self.clear, level(site.pos));
+            let around =
+                LatticeBox { lo: site.pos, hi: site.pos.map(|c| c + 1) }.grow_within([reach; 3], domain);
+            let square =
+                |p: LatticePos| (0..3).map(|a| u64::from(p[a].abs_diff(site.pos[a])).pow(2)).sum::<u64>();
+            let mut is_far = true;
+            self.each_in(&around, |i| is_far &= square(self.positions[i]) >= u64::from(reach).pow(2));
+            is_far || site.id.class() == Some(PointClass::Corner)
+        });
     }
 
     /// Positions in canonical order.
@@ -118,7 +165,8 @@ impl ExplicitPoints {
         (first < to && self.positions[first] == p).then_some(first)
     }
 
-    /// Calls `visit` with the place in the list of each point of a box within the domain, in ascending order of cells.
+    /// Calls `visit` with the place in the list of each point of a box within the domain, in
+    /// ascending order of cells.
     pub fn each_in(&self, b: &LatticeBox, mut visit: impl FnMut(usize)) {
         self.each_row(b, |range, _| range.filter(|&i| b.contains(self.positions[i])).for_each(&mut visit));
     }
@@ -152,7 +200,8 @@ impl ExplicitPoints {
         count
     }
 
-    /// Calls `row` with the run of points of each cell, or row of cells, that the box meets; and whether the box has all of it.
+    /// Calls `row` with the run of points of each cell, or row of cells, that the box meets; and
+    /// whether the box has all of it.
     fn each_row(&self, b: &LatticeBox, mut row: impl FnMut(std::ops::Range<usize>, bool)) {
         if b.is_empty() || self.is_empty() {
             return;

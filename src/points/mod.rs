@@ -119,7 +119,7 @@ impl PointSet {
         self.graded.as_ref().map(|g| g.levels())
     }
 
-    /// The same set and a list of points besides.
+    /// The same set and a list of points besides, without the points that are too near to those: [`ExplicitPoints::clearing`].
     #[must_use]
     pub fn with_explicit(self, points: Arc<ExplicitPoints>) -> Self {
         Self { explicit: Some(points), ..self }
@@ -214,6 +214,8 @@ impl PointSet {
             self.append_even(&b, out);
         }
         if let Some(explicit) = &self.explicit {
+            let level = |pos| self.levels().map_or(0, |levels| levels.at(pos));
+            explicit.drop_near(&self.lattice.domain(), &b, out, level);
             explicit.sites_in(&b, out);
         }
     }
