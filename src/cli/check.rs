@@ -156,7 +156,8 @@ fn archive_text(path: &Path, r: &ArchiveCheck) -> String {
     let _ = writeln!(out, "  blocks      {} verified", text::count(r.blocks));
     let _ = writeln!(out, "  points      {}", text::count(r.points));
     let _ = writeln!(out, "  tetrahedra  {}, all positively oriented", text::count(r.tetrahedra));
-    let _ = writeln!(out, "  volume      the tetrahedra fill the domain exactly");
+    let volume = if r.own { "have the volume of the mesh, exactly" } else { "fill the domain exactly" };
+    let _ = writeln!(out, "  volume      the tetrahedra {volume}");
     let _ =
         writeln!(out, "  index       {} entries, equal to the blocks' ranges", text::count(r.index_entries));
     for file in &r.strays {

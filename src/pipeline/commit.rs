@@ -60,7 +60,7 @@ impl Made {
             }
             made.mesh.push(record(&file));
         }
-        check_volume(plan, volume6, layout.root())?;
+        check_volume(plan, [made.counts.tetrahedra.into(), volume6], layout.root())?;
         Ok(made)
     }
 
@@ -171,13 +171,14 @@ pub(super) fn last_blocks<T>(
     decode(&bytes).map_err(|m| segment.blame(chunk, block, m))
 }
 
-/// The owned tetrahedra of all chunks tile the box, or are those of the mesh: their volumes add up to its volume, exactly.
-fn check_volume(plan: &Plan, volume6: i128, out: &Path) -> Result<()> {
+/// The owned tetrahedra of all chunks tile the box, or are all of the mesh: their volumes add up to its volume, exactly.
+fn check_volume(plan: &Plan, [tets, volume6]: [i128; 2], out: &Path) -> Result<()> {
     let whole = whole_volume6(&plan.mesh);
-    if volume6 == whole {
+    let all = plan.mesh.own.map_or(tets, |own| own.tetrahedra.into());
+    if volume6 == whole && tets == all {
         return Ok(());
     }
-    let text = format!("internal error: the tetrahedra fill {volume6} of {whole} sixths");
+    let text = format!("internal error: {tets} of {all} tetrahedra fill {volume6} of {whole} sixths");
     Err(Error::io("commit", out, std::io::Error::other(text)))
 }
 

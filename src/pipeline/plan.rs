@@ -47,7 +47,8 @@ pub struct ReduceSettings {
     pub points: SetKind,
     /// Its parameters that do not follow from the amount.
     pub set: SetSettings,
-    /// Number of interior points of a volume; of points with a value of a mesh, boundary included.
+    /// Number of interior points of a volume; of points with a value of a mesh, boundary included. A mesh is kept as it is by a fraction of 1, or a count
+    /// of its vertices or more: with default points, linear interpolation, and neither `adapt` nor `target`.
     pub amount: Amount,
     /// Whether points are dense where the field needs them; a Halton set can be.
     #[serde(default)]

@@ -43,6 +43,8 @@ pub struct ArchiveCheck {
     pub points: u64,
     /// Tetrahedra.
     pub tetrahedra: u64,
+    /// Whether they are those of a mesh, which need not fill the box.
+    pub own: bool,
     /// Entries of the index.
     pub index_entries: u64,
     /// Files in the archive's folders that it does not name; nothing reads them.
@@ -56,6 +58,7 @@ pub struct ArchiveCheck {
 pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
     let mut check = ArchiveCheck::default();
     let mut archive = OpenArchive::open(path)?;
+    check.own = archive.manifest.plan.own.is_some();
     if !is_remote(path) {
         check.strays = strays(path, &archive.manifest)?;
     }
@@ -157,6 +160,10 @@ fn check_totals(archive: &OpenArchive, volume6: i128, check: &ArchiveCheck) -> R
     if volume6 != whole {
         let expected = format!("a volume of {whole}/6 lattice cells");
         return Err(Error::bad_input(path, "tetrahedra", expected, volume6.to_string()));
+    }
+    if let Some(own) = archive.manifest.plan.own.filter(|own| own.tetrahedra != check.tetrahedra) {
+        let expected = format!("the {} of the mesh", own.tetrahedra);
+        return Err(Error::bad_input(path, "tetrahedra", expected, check.tetrahedra.to_string()));
     }
     let totals = &archive.manifest.counts;
     let found = [check.points, check.tetrahedra];
