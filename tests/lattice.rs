@@ -8,7 +8,8 @@ use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Amount, AppendSettings, NanPolicy, ReduceSettings, UnpackSettings, check_archive, unpack,
+    self, Amount, AppendSettings, Bound, NanPolicy, ReduceSettings, Target, UnpackSettings, check_archive,
+    unpack,
 };
 use isospan::points::SetKind;
 use isospan::sample::Values;
@@ -118,4 +119,74 @@ fn a_surface_of_a_lattice_reads_the_bricks_that_it_crosses() {
     let large = surface(&out, 0.9, &dir.path().join("l.ply"), 1);
     let read = [&small, &large].map(|r| r.bytes_read as f64 / report.archive_bytes as f64);
     assert!(small.triangles > 500 && read[0] < 0.1 && read[1] < 0.9, "{read:?}");
+}
+
+#[test]
+fn errors_and_sizes_are_met_by_even_sets() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = dir.path().join("waves.npy");
+    write_npy(&input, [70, 60, 50], waves);
+    let targets = [
+        (SetKind::Bcc, Target::Rms(Bound::OfRange(0.01))),
+        (SetKind::Bcc, Target::Rms(Bound::Value(0.02))),
+        (SetKind::Bcc, Target::Max(Bound::Value(0.3))),
+        (SetKind::Hammersley, Target::Rms(Bound::OfRange(0.01))),
+        (SetKind::Bcc, Target::Size(24_000)),
+        (SetKind::Bcc, Target::Ratio(60.0)),
+        (SetKind::Hammersley, Target::Size(60_000)),
+    ];
+    for (n, (points, target)) in targets.into_iter().enumerate() {
+        // An index more in an archive of several chunks is a step, larger than a size can be near to.
+        let is_size = matches!(target, Target::Size(_) | Target::Ratio(_));
+        let (target, chunk) = (Some(target), if is_size { 50_000 } else { 5_000 });
+        let settings = ReduceSettings {
+            target,
+            values: Values::Fit,
+            ..settings(points, Amount::Fraction(0.125), chunk)
+        };
+        let outs = [2, 1].map(|threads| dir.path().join(format!("{n}-{threads}.isospan")));
+        let [report, again] =
+            [(0, 2), (1, 1)].map(|(i, threads)| reduce(&input, &settings, &outs[i], threads));
+        assert_eq!(folder(&outs[0]), folder(&outs[1]), "threads");
+        let told = report.target.unwrap();
+        assert_eq!(again.target, Some(told));
+        assert!(told.met && told.reached <= told.bound && told.full_cells.is_none(), "{told:?}");
+        let (error, bytes) =
+            (report.error.unwrap(), folder(&outs[0]).values().map(|f| f.len() as u64).sum::<u64>());
+        assert_eq!(bytes, report.archive_bytes);
+        match told.target {
+            Target::Rms(_) => assert!(told.reached == error.rms && error.rms > 0.7 * told.bound, "{told:?}"),
+            Target::Max(_) => assert!(told.reached == error.max && error.max > 0.5 * told.bound, "{told:?}"),
+            Target::Size(most) => assert_eq!((told.bound, told.reached), (most as f64, bytes as f64)),
+            Target::Ratio(ratio) => assert_eq!(told.bound, report.source_bytes.unwrap() as f64 / ratio),
+        }
+        if is_size {
+            assert!(told.reached > 0.9 * told.bound && error.rms < 0.2, "{told:?} {}", error.rms);
+        }
+        // Asked again, it is there.
+        assert!(reduce(&input, &settings, &outs[0], 2).made_before);
+        check_archive(&outs[0]).unwrap();
+    }
+}
+
+#[test]
+fn a_size_below_any_archive_is_not_met_and_says_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let (input, out) = (dir.path().join("waves.npy"), dir.path().join("a.isospan"));
+    write_npy(&input, [20, 20, 20], waves);
+    let settings =
+        |target| ReduceSettings { target: Some(target), ..lattice(Amount::Fraction(0.125), 5_000) };
+    let told = reduce(&input, &settings(Target::Size(100)), &out, 2).target.unwrap();
+    assert!(!told.met && told.reached > 100.0, "{told:?}");
+    let reduce = |target| {
+        let (options, out) = (OpenOptions::default(), dir.path().join("no.isospan"));
+        pipeline::reduce(&input, &options, &settings(target), &out, &run(2), &Silent).unwrap_err().to_string()
+    };
+    for target in
+        [Target::Size(0), Target::Ratio(0.0), Target::Ratio(f64::NAN), Target::Rms(Bound::Value(0.0))]
+    {
+        let e = reduce(target);
+        assert!(e.contains("above 0"), "{e}");
+    }
+    assert!(!dir.path().join("no.isospan").exists());
 }

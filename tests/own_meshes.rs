@@ -564,9 +564,9 @@ fn damaged_plans_of_kept_meshes_are_refused() {
     let manifest = archive.join("manifest.json");
     let good = std::fs::read_to_string(&manifest).unwrap();
     for (from, to) in [
-        ("\"set\": \"own\"", "\"set\": \"halton\""),
-        ("\"own\": {", "\"owm\": {"),
-        ("\"tetrahedra\": 750", "\"tetrahedra\": 751"),
+        ("\"set\":\"own\"", "\"set\":\"halton\""),
+        ("\"own\":{", "\"owm\":{"),
+        ("\"tetrahedra\":750", "\"tetrahedra\":751"),
     ] {
         let bad = good.replacen(from, to, 1);
         assert!(bad != good, "{from}: {good}");

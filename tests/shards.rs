@@ -312,11 +312,11 @@ fn a_plan_is_immutable_and_binds_the_input() {
     ok(d, &["work", "t.isospan", "--shard", "0/2"]);
     // A damaged plan, a missing one, and one of another version.
     let good = fs::read_to_string(&file).unwrap();
-    fs::write(&file, good.replace("\"shards\": 2", "\"shards\": 3")).unwrap();
+    fs::write(&file, good.replace("\"shards\":2", "\"shards\":3")).unwrap();
     let (code, text) = fails(d, &["work", "t.isospan"]);
     assert!(code == 5 && text.contains("checksum"), "{text}");
-    let version = format!("\"isospan_version\": \"{}\"", env!("CARGO_PKG_VERSION"));
-    fs::write(&file, good.replace(&version, "\"isospan_version\": \"99.0.0\"")).unwrap();
+    let version = format!("\"isospan_version\":\"{}\"", env!("CARGO_PKG_VERSION"));
+    fs::write(&file, good.replace(&version, "\"isospan_version\":\"99.0.0\"")).unwrap();
     let (code, text) = fails(d, &["commit", "t.isospan"]);
     assert!(code == 5 && text.contains("99.0.0"), "{text}");
     fs::remove_file(&file).unwrap();

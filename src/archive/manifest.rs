@@ -634,17 +634,18 @@ fn check_tiling(path: &Path, at: &str, segments: &[SegmentRecord], chunks: u64) 
     Ok(())
 }
 
-const TAIL_START: &str = ",\n  \"checksum\": \"";
+const TAIL_START: &str = ",\"checksum\":\"";
 
 /// The end of a manifest whose text so far is `body`.
 fn tail(body: &str) -> String {
-    format!("{TAIL_START}{}\"\n}}\n", PlanHash::of(body.as_bytes()))
+    format!("{TAIL_START}{}\"}}\n", PlanHash::of(body.as_bytes()))
 }
 
-/// A record as JSON for people, with a checksum of all bytes before it as its last member.
+/// A record as JSON, with a checksum of all bytes before it as its last member. It has no spaces: of
+/// a small archive they would be a tenth.
 pub(crate) fn sealed_text(record: &impl Serialize) -> String {
-    let json = serde_json::to_string_pretty(record).expect("a record is plain data");
-    let body = json.strip_suffix("\n}").expect("a pretty object ends with its brace");
+    let json = serde_json::to_string(record).expect("a record is plain data");
+    let body = json.strip_suffix('}').expect("an object ends with its brace");
     format!("{body}{}", tail(body))
 }
 

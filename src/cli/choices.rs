@@ -28,17 +28,25 @@ pub(crate) struct Choices {
     #[arg(long, value_name = "LO:HI", value_parser = parse_focus, allow_hyphen_values = true)]
     focus: Option<[f64; 2]>,
     /// Instead of a number of points: the fewest with which the root mean square error at all samples is at most E (in units of the field, or
-    /// N% of its range). Reduces several times, with --adapt; the error that was met is stored.
+    /// N% of its range). Reduces several times, with --adapt unless --points names a set other than halton; the error that was met is stored.
+    /// With --points lattice the bits of values are chosen too.
     #[arg(long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure"])]
     target_rms: Option<Bound>,
     /// As --target-rms, for the largest error at a sample, or at a vertex of a mesh.
     #[arg(long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms"])]
     target_max: Option<Bound>,
+    /// Instead of a number of points: the least error in an archive of at most so many bytes, as in 50MiB. Reduces several times. Points are
+    /// those of a lattice, and the bits of values are chosen, unless --points, --adapt or --value-bits says otherwise.
+    #[arg(long, value_name = "BYTES", value_parser = text::parse_bytes, conflicts_with_all = ["fraction", "count", "target_rms", "target_max"])]
+    size: Option<u64>,
+    /// As --size, for 1/N of the bytes of the source: of its files or of its samples, whichever are fewer.
+    #[arg(long, value_name = "N", conflicts_with_all = ["fraction", "count", "target_rms", "target_max", "size"])]
+    ratio: Option<f64>,
     /// Hammersley: the shift t in (k + t)/n; 0 gives the classical set [default: 0.5].
     #[arg(long, value_name = "T")]
     shift: Option<f64>,
     /// Hyperbolic cross: the level m, instead of the one whose size is nearest to the wanted count. Needs --cross-k.
-    #[arg(long, value_name = "M", conflicts_with_all = ["fraction", "count"], requires = "cross_k")]
+    #[arg(long, value_name = "M", conflicts_with_all = ["fraction", "count", "size", "ratio"], requires = "cross_k")]
     cross_m: Option<u32>,
     /// Hyperbolic cross: log2 of the cells of the coarsest grid, 2 to 5 [default: what brings the size nearest to the count].
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(2..=5))]
@@ -140,12 +148,18 @@ impl Interp {
 impl Choices {
     /// The settings that the flags say.
     pub(crate) fn settings(&self) -> Result<ReduceSettings> {
-        let target = self.target_rms.map(Target::Rms).or(self.target_max.map(Target::Max));
-        let adapt = self.adapt || target.is_some();
+        let error = self.target_rms.map(Target::Rms).or(self.target_max.map(Target::Max));
+        let size = self.size.map(Target::Size).or(self.ratio.map(Target::Ratio));
+        // An error is met by points that adapt, where no other set is named; a size by the set with the fewest bytes.
+        let adapt = self.adapt || error.is_some() && matches!(self.points, None | Some(Set::Halton));
         if self.focus.is_some() && !adapt {
             return Err(Error::usage("--focus tells --adapt where to look"));
         }
-        let points = self.points.unwrap_or(if adapt { Set::Halton } else { Set::Hammersley });
+        let points = self.points.unwrap_or(match (adapt, size) {
+            (true, _) => Set::Halton,
+            (false, Some(_)) => Set::Lattice,
+            (false, None) => Set::Hammersley,
+        });
         let kind = match points {
             Set::Hammersley => SetKind::Hammersley,
             Set::Halton => SetKind::Halton,
@@ -175,7 +189,7 @@ impl Choices {
             },
             amount,
             adapt: adapt.then_some(Adapt { focus: self.focus }),
-            target,
+            target: error.or(size),
             interpolation,
             values: match self.values {
                 Some(Vertex::Sample) => Values::Sample,

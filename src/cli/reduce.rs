@@ -73,12 +73,23 @@ pub(super) fn tell(archive: &Path, report: &ReduceReport, json: bool, talk: &Tal
 }
 
 fn target_line(t: &TargetReport) -> String {
-    let what = if matches!(t.target, Target::Rms(_)) { "RMS" } else { "at most" };
     let met = if t.met { "met" } else { "NOT MET" };
-    let ([full, all], [meshed, chunks]) = (t.full_cells.map(text::count), t.meshed_chunks.map(text::count));
+    let what = match t.target {
+        Target::Rms(_) => format!("RMS {:.4} of {:.4} wanted", t.reached, t.bound),
+        Target::Max(_) => format!("at most {:.4} of {:.4} wanted", t.reached, t.bound),
+        Target::Size(_) | Target::Ratio(_) => {
+            let [reached, bound] = [t.reached, t.bound].map(|b| text::bytes(b as u64));
+            format!("{reached} of {bound} wanted")
+        }
+    };
+    let [meshed, chunks] = t.meshed_chunks.map(text::count);
+    let full = t.full_cells.map_or(String::new(), |cells| {
+        let [full, all] = cells.map(text::count);
+        format!("; {full} of {all} cells have a point a sample")
+    });
     format!(
-        "  target      {met}: {what} {:.4} of {:.4} wanted, after {} tries ({meshed} of their {chunks} chunks meshed); {full} of {all} cells have a point a sample",
-        t.error, t.bound, t.tries
+        "  target      {met}: {what}, after {} tries ({meshed} of their {chunks} chunks meshed){full}",
+        t.tries
     )
 }
 

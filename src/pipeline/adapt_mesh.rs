@@ -79,7 +79,7 @@ impl MeshCurves {
     /// When threads cannot be started.
     pub(super) fn choose(&self, target: Option<Target>, count: u64) -> Result<MeshChoice> {
         let curves = &self.curves;
-        let bound = target.map(|t| t.bound().in_units(self.range));
+        let bound = target.and_then(Target::bound).map(|b| b.in_units(self.range));
         pool(self.threads)?.install(|| {
             if let (Some(Target::Max(_)), Some(bound)) = (target, bound) {
                 let choice = Choice::of_bound(curves, bound, self.vertices)?;

@@ -148,7 +148,7 @@ pub fn reduce_series(
     let job = Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None };
     let looked = look(&job, false)?;
     let report = match settings.target {
-        Some(target) => reduce_to_target(&job, target),
+        Some(target) => reduce_to_target(&job, target, looked.size.map(|s| s.bytes)),
         None if run.replace && is_finished(out) => replace(&job),
         None => make(&job),
     }?;
@@ -502,6 +502,10 @@ pub fn estimate_series(
     run: &RunSettings,
 ) -> Result<Estimate> {
     refuse_finished(out, sources, settings, run)?;
+    if settings.target.is_some_and(|t| t.bound().is_none() || settings.adapt.is_none()) {
+        let what = "how many points meet this target is found by trying: estimate a count or a fraction";
+        return Err(Error::usage(what));
+    }
     let (sources, progress, started) = (&numbered(sources), &Silent, Instant::now());
     let job = Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None };
     let notices = look(&job, false)?.notices;

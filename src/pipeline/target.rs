@@ -1,6 +1,6 @@
-//! An error that is wanted, instead of a number of points: the fewest points that meet it.
+//! An error or a size that is wanted, instead of a number of points: the fewest points that meet an error, the most that fit.
 //!
-//! The pass that finds where points are needed ([`crate::density`]) also foretells how far the field will be off, by about a third. So the first try has as
+//! Every try is a whole reduction. Of points that adapt the pass that finds where points are needed ([`crate::density`]) also foretells how far the field will be off, by about a third. So the first try has as
 //! many points as that asks for. Its error is measured at every sample, and the next try's number follows from it: errors are nearly a power of the
 //! number of points, so two tries tell the power, and a third one is within a few percent:
 //!
@@ -13,7 +13,12 @@
 //!            └──────────────── log points
 //! ```
 //!
-//! Every try is a whole reduction, in the folder `NAME.isospan.work` beside the archive: levels of all places follow from the one number, so another
+//! Other points begin with 1/8 of the samples. A size is looked for in the same way: bytes are a power of the number of samples a point.
+//!
+//! A lattice's values are rounded, unless the settings say to how many bits: to a step of [`STEP`] times the RMS error. So rounding costs a
+//! tenth of the error or less, and saves three bits a value and more.
+//!
+//! Tries are in the folder `NAME.isospan.work` beside the archive: levels of all places follow from the one number, so another
 //! number moves points nearly everywhere: at each level it is another piece of the sequence. The last step is not made in a few cells alone either, while all
 //! else is kept as [`target_max`](super::target_max) does: a sum of squares that is to become less by some percent is not the matter of a few cells. Equal gain for every point means that
 //! cells near the next level lie all over the volume, and those that would have to be raised are in every chunk. What is published is a try that met the
@@ -35,6 +40,7 @@ use crate::archive::manifest::{Manifest, Step};
 use crate::archive::publish::{remove_folder, replace_folder};
 use crate::error::{Error, Result};
 use crate::formats::{self, Input};
+use crate::points::SetKind;
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::Path;
@@ -47,6 +53,10 @@ pub enum Target {
     Rms(Bound),
     /// The largest absolute error at a sample, or at a vertex of a mesh.
     Max(Bound),
+    /// Bytes of the archive.
+    Size(u64),
+    /// How many times as many bytes the source has: its files or its samples, whichever are less.
+    Ratio(f64),
 }
 
 /// How large an error may be.
@@ -70,24 +80,64 @@ impl Bound {
 }
 
 impl Target {
-    pub(super) fn bound(self) -> Bound {
+    /// How large the error may be, if that is what is wanted.
+    pub(super) fn bound(self) -> Option<Bound> {
         match self {
-            Self::Rms(bound) | Self::Max(bound) => bound,
+            Self::Rms(bound) | Self::Max(bound) => Some(bound),
+            Self::Size(_) | Self::Ratio(_) => None,
         }
     }
 
     /// # Errors
     /// [`Error::Usage`] for a bound that is no positive number, and for settings that cannot meet it.
     fn check(self, settings: &ReduceSettings) -> Result<()> {
-        let (Bound::Value(bound) | Bound::OfRange(bound)) = self.bound();
+        let (what, bound) = match self {
+            Self::Rms(Bound::Value(v) | Bound::OfRange(v))
+            | Self::Max(Bound::Value(v) | Bound::OfRange(v)) => ("an error", v),
+            Self::Size(bytes) => ("a size", bytes as f64),
+            Self::Ratio(ratio) => ("a ratio", ratio),
+        };
         if !(bound > 0.0 && bound.is_finite()) {
-            return Err(Error::usage(format!("an error of {bound} cannot be met: give a number above 0")));
+            return Err(Error::usage(format!("{what} of {bound} cannot be met: give a number above 0")));
         }
-        if settings.adapt.is_none() || !settings.measure {
-            return Err(Error::usage("a target needs points that adapt, and an error that is measured"));
+        if self.bound().is_some() && !settings.measure {
+            return Err(Error::usage("a target needs an error that is measured"));
         }
         Ok(())
     }
+
+    /// The bound, in units of the field or in bytes, known from the first try.
+    fn limit(self, report: &ReduceReport, source: Option<u64>) -> Result<f64> {
+        match self {
+            Self::Rms(bound) | Self::Max(bound) => {
+                let range = source_range(report).map(|r| r.map(|v| v as f32)).unwrap_or_default();
+                Ok(report.bound.unwrap_or_else(|| bound.in_units(range)))
+            }
+            Self::Size(bytes) => Ok(bytes as f64),
+            Self::Ratio(ratio) => match source {
+                Some(source) => Ok(source as f64 / ratio),
+                None => Err(Error::usage("the bytes of the source are not known: give a size")),
+            },
+        }
+    }
+
+    /// What an archive has of that which is bounded; of several steps the worst one has.
+    fn reached(self, report: &ReduceReport) -> f64 {
+        match self {
+            Self::Rms(_) | Self::Max(_) => error_of(self, report),
+            Self::Size(_) | Self::Ratio(_) => (report.archive_bytes + RECORD) as f64,
+        }
+    }
+}
+
+/// Bytes of the manifest that tell the target, at most.
+const RECORD: u64 = 64;
+
+/// The range of the samples, of all steps as far as it is known.
+fn source_range(report: &ReduceReport) -> Option<[f64; 2]> {
+    let of_steps = report.steps.iter().filter_map(|s| s.range);
+    let of_first = report.error.as_ref().and_then(|e| e.source_range);
+    of_first.into_iter().chain(of_steps).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
 }
 
 /// What came of looking for a target.
@@ -95,18 +145,18 @@ impl Target {
 pub struct TargetReport {
     /// What was wanted.
     pub target: Target,
-    /// In units of the field.
+    /// What was not to be exceeded, in units of the field or in bytes.
     pub bound: f64,
-    /// The error of the archive.
-    pub error: f64,
+    /// What the archive has of it.
+    pub reached: f64,
     /// Whether that is within the bound.
     pub met: bool,
     /// Reductions that were made.
     pub tries: u32,
     /// Chunks that were meshed in all these together, and chunks that these had together: those in which nothing changed are taken over.
     pub meshed_chunks: [u64; 2],
-    /// Cells that have a point a sample or more, and all cells.
-    pub full_cells: [u64; 2],
+    /// Of points that adapt: cells that have a point a sample or more, and all cells.
+    pub full_cells: Option<[u64; 2]>,
 }
 
 /// Tries, at most.
@@ -117,86 +167,145 @@ const NEAR: f64 = 0.96;
 /// A number of points that is this near to one that does not do is the least.
 const LEAST_STEP: f64 = 1.03;
 
-/// A number of points, and the error with it.
+/// A try: the number of points, or of samples a point where a size is wanted, and the error or the size with it.
 #[derive(Clone, Copy, Debug)]
 struct Try {
-    points: f64,
-    error: f64,
+    amount: f64,
+    reached: f64,
 }
 
 /// The tries so far.
 #[derive(Debug)]
 struct Search {
     bound: f64,
-    /// The number of points is not more than this.
-    cap: f64,
+    /// The amount is not less than the first of these, and not more than the second.
+    limits: [f64; 2],
+    /// What is bounded is about this power of the amount, negative.
+    usual: f64,
     tries: Vec<Try>,
 }
 
 impl Search {
     /// The largest number that does not do, and the smallest that does.
     fn bracket(&self) -> [Option<Try>; 2] {
-        let by_points = |a: &&Try, b: &&Try| a.points.total_cmp(&b.points);
-        let does = self.tries.iter().filter(|t| t.error <= self.bound).min_by(by_points).copied();
-        let below = |t: &&Try| t.error > self.bound && does.is_none_or(|d| t.points < d.points);
-        [self.tries.iter().filter(below).max_by(by_points).copied(), does]
+        let by_amount = |a: &&Try, b: &&Try| a.amount.total_cmp(&b.amount);
+        let does = self.tries.iter().filter(|t| t.reached <= self.bound).min_by(by_amount).copied();
+        let below = |t: &&Try| t.reached > self.bound && does.is_none_or(|d| t.amount < d.amount);
+        [self.tries.iter().filter(below).max_by(by_amount).copied(), does]
     }
 
-    /// The next number of points; `None` when the best one is found.
-    fn next(&self) -> Option<u64> {
+    /// The next amount; `None` when the best one is found.
+    fn next(&self) -> Option<f64> {
+        let [least, cap] = self.limits;
         let [low, high] = self.bracket();
-        if self.tries.len() as u32 >= MOST_TRIES
-            && (high.is_some() || low.is_some_and(|l| l.points >= self.cap))
-        {
+        if self.tries.len() as u32 >= MOST_TRIES && (high.is_some() || low.is_some_and(|l| l.amount >= cap)) {
             return None;
         }
-        let points = match (low, high) {
-            (_, Some(h)) if h.error >= NEAR * self.bound => return None,
-            (Some(l), Some(h)) if h.points <= LEAST_STEP * l.points => return None,
+        let amount = match (low, high) {
+            (_, Some(h)) if h.reached >= NEAR * self.bound => return None,
+            (Some(l), Some(h)) if h.amount <= LEAST_STEP * l.amount => return None,
             (Some(l), Some(h)) => {
-                let least = libm::sqrt(LEAST_STEP);
-                self.aimed(l).clamp(l.points * least, (h.points / least).max(l.points * least))
+                let step = libm::sqrt(LEAST_STEP);
+                self.aimed(l).clamp(l.amount * step, (h.amount / step).max(l.amount * step))
             }
-            (Some(l), None) if l.points >= self.cap => return None,
+            (Some(l), None) if l.amount >= cap => return None,
             // After many tries all that is possible.
-            (Some(l), None) if self.tries.len() as u32 + 1 >= MOST_TRIES => self.cap.max(l.points),
-            (Some(l), None) => self.aimed(l).clamp(l.points * 1.05, l.points * 8.0),
-            (None, Some(h)) if h.points <= 1.0 => return None,
-            (None, Some(h)) => self.aimed(h).clamp(h.points / 8.0, h.points * 0.95),
+            (Some(l), None) if self.tries.len() as u32 + 1 >= MOST_TRIES => cap.max(l.amount),
+            (Some(l), None) => self.aimed(l).clamp(l.amount * 1.05, l.amount * 8.0),
+            (None, Some(h)) if h.amount <= least => return None,
+            (None, Some(h)) => self.aimed(h).clamp(h.amount / 8.0, h.amount * 0.95),
             (None, None) => return None,
         };
-        Some((points.min(self.cap).round() as u64).max(1))
+        Some(amount.clamp(least, cap))
     }
 
-    /// The number of points at which the power law through a try has the error that is aimed at.
+    /// The amount at which the power law through a try has what is aimed at.
     fn aimed(&self, from: Try) -> f64 {
-        let others = self.tries.iter().filter(|t| t.points != from.points && t.error > 0.0);
-        let distance = |t: &&Try| libm::fabs(libm::log(t.points / from.points));
+        let others = self.tries.iter().filter(|t| t.amount != from.amount && t.reached > 0.0);
+        let distance = |t: &&Try| libm::fabs(libm::log(t.amount / from.amount));
         let nearest = others.min_by(|a, b| distance(a).total_cmp(&distance(b)));
-        let power = nearest.map_or(USUAL_POWER, |t| {
-            let power = -libm::log(t.error / from.error) / libm::log(t.points / from.points);
-            if power.is_finite() { power.clamp(0.1, 2.0) } else { USUAL_POWER }
+        let power = nearest.map_or(self.usual, |t| {
+            let power = -libm::log(t.reached / from.reached) / libm::log(t.amount / from.amount);
+            if power.is_finite() { power.clamp(0.1, 2.0) } else { self.usual }
         });
-        if from.error <= 0.0 {
-            return from.points / 8.0;
+        if from.reached <= 0.0 {
+            return from.amount / 8.0;
         }
-        from.points * libm::pow(from.error / (AIM * self.bound), 1.0 / power)
+        from.amount * libm::pow(from.reached / (AIM * self.bound), 1.0 / power)
     }
 }
 
-/// Errors are about this power of the number of points, negative.
-const USUAL_POWER: f64 = 0.5;
+/// Of errors and numbers of points; of sizes and samples a point, whose archives have a manifest besides.
+const USUAL_POWERS: [f64; 2] = [0.5, 0.9];
 
-/// Reduces to the archive `job.out` with the fewest points that meet the target of the settings.
+/// A lattice's values are rounded to a step of so many times the RMS error.
+const STEP: f64 = 1.4;
+/// To so many bits while nothing is known of the error, and to this many otherwise.
+const USUAL_BITS: u8 = 6;
+const BITS: [f64; 2] = [4.0, 16.0];
+/// Points a sample where a size is wanted, at most.
+const MOST_A_SAMPLE: f64 = 4.0;
+
+/// The bits of values of the tries.
+struct Rounding {
+    /// Whether they are chosen here.
+    is_chosen: bool,
+    bits: Option<u8>,
+    /// Tries that have told the error, of a size.
+    told: u32,
+}
+
+impl Rounding {
+    fn new(settings: &ReduceSettings, target: Target) -> Self {
+        let is_chosen = settings.points == SetKind::Bcc && settings.value_bits.is_none();
+        let mut rounding = Self { is_chosen, bits: settings.value_bits, told: 0 };
+        if is_chosen {
+            rounding.bits = Some(USUAL_BITS);
+            if let Some(Bound::OfRange(part)) = target.bound() {
+                rounding.choose(target, part);
+            }
+        }
+        rounding
+    }
+
+    /// For an error of this part of the range.
+    fn choose(&mut self, target: Target, part: f64) {
+        // The largest error is several times the RMS error.
+        let part = if let Target::Max(_) = target { part / 8.0 } else { part };
+        if part > 0.0 && part.is_finite() {
+            self.bits = Some((-libm::log2(STEP * part)).round().clamp(BITS[0], BITS[1]) as u8);
+        }
+    }
+
+    /// Chooses the bits by what a try tells, the first and the second. Whether they are others now: tries before cannot be
+    /// compared with those to come.
+    fn learn(&mut self, target: Target, bound: f64, report: &ReduceReport) -> bool {
+        let before = self.bits;
+        let range = source_range(report).filter(|_| self.is_chosen && self.told < 2);
+        if let Some([lo, hi]) = range {
+            self.told += 1;
+            let error = match target.bound() {
+                Some(_) => bound,
+                None => error_of(Target::Rms(Bound::Value(bound)), report),
+            };
+            self.choose(target, error / (hi - lo));
+        }
+        self.bits != before
+    }
+}
+
+/// Reduces to the archive `job.out` with the fewest points that meet the target of the settings, or the most that do.
+/// `source` is the number of bytes of the source, if known.
 ///
 /// # Errors
 /// As those of a reduction; [`Error::Usage`] for a target that cannot be one.
-pub(super) fn reduce_to_target(job: &Job<'_>, target: Target) -> Result<ReduceReport> {
+pub(super) fn reduce_to_target(job: &Job<'_>, target: Target, source: Option<u64>) -> Result<ReduceReport> {
     target.check(job.settings)?;
     if let Some(report) = made_before(job)? {
         return Ok(finished(report, job.started));
     }
-    if let Target::Max(_) = target {
+    let adapts = job.settings.adapt.is_some();
+    if let (Target::Max(_), true) = (target, adapts) {
         return reduce_to_max(job, target);
     }
     let work = work_folder(job.out);
@@ -204,42 +313,61 @@ pub(super) fn reduce_to_target(job: &Job<'_>, target: Target) -> Result<ReduceRe
     [&trying, &best].into_iter().try_for_each(|f| remove_folder(f))?;
     let mut search: Option<Search> = None;
     let mut found: Option<(ReduceReport, Try)> = None;
-    let mut chunks = 0;
-    let (mut settings, mut wanted) = (job.settings.clone(), None);
+    let (mut chunks, mut tries, mut wanted) = (0, 0, None);
+    let mut rounding = Rounding::new(job.settings, target);
+    // How many points an error asks for is foretold of those that adapt.
+    let foretold = job.settings.target.filter(|t| adapts && t.bound().is_some());
+    let mut settings = ReduceSettings { target: foretold, value_bits: rounding.bits, ..job.settings.clone() };
     loop {
         fs::create_dir_all(&work).map_err(|e| Error::io("create the folder", &work, e))?;
         let run = RunSettings { replace: false, ..job.run.clone() };
         let report = make(&Job { settings: &settings, out: &trying, run: &run, part: Part::Whole, ..*job })?;
         chunks += report.chunks;
-        let bound = report.bound.or(search.as_ref().map(|s| s.bound)).expect("the first try tells it");
+        let bound = match &search {
+            Some(search) => search.bound,
+            None => target.limit(&report, source)?,
+        };
         let samples = report.samples as f64;
-        let search = search.get_or_insert_with(|| Search { bound, cap: samples, tries: vec![] });
+        let is_size = target.bound().is_none();
+        let limits = if is_size { [1.0 / MOST_A_SAMPLE, samples] } else { [1.0, samples] };
+        let usual = USUAL_POWERS[usize::from(is_size)];
+        let search = search.get_or_insert_with(|| Search { bound, limits, usual, tries: vec![] });
         // What was asked for, as what came of it is rounded: the cap is a number to be reached.
-        let points = wanted.unwrap_or(report.inner_points) as f64;
-        let made = Try { points, error: error_of(target, &report) };
+        let points = wanted.unwrap_or(report.inner_points).max(1) as f64;
+        let amount = if is_size { samples / points } else { points };
+        let made = Try { amount, reached: target.reached(&report) };
         search.tries.push(made);
-        let next = search.next();
+        tries += 1;
+        let mut next = search.next();
+        let changes = rounding.learn(target, bound, &report);
+        if changes {
+            next = next.or(Some(amount));
+            search.tries.clear();
+            found = None;
+        }
         // The try at the cap is all that is possible.
-        let better = found.as_ref().is_none_or(|(_, best)| made.points < best.points);
-        if made.error <= bound && better || next.is_none() && found.is_none() {
+        let better = found.as_ref().is_none_or(|(_, best)| made.amount < best.amount);
+        if !changes && (made.reached <= bound && better || next.is_none() && found.is_none()) {
             remove_folder(&best)?;
             rename(&trying, &best)?;
             found = Some((report, made));
         } else {
             remove_folder(&trying)?;
         }
-        let Some(count) = next else { break };
+        let Some(amount) = next else { break };
+        let count = (if is_size { samples / amount } else { amount }).round().max(1.0) as u64;
         wanted = Some(count);
-        settings = ReduceSettings { target: None, amount: Amount::Count(count), ..settings };
+        let amount = Amount::Count(count);
+        settings = ReduceSettings { target: None, amount, value_bits: rounding.bits, ..settings };
     }
     let ((mut report, made), search) = found.zip(search).expect("the last try is kept if no other was");
-    let tries = search.tries.len() as u32;
-    let full_cells = full_cells(&best)?;
-    let met = made.error <= search.bound;
-    let (bound, error, meshed_chunks) = (search.bound, made.error, [chunks; 2]);
-    let told = TargetReport { target, bound, error, met, tries, meshed_chunks, full_cells };
+    let full_cells = if adapts { Some(full_cells(&best)?) } else { None };
+    let met = made.reached <= search.bound;
+    let (bound, meshed_chunks) = (search.bound, [chunks; 2]);
     publish(job, &best, &work)?;
-    report.target = Some(told);
+    report.archive_bytes = folder_bytes(job.out)?;
+    let reached = if target.bound().is_some() { made.reached } else { report.archive_bytes as f64 };
+    report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });
     report.seconds.retain(|(name, _)| name != "total");
     Ok(finished(report, job.started))
 }
@@ -331,11 +459,13 @@ mod tests {
 
     /// How many tries a field takes, and the number of points that is kept; the second is the least one.
     fn look(bound: f64, cap: f64, first: f64, error: impl Fn(f64) -> f64) -> (usize, Option<f64>) {
-        let mut search = Search { bound, cap, tries: vec![Try { points: first, error: error(first) }] };
+        let tries = vec![Try { amount: first, reached: error(first) }];
+        let usual = USUAL_POWERS[0];
+        let mut search = Search { bound, limits: [1.0, cap], usual, tries };
         while let Some(n) = search.next() {
-            search.tries.push(Try { points: n as f64, error: error(n as f64) });
+            search.tries.push(Try { amount: n.round(), reached: error(n.round()) });
         }
-        (search.tries.len(), search.bracket()[1].map(|t| t.points))
+        (search.tries.len(), search.bracket()[1].map(|t| t.amount))
     }
 
     #[test]

@@ -87,9 +87,10 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
             settings = ReduceSettings { target: None, ..settings };
             continue;
         }
-        let full_cells = full_cells(&trying)?;
+        let full_cells = Some(full_cells(&trying)?);
         publish(job, &trying, &work)?;
-        report.target = Some(TargetReport { target, bound, error, met, tries, meshed_chunks, full_cells });
+        let reached = error;
+        report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });
         report.seconds.retain(|(name, _)| name != "total");
         return Ok(finished(report, job.started));
     }

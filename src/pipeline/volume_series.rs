@@ -230,11 +230,11 @@ impl Planner<'_> {
         }
         if let Some(errors) = self.errors.take() {
             let (target, dims) = (self.settings.target, plan.mesh.lattice.dims);
-            self.bound = target.map(|t| t.bound().in_units(errors.range()));
+            self.bound = target.and_then(Target::bound).map(|b| b.in_units(errors.range()));
             let choice = match target.zip(self.bound) {
                 Some((Target::Rms(_), bound)) => errors.choice(errors.count_of_rms(bound)?)?,
                 Some((Target::Max(_), bound)) => errors.choice_of_bound(bound, dims.iter().product())?,
-                None => errors.choice(count_of(self.settings, dims))?,
+                _ => errors.choice(count_of(self.settings, dims))?,
             };
             choose(plan, &mut self.beside, &choice, None)?;
         }
