@@ -504,16 +504,18 @@ def figure(rows, path):
     sheet, panels = pyplot.subplots(down, across, figsize=(4 * across, 3.2 * down), squeeze=False)
     for panel in panels.flat[len(volumes):]:
         panel.axis("off")
+    handles = {}
     for panel, volume in zip(panels.flat, volumes):
-        for coder in coders:
+        for k, coder in enumerate(coders):
             line = sorted((r["bits"], r["target"]) for r in rows if r["volume"] == volume and r["coder"] == coder)
             if line:
-                panel.loglog(*zip(*line), marker="o", markersize=3, linewidth=2.4 if coder == "isospan" else 1, label=coder)
+                width = 2.4 if coder == "isospan" else 1
+                handles[coder] = panel.loglog(*zip(*line), f"C{k}", marker="o", markersize=3, linewidth=width)[0]
         panel.set_title(volume, fontsize=9)
         panel.tick_params(labelsize=7)
     panels[0][0].set_xlabel("bits a sample", fontsize=8)
     panels[0][0].set_ylabel("RMS error, % of the range", fontsize=8)
-    panels[0][0].legend(fontsize=6)
+    panels[0][0].legend(list(handles.values()), list(handles), fontsize=6)
     sheet.tight_layout()
     sheet.savefig(path, dpi=130)
 
