@@ -118,3 +118,15 @@ assert samples.sum() == expected["samples"]
 near(largest.max(), expected["max"], 1e-6, "largest error of the map")
 near(np.sqrt((rms**2 * samples).sum() / samples.sum()), expected["rms"], 1e-6, "RMS error of the map")
 print("tools/vtk/test: VTK reads tetrahedra, surfaces and grids, and finds in them what isospan tells")
+
+for step in range(2):
+    grid = read(vtkXMLUnstructuredGridReader(), f"lattice{step}.vtu")
+    points, values = vtk_to_numpy(grid.GetPoints().GetData()), vtk_to_numpy(grid.GetPointData().GetArray(0))
+    exported = {tuple(p): v for p, v in zip(points.astype(np.float32).tolist(), values)}
+    decoded = np.load(f"lattice{step}.npz")
+    steps = 2.0 ** json.load(open("lattice.isospan/manifest.json"))["plan"]["lattice"]["log2_steps"]
+    places = (decoded["positions"] / steps).astype(np.float32).tolist()
+    pairs = [(exported[tuple(p)], v) for p, v in zip(places, decoded["values"]) if tuple(p) in exported]
+    assert len(pairs) > 0.8 * len(places) > 3000, (len(pairs), len(places))
+    assert all(a == b for a, b in pairs), f"step {step}: decoded values differ from exported ones"
+print("tools/read_archive.py: the values that are exported")
