@@ -43,7 +43,7 @@ pub struct Segment {
     plan: PlanHash,
     info: SegmentInfo,
     directory: u64,
-    pages: Mutex<std::collections::BTreeMap<u64, Page>>,
+    pages: Mutex<std::collections::BTreeMap<u64, Arc<Mutex<Option<Page>>>>>,
     bytes_read: AtomicU64,
 }
 
@@ -196,12 +196,16 @@ impl Segment {
     }
 
     fn page(&self, n: u64) -> Result<Page> {
-        // The lock is not held while reading: two threads may read the same page, and keep the same one.
-        if let Some(page) = self.pages.lock().expect("no thread panics with the page table locked").get(&n) {
+        // A thread that needs a page which another one reads waits for it, so each page is read once
+        // and `bytes_read` does not depend on threads. Pages do not wait for each other.
+        let lock = "no thread panics with a page locked";
+        let slot = Arc::clone(self.pages.lock().expect(lock).entry(n).or_default());
+        let mut slot = slot.lock().expect(lock);
+        if let Some(page) = &*slot {
             return Ok(page.clone());
         }
         let page = Arc::new(self.read_page(n)?);
-        self.pages.lock().expect("no thread panics with the page table locked").insert(n, page.clone());
+        *slot = Some(page.clone());
         Ok(page)
     }
 

@@ -38,6 +38,32 @@ fn blocks_come_back_in_any_order() {
 }
 
 #[test]
+fn threads_read_a_directory_page_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.seg");
+    let blocks = blocks(3);
+    write(&path, &blocks);
+    let alone = Segment::open(&path, SegmentKind::Mesh, None).unwrap();
+    let mut out = vec![];
+    (0..3).for_each(|n| alone.block(n, &mut out).unwrap());
+    let payload: u64 = blocks.iter().map(|b| b.len() as u64).sum();
+    for _ in 0..200 {
+        let shared = Segment::open(&path, SegmentKind::Mesh, None).unwrap();
+        let start = std::sync::Barrier::new(4);
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| {
+                    let mut out = vec![];
+                    start.wait();
+                    (0..3).for_each(|n| shared.block(n, &mut out).unwrap());
+                });
+            }
+        });
+        assert_eq!(shared.bytes_read(), alone.bytes_read() + 3 * payload);
+    }
+}
+
+#[test]
 fn other_kinds_plans_and_versions_are_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.seg");
