@@ -281,6 +281,8 @@ impl<'a> ChunkReader<'a> {
             bcc.block(number as usize, &mut self.memory.by_formula);
             bcc.numbers(&self.memory.by_formula, &mut out.corners.numbers);
             if !self.is_active(isovalues, &out.corners.numbers)? {
+                out.tets.clear();
+                out.bytes = 0;
                 return Ok(false);
             }
         }
