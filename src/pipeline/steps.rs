@@ -339,10 +339,13 @@ impl OpenArchive {
         }
         let mut found = vec![];
         for of_chunk in entries.chunk_by(|a, b| a.chunk == b.chunk) {
-            let blocks = is_there(&of_chunk[0]).then(|| self.blocks_of(ChunkId(of_chunk[0].chunk)));
+            let blocks_of = is_there(&of_chunk[0]).then(|| self.blocks_of(ChunkId(of_chunk[0].chunk)));
             for entry in of_chunk {
-                let blocks = blocks.as_ref().map_or(entry.block..entry.block + 1, |all| all.of(entry.block));
-                found.extend(blocks.map(|block| Entry { block, ..*entry }));
+                let blocks =
+                    blocks_of.as_ref().map_or(entry.block..entry.block + 1, |all| all.of(entry.block));
+                let tets =
+                    |block| blocks_of.as_ref().map_or(entry.tets, |all| all.tets_of(block).min(entry.tets));
+                found.extend(blocks.map(|block| Entry { block, tets: tets(block), ..*entry }));
             }
         }
         found
@@ -382,6 +385,14 @@ impl EntryBlocks {
             Some(chunk) if (entry as usize) < chunk.brick_count() => chunk.blocks_of(entry as usize),
             Some(_) => u32::MAX - 1..u32::MAX,
             None => entry..entry.saturating_add(1),
+        }
+    }
+
+    /// Tetrahedra of a block, void ones included; more than there can be of a block that is not there.
+    fn tets_of(&self, block: u32) -> u32 {
+        match &self.0 {
+            Some(chunk) if (block as usize) < chunk.block_count() => chunk.tets_of(block as usize),
+            _ => u32::MAX,
         }
     }
 
