@@ -137,7 +137,7 @@ fn archive(folder: &Path, turns: f32, points: u64) -> PathBuf {
     let out = folder.join(format!("{turns}-{points}.isospan"));
     let amount = Amount::Count(points);
     let settings = ReduceSettings {
-        points: SetKind::Halton,
+        points: Some(SetKind::Halton),
         amount,
         values: Values::Sample,
         measure: false,

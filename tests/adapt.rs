@@ -218,7 +218,7 @@ fn what_cannot_be_is_a_usage_error() {
             pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &run, &Silent).unwrap_err();
         assert!(error.exit_code() == 2 && error.to_string().contains(word), "{error}");
     };
-    refused(ReduceSettings { points: SetKind::Bcc, ..adapted(0.1, 1_000) }, "halton");
+    refused(ReduceSettings { points: Some(SetKind::Bcc), ..adapted(0.1, 1_000) }, "halton");
     let focus = Some(Adapt { focus: Some([3.0, 3.0]) });
     refused(ReduceSettings { adapt: focus, ..adapted(0.1, 1_000) }, "focus");
     let target = Some(Target::Rms(Bound::Value(0.0)));

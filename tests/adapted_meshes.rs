@@ -15,7 +15,7 @@ use std::path::Path;
 
 fn even(fraction: f64) -> ReduceSettings {
     ReduceSettings {
-        points: SetKind::Halton,
+        points: Some(SetKind::Halton),
         amount: Amount::Fraction(fraction),
         chunk_points: 400,
         ..ReduceSettings::default()

@@ -48,7 +48,7 @@ fn the_main_job() {
     assert_eq!(info["info"]["dims"], serde_json::json!([40, 30, 20]));
     assert!(ok(d, &["reduce", "ball.npy", "-o", "ball.isospan", "--fraction", "1/2"]).contains("tetrahedra"));
     assert_eq!(json(&ok(d, &["info", "ball.isospan", "--json"]))["dims"], serde_json::json!([40, 30, 20]));
-    assert!(ok(d, &["info", "ball.isospan"]).contains("hammersley"));
+    assert!(ok(d, &["info", "ball.isospan"]).contains("lattice"));
     let stats = ok(d, &["surface", "ball.isospan", "--isovalue", "-0.05", "-o", "ball.ply", "--stats"]);
     for word in ["points", "tetrahedra", "blocks", "bytes read", "extract"] {
         assert!(stats.contains(word), "{word}: {stats}");

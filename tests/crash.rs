@@ -51,7 +51,8 @@ fn temporaries(dir: &Path) -> Vec<PathBuf> {
     folder(dir).into_keys().filter(|f| f.to_string_lossy().contains(".tmp")).collect()
 }
 
-const REDUCE: [&str; 8] = ["reduce", "-q", "v.npy", "--fraction", "1/3", "--chunk-points", "1000", "-o"];
+const REDUCE: [&str; 10] =
+    ["reduce", "-q", "v.npy", "--points", "hammersley", "--fraction", "1/3", "--chunk-points", "1000", "-o"];
 
 fn reduce_to(out: &str) -> Vec<&str> {
     reduce_with(out, "2", "1GiB")

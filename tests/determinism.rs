@@ -7,7 +7,7 @@ use common::*;
 use isospan::exec::Silent;
 use isospan::formats::OpenOptions;
 use isospan::measure::FieldError;
-use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings};
+use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, ValueBits};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use std::fs;
@@ -135,7 +135,7 @@ fn rounded_values_are_the_same_in_all_chunks_and_smaller() {
     let mut sets = vec![];
     for chunk_points in [1_000, 7_000] {
         let lossless = settings(SetKind::Halton, AMOUNT, chunk_points);
-        let rounded = isospan::pipeline::ReduceSettings { value_bits: Some(10), ..lossless.clone() };
+        let rounded = ReduceSettings { value_bits: ValueBits::Bits(10), ..lossless.clone() };
         let out = dir.path().join(format!("{chunk_points}.isospan"));
         let report = reduce(&input, &rounded, &out, 2);
         let quantiser = report.quantiser.unwrap();

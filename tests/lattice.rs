@@ -8,8 +8,8 @@ use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Amount, AppendSettings, Bound, NanPolicy, ReduceSettings, Target, UnpackSettings, check_archive,
-    unpack,
+    self, Amount, AppendSettings, Bound, NanPolicy, ReduceSettings, Target, UnpackSettings, ValueBits,
+    check_archive, unpack,
 };
 use isospan::points::SetKind;
 use isospan::sample::Values;
@@ -68,7 +68,7 @@ fn rounded_steps_with_holes_are_the_same_however_they_are_made() {
         .collect();
     let settings = ReduceSettings {
         values: Values::Fit,
-        value_bits: Some(7),
+        value_bits: ValueBits::Bits(7),
         nan: NanPolicy::Mask,
         ..lattice(Amount::Fraction(0.3), 4_000)
     };
@@ -113,12 +113,33 @@ fn a_surface_of_a_lattice_reads_the_bricks_that_it_crosses() {
     let dir = tempfile::tempdir().unwrap();
     let (input, out) = (dir.path().join("ball.npy"), dir.path().join("ball.isospan"));
     write_npy(&input, [90, 90, 90], |x, y, z| (x * x + y * y + z * z).sqrt());
-    let rounded = ReduceSettings { value_bits: Some(8), ..lattice(Amount::Fraction(0.5), 20_000) };
+    let rounded = ReduceSettings { value_bits: ValueBits::Bits(8), ..lattice(Amount::Fraction(0.5), 20_000) };
     let report = reduce(&input, &rounded, &out, 2);
     let small = surface(&out, 0.1, &dir.path().join("s.ply"), 1);
     let large = surface(&out, 0.9, &dir.path().join("l.ply"), 1);
     let read = [&small, &large].map(|r| r.bytes_read as f64 / report.archive_bytes as f64);
     assert!(small.triangles > 500 && read[0] < 0.1 && read[1] < 0.9, "{read:?}");
+}
+
+#[test]
+fn active_tetrahedra_are_counted_at_any_isovalue() {
+    let dir = tempfile::tempdir().unwrap();
+    let (input, out) = (dir.path().join("waves.npy"), dir.path().join("waves.isospan"));
+    write_npy(&input, [50, 46, 40], waves);
+    for bits in [ValueBits::Exact, ValueBits::Bits(8)] {
+        let settings = ReduceSettings { value_bits: bits, ..lattice(Amount::Fraction(0.2), 5_000) };
+        let _ = fs::remove_dir_all(&out);
+        reduce(&input, &settings, &out, 2);
+        let archive = Archive::open(&out).unwrap();
+        // Of these isovalues the spectrum has the first one.
+        for (isovalue, is_stored) in [(0.5, true), (0.512_345, false), (-1.234_567, false)] {
+            let count = archive.count(isovalue).unwrap();
+            let made = surface(&out, isovalue, &dir.path().join("s.ply"), 2);
+            assert_eq!(count.stored, is_stored, "{isovalue}");
+            assert_eq!(count.active_tetrahedra, made.active_tetrahedra, "{isovalue}");
+            assert!(made.active_tetrahedra > 500, "{isovalue}");
+        }
+    }
 }
 
 #[test]

@@ -7,7 +7,9 @@ use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, open_volume};
 use isospan::grid::IndexBox;
 use isospan::measure::FieldError;
-use isospan::pipeline::{self, Amount, MeasureReport, MeasureSettings, NanPolicy, ReduceSettings, measure};
+use isospan::pipeline::{
+    self, Amount, MeasureReport, MeasureSettings, NanPolicy, ReduceSettings, ValueBits, measure,
+};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::volume::VolumeSource;
@@ -44,7 +46,7 @@ fn the_error_is_that_of_the_probed_field() {
     let dir = tempfile::tempdir().unwrap();
     let (input, out) = (dir.path().join("waves.npy"), dir.path().join("waves.isospan"));
     write_npy(&input, [31, 28, 25], waves);
-    for (kind, bits) in [(SetKind::Hammersley, None), (SetKind::Bcc, Some(6))] {
+    for (kind, bits) in [(SetKind::Hammersley, ValueBits::Exact), (SetKind::Bcc, ValueBits::Bits(6))] {
         let settings = ReduceSettings { value_bits: bits, ..settings(kind, Amount::Fraction(0.2), 1_000) };
         let _ = std::fs::remove_dir_all(&out);
         reduce(&input, &settings, &out, 2);
@@ -97,7 +99,8 @@ fn a_linear_field_has_no_error_and_none_is_stored_when_not_wanted() {
     let e = stored(&out);
     assert!(e.max < 2e-6 && e.percentiles[5].error <= e.max, "{e:?}");
     let quiet = dir.path().join("quiet.isospan");
-    reduce(&input, &ReduceSettings { measure: false, ..ReduceSettings::default() }, &quiet, 1);
+    let exact = ReduceSettings::exact(SetKind::Hammersley);
+    reduce(&input, &ReduceSettings { measure: false, ..exact }, &quiet, 1);
     assert!(pipeline::summarize(&quiet).unwrap().error.is_none());
     assert!(measured(&quiet, &input, 1, None).error.max < 2e-6);
     // Another field on the same grid can be measured too, and is told from the source.

@@ -9,7 +9,8 @@ use isospan::formats::samples::SampleFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     self, Amount, AppendSettings, ExportSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings,
-    RunSettings, SurfaceSettings, UnpackSettings, append, check_archive, measure, reduce, reduce_series,
+    RunSettings, SurfaceSettings, UnpackSettings, ValueBits, append, check_archive, measure, reduce,
+    reduce_series,
 };
 use isospan::points::SetKind;
 use isospan::sample::Interpolation;
@@ -458,7 +459,7 @@ fn errors_are_those_of_rounded_values_alone() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("ell.vtk");
     write_mesh(&input, 9, |[x, y, _]| x < 0.5 || y < 0.5, |p| p, |[x, y, z]| (4.0 * x).sin() + y * y + z);
-    let settings = ReduceSettings { value_bits: Some(8), ..whole(100) };
+    let settings = ReduceSettings { value_bits: ValueBits::Bits(8), ..whole(100) };
     let (out, report) = kept(&input, &settings, "ell.isospan", &run(2));
     let (e, bound) = (report.error.unwrap(), report.quantiser.unwrap().bound);
     assert!(e.rms > 0.0 && e.max <= bound * 1.000_001 && e.max > bound / 4.0, "{e:?} {bound}");
@@ -505,9 +506,10 @@ fn what_is_asked_for_decides_what_is_kept() {
     assert!(of(&with(Amount::Count(vertices))) && of(&with(Amount::Count(vertices + 1))));
     assert!(!of(&with(Amount::Count(vertices - 1))) && !of(&with(Amount::Fraction(0.99))));
     assert!(!of(&with(Amount::Fraction(1.5))), "more points than vertices");
-    assert!(!of(&ReduceSettings { points: SetKind::Halton, ..whole(1000) }));
+    assert!(!of(&ReduceSettings { points: Some(SetKind::Halton), ..whole(1000) }));
     assert!(!of(&ReduceSettings { interpolation: Interpolation::Quadratic, ..whole(1000) }));
-    let adapted = ReduceSettings { points: SetKind::Halton, adapt: Some(Default::default()), ..whole(1000) };
+    let adapted =
+        ReduceSettings { points: Some(SetKind::Halton), adapt: Some(Default::default()), ..whole(1000) };
     assert!(!of(&adapted));
 }
 

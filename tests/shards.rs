@@ -122,8 +122,10 @@ fn every_kind_of_input_is_done_in_shards() {
     write_hexahedra(&d.join("m.vtk"), waves);
     let raw = ["--dims", "30,24,20", "--type", "f32", "--offset", "128"];
     fs::rename(d.join("v.npy.gz"), d.join("v.raw.gz")).unwrap();
-    let cases: [(&str, &str, &[&str]); 4] = [
+    let cases: [(&str, &str, &[&str]); 6] = [
         ("v.npy", "bits", &["--value-bits", "9"]),
+        ("v.npy", "exact", &["--value-bits", "exact"]),
+        ("v.npy", "meshed", &["--points", "hammersley"]),
         ("v.raw.gz", "packed", &raw),
         ("g.vts", "grid", &[]),
         ("m.vtk", "mesh", &["--interp", "quadratic"]),
@@ -151,8 +153,9 @@ fn a_series_is_done_in_shards() {
         write_npy(&d.join(format!("v{t}.npy")), [34, 30, 26], |x, y, z| waves(x + drift, y, z));
         write_hexahedra(&d.join(format!("m{t}.vtk")), |x, y, z| waves(x + drift, y, z));
     }
-    let cases: [(&str, &[&str]); 3] = [
+    let cases: [(&str, &[&str]); 4] = [
         ("v*.npy", &["--keyframes", "3", "--times", "0:0.5"]),
+        ("v*.npy", &["--keyframes", "3", "--points", "hammersley"]),
         ("v?.npy", &["--keyframes", "2", "--value-bits", "10"]),
         ("m*.vtk", &["--keyframes", "3"]),
     ];

@@ -2,7 +2,7 @@
 
 use super::text;
 use clap::ValueEnum;
-use isospan::pipeline::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, Target};
+use isospan::pipeline::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, Target, ValueBits};
 use isospan::points::{SetKind, SetSettings};
 use isospan::sample::{Interpolation, Values};
 use isospan::{Error, Result};
@@ -10,7 +10,7 @@ use isospan::{Error, Result};
 /// Point set, interpolation, missing values, sizes.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Choices {
-    /// The point set [default: hammersley; with --adapt halton].
+    /// The point set [default: lattice; of a mesh hammersley; with --adapt halton].
     #[arg(long, value_enum)]
     points: Option<Set>,
     /// Number of points as a fraction of the samples: 1/8, 0.125 or 12.5% [default: 1/8]; of a mesh, of its vertices, boundary included.
@@ -73,10 +73,11 @@ pub(crate) struct Choices {
     /// Points meshed together; changes the archive's layout, not its mesh.
     #[arg(long, value_name = "N", default_value_t = ReduceSettings::CHUNK_POINTS)]
     chunk_points: u64,
-    /// Round values to N bits (4 to 24) of the range of the source, which is read once more for that; the largest error is
-    /// told and stored [default: lossless].
-    #[arg(long, value_name = "N")]
-    value_bits: Option<u8>,
+    /// Round values to N bits (4 to 24) of the range of the source, which is read once more for that, or "exact".
+    /// The largest error of rounding is told and stored. [default: 8 bits of the range of 99.8 % of the samples for
+    /// the lattice of a volume, unless --interp is nearest; else exact]
+    #[arg(long, value_name = "N|exact", value_parser = parse_bits)]
+    value_bits: Option<ValueBits>,
     /// Do not measure the field against the samples of the source in the end.
     #[arg(long)]
     no_measure: bool,
@@ -111,6 +112,16 @@ enum Vertex {
 
 fn parse_nan(text: &str) -> std::result::Result<NanPolicy, String> {
     NanPolicy::parse(text).ok_or_else(|| format!("'{text}' is none of error, mask, or a finite number"))
+}
+
+fn parse_bits(text: &str) -> std::result::Result<ValueBits, String> {
+    match text {
+        "exact" => Ok(ValueBits::Exact),
+        _ => text
+            .parse()
+            .map(ValueBits::Bits)
+            .map_err(|_| format!("'{text}' is neither exact nor a number of bits")),
+    }
 }
 
 fn parse_regularity(text: &str) -> std::result::Result<[u32; 3], String> {
@@ -155,23 +166,23 @@ impl Choices {
         if self.focus.is_some() && !adapt {
             return Err(Error::usage("--focus tells --adapt where to look"));
         }
-        let points = self.points.unwrap_or(match (adapt, size) {
-            (true, _) => Set::Halton,
-            (false, Some(_)) => Set::Lattice,
-            (false, None) => Set::Hammersley,
-        });
-        let kind = match points {
+        let points = match (self.points, size) {
+            (None, Some(_)) if !adapt => Some(Set::Lattice),
+            (None, _) if self.shift.is_some() && !adapt => Some(Set::Hammersley),
+            (points, _) => points,
+        };
+        let kind = points.map(|points| match points {
             Set::Hammersley => SetKind::Hammersley,
             Set::Halton => SetKind::Halton,
             Set::HyperbolicCross => SetKind::HyperbolicCross,
             Set::Regular => SetKind::Regular,
             Set::Lattice => SetKind::Bcc,
-        };
+        });
         let cross = self.cross_m.is_some() || self.cross_k.is_some() || self.cross_r.is_some();
-        if cross && points != Set::HyperbolicCross {
+        if cross && points != Some(Set::HyperbolicCross) {
             return Err(Error::usage("--cross-m, --cross-k and --cross-r are for --points hyperbolic-cross"));
         }
-        if self.shift.is_some() && points != Set::Hammersley {
+        if self.shift.is_some() && points != Some(Set::Hammersley) {
             return Err(Error::usage("--shift is for --points hammersley"));
         }
         let interpolation = self.interp.interpolation();
@@ -198,7 +209,7 @@ impl Choices {
             },
             nan: self.nan,
             missing: self.missing,
-            value_bits: self.value_bits,
+            value_bits: self.value_bits.unwrap_or_default(),
             chunk_points: self.chunk_points,
             measure: !self.no_measure,
             keyframes: self.keyframes,

@@ -34,10 +34,10 @@ impl Adapt {
                 "the focus {lo}:{hi} is no range: write two numbers, the smaller one first"
             )));
         }
-        if settings.points != SetKind::Halton {
+        let points = settings.set_of(false);
+        if points != SetKind::Halton {
             return Err(Error::usage(format!(
-                "only a halton set can be denser in some places; --adapt does not go with --points {}",
-                settings.points
+                "only a halton set can be denser in some places; --adapt does not go with --points {points}"
             )));
         }
         Ok(())

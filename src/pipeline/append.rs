@@ -10,7 +10,7 @@ use super::field::NanPolicy;
 use super::job::{Job, Part, ReduceReport, RunSettings};
 use super::notice::look;
 use super::open::OpenArchive;
-use super::plan::ReduceSettings;
+use super::plan::{ReduceSettings, ValueBits};
 use super::reduce::{lock_for_writing, reduce_volumes};
 use super::reduce_mesh::reduce_mesh;
 use crate::archive::manifest::{MANIFEST_NAME, Step};
@@ -93,7 +93,7 @@ fn settings_like(step: &Step, settings: &AppendSettings) -> Result<ReduceSetting
             Error::bad_input(MANIFEST_NAME, format!("nan of step {}", plan.number), expected, &plan.nan)
         })?,
         missing: settings.missing.or(plan.missing),
-        value_bits: plan.quantiser.map(|q| q.bits),
+        value_bits: plan.quantiser.map_or(ValueBits::Exact, |q| ValueBits::Bits(q.bits)),
         keyframes: settings.keyframes.unwrap_or(plan.keyframes),
         measure: settings.measure,
         ..ReduceSettings::default()

@@ -45,7 +45,7 @@ use std::path::{Path, PathBuf};
 /// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
 /// let archive = Archive::open(&path)?;
 /// let [lo, hi] = archive.value_range().expect("the field has values");
-/// let isovalue = (lo + hi) / 2.0;
+/// let isovalue = lo + 0.45 * (hi - lo);
 ///
 /// // How large would the surface be? Then make it.
 /// let count = archive.count(isovalue)?;

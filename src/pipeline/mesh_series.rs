@@ -39,7 +39,7 @@ use crate::error::{Error, Result};
 use crate::formats::{self, Input, OpenOptions, StepSource};
 use crate::grid::BrickGrid;
 use crate::pipeline::fingerprint::{Inputs, Watch};
-use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec};
+use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind, SetSettings};
 use crate::sample::{Interpolation, Values};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -278,8 +278,8 @@ pub(super) fn keeps_own(settings: &ReduceSettings, vertices: u64) -> bool {
         Amount::Fraction(f) => f == 1.0,
         Amount::Count(n) => n >= vertices,
     };
-    let ReduceSettings { points, set, .. } = ReduceSettings::default();
-    all && (settings.points, settings.set) == (points, set)
+    all && settings.set_of(true) == SetKind::Hammersley
+        && settings.set == SetSettings::default()
         && settings.interpolation == Interpolation::Linear
         && settings.adapt.is_none()
         && settings.target.is_none()
@@ -323,13 +323,14 @@ fn dense_enough(
         return known(Some(levels), plan);
     }
     let Some(adapt) = &job.settings.adapt else {
-        let set = &job.settings.set;
+        let (set, kind) = (&job.settings.set, job.settings.set_of(true));
         let (points, boundary) = Search { store, how, path, wanted }.find(store.filled(), |count| {
-            let points = PointSpec::with_count(job.settings.points, &plan.mesh.lattice, count, set)?;
+            let points = PointSpec::with_count(kind, &plan.mesh.lattice, count, set)?;
             Ok((points, None, points))
         })?;
         let count = PointSet::new(points, plan.mesh.lattice)?.interior_len();
-        let spaced = Plan::on_lattice(plan.mesh.lattice, count, plan.first().source.clone(), job.settings)?;
+        let spaced =
+            Plan::on_lattice(plan.mesh.lattice, (kind, count), plan.first().source.clone(), job.settings)?;
         plan.mesh = MeshPlan { points, repeated: plan.mesh.repeated, ..spaced.mesh };
         return Ok((Dense { levels: None, wanted, bound: None }, boundary));
     };
@@ -473,7 +474,7 @@ fn new_plan(
     if let Some(adapt) = &settings.adapt {
         adapt.check(settings)?;
     }
-    let mut plan = Plan::on_lattice(lattice, wanted, source, settings)?;
+    let mut plan = Plan::on_lattice(lattice, (settings.set_of(true), wanted), source, settings)?;
     plan.mesh.repeated = RepeatedRecord::of(store.firsts.pairs()?);
     Ok(plan)
 }
@@ -629,22 +630,21 @@ impl StepPlanner<'_> {
         let settings = self.job.settings;
         let quantiser = match self.job.part.planned() {
             Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
-            None if settings.value_bits.is_some() => {
-                quantiser(&self.store.values_of(&mesh, self.how)?, settings)?
-            }
-            None => None,
+            None => match settings.bits(true) {
+                Some(bits) => Some(quantiser(&self.store.values_of(&mesh, self.how)?, bits)?),
+                None => None,
+            },
         };
         Ok(StepPlan { number, time: source.time, source: source_record, quantiser, ..self.template.clone() })
     }
 }
 
 /// Steps of the range of the vertices' values.
-fn quantiser(values: &Column<f32>, settings: &ReduceSettings) -> Result<Option<Quantiser>> {
-    let Some(bits) = settings.value_bits else { return Ok(None) };
+fn quantiser(values: &Column<f32>, bits: u8) -> Result<Quantiser> {
     let values = values.get()?.iter().filter(|v| !v.is_nan());
     let range = values.fold([f32::INFINITY, f32::NEG_INFINITY], |[lo, hi], &v| [lo.min(v), hi.max(v)]);
     let range = if range[0] <= range[1] { range.map(|v| v + 0.0) } else { Default::default() };
-    Ok(Some(Quantiser::new(bits, range)))
+    Ok(Quantiser::new(bits, range))
 }
 
 /// What the file tells; lattice and geometry follow when it has been read.

@@ -88,7 +88,7 @@ pub use measure::{MeasureReport, MeasureSettings, measure};
 pub use need::Estimate;
 pub use notice::{Finding, Notice, mesh_notices, scan_with_notices};
 pub use open::{ArchiveSummary, LevelSummary, StepSummary, is_archive, summarize, summarize_at};
-pub use plan::{Amount, Plan, ReduceSettings};
+pub use plan::{Amount, Plan, ReduceSettings, ValueBits};
 pub use plan_file::{plan_path, work_folder};
 pub use probe::{ProbeReport, ProbeSettings};
 pub use query::{

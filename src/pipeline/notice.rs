@@ -250,7 +250,7 @@ fn own_is_better(path: &Path, report: &ReduceReport, said: &[Notice], job: &Job<
     }
     let why = format!("the RMS error is {:.0} % of the range", 100.0 * share);
     let own = own_bytes(vertices, job.sources.len());
-    let rounded = job.settings.value_bits.is_some();
+    let rounded = job.settings.bits(true).is_some();
     Some(Notice::of_own(path, report.inner_points, vertices, own, &why, rounded))
 }
 
@@ -398,8 +398,10 @@ fn of_numbers(
             format!("{flag} asks for {asked_text} points, more than its {samples_text} {what}: {help}");
         out.push(Notice::new(path, Finding::MorePoints { points: asked, samples }, &text));
     }
-    let is_lattice = settings.points == SetKind::Bcc && matches!(input, Input::Volume(_));
-    let point = match settings.value_bits.map(f64::from) {
+    let of_mesh = matches!(input, Input::Mesh(_));
+    let is_lattice = !of_mesh && settings.set_of(of_mesh) == SetKind::Bcc;
+    let bits = settings.bits(of_mesh);
+    let point = match bits.map(f64::from) {
         Some(bits) if is_lattice => ((bits - 3.0) / 8.0).max(LEAST_POINT_BYTES),
         None if is_lattice => LATTICE_POINT_BYTES,
         Some(bits) => ROUNDED_POINT_BYTES + bits / 8.0,
@@ -408,7 +410,7 @@ fn of_numbers(
     let each = point.min(POINT_BYTES) + STEP_BYTES * (steps - 1) as f64;
     let archive = if own { own_bytes(samples, steps) } else { (points as f64 * each) as u64 };
     if let Input::Mesh(_) = input {
-        let (of_own, rounded) = (own_bytes(samples, steps), settings.value_bits.is_some());
+        let (of_own, rounded) = (own_bytes(samples, steps), bits.is_some());
         let is_much = asked as f64 >= NEARLY_ALL * samples as f64 || of_own <= SMALL;
         if asked < samples && is_much && could_keep_own(settings) {
             let bytes = (LEAST_BYTES + asked as f64 * MESH_POINT_BYTES) as u64;
@@ -422,7 +424,7 @@ fn of_numbers(
         }
     }
     if archive > size.bytes.max(SMALL) {
-        let flags = smaller(archive, size.bytes, settings);
+        let flags = smaller(archive, size.bytes, settings, bits.is_some());
         let text = format!(
             "the archive will take about {}, more than its source, {}: {flags} makes it smaller",
             size.in_words(archive),
@@ -435,8 +437,8 @@ fn of_numbers(
 }
 
 /// Flags with which an archive is smaller than its source, as far as a number of points does that.
-fn smaller(archive: u64, source: u64, settings: &ReduceSettings) -> String {
-    let bits = if settings.value_bits.is_none() { " or --value-bits" } else { "" };
+fn smaller(archive: u64, source: u64, settings: &ReduceSettings, rounded: bool) -> String {
+    let bits = if rounded { "" } else { " or --value-bits" };
     let times = archive as f64 / source.max(1) as f64;
     match settings.amount {
         Amount::Fraction(f) => {
@@ -454,7 +456,7 @@ fn smaller(archive: u64, source: u64, settings: &ReduceSettings) -> String {
 /// Points of a set, boundary included; what was asked for where the settings are none.
 fn points_of(dims: [u64; 3], asked: u64, settings: &ReduceSettings) -> u64 {
     let points = Lattice::new(dims).and_then(|lattice| {
-        PointSet::new(PointSpec::with_count(settings.points, &lattice, asked, &settings.set)?, lattice)
+        PointSet::new(PointSpec::with_count(settings.set_of(false), &lattice, asked, &settings.set)?, lattice)
     });
     points.map_or(asked, |points| points.len())
 }

@@ -40,11 +40,32 @@ pub enum Amount {
     Count(u64),
 }
 
+/// Bits to which values are rounded, of the range of the source.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ValueBits {
+    /// Interpolated values on the lattice of a volume have [`ValueBits::USUAL`] bits, all others are exact.
+    ///
+    /// The bits are those of the range of 99.8 % of the samples of the first step. A few outliers that
+    /// stretch the whole range add bits, and above [`Quantiser::BITS`] values are exact.
+    #[default]
+    Usual,
+    /// Values are not rounded.
+    Exact,
+    /// So many bits, of the whole range.
+    Bits(u8),
+}
+
+impl ValueBits {
+    /// Bits of a lattice's values by default.
+    pub const USUAL: u8 = 8;
+}
+
 /// What the user chooses of a reduction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReduceSettings {
-    /// The point set.
-    pub points: SetKind,
+    /// The point set. By default the lattice for a volume, Hammersley's for a mesh, and Halton's where points adapt.
+    pub points: Option<SetKind>,
     /// Its parameters that do not follow from the amount.
     pub set: SetSettings,
     /// Number of interior points of a volume; of points with a value of a mesh, boundary included. A mesh is kept as it is by a fraction of 1, or a count
@@ -64,8 +85,9 @@ pub struct ReduceSettings {
     pub nan: NanPolicy,
     /// A value that means "no data", besides what the file declares.
     pub missing: Option<f64>,
-    /// Bits to which values are rounded, of the range of the source; as they are if not given.
-    pub value_bits: Option<u8>,
+    /// How values are rounded.
+    #[serde(default)]
+    pub value_bits: ValueBits,
     /// Points meshed together.
     pub chunk_points: u64,
     /// Of a series: steps from one keyframe, which is stored without looking back, to the next; 1 makes each step one.
@@ -78,6 +100,37 @@ impl ReduceSettings {
     /// A hash of all of them.
     pub(super) fn hash(&self) -> PlanHash {
         PlanHash::of(&serde_json::to_vec(self).expect("settings are plain data"))
+    }
+
+    /// Exact values at points of a set, with defaults for all else.
+    pub fn exact(points: SetKind) -> Self {
+        Self { points: Some(points), value_bits: ValueBits::Exact, ..Self::default() }
+    }
+
+    /// The point set, for a mesh or for a volume.
+    pub(super) fn set_of(&self, of_mesh: bool) -> SetKind {
+        self.points.unwrap_or(match (self.adapt, of_mesh) {
+            (Some(_), _) => SetKind::Halton,
+            (None, true) => SetKind::Hammersley,
+            (None, false) => SetKind::Bcc,
+        })
+    }
+
+    /// Whether the usual bits round values.
+    pub(super) fn rounds_usually(&self, of_mesh: bool) -> bool {
+        self.value_bits == ValueBits::Usual
+            && !of_mesh
+            && self.set_of(of_mesh) == SetKind::Bcc
+            && self.interpolation != Interpolation::Nearest
+    }
+
+    /// The bits to which values are rounded, before outliers add some; `None` if values are exact.
+    pub(super) fn bits(&self, of_mesh: bool) -> Option<u8> {
+        match self.value_bits {
+            ValueBits::Bits(bits) => Some(bits),
+            ValueBits::Usual if self.rounds_usually(of_mesh) => Some(ValueBits::USUAL),
+            ValueBits::Usual | ValueBits::Exact => None,
+        }
     }
 
     /// Default of `chunk_points`.
@@ -94,7 +147,7 @@ impl ReduceSettings {
 impl Default for ReduceSettings {
     fn default() -> Self {
         Self {
-            points: SetKind::Hammersley,
+            points: None,
             set: SetSettings::default(),
             amount: Amount::Fraction(0.125),
             adapt: None,
@@ -103,7 +156,7 @@ impl Default for ReduceSettings {
             values: Values::Fit,
             nan: NanPolicy::Error,
             missing: None,
-            value_bits: None,
+            value_bits: ValueBits::Usual,
             chunk_points: Self::CHUNK_POINTS,
             keyframes: Self::KEYFRAMES,
             measure: true,
@@ -170,17 +223,18 @@ impl Plan {
                 info.path.display()
             )));
         }
-        Self::on_lattice(lattice, count, source_of(info, fingerprint), settings)
+        let kind = settings.set_of(false);
+        Self::on_lattice(lattice, (kind, count), source_of(info, fingerprint), settings)
     }
 
-    /// A plan of so many points on a lattice.
+    /// A plan of so many points of a set on a lattice.
     pub(crate) fn on_lattice(
         lattice: Lattice,
-        count: u64,
+        (kind, count): (SetKind, u64),
         source: Source,
         settings: &ReduceSettings,
     ) -> Result<Self> {
-        if let Some(bits) = settings.value_bits
+        if let ValueBits::Bits(bits) = settings.value_bits
             && !Quantiser::BITS.contains(&bits)
         {
             let (least, most) = Quantiser::BITS.into_inner();
@@ -197,7 +251,7 @@ impl Plan {
             ));
         }
         let samples = lattice.dims.iter().map(|&d| d as f64).product::<f64>();
-        let points = PointSpec::with_count(settings.points, &lattice, count, &settings.set)?;
+        let points = PointSpec::with_count(kind, &lattice, count, &settings.set)?;
         let total = PointSet::new(points, lattice)?.len();
         let edge = libm::cbrt(samples / total as f64 * BRICK_POINTS).round() as u64;
         if !(1..=LONGEST_CHAIN + 1).contains(&settings.keyframes) {

@@ -211,14 +211,15 @@ fn first_input(sources: &[(u64, StepSource)], run: &RunSettings) -> Result<Input
 }
 
 /// Makes the plan of a job, and of the mesh what follows from it; tells what the job needs. Makes no segment.
-pub(super) fn make_plan(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimate)> {
+pub(super) fn make_plan(job: &Job<'_>, only_estimates: bool) -> Result<(SeriesPlan, MeshParts, Estimate)> {
     if let Input::Mesh(_) = first_input(job.sources, job.run)? {
         return reduce_mesh::plan_mesh(job);
     }
-    let series = plan_volumes(job.sources, job.settings, job.run, Known::default())?;
+    let known = Known { out: Some(job.out), only_estimates, ..Known::default() };
+    let series = plan_volumes(job.sources, job.settings, job.run, known)?;
     let mesh = parts(&series.plan.mesh, series.beside.clone())?;
     let need = need_of(&mesh, 0, series.plan.steps.len(), job.run.memory, job.run);
-    let estimate = estimate_of(&series, &need, job.out, job.run)?;
+    let estimate = estimate_of(&series.plan, &series.sources, &need, job.out, job.run)?;
     Ok((series, mesh, estimate))
 }
 
@@ -230,6 +231,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
         out: Some(job.out),
         round: job.round,
         files: job.part.planned_files(),
+        only_estimates: false,
     };
     let series = plan_volumes(job.sources, job.settings, job.run, known)?;
     job.part.expect_planned(&series)?;
@@ -241,7 +243,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     let samples = series.plan.first().source.samples();
     let seconds = vec![("plan".to_owned(), planning.elapsed().as_secs_f64())];
     let need = need_of(&mesh, 0, series.plan.steps.len(), job.run.memory, job.run);
-    estimate_of(&series, &need, job.out, job.run)?.check()?;
+    estimate_of(&series.plan, &series.sources, &need, job.out, job.run)?.check()?;
     // Small copies of inputs are made in memory where that leaves as many threads at work.
     let (memory, workers) = (job.run.memory, threads(job.run));
     let rest = memory - PlannedSource::small_copies(&series.sources, need.steps()).min(memory);
@@ -509,8 +511,10 @@ pub fn estimate_series(
     let (sources, progress, started) = (&numbered(sources), &Silent, Instant::now());
     let job = Job { sources, settings, out, run, progress, started, part: Part::Whole, round: None };
     let notices = look(&job, false)?.notices;
-    let (series, _, mut estimate) = make_plan(&job)?;
-    if !run.replace {
+    // One that is there is compared with, in all that decides its bytes.
+    let is_compared = !run.replace && is_finished(out);
+    let (series, _, mut estimate) = make_plan(&job, !is_compared)?;
+    if is_compared {
         repair::finished(out, &series.plan)?;
     }
     estimate.notices = notices;
@@ -518,21 +522,22 @@ pub fn estimate_series(
 }
 
 pub(super) fn estimate_of(
-    series: &SeriesPlan,
+    plan: &Plan,
+    sources: &[PlannedSource],
     need: &Need,
     out: &Path,
     run: &RunSettings,
 ) -> Result<Estimate> {
-    let largest = |of: fn(&PlannedSource) -> u64| series.sources.iter().map(of).max().unwrap_or(0);
+    let largest = |of: fn(&PlannedSource) -> u64| sources.iter().map(of).max().unwrap_or(0);
     let scratch = scratch_folder(run);
     Ok(Estimate::new(&Question {
-        plan: &series.plan,
+        plan,
         need,
         memory: run.memory,
         threads: threads(run),
         out,
         there: if out.is_dir() { folder_bytes(out)? } else { 0 },
-        scratch: (&scratch, PlannedSource::copied_at_a_time(&series.sources)),
+        scratch: (&scratch, PlannedSource::copied_at_a_time(sources)),
         copying: largest(|s| s.copying),
     }))
 }

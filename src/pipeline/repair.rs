@@ -4,7 +4,7 @@
 //! reduction, and its like replaces it in the end.
 
 use super::beside::Beside;
-use super::plan::{Plan, ReduceSettings};
+use super::plan::{Plan, ReduceSettings, ValueBits};
 use crate::archive::manifest::{
     MANIFEST_NAME, Manifest, Step, coordinates_path, index_path, mesh_folder, mesh_segment_path,
     spectrum_path, steps_folder, unpacked_path, unpacked_step, values_segment_path,
@@ -114,7 +114,11 @@ pub(super) fn may_be_of(archive: &Path, steps: &[StepSource], settings: &ReduceS
     let name = |step: &StepSource| step.path.file_name().map(|name| name.to_string_lossy().into_owned());
     let is_alike = manifest.steps.len() <= steps.len()
         && manifest.plan.levels.is_some() == settings.adapt.is_some()
-        && first.and_then(|plan| plan.quantiser).map(|q| q.bits) == settings.value_bits
+        && match (settings.value_bits, first.and_then(|plan| plan.quantiser)) {
+            (ValueBits::Usual, _) => true,
+            (ValueBits::Exact, quantiser) => quantiser.is_none(),
+            (ValueBits::Bits(bits), quantiser) => quantiser.is_some_and(|q| q.bits == bits),
+        }
         && steps.iter().any(|step| name(step).as_ref() == first.map(|plan| &plan.source.path));
     // What a target is met with tells so; how many points it has is no matter of the settings.
     match settings.target {

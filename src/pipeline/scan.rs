@@ -138,56 +138,100 @@ fn scan_random(reader: &dyn VolumeReader, counter: &mut Counter) -> Result<()> {
     })
 }
 
-/// Least and largest finite sample besides the one that means "no data"; `None` if there is none. Reads the volume once.
-pub(crate) fn value_range(
+/// Looks at all finite samples besides the one that means "no data". Reads the volume once.
+pub(crate) fn spread(
     reader: &dyn VolumeReader,
     missing: Option<f64>,
     cancel: &CancelToken,
-) -> Result<Option<[f32; 2]>> {
-    let mut range = Extent::new(missing);
+) -> Result<Spread> {
+    let mut spread = Spread::new(missing);
     for_slabs(reader, |values| {
-        range.add(values);
+        spread.add(values);
         cancel.check()
     })?;
-    Ok(range.found())
+    Ok(spread)
 }
 
-/// As [`value_range`].
-pub(crate) fn stream_range(
+/// As [`spread`], of values less an offset.
+pub(crate) fn stream_spread(
     stream: &mut dyn SlabStream,
     missing: Option<f64>,
+    offset: f64,
     cancel: &CancelToken,
-) -> Result<Option<[f32; 2]>> {
-    let mut range = Extent::new(missing);
-    for_stream(stream, |values| {
-        range.add(values);
-        cancel.check()
-    })?;
-    Ok(range.found())
+) -> Result<Spread> {
+    let mut spread = Spread::new(missing);
+    if offset == 0.0 {
+        for_stream(stream, |values| {
+            spread.add(values);
+            cancel.check()
+        })?;
+        return Ok(spread);
+    }
+    let (info, mut bytes) = (stream.info().clone(), vec![]);
+    while stream.next_slab(&mut bytes)?.is_some() {
+        each_value(&bytes, &info, missing, offset, |v| spread.add_one(v as f32));
+        cancel.check()?;
+    }
+    Ok(spread)
 }
 
-/// Least and largest finite value besides one.
-struct Extent {
+/// How samples are spread over the numbers: their range, and the range of nearly all.
+pub(crate) struct Spread {
     missing: Option<f32>,
-    low: f32,
-    high: f32,
+    range: [f32; 2],
+    /// Samples by the upper half of their bits, in ascending order of values: at most 0.8 % of a value wide.
+    counts: Vec<u64>,
 }
 
-impl Extent {
+/// One of so many samples may lie below the range of nearly all, and one above.
+const OUTLIERS: u64 = 1000;
+
+impl Spread {
     fn new(missing: Option<f64>) -> Self {
-        Self { missing: missing.map(|m| m as f32), low: f32::INFINITY, high: f32::NEG_INFINITY }
+        let range = [f32::INFINITY, f32::NEG_INFINITY];
+        Self { missing: missing.map(|m| m as f32), range, counts: vec![0; 1 << 16] }
     }
 
     fn add(&mut self, values: &[f32]) {
-        for &v in values.iter().filter(|v| v.is_finite() && Some(**v) != self.missing) {
-            (self.low, self.high) = (self.low.min(v), self.high.max(v));
-        }
+        let missing = self.missing;
+        values.iter().filter(|v| Some(**v) != missing).for_each(|&v| self.add_one(v));
     }
 
-    /// A zero has no sign here: which of two zeros is the lesser one differs from machine to machine.
-    fn found(&self) -> Option<[f32; 2]> {
-        (self.low <= self.high).then_some([self.low + 0.0, self.high + 0.0])
+    fn add_one(&mut self, value: f32) {
+        if !value.is_finite() {
+            return;
+        }
+        // A zero has no sign here: which of two zeros is the lesser one differs from machine to machine.
+        let value = value + 0.0;
+        let [low, high] = self.range;
+        self.range = [low.min(value), high.max(value)];
+        self.counts[(ordered_key(value) >> 16) as usize] += 1;
     }
+
+    /// Least and largest sample; `None` if there is none.
+    pub(crate) fn range(&self) -> Option<[f32; 2]> {
+        (self.range[0] <= self.range[1]).then_some(self.range)
+    }
+
+    /// The range of 99.8 % of the samples, with up to 0.8 % of its ends besides.
+    pub(crate) fn of_nearly_all(&self) -> Option<[f32; 2]> {
+        let [low, high] = self.range()?;
+        let outside = self.counts.iter().sum::<u64>() / OUTLIERS;
+        let keys = || (0..1u32 << 16).zip(&self.counts);
+        let below = first_within(keys(), outside)?;
+        let above = first_within(keys().rev(), outside)?;
+        Some([value_of_key(below << 16).max(low), value_of_key(above << 16 | 0xffff).min(high)])
+    }
+}
+
+/// The first key with more than so many samples up to it.
+fn first_within<'a>(mut counts: impl Iterator<Item = (u32, &'a u64)>, outside: u64) -> Option<u32> {
+    let mut passed = 0;
+    let found = counts.find(|(_, n)| {
+        passed += **n;
+        passed > outside
+    });
+    found.map(|(key, _)| key)
 }
 
 fn for_slabs(reader: &dyn VolumeReader, mut f: impl FnMut(&[f32]) -> Result<()>) -> Result<()> {
@@ -250,5 +294,26 @@ mod tests {
         assert_eq!((s.min, s.max, s.mean, s.nan, s.infinite), (Some(0.0), Some(64.0), Some(32.0), 1, 1));
         assert_eq!((s.histogram[0], s.histogram[32], s.histogram[63]), (1, 2, 1));
         assert_eq!(Counter::new().finish().min, None);
+    }
+
+    #[test]
+    fn a_few_outliers_are_not_in_the_range_of_nearly_all() {
+        let nearly_all = |values: &[f32]| {
+            let mut spread = Spread::new(Some(-9.0));
+            spread.add(values);
+            (spread.range(), spread.of_nearly_all())
+        };
+        assert_eq!(nearly_all(&[f32::NAN, -9.0, f32::INFINITY]), (None, None));
+        assert_eq!(nearly_all(&[-0.0]).1.map(|r| r.map(f32::to_bits)), Some([0, 0]));
+        // Of fewer than a thousand samples each one counts.
+        let mut values = vec![1.0; 998];
+        values.push(1e30);
+        assert_eq!(nearly_all(&values), (Some([1.0, 1e30]), Some([1.0, 1e30])));
+        values = (0..10_000).map(|i| i as f32 / 5000.0 - 1.0).collect();
+        values.extend([-1e30, -1e20, 1e20, 1e30]);
+        let (all, [low, high]) = (nearly_all(&values).0, nearly_all(&values).1.unwrap());
+        assert_eq!(all, Some([-1e30, 1e30]));
+        // Ten at either end are left out, and what is left is known to a part of 128.
+        assert!((-1.008..=-0.998).contains(&low) && (0.998..=1.008).contains(&high), "{low} {high}");
     }
 }

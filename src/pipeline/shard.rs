@@ -136,7 +136,7 @@ pub fn plan_shards(
     let (sources, part) = (&numbered(sources), Part::Whole);
     let job = Job { sources, settings, out, run, progress, started: Instant::now(), part, round: None };
     let notices = look(&job, false)?.notices;
-    let (series, mesh, mut needs) = reduce::make_plan(&job)?;
+    let (series, mesh, mut needs) = reduce::make_plan(&job, false)?;
     needs.notices = notices;
     let beside = series.beside.clone();
     let (memory_least, replaces) = (needs.memory_least, reduce::is_finished(out));

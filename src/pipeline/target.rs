@@ -31,7 +31,7 @@ use super::beside::Beside;
 use super::fingerprint::Inputs;
 use super::job::{Job, Part, ReduceReport, RunSettings, finished};
 use super::open::StepSummary;
-use super::plan::{Amount, Plan, ReduceSettings};
+use super::plan::{Amount, Plan, ReduceSettings, ValueBits};
 use super::plan_file::{old_archive, work_folder};
 use super::reduce::{folder_bytes, is_finished, make};
 use super::repair::{exists, lacks_files};
@@ -250,17 +250,17 @@ const MOST_A_SAMPLE: f64 = 4.0;
 struct Rounding {
     /// Whether they are chosen here.
     is_chosen: bool,
-    bits: Option<u8>,
+    bits: ValueBits,
     /// Tries that have told the error, of a size.
     told: u32,
 }
 
 impl Rounding {
     fn new(settings: &ReduceSettings, target: Target) -> Self {
-        let is_chosen = settings.points == SetKind::Bcc && settings.value_bits.is_none();
+        let is_chosen = settings.points == Some(SetKind::Bcc) && settings.value_bits == ValueBits::Usual;
         let mut rounding = Self { is_chosen, bits: settings.value_bits, told: 0 };
         if is_chosen {
-            rounding.bits = Some(USUAL_BITS);
+            rounding.bits = ValueBits::Bits(USUAL_BITS);
             if let Some(Bound::OfRange(part)) = target.bound() {
                 rounding.choose(target, part);
             }
@@ -273,7 +273,8 @@ impl Rounding {
         // The largest error is several times the RMS error.
         let part = if let Target::Max(_) = target { part / 8.0 } else { part };
         if part > 0.0 && part.is_finite() {
-            self.bits = Some((-libm::log2(STEP * part)).round().clamp(BITS[0], BITS[1]) as u8);
+            let bits = (-libm::log2(STEP * part)).round().clamp(BITS[0], BITS[1]);
+            self.bits = ValueBits::Bits(bits as u8);
         }
     }
 

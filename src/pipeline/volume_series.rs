@@ -8,10 +8,10 @@ use super::grid_field::GridField;
 use super::job::{RunSettings, scratch_folder};
 use super::open::OpenArchive;
 use super::placed::coordinate_hash;
-use super::plan::{Plan, ReduceSettings, count_of, source_of};
-use super::reduce::{Scratch, copy_bytes, random_access};
+use super::plan::{Plan, ReduceSettings, ValueBits, count_of, parts, source_of};
+use super::reduce::{Scratch, copy_bytes, estimate_of, need_of, random_access};
 use super::rounds::{Frame, Round};
-use super::scan::{stream_range, value_range};
+use super::scan::{Spread, spread, stream_spread};
 use super::series::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
 use super::shift::{Reading, Shift};
 use super::target::Target;
@@ -22,7 +22,6 @@ use crate::error::{Error, Result};
 use crate::exec::Progress;
 use crate::formats::{self, Input, StepSource, UnpackedFrames};
 use crate::grid::Geometry;
-use crate::volume::shifted::survey;
 use crate::volume::unpacked::unpack;
 use crate::volume::{VolumeInfo, VolumeReader, VolumeSource};
 use std::path::{Path, PathBuf};
@@ -87,6 +86,11 @@ struct Planner<'a> {
     offset: Option<f64>,
     /// The packed file that was read last to find what is lost.
     looked_into: Option<PathBuf>,
+    /// The bits of values by default, once the samples of the first step were looked at.
+    usual_bits: Option<Option<u8>>,
+    /// The archive, of which memory and disk are checked before samples are read; `None` where samples are not to be read.
+    unchecked: Option<&'a Path>,
+    only_estimates: bool,
 }
 
 /// What is known before sources are looked at.
@@ -102,12 +106,14 @@ pub(super) struct Known<'a> {
     pub(super) round: Option<&'a Round>,
     /// Of a plan that was made before: the files that it was made from.
     pub(super) files: &'a [RecordedFile],
+    /// Whether nothing is to be made of the plan: samples are not read for the range of values.
+    pub(super) only_estimates: bool,
 }
 
 /// The most steps of a series that are read to find where points are needed: these, evenly spread.
 const MOST_LOOKED_AT: usize = 8;
 
-/// Plans all steps of a series. Reads headers, and fingerprints; with [`ReduceSettings::value_bits`] also all samples, unless that was
+/// Plans all steps of a series. Reads headers, and fingerprints; where values are rounded also all samples, unless that was
 /// done before; with [`ReduceSettings::adapt`] those of some steps.
 pub(super) fn plan_volumes(
     sources: &[(u64, StepSource)],
@@ -116,7 +122,7 @@ pub(super) fn plan_volumes(
     known: Known<'_>,
 ) -> Result<SeriesPlan> {
     let before = known.archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone());
-    let Known { planned: plan_before, archive, out, round, files } = known;
+    let Known { planned: plan_before, archive, out, round, files, only_estimates } = known;
     let mut planner = Planner {
         settings,
         run,
@@ -130,6 +136,9 @@ pub(super) fn plan_volumes(
         inputs: plan_before.map_or_else(Inputs::default, |plan| Inputs::planned(files, plan.fingerprints())),
         offset: None,
         looked_into: None,
+        usual_bits: None,
+        unchecked: out,
+        only_estimates,
     };
     if let Some(archive) = archive {
         planner.join(archive)?;
@@ -289,11 +298,8 @@ impl Planner<'_> {
             self.look_at(source)?;
         }
         let (copied, copying) = copy_bytes(&volume);
-        let quantiser = match self.planned {
-            Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
-            None => self.settings.value_bits.map(|bits| self.quantiser(volume, bits)).transpose()?,
-        };
-        let step = StepPlan {
+        let planned = PlannedSource { source: source.clone(), copied, shared_copy: 0, copying };
+        let mut step = StepPlan {
             number,
             time: source.time,
             source: Source {
@@ -305,12 +311,28 @@ impl Planner<'_> {
             values: self.settings.values,
             nan: self.settings.nan.to_string(),
             missing: self.settings.finite_missing(),
-            quantiser,
+            quantiser: None,
             keyframes: self.settings.keyframes,
             measured: self.settings.measure,
             base: None,
         };
-        Ok((step, PlannedSource { source: source.clone(), copied, shared_copy: 0, copying }))
+        step.quantiser = match self.planned {
+            Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
+            None if self.settings.bits(false).is_none() || self.only_estimates => None,
+            None => {
+                self.check_budget(&step, &planned)?;
+                self.quantiser(volume)?
+            }
+        };
+        Ok((step, planned))
+    }
+
+    /// Checks memory and disk for the first step, before all its samples are read: a header may claim any number of them.
+    fn check_budget(&mut self, step: &StepPlan, source: &PlannedSource) -> Result<()> {
+        let (Some(plan), Some(out)) = (&self.plan, self.unchecked.take()) else { return Ok(()) };
+        let plan = Plan { mesh: plan.mesh.clone(), steps: vec![step.clone()] };
+        let need = need_of(&parts(&plan.mesh, self.beside.clone())?, 0, 1, self.run.memory, self.run);
+        estimate_of(&plan, std::slice::from_ref(source), &need, out, self.run)?.check()
     }
 
     /// How samples are read, once the offset is known.
@@ -341,24 +363,45 @@ impl Planner<'_> {
     }
 
     /// Steps of the source's range, which is read for that: the same everywhere, so that what chunks share stays equal.
-    fn quantiser(&self, source: VolumeSource, bits: u8) -> Result<Quantiser> {
-        let reading = self.reading();
-        let found = match (source, reading.offset()) {
-            (VolumeSource::Random(reader), _) => {
-                value_range(&*reading.reader(reader), reading.missing(), &self.run.cancel)?
+    fn quantiser(&mut self, source: VolumeSource) -> Result<Option<Quantiser>> {
+        if self.usual_bits == Some(None) {
+            return Ok(None);
+        }
+        let (reading, cancel) = (self.reading(), &self.run.cancel);
+        let found = match source {
+            VolumeSource::Random(reader) => spread(&*reading.reader(reader), reading.missing(), cancel)?,
+            VolumeSource::Stream(mut stream) if reading.offset() == 0.0 => {
+                stream_spread(&mut *stream, reading.missing(), 0.0, cancel)?
             }
-            (VolumeSource::Stream(mut stream), 0.0) => {
-                stream_range(&mut *stream, reading.missing(), &self.run.cancel)?
-            }
-            (VolumeSource::Stream(stream), offset) => {
-                let [lo, hi] = survey(stream, self.settings.missing, offset, &self.run.cancel)?.range;
-                (lo <= hi).then_some([lo as f32, hi as f32])
+            VolumeSource::Stream(mut stream) => {
+                stream_spread(&mut *stream, self.settings.missing, reading.offset(), cancel)?
             }
         };
         let stand_in = reading.stand_in().map(|v| [v, v]);
-        let range = [found, stand_in].into_iter().flatten().reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
-        Ok(Quantiser::new(bits, range.unwrap_or_default()))
+        let ranges = [found.range(), stand_in].into_iter().flatten();
+        let range = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]).unwrap_or_default();
+        let bits = match self.settings.value_bits {
+            ValueBits::Bits(bits) => Some(bits),
+            _ => *self.usual_bits.get_or_insert_with(|| usual_bits(&found, range)),
+        };
+        Ok(bits.map(|bits| Quantiser::new(bits, range)))
     }
+}
+
+/// Bits that split the range of nearly all samples into as many steps as [`ValueBits::USUAL`] bits do; `None` if a
+/// quantiser does not have as many.
+fn usual_bits(found: &Spread, [low, high]: [f32; 2]) -> Option<u8> {
+    let width = |[lo, hi]: [f32; 2]| f64::from(hi) - f64::from(lo);
+    let (all, nearly_all) = (width([low, high]), found.of_nearly_all().map_or(0.0, width));
+    let mut bits = ValueBits::USUAL;
+    // Nearly all samples may be equal: then what is left is the whole field.
+    while nearly_all > 0.0 && all >= 2.0 * nearly_all * f64::from(1u32 << (bits - ValueBits::USUAL)) {
+        bits += 1;
+        if !Quantiser::BITS.contains(&bits) {
+            return None;
+        }
+    }
+    Some(bits)
 }
 
 /// Opens volumes.

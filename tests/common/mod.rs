@@ -151,9 +151,9 @@ pub(crate) fn ball(x: f64, y: f64, z: f64) -> f64 {
     0.49 - x * x - y * y - z * z
 }
 
-/// Sampled values: those of the field, and of a linear field to the last bit, which most tests compare with.
+/// Sampled values, not rounded: those of the field, and of a linear field to the last bit, which most tests compare with.
 pub(crate) fn settings(points: SetKind, amount: Amount, chunk_points: u64) -> ReduceSettings {
-    ReduceSettings { points, amount, chunk_points, values: Values::Sample, ..ReduceSettings::default() }
+    ReduceSettings { amount, chunk_points, values: Values::Sample, ..ReduceSettings::exact(points) }
 }
 
 pub(crate) fn run(threads: usize) -> RunSettings {

@@ -142,8 +142,7 @@ impl Volume {
     /// Points all over the volume.
     fn even(&self, count: f64, values: Values) -> Result<Made> {
         let amount = Amount::Count(count.round().max(1.0) as u64);
-        let settings =
-            ReduceSettings { points: SetKind::Hammersley, amount, values, ..ReduceSettings::default() };
+        let settings = ReduceSettings { amount, values, ..ReduceSettings::exact(SetKind::Hammersley) };
         Ok(self.reduce(settings)?.1)
     }
 
@@ -212,7 +211,7 @@ impl Volume {
 /// Settings of points that adapt.
 fn dense(values: Values) -> ReduceSettings {
     ReduceSettings {
-        points: SetKind::Halton,
+        points: Some(SetKind::Halton),
         adapt: Some(Adapt::default()),
         values,
         ..ReduceSettings::default()

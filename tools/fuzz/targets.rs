@@ -149,10 +149,9 @@ impl Archive {
             spacing: [1.0; 3],
         };
         let settings = ReduceSettings {
-            points: SetKind::Hammersley,
             amount: Amount::Fraction(1.0),
             chunk_points: 200,
-            ..ReduceSettings::default()
+            ..ReduceSettings::exact(SetKind::Hammersley)
         };
         let (good, copy) = (folder.join("good.isospan"), folder.join("copy.isospan"));
         let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };

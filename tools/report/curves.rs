@@ -100,7 +100,7 @@ impl Way {
             Self::Adapted(values) => (SetKind::Halton, Some(Adapt::default()), values),
             Self::Voxels => return None,
         };
-        Some(ReduceSettings { points, adapt, values, ..ReduceSettings::default() })
+        Some(ReduceSettings { adapt, values, ..ReduceSettings::exact(points) })
     }
 
     /// Those that a field can be reduced in.

@@ -345,11 +345,10 @@ impl Lab {
 
     fn settings(&self, key: Key, kind: SetKind) -> ReduceSettings {
         ReduceSettings {
-            points: kind,
             amount: Amount::Count(self.inside(key)),
             interpolation: key.how.interpolation(key.dataset),
             values: Values::Sample,
-            ..ReduceSettings::default()
+            ..ReduceSettings::exact(kind)
         }
     }
 

@@ -55,7 +55,7 @@ fn sources(folder: &Path, steps: usize) -> Vec<StepSource> {
 
 fn settings(values: Values) -> ReduceSettings {
     ReduceSettings {
-        points: SetKind::Halton,
+        points: Some(SetKind::Halton),
         adapt: Some(Adapt::default()),
         values,
         chunk_points: 2_000,
