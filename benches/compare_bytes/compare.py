@@ -9,7 +9,7 @@ until the target lies between two answers; bits a sample are interpolated betwee
 
 * *isospan*: `reduce --points lattice --target-rms`. All files of the archive count. Its error is that of the values that
   `probe` finds at all samples; where it is not met with a point a sample, there is no answer.
-* *hammersley*: `reduce` as it is by default, at 4, 2, 1, 1/2, ... of the samples.
+* *hammersley*: `reduce --points hammersley`, exact values, at 4, 2, 1, 1/2, ... of the samples.
 * *SZ3*, *SPERR*: HDF5 filters of hdf5plugin, whole and in chunks of 32^3 (what lets them read a part).
 * *ZFP*: zfpy, with an absolute tolerance. *TTHRESH*: numcodecs-wasm-tthresh, with a relative error.
 * *voxels*: every k-th sample along each axis, compressed with xz, and trilinear values between.
@@ -342,7 +342,7 @@ def bytes_of(name, samples, settings, scratch):
             rows.append(dict(volume=name, coder=coder, target=target, bits=bits, largest=100 * most / extent, write=write, read=read))
 
     ours = Curve("isospan", lattice(settings.program), values, scratch)
-    even = Curve("hammersley", Isospan(settings.program, ["--fraction"]), values, scratch)
+    even = Curve("hammersley", Isospan(settings.program, ["--points", "hammersley", "--fraction"]), values, scratch)
     fractions = [2.0**-k for k in range(-2, settings.halvings + 1) if samples.size * 2.0**-k >= 500]
     for target in settings.targets:
         error, most, size, write, read = ours.ask(f"{target}%")

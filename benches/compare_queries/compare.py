@@ -233,7 +233,7 @@ def volume_question(args, programs, work, field):
     (make, (low, high)) = FIELDS[field]
     volume, archive, out = (work / name for name in ("volume.nrrd", "volume.isospan", "out.ply"))
     run(programs / "make_volume", *make, "--dims", f"{args.edge},{args.edge},{args.edge}", "-o", volume)
-    run(programs / "isospan", "-q", "reduce", volume, "-o", archive, "--fraction", "1/8")
+    run(programs / "isospan", "-q", "reduce", volume, "-o", archive, "--points", "hammersley", "--fraction", "1/8")
     image = read(vtk.vtkNrrdReader(), volume)
     edges = vtk.vtkFlyingEdges3D()
     edges.SetInputData(image)

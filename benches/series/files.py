@@ -73,7 +73,7 @@ def main():
     common = ["--threads", a.threads, "--json", "-q"]
     fields = ["--field", a.field] if a.field else []
     first = [a.input[0], *(["--field", a.first] if a.first else [])]
-    reduction = ["-o", archive, "--fraction", a.fraction, "--values", a.values, *common]
+    reduction = ["-o", archive, "--points", "hammersley", "--fraction", a.fraction, "--values", a.values, *common]
     # Times follow that of the first step, whatever the files tell.
     appended = [archive, *a.input, *fields, "--times", "1000000:1", *common]
     least = {}

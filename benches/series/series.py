@@ -93,7 +93,7 @@ def main():
     a.isospan = a.isospan or built()
     folder = tempfile.mkdtemp(dir=a.folder)
     common = ["--threads", a.threads, "--json", "-q"] + ([] if a.measure else ["--no-measure"])
-    reduction = ["--fraction", a.fraction, "--values", a.values, *common]
+    reduction = ["--points", "hammersley", "--fraction", a.fraction, "--values", a.values, *common]
     archive, vtk = os.path.join(folder, "series.isospan"), []
     try:
         for first in range(0, a.steps, a.batch):
