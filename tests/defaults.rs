@@ -3,10 +3,11 @@
 mod common;
 
 use common::{ball, folder, reduce, reduce_in_shards, run, waves, write_mesh, write_npy};
+use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{self, Amount, AppendSettings, ReduceSettings, ValueBits};
-use isospan::points::SetKind;
+use isospan::points::{SetKind, SetSettings};
 use isospan::sample::{Interpolation, Values};
 use std::path::Path;
 
@@ -39,7 +40,7 @@ fn a_volume_becomes_a_lattice_of_rounded_values_that_are_fitted() {
     // A quarter of a percent of the range is little to what the points leave.
     let not_rounded = reduce(&input, &ReduceSettings { values: Values::Fit, ..lattice() }, &exact, 2);
     let rms = [&report, &not_rounded].map(|r| r.error.as_ref().unwrap().rms);
-    assert!(rms[0] < 1.02 * rms[1], "{rms:?}");
+    assert!(rms[0] < 1.05 * rms[1], "{rms:?}");
     assert!(2 * report.archive_bytes < not_rounded.archive_bytes);
 }
 
@@ -136,4 +137,46 @@ fn a_mesh_becomes_exact_hammersley_points() {
     assert!(report.quantiser.is_none());
     reduce(&input, &ReduceSettings::exact(SetKind::Hammersley), &named, 2);
     assert!(folder(&usual) == folder(&named));
+}
+
+#[test]
+fn cells_are_short_along_the_axis_on_which_the_field_bends() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = |name: &str| dir.path().join(name);
+    let (input, packed) = (out("v.npy"), out("v.nrrd"));
+    let dims = [62, 58, 44];
+    write_npy(&input, dims, |x, y, z| (9.0 * z).sin() + 0.3 * (3.0 * x).sin() * (3.0 * y).cos());
+    let samples = std::fs::read(&input).unwrap()[128..].to_vec();
+    let head = "NRRD0004\ntype: float\ndimension: 3\nsizes: 62 58 44\nendian: little\nencoding: gzip\n\n";
+    let mut body = flate2::write::GzEncoder::new(vec![], flate2::Compression::fast());
+    std::io::Write::write_all(&mut body, &samples).unwrap();
+    std::fs::write(&packed, [head.as_bytes(), &body.finish().unwrap()].concat()).unwrap();
+
+    let usual = ReduceSettings { chunk_points: 3_000, ..ReduceSettings::default() };
+    let cells = |name: &str| Manifest::read(&out(name)).unwrap().plan.lattice_cells().unwrap().map(f64::from);
+    let report = reduce(&input, &usual, &out("a.isospan"), 2);
+    let edges = cells("a.isospan").iter().zip(dims).map(|(n, d)| (d - 1) as f64 / n).collect::<Vec<_>>();
+    assert!(edges[0] > 2.5 * edges[2] && edges[1] > 2.5 * edges[2], "{edges:?}");
+    let set = SetSettings { spacing: Some([1.0; 3]), ..SetSettings::default() };
+    let even = reduce(&input, &ReduceSettings { set, ..usual.clone() }, &out("even.isospan"), 2);
+    let rms = [&report, &even].map(|r| r.error.as_ref().unwrap().rms);
+    assert!(rms[0] < 0.5 * rms[1], "{rms:?}");
+    assert!(report.points < even.points + even.points / 5 && even.points < report.points + report.points / 5);
+
+    // However the samples are read, and whoever makes the chunks.
+    reduce(&packed, &usual, &out("packed.isospan"), 1);
+    assert_eq!(cells("packed.isospan"), cells("a.isospan"));
+    reduce_in_shards(&input, &usual, &out("shards.isospan"));
+    assert!(folder(&out("shards.isospan")) == folder(&out("a.isospan")));
+    // Steps that are added have the mesh of the first one, whatever their field is.
+    let other = out("w.npy");
+    write_npy(&other, dims, |x, y, z| (9.0 * x).sin() + 0.3 * (3.0 * z).sin() * y);
+    let steps = [&input, &other].map(|path| StepSource::new(path, &OpenOptions::default()));
+    pipeline::reduce_series(&steps, &usual, &out("both.isospan"), &run(2), &Silent).unwrap();
+    let settings = AppendSettings::default();
+    pipeline::append(&steps[1..], &settings, &out("a.isospan"), &run(2), &Silent).unwrap();
+    assert!(folder(&out("both.isospan")) == folder(&out("a.isospan")));
+    let exact = ReduceSettings { value_bits: ValueBits::Exact, ..usual };
+    reduce(&input, &exact, &out("exact.isospan"), 2);
+    assert_eq!(cells("exact.isospan"), cells("a.isospan"));
 }

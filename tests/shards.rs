@@ -68,7 +68,7 @@ impl Case {
 
     fn volume() -> tempfile::TempDir {
         let dir = tempfile::tempdir().unwrap();
-        write_npy(&dir.path().join("v.npy"), [46, 44, 42], waves);
+        write_npy(&dir.path().join("v.npy"), [46, 46, 44], waves);
         dir
     }
 

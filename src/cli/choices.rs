@@ -193,6 +193,7 @@ impl Choices {
         Ok(ReduceSettings {
             points: kind,
             set: SetSettings {
+                spacing: None,
                 shift: self.shift.unwrap_or(0.5),
                 m: self.cross_m,
                 k: self.cross_k,

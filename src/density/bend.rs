@@ -14,6 +14,8 @@
 //! ([`Lattice::stretched`](crate::geom::Lattice::stretched)), and all that is even on it follows. For a field that is smooth at all distances that is the rule of D'Azevedo and Simpson
 //! ("On optimal interpolation triangle incidences", 1989): a distance goes with the inverse root of the second difference.
 //!
+//! The cells of a lattice may have any edges: their distances are those of least error on a grid of quarters of a factor 2.
+//!
 //! Time: a quarter of the lines are looked at, four operations a sample, axis and distance. The sums are those of blocks, added in their order: the same for any threads.
 
 use super::SCALES;
@@ -22,6 +24,10 @@ use crate::grid::IndexBox;
 
 /// What is expected to be left of the error, at most, where an axis is made finer: less is not worth longer tetrahedra.
 const WORTH: f64 = 0.9;
+/// The same for the edges of a lattice's cells, which cost nothing but rounder triangles.
+const WORTH_OF_CELLS: f64 = 0.95;
+/// Edges are looked for in steps of 2^(1/4); the longest one has so many more than the shortest: it is four times as long.
+const MOST_QUARTERS: i32 = 8;
 /// Every so-many-th line of samples along each of the two other axes.
 const EVERY: usize = 2;
 
@@ -81,6 +87,34 @@ impl Bend {
             }
         }
         best
+    }
+}
+
+impl Bend {
+    /// How far apart points should be along each axis, in voxels, where `mean` is the geometric mean of the three;
+    /// equally far where that is nearly as good. Not nearer than samples are, which would bring nothing, and not
+    /// farther than was measured.
+    pub fn spacing(&self, mean: f64) -> [f64; 3] {
+        let logs = self.axes.map(|along| along.logs());
+        let middle = libm::log2(mean);
+        let error = |logs2: [f64; 3]| (0..3).map(|a| error_at(&logs[a], logs2[a])).sum::<f64>();
+        let even = error([middle; 3]);
+        let mut least = WORTH_OF_CELLS * WORTH_OF_CELLS * even;
+        let mut best = [middle; 3];
+        // Without any error there is nothing to choose by.
+        if even > 1e-200 {
+            let quarters = |n: i32| -n..=n;
+            for [x, y] in quarters(MOST_QUARTERS).flat_map(|y| quarters(MOST_QUARTERS).map(move |x| [x, y])) {
+                let steps = [x, y, -x - y];
+                let at = steps.map(|q| middle + f64::from(q) / 4.0);
+                let is_measured = at.iter().all(|log| (0.0..=SCALES as f64).contains(log));
+                let is_round = (0..3).all(|a| (steps[a] - steps[(a + 1) % 3]).abs() <= MOST_QUARTERS);
+                if is_measured && is_round && error(at) < least {
+                    (best, least) = (at, error(at));
+                }
+            }
+        }
+        best.map(libm::exp2)
     }
 }
 
@@ -169,6 +203,25 @@ mod tests {
             for spacing in [0.5, 2.0, 3.3, 5.0] {
                 assert_eq!(bend(bends, [33; 3]).finer(spacing), finer, "{bends:?} {spacing}");
             }
+        }
+    }
+
+    #[test]
+    fn cells_are_longer_along_axes_on_which_a_field_bends_less() {
+        for (bends, mean, expected) in [
+            ([1.0, 1.0, 1.0], 4.0, [4.0, 4.0, 4.0]),
+            ([1.0, 1.0, 1.2], 4.0, [4.0, 4.0, 4.0]),
+            ([0.0, 0.0, 0.0], 4.0, [4.0, 4.0, 4.0]),
+            ([1.0, 1.0, 16.0], 4.0, [6.35, 6.35, 1.59]),
+            ([1.0, 1.0, 1e6], 4.0, [6.35, 6.35, 1.59]),
+            ([4.0, 1.0, 1.0], 4.0, [2.52, 5.04, 5.04]),
+            // Not nearer than samples.
+            ([1.0, 1.0, 1e6], 1.42, [1.68, 1.68, 1.0]),
+            ([1.0, 1.0, 1e6], 0.5, [0.5, 0.5, 0.5]),
+        ] {
+            let found = bend(bends, [33; 3]).spacing(mean);
+            let is_near = |a: usize| (found[a] / expected[a]).max(expected[a] / found[a]) < 1.2;
+            assert!((0..3).all(is_near), "{bends:?} {mean}: {found:?}");
         }
     }
 

@@ -10,6 +10,7 @@
 mod adapt;
 mod adapt_mesh;
 mod append;
+mod bend_blocks;
 mod beside;
 mod block;
 mod cell_field;

@@ -1,5 +1,7 @@
 //! One pass over a volume: range, mean, missing samples, histogram. Memory: one slab.
 
+use super::bend_blocks::BendBlocks;
+use crate::density::Bend;
 use crate::error::Result;
 use crate::exec::CancelToken;
 use crate::grid::IndexBox;
@@ -132,67 +134,72 @@ pub fn scan(source: VolumeSource) -> Result<(VolumeInfo, Scan)> {
 }
 
 fn scan_random(reader: &dyn VolumeReader, counter: &mut Counter) -> Result<()> {
-    for_slabs(reader, |values| {
+    for_slabs(reader, |_, values| {
         counter.add(values);
         Ok(())
     })
 }
 
 /// Looks at all finite samples besides the one that means "no data". Reads the volume once.
-pub(crate) fn spread(
+pub(super) fn spread(
     reader: &dyn VolumeReader,
     missing: Option<f64>,
     cancel: &CancelToken,
 ) -> Result<Spread> {
-    let mut spread = Spread::new(missing);
-    for_slabs(reader, |values| {
-        spread.add(values);
+    let mut spread = Spread::new(reader.info().dims, missing);
+    for_slabs(reader, |slab, values| {
+        spread.add(slab, values);
         cancel.check()
     })?;
     Ok(spread)
 }
 
 /// As [`spread`], of values less an offset.
-pub(crate) fn stream_spread(
+pub(super) fn stream_spread(
     stream: &mut dyn SlabStream,
     missing: Option<f64>,
     offset: f64,
     cancel: &CancelToken,
 ) -> Result<Spread> {
-    let mut spread = Spread::new(missing);
+    let mut spread = Spread::new(stream.info().dims, missing.filter(|_| offset == 0.0));
     if offset == 0.0 {
-        for_stream(stream, |values| {
-            spread.add(values);
+        for_stream(stream, |slab, values| {
+            spread.add(slab, values);
             cancel.check()
         })?;
         return Ok(spread);
     }
-    let (info, mut bytes) = (stream.info().clone(), vec![]);
-    while stream.next_slab(&mut bytes)?.is_some() {
-        each_value(&bytes, &info, missing, offset, |v| spread.add_one(v as f32));
+    let (info, mut bytes, mut values) = (stream.info().clone(), vec![], vec![]);
+    while let Some(slab) = stream.next_slab(&mut bytes)? {
+        values.clear();
+        each_value(&bytes, &info, missing, offset, |v| values.push(v as f32));
+        spread.add(&slab, &values);
         cancel.check()?;
     }
     Ok(spread)
 }
 
-/// How samples are spread over the numbers: their range, and the range of nearly all.
-pub(crate) struct Spread {
+/// How samples are spread over the numbers, their range and the range of nearly all; and how they bend along the axes.
+pub(super) struct Spread {
     missing: Option<f32>,
     range: [f32; 2],
     /// Samples by the upper half of their bits, in ascending order of values: at most 0.8 % of a value wide.
     counts: Vec<u64>,
+    bends: BendBlocks,
 }
 
 /// One of so many samples may lie below the range of nearly all, and one above.
 const OUTLIERS: u64 = 1000;
 
 impl Spread {
-    fn new(missing: Option<f64>) -> Self {
+    fn new(dims: [u64; 3], missing: Option<f64>) -> Self {
+        let missing = missing.map(|m| m as f32);
         let range = [f32::INFINITY, f32::NEG_INFINITY];
-        Self { missing: missing.map(|m| m as f32), range, counts: vec![0; 1 << 16] }
+        Self { missing, range, counts: vec![0; 1 << 16], bends: BendBlocks::new(dims, missing) }
     }
 
-    fn add(&mut self, values: &[f32]) {
+    fn add(&mut self, slab: &IndexBox, values: &[f32]) {
+        self.bends.add(slab, values);
         let missing = self.missing;
         values.iter().filter(|v| Some(**v) != missing).for_each(|&v| self.add_one(v));
     }
@@ -209,12 +216,17 @@ impl Spread {
     }
 
     /// Least and largest sample; `None` if there is none.
-    pub(crate) fn range(&self) -> Option<[f32; 2]> {
+    pub(super) fn range(&self) -> Option<[f32; 2]> {
         (self.range[0] <= self.range[1]).then_some(self.range)
     }
 
+    /// How the field bends along the axes.
+    pub(super) fn bend(&self) -> Bend {
+        self.bends.bend()
+    }
+
     /// The range of 99.8 % of the samples, with up to 0.8 % of its ends besides.
-    pub(crate) fn of_nearly_all(&self) -> Option<[f32; 2]> {
+    pub(super) fn of_nearly_all(&self) -> Option<[f32; 2]> {
         let [low, high] = self.range()?;
         let outside = self.counts.iter().sum::<u64>() / OUTLIERS;
         let keys = || (0..1u32 << 16).zip(&self.counts);
@@ -234,7 +246,7 @@ fn first_within<'a>(mut counts: impl Iterator<Item = (u32, &'a u64)>, outside: u
     found.map(|(key, _)| key)
 }
 
-fn for_slabs(reader: &dyn VolumeReader, mut f: impl FnMut(&[f32]) -> Result<()>) -> Result<()> {
+fn for_slabs(reader: &dyn VolumeReader, mut f: impl FnMut(&IndexBox, &[f32]) -> Result<()>) -> Result<()> {
     let dims = reader.info().dims;
     let rows = ((1u64 << 20) / dims[0].max(1)).clamp(1, dims[1].max(1));
     let mut values = vec![];
@@ -243,7 +255,7 @@ fn for_slabs(reader: &dyn VolumeReader, mut f: impl FnMut(&[f32]) -> Result<()>)
             let slab = IndexBox { lo: [0, y, z], hi: [dims[0], (y + rows).min(dims[1]), z + 1] };
             values.resize(slab.len(), 0.0);
             reader.read_box(slab, &mut values)?;
-            f(&values)?;
+            f(&slab, &values)?;
         }
         // A slice at a time would be many calls for small ones.
         if z % 64 == 63 {
@@ -254,19 +266,19 @@ fn for_slabs(reader: &dyn VolumeReader, mut f: impl FnMut(&[f32]) -> Result<()>)
 }
 
 fn scan_stream(stream: &mut dyn SlabStream, counter: &mut Counter) -> Result<()> {
-    for_stream(stream, |values| {
+    for_stream(stream, |_, values| {
         counter.add(values);
         Ok(())
     })
 }
 
-fn for_stream(stream: &mut dyn SlabStream, mut f: impl FnMut(&[f32]) -> Result<()>) -> Result<()> {
+fn for_stream(stream: &mut dyn SlabStream, mut f: impl FnMut(&IndexBox, &[f32]) -> Result<()>) -> Result<()> {
     let info = stream.info().clone();
     let (mut bytes, mut values) = (vec![], vec![]);
     while let Some(slab) = stream.next_slab(&mut bytes)? {
         values.resize(slab.len(), 0.0);
         convert_row(&bytes, info.field.scalar, false, info.slope, info.intercept, info.missing, &mut values);
-        f(&values)?;
+        f(&slab, &values)?;
     }
     Ok(())
 }
@@ -299,8 +311,9 @@ mod tests {
     #[test]
     fn a_few_outliers_are_not_in_the_range_of_nearly_all() {
         let nearly_all = |values: &[f32]| {
-            let mut spread = Spread::new(Some(-9.0));
-            spread.add(values);
+            let dims = [values.len() as u64, 1, 1];
+            let mut spread = Spread::new(dims, Some(-9.0));
+            spread.add(&IndexBox::whole(dims), values);
             (spread.range(), spread.of_nearly_all())
         };
         assert_eq!(nearly_all(&[f32::NAN, -9.0, f32::INFINITY]), (None, None));

@@ -22,6 +22,7 @@ use crate::error::{Error, Result};
 use crate::exec::Progress;
 use crate::formats::{self, Input, StepSource, UnpackedFrames};
 use crate::grid::Geometry;
+use crate::points::SetSettings;
 use crate::volume::unpacked::unpack;
 use crate::volume::{VolumeInfo, VolumeReader, VolumeSource};
 use std::path::{Path, PathBuf};
@@ -90,6 +91,8 @@ struct Planner<'a> {
     usual_bits: Option<Option<u8>>,
     /// The archive, of which memory and disk are checked before samples are read; `None` where samples are not to be read.
     unchecked: Option<&'a Path>,
+    /// Whether the cells of a lattice have the edges that the field asks for.
+    is_shaped: bool,
     only_estimates: bool,
 }
 
@@ -113,8 +116,8 @@ pub(super) struct Known<'a> {
 /// The most steps of a series that are read to find where points are needed: these, evenly spread.
 const MOST_LOOKED_AT: usize = 8;
 
-/// Plans all steps of a series. Reads headers, and fingerprints; where values are rounded also all samples, unless that was
-/// done before; with [`ReduceSettings::adapt`] those of some steps.
+/// Plans all steps of a series. Reads headers, and fingerprints; where values are rounded, and for the cells of a lattice,
+/// also all samples, unless that was done before; with [`ReduceSettings::adapt`] those of some steps.
 pub(super) fn plan_volumes(
     sources: &[(u64, StepSource)],
     settings: &ReduceSettings,
@@ -138,6 +141,7 @@ pub(super) fn plan_volumes(
         looked_into: None,
         usual_bits: None,
         unchecked: out,
+        is_shaped: false,
         only_estimates,
     };
     if let Some(archive) = archive {
@@ -217,6 +221,7 @@ impl Planner<'_> {
             coordinates: archive.coordinates()?.map(|map| map.hash()).transpose()?,
         });
         self.offset = Some(first.plan.source.offset);
+        self.is_shaped = true;
         self.plan = Some(Plan { mesh: archive.manifest.plan.clone(), steps: vec![] });
         self.beside = Beside::read(archive.path(), &archive.manifest.plan)?;
         Ok(())
@@ -231,7 +236,7 @@ impl Planner<'_> {
     fn set_levels(&mut self, out: Option<&Path>) -> Result<()> {
         let Some(plan) = &mut self.plan else { return Ok(()) };
         if let (Some(planned), Some(out)) = (self.planned, out)
-            && planned.mesh.levels.is_some()
+            && (planned.mesh.levels.is_some() || planned.mesh.lattice_cells().is_some())
             && planned.mesh.lattice.dims == plan.mesh.lattice.dims
         {
             self.beside = Beside::read(out, &planned.mesh)?;
@@ -318,10 +323,20 @@ impl Planner<'_> {
         };
         step.quantiser = match self.planned {
             Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
-            None if self.settings.bits(false).is_none() || self.only_estimates => None,
+            None if self.only_estimates => None,
             None => {
-                self.check_budget(&step, &planned)?;
-                self.quantiser(volume)?
+                let shapes = self.shapes_cells();
+                let rounds = self.settings.bits(false).is_some() && self.usual_bits != Some(None);
+                if shapes || rounds {
+                    self.check_budget(&step, &planned)?;
+                    let found = self.spread(volume)?;
+                    if shapes {
+                        self.shape_cells(&info, &found)?;
+                    }
+                    self.quantiser(&found)
+                } else {
+                    None
+                }
             }
         };
         Ok((step, planned))
@@ -362,29 +377,51 @@ impl Planner<'_> {
         Shift::of_volume(open, self.offset, self.settings.missing, &self.run.cancel)
     }
 
-    /// Steps of the source's range, which is read for that: the same everywhere, so that what chunks share stays equal.
-    fn quantiser(&mut self, source: VolumeSource) -> Result<Option<Quantiser>> {
-        if self.usual_bits == Some(None) {
-            return Ok(None);
-        }
+    /// Looks at all samples of a step.
+    fn spread(&self, source: VolumeSource) -> Result<Spread> {
         let (reading, cancel) = (self.reading(), &self.run.cancel);
-        let found = match source {
-            VolumeSource::Random(reader) => spread(&*reading.reader(reader), reading.missing(), cancel)?,
-            VolumeSource::Stream(mut stream) if reading.offset() == 0.0 => {
-                stream_spread(&mut *stream, reading.missing(), 0.0, cancel)?
-            }
+        match source {
+            VolumeSource::Random(reader) => spread(&*reading.reader(reader), reading.missing(), cancel),
             VolumeSource::Stream(mut stream) => {
-                stream_spread(&mut *stream, self.settings.missing, reading.offset(), cancel)?
+                stream_spread(&mut *stream, self.settings.missing, reading.offset(), cancel)
             }
-        };
+        }
+    }
+
+    /// Whether the field of the first step decides how long the cells of a lattice are along each axis.
+    fn shapes_cells(&self) -> bool {
+        let is_lattice = self.plan.as_ref().is_some_and(|plan| plan.mesh.lattice_cells().is_some());
+        is_lattice && !self.is_shaped && self.settings.set.spacing.is_none()
+    }
+
+    /// Makes the cells of a lattice longer along axes on which the field bends less.
+    fn shape_cells(&mut self, info: &VolumeInfo, found: &Spread) -> Result<()> {
+        self.is_shaped = true;
+        let Some(plan) = &mut self.plan else { return Ok(()) };
+        let Some(cells) = plan.mesh.lattice_cells() else { return Ok(()) };
+        let voxels = (0..3).map(|a| (info.dims[a] - 1) as f64 / f64::from(cells[a])).product();
+        let mean = libm::cbrt(voxels);
+        let spacing = found.bend().spacing(mean).map(|s| s / mean);
+        if spacing != [1.0; 3] {
+            let set = SetSettings { spacing: Some(spacing), ..self.settings.set };
+            let settings = ReduceSettings { set, ..self.settings.clone() };
+            plan.mesh = Plan::with_fingerprint(info, &settings, String::new())?.mesh;
+        }
+        Ok(())
+    }
+
+    /// Steps of the source's range: the same everywhere, so that what chunks share stays equal.
+    fn quantiser(&mut self, found: &Spread) -> Option<Quantiser> {
+        let reading = self.reading();
         let stand_in = reading.stand_in().map(|v| [v, v]);
         let ranges = [found.range(), stand_in].into_iter().flatten();
         let range = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]).unwrap_or_default();
         let bits = match self.settings.value_bits {
+            _ if self.settings.bits(false).is_none() => None,
             ValueBits::Bits(bits) => Some(bits),
-            _ => *self.usual_bits.get_or_insert_with(|| usual_bits(&found, range)),
+            _ => *self.usual_bits.get_or_insert_with(|| usual_bits(found, range)),
         };
-        Ok(bits.map(|bits| Quantiser::new(bits, range)))
+        bits.map(|bits| Quantiser::new(bits, range))
     }
 }
 

@@ -117,11 +117,14 @@ pub struct SetSettings {
     pub k: Option<u32>,
     /// Regularities of a hyperbolic cross; default 1.
     pub r: [u32; 3],
+    /// Of a lattice: how far apart its points are along x, y and z, in voxels and relative to each other. By default
+    /// as the field asks for, and equal where that is not known.
+    pub spacing: Option<[f64; 3]>,
 }
 
 impl Default for SetSettings {
     fn default() -> Self {
-        Self { shift: 0.5, m: None, k: None, r: [1; 3] }
+        Self { shift: 0.5, m: None, k: None, r: [1; 3], spacing: None }
     }
 }
 
@@ -145,7 +148,13 @@ impl PointSpec {
             SetKind::Halton => Self::Halton { n: count },
             SetKind::HyperbolicCross => nearest_cross(count, settings),
             SetKind::Regular => Self::Regular { counts: nearest_counts(count, lattice.dims) },
-            SetKind::Bcc => Self::Bcc { cells: nearest_cells(count, lattice) },
+            SetKind::Bcc => {
+                let spacing = settings.spacing.unwrap_or([1.0; 3]);
+                if spacing.iter().any(|s| !(1e-3..=1e3).contains(s)) {
+                    return Err(Error::usage(format!("a spacing of {spacing:?}: give 0.001 to 1000")));
+                }
+                Self::Bcc { cells: nearest_cells(count, lattice, spacing) }
+            }
             SetKind::Own => Self::Own { n: count },
         };
         spec.check(lattice)?;
@@ -298,9 +307,9 @@ fn nearest_counts(count: u64, dims: [u64; 3]) -> [u64; 3] {
     nearest(count, grids, len).unwrap_or(base)
 }
 
-/// The cells, as nearly cubes of voxels as possible, of a lattice with nearly `count` points.
-fn nearest_cells(count: u64, lattice: &Lattice) -> [u32; 3] {
-    let voxels = lattice.dims.map(|d| (d - 1) as f64);
+/// The cells of a lattice with nearly `count` points, whose edges are in proportion to `spacing`, in voxels.
+fn nearest_cells(count: u64, lattice: &Lattice, spacing: [f64; 3]) -> [u32; 3] {
+    let voxels: [f64; 3] = std::array::from_fn(|a| (lattice.dims[a] - 1) as f64 / spacing[a]);
     let most = lattice.max().map(|max| (max / 2).max(1));
     let at = |edge: f64| -> [u32; 3] {
         std::array::from_fn(|a| ((voxels[a] / edge).round() as u32).clamp(1, most[a]))
