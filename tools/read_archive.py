@@ -8,9 +8,11 @@ and those of their values. FILE.npz has `positions` (n x 3, lattice steps), `val
 Values at the ends of the domain are a pcodec file, which is left out.
 
 Archives of other point sets, of several chunks, and of values that are not rounded are refused by name.
-Needs Python 3.9 and NumPy.
+Needs Python 3.9, NumPy, and zstd: Python 3.14 has it, before that the library libzstd is looked for.
 """
 import argparse
+import ctypes
+import ctypes.util
 import json
 import pathlib
 import re
@@ -26,6 +28,21 @@ VOID = -(2**31)
 
 def refuse(what):
     sys.exit(f"read_archive.py: {what}")
+
+
+def unzstd(frame, most):
+    """The content of a zstd frame, of at most so many bytes."""
+    try:
+        from compression import zstd
+    except ImportError:
+        library = ctypes.CDLL(ctypes.util.find_library("zstd") or "libzstd.so.1")
+        library.ZSTD_decompress.restype = ctypes.c_size_t
+        content = ctypes.create_string_buffer(most)
+        size = library.ZSTD_decompress(content, ctypes.c_size_t(most), frame, ctypes.c_size_t(len(frame)))
+        if library.ZSTD_isError(ctypes.c_size_t(size)):
+            refuse("a damaged zstd frame")
+        return content.raw[:size]
+    return zstd.decompress(frame)
 
 
 # ---------------------------------------------------------------- segments
@@ -316,7 +333,7 @@ def integers(archive, steps, number, lattice):
 def range_error(archive, number, lattice, values):
     bricks, rest = lengths(lattice)
     block = blocks_of(archive, number)[len(bricks) + len(rest)]
-    stored = np.frombuffer(block, "<f4").reshape(-1, 2)
+    stored = np.frombuffer(unzstd(block, 8 * (len(bricks) + len(rest))), "<f4").reshape(2, -1).T
     at, worst = 0, 0.0
     for (lo, hi), count in zip(stored, bricks):
         part = values[at : at + count]

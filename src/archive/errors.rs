@@ -4,7 +4,7 @@ use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
 use crate::measure::{BINS, BrickErrors, EXPONENTS, ErrorSums, Largest, Mantissas};
 use crate::points::Levels;
 
-const LEVEL: i32 = 3;
+const LEVEL: i32 = 9;
 /// More than the numbers of all bins and exponents can take.
 const LARGEST: usize = 1 << 18;
 /// The most samples of a chunk that a reader takes: sums of so many, of any number of chunks, do not overflow.
@@ -29,9 +29,9 @@ pub(crate) fn encode_errors(errors: &ChunkErrors) -> Vec<u8> {
         &sums.mantissas,
         |m| m.sum > 0,
         |body, m| {
-            body.extend(m.sum.to_le_bytes());
-            body.extend(m.signed.to_le_bytes());
-            body.extend(m.squares.to_le_bytes());
+            put_wide(body, m.sum);
+            put_wide(body, zigzag(m.signed));
+            put_wide(body, m.squares);
         },
     );
     if let Some(l) = sums.largest {
@@ -108,6 +108,36 @@ fn each_filled(
     Ok(())
 }
 
+/// The sign moved to the lowest bit.
+fn zigzag(v: i128) -> u128 {
+    (v << 1 ^ v >> 127) as u128
+}
+
+/// A varint of at most 128 bits.
+fn put_wide(body: &mut Vec<u8>, mut v: u128) {
+    while v >= 0x80 {
+        body.push(v as u8 | 0x80);
+        v >>= 7;
+    }
+    body.push(v as u8);
+}
+
+fn wide(c: &mut Cursor<'_>) -> Result<u128, Malformed> {
+    let mut value = 0u128;
+    for shift in (0..128).step_by(7) {
+        let byte = c.u8("sum")?;
+        let bits = u128::from(byte & 0x7f);
+        if bits << shift >> shift != bits {
+            break;
+        }
+        value |= bits << shift;
+        if byte < 0x80 {
+            return Ok(value);
+        }
+    }
+    Err(Malformed::new("sum", "an integer of at most 128 bits", "a longer one"))
+}
+
 /// From the bytes of a block.
 ///
 /// # Errors
@@ -132,13 +162,14 @@ pub(crate) fn decode_errors(bytes: &[u8]) -> Result<ChunkErrors, Malformed> {
         return Err(Malformed::new("errors", format!("{} in all", sums.measured), counted.to_string()));
     }
     each_filled(&mut c, EXPONENTS, |c, n| {
-        let [sum, signed, squares] = [c.i128("sum")?, c.i128("sum")?, c.i128("sum")?];
-        let most = i128::from(sums.measured) << 24;
-        if !(0..=most).contains(&sum) || signed.abs() > sum || !(0..=most << 24).contains(&squares) {
+        let [sum, signed, squares] = [wide(c)?, wide(c)?, wide(c)?];
+        let signed = (signed >> 1) as i128 ^ -((signed & 1) as i128);
+        let most = u128::from(sums.measured) << 24;
+        if sum > most || signed.unsigned_abs() > sum || squares > most << 24 {
             let got = format!("{sum}, {signed}, {squares}");
             return Err(Malformed::new("sums", format!("those of {} errors", sums.measured), got));
         }
-        sums.mantissas[n] = Mantissas { sum: sum as u128, signed, squares: squares as u128 };
+        sums.mantissas[n] = Mantissas { sum, signed, squares };
         Ok(())
     })?;
     if sums.measured > 0 {

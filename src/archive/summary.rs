@@ -8,9 +8,14 @@
 //! values of a block are need not read them.
 
 use super::values::ValueBlocks;
-use super::wire::{Cursor, Malformed};
+use super::wire::{Cursor, Malformed, to_zstd, unzstd};
 use crate::exec::with_vectors;
 use crate::mesh::tet::Tet;
+
+/// Compression of the lists of ranges.
+const LEVEL: i32 = 9;
+/// The most bytes of the ranges of a chunk: those of 5 million blocks.
+const LARGEST: usize = 1 << 26;
 
 /// The mesh of a chunk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -143,17 +148,17 @@ impl ValueSummary {
         }
     }
 
-    /// As the bytes of a block: 12, and 12 for each range.
+    /// As the bytes of a block: 12, then the ranges, compressed column by column.
     pub fn encode(&self) -> Vec<u8> {
         let mut out = vec![];
         out.extend(self.void.to_le_bytes());
         out.extend(self.min.to_le_bytes());
         out.extend(self.max.to_le_bytes());
-        for r in &self.ranges {
-            out.extend(r.min.to_le_bytes());
-            out.extend(r.max.to_le_bytes());
-            out.extend(r.tets.to_le_bytes());
-        }
+        let mut columns = Vec::with_capacity(12 * self.ranges.len());
+        self.ranges.iter().for_each(|r| columns.extend(r.min.to_le_bytes()));
+        self.ranges.iter().for_each(|r| columns.extend(r.max.to_le_bytes()));
+        self.ranges.iter().for_each(|r| columns.extend(r.tets.to_le_bytes()));
+        out.extend(to_zstd(&columns, LEVEL));
         out
     }
 
@@ -164,10 +169,18 @@ impl ValueSummary {
     pub fn decode(bytes: &[u8]) -> Result<Self, Malformed> {
         let mut c = Cursor::new(bytes);
         let (void, min, max) = (c.u32("void points")?, c.f32("least value")?, c.f32("largest value")?);
-        let mut ranges = Vec::with_capacity(c.rest().len() / 12);
-        while !c.rest().is_empty() {
-            ranges.push(BlockRange { min: c.f32("range")?, max: c.f32("range")?, tets: c.u32("range")? });
+        let columns = unzstd(c.rest(), LARGEST, "ranges")?;
+        if columns.len() % 12 != 0 {
+            let got = format!("{} bytes", columns.len());
+            return Err(Malformed::new("ranges", "12 bytes for each block", got));
         }
+        let (mins, rest) = columns.split_at(columns.len() / 3);
+        let (maxs, tets) = rest.split_at(rest.len() / 2);
+        let ranges = f32s(mins)
+            .zip(f32s(maxs))
+            .zip(u32s(tets))
+            .map(|((min, max), tets)| BlockRange { min, max, tets })
+            .collect();
         Ok(Self { void, min, max, ranges })
     }
 }
@@ -198,9 +211,22 @@ fn value_range(values: &[f32]) -> ValueRange {
     [first(lo).unwrap_or(lo), first(hi).unwrap_or(hi)]
 }
 
-/// The same as the bytes of a block: 8 each.
+/// The same as the bytes of a block: the least values, then the largest, compressed.
 pub fn encode_value_ranges(values: &[f32], blocks: &ValueBlocks) -> Vec<u8> {
-    value_ranges(values, blocks).into_iter().flatten().flat_map(f32::to_le_bytes).collect()
+    compress_ranges(&value_ranges(values, blocks))
+}
+
+fn compress_ranges(ranges: &[ValueRange]) -> Vec<u8> {
+    let column = |k: usize| ranges.iter().flat_map(move |range| range[k].to_le_bytes());
+    to_zstd(&column(0).chain(column(1)).collect::<Vec<u8>>(), LEVEL)
+}
+
+fn u32s(bytes: &[u8]) -> impl Iterator<Item = u32> {
+    bytes.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b))
+}
+
+fn f32s(bytes: &[u8]) -> impl Iterator<Item = f32> {
+    u32s(bytes).map(f32::from_bits)
 }
 
 /// The ranges of so many value blocks.
@@ -208,14 +234,13 @@ pub fn encode_value_ranges(values: &[f32], blocks: &ValueBlocks) -> Vec<u8> {
 /// # Errors
 /// When the length is another, or one is no range.
 pub fn decode_value_ranges(bytes: &[u8], blocks: usize) -> Result<Vec<ValueRange>, Malformed> {
-    if bytes.len() as u64 != 8 * blocks as u64 {
+    let columns = unzstd(bytes, blocks.saturating_mul(8), "value ranges")?;
+    if columns.len() as u64 != 8 * blocks as u64 {
         let expected = format!("{} bytes", 8 * blocks as u64);
-        return Err(Malformed::new("value ranges", expected, bytes.len().to_string()));
+        return Err(Malformed::new("value ranges", expected, columns.len().to_string()));
     }
-    let mut c = Cursor::new(bytes);
-    let ranges: Vec<ValueRange> = (0..blocks)
-        .map(|_| Ok([c.f32("least value")?, c.f32("largest value")?]))
-        .collect::<Result<_, _>>()?;
+    let (least, largest) = columns.split_at(4 * blocks);
+    let ranges: Vec<ValueRange> = f32s(least).zip(f32s(largest)).map(<[f32; 2]>::from).collect();
     match ranges.iter().find(|[lo, hi]| !(lo <= hi || *lo == f32::INFINITY && *hi == f32::NEG_INFINITY)) {
         Some([lo, hi]) => Err(Malformed::new("value ranges", "least <= largest", format!("{lo} to {hi}"))),
         None => Ok(ranges),
@@ -248,6 +273,8 @@ mod tests {
             assert!(MeshSummary::decode(&mesh.encode()[..n]).is_err());
         }
         assert!(ValueSummary::decode(&values.encode()[..20]).is_err());
+        let odd = [&values.encode()[..12], &to_zstd(&[0; 25], LEVEL)].concat();
+        assert!(ValueSummary::decode(&odd).is_err());
     }
 
     #[test]
@@ -263,8 +290,7 @@ mod tests {
             decode_value_ranges(&encode_value_ranges(&[f32::NAN; 3], &ValueBlocks::even(3)), 1).unwrap();
         assert_eq!(void, [[f32::INFINITY, f32::NEG_INFINITY]]);
         for wrong in [[2.0, 1.0], [f32::NAN, 1.0], [0.0, f32::NAN]] {
-            let bytes: Vec<u8> = wrong.into_iter().flat_map(f32::to_le_bytes).collect();
-            assert!(decode_value_ranges(&bytes, 1).is_err(), "{wrong:?}");
+            assert!(decode_value_ranges(&compress_ranges(&[wrong]), 1).is_err(), "{wrong:?}");
         }
     }
 

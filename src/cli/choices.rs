@@ -28,8 +28,8 @@ pub(crate) struct Choices {
     #[arg(long, value_name = "LO:HI", value_parser = parse_focus, allow_hyphen_values = true)]
     focus: Option<[f64; 2]>,
     /// Instead of a number of points: the fewest with which the root mean square error at all samples is at most E (in units of the field, or
-    /// N% of its range). Reduces several times, with --adapt unless --points names a set other than halton; the error that was met is stored.
-    /// With --points lattice the bits of values are chosen too.
+    /// N% of its range). Reduces several times; the error that was met is stored. Points are those of a lattice, whose bits of values are chosen too,
+    /// unless --points, --adapt or --value-bits says otherwise. A mesh, and --focus, imply --adapt.
     #[arg(long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure"])]
     target_rms: Option<Bound>,
     /// As --target-rms, for the largest error at a sample, or at a vertex of a mesh.
@@ -158,15 +158,20 @@ impl Interp {
 
 impl Choices {
     /// The settings that the flags say.
-    pub(crate) fn settings(&self) -> Result<ReduceSettings> {
+    ///
+    /// # Errors
+    /// When flags do not go together.
+    pub(crate) fn settings(&self, of_mesh: bool) -> Result<ReduceSettings> {
         let error = self.target_rms.map(Target::Rms).or(self.target_max.map(Target::Max));
         let size = self.size.map(Target::Size).or(self.ratio.map(Target::Ratio));
-        // An error is met by points that adapt, where no other set is named; a size by the set with the fewest bytes.
-        let adapt = self.adapt || error.is_some() && matches!(self.points, None | Some(Set::Halton));
+        // Where no set is named, a target is met by a lattice, which takes the fewest bytes, and of a mesh by points that adapt.
+        let adapts = of_mesh || self.focus.is_some() || self.points == Some(Set::Halton);
+        let is_open = matches!(self.points, None | Some(Set::Halton));
+        let adapt = self.adapt || error.is_some() && is_open && adapts;
         if self.focus.is_some() && !adapt {
             return Err(Error::usage("--focus tells --adapt where to look"));
         }
-        let points = match (self.points, size) {
+        let points = match (self.points, error.or(size)) {
             (None, Some(_)) if !adapt => Some(Set::Lattice),
             (None, _) if self.shift.is_some() && !adapt => Some(Set::Hammersley),
             (points, _) => points,

@@ -8,6 +8,7 @@ use super::progress::Talk;
 use super::step::StepInputs;
 use super::text;
 use isospan::Result;
+use isospan::formats::is_mesh;
 use isospan::pipeline::{PlanReport, RunSettings, plan_shards};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -46,7 +47,8 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
     let run = RunSettings { keep_going: args.steps.keep_going, ..run };
-    let (steps, settings) = (args.steps.all(&args.read, talk)?, args.choices.settings()?);
+    let steps = args.steps.all(&args.read, talk)?;
+    let settings = args.choices.settings(is_mesh(&steps[0].path, &steps[0].options)?)?;
     expect_apart(&args.output, steps.iter().map(|step| &step.path))?;
     let bar = talk.progress();
     let report = plan_shards(&steps, &settings, &args.output, args.shards, &run, &*bar);

@@ -8,6 +8,7 @@ use super::progress::Talk;
 use super::step::StepInputs;
 use super::{dry_run, text};
 use isospan::Result;
+use isospan::formats::is_mesh;
 use isospan::pipeline::{ReduceReport, RunSettings, Target, TargetReport, estimate_series, reduce_series};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -42,7 +43,8 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
     let run = RunSettings { keep_going: args.steps.keep_going, ..run };
-    let (steps, settings) = (args.steps.all(&args.read, talk)?, args.choices.settings()?);
+    let steps = args.steps.all(&args.read, talk)?;
+    let settings = args.choices.settings(is_mesh(&steps[0].path, &steps[0].options)?)?;
     expect_apart(&args.output, steps.iter().map(|step| &step.path))?;
     if args.dry_run {
         let found = estimate_series(&steps, &settings, &args.output, &run)?;
