@@ -156,7 +156,7 @@ fn a_small_wave_on_a_large_number_is_all_there() {
         .write_tetrahedra(&ExportSettings { range, ..ExportSettings::default() }, &out("t.vtu"), &Silent)
         .unwrap();
     let mesh = open_mesh(&out("t.vtu"), &OpenOptions::default()).unwrap();
-    let (mut values, mut block) = (mesh.values(1 << 20).unwrap(), vec![]);
+    let (mut values, mut block) = (mesh.values(1 << 20, |_| false).unwrap(), vec![]);
     assert!(values.next_block(&mut block).unwrap());
     assert!(
         block.iter().all(|v| (PASCAL + 1.0..PASCAL + 3.0).contains(v))

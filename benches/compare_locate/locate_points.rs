@@ -84,7 +84,7 @@ fn read_mesh(path: &Path, field: &str) -> Result<Mesh, Box<dyn Error>> {
     while stream.next_block(&mut block)? {
         points.extend_from_slice(&block);
     }
-    let (mut values, mut stream, mut block) = (vec![], mesh.values(1 << 30)?, vec![]);
+    let (mut values, mut stream, mut block) = (vec![], mesh.values(1 << 30, |_| false)?, vec![]);
     while stream.next_block(&mut block)? {
         values.extend(block.iter().map(|&v| v as f32));
     }

@@ -22,6 +22,7 @@
 
 use super::brick_values::{self, Template};
 use super::wire::{Cursor, Malformed};
+use crate::sample::Values;
 use byteorder::{ByteOrder, LE};
 use pco::standalone::{simple_compress, simple_decompress_into};
 use pco::{ChunkConfig, DeltaSpec, ModeSpec};
@@ -80,6 +81,13 @@ impl Quantiser {
         Self { bits, origin: low, step, bound: step / 2.0 + coarse }
     }
 
+    /// The same for values as `values` says: fitted ones are rounded by [`Quantiser::round_within`],
+    /// up to a whole step.
+    pub fn of(self, values: Values) -> Self {
+        let more = if values == Values::Fit { self.step / 2.0 } else { 0.0 };
+        Self { bound: self.bound + more, ..self }
+    }
+
     fn steps(&self, value: f32) -> i32 {
         let steps = ((f64::from(value) - self.origin) / self.step).round();
         steps.clamp(-MOST_STEPS, MOST_STEPS) as i32
@@ -96,6 +104,18 @@ impl Quantiser {
 
     fn value_or_void(&self, steps: i32) -> f32 {
         if steps == VOID_STEP { f32::from_bits(VOID) } else { self.value(steps) }
+    }
+
+    /// As [`Quantiser::round`], to a step that is neither below the lower nor above the upper bound
+    /// where one of the two around the value is so: rounding makes no extremum then.
+    pub fn round_within(&self, value: f32, [low, high]: [f32; 2]) -> f32 {
+        if !value.is_finite() {
+            return value;
+        }
+        let nearest = self.steps(value);
+        let is_within = |steps: &i32| (low..=high).contains(&self.value(*steps));
+        let around = [nearest, nearest - 1, nearest + 1];
+        self.value(around.into_iter().find(is_within).unwrap_or(nearest))
     }
 
     /// The value that stands for a value; void stays void.
@@ -546,6 +566,33 @@ mod tests {
         let whole: Vec<f32> = noise(9000).iter().map(|b| (b % 200) as f32).collect();
         assert!(round_trip(&whole, None).iter().all(|b| b.len() < BLOCK_VALUES * 11 / 10));
         assert!(round_trip(&[7.0; BLOCK_VALUES], None)[0].len() < 60);
+    }
+
+    #[test]
+    fn rounding_leaves_no_bounds_that_have_a_step_near() {
+        let q = Quantiser::new(4, [0.0, 15.0]);
+        for (value, bounds, expected) in [
+            (3.4, [0.0, 9.0], 3.0),
+            (3.6, [0.0, 3.9], 3.0),
+            (3.4, [3.1, 9.0], 4.0),
+            (4.0, [4.0, 4.0], 4.0),
+            // No step is near that lies within.
+            (3.6, [3.5, 3.9], 4.0),
+            (3.4, [3.3, 3.4], 3.0),
+        ] {
+            assert_eq!(q.round_within(value, bounds), expected, "{value} {bounds:?}");
+        }
+        assert!(q.round_within(f32::NAN, [f32::NAN; 2]).is_nan());
+        let (plain, fitted) = (q.of(Values::Sample), q.of(Values::Fit));
+        assert!(plain.bound == q.bound && fitted.bound > 0.4 && fitted.bound < 1.01);
+        for n in 0..1500 {
+            let value = n as f32 / 100.0;
+            let [low, high] = [value - 0.7, value + 0.01];
+            let rounded = q.round_within(value, [low, high]);
+            assert!((f64::from(rounded) - f64::from(value)).abs() <= fitted.bound);
+            let has_step = (high.floor() - low.ceil()) >= 0.0;
+            assert!(!has_step || (low..=high).contains(&rounded), "{value}: {rounded}");
+        }
     }
 
     #[test]

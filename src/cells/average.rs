@@ -19,6 +19,8 @@ pub(super) struct Averages {
     file: Arc<dyn CellFile>,
     field: usize,
     part: Part,
+    /// Whether a cell with a value has none: then it counts as NaN.
+    is_missing: Box<dyn Fn(f64) -> bool>,
     /// Points of a window, at most.
     window: u64,
     /// The first point of the window that comes next.
@@ -30,9 +32,15 @@ pub(super) struct Averages {
 }
 
 impl Averages {
-    pub(super) fn new(file: Arc<dyn CellFile>, field: usize, part: Part, memory: u64) -> Self {
+    pub(super) fn new(
+        file: Arc<dyn CellFile>,
+        field: usize,
+        part: Part,
+        memory: u64,
+        is_missing: Box<dyn Fn(f64) -> bool>,
+    ) -> Self {
         let window = (memory / POINT_BYTES).max(BLOCK as u64);
-        Self { file, field, part, window, next: 0, sums: vec![], counts: vec![], used: 0 }
+        Self { file, field, part, is_missing, window, next: 0, sums: vec![], counts: vec![], used: 0 }
     }
 
     pub(super) fn next_block(&mut self, out: &mut Vec<f64>) -> Result<bool> {
@@ -73,7 +81,7 @@ impl Averages {
                     values.next_block(&mut some, |v| v)?;
                     used = 0;
                 }
-                let value = some[used];
+                let value = if (self.is_missing)(some[used]) { f64::NAN } else { some[used] };
                 used += 1;
                 if kind != CellKind::Flat {
                     self.add(first, value, vertices);

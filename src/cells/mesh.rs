@@ -150,17 +150,21 @@ impl CellMesh {
     }
 
     /// The values of the chosen field at all points. Cell data are averaged, in passes that take at most `memory` bytes
-    /// each; other fields take a block.
+    /// each; other fields take a block. Points of cells whose value `is_missing` are NaN.
     ///
     /// # Errors
     /// Those of [`CellMesh::field`]; when the file cannot be read.
-    pub fn values(&self, memory: u64) -> Result<ValueBlocks> {
+    pub fn values(&self, memory: u64, is_missing: impl Fn(f64) -> bool + 'static) -> Result<ValueBlocks> {
         let chosen = self.field()?;
         let from = match (chosen.source, chosen.center) {
             (Source::Coordinate(axis), _) => From::Coordinate(self.points()?, axis, vec![]),
-            (Source::Data { field, part }, Center::Cell) => {
-                From::Average(Averages::new(Arc::clone(&self.file), field, part, memory))
-            }
+            (Source::Data { field, part }, Center::Cell) => From::Average(Averages::new(
+                Arc::clone(&self.file),
+                field,
+                part,
+                memory,
+                Box::new(is_missing),
+            )),
             (Source::Data { field, part }, Center::Point) => {
                 let components = self.info().fields[field].components as usize;
                 From::Tuples(Tuples::new(self.file.field(field)?, components, part, self.info().points))

@@ -214,13 +214,13 @@ fn read_points(
 
 fn read_values(mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<Column<f32>> {
     let mut out = ColumnWriter::new(settings.scratch)?;
-    let (mut values, mut block) = (mesh.values(settings.memory)?, vec![]);
+    let (wanted, has_offset) = (settings.missing, settings.offset != 0.0);
     // As a text says it, "-1e20" is no f32 that a file may have.
-    let missing = |v: f64| {
-        let alike =
-            |m: f64| m == v || f64::from(m as f32) == v || settings.offset == 0.0 && m as f32 == v as f32;
-        settings.missing.is_some_and(alike)
+    let missing = move |v: f64| {
+        let alike = |m: f64| m == v || f64::from(m as f32) == v || !has_offset && m as f32 == v as f32;
+        wanted.is_some_and(alike)
     };
+    let (mut values, mut block) = (mesh.values(settings.memory, missing)?, vec![]);
     while values.next_block(&mut block)? {
         settings.cancel.check()?;
         for &v in &block {

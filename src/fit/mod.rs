@@ -261,9 +261,23 @@ impl<'a> Fit<'a> {
 
     /// The fitted values of the first `count` vertices, at each step.
     pub fn values(&self, count: usize) -> Vec<Vec<f32>> {
-        self.sides.iter().flat_map(|side| side.values(count)).collect()
+        self.values_rounded(count, &|_, value, _| value)
+    }
+
+    /// As [`Fit::values`], each rounded by a function of the step, the value, and the least and
+    /// largest value that it may have.
+    pub fn values_rounded(&self, count: usize, round: &RoundWithin<'_>) -> Vec<Vec<f32>> {
+        let mut all = vec![];
+        for side in &self.sides {
+            let first = all.len();
+            all.extend(side.values(count, &|lane, value, bounds| round(first + lane, value, bounds)));
+        }
+        all
     }
 }
+
+/// The rounded value of a step, of a value that lies within the bounds, the least first.
+pub type RoundWithin<'a> = dyn Fn(usize, f32, [f32; 2]) -> f32 + 'a;
 
 /// Whether a tetrahedron has no corner that is void at all steps: else it tells nothing.
 #[inline(always)]

@@ -4,7 +4,7 @@
 //! all of them, until a sample counts at one step and not at another: from then on each has its own, with what all had in common so far. Steps that are left over have
 //! lanes that nobody looks at.
 
-use super::{NONE, Told};
+use super::{NONE, RoundWithin, Told};
 #[cfg(target_arch = "x86_64")]
 use crate::exec::lanes::{Eight, Vector};
 use crate::exec::lanes::{Floats, Pair, Plain, four, sorted};
@@ -101,11 +101,11 @@ impl<'a> Side<'a> {
     }
 
     /// The fitted values of the first `count` vertices at each step.
-    pub(super) fn values(&self, count: usize) -> Vec<Vec<f32>> {
+    pub(super) fn values(&self, count: usize, round: &RoundWithin<'_>) -> Vec<Vec<f32>> {
         match self {
-            Self::One(sums) => sums.values(count),
-            Self::Four(sums) => sums.values(count),
-            Self::Eight(sums) => sums.values(count),
+            Self::One(sums) => sums.values(count, round),
+            Self::Four(sums) => sums.values(count, round),
+            Self::Eight(sums) => sums.values(count, round),
         }
     }
 }
@@ -230,7 +230,7 @@ impl<'a, const N: usize> Sums<'a, N> {
         }
     }
 
-    fn values(&self, count: usize) -> Vec<Vec<f32>> {
+    fn values(&self, count: usize, round: &RoundWithin<'_>) -> Vec<Vec<f32>> {
         let mut out: Vec<Vec<f32>> = (0..self.steps).map(|_| Vec::with_capacity(count)).collect();
         for (n, vertices) in self.vertices[..count].chunks(SOME).enumerate() {
             for (lane, out) in out.iter_mut().enumerate() {
@@ -242,7 +242,8 @@ impl<'a, const N: usize> Sums<'a, N> {
                     if moved.is_nan() {
                         value
                     } else {
-                        (moved as f32).clamp(vertex.least[lane], vertex.largest[lane])
+                        let [least, largest] = [vertex.least[lane], vertex.largest[lane]];
+                        round(lane, (moved as f32).clamp(least, largest), [least, largest])
                     }
                 };
                 out.extend(vertices.iter().enumerate().map(fitted));

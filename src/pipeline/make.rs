@@ -214,7 +214,7 @@ fn values_of(
     let note = |n, read| note(work, n, read);
     let interpolated = interpolated(&fields, mesh, placement, work.cancel, note)?;
     lap.add_to(&mut times.sample);
-    let mut values = fitted(&fields, mesh, placement, interpolated, memory, work.cancel, note)?;
+    let mut values = fitted(work.steps, mesh, placement, interpolated, memory, work.cancel, note)?;
     if work.recipe.halo == Halo::Stars {
         lap.add_to(&mut times.fit);
     }

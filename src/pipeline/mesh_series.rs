@@ -631,7 +631,10 @@ impl StepPlanner<'_> {
         let quantiser = match self.job.part.planned() {
             Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
             None => match settings.bits(true) {
-                Some(bits) => Some(quantiser(&self.store.values_of(&mesh, self.how)?, bits)?),
+                Some(bits) => {
+                    let values = self.store.values_of(&mesh, self.how)?;
+                    Some(quantiser(&values, bits)?.of(self.template.values))
+                }
                 None => None,
             },
         };

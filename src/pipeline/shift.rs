@@ -73,7 +73,8 @@ impl Shift {
             return Ok(Self::default());
         }
         let look = |offset| {
-            let (mut values, mut block, mut found) = (mesh.values(memory)?, vec![], Surveyed::NONE);
+            let (mut values, mut block, mut found) =
+                (mesh.values(memory, move |v| is_missing(v, missing))?, vec![], Surveyed::NONE);
             while values.next_block(&mut block)? {
                 cancel.check()?;
                 block.iter().filter(|v| !is_missing(**v, missing)).for_each(|v| found.add(v - offset));

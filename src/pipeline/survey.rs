@@ -511,7 +511,7 @@ pub(super) fn survey_mesh(mesh: &CellMesh) -> Result<Survey> {
         // A component or a magnitude of cell data is not stored by itself, and averaging needs all cells.
         None if field.center == Center::Cell => {}
         None => {
-            let (mut values, mut block) = (mesh.values(BUDGET)?, vec![]);
+            let (mut values, mut block) = (mesh.values(BUDGET, |_| false)?, vec![]);
             while !survey.is_full() && values.next_block(&mut block)? {
                 survey.add(&block);
             }

@@ -333,7 +333,7 @@ impl Planner<'_> {
                     if shapes {
                         self.shape_cells(&info, &found)?;
                     }
-                    self.quantiser(&found)
+                    self.quantiser(&found).map(|q| q.of(step.values))
                 } else {
                     None
                 }

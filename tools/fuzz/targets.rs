@@ -67,7 +67,7 @@ pub(crate) fn mesh(path: &Path) -> Result<()> {
     scan(&mesh)?;
     (0..mesh.info().fields.len()).try_for_each(|field| scan_field(&mesh, field).map(drop))?;
     if mesh.field().is_ok() {
-        let (mut values, mut block) = (mesh.values(0)?, vec![]);
+        let (mut values, mut block) = (mesh.values(0, f64::is_nan)?, vec![]);
         while values.next_block(&mut block)? {}
     }
     Ok(())

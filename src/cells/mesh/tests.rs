@@ -79,7 +79,7 @@ pub(crate) fn two() -> Memory {
 }
 
 fn all(mesh: &CellMesh, memory: u64) -> Vec<f32> {
-    let (mut values, mut block, mut out) = (mesh.values(memory).unwrap(), vec![], vec![]);
+    let (mut values, mut block, mut out) = (mesh.values(memory, |_| false).unwrap(), vec![], vec![]);
     while values.next_block(&mut block).unwrap() {
         out.extend(block.iter().map(|&v| v as f32));
     }
@@ -98,6 +98,11 @@ fn fields_are_components_magnitudes_averages_and_coordinates() {
     let averaged = values("c");
     assert_eq!(averaged[..5], [15., 15., 15., 10., 20.]);
     assert!(averaged[5].is_nan(), "a point without a cell");
+    // A cell without a value is no part of a mean.
+    let mesh = CellMesh::new(Arc::clone(&file), Some("c")).unwrap();
+    let (mut blocks, mut block) = (mesh.values(1, |v| v == 20.0).unwrap(), vec![]);
+    assert!(blocks.next_block(&mut block).unwrap());
+    assert!([0, 1, 2, 4].iter().all(|&n| block[n].is_nan()) && block[3] == 10.0, "{block:?}");
     let default = CellMesh::new(Arc::clone(&file), None).unwrap();
     assert_eq!(default.field().unwrap().name, "p");
     for wanted in ["v", "v.3", "w", "v.w", "p.magnitudes"] {
@@ -110,7 +115,7 @@ fn fields_are_components_magnitudes_averages_and_coordinates() {
     none.info.fields.truncate(2);
     none.info.fields.swap_remove(0);
     let mesh = CellMesh::new(Arc::new(none), None).unwrap();
-    assert!(mesh.values(1).err().expect("no field").to_string().contains("--field"));
+    assert!(mesh.values(1, |_| false).err().expect("no field").to_string().contains("--field"));
 }
 
 /// Windows of 4096 points must not show in the averages.

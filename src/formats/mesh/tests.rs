@@ -25,7 +25,7 @@ pub(in crate::formats) fn read_whole(mesh: &CellMesh) -> Result<Whole> {
         out.cells.extend(block.iter().map(|(kind, v)| (kind, v.to_vec())));
     }
     if mesh.field().is_ok() {
-        let (mut values, mut block) = (mesh.values(0)?, vec![]);
+        let (mut values, mut block) = (mesh.values(0, |_| false)?, vec![]);
         while values.next_block(&mut block)? {
             out.values.extend(block.iter().map(|&v| v as f32));
         }

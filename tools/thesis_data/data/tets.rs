@@ -191,7 +191,7 @@ pub(super) mod tests {
         let read = isospan::formats::open_mesh(&path, &Default::default()).unwrap();
         assert_eq!((read.info().points, read.info().cells), (8, 6));
         assert_eq!(read.field().unwrap().name, "potential");
-        let (mut values, mut block) = (read.values(0).unwrap(), vec![]);
+        let (mut values, mut block) = (read.values(0, |_| false).unwrap(), vec![]);
         assert!(values.next_block(&mut block).unwrap());
         assert_eq!(block.iter().map(|&v| v as f32).collect::<Vec<_>>(), mesh.values);
     }
