@@ -197,14 +197,34 @@ class RangeCoder:
 
 
 def first_odds(document):
-    """The tables of FORMAT.md: of three kinds, 20 classes, 20 lengths; in 65536ths."""
+    """The tables of FORMAT.md: four, of 20 classes, 20 lengths; in 65536ths."""
     rows = [[int(n) for n in line.split()] for line in document.splitlines() if re.fullmatch(r"    (\d+ ){19}\d+", line)]
-    assert len(rows) == 60
+    assert len(rows) == 80
     return {(k // 20, k % 20, l): 256 * n for k, row in enumerate(rows) for l, n in enumerate(row)}
 
 
 def signed(n):
     return (n + 2**31) % 2**32 - 2**31
+
+
+def variance(apart):
+    """Of the difference of values so far apart."""
+    squared = (apart * apart).sum(axis=-1).astype(float)
+    return squared / np.sqrt(np.sqrt(np.sqrt(np.maximum(squared, 1.0))))
+
+
+def smooth_weights(near):
+    """The weights of neighbours at such offsets, the nearest one first."""
+    rest, v, own = near[1:] - near[0], variance(near[1:] - near[0]), variance(near[0])
+    matrix = (v[:, None] + v[None, :]) - variance(rest[:, None] - rest[None, :])
+    matrix = np.column_stack([matrix, (v + own) - variance(near[1:])])
+    for i in range(len(rest)):
+        matrix[i] /= matrix[i, i]
+        factors = matrix[:, i].copy()
+        factors[i] = 0.0
+        matrix -= factors[:, None] * matrix[i]
+    weights = [int(w) for w in np.floor(2**14 * matrix[:, -1] + 0.5)]
+    return [2**14 - sum(weights)] + weights
 
 
 class Brick:
@@ -237,6 +257,22 @@ class Brick:
             self.steps.append((numbers[place], kind, near))
             done.add(place)
         assert len(self.steps) == len(numbers)
+        self.places, self.numbers = np.array([place for place, _, _ in order]), [n for n, _, _ in self.steps]
+        self.smooth, self.weights = None, {}
+
+    def smooth_steps(self):
+        """The same for smooth bricks: numbers, table and neighbours."""
+        if self.smooth is None:
+            self.smooth = []
+            for i, number in enumerate(self.numbers):
+                apart = self.places[:i] - self.places[i]
+                nearest = np.argsort((apart * apart).sum(axis=1), kind="stable")[:32]
+                near = apart[nearest]
+                key = near.tobytes()
+                if key not in self.weights:
+                    self.weights[key] = smooth_weights(near) if i else []
+                self.smooth.append((number, 3, [(self.numbers[k], w) for k, w in zip(nearest, self.weights[key])]))
+        return self.smooth
 
     @classmethod
     def of(cls, size):
@@ -247,15 +283,19 @@ class Brick:
 
     def decode(self, data, odds):
         coder, odds, seconds = RangeCoder(data), dict(odds), {n: 96 * 256 for n in range(2, 21)}
-        values = [0] * len(self.steps)
-        for number, kind, near in self.steps:
-            mean = (sum(w * values[n] for n, w in near) + 2**13) >> 14 if near else 0
-            spread = sum(w * abs(values[n] - mean) for n, w in near) >> 12
+        smooth = coder.number(1) == 1
+        values, apart = [0] * len(self.steps), [0] * len(self.steps)
+        for number, table, near in self.smooth_steps() if smooth else self.steps:
+            mean = signed((sum(w * values[n] for n, w in near) + 2**13) >> 14)
+            if smooth:
+                spread = sum(abs(w) * apart[n] for n, w in near[:8]) >> 12
+            else:
+                spread = sum(w * abs(values[n] - mean) for n, w in near) >> 12
             log = spread.bit_length() - 1
             second = spread >> (log - 1) & 1 if log > 0 else 0
-            kind_class = 0 if spread == 0 else min(2 * log + second + 1, 19)
+            of_spread = 0 if spread == 0 else min(2 * log + second + 1, 19)
             bits = 0
-            while bits < 32 and coder.bit(odds, (kind, kind_class, min(bits, 19))):
+            while bits < 32 and coder.bit(odds, (table, of_spread, min(bits, 19))):
                 bits += 1
             difference = 0
             if bits > 0:
@@ -269,7 +309,7 @@ class Brick:
                 low = coder.number(left + 1)
                 size = size << left | low >> 1
                 difference = -size if low & 1 else size
-            values[number] = signed(mean + difference)
+            values[number], apart[number] = signed(mean + difference), abs(difference)
         return values
 
 

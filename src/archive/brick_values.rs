@@ -1,31 +1,53 @@
-//! The quantised values of a brick of a body-centred cubic lattice: predicted from those before, the rest coded in context.
+//! The quantised values of a brick of a body-centred cubic lattice: predicted from those before,
+//! the rest coded in context.
 //!
 //! ```text
-//!  values, coarse to fine ─▶ mean of the neighbours that are known ─▶ difference ─▶ range coder
-//!                                        └─ their spread ─▶ which odds
+//!  values, coarse to fine ─▶ mean of the neighbours, or smooth field ─▶ difference ─▶ range coder
+//!                              └─ their spread, or their own differences ─▶ which odds
 //! ```
 //!
-//! A brick has up to 8³ nodes and as many centres ([`crate::mesh::bcc`]). Nodes come first, on grids of 8, 4, 2 and 1
-//! cells. On each finer grid those with three odd coordinates come first, then those with two, then with one: so each lies
-//! between some that are known. Centres come last. The prediction is the mean of all known values within a grid step,
-//! weighted by the inverse square of the distance (Shepard 1968). A difference is coded as the number of its bits, its
-//! sign, and its bits. The odds of the former depend on how far the neighbours are from
-//! their mean, and learn within the brick.
+//! A brick has up to 8³ nodes and as many centres ([`crate::mesh::bcc`]). Nodes come first, on
+//! grids of 8, 4, 2 and 1 cells. On each finer grid those with three odd coordinates come first,
+//! then those with two, then with one: so each lies between some that are known. Centres come last.
 //!
-//! A brick decodes alone. All arithmetic is of integers, so the bytes are the same on every machine.
+//! There are two predictions, and a brick has that which takes fewer bytes:
+//!
+//! - The mean of all known values within a grid step, weighted by the inverse square of the
+//!   distance (Shepard 1968). The odds depend on how far the neighbours are from their mean. This
+//!   suits noise, edges and constant parts.
+//! - The most likely value of a random field through the 32 nearest known values, one whose
+//!   differences have the variance d^1.75 at a distance d (fractional Brownian motion; Mandelbrot &
+//!   Van Ness 1968, kriging: Matheron 1963). Its weights may be negative: it follows curvature, and
+//!   no scale enters. The odds depend on the differences that were coded for the nearest eight.
+//!
+//! A difference is coded as the number of its bits, its sign, and its bits. The odds of the former
+//! learn within the brick.
+//!
+//! A brick decodes alone. Weights are made from sums, products, quotients and square roots of f64,
+//! which are exact everywhere, then all arithmetic is of integers: so the bytes are the same on
+//! every machine.
 
 mod odds;
 
 use self::odds::{MORE, SECOND};
 use super::range::{Decoder, Encoder, Odds};
+use std::collections::HashMap;
 use std::sync::OnceLock;
 
 /// Cells along an edge of a brick, at most.
 const EDGE: usize = 8;
+/// Values of a brick, at most.
+const VALUES: usize = 2 * EDGE * EDGE * EDGE;
 /// The sum of the weights of a value's neighbours.
 const UNIT: i64 = 1 << 14;
 /// Kinds of values: nodes on coarse grids, nodes on the finest, centres.
 const KINDS: usize = 3;
+/// Tables of odds: one of each kind, and that of smooth bricks.
+const TABLES: usize = KINDS + 1;
+/// Neighbours of a value of a smooth brick, at most.
+const SMOOTH_NEAR: usize = 32;
+/// Those of them whose own differences tell the odds.
+const NEAREST: usize = 8;
 /// Classes of spread.
 const SPREADS: usize = 20;
 /// Bits that a difference may have.
@@ -33,20 +55,31 @@ const MOST_BITS: usize = 32;
 /// Those that have odds of their own.
 const LENGTHS: usize = 20;
 
-/// A value in the order of coding: which one, its kind, and the end of its neighbours.
+/// A value in the order of coding: which one, its table of odds, and the end of its neighbours.
 #[derive(Clone, Copy, Debug)]
 struct Place {
     number: u16,
-    kind: u16,
+    table: u16,
     end: u32,
 }
 
+/// A neighbour's number and weight.
+type Near = (u16, i16);
+
 /// The order of a brick's values, and the neighbours from which each is predicted.
+#[derive(Debug, Default)]
+struct Prediction {
+    places: Vec<Place>,
+    near: Vec<Near>,
+}
+
+/// How the values of a brick are predicted.
 #[derive(Debug)]
 pub(crate) struct Template {
-    places: Vec<Place>,
-    /// Number and weight.
-    near: Vec<(u16, u16)>,
+    cells: [i32; 3],
+    mean: Prediction,
+    /// Made when a brick needs it.
+    smooth: OnceLock<Prediction>,
 }
 
 /// The place of a value: even coordinates of nodes, odd ones of centres.
@@ -64,6 +97,22 @@ impl Template {
     }
 
     fn new(cells: [i32; 3]) -> Self {
+        Self { cells, mean: Prediction::mean(cells), smooth: OnceLock::new() }
+    }
+
+    fn smooth(&self) -> &Prediction {
+        self.smooth.get_or_init(|| Prediction::smooth(self.cells))
+    }
+
+    /// How many values a brick has.
+    pub(crate) fn len(&self) -> usize {
+        self.mean.places.len()
+    }
+}
+
+impl Prediction {
+    /// By the mean of the neighbours within a grid step.
+    fn mean(cells: [i32; 3]) -> Self {
         let order = in_order(cells);
         let mut rank = vec![usize::MAX; order.len()];
         for (n, &(at, _)) in order.iter().enumerate() {
@@ -73,16 +122,15 @@ impl Template {
             let odd = at[0] & 1;
             at.iter().zip(cells).all(|(&j, c)| j & 1 == odd && j >= 0 && j < 2 * c)
         };
-        let (mut places, mut near) = (vec![], vec![]);
+        let mut all = Self::default();
         for (n, &(at, step)) in order.iter().enumerate() {
             let kind = if at[0] & 1 == 1 { 2 } else { usize::from(step == 2) };
             let mut found = vec![];
             for d in offsets(step) {
                 let other = std::array::from_fn(|a| at[a] + d[a]);
                 if inside(other) && rank[number(cells, other)] < n {
-                    let squared: i32 = d.iter().map(|d| d * d).sum();
                     // 3 · 2^20 has a whole number of all the sums of squares here.
-                    found.push((number(cells, other), (3 << 20) / i64::from(squared)));
+                    found.push((number(cells, other), (3 << 20) / i64::from(squared(d))));
                 }
             }
             let whole: i64 = found.iter().map(|f| f.1).sum();
@@ -90,21 +138,83 @@ impl Template {
             for (i, &(number, part)) in found.iter().enumerate() {
                 let weight = if i + 1 == found.len() { left } else { UNIT * part / whole };
                 left -= weight;
-                near.push((number as u16, weight as u16));
+                all.near.push((number as u16, weight as i16));
             }
-            places.push(Place {
-                number: number(cells, at) as u16,
-                kind: kind as u16,
-                end: near.len() as u32,
-            });
+            all.push(number(cells, at), kind);
         }
-        Self { places, near }
+        all
     }
 
-    /// How many values a brick has.
-    pub(crate) fn len(&self) -> usize {
-        self.places.len()
+    /// By the most likely field through the nearest values.
+    fn smooth(cells: [i32; 3]) -> Self {
+        let places: Vec<Halves> = in_order(cells).into_iter().map(|(at, _)| at).collect();
+        let (mut all, mut known) = (Self::default(), HashMap::new());
+        for (n, &at) in places.iter().enumerate() {
+            let mut found: Vec<(i32, usize)> =
+                places[..n].iter().enumerate().map(|(i, &p)| (squared(less(p, at)), i)).collect();
+            if found.len() > SMOOTH_NEAR {
+                found.select_nth_unstable(SMOOTH_NEAR);
+                found.truncate(SMOOTH_NEAR);
+            }
+            found.sort_unstable();
+            let near: Vec<Halves> = found.iter().map(|&(_, i)| less(places[i], at)).collect();
+            let weights = known.entry(near).or_insert_with_key(|near| weights(near));
+            let numbers = found.iter().map(|&(_, i)| number(cells, places[i]) as u16);
+            all.near.extend(numbers.zip(weights.iter().copied()));
+            all.push(number(cells, at), KINDS);
+        }
+        all
     }
+
+    /// The place whose neighbours were pushed last.
+    fn push(&mut self, number: usize, table: usize) {
+        self.places.push(Place { number: number as u16, table: table as u16, end: self.near.len() as u32 });
+    }
+}
+
+fn less(a: Halves, b: Halves) -> Halves {
+    std::array::from_fn(|k| a[k] - b[k])
+}
+
+fn squared(d: Halves) -> i32 {
+    d.iter().map(|d| d * d).sum()
+}
+
+/// The variance of the difference of two values that are so far apart.
+fn variance(d: Halves) -> f64 {
+    let d = f64::from(squared(d));
+    if d > 0.0 { d / d.sqrt().sqrt().sqrt() } else { 0.0 }
+}
+
+/// The weights of neighbours at such offsets, the nearest one first: those of the least expected
+/// square of the error. All differences are told from the nearest one. Their covariances are a
+/// linear system, solved by Gauss-Jordan elimination. It is positive definite: it needs no pivoting.
+fn weights(near: &[Halves]) -> Vec<i16> {
+    let Some((&first, rest)) = near.split_first() else { return vec![] };
+    let covariance =
+        |a: Halves, b: Halves| variance(less(a, first)) + variance(less(b, first)) - variance(less(a, b));
+    let n = rest.len();
+    let mut rows: Vec<[f64; SMOOTH_NEAR]> = vec![[0.0; SMOOTH_NEAR]; n];
+    for (row, &a) in rows.iter_mut().zip(rest) {
+        for (entry, &b) in row.iter_mut().zip(rest) {
+            *entry = covariance(a, b);
+        }
+        row[n] = covariance(a, [0; 3]);
+    }
+    for i in 0..n {
+        let pivot = rows[i][i];
+        rows[i][i..=n].iter_mut().for_each(|entry| *entry /= pivot);
+        let by = rows[i];
+        for (_, row) in rows.iter_mut().enumerate().filter(|&(j, _)| j != i) {
+            let factor = row[i];
+            row[i..=n].iter_mut().zip(&by[i..=n]).for_each(|(entry, by)| *entry -= factor * by);
+        }
+    }
+    let rounded = rows.iter().map(|row| (row[n] * UNIT as f64 + 0.5).floor() as i64);
+    let mut all = vec![0];
+    all.extend(rounded);
+    all[0] = UNIT - all[1..].iter().sum::<i64>();
+    all.into_iter().map(|weight| weight as i16).collect()
 }
 
 /// The number of a value in its brick.
@@ -150,7 +260,7 @@ fn offsets(step: i32) -> impl Iterator<Item = Halves> {
 
 /// The odds of a brick.
 struct Model {
-    lengths: [[[Odds; LENGTHS]; SPREADS]; KINDS],
+    lengths: [[[Odds; LENGTHS]; SPREADS]; TABLES],
     /// The second bit of a difference from the top, by the number of bits.
     seconds: [Odds; LENGTHS],
 }
@@ -165,7 +275,7 @@ impl Model {
     }
 }
 
-/// The class of a spread, in quarters: twice its base-2 logarithm.
+/// The class of a spread: twice its base-2 logarithm.
 #[inline(always)]
 fn class_of(spread: u64) -> usize {
     if spread == 0 {
@@ -176,9 +286,9 @@ fn class_of(spread: u64) -> usize {
     ((2 * log as usize) + half as usize + 1).min(SPREADS - 1)
 }
 
-/// The prediction of a value, and the class of the spread from its neighbours.
+/// The mean of a value's neighbours, and the class of their spread from it, in quarters.
 #[inline(always)]
-fn predict(near: &[(u16, u16)], values: &[i32]) -> (i32, usize) {
+fn from_mean(near: &[Near], values: &[i32]) -> (i32, usize) {
     let mut sum = 0i64;
     for &(number, weight) in near {
         sum += i64::from(values[usize::from(number)]) * i64::from(weight);
@@ -187,23 +297,55 @@ fn predict(near: &[(u16, u16)], values: &[i32]) -> (i32, usize) {
     let mut spread = 0u64;
     for &(number, weight) in near {
         let apart = i64::from(values[usize::from(number)]) - i64::from(mean);
-        spread += apart.unsigned_abs() * u64::from(weight);
+        spread += apart.unsigned_abs() * u64::from(weight as u16);
     }
     (mean, class_of(spread / (UNIT as u64 / 4)))
+}
+
+/// The value of a smooth field, and the class of the nearest neighbours' own differences, in
+/// quarters.
+#[inline(always)]
+fn from_field(near: &[Near], values: &[i32], apart: &[u32; VALUES]) -> (i32, usize) {
+    let mut sum = 0i64;
+    for &(number, weight) in near {
+        sum += i64::from(values[usize::from(number)]) * i64::from(weight);
+    }
+    let mut size = 0u64;
+    for &(number, weight) in &near[..near.len().min(NEAREST)] {
+        size += u64::from(apart[usize::from(number) % VALUES]) * u64::from(weight.unsigned_abs());
+    }
+    ((sum + UNIT / 2).div_euclid(UNIT) as i32, class_of(size / (UNIT as u64 / 4)))
 }
 
 /// Appends the values of a brick.
 pub(crate) fn encode(template: &Template, values: &[i32], out: &mut Vec<u8>) {
     assert_eq!(values.len(), template.len(), "a value for each place");
+    let start = out.len();
+    encode_as::<false>(&template.mean, values, out);
+    let middle = out.len();
+    encode_as::<true>(template.smooth(), values, out);
+    if out.len() - middle < middle - start {
+        out.drain(start..middle);
+    } else {
+        out.truncate(middle);
+    }
+}
+
+fn encode_as<const SMOOTH: bool>(prediction: &Prediction, values: &[i32], out: &mut Vec<u8>) {
     let (mut coder, mut model, mut start) = (Encoder::default(), Model::new(), 0);
-    for place in &template.places {
-        let near = &template.near[start..place.end as usize];
+    let mut apart = [0; VALUES];
+    coder.raw(1, u32::from(SMOOTH));
+    for place in &prediction.places {
+        let near = &prediction.near[start..place.end as usize];
         start = place.end as usize;
-        let (mean, spread) = predict(near, values);
+        let (mean, class) = if SMOOTH { from_field(near, values, &apart) } else { from_mean(near, values) };
         let difference = values[usize::from(place.number)].wrapping_sub(mean);
         let size = difference.unsigned_abs();
+        if SMOOTH {
+            apart[usize::from(place.number)] = size;
+        }
         let bits = (u32::BITS - size.leading_zeros()) as usize;
-        let lengths = &mut model.lengths[usize::from(place.kind)][spread];
+        let lengths = &mut model.lengths[usize::from(place.table)][class];
         for length in 0..=bits.min(MOST_BITS - 1) {
             coder.bit(&mut lengths[length.min(LENGTHS - 1)], bits > length);
         }
@@ -227,17 +369,31 @@ pub(crate) fn encode(template: &Template, values: &[i32], out: &mut Vec<u8>) {
 /// Reads the values of a brick; false if the bytes are not such ones.
 pub(crate) fn decode(template: &Template, bytes: &[u8], values: &mut [i32]) -> bool {
     assert_eq!(values.len(), template.len(), "a value for each place");
-    let (mut coder, mut model, mut start) = (Decoder::new(bytes), Model::new(), 0);
-    for place in &template.places {
-        let near = &template.near[start..place.end as usize];
+    let mut coder = Decoder::new(bytes);
+    if coder.raw(1) == 1 {
+        decode_as::<true>(template.smooth(), coder, values)
+    } else {
+        decode_as::<false>(&template.mean, coder, values)
+    }
+}
+
+fn decode_as<const SMOOTH: bool>(
+    prediction: &Prediction,
+    mut coder: Decoder<'_>,
+    values: &mut [i32],
+) -> bool {
+    let (mut model, mut start) = (Model::new(), 0);
+    let mut apart = [0; VALUES];
+    for place in &prediction.places {
+        let near = &prediction.near[start..place.end as usize];
         start = place.end as usize;
-        let (mean, spread) = predict(near, values);
-        let lengths = &mut model.lengths[usize::from(place.kind)][spread];
+        let (mean, class) = if SMOOTH { from_field(near, values, &apart) } else { from_mean(near, values) };
+        let lengths = &mut model.lengths[usize::from(place.table)][class];
         let mut bits = 0;
         while bits < MOST_BITS && coder.bit(&mut lengths[bits.min(LENGTHS - 1)]) {
             bits += 1;
         }
-        let mut difference = 0;
+        let mut difference = 0i32;
         if bits > 0 {
             let mut size = 1u32;
             if bits > 1 {
@@ -253,6 +409,9 @@ pub(crate) fn decode(template: &Template, bytes: &[u8], values: &mut [i32]) -> b
             difference = if low & 1 == 1 { (size as i32).wrapping_neg() } else { size as i32 };
         }
         values[usize::from(place.number)] = mean.wrapping_add(difference);
+        if SMOOTH {
+            apart[usize::from(place.number)] = difference.unsigned_abs();
+        }
     }
     coder.at_end()
 }
@@ -266,15 +425,26 @@ mod tests {
         for cells in [[8, 8, 8], [1, 1, 1], [5, 8, 3], [7, 2, 6]] {
             let template = Template::of(cells);
             assert_eq!(template.len() as u32, 2 * cells.iter().product::<u32>());
-            let (mut known, mut start) = (vec![false; template.len()], 0);
-            for (n, place) in template.places.iter().enumerate() {
-                let near = &template.near[start..place.end as usize];
-                start = place.end as usize;
-                assert!(near.iter().all(|&(number, _)| known[usize::from(number)]));
-                assert!(n == 0 || near.iter().map(|&(_, w)| i64::from(w)).sum::<i64>() == UNIT);
-                assert!(!std::mem::replace(&mut known[usize::from(place.number)], true));
+            for prediction in [&template.mean, template.smooth()] {
+                let (mut known, mut start) = (vec![false; template.len()], 0);
+                for (n, place) in prediction.places.iter().enumerate() {
+                    let near = &prediction.near[start..place.end as usize];
+                    start = place.end as usize;
+                    assert!(near.iter().all(|&(number, _)| known[usize::from(number)]));
+                    assert!(n == 0 || near.iter().map(|&(_, w)| i64::from(w)).sum::<i64>() == UNIT);
+                    assert!(!std::mem::replace(&mut known[usize::from(place.number)], true));
+                }
             }
         }
+    }
+
+    #[test]
+    fn weights_are_those_of_the_document() {
+        // Halfway between two values; then with a third one behind: an extrapolation has signs.
+        assert_eq!(weights(&[[-2, 0, 0], [2, 0, 0]]), [8192, 8192]);
+        let three = weights(&[[-2, 0, 0], [-4, 0, 0], [-6, 0, 0]]);
+        assert_eq!(three.iter().map(|&w| i64::from(w)).sum::<i64>(), UNIT);
+        assert!(three[0] > 16_384 && three[1] < 0, "{three:?}");
     }
 
     #[test]
@@ -314,6 +484,10 @@ mod tests {
         encode(template, &values, &mut bytes);
         // Of the 8 that each would take for itself.
         assert!(bytes.len() < 1024 * 4 / 8, "{}", bytes.len());
+        // A smooth field does better than a mean.
+        let mut by_mean = vec![];
+        encode_as::<false>(&template.mean, &values, &mut by_mean);
+        assert!(10 * bytes.len() < 7 * by_mean.len(), "{} of {}", bytes.len(), by_mean.len());
     }
 
     #[test]

@@ -1,13 +1,16 @@
 //! The odds that a brick begins with.
 //!
-//! They were counted on six volumes (CT of a tooth, an engine and a lung, MR of a head, a protein, a hydrogen atom), at 1/8
-//! and 1/27 of the samples, rounded to 5, 7 and 9 bits, each volume weighing the same.
+//! Those of the three kinds were counted on six volumes (CT of a tooth, an engine and a lung, MR of
+//! a head, a protein, a hydrogen atom), at 1/8 and 1/27 of the samples, rounded to 5, 7 and 9 bits,
+//! each volume weighing the same. Those of smooth bricks were counted on these and five more (CT of
+//! a stent, MR of a brain, a hurricane's wind, a gyroid, the Marschner-Lobb field), at 1/8, 1/27 and
+//! 1/64, rounded to 5, 6 and 8 bits, in the bricks that they make smaller.
 
-use super::{KINDS, LENGTHS, SPREADS};
+use super::{LENGTHS, SPREADS, TABLES};
 
-/// In 256ths, that a difference has more bits than so many, by kind and spread.
+/// In 256ths, that a difference has more bits than so many, by table and class.
 #[rustfmt::skip]
-pub(super) const MORE: [[[u8; LENGTHS]; SPREADS]; KINDS] = [
+pub(super) const MORE: [[[u8; LENGTHS]; SPREADS]; TABLES] = [
     // Nodes on coarse grids.
     [
         [32, 181, 208, 212, 180, 196, 155, 167, 74, 1, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
@@ -76,6 +79,29 @@ pub(super) const MORE: [[[u8; LENGTHS]; SPREADS]; KINDS] = [
         [254, 254, 251, 246, 235, 209, 117, 39, 11, 1, 1, 1, 64, 64, 64, 64, 64, 64, 64, 64],
         [255, 254, 251, 246, 236, 214, 158, 56, 15, 1, 1, 1, 64, 64, 64, 64, 64, 64, 64, 64],
         [254, 255, 253, 252, 249, 230, 216, 134, 42, 1, 2, 1, 1, 64, 64, 64, 64, 64, 64, 64],
+    ],
+    // Smooth bricks.
+    [
+        [6, 43, 219, 228, 197, 155, 141, 148, 2, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [52, 6, 11, 82, 38, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [66, 10, 10, 85, 54, 48, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [83, 15, 15, 13, 59, 59, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [99, 34, 19, 49, 17, 45, 60, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [122, 53, 28, 23, 42, 18, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [144, 83, 38, 20, 25, 18, 53, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [165, 109, 57, 30, 21, 15, 41, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [182, 135, 80, 42, 18, 24, 16, 60, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [200, 161, 111, 56, 30, 19, 47, 26, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [213, 178, 135, 79, 45, 19, 35, 20, 56, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [227, 200, 161, 110, 56, 29, 29, 22, 43, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [235, 212, 181, 143, 84, 40, 25, 46, 11, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [240, 223, 201, 170, 117, 53, 31, 9, 24, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [243, 228, 210, 186, 140, 78, 37, 5, 18, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [249, 240, 222, 204, 155, 104, 44, 15, 7, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [252, 248, 238, 213, 170, 116, 66, 36, 2, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [253, 249, 245, 233, 206, 164, 108, 36, 3, 50, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
+        [254, 253, 250, 243, 227, 199, 152, 72, 3, 30, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64],
     ],
 ];
 
