@@ -57,6 +57,31 @@
 //! # }
 //! ```
 //!
+//! A volume need not be in a file: samples in memory are one, and so is anything that answers for boxes of
+//! samples ([`volume::VolumeReader`]).
+//!
+//! ```
+//! use isospan::exec::Silent;
+//! use isospan::formats::StepSource;
+//! use isospan::pipeline::{Archive, ReduceSettings, RunSettings, reduce_series};
+//! use isospan::volume::memory::volume_of;
+//! use std::sync::Arc;
+//!
+//! # fn main() -> isospan::Result<()> {
+//! # let folder = tempfile::tempdir().unwrap();
+//! # let path = folder.path().join("ball.isospan");
+//! let square = |i: usize| (i as f32 - 31.5).powi(2);
+//! let samples: Vec<f32> =
+//!     (0..64 * 64 * 64).map(|i| (square(i % 64) + square(i / 64 % 64) + square(i / 4096)).sqrt()).collect();
+//! let volume = Arc::new(volume_of("ball", [64; 3], samples)?);
+//! let (settings, run) = (ReduceSettings::default(), RunSettings::default());
+//! reduce_series(&[StepSource::given("ball", volume)], &settings, &path, &run, &Silent)?;
+//! let mesh = Archive::open(&path)?.surface(20.0)?;
+//! assert!(mesh.triangles.len() > 1_000);
+//! # Ok(())
+//! # }
+//! ```
+//!
 //! # Guarantees
 //!
 //! * The same input and parameters give the same bytes: for any number of threads, and after any interruption. Chunk size changes

@@ -105,7 +105,7 @@ fn steps_have_the_bits_of_the_first_however_they_are_made() {
             write_npy(&path, [36, 34, 32], |x, y, z| {
                 waves(x + 0.05 * f64::from(t), y, z) + if ball(x, y, z) > 0.48 { peak } else { 0.0 }
             });
-            StepSource { time: Some(f64::from(t)), ..StepSource::new(&path, &OpenOptions::default()) }
+            StepSource::new(&path, &OpenOptions::default()).at(Some(f64::from(t)))
         })
         .collect();
     let usual = ReduceSettings { chunk_points: 2_000, ..ReduceSettings::default() };

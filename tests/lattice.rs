@@ -63,7 +63,7 @@ fn rounded_steps_with_holes_are_the_same_however_they_are_made() {
             write_npy(&path, [40, 36, 34], |x, y, z| {
                 if x * x + y * y < 0.02 { f64::NAN } else { waves(x + moved, y, z) }
             });
-            StepSource { time: Some(f64::from(t)), ..StepSource::new(&path, &OpenOptions::default()) }
+            StepSource::new(&path, &OpenOptions::default()).at(Some(f64::from(t)))
         })
         .collect();
     let settings = ReduceSettings {

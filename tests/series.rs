@@ -30,7 +30,7 @@ fn write_steps(dir: &Path, count: usize) -> Vec<StepSource> {
     let step = |t: usize| {
         let path = dir.join(format!("v{t}.npy"));
         write_npy(&path, DIMS, moving(t));
-        StepSource { time: Some(0.5 * t as f64), ..StepSource::new(&path, &OpenOptions::default()) }
+        StepSource::new(&path, &OpenOptions::default()).at(Some(0.5 * t as f64))
     };
     (0..count).map(step).collect()
 }
@@ -211,7 +211,7 @@ fn appending_is_reducing_all_at_once() {
         let report = pipeline::append(&steps[3..7], &how, &grown, &run(1), &Silent).unwrap();
         assert!(report.steps.is_empty() && folder(&all) == folder(&grown));
         // The same file at another time is another step.
-        let again = StepSource { time: Some(9.0), ..steps[6].clone() };
+        let again = steps[6].clone().at(Some(9.0));
         let report = pipeline::append(&[again], &how, &grown, &run(1), &Silent).unwrap();
         assert_eq!(report.steps.iter().map(|s| (s.number, s.time)).collect::<Vec<_>>(), [(7, Some(9.0))]);
     }
@@ -609,7 +609,7 @@ fn appended_steps_take_over_what_was_said_of_the_first() {
     assert!(report.range.is_some_and(|[lo, hi]| lo > -10.0 && hi < 10.0), "{:?}", report.range);
     assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")));
     // Another value that is told is that of the new step, and of those behind it; it is measured without being told again.
-    let other = StepSource { time: Some(9.0), ..StepSource::new(&out("o.npy"), &OpenOptions::default()) };
+    let other = StepSource::new(&out("o.npy"), &OpenOptions::default()).at(Some(9.0));
     write_npy(&other.path, DIMS, |x, y, z| if x > 0.4 { -9999.0 } else { waves(x, y, z) });
     let how = AppendSettings { missing: Some(-9999.0), ..AppendSettings::default() };
     let report = append(std::slice::from_ref(&other), &how);

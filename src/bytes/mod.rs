@@ -34,6 +34,7 @@ pub(crate) mod sorter;
 pub(crate) mod store;
 
 use crate::error::{Error, Result};
+use std::fmt;
 use std::fs::File;
 use std::io::{self, Read};
 use std::ops::Range;
@@ -81,7 +82,22 @@ enum Bytes {
     Mapped(File, mmap::Mapping),
     /// The mapping is made when a slice is first asked for.
     Read(File, OnceLock<mmap::Mapping>),
-    Memory(Vec<u8>),
+    Memory(InMemory),
+}
+
+/// Bytes that something else owns.
+struct InMemory(Box<dyn AsRef<[u8]> + Send + Sync>);
+
+impl InMemory {
+    fn bytes(&self) -> &[u8] {
+        (*self.0).as_ref()
+    }
+}
+
+impl fmt::Debug for InMemory {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} bytes in memory", self.bytes().len())
+    }
 }
 
 /// Readers drop what is behind them in pieces of this size.
@@ -129,7 +145,13 @@ impl ByteSource {
 
     /// Bytes that are in memory already; `path` is the name used in messages.
     pub fn from_vec(path: impl AsRef<Path>, bytes: Vec<u8>) -> Self {
-        let len = bytes.len() as u64;
+        Self::in_memory(path, bytes)
+    }
+
+    /// As [`ByteSource::from_vec`], whatever owns the bytes. They must stay the same.
+    pub fn in_memory(path: impl AsRef<Path>, owner: impl AsRef<[u8]> + Send + Sync + 'static) -> Self {
+        let bytes = InMemory(Box::new(owner));
+        let len = bytes.bytes().len() as u64;
         Self { path: path.as_ref().to_path_buf(), len, bytes: Bytes::Memory(bytes), drop_behind: false }
     }
 
@@ -166,7 +188,7 @@ impl ByteSource {
                 self.check()
             }
             Bytes::Memory(bytes) => {
-                out.copy_from_slice(&bytes[range]);
+                out.copy_from_slice(&bytes.bytes()[range]);
                 Ok(())
             }
         }
@@ -188,7 +210,7 @@ impl ByteSource {
         let within = self.range(&range)?;
         match &self.bytes {
             Bytes::Mapped(_, mapping) => Ok(&mapping.bytes()[within]),
-            Bytes::Memory(bytes) => Ok(&bytes[within]),
+            Bytes::Memory(bytes) => Ok(&bytes.bytes()[within]),
             Bytes::Read(file, _) => {
                 buffer.resize(within.len(), 0);
                 self.read_into(file, range.start, buffer)?;
@@ -201,7 +223,7 @@ impl ByteSource {
     pub(crate) fn at_hand(&self, range: Range<u64>) -> Option<&[u8]> {
         let bytes = match &self.bytes {
             Bytes::Mapped(_, mapping) => mapping.bytes(),
-            Bytes::Memory(bytes) => bytes,
+            Bytes::Memory(bytes) => bytes.bytes(),
             Bytes::Read(..) => return None,
         };
         bytes.get(usize::try_from(range.start).ok()?..usize::try_from(range.end).ok()?)
@@ -217,7 +239,7 @@ impl ByteSource {
         let within = self.range(&range)?;
         Ok(match &self.bytes {
             Bytes::Mapped(_, mapping) => &mapping.bytes()[within],
-            Bytes::Memory(bytes) => &bytes[within],
+            Bytes::Memory(bytes) => &bytes.bytes()[within],
             Bytes::Read(file, mapping) => {
                 if mapping.get().is_none() {
                     let made = mmap::Mapping::new(file).map_err(|e| Error::io("map", &self.path, e))?;

@@ -14,18 +14,23 @@
 use super::nifti::UnpackedFrames;
 use super::stack::{by_numbers, rise};
 use super::{
-    Kind, OpenOptions, has_suffix, kind_of, mesh, nifti, open_volume, tiff, vtk_legacy, vtk_xml, zarr,
+    Input, Kind, OpenOptions, has_suffix, kind_of, mesh, nifti, open_input, open_volume, tiff, vtk_legacy,
+    vtk_xml, zarr,
 };
 use crate::bytes::{ByteSource, read_whole};
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
+use crate::volume::slabs::ReaderSlabs;
+use crate::volume::{SharedVolume, SlabStream, VolumeReader, VolumeSource};
 use glob::Pattern;
 use quick_xml::Reader;
 use quick_xml::events::Event;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
+use std::fmt;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
+use xxhash_rust::xxh3::Xxh3;
 
 /// One step of a series.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -36,12 +41,100 @@ pub struct StepSource {
     pub options: OpenOptions,
     /// Its time, where it is known.
     pub time: Option<f64>,
+    /// The volume itself, where a program gives that and no file.
+    #[serde(skip)]
+    given: Option<Given>,
 }
 
 impl StepSource {
     /// A step that is alone.
     pub fn new(path: &Path, options: &OpenOptions) -> Self {
-        Self { path: path.to_path_buf(), options: options.clone(), time: None }
+        Self { path: path.to_path_buf(), options: options.clone(), time: None, given: None }
+    }
+
+    /// A volume that a program gives: samples in memory ([`volume_of`](crate::volume::memory::volume_of)),
+    /// or anything that answers for boxes of them. `name` stands for it in messages and in the archive.
+    pub fn given(name: &str, volume: Arc<dyn VolumeReader>) -> Self {
+        let given = Given { volume, hash: Arc::default() };
+        Self { given: Some(given), ..Self::new(name.as_ref(), &OpenOptions::default()) }
+    }
+
+    /// The same step at a time, where that is known.
+    #[must_use]
+    pub fn at(self, time: Option<f64>) -> Self {
+        Self { time, ..self }
+    }
+
+    /// Opens the file, or the volume that was given.
+    ///
+    /// # Errors
+    /// Those of [`open_input`](super::open_input).
+    pub fn open(&self) -> Result<Input> {
+        match &self.given {
+            Some(given) => Ok(Input::Volume(VolumeSource::Random(given.reader()))),
+            None => open_input(&self.path, &self.options),
+        }
+    }
+
+    /// Whether it is a volume that a program gives.
+    pub fn is_given(&self) -> bool {
+        self.given.is_some()
+    }
+
+    /// A hash of the samples of a volume that a program gives; `None` of files.
+    ///
+    /// # Errors
+    /// Those of reading the samples; [`Error::Cancelled`].
+    pub(crate) fn given_hash(&self, cancel: &CancelToken) -> Result<Option<String>> {
+        self.given.as_ref().map(|given| given.hash(cancel)).transpose()
+    }
+}
+
+/// A volume that a program gives, and the hash of its samples once that is known.
+#[derive(Clone)]
+struct Given {
+    volume: Arc<dyn VolumeReader>,
+    hash: Arc<OnceLock<String>>,
+}
+
+impl Given {
+    fn reader(&self) -> Box<dyn VolumeReader> {
+        Box::new(SharedVolume(Arc::clone(&self.volume)))
+    }
+
+    /// XXH3 (128 bits), in hexadecimal, of the identity of the volume where it has one; else of its
+    /// dimensions, type and stored samples.
+    fn hash(&self, cancel: &CancelToken) -> Result<String> {
+        if let Some(known) = self.hash.get() {
+            return Ok(known.clone());
+        }
+        let mut hash = Xxh3::new();
+        match self.volume.identity() {
+            Some(identity) => hash.update(identity.as_bytes()),
+            None => {
+                let info = self.volume.stored_info();
+                info.dims.iter().for_each(|n| hash.update(&n.to_le_bytes()));
+                hash.update(info.field.scalar.name().as_bytes());
+                let (mut slabs, mut slab) = (ReaderSlabs::new(self.reader()), vec![]);
+                while slabs.next_slab(&mut slab)?.is_some() {
+                    cancel.check()?;
+                    hash.update(&slab);
+                }
+            }
+        }
+        Ok(self.hash.get_or_init(|| format!("{:032x}", hash.digest128())).clone())
+    }
+}
+
+impl PartialEq for Given {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.volume, &other.volume)
+    }
+}
+
+impl fmt::Debug for Given {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}", self.volume.info())
     }
 }
 
@@ -136,6 +229,7 @@ fn steps_in(path: &Path, options: &OpenOptions, time: Option<f64>) -> Vec<StepSo
         Ok(fields) if fields.len() > 1 || fields.len() == 1 && pattern.is_some() => fields
             .into_iter()
             .map(|(name, own)| StepSource {
+                given: None,
                 time: own.or(time),
                 options: OpenOptions { field: Some(name), ..options.clone() },
                 path: path.to_path_buf(),

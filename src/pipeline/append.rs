@@ -76,8 +76,9 @@ pub fn append(
 fn with_field(source: &StepSource, field: &str) -> StepSource {
     let options = OpenOptions { field: Some(field.to_owned()), ..source.options.clone() };
     // In a format without names the reader chooses. Another name is refused when the step is planned.
-    match source.options.field.is_none() && formats::open_input(&source.path, &options).is_ok() {
-        true => StepSource { options, ..source.clone() },
+    let is_named = source.options.field.is_some() || source.is_given();
+    match !is_named && formats::open_input(&source.path, &options).is_ok() {
+        true => StepSource::new(&source.path, &options).at(source.time),
         false => source.clone(),
     }
 }

@@ -7,6 +7,7 @@
 use crate::bytes::open_regular;
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
+use crate::formats::StepSource;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -198,6 +199,23 @@ impl<'a> Inputs<'a> {
         files.iter().zip(&stamps).try_for_each(|(file, &stamp)| unchanged(file, stamp))?;
         lock().insert(key, found.clone());
         Ok(found)
+    }
+
+    /// As [`Inputs::fingerprint`]; of a volume that a program gives, a hash of its samples.
+    ///
+    /// # Errors
+    /// Those of [`Inputs::fingerprint`], and of reading the samples.
+    pub(super) fn of_source(
+        &mut self,
+        number: u64,
+        source: &StepSource,
+        files: &[PathBuf],
+        cancel: &CancelToken,
+    ) -> Result<String> {
+        match source.given_hash(cancel)? {
+            Some(hash) => Ok(hash),
+            None => self.fingerprint(number, files, cancel),
+        }
     }
 
     fn of_plan(&self, number: u64, files: &[PathBuf], stamps: &[Option<Stamp>]) -> Option<&'a str> {

@@ -158,9 +158,14 @@ pub(super) fn reopened_errors(
     let (mut errors, mut store) = (vec![], None);
     for group in steps.chunks(MOST_STEPS_AT_ONCE as usize) {
         let mut columns = vec![];
-        for &(position, StepSource { path, options, .. }) in group {
+        for &(position, source) in group {
+            let path = &source.path;
             archive.turn_to(position);
-            match open_field(archive, path, options)? {
+            let input = match source.is_given() {
+                true => source.open()?,
+                false => open_field(archive, path, &source.options)?,
+            };
+            match input {
                 Input::Volume(source) => {
                     let error = against_volume(archive, source, path, settings, progress)?.0;
                     errors.push((error, vec![]));

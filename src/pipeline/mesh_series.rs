@@ -134,7 +134,7 @@ impl Common {
 }
 
 fn open_mesh_of(source: &StepSource) -> Result<CellMesh> {
-    match formats::open_input(&source.path, &source.options)? {
+    match source.open()? {
         Input::Mesh(mesh) => Ok(mesh),
         Input::Volume(_) => {
             let expected = "a mesh, as other steps are";

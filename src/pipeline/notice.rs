@@ -11,7 +11,7 @@ use super::scan::{Scan, scan};
 use super::survey::{Fill, Seen, Stretch, Survey, survey_mesh, survey_volume, watched};
 use crate::cells::CellMesh;
 use crate::error::{Result, bytes_text};
-use crate::formats::{self, Input, StepSource};
+use crate::formats::{Input, StepSource};
 use crate::geom::Lattice;
 use crate::points::{PointSet, PointSpec, SetKind};
 use crate::sample::Interpolation;
@@ -282,7 +282,7 @@ fn look_at(job: &Job<'_>, further: bool) -> Result<Looked> {
     let (mut constants, mut seen) = (vec![], 0);
     for (n, (_, source)) in sources.iter().enumerate().step_by(every) {
         run.cancel.check()?;
-        let Ok(input) = formats::open_input(&source.path, &source.options) else { continue };
+        let Ok(input) = source.open() else { continue };
         if matches!(&input, Input::Volume(volume) if Lattice::new(volume.info().dims).is_err()) {
             continue;
         }
@@ -472,7 +472,9 @@ fn size_of(input: &Input, sources: &[(u64, StepSource)]) -> Option<SourceSize> {
         Input::Mesh(mesh) => mesh.info().files(),
     };
     let length = |path: &Path| std::fs::metadata(path).ok().map(|m| m.len());
-    let on_disk = if files.len() == 1 {
+    let on_disk = if sources.iter().any(|(_, source)| source.is_given()) {
+        u64::MAX
+    } else if files.len() == 1 {
         paths.iter().map(|p| length(p)).sum::<Option<u64>>()?
     } else {
         files.iter().map(|p| length(p)).sum::<Option<u64>>()?.saturating_mul(paths.len() as u64)

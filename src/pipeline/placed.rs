@@ -24,7 +24,7 @@ pub(super) fn write_coordinates(
     layout: &Layout,
 ) -> Result<Option<CoordinateRecord>> {
     let input = &source.path;
-    let Some(found) = open_coordinates(input, &source.options)? else { return Ok(None) };
+    let Some(found) = coordinates_of(source)? else { return Ok(None) };
     let step = plan.first();
     let (path, hash, dims) = (layout.at(step.number).coordinates(), plan.step_hash(0), step.source.dims);
     let info = match found {
@@ -49,11 +49,16 @@ pub(super) fn write_coordinates(
     Ok(Some(CoordinateRecord { info, cells }))
 }
 
+/// The coordinates of a source: none of a volume that a program gives.
+fn coordinates_of(source: &StepSource) -> Result<Option<GridCoordinates>> {
+    if source.is_given() { Ok(None) } else { open_coordinates(&source.path, &source.options) }
+}
+
 /// A hash of the coordinates of a source; `None` where it has none of its own.
 pub(super) fn coordinate_hash(source: &StepSource, dims: [u64; 3]) -> Result<Option<u128>> {
     let mut hash = Xxh3::new();
     let mut add = |numbers: &[f64]| numbers.iter().for_each(|x| hash.update(&x.to_le_bytes()));
-    match open_coordinates(&source.path, &source.options)? {
+    match coordinates_of(source)? {
         None => return Ok(None),
         Some(GridCoordinates::Axes(axes)) => axes.iter().for_each(|axis| add(axis)),
         Some(GridCoordinates::Points(mut stream)) => {

@@ -28,7 +28,7 @@ use crate::archive::publish::Unpublished;
 use crate::archive::segment::PlanHash;
 use crate::bytes::read_whole;
 use crate::error::{Error, Result};
-use crate::formats::{self, Input, OpenOptions, StepSource};
+use crate::formats::{Input, OpenOptions, StepSource};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -157,7 +157,7 @@ impl PlanFile {
     pub(super) fn expect_same_inputs(&self, run: &RunSettings) -> Result<Watch> {
         let mut inputs = Inputs::planned(&self.files, self.plan.fingerprints());
         for (step, source) in self.plan.steps.iter().zip(&self.sources) {
-            let files = match formats::open_input(&source.path, &source.options)? {
+            let files = match source.open()? {
                 Input::Volume(volume) => volume.info().files(),
                 Input::Mesh(mesh) => mesh.info().files(),
             };
@@ -254,10 +254,13 @@ fn with_absolute_paths(source: StepSource) -> Result<StepSource> {
             None => Err(Error::usage(format!("{}: a plan needs paths in UTF-8", path.display()))),
         }
     };
+    if source.is_given() {
+        let name = source.path.display();
+        return Err(Error::usage(format!(
+            "{name} is in memory: other processes cannot read it; write it to a file"
+        )));
+    }
     let values = source.options.values.as_deref().map(absolute).transpose()?;
-    Ok(StepSource {
-        path: absolute(&source.path)?,
-        options: OpenOptions { values, ..source.options },
-        time: source.time,
-    })
+    let options = OpenOptions { values, ..source.options };
+    Ok(StepSource::new(&absolute(&source.path)?, &options).at(source.time))
 }

@@ -28,7 +28,7 @@ use crate::archive::{TEMPORARY_MARK, publish};
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent};
-use crate::formats::{self, Input, OpenOptions, StepSource};
+use crate::formats::{Input, OpenOptions, StepSource};
 use crate::grid::IndexBox;
 use crate::volume::bricked::BrickedVolume;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
@@ -202,7 +202,7 @@ pub(super) fn make(job: &Job<'_>) -> Result<ReduceReport> {
 fn first_input(sources: &[(u64, StepSource)], run: &RunSettings) -> Result<Input> {
     let mut first_error = None;
     for (_, source) in sources {
-        match formats::open_input(&source.path, &source.options) {
+        match source.open() {
             Err(e) if run.keep_going => _ = first_error.get_or_insert(e),
             other => return other,
         }

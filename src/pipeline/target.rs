@@ -39,7 +39,7 @@ use super::target_max::reduce_to_max;
 use crate::archive::manifest::{Manifest, Step};
 use crate::archive::publish::{remove_folder, replace_folder};
 use crate::error::{Error, Result};
-use crate::formats::{self, Input};
+use crate::formats::Input;
 use crate::points::SetKind;
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -388,11 +388,11 @@ fn made_before(job: &Job<'_>) -> Result<Option<ReduceReport>> {
         if !is_same {
             break;
         }
-        let (files, field) = match formats::open_input(&source.path, &source.options)? {
+        let (files, field) = match source.open()? {
             Input::Volume(volume) => (volume.info().files(), volume.info().field.name.clone()),
             Input::Mesh(mesh) => (mesh.info().files(), mesh.field()?.name.clone()),
         };
-        let found = inputs.fingerprint(*number, &files, &job.run.cancel)?;
+        let found = inputs.of_source(*number, source, &files, &job.run.cancel)?;
         let (plan, of_source) = (&step.plan, &step.plan.source);
         is_same &= (plan.number, plan.time) == (*number, source.time)
             && (&of_source.fingerprint, &of_source.field) == (&found, &field);

@@ -38,7 +38,7 @@ use crate::archive::publish::remove_folder;
 use crate::cells::CellMesh;
 use crate::density::Choice;
 use crate::error::{Error, Result};
-use crate::formats::{self, Input, StepSource};
+use crate::formats::{Input, StepSource};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, ChunkId};
 use crate::points::PointSpec;
@@ -131,7 +131,7 @@ struct Measuring<'a> {
 impl Measuring<'_> {
     /// Adds the errors at the samples of a step, or at the vertices of its mesh; returns the part of the box that they fill.
     fn add(&self, job: &Job<'_>, source: &StepSource) -> Result<f64> {
-        match formats::open_input(&source.path, &source.options)? {
+        match source.open()? {
             Input::Volume(volume) => self.add_samples(job, volume).map(|()| 1.0),
             Input::Mesh(mesh) => self.add_vertices(job, &mesh, &source.path),
         }

@@ -264,7 +264,7 @@ impl Planner<'_> {
         if self.errors.is_none() {
             self.errors = Some(Errors::new(plan.mesh.lattice, adapt, self.run)?);
         }
-        let Input::Volume(volume) = formats::open_input(&source.path, &source.options)? else {
+        let Input::Volume(volume) = source.open()? else {
             return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
         };
         let reading = self.reading();
@@ -272,9 +272,11 @@ impl Planner<'_> {
     }
 
     fn step(&mut self, number: u64, source: &StepSource, look: bool) -> Result<(StepPlan, PlannedSource)> {
-        // Before its head is read.
-        self.inputs.watch.add(std::slice::from_ref(&source.path));
-        let Input::Volume(volume) = formats::open_input(&source.path, &source.options)? else {
+        if !source.is_given() {
+            // Before its head is read.
+            self.inputs.watch.add(std::slice::from_ref(&source.path));
+        }
+        let Input::Volume(volume) = source.open()? else {
             return Err(Error::bad_input(
                 &source.path,
                 "kind of file",
@@ -283,7 +285,7 @@ impl Planner<'_> {
             ));
         };
         let info = volume.info().clone();
-        let fingerprint = self.inputs.fingerprint(number, &info.files(), &self.run.cancel)?;
+        let fingerprint = self.inputs.of_source(number, source, &info.files(), &self.run.cancel)?;
         let coordinates = coordinate_hash(source, info.dims)?;
         match &self.common {
             Some(common) => {
@@ -368,7 +370,7 @@ impl Planner<'_> {
             return Ok(Shift { offset, rounding: 0.0 });
         }
         self.looked_into = is_packed.then(|| source.path.clone());
-        let open = || match formats::open_input(&source.path, &source.options)? {
+        let open = || match source.open()? {
             Input::Volume(volume) => Ok(volume),
             Input::Mesh(_) => {
                 Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"))
@@ -464,7 +466,7 @@ impl<'a> VolumeFields<'a> {
     /// Opens a source that is read by itself, with the copy that is made of it where that is needed.
     fn random_access(&self, planned: &PlannedSource) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
         let source = &planned.source;
-        let Input::Volume(volume) = formats::open_input(&source.path, &source.options)? else {
+        let Input::Volume(volume) = source.open()? else {
             return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
         };
         match volume {

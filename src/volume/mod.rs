@@ -4,6 +4,7 @@
 //! ([`SlabStream`]: compressed or text files). A stream is turned into random access by [`bricked`], once; a small one in memory.
 
 pub mod bricked;
+pub mod memory;
 pub(crate) mod shifted;
 pub mod slabs;
 pub mod strided;
@@ -14,6 +15,7 @@ use crate::grid::{Geometry, IndexBox};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// The type of a stored sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -138,6 +140,12 @@ pub trait VolumeReader: Send + Sync {
     /// When the file cannot be read or ends too early.
     fn read_box(&self, voxels: IndexBox, out: &mut [f32]) -> Result<()>;
 
+    /// A text that stands for the samples: the same text only where all samples are the same.
+    /// Without one, a volume that a program gives is read once more to hash its samples.
+    fn identity(&self) -> Option<String> {
+        None
+    }
+
     /// Tells that `voxels` will be read soon; a hint.
     fn will_need(&self, _voxels: IndexBox) {}
 
@@ -193,6 +201,39 @@ pub enum VolumeSource {
     Random(Box<dyn VolumeReader>),
     /// One pass, front to back.
     Stream(Box<dyn SlabStream>),
+}
+
+/// A volume that several readers share.
+pub(crate) struct SharedVolume(pub(crate) Arc<dyn VolumeReader>);
+
+impl VolumeReader for SharedVolume {
+    fn info(&self) -> &VolumeInfo {
+        self.0.info()
+    }
+
+    fn read_box(&self, voxels: IndexBox, out: &mut [f32]) -> Result<()> {
+        self.0.read_box(voxels, out)
+    }
+
+    fn identity(&self) -> Option<String> {
+        self.0.identity()
+    }
+
+    fn will_need(&self, voxels: IndexBox) {
+        self.0.will_need(voxels);
+    }
+
+    fn release(&self, slices: Range<u64>) {
+        self.0.release(slices);
+    }
+
+    fn stored_info(&self) -> VolumeInfo {
+        self.0.stored_info()
+    }
+
+    fn read_stored(&self, voxels: IndexBox, out: &mut [u8]) -> Result<()> {
+        self.0.read_stored(voxels, out)
+    }
 }
 
 impl VolumeSource {

@@ -13,7 +13,7 @@
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::exec::will_read;
-use crate::grid::IndexBox;
+use crate::grid::{Geometry, IndexBox};
 use crate::volume::{ScalarType, VolumeInfo, VolumeReader};
 use byteorder::{BE, ByteOrder, LE};
 use std::ops::Range;
@@ -96,6 +96,13 @@ impl StridedVolume {
         }
         let (parts, offsets) = parts.into_iter().unzip();
         Ok(Self { info, parts, slices_per_part, offsets, big_endian, strides })
+    }
+
+    /// The same samples at other places in the world.
+    #[must_use]
+    pub fn placed(mut self, geometry: Geometry) -> Self {
+        self.info.geometry = geometry;
+        self
     }
 
     /// The steps of samples stored without gaps, x fastest, then y, then z; `None` where they do not fit 63 bits.
