@@ -4,8 +4,8 @@ use isospan::exec::Silent;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    Amount, ExportSettings, ReduceReport, ReduceSettings, RunSettings, StepChoice, SurfaceSettings,
-    check_archive, contour_spectrum, extract_surface, reduce, reduce_series,
+    Amount, ExportSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, StepChoice,
+    SurfaceSettings, check_archive, contour_spectrum, extract_surface, reduce, reduce_series,
 };
 use isospan::surface::TriMesh;
 use isospan::surface::check::check;
@@ -229,6 +229,27 @@ fn rectilinear(text: &dyn Fn([String; 3], String) -> String) -> String {
     let place = |p: [f64; 3]| distance(std::array::from_fn(|a| axes[a][p[a] as usize]));
     let values = words(samples().map(place));
     text(axes.clone().map(|axis| words(axis.into_iter())), values)
+}
+
+#[test]
+fn a_reduction_that_was_refused_for_missing_samples_is_no_other_work() {
+    let dir = tempfile::tempdir().unwrap();
+    let legacy = rectilinear(&|[x, y, z], values| {
+        let (first, others) = values.split_once(char::is_whitespace).unwrap();
+        assert!(first.parse::<f64>().is_ok());
+        format!(
+            "# vtk DataFile Version 3.0\ntitle\nASCII\nDATASET RECTILINEAR_GRID\nDIMENSIONS 25 17 11\nX_COORDINATES 25 double\n{x}\
+             Y_COORDINATES 17 double\n{y}Z_COORDINATES 11 double\n{z}POINT_DATA 4675\nSCALARS f float\nLOOKUP_TABLE default\nnan {others}"
+        )
+    });
+    let input = dir.path().join("missing.vtk");
+    std::fs::write(&input, legacy).unwrap();
+    let error = make(&input).expect_err("a sample is missing");
+    assert!(error.to_string().contains("--nan mask"), "{error}");
+    let settings = ReduceSettings { nan: NanPolicy::Mask, ..small_chunks() };
+    let (archive, run) = (input.with_extension("isospan"), RunSettings::default());
+    reduce(&input, &OpenOptions::default(), &settings, &archive, &run, &Silent).unwrap();
+    check_archive(&archive).unwrap();
 }
 
 #[test]

@@ -93,6 +93,11 @@ pub fn coordinates_path(archive: &Path, step: u64) -> PathBuf {
     of_step(archive, step, "coordinates.seg")
 }
 
+/// Whether a file of this name has the coordinates of a step's grid.
+pub fn is_coordinates(name: &str) -> bool {
+    name.ends_with("-coordinates.seg")
+}
+
 /// Everything that decides the bytes of the mesh.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Plan {

@@ -236,7 +236,9 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
         s.source_format,
         s.scalar
     );
-    let _ = writeln!(out, "  points      {} ({})", text::count(s.points), s.point_set);
+    // Steps of a mesh may have holes of their own.
+    let outside = if s.mesh.is_some() && s.steps.len() == 1 { s.void_points } else { 0 };
+    let _ = writeln!(out, "  points      {} ({})", text::count(s.points - outside), s.point_set);
     let all: u64 = s.levels.iter().map(|l| l.voxels).sum();
     for (n, level) in s.levels.iter().enumerate() {
         let _ = writeln!(

@@ -135,7 +135,9 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
     // Steps of a mesh may have holes of their own; then the archive's points are all that can be told.
     let of_mesh = report.mesh.is_some() && report.steps.len() == 1;
     let points = report.points - if of_mesh { report.void_points } else { 0 };
-    let _ = writeln!(out, "  points      {} of {} samples", text::count(points), text::count(report.samples));
+    let of_what = if report.mesh.is_some() { "vertices" } else { "samples" };
+    let _ =
+        writeln!(out, "  points      {} of {} {of_what}", text::count(points), text::count(report.samples));
     let _ = writeln!(
         out,
         "  tetrahedra  {} in {} chunks",

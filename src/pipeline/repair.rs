@@ -6,8 +6,8 @@
 use super::beside::Beside;
 use super::plan::{Plan, ReduceSettings, ValueBits};
 use crate::archive::manifest::{
-    MANIFEST_NAME, Manifest, Step, coordinates_path, index_path, mesh_folder, mesh_segment_path,
-    spectrum_path, steps_folder, unpacked_path, unpacked_step, values_segment_path,
+    MANIFEST_NAME, Manifest, Step, coordinates_path, index_path, is_coordinates, mesh_folder,
+    mesh_segment_path, spectrum_path, steps_folder, unpacked_path, unpacked_step, values_segment_path,
 };
 use crate::archive::publish;
 use crate::archive::segment::{PlanHash, segment_plan};
@@ -82,8 +82,10 @@ pub(super) fn other_work(archive: &Path, plan: &Plan, keep_going: bool) -> Optio
     let mesh = plan.mesh_hash();
     let steps: HashSet<PlanHash> = (0..plan.steps.len()).map(|n| plan.step_hash(n)).collect();
     let is_other = |path: &PathBuf, own: &dyn Fn(PlanHash) -> bool| {
-        let unpacked = path.file_name().is_some_and(|n| unpacked_step(&n.to_string_lossy()).is_some());
-        !unpacked && segment_plan(path).is_some_and(|plan| !own(plan))
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        // Both are copies, made anew in little time.
+        let is_copy = unpacked_step(&name).is_some() || is_coordinates(&name);
+        !is_copy && segment_plan(path).is_some_and(|plan| !own(plan))
     };
     let files = |folder: PathBuf| {
         let entries = fs::read_dir(folder).into_iter().flatten().flatten();
