@@ -1,6 +1,6 @@
 //! Index space: boxes of samples, the affine map to the world, and the grids of bricks and chunks.
 //!
-//! This is the only place that does brick, chunk and halo arithmetic.
+//! Brick and chunk arithmetic is here; how wide a halo is follows from the plan (`pipeline/need.rs`).
 //!
 //! * A **brick** is a box of a fixed number of cells that enumerates its own points (about a thousand). Cells are voxel
 //!   cells, or those of a body-centred cubic lattice.

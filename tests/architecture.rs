@@ -1,0 +1,140 @@
+//! The table of imports in ARCHITECTURE.md is the code's: each row names what its module uses of
+//! others, no less and no more, and only modules of the rows above it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A module and the module, or the part of one, that it uses: ("index", "mesh::tet").
+type Imports = BTreeMap<String, BTreeSet<String>>;
+
+/// Imports against the order of the rows, each for a reason that ARCHITECTURE.md gives.
+const UPWARDS: [(&str, &str); 1] = [("volume", "archive")];
+/// What every module uses, the root of the crate, and the program, which is not in the library.
+const NO_ROWS: [&str; 5] = ["error", "lib", "main", "cli", "Error"];
+
+fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        let of_tests = name.ends_with("tests.rs") || ["tests", "testing.rs", "shared_data.rs"].contains(&&*name);
+        match path.is_dir() {
+            _ if of_tests => {}
+            true => sources(&path, found),
+            false if name.ends_with(".rs") => found.push(path),
+            false => {}
+        }
+    }
+}
+
+/// The code of a file without comments and without its modules of tests.
+fn code(text: &str) -> String {
+    let mut lines = text.lines().peekable();
+    let mut kept = String::new();
+    while let Some(line) = lines.next() {
+        if line == "#[cfg(test)]" && lines.peek().is_some_and(|l| l.starts_with("mod ") && l.ends_with('{')) {
+            lines.by_ref().find(|l| *l == "}");
+            continue;
+        }
+        kept += line.split("//").next().unwrap();
+        kept.push('\n');
+    }
+    kept
+}
+
+/// The word at the beginning of `text`.
+fn word(text: &str) -> &str {
+    &text[..text.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(text.len())]
+}
+
+/// The names at the beginning of `text`, the rest of a path: one, or each in braces.
+fn names(text: &str) -> Vec<&str> {
+    if !text.starts_with('{') {
+        return vec![word(text)];
+    }
+    let (mut depth, mut found) = (0, vec![]);
+    for (at, letter) in text.char_indices() {
+        match letter {
+            '{' => depth += 1,
+            '}' => depth -= 1,
+            _ => {}
+        }
+        if depth == 1 && ['{', ','].contains(&letter) {
+            found.push(word(text[at + 1..].trim_start()));
+        } else if depth == 0 {
+            break;
+        }
+    }
+    found.retain(|name| !name.is_empty());
+    found
+}
+
+/// All paths of the library's modules to others: module, other, and the name that is used of it.
+fn paths_of_the_code(src: &Path) -> BTreeSet<[String; 3]> {
+    let (mut files, mut found) = (vec![], BTreeSet::new());
+    sources(src, &mut files);
+    for file in files {
+        let below = file.strip_prefix(src).unwrap().to_string_lossy().into_owned();
+        let module = word(&below).to_owned();
+        if NO_ROWS.contains(&&*module) {
+            continue;
+        }
+        for path in code(&fs::read_to_string(&file).unwrap()).split("crate::").skip(1) {
+            let other = word(path);
+            assert!(!other.is_empty(), "{below}: write `crate::module`, not `crate::{{`");
+            if other != module && !NO_ROWS.contains(&other) {
+                let rest = path[other.len()..].strip_prefix("::").unwrap_or_default();
+                found.extend(names(rest).iter().map(|n| [module.clone(), other.into(), (*n).to_owned()]));
+            }
+        }
+    }
+    found
+}
+
+/// The rows of the table: their order, and what each lists.
+fn rows(text: &str) -> (Vec<String>, Imports) {
+    let table = text.split("## Which module may use which?").nth(1).expect("the heading");
+    let rows = table.split("\n## ").next().unwrap().lines().filter(|l| l.starts_with("| `"));
+    let (mut order, mut imports) = (vec![], Imports::new());
+    for row in rows {
+        let cells: Vec<Vec<&str>> =
+            row.split('|').skip(1).map(|cell| cell.split('`').skip(1).step_by(2).collect()).collect();
+        for module in &cells[0] {
+            order.push((*module).to_owned());
+            imports.insert((*module).to_owned(), cells[1].iter().map(|o| (*o).to_owned()).collect());
+        }
+    }
+    (order, imports)
+}
+
+#[test]
+fn the_table_of_imports_is_the_code_s() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let (_, listed) = rows(&fs::read_to_string(root.join("ARCHITECTURE.md")).unwrap());
+    let (mut missing, mut used) = (BTreeSet::new(), Imports::new());
+    for [module, other, name] in paths_of_the_code(&root.join("src")) {
+        let row = listed.get(&module).unwrap_or_else(|| panic!("{module} has no row"));
+        let entry = [other.clone(), format!("{other}::{name}")].into_iter().find(|e| row.contains(e));
+        match entry {
+            Some(entry) => _ = used.entry(module).or_default().insert(entry),
+            None => _ = missing.insert(format!("{module} uses {other}::{name}")),
+        }
+    }
+    assert!(missing.is_empty(), "the table of ARCHITECTURE.md lacks: {missing:#?}");
+    for (module, row) in &listed {
+        let unused: Vec<_> = row.difference(used.entry(module.clone()).or_default()).collect();
+        assert!(unused.is_empty(), "the row of {module} in ARCHITECTURE.md has what is not used: {unused:?}");
+    }
+}
+
+#[test]
+fn modules_use_those_of_the_rows_above() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let (order, listed) = rows(&fs::read_to_string(root.join("ARCHITECTURE.md")).unwrap());
+    for (at, module) in order.iter().enumerate() {
+        for other in listed[module].iter().map(|entry| word(entry)) {
+            let above = order[..at].iter().any(|m| m == other);
+            assert!(above || UPWARDS.contains(&(module, other)), "{module} uses {other}, which is below it");
+        }
+    }
+}
