@@ -142,3 +142,8 @@ pub mod volume;
 
 pub use error::{Error, Result};
 pub use pipeline::Archive;
+
+/// README's example compiles: it is one of the tests of the documentation.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -17,7 +17,8 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
-        let of_tests = name.ends_with("tests.rs") || ["tests", "testing.rs", "shared_data.rs"].contains(&&*name);
+        let of_tests =
+            name.ends_with("tests.rs") || ["tests", "testing.rs", "shared_data.rs"].contains(&&*name);
         match path.is_dir() {
             _ if of_tests => {}
             true => sources(&path, found),

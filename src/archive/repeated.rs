@@ -1,10 +1,13 @@
-//! Vertices that a source mesh tells more than once, in a segment of their own: for further steps the same ones are taken for one.
+//! Duplicate vertices of a source mesh, in a segment of their own: further steps merge the same
+//! ones.
 //!
-//! Which vertices are one was decided by the values of the first step ([`crate::pipeline`] does that); the samples of the boundary depend on it,
-//! and the first step's file may be gone when another is added. Pairs of a vertex and the first that it equals, by ascending vertices, in
-//! blocks of up to [`BLOCK_PAIRS`], the last of the rest; each block is zstd of two columns of varints: the vertices as differences to the one
-//! before (the first: to 0), and how far before each its first is. The plan has the number of pairs and the hash of all.
-//! Neither writing nor reading holds more than a block.
+//! The values of the first step decide which vertices are one ([`crate::pipeline`] does that). The
+//! samples of the boundary depend on it, and the first step's file may be gone when another is
+//! added. The segment has pairs of a vertex and the first that equals it, by ascending vertices, in
+//! blocks of [`BLOCK_PAIRS`] (the last has the rest). A block is zstd of two columns of varints:
+//! the vertices as differences to the one before (the first: to 0), and how far before each its
+//! first is. The plan has the number of pairs and the hash of all. Neither writing nor reading
+//! holds more than a block.
 
 use super::segment::{PlanHash, Segment, SegmentKind, SegmentWriter};
 use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};

@@ -1,8 +1,9 @@
-//! Memory that stands empty for a while, lent out piece by piece.
+//! Reusable scratch memory, borrowed piece by piece.
 //!
-//! Large vectors come from the system and go back to it, and to clear their pages takes longer than much that is done in them. So what works
-//! on a chunk is lent what stands empty in the memory in which the chunk was meshed ([`crate::mesh::list::TetList::with_room`]); what does not fit in that is
-//! allocated as ever.
+//! The system provides large vectors and takes them back, and clearing their pages costs more than
+//! much of the work done in them. So work on a chunk borrows the unused part of the memory in which
+//! the chunk was meshed ([`crate::mesh::list::TetList::with_room`]). What does not fit is
+//! allocated.
 
 use bytemuck::Pod;
 use std::ops::{Deref, DerefMut};

@@ -1,12 +1,15 @@
-//! The points of a halo that are known and not inserted: each is inserted only when a tetrahedron asks for it.
+//! Deferred insertion: halo points are inserted only when a tetrahedron needs them.
 //!
-//! A tetrahedron near the core whose sphere leaves the inner region is certified when no point that is not inserted lies in the
-//! sphere. Such points are found in a grid of cells, about two points each. Of those in a sphere the one nearest to its centre goes in, then the new tetrahedra
-//! are looked at in turn. One is enough, for it ends the tetrahedron that asked: where points lie close together, as in the planes of a
-//! hyperbolic cross, a large sphere holds thousands that nobody needs. But all that are asked for go in before the next look: a
-//! point between such planes has hundreds of tetrahedra, most of which another one ends.
+//! A tetrahedron near the core whose sphere leaves the inner region is certified when its sphere
+//! holds no point that was not inserted. Such points are found in a grid of cells, about two points
+//! each. Of those in a sphere the one nearest to its centre is inserted, then the new tetrahedra
+//! are examined. One is enough, since it removes the tetrahedron in question: where points crowd,
+//! as in the planes of a hyperbolic cross, a large sphere holds thousands that are not needed. All
+//! requested points are inserted before the next round: a point between such planes has hundreds of
+//! tetrahedra, most of which another point removes.
 //!
-//! Time: a sphere looks at the cells that its bounding box touches. Memory: some 40 bytes a point.
+//! Time: a sphere examines the cells that its bounding box touches. Memory: some 40 bytes per
+//! point.
 
 use super::certify::{Local, Unseen};
 use crate::geom::predicates::{insphere, orient3d};

@@ -1,5 +1,6 @@
-//! What a plan of a mesh speaks of and does not hold: listed points, and how dense the others are; vertices of the source that are one. In an
-//! archive these are files of their own. The first two are read before anything else; the last only when a step is added.
+//! What a plan of a mesh refers to but does not contain: listed points, refinement levels, and
+//! duplicate vertices of the source. In an archive these are files of their own. The first two are
+//! read before anything else, the last only when a step is added.
 
 use crate::archive::explicit::{explicit_path, read_explicit, write_explicit};
 use crate::archive::levels::{levels_path, read_levels, write_levels};

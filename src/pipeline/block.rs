@@ -1,6 +1,6 @@
-//! A block of a chunk, by itself: its corners, numbered from 0, and its tetrahedra.
+//! One block of a chunk: its corners, numbered from 0, and its tetrahedra.
 //!
-//! All that is looked at while a surface is extracted from it lies together: some ten kilobytes. Those of a series are numbered
+//! All data of an extraction lie together: some ten kilobytes. The blocks of a series are numbered
 //! once for all steps ([`crate::surface::numbered`]).
 
 use crate::exec::will_read;

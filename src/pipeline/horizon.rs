@@ -1,16 +1,17 @@
-//! Which corners can chunks that are still to come use? An edge that none of them can have needs no welding any more.
+//! Which corners can later chunks still use? An edge that none of them can have is finalized.
 //!
-//! A chunk meshes the points of its region (core and halo), so every tetrahedron that it owns has all corners in there. An
-//! edge can occur in a later chunk only if both its ends lie in that chunk's region. Chunks come row by row, layer by
-//! layer:
+//! A chunk meshes the points of its region (core and halo), so all corners of its tetrahedra lie in
+//! there. An edge can occur in a later chunk only if both its ends lie in that chunk's region.
+//! Chunks come row by row, layer by layer:
 //!
 //! ```text
 //!   z ▲  │ · · · · │        regions of rows to come (halo included)
 //!     │  ├─────────┤ ◀──    the chunk just welded
-//!     │  │/////////│        below all of these: closed
+//!     │  │/////////│        below all of these: final
 //! ```
 //!
-//! The regions of a row are replaced by their hull, which can only keep an edge open longer than needed.
+//! The regions of a row are replaced by their hull. That can only keep an edge open longer than
+//! needed.
 
 use super::commit::mesh_summary;
 use super::need;

@@ -1,4 +1,5 @@
-//! What a reduction is told, and what it tells: the same for volumes and meshes, for a whole archive, a shard, and further steps.
+//! The parameters and the reports of a reduction: the same for volumes and meshes, for a whole
+//! archive, a shard, and further steps.
 
 use super::fingerprint::RecordedFile;
 use super::layout::Layout;

@@ -1,15 +1,17 @@
-//! Decoded blocks that are kept for the next question, in bounded memory.
+//! The cache of decoded blocks, in bounded memory.
 //!
 //! ```text
-//!  archive ──▶ Block (a buffer, read again and again) ──▶ packed ──▶ when it is asked for again: known
+//!  archive ──▶ Block (a reused buffer) ──▶ packed ──▶ on the next use: precomputed (known)
 //! ```
 //!
-//! To find out all about a block ([`crate::surface::known`]) takes as long as ten surfaces of it that is packed, and so waits until it is used again; one block is
-//! due when that happens for the first time, the next one at the second time, and so on, so that no question takes much longer than others. A
-//! block stays packed where there is no room for the other form, which is three times as large.
+//! Precomputing a block ([`crate::surface::known`]) takes as long as ten surfaces of its packed
+//! form. So it waits until the block is used again, and is spread out: at the first repeated use
+//! one block is due, at the second the next one, and so on. No question then takes much longer than
+//! others. The precomputed form is three times as large; a block stays packed where there is no
+//! room for it.
 //!
-//! Which blocks go is found by a hand that goes round (the "clock" of Corbató 1968): it passes over a block that was used since
-//! it came by last, once.
+//! Eviction follows the clock algorithm (Corbató 1968): the hand passes over a block, once, if it
+//! was used since the hand came by last.
 
 use super::block::{Block, BlockCorners, PackedBlock};
 use crate::exec::will_read;

@@ -1,14 +1,16 @@
-//! Pieces of work that are made in parallel, and taken in order, without one waiting for another where it need not.
+//! An ordered pipeline: pieces are made in parallel and consumed in order, without needless
+//! waiting.
 //!
 //! ```text
-//!  pieces ──▶ made, on any thread ──▶ held until those before are there ──▶ taken, by one thread at a time, in order
+//!  pieces ──▶ made, on any thread ──▶ held until those before are done ──▶ consumed, by one thread at a time, in order
 //! ```
 //!
-//! Whoever has made a piece looks whether the next one in order is there, and takes it, unless somebody else is about that; then the
-//! next piece is begun. So no thread waits while there is something to do: the last pieces are taken while others are made, and a single
-//! thread takes each piece at once, while it is still in its cache. Pieces are begun in order, as far as memory allows.
+//! A thread that has made a piece checks whether the next piece in order is ready. If so, and if no
+//! other thread is consuming, it consumes that piece. Then it begins a new one. So no thread waits
+//! while there is work: the last pieces are consumed while others are made, and a single thread
+//! consumes each piece at once, while it is in cache. Pieces are begun in order, as memory allows.
 //!
-//! A piece that cannot be made ends the line when it is its turn, so that of several errors the first in order is told.
+//! A piece that fails ends the pipeline at its turn, so the first error in order is reported.
 
 use crate::error::{Error, Result};
 use crate::exec::Reorder;

@@ -1,10 +1,11 @@
-//! What is written of one chunk: meshed, sampled, measured, encoded.
+//! The contents of one chunk: meshed, sampled, measured, encoded.
 //!
-//! Each chunk at work has a room of its own. One that outgrows it (its halo had to be widened) drops all it has and starts again when no other is
-//! at work, with the rooms of all.
+//! Each chunk at work has scratch memory of its own. A chunk that outgrows it (its halo had to be
+//! widened) drops all it has, and starts again with all scratch memory when no other is at work.
 //!
-//! Of a series, the values of several steps are made while the mesh of a chunk is there: sampled, encoded against those of the step
-//! before, ranges measured. Where an earlier pass has made the mesh, it is decoded instead, and so are the values before the first step.
+//! For a series, the values of several steps are made while the mesh of a chunk is there: sampled,
+//! encoded against the step before, ranges measured. If an earlier pass made the mesh, it is
+//! decoded instead, and so are the values before the first step.
 
 use super::chunk::{Maker, MeshedChunk, Meshing};
 use super::field::{Field, Placement, interpolated};

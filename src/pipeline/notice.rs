@@ -1,7 +1,9 @@
-//! What a user should know before work begins, and when it has ended otherwise than expected: one line each, with the flag that helps.
+//! Advice to the user, before work begins and after an unexpected end: one line each, with the flag
+//! that helps.
 //!
-//! Nothing here changes what is made. [`look`] reads a bounded part of the samples (see [`super::survey`]). It does so for at most
-//! [`MOST_STEPS`] steps of a series. A source that cannot be read is passed over: the work that follows refuses it.
+//! Nothing here changes what is made. [`look`] reads a bounded part of the samples (see
+//! [`super::survey`]), for at most [`MOST_STEPS`] steps of a series. A source that cannot be read
+//! is skipped: the work that follows refuses it.
 
 use super::field::NanPolicy;
 use super::job::{Job, ReduceReport};

@@ -1,9 +1,10 @@
-//! A mesh that is kept as it is: chunks of its own tetrahedra, and the values at its own vertices.
+//! A mesh that is stored unchanged: chunks of its own tetrahedra, values at its own vertices.
 //!
-//! A chunk lists the tetrahedra with a corner in its bricks, and keeps those whose least corner lies in its core. So each belongs to one chunk, and
-//! a core point of another chunk's tetrahedron is known to be shared. No halo is enumerated: a tetrahedron reaches as far as it does. What later asks
-//! how far a chunk reaches is told by the number of times that its halo would have to be widened, as of a chunk that was meshed
-//! ([`need::region`]).
+//! A chunk lists the tetrahedra with a corner in its bricks, and keeps those whose least corner
+//! lies in its core. So each belongs to one chunk, and a core point of another chunk's tetrahedron
+//! is known to be shared. No halo is enumerated, since a tetrahedron may reach any distance. The
+//! distance is recorded as the number of times that a halo would have to be widened, as for a
+//! meshed chunk ([`need::region`]).
 
 use super::chunk::{MeshedChunk, Recipe};
 use super::field::{Field, Placement, Source};

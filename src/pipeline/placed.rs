@@ -1,7 +1,8 @@
-//! Grids with coordinates of their own: into the archive, and onto what comes out of it.
+//! Coordinates of rectilinear and curvilinear grids: stored in the archive, and applied to output.
 //!
-//! A surface is extracted in index space, like any, and placed while it is written: vertices by the trilinear map of
-//! their cell, normals as covectors. Its triangles are turned over where most cells mirror.
+//! A surface is extracted in index space, as any other, and placed while it is written. Vertices
+//! follow the trilinear map of their cell, normals transform as covectors. Triangles are turned
+//! over where most cells mirror.
 
 use super::layout::Layout;
 use super::open::OpenArchive;

@@ -1,13 +1,16 @@
-//! A chunk of an archive while a question reads it: block by block, and of the corners what the blocks use.
+//! A chunk of an archive while a question reads it: block by block, and only the corners that
+//! blocks use.
 //!
 //! ```text
 //!  header (once) ─▶ block(n): its corners, their positions ─▶ its tetrahedra ─▶ the corners' values
 //! ```
 //!
-//! The tetrahedra of a block are decoded from the positions of its corners. Values come in blocks ([`ValueBlocks`]), ids of halo points and
-//! flags in pages, and positions brick by brick (a brick lists its points again from the formula of the point set), each when a corner of theirs
-//! is first needed; a question about isovalues needs but those of values that are on both sides of one, or have neighbours on the other side.
-//! So a chunk whose surface is small costs a few bricks. Of a lattice all but the values follows by formula ([`BccChunk`]).
+//! The tetrahedra of a block are decoded from the positions of its corners. Values come in blocks
+//! ([`ValueBlocks`]), ids of halo points and flags in pages, and positions brick by brick (a brick
+//! lists its points again by formula). Each is read when a corner first needs it. A question about
+//! isovalues skips value blocks that lie on one side of all of them, unless a tetrahedron connects
+//! them to the other side. So a chunk whose surface is small costs a few bricks. For a lattice
+//! everything but the values follows by formula ([`BccChunk`]).
 
 use super::block::{Block, BlockCorners};
 use super::chunk::{MeshedChunk, value_blocks};

@@ -1,7 +1,9 @@
-//! A finished archive, and the reduction that made it once more: a run that was killed when all was done is asked to continue, or files have got lost.
+//! A finished archive whose reduction is asked for again: the run was killed after all was done, or
+//! files got lost.
 //!
-//! Nothing is done where nothing is missing; files that are lost are made again, and the others kept. The manifest stays in its place meanwhile; it tells that this is the same
-//! reduction, and its like replaces it in the end.
+//! If nothing is missing, nothing is done. Lost files are made again, the others stay. Meanwhile
+//! the manifest stays in place, since it shows that this is the same reduction. An equal one
+//! replaces it in the end.
 
 use super::beside::Beside;
 use super::plan::{Plan, ReduceSettings, ValueBits};

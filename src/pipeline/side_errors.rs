@@ -1,6 +1,7 @@
-//! Some samples against the field of a chunk: its values there, and its errors, at all steps.
+//! Errors of a chunk's field at some samples, at all steps.
 //!
-//! Which tetrahedron has a sample, and with which weights, is the same at all steps. So the values of a vertex at some steps lie side by side.
+//! Which tetrahedron holds a sample, and with which weights, is the same at all steps. So the
+//! values of a vertex at several steps are interleaved.
 
 use super::gauge::Measured;
 use super::side_samples::{Rows, WindowSamples};

@@ -1,6 +1,8 @@
-//! The samples of a window at several steps, side by side, as the values of vertices lie (`sides.rs`): one look has what a sample is at eight steps.
+//! The samples of a window at several time steps, interleaved as values of vertices are
+//! (`sides.rs`): one load fetches a sample at eight steps.
 //!
-//! They are read step by step, some slices of the window at a time, and put side by side while they lie in a near cache.
+//! Samples are read step by step, some slices of the window at a time, and interleaved while they
+//! are in a near cache.
 
 use super::sides::{Side, Sides, put_side_by_side};
 use crate::error::Result;

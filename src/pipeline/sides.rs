@@ -1,7 +1,8 @@
-//! The values of a chunk's vertices at several steps, side by side.
+//! The values of a chunk's vertices at several time steps, interleaved.
 //!
-//! What is asked of a chunk at many steps is asked at the same vertices. So those of eight steps lie together, vertex by vertex, and one load has them.
-//! Steps that are left over have lanes that nobody looks at; a step by itself lies as it is.
+//! A question about many steps concerns the same vertices. So the values of eight steps lie next to
+//! each other, vertex by vertex, and one vector load fetches them. If fewer than eight steps are
+//! left, the other lanes are unused. A single step is stored as it is.
 
 use crate::archive::summary::BlockRange;
 #[cfg(target_arch = "x86_64")]

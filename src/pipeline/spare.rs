@@ -1,5 +1,6 @@
-//! The buffers of extraction, for the next chunk, and, while an archive keeps blocks, for the next question: pages that a process has
-//! need not be cleared again. And the threads, which need not be started again.
+//! Pools of what extraction reuses. Buffers are reused for the next chunk and, while an archive
+//! caches blocks, for the next question: their pages need not be cleared again. Threads are reused
+//! too.
 
 use super::block::Block;
 use super::reader::ReaderMemory;

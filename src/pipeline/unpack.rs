@@ -1,11 +1,13 @@
-//! `unpack`: writes, beside the segments of a step, all that surfaces need of its blocks, in the form in which they use it.
+//! `isospan unpack`: writes a precomputed copy of a step's blocks, in the form in which surfaces
+//! use them.
 //!
 //! ```text
 //!  a chunk: its blocks, decoded ──▶ known (crate::surface::known) ──▶ edges joined ──▶ words ──▶ in order ──▶ steps/N-unpacked.seg
 //! ```
 //!
-//! What is written follows from the archive and the range alone: the same bytes for any number of threads. A file is there whole or not at all, and names
-//! the segments that it was made of; how it is used is told in `unpacked`.
+//! The copy depends on the archive and the range alone: the same bytes for any number of threads.
+//! The file appears when it is complete, and names the segments that it was made of. `unpacked`
+//! uses it.
 
 use super::commit::{mesh_summary, value_summary};
 use super::line::{Last, Line};

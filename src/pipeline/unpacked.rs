@@ -1,11 +1,13 @@
-//! Unpacked blocks while questions are answered: found beside the segments of a step, and used where they lie.
+//! Precomputed blocks (`isospan unpack`) while questions are answered: found among the segments of
+//! a step, and used where they are mapped.
 //!
 //! ```text
 //!  steps/N-unpacked.seg, mapped ──▶ words of a block ──▶ checksum, contents: once ──▶ known block ──▶ surface
 //! ```
 //!
-//! They are used wherever they are there, and made for this archive: of a step, on this machine. Between two steps, and of an archive on a server, where sixty
-//! bytes a tetrahedron would come by the network, blocks are decoded. A file that is damaged, or of other segments, is an error.
+//! They are used where they exist and were made for this archive, for a stored step on this
+//! machine. Between two steps blocks are decoded. So they are on a server, where sixty bytes per
+//! tetrahedron would cross the network. A damaged file, or one of other segments, is an error.
 
 use super::extract::{ChunkWork, ChunkWorker};
 use super::kept::unpack_known;

@@ -1,38 +1,47 @@
-//! The star coder of a tetrahedron block: vertex after vertex, the tetrahedra of which it is the smallest vertex.
+//! The connectivity coder of a tetrahedron block: vertex after vertex, the tetrahedra of which it
+//! is the smallest vertex (the *star*).
 //!
-//! The tetrahedra around a vertex v, seen from v, are the triangles of a sphere, the *link* of v. Those that have a vertex smaller
-//! than v were told before; the coder tells the others, growing the known part of the link a triangle at a time.
+//! The tetrahedra around a vertex v, seen from v, are the triangles of a sphere, the *link* of v.
+//! Those with a vertex smaller than v were coded before. The coder adds the others, growing the
+//! known part of the link a triangle at a time, as Edgebreaker does.
 //!
 //! ```text
-//!      ┄┄┄ c              Each edge of the boundary of what is known is a *gate* to an unknown triangle. The mesh is a Delaunay
-//!     known ╲    · w      tetrahedralization of known points: behind the gate cd is the point in front of it whose sphere with
-//!            ╲  ·         v, c and d is empty, and it is found by looking at the points nearby. So what is written is, mostly, one
-//!      ┄┄┄┄┄┄ d           cheap bit: *as foretold*.
+//!      ┄┄┄ c              Each boundary edge of the known part is a *gate* to an unknown triangle. The mesh is a
+//!     known ╲    · w      Delaunay tetrahedralization of known points: behind the gate cd is the point in front of it
+//!            ╲  ·         whose sphere with v, c and d is empty. A look at the points nearby finds it. So mostly one
+//!      ┄┄┄┄┄┄ d           cheap bit is written: *as predicted*.
 //! ```
 //!
-//! It is no triangulation anew: no conflict is searched for, nothing is exact. Where the bit is not set, the gate is mostly a *border*:
-//! the tetrahedron behind it is in another block (of smaller vertices), or there is none. But the foretelling may be wrong, and is where
-//! more than four points lie on a sphere, or where rounding decides. Then the star is *odd*, as a bit before it tells, and the truth follows:
+//! This is no new triangulation: no conflict is searched for, nothing is exact. Where the bit is
+//! not set, the gate is mostly a *border*: the tetrahedron behind it is in another block (of
+//! smaller vertices), or there is none. A prediction can be wrong, where more than four points lie
+//! on a sphere or where rounding decides. Then the star is *odd*, which a bit before it says, and
+//! the correction follows:
 //!
-//! * the rank of the apex among the points in front, in the order in which the growing sphere meets them;
+//! * the rank of the apex among the points in front, in the order in which the growing sphere meets
+//!   them;
 //! * its number among the vertices of the block, if it is too far away to have a rank.
 //!
-//! A star is odd too where its link has several pieces: each begins at an edge (c, d) that is told by ranks, of c by distance, of d by
-//! the size of the circle.
+//! A star is odd too where its link has several pieces. Each begins at an edge (c, d) that is coded
+//! by ranks: of c by distance, of d by the size of the circle.
 //!
-//! So a block has two streams. Bits of stars and gates, and the differences of the other vertices' numbers, are there as they are ([`bits`]): to read
-//! some costs a shift. What odd stars have is rare, and goes through a range coder ([`range`](super::range)) whose probabilities
+//! So a block has two streams. Bits of stars and gates, and the differences of the other vertices'
+//! numbers, are stored as they are ([`bits`]): reading some costs a shift. The corrections of odd
+//! stars are rare. They go through a range coder ([`range`](super::range)) whose probabilities
 //! begin with [`first_odds`] and learn within the block.
 //!
-//! A triangle (c, d, w) of the link of v is the tetrahedron (v, c, d, w). Its face (c, d, w) is a gate in the link of the smallest of
-//! them, which comes later; two such gates of opposite direction are the two sides of one face and vanish.
+//! A triangle (c, d, w) of the link of v is the tetrahedron (v, c, d, w). Its face (c, d, w) is a
+//! gate in the link of the smallest of them, which comes later. Two such gates of opposite
+//! direction are the two sides of one face and vanish.
 //!
-//! A link is a dozen points and a matrix of flags. Gates are looked at in the order in which they were opened, four at a time, and the bits
-//! of four are read at once: a bit a gate is more than its entropy (about 0.7), but whatever waits for one bit after another, and branches
-//! on it, takes longer than all the geometry.
+//! A link is a dozen points and a matrix of flags. Gates are examined in the order in which they
+//! were opened, four at a time, and the bits of four are read at once. A bit per gate is more than
+//! its entropy (about 0.7), but waiting for one bit after another takes longer than all the
+//! geometry.
 //!
-//! The decoder has to foretell what is behind one gate before it knows the next. The encoder knows them all (`even.rs`): a third of its time goes into
-//! following gates and telling what is behind them, a quarter into foretelling, a fifth into numbering vertices, an eighth into odd stars.
+//! The decoder must predict what is behind one gate before it knows the next. The encoder knows
+//! them all (`even.rs`). A third of its time goes into following gates and coding what is behind
+//! them, a quarter into prediction, a fifth into numbering vertices, an eighth into odd stars.
 
 mod bits;
 mod even;

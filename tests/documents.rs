@@ -1,0 +1,125 @@
+//! The documents hang together: links lead somewhere, the book's page of commands is what the program
+//! says of itself, its table of contents has every page, and README stays short.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Documents beside the pages of the book.
+const DOCUMENTS: [&str; 6] = [
+    "README.md",
+    "ARCHITECTURE.md",
+    "CHANGELOG.md",
+    "src/archive/FORMAT.md",
+    "benches/README.md",
+    "datasets/README.md",
+];
+const MOST_WORDS_OF_README: usize = 1500;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The pages of the book: names in tools/book/src.
+fn pages() -> BTreeSet<String> {
+    let files = fs::read_dir(root().join("tools/book/src")).unwrap();
+    files.map(|f| f.unwrap().file_name().into_string().unwrap()).filter(|f| f.ends_with(".md")).collect()
+}
+
+fn documents() -> Vec<PathBuf> {
+    let book = pages().into_iter().map(|page| Path::new("tools/book/src").join(page));
+    DOCUMENTS.iter().map(PathBuf::from).chain(book).collect()
+}
+
+/// The lines of a document outside of blocks of code.
+fn prose(text: &str) -> Vec<&str> {
+    let mut in_code = false;
+    let mut kept = text.lines().collect::<Vec<_>>();
+    kept.retain(|line| {
+        let fence = line.trim_start().starts_with("```");
+        in_code ^= fence;
+        !fence && !in_code
+    });
+    kept
+}
+
+/// A line without what is between backticks.
+fn without_code(line: &str) -> String {
+    line.split('`').step_by(2).collect()
+}
+
+/// The targets of a document's links and pictures.
+fn links(text: &str) -> Vec<String> {
+    let lines = prose(text).into_iter().map(without_code);
+    lines
+        .flat_map(|l| {
+            l.split("](").skip(1).map(|t| t.split(')').next().unwrap().to_owned()).collect::<Vec<_>>()
+        })
+        .collect()
+}
+
+/// The anchors of a document's headings, as web pages for Markdown make them.
+fn anchors(text: &str) -> BTreeSet<String> {
+    let (mut seen, mut found) = (BTreeMap::<String, u32>::new(), BTreeSet::new());
+    for heading in prose(text).into_iter().filter(|l| l.starts_with('#')) {
+        let letters = heading.trim_start_matches('#').trim().to_lowercase().replace(' ', "-");
+        let name: String = letters.chars().filter(|c| c.is_alphanumeric() || "-_".contains(*c)).collect();
+        let times = seen.entry(name.clone()).or_default();
+        found.insert(if *times == 0 { name } else { format!("{name}-{times}") });
+        *times += 1;
+    }
+    found
+}
+
+/// What is wrong with a link of the document at `from`, a path below the root.
+fn wrong(from: &Path, link: &str) -> Option<String> {
+    if link.starts_with("https://") || link.starts_with("http://") {
+        return None;
+    }
+    let (file, anchor) = link.split_once('#').map_or((link, None), |(file, anchor)| (file, Some(anchor)));
+    let path = if file.is_empty() { from.to_owned() } else { from.parent().unwrap().join(file) };
+    if !root().join(&path).exists() {
+        return Some(format!("{}: {link}: there is no such file", from.display()));
+    }
+    let anchor = anchor?;
+    let known = anchors(&fs::read_to_string(root().join(&path)).unwrap());
+    (!known.contains(anchor)).then(|| format!("{}: {link}: no heading has this anchor", from.display()))
+}
+
+#[test]
+fn every_link_leads_to_a_file_and_a_heading() {
+    let (mut checked, mut found) = (0, vec![]);
+    for document in documents() {
+        let links = links(&fs::read_to_string(root().join(&document)).unwrap());
+        checked += links.len();
+        found.extend(links.iter().filter_map(|link| wrong(&document, link)));
+    }
+    assert!(found.is_empty(), "{found:#?}");
+    assert!(checked > 30, "{checked} links: are they still found?");
+}
+
+#[test]
+fn the_book_s_contents_list_every_page() {
+    let contents = fs::read_to_string(root().join("tools/book/src/SUMMARY.md")).unwrap();
+    let mut listed: BTreeSet<String> = links(&contents).into_iter().collect();
+    listed.insert("SUMMARY.md".to_owned());
+    assert_eq!(listed, pages());
+}
+
+#[test]
+fn the_page_of_commands_is_what_the_program_says() {
+    let script = root().join("tools/book/commands");
+    let made = Command::new("bash").arg(script).args([env!("CARGO_BIN_EXE_isospan"), "-"]).output().unwrap();
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let (made, page) = (String::from_utf8(made.stdout).unwrap(), root().join("tools/book/src/commands.md"));
+    let written = fs::read_to_string(page).unwrap();
+    let differs = made.lines().zip(written.lines()).find(|(made, written)| made != written);
+    assert!(made == written, "run tools/book/commands: the program says otherwise, first at {differs:?}");
+}
+
+#[test]
+fn readme_is_short() {
+    let words = fs::read_to_string(root().join("README.md")).unwrap().split_whitespace().count();
+    assert!(words <= MOST_WORDS_OF_README, "README.md has {words} words; tools/book has room for more");
+}
