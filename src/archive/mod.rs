@@ -4,15 +4,16 @@
 //! * [`chunked`]: segments of a range of chunks.
 //! * [`chunk`]: the mesh of a chunk as blocks that decode on their own.
 //! * [`coordinates`]: those of a rectilinear or curvilinear grid.
-//! * [`manifest`]: what the archive is of and which segments it has; written last.
-//! * [`summary`]: what a chunk's last block tells of it.
-//! * [`unpacked`]: blocks that are used where they lie, beside those of a step, on request.
+//! * [`manifest`]: what the archive was made of and which segments it has; written last.
+//! * [`summary`]: the last block of a chunk, with its counts and ranges.
+//! * [`unpacked`]: precomputed blocks of a step, mapped where they lie, on request.
 //! * [`values`]: the values of a chunk's vertices.
-//! * [`vertices`]: which they are.
+//! * [`vertices`]: which vertices a chunk has.
 //!
-//! What is promised: a file under its name is complete, and was synced before it got the name; a damaged byte is an error
-//! when it is read, never a wrong answer and never a panic; the bytes of a file depend on what it holds alone. Not promised:
-//! that the meaning of a block was checked because its checksum was, for that see the checks of [`crate::pipeline`].
+//! What is promised: a file under its name is complete, and was synced before it got the name. A
+//! damaged byte is an error when it is read, never a wrong answer and never a panic. The bytes of a
+//! file depend on its contents alone. Not promised: that the meaning of a block was checked because
+//! its checksum was; for that see the checks of [`crate::pipeline`].
 #![doc = include_str!("FORMAT.md")]
 
 pub(crate) mod brick_values;

@@ -1,8 +1,9 @@
-//! From one try of a search to the next: chunks in which nothing changes are taken over.
+//! From one try of a search to the next: unchanged chunks are reused.
 //!
-//! A round of a search makes some cells denser, and the rest stays as it is. What is written of a chunk follows from the points in its region and from the
-//! samples there, and from nothing else of the plan, as long as chunks are cut, and points ordered, as before. So the next plan keeps a [`Frame`] of the one
-//! before, and each chunk is compared:
+//! A round of a search makes some cells denser, and the rest stays as it is. The contents of a
+//! chunk follow from the points in its region and from the samples there. Nothing else of the plan
+//! matters, as long as chunks are cut and points ordered as before. So the next plan keeps a
+//! [`Frame`] of the one before, and each chunk is compared:
 //!
 //! ```text
 //!  levels ─▶ frame ─▶ plan ─▶ for each chunk: the same levels wherever its mesh reached (core, halo, all retries)?
@@ -10,8 +11,9 @@
 //!                                  └─ no ──▶ meshed, fitted, measured, encoded
 //! ```
 //!
-//! The result is that of a plain run of the last plan, byte for byte. The frame is given up, and all chunks made again, where the points have become so
-//! many that bricks or chunks would be too large; whether they have does not depend on memory or threads.
+//! The result is that of a plain run of the last plan, byte for byte. The frame is given up, and
+//! all chunks made again, when the points have become so many that bricks or chunks would be too
+//! large. Whether they have does not depend on memory or threads.
 
 use super::commit::mesh_summary;
 use super::make::Product;

@@ -1,11 +1,14 @@
-//! An error or a size that is wanted, instead of a number of points: the fewest points that meet an error, the most that fit.
+//! A wanted error or size instead of a number of points: the fewest points that meet an error, the
+//! most that fit a size.
 //!
-//! Every try is a whole reduction. Of points that adapt the pass that finds where points are needed ([`crate::density`]) also foretells how far the field will be off, by about a third. So the first try has as
-//! many points as that asks for. Its error is measured at every sample, and the next try's number follows from it: errors are nearly a power of the
-//! number of points, so two tries tell the power, and a third one is within a few percent:
+//! Every try is a whole reduction. For adapted points, the pass that finds where points are needed
+//! ([`crate::density`]) also predicts the error, to about a third. So the first try has as many
+//! points as that asks for. Its error is measured at every sample, and the next number follows from
+//! it. Errors are nearly a power of the number of points. So two tries give the power, and a third
+//! one is within a few percent:
 //!
 //! ```text
-//!  log error │ ∘ first: as foretold
+//!  log error │ ∘ first: as predicted
 //!            │   ⟍
 //!  wanted ───┼─────∘───────  third, and kept: met by at most 3 % more points than needed
 //!            │       ⟍
@@ -13,19 +16,25 @@
 //!            └──────────────── log points
 //! ```
 //!
-//! Other points begin with 1/8 of the samples. A size is looked for in the same way: bytes are a power of the number of samples a point.
+//! Other points begin with 1/8 of the samples. A size is searched for in the same way: bytes are a
+//! power of the number of points per sample.
 //!
-//! A lattice's values are rounded, unless the settings say to how many bits: to a step of [`STEP`] times the RMS error. So rounding costs a
-//! tenth of the error or less, and saves three bits a value and more.
+//! A lattice's values are rounded to a step of [`STEP`] times the RMS error, unless the settings
+//! give the number of bits. So rounding costs a tenth of the error or less, and saves three bits
+//! per value and more.
 //!
-//! Tries are in the folder `NAME.isospan.work` beside the archive: levels of all places follow from the one number, so another
-//! number moves points nearly everywhere: at each level it is another piece of the sequence. The last step is not made in a few cells alone either, while all
-//! else is kept as [`target_max`](super::target_max) does: a sum of squares that is to become less by some percent is not the matter of a few cells. Equal gain for every point means that
-//! cells near the next level lie all over the volume, and those that would have to be raised are in every chunk. What is published is a try that met the
-//! target; its error, as measured, is in its manifest. The cap is a point a sample; where that does not do, the try at the cap is published and the
-//! report says so. The largest error is a matter of a few places: [`target_max`](super::target_max) makes those denser.
+//! Tries lie in the folder `NAME.isospan.work` next to the archive. The levels of all places follow
+//! from one number, so another number moves points nearly everywhere: each level takes another
+//! piece of the sequence. The last step cannot be confined to a few cells either, as
+//! [`target_max`](super::target_max) does: to lower a sum of squares by some percent is not a
+//! matter of a few cells. Equal gain for every point means that cells near the next level lie all
+//! over the volume, in every chunk. The published archive is a try that met the target, with its
+//! measured error in the manifest. The limit is a point per sample. If that is not enough, the try
+//! at the limit is published and the report says so. The largest error is a matter of a few places:
+//! [`target_max`](super::target_max) makes those denser.
 //!
-//! The numbers of points follow from measured errors, which depend on nothing but the input: the same archive for any threads.
+//! The numbers of points follow from measured errors, which depend on nothing but the input: the
+//! same archive for any threads.
 
 use super::beside::Beside;
 use super::fingerprint::Inputs;

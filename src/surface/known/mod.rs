@@ -1,28 +1,33 @@
-//! A block of tetrahedra of which all is known that does not depend on the isovalue, for one after another.
+//! A precomputed block: everything about its tetrahedra that does not depend on the isovalue.
 //!
-//! Much of a surface does not depend on the isovalue. All tetrahedra around a crossed edge are active, so the sum of their gradients, and
-//! the normal of the vertex, is that of the edge, wherever it is crossed. A block that is kept knows it: of an edge with all its
-//! tetrahedra in the block ([`super::numbering`] tells which) the normal, of others the block's part of the sum. Where all blocks of a chunk
-//! are at hand, most of those sums can be added up too ([`join`]). What is left to do is to look which edges are crossed, and where ([`extract`]).
+//! Much of a surface does not depend on the isovalue. All tetrahedra around a crossed edge are
+//! active, so the sum of their gradients, and the normal of the vertex, belongs to the edge,
+//! wherever it is crossed. A cached block stores it. For an edge with all its tetrahedra in the
+//! block ([`super::numbering`] finds them) it stores the normal, for others the block's part of the
+//! sum. Where all blocks of a chunk are at hand, most of those sums can be added up too ([`join`]).
+//! What is left to do is to find which edges are crossed, and where ([`extract`]).
 //!
-//! Corners are in the order of their ids, edges in that in which tetrahedra first have them: in both a surface numbers its vertices. So
-//! a group of tetrahedra that follow each other has a run of edges of its own. It has a range of values too, so that an isovalue passes over
-//! most groups. All of it is in one piece, in the order in which it is looked at:
+//! Corners are in the order of their ids, edges in the order in which tetrahedra first have them. A
+//! surface numbers its vertices in both orders. So a group of consecutive tetrahedra has a run of
+//! edges of its own. It also has a range of values, so that an isovalue skips most groups. All of
+//! it is in one piece, in the order in which it is read:
 //!
 //! ```text
 //!  groups │ numbers of corners in the chunk │ corners: position, value │ ends of edges │ their slots │ corners of tetrahedra
 //!  │ edges of tetrahedra │ slots of edges │ ids of corners
 //! ```
 //!
-//! The slot of an edge with all its tetrahedra in the block is the normal, three words. Before that of another one is a word that tells its kind:
+//! The slot of an edge with all its tetrahedra in the block is the normal, three words. Any other
+//! slot begins with a word that says its kind:
 //!
 //! ```text
 //!  SUM │ three sums, two words each      blocks that are not at hand may have the edge: it is looked for in the chunk
-//!  FIRST + number │ normal               the first block of the chunk that has the edge, of which all is known
-//!  number                                another one: the vertex is that which the first has made
+//!  FIRST + number │ normal               the first block of the chunk that has the edge, with all about it
+//!  number                                a later block: the vertex is that which the first has made
 //! ```
 //!
-//! About 70 bytes a tetrahedron. (Blocks that get other values step by step are numbered only: [`super::numbered`].) Void tetrahedra have no edges: those between them are no one's.
+//! About 70 bytes per tetrahedron. (Blocks that get other values step by step are only numbered:
+//! [`super::numbered`].) Void tetrahedra have no edges, and edges between them belong to none.
 
 mod extract;
 mod join;
