@@ -1,0 +1,45 @@
+//! Tests of the library and the program from outside: a file a topic, all in one program, since every program links the whole
+//! crate anew. `cargo test --test it cli::` runs those of one file.
+//!
+//! They run side by side in one process. A test that changes what a process has (environment variables, limits, handlers of
+//! signals, the current folder) lets a child process do it, or is a program of its own, beside this folder. So is
+//! `tests/datasets.rs`, for another reason: the published crate has neither it nor the files that it reads.
+
+mod adapt;
+mod adapted_meshes;
+mod architecture;
+mod cli;
+mod common;
+mod corruption;
+mod crash;
+mod defaults;
+mod determinism;
+mod documents;
+mod edges;
+mod fitted_meshes;
+mod fuzz_finds;
+mod given;
+mod grids;
+mod io;
+mod lattice;
+mod machines;
+mod measure;
+mod memory;
+mod meshes;
+mod notices;
+mod offsets;
+mod own_meshes;
+mod pictures;
+mod pipeline;
+mod programs;
+mod queries;
+mod refine;
+mod resample;
+mod series;
+mod shards;
+mod shared_data;
+mod slurm;
+mod spectrum;
+mod stretched;
+mod unpack;
+mod writers;
