@@ -3,8 +3,11 @@
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
+use super::signals;
 use super::step::StepInputs;
 use isospan::Result;
+use isospan::exec::CancelToken;
+use isospan::formats::StepSource;
 use isospan::pipeline::{AppendSettings, RunSettings, append};
 use std::path::PathBuf;
 
@@ -15,9 +18,9 @@ use std::path::PathBuf;
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     /// The archive.
-    archive: PathBuf,
+    pub(crate) archive: PathBuf,
     #[command(flatten)]
-    steps: StepInputs,
+    pub(crate) steps: StepInputs,
     /// A value that means "no data here" [default: that of the archive's last step].
     #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
     missing: Option<f64>,
@@ -38,11 +41,27 @@ pub(crate) struct Args {
     read: InputArgs,
 }
 
+impl Args {
+    /// How the machine is used, until a token stops the run.
+    pub(crate) fn run_settings(&self, talk: &Talk, cancel: CancelToken) -> RunSettings {
+        let run = self.machine.run_until(&self.scratch, talk, cancel);
+        RunSettings { keep_going: self.steps.keep_going, ..run }
+    }
+
+    /// The files that are added.
+    pub(crate) fn sources(&self, talk: &Talk) -> Result<Vec<StepSource>> {
+        self.steps.all(&self.read, talk)
+    }
+
+    /// How they are added.
+    pub(crate) fn settings(&self) -> AppendSettings {
+        AppendSettings { missing: self.missing, keyframes: self.keyframes, measure: !self.no_measure }
+    }
+}
+
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    let run = RunSettings { keep_going: args.steps.keep_going, ..args.machine.run(&args.scratch, talk) };
-    let steps = args.steps.all(&args.read, talk)?;
-    let settings =
-        AppendSettings { missing: args.missing, keyframes: args.keyframes, measure: !args.no_measure };
+    let run = args.run_settings(talk, signals::cancel_token());
+    let (steps, settings) = (args.sources(talk)?, args.settings());
     let bar = talk.progress();
     let report = append(&steps, &settings, &args.archive, &run, &*bar);
     bar.end();

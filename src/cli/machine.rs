@@ -1,6 +1,7 @@
 //! The flags that say how a run uses the machine; they change no byte of what it makes.
 
 use super::{progress::Talk, signals, text};
+use isospan::exec::CancelToken;
 use isospan::pipeline::RunSettings;
 use std::path::PathBuf;
 
@@ -23,13 +24,18 @@ impl Machine {
 
     /// Settings of a reduction that replaces nothing, stopped by signals.
     pub(crate) fn run(&self, scratch: &InputScratch, talk: &Talk) -> RunSettings {
+        self.run_until(scratch, talk, signals::cancel_token())
+    }
+
+    /// As [`Machine::run`], stopped by a token.
+    pub(crate) fn run_until(&self, scratch: &InputScratch, talk: &Talk, cancel: CancelToken) -> RunSettings {
         RunSettings {
             threads: self.threads,
             memory: self.memory(talk),
             scratch: scratch.scratch.clone(),
             replace: false,
             keep_going: false,
-            cancel: signals::cancel_token(),
+            cancel,
         }
     }
 }

@@ -31,27 +31,27 @@ mod spectrum;
 mod status;
 mod step;
 mod surface;
-mod text;
+pub(crate) mod text;
 mod unpack;
 mod work;
 
 use clap::{Parser, Subcommand};
 use isospan::Result;
+use std::ffi::OsString;
 use std::io::Write;
-use std::process::ExitCode;
 
 /// Reduce scalar volumes larger than memory to small archives; extract watertight isosurfaces from them.
 #[derive(Parser, Debug)]
 #[command(name = "isospan", version, arg_required_else_help = true, max_term_width = 110)]
 pub(crate) struct Cli {
     #[command(subcommand)]
-    command: Command,
+    pub(crate) command: Command,
     #[command(flatten)]
-    talk: progress::Talk,
+    pub(crate) talk: progress::Talk,
 }
 
 #[derive(Subcommand, Debug)]
-enum Command {
+pub(crate) enum Command {
     Info(info::Args),
     Reduce(Box<reduce::Args>),
     Append(append::Args),
@@ -83,29 +83,29 @@ impl Command {
     }
 }
 
-/// Runs the program on the process's arguments.
-pub(crate) fn main() -> ExitCode {
+/// Runs the program on arguments, the first of which is its name; returns the exit code.
+pub(crate) fn main(args: impl IntoIterator<Item = OsString>) -> u8 {
     heap::give_back_early();
-    let cli = match Cli::try_parse() {
+    let cli = match Cli::try_parse_from(args) {
         Ok(cli) => cli,
         Err(error) => {
             // Help and version are results; everything else is a usage error on standard error.
             let code = u8::from(error.use_stderr()) * 2;
             let _ = error.print();
-            return ExitCode::from(code);
+            return code;
         }
     };
     signals::survive_file_size_limit();
     match run(&cli) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Ok(()) => 0,
+        Err(error) if is_broken_pipe(&error) => 0,
         Err(error @ isospan::Error::Cancelled) if !cli.command.continues() => {
             let _ = writeln!(std::io::stderr(), "isospan: error: stopped by a signal; nothing was written");
-            ExitCode::from(error.exit_code())
+            error.exit_code()
         }
         Err(error) => {
             let _ = writeln!(std::io::stderr(), "isospan: error: {error}");
-            ExitCode::from(error.exit_code())
+            error.exit_code()
         }
     }
 }

@@ -6,10 +6,13 @@ use super::machine::{InputScratch, Machine};
 use super::output::expect_apart;
 use super::progress::Talk;
 use super::step::StepInputs;
-use super::{dry_run, text};
+use super::{dry_run, signals, text};
 use isospan::Result;
-use isospan::formats::is_mesh;
-use isospan::pipeline::{ReduceReport, RunSettings, Target, TargetReport, estimate_series, reduce_series};
+use isospan::exec::CancelToken;
+use isospan::formats::{StepSource, is_mesh};
+use isospan::pipeline::{
+    ReduceReport, ReduceSettings, RunSettings, Target, TargetReport, estimate_series, reduce_series,
+};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -17,12 +20,12 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     #[command(flatten)]
-    steps: StepInputs,
+    pub(crate) steps: StepInputs,
     /// The archive to make, a folder NAME.isospan.
     #[arg(short, long, value_name = "ARCHIVE")]
-    output: PathBuf,
+    pub(crate) output: PathBuf,
     #[command(flatten)]
-    choices: Choices,
+    pub(crate) choices: Choices,
     #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
@@ -40,12 +43,25 @@ pub(crate) struct Args {
     read: InputArgs,
 }
 
+impl Args {
+    /// How the machine is used, until a token stops the run.
+    pub(crate) fn run_settings(&self, talk: &Talk, cancel: CancelToken) -> RunSettings {
+        let run = self.machine.run_until(&self.scratch, talk, cancel);
+        RunSettings { replace: self.force, keep_going: self.steps.keep_going, ..run }
+    }
+
+    /// The files that are reduced, and what is made of them.
+    pub(crate) fn request(&self, talk: &Talk) -> Result<(Vec<StepSource>, ReduceSettings)> {
+        let steps = self.steps.all(&self.read, talk)?;
+        let settings = self.choices.settings(is_mesh(&steps[0].path, &steps[0].options)?)?;
+        expect_apart(&self.output, steps.iter().map(|step| &step.path))?;
+        Ok((steps, settings))
+    }
+}
+
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
-    let run = RunSettings { keep_going: args.steps.keep_going, ..run };
-    let steps = args.steps.all(&args.read, talk)?;
-    let settings = args.choices.settings(is_mesh(&steps[0].path, &steps[0].options)?)?;
-    expect_apart(&args.output, steps.iter().map(|step| &step.path))?;
+    let run = args.run_settings(talk, signals::cancel_token());
+    let (steps, settings) = args.request(talk)?;
     if args.dry_run {
         let found = estimate_series(&steps, &settings, &args.output, &run)?;
         talk.notices(&found.notices);

@@ -30,8 +30,13 @@ impl StepInputs {
             let help = "a quoted pattern (\"step_*.vti\") takes files in the order of their numbers, --times tells the times";
             talk.note(&format!("warning: {doubt}: {help}"));
         }
-        self.times.as_ref().map_or(Ok(()), |times| times.apply(&mut steps))?;
+        self.set_times(&mut steps)?;
         Ok(steps)
+    }
+
+    /// Gives steps the times that were told.
+    pub(crate) fn set_times(&self, steps: &mut [StepSource]) -> Result<()> {
+        self.times.as_ref().map_or(Ok(()), |times| times.apply(steps))
     }
 }
 
