@@ -119,6 +119,11 @@ impl Archive {
         summarize_at(&self.path, self.step)
     }
 
+    /// The file that the step was made from, or what stood for it; of a time between two steps, that of the first.
+    pub fn source(&self) -> &str {
+        &self.open.step().plan.source.path
+    }
+
     /// Least and largest value; `None` when no point has one.
     pub fn value_range(&self) -> Option<[f64; 2]> {
         self.open.told_range()
@@ -356,8 +361,15 @@ impl Archive {
     /// # Errors
     /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Usage`] for 2^32 points or more.
     pub fn probe(&self, points: &[[f64; 3]]) -> Result<Vec<f64>> {
-        let settings = ProbeSettings::default();
-        let found = values_at(&self.open, points, &settings, &|memory| memory, &Silent)?.values;
+        self.probe_with(points, &ProbeSettings::default())
+    }
+
+    /// As [`Archive::probe`], with threads and memory as the settings say, until they stop it.
+    ///
+    /// # Errors
+    /// As [`Archive::probe`]; [`crate::Error::Cancelled`].
+    pub fn probe_with(&self, points: &[[f64; 3]], settings: &ProbeSettings) -> Result<Vec<f64>> {
+        let found = values_at(&self.open, points, settings, &|memory| memory, &Silent)?.values;
         Ok(found.into_iter().map(|v| self.offset() + f64::from(v)).collect())
     }
 
@@ -407,7 +419,15 @@ impl Archive {
     /// # Errors
     /// [`crate::Error::Usage`] for a grid that cannot be; [`crate::Error::BadInput`] for a damaged archive.
     pub fn sample(&self, dims: [u64; 3]) -> Result<Vec<f64>> {
-        sample_grid(&self.open, dims, &ProbeSettings::default())
+        self.sample_with(dims, &ProbeSettings::default())
+    }
+
+    /// As [`Archive::sample`], with threads and memory as the settings say, until they stop it.
+    ///
+    /// # Errors
+    /// As [`Archive::sample`]; [`crate::Error::Cancelled`].
+    pub fn sample_with(&self, dims: [u64; 3], settings: &ProbeSettings) -> Result<Vec<f64>> {
+        sample_grid(&self.open, dims, settings)
     }
 
     /// Writes the field on a grid of samples that spans the domain to a file, in bounded memory.
