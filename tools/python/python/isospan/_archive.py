@@ -1,0 +1,481 @@
+"""Archives, and what can be asked of them."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Iterator, Sequence, overload
+
+import numpy as np
+
+from . import _isospan
+from ._progress import Progress, Reporter
+from ._surface import Surface
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+    import pyvista
+
+    PathLike = os.PathLike[str] | str
+    Size = int | str
+    #: A text as the program takes it, or for x, y, z a pair of ends in numbers of samples (None:
+    #: open).
+    Roi = str | Sequence[Sequence[float | None]]
+
+
+@dataclass(frozen=True, repr=False)
+class Spectrum:
+    """How isosurfaces change with the isovalue: arrays of one length, a row for each isovalue.
+
+    Area and volume are in world units. They are those of the archive's tetrahedra.
+    """
+
+    #: Isovalues, ascending: shape (n,), float64.
+    isovalues: npt.NDArray[np.float64]
+    #: Tetrahedra that the isosurface crosses: shape (n,), uint64.
+    active: npt.NDArray[np.uint64]
+    #: Area of the isosurface: shape (n,), float64.
+    area: npt.NDArray[np.float64]
+    #: Volume in which values are not below the isovalue: shape (n,), float64.
+    volume: npt.NDArray[np.float64]
+    #: Mean of the gradient's length on the isosurface, 0 where there is none: shape (n,), float64.
+    mean_gradient: npt.NDArray[np.float64]
+    #: Isovalues that are worth a look, the most marked one first.
+    suggestions: list[float]
+    #: Least and largest value; None when no point has one.
+    range: tuple[float, float] | None
+    #: The report of the program, as ``isospan spectrum --json`` prints it.
+    report: dict[str, Any]
+
+    def __repr__(self) -> str:
+        return f"<isospan.Spectrum of {len(self.isovalues)} isovalues, range {self.range}>"
+
+
+def _spectrum(report: dict[str, Any]) -> Spectrum:
+    knots = report["knots"]
+
+    def column(name: str, dtype: type = np.float64) -> Any:
+        return np.array([knot[name] for knot in knots], dtype=dtype)
+
+    area, gradient = column("area"), column("gradient")
+    mean = np.divide(gradient, area, out=np.zeros_like(area), where=area > 0)
+    return Spectrum(
+        isovalues=column("isovalue"),
+        active=column("active_tetrahedra", np.uint64),
+        area=area,
+        volume=column("volume"),
+        mean_gradient=mean,
+        suggestions=[s["isovalue"] for s in report["suggestions"]],
+        range=tuple(report["range"]) if report["range"] else None,
+        report=report,
+    )
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else repr(float(value))
+
+
+def _box(roi: Roi | None, bounds: Sequence[float | None] | None) -> str | None:
+    """A region as the program takes it."""
+    from ._errors import UsageError
+
+    if roi is not None and bounds is not None:
+        raise UsageError("give a region by roi or by bounds, not by both")
+    if bounds is not None:
+        if len(bounds) != 6:
+            raise UsageError("bounds are six numbers: x0, x1, y0, y1, z0, z1")
+        pairs = [bounds[0:2], bounds[2:4], bounds[4:6]]
+        return "world:" + ",".join(f"{_number(lo)}:{_number(hi)}" for lo, hi in pairs)
+    if roi is None or isinstance(roi, str):
+        return roi
+    if len(roi) != 3 or any(len(pair) != 2 for pair in roi):
+        raise UsageError("a region is three pairs of ends, for x, y and z")
+    return ",".join(f"{_number(lo)}:{_number(hi)}" for lo, hi in roi)
+
+
+def _machine(threads: int, memory: Size | None, scratch: PathLike | None = None) -> dict[str, Any]:
+    return {
+        "threads": threads,
+        "memory": None if memory is None else str(memory),
+        "scratch": None if scratch is None else os.fspath(scratch),
+    }
+
+
+class Archive:
+    """An archive, opened at one of its steps: all questions are about that, unless they name
+    another.
+
+    Questions may be asked from several threads at one time. Blocks that a surface needed stay in
+    memory, up to 256 MiB, so that the next one is faster. An archive is a context manager, and is
+    pickled by its path.
+    """
+
+    #: The report of the reduction that made it, as ``isospan reduce --json`` prints it; else None.
+    report: dict[str, Any] | None
+
+    def __init__(
+        self, path: PathLike, *, step: int | None = None, time: float | None = None
+    ) -> None:
+        self._path, self._when = os.fspath(path), (step, time)
+        self._open: _isospan.Archive | None = _isospan.Archive(self._path, self._when)
+        self.report = None
+
+    @property
+    def _core(self) -> _isospan.Archive:
+        if self._open is None:
+            raise ValueError(f"the archive {self._path} is closed")
+        return self._open
+
+    @property
+    def path(self) -> str:
+        """Path or address of the archive."""
+        return self._path
+
+    def close(self) -> None:
+        """Gives back memory and files. Surfaces that were made stay."""
+        self._open = None
+
+    def __enter__(self) -> Archive:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def __reduce__(self) -> Any:
+        return _again, (self._path, *self._when)
+
+    def __repr__(self) -> str:
+        if self._open is None:
+            return f"<isospan.Archive {self._path!r}, closed>"
+        dims, steps = "x".join(map(str, self.dims)), len(self.steps)
+        series = f", {steps} steps" if steps > 1 else ""
+        return f"<isospan.Archive {self._path!r} of {dims} samples{series}>"
+
+    def at(self, *, step: int | None = None, time: float | None = None) -> Archive:
+        """The same archive at a step, by its number, or at a time: between steps values are
+        linear."""
+        return Archive(self._path, step=step, time=time)
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """What the archive holds, as ``isospan info --json`` prints it."""
+        return self._core.info((None, None))
+
+    @property
+    def steps(self) -> list[dict[str, Any]]:
+        """A dictionary for each step, with at least ``number``, ``time``, ``field`` and
+        ``range``."""
+        return self.info["steps"]
+
+    @property
+    def dims(self) -> tuple[int, int, int]:
+        """Samples of the source along x, y, z."""
+        nx, ny, nz = self._core.dims
+        return nx, ny, nz
+
+    @property
+    def spacing(self) -> tuple[float, float, float]:
+        """Distance of samples of the source along its axes, in world units."""
+        return tuple(self._core.geometry["spacing"])
+
+    @property
+    def origin(self) -> tuple[float, float, float]:
+        """Place of the first sample of the source, x, y, z, in world units."""
+        return tuple(self._core.geometry["origin"])
+
+    @property
+    def direction(self) -> npt.NDArray[np.float64]:
+        """Directions of the source's axes, as columns of a matrix: shape (3, 3), float64."""
+        return np.array(self._core.geometry["direction"], dtype=np.float64).reshape(3, 3).T
+
+    @property
+    def range(self) -> tuple[float, float] | None:
+        """Least and largest value of the step; None when no point has one."""
+        found = self._core.value_range((None, None))
+        return None if found is None else (found[0], found[1])
+
+    def spectrum(self, *, step: int | None = None, time: float | None = None) -> Spectrum:
+        """How large isosurfaces are, over the isovalue, and which are worth a look."""
+        return _spectrum(self._core.spectrum((step, time)))
+
+    @overload
+    def count(
+        self, isovalue: float, *, step: int | None = ..., time: float | None = ...
+    ) -> int: ...
+    @overload
+    def count(
+        self, isovalue: Sequence[float], *, step: int | None = ..., time: float | None = ...
+    ) -> npt.NDArray[np.uint64]: ...
+    def count(self, isovalue, *, step=None, time=None):
+        """How many tetrahedra an isosurface crosses, exactly; an array for several isovalues."""
+        if np.ndim(isovalue) == 0:
+            return self._core.count(float(isovalue), (step, time))
+        counts = [self._core.count(float(v), (step, time)) for v in isovalue]
+        return np.array(counts, dtype=np.uint64)
+
+    @overload
+    def surface(self, isovalue: float, **choices: Any) -> Surface: ...
+    @overload
+    def surface(self, isovalue: Sequence[float], **choices: Any) -> list[Surface]: ...
+    def surface(
+        self,
+        isovalue: float | Sequence[float],
+        *,
+        roi: Roi | None = None,
+        bounds: Sequence[float | None] | None = None,
+        cap: bool = False,
+        largest: int | None = None,
+        min_triangles: int | None = None,
+        min_volume: float | None = None,
+        decimate: float | None = None,
+        decimate_error: float | None = None,
+        step: int | None = None,
+        time: float | None = None,
+        threads: int = 0,
+        memory: Size | None = None,
+    ) -> Surface | list[Surface]:
+        """The isosurface of an isovalue; a list of surfaces for several, which are made in one
+        pass.
+
+        roi: cut at a box, ``"I0:I1,J0:J1,K0:K1"`` in numbers of samples or
+            ``"world:X0:X1,Y0:Y1,Z0:Z1"``, or three pairs of numbers of samples for x, y, z; an end
+            that is left out (None) is open.
+        bounds: cut at a box in world units: x0, x1, y0, y1, z0, z1.
+        cap: close the surface where the domain ends; not with a box.
+        largest, min_triangles, min_volume: keep so many connected components, or those that are so
+            large.
+        decimate: keep this part of the triangles; decimate_error: as far as the surface moves by no
+            more.
+        step, time: of a series, which step, by its number, or which time.
+        threads: 0 for as many as the process may use. memory: bytes, or a text such as "4GiB" or
+            "50%"; half of what the process may use if not given.
+        """
+        several = np.ndim(isovalue) > 0
+        wanted = self._wanted(
+            isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, decimate_error
+        )
+        cores = self._core.surfaces(wanted, _machine(threads, memory), (step, time))
+        surfaces = [Surface(core) for core in cores]
+        return surfaces if several else surfaces[0]
+
+    @staticmethod
+    def _wanted(isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, error):
+        return {
+            "isovalues": [float(v) for v in np.atleast_1d(isovalue)],
+            "roi": _box(roi, bounds),
+            "cap": cap,
+            "largest": largest,
+            "min_triangles": min_triangles,
+            "min_volume": min_volume,
+            "decimate": decimate,
+            "decimate_error": error,
+        }
+
+    def save_surface(
+        self,
+        path: PathLike,
+        isovalue: float | Sequence[float],
+        *,
+        roi: Roi | None = None,
+        bounds: Sequence[float | None] | None = None,
+        cap: bool = False,
+        largest: int | None = None,
+        min_triangles: int | None = None,
+        min_volume: float | None = None,
+        decimate: float | None = None,
+        decimate_error: float | None = None,
+        step: int | None = None,
+        time: float | None = None,
+        steps: str | bool | None = None,
+        threads: int = 0,
+        memory: Size | None = None,
+        scratch: PathLike | None = None,
+        progress: Progress = None,
+    ) -> dict[str, Any]:
+        """Writes isosurfaces to a file, in bounded memory, as ``isospan surface`` does; returns its
+        report.
+
+        steps: of a series, surfaces of these steps, ``"FIRST:LAST"`` or True for all, a file each:
+            "%04d" in the path stands for the step's number. All else is as for :meth:`surface`.
+        """
+        wanted = self._wanted(
+            isovalue, roi, bounds, cap, largest, min_triangles, min_volume, decimate, decimate_error
+        )
+        machine, out = _machine(threads, memory, scratch), os.fspath(path)
+        with Reporter(progress) as callback:
+            if steps is None or steps is False:
+                return self._core.save_surfaces(out, wanted, machine, (step, time), callback)
+            if (step, time) != (None, None):
+                from ._errors import UsageError
+
+                raise UsageError("give one step or time, or steps, not both")
+            return self._core.save_series(
+                out, wanted, machine, None if steps is True else steps, callback
+            )
+
+    def probe(
+        self,
+        points: npt.ArrayLike,
+        *,
+        step: int | None = None,
+        time: float | None = None,
+        threads: int = 0,
+        memory: Size | None = None,
+    ) -> npt.NDArray[np.float64]:
+        """The field, linear in each tetrahedron, at points in world units: shape (n,), float64.
+
+        points: shape (n, 3), x, y, z; or one point of shape (3,), for an array of one value.
+        NaN outside of the domain, and where the source has no data.
+        """
+        rows = np.ascontiguousarray(points, dtype="<f8")
+        if rows.ndim == 1 and rows.shape == (3,):
+            rows = rows[None]
+        if rows.ndim != 2 or rows.shape[1] != 3:
+            from ._errors import UsageError
+
+            raise UsageError(f"points have the shape (n, 3), not {rows.shape}")
+        return np.asarray(self._core.probe(rows.tobytes(), _machine(threads, memory), (step, time)))
+
+    def sample(
+        self,
+        dims: Sequence[int] | None = None,
+        *,
+        step: int | None = None,
+        time: float | None = None,
+        threads: int = 0,
+        memory: Size | None = None,
+    ) -> npt.NDArray[np.float64]:
+        """The field on a grid that spans the domain: shape (nz, ny, nx), float64, indexed [z, y,
+        x].
+
+        dims: samples along x, y, z, in this order; those of the source if not given.
+        The first and last sample of an axis lie on the domain's faces. NaN where the source has no
+        data.
+        """
+        nx, ny, nz = (int(n) for n in (self.dims if dims is None else dims))
+        found = self._core.sample([nx, ny, nz], _machine(threads, memory), (step, time))
+        return np.asarray(found).reshape(nz, ny, nx)
+
+    def save_samples(
+        self,
+        path: PathLike,
+        dims: Sequence[int] | None = None,
+        *,
+        step: int | None = None,
+        time: float | None = None,
+        threads: int = 0,
+        memory: Size | None = None,
+        progress: Progress = None,
+    ) -> dict[str, Any]:
+        """Writes :meth:`sample` to a .vti or .npy file (float32), in bounded memory; returns the
+        report."""
+        grid = [int(n) for n in (self.dims if dims is None else dims)]
+        with Reporter(progress) as callback:
+            machine = _machine(threads, memory)
+            return self._core.save_samples(os.fspath(path), grid, machine, (step, time), callback)
+
+    def save_tetrahedra(
+        self,
+        path: PathLike,
+        *,
+        range: Sequence[float | None] | None = None,
+        any_corner: bool = False,
+        roi: Roi | None = None,
+        bounds: Sequence[float | None] | None = None,
+        every: int = 1,
+        compress: bool = False,
+        step: int | None = None,
+        time: float | None = None,
+        threads: int = 0,
+        memory: Size | None = None,
+        scratch: PathLike | None = None,
+        progress: Progress = None,
+    ) -> dict[str, Any]:
+        """Writes tetrahedra to a .vtu file, in bounded memory, as ``isospan export`` does.
+
+        range: only tetrahedra whose corners all (with any_corner: at least one) have values in it;
+            an end that is None is open. roi, bounds: only those that touch the box. every: each
+            so-manyth of them.
+        """
+        from ._errors import UsageError
+
+        if any_corner and range is None:
+            raise UsageError("any_corner needs a range")
+        ends = (-np.inf, np.inf)
+        part = {
+            "range": None
+            if range is None
+            else [o if v is None else float(v) for v, o in zip(range, ends)],
+            "any_corner": any_corner,
+            "roi": _box(roi, bounds),
+            "every": every,
+            "compress": compress,
+        }
+        with Reporter(progress) as callback:
+            machine = _machine(threads, memory, scratch)
+            return self._core.save_tetrahedra(
+                os.fspath(path), part, machine, (step, time), callback
+            )
+
+    def to_unstructured_grid(self, **choices: Any) -> pyvista.UnstructuredGrid:
+        """The tetrahedra as a grid of PyVista, with the values at the points.
+
+        choices: as for :meth:`save_tetrahedra`, but for compress. They go through a temporary file,
+            in
+        ``scratch`` where that is given.
+        """
+        import pyvista
+
+        choices = {**choices, "compress": False}
+        with tempfile.TemporaryDirectory(prefix="isospan-", dir=choices.get("scratch")) as folder:
+            file = Path(folder, "tetrahedra.vtu")
+            self.save_tetrahedra(file, **choices)
+            return pyvista.read(file)
+
+    def measure(
+        self,
+        against: PathLike,
+        *,
+        field: str | None = None,
+        step: int | None = None,
+        map: PathLike | None = None,
+        threads: int = 0,
+        memory: Size | None = None,
+        scratch: PathLike | None = None,
+        progress: Progress = None,
+    ) -> dict[str, Any]:
+        """The error at every sample of a file, in units of the field, as ``isospan measure --json``
+        prints it.
+
+        against: the volume or mesh that the archive was made from. map: also write errors of
+            bricks, .vti.
+        The error that was measured when the archive was made is ``archive.info["error"]``.
+        """
+        with Reporter(progress) as callback:
+            machine = _machine(threads, memory, scratch)
+            place = None if map is None else os.fspath(map)
+            return self._core.measure(os.fspath(against), field, step, place, machine, callback)
+
+    def check(self) -> None:
+        """Verifies the whole archive; raises BadInputError that names the first thing that is
+        wrong."""
+        self._core.check()
+
+    def __iter__(self) -> Iterator[Archive]:
+        """The archive at each of its steps."""
+        return (self.at(step=step["number"]) for step in self.steps)
+
+
+def _again(path: str, step: int | None, time: float | None) -> Archive:
+    return Archive(path, step=step, time=time)
+
+
+def open(path: PathLike, *, step: int | None = None, time: float | None = None) -> Archive:
+    """Opens an archive, at a step by its number or at a time; at its first step if none is given.
+
+    path: the folder of an archive, or its address where the package was built for that
+    (``isospan._isospan.remote``).
+    """
+    return Archive(path, step=step, time=time)

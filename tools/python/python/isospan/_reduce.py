@@ -1,0 +1,242 @@
+"""Making archives. Keywords are the flags of the program: same names, same values, same
+defaults."""
+
+from __future__ import annotations
+
+import numbers
+import operator
+import os
+from typing import TYPE_CHECKING, Any, Sequence
+
+import numpy as np
+
+from . import _isospan
+from ._archive import Archive
+from ._errors import UsageError
+from ._progress import Progress, Reporter
+from ._sources import sources
+
+if TYPE_CHECKING:
+    PathLike = os.PathLike[str] | str
+    Size = int | str
+    Bound = float | str
+
+
+def _text(value: Any, between: str = ",") -> str:
+    """A value as the program takes it."""
+    if isinstance(value, (str, os.PathLike)):
+        return os.fspath(value)
+    if isinstance(value, (bool, np.bool_)):
+        raise UsageError(f"{value} is neither a number nor a text")
+    if isinstance(value, numbers.Integral):
+        return str(operator.index(value))
+    if isinstance(value, numbers.Real):
+        return repr(float(value))
+    if isinstance(value, (Sequence, np.ndarray)):
+        return between.join(_text(item) for item in value)
+    raise UsageError(f"{value!r} is neither a number nor a text")
+
+
+def flags(choices: dict[str, Any]) -> list[str]:
+    """Flags of the program for keywords: None and False give none, True gives one without a
+    value."""
+    found = []
+    for name, value in choices.items():
+        flag = "--" + name.replace("_", "-")
+        if value is None or value is False:
+            continue
+        if value is True:
+            found.append(flag)
+        else:
+            found.append(f"{flag}={_text(value, ':' if name == 'focus' else ',')}")
+    return found
+
+
+def _positive(choices: dict[str, Any]) -> dict[str, Any]:
+    """Keywords that say what is done, for flags that say what is not."""
+    measure = choices.pop("measure")
+    return {**choices, "no_measure": not measure}
+
+
+def _arguments(
+    command: str, before: list[str], inputs: list[str], choices: dict[str, Any]
+) -> list[str]:
+    return [command, *before, *flags(_positive(choices)), "--", *inputs]
+
+
+def reduce(
+    source: Any,
+    out: PathLike,
+    *,
+    target_rms: Bound | None = None,
+    target_max: Bound | None = None,
+    size: Size | None = None,
+    ratio: float | None = None,
+    fraction: float | str | None = None,
+    count: int | None = None,
+    points: str | None = None,
+    adapt: bool = False,
+    focus: Sequence[float] | str | None = None,
+    shift: float | None = None,
+    cross_m: int | None = None,
+    cross_k: int | None = None,
+    cross_r: Sequence[int] | str | None = None,
+    interp: str | None = None,
+    values: str | None = None,
+    value_bits: int | str | None = None,
+    nan: float | str | None = None,
+    missing: float | None = None,
+    keyframes: int | None = None,
+    chunk_points: int | None = None,
+    measure: bool = True,
+    times: Sequence[float] | str | None = None,
+    keep_going: bool = False,
+    field: str | None = None,
+    value_file: PathLike | None = None,
+    dims: Sequence[int] | str | None = None,
+    type: str | None = None,
+    endian: str | None = None,
+    offset: int | None = None,
+    spacing: Sequence[float] | None = None,
+    origin: Sequence[float] | None = None,
+    name: str | None = None,
+    io: str | None = None,
+    force: bool = False,
+    threads: int = 0,
+    memory: Size | None = None,
+    scratch: PathLike | None = None,
+    progress: Progress = None,
+) -> Archive:
+    """Reduces a volume, or a series of volumes, to an archive, and returns it, opened.
+
+    ``archive.report`` is the report of the run, as ``isospan reduce --json`` prints it.
+
+    source: a path, as the program takes it; an array of three dimensions, indexed [z, y, x] (NumPy,
+        also memory mapped, Zarr, h5py, dask, xarray); or a list of these, which are the steps of a
+        series.
+        Arrays are read box by box. Those of NumPy are read in place, and must not change meanwhile;
+        others are read once, each of their chunks once, into a temporary file in ``scratch``.
+    out: the archive to make, a folder NAME.isospan. Where this very archive is there already, or a
+        part of it, nothing is made but what it lacks.
+    target_rms, target_max: the error that is not to be exceeded, in units of the field or "1%" of
+        its range.
+    size, ratio: the bytes of the archive ("50MiB"), or 1/ratio of those of the source.
+    fraction, count: the number of points as a part of the samples (0.125, "1/8", "12.5%"), or
+        itself.
+        Without any of these six, fraction is 1/8.
+    points: "lattice", "halton", "hammersley", "regular" or "hyperbolic-cross". adapt, focus=(lo,
+        hi), shift, cross_m, cross_k, cross_r, interp, values, value_bits, nan, missing, keyframes,
+        chunk_points, and for files field, value_file, dims, type, endian, offset, io: as the flags
+        of ``isospan reduce``.
+    measure: whether the error at all samples is measured in the end.
+    times: of a series, the times of its steps. keep_going: leave out steps that cannot be used.
+    spacing, origin: of an array, distance of its samples and place of the first one, x, y, z, in
+        world units; 1 and 0 if not given. An xarray tells them itself. spacing is also that of a
+        raw file.
+    name: of an array, what it is called in messages and in the archive.
+    force: replace an archive that is there already.
+    threads: 0 for as many as the process may use. memory: bytes, or a text such as "4GiB" or "50%";
+        half of what the process may use if not given. scratch: folder for temporary files.
+    progress: True for bars of tqdm, or a function that is called with the name of a stage, how much
+        of it is done, how much it is in all, and the unit. An exception that it raises stops the
+        run.
+
+    Ctrl-C stops the run; the same call continues it.
+    """
+    choices = {
+        k: v
+        for k, v in locals().items()
+        if k not in ("source", "out", "origin", "name", "progress")
+    }
+    with Reporter(progress) as callback:
+        if _is_path(source):
+            _only_arrays(origin=origin, name=name)
+            arguments = _arguments(
+                "reduce", [f"--output={os.fspath(out)}"], _paths(source), choices
+            )
+            report = _isospan.reduce(arguments, None, callback)
+        else:
+            _only_files(choices)
+            choices.pop("spacing")
+            given = sources(source, spacing=spacing, origin=origin, name=name)
+            if given.times is not None and times is None:
+                choices["times"] = given.times
+            arguments = _arguments("reduce", [f"--output={os.fspath(out)}"], given.names, choices)
+            report = _isospan.reduce(arguments, given.volumes, callback)
+    archive = Archive(out)
+    archive.report = report
+    return archive
+
+
+def append(
+    archive: Archive | PathLike,
+    source: Any,
+    *,
+    missing: float | None = None,
+    keyframes: int | None = None,
+    measure: bool = True,
+    times: Sequence[float] | str | None = None,
+    keep_going: bool = False,
+    field: str | None = None,
+    value_file: PathLike | None = None,
+    dims: Sequence[int] | str | None = None,
+    type: str | None = None,
+    endian: str | None = None,
+    offset: int | None = None,
+    spacing: Sequence[float] | None = None,
+    origin: Sequence[float] | None = None,
+    name: str | None = None,
+    io: str | None = None,
+    threads: int = 0,
+    memory: Size | None = None,
+    scratch: PathLike | None = None,
+    progress: Progress = None,
+) -> Archive:
+    """Adds steps to an archive, on its mesh, and returns it, opened; as ``isospan append``.
+
+    Arguments are as for :func:`reduce`; what is not given is as for the last step that is there.
+    """
+    path = archive.path if isinstance(archive, Archive) else os.fspath(archive)
+    choices = {k: v for k, v in locals().items()}
+    for other in ("archive", "path", "source", "origin", "name", "progress"):
+        choices.pop(other)
+    with Reporter(progress) as callback:
+        if _is_path(source):
+            _only_arrays(origin=origin, name=name)
+            arguments = _arguments("append", [], [path, *_paths(source)], choices)
+            report = _isospan.append(arguments, None, callback)
+        else:
+            _only_files(choices)
+            choices.pop("spacing")
+            given = sources(source, spacing=spacing, origin=origin, name=name)
+            if given.times is not None and times is None:
+                choices["times"] = given.times
+            arguments = _arguments("append", [], [path, *given.names], choices)
+            report = _isospan.append(arguments, given.volumes, callback)
+    longer = Archive(path)
+    longer.report = report
+    return longer
+
+
+def _is_path(source: Any) -> bool:
+    if isinstance(source, (str, os.PathLike)):
+        return True
+    listed = isinstance(source, (list, tuple)) and len(source) > 0
+    return listed and all(isinstance(s, (str, os.PathLike)) for s in source)
+
+
+def _paths(source: Any) -> list[str]:
+    listed = [source] if isinstance(source, (str, os.PathLike)) else source
+    return [os.fspath(path) for path in listed]
+
+
+def _only_arrays(**given: Any) -> None:
+    for name, value in given.items():
+        if value is not None:
+            raise UsageError(f"{name} is for arrays; files tell it themselves")
+
+
+def _only_files(choices: dict[str, Any]) -> None:
+    for name in ("field", "value_file", "dims", "type", "endian", "offset", "io"):
+        if choices[name] is not None:
+            raise UsageError(f"{name} is for files, not for arrays")

@@ -1,0 +1,264 @@
+"""What volumes are made of: arrays of NumPy, Zarr, h5py, dask and xarray, each read box by box.
+
+An array has three dimensions and is indexed [z, y, x]. One in memory, or mapped from a file, is
+read in place. Of any other, boxes are read one after another, once, each a group of whole chunks.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any, Iterator, Sequence
+
+import numpy as np
+
+from . import _isospan
+from ._errors import UsageError
+
+#: Types of samples as the library has them, by kind and bytes of a NumPy type.
+_SCALARS = {f"{k}{b}": f"{k}{8 * b}" for k in "iu" for b in (1, 2, 4, 8)} | {
+    "f4": "f32",
+    "f8": "f64",
+}
+#: Bytes of a box that is read at a time, unless one chunk has more.
+_BOX_BYTES = 32 << 20
+
+
+@dataclass
+class Given:
+    """Volumes, a name for each, and their times where the source tells them."""
+
+    volumes: list[_isospan.Volume]
+    names: list[str]
+    times: list[float] | None = None
+
+
+def sources(
+    source: Any,
+    *,
+    spacing: Sequence[float] | None = None,
+    origin: Sequence[float] | None = None,
+    name: str | None = None,
+) -> Given:
+    """The volumes of an array, or of a list of arrays, which are the steps of a series."""
+    listed = list(source) if isinstance(source, (list, tuple)) else [source]
+    listed = [_ordered(array) if _is_xarray(array) else array for array in listed]
+    if not listed:
+        raise UsageError("there is no volume to reduce")
+    if len(listed) == 1 and _is_series(listed[0]):
+        return _series(listed[0], spacing, origin, name)
+    given = Given([], [])
+    for number, array in enumerate(listed):
+        called = name or _name_of(array)
+        called = called if len(listed) == 1 else f"{called}_{number}"
+        given.volumes.append(_volume(array, spacing, origin, called))
+        given.names.append(called)
+    return given
+
+
+def _is_xarray(array: Any) -> bool:
+    return hasattr(array, "coords") and hasattr(array, "dims") and hasattr(array, "variable")
+
+
+def _ordered(array: Any) -> Any:
+    """An xarray in the order z, y, x where its dimensions have these names; else as it is."""
+    named = {str(along).lower(): along for along in array.dims}
+    if not {"x", "y", "z"} <= set(named):
+        return array
+    last = [named[letter] for letter in "zyx"]
+    return array.transpose(*(along for along in array.dims if along not in last), *last)
+
+
+def _is_series(array: Any) -> bool:
+    return _is_xarray(array) and array.ndim == 4
+
+
+def _series(array: Any, spacing: Any, origin: Any, name: str | None) -> Given:
+    """The steps along the first dimension of an xarray of four."""
+    along = array.dims[0]
+    times = None
+    if along in array.coords:
+        times = _times(array.coords[along].values, along)
+    steps = [array.isel({along: n}) for n in range(array.shape[0])]
+    given = sources(steps, spacing=spacing, origin=origin, name=name)
+    given.times = times
+    return given
+
+
+def _times(values: np.ndarray, along: str) -> list[float]:
+    if np.issubdtype(values.dtype, np.datetime64) or np.issubdtype(values.dtype, np.timedelta64):
+        return [float(t) for t in (values - values[0]) / np.timedelta64(1, "s")]
+    try:
+        return [float(t) for t in values]
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"the coordinate {along} tells no times: {error}") from error
+
+
+def _name_of(array: Any) -> str:
+    for found in (getattr(array, "name", None), getattr(array, "path", None)):
+        if isinstance(found, str) and found.strip("/"):
+            return found.strip("/")
+    return "array"
+
+
+def _volume(array: Any, spacing: Any, origin: Any, name: str) -> _isospan.Volume:
+    if _is_xarray(array):
+        if spacing is not None or origin is not None:
+            raise UsageError("the coordinates of an xarray tell spacing and origin: give neither")
+        spacing, origin = _geometry_of(array)
+        # One of a file is read box by box, through xarray.
+        if array.chunks is not None or "source" not in array.encoding:
+            array = array.data
+    spacing = _triple(spacing, 1.0, "spacing")
+    origin = _triple(origin, 0.0, "origin")
+    dtype, shape = getattr(array, "dtype", None), getattr(array, "shape", None)
+    if dtype is None or shape is None:
+        raise UsageError(
+            "a volume is a path or an array (NumPy, Zarr, h5py, dask, xarray), "
+            f"not a {type(array).__name__}"
+        )
+    if len(shape) != 3:
+        raise UsageError(
+            f"a volume has three dimensions, [z, y, x]; {name} has the shape {tuple(shape)}"
+        )
+    dtype = np.dtype(dtype)
+    if isinstance(array, np.ma.MaskedArray):
+        raise UsageError(
+            "fill a masked array first: array.filled(value) with missing=value, or NaN"
+        )
+    if isinstance(array, np.ndarray) and any(s == 0 for s, n in zip(array.strides, shape) if n > 1):
+        # Repeated samples have no places of their own.
+        return _boxes(array, dtype, spacing, origin, name)
+    if isinstance(array, np.ndarray) and dtype == np.bool_:
+        array, dtype = array.view(np.uint8), np.dtype(np.uint8)
+    if isinstance(array, np.ndarray) and _scalar(dtype) is not None:
+        return _isospan.Volume.of_array(name, array, origin, spacing)
+    return _boxes(array, dtype, spacing, origin, name)
+
+
+def _scalar(dtype: np.dtype) -> str | None:
+    return _SCALARS.get(f"{dtype.kind}{dtype.itemsize}")
+
+
+def _triple(values: Any, default: float, what: str) -> list[float]:
+    if values is None:
+        return [default] * 3
+    found = [float(v) for v in values]
+    if len(found) != 3:
+        raise UsageError(f"{what} is three numbers, for x, y and z")
+    return found
+
+
+def _geometry_of(array: Any) -> tuple[list[float], list[float]]:
+    """Spacing and origin along x, y, z that the coordinates tell."""
+    if array.ndim != 3:
+        raise UsageError(f"a volume has three dimensions, [z, y, x]; this array has {array.dims}")
+    spacing, origin = [], []
+    for along in reversed(array.dims):
+        step, first = _regular(array, along)
+        spacing.append(step)
+        origin.append(first)
+    return spacing, origin
+
+
+def _regular(array: Any, along: str) -> tuple[float, float]:
+    """Step and start of a coordinate, which has to be even: within 1e-5 of a step, as f32 may have
+    it."""
+    if along not in array.coords:
+        return 1.0, 0.0
+    values = np.asarray(array.coords[along].values)
+    if values.dtype.kind not in "iuf":
+        raise UsageError(f"the coordinate {along} is of type {values.dtype}, not of numbers")
+    values = values.astype(np.float64)
+    if len(values) < 2:
+        return 1.0, float(values[0])
+    step = (values[-1] - values[0]) / (len(values) - 1)
+    even = values[0] + step * np.arange(len(values))
+    off = np.abs(values - even)
+    rounding = (
+        np.spacing(np.abs(values).max().astype(array.coords[along].dtype.char))
+        if (array.coords[along].dtype.kind == "f")
+        else 0.0
+    )
+    if (
+        not np.isfinite(values).all()
+        or step == 0
+        or off.max() > max(1e-5 * abs(step), 2 * rounding)
+    ):
+        worst = int(np.argmax(off))
+        raise UsageError(
+            f"the coordinate {along} is uneven: {values[worst]:g} at {worst}, where "
+            f"{even[worst]:g} would be even; interpolate to an even one first (DataArray.interp)"
+        )
+    return float(step), float(values[0])
+
+
+def _boxes(array: Any, dtype: np.dtype, spacing: Any, origin: Any, name: str) -> _isospan.Volume:
+    """A volume that is read in boxes of whole chunks."""
+    scalar = _scalar(dtype)
+    if dtype == np.bool_:
+        stored = np.dtype(np.uint8)
+    elif scalar is None and dtype == np.float16:
+        stored = np.dtype(np.float32)
+    elif scalar is None:
+        raise UsageError(
+            f"samples are integers or floating-point numbers of 1 to 8 bytes, not {dtype}"
+        )
+    else:
+        stored = dtype.newbyteorder("<")
+    nz, ny, nx = (int(n) for n in array.shape)
+    steps = _steps(array, stored.itemsize)
+
+    def read() -> Iterator[tuple[list[int], list[int], bytes]]:
+        for ends in itertools.product(*steps):
+            box = tuple(slice(lo, hi) for lo, hi in ends)
+            part = array[box]
+            part = part.compute() if hasattr(part, "compute") else part
+            part = np.asarray(part)
+            expected = tuple(hi - lo for lo, hi in ends)
+            if part.shape != expected:
+                raise ValueError(f"{name}[{box}] has the shape {part.shape}, expected {expected}")
+            lo, hi = [list(corner) for corner in zip(*reversed(ends))]
+            yield lo, hi, np.ascontiguousarray(part, dtype=stored).tobytes()
+
+    return _isospan.Volume.of_boxes(
+        name, [nx, ny, nz], _SCALARS[stored.str[1:]], origin, spacing, read
+    )
+
+
+def _steps(array: Any, item_bytes: int) -> list[list[tuple[int, int]]]:
+    """Ends along z, y, x of the boxes: whole chunks, so many that a box has about 32 MiB."""
+    edges = _chunk_edges(array)
+    taken: list[list[int]] = [list(e) for e in edges]
+    # Along x first: rows that are whole are written at once.
+    whole = [max(b - a for a, b in zip(e, e[1:])) for e in edges]
+    for axis in (2, 1, 0):
+        others = math.prod(n for a, n in enumerate(whole) if a != axis) * item_bytes
+        taken[axis] = _merged(edges[axis], max(1, _BOX_BYTES // max(1, others)))
+        whole[axis] = max(b - a for a, b in zip(taken[axis], taken[axis][1:]))
+    return [list(zip(e, e[1:])) for e in taken]
+
+
+def _merged(edges: Sequence[int], most: int) -> list[int]:
+    """Edges of runs of chunks, none longer than ``most`` where it is more than one chunk."""
+    found = [edges[0]]
+    for before, end in zip(edges[1:], edges[2:]):
+        if end - found[-1] > most:
+            found.append(before)
+    return [*found, edges[-1]]
+
+
+def _chunk_edges(array: Any) -> list[list[int]]:
+    """Where chunks begin and end along each axis; one sample a chunk where there are none."""
+    shape, chunks = array.shape, getattr(array, "chunks", None)
+    if _is_xarray(array):
+        # Of a step of a series, its own three.
+        chunks = (array.encoding.get("chunksizes") or ())[-3:]
+    # Of a Zarr array, the files: a shard is read as a whole.
+    chunks = getattr(array, "shards", None) or chunks
+    if not chunks:
+        return [list(range(n + 1)) for n in shape]
+    if isinstance(chunks[0], (tuple, list)):
+        return [[0, *itertools.accumulate(sizes)] for sizes in chunks]
+    return [[*range(0, n, max(1, c)), n] for n, c in zip(shape, chunks)]

@@ -1,0 +1,367 @@
+//! An archive, asked from Python.
+
+use crate::arrays::Numbers;
+use crate::cli::text::parse_bytes;
+use crate::errors::{exception, usage};
+use crate::json::to_python;
+use crate::surface::Surface;
+use crate::work::run;
+use isospan::exec::{CancelToken, usable_memory};
+use isospan::formats::OpenOptions;
+use isospan::formats::samples::SampleFormat;
+use isospan::formats::surface::SurfaceFormat;
+use isospan::pipeline::{
+    self, Corners, ExportSettings, MeasureSettings, ProbeSettings, Refine, RunSettings, StepChoice,
+    StepRange, SurfaceSettings,
+};
+use isospan::surface::components::ComponentFilter;
+use isospan::surface::decimate::Decimation;
+use pyo3::prelude::*;
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Whether there is an archive of this name.
+#[pyfunction]
+pub(crate) fn is_archive(path: PathBuf) -> bool {
+    pipeline::is_archive(&path)
+}
+
+/// An archive, opened at a step; the step that was asked last besides is open too.
+#[pyclass(frozen)]
+pub(crate) struct Archive {
+    path: PathBuf,
+    here: Arc<isospan::Archive>,
+    other: Mutex<Option<(StepChoice, Arc<isospan::Archive>)>>,
+}
+
+/// A step by its number, or a time.
+type When = (Option<u64>, Option<f64>);
+
+fn choice(py: Python<'_>, when: When) -> PyResult<StepChoice> {
+    match when {
+        (None, None) => Ok(StepChoice::First),
+        (Some(number), None) => Ok(StepChoice::Number(number)),
+        (None, Some(time)) => Ok(StepChoice::Time(time)),
+        (Some(_), Some(_)) => Err(usage(py, "give a step or a time, not both")),
+    }
+}
+
+/// What the machine may be used for.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub(crate) struct Machine {
+    threads: usize,
+    memory: Option<String>,
+    scratch: Option<PathBuf>,
+}
+
+impl Machine {
+    fn memory(&self, py: Python<'_>) -> PyResult<u64> {
+        match &self.memory {
+            None => Ok(usable_memory() / 2),
+            Some(text) => parse_bytes(text).map_err(|e| usage(py, format!("memory: {e}"))),
+        }
+    }
+
+    /// Those of making an archive.
+    pub(crate) fn run_settings(&self, py: Python<'_>) -> PyResult<RunSettings> {
+        let (memory, scratch) = (self.memory(py)?, self.scratch.clone());
+        Ok(RunSettings { threads: self.threads, memory, scratch, ..RunSettings::default() })
+    }
+
+    fn probe(&self, py: Python<'_>) -> PyResult<ProbeSettings> {
+        Ok(ProbeSettings { threads: self.threads, memory: self.memory(py)?, cancel: CancelToken::new() })
+    }
+}
+
+/// Which surfaces are wanted.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub(crate) struct Wanted {
+    isovalues: Vec<f64>,
+    roi: Option<String>,
+    cap: bool,
+    largest: Option<u64>,
+    min_triangles: Option<u64>,
+    min_volume: Option<f64>,
+    decimate: Option<f64>,
+    decimate_error: Option<f64>,
+}
+
+fn parsed<T: FromStr>(py: Python<'_>, text: Option<&String>) -> PyResult<Option<T>>
+where
+    T::Err: std::fmt::Display,
+{
+    text.map(|text| text.parse().map_err(|e: T::Err| usage(py, e.to_string()))).transpose()
+}
+
+impl Wanted {
+    fn refine(&self) -> Refine {
+        let (all, far) = (ComponentFilter::default(), Decimation::default());
+        let chosen = self.largest.is_some() || self.min_triangles.is_some() || self.min_volume.is_some();
+        let components = chosen.then(|| ComponentFilter {
+            largest: self.largest,
+            min_triangles: self.min_triangles.unwrap_or(all.min_triangles),
+            min_volume: self.min_volume.unwrap_or(all.min_volume),
+        });
+        let decimate = (self.decimate.is_some() || self.decimate_error.is_some()).then(|| Decimation {
+            ratio: self.decimate.unwrap_or(far.ratio),
+            max_error: self.decimate_error.unwrap_or(far.max_error),
+        });
+        Refine { components, decimate }
+    }
+
+    fn settings(&self, py: Python<'_>, machine: &Machine) -> PyResult<SurfaceSettings> {
+        Ok(SurfaceSettings {
+            isovalues: self.isovalues.clone(),
+            roi: parsed(py, self.roi.as_ref())?,
+            threads: machine.threads,
+            memory: machine.memory(py)?,
+            scratch: machine.scratch.clone(),
+            cap: self.cap,
+            refine: self.refine(),
+            ..SurfaceSettings::default()
+        })
+    }
+}
+
+/// Which tetrahedra are wanted.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub(crate) struct Part {
+    range: Option<[f64; 2]>,
+    any_corner: bool,
+    roi: Option<String>,
+    every: u64,
+    compress: bool,
+}
+
+impl Archive {
+    /// The archive at a step; at the one that it was opened at, if none is given.
+    fn at(&self, py: Python<'_>, when: When) -> PyResult<Arc<isospan::Archive>> {
+        if when == (None, None) {
+            return Ok(Arc::clone(&self.here));
+        }
+        let choice = choice(py, when)?;
+        py.detach(|| {
+            let mut other = self.other.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some((known, archive)) = &*other
+                && *known == choice
+            {
+                return Ok(Arc::clone(archive));
+            }
+            let archive = Arc::new(isospan::Archive::open_at(&self.path, choice)?);
+            *other = Some((choice, Arc::clone(&archive)));
+            Ok(archive)
+        })
+        .map_err(|e| exception(py, &e))
+    }
+}
+
+#[pymethods]
+impl Archive {
+    #[new]
+    fn open(py: Python<'_>, path: PathBuf, when: When) -> PyResult<Self> {
+        let choice = choice(py, when)?;
+        let archive =
+            py.detach(|| isospan::Archive::open_at(&path, choice)).map_err(|e| exception(py, &e))?;
+        Ok(Self { path, here: Arc::new(archive), other: Mutex::new(None) })
+    }
+
+    fn info<'py>(&self, py: Python<'py>, when: When) -> PyResult<Bound<'py, PyAny>> {
+        let archive = self.at(py, when)?;
+        let report = py.detach(|| archive.info()).map_err(|e| exception(py, &e))?;
+        to_python(py, &report)
+    }
+
+    #[getter]
+    fn dims(&self) -> [u64; 3] {
+        self.here.dims()
+    }
+
+    #[getter]
+    fn geometry<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.here.geometry())
+    }
+
+    fn value_range(&self, py: Python<'_>, when: When) -> PyResult<Option<[f64; 2]>> {
+        Ok(self.at(py, when)?.value_range())
+    }
+
+    fn spectrum<'py>(&self, py: Python<'py>, when: When) -> PyResult<Bound<'py, PyAny>> {
+        let archive = self.at(py, when)?;
+        let report = run(py, None, |_, _| archive.spectrum())?;
+        to_python(py, &report)
+    }
+
+    fn count(&self, py: Python<'_>, isovalue: f64, when: When) -> PyResult<u64> {
+        let archive = self.at(py, when)?;
+        Ok(run(py, None, |_, _| archive.count(isovalue))?.active_tetrahedra)
+    }
+
+    /// Surfaces in memory, one for each isovalue.
+    fn surfaces(
+        &self,
+        py: Python<'_>,
+        wanted: Wanted,
+        machine: Machine,
+        when: When,
+    ) -> PyResult<Vec<Surface>> {
+        let archive = self.at(py, when)?;
+        let settings = wanted.settings(py, &machine)?;
+        let meshes = run(py, None, |cancel, _| {
+            let settings = SurfaceSettings { cancel: cancel.clone(), ..settings };
+            archive.surfaces(&settings)
+        })?;
+        let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.source());
+        let surfaces = meshes.into_iter().zip(&wanted.isovalues);
+        Ok(surfaces.map(|(mesh, &isovalue)| Surface::new(mesh, isovalue, &comment)).collect())
+    }
+
+    /// Surfaces in files, in bounded memory.
+    #[allow(clippy::too_many_arguments)]
+    fn save_surfaces<'py>(
+        &self,
+        py: Python<'py>,
+        out: PathBuf,
+        wanted: Wanted,
+        machine: Machine,
+        when: When,
+        progress: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let archive = self.at(py, when)?;
+        let settings = wanted.settings(py, &machine)?;
+        let report = run(py, progress.as_ref(), |cancel, progress| {
+            let settings = SurfaceSettings { cancel: cancel.clone(), ..settings };
+            archive.write_surface(&settings, &out, SurfaceFormat::from_path(&out)?, progress)
+        })?;
+        to_python(py, &report)
+    }
+
+    /// Surfaces of many steps in files.
+    fn save_series<'py>(
+        &self,
+        py: Python<'py>,
+        out: PathBuf,
+        wanted: Wanted,
+        machine: Machine,
+        steps: Option<String>,
+        progress: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let settings = wanted.settings(py, &machine)?;
+        let steps: StepRange = parsed(py, steps.as_ref())?.unwrap_or_default();
+        let report = run(py, progress.as_ref(), |cancel, progress| {
+            let settings = SurfaceSettings { cancel: cancel.clone(), ..settings };
+            let format = SurfaceFormat::from_path(&out)?;
+            pipeline::extract_series(&self.path, steps, &settings, &out, format, progress)
+        })?;
+        to_python(py, &report)
+    }
+
+    /// Values at points: three doubles each.
+    fn probe(&self, py: Python<'_>, points: &[u8], machine: Machine, when: When) -> PyResult<Numbers> {
+        let archive = self.at(py, when)?;
+        if !points.len().is_multiple_of(24) {
+            return Err(usage(py, "a point is three numbers of 8 bytes"));
+        }
+        let settings = machine.probe(py)?;
+        let points: Vec<[f64; 3]> = bytemuck::pod_collect_to_vec(points);
+        let values = run(py, None, |cancel, _| {
+            archive.probe_with(&points, &ProbeSettings { cancel: cancel.clone(), ..settings })
+        })?;
+        Ok(Numbers::new(values))
+    }
+
+    /// The field on a grid, x fastest.
+    fn sample(&self, py: Python<'_>, dims: [u64; 3], machine: Machine, when: When) -> PyResult<Numbers> {
+        let archive = self.at(py, when)?;
+        let settings = machine.probe(py)?;
+        let values = run(py, None, |cancel, _| {
+            archive.sample_with(dims, &ProbeSettings { cancel: cancel.clone(), ..settings })
+        })?;
+        Ok(Numbers::new(values))
+    }
+
+    /// The field on a grid in a file.
+    #[allow(clippy::too_many_arguments)]
+    fn save_samples<'py>(
+        &self,
+        py: Python<'py>,
+        out: PathBuf,
+        dims: [u64; 3],
+        machine: Machine,
+        when: When,
+        progress: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let archive = self.at(py, when)?;
+        let settings = machine.probe(py)?;
+        let report = run(py, progress.as_ref(), |cancel, progress| {
+            let settings = ProbeSettings { cancel: cancel.clone(), ..settings };
+            archive.write_samples(dims, &settings, &out, SampleFormat::from_path(&out)?, progress)
+        })?;
+        to_python(py, &report)
+    }
+
+    /// Tetrahedra in a VTU file.
+    #[allow(clippy::too_many_arguments)]
+    fn save_tetrahedra<'py>(
+        &self,
+        py: Python<'py>,
+        out: PathBuf,
+        part: Part,
+        machine: Machine,
+        when: When,
+        progress: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let archive = self.at(py, when)?;
+        let settings = ExportSettings {
+            range: part.range,
+            corners: if part.any_corner { Corners::Any } else { Corners::All },
+            roi: parsed(py, part.roi.as_ref())?,
+            every: part.every,
+            compress: part.compress,
+            threads: machine.threads,
+            memory: machine.memory(py)?,
+            scratch: machine.scratch.clone(),
+            cancel: CancelToken::new(),
+        };
+        let report = run(py, progress.as_ref(), |cancel, progress| {
+            archive.write_tetrahedra(&ExportSettings { cancel: cancel.clone(), ..settings }, &out, progress)
+        })?;
+        to_python(py, &report)
+    }
+
+    /// The field against every sample of a file.
+    #[allow(clippy::too_many_arguments)]
+    fn measure<'py>(
+        &self,
+        py: Python<'py>,
+        against: PathBuf,
+        field: Option<String>,
+        step: Option<u64>,
+        map: Option<PathBuf>,
+        machine: Machine,
+        progress: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let settings = MeasureSettings {
+            threads: machine.threads,
+            memory: machine.memory(py)?,
+            scratch: machine.scratch.clone(),
+            step,
+            map,
+            cancel: CancelToken::new(),
+        };
+        let options = OpenOptions { field, ..OpenOptions::default() };
+        let report = run(py, progress.as_ref(), |cancel, progress| {
+            let settings = MeasureSettings { cancel: cancel.clone(), ..settings };
+            pipeline::measure(&self.path, &against, &options, &settings, progress)
+        })?;
+        to_python(py, &report)
+    }
+
+    /// Verifies all of it.
+    fn check(&self, py: Python<'_>) -> PyResult<()> {
+        run(py, None, |_, _| self.here.check().map(|_| ()))
+    }
+}

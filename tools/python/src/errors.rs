@@ -1,0 +1,58 @@
+//! Errors of the library as exceptions: a class for each kind, with what the error knows as attributes.
+
+use isospan::Error;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+/// The exception of an error.
+pub(crate) fn exception(py: Python<'_>, error: &Error) -> PyErr {
+    build(py, error).unwrap_or_else(|broken| broken)
+}
+
+/// An exception for arguments that make no sense.
+pub(crate) fn usage(py: Python<'_>, message: impl Into<String>) -> PyErr {
+    exception(py, &Error::usage(message))
+}
+
+fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
+    let about = PyDict::new(py);
+    let class = match error {
+        Error::Io { doing, path, source } => {
+            about.set_item("doing", doing)?;
+            about.set_item("file", path)?;
+            about.set_item("errno", source.raw_os_error())?;
+            about.set_item("reason", source.to_string())?;
+            "FileError"
+        }
+        Error::BadInput { path, at, expected, got, help } => {
+            about.set_item("file", path)?;
+            about.set_item("at", at)?;
+            about.set_item("expected", expected)?;
+            about.set_item("got", got)?;
+            about.set_item("help", help)?;
+            "BadInputError"
+        }
+        Error::Budget { what, needed, available } => {
+            about.set_item("what", what)?;
+            about.set_item("needed", needed)?;
+            about.set_item("available", available)?;
+            "BudgetError"
+        }
+        Error::Incomplete { path, missing } => {
+            about.set_item("file", path)?;
+            about.set_item("missing", missing)?;
+            "IncompleteError"
+        }
+        Error::Busy { path, writer } => {
+            about.set_item("file", path)?;
+            about.set_item("writer", writer)?;
+            "BusyError"
+        }
+        Error::Cancelled => "Cancelled",
+        Error::Usage(_) => "UsageError",
+        _ => "Error",
+    };
+    let class = py.import("isospan._errors")?.getattr(class)?;
+    let made = class.call_method("_of", (error.to_string(), error.exit_code()), Some(&about))?;
+    Ok(PyErr::from_value(made))
+}

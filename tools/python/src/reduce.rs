@@ -1,0 +1,131 @@
+//! Archives are made as the program makes them: keywords are its flags, and are parsed where it parses them.
+
+use crate::archive::Machine;
+use crate::cli::{Cli, Command};
+use crate::errors::usage;
+use crate::json::to_python;
+use crate::volume::{Volume, raised_or, steps};
+use crate::work::run;
+use clap::Parser;
+use isospan::pipeline::{self, RunSettings};
+use pyo3::prelude::*;
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+/// What arguments of the program mean; its own message where they mean nothing.
+fn parsed(py: Python<'_>, arguments: Vec<OsString>) -> PyResult<Cli> {
+    let quiet = [OsString::from("isospan"), OsString::from("--quiet")];
+    Cli::try_parse_from(quiet.into_iter().chain(arguments)).map_err(|error| {
+        let text = error.to_string();
+        let first = text.split("\n\n").next().unwrap_or_default();
+        let words: Vec<&str> = first.trim_start_matches("error: ").split_whitespace().collect();
+        usage(py, words.join(" "))
+    })
+}
+
+/// `isospan reduce`.
+#[pyfunction]
+pub(crate) fn reduce<'py>(
+    py: Python<'py>,
+    arguments: Vec<OsString>,
+    volumes: Option<Vec<Py<Volume>>>,
+    progress: Option<Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let cli = parsed(py, arguments)?;
+    let Command::Reduce(args) = &cli.command else { return Err(usage(py, "this is no reduction")) };
+    let done = run(py, progress.as_ref(), |cancel, progress| {
+        let run = args.run_settings(&cli.talk, cancel.clone());
+        let (steps, settings) = match &volumes {
+            None => args.request(&cli.talk)?,
+            Some(volumes) => {
+                let mut steps = steps(volumes, &run, progress)?;
+                args.steps.set_times(&mut steps)?;
+                (steps, args.choices.settings(false)?)
+            }
+        };
+        pipeline::reduce_series(&steps, &settings, &args.output, &run, progress)
+    });
+    to_python(py, &done.map_err(|e| raised_or(e, volumes.as_deref().unwrap_or_default()))?)
+}
+
+/// `isospan append`.
+#[pyfunction]
+pub(crate) fn append<'py>(
+    py: Python<'py>,
+    arguments: Vec<OsString>,
+    volumes: Option<Vec<Py<Volume>>>,
+    progress: Option<Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let cli = parsed(py, arguments)?;
+    let Command::Append(args) = &cli.command else { return Err(usage(py, "no steps are added")) };
+    let done = run(py, progress.as_ref(), |cancel, progress| {
+        let run = args.run_settings(&cli.talk, cancel.clone());
+        let steps = match &volumes {
+            None => args.sources(&cli.talk)?,
+            Some(volumes) => {
+                let mut steps = steps(volumes, &run, progress)?;
+                args.steps.set_times(&mut steps)?;
+                steps
+            }
+        };
+        pipeline::append(&steps, &args.settings(), &args.archive, &run, progress)
+    });
+    to_python(py, &done.map_err(|e| raised_or(e, volumes.as_deref().unwrap_or_default()))?)
+}
+
+/// `isospan plan`, of the arguments of a reduction.
+#[pyfunction]
+pub(crate) fn plan<'py>(
+    py: Python<'py>,
+    arguments: Vec<OsString>,
+    shards: u64,
+    progress: Option<Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let cli = parsed(py, arguments)?;
+    let Command::Reduce(args) = &cli.command else { return Err(usage(py, "this is no reduction")) };
+    let report = run(py, progress.as_ref(), |cancel, progress| {
+        let run = args.run_settings(&cli.talk, cancel.clone());
+        let (steps, settings) = args.request(&cli.talk)?;
+        pipeline::plan_shards(&steps, &settings, &args.output, shards, &run, progress)
+    })?;
+    to_python(py, &report)
+}
+
+/// `isospan status`.
+#[pyfunction]
+pub(crate) fn status(py: Python<'_>, archive: PathBuf) -> PyResult<Bound<'_, PyAny>> {
+    let report = run(py, None, |cancel, _| pipeline::shard_status(&archive, None, false, cancel.clone()))?;
+    to_python(py, &report)
+}
+
+/// `isospan work`.
+#[pyfunction]
+pub(crate) fn work<'py>(
+    py: Python<'py>,
+    archive: PathBuf,
+    shard: &str,
+    machine: Machine,
+) -> PyResult<Bound<'py, PyAny>> {
+    let settings = machine.run_settings(py)?;
+    let report = run(py, None, |cancel, progress| {
+        let settings = RunSettings { cancel: cancel.clone(), ..settings };
+        pipeline::work_shard(&archive, shard.parse()?, &settings, progress)
+    })?;
+    to_python(py, &report)
+}
+
+/// `isospan commit`.
+#[pyfunction]
+pub(crate) fn commit<'py>(
+    py: Python<'py>,
+    archive: PathBuf,
+    machine: Machine,
+    progress: Option<Bound<'py, PyAny>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let settings = machine.run_settings(py)?;
+    let report = run(py, progress.as_ref(), |cancel, progress| {
+        let settings = RunSettings { cancel: cancel.clone(), ..settings };
+        pipeline::commit_shards(&archive, &settings, progress)
+    })?;
+    to_python(py, &report)
+}

@@ -1,0 +1,125 @@
+//! Surfaces: the memory in which the library made them, seen by NumPy.
+
+use crate::arrays::interface;
+use crate::errors::exception;
+use isospan::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
+use isospan::surface::{Joined, SurfaceSource, TriMesh};
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict};
+use std::path::PathBuf;
+
+/// An isosurface in memory. Arrays that see it keep it alive; none of them can be written to.
+#[pyclass(frozen)]
+pub(crate) struct Surface {
+    mesh: TriMesh,
+    isovalue: f64,
+    /// What a file tells of where the surface is from.
+    comment: String,
+}
+
+/// Bytes of a position and a normal.
+const VERTEX_BYTES: usize = 24;
+
+impl Surface {
+    pub(crate) fn new(mesh: TriMesh, isovalue: f64, comment: &str) -> Self {
+        Self { mesh, isovalue, comment: comment.to_owned() }
+    }
+
+    fn meta(&self) -> SurfaceMeta {
+        let comments = vec![self.comment.clone()];
+        SurfaceMeta { isovalue: Some(self.isovalue), comments, parts: vec![] }
+    }
+}
+
+#[pymethods]
+impl Surface {
+    /// A surface whose arrays were bytes.
+    #[new]
+    fn from_bytes(
+        py: Python<'_>,
+        vertices: &[u8],
+        faces: &[u8],
+        isovalue: f64,
+        comment: &str,
+    ) -> PyResult<Self> {
+        let broken = || crate::errors::usage(py, "these are no bytes of a surface");
+        if !vertices.len().is_multiple_of(VERTEX_BYTES) || !faces.len().is_multiple_of(12) {
+            return Err(broken());
+        }
+        let mesh = TriMesh {
+            vertices: bytemuck::pod_collect_to_vec(vertices),
+            triangles: bytemuck::pod_collect_to_vec(faces),
+        };
+        let count = mesh.vertices.len() as u64;
+        if mesh.triangles.iter().flatten().any(|&v| u64::from(v) >= count) {
+            return Err(broken());
+        }
+        Ok(Self::new(mesh, isovalue, comment))
+    }
+
+    #[getter]
+    fn isovalue(&self) -> f64 {
+        self.isovalue
+    }
+
+    #[getter]
+    fn comment(&self) -> &str {
+        &self.comment
+    }
+
+    #[getter]
+    fn vertex_count(&self) -> usize {
+        self.mesh.vertices.len()
+    }
+
+    #[getter]
+    fn face_count(&self) -> usize {
+        self.mesh.triangles.len()
+    }
+
+    /// The array interface of the vertices: rows of a position and a normal.
+    fn vertices<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        interface(py, "<f4", &[self.mesh.vertices.len(), 6], self.mesh.vertices.as_ptr().addr(), true)
+    }
+
+    /// The array interface of the faces.
+    fn faces<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        interface(py, "<u4", &[self.mesh.triangles.len(), 3], self.mesh.triangles.as_ptr().addr(), true)
+    }
+
+    /// Both arrays as bytes.
+    fn to_bytes<'py>(&self, py: Python<'py>) -> (Bound<'py, PyBytes>, Bound<'py, PyBytes>) {
+        let vertices = bytemuck::cast_slice(&self.mesh.vertices);
+        (PyBytes::new(py, vertices), PyBytes::new(py, bytemuck::cast_slice(&self.mesh.triangles)))
+    }
+
+    /// Writes a file; returns its bytes.
+    fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<u64> {
+        let write = || write_surface(&self.mesh, &path, SurfaceFormat::from_path(&path)?, &self.meta());
+        py.detach(write).map_err(|e| exception(py, &e))
+    }
+
+    /// Writes several surfaces to one file, as the program does; returns its bytes.
+    #[staticmethod]
+    fn save_all(py: Python<'_>, surfaces: Vec<Bound<'_, Surface>>, path: PathBuf) -> PyResult<u64> {
+        let surfaces: Vec<&Surface> = surfaces.iter().map(Bound::get).collect();
+        if let [one] = surfaces[..] {
+            return one.save(py, path);
+        }
+        let Some(first) = surfaces.first() else {
+            return Err(crate::errors::usage(py, "there is no surface to write"));
+        };
+        let part = |s: &&Surface| SurfacePart {
+            isovalue: s.isovalue,
+            vertices: s.mesh.vertex_count(),
+            triangles: s.mesh.triangle_count(),
+        };
+        let parts = surfaces.iter().map(part).collect();
+        let meta = SurfaceMeta { isovalue: None, parts, ..first.meta() };
+        let write = || {
+            let joined = Joined::new(surfaces.iter().map(|s| &s.mesh as &dyn SurfaceSource).collect());
+            write_surface(&joined, &path, SurfaceFormat::from_path(&path)?, &meta)
+        };
+        py.detach(write).map_err(|e| exception(py, &e))
+    }
+}
