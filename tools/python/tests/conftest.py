@@ -1,0 +1,67 @@
+"""What the tests share: the program, data sets, archives that it has made."""
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import isospan
+
+ROOT = Path(__file__).resolve().parents[3]
+TOOTH = ROOT / "datasets/tooth/tooth.nhdr"
+
+
+@pytest.fixture(scope="session")
+def program():
+    """Runs the program that cargo has built; gives what it prints."""
+    path = os.environ["ISOSPAN_PROGRAM"]
+
+    def run(*arguments, code=0):
+        done = subprocess.run([path, "-q", *map(str, arguments)], capture_output=True, text=True)
+        assert done.returncode == code, done.stderr
+        return json.loads(done.stdout) if "--json" in arguments else done.stdout + done.stderr
+
+    return run
+
+
+def field(shape=(18, 24, 20), time=0.0):
+    """A smooth field, indexed [z, y, x]."""
+    z, y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij")
+    return (np.sin(3 * x + time) + y * y - 0.5 * z + 0.1 * np.cos(9 * y * z)).astype(np.float32)
+
+
+def same_files(a, b, but=("manifest.json",)):
+    """Whether two archives have the same files with the same bytes, but for those that tell the
+    source."""
+    names = [sorted(p.relative_to(f) for p in Path(f).rglob("*") if p.is_file()) for f in (a, b)]
+    assert names[0] == names[1] and names[0]
+    return all(
+        Path(a, n).read_bytes() == Path(b, n).read_bytes() for n in names[0] if n.name not in but
+    )
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("archives")
+
+
+@pytest.fixture(scope="session")
+def tooth(folder, program):
+    """An archive of the tooth, made by the program."""
+    path = folder / "tooth.isospan"
+    program("reduce", TOOTH, "-o", path, "--fraction", "1/64")
+    return isospan.open(path)
+
+
+@pytest.fixture(scope="session")
+def series(folder, program):
+    """An archive of three steps."""
+    for n in range(3):
+        np.save(folder / f"step_{n}.npy", field(time=n / 4))
+    path = folder / "series.isospan"
+    steps = [folder / f"step_{n}.npy" for n in range(3)]
+    program("reduce", *steps, "-o", path, "--fraction", "1/2", "--times", "0,0.5,2")
+    return isospan.open(path)

@@ -1,0 +1,145 @@
+"""The places of archives in PyVista, ParaView (with VTK alone), napari (without Qt) and Dask."""
+
+import numpy as np
+import pytest
+import pyvista
+from conftest import TOOTH, field, same_files
+
+import isospan
+
+ISOVALUE = 1000.5
+
+
+def test_pyvista_reads_archives(tooth, series):
+    import isospan._pyvista as reader
+
+    # The entry point of the installed package does this.
+    pyvista.register_reader(".isospan", reader.read, override=True)
+    mesh = pyvista.read(tooth.path, isovalue=ISOVALUE)
+    assert (
+        mesh.n_cells == len(tooth.surface(ISOVALUE)) and mesh.field_data["isovalue"][0] == ISOVALUE
+    )
+    assert pyvista.read(tooth.path).field_data["isovalue"][0] == tooth.spectrum().suggestions[0]
+    both = pyvista.read(tooth.path, isovalue=[400, ISOVALUE])
+    assert both.keys() == ["400", "1000.5"] and both["1000.5"].n_cells == mesh.n_cells
+    step = pyvista.read(series.path, isovalue=0.25, step=2)
+    assert step.n_points == len(series.surface(0.25, step=2).vertices)
+    grid = pyvista.read(series.path, tetrahedra=True)
+    assert isinstance(grid, pyvista.UnstructuredGrid) and grid.n_cells == series.info["tetrahedra"]
+
+
+def test_the_entry_points():
+    import tomllib
+    from conftest import ROOT
+
+    project = tomllib.loads((ROOT / "tools/python/pyproject.toml").read_text())["project"]
+    points = [*project["scripts"].values(), *project["entry-points"]["pyvista.readers"].values()]
+    for point in points:
+        module, _, name = point.partition(":")
+        assert callable(getattr(__import__(module, fromlist=[name]), name))
+
+
+def test_paraview_with_vtk_alone(series, tooth):
+    from isospan import paraview
+    from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline as Pipeline
+
+    reader = paraview.IsospanReader()
+    reader.SetFileName(f"{series.path}/manifest.json")
+    reader.AddIsovalue(0.25)
+    reader.AddIsovalue(0.5)
+    reader.UpdateInformation()
+    info = reader.GetOutputInformation(0)
+    assert list(info.Get(Pipeline.TIME_STEPS())) == [0, 0.5, 2]
+    for n, time in enumerate([0, 0.5, 2]):
+        reader.UpdateTimeStep(time)
+        surfaces = series.surface([0.25, 0.5], step=n)
+        found = pyvista.wrap(reader.GetOutputDataObject(0))
+        np.testing.assert_array_equal(found.points, np.concatenate([s.vertices for s in surfaces]))
+        assert found.n_cells == sum(map(len, surfaces))
+        assert set(found.point_data["isovalue"]) == {0.25, 0.5}
+        np.testing.assert_array_equal(
+            found.point_data["Normals"][: len(surfaces[0].vertices)], surfaces[0].normals
+        )
+    assert reader.GetOutputDataObject(1).GetNumberOfCells() == 0
+    reader.SetTetrahedra(1)
+    reader.Update()
+    assert reader.GetOutputDataObject(1).GetNumberOfCells() == series.info["tetrahedra"]
+    reader.ClearIsovalues()
+    reader.SetFileName(tooth.path)
+    reader.SetTetrahedra(0)
+    reader.SetRegion(10, 50, 10, 50, 10, 50)
+    reader.SetCutAtRegion(1)
+    reader.Update()
+    cut = tooth.surface(tooth.spectrum().suggestions[0], bounds=(10, 50, 10, 50, 10, 50))
+    assert reader.GetOutputDataObject(0).GetNumberOfPoints() == len(cut.vertices)
+
+
+def test_napari_without_qt(tooth, tmp_path):
+    from isospan import _napari
+
+    assert _napari.get_reader(str(tmp_path)) is None and _napari.get_reader([]) is None
+    [[data, about, kind]] = _napari.get_reader(tooth.path)(tooth.path)
+    assert kind == "surface" and about["name"] == "tooth"
+    surface = tooth.surface(about["metadata"]["isospan"]["isovalue"])
+    np.testing.assert_array_equal(data[0], surface.vertices[:, ::-1])
+    # Axes and corners are both turned round: what was seen from outside still is.
+    volumes = []
+    for vertices, faces in ((surface.vertices, surface.faces), data):
+        a, b, c = (vertices[faces[:, k]].astype(float) - vertices.mean(0) for k in range(3))
+        volumes.append(np.einsum("ij,ij->i", a, np.cross(b, c)).sum())
+    np.testing.assert_allclose(volumes[0], volumes[1], rtol=1e-3)
+    ends = tooth.range
+    for place in (0, 1, 500, 1000):
+        assert _napari.place_of(_napari.isovalue_at(place, ends), ends) == place
+    points = _napari.curve(tooth.spectrum(), ends, 200, 80)
+    assert points[:, 0].min() >= 0 and points[:, 0].max() <= 199 and points[:, 1].min() == 0
+    vertices, faces = _napari.layer_data(tooth.surface(1e6))
+    assert len(vertices) == 3 and len(faces) == 1
+
+
+def test_the_manifest_of_napari():
+    from pathlib import Path
+
+    import yaml
+    from isospan import _napari
+
+    manifest = yaml.safe_load(Path(_napari.__file__).with_name("napari.yaml").read_text())
+    commands = {c["id"]: c["python_name"] for c in manifest["contributions"]["commands"]}
+    used = [
+        r["command"]
+        for r in manifest["contributions"]["readers"] + manifest["contributions"]["widgets"]
+    ]
+    assert sorted(used) == sorted(commands)
+    assert commands["isospan.get_reader"] == "isospan._napari:get_reader" and callable(
+        _napari.get_reader
+    )
+
+
+def test_dask_makes_the_bytes_of_reduce(tmp_path):
+    from distributed import Client, LocalCluster
+
+    import isospan.dask
+
+    here = isospan.reduce(TOOTH, tmp_path / "here.isospan", fraction="1/64", chunk_points=1000)
+    heard = []
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        with Client(cluster) as client:
+            there = isospan.dask.reduce(
+                TOOTH,
+                tmp_path / "there.isospan",
+                shards=5,
+                memory="256MiB",
+                fraction="1/64",
+                chunk_points=1000,
+                progress=lambda *told: heard.append(told),
+            )
+            # An archive goes to workers by its path.
+            counts = client.map(lambda a, v: a.count(v), [there] * 2, [400, 1000.5])
+            assert client.gather(counts) == [here.count(400), here.count(1000.5)]
+    assert same_files(here.path, there.path, but=())
+    shards = [told for told in heard if told[0] == "shards"]
+    assert shards[0][1] == 0 and shards[-1][1] == shards[-1][2] > 1
+    with pytest.raises(isospan.UsageError, match="file"):
+        isospan.dask.reduce(field(), tmp_path / "x.isospan")
