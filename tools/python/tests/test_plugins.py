@@ -40,10 +40,10 @@ def test_the_entry_points():
 
 
 def test_paraview_with_vtk_alone(series, tooth):
-    from isospan import paraview
+    from isospan import paraview_plugin
     from vtkmodules.vtkCommonExecutionModel import vtkStreamingDemandDrivenPipeline as Pipeline
 
-    reader = paraview.IsospanReader()
+    reader = paraview_plugin.IsospanReader()
     reader.SetFileName(f"{series.path}/manifest.json")
     reader.AddIsovalue(0.25)
     reader.AddIsovalue(0.5)
