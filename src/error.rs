@@ -94,6 +94,15 @@ impl Error {
         Self::Usage(message.into())
     }
 
+    /// The same error, which names the step of a series; only [`Error::BadInput`] does.
+    #[must_use]
+    pub(crate) fn at_step(mut self, number: u64) -> Self {
+        if let Self::BadInput { at, .. } = &mut self {
+            *at = format!("step {number}, {at}");
+        }
+        self
+    }
+
     /// Adds what the user can do; only [`Error::BadInput`] carries it.
     #[must_use]
     pub fn with_help(mut self, advice: impl Into<String>) -> Self {

@@ -71,6 +71,24 @@ impl IndexBox {
         (self.lo[2]..self.hi[2]).step_by(step as usize).map(part)
     }
 
+    /// Windows of at most `most` samples each, which tile the box, along z first.
+    pub(crate) fn windows(self, most: u64) -> impl Iterator<Item = Self> {
+        let d = self.dims();
+        let x = d[0].min(most);
+        let y = d[1].min(most / x).max(1);
+        let z = d[2].min(most / x / y).max(1);
+        let size = [x, y, z];
+        let starts = move |a: usize| (self.lo[a]..self.hi[a]).step_by(size[a] as usize);
+        starts(2).flat_map(move |z| {
+            starts(1).flat_map(move |y| {
+                starts(0).map(move |x| {
+                    let lo = [x, y, z];
+                    Self { lo, hi: std::array::from_fn(|a| (lo[a] + size[a]).min(self.hi[a])) }
+                })
+            })
+        })
+    }
+
     /// The common part of two boxes.
     #[must_use]
     pub fn intersect(&self, other: &Self) -> Self {
@@ -503,6 +521,19 @@ mod tests {
             }
         }
         assert!(seen.iter().all(|&s| s == 1), "chunks tile the {d:?} bricks");
+    }
+
+    #[test]
+    fn windows_tile_a_box() {
+        const MOST: u64 = 1 << 20;
+        for hi in [[10, 20, 30], [5_000_000, 3, 2], [3000, 3000, 3], [1, 1, 1 << 23]] {
+            let whole = IndexBox { lo: [1, 0, 0], hi };
+            let whole = IndexBox { hi: [whole.hi[0].max(2), whole.hi[1], whole.hi[2]], ..whole };
+            let all: Vec<IndexBox> = whole.windows(MOST).collect();
+            assert!(all.iter().all(|w| w.checked_len().unwrap() <= MOST && !w.is_empty()));
+            let sum: u64 = all.iter().map(|w| w.checked_len().unwrap()).sum();
+            assert_eq!(Some(sum), whole.checked_len(), "{hi:?}");
+        }
     }
 
     #[test]

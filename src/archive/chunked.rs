@@ -6,8 +6,10 @@
 //! A writer that is killed loses no chunk that it was given: [`ChunkSegmentWriter::resume`] goes on behind the last whole one.
 
 use super::journal::{Journal, Record};
+use super::manifest::SegmentRecord;
 use super::publish::{self, Dead};
 use super::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
+use super::summary::{MeshSummary, ValueSummary};
 use super::wire::{Cursor, Malformed, put_varint};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
@@ -226,6 +228,49 @@ impl ChunkSegment {
         let chunks = self.chunks();
         assert!(chunks.contains(&chunk.0), "chunk {} is not in {chunks:?}", chunk.0);
         (chunk.0 - self.first) as usize
+    }
+
+    /// The summary of a chunk in a mesh segment: its last block.
+    ///
+    /// # Errors
+    /// As [`ChunkSegment::block`]; [`Error::BadInput`] for a summary that cannot be decoded.
+    pub(crate) fn mesh_summary(&self, chunk: ChunkId) -> Result<MeshSummary> {
+        self.from_end(chunk, 0, MeshSummary::decode)
+    }
+
+    /// The summary of a chunk in a value segment: its last block.
+    ///
+    /// # Errors
+    /// As [`ChunkSegment::mesh_summary`].
+    pub(crate) fn value_summary(&self, chunk: ChunkId) -> Result<ValueSummary> {
+        self.from_end(chunk, 0, ValueSummary::decode)
+    }
+
+    /// Decodes the block of a chunk that has `behind` blocks behind it.
+    ///
+    /// # Errors
+    /// As [`ChunkSegment::mesh_summary`]; for a chunk of fewer blocks.
+    pub(crate) fn from_end<T>(
+        &self,
+        chunk: ChunkId,
+        behind: u64,
+        decode: impl FnOnce(&[u8]) -> std::result::Result<T, Malformed>,
+    ) -> Result<T> {
+        let count = self.block_count(chunk);
+        let block = count.checked_sub(behind + 1).ok_or_else(|| {
+            let expected = format!("at least {} blocks", behind + 1);
+            Error::bad_input(self.segment.path(), format!("chunk {}", chunk.0), expected, count.to_string())
+        })?;
+        let mut bytes = vec![];
+        self.block(chunk, block, &mut bytes)?;
+        decode(&bytes).map_err(|m| self.blame(chunk, block, m))
+    }
+
+    /// What a manifest records of the segment.
+    pub(crate) fn record(&self) -> SegmentRecord {
+        let chunks = self.chunks();
+        let (first_chunk, chunks) = (chunks.start, chunks.end - chunks.start);
+        SegmentRecord { first_chunk, chunks, info: self.segment.info() }
     }
 }
 

@@ -173,6 +173,12 @@ impl Plan {
         PlanHash::of(&serde_json::to_vec(self).expect("a plan is plain data"))
     }
 
+    /// Six times the volume of all tetrahedra, in cubic lattice steps: that of the domain, or of the
+    /// mesh whose own tetrahedra they are.
+    pub(crate) fn volume6(&self) -> i128 {
+        self.own.map_or_else(|| self.lattice.volume6(), |own| own.volume6())
+    }
+
     /// The bricks.
     pub fn bricks(&self) -> BrickGrid {
         match self.lattice_cells() {

@@ -131,6 +131,11 @@ impl Lattice {
         LatticeBox { lo: [0; 3], hi: self.max().map(|m| m + 1) }
     }
 
+    /// Six times the volume of the domain, in cubic lattice steps.
+    pub(crate) fn volume6(&self) -> i128 {
+        6 * self.max().iter().map(|&m| i128::from(m)).product::<i128>()
+    }
+
     /// The lattice position of a sample.
     #[inline]
     pub fn of_voxel(&self, ijk: [u64; 3]) -> LatticePos {

@@ -29,6 +29,7 @@ mod external;
 pub(crate) mod page;
 pub mod query;
 
+use crate::archive::summary::BlockRange;
 pub use build::{BuildSettings, IndexBuilder};
 use byteorder::{ByteOrder, LE};
 pub use query::SpanIndex;
@@ -49,6 +50,15 @@ pub struct Entry {
     pub block: u32,
     /// Tetrahedra in the block.
     pub tets: u32,
+}
+
+/// The entries of a chunk, given the ranges of its blocks: one for each block that has tetrahedra
+/// with finite values.
+pub(crate) fn index_entries(chunk: u64, ranges: &[BlockRange]) -> impl Iterator<Item = Entry> {
+    let entry = move |(block, r): (usize, &BlockRange)| {
+        (r.tets > 0).then_some(Entry { min: r.min, max: r.max, chunk, block: block as u32, tets: r.tets })
+    };
+    ranges.iter().enumerate().filter_map(entry)
 }
 
 impl Entry {

@@ -7,15 +7,12 @@ use super::layout::Layout;
 use super::need;
 use super::plan::{MeshParts, Plan};
 use super::spectrum::{limits, stored_part};
-use crate::archive::Malformed;
 use crate::archive::chunked::ChunkSegment;
-use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, Plan as MeshPlan, SegmentRecord, Step};
+use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};
 use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
-use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary};
 use crate::error::{Error, Result};
-use crate::geom::Lattice;
 use crate::grid::ChunkId;
-use crate::index::{BuildSettings, Entry, IndexBuilder};
+use crate::index::{BuildSettings, IndexBuilder, index_entries};
 use crate::spectrum::{Design, Limits, SpectrumBuilder};
 use std::path::Path;
 
@@ -51,14 +48,14 @@ impl Made {
         for number in 0..layout.segment_count() {
             let file = ChunkSegment::open(layout.mesh(number), SegmentKind::Mesh, Some(hash))?;
             for chunk in layout.chunks_of(number) {
-                let mesh = mesh_summary(&file, ChunkId(chunk))?;
+                let mesh = file.mesh_summary(ChunkId(chunk))?;
                 made.counts.points += u64::from(mesh.core);
                 made.counts.tetrahedra += mesh.tets;
                 made.counts.blocks += u64::from(mesh.tet_blocks);
                 made.halo_retries += u64::from(mesh.retries);
                 volume6 += mesh.volume6 + mesh.outside6;
             }
-            made.mesh.push(record(&file));
+            made.mesh.push(file.record());
         }
         check_volume(plan, [made.counts.tetrahedra.into(), volume6], layout.root())?;
         Ok(made)
@@ -89,7 +86,7 @@ impl Made {
         for number in 0..layout.segment_count() {
             let file = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(hash))?;
             for chunk in layout.chunks_of(number) {
-                let summary = value_summary(&file, ChunkId(chunk))?;
+                let summary = file.value_summary(ChunkId(chunk))?;
                 void_points += u64::from(summary.void);
                 value_range = [value_range[0].min(summary.min), value_range[1].max(summary.max)];
                 for entry in index_entries(chunk, &summary.ranges).filter(|_| is_indexed) {
@@ -97,7 +94,7 @@ impl Made {
                     index.push(entry)?;
                 }
             }
-            values.push(record(&file));
+            values.push(file.record());
         }
         // Those that chunks were measured with: by the set's own number of points, which may be a little off.
         let limits = limits(&plan.mesh, parts.points.len());
@@ -130,64 +127,13 @@ fn sum_spectrum(layout: &Layout, hash: PlanHash, design: Design, limits: Limits)
     builder.finish(layout.spectrum(), hash)
 }
 
-pub(super) fn record(file: &ChunkSegment) -> SegmentRecord {
-    let chunks = file.chunks();
-    let (first_chunk, chunks) = (chunks.start, chunks.end - chunks.start);
-    SegmentRecord { first_chunk, chunks, info: file.segment().info() }
-}
-
-/// The entries of the index that a chunk's blocks have: one each, none for blocks of void tetrahedra alone.
-pub(super) fn index_entries(chunk: u64, ranges: &[BlockRange]) -> impl Iterator<Item = Entry> {
-    let entry = move |(block, r): (usize, &BlockRange)| {
-        (r.tets > 0).then_some(Entry { min: r.min, max: r.max, chunk, block: block as u32, tets: r.tets })
-    };
-    ranges.iter().enumerate().filter_map(entry)
-}
-
-/// The last block of a chunk in a mesh segment.
-pub(super) fn mesh_summary(segment: &ChunkSegment, chunk: ChunkId) -> Result<MeshSummary> {
-    last_blocks(segment, chunk, 0, MeshSummary::decode)
-}
-
-/// The last block of a chunk in a value segment.
-pub(super) fn value_summary(segment: &ChunkSegment, chunk: ChunkId) -> Result<ValueSummary> {
-    last_blocks(segment, chunk, 0, ValueSummary::decode)
-}
-
-/// A block of a chunk, with so many behind it.
-pub(super) fn last_blocks<T>(
-    segment: &ChunkSegment,
-    chunk: ChunkId,
-    behind: u64,
-    decode: impl FnOnce(&[u8]) -> std::result::Result<T, Malformed>,
-) -> Result<T> {
-    let count = segment.block_count(chunk);
-    let block = count.checked_sub(behind + 1).ok_or_else(|| {
-        let expected = format!("at least {} blocks", behind + 1);
-        Error::bad_input(segment.segment().path(), format!("chunk {}", chunk.0), expected, count.to_string())
-    })?;
-    let mut bytes = vec![];
-    segment.block(chunk, block, &mut bytes)?;
-    decode(&bytes).map_err(|m| segment.blame(chunk, block, m))
-}
-
 /// The owned tetrahedra of all chunks tile the box, or are all of the mesh: their volumes add up to its volume, exactly.
 fn check_volume(plan: &Plan, [tets, volume6]: [i128; 2], out: &Path) -> Result<()> {
-    let whole = whole_volume6(&plan.mesh);
+    let whole = plan.mesh.volume6();
     let all = plan.mesh.own.map_or(tets, |own| own.tetrahedra.into());
     if volume6 == whole && tets == all {
         return Ok(());
     }
     let text = format!("internal error: {tets} of {all} tetrahedra fill {volume6} of {whole} sixths");
     Err(Error::io("commit", out, std::io::Error::other(text)))
-}
-
-/// Six times the volume of all tetrahedra that chunks make, in lattice steps: of the domain, or of the mesh that they are from.
-pub(super) fn whole_volume6(plan: &MeshPlan) -> i128 {
-    plan.own.map_or_else(|| domain_volume6(&plan.lattice), |own| own.volume6())
-}
-
-/// Six times the volume of the domain, in lattice steps.
-pub(super) fn domain_volume6(lattice: &Lattice) -> i128 {
-    6 * lattice.max().iter().map(|&m| i128::from(m)).product::<i128>()
 }

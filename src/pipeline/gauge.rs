@@ -8,12 +8,9 @@
 //! the source, and the scan conversion ([`crate::raster`]) visits each sample of the domain in exactly one tetrahedron. Which
 //! samples lie in a tetrahedron, and with which weights, is found out once for all steps that are measured together.
 
-use super::commit::last_blocks;
-
 use super::grid_field::treat_missing;
 use super::measure::{Originals, world_of};
 use super::open::OpenArchive;
-use super::probe::windows;
 use super::side_errors::Room;
 use super::side_samples::WindowSamples;
 use super::sides::Sides;
@@ -189,7 +186,7 @@ impl Gauge {
             || self.groups(cells),
         );
         for (whole, tets) in groups {
-            for window in windows(whole, WINDOW) {
+            for window in whole.windows(WINDOW) {
                 originals.read(window, &mut read)?;
                 let (tets, scanner) = (&cells.tets[tets.clone()], Scanner::new(&self.grid, &window));
                 with_vectors(
@@ -282,7 +279,7 @@ pub(super) fn field_error_of(archive: &OpenArchive, sums: &ErrorSums) -> Result<
 
 /// The errors of a chunk that are stored with its values, where the plan of the step says so: behind them.
 pub(super) fn stored_errors(segment: &ChunkSegment, chunk: ChunkId) -> Result<ChunkErrors> {
-    last_blocks(segment, chunk, 2, decode_errors)
+    segment.from_end(chunk, 2, decode_errors)
 }
 
 /// The error of the archive's step, and those in the cells of each level, added up from what its chunks have stored.

@@ -13,7 +13,6 @@
 //! The regions of a row are replaced by their hull. That can only keep an edge open longer than
 //! needed.
 
-use super::commit::mesh_summary;
 use super::need;
 use super::open::OpenArchive;
 use crate::error::Result;
@@ -41,7 +40,7 @@ impl Horizon {
         let mut regions = vec![];
         for id in chunks {
             archive.close_before(id);
-            let retries = mesh_summary(&archive.segment_of(id)?.mesh, id)?.retries;
+            let retries = archive.segment_of(id)?.mesh.mesh_summary(id)?.retries;
             let chunk = archive.chunks.chunk(id);
             let region = need::region(&archive.points, &chunk.core, &domain, halo, retries);
             regions.push(([chunk.brick_lo[1], chunk.brick_lo[2]], region));

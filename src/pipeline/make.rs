@@ -12,7 +12,6 @@ use super::field::{Field, Placement, interpolated};
 use super::fitted::fitted;
 use super::gauge::Cells;
 use super::need::Halo;
-use super::series::of_step;
 use super::sides::{self, Sides};
 use super::spectrum;
 use super::work::{StageTimes, Stored, Work};
@@ -232,7 +231,7 @@ fn values_of(
 /// Notes a step whose data cannot be used.
 fn note<T>(work: &Work<'_>, n: usize, found: Result<T>) -> Result<T> {
     let step = &work.steps[n];
-    let found = found.map_err(|e| if work.several { of_step(e, step.plan.number) } else { e });
+    let found = found.map_err(|e| if work.several { e.at_step(step.plan.number) } else { e });
     if let Err(e @ (Error::BadInput { .. } | Error::Io { .. })) = &found {
         let mut bad = work.bad_steps.lock().unwrap_or_else(PoisonError::into_inner);
         bad.entry(n).or_insert_with(|| e.to_string());

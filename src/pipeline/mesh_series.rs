@@ -18,7 +18,7 @@ use super::open::OpenArchive;
 use super::own::{OwnField, OwnMesh};
 use super::plan::{Amount, Plan, ReduceSettings};
 use super::reduce_mesh::check_job;
-use super::series::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
+use super::series::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data};
 use super::shift::Shift;
 use crate::archive::explicit::ExplicitRecord;
 use crate::archive::manifest::{MeshSource, OwnRecord, Plan as MeshPlan, Source, StepPlan};
@@ -176,7 +176,7 @@ pub(super) fn offset_of(job: &Job<'_>) -> Result<f64> {
             let (memory, cancel) = (job.run.memory / 4, &job.run.cancel);
             Shift::of_mesh(&mesh, None, job.settings.missing, memory, cancel)
         });
-        match shift.map_err(|e| if job.is_several() { of_step(e, *number) } else { e }) {
+        match shift.map_err(|e| if job.is_several() { e.at_step(*number) } else { e }) {
             Err(e) if job.run.keep_going && job.is_several() && is_of_data(&e) => {
                 first_error.get_or_insert(e);
             }
@@ -190,7 +190,7 @@ pub(super) fn offset_of(job: &Job<'_>) -> Result<f64> {
 fn base_of(job: &Job<'_>, how: &StoreSettings<'_>, inputs: &mut Inputs<'_>) -> Result<(CellMesh, CellStore)> {
     let mut first_error = None;
     for (number, source) in job.sources {
-        let told = |e| if job.is_several() { of_step(e, *number) } else { e };
+        let told = |e: Error| if job.is_several() { e.at_step(*number) } else { e };
         match base_from(source, job, how, inputs).map_err(told) {
             Err(e) if job.run.keep_going && job.is_several() && is_of_data(&e) => {
                 first_error.get_or_insert(e);
@@ -541,7 +541,7 @@ fn plan_steps(
     };
     let mut first_error = None;
     for (number, source) in job.sources {
-        let told = |e| if job.is_several() { of_step(e, *number) } else { e };
+        let told = |e: Error| if job.is_several() { e.at_step(*number) } else { e };
         match planner.step(*number, source).map_err(told) {
             Ok(step) => {
                 series.plan.steps.push(step);

@@ -1,7 +1,6 @@
 //! An archive opened for reading: manifest, point set, grids; segments are opened when first needed.
 
 use super::beside::Beside;
-use super::commit::{index_entries, value_summary};
 use super::kept::Kept;
 use super::layout::Layout;
 use super::plan::{MeshParts, Plan, parts};
@@ -22,6 +21,7 @@ use crate::error::{Error, Result};
 use crate::geom::{LatticePos, PointId};
 use crate::grid::{ChunkGrid, ChunkId, Geometry};
 use crate::index::SpanIndex;
+use crate::index::index_entries;
 use crate::measure::{FieldError, LevelError};
 use crate::mesh::bcc::{BccChunk, BccMesh};
 use crate::mesh::tet::Tet;
@@ -379,7 +379,7 @@ impl OpenArchive {
     /// The index; of a small archive made of the ranges that its only chunk tells.
     pub(super) fn index(&self) -> Result<SpanIndex> {
         let Some(recorded) = &self.step().index else {
-            let summary = value_summary(&*self.only_values()?, ChunkId(0))?;
+            let summary = self.only_values()?.value_summary(ChunkId(0))?;
             return Ok(SpanIndex::of_entries(index_entries(0, &summary.ranges).collect()));
         };
         let index = SpanIndex::open(self.layout.index(), Some(self.step_hash())).map_err(|e| self.lost(e))?;

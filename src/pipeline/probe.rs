@@ -10,7 +10,6 @@
 //! The own tetrahedra of a mesh may overlap. Then the value of the first one counts. A bit a sample tells which are taken; where two chunks
 //! have one, all is done again on one thread, chunk by chunk.
 
-use super::commit::domain_volume6;
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
 use super::visit::{Blocks, Visit};
@@ -192,7 +191,7 @@ impl<'a> GridScan<'a> {
         visit.check_memory(settings.memory, share, 4 * WINDOW)?;
         let plan = &archive.manifest.plan;
         // The tetrahedra of a mesh may overlap: their volume tells nothing.
-        let has_gaps = may_overlap || visit.volume6()? != domain_volume6(&plan.lattice);
+        let has_gaps = may_overlap || visit.volume6()? != plan.lattice.volume6();
         Ok(Self { visit, grid, has_gaps, may_overlap })
     }
 
@@ -302,7 +301,7 @@ fn scan_chunk(
     let mut counted = Counted::default();
     let Some(whole) = samples_around(chunk, grid) else { return Ok(counted) };
     let mut samples = vec![];
-    for window in windows(whole, WINDOW) {
+    for window in whole.windows(WINDOW) {
         samples.clear();
         samples.resize(window.len(), f32::from_bits(UNSET));
         let scanner = Scanner::new(grid, &window);
@@ -334,24 +333,6 @@ fn samples_around(chunk: &DecodedChunk, grid: &SampleGrid) -> Option<IndexBox> {
     Some(grid.within(lo, hi)).filter(|b| !b.is_empty())
 }
 
-/// A box cut, along z first, into windows of at most `most` samples.
-pub(super) fn windows(whole: IndexBox, most: u64) -> impl Iterator<Item = IndexBox> {
-    let d = whole.dims();
-    let x = d[0].min(most);
-    let y = d[1].min(most / x).max(1);
-    let z = d[2].min(most / x / y).max(1);
-    let size = [x, y, z];
-    let starts = move |a: usize| (whole.lo[a]..whole.hi[a]).step_by(size[a] as usize);
-    starts(2).flat_map(move |z| {
-        starts(1).flat_map(move |y| {
-            starts(0).map(move |x| {
-                let lo = [x, y, z];
-                IndexBox { lo, hi: std::array::from_fn(|a| (lo[a] + size[a]).min(whole.hi[a])) }
-            })
-        })
-    })
-}
-
 /// Hands on the runs of samples that were set, row by row.
 fn write_runs(
     samples: &[f32],
@@ -374,21 +355,4 @@ fn write_runs(
         }
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn windows_tile_a_box() {
-        for hi in [[10, 20, 30], [5_000_000, 3, 2], [3000, 3000, 3], [1, 1, 1 << 23]] {
-            let whole = IndexBox { lo: [1, 0, 0], hi };
-            let whole = IndexBox { hi: [whole.hi[0].max(2), whole.hi[1], whole.hi[2]], ..whole };
-            let all: Vec<IndexBox> = windows(whole, WINDOW).collect();
-            assert!(all.iter().all(|w| w.checked_len().unwrap() <= WINDOW && !w.is_empty()));
-            let sum: u64 = all.iter().map(|w| w.checked_len().unwrap()).sum();
-            assert_eq!(Some(sum), whole.checked_len(), "{hi:?}");
-        }
-    }
 }

@@ -1,7 +1,6 @@
 //! Questions to an archive: the index names the blocks that can hold an answer; those are read, and no others.
 
 use super::block::Block;
-use super::commit::mesh_summary;
 use super::extract::{ChunkWork, Extracted, Question, Room, by_chunk, extract_surfaces};
 use super::need;
 use super::open::OpenArchive;
@@ -533,7 +532,7 @@ fn chunks_at_ends(archive: &OpenArchive) -> Result<Vec<bool>> {
         };
         archive.close_before(id);
         // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was widened.
-        Ok(reaches(0) || reaches(mesh_summary(&archive.segment_of(id)?.mesh, id)?.retries))
+        Ok(reaches(0) || reaches(archive.segment_of(id)?.mesh.mesh_summary(id)?.retries))
     };
     (0..archive.chunks.len()).map(|id| reaches_ends(ChunkId(id))).collect()
 }
@@ -567,7 +566,7 @@ fn touching(archive: &OpenArchive, cut: &Cut, work: Vec<ChunkWork>) -> Result<Ve
         let reaches =
             |retries| cut.may_touch_box(&need::region(&archive.points, &core, &domain, halo, retries));
         // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was widened.
-        Ok(reaches(0) || reaches(mesh_summary(&archive.segment_of(id)?.mesh, id)?.retries))
+        Ok(reaches(0) || reaches(archive.segment_of(id)?.mesh.mesh_summary(id)?.retries))
     };
     let keep = |w: ChunkWork| match touches(w.chunk) {
         Ok(touches) => touches.then_some(Ok(w)),

@@ -15,7 +15,6 @@
 //! all chunks made again, when the points have become so many that bricks or chunks would be too
 //! large. Whether they have does not depend on memory or threads.
 
-use super::commit::mesh_summary;
 use super::make::Product;
 use super::need::{self, Halo};
 use super::open::OpenArchive;
@@ -134,7 +133,7 @@ impl<'a> Taken<'a> {
     ) -> Result<Option<Product>> {
         let Some(id) = self.from[chunk.0 as usize] else { return Ok(None) };
         let segment = self.before.segment_of(id)?;
-        let points = u64::from(mesh_summary(&segment.mesh, id)?.core);
+        let points = u64::from(segment.mesh.mesh_summary(id)?.core);
         let mesh_blocks = if mesh { blocks(&segment.mesh, id)? } else { vec![] };
         let values = |step| blocks(&*self.before.values_of(step, id)?, id);
         let value_blocks = steps.clone().map(values).collect::<Result<_>>()?;
@@ -176,7 +175,7 @@ fn is_same(before: &OpenArchive, id: ChunkId, parts: &MeshParts, chunk: &Chunk) 
         return Ok(false);
     }
     before.close_before(id);
-    let retries = mesh_summary(&before.segment_of(id)?.mesh, id)?.retries;
+    let retries = before.segment_of(id)?.mesh.mesh_summary(id)?.retries;
     let (plan, domain) = (&before.manifest.plan, parts.chunks.bricks().lattice.domain());
     let region = need::region(&parts.points, &chunk.core, &domain, Halo::of(plan), retries);
     Ok(new.same_in(old, &region))

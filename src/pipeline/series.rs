@@ -14,7 +14,6 @@
 
 use super::beside::Beside;
 use super::chunk::Recipe;
-use super::commit::record;
 use super::field::Field;
 use super::fingerprint::Watch;
 use super::gauge::{Gauge, Samples};
@@ -199,16 +198,6 @@ impl FieldOfSeries {
     }
 }
 
-/// The error of a step of several.
-pub(super) fn of_step(error: Error, number: u64) -> Error {
-    match error {
-        Error::BadInput { path, at, expected, got, help } => {
-            Error::BadInput { path, at: format!("step {number}, {at}"), expected, got, help }
-        }
-        other => other,
-    }
-}
-
 /// Whether an error is one of a step's data, and other steps may be better.
 pub(super) fn is_of_data(error: &Error) -> bool {
     matches!(error, Error::BadInput { .. } | Error::Io { .. } | Error::Usage(_)) && error.exit_code() != 4
@@ -341,7 +330,7 @@ impl Making<'_> {
         for n in steps.clone() {
             let number = plan.steps[n].number;
             let opened = self.means.fields.open(series, n);
-            let field = opened.map_err(|e| if several { of_step(e, number) } else { e });
+            let field = opened.map_err(|e| if several { e.at_step(number) } else { e });
             fields.push(field.map_err(|error| {
                 let bad = is_of_data(&error).then(|| (n, error.to_string()));
                 Failed { bad: bad.into_iter().collect(), error: Box::new(error) }
@@ -492,7 +481,7 @@ impl Making<'_> {
     ) -> Result<Vec<SegmentRecord>> {
         let of = |n: u64| {
             if self.segments.contains(&n) {
-                return Ok(record(&ChunkSegment::open(path(n), kind, Some(hash))?));
+                return Ok(ChunkSegment::open(path(n), kind, Some(hash))?.record());
             }
             let chunks = self.layout.chunks_of(n);
             let (first_chunk, chunks) = (chunks.start, chunks.end - chunks.start);

@@ -1,6 +1,5 @@
 //! The contour spectrum of a step: chunk by chunk while chunks are made, put together when the archive is, and read back.
 
-use super::commit::last_blocks;
 use super::open::OpenArchive;
 use super::steps::{StepChoice, StepRange};
 use crate::archive::chunked::ChunkSegment;
@@ -108,7 +107,7 @@ pub(super) fn limits(mesh: &MeshPlan, points: u64) -> Limits {
 
 /// The part of a chunk that is stored: the last but one of its blocks in a value segment.
 pub(super) fn stored_part(segment: &ChunkSegment, chunk: ChunkId, limits: Limits) -> Result<ChunkPart> {
-    last_blocks(segment, chunk, 1, |bytes| ChunkPart::decode(bytes, limits))
+    segment.from_end(chunk, 1, |bytes| ChunkPart::decode(bytes, limits))
 }
 
 /// The isosurface of one isovalue, as [`crate::spectrum`] measures it. Lengths are world units.

@@ -13,7 +13,6 @@
 //! mean of the ranges, or within it, also in rounded arithmetic, as rounding keeps the order.
 
 use super::chunk::{MeshedChunk, value_blocks};
-use super::commit::{index_entries, mesh_summary, value_summary};
 use super::need::Halo;
 use super::open::OpenArchive;
 use super::reader::{ChunkReader, ReaderMemory, damaged};
@@ -22,6 +21,7 @@ use crate::archive::summary::{BlockRange, ValueRange, decode_value_ranges};
 use crate::archive::values::{KnownOfBlock, ValueBlocks, decode_values, needs_before};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
+use crate::index::index_entries;
 use crate::index::{Entry, SpanIndex};
 use crate::mesh::bcc::BccChunk;
 use crate::mesh::tet::is_active;
@@ -285,7 +285,7 @@ impl OpenArchive {
         }
         let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
         let (mut tets, mut ends) = (vec![], vec![]);
-        let blocks = mesh_summary(&self.segment_of(id)?.mesh, id)?.tet_blocks;
+        let blocks = self.segment_of(id)?.mesh.mesh_summary(id)?.tet_blocks;
         for block in 0..blocks {
             reader.tets(block, &mut tets)?;
             ends.push(tets.len());
@@ -357,7 +357,7 @@ impl OpenArchive {
         for id in (0..self.chunks.len()).map(ChunkId) {
             self.close_before(id);
             let [a, b] = [self.view.step, self.view.step + 1]
-                .map(|step| value_summary(&*self.values_of(step, id)?, id).map(|s| s.ranges));
+                .map(|step| self.values_of(step, id)?.value_summary(id).map(|s| s.ranges));
             let (a, b) = (a?, b?);
             if a.len() != b.len() {
                 let what = format!("{} and {} ranges of blocks at two steps", a.len(), b.len());

@@ -9,7 +9,6 @@
 //! The file appears when it is complete, and names the segments that it was made of. `unpacked`
 //! uses it.
 
-use super::commit::{mesh_summary, value_summary};
 use super::line::{Last, Line};
 use super::need;
 use super::open::OpenArchive;
@@ -304,9 +303,9 @@ fn parts_of(archive: &OpenArchive, range: [f32; 2]) -> Result<Vec<Part>> {
     let part = |id: ChunkId| {
         archive.close_before(id);
         let segment = archive.segment_of(id)?;
-        let ranges = value_summary(&segment.values, id)?.ranges;
+        let ranges = segment.values.value_summary(id)?.ranges;
         let wanted_tets = ranges.iter().filter(|r| can_answer(r, range)).map(|r| u64::from(r.tets)).sum();
-        Ok(Part { summary: mesh_summary(&segment.mesh, id)?, wanted_tets })
+        Ok(Part { summary: segment.mesh.mesh_summary(id)?, wanted_tets })
     };
     let parts = (0..archive.chunks.len()).map(|id| part(ChunkId(id))).collect();
     // The chunks are read again, from the first on.
@@ -336,7 +335,7 @@ impl MadeChunk {
         world: &WorldMap,
         buffers: &mut Buffers,
     ) -> Result<Self> {
-        let ranges = value_summary(&archive.segment_of(id)?.values, id)?.ranges;
+        let ranges = archive.segment_of(id)?.values.value_summary(id)?.ranges;
         let mut reader = ChunkReader::open(archive, id, std::mem::take(&mut buffers.reader))?;
         let Buffers { block, bench, .. } = buffers;
         let (mut known, mut joiner) = (vec![], Joiner::default());

@@ -7,7 +7,6 @@
 //! * unpacked blocks, where there are any, are those that would be made now;
 //! * the error of a volume's step is that of all chunks together.
 
-use super::commit::{index_entries, mesh_summary, value_summary, whole_volume6};
 use super::gauge::stored_error;
 use super::open::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
 use super::repair::strays;
@@ -22,6 +21,7 @@ use crate::error::{Error, Result};
 use crate::exec::pool;
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkId};
+use crate::index::index_entries;
 use crate::index::{Entry, EntryDigest};
 use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
 use rayon::prelude::*;
@@ -156,7 +156,7 @@ fn check_step(archive: &OpenArchive, check: &mut ArchiveCheck) -> Result<()> {
 
 /// The tetrahedra fill the box, or have the volume of the mesh that they are from, and are as many as the manifest says.
 fn check_totals(archive: &OpenArchive, volume6: i128, check: &ArchiveCheck) -> Result<()> {
-    let (path, whole) = (archive.path(), whole_volume6(&archive.manifest.plan));
+    let (path, whole) = (archive.path(), archive.manifest.plan.volume6());
     if volume6 != whole {
         let expected = format!("a volume of {whole}/6 lattice cells");
         return Err(Error::bad_input(path, "tetrahedra", expected, volume6.to_string()));
@@ -203,7 +203,7 @@ fn check_chunk(
     id: ChunkId,
     meter: &Meter,
 ) -> Result<CheckedChunk> {
-    let (summary, values) = (mesh_summary(&segment.mesh, id)?, value_summary(&segment.values, id)?);
+    let (summary, values) = (segment.mesh.mesh_summary(id)?, segment.values.value_summary(id)?);
     let file = segment.mesh.segment().path();
     let wrong = |at: &str, expected: String, got: String| {
         Err(Error::bad_input(file, format!("chunk {}, {at}", id.0), expected, got))

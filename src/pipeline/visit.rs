@@ -6,7 +6,6 @@
 //!
 //! What [`super::extract_surface`] does for surfaces, for the questions that want whole tetrahedra.
 
-use super::commit::mesh_summary;
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
 use crate::error::{Error, Result};
@@ -90,7 +89,7 @@ impl<'a> Visit<'a> {
     fn blocks_of(&self, id: ChunkId) -> Result<Vec<u32>> {
         match &self.blocks {
             Blocks::All => {
-                let blocks = mesh_summary(&self.archive.segment_of(id)?.mesh, id)?.tet_blocks;
+                let blocks = self.archive.segment_of(id)?.mesh.mesh_summary(id)?.tet_blocks;
                 Ok(self.archive.blocks_of(id).all(blocks).collect())
             }
             Blocks::Some(entries) => {
@@ -105,7 +104,7 @@ impl<'a> Visit<'a> {
         let mut sum = 0i128;
         for &id in &self.chunks {
             self.archive.close_before(id);
-            sum = sum.saturating_add(mesh_summary(&self.archive.segment_of(id)?.mesh, id)?.volume6);
+            sum = sum.saturating_add(self.archive.segment_of(id)?.mesh.mesh_summary(id)?.volume6);
         }
         Ok(sum)
     }
@@ -205,6 +204,6 @@ fn region(archive: &OpenArchive, id: ChunkId, retries: u32) -> LatticeBox {
 
 /// A box that holds all tetrahedra of a chunk. Reads its summary.
 pub(super) fn full_region(archive: &OpenArchive, id: ChunkId) -> Result<LatticeBox> {
-    let retries = mesh_summary(&archive.segment_of(id)?.mesh, id)?.retries;
+    let retries = archive.segment_of(id)?.mesh.mesh_summary(id)?.retries;
     Ok(region(archive, id, retries))
 }

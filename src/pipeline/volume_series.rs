@@ -12,7 +12,7 @@ use super::plan::{Plan, ReduceSettings, ValueBits, count_of, parts, source_of};
 use super::reduce::{Scratch, copy_bytes, estimate_of, need_of, random_access};
 use super::rounds::{Frame, Round};
 use super::scan::{Spread, spread, stream_spread};
-use super::series::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data, of_step};
+use super::series::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data};
 use super::shift::{Reading, Shift};
 use super::target::Target;
 use crate::archive::manifest::{Source, StepPlan};
@@ -154,7 +154,7 @@ pub(super) fn plan_volumes(
         run.cancel.check()?;
         let step = planner
             .step(number, source, i % every == 0)
-            .map_err(|e| if several { of_step(e, number) } else { e });
+            .map_err(|e| if several { e.at_step(number) } else { e });
         match step {
             Ok((step, source)) => {
                 steps.push(step);
