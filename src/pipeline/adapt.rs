@@ -1,48 +1,16 @@
 //! Levels for a volume, or for a series of them: one pass over the samples of each step ([`crate::density`]).
 
-use super::grid_field::treat_missing;
-use super::job::{RunSettings, threads};
+use super::bricked_copy::random_access;
 use super::need;
-use super::plan::ReduceSettings;
-use super::reduce::random_access;
-use super::shift::Reading;
+use super::settings::{Adapt, RunSettings};
+use super::shift::{Reading, treat_missing};
 use crate::density::{Bend, BlockErrors, Choice, ErrorCurves};
 use crate::error::{Error, Result};
 use crate::exec::{Silent, pool};
 use crate::geom::Lattice;
 use crate::grid::{BrickGrid, BrickId};
-use crate::points::SetKind;
 use crate::volume::{VolumeReader, VolumeSource};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
-
-/// What decides where points are dense.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Adapt {
-    /// The values that somebody will look at: what happens above and below does not count.
-    pub focus: Option<[f64; 2]>,
-}
-
-impl Adapt {
-    /// # Errors
-    /// [`Error::Usage`] for a range that is none, and for a point set that cannot be denser in some places.
-    pub(super) fn check(&self, settings: &ReduceSettings) -> Result<()> {
-        if let Some([lo, hi]) = self.focus
-            && !(lo < hi && lo.is_finite() && hi.is_finite())
-        {
-            return Err(Error::usage(format!(
-                "the focus {lo}:{hi} is no range: write two numbers, the smaller one first"
-            )));
-        }
-        let points = settings.set_of(false);
-        if points != SetKind::Halton {
-            return Err(Error::usage(format!(
-                "only a halton set can be denser in some places; --adapt does not go with --points {points}"
-            )));
-        }
-        Ok(())
-    }
-}
 
 /// Blocks that are read and measured before their errors are added, in order.
 const BLOCKS_AT_ONCE: u64 = 64;
@@ -83,7 +51,7 @@ impl<'a> Errors<'a> {
         let (reader, _copy) = random_access(source, self.run, &Silent)?;
         let reader = reading.reader(reader);
         let blocks = BlockErrors::blocks(self.curves.cells());
-        let pool = pool(threads(self.run))?;
+        let pool = pool(self.run.worker_threads())?;
         for first in (0..blocks.len()).step_by(BLOCKS_AT_ONCE as usize) {
             self.run.cancel.check()?;
             let run = first..(first + BLOCKS_AT_ONCE).min(blocks.len());
@@ -129,18 +97,19 @@ impl<'a> Errors<'a> {
 
     /// The number of points with which the error is about this.
     pub(super) fn count_of_rms(&self, rms: f64) -> Result<u64> {
-        Ok(pool(threads(self.run))?.install(|| Choice::count_of_rms(&self.curves, rms)))
+        Ok(pool(self.run.worker_threads())?.install(|| Choice::count_of_rms(&self.curves, rms)))
     }
 
     /// Levels at which errors are about this everywhere, with at most so many points.
     pub(super) fn choice_of_bound(&self, bound: f64, most: u64) -> Result<Choice> {
-        let choice = pool(threads(self.run))?.install(|| Choice::of_bound(&self.curves, bound, most))?;
+        let choice =
+            pool(self.run.worker_threads())?.install(|| Choice::of_bound(&self.curves, bound, most))?;
         Ok(choice.stretched(&self.bend))
     }
 
     /// The levels of so many points.
     pub(super) fn choice(&self, count: u64) -> Result<Choice> {
-        let choice = pool(threads(self.run))?.install(|| Choice::of_count(&self.curves, count))?;
+        let choice = pool(self.run.worker_threads())?.install(|| Choice::of_count(&self.curves, count))?;
         Ok(choice.stretched(&self.bend))
     }
 }

@@ -10,10 +10,8 @@
 //!
 //! Of a series, the values of the first step decide.
 
-use super::adapt::Adapt;
-use super::job::{RunSettings, threads};
 use super::need;
-use super::target::Target;
+use super::settings::{Adapt, RunSettings, Target};
 use crate::density::{BlockErrors, Choice, ErrorCurves};
 use crate::domain::boundary::rounded;
 use crate::domain::store::{CellStore, StoreSettings};
@@ -64,7 +62,7 @@ impl MeshCurves {
             let what = "memory (to find where points are needed)".into();
             return Err(Error::Budget { what, needed, available: run.memory });
         }
-        let threads = threads(run);
+        let threads = run.worker_threads();
         let at_once = ((run.memory - fixed) / BLOCK_BYTES).min(BLOCKS_A_THREAD * threads as u64);
         let mut curves = ErrorCurves::of_mesh(lattice);
         let range = measure(store, how, adapt, at_once, run, &mut curves)?;
@@ -102,7 +100,7 @@ fn measure(
 ) -> Result<[f32; 2]> {
     let blocks = BlockErrors::blocks(curves.cells());
     let voxels = Voxels::new(store, blocks, how)?;
-    let pool = pool(threads(run))?;
+    let pool = pool(run.worker_threads())?;
     for first in (0..blocks.len()).step_by(at_once as usize) {
         run.cancel.check()?;
         let some = first..(first + at_once).min(blocks.len());

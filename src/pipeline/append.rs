@@ -6,13 +6,12 @@
 //! A tetrahedral mesh is laid out on disk again, from the first of the new files that tells it, for the points are located in that. The archive has hashes
 //! of its points and cells, by which others are refused, and the vertices that were one at the first step: so samples of its boundary are the same ones.
 
-use super::field::NanPolicy;
-use super::job::{Job, Part, ReduceReport, RunSettings};
+use super::job::{Job, Part, ReduceReport};
 use super::notice::look;
 use super::open::OpenArchive;
-use super::plan::{ReduceSettings, ValueBits};
 use super::reduce::{lock_for_writing, reduce_volumes};
 use super::reduce_mesh::reduce_mesh;
+use super::settings::{NanPolicy, ReduceSettings, RunSettings, ValueBits};
 use crate::archive::manifest::{MANIFEST_NAME, Step};
 use crate::error::{Error, Result};
 use crate::exec::Progress;

@@ -2,10 +2,10 @@
 //!
 //! Values can be fitted to those at the mesh's vertices ([`super::fitted`]).
 
-use super::chunk::MeshedChunk;
+use super::chunk_mesh::MeshedChunk;
 use super::field::{Field, NO_BODY, Place, Placement, Source, Spot, brick_order, by_brick, in_bricks};
 use super::fitted::FittedTo;
-use super::measure::Originals;
+use super::gauge::Originals;
 use crate::domain::boundary::{BoundarySamples, OnBoundary, Sample};
 use crate::domain::buckets::Buckets;
 use crate::domain::column::Column;

@@ -2,10 +2,10 @@
 //!
 //! Of the mesh, once: counts, and the proof that the tetrahedra fill the box. Of each step: its index and its spectrum.
 
-use super::job::{RunSettings, scratch_folder};
 use super::layout::Layout;
 use super::need;
 use super::plan::{MeshParts, Plan};
+use super::settings::RunSettings;
 use super::spectrum::{limits, stored_part};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};
@@ -81,7 +81,7 @@ impl Made {
         let mut range = value_range;
         let mut index = IndexBuilder::new(&BuildSettings {
             memory: run.memory.saturating_sub(need::BASE),
-            scratch: Some(scratch_folder(run)),
+            scratch: Some(run.scratch_folder()),
         });
         for number in 0..layout.segment_count() {
             let file = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(hash))?;

@@ -4,11 +4,11 @@
 //! what is read for a group lies together.
 
 use super::cell_field::CellField;
-use super::chunk::MeshedChunk;
+use super::chunk_mesh::MeshedChunk;
 use super::fitted::FittedTo;
+use super::gauge::Originals;
 use super::grid_field::{self, GridField};
 use super::groups::Groups;
-use super::measure::Originals;
 use super::own::OwnField;
 use crate::domain::boundary::OnBoundary;
 use crate::error::Result;
@@ -16,42 +16,6 @@ use crate::exec::CancelToken;
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, BrickId, Chunk};
 use crate::locate::Found;
-use serde::{Deserialize, Serialize};
-use std::fmt;
-
-/// What to do with samples that are NaN, infinite, or declared missing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum NanPolicy {
-    /// Refuse the volume, naming the first such sample.
-    #[default]
-    Error,
-    /// A point that such a sample contributes to is void, and a tetrahedron with a void corner is never extracted.
-    Mask,
-    /// Use this value in place of such a sample.
-    Value(f64),
-}
-
-impl NanPolicy {
-    /// What [`NanPolicy`]'s `Display` writes; `None` for other text.
-    pub fn parse(text: &str) -> Option<Self> {
-        match text {
-            "error" => Some(Self::Error),
-            "mask" => Some(Self::Mask),
-            number => number.parse::<f64>().ok().filter(|v| (*v as f32).is_finite()).map(Self::Value),
-        }
-    }
-}
-
-impl fmt::Display for NanPolicy {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Error => f.write_str("error"),
-            Self::Mask => f.write_str("mask"),
-            Self::Value(v) => write!(f, "{v}"),
-        }
-    }
-}
 
 /// Where the vertices of a chunk lie in the data: the same for all steps of a series.
 #[derive(Clone, Debug, Default)]

@@ -7,10 +7,10 @@
 //! The samples of a mesh are its vertices: each lies in one tetrahedron of the reduction, and tells its corners where that is of the same body.
 
 use super::cell_field::CellField;
-use super::chunk::MeshedChunk;
-use super::field::Placement;
+use super::chunk_mesh::MeshedChunk;
+use super::field::{Field, Placement};
 use super::grid_field::GridField;
-use super::work::StepWork;
+use crate::archive::values::Quantiser;
 use crate::domain::vertices::Vertices;
 use crate::error::Result;
 use crate::exec::{CancelToken, Room};
@@ -27,13 +27,14 @@ pub(crate) enum FittedTo<'a> {
     Vertices(&'a CellField<'a>, &'a Vertices),
 }
 
-/// The values of a chunk's vertices at the steps of `work`, fitted where that is wanted; from the
+/// The values of a chunk's vertices at some steps, fitted where that is wanted; from the
 /// interpolated ones of these and of the vertices around. Those of a step with a quantiser are
 /// rounded, to a multiple within the samples around where there is one. `note` is told of the step
 /// whose samples were read; `memory` is kept from chunk to chunk, so that its pages are not asked
 /// for again.
 pub(super) fn fitted(
-    work: &[StepWork<'_>],
+    fields: &[&dyn Field],
+    quantisers: &[Option<Quantiser>],
     mesh: &mut MeshedChunk,
     placement: &Placement,
     interpolated: Vec<Vec<f32>>,
@@ -43,8 +44,8 @@ pub(super) fn fitted(
 ) -> Result<Vec<Vec<f32>>> {
     let steps: Vec<&[f32]> = interpolated.iter().map(Vec::as_slice).collect();
     let (mut grids, mut cells) = (vec![], vec![]);
-    for step in work {
-        match step.field.fitted_to() {
+    for field in fields {
+        match field.fitted_to() {
             FittedTo::Nothing => {}
             FittedTo::Samples(field) => grids.push(field),
             FittedTo::Vertices(field, vertices) => cells.push((field, vertices)),
@@ -70,7 +71,7 @@ pub(super) fn fitted(
             add_vertices(&mut fit, &mut room, &cells, lying, placement, cancel, note)?;
         }
     }
-    let round = |step: usize, value, bounds| match &work[step].plan.quantiser {
+    let round = |step: usize, value, bounds| match &quantisers[step] {
         Some(quantiser) => quantiser.round_within(value, bounds),
         None => value,
     };

@@ -8,14 +8,17 @@
 //! the source, and the scan conversion ([`crate::raster`]) visits each sample of the domain in exactly one tetrahedron. Which
 //! samples lie in a tetrahedron, and with which weights, is found out once for all steps that are measured together.
 
-use super::grid_field::treat_missing;
-use super::measure::{Originals, world_of};
+use super::need::ERROR_WINDOW;
 use super::open::OpenArchive;
+use super::placed::world_of;
+use super::shift::treat_missing;
 use super::side_errors::Room;
 use super::side_samples::WindowSamples;
 use super::sides::Sides;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::errors::{ChunkErrors, decode_errors};
+use crate::domain::column::Column;
+use crate::domain::store::CellStore;
 use crate::error::{Error, Result};
 use crate::exec::with_vectors;
 use crate::geom::{Lattice, LatticePos};
@@ -26,6 +29,19 @@ use crate::points::Levels;
 use crate::raster::{BatchScan, SampleGrid, Scanner, corner_box, greater, lesser};
 use crate::volume::VolumeReader;
 use std::ops::Range;
+
+/// The samples that an archive was made from.
+pub(super) enum Originals<'a> {
+    Volume {
+        reader: &'a dyn VolumeReader,
+        /// A sample of this value is missing, besides those that the reader knows.
+        missing: Option<f64>,
+        /// What stands for samples that are no finite numbers.
+        stand_in: Option<f32>,
+    },
+    /// A mesh, and the values at its vertices.
+    Mesh(&'a CellStore, &'a Column<f32>),
+}
 
 /// The samples of a step's volume.
 pub(super) struct Samples<'a> {
@@ -90,26 +106,8 @@ impl Measured<'_> {
     }
 }
 
-/// Samples of a step that are read at a time: those around a block are fewer, but for coarse meshes.
-const WINDOW: u64 = 1 << 16;
 /// Blocks are taken together as long as the box around them has no more samples.
 const AROUND_BLOCKS: u64 = 1 << 15;
-
-/// Bytes that measuring a chunk at so many steps takes: samples, those of up to eight steps once more while they are put side by side, sums.
-pub(super) const fn working_bytes(steps: u64) -> u64 {
-    // As they lie side by side.
-    let lanes = match steps % 8 {
-        0 | 1 => steps,
-        2..=4 => steps / 8 * 8 + 4,
-        _ => steps / 8 * 8 + 8,
-    };
-    let more = match steps {
-        0 | 1 => 0,
-        2..8 => steps,
-        _ => 8,
-    };
-    (lanes + more) * 4 * WINDOW + steps * (116 << 10) + (256 << 10) + BatchScan::BYTES
-}
 
 /// Measures chunks of a volume.
 pub(super) struct Gauge {
@@ -186,7 +184,7 @@ impl Gauge {
             || self.groups(cells),
         );
         for (whole, tets) in groups {
-            for window in whole.windows(WINDOW) {
+            for window in whole.windows(ERROR_WINDOW) {
                 originals.read(window, &mut read)?;
                 let (tets, scanner) = (&cells.tets[tets.clone()], Scanner::new(&self.grid, &window));
                 with_vectors(

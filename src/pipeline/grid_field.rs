@@ -1,11 +1,13 @@
 //! The field of a structured volume: the points of some bricks are interpolated from the samples around them, read for that.
 
-use super::chunk::MeshedChunk;
-use super::field::{Field, NanPolicy, Placement, Source};
+use super::bricked_copy::Scratch;
+use super::chunk_mesh::MeshedChunk;
+use super::field::{Field, Placement, Source};
 use super::fitted::FittedTo;
+use super::gauge::Originals;
 use super::groups::Groups;
-use super::measure::Originals;
-use super::reduce::Scratch;
+use super::settings::NanPolicy;
+use super::shift::treat_missing;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, with_vectors};
 use crate::geom::LatticePos;
@@ -29,21 +31,6 @@ pub(crate) struct GridField {
     pub(crate) missing: Option<f64>,
     /// Slices below have been given up.
     pub(crate) released: AtomicU64,
-}
-
-/// Puts a value in the place of samples that are missing or infinite.
-pub(super) fn treat_missing(missing: Option<f64>, stand_in: f32, samples: &mut [f32]) {
-    // Where nothing is declared missing, a number that is equal to none. Written without a branch, for the compiler's vectors.
-    let missing = missing.map_or(f32::NAN, |m| m as f32);
-    with_vectors(
-        #[inline(always)]
-        // What it compares with by value: through a reference it could be one of the samples.
-        move || {
-            for v in samples {
-                *v = if v.is_finite() & (*v != missing) { *v } else { stand_in };
-            }
-        },
-    );
 }
 
 /// Whether all samples are finite. Looks at all of them, in vectors.

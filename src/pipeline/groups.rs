@@ -9,7 +9,7 @@
 //!
 //! Long rows of samples are read faster than short ones, and a halo vertex by itself would need a box of its own.
 
-use super::chunk::MeshedChunk;
+use super::chunk_mesh::MeshedChunk;
 use crate::geom::LatticePos;
 use crate::grid::BrickGrid;
 use std::ops::Range;

@@ -1,13 +1,14 @@
 //! [`Archive`]: an archive, and all questions that can be asked of it.
 
 use super::export::{ExportReport, ExportSettings, export};
-use super::open::{ArchiveSummary, OpenArchive, summarize_at};
+use super::open::OpenArchive;
 use super::placed::Place;
 use super::probe::{ProbeReport, ProbeSettings, probe_grid, sample_grid};
 use super::probe_points::{edges_at_missing, probe_table, values_at};
 use super::query::{CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, write_surfaces};
 use super::spectrum::{self, SpectrumReport};
 use super::steps::{StepChoice, StepRange};
+use super::summary::{ArchiveSummary, summarize_at};
 use super::surface_series::surfaces_of_steps;
 use super::verify::{ArchiveCheck, check_archive};
 use crate::error::Result;

@@ -1,58 +1,30 @@
 //! The parameters and the reports of a reduction: the same for volumes and meshes, for a whole
 //! archive, a shard, and further steps.
 
+use super::finding::Notice;
 use super::fingerprint::RecordedFile;
 use super::layout::Layout;
-use super::notice::Notice;
-use super::open::{OpenArchive, StepSummary};
-use super::plan::{Plan, ReduceSettings};
+use super::open::OpenArchive;
+use super::plan::Plan;
 use super::plan_file::PlanFile;
 use super::rounds::Round;
 use super::series::{Outcome, SeriesPlan, SkippedStep, are_there};
+use super::settings::{ReduceSettings, RunSettings};
 use super::shard::Shard;
+use super::summary::StepSummary;
 use super::target::TargetReport;
 use super::work::StageTimes;
 use crate::archive::coordinates::CellCount;
 use crate::archive::values::Quantiser;
 use crate::domain::store::MeshCensus;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, available_threads};
+use crate::exec::Progress;
 use crate::formats::StepSource;
 use crate::measure::FieldError;
 use serde::Serialize;
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
-
-/// What decides how a run uses the machine, and not what it makes.
-#[derive(Clone, Debug)]
-pub struct RunSettings {
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for everything that grows; see [`Estimate`](super::Estimate) for what it must be at least.
-    pub memory: u64,
-    /// Folder for the uncompressed copy of a compressed input; the system's temporary folder if not given.
-    pub scratch: Option<PathBuf>,
-    /// Whether an archive that is already there is replaced.
-    pub replace: bool,
-    /// Of a series: leave out steps that cannot be used, and report them. Changes what is made, but nothing of the other steps.
-    pub keep_going: bool,
-    /// Stops the run at the next chunk.
-    pub cancel: CancelToken,
-}
-
-impl Default for RunSettings {
-    fn default() -> Self {
-        Self {
-            threads: 0,
-            memory: crate::exec::usable_memory() / 2,
-            scratch: None,
-            replace: false,
-            keep_going: false,
-            cancel: CancelToken::new(),
-        }
-    }
-}
 
 /// What a reduction made.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -214,14 +186,6 @@ pub(super) fn added_before(archive: &OpenArchive, series: &SeriesPlan) -> Result
 pub(super) fn finished(mut report: ReduceReport, started: Instant) -> ReduceReport {
     report.seconds.push(("total".into(), started.elapsed().as_secs_f64()));
     report
-}
-
-pub(super) fn threads(run: &RunSettings) -> usize {
-    if run.threads == 0 { available_threads() } else { run.threads }
-}
-
-pub(super) fn scratch_folder(run: &RunSettings) -> PathBuf {
-    run.scratch.clone().unwrap_or_else(std::env::temp_dir)
 }
 
 pub(super) fn push_times(seconds: &mut Vec<(String, f64)>, made: &Outcome) {

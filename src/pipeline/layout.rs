@@ -104,3 +104,18 @@ impl Layout {
         manifest::spectrum_path(&self.root, self.step)
     }
 }
+
+/// Bytes of all files below a folder, but for unpacked blocks, which are no part of an archive.
+pub(crate) fn folder_bytes(folder: &Path) -> Result<u64> {
+    let mut bytes = 0;
+    for entry in fs::read_dir(folder).map_err(|e| Error::io("list", folder, e))? {
+        let entry = entry.map_err(|e| Error::io("list", folder, e))?;
+        let meta = entry.metadata().map_err(|e| Error::io("look at", entry.path(), e))?;
+        bytes += match meta.is_dir() {
+            true => folder_bytes(&entry.path())?,
+            false if manifest::unpacked_step(&entry.file_name().to_string_lossy()).is_some() => 0,
+            false => meta.len(),
+        };
+    }
+    Ok(bytes)
+}

@@ -7,7 +7,8 @@
 //! encoded against the step before, ranges measured. If an earlier pass made the mesh, it is
 //! decoded instead, and so are the values before the first step.
 
-use super::chunk::{Maker, MeshedChunk, Meshing};
+use super::chunk::{Maker, Meshing};
+use super::chunk_mesh::MeshedChunk;
 use super::field::{Field, Placement, interpolated};
 use super::fitted::fitted;
 use super::gauge::Cells;
@@ -214,7 +215,8 @@ fn values_of(
     let note = |n, read| note(work, n, read);
     let interpolated = interpolated(&fields, mesh, placement, work.cancel, note)?;
     lap.add_to(&mut times.sample);
-    let mut values = fitted(work.steps, mesh, placement, interpolated, memory, work.cancel, note)?;
+    let quantisers: Vec<_> = work.steps.iter().map(|step| step.plan.quantiser).collect();
+    let mut values = fitted(&fields, &quantisers, mesh, placement, interpolated, memory, work.cancel, note)?;
     if work.recipe.halo == Halo::Stars {
         lap.add_to(&mut times.fit);
     }

@@ -8,14 +8,14 @@
 //! record for each brick of a chunk, sorted on disk where memory does not hold them.
 
 use super::beside::Beside;
+use super::bricked_copy::random_access;
 use super::fingerprint::fingerprint;
-use super::gauge::{self, Cells, Gauge, Samples, field_error_of};
-use super::job::RunSettings;
-use super::need;
+use super::gauge::{self, Cells, Gauge, Originals, Samples, field_error_of};
+use super::need::{self, MOST_STEPS_AT_ONCE};
 use super::open::{DecodedChunk, OpenArchive};
 use super::own_errors::own_errors;
 use super::probe_points::{Find, Outside, each_value_of};
-use super::reduce::{MOST_STEPS_AT_ONCE, random_access};
+use super::settings::RunSettings;
 use super::shift::Reading;
 use super::sides::Sides;
 use super::steps::StepChoice;
@@ -107,19 +107,6 @@ pub struct MeasureReport {
 
 /// The errors of a step: of the field; and of a mesh those at the vertices in the cells of each level, where its points have levels.
 pub(super) type StepErrors = (FieldError, Vec<LevelError>);
-
-/// The samples that an archive was made from.
-pub(super) enum Originals<'a> {
-    Volume {
-        reader: &'a dyn VolumeReader,
-        /// A sample of this value is missing, besides those that the reader knows.
-        missing: Option<f64>,
-        /// What stands for samples that are no finite numbers.
-        stand_in: Option<f32>,
-    },
-    /// A mesh, and the values at its vertices.
-    Mesh(&'a CellStore, &'a Column<f32>),
-}
 
 /// Measures an archive against the input that it was made from, or any of the same size.
 ///
@@ -422,7 +409,7 @@ struct Part {
 }
 
 /// Bytes of a job, beside its chunk: samples, sums, bricks.
-const EXTRA: u64 = gauge::working_bytes(1) + (1 << 19);
+const EXTRA: u64 = need::error_bytes(1) + (1 << 19);
 
 impl AgainstSamples<'_> {
     fn measure(
@@ -482,14 +469,6 @@ impl AgainstSamples<'_> {
         })?;
         part.sums = sums.finish();
         Ok(part)
-    }
-}
-
-/// Where a place of index space is.
-pub(super) fn world_of(archive: &OpenArchive, ijk: [f64; 3]) -> Result<[f64; 3]> {
-    match archive.coordinates()? {
-        Some(map) => Ok(map.place(ijk)?.position),
-        None => Ok(archive.step().plan.source.geometry.to_world(ijk)),
     }
 }
 

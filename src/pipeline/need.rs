@@ -16,9 +16,9 @@
 //! widened beyond its room waits until it is alone and has all of them ([`super::make`]). The index is built in what memory there
 //! is; what does not fit is sorted in the scratch folder.
 
-use super::gauge;
-use super::notice::Notice;
+use super::finding::Notice;
 use super::plan::{BLOCK_TETS, MeshParts, Plan};
+use super::settings::RunSettings;
 use crate::archive::manifest::Plan as MeshPlan;
 use crate::error::{Error, Result};
 use crate::fit::window_edge;
@@ -26,6 +26,7 @@ use crate::geom::{LatticeBox, LatticePos};
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
 use crate::index::BuildSettings;
 use crate::points::PointSet;
+use crate::raster::BatchScan;
 use serde::Serialize;
 use std::path::Path;
 
@@ -79,6 +80,15 @@ const HALO_QUARTERS: u64 = 12;
 const STAR_QUARTERS: u64 = 6;
 /// And more memory: the samples of a window, each with its tetrahedron and weights.
 const PER_FIT: u64 = 8 << 20;
+
+/// Steps whose files are open, and whose values are made, at a time.
+pub(crate) const MOST_STEPS_AT_ONCE: u64 = 32;
+/// The same where there are no more points than this: to make their mesh again, or to decode it, is then a large part of the cost.
+pub(crate) const MOST_SMALL_STEPS_AT_ONCE: u64 = 64;
+const FEW_POINTS: u64 = 1 << 16;
+
+/// Samples of a step that are read at a time: those around a block are fewer, but for coarse meshes.
+pub(crate) const ERROR_WINDOW: u64 = 1 << 16;
 
 /// What a chunk needs of its surroundings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -266,9 +276,7 @@ impl Need {
                 (per_point, window.saturating_mul(4 * further.min(7)))
             }
         };
-        per_point
-            .saturating_mul(self.region_points)
-            .saturating_add(gauge::working_bytes(self.steps).max(window))
+        per_point.saturating_mul(self.region_points).saturating_add(error_bytes(self.steps).max(window))
     }
 
     fn of_workers(&self, workers: u64) -> u64 {
@@ -311,6 +319,29 @@ impl Need {
         let (beside, each) = (self.beside(), (memory - self.base - queue) / workers);
         Ok(Shares { base: self.base, workers: workers as usize, room: each - beside, queue, beside })
     }
+}
+
+/// What the chunks need beside `held` bytes, with as many steps at a time as the memory allows.
+pub(crate) fn need_of(parts: &MeshParts, held: u64, steps: usize, memory: u64, run: &RunSettings) -> Need {
+    let few = parts.points.len() <= FEW_POINTS;
+    let most = if few { MOST_SMALL_STEPS_AT_ONCE } else { MOST_STEPS_AT_ONCE };
+    Need::of(parts).holding(held).with_steps(steps as u64, most, memory, run.worker_threads())
+}
+
+/// Bytes that measuring a chunk at so many steps takes: samples, those of up to eight steps once more while they are put side by side, sums.
+pub(crate) const fn error_bytes(steps: u64) -> u64 {
+    // As they lie side by side.
+    let lanes = match steps % 8 {
+        0 | 1 => steps,
+        2..=4 => steps / 8 * 8 + 4,
+        _ => steps / 8 * 8 + 8,
+    };
+    let more = match steps {
+        0 | 1 => 0,
+        2..8 => steps,
+        _ => 8,
+    };
+    (lanes + more) * 4 * ERROR_WINDOW + steps * (116 << 10) + (256 << 10) + BatchScan::BYTES
 }
 
 /// All chunks, or as many of them, evenly spread.
@@ -503,7 +534,7 @@ mod tests {
     #[test]
     fn fewer_work_where_memory_is_short() {
         let least = NEED.least();
-        let each = (100 << 20) + gauge::working_bytes(1) + 3 * PRODUCT;
+        let each = (100 << 20) + error_bytes(1) + 3 * PRODUCT;
         assert_eq!(least, BASE + each);
         for (memory, workers) in [(least, 1), (least + each, 2), (u64::MAX / 2, 4)] {
             let shares = NEED.shares(memory, 4).unwrap();

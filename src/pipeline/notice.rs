@@ -5,11 +5,12 @@
 //! [`super::survey`]), for at most [`MOST_STEPS`] steps of a series. A source that cannot be read
 //! is skipped: the work that follows refuses it.
 
-use super::field::NanPolicy;
+use super::finding::{Finding, Notice};
 use super::job::{Job, ReduceReport};
 use super::mesh_series::keeps_own;
-use super::plan::{Amount, ReduceSettings, count_of};
+use super::plan::count_of;
 use super::scan::{Scan, scan};
+use super::settings::{Amount, NanPolicy, ReduceSettings};
 use super::survey::{Fill, Seen, Stretch, Survey, survey_mesh, survey_volume, watched};
 use crate::cells::CellMesh;
 use crate::error::{Result, bytes_text};
@@ -18,8 +19,6 @@ use crate::geom::Lattice;
 use crate::points::{PointSet, PointSpec, SetKind};
 use crate::sample::Interpolation;
 use crate::volume::{VolumeInfo, VolumeSource};
-use serde::Serialize;
-use std::fmt;
 use std::path::{Path, PathBuf};
 
 /// Steps of a series that are looked at, evenly spread; all of them share the samples that are read.
@@ -45,92 +44,7 @@ const LARGE_ERROR: f64 = 0.05;
 /// Smaller archives are not worth a word.
 const SMALL: u64 = 256 << 10;
 
-/// Something a user should know.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Notice {
-    /// The file that it is about.
-    pub path: PathBuf,
-    /// What was found.
-    #[serde(flatten)]
-    pub finding: Finding,
-    /// The same in words, with the flag that helps, on one line.
-    pub text: String,
-}
-
-/// What was found.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(tag = "kind", rename_all = "kebab-case")]
-#[non_exhaustive]
-pub enum Finding {
-    /// Many samples have exactly one value, far from all others: it may mean "no data".
-    Fill {
-        /// The value.
-        value: f64,
-        /// The part of the samples that have it, from 0 to 1.
-        share: f64,
-        /// Least and largest of the other values.
-        others: [f64; 2],
-    },
-    /// All samples (fill values apart) are equal: no isovalue has a surface.
-    Constant {
-        /// The value.
-        value: f64,
-    },
-    /// A few samples make the range a hundred times wider, or more.
-    Stretched {
-        /// How many do, of those that were looked at.
-        count: u64,
-        /// The one that is farthest from the others.
-        value: f64,
-        /// Least and largest of the other values.
-        others: [f64; 2],
-    },
-    /// The samples are names of parts, as of a segmentation: values between them mean nothing.
-    Labels {
-        /// Different values, among the samples that were looked at.
-        values: u64,
-        /// Least and largest.
-        range: [f64; 2],
-    },
-    /// More points are asked for than there are samples.
-    MorePoints {
-        /// Points asked for.
-        points: u64,
-        /// Samples of a volume; vertices of a mesh.
-        samples: u64,
-    },
-    /// The own vertices of a mesh would be the better archive.
-    OwnIsBetter {
-        /// Points asked for.
-        points: u64,
-        /// Vertices of the mesh.
-        vertices: u64,
-        /// Bytes of an archive of its own vertices, about.
-        own: u64,
-    },
-    /// The archive takes more bytes than its source.
-    LargerThanSource {
-        /// Bytes of the archive.
-        archive: u64,
-        /// Bytes of the source: its files, or its samples, whichever is less.
-        source: u64,
-        /// Whether the archive's bytes are an estimate, before it is made.
-        estimated: bool,
-    },
-}
-
-impl fmt::Display for Notice {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.text)
-    }
-}
-
 impl Notice {
-    fn new(path: &Path, finding: Finding, text: &str) -> Self {
-        let text = format!("{}: {text}", path.display());
-        Self { path: path.to_path_buf(), finding, text }
-    }
-
     fn of_fill(path: &Path, fill: &Fill, seen: Seen, nan: NanPolicy) -> Self {
         let Fill { value, share, others: [lo, hi] } = *fill;
         let (v, mask) = (number(value), if nan == NanPolicy::Error { " --nan mask" } else { "" });

@@ -6,10 +6,11 @@
 //! distance is recorded as the number of times that a halo would have to be widened, as for a
 //! meshed chunk ([`need::region`]).
 
-use super::chunk::{MeshedChunk, Recipe};
+use super::chunk::Recipe;
+use super::chunk_mesh::MeshedChunk;
 use super::field::{Field, Placement, Source};
 use super::fitted::FittedTo;
-use super::measure::Originals;
+use super::gauge::Originals;
 use super::need;
 use crate::archive::vertices::order_halo;
 use crate::domain::column::Column;

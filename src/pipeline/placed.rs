@@ -131,6 +131,14 @@ impl Place {
     }
 }
 
+/// Where a place of index space is.
+pub(super) fn world_of(archive: &OpenArchive, ijk: [f64; 3]) -> Result<[f64; 3]> {
+    match archive.coordinates()? {
+        Some(map) => Ok(map.place(ijk)?.position),
+        None => Ok(archive.step().plan.source.geometry.to_world(ijk)),
+    }
+}
+
 /// Hands a surface that was extracted with [`world_map`] to `use_it`, in the world.
 pub(super) fn in_world<T>(
     archive: &OpenArchive,

@@ -4,14 +4,14 @@
 //! mesh, the same for all fields and steps, and what decides the values of a step. Segments carry the hash of what
 //! they depend on, so a segment of another plan is never taken for one of this.
 
-use super::adapt::Adapt;
 use super::beside::Beside;
-use super::rounds::Frame;
-use super::target::Target;
+use super::fingerprint::fingerprint;
+use super::need::Halo;
+use super::settings::{Amount, ReduceSettings, ValueBits};
 use crate::archive::explicit::ExplicitRecord;
 use crate::archive::levels::LevelsRecord;
 use crate::archive::manifest::{
-    BaseStep, KEYFRAMES, LONGEST_CHAIN, OwnRecord, Plan as MeshPlan, Source, StepPlan,
+    BaseStep, FrameRecord, LONGEST_CHAIN, OwnRecord, Plan as MeshPlan, Source, StepPlan,
 };
 use crate::archive::segment::PlanHash;
 use crate::archive::values::Quantiser;
@@ -20,148 +20,18 @@ use crate::geom::curve::Order;
 use crate::geom::{Lattice, LatticeBox};
 use crate::grid::{BrickGrid, BrickId, ChunkGrid};
 use crate::mesh::bcc::BccMesh;
-use crate::pipeline::field::NanPolicy;
-use crate::pipeline::fingerprint::fingerprint;
-use crate::pipeline::need::Halo;
-use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind, SetSettings};
+use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind};
 use crate::sample::{Interpolation, Values};
 use crate::volume::VolumeInfo;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-/// How many points.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Amount {
-    /// This fraction of the samples.
-    Fraction(f64),
-    /// This number.
-    Count(u64),
-}
-
-/// Bits to which values are rounded, of the range of the source.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ValueBits {
-    /// Interpolated values on the lattice of a volume have [`ValueBits::USUAL`] bits, all others are exact.
-    ///
-    /// The bits are those of the range of 99.8 % of the samples of the first step. A few outliers that
-    /// stretch the whole range add bits, and above [`Quantiser::BITS`] values are exact.
-    #[default]
-    Usual,
-    /// Values are not rounded.
-    Exact,
-    /// So many bits, of the whole range.
-    Bits(u8),
-}
-
-impl ValueBits {
-    /// Bits of a lattice's values by default.
-    pub const USUAL: u8 = 8;
-}
-
-/// What the user chooses of a reduction.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ReduceSettings {
-    /// The point set. By default the lattice for a volume, Hammersley's for a mesh, and Halton's where points adapt.
-    pub points: Option<SetKind>,
-    /// Its parameters that do not follow from the amount.
-    pub set: SetSettings,
-    /// Number of interior points of a volume; of points with a value of a mesh, boundary included. A mesh is kept as it is by a fraction of 1, or a count
-    /// of its vertices or more: with default points, linear interpolation, and neither `adapt` nor `target`.
-    pub amount: Amount,
-    /// Whether points are dense where the field needs them; a Halton set can be.
-    #[serde(default)]
-    pub adapt: Option<Adapt>,
-    /// The error that is not to be exceeded: the amount follows from it.
-    #[serde(default)]
-    pub target: Option<Target>,
-    /// How values are interpolated between samples.
-    pub interpolation: Interpolation,
-    /// Whether values are fitted to the samples, as they are by default; not those of [`Interpolation::Nearest`].
-    pub values: Values,
-    /// What happens to samples that are no numbers.
-    pub nan: NanPolicy,
-    /// A value that means "no data", besides what the file declares.
-    pub missing: Option<f64>,
-    /// How values are rounded.
-    #[serde(default)]
-    pub value_bits: ValueBits,
-    /// Points meshed together.
-    pub chunk_points: u64,
-    /// Of a series: steps from one keyframe, which is stored without looking back, to the next; 1 makes each step one.
-    pub keyframes: u64,
-    /// Whether the field is measured at every sample of the source in the end.
-    pub measure: bool,
-}
-
-impl ReduceSettings {
-    /// A hash of all of them.
-    pub(super) fn hash(&self) -> PlanHash {
-        PlanHash::of(&serde_json::to_vec(self).expect("settings are plain data"))
-    }
-
-    /// Exact values at points of a set, with defaults for all else.
-    pub fn exact(points: SetKind) -> Self {
-        Self { points: Some(points), value_bits: ValueBits::Exact, ..Self::default() }
-    }
-
-    /// The point set, for a mesh or for a volume.
-    pub(super) fn set_of(&self, of_mesh: bool) -> SetKind {
-        self.points.unwrap_or(match (self.adapt, of_mesh) {
-            (Some(_), _) => SetKind::Halton,
-            (None, true) => SetKind::Hammersley,
-            (None, false) => SetKind::Bcc,
-        })
-    }
-
-    /// Whether the usual bits round values.
-    pub(super) fn rounds_usually(&self, of_mesh: bool) -> bool {
-        self.value_bits == ValueBits::Usual
-            && !of_mesh
-            && self.set_of(of_mesh) == SetKind::Bcc
-            && self.interpolation != Interpolation::Nearest
-    }
-
-    /// The bits to which values are rounded, before outliers add some; `None` if values are exact.
-    pub(super) fn bits(&self, of_mesh: bool) -> Option<u8> {
-        match self.value_bits {
-            ValueBits::Bits(bits) => Some(bits),
-            ValueBits::Usual if self.rounds_usually(of_mesh) => Some(ValueBits::USUAL),
-            ValueBits::Usual | ValueBits::Exact => None,
-        }
-    }
-
-    /// Default of `chunk_points`.
-    pub const CHUNK_POINTS: u64 = 250_000;
-    /// The value that means "no data", as a plan records it: NaN and infinity always do.
-    pub(super) fn finite_missing(&self) -> Option<f64> {
-        self.missing.filter(|m| m.is_finite())
-    }
-
-    /// Default of `keyframes`.
-    pub const KEYFRAMES: u64 = KEYFRAMES;
-}
-
-impl Default for ReduceSettings {
-    fn default() -> Self {
-        Self {
-            points: None,
-            set: SetSettings::default(),
-            amount: Amount::Fraction(0.125),
-            adapt: None,
-            target: None,
-            interpolation: Interpolation::Linear,
-            values: Values::Fit,
-            nan: NanPolicy::Error,
-            missing: None,
-            value_bits: ValueBits::Usual,
-            chunk_points: Self::CHUNK_POINTS,
-            keyframes: Self::KEYFRAMES,
-            measure: true,
-        }
-    }
+/// What stays of a plan, so that its chunks do.
+pub(super) struct Frame {
+    pub(super) brick_edge: [u64; 3],
+    pub(super) order_bits: u32,
+    pub(super) record: FrameRecord,
 }
 
 /// The plan of a reduction: the mesh, and what is sampled on it.

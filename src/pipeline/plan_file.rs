@@ -19,10 +19,10 @@
 
 use super::beside::Beside;
 use super::fingerprint::{Inputs, RecordedFile, Watch};
-use super::job::RunSettings;
-use super::plan::{Plan, ReduceSettings};
+use super::plan::Plan;
 use super::repair;
 use super::series::{PlannedSource, SeriesPlan, SkippedStep};
+use super::settings::{ReduceSettings, RunSettings};
 use crate::archive::manifest::{Manifest, check_sum, sealed_text};
 use crate::archive::publish::Unpublished;
 use crate::archive::segment::PlanHash;

@@ -13,7 +13,7 @@
 //! everything but the values follows by formula ([`BccChunk`]).
 
 use super::block::{Block, BlockCorners};
-use super::chunk::{MeshedChunk, value_blocks};
+use super::chunk_mesh::{MeshedChunk, value_blocks};
 use super::open::{OpenArchive, OpenSegment};
 use super::plan::check_brick;
 use super::roi::Cut;

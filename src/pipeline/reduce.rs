@@ -5,110 +5,32 @@
 
 use super::commit::Made;
 use super::gauge::stored_error;
-use super::job::{
-    Job, Part, ReduceReport, RunSettings, added_before, finished, push_times, scratch_folder, threads,
-};
-use super::layout::Layout;
+use super::job::{Job, Part, ReduceReport, added_before, finished, push_times};
+use super::layout::{Layout, folder_bytes};
 use super::measure::{MeasureSettings, reopened_errors};
-use super::need::{self, Estimate, Need, Question};
+use super::need::{Estimate, Need, Question, need_of};
 use super::notice::look;
-use super::open::{OpenArchive, StepSummary};
+use super::open::OpenArchive;
 use super::placed::write_coordinates;
-use super::plan::{MeshParts, Plan, ReduceSettings, parts};
+use super::plan::{MeshParts, Plan, parts};
 use super::plan_file::{new_archive, old_archive, work_folder};
-use super::reduce_mesh;
-use super::repair;
 use super::series::{Making, Means, Outcome, PlannedSource, SeriesPlan};
+use super::settings::{ReduceSettings, RunSettings};
 use super::steps::StepChoice;
+use super::summary::StepSummary;
 use super::target::reduce_to_target;
 use super::volume_series::{Known, VolumeFields, plan_volumes};
+use super::{reduce_mesh, repair};
 use crate::archive::lock::WriterLock;
-use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, Step, unpacked_step};
+use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, Step};
 use crate::archive::{TEMPORARY_MARK, publish};
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, Silent};
+use crate::exec::{Progress, Silent};
 use crate::formats::{Input, OpenOptions, StepSource};
-use crate::grid::IndexBox;
-use crate::volume::bricked::BrickedVolume;
-use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::path::Path;
 use std::time::Instant;
-
-/// Copies a volume into bricks at `out`, using about `memory` bytes.
-///
-/// # Errors
-/// Those of reading the volume and of writing the file; nothing is left under the name then.
-pub fn brick(
-    source: VolumeSource,
-    out: &Path,
-    memory: u64,
-    cancel: &CancelToken,
-    progress: &dyn Progress,
-) -> Result<()> {
-    brick_with(BrickedVolume::build, source, out, memory, cancel, progress)
-}
-
-/// Whether the file at `out` is the bricked copy of a volume, sample by sample.
-///
-/// # Errors
-/// Those of reading the volume; a file that holds no bricks is none.
-pub fn is_bricked(
-    source: VolumeSource,
-    out: &Path,
-    cancel: &CancelToken,
-    progress: &dyn Progress,
-) -> Result<bool> {
-    let Ok(bricks) = BrickedVolume::open(out) else { return Ok(false) };
-    progress.begin("compare", source.info().dims.iter().product(), "samples");
-    let mut before = 0;
-    let stream = Box::new(Stoppable { stream: source.into_stream(), cancel: cancel.clone() });
-    bricks.is_copy_of(stream, &mut |done| {
-        progress.advance(done - before);
-        before = done;
-    })
-}
-
-/// A function that copies a stream to a file, in so much memory, telling the samples done.
-type BuildBricks = fn(Box<dyn SlabStream>, &Path, usize, &mut dyn FnMut(u64)) -> Result<()>;
-
-fn brick_with(
-    build: BuildBricks,
-    source: VolumeSource,
-    out: &Path,
-    memory: u64,
-    cancel: &CancelToken,
-    progress: &dyn Progress,
-) -> Result<()> {
-    let dims = source.info().dims;
-    progress.begin("brick", dims.iter().product(), "samples");
-    let mut before = 0;
-    let memory = usize::try_from(memory).unwrap_or(usize::MAX);
-    let stream = Box::new(Stoppable { stream: source.into_stream(), cancel: cancel.clone() });
-    build(stream, out, memory, &mut |done| {
-        progress.advance(done - before);
-        before = done;
-    })
-}
-
-/// A stream that ends with [`Error::Cancelled`] when somebody asks to stop.
-struct Stoppable {
-    stream: Box<dyn SlabStream>,
-    cancel: CancelToken,
-}
-
-impl SlabStream for Stoppable {
-    fn info(&self) -> &VolumeInfo {
-        self.stream.info()
-    }
-
-    fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
-        self.cancel.check()?;
-        self.stream.next_slab(out)
-    }
-}
 
 /// Reduces the volume or mesh `input` to the archive `out`.
 ///
@@ -245,7 +167,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     let need = need_of(&mesh, 0, series.plan.steps.len(), job.run.memory, job.run);
     estimate_of(&series.plan, &series.sources, &need, job.out, job.run)?.check()?;
     // Small copies of inputs are made in memory where that leaves as many threads at work.
-    let (memory, workers) = (job.run.memory, threads(job.run));
+    let (memory, workers) = (job.run.memory, job.run.worker_threads());
     let rest = memory - PlannedSource::small_copies(&series.sources, need.steps()).min(memory);
     let all = need.shares(memory, workers)?;
     let copied = need.shares(rest, workers).ok().filter(|shares| shares.workers == all.workers);
@@ -282,19 +204,6 @@ pub(super) fn made_before(
         }
         Part::Shard(..) => Ok(None),
     }
-}
-
-/// Steps whose files are open, and whose values are made, at a time.
-pub(super) const MOST_STEPS_AT_ONCE: u64 = 32;
-/// The same where there are no more points than this: to make their mesh again, or to decode it, is then a large part of the cost.
-pub(super) const MOST_SMALL_STEPS_AT_ONCE: u64 = 64;
-const FEW_POINTS: u64 = 1 << 16;
-
-/// What the chunks need beside `held` bytes, with as many steps at a time as the memory allows.
-pub(super) fn need_of(parts: &MeshParts, held: u64, steps: usize, memory: u64, run: &RunSettings) -> Need {
-    let few = parts.points.len() <= FEW_POINTS;
-    let most = if few { MOST_SMALL_STEPS_AT_ONCE } else { MOST_STEPS_AT_ONCE };
-    Need::of(parts).holding(held).with_steps(steps as u64, most, memory, threads(run))
 }
 
 /// Makes the archive of a series, or the job's part of it: its segments, then the manifest. Completes the report.
@@ -529,40 +438,17 @@ pub(super) fn estimate_of(
     run: &RunSettings,
 ) -> Result<Estimate> {
     let largest = |of: fn(&PlannedSource) -> u64| sources.iter().map(of).max().unwrap_or(0);
-    let scratch = scratch_folder(run);
+    let scratch = run.scratch_folder();
     Ok(Estimate::new(&Question {
         plan,
         need,
         memory: run.memory,
-        threads: threads(run),
+        threads: run.worker_threads(),
         out,
         there: if out.is_dir() { folder_bytes(out)? } else { 0 },
         scratch: (&scratch, PlannedSource::copied_at_a_time(sources)),
         copying: largest(|s| s.copying),
     }))
-}
-
-/// Bytes of the copy that is made of a volume without random access, and memory to make it in; 0 of others.
-pub(super) fn copy_bytes(source: &VolumeSource) -> (u64, u64) {
-    match source {
-        VolumeSource::Random(_) => (0, 0),
-        VolumeSource::Stream(stream) => {
-            let info = stream.info();
-            // Bricks at the border are padded, and each has a checksum.
-            let samples = info.dims.iter().map(|&d| d as f64).product::<f64>();
-            let bytes = (samples * info.field.scalar.bytes() as f64 * 1.1) as u64 + (1 << 20);
-            (bytes, copying_bytes(&**stream) + COPY_BUFFER)
-        }
-    }
-}
-
-/// The least that slices are collected in while a stream is copied into bricks.
-const COPY_BUFFER: u64 = 8 << 20;
-
-/// Memory that copying a stream into bricks takes, beside the slices that are collected: the decoder, a checksum a brick.
-fn copying_bytes(stream: &dyn SlabStream) -> u64 {
-    let bricks = stream.info().dims.iter().map(|d| d.div_ceil(32)).fold(1, u64::saturating_mul);
-    need::BASE.saturating_add(stream.working_bytes()).saturating_add(bricks.saturating_mul(8))
 }
 
 /// Object stores and web servers are read only.
@@ -658,67 +544,4 @@ fn empty(layout: &Layout) -> Result<()> {
         _ => {}
     }
     [layout.mesh_folder(), layout.steps_folder()].iter().try_for_each(|f| publish::remove_folder(f))
-}
-
-/// A stream is copied into bricks first; the copy is removed when the second value is dropped.
-pub(super) fn random_access(
-    source: VolumeSource,
-    run: &RunSettings,
-    progress: &dyn Progress,
-) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
-    let room = match source {
-        VolumeSource::Random(reader) => return Ok((reader, None)),
-        VolumeSource::Stream(ref stream) => run.memory.saturating_sub(copying_bytes(&**stream)),
-    };
-    let folder = scratch_folder(run);
-    // What runs that were killed while they copied have left.
-    publish::sweep(&folder);
-    let scratch = Scratch::new(&folder);
-    brick_with(BrickedVolume::build_scratch, source, &scratch.0, room / 2, &run.cancel, progress)?;
-    let reader = BrickedVolume::open(&scratch.0)?;
-    // An open file without a name is gone with the process, however that ends.
-    #[cfg(unix)]
-    scratch.remove();
-    Ok((Box::new(reader), Some(scratch)))
-}
-
-/// A file that is removed in the end.
-pub(super) struct Scratch(PathBuf);
-
-impl Scratch {
-    fn new(folder: &Path) -> Self {
-        static NEXT: AtomicU64 = AtomicU64::new(0);
-        let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        Self(folder.join(format!(
-            "isospan-scratch-{}-{}-{number}.bricks",
-            publish::host(),
-            std::process::id()
-        )))
-    }
-
-    fn remove(&self) {
-        // Not there: removed before, or never made.
-        let _ = fs::remove_file(&self.0);
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        self.remove();
-    }
-}
-
-/// Bytes of all files below a folder, but for unpacked blocks, which are no part of an archive.
-pub(super) fn folder_bytes(folder: &Path) -> Result<u64> {
-    let mut bytes = 0;
-    for entry in fs::read_dir(folder).map_err(|e| Error::io("list", folder, e))? {
-        let entry = entry.map_err(|e| Error::io("list", folder, e))?;
-        let meta = entry.metadata().map_err(|e| Error::io("look at", entry.path(), e))?;
-        bytes += match meta.is_dir() {
-            true => folder_bytes(&entry.path())?,
-            false if unpacked_step(&entry.file_name().to_string_lossy()).is_some() => 0,
-            false => meta.len(),
-        };
-    }
-    Ok(bytes)
 }

@@ -7,13 +7,14 @@
 //!
 //! The amount is that of points **with a value**, the boundary's samples included. The set fills the box, so it has more.
 
-use super::field::NanPolicy;
-use super::job::{Job, ReduceReport, RunSettings, finished, scratch_folder, threads};
+use super::job::{Job, ReduceReport, finished};
+use super::layout::folder_bytes;
 use super::mesh_series::{Laid, MeshFields, Prepared, offset_of, prepare};
-use super::need::{Estimate, Need, Question, free_bytes};
-use super::plan::{MeshParts, Plan, ReduceSettings, parts};
-use super::reduce::{MOST_SMALL_STEPS_AT_ONCE, folder_bytes, made_before, need_of, produce};
+use super::need::{Estimate, MOST_SMALL_STEPS_AT_ONCE, Need, Question, free_bytes, need_of};
+use super::plan::{MeshParts, Plan, parts};
+use super::reduce::{made_before, produce};
 use super::series::{Means, SeriesPlan};
+use super::settings::{NanPolicy, ReduceSettings, RunSettings};
 use crate::cells::CellMesh;
 use crate::domain::store::{BadValue, StoreSettings};
 use crate::error::{Error, Result};
@@ -34,7 +35,7 @@ const FITTED_VERTEX: u64 = 8 + 3 * 24;
 
 /// Does a job whose input is a mesh.
 pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
-    let scratch = scratch_folder(job.run);
+    let scratch = job.run.scratch_folder();
     let reading = Instant::now();
     job.progress.begin("read the mesh", 0, "points");
     let settings = store_settings(job.settings, job.run, &scratch, offset_of(job)?);
@@ -49,7 +50,7 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     let (held, memory) = (listed.bytes(), job.run.memory);
     let need = need_of(&parts, held, plan.steps.len(), memory, job.run);
     estimate_of(plan, &need, memory, job.out, job.run, (&scratch, 0))?.check()?;
-    let shares = need.shares(memory, threads(job.run))?;
+    let shares = need.shares(memory, job.run.worker_threads())?;
     let sorting = Instant::now();
     let laid = Laid::new(listed, &store, plan, &settings)?;
     seconds.push(("sort".to_owned(), sorting.elapsed().as_secs_f64()));
@@ -68,7 +69,7 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
 
 /// As [`make_plan`](super::reduce::make_plan): the mesh is read for that.
 pub(super) fn plan_mesh(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimate)> {
-    let (settings, scratch) = (job.settings, scratch_folder(job.run));
+    let (settings, scratch) = (job.settings, job.run.scratch_folder());
     job.progress.begin("read the mesh", 0, "points");
     let Prepared { store, series, listed, .. } =
         prepare(job, &store_settings(settings, job.run, &scratch, offset_of(job)?))?;
@@ -93,7 +94,7 @@ fn estimate_of(
         plan,
         need,
         memory,
-        threads: threads(run),
+        threads: run.worker_threads(),
         out,
         there: if out.is_dir() { folder_bytes(out)? } else { 0 },
         scratch,
@@ -136,7 +137,7 @@ fn scratch_bytes([points, cells]: [u64; 2], job: &Job<'_>) -> u64 {
 /// Whether a job can be done with a mesh: its settings, and room on disk.
 pub(super) fn check_job(job: &Job<'_>, mesh: &CellMesh) -> Result<()> {
     check_settings(job.settings, &mesh.info().path)?;
-    let scratch = scratch_folder(job.run);
+    let scratch = job.run.scratch_folder();
     let needed = scratch_bytes([mesh.info().points, mesh.info().cells], job);
     match free_bytes(&scratch) {
         Some(available) if needed > available => {

@@ -6,7 +6,8 @@
 //! replaces it in the end.
 
 use super::beside::Beside;
-use super::plan::{Plan, ReduceSettings, ValueBits};
+use super::plan::Plan;
+use super::settings::{ReduceSettings, ValueBits};
 use crate::archive::manifest::{
     MANIFEST_NAME, Manifest, Step, coordinates_path, index_path, is_coordinates, mesh_folder,
     mesh_segment_path, spectrum_path, steps_folder, unpacked_path, unpacked_step, values_segment_path,

@@ -18,7 +18,7 @@
 use super::make::Product;
 use super::need::{self, Halo};
 use super::open::OpenArchive;
-use super::plan::{MeshParts, Plan};
+use super::plan::{Frame, MeshParts, Plan};
 use super::spectrum::limits;
 use super::work::StageTimes;
 use crate::archive::chunked::ChunkSegment;
@@ -41,13 +41,6 @@ pub(super) struct Round {
     pub(super) frame: Option<Frame>,
     /// That try.
     pub(super) before: OpenArchive,
-}
-
-/// What stays of a plan, so that its chunks do.
-pub(super) struct Frame {
-    pub(super) brick_edge: [u64; 3],
-    pub(super) order_bits: u32,
-    pub(super) record: FrameRecord,
 }
 
 impl Round {

@@ -18,16 +18,17 @@
 use super::beside::Beside;
 use super::fingerprint::Watch;
 use super::inspect::{Depth, SegmentState};
-use super::job::{Job, Part, ReduceReport, RunSettings, finished, threads};
+use super::job::{Job, Part, ReduceReport, finished};
 use super::layout::Layout;
 use super::need::{Estimate, Need};
 use super::notice::look;
-use super::plan::{MeshParts, Plan, ReduceSettings, parts};
+use super::plan::{MeshParts, Plan, parts};
 use super::plan_file::{Cut, PlanFile, plan_path};
 use super::reduce::{self, Publishing, grid_coordinates, numbered, prepare_folder};
-use super::repair;
 use super::series::{Outcome, SeriesPlan};
+use super::settings::{ReduceSettings, RunSettings};
 use super::status::Inventory;
+use super::{need, repair};
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
 use crate::error::{Error, Result};
 use crate::exec::Progress;
@@ -185,7 +186,7 @@ pub fn planned(out: &Path, threads: usize) -> Result<Planned> {
     let file = PlanFile::read(out)?;
     let mesh = mesh_parts(&file.root(out), &file.plan)?;
     let steps = file.plan.steps.len();
-    let need = reduce::need_of(&mesh, 0, steps, u64::MAX, &RunSettings { threads, ..RunSettings::default() });
+    let need = need::need_of(&mesh, 0, steps, u64::MAX, &RunSettings { threads, ..RunSettings::default() });
     Ok(Planned {
         shards: file.shards,
         segments: Inventory::new(&file.root(out), &file).segments(),
@@ -271,7 +272,7 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
     Inventory::new(&root, &file).expect_whole(run, progress)?;
     let verified = started.elapsed().as_secs_f64();
     let mesh = mesh_parts(&root, &file.plan)?;
-    let workers = Need::of(&mesh).shares(run.memory, threads(run))?.workers;
+    let workers = Need::of(&mesh).shares(run.memory, run.worker_threads())?.workers;
     let layout = Layout::new(&root, mesh.chunks.len(), 0);
     let samples = match &file.plan.first().source.mesh {
         Some(mesh) => mesh.vertices,

@@ -3,11 +3,11 @@
 //! The first step of an archive decides the offset; all steps have it. Sources whose type is exact in `f32` are not looked at; others are
 //! read once for it, or twice where values are lost.
 
-use super::field::NanPolicy;
+use super::settings::NanPolicy;
 use crate::archive::manifest::StepPlan;
 use crate::cells::CellMesh;
 use crate::error::{Error, Result};
-use crate::exec::CancelToken;
+use crate::exec::{CancelToken, with_vectors};
 use crate::volume::shifted::{Shifted, Surveyed, is_missing, is_whole, may_need_offset, survey};
 use crate::volume::{ScalarType, VolumeInfo, VolumeReader, VolumeSource};
 use std::path::Path;
@@ -155,4 +155,19 @@ impl Reading {
             NanPolicy::Error | NanPolicy::Mask => None,
         }
     }
+}
+
+/// Puts a value in the place of samples that are missing or infinite.
+pub(super) fn treat_missing(missing: Option<f64>, stand_in: f32, samples: &mut [f32]) {
+    // Where nothing is declared missing, a number that is equal to none. Written without a branch, for the compiler's vectors.
+    let missing = missing.map_or(f32::NAN, |m| m as f32);
+    with_vectors(
+        #[inline(always)]
+        // What it compares with by value: through a reference it could be one of the samples.
+        move || {
+            for v in samples {
+                *v = if v.is_finite() & (*v != missing) { *v } else { stand_in };
+            }
+        },
+    );
 }

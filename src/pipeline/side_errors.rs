@@ -3,12 +3,11 @@
 //! Which tetrahedron holds a sample, and with which weights, is the same at all steps. So the
 //! values of a vertex at several steps are interleaved.
 
+#[cfg(target_arch = "x86_64")]
 use super::gauge::Measured;
 use super::side_samples::{Rows, WindowSamples};
 use super::sides::{Side, Sides};
-#[cfg(target_arch = "x86_64")]
-use crate::exec::lanes::{Eight, Vector};
-use crate::exec::lanes::{Floats, Pair, Plain, four, sorted};
+use crate::exec::lanes::{Eight, Floats, Pair, Plain, Vector, four, sorted};
 use crate::exec::{Avx2, Avx512, with_avx512, with_vectors};
 use crate::grid::IndexBox;
 use crate::measure::{Compared, TOGETHER};

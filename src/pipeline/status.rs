@@ -2,10 +2,10 @@
 
 use super::beside::Beside;
 use super::inspect::{Depth, SegmentState, inspect};
-use super::job::{RunSettings, threads};
 use super::layout::Layout;
 use super::plan_file::{PlanFile, plan_path, work_folder};
 use super::reduce::is_ours;
+use super::settings::RunSettings;
 use super::shard::Shard;
 use crate::archive::manifest::{MANIFEST_NAME, mesh_folder, steps_folder};
 use crate::archive::publish::{final_name, open_own};
@@ -79,7 +79,7 @@ impl<'a> Inventory<'a> {
     /// All files that are not whole, in order of segments.
     fn all_faults(&self, depth: Depth, run: &RunSettings, progress: &dyn Progress) -> Result<Vec<Fault>> {
         progress.begin("verify", self.segments(), "segments");
-        pool(threads(run))?.install(|| {
+        pool(run.worker_threads())?.install(|| {
             let look = |segment| {
                 run.cancel.check()?;
                 let faults = self.faults(segment, depth);

@@ -12,7 +12,7 @@
 //! and the other above is active between them, and in neither), so the ranges of all blocks of both are looked at: the range of a mean is the
 //! mean of the ranges, or within it, also in rounded arithmetic, as rounding keeps the order.
 
-use super::chunk::{MeshedChunk, value_blocks};
+use super::chunk_mesh::{MeshedChunk, value_blocks};
 use super::need::Halo;
 use super::open::OpenArchive;
 use super::reader::{ChunkReader, ReaderMemory, damaged};
@@ -21,8 +21,7 @@ use crate::archive::summary::{BlockRange, ValueRange, decode_value_ranges};
 use crate::archive::values::{KnownOfBlock, ValueBlocks, decode_values, needs_before};
 use crate::error::{Error, Result};
 use crate::grid::ChunkId;
-use crate::index::index_entries;
-use crate::index::{Entry, SpanIndex};
+use crate::index::{Entry, SpanIndex, index_entries};
 use crate::mesh::bcc::BccChunk;
 use crate::mesh::tet::is_active;
 use std::ops::Range;

@@ -38,83 +38,25 @@
 
 use super::beside::Beside;
 use super::fingerprint::Inputs;
-use super::job::{Job, Part, ReduceReport, RunSettings, finished};
-use super::open::StepSummary;
-use super::plan::{Amount, Plan, ReduceSettings, ValueBits};
+use super::job::{Job, Part, ReduceReport, finished};
+use super::layout::folder_bytes;
+use super::plan::Plan;
 use super::plan_file::{old_archive, work_folder};
-use super::reduce::{folder_bytes, is_finished, make};
+use super::reduce::{is_finished, make};
 use super::repair::{exists, lacks_files};
+use super::settings::{Amount, Bound, ReduceSettings, RunSettings, Target, ValueBits};
+use super::summary::StepSummary;
 use super::target_max::reduce_to_max;
 use crate::archive::manifest::{Manifest, Step};
 use crate::archive::publish::{remove_folder, replace_folder};
 use crate::error::{Error, Result};
 use crate::formats::Input;
 use crate::points::SetKind;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::fs;
 use std::path::Path;
 
-/// An error that is not to be exceeded.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Target {
-    /// The root of the mean square of the errors at all samples.
-    Rms(Bound),
-    /// The largest absolute error at a sample, or at a vertex of a mesh.
-    Max(Bound),
-    /// Bytes of the archive.
-    Size(u64),
-    /// How many times as many bytes the source has: its files or its samples, whichever are less.
-    Ratio(f64),
-}
-
-/// How large an error may be.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Bound {
-    /// In units of the field.
-    Value(f64),
-    /// As a part of the range of the samples.
-    OfRange(f64),
-}
-
-impl Bound {
-    /// The bound in units of the field, whose samples have this range.
-    pub fn in_units(self, range: [f32; 2]) -> f64 {
-        match self {
-            Self::Value(v) => v,
-            Self::OfRange(part) => part * (f64::from(range[1]) - f64::from(range[0])),
-        }
-    }
-}
-
 impl Target {
-    /// How large the error may be, if that is what is wanted.
-    pub(super) fn bound(self) -> Option<Bound> {
-        match self {
-            Self::Rms(bound) | Self::Max(bound) => Some(bound),
-            Self::Size(_) | Self::Ratio(_) => None,
-        }
-    }
-
-    /// # Errors
-    /// [`Error::Usage`] for a bound that is no positive number, and for settings that cannot meet it.
-    fn check(self, settings: &ReduceSettings) -> Result<()> {
-        let (what, bound) = match self {
-            Self::Rms(Bound::Value(v) | Bound::OfRange(v))
-            | Self::Max(Bound::Value(v) | Bound::OfRange(v)) => ("an error", v),
-            Self::Size(bytes) => ("a size", bytes as f64),
-            Self::Ratio(ratio) => ("a ratio", ratio),
-        };
-        if !(bound > 0.0 && bound.is_finite()) {
-            return Err(Error::usage(format!("{what} of {bound} cannot be met: give a number above 0")));
-        }
-        if self.bound().is_some() && !settings.measure {
-            return Err(Error::usage("a target needs an error that is measured"));
-        }
-        Ok(())
-    }
-
     /// The bound, in units of the field or in bytes, known from the first try.
     fn limit(self, report: &ReduceReport, source: Option<u64>) -> Result<f64> {
         match self {

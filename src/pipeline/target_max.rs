@@ -19,20 +19,21 @@
 //!
 //! Memory: 4 bytes a cell beside what measuring takes. The largest of errors does not depend on their order: the same archive for any threads.
 
-use super::gauge::{self, Cells, Gauge, Samples, stored_errors};
-use super::job::{Job, Part, ReduceReport, RunSettings, finished, threads};
-use super::measure::{MOST_VERTICES, MeasureSettings, Originals, VERTEX, on_lattice, reopened_values};
+use super::bricked_copy::random_access;
+use super::gauge::{Cells, Gauge, Originals, Samples, stored_errors};
+use super::job::{Job, Part, ReduceReport, finished};
+use super::measure::{MOST_VERTICES, MeasureSettings, VERTEX, on_lattice, reopened_values};
 use super::need;
 use super::open::{DecodedChunk, OpenArchive};
-use super::plan::ReduceSettings;
 use super::plan_file::work_folder;
 use super::probe_points::{Find, Outside, each_value};
-use super::reduce::{make, random_access};
+use super::reduce::make;
 use super::rounds::Round;
+use super::settings::{ReduceSettings, RunSettings, Target};
 use super::shift::Reading;
 use super::sides::Sides;
 use super::steps::StepChoice;
-use super::target::{Target, TargetReport, error_of, full_cells, publish, rename};
+use super::target::{TargetReport, error_of, full_cells, publish, rename};
 use super::visit::{Blocks, Visit};
 use crate::archive::publish::remove_folder;
 use crate::cells::CellMesh;
@@ -139,7 +140,7 @@ impl Measuring<'_> {
 
     fn add_vertices(&self, job: &Job<'_>, mesh: &CellMesh, input: &Path) -> Result<f64> {
         let (archive, run) = (self.archive, job.run);
-        let settings = MeasureSettings::of_run(run, threads(run));
+        let settings = MeasureSettings::of_run(run, run.worker_threads());
         let mut store = None;
         let values = reopened_values(archive, mesh, input, &mut store, &settings)?;
         let store = store.expect("it was laid out for the values");
@@ -177,7 +178,7 @@ impl Measuring<'_> {
         let share = |memory: u64| memory.saturating_sub(need::BASE + 4 * self.worst.len() as u64);
         let mut visit = Visit::new(self.archive, Blocks::All, run.threads, share(run.memory), &run.cancel)?;
         visit.chunks = self.chunks_above()?;
-        let extra = gauge::working_bytes(1);
+        let extra = need::error_bytes(1);
         visit.check_memory(run.memory, share, extra)?;
         job.progress.begin("measure", visit.chunks.len() as u64, "chunks");
         let part = |_, chunk: DecodedChunk| self.add_chunk(&gauge, &samples, &chunk);

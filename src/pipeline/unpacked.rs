@@ -11,8 +11,9 @@
 
 use super::extract::{ChunkWork, ChunkWorker};
 use super::kept::unpack_known;
-use super::open::{OpenArchive, StepSummary};
+use super::open::OpenArchive;
 use super::spare::Buffers;
+use super::summary::StepSummary;
 use crate::archive::Malformed;
 use crate::archive::segment::PlanHash;
 use crate::archive::unpacked::{Unpacked, UnpackedPlace, unpacked_hash};

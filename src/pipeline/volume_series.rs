@@ -2,19 +2,20 @@
 
 use super::adapt::Errors;
 use super::beside::Beside;
+use super::bricked_copy::{Scratch, copy_bytes, random_access};
 use super::field::Field;
 use super::fingerprint::{Inputs, RecordedFile};
 use super::grid_field::GridField;
-use super::job::{RunSettings, scratch_folder};
+use super::need::need_of;
 use super::open::OpenArchive;
 use super::placed::coordinate_hash;
-use super::plan::{Plan, ReduceSettings, ValueBits, count_of, parts, source_of};
-use super::reduce::{Scratch, copy_bytes, estimate_of, need_of, random_access};
-use super::rounds::{Frame, Round};
+use super::plan::{Frame, Plan, count_of, parts, source_of};
+use super::reduce::estimate_of;
+use super::rounds::Round;
 use super::scan::{Spread, spread, stream_spread};
 use super::series::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data};
+use super::settings::{ReduceSettings, RunSettings, Target, ValueBits};
 use super::shift::{Reading, Shift};
-use super::target::Target;
 use crate::archive::manifest::{Source, StepPlan};
 use crate::archive::values::Quantiser;
 use crate::density::Choice;
@@ -485,7 +486,7 @@ impl<'a> VolumeFields<'a> {
         }
         // Before another one is made, its place on the disk is given back.
         *last = None;
-        let (path, options, folder) = (&source.path, &source.options, scratch_folder(self.run));
+        let (path, options, folder) = (&source.path, &source.options, self.run.scratch_folder());
         let frames = Arc::new(formats::unpack_frames(path, options, &folder, &self.run.cancel)?);
         *last = Some((source.path.clone(), Arc::clone(&frames)));
         Ok(frames)

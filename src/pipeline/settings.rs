@@ -1,0 +1,313 @@
+//! What a user chooses: what is made ([`ReduceSettings`]), and with which resources ([`RunSettings`]).
+//!
+//! The first decides every byte of an archive; the second decides none.
+
+use crate::archive::manifest::KEYFRAMES;
+use crate::archive::segment::PlanHash;
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, available_threads};
+use crate::points::{SetKind, SetSettings};
+use crate::sample::{Interpolation, Values};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::path::PathBuf;
+
+/// How many points.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Amount {
+    /// This fraction of the samples.
+    Fraction(f64),
+    /// This number.
+    Count(u64),
+}
+
+/// Bits to which values are rounded, of the range of the source.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum ValueBits {
+    /// Interpolated values on the lattice of a volume have [`ValueBits::USUAL`] bits, all others are exact.
+    ///
+    /// The bits are those of the range of 99.8 % of the samples of the first step. A few outliers that
+    /// stretch the whole range add bits, and above [`Quantiser::BITS`] values are exact.
+    #[default]
+    Usual,
+    /// Values are not rounded.
+    Exact,
+    /// So many bits, of the whole range.
+    Bits(u8),
+}
+
+impl ValueBits {
+    /// Bits of a lattice's values by default.
+    pub const USUAL: u8 = 8;
+}
+
+/// What the user chooses of a reduction.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ReduceSettings {
+    /// The point set. By default the lattice for a volume, Hammersley's for a mesh, and Halton's where points adapt.
+    pub points: Option<SetKind>,
+    /// Its parameters that do not follow from the amount.
+    pub set: SetSettings,
+    /// Number of interior points of a volume; of points with a value of a mesh, boundary included. A mesh is kept as it is by a fraction of 1, or a count
+    /// of its vertices or more: with default points, linear interpolation, and neither `adapt` nor `target`.
+    pub amount: Amount,
+    /// Whether points are dense where the field needs them; a Halton set can be.
+    #[serde(default)]
+    pub adapt: Option<Adapt>,
+    /// The error that is not to be exceeded: the amount follows from it.
+    #[serde(default)]
+    pub target: Option<Target>,
+    /// How values are interpolated between samples.
+    pub interpolation: Interpolation,
+    /// Whether values are fitted to the samples, as they are by default; not those of [`Interpolation::Nearest`].
+    pub values: Values,
+    /// What happens to samples that are no numbers.
+    pub nan: NanPolicy,
+    /// A value that means "no data", besides what the file declares.
+    pub missing: Option<f64>,
+    /// How values are rounded.
+    #[serde(default)]
+    pub value_bits: ValueBits,
+    /// Points meshed together.
+    pub chunk_points: u64,
+    /// Of a series: steps from one keyframe, which is stored without looking back, to the next; 1 makes each step one.
+    pub keyframes: u64,
+    /// Whether the field is measured at every sample of the source in the end.
+    pub measure: bool,
+}
+
+impl ReduceSettings {
+    /// A hash of all of them.
+    pub(super) fn hash(&self) -> PlanHash {
+        PlanHash::of(&serde_json::to_vec(self).expect("settings are plain data"))
+    }
+
+    /// Exact values at points of a set, with defaults for all else.
+    pub fn exact(points: SetKind) -> Self {
+        Self { points: Some(points), value_bits: ValueBits::Exact, ..Self::default() }
+    }
+
+    /// The point set, for a mesh or for a volume.
+    pub(super) fn set_of(&self, of_mesh: bool) -> SetKind {
+        self.points.unwrap_or(match (self.adapt, of_mesh) {
+            (Some(_), _) => SetKind::Halton,
+            (None, true) => SetKind::Hammersley,
+            (None, false) => SetKind::Bcc,
+        })
+    }
+
+    /// Whether the usual bits round values.
+    pub(super) fn rounds_usually(&self, of_mesh: bool) -> bool {
+        self.value_bits == ValueBits::Usual
+            && !of_mesh
+            && self.set_of(of_mesh) == SetKind::Bcc
+            && self.interpolation != Interpolation::Nearest
+    }
+
+    /// The bits to which values are rounded, before outliers add some; `None` if values are exact.
+    pub(super) fn bits(&self, of_mesh: bool) -> Option<u8> {
+        match self.value_bits {
+            ValueBits::Bits(bits) => Some(bits),
+            ValueBits::Usual if self.rounds_usually(of_mesh) => Some(ValueBits::USUAL),
+            ValueBits::Usual | ValueBits::Exact => None,
+        }
+    }
+
+    /// Default of `chunk_points`.
+    pub const CHUNK_POINTS: u64 = 250_000;
+    /// The value that means "no data", as a plan records it: NaN and infinity always do.
+    pub(super) fn finite_missing(&self) -> Option<f64> {
+        self.missing.filter(|m| m.is_finite())
+    }
+
+    /// Default of `keyframes`.
+    pub const KEYFRAMES: u64 = KEYFRAMES;
+}
+
+impl Default for ReduceSettings {
+    fn default() -> Self {
+        Self {
+            points: None,
+            set: SetSettings::default(),
+            amount: Amount::Fraction(0.125),
+            adapt: None,
+            target: None,
+            interpolation: Interpolation::Linear,
+            values: Values::Fit,
+            nan: NanPolicy::Error,
+            missing: None,
+            value_bits: ValueBits::Usual,
+            chunk_points: Self::CHUNK_POINTS,
+            keyframes: Self::KEYFRAMES,
+            measure: true,
+        }
+    }
+}
+
+/// What decides where points are dense.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Adapt {
+    /// The values that somebody will look at: what happens above and below does not count.
+    pub focus: Option<[f64; 2]>,
+}
+
+impl Adapt {
+    /// # Errors
+    /// [`Error::Usage`] for a range that is none, and for a point set that cannot be denser in some places.
+    pub(super) fn check(&self, settings: &ReduceSettings) -> Result<()> {
+        if let Some([lo, hi]) = self.focus
+            && !(lo < hi && lo.is_finite() && hi.is_finite())
+        {
+            return Err(Error::usage(format!(
+                "the focus {lo}:{hi} is no range: write two numbers, the smaller one first"
+            )));
+        }
+        let points = settings.set_of(false);
+        if points != SetKind::Halton {
+            return Err(Error::usage(format!(
+                "only a halton set can be denser in some places; --adapt does not go with --points {points}"
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// What to do with samples that are NaN, infinite, or declared missing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum NanPolicy {
+    /// Refuse the volume, naming the first such sample.
+    #[default]
+    Error,
+    /// A point that such a sample contributes to is void, and a tetrahedron with a void corner is never extracted.
+    Mask,
+    /// Use this value in place of such a sample.
+    Value(f64),
+}
+
+impl NanPolicy {
+    /// What [`NanPolicy`]'s `Display` writes; `None` for other text.
+    pub fn parse(text: &str) -> Option<Self> {
+        match text {
+            "error" => Some(Self::Error),
+            "mask" => Some(Self::Mask),
+            number => number.parse::<f64>().ok().filter(|v| (*v as f32).is_finite()).map(Self::Value),
+        }
+    }
+}
+
+impl fmt::Display for NanPolicy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Error => f.write_str("error"),
+            Self::Mask => f.write_str("mask"),
+            Self::Value(v) => write!(f, "{v}"),
+        }
+    }
+}
+
+/// An error that is not to be exceeded.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Target {
+    /// The root of the mean square of the errors at all samples.
+    Rms(Bound),
+    /// The largest absolute error at a sample, or at a vertex of a mesh.
+    Max(Bound),
+    /// Bytes of the archive.
+    Size(u64),
+    /// How many times as many bytes the source has: its files or its samples, whichever are less.
+    Ratio(f64),
+}
+
+/// How large an error may be.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Bound {
+    /// In units of the field.
+    Value(f64),
+    /// As a part of the range of the samples.
+    OfRange(f64),
+}
+
+impl Bound {
+    /// The bound in units of the field, whose samples have this range.
+    pub fn in_units(self, range: [f32; 2]) -> f64 {
+        match self {
+            Self::Value(v) => v,
+            Self::OfRange(part) => part * (f64::from(range[1]) - f64::from(range[0])),
+        }
+    }
+}
+
+impl Target {
+    /// How large the error may be, if that is what is wanted.
+    pub(super) fn bound(self) -> Option<Bound> {
+        match self {
+            Self::Rms(bound) | Self::Max(bound) => Some(bound),
+            Self::Size(_) | Self::Ratio(_) => None,
+        }
+    }
+
+    /// # Errors
+    /// [`Error::Usage`] for a bound that is no positive number, and for settings that cannot meet it.
+    pub(super) fn check(self, settings: &ReduceSettings) -> Result<()> {
+        let (what, bound) = match self {
+            Self::Rms(Bound::Value(v) | Bound::OfRange(v))
+            | Self::Max(Bound::Value(v) | Bound::OfRange(v)) => ("an error", v),
+            Self::Size(bytes) => ("a size", bytes as f64),
+            Self::Ratio(ratio) => ("a ratio", ratio),
+        };
+        if !(bound > 0.0 && bound.is_finite()) {
+            return Err(Error::usage(format!("{what} of {bound} cannot be met: give a number above 0")));
+        }
+        if self.bound().is_some() && !settings.measure {
+            return Err(Error::usage("a target needs an error that is measured"));
+        }
+        Ok(())
+    }
+}
+
+/// What decides how a run uses the machine, and not what it makes.
+#[derive(Clone, Debug)]
+pub struct RunSettings {
+    /// Threads; 0 means as many as the process may use.
+    pub threads: usize,
+    /// Bytes for everything that grows; see [`Estimate`](super::Estimate) for what it must be at least.
+    pub memory: u64,
+    /// Folder for the uncompressed copy of a compressed input; the system's temporary folder if not given.
+    pub scratch: Option<PathBuf>,
+    /// Whether an archive that is already there is replaced.
+    pub replace: bool,
+    /// Of a series: leave out steps that cannot be used, and report them. Changes what is made, but nothing of the other steps.
+    pub keep_going: bool,
+    /// Stops the run at the next chunk.
+    pub cancel: CancelToken,
+}
+
+impl Default for RunSettings {
+    fn default() -> Self {
+        Self {
+            threads: 0,
+            memory: crate::exec::usable_memory() / 2,
+            scratch: None,
+            replace: false,
+            keep_going: false,
+            cancel: CancelToken::new(),
+        }
+    }
+}
+
+impl RunSettings {
+    /// How many threads work.
+    pub(super) fn worker_threads(&self) -> usize {
+        if self.threads == 0 { available_threads() } else { self.threads }
+    }
+
+    /// Where temporary files are.
+    pub(super) fn scratch_folder(&self) -> PathBuf {
+        self.scratch.clone().unwrap_or_else(std::env::temp_dir)
+    }
+}
