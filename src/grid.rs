@@ -1,6 +1,6 @@
 //! Index space: boxes of samples, the affine map to the world, and the grids of bricks and chunks.
 //!
-//! Brick and chunk arithmetic is here; how wide a halo is follows from the plan (`pipeline/need.rs`).
+//! Brick and chunk arithmetic is here; how wide a halo is follows from the plan (`pipeline/plan/estimate.rs`).
 //!
 //! * A **brick** is a box of a fixed number of cells that enumerates its own points (about a thousand). Cells are voxel
 //!   cells, or those of a body-centred cubic lattice.

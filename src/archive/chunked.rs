@@ -235,7 +235,7 @@ impl ChunkSegment {
     /// # Errors
     /// As [`ChunkSegment::block`]; [`Error::BadInput`] for a summary that cannot be decoded.
     pub(crate) fn mesh_summary(&self, chunk: ChunkId) -> Result<MeshSummary> {
-        self.from_end(chunk, 0, MeshSummary::decode)
+        self.block_from_end(chunk, 0, MeshSummary::decode)
     }
 
     /// The summary of a chunk in a value segment: its last block.
@@ -243,14 +243,14 @@ impl ChunkSegment {
     /// # Errors
     /// As [`ChunkSegment::mesh_summary`].
     pub(crate) fn value_summary(&self, chunk: ChunkId) -> Result<ValueSummary> {
-        self.from_end(chunk, 0, ValueSummary::decode)
+        self.block_from_end(chunk, 0, ValueSummary::decode)
     }
 
     /// Decodes the block of a chunk that has `behind` blocks behind it.
     ///
     /// # Errors
     /// As [`ChunkSegment::mesh_summary`]; for a chunk of fewer blocks.
-    pub(crate) fn from_end<T>(
+    pub(crate) fn block_from_end<T>(
         &self,
         chunk: ChunkId,
         behind: u64,

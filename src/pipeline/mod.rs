@@ -5,117 +5,57 @@
 //!  open ──▶ index ▶ active blocks ▶ decode ▶ marching tetrahedra ▶ weld ──▶ surface file
 //! ```
 //!
-//! [`reduce`] makes an archive, [`extract_surface`] and [`count_active`] ask it, [`check_archive`] proves it whole.
+//! [`reduce`] makes an archive, [`extract_surface`] and [`count_active`] ask it, [`check_archive`]
+//! proves it whole. The rooms, each of which uses those above it only:
+//!
+//! ```text
+//!  settings   what a user chooses
+//!  plan       what decides the bytes, where files are, what a run needs
+//!  read       an archive being read           inputs    what is found out about inputs
+//!  surface    questions for surfaces          chunk     one chunk: mesh, values, errors
+//!  field      questions about the field
+//!  reduce     inputs ─▶ plan ─▶ passes over chunks ─▶ commit
+//!  shards     the same in several processes
+//!  archive    the handle of users             check     the proof that an archive is whole
+//! ```
 
-mod adapt;
-mod adapt_mesh;
-mod append;
-mod bend_blocks;
-mod beside;
-mod block;
-mod bricked_copy;
-mod cell_field;
+mod archive;
+mod check;
 mod chunk;
-mod chunk_mesh;
-mod commit;
-mod export;
-mod extract;
-mod extract_steps;
 mod field;
-mod finding;
-mod fingerprint;
-mod fitted;
-mod gauge;
-mod grid_field;
-mod groups;
-mod handle;
-mod horizon;
-mod inspect;
-mod job;
-mod kept;
-mod layout;
-mod line;
-mod make;
-mod measure;
-mod mesh_series;
-mod nearest;
-mod need;
-mod notice;
-mod open;
-mod own;
-mod own_errors;
-mod placed;
+mod inputs;
 mod plan;
-mod plan_file;
-mod probe;
-mod probe_points;
-mod query;
-mod reader;
+mod read;
 mod reduce;
-mod reduce_mesh;
-mod refine;
-mod repair;
-mod roi;
-mod rounds;
-mod scan;
-mod series;
 mod settings;
-mod shard;
-mod shift;
-mod side_errors;
-mod side_samples;
-mod sides;
-mod sink;
-mod spare;
-mod spectrum;
-mod status;
-mod steps;
-mod summary;
-mod surface_series;
-mod survey;
-mod target;
-mod target_max;
-mod unpack;
-mod unpacked;
-mod verify;
-mod visit;
-mod volume_series;
-mod work;
+mod shards;
+mod surface;
 
 pub use crate::domain::store::MeshCensus;
-pub use append::{AppendSettings, append};
-pub use bricked_copy::{brick, is_bricked};
-pub use export::{Corners, ExportReport, ExportSettings};
-pub use finding::{Finding, Notice};
-pub use fingerprint::fingerprint;
-pub use handle::{Archive, Tetrahedra};
-pub use job::ReduceReport;
-pub use measure::{MeasureReport, MeasureSettings, measure};
-pub use need::Estimate;
-pub use notice::{mesh_notices, scan_with_notices};
-pub use open::is_archive;
-pub use plan::Plan;
-pub use plan_file::{plan_path, work_folder};
-pub use probe::{ProbeReport, ProbeSettings};
-pub use query::{
-    CountReport, OneSurface, SurfaceReport, SurfaceSettings, count_active, count_active_at, extract_surface,
+pub use archive::{Archive, Tetrahedra};
+pub use check::{ArchiveCheck, check_archive};
+pub use field::{
+    Corners, ExportReport, ExportSettings, MeasureReport, MeasureSettings, ProbeReport, ProbeSettings,
+    measure,
 };
-pub use reduce::{estimate, estimate_series, reduce, reduce_series};
-pub use refine::{Refine, RefineReport};
-pub use roi::{Roi, RoiSpace};
-pub use scan::{Scan, scan};
-pub use series::SkippedStep;
+pub use inputs::{Scan, brick, is_bricked, scan};
+pub use plan::{Estimate, Finding, Notice, Plan, Shard, fingerprint};
+pub use read::{
+    ArchiveSummary, Knot, LevelSummary, Roi, RoiSpace, SpectrumReport, StepChoice, StepRange, StepSpectrum,
+    StepSummary, Suggestion, contour_spectrum, contour_spectrum_at, is_archive, spectra, summarize,
+    summarize_at,
+};
+pub use reduce::{
+    AppendSettings, ReduceReport, SkippedStep, TargetReport, append, estimate, estimate_series, mesh_notices,
+    plan_path, reduce, reduce_series, scan_with_notices, work_folder,
+};
 pub use settings::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, RunSettings, Target, ValueBits};
-pub use shard::{PlanReport, Planned, Shard, WorkReport, commit_shards, plan_shards, planned, work_shard};
-pub use spectrum::{
-    Knot, SpectrumReport, StepSpectrum, Suggestion, contour_spectrum, contour_spectrum_at, spectra,
+pub use shards::{
+    GcReport, PlanReport, Planned, StatusReport, WorkReport, collect_garbage, commit_shards, plan_shards,
+    planned, shard_status, work_shard,
 };
-pub use status::{GcReport, StatusReport, collect_garbage, shard_status};
-pub use steps::{StepChoice, StepRange};
-pub use summary::{ArchiveSummary, LevelSummary, StepSummary, summarize, summarize_at};
-pub use surface_series::{SeriesReport, StepSurfaces, extract_series};
-pub use target::TargetReport;
-pub use unpack::{
-    UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked, unpack, unpack_need,
+pub use surface::{
+    CountReport, OneSurface, Refine, RefineReport, SeriesReport, StepSurfaces, SurfaceReport,
+    SurfaceSettings, UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, count_active, count_active_at,
+    extract_series, extract_surface, remove_unpacked, unpack, unpack_need,
 };
-pub use verify::{ArchiveCheck, check_archive};

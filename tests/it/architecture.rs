@@ -10,6 +10,8 @@ type Imports = BTreeMap<String, BTreeSet<String>>;
 
 /// Imports against the order of the rows, each for a reason that ARCHITECTURE.md gives.
 const UPWARDS: [(&str, &str); 1] = [("volume", "archive")];
+/// The heading of the table of modules.
+const MODULES: &str = "## Which module may use which?";
 /// What every module uses, the root of the crate, and the program, which is not in the library.
 const NO_ROWS: [&str; 5] = ["error", "lib", "main", "cli", "Error"];
 
@@ -92,9 +94,46 @@ fn paths_of_the_code(src: &Path) -> BTreeSet<[String; 3]> {
     found
 }
 
-/// The rows of the table: their order, and what each lists.
-fn rows(text: &str) -> (Vec<String>, Imports) {
-    let table = text.split("## Which module may use which?").nth(1).expect("the heading");
+/// The rooms of the pipeline, and what each uses of others.
+fn rooms_of_the_code(pipeline: &Path) -> Imports {
+    let (mut files, mut found) = (vec![], Imports::new());
+    sources(pipeline, &mut files);
+    for file in files {
+        let below = file.strip_prefix(pipeline).unwrap().to_string_lossy().into_owned();
+        let room = word(&below);
+        if room == "mod" {
+            continue;
+        }
+        let used = found.entry(room.to_owned()).or_default();
+        let text = code(&fs::read_to_string(&file).unwrap()).replace("pub(in crate::pipeline)", "");
+        for path in text.split("crate::pipeline::").skip(1) {
+            let other = word(path);
+            assert!(!other.is_empty(), "{below}: write `crate::pipeline::room`, without braces");
+            if other != room {
+                used.insert(other.to_owned());
+            }
+        }
+        assert!(!text.contains("super::super::super"), "{below}: a room is not left by `super`");
+    }
+    found
+}
+
+#[test]
+fn the_table_of_rooms_is_the_code_s() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let text = fs::read_to_string(root.join("ARCHITECTURE.md")).unwrap();
+    let (order, listed) = rows(&text, "## Which room of `pipeline` may use which?");
+    assert_eq!(listed, rooms_of_the_code(&root.join("src/pipeline")));
+    for (at, room) in order.iter().enumerate() {
+        for other in &listed[room] {
+            assert!(order[..at].contains(other), "{room} uses {other}, which is below it");
+        }
+    }
+}
+
+/// The rows of the table below a heading: their order, and what each lists.
+fn rows(text: &str, heading: &str) -> (Vec<String>, Imports) {
+    let table = text.split(&format!("\n{heading}\n")).nth(1).expect("the heading");
     let rows = table.split("\n## ").next().unwrap().lines().filter(|l| l.starts_with("| `"));
     let (mut order, mut imports) = (vec![], Imports::new());
     for row in rows {
@@ -111,7 +150,7 @@ fn rows(text: &str) -> (Vec<String>, Imports) {
 #[test]
 fn the_table_of_imports_is_the_code_s() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let (_, listed) = rows(&fs::read_to_string(root.join("ARCHITECTURE.md")).unwrap());
+    let (_, listed) = rows(&fs::read_to_string(root.join("ARCHITECTURE.md")).unwrap(), MODULES);
     let (mut missing, mut used) = (BTreeSet::new(), Imports::new());
     for [module, other, name] in paths_of_the_code(&root.join("src")) {
         let row = listed.get(&module).unwrap_or_else(|| panic!("{module} has no row"));
@@ -131,7 +170,7 @@ fn the_table_of_imports_is_the_code_s() {
 #[test]
 fn modules_use_those_of_the_rows_above() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let (order, listed) = rows(&fs::read_to_string(root.join("ARCHITECTURE.md")).unwrap());
+    let (order, listed) = rows(&fs::read_to_string(root.join("ARCHITECTURE.md")).unwrap(), MODULES);
     for (at, module) in order.iter().enumerate() {
         for other in listed[module].iter().map(|entry| word(entry)) {
             let above = order[..at].iter().any(|m| m == other);

@@ -1,0 +1,322 @@
+//! `check` of an archive: every checksum, and every invariant that ties its parts together.
+//!
+//! * every block of every segment has its checksum, every table its size;
+//! * each brick has the number of points that the point set gives it, each halo id is a point outside the chunk;
+//! * each tetrahedron is positively oriented, belongs to the chunk that holds it, and all together fill the box exactly;
+//! * the ranges of the blocks, of tetrahedra and of values, the entries of the index, and the sums of the spectrum are those of the values;
+//! * unpacked blocks, where there are any, are those that would be made now;
+//! * the error of a volume's step is that of all chunks together.
+
+use crate::archive::repeated::RepeatedReader;
+use crate::archive::segment::Segment;
+use crate::archive::summary::{BlockRange, MeshSummary, value_ranges};
+use crate::archive::vertices::ChunkHeader;
+use crate::bytes::remote::is_remote;
+use crate::error::{Error, Result};
+use crate::exec::pool;
+use crate::geom::predicates::signed_volume6;
+use crate::grid::{Chunk, ChunkId};
+use crate::index::{Entry, EntryDigest, index_entries};
+use crate::pipeline::chunk::stored_error;
+use crate::pipeline::read::{
+    Bench, DecodedChunk, Meter, OpenArchive, OpenSegment, stored_part, used_corners,
+};
+use crate::pipeline::reduce::strays;
+use crate::pipeline::surface::check_unpacked;
+use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// What was verified.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct ArchiveCheck {
+    /// Steps.
+    pub steps: u64,
+    /// Segments, index included.
+    pub segments: u64,
+    /// Blocks whose checksum was verified.
+    pub blocks: u64,
+    /// Bytes of the segments.
+    pub bytes: u64,
+    /// Points.
+    pub points: u64,
+    /// Tetrahedra.
+    pub tetrahedra: u64,
+    /// Whether they are those of a mesh, which need not fill the box.
+    pub own: bool,
+    /// Entries of the index.
+    pub index_entries: u64,
+    /// Files in the archive's folders that it does not name; nothing reads them.
+    pub strays: Vec<PathBuf>,
+}
+
+/// Verifies a whole archive. Cost: reading and decoding all of it.
+///
+/// # Errors
+/// [`Error::BadInput`] that names the first thing that is wrong.
+pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
+    let mut check = ArchiveCheck::default();
+    let mut archive = OpenArchive::open(path)?;
+    check.own = archive.manifest.plan.own.is_some();
+    if !is_remote(path) {
+        check.strays = strays(path, &archive.manifest)?;
+    }
+    let pool = pool(0)?;
+    for step in 0..archive.manifest.steps.len() {
+        archive.turn_to(step);
+        pool.install(|| check_step(&archive, &mut check))?;
+        check.steps += 1;
+    }
+    if let Some(record) = &archive.manifest.plan.repeated {
+        let mut pairs = RepeatedReader::open(path, archive.manifest.plan_hash, record)?;
+        pairs.segment().verify()?;
+        check.add(pairs.segment());
+        while pairs.next()?.is_some() {}
+    }
+    if let Some(map) = archive.coordinates()? {
+        let file = map.segment();
+        file.verify()?;
+        check.add(file);
+        let (found, recorded) = (Some(map.count_cells()?), archive.coordinate_record().map(|c| c.cells));
+        if found != recorded {
+            let (expected, got) = (format!("{recorded:?}"), format!("{found:?}"));
+            return Err(Error::bad_input(path, "cells of the grid", expected, got));
+        }
+    }
+    Ok(check)
+}
+
+impl ArchiveCheck {
+    fn add(&mut self, file: &Segment) {
+        self.segments += 1;
+        self.blocks += file.block_count();
+        self.bytes += file.info().bytes;
+    }
+}
+
+/// Verifies a step; with the first one of an archive also the mesh.
+fn check_step(archive: &OpenArchive, check: &mut ArchiveCheck) -> Result<()> {
+    let with_mesh = archive.view.step == 0;
+    let mut entries = EntryDigest::default();
+    let mut volume6 = 0i128;
+    let (spectrum, meter) = (archive.spectrum()?, Meter::of_archive(archive));
+    let mut measured = spectrum
+        .as_ref()
+        .map(|file| SpectrumBuilder::new(Design::new(file.spectrum().range, meter.limits())));
+    let unpacked = archive.unpacked()?;
+    if let Some(file) = unpacked {
+        file.verify()?;
+        check.add(file.segment());
+    }
+    for number in 0..archive.layout.segment_count() {
+        let chunks: Vec<u64> = archive.layout.chunks_of(number).collect();
+        archive.close_before(ChunkId(chunks[0]));
+        let segment = archive.segment(number)?;
+        for file in with_mesh.then_some(&segment.mesh).into_iter().chain([&*segment.values]) {
+            file.segment().verify()?;
+            check.add(file.segment());
+        }
+        let checked: Vec<CheckedChunk> = chunks
+            .par_iter()
+            .map(|&c| check_chunk(archive, &segment, ChunkId(c), &meter))
+            .collect::<Result<_>>()?;
+        if let Some(file) = unpacked {
+            chunks.par_iter().try_for_each(|&c| check_unpacked(archive, file, ChunkId(c)))?;
+        }
+        for CheckedChunk { summary, ranges, part } in checked {
+            if let Some(measured) = &mut measured {
+                measured.add(&part);
+            }
+            if with_mesh {
+                volume6 += summary.volume6 + summary.outside6;
+                check.points += u64::from(summary.core);
+                check.tetrahedra += summary.tets;
+            }
+            ranges.iter().for_each(|e| entries.add(e));
+        }
+    }
+    if with_mesh {
+        check_totals(archive, volume6, check)?;
+    }
+    check_index(archive, entries, check)?;
+    check_error(archive)?;
+    match (spectrum, measured) {
+        (Some(file), Some(measured)) => {
+            file.verify(&measured)?;
+            file.segment().into_iter().for_each(|file| check.add(file));
+        }
+        _ if entries.count > 0 => {
+            return Err(Error::bad_input(archive.path(), "spectrum", "one, as there are values", "none"));
+        }
+        _ => {}
+    }
+    Ok(())
+}
+
+/// The tetrahedra fill the box, or have the volume of the mesh that they are from, and are as many as the manifest says.
+fn check_totals(archive: &OpenArchive, volume6: i128, check: &ArchiveCheck) -> Result<()> {
+    let (path, whole) = (archive.path(), archive.manifest.plan.volume6());
+    if volume6 != whole {
+        let expected = format!("a volume of {whole}/6 lattice cells");
+        return Err(Error::bad_input(path, "tetrahedra", expected, volume6.to_string()));
+    }
+    if let Some(own) = archive.manifest.plan.own.filter(|own| own.tetrahedra != check.tetrahedra) {
+        let expected = format!("the {} of the mesh", own.tetrahedra);
+        return Err(Error::bad_input(path, "tetrahedra", expected, check.tetrahedra.to_string()));
+    }
+    let totals = &archive.manifest.counts;
+    let found = [check.points, check.tetrahedra];
+    if found != [totals.points, totals.tetrahedra] {
+        let expected = format!("{} points, {} tetrahedra", totals.points, totals.tetrahedra);
+        return Err(Error::bad_input(path, "totals", expected, format!("{} and {}", found[0], found[1])));
+    }
+    Ok(())
+}
+
+/// The error that the manifest tells is that of the chunks.
+fn check_error(archive: &OpenArchive) -> Result<()> {
+    let step = archive.step();
+    if !step.plan.measured {
+        return Ok(());
+    }
+    let (sum, levels) = stored_error(archive)?;
+    if step.error.as_ref() == Some(&sum) && step.level_errors == levels {
+        return Ok(());
+    }
+    let got = step.error.as_ref().map_or("none".into(), |e| format!("an RMS error of {}", e.rms));
+    Err(Error::bad_input(archive.path(), "error", format!("an RMS error of {}", sum.rms), got))
+}
+
+/// What a chunk contributes to the checks of the whole.
+struct CheckedChunk {
+    summary: MeshSummary,
+    /// The entries that the index must have.
+    ranges: Vec<Entry>,
+    part: ChunkPart,
+}
+
+/// Checks a chunk against its summaries and its part of the spectrum.
+fn check_chunk(
+    archive: &OpenArchive,
+    segment: &OpenSegment,
+    id: ChunkId,
+    meter: &Meter,
+) -> Result<CheckedChunk> {
+    let (summary, values) = (segment.mesh.mesh_summary(id)?, segment.values.value_summary(id)?);
+    let file = segment.mesh.segment().path();
+    let wrong = |at: &str, expected: String, got: String| {
+        Err(Error::bad_input(file, format!("chunk {}, {at}", id.0), expected, got))
+    };
+    // A chunk has the blocks of its vertices and a summary besides.
+    let blocks = segment.mesh.block_count(id);
+    let by_formula = archive.bcc_chunk(id);
+    let is_whole = match &by_formula {
+        // All but the summary follows.
+        Some(chunk) => blocks == 1 && chunk.brick_count() == summary.tet_blocks as usize,
+        None => {
+            let header = ChunkHeader { core_counts: vec![summary.core], halo: summary.halo };
+            u64::from(summary.tet_blocks) + header.blocks() as u64 + 1 == blocks
+        }
+    };
+    if !is_whole {
+        return wrong("summary", format!("that of {blocks} blocks"), format!("{summary:?}"));
+    }
+    let of_entries = archive.blocks_of(id);
+    let blocks: Vec<u32> = of_entries.all(summary.tet_blocks).collect();
+    let decoded = archive.decode(id, &blocks)?;
+    let (mut ranges, mut start) = (vec![], 0);
+    for entry in 0..summary.tet_blocks {
+        let last = of_entries.of(entry).end as usize;
+        let end = last.checked_sub(1).map_or(0, |last| decoded.block_ends[last]);
+        ranges.push(BlockRange::of(&decoded.tets[start..end], &decoded.values));
+        start = end;
+    }
+    if ranges != values.ranges {
+        return wrong("ranges", "those of the values".into(), "others".into());
+    }
+    let found = value_ranges(&decoded.values, &archive.value_blocks(id, decoded.values.len()));
+    let stored = archive.value_ranges(id, found.len())?.expect("a step is looked at");
+    // Blocks of values that no tetrahedron uses were not decoded.
+    if found.iter().zip(&stored).any(|(found, stored)| found[0] <= found[1] && found != stored) {
+        return wrong("ranges of values", "those of the values".into(), "others".into());
+    }
+    if archive.view.step == 0 {
+        check_mesh(archive, &decoded, summary, id, (file, by_formula.is_some()))?;
+    }
+    let of_step = (&*decoded.values, &*ranges);
+    let mut parts = meter.parts(&decoded.positions, &decoded.tets, &[of_step], &mut Bench::default())?;
+    let part = parts.pop().expect("of one step");
+    if part != stored_part(&segment.values, id, meter.limits())? {
+        return wrong("spectrum", "the sums over all tetrahedra".into(), "others".into());
+    }
+    Ok(CheckedChunk { summary, ranges: index_entries(id.0, &ranges).collect(), part })
+}
+
+/// The tetrahedra of a chunk are what its summary says, and use its halo.
+fn check_mesh(
+    archive: &OpenArchive,
+    decoded: &DecodedChunk,
+    summary: MeshSummary,
+    id: ChunkId,
+    (file, by_formula): (&Path, bool),
+) -> Result<()> {
+    let wrong = |at: &str, expected: String, got: String| {
+        Err(Error::bad_input(file, format!("chunk {}, {at}", id.0), expected, got))
+    };
+    let found = MeshSummary {
+        core: decoded.core as u32,
+        halo: (decoded.positions.len() - decoded.core) as u32,
+        tets: decoded.tets.len() as u64,
+        volume6: check_tets(decoded, &archive.chunks.chunk(id), (file, by_formula))?,
+        ..summary
+    };
+    if found != summary {
+        return wrong("summary", format!("{found:?}"), format!("{summary:?}"));
+    }
+    let used = used_corners(&decoded.tets, decoded.positions.len());
+    let core = &archive.chunks.chunk(id).core;
+    if let Some(v) = (decoded.core..used.len()).find(|&v| !used[v] || core.contains(decoded.positions[v])) {
+        let at = format!("{:?}", decoded.positions[v]);
+        return wrong("halo", "points of other chunks that tetrahedra use".into(), at);
+    }
+    let mut halo = decoded.ids[decoded.core..].to_vec();
+    halo.sort_unstable();
+    if halo.windows(2).any(|w| w[0] == w[1]) {
+        return wrong("halo", "each point once".into(), "one twice".into());
+    }
+    Ok(())
+}
+
+/// Every tetrahedron is positively oriented and the chunk's own; returns their volume.
+fn check_tets(decoded: &DecodedChunk, chunk: &Chunk, (file, by_formula): (&Path, bool)) -> Result<i128> {
+    let mut volume6 = 0;
+    for tet in &decoded.tets {
+        let corners = tet.map(|v| decoded.positions[v as usize]);
+        let [a, b, c, d] = corners;
+        let volume = signed_volume6(a, b, c, d);
+        // Of a lattice, those of a chunk are those of its cells.
+        let is_own = by_formula || chunk.core.contains(a.min(b).min(c).min(d));
+        if volume <= 0 || !is_own {
+            let at = format!("chunk {}, a tetrahedron", chunk.id.0);
+            return Err(Error::bad_input(file, at, "positive, and the chunk's own", format!("{corners:?}")));
+        }
+        volume6 += volume;
+    }
+    Ok(volume6)
+}
+
+/// The index has an entry for each block that is not void, and no others.
+fn check_index(archive: &OpenArchive, expected: EntryDigest, check: &mut ArchiveCheck) -> Result<()> {
+    let index = archive.index()?;
+    let found = index.verify()?;
+    if found != expected {
+        let text = |d: EntryDigest| format!("{} entries", d.count);
+        let got = if found.count == expected.count { "as many others".into() } else { text(found) };
+        let expected = format!("{}, one a block of finite values", text(expected));
+        return Err(Error::bad_input(archive.layout.index(), "entries", expected, got));
+    }
+    index.segment().into_iter().for_each(|file| check.add(file));
+    check.index_entries += found.count;
+    Ok(())
+}

@@ -1,0 +1,310 @@
+//! The errors of a chunk: its field against every sample of the source, while tetrahedra and values are at hand.
+//!
+//! ```text
+//!  some blocks ─▶ the box of their tetrahedra ─▶ read its samples, of each step ─▶ scan conversion ─▶ sample and field
+//! ```
+//!
+//! The tetrahedra of a block lie together, so the box around a few that follow each other is small: it is read from
+//! the source, and the scan conversion ([`crate::raster`]) visits each sample of the domain in exactly one tetrahedron. Which
+//! samples lie in a tetrahedron, and with which weights, is found out once for all steps that are measured together.
+
+use super::step_errors::Room;
+use super::step_lanes::Sides;
+use super::step_samples::WindowSamples;
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::errors::{ChunkErrors, decode_errors};
+use crate::domain::column::Column;
+use crate::domain::store::CellStore;
+use crate::error::{Error, Result};
+use crate::exec::with_vectors;
+use crate::geom::{Lattice, LatticePos};
+use crate::grid::{ChunkId, IndexBox};
+use crate::measure::{BrickErrors, ComparedAt, ErrorSums, FieldError, LevelError, Tally, Worst};
+use crate::mesh::tet::Tet;
+use crate::pipeline::inputs::treat_missing;
+use crate::pipeline::plan::ERROR_WINDOW;
+use crate::pipeline::read::{OpenArchive, world_of};
+use crate::points::Levels;
+use crate::raster::{BatchScan, SampleGrid, Scanner, corner_box, greater, lesser};
+use crate::volume::VolumeReader;
+use std::ops::Range;
+
+/// The samples that an archive was made from.
+pub(in crate::pipeline) enum Originals<'a> {
+    Volume {
+        reader: &'a dyn VolumeReader,
+        /// A sample of this value is missing, besides those that the reader knows.
+        missing: Option<f64>,
+        /// What stands for samples that are no finite numbers.
+        stand_in: Option<f32>,
+    },
+    /// A mesh, and the values at its vertices.
+    Mesh(&'a CellStore, &'a Column<f32>),
+}
+
+/// The samples of a step's volume.
+pub(in crate::pipeline) struct Samples<'a> {
+    reader: &'a dyn VolumeReader,
+    missing: Option<f64>,
+    stand_in: f32,
+}
+
+impl<'a> Samples<'a> {
+    /// Those that values are made from; `None` of a mesh.
+    pub(in crate::pipeline) fn of(originals: &Originals<'a>) -> Option<Self> {
+        match *originals {
+            Originals::Volume { reader, missing, stand_in } => {
+                Some(Self { reader, missing, stand_in: stand_in.unwrap_or(f32::NAN) })
+            }
+            Originals::Mesh(..) => None,
+        }
+    }
+
+    /// Reads a window; no finite number where there is no sample.
+    pub(in crate::pipeline) fn read(&self, window: IndexBox, out: &mut [f32]) -> Result<()> {
+        self.reader.read_box(window, out)?;
+        if self.missing.is_some() || !self.stand_in.is_nan() {
+            treat_missing(self.missing, self.stand_in, out);
+        }
+        Ok(())
+    }
+}
+
+/// The tetrahedra of a chunk, block after block.
+pub(in crate::pipeline) struct Cells<'a> {
+    pub(in crate::pipeline) positions: &'a [LatticePos],
+    pub(in crate::pipeline) tets: &'a [Tet],
+    /// End of each block in `tets`.
+    pub(in crate::pipeline) block_ends: &'a [usize],
+}
+
+/// Some samples that are measured, at a step.
+pub(in crate::pipeline) struct Measured<'a> {
+    /// Which of the steps.
+    pub(super) step: usize,
+    /// Reduced values are NaN in a tetrahedron with a void corner.
+    pub(in crate::pipeline) compared: ComparedAt<'a>,
+    pub(super) window: &'a IndexBox,
+    /// The place of each in the window.
+    pub(super) places: &'a [u32],
+}
+
+impl Measured<'_> {
+    /// The place of one among the samples of the volume.
+    #[inline]
+    pub(in crate::pipeline) fn place(&self, n: usize) -> [u64; 3] {
+        let (at, [x, y, _]) = (u64::from(self.places[n]), self.window.dims());
+        [self.window.lo[0] + at % x, self.window.lo[1] + at / x % y, self.window.lo[2] + at / x / y]
+    }
+
+    /// The number of one in a volume of so many samples along each axis.
+    #[inline]
+    pub(super) fn number(&self, n: usize, dims: [u64; 3]) -> u64 {
+        let [x, y, z] = self.place(n);
+        (z * dims[1] + y) * dims[0] + x
+    }
+}
+
+/// Blocks are taken together as long as the box around them has no more samples.
+const AROUND_BLOCKS: u64 = 1 << 15;
+
+/// Measures chunks of a volume.
+pub(in crate::pipeline) struct Gauge {
+    grid: SampleGrid,
+}
+
+impl Gauge {
+    pub(in crate::pipeline) fn new(lattice: &Lattice) -> Self {
+        Self { grid: SampleGrid::voxels(lattice) }
+    }
+
+    /// Samples along each axis.
+    pub(in crate::pipeline) fn dims(&self) -> [u64; 3] {
+        self.grid.dims()
+    }
+
+    /// The errors of a chunk at some steps, given the values of its vertices at each; `read` reads samples of one.
+    pub(in crate::pipeline) fn errors(
+        &self,
+        cells: &Cells<'_>,
+        steps: &Sides<'_>,
+        read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
+    ) -> Result<Vec<ErrorSums>> {
+        let mut sums: Vec<Tally> = (0..steps.steps()).map(|_| Tally::default()).collect();
+        let dims = self.dims();
+        self.each_sample(
+            cells,
+            steps,
+            read,
+            #[inline(always)]
+            |m| add(&mut sums[m.step], &m, dims),
+        )?;
+        Ok(sums.into_iter().map(Tally::finish).collect())
+    }
+
+    /// The errors of a chunk as they are stored: as [`Gauge::errors`], and apart for the cells of each level.
+    pub(in crate::pipeline) fn chunk_errors(
+        &self,
+        cells: &Cells<'_>,
+        steps: &Sides<'_>,
+        levels: Option<&Levels>,
+        read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
+    ) -> Result<Vec<ChunkErrors>> {
+        let Some(levels) = levels else {
+            let all = self.errors(cells, steps, read)?;
+            return Ok(all.into_iter().map(|sums| ChunkErrors { sums, levels: vec![] }).collect());
+        };
+        let none = vec![BrickErrors::default(); usize::from(levels.top()) + 1];
+        let mut all: Vec<_> = (0..steps.steps()).map(|_| (Tally::default(), none.clone())).collect();
+        let (dims, lattice) = (self.dims(), levels.cells().lattice);
+        self.each_sample(cells, steps, read, |m| {
+            let (sums, levels_of) = &mut all[m.step];
+            add(sums, &m, dims);
+            for (n, (original, reduced)) in m.compared.pairs().enumerate() {
+                let level = levels.at(lattice.of_voxel(m.place(n)));
+                levels_of[usize::from(level)].add(original, reduced);
+            }
+        })?;
+        Ok(all.into_iter().map(|(sums, levels)| ChunkErrors { sums: sums.finish(), levels }).collect())
+    }
+
+    /// Calls `each` for all samples in the tetrahedra of a chunk, some at a time, at each of some steps.
+    pub(in crate::pipeline) fn each_sample(
+        &self,
+        cells: &Cells<'_>,
+        steps: &Sides<'_>,
+        mut read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
+        mut each: impl FnMut(Measured<'_>),
+    ) -> Result<()> {
+        let (mut batch, mut room) = (BatchScan::default(), Room::default());
+        let mut originals = WindowSamples::new(steps);
+        let groups = with_vectors(
+            #[inline(always)]
+            || self.groups(cells),
+        );
+        for (whole, tets) in groups {
+            for window in whole.windows(ERROR_WINDOW) {
+                originals.read(window, &mut read)?;
+                let (tets, scanner) = (&cells.tets[tets.clone()], Scanner::new(&self.grid, &window));
+                with_vectors(
+                    #[inline(always)]
+                    || {
+                        batch.each_member(
+                            &scanner,
+                            cells.positions,
+                            tets,
+                            #[inline(always)]
+                            |members| room.compare(members, &window, tets, steps, &originals, &mut each),
+                        )
+                    },
+                );
+            }
+        }
+        Ok(())
+    }
+
+    /// Runs of blocks with the box of their samples, where they have some.
+    #[inline(always)]
+    fn groups(&self, cells: &Cells<'_>) -> Vec<(IndexBox, Range<usize>)> {
+        let mut groups: Vec<(IndexBox, Range<usize>)> = vec![];
+        let mut start = 0;
+        for &end in cells.block_ends {
+            let tets = std::mem::replace(&mut start, end)..end;
+            let Some(samples) = self.around(cells.positions, &cells.tets[tets.clone()]) else { continue };
+            match groups.last_mut().map(|last| (union(&last.0, &samples), last)) {
+                Some((both, last)) if both.checked_len().is_some_and(|n| n <= AROUND_BLOCKS) => {
+                    *last = (both, last.1.start..tets.end);
+                }
+                _ => groups.push((samples, tets)),
+            }
+        }
+        groups
+    }
+
+    /// The samples in the bounding box of some tetrahedra.
+    #[inline(always)]
+    fn around(&self, positions: &[LatticePos], tets: &[Tet]) -> Option<IndexBox> {
+        let (mut lo, mut hi) = ([u32::MAX; 4], [0; 4]);
+        for tet in tets {
+            let (least, most) = corner_box(positions, tet);
+            (lo, hi) = (lesser(least, lo), greater(most, hi));
+        }
+        let ([x, y, z, _], [u, v, w, _]) = (lo, hi);
+        (!tets.is_empty()).then(|| self.grid.within([x, y, z], [u, v, w])).filter(|b| !b.is_empty())
+    }
+}
+
+fn union(a: &IndexBox, b: &IndexBox) -> IndexBox {
+    IndexBox {
+        lo: std::array::from_fn(|k| a.lo[k].min(b.lo[k])),
+        hi: std::array::from_fn(|k| a.hi[k].max(b.hi[k])),
+    }
+}
+
+/// Adds some samples to the sums of their step.
+#[inline(never)]
+pub(in crate::pipeline) fn add(sums: &mut Tally, m: &Measured<'_>, dims: [u64; 3]) {
+    with_vectors(
+        #[inline(always)]
+        || sums.add(&m.compared, |n| m.number(n, dims)),
+    );
+}
+
+/// What is told of the errors of all samples of a volume, each once.
+pub(in crate::pipeline) fn field_error_of(archive: &OpenArchive, sums: &ErrorSums) -> Result<FieldError> {
+    let source = &archive.step().plan.source;
+    let dims = source.dims;
+    let samples = dims.iter().product::<u64>();
+    if sums.samples() != samples {
+        let expected = format!("tetrahedra that hold {samples} samples, each once");
+        return Err(Error::bad_input(archive.path(), "tetrahedra", expected, sums.samples().to_string())
+            .with_help("isospan check tells more"));
+    }
+    let mut error = sums.field_error(samples);
+    if let Some(l) = sums.largest() {
+        let index = [l.sample % dims[0], l.sample / dims[0] % dims[1], l.sample / dims[0] / dims[1]];
+        error.worst = Some(Worst {
+            sample: l.sample,
+            index: Some(index),
+            world: world_of(archive, index.map(|i| i as f64))?,
+            original: source.told(l.original),
+            reduced: source.told(l.reduced),
+        });
+    }
+    Ok(error.of_source(source.offset, source.rounding))
+}
+
+/// The errors of a chunk that are stored with its values, where the plan of the step says so: behind them.
+pub(in crate::pipeline) fn stored_errors(segment: &ChunkSegment, chunk: ChunkId) -> Result<ChunkErrors> {
+    segment.block_from_end(chunk, 2, decode_errors)
+}
+
+/// The error of the archive's step, and those in the cells of each level, added up from what its chunks have stored.
+pub(in crate::pipeline) fn stored_error(archive: &OpenArchive) -> Result<(FieldError, Vec<LevelError>)> {
+    let levels = archive.points.levels().map_or(0, |levels| usize::from(levels.top()) + 1);
+    let (mut sums, mut by_level) = (ErrorSums::default(), vec![BrickErrors::default(); levels]);
+    for number in 0..archive.layout.segment_count() {
+        let chunks = archive.layout.chunks_of(number);
+        archive.close_before(ChunkId(chunks.start));
+        for chunk in chunks.map(ChunkId) {
+            let values = archive.values_of(archive.view.step, chunk)?;
+            let found = stored_errors(&values, chunk)?;
+            let is_sorted = found.levels.is_empty() == (levels == 0 || found.sums.measured == 0);
+            if found.levels.len() > levels || !is_sorted {
+                let (path, got) = (values.segment().path(), found.levels.len().to_string());
+                let at = format!("chunk {}, levels of its errors", chunk.0);
+                return Err(Error::bad_input(path, at, format!("those of {levels} levels"), got));
+            }
+            sums.merge(&found.sums);
+            by_level.iter_mut().zip(&found.levels).for_each(|(all, part)| all.merge(part));
+        }
+    }
+    let told = |e: &BrickErrors| LevelError {
+        samples: e.samples,
+        rms: if e.samples == 0 { 0.0 } else { e.rms() },
+        max: e.max,
+    };
+    let rounding = archive.step().plan.source.rounding;
+    let told = |e: &BrickErrors| told(e).with_rounding(rounding);
+    Ok((field_error_of(archive, &sums)?, by_level.iter().map(told).collect()))
+}

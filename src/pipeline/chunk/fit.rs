@@ -1,0 +1,130 @@
+//! Values of a chunk's vertices that are fitted to samples ([`crate::fit`]), at several steps together: those in all tetrahedra at them.
+//!
+//! ```text
+//!  tetrahedra ─▶ windows (of a mesh: bricks) ─▶ read the samples of each step ─▶ one scan ─▶ sums, steps side by side ─▶ values
+//! ```
+//!
+//! The samples of a mesh are its vertices: each lies in one tetrahedron of the reduction, and tells its corners where that is of the same body.
+
+use super::field::{Field, Placement};
+use super::mesh_field::CellField;
+use super::volume_field::GridField;
+use crate::archive::values::Quantiser;
+use crate::domain::vertices::Vertices;
+use crate::error::Result;
+use crate::exec::{CancelToken, Room};
+use crate::fit::{BrickTets, Fit, FitMesh, Windows, window_edge};
+use crate::mesh::tet::Tet;
+use crate::pipeline::read::MeshedChunk;
+use crate::raster::{PointLocator, SampleGrid};
+
+/// What values are fitted to.
+pub(in crate::pipeline) enum FittedTo<'a> {
+    Nothing,
+    /// The samples of a volume.
+    Samples(&'a GridField),
+    /// The values of a mesh at its vertices, which lie there.
+    Vertices(&'a CellField<'a>, &'a Vertices),
+}
+
+/// The values of a chunk's vertices at some steps, fitted where that is wanted; from the
+/// interpolated ones of these and of the vertices around. Those of a step with a quantiser are
+/// rounded, to a multiple within the samples around where there is one. `note` is told of the step
+/// whose samples were read; `memory` is kept from chunk to chunk, so that its pages are not asked
+/// for again.
+pub(in crate::pipeline) fn fitted(
+    wanted: &[(&dyn Field, Option<Quantiser>)],
+    mesh: &mut MeshedChunk,
+    placement: &Placement,
+    interpolated: Vec<Vec<f32>>,
+    memory: &mut Vec<u64>,
+    cancel: &CancelToken,
+    note: impl Fn(usize, Result<()>) -> Result<()>,
+) -> Result<Vec<Vec<f32>>> {
+    let steps: Vec<&[f32]> = interpolated.iter().map(Vec::as_slice).collect();
+    let (mut grids, mut cells) = (vec![], vec![]);
+    for (field, _) in wanted {
+        match field.fitted_to() {
+            FittedTo::Nothing => {}
+            FittedTo::Samples(field) => grids.push(field),
+            FittedTo::Vertices(field, vertices) => cells.push((field, vertices)),
+        }
+    }
+    if grids.is_empty() && cells.is_empty() {
+        return Ok(interpolated);
+    }
+    let vertices = mesh.vertices();
+    let (tets, room) = mesh.tets.with_room();
+    let words = Fit::further_words(mesh.all_positions.len(), steps.len());
+    if memory.len() < words {
+        // Not resized: what it had would be copied.
+        *memory = vec![];
+        *memory = vec![0; words];
+    }
+    let mut room = Room::new(room).and(memory);
+    let mut fit = Fit::new(FitMesh { positions: &mesh.all_positions, tets }, &steps, &mut room);
+    match cells.first() {
+        None => add_samples(&mut fit, &mut room, &grids, cancel, note)?,
+        Some(&(_, lying)) => {
+            let cells: Vec<&CellField<'_>> = cells.iter().map(|&(field, _)| field).collect();
+            add_vertices(&mut fit, &mut room, &cells, lying, placement, cancel, note)?;
+        }
+    }
+    let round = |step: usize, value, bounds| match &wanted[step].1 {
+        Some(quantiser) => quantiser.round_within(value, bounds),
+        None => value,
+    };
+    Ok(fit.values_rounded(vertices, &round))
+}
+
+/// Adds the samples of volumes.
+fn add_samples<'a>(
+    fit: &mut Fit<'a>,
+    room: &mut Room<'a>,
+    fields: &[&GridField],
+    cancel: &CancelToken,
+    note: impl Fn(usize, Result<()>) -> Result<()>,
+) -> Result<()> {
+    let (bricks, mesh) = (&fields[0].bricks, fit.mesh());
+    let grid = SampleGrid::voxels(&bricks.lattice);
+    let windows = Windows::new(&grid, window_edge(bricks.voxels()), mesh.positions, mesh.tets, room);
+    for (window, tets) in windows.iter() {
+        cancel.check()?;
+        fit.add(&grid, &window, tets, |n, part, out| note(n, fields[n].read_window(part, out)))?;
+    }
+    Ok(())
+}
+
+/// Adds the values of steps at the vertices of their mesh.
+fn add_vertices<'a>(
+    fit: &mut Fit<'a>,
+    room: &mut Room<'a>,
+    fields: &[&CellField<'_>],
+    vertices: &Vertices,
+    placement: &Placement,
+    cancel: &CancelToken,
+    note: impl Fn(usize, Result<()>) -> Result<()>,
+) -> Result<()> {
+    let (bricks, store, mesh) = (&fields[0].bricks, fields[0].store, fit.mesh());
+    let mut originals = vec![];
+    for (n, field) in fields.iter().enumerate() {
+        note(n, field.values.get().map(|values| originals.push(values)))?;
+    }
+    let body_of = |[v, ..]: Tet| placement.spots[v as usize].body;
+    let mut samples = vec![];
+    for (brick, touching) in BrickTets::new(bricks, mesh.positions, mesh.tets, room).iter() {
+        cancel.check()?;
+        vertices.each_batch(store, brick, |batch| {
+            samples.clear();
+            for values in &originals {
+                samples.extend(batch.iter().map(|v| values[v.number as usize]));
+            }
+            let places = batch.iter().map(|v| v.pos).zip(0..);
+            let points = PointLocator::new(bricks.brick(brick), bricks.lattice.max(), places);
+            // A body tells nothing of another one that it touches or overlaps.
+            let told_by = |tet: u32, v: u32| body_of(mesh.tets[tet as usize]) == batch[v as usize].body;
+            fit.add_points(&points, &samples, touching, told_by);
+        })?;
+    }
+    Ok(())
+}

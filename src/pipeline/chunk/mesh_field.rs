@@ -1,0 +1,264 @@
+//! The field of a tetrahedral mesh: each point is located among the cells of its brick.
+//!
+//! Values can be fitted to those at the mesh's vertices ([`super::fit`]).
+
+use super::errors::Originals;
+use super::field::{Field, NO_BODY, Place, Placement, Source, Spot, brick_order, by_brick, in_bricks};
+use super::fit::FittedTo;
+use crate::domain::boundary::{BoundarySamples, OnBoundary, Sample};
+use crate::domain::buckets::Buckets;
+use crate::domain::column::Column;
+use crate::domain::store::CellStore;
+use crate::domain::vertices::Vertices;
+use crate::error::Result;
+use crate::geom::LatticePos;
+use crate::geom::predicates::signed_volume6;
+use crate::grid::{BrickGrid, BrickId, Chunk};
+use crate::locate::{
+    CellBatch, Corner, FINE_BITS, FinePos, Found, PointGrid, fine, linear, quadratic, quadratic_thesis,
+};
+use crate::pipeline::read::MeshedChunk;
+use crate::sample::Interpolation;
+
+/// A mesh, and how it is sampled.
+pub(in crate::pipeline) struct CellField<'a> {
+    pub(in crate::pipeline) store: &'a CellStore,
+    pub(in crate::pipeline) buckets: &'a Buckets,
+    pub(in crate::pipeline) boundary: &'a BoundarySamples,
+    pub(in crate::pipeline) bricks: BrickGrid,
+    pub(in crate::pipeline) interpolation: Interpolation,
+    /// The values of the step at the vertices.
+    pub(in crate::pipeline) values: Column<f32>,
+    /// Gradients at the vertices, where the interpolation needs them.
+    pub(in crate::pipeline) gradients: Option<Column<[f64; 3]>>,
+    /// Where the vertices lie, where values are fitted to those there.
+    pub(in crate::pipeline) fitted_to: Option<&'a Vertices>,
+}
+
+impl Field for CellField<'_> {
+    fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
+        let mut batch = CellBatch::default();
+        let mut find = |brick, positions: &[LatticePos], out: &mut Vec<Spot>| {
+            self.spots(brick, positions, &mut batch, out)
+        };
+        let mut spots = by_brick(&self.bricks, mesh, &mut find)?;
+        spots.extend(in_bricks(&self.bricks, mesh.positions_around(), &mut find)?);
+        let outside = self.outside(mesh, &spots, &mut batch)?;
+        Ok(Placement { spots, outside, ..Placement::default() })
+    }
+
+    fn source(&self) -> Source<'_> {
+        Source::Cells(self)
+    }
+
+    fn fitted_to(&self) -> FittedTo<'_> {
+        self.fitted_to.map_or(FittedTo::Nothing, |vertices| FittedTo::Vertices(self, vertices))
+    }
+
+    fn originals(&self) -> Originals<'_> {
+        Originals::Mesh(self.store, &self.values)
+    }
+
+    fn will_need(&self, _chunk: &Chunk) {}
+
+    fn pass(&self, _chunk: &Chunk) {}
+}
+
+impl CellField<'_> {
+    /// The values at the vertices of a chunk, and at those around.
+    pub(super) fn interpolated(&self, placement: &Placement) -> Result<Vec<f32>> {
+        let at_hand = AtHand::of(self)?;
+        Ok(placement.spots.iter().map(|spot| at_hand.value(&spot.at)).collect())
+    }
+
+    /// What is known of positions of a brick.
+    fn spots(
+        &self,
+        brick: BrickId,
+        positions: &[LatticePos],
+        batch: &mut CellBatch,
+        out: &mut Vec<Spot>,
+    ) -> Result<()> {
+        let points: Vec<FinePos> = positions.iter().map(|&p| fine(p)).collect();
+        let found = self.locate(brick, &points, batch)?;
+        for (found, &pos) in found.iter().zip(positions) {
+            let sample = self.boundary.at(pos);
+            let place = match sample {
+                // Rounding puts a sample beside the boundary; where bodies overlap it belongs to the first of them.
+                Some(Sample::On(sample)) if sample.body < self.body(found)? => Some(*sample),
+                _ => None,
+            };
+            out.push(match place {
+                Some(place) => Spot { at: Place::Boundary(place), body: place.body, rim: true },
+                None => self.spot(found, sample.is_some())?,
+            });
+        }
+        Ok(())
+    }
+
+    fn spot(&self, found: &Found, rim: bool) -> Result<Spot> {
+        if found.id == Found::NOWHERE {
+            return Ok(Spot::default());
+        }
+        Ok(Spot { at: Place::Cell(*found), body: self.body(found)?, rim })
+    }
+
+    /// The body of the cell found; [`NO_BODY`] of none.
+    fn body(&self, found: &Found) -> Result<u64> {
+        if found.id == Found::NOWHERE { Ok(NO_BODY) } else { self.store.bodies.of(found.id) }
+    }
+
+    /// The cells of the lowest numbers that hold points of a brick.
+    fn locate(&self, brick: BrickId, points: &[FinePos], batch: &mut CellBatch) -> Result<Vec<Found>> {
+        let mut found = vec![Found::default(); points.len()];
+        if !points.is_empty() {
+            let grid = PointGrid::new(points);
+            self.buckets.each_batch(self.store, brick, batch, |cells| grid.locate(cells, &mut found))?;
+        }
+        Ok(found)
+    }
+
+    /// The cells of the lowest numbers that hold points, which may lie in any bricks.
+    fn locate_anywhere(&self, points: &[FinePos], batch: &mut CellBatch) -> Result<Vec<Found>> {
+        let near: Vec<LatticePos> = points.iter().map(|p| p.map(|c| (c >> FINE_BITS) as u32)).collect();
+        let mut all = vec![Found::default(); points.len()];
+        let mut group = vec![];
+        for run in brick_order(&self.bricks, &near).chunk_by(|a, b| a.0 == b.0) {
+            group.clear();
+            group.extend(run.iter().map(|&(_, i)| points[i as usize]));
+            for (&(_, i), found) in run.iter().zip(self.locate(run[0].0, &group, batch)?) {
+                all[i as usize] = found;
+            }
+        }
+        Ok(all)
+    }
+
+    /// Which tetrahedra lie outside of the mesh: those whose corners are not all of one body, and of
+    /// those with a corner at the rim the ones that are not in that body ([`Self::places_in`]).
+    fn outside(&self, mesh: &MeshedChunk, spots: &[Spot], batch: &mut CellBatch) -> Result<Vec<bool>> {
+        let (positions, tets) = (&mesh.all_positions, mesh.tets.whole());
+        let corners = |t: usize| tets[t].map(|v| v as usize);
+        let body_of = |t: usize| {
+            let [a, b, c, d] = corners(t).map(|v| spots[v].body);
+            (a != NO_BODY && a == b && a == c && a == d).then_some(a)
+        };
+        let mut outside: Vec<bool> = (0..tets.len()).map(|t| body_of(t).is_none()).collect();
+        let (mut doubtful, mut places) = (vec![], vec![]);
+        for (t, outside) in outside.iter_mut().enumerate() {
+            let at_rim = corners(t).iter().filter(|&&v| spots[v].rim).count();
+            if at_rim == 0 || *outside {
+                continue;
+            }
+            match self.places_in(corners(t).map(|v| positions[v]), at_rim == 4) {
+                Some(of_tet) => places.extend(of_tet),
+                None => *outside = true,
+            }
+            doubtful.resize(places.len(), t);
+        }
+        for (t, found) in doubtful.into_iter().zip(self.locate_anywhere(&places, batch)?) {
+            outside[t] |= Some(self.body(&found)?) != body_of(t);
+        }
+        Ok(outside)
+    }
+
+    /// The places that a body has if a tetrahedron is in it: the centroid; of a flat one on the rim
+    /// a place on either side, as it may be a part of a wall. `None` if one lies outside of the box.
+    fn places_in(&self, corners: [LatticePos; 4], on_rim: bool) -> Option<Vec<FinePos>> {
+        // Four times the centroid, in lattice steps, is exact; so is the centroid in fine steps.
+        let centroid: FinePos =
+            std::array::from_fn(|a| corners.iter().map(|c| i64::from(c[a])).sum::<i64>() << (FINE_BITS - 2));
+        let Some(normal) = flat_normal(corners).filter(|_| on_rim) else { return Some(vec![centroid]) };
+        let domain = fine(self.store.frame.lattice.domain().hi);
+        let beside = |side: f64| -> FinePos {
+            let far = side * BESIDE * f64::from(1u32 << FINE_BITS);
+            std::array::from_fn(|a| centroid[a] + (far * normal[a]).round() as i64)
+        };
+        let sides = vec![beside(1.0), beside(-1.0)];
+        let in_box = |p: &FinePos| (0..3).all(|a| (0..domain[a]).contains(&p[a]));
+        sides.iter().all(in_box).then_some(sides)
+    }
+}
+
+/// Rounding gives a flat wall no more thickness, in lattice steps.
+const ROUNDED: f64 = 4.0;
+/// A place beside a flat wall is so far from it, in lattice steps: more than rounding moves it.
+const BESIDE: f64 = 16.0;
+
+/// The unit normal of a tetrahedron that has no thickness but what rounding gave it.
+fn flat_normal(corners: [LatticePos; 4]) -> Option<[f64; 3]> {
+    let [a, b, c, d] = corners;
+    let edge = |p: LatticePos, q: LatticePos| -> [f64; 3] {
+        std::array::from_fn(|k| f64::from(q[k]) - f64::from(p[k]))
+    };
+    let cross = |u: [f64; 3], v: [f64; 3]| {
+        [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+    };
+    let faces = [[b, c, d], [a, c, d], [a, b, d], [a, b, c]];
+    let normals = faces.map(|[p, q, r]| cross(edge(p, q), edge(p, r)));
+    let length = |n: &[f64; 3]| n.iter().map(|c| c * c).sum::<f64>().sqrt();
+    let largest = normals.iter().max_by(|m, n| length(m).total_cmp(&length(n))).expect("four faces");
+    let is_flat = signed_volume6(a, b, c, d) as f64 <= ROUNDED * length(largest);
+    is_flat.then(|| largest.map(|c| c / length(largest)))
+}
+
+/// What values are made from, at hand.
+struct AtHand<'a> {
+    interpolation: Interpolation,
+    tets: &'a [[u64; 4]],
+    positions: &'a [FinePos],
+    values: &'a [f32],
+    gradients: Option<&'a [[f64; 3]]>,
+}
+
+impl<'a> AtHand<'a> {
+    fn of(field: &'a CellField<'_>) -> Result<Self> {
+        Ok(Self {
+            interpolation: field.interpolation,
+            tets: field.store.tets.get()?,
+            positions: field.store.positions.get()?,
+            values: field.values.get()?,
+            gradients: field.gradients.as_ref().map(Column::get).transpose()?,
+        })
+    }
+
+    fn value(&self, place: &Place) -> f32 {
+        match place {
+            Place::Nowhere => f32::NAN,
+            Place::Cell(found) => self.in_cell(found),
+            Place::Boundary(place) => self.on_boundary(place),
+        }
+    }
+
+    fn in_cell(&self, found: &Found) -> f32 {
+        let tet = self.tets[found.id as usize];
+        let at = tet.map(|v| f64::from(self.values[v as usize]));
+        (match (self.interpolation, self.gradients) {
+            (Interpolation::QuadraticThesis, _) => quadratic_thesis(&found.weights, &at),
+            (Interpolation::Quadratic, Some(gradients)) => {
+                quadratic(&found.weights, &self.corners(tet, gradients))
+            }
+            _ => linear(&found.weights, &at),
+        }) as f32
+    }
+
+    fn corners<const N: usize>(&self, vertices: [u64; N], gradients: &[[f64; 3]]) -> [Corner; N] {
+        vertices.map(|v| Corner {
+            position: self.positions[v as usize].map(|c| c as f64),
+            value: f64::from(self.values[v as usize]),
+            gradient: gradients[v as usize],
+        })
+    }
+
+    /// As in a tetrahedron with the triangle as one of its faces.
+    fn on_boundary(&self, place: &OnBoundary) -> f32 {
+        let [a, b, c] = place.triangle.map(|v| f64::from(self.values[v as usize]));
+        let weights = [place.weights[0], place.weights[1], place.weights[2], 0.0];
+        (match (self.interpolation, self.gradients) {
+            (Interpolation::Quadratic, Some(gradients)) => {
+                let [a, b, c] = self.corners(place.triangle, gradients);
+                quadratic(&weights, &[a, b, c, Corner::default()])
+            }
+            _ => linear(&weights, &[a, b, c, 0.0]),
+        }) as f32
+    }
+}

@@ -1,0 +1,29 @@
+//! One chunk: from its number to its mesh, the values at its vertices, and their errors.
+//!
+//! ```text
+//!  mesher: points ─▶ mesh ─▶ field: values at its vertices ─▶ fit: fitted values
+//!                     └────────▶ errors: the field of these values against every sample
+//! ```
+//!
+//! No chunk sees another. The steps of a series are made together, with their values interleaved.
+
+pub(super) mod errors;
+mod field;
+mod fit;
+mod groups;
+mod mesh_field;
+mod mesher;
+mod own_field;
+mod step_errors;
+pub(super) mod step_lanes;
+mod step_samples;
+mod volume_field;
+
+pub(super) use errors::{Cells, Gauge, Originals, Samples, field_error_of, stored_error, stored_errors};
+pub(super) use field::{Field, Placement, interpolated};
+pub(super) use fit::fitted;
+pub(super) use mesh_field::CellField;
+pub(super) use mesher::{Maker, Meshing, Recipe};
+pub(super) use own_field::{OwnField, OwnMesh};
+pub(super) use step_lanes::Sides;
+pub(super) use volume_field::GridField;

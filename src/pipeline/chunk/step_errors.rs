@@ -1,0 +1,178 @@
+//! Errors of a chunk's field at some samples, at all steps.
+//!
+//! Which tetrahedron holds a sample, and with which weights, is the same at all steps. So the
+//! values of a vertex at several steps are interleaved.
+
+#[cfg(target_arch = "x86_64")]
+use super::errors::Measured;
+use super::step_lanes::{Side, Sides};
+use super::step_samples::{Rows, WindowSamples};
+use crate::exec::lanes::{Eight, Floats, Pair, Plain, Vector, four, sorted};
+use crate::exec::{Avx2, Avx512, with_avx512, with_vectors};
+use crate::grid::IndexBox;
+use crate::measure::{Compared, TOGETHER};
+use crate::mesh::tet::Tet;
+use crate::raster::{MEMBERS, Members, interpolate};
+
+const _: () = assert!(MEMBERS <= TOGETHER);
+
+/// Some samples at the steps that lie side by side.
+pub(super) struct Room {
+    one: Box<Compared<1>>,
+    four: Box<Compared<4>>,
+    eight: Box<Compared<8>>,
+}
+
+impl Default for Room {
+    fn default() -> Self {
+        Self { one: Compared::new(), four: Compared::new(), eight: Compared::new() }
+    }
+}
+
+impl Room {
+    /// Hands on some samples of a window at each step; `originals` are all samples of the window.
+    #[inline(always)]
+    pub(super) fn compare(
+        &mut self,
+        members: &Members,
+        window: &IndexBox,
+        tets: &[Tet],
+        steps: &Sides<'_>,
+        originals: &WindowSamples,
+        each: &mut impl FnMut(Measured<'_>),
+    ) {
+        let places = members.places();
+        let count = places.len().min(MEMBERS);
+        if count == 0 {
+            return;
+        }
+        for ((steps, side), originals) in steps.iter().zip(originals.sides()) {
+            match (side, originals) {
+                (Side::One(values), Rows::One(originals)) => {
+                    compare_one(members, tets, values, originals, &mut self.one);
+                }
+                (Side::Four(values), Rows::Four(originals)) => {
+                    compare_four(members, tets, values, originals, &mut self.four);
+                }
+                (Side::Eight(values), Rows::Eight(originals)) => {
+                    compare_eight(members, tets, values, originals, &mut self.eight);
+                }
+                _ => unreachable!("samples lie as the values do"),
+            }
+            for (lane, step) in steps.enumerate() {
+                let compared = match side {
+                    Side::One(_) => self.one.at(lane, count),
+                    Side::Four(_) => self.four.at(lane, count),
+                    Side::Eight(_) => self.eight.at(lane, count),
+                };
+                each(Measured { step, compared, window, places });
+            }
+        }
+    }
+}
+
+/// Values and errors of some samples at one step.
+#[inline(never)]
+fn compare_one(members: &Members, tets: &[Tet], values: &[f32], originals: &[f32], out: &mut Compared<1>) {
+    with_vectors(
+        #[inline(always)]
+        || {
+            let mut corners = [[0.0; MEMBERS]; 4];
+            let count = members.tets().len().min(MEMBERS);
+            for (i, &tet) in members.tets().iter().enumerate().take(count) {
+                let tet = tets[tet as usize];
+                (0..4).for_each(|k| corners[k][i] = values[tet[k] as usize]);
+            }
+            let ([wa, wb, wc, wd], [a, b, c, d]) = (members.weights().map(|w| &w[..count]), &corners);
+            for i in 0..count {
+                let value = interpolate([wa[i], wb[i], wc[i], wd[i]], [a[i], b[i], c[i], d[i]]);
+                let void = a[i].is_nan() | b[i].is_nan() | c[i].is_nan() | d[i].is_nan();
+                out.reduced[i] = [if void { f32::NAN } else { value }];
+            }
+            find_errors(members, originals.as_chunks().0, out);
+        },
+    );
+}
+
+/// The same at four steps.
+#[inline(never)]
+fn compare_four(
+    members: &Members,
+    tets: &[Tet],
+    values: &[[f32; 4]],
+    originals: &[[f32; 4]],
+    out: &mut Compared<4>,
+) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(proof) = Avx2::found() {
+        return with_vectors(
+            #[inline(always)]
+            || compare_wide::<Vector, 4>(proof, members, tets, values, originals, out),
+        );
+    }
+    compare_wide::<Plain, 4>((), members, tets, values, originals, out);
+}
+
+/// The same at eight steps.
+#[inline(never)]
+fn compare_eight(
+    members: &Members,
+    tets: &[Tet],
+    values: &[[f32; 8]],
+    originals: &[[f32; 8]],
+    out: &mut Compared<8>,
+) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(proof) = Avx512::found() {
+        return with_avx512(
+            proof,
+            #[inline(always)]
+            || compare_wide::<Eight, 8>(proof, members, tets, values, originals, out),
+        );
+    }
+    #[cfg(target_arch = "x86_64")]
+    if let Some(proof) = Avx2::found() {
+        return with_vectors(
+            #[inline(always)]
+            || compare_wide::<Pair<Vector>, 8>(proof, members, tets, values, originals, out),
+        );
+    }
+    compare_wide::<Pair<Plain>, 8>((), members, tets, values, originals, out);
+}
+
+/// As [`interpolate`], and NaN where a corner is, sample by sample, at all steps at a time: the same bits.
+#[inline(always)]
+fn compare_wide<W: Floats<N>, const N: usize>(
+    proof: W::Proof,
+    members: &Members,
+    tets: &[Tet],
+    values: &[[f32; N]],
+    originals: &[[f32; N]],
+    out: &mut Compared<N>,
+) {
+    let (weights, void) = (members.weights(), W::splat(proof, f64::NAN));
+    for ((i, &tet), reduced) in members.tets().iter().enumerate().zip(&mut out.reduced) {
+        let tet = tets[tet as usize];
+        let corners = four(
+            #[inline(always)]
+            |k| W::of_floats(proof, &values[tet[k] as usize]),
+        );
+        let [a, b, c, d] = sorted(four(
+            #[inline(always)]
+            |k| corners[k].times(W::splat(proof, weights[k][i])),
+        ));
+        let value = a.plus(b).plus(c).plus(d);
+        let all = corners[0].plus(corners[1]).plus(corners[2].plus(corners[3]));
+        *reduced = W::pick(all.is_number(), value, void).floats();
+    }
+    find_errors(members, originals, out);
+}
+
+/// Looks up the original values among those of the window, and computes the errors.
+#[inline(always)]
+fn find_errors<const N: usize>(members: &Members, originals: &[[f32; N]], out: &mut Compared<N>) {
+    for (row, &place) in out.originals.iter_mut().zip(members.places()) {
+        *row = originals[place as usize];
+    }
+    out.find_errors(members.places().len());
+}

@@ -1,0 +1,294 @@
+//! `export`: the reduced tetrahedra as a mesh for other programs, each point once.
+
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, Progress, pool};
+use crate::formats::vtu::{PACKING_BYTES, TetMeta, write_vtu};
+use crate::mesh::tet::Tet;
+use crate::pipeline::plan::estimate;
+use crate::pipeline::read::{Blocks, Cut, DecodedChunk, Horizon, OpenArchive, Place, Roi, RoiSpace, Visit};
+use crate::tets::{ChunkTets, TetBuilder};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Which corners of a tetrahedron must have a value in the range (as VTK's threshold filter asks).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Corners {
+    /// All four.
+    #[default]
+    All,
+    /// At least one.
+    Any,
+}
+
+/// What is exported.
+#[derive(Clone, Debug)]
+pub struct ExportSettings {
+    /// Only tetrahedra with values in this range, both ends included.
+    pub range: Option<[f64; 2]>,
+    /// How many of their corners.
+    pub corners: Corners,
+    /// Only tetrahedra whose bounding box touches this box.
+    pub roi: Option<Roi>,
+    /// Of those, in the order of the file, only each n-th; 1 is all.
+    pub every: u64,
+    /// Compresses the file's arrays (zlib).
+    pub compress: bool,
+    /// Threads; 0 means as many as the process may use.
+    pub threads: usize,
+    /// Bytes for everything that grows with the mesh.
+    pub memory: u64,
+    /// Folder for what does not fit in memory; the output's folder if not given.
+    pub scratch: Option<PathBuf>,
+    /// Stops the export; nothing is written then.
+    pub cancel: CancelToken,
+}
+
+impl Default for ExportSettings {
+    fn default() -> Self {
+        Self {
+            range: None,
+            corners: Corners::All,
+            roi: None,
+            every: 1,
+            compress: false,
+            threads: 0,
+            memory: crate::exec::usable_memory() / 2,
+            scratch: None,
+            cancel: CancelToken::new(),
+        }
+    }
+}
+
+/// What an export wrote and read.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct ExportReport {
+    /// Points written.
+    pub points: u64,
+    /// Tetrahedra written.
+    pub tetrahedra: u64,
+    /// Tetrahedra of the archive.
+    pub archive_tetrahedra: u64,
+    /// Tetrahedra with a corner without value, which are never written, in the blocks that were read.
+    pub void_tetrahedra: u64,
+    /// Chunks read.
+    pub chunks_read: u64,
+    /// Chunks of the archive.
+    pub chunks: u64,
+    /// Bytes read of segments.
+    pub bytes_read: u64,
+    /// Bytes of the file written.
+    pub file_bytes: u64,
+    /// Seconds of wall time of each stage.
+    pub seconds: Vec<(String, f64)>,
+}
+
+/// Bytes while a shared point is open: its entry in the table, which is at most half full, twice while it grows.
+const OPEN_POINT: u64 = 100;
+
+/// Writes the tetrahedra of an archive to a VTU file: see [`super::Archive::write_tetrahedra`].
+pub(in crate::pipeline) fn export(
+    archive: &OpenArchive,
+    settings: &ExportSettings,
+    out: &Path,
+    progress: &dyn Progress,
+) -> Result<ExportReport> {
+    let start = Instant::now();
+    if settings.roi.is_some_and(|roi| roi.space == RoiSpace::World) {
+        archive.refuse_coordinates("an export of a box of the world")?;
+    }
+    check_target(out)?;
+    if settings.every == 0 {
+        return Err(Error::usage(
+            "of every 0 tetrahedra there is no first: give 1 for all, 2 for half of them",
+        ));
+    }
+    let read_before = archive.bytes_read();
+    let source = &archive.step().plan.source;
+    let log2_steps = archive.manifest.plan.lattice.log2_steps;
+    let cut = settings.roi.map(|roi| roi.cut(&source.geometry, source.dims, log2_steps)).transpose()?;
+    let mut index_bytes = 0;
+    let range = settings.range.map(|range| range.map(|v| source.kept(v)));
+    let blocks = match range {
+        None => Blocks::All,
+        Some([lo, hi]) => {
+            let index = archive.ranges()?;
+            let entries = index.query_values(lo, hi)?;
+            index_bytes = index.bytes_read();
+            Blocks::Some(entries)
+        }
+    };
+    let fixed = estimate::BASE + blocks.bytes() + if settings.compress { PACKING_BYTES } else { 0 };
+    let rest = settings.memory.saturating_sub(fixed);
+    let share = |memory: u64| memory.saturating_sub(fixed) / 4 * 3;
+    let mut visit = Visit::new(archive, blocks, settings.threads, share(settings.memory), &settings.cancel)?;
+    if let Some(cut) = &cut {
+        visit.confine(|region| cut.may_touch_box(region))?;
+    }
+    visit.check_memory(settings.memory, share, 0)?;
+    let scratch = settings.scratch.clone().unwrap_or_else(|| parent_of(out));
+    let mut join = Join::new(&visit, settings, rest / 8, &scratch);
+    progress.begin("export", visit.chunks.len() as u64, "chunks");
+    let select = |_, chunk: DecodedChunk| Ok(selected(chunk, range, settings.corners, cut.as_ref()));
+    visit.each(0, progress, select, |n, chosen| join.push(n, &chosen))?;
+    let (void_tetrahedra, mesh) = (join.void, join.builder.finish());
+    let read = start.elapsed();
+
+    let start = Instant::now();
+    let place = Place::of(archive)?;
+    let lattice = archive.manifest.plan.lattice;
+    let threads = settings.compress.then(|| pool(settings.threads)).transpose()?;
+    let meta = TetMeta {
+        place: &|p| place.world(lattice.to_index_space(p)),
+        mirrors: place.mirrors(),
+        field: source.field.clone(),
+        offset: source.offset,
+        comment: format!("isospan {}: reduced tetrahedra of {}", env!("CARGO_PKG_VERSION"), source.path),
+        compress: threads.as_ref(),
+    };
+    let file_bytes = write_vtu(&mesh, out, &meta)?;
+    Ok(ExportReport {
+        points: mesh.point_count(),
+        tetrahedra: mesh.tet_count(),
+        archive_tetrahedra: archive.manifest.counts.tetrahedra,
+        void_tetrahedra,
+        chunks_read: visit.chunks.len() as u64,
+        chunks: archive.chunks.len(),
+        bytes_read: archive.bytes_read() - read_before + index_bytes,
+        file_bytes,
+        seconds: [("read, join", read), ("write", start.elapsed())]
+            .map(|(name, time)| (name.to_owned(), time.as_secs_f64()))
+            .to_vec(),
+    })
+}
+
+fn check_target(out: &Path) -> Result<()> {
+    let extension = out.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase);
+    match extension.as_deref() {
+        Some("vtu") => Ok(()),
+        _ => Err(Error::usage(format!(
+            "cannot tell the mesh format of {}: end its name in .vtu",
+            out.display()
+        ))),
+    }
+}
+
+/// A chunk with the tetrahedra that are wanted, and the number of void ones.
+struct Selected {
+    chunk: DecodedChunk,
+    void: u64,
+}
+
+fn selected(
+    mut chunk: DecodedChunk,
+    range: Option<[f32; 2]>,
+    corners: Corners,
+    cut: Option<&Cut>,
+) -> Selected {
+    let mut void = 0;
+    let (values, positions) = (&chunk.values, &chunk.positions);
+    chunk.tets.retain(|tet: &Tet| {
+        if cut.is_some_and(|cut| !cut.touches(&tet.map(|v| positions[v as usize]))) {
+            return false;
+        }
+        let of_tet = tet.map(|v| values[v as usize]);
+        let has_void = of_tet.iter().any(|v| v.is_nan());
+        void += u64::from(has_void);
+        !has_void && in_range(of_tet, range, corners)
+    });
+    Selected { chunk, void }
+}
+
+fn in_range(values: [f32; 4], range: Option<[f32; 2]>, corners: Corners) -> bool {
+    let Some([lo, hi]) = range else { return true };
+    let inside = |v: &f32| (lo..=hi).contains(v);
+    match corners {
+        Corners::All => values.iter().all(inside),
+        Corners::Any => values.iter().any(inside),
+    }
+}
+
+/// Joins chunks, in order, and closes points that no chunk to come can have.
+struct Join<'a> {
+    visit: &'a Visit<'a>,
+    builder: TetBuilder,
+    every: u64,
+    /// Tetrahedra that passed so far.
+    passed: u64,
+    void: u64,
+    /// Made when first needed.
+    horizon: Option<Horizon>,
+    memory: u64,
+    most_open: u64,
+    look_at: u64,
+}
+
+impl<'a> Join<'a> {
+    /// `share` bytes for finished records, and as many for open points.
+    fn new(visit: &'a Visit<'a>, settings: &ExportSettings, share: u64, scratch: &Path) -> Self {
+        let most_open = share / OPEN_POINT;
+        Self {
+            visit,
+            builder: TetBuilder::new(usize::try_from(share).unwrap_or(usize::MAX), scratch),
+            every: settings.every,
+            passed: 0,
+            void: 0,
+            horizon: None,
+            memory: settings.memory,
+            most_open,
+            look_at: most_open / 64 + 1,
+        }
+    }
+
+    /// Adds the n-th chunk.
+    fn push(&mut self, n: usize, selected: &Selected) -> Result<()> {
+        let chunk = &selected.chunk;
+        self.void += selected.void;
+        let each_nth: Vec<Tet>;
+        let tets = if self.every == 1 {
+            &chunk.tets
+        } else {
+            let first = (self.every - self.passed % self.every) % self.every;
+            let step = usize::try_from(self.every).unwrap_or(usize::MAX);
+            each_nth = chunk.tets.iter().copied().skip(first as usize).step_by(step).collect();
+            &each_nth
+        };
+        self.passed += chunk.tets.len() as u64;
+        self.builder.push(&ChunkTets {
+            positions: &chunk.positions,
+            ids: &chunk.ids,
+            values: &chunk.values,
+            shared: &chunk.shared,
+            tets,
+        })?;
+        self.close_points(n + 1)
+    }
+
+    fn close_points(&mut self, done: usize) -> Result<()> {
+        if (self.builder.open_points() as u64) < self.look_at {
+            return Ok(());
+        }
+        let archive = self.visit.archive;
+        let horizon = match self.horizon.take() {
+            Some(horizon) => horizon,
+            None => Horizon::new(archive, self.visit.chunks.iter().copied())?,
+        };
+        let beyond = self.horizon.insert(horizon).after(done);
+        self.builder.keep_open(|id| archive.points.position(id).is_none_or(|p| beyond.can_have(p, p)));
+        let open = self.builder.open_points() as u64;
+        if open > self.most_open {
+            let needed = self.memory.saturating_add(8 * (open - self.most_open) * OPEN_POINT);
+            let what = "memory (for points that chunks share)".into();
+            return Err(Error::Budget { what, needed, available: self.memory });
+        }
+        self.look_at = (2 * open).clamp(self.most_open / 64 + 1, self.most_open + 1);
+        Ok(())
+    }
+}
+
+fn parent_of(file: &Path) -> PathBuf {
+    match file.parent() {
+        Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
+        _ => PathBuf::from("."),
+    }
+}

@@ -1,0 +1,663 @@
+//! `measure`: the reduced field against every sample of its source.
+//!
+//! Chunk after chunk is decoded and measured as `reduce` does it while it makes one ([`errors`](crate::pipeline::chunk::errors)). All sums are integers
+//! ([`crate::measure`]), so neither threads nor chunks show, and the figures are those that `reduce` has stored. The vertices of a
+//! mesh are located as `probe` locates points, in batches.
+//!
+//! Cost: decoding the archive and reading the source once, and the scan conversion. Memory: some chunks; with a map of bricks, a
+//! record for each brick of a chunk, sorted on disk where memory does not hold them.
+
+use super::own_errors::own_errors;
+use super::probe_points::{Find, Outside, each_value_of};
+use crate::archive::manifest::Source;
+use crate::bytes::sorter::Sorter;
+use crate::cells::CellMesh;
+use crate::domain::column::Column;
+use crate::domain::merge::Firsts;
+use crate::domain::store::{BadValue, CellStore, StoreSettings};
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, Progress};
+use crate::formats::brick_map::{BrickMapFile, BrickNumbers};
+use crate::formats::{self, Input, OpenOptions, StepSource};
+use crate::geom::LatticePos;
+use crate::grid::Geometry;
+use crate::locate::{FINE_BITS, FinePos};
+use crate::measure::{BrickErrors, BrickRecord, ErrorSums, FieldError, LevelError, Tally, Worst, merged};
+use crate::pipeline::chunk::{Cells, Gauge, Originals, Samples, Sides, errors, field_error_of};
+use crate::pipeline::inputs::{Reading, random_access};
+use crate::pipeline::plan::{Beside, MOST_STEPS_AT_ONCE, estimate, fingerprint};
+use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepChoice, Visit};
+use crate::pipeline::settings::RunSettings;
+use crate::volume::{VolumeReader, VolumeSource};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// How a field is measured.
+#[derive(Clone, Debug)]
+pub struct MeasureSettings {
+    /// Threads; 0 means as many as the process may use.
+    pub threads: usize,
+    /// Bytes for everything that grows.
+    pub memory: u64,
+    /// Folder for the uncompressed copy of a compressed input, and for what does not fit in memory; the system's temporary folder
+    /// if not given.
+    pub scratch: Option<PathBuf>,
+    /// Of a series: the number of the step; the first one if not given.
+    pub step: Option<u64>,
+    /// A VTI file for the errors of each brick.
+    pub map: Option<PathBuf>,
+    /// Stops the measurement.
+    pub cancel: CancelToken,
+}
+
+impl Default for MeasureSettings {
+    fn default() -> Self {
+        Self {
+            threads: 0,
+            memory: crate::exec::usable_memory() / 2,
+            scratch: None,
+            step: None,
+            map: None,
+            cancel: CancelToken::new(),
+        }
+    }
+}
+
+impl MeasureSettings {
+    /// Those of a reduction's run, with as many threads as chunks were at work: for so many the memory suffices.
+    pub(in crate::pipeline) fn of_run(run: &RunSettings, workers: usize) -> Self {
+        Self {
+            threads: workers,
+            memory: run.memory,
+            scratch: run.scratch.clone(),
+            step: None,
+            map: None,
+            cancel: run.cancel.clone(),
+        }
+    }
+
+    fn scratch(&self) -> PathBuf {
+        self.scratch.clone().unwrap_or_else(std::env::temp_dir)
+    }
+}
+
+/// What was measured.
+#[derive(Clone, Debug, Serialize)]
+pub struct MeasureReport {
+    /// The errors.
+    #[serde(flatten)]
+    pub error: FieldError,
+    /// Least and largest value of the archive.
+    pub range: Option<[f64; 2]>,
+    /// Whether the input is the one that the archive was made from, as its fingerprint tells.
+    pub same_source: bool,
+    /// Bricks of the map along each axis, if one was written.
+    pub map_bricks: Option<[u64; 3]>,
+    /// Seconds of wall time.
+    pub seconds: f64,
+}
+
+/// The errors of a step: of the field; and of a mesh those at the vertices in the cells of each level, where its points have levels.
+pub(in crate::pipeline) type StepErrors = (FieldError, Vec<LevelError>);
+
+/// Measures an archive against the input that it was made from, or any of the same size.
+///
+/// The field to read is that of the archive, unless the options name one. Void tetrahedra and missing samples are counted apart.
+///
+/// # Errors
+/// [`Error::BadInput`] for an input of another size, or a damaged archive; [`Error::Budget`] when the memory does not suffice; those of
+/// reading the input and of writing the map.
+pub fn measure(
+    archive: &Path,
+    input: &Path,
+    options: &OpenOptions,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<MeasureReport> {
+    let start = Instant::now();
+    let archive = OpenArchive::open_at(archive, settings.step.map_or(StepChoice::First, StepChoice::Number))?;
+    let (error, same_source) = against(&archive, input, options, settings, progress)?;
+    Ok(MeasureReport {
+        error,
+        range: archive.step().told_range(),
+        same_source,
+        map_bricks: settings.map.as_ref().map(|_| archive.chunks.bricks().dims()),
+        seconds: start.elapsed().as_secs_f64(),
+    })
+}
+
+/// Measures steps of an archive, by ascending positions in the manifest, whose inputs are not open any more. A mesh is laid out once for all of
+/// them.
+pub(in crate::pipeline) fn reopened_errors(
+    archive: &mut OpenArchive,
+    steps: &[(usize, &StepSource)],
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<Vec<StepErrors>> {
+    let (mut errors, mut store) = (vec![], None);
+    for group in steps.chunks(MOST_STEPS_AT_ONCE as usize) {
+        let mut columns = vec![];
+        for &(position, source) in group {
+            let path = &source.path;
+            archive.turn_to(position);
+            let input = match source.is_given() {
+                true => source.open()?,
+                false => open_field(archive, path, &source.options)?,
+            };
+            match input {
+                Input::Volume(source) => {
+                    let error = against_volume(archive, source, path, settings, progress)?.0;
+                    errors.push((error, vec![]));
+                }
+                Input::Mesh(mesh) => {
+                    columns.push((position, reopened_values(archive, &mesh, path, &mut store, settings)?));
+                }
+            }
+        }
+        if let Some(store) = &store {
+            let columns: Vec<_> = columns.iter().map(|(position, values)| (*position, values)).collect();
+            errors.extend(vertex_errors(archive, store, &columns, settings, progress)?);
+        }
+    }
+    Ok(errors)
+}
+
+/// The values of a step on the mesh of a series, which the first of them lays out.
+pub(in crate::pipeline) fn reopened_values(
+    archive: &OpenArchive,
+    mesh: &CellMesh,
+    input: &Path,
+    store: &mut Option<CellStore>,
+    settings: &MeasureSettings,
+) -> Result<Column<f32>> {
+    let (plan, scratch) = (&archive.manifest.plan, settings.scratch());
+    let (how, vertices) = (store_settings(archive, settings, &scratch), mesh.info().points);
+    if store.as_ref().is_some_and(|store| store.census.vertices != vertices) {
+        return Err(other_input(input, &archive.step().plan.source, format!("{vertices} vertices")));
+    }
+    let store = match store {
+        Some(store) => store,
+        none => {
+            let firsts = Beside::repeated(archive.path(), plan, vertices, &how)?;
+            none.insert(mesh_store(archive, mesh, Some(firsts), input, &how)?)
+        }
+    };
+    store.values_of(mesh, &how)
+}
+
+/// The error, and whether the input is the one that the archive was made from.
+fn against(
+    archive: &OpenArchive,
+    input: &Path,
+    options: &OpenOptions,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<(FieldError, bool)> {
+    match open_field(archive, input, options)? {
+        Input::Volume(source) => against_volume(archive, source, input, settings, progress),
+        Input::Mesh(mesh) => against_mesh(archive, &mesh, input, settings, progress),
+    }
+}
+
+/// Opens the input; where nobody names a field, the archive does.
+fn open_field(archive: &OpenArchive, input: &Path, options: &OpenOptions) -> Result<Input> {
+    if options.field.is_some() {
+        return formats::open_input(input, options);
+    }
+    let named = OpenOptions { field: Some(archive.step().plan.source.field.clone()), ..options.clone() };
+    // A format without names of fields refuses any, and has one field only.
+    formats::open_input(input, &named).or_else(|_| formats::open_input(input, options))
+}
+
+fn against_volume(
+    archive: &OpenArchive,
+    source: VolumeSource,
+    input: &Path,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<(FieldError, bool)> {
+    let recorded = &archive.step().plan.source;
+    let dims = source.info().dims;
+    if recorded.mesh.is_some() || dims != recorded.dims {
+        return Err(other_input(input, recorded, format!("a volume of {} samples", triple(dims))));
+    }
+    let same = fingerprint(&source.info().files())? == recorded.fingerprint;
+    let run = RunSettings {
+        threads: settings.threads,
+        memory: settings.memory,
+        scratch: settings.scratch.clone(),
+        replace: false,
+        keep_going: false,
+        cancel: settings.cancel.clone(),
+    };
+    let (reader, _scratch) = random_access(source, &run, progress)?;
+    let reading = Reading::of(&archive.step().plan);
+    let (reader, missing, stand_in) = (reading.reader(reader), reading.missing(), reading.stand_in());
+    let originals = Originals::Volume { reader: &*reader, missing, stand_in };
+    Ok((field_error(archive, &originals, settings, progress)?, same))
+}
+
+fn against_mesh(
+    archive: &OpenArchive,
+    mesh: &CellMesh,
+    input: &Path,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<(FieldError, bool)> {
+    let recorded = &archive.step().plan.source;
+    progress.begin("read the mesh", 0, "points");
+    let scratch = settings.scratch();
+    let store = mesh_store(archive, mesh, None, input, &store_settings(archive, settings, &scratch))?;
+    let same = fingerprint(&mesh.info().files())? == recorded.fingerprint;
+    Ok((field_error(archive, &Originals::Mesh(&store, &store.values), settings, progress)?, same))
+}
+
+/// How a mesh is read whose field at its vertices is measured.
+fn store_settings<'a>(
+    archive: &OpenArchive,
+    settings: &'a MeasureSettings,
+    scratch: &'a Path,
+) -> StoreSettings<'a> {
+    let step = &archive.step().plan;
+    StoreSettings {
+        memory: settings.memory / 4,
+        scratch,
+        bad_value: Reading::of(step).stand_in().map_or(BadValue::Void, BadValue::Use),
+        offset: step.source.offset,
+        missing: step.missing,
+        cancel: &settings.cancel,
+    }
+}
+
+/// A mesh on disk, which must be of the size of the archive's.
+fn mesh_store(
+    archive: &OpenArchive,
+    mesh: &CellMesh,
+    firsts: Option<Firsts>,
+    input: &Path,
+    how: &StoreSettings<'_>,
+) -> Result<CellStore> {
+    let recorded = &archive.step().plan.source;
+    let store = CellStore::build_with(mesh, firsts, how)?;
+    let found = [store.census.vertices, store.census.tetrahedra];
+    let expected = recorded.mesh.map(|m| [m.vertices, m.tetrahedra]);
+    if expected != Some(found) || store.frame.lattice != archive.manifest.plan.lattice {
+        let got = format!("a mesh of {} vertices and {} tetrahedra", found[0], found[1]);
+        return Err(other_input(input, recorded, got));
+    }
+    Ok(store)
+}
+
+fn triple([x, y, z]: [u64; 3]) -> String {
+    format!("{x} x {y} x {z}")
+}
+
+/// The error of a mesh of the archive's size whose vertices are others.
+pub(super) fn other_mesh(archive: &OpenArchive) -> Error {
+    let expected = "the mesh that it keeps";
+    Error::bad_input(archive.path(), "vertices", expected, "a mesh with others")
+        .with_help(format!("the archive was made from {}", archive.step().plan.source.path))
+}
+
+/// The error of an input that cannot be what the archive was made from.
+fn other_input(input: &Path, recorded: &Source, got: String) -> Error {
+    let expected = match recorded.mesh {
+        None => format!("a volume of {} samples", triple(recorded.dims)),
+        Some(m) => format!("a mesh of {} vertices and {} tetrahedra", m.vertices, m.tetrahedra),
+    };
+    Error::bad_input(input, "size", expected, got)
+        .with_help(format!("the archive was made from {}", recorded.path))
+}
+
+/// Measures an archive, published or not.
+pub(super) fn field_error(
+    archive: &OpenArchive,
+    originals: &Originals<'_>,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<FieldError> {
+    if settings.map.is_some() {
+        archive.refuse_coordinates("a map of bricks")?;
+    }
+    let map = settings.map.as_deref().map(|path| Map::new(archive, path, settings)).transpose()?;
+    match originals {
+        Originals::Volume { reader, .. } => {
+            let samples = Samples::of(originals).expect("those of a volume");
+            let gauge = Gauge::new(&archive.manifest.plan.lattice);
+            let against = AgainstSamples { archive, samples, reader: *reader, gauge, mapped: map.is_some() };
+            against.measure(map, settings, progress)
+        }
+        Originals::Mesh(store, values) => {
+            let step = [(archive.view.step, *values)];
+            let mut errors = measure_vertices(archive, store, &step, map, settings, progress)?;
+            Ok(errors.pop().expect("of one step").0)
+        }
+    }
+}
+
+/// Measures steps of an archive, published or not, from a position in the manifest on.
+pub(in crate::pipeline) fn field_errors(
+    archive: &mut OpenArchive,
+    first: usize,
+    originals: &[Originals<'_>],
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<Vec<StepErrors>> {
+    let (mut errors, mut on_mesh, mut store) = (vec![], vec![], None);
+    for (position, original) in (first..).zip(originals) {
+        match original {
+            Originals::Volume { .. } => {
+                archive.turn_to(position);
+                errors.push((field_error(archive, original, settings, progress)?, vec![]));
+            }
+            Originals::Mesh(mesh, values) => {
+                store = Some(*mesh);
+                on_mesh.push((position, *values));
+            }
+        }
+    }
+    // The steps of a series are on one mesh, or on none.
+    match store {
+        Some(store) => vertex_errors(archive, store, &on_mesh, settings, progress),
+        None => Ok(errors),
+    }
+}
+
+/// Measures steps at the vertices of a mesh, which are located once for as many steps as the memory allows.
+fn vertex_errors(
+    archive: &OpenArchive,
+    store: &CellStore,
+    steps: &[(usize, &Column<f32>)],
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<Vec<StepErrors>> {
+    match measure_vertices(archive, store, steps, None, settings, progress) {
+        // Refused before anything was read: fewer steps take less.
+        Err(Error::Budget { .. }) if steps.len() > 1 => {
+            let (some, others) = steps.split_at(steps.len() / 2);
+            let mut errors = vertex_errors(archive, store, some, settings, progress)?;
+            errors.extend(vertex_errors(archive, store, others, settings, progress)?);
+            Ok(errors)
+        }
+        other => other,
+    }
+}
+
+/// The samples of a volume, against an archive.
+struct AgainstSamples<'a> {
+    archive: &'a OpenArchive,
+    samples: Samples<'a>,
+    reader: &'a dyn VolumeReader,
+    gauge: Gauge,
+    /// Whether errors are wanted brick by brick.
+    mapped: bool,
+}
+
+/// What a chunk tells.
+#[derive(Default)]
+struct Part {
+    sums: ErrorSums,
+    bricks: BTreeMap<u64, BrickErrors>,
+}
+
+/// Bytes of a job, beside its chunk: samples, sums, bricks.
+const EXTRA: u64 = estimate::error_bytes(1) + (1 << 19);
+
+impl AgainstSamples<'_> {
+    fn measure(
+        &self,
+        mut map: Option<Map>,
+        settings: &MeasureSettings,
+        progress: &dyn Progress,
+    ) -> Result<FieldError> {
+        let archive = self.archive;
+        let mapped = map.is_some();
+        let of_map = |memory: u64| if mapped { map_bytes(memory) } else { 0 };
+        let share = |memory: u64| memory.saturating_sub(estimate::BASE + of_map(memory));
+        let visit =
+            Visit::new(archive, Blocks::All, settings.threads, share(settings.memory), &settings.cancel)?;
+        visit.check_memory(settings.memory, share, EXTRA)?;
+        progress.begin("measure", visit.chunks.len() as u64, "chunks");
+        let (mut sums, mut released) = (ErrorSums::default(), 0);
+        let job = |_, chunk: DecodedChunk| self.part(&chunk);
+        visit.each(EXTRA, progress, job, |n, part: Part| {
+            sums.merge(&part.sums);
+            let chunk = archive.chunks.chunk(visit.chunks[n]);
+            if let Some(map) = &mut map {
+                map.add(chunk.id.0, &part.bricks)?;
+            }
+            // Samples below the layer of chunks before this one are done with: no halo reaches that far.
+            let slice = |z: u32| u64::from(z >> archive.manifest.plan.lattice.log2_steps[2]);
+            let keep = slice(chunk.core.lo[2]).saturating_sub(slice(chunk.core.hi[2] - chunk.core.lo[2]));
+            if keep > released {
+                self.reader.release(released..keep);
+                released = keep;
+            }
+            Ok(())
+        })?;
+        if let Some(map) = map {
+            map.finish()?;
+        }
+        field_error_of(archive, &sums)
+    }
+
+    /// Measures the samples in the tetrahedra of a chunk.
+    fn part(&self, chunk: &DecodedChunk) -> Result<Part> {
+        let DecodedChunk { positions, tets, block_ends, values, .. } = chunk;
+        let cells = Cells { positions, tets, block_ends };
+        let read = |_, window, out: &mut [f32]| self.samples.read(window, out);
+        if !self.mapped {
+            let mut sums = self.gauge.errors(&cells, &Sides::one(values), read)?;
+            return Ok(Part { sums: sums.pop().expect("of one step"), ..Part::default() });
+        }
+        let (bricks, lattice) = (self.archive.chunks.bricks(), self.archive.manifest.plan.lattice);
+        let (mut part, mut sums, dims) = (Part::default(), Tally::default(), self.gauge.dims());
+        self.gauge.each_sample(&cells, &Sides::one(values), read, |m| {
+            errors::add(&mut sums, &m, dims);
+            for (n, (original, reduced)) in m.compared.pairs().enumerate() {
+                let brick = bricks.id(bricks.brick_at(lattice.of_voxel(m.place(n))));
+                part.bricks.entry(brick.0).or_default().add(original, reduced);
+            }
+        })?;
+        part.sums = sums.finish();
+        Ok(part)
+    }
+}
+
+/// Bytes for a vertex of a batch: its place, three times while it is sorted and looked for, its value, and the nearest place.
+pub(in crate::pipeline) const VERTEX: u64 = 300;
+/// Bytes for the value of each further step.
+const FURTHER: u64 = 16;
+/// The most vertices of a batch.
+pub(in crate::pipeline) const MOST_VERTICES: u64 = 1 << 31;
+
+/// A position of a mesh on the lattice.
+pub(in crate::pipeline) fn on_lattice(p: FinePos) -> LatticePos {
+    // The frame's box ends at whole lattice steps, so no position is rounded out of it.
+    p.map(|c| ((c + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32)
+}
+
+/// Positions of steps, and their values at the vertices; a map is of one step.
+fn measure_vertices(
+    archive: &OpenArchive,
+    store: &CellStore,
+    steps: &[(usize, &Column<f32>)],
+    mut map: Option<Map>,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<Vec<StepErrors>> {
+    if archive.manifest.plan.own.is_some() {
+        let scratch = settings.scratch();
+        let (how, memory) = (store_settings(archive, settings, &scratch), settings.memory);
+        let of_map = if map.is_some() { map_bytes(memory) } else { 0 };
+        let rest = memory.saturating_sub(of_map);
+        return own_errors(archive, store, steps, map, &how, rest, progress).map_err(|e| e.beside(of_map));
+    }
+    let positions = store.positions.get()?;
+    let columns = steps.iter().map(|(_, values)| values.get()).collect::<Result<Vec<_>>>()?;
+    let steps: Vec<usize> = steps.iter().map(|step| step.0).collect();
+    let levels = archive.points.levels();
+    let none = vec![ErrorSums::default(); levels.map_or(0, |levels| usize::from(levels.top()) + 1)];
+    let sums_bytes = (steps.len() * (none.len() + 1)) as u64 * ErrorSums::BYTES;
+    let mapped = map.is_some();
+    let of_map = |memory: u64| if mapped { map_bytes(memory) } else { 0 };
+    let rest = |memory: u64| memory.saturating_sub(estimate::BASE + of_map(memory) + sums_bytes);
+    let share = |memory: u64| rest(memory) / 8 * 7;
+    let vertex = VERTEX + FURTHER * (steps.len() as u64 - 1);
+    let most = (rest(settings.memory) / 8 / vertex).clamp(1, MOST_VERTICES) as usize;
+    let find = Find {
+        threads: settings.threads,
+        memory: settings.memory,
+        share: &share,
+        cancel: &settings.cancel,
+        outside: Outside::All,
+    };
+    let bricks = archive.chunks.bricks();
+    let mut beyond = vec![0u64; steps.len()];
+    let mut sums: Vec<_> = steps.iter().map(|_| (ErrorSums::default(), none.clone())).collect();
+    for (batch, first) in positions.chunks(most).zip((0u64..).step_by(most)) {
+        let mut errors = BTreeMap::<u64, BrickErrors>::new();
+        let placed = batch.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
+        each_value_of(archive, &steps, placed, &find, progress, "measure", |n, reduced, is_inside| {
+            let (number, at) = (first + u64::from(n), on_lattice(batch[n as usize]));
+            let level = levels.map(|levels| usize::from(levels.at(at)));
+            for ((((sums, of_levels), values), &reduced), beyond) in
+                sums.iter_mut().zip(&columns).zip(reduced).zip(&mut beyond)
+            {
+                let is_measured = !reduced.is_nan() && !values[number as usize].is_nan();
+                *beyond += u64::from(!is_inside && is_measured);
+                sums.add(values[number as usize], reduced, || number);
+                if let Some(level) = level {
+                    of_levels[level].add(values[number as usize], reduced, || number);
+                }
+            }
+            if map.is_some() {
+                let brick = bricks.id(bricks.brick_at(at));
+                errors.entry(brick.0).or_default().add(columns[0][number as usize], reduced[0]);
+            }
+        })?;
+        if let Some(map) = &mut map {
+            map.add(first, &errors)?;
+        }
+    }
+    if let Some(map) = map {
+        map.finish()?;
+    }
+    told_errors(archive, store, &steps, &columns, &sums, &beyond)
+}
+
+/// Errors at the vertices, as they are told: of steps by positions in the manifest, with their values, and vertices outside.
+pub(super) fn told_errors(
+    archive: &OpenArchive,
+    store: &CellStore,
+    steps: &[usize],
+    columns: &[&[f32]],
+    sums: &[(ErrorSums, Vec<ErrorSums>)],
+    beyond: &[u64],
+) -> Result<Vec<StepErrors>> {
+    let positions = store.positions.get()?;
+    let mut told = vec![];
+    for (n, (&position, (sums, of_levels))) in steps.iter().zip(sums).enumerate() {
+        let source = &archive.manifest.steps[position].plan.source;
+        let of_level = |sums: &ErrorSums| sums.level_error().with_rounding(source.rounding);
+        let mut error = vertex_error(store, positions, sums, source);
+        error.source_range = range_of(columns[n]).map(|r| r.map(|v| f64::from(v) + source.offset));
+        error.beyond = beyond[n];
+        told.push((error, of_levels.iter().map(of_level).collect()));
+    }
+    Ok(told)
+}
+
+/// The least and the largest value at the vertices of a mesh, those outside of all tetrahedra included.
+fn range_of(values: &[f32]) -> Option<[f32; 2]> {
+    let all = values.iter().filter(|v| v.is_finite()).map(|v| v + 0.0);
+    all.fold(None, |range: Option<[f32; 2]>, v| Some(range.map_or([v; 2], |[lo, hi]| [lo.min(v), hi.max(v)])))
+}
+
+/// The error of a step at all vertices, and where it is largest.
+fn vertex_error(store: &CellStore, positions: &[FinePos], sums: &ErrorSums, source: &Source) -> FieldError {
+    let mut error = sums.field_error(positions.len() as u64);
+    error.worst = sums.largest().map(|l| {
+        let log2_steps = store.frame.lattice.log2_steps;
+        let steps = log2_steps.map(|s| f64::from(1u32 << FINE_BITS) * f64::from(1u32 << s));
+        let p = positions[l.sample as usize];
+        let ijk = std::array::from_fn(|a| p[a] as f64 / steps[a]);
+        Worst {
+            sample: l.sample,
+            index: None,
+            world: store.frame.geometry.to_world(ijk),
+            original: source.told(l.original),
+            reduced: source.told(l.reduced),
+        }
+    });
+    error.of_source(source.offset, source.rounding)
+}
+
+/// The map of bricks, being collected.
+pub(super) struct Map {
+    file: BrickMapFile,
+    bricks: u64,
+    sorter: Sorter<BrickRecord>,
+}
+
+/// What sorting for a map takes of a budget.
+fn map_bytes(memory: u64) -> u64 {
+    (memory / 8).min(64 << 20)
+}
+
+/// Bricks that are written at a time.
+const BATCH: usize = 1 << 12;
+
+impl Map {
+    fn new(archive: &OpenArchive, path: &Path, settings: &MeasureSettings) -> Result<Self> {
+        let (bricks, g) = (archive.chunks.bricks(), &archive.step().plan.source.geometry);
+        let spacing = std::array::from_fn(|a| g.spacing[a] * bricks.voxels()[a]);
+        let memory = map_bytes(settings.memory);
+        Ok(Self {
+            file: BrickMapFile::create(path, bricks.dims(), &Geometry { spacing, ..*g })?,
+            bricks: bricks.len(),
+            sorter: Sorter::new(memory as usize, &settings.scratch()),
+        })
+    }
+
+    pub(super) fn add(&mut self, chunk: u64, bricks: &BTreeMap<u64, BrickErrors>) -> Result<()> {
+        BrickRecord::of(chunk, bricks).into_iter().try_for_each(|record| self.sorter.push(record))
+    }
+
+    /// Writes all bricks, those without a sample too.
+    pub(super) fn finish(self) -> Result<u64> {
+        const NONE: BrickNumbers = BrickNumbers { rms: f32::NAN, max: f32::NAN, samples: 0 };
+        let mut records = self.sorter.finish()?;
+        let (mut batch, mut first) = (vec![], 0u64);
+        let mut put = |brick: BrickNumbers, last: bool| {
+            batch.push(brick);
+            if batch.len() == BATCH || last {
+                self.file.write(first, &batch)?;
+                first += batch.len() as u64;
+                batch.clear();
+            }
+            Ok(())
+        };
+        let mut next = 0;
+        merged(
+            || records.next(),
+            |brick, errors| {
+                while next < brick {
+                    put(NONE, false)?;
+                    next += 1;
+                }
+                next += 1;
+                let max = if errors.samples == 0 { f32::NAN } else { errors.max as f32 };
+                let numbers = BrickNumbers { rms: errors.rms() as f32, max, samples: errors.samples };
+                put(numbers, next == self.bricks)
+            },
+        )?;
+        while next < self.bricks {
+            next += 1;
+            put(NONE, next == self.bricks)?;
+        }
+        self.file.publish()
+    }
+}

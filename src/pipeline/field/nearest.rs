@@ -1,0 +1,91 @@
+//! Points that lie in no tetrahedron: the place of the reduced domain that is nearest to each.
+//!
+//! Such a place lies on a face that only one tetrahedron has. The faces that only one tetrahedron of a chunk has are those, and faces between chunks, which are
+//! never nearer. So each chunk looks at its own ones, and the nearest of all chunks counts; of equally near ones the first by the positions of
+//! its corners. Corners are taken in the order of their positions: the answer depends on neither chunks nor threads.
+
+use crate::domain::nearest::nearest;
+use crate::geom::{Lattice, LatticePos};
+use crate::locate::{FINE_BITS, fine};
+use crate::mesh::tet::Tet;
+use crate::pipeline::read::DecodedChunk;
+use crate::raster::{PointLocator, interpolate};
+use std::collections::BTreeMap;
+
+/// A place near a point, and the values there: NaN where a corner has none.
+#[derive(Clone, Debug)]
+pub(super) struct NearPlace {
+    /// The square of the distance, in fine steps.
+    distance2: f64,
+    corners: [LatticePos; 3],
+    pub(super) values: Vec<f32>,
+}
+
+impl NearPlace {
+    fn is_before(&self, other: &Self) -> bool {
+        (self.distance2, self.corners) < (other.distance2, other.corners)
+    }
+
+    /// Whether the place is within so many lattice steps of its point.
+    pub(super) fn is_within(&self, steps: u32) -> bool {
+        let most = f64::from(steps) * f64::from(1u32 << FINE_BITS);
+        self.distance2 <= most * most
+    }
+}
+
+/// Keeps the nearer one of the places of a point.
+pub(super) fn keep(places: &mut BTreeMap<u32, NearPlace>, point: u32, place: NearPlace) {
+    match places.get_mut(&point) {
+        Some(known) if !place.is_before(known) => {}
+        Some(known) => *known = place,
+        None => {
+            places.insert(point, place);
+        }
+    }
+}
+
+/// The places of a chunk's tetrahedra that are nearest to points, of those within `reach` lattice steps along each axis.
+pub(super) fn near_places(
+    chunk: &DecodedChunk,
+    lists: &[Vec<f32>],
+    points: &PointLocator,
+    reach: u32,
+    lattice: &Lattice,
+) -> BTreeMap<u32, NearPlace> {
+    let (mut places, far) = (BTreeMap::new(), lattice.max());
+    if points.is_empty() {
+        return places;
+    }
+    for mut face in single_faces(&chunk.tets) {
+        face.sort_unstable_by_key(|&v| chunk.positions[v as usize]);
+        let corners = face.map(|v| chunk.positions[v as usize]);
+        let lo = std::array::from_fn(|a| {
+            corners.iter().map(|c| c[a]).fold(u32::MAX, u32::min).saturating_sub(reach)
+        });
+        let hi = std::array::from_fn(|a| {
+            corners.iter().map(|c| c[a]).fold(0, u32::max).saturating_add(reach).min(far[a])
+        });
+        points.each_within(lo, hi, |p, n| {
+            let (weights, distance2) = nearest(corners.map(fine), fine(p));
+            let known = places.get(&n);
+            if known.is_some_and(|k: &NearPlace| (k.distance2, k.corners) <= (distance2, corners)) {
+                return;
+            }
+            let at = |values: &Vec<f32>| {
+                let [a, b, c] = face.map(|v| values[v as usize]);
+                interpolate([weights[0], weights[1], weights[2], 0.0], [a, b, c, 0.0])
+            };
+            places.insert(n, NearPlace { distance2, corners, values: lists.iter().map(at).collect() });
+        });
+    }
+    places
+}
+
+/// The faces that only one of some tetrahedra has.
+fn single_faces(tets: &[Tet]) -> Vec<[u32; 3]> {
+    let faces = |&[a, b, c, d]: &Tet| [[b, c, d], [a, c, d], [a, b, d], [a, b, c]];
+    let mut all: Vec<[u32; 3]> = tets.iter().flat_map(faces).collect();
+    all.iter_mut().for_each(|f| f.sort_unstable());
+    all.sort_unstable();
+    all.chunk_by(|a, b| a == b).filter(|same| same.len() == 1).map(|same| same[0]).collect()
+}

@@ -1,0 +1,357 @@
+//! `probe` on a grid: the reduced field, linear in each tetrahedron, at the samples of a grid of any size.
+//!
+//! ```text
+//!  chunk ─▶ decode ─▶ box of its tetrahedra, cut into windows ─▶ scan conversion ─▶ runs, each to its place in the file
+//! ```
+//!
+//! Each sample is in exactly one tetrahedron ([`crate::raster`]), so each is written exactly once, by whichever chunk has that
+//! tetrahedron, and chunks need not wait for each other. Memory: some chunks, and a window for each.
+//!
+//! The own tetrahedra of a mesh may overlap. Then the value of the first one counts. A bit a sample tells which are taken; where two chunks
+//! have one, all is done again on one thread, chunk by chunk.
+
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, Progress, Silent};
+use crate::formats::samples::{GridMeta, SampleFile, SampleFormat};
+use crate::grid::{Geometry, IndexBox};
+use crate::pipeline::plan::estimate;
+use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, Visit};
+use crate::raster::{Axis, SampleGrid, Scanner, interpolate};
+use serde::Serialize;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+/// How a field is probed.
+#[derive(Clone, Debug)]
+pub struct ProbeSettings {
+    /// Threads; 0 means as many as the process may use.
+    pub threads: usize,
+    /// Bytes for chunks, windows and points.
+    pub memory: u64,
+    /// Stops the probing; nothing is written then.
+    pub cancel: CancelToken,
+}
+
+impl Default for ProbeSettings {
+    fn default() -> Self {
+        Self { threads: 0, memory: crate::exec::usable_memory() / 2, cancel: CancelToken::new() }
+    }
+}
+
+/// What was probed.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct ProbeReport {
+    /// Samples or points asked for.
+    pub samples: u64,
+    /// Of those, without value because a corner of their tetrahedron has none: NaN.
+    pub void: u64,
+    /// Of those, outside the domain: NaN.
+    pub outside: u64,
+    /// Chunks read, each as often as it was.
+    pub chunks_read: u64,
+    /// Bytes read of segments.
+    pub bytes_read: u64,
+    /// Bytes of the file written.
+    pub file_bytes: u64,
+    /// Seconds of wall time.
+    pub seconds: f64,
+}
+
+/// Bits of a sample that no tetrahedron has claimed: a NaN that no computation gives.
+const UNSET: u32 = 0x7fff_ffff;
+/// Samples of a window: 16 MiB.
+const WINDOW: u64 = 1 << 22;
+
+/// Samples written at a time where the tetrahedra leave gaps.
+const BLANK: u64 = 1 << 18;
+
+/// Samples the field of an archive on a grid and writes them to a file: see [`super::Archive::write_samples`].
+pub(in crate::pipeline) fn probe_grid(
+    archive: &OpenArchive,
+    dims: [u64; 3],
+    settings: &ProbeSettings,
+    out: &Path,
+    format: SampleFormat,
+    progress: &dyn Progress,
+) -> Result<ProbeReport> {
+    archive.refuse_coordinates("a probe on a grid")?;
+    let (start, read_before) = (Instant::now(), archive.bytes_read());
+    let source = &archive.step().plan.source;
+    let geometry = grid_geometry(&source.geometry, source.dims, dims)?;
+    let meta = GridMeta { dims, geometry, field: source.field.clone(), offset: source.offset };
+    let samples = meta.samples()?;
+    let scan = GridScan::new(archive, dims, settings)?;
+    let file = SampleFile::create(out, format, &meta)?;
+    if scan.has_gaps {
+        let blank = vec![f32::NAN; BLANK.min(samples) as usize];
+        for first in (0..samples).step_by(BLANK as usize) {
+            file.write(first, &blank[..BLANK.min(samples - first) as usize])?;
+        }
+    }
+    let void = scan.run(samples, progress, |first, run| file.write(first, run))?;
+    Ok(ProbeReport {
+        samples,
+        void,
+        outside: 0,
+        chunks_read: scan.visit.chunks.len() as u64,
+        bytes_read: archive.bytes_read() - read_before,
+        file_bytes: file.publish()?,
+        seconds: start.elapsed().as_secs_f64(),
+    })
+}
+
+/// The same samples, in memory.
+pub(in crate::pipeline) fn sample_grid(
+    archive: &OpenArchive,
+    dims: [u64; 3],
+    settings: &ProbeSettings,
+) -> Result<Vec<f64>> {
+    let meta = GridMeta { dims, geometry: Geometry::default(), field: String::new(), offset: 0.0 };
+    let (samples, offset) = (meta.samples()?, archive.step().plan.source.offset);
+    let bytes = 8 * samples;
+    if bytes > settings.memory {
+        return Err(Error::Budget { what: "memory".into(), needed: bytes, available: settings.memory });
+    }
+    let scan = GridScan::new(archive, dims, settings)?;
+    let all = Mutex::new(vec![f64::NAN; samples as usize]);
+    scan.run(samples, &Silent, |first, run| {
+        let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
+        all[first as usize..].iter_mut().zip(run).for_each(|(out, &v)| *out = offset + f64::from(v));
+        Ok(())
+    })?;
+    Ok(all.into_inner().unwrap_or_else(PoisonError::into_inner))
+}
+
+/// Everything that scan converts an archive.
+struct GridScan<'a> {
+    visit: Visit<'a>,
+    grid: SampleGrid,
+    /// Whether the tetrahedra do not fill the domain: where there is none, there is no value.
+    has_gaps: bool,
+    /// Whether tetrahedra may overlap.
+    may_overlap: bool,
+}
+
+/// Samples that have a value, where tetrahedra may overlap.
+struct TakenSamples {
+    bits: Vec<AtomicU64>,
+    /// Whether a sample was taken twice.
+    twice: AtomicBool,
+    counted: Mutex<Counted>,
+}
+
+/// Bytes for bits of so many samples.
+fn taken_bytes(samples: u64) -> u64 {
+    8 * samples.div_ceil(64)
+}
+
+impl TakenSamples {
+    fn new(samples: u64) -> Self {
+        let bits = (0..samples.div_ceil(64)).map(|_| AtomicU64::new(0)).collect();
+        Self { bits, twice: AtomicBool::new(false), counted: Mutex::default() }
+    }
+
+    /// Takes the samples of a run that nobody has, and hands them on.
+    fn take(&self, first: u64, run: &[f32], write: impl Fn(u64, &[f32]) -> Result<()>) -> Result<()> {
+        let is_free = |n: usize| {
+            let (word, bit) = ((first + n as u64) / 64, 1 << ((first + n as u64) % 64));
+            self.bits[word as usize].fetch_or(bit, Ordering::Relaxed) & bit == 0
+        };
+        let free: Vec<bool> = (0..run.len()).map(is_free).collect();
+        if free.contains(&false) {
+            self.twice.store(true, Ordering::Relaxed);
+        }
+        let (mut at, mut counted) = (0, Counted::default());
+        for group in free.chunk_by(|a, b| a == b) {
+            let values = &run[at..at + group.len()];
+            if group[0] {
+                counted.set += values.len() as u64;
+                counted.void += values.iter().filter(|v| v.is_nan()).count() as u64;
+                write(first + at as u64, values)?;
+            }
+            at += group.len();
+        }
+        self.counted.lock().unwrap_or_else(PoisonError::into_inner).add(counted);
+        Ok(())
+    }
+}
+
+impl<'a> GridScan<'a> {
+    fn new(archive: &'a OpenArchive, dims: [u64; 3], settings: &'a ProbeSettings) -> Result<Self> {
+        let grid = spanning_grid(archive, dims)?;
+        let axes = 4 * dims.iter().sum::<u64>();
+        let may_overlap = archive.manifest.plan.own.is_some();
+        let bits = if may_overlap { taken_bytes(dims.iter().product()) } else { 0 };
+        let share = |memory: u64| memory.saturating_sub(estimate::BASE + axes + bits);
+        let visit =
+            Visit::new(archive, Blocks::All, settings.threads, share(settings.memory), &settings.cancel)?;
+        visit.check_memory(settings.memory, share, 4 * WINDOW)?;
+        let plan = &archive.manifest.plan;
+        // The tetrahedra of a mesh may overlap: their volume tells nothing.
+        let has_gaps = may_overlap || visit.volume6()? != plan.lattice.volume6();
+        Ok(Self { visit, grid, has_gaps, may_overlap })
+    }
+
+    /// Hands all samples to `write`, in runs, from any thread in any order; returns the number of those without a value. Where tetrahedra
+    /// overlap, some samples are handed on again.
+    fn run(
+        &self,
+        samples: u64,
+        progress: &dyn Progress,
+        write: impl Fn(u64, &[f32]) -> Result<()> + Sync,
+    ) -> Result<u64> {
+        if self.may_overlap {
+            let (mut total, twice) = self.scan_taking(&self.visit, samples, progress, &write)?;
+            if twice {
+                let Visit { archive, memory, cancel, .. } = self.visit;
+                let in_order = Visit::new(archive, Blocks::All, 1, memory, cancel)?;
+                total = self.scan_taking(&in_order, samples, progress, &write)?.0;
+            }
+            return Ok(total.void + (samples - total.set));
+        }
+        let total = self.scan(&self.visit, progress, &write)?;
+        if total.set == samples || (self.has_gaps && total.set < samples) {
+            return Ok(total.void + (samples - total.set));
+        }
+        let expected = format!("tetrahedra that hold {samples} samples, each once");
+        let path = self.visit.archive.path();
+        Err(Error::bad_input(path, "tetrahedra", expected, total.set.to_string())
+            .with_help("isospan check tells more"))
+    }
+
+    /// Hands the samples of all chunks to `write`.
+    fn scan(
+        &self,
+        visit: &Visit<'_>,
+        progress: &dyn Progress,
+        write: impl Fn(u64, &[f32]) -> Result<()> + Sync,
+    ) -> Result<Counted> {
+        progress.begin("probe", visit.chunks.len() as u64, "chunks");
+        let mut total = Counted::default();
+        let job = |_, chunk: DecodedChunk| scan_chunk(&chunk, &self.grid, self.may_overlap, &write);
+        visit.each(4 * WINDOW, progress, job, |_, counted| {
+            total.add(counted);
+            Ok(())
+        })?;
+        Ok(total)
+    }
+
+    /// As [`GridScan::scan`], but each sample once. Tells also whether two chunks had one.
+    fn scan_taking(
+        &self,
+        visit: &Visit<'_>,
+        samples: u64,
+        progress: &dyn Progress,
+        write: impl Fn(u64, &[f32]) -> Result<()> + Sync,
+    ) -> Result<(Counted, bool)> {
+        let taken = TakenSamples::new(samples);
+        self.scan(visit, progress, |first, run: &[f32]| taken.take(first, run, &write))?;
+        let counted = taken.counted.into_inner().unwrap_or_else(PoisonError::into_inner);
+        Ok((counted, taken.twice.into_inner()))
+    }
+}
+
+/// Evenly spaced samples from face to face of the domain.
+fn spanning_grid(archive: &OpenArchive, dims: [u64; 3]) -> Result<SampleGrid> {
+    let lattice = archive.manifest.plan.lattice;
+    let far = lattice.max();
+    let axis = |a: usize| Axis::even(0, far[a], dims[a]);
+    SampleGrid::new(&lattice, [axis(0)?, axis(1)?, axis(2)?])
+}
+
+/// The geometry of a grid of `dims` samples that spans a volume.
+fn grid_geometry(volume: &Geometry, volume_dims: [u64; 3], dims: [u64; 3]) -> Result<Geometry> {
+    if dims.contains(&0) {
+        return Err(Error::usage("a grid has at least one sample along each axis"));
+    }
+    let length = volume_dims.map(|n| (n - 1) as f64);
+    let first = std::array::from_fn(|a| if dims[a] == 1 { length[a] / 2.0 } else { 0.0 });
+    let voxels = |a: usize| length[a] / (dims[a].max(2) - 1) as f64;
+    Ok(Geometry {
+        origin: volume.to_world(first),
+        spacing: std::array::from_fn(|a| volume.spacing[a] * voxels(a)),
+        direction: volume.direction,
+    })
+}
+
+/// Samples of a chunk.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counted {
+    set: u64,
+    void: u64,
+}
+
+impl Counted {
+    fn add(&mut self, other: Self) {
+        self.set += other.set;
+        self.void += other.void;
+    }
+}
+
+/// Samples the tetrahedra of a chunk, and hands runs of samples (the number of the first in the grid, their values) to `write`.
+fn scan_chunk(
+    chunk: &DecodedChunk,
+    grid: &SampleGrid,
+    may_overlap: bool,
+    write: impl Fn(u64, &[f32]) -> Result<()>,
+) -> Result<Counted> {
+    let mut counted = Counted::default();
+    let Some(whole) = samples_around(chunk, grid) else { return Ok(counted) };
+    let mut samples = vec![];
+    for window in whole.windows(WINDOW) {
+        samples.clear();
+        samples.resize(window.len(), f32::from_bits(UNSET));
+        let scanner = Scanner::new(grid, &window);
+        for tet in &chunk.tets {
+            let values = tet.map(|v| chunk.values[v as usize]);
+            let void = values.iter().any(|v| v.is_nan());
+            scanner.each_run(tet.map(|v| chunk.positions[v as usize]), |place, run| {
+                for (sample, &weights) in samples[place..].iter_mut().zip(run) {
+                    if !may_overlap || sample.to_bits() == UNSET {
+                        *sample = if void { f32::NAN } else { interpolate(weights, values) };
+                    }
+                }
+                counted.set += run.len() as u64;
+                counted.void += if void { run.len() as u64 } else { 0 };
+            });
+        }
+        write_runs(&samples, &window, grid.dims(), &write)?;
+    }
+    Ok(counted)
+}
+
+/// The samples in the bounding box of a chunk's tetrahedra.
+fn samples_around(chunk: &DecodedChunk, grid: &SampleGrid) -> Option<IndexBox> {
+    let mut corners = chunk.tets.iter().flatten().map(|&v| chunk.positions[v as usize]);
+    let first = corners.next()?;
+    let (lo, hi) = corners.fold((first, first), |(lo, hi), p| {
+        (std::array::from_fn(|a| p[a].min(lo[a])), std::array::from_fn(|a| p[a].max(hi[a])))
+    });
+    Some(grid.within(lo, hi)).filter(|b| !b.is_empty())
+}
+
+/// Hands on the runs of samples that were set, row by row.
+fn write_runs(
+    samples: &[f32],
+    window: &IndexBox,
+    dims: [u64; 3],
+    write: impl Fn(u64, &[f32]) -> Result<()>,
+) -> Result<()> {
+    let width = window.dims()[0] as usize;
+    let is_set = |v: &f32| v.to_bits() != UNSET;
+    for (n, row) in samples.chunks(width).enumerate() {
+        let rows = window.dims()[1];
+        let (y, z) = (window.lo[1] + n as u64 % rows, window.lo[2] + n as u64 / rows);
+        let first = (z * dims[1] + y) * dims[0] + window.lo[0];
+        let mut at = 0;
+        for run in row.chunk_by(|a, b| is_set(a) == is_set(b)) {
+            if is_set(&run[0]) {
+                write(first + at, run)?;
+            }
+            at += run.len() as u64;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,21 @@
+//! What is found out about inputs before a plan is made: their range, their offset, where they bend.
+//!
+//! Each pass reads a source from front to back, or a bounded part of it. A source without random
+//! access is copied into bricks ([`bricked_copy`]).
+
+mod bend;
+mod bricked_copy;
+mod density;
+mod mesh_density;
+mod scan;
+mod shift;
+mod survey;
+
+pub(super) use bricked_copy::{Scratch, copy_bytes, random_access};
+pub use bricked_copy::{brick, is_bricked};
+pub(super) use density::Errors;
+pub(super) use mesh_density::{MeshChoice, MeshCurves};
+pub use scan::{Scan, scan};
+pub(super) use scan::{Spread, spread, stream_spread};
+pub(super) use shift::{Reading, Shift, treat_missing};
+pub(super) use survey::{Fill, Seen, Stretch, Survey, survey_mesh, survey_volume, watched};

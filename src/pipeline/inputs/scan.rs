@@ -1,0 +1,332 @@
+//! One pass over a volume: range, mean, missing samples, histogram. Memory: one slab.
+
+use super::bend::BendBlocks;
+use crate::density::Bend;
+use crate::error::Result;
+use crate::exec::CancelToken;
+use crate::grid::IndexBox;
+use crate::volume::shifted::{each_value, may_need_offset, shortest};
+use crate::volume::strided::convert_row;
+use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
+use serde::Serialize;
+
+/// What one pass over the samples tells. Values have slope and intercept applied.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Scan {
+    /// Least finite value; `None` if there is no finite sample.
+    pub min: Option<f64>,
+    /// Largest finite value.
+    pub max: Option<f64>,
+    /// Mean of the finite values.
+    pub mean: Option<f64>,
+    /// Samples that are NaN, or declared missing by the file.
+    pub nan: u64,
+    /// Samples that are infinite.
+    pub infinite: u64,
+    /// Finite samples in each of [`Scan::BINS`] equal parts of `min..=max`.
+    pub histogram: Vec<u64>,
+}
+
+impl Scan {
+    /// Number of histogram bins.
+    pub const BINS: usize = 64;
+}
+
+/// Counts values by the 16 leading bits of an order-preserving key of the `f32`: one pass without knowing the range
+/// first. A bin of the final histogram is therefore exact to 1/128 of a value. Values that `f32` may not hold are counted from the first one.
+struct Counter {
+    by_key: Vec<u64>,
+    base: Option<f64>,
+    min: f64,
+    max: f64,
+    sum: f64,
+    finite: u64,
+    nan: u64,
+    infinite: u64,
+}
+
+impl Counter {
+    fn new() -> Self {
+        Self {
+            by_key: vec![0; 1 << 16],
+            base: None,
+            min: f64::INFINITY,
+            max: f64::NEG_INFINITY,
+            sum: 0.0,
+            finite: 0,
+            nan: 0,
+            infinite: 0,
+        }
+    }
+
+    fn add(&mut self, values: &[f32]) {
+        self.base = Some(0.0);
+        values.iter().for_each(|&v| self.add_one(f64::from(v)));
+    }
+
+    fn add_one(&mut self, v: f64) {
+        if v.is_finite() {
+            let base = *self.base.get_or_insert(v);
+            self.by_key[(ordered_key((v - base) as f32) >> 16) as usize] += 1;
+            self.min = self.min.min(v);
+            self.max = self.max.max(v);
+            self.sum += v;
+            self.finite += 1;
+        } else if v.is_nan() {
+            self.nan += 1;
+        } else {
+            self.infinite += 1;
+        }
+    }
+
+    fn finish(self) -> Scan {
+        let known = self.finite > 0;
+        let mut histogram = vec![0; Scan::BINS];
+        let (width, base) = (self.max - self.min, self.base.unwrap_or(0.0));
+        for (key, &count) in self.by_key.iter().enumerate().filter(|(_, c)| **c > 0) {
+            let value = f64::from(value_of_key((key as u32) << 16 | 0x8000)) + (base - self.min);
+            let bin = if width > 0.0 { (value / width * Scan::BINS as f64) as usize } else { 0 };
+            histogram[bin.min(Scan::BINS - 1)] += count;
+        }
+        Scan {
+            min: known.then_some(self.min + 0.0),
+            max: known.then_some(self.max + 0.0),
+            mean: known.then(|| self.sum / self.finite as f64),
+            nan: self.nan,
+            infinite: self.infinite,
+            histogram,
+        }
+    }
+}
+
+/// An unsigned key in the order of the floats.
+fn ordered_key(v: f32) -> u32 {
+    let bits = v.to_bits();
+    if bits >> 31 == 1 { !bits } else { bits | 1 << 31 }
+}
+
+fn value_of_key(key: u32) -> f32 {
+    f32::from_bits(if key >> 31 == 1 { key & !(1 << 31) } else { !key })
+}
+
+/// Reads a volume once.
+///
+/// # Errors
+/// Those of reading it.
+pub fn scan(source: VolumeSource) -> Result<(VolumeInfo, Scan)> {
+    let mut counter = Counter::new();
+    let info = source.info().clone();
+    match source {
+        source if may_need_offset(info.field.scalar, info.slope, info.intercept) => {
+            let (mut stream, mut bytes) = (source.into_stream(), vec![]);
+            let stored = stream.info().clone();
+            while stream.next_slab(&mut bytes)?.is_some() {
+                each_value(&bytes, &stored, None, 0.0, |v| counter.add_one(v));
+            }
+            return Ok((info, counter.finish()));
+        }
+        VolumeSource::Random(reader) => scan_random(&*reader, &mut counter)?,
+        VolumeSource::Stream(mut stream) => scan_stream(&mut *stream, &mut counter)?,
+    }
+    let scan = counter.finish();
+    let told = |v: Option<f64>| v.map(|v| shortest(v as f32));
+    Ok((info, Scan { min: told(scan.min), max: told(scan.max), ..scan }))
+}
+
+fn scan_random(reader: &dyn VolumeReader, counter: &mut Counter) -> Result<()> {
+    for_slabs(reader, |_, values| {
+        counter.add(values);
+        Ok(())
+    })
+}
+
+/// Looks at all finite samples besides the one that means "no data". Reads the volume once.
+pub(in crate::pipeline) fn spread(
+    reader: &dyn VolumeReader,
+    missing: Option<f64>,
+    cancel: &CancelToken,
+) -> Result<Spread> {
+    let mut spread = Spread::new(reader.info().dims, missing);
+    for_slabs(reader, |slab, values| {
+        spread.add(slab, values);
+        cancel.check()
+    })?;
+    Ok(spread)
+}
+
+/// As [`spread`], of values less an offset.
+pub(in crate::pipeline) fn stream_spread(
+    stream: &mut dyn SlabStream,
+    missing: Option<f64>,
+    offset: f64,
+    cancel: &CancelToken,
+) -> Result<Spread> {
+    let mut spread = Spread::new(stream.info().dims, missing.filter(|_| offset == 0.0));
+    if offset == 0.0 {
+        for_stream(stream, |slab, values| {
+            spread.add(slab, values);
+            cancel.check()
+        })?;
+        return Ok(spread);
+    }
+    let (info, mut bytes, mut values) = (stream.info().clone(), vec![], vec![]);
+    while let Some(slab) = stream.next_slab(&mut bytes)? {
+        values.clear();
+        each_value(&bytes, &info, missing, offset, |v| values.push(v as f32));
+        spread.add(&slab, &values);
+        cancel.check()?;
+    }
+    Ok(spread)
+}
+
+/// How samples are spread over the numbers, their range and the range of nearly all; and how they bend along the axes.
+pub(in crate::pipeline) struct Spread {
+    missing: Option<f32>,
+    range: [f32; 2],
+    /// Samples by the upper half of their bits, in ascending order of values: at most 0.8 % of a value wide.
+    counts: Vec<u64>,
+    bends: BendBlocks,
+}
+
+/// One of so many samples may lie below the range of nearly all, and one above.
+const OUTLIERS: u64 = 1000;
+
+impl Spread {
+    fn new(dims: [u64; 3], missing: Option<f64>) -> Self {
+        let missing = missing.map(|m| m as f32);
+        let range = [f32::INFINITY, f32::NEG_INFINITY];
+        Self { missing, range, counts: vec![0; 1 << 16], bends: BendBlocks::new(dims, missing) }
+    }
+
+    fn add(&mut self, slab: &IndexBox, values: &[f32]) {
+        self.bends.add(slab, values);
+        let missing = self.missing;
+        values.iter().filter(|v| Some(**v) != missing).for_each(|&v| self.add_one(v));
+    }
+
+    fn add_one(&mut self, value: f32) {
+        if !value.is_finite() {
+            return;
+        }
+        // A zero has no sign here: which of two zeros is the lesser one differs from machine to machine.
+        let value = value + 0.0;
+        let [low, high] = self.range;
+        self.range = [low.min(value), high.max(value)];
+        self.counts[(ordered_key(value) >> 16) as usize] += 1;
+    }
+
+    /// Least and largest sample; `None` if there is none.
+    pub(in crate::pipeline) fn range(&self) -> Option<[f32; 2]> {
+        (self.range[0] <= self.range[1]).then_some(self.range)
+    }
+
+    /// How the field bends along the axes.
+    pub(in crate::pipeline) fn bend(&self) -> Bend {
+        self.bends.bend()
+    }
+
+    /// The range of 99.8 % of the samples, with up to 0.8 % of its ends besides.
+    pub(in crate::pipeline) fn of_nearly_all(&self) -> Option<[f32; 2]> {
+        let [low, high] = self.range()?;
+        let outside = self.counts.iter().sum::<u64>() / OUTLIERS;
+        let keys = || (0..1u32 << 16).zip(&self.counts);
+        let below = first_within(keys(), outside)?;
+        let above = first_within(keys().rev(), outside)?;
+        Some([value_of_key(below << 16).max(low), value_of_key(above << 16 | 0xffff).min(high)])
+    }
+}
+
+/// The first key with more than so many samples up to it.
+fn first_within<'a>(mut counts: impl Iterator<Item = (u32, &'a u64)>, outside: u64) -> Option<u32> {
+    let mut passed = 0;
+    let found = counts.find(|(_, n)| {
+        passed += **n;
+        passed > outside
+    });
+    found.map(|(key, _)| key)
+}
+
+fn for_slabs(reader: &dyn VolumeReader, mut f: impl FnMut(&IndexBox, &[f32]) -> Result<()>) -> Result<()> {
+    let dims = reader.info().dims;
+    let rows = ((1u64 << 20) / dims[0].max(1)).clamp(1, dims[1].max(1));
+    let mut values = vec![];
+    for z in 0..dims[2] {
+        for y in (0..dims[1]).step_by(rows as usize) {
+            let slab = IndexBox { lo: [0, y, z], hi: [dims[0], (y + rows).min(dims[1]), z + 1] };
+            values.resize(slab.len(), 0.0);
+            reader.read_box(slab, &mut values)?;
+            f(&slab, &values)?;
+        }
+        // A slice at a time would be many calls for small ones.
+        if z % 64 == 63 {
+            reader.release(z - 63..z + 1);
+        }
+    }
+    Ok(())
+}
+
+fn scan_stream(stream: &mut dyn SlabStream, counter: &mut Counter) -> Result<()> {
+    for_stream(stream, |_, values| {
+        counter.add(values);
+        Ok(())
+    })
+}
+
+fn for_stream(stream: &mut dyn SlabStream, mut f: impl FnMut(&IndexBox, &[f32]) -> Result<()>) -> Result<()> {
+    let info = stream.info().clone();
+    let (mut bytes, mut values) = (vec![], vec![]);
+    while let Some(slab) = stream.next_slab(&mut bytes)? {
+        values.resize(slab.len(), 0.0);
+        convert_row(&bytes, info.field.scalar, false, info.slope, info.intercept, info.missing, &mut values);
+        f(&slab, &values)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_keep_the_order_and_come_back() {
+        let values = [f32::MIN, -3.5, -0.0, 0.0, 1e-30, 2.0, 1e30];
+        for w in values.windows(2) {
+            assert!(ordered_key(w[0]) < ordered_key(w[1]));
+        }
+        for v in values {
+            assert_eq!(value_of_key(ordered_key(v)).to_bits(), v.to_bits());
+        }
+    }
+
+    #[test]
+    fn counts_and_ranges() {
+        let mut c = Counter::new();
+        c.add(&[0.0, 64.0, 32.0, f32::NAN, f32::INFINITY, 32.0]);
+        let s = c.finish();
+        assert_eq!((s.min, s.max, s.mean, s.nan, s.infinite), (Some(0.0), Some(64.0), Some(32.0), 1, 1));
+        assert_eq!((s.histogram[0], s.histogram[32], s.histogram[63]), (1, 2, 1));
+        assert_eq!(Counter::new().finish().min, None);
+    }
+
+    #[test]
+    fn a_few_outliers_are_not_in_the_range_of_nearly_all() {
+        let nearly_all = |values: &[f32]| {
+            let dims = [values.len() as u64, 1, 1];
+            let mut spread = Spread::new(dims, Some(-9.0));
+            spread.add(&IndexBox::whole(dims), values);
+            (spread.range(), spread.of_nearly_all())
+        };
+        assert_eq!(nearly_all(&[f32::NAN, -9.0, f32::INFINITY]), (None, None));
+        assert_eq!(nearly_all(&[-0.0]).1.map(|r| r.map(f32::to_bits)), Some([0, 0]));
+        // Of fewer than a thousand samples each one counts.
+        let mut values = vec![1.0; 998];
+        values.push(1e30);
+        assert_eq!(nearly_all(&values), (Some([1.0, 1e30]), Some([1.0, 1e30])));
+        values = (0..10_000).map(|i| i as f32 / 5000.0 - 1.0).collect();
+        values.extend([-1e30, -1e20, 1e20, 1e30]);
+        let (all, [low, high]) = (nearly_all(&values).0, nearly_all(&values).1.unwrap());
+        assert_eq!(all, Some([-1e30, 1e30]));
+        // Ten at either end are left out, and what is left is known to a part of 128.
+        assert!((-1.008..=-0.998).contains(&low) && (0.998..=1.008).contains(&high), "{low} {high}");
+    }
+}

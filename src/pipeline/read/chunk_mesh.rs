@@ -1,0 +1,136 @@
+//! The mesh of a chunk, however it was made: from points, by formula, or read from an archive.
+
+use crate::archive::values::ValueBlocks;
+use crate::geom::{LatticePos, PointId};
+use crate::mesh::bcc::BccChunk;
+use crate::mesh::list::TetList;
+use crate::mesh::tet::Tet;
+use crate::pipeline::plan::Halo;
+
+/// The mesh of a chunk: its own points (core), the points of its neighbours that its tetrahedra need (halo), and the
+/// tetrahedra it owns.
+pub(in crate::pipeline) struct MeshedChunk {
+    /// Points in each brick of the chunk, in brick order.
+    pub(in crate::pipeline) core_counts: Vec<u32>,
+    /// Ids of the halo points, ordered as they are stored; vertex numbers continue those of the core.
+    pub(in crate::pipeline) halo: Vec<PointId>,
+    /// Positions of core points, of halo points, then of those that only tetrahedra around have.
+    pub(in crate::pipeline) all_positions: Vec<LatticePos>,
+    /// How many are of the last kind: the others are the chunk's vertices.
+    pub(in crate::pipeline) around: usize,
+    /// Whether another chunk may have tetrahedra at the vertex.
+    pub(in crate::pipeline) shared: Vec<bool>,
+    /// Tetrahedra, as numbers into `all_positions`. With [`Halo::Stars`] the rest of the tetrahedra at all vertices are around them.
+    pub(in crate::pipeline) tets: TetList,
+    /// How often the halo had to be widened.
+    pub(in crate::pipeline) retries: u32,
+    /// How values are cut into blocks, of a chunk of a lattice.
+    pub(in crate::pipeline) bricks: Option<ValueBlocks>,
+}
+
+impl MeshedChunk {
+    /// The mesh of a chunk of a lattice; with the tetrahedra around it, where they are asked for.
+    pub(in crate::pipeline) fn of_bcc(chunk: &BccChunk, halo: Halo) -> Self {
+        let (mut all_positions, mut ids, mut shared) = (vec![], vec![], vec![]);
+        for (position, id, is_shared) in chunk.listed() {
+            all_positions.push(position);
+            ids.push(id);
+            shared.push(is_shared);
+        }
+        let mut mesh = Self {
+            core_counts: chunk.bricks().map(|cells| 2 * cells.iter().product::<u32>()).collect(),
+            halo: ids.split_off(chunk.core()),
+            all_positions,
+            around: 0,
+            shared,
+            tets: chunk.tets().into(),
+            retries: 0,
+            bricks: Some(value_blocks(chunk)),
+        };
+        if halo == Halo::Stars {
+            let (around, positions) = chunk.around();
+            mesh.put_around(&around, positions);
+        }
+        mesh
+    }
+
+    /// How the values of its vertices are cut into blocks.
+    pub(in crate::pipeline) fn value_blocks(&self) -> ValueBlocks {
+        self.bricks.clone().unwrap_or_else(|| ValueBlocks::even(self.vertices()))
+    }
+
+    pub(in crate::pipeline) fn core_len(&self) -> usize {
+        self.vertices() - self.halo.len()
+    }
+
+    /// How many vertices the chunk has.
+    pub(in crate::pipeline) fn vertices(&self) -> usize {
+        self.all_positions.len() - self.around
+    }
+
+    /// The positions of the chunk's vertices.
+    pub(in crate::pipeline) fn positions(&self) -> &[LatticePos] {
+        &self.all_positions[..self.vertices()]
+    }
+
+    /// The positions of the others that tetrahedra around have.
+    pub(in crate::pipeline) fn positions_around(&self) -> &[LatticePos] {
+        &self.all_positions[self.vertices()..]
+    }
+
+    /// Puts other tetrahedra, whose further positions follow those of the vertices, around its own.
+    pub(in crate::pipeline) fn put_around(&mut self, around: &[Tet], positions: Vec<LatticePos>) {
+        self.all_positions.truncate(self.vertices());
+        self.around = positions.len();
+        self.all_positions.extend(positions);
+        self.tets.put_around(around);
+    }
+
+    /// Takes over what is around the same chunk, meshed again to as many tetrahedra, and the memory of those.
+    pub(in crate::pipeline) fn surround(&mut self, mut again: Self) {
+        again.tets.copy_from_slice(&self.tets);
+        self.all_positions.truncate(self.vertices());
+        self.all_positions.extend_from_slice(again.positions_around());
+        (self.tets, self.around) = (again.tets, again.around);
+    }
+
+    /// Removes the halo points that no tetrahedron of the chunk's uses; those that tetrahedra around use become vertices around. Tells the
+    /// number that each vertex had, those around last.
+    pub(in crate::pipeline) fn drop_unused_halo(&mut self) -> Vec<u32> {
+        let (core, vertices) = (self.core_len(), self.vertices());
+        let mut kept = vec![false; vertices];
+        kept[..core].fill(true);
+        self.tets.iter().flatten().for_each(|&v| kept[v as usize] = true);
+        let mut wanted = vec![false; vertices];
+        self.tets.around().iter().flatten().for_each(|&v| {
+            if let Some(wanted) = wanted.get_mut(v as usize) {
+                *wanted = !kept[v as usize];
+            }
+        });
+        let numbered =
+            |flags: &[bool]| (0..vertices as u32).filter(|&v| flags[v as usize]).collect::<Vec<_>>();
+        let (stay, moved) = (numbered(&kept), numbered(&wanted));
+        let around = vertices as u32..self.all_positions.len() as u32;
+        self.around = around.len() + moved.len();
+        let mut numbers = vec![u32::MAX; around.end as usize];
+        let before: Vec<u32> = stay.into_iter().chain(around).chain(moved).collect();
+        (0..).zip(&before).for_each(|(number, &v)| numbers[v as usize] = number);
+        self.tets.whole_mut().iter_mut().flatten().for_each(|v| *v = numbers[*v as usize]);
+        fn keep<T>(all: &mut Vec<T>, kept: &[bool]) {
+            let mut kept = kept.iter();
+            all.retain(|_| *kept.next().expect("a flag for each"));
+        }
+        keep(&mut self.halo, &kept[core..]);
+        keep(&mut self.shared, &kept);
+        self.all_positions = before.iter().map(|&v| self.all_positions[v as usize]).collect();
+        before
+    }
+}
+
+/// How the values of a lattice's chunk are cut into blocks: bricks, where those have as many values as a block.
+pub(super) fn value_blocks(chunk: &BccChunk) -> ValueBlocks {
+    match chunk.has_whole_bricks() {
+        true => ValueBlocks::bricks(chunk.bricks(), chunk.points()),
+        false => ValueBlocks::even(chunk.points()),
+    }
+}

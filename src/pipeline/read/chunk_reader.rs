@@ -1,0 +1,771 @@
+//! A chunk of an archive while a question reads it: block by block, and only the corners that
+//! blocks use.
+//!
+//! ```text
+//!  header (once) ─▶ block(n): its corners, their positions ─▶ its tetrahedra ─▶ the corners' values
+//! ```
+//!
+//! The tetrahedra of a block are decoded from the positions of its corners. Values come in blocks
+//! ([`ValueBlocks`]), ids of halo points and flags in pages, and positions brick by brick (a brick
+//! lists its points again by formula). Each is read when a corner first needs it. A question about
+//! isovalues skips value blocks that lie on one side of all of them, unless a tetrahedron connects
+//! them to the other side. So a chunk whose surface is small costs a few bricks. For a lattice
+//! everything but the values follows by formula ([`BccChunk`]).
+
+use super::archive::{OpenArchive, OpenSegment};
+use super::block::{Block, BlockCorners};
+use super::chunk_mesh::{MeshedChunk, value_blocks};
+use super::region::Cut;
+use crate::archive::Malformed;
+use crate::archive::chunk::{TetBlock, TetScratch};
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::summary::ValueRange;
+use crate::archive::values::ValueBlocks;
+use crate::archive::vertices::{ChunkHeader, PAGE_FLAGS, PAGE_IDS, decode_flags, decode_ids};
+use crate::error::{Error, Result};
+use crate::geom::{LatticeBox, LatticePos, PointId, Site};
+use crate::grid::{BrickId, Chunk, ChunkId};
+use crate::mesh::bcc::{BccBlock, BccChunk};
+use crate::mesh::tet::{Tet, is_active, range};
+use crate::pipeline::plan::check_brick;
+use std::sync::Arc;
+
+/// A position that no corner has: the lattice ends at 2^24.
+const UNPLACED: LatticePos = [u32::MAX; 3];
+
+/// A chunk that is being read. Corner arrays are indexed by chunk-local vertex numbers.
+pub(in crate::pipeline) struct ChunkReader<'a> {
+    archive: &'a OpenArchive,
+    segment: Arc<OpenSegment>,
+    chunk: Chunk,
+    /// The mesh, where it follows by formula: there is neither header nor page nor brick then.
+    bcc: Option<BccChunk>,
+    bricks: Vec<BrickId>,
+    /// First corner of each brick, and the number of core corners.
+    starts: Vec<u32>,
+    /// Whether another chunk has a corner, of core corners once their page has been read.
+    shared: Vec<bool>,
+    pages: Pages,
+    /// Bytes of each block of values that has been read; 0 of the others.
+    value_bytes: Vec<u32>,
+    value_blocks: ValueBlocks,
+    /// What is known of the values that have not been read, once that was needed.
+    value_ranges: Option<Vec<ValueRange>>,
+    /// Of each block of values, whether a corner of an active tetrahedron is in it.
+    active_values: Vec<bool>,
+    /// Bytes of the blocks that hold an active tetrahedron.
+    active_bytes: u64,
+    memory: ReaderMemory,
+}
+
+/// The pages of a chunk's corners.
+struct Pages {
+    /// Pages of flags; behind them are those of ids.
+    of_flags: usize,
+    /// Of each page whether it has been read.
+    read: Vec<bool>,
+}
+
+/// The memory of a reader, for the next one: pages that a process has need not be cleared again.
+#[derive(Default)]
+pub(in crate::pipeline) struct ReaderMemory {
+    positions: Vec<LatticePos>,
+    ids: Vec<PointId>,
+    values: Vec<f32>,
+    /// Buffers: the bytes of a block, the points of a brick, the values of a block.
+    bytes: Vec<u8>,
+    sites: Vec<Site>,
+    decoded: Vec<f32>,
+    /// Positions of the corners of a block, and what decoding it needs.
+    here: Vec<LatticePos>,
+    scratch: TetScratch,
+    /// A block whose mesh follows by formula.
+    by_formula: BccBlock,
+}
+
+/// Bytes that a reader holds for each vertex of its chunk, a little more than counted: they are allocated once.
+pub(in crate::pipeline) const BYTES_PER_VERTEX: u64 = 40;
+
+impl<'a> ChunkReader<'a> {
+    /// Reads the header of a chunk.
+    pub(in crate::pipeline) fn open(
+        archive: &'a OpenArchive,
+        id: ChunkId,
+        mut memory: ReaderMemory,
+    ) -> Result<Self> {
+        archive.expect_chunk(id)?;
+        let segment = archive.segment_of(id)?;
+        let chunk = archive.chunks.chunk(id);
+        if let Some(bcc) = archive.bcc_chunk(id) {
+            return Self::open_bcc(archive, segment, chunk, bcc, memory);
+        }
+        let blocks = segment.mesh.block_count(id);
+        if blocks < 2 {
+            return Err(damaged(&segment.mesh, id, "block count", &blocks));
+        }
+        segment.mesh.block(id, 0, &mut memory.bytes)?;
+        let header = ChunkHeader::decode(&memory.bytes).map_err(|m| segment.mesh.blame(id, 0, m))?;
+        if header.core_counts.len() as u64 != chunk.brick_count() {
+            return Err(damaged(&segment.mesh, id, "header", "it has another number of bricks"));
+        }
+        let (vertices, pages) = (header.len(), header.flag_pages() + header.id_pages());
+        if (pages as u64) > blocks - 2 {
+            return Err(damaged(&segment.mesh, id, "block count", &blocks));
+        }
+        let value_blocks = ValueBlocks::even(vertices);
+        expect_values(archive, &segment, id, &value_blocks)?;
+        let mut starts = vec![0];
+        starts.extend(header.core_counts.iter().scan(0, |sum, n| {
+            *sum += n;
+            Some(*sum)
+        }));
+        memory.start(vertices);
+        let mut shared = vec![false; header.core_len()];
+        shared.resize(vertices, true);
+        Ok(Self {
+            archive,
+            segment,
+            bcc: None,
+            bricks: chunk.bricks(archive.chunks.bricks()).collect(),
+            chunk,
+            starts,
+            shared,
+            pages: Pages { of_flags: header.flag_pages(), read: vec![false; pages] },
+            value_bytes: vec![0; value_blocks.count()],
+            value_ranges: None,
+            active_values: vec![false; value_blocks.count()],
+            value_blocks,
+            active_bytes: 0,
+            memory,
+        })
+    }
+
+    /// As [`ChunkReader::open`], of a chunk whose mesh follows by formula.
+    fn open_bcc(
+        archive: &'a OpenArchive,
+        segment: Arc<OpenSegment>,
+        chunk: Chunk,
+        bcc: BccChunk,
+        mut memory: ReaderMemory,
+    ) -> Result<Self> {
+        let blocks = segment.mesh.block_count(chunk.id);
+        if blocks != 1 {
+            return Err(damaged(&segment.mesh, chunk.id, "block count", &blocks));
+        }
+        let vertices = bcc.points();
+        let value_blocks = value_blocks(&bcc);
+        expect_values(archive, &segment, chunk.id, &value_blocks)?;
+        memory.start(vertices);
+        Ok(Self {
+            archive,
+            segment,
+            chunk,
+            bricks: vec![],
+            starts: vec![0, bcc.core() as u32],
+            bcc: Some(bcc),
+            shared: vec![true; vertices],
+            pages: Pages { of_flags: 0, read: vec![] },
+            value_bytes: vec![0; value_blocks.count()],
+            value_ranges: None,
+            active_values: vec![false; value_blocks.count()],
+            value_blocks,
+            active_bytes: 0,
+            memory,
+        })
+    }
+
+    /// Whether some isovalue lies between the values of some corners, or their least and largest ones may be on both sides.
+    fn is_active(&mut self, isovalues: &[f32], numbers: &[u32]) -> Result<bool> {
+        self.load_ranges()?;
+        let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
+        for &v in numbers {
+            let block = self.value_blocks.of(v as usize);
+            let [least, most] = self.range_of(block);
+            if self.value_bytes[block] == 0 {
+                if isovalues.iter().any(|&v| is_active(least, most, v)) {
+                    self.read_values(block)?;
+                } else {
+                    (lo, hi) = (lo.min(least), hi.max(most));
+                    continue;
+                }
+            }
+            // A void is neither.
+            let value = self.memory.values[v as usize];
+            (lo, hi) = (lo.min(value), hi.max(value));
+        }
+        Ok(isovalues.iter().any(|&v| is_active(lo, hi, v)))
+    }
+
+    /// The block of this number, of a chunk whose mesh follows by formula.
+    fn by_formula(&mut self, number: u32) -> Result<()> {
+        self.expect_block(number)?;
+        let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
+        bcc.block(number as usize, &mut self.memory.by_formula);
+        Ok(())
+    }
+
+    /// Whether a chunk whose mesh follows by formula has a block of this number.
+    fn expect_block(&self, number: u32) -> Result<()> {
+        let blocks = self.bcc.as_ref().map_or(0, BccChunk::block_count);
+        if (number as usize) < blocks {
+            return Ok(());
+        }
+        let got = format!("block {number} of {blocks}");
+        Err(damaged(&self.segment.mesh, self.chunk.id, "index", &got))
+    }
+
+    /// As [`ChunkReader::shape`], of a chunk whose mesh follows by formula.
+    fn shape_bcc(&mut self, number: u32, wanted: &Wanted<'_>, out: &mut Block) -> Result<bool> {
+        out.tets.clear();
+        out.bytes = 0;
+        self.by_formula(number)?;
+        let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
+        let [lo, hi] = bcc.hull(number as usize);
+        if !wanted.may_be(|| Ok(LatticeBox { lo, hi: hi.map(|x| x + 1) }))? {
+            return Ok(false);
+        }
+        let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = &mut out.corners;
+        numbers.clear();
+        positions.clear();
+        ids.clear();
+        shared.clear();
+        for (number, position, id, is_shared) in bcc.corners(&self.memory.by_formula) {
+            numbers.push(number);
+            positions.push(position);
+            ids.push(id);
+            shared.push(is_shared);
+        }
+        if !wanted.is(positions) {
+            return Ok(false);
+        }
+        values.resize(numbers.len(), f32::NAN);
+        out.tets.extend_from_slice(&self.memory.by_formula.tets);
+        *of_chunk = bcc.points();
+        Ok(true)
+    }
+
+    /// As [`ChunkReader::tets`], of a chunk whose mesh follows by formula.
+    fn tets_bcc(&mut self, number: u32, out: &mut Vec<Tet>) -> Result<()> {
+        self.by_formula(number)?;
+        let bcc = self.bcc.as_ref().expect("asked of such chunks alone");
+        let ReaderMemory { positions, ids, by_formula, .. } = &mut self.memory;
+        let mut numbers = Vec::with_capacity(positions.len().min(1 << 9));
+        for (number, position, id, is_shared) in bcc.corners(by_formula) {
+            let v = number as usize;
+            (positions[v], ids[v], self.shared[v]) = (position, id, is_shared);
+            numbers.push(number);
+        }
+        out.extend(by_formula.tets.iter().map(|t| t.map(|v| numbers[v as usize])));
+        Ok(())
+    }
+
+    /// Corners that the chunk owns; the others are halo.
+    pub(in crate::pipeline) fn core(&self) -> usize {
+        self.starts[self.starts.len() - 1] as usize
+    }
+
+    /// How the values of its corners are cut into blocks.
+    pub(in crate::pipeline) fn value_blocks(&self) -> &ValueBlocks {
+        &self.value_blocks
+    }
+
+    /// Corners of the chunk, of the core and of the halo.
+    pub(in crate::pipeline) fn vertices(&self) -> usize {
+        self.shared.len()
+    }
+
+    /// Reads a block: its tetrahedra, and all of its corners, their values as far as they are `needed`. False, with nothing in `out`, if
+    /// it is not wanted.
+    pub(in crate::pipeline) fn block(
+        &mut self,
+        number: u32,
+        wanted: &Wanted<'_>,
+        needed: &Needed<'_>,
+        out: &mut Block,
+    ) -> Result<bool> {
+        if let (Some(bcc), Needed::ForActive(isovalues)) = (&self.bcc, needed) {
+            self.expect_block(number)?;
+            bcc.block(number as usize, &mut self.memory.by_formula);
+            bcc.numbers(&self.memory.by_formula, &mut out.corners.numbers);
+            if !self.is_active(isovalues, &out.corners.numbers)? {
+                out.tets.clear();
+                out.bytes = 0;
+                return Ok(false);
+            }
+        }
+        if !self.shape(number, wanted, out)? {
+            return Ok(false);
+        }
+        let BlockCorners { numbers, values, .. } = &mut out.corners;
+        match needed {
+            Needed::All => {
+                numbers.iter().try_for_each(|&v| self.load_value_of(v))?;
+                gather(&self.memory.values, numbers, values);
+            }
+            Needed::ForActive(isovalues) => self.load_for_active(isovalues, &out.tets, numbers, values)?,
+        }
+        Ok(true)
+    }
+
+    /// As [`ChunkReader::block`], but for the values of the corners: they mean nothing.
+    pub(in crate::pipeline) fn shape(
+        &mut self,
+        number: u32,
+        wanted: &Wanted<'_>,
+        out: &mut Block,
+    ) -> Result<bool> {
+        if self.bcc.is_some() {
+            return self.shape_bcc(number, wanted, out);
+        }
+        out.tets.clear();
+        out.bytes = self.read(number)?;
+        let mut is_wanted = false;
+        self.decoded(number, |reader, bytes| reader.decode_alone(bytes, wanted, &mut is_wanted, out))?;
+        if !is_wanted {
+            return Ok(false);
+        }
+        self.load_flags(&out.corners.numbers)?;
+        let BlockCorners { numbers, positions, ids, values, shared, of_chunk } = &mut out.corners;
+        gather(&self.memory.ids, numbers, ids);
+        gather(&self.shared, numbers, shared);
+        values.resize(numbers.len(), f32::NAN);
+        std::mem::swap(positions, &mut self.memory.here);
+        *of_chunk = self.shared.len();
+        Ok(true)
+    }
+
+    /// Appends the tetrahedra of a block, corners numbered as in the chunk. Finds positions and ids of the block's corners.
+    pub(super) fn tets(&mut self, number: u32, out: &mut Vec<Tet>) -> Result<()> {
+        if self.bcc.is_some() {
+            return self.tets_bcc(number, out);
+        }
+        self.read(number)?;
+        self.decoded(number, |reader, bytes| reader.decode(bytes, out))
+    }
+
+    /// Reads the bytes of a block; tells how many.
+    fn read(&mut self, number: u32) -> Result<u64> {
+        let (mesh, id) = (&self.segment.mesh, self.chunk.id);
+        let blocks = mesh.block_count(id);
+        // The last block is the summary.
+        let at = self.block_at(number);
+        if at + 1 >= blocks {
+            return Err(damaged(
+                mesh,
+                id,
+                "index",
+                &format!("block {number} of {}", blocks - 1 - self.block_at(0)),
+            ));
+        }
+        mesh.block(id, at, &mut self.memory.bytes)?;
+        Ok(self.memory.bytes.len() as u64)
+    }
+
+    /// Which block of the chunk a tetrahedron block is: before them are the header and its pages.
+    fn block_at(&self, number: u32) -> u64 {
+        (1 + self.pages.read.len()) as u64 + u64::from(number)
+    }
+
+    /// Decodes the bytes that were read. The inner error of `decode` is the block's.
+    fn decoded(
+        &mut self,
+        number: u32,
+        decode: impl FnOnce(&mut Self, &[u8]) -> Result<std::result::Result<(), Malformed>>,
+    ) -> Result<()> {
+        let bytes = std::mem::take(&mut self.memory.bytes);
+        let decoded = decode(self, &bytes);
+        self.memory.bytes = bytes;
+        decoded?.map_err(|m| self.segment.mesh.blame(self.chunk.id, self.block_at(number), m))
+    }
+
+    fn decode_alone(
+        &mut self,
+        bytes: &[u8],
+        wanted: &Wanted<'_>,
+        is_wanted: &mut bool,
+        out: &mut Block,
+    ) -> Result<std::result::Result<(), Malformed>> {
+        let block = match TetBlock::open(bytes, self.shared.len() as u32) {
+            Ok(block) => block,
+            Err(malformed) => return Ok(Err(malformed)),
+        };
+        if !wanted.may_be(|| self.hull_of(block.vertices()))? {
+            return Ok(Ok(()));
+        }
+        out.corners.numbers.clear();
+        out.corners.numbers.extend_from_slice(block.vertices());
+        self.place(block.vertices())?;
+        *is_wanted = wanted.is(&self.memory.here);
+        if !*is_wanted {
+            return Ok(Ok(()));
+        }
+        let ReaderMemory { here, scratch, .. } = &mut self.memory;
+        Ok(block.decode_places(here, scratch, &mut out.tets))
+    }
+
+    fn decode(&mut self, bytes: &[u8], out: &mut Vec<Tet>) -> Result<std::result::Result<(), Malformed>> {
+        let block = match TetBlock::open(bytes, self.shared.len() as u32) {
+            Ok(block) => block,
+            Err(malformed) => return Ok(Err(malformed)),
+        };
+        self.place(block.vertices())?;
+        let ReaderMemory { here, scratch, .. } = &mut self.memory;
+        Ok(block.decode(here, scratch, out))
+    }
+
+    /// Reads the values of all corners of some tetrahedra.
+    pub(super) fn load_values(&mut self, tets: &[Tet]) -> Result<()> {
+        tets.iter().flatten().try_for_each(|&v| self.load_value_of(v))
+    }
+
+    #[inline]
+    fn load_value_of(&mut self, v: u32) -> Result<()> {
+        let block = self.value_blocks.of(v as usize);
+        if self.value_bytes[block] == 0 { self.read_values(block) } else { Ok(()) }
+    }
+
+    /// Finds values of corners, exact for all that active tetrahedra have. Blocks of values in which all are on the same side of each
+    /// isovalue are read only if a tetrahedron reaches from there to the other side; else one of the range is taken for
+    /// each of them, and the tetrahedron stays inactive.
+    fn load_for_active(
+        &mut self,
+        isovalues: &[f32],
+        tets: &[Tet],
+        numbers: &[u32],
+        values: &mut Vec<f32>,
+    ) -> Result<()> {
+        self.load_ranges()?;
+        let mut is_whole = true;
+        for &v in numbers {
+            let block = self.value_blocks.of(v as usize);
+            if self.value_bytes[block] == 0 {
+                let [lo, hi] = self.range_of(block);
+                if isovalues.iter().any(|&v| is_active(lo, hi, v)) {
+                    self.read_values(block)?;
+                } else {
+                    is_whole = false;
+                }
+            }
+        }
+        self.gather_known(numbers, values);
+        if is_whole {
+            return Ok(());
+        }
+        for tet in tets {
+            let Some((lo, hi)) = range(tet.map(|c| values[c as usize])) else { continue };
+            if isovalues.iter().any(|&v| is_active(lo, hi, v)) {
+                tet.iter().try_for_each(|&c| self.load_value_of(numbers[c as usize]))?;
+            }
+        }
+        self.gather_known(numbers, values);
+        Ok(())
+    }
+
+    /// Reads the ranges of the blocks of values.
+    fn load_ranges(&mut self) -> Result<()> {
+        if self.value_ranges.is_none() {
+            let ranges = self.archive.value_ranges(self.chunk.id, self.value_bytes.len())?;
+            // Of a moment between two steps: one that each isovalue may be in.
+            let any = || vec![[f32::NEG_INFINITY, f32::INFINITY]; self.value_bytes.len()];
+            self.value_ranges = Some(ranges.unwrap_or_else(any));
+        }
+        Ok(())
+    }
+
+    fn range_of(&self, block: usize) -> ValueRange {
+        self.value_ranges.as_ref().expect("ranges were read before")[block]
+    }
+
+    /// The values of corners, of those that have not been read the least that they may have; NaN where all are void.
+    fn gather_known(&self, numbers: &[u32], values: &mut Vec<f32>) {
+        values.clear();
+        values.extend(numbers.iter().map(|&v| {
+            let block = self.value_blocks.of(v as usize);
+            if self.value_bytes[block] != 0 {
+                return self.memory.values[v as usize];
+            }
+            let [lo, hi] = self.range_of(block);
+            if lo <= hi { lo } else { f32::NAN }
+        }));
+    }
+
+    #[cold]
+    fn read_values(&mut self, block: usize) -> Result<()> {
+        let ReaderMemory { values, decoded, .. } = &mut self.memory;
+        let place = &mut values[self.value_blocks.range(block)];
+        decoded.clear();
+        let bytes = self.archive.values_block(self.chunk.id, block, &self.value_blocks, decoded)?;
+        place.copy_from_slice(decoded);
+        // A block has at least the byte of its codec.
+        self.value_bytes[block] = u32::try_from(bytes).unwrap_or(u32::MAX);
+        Ok(())
+    }
+
+    /// Notes that a block of so many bytes holds active tetrahedra, with these corners.
+    pub(in crate::pipeline) fn count_active(&mut self, block_bytes: u64, corners: impl Iterator<Item = u32>) {
+        self.active_bytes += block_bytes;
+        corners.for_each(|v| self.active_values[self.value_blocks.of(v as usize)] = true);
+    }
+
+    /// Bytes of the blocks and of the values that hold an active tetrahedron.
+    pub(in crate::pipeline) fn active_bytes(&self) -> u64 {
+        let values = self.value_bytes.iter().zip(&self.active_values);
+        self.active_bytes + values.filter(|v| *v.1).map(|v| u64::from(*v.0)).sum::<u64>()
+    }
+
+    /// A box that holds some corners, without placing them: those of core corners are in their bricks.
+    fn hull_of(&mut self, corners: &[u32]) -> Result<LatticeBox> {
+        let (core, bricks) = (self.core(), self.archive.chunks.bricks());
+        let mut hull = LatticeBox { lo: UNPLACED, hi: [0; 3] };
+        let mut brick_end = 0;
+        for &v in corners {
+            let here = if v as usize >= core {
+                let position = self.halo_position(v as usize)?;
+                LatticeBox { lo: position, hi: position.map(|x| x + 1) }
+            } else if v < brick_end {
+                continue;
+            } else {
+                let brick = self.starts.partition_point(|&s| s <= v) - 1;
+                brick_end = self.starts[brick + 1];
+                bricks.brick(self.bricks[brick])
+            };
+            hull.lo = std::array::from_fn(|a| hull.lo[a].min(here.lo[a]));
+            hull.hi = std::array::from_fn(|a| hull.hi[a].max(here.hi[a]));
+        }
+        Ok(hull)
+    }
+
+    fn halo_position(&mut self, v: usize) -> Result<LatticePos> {
+        self.load_page(self.pages.of_flags + v / PAGE_IDS - self.core() / PAGE_IDS)?;
+        let id = self.memory.ids[v];
+        let wrong = || damaged(&self.segment.mesh, self.chunk.id, "halo", &format!("no point {:#x}", id.0));
+        self.archive.points.position(id).ok_or_else(wrong)
+    }
+
+    /// Reads the flags of corners, of which the numbers of core ones come first.
+    fn load_flags(&mut self, corners: &[u32]) -> Result<()> {
+        let mut last = usize::MAX;
+        for &v in corners {
+            let page = v as usize / PAGE_FLAGS;
+            if page == last {
+                continue;
+            }
+            if v as usize >= self.core() {
+                break;
+            }
+            last = page;
+            self.load_page(page)?;
+        }
+        Ok(())
+    }
+
+    #[inline]
+    fn load_page(&mut self, page: usize) -> Result<()> {
+        if self.pages.read[page] { Ok(()) } else { self.read_page(page) }
+    }
+
+    #[cold]
+    fn read_page(&mut self, page: usize) -> Result<()> {
+        let (core, vertices) = (self.core(), self.vertices());
+        let (mesh, id, at) = (&self.segment.mesh, self.chunk.id, 1 + page as u64);
+        let mut bytes = vec![];
+        mesh.block(id, at, &mut bytes)?;
+        let decoded = match page.checked_sub(self.pages.of_flags) {
+            None => {
+                let first = page * PAGE_FLAGS;
+                decode_flags(&bytes, &mut self.shared[first..core.min(first + PAGE_FLAGS)])
+            }
+            Some(n) => {
+                let first = (core / PAGE_IDS + n) * PAGE_IDS;
+                decode_ids(&bytes, &mut self.memory.ids[first.max(core)..vertices.min(first + PAGE_IDS)])
+            }
+        };
+        decoded.map_err(|m| mesh.blame(id, at, m))?;
+        self.pages.read[page] = true;
+        Ok(())
+    }
+
+    /// Finds the positions of corners, which are then in `here`, and their ids.
+    fn place(&mut self, corners: &[u32]) -> Result<()> {
+        gather(&self.memory.positions, corners, &mut self.memory.here);
+        while let Some(i) = self.memory.here.iter().position(|&p| p == UNPLACED) {
+            for &v in &corners[i..] {
+                if self.memory.positions[v as usize] == UNPLACED {
+                    self.place_corner(v as usize)?;
+                }
+            }
+            gather(&self.memory.positions, corners, &mut self.memory.here);
+        }
+        Ok(())
+    }
+
+    /// Finds positions and ids of all corners.
+    pub(super) fn place_all(&mut self) -> Result<()> {
+        (0..self.starts.len() - 1).try_for_each(|brick| self.place_brick(brick))?;
+        (self.core()..self.shared.len()).try_for_each(|v| self.place_corner(v))?;
+        self.load_all_flags()
+    }
+
+    /// A halo corner's position is a formula of its id; a core corner's brick is enumerated.
+    #[cold]
+    fn place_corner(&mut self, v: usize) -> Result<()> {
+        let core = self.core();
+        if v < core {
+            let brick = self.starts.partition_point(|&s| s as usize <= v) - 1;
+            return self.place_brick(brick);
+        }
+        self.memory.positions[v] = self.halo_position(v)?;
+        Ok(())
+    }
+
+    fn place_brick(&mut self, n: usize) -> Result<()> {
+        let (first, end) = (self.starts[n] as usize, self.starts[n + 1] as usize);
+        let brick = self.archive.chunks.bricks().brick(self.bricks[n]);
+        let wrong = |what: &str| damaged(&self.segment.mesh, self.chunk.id, "header", what);
+        check_brick(&self.archive.points, &brick).map_err(|e| wrong(&e.to_string()))?;
+        let ReaderMemory { positions, ids, sites, .. } = &mut self.memory;
+        self.archive.points.sites_in(&brick, sites);
+        if sites.len() != end - first {
+            let (got, said) = (sites.len(), end - first);
+            return Err(wrong(&format!(
+                "brick {} has {got} points, not the {said} recorded",
+                self.bricks[n].0
+            )));
+        }
+        for (i, site) in (first..).zip(&*sites) {
+            (positions[i], ids[i]) = (site.pos, site.id);
+        }
+        Ok(())
+    }
+
+    /// Reads the flags of all corners.
+    pub(super) fn load_all_flags(&mut self) -> Result<()> {
+        (0..self.pages.of_flags).try_for_each(|page| self.load_page(page))
+    }
+
+    /// The mesh of the chunk, of which all corners have been placed.
+    pub(super) fn into_mesh(self, tets: Vec<Tet>) -> MeshedChunk {
+        let core = self.core();
+        MeshedChunk {
+            core_counts: self.starts.windows(2).map(|w| w[1] - w[0]).collect(),
+            halo: self.memory.ids[core..self.shared.len()].to_vec(),
+            all_positions: self.memory.positions,
+            around: 0,
+            shared: self.shared,
+            tets: tets.into(),
+            retries: 0,
+            bricks: None,
+        }
+    }
+
+    /// What has been read of the corners: positions, ids (any of those not placed), values (NaN where not loaded), whether shared.
+    pub(super) fn into_corners(self) -> (Vec<LatticePos>, Vec<PointId>, Vec<f32>, Vec<bool>) {
+        let ReaderMemory { positions, ids, values, .. } = self.memory;
+        (positions, ids, values, self.shared)
+    }
+
+    /// The memory, for another reader.
+    pub(in crate::pipeline) fn into_memory(self) -> ReaderMemory {
+        self.memory
+    }
+}
+
+/// Which values of a block's corners are needed.
+pub(in crate::pipeline) enum Needed<'a> {
+    All,
+    /// Those of tetrahedra that some isovalue crosses.
+    ForActive(&'a [f32]),
+}
+
+/// Which blocks are wanted, by where their corners are.
+pub(in crate::pipeline) enum Wanted<'a> {
+    All,
+    /// Those that may touch a cut.
+    Touching(&'a Cut),
+    /// Those that may have a triangle on the boundary of the domain, which ends here.
+    AtEnds(LatticePos),
+}
+
+impl Wanted<'_> {
+    /// Whether a block is wanted, as far as a box that holds its corners tells.
+    fn may_be(&self, hull: impl FnOnce() -> Result<LatticeBox>) -> Result<bool> {
+        Ok(match self {
+            Self::All => true,
+            Self::Touching(cut) => cut.may_touch_box(&hull()?),
+            Self::AtEnds(top) => {
+                let hull = hull()?;
+                (0..3).any(|a| hull.lo[a] == 0 || hull.hi[a] > top[a])
+            }
+        })
+    }
+
+    /// Whether a block with these corners is wanted.
+    fn is(&self, corners: &[LatticePos]) -> bool {
+        match self {
+            Self::All => true,
+            Self::Touching(cut) => cut.may_touch(corners),
+            Self::AtEnds(top) => {
+                let at_end = |p: &&LatticePos| (0..3).any(|a| p[a] == 0 || p[a] == top[a]);
+                corners.iter().filter(at_end).count() >= 3
+            }
+        }
+    }
+}
+
+impl ReaderMemory {
+    /// Bytes of what is per vertex of a chunk.
+    pub(super) fn bytes(&self) -> usize {
+        self.positions.capacity() * size_of::<LatticePos>()
+            + self.ids.capacity() * size_of::<PointId>()
+            + self.values.capacity() * size_of::<f32>()
+    }
+
+    /// Prepares for a chunk. Ids of corners that are not placed, and values that are not loaded, are not asked for.
+    fn start(&mut self, vertices: usize) {
+        self.positions.clear();
+        self.positions.resize(vertices, UNPLACED);
+        self.ids.resize(vertices, PointId(0));
+        self.values.resize(vertices, f32::NAN);
+    }
+}
+
+/// Whether a chunk has so many blocks of values.
+fn expect_values(
+    archive: &OpenArchive,
+    segment: &OpenSegment,
+    id: ChunkId,
+    expected: &ValueBlocks,
+) -> Result<()> {
+    let blocks = expected.count();
+    let others = archive.step().plan.blocks_behind_values();
+    if segment.values.block_count(id) != blocks as u64 + others {
+        let got = format!("{} blocks", segment.values.block_count(id));
+        return Err(damaged(&segment.values, id, "chunk table", &got));
+    }
+    Ok(())
+}
+
+/// What an array has at certain places. They begin with a run.
+fn gather<T: Copy>(all: &[T], places: &[u32], out: &mut Vec<T>) {
+    out.clear();
+    let Some(&first) = places.first() else { return };
+    let run = places.iter().zip(first..).take_while(|&(&v, expected)| v == expected).count();
+    out.extend_from_slice(&all[first as usize..first as usize + run]);
+    out.extend(places[run..].iter().map(|&v| all[v as usize]));
+}
+
+/// A block that verifies but does not mean anything: written by a faulty program.
+pub(super) fn damaged(
+    segment: &ChunkSegment,
+    chunk: ChunkId,
+    at: &str,
+    what: &(impl std::fmt::Display + ?Sized),
+) -> Error {
+    Error::bad_input(
+        segment.segment().path(),
+        format!("chunk {}, {at}", chunk.0),
+        "a chunk as FORMAT.md says",
+        what.to_string(),
+    )
+    .with_help("reduce the source again")
+}

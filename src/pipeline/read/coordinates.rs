@@ -1,0 +1,217 @@
+//! Coordinates of rectilinear and curvilinear grids: stored in the archive, and applied to output.
+//!
+//! A surface is extracted in index space, as any other, and placed while it is written. Vertices
+//! follow the trilinear map of their cell, normals transform as covectors. Triangles are turned
+//! over where most cells mirror.
+
+use super::archive::OpenArchive;
+use crate::archive::coordinates::{self, CoordinateMap, Coordinates};
+use crate::archive::manifest::CoordinateRecord;
+use crate::error::{Error, Result};
+use crate::formats::coordinates::GridCoordinates;
+use crate::formats::{StepSource, open_coordinates};
+use crate::grid::Geometry;
+use crate::pipeline::plan::{Layout, Plan};
+use crate::surface::weld::StoredSurface;
+use crate::surface::{SurfaceSource, TriMesh, Vertex, WorldMap};
+use std::path::Path;
+use xxhash_rust::xxh3::Xxh3;
+
+/// Copies the coordinates of the first step of the plan into the archive, where it has some, and counts bad cells.
+pub(in crate::pipeline) fn write_coordinates(
+    source: &StepSource,
+    plan: &Plan,
+    layout: &Layout,
+) -> Result<Option<CoordinateRecord>> {
+    let input = &source.path;
+    let Some(found) = coordinates_of(source)? else { return Ok(None) };
+    let step = plan.first();
+    let (path, hash, dims) = (layout.at(step.number).coordinates(), plan.step_hash(0), step.source.dims);
+    let info = match found {
+        GridCoordinates::Axes(axes) => {
+            axes.iter().try_for_each(|axis| finite(input, axis, 0))?;
+            coordinates::write(&path, hash, dims, Coordinates::Axes(axes))?
+        }
+        GridCoordinates::Points(mut stream) => {
+            let mut at = 0;
+            let mut next = |out: &mut [f64]| {
+                stream.fill(out)?;
+                finite(input, out, at)?;
+                at += out.len() as u64 / 3;
+                Ok(())
+            };
+            let info = coordinates::write(&path, hash, dims, Coordinates::Points(&mut next))?;
+            stream.finish()?;
+            info
+        }
+    };
+    let cells = CoordinateMap::open(&path, hash, dims)?.count_cells()?;
+    Ok(Some(CoordinateRecord { info, cells }))
+}
+
+/// The coordinates of a source: none of a volume that a program gives.
+fn coordinates_of(source: &StepSource) -> Result<Option<GridCoordinates>> {
+    if source.is_given() { Ok(None) } else { open_coordinates(&source.path, &source.options) }
+}
+
+/// A hash of the coordinates of a source; `None` where it has none of its own.
+pub(in crate::pipeline) fn coordinate_hash(source: &StepSource, dims: [u64; 3]) -> Result<Option<u128>> {
+    let mut hash = Xxh3::new();
+    let mut add = |numbers: &[f64]| numbers.iter().for_each(|x| hash.update(&x.to_le_bytes()));
+    match coordinates_of(source)? {
+        None => return Ok(None),
+        Some(GridCoordinates::Axes(axes)) => axes.iter().for_each(|axis| add(axis)),
+        Some(GridCoordinates::Points(mut stream)) => {
+            let mut left = dims.iter().product::<u64>();
+            let mut numbers = vec![];
+            while left > 0 {
+                let n = left.min(4096);
+                numbers.resize(3 * n as usize, 0.0);
+                stream.fill(&mut numbers)?;
+                add(&numbers);
+                left -= n;
+            }
+        }
+    }
+    Ok(Some(hash.digest128()))
+}
+
+fn finite(input: &Path, numbers: &[f64], first: u64) -> Result<()> {
+    match numbers.iter().position(|x| !x.is_finite()) {
+        None => Ok(()),
+        Some(bad) => {
+            let at = format!("coordinates, from sample {first} on");
+            Err(Error::bad_input(input, at, "finite numbers", numbers[bad].to_string()))
+        }
+    }
+}
+
+/// The map of what is extracted: to the world, or where coordinates are to be applied, to index space.
+pub(in crate::pipeline) fn world_map(archive: &OpenArchive) -> WorldMap {
+    let own = archive.coordinate_record().is_some();
+    let geometry = if own { Geometry::default() } else { archive.step().plan.source.geometry };
+    WorldMap::new(&archive.manifest.plan.lattice, &geometry)
+}
+
+/// The way from index space to the world.
+pub(in crate::pipeline) enum Place {
+    /// Of a volume with a spacing.
+    Geometry(Geometry),
+    /// Of a grid with coordinates of its own.
+    Grid {
+        /// The coordinates.
+        map: CoordinateMap,
+        /// Whether most cells mirror.
+        mirrored: bool,
+    },
+}
+
+impl Place {
+    pub(in crate::pipeline) fn of(archive: &OpenArchive) -> Result<Self> {
+        Ok(match (archive.coordinates()?, archive.coordinate_record()) {
+            (Some(map), Some(record)) => Self::Grid { map, mirrored: record.cells.mirrored },
+            _ => Self::Geometry(archive.step().plan.source.geometry),
+        })
+    }
+
+    pub(in crate::pipeline) fn world(&self, ijk: [f64; 3]) -> Result<[f64; 3]> {
+        match self {
+            Self::Geometry(geometry) => Ok(geometry.to_world(ijk)),
+            Self::Grid { map, .. } => Ok(map.place(ijk)?.position),
+        }
+    }
+
+    /// Whether tetrahedra are turned over (most of them, where a grid folds).
+    pub(in crate::pipeline) fn mirrors(&self) -> bool {
+        match self {
+            Self::Geometry(geometry) => geometry.mirrors(),
+            Self::Grid { mirrored, .. } => *mirrored,
+        }
+    }
+}
+
+/// Where a place of index space is.
+pub(in crate::pipeline) fn world_of(archive: &OpenArchive, ijk: [f64; 3]) -> Result<[f64; 3]> {
+    match archive.coordinates()? {
+        Some(map) => Ok(map.place(ijk)?.position),
+        None => Ok(archive.step().plan.source.geometry.to_world(ijk)),
+    }
+}
+
+/// Hands a surface that was extracted with [`world_map`] to `use_it`, in the world.
+pub(in crate::pipeline) fn in_world<T>(
+    archive: &OpenArchive,
+    surface: &dyn SurfaceSource,
+    use_it: impl FnOnce(&dyn SurfaceSource) -> Result<T>,
+) -> Result<T> {
+    match Place::of(archive)? {
+        Place::Grid { map, mirrored } => use_it(&Placed { surface, map, mirrored }),
+        Place::Geometry(_) => use_it(surface),
+    }
+}
+
+/// A surface of index space in the world.
+struct Placed<'a> {
+    surface: &'a dyn SurfaceSource,
+    map: CoordinateMap,
+    mirrored: bool,
+}
+
+impl Placed<'_> {
+    fn vertex(&self, v: &Vertex) -> Result<Vertex> {
+        let placed = self.map.place(v.position.map(f64::from))?;
+        let w = placed.direction(v.normal.map(f64::from));
+        // Scaled by the largest component first, lest squares overflow or vanish.
+        let largest = w.iter().fold(0.0f64, |m, x| m.max(x.abs()));
+        let normal = if largest > 0.0 && largest.is_finite() {
+            let w = w.map(|x| x / largest);
+            let length = w.iter().map(|x| x * x).sum::<f64>().sqrt();
+            w.map(|x| (x / length) as f32)
+        } else {
+            // A cell without a volume has no direction; a unit vector is what readers expect.
+            v.normal
+        };
+        Ok(Vertex { position: placed.position.map(|x| x as f32), normal })
+    }
+}
+
+impl SurfaceSource for Placed<'_> {
+    fn vertex_count(&self) -> u64 {
+        self.surface.vertex_count()
+    }
+
+    fn triangle_count(&self) -> u64 {
+        self.surface.triangle_count()
+    }
+
+    fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()> {
+        let mut placed = vec![];
+        self.surface.vertices(&mut |batch| {
+            placed.clear();
+            for vertex in batch {
+                placed.push(self.vertex(vertex)?);
+            }
+            each(&placed)
+        })
+    }
+
+    fn triangles(&self, each: &mut dyn FnMut(&[[u32; 3]]) -> Result<()>) -> Result<()> {
+        if !self.mirrored {
+            return self.surface.triangles(each);
+        }
+        let mut turned = vec![];
+        self.surface.triangles(&mut |batch| {
+            turned.clear();
+            turned.extend(batch.iter().map(|&[a, b, c]| [a, c, b]));
+            each(&turned)
+        })
+    }
+}
+
+/// A surface in memory, in the world.
+pub(in crate::pipeline) fn in_memory(archive: &OpenArchive, surface: StoredSurface) -> Result<TriMesh> {
+    match archive.coordinate_record() {
+        Some(_) => in_world(archive, &surface, TriMesh::from_source),
+        None => surface.into_mesh(),
+    }
+}

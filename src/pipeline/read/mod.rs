@@ -1,0 +1,47 @@
+//! An archive being read: its manifest, its chunks and blocks, its steps.
+//!
+//! ```text
+//!  archive ─▶ chunk_reader ─▶ block ─▶ block_cache        one chunk, some of its blocks
+//!     │            └─▶ steps: values of a step, or between two
+//!     └─▶ visit: all chunks that meet a region, side by side, within memory
+//! ```
+//!
+//! Nothing here knows how an archive is made, nor what is asked of it.
+
+mod archive;
+mod block;
+mod block_cache;
+mod chunk_mesh;
+pub(super) mod chunk_reader;
+mod coordinates;
+mod frontier;
+mod pools;
+mod region;
+mod segments;
+pub(super) mod spectrum;
+mod steps;
+mod summary;
+mod visit;
+
+pub use archive::is_archive;
+pub(super) use archive::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
+pub(super) use block::{Block, BlockCorners, NumberedShape, PackedBlock};
+pub(super) use block_cache::{Found, KeptBlock, unpack_known};
+pub(super) use chunk_mesh::MeshedChunk;
+pub(super) use chunk_reader::{BYTES_PER_VERTEX, ChunkReader, Needed, ReaderMemory, Wanted};
+pub(super) use coordinates::{
+    Place, coordinate_hash, in_memory, in_world, world_map, world_of, write_coordinates,
+};
+pub(super) use frontier::Horizon;
+pub(super) use pools::{Buffers, Spare};
+pub(super) use region::Cut;
+pub use region::{Roi, RoiSpace};
+pub(super) use segments::{Depth, SegmentState, inspect};
+pub(super) use spectrum::{Bench, Meter, limits, stored_part};
+pub use spectrum::{
+    Knot, SpectrumReport, StepSpectrum, Suggestion, contour_spectrum, contour_spectrum_at, spectra,
+};
+pub(super) use steps::{Ranges, ValuesOverTime, View};
+pub use steps::{StepChoice, StepRange};
+pub use summary::{ArchiveSummary, LevelSummary, StepSummary, summarize, summarize_at};
+pub(super) use visit::{Blocks, Visit, full_region};

@@ -1,0 +1,120 @@
+//! Pools of what extraction reuses. Buffers are reused for the next chunk and, while an archive
+//! caches blocks, for the next question: their pages need not be cleared again. Threads are reused
+//! too.
+
+use super::block::Block;
+use super::chunk_reader::ReaderMemory;
+use crate::error::Result;
+use crate::exec::{available_threads, pool};
+use crate::mesh::tet::Tet;
+use crate::surface::marching_tets::{ChunkSurface, Sides, Workbench};
+use rayon::ThreadPool;
+use std::ops::Deref;
+use std::sync::{Mutex, PoisonError};
+
+/// Memory for the chunks to come; from any thread.
+#[derive(Default)]
+pub(in crate::pipeline) struct Spare {
+    surfaces: List<ChunkSurface>,
+    buffers: List<Buffers>,
+}
+
+/// What a chunk is read and worked on in.
+#[derive(Default)]
+pub(in crate::pipeline) struct Buffers {
+    pub(in crate::pipeline) reader: ReaderMemory,
+    pub(in crate::pipeline) block: Block,
+    pub(in crate::pipeline) sides: Sides,
+    pub(in crate::pipeline) active: Vec<Tet>,
+    pub(in crate::pipeline) bench: Workbench,
+}
+
+/// The threads of questions that were answered, for the next ones.
+#[derive(Default)]
+pub(in crate::pipeline) struct Pools(Mutex<Vec<ThreadPool>>);
+
+/// Threads, until this is dropped. No other question has them meanwhile.
+pub(in crate::pipeline) struct LentPool<'a> {
+    pools: &'a Pools,
+    /// There until the end.
+    pool: Option<ThreadPool>,
+}
+
+impl Pools {
+    /// So many threads; 0 means as many as the process may use.
+    pub(in crate::pipeline) fn lend(&self, threads: usize) -> Result<LentPool<'_>> {
+        let count = if threads == 0 { available_threads() } else { threads };
+        let mut pools = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        // Those of another number are of no use any more.
+        pools.retain(|pool| pool.current_num_threads() == count);
+        let found = pools.pop();
+        drop(pools);
+        let pool = found.map_or_else(|| pool(count), Ok)?;
+        Ok(LentPool { pools: self, pool: Some(pool) })
+    }
+}
+
+impl Deref for LentPool<'_> {
+    type Target = ThreadPool;
+    fn deref(&self) -> &ThreadPool {
+        self.pool.as_ref().expect("it is given back only when this is dropped")
+    }
+}
+
+impl Drop for LentPool<'_> {
+    fn drop(&mut self) {
+        self.pools.0.lock().unwrap_or_else(PoisonError::into_inner).extend(self.pool.take());
+    }
+}
+
+struct List<T>(Mutex<Vec<T>>);
+
+impl<T> Default for List<T> {
+    fn default() -> Self {
+        Self(Mutex::default())
+    }
+}
+
+impl<T: Default> List<T> {
+    /// Takes the last one, or a new one.
+    fn take(&self) -> T {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+    }
+
+    fn give(&self, items: impl IntoIterator<Item = T>) {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).extend(items);
+    }
+
+    /// Keeps the first ones, up to so many bytes.
+    fn trim(&self, most: usize, bytes: impl Fn(&T) -> usize) {
+        let mut sum = 0;
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).retain(|item| {
+            sum += bytes(item);
+            sum <= most
+        });
+    }
+}
+
+impl Spare {
+    pub(in crate::pipeline) fn surface(&self) -> ChunkSurface {
+        self.surfaces.take()
+    }
+
+    pub(in crate::pipeline) fn give_surfaces(&self, surfaces: Vec<ChunkSurface>) {
+        self.surfaces.give(surfaces);
+    }
+
+    pub(in crate::pipeline) fn buffers(&self) -> Buffers {
+        self.buffers.take()
+    }
+
+    pub(in crate::pipeline) fn give_buffers(&self, buffers: Buffers) {
+        self.buffers.give([buffers]);
+    }
+
+    /// Drops what exceeds so many bytes.
+    pub(in crate::pipeline) fn trim(&self, most: usize) {
+        self.surfaces.trim(most / 2, ChunkSurface::bytes);
+        self.buffers.trim(most / 2, |b| b.reader.bytes());
+    }
+}

@@ -1,0 +1,246 @@
+//! The contour spectrum of a step: chunk by chunk while chunks are made, put together when the archive is, and read back.
+
+use super::archive::OpenArchive;
+use super::steps::{StepChoice, StepRange};
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::coordinates::CoordinateMap;
+use crate::archive::manifest::{Plan as MeshPlan, Source};
+use crate::archive::segment::PlanHash;
+use crate::archive::summary::BlockRange;
+use crate::error::{Error, Result};
+use crate::geom::{Lattice, LatticePos};
+use crate::grid::{ChunkId, Geometry};
+use crate::mesh::tet::Tet;
+use crate::spectrum::suggest::suggest;
+use crate::spectrum::{ChunkPart, Limits, Room, Vertices};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// The memory in which chunks are measured, kept from chunk to chunk so that its pages are not asked for again.
+#[derive(Default)]
+pub(in crate::pipeline) struct Bench {
+    /// Vertices in the world, up to a shift common to all.
+    places: Vec<[f64; 4]>,
+    room: Room,
+}
+
+/// Measures chunks of a step: what that needs besides the chunk.
+pub(in crate::pipeline) struct Meter {
+    limits: Limits,
+    lattice: Lattice,
+    /// Without an origin, of which only rounding would be left in a difference.
+    linear: Geometry,
+    /// Of a grid that has coordinates of its own: their file, its hash, the samples along each axis.
+    coordinates: Option<(PathBuf, PlanHash, [u64; 3])>,
+}
+
+impl Meter {
+    /// For a mesh of so many points, and the source of a step; `coordinates` is the file and hash of those that the grid has of its own.
+    pub(in crate::pipeline) fn new(
+        mesh: &MeshPlan,
+        points: u64,
+        source: &Source,
+        coordinates: Option<(PathBuf, PlanHash)>,
+    ) -> Self {
+        Self {
+            limits: limits(mesh, points),
+            lattice: mesh.lattice,
+            linear: Geometry { origin: [0.0; 3], ..source.geometry },
+            coordinates: coordinates.map(|(path, hash)| (path, hash, source.dims)),
+        }
+    }
+
+    /// That of an archive.
+    pub(in crate::pipeline) fn of_archive(archive: &OpenArchive) -> Self {
+        let (plan, source) = (&archive.manifest.plan, &archive.step().plan.source);
+        Self::new(plan, archive.points.len(), source, archive.coordinate_file())
+    }
+
+    pub(in crate::pipeline) fn limits(&self) -> Limits {
+        self.limits
+    }
+
+    /// The parts of a chunk at some steps: all its tetrahedra, in the order in which its blocks decode; positions of its vertices, their values at each
+    /// step, with the ranges of the blocks. `bench` is memory.
+    pub(in crate::pipeline) fn parts(
+        &self,
+        positions: &[LatticePos],
+        tets: &[Tet],
+        steps: &[(&[f32], &[BlockRange])],
+        bench: &mut Bench,
+    ) -> Result<Vec<ChunkPart>> {
+        let Bench { places, room } = bench;
+        places.clear();
+        match &self.coordinates {
+            None => places.extend(positions.iter().map(|&p| four(self.place(p)))),
+            Some((path, hash, dims)) => {
+                // Each its own, for what it has read it keeps behind a lock.
+                let map = CoordinateMap::open(path, *hash, *dims)?;
+                let index = |p| self.lattice.to_index_space(p);
+                for &p in positions {
+                    places.push(four(map.place(index(p))?.position));
+                }
+            }
+        }
+        let none = [f32::INFINITY, f32::NEG_INFINITY];
+        let all =
+            |ranges: &[BlockRange]| ranges.iter().fold(none, |[lo, hi], r| [lo.min(r.min), hi.max(r.max)]);
+        let steps: Vec<Vertices<'_>> =
+            steps.iter().map(|(values, ranges)| Vertices { values, range: all(ranges) }).collect();
+        Ok(ChunkPart::of_steps(self.limits, places, tets, &steps, room))
+    }
+
+    fn place(&self, position: LatticePos) -> [f64; 3] {
+        self.linear.to_world(self.lattice.to_index_space(position))
+    }
+}
+
+/// A place in a vector.
+fn four([x, y, z]: [f64; 3]) -> [f64; 4] {
+    [x, y, z, 0.0]
+}
+
+/// How finely the chunks of a mesh of so many points are measured.
+pub(in crate::pipeline) fn limits(mesh: &MeshPlan, points: u64) -> Limits {
+    Limits::of_chunks(points.min(mesh.chunk_target))
+}
+
+/// The part of a chunk that is stored: the last but one of its blocks in a value segment.
+pub(in crate::pipeline) fn stored_part(
+    segment: &ChunkSegment,
+    chunk: ChunkId,
+    limits: Limits,
+) -> Result<ChunkPart> {
+    segment.block_from_end(chunk, 1, |bytes| ChunkPart::decode(bytes, limits))
+}
+
+/// The isosurface of one isovalue, as [`crate::spectrum`] measures it. Lengths are world units.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Knot {
+    /// The isovalue.
+    pub isovalue: f64,
+    /// Tetrahedra that the isosurface crosses.
+    pub active_tetrahedra: u64,
+    /// Its area.
+    pub area: f64,
+    /// The volume of the tetrahedra where the field is at or above the isovalue.
+    pub volume: f64,
+    /// The length of the gradient, integrated over the isosurface.
+    pub gradient: f64,
+}
+
+/// An isovalue, and how much speaks for it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Suggestion {
+    /// The isovalue: a round number next to a knot of the spectrum.
+    pub isovalue: f64,
+    /// How far it stands out: 1 is the highest possible.
+    pub strength: f64,
+}
+
+/// The contour spectrum of an archive.
+#[derive(Clone, Debug, Serialize)]
+pub struct SpectrumReport {
+    /// Least and largest value of tetrahedra that are not void; `None` if all are void.
+    pub range: Option<[f64; 2]>,
+    /// Tetrahedra that are not void.
+    pub tetrahedra: u64,
+    /// Their volume, in world units.
+    pub volume: f64,
+    /// Whether lengths are those of tetrahedra with straight edges between their corners, of a grid that has coordinates of its own: the
+    /// vertices of a surface are placed one by one, and follow the grid where it is bent. So its area differs a little.
+    pub straight_edges: bool,
+    /// Isovalues, ascending, with what was measured there.
+    pub knots: Vec<Knot>,
+    /// Isovalues that are worth a look, the most marked one first.
+    pub suggestions: Vec<Suggestion>,
+    /// Bytes read for all this.
+    pub bytes_read: u64,
+}
+
+/// Reads the contour spectrum of an archive, and suggests isovalues.
+///
+/// # Errors
+/// [`crate::Error::BadInput`] for a damaged archive.
+pub fn contour_spectrum(path: &Path) -> Result<SpectrumReport> {
+    contour_spectrum_at(path, StepChoice::First)
+}
+
+/// As [`contour_spectrum`], of a step, or of the time of one.
+///
+/// # Errors
+/// As [`contour_spectrum`]; [`crate::Error::Usage`] for a step that is not there, or a time between two.
+pub fn contour_spectrum_at(path: &Path, step: StepChoice) -> Result<SpectrumReport> {
+    report(&OpenArchive::open_at(path, step)?)
+}
+
+/// The contour spectrum of a step of a series.
+#[derive(Clone, Debug, Serialize)]
+pub struct StepSpectrum {
+    /// Number of the step.
+    pub step: u64,
+    /// Its time, or its number where it has none.
+    pub time: f64,
+    /// What was measured.
+    #[serde(flatten)]
+    pub spectrum: SpectrumReport,
+}
+
+/// Reads the contour spectra of many steps. The bytes read are those of each spectrum, and of the manifest with each.
+///
+/// # Errors
+/// As [`contour_spectrum`]; [`crate::Error::Usage`] when no step is in the range.
+pub fn spectra(path: &Path, steps: StepRange) -> Result<Vec<StepSpectrum>> {
+    let mut archive = OpenArchive::open(path)?;
+    let positions = steps.positions(&archive.manifest, path)?;
+    let mut of = |position: usize| {
+        archive.turn_to(position);
+        let plan = &archive.step().plan;
+        let (step, time) = (plan.number, plan.time_or_number());
+        Ok(StepSpectrum { step, time, spectrum: report(&archive)? })
+    };
+    positions.map(&mut of).collect()
+}
+
+/// That of an open archive.
+pub(in crate::pipeline) fn report(archive: &OpenArchive) -> Result<SpectrumReport> {
+    if archive.view.beyond.is_some() {
+        return Err(Error::usage(format!(
+            "{}: the spectrum is known at steps, and not between them: choose one with --step",
+            archive.path().display()
+        )));
+    }
+    let (bytes_read, read_before) = (archive.manifest_bytes()?, archive.bytes_read());
+    let Some(file) = archive.spectrum()? else {
+        let none = SpectrumReport {
+            range: None,
+            tetrahedra: 0,
+            volume: 0.0,
+            straight_edges: false,
+            knots: vec![],
+            suggestions: vec![],
+            bytes_read,
+        };
+        return Ok(none);
+    };
+    let (spectrum, source) = (file.spectrum(), &archive.step().plan.source);
+    let knot = |k: &crate::spectrum::Knot| Knot {
+        isovalue: source.told(k.isovalue),
+        active_tetrahedra: k.active_tetrahedra,
+        area: k.area,
+        volume: k.volume,
+        gradient: k.gradient,
+    };
+    let suggestions = suggest(spectrum).into_iter();
+    Ok(SpectrumReport {
+        range: Some(spectrum.range.map(|v| source.told(v))),
+        tetrahedra: spectrum.tetrahedra,
+        volume: spectrum.volume,
+        straight_edges: archive.coordinate_record().is_some(),
+        knots: spectrum.knots.iter().map(knot).collect(),
+        suggestions: suggestions
+            .map(|s| Suggestion { isovalue: source.told(s.isovalue), strength: s.strength })
+            .collect(),
+        bytes_read: bytes_read + file.bytes_read() + archive.bytes_read() - read_before,
+    })
+}

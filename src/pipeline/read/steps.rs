@@ -1,0 +1,605 @@
+//! The steps of a series in an archive: which one is asked, and how its values are had.
+//!
+//! All steps have one mesh. A step has its own values, index and spectrum; a block of values may hold differences to the same block of
+//! the step before, back to a keyframe:
+//!
+//! ```text
+//!  step        0        1        2    …   16       17
+//!  block n  values ◀─ diff. ◀─ diff.    values ◀─ diff.     a block of step 2: three blocks are read
+//! ```
+//!
+//! Between two steps the field is linear in time. Then no index tells which blocks have an answer (a block where one step lies below an isovalue
+//! and the other above is active between them, and in neither), so the ranges of all blocks of both are looked at: the range of a mean is the
+//! mean of the ranges, or within it, also in rounded arithmetic, as rounding keeps the order.
+
+use super::archive::OpenArchive;
+use super::chunk_mesh::{MeshedChunk, value_blocks};
+use super::chunk_reader::{ChunkReader, ReaderMemory, damaged};
+use crate::archive::manifest::{Manifest, Step};
+use crate::archive::summary::{BlockRange, ValueRange, decode_value_ranges};
+use crate::archive::values::{KnownOfBlock, ValueBlocks, decode_values, needs_before};
+use crate::error::{Error, Result};
+use crate::grid::ChunkId;
+use crate::index::{Entry, SpanIndex, index_entries};
+use crate::mesh::bcc::BccChunk;
+use crate::mesh::tet::is_active;
+use crate::pipeline::plan::Halo;
+use std::ops::Range;
+use std::path::Path;
+use std::str::FromStr;
+
+/// Which step of an archive is asked.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum StepChoice {
+    /// The first.
+    #[default]
+    First,
+    /// The one of a number.
+    Number(u64),
+    /// A time; between two steps values are linear.
+    Time(f64),
+}
+
+/// A range of steps, by their numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StepRange {
+    /// The first; the archive's first if not given.
+    pub first: Option<u64>,
+    /// The last, included; the archive's last if not given.
+    pub last: Option<u64>,
+}
+
+impl StepRange {
+    /// The positions in a manifest of the steps in the range.
+    pub(in crate::pipeline) fn positions(self, manifest: &Manifest, shown: &Path) -> Result<Range<usize>> {
+        let number = |s: &Step| s.plan.number;
+        let from = manifest.steps.partition_point(|s| self.first.is_some_and(|first| number(s) < first));
+        let to = manifest.steps.partition_point(|s| self.last.is_none_or(|last| number(s) <= last));
+        if from < to {
+            return Ok(from..to);
+        }
+        let text = numbers(&manifest.steps);
+        Err(Error::usage(format!("{}: no step in that range; it has {text}", shown.display())))
+    }
+}
+
+impl FromStr for StepRange {
+    type Err = Error;
+
+    /// `3:8`, `3:`, `:8`, or `3`.
+    fn from_str(text: &str) -> Result<Self> {
+        let bad =
+            || Error::usage(format!("'{text}' is no range of steps; write FIRST:LAST, as in 3:8 or 3:"));
+        let number = |s: &str| match s.trim() {
+            "" => Ok(None),
+            s => s.parse().map(Some).map_err(|_| bad()),
+        };
+        let (first, last) = match text.split_once(':') {
+            Some((first, last)) => (number(first)?, number(last)?),
+            None if text.trim().is_empty() => return Err(bad()),
+            None => (number(text)?, number(text)?),
+        };
+        if first.zip(last).is_some_and(|(first, last)| first > last) {
+            return Err(bad());
+        }
+        Ok(Self { first, last })
+    }
+}
+
+/// A step, or a moment between it and the next one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(in crate::pipeline) struct View {
+    /// Position of the step in the manifest.
+    pub(in crate::pipeline) step: usize,
+    /// How far it is to the next step; above 0, below 1.
+    pub(in crate::pipeline) beyond: Option<f64>,
+}
+
+impl View {
+    /// # Errors
+    /// [`Error::Usage`] that tells which steps there are.
+    pub(in crate::pipeline) fn of(manifest: &Manifest, choice: StepChoice, shown: &Path) -> Result<Self> {
+        let steps = &manifest.steps;
+        let time = |n: usize| steps[n].plan.time_or_number();
+        let at = |step| Ok(Self { step, beyond: None });
+        match choice {
+            StepChoice::First => at(0),
+            StepChoice::Number(number) => match steps.binary_search_by_key(&number, |s| s.plan.number) {
+                Ok(n) => at(n),
+                Err(_) => Err(Error::usage(format!(
+                    "{}: no step {number}; it has {}",
+                    shown.display(),
+                    numbers(steps)
+                ))),
+            },
+            StepChoice::Time(t) => {
+                let next = (0..steps.len()).position(|n| time(n) >= t);
+                match next {
+                    Some(n) if time(n) == t => at(n),
+                    Some(n) if n > 0 => {
+                        let share = (t - time(n - 1)) / (time(n) - time(n - 1));
+                        // A share of so little that it rounds to none is none.
+                        let beyond = Some(share).filter(|s| *s > 0.0 && *s < 1.0);
+                        Ok(Self { step: if share < 1.0 { n - 1 } else { n }, beyond })
+                    }
+                    _ => Err(Error::usage(format!(
+                        "{}: the time {t} is not within {} .. {}",
+                        shown.display(),
+                        time(0),
+                        time(steps.len() - 1)
+                    ))),
+                }
+            }
+        }
+    }
+}
+
+/// Values of a block that are known already.
+#[derive(Clone, Copy)]
+struct Known<'a> {
+    /// Position in the manifest of the step that they are of.
+    step: usize,
+    values: &'a [f32],
+}
+
+/// A block of a chunk's values.
+#[derive(Clone, Copy)]
+struct BlockAt<'a> {
+    block: usize,
+    blocks: &'a ValueBlocks,
+}
+
+/// "steps 0 to 7", "steps 0, 2, 3".
+fn numbers(steps: &[Step]) -> String {
+    let all: Vec<u64> = steps.iter().map(|s| s.plan.number).collect();
+    let (first, last) = (all[0], all[all.len() - 1]);
+    if all.len() == 1 {
+        format!("step {first}")
+    } else if last - first + 1 == all.len() as u64 {
+        format!("steps {first} to {last}")
+    } else {
+        const MOST: usize = 20;
+        let list: Vec<String> = all.iter().take(MOST).map(u64::to_string).collect();
+        let more = if all.len() > MOST { ", …" } else { "" };
+        format!("steps {}{more}", list.join(", "))
+    }
+}
+
+/// A value between two, `share` of the way from the first; void where one of them is. Monotonic in both; a zero has no sign.
+fn mean(a: f32, b: f32, share: f64) -> f32 {
+    (f64::from(a) * (1.0 - share) + f64::from(b) * share) as f32 + 0.0
+}
+
+impl OpenArchive {
+    /// How the values of a chunk with so many vertices are cut into blocks.
+    pub(in crate::pipeline) fn value_blocks(&self, id: ChunkId, vertices: usize) -> ValueBlocks {
+        self.bcc_chunk(id).map_or_else(|| ValueBlocks::even(vertices), |chunk| value_blocks(&chunk))
+    }
+
+    /// Appends the values of a block of a chunk, of what is looked at; tells the bytes read.
+    pub(super) fn values_block(
+        &self,
+        id: ChunkId,
+        block: usize,
+        blocks: &ValueBlocks,
+        out: &mut Vec<f32>,
+    ) -> Result<u64> {
+        let View { step, beyond } = self.view;
+        let (first, block) = (out.len(), BlockAt { block, blocks });
+        let mut bytes = self.block_of_step(step, id, block, None, out)?;
+        if let Some(share) = beyond {
+            let mut next = vec![];
+            bytes += self.block_of_step(step + 1, id, block, None, &mut next)?;
+            out[first..].iter_mut().zip(next).for_each(|(a, b)| *a = mean(*a, b, share));
+        }
+        Ok(bytes)
+    }
+
+    /// As [`OpenArchive::values_block`], of the step at a position in the manifest. `known`: the same values at a step before.
+    fn block_of_step(
+        &self,
+        step: usize,
+        id: ChunkId,
+        at: BlockAt<'_>,
+        known: Option<Known<'_>>,
+        out: &mut Vec<f32>,
+    ) -> Result<u64> {
+        let segment = self.values_of(step, id)?;
+        let (count, block) = (segment.block_count(id), at.block as u64);
+        if block + self.manifest.steps[step].plan.blocks_behind_values() >= count {
+            return Err(damaged(&segment, id, "chunk table", &format!("{count} blocks")));
+        }
+        let (mut bytes, mut found, mut read) = (vec![], vec![], 0);
+        segment.block(id, block, &mut bytes)?;
+        // The base is the step before: the manifest was checked.
+        let needed = needs_before(&bytes) && self.manifest.steps[step].plan.base.is_some();
+        let before = match known {
+            Some(known) if needed && known.step + 1 == step => known.values,
+            _ if needed => {
+                read = self.block_of_step(step - 1, id, at, known, &mut found)?;
+                &found
+            }
+            _ => &[],
+        };
+        let (n, cells) = (at.blocks.range(at.block).len(), at.blocks.cells(at.block));
+        let quantiser = self.manifest.steps[step].plan.quantiser.as_ref();
+        let known = KnownOfBlock { n, cells, quantiser, before };
+        decode_values(&bytes, &known, out).map_err(|m| segment.blame(id, block, m))?;
+        Ok(read + bytes.len() as u64)
+    }
+
+    /// The ranges of the value blocks of a chunk; none of a moment between two steps.
+    pub(in crate::pipeline) fn value_ranges(
+        &self,
+        id: ChunkId,
+        blocks: usize,
+    ) -> Result<Option<Vec<ValueRange>>> {
+        if self.view.beyond.is_some() {
+            return Ok(None);
+        }
+        let (segment, mut bytes) = (self.values_of(self.view.step, id)?, vec![]);
+        segment.block(id, blocks as u64, &mut bytes)?;
+        let ranges = decode_value_ranges(&bytes, blocks);
+        ranges.map(Some).map_err(|m| segment.blame(id, blocks as u64, m))
+    }
+
+    /// The values of all `vertices` of a chunk, at the step at a position in the manifest.
+    pub(in crate::pipeline) fn chunk_values(
+        &self,
+        step: usize,
+        id: ChunkId,
+        vertices: usize,
+    ) -> Result<Vec<f32>> {
+        self.chunk_values_after(step, id, vertices, None)
+    }
+
+    /// As [`OpenArchive::chunk_values`], at steps by ascending positions.
+    pub(in crate::pipeline) fn chunk_values_of(
+        &self,
+        steps: &[usize],
+        id: ChunkId,
+        vertices: usize,
+    ) -> Result<Vec<Vec<f32>>> {
+        let mut out: Vec<Vec<f32>> = vec![];
+        for (n, &step) in steps.iter().enumerate() {
+            let follows = n > 0 && steps[n - 1] + 1 == step;
+            let before = out.last().filter(|_| follows).map(Vec::as_slice);
+            let values = self.chunk_values_after(step, id, vertices, before)?;
+            out.push(values);
+        }
+        Ok(out)
+    }
+
+    fn chunk_values_after(
+        &self,
+        step: usize,
+        id: ChunkId,
+        vertices: usize,
+        before: Option<&[f32]>,
+    ) -> Result<Vec<f32>> {
+        let mut out = Vec::with_capacity(vertices);
+        let blocks = &self.value_blocks(id, vertices);
+        for block in 0..blocks.count() {
+            let known = before.map(|values| Known { step: step - 1, values: &values[blocks.range(block)] });
+            self.block_of_step(step, id, BlockAt { block, blocks }, known, &mut out)?;
+        }
+        Ok(out)
+    }
+
+    /// The mesh of a chunk as it is stored: all its vertices, the tetrahedra block after block, and the end of each block.
+    pub(in crate::pipeline) fn stored_mesh(&self, id: ChunkId) -> Result<(MeshedChunk, Vec<usize>)> {
+        if let Some(chunk) = self.bcc_chunk(id) {
+            return Ok((MeshedChunk::of_bcc(&chunk, Halo::Owned), chunk.brick_ends()));
+        }
+        let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
+        let (mut tets, mut ends) = (vec![], vec![]);
+        let blocks = self.segment_of(id)?.mesh.mesh_summary(id)?.tet_blocks;
+        for block in 0..blocks {
+            reader.tets(block, &mut tets)?;
+            ends.push(tets.len());
+        }
+        reader.place_all()?;
+        Ok((reader.into_mesh(tets), ends))
+    }
+
+    /// Least and largest value; between two steps, what bounds them.
+    pub(in crate::pipeline) fn told_range(&self) -> Option<[f64; 2]> {
+        self.value_range().map(|range| range.map(|v| self.step().plan.source.told(v)))
+    }
+
+    /// The same, less the archive's offset.
+    pub(in crate::pipeline) fn value_range(&self) -> Option<[f32; 2]> {
+        let View { step, beyond } = self.view;
+        let range = self.manifest.steps[step].value_range?;
+        match beyond {
+            None => Some(range),
+            Some(share) => {
+                let next = self.manifest.steps[step + 1].value_range?;
+                Some([0, 1].map(|i| mean(range[i], next[i], share)))
+            }
+        }
+    }
+
+    /// What tells the blocks that can hold an answer.
+    pub(in crate::pipeline) fn ranges(&self) -> Result<Ranges<'_>> {
+        Ok(match self.view.beyond {
+            None => Ranges::Index(self, self.index()?),
+            Some(share) => Ranges::Between(self, share),
+        })
+    }
+
+    /// All blocks of the archive.
+    pub(in crate::pipeline) fn block_total(&self) -> u64 {
+        self.bcc.map_or(self.manifest.counts.blocks, |mesh| mesh.block_total())
+    }
+
+    /// The blocks that an entry of the index stands for: of a lattice, those of a brick.
+    pub(in crate::pipeline) fn blocks_of(&self, id: ChunkId) -> EntryBlocks {
+        EntryBlocks(self.bcc_chunk(id))
+    }
+
+    /// For each entry one for each of its blocks.
+    fn expanded(&self, entries: Vec<Entry>) -> Vec<Entry> {
+        // A chunk that is not there is named when it is read.
+        let is_there = |e: &Entry| e.chunk < self.chunks.len();
+        if !entries.first().is_some_and(|e| is_there(e) && self.bcc_chunk(ChunkId(e.chunk)).is_some()) {
+            return entries;
+        }
+        let mut found = vec![];
+        for of_chunk in entries.chunk_by(|a, b| a.chunk == b.chunk) {
+            let blocks_of = is_there(&of_chunk[0]).then(|| self.blocks_of(ChunkId(of_chunk[0].chunk)));
+            for entry in of_chunk {
+                let blocks =
+                    blocks_of.as_ref().map_or(entry.block..entry.block + 1, |all| all.of(entry.block));
+                let tets =
+                    |block| blocks_of.as_ref().map_or(entry.tets, |all| all.tets_of(block).min(entry.tets));
+                found.extend(blocks.map(|block| Entry { block, tets: tets(block), ..*entry }));
+            }
+        }
+        found
+    }
+
+    /// The blocks of all chunks whose range between two steps `wanted` accepts, in order.
+    fn blocks_between(&self, share: f64, wanted: impl Fn(&Entry) -> bool) -> Result<Vec<Entry>> {
+        let mut found = vec![];
+        for id in (0..self.chunks.len()).map(ChunkId) {
+            self.close_before(id);
+            let [a, b] = [self.view.step, self.view.step + 1]
+                .map(|step| self.values_of(step, id)?.value_summary(id).map(|s| s.ranges));
+            let (a, b) = (a?, b?);
+            if a.len() != b.len() {
+                let what = format!("{} and {} ranges of blocks at two steps", a.len(), b.len());
+                return Err(damaged(&*self.values_of(self.view.step, id)?, id, "summary", &what));
+            }
+            let between = |(a, b): (&BlockRange, &BlockRange)| BlockRange {
+                min: mean(a.min, b.min, share),
+                max: mean(a.max, b.max, share),
+                tets: a.tets.min(b.tets),
+            };
+            let ranges: Vec<BlockRange> = a.iter().zip(&b).map(between).collect();
+            found.extend(index_entries(id.0, &ranges).filter(&wanted));
+        }
+        Ok(self.expanded(found))
+    }
+}
+
+/// The blocks of a chunk that each entry of the index stands for.
+pub(in crate::pipeline) struct EntryBlocks(Option<BccChunk>);
+
+impl EntryBlocks {
+    /// The blocks of an entry; of one that is not there, a block that is not there.
+    pub(in crate::pipeline) fn of(&self, entry: u32) -> Range<u32> {
+        match &self.0 {
+            Some(chunk) if (entry as usize) < chunk.brick_count() => chunk.blocks_of(entry as usize),
+            Some(_) => u32::MAX - 1..u32::MAX,
+            None => entry..entry.saturating_add(1),
+        }
+    }
+
+    /// Tetrahedra of a block, void ones included; more than there can be of a block that is not there.
+    fn tets_of(&self, block: u32) -> u32 {
+        match &self.0 {
+            Some(chunk) if (block as usize) < chunk.block_count() => chunk.tets_of(block as usize),
+            _ => u32::MAX,
+        }
+    }
+
+    /// All blocks of a chunk with so many entries.
+    pub(in crate::pipeline) fn all(&self, entries: u32) -> Range<u32> {
+        self.0.as_ref().map_or(0..entries, |chunk| 0..chunk.block_count() as u32)
+    }
+}
+
+/// The values of a chunk's vertices at one step after another, a block at a time, when it is asked for.
+///
+/// A block that holds differences is told by its values at the last step at which it was asked for, where there is no keyframe since.
+pub(in crate::pipeline) struct ValuesOverTime<'a> {
+    archive: &'a OpenArchive,
+    chunk: ChunkId,
+    blocks: ValueBlocks,
+    values: Vec<f32>,
+    /// The step at which each block is.
+    at: Vec<Option<usize>>,
+    /// Bytes that were read of each for that step, and not yet taken.
+    bytes: Vec<u64>,
+    decoded: Vec<f32>,
+}
+
+impl<'a> ValuesOverTime<'a> {
+    pub(in crate::pipeline) fn new(archive: &'a OpenArchive, chunk: ChunkId, vertices: usize) -> Self {
+        let blocks = archive.value_blocks(chunk, vertices);
+        let (at, bytes) = (vec![None; blocks.count()], vec![0; blocks.count()]);
+        Self { archive, chunk, blocks, values: vec![f32::NAN; vertices], at, bytes, decoded: vec![] }
+    }
+
+    /// Reads a block of values at the step at a position in the manifest, unless it is there.
+    #[inline]
+    pub(in crate::pipeline) fn load(&mut self, block: usize, step: usize) -> Result<()> {
+        if self.at[block] == Some(step) { Ok(()) } else { self.read(block, step) }
+    }
+
+    #[cold]
+    fn read(&mut self, block: usize, step: usize) -> Result<()> {
+        let values = &mut self.values[self.blocks.range(block)];
+        self.decoded.clear();
+        let known = self.at[block].map(|step| Known { step, values });
+        self.bytes[block] = self.archive.block_of_step(
+            step,
+            self.chunk,
+            BlockAt { block, blocks: &self.blocks },
+            known,
+            &mut self.decoded,
+        )?;
+        values.copy_from_slice(&self.decoded);
+        self.at[block] = Some(step);
+        Ok(())
+    }
+
+    /// Bytes that were read of a block for the step at which it is: once.
+    pub(in crate::pipeline) fn take_bytes(&mut self, block: usize) -> u64 {
+        std::mem::take(&mut self.bytes[block])
+    }
+
+    /// The values, of each block at the step at which it was read last.
+    pub(in crate::pipeline) fn values(&self) -> &[f32] {
+        &self.values
+    }
+}
+
+/// Answers the questions of a [`SpanIndex`] at a step, or between two.
+pub(in crate::pipeline) enum Ranges<'a> {
+    Index(&'a OpenArchive, SpanIndex),
+    /// How far the next step is.
+    Between(&'a OpenArchive, f64),
+}
+
+impl Ranges<'_> {
+    /// [`SpanIndex::query_any`].
+    pub(in crate::pipeline) fn query_any(&self, isovalues: &[f32]) -> Result<Vec<Entry>> {
+        match self {
+            Self::Index(archive, index) => index.query_any(isovalues).map(|found| archive.expanded(found)),
+            Self::Between(archive, share) => {
+                let active = |e: &Entry| isovalues.iter().any(|&v| is_active(e.min, e.max, v));
+                archive.blocks_between(*share, active)
+            }
+        }
+    }
+
+    /// [`SpanIndex::query_inside`].
+    pub(in crate::pipeline) fn query_inside(
+        &self,
+        isovalue: f32,
+        wanted: impl Fn(u64) -> bool,
+    ) -> Result<Vec<Entry>> {
+        match self {
+            Self::Index(archive, index) => {
+                index.query_inside(isovalue, wanted).map(|found| archive.expanded(found))
+            }
+            Self::Between(archive, share) => {
+                archive.blocks_between(*share, |e| isovalue <= e.max && wanted(e.chunk))
+            }
+        }
+    }
+
+    /// [`SpanIndex::query_values`].
+    pub(in crate::pipeline) fn query_values(&self, low: f32, high: f32) -> Result<Vec<Entry>> {
+        match self {
+            Self::Index(archive, index) => index.query_values(low, high).map(|found| archive.expanded(found)),
+            Self::Between(..) if low.is_nan() || high.is_nan() || low > high => {
+                Err(Error::usage(format!("the range {low} to {high} is empty: give the lower value first")))
+            }
+            Self::Between(archive, share) => {
+                archive.blocks_between(*share, |e| e.min <= high && low <= e.max)
+            }
+        }
+    }
+
+    /// Bytes read for the answers; those of value segments are counted by the archive.
+    pub(in crate::pipeline) fn bytes_read(&self) -> u64 {
+        match self {
+            Self::Index(_, index) => index.bytes_read(),
+            Self::Between(..) => 0,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::exec::Silent;
+    use crate::formats::raw::RawLayout;
+    use crate::formats::{OpenOptions, StepSource};
+    use crate::pipeline::{Amount, ReduceSettings, RunSettings, reduce_series};
+    use crate::volume::ScalarType;
+
+    const DIMS: [u64; 3] = [14, 13, 12];
+
+    /// Waves, and those of the next step, which lie elsewhere and higher.
+    fn archive(dir: &Path) -> OpenArchive {
+        let raw = RawLayout {
+            dims: DIMS,
+            scalar: ScalarType::F32,
+            big_endian: false,
+            offset: 0,
+            spacing: [1.0; 3],
+        };
+        let options = OpenOptions { raw: Some(raw), ..OpenOptions::default() };
+        let step = |t: usize| {
+            let wave =
+                |i: u64| ((i % 14) as f32 * 0.7 + t as f32).sin() + (i / 182) as f32 * 0.2 + 3.0 * t as f32;
+            let bytes: Vec<u8> = (0..DIMS.iter().product()).flat_map(|i| wave(i).to_le_bytes()).collect();
+            let path = dir.join(format!("{t}.raw"));
+            std::fs::write(&path, bytes).unwrap();
+            StepSource::new(&path, &options)
+        };
+        let settings =
+            ReduceSettings { amount: Amount::Count(900), chunk_points: 300, ..ReduceSettings::default() };
+        let out = dir.join("a.isospan");
+        let run = RunSettings { memory: 1 << 30, ..RunSettings::default() };
+        reduce_series(&[step(0), step(1)], &settings, &out, &run, &Silent).unwrap();
+        OpenArchive::open_at(&out, StepChoice::Time(0.4)).unwrap()
+    }
+
+    /// By brute force over all blocks.
+    #[test]
+    fn between_two_steps_all_blocks_with_an_answer_are_found() {
+        let dir = tempfile::tempdir().unwrap();
+        let archive = archive(dir.path());
+        let mut answers = 0;
+        for isovalue in [-0.9, 0.5, 1.5, 2.5, 4.0] {
+            let found: Vec<_> = archive.ranges().unwrap().query_any(&[isovalue]).unwrap();
+            for id in (0..archive.chunks.len()).map(ChunkId) {
+                let (mesh, ends) = archive.stored_mesh(id).unwrap();
+                let mut values = vec![];
+                let blocks = archive.value_blocks(id, mesh.vertices());
+                for block in 0..blocks.count() {
+                    archive.values_block(id, block, &blocks, &mut values).unwrap();
+                }
+                for (block, &end) in ends.iter().enumerate() {
+                    let start = if block == 0 { 0 } else { ends[block - 1] };
+                    let range = BlockRange::of(&mesh.tets[start..end], &values);
+                    if is_active(range.min, range.max, isovalue) {
+                        answers += 1;
+                        assert!(found.iter().any(|e| e.chunk == id.0 && e.block as usize == block));
+                    }
+                }
+            }
+        }
+        assert!(answers > 0);
+        let [lo, hi] = archive.value_range().unwrap();
+        assert!(lo < hi && hi < 6.0);
+    }
+
+    #[test]
+    fn ranges_of_steps_are_written_as_two_numbers() {
+        let range = |first, last| StepRange { first, last };
+        let parse = |text: &str| text.parse::<StepRange>().unwrap();
+        assert_eq!(parse("3:8"), range(Some(3), Some(8)));
+        assert_eq!(parse(":8"), range(None, Some(8)));
+        assert_eq!(parse("3:"), range(Some(3), None));
+        assert_eq!(parse("4"), range(Some(4), Some(4)));
+        for bad in ["", "8:3", "a", "1:2:3", "-1:"] {
+            assert_eq!(bad.parse::<StepRange>().unwrap_err().exit_code(), 2, "{bad}");
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! What an archive holds, from its manifest: for `info`, and for reports.
+
+use super::archive::OpenArchive;
+use super::spectrum::{Suggestion, report};
+use super::steps::StepChoice;
+use crate::archive::coordinates::CellCount;
+use crate::archive::manifest::{MeshSource, Step};
+use crate::archive::segment::FORMAT_VERSION;
+use crate::archive::values::Quantiser;
+use crate::error::Result;
+use crate::grid::{ChunkId, Geometry};
+use crate::measure::{FieldError, LevelError};
+use crate::pipeline::plan::Plan;
+use crate::points::Levels;
+use serde::Serialize;
+use std::path::Path;
+
+/// A level of density.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LevelSummary {
+    /// Points to a voxel.
+    pub density: f64,
+    /// Voxels of the cells that have it.
+    pub voxels: u64,
+    /// Points in them, about, samples of the boundary not counted.
+    pub points: u64,
+    /// The errors at the samples in them, where they were measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error: Option<LevelError>,
+    /// Their part of the bytes of the mesh and of the step's values: in each file, that of the points.
+    pub bytes: u64,
+}
+
+impl LevelSummary {
+    fn all(archive: &OpenArchive, levels: &Levels) -> Vec<Self> {
+        let (plan, step) = (&archive.manifest.plan, archive.step());
+        let densities = Plan::densities(plan, levels);
+        let bytes = Self::bytes(archive, levels, &densities);
+        let of = |((n, density), voxels): ((usize, f64), u64)| Self {
+            density,
+            voxels,
+            points: (density * voxels as f64).round() as u64,
+            error: step.level_errors.get(n).copied(),
+            bytes: bytes[n].round() as u64,
+        };
+        densities.into_iter().enumerate().zip(levels.voxels_by_level()).map(of).collect()
+    }
+
+    /// The bytes of each segment, shared out by the points of each level in its chunks.
+    fn bytes(archive: &OpenArchive, levels: &Levels, densities: &[f64]) -> Vec<f64> {
+        let (mesh, values) = (&archive.manifest.mesh, &archive.step().values);
+        let mut bytes = vec![0.0; densities.len()];
+        for (segment, values) in mesh.iter().zip(values) {
+            let mut points = vec![0.0; densities.len()];
+            for chunk in segment.first_chunk..segment.first_chunk + segment.chunks {
+                let core = archive.chunks.chunk(ChunkId(chunk)).core;
+                levels.volumes_in(&core, |level, volume| {
+                    points[usize::from(level)] += volume * densities[usize::from(level)];
+                });
+            }
+            let (all, sum) = ((segment.info.bytes + values.info.bytes) as f64, points.iter().sum::<f64>());
+            if sum > 0.0 {
+                bytes.iter_mut().zip(points).for_each(|(b, p)| *b += all * p / sum);
+            }
+        }
+        bytes
+    }
+}
+
+/// What an archive holds, from its manifest.
+#[derive(Clone, Debug, Serialize)]
+pub struct ArchiveSummary {
+    /// "archive".
+    pub kind: &'static str,
+    /// Version of the format.
+    pub format: u16,
+    /// Name of the source's file.
+    pub source: String,
+    /// Its format.
+    pub source_format: String,
+    /// Samples along x, y, z.
+    pub dims: [u64; 3],
+    /// Type of its samples.
+    pub scalar: String,
+    /// Name of the field.
+    pub field: String,
+    /// Index space to world.
+    pub geometry: Geometry,
+    /// Of a rectilinear or curvilinear grid, whose coordinates are in the archive: its bad cells.
+    pub grid_cells: Option<CellCount>,
+    /// Of a tetrahedral mesh: what it had.
+    pub mesh: Option<MeshSource>,
+    /// Whether points and tetrahedra are those of that mesh.
+    pub own: bool,
+    /// The point set, with its parameters.
+    pub point_set: serde_json::Value,
+    /// Where the density of the points differs from place to place: each level, the coarsest first.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub levels: Vec<LevelSummary>,
+    /// How values were interpolated.
+    pub interpolation: String,
+    /// Whether they are fitted to the samples: "sample" or "fit".
+    pub values: String,
+    /// How values were rounded, if they were.
+    pub quantiser: Option<Quantiser>,
+    /// Points.
+    pub points: u64,
+    /// Points without a value.
+    pub void_points: u64,
+    /// Tetrahedra.
+    pub tetrahedra: u64,
+    /// Chunks.
+    pub chunks: u64,
+    /// Tetrahedron blocks.
+    pub blocks: u64,
+    /// Number of the step that range, areas and suggestions are of.
+    pub step: u64,
+    /// All time steps.
+    pub steps: Vec<StepSummary>,
+    /// Least and largest value.
+    pub range: Option<[f64; 2]>,
+    /// What the samples lost when they became `f32`, at most, where that matters; errors include it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rounding: Option<f64>,
+    /// Area of the isosurface at each isovalue of the contour spectrum.
+    pub areas: Vec<[f64; 2]>,
+    /// Isovalues that are worth a look, the most marked one first.
+    pub suggestions: Vec<Suggestion>,
+    /// How far the reduced field is from the samples of its source, where that was measured.
+    pub error: Option<FieldError>,
+    /// Bytes of all files, but for unpacked blocks.
+    pub bytes: u64,
+}
+
+/// A step of an archive, from its manifest.
+#[derive(Clone, Debug, Serialize)]
+pub struct StepSummary {
+    /// Its number.
+    pub number: u64,
+    /// Its time, where the input told one.
+    pub time: Option<f64>,
+    /// Name of the source's file.
+    pub source: String,
+    /// Name of the field.
+    pub field: String,
+    /// The step that its values refer to; none of a keyframe.
+    pub base: Option<u64>,
+    /// Least and largest value.
+    pub range: Option<[f64; 2]>,
+    /// What the samples lost when they became `f32`, at most, where that matters; errors include it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rounding: Option<f64>,
+    /// Points without a value.
+    pub void_points: u64,
+    /// Root of the mean square of the reduced field's errors at the samples of its source, and the largest, where they were measured.
+    pub error: Option<[f64; 2]>,
+    /// Bytes of its values.
+    pub value_bytes: u64,
+    /// Bytes of its index and spectrum.
+    pub index_bytes: u64,
+    /// Where its blocks are unpacked: of the file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unpacked_bytes: Option<u64>,
+}
+
+impl StepSummary {
+    pub(in crate::pipeline) fn of(step: &Step) -> Self {
+        let Step { plan, .. } = step;
+        Self {
+            number: plan.number,
+            time: plan.time,
+            source: plan.source.path.clone(),
+            field: plan.source.field.clone(),
+            base: plan.base.map(|b| b.number),
+            range: step.told_range(),
+            rounding: step.told_rounding(),
+            void_points: step.void_points,
+            error: step.error.as_ref().map(|e| [e.rms, e.max]),
+            value_bytes: step.values.iter().map(|v| v.info.bytes).sum(),
+            index_bytes: step.index.map_or(0, |s| s.bytes) + step.spectrum.map_or(0, |s| s.bytes),
+            unpacked_bytes: None,
+        }
+    }
+}
+
+/// Tells what an archive holds.
+///
+/// # Errors
+/// [`Error::BadInput`] when there is no archive at `path`, or its manifest is damaged.
+pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
+    summarize_at(path, StepChoice::First)
+}
+
+/// As [`summarize`]; range, areas and suggestions are those of a step.
+///
+/// # Errors
+/// As [`summarize`]; [`Error::Usage`] for a step that is not there, or a time between two.
+pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
+    let archive = OpenArchive::open_at(path, choice)?;
+    let (plan, counts, step) = (&archive.manifest.plan, &archive.manifest.counts, archive.step());
+    let source = &step.plan.source;
+    let spectrum = report(&archive)?;
+    let steps = archive.summarized_steps()?;
+    Ok(ArchiveSummary {
+        kind: "archive",
+        format: FORMAT_VERSION,
+        source: source.path.clone(),
+        source_format: source.format.clone(),
+        dims: source.dims,
+        scalar: source.scalar.name().into(),
+        field: source.field.clone(),
+        geometry: source.geometry,
+        grid_cells: archive.coordinate_record().map(|c| c.cells),
+        mesh: source.mesh,
+        own: archive.manifest.plan.own.is_some(),
+        point_set: serde_json::json!(plan.points),
+        levels: archive.points.levels().map_or_else(Vec::new, |levels| LevelSummary::all(&archive, levels)),
+        interpolation: step.plan.interpolation.name().into(),
+        values: step.plan.values.name().into(),
+        quantiser: step.plan.told_quantiser(),
+        points: counts.points,
+        void_points: step.void_points,
+        tetrahedra: counts.tetrahedra,
+        chunks: counts.chunks,
+        blocks: counts.blocks,
+        step: step.plan.number,
+        bytes: archive.bytes()?,
+        steps,
+        range: step.told_range(),
+        rounding: step.told_rounding(),
+        areas: spectrum.knots.iter().map(|k| [k.isovalue, k.area]).collect(),
+        suggestions: spectrum.suggestions,
+        error: step.error.clone(),
+    })
+}

@@ -1,0 +1,214 @@
+//! Chunk after chunk of an archive, decoded and worked on in parallel, the results handed on in chunk order.
+//!
+//! ```text
+//!  chunks of a question ──▶ a batch that fits the memory: decode ▶ job, on all threads ──▶ take, in order
+//! ```
+//!
+//! What [`super::extract_surface`] does for surfaces, for the questions that want whole tetrahedra.
+
+use super::archive::{DecodedChunk, OpenArchive};
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, Progress, pool};
+use crate::geom::LatticeBox;
+use crate::grid::ChunkId;
+use crate::index::Entry;
+use crate::pipeline::plan::estimate;
+use rayon::prelude::*;
+
+/// Bytes for a vertex of a decoded chunk and for one of its tetrahedra, results of a job included, and whatever their number.
+const VERTEX: u64 = 72;
+const TET: u64 = 64;
+const CHUNK: u64 = 1 << 20;
+/// Tetrahedra a point, at most, where they are not counted.
+const TETS_A_POINT: u64 = 8;
+
+/// Which blocks to read.
+pub(in crate::pipeline) enum Blocks {
+    /// All of the archive.
+    All,
+    /// Those of an index's answer, in order.
+    Some(Vec<Entry>),
+}
+
+impl Blocks {
+    /// Bytes that the list takes, with what chooses from it.
+    pub(in crate::pipeline) fn bytes(&self) -> u64 {
+        match self {
+            Self::All => 0,
+            Self::Some(entries) => 64 * entries.len() as u64,
+        }
+    }
+}
+
+/// Chunks of an archive to be read, in order.
+pub(in crate::pipeline) struct Visit<'a> {
+    pub(in crate::pipeline) archive: &'a OpenArchive,
+    /// The chunks, in order.
+    pub(in crate::pipeline) chunks: Vec<ChunkId>,
+    blocks: Blocks,
+    pub(super) threads: usize,
+    /// Bytes for chunks at work at one time.
+    pub(in crate::pipeline) memory: u64,
+    pub(in crate::pipeline) cancel: &'a CancelToken,
+}
+
+impl<'a> Visit<'a> {
+    pub(in crate::pipeline) fn new(
+        archive: &'a OpenArchive,
+        blocks: Blocks,
+        threads: usize,
+        memory: u64,
+        cancel: &'a CancelToken,
+    ) -> Result<Self> {
+        let chunks = match &blocks {
+            Blocks::All => (0..archive.chunks.len()).map(ChunkId).collect(),
+            Blocks::Some(entries) => {
+                let mut chunks: Vec<ChunkId> = entries.iter().map(|e| ChunkId(e.chunk)).collect();
+                chunks.dedup();
+                chunks
+            }
+        };
+        chunks.iter().try_for_each(|&c| archive.expect_chunk(c))?;
+        Ok(Self { archive, chunks, blocks, threads, memory, cancel })
+    }
+
+    /// Leaves out chunks none of whose tetrahedra can touch what `touches` accepts (a box, or larger).
+    pub(in crate::pipeline) fn confine(&mut self, touches: impl Fn(&LatticeBox) -> bool) -> Result<()> {
+        let mut kept = vec![];
+        for &id in &self.chunks {
+            // A halo is wider than the least only where the summary says so.
+            if touches(&region(self.archive, id, 0)) || touches(&full_region(self.archive, id)?) {
+                kept.push(id);
+            }
+        }
+        self.chunks = kept;
+        Ok(())
+    }
+
+    /// The blocks of a chunk that are read.
+    fn blocks_of(&self, id: ChunkId) -> Result<Vec<u32>> {
+        match &self.blocks {
+            Blocks::All => {
+                let blocks = self.archive.segment_of(id)?.mesh.mesh_summary(id)?.tet_blocks;
+                Ok(self.archive.blocks_of(id).all(blocks).collect())
+            }
+            Blocks::Some(entries) => {
+                let first = entries.partition_point(|e| e.chunk < id.0);
+                Ok(entries[first..].iter().take_while(|e| e.chunk == id.0).map(|e| e.block).collect())
+            }
+        }
+    }
+
+    /// Six times the volume of all tetrahedra of the chunks, as their summaries tell.
+    pub(in crate::pipeline) fn volume6(&self) -> Result<i128> {
+        let mut sum = 0i128;
+        for &id in &self.chunks {
+            self.archive.close_before(id);
+            sum = sum.saturating_add(self.archive.segment_of(id)?.mesh.mesh_summary(id)?.volume6);
+        }
+        Ok(sum)
+    }
+
+    /// Vertices of a chunk, about: from the plan and the point set, without reading.
+    fn vertices(&self, id: ChunkId) -> u64 {
+        let archive = self.archive;
+        archive.points.count_in(&estimate::near(
+            &archive.points,
+            &archive.chunks.chunk(id).core,
+            &archive.chunks.bricks().lattice.domain(),
+            estimate::Halo::Owned,
+        ))
+    }
+
+    /// Vertices of the largest chunk, about.
+    pub(in crate::pipeline) fn most_vertices(&self) -> u64 {
+        self.chunks.iter().map(|&c| self.vertices(c)).max().unwrap_or(0)
+    }
+
+    /// Bytes in which a chunk is read and worked on.
+    fn need(&self, id: ChunkId) -> u64 {
+        CHUNK.saturating_add(self.vertices(id).saturating_mul(VERTEX + TETS_A_POINT * TET))
+    }
+
+    /// Refuses a budget in which the largest chunk, with `extra` bytes for its job, does not fit; `memory` is the whole budget, and `share` tells
+    /// what chunks have of one.
+    ///
+    /// # Errors
+    /// [`Error::Budget`] naming the least that would do.
+    pub(in crate::pipeline) fn check_memory(
+        &self,
+        memory: u64,
+        share: impl Fn(u64) -> u64,
+        extra: u64,
+    ) -> Result<()> {
+        let largest = self.chunks.iter().map(|&c| self.need(c)).max().unwrap_or(0).saturating_add(extra);
+        if largest > self.memory {
+            let needed = least_with(largest, share);
+            return Err(Error::Budget { what: "memory".into(), needed, available: memory });
+        }
+        Ok(())
+    }
+
+    /// Reads all chunks: `job` runs on any thread, with `extra` bytes of its own; `take` gets the results in chunk order.
+    pub(in crate::pipeline) fn each<T: Send>(
+        &self,
+        extra: u64,
+        progress: &dyn Progress,
+        job: impl Fn(ChunkId, DecodedChunk) -> Result<T> + Sync,
+        mut take: impl FnMut(usize, T) -> Result<()>,
+    ) -> Result<()> {
+        let pool = pool(self.threads)?;
+        // One thread takes chunk after chunk, so its jobs run in order.
+        let most = if self.threads == 1 { 1 } else { 2 * pool.current_num_threads() };
+        let mut done = 0;
+        while done < self.chunks.len() {
+            self.cancel.check()?;
+            let mut sum = 0u64;
+            let fits = |&&id: &&ChunkId| {
+                sum = sum.saturating_add(self.need(id)).saturating_add(extra);
+                sum <= self.memory
+            };
+            let fit = self.chunks[done..].iter().take(most).take_while(fits).count().max(1);
+            let batch = &self.chunks[done..done + fit];
+            let run = |&id: &ChunkId| job(id, self.archive.decode(id, &self.blocks_of(id)?)?);
+            let results: Vec<Result<T>> = pool.install(|| batch.par_iter().map(run).collect());
+            for result in results {
+                take(done, result?)?;
+                done += 1;
+                progress.advance(1);
+            }
+            if let Some(&next) = self.chunks.get(done) {
+                self.archive.close_before(next);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The least budget of which the share, which grows with it, is `wanted` bytes.
+fn least_with(wanted: u64, share: impl Fn(u64) -> u64) -> u64 {
+    let (mut too_little, mut enough) = (0, wanted.max(1));
+    while share(enough) < wanted {
+        if enough == u64::MAX {
+            return enough;
+        }
+        (too_little, enough) = (enough, enough.saturating_mul(2));
+    }
+    while enough - too_little > 1 {
+        let middle = too_little + (enough - too_little) / 2;
+        if share(middle) < wanted { too_little = middle } else { enough = middle }
+    }
+    enough
+}
+
+fn region(archive: &OpenArchive, id: ChunkId, retries: u32) -> LatticeBox {
+    let domain = archive.chunks.bricks().lattice.domain();
+    let halo = estimate::Halo::of(&archive.manifest.plan);
+    estimate::region(&archive.points, &archive.chunks.chunk(id).core, &domain, halo, retries)
+}
+
+/// A box that holds all tetrahedra of a chunk. Reads its summary.
+pub(in crate::pipeline) fn full_region(archive: &OpenArchive, id: ChunkId) -> Result<LatticeBox> {
+    let retries = archive.segment_of(id)?.mesh.mesh_summary(id)?.retries;
+    Ok(region(archive, id, retries))
+}

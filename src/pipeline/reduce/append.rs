@@ -1,0 +1,101 @@
+//! Further steps for an archive that is there.
+//!
+//! New files come beside the old ones, and the manifest that names them is renamed over the old one in the end: until then the archive is the
+//! old one. A run that was killed is continued by the same call; what it left is in the folders of the new steps, which no manifest names.
+//!
+//! A tetrahedral mesh is laid out on disk again, from the first of the new files that tells it, for the points are located in that. The archive has hashes
+//! of its points and cells, by which others are refused, and the vertices that were one at the first step: so samples of its boundary are the same ones.
+
+use super::advice::look;
+use super::job::{Job, Part, ReduceReport};
+use super::mesh::reduce_mesh;
+use super::{lock_for_writing, reduce_volumes};
+use crate::archive::manifest::{MANIFEST_NAME, Step};
+use crate::error::{Error, Result};
+use crate::exec::Progress;
+use crate::formats::{self, OpenOptions, StepSource};
+use crate::pipeline::read::OpenArchive;
+use crate::pipeline::settings::{NanPolicy, ReduceSettings, RunSettings, ValueBits};
+use std::path::Path;
+use std::time::Instant;
+
+/// What the user chooses of further steps; all else is as it was for the last one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AppendSettings {
+    /// A value that means "no data", besides what the file declares; that of the last step if not given.
+    pub missing: Option<f64>,
+    /// Steps from one keyframe to the next, by number; as for the last step if not given.
+    pub keyframes: Option<u64>,
+    /// Whether the field is measured at every sample of the source.
+    pub measure: bool,
+}
+
+impl Default for AppendSettings {
+    fn default() -> Self {
+        Self { missing: None, keyframes: None, measure: true }
+    }
+}
+
+/// Adds steps to the archive `out`; the report is of them. They are numbered from the last one on.
+///
+/// When the archive ends with these very steps already (the same names, contents, fields and times), nothing is added, and the report has no steps: so the
+/// same call continues a run that was killed at any moment.
+///
+/// The bytes are those that [`super::reduce_series`] would have made of all steps at once, with the same settings.
+///
+/// # Errors
+/// Those of [`super::reduce_series`]; [`Error::BadInput`] for a damaged archive, and where dimensions or geometry, or points or cells, are not the archive's;
+/// [`Error::Io`] when another run has changed the archive meanwhile: the same call adds the steps behind.
+pub fn append(
+    sources: &[StepSource],
+    settings: &AppendSettings,
+    out: &Path,
+    run: &RunSettings,
+    progress: &dyn Progress,
+) -> Result<ReduceReport> {
+    let started = Instant::now();
+    let _lock = lock_for_writing(out)?;
+    let archive = OpenArchive::open(out)?;
+    let last = archive.manifest.steps.last().expect("an archive that was opened has a step");
+    let field = &last.plan.source.field;
+    let sources = sources.iter().map(|source| with_field(source, field));
+    let sources: Vec<_> = (last.plan.number + 1..).zip(sources).collect();
+    let settings = settings_like(last, settings)?;
+    let part = Part::Further(&archive);
+    let job = Job { sources: &sources, settings: &settings, out, run, progress, started, part, round: None };
+    let notices = look(&job, true)?.notices;
+    let report = match last.plan.source.mesh {
+        None => reduce_volumes(&job),
+        Some(_) => reduce_mesh(&job),
+    }?;
+    Ok(ReduceReport { notices, ..report })
+}
+
+/// A further step; where nobody names a field, that of the archive, if the file has it.
+fn with_field(source: &StepSource, field: &str) -> StepSource {
+    let options = OpenOptions { field: Some(field.to_owned()), ..source.options.clone() };
+    // In a format without names the reader chooses. Another name is refused when the step is planned.
+    let is_named = source.options.field.is_some() || source.is_given();
+    match !is_named && formats::open_input(&source.path, &options).is_ok() {
+        true => StepSource::new(&source.path, &options).at(source.time),
+        false => source.clone(),
+    }
+}
+
+/// The settings with which a step was made.
+fn settings_like(step: &Step, settings: &AppendSettings) -> Result<ReduceSettings> {
+    let plan = &step.plan;
+    Ok(ReduceSettings {
+        interpolation: plan.interpolation,
+        values: plan.values,
+        nan: NanPolicy::parse(&plan.nan).ok_or_else(|| {
+            let expected = "error, mask or a number";
+            Error::bad_input(MANIFEST_NAME, format!("nan of step {}", plan.number), expected, &plan.nan)
+        })?,
+        missing: settings.missing.or(plan.missing),
+        value_bits: plan.quantiser.map_or(ValueBits::Exact, |q| ValueBits::Bits(q.bits)),
+        keyframes: settings.keyframes.unwrap_or(plan.keyframes),
+        measure: settings.measure,
+        ..ReduceSettings::default()
+    })
+}

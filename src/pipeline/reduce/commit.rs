@@ -1,0 +1,137 @@
+//! The end of a reduction: what all chunks have said of themselves is put together.
+//!
+//! Of the mesh, once: counts, and the proof that the tetrahedra fill the box. Of each step: its index and its spectrum.
+
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};
+use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
+use crate::error::{Error, Result};
+use crate::grid::ChunkId;
+use crate::index::{BuildSettings, IndexBuilder, index_entries};
+use crate::pipeline::plan::{Layout, MeshParts, Plan, estimate};
+use crate::pipeline::read::{limits, stored_part};
+use crate::pipeline::settings::RunSettings;
+use crate::spectrum::{Design, Limits, SpectrumBuilder};
+use std::path::Path;
+
+/// The mesh of an archive, and the steps that are finished.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Made {
+    pub(super) counts: Counts,
+    pub(super) mesh: Vec<SegmentRecord>,
+    pub(super) steps: Vec<Step>,
+    /// How often halos were widened.
+    pub(super) halo_retries: u64,
+}
+
+impl Made {
+    /// What an archive has.
+    pub(super) fn of(manifest: &Manifest) -> Self {
+        let Manifest { counts, mesh, steps, .. } = manifest.clone();
+        Self { counts, mesh, steps, halo_retries: 0 }
+    }
+
+    pub(super) fn manifest(&self, plan: &Plan) -> Manifest {
+        Manifest::new(plan.mesh.clone(), self.counts, self.mesh.clone(), self.steps.clone())
+    }
+}
+
+impl Made {
+    /// Reads the summaries of the mesh of all chunks.
+    pub(super) fn of_segments(plan: &Plan, parts: &MeshParts, layout: &Layout) -> Result<Self> {
+        let mut made =
+            Made { counts: Counts { chunks: parts.chunks.len(), ..Counts::default() }, ..Made::default() };
+        let mut volume6 = 0i128;
+        let hash = plan.mesh_hash();
+        for number in 0..layout.segment_count() {
+            let file = ChunkSegment::open(layout.mesh(number), SegmentKind::Mesh, Some(hash))?;
+            for chunk in layout.chunks_of(number) {
+                let mesh = file.mesh_summary(ChunkId(chunk))?;
+                made.counts.points += u64::from(mesh.core);
+                made.counts.tetrahedra += mesh.tets;
+                made.counts.blocks += u64::from(mesh.tet_blocks);
+                made.halo_retries += u64::from(mesh.retries);
+                volume6 += mesh.volume6 + mesh.outside6;
+            }
+            made.mesh.push(file.record());
+        }
+        check_volume(plan, [made.counts.tetrahedra.into(), volume6], layout.root())?;
+        Ok(made)
+    }
+
+    /// Adds the `n`-th step of the plan: builds its index, and its spectrum of what chunks have measured, but for small archives. `coordinates`: of a grid that has
+    /// some, with the first step of the archive.
+    pub(super) fn add_step(
+        &mut self,
+        plan: &Plan,
+        n: usize,
+        layout: &Layout,
+        parts: &MeshParts,
+        coordinates: Option<CoordinateRecord>,
+        run: &RunSettings,
+    ) -> Result<()> {
+        let (step, hash) = (&plan.steps[n], plan.step_hash(n));
+        let layout = layout.at(step.number);
+        let (mut values, mut void_points) = (vec![], 0);
+        let is_indexed = self.counts.is_indexed();
+        // Of all points, and of the tetrahedra that are not void.
+        let mut value_range = [f32::INFINITY, f32::NEG_INFINITY];
+        let mut range = value_range;
+        let mut index = IndexBuilder::new(&BuildSettings {
+            memory: run.memory.saturating_sub(estimate::BASE),
+            scratch: Some(run.scratch_folder()),
+        });
+        for number in 0..layout.segment_count() {
+            let file = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(hash))?;
+            for chunk in layout.chunks_of(number) {
+                let summary = file.value_summary(ChunkId(chunk))?;
+                void_points += u64::from(summary.void);
+                value_range = [value_range[0].min(summary.min), value_range[1].max(summary.max)];
+                for entry in index_entries(chunk, &summary.ranges).filter(|_| is_indexed) {
+                    range = [range[0].min(entry.min), range[1].max(entry.max)];
+                    index.push(entry)?;
+                }
+            }
+            values.push(file.record());
+        }
+        // Those that chunks were measured with: by the set's own number of points, which may be a little off.
+        let limits = limits(&plan.mesh, parts.points.len());
+        let spectrum = (is_indexed && range[0] <= range[1])
+            .then(|| sum_spectrum(&layout, hash, Design::new(range, limits), limits));
+        self.steps.push(Step {
+            plan: step.clone(),
+            value_range: (value_range[0] <= value_range[1]).then_some(value_range),
+            void_points,
+            values,
+            index: is_indexed.then(|| index.finish(layout.index(), hash)).transpose()?,
+            spectrum: spectrum.transpose()?,
+            coordinates,
+            error: None,
+            level_errors: vec![],
+        });
+        Ok(())
+    }
+}
+
+/// Adds up what all chunks have measured of a step, and writes it.
+fn sum_spectrum(layout: &Layout, hash: PlanHash, design: Design, limits: Limits) -> Result<SegmentInfo> {
+    let mut builder = SpectrumBuilder::new(design);
+    for number in 0..layout.segment_count() {
+        let values = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(hash))?;
+        for chunk in layout.chunks_of(number) {
+            builder.add(&stored_part(&values, ChunkId(chunk), limits)?);
+        }
+    }
+    builder.finish(layout.spectrum(), hash)
+}
+
+/// The owned tetrahedra of all chunks tile the box, or are all of the mesh: their volumes add up to its volume, exactly.
+fn check_volume(plan: &Plan, [tets, volume6]: [i128; 2], out: &Path) -> Result<()> {
+    let whole = plan.mesh.volume6();
+    let all = plan.mesh.own.map_or(tets, |own| own.tetrahedra.into());
+    if volume6 == whole && tets == all {
+        return Ok(());
+    }
+    let text = format!("internal error: {tets} of {all} tetrahedra fill {volume6} of {whole} sixths");
+    Err(Error::io("commit", out, std::io::Error::other(text)))
+}

@@ -1,0 +1,752 @@
+//! The steps of a series of tetrahedral meshes: the mesh is read once, and each step has values on it.
+//!
+//! ```text
+//!  new     first file ─▶ store ─▶ plan, samples of the boundary ─▶ steps: hashes of points and cells, values
+//!  further first file ─▶ store ─▶ both as in the archive?       ─▶ …
+//! ```
+//!
+//! A file that stores points and cells by the very bytes of the one before ([`CellMesh::stored_hash`]) has the same of both, and they are not decoded.
+//!
+//! Which vertices are one is decided by the values of the first step, and known of an archive that steps are added to.
+
+use super::job::Job;
+use super::mesh::check_job;
+use super::passes::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data};
+use crate::archive::explicit::ExplicitRecord;
+use crate::archive::manifest::{MeshSource, OwnRecord, Plan as MeshPlan, Source, StepPlan};
+use crate::archive::repeated::RepeatedRecord;
+use crate::archive::segment::PlanHash;
+use crate::archive::values::Quantiser;
+use crate::cells::CellMesh;
+use crate::domain::amount::{COUNTABLE, amount_between, next_amount, valued};
+use crate::domain::boundary::{BoundarySamples, Spacing};
+use crate::domain::buckets::Buckets;
+use crate::domain::column::Column;
+use crate::domain::gradients::gradients;
+use crate::domain::identity::Identity;
+use crate::domain::own::{OwnCells, OwnVertices};
+use crate::domain::store::{CellStore, StoreSettings};
+use crate::domain::vertices::Vertices;
+use crate::error::{Error, Result};
+use crate::formats::{self, Input, OpenOptions, StepSource};
+use crate::grid::BrickGrid;
+use crate::pipeline::chunk::{CellField, Field, OwnField, OwnMesh};
+use crate::pipeline::inputs::{MeshChoice, MeshCurves, Shift};
+use crate::pipeline::plan::{Beside, Inputs, Plan, Watch};
+use crate::pipeline::read::OpenArchive;
+use crate::pipeline::settings::{Amount, ReduceSettings};
+use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind, SetSettings};
+use crate::sample::{Interpolation, Values};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The points of a mesh that are listed, and what is known of them.
+pub(super) enum Listed {
+    /// Samples of its boundary.
+    Boundary(BoundarySamples),
+    /// Its own vertices: it is kept as it is.
+    Own(OwnVertices),
+}
+
+/// Bytes that a listed point takes all the time: its position, its part of the grid that finds it.
+const OWN_BYTES: u64 = 16;
+/// Of a sample of the boundary, and of those by which the nearest place is found.
+const SAMPLE_BYTES: u64 = 100;
+
+impl Listed {
+    /// Their positions.
+    pub(super) fn points(&self) -> &Arc<ExplicitPoints> {
+        match self {
+            Self::Boundary(boundary) => &boundary.points,
+            Self::Own(vertices) => &vertices.points,
+        }
+    }
+
+    /// The memory that they take.
+    pub(super) fn bytes(&self) -> u64 {
+        match self {
+            Self::Boundary(boundary) => boundary.points.len().saturating_mul(SAMPLE_BYTES),
+            Self::Own(vertices) => vertices.points.len().saturating_mul(OWN_BYTES),
+        }
+    }
+}
+
+/// A mesh made ready.
+pub(super) struct Prepared {
+    pub(super) store: CellStore,
+    pub(super) series: SeriesPlan,
+    pub(super) listed: Listed,
+    /// Points with a value that are wanted, boundary included.
+    pub(super) wanted: u64,
+}
+
+/// The mesh that all steps must have.
+struct Common {
+    identity: Identity,
+    vertices: u64,
+    /// The file that has told it.
+    name: String,
+}
+
+impl Common {
+    fn of_store(mesh: &CellMesh, store: &CellStore) -> Self {
+        let (identity, vertices) = (store.identity, store.census.vertices);
+        Self { identity, vertices, name: mesh.info().path.display().to_string() }
+    }
+
+    /// That of an archive of a mesh.
+    fn of_archive(archive: &OpenArchive) -> Self {
+        let source = &archive.step().plan.source;
+        let mesh = source.mesh.expect("an archive of a mesh tells it");
+        let identity = Identity { points: mesh.point_hash.0, cells: mesh.cell_hash.0 };
+        let name = format!("{}, step {}", source.path, archive.step().plan.number);
+        Self { identity, vertices: mesh.vertices, name }
+    }
+
+    /// The number of points tells many other meshes without reading them.
+    fn check_number(&self, mesh: &CellMesh) -> Result<()> {
+        match mesh.info().points {
+            n if n == self.vertices => Ok(()),
+            n => Err(self.other(mesh, "points", &self.vertices.to_string(), &n.to_string())),
+        }
+    }
+
+    fn check(&self, mesh: &CellMesh, found: Identity) -> Result<()> {
+        self.check_number(mesh)?;
+        if found.points != self.identity.points {
+            return Err(self.other(mesh, "points", "the positions", "others"));
+        }
+        if found.cells != self.identity.cells {
+            return Err(self.other(mesh, "cells", "those", "others, or in another order"));
+        }
+        Ok(())
+    }
+
+    fn other(&self, mesh: &CellMesh, at: &str, expected: &str, got: &str) -> Error {
+        let expected = format!("{expected} of {}", self.name);
+        Error::bad_input(&mesh.info().path, at, expected, got)
+            .with_help("the steps of a series share one mesh; --keep-going leaves out those that do not fit")
+    }
+}
+
+fn open_mesh_of(source: &StepSource) -> Result<CellMesh> {
+    match source.open()? {
+        Input::Mesh(mesh) => Ok(mesh),
+        Input::Volume(_) => {
+            let expected = "a mesh, as other steps are";
+            Err(Error::bad_input(&source.path, "kind of file", expected, "a volume"))
+        }
+    }
+}
+
+/// The file of a mesh that was opened last: its other fields are had without reading its head again.
+pub(super) struct LastMesh {
+    source: StepSource,
+    mesh: CellMesh,
+}
+
+impl LastMesh {
+    fn new(source: &StepSource, mesh: &CellMesh) -> Self {
+        Self { source: source.clone(), mesh: mesh.clone() }
+    }
+
+    /// The mesh of a source that is another field of this file; `None` of another file.
+    fn of(&self, source: &StepSource) -> Option<Result<CellMesh>> {
+        let fieldless = |s: &StepSource| OpenOptions { field: None, ..s.options.clone() };
+        let is_same = self.source.path == source.path && fieldless(&self.source) == fieldless(source);
+        let name = source.options.field.as_ref().filter(|_| is_same)?;
+        Some(self.mesh.with_field(name))
+    }
+}
+
+/// What is subtracted from the values of all steps: as the archive or the plan has it, else as the first source that can be opened asks for.
+pub(super) fn offset_of(job: &Job<'_>) -> Result<f64> {
+    let known = job.part.archive().map(|archive| &archive.manifest.steps[0].plan);
+    if let Some(step) = known.or_else(|| job.part.planned().map(Plan::first)) {
+        return Ok(step.source.offset);
+    }
+    let mut first_error = None;
+    for (number, source) in job.sources {
+        let shift = open_mesh_of(source).and_then(|mesh| {
+            check_job(job, &mesh)?;
+            let (memory, cancel) = (job.run.memory / 4, &job.run.cancel);
+            Shift::of_mesh(&mesh, None, job.settings.missing, memory, cancel)
+        });
+        match shift.map_err(|e| if job.is_several() { e.at_step(*number) } else { e }) {
+            Err(e) if job.run.keep_going && job.is_several() && is_of_data(&e) => {
+                first_error.get_or_insert(e);
+            }
+            other => return Ok(other?.offset),
+        }
+    }
+    Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")))
+}
+
+/// The mesh of a job on disk, of the first source that can be used.
+fn base_of(job: &Job<'_>, how: &StoreSettings<'_>, inputs: &mut Inputs<'_>) -> Result<(CellMesh, CellStore)> {
+    let mut first_error = None;
+    for (number, source) in job.sources {
+        let told = |e: Error| if job.is_several() { e.at_step(*number) } else { e };
+        match base_from(source, job, how, inputs).map_err(told) {
+            Err(e) if job.run.keep_going && job.is_several() && is_of_data(&e) => {
+                first_error.get_or_insert(e);
+            }
+            other => return other,
+        }
+    }
+    Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")))
+}
+
+fn base_from(
+    source: &StepSource,
+    job: &Job<'_>,
+    how: &StoreSettings<'_>,
+    inputs: &mut Inputs<'_>,
+) -> Result<(CellMesh, CellStore)> {
+    inputs.watch.add(std::slice::from_ref(&source.path));
+    let mesh = open_mesh_of(source)?;
+    inputs.watch.add(&mesh.info().files());
+    check_job(job, &mesh)?;
+    let Some(archive) = job.part.archive() else {
+        let store = CellStore::build(&mesh, how)?;
+        return Ok((mesh, store));
+    };
+    let common = Common::of_archive(archive);
+    common.check_number(&mesh)?;
+    let firsts = Beside::repeated(archive.path(), &archive.manifest.plan, common.vertices, how)?;
+    let store = CellStore::build_with(&mesh, Some(firsts), how)?;
+    common.check(&mesh, store.identity)?;
+    Ok((mesh, store))
+}
+
+/// Reads the mesh of a job and plans its steps.
+pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared> {
+    let mut inputs = job
+        .part
+        .planned()
+        .map_or_else(Inputs::default, |plan| Inputs::planned(job.part.planned_files(), plan.fingerprints()));
+    let (mesh, store) = base_of(job, how, &mut inputs)?;
+    let path = &mesh.info().path;
+    let wanted = wanted_of(job.settings, store.census.vertices).round().max(1.0) as u64;
+    let own = is_own(job, store.census.vertices);
+    let mut plan = match job.part.archive() {
+        None => {
+            let points = if own { store.census.vertices } else { wanted };
+            new_plan(&mesh, &store, points, job.settings, how.offset)?
+        }
+        Some(archive) => continued_plan(archive, job.settings),
+    };
+    let of_share = |e: Error| e.of_share(how.memory, job.run.memory);
+    let (dense, listed) = if own {
+        let vertices = OwnVertices::new(&store, how, path).map_err(of_share)?;
+        if job.part.archive().is_none() {
+            let record = OwnRecord::new(store.census.tetrahedra, vertices.volume6);
+            plan.keep_own(&vertices.points, record)?;
+        }
+        (Dense { levels: None, wanted, bound: None }, Listed::Own(vertices))
+    } else {
+        let (dense, boundary) = dense_enough(&mut plan, &store, wanted, job, how, path).map_err(of_share)?;
+        (dense, Listed::Boundary(boundary))
+    };
+    let record = ExplicitRecord::of(listed.points());
+    match job.part.archive() {
+        None => plan.mesh.explicit = Some(record),
+        Some(archive) => expect_listed(archive, record)?,
+    }
+    let series = plan_steps(&mesh, &store, listed.points(), plan, (job, how, inputs))?;
+    let series =
+        SeriesPlan { bound: dense.bound, beside: Beside { levels: dense.levels, ..series.beside }, ..series };
+    Ok(Prepared { store, series, listed, wanted: dense.wanted })
+}
+
+/// Whether a mesh of so many vertices is kept as it is: as the archive or the plan has it, else as the settings ask.
+fn is_own(job: &Job<'_>, vertices: u64) -> bool {
+    let known = job.part.archive().map(|archive| &archive.manifest.plan);
+    match known.or_else(|| job.part.planned().map(|plan| &plan.mesh)) {
+        Some(plan) => plan.own.is_some(),
+        None => job.round.is_none() && keeps_own(job.settings, vertices),
+    }
+}
+
+/// Whether settings ask for a mesh as it is: for all of its vertices, and for no other points or values.
+pub(super) fn keeps_own(settings: &ReduceSettings, vertices: u64) -> bool {
+    let all = match settings.amount {
+        Amount::Fraction(f) => f == 1.0,
+        Amount::Count(n) => n >= vertices,
+    };
+    all && settings.set_of(true) == SetKind::Hammersley
+        && settings.set == SetSettings::default()
+        && settings.interpolation == Interpolation::Linear
+        && settings.adapt.is_none()
+        && settings.target.is_none()
+}
+
+/// How dense the points of a plan are.
+struct Dense {
+    levels: Option<Arc<Levels>>,
+    /// Points that are wanted.
+    wanted: u64,
+    /// The error that is wanted, in units of the field.
+    bound: Option<f64>,
+}
+
+/// Gives a plan as many points as are wanted, boundary included, denser in some places where that is asked for; or those of an
+/// archive, or of the plan of a shard. Tells the samples of the boundary that belong to them.
+fn dense_enough(
+    plan: &mut Plan,
+    store: &CellStore,
+    wanted: u64,
+    job: &Job<'_>,
+    how: &StoreSettings<'_>,
+    path: &Path,
+) -> Result<(Dense, BoundarySamples)> {
+    let known = |levels, plan: &Plan| {
+        let boundary = boundary_of(plan.mesh.points, &levels, store, how, path)?;
+        Ok((Dense { levels, wanted, bound: None }, boundary))
+    };
+    if let Some(archive) = job.part.archive() {
+        return known(archive.points.levels().cloned(), plan);
+    }
+    if let Some(planned) = job.part.planned()
+        && planned.mesh.lattice == plan.mesh.lattice
+    {
+        plan.mesh.clone_from(&planned.mesh);
+        return known(Beside::read(job.out, &planned.mesh)?.levels, plan);
+    }
+    if let Some(round) = job.round {
+        let levels = Arc::new(round.choice.levels.clone());
+        plan.adapt(round.choice.n, &levels, round.frame.as_ref())?;
+        return known(Some(levels), plan);
+    }
+    let Some(adapt) = &job.settings.adapt else {
+        let (set, kind) = (&job.settings.set, job.settings.set_of(true));
+        let (points, boundary) = Search { store, how, path, wanted }.find(store.filled(), |count| {
+            let points = PointSpec::with_count(kind, &plan.mesh.lattice, count, set)?;
+            Ok((points, None, points))
+        })?;
+        let count = PointSet::new(points, plan.mesh.lattice)?.interior_len();
+        let spaced =
+            Plan::on_lattice(plan.mesh.lattice, (kind, count), plan.first().source.clone(), job.settings)?;
+        plan.mesh = MeshPlan { points, repeated: plan.mesh.repeated, ..spaced.mesh };
+        return Ok((Dense { levels: None, wanted, bound: None }, boundary));
+    };
+    let curves = MeshCurves::new(store, how, adapt, job.run)?;
+    let adapted = |plan: &mut Plan, choice: MeshChoice| {
+        let levels = Arc::new(choice.choice.levels);
+        plan.adapt(choice.choice.n, &levels, None)?;
+        Ok((plan.mesh.points, levels))
+    };
+    if let Some(target) = job.settings.target {
+        let choice = curves.choose(Some(target), wanted)?;
+        let (wanted, bound) = (choice.count, choice.bound);
+        let levels = Some(adapted(plan, choice)?.1);
+        let boundary = boundary_of(plan.mesh.points, &levels, store, how, path)?;
+        return Ok((Dense { levels, wanted, bound }, boundary));
+    }
+    let (adapted, boundary) = Search { store, how, path, wanted }.find(1.0, |count| {
+        let mut plan = plan.clone();
+        let (points, levels) = adapted(&mut plan, curves.choose(None, count)?)?;
+        Ok((points, Some(Arc::clone(&levels)), (plan.mesh, levels)))
+    })?;
+    let (mesh, levels) = adapted;
+    plan.mesh = mesh;
+    Ok((Dense { levels: Some(levels), wanted, bound: None }, boundary))
+}
+
+/// The samples of the boundary that belong to a set of points.
+fn boundary_of(
+    points: PointSpec,
+    levels: &Option<Arc<Levels>>,
+    store: &CellStore,
+    how: &StoreSettings<'_>,
+    path: &Path,
+) -> Result<BoundarySamples> {
+    let lattice = levels.as_ref().map_or(store.frame.lattice, |levels| levels.cells().lattice);
+    BoundarySamples::new(store, &Spacing::of(points, lattice, levels.clone())?, how.memory, path)
+}
+
+/// Looks for the set with as many points as are wanted.
+struct Search<'a> {
+    store: &'a CellStore,
+    how: &'a StoreSettings<'a>,
+    path: &'a Path,
+    wanted: u64,
+}
+
+/// Tries, at most.
+const TRIES: usize = 12;
+/// A number of points is met within this part of it.
+const MET: f64 = 0.005;
+
+impl Search<'_> {
+    /// Looks among the sets that `make` gives for a count; of `count` points so many as `filled` of them lie inside, about. Sets too large to be counted are
+    /// judged by smaller ones.
+    fn find<T>(
+        &self,
+        filled: f64,
+        make: impl Fn(u64) -> Result<(PointSpec, Option<Arc<Levels>>, T)>,
+    ) -> Result<(T, BoundarySamples)> {
+        let (wanted, most) = (self.wanted as f64, COUNTABLE);
+        let mut best: Option<(f64, u64)> = None;
+        let (mut tried, mut ends) = (vec![], [None; 2]);
+        let mut count = (wanted / filled).round().max(1.0);
+        for _ in 0..TRIES {
+            let asked = count as u64;
+            if tried.contains(&asked) {
+                break;
+            }
+            tried.push(asked);
+            let (points, levels, _) = make(asked)?;
+            let lattice = levels.as_ref().map_or(self.store.frame.lattice, |l| l.cells().lattice);
+            let set = match &levels {
+                Some(levels) => PointSet::graded(points, lattice, Arc::clone(levels))?,
+                None => PointSet::new(points, lattice)?,
+            };
+            if set.len() > most {
+                if best.is_some() {
+                    // Extrapolated from the largest set that can be counted.
+                    best = Some((0.0, asked));
+                    break;
+                }
+                count = (count * most as f64 / set.len() as f64 * 0.9).floor().max(1.0);
+                continue;
+            }
+            let boundary = boundary_of(points, &levels, self.store, self.how, self.path)?;
+            let made = valued(self.store, &set, &boundary)? as f64;
+            self.how.cancel.check()?;
+            let off = (made - wanted).abs();
+            if best.is_none_or(|(least, _)| off < least) {
+                best = Some((off, asked));
+            }
+            if off <= MET * wanted {
+                break;
+            }
+            let counted = (asked as f64, made);
+            ends[usize::from(made > wanted)] = Some(counted);
+            count = match ends {
+                [Some(few), Some(many)] => amount_between(wanted, few, many),
+                _ => next_amount(wanted, counted.0, made, filled),
+            }
+            .round();
+        }
+        let asked = best.map_or(count as u64, |(_, asked)| asked);
+        let (points, levels, found) = make(asked)?;
+        let boundary = boundary_of(points, &levels, self.store, self.how, self.path)?;
+        Ok((found, boundary))
+    }
+}
+
+/// Points that the settings ask for, of a mesh of so many vertices.
+fn wanted_of(settings: &ReduceSettings, vertices: u64) -> f64 {
+    match settings.amount {
+        Amount::Count(n) => n as f64,
+        Amount::Fraction(f) => vertices as f64 * f,
+    }
+}
+
+/// The plan of reducing a mesh, its steps and the samples of its boundary still missing.
+fn new_plan(
+    mesh: &CellMesh,
+    store: &CellStore,
+    wanted: u64,
+    settings: &ReduceSettings,
+    offset: f64,
+) -> Result<Plan> {
+    let (lattice, geometry) = (store.frame.lattice, store.frame.geometry);
+    let told = MeshSource {
+        vertices: store.census.vertices,
+        tetrahedra: store.census.tetrahedra,
+        point_hash: PlanHash(store.identity.points),
+        cell_hash: PlanHash(store.identity.cells),
+    };
+    let source = Source {
+        dims: lattice.dims,
+        geometry,
+        offset,
+        mesh: Some(told),
+        // Each step has its own fingerprint.
+        ..source_of(mesh, String::new())?
+    };
+    if let Some(adapt) = &settings.adapt {
+        adapt.check(settings)?;
+    }
+    let mut plan = Plan::on_lattice(lattice, (settings.set_of(true), wanted), source, settings)?;
+    plan.mesh.repeated = RepeatedRecord::of(store.firsts.pairs()?);
+    Ok(plan)
+}
+
+/// The plan of an archive, and its last step as an example.
+fn continued_plan(archive: &OpenArchive, settings: &ReduceSettings) -> Plan {
+    let last = &archive.manifest.steps.last().expect("an archive that was opened has a step").plan;
+    let (missing, keyframes) = (settings.finite_missing(), settings.keyframes);
+    let step = StepPlan { quantiser: None, base: None, missing, keyframes, ..last.clone() };
+    Plan { mesh: archive.manifest.plan.clone(), steps: vec![step] }
+}
+
+/// The samples of the boundary, or the vertices, that were found must be those of an archive.
+fn expect_listed(archive: &OpenArchive, found: ExplicitRecord) -> Result<()> {
+    let text = |r: &ExplicitRecord| format!("{} of hash {}", r.count, r.hash);
+    match archive.manifest.plan.explicit {
+        Some(listed) if listed == found => Ok(()),
+        other => {
+            let expected = other.as_ref().map_or("none".into(), text);
+            Err(Error::bad_input(archive.path(), "listed points", expected, text(&found)).with_help(
+                "the archive is of another version of isospan: reduce all steps at once with this one",
+            ))
+        }
+    }
+}
+
+/// Plans all steps: the mesh of each must be that of the first, point by point and cell by cell.
+fn plan_steps(
+    first: &CellMesh,
+    store: &CellStore,
+    listed: &Arc<ExplicitPoints>,
+    plan: Plan,
+    (job, how, inputs): (&Job<'_>, &StoreSettings<'_>, Inputs<'_>),
+) -> Result<SeriesPlan> {
+    let archive = job.part.archive();
+    let repeated = (store.firsts.repeated > 0).then(|| Arc::clone(&store.firsts));
+    let mut planner = StepPlanner {
+        common: archive.map_or_else(|| Common::of_store(first, store), Common::of_archive),
+        field: archive.map(|archive| {
+            let plan = &archive.manifest.steps[0].plan;
+            FieldOfSeries::new(plan.number, &plan.source.field)
+        }),
+        last: None,
+        template: plan.first().clone(),
+        read: ReadMesh {
+            path: first.info().path.clone(),
+            identity: store.identity,
+            stored: if job.is_several() { first.stored_hash()? } else { None },
+        },
+        store,
+        job,
+        how,
+        inputs,
+    };
+    let mut series = SeriesPlan {
+        plan: Plan { steps: vec![], ..plan },
+        sources: vec![],
+        skipped: vec![],
+        before: archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone()),
+        keyframes: job.settings.keyframes,
+        beside: Beside { explicit: Some(Arc::clone(listed)), levels: None, repeated },
+        bound: None,
+        watch: Watch::default(),
+    };
+    let mut first_error = None;
+    for (number, source) in job.sources {
+        let told = |e: Error| if job.is_several() { e.at_step(*number) } else { e };
+        match planner.step(*number, source).map_err(told) {
+            Ok(step) => {
+                series.plan.steps.push(step);
+                let source = source.clone();
+                series.sources.push(PlannedSource { source, copied: 0, shared_copy: 0, copying: 0 });
+            }
+            Err(e) if job.run.keep_going && job.is_several() && is_of_data(&e) => {
+                series.skip(*number, source, e.to_string());
+                first_error.get_or_insert(e);
+            }
+            Err(e) => return Err(e),
+        }
+    }
+    if series.plan.steps.is_empty() {
+        return Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")));
+    }
+    series.watch = planner.inputs.watch;
+    if !archive.is_some_and(|archive| are_there(archive, &series.plan.steps)) {
+        series.connect()?;
+    }
+    Ok(series)
+}
+
+/// The file whose points and cells were read last, which may have many steps.
+struct ReadMesh {
+    path: PathBuf,
+    identity: Identity,
+    /// The hash of them as they are stored: of another file that stores the same ones they need not be read.
+    stored: Option<u128>,
+}
+
+/// Plans one step after another.
+struct StepPlanner<'a> {
+    common: Common,
+    field: Option<FieldOfSeries>,
+    last: Option<LastMesh>,
+    /// What all steps have in common.
+    template: StepPlan,
+    read: ReadMesh,
+    store: &'a CellStore,
+    job: &'a Job<'a>,
+    how: &'a StoreSettings<'a>,
+    inputs: Inputs<'a>,
+}
+
+impl StepPlanner<'_> {
+    /// What the values of a step lose.
+    fn rounding(&self, number: u64, mesh: &CellMesh) -> Result<f64> {
+        if let Some(plan) = self.job.part.planned() {
+            return Ok(plan.steps.iter().find(|s| s.number == number).map_or(0.0, |s| s.source.rounding));
+        }
+        let (offset, missing) = (Some(self.how.offset), self.job.settings.missing);
+        Ok(Shift::of_mesh(mesh, offset, missing, self.how.memory, self.how.cancel)?.rounding)
+    }
+
+    fn step(&mut self, number: u64, source: &StepSource) -> Result<StepPlan> {
+        // Before its head is read.
+        self.inputs.watch.add(std::slice::from_ref(&source.path));
+        let mesh = match self.last.as_ref().and_then(|last| last.of(source)) {
+            Some(mesh) => mesh?,
+            None => open_mesh_of(source)?,
+        };
+        self.last = Some(LastMesh::new(source, &mesh));
+        if self.read.path != mesh.info().path {
+            self.common.check_number(&mesh)?;
+            let stored = mesh.stored_hash()?;
+            if stored.is_none() || stored != self.read.stored {
+                self.read.identity = Identity::of(&mesh, self.how.cancel)?;
+            }
+            (self.read.path, self.read.stored) = (mesh.info().path.clone(), stored);
+        }
+        self.common.check(&mesh, self.read.identity)?;
+        let fingerprint = self.inputs.fingerprint(number, &mesh.info().files(), self.how.cancel)?;
+        let told = source_of(&mesh, fingerprint)?;
+        let field = self.field.get_or_insert_with(|| FieldOfSeries::new(number, &told.field));
+        field.check(source, &told.field)?;
+        let source_record = Source {
+            path: told.path,
+            fingerprint: told.fingerprint,
+            format: told.format,
+            scalar: told.scalar,
+            field: told.field,
+            rounding: self.rounding(number, &mesh)?,
+            ..self.template.source.clone()
+        };
+        let settings = self.job.settings;
+        let quantiser = match self.job.part.planned() {
+            Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
+            None => match settings.bits(true) {
+                Some(bits) => {
+                    let values = self.store.values_of(&mesh, self.how)?;
+                    Some(quantiser(&values, bits)?.of(self.template.values))
+                }
+                None => None,
+            },
+        };
+        Ok(StepPlan { number, time: source.time, source: source_record, quantiser, ..self.template.clone() })
+    }
+}
+
+/// Steps of the range of the vertices' values.
+fn quantiser(values: &Column<f32>, bits: u8) -> Result<Quantiser> {
+    let values = values.get()?.iter().filter(|v| !v.is_nan());
+    let range = values.fold([f32::INFINITY, f32::NEG_INFINITY], |[lo, hi], &v| [lo.min(v), hi.max(v)]);
+    let range = if range[0] <= range[1] { range.map(|v| v + 0.0) } else { Default::default() };
+    Ok(Quantiser::new(bits, range))
+}
+
+/// What the file tells; lattice and geometry follow when it has been read.
+fn source_of(mesh: &CellMesh, fingerprint: String) -> Result<Source> {
+    let (info, field) = (mesh.info(), mesh.field()?);
+    Ok(Source {
+        path: info.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
+        fingerprint,
+        format: info.format.clone(),
+        dims: [2; 3],
+        scalar: field.scalar,
+        field: field.name.clone(),
+        geometry: crate::grid::Geometry::default(),
+        slope: 1.0,
+        intercept: 0.0,
+        missing: None,
+        offset: 0.0,
+        rounding: 0.0,
+        mesh: None,
+    })
+}
+
+/// What the values of a mesh are found with, brick by brick.
+pub(super) enum Laid {
+    Sampled { buckets: Buckets, boundary: BoundarySamples, fitted_to: Option<Vertices> },
+    Own(OwnCells),
+}
+
+impl Laid {
+    /// Lays out the cells of a mesh, and the vertices that values are fitted to.
+    pub(super) fn new(
+        listed: Listed,
+        store: &CellStore,
+        plan: &Plan,
+        settings: &StoreSettings<'_>,
+    ) -> Result<Self> {
+        let bricks = plan.mesh.bricks();
+        Ok(match listed {
+            Listed::Own(vertices) => Self::Own(OwnCells::new(vertices, store, &bricks, settings)?),
+            Listed::Boundary(boundary) => {
+                let is_fitted = plan.first().values == Values::Fit;
+                let buckets = Buckets::new(store, &bricks, settings)?;
+                let fitted_to = is_fitted.then(|| Vertices::new(store, &bricks, settings)).transpose()?;
+                Self::Sampled { buckets, boundary, fitted_to }
+            }
+        })
+    }
+}
+
+/// Opens the values of steps on a mesh.
+pub(super) struct MeshFields<'a> {
+    pub(super) store: &'a CellStore,
+    pub(super) laid: Laid,
+    pub(super) bricks: BrickGrid,
+    pub(super) settings: StoreSettings<'a>,
+    pub(super) last: Mutex<Option<LastMesh>>,
+}
+
+impl MeshFields<'_> {
+    fn open_mesh(&self, source: &StepSource) -> Result<CellMesh> {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mesh = match last.as_ref().and_then(|last| last.of(source)) {
+            Some(mesh) => mesh?,
+            None => formats::open_mesh(&source.path, &source.options)?,
+        };
+        *last = Some(LastMesh::new(source, &mesh));
+        Ok(mesh)
+    }
+}
+
+impl Fields for MeshFields<'_> {
+    fn open<'a>(&'a self, series: &SeriesPlan, n: usize) -> Result<Box<dyn Field + 'a>> {
+        let source = &series.sources[n].source;
+        let mesh = self.open_mesh(source)?;
+        let values = self.store.values_of(&mesh, &self.settings)?;
+        let (buckets, boundary, fitted_to) = match &self.laid {
+            Laid::Sampled { buckets, boundary, fitted_to } => (buckets, boundary, fitted_to.as_ref()),
+            Laid::Own(cells) => {
+                let mesh = OwnMesh { store: self.store, cells };
+                return Ok(Box::new(OwnField { mesh, values }));
+            }
+        };
+        let interpolation = series.plan.steps[n].interpolation;
+        let gradients = match interpolation {
+            Interpolation::Quadratic => Some(gradients(self.store, &values, &self.settings)?),
+            _ => None,
+        };
+        Ok(Box::new(CellField {
+            store: self.store,
+            buckets,
+            boundary,
+            bricks: self.bricks,
+            interpolation,
+            values,
+            gradients,
+            fitted_to,
+        }))
+    }
+
+    fn own(&self) -> Option<OwnMesh<'_>> {
+        match &self.laid {
+            Laid::Own(cells) => Some(OwnMesh { store: self.store, cells }),
+            Laid::Sampled { .. } => None,
+        }
+    }
+}

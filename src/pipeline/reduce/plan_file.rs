@@ -1,0 +1,264 @@
+//! The plan of a reduction as a file, for work that is spread over processes and machines.
+//!
+//! ```text
+//!  tooth.isospan/               the archive: segments as they are done, in the end the manifest
+//!  tooth.isospan.work/          what makes it, and is no part of it
+//!      plan.json                this file
+//!      new.isospan/             the archive, where it replaces a finished one (--force)
+//!      slurm/                   job scripts and logs, where Slurm runs it
+//! ```
+//!
+//! It holds the paths of the steps, the settings, and the [`Plan`] that follows from both, whose hashes every segment carries. A
+//! worker makes the plan again from the input that it finds and refuses to work when the two differ: then the input has
+//! changed, or is another. It also refuses a plan of another version of the program, for versions may differ in bytes.
+//!
+//! Of the files of the input it has lengths and times of change: a worker that finds the same ones does not read them all
+//! to hash them.
+//!
+//! The file is written once and never changed: JSON, its last member a checksum of all bytes before it, as in a manifest.
+
+use super::existing;
+use super::passes::{PlannedSource, SeriesPlan, SkippedStep};
+use crate::archive::manifest::{Manifest, check_sum, sealed_text};
+use crate::archive::publish::Unpublished;
+use crate::archive::segment::PlanHash;
+use crate::bytes::read_whole;
+use crate::error::{Error, Result};
+use crate::formats::{Input, OpenOptions, StepSource};
+use crate::pipeline::plan::{Beside, Inputs, Plan, RecordedFile, Watch};
+use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+const FORMAT: &str = "isospan plan";
+const FORMAT_VERSION: u16 = 2;
+/// The most bytes of a plan: paths, settings, and a record for each step.
+const LARGEST_PLAN: u64 = 1 << 28;
+const HELP: &str = "the plan was damaged or edited: make it again with isospan plan --force";
+
+/// Folder of a plan, its job scripts and logs: beside the archive.
+pub fn work_folder(archive: &Path) -> PathBuf {
+    let mut name = archive.as_os_str().to_owned();
+    name.push(".work");
+    name.into()
+}
+
+/// Where an archive is made that is to replace a finished one.
+pub(super) fn new_archive(archive: &Path) -> PathBuf {
+    work_folder(archive).join("new.isospan")
+}
+
+/// Where the one that was replaced is until it is removed.
+pub(super) fn old_archive(archive: &Path) -> PathBuf {
+    work_folder(archive).join("old.isospan")
+}
+
+/// Path of the plan of an archive.
+pub fn plan_path(archive: &Path) -> PathBuf {
+    work_folder(archive).join("plan.json")
+}
+
+/// What workers are told.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(in crate::pipeline) struct PlanFile {
+    format: String,
+    format_version: u16,
+    isospan_version: String,
+    /// Where each step of the plan comes from; paths are absolute.
+    sources: Vec<StepSource>,
+    /// The files of all steps, by ascending paths.
+    pub(super) files: Vec<RecordedFile>,
+    /// Steps that could not be used when the plan was made.
+    skipped: Vec<SkippedStep>,
+    pub(in crate::pipeline) settings: ReduceSettings,
+    pub(in crate::pipeline) plan: Plan,
+    pub(in crate::pipeline) mesh_hash: PlanHash,
+    pub(in crate::pipeline) steps_hash: PlanHash,
+    pub(in crate::pipeline) chunks: u64,
+    /// Shards that work is meant to be cut into.
+    pub(in crate::pipeline) shards: u64,
+    /// The least memory of a worker.
+    pub(in crate::pipeline) memory_least: u64,
+    /// Whether a finished archive was there, which stays until this one is committed.
+    replaces: bool,
+}
+
+/// How the work is cut.
+pub(in crate::pipeline) struct Cut {
+    pub(in crate::pipeline) chunks: u64,
+    pub(in crate::pipeline) shards: u64,
+    pub(in crate::pipeline) memory_least: u64,
+    /// Whether it replaces a finished archive.
+    pub(in crate::pipeline) replaces: bool,
+}
+
+impl PlanFile {
+    /// The plan of a series, whose sources are at any paths.
+    pub(in crate::pipeline) fn new(settings: &ReduceSettings, series: SeriesPlan, cut: Cut) -> Result<Self> {
+        if settings.missing.is_some_and(|m| !m.is_finite()) {
+            return Err(Error::usage("--missing of a plan is a finite number; NaN is always missing"));
+        }
+        let SeriesPlan { plan, sources, skipped, watch, .. } = series;
+        watch.check()?;
+        let sources = sources.into_iter().map(|s| with_absolute_paths(s.source)).collect::<Result<_>>()?;
+        Ok(Self {
+            format: FORMAT.into(),
+            format_version: FORMAT_VERSION,
+            isospan_version: env!("CARGO_PKG_VERSION").into(),
+            sources,
+            files: watch.records(),
+            skipped,
+            settings: settings.clone(),
+            mesh_hash: plan.mesh_hash(),
+            steps_hash: plan.steps_hash(),
+            plan,
+            chunks: cut.chunks,
+            shards: cut.shards,
+            memory_least: cut.memory_least,
+            replaces: cut.replaces,
+        })
+    }
+
+    /// The folder in which the archive `out` is made: its own, or one beside it while that has a finished archive.
+    pub(in crate::pipeline) fn root(&self, out: &Path) -> PathBuf {
+        let is_committed = || {
+            let manifest = Manifest::read(out);
+            manifest.is_ok_and(|manifest| existing::is_of(&manifest, self.mesh_hash, &self.plan))
+        };
+        if self.replaces && !is_committed() { new_archive(out) } else { out.to_path_buf() }
+    }
+
+    /// The sources with the numbers of their steps.
+    pub(in crate::pipeline) fn numbered(&self) -> Vec<(u64, StepSource)> {
+        self.plan.steps.iter().map(|s| s.number).zip(self.sources.iter().cloned()).collect()
+    }
+
+    /// The series that was planned.
+    pub(in crate::pipeline) fn into_series(self) -> SeriesPlan {
+        let planned = |source| PlannedSource { source, copied: 0, shared_copy: 0, copying: 0 };
+        SeriesPlan {
+            plan: self.plan,
+            sources: self.sources.into_iter().map(planned).collect(),
+            skipped: self.skipped,
+            before: None,
+            keyframes: self.settings.keyframes,
+            beside: Beside::default(),
+            bound: None,
+            watch: Watch::default(),
+        }
+    }
+
+    /// Refuses inputs that are not those of the plan; the watch is of their files.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] that names one.
+    pub(in crate::pipeline) fn expect_same_inputs(&self, run: &RunSettings) -> Result<Watch> {
+        let mut inputs = Inputs::planned(&self.files, self.plan.fingerprints());
+        for (step, source) in self.plan.steps.iter().zip(&self.sources) {
+            let files = match source.open()? {
+                Input::Volume(volume) => volume.info().files(),
+                Input::Mesh(mesh) => mesh.info().files(),
+            };
+            let found = inputs.fingerprint(step.number, &files, &run.cancel)?;
+            if found != step.source.fingerprint {
+                let expected = format!("fingerprint {}", step.source.fingerprint);
+                return Err(Error::bad_input(&source.path, "file", expected, found).with_help(
+                    "the file is not what it was when the plan was made: restore it, or plan again with --force",
+                ));
+            }
+        }
+        Ok(inputs.watch)
+    }
+
+    /// Writes the plan of an archive. One that is there stays what it is, unless it is to be replaced.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when another one is there.
+    pub(in crate::pipeline) fn write(&self, archive: &Path, replace: bool) -> Result<()> {
+        let path = plan_path(archive);
+        if !replace && path.exists() {
+            return match Self::read(archive) {
+                Ok(there) if self.is_alike(&there) => Ok(()),
+                _ => Err(Error::usage(format!(
+                    "{} is another plan; choose another name, or --force to replace it",
+                    path.display()
+                ))),
+            };
+        }
+        let folder = work_folder(archive);
+        std::fs::create_dir_all(&folder).map_err(|e| Error::io("create the folder", &folder, e))?;
+        let mut out = Unpublished::create(&path)?;
+        out.write(sealed_text(self).as_bytes())?;
+        out.publish()
+    }
+
+    /// Whether two plans differ at most in the times of change of their files, which a copy has anew.
+    fn is_alike(&self, other: &Self) -> bool {
+        Self { files: self.files.clone(), ..other.clone() } == *self
+    }
+
+    /// Reads the plan of an archive.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`] when there is none, or it is damaged, edited, or of another version of the program.
+    pub(in crate::pipeline) fn read(archive: &Path) -> Result<Self> {
+        let path = plan_path(archive);
+        let bad = |at: &str, expected: String, got: String, help: &str| {
+            Err(Error::bad_input(&path, at, expected, got).with_help(help))
+        };
+        let bytes = match read_whole(&path, LARGEST_PLAN) {
+            Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {
+                let help = "make one: isospan plan INPUT -o NAME.isospan --shards N";
+                return bad("file", format!("the plan of {}", archive.display()), "nothing".into(), help);
+            }
+            bytes => bytes.map_err(|e| e.with_help(HELP))?,
+        };
+        let json = |e: serde_json::Error| {
+            let at = format!("line {} column {}", e.line(), e.column());
+            Error::bad_input(&path, at, "the plan of a reduction", e.to_string()).with_help(HELP)
+        };
+        let version: Version = serde_json::from_slice(&bytes).map_err(json)?;
+        let ours = (FORMAT, FORMAT_VERSION, env!("CARGO_PKG_VERSION"));
+        let found = (&*version.format, version.format_version, &*version.isospan_version);
+        if found != ours {
+            let text = |v: (&str, u16, &str)| format!("{} {} of version {}", v.0, v.1, v.2);
+            let help = "all of a plan is done by one version of isospan: use that one, or plan again";
+            return bad("version", text(ours), text(found), help);
+        }
+        check_sum(&bytes, &path, HELP)?;
+        let plan: Self = serde_json::from_slice(&bytes).map_err(json)?;
+        let as_many = plan.sources.len() == plan.plan.steps.len() && !plan.sources.is_empty();
+        let hashes = (plan.plan.mesh_hash(), plan.plan.steps_hash());
+        if hashes != (plan.mesh_hash, plan.steps_hash) || plan.shards == 0 || !as_many {
+            return bad("hashes", format!("{} {}", hashes.0, hashes.1), "others".into(), HELP);
+        }
+        Ok(plan)
+    }
+}
+
+/// What a plan of any version has.
+#[derive(Deserialize)]
+struct Version {
+    format: String,
+    format_version: u16,
+    isospan_version: String,
+}
+
+fn with_absolute_paths(source: StepSource) -> Result<StepSource> {
+    let absolute = |p: &Path| {
+        let path = std::path::absolute(p).map_err(|e| Error::io("find", p, e))?;
+        match path.to_str() {
+            Some(_) => Ok(path),
+            None => Err(Error::usage(format!("{}: a plan needs paths in UTF-8", path.display()))),
+        }
+    };
+    if source.is_given() {
+        let name = source.path.display();
+        return Err(Error::usage(format!(
+            "{name} is in memory: other processes cannot read it; write it to a file"
+        )));
+    }
+    let values = source.options.values.as_deref().map(absolute).transpose()?;
+    let options = OpenOptions { values, ..source.options };
+    Ok(StepSource::new(&absolute(&source.path)?, &options).at(source.time))
+}

@@ -1,0 +1,176 @@
+//! From one try of a search to the next: unchanged chunks are reused.
+//!
+//! A round of a search makes some cells denser, and the rest stays as it is. The contents of a
+//! chunk follow from the points in its region and from the samples there. Nothing else of the plan
+//! matters, as long as chunks are cut and points ordered as before. So the next plan keeps a
+//! [`Frame`] of the one before, and each chunk is compared:
+//!
+//! ```text
+//!  levels ─▶ frame ─▶ plan ─▶ for each chunk: the same levels wherever its mesh reached (core, halo, all retries)?
+//!                                  ├─ yes ─▶ blocks of mesh and values are copied from the try before
+//!                                  └─ no ──▶ meshed, fitted, measured, encoded
+//! ```
+//!
+//! The result is that of a plain run of the last plan, byte for byte. The frame is given up, and
+//! all chunks made again, when the points have become so many that bricks or chunks would be too
+//! large. Whether they have does not depend on memory or threads.
+
+use super::encode::Product;
+use super::workers::StageTimes;
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::manifest::{FrameRecord, Plan as MeshPlan, StepPlan};
+use crate::density::Choice;
+use crate::error::Result;
+use crate::grid::{Chunk, ChunkId};
+use crate::pipeline::plan::{Frame, Halo, MeshParts, Plan, estimate};
+use crate::pipeline::read::{OpenArchive, limits};
+use crate::points::{PointSet, PointSpec};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// A brick's edge that is more than so many times the one that the points ask for is too long: a brick would have four times as many as it should.
+const LONGEST_BRICK: f64 = 1.6;
+
+/// A round of a search, after the first.
+pub(in crate::pipeline) struct Round {
+    /// How dense points are to be.
+    pub(super) choice: Choice,
+    /// What the plan has from that of the try before.
+    pub(super) frame: Option<Frame>,
+    /// That try.
+    pub(super) before: OpenArchive,
+}
+
+impl Round {
+    pub(super) fn new(choice: Choice, before: OpenArchive) -> Result<Self> {
+        let frame = Frame::of(&before, &choice)?;
+        Ok(Self { choice, frame, before })
+    }
+}
+
+impl Frame {
+    /// That of an archive, for other levels of its points; `None` where their bricks or chunks would be too large.
+    fn of(before: &OpenArchive, choice: &Choice) -> Result<Option<Self>> {
+        let (plan, levels) = (&before.manifest.plan, Arc::new(choice.levels.clone()));
+        let spec = PointSpec::Halton { n: choice.n };
+        if plan.points != spec || plan.lattice != levels.cells().lattice {
+            return Ok(None);
+        }
+        let asked = Plan::brick_edge(plan, &levels);
+        let is_long = |(now, asked): (u64, u64)| now as f64 > LONGEST_BRICK * asked as f64;
+        if plan.brick_edge.into_iter().zip(asked).any(is_long) {
+            return Ok(None);
+        }
+        let points = PointSet::graded(spec, plan.lattice, levels)?;
+        let count = move |b: &_| points.count_in(b);
+        let (chunks, target) = (&before.chunks, plan.chunk_target);
+        let largest = chunks.iter().map(|c| before.points.count_in(&c.core)).max().unwrap_or(0);
+        let most = largest.max(target.saturating_mul(2));
+        let cuts = chunks.cuts().refined(plan.bricks(), target, most, count);
+        Ok(cuts.map(|cuts| Self {
+            brick_edge: plan.brick_edge,
+            order_bits: plan.order_bits,
+            record: FrameRecord { site_bits: before.points.order_bits(), cuts },
+        }))
+    }
+}
+
+/// The chunks of a try that are those of the one before.
+pub(super) struct Taken<'a> {
+    before: &'a OpenArchive,
+    /// Of each chunk, which one.
+    from: Vec<Option<ChunkId>>,
+}
+
+impl<'a> Taken<'a> {
+    /// Compares all chunks, for the steps of the plan up to `steps`; `None` where the plans differ in more than levels. Memory: 16 bytes a chunk.
+    pub(super) fn new(
+        before: &'a OpenArchive,
+        plan: &Plan,
+        parts: &MeshParts,
+        steps: usize,
+    ) -> Result<Option<Self>> {
+        let same_mesh = is_alike(&before.manifest.plan, &plan.mesh)
+            && before.points.order_bits() == parts.points.order_bits()
+            && limits(&before.manifest.plan, before.points.len()) == limits(&plan.mesh, parts.points.len());
+        let made = before.manifest.steps.iter().map(|s| &s.plan);
+        let same_steps =
+            made.len() >= steps && made.zip(&plan.steps[..steps]).all(|(a, b)| is_alike_step(a, b));
+        if !same_mesh || !same_steps {
+            return Ok(None);
+        }
+        let mut from = vec![];
+        for chunk in parts.chunks.iter() {
+            from.push(match before.chunks.find(chunk.brick_lo, chunk.brick_hi) {
+                Some(id) if is_same(before, id, parts, &chunk)? => Some(id),
+                _ => None,
+            });
+        }
+        before.close_before(ChunkId(u64::MAX));
+        Ok(Some(Self { before, from }))
+    }
+
+    /// The number of chunks that are taken over.
+    pub(super) fn count(&self) -> u64 {
+        self.from.iter().flatten().count() as u64
+    }
+
+    /// What is written of a chunk, if it is taken over: with its mesh, where that is wanted, and the values of some steps.
+    pub(super) fn product(
+        &self,
+        chunk: ChunkId,
+        mesh: bool,
+        steps: &Range<usize>,
+    ) -> Result<Option<Product>> {
+        let Some(id) = self.from[chunk.0 as usize] else { return Ok(None) };
+        let segment = self.before.segment_of(id)?;
+        let points = u64::from(segment.mesh.mesh_summary(id)?.core);
+        let mesh_blocks = if mesh { blocks(&segment.mesh, id)? } else { vec![] };
+        let values = |step| blocks(&*self.before.values_of(step, id)?, id);
+        let value_blocks = steps.clone().map(values).collect::<Result<_>>()?;
+        Ok(Some(Product { points, mesh_blocks, value_blocks, times: StageTimes::default() }))
+    }
+
+    /// Tells that no chunk before this one will be asked for again.
+    pub(super) fn pass(&self, chunk: ChunkId) {
+        if let Some(id) = self.from[chunk.0 as usize] {
+            self.before.close_before(id);
+        }
+    }
+}
+
+fn blocks(segment: &ChunkSegment, id: ChunkId) -> Result<Vec<Vec<u8>>> {
+    let block = |n| {
+        let mut bytes = vec![];
+        segment.block(id, n, &mut bytes).map(|()| bytes)
+    };
+    (0..segment.block_count(id)).map(block).collect()
+}
+
+/// Whether plans differ in levels and cuts alone.
+fn is_alike(a: &MeshPlan, b: &MeshPlan) -> bool {
+    let bare = |plan: &MeshPlan| MeshPlan { levels: None, frame: None, ..plan.clone() };
+    a.levels.is_some() && b.levels.is_some() && bare(a) == bare(b)
+}
+
+/// Whether the values of steps are the same on the same mesh; the hash of a base tells the mesh too, and the base is compared by itself.
+fn is_alike_step(a: &StepPlan, b: &StepPlan) -> bool {
+    let bare = |plan: &StepPlan| StepPlan { base: None, ..plan.clone() };
+    a.base.map(|base| base.number) == b.base.map(|base| base.number) && bare(a) == bare(b)
+}
+
+/// Whether a chunk has the points of chunk `id` before in all its region, and the same region.
+fn is_same(before: &OpenArchive, id: ChunkId, parts: &MeshParts, chunk: &Chunk) -> Result<bool> {
+    let (Some(old), Some(new)) = (before.points.levels(), parts.points.levels()) else { return Ok(false) };
+    if before.points.spacing_around(&chunk.core) != parts.points.spacing_around(&chunk.core) {
+        return Ok(false);
+    }
+    before.close_before(id);
+    let retries = before.segment_of(id)?.mesh.mesh_summary(id)?.retries;
+    let (plan, domain) = (&before.manifest.plan, parts.chunks.bricks().lattice.domain());
+    let region = estimate::region(&parts.points, &chunk.core, &domain, Halo::of(plan), retries);
+    Ok(new.same_in(old, &region))
+}
+
+#[cfg(test)]
+mod tests;

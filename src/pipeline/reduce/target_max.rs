@@ -1,0 +1,223 @@
+//! A largest error that is wanted: denser points where it is exceeded, until it is nowhere.
+//!
+//! The largest error of a field is that of a few samples, at a peak, say: as many points as samples all over the volume need not meet it, where
+//! some more at the peak do. So this is no search for a number of points. The first try has levels at which the foretold error of each cell is the
+//! bound; then errors are measured at all samples (of a mesh: at all vertices), and the cells that have one above the bound are raised, with those around them as far as
+//! points lie apart; and so on:
+//!
+//! ```text
+//!  levels of equal errors ─▶ reduce ─▶ measure, cell by cell ─▶ all within the bound: publish
+//!            ▲                                │
+//!            └────────── raise the cells that are not
+//! ```
+//!
+//! A round raises few cells, but the first ones: chunks in whose region none is raised are taken over from the try before ([`super::reuse`]), and
+//! only those that have an error above the bound are looked at for where it is.
+//!
+//! Levels only rise, and begin low, so few points are too many. The cap is as many points as samples in all (about; of a mesh that fills a part of its box, as many inside as vertices); where the next levels would have
+//! more, only the largest errors raise theirs. When nothing can be raised any more the last try is published, and the report says so.
+//!
+//! Memory: 4 bytes a cell beside what measuring takes. The largest of errors does not depend on their order: the same archive for any threads.
+
+use super::job::{Job, Part, ReduceReport, finished};
+use super::make;
+use super::plan_file::work_folder;
+use super::reuse::Round;
+use super::target::{TargetReport, error_of, full_cells, publish, rename};
+use crate::archive::publish::remove_folder;
+use crate::cells::CellMesh;
+use crate::density::Choice;
+use crate::error::{Error, Result};
+use crate::formats::{Input, StepSource};
+use crate::geom::LatticePos;
+use crate::grid::{BrickGrid, ChunkId};
+use crate::pipeline::chunk::{Cells, Gauge, Originals, Samples, Sides, stored_errors};
+use crate::pipeline::field::{
+    Find, MOST_VERTICES, MeasureSettings, Outside, VERTEX, each_value, on_lattice, reopened_values,
+};
+use crate::pipeline::inputs::{Reading, random_access};
+use crate::pipeline::plan::estimate;
+use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepChoice, Visit};
+use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
+use crate::points::PointSpec;
+use crate::volume::VolumeSource;
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+/// Tries, at most.
+const MOST_TRIES: u32 = 16;
+
+/// Reduces to the archive `job.out` so that the largest error at a sample meets the target.
+pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceReport> {
+    let work = work_folder(job.out);
+    let [trying, last] = ["try.isospan", "last.isospan"].map(|name| work.join(name));
+    let run = RunSettings { replace: false, ..job.run.clone() };
+    let (mut settings, mut round, mut wanted) = (job.settings.clone(), None::<Round>, None);
+    let mut meshed_chunks = [0, 0];
+    remove_folder(&last)?;
+    for tries in 1.. {
+        remove_folder(&trying)?;
+        fs::create_dir_all(&work).map_err(|e| Error::io("create the folder", &work, e))?;
+        let (settings_now, round_now) = (&settings, round.as_ref());
+        let mut report = make(&Job {
+            settings: settings_now,
+            round: round_now,
+            out: &trying,
+            run: &run,
+            part: Part::Whole,
+            ..*job
+        })?;
+        meshed_chunks[0] += report.chunks - report.taken_chunks;
+        meshed_chunks[1] += report.chunks;
+        let bound = *wanted.get_or_insert(report.bound.unwrap_or_default());
+        let error = error_of(target, &report);
+        let met = error <= bound;
+        let next =
+            if met || tries == MOST_TRIES { None } else { raised(job, &trying, bound, report.samples)? };
+        // The try before has served.
+        drop(round.take());
+        remove_folder(&last)?;
+        if let Some(choice) = next {
+            rename(&trying, &last)?;
+            round = Some(Round::new(choice, OpenArchive::open(&last)?)?);
+            settings = ReduceSettings { target: None, ..settings };
+            continue;
+        }
+        let full_cells = Some(full_cells(&trying)?);
+        publish(job, &trying, &work)?;
+        let reached = error;
+        report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });
+        report.seconds.retain(|(name, _)| name != "total");
+        return Ok(finished(report, job.started));
+    }
+    unreachable!("the last try returns")
+}
+
+/// The levels of a try, higher where errors are above the bound; `None` when nothing can be denser.
+fn raised(job: &Job<'_>, archive: &Path, bound: f64, samples: u64) -> Result<Option<Choice>> {
+    let mut archive = OpenArchive::open_at(archive, StepChoice::First)?;
+    let levels = Arc::clone(archive.points.levels().expect("its points adapt"));
+    let PointSpec::Halton { n } = archive.manifest.plan.points else {
+        unreachable!("levels are those of a Halton set")
+    };
+    let cells = *levels.cells();
+    let worst: Vec<AtomicU32> = levels.as_slice().iter().map(|_| AtomicU32::new(0)).collect();
+    let mut filled = 1.0;
+    for position in 0..archive.manifest.steps.len() {
+        archive.turn_to(position);
+        let number = archive.step().plan.number;
+        let (_, source) = job.sources.iter().find(|s| s.0 == number).expect("a step of this job");
+        filled = Measuring { archive: &archive, cells: &cells, bound, worst: &worst }.add(job, source)?;
+    }
+    let worst: Vec<f32> = worst.into_iter().map(|e| f32::from_bits(e.into_inner())).collect();
+    // Points are those of the box, of which a mesh may fill a part.
+    let most = (samples as f64 / filled) as u64;
+    Choice { n, levels: (*levels).clone() }.raised(&worst, bound, most)
+}
+
+/// Looks for errors above a bound.
+struct Measuring<'a> {
+    archive: &'a OpenArchive,
+    cells: &'a BrickGrid,
+    bound: f64,
+    /// The bits of the largest error of each cell: of numbers that are not negative they are in the same order.
+    worst: &'a [AtomicU32],
+}
+
+impl Measuring<'_> {
+    /// Adds the errors at the samples of a step, or at the vertices of its mesh; returns the part of the box that they fill.
+    fn add(&self, job: &Job<'_>, source: &StepSource) -> Result<f64> {
+        match source.open()? {
+            Input::Volume(volume) => self.add_samples(job, volume).map(|()| 1.0),
+            Input::Mesh(mesh) => self.add_vertices(job, &mesh, &source.path),
+        }
+    }
+
+    fn add_vertices(&self, job: &Job<'_>, mesh: &CellMesh, input: &Path) -> Result<f64> {
+        let (archive, run) = (self.archive, job.run);
+        let settings = MeasureSettings::of_run(run, run.worker_threads());
+        let mut store = None;
+        let values = reopened_values(archive, mesh, input, &mut store, &settings)?;
+        let store = store.expect("it was laid out for the values");
+        let (positions, values) = (store.positions.get()?, values.get()?);
+        let rest = |memory: u64| memory.saturating_sub(estimate::BASE + 4 * self.worst.len() as u64);
+        let batch = (rest(run.memory) / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
+        let share = |memory: u64| rest(memory) / 8 * 7;
+        let find = Find {
+            threads: run.threads,
+            memory: run.memory,
+            share: &share,
+            cancel: &run.cancel,
+            outside: Outside::All,
+        };
+        for (positions, values) in positions.chunks(batch).zip(values.chunks(batch)) {
+            let placed = positions.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
+            each_value(archive, placed, &find, job.progress, "measure", |n, reduced| {
+                let error = (f64::from(values[n as usize]) - f64::from(reduced)).abs();
+                if error > self.bound {
+                    self.note(on_lattice(positions[n as usize]), error as f32);
+                }
+            })?;
+        }
+        Ok(store.filled())
+    }
+
+    fn add_samples(&self, job: &Job<'_>, volume: VolumeSource) -> Result<()> {
+        let (reader, _scratch) = random_access(volume, job.run, job.progress)?;
+        let reading = Reading::of(&self.archive.step().plan);
+        let (reader, missing, stand_in) = (reading.reader(reader), reading.missing(), reading.stand_in());
+        let originals = Originals::Volume { reader: &*reader, missing, stand_in };
+        let samples = Samples::of(&originals).expect("those of a volume");
+        let gauge = Gauge::new(&self.archive.manifest.plan.lattice);
+        let run = job.run;
+        let share = |memory: u64| memory.saturating_sub(estimate::BASE + 4 * self.worst.len() as u64);
+        let mut visit = Visit::new(self.archive, Blocks::All, run.threads, share(run.memory), &run.cancel)?;
+        visit.chunks = self.chunks_above()?;
+        let extra = estimate::error_bytes(1);
+        visit.check_memory(run.memory, share, extra)?;
+        job.progress.begin("measure", visit.chunks.len() as u64, "chunks");
+        let part = |_, chunk: DecodedChunk| self.add_chunk(&gauge, &samples, &chunk);
+        visit.each(extra, job.progress, part, |_, ()| Ok(()))
+    }
+
+    /// The chunks that have an error above the bound, as is stored with them.
+    fn chunks_above(&self) -> Result<Vec<ChunkId>> {
+        let mut above = vec![];
+        for id in (0..self.archive.chunks.len()).map(ChunkId) {
+            self.archive.close_before(id);
+            let sums = stored_errors(&self.archive.segment_of(id)?.values, id)?.sums;
+            // The largest is that of errors rounded to f32.
+            let is_above = |error: f64| error * (1.0 + f64::from(f32::EPSILON)) > self.bound;
+            if sums.largest.is_some_and(|l| is_above((f64::from(l.original) - f64::from(l.reduced)).abs())) {
+                above.push(id);
+            }
+        }
+        Ok(above)
+    }
+
+    fn add_chunk(&self, gauge: &Gauge, samples: &Samples<'_>, chunk: &DecodedChunk) -> Result<()> {
+        let DecodedChunk { positions, tets, block_ends, values, .. } = chunk;
+        let lattice = self.cells.lattice;
+        let read = |_, window, out: &mut [f32]| samples.read(window, out);
+        gauge.each_sample(&Cells { positions, tets, block_ends }, &Sides::one(values), read, |m| {
+            for (n, (original, reduced)) in m.compared.pairs().enumerate() {
+                let error = (f64::from(original) - f64::from(reduced)).abs();
+                if original.is_finite() && error > self.bound {
+                    self.note(lattice.of_voxel(m.place(n)), error as f32);
+                }
+            }
+        })
+    }
+
+    /// Notes an error for all cells that touch a sample's position.
+    fn note(&self, at: LatticePos, error: f32) {
+        let (hi, lo) = (self.cells.brick_at(at), self.cells.brick_at(at.map(|c| c.saturating_sub(1))));
+        for corner in 0..8u32 {
+            let cell = std::array::from_fn(|a| if corner >> a & 1 == 0 { lo[a] } else { hi[a] });
+            let worst = &self.worst[self.cells.id(cell).0 as usize];
+            worst.fetch_max(error.to_bits(), Ordering::Relaxed);
+        }
+    }
+}

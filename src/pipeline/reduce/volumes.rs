@@ -1,0 +1,516 @@
+//! The steps of a series of volumes: planned from their headers, opened when their turn comes.
+
+use super::estimate_of;
+use super::passes::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data};
+use super::reuse::Round;
+use crate::archive::manifest::{Source, StepPlan};
+use crate::archive::values::Quantiser;
+use crate::density::Choice;
+use crate::error::{Error, Result};
+use crate::exec::Progress;
+use crate::formats::{self, Input, StepSource, UnpackedFrames};
+use crate::grid::Geometry;
+use crate::pipeline::chunk::{Field, GridField};
+use crate::pipeline::inputs::{
+    Errors, Reading, Scratch, Shift, Spread, copy_bytes, random_access, spread, stream_spread,
+};
+use crate::pipeline::plan::{Beside, Frame, Inputs, Plan, RecordedFile, count_of, need_of, parts, source_of};
+use crate::pipeline::read::{OpenArchive, coordinate_hash};
+use crate::pipeline::settings::{ReduceSettings, RunSettings, Target, ValueBits};
+use crate::points::SetSettings;
+use crate::volume::unpacked::unpack;
+use crate::volume::{VolumeInfo, VolumeReader, VolumeSource};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// What all steps must agree on.
+struct Common {
+    step: u64,
+    field: FieldOfSeries,
+    dims: [u64; 3],
+    geometry: Geometry,
+    /// Of the coordinates of a grid that has its own.
+    coordinates: Option<u128>,
+}
+
+impl Common {
+    fn check(&self, info: &VolumeInfo, coordinates: Option<u128>) -> Result<()> {
+        let bad = |at: &str, expected: String, got: String| {
+            let expected = format!("{expected}, as step {} has", self.step);
+            Err(Error::bad_input(&info.path, at, expected, got).with_help(
+                "the steps of a series share one mesh; --keep-going leaves out those that do not fit",
+            ))
+        };
+        if info.dims != self.dims {
+            return bad("dimensions", shape(self.dims), shape(info.dims));
+        }
+        if info.geometry != self.geometry {
+            return bad("geometry", place(&self.geometry), place(&info.geometry));
+        }
+        if coordinates != self.coordinates {
+            return bad("coordinates of the grid", "those".into(), "others".into());
+        }
+        Ok(())
+    }
+}
+
+fn shape([x, y, z]: [u64; 3]) -> String {
+    format!("{x} x {y} x {z}")
+}
+
+fn place(g: &Geometry) -> String {
+    let list = |v: [f64; 3]| v.map(|x| x.to_string()).join(",");
+    let turned = if g.direction == Geometry::default().direction { "" } else { ", turned" };
+    format!("spacing {}, origin {}{turned}", list(g.spacing), list(g.origin))
+}
+
+/// Plans volumes as steps of an archive, or as further ones of the archive `old`.
+struct Planner<'a> {
+    settings: &'a ReduceSettings,
+    run: &'a RunSettings,
+    planned: Option<&'a Plan>,
+    round: Option<&'a Round>,
+    common: Option<Common>,
+    plan: Option<Plan>,
+    /// Where points are needed, as far as steps were looked at for that.
+    errors: Option<Errors<'a>>,
+    beside: Beside,
+    bound: Option<f64>,
+    inputs: Inputs<'a>,
+    /// What is subtracted from the values of all steps, once it is known.
+    offset: Option<f64>,
+    /// The packed file that was read last to find what is lost.
+    looked_into: Option<PathBuf>,
+    /// The bits of values by default, once the samples of the first step were looked at.
+    usual_bits: Option<Option<u8>>,
+    /// The archive, of which memory and disk are checked before samples are read; `None` where samples are not to be read.
+    unchecked: Option<&'a Path>,
+    /// Whether the cells of a lattice have the edges that the field asks for.
+    is_shaped: bool,
+    only_estimates: bool,
+}
+
+/// What is known before sources are looked at.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Known<'a> {
+    /// A plan that was made before: how values are rounded is in it.
+    pub(super) planned: Option<&'a Plan>,
+    /// The archive that steps are added to.
+    pub(super) archive: Option<&'a OpenArchive>,
+    /// The folder that has what is stored beside a plan that was made before.
+    pub(super) out: Option<&'a Path>,
+    /// Of a search: how dense points are to be.
+    pub(super) round: Option<&'a Round>,
+    /// Of a plan that was made before: the files that it was made from.
+    pub(super) files: &'a [RecordedFile],
+    /// Whether nothing is to be made of the plan: samples are not read for the range of values.
+    pub(super) only_estimates: bool,
+}
+
+/// The most steps of a series that are read to find where points are needed: these, evenly spread.
+const MOST_LOOKED_AT: usize = 8;
+
+/// Plans all steps of a series. Reads headers, and fingerprints; where values are rounded, and for the cells of a lattice,
+/// also all samples, unless that was done before; with [`ReduceSettings::adapt`] those of some steps.
+pub(super) fn plan_volumes(
+    sources: &[(u64, StepSource)],
+    settings: &ReduceSettings,
+    run: &RunSettings,
+    known: Known<'_>,
+) -> Result<SeriesPlan> {
+    let before = known.archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone());
+    let Known { planned: plan_before, archive, out, round, files, only_estimates } = known;
+    let mut planner = Planner {
+        settings,
+        run,
+        planned: plan_before,
+        round,
+        common: None,
+        plan: None,
+        errors: None,
+        beside: Beside::default(),
+        bound: None,
+        inputs: plan_before.map_or_else(Inputs::default, |plan| Inputs::planned(files, plan.fingerprints())),
+        offset: None,
+        looked_into: None,
+        usual_bits: None,
+        unchecked: out,
+        is_shaped: false,
+        only_estimates,
+    };
+    if let Some(archive) = archive {
+        planner.join(archive)?;
+    }
+    let (mut steps, mut planned, mut skipped, mut first_error) = (vec![], vec![], vec![], None);
+    let several = sources.len() > 1 || archive.is_some();
+    let every = sources.len().div_ceil(MOST_LOOKED_AT);
+    for (i, (number, source)) in sources.iter().map(|(n, s)| (*n, s)).enumerate() {
+        run.cancel.check()?;
+        let step = planner
+            .step(number, source, i % every == 0)
+            .map_err(|e| if several { e.at_step(number) } else { e });
+        match step {
+            Ok((step, source)) => {
+                steps.push(step);
+                planned.push(source);
+            }
+            Err(e) if run.keep_going && several && is_of_data(&e) => {
+                skipped.push((number, source, e.to_string()));
+                first_error.get_or_insert(e);
+            }
+            Err(e) => return Err(e),
+        }
+    }
+    planner.set_levels(out)?;
+    let (beside, bound, watch) = (planner.beside, planner.bound, planner.inputs.watch);
+    let Some(plan) = planner.plan.filter(|_| !steps.is_empty()) else {
+        return Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")));
+    };
+    let mut series = SeriesPlan {
+        plan: Plan { steps, ..plan },
+        sources: planned,
+        skipped: vec![],
+        before,
+        keyframes: settings.keyframes,
+        beside,
+        bound,
+        watch,
+    };
+    skipped.into_iter().for_each(|(number, source, reason)| series.skip(number, source, reason));
+    share_copies(&mut series)?;
+    if !archive.is_some_and(|archive| are_there(archive, &series.plan.steps)) {
+        series.connect()?;
+    }
+    Ok(series)
+}
+
+/// Steps that lie in one packed file are read from one copy of it: each by itself would be decoded from the beginning.
+fn share_copies(series: &mut SeriesPlan) -> Result<()> {
+    let runs = series.sources.chunk_by_mut(|a, b| a.source.path == b.source.path);
+    for run in runs.filter(|run| run.len() > 1 && run[0].copied > 0) {
+        if let Some(bytes) = formats::packed_frames(&run[0].source.path, &run[0].source.options)? {
+            run.iter_mut().for_each(|s| (s.copied, s.shared_copy) = (0, bytes));
+        }
+    }
+    Ok(())
+}
+
+/// Makes the points of a plan as dense as was chosen.
+fn choose(plan: &mut Plan, beside: &mut Beside, choice: &Choice, frame: Option<&Frame>) -> Result<()> {
+    let levels = Arc::new(choice.levels.clone());
+    plan.adapt(choice.n, &levels, frame)?;
+    beside.levels = Some(levels);
+    Ok(())
+}
+
+impl Planner<'_> {
+    /// Steps must be as those of an archive.
+    fn join(&mut self, archive: &OpenArchive) -> Result<()> {
+        let first = &archive.manifest.steps[0];
+        self.common = Some(Common {
+            step: first.plan.number,
+            field: FieldOfSeries::new(first.plan.number, &first.plan.source.field),
+            dims: first.plan.source.dims,
+            geometry: first.plan.source.geometry,
+            coordinates: archive.coordinates()?.map(|map| map.hash()).transpose()?,
+        });
+        self.offset = Some(first.plan.source.offset);
+        self.is_shaped = true;
+        self.plan = Some(Plan { mesh: archive.manifest.plan.clone(), steps: vec![] });
+        self.beside = Beside::read(archive.path(), &archive.manifest.plan)?;
+        Ok(())
+    }
+
+    /// Whether levels have to be found, and are not those of a plan or archive that is there.
+    fn finds_levels(&self) -> bool {
+        self.settings.adapt.is_some() && self.planned.is_none() && self.round.is_none()
+    }
+
+    /// Makes points dense where that was found to be needed; or where it was when the plan was made.
+    fn set_levels(&mut self, out: Option<&Path>) -> Result<()> {
+        let Some(plan) = &mut self.plan else { return Ok(()) };
+        if let (Some(planned), Some(out)) = (self.planned, out)
+            && (planned.mesh.levels.is_some() || planned.mesh.lattice_cells().is_some())
+            && planned.mesh.lattice.dims == plan.mesh.lattice.dims
+        {
+            self.beside = Beside::read(out, &planned.mesh)?;
+            plan.mesh.clone_from(&planned.mesh);
+        }
+        if let Some(errors) = self.errors.take() {
+            let (target, dims) = (self.settings.target, plan.mesh.lattice.dims);
+            self.bound = target.and_then(Target::bound).map(|b| b.in_units(errors.range()));
+            let choice = match target.zip(self.bound) {
+                Some((Target::Rms(_), bound)) => errors.choice(errors.count_of_rms(bound)?)?,
+                Some((Target::Max(_), bound)) => errors.choice_of_bound(bound, dims.iter().product())?,
+                _ => errors.choice(count_of(self.settings, dims))?,
+            };
+            choose(plan, &mut self.beside, &choice, None)?;
+        }
+        if let Some(round) = self.round {
+            choose(plan, &mut self.beside, &round.choice, round.frame.as_ref())?;
+        }
+        Ok(())
+    }
+
+    /// Adds the errors of a step to those that decide where points are needed.
+    fn look_at(&mut self, source: &StepSource) -> Result<()> {
+        let (Some(plan), Some(adapt)) = (&self.plan, &self.settings.adapt) else { return Ok(()) };
+        if self.errors.is_none() {
+            self.errors = Some(Errors::new(plan.mesh.lattice, adapt, self.run)?);
+        }
+        let Input::Volume(volume) = source.open()? else {
+            return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
+        };
+        let reading = self.reading();
+        self.errors.as_mut().map_or(Ok(()), |errors| errors.add(volume, reading))
+    }
+
+    fn step(&mut self, number: u64, source: &StepSource, look: bool) -> Result<(StepPlan, PlannedSource)> {
+        if !source.is_given() {
+            // Before its head is read.
+            self.inputs.watch.add(std::slice::from_ref(&source.path));
+        }
+        let Input::Volume(volume) = source.open()? else {
+            return Err(Error::bad_input(
+                &source.path,
+                "kind of file",
+                "a volume, as other steps are",
+                "a mesh",
+            ));
+        };
+        let info = volume.info().clone();
+        let fingerprint = self.inputs.of_source(number, source, &info.files(), &self.run.cancel)?;
+        let coordinates = coordinate_hash(source, info.dims)?;
+        match &self.common {
+            Some(common) => {
+                common.field.check(source, &info.field.name)?;
+                common.check(&info, coordinates)?;
+            }
+            None => {
+                self.plan = Some(Plan::with_fingerprint(&info, self.settings, fingerprint.clone())?);
+                let (dims, geometry) = (info.dims, info.geometry);
+                let field = FieldOfSeries::new(number, &info.field.name);
+                self.common = Some(Common { step: number, field, dims, geometry, coordinates });
+            }
+        }
+        let shift = self.shift(number, source, &volume)?;
+        self.offset = Some(shift.offset);
+        if look && self.finds_levels() {
+            self.look_at(source)?;
+        }
+        let (copied, copying) = copy_bytes(&volume);
+        let planned = PlannedSource { source: source.clone(), copied, shared_copy: 0, copying };
+        let mut step = StepPlan {
+            number,
+            time: source.time,
+            source: Source {
+                offset: shift.offset,
+                rounding: shift.rounding,
+                ..source_of(&info, fingerprint)
+            },
+            interpolation: self.settings.interpolation,
+            values: self.settings.values,
+            nan: self.settings.nan.to_string(),
+            missing: self.settings.finite_missing(),
+            quantiser: None,
+            keyframes: self.settings.keyframes,
+            measured: self.settings.measure,
+            base: None,
+        };
+        step.quantiser = match self.planned {
+            Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
+            None if self.only_estimates => None,
+            None => {
+                let shapes = self.shapes_cells();
+                let rounds = self.settings.bits(false).is_some() && self.usual_bits != Some(None);
+                if shapes || rounds {
+                    self.check_budget(&step, &planned)?;
+                    let found = self.spread(volume)?;
+                    if shapes {
+                        self.shape_cells(&info, &found)?;
+                    }
+                    self.quantiser(&found).map(|q| q.of(step.values))
+                } else {
+                    None
+                }
+            }
+        };
+        Ok((step, planned))
+    }
+
+    /// Checks memory and disk for the first step, before all its samples are read: a header may claim any number of them.
+    fn check_budget(&mut self, step: &StepPlan, source: &PlannedSource) -> Result<()> {
+        let (Some(plan), Some(out)) = (&self.plan, self.unchecked.take()) else { return Ok(()) };
+        let plan = Plan { mesh: plan.mesh.clone(), steps: vec![step.clone()] };
+        let need = need_of(&parts(&plan.mesh, self.beside.clone())?, 0, 1, self.run.memory, self.run);
+        estimate_of(&plan, std::slice::from_ref(source), &need, out, self.run)?.check()
+    }
+
+    /// How samples are read, once the offset is known.
+    fn reading(&self) -> Reading {
+        Reading::new(self.offset.unwrap_or(0.0), self.settings.missing, self.settings.nan)
+    }
+
+    /// How the values of a step are kept.
+    fn shift(&mut self, number: u64, source: &StepSource, volume: &VolumeSource) -> Result<Shift> {
+        if let Some(plan) = self.planned {
+            return Ok(plan.steps.iter().find(|s| s.number == number).map_or_else(Shift::default, Shift::of));
+        }
+        // To each step of a packed file there is no way but through those before it: the first one stands for all.
+        let is_packed = matches!(volume, VolumeSource::Stream(_));
+        if let (Some(offset), true) =
+            (self.offset, is_packed && self.looked_into.as_ref() == Some(&source.path))
+        {
+            return Ok(Shift { offset, rounding: 0.0 });
+        }
+        self.looked_into = is_packed.then(|| source.path.clone());
+        let open = || match source.open()? {
+            Input::Volume(volume) => Ok(volume),
+            Input::Mesh(_) => {
+                Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"))
+            }
+        };
+        Shift::of_volume(open, self.offset, self.settings.missing, &self.run.cancel)
+    }
+
+    /// Looks at all samples of a step.
+    fn spread(&self, source: VolumeSource) -> Result<Spread> {
+        let (reading, cancel) = (self.reading(), &self.run.cancel);
+        match source {
+            VolumeSource::Random(reader) => spread(&*reading.reader(reader), reading.missing(), cancel),
+            VolumeSource::Stream(mut stream) => {
+                stream_spread(&mut *stream, self.settings.missing, reading.offset(), cancel)
+            }
+        }
+    }
+
+    /// Whether the field of the first step decides how long the cells of a lattice are along each axis.
+    fn shapes_cells(&self) -> bool {
+        let is_lattice = self.plan.as_ref().is_some_and(|plan| plan.mesh.lattice_cells().is_some());
+        is_lattice && !self.is_shaped && self.settings.set.spacing.is_none()
+    }
+
+    /// Makes the cells of a lattice longer along axes on which the field bends less.
+    fn shape_cells(&mut self, info: &VolumeInfo, found: &Spread) -> Result<()> {
+        self.is_shaped = true;
+        let Some(plan) = &mut self.plan else { return Ok(()) };
+        let Some(cells) = plan.mesh.lattice_cells() else { return Ok(()) };
+        let voxels = (0..3).map(|a| (info.dims[a] - 1) as f64 / f64::from(cells[a])).product();
+        let mean = libm::cbrt(voxels);
+        let spacing = found.bend().spacing(mean).map(|s| s / mean);
+        if spacing != [1.0; 3] {
+            let set = SetSettings { spacing: Some(spacing), ..self.settings.set };
+            let settings = ReduceSettings { set, ..self.settings.clone() };
+            plan.mesh = Plan::with_fingerprint(info, &settings, String::new())?.mesh;
+        }
+        Ok(())
+    }
+
+    /// Steps of the source's range: the same everywhere, so that what chunks share stays equal.
+    fn quantiser(&mut self, found: &Spread) -> Option<Quantiser> {
+        let reading = self.reading();
+        let stand_in = reading.stand_in().map(|v| [v, v]);
+        let ranges = [found.range(), stand_in].into_iter().flatten();
+        let range = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]).unwrap_or_default();
+        let bits = match self.settings.value_bits {
+            _ if self.settings.bits(false).is_none() => None,
+            ValueBits::Bits(bits) => Some(bits),
+            _ => *self.usual_bits.get_or_insert_with(|| usual_bits(found, range)),
+        };
+        bits.map(|bits| Quantiser::new(bits, range))
+    }
+}
+
+/// Bits that split the range of nearly all samples into as many steps as [`ValueBits::USUAL`] bits do; `None` if a
+/// quantiser does not have as many.
+fn usual_bits(found: &Spread, [low, high]: [f32; 2]) -> Option<u8> {
+    let width = |[lo, hi]: [f32; 2]| f64::from(hi) - f64::from(lo);
+    let (all, nearly_all) = (width([low, high]), found.of_nearly_all().map_or(0.0, width));
+    let mut bits = ValueBits::USUAL;
+    // Nearly all samples may be equal: then what is left is the whole field.
+    while nearly_all > 0.0 && all >= 2.0 * nearly_all * f64::from(1u32 << (bits - ValueBits::USUAL)) {
+        bits += 1;
+        if !Quantiser::BITS.contains(&bits) {
+            return None;
+        }
+    }
+    Some(bits)
+}
+
+/// Opens volumes.
+pub(super) struct VolumeFields<'a> {
+    pub(super) settings: &'a ReduceSettings,
+    pub(super) run: &'a RunSettings,
+    pub(super) progress: &'a dyn Progress,
+    /// Whether small copies are made in memory.
+    in_memory: bool,
+    unpacked: Mutex<Option<(PathBuf, Arc<UnpackedFrames>)>>,
+}
+
+impl<'a> VolumeFields<'a> {
+    pub(super) fn new(
+        settings: &'a ReduceSettings,
+        run: &'a RunSettings,
+        progress: &'a dyn Progress,
+        in_memory: bool,
+    ) -> Self {
+        Self { settings, run, progress, in_memory, unpacked: Mutex::default() }
+    }
+
+    /// Opens a source that is read by itself, with the copy that is made of it where that is needed.
+    fn random_access(&self, planned: &PlannedSource) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
+        let source = &planned.source;
+        let Input::Volume(volume) = source.open()? else {
+            return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
+        };
+        match volume {
+            VolumeSource::Stream(stream) if self.in_memory && planned.is_small() => {
+                Ok((Box::new(unpack(stream)?), None))
+            }
+            volume => random_access(volume, self.run, self.progress),
+        }
+    }
+
+    /// The copy of a packed file: the one that was made last, or a new one.
+    fn unpacked(&self, source: &StepSource) -> Result<Arc<UnpackedFrames>> {
+        let mut last = self.unpacked.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, frames)) = last.as_ref().filter(|(path, _)| *path == source.path) {
+            return Ok(Arc::clone(frames));
+        }
+        // Before another one is made, its place on the disk is given back.
+        *last = None;
+        let (path, options, folder) = (&source.path, &source.options, self.run.scratch_folder());
+        let frames = Arc::new(formats::unpack_frames(path, options, &folder, &self.run.cancel)?);
+        *last = Some((source.path.clone(), Arc::clone(&frames)));
+        Ok(frames)
+    }
+}
+
+impl Fields for VolumeFields<'_> {
+    fn open<'a>(&'a self, series: &SeriesPlan, n: usize) -> Result<Box<dyn Field + 'a>> {
+        let (planned, step) = (&series.sources[n], &series.plan.steps[n]);
+        let source = &planned.source;
+        let (reader, scratch) = match planned.shared_copy {
+            0 => self.random_access(planned)?,
+            // Not opened by itself: a frame is found by decoding all before it.
+            _ => (self.unpacked(source)?.open(&step.source.field)?, None),
+        };
+        if reader.info().dims != step.source.dims {
+            let (expected, got) = (shape(step.source.dims), shape(reader.info().dims));
+            return Err(Error::bad_input(&source.path, "dimensions", expected, got));
+        }
+        let reading = Reading::new(step.source.offset, self.settings.missing, self.settings.nan);
+        Ok(Box::new(GridField {
+            reader: reading.reader(reader),
+            scratch,
+            bricks: series.plan.mesh.bricks(),
+            interpolation: step.interpolation,
+            values: step.values,
+            nan: self.settings.nan,
+            stand_in: reading.stand_in(),
+            missing: reading.missing(),
+            released: AtomicU64::new(0),
+        }))
+    }
+}

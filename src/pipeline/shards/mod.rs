@@ -1,0 +1,247 @@
+//! A reduction in three commands: plan, work, commit; [`reduce`](crate::pipeline::reduce::reduce) is these three in one process.
+//!
+//! ```text
+//!  plan INPUT ──▶ plan.json ──▶ work I/N  (any number of processes, on any machines, in any order, again at will)
+//!                                  │ segments, each under a name of its own until it is done
+//!                                  ▼
+//!                               commit: every segment verified ──▶ index ──▶ manifest
+//! ```
+//!
+//! A **shard** I of N is the I-th of N runs of whole segments. N is free: the segments, and so the archive's bytes, are the same
+//! for any N, and workers of different N may run together. A shard does all steps of its chunks. Workers lock nothing and ask nobody. A worker skips segments that
+//! are done; two that make the same one write the same bytes to temporaries of different names, and the later rename
+//! replaces a file by its copy. So a task may be started twice, or go on after its machine was given up for dead.
+//!
+//! The input is read by every worker. One without random access (compressed) is copied into bricks by each of them, and the structures
+//! of a tetrahedral mesh are made by each of them, in its own `scratch`: nothing is shared between machines but the archive.
+
+mod status;
+
+use crate::archive::manifest::{MANIFEST_NAME, Manifest};
+use crate::error::{Error, Result};
+use crate::exec::Progress;
+use crate::formats::StepSource;
+use crate::pipeline::plan::{Beside, Estimate, Layout, MeshParts, Need, Plan, Shard, Watch, estimate, parts};
+use crate::pipeline::read::{Depth, SegmentState};
+use crate::pipeline::reduce;
+use crate::pipeline::reduce::{
+    Cut, Job, Outcome, Part, PlanFile, Publishing, ReduceReport, SeriesPlan, existing, finished,
+    grid_coordinates, look, numbered, plan_path, prepare_folder,
+};
+use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use serde::Serialize;
+use status::Inventory;
+pub use status::{GcReport, StatusReport, collect_garbage, shard_status};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// What was planned, and what a shard of it needs.
+#[derive(Clone, Debug, Serialize)]
+pub struct PlanReport {
+    /// The plan's file.
+    pub plan: PathBuf,
+    /// Hash of the plan: of the mesh, and of the values.
+    pub hash: [String; 2],
+    /// Shards.
+    pub shards: u64,
+    /// Segments of the archive; a shard has whole ones.
+    pub segments: u64,
+    /// Segments of the largest shard.
+    pub shard_segments: u64,
+    /// Seconds of the largest shard, roughly: from the speed of a machine of 2020.
+    pub shard_seconds: f64,
+    /// What the whole needs; memory and scratch are those of each worker.
+    #[serde(flatten)]
+    pub needs: Estimate,
+}
+
+/// Plans the reduction of a series of steps, or of one, to the archive `out` in `shards` parts, and writes the plan beside it. With
+/// [`RunSettings::replace`] an archive and a plan that are there are replaced.
+///
+/// # Errors
+/// As [`reduce`](crate::pipeline::reduce::reduce); [`Error::Usage`] when there is another plan already.
+pub fn plan_shards(
+    sources: &[StepSource],
+    settings: &ReduceSettings,
+    out: &Path,
+    shards: u64,
+    run: &RunSettings,
+    progress: &dyn Progress,
+) -> Result<PlanReport> {
+    if shards == 0 {
+        return Err(Error::usage("at least one shard"));
+    }
+    if settings.target.is_some() {
+        return Err(Error::usage(
+            "a target is met by trying: reduce does that; a plan has a count or a fraction",
+        ));
+    }
+    let _lock = reduce::lock_for_writing(out)?;
+    reduce::refuse_overwriting(out, run)?;
+    let (sources, part) = (&numbered(sources), Part::Whole);
+    let job = Job { sources, settings, out, run, progress, started: Instant::now(), part, round: None };
+    let notices = look(&job, false)?.notices;
+    let (series, mesh, mut needs) = reduce::make_plan(&job, false)?;
+    needs.notices = notices;
+    let beside = series.beside.clone();
+    let (memory_least, replaces) = (needs.memory_least, reduce::is_finished(out));
+    let file =
+        PlanFile::new(settings, series, Cut { chunks: mesh.chunks.len(), shards, memory_least, replaces })?;
+    let root = file.root(out);
+    let layout = Layout::new(&root, mesh.chunks.len(), 0);
+    // Before the plan is there: a worker finds no work of another one.
+    prepare_folder(&layout, &file.plan, run)?;
+    file.write(out, run.replace)?;
+    layout.make_folders()?;
+    beside.write(&root, file.mesh_hash)?;
+    let segments = layout.segment_count();
+    let shard_segments = segments.div_ceil(shards);
+    Ok(PlanReport {
+        plan: plan_path(out),
+        hash: [file.mesh_hash, file.steps_hash].map(|h| h.to_string()),
+        shards,
+        segments,
+        shard_segments,
+        shard_seconds: needs.seconds * shard_segments as f64 / segments.max(1) as f64,
+        needs,
+    })
+}
+
+/// What of a plan a job script needs.
+#[derive(Clone, Copy, Debug)]
+pub struct Planned {
+    /// Shards.
+    pub shards: u64,
+    /// Segments.
+    pub segments: u64,
+    /// The least memory of a worker, in bytes.
+    pub memory_least: u64,
+    /// Memory with which all its threads work.
+    pub memory: u64,
+    /// Seconds of all shards one after another, on a machine of 2020, roughly.
+    pub seconds: f64,
+}
+
+/// What was planned, for workers of so many threads.
+///
+/// # Errors
+/// [`Error::BadInput`] when there is no plan.
+pub fn planned(out: &Path, threads: usize) -> Result<Planned> {
+    let file = PlanFile::read(out)?;
+    let mesh = mesh_parts(&file.root(out), &file.plan)?;
+    let steps = file.plan.steps.len();
+    let need =
+        estimate::need_of(&mesh, 0, steps, u64::MAX, &RunSettings { threads, ..RunSettings::default() });
+    Ok(Planned {
+        shards: file.shards,
+        segments: Inventory::new(&file.root(out), &file).segments(),
+        memory_least: file.memory_least,
+        memory: need.comfortable(threads).max(file.memory_least),
+        seconds: need.seconds(threads, steps),
+    })
+}
+
+/// What a worker did.
+#[derive(Clone, Debug, Serialize)]
+pub struct WorkReport {
+    /// The shard.
+    pub shard: String,
+    /// Its segments.
+    pub segments: u64,
+    /// Points of its chunks; 0 when all was done before.
+    pub points: u64,
+    /// Seconds of each stage.
+    pub seconds: Vec<(String, f64)>,
+}
+
+/// Makes the segments of a shard that are not done yet.
+///
+/// # Errors
+/// [`Error::BadInput`] when there is no plan, or the input is not that of the plan; else as [`reduce`](crate::pipeline::reduce::reduce).
+pub fn work_shard(
+    out: &Path,
+    shard: Shard,
+    run: &RunSettings,
+    progress: &dyn Progress,
+) -> Result<WorkReport> {
+    let started = Instant::now();
+    let file = PlanFile::read(out)?;
+    expect_no_other_archive(out, &file)?;
+    let out = &file.root(out);
+    let inventory = Inventory::new(out, &file);
+    let segments = shard.range(inventory.segments());
+    let report = |points, seconds| WorkReport {
+        shard: shard.to_string(),
+        segments: segments.end - segments.start,
+        points,
+        seconds,
+    };
+    // A task that is started again does not read its input for nothing.
+    let mut done = segments.clone().flat_map(|s| inventory.files_of(s));
+    if done.all(|f| inventory.look(&f, Depth::All) == SegmentState::Whole) {
+        return Ok(report(0, vec![]));
+    }
+    let part = Part::Shard(&file, shard);
+    // The plan says which steps there are: a worker leaves none out.
+    let run = RunSettings { replace: false, keep_going: false, ..run.clone() };
+    let (sources, settings) = (&file.numbered(), &file.settings);
+    let made =
+        reduce::make(&Job { sources, settings, out, run: &run, progress, started, part, round: None })?;
+    let made = finished(made, started);
+    Ok(report(made.points, made.seconds))
+}
+
+/// A finished archive of another plan is not written into; the one that is to be replaced stays as it is.
+fn expect_no_other_archive(out: &Path, file: &PlanFile) -> Result<()> {
+    if !out.join(MANIFEST_NAME).exists() || file.root(out) != out {
+        return Ok(());
+    }
+    if existing::is_of(&Manifest::read(out)?, file.mesh_hash, &file.plan) {
+        return Ok(());
+    }
+    let text = "holds an archive that was not made by this plan; plan again with --force to replace it";
+    Err(Error::usage(format!("{} {text}", out.display())))
+}
+
+/// Verifies every segment of a plan and publishes the archive: index, then manifest. Deletes nothing but what
+/// dead processes of this machine have left unfinished.
+///
+/// # Errors
+/// [`Error::Incomplete`] with each segment that is missing, damaged or of another plan.
+pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> Result<ReduceReport> {
+    let started = Instant::now();
+    let _lock = reduce::lock_for_writing(out)?;
+    let file = PlanFile::read(out)?;
+    expect_no_other_archive(out, &file)?;
+    let root = file.root(out);
+    Inventory::new(&root, &file).expect_whole(run, progress)?;
+    let verified = started.elapsed().as_secs_f64();
+    let mesh = mesh_parts(&root, &file.plan)?;
+    let workers = Need::of(&mesh).shares(run.memory, run.worker_threads())?.workers;
+    let layout = Layout::new(&root, mesh.chunks.len(), 0);
+    let samples = match &file.plan.first().source.mesh {
+        Some(mesh) => mesh.vertices,
+        None => file.plan.first().source.dims.iter().product(),
+    };
+    let seconds = vec![("verify".to_owned(), verified)];
+    let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
+    let measure = file.settings.measure;
+    // Of a mesh its vertices are read once more, to measure; of a volume workers have done that.
+    let is_read = measure && file.plan.first().source.mesh.is_some();
+    let watch = if is_read { file.expect_same_inputs(run)? } else { Watch::default() };
+    let series = SeriesPlan { watch, ..file.into_series() };
+    let made = Outcome { coordinates: grid_coordinates(&series, &layout)?, ..Outcome::default() };
+    let publishing = Publishing { parts: &mesh, layout: &layout, old: None, measure, workers, run, progress };
+    let report = publishing.publish(&series, made, report)?;
+    // What commits and workers of this machine have left that were killed.
+    reduce::sweep(&layout);
+    if root != out {
+        reduce::replace_archive(&root, out)?;
+    }
+    Ok(finished(report, started))
+}
+
+/// The parts of a plan, with what is stored in the archive.
+fn mesh_parts(out: &Path, plan: &Plan) -> Result<MeshParts> {
+    parts(&plan.mesh, Beside::read(out, &plan.mesh)?)
+}

@@ -1,0 +1,261 @@
+//! How far is a planned reduction? Every segment is looked at, on several threads; nothing is written.
+
+use crate::archive::manifest::{MANIFEST_NAME, mesh_folder, steps_folder};
+use crate::archive::publish::{final_name, open_own};
+use crate::archive::segment::{PlanHash, SegmentKind};
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, Progress, Silent, pool};
+use crate::pipeline::plan::{Beside, Layout, Shard};
+use crate::pipeline::read::{Depth, SegmentState, inspect};
+use crate::pipeline::reduce::{PlanFile, is_ours, plan_path, work_folder};
+use crate::pipeline::settings::RunSettings;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::fs;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime};
+
+/// A file that a plan asks for.
+pub(super) struct Wanted {
+    path: PathBuf,
+    kind: SegmentKind,
+    hash: PlanHash,
+    chunks: Range<u64>,
+}
+
+/// A file that is not whole.
+struct Fault {
+    segment: u64,
+    state: SegmentState,
+    path: PathBuf,
+}
+
+/// The files that a plan asks for.
+pub(super) struct Inventory<'a> {
+    file: &'a PlanFile,
+    layout: Layout,
+}
+
+impl<'a> Inventory<'a> {
+    pub(super) fn new(out: &Path, file: &'a PlanFile) -> Self {
+        Self { file, layout: Layout::new(out, file.chunks, 0) }
+    }
+
+    pub(super) fn segments(&self) -> u64 {
+        self.layout.segment_count()
+    }
+
+    /// The files of a segment.
+    pub(super) fn files_of(&self, segment: u64) -> Vec<Wanted> {
+        let (layout, file) = (&self.layout, self.file);
+        let wanted = |path, kind, hash| Wanted { path, kind, hash, chunks: layout.chunks_of(segment) };
+        let mut files = vec![wanted(layout.mesh(segment), SegmentKind::Mesh, file.mesh_hash)];
+        files.extend(file.plan.steps.iter().map(|step| {
+            let path = layout.at(step.number).values(segment);
+            wanted(path, SegmentKind::Values, step.hash(file.mesh_hash))
+        }));
+        files
+    }
+
+    pub(super) fn look(&self, f: &Wanted, depth: Depth) -> SegmentState {
+        inspect(&f.path, f.kind, f.hash, &f.chunks, depth)
+    }
+
+    /// The files of a segment that are not whole.
+    fn faults(&self, segment: u64, depth: Depth) -> Vec<Fault> {
+        let look = |f: Wanted| Fault { segment, state: self.look(&f, depth), path: f.path };
+        self.files_of(segment).into_iter().map(look).filter(|f| f.state != SegmentState::Whole).collect()
+    }
+
+    /// The path of a file within the archive.
+    fn name(&self, path: &Path) -> String {
+        path.strip_prefix(self.layout.root()).unwrap_or(path).display().to_string()
+    }
+
+    /// All files that are not whole, in order of segments.
+    fn all_faults(&self, depth: Depth, run: &RunSettings, progress: &dyn Progress) -> Result<Vec<Fault>> {
+        progress.begin("verify", self.segments(), "segments");
+        pool(run.worker_threads())?.install(|| {
+            let look = |segment| {
+                run.cancel.check()?;
+                let faults = self.faults(segment, depth);
+                progress.advance(1);
+                Ok(faults)
+            };
+            let found: Result<Vec<_>> = (0..self.segments()).into_par_iter().map(look).collect();
+            Ok(found?.into_iter().flatten().collect())
+        })
+    }
+
+    /// # Errors
+    /// [`Error::Incomplete`] when a segment is not whole.
+    pub(super) fn expect_whole(&self, run: &RunSettings, progress: &dyn Progress) -> Result<()> {
+        let mut faults = self.all_faults(Depth::All, run, progress)?;
+        for path in Beside::missing(self.layout.root(), &self.file.plan.mesh) {
+            faults.push(Fault { segment: 0, state: SegmentState::Missing, path });
+        }
+        // In a word each, so that many have room in a line; `status` tells more.
+        let missing: Vec<String> =
+            faults.iter().map(|f| format!("{} ({})", self.name(&f.path), f.state.name())).collect();
+        if missing.is_empty() {
+            return Ok(());
+        }
+        Err(Error::Incomplete { path: self.layout.root().to_path_buf(), missing })
+    }
+}
+
+/// How far a planned reduction is.
+#[derive(Clone, Debug, Serialize)]
+pub struct StatusReport {
+    /// The archive.
+    pub archive: PathBuf,
+    /// Whether it is committed: there is a manifest.
+    pub committed: bool,
+    /// Segments of the plan.
+    pub segments: u64,
+    /// Of these, segments that are whole.
+    pub done: u64,
+    /// Shards that were asked about.
+    pub shards: u64,
+    /// Numbers of the shards with a segment that is not whole.
+    pub missing_shards: Vec<u64>,
+    /// What is not whole: a file each, and why.
+    pub missing: Vec<String>,
+    /// Files of writers that are at work, or were killed.
+    pub temporaries: u64,
+    /// Their bytes.
+    pub temporary_bytes: u64,
+}
+
+/// Looks at all segments of a plan. `shards` is how many the work is cut into, as many as the plan says if not given; `quick`
+/// believes headers, lengths and footers and does not read the blocks.
+///
+/// # Errors
+/// [`Error::BadInput`] when there is no plan.
+pub fn shard_status(
+    out: &Path,
+    shards: Option<u64>,
+    quick: bool,
+    cancel: CancelToken,
+) -> Result<StatusReport> {
+    let file = PlanFile::read(out)?;
+    let root = file.root(out);
+    let inventory = Inventory::new(&root, &file);
+    let depth = if quick { Depth::Frame } else { Depth::All };
+    let run = RunSettings { memory: 0, cancel, ..RunSettings::default() };
+    let faults = inventory.all_faults(depth, &run, &Silent)?;
+    let shards = shards.unwrap_or(file.shards).max(1);
+    let shard_of = |f: &Fault| Shard::with_segment(f.segment, inventory.segments(), shards);
+    let mut missing_shards: Vec<u64> = faults.iter().map(shard_of).collect();
+    missing_shards.dedup();
+    let left = leftovers(out)?;
+    Ok(StatusReport {
+        archive: out.to_path_buf(),
+        committed: root == out && out.join(MANIFEST_NAME).exists(),
+        segments: inventory.segments(),
+        done: inventory.segments() - faults.chunk_by(|a, b| a.segment == b.segment).count() as u64,
+        shards,
+        missing_shards,
+        missing: faults.iter().map(|f| format!("{} ({})", inventory.name(&f.path), f.state)).collect(),
+        temporaries: left.len() as u64,
+        temporary_bytes: left.iter().map(|f| f.bytes).sum(),
+    })
+}
+
+/// What was removed.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct GcReport {
+    /// Files.
+    pub files: Vec<PathBuf>,
+    /// Their bytes.
+    pub bytes: u64,
+}
+
+/// Removes temporary files of an archive and of its plan that nobody has written to for some time, and that no process of this
+/// machine holds. Only files are removed whose names a writer gives, in folders that an archive has. With `dry_run` it only tells
+/// which.
+///
+/// # Errors
+/// [`Error::BadInput`] for a folder that is neither an archive, finished or not, nor has a plan; when a folder cannot be listed or a
+/// file not removed.
+pub fn collect_garbage(out: &Path, older_than: Duration, dry_run: bool) -> Result<GcReport> {
+    let is_unfinished = || Ok(mesh_folder(out).is_dir() && is_ours(out)?);
+    if !out.join(MANIFEST_NAME).is_file() && !plan_path(out).is_file() && !is_unfinished()? {
+        let expected = "a folder made by isospan reduce or plan";
+        let got = if out.exists() { "something else; nothing was removed" } else { "none" };
+        return Err(Error::bad_input(out, "archive", expected, got));
+    }
+    let mut report = GcReport::default();
+    for file in leftovers(out)?.into_iter().filter(|f| f.age >= older_than && !is_held(&f.path)) {
+        if !dry_run {
+            match fs::remove_file(&file.path) {
+                Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(Error::io("remove", &file.path, e));
+                }
+                _ => {}
+            }
+        }
+        report.bytes += file.bytes;
+        report.files.push(file.path);
+    }
+    Ok(report)
+}
+
+/// Whether a writer on this machine (or, where the file system tells, on another) has the file locked.
+fn is_held(path: &Path) -> bool {
+    open_own(path).is_some_and(|f| matches!(f.try_lock(), Err(fs::TryLockError::WouldBlock)))
+}
+
+struct Leftover {
+    path: PathBuf,
+    bytes: u64,
+    age: Duration,
+}
+
+/// The folders that writers of an archive, of its plan, and of tries for a target use. Links to folders are not followed.
+fn folders_of(out: &Path) -> Result<Vec<PathBuf>> {
+    let work = work_folder(out);
+    let mut archives = vec![out.to_path_buf()];
+    for entry in entries_of(&work)? {
+        let is_archive = entry.path().extension().is_some_and(|e| e == "isospan");
+        if is_archive && entry.file_type().is_ok_and(|t| t.is_dir()) {
+            archives.push(entry.path());
+        }
+    }
+    let is_folder = |path: &PathBuf| fs::symlink_metadata(path).is_ok_and(|about| about.is_dir());
+    let inner = archives.iter().flat_map(|a| [mesh_folder(a), steps_folder(a)]).filter(is_folder);
+    let inner: Vec<PathBuf> = inner.collect();
+    Ok(archives.into_iter().chain([work]).chain(inner).collect())
+}
+
+/// The entries of a folder; none of one that is not there.
+fn entries_of(folder: &Path) -> Result<Vec<fs::DirEntry>> {
+    let list = |e| Error::io("list", folder, e);
+    match fs::read_dir(folder) {
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(vec![]),
+        entries => entries.map_err(list)?.map(|entry| entry.map_err(list)).collect(),
+    }
+}
+
+/// All temporaries of an archive and of its plan, in order of their paths.
+fn leftovers(out: &Path) -> Result<Vec<Leftover>> {
+    let (mut found, now) = (vec![], SystemTime::now());
+    for folder in folders_of(out)? {
+        for entry in entries_of(&folder)? {
+            let name = entry.file_name().to_string_lossy().into_owned();
+            let ours = final_name(&name).is_some_and(|n| MADE.iter().any(|e| n.ends_with(e)));
+            // Published or removed meanwhile: no leftover.
+            let Ok(about) = entry.metadata() else { continue };
+            if ours && about.is_file() {
+                let age = about.modified().ok().and_then(|m| now.duration_since(m).ok()).unwrap_or_default();
+                found.push(Leftover { path: entry.path(), bytes: about.len(), age });
+            }
+        }
+    }
+    found.sort_by(|a, b| a.path.cmp(&b.path));
+    Ok(found)
+}
+
+/// How the names of the files end that writers make: segments, their journals, manifests and plans.
+const MADE: [&str; 3] = [".seg", ".seg.chunks", ".json"];

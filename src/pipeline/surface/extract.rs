@@ -1,0 +1,507 @@
+//! Several isosurfaces out of an archive in one pass: each block is decoded once, whatever the number of isovalues.
+//!
+//! Chunks are extracted in parallel, and welded in chunk order while others are extracted ([`super::ordered`]). Every
+//! isovalue has its own weld, which sees what it would see alone: a surface does not depend on what else was asked for.
+//! Blocks of a chunk are decoded one after another into the same small buffer, so the memory of a chunk is that of its corners and
+//! of its surfaces, not of its tetrahedra.
+
+use super::ordered::{Last, Line};
+use super::query::SurfaceSettings;
+use super::unpacked::UnpackedChunk;
+use crate::error::Result;
+use crate::exec::Progress;
+use crate::geom::LatticePos;
+use crate::grid::ChunkId;
+use crate::index::Entry;
+use crate::mesh::tet::{Tet, is_active};
+use crate::pipeline::plan::{SurfaceShares, estimate};
+use crate::pipeline::read::{
+    Block, BlockCorners, Buffers, ChunkReader, Cut, Found, Horizon, KeptBlock, Needed, NumberedShape,
+    OpenArchive, PackedBlock, Spare, Wanted, chunk_reader,
+};
+use crate::surface::cap::select_boundary;
+use crate::surface::fans::split_fans;
+use crate::surface::known::{Known, KnownBlock};
+use crate::surface::marching_tets::{ChunkSurface, Workbench};
+use crate::surface::weld::{BuilderSettings, StoredSurface, SurfaceBuilder};
+use crate::surface::{TriMesh, WorldMap};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// The blocks of a chunk that can hold an answer, in order.
+pub(super) struct ChunkWork {
+    pub(super) chunk: ChunkId,
+    pub(super) blocks: Vec<Entry>,
+}
+
+/// Blocks, as an index lists them, chunk by chunk.
+pub(super) fn by_chunk(archive: &OpenArchive, refs: &[Entry]) -> Result<Vec<ChunkWork>> {
+    refs.chunk_by(|a, b| a.chunk == b.chunk)
+        .map(|run| {
+            let chunk = ChunkId(run[0].chunk);
+            archive.expect_chunk(chunk)?;
+            Ok(ChunkWork { chunk, blocks: run.to_vec() })
+        })
+        .collect()
+}
+
+/// What to extract.
+pub(super) struct Question<'a> {
+    pub(super) archive: &'a OpenArchive,
+    /// Position in the manifest of the step.
+    pub(super) step: usize,
+    pub(super) isovalues: &'a [f32],
+    /// Where; everywhere without.
+    pub(super) cut: Option<&'a Cut>,
+    pub(super) world: WorldMap,
+    /// The upper corner of the domain, where caps are wanted on its faces.
+    pub(super) caps: Option<LatticePos>,
+    /// Active blocks, chunk by chunk.
+    pub(super) work: &'a [ChunkWork],
+    /// Counts the bytes of the blocks and values that hold an active tetrahedron.
+    pub(super) active_bytes: AtomicU64,
+}
+
+/// A surface, welded, and the number of its tetrahedra.
+pub(super) struct Extracted {
+    pub(super) surface: StoredSurface,
+    pub(super) active_tetrahedra: u64,
+}
+
+/// The surfaces of a chunk, one for each isovalue.
+pub(super) type ChunkSurfaces = Vec<ChunkSurface>;
+
+/// Where surfaces are kept while they are made.
+pub(super) struct Room {
+    /// For what memory does not hold.
+    pub(super) scratch: PathBuf,
+    /// Surfaces that are no longer needed, of which the memory is used again: the first one for the first isovalue, and so on.
+    pub(super) reused: Vec<TriMesh>,
+}
+
+/// Extracts all isovalues from the active blocks of all chunks.
+pub(super) fn extract_surfaces(
+    question: &Question<'_>,
+    settings: &SurfaceSettings,
+    room: Room,
+    progress: &dyn Progress,
+) -> Result<Vec<Extracted>> {
+    let work = question.work;
+    let active_blocks = work.iter().map(|w| w.blocks.len() as u64).sum::<u64>();
+    let bytes: Vec<u64> = work.iter().map(|work| question.need(work)).collect();
+    let largest = bytes.iter().copied().max().unwrap_or(0);
+    let shares = SurfaceShares::of(settings.memory, active_blocks, largest)?;
+    let weld = Weld::new(question, settings, shares, room, progress);
+    let pool = question.archive.pools.lend(settings.threads)?;
+    progress.begin("surface", active_blocks, "blocks");
+    let (kept, of_this_question) = (&question.archive.kept, Spare::default());
+    let spare = if kept.most() > 0 { &question.archive.spare } else { &of_this_question };
+    let extract = |n: usize| {
+        settings.cancel.check()?;
+        question.chunk_surfaces(&work[n], spare)
+    };
+    let weld = Line::new(bytes, shares.batch, &pool, extract, Welder { weld, spare }).run(&pool)?.weld;
+    spare.trim(kept.most() / 4);
+    weld.finish()
+}
+
+/// Takes chunks in order.
+struct Welder<'a> {
+    weld: Weld<'a>,
+    /// For their buffers.
+    spare: &'a Spare,
+}
+
+impl Last for Welder<'_> {
+    type Piece = ChunkSurfaces;
+
+    fn take(&mut self, n: usize, surfaces: ChunkSurfaces) -> Result<()> {
+        let question = self.weld.question;
+        question.archive.close_before(question.work[n].chunk);
+        self.weld.push(surfaces, self.spare)
+    }
+}
+
+/// Kept blocks that are looked up together, and held meanwhile.
+const AT_ONCE: usize = 32;
+
+impl Question<'_> {
+    /// Bytes in which the blocks of a chunk are extracted: from the plan's target and the point set, without reading.
+    fn need(&self, work: &ChunkWork) -> u64 {
+        let tets: u64 = work.blocks.iter().map(|b| u64::from(b.tets) * self.times_active(b)).sum();
+        let per_vertex =
+            chunk_reader::BYTES_PER_VERTEX + estimate::SURFACE_PER_VERTEX * self.isovalues.len() as u64;
+        estimate::extraction_bytes(self.vertices_near(work.chunk), per_vertex, tets)
+    }
+
+    /// Vertices that a chunk uses, about.
+    pub(super) fn vertices_near(&self, chunk: ChunkId) -> u64 {
+        let archive = self.archive;
+        let core = &archive.chunks.chunk(chunk).core;
+        // The halo points that tetrahedra use lie within about one spacing.
+        let near =
+            core.grow_sides(archive.points.spacing_around(core), &archive.chunks.bricks().lattice.domain());
+        archive.points.count_in(&near)
+    }
+
+    /// For how many isovalues a block can hold an answer.
+    pub(super) fn times_active(&self, block: &Entry) -> u64 {
+        self.isovalues.iter().filter(|&&v| self.is_wanted(block, v)).count() as u64
+    }
+
+    /// Whether a block is active, or may have caps.
+    fn is_wanted(&self, block: &Entry, isovalue: f32) -> bool {
+        is_active(block.min, block.max, isovalue) || self.caps.is_some() && isovalue <= block.max
+    }
+
+    /// The surfaces of a chunk; buffers come from `spare` where there are any.
+    fn chunk_surfaces(&self, work: &ChunkWork, spare: &Spare) -> Result<ChunkSurfaces> {
+        let (mut buffers, mut reader) = (spare.buffers(), None);
+        let mut chunk = ChunkWorker::new(self, spare);
+        let mut unpacked = UnpackedChunk::of(self.archive, work)?;
+        // Blocks that are unpacked are not kept: they need not be looked up.
+        let at_once = if unpacked.is_none() { AT_ONCE } else { 1 };
+        let mut kept = vec![];
+        for (n, block) in work.blocks.iter().enumerate() {
+            if let Some(unpacked) = &mut unpacked
+                && unpacked.add(n, block, &mut chunk, &mut buffers)?
+            {
+                continue;
+            }
+            if n % at_once == 0 {
+                let next = work.blocks[n..].iter().take(at_once).map(|b| b.block);
+                self.archive.kept.get(work.chunk, next, &mut kept);
+            }
+            let ahead = |blocks: usize| kept.get(n % at_once + blocks).and_then(Option::as_ref);
+            self.foretell(ahead(1), ahead(2));
+            if let Some(found) = ahead(0) {
+                chunk.add_kept(work.chunk, block, found, &mut buffers);
+                continue;
+            }
+            let reader = match &mut reader {
+                Some(reader) => reader,
+                None => {
+                    let memory = std::mem::take(&mut buffers.reader);
+                    reader.insert(ChunkReader::open(self.archive, work.chunk, memory)?)
+                }
+            };
+            if !reader.block(block.block, &self.wanted(block), &self.needed(), &mut buffers.block)? {
+                continue;
+            }
+            self.archive.kept.put(work.chunk, block.block, &buffers.block);
+            chunk.add(block, &mut buffers, Some(reader));
+        }
+        unpacked.map_or(Ok(()), UnpackedChunk::end)?;
+        if let Some(reader) = reader {
+            self.active_bytes.fetch_add(reader.active_bytes(), Ordering::Relaxed);
+            buffers.reader = reader.into_memory();
+        }
+        spare.give_buffers(buffers);
+        Ok(chunk.finish())
+    }
+
+    /// Whether all tetrahedra of a block are wanted, and but their surfaces.
+    pub(super) fn is_whole(&self) -> bool {
+        self.cut.is_none() && self.caps.is_none()
+    }
+
+    /// Asks the processor for the next kept blocks: of the one after the next what tells which tetrahedra of it may be active.
+    fn foretell(&self, next: Option<&Found>, after: Option<&Found>) {
+        if let Some(next) = next {
+            next.block.rest_will_be_read(self.isovalues);
+        }
+        if let Some(after) = after {
+            after.block.will_be_read();
+        }
+    }
+
+    /// What is wanted of an entry's block; one without active tetrahedra is read for caps only.
+    pub(super) fn wanted(&self, entry: &Entry) -> Wanted<'_> {
+        match (self.cut, self.caps) {
+            (Some(cut), _) => Wanted::Touching(cut),
+            (None, Some(top)) if !self.isovalues.iter().any(|&v| is_active(entry.min, entry.max, v)) => {
+                Wanted::AtEnds(top)
+            }
+            _ => Wanted::All,
+        }
+    }
+
+    /// Caps have triangles in tetrahedra that are not active, and what is kept is for other isovalues too.
+    fn needed(&self) -> Needed<'_> {
+        match self.caps.is_some() || self.archive.kept.most() > 0 {
+            true => Needed::All,
+            false => Needed::ForActive(self.isovalues),
+        }
+    }
+
+    fn keep_in_cut(&self, corners: &BlockCorners, tets: &mut Vec<Tet>) {
+        if let Some(cut) = self.cut {
+            tets.retain(|t| cut.may_touch(&t.map(|v| corners.positions[v as usize])));
+        }
+    }
+}
+
+/// The surfaces of a chunk while blocks are added to them.
+pub(super) struct ChunkWorker<'a> {
+    pub(super) question: &'a Question<'a>,
+    surfaces: ChunkSurfaces,
+    started: bool,
+}
+
+impl<'a> ChunkWorker<'a> {
+    /// No surfaces yet, in memory that is spare.
+    pub(super) fn new(question: &'a Question<'a>, spare: &Spare) -> Self {
+        let surfaces = question.isovalues.iter().map(|_| spare.surface()).collect();
+        Self { question, surfaces, started: false }
+    }
+
+    /// Adds a block with the values of a step to the surfaces.
+    pub(super) fn add_shape(&mut self, entry: &Entry, shape: &NumberedShape, buffers: &mut Buffers) {
+        let question = self.question;
+        if question.cut.is_some() || question.caps.is_some() {
+            shape.unpack(&mut buffers.block);
+            return self.add(entry, buffers, None);
+        }
+        self.start(shape.of_chunk);
+        for (surface, &isovalue) in self.surfaces.iter_mut().zip(question.isovalues) {
+            if is_active(entry.min, entry.max, isovalue) {
+                surface.add_numbered(&shape.numbered, &question.world, &mut buffers.bench);
+            }
+        }
+    }
+
+    /// Adds a kept block to the surfaces, and finds out about it, if that is due.
+    fn add_kept(&mut self, chunk: ChunkId, entry: &Entry, found: &Found, buffers: &mut Buffers) {
+        let question = self.question;
+        let is_whole = question.is_whole();
+        match (&*found.block, is_whole) {
+            (KeptBlock::Known(block, of_chunk), true) => {
+                return self.add_kept_known(entry, block, *of_chunk, &mut buffers.bench);
+            }
+            (KeptBlock::Packed(block), true) if !found.is_due => {
+                return self.add_packed(entry, block, buffers);
+            }
+            (block, _) => block.unpack(&mut buffers.block),
+        }
+        let Buffers { block: Block { corners, tets, .. }, bench, .. } = &mut *buffers;
+        match is_whole.then(|| bench.know(&corners.cells(tets), &question.world)).flatten() {
+            Some(known) => {
+                self.add_kept_known(entry, &known, corners.of_chunk, bench);
+                let known = KeptBlock::Known(known, corners.of_chunk);
+                question.archive.kept.replace(chunk, entry.block, known);
+            }
+            None => self.add(entry, buffers, None),
+        }
+    }
+
+    /// Unpacks the corners, and of the tetrahedra those that are active.
+    fn add_packed(&mut self, entry: &Entry, block: &PackedBlock, buffers: &mut Buffers) {
+        let Buffers { block: Block { corners, .. }, sides, active, bench, .. } = buffers;
+        block.unpack_corners(corners);
+        self.start(corners.of_chunk);
+        for (surface, &isovalue) in self.surfaces.iter_mut().zip(self.question.isovalues) {
+            if is_active(entry.min, entry.max, isovalue) {
+                active.clear();
+                sides.set(&corners.values, isovalue);
+                sides.active_of(block.tets(), active);
+                surface.add_active(&corners.cells(active), &self.question.world, bench);
+            }
+        }
+    }
+
+    fn add_kept_known(&mut self, entry: &Entry, block: &KnownBlock, of_chunk: usize, bench: &mut Workbench) {
+        let is_sound = self.add_known(entry, block.view(), of_chunk, bench);
+        assert!(is_sound, "a block that was made here has the edges of its tetrahedra");
+    }
+
+    /// Makes room for so many edges of the chunk that have numbers.
+    pub(super) fn number_edges(&mut self, count: usize) {
+        self.surfaces.iter_mut().for_each(|surface| surface.number_edges(count));
+    }
+
+    /// Adds a known block to the surfaces. False if it is none: see [`ChunkSurface::add_known`].
+    #[must_use]
+    pub(super) fn add_known(
+        &mut self,
+        entry: &Entry,
+        block: Known<'_>,
+        of_chunk: usize,
+        bench: &mut Workbench,
+    ) -> bool {
+        self.start(of_chunk);
+        let mut is_sound = true;
+        for (surface, &isovalue) in self.surfaces.iter_mut().zip(self.question.isovalues) {
+            if is_active(entry.min, entry.max, isovalue) {
+                is_sound &= surface.add_known(block, &self.question.world, bench);
+            }
+        }
+        is_sound
+    }
+
+    /// Adds the block that is in the buffers to the surfaces. `reader` is told if it is active.
+    pub(super) fn add(
+        &mut self,
+        entry: &Entry,
+        buffers: &mut Buffers,
+        mut reader: Option<&mut ChunkReader<'_>>,
+    ) {
+        let Buffers { block, sides, active, bench, .. } = buffers;
+        let (question, corners) = (self.question, &block.corners);
+        // The bytes of a block count once, whatever the number of isovalues.
+        let mut bytes = block.bytes;
+        self.start(corners.of_chunk);
+        for (surface, &isovalue) in self.surfaces.iter_mut().zip(question.isovalues) {
+            if is_active(entry.min, entry.max, isovalue) {
+                active.clear();
+                sides.select(&block.tets, &corners.values, isovalue, active);
+                question.keep_in_cut(corners, active);
+                surface.add_active(&corners.cells(active), &question.world, bench);
+                if let Some(reader) = reader.as_mut().filter(|_| !active.is_empty()) {
+                    let used = active.iter().flatten().map(|&v| corners.numbers[v as usize]);
+                    reader.count_active(std::mem::take(&mut bytes), used);
+                }
+            }
+            if let Some(top) = question.caps.filter(|_| isovalue <= entry.max) {
+                active.clear();
+                select_boundary(&corners.cells(&block.tets), top, isovalue, active);
+                surface.add_caps(&corners.cells(active), &question.world, top);
+            }
+        }
+    }
+
+    /// Empties the surfaces before the first block.
+    fn start(&mut self, corners: usize) {
+        if self.started {
+            return;
+        }
+        for (surface, &isovalue) in self.surfaces.iter_mut().zip(self.question.isovalues) {
+            surface.start(isovalue, corners);
+        }
+        self.started = true;
+    }
+
+    /// Active tetrahedra so far, once for each isovalue.
+    pub(super) fn active(&self) -> u64 {
+        self.surfaces.iter().map(|s| if self.started { s.active_cells() } else { 0 }).sum()
+    }
+
+    pub(super) fn finish(mut self) -> ChunkSurfaces {
+        self.start(0);
+        self.surfaces.iter_mut().for_each(|surface| surface.finish(&self.question.world));
+        self.surfaces
+    }
+}
+
+/// The welds of all isovalues, which take chunks in order.
+pub(super) struct Weld<'a> {
+    question: &'a Question<'a>,
+    builders: Vec<(SurfaceBuilder, Closing)>,
+    active_tetrahedra: Vec<u64>,
+    /// Made when first needed: most surfaces fit in memory.
+    horizon: Option<Horizon>,
+    shares: SurfaceShares,
+    /// Where each surface is kept.
+    place: BuilderSettings,
+    memory: u64,
+    done: usize,
+    progress: &'a dyn Progress,
+}
+
+impl<'a> Weld<'a> {
+    pub(super) fn new(
+        question: &'a Question<'a>,
+        settings: &SurfaceSettings,
+        shares: SurfaceShares,
+        Room { scratch, reused }: Room,
+        progress: &'a dyn Progress,
+    ) -> Self {
+        let count = question.isovalues.len();
+        let memory_bytes = usize::try_from(shares.finished / count as u64).unwrap_or(usize::MAX);
+        let place = BuilderSettings { scratch, memory_bytes };
+        let memory = reused.into_iter().chain(std::iter::repeat_with(TriMesh::default)).take(count);
+        let open_edges = shares.open_edges / count as u64;
+        let builder =
+            |memory| (SurfaceBuilder::reusing(&question.world, &place, memory), Closing::new(open_edges));
+        Self {
+            question,
+            builders: memory.map(builder).collect(),
+            active_tetrahedra: vec![0; count],
+            horizon: None,
+            shares,
+            place: place.clone(),
+            memory: settings.memory,
+            done: 0,
+            progress,
+        }
+    }
+
+    /// Adds the next chunk; the buffers go back to `spare`.
+    pub(super) fn push(&mut self, surfaces: ChunkSurfaces, spare: &Spare) -> Result<()> {
+        for (i, surface) in surfaces.iter().enumerate() {
+            self.active_tetrahedra[i] += surface.active_cells();
+            self.builders[i].0.push(surface)?;
+        }
+        spare.give_surfaces(surfaces);
+        let blocks = self.question.work[self.done].blocks.len() as u64;
+        self.done += 1;
+        self.close_edges()?;
+        self.progress.advance(blocks);
+        Ok(())
+    }
+
+    /// Closes shared edges where they have become many.
+    fn close_edges(&mut self) -> Result<()> {
+        let archive = self.question.archive;
+        for (builder, closing) in &mut self.builders {
+            if (builder.open_edges() as u64) < closing.look_at {
+                continue;
+            }
+            let horizon = match self.horizon.take() {
+                Some(horizon) => horizon,
+                None => Horizon::new(archive, self.question.work.iter().map(|w| w.chunk))?,
+            };
+            let beyond = self.horizon.insert(horizon).after(self.done);
+            let place = |id| archive.points.position(id);
+            builder.keep_open(|a, b| match (place(a), place(b)) {
+                (Some(a), Some(b)) => beyond.can_have(a, b),
+                _ => true,
+            })?;
+            if !closing.looked(builder.open_edges() as u64) {
+                let open = builder.open_edges() as u64 * self.question.isovalues.len() as u64;
+                return Err(self.shares.too_many_open(self.memory, open));
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn finish(self) -> Result<Vec<Extracted>> {
+        let step = &self.question.archive.manifest.steps[self.question.step];
+        // Only where tetrahedra are missing does a surface touch itself.
+        let has_holes = step.void_points > 0 || step.plan.source.mesh.is_some();
+        let (place, memory) = (self.place, self.shares.batch);
+        let extracted = |((builder, _), active_tetrahedra): ((SurfaceBuilder, _), u64)| {
+            let surface = builder.finish()?;
+            let surface = if has_holes { split_fans(surface, &place, memory)? } else { surface };
+            Ok(Extracted { surface, active_tetrahedra })
+        };
+        self.builders.into_iter().zip(self.active_tetrahedra).map(extracted).collect()
+    }
+}
+
+/// When to look at the open edges of a surface: whenever they have doubled, which costs a constant number of looks an edge.
+struct Closing {
+    most: u64,
+    look_at: u64,
+}
+
+impl Closing {
+    fn new(most: u64) -> Self {
+        Self { most, look_at: most / 64 + 1 }
+    }
+
+    /// Whether so many may stay open.
+    fn looked(&mut self, open: u64) -> bool {
+        self.look_at = (2 * open).clamp(self.most / 64 + 1, self.most + 1);
+        open <= self.most
+    }
+}

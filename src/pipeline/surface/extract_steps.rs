@@ -1,0 +1,367 @@
+//! Isosurfaces of several steps out of an archive in one pass: what the steps share, tetrahedra and positions, is decoded once.
+//!
+//! ```text
+//!  a chunk:  blocks that can hold an answer at any step ──▶ numbered, without values
+//!            step after step: values of the blocks that can at that step ──▶ its surfaces
+//! ```
+//!
+//! Values are put into the numbered blocks ([`crate::surface::numbered`]) in place; differences are added to those of the step before, which
+//! were just there. Each step has a weld of its own, so a surface is the one that would come out alone, byte by byte.
+//!
+//! A chunk at work takes its blocks and its surfaces at all steps. So as many steps are taken together as memory has room for
+//! ([`Pass::next`]), and finished surfaces that exceed their share of it wait in the scratch folder; where there is a choice, a pass ends before a
+//! keyframe, so that no values are decoded for the differences to them.
+
+use super::extract::{ChunkSurfaces, ChunkWorker, Extracted, Question, Room, Weld};
+use super::ordered::{Last, Line};
+use super::query::{Effort, Made, Prepared, SurfaceSettings, make};
+use crate::error::{Error, Result};
+use crate::exec::Progress;
+use crate::grid::ChunkId;
+use crate::index::Entry;
+use crate::pipeline::plan::{SurfaceShares, estimate};
+use crate::pipeline::read::{
+    Block, Buffers, ChunkReader, NumberedShape, OpenArchive, Spare, ValuesOverTime, chunk_reader,
+};
+use crate::surface::TriMesh;
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+/// Steps that are extracted together, at most: what is done once for all of them is then a tenth of the work.
+const MOST_STEPS: usize = 32;
+/// Bytes of a numbered tetrahedron, with its part of its block.
+const NUMBERED_TET: u64 = 40;
+/// Bytes of the surface in a tetrahedron of a block that can hold an answer, about: 24 a triangle, in one tetrahedron of three.
+const SURFACE_IN_TET: u64 = 8;
+
+/// Steps that are extracted together, and where surfaces are kept meanwhile.
+pub(super) struct Pass {
+    steps: Vec<Prepared>,
+    scratch: PathBuf,
+}
+
+impl Pass {
+    /// The first ones of some steps, as many as are extracted together.
+    pub(super) fn next(
+        archive: &mut OpenArchive,
+        settings: &SurfaceSettings,
+        positions: Range<usize>,
+        scratch: &Path,
+    ) -> Result<Self> {
+        let count = positions.len().min(MOST_STEPS);
+        let is_key = |n: &usize| {
+            let next = archive.manifest.steps.get(positions.start + n);
+            next.is_none_or(|step| step.plan.base.is_none())
+        };
+        let count = (count / 2 + 1..=count).rev().find(is_key).unwrap_or(count);
+        let mut steps = vec![];
+        for position in positions.take(count) {
+            settings.cancel.check()?;
+            archive.turn_to(position);
+            // Nothing of an unpacked step is decoded: it is quickest by itself.
+            let is_alone =
+                archive.unpacked()?.is_some_and(|file| file.table().answers(&settings.kept(archive)));
+            if is_alone && !steps.is_empty() {
+                break;
+            }
+            steps.push(Prepared::new(archive, settings)?);
+            if is_alone {
+                break;
+            }
+        }
+        while steps.len() > 1 && !Work::of(archive, settings, &steps).fits(settings, scratch) {
+            steps.truncate(steps.len() / 2);
+        }
+        Ok(Self { steps, scratch: scratch.to_path_buf() })
+    }
+
+    /// The surfaces of each step, and its position in the manifest. What was read for all of them is told with the first. The memory of surfaces that
+    /// are no longer needed is taken from `reused`.
+    ///
+    /// Where edges that chunks share are too many for several steps, fewer are taken: as many as there are surfaces.
+    pub(super) fn extract(
+        mut self,
+        archive: &mut OpenArchive,
+        settings: &SurfaceSettings,
+        reused: &mut Vec<Vec<TriMesh>>,
+        progress: &dyn Progress,
+    ) -> Result<Vec<(usize, Made)>> {
+        while self.steps.len() > 1 {
+            let (start, read_before) = (Instant::now(), archive.bytes_read());
+            let work = Work::of(archive, settings, &self.steps);
+            let surfaces = match work.extract(settings, &self.scratch, reused, progress) {
+                Err(Error::Budget { .. }) => {
+                    self.steps.truncate(self.steps.len() / 2);
+                    continue;
+                }
+                surfaces => surfaces?,
+            };
+            let mut effort = Effort {
+                bytes_read: archive.bytes_read() - read_before,
+                active_bytes: work.active_bytes.into_inner(),
+                time: start.elapsed(),
+            };
+            let finish = |(step, surfaces): (&Prepared, _)| {
+                let made = step.finish(settings, surfaces, std::mem::take(&mut effort), &self.scratch)?;
+                Ok((step.step, made))
+            };
+            return self.steps.iter().zip(surfaces).map(finish).collect();
+        }
+        let position = self.steps[0].step;
+        archive.turn_to(position);
+        let room = Room { scratch: self.scratch, reused: reused.pop().unwrap_or_default() };
+        Ok(vec![(position, make(archive, settings, room, progress)?)])
+    }
+}
+
+/// What is asked of a chunk.
+#[derive(Default)]
+struct ChunkPart {
+    /// The questions, and what each asks of it, by their numbers.
+    asked: Vec<(usize, usize)>,
+    /// The blocks of all questions, in order, each with a range that holds those at all steps.
+    blocks: Vec<Entry>,
+}
+
+/// The questions of a pass, chunk by chunk.
+struct Work<'a> {
+    archive: &'a OpenArchive,
+    questions: Vec<Question<'a>>,
+    chunks: Vec<(ChunkId, ChunkPart)>,
+    active_bytes: AtomicU64,
+}
+
+impl<'a> Work<'a> {
+    fn of(archive: &'a OpenArchive, settings: &'a SurfaceSettings, steps: &'a [Prepared]) -> Self {
+        let mut chunks: BTreeMap<ChunkId, ChunkPart> = BTreeMap::new();
+        for (question, step) in steps.iter().enumerate() {
+            for (number, work) in step.work.iter().enumerate() {
+                let part = chunks.entry(work.chunk).or_default();
+                part.asked.push((question, number));
+                part.blocks.extend_from_slice(&work.blocks);
+            }
+        }
+        chunks.values_mut().for_each(|part| join(&mut part.blocks));
+        let questions = steps.iter().map(|step| step.question(archive, settings)).collect();
+        Self { archive, questions, chunks: chunks.into_iter().collect(), active_bytes: AtomicU64::new(0) }
+    }
+
+    /// Whether memory suffices for all steps at one time; and disk, where their surfaces may exceed it.
+    fn fits(&self, settings: &SurfaceSettings, scratch: &Path) -> bool {
+        let Ok((shares, _)) = self.shares(settings.memory) else { return false };
+        let blocks = self
+            .questions
+            .iter()
+            .flat_map(|q| q.work.iter().flat_map(move |w| &w.blocks).map(move |b| (q, b)));
+        let tets: u64 = blocks.map(|(q, b)| u64::from(b.tets) * q.times_active(b)).sum();
+        let surfaces = tets.saturating_mul(SURFACE_IN_TET);
+        surfaces <= shares.finished || estimate::free_bytes(scratch).is_none_or(|free| surfaces <= free / 4)
+    }
+
+    /// How memory is shared out, and what each chunk needs of it.
+    fn shares(&self, memory: u64) -> Result<(SurfaceShares, Vec<u64>)> {
+        let bytes: Vec<u64> = self.chunks.iter().map(|(id, part)| self.need(*id, part)).collect();
+        let entries = |q: &Question<'_>| q.work.iter().map(|w| w.blocks.len() as u64).sum::<u64>();
+        let entries = self.questions.iter().map(entries).sum::<u64>()
+            + self.chunks.iter().map(|c| c.1.blocks.len() as u64).sum::<u64>();
+        let shares = SurfaceShares::of(memory, entries, bytes.iter().copied().max().unwrap_or(0))?;
+        Ok((shares, bytes))
+    }
+
+    /// Bytes in which a chunk is extracted.
+    fn need(&self, id: ChunkId, part: &ChunkPart) -> u64 {
+        let tets = |blocks: &[Entry], question: Option<&Question<'_>>| -> u64 {
+            let times = |b: &Entry| question.map_or(1, |q| q.times_active(b));
+            blocks.iter().map(|b| u64::from(b.tets) * times(b)).sum()
+        };
+        let vertices = self.questions[0].vertices_near(id);
+        let surface = |&(question, work): &(usize, usize)| {
+            let question = &self.questions[question];
+            let per_vertex = estimate::SURFACE_PER_VERTEX * question.isovalues.len() as u64;
+            estimate::extraction_bytes(
+                vertices,
+                per_vertex,
+                tets(&question.work[work].blocks, Some(question)),
+            )
+        };
+        let shared = (vertices * chunk_reader::BYTES_PER_VERTEX)
+            .saturating_add(tets(&part.blocks, None) * NUMBERED_TET);
+        part.asked.iter().map(surface).fold(shared, u64::saturating_add)
+    }
+
+    /// The surfaces of each question.
+    fn extract(
+        &self,
+        settings: &SurfaceSettings,
+        scratch: &Path,
+        reused: &mut Vec<Vec<TriMesh>>,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Vec<Extracted>>> {
+        let (shares, bytes) = self.shares(settings.memory)?;
+        let each = shares.of_each(self.questions.len() as u64);
+        let weld = |question| {
+            let room = Room { scratch: scratch.to_path_buf(), reused: reused.pop().unwrap_or_default() };
+            Weld::new(question, settings, each, room, progress)
+        };
+        let welds = self.questions.iter().map(weld).collect();
+        let pool = self.archive.pools.lend(settings.threads)?;
+        let blocks = self.questions.iter().flat_map(|q| q.work).map(|w| w.blocks.len() as u64).sum();
+        progress.begin("surface", blocks, "blocks");
+        let spare = Spare::default();
+        let extract = |n: usize| {
+            settings.cancel.check()?;
+            self.chunk_surfaces(n, &spare)
+        };
+        let welder = Welder { work: self, welds, spare: &spare };
+        let welder = Line::new(bytes, shares.batch, &pool, extract, welder).run(&pool)?;
+        welder.welds.into_iter().map(Weld::finish).collect()
+    }
+
+    /// The surfaces of a chunk, of each question that is asked of it.
+    fn chunk_surfaces(&self, n: usize, spare: &Spare) -> Result<Vec<ChunkSurfaces>> {
+        let (id, part) = &self.chunks[n];
+        let mut buffers = spare.buffers();
+        let mut reader = ChunkReader::open(self.archive, *id, std::mem::take(&mut buffers.reader))?;
+        let shapes = self.shapes(part, &mut reader, &mut buffers)?;
+        let values = ValuesOverTime::new(self.archive, *id, reader.vertices());
+        buffers.reader = reader.into_memory();
+        let mut chunk = ShapedChunk { part, shapes, values, active_bytes: 0 };
+        let surfaces = |&(question, work): &(usize, usize)| {
+            let question = &self.questions[question];
+            chunk.surfaces(question, &question.work[work].blocks, &mut buffers, spare)
+        };
+        let surfaces = part.asked.iter().map(surfaces).collect();
+        self.active_bytes.fetch_add(chunk.active_bytes, Ordering::Relaxed);
+        spare.give_buffers(buffers);
+        surfaces
+    }
+
+    /// The blocks of a chunk; none in place of one that nobody wants.
+    fn shapes(
+        &self,
+        part: &ChunkPart,
+        reader: &mut ChunkReader<'_>,
+        Buffers { block, bench, .. }: &mut Buffers,
+    ) -> Result<Vec<Option<Shape>>> {
+        let shape = |entry: &Entry| {
+            if !reader.shape(entry.block, &self.questions[0].wanted(entry), block)? {
+                return Ok(None);
+            }
+            let (bytes, mut value_blocks) = (block.bytes, vec![]);
+            let of = |&n: &u32| reader.value_blocks().of(n as usize) as u32;
+            value_blocks.extend(block.corners.numbers.iter().map(of));
+            value_blocks.dedup();
+            value_blocks.sort_unstable();
+            value_blocks.dedup();
+            let corners = match NumberedShape::of(block, bench) {
+                Some(shape) => ShapeCorners::Numbered(shape),
+                None => ShapeCorners::Plain(Box::new(std::mem::take(block))),
+            };
+            Ok(Some(Shape { corners, value_blocks: value_blocks.into(), bytes }))
+        };
+        part.blocks.iter().map(shape).collect()
+    }
+}
+
+/// Sorts blocks, and makes one of those with the same number.
+fn join(blocks: &mut Vec<Entry>) {
+    blocks.sort_unstable_by_key(Entry::place);
+    blocks.dedup_by(|next, joined| {
+        let same = next.place() == joined.place();
+        if same {
+            (joined.min, joined.max) = (joined.min.min(next.min), joined.max.max(next.max));
+            joined.tets = joined.tets.max(next.tets);
+        }
+        same
+    });
+}
+
+/// A block whose corners are given the values of one step after another.
+struct Shape {
+    corners: ShapeCorners,
+    /// The blocks of values that have some of its corners.
+    value_blocks: Box<[u32]>,
+    /// Bytes that its tetrahedra took in the archive; 0 once they were counted.
+    bytes: u64,
+}
+
+enum ShapeCorners {
+    Numbered(NumberedShape),
+    /// One with too many corners to be numbered, which is rare.
+    Plain(Box<Block>),
+}
+
+/// A chunk of which the blocks have been read.
+struct ShapedChunk<'a> {
+    part: &'a ChunkPart,
+    shapes: Vec<Option<Shape>>,
+    values: ValuesOverTime<'a>,
+    active_bytes: u64,
+}
+
+impl ShapedChunk<'_> {
+    /// The surfaces of a question in some of the blocks.
+    fn surfaces(
+        &mut self,
+        question: &Question<'_>,
+        blocks: &[Entry],
+        buffers: &mut Buffers,
+        spare: &Spare,
+    ) -> Result<ChunkSurfaces> {
+        let Self { part, shapes, values, active_bytes } = self;
+        let mut worker = ChunkWorker::new(question, spare);
+        let mut all = part.blocks.iter().zip(shapes);
+        for entry in blocks {
+            let (_, shape) = all
+                .find(|(any, _)| any.block == entry.block)
+                .expect("the blocks of a question are among those of all, in order");
+            let Some(Shape { corners, value_blocks, bytes }) = shape else { continue };
+            for &block in &**value_blocks {
+                values.load(block as usize, question.step)?;
+            }
+            let before = worker.active();
+            match corners {
+                ShapeCorners::Numbered(shape) => {
+                    shape.numbered.set_values(values.values());
+                    worker.add_shape(entry, shape, buffers);
+                }
+                ShapeCorners::Plain(block) => {
+                    std::mem::swap(&mut **block, &mut buffers.block);
+                    buffers.block.corners.take_values(values.values());
+                    worker.add(entry, buffers, None);
+                    std::mem::swap(&mut **block, &mut buffers.block);
+                }
+            }
+            if worker.active() > before {
+                *active_bytes += std::mem::take(bytes);
+                *active_bytes +=
+                    value_blocks.iter().map(|&block| values.take_bytes(block as usize)).sum::<u64>();
+            }
+        }
+        Ok(worker.finish())
+    }
+}
+
+/// Takes chunks in order.
+struct Welder<'a> {
+    work: &'a Work<'a>,
+    /// Of each question.
+    welds: Vec<Weld<'a>>,
+    spare: &'a Spare,
+}
+
+impl Last for Welder<'_> {
+    type Piece = Vec<ChunkSurfaces>;
+
+    fn take(&mut self, n: usize, piece: Vec<ChunkSurfaces>) -> Result<()> {
+        let (id, part) = &self.work.chunks[n];
+        self.work.archive.close_before(*id);
+        for (&(question, _), surfaces) in part.asked.iter().zip(piece) {
+            self.welds[question].push(surfaces, self.spare)?;
+        }
+        Ok(())
+    }
+}

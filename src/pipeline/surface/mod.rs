@@ -1,0 +1,28 @@
+//! Questions whose answer is a surface, or its size.
+//!
+//! ```text
+//!  query: settings ─▶ index ─▶ active blocks ─▶ extract: chunk by chunk ─▶ weld ─▶ refine ─▶ file
+//! ```
+//!
+//! [`extract_steps`] answers for many steps at once, [`unpack`] stores blocks as extraction uses them.
+
+mod extract;
+mod extract_steps;
+mod ordered;
+mod query;
+mod refine;
+mod series;
+mod unpack;
+mod unpacked;
+
+pub use query::{
+    CountReport, OneSurface, SurfaceReport, SurfaceSettings, count_active, count_active_at, extract_surface,
+};
+pub(super) use query::{count, surfaces_in_memory, write_surfaces};
+pub use refine::{Refine, RefineReport};
+pub(super) use series::surfaces_of_steps;
+pub use series::{SeriesReport, StepSurfaces, extract_series};
+pub(super) use unpack::check_unpacked;
+pub use unpack::{
+    UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked, unpack, unpack_need,
+};

@@ -1,0 +1,654 @@
+//! Questions to an archive: the index names the blocks that can hold an answer; those are read, and no others.
+
+use super::extract::{ChunkWork, Extracted, Question, Room, by_chunk, extract_surfaces};
+use super::refine::{Means, Refine, RefineReport};
+use crate::bytes::remote::{self, Traffic};
+use crate::error::{Error, Result};
+use crate::exec::{CancelToken, Progress, Silent, pool};
+use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
+use crate::grid::ChunkId;
+use crate::index::Entry;
+use crate::mesh::tet::is_active;
+use crate::pipeline::plan::estimate;
+use crate::pipeline::read::{
+    Block, ChunkReader, Cut, Needed, OpenArchive, Ranges, ReaderMemory, Roi, RoiSpace, StepChoice, Wanted,
+    in_memory, in_world, world_map,
+};
+use crate::surface::clip::clip;
+use crate::surface::marching_tets::Sides;
+use crate::surface::weld::BuilderSettings;
+use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicU64;
+use std::time::{Duration, Instant};
+
+/// How surfaces are extracted.
+#[derive(Clone, Debug)]
+pub struct SurfaceSettings {
+    /// The isovalues, each once: a value `>=` it is inside. All are extracted in one pass.
+    pub isovalues: Vec<f64>,
+    /// The box at which the surfaces are cut; the whole domain if not given.
+    pub roi: Option<Roi>,
+    /// Threads; 0 means as many as the process may use.
+    pub threads: usize,
+    /// Bytes for everything that grows with the surface.
+    pub memory: u64,
+    /// Folder for what does not fit in memory; the output's folder if not given.
+    pub scratch: Option<PathBuf>,
+    /// Close the surfaces where the domain ends.
+    pub cap: bool,
+    /// The step, or a time.
+    pub step: StepChoice,
+    /// What is done to each surface before it is written.
+    pub refine: Refine,
+    /// Stops the extraction; nothing is written then.
+    pub cancel: CancelToken,
+}
+
+impl Default for SurfaceSettings {
+    fn default() -> Self {
+        Self {
+            isovalues: vec![0.0],
+            roi: None,
+            threads: 0,
+            memory: crate::exec::usable_memory() / 2,
+            scratch: None,
+            cap: false,
+            step: StepChoice::First,
+            refine: Refine::default(),
+            cancel: CancelToken::new(),
+        }
+    }
+}
+
+impl SurfaceSettings {
+    /// The default settings for an isovalue.
+    pub fn of(isovalue: impl Into<f64>) -> Self {
+        Self { isovalues: vec![isovalue.into()], ..Self::default() }
+    }
+
+    /// The isovalues as the archive has values.
+    pub(super) fn kept(&self, archive: &OpenArchive) -> Vec<f32> {
+        let source = &archive.step().plan.source;
+        self.isovalues.iter().map(|&v| source.kept(v)).collect()
+    }
+
+    /// Whether a surface can have a triangle where values are in this range.
+    pub(super) fn can_answer(&self, archive: &OpenArchive) -> bool {
+        let Some([lo, hi]) = archive.value_range() else { return false };
+        self.kept(archive).into_iter().any(|v| is_active(lo, hi, v) || self.cap && v <= hi)
+    }
+
+    /// The folder for what does not fit in memory, of a file.
+    pub(super) fn scratch_of(&self, out: &Path) -> PathBuf {
+        self.scratch.clone().unwrap_or_else(|| parent_of(out))
+    }
+
+    pub(super) fn check(&self) -> Result<()> {
+        self.refine.check()?;
+        if self.cap && self.roi.is_some() {
+            return Err(Error::usage(
+                "caps close a surface at the ends of the domain, not at those of a region of interest",
+            ));
+        }
+        if self.isovalues.is_empty() {
+            return Err(Error::usage("give at least one isovalue"));
+        }
+        for (i, &isovalue) in self.isovalues.iter().enumerate() {
+            finite(isovalue)?;
+            if self.isovalues[..i].contains(&isovalue) {
+                return Err(Error::usage(format!("the isovalue {isovalue} is given twice")));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What a surface extraction found and read; counts are of all surfaces together.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct SurfaceReport {
+    /// Each surface, in the order of the isovalues.
+    pub surfaces: Vec<OneSurface>,
+    /// Least and largest value of the archive.
+    pub range: Option<[f64; 2]>,
+    /// The box at which the surfaces were cut.
+    pub roi: Option<Roi>,
+    /// Vertices written.
+    pub vertices: u64,
+    /// Triangles written.
+    pub triangles: u64,
+    /// Bytes of the files written.
+    pub file_bytes: u64,
+    /// Points of the archive.
+    pub points: u64,
+    /// Tetrahedra of the archive.
+    pub tetrahedra: u64,
+    /// Tetrahedra that a surface crosses, once for each.
+    pub active_tetrahedra: u64,
+    /// Tetrahedron blocks of the archive.
+    pub blocks: u64,
+    /// Blocks read.
+    pub active_blocks: u64,
+    /// Chunks of the archive.
+    pub chunks: u64,
+    /// Chunks that blocks were read of.
+    pub active_chunks: u64,
+    /// Bytes read: manifest, index pages, chunk headers, blocks, values. An [`crate::Archive`] reads neither the manifest again nor
+    /// blocks that it has kept.
+    pub bytes_read: u64,
+    /// Bytes of the blocks read, of tetrahedra and of values, that hold an active tetrahedron: what no reader could do without.
+    pub active_bytes: u64,
+    /// Bytes of the archive.
+    pub archive_bytes: u64,
+    /// Of an archive on a server: what was fetched from there meanwhile.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub remote: Option<Traffic>,
+    /// Seconds of wall time of each stage.
+    pub seconds: Vec<(String, f64)>,
+}
+
+/// One of the surfaces of an extraction.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct OneSurface {
+    /// Its isovalue.
+    pub isovalue: f64,
+    /// The file that it is in.
+    pub file: PathBuf,
+    /// Whether no value lies below the isovalue, or none at or above it; then the surface is empty.
+    pub outside_range: bool,
+    /// Vertices.
+    pub vertices: u64,
+    /// Triangles.
+    pub triangles: u64,
+    /// Tetrahedra that the surface crosses: those that touch the region of interest.
+    pub active_tetrahedra: u64,
+    /// What was done to the surface after its extraction.
+    #[serde(flatten)]
+    pub refined: RefineReport,
+}
+
+/// How many tetrahedra an isosurface crosses.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct CountReport {
+    /// The isovalue.
+    pub isovalue: f64,
+    /// Tetrahedra that the surface crosses.
+    pub active_tetrahedra: u64,
+    /// Tetrahedra of the archive.
+    pub tetrahedra: u64,
+    /// Whether the number was stored; otherwise the blocks of the isovalue were decoded.
+    pub stored: bool,
+    /// Bytes read for it: the manifest, the spectrum's knots and a page of its levels; also index pages and blocks where it
+    /// was not stored.
+    pub bytes_read: u64,
+}
+
+fn finite(isovalue: f64) -> Result<()> {
+    if (isovalue as f32).is_finite() {
+        Ok(())
+    } else {
+        Err(Error::usage("the isovalue must be a finite number"))
+    }
+}
+
+/// Counts the active tetrahedra of an isovalue, exactly: from the spectrum where it is stored ([`crate::spectrum`]: at any
+/// isovalue of a few digits), else by decoding the active blocks.
+///
+/// # Errors
+/// [`Error::BadInput`] for a damaged archive.
+pub fn count_active(path: &Path, isovalue: impl Into<f64>) -> Result<CountReport> {
+    count_active_at(path, StepChoice::First, isovalue)
+}
+
+/// As [`count_active`], at a step or a time. Between two steps, where nothing is stored, blocks are decoded.
+///
+/// # Errors
+/// As [`count_active`]; [`Error::Usage`] for a step or a time that is not in the archive.
+pub fn count_active_at(path: &Path, step: StepChoice, isovalue: impl Into<f64>) -> Result<CountReport> {
+    let archive = OpenArchive::open_at(path, step)?;
+    let report = count(&archive, isovalue.into())?;
+    Ok(CountReport { bytes_read: report.bytes_read + archive.manifest_bytes()?, ..report })
+}
+
+/// As [`count_active`], of an archive that is open; bytes that were read before are not in the report.
+pub(in crate::pipeline) fn count(archive: &OpenArchive, told: f64) -> Result<CountReport> {
+    finite(told)?;
+    let isovalue = archive.step().plan.source.kept(told);
+    let read_before = archive.bytes_read();
+    let spectrum = if archive.view.beyond.is_none() { archive.spectrum()? } else { None };
+    let stored = match &spectrum {
+        Some(file) => file.active(isovalue)?,
+        None => archive.view.beyond.is_none().then_some(0),
+    };
+    let mut bytes_read = spectrum.map_or(0, |f| f.bytes_read()) + archive.bytes_read() - read_before;
+    let active_tetrahedra = match stored {
+        Some(n) => n,
+        None => {
+            let (n, bytes) = decoded_count(archive, isovalue)?;
+            bytes_read += bytes;
+            n
+        }
+    };
+    Ok(CountReport {
+        isovalue: told,
+        active_tetrahedra,
+        tetrahedra: archive.manifest.counts.tetrahedra,
+        stored: stored.is_some(),
+        bytes_read,
+    })
+}
+
+/// Decodes the active blocks; also tells the bytes read.
+fn decoded_count(archive: &OpenArchive, isovalue: f32) -> Result<(u64, u64)> {
+    let (index, read_before) = (archive.ranges()?, archive.bytes_read());
+    let refs = index.query_any(&[isovalue])?;
+    let count = |work: &ChunkWork| count_in_chunk(archive, work, isovalue);
+    let chunks = by_chunk(archive, &refs)?;
+    let active = pool(0)?.install(|| chunks.par_iter().map(count).sum::<Result<u64>>())?;
+    Ok((active, index.bytes_read() + archive.bytes_read() - read_before))
+}
+
+fn count_in_chunk(archive: &OpenArchive, work: &ChunkWork, isovalue: f32) -> Result<u64> {
+    let mut reader = ChunkReader::open(archive, work.chunk, ReaderMemory::default())?;
+    let (mut block, mut sides, mut active, mut count) = (Block::default(), Sides::default(), vec![], 0);
+    for entry in &work.blocks {
+        reader.block(entry.block, &Wanted::All, &Needed::ForActive(&[isovalue]), &mut block)?;
+        active.clear();
+        sides.select(&block.tets, &block.corners.values, isovalue, &mut active);
+        count += active.len() as u64;
+    }
+    Ok(count)
+}
+
+/// What in a file's name stands for the isovalue.
+const PLACEHOLDER: &str = "{}";
+
+/// Extracts isosurfaces to a file, or, where the file's name holds `{}`, each to a file with its isovalue in that place.
+///
+/// All isovalues are extracted in one pass, in which each block is decoded once; each surface is the one that would come out alone.
+/// In one file they follow each other, named as the format can. Chunks are decoded and extracted in parallel, a batch at
+/// a time, and welded in chunk order: the bytes do not depend on the number of threads, nor on memory. Vertices
+/// and triangles that memory does not hold wait in the scratch folder. An isovalue outside the values' range gives an
+/// empty, valid surface.
+///
+/// # Errors
+/// [`Error::BadInput`] for a damaged archive; [`Error::Budget`] when the memory does not suffice; [`Error::Usage`] for settings
+/// that make no sense; those of writing a file, of which nothing is left then.
+pub fn extract_surface(
+    path: &Path,
+    settings: &SurfaceSettings,
+    out: &Path,
+    format: SurfaceFormat,
+    progress: &dyn Progress,
+) -> Result<SurfaceReport> {
+    settings.check()?;
+    let start = Instant::now();
+    let before = remote::traffic(path);
+    let archive = OpenArchive::open_at(path, settings.step)?;
+    let manifest_bytes = archive.manifest_bytes()?;
+    let report = write_surfaces(&archive, settings, out, format, progress)?;
+    let mut report = SurfaceReport { bytes_read: report.bytes_read + manifest_bytes, ..report };
+    // Opening is part of the first stage.
+    let stages: f64 = report.seconds.iter().map(|s| s.1).sum();
+    report.seconds[0].1 += (start.elapsed().as_secs_f64() - stages).max(0.0);
+    report.remote = remote::traffic(path).zip(before).map(|(now, before)| Traffic {
+        requests: now.requests - before.requests,
+        bytes: now.bytes - before.bytes,
+    });
+    Ok(report)
+}
+
+/// As [`extract_surface`], from an archive that is open; bytes that were read before are not in the report.
+pub(in crate::pipeline) fn write_surfaces(
+    archive: &OpenArchive,
+    settings: &SurfaceSettings,
+    out: &Path,
+    format: SurfaceFormat,
+    progress: &dyn Progress,
+) -> Result<SurfaceReport> {
+    let scratch = settings.scratch_of(out);
+    let made = make(archive, settings, Room { scratch, reused: vec![] }, progress)?;
+    Ok(write_made(archive, settings, made, out, format)?.0)
+}
+
+/// Writes surfaces of the step that is looked at; they come back with the report.
+pub(super) fn write_made(
+    archive: &OpenArchive,
+    settings: &SurfaceSettings,
+    mut made: Made,
+    out: &Path,
+    format: SurfaceFormat,
+) -> Result<(SurfaceReport, Vec<Extracted>)> {
+    let start = Instant::now();
+    let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
+    let file_bytes = write_all(archive, &made.surfaces, &settings.isovalues, out, format, &comment)?;
+    made.seconds.push(("write", start.elapsed()));
+    let totals = &archive.manifest.counts;
+    let surfaces = describe(archive, &made.surfaces, made.refined, &settings.isovalues, out);
+    let report = SurfaceReport {
+        range: archive.told_range(),
+        roi: settings.roi,
+        vertices: surfaces.iter().map(|s| s.vertices).sum(),
+        triangles: surfaces.iter().map(|s| s.triangles).sum(),
+        file_bytes,
+        points: totals.points,
+        tetrahedra: totals.tetrahedra,
+        active_tetrahedra: surfaces.iter().map(|s| s.active_tetrahedra).sum(),
+        surfaces,
+        blocks: archive.block_total(),
+        active_blocks: made.active_blocks,
+        chunks: totals.chunks,
+        active_chunks: made.active_chunks,
+        bytes_read: made.bytes_read,
+        active_bytes: made.active_bytes,
+        archive_bytes: archive.bytes()?,
+        remote: None,
+        seconds: made.seconds.iter().map(|(name, time)| ((*name).to_owned(), time.as_secs_f64())).collect(),
+    };
+    Ok((report, made.surfaces))
+}
+
+/// Surfaces, cut and refined, and what was read for them.
+pub(super) struct Made {
+    pub(super) surfaces: Vec<Extracted>,
+    refined: Vec<RefineReport>,
+    active_blocks: u64,
+    active_chunks: u64,
+    bytes_read: u64,
+    active_bytes: u64,
+    seconds: Vec<(&'static str, Duration)>,
+}
+
+/// A question about a step, and the blocks that can hold an answer.
+pub(super) struct Prepared {
+    /// Position of the step in the manifest.
+    pub(super) step: usize,
+    pub(super) work: Vec<ChunkWork>,
+    /// The isovalues, as the archive has values.
+    isovalues: Vec<f32>,
+    cut: Option<Cut>,
+    world: WorldMap,
+    /// Bytes of the index that were read, and the time that it took.
+    index_bytes: u64,
+    opened: Duration,
+}
+
+/// What extraction has read, and its time.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Effort {
+    pub(super) bytes_read: u64,
+    pub(super) active_bytes: u64,
+    pub(super) time: Duration,
+}
+
+impl Prepared {
+    /// About the step that is looked at.
+    pub(super) fn new(archive: &OpenArchive, settings: &SurfaceSettings) -> Result<Self> {
+        let start = Instant::now();
+        let cut = cut_of(archive, settings)?;
+        // What the range of all values tells needs no index.
+        let index = settings.can_answer(archive).then(|| archive.ranges()).transpose()?;
+        let work = match &index {
+            Some(index) => work_of(archive, index, settings, cut.as_ref())?,
+            None => vec![],
+        };
+        Ok(Self {
+            step: archive.view.step,
+            work,
+            isovalues: settings.kept(archive),
+            cut,
+            world: world_map(archive),
+            index_bytes: index.map_or(0, |i| i.bytes_read()),
+            opened: start.elapsed(),
+        })
+    }
+
+    pub(super) fn question<'a>(
+        &'a self,
+        archive: &'a OpenArchive,
+        settings: &'a SurfaceSettings,
+    ) -> Question<'a> {
+        Question {
+            archive,
+            step: self.step,
+            isovalues: &self.isovalues,
+            cut: self.cut.as_ref(),
+            world: self.world,
+            caps: settings.cap.then(|| archive.manifest.plan.lattice.max()),
+            work: &self.work,
+            active_bytes: AtomicU64::new(0),
+        }
+    }
+
+    /// Cuts and refines what was extracted.
+    pub(super) fn finish(
+        &self,
+        settings: &SurfaceSettings,
+        mut surfaces: Vec<Extracted>,
+        effort: Effort,
+        scratch: &Path,
+    ) -> Result<Made> {
+        let start = Instant::now();
+        if let Some(cut) = &self.cut {
+            cut_all(&mut surfaces, cut, settings.memory, scratch)?;
+        }
+        let extracted = effort.time + start.elapsed();
+        let start = Instant::now();
+        let (surfaces, refined) = refine_all(surfaces, settings, scratch)?;
+        Ok(Made {
+            surfaces,
+            refined,
+            active_blocks: self.work.iter().map(|w| w.blocks.len() as u64).sum(),
+            active_chunks: self.work.len() as u64,
+            bytes_read: self.index_bytes + effort.bytes_read,
+            active_bytes: effort.active_bytes,
+            seconds: vec![("open, index", self.opened), ("extract", extracted), ("refine", start.elapsed())],
+        })
+    }
+}
+
+pub(super) fn make(
+    archive: &OpenArchive,
+    settings: &SurfaceSettings,
+    room: Room,
+    progress: &dyn Progress,
+) -> Result<Made> {
+    settings.check()?;
+    let read_before = archive.bytes_read();
+    let prepared = Prepared::new(archive, settings)?;
+    let (start, scratch) = (Instant::now(), room.scratch.clone());
+    let question = prepared.question(archive, settings);
+    let surfaces = extract_surfaces(&question, settings, room, progress)?;
+    let effort = Effort {
+        bytes_read: archive.bytes_read() - read_before,
+        active_bytes: question.active_bytes.into_inner(),
+        time: start.elapsed(),
+    };
+    prepared.finish(settings, surfaces, effort, &scratch)
+}
+
+fn cut_of(archive: &OpenArchive, settings: &SurfaceSettings) -> Result<Option<Cut>> {
+    let Some(roi) = settings.roi else { return Ok(None) };
+    if roi.space == RoiSpace::World {
+        archive.refuse_coordinates("a cut at a box of the world")?;
+    }
+    let source = &archive.step().plan.source;
+    roi.cut(&source.geometry, source.dims, archive.manifest.plan.lattice.log2_steps).map(Some)
+}
+
+/// The blocks that are read.
+fn work_of(
+    archive: &OpenArchive,
+    index: &Ranges<'_>,
+    settings: &SurfaceSettings,
+    cut: Option<&Cut>,
+) -> Result<Vec<ChunkWork>> {
+    let isovalues = settings.kept(archive);
+    let refs =
+        if settings.cap { with_inside(archive, index, &isovalues)? } else { index.query_any(&isovalues)? };
+    let work = by_chunk(archive, &refs)?;
+    match cut {
+        Some(cut) => touching(archive, cut, work),
+        None => Ok(work),
+    }
+}
+
+/// Isosurfaces in memory, in the order of the isovalues; in that of `reused`, as far as it goes.
+pub(in crate::pipeline) fn surfaces_in_memory(
+    archive: &OpenArchive,
+    settings: &SurfaceSettings,
+    reused: Vec<TriMesh>,
+) -> Result<Vec<TriMesh>> {
+    let scratch = settings.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let made = make(archive, settings, Room { scratch, reused }, &Silent)?;
+    made.surfaces.into_iter().map(|found| in_memory(archive, found.surface)).collect()
+}
+
+/// The blocks that are active, and those inside of chunks at the ends of the domain.
+fn with_inside(archive: &OpenArchive, index: &Ranges<'_>, isovalues: &[f32]) -> Result<Vec<Entry>> {
+    let ends = chunks_at_ends(archive)?;
+    let lowest = isovalues.iter().copied().fold(f32::INFINITY, f32::min);
+    let mut refs = index.query_any(isovalues)?;
+    // A chunk that is not there is named later.
+    refs.extend(index.query_inside(lowest, |id| ends.get(id as usize).copied().unwrap_or(true))?);
+    refs.sort_unstable_by_key(Entry::place);
+    refs.dedup_by_key(|e| e.place());
+    Ok(refs)
+}
+
+/// Whether a tetrahedron of a chunk may reach the ends of the domain, for each chunk.
+fn chunks_at_ends(archive: &OpenArchive) -> Result<Vec<bool>> {
+    let domain = archive.chunks.bricks().lattice.domain();
+    let halo = estimate::Halo::of(&archive.manifest.plan);
+    let reaches_ends = |id: ChunkId| {
+        let core = archive.chunks.chunk(id).core;
+        let reaches = |retries| {
+            let region = estimate::region(&archive.points, &core, &domain, halo, retries);
+            (0..3).any(|a| region.lo[a] == domain.lo[a] || region.hi[a] == domain.hi[a])
+        };
+        archive.close_before(id);
+        // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was widened.
+        Ok(reaches(0) || reaches(archive.segment_of(id)?.mesh.mesh_summary(id)?.retries))
+    };
+    (0..archive.chunks.len()).map(|id| reaches_ends(ChunkId(id))).collect()
+}
+
+/// Refines the surfaces, one after another.
+fn refine_all(
+    surfaces: Vec<Extracted>,
+    settings: &SurfaceSettings,
+    scratch: &Path,
+) -> Result<(Vec<Extracted>, Vec<RefineReport>)> {
+    let means = Means {
+        memory: settings.memory,
+        surfaces: surfaces.len() as u64,
+        threads: settings.threads,
+        scratch,
+        cancel: &settings.cancel,
+    };
+    let refine = |e: Extracted| {
+        let (surface, report) = settings.refine.apply(e.surface, &means)?;
+        Ok((Extracted { surface, ..e }, report))
+    };
+    surfaces.into_iter().map(refine).collect()
+}
+
+/// The chunks of which a tetrahedron may touch the cut.
+fn touching(archive: &OpenArchive, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<ChunkWork>> {
+    let domain = archive.chunks.bricks().lattice.domain();
+    let halo = estimate::Halo::of(&archive.manifest.plan);
+    let touches = |id: ChunkId| {
+        let core = archive.chunks.chunk(id).core;
+        let reaches =
+            |retries| cut.may_touch_box(&estimate::region(&archive.points, &core, &domain, halo, retries));
+        // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was widened.
+        Ok(reaches(0) || reaches(archive.segment_of(id)?.mesh.mesh_summary(id)?.retries))
+    };
+    let keep = |w: ChunkWork| match touches(w.chunk) {
+        Ok(touches) => touches.then_some(Ok(w)),
+        Err(e) => Some(Err(e)),
+    };
+    work.into_iter().filter_map(keep).collect()
+}
+
+/// Cuts the surfaces, one after another.
+fn cut_all(surfaces: &mut [Extracted], cut: &Cut, memory: u64, scratch: &Path) -> Result<()> {
+    // An eighth holds finished surfaces, as while they were extracted; another those that are made from them.
+    let memory_bytes = usize::try_from(memory / 8 / surfaces.len() as u64).unwrap_or(usize::MAX);
+    let settings = BuilderSettings { memory_bytes, scratch: scratch.to_path_buf() };
+    for extracted in surfaces {
+        extracted.surface = clip(&extracted.surface, &cut.half_spaces, &settings, memory / 2)
+            .map_err(|e| e.of_share(memory / 2, memory))?;
+    }
+    Ok(())
+}
+
+/// Whether each isovalue has a file of its own.
+pub(super) fn is_each_alone(out: &Path) -> bool {
+    out.file_name().is_some_and(|name| name.to_string_lossy().contains(PLACEHOLDER))
+}
+
+/// The file of an isovalue.
+pub(super) fn file_of(out: &Path, isovalue: f64) -> PathBuf {
+    match out.file_name().and_then(|name| name.to_str()) {
+        Some(name) => out.with_file_name(name.replace(PLACEHOLDER, &isovalue.to_string())),
+        None => out.to_path_buf(),
+    }
+}
+
+/// Writes one file, or a file each; returns the bytes of all.
+fn write_all(
+    archive: &OpenArchive,
+    surfaces: &[Extracted],
+    isovalues: &[f64],
+    out: &Path,
+    format: SurfaceFormat,
+    comment: &str,
+) -> Result<u64> {
+    let meta =
+        |isovalue: Option<f64>| SurfaceMeta { isovalue, comments: vec![comment.to_owned()], parts: vec![] };
+    if is_each_alone(out) || surfaces.len() == 1 {
+        let write = |(s, &v): (&Extracted, &f64)| {
+            in_world(archive, &s.surface, |s| write_surface(s, &file_of(out, v), format, &meta(Some(v))))
+        };
+        return surfaces.iter().zip(isovalues).map(write).sum();
+    }
+    let part = |(s, &v): (&Extracted, &f64)| SurfacePart {
+        isovalue: v,
+        vertices: s.surface.vertex_count(),
+        triangles: s.surface.triangle_count(),
+    };
+    let parts = surfaces.iter().zip(isovalues).map(part).collect();
+    let joined = Joined::new(surfaces.iter().map(|s| &s.surface as &dyn SurfaceSource).collect());
+    in_world(archive, &joined, |s| write_surface(s, out, format, &SurfaceMeta { parts, ..meta(None) }))
+}
+
+fn describe(
+    archive: &OpenArchive,
+    surfaces: &[Extracted],
+    refined: Vec<RefineReport>,
+    isovalues: &[f64],
+    out: &Path,
+) -> Vec<OneSurface> {
+    let (range, source) = (archive.value_range(), &archive.step().plan.source);
+    let is_outside = |v: f32| range.is_none_or(|[lo, hi]| v <= lo || v > hi);
+    let one = |((s, &isovalue), refined): ((&Extracted, &f64), RefineReport)| OneSurface {
+        isovalue,
+        file: file_of(out, isovalue),
+        outside_range: is_outside(source.kept(isovalue)),
+        vertices: s.surface.vertex_count(),
+        triangles: s.surface.triangle_count(),
+        active_tetrahedra: s.active_tetrahedra,
+        refined,
+    };
+    surfaces.iter().zip(isovalues).zip(refined).map(one).collect()
+}
+
+fn parent_of(file: &Path) -> PathBuf {
+    match file.parent() {
+        Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
+        _ => PathBuf::from("."),
+    }
+}

@@ -1,0 +1,228 @@
+//! Isosurfaces of many steps: a file each, and a list of the files with their times.
+//!
+//! `out_%04d.vtp` gives `out_0000.vtp`, `out_0001.vtp`, … and `out.pvd`; of other formats the list is ParaView's JSON, `out.ply.series`. Both are read
+//! by ParaView, and by [`crate::formats::steps_of`]. Several steps are extracted in one pass (`extract_steps.rs`). A step whose values all lie on one side of the isovalues is not read: its file is an empty
+//! surface, so that the list has all steps.
+
+use super::extract_steps::Pass;
+use super::query::{Made, SurfaceReport, SurfaceSettings, file_of, is_each_alone, write_made};
+use crate::archive::publish::Unpublished;
+use crate::error::{Error, Result};
+use crate::exec::{Progress, Silent};
+use crate::formats::surface::SurfaceFormat;
+use crate::pipeline::read::{OpenArchive, StepRange, in_memory};
+use crate::surface::TriMesh;
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// The surfaces of a step.
+#[derive(Clone, Debug, Serialize)]
+pub struct StepSurfaces {
+    /// Number of the step.
+    pub step: u64,
+    /// Its time, or its number where it has none.
+    pub time: f64,
+    /// Whether nothing was read, as the range of its values tells that the surfaces are empty.
+    pub skipped: bool,
+    /// What was extracted. Several steps are extracted together: what was read for all of them, and the time that it took, is told with the
+    /// first.
+    #[serde(flatten)]
+    pub report: SurfaceReport,
+}
+
+/// The surfaces of many steps.
+#[derive(Clone, Debug, Serialize)]
+pub struct SeriesReport {
+    /// Step by step.
+    pub steps: Vec<StepSurfaces>,
+    /// Steps that were skipped.
+    pub skipped: u64,
+    /// The lists of the files: one, or one for each isovalue where these have files of their own.
+    pub lists: Vec<PathBuf>,
+}
+
+/// Extracts isosurfaces of many steps, as [`super::extract_surface`] does of one; the file's name holds `%d` or `%04d` in place of the
+/// step's number.
+///
+/// # Errors
+/// Those of [`super::extract_surface`]; [`Error::Usage`] for a name without that place, and when no step is in the range.
+pub fn extract_series(
+    path: &Path,
+    steps: StepRange,
+    settings: &SurfaceSettings,
+    out: &Path,
+    format: SurfaceFormat,
+    progress: &dyn Progress,
+) -> Result<SeriesReport> {
+    settings.check()?;
+    let place = Place::in_name(out)?;
+    let scratch = settings.scratch_of(out);
+    let mut archive = OpenArchive::open(path)?;
+    let mut made: Vec<StepSurfaces> = vec![];
+    let mut write = |archive: &OpenArchive, surfaces| {
+        let plan = &archive.step().plan;
+        let (step, time) = (plan.number, plan.time_or_number());
+        let (report, surfaces) = write_made(archive, settings, surfaces, &place.name(step), format)?;
+        made.push(StepSurfaces { step, time, skipped: !settings.can_answer(archive), report });
+        Ok(surfaces.into_iter().map(|s| s.surface.into_memory()).collect())
+    };
+    for_each_step(&mut archive, steps, settings, &scratch, progress, &mut write)?;
+    let lists = if is_each_alone(out) { settings.isovalues.len() } else { 1 };
+    let list = |n: usize| {
+        let files: Vec<(f64, &Path)> = made.iter().map(|s| (s.time, &*s.report.surfaces[n].file)).collect();
+        let name = file_of(&place.list(format), settings.isovalues[n]);
+        write_list(&name, &files)?;
+        Ok(name)
+    };
+    let lists = (0..lists).map(list).collect::<Result<_>>()?;
+    Ok(SeriesReport { skipped: made.iter().filter(|s| s.skipped).count() as u64, steps: made, lists })
+}
+
+/// What is done with the surfaces of a step, told its number and time.
+pub(super) type EachStep<'a> = dyn FnMut(u64, f64, &mut Vec<TriMesh>) -> Result<()> + 'a;
+
+/// Hands out the isosurfaces of many steps, in memory: number and time of each, and the surfaces, of which the memory serves those of
+/// later steps if it is left.
+pub(in crate::pipeline) fn surfaces_of_steps(
+    path: &Path,
+    steps: StepRange,
+    settings: &SurfaceSettings,
+    each: &mut EachStep<'_>,
+) -> Result<()> {
+    settings.check()?;
+    let scratch = settings.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let mut hand_out = |archive: &OpenArchive, made: Made| {
+        let plan = &archive.step().plan;
+        let surfaces = made.surfaces.into_iter().map(|found| in_memory(archive, found.surface));
+        let mut surfaces = surfaces.collect::<Result<Vec<_>>>()?;
+        each(plan.number, plan.time_or_number(), &mut surfaces)?;
+        Ok(surfaces)
+    };
+    for_each_step(&mut OpenArchive::open(path)?, steps, settings, &scratch, &Silent, &mut hand_out)
+}
+
+/// What is done with the surfaces of a step, which the archive looks at; their memory comes back.
+type Use<'a> = dyn FnMut(&OpenArchive, Made) -> Result<Vec<TriMesh>> + 'a;
+
+/// Extracts surfaces of step after step, several in a pass.
+fn for_each_step(
+    archive: &mut OpenArchive,
+    steps: StepRange,
+    settings: &SurfaceSettings,
+    scratch: &Path,
+    progress: &dyn Progress,
+    use_them: &mut Use<'_>,
+) -> Result<()> {
+    let mut positions = steps.positions(&archive.manifest, archive.path())?;
+    let mut reused = vec![];
+    while !positions.is_empty() {
+        let pass = Pass::next(archive, settings, positions.clone(), scratch)?;
+        for (position, made) in pass.extract(archive, settings, &mut reused, progress)? {
+            settings.cancel.check()?;
+            archive.turn_to(position);
+            reused.push(use_them(archive, made)?);
+            positions.start = position + 1;
+        }
+    }
+    Ok(())
+}
+
+/// Where the number of a step is in a file's name: `before`, digits, `after`.
+struct Place {
+    folder: PathBuf,
+    before: String,
+    after: String,
+    digits: usize,
+}
+
+impl Place {
+    fn in_name(out: &Path) -> Result<Self> {
+        let name = out.file_name().and_then(|n| n.to_str()).unwrap_or_default();
+        let found = name.match_indices('%').find_map(|(at, _)| {
+            let rest = &name[at + 1..];
+            let d = rest.find(|c: char| !c.is_ascii_digit())?;
+            // As in C: %d, %4d and %04d; blanks do not belong into names.
+            let digits = if d == 0 { 0 } else { rest[..d].parse().ok().filter(|n| *n <= 20)? };
+            rest[d..].starts_with('d').then(|| (name[..at].to_owned(), digits, rest[d + 1..].to_owned()))
+        });
+        let (before, digits, after) = found.ok_or_else(|| {
+            Error::usage(format!(
+                "{}: of several steps, the name of the file has a place for the step's number, as in out_%04d.ply",
+                out.display()
+            ))
+        })?;
+        Ok(Self { folder: out.parent().unwrap_or(Path::new("")).to_path_buf(), before, after, digits })
+    }
+
+    fn name(&self, step: u64) -> PathBuf {
+        self.folder.join(format!("{}{step:0width$}{}", self.before, self.after, width = self.digits))
+    }
+
+    /// The name of the list: without the number, and what joins it to the rest.
+    fn list(&self, format: SurfaceFormat) -> PathBuf {
+        let before = self.before.trim_end_matches(['_', '-', '.', ' ']);
+        let after =
+            if before.is_empty() { self.after.trim_start_matches(['_', '-', ' ']) } else { &self.after };
+        let name = format!("{before}{after}");
+        let name = if name.starts_with('.') { format!("surface{name}") } else { name };
+        let file = self.folder.join(name);
+        match format {
+            SurfaceFormat::Vtp => file.with_extension("pvd"),
+            _ => {
+                let mut name = file.into_os_string();
+                name.push(".series");
+                name.into()
+            }
+        }
+    }
+}
+
+/// Writes a list of files that lie beside it.
+fn write_list(list: &Path, files: &[(f64, &Path)]) -> Result<()> {
+    let name = |p: &Path| p.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let text = if list.extension().is_some_and(|e| e == "pvd") {
+        let mut text = String::from(
+            "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"0.1\" byte_order=\"LittleEndian\">\n  <Collection>\n",
+        );
+        for (time, file) in files {
+            let name = name(file);
+            let file = quick_xml::escape::escape(&*name);
+            let _ =
+                writeln!(text, "    <DataSet timestep=\"{time}\" group=\"\" part=\"0\" file=\"{file}\"/>");
+        }
+        text + "  </Collection>\n</VTKFile>\n"
+    } else {
+        let files: Vec<_> = files
+            .iter()
+            .map(|(time, file)| serde_json::json!({ "name": name(file), "time": time }))
+            .collect();
+        let list = serde_json::json!({ "file-series-version": "1.0", "files": files });
+        format!("{list:#}\n")
+    };
+    let mut out = Unpublished::create(list)?;
+    out.write(text.as_bytes())?;
+    out.publish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_have_a_place_for_the_number() {
+        let of = |name: &str, format| {
+            let place = Place::in_name(Path::new(name)).unwrap();
+            (place.name(7).display().to_string(), place.list(format).display().to_string())
+        };
+        let pair = |a: &str, b: &str| (a.to_owned(), b.to_owned());
+        assert_eq!(of("a/out_%04d.ply", SurfaceFormat::Ply), pair("a/out_0007.ply", "a/out.ply.series"));
+        assert_eq!(of("out%d.vtp", SurfaceFormat::Vtp), pair("out7.vtp", "out.pvd"));
+        assert_eq!(of("%03d_{}.vtp", SurfaceFormat::Vtp), pair("007_{}.vtp", "{}.pvd"));
+        assert_eq!(of("%d.stl", SurfaceFormat::Stl), pair("7.stl", "surface.stl.series"));
+        assert_eq!(of("50%_%2d.obj", SurfaceFormat::Obj).0, "50%_07.obj");
+        for bad in ["out.ply", "out_%.ply", "out_%s.ply", "%99d.ply"] {
+            assert_eq!(Place::in_name(Path::new(bad)).err().unwrap().exit_code(), 2, "{bad}");
+        }
+    }
+}
