@@ -85,7 +85,7 @@ pub use field::NanPolicy;
 pub use fingerprint::fingerprint;
 pub use handle::{Archive, Tetrahedra};
 pub use job::{ReduceReport, RunSettings};
-pub use measure::{MeasureReport, MeasureSettings, measure};
+pub use measure::{MeasureReport, MeasureSettings, measure, measure_source};
 pub use need::Estimate;
 pub use notice::{Finding, Notice, mesh_notices, scan_with_notices};
 pub use open::{ArchiveSummary, LevelSummary, StepSummary, is_archive, summarize, summarize_at};
@@ -111,4 +111,4 @@ pub use target::{Bound, Target, TargetReport};
 pub use unpack::{
     UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked, unpack, unpack_need,
 };
-pub use verify::{ArchiveCheck, check_archive};
+pub use verify::{ArchiveCheck, check_archive, check_archive_until};
