@@ -1,7 +1,7 @@
 //! The command line: one file a subcommand, each `Args` and `run`. Results go to standard output, progress and errors
 //! to standard error; an error is one line; exit codes are those of [`isospan::Error::exit_code`].
 
-mod append;
+pub(crate) mod append;
 mod brick;
 mod check;
 mod choices;
@@ -22,8 +22,8 @@ mod misc;
 mod output;
 mod plan;
 mod probe;
-mod progress;
-mod reduce;
+pub(crate) mod progress;
+pub(crate) mod reduce;
 mod render;
 mod signals;
 mod slurm;

@@ -1,8 +1,8 @@
 //! [`Archive`]: an archive, and all questions that can be asked of it.
 
-use super::check::{ArchiveCheck, check_archive};
+use super::check::{ArchiveCheck, check_archive_until};
 use crate::error::Result;
-use crate::exec::{Progress, Silent};
+use crate::exec::{CancelToken, Progress, Silent};
 use crate::formats::samples::SampleFormat;
 use crate::formats::surface::SurfaceFormat;
 use crate::grid::{ChunkId, Geometry};
@@ -151,7 +151,15 @@ impl Archive {
     /// # Errors
     /// [`crate::Error::Usage`] for an isovalue that is not finite; [`crate::Error::BadInput`] for a damaged archive.
     pub fn count(&self, isovalue: impl Into<f64>) -> Result<CountReport> {
-        count(&self.open, isovalue.into())
+        self.count_until(isovalue, &CancelToken::new())
+    }
+
+    /// As [`Archive::count`], until it is stopped.
+    ///
+    /// # Errors
+    /// Those of [`Archive::count`]; [`crate::Error::Cancelled`].
+    pub fn count_until(&self, isovalue: impl Into<f64>, cancel: &CancelToken) -> Result<CountReport> {
+        count(&self.open, isovalue.into(), cancel)
     }
 
     /// How large isosurfaces are, over the isovalue, and isovalues that are worth a look. Reads some ten thousand bytes.
@@ -473,6 +481,14 @@ impl Archive {
     /// # Errors
     /// [`crate::Error::BadInput`] that names the first thing that is wrong.
     pub fn check(&self) -> Result<ArchiveCheck> {
-        check_archive(&self.path)
+        self.check_until(&CancelToken::new())
+    }
+
+    /// As [`Archive::check`], until it is stopped.
+    ///
+    /// # Errors
+    /// Those of [`Archive::check`]; [`crate::Error::Cancelled`].
+    pub fn check_until(&self, cancel: &CancelToken) -> Result<ArchiveCheck> {
+        check_archive_until(&self.path, cancel)
     }
 }

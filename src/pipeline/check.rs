@@ -13,7 +13,7 @@ use crate::archive::summary::{BlockRange, MeshSummary, value_ranges};
 use crate::archive::vertices::ChunkHeader;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
-use crate::exec::pool;
+use crate::exec::{CancelToken, pool};
 use crate::geom::predicates::signed_volume6;
 use crate::grid::{Chunk, ChunkId};
 use crate::index::{Entry, EntryDigest, index_entries};
@@ -56,6 +56,14 @@ pub struct ArchiveCheck {
 /// # Errors
 /// [`Error::BadInput`] that names the first thing that is wrong.
 pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
+    check_archive_until(path, &CancelToken::new())
+}
+
+/// As [`check_archive`], until it is stopped.
+///
+/// # Errors
+/// Those of [`check_archive`]; [`Error::Cancelled`].
+pub fn check_archive_until(path: &Path, cancel: &CancelToken) -> Result<ArchiveCheck> {
     let mut check = ArchiveCheck::default();
     let mut archive = OpenArchive::open(path)?;
     check.own = archive.manifest.plan.own.is_some();
@@ -65,7 +73,7 @@ pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
     let pool = pool(0)?;
     for step in 0..archive.manifest.steps.len() {
         archive.turn_to(step);
-        pool.install(|| check_step(&archive, &mut check))?;
+        pool.install(|| check_step(&archive, cancel, &mut check))?;
         check.steps += 1;
     }
     if let Some(record) = &archive.manifest.plan.repeated {
@@ -96,7 +104,7 @@ impl ArchiveCheck {
 }
 
 /// Verifies a step; with the first one of an archive also the mesh.
-fn check_step(archive: &OpenArchive, check: &mut ArchiveCheck) -> Result<()> {
+fn check_step(archive: &OpenArchive, cancel: &CancelToken, check: &mut ArchiveCheck) -> Result<()> {
     let with_mesh = archive.view.step == 0;
     let mut entries = EntryDigest::default();
     let mut volume6 = 0i128;
@@ -119,7 +127,10 @@ fn check_step(archive: &OpenArchive, check: &mut ArchiveCheck) -> Result<()> {
         }
         let checked: Vec<CheckedChunk> = chunks
             .par_iter()
-            .map(|&c| check_chunk(archive, &segment, ChunkId(c), &meter))
+            .map(|&c| {
+                cancel.check()?;
+                check_chunk(archive, &segment, ChunkId(c), &meter)
+            })
             .collect::<Result<_>>()?;
         if let Some(file) = unpacked {
             chunks.par_iter().try_for_each(|&c| check_unpacked(archive, file, ChunkId(c)))?;

@@ -33,10 +33,10 @@ mod surface;
 
 pub use crate::domain::store::MeshCensus;
 pub use archive::{Archive, Tetrahedra};
-pub use check::{ArchiveCheck, check_archive};
+pub use check::{ArchiveCheck, check_archive, check_archive_until};
 pub use field::{
     Corners, ExportReport, ExportSettings, MeasureReport, MeasureSettings, ProbeReport, ProbeSettings,
-    measure,
+    measure, measure_source,
 };
 pub use inputs::{Scan, brick, is_bricked, scan};
 pub use plan::{Estimate, Finding, Notice, Plan, Shard, fingerprint};

@@ -5,7 +5,8 @@ use isospan::exec::{CancelToken, Silent};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::grid::{Geometry, IndexBox};
 use isospan::pipeline::{
-    self, AppendSettings, Archive, ReduceReport, ReduceSettings, RunSettings, Target, append, reduce_series,
+    self, AppendSettings, Archive, MeasureSettings, ReduceReport, ReduceSettings, RunSettings, StepChoice,
+    Target, append, measure_source, reduce_series,
 };
 use isospan::points::SetKind;
 use isospan::volume::memory::{info_of, volume_of};
@@ -81,6 +82,41 @@ fn the_same_samples_are_known_again_and_others_are_refused() {
     others[77] += 0.001;
     let error = reduce(given(others), &settings, &out).expect_err("another volume");
     assert!(matches!(error, Error::Usage { .. }), "{error}");
+}
+
+#[test]
+fn an_archive_is_measured_against_samples_in_memory() {
+    let dir = tempfile::tempdir().unwrap();
+    let (file, out) = (dir.path().join("field.npy"), dir.path().join("a.isospan"));
+    common::write_npy(&file, DIMS, field);
+    let made = reduce(given(samples()), &ReduceSettings::default(), &out).unwrap();
+    let measured = |source| measure_source(&out, &source, &MeasureSettings::default(), &Silent);
+    let [against_samples, against_file] =
+        [given(samples()), StepSource::new(&file, &OpenOptions::default())].map(|s| measured(s).unwrap());
+    assert_eq!(Some(&against_samples.error), made.error.as_ref());
+    assert_eq!(against_samples.error, against_file.error);
+    // A file has another hash than samples have.
+    assert!(against_samples.same_source && !against_file.same_source);
+    let raised = measured(given(samples().iter().map(|v| v + 1.0).collect())).unwrap();
+    assert!(!raised.same_source && raised.error.rms > 0.9);
+    let small = StepSource::given("small", Arc::new(volume_of("small", [2, 2, 2], vec![0.0; 8]).unwrap()));
+    let error = measured(small).expect_err("another size");
+    assert!(matches!(&error, Error::BadInput { got, .. } if got.contains("2 x 2 x 2")), "{error}");
+}
+
+#[test]
+fn a_check_and_a_count_are_stopped() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("a.isospan");
+    let steps = [0.0, 1.0].map(|time| given(samples()).at(Some(time)));
+    reduce_series(&steps, &ReduceSettings::default(), &out, &RunSettings::default(), &Silent).unwrap();
+    let (go, stop) = (CancelToken::new(), CancelToken::new());
+    stop.cancel();
+    let between = Archive::open_at(&out, StepChoice::Time(0.5)).unwrap();
+    assert_eq!(between.check_until(&go).unwrap().steps, 2);
+    assert!(matches!(between.check_until(&stop), Err(Error::Cancelled)));
+    assert!(between.count_until(0.25, &go).unwrap().active_tetrahedra > 0);
+    assert!(matches!(between.count_until(0.25, &stop), Err(Error::Cancelled)));
 }
 
 #[test]

@@ -116,9 +116,22 @@ pub fn measure(
     settings: &MeasureSettings,
     progress: &dyn Progress,
 ) -> Result<MeasureReport> {
+    measure_source(archive, &StepSource::new(input, options), settings, progress)
+}
+
+/// As [`measure`], against a file or a volume that a program gives.
+///
+/// # Errors
+/// Those of [`measure`].
+pub fn measure_source(
+    archive: &Path,
+    source: &StepSource,
+    settings: &MeasureSettings,
+    progress: &dyn Progress,
+) -> Result<MeasureReport> {
     let start = Instant::now();
     let archive = OpenArchive::open_at(archive, settings.step.map_or(StepChoice::First, StepChoice::Number))?;
-    let (error, same_source) = against(&archive, input, options, settings, progress)?;
+    let (error, same_source) = against(&archive, source, settings, progress)?;
     Ok(MeasureReport {
         error,
         range: archive.step().told_range(),
@@ -140,19 +153,15 @@ pub(in crate::pipeline) fn reopened_errors(
     for group in steps.chunks(MOST_STEPS_AT_ONCE as usize) {
         let mut columns = vec![];
         for &(position, source) in group {
-            let path = &source.path;
             archive.turn_to(position);
-            let input = match source.is_given() {
-                true => source.open()?,
-                false => open_field(archive, path, &source.options)?,
-            };
-            match input {
-                Input::Volume(source) => {
-                    let error = against_volume(archive, source, path, settings, progress)?.0;
+            match open_field(archive, source)? {
+                Input::Volume(volume) => {
+                    let error = against_volume(archive, volume, source, settings, progress)?.0;
                     errors.push((error, vec![]));
                 }
                 Input::Mesh(mesh) => {
-                    columns.push((position, reopened_values(archive, &mesh, path, &mut store, settings)?));
+                    let values = reopened_values(archive, &mesh, &source.path, &mut store, settings)?;
+                    columns.push((position, values));
                 }
             }
         }
@@ -190,21 +199,21 @@ pub(in crate::pipeline) fn reopened_values(
 /// The error, and whether the input is the one that the archive was made from.
 fn against(
     archive: &OpenArchive,
-    input: &Path,
-    options: &OpenOptions,
+    source: &StepSource,
     settings: &MeasureSettings,
     progress: &dyn Progress,
 ) -> Result<(FieldError, bool)> {
-    match open_field(archive, input, options)? {
-        Input::Volume(source) => against_volume(archive, source, input, settings, progress),
-        Input::Mesh(mesh) => against_mesh(archive, &mesh, input, settings, progress),
+    match open_field(archive, source)? {
+        Input::Volume(volume) => against_volume(archive, volume, source, settings, progress),
+        Input::Mesh(mesh) => against_mesh(archive, &mesh, &source.path, settings, progress),
     }
 }
 
-/// Opens the input; where nobody names a field, the archive does.
-fn open_field(archive: &OpenArchive, input: &Path, options: &OpenOptions) -> Result<Input> {
-    if options.field.is_some() {
-        return formats::open_input(input, options);
+/// Opens the input; where nobody names a field of a file, the archive does.
+fn open_field(archive: &OpenArchive, source: &StepSource) -> Result<Input> {
+    let (input, options) = (&source.path, &source.options);
+    if source.is_given() || options.field.is_some() {
+        return source.open();
     }
     let named = OpenOptions { field: Some(archive.step().plan.source.field.clone()), ..options.clone() };
     // A format without names of fields refuses any, and has one field only.
@@ -213,17 +222,19 @@ fn open_field(archive: &OpenArchive, input: &Path, options: &OpenOptions) -> Res
 
 fn against_volume(
     archive: &OpenArchive,
-    source: VolumeSource,
-    input: &Path,
+    volume: VolumeSource,
+    source: &StepSource,
     settings: &MeasureSettings,
     progress: &dyn Progress,
 ) -> Result<(FieldError, bool)> {
     let recorded = &archive.step().plan.source;
-    let dims = source.info().dims;
+    let dims = volume.info().dims;
     if recorded.mesh.is_some() || dims != recorded.dims {
-        return Err(other_input(input, recorded, format!("a volume of {} samples", triple(dims))));
+        return Err(other_input(&source.path, recorded, format!("a volume of {} samples", triple(dims))));
     }
-    let same = fingerprint(&source.info().files())? == recorded.fingerprint;
+    let hash =
+        source.given_hash(&settings.cancel)?.map_or_else(|| fingerprint(&volume.info().files()), Ok)?;
+    let same = hash == recorded.fingerprint;
     let run = RunSettings {
         threads: settings.threads,
         memory: settings.memory,
@@ -232,7 +243,7 @@ fn against_volume(
         keep_going: false,
         cancel: settings.cancel.clone(),
     };
-    let (reader, _scratch) = random_access(source, &run, progress)?;
+    let (reader, _scratch) = random_access(volume, &run, progress)?;
     let reading = Reading::of(&archive.step().plan);
     let (reader, missing, stand_in) = (reading.reader(reader), reading.missing(), reading.stand_in());
     let originals = Originals::Volume { reader: &*reader, missing, stand_in };

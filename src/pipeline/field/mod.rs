@@ -12,7 +12,7 @@ pub use export::{Corners, ExportReport, ExportSettings};
 pub(super) use measure::{
     MOST_VERTICES, StepErrors, VERTEX, field_errors, on_lattice, reopened_errors, reopened_values,
 };
-pub use measure::{MeasureReport, MeasureSettings, measure};
+pub use measure::{MeasureReport, MeasureSettings, measure, measure_source};
 pub use probe_grid::{ProbeReport, ProbeSettings};
 pub(super) use probe_grid::{probe_grid, sample_grid};
 pub(super) use probe_points::{Find, Outside, each_value, edges_at_missing, probe_table, values_at};

@@ -208,12 +208,17 @@ pub fn count_active(path: &Path, isovalue: impl Into<f64>) -> Result<CountReport
 /// As [`count_active`]; [`Error::Usage`] for a step or a time that is not in the archive.
 pub fn count_active_at(path: &Path, step: StepChoice, isovalue: impl Into<f64>) -> Result<CountReport> {
     let archive = OpenArchive::open_at(path, step)?;
-    let report = count(&archive, isovalue.into())?;
+    let report = count(&archive, isovalue.into(), &CancelToken::new())?;
     Ok(CountReport { bytes_read: report.bytes_read + archive.manifest_bytes()?, ..report })
 }
 
-/// As [`count_active`], of an archive that is open; bytes that were read before are not in the report.
-pub(in crate::pipeline) fn count(archive: &OpenArchive, told: f64) -> Result<CountReport> {
+/// As [`count_active`], of an archive that is open, until it is stopped; bytes that were read before are not in
+/// the report.
+pub(in crate::pipeline) fn count(
+    archive: &OpenArchive,
+    told: f64,
+    cancel: &CancelToken,
+) -> Result<CountReport> {
     finite(told)?;
     let isovalue = archive.step().plan.source.kept(told);
     let read_before = archive.bytes_read();
@@ -226,7 +231,7 @@ pub(in crate::pipeline) fn count(archive: &OpenArchive, told: f64) -> Result<Cou
     let active_tetrahedra = match stored {
         Some(n) => n,
         None => {
-            let (n, bytes) = decoded_count(archive, isovalue)?;
+            let (n, bytes) = decoded_count(archive, isovalue, cancel)?;
             bytes_read += bytes;
             n
         }
@@ -241,10 +246,13 @@ pub(in crate::pipeline) fn count(archive: &OpenArchive, told: f64) -> Result<Cou
 }
 
 /// Decodes the active blocks; also tells the bytes read.
-fn decoded_count(archive: &OpenArchive, isovalue: f32) -> Result<(u64, u64)> {
+fn decoded_count(archive: &OpenArchive, isovalue: f32, cancel: &CancelToken) -> Result<(u64, u64)> {
     let (index, read_before) = (archive.ranges()?, archive.bytes_read());
     let refs = index.query_any(&[isovalue])?;
-    let count = |work: &ChunkWork| count_in_chunk(archive, work, isovalue);
+    let count = |work: &ChunkWork| {
+        cancel.check()?;
+        count_in_chunk(archive, work, isovalue)
+    };
     let chunks = by_chunk(archive, &refs)?;
     let active = pool(0)?.install(|| chunks.par_iter().map(count).sum::<Result<u64>>())?;
     Ok((active, index.bytes_read() + archive.bytes_read() - read_before))

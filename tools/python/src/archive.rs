@@ -5,11 +5,12 @@ use crate::cli::text::parse_bytes;
 use crate::errors::{exception, usage};
 use crate::json::to_python;
 use crate::surface::Surface;
+use crate::volume::{Volume, raised_or};
 use crate::work::run;
 use isospan::exec::{CancelToken, usable_memory};
-use isospan::formats::OpenOptions;
 use isospan::formats::samples::SampleFormat;
 use isospan::formats::surface::SurfaceFormat;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     self, Corners, ExportSettings, MeasureSettings, ProbeSettings, Refine, RunSettings, StepChoice,
     StepRange, SurfaceSettings,
@@ -137,6 +138,22 @@ pub(crate) struct Part {
     compress: bool,
 }
 
+/// What an archive is measured against.
+#[derive(FromPyObject)]
+pub(crate) enum Against {
+    Volume(Py<Volume>),
+    File(PathBuf),
+}
+
+impl Against {
+    fn volumes(&self) -> &[Py<Volume>] {
+        match self {
+            Self::Volume(volume) => std::slice::from_ref(volume),
+            Self::File(_) => &[],
+        }
+    }
+}
+
 impl Archive {
     /// The archive at a step; at the one that it was opened at, if none is given.
     fn at(&self, py: Python<'_>, when: When) -> PyResult<Arc<isospan::Archive>> {
@@ -197,7 +214,7 @@ impl Archive {
 
     fn count(&self, py: Python<'_>, isovalue: f64, when: When) -> PyResult<u64> {
         let archive = self.at(py, when)?;
-        Ok(run(py, None, |_, _| archive.count(isovalue))?.active_tetrahedra)
+        Ok(run(py, None, |cancel, _| archive.count_until(isovalue, cancel))?.active_tetrahedra)
     }
 
     /// Surfaces in memory, one for each isovalue.
@@ -332,12 +349,12 @@ impl Archive {
         to_python(py, &report)
     }
 
-    /// The field against every sample of a file.
+    /// The field against every sample of a file, or of a volume.
     #[allow(clippy::too_many_arguments)]
     fn measure<'py>(
         &self,
         py: Python<'py>,
-        against: PathBuf,
+        against: Against,
         field: Option<String>,
         step: Option<u64>,
         map: Option<PathBuf>,
@@ -353,15 +370,27 @@ impl Archive {
             cancel: CancelToken::new(),
         };
         let options = OpenOptions { field, ..OpenOptions::default() };
-        let report = run(py, progress.as_ref(), |cancel, progress| {
+        let done = run(py, progress.as_ref(), |cancel, progress| {
             let settings = MeasureSettings { cancel: cancel.clone(), ..settings };
-            pipeline::measure(&self.path, &against, &options, &settings, progress)
-        })?;
-        to_python(py, &report)
+            let source = match &against {
+                Against::File(path) => StepSource::new(path, &options),
+                Against::Volume(volume) => {
+                    let run = RunSettings {
+                        memory: settings.memory,
+                        scratch: settings.scratch.clone(),
+                        cancel: cancel.clone(),
+                        ..RunSettings::default()
+                    };
+                    volume.get().step(&run, progress)?
+                }
+            };
+            pipeline::measure_source(&self.path, &source, &settings, progress)
+        });
+        to_python(py, &done.map_err(|e| raised_or(e, against.volumes()))?)
     }
 
     /// Verifies all of it.
     fn check(&self, py: Python<'_>) -> PyResult<()> {
-        run(py, None, |_, _| self.here.check().map(|_| ()))
+        run(py, None, |cancel, _| self.here.check_until(cancel).map(|_| ()))
     }
 }

@@ -1,7 +1,8 @@
 //! Archives are made as the program makes them: keywords are its flags, and are parsed where it parses them.
 
 use crate::archive::Machine;
-use crate::cli::{Cli, Command};
+use crate::cli::progress::Talk;
+use crate::cli::{self, Cli, Command};
 use crate::errors::usage;
 use crate::json::to_python;
 use crate::volume::{Volume, raised_or, steps};
@@ -12,15 +13,30 @@ use pyo3::prelude::*;
 use std::ffi::OsString;
 use std::path::PathBuf;
 
-/// What arguments of the program mean; its own message where they mean nothing.
-fn parsed(py: Python<'_>, arguments: Vec<OsString>) -> PyResult<Cli> {
+/// What arguments of the program mean, to the command that is expected; the program's own message where they
+/// mean nothing.
+fn parsed<Args>(
+    py: Python<'_>,
+    arguments: Vec<OsString>,
+    expected: impl Fn(Command) -> Option<Args>,
+) -> PyResult<(Args, Talk)> {
     let quiet = [OsString::from("isospan"), OsString::from("--quiet")];
-    Cli::try_parse_from(quiet.into_iter().chain(arguments)).map_err(|error| {
+    let cli = Cli::try_parse_from(quiet.into_iter().chain(arguments)).map_err(|error| {
         let text = error.to_string();
         let first = text.split("\n\n").next().unwrap_or_default();
         let words: Vec<&str> = first.trim_start_matches("error: ").split_whitespace().collect();
         usage(py, words.join(" "))
-    })
+    })?;
+    let args = expected(cli.command).ok_or_else(|| usage(py, "this is another command"))?;
+    Ok((args, cli.talk))
+}
+
+fn reduction(command: Command) -> Option<Box<cli::reduce::Args>> {
+    if let Command::Reduce(args) = command { Some(args) } else { None }
+}
+
+fn addition(command: Command) -> Option<cli::append::Args> {
+    if let Command::Append(args) = command { Some(args) } else { None }
 }
 
 /// `isospan reduce`.
@@ -31,12 +47,11 @@ pub(crate) fn reduce<'py>(
     volumes: Option<Vec<Py<Volume>>>,
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let cli = parsed(py, arguments)?;
-    let Command::Reduce(args) = &cli.command else { return Err(usage(py, "this is no reduction")) };
+    let (args, talk) = parsed(py, arguments, reduction)?;
     let done = run(py, progress.as_ref(), |cancel, progress| {
-        let run = args.run_settings(&cli.talk, cancel.clone());
+        let run = args.run_settings(&talk, cancel.clone());
         let (steps, settings) = match &volumes {
-            None => args.request(&cli.talk)?,
+            None => args.request(&talk)?,
             Some(volumes) => {
                 let mut steps = steps(volumes, &run, progress)?;
                 args.steps.set_times(&mut steps)?;
@@ -56,12 +71,11 @@ pub(crate) fn append<'py>(
     volumes: Option<Vec<Py<Volume>>>,
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let cli = parsed(py, arguments)?;
-    let Command::Append(args) = &cli.command else { return Err(usage(py, "no steps are added")) };
+    let (args, talk) = parsed(py, arguments, addition)?;
     let done = run(py, progress.as_ref(), |cancel, progress| {
-        let run = args.run_settings(&cli.talk, cancel.clone());
+        let run = args.run_settings(&talk, cancel.clone());
         let steps = match &volumes {
-            None => args.sources(&cli.talk)?,
+            None => args.sources(&talk)?,
             Some(volumes) => {
                 let mut steps = steps(volumes, &run, progress)?;
                 args.steps.set_times(&mut steps)?;
@@ -81,11 +95,10 @@ pub(crate) fn plan<'py>(
     shards: u64,
     progress: Option<Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let cli = parsed(py, arguments)?;
-    let Command::Reduce(args) = &cli.command else { return Err(usage(py, "this is no reduction")) };
+    let (args, talk) = parsed(py, arguments, reduction)?;
     let report = run(py, progress.as_ref(), |cancel, progress| {
-        let run = args.run_settings(&cli.talk, cancel.clone());
-        let (steps, settings) = args.request(&cli.talk)?;
+        let run = args.run_settings(&talk, cancel.clone());
+        let (steps, settings) = args.request(&talk)?;
         pipeline::plan_shards(&steps, &settings, &args.output, shards, &run, progress)
     })?;
     to_python(py, &report)

@@ -66,23 +66,9 @@ struct Interface {
     strides: Option<[isize; 3]>,
 }
 
-/// "<f4" as a type of samples, and whether its most significant byte comes first.
-fn scalar_of(typestr: &str) -> Option<(ScalarType, bool)> {
-    let (order, kind) = typestr.split_at_checked(1)?;
-    let scalar = match kind {
-        "u1" => ScalarType::U8,
-        "i1" => ScalarType::I8,
-        "u2" => ScalarType::U16,
-        "i2" => ScalarType::I16,
-        "u4" => ScalarType::U32,
-        "i4" => ScalarType::I32,
-        "u8" => ScalarType::U64,
-        "i8" => ScalarType::I64,
-        "f4" => ScalarType::F32,
-        "f8" => ScalarType::F64,
-        _ => return None,
-    };
-    Some((scalar, order == ">"))
+/// The type of samples of a name.
+fn scalar_of(name: &str, scalar: &str) -> Result<ScalarType> {
+    ScalarType::from_name(scalar).ok_or_else(|| Error::usage(format!("{name}: no type {scalar}")))
 }
 
 fn placed(origin: [f64; 3], spacing: [f64; 3]) -> Geometry {
@@ -93,9 +79,14 @@ fn placed(origin: [f64; 3], spacing: [f64; 3]) -> Geometry {
 }
 
 impl Interface {
-    fn volume(&self, name: &str, array: Py<PyAny>, geometry: Geometry) -> Result<StridedVolume> {
-        let (scalar, big_endian) = scalar_of(&self.typestr)
-            .ok_or_else(|| Error::usage(format!("{name}: samples of type {} are not read", self.typestr)))?;
+    fn volume(
+        &self,
+        name: &str,
+        array: Py<PyAny>,
+        scalar: ScalarType,
+        geometry: Geometry,
+    ) -> Result<StridedVolume> {
+        let big_endian = self.typestr.starts_with('>');
         let size = scalar.bytes() as isize;
         let [nz, ny, nx] = self.shape;
         let packed = [(ny * nx) as isize * size, nx as isize * size, size];
@@ -124,7 +115,14 @@ impl Interface {
 impl Volume {
     /// An array of NumPy, which must not change while it is read.
     #[staticmethod]
-    fn of_array(name: &str, array: Bound<'_, PyAny>, origin: [f64; 3], spacing: [f64; 3]) -> PyResult<Self> {
+    fn of_array(
+        name: &str,
+        array: Bound<'_, PyAny>,
+        scalar: &str,
+        origin: [f64; 3],
+        spacing: [f64; 3],
+        direction: Option<[[f64; 3]; 3]>,
+    ) -> PyResult<Self> {
         let py = array.py();
         let about = array.getattr("__array_interface__")?;
         // A key that is not there means the same as None.
@@ -133,8 +131,12 @@ impl Volume {
             about.set_item("strides", py.None())?;
         }
         let about: Interface = about.extract()?;
-        let volume = about.volume(name, array.unbind(), placed(origin, spacing));
-        let samples = Samples::InPlace(Arc::new(volume.map_err(|e| exception(py, &e))?));
+        let mut geometry = placed(origin, spacing);
+        geometry.direction = direction.unwrap_or(geometry.direction);
+        let volume = scalar_of(name, scalar)
+            .and_then(|scalar| about.volume(name, array.unbind(), scalar, geometry))
+            .map_err(|e| exception(py, &e))?;
+        let samples = Samples::InPlace(Arc::new(volume));
         Ok(Self { samples, raised: Raised::default() })
     }
 
@@ -150,8 +152,7 @@ impl Volume {
         spacing: [f64; 3],
         boxes: Py<PyAny>,
     ) -> PyResult<Self> {
-        let scalar =
-            ScalarType::from_name(scalar).ok_or_else(|| usage(py, format!("{name}: no type {scalar}")))?;
+        let scalar = scalar_of(name, scalar).map_err(|e| exception(py, &e))?;
         if dims.contains(&0) {
             return Err(usage(py, format!("{name}: an array of {dims:?} samples has none")));
         }

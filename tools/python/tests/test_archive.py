@@ -1,10 +1,14 @@
 """Every question to an archive has the answer that the program gives."""
 
+import _thread
 import pickle
 import threading
+import time
 
+import dask.array
 import numpy as np
 import pytest
+from conftest import field
 
 import isospan
 
@@ -226,3 +230,45 @@ def test_many_threads_ask_at_one_time(series):
     [t.join() for t in threads]
     for n, faces in found.items():
         np.testing.assert_array_equal(faces, series.surface(0.25, step=n % 3).faces)
+
+
+def test_a_check_is_stopped_by_ctrl_c(tmp_path):
+    n = 96
+    z, y, x = np.meshgrid(*[np.linspace(-9, 9, n, dtype="f4")] * 3, indexing="ij")
+    choices = {"fraction": "1/4", "chunk_points": 2000, "measure": False}
+    archive = isospan.reduce(np.sin(x) * np.cos(y) + z, tmp_path / "a.isospan", **choices)
+    started = time.monotonic()
+    archive.check()
+    whole = time.monotonic() - started
+    timer = threading.Timer(whole / 8, _thread.interrupt_main)
+    timer.start()
+    started = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        archive.check()
+    assert time.monotonic() - started < whole * 0.8
+
+
+def test_measure_against_arrays(tmp_path):
+    archive = isospan.reduce(field(), tmp_path / "a.isospan", fraction="1/4")
+    expected = archive.measure(field())
+    assert expected["same_source"]
+    assert {k: expected[k] for k in archive.info["error"]} == archive.info["error"]
+    lazy = dask.array.from_array(field(), chunks=(5, 7, 20))
+    found = archive.measure(lazy, scratch=tmp_path)
+    assert found["rms"] == expected["rms"] and not list(tmp_path.glob("isospan-*"))
+    other = archive.measure(field() + np.float32(1))
+    assert not other["same_source"] and other["rms"] > 0.9
+    with pytest.raises(isospan.BadInputError, match="19 x 24 x 18"):
+        archive.measure(field()[:, :, 1:])
+    with pytest.raises(isospan.UsageError, match="several"):
+        archive.measure([field(), field()])
+    with pytest.raises(isospan.UsageError, match="for files"):
+        archive.measure(field(), field="density")
+
+
+def test_measure_against_a_step(series, program, folder):
+    expected = program(
+        "measure", series.path, "--against", folder / "step_2.npy", "--step", 2, "--json"
+    )
+    found = series.measure(field(time=2 / 4), step=2)
+    assert (found["rms"], found["max"]) == (expected["rms"], expected["max"])

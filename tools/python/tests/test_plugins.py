@@ -28,12 +28,114 @@ def test_pyvista_reads_archives(tooth, series):
     assert isinstance(grid, pyvista.UnstructuredGrid) and grid.n_cells == series.info["tetrahedra"]
 
 
+def grids():
+    """A grid of each kind with the same field at the same samples, but for those that bend."""
+    nz, ny, nx = field().shape
+    image = pyvista.ImageData(dimensions=(nx, ny, nz), spacing=(0.5, 2, 1), origin=(10, 0, -5))
+    image.point_data["density"] = field().ravel()
+    image.point_data["other"] = -field().ravel()
+    image.set_active_scalars("density")
+    uneven = pyvista.RectilinearGrid(np.arange(nx) ** 1.2, np.arange(ny), np.arange(nz) ** 1.5)
+    uneven.point_data["density"] = field().ravel()
+    return {
+        "vti": image,
+        "vtr": uneven,
+        "vts": uneven.cast_to_structured_grid(),
+        "vtu": uneven.cast_to_unstructured_grid(),
+    }
+
+
+def test_pyvista_writes_archives(tmp_path):
+    import isospan._pyvista as writer
+
+    # The entry point of the installed package does this.
+    pyvista.register_writer(".isospan", writer.write, override=True)
+    for suffix, grid in grids().items():
+        names = grid.array_names
+        grid.save(tmp_path / f"{suffix}.isospan", fraction="1/4", scratch=tmp_path)
+        given = isospan.reduce(grid, tmp_path / "given.isospan", fraction="1/4", force=True)
+        assert same_files(tmp_path / f"{suffix}.isospan", given.path)
+        again = isospan.reduce(grid, given.path, fraction="1/4")
+        assert again.report["made_before"]
+        # The file that PyVista itself writes gives the same field.
+        grid.save(tmp_path / f"grid.{suffix}")
+        source = tmp_path / f"grid.{suffix}"
+        stored = isospan.reduce(
+            source, tmp_path / "stored.isospan", fraction="1/4", field="density", force=True
+        )
+        assert (given.dims, given.spacing, given.origin) == (
+            stored.dims,
+            stored.spacing,
+            stored.origin,
+        )
+        assert given.info["error"] == stored.info["error"]
+        surfaces = [archive.surface(0.25) for archive in (given, stored)]
+        np.testing.assert_array_equal(surfaces[0].vertices, surfaces[1].vertices)
+        np.testing.assert_array_equal(surfaces[0].faces, surfaces[1].faces)
+        assert grid.array_names == names and len(surfaces[0]) > 0
+        error = given.info["error"]["rms"]
+        assert given.measure(grid)["rms"] == error == given.measure(source, field="density")["rms"]
+    assert not list(tmp_path.glob("isospan-*"))
+
+
+def test_images_of_pyvista_keep_their_place_and_their_fields(tmp_path):
+    image = grids()["vti"]
+    image.direction_matrix = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    archive = isospan.reduce(image, tmp_path / "turned.isospan", fraction="1/4")
+    np.testing.assert_array_equal(archive.direction, image.direction_matrix)
+    assert archive.info["source"] == "density"
+    for corner in (0, image.n_points - 1):
+        assert np.isfinite(archive.probe(image.GetPoint(corner))).all()
+    # An extent that begins elsewhere.
+    part = grids()["vti"].extract_subset([2, 12, 1, 9, 0, 7], rebase_coordinates=False)
+    archive = isospan.reduce(part, tmp_path / "part.isospan", fraction="1/4")
+    assert archive.origin == tuple(part.points[0]) == (11, 2, -5)
+    other = isospan.reduce(image, tmp_path / "other.isospan", fraction="1/4", field="other")
+    low, high = isospan.open(tmp_path / "turned.isospan").range
+    assert other.range == (-high, -low)
+    steps = [image, image.copy()]
+    steps[1].point_data["density"] = image.point_data["density"] + np.float32(1)
+    series = isospan.reduce(steps, tmp_path / "series.isospan", fraction="1/4", times=[0, 1])
+    assert series.at(step=1).range[0] > series.range[0]
+    assert len(isospan.append(series, image, times=[2]).steps) == 3
+
+
+def test_values_of_cells_are_those_of_the_file(tmp_path):
+    nz, ny, nx = field().shape
+    image = pyvista.ImageData(dimensions=(nx + 1, ny + 1, nz + 1))
+    image.cell_data["density"] = field().ravel()
+    image.save(tmp_path / "cells.vti")
+    stored = isospan.reduce(tmp_path / "cells.vti", tmp_path / "stored.isospan", fraction="1/4")
+    given = isospan.reduce(image, tmp_path / "given.isospan", fraction="1/4")
+    assert given.dims == stored.dims == (nx, ny, nz)
+    assert given.info["error"] == stored.info["error"] and given.origin == (0.5, 0.5, 0.5)
+
+
+def test_meshes_without_a_volume_are_refused(tmp_path, tooth):
+    image = grids()["vti"]
+    vectors = pyvista.ImageData(dimensions=(3, 3, 3))
+    vectors.point_data["v"] = np.zeros((27, 3))
+    for mesh, choices, message in [
+        (tooth.surface(ISOVALUE).to_pyvista(), {}, "not PolyData"),
+        (pyvista.ImageData(dimensions=(3, 3, 3)), {}, "active"),
+        (image, {"field": "nothing"}, r"no scalars nothing; it has \['density', 'other'\]"),
+        (vectors, {"field": "v"}, "3 values"),
+        ([image, field()], {}, "several of these"),
+        (image, {"spacing": (1, 1, 1)}, "give neither"),
+        (image, {"dims": (1, 1, 1)}, "for files"),
+        (grids()["vtu"], {"origin": (1, 1, 1)}, "for arrays"),
+    ]:
+        with pytest.raises(isospan.UsageError, match=message):
+            isospan.reduce(mesh, tmp_path / "bad.isospan", **choices)
+
+
 def test_the_entry_points():
     import tomllib
     from conftest import ROOT
 
     project = tomllib.loads((ROOT / "tools/python/pyproject.toml").read_text())["project"]
-    points = [*project["scripts"].values(), *project["entry-points"]["pyvista.readers"].values()]
+    of_pyvista = [project["entry-points"][f"pyvista.{kind}"] for kind in ("readers", "writers")]
+    points = [*project["scripts"].values(), *(p for group in of_pyvista for p in group.values())]
     for point in points:
         module, _, name = point.partition(":")
         assert callable(getattr(__import__(module, fromlist=[name]), name))

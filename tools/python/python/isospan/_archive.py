@@ -11,18 +11,35 @@ from typing import TYPE_CHECKING, Any, Iterator, Sequence, overload
 import numpy as np
 
 from . import _isospan
+from ._meshes import plain
 from ._progress import Progress, Reporter
+from ._sources import volume_or_path
 from ._surface import Surface
 
 if TYPE_CHECKING:
     import numpy.typing as npt
     import pyvista
+    from typing_extensions import TypedDict, Unpack
 
     PathLike = os.PathLike[str] | str
     Size = int | str
     #: A text as the program takes it, or for x, y, z a pair of ends in numbers of samples (None:
     #: open).
     Roi = str | Sequence[Sequence[float | None]]
+
+    class SurfaceChoices(TypedDict, total=False):
+        roi: Roi | None
+        bounds: Sequence[float | None] | None
+        cap: bool
+        largest: int | None
+        min_triangles: int | None
+        min_volume: float | None
+        decimate: float | None
+        decimate_error: float | None
+        step: int | None
+        time: float | None
+        threads: int
+        memory: Size | None
 
 
 @dataclass(frozen=True, repr=False)
@@ -119,8 +136,10 @@ class Archive:
         self, path: PathLike, *, step: int | None = None, time: float | None = None
     ) -> None:
         self._path, self._when = os.fspath(path), (step, time)
-        self._open: _isospan.Archive | None = _isospan.Archive(self._path, self._when)
         self.report = None
+        # Shown as closed where it cannot be opened.
+        self._open: _isospan.Archive | None = None
+        self._open = _isospan.Archive(self._path, self._when)
 
     @property
     def _core(self) -> _isospan.Archive:
@@ -216,9 +235,11 @@ class Archive:
         return np.array(counts, dtype=np.uint64)
 
     @overload
-    def surface(self, isovalue: float, **choices: Any) -> Surface: ...
+    def surface(self, isovalue: float, **choices: Unpack[SurfaceChoices]) -> Surface: ...
     @overload
-    def surface(self, isovalue: Sequence[float], **choices: Any) -> list[Surface]: ...
+    def surface(
+        self, isovalue: Sequence[float], **choices: Unpack[SurfaceChoices]
+    ) -> list[Surface]: ...
     def surface(
         self,
         isovalue: float | Sequence[float],
@@ -436,7 +457,7 @@ class Archive:
 
     def measure(
         self,
-        against: PathLike,
+        against: Any,
         *,
         field: str | None = None,
         step: int | None = None,
@@ -446,17 +467,19 @@ class Archive:
         scratch: PathLike | None = None,
         progress: Progress = None,
     ) -> dict[str, Any]:
-        """The error at every sample of a file, in units of the field, as ``isospan measure --json``
-        prints it.
+        """The error at every sample of a source, in units of the field, as ``isospan measure
+        --json`` prints it.
 
-        against: the volume or mesh that the archive was made from. map: also write errors of
-            bricks, .vti.
+        against: the volume or mesh that the archive was made from, a path or an array, as for
+            :func:`isospan.reduce`. map: also write errors of bricks, .vti.
         The error that was measured when the archive was made is ``archive.info["error"]``.
         """
         with Reporter(progress) as callback:
             machine = _machine(threads, memory, scratch)
             place = None if map is None else os.fspath(map)
-            return self._core.measure(os.fspath(against), field, step, place, machine, callback)
+            with plain(against, field, scratch) as found:
+                source = volume_or_path(found)
+                return self._core.measure(source, found.field, step, place, machine, callback)
 
     def check(self) -> None:
         """Verifies the whole archive; raises BadInputError that names the first thing that is

@@ -31,7 +31,12 @@ class Numbers:
 class Volume:
     @staticmethod
     def of_array(
-        name: str, array: Any, origin: Sequence[float], spacing: Sequence[float]
+        name: str,
+        array: Any,
+        scalar: str,
+        origin: Sequence[float],
+        spacing: Sequence[float],
+        direction: Sequence[Sequence[float]] | None,
     ) -> Volume: ...
     @staticmethod
     def of_boxes(
@@ -81,7 +86,7 @@ class Archive:
     ) -> _Report: ...
     def measure(
         self,
-        against: _Path,
+        against: _Path | Volume,
         field: str | None,
         step: int | None,
         map: _Path | None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any, Callable
+from typing import Any, Callable
 
 import numpy as np
 
@@ -11,9 +11,6 @@ from . import _isospan
 from ._archive import Archive, Spectrum
 from ._pyvista import default_isovalue
 from ._surface import Surface
-
-if TYPE_CHECKING:
-    import napari
 
 #: Key of a layer's metadata under which the archive is.
 KEY = "isospan"

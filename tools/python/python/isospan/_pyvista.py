@@ -1,4 +1,5 @@
-"""``pyvista.read("x.isospan")``: an archive as a mesh of PyVista."""
+"""``pyvista.read("x.isospan")``: an archive as a mesh of PyVista; ``mesh.save("x.isospan")``: an
+archive of a mesh."""
 
 from __future__ import annotations
 
@@ -44,6 +45,18 @@ def read(
         return pyvista.MultiBlock(
             {f"{surface.isovalue:g}": surface.to_pyvista() for surface in found}
         )
+
+
+def write(mesh: pyvista.DataSet, path: str, /, **choices: Any) -> None:
+    """Makes an archive of a mesh's scalars: those of an image at its samples, of any other grid at
+    its vertices.
+
+    choices: as for :func:`isospan.reduce`; field chooses scalars other than the active ones. An
+        archive that is there is replaced with force=True alone.
+    """
+    from ._reduce import reduce
+
+    reduce(mesh, path, **choices)
 
 
 def default_isovalue(archive: Archive) -> float:

@@ -6,13 +6,15 @@ from __future__ import annotations
 import numbers
 import operator
 import os
-from typing import TYPE_CHECKING, Any, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Iterator, Sequence
 
 import numpy as np
 
 from . import _isospan
 from ._archive import Archive
 from ._errors import UsageError
+from ._meshes import plain
 from ._progress import Progress, Reporter
 from ._sources import sources
 
@@ -143,26 +145,13 @@ def reduce(
 
     Ctrl-C stops the run; the same call continues it.
     """
-    choices = {
-        k: v
-        for k, v in locals().items()
-        if k not in ("source", "out", "origin", "name", "progress")
-    }
-    with Reporter(progress) as callback:
-        if _is_path(source):
-            _only_arrays(origin=origin, name=name)
-            arguments = _arguments(
-                "reduce", [f"--output={os.fspath(out)}"], _paths(source), choices
-            )
-            report = _isospan.reduce(arguments, None, callback)
-        else:
-            _only_files(choices)
-            choices.pop("spacing")
-            given = sources(source, spacing=spacing, origin=origin, name=name)
-            if given.times is not None and times is None:
-                choices["times"] = given.times
-            arguments = _arguments("reduce", [f"--output={os.fspath(out)}"], given.names, choices)
-            report = _isospan.reduce(arguments, given.volumes, callback)
+    choices = {k: v for k, v in locals().items() if k not in ("source", "out", "progress")}
+    before = [f"--output={os.fspath(out)}"]
+    with (
+        Reporter(progress) as callback,
+        _asked("reduce", before, [], source, choices) as (arguments, volumes),
+    ):
+        report = _isospan.reduce(arguments, volumes, callback)
     archive = Archive(out)
     archive.report = report
     return archive
@@ -198,24 +187,35 @@ def append(
     """
     path = archive.path if isinstance(archive, Archive) else os.fspath(archive)
     choices = {k: v for k, v in locals().items()}
-    for other in ("archive", "path", "source", "origin", "name", "progress"):
+    for other in ("archive", "path", "source", "progress"):
         choices.pop(other)
-    with Reporter(progress) as callback:
-        if _is_path(source):
-            _only_arrays(origin=origin, name=name)
-            arguments = _arguments("append", [], [path, *_paths(source)], choices)
-            report = _isospan.append(arguments, None, callback)
-        else:
-            _only_files(choices)
-            choices.pop("spacing")
-            given = sources(source, spacing=spacing, origin=origin, name=name)
-            if given.times is not None and times is None:
-                choices["times"] = given.times
-            arguments = _arguments("append", [], [path, *given.names], choices)
-            report = _isospan.append(arguments, given.volumes, callback)
+    with (
+        Reporter(progress) as callback,
+        _asked("append", [], [path], source, choices) as (arguments, volumes),
+    ):
+        report = _isospan.append(arguments, volumes, callback)
     longer = Archive(path)
     longer.report = report
     return longer
+
+
+@contextmanager
+def _asked(
+    command: str, before: list[str], inputs: list[str], source: Any, choices: dict[str, Any]
+) -> Iterator[tuple[list[str], list[_isospan.Volume] | None]]:
+    """Arguments of the program for a source, and the volumes where it is no file."""
+    place = {name: choices.pop(name) for name in ("origin", "name")}
+    with plain(source, choices["field"], choices["scratch"]) as found:
+        choices["field"] = found.field
+        if _is_path(found.source):
+            _only_arrays(**place)
+            yield _arguments(command, before, [*inputs, *_paths(found.source)], choices), None
+            return
+        _only_files(choices)
+        given = sources(found.source, spacing=choices.pop("spacing"), **place)
+        if given.times is not None and choices["times"] is None:
+            choices["times"] = given.times
+        yield _arguments(command, before, [*inputs, *given.names], choices), given.volumes
 
 
 def _is_path(source: Any) -> bool:

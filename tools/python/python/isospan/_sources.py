@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 from dataclasses import dataclass
 from typing import Any, Iterator, Sequence
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from . import _isospan
 from ._errors import UsageError
+from ._meshes import Image, Plain
 
 #: Types of samples as the library has them, by kind and bytes of a NumPy type.
 _SCALARS = {f"{k}{b}": f"{k}{8 * b}" for k in "iu" for b in (1, 2, 4, 8)} | {
@@ -55,6 +57,23 @@ def sources(
         given.volumes.append(_volume(array, spacing, origin, called))
         given.names.append(called)
     return given
+
+
+def volume_or_path(found: Plain) -> _isospan.Volume | str:
+    """A source that is one volume, or one file."""
+    source = found.source
+    if isinstance(source, list) and len(source) == 1:
+        [source] = source
+    if isinstance(source, (str, os.PathLike)):
+        return os.fspath(source)
+    if isinstance(source, list):
+        raise UsageError("a step is measured against one volume, not against several")
+    if found.field is not None:
+        raise UsageError("field is for files, not for arrays")
+    volumes = sources(source).volumes
+    if len(volumes) > 1:
+        raise UsageError("a step is measured against one volume, not against a series")
+    return volumes[0]
 
 
 def _is_xarray(array: Any) -> bool:
@@ -103,6 +122,12 @@ def _name_of(array: Any) -> str:
 
 
 def _volume(array: Any, spacing: Any, origin: Any, name: str) -> _isospan.Volume:
+    direction = None
+    if isinstance(array, Image):
+        if spacing is not None or origin is not None:
+            raise UsageError("an image tells spacing and origin itself: give neither")
+        spacing, origin, direction = array.spacing, array.origin, array.direction
+        array = array.array
     if _is_xarray(array):
         if spacing is not None or origin is not None:
             raise UsageError("the coordinates of an xarray tell spacing and origin: give neither")
@@ -115,8 +140,8 @@ def _volume(array: Any, spacing: Any, origin: Any, name: str) -> _isospan.Volume
     dtype, shape = getattr(array, "dtype", None), getattr(array, "shape", None)
     if dtype is None or shape is None:
         raise UsageError(
-            "a volume is a path or an array (NumPy, Zarr, h5py, dask, xarray), "
-            f"not a {type(array).__name__}"
+            "a volume is a path, an array (NumPy, Zarr, h5py, dask, xarray) "
+            f"or a mesh of PyVista, not a {type(array).__name__}"
         )
     if len(shape) != 3:
         raise UsageError(
@@ -132,8 +157,9 @@ def _volume(array: Any, spacing: Any, origin: Any, name: str) -> _isospan.Volume
         return _boxes(array, dtype, spacing, origin, name)
     if isinstance(array, np.ndarray) and dtype == np.bool_:
         array, dtype = array.view(np.uint8), np.dtype(np.uint8)
-    if isinstance(array, np.ndarray) and _scalar(dtype) is not None:
-        return _isospan.Volume.of_array(name, array, origin, spacing)
+    scalar = _scalar(dtype)
+    if isinstance(array, np.ndarray) and scalar is not None:
+        return _isospan.Volume.of_array(name, array, scalar, origin, spacing, direction)
     return _boxes(array, dtype, spacing, origin, name)
 
 
@@ -197,6 +223,7 @@ def _regular(array: Any, along: str) -> tuple[float, float]:
 def _boxes(array: Any, dtype: np.dtype, spacing: Any, origin: Any, name: str) -> _isospan.Volume:
     """A volume that is read in boxes of whole chunks."""
     scalar = _scalar(dtype)
+    stored: np.dtype[Any]
     if dtype == np.bool_:
         stored = np.dtype(np.uint8)
     elif scalar is None and dtype == np.float16:

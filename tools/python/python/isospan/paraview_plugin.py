@@ -3,8 +3,8 @@
 ParaView's Python needs isospan: ``pvpython -m pip install isospan``, or a PYTHONPATH where it lies.
 Open the file ``manifest.json`` of an archive, or type the name of its folder. Port 0 is the
 surfaces, port 1 the tetrahedra, which are empty unless they are asked for. With VTK alone the class
-is a source as any other. (ParaView imports a plugin by the name of its file: as paraview.py it would
-hide ParaView's own module.)
+is a source as any other. (ParaView imports a plugin by the name of its file: as paraview.py it
+would hide ParaView's own module.)
 """
 
 from __future__ import annotations
