@@ -13,6 +13,7 @@ mod append;
 mod bend_blocks;
 mod beside;
 mod block;
+mod cached;
 mod cell_field;
 mod chunk;
 mod commit;

@@ -7,6 +7,7 @@
 //!         + workers · room          a chunk at work: its points, their tetrahedra, its values, its blocks
 //!         + workers · beside        its values at further steps; samples of the source, errors
 //!         + workers · 3 products    encoded chunks that wait for their turn to be written
+//!         + cache                   decoded chunks of the source: see `cached`
 //!  memory >= BASE + decoder         before: a stream is copied into bricks, chunk by chunk of its own
 //!  memory >= BASE + index           afterwards, when the first two are gone: see below
 //! ```
@@ -314,7 +315,7 @@ impl Need {
 }
 
 /// All chunks, or as many of them, evenly spread.
-fn some_chunks(chunks: &ChunkGrid) -> impl Iterator<Item = Chunk> {
+pub(crate) fn some_chunks(chunks: &ChunkGrid) -> impl Iterator<Item = Chunk> + use<'_> {
     let step = chunks.len().div_ceil(MOST_LOOKED_AT).max(1);
     (0..chunks.len()).step_by(step as usize).map(|c| chunks.chunk(ChunkId(c)))
 }

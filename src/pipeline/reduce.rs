@@ -3,6 +3,7 @@
 //! The archive's folder is filled segment by segment; the manifest comes last. A folder without a manifest is no
 //! archive: it is work that the same command continues. A folder with one is never touched unless asked to.
 
+use super::cached::need_with_cache;
 use super::commit::Made;
 use super::gauge::stored_error;
 use super::job::{
@@ -216,9 +217,9 @@ pub(super) fn make_plan(job: &Job<'_>, only_estimates: bool) -> Result<(SeriesPl
         return reduce_mesh::plan_mesh(job);
     }
     let known = Known { out: Some(job.out), only_estimates, ..Known::default() };
-    let series = plan_volumes(job.sources, job.settings, job.run, known)?;
+    let mut series = plan_volumes(job.sources, job.settings, job.run, known)?;
     let mesh = parts(&series.plan.mesh, series.beside.clone())?;
-    let need = need_of(&mesh, 0, series.plan.steps.len(), job.run.memory, job.run);
+    let (need, _) = need_with_cache(&mut series, &mesh, job.run)?;
     let estimate = estimate_of(&series.plan, &series.sources, &need, job.out, job.run)?;
     Ok((series, mesh, estimate))
 }
@@ -233,7 +234,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
         files: job.part.planned_files(),
         only_estimates: false,
     };
-    let series = plan_volumes(job.sources, job.settings, job.run, known)?;
+    let mut series = plan_volumes(job.sources, job.settings, job.run, known)?;
     job.part.expect_planned(&series)?;
     let mesh = parts(&series.plan.mesh, series.beside.clone())?;
     let inner_points = mesh.points.interior_len();
@@ -242,7 +243,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     }
     let samples = series.plan.first().source.samples();
     let seconds = vec![("plan".to_owned(), planning.elapsed().as_secs_f64())];
-    let need = need_of(&mesh, 0, series.plan.steps.len(), job.run.memory, job.run);
+    let (need, cached) = need_with_cache(&mut series, &mesh, job.run)?;
     estimate_of(&series.plan, &series.sources, &need, job.out, job.run)?.check()?;
     // Small copies of inputs are made in memory where that leaves as many threads at work.
     let (memory, workers) = (job.run.memory, threads(job.run));
@@ -250,7 +251,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     let all = need.shares(memory, workers)?;
     let copied = need.shares(rest, workers).ok().filter(|shares| shares.workers == all.workers);
     let (in_memory, shares) = (copied.is_some(), copied.unwrap_or(all));
-    let fields = VolumeFields::new(job.settings, job.run, job.progress, in_memory);
+    let fields = VolumeFields::new(job.settings, job.run, job.progress, in_memory, cached);
     let bound = series.bound;
     let report = ReduceReport { samples, seconds, inner_points, bound, ..ReduceReport::default() };
     produce(job, series, &Means { parts: &mesh, fields: &fields, shares, at_once: need.steps() }, report)
