@@ -23,8 +23,9 @@
 //! their index, CRC32C, `transpose`, order C or F. Others are refused by name. A chunk that is not there reads as the fill value,
 //! as Zarr has it.
 //!
-//! The volume is a stream in the order of its chunks, so that each is decoded once. Memory: one chunk stored and decoded (of
-//! a shard, one of its chunks), and a slab of at most 4 MiB. Chunks of more than a gibibyte are refused.
+//! The volume is a stream in the order of its chunks, so that each is decoded once; or its chunks are decoded as they are
+//! asked for ([`crate::volume::chunked`]). Memory: one chunk stored and decoded (of a shard, one of its chunks), and a slab
+//! of at most 4 MiB. Chunks of more than a gibibyte are refused.
 //!
 //! Our own reader, as chunks are files with compressors that we have anyway, and one chunk at a time is all that is needed.
 //! The formats: <https://zarr-specs.readthedocs.io>, <https://ngff.openmicroscopy.org>.
@@ -40,7 +41,8 @@ use super::stream::sample_bytes;
 use super::{OpenOptions, pick_field};
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
-use crate::grid::{Geometry, IndexBox};
+use crate::grid::Geometry;
+use crate::volume::chunked::{ChunkSlabs, ChunkSource};
 use crate::volume::strided::swap_bytes;
 use crate::volume::{FieldInfo, SlabStream, VolumeInfo, VolumeSource};
 use base64::prelude::{BASE64_STANDARD, Engine};
@@ -49,11 +51,13 @@ use meta::Array;
 use serde_json::Value;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Most bytes of a decoded chunk.
 const MOST_CHUNK: u64 = 1 << 30;
-/// Bytes of a slab, unless a row of a chunk has more.
-const SLAB_BYTES: u64 = 4 << 20;
+/// Shards that are open at a time, and bytes of their indices, unless one has more.
+const MOST_OPEN: u64 = 32;
+const OPEN_INDICES: u64 = 4 << 20;
 /// Most numbers of coordinates along an axis.
 const MOST_COORDINATES: u64 = 1 << 24;
 /// Most frames of an array.
@@ -102,7 +106,8 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     info.field = field;
     info.fields = infos;
     info.data_files = files(&array, frame);
-    Ok(VolumeSource::Stream(Box::new(Chunks::new(info, array, axes, frame, options.io))))
+    let chunks = Chunks::new(info, array, axes, frame, options.io);
+    Ok(VolumeSource::Stream(Box::new(ChunkSlabs::new(Arc::new(chunks)))))
 }
 
 /// The frames of the array that is `wanted`, or that is read without a choice, by the names of their fields, and their times, where OME-Zarr tells
@@ -200,8 +205,8 @@ fn line(array: &Array, axis: usize, io: IoMode) -> Option<Coordinates> {
     let mut info = plain_info(&own.file, "Zarr", [own.shape[0], 1, 1], own.scalar, Geometry::default());
     packing(&own, &mut info).ok()?;
     let (slope, intercept, scalar) = (info.slope, info.intercept, own.scalar);
-    let (mut chunks, mut bytes, mut out) =
-        (Chunks::new(info, own, [Some(0), None, None], None, io), vec![], vec![]);
+    let chunks = Chunks::new(info, own, [Some(0), None, None], None, io);
+    let (mut chunks, mut bytes, mut out) = (ChunkSlabs::new(Arc::new(chunks)), vec![], vec![]);
     while chunks.next_slab(&mut bytes).ok()?.is_some() {
         let mut part = vec![0.0; bytes.len() / scalar.bytes()];
         to_f64(scalar, &bytes, &mut part);
@@ -530,7 +535,7 @@ fn files(array: &Array, frame: Option<Frame>) -> Vec<PathBuf> {
     std::iter::once(array.file.clone()).chain(some.map(place)).collect()
 }
 
-/// The chunks of an array, one after the other.
+/// The chunks of an array, or of one of its frames.
 struct Chunks {
     info: VolumeInfo,
     array: Array,
@@ -538,28 +543,16 @@ struct Chunks {
     /// Of an array with a time axis: which entry.
     frame: Option<Frame>,
     io: IoMode,
-    /// The next file, by its place in the grid along x, y, z; and the next chunk in it.
-    file: Option<[u64; 3]>,
-    inner: [u64; 3],
-    shard: Option<OpenShard>,
-    current: Option<Chunk>,
+    /// Shards that were opened last, by their places in the grid of files.
+    shards: Mutex<Vec<([u64; 3], Arc<OpenShard>)>>,
 }
 
 /// A shard's file and index; `None`: it is not there.
 type OpenShard = Option<(ByteSource, Vec<u8>)>;
 
-/// A decoded chunk, of which slabs are being cut.
-struct Chunk {
-    /// Its samples within the volume.
-    voxels: IndexBox,
-    /// Decoded, as stored; `None` is the fill value.
-    bytes: Option<Vec<u8>>,
-    next_z: u64,
-}
-
 impl Chunks {
     fn new(info: VolumeInfo, array: Array, axes: Axes, frame: Option<Frame>, io: IoMode) -> Self {
-        Self { info, array, axes, frame, io, file: Some([0; 3]), inner: [0; 3], shard: None, current: None }
+        Self { info, array, axes, frame, io, shards: Mutex::default() }
     }
 
     /// Sizes along x, y, z of a list along the array's axes.
@@ -581,59 +574,34 @@ impl Chunks {
         place
     }
 
-    /// Moves to the next chunk: of this file, or the first of the next file.
-    fn advance(&mut self, file: [u64; 3]) {
-        let (chunk, unit) = (self.xyz(&self.array.chunk), self.xyz(self.array.unit()));
-        let inside = std::array::from_fn(|a| chunk[a] / unit[a]);
-        if step(&mut self.inner, inside) {
-            return;
-        }
-        (self.inner, self.shard) = ([0; 3], None);
-        let grid = std::array::from_fn(|a| self.info.dims[a].div_ceil(chunk[a]));
-        let mut next = file;
-        self.file = step(&mut next, grid).then_some(next);
-    }
-
-    /// The samples of the next chunk that lie in the volume; empty for a chunk of a shard beyond its end.
-    fn voxels(&self, file: [u64; 3]) -> IndexBox {
-        let (chunk, unit, d) = (self.xyz(&self.array.chunk), self.xyz(self.array.unit()), self.info.dims);
-        let lo =
-            std::array::from_fn(|a| file[a].saturating_mul(chunk[a]).saturating_add(self.inner[a] * unit[a]));
-        IndexBox { lo, hi: std::array::from_fn(|a| lo[a].saturating_add(unit[a]).min(d[a])) }
-    }
-
-    /// The next chunk, decoded.
-    fn load(&mut self, file: [u64; 3]) -> Result<Option<Vec<u8>>> {
+    /// A chunk as it is stored, decoded; `None` where there is none.
+    fn load(&self, file: [u64; 3], inner: [u64; 3]) -> Result<Option<Vec<u8>>> {
         let path = self.array.chunk_file(&self.place(file, |f| f.number / self.array.chunk[f.axis]));
-        let size = self.array.scalar.bytes() as u64;
-        let needed = self.array.unit().iter().product::<u64>() * size;
-        let (mut whole, range);
-        let source = if self.array.shard.is_some() {
-            if self.shard.is_none() {
-                self.shard = Some(self.open_shard(&path)?);
-            }
-            let Some((source, index)) = self.shard.as_ref().expect("just opened") else { return Ok(None) };
-            let Some(found) = self.range_in_shard(source, index)? else { return Ok(None) };
-            range = found;
-            source
-        } else {
-            whole = self.open_file(&path)?;
-            let Some(source) = &mut whole else { return Ok(None) };
-            range = 0..source.len();
-            source
-        };
+        if self.array.shard.is_none() {
+            let Some(source) = self.open_file(&path)? else { return Ok(None) };
+            return self.decoded(&source, 0..source.len()).map(Some);
+        }
+        let shard = self.shard(file, &path)?;
+        let Some((source, index)) = &*shard else { return Ok(None) };
+        match self.range_in_shard(inner, source, index)? {
+            Some(range) => self.decoded(source, range).map(Some),
+            None => Ok(None),
+        }
+    }
+
+    fn decoded(&self, source: &ByteSource, range: Range<u64>) -> Result<Vec<u8>> {
+        let needed = self.array.unit().iter().product::<u64>() * self.array.scalar.bytes() as u64;
         let mut buffer = vec![];
         let at = format!("chunk at byte {}", range.start);
         let stored = source.view(range, &mut buffer)?;
         let decoded = codec::decode(&self.array.codecs, stored, needed as usize);
         source.check()?;
-        let damaged = |got: String| {
+        decoded.map_err(|got| {
             let names: Vec<&str> = self.array.codecs.iter().map(|c| c.name()).collect();
             let expected = format!("{needed} bytes of good {} data", names.join(" + "));
-            Error::bad_input(&path, at, expected, got)
+            Error::bad_input(source.path(), at, expected, got)
                 .with_help("the chunk is damaged or cut short; fetch it again")
-        };
-        decoded.map(Some).map_err(damaged)
+        })
     }
 
     /// `None` where there is no file. An empty one is damage, not a missing chunk.
@@ -643,6 +611,32 @@ impl Chunks {
             Err(e) => Err(Error::io("look at", path, e)),
             Ok(_) => Ok(Some(ByteSource::open(path, self.io)?)),
         }
+    }
+
+    /// The shard at a place of the grid of files, opened before or now.
+    fn shard(&self, file: [u64; 3], path: &Path) -> Result<Arc<OpenShard>> {
+        let mut open = self.shards.lock().unwrap_or_else(PoisonError::into_inner);
+        let found = match open.iter().position(|(at, _)| *at == file) {
+            Some(n) => open.remove(n).1,
+            None => {
+                open.truncate(self.open_shards().saturating_sub(1) as usize);
+                Arc::new(self.open_shard(path)?)
+            }
+        };
+        open.insert(0, (file, Arc::clone(&found)));
+        Ok(found)
+    }
+
+    /// Shards that are kept open, at most.
+    fn open_shards(&self) -> u64 {
+        (OPEN_INDICES / self.index_bytes().max(1)).clamp(1, MOST_OPEN)
+    }
+
+    /// Bytes of the index of a shard; 0 where there are no shards.
+    fn index_bytes(&self) -> u64 {
+        let all = |sizes: &[u64]| sizes.iter().fold(1u64, |n, &d| n.saturating_mul(d));
+        let chunks = all(&self.array.chunk) / all(self.array.unit()).max(1);
+        if self.array.shard.is_some() { chunks.saturating_mul(16) } else { 0 }
     }
 
     fn open_shard(&self, path: &Path) -> Result<OpenShard> {
@@ -663,10 +657,15 @@ impl Chunks {
         Ok(Some((source, index)))
     }
 
-    /// Where the next chunk is in its shard; `None` where it is not.
-    fn range_in_shard(&self, source: &ByteSource, index: &[u8]) -> Result<Option<Range<u64>>> {
+    /// Where a chunk is in its shard; `None` where it is not.
+    fn range_in_shard(
+        &self,
+        inner: [u64; 3],
+        source: &ByteSource,
+        index: &[u8],
+    ) -> Result<Option<Range<u64>>> {
         let (chunk, unit) = (&self.array.chunk, self.array.unit());
-        let place = self.place(self.inner, |f| f.number % chunk[f.axis] / unit[f.axis]);
+        let place = self.place(inner, |f| f.number % chunk[f.axis] / unit[f.axis]);
         let number = place.iter().zip(chunk.iter().zip(unit)).fold(0, |n, (p, (c, u))| n * (c / u) + p);
         let entry = &index[16 * number as usize..][..16];
         let (at, length) = (LE::read_u64(entry), LE::read_u64(&entry[8..]));
@@ -694,81 +693,56 @@ impl Chunks {
         let begin = self.frame.map_or(0, |f| (f.number % unit[f.axis]) as usize * strides[f.axis]);
         (begin, self.axes.map(|a| a.map_or(0, |a| strides[a])))
     }
+}
 
-    /// Cuts the next slab of a chunk.
-    fn cut(&self, chunk: &mut Chunk, out: &mut Vec<u8>) -> IndexBox {
-        let (size, d) = (self.array.scalar.bytes(), chunk.voxels.dims());
-        let slices = (SLAB_BYTES / (d[0] * d[1] * size as u64)).max(1);
-        // At boundaries of 32: the bricks that are copied to.
-        let slices = if slices >= 32 { slices / 32 * 32 } else { slices };
-        let mut slab = chunk.voxels;
-        slab.lo[2] = chunk.next_z;
-        slab.hi[2] = chunk.voxels.hi[2].min(slab.lo[2] + slices);
-        chunk.next_z = slab.hi[2];
-        let Some(bytes) = &chunk.bytes else {
-            out.extend(self.array.fill.iter().copied().cycle().take(slab.len() * size));
-            return slab;
+impl ChunkSource for Chunks {
+    fn info(&self) -> &VolumeInfo {
+        &self.info
+    }
+
+    fn chunk_dims(&self) -> [u64; 3] {
+        self.xyz(self.array.unit())
+    }
+
+    fn together(&self) -> [u64; 3] {
+        let (file, unit) = (self.xyz(&self.array.chunk), self.chunk_dims());
+        std::array::from_fn(|a| file[a] / unit[a])
+    }
+
+    fn decoding_bytes(&self) -> u64 {
+        let all = self.array.unit().iter().fold(1u64, |n, &d| n.saturating_mul(d));
+        let decoded = all.saturating_mul(self.array.scalar.bytes() as u64);
+        // Stored, between two codecs, decoded, given out; and the indices of shards.
+        let indices = self.index_bytes().saturating_mul(self.open_shards() + 1);
+        decoded.saturating_mul(4).saturating_add(indices)
+    }
+
+    fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+        out.clear();
+        let (size, d, unit, together) =
+            (self.array.scalar.bytes(), self.info.dims, self.chunk_dims(), self.together());
+        let [w, h, depth] = std::array::from_fn(|a| unit[a].min(d[a].saturating_sub(at[a] * unit[a])));
+        let file = std::array::from_fn(|a| at[a] / together[a]);
+        let loaded = self.load(file, std::array::from_fn(|a| at[a] % together[a]))?;
+        out.reserve((w * h * depth) as usize * size);
+        let Some(bytes) = loaded else {
+            let samples = (w * h * depth) as usize;
+            out.extend(self.array.fill.iter().copied().cycle().take(samples * size));
+            return Ok(());
         };
         let (begin, [sx, sy, sz]) = self.strides();
-        let z0 = slab.lo[2] - chunk.voxels.lo[2];
-        for (z, y) in (z0..z0 + slab.dims()[2]).flat_map(|z| (0..d[1]).map(move |y| (z, y))) {
+        for (z, y) in (0..depth).flat_map(|z| (0..h).map(move |y| (z, y))) {
             let at = begin + z as usize * sz + y as usize * sy;
             if sx == size {
-                out.extend_from_slice(&bytes[at..at + d[0] as usize * size]);
+                out.extend_from_slice(&bytes[at..at + w as usize * size]);
             } else {
-                (0..d[0] as usize).for_each(|x| out.extend_from_slice(&bytes[at + x * sx..][..size]));
+                (0..w as usize).for_each(|x| out.extend_from_slice(&bytes[at + x * sx..][..size]));
             }
         }
         if self.array.big_endian {
             swap_bytes(out, size);
         }
-        slab
-    }
-}
-
-/// The next place of a grid, x fastest; `false` after the last.
-fn step(at: &mut [u64; 3], grid: [u64; 3]) -> bool {
-    for a in 0..3 {
-        at[a] += 1;
-        if at[a] < grid[a] {
-            return true;
-        }
-        at[a] = 0;
-    }
-    false
-}
-
-impl SlabStream for Chunks {
-    fn info(&self) -> &VolumeInfo {
-        &self.info
-    }
-
-    fn working_bytes(&self) -> u64 {
-        let product = |shape: &[u64]| shape.iter().fold(1u64, |n, &d| n.saturating_mul(d));
-        let decoded = product(self.array.unit()).saturating_mul(self.array.scalar.bytes() as u64);
-        let chunks = product(&self.array.chunk) / product(self.array.unit()).max(1);
-        let index = if self.array.shard.is_some() { chunks.saturating_mul(16) } else { 0 };
-        // Stored, between two codecs, decoded.
-        decoded.saturating_mul(3).saturating_add(index).saturating_add(2 * SLAB_BYTES)
-    }
-
-    fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
-        out.clear();
-        while self.current.is_none() {
-            let Some(file) = self.file else { return Ok(None) };
-            let voxels = self.voxels(file);
-            if !voxels.is_empty() {
-                let bytes = self.load(file)?;
-                self.current = Some(Chunk { voxels, bytes, next_z: voxels.lo[2] });
-            }
-            self.advance(file);
-        }
-        let mut chunk = self.current.take().expect("just loaded");
-        let slab = self.cut(&mut chunk, out);
-        if chunk.next_z < chunk.voxels.hi[2] {
-            self.current = Some(chunk);
-        }
-        Ok(Some(slab))
+        Ok(())
     }
 }
 

@@ -1,9 +1,11 @@
 //! Volumes: what a reader tells of a structured scalar field, and how its samples are had.
 //!
 //! A format of `formats/` gives either random access (a mapped file, [`VolumeReader`]) or a sequence of slabs
-//! ([`SlabStream`]: compressed or text files). A stream is turned into random access by [`bricked`], once; a small one in memory.
+//! ([`SlabStream`]: compressed or text files). A stream is turned into random access by [`bricked`], once; a small one in memory;
+//! one whose chunks are decoded each by itself through a cache of those ([`chunked`]).
 
 pub mod bricked;
+pub mod chunked;
 pub mod memory;
 pub(crate) mod shifted;
 pub mod slabs;
@@ -185,6 +187,11 @@ pub trait SlabStream: Send {
     /// Bytes of memory that reading takes at a time, at most: what is decoded together, as often as it is held, and a slab.
     fn working_bytes(&self) -> u64 {
         4 << 20
+    }
+
+    /// The same samples by chunks, where each chunk is decoded by itself.
+    fn chunks(&self) -> Option<Arc<dyn chunked::ChunkSource>> {
+        None
     }
 
     /// The next box, its stored samples (no slope applied) as **little-endian** bytes of [`FieldInfo::scalar`], x

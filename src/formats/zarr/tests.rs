@@ -1,7 +1,9 @@
 use super::super::tests::{gzip, write};
 use super::*;
 use crate::formats::open_volume;
+use crate::grid::IndexBox;
 use crate::volume::ScalarType;
+use crate::volume::chunked::step;
 use crate::volume::strided::convert_row;
 use base64::prelude::{BASE64_STANDARD, Engine};
 use serde_json::json;

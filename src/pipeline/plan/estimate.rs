@@ -7,6 +7,7 @@
 //!         + workers · room          a chunk at work: its points, their tetrahedra, its values, its blocks
 //!         + workers · beside        its values at further steps; samples of the source, errors
 //!         + workers · 3 products    encoded chunks that wait for their turn to be written
+//!         + cache                   decoded chunks of the source: see `reduce::cached`
 //!  memory >= BASE + decoder         before: a stream is copied into bricks, chunk by chunk of its own
 //!  memory >= BASE + index           afterwards, when the first two are gone: see below
 //! ```
@@ -296,7 +297,7 @@ impl Need {
     }
 
     /// The least memory that works: one chunk at a time.
-    pub(super) fn least(&self) -> u64 {
+    pub(in crate::pipeline) fn least(&self) -> u64 {
         self.of_workers(1)
     }
 
@@ -356,7 +357,7 @@ pub(in crate::pipeline) const fn error_bytes(steps: u64) -> u64 {
 }
 
 /// All chunks, or as many of them, evenly spread.
-fn some_chunks(chunks: &ChunkGrid) -> impl Iterator<Item = Chunk> {
+pub(in crate::pipeline) fn some_chunks(chunks: &ChunkGrid) -> impl Iterator<Item = Chunk> + use<'_> {
     let step = chunks.len().div_ceil(MOST_LOOKED_AT).max(1);
     (0..chunks.len()).step_by(step as usize).map(|c| chunks.chunk(ChunkId(c)))
 }

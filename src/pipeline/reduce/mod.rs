@@ -5,6 +5,7 @@
 
 mod advice;
 mod append;
+mod cached;
 mod commit;
 mod encode;
 pub(super) mod existing;
@@ -29,14 +30,13 @@ use crate::exec::{Progress, Silent};
 use crate::formats::{Input, OpenOptions, StepSource};
 use crate::pipeline::chunk::stored_error;
 use crate::pipeline::field::{MeasureSettings, reopened_errors};
-use crate::pipeline::plan::{
-    Estimate, Layout, MeshParts, Need, Plan, Question, folder_bytes, need_of, parts,
-};
+use crate::pipeline::plan::{Estimate, Layout, MeshParts, Need, Plan, Question, folder_bytes, parts};
 use crate::pipeline::read::{OpenArchive, StepChoice, StepSummary, write_coordinates};
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
 pub(super) use advice::look;
 pub use advice::{mesh_notices, scan_with_notices};
 pub use append::{AppendSettings, append};
+use cached::need_with_cache;
 use commit::Made;
 pub(super) use existing::strays;
 pub use job::ReduceReport;
@@ -161,9 +161,9 @@ pub(super) fn make_plan(job: &Job<'_>, only_estimates: bool) -> Result<(SeriesPl
         return mesh::plan_mesh(job);
     }
     let known = Known { out: Some(job.out), only_estimates, ..Known::default() };
-    let series = plan_volumes(job.sources, job.settings, job.run, known)?;
+    let mut series = plan_volumes(job.sources, job.settings, job.run, known)?;
     let mesh = parts(&series.plan.mesh, series.beside.clone())?;
-    let need = need_of(&mesh, 0, series.plan.steps.len(), job.run.memory, job.run);
+    let (need, _) = need_with_cache(&mut series, &mesh, job.run)?;
     let estimate = estimate_of(&series.plan, &series.sources, &need, job.out, job.run)?;
     Ok((series, mesh, estimate))
 }
@@ -178,7 +178,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
         files: job.part.planned_files(),
         only_estimates: false,
     };
-    let series = plan_volumes(job.sources, job.settings, job.run, known)?;
+    let mut series = plan_volumes(job.sources, job.settings, job.run, known)?;
     job.part.expect_planned(&series)?;
     let mesh = parts(&series.plan.mesh, series.beside.clone())?;
     let inner_points = mesh.points.interior_len();
@@ -187,7 +187,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     }
     let samples = series.plan.first().source.samples();
     let seconds = vec![("plan".to_owned(), planning.elapsed().as_secs_f64())];
-    let need = need_of(&mesh, 0, series.plan.steps.len(), job.run.memory, job.run);
+    let (need, cached) = need_with_cache(&mut series, &mesh, job.run)?;
     estimate_of(&series.plan, &series.sources, &need, job.out, job.run)?.check()?;
     // Small copies of inputs are made in memory where that leaves as many threads at work.
     let (memory, workers) = (job.run.memory, job.run.worker_threads());
@@ -195,7 +195,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     let all = need.shares(memory, workers)?;
     let copied = need.shares(rest, workers).ok().filter(|shares| shares.workers == all.workers);
     let (in_memory, shares) = (copied.is_some(), copied.unwrap_or(all));
-    let fields = VolumeFields::new(job.settings, job.run, job.progress, in_memory);
+    let fields = VolumeFields::new(job.settings, job.run, job.progress, in_memory, cached);
     let bound = series.bound;
     let report = ReduceReport { samples, seconds, inner_points, bound, ..ReduceReport::default() };
     produce(job, series, &Means { parts: &mesh, fields: &fields, shares, at_once: need.steps() }, report)

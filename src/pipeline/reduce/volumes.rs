@@ -18,6 +18,7 @@ use crate::pipeline::plan::{Beside, Frame, Inputs, Plan, RecordedFile, count_of,
 use crate::pipeline::read::{OpenArchive, coordinate_hash};
 use crate::pipeline::settings::{ReduceSettings, RunSettings, Target, ValueBits};
 use crate::points::SetSettings;
+use crate::volume::chunked::ChunkedVolume;
 use crate::volume::unpacked::unpack;
 use crate::volume::{VolumeInfo, VolumeReader, VolumeSource};
 use std::path::{Path, PathBuf};
@@ -445,6 +446,8 @@ pub(super) struct VolumeFields<'a> {
     pub(super) progress: &'a dyn Progress,
     /// Whether small copies are made in memory.
     in_memory: bool,
+    /// Bytes of decoded chunks that are kept, where the source is read by chunks.
+    cached: Option<u64>,
     unpacked: Mutex<Option<(PathBuf, Arc<UnpackedFrames>)>>,
 }
 
@@ -454,8 +457,9 @@ impl<'a> VolumeFields<'a> {
         run: &'a RunSettings,
         progress: &'a dyn Progress,
         in_memory: bool,
+        cached: Option<u64>,
     ) -> Self {
-        Self { settings, run, progress, in_memory, unpacked: Mutex::default() }
+        Self { settings, run, progress, in_memory, cached, unpacked: Mutex::default() }
     }
 
     /// Opens a source that is read by itself, with the copy that is made of it where that is needed.
@@ -464,6 +468,11 @@ impl<'a> VolumeFields<'a> {
         let Input::Volume(volume) = source.open()? else {
             return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
         };
+        if let (Some(room), VolumeSource::Stream(stream)) = (self.cached, &volume)
+            && let Some(chunks) = stream.chunks()
+        {
+            return Ok((Box::new(ChunkedVolume::new(chunks, room)), None));
+        }
         match volume {
             VolumeSource::Stream(stream) if self.in_memory && planned.is_small() => {
                 Ok((Box::new(unpack(stream)?), None))

@@ -14,6 +14,7 @@
 //!
 //! The input is read by every worker. One without random access (compressed) is copied into bricks by each of them, and the structures
 //! of a tetrahedral mesh are made by each of them, in its own `scratch`: nothing is shared between machines but the archive.
+//! Of a Zarr array each decodes the chunks that it needs, where its memory holds them: see `reduce::cached`.
 
 mod status;
 

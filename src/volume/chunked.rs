@@ -1,0 +1,449 @@
+//! Volumes of chunks, each compressed by itself: random access through a cache of decoded chunks.
+//!
+//! The question: a reduction reads boxes here and there, while a chunk is had only as a whole. A
+//! copy of the volume on disk would answer it, at the cost of a pass and of the disk. Instead the
+//! chunks that were decoded last are kept, and the samples of a box are gathered from them.
+//!
+//! The method: chunks lie on a regular grid, the last ones are cut. [`ChunkedVolume`] keeps so
+//! many bytes of them; where there is no room, the chunk that was used longest ago goes. Two
+//! threads never decode one chunk at the same time: the second one waits for the first.
+//!
+//! The cost: bytes kept as told, and for each thread that reads what decoding takes
+//! ([`ChunkSource::decoding_bytes`]). How often a chunk is decoded depends on the order of boxes
+//! and on the room: once where all chunks that a later box needs are kept. It does not promise
+//! good use of too small a room; who makes it chooses a room that suffices.
+
+use crate::error::{Error, Result};
+use crate::grid::IndexBox;
+use crate::volume::strided::convert_row;
+use crate::volume::{SlabStream, VolumeInfo, VolumeReader};
+use std::collections::{BTreeMap, HashMap};
+use std::ops::Range;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+/// Bytes of a slab, unless a slice of a chunk has more.
+const SLAB_BYTES: u64 = 4 << 20;
+
+/// A volume in chunks on a regular grid, each decoded by itself.
+pub trait ChunkSource: Send + Sync {
+    /// What is read.
+    fn info(&self) -> &VolumeInfo;
+
+    /// Samples of a chunk along x, y, z. The last ones along an axis may have fewer.
+    fn chunk_dims(&self) -> [u64; 3];
+
+    /// Chunks along x, y, z that lie in one file: cheaper to read one after another.
+    fn together(&self) -> [u64; 3] {
+        [1; 3]
+    }
+
+    /// Bytes that decoding takes, at most, what comes out included.
+    fn decoding_bytes(&self) -> u64;
+
+    /// Gives the samples of the chunk at this place of the grid, as far as they lie in the volume:
+    /// stored ones, little-endian, x fastest, in `out` (cleared first).
+    ///
+    /// # Errors
+    /// When the file cannot be read or decoded.
+    fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()>;
+}
+
+/// The samples of a chunk that lie in the volume; none of a chunk beyond its end.
+fn voxels(source: &dyn ChunkSource, at: [u64; 3]) -> IndexBox {
+    let (d, c) = (source.info().dims, source.chunk_dims());
+    let lo: [u64; 3] = std::array::from_fn(|a| at[a].saturating_mul(c[a]).min(d[a]));
+    IndexBox { lo, hi: std::array::from_fn(|a| lo[a].saturating_add(c[a]).min(d[a])) }
+}
+
+fn decode(source: &dyn ChunkSource, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+    out.clear();
+    source.decode(at, out)?;
+    let (info, needed) = (source.info(), voxels(source, at).len() * source.info().field.scalar.bytes());
+    if out.len() == needed {
+        return Ok(());
+    }
+    let got = format!("{} bytes", out.len());
+    Err(Error::bad_input(&info.path, format!("chunk {at:?}"), format!("{needed} bytes"), got))
+}
+
+/// The next place of a grid, x fastest; `false` after the last.
+pub(crate) fn step(at: &mut [u64; 3], grid: [u64; 3]) -> bool {
+    for a in 0..3 {
+        at[a] += 1;
+        if at[a] < grid[a] {
+            return true;
+        }
+        at[a] = 0;
+    }
+    false
+}
+
+/// The chunks of a volume one after the other, those of a file together: each is decoded once.
+pub struct ChunkSlabs {
+    source: Arc<dyn ChunkSource>,
+    /// The next file, by its place among them, and the next chunk in it.
+    file: Option<[u64; 3]>,
+    inner: [u64; 3],
+    /// What is left of the chunk decoded last, and all its bytes.
+    left: IndexBox,
+    bytes: Vec<u8>,
+}
+
+impl ChunkSlabs {
+    /// All chunks.
+    pub fn new(source: Arc<dyn ChunkSource>) -> Self {
+        let left = IndexBox { lo: [0; 3], hi: [0; 3] };
+        Self { source, file: Some([0; 3]), inner: [0; 3], left, bytes: vec![] }
+    }
+
+    /// Moves to the next chunk: of this file, or the first of the next file.
+    fn advance(&mut self, file: [u64; 3]) {
+        let (together, c, d) = (self.source.together(), self.source.chunk_dims(), self.source.info().dims);
+        if step(&mut self.inner, together) {
+            return;
+        }
+        self.inner = [0; 3];
+        let grid = std::array::from_fn(|a| d[a].div_ceil(c[a]).div_ceil(together[a]));
+        let mut next = file;
+        self.file = step(&mut next, grid).then_some(next);
+    }
+}
+
+impl SlabStream for ChunkSlabs {
+    fn info(&self) -> &VolumeInfo {
+        self.source.info()
+    }
+
+    fn working_bytes(&self) -> u64 {
+        self.source.decoding_bytes().saturating_add(2 * SLAB_BYTES)
+    }
+
+    fn chunks(&self) -> Option<Arc<dyn ChunkSource>> {
+        Some(Arc::clone(&self.source))
+    }
+
+    fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
+        out.clear();
+        while self.left.is_empty() {
+            let Some(file) = self.file else { return Ok(None) };
+            let together = self.source.together();
+            let at = std::array::from_fn(|a| file[a] * together[a] + self.inner[a]);
+            self.left = voxels(&*self.source, at);
+            if !self.left.is_empty() {
+                decode(&*self.source, at, &mut self.bytes)?;
+            }
+            self.advance(file);
+        }
+        let d = self.left.dims();
+        let slice = d[0] * d[1] * self.source.info().field.scalar.bytes() as u64;
+        let slices = (SLAB_BYTES / slice).max(1);
+        // At boundaries of 32: the bricks that are copied to.
+        let slices = if slices >= 32 { slices / 32 * 32 } else { slices }.min(d[2]);
+        let at = self.bytes.len() - (slice * d[2]) as usize;
+        out.extend_from_slice(&self.bytes[at..at + (slice * slices) as usize]);
+        let mut slab = self.left;
+        slab.hi[2] = slab.lo[2] + slices;
+        self.left.lo[2] = slab.hi[2];
+        Ok(Some(slab))
+    }
+}
+
+/// Random access to a volume of chunks.
+pub struct ChunkedVolume {
+    source: Arc<dyn ChunkSource>,
+    /// Bytes of chunks that are kept, at most; one chunk at the least.
+    room: u64,
+    cache: Mutex<Cache>,
+    decoded: Condvar,
+}
+
+/// Chunks that are kept or being decoded.
+#[derive(Default)]
+struct Cache {
+    chunks: HashMap<[u64; 3], Slot>,
+    /// Those that are kept by the time of their last use, counted in uses.
+    by_use: BTreeMap<u64, [u64; 3]>,
+    uses: u64,
+    bytes: u64,
+    decodes: u64,
+}
+
+enum Slot {
+    /// By another thread.
+    Decoding,
+    Kept {
+        bytes: Arc<Vec<u8>>,
+        used: u64,
+    },
+}
+
+impl Cache {
+    fn remove(&mut self, at: [u64; 3]) {
+        if let Some(Slot::Kept { bytes, used }) = self.chunks.remove(&at) {
+            self.by_use.remove(&used);
+            self.bytes -= bytes.len() as u64;
+        }
+    }
+
+    fn keep(&mut self, at: [u64; 3], bytes: Arc<Vec<u8>>, room: u64) {
+        while self.bytes + bytes.len() as u64 > room
+            && let Some((_, &oldest)) = self.by_use.first_key_value()
+        {
+            self.remove(oldest);
+        }
+        self.uses += 1;
+        self.bytes += bytes.len() as u64;
+        self.by_use.insert(self.uses, at);
+        self.chunks.insert(at, Slot::Kept { bytes, used: self.uses });
+    }
+
+    /// A chunk that is kept, as the one used last.
+    fn use_kept(&mut self, at: [u64; 3]) -> Option<Arc<Vec<u8>>> {
+        let Some(Slot::Kept { bytes, used }) = self.chunks.get_mut(&at) else { return None };
+        self.by_use.remove(used);
+        self.uses += 1;
+        *used = self.uses;
+        self.by_use.insert(self.uses, at);
+        Some(Arc::clone(bytes))
+    }
+}
+
+/// Gives up the place of a chunk that could not be decoded, so that nobody waits for it.
+struct Claim<'a> {
+    volume: &'a ChunkedVolume,
+    at: [u64; 3],
+}
+
+impl Drop for Claim<'_> {
+    fn drop(&mut self) {
+        let mut cache = self.volume.lock();
+        if matches!(cache.chunks.get(&self.at), Some(Slot::Decoding)) {
+            cache.chunks.remove(&self.at);
+        }
+        drop(cache);
+        self.volume.decoded.notify_all();
+    }
+}
+
+impl ChunkedVolume {
+    /// Keeps up to `room` bytes of decoded chunks.
+    pub fn new(source: Arc<dyn ChunkSource>, room: u64) -> Self {
+        Self { source, room, cache: Mutex::default(), decoded: Condvar::new() }
+    }
+
+    /// How often chunks were decoded.
+    pub fn decodes(&self) -> u64 {
+        self.lock().decodes
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Cache> {
+        self.cache.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn chunk(&self, at: [u64; 3]) -> Result<Arc<Vec<u8>>> {
+        let mut cache = self.lock();
+        loop {
+            if let Some(bytes) = cache.use_kept(at) {
+                return Ok(bytes);
+            }
+            if !cache.chunks.contains_key(&at) {
+                break;
+            }
+            cache = self.decoded.wait(cache).unwrap_or_else(PoisonError::into_inner);
+        }
+        cache.chunks.insert(at, Slot::Decoding);
+        cache.decodes += 1;
+        drop(cache);
+        let _claim = Claim { volume: self, at };
+        let mut bytes = vec![];
+        decode(&*self.source, at, &mut bytes)?;
+        let bytes = Arc::new(bytes);
+        self.lock().keep(at, Arc::clone(&bytes), self.room);
+        Ok(bytes)
+    }
+
+    /// Calls `take` with each row of a box: where it starts in the box, and its bytes.
+    fn each_row(&self, wanted: IndexBox, mut take: impl FnMut(usize, &[u8])) -> Result<()> {
+        if wanted.is_empty() {
+            return Ok(());
+        }
+        let (c, size) = (self.source.chunk_dims(), self.source.info().field.scalar.bytes());
+        let first: [u64; 3] = std::array::from_fn(|a| wanted.lo[a] / c[a]);
+        let grid = std::array::from_fn(|a| wanted.hi[a].div_ceil(c[a]) - first[a]);
+        let mut place = [0; 3];
+        loop {
+            let at = std::array::from_fn(|a| first[a] + place[a]);
+            let (whole, bytes) = (voxels(&*self.source, at), self.chunk(at)?);
+            let part = whole.intersect(&wanted);
+            let row = part.dims()[0] as usize * size;
+            for z in part.lo[2]..part.hi[2] {
+                for y in part.lo[1]..part.hi[1] {
+                    let from = whole.offset([part.lo[0], y, z]) * size;
+                    take(wanted.offset([part.lo[0], y, z]), &bytes[from..from + row]);
+                }
+            }
+            if !step(&mut place, grid) {
+                return Ok(());
+            }
+        }
+    }
+}
+
+impl VolumeReader for ChunkedVolume {
+    fn info(&self) -> &VolumeInfo {
+        self.source.info()
+    }
+
+    fn read_box(&self, voxels: IndexBox, out: &mut [f32]) -> Result<()> {
+        let info = self.source.info();
+        let (scalar, slope, intercept) = (info.field.scalar, info.slope, info.intercept);
+        self.each_row(voxels, |at, row| {
+            let out = &mut out[at..at + row.len() / scalar.bytes()];
+            convert_row(row, scalar, false, slope, intercept, info.missing, out);
+        })
+    }
+
+    /// Chunks that lie before the end of `slices` are given up.
+    fn release(&self, slices: Range<u64>) {
+        let mut cache = self.lock();
+        let kept = cache.by_use.values().copied();
+        let gone: Vec<_> = kept.filter(|&at| voxels(&*self.source, at).hi[2] <= slices.end).collect();
+        gone.into_iter().for_each(|at| cache.remove(at));
+    }
+
+    fn stored_info(&self) -> VolumeInfo {
+        self.source.info().clone()
+    }
+
+    fn read_stored(&self, voxels: IndexBox, out: &mut [u8]) -> Result<()> {
+        let size = self.source.info().field.scalar.bytes();
+        self.each_row(voxels, |at, row| out[at * size..at * size + row.len()].copy_from_slice(row))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grid::Geometry;
+    use crate::volume::{FieldInfo, ScalarType};
+
+    /// The sample (x, y, z) of 7 x 5 x 6 is x + 10 y + 100 z, in chunks of 4 x 3 x 2.
+    struct Made(VolumeInfo);
+
+    const DIMS: [u64; 3] = [7, 5, 6];
+
+    impl ChunkSource for Made {
+        fn info(&self) -> &VolumeInfo {
+            &self.0
+        }
+
+        fn chunk_dims(&self) -> [u64; 3] {
+            [4, 3, 2]
+        }
+
+        fn together(&self) -> [u64; 3] {
+            [2, 1, 2]
+        }
+
+        fn decoding_bytes(&self) -> u64 {
+            48
+        }
+
+        fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+            if at == [1, 1, 2] && self.0.format == "bad" {
+                return Err(Error::usage("bad"));
+            }
+            let b = voxels(self, at);
+            for (z, y) in (b.lo[2]..b.hi[2]).flat_map(|z| (b.lo[1]..b.hi[1]).map(move |y| (z, y))) {
+                (b.lo[0]..b.hi[0]).for_each(|x| out.extend(value(x, y, z).to_le_bytes()));
+            }
+            Ok(())
+        }
+    }
+
+    fn value(x: u64, y: u64, z: u64) -> u16 {
+        (x + 10 * y + 100 * z) as u16
+    }
+
+    fn made(format: &str) -> Arc<dyn ChunkSource> {
+        let field = FieldInfo { name: "data".into(), scalar: ScalarType::U16, components: 1 };
+        Arc::new(Made(VolumeInfo {
+            path: "made".into(),
+            format: format.into(),
+            dims: DIMS,
+            fields: vec![field.clone()],
+            field,
+            geometry: Geometry::default(),
+            slope: 0.5,
+            intercept: 1.0,
+            missing: Some(203.0),
+            data_files: vec![],
+        }))
+    }
+
+    #[test]
+    fn boxes_come_back_whatever_the_room() {
+        for room in [0, 48, 200, 1 << 20] {
+            let volume = ChunkedVolume::new(made(""), room);
+            for wanted in [
+                IndexBox::whole(DIMS),
+                IndexBox { lo: [3, 2, 1], hi: [5, 4, 3] },
+                IndexBox { lo: [6, 4, 5], hi: DIMS },
+                IndexBox { lo: [2; 3], hi: [2; 3] },
+            ] {
+                let (mut values, mut stored) = (vec![0.0; wanted.len()], vec![0; 2 * wanted.len()]);
+                volume.read_box(wanted, &mut values).unwrap();
+                volume.read_stored(wanted, &mut stored).unwrap();
+                for i in 0..wanted.len() as u64 {
+                    let d = wanted.dims();
+                    let at = [i % d[0], i / d[0] % d[1], i / d[0] / d[1]];
+                    let v = value(wanted.lo[0] + at[0], wanted.lo[1] + at[1], wanted.lo[2] + at[2]);
+                    let n = i as usize;
+                    assert_eq!(stored[2 * n..2 * n + 2], v.to_le_bytes());
+                    match v {
+                        203 => assert!(values[n].is_nan()),
+                        v => assert_eq!(values[n], 0.5 * f32::from(v) + 1.0),
+                    }
+                }
+            }
+            assert!(volume.lock().bytes <= room.max(48));
+        }
+    }
+
+    #[test]
+    fn with_room_each_chunk_is_decoded_once_by_any_number_of_threads() {
+        let volume = ChunkedVolume::new(made(""), 1 << 20);
+        std::thread::scope(|threads| {
+            for _ in 0..4 {
+                threads.spawn(|| {
+                    let mut out = vec![0.0; IndexBox::whole(DIMS).len()];
+                    volume.read_box(IndexBox::whole(DIMS), &mut out).unwrap();
+                });
+            }
+        });
+        assert_eq!(volume.decodes(), 2 * 2 * 3);
+        volume.release(0..5);
+        assert_eq!(volume.lock().chunks.len(), 4, "those of the last two slices");
+    }
+
+    #[test]
+    fn a_damaged_chunk_is_an_error_each_time_and_hangs_nobody() {
+        let volume = ChunkedVolume::new(made("bad"), 1 << 20);
+        let read = || volume.read_box(IndexBox::whole(DIMS), &mut vec![0.0; IndexBox::whole(DIMS).len()]);
+        std::thread::scope(|threads| {
+            let readers: Vec<_> = (0..3).map(|_| threads.spawn(read)).collect();
+            readers.into_iter().for_each(|r| assert!(r.join().unwrap().is_err()));
+        });
+    }
+
+    #[test]
+    fn slabs_give_each_sample_once() {
+        let (mut slabs, mut bytes, mut seen) = (ChunkSlabs::new(made("")), vec![], 0);
+        while let Some(slab) = slabs.next_slab(&mut bytes).unwrap() {
+            assert_eq!(bytes[..2], value(slab.lo[0], slab.lo[1], slab.lo[2]).to_le_bytes());
+            assert_eq!(bytes.len(), 2 * slab.len());
+            seen += slab.len();
+        }
+        assert_eq!(seen, IndexBox::whole(DIMS).len());
+    }
+}
