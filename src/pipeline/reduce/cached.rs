@@ -91,7 +91,8 @@ mod tests {
     use crate::exec::Silent;
     use crate::formats::{OpenOptions, StepSource};
     use crate::pipeline::{
-        ReduceReport, ReduceSettings, RunSettings, Shard, commit_shards, plan_shards, reduce, work_shard,
+        Amount, ReduceReport, ReduceSettings, RunSettings, Shard, commit_shards, plan_shards, reduce,
+        work_shard,
     };
     use crate::points::SetKind;
     use crate::sample::Values;
@@ -154,7 +155,8 @@ mod tests {
         for (n, values) in [Values::Sample, Values::Fit].into_iter().enumerate() {
             let settings = ReduceSettings {
                 points: Some(SetKind::Halton),
-                chunk_points: 5_000,
+                amount: Amount::Fraction(1.0 / 32.0),
+                chunk_points: 2_000,
                 measure: true,
                 values,
                 ..ReduceSettings::default()
