@@ -297,7 +297,7 @@ impl Need {
     }
 
     /// The least memory that works: one chunk at a time.
-    pub(in crate::pipeline) fn least(&self) -> u64 {
+    pub(super) fn least(&self) -> u64 {
         self.of_workers(1)
     }
 

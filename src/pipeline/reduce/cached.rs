@@ -5,8 +5,9 @@
 //! are. The rule, which depends on sizes and the memory of the run alone:
 //!
 //! * those of a layer, where they take at most a quarter of the memory;
-//! * else those of a row, where they do, and where that decodes a chunk 2.5 times at most;
-//! * else none: the source is copied into bricks, as a stream is. So are the steps of a series.
+//! * those of a row, where they do, and where that decodes a chunk 2.5 times at most;
+//! * of the two the one that leaves more threads at work, a layer where both leave as many;
+//! * without either, the source is copied into bricks, as a stream is. So are the steps of a series.
 
 use super::passes::SeriesPlan;
 use crate::error::Result;
@@ -39,20 +40,24 @@ pub(super) fn need_with_cache(
     let Input::Volume(VolumeSource::Stream(stream)) = planned.source.open()? else {
         return Ok((plain, None));
     };
-    let chunks = stream.chunks();
-    let room = chunks.as_deref().and_then(|chunks| room(chunks, parts, run.memory / PART));
-    let Some((chunks, room)) = chunks.zip(room) else { return Ok((plain, None)) };
-    let held = chunks.decoding_bytes().saturating_mul(run.worker_threads() as u64).saturating_add(room);
-    let need = need_of(parts, held, steps, run.memory, run);
-    if need.least() > run.memory {
+    let Some(chunks) = stream.chunks() else { return Ok((plain, None)) };
+    let decoding = chunks.decoding_bytes().saturating_mul(run.worker_threads() as u64);
+    let with = |room: u64| {
+        let need = need_of(parts, decoding.saturating_add(room), steps, run.memory, run);
+        let shares = need.shares(run.memory, run.worker_threads()).ok()?;
+        Some((shares.workers, need, room))
+    };
+    let found = rooms(&*chunks, parts, run.memory / PART).into_iter().filter_map(with);
+    let Some((_, need, room)) = found.reduce(|a, b| if b.0 > a.0 { b } else { a }) else {
         return Ok((plain, None));
-    }
+    };
     (planned.copied, planned.copying) = (0, estimate::BASE.saturating_add(stream.working_bytes()));
     Ok((need, Some(room)))
 }
 
-/// Bytes to keep, at most so many.
-fn room(chunks: &dyn ChunkSource, parts: &MeshParts, most: u64) -> Option<u64> {
+/// Bytes of the chunks of a layer, and of those of a row, as far as they are worth keeping and take
+/// at most so many.
+fn rooms(chunks: &dyn ChunkSource, parts: &MeshParts, most: u64) -> Vec<u64> {
     let (dims, edge) = (chunks.info().dims, chunks.chunk_dims());
     let lattice = parts.chunks.bricks().lattice;
     let along = |b: &LatticeBox, a: usize| {
@@ -79,11 +84,8 @@ fn room(chunks: &dyn ChunkSource, parts: &MeshParts, most: u64) -> Option<u64> {
     let bytes = |n: [u64; 3]| n.into_iter().fold(one, u64::saturating_mul);
     let (layer, row) = (bytes([grid[0], grid[1], met[2]]), bytes([grid[0], met[1], met[2]]));
     let decodes = more[1] / count * (more[2] / count);
-    match (layer <= most, row <= most && decodes <= MOST_DECODES) {
-        (true, _) => Some(layer),
-        (_, true) => Some(row),
-        _ => None,
-    }
+    let row = Some(row).filter(|_| decodes <= MOST_DECODES);
+    [Some(layer), row].into_iter().flatten().filter(|&room| room <= most).collect()
 }
 
 #[cfg(test)]
