@@ -109,7 +109,7 @@ impl Archive {
 
     /// Bytes of the blocks that are kept now.
     pub fn kept_bytes(&self) -> usize {
-        self.open.kept.bytes()
+        self.open.cache.bytes()
     }
 
     /// What the archive holds.

@@ -9,7 +9,7 @@
 //! samples lie in a tetrahedron, and with which weights, is found out once for all steps that are measured together.
 
 use super::step_errors::Room;
-use super::step_lanes::Sides;
+use super::step_lanes::StepLanes;
 use super::step_samples::WindowSamples;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::errors::{ChunkErrors, decode_errors};
@@ -109,11 +109,11 @@ impl Measured<'_> {
 const AROUND_BLOCKS: u64 = 1 << 15;
 
 /// Measures chunks of a volume.
-pub(in crate::pipeline) struct Gauge {
+pub(in crate::pipeline) struct SampleErrors {
     grid: SampleGrid,
 }
 
-impl Gauge {
+impl SampleErrors {
     pub(in crate::pipeline) fn new(lattice: &Lattice) -> Self {
         Self { grid: SampleGrid::voxels(lattice) }
     }
@@ -127,7 +127,7 @@ impl Gauge {
     pub(in crate::pipeline) fn errors(
         &self,
         cells: &Cells<'_>,
-        steps: &Sides<'_>,
+        steps: &StepLanes<'_>,
         read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
     ) -> Result<Vec<ErrorSums>> {
         let mut sums: Vec<Tally> = (0..steps.steps()).map(|_| Tally::default()).collect();
@@ -142,11 +142,11 @@ impl Gauge {
         Ok(sums.into_iter().map(Tally::finish).collect())
     }
 
-    /// The errors of a chunk as they are stored: as [`Gauge::errors`], and apart for the cells of each level.
+    /// The errors of a chunk as they are stored: as [`SampleErrors::errors`], and apart for the cells of each level.
     pub(in crate::pipeline) fn chunk_errors(
         &self,
         cells: &Cells<'_>,
-        steps: &Sides<'_>,
+        steps: &StepLanes<'_>,
         levels: Option<&Levels>,
         read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
     ) -> Result<Vec<ChunkErrors>> {
@@ -172,7 +172,7 @@ impl Gauge {
     pub(in crate::pipeline) fn each_sample(
         &self,
         cells: &Cells<'_>,
-        steps: &Sides<'_>,
+        steps: &StepLanes<'_>,
         mut read: impl FnMut(usize, IndexBox, &mut [f32]) -> Result<()>,
         mut each: impl FnMut(Measured<'_>),
     ) -> Result<()> {

@@ -59,7 +59,7 @@ pub(in crate::pipeline) enum Meshing {
 
 /// Makes meshes of chunks, with memory that it keeps from chunk to chunk.
 #[derive(Default)]
-pub(in crate::pipeline) struct Maker {
+pub(in crate::pipeline) struct ChunkMesher {
     mesher: Mesher,
     /// Those of the core, brick after brick, then those of the halo.
     sites: Vec<Site>,
@@ -68,7 +68,7 @@ pub(in crate::pipeline) struct Maker {
     positions: Vec<LatticePos>,
 }
 
-impl Maker {
+impl ChunkMesher {
     /// Enumerates the chunk's points and meshes them; the halo is widened until every
     /// owned tetrahedron is certified, as long as the region fits in `room` bytes. What comes out does not depend on `room`.
     pub(in crate::pipeline) fn mesh(
@@ -133,7 +133,7 @@ impl Maker {
         }
     }
 
-    /// As [`Maker::mesh`], of a mesh whose own tetrahedra are kept.
+    /// As [`ChunkMesher::mesh`], of a mesh whose own tetrahedra are kept.
     fn keep_own(
         &mut self,
         own: OwnMesh<'_>,

@@ -19,11 +19,13 @@ pub(super) mod step_lanes;
 mod step_samples;
 mod volume_field;
 
-pub(super) use errors::{Cells, Gauge, Originals, Samples, field_error_of, stored_error, stored_errors};
+pub(super) use errors::{
+    Cells, Originals, SampleErrors, Samples, field_error_of, stored_error, stored_errors,
+};
 pub(super) use field::{Field, Placement, interpolated};
 pub(super) use fit::fitted;
 pub(super) use mesh_field::CellField;
-pub(super) use mesher::{Maker, Meshing, Recipe};
+pub(super) use mesher::{ChunkMesher, Meshing, Recipe};
 pub(super) use own_field::{OwnField, OwnMesh};
-pub(super) use step_lanes::Sides;
+pub(super) use step_lanes::StepLanes;
 pub(super) use volume_field::GridField;

@@ -5,7 +5,7 @@
 
 #[cfg(target_arch = "x86_64")]
 use super::errors::Measured;
-use super::step_lanes::{Side, Sides};
+use super::step_lanes::{Lanes, StepLanes};
 use super::step_samples::{Rows, WindowSamples};
 use crate::exec::lanes::{Eight, Floats, Pair, Plain, Vector, four, sorted};
 use crate::exec::{Avx2, Avx512, with_avx512, with_vectors};
@@ -37,7 +37,7 @@ impl Room {
         members: &Members,
         window: &IndexBox,
         tets: &[Tet],
-        steps: &Sides<'_>,
+        steps: &StepLanes<'_>,
         originals: &WindowSamples,
         each: &mut impl FnMut(Measured<'_>),
     ) {
@@ -48,22 +48,22 @@ impl Room {
         }
         for ((steps, side), originals) in steps.iter().zip(originals.sides()) {
             match (side, originals) {
-                (Side::One(values), Rows::One(originals)) => {
+                (Lanes::One(values), Rows::One(originals)) => {
                     compare_one(members, tets, values, originals, &mut self.one);
                 }
-                (Side::Four(values), Rows::Four(originals)) => {
+                (Lanes::Four(values), Rows::Four(originals)) => {
                     compare_four(members, tets, values, originals, &mut self.four);
                 }
-                (Side::Eight(values), Rows::Eight(originals)) => {
+                (Lanes::Eight(values), Rows::Eight(originals)) => {
                     compare_eight(members, tets, values, originals, &mut self.eight);
                 }
                 _ => unreachable!("samples lie as the values do"),
             }
             for (lane, step) in steps.enumerate() {
                 let compared = match side {
-                    Side::One(_) => self.one.at(lane, count),
-                    Side::Four(_) => self.four.at(lane, count),
-                    Side::Eight(_) => self.eight.at(lane, count),
+                    Lanes::One(_) => self.one.at(lane, count),
+                    Lanes::Four(_) => self.four.at(lane, count),
+                    Lanes::Eight(_) => self.eight.at(lane, count),
                 };
                 each(Measured { step, compared, window, places });
             }

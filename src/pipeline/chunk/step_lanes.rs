@@ -16,41 +16,41 @@ use std::ops::Range;
 pub(in crate::pipeline) struct Room(Vec<Vec<[f32; 8]>>);
 
 /// The values of up to eight steps.
-pub(super) enum Side<'a> {
+pub(super) enum Lanes<'a> {
     One(&'a [f32]),
     Four(Vec<[f32; 4]>),
     Eight(Vec<[f32; 8]>),
 }
 
 /// The values of all steps.
-pub(in crate::pipeline) struct Sides<'a> {
+pub(in crate::pipeline) struct StepLanes<'a> {
     steps: usize,
-    all: Vec<Side<'a>>,
+    all: Vec<Lanes<'a>>,
 }
 
 /// Steps that lie side by side, at most.
 const MOST: usize = 8;
 
-impl<'a> Sides<'a> {
+impl<'a> StepLanes<'a> {
     /// Of the values of each step, as many as there are vertices.
     pub(in crate::pipeline) fn new(steps: &[&'a [f32]], room: &mut Room) -> Self {
         let all = steps.chunks(MOST).map(|some| match *some {
-            [values] => Side::One(values),
-            _ if some.len() <= 4 => Side::Four(side_by_side(some, vec![])),
-            _ => Side::Eight(side_by_side(some, room.0.pop().unwrap_or_default())),
+            [values] => Lanes::One(values),
+            _ if some.len() <= 4 => Lanes::Four(side_by_side(some, vec![])),
+            _ => Lanes::Eight(side_by_side(some, room.0.pop().unwrap_or_default())),
         });
         Self { steps: steps.len(), all: all.collect() }
     }
 
     /// Of the values of one step.
     pub(in crate::pipeline) fn one(values: &'a [f32]) -> Self {
-        Self { steps: 1, all: vec![Side::One(values)] }
+        Self { steps: 1, all: vec![Lanes::One(values)] }
     }
 
     /// Gives its memory back.
     pub(in crate::pipeline) fn give_back(self, room: &mut Room) {
         for side in self.all {
-            if let Side::Eight(values) = side {
+            if let Lanes::Eight(values) = side {
                 room.0.push(values);
             }
         }
@@ -62,7 +62,7 @@ impl<'a> Sides<'a> {
     }
 
     /// Some by some, with the steps that each has.
-    pub(super) fn iter(&self) -> impl Iterator<Item = (Range<usize>, &Side<'a>)> {
+    pub(super) fn iter(&self) -> impl Iterator<Item = (Range<usize>, &Lanes<'a>)> {
         (0..self.steps).step_by(MOST).map(|n| n..self.steps.min(n + MOST)).zip(&self.all)
     }
 
@@ -75,9 +75,9 @@ impl<'a> Sides<'a> {
             for &end in block_ends {
                 let tets = &tets[std::mem::replace(&mut start, end)..end];
                 match side {
-                    Side::One(values) => push(out, [BlockRange::of(tets, values)]),
-                    Side::Four(values) => push(out, ranges(tets, values)),
-                    Side::Eight(values) => push(out, ranges(tets, values)),
+                    Lanes::One(values) => push(out, [BlockRange::of(tets, values)]),
+                    Lanes::Four(values) => push(out, ranges(tets, values)),
+                    Lanes::Eight(values) => push(out, ranges(tets, values)),
                 }
             }
         }

@@ -4,7 +4,7 @@
 //! Samples are read step by step, some slices of the window at a time, and interleaved while they
 //! are in a near cache.
 
-use super::step_lanes::{Side, Sides, put_side_by_side};
+use super::step_lanes::{Lanes, StepLanes, put_side_by_side};
 use crate::error::Result;
 use crate::grid::IndexBox;
 use std::ops::Range;
@@ -28,11 +28,11 @@ const SOME: usize = 1 << 13;
 
 impl WindowSamples {
     /// For the steps whose values lie so.
-    pub(super) fn new(steps: &Sides<'_>) -> Self {
-        let rows = |side: &Side<'_>| match side {
-            Side::One(_) => Rows::One(vec![]),
-            Side::Four(_) => Rows::Four(vec![]),
-            Side::Eight(_) => Rows::Eight(vec![]),
+    pub(super) fn new(steps: &StepLanes<'_>) -> Self {
+        let rows = |side: &Lanes<'_>| match side {
+            Lanes::One(_) => Rows::One(vec![]),
+            Lanes::Four(_) => Rows::Four(vec![]),
+            Lanes::Eight(_) => Rows::Eight(vec![]),
         };
         Self { sides: steps.iter().map(|(steps, side)| (steps, rows(side))).collect(), slices: vec![] }
     }
@@ -99,7 +99,7 @@ mod tests {
                 let window = IndexBox { lo, hi: std::array::from_fn(|k| lo[k] + dims[k]) };
                 let none = vec![vec![0.0]; count];
                 let values: Vec<&[f32]> = none.iter().map(Vec::as_slice).collect();
-                let mut samples = WindowSamples::new(&Sides::new(&values, &mut Room::default()));
+                let mut samples = WindowSamples::new(&StepLanes::new(&values, &mut Room::default()));
                 let mut read = |step: usize, part: IndexBox, out: &mut [f32]| {
                     assert_eq!(out.len(), part.len());
                     let mut out = out.iter_mut();

@@ -5,7 +5,7 @@ use crate::exec::{CancelToken, Progress, pool};
 use crate::formats::vtu::{PACKING_BYTES, TetMeta, write_vtu};
 use crate::mesh::tet::Tet;
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{Blocks, Cut, DecodedChunk, Horizon, OpenArchive, Place, Roi, RoiSpace, Visit};
+use crate::pipeline::read::{Blocks, Cut, DecodedChunk, Frontier, OpenArchive, Place, Roi, RoiSpace, Visit};
 use crate::tets::{ChunkTets, TetBuilder};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -217,7 +217,7 @@ struct Join<'a> {
     passed: u64,
     void: u64,
     /// Made when first needed.
-    horizon: Option<Horizon>,
+    frontier: Option<Frontier>,
     memory: u64,
     most_open: u64,
     look_at: u64,
@@ -233,7 +233,7 @@ impl<'a> Join<'a> {
             every: settings.every,
             passed: 0,
             void: 0,
-            horizon: None,
+            frontier: None,
             memory: settings.memory,
             most_open,
             look_at: most_open / 64 + 1,
@@ -269,11 +269,11 @@ impl<'a> Join<'a> {
             return Ok(());
         }
         let archive = self.visit.archive;
-        let horizon = match self.horizon.take() {
-            Some(horizon) => horizon,
-            None => Horizon::new(archive, self.visit.chunks.iter().copied())?,
+        let frontier = match self.frontier.take() {
+            Some(frontier) => frontier,
+            None => Frontier::new(archive, self.visit.chunks.iter().copied())?,
         };
-        let beyond = self.horizon.insert(horizon).after(done);
+        let beyond = self.frontier.insert(frontier).after(done);
         self.builder.keep_open(|id| archive.points.position(id).is_none_or(|p| beyond.can_have(p, p)));
         let open = self.builder.open_points() as u64;
         if open > self.most_open {

@@ -23,9 +23,9 @@ use crate::geom::LatticePos;
 use crate::grid::Geometry;
 use crate::locate::{FINE_BITS, FinePos};
 use crate::measure::{BrickErrors, BrickRecord, ErrorSums, FieldError, LevelError, Tally, Worst, merged};
-use crate::pipeline::chunk::{Cells, Gauge, Originals, Samples, Sides, errors, field_error_of};
+use crate::pipeline::chunk::{Cells, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of};
 use crate::pipeline::inputs::{Reading, random_access};
-use crate::pipeline::plan::{Beside, MOST_STEPS_AT_ONCE, estimate, fingerprint};
+use crate::pipeline::plan::{Attachments, MOST_STEPS_AT_ONCE, estimate, fingerprint};
 use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepChoice, Visit};
 use crate::pipeline::settings::RunSettings;
 use crate::volume::{VolumeReader, VolumeSource};
@@ -189,7 +189,7 @@ pub(in crate::pipeline) fn reopened_values(
     let store = match store {
         Some(store) => store,
         none => {
-            let firsts = Beside::repeated(archive.path(), plan, vertices, &how)?;
+            let firsts = Attachments::repeated(archive.path(), plan, vertices, &how)?;
             none.insert(mesh_store(archive, mesh, Some(firsts), input, &how)?)
         }
     };
@@ -336,8 +336,9 @@ pub(super) fn field_error(
     match originals {
         Originals::Volume { reader, .. } => {
             let samples = Samples::of(originals).expect("those of a volume");
-            let gauge = Gauge::new(&archive.manifest.plan.lattice);
-            let against = AgainstSamples { archive, samples, reader: *reader, gauge, mapped: map.is_some() };
+            let sample_errors = SampleErrors::new(&archive.manifest.plan.lattice);
+            let against =
+                AgainstSamples { archive, samples, reader: *reader, sample_errors, mapped: map.is_some() };
             against.measure(map, settings, progress)
         }
         Originals::Mesh(store, values) => {
@@ -401,7 +402,7 @@ struct AgainstSamples<'a> {
     archive: &'a OpenArchive,
     samples: Samples<'a>,
     reader: &'a dyn VolumeReader,
-    gauge: Gauge,
+    sample_errors: SampleErrors,
     /// Whether errors are wanted brick by brick.
     mapped: bool,
 }
@@ -460,12 +461,12 @@ impl AgainstSamples<'_> {
         let cells = Cells { positions, tets, block_ends };
         let read = |_, window, out: &mut [f32]| self.samples.read(window, out);
         if !self.mapped {
-            let mut sums = self.gauge.errors(&cells, &Sides::one(values), read)?;
+            let mut sums = self.sample_errors.errors(&cells, &StepLanes::one(values), read)?;
             return Ok(Part { sums: sums.pop().expect("of one step"), ..Part::default() });
         }
         let (bricks, lattice) = (self.archive.chunks.bricks(), self.archive.manifest.plan.lattice);
-        let (mut part, mut sums, dims) = (Part::default(), Tally::default(), self.gauge.dims());
-        self.gauge.each_sample(&cells, &Sides::one(values), read, |m| {
+        let (mut part, mut sums, dims) = (Part::default(), Tally::default(), self.sample_errors.dims());
+        self.sample_errors.each_sample(&cells, &StepLanes::one(values), read, |m| {
             errors::add(&mut sums, &m, dims);
             for (n, (original, reduced)) in m.compared.pairs().enumerate() {
                 let brick = bricks.id(bricks.brick_at(lattice.of_voxel(m.place(n))));

@@ -16,14 +16,14 @@ use std::sync::Arc;
 
 /// Points and levels that belong to a plan.
 #[derive(Clone, Default)]
-pub(in crate::pipeline) struct Beside {
+pub(in crate::pipeline) struct Attachments {
     pub(in crate::pipeline) explicit: Option<Arc<ExplicitPoints>>,
     pub(in crate::pipeline) levels: Option<Arc<Levels>>,
     /// Of a mesh that is being reduced; not read with the others.
     pub(in crate::pipeline) repeated: Option<Arc<Firsts>>,
 }
 
-impl Beside {
+impl Attachments {
     /// Those of an archive, if it has some.
     ///
     /// # Errors
@@ -32,7 +32,7 @@ impl Beside {
         Self::read_of(archive, plan.hash(), plan)
     }
 
-    /// As [`Beside::read`], of files that carry a hash.
+    /// As [`Attachments::read`], of files that carry a hash.
     pub(in crate::pipeline) fn read_of(archive: &Path, hash: PlanHash, plan: &MeshPlan) -> Result<Self> {
         let own = plan.points.kind() == SetKind::Own;
         let explicit = plan.explicit.as_ref().map(|r| read_explicit(archive, hash, &plan.lattice, r, own));
@@ -44,7 +44,7 @@ impl Beside {
     /// Which of so many vertices of its source an archive takes for one.
     ///
     /// # Errors
-    /// As [`Beside::read`]; when the scratch folder cannot be written.
+    /// As [`Attachments::read`]; when the scratch folder cannot be written.
     pub(in crate::pipeline) fn repeated(
         archive: &Path,
         plan: &MeshPlan,

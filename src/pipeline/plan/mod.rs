@@ -27,7 +27,7 @@ use crate::pipeline::settings::{Amount, ReduceSettings, ValueBits};
 use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind};
 use crate::sample::{Interpolation, Values};
 use crate::volume::VolumeInfo;
-pub(super) use attachments::Beside;
+pub(super) use attachments::Attachments;
 pub use estimate::Estimate;
 pub(super) use estimate::{
     ERROR_WINDOW, Halo, MOST_SMALL_STEPS_AT_ONCE, MOST_STEPS_AT_ONCE, Need, Question, Shares, SurfaceShares,
@@ -363,7 +363,7 @@ pub(crate) struct MeshParts {
 ///
 /// # Errors
 /// [`Error::Usage`] when a parameter is out of range.
-pub(crate) fn parts(plan: &MeshPlan, beside: Beside) -> Result<MeshParts> {
+pub(crate) fn parts(plan: &MeshPlan, attachments: Attachments) -> Result<MeshParts> {
     Lattice::new(plan.lattice.dims)?;
     if !plan.lattice.is_valid() {
         return Err(Error::usage("the lattice is not that of its dimensions"));
@@ -383,11 +383,11 @@ pub(crate) fn parts(plan: &MeshPlan, beside: Beside) -> Result<MeshParts> {
         .lattice_cells()
         .map(|cells| BccMesh::new(cells, &plan.lattice, plan.brick_edge).ok_or_else(wrong));
     let bcc = bcc.transpose()?;
-    let mut points = match beside.levels {
+    let mut points = match attachments.levels {
         Some(levels) => PointSet::graded(plan.points, plan.lattice, levels)?,
         None => PointSet::new(plan.points, plan.lattice)?,
     };
-    let listed = beside.explicit.as_ref().map(|listed| listed.len());
+    let listed = attachments.explicit.as_ref().map(|listed| listed.len());
     let own = match plan.points {
         PointSpec::Own { n } => Some(n),
         _ => None,
@@ -395,7 +395,7 @@ pub(crate) fn parts(plan: &MeshPlan, beside: Beside) -> Result<MeshParts> {
     if own.is_some() != plan.own.is_some() || own.is_some() && (own != listed || plan.stars) {
         return Err(Error::usage("the plan of a mesh's own tetrahedra lacks its vertices, or has others"));
     }
-    if let Some(explicit) = beside.explicit {
+    if let Some(explicit) = attachments.explicit {
         points = points.with_explicit(explicit);
     }
     if let Some(frame) = &plan.frame {

@@ -1,8 +1,8 @@
 //! An archive opened for reading: manifest, point set, grids; segments are opened when first needed.
 
-use super::block_cache::Kept;
+use super::block_cache::BlockCache;
 use super::chunk_reader::{ChunkReader, ReaderMemory};
-use super::pools::{Pools, Spare};
+use super::pools::{BufferPool, Pools};
 use super::spectrum::{limits, stored_part};
 use super::steps::{StepChoice, View};
 use crate::archive::chunked::ChunkSegment;
@@ -17,7 +17,7 @@ use crate::grid::{ChunkGrid, ChunkId};
 use crate::index::{SpanIndex, index_entries};
 use crate::mesh::bcc::{BccChunk, BccMesh};
 use crate::mesh::tet::Tet;
-use crate::pipeline::plan::{Beside, Layout, MeshParts, folder_bytes, parts};
+use crate::pipeline::plan::{Attachments, Layout, MeshParts, folder_bytes, parts};
 use crate::points::PointSet;
 use crate::spectrum::{SpectrumBuilder, SpectrumFile};
 use std::collections::BTreeMap;
@@ -54,11 +54,11 @@ pub(in crate::pipeline) struct OpenArchive {
     /// Bytes of all files, once they were asked for.
     bytes: OnceLock<u64>,
     /// Blocks that are kept for the next question.
-    pub(in crate::pipeline) kept: Kept,
+    pub(in crate::pipeline) cache: BlockCache,
     /// The unpacked blocks of the step, once they were looked for.
     pub(in crate::pipeline) unpacked: OnceLock<Option<Unpacked>>,
     /// Buffers for it, while blocks are kept.
-    pub(in crate::pipeline) spare: Spare,
+    pub(in crate::pipeline) spare: BufferPool,
     /// The threads of questions that were answered.
     pub(in crate::pipeline) pools: Pools,
 }
@@ -81,8 +81,9 @@ impl OpenArchive {
         let bad = |at: &str, expected: String, got: String| {
             Err(Error::bad_input(root.join(MANIFEST_NAME), at, expected, got))
         };
-        let beside = Beside::read_of(root, manifest.plan_hash, &manifest.plan).map_err(|e| lost(root, e))?;
-        let MeshParts { points, chunks, bcc, .. } = match parts(&manifest.plan, beside) {
+        let attachments =
+            Attachments::read_of(root, manifest.plan_hash, &manifest.plan).map_err(|e| lost(root, e))?;
+        let MeshParts { points, chunks, bcc, .. } = match parts(&manifest.plan, attachments) {
             Ok(parts) => parts,
             Err(e) => return bad("plan", "a plan that can be carried out".into(), e.to_string()),
         };
@@ -124,16 +125,16 @@ impl OpenArchive {
             values: Mutex::default(),
             read_before: AtomicU64::new(0),
             bytes: OnceLock::new(),
-            kept: Kept::default(),
+            cache: BlockCache::default(),
             unpacked: OnceLock::new(),
-            spare: Spare::default(),
+            spare: BufferPool::default(),
             pools: Pools::default(),
         })
     }
 
     /// The same, which keeps up to about so many bytes of decoded blocks.
     pub(in crate::pipeline) fn keeping(self, bytes: usize) -> Self {
-        Self { kept: Kept::new(bytes), ..self }
+        Self { cache: BlockCache::new(bytes), ..self }
     }
 
     pub(in crate::pipeline) fn path(&self) -> &Path {
@@ -186,7 +187,7 @@ impl OpenArchive {
     /// Looks at the step at a position in the manifest.
     pub(in crate::pipeline) fn turn_to(&mut self, step: usize) {
         self.view = View { step, beyond: None };
-        (self.kept, self.spare) = (Kept::default(), Spare::default());
+        (self.cache, self.spare) = (BlockCache::default(), BufferPool::default());
         let unpacked = std::mem::take(&mut self.unpacked).into_inner().flatten();
         let read = unpacked.map_or(0, |file| file.segment().bytes_read());
         self.read_before.fetch_add(read, Ordering::Relaxed);

@@ -23,14 +23,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// A block kept in memory.
 #[derive(Debug)]
-pub(in crate::pipeline) enum KeptBlock {
+pub(in crate::pipeline) enum CachedBlock {
     /// As it was read.
     Packed(PackedBlock),
     /// Known, for the surface of any isovalue; of a chunk of so many corners.
     Known(KnownBlock, usize),
 }
 
-impl KeptBlock {
+impl CachedBlock {
     fn bytes(&self) -> usize {
         match self {
             Self::Packed(block) => size_of::<Self>() + block.bytes(),
@@ -74,7 +74,7 @@ pub(in crate::pipeline) fn unpack_known(block: Known<'_>, of_corners: usize, out
 /// A kept block that was asked for.
 #[derive(Debug)]
 pub(in crate::pipeline) struct Found {
-    pub(in crate::pipeline) block: Arc<KeptBlock>,
+    pub(in crate::pipeline) block: Arc<CachedBlock>,
     /// Whether all is to be found out about it now, if it is packed.
     pub(in crate::pipeline) is_due: bool,
 }
@@ -84,7 +84,7 @@ const DUE: u32 = 8;
 
 /// Blocks kept in memory, up to a number of bytes; from any thread.
 #[derive(Debug, Default)]
-pub(in crate::pipeline) struct Kept {
+pub(in crate::pipeline) struct BlockCache {
     most: usize,
     blocks: Mutex<KeptBlocks>,
 }
@@ -104,14 +104,14 @@ struct KeptBlocks {
 #[derive(Debug)]
 struct Slot {
     place: Place,
-    block: Arc<KeptBlock>,
+    block: Arc<CachedBlock>,
     /// Whether it was used since the hand came by.
     used: bool,
     /// How often it was used since it was read, at most [`DUE`].
     uses: u32,
 }
 
-impl Kept {
+impl BlockCache {
     /// Keeps up to about so many bytes.
     pub(super) fn new(most: usize) -> Self {
         Self { most, blocks: Mutex::default() }
@@ -160,7 +160,7 @@ impl Kept {
             return;
         }
         let Some(packed) = PackedBlock::of(block) else { return };
-        let (block, place) = (KeptBlock::Packed(packed), (chunk, number));
+        let (block, place) = (CachedBlock::Packed(packed), (chunk, number));
         let bytes = block.bytes();
         let mut blocks = self.blocks();
         // Another thread may have been faster.
@@ -174,7 +174,7 @@ impl Kept {
     }
 
     /// Keeps a block in another form, if it is kept still and there is room: others are worth more than this.
-    pub(in crate::pipeline) fn replace(&self, chunk: ChunkId, number: u32, block: KeptBlock) {
+    pub(in crate::pipeline) fn replace(&self, chunk: ChunkId, number: u32, block: CachedBlock) {
         let mut blocks = self.blocks();
         let KeptBlocks { by_place, slots, bytes, .. } = &mut *blocks;
         let Some(slot) = by_place.get(&(chunk, number)).map(|&slot| &mut slots[slot]) else { return };
@@ -225,10 +225,10 @@ mod tests {
     use crate::surface::WorldMap;
     use crate::surface::marching_tets::{Workbench, in_order};
 
-    fn known(Block { corners, tets, .. }: &Block) -> Option<KeptBlock> {
+    fn known(Block { corners, tets, .. }: &Block) -> Option<CachedBlock> {
         let world = WorldMap::new(&Lattice::new([9; 3]).unwrap(), &Geometry::default());
         let block = Workbench::default().know(&corners.cells(tets), &world)?;
-        Some(KeptBlock::Known(block, corners.of_chunk))
+        Some(CachedBlock::Known(block, corners.of_chunk))
     }
 
     #[test]
@@ -251,8 +251,8 @@ mod tests {
 
     #[test]
     fn blocks_that_were_not_used_go() {
-        let one = KeptBlock::Packed(PackedBlock::of(&block(100, 0.0)).unwrap()).bytes();
-        let kept = Kept::new(3 * one + one / 2);
+        let one = CachedBlock::Packed(PackedBlock::of(&block(100, 0.0)).unwrap()).bytes();
+        let kept = BlockCache::new(3 * one + one / 2);
         for n in 0..3 {
             kept.put(ChunkId(1), n, &block(100, n as f32));
         }
@@ -268,9 +268,9 @@ mod tests {
         assert_eq!(there, [true, false, true, true]);
         // In another form where there is room, and where it is kept.
         kept.replace(ChunkId(1), 0, known(&block(100, 0.0)).unwrap());
-        assert!(matches!(&*get(1, 0).unwrap(), KeptBlock::Packed(_)), "it is larger");
+        assert!(matches!(&*get(1, 0).unwrap(), CachedBlock::Packed(_)), "it is larger");
         kept.replace(ChunkId(1), 0, known(&block(10, 0.0)).unwrap());
-        assert!(matches!(&*get(1, 0).unwrap(), KeptBlock::Known(_, 20)) && kept.bytes() < 3 * one);
+        assert!(matches!(&*get(1, 0).unwrap(), CachedBlock::Known(_, 20)) && kept.bytes() < 3 * one);
         kept.replace(ChunkId(1), 1, known(&block(10, 0.0)).unwrap());
         assert!(get(1, 1).is_none());
         kept.put(ChunkId(9), 9, &block(10, 0.0));
@@ -279,14 +279,14 @@ mod tests {
         kept.put(ChunkId(3), 0, &block(1000, 0.0));
         assert!(get(3, 0).is_none() && kept.bytes() == bytes);
         // Block 3 is due when it is used for the fourth time, and from then on.
-        let (kept, mut found) = (Kept::new(1 << 20), vec![]);
+        let (kept, mut found) = (BlockCache::new(1 << 20), vec![]);
         kept.put(ChunkId(1), 3, &block(10, 0.0));
         let mut is_due = || {
             kept.get(ChunkId(1), [3].into_iter(), &mut found);
             found[0].as_ref().unwrap().is_due
         };
         assert!((0..20).map(|_| is_due()).eq((0..20).map(|n| n >= 3)));
-        let none = Kept::new(0);
+        let none = BlockCache::new(0);
         none.put(ChunkId(1), 0, &block(100, 0.0));
         let mut found = vec![];
         none.get(ChunkId(1), 0..2, &mut found);

@@ -20,7 +20,7 @@ use crate::grid::ChunkId;
 use crate::pipeline::plan::estimate;
 
 /// The rows of chunks of a query.
-pub(in crate::pipeline) struct Horizon {
+pub(in crate::pipeline) struct Frontier {
     rows: Vec<Row>,
 }
 
@@ -32,7 +32,7 @@ struct Row {
     lowest: u32,
 }
 
-impl Horizon {
+impl Frontier {
     /// Of chunks in ascending order. Reads the summary of each: a halo that was widened is wider here too.
     pub(in crate::pipeline) fn new(
         archive: &OpenArchive,
@@ -115,10 +115,10 @@ mod tests {
                 ([u64::from(y), u64::from(z)], region)
             })
             .collect();
-        let horizon = Horizon::of_regions(&regions);
+        let frontier = Frontier::of_regions(&regions);
         let (mut kept, mut closed) = (0, 0);
         for done in 0..=27 {
-            let beyond = horizon.after(done);
+            let beyond = frontier.after(done);
             for n in 0..2000u32 {
                 let a = [n * 7 % 32, n * 11 % 32, n * 13 % 32];
                 let b = [(a[0] + n % 3).min(31), (a[1] + n % 2).min(31), (a[2] + n % 4).min(31)];

@@ -26,14 +26,14 @@ mod visit;
 pub use archive::is_archive;
 pub(super) use archive::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
 pub(super) use block::{Block, BlockCorners, NumberedShape, PackedBlock};
-pub(super) use block_cache::{Found, KeptBlock, unpack_known};
+pub(super) use block_cache::{CachedBlock, Found, unpack_known};
 pub(super) use chunk_mesh::MeshedChunk;
 pub(super) use chunk_reader::{BYTES_PER_VERTEX, ChunkReader, Needed, ReaderMemory, Wanted};
 pub(super) use coordinates::{
     Place, coordinate_hash, in_memory, in_world, world_map, world_of, write_coordinates,
 };
-pub(super) use frontier::Horizon;
-pub(super) use pools::{Buffers, Spare};
+pub(super) use frontier::Frontier;
+pub(super) use pools::{BufferPool, Buffers};
 pub(super) use region::Cut;
 pub use region::{Roi, RoiSpace};
 pub(super) use segments::{Depth, SegmentState, inspect};

@@ -14,7 +14,7 @@ use std::sync::{Mutex, PoisonError};
 
 /// Memory for the chunks to come; from any thread.
 #[derive(Default)]
-pub(in crate::pipeline) struct Spare {
+pub(in crate::pipeline) struct BufferPool {
     surfaces: List<ChunkSurface>,
     buffers: List<Buffers>,
 }
@@ -95,7 +95,7 @@ impl<T: Default> List<T> {
     }
 }
 
-impl Spare {
+impl BufferPool {
     pub(in crate::pipeline) fn surface(&self) -> ChunkSurface {
         self.surfaces.take()
     }

@@ -19,7 +19,7 @@ use crate::geom::predicates::signed_volume6;
 use crate::grid::Chunk;
 use crate::mesh::tet::Tet;
 use crate::pipeline::chunk::{
-    Cells, Field, Maker, Meshing, Placement, Sides, fitted, interpolated, step_lanes,
+    Cells, ChunkMesher, Field, Meshing, Placement, StepLanes, fitted, interpolated, step_lanes,
 };
 use crate::pipeline::plan::Halo;
 use crate::pipeline::read::{MeshedChunk, spectrum};
@@ -38,17 +38,17 @@ pub(super) struct Product {
 
 /// The working memory that chunks take turns in.
 #[derive(Default)]
-pub(super) struct Rooms {
+pub(super) struct Workspaces {
     /// The memory of workers between two chunks.
-    desks: Mutex<Vec<Desk>>,
+    workspaces: Mutex<Vec<Workspace>>,
     /// Held shared by chunks at work, alone by a chunk that needs the rooms of all.
     turn: RwLock<()>,
 }
 
 /// Memory that a worker keeps from chunk to chunk.
 #[derive(Default)]
-struct Desk {
-    maker: Maker,
+struct Workspace {
+    mesher: ChunkMesher,
     encoder: ChunkEncoder,
     bench: Bench,
 }
@@ -62,17 +62,17 @@ struct Bench {
     fit: Vec<u64>,
 }
 
-impl Rooms {
-    fn take_desk(&self) -> Desk {
-        self.desks.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
+impl Workspaces {
+    fn take_workspace(&self) -> Workspace {
+        self.workspaces.lock().unwrap_or_else(PoisonError::into_inner).pop().unwrap_or_default()
     }
 
-    fn put_desk(&self, desk: Desk) {
-        self.desks.lock().unwrap_or_else(PoisonError::into_inner).push(desk);
+    fn put_workspace(&self, workspace: Workspace) {
+        self.workspaces.lock().unwrap_or_else(PoisonError::into_inner).push(workspace);
     }
 
-    fn drop_desks(&self) {
-        self.desks.lock().unwrap_or_else(PoisonError::into_inner).clear();
+    fn drop_workspaces(&self) {
+        self.workspaces.lock().unwrap_or_else(PoisonError::into_inner).clear();
     }
 }
 
@@ -85,18 +85,18 @@ pub(super) fn make_chunk(work: &Work<'_>, chunk: &Chunk) -> Result<Product> {
     }
     {
         let _together = work.rooms.turn.read().unwrap_or_else(PoisonError::into_inner);
-        let mut desk = work.rooms.take_desk();
-        match make_in_room(work, chunk, &mut desk, work.shares.room)? {
+        let mut workspace = work.rooms.take_workspace();
+        match make_in_room(work, chunk, &mut workspace, work.shares.room)? {
             Making::Done(product) => {
-                work.rooms.put_desk(desk);
+                work.rooms.put_workspace(workspace);
                 return Ok(product);
             }
             Making::NeedsRoom { .. } => {}
         }
     }
     let _alone = work.rooms.turn.write().unwrap_or_else(PoisonError::into_inner);
-    work.rooms.drop_desks();
-    match make_in_room(work, chunk, &mut Desk::default(), work.shares.room_alone())? {
+    work.rooms.drop_workspaces();
+    match make_in_room(work, chunk, &mut Workspace::default(), work.shares.room_alone())? {
         Making::Done(product) => Ok(product),
         Making::NeedsRoom { bytes } => Err(Error::Budget {
             what: format!(
@@ -115,7 +115,7 @@ enum Making {
     NeedsRoom { bytes: u64 },
 }
 
-fn make_in_room(work: &Work<'_>, chunk: &Chunk, desk: &mut Desk, room: u64) -> Result<Making> {
+fn make_in_room(work: &Work<'_>, chunk: &Chunk, workspace: &mut Workspace, room: u64) -> Result<Making> {
     let mut times = StageTimes::default();
     let mut lap = Lap(Instant::now());
     if let Some(stored) = &work.stored {
@@ -123,17 +123,18 @@ fn make_in_room(work: &Work<'_>, chunk: &Chunk, desk: &mut Desk, room: u64) -> R
         // What values are fitted to is not stored: it is found around the mesh, or made again with it.
         let mut again = None;
         if work.recipe.halo == Halo::Stars
-            && !desk.maker.surround(work.recipe, chunk, &mut mesh, room, work.cancel)?
+            && !workspace.mesher.surround(work.recipe, chunk, &mut mesh, room, work.cancel)?
         {
-            match desk.maker.mesh(work.recipe, chunk, room, work.cancel)? {
+            match workspace.mesher.mesh(work.recipe, chunk, room, work.cancel)? {
                 Meshing::Done(mesh) => again = Some(mesh),
                 Meshing::NeedsRoom { bytes } => return Ok(Making::NeedsRoom { bytes }),
             }
         }
         lap.add_to(&mut times.mesh);
-        return make_from_stored(work, stored, chunk, (mesh, ends), again, desk, times).map(Making::Done);
+        return make_from_stored(work, stored, chunk, (mesh, ends), again, workspace, times)
+            .map(Making::Done);
     }
-    let mut mesh = match desk.maker.mesh(work.recipe, chunk, room, work.cancel)? {
+    let mut mesh = match workspace.mesher.mesh(work.recipe, chunk, room, work.cancel)? {
         Meshing::Done(mesh) => mesh,
         Meshing::NeedsRoom { bytes } => return Ok(Making::NeedsRoom { bytes }),
     };
@@ -141,10 +142,12 @@ fn make_in_room(work: &Work<'_>, chunk: &Chunk, desk: &mut Desk, room: u64) -> R
     let mut placement = note(work, 0, work.steps[0].field.place(&mesh))?;
     let outside6 = drop_outside(&mut mesh, &mut placement);
     lap.add_to(&mut times.sample);
-    let (mut mesh_blocks, ends, summary) = encode_mesh(work, chunk, &mut desk.encoder, &mut mesh, outside6);
+    let (mut mesh_blocks, ends, summary) =
+        encode_mesh(work, chunk, &mut workspace.encoder, &mut mesh, outside6);
     lap.add_to(&mut times.encode);
-    let value_blocks = encode_steps(work, &mut mesh, &placement, None, &ends, &mut desk.bench, &mut times)?;
-    desk.maker.reuse(mesh.all_positions, mesh.tets);
+    let value_blocks =
+        encode_steps(work, &mut mesh, &placement, None, &ends, &mut workspace.bench, &mut times)?;
+    workspace.mesher.reuse(mesh.all_positions, mesh.tets);
     mesh_blocks.push(summary.encode());
     Ok(Making::Done(Product { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
 }
@@ -156,7 +159,7 @@ fn make_from_stored(
     chunk: &Chunk,
     (mut mesh, ends): (MeshedChunk, Vec<usize>),
     again: Option<MeshedChunk>,
-    desk: &mut Desk,
+    workspace: &mut Workspace,
     mut times: StageTimes,
 ) -> Result<Product> {
     let mut lap = Lap(Instant::now());
@@ -182,10 +185,10 @@ fn make_from_stored(
     let vertices = mesh.vertices();
     let before = stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
     lap.add_to(&mut times.mesh);
-    let (before, bench) = (before.as_deref(), &mut desk.bench);
+    let (before, bench) = (before.as_deref(), &mut workspace.bench);
     let value_blocks = encode_steps(work, &mut mesh, &placement, before, &ends, bench, &mut times)?;
     let points = mesh.core_len() as u64;
-    desk.maker.reuse(mesh.all_positions, mesh.tets);
+    workspace.mesher.reuse(mesh.all_positions, mesh.tets);
     Ok(Product { points, mesh_blocks: vec![], value_blocks, times })
 }
 
@@ -252,7 +255,7 @@ fn encode_steps(
     let values = values_of(work, mesh, placement, &mut bench.fit, times)?;
     let mut lap = Lap(Instant::now());
     let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
-    let sides = Sides::new(&of_steps, &mut bench.sides);
+    let sides = StepLanes::new(&of_steps, &mut bench.sides);
     let (positions, tets) = (mesh.positions(), &*mesh.tets);
     let errors = errors(work, &Cells { positions, tets, block_ends }, &sides)?;
     lap.add_to(&mut times.measure);
@@ -281,10 +284,11 @@ fn encode_steps(
 }
 
 /// The errors of each step in a chunk; none where they are not measured.
-fn errors(work: &Work<'_>, cells: &Cells<'_>, steps: &Sides<'_>) -> Result<Vec<ChunkErrors>> {
-    let Some((gauge, samples)) = &work.gauge else { return Ok(vec![]) };
+fn errors(work: &Work<'_>, cells: &Cells<'_>, steps: &StepLanes<'_>) -> Result<Vec<ChunkErrors>> {
+    let Some((sample_errors, samples)) = &work.sample_errors else { return Ok(vec![]) };
     let levels = work.recipe.points.levels().map(|levels| &**levels);
-    gauge.chunk_errors(cells, steps, levels, |n, window, out| note(work, n, samples[n].read(window, out)))
+    sample_errors
+        .chunk_errors(cells, steps, levels, |n, window, out| note(work, n, samples[n].read(window, out)))
 }
 
 /// Removes the tetrahedra that lie outside of the data, and the halo points that only they use; tells the six-fold volume of the chunk's own.

@@ -13,7 +13,7 @@ use crate::archive::publish;
 use crate::archive::segment::{PlanHash, segment_plan};
 use crate::error::{Error, Result};
 use crate::formats::StepSource;
-use crate::pipeline::plan::{Beside, Plan};
+use crate::pipeline::plan::{Attachments, Plan};
 use crate::pipeline::settings::{ReduceSettings, ValueBits};
 use std::collections::HashSet;
 use std::fs;
@@ -40,7 +40,7 @@ fn segments(archive: &Path, manifest: &Manifest) -> Vec<(PathBuf, u64)> {
 /// Whether a file that the manifest of an archive names is not there, or not as long as it was. What a file holds is not looked at.
 pub(super) fn lacks_files(archive: &Path, manifest: &Manifest) -> bool {
     let gone = |(path, bytes): &(PathBuf, u64)| fs::metadata(path).map_or(true, |f| f.len() != *bytes);
-    segments(archive, manifest).iter().any(gone) || !Beside::missing(archive, &manifest.plan).is_empty()
+    segments(archive, manifest).iter().any(gone) || !Attachments::missing(archive, &manifest.plan).is_empty()
 }
 
 /// Files of an archive that its manifest does not name, in order of their names. Temporary files, which may
@@ -52,7 +52,7 @@ pub(in crate::pipeline) fn strays(archive: &Path, manifest: &Manifest) -> Result
     let named: HashSet<PathBuf> = segments(archive, manifest)
         .into_iter()
         .map(|(path, _)| path)
-        .chain(Beside::files(archive, &manifest.plan))
+        .chain(Attachments::files(archive, &manifest.plan))
         .chain(manifest.steps.iter().map(|step| unpacked_path(archive, step.plan.number)))
         .collect();
     let mut strays = vec![];

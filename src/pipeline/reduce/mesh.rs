@@ -47,7 +47,7 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
         return Ok(finished(report, job.started));
     }
     let plan = &series.plan;
-    let parts = parts(&plan.mesh, series.beside.clone())?;
+    let parts = parts(&plan.mesh, series.attachments.clone())?;
     let (held, memory) = (listed.bytes(), job.run.memory);
     let need = need_of(&parts, held, plan.steps.len(), memory, job.run);
     estimate_of(plan, &need, memory, job.out, job.run, (&scratch, 0))?.check()?;
@@ -75,7 +75,7 @@ pub(super) fn plan_mesh(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimat
     let Prepared { store, series, listed, .. } =
         prepare(job, &store_settings(settings, job.run, &scratch, offset_of(job)?))?;
     let plan = &series.plan;
-    let parts = parts(&plan.mesh, series.beside.clone())?;
+    let parts = parts(&plan.mesh, series.attachments.clone())?;
     let (held, memory) = (listed.bytes(), job.run.memory);
     let bytes = scratch_bytes([store.census.vertices, store.census.cells], job);
     let need = need_of(&parts, held, plan.steps.len(), memory, job.run);

@@ -32,7 +32,7 @@ use crate::formats::{self, Input, OpenOptions, StepSource};
 use crate::grid::BrickGrid;
 use crate::pipeline::chunk::{CellField, Field, OwnField, OwnMesh};
 use crate::pipeline::inputs::{MeshChoice, MeshCurves, Shift};
-use crate::pipeline::plan::{Beside, Inputs, Plan, Watch};
+use crate::pipeline::plan::{Attachments, Inputs, Plan, Watch};
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::settings::{Amount, ReduceSettings};
 use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind, SetSettings};
@@ -213,7 +213,7 @@ fn base_from(
     };
     let common = Common::of_archive(archive);
     common.check_number(&mesh)?;
-    let firsts = Beside::repeated(archive.path(), &archive.manifest.plan, common.vertices, how)?;
+    let firsts = Attachments::repeated(archive.path(), &archive.manifest.plan, common.vertices, how)?;
     let store = CellStore::build_with(&mesh, Some(firsts), how)?;
     common.check(&mesh, store.identity)?;
     Ok((mesh, store))
@@ -254,8 +254,11 @@ pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared
         Some(archive) => expect_listed(archive, record)?,
     }
     let series = plan_steps(&mesh, &store, listed.points(), plan, (job, how, inputs))?;
-    let series =
-        SeriesPlan { bound: dense.bound, beside: Beside { levels: dense.levels, ..series.beside }, ..series };
+    let series = SeriesPlan {
+        bound: dense.bound,
+        attachments: Attachments { levels: dense.levels, ..series.attachments },
+        ..series
+    };
     Ok(Prepared { store, series, listed, wanted: dense.wanted })
 }
 
@@ -311,7 +314,7 @@ fn dense_enough(
         && planned.mesh.lattice == plan.mesh.lattice
     {
         plan.mesh.clone_from(&planned.mesh);
-        return known(Beside::read(job.out, &planned.mesh)?.levels, plan);
+        return known(Attachments::read(job.out, &planned.mesh)?.levels, plan);
     }
     if let Some(round) = job.round {
         let levels = Arc::new(round.choice.levels.clone());
@@ -531,7 +534,7 @@ fn plan_steps(
         skipped: vec![],
         before: archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone()),
         keyframes: job.settings.keyframes,
-        beside: Beside { explicit: Some(Arc::clone(listed)), levels: None, repeated },
+        attachments: Attachments { explicit: Some(Arc::clone(listed)), levels: None, repeated },
         bound: None,
         watch: Watch::default(),
     };

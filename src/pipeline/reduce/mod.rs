@@ -162,7 +162,7 @@ pub(super) fn make_plan(job: &Job<'_>, only_estimates: bool) -> Result<(SeriesPl
     }
     let known = Known { out: Some(job.out), only_estimates, ..Known::default() };
     let mut series = plan_volumes(job.sources, job.settings, job.run, known)?;
-    let mesh = parts(&series.plan.mesh, series.beside.clone())?;
+    let mesh = parts(&series.plan.mesh, series.attachments.clone())?;
     let (need, _) = need_with_cache(&mut series, &mesh, job.run)?;
     let estimate = estimate_of(&series.plan, &series.sources, &need, job.out, job.run)?;
     Ok((series, mesh, estimate))
@@ -180,7 +180,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     };
     let mut series = plan_volumes(job.sources, job.settings, job.run, known)?;
     job.part.expect_planned(&series)?;
-    let mesh = parts(&series.plan.mesh, series.beside.clone())?;
+    let mesh = parts(&series.plan.mesh, series.attachments.clone())?;
     let inner_points = mesh.points.interior_len();
     if let Some(report) = made_before(job, &series, inner_points)? {
         return Ok(finished(report, job.started));
@@ -243,7 +243,7 @@ fn produce(
             prepare_folder(&layout, &series.plan, job.run)?;
         }
         layout.make_folders()?;
-        series.beside.write(job.out, series.plan.mesh_hash())?;
+        series.attachments.write(job.out, series.plan.mesh_hash())?;
     }
     let making = Making {
         means,

@@ -12,8 +12,8 @@
 //! A step that turns out to be bad in the middle of its pass is left out where that is wanted: the steps that refer to it have another hash then and are
 //! made again; all else is found there and kept.
 
-use super::encode::Rooms;
-use super::reuse::Taken;
+use super::encode::Workspaces;
+use super::reuse::ReusedChunks;
 use super::workers::{StageTimes, StepWork, Stored, Work};
 use super::{grid_coordinates, sink, workers};
 use crate::archive::chunked::ChunkSegment;
@@ -23,9 +23,9 @@ use crate::error::{Error, Result};
 use crate::exec::{Progress, pool};
 use crate::formats::StepSource;
 use crate::grid::ChunkId;
-use crate::pipeline::chunk::{Field, Gauge, OwnMesh, Recipe, Samples};
+use crate::pipeline::chunk::{Field, OwnMesh, Recipe, SampleErrors, Samples};
 use crate::pipeline::field::{MeasureSettings, StepErrors, field_errors};
-use crate::pipeline::plan::{Beside, Layout, MeshParts, Plan, Shares, Watch};
+use crate::pipeline::plan::{Attachments, Layout, MeshParts, Plan, Shares, Watch};
 use crate::pipeline::read::{Meter, OpenArchive, StepChoice};
 use crate::pipeline::settings::RunSettings;
 use serde::{Deserialize, Serialize};
@@ -97,7 +97,7 @@ pub(in crate::pipeline) struct SeriesPlan {
     pub(in crate::pipeline) before: Option<StepPlan>,
     pub(in crate::pipeline) keyframes: u64,
     /// What is stored beside the plan.
-    pub(in crate::pipeline) beside: Beside,
+    pub(in crate::pipeline) attachments: Attachments,
     /// The error that is wanted, in units of the field.
     pub(in crate::pipeline) bound: Option<f64>,
     /// The files of all steps, which must not change until all is made.
@@ -337,9 +337,10 @@ impl Making<'_> {
             let last = archive.manifest.steps.len() - 1;
             Stored { archive, base: plan.steps[steps.start].base.map(|_| last) }
         });
-        let taken = self.before.map(|before| Taken::new(before, plan, self.means.parts, steps.end));
+        let taken = self.before.map(|before| ReusedChunks::new(before, plan, self.means.parts, steps.end));
         let taken = taken.transpose()?.flatten();
-        let (taken_chunks, chunks) = (taken.as_ref().map_or(0, Taken::count), self.means.parts.chunks.len());
+        let (taken_chunks, chunks) =
+            (taken.as_ref().map_or(0, ReusedChunks::count), self.means.parts.chunks.len());
         let stage = match stored {
             None if taken_chunks > 0 => format!("reduce {} of {chunks} chunks", chunks - taken_chunks),
             None => "reduce".to_owned(),
@@ -358,7 +359,7 @@ impl Making<'_> {
             bcc: parts.bcc,
             own: source.own(),
         };
-        let (rooms, bad) = (Rooms::default(), Mutex::default());
+        let (rooms, bad) = (Workspaces::default(), Mutex::default());
         let first = self.old.map_or(plan.first(), |old| &old.steps[0].plan);
         let file = (self.layout.at(first.number).coordinates(), first.hash(plan.mesh_hash()));
         let coordinates = made.coordinates.map(|_| file);
@@ -367,7 +368,7 @@ impl Making<'_> {
         let samples: Option<Vec<Samples<'_>>> =
             fields.iter().map(|field| Samples::of(&field.originals())).collect();
         let samples = samples.filter(|_| plan.steps[steps.start].measured);
-        let gauge = samples.map(|samples| (Gauge::new(&plan.mesh.lattice), samples));
+        let sample_errors = samples.map(|samples| (SampleErrors::new(&plan.mesh.lattice), samples));
         let done = workers::make_segments(&Work {
             plan: &plan.mesh,
             mesh_hash: plan.mesh_hash(),
@@ -375,7 +376,7 @@ impl Making<'_> {
             stored,
             taken: taken.as_ref().map(|taken| (taken, steps.clone())),
             meter: &meter,
-            gauge,
+            sample_errors,
             bad_steps: &bad,
             several,
             recipe: &recipe,

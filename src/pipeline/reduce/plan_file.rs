@@ -25,7 +25,7 @@ use crate::archive::segment::PlanHash;
 use crate::bytes::read_whole;
 use crate::error::{Error, Result};
 use crate::formats::{Input, OpenOptions, StepSource};
-use crate::pipeline::plan::{Beside, Inputs, Plan, RecordedFile, Watch};
+use crate::pipeline::plan::{Attachments, Inputs, Plan, RecordedFile, Watch};
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -142,7 +142,7 @@ impl PlanFile {
             skipped: self.skipped,
             before: None,
             keyframes: self.settings.keyframes,
-            beside: Beside::default(),
+            attachments: Attachments::default(),
             bound: None,
             watch: Watch::default(),
         }

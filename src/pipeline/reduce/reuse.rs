@@ -76,13 +76,13 @@ impl Frame {
 }
 
 /// The chunks of a try that are those of the one before.
-pub(super) struct Taken<'a> {
+pub(super) struct ReusedChunks<'a> {
     before: &'a OpenArchive,
     /// Of each chunk, which one.
     from: Vec<Option<ChunkId>>,
 }
 
-impl<'a> Taken<'a> {
+impl<'a> ReusedChunks<'a> {
     /// Compares all chunks, for the steps of the plan up to `steps`; `None` where the plans differ in more than levels. Memory: 16 bytes a chunk.
     pub(super) fn new(
         before: &'a OpenArchive,

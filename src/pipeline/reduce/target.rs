@@ -45,7 +45,7 @@ use crate::archive::manifest::{Manifest, Step};
 use crate::archive::publish::{remove_folder, replace_folder};
 use crate::error::{Error, Result};
 use crate::formats::Input;
-use crate::pipeline::plan::{Beside, Inputs, Plan, folder_bytes};
+use crate::pipeline::plan::{Attachments, Inputs, Plan, folder_bytes};
 use crate::pipeline::read::StepSummary;
 use crate::pipeline::settings::{Amount, Bound, ReduceSettings, RunSettings, Target, ValueBits};
 use crate::points::SetKind;
@@ -377,8 +377,8 @@ pub(super) fn error_of(target: Target, report: &ReduceReport) -> f64 {
 /// Cells of an archive that have a point a sample or more, and all cells.
 pub(super) fn full_cells(archive: &Path) -> Result<[u64; 2]> {
     let manifest = Manifest::read(archive)?;
-    let (plan, beside) = (&manifest.plan, Beside::read(archive, &manifest.plan)?);
-    let levels = beside.levels.expect("its points adapt");
+    let (plan, attachments) = (&manifest.plan, Attachments::read(archive, &manifest.plan)?);
+    let levels = attachments.levels.expect("its points adapt");
     let densities = Plan::densities(plan, &levels);
     let full = levels.as_slice().iter().filter(|&&l| densities[usize::from(l)] >= FULL).count();
     Ok([full as u64, levels.as_slice().len() as u64])

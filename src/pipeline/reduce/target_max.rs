@@ -31,7 +31,7 @@ use crate::error::{Error, Result};
 use crate::formats::{Input, StepSource};
 use crate::geom::LatticePos;
 use crate::grid::{BrickGrid, ChunkId};
-use crate::pipeline::chunk::{Cells, Gauge, Originals, Samples, Sides, stored_errors};
+use crate::pipeline::chunk::{Cells, Originals, SampleErrors, Samples, StepLanes, stored_errors};
 use crate::pipeline::field::{
     Find, MOST_VERTICES, MeasureSettings, Outside, VERTEX, each_value, on_lattice, reopened_values,
 };
@@ -170,7 +170,7 @@ impl Measuring<'_> {
         let (reader, missing, stand_in) = (reading.reader(reader), reading.missing(), reading.stand_in());
         let originals = Originals::Volume { reader: &*reader, missing, stand_in };
         let samples = Samples::of(&originals).expect("those of a volume");
-        let gauge = Gauge::new(&self.archive.manifest.plan.lattice);
+        let sample_errors = SampleErrors::new(&self.archive.manifest.plan.lattice);
         let run = job.run;
         let share = |memory: u64| memory.saturating_sub(estimate::BASE + 4 * self.worst.len() as u64);
         let mut visit = Visit::new(self.archive, Blocks::All, run.threads, share(run.memory), &run.cancel)?;
@@ -178,7 +178,7 @@ impl Measuring<'_> {
         let extra = estimate::error_bytes(1);
         visit.check_memory(run.memory, share, extra)?;
         job.progress.begin("measure", visit.chunks.len() as u64, "chunks");
-        let part = |_, chunk: DecodedChunk| self.add_chunk(&gauge, &samples, &chunk);
+        let part = |_, chunk: DecodedChunk| self.add_chunk(&sample_errors, &samples, &chunk);
         visit.each(extra, job.progress, part, |_, ()| Ok(()))
     }
 
@@ -197,18 +197,28 @@ impl Measuring<'_> {
         Ok(above)
     }
 
-    fn add_chunk(&self, gauge: &Gauge, samples: &Samples<'_>, chunk: &DecodedChunk) -> Result<()> {
+    fn add_chunk(
+        &self,
+        sample_errors: &SampleErrors,
+        samples: &Samples<'_>,
+        chunk: &DecodedChunk,
+    ) -> Result<()> {
         let DecodedChunk { positions, tets, block_ends, values, .. } = chunk;
         let lattice = self.cells.lattice;
         let read = |_, window, out: &mut [f32]| samples.read(window, out);
-        gauge.each_sample(&Cells { positions, tets, block_ends }, &Sides::one(values), read, |m| {
-            for (n, (original, reduced)) in m.compared.pairs().enumerate() {
-                let error = (f64::from(original) - f64::from(reduced)).abs();
-                if original.is_finite() && error > self.bound {
-                    self.note(lattice.of_voxel(m.place(n)), error as f32);
+        sample_errors.each_sample(
+            &Cells { positions, tets, block_ends },
+            &StepLanes::one(values),
+            read,
+            |m| {
+                for (n, (original, reduced)) in m.compared.pairs().enumerate() {
+                    let error = (f64::from(original) - f64::from(reduced)).abs();
+                    if original.is_finite() && error > self.bound {
+                        self.note(lattice.of_voxel(m.place(n)), error as f32);
+                    }
                 }
-            }
-        })
+            },
+        )
     }
 
     /// Notes an error for all cells that touch a sample's position.

@@ -14,7 +14,9 @@ use crate::pipeline::chunk::{Field, GridField};
 use crate::pipeline::inputs::{
     Errors, Reading, Scratch, Shift, Spread, copy_bytes, random_access, spread, stream_spread,
 };
-use crate::pipeline::plan::{Beside, Frame, Inputs, Plan, RecordedFile, count_of, need_of, parts, source_of};
+use crate::pipeline::plan::{
+    Attachments, Frame, Inputs, Plan, RecordedFile, count_of, need_of, parts, source_of,
+};
 use crate::pipeline::read::{OpenArchive, coordinate_hash};
 use crate::pipeline::settings::{ReduceSettings, RunSettings, Target, ValueBits};
 use crate::points::SetSettings;
@@ -76,7 +78,7 @@ struct Planner<'a> {
     plan: Option<Plan>,
     /// Where points are needed, as far as steps were looked at for that.
     errors: Option<Errors<'a>>,
-    beside: Beside,
+    attachments: Attachments,
     bound: Option<f64>,
     inputs: Inputs<'a>,
     /// What is subtracted from the values of all steps, once it is known.
@@ -130,7 +132,7 @@ pub(super) fn plan_volumes(
         common: None,
         plan: None,
         errors: None,
-        beside: Beside::default(),
+        attachments: Attachments::default(),
         bound: None,
         inputs: plan_before.map_or_else(Inputs::default, |plan| Inputs::planned(files, plan.fingerprints())),
         offset: None,
@@ -164,7 +166,7 @@ pub(super) fn plan_volumes(
         }
     }
     planner.set_levels(out)?;
-    let (beside, bound, watch) = (planner.beside, planner.bound, planner.inputs.watch);
+    let (attachments, bound, watch) = (planner.attachments, planner.bound, planner.inputs.watch);
     let Some(plan) = planner.plan.filter(|_| !steps.is_empty()) else {
         return Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")));
     };
@@ -174,7 +176,7 @@ pub(super) fn plan_volumes(
         skipped: vec![],
         before,
         keyframes: settings.keyframes,
-        beside,
+        attachments,
         bound,
         watch,
     };
@@ -198,10 +200,15 @@ fn share_copies(series: &mut SeriesPlan) -> Result<()> {
 }
 
 /// Makes the points of a plan as dense as was chosen.
-fn choose(plan: &mut Plan, beside: &mut Beside, choice: &Choice, frame: Option<&Frame>) -> Result<()> {
+fn choose(
+    plan: &mut Plan,
+    attachments: &mut Attachments,
+    choice: &Choice,
+    frame: Option<&Frame>,
+) -> Result<()> {
     let levels = Arc::new(choice.levels.clone());
     plan.adapt(choice.n, &levels, frame)?;
-    beside.levels = Some(levels);
+    attachments.levels = Some(levels);
     Ok(())
 }
 
@@ -219,7 +226,7 @@ impl Planner<'_> {
         self.offset = Some(first.plan.source.offset);
         self.is_shaped = true;
         self.plan = Some(Plan { mesh: archive.manifest.plan.clone(), steps: vec![] });
-        self.beside = Beside::read(archive.path(), &archive.manifest.plan)?;
+        self.attachments = Attachments::read(archive.path(), &archive.manifest.plan)?;
         Ok(())
     }
 
@@ -235,7 +242,7 @@ impl Planner<'_> {
             && (planned.mesh.levels.is_some() || planned.mesh.lattice_cells().is_some())
             && planned.mesh.lattice.dims == plan.mesh.lattice.dims
         {
-            self.beside = Beside::read(out, &planned.mesh)?;
+            self.attachments = Attachments::read(out, &planned.mesh)?;
             plan.mesh.clone_from(&planned.mesh);
         }
         if let Some(errors) = self.errors.take() {
@@ -246,10 +253,10 @@ impl Planner<'_> {
                 Some((Target::Max(_), bound)) => errors.choice_of_bound(bound, dims.iter().product())?,
                 _ => errors.choice(count_of(self.settings, dims))?,
             };
-            choose(plan, &mut self.beside, &choice, None)?;
+            choose(plan, &mut self.attachments, &choice, None)?;
         }
         if let Some(round) = self.round {
-            choose(plan, &mut self.beside, &round.choice, round.frame.as_ref())?;
+            choose(plan, &mut self.attachments, &round.choice, round.frame.as_ref())?;
         }
         Ok(())
     }
@@ -344,7 +351,7 @@ impl Planner<'_> {
     fn check_budget(&mut self, step: &StepPlan, source: &PlannedSource) -> Result<()> {
         let (Some(plan), Some(out)) = (&self.plan, self.unchecked.take()) else { return Ok(()) };
         let plan = Plan { mesh: plan.mesh.clone(), steps: vec![step.clone()] };
-        let need = need_of(&parts(&plan.mesh, self.beside.clone())?, 0, 1, self.run.memory, self.run);
+        let need = need_of(&parts(&plan.mesh, self.attachments.clone())?, 0, 1, self.run.memory, self.run);
         estimate_of(&plan, std::slice::from_ref(source), &need, out, self.run)?.check()
     }
 

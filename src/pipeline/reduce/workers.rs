@@ -12,15 +12,15 @@
 //! rooms of others ([`super::encode`]), so this ends. The writer ([`super::sink`]) releases chunks in order: the bytes written do not depend on
 //! threads, on memory, or on which chunk is ready first.
 
-use super::encode::{Product, Rooms, make_chunk};
-use super::reuse::Taken;
+use super::encode::{Product, Workspaces, make_chunk};
+use super::reuse::ReusedChunks;
 use super::sink::{Sink, is_done, left};
 use crate::archive::manifest::{Plan as MeshPlan, StepPlan};
 use crate::archive::segment::PlanHash;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, MemoryBudget, Permit, Progress, Reorder, no_thread};
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
-use crate::pipeline::chunk::{Field, Gauge, Recipe, Samples};
+use crate::pipeline::chunk::{Field, Recipe, SampleErrors, Samples};
 use crate::pipeline::plan::{Layout, Shares, Watch, estimate};
 use crate::pipeline::read::{Meter, OpenArchive};
 use crossbeam::channel;
@@ -78,11 +78,11 @@ pub(super) struct Work<'a> {
     pub(super) steps: &'a [StepWork<'a>],
     pub(super) meter: &'a Meter,
     /// What errors are measured with, against the samples of each step; none where they are not.
-    pub(super) gauge: Option<(Gauge, Vec<Samples<'a>>)>,
+    pub(super) sample_errors: Option<(SampleErrors, Vec<Samples<'a>>)>,
     /// Where the mesh comes from, if it is there.
     pub(super) stored: Option<Stored<'a>>,
     /// Chunks that an earlier try has made, and where `steps` are in that.
-    pub(super) taken: Option<(&'a Taken<'a>, Range<usize>)>,
+    pub(super) taken: Option<(&'a ReusedChunks<'a>, Range<usize>)>,
     /// Positions in `steps` whose data could not be used.
     pub(super) bad_steps: &'a Mutex<BTreeMap<usize, String>>,
     /// Whether errors name the step.
@@ -94,7 +94,7 @@ pub(super) struct Work<'a> {
     pub(super) segments: Range<u64>,
     pub(super) pool: &'a rayon::ThreadPool,
     pub(super) shares: Shares,
-    pub(super) rooms: &'a Rooms,
+    pub(super) rooms: &'a Workspaces,
     /// The files that are read, which must not change.
     pub(super) watch: &'a Watch,
     pub(super) cancel: &'a CancelToken,

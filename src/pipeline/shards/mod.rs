@@ -22,7 +22,9 @@ use crate::archive::manifest::{MANIFEST_NAME, Manifest};
 use crate::error::{Error, Result};
 use crate::exec::Progress;
 use crate::formats::StepSource;
-use crate::pipeline::plan::{Beside, Estimate, Layout, MeshParts, Need, Plan, Shard, Watch, estimate, parts};
+use crate::pipeline::plan::{
+    Attachments, Estimate, Layout, MeshParts, Need, Plan, Shard, Watch, estimate, parts,
+};
 use crate::pipeline::read::{Depth, SegmentState};
 use crate::pipeline::reduce;
 use crate::pipeline::reduce::{
@@ -84,7 +86,7 @@ pub fn plan_shards(
     let notices = look(&job, false)?.notices;
     let (series, mesh, mut needs) = reduce::make_plan(&job, false)?;
     needs.notices = notices;
-    let beside = series.beside.clone();
+    let attachments = series.attachments.clone();
     let (memory_least, replaces) = (needs.memory_least, reduce::is_finished(out));
     let file =
         PlanFile::new(settings, series, Cut { chunks: mesh.chunks.len(), shards, memory_least, replaces })?;
@@ -94,7 +96,7 @@ pub fn plan_shards(
     prepare_folder(&layout, &file.plan, run)?;
     file.write(out, run.replace)?;
     layout.make_folders()?;
-    beside.write(&root, file.mesh_hash)?;
+    attachments.write(&root, file.mesh_hash)?;
     let segments = layout.segment_count();
     let shard_segments = segments.div_ceil(shards);
     Ok(PlanReport {
@@ -244,5 +246,5 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
 
 /// The parts of a plan, with what is stored in the archive.
 fn mesh_parts(out: &Path, plan: &Plan) -> Result<MeshParts> {
-    parts(&plan.mesh, Beside::read(out, &plan.mesh)?)
+    parts(&plan.mesh, Attachments::read(out, &plan.mesh)?)
 }

@@ -5,7 +5,7 @@ use crate::archive::publish::{final_name, open_own};
 use crate::archive::segment::{PlanHash, SegmentKind};
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, Silent, pool};
-use crate::pipeline::plan::{Beside, Layout, Shard};
+use crate::pipeline::plan::{Attachments, Layout, Shard};
 use crate::pipeline::read::{Depth, SegmentState, inspect};
 use crate::pipeline::reduce::{PlanFile, is_ours, plan_path, work_folder};
 use crate::pipeline::settings::RunSettings;
@@ -92,7 +92,7 @@ impl<'a> Inventory<'a> {
     /// [`Error::Incomplete`] when a segment is not whole.
     pub(super) fn expect_whole(&self, run: &RunSettings, progress: &dyn Progress) -> Result<()> {
         let mut faults = self.all_faults(Depth::All, run, progress)?;
-        for path in Beside::missing(self.layout.root(), &self.file.plan.mesh) {
+        for path in Attachments::missing(self.layout.root(), &self.file.plan.mesh) {
             faults.push(Fault { segment: 0, state: SegmentState::Missing, path });
         }
         // In a word each, so that many have room in a line; `status` tells more.

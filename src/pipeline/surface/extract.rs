@@ -16,8 +16,8 @@ use crate::index::Entry;
 use crate::mesh::tet::{Tet, is_active};
 use crate::pipeline::plan::{SurfaceShares, estimate};
 use crate::pipeline::read::{
-    Block, BlockCorners, Buffers, ChunkReader, Cut, Found, Horizon, KeptBlock, Needed, NumberedShape,
-    OpenArchive, PackedBlock, Spare, Wanted, chunk_reader,
+    Block, BlockCorners, BufferPool, Buffers, CachedBlock, ChunkReader, Cut, Found, Frontier, Needed,
+    NumberedShape, OpenArchive, PackedBlock, Wanted, chunk_reader,
 };
 use crate::surface::cap::select_boundary;
 use crate::surface::fans::split_fans;
@@ -94,7 +94,7 @@ pub(super) fn extract_surfaces(
     let weld = Weld::new(question, settings, shares, room, progress);
     let pool = question.archive.pools.lend(settings.threads)?;
     progress.begin("surface", active_blocks, "blocks");
-    let (kept, of_this_question) = (&question.archive.kept, Spare::default());
+    let (kept, of_this_question) = (&question.archive.cache, BufferPool::default());
     let spare = if kept.most() > 0 { &question.archive.spare } else { &of_this_question };
     let extract = |n: usize| {
         settings.cancel.check()?;
@@ -109,7 +109,7 @@ pub(super) fn extract_surfaces(
 struct Welder<'a> {
     weld: Weld<'a>,
     /// For their buffers.
-    spare: &'a Spare,
+    spare: &'a BufferPool,
 }
 
 impl Last for Welder<'_> {
@@ -155,7 +155,7 @@ impl Question<'_> {
     }
 
     /// The surfaces of a chunk; buffers come from `spare` where there are any.
-    fn chunk_surfaces(&self, work: &ChunkWork, spare: &Spare) -> Result<ChunkSurfaces> {
+    fn chunk_surfaces(&self, work: &ChunkWork, spare: &BufferPool) -> Result<ChunkSurfaces> {
         let (mut buffers, mut reader) = (spare.buffers(), None);
         let mut chunk = ChunkWorker::new(self, spare);
         let mut unpacked = UnpackedChunk::of(self.archive, work)?;
@@ -170,7 +170,7 @@ impl Question<'_> {
             }
             if n % at_once == 0 {
                 let next = work.blocks[n..].iter().take(at_once).map(|b| b.block);
-                self.archive.kept.get(work.chunk, next, &mut kept);
+                self.archive.cache.get(work.chunk, next, &mut kept);
             }
             let ahead = |blocks: usize| kept.get(n % at_once + blocks).and_then(Option::as_ref);
             self.foretell(ahead(1), ahead(2));
@@ -188,7 +188,7 @@ impl Question<'_> {
             if !reader.block(block.block, &self.wanted(block), &self.needed(), &mut buffers.block)? {
                 continue;
             }
-            self.archive.kept.put(work.chunk, block.block, &buffers.block);
+            self.archive.cache.put(work.chunk, block.block, &buffers.block);
             chunk.add(block, &mut buffers, Some(reader));
         }
         unpacked.map_or(Ok(()), UnpackedChunk::end)?;
@@ -228,7 +228,7 @@ impl Question<'_> {
 
     /// Caps have triangles in tetrahedra that are not active, and what is kept is for other isovalues too.
     fn needed(&self) -> Needed<'_> {
-        match self.caps.is_some() || self.archive.kept.most() > 0 {
+        match self.caps.is_some() || self.archive.cache.most() > 0 {
             true => Needed::All,
             false => Needed::ForActive(self.isovalues),
         }
@@ -250,7 +250,7 @@ pub(super) struct ChunkWorker<'a> {
 
 impl<'a> ChunkWorker<'a> {
     /// No surfaces yet, in memory that is spare.
-    pub(super) fn new(question: &'a Question<'a>, spare: &Spare) -> Self {
+    pub(super) fn new(question: &'a Question<'a>, spare: &BufferPool) -> Self {
         let surfaces = question.isovalues.iter().map(|_| spare.surface()).collect();
         Self { question, surfaces, started: false }
     }
@@ -275,10 +275,10 @@ impl<'a> ChunkWorker<'a> {
         let question = self.question;
         let is_whole = question.is_whole();
         match (&*found.block, is_whole) {
-            (KeptBlock::Known(block, of_chunk), true) => {
+            (CachedBlock::Known(block, of_chunk), true) => {
                 return self.add_kept_known(entry, block, *of_chunk, &mut buffers.bench);
             }
-            (KeptBlock::Packed(block), true) if !found.is_due => {
+            (CachedBlock::Packed(block), true) if !found.is_due => {
                 return self.add_packed(entry, block, buffers);
             }
             (block, _) => block.unpack(&mut buffers.block),
@@ -287,8 +287,8 @@ impl<'a> ChunkWorker<'a> {
         match is_whole.then(|| bench.know(&corners.cells(tets), &question.world)).flatten() {
             Some(known) => {
                 self.add_kept_known(entry, &known, corners.of_chunk, bench);
-                let known = KeptBlock::Known(known, corners.of_chunk);
-                question.archive.kept.replace(chunk, entry.block, known);
+                let known = CachedBlock::Known(known, corners.of_chunk);
+                question.archive.cache.replace(chunk, entry.block, known);
             }
             None => self.add(entry, buffers, None),
         }
@@ -398,7 +398,7 @@ pub(super) struct Weld<'a> {
     builders: Vec<(SurfaceBuilder, Closing)>,
     active_tetrahedra: Vec<u64>,
     /// Made when first needed: most surfaces fit in memory.
-    horizon: Option<Horizon>,
+    frontier: Option<Frontier>,
     shares: SurfaceShares,
     /// Where each surface is kept.
     place: BuilderSettings,
@@ -426,7 +426,7 @@ impl<'a> Weld<'a> {
             question,
             builders: memory.map(builder).collect(),
             active_tetrahedra: vec![0; count],
-            horizon: None,
+            frontier: None,
             shares,
             place: place.clone(),
             memory: settings.memory,
@@ -436,7 +436,7 @@ impl<'a> Weld<'a> {
     }
 
     /// Adds the next chunk; the buffers go back to `spare`.
-    pub(super) fn push(&mut self, surfaces: ChunkSurfaces, spare: &Spare) -> Result<()> {
+    pub(super) fn push(&mut self, surfaces: ChunkSurfaces, spare: &BufferPool) -> Result<()> {
         for (i, surface) in surfaces.iter().enumerate() {
             self.active_tetrahedra[i] += surface.active_cells();
             self.builders[i].0.push(surface)?;
@@ -456,11 +456,11 @@ impl<'a> Weld<'a> {
             if (builder.open_edges() as u64) < closing.look_at {
                 continue;
             }
-            let horizon = match self.horizon.take() {
-                Some(horizon) => horizon,
-                None => Horizon::new(archive, self.question.work.iter().map(|w| w.chunk))?,
+            let frontier = match self.frontier.take() {
+                Some(frontier) => frontier,
+                None => Frontier::new(archive, self.question.work.iter().map(|w| w.chunk))?,
             };
-            let beyond = self.horizon.insert(horizon).after(self.done);
+            let beyond = self.frontier.insert(frontier).after(self.done);
             let place = |id| archive.points.position(id);
             builder.keep_open(|a, b| match (place(a), place(b)) {
                 (Some(a), Some(b)) => beyond.can_have(a, b),

@@ -21,7 +21,7 @@ use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::{SurfaceShares, estimate};
 use crate::pipeline::read::{
-    Block, Buffers, ChunkReader, NumberedShape, OpenArchive, Spare, ValuesOverTime, chunk_reader,
+    Block, BufferPool, Buffers, ChunkReader, NumberedShape, OpenArchive, ValuesOverTime, chunk_reader,
 };
 use crate::surface::TriMesh;
 use std::collections::BTreeMap;
@@ -210,7 +210,7 @@ impl<'a> Work<'a> {
         let pool = self.archive.pools.lend(settings.threads)?;
         let blocks = self.questions.iter().flat_map(|q| q.work).map(|w| w.blocks.len() as u64).sum();
         progress.begin("surface", blocks, "blocks");
-        let spare = Spare::default();
+        let spare = BufferPool::default();
         let extract = |n: usize| {
             settings.cancel.check()?;
             self.chunk_surfaces(n, &spare)
@@ -221,7 +221,7 @@ impl<'a> Work<'a> {
     }
 
     /// The surfaces of a chunk, of each question that is asked of it.
-    fn chunk_surfaces(&self, n: usize, spare: &Spare) -> Result<Vec<ChunkSurfaces>> {
+    fn chunk_surfaces(&self, n: usize, spare: &BufferPool) -> Result<Vec<ChunkSurfaces>> {
         let (id, part) = &self.chunks[n];
         let mut buffers = spare.buffers();
         let mut reader = ChunkReader::open(self.archive, *id, std::mem::take(&mut buffers.reader))?;
@@ -309,7 +309,7 @@ impl ShapedChunk<'_> {
         question: &Question<'_>,
         blocks: &[Entry],
         buffers: &mut Buffers,
-        spare: &Spare,
+        spare: &BufferPool,
     ) -> Result<ChunkSurfaces> {
         let Self { part, shapes, values, active_bytes } = self;
         let mut worker = ChunkWorker::new(question, spare);
@@ -350,7 +350,7 @@ struct Welder<'a> {
     work: &'a Work<'a>,
     /// Of each question.
     welds: Vec<Weld<'a>>,
-    spare: &'a Spare,
+    spare: &'a BufferPool,
 }
 
 impl Last for Welder<'_> {

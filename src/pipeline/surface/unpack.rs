@@ -20,8 +20,8 @@ use crate::exec::{CancelToken, Progress, pool};
 use crate::grid::ChunkId;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    BYTES_PER_VERTEX, Buffers, ChunkReader, Needed, OpenArchive, Spare, StepChoice, StepRange, View, Wanted,
-    world_map,
+    BYTES_PER_VERTEX, BufferPool, Buffers, ChunkReader, Needed, OpenArchive, StepChoice, StepRange, View,
+    Wanted, world_map,
 };
 use crate::surface::WorldMap;
 use crate::surface::known::{Joiner, KnownBlock};
@@ -267,7 +267,7 @@ fn unpack_step(
     let step = archive.step().plan.number;
     progress.begin(&format!("unpack step {step}"), parts.len() as u64, "chunks");
     let pool = pool(settings.threads)?;
-    let (spare, world) = (Spare::default(), world_map(archive));
+    let (spare, world) = (BufferPool::default(), world_map(archive));
     let make = |n: usize| {
         settings.cancel.check()?;
         let mut buffers = spare.buffers();

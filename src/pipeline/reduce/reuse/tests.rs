@@ -9,7 +9,7 @@ use crate::archive::manifest::Manifest;
 use crate::density::Choice;
 use crate::exec::{Progress, Silent};
 use crate::formats::{OpenOptions, StepSource};
-use crate::pipeline::plan::{Beside, Layout};
+use crate::pipeline::plan::{Attachments, Layout};
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::{
     Adapt, Bound, Plan, ReduceReport, ReduceSettings, RunSettings, Shard, Target, commit_shards,
@@ -111,7 +111,7 @@ fn made_again(archive: &Path, sources: &[StepSource], values: Values, out: &Path
     let manifest = Manifest::read(archive).unwrap();
     let steps = manifest.steps.iter().map(|s| s.plan.clone()).collect();
     let plan = Plan { mesh: manifest.plan.clone(), steps };
-    let beside = Beside::read(archive, &plan.mesh).unwrap();
+    let attachments = Attachments::read(archive, &plan.mesh).unwrap();
     let settings = settings(values);
     let planned =
         |source: &StepSource| PlannedSource { source: source.clone(), copied: 0, shared_copy: 0, copying: 0 };
@@ -121,7 +121,7 @@ fn made_again(archive: &Path, sources: &[StepSource], values: Values, out: &Path
         skipped: vec![],
         before: None,
         keyframes: settings.keyframes,
-        beside: Beside::default(),
+        attachments: Attachments::default(),
         bound: None,
         watch: Default::default(),
     };
@@ -130,7 +130,7 @@ fn made_again(archive: &Path, sources: &[StepSource], values: Values, out: &Path
         PlanFile::new(&settings, series, Cut { chunks, shards, memory_least: 0, replaces: false }).unwrap();
     file.write(out, false).unwrap();
     Layout::new(out, chunks, 0).make_folders().unwrap();
-    beside.write(out, file.mesh_hash).unwrap();
+    attachments.write(out, file.mesh_hash).unwrap();
     for shard in 0..shards {
         work_shard(out, Shard::new(shard, shards).unwrap(), &run(2), &Silent).unwrap();
     }
