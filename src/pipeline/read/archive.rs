@@ -1,10 +1,8 @@
 //! An archive opened for reading: manifest, point set, grids; segments are opened when first needed.
 
 use super::block_cache::BlockCache;
-use super::chunk_reader::{ChunkReader, ReaderMemory};
+use super::choice::{StepChoice, View};
 use super::pools::{BufferPool, Pools};
-use super::spectrum::{limits, stored_part};
-use super::steps::{StepChoice, View};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::CoordinateMap;
 use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, SegmentRecord, Step};
@@ -12,14 +10,11 @@ use crate::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind};
 use crate::archive::unpacked::Unpacked;
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
-use crate::geom::{LatticePos, PointId};
 use crate::grid::{ChunkGrid, ChunkId};
 use crate::index::{SpanIndex, index_entries};
 use crate::mesh::bcc::{BccChunk, BccMesh};
-use crate::mesh::tet::Tet;
 use crate::pipeline::plan::{Attachments, Layout, MeshParts, folder_bytes, parts};
 use crate::points::PointSet;
-use crate::spectrum::{SpectrumBuilder, SpectrumFile};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -146,7 +141,7 @@ impl OpenArchive {
         &self.manifest.steps[self.view.step]
     }
 
-    fn step_hash(&self) -> PlanHash {
+    pub(super) fn step_hash(&self) -> PlanHash {
         self.step().plan.hash(self.manifest.plan_hash)
     }
 
@@ -205,20 +200,6 @@ impl OpenArchive {
                 self.path().display()
             ))),
         }
-    }
-
-    /// The contour spectrum; none where every tetrahedron is void. Of a small archive it is the part of its only chunk.
-    pub(in crate::pipeline) fn spectrum(&self) -> Result<Option<SpectrumFile>> {
-        if self.step().index.is_none() {
-            let limits = limits(&self.manifest.plan, self.points.len());
-            let part = stored_part(&*self.only_values()?, ChunkId(0), limits)?;
-            return Ok(SpectrumBuilder::of_part(&part).map(SpectrumFile::of));
-        }
-        let Some(recorded) = &self.step().spectrum else { return Ok(None) };
-        let file =
-            SpectrumFile::open(self.layout.spectrum(), Some(self.step_hash())).map_err(|e| self.lost(e))?;
-        file.segment().map_or(Ok(()), |segment| expect_recorded(segment, Some(recorded)))?;
-        Ok(Some(file))
     }
 
     /// Bytes of all files of the archive, with unpacked blocks that are used; of those that the manifest tells of, where files cannot be listed.
@@ -318,12 +299,12 @@ impl OpenArchive {
     }
 
     /// The value segment of an archive of one chunk.
-    fn only_values(&self) -> Result<Arc<ChunkSegment>> {
+    pub(super) fn only_values(&self) -> Result<Arc<ChunkSegment>> {
         self.values_segment(self.view.step, 0)
     }
 
     /// A file that is not there makes the archive incomplete, which the same reduction repairs.
-    fn lost(&self, error: Error) -> Error {
+    pub(super) fn lost(&self, error: Error) -> Error {
         lost(self.layout.root(), error)
     }
 
@@ -372,22 +353,6 @@ fn lost(root: &Path, error: Error) -> Error {
     }
 }
 
-/// Some blocks of a chunk, decoded: tetrahedra, and position, id and value of the corners they use. Corner arrays are
-/// indexed by chunk-local vertex number; corners that are not used hold anything.
-#[derive(Default)]
-pub(in crate::pipeline) struct DecodedChunk {
-    pub(in crate::pipeline) positions: Vec<LatticePos>,
-    pub(in crate::pipeline) ids: Vec<PointId>,
-    pub(in crate::pipeline) values: Vec<f32>,
-    pub(in crate::pipeline) shared: Vec<bool>,
-    /// Tetrahedra, block after block.
-    pub(in crate::pipeline) tets: Vec<Tet>,
-    /// End of each block in `tets`.
-    pub(in crate::pipeline) block_ends: Vec<usize>,
-    /// Corners that the chunk owns; the others are halo.
-    pub(in crate::pipeline) core: usize,
-}
-
 impl OpenArchive {
     /// A chunk whose mesh follows by formula.
     pub(in crate::pipeline) fn bcc_chunk(&self, id: ChunkId) -> Option<BccChunk> {
@@ -395,26 +360,10 @@ impl OpenArchive {
         let [lo, hi] = self.chunks.bricks().cells_of(&self.chunks.chunk(id));
         Some(mesh.chunk(lo, hi))
     }
-
-    /// Decodes `blocks` (numbers within the chunk) of a chunk, and of its values and positions what they use. For a question
-    /// that needs but some of that, or a block at a time, there is [`ChunkReader`].
-    pub(in crate::pipeline) fn decode(&self, id: ChunkId, blocks: &[u32]) -> Result<DecodedChunk> {
-        let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
-        let (mut tets, mut block_ends) = (vec![], vec![]);
-        for &block in blocks {
-            reader.tets(block, &mut tets)?;
-            block_ends.push(tets.len());
-        }
-        reader.load_values(&tets)?;
-        reader.load_all_flags()?;
-        let core = reader.core();
-        let (positions, ids, values, shared) = reader.into_corners();
-        Ok(DecodedChunk { positions, ids, values, shared, tets, block_ends, core })
-    }
 }
 
 /// A segment is the one that the manifest was written for, and not a valid one with other content.
-fn expect_recorded(segment: &Segment, recorded: Option<&SegmentInfo>) -> Result<()> {
+pub(super) fn expect_recorded(segment: &Segment, recorded: Option<&SegmentInfo>) -> Result<()> {
     let found = segment.info();
     if recorded == Some(&found) {
         return Ok(());
@@ -427,13 +376,4 @@ fn expect_recorded(segment: &Segment, recorded: Option<&SegmentInfo>) -> Result<
         .with_help(
             "the file is not this archive's: restore it, or delete it and run the same reduction again",
         ))
-}
-
-/// Which corners some tetrahedron uses.
-pub(in crate::pipeline) fn used_corners(tets: &[Tet], local: usize) -> Vec<bool> {
-    let mut used = vec![false; local];
-    for &v in tets.iter().flatten() {
-        used[v as usize] = true;
-    }
-    used
 }

@@ -15,23 +15,21 @@
 use super::archive::{OpenArchive, OpenSegment};
 use super::block::{Block, BlockCorners};
 use super::chunk_mesh::{MeshedChunk, value_blocks};
+use super::reader_memory::{ReaderMemory, UNPLACED};
 use super::region::Cut;
 use crate::archive::Malformed;
-use crate::archive::chunk::{TetBlock, TetScratch};
+use crate::archive::chunk::TetBlock;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::summary::ValueRange;
 use crate::archive::values::ValueBlocks;
 use crate::archive::vertices::{ChunkHeader, PAGE_FLAGS, PAGE_IDS, decode_flags, decode_ids};
 use crate::error::{Error, Result};
-use crate::geom::{LatticeBox, LatticePos, PointId, Site};
+use crate::geom::{LatticeBox, LatticePos, PointId};
 use crate::grid::{BrickId, Chunk, ChunkId};
-use crate::mesh::bcc::{BccBlock, BccChunk};
+use crate::mesh::bcc::BccChunk;
 use crate::mesh::tet::{Tet, is_active, range};
 use crate::pipeline::plan::check_brick;
 use std::sync::Arc;
-
-/// A position that no corner has: the lattice ends at 2^24.
-const UNPLACED: LatticePos = [u32::MAX; 3];
 
 /// A chunk that is being read. Corner arrays are indexed by chunk-local vertex numbers.
 pub(in crate::pipeline) struct ChunkReader<'a> {
@@ -64,23 +62,6 @@ struct Pages {
     of_flags: usize,
     /// Of each page whether it has been read.
     read: Vec<bool>,
-}
-
-/// The memory of a reader, for the next one: pages that a process has need not be cleared again.
-#[derive(Default)]
-pub(in crate::pipeline) struct ReaderMemory {
-    positions: Vec<LatticePos>,
-    ids: Vec<PointId>,
-    values: Vec<f32>,
-    /// Buffers: the bytes of a block, the points of a brick, the values of a block.
-    bytes: Vec<u8>,
-    sites: Vec<Site>,
-    decoded: Vec<f32>,
-    /// Positions of the corners of a block, and what decoding it needs.
-    here: Vec<LatticePos>,
-    scratch: TetScratch,
-    /// A block whose mesh follows by formula.
-    by_formula: BccBlock,
 }
 
 /// Bytes that a reader holds for each vertex of its chunk, a little more than counted: they are allocated once.
@@ -709,23 +690,6 @@ impl Wanted<'_> {
                 corners.iter().filter(at_end).count() >= 3
             }
         }
-    }
-}
-
-impl ReaderMemory {
-    /// Bytes of what is per vertex of a chunk.
-    pub(super) fn bytes(&self) -> usize {
-        self.positions.capacity() * size_of::<LatticePos>()
-            + self.ids.capacity() * size_of::<PointId>()
-            + self.values.capacity() * size_of::<f32>()
-    }
-
-    /// Prepares for a chunk. Ids of corners that are not placed, and values that are not loaded, are not asked for.
-    fn start(&mut self, vertices: usize) {
-        self.positions.clear();
-        self.positions.resize(vertices, UNPLACED);
-        self.ids.resize(vertices, PointId(0));
-        self.values.resize(vertices, f32::NAN);
     }
 }
 

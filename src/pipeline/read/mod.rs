@@ -11,11 +11,14 @@
 mod archive;
 mod block;
 mod block_cache;
+mod choice;
 mod chunk_mesh;
 pub(super) mod chunk_reader;
 mod coordinates;
+mod decoded;
 mod frontier;
 mod pools;
+mod reader_memory;
 mod region;
 mod segments;
 pub(super) mod spectrum;
@@ -24,16 +27,20 @@ mod summary;
 mod visit;
 
 pub use archive::is_archive;
-pub(super) use archive::{DecodedChunk, OpenArchive, OpenSegment, used_corners};
+pub(super) use archive::{OpenArchive, OpenSegment};
 pub(super) use block::{Block, BlockCorners, NumberedShape, PackedBlock};
 pub(super) use block_cache::{CachedBlock, Found, unpack_known};
+pub(super) use choice::View;
+pub use choice::{StepChoice, StepRange};
 pub(super) use chunk_mesh::MeshedChunk;
-pub(super) use chunk_reader::{BYTES_PER_VERTEX, ChunkReader, Needed, ReaderMemory, Wanted};
+pub(super) use chunk_reader::{BYTES_PER_VERTEX, ChunkReader, Needed, Wanted};
 pub(super) use coordinates::{
     Place, coordinate_hash, in_memory, in_world, world_map, world_of, write_coordinates,
 };
+pub(super) use decoded::{DecodedChunk, used_corners};
 pub(super) use frontier::Frontier;
 pub(super) use pools::{BufferPool, Buffers};
+pub(super) use reader_memory::ReaderMemory;
 pub(super) use region::Cut;
 pub use region::{Roi, RoiSpace};
 pub(super) use segments::{Depth, SegmentState, inspect};
@@ -41,7 +48,6 @@ pub(super) use spectrum::{Bench, Meter, limits, stored_part};
 pub use spectrum::{
     Knot, SpectrumReport, StepSpectrum, Suggestion, contour_spectrum, contour_spectrum_at, spectra,
 };
-pub(super) use steps::{Ranges, ValuesOverTime, View};
-pub use steps::{StepChoice, StepRange};
+pub(super) use steps::{Ranges, ValuesOverTime};
 pub use summary::{ArchiveSummary, LevelSummary, StepSummary, summarize, summarize_at};
 pub(super) use visit::{Blocks, Visit, full_region};

@@ -3,7 +3,7 @@
 //! too.
 
 use super::block::Block;
-use super::chunk_reader::ReaderMemory;
+use super::reader_memory::ReaderMemory;
 use crate::error::Result;
 use crate::exec::{available_threads, pool};
 use crate::mesh::tet::Tet;

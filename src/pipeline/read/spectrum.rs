@@ -1,7 +1,7 @@
 //! The contour spectrum of a step: chunk by chunk while chunks are made, put together when the archive is, and read back.
 
-use super::archive::OpenArchive;
-use super::steps::{StepChoice, StepRange};
+use super::archive::{OpenArchive, expect_recorded};
+use super::choice::{StepChoice, StepRange};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::CoordinateMap;
 use crate::archive::manifest::{Plan as MeshPlan, Source};
@@ -12,7 +12,7 @@ use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, Geometry};
 use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::suggest;
-use crate::spectrum::{ChunkPart, Limits, Room, Vertices};
+use crate::spectrum::{ChunkPart, Limits, Room, SpectrumBuilder, SpectrumFile, Vertices};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -200,6 +200,22 @@ pub fn spectra(path: &Path, steps: StepRange) -> Result<Vec<StepSpectrum>> {
         Ok(StepSpectrum { step, time, spectrum: report(&archive)? })
     };
     positions.map(&mut of).collect()
+}
+
+impl OpenArchive {
+    /// The contour spectrum; none where every tetrahedron is void. Of a small archive it is the part of its only chunk.
+    pub(in crate::pipeline) fn spectrum(&self) -> Result<Option<SpectrumFile>> {
+        if self.step().index.is_none() {
+            let limits = limits(&self.manifest.plan, self.points.len());
+            let part = stored_part(&*self.only_values()?, ChunkId(0), limits)?;
+            return Ok(SpectrumBuilder::of_part(&part).map(SpectrumFile::of));
+        }
+        let Some(recorded) = &self.step().spectrum else { return Ok(None) };
+        let file =
+            SpectrumFile::open(self.layout.spectrum(), Some(self.step_hash())).map_err(|e| self.lost(e))?;
+        file.segment().map_or(Ok(()), |segment| expect_recorded(segment, Some(recorded)))?;
+        Ok(Some(file))
+    }
 }
 
 /// That of an open archive.

@@ -1,8 +1,8 @@
 //! What an archive holds, from its manifest: for `info`, and for reports.
 
 use super::archive::OpenArchive;
+use super::choice::StepChoice;
 use super::spectrum::{Suggestion, report};
-use super::steps::StepChoice;
 use crate::archive::coordinates::CellCount;
 use crate::archive::manifest::{MeshSource, Step};
 use crate::archive::segment::FORMAT_VERSION;

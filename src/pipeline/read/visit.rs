@@ -6,7 +6,8 @@
 //!
 //! What [`super::extract_surface`] does for surfaces, for the questions that want whole tetrahedra.
 
-use super::archive::{DecodedChunk, OpenArchive};
+use super::archive::OpenArchive;
+use super::decoded::DecodedChunk;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, pool};
 use crate::geom::LatticeBox;

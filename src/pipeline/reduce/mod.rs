@@ -22,7 +22,7 @@ mod volumes;
 mod workers;
 
 use crate::archive::lock::WriterLock;
-use crate::archive::manifest::{CoordinateRecord, MANIFEST_NAME, Manifest, Step};
+use crate::archive::manifest::{MANIFEST_NAME, Manifest, Step};
 use crate::archive::{TEMPORARY_MARK, publish};
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
@@ -31,7 +31,7 @@ use crate::formats::{Input, OpenOptions, StepSource};
 use crate::pipeline::chunk::stored_error;
 use crate::pipeline::field::{MeasureSettings, reopened_errors};
 use crate::pipeline::plan::{Estimate, Layout, MeshParts, Need, Plan, Question, folder_bytes, parts};
-use crate::pipeline::read::{OpenArchive, StepChoice, StepSummary, write_coordinates};
+use crate::pipeline::read::{OpenArchive, StepChoice, StepSummary};
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
 pub(super) use advice::look;
 pub use advice::{mesh_notices, scan_with_notices};
@@ -44,7 +44,7 @@ pub(super) use job::{Job, Part, finished};
 use job::{added_before, push_times};
 pub use passes::SkippedStep;
 use passes::{Making, Means, PlannedSource};
-pub(super) use passes::{Outcome, SeriesPlan};
+pub(super) use passes::{Outcome, SeriesPlan, grid_coordinates};
 pub(super) use plan_file::{Cut, PlanFile};
 use plan_file::{new_archive, old_archive};
 pub use plan_file::{plan_path, work_folder};
@@ -275,15 +275,6 @@ fn produce(
     // What earlier runs that were killed have left. Where others may be at work, gc removes it.
     sweep(&layout);
     Ok(finished(report, job.started))
-}
-
-/// Copies the coordinates that a grid has of its own into the archive; a mesh has its positions in the world by itself.
-pub(super) fn grid_coordinates(series: &SeriesPlan, layout: &Layout) -> Result<Option<CoordinateRecord>> {
-    let (source, step) = (&series.sources[0].source, series.plan.first());
-    if step.source.mesh.is_some() {
-        return Ok(None);
-    }
-    write_coordinates(source, &series.plan, layout)
 }
 
 /// How an archive is made of segments that are all there.

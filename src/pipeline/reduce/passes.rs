@@ -15,7 +15,7 @@
 use super::encode::Workspaces;
 use super::reuse::ReusedChunks;
 use super::workers::{StageTimes, StepWork, Stored, Work};
-use super::{grid_coordinates, sink, workers};
+use super::{sink, workers};
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step, StepPlan};
 use crate::archive::segment::{PlanHash, SegmentInfo, SegmentKind};
@@ -26,7 +26,7 @@ use crate::grid::ChunkId;
 use crate::pipeline::chunk::{Field, OwnMesh, Recipe, SampleErrors, Samples};
 use crate::pipeline::field::{MeasureSettings, StepErrors, field_errors};
 use crate::pipeline::plan::{Attachments, Layout, MeshParts, Plan, Shares, Watch};
-use crate::pipeline::read::{Meter, OpenArchive, StepChoice};
+use crate::pipeline::read::{Meter, OpenArchive, StepChoice, write_coordinates};
 use crate::pipeline::settings::RunSettings;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -186,6 +186,18 @@ impl FieldOfSeries {
             self.name
         )))
     }
+}
+
+/// Copies the coordinates that a grid has of its own into the archive; a mesh has its positions in the world by itself.
+pub(in crate::pipeline) fn grid_coordinates(
+    series: &SeriesPlan,
+    layout: &Layout,
+) -> Result<Option<CoordinateRecord>> {
+    let (source, step) = (&series.sources[0].source, series.plan.first());
+    if step.source.mesh.is_some() {
+        return Ok(None);
+    }
+    write_coordinates(source, &series.plan, layout)
 }
 
 /// Whether an error is one of a step's data, and other steps may be better.

@@ -1,0 +1,147 @@
+//! Which steps of a series a question is about: by number, by time, or a range of them.
+
+use crate::archive::manifest::{Manifest, Step};
+use crate::error::{Error, Result};
+use std::ops::Range;
+use std::path::Path;
+use std::str::FromStr;
+
+/// Which step of an archive is asked.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum StepChoice {
+    /// The first.
+    #[default]
+    First,
+    /// The one of a number.
+    Number(u64),
+    /// A time; between two steps values are linear.
+    Time(f64),
+}
+
+/// A range of steps, by their numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StepRange {
+    /// The first; the archive's first if not given.
+    pub first: Option<u64>,
+    /// The last, included; the archive's last if not given.
+    pub last: Option<u64>,
+}
+
+impl StepRange {
+    /// The positions in a manifest of the steps in the range.
+    pub(in crate::pipeline) fn positions(self, manifest: &Manifest, shown: &Path) -> Result<Range<usize>> {
+        let number = |s: &Step| s.plan.number;
+        let from = manifest.steps.partition_point(|s| self.first.is_some_and(|first| number(s) < first));
+        let to = manifest.steps.partition_point(|s| self.last.is_none_or(|last| number(s) <= last));
+        if from < to {
+            return Ok(from..to);
+        }
+        let text = numbers(&manifest.steps);
+        Err(Error::usage(format!("{}: no step in that range; it has {text}", shown.display())))
+    }
+}
+
+impl FromStr for StepRange {
+    type Err = Error;
+
+    /// `3:8`, `3:`, `:8`, or `3`.
+    fn from_str(text: &str) -> Result<Self> {
+        let bad =
+            || Error::usage(format!("'{text}' is no range of steps; write FIRST:LAST, as in 3:8 or 3:"));
+        let number = |s: &str| match s.trim() {
+            "" => Ok(None),
+            s => s.parse().map(Some).map_err(|_| bad()),
+        };
+        let (first, last) = match text.split_once(':') {
+            Some((first, last)) => (number(first)?, number(last)?),
+            None if text.trim().is_empty() => return Err(bad()),
+            None => (number(text)?, number(text)?),
+        };
+        if first.zip(last).is_some_and(|(first, last)| first > last) {
+            return Err(bad());
+        }
+        Ok(Self { first, last })
+    }
+}
+
+/// A step, or a moment between it and the next one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(in crate::pipeline) struct View {
+    /// Position of the step in the manifest.
+    pub(in crate::pipeline) step: usize,
+    /// How far it is to the next step; above 0, below 1.
+    pub(in crate::pipeline) beyond: Option<f64>,
+}
+
+impl View {
+    /// # Errors
+    /// [`Error::Usage`] that tells which steps there are.
+    pub(in crate::pipeline) fn of(manifest: &Manifest, choice: StepChoice, shown: &Path) -> Result<Self> {
+        let steps = &manifest.steps;
+        let time = |n: usize| steps[n].plan.time_or_number();
+        let at = |step| Ok(Self { step, beyond: None });
+        match choice {
+            StepChoice::First => at(0),
+            StepChoice::Number(number) => match steps.binary_search_by_key(&number, |s| s.plan.number) {
+                Ok(n) => at(n),
+                Err(_) => Err(Error::usage(format!(
+                    "{}: no step {number}; it has {}",
+                    shown.display(),
+                    numbers(steps)
+                ))),
+            },
+            StepChoice::Time(t) => {
+                let next = (0..steps.len()).position(|n| time(n) >= t);
+                match next {
+                    Some(n) if time(n) == t => at(n),
+                    Some(n) if n > 0 => {
+                        let share = (t - time(n - 1)) / (time(n) - time(n - 1));
+                        // A share of so little that it rounds to none is none.
+                        let beyond = Some(share).filter(|s| *s > 0.0 && *s < 1.0);
+                        Ok(Self { step: if share < 1.0 { n - 1 } else { n }, beyond })
+                    }
+                    _ => Err(Error::usage(format!(
+                        "{}: the time {t} is not within {} .. {}",
+                        shown.display(),
+                        time(0),
+                        time(steps.len() - 1)
+                    ))),
+                }
+            }
+        }
+    }
+}
+
+/// "steps 0 to 7", "steps 0, 2, 3".
+fn numbers(steps: &[Step]) -> String {
+    let all: Vec<u64> = steps.iter().map(|s| s.plan.number).collect();
+    let (first, last) = (all[0], all[all.len() - 1]);
+    if all.len() == 1 {
+        format!("step {first}")
+    } else if last - first + 1 == all.len() as u64 {
+        format!("steps {first} to {last}")
+    } else {
+        const MOST: usize = 20;
+        let list: Vec<String> = all.iter().take(MOST).map(u64::to_string).collect();
+        let more = if all.len() > MOST { ", …" } else { "" };
+        format!("steps {}{more}", list.join(", "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_of_steps_are_written_as_two_numbers() {
+        let range = |first, last| StepRange { first, last };
+        let parse = |text: &str| text.parse::<StepRange>().unwrap();
+        assert_eq!(parse("3:8"), range(Some(3), Some(8)));
+        assert_eq!(parse(":8"), range(None, Some(8)));
+        assert_eq!(parse("3:"), range(Some(3), None));
+        assert_eq!(parse("4"), range(Some(4), Some(4)));
+        for bad in ["", "8:3", "a", "1:2:3", "-1:"] {
+            assert_eq!(bad.parse::<StepRange>().unwrap_err().exit_code(), 2, "{bad}");
+        }
+    }
+}

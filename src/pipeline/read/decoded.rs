@@ -1,0 +1,52 @@
+//! Whole blocks of a chunk, decoded at once: for questions that look at all of it.
+
+use super::archive::OpenArchive;
+use super::chunk_reader::ChunkReader;
+use super::reader_memory::ReaderMemory;
+use crate::error::Result;
+use crate::geom::{LatticePos, PointId};
+use crate::grid::ChunkId;
+use crate::mesh::tet::Tet;
+
+/// Some blocks of a chunk, decoded: tetrahedra, and position, id and value of the corners they use. Corner arrays are
+/// indexed by chunk-local vertex number; corners that are not used hold anything.
+#[derive(Default)]
+pub(in crate::pipeline) struct DecodedChunk {
+    pub(in crate::pipeline) positions: Vec<LatticePos>,
+    pub(in crate::pipeline) ids: Vec<PointId>,
+    pub(in crate::pipeline) values: Vec<f32>,
+    pub(in crate::pipeline) shared: Vec<bool>,
+    /// Tetrahedra, block after block.
+    pub(in crate::pipeline) tets: Vec<Tet>,
+    /// End of each block in `tets`.
+    pub(in crate::pipeline) block_ends: Vec<usize>,
+    /// Corners that the chunk owns; the others are halo.
+    pub(in crate::pipeline) core: usize,
+}
+
+impl OpenArchive {
+    /// Decodes `blocks` (numbers within the chunk) of a chunk, and of its values and positions what they use. For a question
+    /// that needs but some of that, or a block at a time, there is [`ChunkReader`].
+    pub(in crate::pipeline) fn decode(&self, id: ChunkId, blocks: &[u32]) -> Result<DecodedChunk> {
+        let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
+        let (mut tets, mut block_ends) = (vec![], vec![]);
+        for &block in blocks {
+            reader.tets(block, &mut tets)?;
+            block_ends.push(tets.len());
+        }
+        reader.load_values(&tets)?;
+        reader.load_all_flags()?;
+        let core = reader.core();
+        let (positions, ids, values, shared) = reader.into_corners();
+        Ok(DecodedChunk { positions, ids, values, shared, tets, block_ends, core })
+    }
+}
+
+/// Which corners some tetrahedron uses.
+pub(in crate::pipeline) fn used_corners(tets: &[Tet], local: usize) -> Vec<bool> {
+    let mut used = vec![false; local];
+    for &v in tets.iter().flatten() {
+        used[v as usize] = true;
+    }
+    used
+}
