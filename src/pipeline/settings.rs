@@ -29,7 +29,7 @@ pub enum ValueBits {
     /// Interpolated values on the lattice of a volume have [`ValueBits::USUAL`] bits, all others are exact.
     ///
     /// The bits are those of the range of 99.8 % of the samples of the first step. A few outliers that
-    /// stretch the whole range add bits, and above [`Quantiser::BITS`] values are exact.
+    /// stretch the whole range add bits, and above [`Quantiser::BITS`](crate::archive::values::Quantiser::BITS) values are exact.
     #[default]
     Usual,
     /// Values are not rounded.

@@ -186,7 +186,7 @@ impl StepSummary {
 /// Tells what an archive holds.
 ///
 /// # Errors
-/// [`Error::BadInput`] when there is no archive at `path`, or its manifest is damaged.
+/// [`crate::Error::BadInput`] when there is no archive at `path`, or its manifest is damaged.
 pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
     summarize_at(path, StepChoice::First)
 }
@@ -194,7 +194,7 @@ pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
 /// As [`summarize`]; range, areas and suggestions are those of a step.
 ///
 /// # Errors
-/// As [`summarize`]; [`Error::Usage`] for a step that is not there, or a time between two.
+/// As [`summarize`]; [`crate::Error::Usage`] for a step that is not there, or a time between two.
 pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
     let archive = OpenArchive::open_at(path, choice)?;
     let (plan, counts, step) = (&archive.manifest.plan, &archive.manifest.counts, archive.step());
