@@ -712,9 +712,10 @@ impl ChunkSource for Chunks {
     fn decoding_bytes(&self) -> u64 {
         let all = self.array.unit().iter().fold(1u64, |n, &d| n.saturating_mul(d));
         let decoded = all.saturating_mul(self.array.scalar.bytes() as u64);
-        // Stored, between two codecs, decoded, given out; and the indices of shards.
+        // Stored, between two codecs, decoded; the first two are gone when samples are given out.
+        // And the indices of shards.
         let indices = self.index_bytes().saturating_mul(self.open_shards() + 1);
-        decoded.saturating_mul(4).saturating_add(indices)
+        decoded.saturating_mul(3).saturating_add(indices)
     }
 
     fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {

@@ -130,6 +130,8 @@ impl SlabStream for ChunkSlabs {
             let at = std::array::from_fn(|a| file[a] * together[a] + self.inner[a]);
             self.left = voxels(&*self.source, at);
             if !self.left.is_empty() {
+                // Not cleared: what it holds would be there while the next chunk is decoded.
+                self.bytes = vec![];
                 decode(&*self.source, at, &mut self.bytes)?;
             }
             self.advance(file);
