@@ -46,6 +46,7 @@ use super::{OpenOptions, pick_field};
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::grid::{Geometry, IndexBox};
+use crate::volume::slabs::{CHUNK_SLAB_BYTES, cut_slab};
 use crate::volume::strided::StridedVolume;
 use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
 use dialect::{Convert, Dialect, Placed};
@@ -63,8 +64,6 @@ use std::sync::Arc;
 const MOST_CHUNK: u64 = 256 << 20;
 /// Small chunks are read together up to so many bytes; what has no chunks, in pieces of so many.
 const PIECE: u64 = 2 << 20;
-/// Bytes of a slab, unless a slice of a chunk has more.
-const SLAB: u64 = 4 << 20;
 /// Most frames of a dataset with four axes.
 const MOST_FRAMES: u64 = 1 << 16;
 /// Most samples of a coordinate variable that is looked at.
@@ -932,7 +931,7 @@ impl SlabStream for Pieces {
 
     fn working_bytes(&self) -> u64 {
         let piece = self.piece.iter().product::<u64>() * self.info.field.scalar.bytes() as u64;
-        3 * self.chunk_bytes.max(piece) + 2 * SLAB
+        3 * self.chunk_bytes.max(piece) + 2 * CHUNK_SLAB_BYTES
     }
 
     fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
@@ -941,17 +940,7 @@ impl SlabStream for Pieces {
             let Some(lo) = self.next else { return Ok(None) };
             self.read(lo)?;
         }
-        let d = self.left.dims();
-        let slice = d[0] * d[1] * self.info.field.scalar.bytes() as u64;
-        let slices = (SLAB / slice).max(1);
-        // At boundaries of 32: the bricks that are copied to.
-        let slices = if slices >= 32 { slices / 32 * 32 } else { slices }.min(d[2]);
-        let at = self.bytes.len() - (slice * d[2]) as usize;
-        out.extend_from_slice(&self.bytes[at..at + (slice * slices) as usize]);
-        let mut slab = self.left;
-        slab.hi[2] = slab.lo[2] + slices;
-        self.left.lo[2] = slab.hi[2];
-        Ok(Some(slab))
+        Ok(Some(cut_slab(&mut self.left, &self.bytes, self.info.field.scalar.bytes(), out)))
     }
 }
 

@@ -15,14 +15,12 @@
 
 use crate::error::{Error, Result};
 use crate::grid::IndexBox;
+use crate::volume::slabs::{CHUNK_SLAB_BYTES, cut_slab};
 use crate::volume::strided::convert_row;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader};
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-
-/// Bytes of a slab, unless a slice of a chunk has more.
-const SLAB_BYTES: u64 = 4 << 20;
 
 /// A volume in chunks on a regular grid, each decoded by itself.
 pub trait ChunkSource: Send + Sync {
@@ -115,7 +113,7 @@ impl SlabStream for ChunkSlabs {
     }
 
     fn working_bytes(&self) -> u64 {
-        self.source.decoding_bytes().saturating_add(2 * SLAB_BYTES)
+        self.source.decoding_bytes().saturating_add(2 * CHUNK_SLAB_BYTES)
     }
 
     fn chunks(&self) -> Option<Arc<dyn ChunkSource>> {
@@ -136,17 +134,8 @@ impl SlabStream for ChunkSlabs {
             }
             self.advance(file);
         }
-        let d = self.left.dims();
-        let slice = d[0] * d[1] * self.source.info().field.scalar.bytes() as u64;
-        let slices = (SLAB_BYTES / slice).max(1);
-        // At boundaries of 32: the bricks that are copied to.
-        let slices = if slices >= 32 { slices / 32 * 32 } else { slices }.min(d[2]);
-        let at = self.bytes.len() - (slice * d[2]) as usize;
-        out.extend_from_slice(&self.bytes[at..at + (slice * slices) as usize]);
-        let mut slab = self.left;
-        slab.hi[2] = slab.lo[2] + slices;
-        self.left.lo[2] = slab.hi[2];
-        Ok(Some(slab))
+        let size = self.source.info().field.scalar.bytes();
+        Ok(Some(cut_slab(&mut self.left, &self.bytes, size, out)))
     }
 }
 

@@ -10,6 +10,9 @@ use crate::volume::{SlabStream, VolumeInfo, VolumeReader};
 /// Bytes of a slab, unless a single row has more.
 const SLAB_BYTES: u64 = 1 << 20;
 
+/// Bytes of a slab of a decoded chunk, unless a slice of that has more.
+pub(crate) const CHUNK_SLAB_BYTES: u64 = 4 << 20;
+
 /// What is behind is given up once it has this many samples.
 const RELEASE_SAMPLES: u64 = 8 << 20;
 
@@ -50,6 +53,22 @@ impl Iterator for SlabWalk {
         self.next = if hi[1] == d[1] { [0, hi[2]] } else { [hi[1], z] };
         Some(IndexBox { lo: [0, y, z], hi })
     }
+}
+
+/// Appends to `out` the first slab of what is left of a decoded chunk: whole slices, of samples of
+/// `size` bytes. `bytes` ends with all that is left.
+pub(crate) fn cut_slab(left: &mut IndexBox, bytes: &[u8], size: usize, out: &mut Vec<u8>) -> IndexBox {
+    let d = left.dims();
+    let slice = d[0] * d[1] * size as u64;
+    let slices = (CHUNK_SLAB_BYTES / slice).max(1);
+    // At boundaries of 32: the bricks that are copied to.
+    let slices = if slices >= 32 { slices / 32 * 32 } else { slices }.min(d[2]);
+    let at = bytes.len() - (slice * d[2]) as usize;
+    out.extend_from_slice(&bytes[at..at + (slice * slices) as usize]);
+    let mut slab = *left;
+    slab.hi[2] = slab.lo[2] + slices;
+    left.lo[2] = slab.hi[2];
+    slab
 }
 
 /// A random-access volume as a stream of its stored samples.

@@ -13,7 +13,6 @@ use super::passes::SeriesPlan;
 use crate::error::Result;
 use crate::formats::Input;
 use crate::geom::LatticeBox;
-use crate::pipeline::plan::estimate::some_chunks;
 use crate::pipeline::plan::{MeshParts, Need, estimate, need_of};
 use crate::pipeline::settings::RunSettings;
 use crate::volume::VolumeSource;
@@ -68,7 +67,7 @@ fn rooms(chunks: &dyn ChunkSource, parts: &MeshParts, most: u64) -> Vec<u64> {
     // more samples these hold than it has itself, on average.
     let (mut met, mut more, mut count) = ([1u64; 3], [0.0; 3], 0.0);
     let domain = lattice.domain();
-    for chunk in some_chunks(&parts.chunks) {
+    for chunk in estimate::some_chunks(&parts.chunks) {
         let around = estimate::near(&parts.points, &chunk.core, &domain, parts.halo);
         for a in 0..3 {
             let ([lo, hi], [from, to]) = (along(&around, a), along(&chunk.core, a));
