@@ -66,7 +66,7 @@ pub(crate) enum RemoteFile {}
 impl RemoteFile {
     pub(crate) fn open(path: &Path) -> Result<Self> {
         Err(Error::usage(format!(
-            "{}: this isospan was built without object stores; install it with `--features remote`",
+            "{}: this isospan was built without object stores; build it with the feature `remote`, which is a default one",
             path.display()
         )))
     }

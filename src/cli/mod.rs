@@ -33,6 +33,8 @@ mod step;
 mod surface;
 pub(crate) mod text;
 mod unpack;
+#[cfg(feature = "view")]
+mod view;
 mod work;
 
 use clap::{Parser, Subcommand};
@@ -64,6 +66,8 @@ pub(crate) enum Command {
     Measure(measure::Args),
     Spectrum(spectrum::Args),
     Render(Box<render::Args>),
+    #[cfg(feature = "view")]
+    View(view::Args),
     Brick(brick::Args),
     Check(check::Args),
     Plan(Box<plan::Args>),
@@ -124,6 +128,8 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Measure(args) => measure::run(args, &cli.talk),
         Command::Spectrum(args) => spectrum::run(args),
         Command::Render(args) => render::run(args, &cli.talk),
+        #[cfg(feature = "view")]
+        Command::View(args) => view::run(args, &cli.talk),
         Command::Brick(args) => brick::run(args, &cli.talk),
         Command::Check(args) => check::run(args, &cli.talk),
         Command::Plan(args) => plan::run(args, &cli.talk),

@@ -15,9 +15,10 @@ use crate::pipeline::read::{
     ArchiveSummary, OpenArchive, Place, SpectrumReport, StepChoice, StepRange, spectrum, summarize_at,
 };
 use crate::pipeline::surface::{
-    CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, surfaces_of_steps, write_surfaces,
+    CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, surfaces_of_steps, with_surfaces,
+    write_surfaces,
 };
-use crate::surface::TriMesh;
+use crate::surface::{SurfaceSource, TriMesh};
 use std::path::{Path, PathBuf};
 
 /// An archive opened for reading.
@@ -345,6 +346,20 @@ impl Archive {
         mut each: impl FnMut(u64, f64, &mut Vec<TriMesh>) -> Result<()>,
     ) -> Result<()> {
         surfaces_of_steps(&self.path, steps, settings, &mut each)
+    }
+
+    /// Streams isosurfaces, in bounded memory, in the order of the isovalues: `begin` has their sizes, then
+    /// `each` has one surface after another, with world positions.
+    ///
+    /// # Errors
+    /// As [`super::extract_surface`], and those of `begin` and `each`.
+    pub fn stream_surfaces(
+        &self,
+        settings: &SurfaceSettings,
+        begin: impl FnOnce(&SurfaceReport) -> Result<()>,
+        each: impl FnMut(&dyn SurfaceSource) -> Result<()>,
+    ) -> Result<()> {
+        with_surfaces(&self.open, settings, begin, each)
     }
 
     /// Writes isosurfaces to a file, in bounded memory; those of the archive's step, whatever the settings say.

@@ -23,6 +23,7 @@
 
 mod camera;
 mod colour;
+mod colour_map;
 mod light;
 mod samples;
 mod shade;
@@ -31,6 +32,7 @@ mod tests;
 
 pub use camera::{Camera, Up, View};
 pub use colour::{Paint, SEQUENTIAL, parse_colour, scale_colour};
+pub use colour_map::ColourMap;
 
 use crate::bytes::store::{Cached, Store};
 use crate::error::{Error, Result};

@@ -18,7 +18,7 @@ mod unpacked;
 pub use query::{
     CountReport, OneSurface, SurfaceReport, SurfaceSettings, count_active, count_active_at, extract_surface,
 };
-pub(super) use query::{count, surfaces_in_memory, write_surfaces};
+pub(super) use query::{count, surfaces_in_memory, with_surfaces, write_surfaces};
 pub use refine::{Refine, RefineReport};
 pub(super) use series::surfaces_of_steps;
 pub use series::{SeriesReport, StepSurfaces, extract_series};

@@ -333,14 +333,25 @@ pub(super) fn write_made(
     let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
     let file_bytes = write_all(archive, &made.surfaces, &settings.isovalues, out, format, &comment)?;
     made.seconds.push(("write", start.elapsed()));
+    let report = SurfaceReport { file_bytes, ..report_of(archive, settings, &made, out)? };
+    Ok((report, made.surfaces))
+}
+
+/// What was found and read; no file is written yet.
+fn report_of(
+    archive: &OpenArchive,
+    settings: &SurfaceSettings,
+    made: &Made,
+    out: &Path,
+) -> Result<SurfaceReport> {
     let totals = &archive.manifest.counts;
-    let surfaces = describe(archive, &made.surfaces, made.refined, &settings.isovalues, out);
-    let report = SurfaceReport {
+    let surfaces = describe(archive, &made.surfaces, &made.refined, &settings.isovalues, out);
+    Ok(SurfaceReport {
         range: archive.told_range(),
         roi: settings.roi,
         vertices: surfaces.iter().map(|s| s.vertices).sum(),
         triangles: surfaces.iter().map(|s| s.triangles).sum(),
-        file_bytes,
+        file_bytes: 0,
         points: totals.points,
         tetrahedra: totals.tetrahedra,
         active_tetrahedra: surfaces.iter().map(|s| s.active_tetrahedra).sum(),
@@ -354,8 +365,22 @@ pub(super) fn write_made(
         archive_bytes: archive.bytes()?,
         remote: None,
         seconds: made.seconds.iter().map(|(name, time)| ((*name).to_owned(), time.as_secs_f64())).collect(),
-    };
-    Ok((report, made.surfaces))
+    })
+}
+
+/// Hands the report to `use_it`, and with it each surface, in the order of the isovalues, in the world.
+///
+/// Memory does not grow with the surfaces: what the settings do not allow for is in their scratch folder.
+pub(in crate::pipeline) fn with_surfaces(
+    archive: &OpenArchive,
+    settings: &SurfaceSettings,
+    begin: impl FnOnce(&SurfaceReport) -> Result<()>,
+    mut each: impl FnMut(&dyn SurfaceSource) -> Result<()>,
+) -> Result<()> {
+    let scratch = settings.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let made = make(archive, settings, Room { scratch, reused: vec![] }, &Silent)?;
+    begin(&report_of(archive, settings, &made, Path::new(""))?)?;
+    made.surfaces.iter().try_for_each(|found| in_world(archive, &found.surface, &mut each))
 }
 
 /// Surfaces, cut and refined, and what was read for them.
@@ -636,20 +661,20 @@ fn write_all(
 fn describe(
     archive: &OpenArchive,
     surfaces: &[Extracted],
-    refined: Vec<RefineReport>,
+    refined: &[RefineReport],
     isovalues: &[f64],
     out: &Path,
 ) -> Vec<OneSurface> {
     let (range, source) = (archive.value_range(), &archive.step().plan.source);
     let is_outside = |v: f32| range.is_none_or(|[lo, hi]| v <= lo || v > hi);
-    let one = |((s, &isovalue), refined): ((&Extracted, &f64), RefineReport)| OneSurface {
+    let one = |((s, &isovalue), refined): ((&Extracted, &f64), &RefineReport)| OneSurface {
         isovalue,
         file: file_of(out, isovalue),
         outside_range: is_outside(source.kept(isovalue)),
         vertices: s.surface.vertex_count(),
         triangles: s.surface.triangle_count(),
         active_tetrahedra: s.active_tetrahedra,
-        refined,
+        refined: refined.clone(),
     };
     surfaces.iter().zip(isovalues).zip(refined).map(one).collect()
 }

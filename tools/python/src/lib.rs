@@ -28,7 +28,6 @@ fn program(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
 #[pymodule]
 fn _isospan(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
-    module.add("remote", cfg!(feature = "remote"))?;
     module.add_function(wrap_pyfunction!(program, module)?)?;
     module.add_function(wrap_pyfunction!(reduce::reduce, module)?)?;
     module.add_function(wrap_pyfunction!(reduce::append, module)?)?;

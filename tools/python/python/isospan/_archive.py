@@ -498,7 +498,6 @@ def _again(path: str, step: int | None, time: float | None) -> Archive:
 def open(path: PathLike, *, step: int | None = None, time: float | None = None) -> Archive:
     """Opens an archive, at a step by its number or at a time; at its first step if none is given.
 
-    path: the folder of an archive, or its address where the package was built for that
-    (``isospan._isospan.remote``).
+    path: the folder of an archive, or its address (``s3://…``, ``https://…``).
     """
     return Archive(path, step=step, time=time)

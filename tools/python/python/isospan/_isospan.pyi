@@ -9,7 +9,6 @@ _Callback: TypeAlias = Callable[[str, int, int, str], Any] | None
 _Report: TypeAlias = dict[str, Any]
 
 __version__: str
-remote: bool
 
 def program(arguments: Sequence[str]) -> int: ...
 def reduce(

@@ -1,0 +1,92 @@
+//! `isospan view`: archives in a browser, served from this machine to itself.
+//!
+//! ```text
+//!  browser ─▶ server: token, host, limits ─▶ answers: blocking work in a slot ─▶ bytes, streamed
+//!  page: the files of tools/viewer/page, compiled in          archives: those that are open
+//! ```
+
+mod answers;
+mod archives;
+mod page;
+mod server;
+
+use super::machine::Machine;
+use super::progress::Talk;
+use archives::Archives;
+use isospan::{Error, Result};
+use std::io::Write as _;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+
+/// Show archives in a browser: isosurfaces at any isovalue, slices, time steps, and exports of what is seen.
+///
+/// Serves a page on this machine only, at an address with a secret token, until it is stopped with Ctrl-C. On a remote machine, forward
+/// the port: ssh -L 8417:127.0.0.1:8417 HOST, and give --port 8417.
+#[derive(clap::Args, Debug)]
+pub(crate) struct Args {
+    /// The archives.
+    #[arg(required = true, value_name = "ARCHIVE")]
+    archives: Vec<PathBuf>,
+    /// The port on 127.0.0.1; 0 takes a free one.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    port: u16,
+    /// Open the page in the default browser.
+    #[arg(long)]
+    open: bool,
+    #[command(flatten)]
+    machine: Machine,
+    /// Folder for what does not fit in memory [default: the system's temporary folder].
+    #[arg(long, value_name = "FOLDER")]
+    scratch: Option<PathBuf>,
+    /// Print the address as JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    let means = answers::Means {
+        threads: args.machine.threads,
+        memory: args.machine.memory(talk),
+        scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir),
+    };
+    let archives = Archives::open(&args.archives, means.memory)?;
+    let stop = super::signals::cancel_token();
+    let token = token()?;
+    let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));
+    let started = |address: SocketAddr| -> Result<()> {
+        let url = format!("http://{address}/{token}/");
+        if args.json {
+            super::print_json(&serde_json::json!({ "url": url, "port": address.port() }))?;
+        } else {
+            super::print(&format!("{url}\n"))?;
+            talk.note("the page is served until Ctrl-C; who has the address can see the archives");
+        }
+        if args.open { open_in_browser(&url) } else { Ok(()) }
+    };
+    server::serve(archives, means, address, &token, &stop, started)
+}
+
+/// 128 random bits, in hexadecimal.
+fn token() -> Result<String> {
+    let mut bits = [0; 16];
+    getrandom::fill(&mut bits)
+        .map_err(|e| Error::io("read", "the system's random numbers", std::io::Error::other(e)))?;
+    Ok(bits.iter().map(|b| format!("{b:02x}")).collect())
+}
+
+/// Starts the default browser. Where there is none, a line on standard error says so, and the page is still served.
+fn open_in_browser(url: &str) -> Result<()> {
+    let program = match std::env::consts::OS {
+        "macos" => "open",
+        "windows" => "explorer",
+        _ => "xdg-open",
+    };
+    let quiet =
+        |c: &mut Command| c.arg(url).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+    if let Err(e) = quiet(&mut Command::new(program)) {
+        let _ =
+            writeln!(std::io::stderr(), "isospan: cannot start {program} ({e}); open the address by hand");
+    }
+    Ok(())
+}

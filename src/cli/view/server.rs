@@ -1,0 +1,361 @@
+//! The server: who may ask, how much at one time, and how answers travel.
+//!
+//! It listens on 127.0.0.1. Every address begins with a random token, so other users of the machine and pages of
+//! other sites cannot ask. The `Host` header must name this server, so no name of another site leads here. The numbers of
+//! open connections and of working requests are limited; others wait. A connection that stands still is closed.
+
+use super::answers::{self, Means, Sink, SliceQuery, StepQuery, SurfaceQuery};
+use super::archives::Archives;
+use super::page;
+use axum::Router;
+use axum::body::{Body, Bytes};
+use axum::extract::{Path, Query, Request, State};
+use axum::http::{HeaderValue, Method, StatusCode, header};
+use axum::middleware::{self, Next};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use axum::serve::Listener;
+use isospan::exec::CancelToken;
+use isospan::render::ColourMap;
+use isospan::{Error, Result};
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll};
+use std::time::Duration;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::runtime::Builder;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio_io_timeout::TimeoutStream;
+use tokio_stream::StreamExt as _;
+use tokio_stream::wrappers::ReceiverStream;
+
+/// Connections at one time; a browser opens six.
+const CONNECTIONS: usize = 64;
+/// Requests that work at one time.
+const SLOTS: usize = 2;
+/// Each of them has a quarter of the memory. Another quarter is for decoded blocks.
+const SHARE: u64 = 4;
+/// Pieces of an answer that wait for a slow reader.
+const PIECES: usize = 4;
+/// A connection on which nothing comes or goes for so long is closed.
+const QUIET: Duration = Duration::from_secs(60);
+/// How often the token of the signals is looked at.
+const LOOK: Duration = Duration::from_millis(100);
+
+struct Server {
+    archives: Archives,
+    /// Of one slot.
+    means: Means,
+    /// `127.0.0.1:PORT` and `localhost:PORT`.
+    hosts: [String; 2],
+    slots: Arc<Semaphore>,
+    jobs: Arc<Jobs>,
+}
+
+/// The jobs that run now, so that all can be stopped.
+#[derive(Default)]
+struct Jobs {
+    next: AtomicU64,
+    tokens: Mutex<BTreeMap<u64, CancelToken>>,
+}
+
+impl Jobs {
+    fn begin(self: &Arc<Self>) -> Job {
+        let (number, token) = (self.next.fetch_add(1, Ordering::Relaxed), CancelToken::new());
+        self.tokens().insert(number, token.clone());
+        Job { jobs: self.clone(), number, token }
+    }
+
+    fn tokens(&self) -> std::sync::MutexGuard<'_, BTreeMap<u64, CancelToken>> {
+        self.tokens.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn stop(&self) {
+        self.tokens().values().for_each(CancelToken::cancel);
+    }
+}
+
+/// A job; without it the job is stopped.
+struct Job {
+    jobs: Arc<Jobs>,
+    number: u64,
+    token: CancelToken,
+}
+
+impl Drop for Job {
+    fn drop(&mut self) {
+        self.token.cancel();
+        self.jobs.tokens().remove(&self.number);
+    }
+}
+
+/// Serves until it is stopped; `started` has the address as soon as requests are taken.
+pub(super) fn serve(
+    archives: Archives,
+    means: Means,
+    address: SocketAddr,
+    token: &str,
+    stop: &CancelToken,
+    started: impl FnOnce(SocketAddr) -> Result<()>,
+) -> Result<()> {
+    let failed = |e| Error::io("serve at", address.to_string(), e);
+    let runtime = Builder::new_multi_thread().worker_threads(2).enable_all().build().map_err(failed)?;
+    let served = runtime.block_on(async {
+        let listener = TcpListener::bind(address).await.map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        let port = address.port();
+        let server = Arc::new(Server {
+            archives,
+            means: Means { memory: means.memory / SHARE, ..means },
+            hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")],
+            slots: Arc::new(Semaphore::new(SLOTS)),
+            jobs: Arc::default(),
+        });
+        started(address)?;
+        let limited = Limited { listener, open: Arc::new(Semaphore::new(CONNECTIONS)) };
+        let app = router(server.clone(), token);
+        let stopped = async {
+            while !stop.is_cancelled() {
+                tokio::time::sleep(LOOK).await;
+            }
+        };
+        tokio::select! {
+            served = axum::serve(limited, app) => served.map_err(failed),
+            () = stopped => {
+                server.jobs.stop();
+                Ok(())
+            }
+        }
+    });
+    // Jobs that were stopped remove their temporary files.
+    runtime.shutdown_timeout(Duration::from_secs(5));
+    served
+}
+
+fn router(server: Arc<Server>, token: &str) -> Router {
+    let mut router = Router::new();
+    for (n, file) in page::FILES.iter().enumerate() {
+        let name = if n == 0 { "" } else { file.name };
+        let answer = move || async move { ([(header::CONTENT_TYPE, file.kind)], file.text) };
+        router = router.route(&format!("/{token}/{name}"), get(answer));
+    }
+    router
+        .route(&format!("/{token}/archives"), get(archives))
+        .route(&format!("/{token}/colours"), get(colours))
+        .route(&format!("/{token}/{{archive}}/spectrum"), get(spectrum))
+        .route(&format!("/{token}/{{archive}}/surface"), get(surface))
+        .route(&format!("/{token}/{{archive}}/slice"), get(slice))
+        .route(&format!("/{token}/{{archive}}/export"), get(export))
+        .layer(middleware::from_fn_with_state(server.clone(), guard))
+        .with_state(server)
+}
+
+/// Refuses what does not come from our own page, and forbids pages of others to use what we answer.
+async fn guard(State(server): State<Arc<Server>>, request: Request, next: Next) -> Response {
+    let host = request.headers().get(header::HOST).and_then(|h| h.to_str().ok());
+    let mut response = if !host.is_some_and(|h| server.hosts.iter().any(|own| own == h)) {
+        refusal(StatusCode::MISDIRECTED_REQUEST, "this server has another name")
+    } else if request.method() != Method::GET && request.method() != Method::HEAD {
+        refusal(StatusCode::METHOD_NOT_ALLOWED, "only GET is answered")
+    } else {
+        next.run(request).await
+    };
+    const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; \
+                          connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+    let headers = [
+        (header::CONTENT_SECURITY_POLICY, POLICY),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::REFERRER_POLICY, "no-referrer"),
+        (header::CACHE_CONTROL, "no-store"),
+        (header::HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+    ];
+    for (name, value) in headers {
+        response.headers_mut().insert(name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+fn refusal(status: StatusCode, text: &str) -> Response {
+    (status, [(header::CONTENT_TYPE, "text/plain; charset=utf-8")], format!("{text}\n")).into_response()
+}
+
+fn refused(error: &Error) -> Response {
+    let status = match error {
+        Error::Usage(_) => StatusCode::BAD_REQUEST,
+        Error::Budget { .. } => StatusCode::PAYLOAD_TOO_LARGE,
+        Error::Cancelled => StatusCode::SERVICE_UNAVAILABLE,
+        _ => StatusCode::INTERNAL_SERVER_ERROR,
+    };
+    refusal(status, &isospan::error::printable(&error.to_string()))
+}
+
+const JSON: &str = "application/json";
+const NUMBERS: &str = "application/octet-stream";
+
+async fn archives(State(server): State<Arc<Server>>) -> Response {
+    answer(server, JSON, |server, _, sink| {
+        let all: Vec<_> =
+            (0..server.archives.len()).map(|n| server.archives.describe(n)).collect::<Result<_>>()?;
+        answers::json(&all, sink)
+    })
+    .await
+}
+
+async fn colours(State(server): State<Arc<Server>>) -> Response {
+    answer(server, JSON, |_, _, sink| {
+        let table =
+            |map: ColourMap| -> Vec<[u8; 3]> { (0..256).map(|n| map.colour(f64::from(n) / 255.0)).collect() };
+        let all: BTreeMap<&str, _> = ColourMap::ALL.into_iter().map(|m| (m.name(), table(m))).collect();
+        answers::json(&all, sink)
+    })
+    .await
+}
+
+async fn spectrum(
+    State(server): State<Arc<Server>>,
+    Path(archive): Path<usize>,
+    Query(query): Query<StepQuery>,
+) -> Response {
+    answer(server, JSON, move |server, _, sink| {
+        answers::json(&server.archives.spectrum(archive, query.choice())?, sink)
+    })
+    .await
+}
+
+async fn surface(
+    State(server): State<Arc<Server>>,
+    Path(archive): Path<usize>,
+    Query(query): Query<SurfaceQuery>,
+) -> Response {
+    answer(server, NUMBERS, move |server, job, sink| {
+        answers::surface(&server.archives, archive, &query, &server.means, job, sink)
+    })
+    .await
+}
+
+async fn slice(
+    State(server): State<Arc<Server>>,
+    Path(archive): Path<usize>,
+    Query(query): Query<SliceQuery>,
+) -> Response {
+    answer(server, NUMBERS, move |server, job, sink| {
+        answers::slice(&server.archives, archive, &query, &server.means, job, sink)
+    })
+    .await
+}
+
+async fn export(
+    State(server): State<Arc<Server>>,
+    Path(archive): Path<usize>,
+    Query(query): Query<SurfaceQuery>,
+) -> Response {
+    answer(server, NUMBERS, move |server, job, sink| {
+        answers::export(&server.archives, archive, &query, &server.means, job, sink)
+    })
+    .await
+}
+
+/// Does blocking work in a slot, and streams what comes of it. The work stops when its reader is gone.
+async fn answer(
+    server: Arc<Server>,
+    kind: &'static str,
+    work: impl FnOnce(&Server, &CancelToken, &mut Sink) -> Result<()> + Send + 'static,
+) -> Response {
+    // As many wait as there are connections.
+    let Ok(slot) = server.slots.clone().acquire_owned().await else {
+        return refused(&Error::Cancelled);
+    };
+    let (to, mut pieces) = mpsc::channel(PIECES);
+    let job = server.jobs.begin();
+    let token = job.token.clone();
+    let share = server.means.memory;
+    tokio::task::spawn_blocking(move || {
+        let _slot = slot;
+        let mut sink = Sink::new(to);
+        let result = work(&server, &token, &mut sink);
+        sink.end(result.map_err(|e| e.of_share(share, share * SHARE)));
+    });
+    let first: Option<Result<Bytes>> = pieces.recv().await;
+    match first {
+        Some(Err(e)) => refused(&e),
+        Some(Ok(first)) => {
+            let all = tokio_stream::once(Ok(first)).chain(ReceiverStream::new(pieces));
+            // The job ends with the stream that holds it.
+            let all = all.map(move |piece| {
+                let _ = &job;
+                piece
+            });
+            ([(header::CONTENT_TYPE, kind)], Body::from_stream(all)).into_response()
+        }
+        None => ([(header::CONTENT_TYPE, kind)], Body::empty()).into_response(),
+    }
+}
+
+/// Takes so many connections at one time; those that are quiet for long are closed.
+struct Limited {
+    listener: TcpListener,
+    open: Arc<Semaphore>,
+}
+
+impl Listener for Limited {
+    type Io = Connection;
+    type Addr = SocketAddr;
+
+    async fn accept(&mut self) -> (Connection, SocketAddr) {
+        loop {
+            // The semaphore is never closed.
+            let Ok(permit) = self.open.clone().acquire_owned().await else { continue };
+            match self.listener.accept().await {
+                Ok((stream, address)) => {
+                    let mut stream = TimeoutStream::new(stream);
+                    stream.set_read_timeout(Some(QUIET));
+                    stream.set_write_timeout(Some(QUIET));
+                    return (Connection { stream: Box::pin(stream), _permit: permit }, address);
+                }
+                // Too many open files, or a connection that ended at once: others go on.
+                Err(_) => tokio::time::sleep(LOOK).await,
+            }
+        }
+    }
+
+    fn local_addr(&self) -> std::io::Result<SocketAddr> {
+        self.listener.local_addr()
+    }
+}
+
+/// A connection, and its part of the limit.
+struct Connection {
+    stream: Pin<Box<TimeoutStream<TcpStream>>>,
+    _permit: OwnedSemaphorePermit,
+}
+
+impl tokio::io::AsyncRead for Connection {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut tokio::io::ReadBuf<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        self.stream.as_mut().poll_read(context, buffer)
+    }
+}
+
+impl tokio::io::AsyncWrite for Connection {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<std::io::Result<usize>> {
+        self.stream.as_mut().poll_write(context, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        self.stream.as_mut().poll_flush(context)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        self.stream.as_mut().poll_shutdown(context)
+    }
+}

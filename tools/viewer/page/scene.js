@@ -1,0 +1,328 @@
+// What is seen: surfaces, the box, a clipping plane with a slice, axes and a scale bar. Drawn when something changes.
+import {
+  Box3, BufferAttribute, BufferGeometry, ClampToEdgeWrapping, Color, DataTexture, DirectionalLight, DoubleSide,
+  FloatType, HemisphereLight, InterleavedBuffer, InterleavedBufferAttribute, LineBasicMaterial, LineSegments,
+  LinearFilter, Mesh, MeshStandardMaterial, NearestFilter, OrbitControls, PerspectiveCamera, Plane, RGBAFormat,
+  RedFormat, Scene, ShaderMaterial, SRGBColorSpace, UnsignedByteType, Vector2, Vector3, WebGLRenderer,
+} from "./three.js";
+
+const SLICE_VERTEX = `
+  varying vec2 at;
+  void main() {
+    at = uv;
+    gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
+  }`;
+// Values are interpolated here: not every device filters textures of floats.
+const SLICE_FRAGMENT = `
+  uniform sampler2D values;
+  uniform sampler2D colours;
+  uniform vec2 size;
+  uniform vec2 range;
+  varying vec2 at;
+  void main() {
+    vec2 place = at * (size - 1.0);
+    ivec2 low = ivec2(clamp(floor(place), vec2(0.0), size - 1.0));
+    ivec2 high = min(low + 1, ivec2(size) - 1);
+    vec2 t = place - vec2(low);
+    float a = texelFetch(values, low, 0).r;
+    float b = texelFetch(values, ivec2(high.x, low.y), 0).r;
+    float c = texelFetch(values, ivec2(low.x, high.y), 0).r;
+    float d = texelFetch(values, high, 0).r;
+    float value = mix(mix(a, b, t.x), mix(c, d, t.x), t.y);
+    if (isnan(value)) value = texelFetch(values, ivec2(round(place)), 0).r;
+    if (isnan(value)) discard;
+    float share = clamp((value - range.x) / max(range.y - range.x, 1e-30), 0.0, 1.0);
+    gl_FragColor = vec4(texture2D(colours, vec2(share * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb, 1.0);
+    #include <colorspace_fragment>
+  }`;
+
+/** A length of 1, 2 or 5 times a power of ten, at most `most`. */
+function round(most) {
+  const power = 10 ** Math.floor(Math.log10(most));
+  return power * (most >= 5 * power ? 5 : most >= 2 * power ? 2 : 1);
+}
+
+export class View {
+  /** `changed` is called after the camera moved. */
+  constructor(canvas, overlay, changed) {
+    this.canvas = canvas;
+    this.overlay = overlay;
+    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, preserveDrawingBuffer: true });
+    this.renderer.localClippingEnabled = true;
+    this.scene = new Scene();
+    this.camera = new PerspectiveCamera(35, 1, 0.1, 100);
+    this.camera.up.set(0, 0, 1);
+    this.scene.add(new HemisphereLight(0xffffff, 0x8a8f96, 1.6), this.camera);
+    const lamp = new DirectionalLight(0xffffff, 1.9);
+    lamp.position.set(-0.6, 0.8, 1);
+    this.camera.add(lamp);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.addEventListener("change", () => this.draw());
+    this.controls.addEventListener("end", changed);
+    this.surfaces = new Map();
+    this.bounds = new Box3();
+    this.plane = null;
+    this.showBox = this.showAxes = true;
+    this.waiting = false;
+    new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
+    this.resize();
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvas.parentElement;
+    const scale = Math.min(window.devicePixelRatio || 1, 2);
+    this.renderer.setPixelRatio(scale);
+    this.renderer.setSize(width, height, false);
+    this.overlay.width = Math.round(width * scale);
+    this.overlay.height = Math.round(height * scale);
+    this.camera.aspect = width / Math.max(height, 1);
+    this.camera.updateProjectionMatrix();
+    this.draw();
+  }
+
+  /** Draws before the next frame, once. */
+  draw() {
+    if (this.waiting) return;
+    this.waiting = true;
+    requestAnimationFrame(() => this.drawNow());
+  }
+
+  drawNow() {
+    this.waiting = false;
+    const distance = this.camera.position.distanceTo(this.controls.target);
+    const size = this.bounds.isEmpty() ? 1 : this.bounds.getSize(new Vector3()).length();
+    this.camera.near = Math.max(distance - size, size * 1e-3);
+    this.camera.far = distance + 2 * size;
+    this.camera.updateProjectionMatrix();
+    this.renderer.render(this.scene, this.camera);
+    this.drawOverlay();
+  }
+
+  /** The domain: eight corners, or none. `forget` moves the camera. */
+  setDomain(corners) {
+    if (this.box) this.scene.remove(this.box);
+    this.box = null;
+    this.bounds.makeEmpty();
+    if (!corners) return;
+    for (const c of corners) this.bounds.expandByPoint(new Vector3(...c));
+    const edges = [];
+    for (let n = 0; n < 8; n++) {
+      for (const bit of [1, 2, 4]) if (!(n & bit)) edges.push(...corners[n], ...corners[n | bit]);
+    }
+    const lines = new BufferGeometry();
+    lines.setAttribute("position", new BufferAttribute(new Float32Array(edges), 3));
+    this.box = new LineSegments(lines, new LineBasicMaterial({ color: 0x808890 }));
+    this.box.visible = this.showBox;
+    this.scene.add(this.box);
+    this.draw();
+  }
+
+  /** Looks at all of the domain, or of the surfaces where the domain has no box. */
+  reset() {
+    if (this.bounds.isEmpty()) return;
+    const middle = this.bounds.getCenter(new Vector3());
+    const radius = this.bounds.getSize(new Vector3()).length() / 2;
+    const half = Math.atan(Math.tan((this.camera.fov * Math.PI) / 360) * Math.min(1, this.camera.aspect));
+    const toward = new Vector3(0.55, -0.75, 0.4).normalize();
+    this.controls.target.copy(middle);
+    this.camera.position.copy(middle).addScaledVector(toward, radius / Math.sin(half));
+    this.controls.update();
+    this.draw();
+  }
+
+  /** The camera as six numbers, and back. */
+  get camera6() {
+    return [...this.camera.position.toArray(), ...this.controls.target.toArray()];
+  }
+
+  set camera6(numbers) {
+    this.camera.position.fromArray(numbers);
+    this.controls.target.fromArray(numbers, 3);
+    this.controls.update();
+    this.draw();
+  }
+
+  /** Shows so many triangles of a surface in place of what had its name. */
+  show(name, found, triangles, { colour, opacity }) {
+    let item = this.surfaces.get(name);
+    if (!item || item.found !== found) {
+      this.remove(name);
+      const geometry = new BufferGeometry();
+      const buffer = new InterleavedBuffer(found.vertices, 6);
+      geometry.setAttribute("position", new InterleavedBufferAttribute(buffer, 3, 0));
+      geometry.setAttribute("normal", new InterleavedBufferAttribute(buffer, 3, 3));
+      geometry.setIndex(new BufferAttribute(found.triangles, 1));
+      const material = new MeshStandardMaterial({ side: DoubleSide, roughness: 0.65, metalness: 0 });
+      const mesh = new Mesh(geometry, material);
+      mesh.frustumCulled = false;
+      item = { found, mesh };
+      this.surfaces.set(name, item);
+      this.scene.add(mesh);
+    }
+    // Triangles that came since the last time.
+    const before = item.shown ?? 0;
+    if (before > 0 && triangles > before) {
+      item.mesh.geometry.index.addUpdateRange(3 * before, 3 * (triangles - before));
+      item.mesh.geometry.index.needsUpdate = true;
+    }
+    item.shown = triangles;
+    item.mesh.geometry.setDrawRange(0, 3 * triangles);
+    this.paint(name, { colour, opacity });
+  }
+
+  paint(name, { colour, opacity }) {
+    const item = this.surfaces.get(name);
+    if (!item) return;
+    const { material } = item.mesh;
+    material.color = new Color(colour);
+    material.opacity = opacity;
+    material.transparent = opacity < 1;
+    material.depthWrite = opacity >= 1;
+    material.clippingPlanes = this.plane ? [this.plane] : [];
+    material.needsUpdate = true;
+    item.mesh.renderOrder = opacity < 1 ? 1 : 0;
+    this.draw();
+  }
+
+  remove(name) {
+    const item = this.surfaces.get(name);
+    if (!item) return;
+    this.scene.remove(item.mesh);
+    item.mesh.geometry.dispose();
+    item.mesh.material.dispose();
+    this.surfaces.delete(name);
+    this.draw();
+  }
+
+  /** Where a surface alone says how large the domain is. */
+  boundsOf(found) {
+    const { vertices } = found;
+    const point = new Vector3();
+    for (let n = 0; n < vertices.length; n += 6) this.bounds.expandByPoint(point.fromArray(vertices, n));
+  }
+
+  /** Hides what is beyond a plane of an axis, 0 to 2; none for null. */
+  setClip(axis, place, flip) {
+    if (axis === null) {
+      this.plane = null;
+    } else {
+      const sign = flip ? -1 : 1;
+      const normal = new Vector3().setComponent(axis, -sign);
+      this.plane = new Plane(normal, sign * place);
+    }
+    for (const { mesh } of this.surfaces.values()) {
+      mesh.material.clippingPlanes = this.plane ? [this.plane] : [];
+      mesh.material.needsUpdate = true;
+    }
+    this.draw();
+  }
+
+  /** The field on a rectangle: its corner and sides in the world, values, a table of 256 colours, a range. */
+  setSlice(slice) {
+    if (!slice) {
+      if (this.slice) this.slice.visible = false;
+      this.draw();
+      return;
+    }
+    const { origin, u, v, size, values, colours, range } = slice;
+    if (!this.slice) {
+      const material = new ShaderMaterial({
+        vertexShader: SLICE_VERTEX,
+        fragmentShader: SLICE_FRAGMENT,
+        side: DoubleSide,
+        uniforms: { values: {}, colours: {}, size: { value: new Vector2() }, range: { value: new Vector2() } },
+      });
+      const geometry = new BufferGeometry();
+      geometry.setAttribute("position", new BufferAttribute(new Float32Array(12), 3));
+      geometry.setAttribute("uv", new BufferAttribute(new Float32Array([0, 0, 1, 0, 0, 1, 1, 1]), 2));
+      geometry.setIndex([0, 1, 2, 2, 1, 3]);
+      this.slice = new Mesh(geometry, material);
+      this.slice.frustumCulled = false;
+      this.scene.add(this.slice);
+    }
+    const { position } = this.slice.geometry.attributes;
+    for (let n = 0; n < 4; n++) {
+      for (let a = 0; a < 3; a++) {
+        position.array[3 * n + a] = origin[a] + (n & 1 ? u[a] : 0) + (n & 2 ? v[a] : 0);
+      }
+    }
+    position.needsUpdate = true;
+    const { uniforms } = this.slice.material;
+    if (uniforms.values.of !== values) {
+      uniforms.values.value?.dispose();
+      const texture = new DataTexture(values, size[0], size[1], RedFormat, FloatType);
+      texture.minFilter = texture.magFilter = NearestFilter;
+      texture.needsUpdate = true;
+      uniforms.values = { value: texture, of: values };
+    }
+    if (uniforms.colours.of !== colours) {
+      uniforms.colours.value?.dispose();
+      const bytes = new Uint8Array(colours.flatMap((c) => [...c, 255]));
+      const texture = new DataTexture(bytes, 256, 1, RGBAFormat, UnsignedByteType);
+      texture.colorSpace = SRGBColorSpace;
+      texture.minFilter = texture.magFilter = LinearFilter;
+      texture.wrapS = ClampToEdgeWrapping;
+      texture.needsUpdate = true;
+      uniforms.colours = { value: texture, of: colours };
+    }
+    uniforms.size.value.set(...size);
+    uniforms.range.value.set(...range);
+    this.slice.material.uniformsNeedUpdate = true;
+    this.slice.visible = true;
+    this.draw();
+  }
+
+  /** Axes and the scale bar. */
+  drawOverlay() {
+    const c = this.overlay.getContext("2d");
+    const scale = this.renderer.getPixelRatio();
+    c.setTransform(scale, 0, 0, scale, 0, 0);
+    c.clearRect(0, 0, this.overlay.width, this.overlay.height);
+    if (!this.showAxes || this.bounds.isEmpty()) return;
+    const { clientWidth: width, clientHeight: height } = this.overlay;
+    const ink = getComputedStyle(this.overlay).color;
+    c.font = "12px system-ui, sans-serif";
+    c.lineWidth = 2;
+    const [x, y, length] = [40, height - 40, 26];
+    const axes = ["x", "y", "z"].map((name, a) => {
+      const v = new Vector3().setComponent(a, 1).applyQuaternion(this.camera.quaternion.clone().invert());
+      return { name, v, colour: ["#d1483e", "#3f9142", "#3b6fd4"][a] };
+    });
+    for (const { name, v, colour } of axes.sort((a, b) => a.v.z - b.v.z)) {
+      c.strokeStyle = c.fillStyle = colour;
+      c.beginPath();
+      c.moveTo(x, y);
+      c.lineTo(x + length * v.x, y - length * v.y);
+      c.stroke();
+      c.textAlign = "center";
+      c.fillText(name, x + (length + 9) * v.x, y - (length + 9) * v.y + 4);
+    }
+    // World units of a pixel, at the point that is looked at.
+    const distance = this.camera.position.distanceTo(this.controls.target);
+    const pixel = (2 * distance * Math.tan((this.camera.fov * Math.PI) / 360)) / Math.max(height, 1);
+    const bar = round(Math.min(140, width / 3) * pixel);
+    const [right, bottom] = [width - 16, height - 16];
+    c.strokeStyle = c.fillStyle = ink;
+    c.beginPath();
+    c.moveTo(right - bar / pixel, bottom - 5);
+    c.lineTo(right - bar / pixel, bottom);
+    c.lineTo(right, bottom);
+    c.lineTo(right, bottom - 5);
+    c.stroke();
+    c.textAlign = "right";
+    c.fillText(Number(bar.toPrecision(1)).toString(), right, bottom - 9);
+  }
+
+  /** The picture, with axes and scale, on the page's background. */
+  async png(background) {
+    this.drawNow();
+    const picture = document.createElement("canvas");
+    [picture.width, picture.height] = [this.canvas.width, this.canvas.height];
+    const c = picture.getContext("2d");
+    c.fillStyle = background;
+    c.fillRect(0, 0, picture.width, picture.height);
+    c.drawImage(this.canvas, 0, 0);
+    c.drawImage(this.overlay, 0, 0, picture.width, picture.height);
+    return new Promise((done) => picture.toBlob(done, "image/png"));
+  }
+}

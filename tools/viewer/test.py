@@ -1,0 +1,300 @@
+"""Tests of the viewer: the page in a headless Chromium, and requests that the server must refuse.
+
+Usage: test.py PROGRAM CHROMIUM TOOTH BALL [FOLDER for screenshots]
+"""
+
+import concurrent.futures
+import http.client
+import io
+import json
+import pathlib
+import re
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+
+import numpy
+from PIL import Image
+from playwright.sync_api import sync_playwright
+
+PROGRAM, CHROMIUM, TOOTH, BALL = sys.argv[1:5]
+PICTURES = pathlib.Path(sys.argv[5]) if sys.argv[5:] and sys.argv[5] else None
+MEMORY_MIB = 1536
+
+
+class Server:
+    """`isospan view`, until it is stopped."""
+
+    def __enter__(self):
+        command = [PROGRAM, "view", TOOTH, BALL, "--json", "--memory", f"{MEMORY_MIB}MiB"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        self.url = json.loads(self.process.stdout.readline())["url"]
+        self.port, self.token = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/([0-9a-f]{32})/", self.url).groups()
+        self.port = int(self.port)
+        return self
+
+    def __exit__(self, *_):
+        self.process.send_signal(signal.SIGINT)
+        assert self.process.wait(timeout=20) == 0, "Ctrl-C is how a server ends"
+
+    def get(self, path, method="GET", host=None, timeout=60):
+        """Status, headers and body of a request; `path` without the token's part."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=timeout)
+        connection.request(method, path, headers={"Host": host} if host else {})
+        answer = connection.getresponse()
+        body = answer.read()
+        connection.close()
+        return answer.status, dict(answer.getheaders()), body
+
+    def ask(self, path):
+        return self.get(f"/{self.token}/{path}")
+
+    def peak_mib(self):
+        status = pathlib.Path(f"/proc/{self.process.pid}/status").read_text()
+        return int(re.search(r"VmHWM:\s+(\d+) kB", status)[1]) / 1024
+
+
+def surface_of(body):
+    """The counts, vertices and triangles of an answer."""
+    (length,) = struct.unpack_from("<I", body)
+    report = json.loads(body[4 : 4 + length])["report"]
+    at = 4 + length
+    vertices = numpy.frombuffer(body, "<f4", 6 * report["vertices"], at).reshape(-1, 6)
+    triangles = numpy.frombuffer(body, "<u4", 3 * report["triangles"], at + vertices.nbytes).reshape(-1, 3)
+    assert at + vertices.nbytes + triangles.nbytes == len(body), "nothing follows the triangles"
+    return report, vertices, triangles
+
+
+def requests(server):
+    """What programs may ask, and what they may not."""
+    status, headers, page = server.ask("")
+    assert status == 200 and b"<title>isospan</title>" in page
+    assert "default-src 'none'" in headers["content-security-policy"]
+
+    archives = json.loads(server.ask("archives")[2])
+    assert [a["name"] for a in archives] == ["tooth.isospan", "ball.isospan"]
+    assert [len(a["steps"]) for a in archives] == [1, 4]
+
+    # The surface is that of the command line.
+    report, vertices, triangles = surface_of(server.ask("1/surface?isovalues=0&step=1")[2])
+    subprocess.run([PROGRAM, "surface", "-q", BALL, "-i", "0", "--step", "1", "-o", "ball.ply"], check=True,
+                   stdout=subprocess.DEVNULL)
+    ply = pathlib.Path("ball.ply").read_bytes()
+    body = ply[ply.index(b"end_header\n") + 11 :]
+    assert body.startswith(vertices.tobytes()), "vertices are those of the file"
+    assert triangles.max() < len(vertices) and report["triangles"] > 300
+    radius = numpy.linalg.norm((vertices[:, :3] - 11.5) * 2 / 23, axis=1)
+    assert abs(radius - 0.5).max() < 0.05
+    for form in ["glb", "stl", "ply", "obj", "vtp"]:
+        status, _, file = server.ask(f"1/export?isovalues=0&step=1&format={form}")
+        assert status == 200 and len(file) > 1000, form
+    assert server.ask("1/export?isovalues=0&step=1&format=ply")[2] == ply
+
+    # A plane through the middle: the distance from the centre is in the values.
+    step = 23 / 32
+    status, _, body = server.ask(f"1/slice?step=1&origin=0,0,11.5&u={step},0,0&v=0,{step},0&size=33,33")
+    values = numpy.frombuffer(body, "<f4", 33 * 33, len(body) - 4 * 33 * 33).reshape(33, 33)
+    # The tip of the cone is rounded off by the points; along x it falls by 1.
+    assert status == 200 and abs(values[16, 16] - 0.5) < 0.1, values[16, 16]
+    assert numpy.allclose(values[16, 20:31] , 0.5 - numpy.arange(4, 15) / 16, atol=0.05), values[16]
+
+    # Refusals.
+    for path, expected in [
+        ("/", 404),
+        ("/0000/archives", 404),
+        (f"/{server.token}", 404),
+        (f"/{server.token}/../../etc/passwd", 404),
+        (f"/{server.token}/..%2f..%2fetc%2fpasswd", 404),
+        (f"/{server.token}/7/surface?isovalues=0", 400),
+        (f"/{server.token}/x/surface?isovalues=0", 400),
+        (f"/{server.token}/-1/surface?isovalues=0", 400),
+        (f"/{server.token}/1/surface", 400),
+        (f"/{server.token}/1/surface?isovalues=", 400),
+        (f"/{server.token}/1/surface?isovalues=nan", 400),
+        (f"/{server.token}/1/surface?isovalues=0,0", 400),
+        (f"/{server.token}/1/surface?isovalues=" + ",".join(map(str, range(17))), 400),
+        (f"/{server.token}/1/surface?isovalues=0&step=99", 400),
+        (f"/{server.token}/1/surface?isovalues=0&roi=1:2", 400),
+        (f"/{server.token}/1/slice?origin=0,0,0&u=1,0,0&v=0,1,0&size=100000,100000", 400),
+        (f"/{server.token}/1/slice?origin=0,0,inf&u=1,0,0&v=0,1,0&size=4,4", 400),
+        (f"/{server.token}/1/export?isovalues=0&format=exe", 400),
+    ]:
+        status, _, body = server.get(path)
+        assert status == expected, (path, status, body)
+        assert b"passwd" not in body or status == 404
+    status, _, body = server.ask("1/surface?isovalues=0&step=99")
+    assert b"steps 0 to 3" in body, body
+    assert server.get(f"/{server.token}/archives", host="example.org")[0] == 421
+    assert server.get(f"/{server.token}/archives", method="POST")[0] == 405
+    assert server.get("/" + "a" * 100_000)[0] in (414, 431)
+
+
+def crowds(server):
+    """A slow reader, and a thousand at once: all wait or are refused, within the memory."""
+    slow = socket.create_connection(("127.0.0.1", server.port))
+    slow.sendall(f"GET /{server.token}/0/surface?isovalues=500 HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n".encode())
+    assert server.ask("1/surface?isovalues=0")[0] == 200, "others are answered meanwhile"
+
+    def one(n):
+        return server.get(f"/{server.token}/1/surface?isovalues={n / 5000}&step={n % 4}", timeout=120)[0]
+
+    start = time.monotonic()
+    with concurrent.futures.ThreadPoolExecutor(1000) as pool:
+        found = list(pool.map(one, range(1000)))
+    assert found == [200] * 1000, {s: found.count(s) for s in set(found)}
+    slow.close()
+    assert server.ask("1/surface?isovalues=0")[0] == 200
+    print(f"1000 at once: answered in {time.monotonic() - start:.1f} s, peak {server.peak_mib():.0f} MiB")
+    assert server.peak_mib() < MEMORY_MIB, server.peak_mib()
+
+
+class Page:
+    """A page of the browser that must be silent, and ask nobody else."""
+
+    def __init__(self, browser, server, address="", **options):
+        self.server, self.wrong = server, []
+        self.context = browser.new_context(**options)
+        self.page = self.context.new_page()
+        self.page.on("console", lambda m: m.type in ("error", "warning") and "GPU stall" not in m.text
+                     and self.wrong.append(m.text))
+        self.page.on("pageerror", lambda e: self.wrong.append(str(e)))
+        self.page.on("request", lambda r: r.url.startswith((server.url, "data:", "blob:")) or self.wrong.append(r.url))
+        self.page.goto(server.url + address)
+        self.page.wait_for_selector("body[data-ready='1']")
+
+    def shown(self, name="shown"):
+        return int(self.page.evaluate(f"document.body.dataset.{name} ?? 0"))
+
+    def after(self, act, name="shown"):
+        """Does something, and waits until what it asks for is on the screen."""
+        before = self.shown(name)
+        act()
+        self.until(before + 1, name)
+        self.page.wait_for_timeout(100)
+
+    def until(self, count, name="shown"):
+        """Waits for so many answers. Playwright's own waiting would want `eval`, which the page forbids."""
+        end = time.monotonic() + 30
+        while self.shown(name) < count:
+            assert time.monotonic() < end, f"{self.shown(name)} of {count} {name}; {self.wrong}"
+            self.page.wait_for_timeout(20)
+
+    def statistics(self):
+        rows = self.page.eval_on_selector_all("#statistics > *", "all => all.map(e => e.textContent)")
+        return dict(zip(rows[::2], rows[1::2]))
+
+    def triangles(self):
+        return int(self.statistics()["triangles"].replace(",", ""))
+
+    def set(self, selector, value):
+        """Moves a slider, as a user does."""
+        self.page.eval_on_selector(
+            selector, f"e => {{ e.value = {value}; e.dispatchEvent(new Event('input', {{bubbles: true}})); }}")
+
+    def picture(self, name):
+        """The scene; kept where that is asked for."""
+        self.page.wait_for_timeout(200)
+        if PICTURES:
+            PICTURES.mkdir(parents=True, exist_ok=True)
+            self.page.screenshot(path=PICTURES / f"{name}.png")
+        shot = self.page.locator("#view").screenshot()
+        return numpy.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+
+    def close(self):
+        self.context.close()
+        assert not self.wrong, self.wrong
+
+
+def wide(browser, server):
+    page = Page(browser, server, viewport={"width": 1280, "height": 800}, color_scheme="light", accept_downloads=True)
+    # The tooth is seen: many pixels are neither paper nor lines.
+    first = page.picture("wide")
+    assert (abs(first - first[5, 5]).sum(axis=2) > 60).mean() > 0.05, "a surface is on the screen"
+    before = page.triangles()
+    page.after(lambda: page.set("#isovalue", 0.75))
+    assert page.triangles() not in (0, before), "another isovalue, another surface"
+    moved = page.picture("moved")
+    assert abs(moved - first).sum(axis=2).astype(bool).mean() > 0.02
+    # The keyboard moves it, too.
+    page.page.focus("#scene")
+    page.after(lambda: page.page.keyboard.press("]"))
+    # A second one, and each can be looked through.
+    page.after(lambda: page.page.click("#add"))
+    assert page.page.locator("#surfaces li").count() == 2
+    page.picture("two")
+    # A plane, with the field on it.
+    page.after(lambda: page.page.select_option("#clip", "x"), "slices")
+    page.page.wait_for_timeout(500)
+    clipped = page.picture("plane")
+    assert abs(clipped - moved).sum(axis=2).astype(bool).mean() > 0.02
+    page.page.select_option("#map", "coolwarm")
+    page.after(lambda: page.set("#place", 0.35), "slices")
+    # The region is cut by the server.
+    whole = page.triangles()
+    page.after(lambda: page.set("#ranges input >> nth=2", 0.5))
+    assert 0 < page.triangles() < whole
+    page.picture("region")
+    # A link gives the same view.
+    page.page.click("#reset")
+    again = Page(browser, server, "#" + page.page.url.split("#")[1], viewport={"width": 1280, "height": 800},
+                 color_scheme="light")
+    page.page.wait_for_timeout(500)
+    again.page.wait_for_timeout(1000)
+    assert again.triangles() == page.triangles()
+    difference = abs(again.picture("again") - page.picture("linked")).sum(axis=2) > 30
+    assert difference.mean() < 0.002, difference.mean()
+    again.close()
+    # What is seen is what is exported.
+    for form in ["glb", "stl"]:
+        with page.page.expect_download() as download:
+            page.page.click(f"#{form}")
+        file = pathlib.Path(download.value.path()).read_bytes()
+        assert download.value.suggested_filename == f"tooth.{form}" and len(file) > 10_000
+    with page.page.expect_download() as download:
+        page.page.click("#png")
+    picture = Image.open(download.value.path())
+    assert picture.size[0] > 900 and len(picture.getcolors(1 << 24)) > 500
+    # An isovalue that nothing has is said, and is no failure.
+    page.after(lambda: page.page.fill("#surfaces input[type=number] >> nth=0", "99999") or
+               page.page.keyboard.press("Tab"))
+    assert "outside" in page.page.inner_text("#message")
+    page.close()
+
+
+def narrow(browser, server):
+    page = Page(browser, server, "#archive=1", viewport={"width": 360, "height": 740}, color_scheme="dark",
+                has_touch=True)
+    assert page.page.evaluate("document.documentElement.scrollWidth") <= 360, "nothing is wider than the page"
+    first = page.picture("narrow")
+    assert first[5, 5].sum() < 200, "the page is dark"
+    assert (abs(first - first[5, 5]).sum(axis=2) > 60).mean() > 0.03
+    # Time: another step, then playing.
+    area = page.statistics()["area"]
+    page.after(lambda: page.set("#step", 3))
+    assert page.statistics()["area"] != area
+    page.page.eval_on_selector("#time", "e => e.scrollIntoView()")
+    page.after(lambda: page.page.tap("#play"))
+    before = page.shown()
+    page.until(before + 4)
+    page.page.tap("#play")
+    page.picture("played")
+    page.close()
+
+
+def main():
+    with Server() as server, sync_playwright() as playwright:
+        requests(server)
+        arguments = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+                     "--disable-background-networking", "--disable-component-update", "--disable-sync"]
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        wide(browser, server)
+        narrow(browser, server)
+        browser.close()
+        crowds(server)
+    print("the viewer: all good")
+
+
+main()
