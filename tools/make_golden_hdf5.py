@@ -57,6 +57,18 @@ def layouts(version):
         two.attrs["missing_value"] = np.int16(2)
 
 
+def chunks():
+    """(z, y, x) of 48 x 52 x 56 in chunks of 16, of which one was never written: 7. See src/pipeline/reduce/cached/tests.rs."""
+    z, y, x = np.ogrid[0:48, 0:52, 0:56]
+    values = (x * (55 - x) + 2 * y * (51 - y) + 3 * z * (47 - z)) // 64 * 64
+    with h5py.File(OUT / "chunks.h5", "w", libver="latest") as f:
+        filters = dict(chunks=(16, 16, 16), compression="gzip", compression_opts=9, shuffle=True, fillvalue=7)
+        data = f.create_dataset("data", shape=values.shape, dtype="<u2", **filters)
+        for chunk in data.iter_chunks():
+            if tuple(s.start for s in chunk) != (16, 32, 16):
+                data[chunk] = values[chunk]
+
+
 def netcdf():
     with netCDF4.Dataset(OUT / "grid.nc", "w") as f:
         for name, count, start, step in (("lev", 3, 100, 10), ("lat", 4, 5, -2.5), ("lon", 5, 0, 0.5)):
@@ -148,6 +160,7 @@ if __name__ == "__main__":
     for version in ("earliest", "latest"):
         types(version)
         layouts(version)
+    chunks()
     netcdf()
     small()
     dialects()

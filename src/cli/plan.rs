@@ -17,7 +17,8 @@ use std::time::Duration;
 /// Plan a reduction that several processes or machines do: `work` makes shards of it, `commit` puts the archive together.
 ///
 /// The plan is written to ARCHIVE.work/plan.json and never changed. Any number of workers, in any order, give the bytes of
-/// `reduce`. A compressed input is unpacked, and a mesh sorted, by every worker for itself: `brick` a compressed volume first.
+/// `reduce`. Of a volume that is compressed chunk by chunk a worker decodes its part. Another compressed volume is unpacked, and
+/// a mesh sorted, by every worker for itself: `brick` such a volume first.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Args {
     #[command(flatten)]

@@ -84,6 +84,7 @@ pub(super) fn tell(archive: &Path, report: &ReduceReport, json: bool, talk: &Tal
         text::count(report.chunks),
         text::count(report.halo_retries)
     ));
+    report.source_chunks.iter().for_each(|found| talk.detail(&text::source_chunks(found)));
     if json {
         return super::print_json(report);
     }

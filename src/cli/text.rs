@@ -1,5 +1,6 @@
 //! Numbers, sizes and fractions, in and out.
 
+use isospan::pipeline::SourceChunks;
 use std::time::Duration;
 
 /// Parses a number of bytes: `4GiB`, `500MB`, `1048576`, `50%` (of what the process may use).
@@ -163,6 +164,12 @@ pub(crate) fn rounding(lost: Option<f64>) -> String {
 /// What such a line says.
 pub(crate) fn rounding_words(lost: f64) -> String {
     format!("samples to f32, by up to {}, which the errors include", value(figures(lost, 4)))
+}
+
+/// What is said of the chunks of a source: how often one was decoded.
+pub(crate) fn source_chunks(found: &SourceChunks) -> String {
+    let each = found.decodes as f64 / found.chunks.max(1) as f64;
+    format!("the source has {} chunks, each decoded {each:.2} times on average", count(found.chunks))
 }
 
 #[cfg(test)]

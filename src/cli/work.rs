@@ -38,6 +38,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     bar.end();
     let report = report?;
     talk.stages(&report.seconds);
+    report.source_chunks.iter().for_each(|found| talk.detail(&text::source_chunks(found)));
     if args.json {
         return super::print_json(&report);
     }

@@ -19,9 +19,10 @@
 //!
 //! Conventions of other programs: see the module `dialect`.
 //!
-//! A contiguous dataset is mapped where it lies. Others are a stream, chunk by chunk (deflate, shuffle, Fletcher-32,
-//! scale-offset, N-bit, szip, LZF), of which small ones are taken together. Memory: one chunk, stored, decoded and once more
-//! as it is given out; chunks of more than 256 MiB are refused. Chunks that were never written read as the fill value.
+//! A contiguous dataset is mapped where it lies. Others are read chunk by chunk (deflate, shuffle, Fletcher-32, scale-offset, N-bit,
+//! szip, LZF) as they are asked for ([`crate::volume::chunked`]); small chunks are taken together. Memory: one chunk, stored,
+//! decoded and once more as it is given out; chunks of more than 256 MiB are refused. Chunks that were never written read as
+//! the fill value.
 //!
 //! # The crate behind it
 //! Tried on files written by h5py and netCDF4 (HDF5 2.0; oldest and newest file versions; ten types in both byte orders; each
@@ -46,9 +47,9 @@ use super::{OpenOptions, pick_field};
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
 use crate::grid::{Geometry, IndexBox};
-use crate::volume::slabs::{CHUNK_SLAB_BYTES, cut_slab};
+use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
-use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
+use crate::volume::{FieldInfo, ScalarType, VolumeInfo, VolumeSource};
 use dialect::{Convert, Dialect, Placed};
 use hdf5_reader::attribute_api::Attribute;
 use hdf5_reader::group::Group;
@@ -63,7 +64,7 @@ use std::sync::Arc;
 /// Most bytes of a decoded chunk.
 const MOST_CHUNK: u64 = 256 << 20;
 /// Small chunks are read together up to so many bytes; what has no chunks, in pieces of so many.
-const PIECE: u64 = 2 << 20;
+const PIECE: u64 = 128 << 10;
 /// Most frames of a dataset with four axes.
 const MOST_FRAMES: u64 = 1 << 16;
 /// Most samples of a coordinate variable that is looked at.
@@ -85,17 +86,17 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let mut info = field.volume_info(path, dialect, info, geometry)?;
     info.fields = fields;
     if let Some(convert) = convert {
-        return Ok(VolumeSource::Stream(Box::new(Pieces::new(info, field, Some(convert))?)));
+        return Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, field, Some(convert))?)));
     }
     if let Some(convert) = field.valid_range(path, &info)? {
         (info.slope, info.intercept, info.missing) = (1.0, 0.0, None);
-        return Ok(VolumeSource::Stream(Box::new(Pieces::new(info, field, Some(convert))?)));
+        return Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, field, Some(convert))?)));
     }
     if let Some((at, strides)) = field.in_place(path, &file)? {
         let volume = StridedVolume::new(info, source, at, field.big_endian, strides)?;
         return Ok(VolumeSource::Random(Box::new(volume)));
     }
-    Ok(VolumeSource::Stream(Box::new(Pieces::new(info, field, None)?)))
+    Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, field, None)?)))
 }
 
 /// The coordinates of a dataset along its axes, where those of one of them are not regular; else `None`.
@@ -760,15 +761,14 @@ struct Line {
     regular: Option<(f64, f64)>,
 }
 
-/// Runs `$body` with each sample `$value`, in its own type, of a selection of a dataset.
-macro_rules! each_sample {
-    ($dataset:expr, $selection:expr, $scalar:expr, $value:ident, $body:expr) => {{
+/// Runs `$body` with the samples `$samples`, in their own type, of a selection of a dataset.
+macro_rules! with_samples {
+    ($dataset:expr, $selection:expr, $scalar:expr, $samples:ident, $body:expr) => {{
         macro_rules! of {
-            ($type:ty) => {
-                for &$value in $dataset.read_slice::<$type>($selection)?.iter() {
-                    $body
-                }
-            };
+            ($type:ty) => {{
+                let $samples = $dataset.read_slice::<$type>($selection)?;
+                $body
+            }};
         }
         match $scalar {
             ScalarType::U8 => of!(u8),
@@ -788,7 +788,7 @@ macro_rules! each_sample {
 /// All of a dataset as `f64`.
 fn all_f64(dataset: &Dataset, scalar: ScalarType) -> hdf5_reader::error::Result<Vec<f64>> {
     let (all, mut out) = (SliceInfo::all(dataset.ndim()), vec![]);
-    each_sample!(dataset, &all, scalar, value, out.push(value as f64));
+    with_samples!(dataset, &all, scalar, samples, out.extend(samples.iter().map(|&v| v as f64)));
     Ok(out)
 }
 
@@ -799,7 +799,12 @@ fn little_endian(
     selection: &SliceInfo,
     out: &mut Vec<u8>,
 ) -> hdf5_reader::error::Result<()> {
-    each_sample!(dataset, selection, scalar, value, out.extend_from_slice(&value.to_le_bytes()));
+    let size = scalar.bytes();
+    with_samples!(dataset, selection, scalar, samples, {
+        out.resize(samples.len() * size, 0);
+        let to = out.chunks_exact_mut(size);
+        to.zip(samples.iter()).for_each(|(to, v)| to.copy_from_slice(&v.to_le_bytes()));
+    });
     Ok(())
 }
 
@@ -811,22 +816,20 @@ fn converted(
     out: &mut Vec<u8>,
     mut of: impl FnMut(f64) -> f64,
 ) -> hdf5_reader::error::Result<()> {
-    each_sample!(dataset, selection, scalar, value, out.extend_from_slice(&of(value as f64).to_le_bytes()));
+    with_samples!(dataset, selection, scalar, samples, {
+        out.reserve(8 * samples.len());
+        samples.iter().for_each(|&v| out.extend_from_slice(&of(v as f64).to_le_bytes()));
+    });
     Ok(())
 }
 
-/// The samples of a dataset, some chunks after the others.
+/// The samples of a dataset in pieces: a chunk each, or some small ones.
 struct Pieces {
     info: VolumeInfo,
     dataset: Dataset,
     before: Vec<u64>,
-    /// Size of a piece: a multiple of the chunks'.
+    /// Size of a piece: a multiple of the chunks', or all along an axis.
     piece: [u64; 3],
-    /// Where the next one starts.
-    next: Option<[u64; 3]>,
-    /// What is left of the piece read last, and its bytes, with those given out in front.
-    left: IndexBox,
-    bytes: Vec<u8>,
     /// Bytes of a chunk.
     chunk_bytes: u64,
     /// The type in the file, and how its numbers become values, where that is not told by `info`; values are `f64` then.
@@ -866,81 +869,50 @@ impl Pieces {
                 piece[a] = (2 * piece[a]).min(dims[a]);
             }
         }
-        let left = IndexBox { lo: [0; 3], hi: [0; 3] };
         let (dataset, before) = (field.dataset.clone(), field.before.clone());
-        Ok(Self {
-            info,
-            dataset,
-            before,
-            piece,
-            next: Some([0; 3]),
-            left,
-            bytes: vec![],
-            chunk_bytes,
-            convert,
-        })
+        Ok(Self { info, dataset, before, piece, chunk_bytes, convert })
+    }
+}
+
+impl ChunkSource for Pieces {
+    fn info(&self) -> &VolumeInfo {
+        &self.info
     }
 
-    /// Reads the piece that starts at `lo`.
-    fn read(&mut self, lo: [u64; 3]) -> Result<()> {
+    fn chunk_dims(&self) -> [u64; 3] {
+        self.piece
+    }
+
+    fn decoding_bytes(&self) -> u64 {
+        let size = self.info.field.scalar.bytes() as u64;
+        let piece = self.piece.iter().fold(size, |n, &d| n.saturating_mul(d));
+        self.chunk_bytes.max(piece).saturating_mul(3)
+    }
+
+    fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+        out.clear();
         let d = self.info.dims;
-        let hi: [u64; 3] = std::array::from_fn(|a| d[a].min(lo[a] + self.piece[a]));
+        let lo: [u64; 3] = std::array::from_fn(|a| at[a].saturating_mul(self.piece[a]).min(d[a]));
+        let part =
+            IndexBox { lo, hi: std::array::from_fn(|a| lo[a].saturating_add(self.piece[a]).min(d[a])) };
         let range = |start, end| SliceInfoElem::Slice { start, end, step: 1 };
         let before = self.before.iter().map(|&at| range(at, at + 1));
-        let selections = before.chain([2, 1, 0].map(|a| range(lo[a], hi[a]))).collect();
-        self.left = IndexBox { lo, hi };
-        self.bytes.clear();
-        let needed = self.left.len() * self.info.field.scalar.bytes();
-        self.bytes.reserve(needed);
+        let selections = before.chain([2, 1, 0].map(|a| range(part.lo[a], part.hi[a]))).collect();
         let selection = SliceInfo { selections };
-        let at = format!("{}, samples from {lo:?} on", self.info.field.name);
         match &self.convert {
-            None => little_endian(&self.dataset, self.info.field.scalar, &selection, &mut self.bytes),
+            None => little_endian(&self.dataset, self.info.field.scalar, &selection, out),
             Some((scalar, convert)) => {
-                let ([nx, ny, _], mut i) = (self.left.dims(), 0u64);
-                converted(&self.dataset, *scalar, &selection, &mut self.bytes, |stored| {
+                let ([nx, ny, _], mut i) = (part.dims(), 0u64);
+                converted(&self.dataset, *scalar, &selection, out, |stored| {
                     let at = [lo[1] + i / nx % ny, lo[2] + i / (nx * ny)];
                     i += 1;
                     convert.value(stored, at)
                 })
             }
         }
-        .map_err(|e| damaged(&self.info.path, &at, &e))?;
-        if self.bytes.len() != needed {
-            let (expected, got) = (format!("{needed} bytes"), format!("{}", self.bytes.len()));
-            return Err(Error::bad_input(&self.info.path, at, expected, got));
-        }
-        let mut next = lo;
-        self.next = None;
-        for a in 0..3 {
-            next[a] = hi[a];
-            if next[a] < d[a] {
-                self.next = Some(next);
-                break;
-            }
-            next[a] = 0;
-        }
-        Ok(())
-    }
-}
-
-impl SlabStream for Pieces {
-    fn info(&self) -> &VolumeInfo {
-        &self.info
-    }
-
-    fn working_bytes(&self) -> u64 {
-        let piece = self.piece.iter().product::<u64>() * self.info.field.scalar.bytes() as u64;
-        3 * self.chunk_bytes.max(piece) + 2 * CHUNK_SLAB_BYTES
-    }
-
-    fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
-        out.clear();
-        if self.left.is_empty() {
-            let Some(lo) = self.next else { return Ok(None) };
-            self.read(lo)?;
-        }
-        Ok(Some(cut_slab(&mut self.left, &self.bytes, self.info.field.scalar.bytes(), out)))
+        .map_err(|e| {
+            damaged(&self.info.path, &format!("{}, samples from {lo:?} on", self.info.field.name), &e)
+        })
     }
 }
 

@@ -20,6 +20,7 @@ use super::{
 use crate::bytes::{ByteSource, read_whole};
 use crate::error::{Error, Result};
 use crate::exec::CancelToken;
+use crate::volume::chunked::DecodeCount;
 use crate::volume::slabs::ReaderSlabs;
 use crate::volume::{SharedVolume, SlabStream, VolumeReader, VolumeSource};
 use glob::Pattern;
@@ -33,7 +34,7 @@ use std::sync::{Arc, OnceLock};
 use xxhash_rust::xxh3::Xxh3;
 
 /// One step of a series.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct StepSource {
     /// Its file, folder or pattern.
     pub path: PathBuf,
@@ -44,12 +45,23 @@ pub struct StepSource {
     /// The volume itself, where a program gives that and no file.
     #[serde(skip)]
     given: Option<Given>,
+    /// Of a source of chunks: how often these were decoded.
+    #[serde(skip)]
+    decodes: DecodeCount,
+}
+
+impl PartialEq for StepSource {
+    fn eq(&self, other: &Self) -> bool {
+        let is_same = self.path == other.path && self.options == other.options;
+        is_same && self.time == other.time && self.given == other.given
+    }
 }
 
 impl StepSource {
     /// A step that is alone.
     pub fn new(path: &Path, options: &OpenOptions) -> Self {
-        Self { path: path.to_path_buf(), options: options.clone(), time: None, given: None }
+        let (path, options) = (path.to_path_buf(), options.clone());
+        Self { path, options, time: None, given: None, decodes: DecodeCount::default() }
     }
 
     /// A volume that a program gives: samples in memory ([`volume_of`](crate::volume::memory::volume_of)),
@@ -72,8 +84,18 @@ impl StepSource {
     pub fn open(&self) -> Result<Input> {
         match &self.given {
             Some(given) => Ok(Input::Volume(VolumeSource::Random(given.reader()))),
-            None => open_input(&self.path, &self.options),
+            None => Ok(match open_input(&self.path, &self.options)? {
+                Input::Volume(VolumeSource::Chunked(chunks)) => {
+                    Input::Volume(VolumeSource::Chunked(self.decodes.counting(chunks)))
+                }
+                other => other,
+            }),
         }
+    }
+
+    /// How often chunks of this source were decoded, by all who opened it here.
+    pub(crate) fn decodes(&self) -> &DecodeCount {
+        &self.decodes
     }
 
     /// Whether it is a volume that a program gives.
@@ -228,11 +250,9 @@ fn steps_in(path: &Path, options: &OpenOptions, time: Option<f64>) -> Vec<StepSo
     match fields {
         Ok(fields) if fields.len() > 1 || fields.len() == 1 && pattern.is_some() => fields
             .into_iter()
-            .map(|(name, own)| StepSource {
-                given: None,
-                time: own.or(time),
-                options: OpenOptions { field: Some(name), ..options.clone() },
-                path: path.to_path_buf(),
+            .map(|(name, own)| {
+                let options = OpenOptions { field: Some(name), ..options.clone() };
+                StepSource::new(path, &options).at(own.or(time))
             })
             .collect(),
         _ => {

@@ -11,8 +11,8 @@
 //! ```
 //!
 //! Uncompressed strips that follow each other are read where they lie, mapped, without a copy: every page may start
-//! elsewhere. Anything else (LZW, deflate, PackBits, zstd; tiles; predictors) is a stream that decodes one row of strips
-//! or tiles at a time: memory is that row, and a page's table of strips.
+//! elsewhere. Anything else (LZW, deflate, PackBits, zstd; tiles; predictors) is decoded by rows of strips or tiles, as they
+//! are asked for ([`crate::volume::chunked`]). Memory: some rows, and a page's table of strips, which is read for each.
 //!
 //! Read: grey values of 8 to 64 bits, integers and floats, of either order of bytes. Refused by name: colours, palettes,
 //! other numbers of bits, JPEG and other compressions, pages that differ in size or type, missing slices, several
@@ -35,9 +35,9 @@ use super::stream::sample_bytes;
 use super::{OpenOptions, pick_field};
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
-use crate::grid::IndexBox;
+use crate::volume::chunked::ChunkSource;
 use crate::volume::strided::StridedVolume;
-use crate::volume::{SlabStream, VolumeInfo, VolumeSource};
+use crate::volume::{VolumeInfo, VolumeSource};
 use ifd::Tiff;
 pub(super) use ifd::has_magic;
 use page::{Page, Shape};
@@ -49,7 +49,7 @@ use std::sync::Arc;
 pub(super) const SUFFIXES: [&str; 4] = [".tif", ".tiff", ".btf", ".tf8"];
 
 /// Bytes decoded at a time, unless a strip or a row of tiles has more.
-const SLAB_BYTES: u64 = 1 << 20;
+const CHUNK_BYTES: u64 = 1 << 20;
 
 /// Opens one file of several pages.
 ///
@@ -92,7 +92,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     if in_place {
         mapped(info, &tiff, &places)
     } else {
-        Ok(stream(info, &first, Pages::OfFile(tiff, places)))
+        Ok(chunked(info, &first, Pages::OfFile(tiff, places)))
     }
 }
 
@@ -125,7 +125,7 @@ pub(super) fn open_stack(path: &Path, files: Vec<PathBuf>, options: &OpenOptions
         let volume = SliceFiles::new(info, files, offsets, tiff.big_endian, options.io);
         return Ok(VolumeSource::Random(Box::new(volume)));
     }
-    Ok(stream(info, &first, Pages::Files(files, options.io)))
+    Ok(chunked(info, &first, Pages::Files(files, options.io)))
 }
 
 /// The page of a slice's file.
@@ -282,58 +282,45 @@ impl Pages {
     }
 }
 
-fn stream(info: VolumeInfo, first: &Page, pages: Pages) -> VolumeSource {
-    let row = info.dims[0].saturating_mul(info.field.scalar.bytes() as u64);
-    // Stored, decoded, and given out: a row of strips or tiles, which may be larger than the page.
-    let part_bytes = row.saturating_mul(first.part_rows()).saturating_mul(3);
-    VolumeSource::Stream(Box::new(PageSlabs { info, pages, part_bytes, z: 0, y: 0, current: None }))
+fn chunked(info: VolumeInfo, first: &Page, pages: Pages) -> VolumeSource {
+    let (row, step) = (info.dims[0].saturating_mul(info.field.scalar.bytes() as u64), first.part_rows());
+    let together = (CHUNK_BYTES / row.saturating_mul(step).max(1)).max(1);
+    let rows = step.saturating_mul(together).min(info.dims[1]);
+    // The samples, and a strip or tile before and after it is decoded: that may be larger than the page.
+    let decoding_bytes = row.saturating_mul(rows).saturating_add(first.part_bytes().saturating_mul(2));
+    VolumeSource::Chunked(Arc::new(PageChunks { info, pages, rows, decoding_bytes }))
 }
 
-/// The pages of a volume, a few strips or a row of tiles at a time.
-struct PageSlabs {
+/// The pages of a volume, some strips or a row of tiles each time.
+struct PageChunks {
     info: VolumeInfo,
     pages: Pages,
-    /// Bytes to decode a row of strips or tiles.
-    part_bytes: u64,
-    /// The next slice, and the row of it.
-    z: u64,
-    y: u64,
-    current: Option<(Tiff, Page)>,
+    /// Rows that are decoded together.
+    rows: u64,
+    decoding_bytes: u64,
 }
 
-impl SlabStream for PageSlabs {
+impl ChunkSource for PageChunks {
     fn info(&self) -> &VolumeInfo {
         &self.info
     }
 
-    fn working_bytes(&self) -> u64 {
-        self.part_bytes.saturating_add(4 * SLAB_BYTES)
+    fn chunk_dims(&self) -> [u64; 3] {
+        [self.info.dims[0], self.rows, 1]
     }
 
-    fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
+    fn decoding_bytes(&self) -> u64 {
+        self.decoding_bytes
+    }
+
+    fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
         out.clear();
-        let (d, scalar) = (self.info.dims, self.info.field.scalar);
-        if self.z == d[2] {
-            return Ok(None);
-        }
-        if self.current.is_none() {
-            let (tiff, page) = self.pages.page(self.z as usize)?;
-            // A file may have changed since it was opened.
-            same_shape(tiff.source.path(), "slice", Shape { dims: [d[0], d[1]], scalar }, page.shape)?;
-            self.current = Some((tiff, page));
-        }
-        let (tiff, page) = self.current.as_ref().expect("just made");
-        let step = page.part_rows();
-        let row_bytes = d[0] * scalar.bytes() as u64;
-        let together = (SLAB_BYTES / row_bytes.saturating_mul(step).max(1)).max(1);
-        let end = d[1].min(self.y.saturating_add(step.saturating_mul(together)));
-        page.rows(tiff, self.y, end, out)?;
-        let slab = IndexBox { lo: [0, self.y, self.z], hi: [d[0], end, self.z + 1] };
-        self.y = end;
-        if end == d[1] {
-            (self.y, self.z, self.current) = (0, self.z + 1, None);
-        }
-        Ok(Some(slab))
+        let ([x, y, _], scalar) = (self.info.dims, self.info.field.scalar);
+        let (tiff, page) = self.pages.page(at[2] as usize)?;
+        // A file may have changed since it was opened.
+        same_shape(tiff.source.path(), "slice", Shape { dims: [x, y], scalar }, page.shape)?;
+        let first = at[1].saturating_mul(self.rows).min(y);
+        page.rows(&tiff, first, first.saturating_add(self.rows).min(y), out)
     }
 }
 

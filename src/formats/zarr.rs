@@ -23,8 +23,7 @@
 //! their index, CRC32C, `transpose`, order C or F. Others are refused by name. A chunk that is not there reads as the fill value,
 //! as Zarr has it.
 //!
-//! The volume is a stream in the order of its chunks, so that each is decoded once; or its chunks are decoded as they are
-//! asked for ([`crate::volume::chunked`]). Memory: one chunk stored and decoded (of a shard, one of its chunks), and a slab
+//! Chunks are decoded in their order, each once, or as they are asked for ([`crate::volume::chunked`]). Memory: one chunk stored and decoded (of a shard, one of its chunks), and a slab
 //! of at most 4 MiB. Chunks of more than a gibibyte are refused.
 //!
 //! Our own reader, as chunks are files with compressors that we have anyway, and one chunk at a time is all that is needed.
@@ -107,7 +106,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     info.fields = infos;
     info.data_files = files(&array, frame);
     let chunks = Chunks::new(info, array, axes, frame, options.io);
-    Ok(VolumeSource::Stream(Box::new(ChunkSlabs::new(Arc::new(chunks)))))
+    Ok(VolumeSource::Chunked(Arc::new(chunks)))
 }
 
 /// The frames of the array that is `wanted`, or that is read without a choice, by the names of their fields, and their times, where OME-Zarr tells

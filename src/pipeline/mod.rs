@@ -46,8 +46,8 @@ pub use read::{
     summarize_at,
 };
 pub use reduce::{
-    AppendSettings, ReduceReport, SkippedStep, TargetReport, append, estimate, estimate_series, mesh_notices,
-    plan_path, reduce, reduce_series, scan_with_notices, work_folder,
+    AppendSettings, ReduceReport, SkippedStep, SourceChunks, TargetReport, append, estimate, estimate_series,
+    mesh_notices, plan_path, reduce, reduce_series, scan_with_notices, work_folder,
 };
 pub use settings::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, RunSettings, Target, ValueBits};
 pub use shards::{

@@ -2,16 +2,16 @@
 //!
 //! The question: a reduction reads boxes here and there, while a chunk is had only as a whole. A
 //! copy of the volume on disk would answer it, at the cost of a pass and of the disk. Instead the
-//! chunks that were decoded last are kept, and the samples of a box are gathered from them.
+//! chunks that were decoded last stay in memory, and the samples of a box are gathered from them.
 //!
-//! The method: chunks lie on a regular grid, the last ones are cut. [`ChunkedVolume`] keeps so
-//! many bytes of them; where there is no room, the chunk that was used longest ago goes. Two
+//! The method: chunks lie on a regular grid, the last ones are cut. [`ChunkedVolume`] holds so
+//! many bytes of them; beyond them, the chunk that was used longest ago goes. Two
 //! threads never decode one chunk at the same time: the second one waits for the first.
 //!
-//! The cost: bytes kept as told, and for each thread that reads what decoding takes
+//! The cost: so many bytes of chunks, and for each thread that reads what decoding takes
 //! ([`ChunkSource::decoding_bytes`]). How often a chunk is decoded depends on the order of boxes
-//! and on the room: once where all chunks that a later box needs are kept. It does not promise
-//! good use of too small a room; who makes it chooses a room that suffices.
+//! and on these bytes: once where all chunks that a later box needs are cached. It does not promise
+//! good use of too few bytes; the caller chooses enough of them. [`DecodeCount`] shows the figure.
 
 use crate::error::{Error, Result};
 use crate::grid::IndexBox;
@@ -20,6 +20,7 @@ use crate::volume::strided::convert_row;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader};
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 
 /// A volume in chunks on a regular grid, each decoded by itself.
@@ -44,6 +45,104 @@ pub trait ChunkSource: Send + Sync {
     /// # Errors
     /// When the file cannot be read or decoded.
     fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()>;
+}
+
+/// What decides how many chunks are cached, known without the file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ChunkShape {
+    /// Samples of the volume along x, y, z.
+    pub(crate) dims: [u64; 3],
+    /// Samples of a chunk, not more than the volume has.
+    pub(crate) chunk: [u64; 3],
+    sample_bytes: u64,
+    /// See [`ChunkSource::decoding_bytes`].
+    pub(crate) decoding_bytes: u64,
+}
+
+impl ChunkShape {
+    pub(crate) fn of(source: &dyn ChunkSource) -> Self {
+        let (info, chunk) = (source.info(), source.chunk_dims());
+        Self {
+            dims: info.dims,
+            chunk: std::array::from_fn(|a| chunk[a].min(info.dims[a])),
+            sample_bytes: info.field.scalar.bytes() as u64,
+            decoding_bytes: source.decoding_bytes(),
+        }
+    }
+
+    /// Chunks along x, y, z.
+    pub(crate) fn grid(&self) -> [u64; 3] {
+        std::array::from_fn(|a| self.dims[a].div_ceil(self.chunk[a]))
+    }
+
+    /// Bytes that so many chunks along x, y, z take in the cache.
+    pub(crate) fn cached_bytes(&self, count: [u64; 3]) -> u64 {
+        let one = self.chunk.iter().fold(self.sample_bytes, |n, &c| n.saturating_mul(c));
+        count.into_iter().fold(one.saturating_add(ENTRY_BYTES), u64::saturating_mul)
+    }
+
+    /// Bytes that reading chunk after chunk takes.
+    pub(crate) fn stream_bytes(&self) -> u64 {
+        self.decoding_bytes.saturating_add(2 * CHUNK_SLAB_BYTES)
+    }
+}
+
+/// How many chunks the sources of some steps have, and how often one was decoded.
+#[derive(Clone, Debug, Default)]
+pub struct DecodeCount(Arc<Counts>);
+
+#[derive(Debug, Default)]
+struct Counts {
+    chunks: AtomicU64,
+    decodes: AtomicU64,
+}
+
+impl DecodeCount {
+    /// The same source, whose decoded chunks are counted here.
+    pub fn counting(&self, source: Arc<dyn ChunkSource>) -> Arc<dyn ChunkSource> {
+        let chunks = ChunkShape::of(&*source).grid().into_iter().fold(1, u64::saturating_mul);
+        self.0.chunks.store(chunks, Ordering::Relaxed);
+        Arc::new(Counted { source, counts: self.clone() })
+    }
+
+    /// Chunks of the source that was opened last; 0 where none was.
+    pub fn chunks(&self) -> u64 {
+        self.0.chunks.load(Ordering::Relaxed)
+    }
+
+    /// How often one of them was decoded, all in all.
+    pub fn decodes(&self) -> u64 {
+        self.0.decodes.load(Ordering::Relaxed)
+    }
+}
+
+/// A source whose decoded chunks are counted.
+struct Counted {
+    source: Arc<dyn ChunkSource>,
+    counts: DecodeCount,
+}
+
+impl ChunkSource for Counted {
+    fn info(&self) -> &VolumeInfo {
+        self.source.info()
+    }
+
+    fn chunk_dims(&self) -> [u64; 3] {
+        self.source.chunk_dims()
+    }
+
+    fn together(&self) -> [u64; 3] {
+        self.source.together()
+    }
+
+    fn decoding_bytes(&self) -> u64 {
+        self.source.decoding_bytes()
+    }
+
+    fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+        self.counts.0.decodes.fetch_add(1, Ordering::Relaxed);
+        self.source.decode(at, out)
+    }
 }
 
 /// The samples of a chunk that lie in the volume; none of a chunk beyond its end.
@@ -113,11 +212,7 @@ impl SlabStream for ChunkSlabs {
     }
 
     fn working_bytes(&self) -> u64 {
-        self.source.decoding_bytes().saturating_add(2 * CHUNK_SLAB_BYTES)
-    }
-
-    fn chunks(&self) -> Option<Arc<dyn ChunkSource>> {
-        Some(Arc::clone(&self.source))
+        ChunkShape::of(&*self.source).stream_bytes()
     }
 
     fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>> {
@@ -139,30 +234,36 @@ impl SlabStream for ChunkSlabs {
     }
 }
 
+/// Bytes of a chunk's entries in the cache, besides its samples.
+const ENTRY_BYTES: u64 = 192;
+
 /// Random access to a volume of chunks.
 pub struct ChunkedVolume {
     source: Arc<dyn ChunkSource>,
-    /// Bytes of chunks that are kept, at most; one chunk at the least.
-    room: u64,
+    /// Bytes of chunks that are cached, at most; one chunk at the least.
+    most: u64,
     cache: Mutex<Cache>,
     decoded: Condvar,
 }
 
-/// Chunks that are kept or being decoded.
+/// Chunks that are cached or being decoded.
 #[derive(Default)]
 struct Cache {
     chunks: HashMap<[u64; 3], Slot>,
-    /// Those that are kept by the time of their last use, counted in uses.
+    /// The cached ones by the time of their last use, counted in uses.
     by_use: BTreeMap<u64, [u64; 3]>,
     uses: u64,
     bytes: u64,
-    decodes: u64,
+}
+
+fn cached_bytes(chunk: &[u8]) -> u64 {
+    chunk.len() as u64 + ENTRY_BYTES
 }
 
 enum Slot {
     /// By another thread.
     Decoding,
-    Kept {
+    Cached {
         bytes: Arc<Vec<u8>>,
         used: u64,
     },
@@ -170,27 +271,27 @@ enum Slot {
 
 impl Cache {
     fn remove(&mut self, at: [u64; 3]) {
-        if let Some(Slot::Kept { bytes, used }) = self.chunks.remove(&at) {
+        if let Some(Slot::Cached { bytes, used }) = self.chunks.remove(&at) {
             self.by_use.remove(&used);
-            self.bytes -= bytes.len() as u64;
+            self.bytes -= cached_bytes(&bytes);
         }
     }
 
-    fn keep(&mut self, at: [u64; 3], bytes: Arc<Vec<u8>>, room: u64) {
-        while self.bytes + bytes.len() as u64 > room
+    fn insert(&mut self, at: [u64; 3], bytes: Arc<Vec<u8>>, most: u64) {
+        while self.bytes + cached_bytes(&bytes) > most
             && let Some((_, &oldest)) = self.by_use.first_key_value()
         {
             self.remove(oldest);
         }
         self.uses += 1;
-        self.bytes += bytes.len() as u64;
+        self.bytes += cached_bytes(&bytes);
         self.by_use.insert(self.uses, at);
-        self.chunks.insert(at, Slot::Kept { bytes, used: self.uses });
+        self.chunks.insert(at, Slot::Cached { bytes, used: self.uses });
     }
 
-    /// A chunk that is kept, as the one used last.
-    fn use_kept(&mut self, at: [u64; 3]) -> Option<Arc<Vec<u8>>> {
-        let Some(Slot::Kept { bytes, used }) = self.chunks.get_mut(&at) else { return None };
+    /// A cached chunk, as the one used last.
+    fn use_cached(&mut self, at: [u64; 3]) -> Option<Arc<Vec<u8>>> {
+        let Some(Slot::Cached { bytes, used }) = self.chunks.get_mut(&at) else { return None };
         self.by_use.remove(used);
         self.uses += 1;
         *used = self.uses;
@@ -217,14 +318,9 @@ impl Drop for Claim<'_> {
 }
 
 impl ChunkedVolume {
-    /// Keeps up to `room` bytes of decoded chunks.
-    pub fn new(source: Arc<dyn ChunkSource>, room: u64) -> Self {
-        Self { source, room, cache: Mutex::default(), decoded: Condvar::new() }
-    }
-
-    /// How often chunks were decoded.
-    pub fn decodes(&self) -> u64 {
-        self.lock().decodes
+    /// Caches up to `most` bytes of decoded chunks.
+    pub fn new(source: Arc<dyn ChunkSource>, most: u64) -> Self {
+        Self { source, most, cache: Mutex::default(), decoded: Condvar::new() }
     }
 
     fn lock(&self) -> MutexGuard<'_, Cache> {
@@ -234,7 +330,7 @@ impl ChunkedVolume {
     fn chunk(&self, at: [u64; 3]) -> Result<Arc<Vec<u8>>> {
         let mut cache = self.lock();
         loop {
-            if let Some(bytes) = cache.use_kept(at) {
+            if let Some(bytes) = cache.use_cached(at) {
                 return Ok(bytes);
             }
             if !cache.chunks.contains_key(&at) {
@@ -243,13 +339,12 @@ impl ChunkedVolume {
             cache = self.decoded.wait(cache).unwrap_or_else(PoisonError::into_inner);
         }
         cache.chunks.insert(at, Slot::Decoding);
-        cache.decodes += 1;
         drop(cache);
         let _claim = Claim { volume: self, at };
         let mut bytes = vec![];
         decode(&*self.source, at, &mut bytes)?;
         let bytes = Arc::new(bytes);
-        self.lock().keep(at, Arc::clone(&bytes), self.room);
+        self.lock().insert(at, Arc::clone(&bytes), self.most);
         Ok(bytes)
     }
 
@@ -297,8 +392,8 @@ impl VolumeReader for ChunkedVolume {
     /// Chunks that lie before the end of `slices` are given up.
     fn release(&self, slices: Range<u64>) {
         let mut cache = self.lock();
-        let kept = cache.by_use.values().copied();
-        let gone: Vec<_> = kept.filter(|&at| voxels(&*self.source, at).hi[2] <= slices.end).collect();
+        let cached = cache.by_use.values().copied();
+        let gone: Vec<_> = cached.filter(|&at| voxels(&*self.source, at).hi[2] <= slices.end).collect();
         gone.into_iter().for_each(|at| cache.remove(at));
     }
 
@@ -373,9 +468,9 @@ mod tests {
     }
 
     #[test]
-    fn boxes_come_back_whatever_the_room() {
-        for room in [0, 48, 200, 1 << 20] {
-            let volume = ChunkedVolume::new(made(""), room);
+    fn boxes_come_back_however_many_chunks_are_cached() {
+        for most in [0, 48 + ENTRY_BYTES, 1000, 1 << 20] {
+            let volume = ChunkedVolume::new(made(""), most);
             for wanted in [
                 IndexBox::whole(DIMS),
                 IndexBox { lo: [3, 2, 1], hi: [5, 4, 3] },
@@ -397,13 +492,14 @@ mod tests {
                     }
                 }
             }
-            assert!(volume.lock().bytes <= room.max(48));
+            assert!(volume.lock().bytes <= most.max(48 + ENTRY_BYTES));
         }
     }
 
     #[test]
-    fn with_room_each_chunk_is_decoded_once_by_any_number_of_threads() {
-        let volume = ChunkedVolume::new(made(""), 1 << 20);
+    fn where_all_are_cached_each_chunk_is_decoded_once_by_any_number_of_threads() {
+        let count = DecodeCount::default();
+        let volume = ChunkedVolume::new(count.counting(made("")), 1 << 20);
         std::thread::scope(|threads| {
             for _ in 0..4 {
                 threads.spawn(|| {
@@ -412,7 +508,7 @@ mod tests {
                 });
             }
         });
-        assert_eq!(volume.decodes(), 2 * 2 * 3);
+        assert_eq!([count.chunks(), count.decodes()], [2 * 2 * 3; 2]);
         volume.release(0..5);
         assert_eq!(volume.lock().chunks.len(), 4, "those of the last two slices");
     }

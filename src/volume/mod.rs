@@ -1,8 +1,8 @@
 //! Volumes: what a reader tells of a structured scalar field, and how its samples are had.
 //!
-//! A format of `formats/` gives either random access (a mapped file, [`VolumeReader`]) or a sequence of slabs
-//! ([`SlabStream`]: compressed or text files). A stream is turned into random access by [`bricked`], once; a small one in memory;
-//! one whose chunks are decoded each by itself through a cache of those ([`chunked`]).
+//! A format of `formats/` gives random access (a mapped file, [`VolumeReader`]), chunks that are decoded each by itself
+//! ([`chunked`], random access through a cache of those), or a sequence of slabs ([`SlabStream`]: other compressed files, and text).
+//! A stream is turned into random access by [`bricked`], once; a small one in memory.
 
 pub mod bricked;
 pub mod chunked;
@@ -189,11 +189,6 @@ pub trait SlabStream: Send {
         4 << 20
     }
 
-    /// The same samples by chunks, where each chunk is decoded by itself.
-    fn chunks(&self) -> Option<Arc<dyn chunked::ChunkSource>> {
-        None
-    }
-
     /// The next box, its stored samples (no slope applied) as **little-endian** bytes of [`FieldInfo::scalar`], x
     /// fastest, in `out` (cleared first); `None` after the last. A box is at most a few MiB, or one row.
     ///
@@ -206,6 +201,8 @@ pub trait SlabStream: Send {
 pub enum VolumeSource {
     /// Random access, without a copy.
     Random(Box<dyn VolumeReader>),
+    /// Random access, without a copy, through a cache of decoded chunks: [`chunked::ChunkedVolume`].
+    Chunked(Arc<dyn chunked::ChunkSource>),
     /// One pass, front to back.
     Stream(Box<dyn SlabStream>),
 }
@@ -248,6 +245,7 @@ impl VolumeSource {
     pub fn info(&self) -> &VolumeInfo {
         match self {
             Self::Random(r) => r.info(),
+            Self::Chunked(c) => c.info(),
             Self::Stream(s) => s.info(),
         }
     }
@@ -256,6 +254,7 @@ impl VolumeSource {
     pub fn into_stream(self) -> Box<dyn SlabStream> {
         match self {
             Self::Random(reader) => Box::new(slabs::ReaderSlabs::new(reader)),
+            Self::Chunked(chunks) => Box::new(chunked::ChunkSlabs::new(chunks)),
             Self::Stream(stream) => stream,
         }
     }

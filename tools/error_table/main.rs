@@ -109,14 +109,14 @@ impl Volume {
         let folder = tempfile::tempdir().map_err(|e| Error::io("make a temporary folder in", &place, e))?;
         let name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
         let (mut path, mut source) = (path.to_path_buf(), open_volume(path, &OpenOptions::default())?);
-        if matches!(source, VolumeSource::Stream(_)) {
+        if !matches!(source, VolumeSource::Random(_)) {
             path = folder.path().join("copy.bricks");
             brick(source, &path, 256 << 20, &RunSettings::default().cancel, &Silent)?;
             source = open_volume(&path, &OpenOptions::default())?;
         }
         match source {
             VolumeSource::Random(reader) => Ok(Self { name, path, reader, folder }),
-            VolumeSource::Stream(_) => unreachable!("bricks are read in any order"),
+            _ => unreachable!("bricks are read in any order"),
         }
     }
 

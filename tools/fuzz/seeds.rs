@@ -226,12 +226,25 @@ fn vti() -> Vec<Vec<u8>> {
     let stored = [&48u32.to_le_bytes()[..], &data].concat();
     let packed = zlib(&data);
     let header = [1u32, 48, 0, packed.len() as u32].map(u32::to_le_bytes).concat();
-    let inline = BASE64_STANDARD.encode(header) + &BASE64_STANDARD.encode(packed);
+    let inline = BASE64_STANDARD.encode(header) + &BASE64_STANDARD.encode(&packed);
+    // Three blocks, which lie in the file as they are.
+    let blocks = |compress: fn(&[u8]) -> Vec<u8>| {
+        let blocks: Vec<Vec<u8>> = data.chunks(20).map(compress).collect();
+        let head = [3, 20, 8].into_iter().chain(blocks.iter().map(|b| b.len() as u32));
+        [head.flat_map(u32::to_le_bytes).collect(), blocks.concat()].concat()
+    };
     let text: Vec<String> = (0..24).map(|i| i.to_string()).collect();
     vec![
         file("", "ascii\"", &text.join(" "), b""),
         file("", "appended\" offset=\"0\"", "", &stored),
         file(" compressor=\"vtkZLibDataCompressor\"", "binary\"", &inline, b""),
+        file(" compressor=\"vtkZLibDataCompressor\"", "appended\" offset=\"0\"", "", &blocks(zlib)),
+        file(
+            " compressor=\"vtkLZ4DataCompressor\"",
+            "appended\" offset=\"0\"",
+            "",
+            &blocks(lz4_flex::block::compress),
+        ),
     ]
 }
 

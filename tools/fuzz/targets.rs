@@ -18,16 +18,21 @@ use isospan::formats::raw::RawLayout;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, open_mesh, open_volume};
 use isospan::geom::PointId;
+use isospan::grid::IndexBox;
 use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, SurfaceSettings, UnpackSettings};
 use isospan::points::SetKind;
 use isospan::surface::check::check;
-use isospan::volume::{ScalarType, VolumeSource};
+use isospan::volume::chunked::ChunkedVolume;
+use isospan::volume::{ScalarType, VolumeReader, VolumeSource};
 use isospan::{Error, Result};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Slabs read of a volume: enough to go through every decoder, not all of what a few bytes may expand to.
 const MOST_SLABS: usize = 8;
+/// Bytes of decoded chunks that are cached: so few that some are decoded again.
+const CACHED: u64 = 1 << 10;
 /// The most samples that are read at once at random access.
 const MOST_SAMPLES: u64 = 1 << 20;
 
@@ -41,17 +46,28 @@ pub(crate) fn volume(path: &Path, bytes: &[u8]) -> Result<()> {
         }
         other => other?,
     };
-    if let VolumeSource::Random(reader) = &source {
-        let mut voxels = isospan::grid::IndexBox::whole(reader.info().dims);
-        voxels.hi = voxels.hi.map(|h| h.min(64));
-        if voxels.checked_len().is_some_and(|n| n <= MOST_SAMPLES) {
-            reader.read_box(voxels, &mut vec![0.0; voxels.len()])?;
-        }
+    match &source {
+        VolumeSource::Random(reader) => boxes(&**reader)?,
+        VolumeSource::Chunked(chunks) => boxes(&ChunkedVolume::new(Arc::clone(chunks), CACHED))?,
+        VolumeSource::Stream(_) => {}
     }
     let (mut stream, mut slab) = (source.into_stream(), vec![]);
     for _ in 0..MOST_SLABS {
         if stream.next_slab(&mut slab)?.is_none() {
             break;
+        }
+    }
+    Ok(())
+}
+
+/// Reads the first samples of a volume, and the last.
+fn boxes(reader: &dyn VolumeReader) -> Result<()> {
+    let d = reader.info().dims;
+    let first = IndexBox { lo: [0; 3], hi: d.map(|d| d.min(64)) };
+    let last = IndexBox { lo: d.map(|d| d.saturating_sub(5)), hi: d };
+    for voxels in [first, last] {
+        if voxels.checked_len().is_some_and(|n| n <= MOST_SAMPLES) {
+            reader.read_box(voxels, &mut vec![0.0; voxels.len()])?;
         }
     }
     Ok(())

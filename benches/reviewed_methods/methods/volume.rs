@@ -26,12 +26,12 @@ impl Volume {
         let folder = tempfile::tempdir().map_err(|e| Error::io("make a temporary folder in", &place, e))?;
         let reader = match open_volume(path, &OpenOptions::default())? {
             VolumeSource::Random(reader) => reader,
-            stream => {
+            packed => {
                 let copy = folder.path().join("copy.bricks");
-                brick(stream, &copy, 256 << 20, &CancelToken::new(), &Silent)?;
+                brick(packed, &copy, 256 << 20, &CancelToken::new(), &Silent)?;
                 match open_volume(&copy, &OpenOptions::default())? {
                     VolumeSource::Random(reader) => reader,
-                    VolumeSource::Stream(_) => unreachable!("bricks are read in any order"),
+                    _ => unreachable!("bricks are read in any order"),
                 }
             }
         };

@@ -25,7 +25,8 @@ fn values(source: VolumeSource) -> Vec<f32> {
     let mut values = vec![f32::NAN; whole.len()];
     match source {
         VolumeSource::Random(reader) => reader.read_box(whole, &mut values).unwrap(),
-        VolumeSource::Stream(mut stream) => {
+        other => {
+            let mut stream = other.into_stream();
             let (mut bytes, mut filled) = (vec![], 0);
             while let Some(slab) = stream.next_slab(&mut bytes).unwrap() {
                 let mut part = vec![0.0; slab.len()];
@@ -271,8 +272,8 @@ fn survives(path: &Path, fields: &[&str]) {
                 let voxels = IndexBox::whole(d);
                 reader.read_box(voxels, &mut vec![0.0; voxels.len()])
             }
-            VolumeSource::Stream(mut stream) => {
-                let mut bytes = vec![];
+            other => {
+                let (mut stream, mut bytes) = (other.into_stream(), vec![]);
                 // A damaged shape may be a large one, of chunks that are not there.
                 for _ in 0..20 {
                     if stream.next_slab(&mut bytes)?.is_none() {
@@ -325,10 +326,11 @@ fn damaged_samples_are_found_by_their_checksum() {
         damaged[at] ^= 0x10;
         let options = OpenOptions { field: Some("group/i8_chunks".into()), ..OpenOptions::default() };
         let path = write(&dir, "a.h5", &damaged);
-        let Ok(VolumeSource::Stream(mut stream)) = open_volume(&path, &options) else {
+        let Ok(source) = open_volume(&path, &options) else {
             refused += 1;
             continue;
         };
+        let mut stream = source.into_stream();
         let (mut out, mut all) = (vec![], vec![]);
         match std::iter::from_fn(|| stream.next_slab(&mut out).map(|s| s.map(|_| out.clone())).transpose())
             .collect::<Result<Vec<_>>>()

@@ -184,6 +184,11 @@ impl Page {
         self.part[1]
     }
 
+    /// Bytes of a strip or tile.
+    pub(super) fn part_bytes(&self) -> u64 {
+        self.part[0] * self.part[1] * self.shape.scalar.bytes() as u64
+    }
+
     /// Where the samples start, if they lie in the file as they are, row after row.
     pub(super) fn in_place(&self) -> Option<u64> {
         let row = self.shape.dims[0] * self.shape.scalar.bytes() as u64;
@@ -203,15 +208,17 @@ impl Page {
         Some(first)
     }
 
-    /// Decodes the strips or tiles of the rows from `y0` (a multiple of [`Page::part_rows`]) to `y1`: little-endian
-    /// samples, as wide as the page, appended to `out`.
+    /// Decodes the strips or tiles of the rows from `y0` to `y1`: little-endian samples, as wide as the page, appended to
+    /// `out`. Each is decoded once where these are multiples of [`Page::part_rows`].
     pub(super) fn rows(&self, tiff: &Tiff, y0: u64, y1: u64, out: &mut Vec<u8>) -> Result<()> {
         let size = self.shape.scalar.bytes();
         let width = self.shape.dims[0] as usize * size;
         let mut part = vec![];
         let [across, _] = self.parts();
         for y in y0 / self.part[1]..y1.div_ceil(self.part[1]) {
-            let rows = (y1.min((y + 1) * self.part[1]) - y * self.part[1]) as usize;
+            let part_y = y * self.part[1];
+            let before = y0.saturating_sub(part_y) as usize;
+            let rows = (y1.min(part_y + self.part[1]) - part_y) as usize - before;
             let start = out.len();
             if across > 1 {
                 // Memory as its tiles arrive is not possible: they are interleaved. Each has been claimed by a length.
@@ -223,10 +230,11 @@ impl Page {
                 let stored = self.part[0] as usize * size;
                 let left = (x * self.part[0]) as usize * size;
                 let used = stored.min(width - left);
+                let stored_rows = part.chunks_exact(stored).skip(before);
                 if across == 1 {
-                    part.chunks_exact(stored).take(rows).for_each(|r| out.extend_from_slice(&r[..used]));
+                    stored_rows.take(rows).for_each(|r| out.extend_from_slice(&r[..used]));
                 } else {
-                    let lines = out[start..].chunks_exact_mut(width).zip(part.chunks_exact(stored));
+                    let lines = out[start..].chunks_exact_mut(width).zip(stored_rows);
                     lines.for_each(|(to, from)| to[left..left + used].copy_from_slice(&from[..used]));
                 }
             }

@@ -1,6 +1,7 @@
 use super::super::tests::{read_all, survives, torture, write};
 use super::*;
 use crate::formats::open_volume;
+use crate::grid::IndexBox;
 use crate::volume::ScalarType;
 use std::io::Write;
 
@@ -264,6 +265,22 @@ fn every_way_of_writing_gives_the_same_samples() {
                 assert_eq!((info.dims, info.field.scalar), ([7, 5, 3], scalar));
                 assert_eq!(values, expected(3), "{compression} {tile:?} {scalar:?} {big_endian} {big}");
             }
+        }
+    }
+}
+
+#[test]
+fn rows_of_a_page_begin_anywhere() {
+    for (tile, rows_per_strip) in [(None, 2), (Some([4, 3]), 0), (Some([16, 16]), 0)] {
+        let style = Style { compression: 8, tile, rows_per_strip, ..PLAIN };
+        let bytes = pages(style, ScalarType::U16, 2, &[]);
+        let tiff = Tiff::open(Arc::new(ByteSource::from_vec("a.tif", bytes))).unwrap();
+        let page = Page::parse(&tiff, tiff.places().unwrap()[1]).unwrap();
+        let all = slice(DIMS, ScalarType::U16, 1);
+        for (y0, y1) in (0..5).flat_map(|y0| (y0 + 1..=5).map(move |y1| (y0, y1))) {
+            let mut out = vec![];
+            page.rows(&tiff, y0 as u64, y1 as u64, &mut out).unwrap();
+            assert_eq!(out, all[y0 * 14..y1 * 14], "{y0} to {y1}, {tile:?}");
         }
     }
 }

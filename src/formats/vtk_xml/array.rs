@@ -11,7 +11,7 @@
 //! is base64 text in the element; `format="appended"` lies behind the head, raw or base64.
 //!
 //! The lengths of the blocks are not kept: a second cursor walks over their table while the first walks over the
-//! blocks. A zlib block is inflated piece by piece; an LZ4 block must be decoded whole, so that its length is the one
+//! blocks; a [`BlockArray`] keeps their places instead. A zlib block is inflated piece by piece; an LZ4 block must be decoded whole, so that its length is the one
 //! length of a header that memory is reserved for: at most 255 times its compressed length (what LZ4 can reach) and
 //! [`MOST_LZ4_BLOCK`].
 
@@ -188,6 +188,106 @@ impl ArrayStream {
     }
 }
 
+/// Blocks of more bytes than this are decoded front to back alone, and so are more of them.
+const MOST_RANDOM_BLOCK: u64 = 4 << 20;
+const MOST_RANDOM_BLOCKS: u64 = 8 << 20;
+
+/// A block-compressed array that lies in the file as it is (appended, raw): any of its values, by way of the blocks around them.
+pub(super) struct BlockArray {
+    scalar: ScalarType,
+    /// As the array is opened, before the first block.
+    lengths: Stored,
+    data: Stored,
+    /// Where each block begins, counted from the first one.
+    places: Vec<u64>,
+    full: u64,
+    last: u64,
+    wide: bool,
+    big_endian: bool,
+    compressor: Compressor,
+}
+
+impl BlockArray {
+    /// The array of an element, which must hold `bytes` bytes; `None` of one that has to be decoded front to back.
+    ///
+    /// # Errors
+    /// As [`ArrayStream::open`].
+    pub(super) fn open(
+        doc: &Document,
+        element: &Element,
+        scalar: ScalarType,
+        bytes: u64,
+    ) -> Result<Option<Self>> {
+        let raw = doc.appended.is_some_and(|a| !a.base64) && element.attribute("format") == Some("appended");
+        if !raw || doc.compressor == Compressor::None || bytes == 0 {
+            return Ok(None);
+        }
+        let Place::Binary(stored) = place(doc, element)? else { return Ok(None) };
+        let mut blocks = Blocks::open(doc, stored)?;
+        check_length(doc, element, blocks.total(), bytes)?;
+        check_room(doc, element, blocks.data.most_left().saturating_mul(BEST_RATIO), bytes)?;
+        if blocks.full > MOST_RANDOM_BLOCK || blocks.to_come > MOST_RANDOM_BLOCKS {
+            return Ok(None);
+        }
+        let (lengths, most, mut places, mut at) =
+            (blocks.lengths.clone(), blocks.data.most_left(), vec![], 0u64);
+        for _ in 0..blocks.to_come {
+            places.push(at);
+            let length = blocks.length()?;
+            at = at.checked_add(length).filter(|&end| end <= most).ok_or_else(|| {
+                let got = format!("{length} bytes, more than the file has left");
+                blocks.data.wrong("the compressed length of a block", got)
+            })?;
+        }
+        let Blocks { data, full, last, wide, big_endian, .. } = blocks;
+        let compressor = doc.compressor;
+        Ok(Some(Self { scalar, lengths, data, places, full, last, wide, big_endian, compressor }))
+    }
+
+    /// Bytes of a block.
+    pub(super) fn block_bytes(&self) -> u64 {
+        self.full
+    }
+
+    /// Bytes of memory that [`BlockArray::fill`] takes, at most.
+    pub(super) fn working_bytes(&self) -> u64 {
+        // The blocks at both ends are decoded whole, an LZ4 block also before it is given out.
+        DECODER + 3 * self.full + longest_lz4(self.full) + 8 * self.places.len() as u64
+    }
+
+    /// Fills `out` with the values from byte `at` of the array on. Blocks are decoded, and checked, to their ends.
+    ///
+    /// # Errors
+    /// [`Error::BadInput`](crate::Error::BadInput) when they cannot be decoded.
+    pub(super) fn fill(&self, at: u64, out: &mut [u8]) -> Result<()> {
+        let first = at / self.full;
+        let mut blocks = self.blocks_from(first);
+        blocks.fill(&mut vec![0; (at - first * self.full) as usize])?;
+        blocks.fill(out)?;
+        blocks.fill(&mut vec![0; blocks.left as usize])?;
+        blocks.end_block()?;
+        if self.big_endian {
+            out.chunks_exact_mut(self.scalar.bytes()).for_each(<[u8]>::reverse);
+        }
+        Ok(())
+    }
+
+    fn blocks_from(&self, number: u64) -> Blocks {
+        let word = if self.wide { 8 } else { 4 };
+        Blocks {
+            lengths: self.lengths.from(number * word),
+            data: self.data.from(self.places[number as usize]),
+            full: self.full,
+            last: self.last,
+            to_come: self.places.len() as u64 - number,
+            wide: self.wide,
+            big_endian: self.big_endian,
+            codec: Codec::new(self.compressor),
+            left: 0,
+        }
+    }
+}
+
 /// The byte of the file where the array's values lie one after another, where they do: appended, raw, uncompressed.
 pub(super) fn in_place(doc: &Document, element: &Element, bytes: u64) -> Result<Option<u64>> {
     let raw = doc.appended.is_some_and(|a| !a.base64) && doc.compressor == Compressor::None;
@@ -291,6 +391,15 @@ enum Codec {
     },
 }
 
+impl Codec {
+    fn new(compressor: Compressor) -> Self {
+        if compressor == Compressor::Lz4 {
+            return Self::Lz4 { block: vec![], input: vec![] };
+        }
+        Self::Zlib { inflate: Box::new(Decompress::new(true)), compressed: 0, input: vec![], used: 0 }
+    }
+}
+
 impl Blocks {
     fn open(doc: &Document, mut stored: Stored) -> Result<Self> {
         let (count, full, partial) =
@@ -304,13 +413,7 @@ impl Blocks {
             let got = format!("{count} blocks of {full} bytes, the last of {partial}");
             return Err(stored.wrong("lengths of blocks", got));
         }
-        let codec = match doc.compressor {
-            Compressor::Lz4 => Codec::Lz4 { block: vec![], input: vec![] },
-            _ => {
-                let inflate = Box::new(Decompress::new(true));
-                Codec::Zlib { inflate, compressed: 0, input: vec![], used: 0 }
-            }
-        };
+        let codec = Codec::new(doc.compressor);
         let (wide, big_endian) = (doc.wide, doc.big_endian);
         Ok(Self { lengths, data: stored, full, last, to_come: count, wide, big_endian, codec, left: 0 })
     }

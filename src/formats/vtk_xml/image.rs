@@ -1,6 +1,6 @@
 //! Images: extents, pieces, the choice of a field, and pieces as one stream of slabs.
 
-use super::array::{ArrayStream, in_place, scalar_type};
+use super::array::{ArrayStream, BlockArray, in_place, scalar_type};
 use super::head::{Document, Element};
 use crate::bytes::ByteSource;
 use crate::cells::{Center, GHOSTS, HIDDEN};
@@ -9,6 +9,7 @@ use crate::formats::centers::{Picked, first_sample, pick, samples};
 use crate::formats::header;
 use crate::formats::stream::sample_bytes;
 use crate::grid::{Geometry, IndexBox};
+use crate::volume::chunked::ChunkSource;
 use crate::volume::slabs::SlabWalk;
 use crate::volume::strided::StridedVolume;
 use crate::volume::{FieldInfo, ScalarType, SlabStream, VolumeInfo, VolumeSource};
@@ -47,6 +48,10 @@ pub(super) fn open(source: &Arc<ByteSource>, wanted: Option<&str>) -> Result<Vol
             let strides = strides.expect("the size of the samples was checked");
             let volume = StridedVolume::new(info, Arc::clone(source), offset, doc.big_endian, strides)?;
             return Ok(VolumeSource::Random(Box::new(volume)));
+        }
+        let blocks = BlockArray::open(&doc, element, info.field.scalar, only.bytes(&info.field))?;
+        if let Some(array) = blocks {
+            return Ok(VolumeSource::Chunked(Arc::new(BlockChunks::new(info, array))));
         }
     }
     Ok(VolumeSource::Stream(Box::new(PieceSlabs::new(doc, info, &whole, center)?)))
@@ -297,6 +302,52 @@ pub(super) fn how_stored(doc: &Document, element: Option<&Element>) -> String {
         _ => return "ascii".into(),
     };
     format!("{place}, {}", doc.layout)
+}
+
+/// The least bytes that are decoded together, and the least blocks: those at both ends are decoded for their neighbours too.
+const CHUNK_BYTES: u64 = 256 << 10;
+const BLOCKS_TOGETHER: u64 = 8;
+
+/// The samples of one piece whose blocks lie in the file as they are: some rows or slices each time.
+struct BlockChunks {
+    info: VolumeInfo,
+    array: BlockArray,
+    chunk: [u64; 3],
+}
+
+impl BlockChunks {
+    fn new(info: VolumeInfo, array: BlockArray) -> Self {
+        let [x, y, z] = info.dims;
+        let row = x * info.field.scalar.bytes() as u64;
+        let bytes = CHUNK_BYTES.max(array.block_bytes().saturating_mul(BLOCKS_TOGETHER));
+        let rows = (bytes / row).clamp(1, y);
+        let slices = if rows == y { (bytes / (row * y)).clamp(1, z) } else { 1 };
+        Self { info, array, chunk: [x, rows, slices] }
+    }
+}
+
+impl ChunkSource for BlockChunks {
+    fn info(&self) -> &VolumeInfo {
+        &self.info
+    }
+
+    fn chunk_dims(&self) -> [u64; 3] {
+        self.chunk
+    }
+
+    fn decoding_bytes(&self) -> u64 {
+        let chunk = self.chunk.iter().product::<u64>() * self.info.field.scalar.bytes() as u64;
+        chunk.saturating_add(self.array.working_bytes())
+    }
+
+    fn decode(&self, at: [u64; 3], out: &mut Vec<u8>) -> Result<()> {
+        let (d, size) = (self.info.dims, self.info.field.scalar.bytes());
+        let lo: [u64; 3] = std::array::from_fn(|a| (at[a] * self.chunk[a]).min(d[a]));
+        let part = IndexBox { lo, hi: std::array::from_fn(|a| (lo[a] + self.chunk[a]).min(d[a])) };
+        out.clear();
+        out.resize(part.len() * size, 0);
+        self.array.fill((IndexBox::whole(d).offset(lo) * size) as u64, out)
+    }
 }
 
 /// The samples of one or several pieces as slabs of the whole image, in its order. A piece is decoded front to back,

@@ -48,6 +48,12 @@ impl Stored {
         Self { source: Arc::clone(source), at, end, base64: Some(Decoded::default()) }
     }
 
+    /// The plain bytes that follow after so many.
+    pub(super) fn from(&self, bytes: u64) -> Self {
+        assert!(self.base64.is_none() && bytes <= self.end - self.at, "a place among plain bytes");
+        Self { at: self.at + bytes, ..self.clone() }
+    }
+
     /// More bytes than this do not follow.
     pub(super) fn most_left(&self) -> u64 {
         (self.end - self.at) + self.base64.as_ref().map_or(0, |d| (d.bytes.len() - d.used) as u64)

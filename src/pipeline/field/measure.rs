@@ -24,8 +24,8 @@ use crate::grid::Geometry;
 use crate::locate::{FINE_BITS, FinePos};
 use crate::measure::{BrickErrors, BrickRecord, ErrorSums, FieldError, LevelError, Tally, Worst, merged};
 use crate::pipeline::chunk::{Cells, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of};
-use crate::pipeline::inputs::{Reading, random_access};
-use crate::pipeline::plan::{Attachments, MOST_STEPS_AT_ONCE, estimate, fingerprint};
+use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
+use crate::pipeline::plan::{Attachments, Halo, MOST_STEPS_AT_ONCE, estimate, fingerprint};
 use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepChoice, Visit};
 use crate::pipeline::settings::RunSettings;
 use crate::volume::{VolumeReader, VolumeSource};
@@ -243,7 +243,14 @@ fn against_volume(
         keep_going: false,
         cancel: settings.cancel.clone(),
     };
-    let (reader, _scratch) = random_access(volume, &run, progress)?;
+    let of_map = if settings.map.is_some() { map_bytes(settings.memory) } else { 0 };
+    let visit = Visit::new(archive, Blocks::All, settings.threads, 0, &settings.cancel)?;
+    let least = visit.least(EXTRA) + estimate::BASE + of_map;
+    let boxes = boxes_of_chunks(&archive.points, &archive.chunks, Halo::of(&archive.manifest.plan));
+    let cache = ChunkCache::fitting(&volume, boxes, least, &run);
+    let (reader, _scratch) = random_access(volume, cache.map(|c| c.size), &run, progress)?;
+    let held = cache.map_or(0, |c| c.held);
+    let settings = &MeasureSettings { memory: settings.memory - held, ..settings.clone() };
     let reading = Reading::of(&archive.step().plan);
     let (reader, missing, stand_in) = (reading.reader(reader), reading.missing(), reading.stand_in());
     let originals = Originals::Volume { reader: &*reader, missing, stand_in };

@@ -7,6 +7,7 @@ use crate::grid::IndexBox;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::settings::RunSettings;
 use crate::volume::bricked::BrickedVolume;
+use crate::volume::chunked::ChunkShape;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -87,42 +88,42 @@ impl SlabStream for Stoppable {
 
 /// Bytes of the copy that is made of a volume without random access, and memory to make it in; 0 of others.
 pub(in crate::pipeline) fn copy_bytes(source: &VolumeSource) -> (u64, u64) {
-    match source {
-        VolumeSource::Random(_) => (0, 0),
-        VolumeSource::Stream(stream) => {
-            let info = stream.info();
-            // Bricks at the border are padded, and each has a checksum.
-            let samples = info.dims.iter().map(|&d| d as f64).product::<f64>();
-            let bytes = (samples * info.field.scalar.bytes() as f64 * 1.1) as u64 + (1 << 20);
-            (bytes, copying_bytes(&**stream) + COPY_BUFFER)
-        }
+    if let VolumeSource::Random(_) = source {
+        return (0, 0);
     }
+    let info = source.info();
+    // Bricks at the border are padded, and each has a checksum.
+    let samples = info.dims.iter().map(|&d| d as f64).product::<f64>();
+    let bytes = (samples * info.field.scalar.bytes() as f64 * 1.1) as u64 + (1 << 20);
+    (bytes, copying_bytes(source) + COPY_BUFFER)
 }
 
 /// The least that slices are collected in while a stream is copied into bricks.
 const COPY_BUFFER: u64 = 8 << 20;
 
-/// Memory that copying a stream into bricks takes, beside the slices that are collected: the decoder, a checksum a brick.
-fn copying_bytes(stream: &dyn SlabStream) -> u64 {
-    let bricks = stream.info().dims.iter().map(|d| d.div_ceil(32)).fold(1, u64::saturating_mul);
-    estimate::BASE.saturating_add(stream.working_bytes()).saturating_add(bricks.saturating_mul(8))
+/// Memory that copying into bricks takes, besides the slices that are collected: the decoder, a checksum a brick.
+fn copying_bytes(source: &VolumeSource) -> u64 {
+    let bricks = source.info().dims.iter().map(|d| d.div_ceil(32)).fold(1, u64::saturating_mul);
+    let decoder = match source {
+        VolumeSource::Random(_) => 0,
+        VolumeSource::Chunked(chunks) => ChunkShape::of(&**chunks).stream_bytes(),
+        VolumeSource::Stream(stream) => stream.working_bytes(),
+    };
+    estimate::BASE.saturating_add(decoder).saturating_add(bricks.saturating_mul(8))
 }
 
-/// A stream is copied into bricks first; the copy is removed when the second value is dropped.
-pub(in crate::pipeline) fn random_access(
+/// Copies a volume into bricks in the scratch folder; the copy is removed when the second value is dropped.
+pub(super) fn copied(
     source: VolumeSource,
     run: &RunSettings,
     progress: &dyn Progress,
 ) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
-    let room = match source {
-        VolumeSource::Random(reader) => return Ok((reader, None)),
-        VolumeSource::Stream(ref stream) => run.memory.saturating_sub(copying_bytes(&**stream)),
-    };
+    let rest = run.memory.saturating_sub(copying_bytes(&source));
     let folder = run.scratch_folder();
     // What runs that were killed while they copied have left.
     publish::sweep(&folder);
     let scratch = Scratch::new(&folder);
-    brick_with(BrickedVolume::build_scratch, source, &scratch.0, room / 2, &run.cancel, progress)?;
+    brick_with(BrickedVolume::build_scratch, source, &scratch.0, rest / 2, &run.cancel, progress)?;
     let reader = BrickedVolume::open(&scratch.0)?;
     // An open file without a name is gone with the process, however that ends.
     #[cfg(unix)]

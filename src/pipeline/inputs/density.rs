@@ -1,6 +1,6 @@
 //! Levels for a volume, or for a series of them: one pass over the samples of each step ([`crate::density`]).
 
-use super::bricked_copy::random_access;
+use super::access::{ChunkCache, ReadBox, random_access};
 use super::shift::{Reading, treat_missing};
 use crate::density::{Bend, BlockErrors, Choice, ErrorCurves};
 use crate::error::{Error, Result};
@@ -34,11 +34,28 @@ struct Found {
     range: Option<[f32; 2]>,
 }
 
+/// Memory to find errors in.
+fn needed(lattice: Lattice) -> u64 {
+    estimate::BASE + ErrorCurves::bytes_for(lattice) + BLOCKS_AT_ONCE * BLOCK_BYTES
+}
+
+/// Most blocks that are looked at for how many chunks of a source meet one.
+const MOST_LOOKED_AT: u64 = 1 << 16;
+
+/// The samples of all blocks, or of some that stand for all.
+fn boxes_of(blocks: &BrickGrid) -> impl Iterator<Item = ReadBox> + use<'_> {
+    let step = blocks.len().div_ceil(MOST_LOOKED_AT).max(1);
+    (0..blocks.len()).step_by(step as usize).map(|block| {
+        let samples = BlockErrors::samples_of(blocks, BrickId(block));
+        ReadBox { samples, own: samples }
+    })
+}
+
 impl<'a> Errors<'a> {
     /// # Errors
     /// [`Error::Budget`] when the memory does not hold the curves.
     pub(in crate::pipeline) fn new(lattice: Lattice, adapt: &'a Adapt, run: &'a RunSettings) -> Result<Self> {
-        let needed = estimate::BASE + ErrorCurves::bytes_for(lattice) + BLOCKS_AT_ONCE * BLOCK_BYTES;
+        let needed = needed(lattice);
         if run.memory < needed {
             let what = "memory (to find where points are needed)".into();
             return Err(Error::Budget { what, needed, available: run.memory });
@@ -46,11 +63,12 @@ impl<'a> Errors<'a> {
         Ok(Self { adapt, run, curves: ErrorCurves::new(lattice), bend: Bend::default(), range: None })
     }
 
-    /// Adds the errors of a step. One without random access is copied into bricks for that.
+    /// Adds the errors of a step.
     pub(in crate::pipeline) fn add(&mut self, source: VolumeSource, reading: Reading) -> Result<()> {
-        let (reader, _copy) = random_access(source, self.run, &Silent)?;
-        let reader = reading.reader(reader);
         let blocks = BlockErrors::blocks(self.curves.cells());
+        let cache = ChunkCache::fitting(&source, boxes_of(&blocks), needed(blocks.lattice), self.run);
+        let (reader, _copy) = random_access(source, cache.map(|c| c.size), self.run, &Silent)?;
+        let reader = reading.reader(reader);
         let pool = pool(self.run.worker_threads())?;
         for first in (0..blocks.len()).step_by(BLOCKS_AT_ONCE as usize) {
             self.run.cancel.check()?;

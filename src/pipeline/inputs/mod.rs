@@ -1,8 +1,9 @@
 //! What is found out about inputs before a plan is made: their range, their offset, where they bend.
 //!
-//! Each pass reads a source from front to back, or a bounded part of it. A source without random
-//! access is copied into bricks ([`bricked_copy`]).
+//! Each pass reads a source from front to back, or a bounded part of it. Where samples are needed in
+//! any order, [`access`] says how they are had.
 
+mod access;
 mod bend;
 mod bricked_copy;
 mod density;
@@ -11,7 +12,8 @@ mod scan;
 mod shift;
 mod survey;
 
-pub(super) use bricked_copy::{Scratch, copy_bytes, random_access};
+pub(super) use access::{ChunkCache, boxes_of_chunks, cache_sizes, most_cached, random_access};
+pub(super) use bricked_copy::{Scratch, copy_bytes};
 pub use bricked_copy::{brick, is_bricked};
 pub(super) use density::Errors;
 pub(super) use mesh_density::{MeshChoice, MeshCurves};

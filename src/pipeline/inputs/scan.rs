@@ -126,7 +126,7 @@ pub fn scan(source: VolumeSource) -> Result<(VolumeInfo, Scan)> {
             return Ok((info, counter.finish()));
         }
         VolumeSource::Random(reader) => scan_random(&*reader, &mut counter)?,
-        VolumeSource::Stream(mut stream) => scan_stream(&mut *stream, &mut counter)?,
+        other => scan_stream(&mut *other.into_stream(), &mut counter)?,
     }
     let scan = counter.finish();
     let told = |v: Option<f64>| v.map(|v| shortest(v as f32));

@@ -41,7 +41,7 @@ impl Shift {
         // Of a reader that has values alone, those.
         let info = match &source {
             VolumeSource::Random(reader) => reader.stored_info(),
-            VolumeSource::Stream(stream) => stream.info().clone(),
+            other => other.info().clone(),
         };
         let VolumeInfo { path, slope, intercept, field, .. } = info;
         if !may_need_offset(field.scalar, slope, intercept) && offset.is_none_or(|o| o == 0.0) {

@@ -364,7 +364,8 @@ pub(in crate::pipeline) fn survey_volume(source: VolumeSource, budget: u64) -> R
     let budget = budget.min(BUDGET);
     match source {
         VolumeSource::Random(reader) => survey_reader(&*reader, budget),
-        VolumeSource::Stream(mut stream) => {
+        other => {
+            let mut stream = other.into_stream();
             let mut watch = Watch::new(stream.info(), budget);
             let (mut bytes, mut done) = (vec![], 0);
             while done < STREAM_SAMPLES
@@ -407,7 +408,8 @@ pub(in crate::pipeline) fn watched(source: VolumeSource) -> Result<(VolumeSource
             let survey = survey_reader(&*reader, BUDGET)?;
             (VolumeSource::Random(reader), Watched::Done(survey))
         }
-        VolumeSource::Stream(stream) => {
+        other => {
+            let stream = other.into_stream();
             let watch = Arc::new(Mutex::new(Watch::new(stream.info(), BUDGET)));
             let seeing = Box::new(Seeing { stream, watch: Arc::clone(&watch) });
             (VolumeSource::Stream(seeing), Watched::Reading(watch))

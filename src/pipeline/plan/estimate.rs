@@ -7,7 +7,8 @@
 //!         + workers · room          a chunk at work: its points, their tetrahedra, its values, its blocks
 //!         + workers · beside        its values at further steps; samples of the source, errors
 //!         + workers · 3 products    encoded chunks that wait for their turn to be written
-//!         + cache                   decoded chunks of the source: see `reduce::cached`
+//!         + steps · cache           decoded chunks of each step's source: see `inputs::access`
+//!         + workers · decoding      a chunk of a source while it is decoded
 //!  memory >= BASE + decoder         before: a stream is copied into bricks, chunk by chunk of its own
 //!  memory >= BASE + index           afterwards, when the first two are gone: see below
 //! ```
@@ -197,10 +198,24 @@ pub(in crate::pipeline) struct Need {
     /// Points of the largest chunk, encoded with the values of so many steps.
     core_points: u64,
     steps: u64,
+    held: Held,
     /// Samples of a window, where values are fitted to those.
     window: u64,
     /// Of the index.
     entries: u64,
+}
+
+/// What is in memory besides the chunks at work.
+#[derive(Clone, Copy, Debug, Default)]
+pub(in crate::pipeline) struct Held {
+    /// Bytes that are there all the time.
+    pub(in crate::pipeline) always: u64,
+    /// Bytes of decoded chunks that are cached of the source of each step.
+    pub(in crate::pipeline) by_step: u64,
+    /// Bytes that those of several steps may have together.
+    pub(in crate::pipeline) most: u64,
+    /// Bytes in which each worker decodes a chunk of a source.
+    pub(in crate::pipeline) by_worker: u64,
 }
 
 impl Need {
@@ -227,6 +242,7 @@ impl Need {
             region_points,
             core_points,
             steps: 1,
+            held: Held::default(),
             window: match parts.halo {
                 Halo::Owned => 0,
                 Halo::Stars => window_edge(parts.chunks.bricks().voxels()).iter().product(),
@@ -235,15 +251,11 @@ impl Need {
         }
     }
 
-    /// The same where so many bytes more are there all the time.
-    pub(super) fn holding(self, bytes: u64) -> Self {
-        Self { base: self.base.saturating_add(bytes), ..self }
-    }
-
     /// The same with as many of `steps` made at a time, at most `most`, as takes the least time: more of them make fewer passes over the
     /// mesh, but the memory that they take may cost threads.
     pub(super) fn with_steps(self, steps: u64, most: u64, memory: u64, threads: usize) -> Self {
         let of = |steps| Self { steps, ..self };
+        let most = self.held.most.checked_div(self.held.by_step).map_or(most, |n| n.clamp(1, most));
         let useful = (threads as u64).min(self.chunks).max(1);
         let choices = (1..=useful).rev().filter_map(|workers| {
             let need = (1..=most.min(steps)).rev().map(of).find(|need| need.of_workers(workers) <= memory)?;
@@ -265,11 +277,18 @@ impl Need {
         self.steps as usize
     }
 
+    /// What is there all the time while chunks are made.
+    fn base(&self) -> u64 {
+        let Held { always, by_step, .. } = self.held;
+        self.base.saturating_add(always).saturating_add(by_step.saturating_mul(self.steps))
+    }
+
     fn product(&self) -> u64 {
         product_bytes(self.core_points, self.steps)
     }
 
-    /// Bytes beside a chunk's room: the values of the steps after the first, and what measures the errors of all.
+    /// Bytes beside a chunk's room: the values of the steps after the first, what measures the errors of all, and what decodes
+    /// samples.
     fn beside(&self) -> u64 {
         let (further, sides) = (self.steps - 1, if self.steps > 1 { self.steps.div_ceil(8) } else { 0 });
         let (per_point, window) = match self.window {
@@ -282,17 +301,18 @@ impl Need {
                 (per_point, window.saturating_mul(4 * further.min(7)))
             }
         };
-        per_point.saturating_mul(self.region_points).saturating_add(error_bytes(self.steps).max(window))
+        let work = error_bytes(self.steps).max(window).saturating_add(self.held.by_worker);
+        per_point.saturating_mul(self.region_points).saturating_add(work)
     }
 
     fn of_workers(&self, workers: u64) -> u64 {
         let each = self.room.saturating_add(self.beside()).saturating_add(WAITING * self.product());
-        self.base.saturating_add(each.saturating_mul(workers).max(BuildSettings::LEAST_MEMORY))
+        self.base().saturating_add(each.saturating_mul(workers).max(BuildSettings::LEAST_MEMORY))
     }
 
     /// Scratch space with which the index is built, where `memory` does not hold it.
     fn index_scratch(&self, memory: u64) -> u64 {
-        let room = memory.saturating_sub(self.base + BuildSettings::LEAST_MEMORY);
+        let room = memory.saturating_sub(self.base + self.held.always + BuildSettings::LEAST_MEMORY);
         if self.entries * INDEX_ENTRY <= room { 0 } else { self.entries * INDEX_ENTRY_ON_DISK }
     }
 
@@ -322,22 +342,24 @@ impl Need {
         let useful = (threads as u64).min(self.chunks).max(1);
         let workers = (1..=useful).rev().find(|&w| self.of_workers(w) <= memory).unwrap_or(1);
         let queue = workers * WAITING * self.product();
-        let (beside, each) = (self.beside(), (memory - self.base - queue) / workers);
-        Ok(Shares { base: self.base, workers: workers as usize, room: each - beside, queue, beside })
+        let (base, beside) = (self.base(), self.beside());
+        let each = (memory - base - queue) / workers;
+        Ok(Shares { base, workers: workers as usize, room: each - beside, queue, beside })
     }
 }
 
-/// What the chunks need beside `held` bytes, with as many steps at a time as the memory allows.
+/// What the chunks need, and what is held besides, with as many steps at a time as the memory allows.
 pub(in crate::pipeline) fn need_of(
     parts: &MeshParts,
-    held: u64,
+    held: Held,
     steps: usize,
     memory: u64,
     run: &RunSettings,
 ) -> Need {
     let few = parts.points.len() <= FEW_POINTS;
     let most = if few { MOST_SMALL_STEPS_AT_ONCE } else { MOST_STEPS_AT_ONCE };
-    Need::of(parts).holding(held).with_steps(steps as u64, most, memory, run.worker_threads())
+    let need = Need { held, ..Need::of(parts) };
+    need.with_steps(steps as u64, most, memory, run.worker_threads())
 }
 
 /// Bytes that measuring a chunk at so many steps takes: samples, those of up to eight steps once more while they are put side by side, sums.
@@ -538,6 +560,7 @@ mod tests {
         region_points: 100_000,
         core_points: 70_000,
         steps: 1,
+        held: Held { always: 0, by_step: 0, most: 0, by_worker: 0 },
         window: 0,
         entries: 1 << 15,
     };
@@ -587,6 +610,16 @@ mod tests {
         // The sums of fitted values take more for each eight steps: in the memory of all of them two workers have eight each, which is faster.
         let memory = fitted.of_workers(2).max(steps_of(fitted));
         assert_eq!(found(fitted, memory), (8, 2));
+    }
+
+    #[test]
+    fn each_step_has_a_cache_and_each_worker_decodes() {
+        let cache = 40 << 20;
+        let of = |most| Need { held: Held { by_step: cache, most, by_worker: 1 << 20, always: 0 }, ..NEED };
+        assert_eq!(of(0).least(), NEED.least() + cache + (1 << 20));
+        assert_eq!(of(0).of_workers(3), NEED.of_workers(3) + cache + (3 << 20));
+        let steps = |most| of(most).with_steps(16, 16, 1 << 40, 1).steps();
+        assert_eq!([steps(0), steps(3 * cache), steps(1 << 40)], [1, 3, 16]);
     }
 
     #[test]

@@ -30,8 +30,8 @@ use crate::volume::VolumeInfo;
 pub(super) use attachments::Attachments;
 pub use estimate::Estimate;
 pub(super) use estimate::{
-    ERROR_WINDOW, Halo, MOST_SMALL_STEPS_AT_ONCE, MOST_STEPS_AT_ONCE, Need, Question, Shares, SurfaceShares,
-    free_bytes, need_of,
+    ERROR_WINDOW, Halo, Held, MOST_SMALL_STEPS_AT_ONCE, MOST_STEPS_AT_ONCE, Need, Question, Shares,
+    SurfaceShares, free_bytes, need_of,
 };
 pub use finding::{Finding, Notice};
 pub use fingerprint::fingerprint;

@@ -131,6 +131,11 @@ impl<'a> Visit<'a> {
         CHUNK.saturating_add(self.vertices(id).saturating_mul(VERTEX + TETS_A_POINT * TET))
     }
 
+    /// Bytes in which the largest chunk is read and worked on, with `extra` bytes for its job.
+    pub(in crate::pipeline) fn least(&self, extra: u64) -> u64 {
+        self.chunks.iter().map(|&c| self.need(c)).max().unwrap_or(0).saturating_add(extra)
+    }
+
     /// Refuses a budget in which the largest chunk, with `extra` bytes for its job, does not fit; `memory` is the whole budget, and `share` tells
     /// what chunks have of one.
     ///
@@ -142,7 +147,7 @@ impl<'a> Visit<'a> {
         share: impl Fn(u64) -> u64,
         extra: u64,
     ) -> Result<()> {
-        let largest = self.chunks.iter().map(|&c| self.need(c)).max().unwrap_or(0).saturating_add(extra);
+        let largest = self.least(extra);
         if largest > self.memory {
             let needed = least_with(largest, share);
             return Err(Error::Budget { what: "memory".into(), needed, available: memory });

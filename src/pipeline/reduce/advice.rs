@@ -207,8 +207,8 @@ fn look_at(job: &Job<'_>, further: bool) -> Result<Looked> {
             }
         }
         let found = match input {
-            // A later frame of a stream is found by decoding all before it.
-            Input::Volume(VolumeSource::Stream(_)) if n > 0 => continue,
+            // Much is decoded for a few samples: of a stream all before them.
+            Input::Volume(VolumeSource::Stream(_) | VolumeSource::Chunked(_)) if n > 0 => continue,
             Input::Volume(volume) => survey_volume(volume, SAMPLES / looked_at),
             Input::Mesh(mesh) => survey_mesh(&mesh),
         };

@@ -7,7 +7,7 @@
 //! of its points and cells, by which others are refused, and the vertices that were one at the first step: so samples of its boundary are the same ones.
 
 use super::advice::look;
-use super::job::{Job, Part, ReduceReport};
+use super::job::{Job, Part, ReduceReport, SourceChunks};
 use super::mesh::reduce_mesh;
 use super::{lock_for_writing, reduce_volumes};
 use crate::archive::manifest::{MANIFEST_NAME, Step};
@@ -68,7 +68,7 @@ pub fn append(
         None => reduce_volumes(&job),
         Some(_) => reduce_mesh(&job),
     }?;
-    Ok(ReduceReport { notices, ..report })
+    Ok(ReduceReport { notices, source_chunks: SourceChunks::of(&sources), ..report })
 }
 
 /// A further step; where nobody names a field, that of the archive, if the file has it.

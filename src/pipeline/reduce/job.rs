@@ -16,6 +16,7 @@ use crate::measure::FieldError;
 use crate::pipeline::plan::{Layout, Notice, Plan, RecordedFile, Shard};
 use crate::pipeline::read::{OpenArchive, StepSummary};
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use crate::volume::chunked::DecodeCount;
 use serde::Serialize;
 use std::ops::Range;
 use std::path::Path;
@@ -72,10 +73,31 @@ pub struct ReduceReport {
     pub archive_bytes: u64,
     /// Bytes of the source: of its files, or of its samples as they are stored, whichever is less. Where an archive was made as a whole.
     pub source_bytes: Option<u64>,
+    /// Of sources that are read by chunks: how often these were decoded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub source_chunks: Option<SourceChunks>,
     /// What the user should know: see [`Notice`].
     pub notices: Vec<Notice>,
     /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those that run side by side.
     pub seconds: Vec<(String, f64)>,
+}
+
+/// The chunks of the sources of a reduction.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SourceChunks {
+    /// How many there are, of all steps.
+    pub chunks: u64,
+    /// How often one was decoded, all in all: to plan, and to make chunks of the archive.
+    pub decodes: u64,
+}
+
+impl SourceChunks {
+    /// Those of some steps, as far as they were opened; `None` where none is read by chunks.
+    pub(in crate::pipeline) fn of(sources: &[(u64, StepSource)]) -> Option<Self> {
+        let sum = |of: fn(&DecodeCount) -> u64| sources.iter().map(|(_, s)| of(s.decodes())).sum();
+        let (chunks, decodes) = (sum(DecodeCount::chunks), sum(DecodeCount::decodes));
+        (chunks > 0).then_some(Self { chunks, decodes })
+    }
 }
 
 /// What a reduction is told.

@@ -15,8 +15,8 @@ use crate::cells::CellMesh;
 use crate::domain::store::{BadValue, StoreSettings};
 use crate::error::{Error, Result};
 use crate::pipeline::plan::{
-    Estimate, MOST_SMALL_STEPS_AT_ONCE, MeshParts, Need, Plan, Question, folder_bytes, free_bytes, need_of,
-    parts,
+    Estimate, Held, MOST_SMALL_STEPS_AT_ONCE, MeshParts, Need, Plan, Question, folder_bytes, free_bytes,
+    need_of, parts,
 };
 use crate::pipeline::settings::{NanPolicy, ReduceSettings, RunSettings};
 use crate::sample::{Interpolation, Values};
@@ -48,7 +48,7 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     }
     let plan = &series.plan;
     let parts = parts(&plan.mesh, series.attachments.clone())?;
-    let (held, memory) = (listed.bytes(), job.run.memory);
+    let (held, memory) = (Held { always: listed.bytes(), ..Held::default() }, job.run.memory);
     let need = need_of(&parts, held, plan.steps.len(), memory, job.run);
     estimate_of(plan, &need, memory, job.out, job.run, (&scratch, 0))?.check()?;
     let shares = need.shares(memory, job.run.worker_threads())?;
@@ -76,7 +76,7 @@ pub(super) fn plan_mesh(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimat
         prepare(job, &store_settings(settings, job.run, &scratch, offset_of(job)?))?;
     let plan = &series.plan;
     let parts = parts(&plan.mesh, series.attachments.clone())?;
-    let (held, memory) = (listed.bytes(), job.run.memory);
+    let (held, memory) = (Held { always: listed.bytes(), ..Held::default() }, job.run.memory);
     let bytes = scratch_bytes([store.census.vertices, store.census.cells], job);
     let need = need_of(&parts, held, plan.steps.len(), memory, job.run);
     let estimate = estimate_of(plan, &need, memory, job.out, job.run, (&scratch, bytes))?;

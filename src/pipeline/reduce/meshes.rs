@@ -545,7 +545,7 @@ fn plan_steps(
             Ok(step) => {
                 series.plan.steps.push(step);
                 let source = source.clone();
-                series.sources.push(PlannedSource { source, copied: 0, shared_copy: 0, copying: 0 });
+                series.sources.push(PlannedSource::in_place(source));
             }
             Err(e) if job.run.keep_going && job.is_several() && is_of_data(&e) => {
                 series.skip(*number, source, e.to_string());

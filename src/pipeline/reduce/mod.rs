@@ -36,11 +36,11 @@ use crate::pipeline::settings::{ReduceSettings, RunSettings};
 pub(super) use advice::look;
 pub use advice::{mesh_notices, scan_with_notices};
 pub use append::{AppendSettings, append};
-use cached::need_with_cache;
+use cached::need_with_caches;
 use commit::Made;
 pub(super) use existing::strays;
-pub use job::ReduceReport;
 pub(super) use job::{Job, Part, finished};
+pub use job::{ReduceReport, SourceChunks};
 use job::{added_before, push_times};
 pub use passes::SkippedStep;
 use passes::{Making, Means, PlannedSource};
@@ -97,6 +97,7 @@ pub fn reduce_series(
         None if run.replace && is_finished(out) => replace(&job),
         None => make(&job),
     }?;
+    let report = ReduceReport { source_chunks: SourceChunks::of(sources), ..report };
     Ok(looked.complete(&sources[0].1.path, report, &job))
 }
 
@@ -163,7 +164,7 @@ pub(super) fn make_plan(job: &Job<'_>, only_estimates: bool) -> Result<(SeriesPl
     let known = Known { out: Some(job.out), only_estimates, ..Known::default() };
     let mut series = plan_volumes(job.sources, job.settings, job.run, known)?;
     let mesh = parts(&series.plan.mesh, series.attachments.clone())?;
-    let (need, _) = need_with_cache(&mut series, &mesh, job.run)?;
+    let need = need_with_caches(&mut series.sources, &mesh, job.run);
     let estimate = estimate_of(&series.plan, &series.sources, &need, job.out, job.run)?;
     Ok((series, mesh, estimate))
 }
@@ -187,7 +188,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     }
     let samples = series.plan.first().source.samples();
     let seconds = vec![("plan".to_owned(), planning.elapsed().as_secs_f64())];
-    let (need, cached) = need_with_cache(&mut series, &mesh, job.run)?;
+    let need = need_with_caches(&mut series.sources, &mesh, job.run);
     estimate_of(&series.plan, &series.sources, &need, job.out, job.run)?.check()?;
     // Small copies of inputs are made in memory where that leaves as many threads at work.
     let (memory, workers) = (job.run.memory, job.run.worker_threads());
@@ -195,7 +196,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     let all = need.shares(memory, workers)?;
     let copied = need.shares(rest, workers).ok().filter(|shares| shares.workers == all.workers);
     let (in_memory, shares) = (copied.is_some(), copied.unwrap_or(all));
-    let fields = VolumeFields::new(job.settings, job.run, job.progress, in_memory, cached);
+    let fields = VolumeFields::new(job.settings, job.run, job.progress, in_memory);
     let bound = series.bound;
     let report = ReduceReport { samples, seconds, inner_points, bound, ..ReduceReport::default() };
     produce(job, series, &Means { parts: &mesh, fields: &fields, shares, at_once: need.steps() }, report)

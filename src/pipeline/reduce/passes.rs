@@ -5,8 +5,8 @@
 //!  pass    mesh each chunk; sample, encode    │ decode each chunk; sample, encode    │ …
 //! ```
 //!
-//! Sources that have no random access are copied into bricks, small ones together: the copies that are on the disk at a time take no more than
-//! 256 MiB, or there is one.
+//! Chunks of sources are read through caches ([`super::cached`]). Other sources without random access are copied into bricks, small ones
+//! together: the copies that are on the disk at a time take no more than 256 MiB, or there is one.
 //!
 //! How steps are taken together decides no byte: a step refers to the one before, whichever pass has made that.
 //! A step that turns out to be bad in the middle of its pass is left out where that is wanted: the steps that refer to it have another hash then and are
@@ -28,6 +28,7 @@ use crate::pipeline::field::{MeasureSettings, StepErrors, field_errors};
 use crate::pipeline::plan::{Attachments, Layout, MeshParts, Plan, Shares, Watch};
 use crate::pipeline::read::{Meter, OpenArchive, StepChoice, write_coordinates};
 use crate::pipeline::settings::RunSettings;
+use crate::volume::chunked::ChunkShape;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -47,13 +48,18 @@ pub struct SkippedStep {
 }
 
 /// Where a step comes from.
+#[derive(Clone)]
 pub(in crate::pipeline) struct PlannedSource {
     pub(super) source: StepSource,
+    /// Of one that is read by chunks.
+    pub(super) chunks: Option<ChunkShape>,
+    /// Bytes of decoded chunks in its cache, where it is read through one.
+    pub(super) cached: Option<u64>,
     /// Bytes of the copy that is made of it alone; 0 where none is needed.
     pub(super) copied: u64,
     /// Bytes of a copy that is made of its file, once for all steps in that; 0 where none is needed.
     pub(super) shared_copy: u64,
-    /// Memory to make that copy in.
+    /// Memory to make that copy in, or to read its chunks one after another.
     pub(super) copying: u64,
 }
 
@@ -63,6 +69,11 @@ const SMALL_COPY: u64 = 4 << 20;
 const COPIES_TOGETHER: u64 = 256 << 20;
 
 impl PlannedSource {
+    /// One that is read where it lies.
+    pub(super) fn in_place(source: StepSource) -> Self {
+        Self { source, chunks: None, cached: None, copied: 0, shared_copy: 0, copying: 0 }
+    }
+
     /// Whether these may be made in one pass.
     fn fit_together(sources: &[Self]) -> bool {
         sources.len() == 1 || sources.iter().map(|s| s.copied).fold(0, u64::saturating_add) <= COPIES_TOGETHER
@@ -501,12 +512,8 @@ mod tests {
 
     #[test]
     fn small_copies_are_on_the_disk_together_and_large_ones_alone() {
-        let source = |copied: u64| PlannedSource {
-            source: StepSource::new(std::path::Path::new("a"), &OpenOptions::default()),
-            copied,
-            shared_copy: 0,
-            copying: 0,
-        };
+        let step = StepSource::new(std::path::Path::new("a"), &OpenOptions::default());
+        let source = |copied: u64| PlannedSource { copied, ..PlannedSource::in_place(step.clone()) };
         let all: Vec<PlannedSource> = [0, 200 << 20, 56 << 20, 1, 300 << 20].map(source).into();
         assert!(PlannedSource::fit_together(&all[..3]) && !PlannedSource::fit_together(&all[..4]));
         assert!(PlannedSource::fit_together(&all[4..]) && !PlannedSource::fit_together(&all[3..]));

@@ -135,10 +135,9 @@ impl PlanFile {
 
     /// The series that was planned.
     pub(in crate::pipeline) fn into_series(self) -> SeriesPlan {
-        let planned = |source| PlannedSource { source, copied: 0, shared_copy: 0, copying: 0 };
         SeriesPlan {
             plan: self.plan,
-            sources: self.sources.into_iter().map(planned).collect(),
+            sources: self.sources.into_iter().map(PlannedSource::in_place).collect(),
             skipped: self.skipped,
             before: None,
             keyframes: self.settings.keyframes,

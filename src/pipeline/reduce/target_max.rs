@@ -35,8 +35,8 @@ use crate::pipeline::chunk::{Cells, Originals, SampleErrors, Samples, StepLanes,
 use crate::pipeline::field::{
     Find, MOST_VERTICES, MeasureSettings, Outside, VERTEX, each_value, on_lattice, reopened_values,
 };
-use crate::pipeline::inputs::{Reading, random_access};
-use crate::pipeline::plan::estimate;
+use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
+use crate::pipeline::plan::{Halo, estimate};
 use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepChoice, Visit};
 use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
 use crate::points::PointSpec;
@@ -165,17 +165,22 @@ impl Measuring<'_> {
     }
 
     fn add_samples(&self, job: &Job<'_>, volume: VolumeSource) -> Result<()> {
-        let (reader, _scratch) = random_access(volume, job.run, job.progress)?;
+        let (run, archive) = (job.run, self.archive);
+        let base = estimate::BASE + 4 * self.worst.len() as u64;
+        let extra = estimate::error_bytes(1);
+        let least = Visit::new(archive, Blocks::All, run.threads, 0, &run.cancel)?.least(extra) + base;
+        let boxes = boxes_of_chunks(&archive.points, &archive.chunks, Halo::of(&archive.manifest.plan));
+        let cache = ChunkCache::fitting(&volume, boxes, least, run);
+        let (reader, _scratch) = random_access(volume, cache.map(|c| c.size), run, job.progress)?;
         let reading = Reading::of(&self.archive.step().plan);
         let (reader, missing, stand_in) = (reading.reader(reader), reading.missing(), reading.stand_in());
         let originals = Originals::Volume { reader: &*reader, missing, stand_in };
         let samples = Samples::of(&originals).expect("those of a volume");
         let sample_errors = SampleErrors::new(&self.archive.manifest.plan.lattice);
-        let run = job.run;
-        let share = |memory: u64| memory.saturating_sub(estimate::BASE + 4 * self.worst.len() as u64);
+        let base = base + cache.map_or(0, |c| c.held);
+        let share = |memory: u64| memory.saturating_sub(base);
         let mut visit = Visit::new(self.archive, Blocks::All, run.threads, share(run.memory), &run.cancel)?;
         visit.chunks = self.chunks_above()?;
-        let extra = estimate::error_bytes(1);
         visit.check_memory(run.memory, share, extra)?;
         job.progress.begin("measure", visit.chunks.len() as u64, "chunks");
         let part = |_, chunk: DecodedChunk| self.add_chunk(&sample_errors, &samples, &chunk);

@@ -1,5 +1,6 @@
 //! The steps of a series of volumes: planned from their headers, opened when their turn comes.
 
+use super::cached::need_with_caches;
 use super::estimate_of;
 use super::passes::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data};
 use super::reuse::Round;
@@ -14,13 +15,11 @@ use crate::pipeline::chunk::{Field, GridField};
 use crate::pipeline::inputs::{
     Errors, Reading, Scratch, Shift, Spread, copy_bytes, random_access, spread, stream_spread,
 };
-use crate::pipeline::plan::{
-    Attachments, Frame, Inputs, Plan, RecordedFile, count_of, need_of, parts, source_of,
-};
+use crate::pipeline::plan::{Attachments, Frame, Inputs, Plan, RecordedFile, count_of, parts, source_of};
 use crate::pipeline::read::{OpenArchive, coordinate_hash};
 use crate::pipeline::settings::{ReduceSettings, RunSettings, Target, ValueBits};
 use crate::points::SetSettings;
-use crate::volume::chunked::ChunkedVolume;
+use crate::volume::chunked::ChunkShape;
 use crate::volume::unpacked::unpack;
 use crate::volume::{VolumeInfo, VolumeReader, VolumeSource};
 use std::path::{Path, PathBuf};
@@ -212,6 +211,24 @@ fn choose(
     Ok(())
 }
 
+/// The volume of a step, where it is one.
+fn volume_of(source: &StepSource, expected: &str) -> Result<VolumeSource> {
+    match source.open()? {
+        Input::Volume(volume) => Ok(volume),
+        Input::Mesh(_) => Err(Error::bad_input(&source.path, "kind of file", expected, "a mesh")),
+    }
+}
+
+/// How the samples of a step can be had.
+fn planned(source: &StepSource, volume: &VolumeSource) -> PlannedSource {
+    let chunks = match volume {
+        VolumeSource::Chunked(chunks) => Some(ChunkShape::of(&**chunks)),
+        _ => None,
+    };
+    let (copied, copying) = copy_bytes(volume);
+    PlannedSource { chunks, copied, copying, ..PlannedSource::in_place(source.clone()) }
+}
+
 impl Planner<'_> {
     /// Steps must be as those of an archive.
     fn join(&mut self, archive: &OpenArchive) -> Result<()> {
@@ -267,10 +284,7 @@ impl Planner<'_> {
         if self.errors.is_none() {
             self.errors = Some(Errors::new(plan.mesh.lattice, adapt, self.run)?);
         }
-        let Input::Volume(volume) = source.open()? else {
-            return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
-        };
-        let reading = self.reading();
+        let (volume, reading) = (volume_of(source, "the volume it was")?, self.reading());
         self.errors.as_mut().map_or(Ok(()), |errors| errors.add(volume, reading))
     }
 
@@ -279,14 +293,7 @@ impl Planner<'_> {
             // Before its head is read.
             self.inputs.watch.add(std::slice::from_ref(&source.path));
         }
-        let Input::Volume(volume) = source.open()? else {
-            return Err(Error::bad_input(
-                &source.path,
-                "kind of file",
-                "a volume, as other steps are",
-                "a mesh",
-            ));
-        };
+        let volume = volume_of(source, "a volume, as other steps are")?;
         let info = volume.info().clone();
         let fingerprint = self.inputs.of_source(number, source, &info.files(), &self.run.cancel)?;
         let coordinates = coordinate_hash(source, info.dims)?;
@@ -307,8 +314,7 @@ impl Planner<'_> {
         if look && self.finds_levels() {
             self.look_at(source)?;
         }
-        let (copied, copying) = copy_bytes(&volume);
-        let planned = PlannedSource { source: source.clone(), copied, shared_copy: 0, copying };
+        let planned = planned(source, &volume);
         let mut step = StepPlan {
             number,
             time: source.time,
@@ -351,8 +357,9 @@ impl Planner<'_> {
     fn check_budget(&mut self, step: &StepPlan, source: &PlannedSource) -> Result<()> {
         let (Some(plan), Some(out)) = (&self.plan, self.unchecked.take()) else { return Ok(()) };
         let plan = Plan { mesh: plan.mesh.clone(), steps: vec![step.clone()] };
-        let need = need_of(&parts(&plan.mesh, self.attachments.clone())?, 0, 1, self.run.memory, self.run);
-        estimate_of(&plan, std::slice::from_ref(source), &need, out, self.run)?.check()
+        let (mesh, mut sources) = (parts(&plan.mesh, self.attachments.clone())?, [source.clone()]);
+        let need = need_with_caches(&mut sources, &mesh, self.run);
+        estimate_of(&plan, &sources, &need, out, self.run)?.check()
     }
 
     /// How samples are read, once the offset is known.
@@ -365,20 +372,15 @@ impl Planner<'_> {
         if let Some(plan) = self.planned {
             return Ok(plan.steps.iter().find(|s| s.number == number).map_or_else(Shift::default, Shift::of));
         }
-        // To each step of a packed file there is no way but through those before it: the first one stands for all.
-        let is_packed = matches!(volume, VolumeSource::Stream(_));
+        // Of steps in one packed file the first one stands for all: each of them costs a decoding, of a stream with all before it.
+        let is_packed = !matches!(volume, VolumeSource::Random(_));
         if let (Some(offset), true) =
             (self.offset, is_packed && self.looked_into.as_ref() == Some(&source.path))
         {
             return Ok(Shift { offset, rounding: 0.0 });
         }
         self.looked_into = is_packed.then(|| source.path.clone());
-        let open = || match source.open()? {
-            Input::Volume(volume) => Ok(volume),
-            Input::Mesh(_) => {
-                Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"))
-            }
-        };
+        let open = || volume_of(source, "the volume it was");
         Shift::of_volume(open, self.offset, self.settings.missing, &self.run.cancel)
     }
 
@@ -387,7 +389,8 @@ impl Planner<'_> {
         let (reading, cancel) = (self.reading(), &self.run.cancel);
         match source {
             VolumeSource::Random(reader) => spread(&*reading.reader(reader), reading.missing(), cancel),
-            VolumeSource::Stream(mut stream) => {
+            other => {
+                let mut stream = other.into_stream();
                 stream_spread(&mut *stream, self.settings.missing, reading.offset(), cancel)
             }
         }
@@ -453,8 +456,6 @@ pub(super) struct VolumeFields<'a> {
     pub(super) progress: &'a dyn Progress,
     /// Whether small copies are made in memory.
     in_memory: bool,
-    /// Bytes of decoded chunks that are kept, where the source is read by chunks.
-    cached: Option<u64>,
     unpacked: Mutex<Option<(PathBuf, Arc<UnpackedFrames>)>>,
 }
 
@@ -464,27 +465,17 @@ impl<'a> VolumeFields<'a> {
         run: &'a RunSettings,
         progress: &'a dyn Progress,
         in_memory: bool,
-        cached: Option<u64>,
     ) -> Self {
-        Self { settings, run, progress, in_memory, cached, unpacked: Mutex::default() }
+        Self { settings, run, progress, in_memory, unpacked: Mutex::default() }
     }
 
     /// Opens a source that is read by itself, with the copy that is made of it where that is needed.
     fn random_access(&self, planned: &PlannedSource) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
-        let source = &planned.source;
-        let Input::Volume(volume) = source.open()? else {
-            return Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"));
-        };
-        if let (Some(room), VolumeSource::Stream(stream)) = (self.cached, &volume)
-            && let Some(chunks) = stream.chunks()
-        {
-            return Ok((Box::new(ChunkedVolume::new(chunks, room)), None));
-        }
-        match volume {
+        match volume_of(&planned.source, "the volume it was")? {
             VolumeSource::Stream(stream) if self.in_memory && planned.is_small() => {
                 Ok((Box::new(unpack(stream)?), None))
             }
-            volume => random_access(volume, self.run, self.progress),
+            volume => random_access(volume, planned.cached, self.run, self.progress),
         }
     }
 

@@ -14,7 +14,7 @@
 //!
 //! The input is read by every worker. One without random access (compressed) is copied into bricks by each of them, and the structures
 //! of a tetrahedral mesh are made by each of them, in its own `scratch`: nothing is shared between machines but the archive.
-//! Of a Zarr array each decodes the chunks that it needs, where its memory holds them: see `reduce::cached`.
+//! Of a source of chunks each decodes those that it needs, where its memory holds them: see `inputs::access`.
 
 mod status;
 
@@ -23,13 +23,13 @@ use crate::error::{Error, Result};
 use crate::exec::Progress;
 use crate::formats::StepSource;
 use crate::pipeline::plan::{
-    Attachments, Estimate, Layout, MeshParts, Need, Plan, Shard, Watch, estimate, parts,
+    Attachments, Estimate, Held, Layout, MeshParts, Need, Plan, Shard, Watch, estimate, parts,
 };
 use crate::pipeline::read::{Depth, SegmentState};
 use crate::pipeline::reduce;
 use crate::pipeline::reduce::{
-    Cut, Job, Outcome, Part, PlanFile, Publishing, ReduceReport, SeriesPlan, existing, finished,
-    grid_coordinates, look, numbered, plan_path, prepare_folder,
+    Cut, Job, Outcome, Part, PlanFile, Publishing, ReduceReport, SeriesPlan, SourceChunks, existing,
+    finished, grid_coordinates, look, numbered, plan_path, prepare_folder,
 };
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
 use serde::Serialize;
@@ -133,8 +133,8 @@ pub fn planned(out: &Path, threads: usize) -> Result<Planned> {
     let file = PlanFile::read(out)?;
     let mesh = mesh_parts(&file.root(out), &file.plan)?;
     let steps = file.plan.steps.len();
-    let need =
-        estimate::need_of(&mesh, 0, steps, u64::MAX, &RunSettings { threads, ..RunSettings::default() });
+    let run = RunSettings { threads, ..RunSettings::default() };
+    let need = estimate::need_of(&mesh, Held::default(), steps, u64::MAX, &run);
     Ok(Planned {
         shards: file.shards,
         segments: Inventory::new(&file.root(out), &file).segments(),
@@ -153,6 +153,9 @@ pub struct WorkReport {
     pub segments: u64,
     /// Points of its chunks; 0 when all was done before.
     pub points: u64,
+    /// Of sources that are read by chunks: how often this worker decoded these.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub source_chunks: Option<SourceChunks>,
     /// Seconds of each stage.
     pub seconds: Vec<(String, f64)>,
 }
@@ -173,16 +176,17 @@ pub fn work_shard(
     let out = &file.root(out);
     let inventory = Inventory::new(out, &file);
     let segments = shard.range(inventory.segments());
-    let report = |points, seconds| WorkReport {
+    let report = |points, source_chunks, seconds| WorkReport {
         shard: shard.to_string(),
         segments: segments.end - segments.start,
         points,
+        source_chunks,
         seconds,
     };
     // A task that is started again does not read its input for nothing.
     let mut done = segments.clone().flat_map(|s| inventory.files_of(s));
     if done.all(|f| inventory.look(&f, Depth::All) == SegmentState::Whole) {
-        return Ok(report(0, vec![]));
+        return Ok(report(0, None, vec![]));
     }
     let part = Part::Shard(&file, shard);
     // The plan says which steps there are: a worker leaves none out.
@@ -191,7 +195,7 @@ pub fn work_shard(
     let made =
         reduce::make(&Job { sources, settings, out, run: &run, progress, started, part, round: None })?;
     let made = finished(made, started);
-    Ok(report(made.points, made.seconds))
+    Ok(report(made.points, SourceChunks::of(sources), made.seconds))
 }
 
 /// A finished archive of another plan is not written into; the one that is to be replaced stays as it is.

@@ -113,8 +113,7 @@ fn made_again(archive: &Path, sources: &[StepSource], values: Values, out: &Path
     let plan = Plan { mesh: manifest.plan.clone(), steps };
     let attachments = Attachments::read(archive, &plan.mesh).unwrap();
     let settings = settings(values);
-    let planned =
-        |source: &StepSource| PlannedSource { source: source.clone(), copied: 0, shared_copy: 0, copying: 0 };
+    let planned = |source: &StepSource| PlannedSource::in_place(source.clone());
     let series = SeriesPlan {
         plan,
         sources: sources.iter().map(planned).collect(),
