@@ -17,7 +17,8 @@
 //! ```
 //! use isospan::exec::Silent;
 //! use isospan::formats::{OpenOptions, surface::SurfaceFormat};
-//! use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, extract_surface, reduce};
+//! use isospan::Archive;
+//! use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, reduce};
 //!
 //! # fn main() -> isospan::Result<()> {
 //! # let folder = tempfile::tempdir().unwrap();
@@ -30,7 +31,8 @@
 //!
 //! // … and any isosurface comes out of them.
 //! let query = SurfaceSettings::of(128.0);
-//! let found = extract_surface(&archive, &query, &dir.join("protein.ply"), SurfaceFormat::Ply, &Silent)?;
+//! let archive = Archive::open(&archive)?;
+//! let found = archive.write_surface(&query, &dir.join("protein.ply"), SurfaceFormat::Ply, &Silent)?;
 //! assert!(found.triangles > 9_000);
 //! # Ok(())
 //! # }

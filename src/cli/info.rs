@@ -7,7 +7,7 @@ use super::text;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{self, ArchiveSummary, Scan};
 use isospan::volume::VolumeInfo;
-use isospan::{Error, Result, formats};
+use isospan::{Archive, Error, Result, formats};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -35,7 +35,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
 
 fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
     if pipeline::is_archive(path) {
-        let summary = pipeline::summarize_at(path, args.step.choice())?;
+        let summary = Archive::open(path)?.at(args.step.choice())?.info()?;
         return if args.json {
             super::print_json(&summary)
         } else {

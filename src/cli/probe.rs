@@ -45,7 +45,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         cancel: super::signals::cancel_token(),
     };
     expect_no_input(&args.output, args.at.iter().chain([&args.archive]))?;
-    let archive = Archive::open_at(&args.archive, args.step.choice())?;
+    let archive = Archive::open(&args.archive)?.at(args.step.choice())?;
     let bar = talk.progress();
     let report = match (args.grid, &args.at) {
         (Some(grid), _) => SampleFormat::from_path(&args.output)

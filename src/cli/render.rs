@@ -10,14 +10,14 @@ use super::text;
 use isospan::compare::{CompareSettings, distances};
 use isospan::exec::{CancelToken, Progress};
 use isospan::formats::surface::{SurfaceFormat, load_surface};
-use isospan::pipeline::{SurfaceSettings, extract_surface, is_archive};
+use isospan::pipeline::{Step, SurfaceSettings, is_archive};
 use isospan::render::{
     Camera, Image, Paint, RenderSettings, Subject, Up, View, parse_colour, render, scale_colour,
 };
 use isospan::surface::SurfaceSource;
 use isospan::surface::check::CheckSettings;
 use isospan::surface::weld::StoredSurface;
-use isospan::{Error, Result};
+use isospan::{Archive, Error, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -275,8 +275,9 @@ impl Job<'_> {
                 panels.push(Panel { name, isovalue: None, surface, distances: vec![] });
                 continue;
             }
+            let step = Archive::open(input)?.keeping(0).at(args.step.choice())?;
             for &isovalue in &args.isovalue {
-                let surface = self.extract(input, isovalue, &check, progress)?;
+                let surface = self.extract(&step, isovalue, &check, progress)?;
                 panels.push(Panel {
                     name: name.clone(),
                     isovalue: Some(isovalue),
@@ -291,7 +292,7 @@ impl Job<'_> {
     /// An isosurface, by way of a file in the scratch folder.
     fn extract(
         &self,
-        archive: &Path,
+        step: &Step,
         isovalue: f64,
         check: &CheckSettings,
         progress: &dyn Progress,
@@ -302,17 +303,15 @@ impl Job<'_> {
         let settings = SurfaceSettings {
             threads: self.args.machine.threads,
             memory: self.memory / 8 * 7,
-            step: self.args.step.choice(),
             cancel: self.cancel.clone(),
             ..SurfaceSettings::of(isovalue)
         };
-        let found = extract_surface(archive, &settings, &file, SurfaceFormat::Ply, progress)
+        let found = step
+            .write_surface(&settings, &file, SurfaceFormat::Ply, progress)
             .map_err(|e| self.whole(e, settings.memory))?;
         if found.triangles == 0 {
-            return Err(Error::usage(format!(
-                "{}: the isovalue {isovalue} gives no surface",
-                archive.display()
-            )));
+            let archive = step.path().display();
+            return Err(Error::usage(format!("{archive}: the isovalue {isovalue} gives no surface")));
         }
         load_surface(&file, check).map_err(|e| self.whole(e, check.memory))
     }

@@ -5,8 +5,7 @@
 //!  open ──▶ index ▶ active blocks ▶ decode ▶ marching tetrahedra ▶ weld ──▶ surface file
 //! ```
 //!
-//! [`reduce`] makes an archive, [`extract_surface`] and [`count_active`] ask it, [`check_archive`]
-//! proves it whole. The rooms, each of which uses those above it only:
+//! [`reduce`] makes an archive, an [`Archive`] and its [`Step`]s answer questions. The rooms, each of which uses those above it only:
 //!
 //! ```text
 //!  settings   what a user chooses
@@ -16,7 +15,8 @@
 //!  field      questions about the field
 //!  reduce     inputs ─▶ plan ─▶ passes over chunks ─▶ commit
 //!  shards     the same in several processes
-//!  archive    the handle of users             check     the proof that an archive is whole
+//!  step       the questions of users          check     the proof that an archive is whole
+//!  archive    the handle of users
 //! ```
 
 mod archive;
@@ -29,11 +29,12 @@ mod read;
 mod reduce;
 mod settings;
 mod shards;
+mod step;
 mod surface;
 
 pub use crate::domain::store::MeshCensus;
-pub use archive::{Archive, Tetrahedra};
-pub use check::{ArchiveCheck, check_archive, check_archive_until};
+pub use archive::{Archive, Opening};
+pub use check::ArchiveCheck;
 pub use field::{
     Corners, ExportReport, ExportSettings, MeasureReport, MeasureSettings, ProbeReport, ProbeSettings,
     measure, measure_source,
@@ -42,8 +43,7 @@ pub use inputs::{Scan, brick, is_bricked, scan};
 pub use plan::{Estimate, Finding, Notice, Plan, Shard, fingerprint};
 pub use read::{
     ArchiveSummary, Knot, LevelSummary, Roi, RoiSpace, SpectrumReport, StepChoice, StepRange, StepSpectrum,
-    StepSummary, Suggestion, contour_spectrum, contour_spectrum_at, is_archive, spectra, summarize,
-    summarize_at,
+    StepSummary, Suggestion, is_archive,
 };
 pub use reduce::{
     AppendSettings, ReduceReport, SkippedStep, TargetReport, append, estimate, estimate_series, mesh_notices,
@@ -54,8 +54,9 @@ pub use shards::{
     GcReport, PlanReport, Planned, StatusReport, WorkReport, collect_garbage, commit_shards, plan_shards,
     planned, shard_status, work_shard,
 };
+pub use step::{Step, Tetrahedra};
 pub use surface::{
     CountReport, OneSurface, Refine, RefineReport, SeriesReport, StepSurfaces, SurfaceReport,
-    SurfaceSettings, UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, count_active, count_active_at,
-    extract_series, extract_surface, remove_unpacked, unpack, unpack_need,
+    SurfaceSettings, UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked, unpack,
+    unpack_need,
 };

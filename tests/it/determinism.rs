@@ -139,7 +139,7 @@ fn rounded_values_are_the_same_in_all_chunks_and_smaller() {
         let quantiser = report.quantiser.unwrap();
         // Waves have a range of about 4.
         assert!(quantiser.bits == 10 && (0.001..0.003).contains(&quantiser.bound), "{quantiser:?}");
-        isospan::pipeline::check_archive(&out).unwrap();
+        check_archive(&out).unwrap();
         let whole = reduce(&input, &lossless, &dir.path().join(format!("{chunk_points}-whole.isospan")), 2);
         assert!(report.archive_bytes * 10 < whole.archive_bytes * 9);
         assert_eq!(whole.quantiser, None);
@@ -159,5 +159,5 @@ fn zeros_have_no_sign() {
     let out = dir.path().join("zeros.isospan");
     let report = reduce(&input, &settings(SetKind::Regular, Amount::Fraction(1.0), 2_000), &out, 2);
     assert_eq!(report.range.map(|range| range.map(f64::to_bits)), Some([-1.5f64, 0.0].map(f64::to_bits)));
-    isospan::pipeline::check_archive(&out).unwrap();
+    check_archive(&out).unwrap();
 }

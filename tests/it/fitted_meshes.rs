@@ -4,7 +4,7 @@
 use crate::common::*;
 use isospan::exec::Silent;
 use isospan::formats::OpenOptions;
-use isospan::pipeline::{Amount, NanPolicy, ReduceReport, ReduceSettings, check_archive};
+use isospan::pipeline::{Amount, NanPolicy, ReduceReport, ReduceSettings};
 use isospan::sample::Values;
 use std::fs;
 use std::path::Path;

@@ -112,9 +112,10 @@ fn a_check_and_a_count_are_stopped() {
     reduce_series(&steps, &ReduceSettings::default(), &out, &RunSettings::default(), &Silent).unwrap();
     let (go, stop) = (CancelToken::new(), CancelToken::new());
     stop.cancel();
-    let between = Archive::open_at(&out, StepChoice::Time(0.5)).unwrap();
-    assert_eq!(between.check_until(&go).unwrap().steps, 2);
-    assert!(matches!(between.check_until(&stop), Err(Error::Cancelled)));
+    let archive = Archive::open(&out).unwrap();
+    assert_eq!(archive.check_until(&go).unwrap().steps, 2);
+    assert!(matches!(archive.check_until(&stop), Err(Error::Cancelled)));
+    let between = archive.at(StepChoice::Time(0.5)).unwrap();
     assert!(between.count_until(0.25, &go).unwrap().active_tetrahedra > 0);
     assert!(matches!(between.count_until(0.25, &stop), Err(Error::Cancelled)));
 }

@@ -1,11 +1,12 @@
 //! Rectilinear and curvilinear grids: meshed in index space, placed by their coordinates. Analytic maps say what must come out.
 
+use crate::common::{check_archive, contour_spectrum, extract_surface};
 use isospan::exec::Silent;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     Amount, ExportSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, StepChoice,
-    SurfaceSettings, check_archive, contour_spectrum, extract_surface, reduce, reduce_series,
+    SurfaceSettings, reduce, reduce_series,
 };
 use isospan::surface::TriMesh;
 use isospan::surface::check::check;
@@ -289,7 +290,10 @@ fn a_sphere_in_a_rectilinear_grid_is_a_sphere() {
             (StepSource::new(&input, &OpenOptions::default()), archive.with_extension("steps.isospan"));
         let run = RunSettings::default();
         reduce_series(&[input.clone(), input], &small_chunks(), &out, &run, &Silent).unwrap();
-        assert_eq!(Archive::open_at(&out, StepChoice::Number(1)).unwrap().surface(0.5).unwrap(), meshes[0]);
+        assert_eq!(
+            Archive::open(&out).unwrap().at(StepChoice::Number(1)).unwrap().surface(0.5).unwrap(),
+            meshes[0]
+        );
         // What would be answered in index space is refused.
         let archive = Archive::open(&archive).unwrap();
         assert!(archive.probe(&[[0.0; 3]]).is_err());

@@ -1,12 +1,12 @@
 //! An archive carries its error against the samples that it was made from, and it is the one that anybody can work out.
 
-use crate::common::{reduce, settings, waves, write_npy};
+use crate::common::{reduce, settings, summarize, waves, write_npy};
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, open_volume};
 use isospan::grid::IndexBox;
 use isospan::measure::FieldError;
 use isospan::pipeline::{
-    self, Amount, MeasureReport, MeasureSettings, NanPolicy, ReduceSettings, ValueBits, measure,
+    Amount, MeasureReport, MeasureSettings, NanPolicy, ReduceSettings, ValueBits, measure,
 };
 use isospan::points::SetKind;
 use isospan::sample::Values;
@@ -25,7 +25,7 @@ fn measured(archive: &Path, input: &Path, threads: usize, map: Option<&Path>) ->
 }
 
 fn stored(archive: &Path) -> FieldError {
-    pipeline::summarize(archive).unwrap().error.expect("it was measured")
+    summarize(archive).unwrap().error.expect("it was measured")
 }
 
 /// The errors of all samples, by the archive's field at the places of the samples.
@@ -99,7 +99,7 @@ fn a_linear_field_has_no_error_and_none_is_stored_when_not_wanted() {
     let quiet = dir.path().join("quiet.isospan");
     let exact = ReduceSettings::exact(SetKind::Hammersley);
     reduce(&input, &ReduceSettings { measure: false, ..exact }, &quiet, 1);
-    assert!(pipeline::summarize(&quiet).unwrap().error.is_none());
+    assert!(summarize(&quiet).unwrap().error.is_none());
     assert!(measured(&quiet, &input, 1, None).error.max < 2e-6);
     // Another field on the same grid can be measured too, and is told from the source.
     let other = dir.path().join("other.npy");

@@ -1,11 +1,11 @@
 //! Reductions of tetrahedral meshes: the reduced domain is the mesh's, and surfaces are those of its field.
 
-use crate::common::{self, read, run, surface, triangle_set, write_mesh, write_placed};
+use crate::common::{self, check_archive, read, run, surface, triangle_set, write_mesh, write_placed};
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     Amount, AppendSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, append,
-    check_archive, measure, reduce, reduce_series,
+    measure, reduce, reduce_series,
 };
 use isospan::sample::Interpolation;
 use isospan::surface::check::{SurfaceReport, check};

@@ -101,7 +101,7 @@ fn a_small_wave_on_a_large_number_is_all_there() {
     let measured =
         pipeline::measure(&out("p.isospan"), &out("p.npy"), &OpenOptions::default(), &how, &Silent);
     assert_eq!(measured.unwrap().error, error);
-    pipeline::check_archive(&out("p.isospan")).unwrap();
+    check_archive(&out("p.isospan")).unwrap();
 
     // Isovalues are the file's.
     for iso in [0.5, -1.25] {
@@ -253,8 +253,8 @@ fn whole_numbers_are_exact_where_they_can_be() {
         pipeline::estimate(&out("wide.npy"), &OpenOptions::default(), &nearest, &out("w.isospan"), &run(1))
             .unwrap();
     assert_eq!(estimate.rounding, Some(63.0));
-    pipeline::check_archive(&out("wide.isospan")).unwrap();
-    assert_eq!(pipeline::summarize(&out("wide.isospan")).unwrap().rounding, Some(63.0));
+    check_archive(&out("wide.isospan")).unwrap();
+    assert_eq!(summarize(&out("wide.isospan")).unwrap().rounding, Some(63.0));
     // And what f32 cannot hold at all is refused.
     for scale in [1e300, 1e-300] {
         write_wide(&out("x.npy"), "f8", f64::to_le_bytes, |_, p| scale * wave(p));
@@ -301,6 +301,6 @@ fn a_mesh_has_an_offset_too() {
             pipeline::append(&[later], &AppendSettings::default(), &name("a"), &run(2), &Silent).unwrap();
         let [low, _] = report.range.unwrap();
         assert!((low - lo - 0.5).abs() < 0.2, "{low} {lo}");
-        pipeline::check_archive(&name("a")).unwrap();
+        check_archive(&name("a")).unwrap();
     }
 }

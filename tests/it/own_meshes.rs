@@ -1,14 +1,15 @@
 //! Meshes that are kept as they are: their own vertices and tetrahedra, with no error, whatever is asked of them.
 
-use crate::common::{self, folder, reduce_in_shards, run, triangle_set, write_mesh, write_placed};
+use crate::common::{
+    self, check_archive, folder, reduce_in_shards, run, triangle_set, write_mesh, write_placed,
+};
 use isospan::Archive;
 use isospan::exec::Silent;
 use isospan::formats::samples::SampleFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     self, Amount, AppendSettings, ExportSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings,
-    RunSettings, SurfaceSettings, UnpackSettings, ValueBits, append, check_archive, measure, reduce,
-    reduce_series,
+    RunSettings, SurfaceSettings, UnpackSettings, ValueBits, append, measure, reduce, reduce_series,
 };
 use isospan::points::SetKind;
 use isospan::sample::Interpolation;
@@ -432,9 +433,8 @@ fn steps_are_added_to_a_mesh_that_is_kept() {
     check_archive(&out("all.isospan")).unwrap();
     for (n, source) in steps.iter().enumerate() {
         let mesh = Mesh::read(&source.path);
-        let step = pipeline::StepChoice::Number(n as u64);
-        let settings = SurfaceSettings { step, ..SurfaceSettings::of(0.43) };
-        let found = check(&Archive::open(out("all.isospan")).unwrap().surfaces(&settings).unwrap()[0]);
+        let step = Archive::open(out("all.isospan")).unwrap().step(n as u64).unwrap();
+        let found = check(&step.surface(0.43).unwrap());
         let (triangles, area, euler) = mesh.contour(0.43);
         assert_eq!((found.triangles, found.euler), (triangles, euler), "step {n}");
         assert!((found.area - area).abs() < 1e-6, "step {n}");

@@ -5,7 +5,7 @@ use isospan::Archive;
 use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::grid::Geometry;
-use isospan::pipeline::{self, Amount, NanPolicy, ReduceSettings, Roi, SurfaceReport, SurfaceSettings};
+use isospan::pipeline::{Amount, NanPolicy, ReduceSettings, Roi, SurfaceReport, SurfaceSettings};
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
 use isospan::surface::check::{
@@ -26,8 +26,7 @@ fn archive(dir: &Path, kind: SetKind) -> PathBuf {
 }
 
 fn ask(archive: &Path, settings: &SurfaceSettings, out: &Path) -> SurfaceReport {
-    pipeline::extract_surface(archive, settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent)
-        .unwrap()
+    extract_surface(archive, settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent).unwrap()
 }
 
 #[test]
@@ -103,7 +102,7 @@ fn several_isovalues_in_one_file_follow_each_other() {
     for isovalues in [vec![], vec![1.0, 2.0, 1.0], vec![1.0, f64::NAN], vec![1e300]] {
         let wrong = SurfaceSettings { isovalues, ..SurfaceSettings::default() };
         let out = dir.path().join("x.ply");
-        let error = pipeline::extract_surface(&archive, &wrong, &out, SurfaceFormat::Ply, &Silent);
+        let error = extract_surface(&archive, &wrong, &out, SurfaceFormat::Ply, &Silent);
         assert_eq!(error.unwrap_err().exit_code(), 2);
         assert!(!out.exists());
     }
@@ -221,8 +220,7 @@ fn a_box_in_the_world_goes_through_the_geometry() {
     assert!((check(&world).area / report.area - 1.0).abs() < 1e-5);
     assert!(boundary_outside(&index, &Geometry::default(), [30; 3], 1e-3) > 20);
     let outside = SurfaceSettings { roi: Some("world:0:1,:,:".parse().unwrap()), ..SurfaceSettings::of(0.0) };
-    let error =
-        pipeline::extract_surface(&out, &outside, &dir.path().join("x.ply"), SurfaceFormat::Ply, &Silent);
+    let error = extract_surface(&out, &outside, &dir.path().join("x.ply"), SurfaceFormat::Ply, &Silent);
     assert!(error.unwrap_err().to_string().contains("outside the volume"));
 }
 

@@ -3,7 +3,7 @@
 use crate::common::*;
 use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
-use isospan::pipeline::{self, Amount, Refine, SurfaceReport, SurfaceSettings};
+use isospan::pipeline::{Amount, Refine, SurfaceReport, SurfaceSettings};
 use isospan::points::SetKind;
 use isospan::surface::check::check;
 use isospan::surface::components::ComponentFilter;
@@ -21,7 +21,7 @@ fn archive(dir: &Path, kind: SetKind) -> PathBuf {
 
 fn ask(archive: &Path, settings: &SurfaceSettings, out: &Path) -> SurfaceReport {
     let format = SurfaceFormat::from_path(out).unwrap();
-    pipeline::extract_surface(archive, settings, out, format, &Silent).unwrap()
+    extract_surface(archive, settings, out, format, &Silent).unwrap()
 }
 
 #[test]
@@ -97,7 +97,7 @@ fn what_makes_no_sense_is_refused_before_anything_is_written() {
     ] {
         let settings = SurfaceSettings { refine, ..SurfaceSettings::of(0.1) };
         let file = dir.path().join("none.ply");
-        let refused = pipeline::extract_surface(&archive, &settings, &file, SurfaceFormat::Ply, &Silent);
+        let refused = extract_surface(&archive, &settings, &file, SurfaceFormat::Ply, &Silent);
         assert_eq!((refused.unwrap_err().exit_code(), file.exists()), (2, false));
     }
 }

@@ -109,7 +109,7 @@ fn samples_that_are_no_numbers_are_refused_or_masked() {
     assert!(error.exit_code() == 5 && error.to_string().contains("nan_inf_f32.mha"), "{error}");
     let report = reduce(NanPolicy::Mask).unwrap();
     assert!(report.void_points > 0 && report.range.is_some_and(|r| r[1].is_finite()), "{report:?}");
-    pipeline::check_archive(&out).unwrap();
+    check_archive(&out).unwrap();
 }
 
 /// What `info --json` says of a file: its exit code, standard output, and lines on standard error.

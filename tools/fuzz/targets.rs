@@ -22,7 +22,7 @@ use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, SurfaceSettin
 use isospan::points::SetKind;
 use isospan::surface::check::check;
 use isospan::volume::{ScalarType, VolumeSource};
-use isospan::{Error, Result};
+use isospan::{Archive, Error, Result};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -291,12 +291,13 @@ impl Archive {
         let out = self.copy.with_extension("ply");
         let settings = SurfaceSettings { threads: 1, ..SurfaceSettings::of(ISOVALUE) };
         let capped = SurfaceSettings { cap: true, ..settings.clone() };
+        let archive = Archive::open(&self.copy)?.keeping(0);
         let outcomes = [
-            pipeline::check_archive(&self.copy).map(drop),
-            pipeline::count_active(&self.copy, ISOVALUE).map(drop),
-            pipeline::extract_surface(&self.copy, &settings, &out, SurfaceFormat::Ply, &Silent).map(drop),
-            pipeline::extract_surface(&self.copy, &capped, &out, SurfaceFormat::Ply, &Silent).map(drop),
-            pipeline::summarize(&self.copy).map(drop),
+            archive.check().map(drop),
+            archive.count(ISOVALUE).map(drop),
+            archive.write_surface(&settings, &out, SurfaceFormat::Ply, &Silent).map(drop),
+            archive.write_surface(&capped, &out, SurfaceFormat::Ply, &Silent).map(drop),
+            archive.info().map(drop),
         ];
         outcomes.into_iter().collect()
     }

@@ -5,7 +5,7 @@ use crate::exec::{CancelToken, Progress, pool};
 use crate::formats::vtu::{PACKING_BYTES, TetMeta, write_vtu};
 use crate::mesh::tet::Tet;
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{Blocks, Cut, DecodedChunk, Frontier, OpenArchive, Place, Roi, RoiSpace, Visit};
+use crate::pipeline::read::{Blocks, Cut, DecodedChunk, Frontier, Place, Roi, RoiSpace, StepView, Visit};
 use crate::tets::{ChunkTets, TetBuilder};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -88,7 +88,7 @@ const OPEN_POINT: u64 = 100;
 
 /// Writes the tetrahedra of an archive to a VTU file: see [`super::Archive::write_tetrahedra`].
 pub(in crate::pipeline) fn export(
-    archive: &OpenArchive,
+    archive: &StepView,
     settings: &ExportSettings,
     out: &Path,
     progress: &dyn Progress,

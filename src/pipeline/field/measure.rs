@@ -26,12 +26,13 @@ use crate::measure::{BrickErrors, BrickRecord, ErrorSums, FieldError, LevelError
 use crate::pipeline::chunk::{Cells, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of};
 use crate::pipeline::inputs::{Reading, random_access};
 use crate::pipeline::plan::{Attachments, MOST_STEPS_AT_ONCE, estimate, fingerprint};
-use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepChoice, Visit};
+use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepChoice, StepView, Visit};
 use crate::pipeline::settings::RunSettings;
 use crate::volume::{VolumeReader, VolumeSource};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// How a field is measured.
@@ -130,7 +131,8 @@ pub fn measure_source(
     progress: &dyn Progress,
 ) -> Result<MeasureReport> {
     let start = Instant::now();
-    let archive = OpenArchive::open_at(archive, settings.step.map_or(StepChoice::First, StepChoice::Number))?;
+    let choice = settings.step.map_or(StepChoice::First, StepChoice::Number);
+    let archive = OpenArchive::open(archive)?.at(choice)?;
     let (error, same_source) = against(&archive, source, settings, progress)?;
     Ok(MeasureReport {
         error,
@@ -144,7 +146,7 @@ pub fn measure_source(
 /// Measures steps of an archive, by ascending positions in the manifest, whose inputs are not open any more. A mesh is laid out once for all of
 /// them.
 pub(in crate::pipeline) fn reopened_errors(
-    archive: &mut OpenArchive,
+    archive: &Arc<OpenArchive>,
     steps: &[(usize, &StepSource)],
     settings: &MeasureSettings,
     progress: &dyn Progress,
@@ -153,21 +155,22 @@ pub(in crate::pipeline) fn reopened_errors(
     for group in steps.chunks(MOST_STEPS_AT_ONCE as usize) {
         let mut columns = vec![];
         for &(position, source) in group {
-            archive.turn_to(position);
-            match open_field(archive, source)? {
+            let view = archive.step_at(position);
+            match open_field(&view, source)? {
                 Input::Volume(volume) => {
-                    let error = against_volume(archive, volume, source, settings, progress)?.0;
+                    let error = against_volume(&view, volume, source, settings, progress)?.0;
                     errors.push((error, vec![]));
                 }
                 Input::Mesh(mesh) => {
-                    let values = reopened_values(archive, &mesh, &source.path, &mut store, settings)?;
+                    let values = reopened_values(&view, &mesh, &source.path, &mut store, settings)?;
                     columns.push((position, values));
                 }
             }
         }
         if let Some(store) = &store {
             let columns: Vec<_> = columns.iter().map(|(position, values)| (*position, values)).collect();
-            errors.extend(vertex_errors(archive, store, &columns, settings, progress)?);
+            let view = archive.step_at(columns[0].0);
+            errors.extend(vertex_errors(&view, store, &columns, settings, progress)?);
         }
     }
     Ok(errors)
@@ -175,7 +178,7 @@ pub(in crate::pipeline) fn reopened_errors(
 
 /// The values of a step on the mesh of a series, which the first of them lays out.
 pub(in crate::pipeline) fn reopened_values(
-    archive: &OpenArchive,
+    archive: &StepView,
     mesh: &CellMesh,
     input: &Path,
     store: &mut Option<CellStore>,
@@ -198,7 +201,7 @@ pub(in crate::pipeline) fn reopened_values(
 
 /// The error, and whether the input is the one that the archive was made from.
 fn against(
-    archive: &OpenArchive,
+    archive: &StepView,
     source: &StepSource,
     settings: &MeasureSettings,
     progress: &dyn Progress,
@@ -210,7 +213,7 @@ fn against(
 }
 
 /// Opens the input; where nobody names a field of a file, the archive does.
-fn open_field(archive: &OpenArchive, source: &StepSource) -> Result<Input> {
+fn open_field(archive: &StepView, source: &StepSource) -> Result<Input> {
     let (input, options) = (&source.path, &source.options);
     if source.is_given() || options.field.is_some() {
         return source.open();
@@ -221,7 +224,7 @@ fn open_field(archive: &OpenArchive, source: &StepSource) -> Result<Input> {
 }
 
 fn against_volume(
-    archive: &OpenArchive,
+    archive: &StepView,
     volume: VolumeSource,
     source: &StepSource,
     settings: &MeasureSettings,
@@ -251,7 +254,7 @@ fn against_volume(
 }
 
 fn against_mesh(
-    archive: &OpenArchive,
+    archive: &StepView,
     mesh: &CellMesh,
     input: &Path,
     settings: &MeasureSettings,
@@ -267,7 +270,7 @@ fn against_mesh(
 
 /// How a mesh is read whose field at its vertices is measured.
 fn store_settings<'a>(
-    archive: &OpenArchive,
+    archive: &StepView,
     settings: &'a MeasureSettings,
     scratch: &'a Path,
 ) -> StoreSettings<'a> {
@@ -284,7 +287,7 @@ fn store_settings<'a>(
 
 /// A mesh on disk, which must be of the size of the archive's.
 fn mesh_store(
-    archive: &OpenArchive,
+    archive: &StepView,
     mesh: &CellMesh,
     firsts: Option<Firsts>,
     input: &Path,
@@ -306,7 +309,7 @@ fn triple([x, y, z]: [u64; 3]) -> String {
 }
 
 /// The error of a mesh of the archive's size whose vertices are others.
-pub(super) fn other_mesh(archive: &OpenArchive) -> Error {
+pub(super) fn other_mesh(archive: &StepView) -> Error {
     let expected = "the mesh that it keeps";
     Error::bad_input(archive.path(), "vertices", expected, "a mesh with others")
         .with_help(format!("the archive was made from {}", archive.step().plan.source.path))
@@ -324,7 +327,7 @@ fn other_input(input: &Path, recorded: &Source, got: String) -> Error {
 
 /// Measures an archive, published or not.
 pub(super) fn field_error(
-    archive: &OpenArchive,
+    archive: &StepView,
     originals: &Originals<'_>,
     settings: &MeasureSettings,
     progress: &dyn Progress,
@@ -342,7 +345,7 @@ pub(super) fn field_error(
             against.measure(map, settings, progress)
         }
         Originals::Mesh(store, values) => {
-            let step = [(archive.view.step, *values)];
+            let step = [(archive.position(), *values)];
             let mut errors = measure_vertices(archive, store, &step, map, settings, progress)?;
             Ok(errors.pop().expect("of one step").0)
         }
@@ -351,7 +354,7 @@ pub(super) fn field_error(
 
 /// Measures steps of an archive, published or not, from a position in the manifest on.
 pub(in crate::pipeline) fn field_errors(
-    archive: &mut OpenArchive,
+    archive: &Arc<OpenArchive>,
     first: usize,
     originals: &[Originals<'_>],
     settings: &MeasureSettings,
@@ -361,8 +364,8 @@ pub(in crate::pipeline) fn field_errors(
     for (position, original) in (first..).zip(originals) {
         match original {
             Originals::Volume { .. } => {
-                archive.turn_to(position);
-                errors.push((field_error(archive, original, settings, progress)?, vec![]));
+                let view = archive.step_at(position);
+                errors.push((field_error(&view, original, settings, progress)?, vec![]));
             }
             Originals::Mesh(mesh, values) => {
                 store = Some(*mesh);
@@ -372,14 +375,14 @@ pub(in crate::pipeline) fn field_errors(
     }
     // The steps of a series are on one mesh, or on none.
     match store {
-        Some(store) => vertex_errors(archive, store, &on_mesh, settings, progress),
+        Some(store) => vertex_errors(&archive.step_at(first), store, &on_mesh, settings, progress),
         None => Ok(errors),
     }
 }
 
 /// Measures steps at the vertices of a mesh, which are located once for as many steps as the memory allows.
 fn vertex_errors(
-    archive: &OpenArchive,
+    archive: &StepView,
     store: &CellStore,
     steps: &[(usize, &Column<f32>)],
     settings: &MeasureSettings,
@@ -399,7 +402,7 @@ fn vertex_errors(
 
 /// The samples of a volume, against an archive.
 struct AgainstSamples<'a> {
-    archive: &'a OpenArchive,
+    archive: &'a StepView,
     samples: Samples<'a>,
     reader: &'a dyn VolumeReader,
     sample_errors: SampleErrors,
@@ -493,7 +496,7 @@ pub(in crate::pipeline) fn on_lattice(p: FinePos) -> LatticePos {
 
 /// Positions of steps, and their values at the vertices; a map is of one step.
 fn measure_vertices(
-    archive: &OpenArchive,
+    archive: &StepView,
     store: &CellStore,
     steps: &[(usize, &Column<f32>)],
     mut map: Option<Map>,
@@ -562,7 +565,7 @@ fn measure_vertices(
 
 /// Errors at the vertices, as they are told: of steps by positions in the manifest, with their values, and vertices outside.
 pub(super) fn told_errors(
-    archive: &OpenArchive,
+    archive: &StepView,
     store: &CellStore,
     steps: &[usize],
     columns: &[&[f32]],
@@ -623,7 +626,7 @@ fn map_bytes(memory: u64) -> u64 {
 const BATCH: usize = 1 << 12;
 
 impl Map {
-    fn new(archive: &OpenArchive, path: &Path, settings: &MeasureSettings) -> Result<Self> {
+    fn new(archive: &StepView, path: &Path, settings: &MeasureSettings) -> Result<Self> {
         let (bricks, g) = (archive.chunks.bricks(), &archive.step().plan.source.geometry);
         let spacing = std::array::from_fn(|a| g.spacing[a] * bricks.voxels()[a]);
         let memory = map_bytes(settings.memory);

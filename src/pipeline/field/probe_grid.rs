@@ -15,7 +15,7 @@ use crate::exec::{CancelToken, Progress, Silent};
 use crate::formats::samples::{GridMeta, SampleFile, SampleFormat};
 use crate::grid::{Geometry, IndexBox};
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, Visit};
+use crate::pipeline::read::{Blocks, DecodedChunk, StepView, Visit};
 use crate::raster::{Axis, SampleGrid, Scanner, interpolate};
 use serde::Serialize;
 use std::path::Path;
@@ -69,7 +69,7 @@ const BLANK: u64 = 1 << 18;
 
 /// Samples the field of an archive on a grid and writes them to a file: see [`super::Archive::write_samples`].
 pub(in crate::pipeline) fn probe_grid(
-    archive: &OpenArchive,
+    archive: &StepView,
     dims: [u64; 3],
     settings: &ProbeSettings,
     out: &Path,
@@ -104,7 +104,7 @@ pub(in crate::pipeline) fn probe_grid(
 
 /// The same samples, in memory.
 pub(in crate::pipeline) fn sample_grid(
-    archive: &OpenArchive,
+    archive: &StepView,
     dims: [u64; 3],
     settings: &ProbeSettings,
 ) -> Result<Vec<f64>> {
@@ -179,7 +179,7 @@ impl TakenSamples {
 }
 
 impl<'a> GridScan<'a> {
-    fn new(archive: &'a OpenArchive, dims: [u64; 3], settings: &'a ProbeSettings) -> Result<Self> {
+    fn new(archive: &'a StepView, dims: [u64; 3], settings: &'a ProbeSettings) -> Result<Self> {
         let grid = spanning_grid(archive, dims)?;
         let axes = 4 * dims.iter().sum::<u64>();
         let may_overlap = archive.manifest.plan.own.is_some();
@@ -254,7 +254,7 @@ impl<'a> GridScan<'a> {
 }
 
 /// Evenly spaced samples from face to face of the domain.
-fn spanning_grid(archive: &OpenArchive, dims: [u64; 3]) -> Result<SampleGrid> {
+fn spanning_grid(archive: &StepView, dims: [u64; 3]) -> Result<SampleGrid> {
     let lattice = archive.manifest.plan.lattice;
     let far = lattice.max();
     let axis = |a: usize| Axis::even(0, far[a], dims[a]);

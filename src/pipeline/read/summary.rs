@@ -1,8 +1,7 @@
 //! What an archive holds, from its manifest: for `info`, and for reports.
 
-use super::archive::OpenArchive;
-use super::choice::StepChoice;
 use super::spectrum::{Suggestion, report};
+use super::step_view::StepView;
 use crate::archive::coordinates::CellCount;
 use crate::archive::manifest::{MeshSource, Step};
 use crate::archive::segment::FORMAT_VERSION;
@@ -13,7 +12,6 @@ use crate::measure::{FieldError, LevelError};
 use crate::pipeline::plan::Plan;
 use crate::points::Levels;
 use serde::Serialize;
-use std::path::Path;
 
 /// A level of density.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -32,7 +30,7 @@ pub struct LevelSummary {
 }
 
 impl LevelSummary {
-    fn all(archive: &OpenArchive, levels: &Levels) -> Vec<Self> {
+    fn all(archive: &StepView, levels: &Levels) -> Vec<Self> {
         let (plan, step) = (&archive.manifest.plan, archive.step());
         let densities = Plan::densities(plan, levels);
         let bytes = Self::bytes(archive, levels, &densities);
@@ -47,7 +45,7 @@ impl LevelSummary {
     }
 
     /// The bytes of each segment, shared out by the points of each level in its chunks.
-    fn bytes(archive: &OpenArchive, levels: &Levels, densities: &[f64]) -> Vec<f64> {
+    fn bytes(archive: &StepView, levels: &Levels, densities: &[f64]) -> Vec<f64> {
         let (mesh, values) = (&archive.manifest.mesh, &archive.step().values);
         let mut bytes = vec![0.0; densities.len()];
         for (segment, values) in mesh.iter().zip(values) {
@@ -183,23 +181,11 @@ impl StepSummary {
     }
 }
 
-/// Tells what an archive holds.
-///
-/// # Errors
-/// [`crate::Error::BadInput`] when there is no archive at `path`, or its manifest is damaged.
-pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
-    summarize_at(path, StepChoice::First)
-}
-
-/// As [`summarize`]; range, areas and suggestions are those of a step.
-///
-/// # Errors
-/// As [`summarize`]; [`crate::Error::Usage`] for a step that is not there, or a time between two.
-pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
-    let archive = OpenArchive::open_at(path, choice)?;
+/// What an archive holds; range, areas and suggestions are those of the step.
+pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummary> {
     let (plan, counts, step) = (&archive.manifest.plan, &archive.manifest.counts, archive.step());
     let source = &step.plan.source;
-    let spectrum = report(&archive)?;
+    let spectrum = report(archive)?;
     let steps = archive.summarized_steps()?;
     Ok(ArchiveSummary {
         kind: "archive",
@@ -214,7 +200,7 @@ pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
         mesh: source.mesh,
         own: archive.manifest.plan.own.is_some(),
         point_set: serde_json::json!(plan.points),
-        levels: archive.points.levels().map_or_else(Vec::new, |levels| LevelSummary::all(&archive, levels)),
+        levels: archive.points.levels().map_or_else(Vec::new, |levels| LevelSummary::all(archive, levels)),
         interpolation: step.plan.interpolation.name().into(),
         values: step.plan.values.name().into(),
         quantiser: step.plan.told_quantiser(),

@@ -165,13 +165,13 @@ pub(super) fn added_before(archive: &OpenArchive, series: &SeriesPlan) -> Result
     }
     let counts = archive.manifest.counts;
     Ok(Some(ReduceReport {
-        samples: archive.step().plan.source.samples(),
+        samples: archive.manifest.steps[0].plan.source.samples(),
         points: counts.points,
         tetrahedra: counts.tetrahedra,
         chunks: counts.chunks,
         blocks: counts.blocks,
         skipped: series.skipped.clone(),
-        archive_bytes: archive.bytes()?,
+        archive_bytes: archive.file_bytes()?,
         made_before: true,
         ..ReduceReport::default()
     }))

@@ -96,10 +96,11 @@ impl Common {
 
     /// That of an archive of a mesh.
     fn of_archive(archive: &OpenArchive) -> Self {
-        let source = &archive.step().plan.source;
+        let first = &archive.manifest.steps[0].plan;
+        let source = &first.source;
         let mesh = source.mesh.expect("an archive of a mesh tells it");
         let identity = Identity { points: mesh.point_hash.0, cells: mesh.cell_hash.0 };
-        let name = format!("{}, step {}", source.path, archive.step().plan.number);
+        let name = format!("{}, step {}", source.path, first.number);
         Self { identity, vertices: mesh.vertices, name }
     }
 

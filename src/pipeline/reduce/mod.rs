@@ -31,7 +31,7 @@ use crate::formats::{Input, OpenOptions, StepSource};
 use crate::pipeline::chunk::stored_error;
 use crate::pipeline::field::{MeasureSettings, reopened_errors};
 use crate::pipeline::plan::{Estimate, Layout, MeshParts, Need, Plan, Question, folder_bytes, parts};
-use crate::pipeline::read::{OpenArchive, StepChoice, StepSummary};
+use crate::pipeline::read::{OpenArchive, StepSummary};
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
 pub(super) use advice::look;
 pub use advice::{mesh_notices, scan_with_notices};
@@ -342,22 +342,20 @@ impl Publishing<'_> {
         before: usize,
     ) -> Result<()> {
         let settings = MeasureSettings::of_run(self.run, self.workers);
-        let mut archive =
-            OpenArchive::of(self.layout.root(), made.manifest(&series.plan), StepChoice::First)?;
+        let archive = OpenArchive::of(self.layout.root(), made.manifest(&series.plan))?;
         let mut missing = vec![];
         for (position, source) in (before..).zip(&series.sources) {
             let step = &mut made.steps[position];
             match outcome.errors.remove(&step.plan.number) {
                 Some((error, levels)) => (step.error, step.level_errors) = (Some(error), levels),
                 None if step.plan.measured => {
-                    archive.turn_to(position);
-                    let (error, levels) = stored_error(&archive)?;
+                    let (error, levels) = stored_error(&archive.step_at(position))?;
                     (step.error, step.level_errors) = (Some(error), levels);
                 }
                 None => missing.push((position, &source.source)),
             }
         }
-        let errors = reopened_errors(&mut archive, &missing, &settings, self.progress)?;
+        let errors = reopened_errors(&archive, &missing, &settings, self.progress)?;
         for ((position, _), (error, levels)) in missing.into_iter().zip(errors) {
             (made.steps[position].error, made.steps[position].level_errors) = (Some(error), levels);
         }

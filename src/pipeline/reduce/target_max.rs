@@ -37,7 +37,7 @@ use crate::pipeline::field::{
 };
 use crate::pipeline::inputs::{Reading, random_access};
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepChoice, Visit};
+use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepView, Visit};
 use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
 use crate::points::PointSpec;
 use crate::volume::VolumeSource;
@@ -81,7 +81,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
         remove_folder(&last)?;
         if let Some(choice) = next {
             rename(&trying, &last)?;
-            round = Some(Round::new(choice, OpenArchive::open(&last)?)?);
+            round = Some(Round::new(choice, OpenArchive::open(&last)?.step_at(0))?);
             settings = ReduceSettings { target: None, ..settings };
             continue;
         }
@@ -97,7 +97,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
 
 /// The levels of a try, higher where errors are above the bound; `None` when nothing can be denser.
 fn raised(job: &Job<'_>, archive: &Path, bound: f64, samples: u64) -> Result<Option<Choice>> {
-    let mut archive = OpenArchive::open_at(archive, StepChoice::First)?;
+    let archive = OpenArchive::open(archive)?;
     let levels = Arc::clone(archive.points.levels().expect("its points adapt"));
     let PointSpec::Halton { n } = archive.manifest.plan.points else {
         unreachable!("levels are those of a Halton set")
@@ -106,10 +106,10 @@ fn raised(job: &Job<'_>, archive: &Path, bound: f64, samples: u64) -> Result<Opt
     let worst: Vec<AtomicU32> = levels.as_slice().iter().map(|_| AtomicU32::new(0)).collect();
     let mut filled = 1.0;
     for position in 0..archive.manifest.steps.len() {
-        archive.turn_to(position);
-        let number = archive.step().plan.number;
+        let view = archive.step_at(position);
+        let number = view.step().plan.number;
         let (_, source) = job.sources.iter().find(|s| s.0 == number).expect("a step of this job");
-        filled = Measuring { archive: &archive, cells: &cells, bound, worst: &worst }.add(job, source)?;
+        filled = Measuring { archive: &view, cells: &cells, bound, worst: &worst }.add(job, source)?;
     }
     let worst: Vec<f32> = worst.into_iter().map(|e| f32::from_bits(e.into_inner())).collect();
     // Points are those of the box, of which a mesh may fill a part.
@@ -119,7 +119,7 @@ fn raised(job: &Job<'_>, archive: &Path, bound: f64, samples: u64) -> Result<Opt
 
 /// Looks for errors above a bound.
 struct Measuring<'a> {
-    archive: &'a OpenArchive,
+    archive: &'a StepView,
     cells: &'a BrickGrid,
     bound: f64,
     /// The bits of the largest error of each cell: of numbers that are not negative they are in the same order.
@@ -187,7 +187,7 @@ impl Measuring<'_> {
         let mut above = vec![];
         for id in (0..self.archive.chunks.len()).map(ChunkId) {
             self.archive.close_before(id);
-            let sums = stored_errors(&self.archive.segment_of(id)?.values, id)?.sums;
+            let sums = stored_errors(&*self.archive.segment_of(id)?.values, id)?.sums;
             // The largest is that of errors rounded to f32.
             let is_above = |error: f64| error * (1.0 + f64::from(f32::EPSILON)) > self.bound;
             if sums.largest.is_some_and(|l| is_above((f64::from(l.original) - f64::from(l.reduced)).abs())) {

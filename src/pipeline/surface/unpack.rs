@@ -20,8 +20,8 @@ use crate::exec::{CancelToken, Progress, pool};
 use crate::grid::ChunkId;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    BYTES_PER_VERTEX, BufferPool, Buffers, ChunkReader, Needed, OpenArchive, StepChoice, StepRange, View,
-    Wanted, world_map,
+    BYTES_PER_VERTEX, BufferPool, Buffers, ChunkReader, Moment, Needed, OpenArchive, StepChoice, StepRange,
+    StepView, Wanted, world_map,
 };
 use crate::surface::WorldMap;
 use crate::surface::known::{Joiner, KnownBlock};
@@ -29,6 +29,7 @@ use serde::Serialize;
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// What is unpacked, and how.
 #[derive(Clone, Debug)]
@@ -111,12 +112,11 @@ pub struct UnpackNeed {
 /// # Errors
 /// As [`unpack`]; [`Error::Budget`] when the disk does not have room for it.
 pub fn unpack_need(path: &Path, settings: &UnpackSettings) -> Result<UnpackNeed> {
-    let (mut archive, positions) = open_chosen(path, settings)?;
+    let (archive, positions) = open_chosen(path, settings)?;
     let mut tetrahedra = 0;
-    for position in positions {
-        archive.turn_to(position);
-        let range = settings.range.map(|v| archive.step().plan.source.kept(v));
-        tetrahedra += parts_of(&archive, range)?.iter().map(|part| part.wanted_tets).sum::<u64>();
+    for view in positions.map(|n| archive.step_at(n)) {
+        let range = settings.range.map(|v| view.step().plan.source.kept(v));
+        tetrahedra += parts_of(&view, range)?.iter().map(|part| part.wanted_tets).sum::<u64>();
     }
     let bytes = tetrahedra * BYTES_ON_DISK;
     let free = estimate::free_bytes(archive.path());
@@ -129,13 +129,13 @@ pub fn unpack_need(path: &Path, settings: &UnpackSettings) -> Result<UnpackNeed>
 }
 
 /// The archive, and the positions of the steps that are meant.
-fn open_chosen(path: &Path, settings: &UnpackSettings) -> Result<(OpenArchive, std::ops::Range<usize>)> {
+fn open_chosen(path: &Path, settings: &UnpackSettings) -> Result<(Arc<OpenArchive>, std::ops::Range<usize>)> {
     expect_local(path)?;
     let [low, high] = settings.range;
     if low.is_nan() || high.is_nan() || low > high {
         return Err(Error::usage(format!("the range {low} to {high} is empty: give the lower value first")));
     }
-    let archive = OpenArchive::open_at(path, settings.step)?;
+    let archive = OpenArchive::open(path)?;
     let positions = chosen(&archive.manifest, settings, path)?;
     Ok((archive, positions))
 }
@@ -167,11 +167,10 @@ fn open_chosen(path: &Path, settings: &UnpackSettings) -> Result<(OpenArchive, s
 pub fn unpack(path: &Path, settings: &UnpackSettings, progress: &dyn Progress) -> Result<UnpackReport> {
     // All steps at once: disk that does for the first ones alone is found too small before anything is written.
     unpack_need(path, settings)?;
-    let (mut archive, positions) = open_chosen(path, settings)?;
+    let (archive, positions) = open_chosen(path, settings)?;
     let mut report = UnpackReport::default();
-    for position in positions {
-        archive.turn_to(position);
-        let file = unpack_step(&archive, settings, progress)?;
+    for view in positions.map(|n| archive.step_at(n)) {
+        let file = unpack_step(&view, settings, progress)?;
         report.bytes += file.bytes;
         report.files.push(file);
     }
@@ -241,16 +240,16 @@ fn chosen(manifest: &Manifest, settings: &UnpackSettings, path: &Path) -> Result
     if let Some(steps) = settings.steps {
         return steps.positions(manifest, path);
     }
-    let View { step, beyond } = View::of(manifest, settings.step, path)?;
+    let Moment { step, beyond } = Moment::of(manifest, settings.step, path)?;
     match beyond {
         None => Ok(step..step + 1),
         Some(_) => Err(Error::usage("steps are unpacked, and no moment between two of them")),
     }
 }
 
-/// Unpacks the step that is looked at.
+/// Unpacks a step.
 fn unpack_step(
-    archive: &OpenArchive,
+    archive: &StepView,
     settings: &UnpackSettings,
     progress: &dyn Progress,
 ) -> Result<UnpackedFile> {
@@ -263,7 +262,7 @@ fn unpack_step(
         return Err(Error::Budget { what, needed: largest, available });
     }
     let path = archive.layout.unpacked();
-    let writer = UnpackedWriter::create(&path, archive.unpacked_hash(archive.view.step), range)?;
+    let writer = UnpackedWriter::create(&path, archive.unpacked_hash(archive.position()), range)?;
     let step = archive.step().plan.number;
     progress.begin(&format!("unpack step {step}"), parts.len() as u64, "chunks");
     let pool = pool(settings.threads)?;
@@ -298,7 +297,7 @@ impl Part {
 }
 
 /// Reads the summaries of all chunks.
-fn parts_of(archive: &OpenArchive, range: [f32; 2]) -> Result<Vec<Part>> {
+fn parts_of(archive: &StepView, range: [f32; 2]) -> Result<Vec<Part>> {
     let part = |id: ChunkId| {
         archive.close_before(id);
         let segment = archive.segment_of(id)?;
@@ -328,7 +327,7 @@ struct MadeChunk {
 
 impl MadeChunk {
     fn of(
-        archive: &OpenArchive,
+        archive: &StepView,
         id: ChunkId,
         range: [f32; 2],
         world: &WorldMap,
@@ -370,7 +369,7 @@ impl MadeChunk {
 
 /// Writes chunks in order.
 struct Filler<'a> {
-    archive: &'a OpenArchive,
+    archive: &'a StepView,
     writer: UnpackedWriter,
     file: UnpackedFile,
     progress: &'a dyn Progress,
@@ -401,7 +400,7 @@ impl Last for Filler<'_> {
 ///
 /// # Errors
 /// The first that is another.
-pub(in crate::pipeline) fn check_unpacked(archive: &OpenArchive, file: &Unpacked, id: ChunkId) -> Result<()> {
+pub(in crate::pipeline) fn check_unpacked(archive: &StepView, file: &Unpacked, id: ChunkId) -> Result<()> {
     let (world, mut buffers) = (world_map(archive), Buffers::default());
     let made = MadeChunk::of(archive, id, file.table().range, &world, &mut buffers)?;
     let told = file.chunk(id);

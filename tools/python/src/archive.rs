@@ -12,7 +12,7 @@ use isospan::formats::samples::SampleFormat;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Corners, ExportSettings, MeasureSettings, ProbeSettings, Refine, RunSettings, StepChoice,
+    self, Corners, ExportSettings, MeasureSettings, ProbeSettings, Refine, RunSettings, Step, StepChoice,
     StepRange, SurfaceSettings,
 };
 use isospan::surface::components::ComponentFilter;
@@ -28,12 +28,13 @@ pub(crate) fn is_archive(path: PathBuf) -> bool {
     pipeline::is_archive(&path)
 }
 
-/// An archive, opened at a step; the step that was asked last besides is open too.
+/// An archive, opened at a step; the other step that was asked last is kept with its blocks.
 #[pyclass(frozen)]
 pub(crate) struct Archive {
     path: PathBuf,
-    here: Arc<isospan::Archive>,
-    other: Mutex<Option<(StepChoice, Arc<isospan::Archive>)>>,
+    archive: isospan::Archive,
+    here: Arc<Step>,
+    other: Mutex<Option<(StepChoice, Arc<Step>)>>,
 }
 
 /// A step by its number, or a time.
@@ -156,21 +157,21 @@ impl Against {
 
 impl Archive {
     /// The archive at a step; at the one that it was opened at, if none is given.
-    fn at(&self, py: Python<'_>, when: When) -> PyResult<Arc<isospan::Archive>> {
+    fn at(&self, py: Python<'_>, when: When) -> PyResult<Arc<Step>> {
         if when == (None, None) {
             return Ok(Arc::clone(&self.here));
         }
         let choice = choice(py, when)?;
         py.detach(|| {
             let mut other = self.other.lock().unwrap_or_else(PoisonError::into_inner);
-            if let Some((known, archive)) = &*other
+            if let Some((known, step)) = &*other
                 && *known == choice
             {
-                return Ok(Arc::clone(archive));
+                return Ok(Arc::clone(step));
             }
-            let archive = Arc::new(isospan::Archive::open_at(&self.path, choice)?);
-            *other = Some((choice, Arc::clone(&archive)));
-            Ok(archive)
+            let step = Arc::new(self.archive.at(choice)?);
+            *other = Some((choice, Arc::clone(&step)));
+            Ok(step)
         })
         .map_err(|e| exception(py, &e))
     }
@@ -181,9 +182,9 @@ impl Archive {
     #[new]
     fn open(py: Python<'_>, path: PathBuf, when: When) -> PyResult<Self> {
         let choice = choice(py, when)?;
-        let archive =
-            py.detach(|| isospan::Archive::open_at(&path, choice)).map_err(|e| exception(py, &e))?;
-        Ok(Self { path, here: Arc::new(archive), other: Mutex::new(None) })
+        let open = || isospan::Archive::open(&path).and_then(|a| a.at(choice).map(|step| (a, step)));
+        let (archive, here) = py.detach(open).map_err(|e| exception(py, &e))?;
+        Ok(Self { path, archive, here: Arc::new(here), other: Mutex::new(None) })
     }
 
     fn info<'py>(&self, py: Python<'py>, when: When) -> PyResult<Bound<'py, PyAny>> {
@@ -271,7 +272,7 @@ impl Archive {
         let report = run(py, progress.as_ref(), |cancel, progress| {
             let settings = SurfaceSettings { cancel: cancel.clone(), ..settings };
             let format = SurfaceFormat::from_path(&out)?;
-            pipeline::extract_series(&self.path, steps, &settings, &out, format, progress)
+            self.archive.write_series(steps, &settings, &out, format, progress)
         })?;
         to_python(py, &report)
     }
@@ -391,6 +392,6 @@ impl Archive {
 
     /// Verifies all of it.
     fn check(&self, py: Python<'_>) -> PyResult<()> {
-        run(py, None, |cancel, _| self.here.check_until(cancel).map(|_| ()))
+        run(py, None, |cancel, _| self.archive.check_until(cancel).map(|_| ()))
     }
 }
