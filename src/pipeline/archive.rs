@@ -1,12 +1,12 @@
 //! [`Archive`]: an archive opened for reading, with all its steps.
 
-use super::check::{ArchiveCheck, check_archive};
-use super::step::Step;
 use crate::bytes::remote::{Traffic, traffic, traffic_since};
 use crate::error::Result;
 use crate::exec::{CancelToken, Progress};
 use crate::formats::surface::SurfaceFormat;
+use crate::pipeline::check::{ArchiveCheck, check_archive};
 use crate::pipeline::read::{OpenArchive, StepChoice, StepRange, StepSpectrum};
+use crate::pipeline::step::Step;
 use crate::pipeline::surface::{SeriesReport, SurfaceSettings, surfaces_of_steps, write_series};
 use crate::surface::TriMesh;
 use serde::Serialize;
