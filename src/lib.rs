@@ -143,6 +143,7 @@ pub mod tets;
 pub mod volume;
 
 pub use error::{Error, Result};
+pub use exec::Resources;
 pub use pipeline::Archive;
 
 /// README's example compiles: it is one of the tests of the documentation.

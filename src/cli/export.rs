@@ -58,15 +58,12 @@ fn parse_range(text: &str) -> std::result::Result<[f64; 2], String> {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = ExportSettings {
+        resources: args.machine.resources(args.scratch.scratch.clone(), talk),
         range: args.range,
         corners: if args.any_corner { Corners::Any } else { Corners::All },
         roi: args.roi,
         every: args.every,
         compress: args.compress,
-        threads: args.machine.threads,
-        memory: args.machine.memory(talk),
-        scratch: args.scratch.scratch.clone(),
-        cancel: super::signals::cancel_token(),
     };
     expect_no_input(&args.output, [&args.archive])?;
     let archive = Archive::open(&args.archive)?.at(args.step.choice())?;

@@ -67,9 +67,10 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         talk.notices(&found.notices);
         return dry_run::tell(&found, &args.output, args.json);
     }
-    let threads = if run.threads == 0 { isospan::exec::available_threads() } else { run.threads };
+    let threads =
+        if run.resources.threads == 0 { isospan::exec::available_threads() } else { run.resources.threads };
     let io = args.read.io_text(&steps[0].path);
-    talk.detail(&format!("memory {}, {threads} threads, {io}", text::bytes(run.memory)));
+    talk.detail(&format!("memory {}, {threads} threads, {io}", text::bytes(run.resources.memory)));
     let bar = talk.progress();
     let report = reduce_series(&steps, &settings, &args.output, &run, &*bar);
     bar.end();

@@ -17,7 +17,7 @@ use isospan::render::{
 use isospan::surface::SurfaceSource;
 use isospan::surface::check::CheckSettings;
 use isospan::surface::weld::StoredSurface;
-use isospan::{Archive, Error, Result};
+use isospan::{Archive, Error, Resources, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -236,15 +236,15 @@ impl Job<'_> {
 
     fn settings(&self, taken: u64) -> RenderSettings {
         RenderSettings {
+            resources: Resources::default()
+                .with_threads(self.args.machine.threads)
+                .with_memory((self.memory / 8 * 7).saturating_sub(taken))
+                .with_scratch(self.scratch.clone())
+                .with_cancel(self.cancel.clone()),
             samples: self.args.samples,
             lights: self.args.lights,
             flat: self.args.flat,
             background: self.args.background,
-            threads: self.args.machine.threads,
-            // An eighth is the surfaces'.
-            memory: (self.memory / 8 * 7).saturating_sub(taken),
-            scratch: self.scratch.clone(),
-            cancel: self.cancel.clone(),
         }
     }
 
@@ -301,14 +301,15 @@ impl Job<'_> {
             .map_err(|e| Error::io("make a temporary folder in", &self.scratch, e))?;
         let file = folder.path().join("surface.ply");
         let settings = SurfaceSettings {
-            threads: self.args.machine.threads,
-            memory: self.memory / 8 * 7,
-            cancel: self.cancel.clone(),
+            resources: Resources::default()
+                .with_threads(self.args.machine.threads)
+                .with_memory(self.memory / 8 * 7)
+                .with_cancel(self.cancel.clone()),
             ..SurfaceSettings::of(isovalue)
         };
         let found = step
             .write_surface(&settings, &file, SurfaceFormat::Ply, progress)
-            .map_err(|e| self.whole(e, settings.memory))?;
+            .map_err(|e| self.whole(e, settings.resources.memory))?;
         if found.triangles == 0 {
             let archive = step.path().display();
             return Err(Error::usage(format!("{archive}: the isovalue {isovalue} gives no surface")));
@@ -339,17 +340,18 @@ impl Job<'_> {
         let check = CheckSettings { memory: self.memory / 4, scratch: self.scratch.clone() };
         let target = load_surface(target, &check).map_err(|e| self.whole(e, check.memory))?;
         let settings = CompareSettings {
-            threads: self.args.machine.threads,
-            memory: self.memory / 2,
-            scratch: self.scratch.clone(),
-            cancel: self.cancel.clone(),
+            resources: Resources::default()
+                .with_threads(self.args.machine.threads)
+                .with_memory(self.memory / 2)
+                .with_scratch(self.scratch.clone())
+                .with_cancel(self.cancel.clone()),
             ..CompareSettings::default()
         };
         progress.begin("distances", panels.len() as u64, "panels");
         let mut end = 0.0f32;
         for panel in panels {
-            panel.distances =
-                distances(&panel.surface, &target, &settings).map_err(|e| self.whole(e, settings.memory))?;
+            panel.distances = distances(&panel.surface, &target, &settings)
+                .map_err(|e| self.whole(e, settings.resources.memory))?;
             let mut sorted = panel.distances.clone();
             let place = (sorted.len() as f64 * 0.995) as usize;
             let (_, at, _) =

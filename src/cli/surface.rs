@@ -107,14 +107,11 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let format = SurfaceFormat::from_path(&args.output)?;
     expect_no_input(&args.output, [&args.archive])?;
     let settings = SurfaceSettings {
+        resources: args.machine.resources(args.scratch.scratch.clone(), talk),
         isovalues: args.isovalue.clone(),
         roi: args.roi,
-        threads: args.machine.threads,
-        memory: args.machine.memory(talk),
-        scratch: args.scratch.scratch.clone(),
         cap: args.cap,
         refine: refine(args),
-        cancel: super::signals::cancel_token(),
     };
     // One question is asked: nothing is kept for a next one.
     let archive = Archive::open(&args.archive)?.keeping(0);

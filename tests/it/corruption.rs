@@ -5,7 +5,6 @@
 //! error too, soon, and without a huge allocation.
 
 use crate::common::*;
-use isospan::Error;
 use isospan::archive::manifest::{MANIFEST_NAME, Manifest, Plan};
 use isospan::archive::segment::SegmentKind;
 use isospan::exec::Silent;
@@ -13,6 +12,7 @@ use isospan::formats::surface::SurfaceFormat;
 use isospan::geom::Lattice;
 use isospan::pipeline::{Amount, SurfaceSettings};
 use isospan::points::{PointSpec, SetKind};
+use isospan::{Error, Resources};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -29,7 +29,8 @@ struct Answers {
 
 fn extract(archive: &Path) -> Result<Vec<u8>, Error> {
     let out = archive.with_extension("ply");
-    let settings = SurfaceSettings { threads: 1, ..SurfaceSettings::of(ISOVALUE) };
+    let settings =
+        SurfaceSettings { resources: Resources::default().with_threads(1), ..SurfaceSettings::of(ISOVALUE) };
     let made = extract_surface(archive, &settings, &out, SurfaceFormat::Ply, &Silent);
     let bytes = fs::read(&out);
     let _ = fs::remove_file(&out);

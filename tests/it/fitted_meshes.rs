@@ -120,7 +120,8 @@ fn chunks_threads_memory_restarts_and_shards_do_not_show() {
         (ReduceSettings { chunk_points: 300, ..fitted(1.6) }, dir.path().join("300.isospan"));
     let expected = folder(&out);
     let [again, shards] = ["again", "shards"].map(|n| dir.path().join(format!("{n}.isospan")));
-    let small = isospan::pipeline::RunSettings { memory: 64 << 20, ..run(1) };
+    let small =
+        isospan::pipeline::RunSettings { resources: run(1).resources.with_memory(64 << 20), ..run(1) };
     isospan::pipeline::reduce(&input, &OpenOptions::default(), &settings, &again, &small, &Silent).unwrap();
     assert_eq!(folder(&again), expected, "threads and memory");
     // Killed when the mesh was whole and values were not: what is around each chunk is made again.

@@ -11,7 +11,7 @@ use isospan::pipeline::{
 use isospan::points::SetKind;
 use isospan::volume::memory::{info_of, volume_of};
 use isospan::volume::{ScalarType, VolumeInfo, VolumeReader};
-use isospan::{Error, Result};
+use isospan::{Error, Resources, Result};
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -221,7 +221,7 @@ fn an_error_of_the_reader_ends_the_run_and_leaves_no_archive() {
     assert!(!out.join("manifest.json").exists() && Archive::open(&out).is_err());
     let stop = CancelToken::new();
     stop.cancel();
-    let run = RunSettings { cancel: stop, ..RunSettings::default() };
+    let run = RunSettings { resources: Resources::default().with_cancel(stop), ..RunSettings::default() };
     let made = reduce_series(&[given(samples())], &ReduceSettings::default(), &out, &run, &Silent);
     assert!(matches!(made, Err(Error::Cancelled)));
 }

@@ -11,13 +11,12 @@ use isospan::pipeline::{
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::volume::VolumeSource;
-use isospan::{Archive, Error};
+use isospan::{Archive, Error, Resources};
 use std::path::Path;
 
 fn measured(archive: &Path, input: &Path, threads: usize, map: Option<&Path>) -> MeasureReport {
     let settings = MeasureSettings {
-        threads,
-        memory: 1 << 30,
+        resources: Resources::default().with_threads(threads).with_memory(1 << 30),
         map: map.map(Path::to_path_buf),
         ..MeasureSettings::default()
     };
@@ -171,7 +170,10 @@ fn another_input_is_refused_in_one_line() {
     let out = dir.path().join("a.isospan");
     reduce(&input, &ReduceSettings::default(), &out, 1);
     let refused = |input: &Path, memory: u64| {
-        let settings = MeasureSettings { memory, ..MeasureSettings::default() };
+        let settings = MeasureSettings {
+            resources: Resources::default().with_memory(memory),
+            ..MeasureSettings::default()
+        };
         measure(&out, input, &OpenOptions::default(), &settings, &Silent).unwrap_err()
     };
     let e = refused(&other, 1 << 30).to_string();

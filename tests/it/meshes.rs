@@ -1,6 +1,7 @@
 //! Reductions of tetrahedral meshes: the reduced domain is the mesh's, and surfaces are those of its field.
 
 use crate::common::{self, check_archive, read, run, surface, triangle_set, write_mesh, write_placed};
+use isospan::Resources;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
@@ -315,7 +316,7 @@ fn threads_memory_and_chunks_do_not_change_the_reduction() {
     let radius = |p: [f64; 3]| p.iter().map(|c| (c - 0.5) * (c - 0.5)).sum::<f64>().sqrt();
     write_mesh(&input, 14, |p| radius(p) < 0.48, |p| p, |p| radius(p) + 0.05 * (9.0 * p[0]).sin());
     let (one, _) = reduced(&input, &settings(0.99), "one.isospan", &run(1));
-    let small = RunSettings { memory: 64 << 20, ..run(2) };
+    let small = RunSettings { resources: run(2).resources.with_memory(64 << 20), ..run(2) };
     let (two, _) = reduced(&input, &settings(0.99), "two.isospan", &small);
     assert_eq!(common::folder(&one), common::folder(&two));
     let chunked = ReduceSettings { chunk_points: 500, ..settings(0.99) };
@@ -374,7 +375,10 @@ fn the_error_at_the_vertices_is_measured() {
     assert!(e.rms > 1e-4 && e.max < 0.1, "{e:?}");
     let worst = e.worst.as_ref().unwrap();
     assert!((worst.original - field(worst.world)).abs() < 1e-5, "{worst:?}");
-    let again = MeasureSettings { threads: 1, memory: 1 << 30, ..MeasureSettings::default() };
+    let again = MeasureSettings {
+        resources: Resources::default().with_threads(1).with_memory(1 << 30),
+        ..MeasureSettings::default()
+    };
     let again = measure(&out, &input, &OpenOptions::default(), &again, &Silent).unwrap();
     assert!(again.same_source && again.error == e);
 }

@@ -1,7 +1,6 @@
 //! Values that `f32` does not hold: they are counted from an offset, which nobody sees. What is lost all the same is told.
 
 use crate::common::*;
-use isospan::Archive;
 use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::samples::SampleFormat;
@@ -13,6 +12,7 @@ use isospan::pipeline::{
 use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};
 use isospan::surface::TriMesh;
+use isospan::{Archive, Resources};
 use std::fs;
 use std::path::Path;
 
@@ -97,7 +97,10 @@ fn a_small_wave_on_a_large_number_is_all_there() {
         (worst.original - PASCAL).abs() < 3.5
             && ((worst.reduced - worst.original).abs() - error.max).abs() < 1e-6
     );
-    let how = MeasureSettings { memory: 1 << 28, ..MeasureSettings::default() };
+    let how = MeasureSettings {
+        resources: Resources::default().with_memory(1 << 28),
+        ..MeasureSettings::default()
+    };
     let measured =
         pipeline::measure(&out("p.isospan"), &out("p.npy"), &OpenOptions::default(), &how, &Silent);
     assert_eq!(measured.unwrap().error, error);
@@ -290,7 +293,10 @@ fn a_mesh_has_an_offset_too() {
         assert!(lo > PASCAL - 3.5 && hi < PASCAL + 3.5 && hi - lo > 4.0, "{lo} {hi}");
         let (error, wanted) = (report.error.unwrap(), small.error.unwrap());
         assert!((error.rms - wanted.rms).abs() < 1e-3 * wanted.rms, "{} {}", error.rms, wanted.rms);
-        let how = MeasureSettings { memory: 1 << 28, ..MeasureSettings::default() };
+        let how = MeasureSettings {
+            resources: Resources::default().with_memory(1 << 28),
+            ..MeasureSettings::default()
+        };
         let measured = pipeline::measure(&name("a"), &out("a.vtk"), &OpenOptions::default(), &how, &Silent);
         assert_eq!(measured.unwrap().error, error);
         let [a, b] = [("a", PASCAL), ("small", 0.0)]

@@ -3,7 +3,6 @@
 use crate::common::{
     self, check_archive, folder, reduce_in_shards, run, triangle_set, write_mesh, write_placed,
 };
-use isospan::Archive;
 use isospan::exec::Silent;
 use isospan::formats::samples::SampleFormat;
 use isospan::formats::{OpenOptions, StepSource};
@@ -15,6 +14,7 @@ use isospan::points::SetKind;
 use isospan::sample::Interpolation;
 use isospan::surface::TriMesh;
 use isospan::surface::check::check;
+use isospan::{Archive, Resources};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -36,7 +36,10 @@ fn kept(input: &Path, settings: &ReduceSettings, out: &str, run: &RunSettings) -
 }
 
 fn extracted(archive: &Path, isovalue: f64, threads: usize) -> TriMesh {
-    let settings = SurfaceSettings { threads, ..SurfaceSettings::of(isovalue) };
+    let settings = SurfaceSettings {
+        resources: Resources::default().with_threads(threads),
+        ..SurfaceSettings::of(isovalue)
+    };
     Archive::open(archive).unwrap().surfaces(&settings).unwrap().remove(0)
 }
 
@@ -244,7 +247,11 @@ fn a_long_tetrahedron_is_found_wherever_it_is() {
         ] {
             let around: Vec<String> = place.iter().map(|c| format!("{}:{}", c - 0.06, c + 0.06)).collect();
             let roi = Some(format!("world:{}", around.join(",")).parse().unwrap());
-            let settings = SurfaceSettings { roi, threads: 2, ..SurfaceSettings::of(at) };
+            let settings = SurfaceSettings {
+                resources: Resources::default().with_threads(2),
+                roi,
+                ..SurfaceSettings::of(at)
+            };
             let cut = Archive::open(&archive).unwrap().surfaces(&settings).unwrap().remove(0);
             assert!(
                 cut.triangles.len() >= triangles,
@@ -311,7 +318,10 @@ fn bodies_that_overlap_are_both_there() {
     let mut grids = vec![];
     for threads in [1, 2, 5] {
         let out = dir.path().join(format!("{threads}.npy"));
-        let settings = pipeline::ProbeSettings { threads, ..Default::default() };
+        let settings = pipeline::ProbeSettings {
+            resources: Resources::default().with_threads(threads),
+            ..Default::default()
+        };
         let report = open.write_samples([31, 30, 29], &settings, &out, SampleFormat::Npy, &Silent).unwrap();
         let bytes = std::fs::read(&out).unwrap();
         let values = &bytes[bytes.len() - 4 * 31 * 30 * 29..];
@@ -377,7 +387,7 @@ fn the_same_bytes_however_the_work_is_done() {
     let settings = whole(100);
     let (one, report) = kept(&input, &settings, "one.isospan", &run(1));
     assert!(report.chunks > 4);
-    let small = RunSettings { memory: 64 << 20, ..run(2) };
+    let small = RunSettings { resources: run(2).resources.with_memory(64 << 20), ..run(2) };
     let (two, _) = kept(&input, &settings, "two.isospan", &small);
     assert!(folder(&one) == folder(&two), "threads and memory");
     let shards = dir.path().join("shards.isospan");
@@ -462,7 +472,11 @@ fn errors_are_those_of_rounded_values_alone() {
     let (e, bound) = (report.error.unwrap(), report.quantiser.unwrap().bound);
     assert!(e.rms > 0.0 && e.max <= bound * 1.000_001 && e.max > bound / 4.0, "{e:?} {bound}");
     let map = dir.path().join("map.vti");
-    let how = MeasureSettings { threads: 1, map: Some(map.clone()), ..MeasureSettings::default() };
+    let how = MeasureSettings {
+        resources: Resources::default().with_threads(1),
+        map: Some(map.clone()),
+        ..MeasureSettings::default()
+    };
     let told = measure(&out, &input, &OpenOptions::default(), &how, &Silent).unwrap();
     assert!(told.same_source && told.error == e && map.exists());
     // The field of another file with as many vertices that are elsewhere is no original.

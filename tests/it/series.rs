@@ -1,7 +1,6 @@
 //! A series is its steps: one mesh, and of each step what it would be alone. Appending is reducing all at once. A bad step costs itself alone.
 
 use crate::common::*;
-use isospan::Archive;
 use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
@@ -12,6 +11,7 @@ use isospan::pipeline::{
 };
 use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};
+use isospan::{Archive, Resources};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -119,7 +119,11 @@ fn each_step_is_what_it_is_alone() {
             let _ = fs::remove_dir_all(&one);
             reduce_all(std::slice::from_ref(step), &settings, &one, &run(2));
             same_answers(dir.path(), (&all, number), (&one, 0));
-            let settings = MeasureSettings { step: Some(number), memory: 1 << 28, ..Default::default() };
+            let settings = MeasureSettings {
+                resources: Resources::default().with_memory(1 << 28),
+                step: Some(number),
+                ..Default::default()
+            };
             let measured =
                 pipeline::measure(&all, &step.path, &OpenOptions::default(), &settings, &Silent).unwrap();
             let stored =
@@ -145,7 +149,7 @@ fn steps_with_holes_are_fitted_as_alone() {
     let report = reduce_all(&steps, &settings, &out("all.isospan"), &run(2));
     let void = report.steps.iter().map(|s| s.void_points > 0).collect::<Vec<_>>();
     assert_eq!((0..10).filter(|&t| void[t]).collect::<Vec<_>>(), [2, 3, 8]);
-    let small = RunSettings { memory: 33 << 20, ..run(1) };
+    let small = RunSettings { resources: run(1).resources.with_memory(33 << 20), ..run(1) };
     reduce_all(&steps, &settings, &out("small.isospan"), &small);
     assert!(folder(&out("all.isospan")) == folder(&out("small.isospan")));
     reduce_all(&steps[..3], &settings, &out("grown.isospan"), &run(2));
@@ -196,7 +200,12 @@ fn threads_memory_and_chunks_change_nothing() {
     let expected = folder(&out("a.isospan"));
     // With so little memory the steps are made a few at a time: the mesh is decoded for the later ones.
     for (name, threads, memory) in [("b.isospan", 2, 24 << 20), ("c.isospan", 3, 1 << 30)] {
-        reduce_all(&steps, &few_points(), &out(name), &RunSettings { memory, ..run(threads) });
+        reduce_all(
+            &steps,
+            &few_points(),
+            &out(name),
+            &RunSettings { resources: run(threads).resources.with_memory(memory), ..run(threads) },
+        );
         assert!(folder(&out(name)) == expected, "{name}");
     }
     let settings = ReduceSettings { chunk_points: 100_000, ..few_points() };
@@ -317,7 +326,12 @@ fn a_bad_step_costs_itself_alone() {
         same_answers(dir.path(), (&out("a.isospan"), number), (&one, 0));
     }
     // The same again is the same, and what none can be made of is an error.
-    reduce_all(&steps, &few_points(), &out("b.isospan"), &RunSettings { threads: 1, ..keep_going.clone() });
+    reduce_all(
+        &steps,
+        &few_points(),
+        &out("b.isospan"),
+        &RunSettings { resources: keep_going.resources.clone().with_threads(1), ..keep_going.clone() },
+    );
     assert!(folder(&out("a.isospan")) == folder(&out("b.isospan")));
     steps.drain(..1);
     let none = pipeline::reduce_series(&steps[1..2], &few_points(), &out("n.isospan"), &keep_going, &Silent);
@@ -497,7 +511,8 @@ fn surfaces_of_many_steps_have_a_list() {
     }
     // What all steps share is read once: with little memory, where each is extracted by itself, more is.
     let read = |memory| {
-        let settings = SurfaceSettings { memory, ..settings.clone() };
+        let settings =
+            SurfaceSettings { resources: settings.resources.clone().with_memory(memory), ..settings.clone() };
         let report = extract_series(&archive, all, &settings, &out, SurfaceFormat::Vtp, &Silent).unwrap();
         report.steps.iter().map(|s| s.report.bytes_read).sum::<u64>()
     };
@@ -587,7 +602,10 @@ fn surfaces_of_steps_are_those_of_each_alone() {
             let alone: Vec<_> = (0..5).map(alone).collect();
             assert!(alone[1][0].triangles.is_empty() != question.cap && alone[0] != alone[4]);
             for (threads, memory) in [(1, 1 << 30), (3, 1 << 30), (2, 40 << 20), (1, 27 << 20)] {
-                let settings = SurfaceSettings { threads, memory, ..question.clone() };
+                let settings = SurfaceSettings {
+                    resources: question.resources.clone().with_threads(threads).with_memory(memory),
+                    ..question.clone()
+                };
                 let mut next = 0;
                 let compare = |step, time, surfaces: &mut Vec<_>| {
                     assert_eq!((step, time), (next, 0.5 * next as f64));
@@ -632,7 +650,11 @@ fn appended_steps_take_over_what_was_said_of_the_first() {
     let how = AppendSettings { missing: Some(-9999.0), ..AppendSettings::default() };
     let report = append(std::slice::from_ref(&other), &how);
     assert!(report.range.is_some_and(|[lo, _]| lo > -10.0), "{:?}", report.range);
-    let of_step = MeasureSettings { step: Some(5), memory: 1 << 28, ..Default::default() };
+    let of_step = MeasureSettings {
+        resources: Resources::default().with_memory(1 << 28),
+        step: Some(5),
+        ..Default::default()
+    };
     let measured =
         pipeline::measure(&out("grown.isospan"), &other.path, &OpenOptions::default(), &of_step, &Silent);
     assert_eq!(measured.unwrap().error, report.error.unwrap());

@@ -16,7 +16,7 @@ use isospan::pipeline::{
 use isospan::points::SetKind;
 use isospan::surface::components::ComponentFilter;
 use isospan::surface::decimate::Decimation;
-use isospan::{Archive, Error};
+use isospan::{Archive, Error, Resources};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -42,7 +42,11 @@ fn unpacked(archive: &Path, settings: &UnpackSettings) -> UnpackReport {
 
 /// All kinds of questions about surfaces, as files.
 fn answers(archive: &Path, dir: &Path) -> Vec<Vec<u8>> {
-    let all = || SurfaceSettings { isovalues: vec![0.3], threads: 2, ..SurfaceSettings::default() };
+    let all = || SurfaceSettings {
+        resources: Resources::default().with_threads(2),
+        isovalues: vec![0.3],
+        ..SurfaceSettings::default()
+    };
     let components = ComponentFilter { largest: Some(2), ..ComponentFilter::default() };
     let decimate = Decimation { ratio: 0.3, ..Decimation::default() };
     let questions = [
@@ -80,7 +84,13 @@ fn unpacked_blocks_give_the_same_surfaces() {
     let file = unpacked_path(&archive, 0);
     let mut bytes = None;
     for (threads, memory) in [(1, 1 << 30), (3, 1 << 30), (3, 40 << 20)] {
-        let report = unpacked(&archive, &UnpackSettings { threads, memory, ..UnpackSettings::default() });
+        let report = unpacked(
+            &archive,
+            &UnpackSettings {
+                resources: Resources::default().with_threads(threads).with_memory(memory),
+                ..UnpackSettings::default()
+            },
+        );
         assert_eq!(report.files[0].file, file);
         assert!(report.files[0].blocks > 100 && report.files[0].tetrahedra > 10_000, "{report:?}");
         let written = fs::read(&file).unwrap();
@@ -102,7 +112,11 @@ fn unpacked_blocks_give_the_same_surfaces() {
     assert!(packed.bytes_read * 3 < report.bytes_read);
     assert_eq!(info.bytes, summarize(&archive).unwrap().bytes);
     assert!(answers(&archive, dir.path()) == right);
-    let error = unpack(&archive, &UnpackSettings { memory: 1 << 20, ..UnpackSettings::default() }, &Silent);
+    let error = unpack(
+        &archive,
+        &UnpackSettings { resources: Resources::default().with_memory(1 << 20), ..UnpackSettings::default() },
+        &Silent,
+    );
     assert_eq!(error.unwrap_err().exit_code(), 4);
 }
 
@@ -185,9 +199,14 @@ fn steps_are_unpacked_by_themselves() {
 
 fn extract(archive: &Path) -> Result<Vec<u8>, Error> {
     let out = archive.with_extension("ply");
-    let settings = SurfaceSettings { threads: 1, cap: true, ..SurfaceSettings::of(0.3) };
+    let settings = SurfaceSettings {
+        resources: Resources::default().with_threads(1),
+        cap: true,
+        ..SurfaceSettings::of(0.3)
+    };
     extract_surface(archive, &settings, &out, SurfaceFormat::Ply, &Silent)?;
-    let settings = SurfaceSettings { threads: 1, ..SurfaceSettings::of(0.3) };
+    let settings =
+        SurfaceSettings { resources: Resources::default().with_threads(1), ..SurfaceSettings::of(0.3) };
     extract_surface(archive, &settings, &out, SurfaceFormat::Ply, &Silent)?;
     Ok(fs::read(out).unwrap())
 }

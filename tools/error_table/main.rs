@@ -19,7 +19,7 @@ use isospan::pipeline::{
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::volume::{VolumeReader, VolumeSource};
-use isospan::{Error, Result};
+use isospan::{Error, Resources, Result};
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -111,7 +111,7 @@ impl Volume {
         let (mut path, mut source) = (path.to_path_buf(), open_volume(path, &OpenOptions::default())?);
         if matches!(source, VolumeSource::Stream(_)) {
             path = folder.path().join("copy.bricks");
-            brick(source, &path, 256 << 20, &RunSettings::default().cancel, &Silent)?;
+            brick(source, &path, 256 << 20, &RunSettings::default().resources.cancel, &Silent)?;
             source = open_volume(&path, &OpenOptions::default())?;
         }
         match source {
@@ -126,9 +126,8 @@ impl Volume {
 
     fn reduce(&self, settings: ReduceSettings) -> Result<(ReduceReport, Made)> {
         let run = RunSettings {
-            threads: 1,
+            resources: Resources::default().with_threads(1).with_scratch(Some(self.folder.path().into())),
             replace: true,
-            scratch: Some(self.folder.path().into()),
             ..RunSettings::default()
         };
         let settings = ReduceSettings { nan: NanPolicy::Value(0.0), ..settings };

@@ -22,7 +22,7 @@ use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, SurfaceSettin
 use isospan::points::SetKind;
 use isospan::surface::check::check;
 use isospan::volume::{ScalarType, VolumeSource};
-use isospan::{Archive, Error, Result};
+use isospan::{Error, Resources, Result};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -269,7 +269,11 @@ impl Archive {
 
     /// Unpacks the copy, and damages a block of that, behind good checksums or not.
     fn damage_unpacked(&self, random: &mut Random, what: &mut String) -> Result<()> {
-        pipeline::unpack(&self.copy, &UnpackSettings { threads: 1, ..UnpackSettings::default() }, &Silent)?;
+        pipeline::unpack(
+            &self.copy,
+            &UnpackSettings { resources: Resources::default().with_threads(1), ..UnpackSettings::default() },
+            &Silent,
+        )?;
         let path = unpacked_path(&self.copy, 0);
         if random.below(4) == 0 {
             *what = "bytes of unpacked blocks".into();
@@ -289,9 +293,12 @@ impl Archive {
 
     fn ask(&self) -> Result<()> {
         let out = self.copy.with_extension("ply");
-        let settings = SurfaceSettings { threads: 1, ..SurfaceSettings::of(ISOVALUE) };
+        let settings = SurfaceSettings {
+            resources: Resources::default().with_threads(1),
+            ..SurfaceSettings::of(ISOVALUE)
+        };
         let capped = SurfaceSettings { cap: true, ..settings.clone() };
-        let archive = Archive::open(&self.copy)?.keeping(0);
+        let archive = isospan::Archive::open(&self.copy)?.keeping(0);
         let outcomes = [
             archive.check().map(drop),
             archive.count(ISOVALUE).map(drop),

@@ -22,7 +22,7 @@ use isospan::pipeline::{Adapt, Amount, ReduceSettings, RunSettings, reduce};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::TriMesh;
-use isospan::{Archive, Error, Result};
+use isospan::{Archive, Error, Resources, Result};
 use std::path::{Path, PathBuf};
 
 /// Parts 1/n of the samples that are tried: those that every 2nd, 3rd and 4th voxel along each axis have.
@@ -169,7 +169,11 @@ impl Field {
     fn reduced(&self, settings: &ReduceSettings, part: u64, folder: &Path) -> Result<Dot> {
         let archive = folder.join("curve.isospan");
         let settings = ReduceSettings { amount: Amount::Count(self.size.div_ceil(part)), ..settings.clone() };
-        let run = RunSettings { replace: true, scratch: Some(folder.into()), ..RunSettings::default() };
+        let run = RunSettings {
+            resources: Resources::default().with_scratch(Some(folder.into())),
+            replace: true,
+            ..RunSettings::default()
+        };
         let report = reduce(&self.input, &OpenOptions::default(), &settings, &archive, &run, &Silent)?;
         let surface = Archive::open(&archive)?.surface(self.isovalue)?;
         let error = report.error.as_ref().expect("a reduction is measured");

@@ -21,7 +21,7 @@ use isospan::pipeline::{Amount, ReduceReport, ReduceSettings, RunSettings, Surfa
 use isospan::points::{PointSet, PointSpec, SetKind};
 use isospan::sample::{Interpolation, Values};
 use isospan::surface::TriMesh;
-use isospan::{Archive, Result};
+use isospan::{Archive, Resources, Result};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -318,7 +318,10 @@ impl Lab {
             mesh.push(seconds(&report.seconds, &["mesh"]));
             sample.push(seconds(&report.seconds, &["sample"]));
         }
-        let query = SurfaceSettings { threads: 1, ..SurfaceSettings::of(original.made.isovalue) };
+        let query = SurfaceSettings {
+            resources: Resources::default().with_threads(1),
+            ..SurfaceSettings::of(original.made.isovalue)
+        };
         let file = self.folder.join("timed.ply");
         for _ in 0..self.repeats {
             let open = Archive::open(&archive)?.keeping(0);
@@ -399,7 +402,11 @@ impl Lab {
         threads: usize,
     ) -> Result<ReduceReport> {
         let scratch = Some(self.folder.clone());
-        let run = RunSettings { threads, replace: true, scratch, ..RunSettings::default() };
+        let run = RunSettings {
+            resources: Resources::default().with_threads(threads).with_scratch(scratch),
+            replace: true,
+            ..RunSettings::default()
+        };
         let input = &self.originals[&dataset].made.file;
         reduce(input, &OpenOptions::default(), settings, archive, &run, &Silent)
     }

@@ -16,7 +16,7 @@ use crate::domain::column::Column;
 use crate::domain::merge::Firsts;
 use crate::domain::store::{BadValue, CellStore, StoreSettings};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress};
+use crate::exec::{Progress, Resources};
 use crate::formats::brick_map::{BrickMapFile, BrickNumbers};
 use crate::formats::{self, Input, OpenOptions, StepSource};
 use crate::geom::LatticePos;
@@ -36,51 +36,24 @@ use std::sync::Arc;
 use std::time::Instant;
 
 /// How a field is measured.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct MeasureSettings {
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for everything that grows.
-    pub memory: u64,
-    /// Folder for the uncompressed copy of a compressed input, and for what does not fit in memory; the system's temporary folder
-    /// if not given.
-    pub scratch: Option<PathBuf>,
     /// Of a series: the number of the step; the first one if not given.
     pub step: Option<u64>,
     /// A VTI file for the errors of each brick.
     pub map: Option<PathBuf>,
-    /// Stops the measurement.
-    pub cancel: CancelToken,
-}
-
-impl Default for MeasureSettings {
-    fn default() -> Self {
-        Self {
-            threads: 0,
-            memory: crate::exec::usable_memory() / 2,
-            scratch: None,
-            step: None,
-            map: None,
-            cancel: CancelToken::new(),
-        }
-    }
+    /// Threads, memory, scratch folder, and what stops it.
+    pub resources: Resources,
 }
 
 impl MeasureSettings {
     /// Those of a reduction's run, with as many threads as chunks were at work: for so many the memory suffices.
     pub(in crate::pipeline) fn of_run(run: &RunSettings, workers: usize) -> Self {
-        Self {
-            threads: workers,
-            memory: run.memory,
-            scratch: run.scratch.clone(),
-            step: None,
-            map: None,
-            cancel: run.cancel.clone(),
-        }
+        Self { resources: run.resources.clone().with_threads(workers), step: None, map: None }
     }
 
     fn scratch(&self) -> PathBuf {
-        self.scratch.clone().unwrap_or_else(std::env::temp_dir)
+        self.resources.scratch_folder()
     }
 }
 
@@ -235,17 +208,11 @@ fn against_volume(
     if recorded.mesh.is_some() || dims != recorded.dims {
         return Err(other_input(&source.path, recorded, format!("a volume of {} samples", triple(dims))));
     }
-    let hash =
-        source.given_hash(&settings.cancel)?.map_or_else(|| fingerprint(&volume.info().files()), Ok)?;
+    let hash = source
+        .given_hash(&settings.resources.cancel)?
+        .map_or_else(|| fingerprint(&volume.info().files()), Ok)?;
     let same = hash == recorded.fingerprint;
-    let run = RunSettings {
-        threads: settings.threads,
-        memory: settings.memory,
-        scratch: settings.scratch.clone(),
-        replace: false,
-        keep_going: false,
-        cancel: settings.cancel.clone(),
-    };
+    let run = RunSettings { resources: settings.resources.clone(), ..RunSettings::default() };
     let (reader, _scratch) = random_access(volume, &run, progress)?;
     let reading = Reading::of(&archive.step().plan);
     let (reader, missing, stand_in) = (reading.reader(reader), reading.missing(), reading.stand_in());
@@ -276,12 +243,12 @@ fn store_settings<'a>(
 ) -> StoreSettings<'a> {
     let step = &archive.step().plan;
     StoreSettings {
-        memory: settings.memory / 4,
+        memory: settings.resources.memory / 4,
         scratch,
         bad_value: Reading::of(step).stand_in().map_or(BadValue::Void, BadValue::Use),
         offset: step.source.offset,
         missing: step.missing,
-        cancel: &settings.cancel,
+        cancel: &settings.resources.cancel,
     }
 }
 
@@ -431,9 +398,14 @@ impl AgainstSamples<'_> {
         let mapped = map.is_some();
         let of_map = |memory: u64| if mapped { map_bytes(memory) } else { 0 };
         let share = |memory: u64| memory.saturating_sub(estimate::BASE + of_map(memory));
-        let visit =
-            Visit::new(archive, Blocks::All, settings.threads, share(settings.memory), &settings.cancel)?;
-        visit.check_memory(settings.memory, share, EXTRA)?;
+        let visit = Visit::new(
+            archive,
+            Blocks::All,
+            settings.resources.threads,
+            share(settings.resources.memory),
+            &settings.resources.cancel,
+        )?;
+        visit.check_memory(settings.resources.memory, share, EXTRA)?;
         progress.begin("measure", visit.chunks.len() as u64, "chunks");
         let (mut sums, mut released) = (ErrorSums::default(), 0);
         let job = |_, chunk: DecodedChunk| self.part(&chunk);
@@ -505,7 +477,7 @@ fn measure_vertices(
 ) -> Result<Vec<StepErrors>> {
     if archive.manifest.plan.own.is_some() {
         let scratch = settings.scratch();
-        let (how, memory) = (store_settings(archive, settings, &scratch), settings.memory);
+        let (how, memory) = (store_settings(archive, settings, &scratch), settings.resources.memory);
         let of_map = if map.is_some() { map_bytes(memory) } else { 0 };
         let rest = memory.saturating_sub(of_map);
         return own_errors(archive, store, steps, map, &how, rest, progress).map_err(|e| e.beside(of_map));
@@ -521,12 +493,12 @@ fn measure_vertices(
     let rest = |memory: u64| memory.saturating_sub(estimate::BASE + of_map(memory) + sums_bytes);
     let share = |memory: u64| rest(memory) / 8 * 7;
     let vertex = VERTEX + FURTHER * (steps.len() as u64 - 1);
-    let most = (rest(settings.memory) / 8 / vertex).clamp(1, MOST_VERTICES) as usize;
+    let most = (rest(settings.resources.memory) / 8 / vertex).clamp(1, MOST_VERTICES) as usize;
     let find = Find {
-        threads: settings.threads,
-        memory: settings.memory,
+        threads: settings.resources.threads,
+        memory: settings.resources.memory,
         share: &share,
-        cancel: &settings.cancel,
+        cancel: &settings.resources.cancel,
         outside: Outside::All,
     };
     let bricks = archive.chunks.bricks();
@@ -629,7 +601,7 @@ impl Map {
     fn new(archive: &StepView, path: &Path, settings: &MeasureSettings) -> Result<Self> {
         let (bricks, g) = (archive.chunks.bricks(), &archive.step().plan.source.geometry);
         let spacing = std::array::from_fn(|a| g.spacing[a] * bricks.voxels()[a]);
-        let memory = map_bytes(settings.memory);
+        let memory = map_bytes(settings.resources.memory);
         Ok(Self {
             file: BrickMapFile::create(path, bricks.dims(), &Geometry { spacing, ..*g })?,
             bricks: bricks.len(),

@@ -11,7 +11,7 @@
 //! have one, all is done again on one thread, chunk by chunk.
 
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, Silent};
+use crate::exec::{Progress, Resources, Silent};
 use crate::formats::samples::{GridMeta, SampleFile, SampleFormat};
 use crate::grid::{Geometry, IndexBox};
 use crate::pipeline::plan::estimate;
@@ -24,20 +24,10 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 /// How a field is probed.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct ProbeSettings {
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for chunks, windows and points.
-    pub memory: u64,
-    /// Stops the probing; nothing is written then.
-    pub cancel: CancelToken,
-}
-
-impl Default for ProbeSettings {
-    fn default() -> Self {
-        Self { threads: 0, memory: crate::exec::usable_memory() / 2, cancel: CancelToken::new() }
-    }
+    /// Threads, memory, and what stops it. Nothing waits in a scratch folder.
+    pub resources: Resources,
 }
 
 /// What was probed.
@@ -111,8 +101,12 @@ pub(in crate::pipeline) fn sample_grid(
     let meta = GridMeta { dims, geometry: Geometry::default(), field: String::new(), offset: 0.0 };
     let (samples, offset) = (meta.samples()?, archive.step().plan.source.offset);
     let bytes = 8 * samples;
-    if bytes > settings.memory {
-        return Err(Error::Budget { what: "memory".into(), needed: bytes, available: settings.memory });
+    if bytes > settings.resources.memory {
+        return Err(Error::Budget {
+            what: "memory".into(),
+            needed: bytes,
+            available: settings.resources.memory,
+        });
     }
     let scan = GridScan::new(archive, dims, settings)?;
     let all = Mutex::new(vec![f64::NAN; samples as usize]);
@@ -185,9 +179,14 @@ impl<'a> GridScan<'a> {
         let may_overlap = archive.manifest.plan.own.is_some();
         let bits = if may_overlap { taken_bytes(dims.iter().product()) } else { 0 };
         let share = |memory: u64| memory.saturating_sub(estimate::BASE + axes + bits);
-        let visit =
-            Visit::new(archive, Blocks::All, settings.threads, share(settings.memory), &settings.cancel)?;
-        visit.check_memory(settings.memory, share, 4 * WINDOW)?;
+        let visit = Visit::new(
+            archive,
+            Blocks::All,
+            settings.resources.threads,
+            share(settings.resources.memory),
+            &settings.resources.cancel,
+        )?;
+        visit.check_memory(settings.resources.memory, share, 4 * WINDOW)?;
         let plan = &archive.manifest.plan;
         // The tetrahedra of a mesh may overlap: their volume tells nothing.
         let has_gaps = may_overlap || visit.volume6()? != plan.lattice.volume6();

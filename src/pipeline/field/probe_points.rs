@@ -164,7 +164,7 @@ pub(in crate::pipeline) fn probe_table(
     let (start, read_before) = (Instant::now(), archive.bytes_read());
     let mut reader = PointReader::open(points)?;
     let mut out = Out::create(out, points, &archive.step().plan.source)?;
-    let rest = settings.memory.saturating_sub(estimate::BASE);
+    let rest = settings.resources.memory.saturating_sub(estimate::BASE);
     // Half for points, half for chunks.
     let most = (rest / 2 / POINT).clamp(1, MOST);
     let mut report = ProbeReport::default();
@@ -254,10 +254,10 @@ pub(in crate::pipeline) fn values_at(
         .collect();
     let (mut values, mut found) = (vec![f32::NAN; points.len()], 0);
     let find = Find {
-        threads: settings.threads,
-        memory: settings.memory,
+        threads: settings.resources.threads,
+        memory: settings.resources.memory,
         share,
-        cancel: &settings.cancel,
+        cancel: &settings.resources.cancel,
         outside: Outside::Within(tolerance),
     };
     let chunks_read = each_value(archive, placed.into_iter(), &find, progress, "probe", |n, value| {

@@ -116,13 +116,13 @@ pub(in crate::pipeline) fn random_access(
 ) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
     let room = match source {
         VolumeSource::Random(reader) => return Ok((reader, None)),
-        VolumeSource::Stream(ref stream) => run.memory.saturating_sub(copying_bytes(&**stream)),
+        VolumeSource::Stream(ref stream) => run.resources.memory.saturating_sub(copying_bytes(&**stream)),
     };
-    let folder = run.scratch_folder();
+    let folder = run.resources.scratch_folder();
     // What runs that were killed while they copied have left.
     publish::sweep(&folder);
     let scratch = Scratch::new(&folder);
-    brick_with(BrickedVolume::build_scratch, source, &scratch.0, room / 2, &run.cancel, progress)?;
+    brick_with(BrickedVolume::build_scratch, source, &scratch.0, room / 2, &run.resources.cancel, progress)?;
     let reader = BrickedVolume::open(&scratch.0)?;
     // An open file without a name is gone with the process, however that ends.
     #[cfg(unix)]

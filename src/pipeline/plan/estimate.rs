@@ -337,7 +337,7 @@ pub(in crate::pipeline) fn need_of(
 ) -> Need {
     let few = parts.points.len() <= FEW_POINTS;
     let most = if few { MOST_SMALL_STEPS_AT_ONCE } else { MOST_STEPS_AT_ONCE };
-    Need::of(parts).holding(held).with_steps(steps as u64, most, memory, run.worker_threads())
+    Need::of(parts).holding(held).with_steps(steps as u64, most, memory, run.resources.worker_threads())
 }
 
 /// Bytes that measuring a chunk at so many steps takes: samples, those of up to eight steps once more while they are put side by side, sums.

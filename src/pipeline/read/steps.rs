@@ -407,7 +407,7 @@ impl Ranges<'_> {
 mod tests {
     use super::super::choice::StepChoice;
     use super::*;
-    use crate::exec::Silent;
+    use crate::exec::{Resources, Silent};
     use crate::formats::raw::RawLayout;
     use crate::formats::{OpenOptions, StepSource};
     use crate::pipeline::{Amount, ReduceSettings, RunSettings, reduce_series};
@@ -437,7 +437,8 @@ mod tests {
         let settings =
             ReduceSettings { amount: Amount::Count(900), chunk_points: 300, ..ReduceSettings::default() };
         let out = dir.join("a.isospan");
-        let run = RunSettings { memory: 1 << 30, ..RunSettings::default() };
+        let run =
+            RunSettings { resources: Resources::default().with_memory(1 << 30), ..RunSettings::default() };
         reduce_series(&[step(0), step(1)], &settings, &out, &run, &Silent).unwrap();
         OpenArchive::open(&out).unwrap().at(StepChoice::Time(0.4)).unwrap()
     }

@@ -31,7 +31,7 @@ pub(super) fn need_with_cache(
     run: &RunSettings,
 ) -> Result<(Need, Option<u64>)> {
     let steps = series.plan.steps.len();
-    let plain = need_of(parts, 0, steps, run.memory, run);
+    let plain = need_of(parts, 0, steps, run.resources.memory, run);
     let [planned] = &mut series.sources[..] else { return Ok((plain, None)) };
     if planned.copied == 0 || planned.is_small() {
         return Ok((plain, None));
@@ -40,13 +40,13 @@ pub(super) fn need_with_cache(
         return Ok((plain, None));
     };
     let Some(chunks) = stream.chunks() else { return Ok((plain, None)) };
-    let decoding = chunks.decoding_bytes().saturating_mul(run.worker_threads() as u64);
+    let decoding = chunks.decoding_bytes().saturating_mul(run.resources.worker_threads() as u64);
     let with = |room: u64| {
-        let need = need_of(parts, decoding.saturating_add(room), steps, run.memory, run);
-        let shares = need.shares(run.memory, run.worker_threads()).ok()?;
+        let need = need_of(parts, decoding.saturating_add(room), steps, run.resources.memory, run);
+        let shares = need.shares(run.resources.memory, run.resources.worker_threads()).ok()?;
         Some((shares.workers, need, room))
     };
-    let found = rooms(&*chunks, parts, run.memory / PART).into_iter().filter_map(with);
+    let found = rooms(&*chunks, parts, run.resources.memory / PART).into_iter().filter_map(with);
     let Some((_, need, room)) = found.reduce(|a, b| if b.0 > a.0 { b } else { a }) else {
         return Ok((plain, None));
     };
@@ -89,6 +89,7 @@ fn rooms(chunks: &dyn ChunkSource, parts: &MeshParts, most: u64) -> Vec<u64> {
 
 #[cfg(test)]
 mod tests {
+    use crate::exec::Resources;
     use crate::exec::Silent;
     use crate::formats::{OpenOptions, StepSource};
     use crate::pipeline::{
@@ -147,10 +148,10 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         write(dir.path());
         let run = RunSettings {
-            threads: 2,
-            memory: 256 << 20,
-            // Nothing can be written there.
-            scratch: Some(dir.path().join("a.nrrd/nowhere")),
+            resources: Resources::default()
+                .with_threads(2)
+                .with_memory(256 << 20)
+                .with_scratch(Some(dir.path().join("a.nrrd/nowhere"))),
             ..RunSettings::default()
         };
         for (n, values) in [Values::Sample, Values::Fit].into_iter().enumerate() {

@@ -170,7 +170,7 @@ pub(super) fn offset_of(job: &Job<'_>) -> Result<f64> {
     for (number, source) in job.sources {
         let shift = open_mesh_of(source).and_then(|mesh| {
             check_job(job, &mesh)?;
-            let (memory, cancel) = (job.run.memory / 4, &job.run.cancel);
+            let (memory, cancel) = (job.run.resources.memory / 4, &job.run.resources.cancel);
             Shift::of_mesh(&mesh, None, job.settings.missing, memory, cancel)
         });
         match shift.map_err(|e| if job.is_several() { e.at_step(*number) } else { e }) {
@@ -237,7 +237,7 @@ pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared
         }
         Some(archive) => continued_plan(archive, job.settings),
     };
-    let of_share = |e: Error| e.of_share(how.memory, job.run.memory);
+    let of_share = |e: Error| e.of_share(how.memory, job.run.resources.memory);
     let (dense, listed) = if own {
         let vertices = OwnVertices::new(&store, how, path).map_err(of_share)?;
         if job.part.archive().is_none() {

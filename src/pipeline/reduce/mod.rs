@@ -190,7 +190,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
     let (need, cached) = need_with_cache(&mut series, &mesh, job.run)?;
     estimate_of(&series.plan, &series.sources, &need, job.out, job.run)?.check()?;
     // Small copies of inputs are made in memory where that leaves as many threads at work.
-    let (memory, workers) = (job.run.memory, job.run.worker_threads());
+    let (memory, workers) = (job.run.resources.memory, job.run.resources.worker_threads());
     let rest = memory - PlannedSource::small_copies(&series.sources, need.steps()).min(memory);
     let all = need.shares(memory, workers)?;
     let copied = need.shares(rest, workers).ok().filter(|shares| shares.workers == all.workers);
@@ -305,7 +305,7 @@ impl Publishing<'_> {
         };
         let before = made.steps.len();
         for n in 0..plan.steps.len() {
-            self.run.cancel.check()?;
+            self.run.resources.cancel.check()?;
             let coordinates = outcome.coordinates.filter(|_| made.steps.is_empty());
             made.add_step(plan, n, layout, self.parts, coordinates, self.run)?;
         }
@@ -450,12 +450,12 @@ fn estimate_of(
     run: &RunSettings,
 ) -> Result<Estimate> {
     let largest = |of: fn(&PlannedSource) -> u64| sources.iter().map(of).max().unwrap_or(0);
-    let scratch = run.scratch_folder();
+    let scratch = run.resources.scratch_folder();
     Ok(Estimate::new(&Question {
         plan,
         need,
-        memory: run.memory,
-        threads: run.worker_threads(),
+        memory: run.resources.memory,
+        threads: run.resources.worker_threads(),
         out,
         there: if out.is_dir() { folder_bytes(out)? } else { 0 },
         scratch: (&scratch, PlannedSource::copied_at_a_time(sources)),

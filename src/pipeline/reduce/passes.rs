@@ -400,7 +400,7 @@ impl Making<'_> {
             shares: *shares,
             rooms: &rooms,
             watch: &series.watch,
-            cancel: &self.run.cancel,
+            cancel: &self.run.resources.cancel,
             progress: self.progress,
         });
         let bad = bad.into_inner().unwrap_or_else(PoisonError::into_inner);

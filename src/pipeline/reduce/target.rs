@@ -340,7 +340,7 @@ fn made_before(job: &Job<'_>) -> Result<Option<ReduceReport>> {
             Input::Volume(volume) => (volume.info().files(), volume.info().field.name.clone()),
             Input::Mesh(mesh) => (mesh.info().files(), mesh.field()?.name.clone()),
         };
-        let found = inputs.of_source(*number, source, &files, &job.run.cancel)?;
+        let found = inputs.of_source(*number, source, &files, &job.run.resources.cancel)?;
         let (plan, of_source) = (&step.plan, &step.plan.source);
         is_same &= (plan.number, plan.time) == (*number, source.time)
             && (&of_source.fingerprint, &of_source.field) == (&found, &field);

@@ -137,19 +137,19 @@ impl Measuring<'_> {
 
     fn add_vertices(&self, job: &Job<'_>, mesh: &CellMesh, input: &Path) -> Result<f64> {
         let (archive, run) = (self.archive, job.run);
-        let settings = MeasureSettings::of_run(run, run.worker_threads());
+        let settings = MeasureSettings::of_run(run, run.resources.worker_threads());
         let mut store = None;
         let values = reopened_values(archive, mesh, input, &mut store, &settings)?;
         let store = store.expect("it was laid out for the values");
         let (positions, values) = (store.positions.get()?, values.get()?);
         let rest = |memory: u64| memory.saturating_sub(estimate::BASE + 4 * self.worst.len() as u64);
-        let batch = (rest(run.memory) / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
+        let batch = (rest(run.resources.memory) / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
         let share = |memory: u64| rest(memory) / 8 * 7;
         let find = Find {
-            threads: run.threads,
-            memory: run.memory,
+            threads: run.resources.threads,
+            memory: run.resources.memory,
             share: &share,
-            cancel: &run.cancel,
+            cancel: &run.resources.cancel,
             outside: Outside::All,
         };
         for (positions, values) in positions.chunks(batch).zip(values.chunks(batch)) {
@@ -173,10 +173,16 @@ impl Measuring<'_> {
         let sample_errors = SampleErrors::new(&self.archive.manifest.plan.lattice);
         let run = job.run;
         let share = |memory: u64| memory.saturating_sub(estimate::BASE + 4 * self.worst.len() as u64);
-        let mut visit = Visit::new(self.archive, Blocks::All, run.threads, share(run.memory), &run.cancel)?;
+        let mut visit = Visit::new(
+            self.archive,
+            Blocks::All,
+            run.resources.threads,
+            share(run.resources.memory),
+            &run.resources.cancel,
+        )?;
         visit.chunks = self.chunks_above()?;
         let extra = estimate::error_bytes(1);
-        visit.check_memory(run.memory, share, extra)?;
+        visit.check_memory(run.resources.memory, share, extra)?;
         job.progress.begin("measure", visit.chunks.len() as u64, "chunks");
         let part = |_, chunk: DecodedChunk| self.add_chunk(&sample_errors, &samples, &chunk);
         visit.each(extra, job.progress, part, |_, ()| Ok(()))

@@ -149,7 +149,7 @@ pub(super) fn plan_volumes(
     let several = sources.len() > 1 || archive.is_some();
     let every = sources.len().div_ceil(MOST_LOOKED_AT);
     for (i, (number, source)) in sources.iter().map(|(n, s)| (*n, s)).enumerate() {
-        run.cancel.check()?;
+        run.resources.cancel.check()?;
         let step = planner
             .step(number, source, i % every == 0)
             .map_err(|e| if several { e.at_step(number) } else { e });
@@ -288,7 +288,7 @@ impl Planner<'_> {
             ));
         };
         let info = volume.info().clone();
-        let fingerprint = self.inputs.of_source(number, source, &info.files(), &self.run.cancel)?;
+        let fingerprint = self.inputs.of_source(number, source, &info.files(), &self.run.resources.cancel)?;
         let coordinates = coordinate_hash(source, info.dims)?;
         match &self.common {
             Some(common) => {
@@ -351,7 +351,8 @@ impl Planner<'_> {
     fn check_budget(&mut self, step: &StepPlan, source: &PlannedSource) -> Result<()> {
         let (Some(plan), Some(out)) = (&self.plan, self.unchecked.take()) else { return Ok(()) };
         let plan = Plan { mesh: plan.mesh.clone(), steps: vec![step.clone()] };
-        let need = need_of(&parts(&plan.mesh, self.attachments.clone())?, 0, 1, self.run.memory, self.run);
+        let need =
+            need_of(&parts(&plan.mesh, self.attachments.clone())?, 0, 1, self.run.resources.memory, self.run);
         estimate_of(&plan, std::slice::from_ref(source), &need, out, self.run)?.check()
     }
 
@@ -379,12 +380,12 @@ impl Planner<'_> {
                 Err(Error::bad_input(&source.path, "kind of file", "the volume it was", "a mesh"))
             }
         };
-        Shift::of_volume(open, self.offset, self.settings.missing, &self.run.cancel)
+        Shift::of_volume(open, self.offset, self.settings.missing, &self.run.resources.cancel)
     }
 
     /// Looks at all samples of a step.
     fn spread(&self, source: VolumeSource) -> Result<Spread> {
-        let (reading, cancel) = (self.reading(), &self.run.cancel);
+        let (reading, cancel) = (self.reading(), &self.run.resources.cancel);
         match source {
             VolumeSource::Random(reader) => spread(&*reading.reader(reader), reading.missing(), cancel),
             VolumeSource::Stream(mut stream) => {
@@ -496,8 +497,8 @@ impl<'a> VolumeFields<'a> {
         }
         // Before another one is made, its place on the disk is given back.
         *last = None;
-        let (path, options, folder) = (&source.path, &source.options, self.run.scratch_folder());
-        let frames = Arc::new(formats::unpack_frames(path, options, &folder, &self.run.cancel)?);
+        let (path, options, folder) = (&source.path, &source.options, self.run.resources.scratch_folder());
+        let frames = Arc::new(formats::unpack_frames(path, options, &folder, &self.run.resources.cancel)?);
         *last = Some((source.path.clone(), Arc::clone(&frames)));
         Ok(frames)
     }

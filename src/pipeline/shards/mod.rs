@@ -20,7 +20,7 @@ mod status;
 
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
 use crate::error::{Error, Result};
-use crate::exec::Progress;
+use crate::exec::{Progress, Resources};
 use crate::formats::StepSource;
 use crate::pipeline::plan::{
     Attachments, Estimate, Layout, MeshParts, Need, Plan, Shard, Watch, estimate, parts,
@@ -133,8 +133,13 @@ pub fn planned(out: &Path, threads: usize) -> Result<Planned> {
     let file = PlanFile::read(out)?;
     let mesh = mesh_parts(&file.root(out), &file.plan)?;
     let steps = file.plan.steps.len();
-    let need =
-        estimate::need_of(&mesh, 0, steps, u64::MAX, &RunSettings { threads, ..RunSettings::default() });
+    let need = estimate::need_of(
+        &mesh,
+        0,
+        steps,
+        u64::MAX,
+        &RunSettings { resources: Resources::default().with_threads(threads), ..RunSettings::default() },
+    );
     Ok(Planned {
         shards: file.shards,
         segments: Inventory::new(&file.root(out), &file).segments(),
@@ -220,7 +225,7 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
     Inventory::new(&root, &file).expect_whole(run, progress)?;
     let verified = started.elapsed().as_secs_f64();
     let mesh = mesh_parts(&root, &file.plan)?;
-    let workers = Need::of(&mesh).shares(run.memory, run.worker_threads())?.workers;
+    let workers = Need::of(&mesh).shares(run.resources.memory, run.resources.worker_threads())?.workers;
     let layout = Layout::new(&root, mesh.chunks.len(), 0);
     let samples = match &file.plan.first().source.mesh {
         Some(mesh) => mesh.vertices,

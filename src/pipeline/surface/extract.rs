@@ -88,14 +88,14 @@ pub(super) fn extract_surfaces(
     let active_blocks = work.iter().map(|w| w.blocks.len() as u64).sum::<u64>();
     let bytes: Vec<u64> = work.iter().map(|work| question.need(work)).collect();
     let largest = bytes.iter().copied().max().unwrap_or(0);
-    let shares = SurfaceShares::of(settings.memory, active_blocks, largest)?;
+    let shares = SurfaceShares::of(settings.resources.memory, active_blocks, largest)?;
     let weld = Weld::new(question, settings, shares, room, progress);
-    let pool = question.archive.pools.lend(settings.threads)?;
+    let pool = question.archive.pools.lend(settings.resources.threads)?;
     progress.begin("surface", active_blocks, "blocks");
     let (kept, of_this_question) = (&question.archive.cache, BufferPool::default());
     let spare = if kept.most() > 0 { &question.archive.spare } else { &of_this_question };
     let extract = |n: usize| {
-        settings.cancel.check()?;
+        settings.resources.cancel.check()?;
         question.chunk_surfaces(&work[n], spare)
     };
     let weld = Line::new(bytes, shares.batch, &pool, extract, Welder { weld, spare }).run(&pool)?.weld;
@@ -427,7 +427,7 @@ impl<'a> Weld<'a> {
             frontier: None,
             shares,
             place: place.clone(),
-            memory: settings.memory,
+            memory: settings.resources.memory,
             done: 0,
             progress,
         }

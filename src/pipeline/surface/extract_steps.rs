@@ -53,7 +53,7 @@ impl<'a> Pass<'a> {
         let count = (count / 2 + 1..=count).rev().find(is_key).unwrap_or(count);
         let mut steps = vec![];
         for view in &views[..count] {
-            settings.cancel.check()?;
+            settings.resources.cancel.check()?;
             // Nothing of an unpacked step is decoded: it is quickest by itself.
             let is_alone = view.unpacked()?.is_some_and(|file| file.table().answers(&settings.kept(view)));
             if is_alone && !steps.is_empty() {
@@ -144,7 +144,7 @@ impl<'a> Work<'a> {
 
     /// Whether memory suffices for all steps at one time; and disk, where their surfaces may exceed it.
     fn fits(&self, settings: &SurfaceSettings, scratch: &Path) -> bool {
-        let Ok((shares, _)) = self.shares(settings.memory) else { return false };
+        let Ok((shares, _)) = self.shares(settings.resources.memory) else { return false };
         let blocks = self
             .questions
             .iter()
@@ -193,19 +193,19 @@ impl<'a> Work<'a> {
         reused: &mut Vec<Vec<TriMesh>>,
         progress: &dyn Progress,
     ) -> Result<Vec<Vec<Extracted>>> {
-        let (shares, bytes) = self.shares(settings.memory)?;
+        let (shares, bytes) = self.shares(settings.resources.memory)?;
         let each = shares.of_each(self.questions.len() as u64);
         let weld = |question| {
             let room = Room { scratch: scratch.to_path_buf(), reused: reused.pop().unwrap_or_default() };
             Weld::new(question, settings, each, room, progress)
         };
         let welds = self.questions.iter().map(weld).collect();
-        let pool = self.archive.pools.lend(settings.threads)?;
+        let pool = self.archive.pools.lend(settings.resources.threads)?;
         let blocks = self.questions.iter().flat_map(|q| q.work).map(|w| w.blocks.len() as u64).sum();
         progress.begin("surface", blocks, "blocks");
         let spare = BufferPool::default();
         let extract = |n: usize| {
-            settings.cancel.check()?;
+            settings.resources.cancel.check()?;
             self.chunk_surfaces(n, &spare)
         };
         let welder = Welder { work: self, welds, spare: &spare };

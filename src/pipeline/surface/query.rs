@@ -4,7 +4,7 @@ use super::extract::{ChunkWork, Extracted, Question, Room, by_chunk, extract_sur
 use super::refine::{Means, Refine, RefineReport};
 use crate::bytes::remote::{Traffic, traffic, traffic_since};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, Silent, pool};
+use crate::exec::{CancelToken, Progress, Resources, Silent, pool};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
 use crate::grid::ChunkId;
 use crate::index::Entry;
@@ -31,18 +31,12 @@ pub struct SurfaceSettings {
     pub isovalues: Vec<f64>,
     /// The box at which the surfaces are cut; the whole domain if not given.
     pub roi: Option<Roi>,
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for everything that grows with the surface.
-    pub memory: u64,
-    /// Folder for what does not fit in memory; the output's folder if not given.
-    pub scratch: Option<PathBuf>,
     /// Close the surfaces where the domain ends.
     pub cap: bool,
     /// What is done to each surface before it is written.
     pub refine: Refine,
-    /// Stops the extraction; nothing is written then.
-    pub cancel: CancelToken,
+    /// Threads, memory, scratch folder, and what stops it.
+    pub resources: Resources,
 }
 
 impl Default for SurfaceSettings {
@@ -50,12 +44,9 @@ impl Default for SurfaceSettings {
         Self {
             isovalues: vec![0.0],
             roi: None,
-            threads: 0,
-            memory: crate::exec::usable_memory() / 2,
-            scratch: None,
             cap: false,
             refine: Refine::default(),
-            cancel: CancelToken::new(),
+            resources: Resources::default(),
         }
     }
 }
@@ -80,7 +71,7 @@ impl SurfaceSettings {
 
     /// The folder for what does not fit in memory, of a file.
     pub(super) fn scratch_of(&self, out: &Path) -> PathBuf {
-        self.scratch.clone().unwrap_or_else(|| parent_of(out))
+        self.resources.scratch.clone().unwrap_or_else(|| parent_of(out))
     }
 
     pub(super) fn check(&self) -> Result<()> {
@@ -372,7 +363,7 @@ impl<'a> Prepared<'a> {
     ) -> Result<Made> {
         let start = Instant::now();
         if let Some(cut) = &self.cut {
-            cut_all(&mut surfaces, cut, settings.memory, scratch)?;
+            cut_all(&mut surfaces, cut, settings.resources.memory, scratch)?;
         }
         let extracted = effort.time + start.elapsed();
         let start = Instant::now();
@@ -441,7 +432,7 @@ pub(in crate::pipeline) fn surfaces_in_memory(
     settings: &SurfaceSettings,
     reused: Vec<TriMesh>,
 ) -> Result<Vec<TriMesh>> {
-    let scratch = settings.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let scratch = settings.resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
     let made = make(archive, settings, Room { scratch, reused }, &Silent)?;
     made.surfaces.into_iter().map(|found| in_memory(archive, found.surface)).collect()
 }
@@ -482,11 +473,11 @@ fn refine_all(
     scratch: &Path,
 ) -> Result<(Vec<Extracted>, Vec<RefineReport>)> {
     let means = Means {
-        memory: settings.memory,
+        memory: settings.resources.memory,
         surfaces: surfaces.len() as u64,
-        threads: settings.threads,
+        threads: settings.resources.threads,
         scratch,
-        cancel: &settings.cancel,
+        cancel: &settings.resources.cancel,
     };
     let refine = |e: Extracted| {
         let (surface, report) = settings.refine.apply(e.surface, &means)?;

@@ -87,7 +87,7 @@ pub(in crate::pipeline) fn surfaces_of_steps(
     each: &mut EachStep<'_>,
 ) -> Result<()> {
     settings.check()?;
-    let scratch = settings.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let scratch = settings.resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
     let mut hand_out = |archive: &StepView, made: Made| {
         let plan = &archive.step().plan;
         let surfaces = made.surfaces.into_iter().map(|found| in_memory(archive, found.surface));
@@ -116,7 +116,7 @@ fn for_each_step(
         let views: Vec<StepView> = positions.clone().take(MOST_STEPS).map(|n| archive.step_at(n)).collect();
         let made = Pass::next(&views, settings, scratch)?.extract(settings, &mut reused, progress)?;
         for (view, made) in views.iter().zip(made) {
-            settings.cancel.check()?;
+            settings.resources.cancel.check()?;
             reused.push(use_them(view, made)?);
             positions.start = view.position() + 1;
         }

@@ -16,7 +16,7 @@ use crate::archive::summary::{BlockRange, MeshSummary};
 use crate::archive::unpacked::{Unpacked, UnpackedChunk, UnpackedWriter};
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, pool};
+use crate::exec::{Progress, Resources, pool};
 use crate::grid::ChunkId;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
@@ -40,24 +40,13 @@ pub struct UnpackSettings {
     pub steps: Option<StepRange>,
     /// Only blocks that can answer isovalues from the first to the second; surfaces at others decode blocks.
     pub range: [f64; 2],
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for the chunks at work.
-    pub memory: u64,
-    /// Stops it; the file at which it is does not appear then.
-    pub cancel: CancelToken,
+    /// Threads, memory, scratch folder, and what stops it.
+    pub resources: Resources,
 }
 
 impl Default for UnpackSettings {
     fn default() -> Self {
-        Self {
-            step: StepChoice::First,
-            steps: None,
-            range: EVERYTHING,
-            threads: 0,
-            memory: crate::exec::usable_memory() / 2,
-            cancel: CancelToken::new(),
-        }
+        Self { step: StepChoice::First, steps: None, range: EVERYTHING, resources: Resources::default() }
     }
 }
 
@@ -257,18 +246,18 @@ fn unpack_step(
     let parts = parts_of(archive, range)?;
     let bytes: Vec<u64> = parts.iter().map(Part::need).collect();
     let largest = estimate::BASE + bytes.iter().copied().max().unwrap_or(0);
-    if settings.memory < largest {
-        let (what, available) = ("memory".into(), settings.memory);
+    if settings.resources.memory < largest {
+        let (what, available) = ("memory".into(), settings.resources.memory);
         return Err(Error::Budget { what, needed: largest, available });
     }
     let path = archive.layout.unpacked();
     let writer = UnpackedWriter::create(&path, archive.unpacked_hash(archive.position()), range)?;
     let step = archive.step().plan.number;
     progress.begin(&format!("unpack step {step}"), parts.len() as u64, "chunks");
-    let pool = pool(settings.threads)?;
+    let pool = pool(settings.resources.threads)?;
     let (spare, world) = (BufferPool::default(), world_map(archive));
     let make = |n: usize| {
-        settings.cancel.check()?;
+        settings.resources.cancel.check()?;
         let mut buffers = spare.buffers();
         let made = MadeChunk::of(archive, ChunkId(n as u64), range, &world, &mut buffers)?;
         spare.give_buffers(buffers);
@@ -277,7 +266,7 @@ fn unpack_step(
     let file = UnpackedFile { step, file: path, ..UnpackedFile::default() };
     let filler = Filler { archive, writer, file, progress };
     let Filler { writer, mut file, .. } =
-        Line::new(bytes, settings.memory - estimate::BASE, &pool, make, filler).run(&pool)?;
+        Line::new(bytes, settings.resources.memory - estimate::BASE, &pool, make, filler).run(&pool)?;
     file.bytes = writer.finish()?.bytes;
     Ok(file)
 }

@@ -12,7 +12,7 @@ use isospan::pipeline::{
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::TriMesh;
-use isospan::{Archive, Result};
+use isospan::{Archive, Resources, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs;
@@ -160,7 +160,10 @@ pub(crate) fn settings(points: SetKind, amount: Amount, chunk_points: u64) -> Re
 }
 
 pub(crate) fn run(threads: usize) -> RunSettings {
-    RunSettings { threads, memory: 4 << 30, ..RunSettings::default() }
+    RunSettings {
+        resources: Resources::default().with_threads(threads).with_memory(4 << 30),
+        ..RunSettings::default()
+    }
 }
 
 pub(crate) fn reduce(input: &Path, settings: &ReduceSettings, out: &Path, threads: usize) -> ReduceReport {
@@ -178,7 +181,10 @@ pub(crate) fn reduce_in_shards(input: &Path, settings: &ReduceSettings, out: &Pa
 }
 
 pub(crate) fn surface(archive: &Path, isovalue: impl Into<f64>, out: &Path, threads: usize) -> SurfaceReport {
-    let settings = SurfaceSettings { threads, ..SurfaceSettings::of(isovalue) };
+    let settings = SurfaceSettings {
+        resources: Resources::default().with_threads(threads),
+        ..SurfaceSettings::of(isovalue)
+    };
     extract_surface(archive, &settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent).unwrap()
 }
 

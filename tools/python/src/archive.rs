@@ -7,7 +7,8 @@ use crate::json::to_python;
 use crate::surface::Surface;
 use crate::volume::{Volume, raised_or};
 use crate::work::run;
-use isospan::exec::{CancelToken, usable_memory};
+use isospan::Resources;
+use isospan::exec::usable_memory;
 use isospan::formats::samples::SampleFormat;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
@@ -66,14 +67,18 @@ impl Machine {
         }
     }
 
+    fn resources(&self, py: Python<'_>) -> PyResult<Resources> {
+        let resources = Resources::default().with_threads(self.threads).with_memory(self.memory(py)?);
+        Ok(resources.with_scratch(self.scratch.clone()))
+    }
+
     /// Those of making an archive.
     pub(crate) fn run_settings(&self, py: Python<'_>) -> PyResult<RunSettings> {
-        let (memory, scratch) = (self.memory(py)?, self.scratch.clone());
-        Ok(RunSettings { threads: self.threads, memory, scratch, ..RunSettings::default() })
+        Ok(RunSettings { resources: self.resources(py)?, ..RunSettings::default() })
     }
 
     fn probe(&self, py: Python<'_>) -> PyResult<ProbeSettings> {
-        Ok(ProbeSettings { threads: self.threads, memory: self.memory(py)?, cancel: CancelToken::new() })
+        Ok(ProbeSettings { resources: self.resources(py)? })
     }
 }
 
@@ -116,11 +121,9 @@ impl Wanted {
 
     fn settings(&self, py: Python<'_>, machine: &Machine) -> PyResult<SurfaceSettings> {
         Ok(SurfaceSettings {
+            resources: machine.resources(py)?,
             isovalues: self.isovalues.clone(),
             roi: parsed(py, self.roi.as_ref())?,
-            threads: machine.threads,
-            memory: machine.memory(py)?,
-            scratch: machine.scratch.clone(),
             cap: self.cap,
             refine: self.refine(),
             ..SurfaceSettings::default()
@@ -229,7 +232,10 @@ impl Archive {
         let archive = self.at(py, when)?;
         let settings = wanted.settings(py, &machine)?;
         let meshes = run(py, None, |cancel, _| {
-            let settings = SurfaceSettings { cancel: cancel.clone(), ..settings };
+            let settings = SurfaceSettings {
+                resources: settings.resources.clone().with_cancel(cancel.clone()),
+                ..settings
+            };
             archive.surfaces(&settings)
         })?;
         let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.source());
@@ -251,7 +257,10 @@ impl Archive {
         let archive = self.at(py, when)?;
         let settings = wanted.settings(py, &machine)?;
         let report = run(py, progress.as_ref(), |cancel, progress| {
-            let settings = SurfaceSettings { cancel: cancel.clone(), ..settings };
+            let settings = SurfaceSettings {
+                resources: settings.resources.clone().with_cancel(cancel.clone()),
+                ..settings
+            };
             archive.write_surface(&settings, &out, SurfaceFormat::from_path(&out)?, progress)
         })?;
         to_python(py, &report)
@@ -270,7 +279,10 @@ impl Archive {
         let settings = wanted.settings(py, &machine)?;
         let steps: StepRange = parsed(py, steps.as_ref())?.unwrap_or_default();
         let report = run(py, progress.as_ref(), |cancel, progress| {
-            let settings = SurfaceSettings { cancel: cancel.clone(), ..settings };
+            let settings = SurfaceSettings {
+                resources: settings.resources.clone().with_cancel(cancel.clone()),
+                ..settings
+            };
             let format = SurfaceFormat::from_path(&out)?;
             self.archive.write_series(steps, &settings, &out, format, progress)
         })?;
@@ -286,7 +298,10 @@ impl Archive {
         let settings = machine.probe(py)?;
         let points: Vec<[f64; 3]> = bytemuck::pod_collect_to_vec(points);
         let values = run(py, None, |cancel, _| {
-            archive.probe_with(&points, &ProbeSettings { cancel: cancel.clone(), ..settings })
+            archive.probe_with(
+                &points,
+                &ProbeSettings { resources: settings.resources.with_cancel(cancel.clone()) },
+            )
         })?;
         Ok(Numbers::new(values))
     }
@@ -296,7 +311,10 @@ impl Archive {
         let archive = self.at(py, when)?;
         let settings = machine.probe(py)?;
         let values = run(py, None, |cancel, _| {
-            archive.sample_with(dims, &ProbeSettings { cancel: cancel.clone(), ..settings })
+            archive.sample_with(
+                dims,
+                &ProbeSettings { resources: settings.resources.with_cancel(cancel.clone()) },
+            )
         })?;
         Ok(Numbers::new(values))
     }
@@ -315,7 +333,7 @@ impl Archive {
         let archive = self.at(py, when)?;
         let settings = machine.probe(py)?;
         let report = run(py, progress.as_ref(), |cancel, progress| {
-            let settings = ProbeSettings { cancel: cancel.clone(), ..settings };
+            let settings = ProbeSettings { resources: settings.resources.with_cancel(cancel.clone()) };
             archive.write_samples(dims, &settings, &out, SampleFormat::from_path(&out)?, progress)
         })?;
         to_python(py, &report)
@@ -334,18 +352,22 @@ impl Archive {
     ) -> PyResult<Bound<'py, PyAny>> {
         let archive = self.at(py, when)?;
         let settings = ExportSettings {
+            resources: machine.resources(py)?,
             range: part.range,
             corners: if part.any_corner { Corners::Any } else { Corners::All },
             roi: parsed(py, part.roi.as_ref())?,
             every: part.every,
             compress: part.compress,
-            threads: machine.threads,
-            memory: machine.memory(py)?,
-            scratch: machine.scratch.clone(),
-            cancel: CancelToken::new(),
         };
         let report = run(py, progress.as_ref(), |cancel, progress| {
-            archive.write_tetrahedra(&ExportSettings { cancel: cancel.clone(), ..settings }, &out, progress)
+            archive.write_tetrahedra(
+                &ExportSettings {
+                    resources: settings.resources.clone().with_cancel(cancel.clone()),
+                    ..settings
+                },
+                &out,
+                progress,
+            )
         })?;
         to_python(py, &report)
     }
@@ -362,26 +384,18 @@ impl Archive {
         machine: Machine,
         progress: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let settings = MeasureSettings {
-            threads: machine.threads,
-            memory: machine.memory(py)?,
-            scratch: machine.scratch.clone(),
-            step,
-            map,
-            cancel: CancelToken::new(),
-        };
+        let settings = MeasureSettings { resources: machine.resources(py)?, step, map };
         let options = OpenOptions { field, ..OpenOptions::default() };
         let done = run(py, progress.as_ref(), |cancel, progress| {
-            let settings = MeasureSettings { cancel: cancel.clone(), ..settings };
+            let settings = MeasureSettings {
+                resources: settings.resources.clone().with_cancel(cancel.clone()),
+                ..settings
+            };
             let source = match &against {
                 Against::File(path) => StepSource::new(path, &options),
                 Against::Volume(volume) => {
-                    let run = RunSettings {
-                        memory: settings.memory,
-                        scratch: settings.scratch.clone(),
-                        cancel: cancel.clone(),
-                        ..RunSettings::default()
-                    };
+                    let resources = settings.resources.clone();
+                    let run = RunSettings { resources, ..RunSettings::default() };
                     volume.get().step(&run, progress)?
                 }
             };

@@ -7,10 +7,10 @@ use super::super::{make, numbered};
 use super::Round;
 use crate::archive::manifest::Manifest;
 use crate::density::Choice;
-use crate::exec::{Progress, Silent};
+use crate::exec::{Progress, Resources, Silent};
 use crate::formats::{OpenOptions, StepSource};
 use crate::pipeline::plan::{Attachments, Layout};
-use crate::pipeline::read::OpenArchive;
+use crate::pipeline::read::{OpenArchive, StepView};
 use crate::pipeline::{
     Adapt, Bound, Plan, ReduceReport, ReduceSettings, RunSettings, Shard, Target, commit_shards,
     reduce_series, work_shard,
@@ -63,7 +63,7 @@ fn settings(values: Values) -> ReduceSettings {
 }
 
 fn run(threads: usize) -> RunSettings {
-    RunSettings { threads, ..RunSettings::default() }
+    RunSettings { resources: Resources::default().with_threads(threads), ..RunSettings::default() }
 }
 
 /// A try of a search, with those around as they are there.
@@ -201,7 +201,7 @@ impl Progress for StopsIn {
     fn advance(&self, _: u64) {
         let seen = self.seen.lock().unwrap();
         if seen.1 && seen.0 == self.round {
-            self.run.cancel.cancel();
+            self.run.resources.cancel.cancel();
         }
     }
 
