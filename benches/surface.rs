@@ -6,11 +6,11 @@
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::geom::{Lattice, LatticePos, PointId};
 use isospan::grid::Geometry;
 use isospan::mesh::tet::{self, Tet};
-use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, reduce};
+use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, reduce_series};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::check::check;
@@ -144,7 +144,8 @@ fn archive(folder: &Path, turns: f32, points: u64) -> PathBuf {
         ..ReduceSettings::default()
     };
     let (options, run) = (OpenOptions::default(), RunSettings::default());
-    reduce(&input, &options, &settings, &out, &run, &Silent).expect("the volume is whole");
+    reduce_series(&[StepSource::new(&input, &options)], &settings, &out, &run, &Silent)
+        .expect("the volume is whole");
     out
 }
 

@@ -90,6 +90,32 @@ impl StepSource {
     }
 }
 
+impl From<&Path> for StepSource {
+    fn from(path: &Path) -> Self {
+        Self::new(path, &OpenOptions::default())
+    }
+}
+
+impl From<PathBuf> for StepSource {
+    fn from(path: PathBuf) -> Self {
+        path.as_path().into()
+    }
+}
+
+impl From<&str> for StepSource {
+    fn from(path: &str) -> Self {
+        Path::new(path).into()
+    }
+}
+
+/// A volume of the program, by the name that it has.
+impl<V: VolumeReader + 'static> From<V> for StepSource {
+    fn from(volume: V) -> Self {
+        let name = volume.info().path.display().to_string();
+        Self::given(&name, Arc::new(volume))
+    }
+}
+
 /// A volume that a program gives, and the hash of its samples once that is known.
 #[derive(Clone)]
 struct Given {

@@ -23,13 +23,10 @@ use std::time::Instant;
 ///
 /// ```
 /// use isospan::Archive;
-/// # use isospan::exec::Silent;
-/// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
 /// # fn main() -> isospan::Result<()> {
 /// # let folder = tempfile::tempdir().unwrap();
 /// # let path = folder.path().join("protein.isospan");
-/// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-/// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
+/// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
 /// let archive = Archive::open(&path)?;
 /// let [lo, hi] = archive.value_range().expect("the field has values");
 /// let isovalue = lo + 0.45 * (hi - lo);
@@ -136,14 +133,13 @@ impl Archive {
     /// several at a time, as memory allows: what they share is decoded once. What `each` leaves of the surfaces is memory for later ones.
     ///
     /// ```
-    /// # use isospan::{Archive, exec::Silent, formats::StepSource};
-    /// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, StepRange, SurfaceSettings, reduce_series};
+    /// # use isospan::{Archive, StepSource};
+    /// # use isospan::pipeline::{StepRange, SurfaceSettings};
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");
-    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-    /// # let steps = vec![StepSource::new("datasets/ironprot.vtk".as_ref(), &Default::default()); 2];
-    /// # reduce_series(&steps, &settings, &path, &RunSettings::default(), &Silent)?;
+    /// # let steps = vec![StepSource::from("datasets/ironprot.vtk"); 2];
+    /// # isospan::Reduction::of_steps(steps).count(20_000).write(&path)?;
     /// let archive = Archive::open(&path)?;
     /// let mut triangles = vec![];
     /// archive.surfaces_of_steps(StepRange::default(), &SurfaceSettings::of(100.0), |_step, time, surfaces| {

@@ -5,7 +5,7 @@
 //!  open ──▶ index ▶ active blocks ▶ decode ▶ marching tetrahedra ▶ weld ──▶ surface file
 //! ```
 //!
-//! [`reduce`] makes an archive, an [`Archive`] and its [`Step`]s answer questions. The rooms, each of which uses those above it only:
+//! A [`Reduction`] makes an archive; an [`Archive`] and its [`Step`]s answer questions. The rooms, each of which uses those above it only:
 //!
 //! ```text
 //!  settings   what a user chooses
@@ -16,7 +16,7 @@
 //!  reduce     inputs ─▶ plan ─▶ passes over chunks ─▶ commit
 //!  shards     the same in several processes
 //!  step       the questions of users          check     the proof that an archive is whole
-//!  archive    the handle of users
+//!  archive    the handle of users             reduction the order of users
 //! ```
 
 mod archive;
@@ -27,6 +27,7 @@ mod inputs;
 mod plan;
 mod read;
 mod reduce;
+mod reduction;
 mod settings;
 mod shards;
 mod step;
@@ -46,9 +47,12 @@ pub use read::{
     StepSummary, Suggestion, is_archive,
 };
 pub use reduce::{
-    AppendSettings, ReduceReport, SkippedStep, TargetReport, append, estimate, estimate_series, mesh_notices,
-    plan_path, reduce, reduce_series, scan_with_notices, work_folder,
+    AppendSettings, ReduceReport, SkippedStep, TargetReport, append, mesh_notices, plan_path,
+    scan_with_notices, work_folder,
 };
+#[doc(hidden)]
+pub use reduce::{estimate_series, reduce_series};
+pub use reduction::Reduction;
 pub use settings::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, RunSettings, Target, ValueBits};
 pub use shards::{
     GcReport, PlanReport, Planned, StatusReport, WorkReport, collect_garbage, commit_shards, plan_shards,

@@ -137,13 +137,11 @@ impl Step {
     /// Not all of them are active: a block has some hundred. Memory: the list of blocks, and a chunk.
     ///
     /// ```
-    /// # use isospan::{Archive, exec::Silent};
-    /// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
+    /// # use isospan::Archive;
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");
-    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-    /// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
     /// let archive = Archive::open(&path)?;
     /// let mut active = 0;
     /// for chunk in archive.active(100.0)? {
@@ -206,14 +204,13 @@ impl Step {
     /// Isosurfaces, in memory, one for each isovalue: cut, capped, with chosen components, decimated, as the settings say.
     ///
     /// ```
-    /// # use isospan::{Archive, exec::Silent};
-    /// # use isospan::pipeline::{Amount, ReduceSettings, Refine, RunSettings, SurfaceSettings, reduce};
+    /// # use isospan::Archive;
+    /// # use isospan::pipeline::{Refine, SurfaceSettings};
     /// # use isospan::surface::components::ComponentFilter;
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");
-    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-    /// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
     /// let archive = Archive::open(&path)?;
     /// let largest = ComponentFilter { largest: Some(1), ..ComponentFilter::default() };
     /// let surfaces = archive.surfaces(&SurfaceSettings {
@@ -241,13 +238,12 @@ impl Step {
     /// cleared pages for every answer takes about a tenth of the time of one of which the blocks are kept. For an isovalue that is dragged.
     ///
     /// ```
-    /// # use isospan::{Archive, exec::Silent};
-    /// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, reduce};
+    /// # use isospan::Archive;
+    /// # use isospan::pipeline::SurfaceSettings;
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");
-    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-    /// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
     /// let archive = Archive::open(&path)?;
     /// let mut shown = vec![];
     /// for isovalue in [80.0, 81.0, 82.0] {
@@ -335,13 +331,11 @@ impl Step {
     /// The field on a grid of samples that spans the domain, x fastest, in memory: NaN where the source has no data.
     ///
     /// ```
-    /// # use isospan::{Archive, exec::Silent};
-    /// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
+    /// # use isospan::Archive;
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");
-    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-    /// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
     /// let archive = Archive::open(&path)?;
     /// let small = archive.sample([17, 17, 17])?;
     /// assert_eq!(small.len(), 17 * 17 * 17);

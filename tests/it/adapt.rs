@@ -3,7 +3,7 @@
 
 use crate::common::*;
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     self, Adapt, Amount, Bound, LevelSummary, NanPolicy, ReduceSettings, RunSettings, Target,
 };
@@ -212,8 +212,14 @@ fn what_cannot_be_is_a_usage_error() {
     write_npy(&input, [20, 20, 20], ball);
     let refused = |settings: ReduceSettings, word: &str| {
         let run = RunSettings::default();
-        let error =
-            pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &run, &Silent).unwrap_err();
+        let error = pipeline::reduce_series(
+            &[StepSource::new(&input, &OpenOptions::default())],
+            &settings,
+            &out,
+            &run,
+            &Silent,
+        )
+        .unwrap_err();
         assert!(error.exit_code() == 2 && error.to_string().contains(word), "{error}");
     };
     refused(ReduceSettings { points: Some(SetKind::Bcc), ..adapted(0.1, 1_000) }, "halton");

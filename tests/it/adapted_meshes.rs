@@ -84,7 +84,14 @@ fn chunks_threads_memory_restarts_and_shards_do_not_show() {
     let expected = folder(&out);
     let [again, shards] = ["again", "shards"].map(|n| dir.path().join(format!("{n}.isospan")));
     let small = RunSettings { resources: run(1).resources.with_memory(64 << 20), ..run(1) };
-    pipeline::reduce(&input, &OpenOptions::default(), &settings, &again, &small, &Silent).unwrap();
+    pipeline::reduce_series(
+        &[StepSource::new(&input, &OpenOptions::default())],
+        &settings,
+        &again,
+        &small,
+        &Silent,
+    )
+    .unwrap();
     assert_eq!(folder(&again), expected, "threads and memory");
     fs::remove_file(again.join("manifest.json")).unwrap();
     fs::remove_file(again.join("mesh/000000.seg")).unwrap();

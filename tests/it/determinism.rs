@@ -3,7 +3,7 @@
 
 use crate::common::*;
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::measure::FieldError;
 use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, ValueBits};
 use isospan::points::SetKind;
@@ -115,7 +115,13 @@ fn segments_of_another_plan_are_not_taken() {
     let other = settings(SetKind::Halton, Amount::Fraction(0.4), 5_000);
     let anew = |replace| {
         let run = RunSettings { replace, ..run(2) };
-        pipeline::reduce(&input, &OpenOptions::default(), &other, &out, &run, &Silent)
+        pipeline::reduce_series(
+            &[StepSource::new(&input, &OpenOptions::default())],
+            &other,
+            &out,
+            &run,
+            &Silent,
+        )
     };
     let error = anew(false).unwrap_err();
     assert!(error.exit_code() == 2 && error.to_string().contains("unfinished work"), "{error}");

@@ -6,7 +6,7 @@ use isospan::Error;
 use isospan::archive::manifest::{Manifest, index_path};
 use isospan::archive::segment::SegmentKind;
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::index::{Entry, IndexBuilder, SpanIndex};
 use isospan::pipeline::{self, Amount};
 use isospan::points::SetKind;
@@ -109,7 +109,13 @@ fn more_points_than_bricks_can_hold_are_refused_at_once() {
         for count in [1_000_000_000_000, 1_000_000_000_000_000, 1 << 59] {
             let start = Instant::now();
             let settings = settings(kind, Amount::Count(count), 250_000);
-            let made = pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &run(1), &Silent);
+            let made = pipeline::reduce_series(
+                &[StepSource::new(&input, &OpenOptions::default())],
+                &settings,
+                &out,
+                &run(1),
+                &Silent,
+            );
             match made {
                 // A lattice is made whatever its size, if there is a disk for it.
                 Err(e) => assert!(matches!(e.exit_code(), 2 | 4), "{kind} {count}: {e}"),

@@ -54,9 +54,8 @@ fn samples_in_memory_give_what_their_file_gives() {
     let ratio = ReduceSettings { target: Some(Target::Ratio(4.0)), ..ReduceSettings::default() };
     for (n, settings) in [ReduceSettings::default(), halton, target, ratio].iter().enumerate() {
         let [a, b] = ["file", "given"].map(|name| dir.path().join(format!("{name}-{n}.isospan")));
-        pipeline::reduce(
-            &file,
-            &OpenOptions::default(),
+        pipeline::reduce_series(
+            &[StepSource::new(&file, &OpenOptions::default())],
             settings,
             &a,
             &RunSettings { replace: true, ..RunSettings::default() },

@@ -6,7 +6,7 @@ use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     Amount, ExportSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, StepChoice,
-    SurfaceSettings, reduce, reduce_series,
+    SurfaceSettings, reduce_series,
 };
 use isospan::surface::TriMesh;
 use isospan::surface::check::check;
@@ -72,7 +72,13 @@ fn make(input: &Path) -> Result<(PathBuf, ReduceReport)> {
     let archive = input.with_extension("isospan");
     let settings = small_chunks();
     let run = RunSettings::default();
-    let report = reduce(input, &OpenOptions::default(), &settings, &archive, &run, &Silent)?;
+    let report = reduce_series(
+        &[StepSource::new(input, &OpenOptions::default())],
+        &settings,
+        &archive,
+        &run,
+        &Silent,
+    )?;
     check_archive(&archive)?;
     Ok((archive, report))
 }
@@ -249,7 +255,8 @@ fn a_reduction_that_was_refused_for_missing_samples_is_no_other_work() {
     assert!(error.to_string().contains("--nan mask"), "{error}");
     let settings = ReduceSettings { nan: NanPolicy::Mask, ..small_chunks() };
     let (archive, run) = (input.with_extension("isospan"), RunSettings::default());
-    reduce(&input, &OpenOptions::default(), &settings, &archive, &run, &Silent).unwrap();
+    reduce_series(&[StepSource::new(&input, &OpenOptions::default())], &settings, &archive, &run, &Silent)
+        .unwrap();
     check_archive(&archive).unwrap();
 }
 

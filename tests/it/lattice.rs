@@ -198,7 +198,15 @@ fn a_size_below_any_archive_is_not_met_and_says_so() {
     assert!(!told.met && told.reached > 100.0, "{told:?}");
     let reduce = |target| {
         let (options, out) = (OpenOptions::default(), dir.path().join("no.isospan"));
-        pipeline::reduce(&input, &options, &settings(target), &out, &run(2), &Silent).unwrap_err().to_string()
+        pipeline::reduce_series(
+            &[StepSource::new(&input, &options)],
+            &settings(target),
+            &out,
+            &run(2),
+            &Silent,
+        )
+        .unwrap_err()
+        .to_string()
     };
     for target in
         [Target::Size(0), Target::Ratio(0.0), Target::Ratio(f64::NAN), Target::Rms(Bound::Value(0.0))]

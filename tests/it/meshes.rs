@@ -6,7 +6,7 @@ use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     Amount, AppendSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, append,
-    measure, reduce, reduce_series,
+    measure, reduce_series,
 };
 use isospan::sample::Interpolation;
 use isospan::surface::check::{SurfaceReport, check};
@@ -19,7 +19,9 @@ fn settings(fraction: f64) -> ReduceSettings {
 
 fn reduced(input: &Path, settings: &ReduceSettings, out: &str, run: &RunSettings) -> (PathBuf, ReduceReport) {
     let out = input.with_file_name(out);
-    let report = reduce(input, &OpenOptions::default(), settings, &out, run, &Silent).unwrap();
+    let report =
+        reduce_series(&[StepSource::new(input, &OpenOptions::default())], settings, &out, run, &Silent)
+            .unwrap();
     check_archive(&out).unwrap();
     (out, report)
 }
@@ -49,7 +51,9 @@ fn a_linear_field_on_a_block_gives_its_plane() {
     }
     let cubic = ReduceSettings { interpolation: Interpolation::Cubic, ..settings(0.5) };
     let out = dir.path().join("cubic.isospan");
-    let error = reduce(&input, &OpenOptions::default(), &cubic, &out, &run(1), &Silent).unwrap_err();
+    let error =
+        reduce_series(&[StepSource::new(&input, &OpenOptions::default())], &cubic, &out, &run(1), &Silent)
+            .unwrap_err();
     assert_eq!((error.exit_code(), out.exists()), (2, false), "{error}");
 }
 
@@ -332,8 +336,14 @@ fn values_that_are_no_numbers() {
     let input = dir.path().join("nan.vtk");
     write_mesh(&input, 8, |_| true, |p| p, |p| if p[0] > 0.8 { f64::NAN } else { p[1] });
     let out = dir.path().join("refused.isospan");
-    let refused =
-        reduce(&input, &OpenOptions::default(), &settings(0.99), &out, &run(1), &Silent).unwrap_err();
+    let refused = reduce_series(
+        &[StepSource::new(&input, &OpenOptions::default())],
+        &settings(0.99),
+        &out,
+        &run(1),
+        &Silent,
+    )
+    .unwrap_err();
     assert!(refused.exit_code() == 5 && refused.to_string().contains("point"), "{refused}");
     let masked = ReduceSettings { nan: NanPolicy::Mask, ..settings(0.99) };
     let (archive, _) = reduced(&input, &masked, "masked.isospan", &run(2));
@@ -353,7 +363,14 @@ fn real_meshes() {
     ] {
         let out = dir.path().join(format!("{name}.isospan"));
         let options = OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
-        reduce(&data.join("meshes").join(name), &options, &settings(0.99), &out, &run(2), &Silent).unwrap();
+        reduce_series(
+            &[StepSource::new(&data.join("meshes").join(name), &options)],
+            &settings(0.99),
+            &out,
+            &run(2),
+            &Silent,
+        )
+        .unwrap();
         check_archive(&out).unwrap();
         let found = extracted(&out, isovalue).1.area;
         assert!((found / area - 1.0).abs() < 0.1, "{name}: {found} for {area}");
@@ -368,7 +385,9 @@ fn the_error_at_the_vertices_is_measured() {
     write_mesh(&input, 12, |[x, y, _]| x < 0.5 || y < 0.5, |p| p, field);
     let settings =
         ReduceSettings { amount: Amount::Fraction(0.99), chunk_points: 600, ..ReduceSettings::default() };
-    let made = reduce(&input, &OpenOptions::default(), &settings, &out, &run(2), &Silent).unwrap();
+    let made =
+        reduce_series(&[StepSource::new(&input, &OpenOptions::default())], &settings, &out, &run(2), &Silent)
+            .unwrap();
     let e = made.error.unwrap();
     assert_eq!((e.samples, e.measured), (made.samples, made.samples), "all vertices");
     assert!(e.beyond > 0 && e.beyond < e.samples / 10, "{e:?}");

@@ -252,9 +252,13 @@ fn whole_numbers_are_exact_where_they_can_be() {
     let report = reduce(&out("wide.npy"), &nearest, &out("wide.isospan"), 2);
     assert_eq!(report.steps[0].rounding, Some(63.0));
     assert!(report.error.unwrap().max >= 63.0);
-    let estimate =
-        pipeline::estimate(&out("wide.npy"), &OpenOptions::default(), &nearest, &out("w.isospan"), &run(1))
-            .unwrap();
+    let estimate = pipeline::estimate_series(
+        &[StepSource::new(&out("wide.npy"), &OpenOptions::default())],
+        &nearest,
+        &out("w.isospan"),
+        &run(1),
+    )
+    .unwrap();
     assert_eq!(estimate.rounding, Some(63.0));
     check_archive(&out("wide.isospan")).unwrap();
     assert_eq!(summarize(&out("wide.isospan")).unwrap().rounding, Some(63.0));
@@ -262,9 +266,8 @@ fn whole_numbers_are_exact_where_they_can_be() {
     for scale in [1e300, 1e-300] {
         write_wide(&out("x.npy"), "f8", f64::to_le_bytes, |_, p| scale * wave(p));
         let input = out("x.npy");
-        let made = pipeline::reduce(
-            &input,
-            &OpenOptions::default(),
+        let made = pipeline::reduce_series(
+            &[StepSource::new(&input, &OpenOptions::default())],
             &quarter(),
             &out("x.isospan"),
             &run(1),

@@ -8,7 +8,7 @@ use isospan::formats::samples::SampleFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     self, Amount, AppendSettings, ExportSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings,
-    RunSettings, SurfaceSettings, UnpackSettings, ValueBits, append, measure, reduce, reduce_series,
+    RunSettings, SurfaceSettings, UnpackSettings, ValueBits, append, measure, reduce_series,
 };
 use isospan::points::SetKind;
 use isospan::sample::Interpolation;
@@ -29,7 +29,9 @@ fn again(threads: usize) -> RunSettings {
 
 fn kept(input: &Path, settings: &ReduceSettings, out: &str, run: &RunSettings) -> (PathBuf, ReduceReport) {
     let out = input.with_file_name(out);
-    let report = reduce(input, &OpenOptions::default(), settings, &out, run, &Silent).unwrap();
+    let report =
+        reduce_series(&[StepSource::new(input, &OpenOptions::default())], settings, &out, run, &Silent)
+            .unwrap();
     assert!(report.own);
     check_archive(&out).unwrap();
     (out, report)
@@ -318,10 +320,7 @@ fn bodies_that_overlap_are_both_there() {
     let mut grids = vec![];
     for threads in [1, 2, 5] {
         let out = dir.path().join(format!("{threads}.npy"));
-        let settings = pipeline::ProbeSettings {
-            resources: Resources::default().with_threads(threads),
-            ..Default::default()
-        };
+        let settings = pipeline::ProbeSettings { resources: Resources::default().with_threads(threads) };
         let report = open.write_samples([31, 30, 29], &settings, &out, SampleFormat::Npy, &Silent).unwrap();
         let bytes = std::fs::read(&out).unwrap();
         let values = &bytes[bytes.len() - 4 * 31 * 30 * 29..];
@@ -401,7 +400,9 @@ fn the_same_bytes_however_the_work_is_done() {
     );
     assert!(folder(&one) == folder(&counted), "a count of all vertices or more");
     // Finished before; and made again where a file is lost.
-    let report = reduce(&input, &OpenOptions::default(), &settings, &one, &run(1), &Silent).unwrap();
+    let report =
+        reduce_series(&[StepSource::new(&input, &OpenOptions::default())], &settings, &one, &run(1), &Silent)
+            .unwrap();
     assert!(report.made_before && report.own);
     std::fs::remove_file(two.join("mesh/points.seg")).unwrap();
     kept(&input, &settings, "two.isospan", &run(1));
@@ -513,7 +514,9 @@ fn what_is_asked_for_decides_what_is_kept() {
     let with = |amount| ReduceSettings { amount, ..ReduceSettings::default() };
     let of = |settings: &ReduceSettings| {
         let out = dir.path().join("m.isospan");
-        reduce(&input, &OpenOptions::default(), settings, &out, &again(2), &Silent).unwrap().own
+        reduce_series(&[StepSource::new(&input, &OpenOptions::default())], settings, &out, &again(2), &Silent)
+            .unwrap()
+            .own
     };
     assert!(of(&with(Amount::Count(vertices))) && of(&with(Amount::Count(vertices + 1))));
     assert!(!of(&with(Amount::Count(vertices - 1))) && !of(&with(Amount::Fraction(0.99))));
@@ -539,12 +542,20 @@ fn what_the_lattice_cannot_hold_is_refused() {
     mesh.tets.push([first, first + 1, first + 2, first + 3]);
     mesh.write(&input);
     let out = dir.path().join("thin.isospan");
-    let e = reduce(&input, &OpenOptions::default(), &whole(1000), &out, &run(2), &Silent).unwrap_err();
+    let e = reduce_series(
+        &[StepSource::new(&input, &OpenOptions::default())],
+        &whole(1000),
+        &out,
+        &run(2),
+        &Silent,
+    )
+    .unwrap_err();
     let text = e.to_string();
     assert!(e.exit_code() == 5 && text.contains("thin.vtk: tetrahedra") && !text.contains('\n'), "{text}");
     assert!(text.contains("1 that would not") && text.contains("0.99") && !out.exists(), "{text}");
     let sampled = ReduceSettings { amount: Amount::Fraction(0.99), ..ReduceSettings::default() };
-    reduce(&input, &OpenOptions::default(), &sampled, &out, &run(2), &Silent).unwrap();
+    reduce_series(&[StepSource::new(&input, &OpenOptions::default())], &sampled, &out, &run(2), &Silent)
+        .unwrap();
     // One that is flat in the file has no volume to keep: it is counted, and the rest is kept.
     mesh.points[first + 3][2] = 2.0;
     let solid = mesh.add(&[[0.1, 0.1, 2.5]], &[4.0]);
@@ -604,8 +615,14 @@ fn real_meshes_are_kept() {
         let options = OpenOptions { field: field.map(str::to_owned), ..OpenOptions::default() };
         for chunk_points in [250_000, 1000] {
             let out = dir.path().join("real.isospan");
-            let report =
-                reduce(&data.join(name), &options, &whole(chunk_points), &out, &again(2), &Silent).unwrap();
+            let report = reduce_series(
+                &[StepSource::new(&data.join(name), &options)],
+                &whole(chunk_points),
+                &out,
+                &again(2),
+                &Silent,
+            )
+            .unwrap();
             assert!(report.own && report.error.unwrap().max == 0.0);
             check_archive(&out).unwrap();
             let found = check(&extracted(&out, isovalue, 2));

@@ -3,7 +3,7 @@
 use crate::common::*;
 use isospan::Archive;
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::grid::Geometry;
 use isospan::pipeline::{self, Amount, NanPolicy, ReduceSettings};
 use isospan::points::SetKind;
@@ -104,8 +104,13 @@ fn holes_are_not_bridged() {
     // Half of the ball is missing: the surface must end at the hole, not close across it.
     write_npy(&input, [40, 40, 40], |x, y, z| if x > 0.01 { f64::NAN } else { ball(x, y, z) });
     let out = dir.path().join("hole.isospan");
-    let refused =
-        pipeline::reduce(&input, &OpenOptions::default(), &ReduceSettings::default(), &out, &run(2), &Silent);
+    let refused = pipeline::reduce_series(
+        &[StepSource::new(&input, &OpenOptions::default())],
+        &ReduceSettings::default(),
+        &out,
+        &run(2),
+        &Silent,
+    );
     let error = refused.unwrap_err();
     assert_eq!(error.exit_code(), 5);
     assert!(error.to_string().contains("--nan mask"), "{error}");
@@ -213,7 +218,13 @@ fn tiny_and_flat_volumes() {
             for amount in [Amount::Count(1), Amount::Fraction(1.0), Amount::Count(3_000)] {
                 let out = dir.path().join("tiny.isospan");
                 let settings = settings(kind, amount, 250_000);
-                match pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &run(1), &Silent) {
+                match pipeline::reduce_series(
+                    &[StepSource::new(&input, &OpenOptions::default())],
+                    &settings,
+                    &out,
+                    &run(1),
+                    &Silent,
+                ) {
                     Ok(_) => sound(&out, dir.path()),
                     // Some sets have no such size; they say so.
                     Err(e) => assert_eq!(e.exit_code(), 2, "{kind} {amount:?}: {e}"),

@@ -5,7 +5,7 @@ use crate::common::{
     surface, waves, write_npy,
 };
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{self, Amount, NanPolicy, ReduceSettings};
 use isospan::points::SetKind;
 use isospan::surface::check::check;
@@ -92,7 +92,14 @@ fn nothing_but_void_has_no_spectrum() {
         let amount = Amount::Fraction(amount);
         let settings =
             ReduceSettings { nan: NanPolicy::Mask, amount, chunk_points, ..ReduceSettings::default() };
-        pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &common::run(1), &Silent).unwrap();
+        pipeline::reduce_series(
+            &[StepSource::new(&input, &OpenOptions::default())],
+            &settings,
+            &out,
+            &common::run(1),
+            &Silent,
+        )
+        .unwrap();
         let has = |file: &str| folder(&out).keys().any(|f| f.ends_with(file));
         assert_eq!((has("000000-index.seg"), has("000000-spectrum.seg")), (name == "several", false));
         let spectrum = contour_spectrum(&out).unwrap();

@@ -11,10 +11,10 @@
 //! `/proc` where the system has it.
 
 use isospan::exec::Silent;
-use isospan::formats::{OpenOptions, open_volume};
+use isospan::formats::{OpenOptions, StepSource, open_volume};
 use isospan::grid::IndexBox;
 use isospan::pipeline::{
-    Adapt, Amount, Bound, NanPolicy, ReduceReport, ReduceSettings, RunSettings, Target, brick, reduce,
+    Adapt, Amount, Bound, NanPolicy, ReduceReport, ReduceSettings, RunSettings, Target, brick, reduce_series,
 };
 use isospan::points::SetKind;
 use isospan::sample::Values;
@@ -132,7 +132,13 @@ impl Volume {
         };
         let settings = ReduceSettings { nan: NanPolicy::Value(0.0), ..settings };
         let (out, before) = (self.folder.path().join("try.isospan"), cpu_seconds());
-        let report = reduce(&self.path, &OpenOptions::default(), &settings, &out, &run, &Silent)?;
+        let report = reduce_series(
+            &[StepSource::new(&self.path, &OpenOptions::default())],
+            &settings,
+            &out,
+            &run,
+            &Silent,
+        )?;
         let rms = report.error.as_ref().expect("a reduction is measured").rms;
         let made = Made { points: report.points as f64, rms, seconds: cpu_seconds() - before };
         Ok((report, made))

@@ -16,7 +16,7 @@ use isospan::cells::scan::{scan, scan_field};
 use isospan::exec::Silent;
 use isospan::formats::raw::RawLayout;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
-use isospan::formats::{OpenOptions, open_mesh, open_volume};
+use isospan::formats::{OpenOptions, StepSource, open_mesh, open_volume};
 use isospan::geom::PointId;
 use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, SurfaceSettings, UnpackSettings};
 use isospan::points::SetKind;
@@ -155,7 +155,13 @@ impl Archive {
         };
         let (good, copy) = (folder.join("good.isospan"), folder.join("copy.isospan"));
         let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };
-        pipeline::reduce(&input, &options, &settings, &good, &RunSettings::default(), &Silent)?;
+        pipeline::reduce_series(
+            &[StepSource::new(&input, &options)],
+            &settings,
+            &good,
+            &RunSettings::default(),
+            &Silent,
+        )?;
         let step = "steps/000000-";
         let names = [
             MANIFEST_NAME.into(),

@@ -16,9 +16,9 @@ use crate::methods::{coordinates, marching, sample_of};
 use crate::plots::{Chart, Line};
 use crate::runs::{Lab, Points, distances, is_grid};
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::measure::ErrorSums;
-use isospan::pipeline::{Adapt, Amount, ReduceSettings, RunSettings, reduce};
+use isospan::pipeline::{Adapt, Amount, ReduceSettings, RunSettings, reduce_series};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::TriMesh;
@@ -174,7 +174,13 @@ impl Field {
             replace: true,
             ..RunSettings::default()
         };
-        let report = reduce(&self.input, &OpenOptions::default(), &settings, &archive, &run, &Silent)?;
+        let report = reduce_series(
+            &[StepSource::new(&self.input, &OpenOptions::default())],
+            &settings,
+            &archive,
+            &run,
+            &Silent,
+        )?;
         let surface = Archive::open(&archive)?.surface(self.isovalue)?;
         let error = report.error.as_ref().expect("a reduction is measured");
         let of_95 = error.percentiles.iter().find(|p| p.percent == 95.0).map_or(f64::NAN, |p| p.error);

@@ -13,11 +13,11 @@ use crate::methods::median;
 use crate::roughness::roughness;
 use isospan::compare::{CompareSettings, compare};
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
 use isospan::formats::surface::{SurfaceFormat, SurfaceMeta, write_surface};
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::geom::Lattice;
 use isospan::measure::ErrorSums;
-use isospan::pipeline::{Amount, ReduceReport, ReduceSettings, RunSettings, SurfaceSettings, reduce};
+use isospan::pipeline::{Amount, ReduceReport, ReduceSettings, RunSettings, SurfaceSettings, reduce_series};
 use isospan::points::{PointSet, PointSpec, SetKind};
 use isospan::sample::{Interpolation, Values};
 use isospan::surface::TriMesh;
@@ -408,7 +408,7 @@ impl Lab {
             ..RunSettings::default()
         };
         let input = &self.originals[&dataset].made.file;
-        reduce(input, &OpenOptions::default(), settings, archive, &run, &Silent)
+        reduce_series(&[StepSource::new(input, &OpenOptions::default())], settings, archive, &run, &Silent)
     }
 
     fn reduce(&self, key: Key, kind: SetKind) -> Result<Outcome> {

@@ -93,7 +93,7 @@ mod tests {
     use crate::exec::Silent;
     use crate::formats::{OpenOptions, StepSource};
     use crate::pipeline::{
-        Amount, ReduceReport, ReduceSettings, RunSettings, Shard, commit_shards, plan_shards, reduce,
+        Amount, ReduceReport, ReduceSettings, RunSettings, Shard, commit_shards, plan_shards, reduce_series,
         work_shard,
     };
     use crate::points::SetKind;
@@ -166,7 +166,8 @@ mod tests {
             let out = |name: &str| dir.path().join(format!("{name}{n}.isospan"));
             let make = |input: &str, run: &RunSettings| {
                 let (options, path) = (OpenOptions::default(), dir.path().join(input));
-                reduce(&path, &options, &settings, &out(input), run, &Silent).unwrap()
+                reduce_series(&[StepSource::new(&path, &options)], &settings, &out(input), run, &Silent)
+                    .unwrap()
             };
             let told = |r: &ReduceReport| (r.points, r.chunks, r.range, r.error.clone());
             let plain = told(&make("a.nrrd", &run));

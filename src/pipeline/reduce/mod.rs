@@ -27,7 +27,7 @@ use crate::archive::{TEMPORARY_MARK, publish};
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Silent};
-use crate::formats::{Input, OpenOptions, StepSource};
+use crate::formats::{Input, StepSource};
 use crate::pipeline::chunk::stored_error;
 use crate::pipeline::field::{MeasureSettings, reopened_errors};
 use crate::pipeline::plan::{Estimate, Layout, MeshParts, Need, Plan, Question, folder_bytes, parts};
@@ -55,22 +55,6 @@ pub use target::TargetReport;
 use target::reduce_to_target;
 use volumes::{Known, VolumeFields, plan_volumes};
 
-/// Reduces the volume or mesh `input` to the archive `out`.
-///
-/// # Errors
-/// [`Error::Usage`] when there is another archive already, [`Error::BadInput`] for a volume that cannot be used,
-/// [`Error::Budget`] when the memory does not suffice for one chunk, [`Error::Cancelled`] when stopped: the same call continues.
-pub fn reduce(
-    input: &Path,
-    options: &OpenOptions,
-    settings: &ReduceSettings,
-    out: &Path,
-    run: &RunSettings,
-    progress: &dyn Progress,
-) -> Result<ReduceReport> {
-    reduce_series(&[StepSource::new(input, options)], settings, out, run, progress)
-}
-
 /// Reduces a series of steps to the archive `out`: one mesh, and the values of each step.
 ///
 /// Steps are numbered from 0. With [`RunSettings::keep_going`] one that cannot be used is left out, its number too.
@@ -78,7 +62,8 @@ pub fn reduce(
 /// Where this very archive is there already, nothing is made but what it has lost: so the same call continues a run that was killed at any moment.
 ///
 /// # Errors
-/// Those of [`reduce`]; [`Error::BadInput`], naming the step, where dimensions or geometry are not those of the first.
+/// Those of [`Reduction::write`](crate::Reduction::write); [`Error::BadInput`], naming the step, where dimensions or geometry
+/// are not those of the first.
 pub fn reduce_series(
     sources: &[StepSource],
     settings: &ReduceSettings,
@@ -400,24 +385,10 @@ pub(super) fn sweep(layout: &Layout) {
     folders.iter().for_each(|folder| publish::sweep(folder));
 }
 
-/// Tells what a reduction would need, without beginning it.
+/// What a reduction would need, without beginning it.
 ///
 /// # Errors
-/// As [`reduce`], but a budget that does not suffice is only told of: see [`Estimate::check`].
-pub fn estimate(
-    input: &Path,
-    options: &OpenOptions,
-    settings: &ReduceSettings,
-    out: &Path,
-    run: &RunSettings,
-) -> Result<Estimate> {
-    estimate_series(&[StepSource::new(input, options)], settings, out, run)
-}
-
-/// As [`estimate`], of a series.
-///
-/// # Errors
-/// As [`estimate`].
+/// Those of [`reduce_series`], but a budget that does not suffice is only reported: see [`Estimate::check`].
 pub fn estimate_series(
     sources: &[StepSource],
     settings: &ReduceSettings,

@@ -134,13 +134,11 @@ fn open_chosen(path: &Path, settings: &UnpackSettings) -> Result<(Arc<OpenArchiv
 ///
 /// ```
 /// # use isospan::{Archive, exec::Silent};
-/// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
 /// use isospan::pipeline::{UnpackSettings, remove_unpacked, unpack};
 /// # fn main() -> isospan::Result<()> {
 /// # let folder = tempfile::tempdir().unwrap();
 /// # let path = folder.path().join("protein.isospan");
-/// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-/// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
+/// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
 /// let before = Archive::open(&path)?.surface(100.0)?;
 /// let report = unpack(&path, &UnpackSettings { range: [80.0, 120.0], ..UnpackSettings::default() }, &Silent)?;
 /// assert!(report.files[0].tetrahedra > 0);

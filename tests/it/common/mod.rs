@@ -167,7 +167,14 @@ pub(crate) fn run(threads: usize) -> RunSettings {
 }
 
 pub(crate) fn reduce(input: &Path, settings: &ReduceSettings, out: &Path, threads: usize) -> ReduceReport {
-    pipeline::reduce(input, &OpenOptions::default(), settings, out, &run(threads), &Silent).unwrap()
+    pipeline::reduce_series(
+        &[StepSource::new(input, &OpenOptions::default())],
+        settings,
+        out,
+        &run(threads),
+        &Silent,
+    )
+    .unwrap()
 }
 
 /// As [`reduce`], in two shards, the second one first.

@@ -126,7 +126,6 @@ impl Wanted {
             roi: parsed(py, self.roi.as_ref())?,
             cap: self.cap,
             refine: self.refine(),
-            ..SurfaceSettings::default()
         })
     }
 }
