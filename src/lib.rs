@@ -141,7 +141,7 @@ pub mod surface;
 pub mod tets;
 pub mod volume;
 
-pub use error::{Error, Result};
+pub use error::{Error, ErrorKind, Result};
 pub use exec::{CancelToken, Progress, Resources};
 pub use formats::StepSource;
 pub use pipeline::{Archive, ReduceSettings, Reduction, Step, StepChoice, SurfaceSettings};

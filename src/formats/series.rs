@@ -18,7 +18,7 @@ use super::{
     vtk_xml, zarr,
 };
 use crate::bytes::{ByteSource, read_whole};
-use crate::error::{Error, Result};
+use crate::error::{Error, Place, Result};
 use crate::exec::CancelToken;
 use crate::volume::slabs::ReaderSlabs;
 use crate::volume::{SharedVolume, SlabStream, VolumeReader, VolumeSource};
@@ -412,7 +412,7 @@ fn pvd(path: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
     let mut reader = Reader::from_str(&text);
     let mut files: Vec<(PathBuf, Option<f64>)> = vec![];
     loop {
-        let at = |reader: &Reader<&[u8]>| format!("byte {}", reader.buffer_position());
+        let at = |reader: &Reader<&[u8]>| Place::byte(reader.buffer_position());
         match reader.read_event() {
             Ok(Event::Start(tag) | Event::Empty(tag)) if tag.name().as_ref() == "DataSet" => {
                 let wrong = |e: String| Error::bad_input(path, at(&reader), "good XML", e);

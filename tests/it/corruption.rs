@@ -7,6 +7,7 @@
 use crate::common::*;
 use isospan::archive::manifest::{MANIFEST_NAME, Manifest, Plan};
 use isospan::archive::segment::SegmentKind;
+use isospan::error::{ErrorKind, Fault};
 use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::geom::Lattice;
@@ -180,6 +181,20 @@ fn every_cut_is_found_or_harmless() {
         error_or_right(copy, &right, &format!("{} with bytes behind", name.display()));
         put(&copy.join(name), good);
     });
+}
+
+/// A program can tell a damaged byte from a file that makes no sense.
+#[test]
+fn a_changed_block_is_an_error_of_its_checksum() {
+    let dir = tempfile::tempdir().unwrap();
+    let archive = small(dir.path(), "a", 0.0);
+    let file = archive.join("steps/000000-values-000000.seg");
+    let mut bytes = fs::read(&file).unwrap();
+    bytes[100] ^= 1;
+    put(&file, &bytes);
+    let error = check_archive(&archive).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::BadInput(Fault::Checksum), "{error}");
+    assert_eq!(error.path(), Some(&*file));
 }
 
 #[test]
