@@ -31,6 +31,7 @@ use std::sync::Arc;
 
 /// What was verified.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct ArchiveCheck {
     /// Steps.
     pub steps: u64,

@@ -8,7 +8,7 @@
 //! A [`Reduction`] makes an archive; an [`Archive`] and its [`Step`]s answer questions. The rooms, each of which uses those above it only:
 //!
 //! ```text
-//!  settings   what a user chooses
+//!  settings   what a user chooses             stage     what took the time
 //!  plan       what decides the bytes, where files are, what a run needs
 //!  read       an archive being read           inputs    what is found out about inputs
 //!  surface    questions for surfaces          chunk     one chunk: mesh, values, errors
@@ -30,6 +30,7 @@ mod reduce;
 mod reduction;
 mod settings;
 mod shards;
+mod stage;
 mod step;
 mod surface;
 
@@ -58,6 +59,7 @@ pub use shards::{
     GcReport, PlanReport, Planned, StatusReport, WorkReport, collect_garbage, commit_shards, plan_shards,
     planned, shard_status, work_shard,
 };
+pub use stage::{Stage, StageSeconds};
 pub use step::{Step, Tetrahedra};
 pub use surface::{
     CountReport, OneSurface, Refine, RefineReport, SeriesReport, StepSurfaces, SurfaceReport,

@@ -39,6 +39,7 @@ pub struct Step {
 
 /// Tetrahedra of one chunk of an archive, with the points that they use.
 #[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct Tetrahedra {
     /// The chunk.
     pub chunk: u64,

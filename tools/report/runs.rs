@@ -17,7 +17,9 @@ use isospan::formats::surface::{SurfaceFormat, SurfaceMeta, write_surface};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::geom::Lattice;
 use isospan::measure::ErrorSums;
-use isospan::pipeline::{Amount, ReduceReport, ReduceSettings, RunSettings, SurfaceSettings, reduce_series};
+use isospan::pipeline::{
+    Amount, ReduceReport, ReduceSettings, RunSettings, Stage, SurfaceSettings, reduce_series,
+};
 use isospan::points::{PointSet, PointSpec, SetKind};
 use isospan::sample::{Interpolation, Values};
 use isospan::surface::TriMesh;
@@ -315,8 +317,8 @@ impl Lab {
             if settings.measure {
                 outcome = Some(self.outcome_of(key, &report, &archive)?);
             }
-            mesh.push(seconds(&report.seconds, &["mesh"]));
-            sample.push(seconds(&report.seconds, &["sample"]));
+            mesh.push(seconds(&report.seconds, &[Stage::Mesh]));
+            sample.push(seconds(&report.seconds, &[Stage::Sample]));
         }
         let query = SurfaceSettings {
             resources: Resources::default().with_threads(1),
@@ -326,7 +328,7 @@ impl Lab {
         for _ in 0..self.repeats {
             let open = Archive::open(&archive)?.keeping(0);
             let found = open.write_surface(&query, &file, SurfaceFormat::Ply, &Silent)?;
-            extract.push(open.opening().seconds + seconds(&found.seconds, &["open, index", "extract"]));
+            extract.push(open.opening().seconds + seconds(&found.seconds, &[Stage::Open, Stage::Extract]));
         }
         if let Some((before, after)) = worked.zip(processor_seconds()) {
             self.timed[0] += started.elapsed().as_secs_f64();
@@ -521,8 +523,8 @@ fn processor_seconds() -> Option<f64> {
 }
 
 /// The sum of the seconds of some stages.
-fn seconds(all: &[(String, f64)], stages: &[&str]) -> f64 {
-    all.iter().filter(|(name, _)| stages.contains(&name.as_str())).map(|(_, s)| s).sum()
+fn seconds(all: &[(Stage, f64)], stages: &[Stage]) -> f64 {
+    all.iter().filter(|(stage, _)| stages.contains(stage)).map(|(_, s)| s).sum()
 }
 
 #[cfg(all(test, target_os = "linux"))]

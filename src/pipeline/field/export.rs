@@ -6,6 +6,7 @@ use crate::formats::vtu::{PACKING_BYTES, TetMeta, write_vtu};
 use crate::mesh::tet::Tet;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{Blocks, Cut, DecodedChunk, Frontier, Place, Roi, RoiSpace, StepView, Visit};
+use crate::pipeline::stage::{Stage, StageSeconds};
 use crate::tets::{ChunkTets, TetBuilder};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -53,6 +54,7 @@ impl Default for ExportSettings {
 
 /// What an export wrote and read.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct ExportReport {
     /// Points written.
     pub points: u64,
@@ -71,7 +73,7 @@ pub struct ExportReport {
     /// Bytes of the file written.
     pub file_bytes: u64,
     /// Seconds of wall time of each stage.
-    pub seconds: Vec<(String, f64)>,
+    pub seconds: StageSeconds,
 }
 
 /// Bytes while a shared point is open: its entry in the table, which is at most half full, twice while it grows.
@@ -153,9 +155,7 @@ pub(in crate::pipeline) fn export(
         chunks: archive.chunks.len(),
         bytes_read: archive.bytes_read() - read_before + index_bytes,
         file_bytes,
-        seconds: [("read, join", read), ("write", start.elapsed())]
-            .map(|(name, time)| (name.to_owned(), time.as_secs_f64()))
-            .to_vec(),
+        seconds: vec![(Stage::Join, read.as_secs_f64()), (Stage::Write, start.elapsed().as_secs_f64())],
     })
 }
 

@@ -59,6 +59,7 @@ impl MeasureSettings {
 
 /// What was measured.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct MeasureReport {
     /// The errors.
     #[serde(flatten)]

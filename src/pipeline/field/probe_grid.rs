@@ -32,6 +32,7 @@ pub struct ProbeSettings {
 
 /// What was probed.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct ProbeReport {
     /// Samples or points asked for.
     pub samples: u64,

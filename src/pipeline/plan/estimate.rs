@@ -364,6 +364,7 @@ pub(in crate::pipeline) fn some_chunks(chunks: &ChunkGrid) -> impl Iterator<Item
 
 /// What a reduction needs, and what there is.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct Estimate {
     /// Samples of the volume.
     pub samples: u64,

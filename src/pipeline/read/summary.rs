@@ -10,11 +10,14 @@ use crate::error::Result;
 use crate::grid::{ChunkId, Geometry};
 use crate::measure::{FieldError, LevelError};
 use crate::pipeline::plan::Plan;
-use crate::points::Levels;
+use crate::points::{Levels, PointSpec};
+use crate::sample::{Interpolation, Values};
+use crate::volume::ScalarType;
 use serde::Serialize;
 
 /// A level of density.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct LevelSummary {
     /// Points to a voxel.
     pub density: f64,
@@ -67,9 +70,9 @@ impl LevelSummary {
 
 /// What an archive holds, from its manifest.
 #[derive(Clone, Debug, Serialize)]
+#[serde(tag = "kind", rename = "archive")]
+#[non_exhaustive]
 pub struct ArchiveSummary {
-    /// "archive".
-    pub kind: &'static str,
     /// Version of the format.
     pub format: u16,
     /// Name of the source's file.
@@ -79,7 +82,7 @@ pub struct ArchiveSummary {
     /// Samples along x, y, z.
     pub dims: [u64; 3],
     /// Type of its samples.
-    pub scalar: String,
+    pub scalar: ScalarType,
     /// Name of the field.
     pub field: String,
     /// Index space to world.
@@ -91,14 +94,14 @@ pub struct ArchiveSummary {
     /// Whether points and tetrahedra are those of that mesh.
     pub own: bool,
     /// The point set, with its parameters.
-    pub point_set: serde_json::Value,
+    pub point_set: PointSpec,
     /// Where the density of the points differs from place to place: each level, the coarsest first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub levels: Vec<LevelSummary>,
     /// How values were interpolated.
-    pub interpolation: String,
-    /// Whether they are fitted to the samples: "sample" or "fit".
-    pub values: String,
+    pub interpolation: Interpolation,
+    /// Whether they are fitted to the samples.
+    pub values: Values,
     /// How values were rounded, if they were.
     pub quantiser: Option<Quantiser>,
     /// Points.
@@ -132,6 +135,7 @@ pub struct ArchiveSummary {
 
 /// A step of an archive, from its manifest.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct StepSummary {
     /// Its number.
     pub number: u64,
@@ -188,21 +192,20 @@ pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummar
     let spectrum = report(archive)?;
     let steps = archive.summarized_steps()?;
     Ok(ArchiveSummary {
-        kind: "archive",
         format: FORMAT_VERSION,
         source: source.path.clone(),
         source_format: source.format.clone(),
         dims: source.dims,
-        scalar: source.scalar.name().into(),
+        scalar: source.scalar,
         field: source.field.clone(),
         geometry: source.geometry,
         grid_cells: archive.coordinate_record().map(|c| c.cells),
         mesh: source.mesh,
         own: archive.manifest.plan.own.is_some(),
-        point_set: serde_json::json!(plan.points),
+        point_set: plan.points,
         levels: archive.points.levels().map_or_else(Vec::new, |levels| LevelSummary::all(archive, levels)),
-        interpolation: step.plan.interpolation.name().into(),
-        values: step.plan.values.name().into(),
+        interpolation: step.plan.interpolation,
+        values: step.plan.values,
         quantiser: step.plan.told_quantiser(),
         points: counts.points,
         void_points: step.void_points,

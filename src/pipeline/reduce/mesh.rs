@@ -19,6 +19,7 @@ use crate::pipeline::plan::{
     parts,
 };
 use crate::pipeline::settings::{NanPolicy, ReduceSettings, RunSettings};
+use crate::pipeline::stage::Stage;
 use crate::sample::{Interpolation, Values};
 use std::path::Path;
 use std::sync::Mutex;
@@ -41,7 +42,7 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     job.progress.begin("read the mesh", 0, "points");
     let settings = store_settings(job.settings, job.run, &scratch, offset_of(job)?);
     let Prepared { store, series, listed, wanted } = prepare(job, &settings)?;
-    let mut seconds = vec![("read".to_owned(), reading.elapsed().as_secs_f64())];
+    let mut seconds = vec![(Stage::Read, reading.elapsed().as_secs_f64())];
     job.part.expect_planned(&series)?;
     if let Some(report) = made_before(job, &series, wanted)? {
         return Ok(finished(report, job.started));
@@ -54,7 +55,7 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
     let shares = need.shares(memory, job.run.resources.worker_threads())?;
     let sorting = Instant::now();
     let laid = Laid::new(listed, &store, plan, &settings)?;
-    seconds.push(("sort".to_owned(), sorting.elapsed().as_secs_f64()));
+    seconds.push((Stage::Sort, sorting.elapsed().as_secs_f64()));
     let report = ReduceReport {
         samples: store.census.vertices,
         inner_points: wanted,

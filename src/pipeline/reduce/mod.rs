@@ -33,6 +33,7 @@ use crate::pipeline::field::{MeasureSettings, reopened_errors};
 use crate::pipeline::plan::{Estimate, Layout, MeshParts, Need, Plan, Question, folder_bytes, parts};
 use crate::pipeline::read::{OpenArchive, StepSummary};
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use crate::pipeline::stage::Stage;
 pub(super) use advice::look;
 pub use advice::{mesh_notices, scan_with_notices};
 pub use append::{AppendSettings, append};
@@ -171,7 +172,7 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
         return Ok(finished(report, job.started));
     }
     let samples = series.plan.first().source.samples();
-    let seconds = vec![("plan".to_owned(), planning.elapsed().as_secs_f64())];
+    let seconds = vec![(Stage::Plan, planning.elapsed().as_secs_f64())];
     let (need, cached) = need_with_cache(&mut series, &mesh, job.run)?;
     estimate_of(&series.plan, &series.sources, &need, job.out, job.run)?.check()?;
     // Small copies of inputs are made in memory where that leaves as many threads at work.
@@ -294,12 +295,12 @@ impl Publishing<'_> {
             let coordinates = outcome.coordinates.filter(|_| made.steps.is_empty());
             made.add_step(plan, n, layout, self.parts, coordinates, self.run)?;
         }
-        report.seconds.push(("commit".into(), committing.elapsed().as_secs_f64()));
+        report.seconds.push((Stage::Commit, committing.elapsed().as_secs_f64()));
         if self.measure {
             let measuring = Instant::now();
             self.measure(series, &mut outcome, &mut made, before)?;
             let seconds = (measuring.elapsed() + outcome.measuring + outcome.times.measure).as_secs_f64();
-            report.seconds.push(("measure".into(), seconds));
+            report.seconds.push((Stage::Measure, seconds));
         }
         if self.old.is_some_and(|old| Manifest::read(layout.root()).ok().as_ref() != Some(old)) {
             let text = "another run has changed the archive meanwhile: run the same command again";

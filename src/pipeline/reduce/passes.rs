@@ -37,6 +37,7 @@ use std::time::{Duration, Instant};
 
 /// A step that was left out.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct SkippedStep {
     /// The number that it would have had.
     pub number: u64,

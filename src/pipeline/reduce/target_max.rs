@@ -39,6 +39,7 @@ use crate::pipeline::inputs::{Reading, random_access};
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepView, Visit};
 use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
+use crate::pipeline::stage::Stage;
 use crate::points::PointSpec;
 use crate::volume::VolumeSource;
 use std::fs;
@@ -89,7 +90,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
         publish(job, &trying, &work)?;
         let reached = error;
         report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });
-        report.seconds.retain(|(name, _)| name != "total");
+        report.seconds.retain(|&(stage, _)| stage != Stage::Total);
         return Ok(finished(report, job.started));
     }
     unreachable!("the last try returns")

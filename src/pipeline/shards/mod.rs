@@ -32,6 +32,7 @@ use crate::pipeline::reduce::{
     grid_coordinates, look, numbered, plan_path, prepare_folder,
 };
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use crate::pipeline::stage::{Stage, StageSeconds};
 use serde::Serialize;
 use status::Inventory;
 pub use status::{GcReport, StatusReport, collect_garbage, shard_status};
@@ -40,6 +41,7 @@ use std::time::Instant;
 
 /// What was planned, and what a shard of it needs.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct PlanReport {
     /// The plan's file.
     pub plan: PathBuf,
@@ -112,6 +114,7 @@ pub fn plan_shards(
 
 /// What of a plan a job script needs.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct Planned {
     /// Shards.
     pub shards: u64,
@@ -151,6 +154,7 @@ pub fn planned(out: &Path, threads: usize) -> Result<Planned> {
 
 /// What a worker did.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct WorkReport {
     /// The shard.
     pub shard: String,
@@ -159,7 +163,7 @@ pub struct WorkReport {
     /// Points of its chunks; 0 when all was done before.
     pub points: u64,
     /// Seconds of each stage.
-    pub seconds: Vec<(String, f64)>,
+    pub seconds: StageSeconds,
 }
 
 /// Makes the segments of a shard that are not done yet.
@@ -231,7 +235,7 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
         Some(mesh) => mesh.vertices,
         None => file.plan.first().source.dims.iter().product(),
     };
-    let seconds = vec![("verify".to_owned(), verified)];
+    let seconds = vec![(Stage::Verify, verified)];
     let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
     let measure = file.settings.measure;
     // Of a mesh its vertices are read once more, to measure; of a volume workers have done that.

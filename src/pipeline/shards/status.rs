@@ -107,6 +107,7 @@ impl<'a> Inventory<'a> {
 
 /// How far a planned reduction is.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct StatusReport {
     /// The archive.
     pub archive: PathBuf,
@@ -168,6 +169,7 @@ pub fn shard_status(
 
 /// What was removed.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct GcReport {
     /// Files.
     pub files: Vec<PathBuf>,

@@ -14,6 +14,7 @@ use crate::pipeline::read::{
     Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, Roi, RoiSpace, StepView, Wanted, in_memory,
     in_world, world_map,
 };
+use crate::pipeline::stage::{Stage, StageSeconds};
 use crate::surface::clip::clip;
 use crate::surface::marching_tets::Sides;
 use crate::surface::weld::BuilderSettings;
@@ -96,6 +97,7 @@ impl SurfaceSettings {
 
 /// What a surface extraction found and read; counts are of all surfaces together.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct SurfaceReport {
     /// Each surface, in the order of the isovalues.
     pub surfaces: Vec<OneSurface>,
@@ -134,11 +136,12 @@ pub struct SurfaceReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub remote: Option<Traffic>,
     /// Seconds of wall time of each stage.
-    pub seconds: Vec<(String, f64)>,
+    pub seconds: StageSeconds,
 }
 
 /// One of the surfaces of an extraction.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct OneSurface {
     /// Its isovalue.
     pub isovalue: f64,
@@ -159,6 +162,7 @@ pub struct OneSurface {
 
 /// How many tetrahedra an isosurface crosses.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct CountReport {
     /// The isovalue.
     pub isovalue: f64,
@@ -262,7 +266,7 @@ pub(super) fn write_made(
     let start = Instant::now();
     let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
     let file_bytes = write_all(archive, &made.surfaces, &settings.isovalues, out, format, &comment)?;
-    made.seconds.push(("write", start.elapsed()));
+    made.seconds.push((Stage::Write, start.elapsed()));
     let totals = &archive.manifest.counts;
     let surfaces = describe(archive, &made.surfaces, made.refined, &settings.isovalues, out);
     let report = SurfaceReport {
@@ -283,7 +287,7 @@ pub(super) fn write_made(
         active_bytes: made.active_bytes,
         archive_bytes: archive.bytes()?,
         remote: None,
-        seconds: made.seconds.iter().map(|(name, time)| ((*name).to_owned(), time.as_secs_f64())).collect(),
+        seconds: made.seconds.iter().map(|&(stage, time)| (stage, time.as_secs_f64())).collect(),
     };
     Ok((report, made.surfaces))
 }
@@ -296,7 +300,7 @@ pub(super) struct Made {
     active_chunks: u64,
     bytes_read: u64,
     active_bytes: u64,
-    seconds: Vec<(&'static str, Duration)>,
+    seconds: Vec<(Stage, Duration)>,
 }
 
 /// A question about a step, and the blocks that can hold an answer.
@@ -375,7 +379,11 @@ impl<'a> Prepared<'a> {
             active_chunks: self.work.len() as u64,
             bytes_read: self.index_bytes + effort.bytes_read,
             active_bytes: effort.active_bytes,
-            seconds: vec![("open, index", self.opened), ("extract", extracted), ("refine", start.elapsed())],
+            seconds: vec![
+                (Stage::Open, self.opened),
+                (Stage::Extract, extracted),
+                (Stage::Refine, start.elapsed()),
+            ],
         })
     }
 }

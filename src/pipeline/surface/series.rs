@@ -19,6 +19,7 @@ use std::sync::Arc;
 
 /// The surfaces of a step.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct StepSurfaces {
     /// Number of the step.
     pub step: u64,
@@ -34,6 +35,7 @@ pub struct StepSurfaces {
 
 /// The surfaces of many steps.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct SeriesReport {
     /// Step by step.
     pub steps: Vec<StepSurfaces>,

@@ -55,6 +55,7 @@ const EVERYTHING: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
 
 /// What was unpacked, or removed.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct UnpackReport {
     /// The files.
     pub files: Vec<UnpackedFile>,
@@ -64,6 +65,7 @@ pub struct UnpackReport {
 
 /// A file of unpacked blocks.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct UnpackedFile {
     /// Number of its step.
     pub step: u64,
@@ -87,6 +89,7 @@ const PER_CHUNK: u64 = 4 << 20;
 
 /// What [`unpack`] will write.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct UnpackNeed {
     /// Bytes of the new files, about; seldom more.
     pub bytes: u64,
