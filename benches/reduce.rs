@@ -7,6 +7,7 @@ use criterion::measurement::WallTime;
 use criterion::{
     BenchmarkGroup, BenchmarkId, Criterion, SamplingMode, Throughput, criterion_group, criterion_main,
 };
+use isospan::Resources;
 use isospan::exec::{Silent, available_threads};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce_series};
@@ -45,7 +46,11 @@ fn write_step(folder: &Path, t: u32, noise: f32) -> PathBuf {
 /// Reduces steps with some threads; tells the points of the mesh.
 fn reduce_all(steps: &[StepSource], folder: &Path, threads: usize) -> u64 {
     let settings = ReduceSettings { amount: Amount::Fraction(0.125), ..ReduceSettings::default() };
-    let run = RunSettings { threads, replace: true, ..RunSettings::default() };
+    let run = RunSettings {
+        resources: Resources::default().with_threads(threads),
+        replace: true,
+        ..RunSettings::default()
+    };
     let out = folder.join("bench.isospan");
     reduce_series(steps, &settings, &out, &run, &Silent).expect("the volumes are whole").points
 }

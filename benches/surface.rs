@@ -5,19 +5,19 @@
 //! `cargo bench --bench surface`, about a minute.
 
 use criterion::{BatchSize, Criterion, Throughput, criterion_group, criterion_main};
-use isospan::Archive;
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::geom::{Lattice, LatticePos, PointId};
 use isospan::grid::Geometry;
 use isospan::mesh::tet::{self, Tet};
-use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, reduce};
+use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, reduce_series};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::check::check;
 use isospan::surface::marching_tets::{CellSource, ChunkSurface, extract};
 use isospan::surface::weld::{BuilderSettings, SurfaceBuilder};
 use isospan::surface::{TriMesh, WorldMap};
+use isospan::{Archive, Resources};
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
 
@@ -144,7 +144,8 @@ fn archive(folder: &Path, turns: f32, points: u64) -> PathBuf {
         ..ReduceSettings::default()
     };
     let (options, run) = (OpenOptions::default(), RunSettings::default());
-    reduce(&input, &options, &settings, &out, &run, &Silent).expect("the volume is whole");
+    reduce_series(&[StepSource::new(&input, &options)], &settings, &out, &run, &Silent)
+        .expect("the volume is whole");
     out
 }
 
@@ -156,8 +157,10 @@ fn kept(c: &mut Criterion) {
         for points in [60_000, 1_000_000] {
             let archive = Archive::open(archive(folder.path(), turns, points)).expect("it was just made");
             let archive = archive.keeping(4 << 30);
-            let questions =
-                [0.0, 0.01, 0.02, 0.03].map(|v| SurfaceSettings { threads: 1, ..SurfaceSettings::of(v) });
+            let questions = [0.0, 0.01, 0.02, 0.03].map(|v| SurfaceSettings {
+                resources: Resources::default().with_threads(1),
+                ..SurfaceSettings::of(v)
+            });
             let mut surfaces = vec![];
             let mut ask = || -> u64 {
                 let triangles = questions.iter().map(|question| {

@@ -1,5 +1,6 @@
 //! One error type: what was being done, on which file, where in it, what was expected, what was found,
 //! and what the user can do. `Display` is always a single line; the command line maps [`Error::exit_code`].
+//! Programs match on [`Error::kind`], and ask [`Error::path`] and [`Error::offset`].
 
 use std::borrow::Cow;
 use std::fmt;
@@ -23,11 +24,14 @@ pub enum Error {
         source: io::Error,
     },
     /// An input file, or an archive, is malformed, truncated, or of a kind that cannot be used.
+    #[non_exhaustive]
     BadInput {
         /// The file concerned.
         path: PathBuf,
-        /// Where in the file: a byte offset, a line, a field.
-        at: String,
+        /// What is wrong with it.
+        fault: Fault,
+        /// Where in the file.
+        at: Place,
         /// What a good file would have there.
         expected: String,
         /// What was found.
@@ -64,6 +68,86 @@ pub enum Error {
     Cancelled,
 }
 
+/// What is wrong with an input.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Fault {
+    /// It does not mean what it should, or cannot be used.
+    #[default]
+    Malformed,
+    /// Its bytes are not those of its checksum.
+    Checksum,
+    /// It ends too early.
+    CutShort,
+}
+
+/// Where in a file: a byte, or a part by its name ("line 3", "block 7: CRC32C").
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Place {
+    text: String,
+    offset: Option<u64>,
+}
+
+impl Place {
+    /// A byte, counted from 0.
+    pub fn byte(offset: u64) -> Self {
+        Self { text: format!("byte {offset}"), offset: Some(offset) }
+    }
+
+    /// The byte, where it is known.
+    pub fn offset(&self) -> Option<u64> {
+        self.offset
+    }
+}
+
+impl From<String> for Place {
+    fn from(text: String) -> Self {
+        Self { text, offset: None }
+    }
+}
+
+impl From<&str> for Place {
+    fn from(text: &str) -> Self {
+        text.to_owned().into()
+    }
+}
+
+impl From<&String> for Place {
+    fn from(text: &String) -> Self {
+        text.clone().into()
+    }
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
+/// What kind of error it is: what a program can decide by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum ErrorKind {
+    /// A file or folder is not there.
+    NotFound,
+    /// The system refused something else.
+    Io,
+    /// An input is wrong, and in which way.
+    BadInput(Fault),
+    /// Parameters contradict each other or the input.
+    Usage,
+    /// There is not enough memory.
+    Memory,
+    /// There is not enough room on a disk.
+    Disk,
+    /// Segments of an archive are missing; the same reduction makes them again.
+    Incomplete,
+    /// Another process writes the archive.
+    Busy,
+    /// The run was stopped; the same call continues it.
+    Cancelled,
+}
+
 /// What [`Error::Budget`] calls memory begins with it.
 const MEMORY: &str = "memory";
 
@@ -76,12 +160,13 @@ impl Error {
     /// An [`Error::BadInput`] without advice; add some with [`Error::with_help`].
     pub fn bad_input(
         path: impl AsRef<Path>,
-        at: impl Into<String>,
+        at: impl Into<Place>,
         expected: impl Into<String>,
         got: impl Into<String>,
     ) -> Self {
         Self::BadInput {
             path: path.as_ref().to_path_buf(),
+            fault: Fault::Malformed,
             at: at.into(),
             expected: expected.into(),
             got: got.into(),
@@ -98,9 +183,71 @@ impl Error {
     #[must_use]
     pub(crate) fn at_step(mut self, number: u64) -> Self {
         if let Self::BadInput { at, .. } = &mut self {
-            *at = format!("step {number}, {at}");
+            at.text = format!("step {number}, {at}");
         }
         self
+    }
+
+    /// The same error of an input, with what is wrong.
+    #[must_use]
+    pub(crate) fn of_fault(mut self, found: Fault) -> Self {
+        if let Self::BadInput { fault, .. } = &mut self {
+            *fault = found;
+        }
+        self
+    }
+
+    /// The same error of an input, at another place.
+    #[must_use]
+    pub(crate) fn placed(mut self, place: Place) -> Self {
+        if let Self::BadInput { at, .. } = &mut self {
+            *at = place;
+        }
+        self
+    }
+
+    /// What kind of error it is.
+    ///
+    /// ```
+    /// use isospan::error::{ErrorKind, Fault};
+    /// let error = isospan::Reduction::of("nowhere.nrrd").write("nowhere.isospan").unwrap_err();
+    /// assert_eq!(error.kind(), ErrorKind::NotFound);
+    /// assert_eq!(error.path().unwrap().to_str(), Some("nowhere.nrrd"));
+    /// let error = isospan::Archive::open("nowhere.isospan").err().unwrap();
+    /// assert_eq!(error.kind(), ErrorKind::BadInput(Fault::Malformed));
+    /// ```
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Io { source, .. } if is_full(source) => ErrorKind::Disk,
+            Self::Io { source, .. } if source.kind() == io::ErrorKind::NotFound => ErrorKind::NotFound,
+            Self::Io { .. } => ErrorKind::Io,
+            Self::BadInput { fault, .. } => ErrorKind::BadInput(*fault),
+            Self::Usage(_) => ErrorKind::Usage,
+            Self::Budget { what, .. } if what.starts_with(MEMORY) => ErrorKind::Memory,
+            Self::Budget { .. } => ErrorKind::Disk,
+            Self::Incomplete { .. } => ErrorKind::Incomplete,
+            Self::Busy { .. } => ErrorKind::Busy,
+            Self::Cancelled => ErrorKind::Cancelled,
+        }
+    }
+
+    /// The file or the archive concerned, if one is.
+    pub fn path(&self) -> Option<&Path> {
+        match self {
+            Self::Io { path, .. }
+            | Self::BadInput { path, .. }
+            | Self::Incomplete { path, .. }
+            | Self::Busy { path, .. } => Some(path),
+            Self::Usage(_) | Self::Budget { .. } | Self::Cancelled => None,
+        }
+    }
+
+    /// The byte of the file at which it is wrong, where that is known.
+    pub fn offset(&self) -> Option<u64> {
+        match self {
+            Self::BadInput { at, .. } => at.offset(),
+            _ => None,
+        }
     }
 
     /// Adds what the user can do; only [`Error::BadInput`] carries it.
@@ -202,12 +349,12 @@ impl Error {
                     Ok(())
                 }
             }
-            Self::BadInput { path, at, expected, got, help } => {
+            Self::BadInput { path, at, expected, got, help, .. } => {
                 write!(
                     f,
                     "{}: {}: expected {}, got {}",
                     path.display(),
-                    one_line(at),
+                    one_line(&at.text),
                     one_line(expected),
                     one_line(got)
                 )?;
@@ -260,6 +407,23 @@ impl std::error::Error for Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn errors_say_kind_file_and_offset() {
+        let cut = Error::bad_input("a.nrrd", Place::byte(40), "8 more bytes", "44 bytes");
+        let cut = cut.of_fault(Fault::CutShort).at_step(3);
+        assert_eq!(cut.kind(), ErrorKind::BadInput(Fault::CutShort));
+        assert_eq!((cut.path(), cut.offset()), (Some(Path::new("a.nrrd")), Some(40)));
+        assert_eq!(cut.to_string(), "a.nrrd: step 3, byte 40: expected 8 more bytes, got 44 bytes");
+        let line = Error::bad_input("a.vtk", "line 3", "a number", "'x'");
+        assert_eq!((line.kind(), line.offset()), (ErrorKind::BadInput(Fault::Malformed), None));
+        let of = |what: &str| Error::Budget { what: what.into(), needed: 2, available: 1 }.kind();
+        assert_eq!([of("memory (to draw)"), of("disk")], [ErrorKind::Memory, ErrorKind::Disk]);
+        let io = |kind: io::ErrorKind| Error::io("read", "a", kind.into()).kind();
+        assert_eq!(io(io::ErrorKind::NotFound), ErrorKind::NotFound);
+        assert_eq!(io(io::ErrorKind::StorageFull), ErrorKind::Disk);
+        assert_eq!(io(io::ErrorKind::PermissionDenied), ErrorKind::Io);
+    }
 
     #[test]
     fn what_suffices_is_told_for_the_whole_run() {

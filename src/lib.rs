@@ -3,69 +3,26 @@
 //!
 //! # How does it work?
 //!
-//! The field is sampled at quasi-Monte Carlo points ([`points`]: Hammersley, Halton, hyperbolic cross, and two lattices),
-//! the points are joined by their Delaunay tetrahedralization ([`mesh`]), tetrahedra are packed into blocks ([`archive`]), and the
-//! blocks are indexed by the range of their values in span space ([`index`]). A query reads the blocks that an isovalue
-//! crosses and runs marching tetrahedra on them ([`surface`]). How large the surface would be is known before, at any isovalue ([`spectrum`]).
+//! The field is sampled at quasi-Monte Carlo points ([`points`]: Hammersley, Halton, hyperbolic cross, and two lattices).
+//! The points are joined by their Delaunay tetrahedralization, tetrahedra are packed into blocks, and the blocks are
+//! indexed by the range of their values in span space. A query reads the blocks that an isovalue crosses and runs
+//! marching tetrahedra on them ([`surface`]). How large the surface would be is known before, at any isovalue
+//! ([`Step::spectrum`]).
 //!
-//! All of it streams. A volume is read box by box ([`volume`], [`formats`]); a brick of the domain lists its own points from
-//! the formula of the point set; a chunk of bricks is meshed by itself, with a halo, and keeps the tetrahedra that are certain to be
-//! those of the whole. [`pipeline`] knows the order of these stages, and nothing else does.
+//! All of it streams. A volume is read box by box ([`volume`], [`formats`]); a brick of the domain lists its own points
+//! from the formula of the point set; a chunk of bricks is meshed by itself, with a halo, and keeps the tetrahedra that
+//! are certain to be those of the whole.
+//!
+//! # Where is what?
+//!
+//! What most programs need is named here, at the root. [`pipeline`] has all settings and reports, [`formats`] what other
+//! programs' files say. The stages themselves are public for benchmarks, and hidden from these pages: they may change
+//! with any version. ARCHITECTURE.md describes them.
 //!
 //! # Example
 //!
 //! ```
-//! use isospan::exec::Silent;
-//! use isospan::formats::{OpenOptions, surface::SurfaceFormat};
-//! use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, extract_surface, reduce};
-//!
-//! # fn main() -> isospan::Result<()> {
-//! # let folder = tempfile::tempdir().unwrap();
-//! # let dir = folder.path();
-//! // 68³ samples of an electron density become 40 000 points …
-//! let settings = ReduceSettings { amount: Amount::Count(40_000), ..ReduceSettings::default() };
-//! let (volume, archive) = ("datasets/ironprot.vtk".as_ref(), dir.join("protein.isospan"));
-//! let made = reduce(volume, &OpenOptions::default(), &settings, &archive, &RunSettings::default(), &Silent)?;
-//! assert!((36_000..44_000).contains(&made.points), "a lattice has whole cells");
-//!
-//! // … and any isosurface comes out of them.
-//! let query = SurfaceSettings::of(128.0);
-//! let found = extract_surface(&archive, &query, &dir.join("protein.ply"), SurfaceFormat::Ply, &Silent)?;
-//! assert!(found.triangles > 9_000);
-//! # Ok(())
-//! # }
-//! ```
-//!
-//! [`Archive`] asks everything that the command line can: surfaces in memory, counts, active tetrahedra, the field at points and on
-//! grids, tetrahedra for other programs.
-//!
-//! ```
-//! use isospan::Archive;
-//! # use isospan::exec::Silent;
-//! # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
-//! # fn main() -> isospan::Result<()> {
-//! # let folder = tempfile::tempdir().unwrap();
-//! # let path = folder.path().join("protein.isospan");
-//! # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-//! # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
-//! let archive = Archive::open(&path)?;
-//! let mesh = archive.surface(128.0)?;
-//! println!("{} triangles", mesh.triangles.len());
-//! let values = archive.probe(&[[34.0, 34.0, 34.0], [-1.0, 0.0, 0.0]])?;
-//! assert!(values[0].is_finite() && values[1].is_nan(), "the second point is outside");
-//! # Ok(())
-//! # }
-//! ```
-//!
-//! A volume need not be in a file: samples in memory are one, and so is anything that answers for boxes of
-//! samples ([`volume::VolumeReader`]).
-//!
-//! ```
-//! use isospan::exec::Silent;
-//! use isospan::formats::StepSource;
-//! use isospan::pipeline::{Archive, ReduceSettings, RunSettings, reduce_series};
-//! use isospan::volume::memory::volume_of;
-//! use std::sync::Arc;
+//! use isospan::{Archive, Reduction, volume_of};
 //!
 //! # fn main() -> isospan::Result<()> {
 //! # let folder = tempfile::tempdir().unwrap();
@@ -73,14 +30,46 @@
 //! let square = |i: usize| (i as f32 - 31.5).powi(2);
 //! let samples: Vec<f32> =
 //!     (0..64 * 64 * 64).map(|i| (square(i % 64) + square(i / 64 % 64) + square(i / 4096)).sqrt()).collect();
-//! let volume = Arc::new(volume_of("ball", [64; 3], samples)?);
-//! let (settings, run) = (ReduceSettings::default(), RunSettings::default());
-//! reduce_series(&[StepSource::given("ball", volume)], &settings, &path, &run, &Silent)?;
+//! Reduction::of(volume_of("ball", [64; 3], samples)?).write(&path)?;
 //! let mesh = Archive::open(&path)?.surface(20.0)?;
-//! assert!(mesh.triangles.len() > 1_000);
+//! println!("{} triangles", mesh.triangles.len());
+//! # assert!(mesh.triangles.len() > 1_000);
 //! # Ok(())
 //! # }
 //! ```
+//!
+//! Of a file, with surfaces in a file, and little memory:
+//!
+//! ```
+//! use isospan::exec::Silent;
+//! use isospan::formats::surface::SurfaceFormat;
+//! use isospan::{Archive, Reduction, Resources, SurfaceSettings};
+//!
+//! # fn main() -> isospan::Result<()> {
+//! # let folder = tempfile::tempdir().unwrap();
+//! # let dir = folder.path();
+//! // 68³ samples of an electron density become 40 000 points …
+//! let path = dir.join("protein.isospan");
+//! let little = Resources::default().with_memory(256 << 20);
+//! let protein = Reduction::of("datasets/ironprot.vtk").count(40_000).resources(little.clone());
+//! let made = protein.write(&path)?;
+//! assert!((36_000..44_000).contains(&made.points), "a lattice has whole cells");
+//!
+//! // … and any isosurface comes out of them.
+//! let archive = Archive::open(&path)?;
+//! let query = SurfaceSettings { resources: little, ..SurfaceSettings::of(128.0) };
+//! let found = archive.write_surface(&query, &dir.join("protein.ply"), SurfaceFormat::Ply, &Silent)?;
+//! assert!(found.triangles > 9_000);
+//!
+//! // Other questions: counts, the field at points, on grids, active tetrahedra.
+//! let values = archive.probe(&[[34.0, 34.0, 34.0], [-1.0, 0.0, 0.0]])?;
+//! assert!(values[0].is_finite() && values[1].is_nan(), "the second point is outside");
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! An [`Archive`] has [`Step`]s, which answer everything that the command line can: `archive.step(3)?.surface(600.0)?`.
+//! A volume of the program need not be in memory: anything that answers for boxes of samples is one ([`VolumeReader`]).
 //!
 //! # Guarantees
 //!
@@ -96,7 +85,7 @@
 //! * An input that is changed while it is read, without becoming shorter, is not noticed.
 //! * The check of a surface needs 4 bytes of memory for each of its vertices.
 //! * Values are `f32` inside. Where that would lose what matters of `f64` or wide integer samples, they are counted from an offset
-//!   ([`Archive::offset`]), which is added wherever values come out. What is lost all the same is told, and errors include it.
+//!   ([`Step::offset`]), which is added wherever values come out. What is lost all the same is told, and errors include it.
 //!
 //! # Features
 //!
@@ -113,35 +102,52 @@ compile_error!(
     "isospan is for machines whose integers begin with the lowest byte: on s390x, Hammersley points were wrong"
 );
 
+#[doc(hidden)]
 pub mod archive;
+#[doc(hidden)]
 pub mod bytes;
+#[doc(hidden)]
 pub mod cells;
 pub mod compare;
 pub(crate) mod cpu;
+#[doc(hidden)]
 pub mod density;
 pub(crate) mod domain;
 pub mod error;
 pub mod exec;
+#[doc(hidden)]
 pub mod fit;
 pub mod formats;
+#[doc(hidden)]
 pub mod geom;
 pub mod grid;
+#[doc(hidden)]
 pub mod index;
+#[doc(hidden)]
 pub mod locate;
 pub mod measure;
+#[doc(hidden)]
 pub mod mesh;
 pub mod pipeline;
 pub mod points;
+#[doc(hidden)]
 pub mod raster;
 pub mod render;
 pub mod sample;
+#[doc(hidden)]
 pub mod spectrum;
 pub mod surface;
+#[doc(hidden)]
 pub mod tets;
 pub mod volume;
 
-pub use error::{Error, Result};
-pub use pipeline::Archive;
+pub use error::{Error, ErrorKind, Result};
+pub use exec::{CancelToken, Progress, Resources};
+pub use formats::StepSource;
+pub use pipeline::{Archive, ReduceSettings, Reduction, Step, StepChoice, SurfaceSettings};
+pub use surface::TriMesh;
+pub use volume::VolumeReader;
+pub use volume::memory::volume_of;
 
 /// README's example compiles: it is one of the tests of the documentation.
 #[cfg(doctest)]

@@ -8,8 +8,8 @@
 #![allow(unsafe_code)]
 #![allow(clippy::print_stdout)]
 
-use isospan::Archive;
 use isospan::pipeline::SurfaceSettings;
+use isospan::{Archive, Resources};
 use std::time::Instant;
 
 const USAGE: &str = "ask_archive ARCHIVE THREADS ROUNDS KEPT_MIB ISOVALUE..";
@@ -42,7 +42,10 @@ fn main() -> isospan::Result<()> {
         let archive = Archive::open(&path)?.keeping(kept << 20);
         let mut surfaces = vec![];
         for &isovalue in &isovalues {
-            let settings = SurfaceSettings { threads, ..SurfaceSettings::of(isovalue) };
+            let settings = SurfaceSettings {
+                resources: Resources::default().with_threads(threads),
+                ..SurfaceSettings::of(isovalue)
+            };
             let start = (Instant::now(), cpu_seconds());
             archive.surfaces_into(&settings, &mut surfaces)?;
             let (wall, cpu) = (start.0.elapsed().as_secs_f64(), cpu_seconds() - start.1);

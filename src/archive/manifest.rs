@@ -17,7 +17,7 @@ use super::segment::{FORMAT_VERSION, OLDEST_FORMAT, OLDEST_READER, PlanHash, Seg
 use super::values::Quantiser;
 use crate::bytes::read_whole;
 use crate::bytes::remote::{is_remote, read_all};
-use crate::error::{Error, Result};
+use crate::error::{Error, Fault, Result};
 use crate::geom::Lattice;
 use crate::grid::{BrickGrid, ChunkCuts, Geometry};
 use crate::measure::{FieldError, LevelError};
@@ -668,6 +668,7 @@ pub(crate) fn check_sum(bytes: &[u8], path: &Path, help: &str) -> Result<()> {
         return Ok(());
     }
     Err(Error::bad_input(path, "checksum", PlanHash::of(body.as_bytes()).to_string(), "another or none")
+        .of_fault(Fault::Checksum)
         .with_help(help))
 }
 

@@ -1,6 +1,6 @@
 //! Little-endian fields and variable-length integers, read with every length checked.
 
-use crate::error::Error;
+use crate::error::{Error, Fault};
 use byteorder::{ByteOrder, LE};
 use std::cell::RefCell;
 use std::path::Path;
@@ -10,6 +10,8 @@ use zstd::bulk::Decompressor;
 /// turns this into an [`Error`] with [`Malformed::in_block`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Malformed {
+    /// What is wrong with it.
+    pub fault: Fault,
     /// Which field.
     pub at: &'static str,
     /// What a good block has there.
@@ -21,12 +23,18 @@ pub struct Malformed {
 impl Malformed {
     /// A field that is not as expected.
     pub fn new(at: &'static str, expected: impl Into<String>, got: impl Into<String>) -> Self {
-        Self { at, expected: expected.into(), got: got.into() }
+        Self { fault: Fault::Malformed, at, expected: expected.into(), got: got.into() }
+    }
+
+    /// Bytes whose checksum is not the one stored.
+    pub(crate) fn checksum(at: &'static str, expected: String, got: String) -> Self {
+        Self { fault: Fault::Checksum, ..Self::new(at, expected, got) }
     }
 
     /// The error that names the file and the block.
     pub fn in_block(self, path: &Path, block: u64) -> Error {
         Error::bad_input(path, format!("block {block}: {}", self.at), self.expected, self.got)
+            .of_fault(self.fault)
             .with_help("the archive is damaged or was written by a faulty program: make it again")
     }
 }

@@ -33,7 +33,7 @@ pub mod remote;
 pub(crate) mod sorter;
 pub(crate) mod store;
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Fault, Place, Result};
 use std::fmt;
 use std::fs::File;
 use std::io::{self, Read};
@@ -277,6 +277,7 @@ impl ByteSource {
         };
         let expected = format!("{} bytes, as when it was opened", self.len);
         Error::bad_input(&self.path, "length of the file", expected, got)
+            .of_fault(Fault::CutShort)
             .with_help("another program shortened it while it was read, or its device failed")
     }
 
@@ -335,10 +336,11 @@ impl ByteSource {
     fn too_short(&self, offset: u64, len: u64) -> Error {
         Error::bad_input(
             &self.path,
-            format!("byte {offset}"),
+            Place::byte(offset),
             format!("{len} more bytes"),
             format!("a file of {} bytes", self.len),
         )
+        .of_fault(Fault::CutShort)
         .with_help("the file is cut short, or its header is wrong")
     }
 }

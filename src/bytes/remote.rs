@@ -58,6 +58,14 @@ pub(crate) fn traffic(_path: &Path) -> Option<Traffic> {
     None
 }
 
+/// What was fetched from the server of a file since `before`.
+pub(crate) fn traffic_since(path: &Path, before: Option<Traffic>) -> Option<Traffic> {
+    traffic(path).zip(before).map(|(now, before)| Traffic {
+        requests: now.requests - before.requests,
+        bytes: now.bytes - before.bytes,
+    })
+}
+
 /// There is none without the feature.
 #[cfg(not(feature = "remote"))]
 pub(crate) enum RemoteFile {}

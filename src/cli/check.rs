@@ -38,7 +38,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         if let Some((flag, _)) = only.iter().find(|(_, given)| *given) {
             return Err(Error::usage(format!("{flag} is for surfaces")));
         }
-        let report = pipeline::check_archive(&args.input)?;
+        let report = Archive::open(&args.input)?.check_until(&super::signals::cancel_token())?;
         return if args.json {
             super::print_json(&report)
         } else {
@@ -50,7 +50,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir),
     };
     talk.detail(&format!("memory {}", text::bytes(settings.memory)));
-    let summary = args.within.as_ref().map(|archive| pipeline::summarize(archive)).transpose()?;
+    let within = args.within.as_ref().map(Archive::open).transpose()?;
+    let summary = within.as_ref().map(|archive| archive.info()).transpose()?;
     if summary.as_ref().is_some_and(|s| s.grid_cells.is_some() || s.mesh.is_some()) {
         return Err(isospan::Error::usage(
             "--within an archive of a mesh, or of a rectilinear or curvilinear grid, is not possible: its domain is no box",
@@ -62,9 +63,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         tolerance: BOUNDARY_TOLERANCE,
     });
     let surface = load_surface(&args.input, &settings)?;
-    let (report, open) = match (&domain, &args.within) {
-        (Some(domain), Some(path)) => {
-            let archive = Archive::open(path)?.keeping(0);
+    let (report, open) = match (&domain, &within) {
+        (Some(domain), Some(archive)) => {
             let (report, open) =
                 check_within(&surface, domain, &settings, &mut |edges| archive.edges_at_missing(edges))?;
             (report, Some(open))

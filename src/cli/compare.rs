@@ -35,13 +35,11 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = CompareSettings {
+        resources: args.machine.resources(args.scratch.clone(), talk),
         samples: args.samples,
-        threads: args.machine.threads,
-        memory: args.machine.memory(talk),
-        scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir),
-        cancel: super::signals::cancel_token(),
     };
-    let check = CheckSettings { memory: settings.memory, scratch: settings.scratch.clone() };
+    let scratch = args.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let check = CheckSettings { memory: settings.resources.memory, scratch };
     let (a, b) = (load_surface(&args.a, &check)?, load_surface(&args.b, &check)?);
     let report = compare(&a, &b, &settings)?;
     if args.json { super::print_json(&report) } else { super::print(&in_words(args, &report)) }

@@ -2,7 +2,7 @@
 
 use super::step::StepArgs;
 use super::text;
-use isospan::Result;
+use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -31,8 +31,9 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
+    let step = Archive::open(&args.archive)?.at(args.step.choice())?;
     args.isovalue.iter().try_for_each(|&isovalue| {
-        let report = isospan::pipeline::count_active_at(&args.archive, args.step.choice(), isovalue)?;
+        let report = step.count(isovalue)?;
         if args.json {
             return super::print_json(&report);
         }

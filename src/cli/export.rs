@@ -58,18 +58,15 @@ fn parse_range(text: &str) -> std::result::Result<[f64; 2], String> {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = ExportSettings {
+        resources: args.machine.resources(args.scratch.scratch.clone(), talk),
         range: args.range,
         corners: if args.any_corner { Corners::Any } else { Corners::All },
         roi: args.roi,
         every: args.every,
         compress: args.compress,
-        threads: args.machine.threads,
-        memory: args.machine.memory(talk),
-        scratch: args.scratch.scratch.clone(),
-        cancel: super::signals::cancel_token(),
     };
     expect_no_input(&args.output, [&args.archive])?;
-    let archive = Archive::open_at(&args.archive, args.step.choice())?;
+    let archive = Archive::open(&args.archive)?.at(args.step.choice())?;
     let bar = talk.progress();
     let report = archive.write_tetrahedra(&settings, &args.output, &*bar);
     bar.end();

@@ -6,8 +6,9 @@ use super::step::StepArgs;
 use super::text;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{self, ArchiveSummary, Scan};
+use isospan::sample::Values;
 use isospan::volume::VolumeInfo;
-use isospan::{Error, Result, formats};
+use isospan::{Archive, Error, Result, formats};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -35,7 +36,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
 
 fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
     if pipeline::is_archive(path) {
-        let summary = pipeline::summarize_at(path, args.step.choice())?;
+        let summary = Archive::open(path)?.at(args.step.choice())?.info()?;
         return if args.json {
             super::print_json(&summary)
         } else {
@@ -234,11 +235,16 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
         "  source      {} ({}, {x} x {y} x {z} {})",
         text::name(&s.source),
         s.source_format,
-        s.scalar
+        s.scalar.name()
     );
     // Steps of a mesh may have holes of their own.
     let outside = if s.mesh.is_some() && s.steps.len() == 1 { s.void_points } else { 0 };
-    let _ = writeln!(out, "  points      {} ({})", text::count(s.points - outside), s.point_set);
+    let _ = writeln!(
+        out,
+        "  points      {} ({})",
+        text::count(s.points - outside),
+        serde_json::json!(s.point_set)
+    );
     let all: u64 = s.levels.iter().map(|l| l.voxels).sum();
     for (n, level) in s.levels.iter().enumerate() {
         let _ = writeln!(
@@ -274,7 +280,7 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
             if s.own { ", kept as they are" } else { "" }
         );
     }
-    let fitted = if s.values == "fit" { ", fitted to the samples" } else { "" };
+    let fitted = if s.values == Values::Fit { ", fitted to the samples" } else { "" };
     let _ = writeln!(out, "  interp      {}{fitted}", s.interpolation);
     if let Some(q) = &s.quantiser {
         let _ = writeln!(out, "  values      {} bits, within {:.3e}", q.bits, q.bound);

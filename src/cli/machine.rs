@@ -1,6 +1,7 @@
 //! The flags that say how a run uses the machine; they change no byte of what it makes.
 
 use super::{progress::Talk, signals, text};
+use isospan::Resources;
 use isospan::exec::CancelToken;
 use isospan::pipeline::RunSettings;
 use std::path::PathBuf;
@@ -22,6 +23,16 @@ impl Machine {
         super::memory(self.memory, talk)
     }
 
+    /// What a command may use, stopped by signals.
+    pub(crate) fn resources(&self, scratch: Option<PathBuf>, talk: &Talk) -> Resources {
+        self.resources_until(scratch, talk, signals::cancel_token())
+    }
+
+    fn resources_until(&self, scratch: Option<PathBuf>, talk: &Talk, cancel: CancelToken) -> Resources {
+        let resources = Resources::default().with_threads(self.threads).with_memory(self.memory(talk));
+        resources.with_scratch(scratch).with_cancel(cancel)
+    }
+
     /// Settings of a reduction that replaces nothing, stopped by signals.
     pub(crate) fn run(&self, scratch: &InputScratch, talk: &Talk) -> RunSettings {
         self.run_until(scratch, talk, signals::cancel_token())
@@ -30,12 +41,8 @@ impl Machine {
     /// As [`Machine::run`], stopped by a token.
     pub(crate) fn run_until(&self, scratch: &InputScratch, talk: &Talk, cancel: CancelToken) -> RunSettings {
         RunSettings {
-            threads: self.threads,
-            memory: self.memory(talk),
-            scratch: scratch.scratch.clone(),
-            replace: false,
-            keep_going: false,
-            cancel,
+            resources: self.resources_until(scratch.scratch.clone(), talk, cancel),
+            ..RunSettings::default()
         }
     }
 }

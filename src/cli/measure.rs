@@ -41,12 +41,9 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = MeasureSettings {
-        threads: args.machine.threads,
-        memory: args.machine.memory(talk),
-        scratch: args.scratch.scratch.clone(),
+        resources: args.machine.resources(args.scratch.scratch.clone(), talk),
         step: args.step,
         map: args.map.clone(),
-        cancel: super::signals::cancel_token(),
     };
     if let Some(map) = &args.map {
         expect_no_input(map, files_of(&args.against, &args.read.options()?).iter().chain([&args.archive]))?;

@@ -39,13 +39,9 @@ fn parse_grid(text: &str) -> std::result::Result<[u64; 3], String> {
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    let settings = ProbeSettings {
-        threads: args.machine.threads,
-        memory: args.machine.memory(talk),
-        cancel: super::signals::cancel_token(),
-    };
+    let settings = ProbeSettings { resources: args.machine.resources(None, talk) };
     expect_no_input(&args.output, args.at.iter().chain([&args.archive]))?;
-    let archive = Archive::open_at(&args.archive, args.step.choice())?;
+    let archive = Archive::open(&args.archive)?.at(args.step.choice())?;
     let bar = talk.progress();
     let report = match (args.grid, &args.at) {
         (Some(grid), _) => SampleFormat::from_path(&args.output)

@@ -8,7 +8,7 @@ use super::text;
 use clap::ValueEnum;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use isospan::exec::{Progress, Silent};
-use isospan::pipeline::Notice;
+use isospan::pipeline::{self, Notice};
 use std::fmt;
 use std::io::{IsTerminal, Write};
 use std::sync::{Mutex, PoisonError};
@@ -84,7 +84,7 @@ impl Talk {
     }
 
     /// The time of each stage of a report.
-    pub(crate) fn stages(&self, seconds: &[(String, f64)]) {
+    pub(crate) fn stages(&self, seconds: &[(pipeline::Stage, f64)]) {
         for (stage, time) in seconds {
             self.detail(&format!("{stage}: {}", text::duration(Duration::from_secs_f64(*time))));
         }

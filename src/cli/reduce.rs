@@ -7,12 +7,10 @@ use super::output::expect_apart;
 use super::progress::Talk;
 use super::step::StepInputs;
 use super::{dry_run, signals, text};
-use isospan::Result;
 use isospan::exec::CancelToken;
 use isospan::formats::{StepSource, is_mesh};
-use isospan::pipeline::{
-    ReduceReport, ReduceSettings, RunSettings, Target, TargetReport, estimate_series, reduce_series,
-};
+use isospan::pipeline::{ReduceReport, ReduceSettings, RunSettings, Target, TargetReport};
+use isospan::{Reduction, Resources, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -62,16 +60,20 @@ impl Args {
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = args.run_settings(talk, signals::cancel_token());
     let (steps, settings) = args.request(talk)?;
+    let io = args.read.io_text(&steps[0].path);
+    let RunSettings { resources, replace, keep_going } = run;
+    let Resources { threads, memory, .. } = resources;
+    let reduction = Reduction::of_steps(steps).settings(settings).resources(resources);
+    let reduction = reduction.replace(replace).keep_going(keep_going);
     if args.dry_run {
-        let found = estimate_series(&steps, &settings, &args.output, &run)?;
+        let found = reduction.estimate(&args.output)?;
         talk.notices(&found.notices);
         return dry_run::tell(&found, &args.output, args.json);
     }
-    let threads = if run.threads == 0 { isospan::exec::available_threads() } else { run.threads };
-    let io = args.read.io_text(&steps[0].path);
-    talk.detail(&format!("memory {}, {threads} threads, {io}", text::bytes(run.memory)));
+    let threads = if threads == 0 { isospan::exec::available_threads() } else { threads };
+    talk.detail(&format!("memory {}, {threads} threads, {io}", text::bytes(memory)));
     let bar = talk.progress();
-    let report = reduce_series(&steps, &settings, &args.output, &run, &*bar);
+    let report = reduction.progress(&*bar).write(&args.output);
     bar.end();
     tell(&args.output, &report?, args.json, talk)
 }

@@ -10,14 +10,14 @@ use super::text;
 use isospan::compare::{CompareSettings, distances};
 use isospan::exec::{CancelToken, Progress};
 use isospan::formats::surface::{SurfaceFormat, load_surface};
-use isospan::pipeline::{SurfaceSettings, extract_surface, is_archive};
+use isospan::pipeline::{Step, SurfaceSettings, is_archive};
 use isospan::render::{
     Camera, Image, Paint, RenderSettings, Subject, Up, View, parse_colour, render, scale_colour,
 };
 use isospan::surface::SurfaceSource;
 use isospan::surface::check::CheckSettings;
 use isospan::surface::weld::StoredSurface;
-use isospan::{Error, Result};
+use isospan::{Archive, Error, Resources, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -236,15 +236,15 @@ impl Job<'_> {
 
     fn settings(&self, taken: u64) -> RenderSettings {
         RenderSettings {
+            resources: Resources::default()
+                .with_threads(self.args.machine.threads)
+                .with_memory((self.memory / 8 * 7).saturating_sub(taken))
+                .with_scratch(self.scratch.clone())
+                .with_cancel(self.cancel.clone()),
             samples: self.args.samples,
             lights: self.args.lights,
             flat: self.args.flat,
             background: self.args.background,
-            threads: self.args.machine.threads,
-            // An eighth is the surfaces'.
-            memory: (self.memory / 8 * 7).saturating_sub(taken),
-            scratch: self.scratch.clone(),
-            cancel: self.cancel.clone(),
         }
     }
 
@@ -275,8 +275,9 @@ impl Job<'_> {
                 panels.push(Panel { name, isovalue: None, surface, distances: vec![] });
                 continue;
             }
+            let step = Archive::open(input)?.keeping(0).at(args.step.choice())?;
             for &isovalue in &args.isovalue {
-                let surface = self.extract(input, isovalue, &check, progress)?;
+                let surface = self.extract(&step, isovalue, &check, progress)?;
                 panels.push(Panel {
                     name: name.clone(),
                     isovalue: Some(isovalue),
@@ -291,7 +292,7 @@ impl Job<'_> {
     /// An isosurface, by way of a file in the scratch folder.
     fn extract(
         &self,
-        archive: &Path,
+        step: &Step,
         isovalue: f64,
         check: &CheckSettings,
         progress: &dyn Progress,
@@ -300,19 +301,18 @@ impl Job<'_> {
             .map_err(|e| Error::io("make a temporary folder in", &self.scratch, e))?;
         let file = folder.path().join("surface.ply");
         let settings = SurfaceSettings {
-            threads: self.args.machine.threads,
-            memory: self.memory / 8 * 7,
-            step: self.args.step.choice(),
-            cancel: self.cancel.clone(),
+            resources: Resources::default()
+                .with_threads(self.args.machine.threads)
+                .with_memory(self.memory / 8 * 7)
+                .with_cancel(self.cancel.clone()),
             ..SurfaceSettings::of(isovalue)
         };
-        let found = extract_surface(archive, &settings, &file, SurfaceFormat::Ply, progress)
-            .map_err(|e| self.whole(e, settings.memory))?;
+        let found = step
+            .write_surface(&settings, &file, SurfaceFormat::Ply, progress)
+            .map_err(|e| self.whole(e, settings.resources.memory))?;
         if found.triangles == 0 {
-            return Err(Error::usage(format!(
-                "{}: the isovalue {isovalue} gives no surface",
-                archive.display()
-            )));
+            let archive = step.path().display();
+            return Err(Error::usage(format!("{archive}: the isovalue {isovalue} gives no surface")));
         }
         load_surface(&file, check).map_err(|e| self.whole(e, check.memory))
     }
@@ -340,17 +340,18 @@ impl Job<'_> {
         let check = CheckSettings { memory: self.memory / 4, scratch: self.scratch.clone() };
         let target = load_surface(target, &check).map_err(|e| self.whole(e, check.memory))?;
         let settings = CompareSettings {
-            threads: self.args.machine.threads,
-            memory: self.memory / 2,
-            scratch: self.scratch.clone(),
-            cancel: self.cancel.clone(),
+            resources: Resources::default()
+                .with_threads(self.args.machine.threads)
+                .with_memory(self.memory / 2)
+                .with_scratch(self.scratch.clone())
+                .with_cancel(self.cancel.clone()),
             ..CompareSettings::default()
         };
         progress.begin("distances", panels.len() as u64, "panels");
         let mut end = 0.0f32;
         for panel in panels {
-            panel.distances =
-                distances(&panel.surface, &target, &settings).map_err(|e| self.whole(e, settings.memory))?;
+            panel.distances = distances(&panel.surface, &target, &settings)
+                .map_err(|e| self.whole(e, settings.resources.memory))?;
             let mut sorted = panel.distances.clone();
             let place = (sorted.len() as f64 * 0.995) as usize;
             let (_, at, _) =

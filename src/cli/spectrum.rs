@@ -3,8 +3,8 @@
 use super::output::expect_no_input;
 use super::step::StepArgs;
 use super::{figure, text};
-use isospan::Result;
-use isospan::pipeline::{SpectrumReport, StepRange, StepSpectrum, contour_spectrum_at, spectra};
+use isospan::pipeline::{SpectrumReport, StepRange, StepSpectrum};
+use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -38,14 +38,15 @@ pub(crate) fn run(args: &Args) -> Result<()> {
     let format = args.plot.as_deref().map(figure::Format::of).transpose()?;
     args.plot.iter().try_for_each(|plot| expect_no_input(plot, [&args.archive]))?;
     let name = args.archive.file_stem().unwrap_or_default().to_string_lossy();
+    let archive = Archive::open(&args.archive)?;
     if args.over_time {
-        let steps = spectra(&args.archive, args.steps.unwrap_or_default())?;
+        let steps = archive.spectra(args.steps.unwrap_or_default())?;
         if let Some((file, format)) = args.plot.as_deref().zip(format) {
             figure::write_figure(&figure::OverTime { steps: &steps, name: &name }, file, format)?;
         }
         return if args.json { super::print_json(&steps) } else { super::print(&lines(&steps)) };
     }
-    let report = contour_spectrum_at(&args.archive, args.step.choice())?;
+    let report = archive.at(args.step.choice())?.spectrum()?;
     if let Some((file, format)) = args.plot.as_deref().zip(format) {
         figure::write(&report, &name, file, format)?;
     }

@@ -5,14 +5,13 @@ use super::output::expect_no_input;
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
-use isospan::Result;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::pipeline::{
-    OneSurface, Refine, Roi, SeriesReport, StepRange, SurfaceReport, SurfaceSettings, extract_series,
-    extract_surface,
+    OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport, SurfaceSettings,
 };
 use isospan::surface::components::ComponentFilter;
 use isospan::surface::decimate::Decimation;
+use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -108,19 +107,17 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let format = SurfaceFormat::from_path(&args.output)?;
     expect_no_input(&args.output, [&args.archive])?;
     let settings = SurfaceSettings {
+        resources: args.machine.resources(args.scratch.scratch.clone(), talk),
         isovalues: args.isovalue.clone(),
         roi: args.roi,
-        threads: args.machine.threads,
-        memory: args.machine.memory(talk),
-        scratch: args.scratch.scratch.clone(),
         cap: args.cap,
-        step: args.step.choice(),
         refine: refine(args),
-        cancel: super::signals::cancel_token(),
     };
+    // One question is asked: nothing is kept for a next one.
+    let archive = Archive::open(&args.archive)?.keeping(0);
     let bar = talk.progress();
     if let Some(steps) = args.steps.or(args.all_steps.then(StepRange::default)) {
-        let report = extract_series(&args.archive, steps, &settings, &args.output, format, &*bar);
+        let report = archive.write_series(steps, &settings, &args.output, format, &*bar);
         bar.end();
         let report = report?;
         return if args.json {
@@ -129,9 +126,10 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             super::print(&series_text(&report, args.stats))
         };
     }
-    let report = extract_surface(&args.archive, &settings, &args.output, format, &*bar);
+    let step = archive.at(args.step.choice())?;
+    let report = step.write_surface(&settings, &args.output, format, &*bar);
     bar.end();
-    let report = report?;
+    let report = with_opening(report?, archive.opening());
     talk.stages(&report.seconds);
     if args.json {
         return super::print_json(&report);
@@ -141,6 +139,17 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         out += &stats_text(&report);
     }
     super::print(&out)
+}
+
+/// The report of the whole command, in which opening the archive is part of the first stage.
+fn with_opening(mut report: SurfaceReport, opening: Opening) -> SurfaceReport {
+    report.bytes_read += opening.bytes_read;
+    report.seconds[0].1 += opening.seconds;
+    if let (Some(sum), Some(opening)) = (&mut report.remote, opening.remote) {
+        sum.requests += opening.requests;
+        sum.bytes += opening.bytes;
+    }
+    report
 }
 
 /// A line for each step, and the lists.

@@ -4,7 +4,7 @@ use super::progress::Talk;
 use super::step::StepArgs;
 use super::{machine::Machine, text};
 use isospan::pipeline::{StepRange, UnpackReport, UnpackSettings, remove_unpacked, unpack, unpack_need};
-use isospan::{Error, Result};
+use isospan::{Error, Resources, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -58,12 +58,13 @@ fn parse_range(given: &str) -> std::result::Result<Range, String> {
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let all = UnpackSettings::default();
     let settings = UnpackSettings {
+        resources: Resources::default()
+            .with_threads(args.machine.threads)
+            .with_memory(if args.remove { all.resources.memory } else { args.machine.memory(talk) })
+            .with_cancel(super::signals::cancel_token()),
         step: args.step.choice(),
         steps: args.steps.or(args.all_steps.then(StepRange::default)),
         range: args.range.map_or(all.range, |range| range.0),
-        threads: args.machine.threads,
-        memory: if args.remove { all.memory } else { args.machine.memory(talk) },
-        cancel: super::signals::cancel_token(),
     };
     if !isospan::pipeline::is_archive(&args.archive) {
         return Err(Error::bad_input(&args.archive, "archive", "a folder made by isospan reduce", "none"));

@@ -41,39 +41,26 @@ mod tests;
 pub use nearest::{Found, Nearest, Triangles};
 
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, pool};
+use crate::exec::{Resources, pool};
 use crate::surface::check::{CheckSettings, SurfaceReport, check_source};
 use crate::surface::{SurfaceSource, Vertex};
 use nearest::Walk;
 use rayon::prelude::*;
 use samples::AreaSamples;
 use serde::Serialize;
-use std::path::PathBuf;
 
 /// How surfaces are compared.
 #[derive(Clone, Debug)]
 pub struct CompareSettings {
     /// Samples by area of each surface, besides its vertices.
     pub samples: u64,
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for everything that grows with the surfaces.
-    pub memory: u64,
-    /// Folder for what the check of a surface does not hold in memory.
-    pub scratch: PathBuf,
-    /// Stops the comparison.
-    pub cancel: CancelToken,
+    /// Threads, memory, scratch folder, and what stops it.
+    pub resources: Resources,
 }
 
 impl Default for CompareSettings {
     fn default() -> Self {
-        Self {
-            samples: 200_000,
-            threads: 0,
-            memory: crate::exec::usable_memory() / 2,
-            scratch: std::env::temp_dir(),
-            cancel: CancelToken::new(),
-        }
+        Self { samples: 200_000, resources: Resources::default() }
     }
 }
 
@@ -142,18 +129,23 @@ pub fn compare(
     settings: &CompareSettings,
 ) -> Result<CompareReport> {
     let least = needed([a.vertex_count(), b.vertex_count()], [a.triangle_count(), b.triangle_count()]);
-    if least > settings.memory {
-        return Err(Error::Budget { what: "memory".into(), needed: least, available: settings.memory });
+    if least > settings.resources.memory {
+        return Err(Error::Budget {
+            what: "memory".into(),
+            needed: least,
+            available: settings.resources.memory,
+        });
     }
     if settings.samples == 0 {
         return Err(Error::usage("a comparison needs at least one sample"));
     }
-    let check = CheckSettings { memory: settings.memory, scratch: settings.scratch.clone() };
+    let check =
+        CheckSettings { memory: settings.resources.memory, scratch: settings.resources.scratch_folder() };
     let reports = [check_source(a, None, &check)?.0, check_source(b, None, &check)?.0];
-    settings.cancel.check()?;
+    settings.resources.cancel.check()?;
     let [a, b] = [Triangles::read(a)?, Triangles::read(b)?];
     let diagonal = a.diagonal_with(&b);
-    let pool = pool(settings.threads)?;
+    let pool = pool(settings.resources.threads)?;
     let one_way = |from: &Triangles, to: &Triangles| -> Result<OneWay> {
         let nearest = Nearest::new(to, diagonal * ZERO);
         pool.install(|| measure(from, &nearest, settings))
@@ -189,15 +181,19 @@ pub fn distances(
 ) -> Result<Vec<f32>> {
     let least = needed([from.vertex_count(), to.vertex_count()], [0, to.triangle_count()])
         .saturating_add(from.vertex_count().saturating_mul(4));
-    if least > settings.memory {
-        return Err(Error::Budget { what: "memory".into(), needed: least, available: settings.memory });
+    if least > settings.resources.memory {
+        return Err(Error::Budget {
+            what: "memory".into(),
+            needed: least,
+            available: settings.resources.memory,
+        });
     }
     let to = Triangles::read(to)?;
     let nearest = Nearest::new(&to, to.diagonal_with(&to) * ZERO);
-    let pool = pool(settings.threads)?;
+    let pool = pool(settings.resources.threads)?;
     let mut all = Vec::with_capacity(from.vertex_count() as usize);
     from.vertices(&mut |batch| {
-        settings.cancel.check()?;
+        settings.resources.cancel.check()?;
         let part: Vec<f32> = pool.install(|| {
             let of = |walk: &mut Walk, v: &Vertex| {
                 nearest.nearest(v.position.map(f64::from), walk).distance as f32
@@ -283,7 +279,7 @@ fn in_batches(
     of: impl Fn(std::ops::Range<u64>, &mut Walk) -> Part + Sync,
 ) -> Result<Part> {
     let batch = |n: u64| {
-        settings.cancel.check()?;
+        settings.resources.cancel.check()?;
         Ok(of(n * BATCH..((n + 1) * BATCH).min(count), &mut Walk::default()))
     };
     let parts: Vec<Part> = (0..count.div_ceil(BATCH)).into_par_iter().map(batch).collect::<Result<_>>()?;

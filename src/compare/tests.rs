@@ -1,4 +1,5 @@
 use super::*;
+use crate::exec::Resources;
 use crate::surface::{TriMesh, Vertex};
 use std::collections::BTreeMap;
 
@@ -72,7 +73,11 @@ fn sphere(times: u32) -> TriMesh {
 }
 
 fn settings(samples: u64) -> CompareSettings {
-    CompareSettings { samples, threads: 2, memory: 1 << 30, ..CompareSettings::default() }
+    CompareSettings {
+        resources: Resources::default().with_threads(2).with_memory(1 << 30),
+        samples,
+        ..CompareSettings::default()
+    }
 }
 
 #[test]
@@ -132,7 +137,17 @@ fn a_shift_is_found_and_threads_do_not_show() {
     let mut moved = ball.clone();
     moved.vertices.iter_mut().for_each(|v| v.position[0] += 0.125);
     let all: Vec<CompareReport> = [1, 2, 5]
-        .map(|threads| compare(&ball, &moved, &CompareSettings { threads, ..settings(20_000) }).unwrap())
+        .map(|threads| {
+            compare(
+                &ball,
+                &moved,
+                &CompareSettings {
+                    resources: settings(20_000).resources.with_threads(threads),
+                    ..settings(20_000)
+                },
+            )
+            .unwrap()
+        })
         .to_vec();
     assert!(all.iter().all(|r| *r == all[0]));
     assert!((all[0].hausdorff - 0.125).abs() < 1e-3);
@@ -159,7 +174,13 @@ fn samples_are_even_by_area() {
 fn what_cannot_be_compared_is_refused() {
     let ball = sphere(1);
     let refused = |mesh: &TriMesh, memory| {
-        compare(&ball, mesh, &CompareSettings { memory, ..settings(100) }).unwrap_err().exit_code()
+        compare(
+            &ball,
+            mesh,
+            &CompareSettings { resources: settings(100).resources.with_memory(memory), ..settings(100) },
+        )
+        .unwrap_err()
+        .exit_code()
     };
     assert_eq!(refused(&TriMesh::default(), 1 << 30), 2);
     let line =

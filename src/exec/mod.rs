@@ -12,6 +12,7 @@ pub(crate) mod lanes;
 mod limits;
 mod progress;
 mod reorder;
+mod resources;
 mod room;
 mod vectors;
 
@@ -21,6 +22,7 @@ pub use cancel::CancelToken;
 pub use limits::usable_memory;
 pub use progress::{Progress, Silent};
 pub use reorder::Reorder;
+pub use resources::Resources;
 pub use room::{Lent, Room};
 pub(crate) use vectors::{Avx2, Avx512, with_avx512, with_vectors};
 

@@ -18,7 +18,7 @@
 //! vertices. Several surfaces in one file have a seventh property, `float isovalue` (`double` where one has more digits). Read: `vertex` needs `x`, `y`, `z` (`nx`, `ny`, `nz` are kept); `face` needs the list `vertex_indices` or
 //! `vertex_index`; all other elements and properties are skipped. Triangle strips are refused.
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Place, Result};
 use crate::formats::surface::{Fan, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, put_floats};
 use crate::formats::text::Words;
 use crate::surface::weld::StoredSurface;
@@ -312,12 +312,9 @@ impl Body<'_> {
 
     fn wrong(&self, expected: String, got: String) -> Error {
         let error = self.words.wrong(expected, got);
-        match (error, self.encoding) {
-            (Error::BadInput { path, expected, got, help, .. }, Encoding::Binary { .. }) => {
-                let at = format!("byte {}", self.words.at());
-                Error::BadInput { path, at, expected, got, help }
-            }
-            (error, _) => error,
+        match self.encoding {
+            Encoding::Binary { .. } => error.placed(Place::byte(self.words.at() as u64)),
+            _ => error,
         }
     }
 }

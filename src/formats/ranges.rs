@@ -46,7 +46,7 @@ impl RangeNumbers {
             Place::Text(words) => words.fill(self.scalar, &mut self.bytes),
             Place::Binary { source, range, big_endian } => {
                 if self.bytes.len() as u64 > range.end.saturating_sub(range.start) {
-                    let at = format!("byte {}", range.start);
+                    let at = crate::error::Place::byte(range.start);
                     return Err(Error::bad_input(source.path(), at, "more numbers", "the end of the array"));
                 }
                 source.read_at(range.start, &mut self.bytes)?;
@@ -78,7 +78,7 @@ impl NumberStream for RangeNumbers {
         match &self.place {
             Place::Text(words) => words.finish(),
             Place::Binary { source, range, .. } if !range.is_empty() => {
-                let at = format!("byte {}", range.start);
+                let at = crate::error::Place::byte(range.start);
                 Err(Error::bad_input(source.path(), at, "the end of the array", "more numbers"))
             }
             Place::Binary { .. } => Ok(()),

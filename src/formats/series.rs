@@ -18,7 +18,7 @@ use super::{
     vtk_xml, zarr,
 };
 use crate::bytes::{ByteSource, read_whole};
-use crate::error::{Error, Result};
+use crate::error::{Error, Place, Result};
 use crate::exec::CancelToken;
 use crate::volume::chunked::DecodeCount;
 use crate::volume::slabs::ReaderSlabs;
@@ -109,6 +109,32 @@ impl StepSource {
     /// Those of reading the samples; [`Error::Cancelled`].
     pub(crate) fn given_hash(&self, cancel: &CancelToken) -> Result<Option<String>> {
         self.given.as_ref().map(|given| given.hash(cancel)).transpose()
+    }
+}
+
+impl From<&Path> for StepSource {
+    fn from(path: &Path) -> Self {
+        Self::new(path, &OpenOptions::default())
+    }
+}
+
+impl From<PathBuf> for StepSource {
+    fn from(path: PathBuf) -> Self {
+        path.as_path().into()
+    }
+}
+
+impl From<&str> for StepSource {
+    fn from(path: &str) -> Self {
+        Path::new(path).into()
+    }
+}
+
+/// A volume of the program, by the name that it has.
+impl<V: VolumeReader + 'static> From<V> for StepSource {
+    fn from(volume: V) -> Self {
+        let name = volume.info().path.display().to_string();
+        Self::given(&name, Arc::new(volume))
     }
 }
 
@@ -406,7 +432,7 @@ fn pvd(path: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
     let mut reader = Reader::from_str(&text);
     let mut files: Vec<(PathBuf, Option<f64>)> = vec![];
     loop {
-        let at = |reader: &Reader<&[u8]>| format!("byte {}", reader.buffer_position());
+        let at = |reader: &Reader<&[u8]>| Place::byte(reader.buffer_position());
         match reader.read_event() {
             Ok(Event::Start(tag) | Event::Empty(tag)) if tag.name().as_ref() == "DataSet" => {
                 let wrong = |e: String| Error::bad_input(path, at(&reader), "good XML", e);

@@ -5,7 +5,7 @@
 //! have at least two bytes a sample, and a slab grows as its bytes arrive.
 
 use crate::bytes::ByteSource;
-use crate::error::{Error, Result};
+use crate::error::{Error, Place, Result};
 use crate::grid::IndexBox;
 use crate::volume::slabs::SlabWalk;
 use crate::volume::strided::swap_bytes;
@@ -233,7 +233,7 @@ impl TextSlabs {
         }
         let got = if word.is_empty() { "the end of the text".into() } else { String::from_utf8_lossy(word) };
         let expected = format!("a number of type {}", scalar.name());
-        Err(Error::bad_input(self.source.path(), format!("byte {at}"), expected, got))
+        Err(Error::bad_input(self.source.path(), Place::byte(at), expected, got))
     }
 }
 
@@ -290,7 +290,7 @@ impl SlabStream for TextSlabs {
                 self.source.check()?;
                 return Ok(None);
             }
-            let (at, got) = (format!("byte {at}"), String::from_utf8_lossy(word));
+            let (at, got) = (Place::byte(at), String::from_utf8_lossy(word));
             return Err(Error::bad_input(self.source.path(), at, "the end of the samples", got)
                 .with_help("the header's dimensions are wrong"));
         };

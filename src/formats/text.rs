@@ -2,7 +2,7 @@
 
 use super::stream::push_number;
 use crate::bytes::ByteSource;
-use crate::error::{Error, Result};
+use crate::error::{Error, Place, Result};
 use crate::volume::ScalarType;
 use std::ops::Range;
 use std::path::Path;
@@ -152,8 +152,8 @@ impl TextNumbers {
             return shrunk;
         }
         let place = match self.source.slice(0..self.end) {
-            Ok(bytes) => place(bytes, at),
-            Err(_) => format!("byte {at}"),
+            Ok(bytes) => place(bytes, at).into(),
+            Err(_) => Place::byte(at as u64),
         };
         Error::bad_input(self.source.path(), place, expected, got)
     }

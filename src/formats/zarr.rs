@@ -39,7 +39,7 @@ use super::numbers::to_f64;
 use super::stream::sample_bytes;
 use super::{OpenOptions, pick_field};
 use crate::bytes::{ByteSource, IoMode};
-use crate::error::{Error, Result};
+use crate::error::{Error, Fault, Result};
 use crate::grid::Geometry;
 use crate::volume::chunked::{ChunkSlabs, ChunkSource};
 use crate::volume::strided::swap_bytes;
@@ -651,6 +651,7 @@ impl Chunks {
         if shard.index_crc && crc32c::crc32c(&index).to_le_bytes()[..] != sum[..] {
             let got = "another one than that of the index";
             return Err(Error::bad_input(path, "index of the shard", "its CRC32C", got)
+                .of_fault(Fault::Checksum)
                 .with_help("the file is damaged or cut short; fetch it again"));
         }
         Ok(Some((source, index)))

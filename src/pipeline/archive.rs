@@ -1,50 +1,32 @@
-//! [`Archive`]: an archive, and all questions that can be asked of it.
+//! [`Archive`]: an archive opened for reading, with all its steps.
 
-use super::check::{ArchiveCheck, check_archive_until};
+use crate::bytes::remote::{Traffic, traffic, traffic_since};
 use crate::error::Result;
-use crate::exec::{CancelToken, Progress, Silent};
-use crate::formats::samples::SampleFormat;
+use crate::exec::{CancelToken, Progress};
 use crate::formats::surface::SurfaceFormat;
-use crate::grid::{ChunkId, Geometry};
-use crate::index::Entry;
-use crate::pipeline::field::{
-    ExportReport, ExportSettings, ProbeReport, ProbeSettings, edges_at_missing, export, probe_grid,
-    probe_table, sample_grid, values_at,
-};
-use crate::pipeline::read::{
-    ArchiveSummary, OpenArchive, Place, SpectrumReport, StepChoice, StepRange, spectrum, summarize_at,
-};
-use crate::pipeline::surface::{
-    CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, surfaces_of_steps, with_surfaces,
-    write_surfaces,
-};
-use crate::surface::{SurfaceSource, TriMesh};
+use crate::pipeline::check::{ArchiveCheck, check_archive};
+use crate::pipeline::read::{OpenArchive, StepChoice, StepRange, StepSpectrum};
+use crate::pipeline::step::Step;
+use crate::pipeline::surface::{SeriesReport, SurfaceSettings, surfaces_of_steps, write_series};
+use crate::surface::TriMesh;
+use serde::Serialize;
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
 
 /// An archive opened for reading.
 ///
-/// Opening reads the manifest. Every question reads what can hold its answer and nothing else; whether it is asked from this
-/// type or from the command line, the answer is the same. Questions may be asked from several threads at one time.
-///
-/// Blocks of tetrahedra that a surface needed are kept, decoded, for the next one, up to [`Archive::KEPT_BYTES`] or what [`Archive::keeping`]
-/// says, and a quarter more for buffers: about 20 bytes a tetrahedron, and where there is room some 60 when they are used again, for all that
-/// does not depend on the isovalue is known then. Those that were not used lately go first. So while an isovalue is dragged to and fro, a
-/// surface costs little more than its triangles. Of a step that was unpacked ([`crate::pipeline::surface::unpack`]) all of that is on disk, in a file that is mapped: it costs no memory of
-/// the process, and the first question is as fast as later ones, but for checksums.
-///
-/// What fits in memory is returned ([`Archive::surface`], [`Archive::sample`], [`Archive::probe`], [`Archive::active`]); what may
-/// not is written to a file, in bounded memory, by a method with settings and progress ([`Archive::write_surface`],
-/// [`Archive::write_samples`], [`Archive::write_probed`], [`Archive::write_tetrahedra`]). Positions are world coordinates.
+/// Opening reads the manifest. Every question reads what can hold its answer and nothing else. Questions are asked of a
+/// [`Step`]: `archive.step(3)?.surface(600.0)?`. Most archives have one, so an archive itself answers as its first step
+/// does: `archive.surface(600.0)?`. Questions may be asked from several threads at one time.
 ///
 /// ```
 /// use isospan::Archive;
-/// # use isospan::exec::Silent;
-/// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
 /// # fn main() -> isospan::Result<()> {
 /// # let folder = tempfile::tempdir().unwrap();
 /// # let path = folder.path().join("protein.isospan");
-/// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-/// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
+/// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
 /// let archive = Archive::open(&path)?;
 /// let [lo, hi] = archive.value_range().expect("the field has values");
 /// let isovalue = lo + 0.45 * (hi - lo);
@@ -62,269 +44,102 @@ use std::path::{Path, PathBuf};
 /// # }
 /// ```
 pub struct Archive {
-    open: OpenArchive,
+    open: Arc<OpenArchive>,
     path: PathBuf,
-    step: StepChoice,
+    first: Step,
+    kept: usize,
+    opening: Opening,
 }
 
-/// Tetrahedra of one chunk of an archive, with the points that they use.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Tetrahedra {
-    /// The chunk.
-    pub chunk: u64,
-    /// World positions of the points; those that several chunks use are in each of them.
-    pub points: Vec<[f64; 3]>,
-    /// Value of each point; NaN where the source has no data.
-    pub values: Vec<f64>,
-    /// Corners: numbers into `points`. Positively oriented in the world.
-    pub tetrahedra: Vec<[u32; 4]>,
+/// What opening an archive took.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[non_exhaustive]
+pub struct Opening {
+    /// Bytes of the manifest.
+    pub bytes_read: u64,
+    /// Seconds of wall time.
+    pub seconds: f64,
+    /// Of an archive on a server: what was fetched from there.
+    pub remote: Option<Traffic>,
+}
+
+impl Deref for Archive {
+    type Target = Step;
+
+    fn deref(&self) -> &Step {
+        &self.first
+    }
 }
 
 impl Archive {
+    /// Bytes of decoded blocks that each step keeps, unless said otherwise.
+    pub const KEPT_BYTES: usize = 256 << 20;
+
     /// Opens an archive.
     ///
     /// # Errors
     /// [`crate::Error::BadInput`] when there is none, or its manifest is damaged.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
-        Self::open_at(path, StepChoice::First)
+        let (path, start) = (path.as_ref(), Instant::now());
+        let before = traffic(path);
+        let open = OpenArchive::open(path)?;
+        let opening = Opening {
+            bytes_read: open.manifest_bytes()?,
+            seconds: start.elapsed().as_secs_f64(),
+            remote: traffic_since(path, before),
+        };
+        let kept = Self::KEPT_BYTES;
+        let first = Step { view: open.step_at(0).keeping(kept) };
+        Ok(Self { open, path: path.to_path_buf(), first, kept, opening })
     }
 
-    /// Opens an archive at a step or a time: all questions are about that.
-    ///
-    /// # Errors
-    /// As [`Archive::open`]; [`crate::Error::Usage`] for a step or a time that is not in the archive.
-    pub fn open_at(path: impl AsRef<Path>, step: StepChoice) -> Result<Self> {
-        let path = path.as_ref();
-        let open = OpenArchive::open_at(path, step)?.keeping(Self::KEPT_BYTES);
-        Ok(Self { open, path: path.to_path_buf(), step })
-    }
-
-    /// Bytes of decoded blocks that are kept, unless said otherwise.
-    pub const KEPT_BYTES: usize = 256 << 20;
-
-    /// The same archive, which keeps up to about so many bytes of decoded blocks; 0 for none.
+    /// The same archive, of which each step keeps up to about so many bytes of decoded blocks; 0 for none.
     #[must_use]
     pub fn keeping(self, bytes: usize) -> Self {
-        Self { open: self.open.keeping(bytes), ..self }
+        Self { first: Step { view: self.open.step_at(0).keeping(bytes) }, kept: bytes, ..self }
     }
 
-    /// Bytes of the blocks that are kept now.
-    pub fn kept_bytes(&self) -> usize {
-        self.open.cache.bytes()
-    }
-
-    /// What the archive holds.
+    /// The step of a number.
     ///
     /// # Errors
-    /// When the size of its files cannot be told.
-    pub fn info(&self) -> Result<ArchiveSummary> {
-        summarize_at(&self.path, self.step)
+    /// [`crate::Error::Usage`] for a step that is not in the archive.
+    pub fn step(&self, number: u64) -> Result<Step> {
+        self.at(StepChoice::Number(number))
     }
 
-    /// The file that the step was made from, or what stood for it; of a time between two steps, that of the first.
-    pub fn source(&self) -> &str {
-        &self.open.step().plan.source.path
-    }
-
-    /// Least and largest value; `None` when no point has one.
-    pub fn value_range(&self) -> Option<[f64; 2]> {
-        self.open.told_range()
-    }
-
-    /// What all values of the archive are counted from: they are `f32`, and those of the file less this. 0 wherever `f32` holds them well.
-    /// Only [`Archive::active_blocks`] tells values less the offset.
-    pub fn offset(&self) -> f64 {
-        self.open.step().plan.source.offset
-    }
-
-    /// From numbers of samples of the source to the world.
-    pub fn geometry(&self) -> Geometry {
-        self.open.step().plan.source.geometry
-    }
-
-    /// Samples of the source along x, y, z.
-    pub fn dims(&self) -> [u64; 3] {
-        self.open.step().plan.source.dims
-    }
-
-    /// How many tetrahedra an isosurface crosses, exactly.
+    /// The archive at a step, or at a time; between two steps values are linear.
     ///
     /// # Errors
-    /// [`crate::Error::Usage`] for an isovalue that is not finite; [`crate::Error::BadInput`] for a damaged archive.
-    pub fn count(&self, isovalue: impl Into<f64>) -> Result<CountReport> {
-        self.count_until(isovalue, &CancelToken::new())
+    /// [`crate::Error::Usage`] for a step or a time that is not in the archive.
+    pub fn at(&self, choice: StepChoice) -> Result<Step> {
+        Ok(Step { view: self.open.at(choice)?.keeping(self.kept) })
     }
 
-    /// As [`Archive::count`], until it is stopped.
+    /// What opening took: reports of questions do not count it.
+    pub fn opening(&self) -> Opening {
+        self.opening
+    }
+
+    /// The contour spectra of many steps. The bytes read are those of each spectrum, and of the manifest with each.
     ///
     /// # Errors
-    /// Those of [`Archive::count`]; [`crate::Error::Cancelled`].
-    pub fn count_until(&self, isovalue: impl Into<f64>, cancel: &CancelToken) -> Result<CountReport> {
-        count(&self.open, isovalue.into(), cancel)
-    }
-
-    /// How large isosurfaces are, over the isovalue, and isovalues that are worth a look. Reads some ten thousand bytes.
-    ///
-    /// # Errors
-    /// [`crate::Error::BadInput`] for a damaged archive.
-    pub fn spectrum(&self) -> Result<SpectrumReport> {
-        spectrum::report(&self.open)
-    }
-
-    /// The blocks that an isosurface may cross, as the index tells, in order; their ranges are less [`Archive::offset`].
-    ///
-    /// # Errors
-    /// As [`Archive::count`].
-    pub fn active_blocks(&self, isovalue: impl Into<f64>) -> Result<Vec<Entry>> {
-        self.open.ranges()?.query_any(&[self.open.step().plan.source.kept(isovalue.into())])
-    }
-
-    /// The tetrahedra of the blocks that an isosurface may cross, chunk after chunk, each read when it is asked for.
-    ///
-    /// Not all of them are active: a block has some hundred. Memory: the list of blocks, and a chunk.
-    ///
-    /// ```
-    /// # use isospan::{Archive, exec::Silent};
-    /// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
-    /// # fn main() -> isospan::Result<()> {
-    /// # let folder = tempfile::tempdir().unwrap();
-    /// # let path = folder.path().join("protein.isospan");
-    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-    /// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
-    /// let archive = Archive::open(&path)?;
-    /// let mut active = 0;
-    /// for chunk in archive.active(100.0)? {
-    ///     let chunk = chunk?;
-    ///     let inside = |t: &[u32; 4]| t.iter().filter(|&&v| chunk.values[v as usize] >= 100.0).count();
-    ///     active += chunk.tetrahedra.iter().filter(|t| (1..4).contains(&inside(t))).count() as u64;
-    /// }
-    /// assert_eq!(active, archive.count(100.0)?.active_tetrahedra);
-    /// # Ok(())
-    /// # }
-    /// ```
-    ///
-    /// # Errors
-    /// As [`Archive::count`], and for each chunk.
-    pub fn active(&self, isovalue: impl Into<f64>) -> Result<impl Iterator<Item = Result<Tetrahedra>>> {
-        let mut blocks = self.active_blocks(isovalue)?.into_iter().peekable();
-        let place = Place::of(&self.open)?;
-        Ok(std::iter::from_fn(move || {
-            let chunk = blocks.peek()?.chunk;
-            let mut numbers = vec![];
-            while let Some(entry) = blocks.next_if(|e| e.chunk == chunk) {
-                numbers.push(entry.block);
-            }
-            Some(self.tetrahedra(ChunkId(chunk), &numbers, &place))
-        }))
-    }
-
-    fn tetrahedra(&self, chunk: ChunkId, blocks: &[u32], place: &Place) -> Result<Tetrahedra> {
-        self.open.close_before(chunk);
-        let decoded = self.open.decode(chunk, blocks)?;
-        let lattice = self.open.manifest.plan.lattice;
-        let mut out = Tetrahedra { chunk: chunk.0, ..Tetrahedra::default() };
-        let mut numbers = vec![u32::MAX; decoded.positions.len()];
-        for tet in &decoded.tets {
-            for v in tet.map(|v| v as usize) {
-                if numbers[v] == u32::MAX {
-                    numbers[v] = out.points.len() as u32;
-                    out.points.push(place.world(lattice.to_index_space(decoded.positions[v]))?);
-                    out.values.push(self.offset() + f64::from(decoded.values[v]));
-                }
-            }
-            let mut corners = tet.map(|v| numbers[v as usize]);
-            if place.mirrors() {
-                corners.swap(2, 3);
-            }
-            out.tetrahedra.push(corners);
-        }
-        Ok(out)
-    }
-
-    /// An isosurface, in memory. For one that may not fit there is [`Archive::write_surface`].
-    ///
-    /// # Errors
-    /// As [`Archive::count`]; [`crate::Error::Usage`] for a surface of 2^32 vertices or more.
-    pub fn surface(&self, isovalue: impl Into<f64>) -> Result<TriMesh> {
-        let mut surfaces = self.surfaces(&SurfaceSettings::of(isovalue))?;
-        Ok(surfaces.pop().expect("there is a surface for each isovalue"))
-    }
-
-    /// Isosurfaces, in memory, one for each isovalue: cut, capped, with chosen components, decimated, as the settings say.
-    ///
-    /// ```
-    /// # use isospan::{Archive, exec::Silent};
-    /// # use isospan::pipeline::{Amount, ReduceSettings, Refine, RunSettings, SurfaceSettings, reduce};
-    /// # use isospan::surface::components::ComponentFilter;
-    /// # fn main() -> isospan::Result<()> {
-    /// # let folder = tempfile::tempdir().unwrap();
-    /// # let path = folder.path().join("protein.isospan");
-    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-    /// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
-    /// let archive = Archive::open(&path)?;
-    /// let largest = ComponentFilter { largest: Some(1), ..ComponentFilter::default() };
-    /// let surfaces = archive.surfaces(&SurfaceSettings {
-    ///     isovalues: vec![80.0, 120.0],
-    ///     cap: true,
-    ///     refine: Refine { components: Some(largest), ..Refine::default() },
-    ///     ..SurfaceSettings::default()
-    /// })?;
-    /// assert!(surfaces[0].triangles.len() > surfaces[1].triangles.len());
-    ///
-    /// // Another isovalue between the two: most blocks are still in memory.
-    /// let between = archive.surface(100.0)?;
-    /// # assert!(archive.kept_bytes() > 0 && !between.triangles.is_empty());
-    /// # Ok(())
-    /// # }
-    /// ```
-    ///
-    /// # Errors
-    /// As [`super::extract_surface`].
-    pub fn surfaces(&self, settings: &SurfaceSettings) -> Result<Vec<TriMesh>> {
-        surfaces_in_memory(&self.open, settings, vec![])
-    }
-
-    /// As [`Archive::surfaces`], in the memory of surfaces that were asked for before, which are replaced: a system that has to hand out
-    /// cleared pages for every answer takes about a tenth of the time of one of which the blocks are kept. For an isovalue that is dragged.
-    ///
-    /// ```
-    /// # use isospan::{Archive, exec::Silent};
-    /// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, SurfaceSettings, reduce};
-    /// # fn main() -> isospan::Result<()> {
-    /// # let folder = tempfile::tempdir().unwrap();
-    /// # let path = folder.path().join("protein.isospan");
-    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-    /// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
-    /// let archive = Archive::open(&path)?;
-    /// let mut shown = vec![];
-    /// for isovalue in [80.0, 81.0, 82.0] {
-    ///     archive.surfaces_into(&SurfaceSettings::of(isovalue), &mut shown)?;
-    ///     assert_eq!(shown[0], archive.surface(isovalue)?);
-    /// }
-    /// # Ok(())
-    /// # }
-    /// ```
-    ///
-    /// # Errors
-    /// As [`super::extract_surface`]; `surfaces` is empty then.
-    pub fn surfaces_into(&self, settings: &SurfaceSettings, surfaces: &mut Vec<TriMesh>) -> Result<()> {
-        let reused = std::mem::take(surfaces);
-        *surfaces = surfaces_in_memory(&self.open, settings, reused)?;
-        Ok(())
+    /// As [`Step::spectrum`]; [`crate::Error::Usage`] when no step is in the range.
+    pub fn spectra(&self, steps: StepRange) -> Result<Vec<StepSpectrum>> {
+        let positions = steps.positions(&self.open.manifest, &self.path)?;
+        positions.map(|n| StepSpectrum::of(&self.open.step_at(n))).collect()
     }
 
     /// Isosurfaces of many steps, in memory, step after step: `each` is told number and time of the step, and the surfaces. Steps are extracted
     /// several at a time, as memory allows: what they share is decoded once. What `each` leaves of the surfaces is memory for later ones.
     ///
     /// ```
-    /// # use isospan::{Archive, exec::Silent, formats::StepSource};
-    /// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, StepRange, SurfaceSettings, reduce_series};
+    /// # use isospan::{Archive, StepSource};
+    /// # use isospan::pipeline::{StepRange, SurfaceSettings};
     /// # fn main() -> isospan::Result<()> {
     /// # let folder = tempfile::tempdir().unwrap();
     /// # let path = folder.path().join("protein.isospan");
-    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-    /// # let steps = vec![StepSource::new("datasets/ironprot.vtk".as_ref(), &Default::default()); 2];
-    /// # reduce_series(&steps, &settings, &path, &RunSettings::default(), &Silent)?;
+    /// # let steps = vec![StepSource::from("datasets/ironprot.vtk"); 2];
+    /// # isospan::Reduction::of_steps(steps).count(20_000).write(&path)?;
     /// let archive = Archive::open(&path)?;
     /// let mut triangles = vec![];
     /// archive.surfaces_of_steps(StepRange::default(), &SurfaceSettings::of(100.0), |_step, time, surfaces| {
@@ -338,157 +153,31 @@ impl Archive {
     /// ```
     ///
     /// # Errors
-    /// As [`super::extract_series`], and those of `each`.
+    /// As [`Archive::write_series`] but for files, and those of `each`.
     pub fn surfaces_of_steps(
         &self,
         steps: StepRange,
         settings: &SurfaceSettings,
         mut each: impl FnMut(u64, f64, &mut Vec<TriMesh>) -> Result<()>,
     ) -> Result<()> {
-        surfaces_of_steps(&self.path, steps, settings, &mut each)
+        surfaces_of_steps(&self.open, steps, settings, &mut each)
     }
 
-    /// Streams isosurfaces, in bounded memory, in the order of the isovalues: `begin` has their sizes, then
-    /// `each` has one surface after another, with world positions.
+    /// Writes isosurfaces of many steps, as [`Step::write_surface`] does of one; the file's name holds `%d` or `%04d` in
+    /// place of the step's number. Beside them it writes a list of the files with their times.
     ///
     /// # Errors
-    /// As [`super::extract_surface`], and those of `begin` and `each`.
-    pub fn stream_surfaces(
+    /// Those of [`Step::write_surface`]; [`crate::Error::Usage`] for a name without that place, and when no step is in
+    /// the range.
+    pub fn write_series(
         &self,
-        settings: &SurfaceSettings,
-        begin: impl FnOnce(&SurfaceReport) -> Result<()>,
-        each: impl FnMut(&dyn SurfaceSource) -> Result<()>,
-    ) -> Result<()> {
-        with_surfaces(&self.open, settings, begin, each)
-    }
-
-    /// Writes isosurfaces to a file, in bounded memory; those of the archive's step, whatever the settings say.
-    ///
-    /// # Errors
-    /// As [`super::extract_surface`].
-    pub fn write_surface(
-        &self,
+        steps: StepRange,
         settings: &SurfaceSettings,
         out: &Path,
         format: SurfaceFormat,
         progress: &dyn Progress,
-    ) -> Result<SurfaceReport> {
-        write_surfaces(&self.open, settings, out, format, progress)
-    }
-
-    /// The field, linear in each tetrahedron, at points in world coordinates: NaN outside the domain, and where the source has no data.
-    ///
-    /// Every point lies in exactly one tetrahedron, by a rule where they touch, so the answer is always the same. Points
-    /// are rounded to the lattice, 2^-24 of the domain's longest side. A point outside by no more than `f32` and the lattice round
-    /// coordinates has the value of the nearest place: so vertices of a surface file have values. Few points cost as much as the chunks that they lie in.
-    ///
-    /// # Errors
-    /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Usage`] for 2^32 points or more.
-    pub fn probe(&self, points: &[[f64; 3]]) -> Result<Vec<f64>> {
-        self.probe_with(points, &ProbeSettings::default())
-    }
-
-    /// As [`Archive::probe`], with threads and memory as the settings say, until they stop it.
-    ///
-    /// # Errors
-    /// As [`Archive::probe`]; [`crate::Error::Cancelled`].
-    pub fn probe_with(&self, points: &[[f64; 3]], settings: &ProbeSettings) -> Result<Vec<f64>> {
-        let found = values_at(&self.open, points, settings, &|memory| memory, &Silent)?.values;
-        Ok(found.into_iter().map(|v| self.offset() + f64::from(v)).collect())
-    }
-
-    /// How many of some edges, given by their ends in world coordinates, lie where the archive has no data: within a fifth of a voxel from their middle,
-    /// around them, and inside the domain. An isosurface ends there, at faces of tetrahedra that have a corner without a value.
-    ///
-    /// # Errors
-    /// As [`Archive::probe`].
-    pub fn edges_at_missing(&self, edges: &[[[f32; 3]; 2]]) -> Result<u64> {
-        let source = &self.open.step().plan.source;
-        edges_at_missing(edges, &source.geometry, source.dims, |points| self.probe(points))
-    }
-
-    /// Writes a table of points (CSV) with the field's value beside each, or the values alone (NPY), in bounded memory.
-    ///
-    /// # Errors
-    /// [`crate::Error::BadInput`] for a table without coordinates, or a damaged archive; [`crate::Error::Usage`] for a file name that ends
-    /// in neither `.csv` nor `.npy`; those of writing the file.
-    pub fn write_probed(
-        &self,
-        points: &Path,
-        settings: &ProbeSettings,
-        out: &Path,
-        progress: &dyn Progress,
-    ) -> Result<ProbeReport> {
-        probe_table(&self.open, points, settings, out, progress)
-    }
-
-    /// The field on a grid of samples that spans the domain, x fastest, in memory: NaN where the source has no data.
-    ///
-    /// ```
-    /// # use isospan::{Archive, exec::Silent};
-    /// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
-    /// # fn main() -> isospan::Result<()> {
-    /// # let folder = tempfile::tempdir().unwrap();
-    /// # let path = folder.path().join("protein.isospan");
-    /// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-    /// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
-    /// let archive = Archive::open(&path)?;
-    /// let small = archive.sample([17, 17, 17])?;
-    /// assert_eq!(small.len(), 17 * 17 * 17);
-    /// assert_eq!(small[0], archive.probe(&[archive.geometry().origin])?[0]);
-    /// # Ok(())
-    /// # }
-    /// ```
-    ///
-    /// # Errors
-    /// [`crate::Error::Usage`] for a grid that cannot be; [`crate::Error::BadInput`] for a damaged archive.
-    pub fn sample(&self, dims: [u64; 3]) -> Result<Vec<f64>> {
-        self.sample_with(dims, &ProbeSettings::default())
-    }
-
-    /// As [`Archive::sample`], with threads and memory as the settings say, until they stop it.
-    ///
-    /// # Errors
-    /// As [`Archive::sample`]; [`crate::Error::Cancelled`].
-    pub fn sample_with(&self, dims: [u64; 3], settings: &ProbeSettings) -> Result<Vec<f64>> {
-        sample_grid(&self.open, dims, settings)
-    }
-
-    /// Writes the field on a grid of samples that spans the domain to a file, in bounded memory.
-    ///
-    /// The first and last sample of an axis lie on the domain's faces, a single one in the middle; with [`Archive::dims`], samples are
-    /// at the source's voxels. The bytes do not depend on threads, memory, or on how the archive is cut into chunks.
-    ///
-    /// # Errors
-    /// As [`Archive::sample`]; [`crate::Error::Budget`] when the memory does not suffice; those of writing the file, of which nothing is
-    /// left then.
-    pub fn write_samples(
-        &self,
-        dims: [u64; 3],
-        settings: &ProbeSettings,
-        out: &Path,
-        format: SampleFormat,
-        progress: &dyn Progress,
-    ) -> Result<ProbeReport> {
-        probe_grid(&self.open, dims, settings, out, format, progress)
-    }
-
-    /// Writes tetrahedra to a VTU file, each point once, with its value, in bounded memory.
-    ///
-    /// They come chunk by chunk, so the bytes do not depend on the number of threads, nor on memory: what memory does not hold waits in
-    /// the scratch folder. Tetrahedra with a corner without value are left out. With a range or a region, what cannot have an
-    /// answer is not read. An answer without tetrahedra is an empty, valid file.
-    ///
-    /// # Errors
-    /// [`crate::Error::Usage`] for settings that make no sense; [`crate::Error::BadInput`] for a damaged archive;
-    /// [`crate::Error::Budget`] when the memory does not suffice; those of writing the file, of which nothing is left then.
-    pub fn write_tetrahedra(
-        &self,
-        settings: &ExportSettings,
-        out: &Path,
-        progress: &dyn Progress,
-    ) -> Result<ExportReport> {
-        export(&self.open, settings, out, progress)
+    ) -> Result<SeriesReport> {
+        write_series(&self.open, steps, settings, out, format, progress)
     }
 
     /// Verifies the whole archive: every checksum, and every invariant that ties its parts together.
@@ -504,6 +193,6 @@ impl Archive {
     /// # Errors
     /// Those of [`Archive::check`]; [`crate::Error::Cancelled`].
     pub fn check_until(&self, cancel: &CancelToken) -> Result<ArchiveCheck> {
-        check_archive_until(&self.path, cancel)
+        check_archive(&self.open, cancel)
     }
 }

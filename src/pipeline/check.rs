@@ -19,7 +19,7 @@ use crate::grid::{Chunk, ChunkId};
 use crate::index::{Entry, EntryDigest, index_entries};
 use crate::pipeline::chunk::stored_error;
 use crate::pipeline::read::{
-    Bench, DecodedChunk, Meter, OpenArchive, OpenSegment, stored_part, used_corners,
+    Bench, DecodedChunk, Meter, OpenArchive, OpenSegment, StepView, stored_part, used_corners,
 };
 use crate::pipeline::reduce::strays;
 use crate::pipeline::surface::check_unpacked;
@@ -27,9 +27,11 @@ use crate::spectrum::{ChunkPart, Design, SpectrumBuilder};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// What was verified.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct ArchiveCheck {
     /// Steps.
     pub steps: u64,
@@ -51,29 +53,20 @@ pub struct ArchiveCheck {
     pub strays: Vec<PathBuf>,
 }
 
-/// Verifies a whole archive. Cost: reading and decoding all of it.
+/// Verifies a whole archive, until it is stopped. Cost: reading and decoding all of it.
 ///
 /// # Errors
-/// [`Error::BadInput`] that names the first thing that is wrong.
-pub fn check_archive(path: &Path) -> Result<ArchiveCheck> {
-    check_archive_until(path, &CancelToken::new())
-}
-
-/// As [`check_archive`], until it is stopped.
-///
-/// # Errors
-/// Those of [`check_archive`]; [`Error::Cancelled`].
-pub fn check_archive_until(path: &Path, cancel: &CancelToken) -> Result<ArchiveCheck> {
-    let mut check = ArchiveCheck::default();
-    let mut archive = OpenArchive::open(path)?;
+/// [`Error::BadInput`] that names the first thing that is wrong; [`Error::Cancelled`].
+pub(super) fn check_archive(archive: &Arc<OpenArchive>, cancel: &CancelToken) -> Result<ArchiveCheck> {
+    let (path, mut check) = (archive.path(), ArchiveCheck::default());
     check.own = archive.manifest.plan.own.is_some();
     if !is_remote(path) {
         check.strays = strays(path, &archive.manifest)?;
     }
     let pool = pool(0)?;
     for step in 0..archive.manifest.steps.len() {
-        archive.turn_to(step);
-        pool.install(|| check_step(&archive, cancel, &mut check))?;
+        let view = archive.step_at(step);
+        pool.install(|| check_step(&view, cancel, &mut check))?;
         check.steps += 1;
     }
     if let Some(record) = &archive.manifest.plan.repeated {
@@ -104,8 +97,8 @@ impl ArchiveCheck {
 }
 
 /// Verifies a step; with the first one of an archive also the mesh.
-fn check_step(archive: &OpenArchive, cancel: &CancelToken, check: &mut ArchiveCheck) -> Result<()> {
-    let with_mesh = archive.view.step == 0;
+fn check_step(archive: &StepView, cancel: &CancelToken, check: &mut ArchiveCheck) -> Result<()> {
+    let with_mesh = archive.position() == 0;
     let mut entries = EntryDigest::default();
     let mut volume6 = 0i128;
     let (spectrum, meter) = (archive.spectrum()?, Meter::of_archive(archive));
@@ -121,7 +114,7 @@ fn check_step(archive: &OpenArchive, cancel: &CancelToken, check: &mut ArchiveCh
         let chunks: Vec<u64> = archive.layout.chunks_of(number).collect();
         archive.close_before(ChunkId(chunks[0]));
         let segment = archive.segment(number)?;
-        for file in with_mesh.then_some(&segment.mesh).into_iter().chain([&*segment.values]) {
+        for file in with_mesh.then_some(&segment.mesh).into_iter().chain([&segment.values]) {
             file.segment().verify()?;
             check.add(file.segment());
         }
@@ -166,7 +159,7 @@ fn check_step(archive: &OpenArchive, cancel: &CancelToken, check: &mut ArchiveCh
 }
 
 /// The tetrahedra fill the box, or have the volume of the mesh that they are from, and are as many as the manifest says.
-fn check_totals(archive: &OpenArchive, volume6: i128, check: &ArchiveCheck) -> Result<()> {
+fn check_totals(archive: &StepView, volume6: i128, check: &ArchiveCheck) -> Result<()> {
     let (path, whole) = (archive.path(), archive.manifest.plan.volume6());
     if volume6 != whole {
         let expected = format!("a volume of {whole}/6 lattice cells");
@@ -186,7 +179,7 @@ fn check_totals(archive: &OpenArchive, volume6: i128, check: &ArchiveCheck) -> R
 }
 
 /// The error that the manifest tells is that of the chunks.
-fn check_error(archive: &OpenArchive) -> Result<()> {
+fn check_error(archive: &StepView) -> Result<()> {
     let step = archive.step();
     if !step.plan.measured {
         return Ok(());
@@ -209,7 +202,7 @@ struct CheckedChunk {
 
 /// Checks a chunk against its summaries and its part of the spectrum.
 fn check_chunk(
-    archive: &OpenArchive,
+    archive: &StepView,
     segment: &OpenSegment,
     id: ChunkId,
     meter: &Meter,
@@ -252,7 +245,7 @@ fn check_chunk(
     if found.iter().zip(&stored).any(|(found, stored)| found[0] <= found[1] && found != stored) {
         return wrong("ranges of values", "those of the values".into(), "others".into());
     }
-    if archive.view.step == 0 {
+    if archive.position() == 0 {
         check_mesh(archive, &decoded, summary, id, (file, by_formula.is_some()))?;
     }
     let of_step = (&*decoded.values, &*ranges);
@@ -266,7 +259,7 @@ fn check_chunk(
 
 /// The tetrahedra of a chunk are what its summary says, and use its halo.
 fn check_mesh(
-    archive: &OpenArchive,
+    archive: &StepView,
     decoded: &DecodedChunk,
     summary: MeshSummary,
     id: ChunkId,
@@ -318,7 +311,7 @@ fn check_tets(decoded: &DecodedChunk, chunk: &Chunk, (file, by_formula): (&Path,
 }
 
 /// The index has an entry for each block that is not void, and no others.
-fn check_index(archive: &OpenArchive, expected: EntryDigest, check: &mut ArchiveCheck) -> Result<()> {
+fn check_index(archive: &StepView, expected: EntryDigest, check: &mut ArchiveCheck) -> Result<()> {
     let index = archive.index()?;
     let found = index.verify()?;
     if found != expected {

@@ -5,18 +5,18 @@
 //!  open ──▶ index ▶ active blocks ▶ decode ▶ marching tetrahedra ▶ weld ──▶ surface file
 //! ```
 //!
-//! [`reduce`] makes an archive, [`extract_surface`] and [`count_active`] ask it, [`check_archive`]
-//! proves it whole. The rooms, each of which uses those above it only:
+//! A [`Reduction`] makes an archive; an [`Archive`] and its [`Step`]s answer questions. The rooms, each of which uses those above it only:
 //!
 //! ```text
-//!  settings   what a user chooses
+//!  settings   what a user chooses             stage     what took the time
 //!  plan       what decides the bytes, where files are, what a run needs
 //!  read       an archive being read           inputs    what is found out about inputs
 //!  surface    questions for surfaces          chunk     one chunk: mesh, values, errors
 //!  field      questions about the field
 //!  reduce     inputs ─▶ plan ─▶ passes over chunks ─▶ commit
 //!  shards     the same in several processes
-//!  archive    the handle of users             check     the proof that an archive is whole
+//!  step       the questions of users          check     the proof that an archive is whole
+//!  archive    the handle of users             reduction the order of users
 //! ```
 
 mod archive;
@@ -27,13 +27,16 @@ mod inputs;
 mod plan;
 mod read;
 mod reduce;
+mod reduction;
 mod settings;
 mod shards;
+mod stage;
+mod step;
 mod surface;
 
 pub use crate::domain::store::MeshCensus;
-pub use archive::{Archive, Tetrahedra};
-pub use check::{ArchiveCheck, check_archive, check_archive_until};
+pub use archive::{Archive, Opening};
+pub use check::ArchiveCheck;
 pub use field::{
     Corners, ExportReport, ExportSettings, MeasureReport, MeasureSettings, ProbeReport, ProbeSettings,
     measure, measure_source,
@@ -42,20 +45,24 @@ pub use inputs::{Scan, brick, is_bricked, scan};
 pub use plan::{Estimate, Finding, Notice, Plan, Shard, fingerprint};
 pub use read::{
     ArchiveSummary, Knot, LevelSummary, Roi, RoiSpace, SpectrumReport, StepChoice, StepRange, StepSpectrum,
-    StepSummary, Suggestion, contour_spectrum, contour_spectrum_at, is_archive, spectra, summarize,
-    summarize_at,
+    StepSummary, Suggestion, is_archive,
 };
 pub use reduce::{
-    AppendSettings, ReduceReport, SkippedStep, SourceChunks, TargetReport, append, estimate, estimate_series,
-    mesh_notices, plan_path, reduce, reduce_series, scan_with_notices, work_folder,
+    AppendSettings, ReduceReport, SkippedStep, SourceChunks, TargetReport, append, mesh_notices, plan_path,
+    scan_with_notices, work_folder,
 };
+#[doc(hidden)]
+pub use reduce::{estimate_series, reduce_series};
+pub use reduction::Reduction;
 pub use settings::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, RunSettings, Target, ValueBits};
 pub use shards::{
     GcReport, PlanReport, Planned, StatusReport, WorkReport, collect_garbage, commit_shards, plan_shards,
     planned, shard_status, work_shard,
 };
+pub use stage::{Stage, StageSeconds};
+pub use step::{Step, Tetrahedra};
 pub use surface::{
     CountReport, OneSurface, Refine, RefineReport, SeriesReport, StepSurfaces, SurfaceReport,
-    SurfaceSettings, UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, count_active, count_active_at,
-    extract_series, extract_surface, remove_unpacked, unpack, unpack_need,
+    SurfaceSettings, UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked, unpack,
+    unpack_need,
 };

@@ -5,12 +5,11 @@
 use crate::archive::manifest::KEYFRAMES;
 use crate::archive::segment::PlanHash;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, available_threads};
+use crate::exec::Resources;
 use crate::points::{SetKind, SetSettings};
 use crate::sample::{Interpolation, Values};
 use serde::{Deserialize, Serialize};
 use std::fmt;
-use std::path::PathBuf;
 
 /// How many points.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -271,43 +270,12 @@ impl Target {
 }
 
 /// What decides how a run uses the machine, and not what it makes.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct RunSettings {
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for everything that grows; see [`Estimate`](super::Estimate) for what it must be at least.
-    pub memory: u64,
-    /// Folder for the uncompressed copy of a compressed input; the system's temporary folder if not given.
-    pub scratch: Option<PathBuf>,
     /// Whether an archive that is already there is replaced.
     pub replace: bool,
     /// Of a series: leave out steps that cannot be used, and report them. Changes what is made, but nothing of the other steps.
     pub keep_going: bool,
-    /// Stops the run at the next chunk.
-    pub cancel: CancelToken,
-}
-
-impl Default for RunSettings {
-    fn default() -> Self {
-        Self {
-            threads: 0,
-            memory: crate::exec::usable_memory() / 2,
-            scratch: None,
-            replace: false,
-            keep_going: false,
-            cancel: CancelToken::new(),
-        }
-    }
-}
-
-impl RunSettings {
-    /// How many threads work.
-    pub(super) fn worker_threads(&self) -> usize {
-        if self.threads == 0 { available_threads() } else { self.threads }
-    }
-
-    /// Where temporary files are.
-    pub(super) fn scratch_folder(&self) -> PathBuf {
-        self.scratch.clone().unwrap_or_else(std::env::temp_dir)
-    }
+    /// Threads, memory, scratch folder, and what stops it.
+    pub resources: Resources,
 }

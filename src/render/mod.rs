@@ -36,13 +36,12 @@ pub use colour_map::ColourMap;
 
 use crate::bytes::store::{Cached, Store};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, pool};
+use crate::exec::{Resources, pool};
 use crate::surface::SurfaceSource;
 use glam::{DVec3, Vec3};
 use light::Sky;
 use rayon::prelude::*;
 use samples::{Corner, Samples};
-use std::path::PathBuf;
 
 /// How a picture is made.
 #[derive(Clone, Debug)]
@@ -55,28 +54,13 @@ pub struct RenderSettings {
     pub flat: bool,
     /// Red, green, blue, opacity where there is no surface.
     pub background: [u8; 4],
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for samples, maps and vertices.
-    pub memory: u64,
-    /// Folder for vertices that memory does not hold.
-    pub scratch: PathBuf,
-    /// Stops the drawing.
-    pub cancel: CancelToken,
+    /// Threads, memory, scratch folder, and what stops it.
+    pub resources: Resources,
 }
 
 impl Default for RenderSettings {
     fn default() -> Self {
-        Self {
-            samples: 3,
-            lights: 128,
-            flat: false,
-            background: [255; 4],
-            threads: 0,
-            memory: crate::exec::usable_memory() / 2,
-            scratch: std::env::temp_dir(),
-            cancel: CancelToken::new(),
-        }
+        Self { samples: 3, lights: 128, flat: false, background: [255; 4], resources: Resources::default() }
     }
 }
 
@@ -137,12 +121,16 @@ pub fn render(subject: &Subject<'_>, view: &View, settings: &RenderSettings) -> 
     let given = !settings.flat && has_normals(surface)?;
     let made = if given || settings.flat { 0 } else { 12 * surface.vertex_count() };
     let least = needed(view.size(), settings).saturating_add(made);
-    if least > settings.memory {
-        return Err(Error::Budget { what: "memory".into(), needed: least, available: settings.memory });
+    if least > settings.resources.memory {
+        return Err(Error::Budget {
+            what: "memory".into(),
+            needed: least,
+            available: settings.resources.memory,
+        });
     }
-    let rest = usize::try_from(settings.memory - least).unwrap_or(usize::MAX);
+    let rest = usize::try_from(settings.resources.memory - least).unwrap_or(usize::MAX);
     let mut vertices = place(subject, view, rest / 2, settings)?;
-    let pool = pool(settings.threads)?;
+    let pool = pool(settings.resources.threads)?;
     let mut turned = false;
     if given {
         turned = !normals_agree(surface, &vertices, rest / 2)?;
@@ -186,7 +174,7 @@ fn place(
     memory: usize,
     settings: &RenderSettings,
 ) -> Result<Store<Placed>> {
-    let mut vertices = Store::new(memory, &settings.scratch);
+    let mut vertices = Store::new(memory, &settings.resources.scratch_folder());
     let mut values = subject.values.iter();
     subject.surface.vertices(&mut |batch| {
         for v in batch {
@@ -194,7 +182,7 @@ fn place(
             let value = values.next().copied().unwrap_or(0.0);
             vertices.push(Placed { position: position.to_array(), normal: view.turn(v.normal), value })?;
         }
-        settings.cancel.check()
+        settings.resources.cancel.check()
     })?;
     Ok(vertices)
 }
@@ -268,7 +256,7 @@ fn each_batch(
         for t in triangles.iter().filter(|t| t.iter().all(|&v| u64::from(v) < vertices.len())) {
             batch.push([cached.get(t[0].into())?, cached.get(t[1].into())?, cached.get(t[2].into())?]);
             if batch.len() == BATCH {
-                settings.cancel.check()?;
+                settings.resources.cancel.check()?;
                 each(&batch);
                 batch.clear();
             }

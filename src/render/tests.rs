@@ -1,4 +1,5 @@
 use super::*;
+use crate::exec::Resources;
 use crate::surface::{TriMesh, Vertex};
 
 /// A sphere of radius 1 in rows and columns.
@@ -27,7 +28,11 @@ fn sphere(rows: u32, normals: bool) -> TriMesh {
 }
 
 fn settings(threads: usize) -> RenderSettings {
-    RenderSettings { threads, lights: 24, memory: 1 << 30, ..RenderSettings::default() }
+    RenderSettings {
+        resources: Resources::default().with_threads(threads).with_memory(1 << 30),
+        lights: 24,
+        ..RenderSettings::default()
+    }
 }
 
 fn draw(mesh: &TriMesh, camera: &Camera, paint: Paint, settings: &RenderSettings) -> Image {
@@ -63,11 +68,11 @@ fn threads_and_memory_do_not_show() {
     let one = draw(&mesh, &Camera::default(), GREY, &settings(1));
     assert_eq!(draw(&mesh, &Camera::default(), GREY, &settings(3)), one);
     let least = needed([90, 80], &settings(1));
-    let tight = RenderSettings { memory: least, ..settings(2) };
+    let tight = RenderSettings { resources: settings(2).resources.with_memory(least), ..settings(2) };
     assert_eq!(draw(&mesh, &Camera::default(), GREY, &tight), one);
     let view = View::fit(&Camera::default(), &[&mesh], [90, 80]).unwrap();
     let subject = Subject { surface: &mesh, paint: GREY, values: &[] };
-    let less = RenderSettings { memory: least - 1, ..settings(1) };
+    let less = RenderSettings { resources: settings(1).resources.with_memory(least - 1), ..settings(1) };
     assert_eq!(render(&subject, &view, &less).unwrap_err().exit_code(), 4);
 }
 

@@ -22,7 +22,7 @@
 //! N alone is stored at many more isovalues, the *levels*: multiples of a round step, 1 or 2 times a power of ten, up to 8192 of them in the
 //! range. A tetrahedron is active for min < v <= max, so N(v) counts the minima below v less the maxima below v. So N is known at
 //! most isovalues that a person writes, for one page of 4096 levels read ([`SpectrumFile::active`]). For the others
-//! [`crate::pipeline::count_active`] decodes the blocks of the isovalue, and is as exact.
+//! [`crate::pipeline::Step::count`] decodes the blocks of the isovalue, and is as exact.
 //!
 //! **Chunk by chunk.** Which isovalues these are depends on the range of all values, which is known when the last chunk has been made. So each chunk
 //! is measured while its tetrahedra and values are at hand, on grids of its own range, which are finer, or as fine, and hold all isovalues of

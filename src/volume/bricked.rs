@@ -31,7 +31,7 @@
 mod build;
 
 use crate::bytes::{ByteSource, IoMode};
-use crate::error::{Error, Result};
+use crate::error::{Error, Fault, Result};
 use crate::grid::{Geometry, IndexBox};
 use crate::volume::strided::convert_row;
 use crate::volume::{FieldInfo, SlabStream, VolumeInfo, VolumeReader};
@@ -384,6 +384,7 @@ fn footer(layout: &Layout, table_crc: u32, header_crc: u32) -> [u8; FOOTER as us
 
 fn damaged(path: &Path, at: String, expected: u32, got: u32) -> Error {
     Error::bad_input(path, at, format!("checksum {expected:08x}"), format!("{got:08x}"))
+        .of_fault(Fault::Checksum)
         .with_help("the file is damaged; make it again with `isospan brick`")
 }
 

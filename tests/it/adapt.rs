@@ -3,9 +3,9 @@
 
 use crate::common::*;
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Adapt, Amount, Bound, LevelSummary, NanPolicy, ReduceSettings, RunSettings, Target, check_archive,
+    self, Adapt, Amount, Bound, LevelSummary, NanPolicy, ReduceSettings, RunSettings, Target,
 };
 use isospan::points::SetKind;
 use isospan::sample::Values;
@@ -27,7 +27,7 @@ fn adapted(fraction: f64, chunk_points: u64) -> ReduceSettings {
 }
 
 fn rms(archive: &Path) -> f64 {
-    pipeline::summarize(archive).unwrap().error.expect("it was measured").rms
+    summarize(archive).unwrap().error.expect("it was measured").rms
 }
 
 #[test]
@@ -73,7 +73,7 @@ fn shards_and_restarts_make_the_same_bytes() {
     reduce(&input, &settings, &whole, 1);
     assert_eq!(folder(&whole), expected, "restart");
     // Without its levels an archive cannot be read; with damaged ones neither.
-    let summary = pipeline::summarize(&whole).unwrap();
+    let summary = summarize(&whole).unwrap();
     let [voxels, points] = [|l: &LevelSummary| l.voxels, |l: &LevelSummary| l.points]
         .map(|of| summary.levels.iter().map(of).sum::<u64>());
     assert_eq!(voxels, 59 * 43 * 37);
@@ -152,7 +152,7 @@ fn targets_are_met_by_few_points_and_measured() {
         assert_eq!(folder(&outs[0]), folder(&outs[1]), "threads");
         assert!(!dir.path().join(format!("{n}-2.isospan.work")).exists(), "tries are gone");
         let told = reports[0].target.expect("it had a target");
-        let error = pipeline::summarize(&outs[0]).unwrap().error.expect("it was measured");
+        let error = summarize(&outs[0]).unwrap().error.expect("it was measured");
         let measured = if matches!(target, Target::Max(_)) { error.max } else { error.rms };
         assert!(told.met && measured <= told.bound && measured == told.reached, "{told:?}");
         // Fewer than the best even density that does as well.
@@ -212,8 +212,14 @@ fn what_cannot_be_is_a_usage_error() {
     write_npy(&input, [20, 20, 20], ball);
     let refused = |settings: ReduceSettings, word: &str| {
         let run = RunSettings::default();
-        let error =
-            pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &run, &Silent).unwrap_err();
+        let error = pipeline::reduce_series(
+            &[StepSource::new(&input, &OpenOptions::default())],
+            &settings,
+            &out,
+            &run,
+            &Silent,
+        )
+        .unwrap_err();
         assert!(error.exit_code() == 2 && error.to_string().contains(word), "{error}");
     };
     refused(ReduceSettings { points: Some(SetKind::Bcc), ..adapted(0.1, 1_000) }, "halton");

@@ -5,7 +5,6 @@ use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     self, Adapt, Amount, AppendSettings, Bound, ReduceReport, ReduceSettings, RunSettings, Target, append,
-    check_archive,
 };
 use isospan::points::SetKind;
 use std::fs;
@@ -49,7 +48,7 @@ fn points_go_where_the_field_bends() {
     assert!(filled(&dense) < 1.2 * filled(&same), "{} {}", filled(&dense), filled(&same));
     let rms = |r: &ReduceReport| r.error.as_ref().unwrap().rms;
     assert!(rms(&dense) < 0.7 * rms(&same), "{} {}", rms(&dense), rms(&same));
-    let summary = pipeline::summarize(&dir.path().join("dense.isospan")).unwrap();
+    let summary = summarize(&dir.path().join("dense.isospan")).unwrap();
     assert!(summary.levels.len() > 2, "{:?}", summary.levels);
     // The errors of all levels are those of the field.
     let (error, errors) = (summary.error.unwrap(), summary.levels.iter().map(|l| l.error.unwrap()));
@@ -84,8 +83,15 @@ fn chunks_threads_memory_restarts_and_shards_do_not_show() {
         (ReduceSettings { chunk_points: 200, ..adapted(0.5) }, dir.path().join("200.isospan"));
     let expected = folder(&out);
     let [again, shards] = ["again", "shards"].map(|n| dir.path().join(format!("{n}.isospan")));
-    let small = RunSettings { memory: 64 << 20, ..run(1) };
-    pipeline::reduce(&input, &OpenOptions::default(), &settings, &again, &small, &Silent).unwrap();
+    let small = RunSettings { resources: run(1).resources.with_memory(64 << 20), ..run(1) };
+    pipeline::reduce_series(
+        &[StepSource::new(&input, &OpenOptions::default())],
+        &settings,
+        &again,
+        &small,
+        &Silent,
+    )
+    .unwrap();
     assert_eq!(folder(&again), expected, "threads and memory");
     fs::remove_file(again.join("manifest.json")).unwrap();
     fs::remove_file(again.join("mesh/000000.seg")).unwrap();
@@ -99,7 +105,7 @@ fn chunks_threads_memory_restarts_and_shards_do_not_show() {
     let sources = [StepSource::new(&second, &OpenOptions::default())];
     append(&sources, &AppendSettings::default(), &out, &run(1), &Silent).unwrap();
     check_archive(&out).unwrap();
-    let summary = pipeline::summarize(&out).unwrap();
+    let summary = summarize(&out).unwrap();
     let errors: Vec<_> = summary.steps.iter().map(|s| s.error.unwrap()).collect();
     assert_eq!((errors.len(), errors[0]), (2, errors[1]));
 }

@@ -5,14 +5,15 @@
 //! error too, soon, and without a huge allocation.
 
 use crate::common::*;
-use isospan::Error;
 use isospan::archive::manifest::{MANIFEST_NAME, Manifest, Plan};
 use isospan::archive::segment::SegmentKind;
+use isospan::error::{ErrorKind, Fault};
 use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::geom::Lattice;
-use isospan::pipeline::{self, Amount, SurfaceSettings};
+use isospan::pipeline::{Amount, SurfaceSettings};
 use isospan::points::{PointSpec, SetKind};
+use isospan::{Error, Resources};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -29,16 +30,17 @@ struct Answers {
 
 fn extract(archive: &Path) -> Result<Vec<u8>, Error> {
     let out = archive.with_extension("ply");
-    let settings = SurfaceSettings { threads: 1, ..SurfaceSettings::of(ISOVALUE) };
-    let made = pipeline::extract_surface(archive, &settings, &out, SurfaceFormat::Ply, &Silent);
+    let settings =
+        SurfaceSettings { resources: Resources::default().with_threads(1), ..SurfaceSettings::of(ISOVALUE) };
+    let made = extract_surface(archive, &settings, &out, SurfaceFormat::Ply, &Silent);
     let bytes = fs::read(&out);
     let _ = fs::remove_file(&out);
     made.map(|_| bytes.expect("a surface was written"))
 }
 
 fn answers(archive: &Path) -> Answers {
-    pipeline::check_archive(archive).unwrap();
-    let active = pipeline::count_active(archive, ISOVALUE).unwrap().active_tetrahedra;
+    check_archive(archive).unwrap();
+    let active = count_active(archive, ISOVALUE).unwrap().active_tetrahedra;
     Answers { surface: extract(archive).unwrap(), active }
 }
 
@@ -54,11 +56,11 @@ fn orderly(what: &str, error: &Error) {
 
 /// `check` must find any damage; a query that does not meet it gives the right answer.
 fn error_or_right(archive: &Path, right: &Answers, what: &str) {
-    match pipeline::check_archive(archive) {
+    match check_archive(archive) {
         Ok(_) => panic!("{what}: not found by check"),
         Err(e) => orderly(what, &e),
     }
-    match pipeline::count_active(archive, ISOVALUE) {
+    match count_active(archive, ISOVALUE) {
         Ok(found) => assert_eq!(found.active_tetrahedra, right.active, "{what}"),
         Err(e) => orderly(what, &e),
     }
@@ -66,7 +68,7 @@ fn error_or_right(archive: &Path, right: &Answers, what: &str) {
         Ok(found) => assert!(found == right.surface, "{what}: another surface"),
         Err(e) => orderly(what, &e),
     }
-    if let Err(e) = pipeline::summarize(archive) {
+    if let Err(e) = summarize(archive) {
         orderly(what, &e);
     }
 }
@@ -181,6 +183,20 @@ fn every_cut_is_found_or_harmless() {
     });
 }
 
+/// A program can tell a damaged byte from a file that makes no sense.
+#[test]
+fn a_changed_block_is_an_error_of_its_checksum() {
+    let dir = tempfile::tempdir().unwrap();
+    let archive = small(dir.path(), "a", 0.0);
+    let file = archive.join("steps/000000-values-000000.seg");
+    let mut bytes = fs::read(&file).unwrap();
+    bytes[100] ^= 1;
+    put(&file, &bytes);
+    let error = check_archive(&archive).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::BadInput(Fault::Checksum), "{error}");
+    assert_eq!(error.path(), Some(&*file));
+}
+
 #[test]
 fn lost_files_are_named_and_other_files_are_ignored() {
     let dir = tempfile::tempdir().unwrap();
@@ -190,12 +206,12 @@ fn lost_files_are_named_and_other_files_are_ignored() {
         let file = archive.join(&name);
         fs::remove_file(&file).unwrap();
         let short = name.file_name().unwrap().to_string_lossy().into_owned();
-        let error = pipeline::check_archive(&archive).unwrap_err();
+        let error = check_archive(&archive).unwrap_err();
         assert!(error.to_string().contains(&short), "{error}");
         assert_eq!(error.exit_code(), if name.ends_with(MANIFEST_NAME) { 5 } else { 3 }, "{error}");
         // A folder in its place.
         fs::create_dir(&file).unwrap();
-        let error = pipeline::check_archive(&archive).unwrap_err();
+        let error = check_archive(&archive).unwrap_err();
         assert!(!error.to_string().contains('\n') && [1, 5].contains(&error.exit_code()), "{error}");
         fs::remove_dir(&file).unwrap();
         put(&file, &good);
@@ -227,7 +243,7 @@ fn files_of_other_archives_are_refused() {
             if !name.ends_with(MANIFEST_NAME) || other == &points {
                 error_or_right(&a, &right, &format!("{} of {}", name.display(), other.display()));
             } else {
-                assert!(pipeline::check_archive(&a).is_err(), "the manifest of another volume");
+                assert!(check_archive(&a).is_err(), "the manifest of another volume");
             }
             put(&a.join(&name), &good[&name]);
         }
@@ -239,10 +255,10 @@ fn files_of_other_archives_are_refused() {
 fn ask(archive: &Path, what: &str) -> bool {
     let start = Instant::now();
     let errors = [
-        pipeline::check_archive(archive).err(),
-        pipeline::count_active(archive, ISOVALUE).err(),
+        check_archive(archive).err(),
+        count_active(archive, ISOVALUE).err(),
         extract(archive).err(),
-        pipeline::summarize(archive).err(),
+        summarize(archive).err(),
     ];
     errors.iter().flatten().for_each(|e| orderly(what, e));
     let took = start.elapsed();

@@ -1,6 +1,6 @@
 //! What a reduction makes of a volume or a mesh for somebody who chooses nothing.
 
-use crate::common::{ball, folder, reduce, reduce_in_shards, run, waves, write_mesh, write_npy};
+use crate::common::{ball, folder, reduce, reduce_in_shards, run, summarize, waves, write_mesh, write_npy};
 use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
@@ -88,7 +88,7 @@ fn labels_and_what_is_asked_for_are_exact() {
     // One value alone has no range to round in.
     write_npy(&input, [24, 22, 20], |_, _, _| 7.0);
     assert_eq!(bits(&input, &usual), Some(USUAL));
-    let error = pipeline::summarize(&input.with_extension("isospan")).unwrap().error.unwrap();
+    let error = summarize(&input.with_extension("isospan")).unwrap().error.unwrap();
     assert_eq!(error.max, 0.0);
 }
 

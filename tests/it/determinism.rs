@@ -3,7 +3,7 @@
 
 use crate::common::*;
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::measure::FieldError;
 use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, ValueBits};
 use isospan::points::SetKind;
@@ -115,7 +115,13 @@ fn segments_of_another_plan_are_not_taken() {
     let other = settings(SetKind::Halton, Amount::Fraction(0.4), 5_000);
     let anew = |replace| {
         let run = RunSettings { replace, ..run(2) };
-        pipeline::reduce(&input, &OpenOptions::default(), &other, &out, &run, &Silent)
+        pipeline::reduce_series(
+            &[StepSource::new(&input, &OpenOptions::default())],
+            &other,
+            &out,
+            &run,
+            &Silent,
+        )
     };
     let error = anew(false).unwrap_err();
     assert!(error.exit_code() == 2 && error.to_string().contains("unfinished work"), "{error}");
@@ -139,7 +145,7 @@ fn rounded_values_are_the_same_in_all_chunks_and_smaller() {
         let quantiser = report.quantiser.unwrap();
         // Waves have a range of about 4.
         assert!(quantiser.bits == 10 && (0.001..0.003).contains(&quantiser.bound), "{quantiser:?}");
-        isospan::pipeline::check_archive(&out).unwrap();
+        check_archive(&out).unwrap();
         let whole = reduce(&input, &lossless, &dir.path().join(format!("{chunk_points}-whole.isospan")), 2);
         assert!(report.archive_bytes * 10 < whole.archive_bytes * 9);
         assert_eq!(whole.quantiser, None);
@@ -159,5 +165,5 @@ fn zeros_have_no_sign() {
     let out = dir.path().join("zeros.isospan");
     let report = reduce(&input, &settings(SetKind::Regular, Amount::Fraction(1.0), 2_000), &out, 2);
     assert_eq!(report.range.map(|range| range.map(f64::to_bits)), Some([-1.5f64, 0.0].map(f64::to_bits)));
-    isospan::pipeline::check_archive(&out).unwrap();
+    check_archive(&out).unwrap();
 }

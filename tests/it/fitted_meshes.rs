@@ -3,8 +3,8 @@
 
 use crate::common::*;
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
-use isospan::pipeline::{Amount, NanPolicy, ReduceReport, ReduceSettings, check_archive};
+use isospan::formats::{OpenOptions, StepSource};
+use isospan::pipeline::{Amount, NanPolicy, ReduceReport, ReduceSettings};
 use isospan::sample::Values;
 use std::fs;
 use std::path::Path;
@@ -120,8 +120,16 @@ fn chunks_threads_memory_restarts_and_shards_do_not_show() {
         (ReduceSettings { chunk_points: 300, ..fitted(1.6) }, dir.path().join("300.isospan"));
     let expected = folder(&out);
     let [again, shards] = ["again", "shards"].map(|n| dir.path().join(format!("{n}.isospan")));
-    let small = isospan::pipeline::RunSettings { memory: 64 << 20, ..run(1) };
-    isospan::pipeline::reduce(&input, &OpenOptions::default(), &settings, &again, &small, &Silent).unwrap();
+    let small =
+        isospan::pipeline::RunSettings { resources: run(1).resources.with_memory(64 << 20), ..run(1) };
+    isospan::pipeline::reduce_series(
+        &[StepSource::new(&input, &OpenOptions::default())],
+        &settings,
+        &again,
+        &small,
+        &Silent,
+    )
+    .unwrap();
     assert_eq!(folder(&again), expected, "threads and memory");
     // Killed when the mesh was whole and values were not: what is around each chunk is made again.
     fs::remove_file(again.join("manifest.json")).unwrap();
@@ -145,7 +153,13 @@ fn real_meshes() {
                 ReduceSettings { values, amount: Amount::Fraction(0.125), ..ReduceSettings::default() };
             let out = dir.path().join(format!("{name}-{values:?}.isospan"));
             let input = data.join("meshes").join(name);
-            let report = isospan::pipeline::reduce(&input, &options, &settings, &out, &run(2), &Silent);
+            let report = isospan::pipeline::reduce_series(
+                &[StepSource::new(&input, &options)],
+                &settings,
+                &out,
+                &run(2),
+                &Silent,
+            );
             report.unwrap().error.unwrap().rms
         });
         assert!(rms[1] < rms[0], "{name}: {rms:?}");

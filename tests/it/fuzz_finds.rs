@@ -6,7 +6,7 @@ use isospan::Error;
 use isospan::archive::manifest::{Manifest, index_path};
 use isospan::archive::segment::SegmentKind;
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::index::{Entry, IndexBuilder, SpanIndex};
 use isospan::pipeline::{self, Amount};
 use isospan::points::SetKind;
@@ -51,8 +51,8 @@ fn an_index_entry_of_a_chunk_that_is_not_there_panicked() {
         let last = entries.len() - 1;
         entries[last] = Entry { min: -9.0, max: 9.0, chunk: 1 << 40, ..entries[last] };
     });
-    refused(pipeline::count_active(&archive, UNSTORED).unwrap_err(), "expected chunks below");
-    refused(pipeline::check_archive(&archive).unwrap_err(), "index.seg");
+    refused(count_active(&archive, UNSTORED).unwrap_err(), "expected chunks below");
+    refused(check_archive(&archive).unwrap_err(), "index.seg");
 }
 
 #[test]
@@ -77,8 +77,8 @@ fn an_index_that_names_a_block_twice_gave_its_triangles_twice() {
             }
         },
     );
-    refused(pipeline::count_active(&archive, UNSTORED).unwrap_err(), "twice");
-    refused(pipeline::check_archive(&archive).unwrap_err(), "twice");
+    refused(count_active(&archive, UNSTORED).unwrap_err(), "twice");
+    refused(check_archive(&archive).unwrap_err(), "twice");
 }
 
 #[test]
@@ -95,7 +95,7 @@ fn a_summary_of_four_thousand_million_blocks_claimed_sixteen_gigabytes() {
             }
         },
     );
-    refused(pipeline::check_archive(&archive).unwrap_err(), "summary");
+    refused(check_archive(&archive).unwrap_err(), "summary");
 }
 
 /// A brick's points are enumerated at once: 10^12 points in a small volume filled the memory.
@@ -110,7 +110,13 @@ fn more_points_than_bricks_can_hold_are_refused_at_once() {
         for count in [100_000_000_000, 1_000_000_000_000_000, 1 << 59] {
             let start = Instant::now();
             let settings = settings(kind, Amount::Count(count), 250_000);
-            let made = pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &run(1), &Silent);
+            let made = pipeline::reduce_series(
+                &[StepSource::new(&input, &OpenOptions::default())],
+                &settings,
+                &out,
+                &run(1),
+                &Silent,
+            );
             match made {
                 // A lattice is made whatever its size, if there is a disk for it.
                 Err(e) => assert!(matches!(e.exit_code(), 2 | 4), "{kind} {count}: {e}"),
@@ -134,7 +140,7 @@ fn long_thin_volumes_are_reduced_soon() {
         let out = dir.path().join(format!("{axis}.isospan"));
         let made = reduce(&input, &settings(SetKind::Regular, Amount::Count(8_000), 1_000), &out, 2);
         assert!(made.chunks <= 20, "{} chunks of {} points", made.chunks, made.points);
-        pipeline::check_archive(&out).unwrap();
+        check_archive(&out).unwrap();
     }
 }
 

@@ -11,7 +11,7 @@ use isospan::pipeline::{
 use isospan::points::SetKind;
 use isospan::volume::memory::{info_of, volume_of};
 use isospan::volume::{ScalarType, VolumeInfo, VolumeReader};
-use isospan::{Error, Result};
+use isospan::{Error, Resources, Result};
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -54,9 +54,8 @@ fn samples_in_memory_give_what_their_file_gives() {
     let ratio = ReduceSettings { target: Some(Target::Ratio(4.0)), ..ReduceSettings::default() };
     for (n, settings) in [ReduceSettings::default(), halton, target, ratio].iter().enumerate() {
         let [a, b] = ["file", "given"].map(|name| dir.path().join(format!("{name}-{n}.isospan")));
-        pipeline::reduce(
-            &file,
-            &OpenOptions::default(),
+        pipeline::reduce_series(
+            &[StepSource::new(&file, &OpenOptions::default())],
             settings,
             &a,
             &RunSettings { replace: true, ..RunSettings::default() },
@@ -112,9 +111,10 @@ fn a_check_and_a_count_are_stopped() {
     reduce_series(&steps, &ReduceSettings::default(), &out, &RunSettings::default(), &Silent).unwrap();
     let (go, stop) = (CancelToken::new(), CancelToken::new());
     stop.cancel();
-    let between = Archive::open_at(&out, StepChoice::Time(0.5)).unwrap();
-    assert_eq!(between.check_until(&go).unwrap().steps, 2);
-    assert!(matches!(between.check_until(&stop), Err(Error::Cancelled)));
+    let archive = Archive::open(&out).unwrap();
+    assert_eq!(archive.check_until(&go).unwrap().steps, 2);
+    assert!(matches!(archive.check_until(&stop), Err(Error::Cancelled)));
+    let between = archive.at(StepChoice::Time(0.5)).unwrap();
     assert!(between.count_until(0.25, &go).unwrap().active_tetrahedra > 0);
     assert!(matches!(between.count_until(0.25, &stop), Err(Error::Cancelled)));
 }
@@ -220,7 +220,7 @@ fn an_error_of_the_reader_ends_the_run_and_leaves_no_archive() {
     assert!(!out.join("manifest.json").exists() && Archive::open(&out).is_err());
     let stop = CancelToken::new();
     stop.cancel();
-    let run = RunSettings { cancel: stop, ..RunSettings::default() };
+    let run = RunSettings { resources: Resources::default().with_cancel(stop), ..RunSettings::default() };
     let made = reduce_series(&[given(samples())], &ReduceSettings::default(), &out, &run, &Silent);
     assert!(matches!(made, Err(Error::Cancelled)));
 }

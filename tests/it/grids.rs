@@ -1,11 +1,12 @@
 //! Rectilinear and curvilinear grids: meshed in index space, placed by their coordinates. Analytic maps say what must come out.
 
+use crate::common::{check_archive, contour_spectrum, extract_surface};
 use isospan::exec::Silent;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     Amount, ExportSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, StepChoice,
-    SurfaceSettings, check_archive, contour_spectrum, extract_surface, reduce, reduce_series,
+    SurfaceSettings, reduce_series,
 };
 use isospan::surface::TriMesh;
 use isospan::surface::check::check;
@@ -71,7 +72,13 @@ fn make(input: &Path) -> Result<(PathBuf, ReduceReport)> {
     let archive = input.with_extension("isospan");
     let settings = small_chunks();
     let run = RunSettings::default();
-    let report = reduce(input, &OpenOptions::default(), &settings, &archive, &run, &Silent)?;
+    let report = reduce_series(
+        &[StepSource::new(input, &OpenOptions::default())],
+        &settings,
+        &archive,
+        &run,
+        &Silent,
+    )?;
     check_archive(&archive)?;
     Ok((archive, report))
 }
@@ -248,7 +255,8 @@ fn a_reduction_that_was_refused_for_missing_samples_is_no_other_work() {
     assert!(error.to_string().contains("--nan mask"), "{error}");
     let settings = ReduceSettings { nan: NanPolicy::Mask, ..small_chunks() };
     let (archive, run) = (input.with_extension("isospan"), RunSettings::default());
-    reduce(&input, &OpenOptions::default(), &settings, &archive, &run, &Silent).unwrap();
+    reduce_series(&[StepSource::new(&input, &OpenOptions::default())], &settings, &archive, &run, &Silent)
+        .unwrap();
     check_archive(&archive).unwrap();
 }
 
@@ -289,7 +297,10 @@ fn a_sphere_in_a_rectilinear_grid_is_a_sphere() {
             (StepSource::new(&input, &OpenOptions::default()), archive.with_extension("steps.isospan"));
         let run = RunSettings::default();
         reduce_series(&[input.clone(), input], &small_chunks(), &out, &run, &Silent).unwrap();
-        assert_eq!(Archive::open_at(&out, StepChoice::Number(1)).unwrap().surface(0.5).unwrap(), meshes[0]);
+        assert_eq!(
+            Archive::open(&out).unwrap().at(StepChoice::Number(1)).unwrap().surface(0.5).unwrap(),
+            meshes[0]
+        );
         // What would be answered in index space is refused.
         let archive = Archive::open(&archive).unwrap();
         assert!(archive.probe(&[[0.0; 3]]).is_err());

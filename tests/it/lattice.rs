@@ -6,8 +6,7 @@ use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Amount, AppendSettings, Bound, NanPolicy, ReduceSettings, Target, UnpackSettings, ValueBits,
-    check_archive, unpack,
+    self, Amount, AppendSettings, Bound, NanPolicy, ReduceSettings, Target, UnpackSettings, ValueBits, unpack,
 };
 use isospan::points::SetKind;
 use isospan::sample::Values;
@@ -90,7 +89,7 @@ fn rounded_steps_with_holes_are_the_same_however_they_are_made() {
     for step in [0.0, 1.5, 3.0] {
         let choice = pipeline::StepChoice::Time(step);
         let ask = |path: &std::path::Path| {
-            let archive = Archive::open_at(path, choice).unwrap();
+            let archive = Archive::open(path).unwrap().at(choice).unwrap();
             [archive.surface(0.1).unwrap(), archive.surface(0.1).unwrap()]
         };
         let [packed, kept] = ask(&all);
@@ -199,7 +198,15 @@ fn a_size_below_any_archive_is_not_met_and_says_so() {
     assert!(!told.met && told.reached > 100.0, "{told:?}");
     let reduce = |target| {
         let (options, out) = (OpenOptions::default(), dir.path().join("no.isospan"));
-        pipeline::reduce(&input, &options, &settings(target), &out, &run(2), &Silent).unwrap_err().to_string()
+        pipeline::reduce_series(
+            &[StepSource::new(&input, &options)],
+            &settings(target),
+            &out,
+            &run(2),
+            &Silent,
+        )
+        .unwrap_err()
+        .to_string()
     };
     for target in
         [Target::Size(0), Target::Ratio(0.0), Target::Ratio(f64::NAN), Target::Rms(Bound::Value(0.0))]

@@ -1,23 +1,22 @@
 //! An archive carries its error against the samples that it was made from, and it is the one that anybody can work out.
 
-use crate::common::{reduce, settings, waves, write_npy};
+use crate::common::{reduce, settings, summarize, waves, write_npy};
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, open_volume};
 use isospan::grid::IndexBox;
 use isospan::measure::FieldError;
 use isospan::pipeline::{
-    self, Amount, MeasureReport, MeasureSettings, NanPolicy, ReduceSettings, ValueBits, measure,
+    Amount, MeasureReport, MeasureSettings, NanPolicy, ReduceSettings, ValueBits, measure,
 };
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::volume::VolumeSource;
-use isospan::{Archive, Error};
+use isospan::{Archive, Error, Resources};
 use std::path::Path;
 
 fn measured(archive: &Path, input: &Path, threads: usize, map: Option<&Path>) -> MeasureReport {
     let settings = MeasureSettings {
-        threads,
-        memory: 1 << 30,
+        resources: Resources::default().with_threads(threads).with_memory(1 << 30),
         map: map.map(Path::to_path_buf),
         ..MeasureSettings::default()
     };
@@ -25,7 +24,7 @@ fn measured(archive: &Path, input: &Path, threads: usize, map: Option<&Path>) ->
 }
 
 fn stored(archive: &Path) -> FieldError {
-    pipeline::summarize(archive).unwrap().error.expect("it was measured")
+    summarize(archive).unwrap().error.expect("it was measured")
 }
 
 /// The errors of all samples, by the archive's field at the places of the samples.
@@ -99,7 +98,7 @@ fn a_linear_field_has_no_error_and_none_is_stored_when_not_wanted() {
     let quiet = dir.path().join("quiet.isospan");
     let exact = ReduceSettings::exact(SetKind::Hammersley);
     reduce(&input, &ReduceSettings { measure: false, ..exact }, &quiet, 1);
-    assert!(pipeline::summarize(&quiet).unwrap().error.is_none());
+    assert!(summarize(&quiet).unwrap().error.is_none());
     assert!(measured(&quiet, &input, 1, None).error.max < 2e-6);
     // Another field on the same grid can be measured too, and is told from the source.
     let other = dir.path().join("other.npy");
@@ -171,7 +170,10 @@ fn another_input_is_refused_in_one_line() {
     let out = dir.path().join("a.isospan");
     reduce(&input, &ReduceSettings::default(), &out, 1);
     let refused = |input: &Path, memory: u64| {
-        let settings = MeasureSettings { memory, ..MeasureSettings::default() };
+        let settings = MeasureSettings {
+            resources: Resources::default().with_memory(memory),
+            ..MeasureSettings::default()
+        };
         measure(&out, input, &OpenOptions::default(), &settings, &Silent).unwrap_err()
     };
     let e = refused(&other, 1 << 30).to_string();

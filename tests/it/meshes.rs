@@ -1,11 +1,12 @@
 //! Reductions of tetrahedral meshes: the reduced domain is the mesh's, and surfaces are those of its field.
 
-use crate::common::{self, read, run, surface, triangle_set, write_mesh, write_placed};
+use crate::common::{self, check_archive, read, run, surface, triangle_set, write_mesh, write_placed};
+use isospan::Resources;
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     Amount, AppendSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings, RunSettings, append,
-    check_archive, measure, reduce, reduce_series,
+    measure, reduce_series,
 };
 use isospan::sample::Interpolation;
 use isospan::surface::check::{SurfaceReport, check};
@@ -18,7 +19,9 @@ fn settings(fraction: f64) -> ReduceSettings {
 
 fn reduced(input: &Path, settings: &ReduceSettings, out: &str, run: &RunSettings) -> (PathBuf, ReduceReport) {
     let out = input.with_file_name(out);
-    let report = reduce(input, &OpenOptions::default(), settings, &out, run, &Silent).unwrap();
+    let report =
+        reduce_series(&[StepSource::new(input, &OpenOptions::default())], settings, &out, run, &Silent)
+            .unwrap();
     check_archive(&out).unwrap();
     (out, report)
 }
@@ -48,7 +51,9 @@ fn a_linear_field_on_a_block_gives_its_plane() {
     }
     let cubic = ReduceSettings { interpolation: Interpolation::Cubic, ..settings(0.5) };
     let out = dir.path().join("cubic.isospan");
-    let error = reduce(&input, &OpenOptions::default(), &cubic, &out, &run(1), &Silent).unwrap_err();
+    let error =
+        reduce_series(&[StepSource::new(&input, &OpenOptions::default())], &cubic, &out, &run(1), &Silent)
+            .unwrap_err();
     assert_eq!((error.exit_code(), out.exists()), (2, false), "{error}");
 }
 
@@ -315,7 +320,7 @@ fn threads_memory_and_chunks_do_not_change_the_reduction() {
     let radius = |p: [f64; 3]| p.iter().map(|c| (c - 0.5) * (c - 0.5)).sum::<f64>().sqrt();
     write_mesh(&input, 14, |p| radius(p) < 0.48, |p| p, |p| radius(p) + 0.05 * (9.0 * p[0]).sin());
     let (one, _) = reduced(&input, &settings(0.99), "one.isospan", &run(1));
-    let small = RunSettings { memory: 64 << 20, ..run(2) };
+    let small = RunSettings { resources: run(2).resources.with_memory(64 << 20), ..run(2) };
     let (two, _) = reduced(&input, &settings(0.99), "two.isospan", &small);
     assert_eq!(common::folder(&one), common::folder(&two));
     let chunked = ReduceSettings { chunk_points: 500, ..settings(0.99) };
@@ -331,8 +336,14 @@ fn values_that_are_no_numbers() {
     let input = dir.path().join("nan.vtk");
     write_mesh(&input, 8, |_| true, |p| p, |p| if p[0] > 0.8 { f64::NAN } else { p[1] });
     let out = dir.path().join("refused.isospan");
-    let refused =
-        reduce(&input, &OpenOptions::default(), &settings(0.99), &out, &run(1), &Silent).unwrap_err();
+    let refused = reduce_series(
+        &[StepSource::new(&input, &OpenOptions::default())],
+        &settings(0.99),
+        &out,
+        &run(1),
+        &Silent,
+    )
+    .unwrap_err();
     assert!(refused.exit_code() == 5 && refused.to_string().contains("point"), "{refused}");
     let masked = ReduceSettings { nan: NanPolicy::Mask, ..settings(0.99) };
     let (archive, _) = reduced(&input, &masked, "masked.isospan", &run(2));
@@ -352,7 +363,14 @@ fn real_meshes() {
     ] {
         let out = dir.path().join(format!("{name}.isospan"));
         let options = OpenOptions { field: Some(field.into()), ..OpenOptions::default() };
-        reduce(&data.join("meshes").join(name), &options, &settings(0.99), &out, &run(2), &Silent).unwrap();
+        reduce_series(
+            &[StepSource::new(&data.join("meshes").join(name), &options)],
+            &settings(0.99),
+            &out,
+            &run(2),
+            &Silent,
+        )
+        .unwrap();
         check_archive(&out).unwrap();
         let found = extracted(&out, isovalue).1.area;
         assert!((found / area - 1.0).abs() < 0.1, "{name}: {found} for {area}");
@@ -367,14 +385,19 @@ fn the_error_at_the_vertices_is_measured() {
     write_mesh(&input, 12, |[x, y, _]| x < 0.5 || y < 0.5, |p| p, field);
     let settings =
         ReduceSettings { amount: Amount::Fraction(0.99), chunk_points: 600, ..ReduceSettings::default() };
-    let made = reduce(&input, &OpenOptions::default(), &settings, &out, &run(2), &Silent).unwrap();
+    let made =
+        reduce_series(&[StepSource::new(&input, &OpenOptions::default())], &settings, &out, &run(2), &Silent)
+            .unwrap();
     let e = made.error.unwrap();
     assert_eq!((e.samples, e.measured), (made.samples, made.samples), "all vertices");
     assert!(e.beyond > 0 && e.beyond < e.samples / 10, "{e:?}");
     assert!(e.rms > 1e-4 && e.max < 0.1, "{e:?}");
     let worst = e.worst.as_ref().unwrap();
     assert!((worst.original - field(worst.world)).abs() < 1e-5, "{worst:?}");
-    let again = MeasureSettings { threads: 1, memory: 1 << 30, ..MeasureSettings::default() };
+    let again = MeasureSettings {
+        resources: Resources::default().with_threads(1).with_memory(1 << 30),
+        ..MeasureSettings::default()
+    };
     let again = measure(&out, &input, &OpenOptions::default(), &again, &Silent).unwrap();
     assert!(again.same_source && again.error == e);
 }

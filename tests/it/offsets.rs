@@ -1,7 +1,6 @@
 //! Values that `f32` does not hold: they are counted from an offset, which nobody sees. What is lost all the same is told.
 
 use crate::common::*;
-use isospan::Archive;
 use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::samples::SampleFormat;
@@ -13,6 +12,7 @@ use isospan::pipeline::{
 use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};
 use isospan::surface::TriMesh;
+use isospan::{Archive, Resources};
 use std::fs;
 use std::path::Path;
 
@@ -97,11 +97,14 @@ fn a_small_wave_on_a_large_number_is_all_there() {
         (worst.original - PASCAL).abs() < 3.5
             && ((worst.reduced - worst.original).abs() - error.max).abs() < 1e-6
     );
-    let how = MeasureSettings { memory: 1 << 28, ..MeasureSettings::default() };
+    let how = MeasureSettings {
+        resources: Resources::default().with_memory(1 << 28),
+        ..MeasureSettings::default()
+    };
     let measured =
         pipeline::measure(&out("p.isospan"), &out("p.npy"), &OpenOptions::default(), &how, &Silent);
     assert_eq!(measured.unwrap().error, error);
-    pipeline::check_archive(&out("p.isospan")).unwrap();
+    check_archive(&out("p.isospan")).unwrap();
 
     // Isovalues are the file's.
     for iso in [0.5, -1.25] {
@@ -249,19 +252,22 @@ fn whole_numbers_are_exact_where_they_can_be() {
     let report = reduce(&out("wide.npy"), &nearest, &out("wide.isospan"), 2);
     assert_eq!(report.steps[0].rounding, Some(63.0));
     assert!(report.error.unwrap().max >= 63.0);
-    let estimate =
-        pipeline::estimate(&out("wide.npy"), &OpenOptions::default(), &nearest, &out("w.isospan"), &run(1))
-            .unwrap();
+    let estimate = pipeline::estimate_series(
+        &[StepSource::new(&out("wide.npy"), &OpenOptions::default())],
+        &nearest,
+        &out("w.isospan"),
+        &run(1),
+    )
+    .unwrap();
     assert_eq!(estimate.rounding, Some(63.0));
-    pipeline::check_archive(&out("wide.isospan")).unwrap();
-    assert_eq!(pipeline::summarize(&out("wide.isospan")).unwrap().rounding, Some(63.0));
+    check_archive(&out("wide.isospan")).unwrap();
+    assert_eq!(summarize(&out("wide.isospan")).unwrap().rounding, Some(63.0));
     // And what f32 cannot hold at all is refused.
     for scale in [1e300, 1e-300] {
         write_wide(&out("x.npy"), "f8", f64::to_le_bytes, |_, p| scale * wave(p));
         let input = out("x.npy");
-        let made = pipeline::reduce(
-            &input,
-            &OpenOptions::default(),
+        let made = pipeline::reduce_series(
+            &[StepSource::new(&input, &OpenOptions::default())],
             &quarter(),
             &out("x.isospan"),
             &run(1),
@@ -290,7 +296,10 @@ fn a_mesh_has_an_offset_too() {
         assert!(lo > PASCAL - 3.5 && hi < PASCAL + 3.5 && hi - lo > 4.0, "{lo} {hi}");
         let (error, wanted) = (report.error.unwrap(), small.error.unwrap());
         assert!((error.rms - wanted.rms).abs() < 1e-3 * wanted.rms, "{} {}", error.rms, wanted.rms);
-        let how = MeasureSettings { memory: 1 << 28, ..MeasureSettings::default() };
+        let how = MeasureSettings {
+            resources: Resources::default().with_memory(1 << 28),
+            ..MeasureSettings::default()
+        };
         let measured = pipeline::measure(&name("a"), &out("a.vtk"), &OpenOptions::default(), &how, &Silent);
         assert_eq!(measured.unwrap().error, error);
         let [a, b] = [("a", PASCAL), ("small", 0.0)]
@@ -301,6 +310,6 @@ fn a_mesh_has_an_offset_too() {
             pipeline::append(&[later], &AppendSettings::default(), &name("a"), &run(2), &Silent).unwrap();
         let [low, _] = report.range.unwrap();
         assert!((low - lo - 0.5).abs() < 0.2, "{low} {lo}");
-        pipeline::check_archive(&name("a")).unwrap();
+        check_archive(&name("a")).unwrap();
     }
 }

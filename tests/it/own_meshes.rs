@@ -1,19 +1,20 @@
 //! Meshes that are kept as they are: their own vertices and tetrahedra, with no error, whatever is asked of them.
 
-use crate::common::{self, folder, reduce_in_shards, run, triangle_set, write_mesh, write_placed};
-use isospan::Archive;
+use crate::common::{
+    self, check_archive, folder, reduce_in_shards, run, triangle_set, write_mesh, write_placed,
+};
 use isospan::exec::Silent;
 use isospan::formats::samples::SampleFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     self, Amount, AppendSettings, ExportSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings,
-    RunSettings, SurfaceSettings, UnpackSettings, ValueBits, append, check_archive, measure, reduce,
-    reduce_series,
+    RunSettings, SurfaceSettings, UnpackSettings, ValueBits, append, measure, reduce_series,
 };
 use isospan::points::SetKind;
 use isospan::sample::Interpolation;
 use isospan::surface::TriMesh;
 use isospan::surface::check::check;
+use isospan::{Archive, Resources};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -28,14 +29,19 @@ fn again(threads: usize) -> RunSettings {
 
 fn kept(input: &Path, settings: &ReduceSettings, out: &str, run: &RunSettings) -> (PathBuf, ReduceReport) {
     let out = input.with_file_name(out);
-    let report = reduce(input, &OpenOptions::default(), settings, &out, run, &Silent).unwrap();
+    let report =
+        reduce_series(&[StepSource::new(input, &OpenOptions::default())], settings, &out, run, &Silent)
+            .unwrap();
     assert!(report.own);
     check_archive(&out).unwrap();
     (out, report)
 }
 
 fn extracted(archive: &Path, isovalue: f64, threads: usize) -> TriMesh {
-    let settings = SurfaceSettings { threads, ..SurfaceSettings::of(isovalue) };
+    let settings = SurfaceSettings {
+        resources: Resources::default().with_threads(threads),
+        ..SurfaceSettings::of(isovalue)
+    };
     Archive::open(archive).unwrap().surfaces(&settings).unwrap().remove(0)
 }
 
@@ -243,7 +249,11 @@ fn a_long_tetrahedron_is_found_wherever_it_is() {
         ] {
             let around: Vec<String> = place.iter().map(|c| format!("{}:{}", c - 0.06, c + 0.06)).collect();
             let roi = Some(format!("world:{}", around.join(",")).parse().unwrap());
-            let settings = SurfaceSettings { roi, threads: 2, ..SurfaceSettings::of(at) };
+            let settings = SurfaceSettings {
+                resources: Resources::default().with_threads(2),
+                roi,
+                ..SurfaceSettings::of(at)
+            };
             let cut = Archive::open(&archive).unwrap().surfaces(&settings).unwrap().remove(0);
             assert!(
                 cut.triangles.len() >= triangles,
@@ -310,7 +320,7 @@ fn bodies_that_overlap_are_both_there() {
     let mut grids = vec![];
     for threads in [1, 2, 5] {
         let out = dir.path().join(format!("{threads}.npy"));
-        let settings = pipeline::ProbeSettings { threads, ..Default::default() };
+        let settings = pipeline::ProbeSettings { resources: Resources::default().with_threads(threads) };
         let report = open.write_samples([31, 30, 29], &settings, &out, SampleFormat::Npy, &Silent).unwrap();
         let bytes = std::fs::read(&out).unwrap();
         let values = &bytes[bytes.len() - 4 * 31 * 30 * 29..];
@@ -376,7 +386,7 @@ fn the_same_bytes_however_the_work_is_done() {
     let settings = whole(100);
     let (one, report) = kept(&input, &settings, "one.isospan", &run(1));
     assert!(report.chunks > 4);
-    let small = RunSettings { memory: 64 << 20, ..run(2) };
+    let small = RunSettings { resources: run(2).resources.with_memory(64 << 20), ..run(2) };
     let (two, _) = kept(&input, &settings, "two.isospan", &small);
     assert!(folder(&one) == folder(&two), "threads and memory");
     let shards = dir.path().join("shards.isospan");
@@ -390,7 +400,9 @@ fn the_same_bytes_however_the_work_is_done() {
     );
     assert!(folder(&one) == folder(&counted), "a count of all vertices or more");
     // Finished before; and made again where a file is lost.
-    let report = reduce(&input, &OpenOptions::default(), &settings, &one, &run(1), &Silent).unwrap();
+    let report =
+        reduce_series(&[StepSource::new(&input, &OpenOptions::default())], &settings, &one, &run(1), &Silent)
+            .unwrap();
     assert!(report.made_before && report.own);
     std::fs::remove_file(two.join("mesh/points.seg")).unwrap();
     kept(&input, &settings, "two.isospan", &run(1));
@@ -432,9 +444,8 @@ fn steps_are_added_to_a_mesh_that_is_kept() {
     check_archive(&out("all.isospan")).unwrap();
     for (n, source) in steps.iter().enumerate() {
         let mesh = Mesh::read(&source.path);
-        let step = pipeline::StepChoice::Number(n as u64);
-        let settings = SurfaceSettings { step, ..SurfaceSettings::of(0.43) };
-        let found = check(&Archive::open(out("all.isospan")).unwrap().surfaces(&settings).unwrap()[0]);
+        let step = Archive::open(out("all.isospan")).unwrap().step(n as u64).unwrap();
+        let found = check(&step.surface(0.43).unwrap());
         let (triangles, area, euler) = mesh.contour(0.43);
         assert_eq!((found.triangles, found.euler), (triangles, euler), "step {n}");
         assert!((found.area - area).abs() < 1e-6, "step {n}");
@@ -462,7 +473,11 @@ fn errors_are_those_of_rounded_values_alone() {
     let (e, bound) = (report.error.unwrap(), report.quantiser.unwrap().bound);
     assert!(e.rms > 0.0 && e.max <= bound * 1.000_001 && e.max > bound / 4.0, "{e:?} {bound}");
     let map = dir.path().join("map.vti");
-    let how = MeasureSettings { threads: 1, map: Some(map.clone()), ..MeasureSettings::default() };
+    let how = MeasureSettings {
+        resources: Resources::default().with_threads(1),
+        map: Some(map.clone()),
+        ..MeasureSettings::default()
+    };
     let told = measure(&out, &input, &OpenOptions::default(), &how, &Silent).unwrap();
     assert!(told.same_source && told.error == e && map.exists());
     // The field of another file with as many vertices that are elsewhere is no original.
@@ -499,7 +514,9 @@ fn what_is_asked_for_decides_what_is_kept() {
     let with = |amount| ReduceSettings { amount, ..ReduceSettings::default() };
     let of = |settings: &ReduceSettings| {
         let out = dir.path().join("m.isospan");
-        reduce(&input, &OpenOptions::default(), settings, &out, &again(2), &Silent).unwrap().own
+        reduce_series(&[StepSource::new(&input, &OpenOptions::default())], settings, &out, &again(2), &Silent)
+            .unwrap()
+            .own
     };
     assert!(of(&with(Amount::Count(vertices))) && of(&with(Amount::Count(vertices + 1))));
     assert!(!of(&with(Amount::Count(vertices - 1))) && !of(&with(Amount::Fraction(0.99))));
@@ -525,12 +542,20 @@ fn what_the_lattice_cannot_hold_is_refused() {
     mesh.tets.push([first, first + 1, first + 2, first + 3]);
     mesh.write(&input);
     let out = dir.path().join("thin.isospan");
-    let e = reduce(&input, &OpenOptions::default(), &whole(1000), &out, &run(2), &Silent).unwrap_err();
+    let e = reduce_series(
+        &[StepSource::new(&input, &OpenOptions::default())],
+        &whole(1000),
+        &out,
+        &run(2),
+        &Silent,
+    )
+    .unwrap_err();
     let text = e.to_string();
     assert!(e.exit_code() == 5 && text.contains("thin.vtk: tetrahedra") && !text.contains('\n'), "{text}");
     assert!(text.contains("1 that would not") && text.contains("0.99") && !out.exists(), "{text}");
     let sampled = ReduceSettings { amount: Amount::Fraction(0.99), ..ReduceSettings::default() };
-    reduce(&input, &OpenOptions::default(), &sampled, &out, &run(2), &Silent).unwrap();
+    reduce_series(&[StepSource::new(&input, &OpenOptions::default())], &sampled, &out, &run(2), &Silent)
+        .unwrap();
     // One that is flat in the file has no volume to keep: it is counted, and the rest is kept.
     mesh.points[first + 3][2] = 2.0;
     let solid = mesh.add(&[[0.1, 0.1, 2.5]], &[4.0]);
@@ -590,8 +615,14 @@ fn real_meshes_are_kept() {
         let options = OpenOptions { field: field.map(str::to_owned), ..OpenOptions::default() };
         for chunk_points in [250_000, 1000] {
             let out = dir.path().join("real.isospan");
-            let report =
-                reduce(&data.join(name), &options, &whole(chunk_points), &out, &again(2), &Silent).unwrap();
+            let report = reduce_series(
+                &[StepSource::new(&data.join(name), &options)],
+                &whole(chunk_points),
+                &out,
+                &again(2),
+                &Silent,
+            )
+            .unwrap();
             assert!(report.own && report.error.unwrap().max == 0.0);
             check_archive(&out).unwrap();
             let found = check(&extracted(&out, isovalue, 2));

@@ -3,7 +3,7 @@
 use crate::common::*;
 use isospan::Archive;
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::grid::Geometry;
 use isospan::pipeline::{self, Amount, NanPolicy, ReduceSettings};
 use isospan::points::SetKind;
@@ -22,7 +22,7 @@ fn every_point_set_gives_a_sound_archive_and_sound_surfaces() {
     for kind in SetKind::ALL {
         let out = dir.path().join(format!("{kind}.isospan"));
         let report = reduce(&input, &settings(kind, Amount::Fraction(0.25), 6_000), &out, 2);
-        let checked = pipeline::check_archive(&out).unwrap();
+        let checked = check_archive(&out).unwrap();
         assert_eq!((checked.points, checked.tetrahedra), (report.points, report.tetrahedra), "{kind}");
         for isovalue in [-0.7, 0.0, 0.9] {
             let file = dir.path().join("s.ply");
@@ -37,7 +37,7 @@ fn every_point_set_gives_a_sound_archive_and_sound_surfaces() {
                 0,
                 "{kind} {isovalue}"
             );
-            let count = pipeline::count_active(&out, isovalue).unwrap();
+            let count = count_active(&out, isovalue).unwrap();
             assert_eq!(count.active_tetrahedra, report.active_tetrahedra, "{kind} {isovalue}");
         }
     }
@@ -104,8 +104,13 @@ fn holes_are_not_bridged() {
     // Half of the ball is missing: the surface must end at the hole, not close across it.
     write_npy(&input, [40, 40, 40], |x, y, z| if x > 0.01 { f64::NAN } else { ball(x, y, z) });
     let out = dir.path().join("hole.isospan");
-    let refused =
-        pipeline::reduce(&input, &OpenOptions::default(), &ReduceSettings::default(), &out, &run(2), &Silent);
+    let refused = pipeline::reduce_series(
+        &[StepSource::new(&input, &OpenOptions::default())],
+        &ReduceSettings::default(),
+        &out,
+        &run(2),
+        &Silent,
+    );
     let error = refused.unwrap_err();
     assert_eq!(error.exit_code(), 5);
     assert!(error.to_string().contains("--nan mask"), "{error}");
@@ -120,7 +125,7 @@ fn holes_are_not_bridged() {
     let sound = check(&mesh);
     assert!(sound.is_manifold() && sound.is_oriented() && sound.boundary_edges > 20, "{sound:?}");
     assert!(mesh.vertices.iter().all(|v| v.position[0] < 20.5));
-    pipeline::check_archive(&out).unwrap();
+    check_archive(&out).unwrap();
 }
 
 #[test]
@@ -187,7 +192,7 @@ fn interpolations_differ_and_all_work() {
         let settings =
             ReduceSettings { interpolation, ..settings(SetKind::Halton, Amount::Count(5_000), 250_000) };
         reduce(&input, &settings, &out, 2);
-        pipeline::check_archive(&out).unwrap();
+        check_archive(&out).unwrap();
         let archive = isospan::Archive::open(&out).unwrap();
         let surface = archive.surface(0.1).unwrap();
         assert!(surface.vertices.len() > 500, "{}", interpolation.name());
@@ -213,7 +218,13 @@ fn tiny_and_flat_volumes() {
             for amount in [Amount::Count(1), Amount::Fraction(1.0), Amount::Count(3_000)] {
                 let out = dir.path().join("tiny.isospan");
                 let settings = settings(kind, amount, 250_000);
-                match pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &run(1), &Silent) {
+                match pipeline::reduce_series(
+                    &[StepSource::new(&input, &OpenOptions::default())],
+                    &settings,
+                    &out,
+                    &run(1),
+                    &Silent,
+                ) {
                     Ok(_) => sound(&out, dir.path()),
                     // Some sets have no such size; they say so.
                     Err(e) => assert_eq!(e.exit_code(), 2, "{kind} {amount:?}: {e}"),
@@ -225,7 +236,7 @@ fn tiny_and_flat_volumes() {
 }
 
 fn sound(archive: &Path, dir: &Path) {
-    pipeline::check_archive(archive).unwrap();
+    check_archive(archive).unwrap();
     let file = dir.join("tiny.ply");
     surface(archive, 0.0, &file, 1);
     let report = check(&read(&file));

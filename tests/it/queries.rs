@@ -1,16 +1,16 @@
 //! Several isovalues at once, and boxes: the answers are those of one question at a time, and of the whole, cut.
 
 use crate::common::*;
-use isospan::Archive;
 use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::grid::Geometry;
-use isospan::pipeline::{self, Amount, NanPolicy, ReduceSettings, Roi, SurfaceReport, SurfaceSettings};
+use isospan::pipeline::{Amount, NanPolicy, ReduceSettings, Roi, SurfaceReport, SurfaceSettings};
 use isospan::points::SetKind;
 use isospan::surface::TriMesh;
 use isospan::surface::check::{
     CheckSettings, Domain, OpenEdges, boundary_edges, boundary_outside, check, check_within,
 };
+use isospan::{Archive, Resources};
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -26,8 +26,7 @@ fn archive(dir: &Path, kind: SetKind) -> PathBuf {
 }
 
 fn ask(archive: &Path, settings: &SurfaceSettings, out: &Path) -> SurfaceReport {
-    pipeline::extract_surface(archive, settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent)
-        .unwrap()
+    extract_surface(archive, settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent).unwrap()
 }
 
 #[test]
@@ -36,8 +35,11 @@ fn several_isovalues_give_the_bytes_of_each_alone() {
     let archive = archive(dir.path(), SetKind::Hammersley);
     let isovalues = [0.9, -0.7, 1e9, 0.0];
     for extension in ["ply", "stl", "obj", "vtp"] {
-        let settings =
-            SurfaceSettings { isovalues: isovalues.to_vec(), threads: 2, ..SurfaceSettings::default() };
+        let settings = SurfaceSettings {
+            resources: Resources::default().with_threads(2),
+            isovalues: isovalues.to_vec(),
+            ..SurfaceSettings::default()
+        };
         let report = ask(&archive, &settings, &dir.path().join(format!("all_{{}}.{extension}")));
         let mut single = SurfaceReport::default();
         for (one, isovalue) in report.surfaces.iter().zip(isovalues) {
@@ -103,7 +105,7 @@ fn several_isovalues_in_one_file_follow_each_other() {
     for isovalues in [vec![], vec![1.0, 2.0, 1.0], vec![1.0, f64::NAN], vec![1e300]] {
         let wrong = SurfaceSettings { isovalues, ..SurfaceSettings::default() };
         let out = dir.path().join("x.ply");
-        let error = pipeline::extract_surface(&archive, &wrong, &out, SurfaceFormat::Ply, &Silent);
+        let error = extract_surface(&archive, &wrong, &out, SurfaceFormat::Ply, &Silent);
         assert_eq!(error.unwrap_err().exit_code(), 2);
         assert!(!out.exists());
     }
@@ -157,7 +159,11 @@ fn boxes_that_touch_make_the_whole() {
     let file = dir.path().join("part.ply");
     let part = |roi: Option<&str>, threads| {
         let roi = roi.map(|text| text.parse().unwrap());
-        let settings = SurfaceSettings { roi, threads, ..SurfaceSettings::of(-0.3) };
+        let settings = SurfaceSettings {
+            resources: Resources::default().with_threads(threads),
+            roi,
+            ..SurfaceSettings::of(-0.3)
+        };
         (ask(&archive, &settings, &file), read(&file))
     };
     let (whole_report, whole) = part(None, 2);
@@ -221,8 +227,7 @@ fn a_box_in_the_world_goes_through_the_geometry() {
     assert!((check(&world).area / report.area - 1.0).abs() < 1e-5);
     assert!(boundary_outside(&index, &Geometry::default(), [30; 3], 1e-3) > 20);
     let outside = SurfaceSettings { roi: Some("world:0:1,:,:".parse().unwrap()), ..SurfaceSettings::of(0.0) };
-    let error =
-        pipeline::extract_surface(&out, &outside, &dir.path().join("x.ply"), SurfaceFormat::Ply, &Silent);
+    let error = extract_surface(&out, &outside, &dir.path().join("x.ply"), SurfaceFormat::Ply, &Silent);
     assert!(error.unwrap_err().to_string().contains("outside the volume"));
 }
 
@@ -236,7 +241,12 @@ fn what_an_open_archive_keeps_does_not_show() {
         [(0.1, false, None), (0.15, true, None), (-0.3, false, roi), (0.1, false, None)]
             .into_iter()
             .flat_map(|(isovalue, cap, roi)| {
-                let settings = SurfaceSettings { cap, roi, threads: 2, ..SurfaceSettings::of(isovalue) };
+                let settings = SurfaceSettings {
+                    resources: Resources::default().with_threads(2),
+                    cap,
+                    roi,
+                    ..SurfaceSettings::of(isovalue)
+                };
                 [settings.clone(), SurfaceSettings { isovalues: vec![isovalue, 0.4], ..settings }]
             })
             .collect();
@@ -256,7 +266,8 @@ fn what_an_open_archive_keeps_does_not_show() {
         assert!(found == alone, "{kept} bytes kept");
         assert!(open.kept_bytes() <= kept && (kept == 0 || open.kept_bytes() > kept.min(1 << 20) / 4));
         // What is kept need not be read again.
-        let settings = SurfaceSettings { threads: 1, ..SurfaceSettings::of(0.1) };
+        let settings =
+            SurfaceSettings { resources: Resources::default().with_threads(1), ..SurfaceSettings::of(0.1) };
         let format = SurfaceFormat::Ply;
         let (first, second) = (
             open.write_surface(&settings, &file, format, &Silent).unwrap(),

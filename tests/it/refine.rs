@@ -1,9 +1,10 @@
 //! Capped, decimated, chosen components: sound surfaces, and the same bytes for any threads and memory.
 
 use crate::common::*;
+use isospan::Resources;
 use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
-use isospan::pipeline::{self, Amount, Refine, SurfaceReport, SurfaceSettings};
+use isospan::pipeline::{Amount, Refine, SurfaceReport, SurfaceSettings};
 use isospan::points::SetKind;
 use isospan::surface::check::check;
 use isospan::surface::components::ComponentFilter;
@@ -21,7 +22,7 @@ fn archive(dir: &Path, kind: SetKind) -> PathBuf {
 
 fn ask(archive: &Path, settings: &SurfaceSettings, out: &Path) -> SurfaceReport {
     let format = SurfaceFormat::from_path(out).unwrap();
-    pipeline::extract_surface(archive, settings, out, format, &Silent).unwrap()
+    extract_surface(archive, settings, out, format, &Silent).unwrap()
 }
 
 #[test]
@@ -33,7 +34,11 @@ fn capped_surfaces_are_closed_and_divide_the_box() {
         let whole = 39.0 * 32.0 * 35.0;
         let mut before = f64::INFINITY;
         for isovalue in [-1e9f32, -0.5, 0.1, 0.6, 1e9] {
-            let settings = SurfaceSettings { cap: true, threads: 2, ..SurfaceSettings::of(isovalue) };
+            let settings = SurfaceSettings {
+                resources: Resources::default().with_threads(2),
+                cap: true,
+                ..SurfaceSettings::of(isovalue)
+            };
             ask(&archive, &settings, &file);
             let report = check(&read(&file));
             assert!(
@@ -63,10 +68,9 @@ fn threads_and_memory_do_not_show() {
     let with = |name: &str, threads: usize, memory: u64| {
         let file = dir.path().join(name);
         let settings = SurfaceSettings {
+            resources: Resources::default().with_threads(threads).with_memory(memory),
             cap: true,
             refine: refine.clone(),
-            threads,
-            memory,
             ..SurfaceSettings::of(0.1)
         };
         (ask(&archive, &settings, &file), fs::read(&file).unwrap(), read(&file))
@@ -97,7 +101,7 @@ fn what_makes_no_sense_is_refused_before_anything_is_written() {
     ] {
         let settings = SurfaceSettings { refine, ..SurfaceSettings::of(0.1) };
         let file = dir.path().join("none.ply");
-        let refused = pipeline::extract_surface(&archive, &settings, &file, SurfaceFormat::Ply, &Silent);
+        let refused = extract_surface(&archive, &settings, &file, SurfaceFormat::Ply, &Silent);
         assert_eq!((refused.unwrap_err().exit_code(), file.exists()), (2, false));
     }
 }

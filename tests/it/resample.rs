@@ -8,7 +8,7 @@ use isospan::grid::IndexBox;
 use isospan::pipeline::{self, Amount, Corners, ExportReport, ExportSettings, ProbeReport, ProbeSettings};
 use isospan::points::SetKind;
 use isospan::volume::VolumeSource;
-use isospan::{Archive, Error};
+use isospan::{Archive, Error, Resources};
 use std::fs;
 use std::io::Read as _;
 use std::path::Path;
@@ -99,7 +99,10 @@ fn exported_tetrahedra_fill_the_domain_each_point_once() {
         sets.push(vtu.as_set());
         // Memory and threads do not show.
         let bytes = fs::read(dir.path().join("a.vtu")).unwrap();
-        let tight = ExportSettings { memory: 20 << 20, threads: 1, ..ExportSettings::default() };
+        let tight = ExportSettings {
+            resources: Resources::default().with_threads(1).with_memory(20 << 20),
+            ..ExportSettings::default()
+        };
         if chunk_points < 1000 {
             export(&archive, tight, &dir.path().join("b.vtu"));
             assert!(fs::read(dir.path().join("b.vtu")).unwrap() == bytes);
@@ -158,7 +161,10 @@ fn a_compressed_export_holds_the_same_arrays() {
         let as_raw: Vec<u8> =
             arrays.iter().flat_map(|a| [&(a.len() as u64).to_le_bytes()[..], a].concat()).collect();
         assert!(raw.windows(as_raw.len()).any(|w| w == as_raw));
-        assert_eq!(write(&ExportSettings { threads: 1, ..packed }), small);
+        assert_eq!(
+            write(&ExportSettings { resources: packed.resources.clone().with_threads(1), ..packed }),
+            small
+        );
         if range.is_none() {
             assert!(arrays[2].len() > 1 << 20 && small.len() * 3 < raw.len());
             // So does our reader of compressed meshes.
@@ -320,7 +326,8 @@ fn chunks_threads_and_memory_do_not_show_in_samples() {
             reduce(&input, &settings(SetKind::Hammersley, Amount::Fraction(0.25), chunk_points), &archive, 2);
         }
         let out = dir.path().join("w.npy.out.npy");
-        let settings = ProbeSettings { threads, memory, ..ProbeSettings::default() };
+        let settings =
+            ProbeSettings { resources: Resources::default().with_threads(threads).with_memory(memory) };
         let (report, values) = probe(&archive, [61, 31, 47], &settings, &out);
         assert_eq!(report.samples, 61 * 31 * 47);
         assert!(values.iter().all(|v| v.is_finite()));
@@ -384,7 +391,7 @@ fn points_get_the_values_of_samples_and_a_table_keeps_its_columns() {
     // With the least memory, points come in many batches.
     for memory in [1 << 30, 24 << 20] {
         let out = dir.path().join("q.csv");
-        let settings = ProbeSettings { memory, ..ProbeSettings::default() };
+        let settings = ProbeSettings { resources: Resources::default().with_memory(memory) };
         let report = archive.write_probed(&dir.path().join("p.csv"), &settings, &out, &Silent).unwrap();
         assert_eq!((report.samples, report.outside, report.void), (points.len() as u64, 1, 0));
         outputs.push(fs::read_to_string(&out).unwrap());

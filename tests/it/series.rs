@@ -1,17 +1,17 @@
 //! A series is its steps: one mesh, and of each step what it would be alone. Appending is reducing all at once. A bad step costs itself alone.
 
 use crate::common::*;
-use isospan::Archive;
 use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     self, Adapt, Amount, AppendSettings, MeasureSettings, NanPolicy, ReduceReport, ReduceSettings,
-    RunSettings, StepChoice, SurfaceSettings, ValueBits,
+    RunSettings, Step, StepChoice, SurfaceSettings, ValueBits,
 };
 use isospan::points::SetKind;
 use isospan::sample::{Interpolation, Values};
+use isospan::{Archive, Resources};
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -55,26 +55,50 @@ fn choice(number: u64) -> StepChoice {
 }
 
 fn surface_at(archive: &Path, step: StepChoice, isovalue: f32, out: &Path) -> Vec<u8> {
-    let settings = SurfaceSettings { step, ..SurfaceSettings::of(isovalue) };
-    pipeline::extract_surface(archive, &settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent)
-        .unwrap();
+    let (settings, format) = (SurfaceSettings::of(isovalue), SurfaceFormat::from_path(out).unwrap());
+    extract_surface_at(archive, step, &settings, out, format, &Silent).unwrap();
     fs::read(out).unwrap()
 }
 
 /// Whether two archives answer alike, at a step of each.
 fn same_answers(dir: &Path, (a, step_a): (&Path, u64), (b, step_b): (&Path, u64)) {
-    let open = |path, step| Archive::open_at(path, choice(step)).unwrap();
+    let open = |path, step| Archive::open(path).unwrap().at(choice(step)).unwrap();
     let (one, two) = (open(a, step_a), open(b, step_b));
-    let bits = |a: &Archive| a.sample([15, 14, 13]).unwrap().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+    let bits = |a: &Step| a.sample([15, 14, 13]).unwrap().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&one), bits(&two));
     assert_eq!(one.value_range(), two.value_range());
     assert_eq!(one.spectrum().unwrap().knots, two.spectrum().unwrap().knots);
     for isovalue in [-0.7, 0.1, 0.123_456] {
-        let count = |a: &Archive| a.count(isovalue).unwrap().active_tetrahedra;
+        let count = |a: &Step| a.count(isovalue).unwrap().active_tetrahedra;
         assert_eq!(count(&one), count(&two));
         let surface = |path, step| surface_at(path, choice(step), isovalue, &dir.join("s.ply"));
         assert!(surface(a, step_a) == surface(b, step_b), "isovalue {isovalue}");
     }
+}
+
+/// Steps of one open archive share its files, and do not disturb each other.
+#[test]
+fn steps_of_an_open_archive_are_asked_in_turns() {
+    let dir = tempfile::tempdir().unwrap();
+    let steps = write_steps(dir.path(), 3);
+    let out = dir.path().join("a.isospan");
+    reduce_all(&steps, &few_points(), &out, &run(2));
+    let archive = Archive::open(&out).unwrap();
+    let choices = [choice(0), choice(2), StepChoice::Time(0.3), choice(1)];
+    let alone = choices.map(|c| Archive::open(&out).unwrap().at(c).unwrap().surface(0.1).unwrap());
+    assert!(alone[0] != alone[1] && alone[0] != alone[2] && alone[1] != alone[3]);
+    let open = choices.map(|c| archive.at(c).unwrap());
+    for _ in 0..2 {
+        // The second time from kept blocks.
+        std::thread::scope(|threads| {
+            for (step, alone) in open.iter().zip(&alone) {
+                threads.spawn(move || assert!(step.surface(0.1).unwrap() == *alone));
+            }
+        });
+    }
+    assert!(archive.surface(0.1).unwrap() == alone[0], "an archive answers as its first step");
+    assert_eq!(open.map(|step| step.number()), [0, 2, 0, 1]);
+    assert_eq!(archive.step(3).err().unwrap().exit_code(), 2);
 }
 
 #[test]
@@ -89,16 +113,21 @@ fn each_step_is_what_it_is_alone() {
             report.steps.iter().map(|s| s.base).collect::<Vec<_>>(),
             [None, Some(0), Some(1), None, Some(3)]
         );
-        pipeline::check_archive(&all).unwrap();
+        check_archive(&all).unwrap();
         for (number, step) in (0..).zip(&steps) {
             let one = dir.path().join("one.isospan");
             let _ = fs::remove_dir_all(&one);
             reduce_all(std::slice::from_ref(step), &settings, &one, &run(2));
             same_answers(dir.path(), (&all, number), (&one, 0));
-            let settings = MeasureSettings { step: Some(number), memory: 1 << 28, ..Default::default() };
+            let settings = MeasureSettings {
+                resources: Resources::default().with_memory(1 << 28),
+                step: Some(number),
+                ..Default::default()
+            };
             let measured =
                 pipeline::measure(&all, &step.path, &OpenOptions::default(), &settings, &Silent).unwrap();
-            let stored = |path, step| pipeline::summarize_at(path, choice(step)).unwrap().error.unwrap();
+            let stored =
+                |path, step| Archive::open(path).unwrap().step(step).unwrap().info().unwrap().error.unwrap();
             assert_eq!(measured.error, stored(&all, number));
             assert_eq!(measured.error, stored(&one, 0));
         }
@@ -120,7 +149,7 @@ fn steps_with_holes_are_fitted_as_alone() {
     let report = reduce_all(&steps, &settings, &out("all.isospan"), &run(2));
     let void = report.steps.iter().map(|s| s.void_points > 0).collect::<Vec<_>>();
     assert_eq!((0..10).filter(|&t| void[t]).collect::<Vec<_>>(), [2, 3, 8]);
-    let small = RunSettings { memory: 33 << 20, ..run(1) };
+    let small = RunSettings { resources: run(1).resources.with_memory(33 << 20), ..run(1) };
     reduce_all(&steps, &settings, &out("small.isospan"), &small);
     assert!(folder(&out("all.isospan")) == folder(&out("small.isospan")));
     reduce_all(&steps[..3], &settings, &out("grown.isospan"), &run(2));
@@ -171,7 +200,12 @@ fn threads_memory_and_chunks_change_nothing() {
     let expected = folder(&out("a.isospan"));
     // With so little memory the steps are made a few at a time: the mesh is decoded for the later ones.
     for (name, threads, memory) in [("b.isospan", 2, 24 << 20), ("c.isospan", 3, 1 << 30)] {
-        reduce_all(&steps, &few_points(), &out(name), &RunSettings { memory, ..run(threads) });
+        reduce_all(
+            &steps,
+            &few_points(),
+            &out(name),
+            &RunSettings { resources: run(threads).resources.with_memory(memory), ..run(threads) },
+        );
         assert!(folder(&out(name)) == expected, "{name}");
     }
     let settings = ReduceSettings { chunk_points: 100_000, ..few_points() };
@@ -240,7 +274,7 @@ fn appending_to_a_mesh_is_reducing_all_at_once() {
         let last = &steps[cuts[cuts.len() - 2]..];
         let report = pipeline::append(last, &how, &out("grown.isospan"), &run(1), &Silent).unwrap();
         assert!(report.steps.is_empty() && folder(&out("all.isospan")) == folder(&out("grown.isospan")));
-        pipeline::check_archive(&out("grown.isospan")).unwrap();
+        check_archive(&out("grown.isospan")).unwrap();
     };
     let settings = ReduceSettings { amount: Amount::Fraction(1.0), ..few_points() };
     let path = shared_series("monodomain3d_tet_51steps.vtu");
@@ -280,7 +314,7 @@ fn a_bad_step_costs_itself_alone() {
     assert_eq!(numbers(&report), [0, 3, 5]);
     assert_eq!(report.skipped.iter().map(|s| s.number).collect::<Vec<_>>(), [1, 2, 4]);
     assert!(report.skipped.iter().all(|s| !s.reason.contains('\n')), "{:?}", report.skipped);
-    pipeline::check_archive(&out("a.isospan")).unwrap();
+    check_archive(&out("a.isospan")).unwrap();
     assert_eq!(Manifest::read(&out("a.isospan")).unwrap().steps[2].plan.base.unwrap().number, 3);
     let left = folder(&out("a.isospan")).into_keys().any(|file| file.to_string_lossy().contains("000004-"));
     assert!(!left, "nothing is left of it");
@@ -292,7 +326,12 @@ fn a_bad_step_costs_itself_alone() {
         same_answers(dir.path(), (&out("a.isospan"), number), (&one, 0));
     }
     // The same again is the same, and what none can be made of is an error.
-    reduce_all(&steps, &few_points(), &out("b.isospan"), &RunSettings { threads: 1, ..keep_going.clone() });
+    reduce_all(
+        &steps,
+        &few_points(),
+        &out("b.isospan"),
+        &RunSettings { resources: keep_going.resources.clone().with_threads(1), ..keep_going.clone() },
+    );
     assert!(folder(&out("a.isospan")) == folder(&out("b.isospan")));
     steps.drain(..1);
     let none = pipeline::reduce_series(&steps[1..2], &few_points(), &out("n.isospan"), &keep_going, &Silent);
@@ -318,7 +357,7 @@ fn between_two_steps_values_are_linear() {
     let steps = write_steps(dir.path(), 3);
     let out = dir.path().join("a.isospan");
     reduce_all(&steps, &few_points(), &out, &run(2));
-    let open = |step| Archive::open_at(&out, step).unwrap();
+    let open = |step| Archive::open(&out).unwrap().at(step).unwrap();
     let sample = |step| open(step).sample([12, 11, 10]).unwrap();
     let (a, b) = (sample(choice(0)), sample(choice(1)));
     // The value at a corner is rounded, then those of the corners are weighted: a few last bits.
@@ -341,7 +380,7 @@ fn between_two_steps_values_are_linear() {
         (StepChoice::Time(f64::NAN), "not within"),
         (choice(3), "no step 3; it has steps 0 to 2"),
     ] {
-        let e = Archive::open_at(&out, step).err().unwrap();
+        let e = Archive::open(&out).unwrap().at(step).err().unwrap();
         assert!(e.to_string().contains(text) && e.exit_code() == 2, "{e}");
     }
     let e = open(StepChoice::Time(0.3)).spectrum().unwrap_err();
@@ -357,7 +396,7 @@ fn a_damaged_step_does_not_hurt_others() {
     reduce_all(&steps, &few_points(), &out, &run(2));
     let file = out.join("steps/000001-values-000000.seg");
     let good = fs::read(&file).unwrap();
-    let answer = |step| Archive::open_at(&out, choice(step)).and_then(|a| a.sample([9, 9, 9]));
+    let answer = |step| Archive::open(&out)?.step(step)?.sample([9, 9, 9]);
     let expected: Vec<Vec<f64>> = (0..4).map(|s| answer(s).unwrap()).collect();
     let mut bad = good.clone();
     bad[100] ^= 4;
@@ -365,7 +404,7 @@ fn a_damaged_step_does_not_hurt_others() {
     assert_eq!(answer(0).unwrap(), expected[0]);
     assert_eq!(answer(3).unwrap(), expected[3], "the next keyframe");
     assert_eq!(answer(1).unwrap_err().exit_code(), 5);
-    assert_eq!(pipeline::check_archive(&out).unwrap_err().exit_code(), 5);
+    assert_eq!(check_archive(&out).unwrap_err().exit_code(), 5);
     fs::remove_file(&file).unwrap();
     let e = answer(1).unwrap_err();
     assert!(e.exit_code() == 3 && e.to_string().contains("steps/000001-values-000000.seg"), "{e}");
@@ -432,7 +471,7 @@ fn frames_and_patterns_of_real_data() {
     let reduce_pattern = |pattern: PathBuf, options: &OpenOptions, out: &Path| {
         let steps = isospan::formats::steps_of(&[pattern], options).unwrap();
         let report = reduce_all(&steps, &few_points(), out, &run(2));
-        pipeline::check_archive(out).unwrap();
+        check_archive(out).unwrap();
         report
     };
     let path = shared_series("echo4d_f32_11frames.nii.gz");
@@ -461,8 +500,7 @@ fn surfaces_of_many_steps_have_a_list() {
     let settings = SurfaceSettings::of(0.5);
     let out = dir.path().join("s_%03d.vtp");
     let all = pipeline::StepRange::default();
-    let report =
-        pipeline::extract_series(&archive, all, &settings, &out, SurfaceFormat::Vtp, &Silent).unwrap();
+    let report = extract_series(&archive, all, &settings, &out, SurfaceFormat::Vtp, &Silent).unwrap();
     assert_eq!(report.lists, [dir.path().join("s.pvd")]);
     assert_eq!(report.steps.iter().map(|s| s.skipped).collect::<Vec<_>>(), [false, false, true, false]);
     let listed = isospan::formats::steps_of(&report.lists, &OpenOptions::default()).unwrap();
@@ -473,9 +511,9 @@ fn surfaces_of_many_steps_have_a_list() {
     }
     // What all steps share is read once: with little memory, where each is extracted by itself, more is.
     let read = |memory| {
-        let settings = SurfaceSettings { memory, ..settings.clone() };
-        let report =
-            pipeline::extract_series(&archive, all, &settings, &out, SurfaceFormat::Vtp, &Silent).unwrap();
+        let settings =
+            SurfaceSettings { resources: settings.resources.clone().with_memory(memory), ..settings.clone() };
+        let report = extract_series(&archive, all, &settings, &out, SurfaceFormat::Vtp, &Silent).unwrap();
         report.steps.iter().map(|s| s.report.bytes_read).sum::<u64>()
     };
     let passes = [1 << 30, 28 << 20, 24 << 20].map(read);
@@ -484,18 +522,17 @@ fn surfaces_of_many_steps_have_a_list() {
     assert!(report.steps[2].report.bytes_read < report.steps[1].report.bytes_read);
     let (some, out) = ("1:2".parse().unwrap(), dir.path().join("t%d_{}.ply"));
     let two = SurfaceSettings { isovalues: vec![0.5, -0.25], ..SurfaceSettings::default() };
-    let report = pipeline::extract_series(&archive, some, &two, &out, SurfaceFormat::Ply, &Silent).unwrap();
+    let report = extract_series(&archive, some, &two, &out, SurfaceFormat::Ply, &Silent).unwrap();
     assert_eq!(report.lists, ["t_0.5.ply.series", "t_-0.25.ply.series"].map(|f| dir.path().join(f)));
     let listed = isospan::formats::steps_of(&report.lists[1..], &OpenOptions::default()).unwrap();
     assert_eq!(listed[1].path, dir.path().join("t2_-0.25.ply"));
     let none = "7:".parse().unwrap();
-    let e =
-        pipeline::extract_series(&archive, none, &settings, &out, SurfaceFormat::Ply, &Silent).unwrap_err();
+    let e = extract_series(&archive, none, &settings, &out, SurfaceFormat::Ply, &Silent).unwrap_err();
     assert!(e.exit_code() == 2 && e.to_string().contains("it has steps 0 to 3"), "{e}");
-    let spectra = pipeline::spectra(&archive, all).unwrap();
+    let spectra = Archive::open(&archive).unwrap().spectra(all).unwrap();
     assert_eq!(
         spectra[3].spectrum.knots,
-        Archive::open_at(&archive, choice(3)).unwrap().spectrum().unwrap().knots
+        Archive::open(&archive).unwrap().at(choice(3)).unwrap().spectrum().unwrap().knots
     );
 }
 
@@ -511,15 +548,15 @@ fn meshes_are_located_once_for_all_steps() {
     assert_eq!(steps.len(), 51);
     let out = dir.path().join("m.isospan");
     reduce_all(&steps, &settings, &out, &run(2));
-    pipeline::check_archive(&out).unwrap();
+    check_archive(&out).unwrap();
     for number in [0, 10, 50] {
         let one = dir.path().join("one.isospan");
         let _ = fs::remove_dir_all(&one);
         let step = StepSource::new(&path, &field(&format!("V_{number:06}")));
         reduce_all(&[step], &settings, &one, &run(2));
         // The first step is a constant that is no f32: the series is counted from it, and others alone are not.
-        let [of_series, alone] =
-            [(&out, number), (&one, 0)].map(|(archive, n)| Archive::open_at(archive, choice(n)).unwrap());
+        let [of_series, alone] = [(&out, number), (&one, 0)]
+            .map(|(archive, n)| Archive::open(archive).unwrap().at(choice(n)).unwrap());
         if of_series.offset() == alone.offset() {
             same_answers(dir.path(), (&out, number), (&one, 0));
         } else {
@@ -536,7 +573,7 @@ fn meshes_are_located_once_for_all_steps() {
     assert!(e.to_string().contains("step 5, points: expected"), "{e}");
     let report = reduce_all(&steps, &settings, &out, &RunSettings { keep_going: true, ..run(2) });
     assert_eq!((report.steps.len(), report.skipped.len()), (5, 1));
-    pipeline::check_archive(&out).unwrap();
+    check_archive(&out).unwrap();
 }
 
 /// Several steps are extracted in one pass, as many as memory has room for: each surface is the one that comes out alone.
@@ -560,14 +597,15 @@ fn surfaces_of_steps_are_those_of_each_alone() {
         let settings = ReduceSettings { value_bits: bits, keyframes, nan: NanPolicy::Mask, ..few_points() };
         reduce_all(&steps, &settings, &archive, &run(2));
         for question in &questions {
-            let alone = |step| {
-                let settings = SurfaceSettings { step: choice(step), ..question.clone() };
-                Archive::open_at(&archive, choice(step)).unwrap().surfaces(&settings).unwrap()
-            };
+            let alone =
+                |step| Archive::open(&archive).unwrap().step(step).unwrap().surfaces(question).unwrap();
             let alone: Vec<_> = (0..5).map(alone).collect();
             assert!(alone[1][0].triangles.is_empty() != question.cap && alone[0] != alone[4]);
             for (threads, memory) in [(1, 1 << 30), (3, 1 << 30), (2, 40 << 20), (1, 27 << 20)] {
-                let settings = SurfaceSettings { threads, memory, ..question.clone() };
+                let settings = SurfaceSettings {
+                    resources: question.resources.clone().with_threads(threads).with_memory(memory),
+                    ..question.clone()
+                };
                 let mut next = 0;
                 let compare = |step, time, surfaces: &mut Vec<_>| {
                     assert_eq!((step, time), (next, 0.5 * next as f64));
@@ -612,7 +650,11 @@ fn appended_steps_take_over_what_was_said_of_the_first() {
     let how = AppendSettings { missing: Some(-9999.0), ..AppendSettings::default() };
     let report = append(std::slice::from_ref(&other), &how);
     assert!(report.range.is_some_and(|[lo, _]| lo > -10.0), "{:?}", report.range);
-    let of_step = MeasureSettings { step: Some(5), memory: 1 << 28, ..Default::default() };
+    let of_step = MeasureSettings {
+        resources: Resources::default().with_memory(1 << 28),
+        step: Some(5),
+        ..Default::default()
+    };
     let measured =
         pipeline::measure(&out("grown.isospan"), &other.path, &OpenOptions::default(), &of_step, &Silent);
     assert_eq!(measured.unwrap().error, report.error.unwrap());

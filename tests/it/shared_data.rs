@@ -1,7 +1,7 @@
 //! Real volumes, where there are some: the folder that `ISOSPAN_SHARED_DATA` names, with its `MANIFEST.tsv`.
 
 use crate::common::*;
-use isospan::formats::{OpenOptions, open_volume};
+use isospan::formats::{OpenOptions, StepSource, open_volume};
 use isospan::pipeline::{self, Amount, NanPolicy, ReduceSettings};
 use isospan::surface::check::{boundary_outside, check};
 use std::fs;
@@ -73,8 +73,14 @@ fn each_volume_reduces_to_a_sound_surface() {
         let info = open_volume(&input, &options(&e)).unwrap().info().clone();
         let out = dir.path().join("v.isospan");
         let settings = ReduceSettings { amount: Amount::Fraction(0.125), ..ReduceSettings::default() };
-        let report =
-            pipeline::reduce(&input, &options(&e), &settings, &out, &run(2), &isospan::exec::Silent).unwrap();
+        let report = pipeline::reduce_series(
+            &[StepSource::new(&input, &options(&e))],
+            &settings,
+            &out,
+            &run(2),
+            &isospan::exec::Silent,
+        )
+        .unwrap();
         let per_point = report.archive_bytes as f64 / report.points as f64;
         assert!(per_point <= 20.0, "{}: {per_point} bytes a point", e.file);
         // The manifest's isovalues are stored values too.
@@ -103,13 +109,19 @@ fn samples_that_are_no_numbers_are_refused_or_masked() {
     let out = dir.path().join("v.isospan");
     let reduce = |nan| {
         let settings = ReduceSettings { nan, amount: Amount::Fraction(0.5), ..ReduceSettings::default() };
-        pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &run(2), &isospan::exec::Silent)
+        pipeline::reduce_series(
+            &[StepSource::new(&input, &OpenOptions::default())],
+            &settings,
+            &out,
+            &run(2),
+            &isospan::exec::Silent,
+        )
     };
     let error = reduce(NanPolicy::Error).unwrap_err();
     assert!(error.exit_code() == 5 && error.to_string().contains("nan_inf_f32.mha"), "{error}");
     let report = reduce(NanPolicy::Mask).unwrap();
     assert!(report.void_points > 0 && report.range.is_some_and(|r| r[1].is_finite()), "{report:?}");
-    pipeline::check_archive(&out).unwrap();
+    check_archive(&out).unwrap();
 }
 
 /// What `info --json` says of a file: its exit code, standard output, and lines on standard error.

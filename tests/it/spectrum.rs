@@ -1,8 +1,11 @@
 //! The contour spectrum of an archive is what its surfaces are: as many active tetrahedra, the same area, the same volume.
 
-use crate::common::{self, ball, folder, read, reduce, settings, surface, waves, write_npy};
+use crate::common::{
+    self, ball, check_archive, contour_spectrum, count_active, folder, read, reduce, settings, summarize,
+    surface, waves, write_npy,
+};
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{self, Amount, NanPolicy, ReduceSettings};
 use isospan::points::SetKind;
 use isospan::surface::check::check;
@@ -30,7 +33,7 @@ fn a_spectrum_is_what_the_surfaces_are() {
     write_turned(&input, [28, 24, 20], ball);
     let out = dir.path().join("ball.isospan");
     reduce(&input, &settings(SetKind::Hammersley, Amount::Fraction(0.5), 2_000), &out, 2);
-    let spectrum = pipeline::contour_spectrum(&out).unwrap();
+    let spectrum = contour_spectrum(&out).unwrap();
     assert!(
         (spectrum.volume / (27.0 * 23.0 * 19.0 * 3.0) - 1.0).abs() < 1e-12,
         "the domain's volume in the world"
@@ -66,7 +69,7 @@ fn counts_are_exact_whether_stored_or_not() {
     let few_digits = (-8..8).map(|i| i as f32 * 0.25);
     let many_digits = (0..8).map(|i| -1.9 + i as f32 * 0.456_789_1);
     for isovalue in few_digits.chain(many_digits).chain([-100.0, 100.0]) {
-        let count = pipeline::count_active(&out, isovalue).unwrap();
+        let count = count_active(&out, isovalue).unwrap();
         let report = surface(&out, isovalue, &dir.path().join("s.ply"), 1);
         assert_eq!(count.active_tetrahedra, report.active_tetrahedra, "{isovalue}");
         if count.stored {
@@ -75,7 +78,7 @@ fn counts_are_exact_whether_stored_or_not() {
         *(if count.stored { &mut stored } else { &mut decoded }) += 1;
     }
     assert!(stored >= 16 && decoded >= 7, "{stored} stored, {decoded} decoded");
-    pipeline::check_archive(&out).unwrap();
+    check_archive(&out).unwrap();
 }
 
 #[test]
@@ -89,13 +92,20 @@ fn nothing_but_void_has_no_spectrum() {
         let amount = Amount::Fraction(amount);
         let settings =
             ReduceSettings { nan: NanPolicy::Mask, amount, chunk_points, ..ReduceSettings::default() };
-        pipeline::reduce(&input, &OpenOptions::default(), &settings, &out, &common::run(1), &Silent).unwrap();
+        pipeline::reduce_series(
+            &[StepSource::new(&input, &OpenOptions::default())],
+            &settings,
+            &out,
+            &common::run(1),
+            &Silent,
+        )
+        .unwrap();
         let has = |file: &str| folder(&out).keys().any(|f| f.ends_with(file));
         assert_eq!((has("000000-index.seg"), has("000000-spectrum.seg")), (name == "several", false));
-        let spectrum = pipeline::contour_spectrum(&out).unwrap();
+        let spectrum = contour_spectrum(&out).unwrap();
         assert!(spectrum.range.is_none() && spectrum.knots.is_empty());
-        assert_eq!(pipeline::count_active(&out, 0.0).unwrap().active_tetrahedra, 0);
-        pipeline::check_archive(&out).unwrap();
-        assert!(pipeline::summarize(&out).unwrap().suggestions.is_empty());
+        assert_eq!(count_active(&out, 0.0).unwrap().active_tetrahedra, 0);
+        check_archive(&out).unwrap();
+        assert!(summarize(&out).unwrap().suggestions.is_empty());
     }
 }

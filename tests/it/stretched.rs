@@ -6,9 +6,7 @@ use isospan::archive::manifest::Manifest;
 use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{Input, OpenOptions, open_input};
-use isospan::pipeline::{
-    self, Adapt, Amount, ExportSettings, ReduceReport, ReduceSettings, Roi, SurfaceSettings, check_archive,
-};
+use isospan::pipeline::{Adapt, Amount, ExportSettings, ReduceReport, ReduceSettings, Roi, SurfaceSettings};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::TriMesh;
@@ -51,8 +49,7 @@ fn made(dir: &Path, chunk_points: u64, threads: usize) -> (PathBuf, ReduceReport
 
 fn ask(archive: &Path, settings: &SurfaceSettings) -> TriMesh {
     let file = archive.with_extension("ply");
-    pipeline::extract_surface(archive, settings, &file, SurfaceFormat::from_path(&file).unwrap(), &Silent)
-        .unwrap();
+    extract_surface(archive, settings, &file, SurfaceFormat::from_path(&file).unwrap(), &Silent).unwrap();
     read(&file)
 }
 
@@ -95,7 +92,7 @@ fn surfaces_lie_where_the_field_is_and_their_normals_point_down_it() {
     let count = mesh.vertices.len() as f64;
     assert!(off / count < 0.25, "{} voxels off", off / count);
     assert!(straight / count > 0.97, "{} of the normals' length", straight / count);
-    let spectrum = pipeline::contour_spectrum(&archive).unwrap();
+    let spectrum = contour_spectrum(&archive).unwrap();
     assert!((spectrum.volume / (35.0 * 29.0 * 27.0) - 1.0).abs() < 1e-12, "{}", spectrum.volume);
     for knot in spectrum.knots.iter().step_by(9) {
         let area = check(&ask(&archive, &SurfaceSettings::of(knot.isovalue))).area;

@@ -11,12 +11,12 @@ use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
     self, Amount, AppendSettings, NanPolicy, Refine, StepChoice, StepRange, SurfaceReport, SurfaceSettings,
-    UnpackReport, UnpackSettings, check_archive, remove_unpacked, unpack,
+    UnpackReport, UnpackSettings, remove_unpacked, unpack,
 };
 use isospan::points::SetKind;
 use isospan::surface::components::ComponentFilter;
 use isospan::surface::decimate::Decimation;
-use isospan::{Archive, Error};
+use isospan::{Archive, Error, Resources};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -42,7 +42,11 @@ fn unpacked(archive: &Path, settings: &UnpackSettings) -> UnpackReport {
 
 /// All kinds of questions about surfaces, as files.
 fn answers(archive: &Path, dir: &Path) -> Vec<Vec<u8>> {
-    let all = || SurfaceSettings { isovalues: vec![0.3], threads: 2, ..SurfaceSettings::default() };
+    let all = || SurfaceSettings {
+        resources: Resources::default().with_threads(2),
+        isovalues: vec![0.3],
+        ..SurfaceSettings::default()
+    };
     let components = ComponentFilter { largest: Some(2), ..ComponentFilter::default() };
     let decimate = Decimation { ratio: 0.3, ..Decimation::default() };
     let questions = [
@@ -57,7 +61,7 @@ fn answers(archive: &Path, dir: &Path) -> Vec<Vec<u8>> {
     ];
     let ask = |settings: &SurfaceSettings| {
         let out = dir.join("answer.vtp");
-        pipeline::extract_surface(archive, settings, &out, SurfaceFormat::Vtp, &Silent).unwrap();
+        extract_surface(archive, settings, &out, SurfaceFormat::Vtp, &Silent).unwrap();
         fs::read(&out).unwrap()
     };
     let mut found: Vec<Vec<u8>> = questions.iter().map(ask).collect();
@@ -80,7 +84,13 @@ fn unpacked_blocks_give_the_same_surfaces() {
     let file = unpacked_path(&archive, 0);
     let mut bytes = None;
     for (threads, memory) in [(1, 1 << 30), (3, 1 << 30), (3, 40 << 20)] {
-        let report = unpacked(&archive, &UnpackSettings { threads, memory, ..UnpackSettings::default() });
+        let report = unpacked(
+            &archive,
+            &UnpackSettings {
+                resources: Resources::default().with_threads(threads).with_memory(memory),
+                ..UnpackSettings::default()
+            },
+        );
         assert_eq!(report.files[0].file, file);
         assert!(report.files[0].blocks > 100 && report.files[0].tetrahedra > 10_000, "{report:?}");
         let written = fs::read(&file).unwrap();
@@ -89,7 +99,7 @@ fn unpacked_blocks_give_the_same_surfaces() {
     }
     assert!(answers(&archive, dir.path()) == right);
     check_archive(&archive).unwrap();
-    let info = pipeline::summarize(&archive).unwrap();
+    let info = summarize(&archive).unwrap();
     assert_eq!(info.steps[0].unpacked_bytes, Some(bytes.unwrap().len() as u64));
     // They are what is read.
     let out = dir.path().join("one.ply");
@@ -100,9 +110,13 @@ fn unpacked_blocks_give_the_same_surfaces() {
     assert_eq!((removed.bytes, removed.files.len()), (info.steps[0].unpacked_bytes.unwrap(), 1));
     let packed = surface(&archive, 0.3, &out, 1);
     assert!(packed.bytes_read * 3 < report.bytes_read);
-    assert_eq!(info.bytes, pipeline::summarize(&archive).unwrap().bytes);
+    assert_eq!(info.bytes, summarize(&archive).unwrap().bytes);
     assert!(answers(&archive, dir.path()) == right);
-    let error = unpack(&archive, &UnpackSettings { memory: 1 << 20, ..UnpackSettings::default() }, &Silent);
+    let error = unpack(
+        &archive,
+        &UnpackSettings { resources: Resources::default().with_memory(1 << 20), ..UnpackSettings::default() },
+        &Silent,
+    );
     assert_eq!(error.unwrap_err().exit_code(), 4);
 }
 
@@ -138,9 +152,9 @@ fn steps_are_unpacked_by_themselves() {
     };
     add(0.1, "b.npy");
     let at = |step: u64| {
-        let settings = SurfaceSettings { step: StepChoice::Number(step), ..SurfaceSettings::of(0.3) };
+        let (step, settings) = (StepChoice::Number(step), SurfaceSettings::of(0.3));
         let out = dir.path().join("step.ply");
-        let report = pipeline::extract_surface(&archive, &settings, &out, SurfaceFormat::Ply, &Silent);
+        let report = extract_surface_at(&archive, step, &settings, &out, SurfaceFormat::Ply, &Silent);
         (fs::read(&out).unwrap(), report.unwrap().bytes_read)
     };
     let right = [at(0), at(1)];
@@ -154,14 +168,8 @@ fn steps_are_unpacked_by_themselves() {
     let series = |name: &str| {
         let out = dir.path().join(format!("{name}_%02d.ply"));
         let settings = SurfaceSettings::of(0.3);
-        let made = pipeline::extract_series(
-            &archive,
-            StepRange::default(),
-            &settings,
-            &out,
-            SurfaceFormat::Ply,
-            &Silent,
-        );
+        let made =
+            extract_series(&archive, StepRange::default(), &settings, &out, SurfaceFormat::Ply, &Silent);
         let of_step =
             |report: &SurfaceReport| (fs::read(&report.surfaces[0].file).unwrap(), report.bytes_read);
         made.unwrap().steps.iter().map(|s| of_step(&s.report)).unzip::<_, _, Vec<_>, Vec<_>>()
@@ -174,10 +182,10 @@ fn steps_are_unpacked_by_themselves() {
     assert!(read.iter().zip([0, 1, 2].map(at)).all(|(read, (_, alone))| *read > alone / 2), "{read:?}");
     check_archive(&archive).unwrap();
     // A moment between two steps has no file, and is answered as ever.
-    let between = SurfaceSettings { step: StepChoice::Time(0.5), ..SurfaceSettings::of(0.3) };
+    let (time, settings) = (StepChoice::Time(0.5), SurfaceSettings::of(0.3));
     let moment = |archive: &Path| {
         let out = dir.path().join("between.ply");
-        pipeline::extract_surface(archive, &between, &out, SurfaceFormat::Ply, &Silent).unwrap();
+        extract_surface_at(archive, time, &settings, &out, SurfaceFormat::Ply, &Silent).unwrap();
         fs::read(out).unwrap()
     };
     let with = moment(&archive);
@@ -191,10 +199,15 @@ fn steps_are_unpacked_by_themselves() {
 
 fn extract(archive: &Path) -> Result<Vec<u8>, Error> {
     let out = archive.with_extension("ply");
-    let settings = SurfaceSettings { threads: 1, cap: true, ..SurfaceSettings::of(0.3) };
-    pipeline::extract_surface(archive, &settings, &out, SurfaceFormat::Ply, &Silent)?;
-    let settings = SurfaceSettings { threads: 1, ..SurfaceSettings::of(0.3) };
-    pipeline::extract_surface(archive, &settings, &out, SurfaceFormat::Ply, &Silent)?;
+    let settings = SurfaceSettings {
+        resources: Resources::default().with_threads(1),
+        cap: true,
+        ..SurfaceSettings::of(0.3)
+    };
+    extract_surface(archive, &settings, &out, SurfaceFormat::Ply, &Silent)?;
+    let settings =
+        SurfaceSettings { resources: Resources::default().with_threads(1), ..SurfaceSettings::of(0.3) };
+    extract_surface(archive, &settings, &out, SurfaceFormat::Ply, &Silent)?;
     Ok(fs::read(out).unwrap())
 }
 
@@ -212,9 +225,7 @@ fn files_of_other_archives_are_never_used() {
     let right = extract(&a).unwrap();
     unpacked(&b, &UnpackSettings::default());
     fs::copy(unpacked_path(&b, 0), unpacked_path(&a, 0)).unwrap();
-    for error in
-        [extract(&a).unwrap_err(), check_archive(&a).unwrap_err(), pipeline::summarize(&a).unwrap_err()]
-    {
+    for error in [extract(&a).unwrap_err(), check_archive(&a).unwrap_err(), summarize(&a).unwrap_err()] {
         orderly("of another archive", &error);
         assert!(error.to_string().contains("plan hash"), "{error}");
     }

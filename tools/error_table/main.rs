@@ -11,15 +11,15 @@
 //! `/proc` where the system has it.
 
 use isospan::exec::Silent;
-use isospan::formats::{OpenOptions, open_volume};
+use isospan::formats::{OpenOptions, StepSource, open_volume};
 use isospan::grid::IndexBox;
 use isospan::pipeline::{
-    Adapt, Amount, Bound, NanPolicy, ReduceReport, ReduceSettings, RunSettings, Target, brick, reduce,
+    Adapt, Amount, Bound, NanPolicy, ReduceReport, ReduceSettings, RunSettings, Target, brick, reduce_series,
 };
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::volume::{VolumeReader, VolumeSource};
-use isospan::{Error, Result};
+use isospan::{Error, Resources, Result};
 use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -111,7 +111,7 @@ impl Volume {
         let (mut path, mut source) = (path.to_path_buf(), open_volume(path, &OpenOptions::default())?);
         if !matches!(source, VolumeSource::Random(_)) {
             path = folder.path().join("copy.bricks");
-            brick(source, &path, 256 << 20, &RunSettings::default().cancel, &Silent)?;
+            brick(source, &path, 256 << 20, &RunSettings::default().resources.cancel, &Silent)?;
             source = open_volume(&path, &OpenOptions::default())?;
         }
         match source {
@@ -126,14 +126,19 @@ impl Volume {
 
     fn reduce(&self, settings: ReduceSettings) -> Result<(ReduceReport, Made)> {
         let run = RunSettings {
-            threads: 1,
+            resources: Resources::default().with_threads(1).with_scratch(Some(self.folder.path().into())),
             replace: true,
-            scratch: Some(self.folder.path().into()),
             ..RunSettings::default()
         };
         let settings = ReduceSettings { nan: NanPolicy::Value(0.0), ..settings };
         let (out, before) = (self.folder.path().join("try.isospan"), cpu_seconds());
-        let report = reduce(&self.path, &OpenOptions::default(), &settings, &out, &run, &Silent)?;
+        let report = reduce_series(
+            &[StepSource::new(&self.path, &OpenOptions::default())],
+            &settings,
+            &out,
+            &run,
+            &Silent,
+        )?;
         let rms = report.error.as_ref().expect("a reduction is measured").rms;
         let made = Made { points: report.points as f64, rms, seconds: cpu_seconds() - before };
         Ok((report, made))

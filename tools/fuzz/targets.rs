@@ -16,7 +16,7 @@ use isospan::cells::scan::{scan, scan_field};
 use isospan::exec::Silent;
 use isospan::formats::raw::RawLayout;
 use isospan::formats::surface::{SurfaceFormat, read_surface};
-use isospan::formats::{OpenOptions, open_mesh, open_volume};
+use isospan::formats::{OpenOptions, StepSource, open_mesh, open_volume};
 use isospan::geom::PointId;
 use isospan::grid::IndexBox;
 use isospan::pipeline::{self, Amount, ReduceSettings, RunSettings, SurfaceSettings, UnpackSettings};
@@ -171,7 +171,13 @@ impl Archive {
         };
         let (good, copy) = (folder.join("good.isospan"), folder.join("copy.isospan"));
         let options = OpenOptions { raw: Some(layout), ..OpenOptions::default() };
-        pipeline::reduce(&input, &options, &settings, &good, &RunSettings::default(), &Silent)?;
+        pipeline::reduce_series(
+            &[StepSource::new(&input, &options)],
+            &settings,
+            &good,
+            &RunSettings::default(),
+            &Silent,
+        )?;
         let step = "steps/000000-";
         let names = [
             MANIFEST_NAME.into(),
@@ -285,7 +291,11 @@ impl Archive {
 
     /// Unpacks the copy, and damages a block of that, behind good checksums or not.
     fn damage_unpacked(&self, random: &mut Random, what: &mut String) -> Result<()> {
-        pipeline::unpack(&self.copy, &UnpackSettings { threads: 1, ..UnpackSettings::default() }, &Silent)?;
+        pipeline::unpack(
+            &self.copy,
+            &UnpackSettings { resources: Resources::default().with_threads(1), ..UnpackSettings::default() },
+            &Silent,
+        )?;
         let path = unpacked_path(&self.copy, 0);
         if random.below(4) == 0 {
             *what = "bytes of unpacked blocks".into();
@@ -305,14 +315,18 @@ impl Archive {
 
     fn ask(&self) -> Result<()> {
         let out = self.copy.with_extension("ply");
-        let settings = SurfaceSettings { threads: 1, ..SurfaceSettings::of(ISOVALUE) };
+        let settings = SurfaceSettings {
+            resources: Resources::default().with_threads(1),
+            ..SurfaceSettings::of(ISOVALUE)
+        };
         let capped = SurfaceSettings { cap: true, ..settings.clone() };
+        let archive = isospan::Archive::open(&self.copy)?.keeping(0);
         let outcomes = [
-            pipeline::check_archive(&self.copy).map(drop),
-            pipeline::count_active(&self.copy, ISOVALUE).map(drop),
-            pipeline::extract_surface(&self.copy, &settings, &out, SurfaceFormat::Ply, &Silent).map(drop),
-            pipeline::extract_surface(&self.copy, &capped, &out, SurfaceFormat::Ply, &Silent).map(drop),
-            pipeline::summarize(&self.copy).map(drop),
+            archive.check().map(drop),
+            archive.count(ISOVALUE).map(drop),
+            archive.write_surface(&settings, &out, SurfaceFormat::Ply, &Silent).map(drop),
+            archive.write_surface(&capped, &out, SurfaceFormat::Ply, &Silent).map(drop),
+            archive.info().map(drop),
         ];
         outcomes.into_iter().collect()
     }

@@ -16,13 +16,13 @@ use crate::methods::{coordinates, marching, sample_of};
 use crate::plots::{Chart, Line};
 use crate::runs::{Lab, Points, distances, is_grid};
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::measure::ErrorSums;
-use isospan::pipeline::{Adapt, Amount, ReduceSettings, RunSettings, reduce};
+use isospan::pipeline::{Adapt, Amount, ReduceSettings, RunSettings, reduce_series};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::TriMesh;
-use isospan::{Archive, Error, Result};
+use isospan::{Archive, Error, Resources, Result};
 use std::path::{Path, PathBuf};
 
 /// Parts 1/n of the samples that are tried: those that every 2nd, 3rd and 4th voxel along each axis have.
@@ -169,8 +169,18 @@ impl Field {
     fn reduced(&self, settings: &ReduceSettings, part: u64, folder: &Path) -> Result<Dot> {
         let archive = folder.join("curve.isospan");
         let settings = ReduceSettings { amount: Amount::Count(self.size.div_ceil(part)), ..settings.clone() };
-        let run = RunSettings { replace: true, scratch: Some(folder.into()), ..RunSettings::default() };
-        let report = reduce(&self.input, &OpenOptions::default(), &settings, &archive, &run, &Silent)?;
+        let run = RunSettings {
+            resources: Resources::default().with_scratch(Some(folder.into())),
+            replace: true,
+            ..RunSettings::default()
+        };
+        let report = reduce_series(
+            &[StepSource::new(&self.input, &OpenOptions::default())],
+            &settings,
+            &archive,
+            &run,
+            &Silent,
+        )?;
         let surface = Archive::open(&archive)?.surface(self.isovalue)?;
         let error = report.error.as_ref().expect("a reduction is measured");
         let of_95 = error.percentiles.iter().find(|p| p.percent == 95.0).map_or(f64::NAN, |p| p.error);

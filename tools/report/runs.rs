@@ -13,17 +13,17 @@ use crate::methods::median;
 use crate::roughness::roughness;
 use isospan::compare::{CompareSettings, compare};
 use isospan::exec::Silent;
-use isospan::formats::OpenOptions;
 use isospan::formats::surface::{SurfaceFormat, SurfaceMeta, write_surface};
+use isospan::formats::{OpenOptions, StepSource};
 use isospan::geom::Lattice;
 use isospan::measure::ErrorSums;
 use isospan::pipeline::{
-    Amount, ReduceReport, ReduceSettings, RunSettings, SurfaceSettings, extract_surface, reduce,
+    Amount, ReduceReport, ReduceSettings, RunSettings, Stage, SurfaceSettings, reduce_series,
 };
 use isospan::points::{PointSet, PointSpec, SetKind};
 use isospan::sample::{Interpolation, Values};
 use isospan::surface::TriMesh;
-use isospan::{Archive, Result};
+use isospan::{Archive, Resources, Result};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -317,14 +317,18 @@ impl Lab {
             if settings.measure {
                 outcome = Some(self.outcome_of(key, &report, &archive)?);
             }
-            mesh.push(seconds(&report.seconds, &["mesh"]));
-            sample.push(seconds(&report.seconds, &["sample"]));
+            mesh.push(seconds(&report.seconds, &[Stage::Mesh]));
+            sample.push(seconds(&report.seconds, &[Stage::Sample]));
         }
-        let query = SurfaceSettings { threads: 1, ..SurfaceSettings::of(original.made.isovalue) };
+        let query = SurfaceSettings {
+            resources: Resources::default().with_threads(1),
+            ..SurfaceSettings::of(original.made.isovalue)
+        };
         let file = self.folder.join("timed.ply");
         for _ in 0..self.repeats {
-            let found = extract_surface(&archive, &query, &file, SurfaceFormat::Ply, &Silent)?;
-            extract.push(seconds(&found.seconds, &["open, index", "extract"]));
+            let open = Archive::open(&archive)?.keeping(0);
+            let found = open.write_surface(&query, &file, SurfaceFormat::Ply, &Silent)?;
+            extract.push(open.opening().seconds + seconds(&found.seconds, &[Stage::Open, Stage::Extract]));
         }
         if let Some((before, after)) = worked.zip(processor_seconds()) {
             self.timed[0] += started.elapsed().as_secs_f64();
@@ -400,9 +404,13 @@ impl Lab {
         threads: usize,
     ) -> Result<ReduceReport> {
         let scratch = Some(self.folder.clone());
-        let run = RunSettings { threads, replace: true, scratch, ..RunSettings::default() };
+        let run = RunSettings {
+            resources: Resources::default().with_threads(threads).with_scratch(scratch),
+            replace: true,
+            ..RunSettings::default()
+        };
         let input = &self.originals[&dataset].made.file;
-        reduce(input, &OpenOptions::default(), settings, archive, &run, &Silent)
+        reduce_series(&[StepSource::new(input, &OpenOptions::default())], settings, archive, &run, &Silent)
     }
 
     fn reduce(&self, key: Key, kind: SetKind) -> Result<Outcome> {
@@ -515,8 +523,8 @@ fn processor_seconds() -> Option<f64> {
 }
 
 /// The sum of the seconds of some stages.
-fn seconds(all: &[(String, f64)], stages: &[&str]) -> f64 {
-    all.iter().filter(|(name, _)| stages.contains(&name.as_str())).map(|(_, s)| s).sum()
+fn seconds(all: &[(Stage, f64)], stages: &[Stage]) -> f64 {
+    all.iter().filter(|(stage, _)| stages.contains(stage)).map(|(_, s)| s).sum()
 }
 
 #[cfg(all(test, target_os = "linux"))]

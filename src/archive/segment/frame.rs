@@ -51,7 +51,7 @@ pub(super) fn unseal<'a>(bytes: &'a [u8], at: &'static str) -> std::result::Resu
     let (body, tail) = bytes.split_at(bytes.len() - 4);
     let (expected, got) = (Cursor::new(tail).u32(at)?, crc32c::crc32c(body));
     if expected != got {
-        return Err(Malformed::new(at, hex(expected), hex(got)));
+        return Err(Malformed::checksum(at, hex(expected), hex(got)));
     }
     Ok(body)
 }

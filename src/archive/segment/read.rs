@@ -7,7 +7,7 @@ use super::{
     SegmentKind,
 };
 use crate::archive::wire::{Cursor, Malformed};
-use crate::error::{Error, Result};
+use crate::error::{Error, Fault, Result};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -141,7 +141,8 @@ impl Segment {
         self.read_at(offset, out)?;
         let got = crc32c::crc32c(out);
         if got != crc {
-            return Err(self.damage(format!("block {n}: CRC32C"), hex(crc), hex(got)));
+            let damage = self.damage(format!("block {n}: CRC32C"), hex(crc), hex(got));
+            return Err(damage.of_fault(Fault::Checksum));
         }
         Ok(())
     }
@@ -268,7 +269,8 @@ impl Segment {
         let (expected, got) = (self.info.content_hash, hash.digest());
         if expected != got {
             let text = |h: u64| format!("{h:016x}");
-            return Err(self.damage("footer: content hash".into(), text(expected), text(got)));
+            let damage = self.damage("footer: content hash".into(), text(expected), text(got));
+            return Err(damage.of_fault(Fault::Checksum));
         }
         Ok(())
     }
@@ -276,5 +278,6 @@ impl Segment {
 
 fn at_frame(m: Malformed, path: &Path, part: &str) -> Error {
     Error::bad_input(path, format!("{part}: {}", m.at), m.expected, m.got)
+        .of_fault(m.fault)
         .with_help("the file is damaged, or was not written by this version of isospan")
 }

@@ -5,10 +5,9 @@ use axum::body::Bytes;
 use isospan::exec::{CancelToken, Silent};
 use isospan::formats::surface::SurfaceFormat;
 use isospan::pipeline::{ProbeSettings, Roi, StepChoice, SurfaceSettings};
-use isospan::{Error, Result};
+use isospan::{Error, Resources, Result};
 use serde::{Deserialize, Serialize};
 use std::io::Read as _;
-use std::path::PathBuf;
 use std::time::Instant;
 use tokio::sync::mpsc::Sender;
 
@@ -18,14 +17,6 @@ const PIECE: usize = 256 << 10;
 const MOST_ISOVALUES: usize = 16;
 /// Samples along a side of a slice.
 const MOST_SAMPLES: u32 = 1024;
-
-/// What a request may use.
-#[derive(Clone, Debug)]
-pub(super) struct Means {
-    pub(super) threads: usize,
-    pub(super) memory: u64,
-    pub(super) scratch: PathBuf,
-}
 
 /// The step that a request is about.
 #[derive(Debug, Default, Deserialize)]
@@ -58,7 +49,7 @@ impl SurfaceQuery {
         StepQuery { step: self.step }.choice()
     }
 
-    fn settings(&self, means: &Means, cancel: &CancelToken) -> Result<SurfaceSettings> {
+    fn settings(&self, means: &Resources, cancel: &CancelToken) -> Result<SurfaceSettings> {
         let wrong = |text: &str| Error::usage(format!("'{text}' is no isovalue"));
         let number = |text: &str| text.trim().parse::<f64>().map_err(|_| wrong(text));
         let isovalues = self.isovalues.split(',').map(number).collect::<Result<Vec<_>>>()?;
@@ -69,11 +60,8 @@ impl SurfaceQuery {
         Ok(SurfaceSettings {
             isovalues,
             roi,
-            threads: means.threads,
-            memory: means.memory,
-            scratch: Some(means.scratch.clone()),
             cap: self.cap,
-            cancel: cancel.clone(),
+            resources: means.clone().with_cancel(cancel.clone()),
             ..SurfaceSettings::default()
         })
     }
@@ -167,7 +155,7 @@ pub(super) fn surface(
     archives: &Archives,
     archive: usize,
     query: &SurfaceQuery,
-    means: &Means,
+    means: &Resources,
     cancel: &CancelToken,
     sink: &mut Sink,
 ) -> Result<()> {
@@ -206,13 +194,13 @@ pub(super) fn slice(
     archives: &Archives,
     archive: usize,
     query: &SliceQuery,
-    means: &Means,
+    means: &Resources,
     cancel: &CancelToken,
     sink: &mut Sink,
 ) -> Result<()> {
     let ([width, height], points) = query.points()?;
     let archive = archives.at(archive, query.choice())?;
-    let settings = ProbeSettings { threads: means.threads, memory: means.memory, cancel: cancel.clone() };
+    let settings = ProbeSettings { resources: means.clone().with_cancel(cancel.clone()) };
     let values = archive.probe_with(&points, &settings)?;
     sink.json(&serde_json::json!({ "size": [width, height] }))?;
     values.iter().try_for_each(|&v| sink.write(&(v as f32).to_le_bytes()))
@@ -223,7 +211,7 @@ pub(super) fn export(
     archives: &Archives,
     archive: usize,
     query: &SurfaceQuery,
-    means: &Means,
+    means: &Resources,
     cancel: &CancelToken,
     sink: &mut Sink,
 ) -> Result<()> {
@@ -231,8 +219,9 @@ pub(super) fn export(
     let ending = query.format.as_deref().unwrap_or("glb");
     let format = SurfaceFormat::from_path(format!("surface.{ending}").as_ref())?;
     let archive = archives.at(archive, query.choice())?;
-    let failed = |doing: &str, e| Error::io(doing, &means.scratch, e);
-    let folder = tempfile::tempdir_in(&means.scratch).map_err(|e| failed("write to", e))?;
+    let scratch = means.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let failed = |doing: &str, e| Error::io(doing, &scratch, e);
+    let folder = tempfile::tempdir_in(&scratch).map_err(|e| failed("write to", e))?;
     let path = folder.path().join("surface");
     archive.write_surface(&settings, &path, format, &Silent)?;
     let mut file = std::fs::File::open(&path).map_err(|e| failed("read from", e))?;

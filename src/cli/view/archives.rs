@@ -1,16 +1,16 @@
-//! The archives that are shown, and those of their steps that are open.
+//! The archives that are shown, and the steps of them that are in use.
 
-use isospan::pipeline::{ArchiveSummary, StepChoice, contour_spectrum_at, summarize_at};
+use isospan::pipeline::{ArchiveSummary, Step, StepChoice};
 use isospan::{Archive, Error, Result};
 use serde::Serialize;
 use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Steps that are open at one time. Each holds decoded blocks for the next isovalue.
-const OPEN: usize = 4;
+/// Steps in use at one time. Each holds decoded blocks for the next isovalue.
+const STEPS: usize = 4;
 
-/// A step of an archive: what [`Archives::at`] opens.
+/// A step of an archive.
 #[derive(Clone, Copy, PartialEq)]
 struct Key {
     archive: usize,
@@ -18,11 +18,9 @@ struct Key {
 }
 
 pub(super) struct Archives {
-    paths: Vec<PathBuf>,
-    /// Bytes of decoded blocks of an open step.
-    cache: usize,
+    archives: Vec<Archive>,
     /// The step used last comes last.
-    open: Mutex<VecDeque<(Key, Arc<Archive>)>>,
+    steps: Mutex<VecDeque<(Key, Arc<Step>)>>,
 }
 
 /// An archive, for the page.
@@ -37,58 +35,47 @@ pub(super) struct Description {
 }
 
 impl Archives {
-    /// # Errors
-    /// Those of opening each, so that a wrong path is found before a browser is.
+    /// Opens archives, which hold so many bytes of decoded blocks together.
     pub(super) fn open(paths: &[PathBuf], memory: u64) -> Result<Self> {
-        let cache = usize::try_from(memory / 4 / OPEN as u64).unwrap_or(usize::MAX);
-        let all = Self { paths: paths.to_vec(), cache, open: Mutex::default() };
-        (0..paths.len()).try_for_each(|n| all.at(n, StepChoice::First).map(|_| ()))?;
-        Ok(all)
+        let cache = usize::try_from(memory / STEPS as u64).unwrap_or(usize::MAX);
+        let archives = paths.iter().map(|p| Ok(Archive::open(p)?.keeping(cache))).collect::<Result<_>>()?;
+        Ok(Self { archives, steps: Mutex::default() })
     }
 
-    pub(super) fn len(&self) -> usize {
-        self.paths.len()
-    }
-
-    fn path(&self, n: usize) -> Result<&PathBuf> {
-        let none = || Error::usage(format!("there is no archive {n}; there are {}", self.paths.len()));
-        self.paths.get(n).ok_or_else(none)
-    }
-
-    /// A step of an archive, opened where it is not open yet.
-    pub(super) fn at(&self, archive: usize, step: StepChoice) -> Result<Arc<Archive>> {
+    /// A step of an archive: the same one as before, while it is among those used last.
+    pub(super) fn at(&self, archive: usize, step: StepChoice) -> Result<Arc<Step>> {
+        let none =
+            || Error::usage(format!("there is no archive {archive}; there are {}", self.archives.len()));
         let key = Key { archive, step };
-        let found = {
-            let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
-            let at = open.iter().position(|(k, _)| *k == key);
-            at.and_then(|at| open.remove(at)).inspect(|found| open.push_back(found.clone()))
+        let mut steps = self.steps.lock().unwrap_or_else(PoisonError::into_inner);
+        let at = steps.iter().position(|(k, _)| *k == key);
+        let found = match at.and_then(|at| steps.remove(at)) {
+            Some((_, step)) => step,
+            None => Arc::new(self.archives.get(archive).ok_or_else(none)?.at(step)?),
         };
-        if let Some((_, archive)) = found {
-            return Ok(archive);
+        steps.push_back((key, found.clone()));
+        while steps.len() > STEPS {
+            steps.pop_front();
         }
-        let opened = Arc::new(Archive::open_at(self.path(archive)?, step)?.keeping(self.cache));
-        let mut open = self.open.lock().unwrap_or_else(PoisonError::into_inner);
-        open.push_back((key, opened.clone()));
-        while open.len() > OPEN {
-            open.pop_front();
-        }
-        Ok(opened)
+        Ok(found)
     }
 
-    pub(super) fn describe(&self, n: usize) -> Result<Description> {
-        let path = self.path(n)?;
-        let summary = summarize_at(path, StepChoice::First)?;
+    pub(super) fn describe(&self) -> Result<Vec<Description>> {
+        self.archives.iter().map(Description::of).collect()
+    }
+}
+
+impl Description {
+    fn of(archive: &Archive) -> Result<Self> {
+        let summary = archive.info()?;
         let ends = summary.dims.map(|d| d.saturating_sub(1) as f64);
         let corner = |n: usize| {
             let at = [0, 1, 2].map(|a| if n >> a & 1 == 1 { ends[a] } else { 0.0 });
             summary.geometry.to_world(at)
         };
         let corners = summary.grid_cells.is_none().then(|| std::array::from_fn(corner));
+        let path = archive.path();
         let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned();
-        Ok(Description { name, corners, summary })
-    }
-
-    pub(super) fn spectrum(&self, n: usize, step: StepChoice) -> Result<isospan::pipeline::SpectrumReport> {
-        contour_spectrum_at(self.path(n)?, step)
+        Ok(Self { name, corners, summary })
     }
 }

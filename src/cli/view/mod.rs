@@ -45,13 +45,9 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    let means = answers::Means {
-        threads: args.machine.threads,
-        memory: args.machine.memory(talk),
-        scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir),
-    };
-    let archives = Archives::open(&args.archives, means.memory)?;
-    let stop = super::signals::cancel_token();
+    let means = args.machine.resources(args.scratch.clone(), talk);
+    let archives = Archives::open(&args.archives, means.memory / 4)?;
+    let stop = means.cancel.clone();
     let token = token()?;
     let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));
     let started = |address: SocketAddr| -> Result<()> {

@@ -4,7 +4,7 @@
 //! other sites cannot ask. The `Host` header must name this server, so no name of another site leads here. The numbers of
 //! open connections and of working requests are limited; others wait. A connection that stands still is closed.
 
-use super::answers::{self, Means, Sink, SliceQuery, StepQuery, SurfaceQuery};
+use super::answers::{self, Sink, SliceQuery, StepQuery, SurfaceQuery};
 use super::archives::Archives;
 use super::page;
 use axum::Router;
@@ -17,7 +17,7 @@ use axum::routing::get;
 use axum::serve::Listener;
 use isospan::exec::CancelToken;
 use isospan::render::ColourMap;
-use isospan::{Error, Result};
+use isospan::{Error, Resources, Result};
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::pin::Pin;
@@ -48,7 +48,7 @@ const LOOK: Duration = Duration::from_millis(100);
 struct Server {
     archives: Archives,
     /// Of one slot.
-    means: Means,
+    means: Resources,
     /// `127.0.0.1:PORT` and `localhost:PORT`.
     hosts: [String; 2],
     slots: Arc<Semaphore>,
@@ -95,7 +95,7 @@ impl Drop for Job {
 /// Serves until it is stopped; `started` has the address as soon as requests are taken.
 pub(super) fn serve(
     archives: Archives,
-    means: Means,
+    means: Resources,
     address: SocketAddr,
     token: &str,
     stop: &CancelToken,
@@ -109,7 +109,7 @@ pub(super) fn serve(
         let port = address.port();
         let server = Arc::new(Server {
             archives,
-            means: Means { memory: means.memory / SHARE, ..means },
+            means: means.clone().with_memory(means.memory / SHARE),
             hosts: [format!("127.0.0.1:{port}"), format!("localhost:{port}")],
             slots: Arc::new(Semaphore::new(SLOTS)),
             jobs: Arc::default(),
@@ -196,12 +196,7 @@ const JSON: &str = "application/json";
 const NUMBERS: &str = "application/octet-stream";
 
 async fn archives(State(server): State<Arc<Server>>) -> Response {
-    answer(server, JSON, |server, _, sink| {
-        let all: Vec<_> =
-            (0..server.archives.len()).map(|n| server.archives.describe(n)).collect::<Result<_>>()?;
-        answers::json(&all, sink)
-    })
-    .await
+    answer(server, JSON, |server, _, sink| answers::json(&server.archives.describe()?, sink)).await
 }
 
 async fn colours(State(server): State<Arc<Server>>) -> Response {
@@ -220,7 +215,7 @@ async fn spectrum(
     Query(query): Query<StepQuery>,
 ) -> Response {
     answer(server, JSON, move |server, _, sink| {
-        answers::json(&server.archives.spectrum(archive, query.choice())?, sink)
+        answers::json(&server.archives.at(archive, query.choice())?.spectrum()?, sink)
     })
     .await
 }

@@ -1,7 +1,7 @@
 //! Integers and reals of a `.msh` file one after another, from text or bytes.
 
 use crate::bytes::ByteSource;
-use crate::error::{Error, Result};
+use crate::error::{Error, Place, Result};
 use crate::formats::text::{place, word};
 use std::sync::Arc;
 
@@ -151,8 +151,8 @@ impl Tokens {
             return shrunk;
         }
         let at = match self.source.slice(0..self.source.len()) {
-            Ok(bytes) if !self.binary => place(bytes, (self.at as usize).saturating_sub(1)),
-            _ => format!("byte {}", self.at),
+            Ok(bytes) if !self.binary => place(bytes, (self.at as usize).saturating_sub(1)).into(),
+            _ => Place::byte(self.at),
         };
         Error::bad_input(self.source.path(), at, expected, got)
     }

@@ -1,7 +1,7 @@
 //! From front to back through a legacy VTK file: where everything lies.
 
 use crate::cells::Center;
-use crate::error::{Error, Result};
+use crate::error::{Error, Fault, Place, Result};
 use crate::formats::centers;
 use crate::formats::stream::sample_bytes;
 use crate::formats::text::Words;
@@ -471,13 +471,9 @@ impl<'a> Scanner<'a> {
         });
         if gone.is_none() {
             let expected = format!("{components} x {tuples} values of '{name}'");
-            return Err(Error::bad_input(
-                self.path,
-                format!("byte {start}"),
-                expected,
-                "the end of the file",
-            )
-            .with_help("the file is cut short, or its header is wrong"));
+            return Err(Error::bad_input(self.path, Place::byte(start), expected, "the end of the file")
+                .of_fault(Fault::CutShort)
+                .with_help("the file is cut short, or its header is wrong"));
         }
         Ok(start..self.words.at() as u64)
     }
@@ -496,7 +492,7 @@ impl<'a> Scanner<'a> {
     /// An error at the last word, by line in a text and by byte in a binary file.
     fn wrong(&self, expected: &str, got: String) -> Error {
         match self.out.binary {
-            true => Error::bad_input(self.path, format!("byte {}", self.words.at()), expected, got),
+            true => Error::bad_input(self.path, Place::byte(self.words.at() as u64), expected, got),
             false => self.words.wrong(expected, got),
         }
     }

@@ -5,7 +5,7 @@
 //! [`MOST_DEPTH`], or has a tag of more than [`MOST_TAG`] bytes: no real file does, and time and memory stay bounded.
 
 use crate::bytes::ByteSource;
-use crate::error::{Error, Result};
+use crate::error::{Error, Place, Result};
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::{Reader, XmlVersion};
 use std::ops::Range;
@@ -350,7 +350,7 @@ impl<'a> Parser<'a> {
     }
 
     fn bad(&self, at: u64, got: String) -> Error {
-        let at = format!("byte {}", self.base + at);
+        let at = Place::byte(self.base + at);
         Error::bad_input(self.source.path(), at, "the head of a VTK XML file", got)
     }
 }

@@ -4,7 +4,7 @@
 //! its own padding; other programs write three. So padding ends a group of four here, not the text.
 
 use crate::bytes::ByteSource;
-use crate::error::{Error, Result};
+use crate::error::{Error, Place, Result};
 use base64::Engine;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
 use std::sync::Arc;
@@ -60,8 +60,8 @@ impl Stored {
     }
 
     /// The place in the file, for messages: where what comes next is stored, or shortly after.
-    pub(super) fn place(&self) -> String {
-        format!("byte {}", self.at)
+    pub(super) fn place(&self) -> Place {
+        Place::byte(self.at)
     }
 
     /// Reads some bytes; 0 at the end.

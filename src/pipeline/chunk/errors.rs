@@ -23,7 +23,7 @@ use crate::measure::{BrickErrors, ComparedAt, ErrorSums, FieldError, LevelError,
 use crate::mesh::tet::Tet;
 use crate::pipeline::inputs::treat_missing;
 use crate::pipeline::plan::ERROR_WINDOW;
-use crate::pipeline::read::{OpenArchive, world_of};
+use crate::pipeline::read::{StepView, world_of};
 use crate::points::Levels;
 use crate::raster::{BatchScan, SampleGrid, Scanner, corner_box, greater, lesser};
 use crate::volume::VolumeReader;
@@ -251,7 +251,7 @@ pub(in crate::pipeline) fn add(sums: &mut Tally, m: &Measured<'_>, dims: [u64; 3
 }
 
 /// What is told of the errors of all samples of a volume, each once.
-pub(in crate::pipeline) fn field_error_of(archive: &OpenArchive, sums: &ErrorSums) -> Result<FieldError> {
+pub(in crate::pipeline) fn field_error_of(archive: &StepView, sums: &ErrorSums) -> Result<FieldError> {
     let source = &archive.step().plan.source;
     let dims = source.dims;
     let samples = dims.iter().product::<u64>();
@@ -280,14 +280,14 @@ pub(in crate::pipeline) fn stored_errors(segment: &ChunkSegment, chunk: ChunkId)
 }
 
 /// The error of the archive's step, and those in the cells of each level, added up from what its chunks have stored.
-pub(in crate::pipeline) fn stored_error(archive: &OpenArchive) -> Result<(FieldError, Vec<LevelError>)> {
+pub(in crate::pipeline) fn stored_error(archive: &StepView) -> Result<(FieldError, Vec<LevelError>)> {
     let levels = archive.points.levels().map_or(0, |levels| usize::from(levels.top()) + 1);
     let (mut sums, mut by_level) = (ErrorSums::default(), vec![BrickErrors::default(); levels]);
     for number in 0..archive.layout.segment_count() {
         let chunks = archive.layout.chunks_of(number);
         archive.close_before(ChunkId(chunks.start));
         for chunk in chunks.map(ChunkId) {
-            let values = archive.values_of(archive.view.step, chunk)?;
+            let values = archive.values_of(archive.position(), chunk)?;
             let found = stored_errors(&values, chunk)?;
             let is_sorted = found.levels.is_empty() == (levels == 0 || found.sums.measured == 0);
             if found.levels.len() > levels || !is_sorted {

@@ -1,11 +1,12 @@
 //! `export`: the reduced tetrahedra as a mesh for other programs, each point once.
 
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, pool};
+use crate::exec::{Progress, Resources, pool};
 use crate::formats::vtu::{PACKING_BYTES, TetMeta, write_vtu};
 use crate::mesh::tet::Tet;
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{Blocks, Cut, DecodedChunk, Frontier, OpenArchive, Place, Roi, RoiSpace, Visit};
+use crate::pipeline::read::{Blocks, Cut, DecodedChunk, Frontier, Place, Roi, RoiSpace, StepView, Visit};
+use crate::pipeline::stage::{Stage, StageSeconds};
 use crate::tets::{ChunkTets, TetBuilder};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -34,14 +35,8 @@ pub struct ExportSettings {
     pub every: u64,
     /// Compresses the file's arrays (zlib).
     pub compress: bool,
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for everything that grows with the mesh.
-    pub memory: u64,
-    /// Folder for what does not fit in memory; the output's folder if not given.
-    pub scratch: Option<PathBuf>,
-    /// Stops the export; nothing is written then.
-    pub cancel: CancelToken,
+    /// Threads, memory, scratch folder, and what stops it.
+    pub resources: Resources,
 }
 
 impl Default for ExportSettings {
@@ -52,16 +47,14 @@ impl Default for ExportSettings {
             roi: None,
             every: 1,
             compress: false,
-            threads: 0,
-            memory: crate::exec::usable_memory() / 2,
-            scratch: None,
-            cancel: CancelToken::new(),
+            resources: Resources::default(),
         }
     }
 }
 
 /// What an export wrote and read.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct ExportReport {
     /// Points written.
     pub points: u64,
@@ -80,7 +73,7 @@ pub struct ExportReport {
     /// Bytes of the file written.
     pub file_bytes: u64,
     /// Seconds of wall time of each stage.
-    pub seconds: Vec<(String, f64)>,
+    pub seconds: StageSeconds,
 }
 
 /// Bytes while a shared point is open: its entry in the table, which is at most half full, twice while it grows.
@@ -88,7 +81,7 @@ const OPEN_POINT: u64 = 100;
 
 /// Writes the tetrahedra of an archive to a VTU file: see [`super::Archive::write_tetrahedra`].
 pub(in crate::pipeline) fn export(
-    archive: &OpenArchive,
+    archive: &StepView,
     settings: &ExportSettings,
     out: &Path,
     progress: &dyn Progress,
@@ -119,14 +112,20 @@ pub(in crate::pipeline) fn export(
         }
     };
     let fixed = estimate::BASE + blocks.bytes() + if settings.compress { PACKING_BYTES } else { 0 };
-    let rest = settings.memory.saturating_sub(fixed);
+    let rest = settings.resources.memory.saturating_sub(fixed);
     let share = |memory: u64| memory.saturating_sub(fixed) / 4 * 3;
-    let mut visit = Visit::new(archive, blocks, settings.threads, share(settings.memory), &settings.cancel)?;
+    let mut visit = Visit::new(
+        archive,
+        blocks,
+        settings.resources.threads,
+        share(settings.resources.memory),
+        &settings.resources.cancel,
+    )?;
     if let Some(cut) = &cut {
         visit.confine(|region| cut.may_touch_box(region))?;
     }
-    visit.check_memory(settings.memory, share, 0)?;
-    let scratch = settings.scratch.clone().unwrap_or_else(|| parent_of(out));
+    visit.check_memory(settings.resources.memory, share, 0)?;
+    let scratch = settings.resources.scratch.clone().unwrap_or_else(|| parent_of(out));
     let mut join = Join::new(&visit, settings, rest / 8, &scratch);
     progress.begin("export", visit.chunks.len() as u64, "chunks");
     let select = |_, chunk: DecodedChunk| Ok(selected(chunk, range, settings.corners, cut.as_ref()));
@@ -137,7 +136,7 @@ pub(in crate::pipeline) fn export(
     let start = Instant::now();
     let place = Place::of(archive)?;
     let lattice = archive.manifest.plan.lattice;
-    let threads = settings.compress.then(|| pool(settings.threads)).transpose()?;
+    let threads = settings.compress.then(|| pool(settings.resources.threads)).transpose()?;
     let meta = TetMeta {
         place: &|p| place.world(lattice.to_index_space(p)),
         mirrors: place.mirrors(),
@@ -156,9 +155,7 @@ pub(in crate::pipeline) fn export(
         chunks: archive.chunks.len(),
         bytes_read: archive.bytes_read() - read_before + index_bytes,
         file_bytes,
-        seconds: [("read, join", read), ("write", start.elapsed())]
-            .map(|(name, time)| (name.to_owned(), time.as_secs_f64()))
-            .to_vec(),
+        seconds: vec![(Stage::Join, read.as_secs_f64()), (Stage::Write, start.elapsed().as_secs_f64())],
     })
 }
 
@@ -234,7 +231,7 @@ impl<'a> Join<'a> {
             passed: 0,
             void: 0,
             frontier: None,
-            memory: settings.memory,
+            memory: settings.resources.memory,
             most_open,
             look_at: most_open / 64 + 1,
         }

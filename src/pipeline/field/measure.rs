@@ -16,7 +16,7 @@ use crate::domain::column::Column;
 use crate::domain::merge::Firsts;
 use crate::domain::store::{BadValue, CellStore, StoreSettings};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress};
+use crate::exec::{Progress, Resources};
 use crate::formats::brick_map::{BrickMapFile, BrickNumbers};
 use crate::formats::{self, Input, OpenOptions, StepSource};
 use crate::geom::LatticePos;
@@ -26,65 +26,40 @@ use crate::measure::{BrickErrors, BrickRecord, ErrorSums, FieldError, LevelError
 use crate::pipeline::chunk::{Cells, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of};
 use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
 use crate::pipeline::plan::{Attachments, Halo, MOST_STEPS_AT_ONCE, estimate, fingerprint};
-use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepChoice, Visit};
+use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepChoice, StepView, Visit};
 use crate::pipeline::settings::RunSettings;
 use crate::volume::{VolumeReader, VolumeSource};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 /// How a field is measured.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct MeasureSettings {
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for everything that grows.
-    pub memory: u64,
-    /// Folder for the uncompressed copy of a compressed input, and for what does not fit in memory; the system's temporary folder
-    /// if not given.
-    pub scratch: Option<PathBuf>,
     /// Of a series: the number of the step; the first one if not given.
     pub step: Option<u64>,
     /// A VTI file for the errors of each brick.
     pub map: Option<PathBuf>,
-    /// Stops the measurement.
-    pub cancel: CancelToken,
-}
-
-impl Default for MeasureSettings {
-    fn default() -> Self {
-        Self {
-            threads: 0,
-            memory: crate::exec::usable_memory() / 2,
-            scratch: None,
-            step: None,
-            map: None,
-            cancel: CancelToken::new(),
-        }
-    }
+    /// Threads, memory, scratch folder, and what stops it.
+    pub resources: Resources,
 }
 
 impl MeasureSettings {
     /// Those of a reduction's run, with as many threads as chunks were at work: for so many the memory suffices.
     pub(in crate::pipeline) fn of_run(run: &RunSettings, workers: usize) -> Self {
-        Self {
-            threads: workers,
-            memory: run.memory,
-            scratch: run.scratch.clone(),
-            step: None,
-            map: None,
-            cancel: run.cancel.clone(),
-        }
+        Self { resources: run.resources.clone().with_threads(workers), step: None, map: None }
     }
 
     fn scratch(&self) -> PathBuf {
-        self.scratch.clone().unwrap_or_else(std::env::temp_dir)
+        self.resources.scratch_folder()
     }
 }
 
 /// What was measured.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct MeasureReport {
     /// The errors.
     #[serde(flatten)]
@@ -130,7 +105,8 @@ pub fn measure_source(
     progress: &dyn Progress,
 ) -> Result<MeasureReport> {
     let start = Instant::now();
-    let archive = OpenArchive::open_at(archive, settings.step.map_or(StepChoice::First, StepChoice::Number))?;
+    let choice = settings.step.map_or(StepChoice::First, StepChoice::Number);
+    let archive = OpenArchive::open(archive)?.at(choice)?;
     let (error, same_source) = against(&archive, source, settings, progress)?;
     Ok(MeasureReport {
         error,
@@ -144,7 +120,7 @@ pub fn measure_source(
 /// Measures steps of an archive, by ascending positions in the manifest, whose inputs are not open any more. A mesh is laid out once for all of
 /// them.
 pub(in crate::pipeline) fn reopened_errors(
-    archive: &mut OpenArchive,
+    archive: &Arc<OpenArchive>,
     steps: &[(usize, &StepSource)],
     settings: &MeasureSettings,
     progress: &dyn Progress,
@@ -153,21 +129,22 @@ pub(in crate::pipeline) fn reopened_errors(
     for group in steps.chunks(MOST_STEPS_AT_ONCE as usize) {
         let mut columns = vec![];
         for &(position, source) in group {
-            archive.turn_to(position);
-            match open_field(archive, source)? {
+            let view = archive.step_at(position);
+            match open_field(&view, source)? {
                 Input::Volume(volume) => {
-                    let error = against_volume(archive, volume, source, settings, progress)?.0;
+                    let error = against_volume(&view, volume, source, settings, progress)?.0;
                     errors.push((error, vec![]));
                 }
                 Input::Mesh(mesh) => {
-                    let values = reopened_values(archive, &mesh, &source.path, &mut store, settings)?;
+                    let values = reopened_values(&view, &mesh, &source.path, &mut store, settings)?;
                     columns.push((position, values));
                 }
             }
         }
         if let Some(store) = &store {
             let columns: Vec<_> = columns.iter().map(|(position, values)| (*position, values)).collect();
-            errors.extend(vertex_errors(archive, store, &columns, settings, progress)?);
+            let view = archive.step_at(columns[0].0);
+            errors.extend(vertex_errors(&view, store, &columns, settings, progress)?);
         }
     }
     Ok(errors)
@@ -175,7 +152,7 @@ pub(in crate::pipeline) fn reopened_errors(
 
 /// The values of a step on the mesh of a series, which the first of them lays out.
 pub(in crate::pipeline) fn reopened_values(
-    archive: &OpenArchive,
+    archive: &StepView,
     mesh: &CellMesh,
     input: &Path,
     store: &mut Option<CellStore>,
@@ -198,7 +175,7 @@ pub(in crate::pipeline) fn reopened_values(
 
 /// The error, and whether the input is the one that the archive was made from.
 fn against(
-    archive: &OpenArchive,
+    archive: &StepView,
     source: &StepSource,
     settings: &MeasureSettings,
     progress: &dyn Progress,
@@ -210,7 +187,7 @@ fn against(
 }
 
 /// Opens the input; where nobody names a field of a file, the archive does.
-fn open_field(archive: &OpenArchive, source: &StepSource) -> Result<Input> {
+fn open_field(archive: &StepView, source: &StepSource) -> Result<Input> {
     let (input, options) = (&source.path, &source.options);
     if source.is_given() || options.field.is_some() {
         return source.open();
@@ -221,7 +198,7 @@ fn open_field(archive: &OpenArchive, source: &StepSource) -> Result<Input> {
 }
 
 fn against_volume(
-    archive: &OpenArchive,
+    archive: &StepView,
     volume: VolumeSource,
     source: &StepSource,
     settings: &MeasureSettings,
@@ -232,25 +209,21 @@ fn against_volume(
     if recorded.mesh.is_some() || dims != recorded.dims {
         return Err(other_input(&source.path, recorded, format!("a volume of {} samples", triple(dims))));
     }
-    let hash =
-        source.given_hash(&settings.cancel)?.map_or_else(|| fingerprint(&volume.info().files()), Ok)?;
+    let hash = source
+        .given_hash(&settings.resources.cancel)?
+        .map_or_else(|| fingerprint(&volume.info().files()), Ok)?;
     let same = hash == recorded.fingerprint;
-    let run = RunSettings {
-        threads: settings.threads,
-        memory: settings.memory,
-        scratch: settings.scratch.clone(),
-        replace: false,
-        keep_going: false,
-        cancel: settings.cancel.clone(),
-    };
-    let of_map = if settings.map.is_some() { map_bytes(settings.memory) } else { 0 };
-    let visit = Visit::new(archive, Blocks::All, settings.threads, 0, &settings.cancel)?;
+    let resources = &settings.resources;
+    let run = RunSettings { resources: resources.clone(), ..RunSettings::default() };
+    let of_map = if settings.map.is_some() { map_bytes(resources.memory) } else { 0 };
+    let visit = Visit::new(archive, Blocks::All, resources.threads, 0, &resources.cancel)?;
     let least = visit.least(EXTRA) + estimate::BASE + of_map;
     let boxes = boxes_of_chunks(&archive.points, &archive.chunks, Halo::of(&archive.manifest.plan));
     let cache = ChunkCache::fitting(&volume, boxes, least, &run);
     let (reader, _scratch) = random_access(volume, cache.map(|c| c.size), &run, progress)?;
     let held = cache.map_or(0, |c| c.held);
-    let settings = &MeasureSettings { memory: settings.memory - held, ..settings.clone() };
+    let resources = resources.clone().with_memory(resources.memory - held);
+    let settings = &MeasureSettings { resources, ..settings.clone() };
     let reading = Reading::of(&archive.step().plan);
     let (reader, missing, stand_in) = (reading.reader(reader), reading.missing(), reading.stand_in());
     let originals = Originals::Volume { reader: &*reader, missing, stand_in };
@@ -258,7 +231,7 @@ fn against_volume(
 }
 
 fn against_mesh(
-    archive: &OpenArchive,
+    archive: &StepView,
     mesh: &CellMesh,
     input: &Path,
     settings: &MeasureSettings,
@@ -274,24 +247,24 @@ fn against_mesh(
 
 /// How a mesh is read whose field at its vertices is measured.
 fn store_settings<'a>(
-    archive: &OpenArchive,
+    archive: &StepView,
     settings: &'a MeasureSettings,
     scratch: &'a Path,
 ) -> StoreSettings<'a> {
     let step = &archive.step().plan;
     StoreSettings {
-        memory: settings.memory / 4,
+        memory: settings.resources.memory / 4,
         scratch,
         bad_value: Reading::of(step).stand_in().map_or(BadValue::Void, BadValue::Use),
         offset: step.source.offset,
         missing: step.missing,
-        cancel: &settings.cancel,
+        cancel: &settings.resources.cancel,
     }
 }
 
 /// A mesh on disk, which must be of the size of the archive's.
 fn mesh_store(
-    archive: &OpenArchive,
+    archive: &StepView,
     mesh: &CellMesh,
     firsts: Option<Firsts>,
     input: &Path,
@@ -313,7 +286,7 @@ fn triple([x, y, z]: [u64; 3]) -> String {
 }
 
 /// The error of a mesh of the archive's size whose vertices are others.
-pub(super) fn other_mesh(archive: &OpenArchive) -> Error {
+pub(super) fn other_mesh(archive: &StepView) -> Error {
     let expected = "the mesh that it keeps";
     Error::bad_input(archive.path(), "vertices", expected, "a mesh with others")
         .with_help(format!("the archive was made from {}", archive.step().plan.source.path))
@@ -331,7 +304,7 @@ fn other_input(input: &Path, recorded: &Source, got: String) -> Error {
 
 /// Measures an archive, published or not.
 pub(super) fn field_error(
-    archive: &OpenArchive,
+    archive: &StepView,
     originals: &Originals<'_>,
     settings: &MeasureSettings,
     progress: &dyn Progress,
@@ -349,7 +322,7 @@ pub(super) fn field_error(
             against.measure(map, settings, progress)
         }
         Originals::Mesh(store, values) => {
-            let step = [(archive.view.step, *values)];
+            let step = [(archive.position(), *values)];
             let mut errors = measure_vertices(archive, store, &step, map, settings, progress)?;
             Ok(errors.pop().expect("of one step").0)
         }
@@ -358,7 +331,7 @@ pub(super) fn field_error(
 
 /// Measures steps of an archive, published or not, from a position in the manifest on.
 pub(in crate::pipeline) fn field_errors(
-    archive: &mut OpenArchive,
+    archive: &Arc<OpenArchive>,
     first: usize,
     originals: &[Originals<'_>],
     settings: &MeasureSettings,
@@ -368,8 +341,8 @@ pub(in crate::pipeline) fn field_errors(
     for (position, original) in (first..).zip(originals) {
         match original {
             Originals::Volume { .. } => {
-                archive.turn_to(position);
-                errors.push((field_error(archive, original, settings, progress)?, vec![]));
+                let view = archive.step_at(position);
+                errors.push((field_error(&view, original, settings, progress)?, vec![]));
             }
             Originals::Mesh(mesh, values) => {
                 store = Some(*mesh);
@@ -379,14 +352,14 @@ pub(in crate::pipeline) fn field_errors(
     }
     // The steps of a series are on one mesh, or on none.
     match store {
-        Some(store) => vertex_errors(archive, store, &on_mesh, settings, progress),
+        Some(store) => vertex_errors(&archive.step_at(first), store, &on_mesh, settings, progress),
         None => Ok(errors),
     }
 }
 
 /// Measures steps at the vertices of a mesh, which are located once for as many steps as the memory allows.
 fn vertex_errors(
-    archive: &OpenArchive,
+    archive: &StepView,
     store: &CellStore,
     steps: &[(usize, &Column<f32>)],
     settings: &MeasureSettings,
@@ -406,7 +379,7 @@ fn vertex_errors(
 
 /// The samples of a volume, against an archive.
 struct AgainstSamples<'a> {
-    archive: &'a OpenArchive,
+    archive: &'a StepView,
     samples: Samples<'a>,
     reader: &'a dyn VolumeReader,
     sample_errors: SampleErrors,
@@ -435,9 +408,14 @@ impl AgainstSamples<'_> {
         let mapped = map.is_some();
         let of_map = |memory: u64| if mapped { map_bytes(memory) } else { 0 };
         let share = |memory: u64| memory.saturating_sub(estimate::BASE + of_map(memory));
-        let visit =
-            Visit::new(archive, Blocks::All, settings.threads, share(settings.memory), &settings.cancel)?;
-        visit.check_memory(settings.memory, share, EXTRA)?;
+        let visit = Visit::new(
+            archive,
+            Blocks::All,
+            settings.resources.threads,
+            share(settings.resources.memory),
+            &settings.resources.cancel,
+        )?;
+        visit.check_memory(settings.resources.memory, share, EXTRA)?;
         progress.begin("measure", visit.chunks.len() as u64, "chunks");
         let (mut sums, mut released) = (ErrorSums::default(), 0);
         let job = |_, chunk: DecodedChunk| self.part(&chunk);
@@ -500,7 +478,7 @@ pub(in crate::pipeline) fn on_lattice(p: FinePos) -> LatticePos {
 
 /// Positions of steps, and their values at the vertices; a map is of one step.
 fn measure_vertices(
-    archive: &OpenArchive,
+    archive: &StepView,
     store: &CellStore,
     steps: &[(usize, &Column<f32>)],
     mut map: Option<Map>,
@@ -509,7 +487,7 @@ fn measure_vertices(
 ) -> Result<Vec<StepErrors>> {
     if archive.manifest.plan.own.is_some() {
         let scratch = settings.scratch();
-        let (how, memory) = (store_settings(archive, settings, &scratch), settings.memory);
+        let (how, memory) = (store_settings(archive, settings, &scratch), settings.resources.memory);
         let of_map = if map.is_some() { map_bytes(memory) } else { 0 };
         let rest = memory.saturating_sub(of_map);
         return own_errors(archive, store, steps, map, &how, rest, progress).map_err(|e| e.beside(of_map));
@@ -525,12 +503,12 @@ fn measure_vertices(
     let rest = |memory: u64| memory.saturating_sub(estimate::BASE + of_map(memory) + sums_bytes);
     let share = |memory: u64| rest(memory) / 8 * 7;
     let vertex = VERTEX + FURTHER * (steps.len() as u64 - 1);
-    let most = (rest(settings.memory) / 8 / vertex).clamp(1, MOST_VERTICES) as usize;
+    let most = (rest(settings.resources.memory) / 8 / vertex).clamp(1, MOST_VERTICES) as usize;
     let find = Find {
-        threads: settings.threads,
-        memory: settings.memory,
+        threads: settings.resources.threads,
+        memory: settings.resources.memory,
         share: &share,
-        cancel: &settings.cancel,
+        cancel: &settings.resources.cancel,
         outside: Outside::All,
     };
     let bricks = archive.chunks.bricks();
@@ -569,7 +547,7 @@ fn measure_vertices(
 
 /// Errors at the vertices, as they are told: of steps by positions in the manifest, with their values, and vertices outside.
 pub(super) fn told_errors(
-    archive: &OpenArchive,
+    archive: &StepView,
     store: &CellStore,
     steps: &[usize],
     columns: &[&[f32]],
@@ -630,10 +608,10 @@ fn map_bytes(memory: u64) -> u64 {
 const BATCH: usize = 1 << 12;
 
 impl Map {
-    fn new(archive: &OpenArchive, path: &Path, settings: &MeasureSettings) -> Result<Self> {
+    fn new(archive: &StepView, path: &Path, settings: &MeasureSettings) -> Result<Self> {
         let (bricks, g) = (archive.chunks.bricks(), &archive.step().plan.source.geometry);
         let spacing = std::array::from_fn(|a| g.spacing[a] * bricks.voxels()[a]);
-        let memory = map_bytes(settings.memory);
+        let memory = map_bytes(settings.resources.memory);
         Ok(Self {
             file: BrickMapFile::create(path, bricks.dims(), &Geometry { spacing, ..*g })?,
             bricks: bricks.len(),

@@ -14,7 +14,7 @@ use crate::exec::Progress;
 use crate::grid::ChunkId;
 use crate::measure::{BrickErrors, ErrorSums};
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{ChunkReader, OpenArchive, ReaderMemory};
+use crate::pipeline::read::{ChunkReader, ReaderMemory, StepView};
 use std::collections::BTreeMap;
 
 /// Vertices of which the errors of bricks are handed on together.
@@ -22,7 +22,7 @@ const BATCH: usize = 1 << 16;
 
 /// The errors of steps, by their positions in the manifest, whose values at the vertices are given; a map is of one step. `memory` is for all.
 pub(super) fn own_errors(
-    archive: &OpenArchive,
+    archive: &StepView,
     store: &CellStore,
     steps: &[(usize, &Column<f32>)],
     mut map: Option<Map>,
@@ -74,7 +74,7 @@ pub(super) fn own_errors(
 
 /// The values of steps at all points, in the order of the list.
 fn values_by_place(
-    archive: &OpenArchive,
+    archive: &StepView,
     steps: &[usize],
     listed: usize,
     progress: &dyn Progress,

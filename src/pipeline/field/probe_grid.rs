@@ -11,11 +11,11 @@
 //! have one, all is done again on one thread, chunk by chunk.
 
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, Silent};
+use crate::exec::{Progress, Resources, Silent};
 use crate::formats::samples::{GridMeta, SampleFile, SampleFormat};
 use crate::grid::{Geometry, IndexBox};
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, Visit};
+use crate::pipeline::read::{Blocks, DecodedChunk, StepView, Visit};
 use crate::raster::{Axis, SampleGrid, Scanner, interpolate};
 use serde::Serialize;
 use std::path::Path;
@@ -24,24 +24,15 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 /// How a field is probed.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct ProbeSettings {
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for chunks, windows and points.
-    pub memory: u64,
-    /// Stops the probing; nothing is written then.
-    pub cancel: CancelToken,
-}
-
-impl Default for ProbeSettings {
-    fn default() -> Self {
-        Self { threads: 0, memory: crate::exec::usable_memory() / 2, cancel: CancelToken::new() }
-    }
+    /// Threads, memory, and what stops it. Nothing waits in a scratch folder.
+    pub resources: Resources,
 }
 
 /// What was probed.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct ProbeReport {
     /// Samples or points asked for.
     pub samples: u64,
@@ -69,7 +60,7 @@ const BLANK: u64 = 1 << 18;
 
 /// Samples the field of an archive on a grid and writes them to a file: see [`super::Archive::write_samples`].
 pub(in crate::pipeline) fn probe_grid(
-    archive: &OpenArchive,
+    archive: &StepView,
     dims: [u64; 3],
     settings: &ProbeSettings,
     out: &Path,
@@ -104,15 +95,19 @@ pub(in crate::pipeline) fn probe_grid(
 
 /// The same samples, in memory.
 pub(in crate::pipeline) fn sample_grid(
-    archive: &OpenArchive,
+    archive: &StepView,
     dims: [u64; 3],
     settings: &ProbeSettings,
 ) -> Result<Vec<f64>> {
     let meta = GridMeta { dims, geometry: Geometry::default(), field: String::new(), offset: 0.0 };
     let (samples, offset) = (meta.samples()?, archive.step().plan.source.offset);
     let bytes = 8 * samples;
-    if bytes > settings.memory {
-        return Err(Error::Budget { what: "memory".into(), needed: bytes, available: settings.memory });
+    if bytes > settings.resources.memory {
+        return Err(Error::Budget {
+            what: "memory".into(),
+            needed: bytes,
+            available: settings.resources.memory,
+        });
     }
     let scan = GridScan::new(archive, dims, settings)?;
     let all = Mutex::new(vec![f64::NAN; samples as usize]);
@@ -179,15 +174,20 @@ impl TakenSamples {
 }
 
 impl<'a> GridScan<'a> {
-    fn new(archive: &'a OpenArchive, dims: [u64; 3], settings: &'a ProbeSettings) -> Result<Self> {
+    fn new(archive: &'a StepView, dims: [u64; 3], settings: &'a ProbeSettings) -> Result<Self> {
         let grid = spanning_grid(archive, dims)?;
         let axes = 4 * dims.iter().sum::<u64>();
         let may_overlap = archive.manifest.plan.own.is_some();
         let bits = if may_overlap { taken_bytes(dims.iter().product()) } else { 0 };
         let share = |memory: u64| memory.saturating_sub(estimate::BASE + axes + bits);
-        let visit =
-            Visit::new(archive, Blocks::All, settings.threads, share(settings.memory), &settings.cancel)?;
-        visit.check_memory(settings.memory, share, 4 * WINDOW)?;
+        let visit = Visit::new(
+            archive,
+            Blocks::All,
+            settings.resources.threads,
+            share(settings.resources.memory),
+            &settings.resources.cancel,
+        )?;
+        visit.check_memory(settings.resources.memory, share, 4 * WINDOW)?;
         let plan = &archive.manifest.plan;
         // The tetrahedra of a mesh may overlap: their volume tells nothing.
         let has_gaps = may_overlap || visit.volume6()? != plan.lattice.volume6();
@@ -254,7 +254,7 @@ impl<'a> GridScan<'a> {
 }
 
 /// Evenly spaced samples from face to face of the domain.
-fn spanning_grid(archive: &OpenArchive, dims: [u64; 3]) -> Result<SampleGrid> {
+fn spanning_grid(archive: &StepView, dims: [u64; 3]) -> Result<SampleGrid> {
     let lattice = archive.manifest.plan.lattice;
     let far = lattice.max();
     let axis = |a: usize| Axis::even(0, far[a], dims[a]);

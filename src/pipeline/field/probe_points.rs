@@ -18,7 +18,7 @@ use crate::formats::samples::SampleFile;
 use crate::geom::{Lattice, LatticeBox, LatticePos};
 use crate::grid::{BrickGrid, ChunkId, Geometry};
 use crate::pipeline::plan::estimate;
-use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, Visit, full_region};
+use crate::pipeline::read::{Blocks, DecodedChunk, StepView, Visit, full_region};
 use crate::raster::{PointLocator, interpolate};
 use glam::DVec3;
 use std::collections::BTreeMap;
@@ -154,7 +154,7 @@ impl<'a> Out<'a> {
 
 /// Writes values for a table of points: see [`super::Archive::write_probed`].
 pub(in crate::pipeline) fn probe_table(
-    archive: &OpenArchive,
+    archive: &StepView,
     points: &Path,
     settings: &ProbeSettings,
     out: &Path,
@@ -164,7 +164,7 @@ pub(in crate::pipeline) fn probe_table(
     let (start, read_before) = (Instant::now(), archive.bytes_read());
     let mut reader = PointReader::open(points)?;
     let mut out = Out::create(out, points, &archive.step().plan.source)?;
-    let rest = settings.memory.saturating_sub(estimate::BASE);
+    let rest = settings.resources.memory.saturating_sub(estimate::BASE);
     // Half for points, half for chunks.
     let most = (rest / 2 / POINT).clamp(1, MOST);
     let mut report = ProbeReport::default();
@@ -231,7 +231,7 @@ impl<'a> Batch<'a> {
 
 /// Values of the field at points given in world coordinates; fewer than 2^32. NaN where there are none.
 pub(in crate::pipeline) fn values_at(
-    archive: &OpenArchive,
+    archive: &StepView,
     points: &[[f64; 3]],
     settings: &ProbeSettings,
     share: &dyn Fn(u64) -> u64,
@@ -254,10 +254,10 @@ pub(in crate::pipeline) fn values_at(
         .collect();
     let (mut values, mut found) = (vec![f32::NAN; points.len()], 0);
     let find = Find {
-        threads: settings.threads,
-        memory: settings.memory,
+        threads: settings.resources.threads,
+        memory: settings.resources.memory,
         share,
-        cancel: &settings.cancel,
+        cancel: &settings.resources.cancel,
         outside: Outside::Within(tolerance),
     };
     let chunks_read = each_value(archive, placed.into_iter(), &find, progress, "probe", |n, value| {
@@ -291,7 +291,7 @@ pub(in crate::pipeline) enum Outside {
 /// Calls `each` with the number and the value of every point that lies in a tetrahedron, or outside of all as [`Find`] tells, NaN in one with a void corner. Returns the
 /// number of chunks read.
 pub(in crate::pipeline) fn each_value(
-    archive: &OpenArchive,
+    archive: &StepView,
     points: impl Iterator<Item = (LatticePos, u32)>,
     find: &Find<'_>,
     progress: &dyn Progress,
@@ -304,7 +304,7 @@ pub(in crate::pipeline) fn each_value(
 
 /// As [`each_value`], at steps by ascending positions in the manifest: each point is looked for once. `each` is also told whether the point is in a tetrahedron.
 pub(super) fn each_value_of(
-    archive: &OpenArchive,
+    archive: &StepView,
     steps: &[usize],
     points: impl Iterator<Item = (LatticePos, u32)>,
     find: &Find<'_>,
@@ -321,7 +321,7 @@ pub(super) fn each_value_of(
 /// `further` lists beside the first.
 #[expect(clippy::too_many_arguments, reason = "two questions, and nothing else, are asked in this way")]
 fn find_each(
-    archive: &OpenArchive,
+    archive: &StepView,
     points: impl Iterator<Item = (LatticePos, u32)>,
     find: &Find<'_>,
     progress: &dyn Progress,

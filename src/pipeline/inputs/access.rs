@@ -111,11 +111,12 @@ impl ChunkCache {
     ) -> Option<Self> {
         let VolumeSource::Chunked(chunks) = source else { return None };
         let shape = ChunkShape::of(&**chunks);
-        let decoding = shape.decoding_bytes.saturating_mul(run.worker_threads() as u64);
+        let decoding = shape.decoding_bytes.saturating_mul(run.resources.worker_threads() as u64);
         let caches = cache_sizes(&shape, boxes).into_iter().flatten();
         let mut caches = caches.map(|size| Self { size, held: size.saturating_add(decoding) });
         let fits = |cache: &Self| {
-            cache.size <= most_cached(run.memory) && cache.held.saturating_add(least) <= run.memory
+            cache.size <= most_cached(run.resources.memory)
+                && cache.held.saturating_add(least) <= run.resources.memory
         };
         caches.find(fits)
     }

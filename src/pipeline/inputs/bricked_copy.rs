@@ -118,12 +118,12 @@ pub(super) fn copied(
     run: &RunSettings,
     progress: &dyn Progress,
 ) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
-    let rest = run.memory.saturating_sub(copying_bytes(&source));
-    let folder = run.scratch_folder();
+    let rest = run.resources.memory.saturating_sub(copying_bytes(&source));
+    let folder = run.resources.scratch_folder();
     // What runs that were killed while they copied have left.
     publish::sweep(&folder);
     let scratch = Scratch::new(&folder);
-    brick_with(BrickedVolume::build_scratch, source, &scratch.0, rest / 2, &run.cancel, progress)?;
+    brick_with(BrickedVolume::build_scratch, source, &scratch.0, rest / 2, &run.resources.cancel, progress)?;
     let reader = BrickedVolume::open(&scratch.0)?;
     // An open file without a name is gone with the process, however that ends.
     #[cfg(unix)]

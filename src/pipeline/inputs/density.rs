@@ -56,9 +56,9 @@ impl<'a> Errors<'a> {
     /// [`Error::Budget`] when the memory does not hold the curves.
     pub(in crate::pipeline) fn new(lattice: Lattice, adapt: &'a Adapt, run: &'a RunSettings) -> Result<Self> {
         let needed = needed(lattice);
-        if run.memory < needed {
+        if run.resources.memory < needed {
             let what = "memory (to find where points are needed)".into();
-            return Err(Error::Budget { what, needed, available: run.memory });
+            return Err(Error::Budget { what, needed, available: run.resources.memory });
         }
         Ok(Self { adapt, run, curves: ErrorCurves::new(lattice), bend: Bend::default(), range: None })
     }
@@ -69,9 +69,9 @@ impl<'a> Errors<'a> {
         let cache = ChunkCache::fitting(&source, boxes_of(&blocks), needed(blocks.lattice), self.run);
         let (reader, _copy) = random_access(source, cache.map(|c| c.size), self.run, &Silent)?;
         let reader = reading.reader(reader);
-        let pool = pool(self.run.worker_threads())?;
+        let pool = pool(self.run.resources.worker_threads())?;
         for first in (0..blocks.len()).step_by(BLOCKS_AT_ONCE as usize) {
-            self.run.cancel.check()?;
+            self.run.resources.cancel.check()?;
             let run = first..(first + BLOCKS_AT_ONCE).min(blocks.len());
             let found: Result<Vec<_>> = pool.install(|| {
                 run.into_par_iter()
@@ -115,19 +115,20 @@ impl<'a> Errors<'a> {
 
     /// The number of points with which the error is about this.
     pub(in crate::pipeline) fn count_of_rms(&self, rms: f64) -> Result<u64> {
-        Ok(pool(self.run.worker_threads())?.install(|| Choice::count_of_rms(&self.curves, rms)))
+        Ok(pool(self.run.resources.worker_threads())?.install(|| Choice::count_of_rms(&self.curves, rms)))
     }
 
     /// Levels at which errors are about this everywhere, with at most so many points.
     pub(in crate::pipeline) fn choice_of_bound(&self, bound: f64, most: u64) -> Result<Choice> {
-        let choice =
-            pool(self.run.worker_threads())?.install(|| Choice::of_bound(&self.curves, bound, most))?;
+        let choice = pool(self.run.resources.worker_threads())?
+            .install(|| Choice::of_bound(&self.curves, bound, most))?;
         Ok(choice.stretched(&self.bend))
     }
 
     /// The levels of so many points.
     pub(in crate::pipeline) fn choice(&self, count: u64) -> Result<Choice> {
-        let choice = pool(self.run.worker_threads())?.install(|| Choice::of_count(&self.curves, count))?;
+        let choice =
+            pool(self.run.resources.worker_threads())?.install(|| Choice::of_count(&self.curves, count))?;
         Ok(choice.stretched(&self.bend))
     }
 }

@@ -58,12 +58,12 @@ impl MeshCurves {
         let lattice = store.frame.lattice;
         let fixed = estimate::BASE + ErrorCurves::bytes_for_mesh(lattice);
         let needed = fixed + BLOCK_BYTES;
-        if run.memory < needed {
+        if run.resources.memory < needed {
             let what = "memory (to find where points are needed)".into();
-            return Err(Error::Budget { what, needed, available: run.memory });
+            return Err(Error::Budget { what, needed, available: run.resources.memory });
         }
-        let threads = run.worker_threads();
-        let at_once = ((run.memory - fixed) / BLOCK_BYTES).min(BLOCKS_A_THREAD * threads as u64);
+        let threads = run.resources.worker_threads();
+        let at_once = ((run.resources.memory - fixed) / BLOCK_BYTES).min(BLOCKS_A_THREAD * threads as u64);
         let mut curves = ErrorCurves::of_mesh(lattice);
         let range = measure(store, how, adapt, at_once, run, &mut curves)?;
         let at_cells = vertices_by_cell(store, curves.cells())?;
@@ -100,9 +100,9 @@ fn measure(
 ) -> Result<[f32; 2]> {
     let blocks = BlockErrors::blocks(curves.cells());
     let voxels = Voxels::new(store, blocks, how)?;
-    let pool = pool(run.worker_threads())?;
+    let pool = pool(run.resources.worker_threads())?;
     for first in (0..blocks.len()).step_by(at_once as usize) {
-        run.cancel.check()?;
+        run.resources.cancel.check()?;
         let some = first..(first + at_once).min(blocks.len());
         let cells = curves.cells();
         let of = |block| {

@@ -12,6 +12,7 @@ use serde::Serialize;
 
 /// What one pass over the samples tells. Values have slope and intercept applied.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Scan {
     /// Least finite value; `None` if there is no finite sample.
     pub min: Option<f64>,

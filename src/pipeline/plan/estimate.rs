@@ -359,7 +359,7 @@ pub(in crate::pipeline) fn need_of(
     let few = parts.points.len() <= FEW_POINTS;
     let most = if few { MOST_SMALL_STEPS_AT_ONCE } else { MOST_STEPS_AT_ONCE };
     let need = Need { held, ..Need::of(parts) };
-    need.with_steps(steps as u64, most, memory, run.worker_threads())
+    need.with_steps(steps as u64, most, memory, run.resources.worker_threads())
 }
 
 /// Bytes that measuring a chunk at so many steps takes: samples, those of up to eight steps once more while they are put side by side, sums.
@@ -386,6 +386,7 @@ pub(in crate::pipeline) fn some_chunks(chunks: &ChunkGrid) -> impl Iterator<Item
 
 /// What a reduction needs, and what there is.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct Estimate {
     /// Samples of the volume.
     pub samples: u64,

@@ -66,14 +66,14 @@ impl FromStr for StepRange {
 
 /// A step, or a moment between it and the next one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(in crate::pipeline) struct View {
+pub(in crate::pipeline) struct Moment {
     /// Position of the step in the manifest.
     pub(in crate::pipeline) step: usize,
     /// How far it is to the next step; above 0, below 1.
     pub(in crate::pipeline) beyond: Option<f64>,
 }
 
-impl View {
+impl Moment {
     /// # Errors
     /// [`Error::Usage`] that tells which steps there are.
     pub(in crate::pipeline) fn of(manifest: &Manifest, choice: StepChoice, shown: &Path) -> Result<Self> {

@@ -12,11 +12,11 @@
 //! them to the other side. So a chunk whose surface is small costs a few bricks. For a lattice
 //! everything but the values follows by formula ([`BccChunk`]).
 
-use super::archive::{OpenArchive, OpenSegment};
 use super::block::{Block, BlockCorners};
 use super::chunk_mesh::{MeshedChunk, value_blocks};
 use super::reader_memory::{ReaderMemory, UNPLACED};
 use super::region::Cut;
+use super::step_view::{OpenSegment, StepView};
 use crate::archive::Malformed;
 use crate::archive::chunk::TetBlock;
 use crate::archive::chunked::ChunkSegment;
@@ -29,12 +29,11 @@ use crate::grid::{BrickId, Chunk, ChunkId};
 use crate::mesh::bcc::BccChunk;
 use crate::mesh::tet::{Tet, is_active, range};
 use crate::pipeline::plan::check_brick;
-use std::sync::Arc;
 
 /// A chunk that is being read. Corner arrays are indexed by chunk-local vertex numbers.
 pub(in crate::pipeline) struct ChunkReader<'a> {
-    archive: &'a OpenArchive,
-    segment: Arc<OpenSegment>,
+    archive: &'a StepView,
+    segment: OpenSegment,
     chunk: Chunk,
     /// The mesh, where it follows by formula: there is neither header nor page nor brick then.
     bcc: Option<BccChunk>,
@@ -70,7 +69,7 @@ pub(in crate::pipeline) const BYTES_PER_VERTEX: u64 = 40;
 impl<'a> ChunkReader<'a> {
     /// Reads the header of a chunk.
     pub(in crate::pipeline) fn open(
-        archive: &'a OpenArchive,
+        archive: &'a StepView,
         id: ChunkId,
         mut memory: ReaderMemory,
     ) -> Result<Self> {
@@ -123,8 +122,8 @@ impl<'a> ChunkReader<'a> {
 
     /// As [`ChunkReader::open`], of a chunk whose mesh follows by formula.
     fn open_bcc(
-        archive: &'a OpenArchive,
-        segment: Arc<OpenSegment>,
+        archive: &'a StepView,
+        segment: OpenSegment,
         chunk: Chunk,
         bcc: BccChunk,
         mut memory: ReaderMemory,
@@ -695,7 +694,7 @@ impl Wanted<'_> {
 
 /// Whether a chunk has so many blocks of values.
 fn expect_values(
-    archive: &OpenArchive,
+    archive: &StepView,
     segment: &OpenSegment,
     id: ChunkId,
     expected: &ValueBlocks,

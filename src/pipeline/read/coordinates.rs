@@ -4,7 +4,7 @@
 //! follow the trilinear map of their cell, normals transform as covectors. Triangles are turned
 //! over where most cells mirror.
 
-use super::archive::OpenArchive;
+use super::step_view::StepView;
 use crate::archive::coordinates::{self, CoordinateMap, Coordinates};
 use crate::archive::manifest::CoordinateRecord;
 use crate::error::{Error, Result};
@@ -87,7 +87,7 @@ fn finite(input: &Path, numbers: &[f64], first: u64) -> Result<()> {
 }
 
 /// The map of what is extracted: to the world, or where coordinates are to be applied, to index space.
-pub(in crate::pipeline) fn world_map(archive: &OpenArchive) -> WorldMap {
+pub(in crate::pipeline) fn world_map(archive: &StepView) -> WorldMap {
     let own = archive.coordinate_record().is_some();
     let geometry = if own { Geometry::default() } else { archive.step().plan.source.geometry };
     WorldMap::new(&archive.manifest.plan.lattice, &geometry)
@@ -107,7 +107,7 @@ pub(in crate::pipeline) enum Place {
 }
 
 impl Place {
-    pub(in crate::pipeline) fn of(archive: &OpenArchive) -> Result<Self> {
+    pub(in crate::pipeline) fn of(archive: &StepView) -> Result<Self> {
         Ok(match (archive.coordinates()?, archive.coordinate_record()) {
             (Some(map), Some(record)) => Self::Grid { map, mirrored: record.cells.mirrored },
             _ => Self::Geometry(archive.step().plan.source.geometry),
@@ -131,7 +131,7 @@ impl Place {
 }
 
 /// Where a place of index space is.
-pub(in crate::pipeline) fn world_of(archive: &OpenArchive, ijk: [f64; 3]) -> Result<[f64; 3]> {
+pub(in crate::pipeline) fn world_of(archive: &StepView, ijk: [f64; 3]) -> Result<[f64; 3]> {
     match archive.coordinates()? {
         Some(map) => Ok(map.place(ijk)?.position),
         None => Ok(archive.step().plan.source.geometry.to_world(ijk)),
@@ -140,7 +140,7 @@ pub(in crate::pipeline) fn world_of(archive: &OpenArchive, ijk: [f64; 3]) -> Res
 
 /// Hands a surface that was extracted with [`world_map`] to `use_it`, in the world.
 pub(in crate::pipeline) fn in_world<T>(
-    archive: &OpenArchive,
+    archive: &StepView,
     surface: &dyn SurfaceSource,
     use_it: impl FnOnce(&dyn SurfaceSource) -> Result<T>,
 ) -> Result<T> {
@@ -209,7 +209,7 @@ impl SurfaceSource for Placed<'_> {
 }
 
 /// A surface in memory, in the world.
-pub(in crate::pipeline) fn in_memory(archive: &OpenArchive, surface: StoredSurface) -> Result<TriMesh> {
+pub(in crate::pipeline) fn in_memory(archive: &StepView, surface: StoredSurface) -> Result<TriMesh> {
     match archive.coordinate_record() {
         Some(_) => in_world(archive, &surface, TriMesh::from_source),
         None => surface.into_mesh(),

@@ -1,8 +1,8 @@
 //! Whole blocks of a chunk, decoded at once: for questions that look at all of it.
 
-use super::archive::OpenArchive;
 use super::chunk_reader::ChunkReader;
 use super::reader_memory::ReaderMemory;
+use super::step_view::StepView;
 use crate::error::Result;
 use crate::geom::{LatticePos, PointId};
 use crate::grid::ChunkId;
@@ -24,7 +24,7 @@ pub(in crate::pipeline) struct DecodedChunk {
     pub(in crate::pipeline) core: usize,
 }
 
-impl OpenArchive {
+impl StepView {
     /// Decodes `blocks` (numbers within the chunk) of a chunk, and of its values and positions what they use. For a question
     /// that needs but some of that, or a block at a time, there is [`ChunkReader`].
     pub(in crate::pipeline) fn decode(&self, id: ChunkId, blocks: &[u32]) -> Result<DecodedChunk> {

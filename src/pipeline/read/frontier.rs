@@ -13,7 +13,7 @@
 //! The regions of a row are replaced by their hull. That can only keep an edge open longer than
 //! needed.
 
-use super::archive::OpenArchive;
+use super::step_view::StepView;
 use crate::error::Result;
 use crate::geom::{LatticeBox, LatticePos};
 use crate::grid::ChunkId;
@@ -35,7 +35,7 @@ struct Row {
 impl Frontier {
     /// Of chunks in ascending order. Reads the summary of each: a halo that was widened is wider here too.
     pub(in crate::pipeline) fn new(
-        archive: &OpenArchive,
+        archive: &StepView,
         chunks: impl Iterator<Item = ChunkId>,
     ) -> Result<Self> {
         let domain = archive.chunks.bricks().lattice.domain();
@@ -43,7 +43,7 @@ impl Frontier {
         let mut regions = vec![];
         for id in chunks {
             archive.close_before(id);
-            let retries = archive.segment_of(id)?.mesh.mesh_summary(id)?.retries;
+            let retries = archive.mesh_of(id)?.mesh_summary(id)?.retries;
             let chunk = archive.chunks.chunk(id);
             let region = estimate::region(&archive.points, &chunk.core, &domain, halo, retries);
             regions.push(([chunk.brick_lo[1], chunk.brick_lo[2]], region));

@@ -1,9 +1,9 @@
 //! An archive being read: its manifest, its chunks and blocks, its steps.
 //!
 //! ```text
-//!  archive ─▶ chunk_reader ─▶ block ─▶ block_cache        one chunk, some of its blocks
-//!     │            └─▶ steps: values of a step, or between two
-//!     └─▶ visit: all chunks that meet a region, side by side, within memory
+//!  archive ─▶ step_view ─▶ chunk_reader ─▶ block ─▶ block_cache    one chunk, some of its blocks
+//!                 │            └─▶ steps: values of a step, or between two
+//!                 └─▶ visit: all chunks that meet a region, side by side, within memory
 //! ```
 //!
 //! Nothing here knows how an archive is made, nor what is asked of it.
@@ -22,15 +22,16 @@ mod reader_memory;
 mod region;
 mod segments;
 pub(super) mod spectrum;
+mod step_view;
 mod steps;
 mod summary;
 mod visit;
 
+pub(super) use archive::OpenArchive;
 pub use archive::is_archive;
-pub(super) use archive::{OpenArchive, OpenSegment};
 pub(super) use block::{Block, BlockCorners, NumberedShape, PackedBlock};
 pub(super) use block_cache::{CachedBlock, Found, unpack_known};
-pub(super) use choice::View;
+pub(super) use choice::Moment;
 pub use choice::{StepChoice, StepRange};
 pub(super) use chunk_mesh::MeshedChunk;
 pub(super) use chunk_reader::{BYTES_PER_VERTEX, ChunkReader, Needed, Wanted};
@@ -45,9 +46,9 @@ pub(super) use region::Cut;
 pub use region::{Roi, RoiSpace};
 pub(super) use segments::{Depth, SegmentState, inspect};
 pub(super) use spectrum::{Bench, Meter, limits, stored_part};
-pub use spectrum::{
-    Knot, SpectrumReport, StepSpectrum, Suggestion, contour_spectrum, contour_spectrum_at, spectra,
-};
+pub use spectrum::{Knot, SpectrumReport, StepSpectrum, Suggestion};
+pub(super) use step_view::{OpenSegment, StepView};
 pub(super) use steps::{Ranges, ValuesOverTime};
-pub use summary::{ArchiveSummary, LevelSummary, StepSummary, summarize, summarize_at};
+pub(super) use summary::summarize;
+pub use summary::{ArchiveSummary, LevelSummary, StepSummary};
 pub(super) use visit::{Blocks, Visit, full_region};

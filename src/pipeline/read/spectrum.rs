@@ -1,7 +1,7 @@
 //! The contour spectrum of a step: chunk by chunk while chunks are made, put together when the archive is, and read back.
 
-use super::archive::{OpenArchive, expect_recorded};
-use super::choice::{StepChoice, StepRange};
+use super::archive::expect_recorded;
+use super::step_view::StepView;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::coordinates::CoordinateMap;
 use crate::archive::manifest::{Plan as MeshPlan, Source};
@@ -14,7 +14,7 @@ use crate::mesh::tet::Tet;
 use crate::spectrum::suggest::suggest;
 use crate::spectrum::{ChunkPart, Limits, Room, SpectrumBuilder, SpectrumFile, Vertices};
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// The memory in which chunks are measured, kept from chunk to chunk so that its pages are not asked for again.
 #[derive(Default)]
@@ -51,7 +51,7 @@ impl Meter {
     }
 
     /// That of an archive.
-    pub(in crate::pipeline) fn of_archive(archive: &OpenArchive) -> Self {
+    pub(in crate::pipeline) fn of_archive(archive: &StepView) -> Self {
         let (plan, source) = (&archive.manifest.plan, &archive.step().plan.source);
         Self::new(plan, archive.points.len(), source, archive.coordinate_file())
     }
@@ -158,22 +158,6 @@ pub struct SpectrumReport {
     pub bytes_read: u64,
 }
 
-/// Reads the contour spectrum of an archive, and suggests isovalues.
-///
-/// # Errors
-/// [`crate::Error::BadInput`] for a damaged archive.
-pub fn contour_spectrum(path: &Path) -> Result<SpectrumReport> {
-    contour_spectrum_at(path, StepChoice::First)
-}
-
-/// As [`contour_spectrum`], of a step, or of the time of one.
-///
-/// # Errors
-/// As [`contour_spectrum`]; [`crate::Error::Usage`] for a step that is not there, or a time between two.
-pub fn contour_spectrum_at(path: &Path, step: StepChoice) -> Result<SpectrumReport> {
-    report(&OpenArchive::open_at(path, step)?)
-}
-
 /// The contour spectrum of a step of a series.
 #[derive(Clone, Debug, Serialize)]
 pub struct StepSpectrum {
@@ -186,23 +170,14 @@ pub struct StepSpectrum {
     pub spectrum: SpectrumReport,
 }
 
-/// Reads the contour spectra of many steps. The bytes read are those of each spectrum, and of the manifest with each.
-///
-/// # Errors
-/// As [`contour_spectrum`]; [`crate::Error::Usage`] when no step is in the range.
-pub fn spectra(path: &Path, steps: StepRange) -> Result<Vec<StepSpectrum>> {
-    let mut archive = OpenArchive::open(path)?;
-    let positions = steps.positions(&archive.manifest, path)?;
-    let mut of = |position: usize| {
-        archive.turn_to(position);
-        let plan = &archive.step().plan;
-        let (step, time) = (plan.number, plan.time_or_number());
-        Ok(StepSpectrum { step, time, spectrum: report(&archive)? })
-    };
-    positions.map(&mut of).collect()
+impl StepSpectrum {
+    pub(in crate::pipeline) fn of(view: &StepView) -> Result<Self> {
+        let plan = &view.step().plan;
+        Ok(Self { step: plan.number, time: plan.time_or_number(), spectrum: report(view)? })
+    }
 }
 
-impl OpenArchive {
+impl StepView {
     /// The contour spectrum; none where every tetrahedron is void. Of a small archive it is the part of its only chunk.
     pub(in crate::pipeline) fn spectrum(&self) -> Result<Option<SpectrumFile>> {
         if self.step().index.is_none() {
@@ -218,9 +193,12 @@ impl OpenArchive {
     }
 }
 
-/// That of an open archive.
-pub(in crate::pipeline) fn report(archive: &OpenArchive) -> Result<SpectrumReport> {
-    if archive.view.beyond.is_some() {
+/// The contour spectrum of a step, with isovalues that are worth a look.
+///
+/// # Errors
+/// [`Error::Usage`] between two steps.
+pub(in crate::pipeline) fn report(archive: &StepView) -> Result<SpectrumReport> {
+    if archive.is_between() {
         return Err(Error::usage(format!(
             "{}: the spectrum is known at steps, and not between them: choose one with --step",
             archive.path().display()

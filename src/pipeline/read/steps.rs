@@ -1,4 +1,4 @@
-//! The steps of a series in an archive: which one is asked, and how its values are had.
+//! The steps of a series in an archive: how the values of one are had, or those between two.
 //!
 //! All steps have one mesh. A step has its own values, index and spectrum; a block of values may hold differences to the same block of
 //! the step before, back to a keyframe:
@@ -13,10 +13,11 @@
 //! mean of the ranges, or within it, also in rounded arithmetic, as rounding keeps the order.
 
 use super::archive::OpenArchive;
-use super::choice::View;
+use super::choice::Moment;
 use super::chunk_mesh::{MeshedChunk, value_blocks};
 use super::chunk_reader::{ChunkReader, damaged};
 use super::reader_memory::ReaderMemory;
+use super::step_view::StepView;
 use crate::archive::summary::{BlockRange, ValueRange, decode_value_ranges};
 use crate::archive::values::{KnownOfBlock, ValueBlocks, decode_values, needs_before};
 use crate::error::{Error, Result};
@@ -53,6 +54,39 @@ impl OpenArchive {
         self.bcc_chunk(id).map_or_else(|| ValueBlocks::even(vertices), |chunk| value_blocks(&chunk))
     }
 
+    /// All blocks of the archive.
+    pub(in crate::pipeline) fn block_total(&self) -> u64 {
+        self.bcc.map_or(self.manifest.counts.blocks, |mesh| mesh.block_total())
+    }
+
+    /// The blocks that an entry of the index stands for: of a lattice, those of a brick.
+    pub(in crate::pipeline) fn blocks_of(&self, id: ChunkId) -> EntryBlocks {
+        EntryBlocks(self.bcc_chunk(id))
+    }
+
+    /// For each entry one for each of its blocks.
+    fn expanded(&self, entries: Vec<Entry>) -> Vec<Entry> {
+        // A chunk that is not there is named when it is read.
+        let is_there = |e: &Entry| e.chunk < self.chunks.len();
+        if !entries.first().is_some_and(|e| is_there(e) && self.bcc_chunk(ChunkId(e.chunk)).is_some()) {
+            return entries;
+        }
+        let mut found = vec![];
+        for of_chunk in entries.chunk_by(|a, b| a.chunk == b.chunk) {
+            let blocks_of = is_there(&of_chunk[0]).then(|| self.blocks_of(ChunkId(of_chunk[0].chunk)));
+            for entry in of_chunk {
+                let blocks =
+                    blocks_of.as_ref().map_or(entry.block..entry.block + 1, |all| all.of(entry.block));
+                let tets =
+                    |block| blocks_of.as_ref().map_or(entry.tets, |all| all.tets_of(block).min(entry.tets));
+                found.extend(blocks.map(|block| Entry { block, tets: tets(block), ..*entry }));
+            }
+        }
+        found
+    }
+}
+
+impl StepView {
     /// Appends the values of a block of a chunk, of what is looked at; tells the bytes read.
     pub(super) fn values_block(
         &self,
@@ -61,7 +95,7 @@ impl OpenArchive {
         blocks: &ValueBlocks,
         out: &mut Vec<f32>,
     ) -> Result<u64> {
-        let View { step, beyond } = self.view;
+        let Moment { step, beyond } = self.moment;
         let (first, block) = (out.len(), BlockAt { block, blocks });
         let mut bytes = self.block_of_step(step, id, block, None, out)?;
         if let Some(share) = beyond {
@@ -72,7 +106,7 @@ impl OpenArchive {
         Ok(bytes)
     }
 
-    /// As [`OpenArchive::values_block`], of the step at a position in the manifest. `known`: the same values at a step before.
+    /// As [`StepView::values_block`], of the step at a position in the manifest. `known`: the same values at a step before.
     fn block_of_step(
         &self,
         step: usize,
@@ -105,21 +139,6 @@ impl OpenArchive {
         Ok(read + bytes.len() as u64)
     }
 
-    /// The ranges of the value blocks of a chunk; none of a moment between two steps.
-    pub(in crate::pipeline) fn value_ranges(
-        &self,
-        id: ChunkId,
-        blocks: usize,
-    ) -> Result<Option<Vec<ValueRange>>> {
-        if self.view.beyond.is_some() {
-            return Ok(None);
-        }
-        let (segment, mut bytes) = (self.values_of(self.view.step, id)?, vec![]);
-        segment.block(id, blocks as u64, &mut bytes)?;
-        let ranges = decode_value_ranges(&bytes, blocks);
-        ranges.map(Some).map_err(|m| segment.blame(id, blocks as u64, m))
-    }
-
     /// The values of all `vertices` of a chunk, at the step at a position in the manifest.
     pub(in crate::pipeline) fn chunk_values(
         &self,
@@ -130,7 +149,7 @@ impl OpenArchive {
         self.chunk_values_after(step, id, vertices, None)
     }
 
-    /// As [`OpenArchive::chunk_values`], at steps by ascending positions.
+    /// As [`StepView::chunk_values`], at steps by ascending positions.
     pub(in crate::pipeline) fn chunk_values_of(
         &self,
         steps: &[usize],
@@ -163,6 +182,21 @@ impl OpenArchive {
         Ok(out)
     }
 
+    /// The ranges of the value blocks of a chunk; none of a moment between two steps.
+    pub(in crate::pipeline) fn value_ranges(
+        &self,
+        id: ChunkId,
+        blocks: usize,
+    ) -> Result<Option<Vec<ValueRange>>> {
+        if self.is_between() {
+            return Ok(None);
+        }
+        let (segment, mut bytes) = (self.values_of(self.moment.step, id)?, vec![]);
+        segment.block(id, blocks as u64, &mut bytes)?;
+        let ranges = decode_value_ranges(&bytes, blocks);
+        ranges.map(Some).map_err(|m| segment.blame(id, blocks as u64, m))
+    }
+
     /// The mesh of a chunk as it is stored: all its vertices, the tetrahedra block after block, and the end of each block.
     pub(in crate::pipeline) fn stored_mesh(&self, id: ChunkId) -> Result<(MeshedChunk, Vec<usize>)> {
         if let Some(chunk) = self.bcc_chunk(id) {
@@ -186,7 +220,7 @@ impl OpenArchive {
 
     /// The same, less the archive's offset.
     pub(in crate::pipeline) fn value_range(&self) -> Option<[f32; 2]> {
-        let View { step, beyond } = self.view;
+        let Moment { step, beyond } = self.moment;
         let range = self.manifest.steps[step].value_range?;
         match beyond {
             None => Some(range),
@@ -199,41 +233,10 @@ impl OpenArchive {
 
     /// What tells the blocks that can hold an answer.
     pub(in crate::pipeline) fn ranges(&self) -> Result<Ranges<'_>> {
-        Ok(match self.view.beyond {
+        Ok(match self.moment.beyond {
             None => Ranges::Index(self, self.index()?),
             Some(share) => Ranges::Between(self, share),
         })
-    }
-
-    /// All blocks of the archive.
-    pub(in crate::pipeline) fn block_total(&self) -> u64 {
-        self.bcc.map_or(self.manifest.counts.blocks, |mesh| mesh.block_total())
-    }
-
-    /// The blocks that an entry of the index stands for: of a lattice, those of a brick.
-    pub(in crate::pipeline) fn blocks_of(&self, id: ChunkId) -> EntryBlocks {
-        EntryBlocks(self.bcc_chunk(id))
-    }
-
-    /// For each entry one for each of its blocks.
-    fn expanded(&self, entries: Vec<Entry>) -> Vec<Entry> {
-        // A chunk that is not there is named when it is read.
-        let is_there = |e: &Entry| e.chunk < self.chunks.len();
-        if !entries.first().is_some_and(|e| is_there(e) && self.bcc_chunk(ChunkId(e.chunk)).is_some()) {
-            return entries;
-        }
-        let mut found = vec![];
-        for of_chunk in entries.chunk_by(|a, b| a.chunk == b.chunk) {
-            let blocks_of = is_there(&of_chunk[0]).then(|| self.blocks_of(ChunkId(of_chunk[0].chunk)));
-            for entry in of_chunk {
-                let blocks =
-                    blocks_of.as_ref().map_or(entry.block..entry.block + 1, |all| all.of(entry.block));
-                let tets =
-                    |block| blocks_of.as_ref().map_or(entry.tets, |all| all.tets_of(block).min(entry.tets));
-                found.extend(blocks.map(|block| Entry { block, tets: tets(block), ..*entry }));
-            }
-        }
-        found
     }
 
     /// The blocks of all chunks whose range between two steps `wanted` accepts, in order.
@@ -241,12 +244,12 @@ impl OpenArchive {
         let mut found = vec![];
         for id in (0..self.chunks.len()).map(ChunkId) {
             self.close_before(id);
-            let [a, b] = [self.view.step, self.view.step + 1]
+            let [a, b] = [self.moment.step, self.moment.step + 1]
                 .map(|step| self.values_of(step, id)?.value_summary(id).map(|s| s.ranges));
             let (a, b) = (a?, b?);
             if a.len() != b.len() {
                 let what = format!("{} and {} ranges of blocks at two steps", a.len(), b.len());
-                return Err(damaged(&*self.values_of(self.view.step, id)?, id, "summary", &what));
+                return Err(damaged(&*self.values_of(self.moment.step, id)?, id, "summary", &what));
             }
             let between = |(a, b): (&BlockRange, &BlockRange)| BlockRange {
                 min: mean(a.min, b.min, share),
@@ -291,7 +294,7 @@ impl EntryBlocks {
 ///
 /// A block that holds differences is told by its values at the last step at which it was asked for, where there is no keyframe since.
 pub(in crate::pipeline) struct ValuesOverTime<'a> {
-    archive: &'a OpenArchive,
+    archive: &'a StepView,
     chunk: ChunkId,
     blocks: ValueBlocks,
     values: Vec<f32>,
@@ -303,7 +306,7 @@ pub(in crate::pipeline) struct ValuesOverTime<'a> {
 }
 
 impl<'a> ValuesOverTime<'a> {
-    pub(in crate::pipeline) fn new(archive: &'a OpenArchive, chunk: ChunkId, vertices: usize) -> Self {
+    pub(in crate::pipeline) fn new(archive: &'a StepView, chunk: ChunkId, vertices: usize) -> Self {
         let blocks = archive.value_blocks(chunk, vertices);
         let (at, bytes) = (vec![None; blocks.count()], vec![0; blocks.count()]);
         Self { archive, chunk, blocks, values: vec![f32::NAN; vertices], at, bytes, decoded: vec![] }
@@ -345,9 +348,9 @@ impl<'a> ValuesOverTime<'a> {
 
 /// Answers the questions of a [`SpanIndex`] at a step, or between two.
 pub(in crate::pipeline) enum Ranges<'a> {
-    Index(&'a OpenArchive, SpanIndex),
+    Index(&'a StepView, SpanIndex),
     /// How far the next step is.
-    Between(&'a OpenArchive, f64),
+    Between(&'a StepView, f64),
 }
 
 impl Ranges<'_> {
@@ -404,7 +407,7 @@ impl Ranges<'_> {
 mod tests {
     use super::super::choice::StepChoice;
     use super::*;
-    use crate::exec::Silent;
+    use crate::exec::{Resources, Silent};
     use crate::formats::raw::RawLayout;
     use crate::formats::{OpenOptions, StepSource};
     use crate::pipeline::{Amount, ReduceSettings, RunSettings, reduce_series};
@@ -414,7 +417,7 @@ mod tests {
     const DIMS: [u64; 3] = [14, 13, 12];
 
     /// Waves, and those of the next step, which lie elsewhere and higher.
-    fn archive(dir: &Path) -> OpenArchive {
+    fn archive(dir: &Path) -> StepView {
         let raw = RawLayout {
             dims: DIMS,
             scalar: ScalarType::F32,
@@ -434,9 +437,10 @@ mod tests {
         let settings =
             ReduceSettings { amount: Amount::Count(900), chunk_points: 300, ..ReduceSettings::default() };
         let out = dir.join("a.isospan");
-        let run = RunSettings { memory: 1 << 30, ..RunSettings::default() };
+        let run =
+            RunSettings { resources: Resources::default().with_memory(1 << 30), ..RunSettings::default() };
         reduce_series(&[step(0), step(1)], &settings, &out, &run, &Silent).unwrap();
-        OpenArchive::open_at(&out, StepChoice::Time(0.4)).unwrap()
+        OpenArchive::open(&out).unwrap().at(StepChoice::Time(0.4)).unwrap()
     }
 
     /// By brute force over all blocks.

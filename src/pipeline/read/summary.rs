@@ -1,8 +1,7 @@
 //! What an archive holds, from its manifest: for `info`, and for reports.
 
-use super::archive::OpenArchive;
-use super::choice::StepChoice;
 use super::spectrum::{Suggestion, report};
+use super::step_view::StepView;
 use crate::archive::coordinates::CellCount;
 use crate::archive::manifest::{MeshSource, Step};
 use crate::archive::segment::FORMAT_VERSION;
@@ -11,12 +10,14 @@ use crate::error::Result;
 use crate::grid::{ChunkId, Geometry};
 use crate::measure::{FieldError, LevelError};
 use crate::pipeline::plan::Plan;
-use crate::points::Levels;
+use crate::points::{Levels, PointSpec};
+use crate::sample::{Interpolation, Values};
+use crate::volume::ScalarType;
 use serde::Serialize;
-use std::path::Path;
 
 /// A level of density.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct LevelSummary {
     /// Points to a voxel.
     pub density: f64,
@@ -32,7 +33,7 @@ pub struct LevelSummary {
 }
 
 impl LevelSummary {
-    fn all(archive: &OpenArchive, levels: &Levels) -> Vec<Self> {
+    fn all(archive: &StepView, levels: &Levels) -> Vec<Self> {
         let (plan, step) = (&archive.manifest.plan, archive.step());
         let densities = Plan::densities(plan, levels);
         let bytes = Self::bytes(archive, levels, &densities);
@@ -47,7 +48,7 @@ impl LevelSummary {
     }
 
     /// The bytes of each segment, shared out by the points of each level in its chunks.
-    fn bytes(archive: &OpenArchive, levels: &Levels, densities: &[f64]) -> Vec<f64> {
+    fn bytes(archive: &StepView, levels: &Levels, densities: &[f64]) -> Vec<f64> {
         let (mesh, values) = (&archive.manifest.mesh, &archive.step().values);
         let mut bytes = vec![0.0; densities.len()];
         for (segment, values) in mesh.iter().zip(values) {
@@ -69,9 +70,9 @@ impl LevelSummary {
 
 /// What an archive holds, from its manifest.
 #[derive(Clone, Debug, Serialize)]
+#[serde(tag = "kind", rename = "archive")]
+#[non_exhaustive]
 pub struct ArchiveSummary {
-    /// "archive".
-    pub kind: &'static str,
     /// Version of the format.
     pub format: u16,
     /// Name of the source's file.
@@ -81,7 +82,7 @@ pub struct ArchiveSummary {
     /// Samples along x, y, z.
     pub dims: [u64; 3],
     /// Type of its samples.
-    pub scalar: String,
+    pub scalar: ScalarType,
     /// Name of the field.
     pub field: String,
     /// Index space to world.
@@ -93,14 +94,14 @@ pub struct ArchiveSummary {
     /// Whether points and tetrahedra are those of that mesh.
     pub own: bool,
     /// The point set, with its parameters.
-    pub point_set: serde_json::Value,
+    pub point_set: PointSpec,
     /// Where the density of the points differs from place to place: each level, the coarsest first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub levels: Vec<LevelSummary>,
     /// How values were interpolated.
-    pub interpolation: String,
-    /// Whether they are fitted to the samples: "sample" or "fit".
-    pub values: String,
+    pub interpolation: Interpolation,
+    /// Whether they are fitted to the samples.
+    pub values: Values,
     /// How values were rounded, if they were.
     pub quantiser: Option<Quantiser>,
     /// Points.
@@ -134,6 +135,7 @@ pub struct ArchiveSummary {
 
 /// A step of an archive, from its manifest.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct StepSummary {
     /// Its number.
     pub number: u64,
@@ -183,40 +185,27 @@ impl StepSummary {
     }
 }
 
-/// Tells what an archive holds.
-///
-/// # Errors
-/// [`crate::Error::BadInput`] when there is no archive at `path`, or its manifest is damaged.
-pub fn summarize(path: &Path) -> Result<ArchiveSummary> {
-    summarize_at(path, StepChoice::First)
-}
-
-/// As [`summarize`]; range, areas and suggestions are those of a step.
-///
-/// # Errors
-/// As [`summarize`]; [`crate::Error::Usage`] for a step that is not there, or a time between two.
-pub fn summarize_at(path: &Path, choice: StepChoice) -> Result<ArchiveSummary> {
-    let archive = OpenArchive::open_at(path, choice)?;
+/// What an archive holds; range, areas and suggestions are those of the step.
+pub(in crate::pipeline) fn summarize(archive: &StepView) -> Result<ArchiveSummary> {
     let (plan, counts, step) = (&archive.manifest.plan, &archive.manifest.counts, archive.step());
     let source = &step.plan.source;
-    let spectrum = report(&archive)?;
+    let spectrum = report(archive)?;
     let steps = archive.summarized_steps()?;
     Ok(ArchiveSummary {
-        kind: "archive",
         format: FORMAT_VERSION,
         source: source.path.clone(),
         source_format: source.format.clone(),
         dims: source.dims,
-        scalar: source.scalar.name().into(),
+        scalar: source.scalar,
         field: source.field.clone(),
         geometry: source.geometry,
         grid_cells: archive.coordinate_record().map(|c| c.cells),
         mesh: source.mesh,
         own: archive.manifest.plan.own.is_some(),
-        point_set: serde_json::json!(plan.points),
-        levels: archive.points.levels().map_or_else(Vec::new, |levels| LevelSummary::all(&archive, levels)),
-        interpolation: step.plan.interpolation.name().into(),
-        values: step.plan.values.name().into(),
+        point_set: plan.points,
+        levels: archive.points.levels().map_or_else(Vec::new, |levels| LevelSummary::all(archive, levels)),
+        interpolation: step.plan.interpolation,
+        values: step.plan.values,
         quantiser: step.plan.told_quantiser(),
         points: counts.points,
         void_points: step.void_points,

@@ -4,10 +4,10 @@
 //!  chunks of a question ──▶ a batch that fits the memory: decode ▶ job, on all threads ──▶ take, in order
 //! ```
 //!
-//! What [`super::extract_surface`] does for surfaces, for the questions that want whole tetrahedra.
+//! What [`crate::pipeline::surface`] does for surfaces, for the questions that want whole tetrahedra.
 
-use super::archive::OpenArchive;
 use super::decoded::DecodedChunk;
+use super::step_view::StepView;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, Progress, pool};
 use crate::geom::LatticeBox;
@@ -43,7 +43,7 @@ impl Blocks {
 
 /// Chunks of an archive to be read, in order.
 pub(in crate::pipeline) struct Visit<'a> {
-    pub(in crate::pipeline) archive: &'a OpenArchive,
+    pub(in crate::pipeline) archive: &'a StepView,
     /// The chunks, in order.
     pub(in crate::pipeline) chunks: Vec<ChunkId>,
     blocks: Blocks,
@@ -55,7 +55,7 @@ pub(in crate::pipeline) struct Visit<'a> {
 
 impl<'a> Visit<'a> {
     pub(in crate::pipeline) fn new(
-        archive: &'a OpenArchive,
+        archive: &'a StepView,
         blocks: Blocks,
         threads: usize,
         memory: u64,
@@ -90,7 +90,7 @@ impl<'a> Visit<'a> {
     fn blocks_of(&self, id: ChunkId) -> Result<Vec<u32>> {
         match &self.blocks {
             Blocks::All => {
-                let blocks = self.archive.segment_of(id)?.mesh.mesh_summary(id)?.tet_blocks;
+                let blocks = self.archive.mesh_of(id)?.mesh_summary(id)?.tet_blocks;
                 Ok(self.archive.blocks_of(id).all(blocks).collect())
             }
             Blocks::Some(entries) => {
@@ -105,7 +105,7 @@ impl<'a> Visit<'a> {
         let mut sum = 0i128;
         for &id in &self.chunks {
             self.archive.close_before(id);
-            sum = sum.saturating_add(self.archive.segment_of(id)?.mesh.mesh_summary(id)?.volume6);
+            sum = sum.saturating_add(self.archive.mesh_of(id)?.mesh_summary(id)?.volume6);
         }
         Ok(sum)
     }
@@ -207,14 +207,14 @@ fn least_with(wanted: u64, share: impl Fn(u64) -> u64) -> u64 {
     enough
 }
 
-fn region(archive: &OpenArchive, id: ChunkId, retries: u32) -> LatticeBox {
+fn region(archive: &StepView, id: ChunkId, retries: u32) -> LatticeBox {
     let domain = archive.chunks.bricks().lattice.domain();
     let halo = estimate::Halo::of(&archive.manifest.plan);
     estimate::region(&archive.points, &archive.chunks.chunk(id).core, &domain, halo, retries)
 }
 
 /// A box that holds all tetrahedra of a chunk. Reads its summary.
-pub(in crate::pipeline) fn full_region(archive: &OpenArchive, id: ChunkId) -> Result<LatticeBox> {
-    let retries = archive.segment_of(id)?.mesh.mesh_summary(id)?.retries;
+pub(in crate::pipeline) fn full_region(archive: &StepView, id: ChunkId) -> Result<LatticeBox> {
+    let retries = archive.mesh_of(id)?.mesh_summary(id)?.retries;
     Ok(region(archive, id, retries))
 }

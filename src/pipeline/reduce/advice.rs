@@ -195,7 +195,7 @@ fn look_at(job: &Job<'_>, further: bool) -> Result<Looked> {
     let looked_at = sources.len().div_ceil(every) as u64;
     let (mut constants, mut seen) = (vec![], 0);
     for (n, (_, source)) in sources.iter().enumerate().step_by(every) {
-        run.cancel.check()?;
+        run.resources.cancel.check()?;
         let Ok(input) = source.open() else { continue };
         if matches!(&input, Input::Volume(volume) if Lattice::new(volume.info().dims).is_err()) {
             continue;

@@ -14,8 +14,9 @@ use crate::volume::chunked::ChunkShape;
 /// What the chunks of an archive need, where its steps are made of these sources. Notes the size
 /// of the cache with each source of chunks; one without it will be copied.
 pub(super) fn need_with_caches(sources: &mut [PlannedSource], parts: &MeshParts, run: &RunSettings) -> Need {
-    let (steps, threads, most) = (sources.len(), run.worker_threads(), most_cached(run.memory));
-    let need = |held| need_of(parts, held, steps, run.memory, run);
+    let (steps, threads, most) =
+        (sources.len(), run.resources.worker_threads(), most_cached(run.resources.memory));
+    let need = |held| need_of(parts, held, steps, run.resources.memory, run);
     let mut shapes: Vec<(ChunkShape, [Option<u64>; 4])> = vec![];
     for shape in sources.iter().filter_map(|s| s.chunks) {
         if shapes.iter().all(|(known, _)| *known != shape) {
@@ -28,7 +29,7 @@ pub(super) fn need_with_caches(sources: &mut [PlannedSource], parts: &MeshParts,
         let sizes: Vec<u64> = shapes.iter().map(|(_, bytes)| bytes[n]).collect::<Option<_>>()?;
         let by_step = sizes.iter().copied().max().filter(|&largest| largest <= most)?;
         let need = need(Held { by_step, most, by_worker, ..Held::default() });
-        let workers = need.shares(run.memory, threads).ok()?.workers;
+        let workers = need.shares(run.resources.memory, threads).ok()?.workers;
         Some((need.seconds(workers, steps), need, sizes))
     });
     let Some((_, need, sizes)) = found.reduce(|a, b| if b.0 < a.0 { b } else { a }) else {

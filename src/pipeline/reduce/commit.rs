@@ -78,8 +78,8 @@ impl Made {
         let mut value_range = [f32::INFINITY, f32::NEG_INFINITY];
         let mut range = value_range;
         let mut index = IndexBuilder::new(&BuildSettings {
-            memory: run.memory.saturating_sub(estimate::BASE),
-            scratch: Some(run.scratch_folder()),
+            memory: run.resources.memory.saturating_sub(estimate::BASE),
+            scratch: Some(run.resources.scratch_folder()),
         });
         for number in 0..layout.segment_count() {
             let file = ChunkSegment::open(layout.values(number), SegmentKind::Values, Some(hash))?;

@@ -16,6 +16,7 @@ use crate::measure::FieldError;
 use crate::pipeline::plan::{Layout, Notice, Plan, RecordedFile, Shard};
 use crate::pipeline::read::{OpenArchive, StepSummary};
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use crate::pipeline::stage::{Stage, StageSeconds};
 use crate::volume::chunked::DecodeCount;
 use serde::Serialize;
 use std::ops::Range;
@@ -24,6 +25,7 @@ use std::time::Instant;
 
 /// What a reduction made.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct ReduceReport {
     /// Samples of the volume; vertices of a mesh.
     pub samples: u64,
@@ -79,7 +81,7 @@ pub struct ReduceReport {
     /// What the user should know: see [`Notice`].
     pub notices: Vec<Notice>,
     /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those that run side by side.
-    pub seconds: Vec<(String, f64)>,
+    pub seconds: StageSeconds,
 }
 
 /// The chunks of the sources of a reduction.
@@ -187,13 +189,13 @@ pub(super) fn added_before(archive: &OpenArchive, series: &SeriesPlan) -> Result
     }
     let counts = archive.manifest.counts;
     Ok(Some(ReduceReport {
-        samples: archive.step().plan.source.samples(),
+        samples: archive.manifest.steps[0].plan.source.samples(),
         points: counts.points,
         tetrahedra: counts.tetrahedra,
         chunks: counts.chunks,
         blocks: counts.blocks,
         skipped: series.skipped.clone(),
-        archive_bytes: archive.bytes()?,
+        archive_bytes: archive.file_bytes()?,
         made_before: true,
         ..ReduceReport::default()
     }))
@@ -201,16 +203,16 @@ pub(super) fn added_before(archive: &OpenArchive, series: &SeriesPlan) -> Result
 
 /// Notes the time of all.
 pub(in crate::pipeline) fn finished(mut report: ReduceReport, started: Instant) -> ReduceReport {
-    report.seconds.push(("total".into(), started.elapsed().as_secs_f64()));
+    report.seconds.push((Stage::Total, started.elapsed().as_secs_f64()));
     report
 }
 
-pub(super) fn push_times(seconds: &mut Vec<(String, f64)>, made: &Outcome) {
+pub(super) fn push_times(seconds: &mut StageSeconds, made: &Outcome) {
     // What measuring takes is told with that of the whole.
     let StageTimes { mesh, sample, fit, measure: _, encode, spectrum, write } = made.times;
     // Values that are not fitted take no time for it.
-    let fit = Some(("fit", fit)).filter(|_| !fit.is_zero());
-    let rows = [("mesh", mesh), ("sample", sample)].into_iter().chain(fit);
-    let rows = rows.chain([("encode", encode), ("spectrum", spectrum), ("write", write)]);
-    seconds.extend(rows.map(|(name, time)| (name.to_owned(), time.as_secs_f64())));
+    let fit = Some((Stage::Fit, fit)).filter(|_| !fit.is_zero());
+    let rows = [(Stage::Mesh, mesh), (Stage::Sample, sample)].into_iter().chain(fit);
+    let rows = rows.chain([(Stage::Encode, encode), (Stage::Spectrum, spectrum), (Stage::Write, write)]);
+    seconds.extend(rows.map(|(stage, time)| (stage, time.as_secs_f64())));
 }

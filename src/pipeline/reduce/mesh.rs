@@ -19,6 +19,7 @@ use crate::pipeline::plan::{
     need_of, parts,
 };
 use crate::pipeline::settings::{NanPolicy, ReduceSettings, RunSettings};
+use crate::pipeline::stage::Stage;
 use crate::sample::{Interpolation, Values};
 use std::path::Path;
 use std::sync::Mutex;
@@ -36,25 +37,25 @@ const FITTED_VERTEX: u64 = 8 + 3 * 24;
 
 /// Does a job whose input is a mesh.
 pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
-    let scratch = job.run.scratch_folder();
+    let scratch = job.run.resources.scratch_folder();
     let reading = Instant::now();
     job.progress.begin("read the mesh", 0, "points");
     let settings = store_settings(job.settings, job.run, &scratch, offset_of(job)?);
     let Prepared { store, series, listed, wanted } = prepare(job, &settings)?;
-    let mut seconds = vec![("read".to_owned(), reading.elapsed().as_secs_f64())];
+    let mut seconds = vec![(Stage::Read, reading.elapsed().as_secs_f64())];
     job.part.expect_planned(&series)?;
     if let Some(report) = made_before(job, &series, wanted)? {
         return Ok(finished(report, job.started));
     }
     let plan = &series.plan;
     let parts = parts(&plan.mesh, series.attachments.clone())?;
-    let (held, memory) = (Held { always: listed.bytes(), ..Held::default() }, job.run.memory);
+    let (held, memory) = (Held { always: listed.bytes(), ..Held::default() }, job.run.resources.memory);
     let need = need_of(&parts, held, plan.steps.len(), memory, job.run);
     estimate_of(plan, &need, memory, job.out, job.run, (&scratch, 0))?.check()?;
-    let shares = need.shares(memory, job.run.worker_threads())?;
+    let shares = need.shares(memory, job.run.resources.worker_threads())?;
     let sorting = Instant::now();
     let laid = Laid::new(listed, &store, plan, &settings)?;
-    seconds.push(("sort".to_owned(), sorting.elapsed().as_secs_f64()));
+    seconds.push((Stage::Sort, sorting.elapsed().as_secs_f64()));
     let report = ReduceReport {
         samples: store.census.vertices,
         inner_points: wanted,
@@ -70,13 +71,13 @@ pub(super) fn reduce_mesh(job: &Job<'_>) -> Result<ReduceReport> {
 
 /// As [`make_plan`](super::make_plan): the mesh is read for that.
 pub(super) fn plan_mesh(job: &Job<'_>) -> Result<(SeriesPlan, MeshParts, Estimate)> {
-    let (settings, scratch) = (job.settings, job.run.scratch_folder());
+    let (settings, scratch) = (job.settings, job.run.resources.scratch_folder());
     job.progress.begin("read the mesh", 0, "points");
     let Prepared { store, series, listed, .. } =
         prepare(job, &store_settings(settings, job.run, &scratch, offset_of(job)?))?;
     let plan = &series.plan;
     let parts = parts(&plan.mesh, series.attachments.clone())?;
-    let (held, memory) = (Held { always: listed.bytes(), ..Held::default() }, job.run.memory);
+    let (held, memory) = (Held { always: listed.bytes(), ..Held::default() }, job.run.resources.memory);
     let bytes = scratch_bytes([store.census.vertices, store.census.cells], job);
     let need = need_of(&parts, held, plan.steps.len(), memory, job.run);
     let estimate = estimate_of(plan, &need, memory, job.out, job.run, (&scratch, bytes))?;
@@ -95,7 +96,7 @@ fn estimate_of(
         plan,
         need,
         memory,
-        threads: run.worker_threads(),
+        threads: run.resources.worker_threads(),
         out,
         there: if out.is_dir() { folder_bytes(out)? } else { 0 },
         scratch,
@@ -111,7 +112,7 @@ fn store_settings<'a>(
 ) -> StoreSettings<'a> {
     StoreSettings {
         // Two sorters are there at a time, of which one merges into the other, and the bodies.
-        memory: run.memory / 4,
+        memory: run.resources.memory / 4,
         scratch,
         bad_value: match settings.nan {
             NanPolicy::Error => BadValue::Refuse,
@@ -120,7 +121,7 @@ fn store_settings<'a>(
         },
         missing: settings.missing,
         offset,
-        cancel: &run.cancel,
+        cancel: &run.resources.cancel,
     }
 }
 
@@ -138,7 +139,7 @@ fn scratch_bytes([points, cells]: [u64; 2], job: &Job<'_>) -> u64 {
 /// Whether a job can be done with a mesh: its settings, and room on disk.
 pub(super) fn check_job(job: &Job<'_>, mesh: &CellMesh) -> Result<()> {
     check_settings(job.settings, &mesh.info().path)?;
-    let scratch = job.run.scratch_folder();
+    let scratch = job.run.resources.scratch_folder();
     let needed = scratch_bytes([mesh.info().points, mesh.info().cells], job);
     match free_bytes(&scratch) {
         Some(available) if needed > available => {

@@ -96,10 +96,11 @@ impl Common {
 
     /// That of an archive of a mesh.
     fn of_archive(archive: &OpenArchive) -> Self {
-        let source = &archive.step().plan.source;
+        let first = &archive.manifest.steps[0].plan;
+        let source = &first.source;
         let mesh = source.mesh.expect("an archive of a mesh tells it");
         let identity = Identity { points: mesh.point_hash.0, cells: mesh.cell_hash.0 };
-        let name = format!("{}, step {}", source.path, archive.step().plan.number);
+        let name = format!("{}, step {}", source.path, first.number);
         Self { identity, vertices: mesh.vertices, name }
     }
 
@@ -169,7 +170,7 @@ pub(super) fn offset_of(job: &Job<'_>) -> Result<f64> {
     for (number, source) in job.sources {
         let shift = open_mesh_of(source).and_then(|mesh| {
             check_job(job, &mesh)?;
-            let (memory, cancel) = (job.run.memory / 4, &job.run.cancel);
+            let (memory, cancel) = (job.run.resources.memory / 4, &job.run.resources.cancel);
             Shift::of_mesh(&mesh, None, job.settings.missing, memory, cancel)
         });
         match shift.map_err(|e| if job.is_several() { e.at_step(*number) } else { e }) {
@@ -236,7 +237,7 @@ pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared
         }
         Some(archive) => continued_plan(archive, job.settings),
     };
-    let of_share = |e: Error| e.of_share(how.memory, job.run.memory);
+    let of_share = |e: Error| e.of_share(how.memory, job.run.resources.memory);
     let (dense, listed) = if own {
         let vertices = OwnVertices::new(&store, how, path).map_err(of_share)?;
         if job.part.archive().is_none() {

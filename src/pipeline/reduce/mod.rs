@@ -27,12 +27,13 @@ use crate::archive::{TEMPORARY_MARK, publish};
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Silent};
-use crate::formats::{Input, OpenOptions, StepSource};
+use crate::formats::{Input, StepSource};
 use crate::pipeline::chunk::stored_error;
 use crate::pipeline::field::{MeasureSettings, reopened_errors};
 use crate::pipeline::plan::{Estimate, Layout, MeshParts, Need, Plan, Question, folder_bytes, parts};
-use crate::pipeline::read::{OpenArchive, StepChoice, StepSummary};
+use crate::pipeline::read::{OpenArchive, StepSummary};
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use crate::pipeline::stage::Stage;
 pub(super) use advice::look;
 pub use advice::{mesh_notices, scan_with_notices};
 pub use append::{AppendSettings, append};
@@ -55,22 +56,6 @@ pub use target::TargetReport;
 use target::reduce_to_target;
 use volumes::{Known, VolumeFields, plan_volumes};
 
-/// Reduces the volume or mesh `input` to the archive `out`.
-///
-/// # Errors
-/// [`Error::Usage`] when there is another archive already, [`Error::BadInput`] for a volume that cannot be used,
-/// [`Error::Budget`] when the memory does not suffice for one chunk, [`Error::Cancelled`] when stopped: the same call continues.
-pub fn reduce(
-    input: &Path,
-    options: &OpenOptions,
-    settings: &ReduceSettings,
-    out: &Path,
-    run: &RunSettings,
-    progress: &dyn Progress,
-) -> Result<ReduceReport> {
-    reduce_series(&[StepSource::new(input, options)], settings, out, run, progress)
-}
-
 /// Reduces a series of steps to the archive `out`: one mesh, and the values of each step.
 ///
 /// Steps are numbered from 0. With [`RunSettings::keep_going`] one that cannot be used is left out, its number too.
@@ -78,7 +63,8 @@ pub fn reduce(
 /// Where this very archive is there already, nothing is made but what it has lost: so the same call continues a run that was killed at any moment.
 ///
 /// # Errors
-/// Those of [`reduce`]; [`Error::BadInput`], naming the step, where dimensions or geometry are not those of the first.
+/// Those of [`Reduction::write`](crate::Reduction::write); [`Error::BadInput`], naming the step, where dimensions or geometry
+/// are not those of the first.
 pub fn reduce_series(
     sources: &[StepSource],
     settings: &ReduceSettings,
@@ -187,11 +173,11 @@ pub(super) fn reduce_volumes(job: &Job<'_>) -> Result<ReduceReport> {
         return Ok(finished(report, job.started));
     }
     let samples = series.plan.first().source.samples();
-    let seconds = vec![("plan".to_owned(), planning.elapsed().as_secs_f64())];
+    let seconds = vec![(Stage::Plan, planning.elapsed().as_secs_f64())];
     let need = need_with_caches(&mut series.sources, &mesh, job.run);
     estimate_of(&series.plan, &series.sources, &need, job.out, job.run)?.check()?;
     // Small copies of inputs are made in memory where that leaves as many threads at work.
-    let (memory, workers) = (job.run.memory, job.run.worker_threads());
+    let (memory, workers) = (job.run.resources.memory, job.run.resources.worker_threads());
     let rest = memory - PlannedSource::small_copies(&series.sources, need.steps()).min(memory);
     let all = need.shares(memory, workers)?;
     let copied = need.shares(rest, workers).ok().filter(|shares| shares.workers == all.workers);
@@ -306,16 +292,16 @@ impl Publishing<'_> {
         };
         let before = made.steps.len();
         for n in 0..plan.steps.len() {
-            self.run.cancel.check()?;
+            self.run.resources.cancel.check()?;
             let coordinates = outcome.coordinates.filter(|_| made.steps.is_empty());
             made.add_step(plan, n, layout, self.parts, coordinates, self.run)?;
         }
-        report.seconds.push(("commit".into(), committing.elapsed().as_secs_f64()));
+        report.seconds.push((Stage::Commit, committing.elapsed().as_secs_f64()));
         if self.measure {
             let measuring = Instant::now();
             self.measure(series, &mut outcome, &mut made, before)?;
             let seconds = (measuring.elapsed() + outcome.measuring + outcome.times.measure).as_secs_f64();
-            report.seconds.push(("measure".into(), seconds));
+            report.seconds.push((Stage::Measure, seconds));
         }
         if self.old.is_some_and(|old| Manifest::read(layout.root()).ok().as_ref() != Some(old)) {
             let text = "another run has changed the archive meanwhile: run the same command again";
@@ -343,22 +329,20 @@ impl Publishing<'_> {
         before: usize,
     ) -> Result<()> {
         let settings = MeasureSettings::of_run(self.run, self.workers);
-        let mut archive =
-            OpenArchive::of(self.layout.root(), made.manifest(&series.plan), StepChoice::First)?;
+        let archive = OpenArchive::of(self.layout.root(), made.manifest(&series.plan))?;
         let mut missing = vec![];
         for (position, source) in (before..).zip(&series.sources) {
             let step = &mut made.steps[position];
             match outcome.errors.remove(&step.plan.number) {
                 Some((error, levels)) => (step.error, step.level_errors) = (Some(error), levels),
                 None if step.plan.measured => {
-                    archive.turn_to(position);
-                    let (error, levels) = stored_error(&archive)?;
+                    let (error, levels) = stored_error(&archive.step_at(position))?;
                     (step.error, step.level_errors) = (Some(error), levels);
                 }
                 None => missing.push((position, &source.source)),
             }
         }
-        let errors = reopened_errors(&mut archive, &missing, &settings, self.progress)?;
+        let errors = reopened_errors(&archive, &missing, &settings, self.progress)?;
         for ((position, _), (error, levels)) in missing.into_iter().zip(errors) {
             (made.steps[position].error, made.steps[position].level_errors) = (Some(error), levels);
         }
@@ -403,24 +387,10 @@ pub(super) fn sweep(layout: &Layout) {
     folders.iter().for_each(|folder| publish::sweep(folder));
 }
 
-/// Tells what a reduction would need, without beginning it.
+/// What a reduction would need, without beginning it.
 ///
 /// # Errors
-/// As [`reduce`], but a budget that does not suffice is only told of: see [`Estimate::check`].
-pub fn estimate(
-    input: &Path,
-    options: &OpenOptions,
-    settings: &ReduceSettings,
-    out: &Path,
-    run: &RunSettings,
-) -> Result<Estimate> {
-    estimate_series(&[StepSource::new(input, options)], settings, out, run)
-}
-
-/// As [`estimate`], of a series.
-///
-/// # Errors
-/// As [`estimate`].
+/// Those of [`reduce_series`], but a budget that does not suffice is only reported: see [`Estimate::check`].
 pub fn estimate_series(
     sources: &[StepSource],
     settings: &ReduceSettings,
@@ -453,12 +423,12 @@ fn estimate_of(
     run: &RunSettings,
 ) -> Result<Estimate> {
     let largest = |of: fn(&PlannedSource) -> u64| sources.iter().map(of).max().unwrap_or(0);
-    let scratch = run.scratch_folder();
+    let scratch = run.resources.scratch_folder();
     Ok(Estimate::new(&Question {
         plan,
         need,
-        memory: run.memory,
-        threads: run.worker_threads(),
+        memory: run.resources.memory,
+        threads: run.resources.worker_threads(),
         out,
         there: if out.is_dir() { folder_bytes(out)? } else { 0 },
         scratch: (&scratch, PlannedSource::copied_at_a_time(sources)),

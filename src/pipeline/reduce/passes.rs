@@ -26,18 +26,19 @@ use crate::grid::ChunkId;
 use crate::pipeline::chunk::{Field, OwnMesh, Recipe, SampleErrors, Samples};
 use crate::pipeline::field::{MeasureSettings, StepErrors, field_errors};
 use crate::pipeline::plan::{Attachments, Layout, MeshParts, Plan, Shares, Watch};
-use crate::pipeline::read::{Meter, OpenArchive, StepChoice, write_coordinates};
+use crate::pipeline::read::{Meter, OpenArchive, StepView, write_coordinates};
 use crate::pipeline::settings::RunSettings;
 use crate::volume::chunked::ChunkShape;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::PathBuf;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// A step that was left out.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct SkippedStep {
     /// The number that it would have had.
     pub number: u64,
@@ -258,7 +259,7 @@ pub(super) struct Making<'a> {
     /// The archive that has the mesh, and to which the steps are added.
     pub(super) old: Option<&'a Manifest>,
     /// The try before, in a search: what did not change is taken over.
-    pub(super) before: Option<&'a OpenArchive>,
+    pub(super) before: Option<&'a StepView>,
     /// Whether each step is measured against its source.
     pub(super) measure: bool,
     pub(super) run: &'a RunSettings,
@@ -356,6 +357,7 @@ impl Making<'_> {
             .collect();
         let archive =
             if has_mesh { self.archive(plan, steps.start..steps.start, made.coordinates)? } else { None };
+        let archive = archive.map(|archive| archive.step_at(0));
         let stored = archive.as_ref().map(|archive| {
             let last = archive.manifest.steps.len() - 1;
             Stored { archive, base: plan.steps[steps.start].base.map(|_| last) }
@@ -410,7 +412,7 @@ impl Making<'_> {
             shares: *shares,
             rooms: &rooms,
             watch: &series.watch,
-            cancel: &self.run.cancel,
+            cancel: &self.run.resources.cancel,
             progress: self.progress,
         });
         let bad = bad.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -436,10 +438,10 @@ impl Making<'_> {
         let start = Instant::now();
         let settings = MeasureSettings::of_run(self.run, self.means.shares.workers);
         let archive = self.archive(plan, steps.clone(), made.coordinates)?;
-        let mut archive = archive.expect("there are steps before the end");
+        let archive = archive.expect("there are steps before the end");
         let first = archive.manifest.steps.len() - steps.len();
         let originals: Vec<_> = fields.iter().map(|field| field.originals()).collect();
-        let errors = field_errors(&mut archive, first, &originals, &settings, self.progress)?;
+        let errors = field_errors(&archive, first, &originals, &settings, self.progress)?;
         made.errors.extend(steps.map(|n| plan.steps[n].number).zip(errors));
         made.measuring += start.elapsed();
         Ok(())
@@ -452,7 +454,7 @@ impl Making<'_> {
         plan: &Plan,
         wanted: Range<usize>,
         coordinates: Option<CoordinateRecord>,
-    ) -> Result<Option<OpenArchive>> {
+    ) -> Result<Option<Arc<OpenArchive>>> {
         // With coordinates of its own, a grid needs the first step, which has them.
         let mut first = if coordinates.is_some() { 0 } else { wanted.start.saturating_sub(1) };
         while first > 0 && plan.steps[first].base.is_some() {
@@ -483,7 +485,7 @@ impl Making<'_> {
         }
         let counts = Counts { chunks: self.means.parts.chunks.len(), ..Counts::default() };
         let manifest = Manifest::new(plan.mesh.clone(), counts, mesh, steps);
-        OpenArchive::of(self.layout.root(), manifest, StepChoice::First).map(Some)
+        OpenArchive::of(self.layout.root(), manifest).map(Some)
     }
 
     /// Records of the segments that are made; of others their place alone: they are not looked at.

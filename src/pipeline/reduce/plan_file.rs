@@ -158,7 +158,7 @@ impl PlanFile {
                 Input::Volume(volume) => volume.info().files(),
                 Input::Mesh(mesh) => mesh.info().files(),
             };
-            let found = inputs.fingerprint(step.number, &files, &run.cancel)?;
+            let found = inputs.fingerprint(step.number, &files, &run.resources.cancel)?;
             if found != step.source.fingerprint {
                 let expected = format!("fingerprint {}", step.source.fingerprint);
                 return Err(Error::bad_input(&source.path, "file", expected, found).with_help(

@@ -23,7 +23,7 @@ use crate::density::Choice;
 use crate::error::Result;
 use crate::grid::{Chunk, ChunkId};
 use crate::pipeline::plan::{Frame, Halo, MeshParts, Plan, estimate};
-use crate::pipeline::read::{OpenArchive, limits};
+use crate::pipeline::read::{StepView, limits};
 use crate::points::{PointSet, PointSpec};
 use std::ops::Range;
 use std::sync::Arc;
@@ -38,11 +38,11 @@ pub(in crate::pipeline) struct Round {
     /// What the plan has from that of the try before.
     pub(super) frame: Option<Frame>,
     /// That try.
-    pub(super) before: OpenArchive,
+    pub(super) before: StepView,
 }
 
 impl Round {
-    pub(super) fn new(choice: Choice, before: OpenArchive) -> Result<Self> {
+    pub(super) fn new(choice: Choice, before: StepView) -> Result<Self> {
         let frame = Frame::of(&before, &choice)?;
         Ok(Self { choice, frame, before })
     }
@@ -50,7 +50,7 @@ impl Round {
 
 impl Frame {
     /// That of an archive, for other levels of its points; `None` where their bricks or chunks would be too large.
-    fn of(before: &OpenArchive, choice: &Choice) -> Result<Option<Self>> {
+    fn of(before: &StepView, choice: &Choice) -> Result<Option<Self>> {
         let (plan, levels) = (&before.manifest.plan, Arc::new(choice.levels.clone()));
         let spec = PointSpec::Halton { n: choice.n };
         if plan.points != spec || plan.lattice != levels.cells().lattice {
@@ -77,7 +77,7 @@ impl Frame {
 
 /// The chunks of a try that are those of the one before.
 pub(super) struct ReusedChunks<'a> {
-    before: &'a OpenArchive,
+    before: &'a StepView,
     /// Of each chunk, which one.
     from: Vec<Option<ChunkId>>,
 }
@@ -85,7 +85,7 @@ pub(super) struct ReusedChunks<'a> {
 impl<'a> ReusedChunks<'a> {
     /// Compares all chunks, for the steps of the plan up to `steps`; `None` where the plans differ in more than levels. Memory: 16 bytes a chunk.
     pub(super) fn new(
-        before: &'a OpenArchive,
+        before: &'a StepView,
         plan: &Plan,
         parts: &MeshParts,
         steps: usize,
@@ -123,9 +123,9 @@ impl<'a> ReusedChunks<'a> {
         steps: &Range<usize>,
     ) -> Result<Option<Product>> {
         let Some(id) = self.from[chunk.0 as usize] else { return Ok(None) };
-        let segment = self.before.segment_of(id)?;
-        let points = u64::from(segment.mesh.mesh_summary(id)?.core);
-        let mesh_blocks = if mesh { blocks(&segment.mesh, id)? } else { vec![] };
+        let segment = self.before.mesh_of(id)?;
+        let points = u64::from(segment.mesh_summary(id)?.core);
+        let mesh_blocks = if mesh { blocks(&segment, id)? } else { vec![] };
         let values = |step| blocks(&*self.before.values_of(step, id)?, id);
         let value_blocks = steps.clone().map(values).collect::<Result<_>>()?;
         Ok(Some(Product { points, mesh_blocks, value_blocks, times: StageTimes::default() }))
@@ -160,13 +160,13 @@ fn is_alike_step(a: &StepPlan, b: &StepPlan) -> bool {
 }
 
 /// Whether a chunk has the points of chunk `id` before in all its region, and the same region.
-fn is_same(before: &OpenArchive, id: ChunkId, parts: &MeshParts, chunk: &Chunk) -> Result<bool> {
+fn is_same(before: &StepView, id: ChunkId, parts: &MeshParts, chunk: &Chunk) -> Result<bool> {
     let (Some(old), Some(new)) = (before.points.levels(), parts.points.levels()) else { return Ok(false) };
     if before.points.spacing_around(&chunk.core) != parts.points.spacing_around(&chunk.core) {
         return Ok(false);
     }
     before.close_before(id);
-    let retries = before.segment_of(id)?.mesh.mesh_summary(id)?.retries;
+    let retries = before.mesh_of(id)?.mesh_summary(id)?.retries;
     let (plan, domain) = (&before.manifest.plan, parts.chunks.bricks().lattice.domain());
     let region = estimate::region(&parts.points, &chunk.core, &domain, Halo::of(plan), retries);
     Ok(new.same_in(old, &region))

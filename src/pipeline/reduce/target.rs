@@ -48,6 +48,7 @@ use crate::formats::Input;
 use crate::pipeline::plan::{Attachments, Inputs, Plan, folder_bytes};
 use crate::pipeline::read::StepSummary;
 use crate::pipeline::settings::{Amount, Bound, ReduceSettings, RunSettings, Target, ValueBits};
+use crate::pipeline::stage::Stage;
 use crate::points::SetKind;
 use serde::Serialize;
 use std::fs;
@@ -90,6 +91,7 @@ fn source_range(report: &ReduceReport) -> Option<[f64; 2]> {
 
 /// What came of looking for a target.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct TargetReport {
     /// What was wanted.
     pub target: Target,
@@ -317,7 +319,7 @@ pub(super) fn reduce_to_target(job: &Job<'_>, target: Target, source: Option<u64
     report.archive_bytes = folder_bytes(job.out)?;
     let reached = if target.bound().is_some() { made.reached } else { report.archive_bytes as f64 };
     report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });
-    report.seconds.retain(|(name, _)| name != "total");
+    report.seconds.retain(|&(stage, _)| stage != Stage::Total);
     Ok(finished(report, job.started))
 }
 
@@ -340,7 +342,7 @@ fn made_before(job: &Job<'_>) -> Result<Option<ReduceReport>> {
             Input::Volume(volume) => (volume.info().files(), volume.info().field.name.clone()),
             Input::Mesh(mesh) => (mesh.info().files(), mesh.field()?.name.clone()),
         };
-        let found = inputs.of_source(*number, source, &files, &job.run.cancel)?;
+        let found = inputs.of_source(*number, source, &files, &job.run.resources.cancel)?;
         let (plan, of_source) = (&step.plan, &step.plan.source);
         is_same &= (plan.number, plan.time) == (*number, source.time)
             && (&of_source.fingerprint, &of_source.field) == (&found, &field);

@@ -37,8 +37,9 @@ use crate::pipeline::field::{
 };
 use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
 use crate::pipeline::plan::{Halo, estimate};
-use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepChoice, Visit};
+use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepView, Visit};
 use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
+use crate::pipeline::stage::Stage;
 use crate::points::PointSpec;
 use crate::volume::VolumeSource;
 use std::fs;
@@ -81,7 +82,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
         remove_folder(&last)?;
         if let Some(choice) = next {
             rename(&trying, &last)?;
-            round = Some(Round::new(choice, OpenArchive::open(&last)?)?);
+            round = Some(Round::new(choice, OpenArchive::open(&last)?.step_at(0))?);
             settings = ReduceSettings { target: None, ..settings };
             continue;
         }
@@ -89,7 +90,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
         publish(job, &trying, &work)?;
         let reached = error;
         report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });
-        report.seconds.retain(|(name, _)| name != "total");
+        report.seconds.retain(|&(stage, _)| stage != Stage::Total);
         return Ok(finished(report, job.started));
     }
     unreachable!("the last try returns")
@@ -97,7 +98,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
 
 /// The levels of a try, higher where errors are above the bound; `None` when nothing can be denser.
 fn raised(job: &Job<'_>, archive: &Path, bound: f64, samples: u64) -> Result<Option<Choice>> {
-    let mut archive = OpenArchive::open_at(archive, StepChoice::First)?;
+    let archive = OpenArchive::open(archive)?;
     let levels = Arc::clone(archive.points.levels().expect("its points adapt"));
     let PointSpec::Halton { n } = archive.manifest.plan.points else {
         unreachable!("levels are those of a Halton set")
@@ -106,10 +107,10 @@ fn raised(job: &Job<'_>, archive: &Path, bound: f64, samples: u64) -> Result<Opt
     let worst: Vec<AtomicU32> = levels.as_slice().iter().map(|_| AtomicU32::new(0)).collect();
     let mut filled = 1.0;
     for position in 0..archive.manifest.steps.len() {
-        archive.turn_to(position);
-        let number = archive.step().plan.number;
+        let view = archive.step_at(position);
+        let number = view.step().plan.number;
         let (_, source) = job.sources.iter().find(|s| s.0 == number).expect("a step of this job");
-        filled = Measuring { archive: &archive, cells: &cells, bound, worst: &worst }.add(job, source)?;
+        filled = Measuring { archive: &view, cells: &cells, bound, worst: &worst }.add(job, source)?;
     }
     let worst: Vec<f32> = worst.into_iter().map(|e| f32::from_bits(e.into_inner())).collect();
     // Points are those of the box, of which a mesh may fill a part.
@@ -119,7 +120,7 @@ fn raised(job: &Job<'_>, archive: &Path, bound: f64, samples: u64) -> Result<Opt
 
 /// Looks for errors above a bound.
 struct Measuring<'a> {
-    archive: &'a OpenArchive,
+    archive: &'a StepView,
     cells: &'a BrickGrid,
     bound: f64,
     /// The bits of the largest error of each cell: of numbers that are not negative they are in the same order.
@@ -137,19 +138,19 @@ impl Measuring<'_> {
 
     fn add_vertices(&self, job: &Job<'_>, mesh: &CellMesh, input: &Path) -> Result<f64> {
         let (archive, run) = (self.archive, job.run);
-        let settings = MeasureSettings::of_run(run, run.worker_threads());
+        let settings = MeasureSettings::of_run(run, run.resources.worker_threads());
         let mut store = None;
         let values = reopened_values(archive, mesh, input, &mut store, &settings)?;
         let store = store.expect("it was laid out for the values");
         let (positions, values) = (store.positions.get()?, values.get()?);
         let rest = |memory: u64| memory.saturating_sub(estimate::BASE + 4 * self.worst.len() as u64);
-        let batch = (rest(run.memory) / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
+        let batch = (rest(run.resources.memory) / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
         let share = |memory: u64| rest(memory) / 8 * 7;
         let find = Find {
-            threads: run.threads,
-            memory: run.memory,
+            threads: run.resources.threads,
+            memory: run.resources.memory,
             share: &share,
-            cancel: &run.cancel,
+            cancel: &run.resources.cancel,
             outside: Outside::All,
         };
         for (positions, values) in positions.chunks(batch).zip(values.chunks(batch)) {
@@ -168,7 +169,9 @@ impl Measuring<'_> {
         let (run, archive) = (job.run, self.archive);
         let base = estimate::BASE + 4 * self.worst.len() as u64;
         let extra = estimate::error_bytes(1);
-        let least = Visit::new(archive, Blocks::All, run.threads, 0, &run.cancel)?.least(extra) + base;
+        let least = Visit::new(archive, Blocks::All, run.resources.threads, 0, &run.resources.cancel)?
+            .least(extra)
+            + base;
         let boxes = boxes_of_chunks(&archive.points, &archive.chunks, Halo::of(&archive.manifest.plan));
         let cache = ChunkCache::fitting(&volume, boxes, least, run);
         let (reader, _scratch) = random_access(volume, cache.map(|c| c.size), run, job.progress)?;
@@ -179,9 +182,15 @@ impl Measuring<'_> {
         let sample_errors = SampleErrors::new(&self.archive.manifest.plan.lattice);
         let base = base + cache.map_or(0, |c| c.held);
         let share = |memory: u64| memory.saturating_sub(base);
-        let mut visit = Visit::new(self.archive, Blocks::All, run.threads, share(run.memory), &run.cancel)?;
+        let mut visit = Visit::new(
+            self.archive,
+            Blocks::All,
+            run.resources.threads,
+            share(run.resources.memory),
+            &run.resources.cancel,
+        )?;
         visit.chunks = self.chunks_above()?;
-        visit.check_memory(run.memory, share, extra)?;
+        visit.check_memory(run.resources.memory, share, extra)?;
         job.progress.begin("measure", visit.chunks.len() as u64, "chunks");
         let part = |_, chunk: DecodedChunk| self.add_chunk(&sample_errors, &samples, &chunk);
         visit.each(extra, job.progress, part, |_, ()| Ok(()))
@@ -192,7 +201,7 @@ impl Measuring<'_> {
         let mut above = vec![];
         for id in (0..self.archive.chunks.len()).map(ChunkId) {
             self.archive.close_before(id);
-            let sums = stored_errors(&self.archive.segment_of(id)?.values, id)?.sums;
+            let sums = stored_errors(&*self.archive.segment_of(id)?.values, id)?.sums;
             // The largest is that of errors rounded to f32.
             let is_above = |error: f64| error * (1.0 + f64::from(f32::EPSILON)) > self.bound;
             if sums.largest.is_some_and(|l| is_above((f64::from(l.original) - f64::from(l.reduced)).abs())) {

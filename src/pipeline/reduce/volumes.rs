@@ -148,7 +148,7 @@ pub(super) fn plan_volumes(
     let several = sources.len() > 1 || archive.is_some();
     let every = sources.len().div_ceil(MOST_LOOKED_AT);
     for (i, (number, source)) in sources.iter().map(|(n, s)| (*n, s)).enumerate() {
-        run.cancel.check()?;
+        run.resources.cancel.check()?;
         let step = planner
             .step(number, source, i % every == 0)
             .map_err(|e| if several { e.at_step(number) } else { e });
@@ -295,7 +295,7 @@ impl Planner<'_> {
         }
         let volume = volume_of(source, "a volume, as other steps are")?;
         let info = volume.info().clone();
-        let fingerprint = self.inputs.of_source(number, source, &info.files(), &self.run.cancel)?;
+        let fingerprint = self.inputs.of_source(number, source, &info.files(), &self.run.resources.cancel)?;
         let coordinates = coordinate_hash(source, info.dims)?;
         match &self.common {
             Some(common) => {
@@ -381,12 +381,12 @@ impl Planner<'_> {
         }
         self.looked_into = is_packed.then(|| source.path.clone());
         let open = || volume_of(source, "the volume it was");
-        Shift::of_volume(open, self.offset, self.settings.missing, &self.run.cancel)
+        Shift::of_volume(open, self.offset, self.settings.missing, &self.run.resources.cancel)
     }
 
     /// Looks at all samples of a step.
     fn spread(&self, source: VolumeSource) -> Result<Spread> {
-        let (reading, cancel) = (self.reading(), &self.run.cancel);
+        let (reading, cancel) = (self.reading(), &self.run.resources.cancel);
         match source {
             VolumeSource::Random(reader) => spread(&*reading.reader(reader), reading.missing(), cancel),
             other => {
@@ -487,8 +487,8 @@ impl<'a> VolumeFields<'a> {
         }
         // Before another one is made, its place on the disk is given back.
         *last = None;
-        let (path, options, folder) = (&source.path, &source.options, self.run.scratch_folder());
-        let frames = Arc::new(formats::unpack_frames(path, options, &folder, &self.run.cancel)?);
+        let (path, options, folder) = (&source.path, &source.options, self.run.resources.scratch_folder());
+        let frames = Arc::new(formats::unpack_frames(path, options, &folder, &self.run.resources.cancel)?);
         *last = Some((source.path.clone(), Arc::clone(&frames)));
         Ok(frames)
     }

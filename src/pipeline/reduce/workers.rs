@@ -22,7 +22,7 @@ use crate::exec::{CancelToken, MemoryBudget, Permit, Progress, Reorder, no_threa
 use crate::grid::{Chunk, ChunkGrid, ChunkId};
 use crate::pipeline::chunk::{Field, Recipe, SampleErrors, Samples};
 use crate::pipeline::plan::{Layout, Shares, Watch, estimate};
-use crate::pipeline::read::{Meter, OpenArchive};
+use crate::pipeline::read::{Meter, StepView};
 use crossbeam::channel;
 use std::any::Any;
 use std::collections::BTreeMap;
@@ -65,7 +65,7 @@ pub(super) struct StepWork<'a> {
 /// What earlier passes have made.
 pub(super) struct Stored<'a> {
     /// All of the mesh.
-    pub(super) archive: &'a OpenArchive,
+    pub(super) archive: &'a StepView,
     /// The base of the first step: its position in the manifest.
     pub(super) base: Option<usize>,
 }

@@ -20,7 +20,7 @@ mod status;
 
 use crate::archive::manifest::{MANIFEST_NAME, Manifest};
 use crate::error::{Error, Result};
-use crate::exec::Progress;
+use crate::exec::{Progress, Resources};
 use crate::formats::StepSource;
 use crate::pipeline::plan::{
     Attachments, Estimate, Held, Layout, MeshParts, Need, Plan, Shard, Watch, estimate, parts,
@@ -32,6 +32,7 @@ use crate::pipeline::reduce::{
     finished, grid_coordinates, look, numbered, plan_path, prepare_folder,
 };
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
+use crate::pipeline::stage::{Stage, StageSeconds};
 use serde::Serialize;
 use status::Inventory;
 pub use status::{GcReport, StatusReport, collect_garbage, shard_status};
@@ -40,6 +41,7 @@ use std::time::Instant;
 
 /// What was planned, and what a shard of it needs.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct PlanReport {
     /// The plan's file.
     pub plan: PathBuf,
@@ -112,6 +114,7 @@ pub fn plan_shards(
 
 /// What of a plan a job script needs.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct Planned {
     /// Shards.
     pub shards: u64,
@@ -133,7 +136,8 @@ pub fn planned(out: &Path, threads: usize) -> Result<Planned> {
     let file = PlanFile::read(out)?;
     let mesh = mesh_parts(&file.root(out), &file.plan)?;
     let steps = file.plan.steps.len();
-    let run = RunSettings { threads, ..RunSettings::default() };
+    let resources = Resources::default().with_threads(threads);
+    let run = RunSettings { resources, ..RunSettings::default() };
     let need = estimate::need_of(&mesh, Held::default(), steps, u64::MAX, &run);
     Ok(Planned {
         shards: file.shards,
@@ -146,6 +150,7 @@ pub fn planned(out: &Path, threads: usize) -> Result<Planned> {
 
 /// What a worker did.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct WorkReport {
     /// The shard.
     pub shard: String,
@@ -157,7 +162,7 @@ pub struct WorkReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source_chunks: Option<SourceChunks>,
     /// Seconds of each stage.
-    pub seconds: Vec<(String, f64)>,
+    pub seconds: StageSeconds,
 }
 
 /// Makes the segments of a shard that are not done yet.
@@ -224,13 +229,13 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
     Inventory::new(&root, &file).expect_whole(run, progress)?;
     let verified = started.elapsed().as_secs_f64();
     let mesh = mesh_parts(&root, &file.plan)?;
-    let workers = Need::of(&mesh).shares(run.memory, run.worker_threads())?.workers;
+    let workers = Need::of(&mesh).shares(run.resources.memory, run.resources.worker_threads())?.workers;
     let layout = Layout::new(&root, mesh.chunks.len(), 0);
     let samples = match &file.plan.first().source.mesh {
         Some(mesh) => mesh.vertices,
         None => file.plan.first().source.dims.iter().product(),
     };
-    let seconds = vec![("verify".to_owned(), verified)];
+    let seconds = vec![(Stage::Verify, verified)];
     let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
     let measure = file.settings.measure;
     // Of a mesh its vertices are read once more, to measure; of a volume workers have done that.

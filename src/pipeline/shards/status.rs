@@ -4,7 +4,7 @@ use crate::archive::manifest::{MANIFEST_NAME, mesh_folder, steps_folder};
 use crate::archive::publish::{final_name, open_own};
 use crate::archive::segment::{PlanHash, SegmentKind};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, Silent, pool};
+use crate::exec::{CancelToken, Progress, Resources, Silent, pool};
 use crate::pipeline::plan::{Attachments, Layout, Shard};
 use crate::pipeline::read::{Depth, SegmentState, inspect};
 use crate::pipeline::reduce::{PlanFile, is_ours, plan_path, work_folder};
@@ -76,9 +76,9 @@ impl<'a> Inventory<'a> {
     /// All files that are not whole, in order of segments.
     fn all_faults(&self, depth: Depth, run: &RunSettings, progress: &dyn Progress) -> Result<Vec<Fault>> {
         progress.begin("verify", self.segments(), "segments");
-        pool(run.worker_threads())?.install(|| {
+        pool(run.resources.worker_threads())?.install(|| {
             let look = |segment| {
-                run.cancel.check()?;
+                run.resources.cancel.check()?;
                 let faults = self.faults(segment, depth);
                 progress.advance(1);
                 Ok(faults)
@@ -107,6 +107,7 @@ impl<'a> Inventory<'a> {
 
 /// How far a planned reduction is.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct StatusReport {
     /// The archive.
     pub archive: PathBuf,
@@ -143,7 +144,10 @@ pub fn shard_status(
     let root = file.root(out);
     let inventory = Inventory::new(&root, &file);
     let depth = if quick { Depth::Frame } else { Depth::All };
-    let run = RunSettings { memory: 0, cancel, ..RunSettings::default() };
+    let run = RunSettings {
+        resources: Resources::default().with_memory(0).with_cancel(cancel),
+        ..RunSettings::default()
+    };
     let faults = inventory.all_faults(depth, &run, &Silent)?;
     let shards = shards.unwrap_or(file.shards).max(1);
     let shard_of = |f: &Fault| Shard::with_segment(f.segment, inventory.segments(), shards);
@@ -165,6 +169,7 @@ pub fn shard_status(
 
 /// What was removed.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct GcReport {
     /// Files.
     pub files: Vec<PathBuf>,

@@ -17,7 +17,7 @@ use crate::mesh::tet::{Tet, is_active};
 use crate::pipeline::plan::{SurfaceShares, estimate};
 use crate::pipeline::read::{
     Block, BlockCorners, BufferPool, Buffers, CachedBlock, ChunkReader, Cut, Found, Frontier, Needed,
-    NumberedShape, OpenArchive, PackedBlock, Wanted, chunk_reader,
+    NumberedShape, PackedBlock, StepView, Wanted, chunk_reader,
 };
 use crate::surface::cap::select_boundary;
 use crate::surface::fans::split_fans;
@@ -35,7 +35,7 @@ pub(super) struct ChunkWork {
 }
 
 /// Blocks, as an index lists them, chunk by chunk.
-pub(super) fn by_chunk(archive: &OpenArchive, refs: &[Entry]) -> Result<Vec<ChunkWork>> {
+pub(super) fn by_chunk(archive: &StepView, refs: &[Entry]) -> Result<Vec<ChunkWork>> {
     refs.chunk_by(|a, b| a.chunk == b.chunk)
         .map(|run| {
             let chunk = ChunkId(run[0].chunk);
@@ -47,9 +47,7 @@ pub(super) fn by_chunk(archive: &OpenArchive, refs: &[Entry]) -> Result<Vec<Chun
 
 /// What to extract.
 pub(super) struct Question<'a> {
-    pub(super) archive: &'a OpenArchive,
-    /// Position in the manifest of the step.
-    pub(super) step: usize,
+    pub(super) archive: &'a StepView,
     pub(super) isovalues: &'a [f32],
     /// Where; everywhere without.
     pub(super) cut: Option<&'a Cut>,
@@ -90,14 +88,14 @@ pub(super) fn extract_surfaces(
     let active_blocks = work.iter().map(|w| w.blocks.len() as u64).sum::<u64>();
     let bytes: Vec<u64> = work.iter().map(|work| question.need(work)).collect();
     let largest = bytes.iter().copied().max().unwrap_or(0);
-    let shares = SurfaceShares::of(settings.memory, active_blocks, largest)?;
+    let shares = SurfaceShares::of(settings.resources.memory, active_blocks, largest)?;
     let weld = Weld::new(question, settings, shares, room, progress);
-    let pool = question.archive.pools.lend(settings.threads)?;
+    let pool = question.archive.pools.lend(settings.resources.threads)?;
     progress.begin("surface", active_blocks, "blocks");
     let (kept, of_this_question) = (&question.archive.cache, BufferPool::default());
     let spare = if kept.most() > 0 { &question.archive.spare } else { &of_this_question };
     let extract = |n: usize| {
-        settings.cancel.check()?;
+        settings.resources.cancel.check()?;
         question.chunk_surfaces(&work[n], spare)
     };
     let weld = Line::new(bytes, shares.batch, &pool, extract, Welder { weld, spare }).run(&pool)?.weld;
@@ -429,7 +427,7 @@ impl<'a> Weld<'a> {
             frontier: None,
             shares,
             place: place.clone(),
-            memory: settings.memory,
+            memory: settings.resources.memory,
             done: 0,
             progress,
         }
@@ -475,7 +473,7 @@ impl<'a> Weld<'a> {
     }
 
     pub(super) fn finish(self) -> Result<Vec<Extracted>> {
-        let step = &self.question.archive.manifest.steps[self.question.step];
+        let step = self.question.archive.step();
         // Only where tetrahedra are missing does a surface touch itself.
         let has_holes = step.void_points > 0 || step.plan.source.mesh.is_some();
         let (place, memory) = (self.place, self.shares.batch);

@@ -21,77 +21,69 @@ use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::{SurfaceShares, estimate};
 use crate::pipeline::read::{
-    Block, BufferPool, Buffers, ChunkReader, NumberedShape, OpenArchive, ValuesOverTime, chunk_reader,
+    Block, BufferPool, Buffers, ChunkReader, NumberedShape, StepView, ValuesOverTime, chunk_reader,
 };
 use crate::surface::TriMesh;
 use std::collections::BTreeMap;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 /// Steps that are extracted together, at most: what is done once for all of them is then a tenth of the work.
-const MOST_STEPS: usize = 32;
+pub(super) const MOST_STEPS: usize = 32;
 /// Bytes of a numbered tetrahedron, with its part of its block.
 const NUMBERED_TET: u64 = 40;
 /// Bytes of the surface in a tetrahedron of a block that can hold an answer, about: 24 a triangle, in one tetrahedron of three.
 const SURFACE_IN_TET: u64 = 8;
 
 /// Steps that are extracted together, and where surfaces are kept meanwhile.
-pub(super) struct Pass {
-    steps: Vec<Prepared>,
+pub(super) struct Pass<'a> {
+    steps: Vec<Prepared<'a>>,
     scratch: PathBuf,
 }
 
-impl Pass {
-    /// The first ones of some steps, as many as are extracted together.
-    pub(super) fn next(
-        archive: &mut OpenArchive,
-        settings: &SurfaceSettings,
-        positions: Range<usize>,
-        scratch: &Path,
-    ) -> Result<Self> {
-        let count = positions.len().min(MOST_STEPS);
+impl<'a> Pass<'a> {
+    /// The first ones of some consecutive steps, as many as are extracted together.
+    pub(super) fn next(views: &'a [StepView], settings: &SurfaceSettings, scratch: &Path) -> Result<Self> {
+        let count = views.len().min(MOST_STEPS);
         let is_key = |n: &usize| {
-            let next = archive.manifest.steps.get(positions.start + n);
+            let next = views[0].manifest.steps.get(views[0].position() + n);
             next.is_none_or(|step| step.plan.base.is_none())
         };
         let count = (count / 2 + 1..=count).rev().find(is_key).unwrap_or(count);
         let mut steps = vec![];
-        for position in positions.take(count) {
-            settings.cancel.check()?;
-            archive.turn_to(position);
+        for view in &views[..count] {
+            settings.resources.cancel.check()?;
             // Nothing of an unpacked step is decoded: it is quickest by itself.
-            let is_alone =
-                archive.unpacked()?.is_some_and(|file| file.table().answers(&settings.kept(archive)));
+            let is_alone = view.unpacked()?.is_some_and(|file| file.table().answers(&settings.kept(view)));
             if is_alone && !steps.is_empty() {
                 break;
             }
-            steps.push(Prepared::new(archive, settings)?);
+            steps.push(Prepared::new(view, settings)?);
             if is_alone {
                 break;
             }
         }
-        while steps.len() > 1 && !Work::of(archive, settings, &steps).fits(settings, scratch) {
+        while steps.len() > 1 && !Work::of(settings, &steps).fits(settings, scratch) {
             steps.truncate(steps.len() / 2);
         }
         Ok(Self { steps, scratch: scratch.to_path_buf() })
     }
 
-    /// The surfaces of each step, and its position in the manifest. What was read for all of them is told with the first. The memory of surfaces that
+    /// The surfaces of each step. What was read for all of them is reported with the first. The memory of surfaces that
     /// are no longer needed is taken from `reused`.
     ///
     /// Where edges that chunks share are too many for several steps, fewer are taken: as many as there are surfaces.
     pub(super) fn extract(
         mut self,
-        archive: &mut OpenArchive,
         settings: &SurfaceSettings,
         reused: &mut Vec<Vec<TriMesh>>,
         progress: &dyn Progress,
-    ) -> Result<Vec<(usize, Made)>> {
+    ) -> Result<Vec<Made>> {
+        let view = self.steps[0].view;
         while self.steps.len() > 1 {
-            let (start, read_before) = (Instant::now(), archive.bytes_read());
-            let work = Work::of(archive, settings, &self.steps);
+            let (start, read_before) = (Instant::now(), view.bytes_read());
+            let work = Work::of(settings, &self.steps);
             let surfaces = match work.extract(settings, &self.scratch, reused, progress) {
                 Err(Error::Budget { .. }) => {
                     self.steps.truncate(self.steps.len() / 2);
@@ -100,20 +92,19 @@ impl Pass {
                 surfaces => surfaces?,
             };
             let mut effort = Effort {
-                bytes_read: archive.bytes_read() - read_before,
+                bytes_read: view.bytes_read() - read_before,
                 active_bytes: work.active_bytes.into_inner(),
                 time: start.elapsed(),
             };
-            let finish = |(step, surfaces): (&Prepared, _)| {
-                let made = step.finish(settings, surfaces, std::mem::take(&mut effort), &self.scratch)?;
-                Ok((step.step, made))
+            let finish = |(step, surfaces): (&Prepared<'_>, _)| {
+                step.finish(settings, surfaces, std::mem::take(&mut effort), &self.scratch)
             };
             return self.steps.iter().zip(surfaces).map(finish).collect();
         }
-        let position = self.steps[0].step;
-        archive.turn_to(position);
         let room = Room { scratch: self.scratch, reused: reused.pop().unwrap_or_default() };
-        Ok(vec![(position, make(archive, settings, room, progress)?)])
+        // A view of its own, so that what is read of unpacked blocks is counted from the start.
+        let alone = view.archive().step_at(view.position());
+        Ok(vec![make(&alone, settings, room, progress)?])
     }
 }
 
@@ -128,14 +119,15 @@ struct ChunkPart {
 
 /// The questions of a pass, chunk by chunk.
 struct Work<'a> {
-    archive: &'a OpenArchive,
+    /// The first step, for all that the steps share.
+    archive: &'a StepView,
     questions: Vec<Question<'a>>,
     chunks: Vec<(ChunkId, ChunkPart)>,
     active_bytes: AtomicU64,
 }
 
 impl<'a> Work<'a> {
-    fn of(archive: &'a OpenArchive, settings: &'a SurfaceSettings, steps: &'a [Prepared]) -> Self {
+    fn of(settings: &SurfaceSettings, steps: &'a [Prepared<'a>]) -> Self {
         let mut chunks: BTreeMap<ChunkId, ChunkPart> = BTreeMap::new();
         for (question, step) in steps.iter().enumerate() {
             for (number, work) in step.work.iter().enumerate() {
@@ -145,13 +137,14 @@ impl<'a> Work<'a> {
             }
         }
         chunks.values_mut().for_each(|part| join(&mut part.blocks));
-        let questions = steps.iter().map(|step| step.question(archive, settings)).collect();
+        let questions = steps.iter().map(|step| step.question(settings)).collect();
+        let archive = steps[0].view;
         Self { archive, questions, chunks: chunks.into_iter().collect(), active_bytes: AtomicU64::new(0) }
     }
 
     /// Whether memory suffices for all steps at one time; and disk, where their surfaces may exceed it.
     fn fits(&self, settings: &SurfaceSettings, scratch: &Path) -> bool {
-        let Ok((shares, _)) = self.shares(settings.memory) else { return false };
+        let Ok((shares, _)) = self.shares(settings.resources.memory) else { return false };
         let blocks = self
             .questions
             .iter()
@@ -200,19 +193,19 @@ impl<'a> Work<'a> {
         reused: &mut Vec<Vec<TriMesh>>,
         progress: &dyn Progress,
     ) -> Result<Vec<Vec<Extracted>>> {
-        let (shares, bytes) = self.shares(settings.memory)?;
+        let (shares, bytes) = self.shares(settings.resources.memory)?;
         let each = shares.of_each(self.questions.len() as u64);
         let weld = |question| {
             let room = Room { scratch: scratch.to_path_buf(), reused: reused.pop().unwrap_or_default() };
             Weld::new(question, settings, each, room, progress)
         };
         let welds = self.questions.iter().map(weld).collect();
-        let pool = self.archive.pools.lend(settings.threads)?;
+        let pool = self.archive.pools.lend(settings.resources.threads)?;
         let blocks = self.questions.iter().flat_map(|q| q.work).map(|w| w.blocks.len() as u64).sum();
         progress.begin("surface", blocks, "blocks");
         let spare = BufferPool::default();
         let extract = |n: usize| {
-            settings.cancel.check()?;
+            settings.resources.cancel.check()?;
             self.chunk_surfaces(n, &spare)
         };
         let welder = Welder { work: self, welds, spare: &spare };
@@ -320,7 +313,7 @@ impl ShapedChunk<'_> {
                 .expect("the blocks of a question are among those of all, in order");
             let Some(Shape { corners, value_blocks, bytes }) = shape else { continue };
             for &block in &**value_blocks {
-                values.load(block as usize, question.step)?;
+                values.load(block as usize, question.archive.position())?;
             }
             let before = worker.active();
             match corners {

@@ -15,13 +15,11 @@ mod series;
 mod unpack;
 mod unpacked;
 
-pub use query::{
-    CountReport, OneSurface, SurfaceReport, SurfaceSettings, count_active, count_active_at, extract_surface,
-};
+pub use query::{CountReport, OneSurface, SurfaceReport, SurfaceSettings};
 pub(super) use query::{count, surfaces_in_memory, with_surfaces, write_surfaces};
 pub use refine::{Refine, RefineReport};
-pub(super) use series::surfaces_of_steps;
-pub use series::{SeriesReport, StepSurfaces, extract_series};
+pub use series::{SeriesReport, StepSurfaces};
+pub(super) use series::{surfaces_of_steps, write_series};
 pub(super) use unpack::check_unpacked;
 pub use unpack::{
     UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked, unpack, unpack_need,

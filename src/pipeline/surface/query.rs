@@ -2,18 +2,19 @@
 
 use super::extract::{ChunkWork, Extracted, Question, Room, by_chunk, extract_surfaces};
 use super::refine::{Means, Refine, RefineReport};
-use crate::bytes::remote::{self, Traffic};
+use crate::bytes::remote::{Traffic, traffic, traffic_since};
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, Silent, pool};
+use crate::exec::{CancelToken, Progress, Resources, Silent, pool};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
 use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::mesh::tet::is_active;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    Block, ChunkReader, Cut, Needed, OpenArchive, Ranges, ReaderMemory, Roi, RoiSpace, StepChoice, Wanted,
-    in_memory, in_world, world_map,
+    Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, Roi, RoiSpace, StepView, Wanted, in_memory,
+    in_world, world_map,
 };
+use crate::pipeline::stage::{Stage, StageSeconds};
 use crate::surface::clip::clip;
 use crate::surface::marching_tets::Sides;
 use crate::surface::weld::BuilderSettings;
@@ -31,20 +32,12 @@ pub struct SurfaceSettings {
     pub isovalues: Vec<f64>,
     /// The box at which the surfaces are cut; the whole domain if not given.
     pub roi: Option<Roi>,
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for everything that grows with the surface.
-    pub memory: u64,
-    /// Folder for what does not fit in memory; the output's folder if not given.
-    pub scratch: Option<PathBuf>,
     /// Close the surfaces where the domain ends.
     pub cap: bool,
-    /// The step, or a time.
-    pub step: StepChoice,
     /// What is done to each surface before it is written.
     pub refine: Refine,
-    /// Stops the extraction; nothing is written then.
-    pub cancel: CancelToken,
+    /// Threads, memory, scratch folder, and what stops it.
+    pub resources: Resources,
 }
 
 impl Default for SurfaceSettings {
@@ -52,13 +45,9 @@ impl Default for SurfaceSettings {
         Self {
             isovalues: vec![0.0],
             roi: None,
-            threads: 0,
-            memory: crate::exec::usable_memory() / 2,
-            scratch: None,
             cap: false,
-            step: StepChoice::First,
             refine: Refine::default(),
-            cancel: CancelToken::new(),
+            resources: Resources::default(),
         }
     }
 }
@@ -70,20 +59,20 @@ impl SurfaceSettings {
     }
 
     /// The isovalues as the archive has values.
-    pub(super) fn kept(&self, archive: &OpenArchive) -> Vec<f32> {
+    pub(super) fn kept(&self, archive: &StepView) -> Vec<f32> {
         let source = &archive.step().plan.source;
         self.isovalues.iter().map(|&v| source.kept(v)).collect()
     }
 
     /// Whether a surface can have a triangle where values are in this range.
-    pub(super) fn can_answer(&self, archive: &OpenArchive) -> bool {
+    pub(super) fn can_answer(&self, archive: &StepView) -> bool {
         let Some([lo, hi]) = archive.value_range() else { return false };
         self.kept(archive).into_iter().any(|v| is_active(lo, hi, v) || self.cap && v <= hi)
     }
 
     /// The folder for what does not fit in memory, of a file.
     pub(super) fn scratch_of(&self, out: &Path) -> PathBuf {
-        self.scratch.clone().unwrap_or_else(|| parent_of(out))
+        self.resources.scratch.clone().unwrap_or_else(|| parent_of(out))
     }
 
     pub(super) fn check(&self) -> Result<()> {
@@ -108,6 +97,7 @@ impl SurfaceSettings {
 
 /// What a surface extraction found and read; counts are of all surfaces together.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct SurfaceReport {
     /// Each surface, in the order of the isovalues.
     pub surfaces: Vec<OneSurface>,
@@ -135,8 +125,8 @@ pub struct SurfaceReport {
     pub chunks: u64,
     /// Chunks that blocks were read of.
     pub active_chunks: u64,
-    /// Bytes read: manifest, index pages, chunk headers, blocks, values. An [`crate::Archive`] reads neither the manifest again nor
-    /// blocks that it has kept.
+    /// Bytes read: index pages, chunk headers, blocks, values; none of blocks that were kept. The manifest was read when
+    /// the archive was opened ([`crate::Archive::opening`]).
     pub bytes_read: u64,
     /// Bytes of the blocks read, of tetrahedra and of values, that hold an active tetrahedron: what no reader could do without.
     pub active_bytes: u64,
@@ -146,11 +136,12 @@ pub struct SurfaceReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub remote: Option<Traffic>,
     /// Seconds of wall time of each stage.
-    pub seconds: Vec<(String, f64)>,
+    pub seconds: StageSeconds,
 }
 
 /// One of the surfaces of an extraction.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct OneSurface {
     /// Its isovalue.
     pub isovalue: f64,
@@ -171,6 +162,7 @@ pub struct OneSurface {
 
 /// How many tetrahedra an isosurface crosses.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct CountReport {
     /// The isovalue.
     pub isovalue: f64,
@@ -180,8 +172,7 @@ pub struct CountReport {
     pub tetrahedra: u64,
     /// Whether the number was stored; otherwise the blocks of the isovalue were decoded.
     pub stored: bool,
-    /// Bytes read for it: the manifest, the spectrum's knots and a page of its levels; also index pages and blocks where it
-    /// was not stored.
+    /// Bytes read for it: the spectrum's knots and a page of its levels; also index pages and blocks where it was not stored.
     pub bytes_read: u64,
 }
 
@@ -193,39 +184,16 @@ fn finite(isovalue: f64) -> Result<()> {
     }
 }
 
-/// Counts the active tetrahedra of an isovalue, exactly: from the spectrum where it is stored ([`crate::spectrum`]: at any
-/// isovalue of a few digits), else by decoding the active blocks.
-///
-/// # Errors
-/// [`Error::BadInput`] for a damaged archive.
-pub fn count_active(path: &Path, isovalue: impl Into<f64>) -> Result<CountReport> {
-    count_active_at(path, StepChoice::First, isovalue)
-}
-
-/// As [`count_active`], at a step or a time. Between two steps, where nothing is stored, blocks are decoded.
-///
-/// # Errors
-/// As [`count_active`]; [`Error::Usage`] for a step or a time that is not in the archive.
-pub fn count_active_at(path: &Path, step: StepChoice, isovalue: impl Into<f64>) -> Result<CountReport> {
-    let archive = OpenArchive::open_at(path, step)?;
-    let report = count(&archive, isovalue.into(), &CancelToken::new())?;
-    Ok(CountReport { bytes_read: report.bytes_read + archive.manifest_bytes()?, ..report })
-}
-
-/// As [`count_active`], of an archive that is open, until it is stopped; bytes that were read before are not in
-/// the report.
-pub(in crate::pipeline) fn count(
-    archive: &OpenArchive,
-    told: f64,
-    cancel: &CancelToken,
-) -> Result<CountReport> {
+/// Counts the active tetrahedra of an isovalue, exactly: from the spectrum where it is stored
+/// ([`crate::spectrum`]: at any isovalue of a few digits), else by decoding the active blocks.
+pub(in crate::pipeline) fn count(archive: &StepView, told: f64, cancel: &CancelToken) -> Result<CountReport> {
     finite(told)?;
     let isovalue = archive.step().plan.source.kept(told);
     let read_before = archive.bytes_read();
-    let spectrum = if archive.view.beyond.is_none() { archive.spectrum()? } else { None };
+    let spectrum = if !archive.is_between() { archive.spectrum()? } else { None };
     let stored = match &spectrum {
         Some(file) => file.active(isovalue)?,
-        None => archive.view.beyond.is_none().then_some(0),
+        None => (!archive.is_between()).then_some(0),
     };
     let mut bytes_read = spectrum.map_or(0, |f| f.bytes_read()) + archive.bytes_read() - read_before;
     let active_tetrahedra = match stored {
@@ -246,7 +214,7 @@ pub(in crate::pipeline) fn count(
 }
 
 /// Decodes the active blocks; also tells the bytes read.
-fn decoded_count(archive: &OpenArchive, isovalue: f32, cancel: &CancelToken) -> Result<(u64, u64)> {
+fn decoded_count(archive: &StepView, isovalue: f32, cancel: &CancelToken) -> Result<(u64, u64)> {
     let (index, read_before) = (archive.ranges()?, archive.bytes_read());
     let refs = index.query_any(&[isovalue])?;
     let count = |work: &ChunkWork| {
@@ -258,7 +226,7 @@ fn decoded_count(archive: &OpenArchive, isovalue: f32, cancel: &CancelToken) -> 
     Ok((active, index.bytes_read() + archive.bytes_read() - read_before))
 }
 
-fn count_in_chunk(archive: &OpenArchive, work: &ChunkWork, isovalue: f32) -> Result<u64> {
+fn count_in_chunk(archive: &StepView, work: &ChunkWork, isovalue: f32) -> Result<u64> {
     let mut reader = ChunkReader::open(archive, work.chunk, ReaderMemory::default())?;
     let (mut block, mut sides, mut active, mut count) = (Block::default(), Sides::default(), vec![], 0);
     for entry in &work.blocks {
@@ -273,57 +241,23 @@ fn count_in_chunk(archive: &OpenArchive, work: &ChunkWork, isovalue: f32) -> Res
 /// What in a file's name stands for the isovalue.
 const PLACEHOLDER: &str = "{}";
 
-/// Extracts isosurfaces to a file, or, where the file's name holds `{}`, each to a file with its isovalue in that place.
-///
-/// All isovalues are extracted in one pass, in which each block is decoded once; each surface is the one that would come out alone.
-/// In one file they follow each other, named as the format can. Chunks are decoded and extracted in parallel, a batch at
-/// a time, and welded in chunk order: the bytes do not depend on the number of threads, nor on memory. Vertices
-/// and triangles that memory does not hold wait in the scratch folder. An isovalue outside the values' range gives an
-/// empty, valid surface.
-///
-/// # Errors
-/// [`Error::BadInput`] for a damaged archive; [`Error::Budget`] when the memory does not suffice; [`Error::Usage`] for settings
-/// that make no sense; those of writing a file, of which nothing is left then.
-pub fn extract_surface(
-    path: &Path,
-    settings: &SurfaceSettings,
-    out: &Path,
-    format: SurfaceFormat,
-    progress: &dyn Progress,
-) -> Result<SurfaceReport> {
-    settings.check()?;
-    let start = Instant::now();
-    let before = remote::traffic(path);
-    let archive = OpenArchive::open_at(path, settings.step)?;
-    let manifest_bytes = archive.manifest_bytes()?;
-    let report = write_surfaces(&archive, settings, out, format, progress)?;
-    let mut report = SurfaceReport { bytes_read: report.bytes_read + manifest_bytes, ..report };
-    // Opening is part of the first stage.
-    let stages: f64 = report.seconds.iter().map(|s| s.1).sum();
-    report.seconds[0].1 += (start.elapsed().as_secs_f64() - stages).max(0.0);
-    report.remote = remote::traffic(path).zip(before).map(|(now, before)| Traffic {
-        requests: now.requests - before.requests,
-        bytes: now.bytes - before.bytes,
-    });
-    Ok(report)
-}
-
-/// As [`extract_surface`], from an archive that is open; bytes that were read before are not in the report.
+/// Extracts isosurfaces to a file: see [`Step::write_surface`](crate::pipeline::Step::write_surface).
 pub(in crate::pipeline) fn write_surfaces(
-    archive: &OpenArchive,
+    archive: &StepView,
     settings: &SurfaceSettings,
     out: &Path,
     format: SurfaceFormat,
     progress: &dyn Progress,
 ) -> Result<SurfaceReport> {
-    let scratch = settings.scratch_of(out);
+    let (scratch, before) = (settings.scratch_of(out), traffic(archive.path()));
     let made = make(archive, settings, Room { scratch, reused: vec![] }, progress)?;
-    Ok(write_made(archive, settings, made, out, format)?.0)
+    let report = write_made(archive, settings, made, out, format)?.0;
+    Ok(SurfaceReport { remote: traffic_since(archive.path(), before), ..report })
 }
 
-/// Writes surfaces of the step that is looked at; they come back with the report.
+/// Writes surfaces of a step; they come back with the report.
 pub(super) fn write_made(
-    archive: &OpenArchive,
+    archive: &StepView,
     settings: &SurfaceSettings,
     mut made: Made,
     out: &Path,
@@ -332,14 +266,14 @@ pub(super) fn write_made(
     let start = Instant::now();
     let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.step().plan.source.path);
     let file_bytes = write_all(archive, &made.surfaces, &settings.isovalues, out, format, &comment)?;
-    made.seconds.push(("write", start.elapsed()));
+    made.seconds.push((Stage::Write, start.elapsed()));
     let report = SurfaceReport { file_bytes, ..report_of(archive, settings, &made, out)? };
     Ok((report, made.surfaces))
 }
 
 /// What was found and read; no file is written yet.
 fn report_of(
-    archive: &OpenArchive,
+    archive: &StepView,
     settings: &SurfaceSettings,
     made: &Made,
     out: &Path,
@@ -364,20 +298,20 @@ fn report_of(
         active_bytes: made.active_bytes,
         archive_bytes: archive.bytes()?,
         remote: None,
-        seconds: made.seconds.iter().map(|(name, time)| ((*name).to_owned(), time.as_secs_f64())).collect(),
+        seconds: made.seconds.iter().map(|&(stage, time)| (stage, time.as_secs_f64())).collect(),
     })
 }
 
-/// Hands the report to `use_it`, and with it each surface, in the order of the isovalues, in the world.
+/// Hands the report to `begin`, then each surface to `each`, in the order of the isovalues, in the world.
 ///
 /// Memory does not grow with the surfaces: what the settings do not allow for is in their scratch folder.
 pub(in crate::pipeline) fn with_surfaces(
-    archive: &OpenArchive,
+    archive: &StepView,
     settings: &SurfaceSettings,
     begin: impl FnOnce(&SurfaceReport) -> Result<()>,
     mut each: impl FnMut(&dyn SurfaceSource) -> Result<()>,
 ) -> Result<()> {
-    let scratch = settings.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let scratch = settings.resources.scratch_folder();
     let made = make(archive, settings, Room { scratch, reused: vec![] }, &Silent)?;
     begin(&report_of(archive, settings, &made, Path::new(""))?)?;
     made.surfaces.iter().try_for_each(|found| in_world(archive, &found.surface, &mut each))
@@ -391,13 +325,12 @@ pub(super) struct Made {
     active_chunks: u64,
     bytes_read: u64,
     active_bytes: u64,
-    seconds: Vec<(&'static str, Duration)>,
+    seconds: Vec<(Stage, Duration)>,
 }
 
 /// A question about a step, and the blocks that can hold an answer.
-pub(super) struct Prepared {
-    /// Position of the step in the manifest.
-    pub(super) step: usize,
+pub(super) struct Prepared<'a> {
+    pub(super) view: &'a StepView,
     pub(super) work: Vec<ChunkWork>,
     /// The isovalues, as the archive has values.
     isovalues: Vec<f32>,
@@ -416,9 +349,8 @@ pub(super) struct Effort {
     pub(super) time: Duration,
 }
 
-impl Prepared {
-    /// About the step that is looked at.
-    pub(super) fn new(archive: &OpenArchive, settings: &SurfaceSettings) -> Result<Self> {
+impl<'a> Prepared<'a> {
+    pub(super) fn new(archive: &'a StepView, settings: &SurfaceSettings) -> Result<Self> {
         let start = Instant::now();
         let cut = cut_of(archive, settings)?;
         // What the range of all values tells needs no index.
@@ -428,7 +360,7 @@ impl Prepared {
             None => vec![],
         };
         Ok(Self {
-            step: archive.view.step,
+            view: archive,
             work,
             isovalues: settings.kept(archive),
             cut,
@@ -438,18 +370,13 @@ impl Prepared {
         })
     }
 
-    pub(super) fn question<'a>(
-        &'a self,
-        archive: &'a OpenArchive,
-        settings: &'a SurfaceSettings,
-    ) -> Question<'a> {
+    pub(super) fn question(&'a self, settings: &SurfaceSettings) -> Question<'a> {
         Question {
-            archive,
-            step: self.step,
+            archive: self.view,
             isovalues: &self.isovalues,
             cut: self.cut.as_ref(),
             world: self.world,
-            caps: settings.cap.then(|| archive.manifest.plan.lattice.max()),
+            caps: settings.cap.then(|| self.view.manifest.plan.lattice.max()),
             work: &self.work,
             active_bytes: AtomicU64::new(0),
         }
@@ -465,7 +392,7 @@ impl Prepared {
     ) -> Result<Made> {
         let start = Instant::now();
         if let Some(cut) = &self.cut {
-            cut_all(&mut surfaces, cut, settings.memory, scratch)?;
+            cut_all(&mut surfaces, cut, settings.resources.memory, scratch)?;
         }
         let extracted = effort.time + start.elapsed();
         let start = Instant::now();
@@ -477,13 +404,17 @@ impl Prepared {
             active_chunks: self.work.len() as u64,
             bytes_read: self.index_bytes + effort.bytes_read,
             active_bytes: effort.active_bytes,
-            seconds: vec![("open, index", self.opened), ("extract", extracted), ("refine", start.elapsed())],
+            seconds: vec![
+                (Stage::Open, self.opened),
+                (Stage::Extract, extracted),
+                (Stage::Refine, start.elapsed()),
+            ],
         })
     }
 }
 
 pub(super) fn make(
-    archive: &OpenArchive,
+    archive: &StepView,
     settings: &SurfaceSettings,
     room: Room,
     progress: &dyn Progress,
@@ -492,7 +423,7 @@ pub(super) fn make(
     let read_before = archive.bytes_read();
     let prepared = Prepared::new(archive, settings)?;
     let (start, scratch) = (Instant::now(), room.scratch.clone());
-    let question = prepared.question(archive, settings);
+    let question = prepared.question(settings);
     let surfaces = extract_surfaces(&question, settings, room, progress)?;
     let effort = Effort {
         bytes_read: archive.bytes_read() - read_before,
@@ -502,7 +433,7 @@ pub(super) fn make(
     prepared.finish(settings, surfaces, effort, &scratch)
 }
 
-fn cut_of(archive: &OpenArchive, settings: &SurfaceSettings) -> Result<Option<Cut>> {
+fn cut_of(archive: &StepView, settings: &SurfaceSettings) -> Result<Option<Cut>> {
     let Some(roi) = settings.roi else { return Ok(None) };
     if roi.space == RoiSpace::World {
         archive.refuse_coordinates("a cut at a box of the world")?;
@@ -513,7 +444,7 @@ fn cut_of(archive: &OpenArchive, settings: &SurfaceSettings) -> Result<Option<Cu
 
 /// The blocks that are read.
 fn work_of(
-    archive: &OpenArchive,
+    archive: &StepView,
     index: &Ranges<'_>,
     settings: &SurfaceSettings,
     cut: Option<&Cut>,
@@ -530,17 +461,17 @@ fn work_of(
 
 /// Isosurfaces in memory, in the order of the isovalues; in that of `reused`, as far as it goes.
 pub(in crate::pipeline) fn surfaces_in_memory(
-    archive: &OpenArchive,
+    archive: &StepView,
     settings: &SurfaceSettings,
     reused: Vec<TriMesh>,
 ) -> Result<Vec<TriMesh>> {
-    let scratch = settings.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let scratch = settings.resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
     let made = make(archive, settings, Room { scratch, reused }, &Silent)?;
     made.surfaces.into_iter().map(|found| in_memory(archive, found.surface)).collect()
 }
 
 /// The blocks that are active, and those inside of chunks at the ends of the domain.
-fn with_inside(archive: &OpenArchive, index: &Ranges<'_>, isovalues: &[f32]) -> Result<Vec<Entry>> {
+fn with_inside(archive: &StepView, index: &Ranges<'_>, isovalues: &[f32]) -> Result<Vec<Entry>> {
     let ends = chunks_at_ends(archive)?;
     let lowest = isovalues.iter().copied().fold(f32::INFINITY, f32::min);
     let mut refs = index.query_any(isovalues)?;
@@ -552,7 +483,7 @@ fn with_inside(archive: &OpenArchive, index: &Ranges<'_>, isovalues: &[f32]) -> 
 }
 
 /// Whether a tetrahedron of a chunk may reach the ends of the domain, for each chunk.
-fn chunks_at_ends(archive: &OpenArchive) -> Result<Vec<bool>> {
+fn chunks_at_ends(archive: &StepView) -> Result<Vec<bool>> {
     let domain = archive.chunks.bricks().lattice.domain();
     let halo = estimate::Halo::of(&archive.manifest.plan);
     let reaches_ends = |id: ChunkId| {
@@ -563,7 +494,7 @@ fn chunks_at_ends(archive: &OpenArchive) -> Result<Vec<bool>> {
         };
         archive.close_before(id);
         // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was widened.
-        Ok(reaches(0) || reaches(archive.segment_of(id)?.mesh.mesh_summary(id)?.retries))
+        Ok(reaches(0) || reaches(archive.mesh_of(id)?.mesh_summary(id)?.retries))
     };
     (0..archive.chunks.len()).map(|id| reaches_ends(ChunkId(id))).collect()
 }
@@ -575,11 +506,11 @@ fn refine_all(
     scratch: &Path,
 ) -> Result<(Vec<Extracted>, Vec<RefineReport>)> {
     let means = Means {
-        memory: settings.memory,
+        memory: settings.resources.memory,
         surfaces: surfaces.len() as u64,
-        threads: settings.threads,
+        threads: settings.resources.threads,
         scratch,
-        cancel: &settings.cancel,
+        cancel: &settings.resources.cancel,
     };
     let refine = |e: Extracted| {
         let (surface, report) = settings.refine.apply(e.surface, &means)?;
@@ -589,7 +520,7 @@ fn refine_all(
 }
 
 /// The chunks of which a tetrahedron may touch the cut.
-fn touching(archive: &OpenArchive, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<ChunkWork>> {
+fn touching(archive: &StepView, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<ChunkWork>> {
     let domain = archive.chunks.bricks().lattice.domain();
     let halo = estimate::Halo::of(&archive.manifest.plan);
     let touches = |id: ChunkId| {
@@ -597,7 +528,7 @@ fn touching(archive: &OpenArchive, cut: &Cut, work: Vec<ChunkWork>) -> Result<Ve
         let reaches =
             |retries| cut.may_touch_box(&estimate::region(&archive.points, &core, &domain, halo, retries));
         // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was widened.
-        Ok(reaches(0) || reaches(archive.segment_of(id)?.mesh.mesh_summary(id)?.retries))
+        Ok(reaches(0) || reaches(archive.mesh_of(id)?.mesh_summary(id)?.retries))
     };
     let keep = |w: ChunkWork| match touches(w.chunk) {
         Ok(touches) => touches.then_some(Ok(w)),
@@ -633,7 +564,7 @@ pub(super) fn file_of(out: &Path, isovalue: f64) -> PathBuf {
 
 /// Writes one file, or a file each; returns the bytes of all.
 fn write_all(
-    archive: &OpenArchive,
+    archive: &StepView,
     surfaces: &[Extracted],
     isovalues: &[f64],
     out: &Path,
@@ -659,7 +590,7 @@ fn write_all(
 }
 
 fn describe(
-    archive: &OpenArchive,
+    archive: &StepView,
     surfaces: &[Extracted],
     refined: &[RefineReport],
     isovalues: &[f64],

@@ -20,6 +20,7 @@ pub struct Refine {
 
 /// What came of it.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct RefineReport {
     /// The components, where they were asked for.
     #[serde(skip_serializing_if = "Option::is_none")]

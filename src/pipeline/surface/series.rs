@@ -4,20 +4,22 @@
 //! by ParaView, and by [`crate::formats::steps_of`]. Several steps are extracted in one pass (`extract_steps.rs`). A step whose values all lie on one side of the isovalues is not read: its file is an empty
 //! surface, so that the list has all steps.
 
-use super::extract_steps::Pass;
+use super::extract_steps::{MOST_STEPS, Pass};
 use super::query::{Made, SurfaceReport, SurfaceSettings, file_of, is_each_alone, write_made};
 use crate::archive::publish::Unpublished;
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Silent};
 use crate::formats::surface::SurfaceFormat;
-use crate::pipeline::read::{OpenArchive, StepRange, in_memory};
+use crate::pipeline::read::{OpenArchive, StepRange, StepView, in_memory};
 use crate::surface::TriMesh;
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The surfaces of a step.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct StepSurfaces {
     /// Number of the step.
     pub step: u64,
@@ -33,6 +35,7 @@ pub struct StepSurfaces {
 
 /// The surfaces of many steps.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct SeriesReport {
     /// Step by step.
     pub steps: Vec<StepSurfaces>,
@@ -42,13 +45,9 @@ pub struct SeriesReport {
     pub lists: Vec<PathBuf>,
 }
 
-/// Extracts isosurfaces of many steps, as [`super::extract_surface`] does of one; the file's name holds `%d` or `%04d` in place of the
-/// step's number.
-///
-/// # Errors
-/// Those of [`super::extract_surface`]; [`Error::Usage`] for a name without that place, and when no step is in the range.
-pub fn extract_series(
-    path: &Path,
+/// Writes isosurfaces of many steps: see [`Archive::write_series`](crate::pipeline::Archive::write_series).
+pub(in crate::pipeline) fn write_series(
+    archive: &Arc<OpenArchive>,
     steps: StepRange,
     settings: &SurfaceSettings,
     out: &Path,
@@ -58,16 +57,15 @@ pub fn extract_series(
     settings.check()?;
     let place = Place::in_name(out)?;
     let scratch = settings.scratch_of(out);
-    let mut archive = OpenArchive::open(path)?;
     let mut made: Vec<StepSurfaces> = vec![];
-    let mut write = |archive: &OpenArchive, surfaces| {
+    let mut write = |archive: &StepView, surfaces| {
         let plan = &archive.step().plan;
         let (step, time) = (plan.number, plan.time_or_number());
         let (report, surfaces) = write_made(archive, settings, surfaces, &place.name(step), format)?;
         made.push(StepSurfaces { step, time, skipped: !settings.can_answer(archive), report });
         Ok(surfaces.into_iter().map(|s| s.surface.into_memory()).collect())
     };
-    for_each_step(&mut archive, steps, settings, &scratch, progress, &mut write)?;
+    for_each_step(archive, steps, settings, &scratch, progress, &mut write)?;
     let lists = if is_each_alone(out) { settings.isovalues.len() } else { 1 };
     let list = |n: usize| {
         let files: Vec<(f64, &Path)> = made.iter().map(|s| (s.time, &*s.report.surfaces[n].file)).collect();
@@ -85,29 +83,29 @@ pub(super) type EachStep<'a> = dyn FnMut(u64, f64, &mut Vec<TriMesh>) -> Result<
 /// Hands out the isosurfaces of many steps, in memory: number and time of each, and the surfaces, of which the memory serves those of
 /// later steps if it is left.
 pub(in crate::pipeline) fn surfaces_of_steps(
-    path: &Path,
+    archive: &Arc<OpenArchive>,
     steps: StepRange,
     settings: &SurfaceSettings,
     each: &mut EachStep<'_>,
 ) -> Result<()> {
     settings.check()?;
-    let scratch = settings.scratch.clone().unwrap_or_else(std::env::temp_dir);
-    let mut hand_out = |archive: &OpenArchive, made: Made| {
+    let scratch = settings.resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let mut hand_out = |archive: &StepView, made: Made| {
         let plan = &archive.step().plan;
         let surfaces = made.surfaces.into_iter().map(|found| in_memory(archive, found.surface));
         let mut surfaces = surfaces.collect::<Result<Vec<_>>>()?;
         each(plan.number, plan.time_or_number(), &mut surfaces)?;
         Ok(surfaces)
     };
-    for_each_step(&mut OpenArchive::open(path)?, steps, settings, &scratch, &Silent, &mut hand_out)
+    for_each_step(archive, steps, settings, &scratch, &Silent, &mut hand_out)
 }
 
-/// What is done with the surfaces of a step, which the archive looks at; their memory comes back.
-type Use<'a> = dyn FnMut(&OpenArchive, Made) -> Result<Vec<TriMesh>> + 'a;
+/// What is done with the surfaces of a step; their memory comes back.
+type Use<'a> = dyn FnMut(&StepView, Made) -> Result<Vec<TriMesh>> + 'a;
 
 /// Extracts surfaces of step after step, several in a pass.
 fn for_each_step(
-    archive: &mut OpenArchive,
+    archive: &Arc<OpenArchive>,
     steps: StepRange,
     settings: &SurfaceSettings,
     scratch: &Path,
@@ -117,12 +115,12 @@ fn for_each_step(
     let mut positions = steps.positions(&archive.manifest, archive.path())?;
     let mut reused = vec![];
     while !positions.is_empty() {
-        let pass = Pass::next(archive, settings, positions.clone(), scratch)?;
-        for (position, made) in pass.extract(archive, settings, &mut reused, progress)? {
-            settings.cancel.check()?;
-            archive.turn_to(position);
-            reused.push(use_them(archive, made)?);
-            positions.start = position + 1;
+        let views: Vec<StepView> = positions.clone().take(MOST_STEPS).map(|n| archive.step_at(n)).collect();
+        let made = Pass::next(&views, settings, scratch)?.extract(settings, &mut reused, progress)?;
+        for (view, made) in views.iter().zip(made) {
+            settings.resources.cancel.check()?;
+            reused.push(use_them(view, made)?);
+            positions.start = view.position() + 1;
         }
     }
     Ok(())

@@ -16,12 +16,12 @@ use crate::archive::summary::{BlockRange, MeshSummary};
 use crate::archive::unpacked::{Unpacked, UnpackedChunk, UnpackedWriter};
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, pool};
+use crate::exec::{Progress, Resources, pool};
 use crate::grid::ChunkId;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    BYTES_PER_VERTEX, BufferPool, Buffers, ChunkReader, Needed, OpenArchive, StepChoice, StepRange, View,
-    Wanted, world_map,
+    BYTES_PER_VERTEX, BufferPool, Buffers, ChunkReader, Moment, Needed, OpenArchive, StepChoice, StepRange,
+    StepView, Wanted, world_map,
 };
 use crate::surface::WorldMap;
 use crate::surface::known::{Joiner, KnownBlock};
@@ -29,6 +29,7 @@ use serde::Serialize;
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// What is unpacked, and how.
 #[derive(Clone, Debug)]
@@ -39,24 +40,13 @@ pub struct UnpackSettings {
     pub steps: Option<StepRange>,
     /// Only blocks that can answer isovalues from the first to the second; surfaces at others decode blocks.
     pub range: [f64; 2],
-    /// Threads; 0 means as many as the process may use.
-    pub threads: usize,
-    /// Bytes for the chunks at work.
-    pub memory: u64,
-    /// Stops it; the file at which it is does not appear then.
-    pub cancel: CancelToken,
+    /// Threads, memory, scratch folder, and what stops it.
+    pub resources: Resources,
 }
 
 impl Default for UnpackSettings {
     fn default() -> Self {
-        Self {
-            step: StepChoice::First,
-            steps: None,
-            range: EVERYTHING,
-            threads: 0,
-            memory: crate::exec::usable_memory() / 2,
-            cancel: CancelToken::new(),
-        }
+        Self { step: StepChoice::First, steps: None, range: EVERYTHING, resources: Resources::default() }
     }
 }
 
@@ -65,6 +55,7 @@ const EVERYTHING: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
 
 /// What was unpacked, or removed.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct UnpackReport {
     /// The files.
     pub files: Vec<UnpackedFile>,
@@ -74,6 +65,7 @@ pub struct UnpackReport {
 
 /// A file of unpacked blocks.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct UnpackedFile {
     /// Number of its step.
     pub step: u64,
@@ -97,6 +89,7 @@ const PER_CHUNK: u64 = 4 << 20;
 
 /// What [`unpack`] will write.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct UnpackNeed {
     /// Bytes of the new files, about; seldom more.
     pub bytes: u64,
@@ -111,12 +104,11 @@ pub struct UnpackNeed {
 /// # Errors
 /// As [`unpack`]; [`Error::Budget`] when the disk does not have room for it.
 pub fn unpack_need(path: &Path, settings: &UnpackSettings) -> Result<UnpackNeed> {
-    let (mut archive, positions) = open_chosen(path, settings)?;
+    let (archive, positions) = open_chosen(path, settings)?;
     let mut tetrahedra = 0;
-    for position in positions {
-        archive.turn_to(position);
-        let range = settings.range.map(|v| archive.step().plan.source.kept(v));
-        tetrahedra += parts_of(&archive, range)?.iter().map(|part| part.wanted_tets).sum::<u64>();
+    for view in positions.map(|n| archive.step_at(n)) {
+        let range = settings.range.map(|v| view.step().plan.source.kept(v));
+        tetrahedra += parts_of(&view, range)?.iter().map(|part| part.wanted_tets).sum::<u64>();
     }
     let bytes = tetrahedra * BYTES_ON_DISK;
     let free = estimate::free_bytes(archive.path());
@@ -129,13 +121,13 @@ pub fn unpack_need(path: &Path, settings: &UnpackSettings) -> Result<UnpackNeed>
 }
 
 /// The archive, and the positions of the steps that are meant.
-fn open_chosen(path: &Path, settings: &UnpackSettings) -> Result<(OpenArchive, std::ops::Range<usize>)> {
+fn open_chosen(path: &Path, settings: &UnpackSettings) -> Result<(Arc<OpenArchive>, std::ops::Range<usize>)> {
     expect_local(path)?;
     let [low, high] = settings.range;
     if low.is_nan() || high.is_nan() || low > high {
         return Err(Error::usage(format!("the range {low} to {high} is empty: give the lower value first")));
     }
-    let archive = OpenArchive::open_at(path, settings.step)?;
+    let archive = OpenArchive::open(path)?;
     let positions = chosen(&archive.manifest, settings, path)?;
     Ok((archive, positions))
 }
@@ -145,13 +137,11 @@ fn open_chosen(path: &Path, settings: &UnpackSettings) -> Result<(OpenArchive, s
 ///
 /// ```
 /// # use isospan::{Archive, exec::Silent};
-/// # use isospan::pipeline::{Amount, ReduceSettings, RunSettings, reduce};
 /// use isospan::pipeline::{UnpackSettings, remove_unpacked, unpack};
 /// # fn main() -> isospan::Result<()> {
 /// # let folder = tempfile::tempdir().unwrap();
 /// # let path = folder.path().join("protein.isospan");
-/// # let settings = ReduceSettings { amount: Amount::Count(20_000), ..ReduceSettings::default() };
-/// # reduce("datasets/ironprot.vtk".as_ref(), &Default::default(), &settings, &path, &RunSettings::default(), &Silent)?;
+/// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
 /// let before = Archive::open(&path)?.surface(100.0)?;
 /// let report = unpack(&path, &UnpackSettings { range: [80.0, 120.0], ..UnpackSettings::default() }, &Silent)?;
 /// assert!(report.files[0].tetrahedra > 0);
@@ -167,11 +157,10 @@ fn open_chosen(path: &Path, settings: &UnpackSettings) -> Result<(OpenArchive, s
 pub fn unpack(path: &Path, settings: &UnpackSettings, progress: &dyn Progress) -> Result<UnpackReport> {
     // All steps at once: disk that does for the first ones alone is found too small before anything is written.
     unpack_need(path, settings)?;
-    let (mut archive, positions) = open_chosen(path, settings)?;
+    let (archive, positions) = open_chosen(path, settings)?;
     let mut report = UnpackReport::default();
-    for position in positions {
-        archive.turn_to(position);
-        let file = unpack_step(&archive, settings, progress)?;
+    for view in positions.map(|n| archive.step_at(n)) {
+        let file = unpack_step(&view, settings, progress)?;
         report.bytes += file.bytes;
         report.files.push(file);
     }
@@ -241,16 +230,16 @@ fn chosen(manifest: &Manifest, settings: &UnpackSettings, path: &Path) -> Result
     if let Some(steps) = settings.steps {
         return steps.positions(manifest, path);
     }
-    let View { step, beyond } = View::of(manifest, settings.step, path)?;
+    let Moment { step, beyond } = Moment::of(manifest, settings.step, path)?;
     match beyond {
         None => Ok(step..step + 1),
         Some(_) => Err(Error::usage("steps are unpacked, and no moment between two of them")),
     }
 }
 
-/// Unpacks the step that is looked at.
+/// Unpacks a step.
 fn unpack_step(
-    archive: &OpenArchive,
+    archive: &StepView,
     settings: &UnpackSettings,
     progress: &dyn Progress,
 ) -> Result<UnpackedFile> {
@@ -258,18 +247,18 @@ fn unpack_step(
     let parts = parts_of(archive, range)?;
     let bytes: Vec<u64> = parts.iter().map(Part::need).collect();
     let largest = estimate::BASE + bytes.iter().copied().max().unwrap_or(0);
-    if settings.memory < largest {
-        let (what, available) = ("memory".into(), settings.memory);
+    if settings.resources.memory < largest {
+        let (what, available) = ("memory".into(), settings.resources.memory);
         return Err(Error::Budget { what, needed: largest, available });
     }
     let path = archive.layout.unpacked();
-    let writer = UnpackedWriter::create(&path, archive.unpacked_hash(archive.view.step), range)?;
+    let writer = UnpackedWriter::create(&path, archive.unpacked_hash(archive.position()), range)?;
     let step = archive.step().plan.number;
     progress.begin(&format!("unpack step {step}"), parts.len() as u64, "chunks");
-    let pool = pool(settings.threads)?;
+    let pool = pool(settings.resources.threads)?;
     let (spare, world) = (BufferPool::default(), world_map(archive));
     let make = |n: usize| {
-        settings.cancel.check()?;
+        settings.resources.cancel.check()?;
         let mut buffers = spare.buffers();
         let made = MadeChunk::of(archive, ChunkId(n as u64), range, &world, &mut buffers)?;
         spare.give_buffers(buffers);
@@ -278,7 +267,7 @@ fn unpack_step(
     let file = UnpackedFile { step, file: path, ..UnpackedFile::default() };
     let filler = Filler { archive, writer, file, progress };
     let Filler { writer, mut file, .. } =
-        Line::new(bytes, settings.memory - estimate::BASE, &pool, make, filler).run(&pool)?;
+        Line::new(bytes, settings.resources.memory - estimate::BASE, &pool, make, filler).run(&pool)?;
     file.bytes = writer.finish()?.bytes;
     Ok(file)
 }
@@ -298,7 +287,7 @@ impl Part {
 }
 
 /// Reads the summaries of all chunks.
-fn parts_of(archive: &OpenArchive, range: [f32; 2]) -> Result<Vec<Part>> {
+fn parts_of(archive: &StepView, range: [f32; 2]) -> Result<Vec<Part>> {
     let part = |id: ChunkId| {
         archive.close_before(id);
         let segment = archive.segment_of(id)?;
@@ -328,7 +317,7 @@ struct MadeChunk {
 
 impl MadeChunk {
     fn of(
-        archive: &OpenArchive,
+        archive: &StepView,
         id: ChunkId,
         range: [f32; 2],
         world: &WorldMap,
@@ -370,7 +359,7 @@ impl MadeChunk {
 
 /// Writes chunks in order.
 struct Filler<'a> {
-    archive: &'a OpenArchive,
+    archive: &'a StepView,
     writer: UnpackedWriter,
     file: UnpackedFile,
     progress: &'a dyn Progress,
@@ -401,7 +390,7 @@ impl Last for Filler<'_> {
 ///
 /// # Errors
 /// The first that is another.
-pub(in crate::pipeline) fn check_unpacked(archive: &OpenArchive, file: &Unpacked, id: ChunkId) -> Result<()> {
+pub(in crate::pipeline) fn check_unpacked(archive: &StepView, file: &Unpacked, id: ChunkId) -> Result<()> {
     let (world, mut buffers) = (world_map(archive), Buffers::default());
     let made = MadeChunk::of(archive, id, file.table().range, &world, &mut buffers)?;
     let told = file.chunk(id);

@@ -17,26 +17,28 @@ use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::exec::will_read;
 use crate::index::Entry;
-use crate::pipeline::read::{Buffers, OpenArchive, StepSummary, unpack_known};
+use crate::pipeline::read::{Buffers, OpenArchive, StepSummary, StepView, unpack_known};
 use crate::surface::known::{Flaw, Known};
 use std::sync::atomic::Ordering;
 
-impl OpenArchive {
-    /// The unpacked blocks of what is looked at, if there are any. They are looked for once.
+impl StepView {
+    /// The unpacked blocks of the step, if there are any. They are looked for once.
     pub(in crate::pipeline) fn unpacked(&self) -> Result<Option<&Unpacked>> {
-        if self.view.beyond.is_some() || is_remote(self.path()) {
+        if self.is_between() || is_remote(self.path()) {
             return Ok(None);
         }
         if let Some(found) = self.unpacked.get() {
             return Ok(found.as_ref());
         }
-        let found = self.open_unpacked(self.view.step)?;
+        let found = self.open_unpacked(self.position())?;
         Ok(self.unpacked.get_or_init(|| found).as_ref())
     }
+}
 
+impl OpenArchive {
     /// The unpacked blocks of the step at a position in the manifest, if there are any.
     pub(super) fn open_unpacked(&self, step: usize) -> Result<Option<Unpacked>> {
-        let path = self.layout.at(self.manifest.steps[step].plan.number).unpacked();
+        let path = self.layout_at(step).unpacked();
         Unpacked::open(&path, self.unpacked_hash(step), self.chunks.len())
     }
 
@@ -73,7 +75,7 @@ pub(super) struct UnpackedChunk<'a> {
 
 impl<'a> UnpackedChunk<'a> {
     /// `None` where nothing is unpacked.
-    pub(super) fn of(archive: &'a OpenArchive, work: &ChunkWork) -> Result<Option<Self>> {
+    pub(super) fn of(archive: &'a StepView, work: &ChunkWork) -> Result<Option<Self>> {
         let Some(file) = archive.unpacked()? else { return Ok(None) };
         let mut places = Vec::with_capacity(work.blocks.len());
         file.places(work.chunk, work.blocks.iter().map(|b| b.block), &mut places)?;

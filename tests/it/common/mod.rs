@@ -2,13 +2,17 @@
 
 use isospan::archive::manifest::Manifest;
 use isospan::archive::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
-use isospan::exec::Silent;
+use isospan::exec::{Progress, Silent};
 use isospan::formats::surface::{SurfaceFormat, read_surface};
 use isospan::formats::{OpenOptions, StepSource};
-use isospan::pipeline::{self, Amount, ReduceReport, ReduceSettings, RunSettings, Shard, SurfaceSettings};
+use isospan::pipeline::{
+    self, Amount, ArchiveCheck, ArchiveSummary, CountReport, ReduceReport, ReduceSettings, RunSettings,
+    SeriesReport, Shard, SpectrumReport, StepChoice, StepRange, SurfaceReport, SurfaceSettings,
+};
 use isospan::points::SetKind;
 use isospan::sample::Values;
 use isospan::surface::TriMesh;
+use isospan::{Archive, Resources, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::fs;
@@ -156,11 +160,21 @@ pub(crate) fn settings(points: SetKind, amount: Amount, chunk_points: u64) -> Re
 }
 
 pub(crate) fn run(threads: usize) -> RunSettings {
-    RunSettings { threads, memory: 4 << 30, ..RunSettings::default() }
+    RunSettings {
+        resources: Resources::default().with_threads(threads).with_memory(4 << 30),
+        ..RunSettings::default()
+    }
 }
 
 pub(crate) fn reduce(input: &Path, settings: &ReduceSettings, out: &Path, threads: usize) -> ReduceReport {
-    pipeline::reduce(input, &OpenOptions::default(), settings, out, &run(threads), &Silent).unwrap()
+    pipeline::reduce_series(
+        &[StepSource::new(input, &OpenOptions::default())],
+        settings,
+        out,
+        &run(threads),
+        &Silent,
+    )
+    .unwrap()
 }
 
 /// As [`reduce`], in two shards, the second one first.
@@ -173,15 +187,64 @@ pub(crate) fn reduce_in_shards(input: &Path, settings: &ReduceSettings, out: &Pa
     pipeline::commit_shards(out, &run, &Silent).unwrap();
 }
 
-pub(crate) fn surface(
+pub(crate) fn surface(archive: &Path, isovalue: impl Into<f64>, out: &Path, threads: usize) -> SurfaceReport {
+    let settings = SurfaceSettings {
+        resources: Resources::default().with_threads(threads),
+        ..SurfaceSettings::of(isovalue)
+    };
+    extract_surface(archive, &settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent).unwrap()
+}
+
+/// Writes surfaces as the command line does: the archive is opened for it, and keeps nothing.
+pub(crate) fn extract_surface(
     archive: &Path,
-    isovalue: impl Into<f64>,
+    settings: &SurfaceSettings,
     out: &Path,
-    threads: usize,
-) -> pipeline::SurfaceReport {
-    let settings = SurfaceSettings { threads, ..SurfaceSettings::of(isovalue) };
-    pipeline::extract_surface(archive, &settings, out, SurfaceFormat::from_path(out).unwrap(), &Silent)
-        .unwrap()
+    format: SurfaceFormat,
+    progress: &dyn Progress,
+) -> Result<SurfaceReport> {
+    extract_surface_at(archive, StepChoice::First, settings, out, format, progress)
+}
+
+/// As [`extract_surface`], at a step or a time.
+pub(crate) fn extract_surface_at(
+    archive: &Path,
+    choice: StepChoice,
+    settings: &SurfaceSettings,
+    out: &Path,
+    format: SurfaceFormat,
+    progress: &dyn Progress,
+) -> Result<SurfaceReport> {
+    let step = Archive::open(archive)?.keeping(0).at(choice)?;
+    step.write_surface(settings, out, format, progress)
+}
+
+/// As [`extract_surface`], of many steps.
+pub(crate) fn extract_series(
+    archive: &Path,
+    steps: StepRange,
+    settings: &SurfaceSettings,
+    out: &Path,
+    format: SurfaceFormat,
+    progress: &dyn Progress,
+) -> Result<SeriesReport> {
+    Archive::open(archive)?.keeping(0).write_series(steps, settings, out, format, progress)
+}
+
+pub(crate) fn check_archive(archive: &Path) -> Result<ArchiveCheck> {
+    Archive::open(archive)?.check()
+}
+
+pub(crate) fn count_active(archive: &Path, isovalue: impl Into<f64>) -> Result<CountReport> {
+    Archive::open(archive)?.count(isovalue)
+}
+
+pub(crate) fn summarize(archive: &Path) -> Result<ArchiveSummary> {
+    Archive::open(archive)?.info()
+}
+
+pub(crate) fn contour_spectrum(archive: &Path) -> Result<SpectrumReport> {
+    Archive::open(archive)?.spectrum()
 }
 
 pub(crate) fn read(path: &Path) -> TriMesh {

@@ -7,12 +7,13 @@ use crate::json::to_python;
 use crate::surface::Surface;
 use crate::volume::{Volume, raised_or};
 use crate::work::run;
-use isospan::exec::{CancelToken, usable_memory};
+use isospan::Resources;
+use isospan::exec::usable_memory;
 use isospan::formats::samples::SampleFormat;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{
-    self, Corners, ExportSettings, MeasureSettings, ProbeSettings, Refine, RunSettings, StepChoice,
+    self, Corners, ExportSettings, MeasureSettings, ProbeSettings, Refine, RunSettings, Step, StepChoice,
     StepRange, SurfaceSettings,
 };
 use isospan::surface::components::ComponentFilter;
@@ -28,12 +29,13 @@ pub(crate) fn is_archive(path: PathBuf) -> bool {
     pipeline::is_archive(&path)
 }
 
-/// An archive, opened at a step; the step that was asked last besides is open too.
+/// An archive, opened at a step; the other step that was asked last is kept with its blocks.
 #[pyclass(frozen)]
 pub(crate) struct Archive {
     path: PathBuf,
-    here: Arc<isospan::Archive>,
-    other: Mutex<Option<(StepChoice, Arc<isospan::Archive>)>>,
+    archive: isospan::Archive,
+    here: Arc<Step>,
+    other: Mutex<Option<(StepChoice, Arc<Step>)>>,
 }
 
 /// A step by its number, or a time.
@@ -65,14 +67,18 @@ impl Machine {
         }
     }
 
+    fn resources(&self, py: Python<'_>) -> PyResult<Resources> {
+        let resources = Resources::default().with_threads(self.threads).with_memory(self.memory(py)?);
+        Ok(resources.with_scratch(self.scratch.clone()))
+    }
+
     /// Those of making an archive.
     pub(crate) fn run_settings(&self, py: Python<'_>) -> PyResult<RunSettings> {
-        let (memory, scratch) = (self.memory(py)?, self.scratch.clone());
-        Ok(RunSettings { threads: self.threads, memory, scratch, ..RunSettings::default() })
+        Ok(RunSettings { resources: self.resources(py)?, ..RunSettings::default() })
     }
 
     fn probe(&self, py: Python<'_>) -> PyResult<ProbeSettings> {
-        Ok(ProbeSettings { threads: self.threads, memory: self.memory(py)?, cancel: CancelToken::new() })
+        Ok(ProbeSettings { resources: self.resources(py)? })
     }
 }
 
@@ -115,14 +121,11 @@ impl Wanted {
 
     fn settings(&self, py: Python<'_>, machine: &Machine) -> PyResult<SurfaceSettings> {
         Ok(SurfaceSettings {
+            resources: machine.resources(py)?,
             isovalues: self.isovalues.clone(),
             roi: parsed(py, self.roi.as_ref())?,
-            threads: machine.threads,
-            memory: machine.memory(py)?,
-            scratch: machine.scratch.clone(),
             cap: self.cap,
             refine: self.refine(),
-            ..SurfaceSettings::default()
         })
     }
 }
@@ -156,21 +159,21 @@ impl Against {
 
 impl Archive {
     /// The archive at a step; at the one that it was opened at, if none is given.
-    fn at(&self, py: Python<'_>, when: When) -> PyResult<Arc<isospan::Archive>> {
+    fn at(&self, py: Python<'_>, when: When) -> PyResult<Arc<Step>> {
         if when == (None, None) {
             return Ok(Arc::clone(&self.here));
         }
         let choice = choice(py, when)?;
         py.detach(|| {
             let mut other = self.other.lock().unwrap_or_else(PoisonError::into_inner);
-            if let Some((known, archive)) = &*other
+            if let Some((known, step)) = &*other
                 && *known == choice
             {
-                return Ok(Arc::clone(archive));
+                return Ok(Arc::clone(step));
             }
-            let archive = Arc::new(isospan::Archive::open_at(&self.path, choice)?);
-            *other = Some((choice, Arc::clone(&archive)));
-            Ok(archive)
+            let step = Arc::new(self.archive.at(choice)?);
+            *other = Some((choice, Arc::clone(&step)));
+            Ok(step)
         })
         .map_err(|e| exception(py, &e))
     }
@@ -181,9 +184,9 @@ impl Archive {
     #[new]
     fn open(py: Python<'_>, path: PathBuf, when: When) -> PyResult<Self> {
         let choice = choice(py, when)?;
-        let archive =
-            py.detach(|| isospan::Archive::open_at(&path, choice)).map_err(|e| exception(py, &e))?;
-        Ok(Self { path, here: Arc::new(archive), other: Mutex::new(None) })
+        let open = || isospan::Archive::open(&path).and_then(|a| a.at(choice).map(|step| (a, step)));
+        let (archive, here) = py.detach(open).map_err(|e| exception(py, &e))?;
+        Ok(Self { path, archive, here: Arc::new(here), other: Mutex::new(None) })
     }
 
     fn info<'py>(&self, py: Python<'py>, when: When) -> PyResult<Bound<'py, PyAny>> {
@@ -228,7 +231,10 @@ impl Archive {
         let archive = self.at(py, when)?;
         let settings = wanted.settings(py, &machine)?;
         let meshes = run(py, None, |cancel, _| {
-            let settings = SurfaceSettings { cancel: cancel.clone(), ..settings };
+            let settings = SurfaceSettings {
+                resources: settings.resources.clone().with_cancel(cancel.clone()),
+                ..settings
+            };
             archive.surfaces(&settings)
         })?;
         let comment = format!("isospan {} of {}", env!("CARGO_PKG_VERSION"), archive.source());
@@ -250,7 +256,10 @@ impl Archive {
         let archive = self.at(py, when)?;
         let settings = wanted.settings(py, &machine)?;
         let report = run(py, progress.as_ref(), |cancel, progress| {
-            let settings = SurfaceSettings { cancel: cancel.clone(), ..settings };
+            let settings = SurfaceSettings {
+                resources: settings.resources.clone().with_cancel(cancel.clone()),
+                ..settings
+            };
             archive.write_surface(&settings, &out, SurfaceFormat::from_path(&out)?, progress)
         })?;
         to_python(py, &report)
@@ -269,9 +278,12 @@ impl Archive {
         let settings = wanted.settings(py, &machine)?;
         let steps: StepRange = parsed(py, steps.as_ref())?.unwrap_or_default();
         let report = run(py, progress.as_ref(), |cancel, progress| {
-            let settings = SurfaceSettings { cancel: cancel.clone(), ..settings };
+            let settings = SurfaceSettings {
+                resources: settings.resources.clone().with_cancel(cancel.clone()),
+                ..settings
+            };
             let format = SurfaceFormat::from_path(&out)?;
-            pipeline::extract_series(&self.path, steps, &settings, &out, format, progress)
+            self.archive.write_series(steps, &settings, &out, format, progress)
         })?;
         to_python(py, &report)
     }
@@ -285,7 +297,10 @@ impl Archive {
         let settings = machine.probe(py)?;
         let points: Vec<[f64; 3]> = bytemuck::pod_collect_to_vec(points);
         let values = run(py, None, |cancel, _| {
-            archive.probe_with(&points, &ProbeSettings { cancel: cancel.clone(), ..settings })
+            archive.probe_with(
+                &points,
+                &ProbeSettings { resources: settings.resources.with_cancel(cancel.clone()) },
+            )
         })?;
         Ok(Numbers::new(values))
     }
@@ -295,7 +310,10 @@ impl Archive {
         let archive = self.at(py, when)?;
         let settings = machine.probe(py)?;
         let values = run(py, None, |cancel, _| {
-            archive.sample_with(dims, &ProbeSettings { cancel: cancel.clone(), ..settings })
+            archive.sample_with(
+                dims,
+                &ProbeSettings { resources: settings.resources.with_cancel(cancel.clone()) },
+            )
         })?;
         Ok(Numbers::new(values))
     }
@@ -314,7 +332,7 @@ impl Archive {
         let archive = self.at(py, when)?;
         let settings = machine.probe(py)?;
         let report = run(py, progress.as_ref(), |cancel, progress| {
-            let settings = ProbeSettings { cancel: cancel.clone(), ..settings };
+            let settings = ProbeSettings { resources: settings.resources.with_cancel(cancel.clone()) };
             archive.write_samples(dims, &settings, &out, SampleFormat::from_path(&out)?, progress)
         })?;
         to_python(py, &report)
@@ -333,18 +351,22 @@ impl Archive {
     ) -> PyResult<Bound<'py, PyAny>> {
         let archive = self.at(py, when)?;
         let settings = ExportSettings {
+            resources: machine.resources(py)?,
             range: part.range,
             corners: if part.any_corner { Corners::Any } else { Corners::All },
             roi: parsed(py, part.roi.as_ref())?,
             every: part.every,
             compress: part.compress,
-            threads: machine.threads,
-            memory: machine.memory(py)?,
-            scratch: machine.scratch.clone(),
-            cancel: CancelToken::new(),
         };
         let report = run(py, progress.as_ref(), |cancel, progress| {
-            archive.write_tetrahedra(&ExportSettings { cancel: cancel.clone(), ..settings }, &out, progress)
+            archive.write_tetrahedra(
+                &ExportSettings {
+                    resources: settings.resources.clone().with_cancel(cancel.clone()),
+                    ..settings
+                },
+                &out,
+                progress,
+            )
         })?;
         to_python(py, &report)
     }
@@ -361,26 +383,18 @@ impl Archive {
         machine: Machine,
         progress: Option<Bound<'py, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let settings = MeasureSettings {
-            threads: machine.threads,
-            memory: machine.memory(py)?,
-            scratch: machine.scratch.clone(),
-            step,
-            map,
-            cancel: CancelToken::new(),
-        };
+        let settings = MeasureSettings { resources: machine.resources(py)?, step, map };
         let options = OpenOptions { field, ..OpenOptions::default() };
         let done = run(py, progress.as_ref(), |cancel, progress| {
-            let settings = MeasureSettings { cancel: cancel.clone(), ..settings };
+            let settings = MeasureSettings {
+                resources: settings.resources.clone().with_cancel(cancel.clone()),
+                ..settings
+            };
             let source = match &against {
                 Against::File(path) => StepSource::new(path, &options),
                 Against::Volume(volume) => {
-                    let run = RunSettings {
-                        memory: settings.memory,
-                        scratch: settings.scratch.clone(),
-                        cancel: cancel.clone(),
-                        ..RunSettings::default()
-                    };
+                    let resources = settings.resources.clone();
+                    let run = RunSettings { resources, ..RunSettings::default() };
                     volume.get().step(&run, progress)?
                 }
             };
@@ -391,6 +405,6 @@ impl Archive {
 
     /// Verifies all of it.
     fn check(&self, py: Python<'_>) -> PyResult<()> {
-        run(py, None, |cancel, _| self.here.check_until(cancel).map(|_| ()))
+        run(py, None, |cancel, _| self.archive.check_until(cancel).map(|_| ()))
     }
 }

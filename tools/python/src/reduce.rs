@@ -121,7 +121,8 @@ pub(crate) fn work<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let settings = machine.run_settings(py)?;
     let report = run(py, None, |cancel, progress| {
-        let settings = RunSettings { cancel: cancel.clone(), ..settings };
+        let settings =
+            RunSettings { resources: settings.resources.clone().with_cancel(cancel.clone()), ..settings };
         pipeline::work_shard(&archive, shard.parse()?, &settings, progress)
     })?;
     to_python(py, &report)
@@ -137,7 +138,8 @@ pub(crate) fn commit<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let settings = machine.run_settings(py)?;
     let report = run(py, progress.as_ref(), |cancel, progress| {
-        let settings = RunSettings { cancel: cancel.clone(), ..settings };
+        let settings =
+            RunSettings { resources: settings.resources.clone().with_cancel(cancel.clone()), ..settings };
         pipeline::commit_shards(&archive, &settings, progress)
     })?;
     to_python(py, &report)

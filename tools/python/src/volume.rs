@@ -186,7 +186,7 @@ impl Volume {
         run: &RunSettings,
         progress: &dyn Progress,
     ) -> Result<BrickedVolume> {
-        let folder = run.scratch.clone().unwrap_or_else(std::env::temp_dir);
+        let folder = run.resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
         let place = tempfile::Builder::new()
             .prefix("isospan-array-")
             .tempdir_in(&folder)
@@ -199,7 +199,7 @@ impl Volume {
             raised: Arc::clone(&self.raised),
         };
         let source = VolumeSource::Stream(Box::new(stream));
-        brick(source, &file, run.memory / 4, &run.cancel, progress)?;
+        brick(source, &file, run.resources.memory / 4, &run.resources.cancel, progress)?;
         // The folder goes; the open file stays until it is closed.
         BrickedVolume::open(&file)
     }

@@ -7,10 +7,10 @@ use super::super::{make, numbered};
 use super::Round;
 use crate::archive::manifest::Manifest;
 use crate::density::Choice;
-use crate::exec::{Progress, Silent};
+use crate::exec::{Progress, Resources, Silent};
 use crate::formats::{OpenOptions, StepSource};
 use crate::pipeline::plan::{Attachments, Layout};
-use crate::pipeline::read::OpenArchive;
+use crate::pipeline::read::{OpenArchive, StepView};
 use crate::pipeline::{
     Adapt, Bound, Plan, ReduceReport, ReduceSettings, RunSettings, Shard, Target, commit_shards,
     reduce_series, work_shard,
@@ -63,7 +63,7 @@ fn settings(values: Values) -> ReduceSettings {
 }
 
 fn run(threads: usize) -> RunSettings {
-    RunSettings { threads, ..RunSettings::default() }
+    RunSettings { resources: Resources::default().with_threads(threads), ..RunSettings::default() }
 }
 
 /// A try of a search, with those around as they are there.
@@ -80,7 +80,7 @@ fn make_round(
 }
 
 /// The levels of an archive with a cell at the low end of x raised by 2.
-fn raised(archive: &OpenArchive) -> Choice {
+fn raised(archive: &StepView) -> Choice {
     let levels = archive.points.levels().unwrap();
     let PointSpec::Halton { n } = archive.manifest.plan.points else { panic!("no Halton set") };
     let (cells, mut all) = (*levels.cells(), levels.as_slice().to_vec());
@@ -144,7 +144,7 @@ fn a_round_makes_what_its_plan_makes_and_meshes_where_levels_are_others() {
         let [first, two, one, plain] =
             ["first", "two", "one", "plain"].map(|n| dir.path().join(format!("{steps}{n}.isospan")));
         make_round(&sources, values, None, &first, 2);
-        let open = || OpenArchive::open(&first).unwrap();
+        let open = || OpenArchive::open(&first).unwrap().step_at(0);
         let round = Round::new(raised(&open()), open()).unwrap();
         let made = make_round(&sources, values, Some(&round), &two, 2);
         assert!(made.taken_chunks > 0 && made.taken_chunks < made.chunks, "{made:?}");
@@ -156,7 +156,7 @@ fn a_round_makes_what_its_plan_makes_and_meshes_where_levels_are_others() {
         assert!(expected == files(&one), "threads");
         made_again(&two, &sources, values, &plain, 3);
         assert!(expected == files(&plain), "as planned");
-        assert!(crate::pipeline::check_archive(&two).is_ok());
+        assert!(crate::Archive::open(&two).unwrap().check().is_ok());
         // And with no change there is nothing to mesh.
         let same = Choice { levels: (**open().points.levels().unwrap()).clone(), ..raised(&open()) };
         let round = Round::new(same, open()).unwrap();
@@ -171,7 +171,7 @@ fn chunks_are_cut_afresh_where_bricks_would_be_too_large() {
     let dir = tempfile::tempdir().unwrap();
     let (sources, out) = (sources(dir.path(), 1), dir.path().join("a.isospan"));
     make_round(&sources, Values::Sample, None, &out, 2);
-    let open = || OpenArchive::open(&out).unwrap();
+    let open = || OpenArchive::open(&out).unwrap().step_at(0);
     let Choice { n, levels } = raised(&open());
     let denser = |by: u8| {
         let all = levels.as_slice().iter().map(|l| l + by).collect();
@@ -200,7 +200,7 @@ impl Progress for StopsIn {
     fn advance(&self, _: u64) {
         let seen = self.seen.lock().unwrap();
         if seen.1 && seen.0 == self.round {
-            self.run.cancel.cancel();
+            self.run.resources.cancel.cancel();
         }
     }
 

@@ -42,12 +42,13 @@ class UsageError(Error, ValueError):
 class BadInputError(Error, ValueError):
     """An input file or an archive is malformed, cut short, or of a kind that cannot be used.
 
-    ``file``: the file; ``at``: where in it; ``expected`` and ``got``: what a good file has there,
-    and what was found; ``help``: what to do about it, or "".
+    ``file``: the file; ``at``: where in it; ``offset``: the byte, where that is known; ``expected``
+    and ``got``: what a good file has there, and what was found; ``help``: what to do about it, or "".
     """
 
     file: str
     at: str
+    offset: int | None
     expected: str
     got: str
     help: str

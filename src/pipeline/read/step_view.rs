@@ -1,0 +1,198 @@
+//! An archive at one of its steps, or at a moment between two: what questions are asked of.
+//!
+//! ```text
+//!  OpenArchive: manifest, mesh, all value segments ◀── StepView: a step, its index, its cached blocks
+//! ```
+//!
+//! A view never changes its step. Views of one archive share the files of its mesh, and can be used at the
+//! same time. Files of values are closed with the view.
+
+use super::archive::{OpenArchive, bytes_read, expect_recorded};
+use super::block_cache::BlockCache;
+use super::choice::{Moment, StepChoice};
+use super::pools::BufferPool;
+use crate::archive::chunked::ChunkSegment;
+use crate::archive::manifest::{Manifest, Step};
+use crate::archive::segment::{PlanHash, SegmentKind};
+use crate::archive::unpacked::Unpacked;
+use crate::error::{Error, Result};
+use crate::grid::ChunkId;
+use crate::index::{SpanIndex, index_entries};
+use crate::pipeline::plan::Layout;
+use std::collections::BTreeMap;
+use std::ops::Deref;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+/// The two files that hold a range of chunks at a step.
+pub(in crate::pipeline) struct OpenSegment {
+    pub(in crate::pipeline) mesh: Arc<ChunkSegment>,
+    pub(in crate::pipeline) values: Arc<ChunkSegment>,
+}
+
+/// An archive at one of its steps, or at a moment between two. What all steps share, it has from the archive.
+pub(in crate::pipeline) struct StepView {
+    archive: Arc<OpenArchive>,
+    pub(super) moment: Moment,
+    /// The files of the step.
+    pub(in crate::pipeline) layout: Layout,
+    /// Value segments by number and position of the step: its own, and those that its values refer to.
+    values: Mutex<BTreeMap<(u64, usize), Arc<ChunkSegment>>>,
+    /// Bytes read from value segments that are closed again.
+    read_before: AtomicU64,
+    /// Blocks that are kept for the next question.
+    pub(in crate::pipeline) cache: BlockCache,
+    /// Buffers for it, while blocks are kept.
+    pub(in crate::pipeline) spare: BufferPool,
+    /// The unpacked blocks of the step, once they were looked for.
+    pub(in crate::pipeline) unpacked: OnceLock<Option<Unpacked>>,
+}
+
+impl Deref for StepView {
+    type Target = OpenArchive;
+
+    fn deref(&self) -> &OpenArchive {
+        &self.archive
+    }
+}
+
+impl OpenArchive {
+    /// The archive at the step at a position in the manifest.
+    pub(in crate::pipeline) fn step_at(self: &Arc<Self>, position: usize) -> StepView {
+        StepView::new(Arc::clone(self), Moment { step: position, beyond: None })
+    }
+
+    /// The archive at a step, or at a time.
+    pub(in crate::pipeline) fn at(self: &Arc<Self>, choice: StepChoice) -> Result<StepView> {
+        let moment = Moment::of(&self.manifest, choice, self.path())?;
+        Ok(StepView::new(Arc::clone(self), moment))
+    }
+}
+
+impl StepView {
+    fn new(archive: Arc<OpenArchive>, moment: Moment) -> Self {
+        Self {
+            layout: archive.layout_at(moment.step),
+            archive,
+            moment,
+            values: Mutex::default(),
+            read_before: AtomicU64::new(0),
+            cache: BlockCache::default(),
+            spare: BufferPool::default(),
+            unpacked: OnceLock::new(),
+        }
+    }
+
+    /// The same, which keeps up to about so many bytes of decoded blocks.
+    pub(in crate::pipeline) fn keeping(self, bytes: usize) -> Self {
+        Self { cache: BlockCache::new(bytes), ..self }
+    }
+
+    /// The whole archive.
+    pub(in crate::pipeline) fn archive(&self) -> &Arc<OpenArchive> {
+        &self.archive
+    }
+
+    /// The step, or the one before the moment.
+    pub(in crate::pipeline) fn step(&self) -> &Step {
+        &self.manifest.steps[self.moment.step]
+    }
+
+    /// Its position in the manifest.
+    pub(in crate::pipeline) fn position(&self) -> usize {
+        self.moment.step
+    }
+
+    /// Whether this is a moment between two steps, of which nothing is stored.
+    pub(in crate::pipeline) fn is_between(&self) -> bool {
+        self.moment.beyond.is_some()
+    }
+
+    pub(super) fn step_hash(&self) -> PlanHash {
+        self.step().plan.hash(self.manifest.plan_hash)
+    }
+
+    /// The index; of a small archive made of the ranges that its only chunk tells.
+    pub(in crate::pipeline) fn index(&self) -> Result<SpanIndex> {
+        let Some(recorded) = &self.step().index else {
+            let summary = self.only_values()?.value_summary(ChunkId(0))?;
+            return Ok(SpanIndex::of_entries(index_entries(0, &summary.ranges).collect()));
+        };
+        let index = SpanIndex::open(self.layout.index(), Some(self.step_hash())).map_err(|e| self.lost(e))?;
+        index.segment().map_or(Ok(()), |file| expect_recorded(file, Some(recorded)))?;
+        Ok(index)
+    }
+
+    /// Refuses a chunk that an index names and that is not there.
+    pub(in crate::pipeline) fn expect_chunk(&self, id: ChunkId) -> Result<()> {
+        if id.0 >= self.chunks.len() {
+            let got = format!("an entry of chunk {}", id.0);
+            return Err(Error::bad_input(
+                self.layout.index(),
+                "entries",
+                format!("chunks below {}", self.chunks.len()),
+                got,
+            ));
+        }
+        Ok(())
+    }
+
+    /// The segments of a number.
+    pub(in crate::pipeline) fn segment(&self, number: u64) -> Result<OpenSegment> {
+        let mesh = self.mesh_segment(number)?;
+        Ok(OpenSegment { mesh, values: self.values_segment(self.position(), number)? })
+    }
+
+    /// The segments that have a chunk.
+    pub(in crate::pipeline) fn segment_of(&self, chunk: ChunkId) -> Result<OpenSegment> {
+        self.segment(self.segment_number(chunk))
+    }
+
+    /// The value segment of an archive of one chunk.
+    pub(super) fn only_values(&self) -> Result<Arc<ChunkSegment>> {
+        self.values_segment(self.position(), 0)
+    }
+
+    /// The value segment of a step, by its position in the manifest, and a number.
+    fn values_segment(&self, step: usize, number: u64) -> Result<Arc<ChunkSegment>> {
+        let mut open = self.values.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(segment) = open.get(&(number, step)) {
+            return Ok(Arc::clone(segment));
+        }
+        let Step { plan, values, .. } = &self.manifest.steps[step];
+        let (path, hash) = (self.layout_at(step).values(number), plan.hash(self.manifest.plan_hash));
+        let record = values.get(number as usize);
+        let segment = Arc::new(self.chunk_segment(&path, SegmentKind::Values, hash, number, record)?);
+        open.insert((number, step), Arc::clone(&segment));
+        Ok(segment)
+    }
+
+    /// The value segment of a step, by its position in the manifest, that has a chunk.
+    pub(in crate::pipeline) fn values_of(&self, step: usize, chunk: ChunkId) -> Result<Arc<ChunkSegment>> {
+        self.values_segment(step, self.segment_number(chunk))
+    }
+
+    /// Closes the segments before that of a chunk: their files, and the pages of their directories that are kept.
+    pub(in crate::pipeline) fn close_before(&self, chunk: ChunkId) {
+        let number = Manifest::segment_of(&self.manifest.mesh, chunk.0).unwrap_or(self.manifest.mesh.len());
+        self.close_meshes_before(number as u64);
+        let mut open = self.values.lock().unwrap_or_else(PoisonError::into_inner);
+        let later = open.split_off(&(number as u64, 0));
+        let closed = std::mem::replace(&mut *open, later);
+        self.read_before.fetch_add(bytes_read(closed.values()), Ordering::Relaxed);
+    }
+
+    /// Bytes read so far for this view, and of the mesh also for others.
+    pub(in crate::pipeline) fn bytes_read(&self) -> u64 {
+        let open = self.values.lock().unwrap_or_else(PoisonError::into_inner);
+        let values = self.read_before.load(Ordering::Relaxed) + bytes_read(open.values());
+        let unpacked = self.unpacked.get().and_then(Option::as_ref);
+        self.mesh_bytes_read() + values + unpacked.map_or(0, |file| file.segment().bytes_read())
+    }
+
+    /// Bytes of all files of the archive, with the unpacked blocks that are used.
+    pub(in crate::pipeline) fn bytes(&self) -> Result<u64> {
+        let unpacked = self.unpacked.get().and_then(Option::as_ref);
+        Ok(self.file_bytes()? + unpacked.map_or(0, |file| file.segment().info().bytes))
+    }
+}

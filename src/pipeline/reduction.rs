@@ -1,0 +1,143 @@
+//! [`Reduction`]: from volumes or meshes to an archive, set up word by word.
+
+use crate::error::Result;
+use crate::exec::{Progress, Resources, Silent};
+use crate::formats::StepSource;
+use crate::pipeline::plan::Estimate;
+use crate::pipeline::reduce::{ReduceReport, estimate_series, reduce_series};
+use crate::pipeline::settings::{Adapt, Amount, ReduceSettings, RunSettings, Target};
+use crate::points::SetKind;
+use std::path::Path;
+
+/// What is to become an archive, and how.
+///
+/// A source is a file of any format that is read, or a volume of the program: samples in memory
+/// ([`volume_of`](crate::volume_of)), or anything that gives boxes of samples
+/// ([`VolumeReader`](crate::VolumeReader)). Without further words a volume becomes a lattice with 1/8 as many
+/// points as it has samples.
+///
+/// ```
+/// use isospan::{Archive, Reduction, volume_of};
+/// # fn main() -> isospan::Result<()> {
+/// # let folder = tempfile::tempdir().unwrap();
+/// # let path = folder.path().join("ball.isospan");
+/// let square = |i: usize| (i as f32 - 31.5).powi(2);
+/// let samples: Vec<f32> =
+///     (0..64 * 64 * 64).map(|i| (square(i % 64) + square(i / 64 % 64) + square(i / 4096)).sqrt()).collect();
+/// let made = Reduction::of(volume_of("ball", [64; 3], samples)?).fraction(1.0 / 64.0).write(&path)?;
+/// assert!(made.error.unwrap().rms < 1.0);
+/// let mesh = Archive::open(&path)?.surface(20.0)?;
+/// assert!(mesh.triangles.len() > 1_000);
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Clone)]
+#[must_use = "nothing is made before write"]
+pub struct Reduction<'a> {
+    sources: Vec<StepSource>,
+    settings: ReduceSettings,
+    run: RunSettings,
+    progress: &'a dyn Progress,
+}
+
+impl Reduction<'static> {
+    /// Of one file or volume.
+    pub fn of(source: impl Into<StepSource>) -> Self {
+        Self::of_steps([source.into()])
+    }
+
+    /// Of the steps of a series: one mesh, and the values of each step. They are numbered from 0.
+    /// [`steps_of`](crate::formats::steps_of) finds them in files.
+    pub fn of_steps(sources: impl IntoIterator<Item = StepSource>) -> Self {
+        Self {
+            sources: sources.into_iter().collect(),
+            settings: ReduceSettings::default(),
+            run: RunSettings::default(),
+            progress: &Silent,
+        }
+    }
+}
+
+impl Reduction<'_> {
+    /// As many points as this fraction of the samples. 1 keeps a mesh as it is.
+    pub fn fraction(mut self, fraction: f64) -> Self {
+        self.settings.amount = Amount::Fraction(fraction);
+        self
+    }
+
+    /// So many points.
+    pub fn count(mut self, points: u64) -> Self {
+        self.settings.amount = Amount::Count(points);
+        self
+    }
+
+    /// The error or the size that is not to be exceeded; the number of points follows from it.
+    pub fn target(mut self, target: Target) -> Self {
+        self.settings.target = Some(target);
+        self
+    }
+
+    /// Points that are dense where the field needs them.
+    pub fn adapt(mut self, adapt: Adapt) -> Self {
+        self.settings.adapt = Some(adapt);
+        self
+    }
+
+    /// The point set.
+    pub fn points(mut self, set: SetKind) -> Self {
+        self.settings.points = Some(set);
+        self
+    }
+
+    /// All that decides bytes, in place of what was said before.
+    pub fn settings(mut self, settings: ReduceSettings) -> Self {
+        self.settings = settings;
+        self
+    }
+
+    /// What the run may use of the machine.
+    pub fn resources(mut self, resources: Resources) -> Self {
+        self.run.resources = resources;
+        self
+    }
+
+    /// Replaces an archive that is already there, which stays whole until the new one is complete.
+    pub fn replace(mut self, replace: bool) -> Self {
+        self.run.replace = replace;
+        self
+    }
+
+    /// Leaves out steps of a series that cannot be used, and reports them.
+    pub fn keep_going(mut self, keep_going: bool) -> Self {
+        self.run.keep_going = keep_going;
+        self
+    }
+
+    /// Who is told how far it is.
+    pub fn progress(self, progress: &dyn Progress) -> Reduction<'_> {
+        let Self { sources, settings, run, .. } = self;
+        Reduction { sources, settings, run, progress }
+    }
+
+    /// What writing to this path would need; nothing is made.
+    ///
+    /// # Errors
+    /// As [`Reduction::write`], but a budget that does not suffice is only reported: see [`Estimate::check`].
+    pub fn estimate(&self, path: impl AsRef<Path>) -> Result<Estimate> {
+        estimate_series(&self.sources, &self.settings, path.as_ref(), &self.run)
+    }
+
+    /// Makes the archive.
+    ///
+    /// Where this very archive is there already, nothing is made but what it has lost: so the same call continues a
+    /// run that was killed at any moment.
+    ///
+    /// # Errors
+    /// [`Error::Usage`](crate::Error::Usage) when there is another archive already;
+    /// [`Error::BadInput`](crate::Error::BadInput) for an input that cannot be used;
+    /// [`Error::Budget`](crate::Error::Budget) when the memory does not suffice for one chunk;
+    /// [`Error::Cancelled`](crate::Error::Cancelled) when stopped: the same call continues.
+    pub fn write(&self, path: impl AsRef<Path>) -> Result<ReduceReport> {
+        reduce_series(&self.sources, &self.settings, path.as_ref(), &self.run, self.progress)
+    }
+}

@@ -1,0 +1,84 @@
+//! [`Stage`]: the parts of a run whose time reports tell.
+
+use serde::{Serialize, Serializer};
+use std::fmt;
+
+/// A part of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Stage {
+    /// Reading a mesh onto disk.
+    Read,
+    /// Sorting what was read.
+    Sort,
+    /// Finding the plan.
+    Plan,
+    /// Making tetrahedra.
+    Mesh,
+    /// Sampling the field at the points.
+    Sample,
+    /// Fitting values to the samples.
+    Fit,
+    /// Packing blocks.
+    Encode,
+    /// Summing the contour spectrum.
+    Spectrum,
+    /// Writing files.
+    Write,
+    /// Index and manifest.
+    Commit,
+    /// Measuring errors.
+    Measure,
+    /// Verifying segments that were made before.
+    Verify,
+    /// Opening an archive, and reading its index.
+    Open,
+    /// Extracting surfaces.
+    Extract,
+    /// Components and decimation.
+    Refine,
+    /// Reading chunks, and joining their points.
+    Join,
+    /// All of the run.
+    Total,
+}
+
+/// Seconds of some stages, in the order of the work.
+pub type StageSeconds = Vec<(Stage, f64)>;
+
+impl Stage {
+    /// Its name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Read => "read",
+            Self::Sort => "sort",
+            Self::Plan => "plan",
+            Self::Mesh => "mesh",
+            Self::Sample => "sample",
+            Self::Fit => "fit",
+            Self::Encode => "encode",
+            Self::Spectrum => "spectrum",
+            Self::Write => "write",
+            Self::Commit => "commit",
+            Self::Measure => "measure",
+            Self::Verify => "verify",
+            Self::Open => "open, index",
+            Self::Extract => "extract",
+            Self::Refine => "refine",
+            Self::Join => "read, join",
+            Self::Total => "total",
+        }
+    }
+}
+
+impl fmt::Display for Stage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl Serialize for Stage {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.name())
+    }
+}

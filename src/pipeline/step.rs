@@ -1,0 +1,412 @@
+//! [`Step`]: an archive at a step, and all questions that can be asked of it.
+
+use crate::error::Result;
+use crate::exec::{CancelToken, Progress, Silent};
+use crate::formats::samples::SampleFormat;
+use crate::formats::surface::SurfaceFormat;
+use crate::grid::{ChunkId, Geometry};
+use crate::index::Entry;
+use crate::pipeline::field::{
+    ExportReport, ExportSettings, ProbeReport, ProbeSettings, edges_at_missing, export, probe_grid,
+    probe_table, sample_grid, values_at,
+};
+use crate::pipeline::read::{ArchiveSummary, Place, SpectrumReport, StepView, spectrum, summarize};
+use crate::pipeline::surface::{
+    CountReport, SurfaceReport, SurfaceSettings, count, surfaces_in_memory, with_surfaces, write_surfaces,
+};
+use crate::surface::{SurfaceSource, TriMesh};
+use std::path::Path;
+
+/// An archive at one of its steps, or at a moment between two: see [`Archive::step`](super::Archive::step) and
+/// [`Archive::at`](super::Archive::at).
+///
+/// A step never changes. It is cheap to get, and answers from several threads at one time. Whether a question is asked
+/// from this type or from the command line, the answer is the same.
+///
+/// What fits in memory is returned ([`Step::surface`], [`Step::sample`], [`Step::probe`], [`Step::active`]); what may not
+/// is written to a file, in bounded memory, by a method with settings and progress ([`Step::write_surface`],
+/// [`Step::write_samples`], [`Step::write_probed`], [`Step::write_tetrahedra`]). Positions are world coordinates.
+///
+/// Blocks of tetrahedra that a surface needed are kept, decoded, for the next one, up to
+/// [`Archive::KEPT_BYTES`](super::Archive::KEPT_BYTES) or what [`Archive::keeping`](super::Archive::keeping) says, and a
+/// quarter more for buffers. A kept tetrahedron takes about 20 bytes; one that is used again takes some 60 where there is
+/// room, for then all that does not depend on the isovalue is kept too. Blocks that were not used lately go first. So
+/// while an isovalue is dragged to and fro, a surface costs little more than its triangles. All of that is on disk for
+/// a step that was unpacked ([`unpack`](super::unpack)): its file is mapped and costs no memory of the process.
+pub struct Step {
+    pub(super) view: StepView,
+}
+
+/// Tetrahedra of one chunk of an archive, with the points that they use.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct Tetrahedra {
+    /// The chunk.
+    pub chunk: u64,
+    /// World positions of the points; those that several chunks use are in each of them.
+    pub points: Vec<[f64; 3]>,
+    /// Value of each point; NaN where the source has no data.
+    pub values: Vec<f64>,
+    /// Corners: numbers into `points`. Positively oriented in the world.
+    pub tetrahedra: Vec<[u32; 4]>,
+}
+
+impl Step {
+    /// The archive's folder or address.
+    pub fn path(&self) -> &Path {
+        self.view.path()
+    }
+
+    /// Number of the step; of a time between two steps, that of the first.
+    pub fn number(&self) -> u64 {
+        self.view.step().plan.number
+    }
+
+    /// Bytes of the blocks that are kept now.
+    pub fn kept_bytes(&self) -> usize {
+        self.view.cache.bytes()
+    }
+
+    /// What the archive holds; range, areas and suggestions are those of the step.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] between two steps; [`crate::Error::BadInput`] for a damaged archive.
+    pub fn info(&self) -> Result<ArchiveSummary> {
+        summarize(&self.view)
+    }
+
+    /// The file that the step was made from, or what stood for it; of a time between two steps, that of the first.
+    pub fn source(&self) -> &str {
+        &self.view.step().plan.source.path
+    }
+
+    /// Least and largest value; `None` when no point has one.
+    pub fn value_range(&self) -> Option<[f64; 2]> {
+        self.view.told_range()
+    }
+
+    /// What all values of the archive are counted from: they are `f32`, and those of the file less this. 0 wherever `f32` holds them well.
+    /// Only [`Step::active_blocks`] tells values less the offset.
+    pub fn offset(&self) -> f64 {
+        self.view.step().plan.source.offset
+    }
+
+    /// From numbers of samples of the source to the world.
+    pub fn geometry(&self) -> Geometry {
+        self.view.step().plan.source.geometry
+    }
+
+    /// Samples of the source along x, y, z.
+    pub fn dims(&self) -> [u64; 3] {
+        self.view.step().plan.source.dims
+    }
+
+    /// How many tetrahedra an isosurface crosses, exactly.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for an isovalue that is not finite; [`crate::Error::BadInput`] for a damaged archive.
+    pub fn count(&self, isovalue: impl Into<f64>) -> Result<CountReport> {
+        self.count_until(isovalue, &CancelToken::new())
+    }
+
+    /// As [`Step::count`], until it is stopped.
+    ///
+    /// # Errors
+    /// Those of [`Step::count`]; [`crate::Error::Cancelled`].
+    pub fn count_until(&self, isovalue: impl Into<f64>, cancel: &CancelToken) -> Result<CountReport> {
+        count(&self.view, isovalue.into(), cancel)
+    }
+
+    /// How large isosurfaces are, over the isovalue, and isovalues that are worth a look. Reads some ten thousand bytes.
+    ///
+    /// # Errors
+    /// [`crate::Error::BadInput`] for a damaged archive.
+    pub fn spectrum(&self) -> Result<SpectrumReport> {
+        spectrum::report(&self.view)
+    }
+
+    /// The blocks that an isosurface may cross, as the index tells, in order; their ranges are less [`Step::offset`].
+    ///
+    /// # Errors
+    /// As [`Step::count`].
+    pub fn active_blocks(&self, isovalue: impl Into<f64>) -> Result<Vec<Entry>> {
+        self.view.ranges()?.query_any(&[self.view.step().plan.source.kept(isovalue.into())])
+    }
+
+    /// The tetrahedra of the blocks that an isosurface may cross, chunk after chunk, each read when it is asked for.
+    ///
+    /// Not all of them are active: a block has some hundred. Memory: the list of blocks, and a chunk.
+    ///
+    /// ```
+    /// # use isospan::Archive;
+    /// # fn main() -> isospan::Result<()> {
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("protein.isospan");
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
+    /// let archive = Archive::open(&path)?;
+    /// let mut active = 0;
+    /// for chunk in archive.active(100.0)? {
+    ///     let chunk = chunk?;
+    ///     let inside = |t: &[u32; 4]| t.iter().filter(|&&v| chunk.values[v as usize] >= 100.0).count();
+    ///     active += chunk.tetrahedra.iter().filter(|t| (1..4).contains(&inside(t))).count() as u64;
+    /// }
+    /// assert_eq!(active, archive.count(100.0)?.active_tetrahedra);
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Step::count`], and for each chunk.
+    pub fn active(&self, isovalue: impl Into<f64>) -> Result<impl Iterator<Item = Result<Tetrahedra>>> {
+        let mut blocks = self.active_blocks(isovalue)?.into_iter().peekable();
+        let place = Place::of(&self.view)?;
+        Ok(std::iter::from_fn(move || {
+            let chunk = blocks.peek()?.chunk;
+            let mut numbers = vec![];
+            while let Some(entry) = blocks.next_if(|e| e.chunk == chunk) {
+                numbers.push(entry.block);
+            }
+            Some(self.tetrahedra(ChunkId(chunk), &numbers, &place))
+        }))
+    }
+
+    fn tetrahedra(&self, chunk: ChunkId, blocks: &[u32], place: &Place) -> Result<Tetrahedra> {
+        self.view.close_before(chunk);
+        let decoded = self.view.decode(chunk, blocks)?;
+        let lattice = self.view.manifest.plan.lattice;
+        let mut out = Tetrahedra { chunk: chunk.0, ..Tetrahedra::default() };
+        let mut numbers = vec![u32::MAX; decoded.positions.len()];
+        for tet in &decoded.tets {
+            for v in tet.map(|v| v as usize) {
+                if numbers[v] == u32::MAX {
+                    numbers[v] = out.points.len() as u32;
+                    out.points.push(place.world(lattice.to_index_space(decoded.positions[v]))?);
+                    out.values.push(self.offset() + f64::from(decoded.values[v]));
+                }
+            }
+            let mut corners = tet.map(|v| numbers[v as usize]);
+            if place.mirrors() {
+                corners.swap(2, 3);
+            }
+            out.tetrahedra.push(corners);
+        }
+        Ok(out)
+    }
+
+    /// An isosurface, in memory. For one that may not fit there is [`Step::write_surface`].
+    ///
+    /// # Errors
+    /// As [`Step::count`]; [`crate::Error::Usage`] for a surface of 2^32 vertices or more.
+    pub fn surface(&self, isovalue: impl Into<f64>) -> Result<TriMesh> {
+        let mut surfaces = self.surfaces(&SurfaceSettings::of(isovalue))?;
+        Ok(surfaces.pop().expect("there is a surface for each isovalue"))
+    }
+
+    /// Isosurfaces, in memory, one for each isovalue: cut, capped, with chosen components, decimated, as the settings say.
+    ///
+    /// ```
+    /// # use isospan::Archive;
+    /// # use isospan::pipeline::{Refine, SurfaceSettings};
+    /// # use isospan::surface::components::ComponentFilter;
+    /// # fn main() -> isospan::Result<()> {
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("protein.isospan");
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
+    /// let archive = Archive::open(&path)?;
+    /// let largest = ComponentFilter { largest: Some(1), ..ComponentFilter::default() };
+    /// let surfaces = archive.surfaces(&SurfaceSettings {
+    ///     isovalues: vec![80.0, 120.0],
+    ///     cap: true,
+    ///     refine: Refine { components: Some(largest), ..Refine::default() },
+    ///     ..SurfaceSettings::default()
+    /// })?;
+    /// assert!(surfaces[0].triangles.len() > surfaces[1].triangles.len());
+    ///
+    /// // Another isovalue between the two: most blocks are still in memory.
+    /// let between = archive.surface(100.0)?;
+    /// # assert!(archive.kept_bytes() > 0 && !between.triangles.is_empty());
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Step::write_surface`], but for files.
+    pub fn surfaces(&self, settings: &SurfaceSettings) -> Result<Vec<TriMesh>> {
+        surfaces_in_memory(&self.view, settings, vec![])
+    }
+
+    /// As [`Step::surfaces`], in the memory of surfaces that were asked for before, which are replaced: a system that has to hand out
+    /// cleared pages for every answer takes about a tenth of the time of one of which the blocks are kept. For an isovalue that is dragged.
+    ///
+    /// ```
+    /// # use isospan::Archive;
+    /// # use isospan::pipeline::SurfaceSettings;
+    /// # fn main() -> isospan::Result<()> {
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("protein.isospan");
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
+    /// let archive = Archive::open(&path)?;
+    /// let mut shown = vec![];
+    /// for isovalue in [80.0, 81.0, 82.0] {
+    ///     archive.surfaces_into(&SurfaceSettings::of(isovalue), &mut shown)?;
+    ///     assert_eq!(shown[0], archive.surface(isovalue)?);
+    /// }
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Step::write_surface`], but for files; `surfaces` is empty then.
+    pub fn surfaces_into(&self, settings: &SurfaceSettings, surfaces: &mut Vec<TriMesh>) -> Result<()> {
+        let reused = std::mem::take(surfaces);
+        *surfaces = surfaces_in_memory(&self.view, settings, reused)?;
+        Ok(())
+    }
+
+    /// Writes isosurfaces to a file, or, where the file's name holds `{}`, each to a file with its isovalue in that place.
+    ///
+    /// All isovalues are extracted in one pass, in which each block is decoded once; each surface is the one that would come out alone.
+    /// In one file they follow each other, named as the format can. Chunks are extracted in parallel and welded in chunk
+    /// order: the bytes do not depend on the number of threads, nor on memory. Vertices and triangles that memory does
+    /// not hold wait in the scratch folder. An isovalue outside the values' range gives an empty, valid surface.
+    ///
+    /// # Errors
+    /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Budget`] when the memory does not suffice;
+    /// [`crate::Error::Usage`] for settings that make no sense; those of writing a file, of which nothing is left then.
+    pub fn write_surface(
+        &self,
+        settings: &SurfaceSettings,
+        out: &Path,
+        format: SurfaceFormat,
+        progress: &dyn Progress,
+    ) -> Result<SurfaceReport> {
+        write_surfaces(&self.view, settings, out, format, progress)
+    }
+
+    /// Streams isosurfaces, in bounded memory, in the order of the isovalues: `begin` has their sizes, then
+    /// `each` has one surface after another, with world positions.
+    ///
+    /// # Errors
+    /// As [`Step::write_surface`], and those of `begin` and `each`.
+    pub fn stream_surfaces(
+        &self,
+        settings: &SurfaceSettings,
+        begin: impl FnOnce(&SurfaceReport) -> Result<()>,
+        each: impl FnMut(&dyn SurfaceSource) -> Result<()>,
+    ) -> Result<()> {
+        with_surfaces(&self.view, settings, begin, each)
+    }
+
+    /// The field, linear in each tetrahedron, at points in world coordinates: NaN outside the domain, and where the source has no data.
+    ///
+    /// Every point lies in exactly one tetrahedron, by a rule where they touch, so the answer is always the same. Points
+    /// are rounded to the lattice, 2^-24 of the domain's longest side. A point outside by no more than `f32` and the lattice round
+    /// coordinates has the value of the nearest place: so vertices of a surface file have values. Few points cost as much as the chunks that they lie in.
+    ///
+    /// # Errors
+    /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Usage`] for 2^32 points or more.
+    pub fn probe(&self, points: &[[f64; 3]]) -> Result<Vec<f64>> {
+        self.probe_with(points, &ProbeSettings::default())
+    }
+
+    /// As [`Step::probe`], with threads and memory as the settings say, until they stop it.
+    ///
+    /// # Errors
+    /// As [`Step::probe`]; [`crate::Error::Cancelled`].
+    pub fn probe_with(&self, points: &[[f64; 3]], settings: &ProbeSettings) -> Result<Vec<f64>> {
+        let found = values_at(&self.view, points, settings, &|memory| memory, &Silent)?.values;
+        Ok(found.into_iter().map(|v| self.offset() + f64::from(v)).collect())
+    }
+
+    /// How many of some edges, given by their ends in world coordinates, lie where the archive has no data: within a fifth of a voxel from their middle,
+    /// around them, and inside the domain. An isosurface ends there, at faces of tetrahedra that have a corner without a value.
+    ///
+    /// # Errors
+    /// As [`Step::probe`].
+    pub fn edges_at_missing(&self, edges: &[[[f32; 3]; 2]]) -> Result<u64> {
+        let source = &self.view.step().plan.source;
+        edges_at_missing(edges, &source.geometry, source.dims, |points| self.probe(points))
+    }
+
+    /// Writes a table of points (CSV) with the field's value beside each, or the values alone (NPY), in bounded memory.
+    ///
+    /// # Errors
+    /// [`crate::Error::BadInput`] for a table without coordinates, or a damaged archive; [`crate::Error::Usage`] for a file name that ends
+    /// in neither `.csv` nor `.npy`; those of writing the file.
+    pub fn write_probed(
+        &self,
+        points: &Path,
+        settings: &ProbeSettings,
+        out: &Path,
+        progress: &dyn Progress,
+    ) -> Result<ProbeReport> {
+        probe_table(&self.view, points, settings, out, progress)
+    }
+
+    /// The field on a grid of samples that spans the domain, x fastest, in memory: NaN where the source has no data.
+    ///
+    /// ```
+    /// # use isospan::Archive;
+    /// # fn main() -> isospan::Result<()> {
+    /// # let folder = tempfile::tempdir().unwrap();
+    /// # let path = folder.path().join("protein.isospan");
+    /// # isospan::Reduction::of("datasets/ironprot.vtk").count(20_000).write(&path)?;
+    /// let archive = Archive::open(&path)?;
+    /// let small = archive.sample([17, 17, 17])?;
+    /// assert_eq!(small.len(), 17 * 17 * 17);
+    /// assert_eq!(small[0], archive.probe(&[archive.geometry().origin])?[0]);
+    /// # Ok(())
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for a grid that cannot be; [`crate::Error::BadInput`] for a damaged archive.
+    pub fn sample(&self, dims: [u64; 3]) -> Result<Vec<f64>> {
+        self.sample_with(dims, &ProbeSettings::default())
+    }
+
+    /// As [`Step::sample`], with threads and memory as the settings say, until they stop it.
+    ///
+    /// # Errors
+    /// As [`Step::sample`]; [`crate::Error::Cancelled`].
+    pub fn sample_with(&self, dims: [u64; 3], settings: &ProbeSettings) -> Result<Vec<f64>> {
+        sample_grid(&self.view, dims, settings)
+    }
+
+    /// Writes the field on a grid of samples that spans the domain to a file, in bounded memory.
+    ///
+    /// The first and last sample of an axis lie on the domain's faces, a single one in the middle; with [`Step::dims`], samples are
+    /// at the source's voxels. The bytes do not depend on threads, memory, or on how the archive is cut into chunks.
+    ///
+    /// # Errors
+    /// As [`Step::sample`]; [`crate::Error::Budget`] when the memory does not suffice; those of writing the file, of which nothing is
+    /// left then.
+    pub fn write_samples(
+        &self,
+        dims: [u64; 3],
+        settings: &ProbeSettings,
+        out: &Path,
+        format: SampleFormat,
+        progress: &dyn Progress,
+    ) -> Result<ProbeReport> {
+        probe_grid(&self.view, dims, settings, out, format, progress)
+    }
+
+    /// Writes tetrahedra to a VTU file, each point once, with its value, in bounded memory.
+    ///
+    /// They come chunk by chunk, so the bytes do not depend on the number of threads, nor on memory: what memory does not hold waits in
+    /// the scratch folder. Tetrahedra with a corner without value are left out. With a range or a region, what cannot have an
+    /// answer is not read. An answer without tetrahedra is an empty, valid file.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for settings that make no sense; [`crate::Error::BadInput`] for a damaged archive;
+    /// [`crate::Error::Budget`] when the memory does not suffice; those of writing the file, of which nothing is left then.
+    pub fn write_tetrahedra(
+        &self,
+        settings: &ExportSettings,
+        out: &Path,
+        progress: &dyn Progress,
+    ) -> Result<ExportReport> {
+        export(&self.view, settings, out, progress)
+    }
+}
