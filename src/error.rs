@@ -24,21 +24,7 @@ pub enum Error {
         source: io::Error,
     },
     /// An input file, or an archive, is malformed, truncated, or of a kind that cannot be used.
-    #[non_exhaustive]
-    BadInput {
-        /// The file concerned.
-        path: PathBuf,
-        /// What is wrong with it.
-        fault: Fault,
-        /// Where in the file.
-        at: Place,
-        /// What a good file would have there.
-        expected: String,
-        /// What was found.
-        got: String,
-        /// What to do about it; may be empty.
-        help: String,
-    },
+    BadInput(Box<BadInput>),
     /// Parameters that contradict each other or the input.
     Usage(String),
     /// The run needs more of a resource than it was given.
@@ -66,6 +52,24 @@ pub enum Error {
     },
     /// The run was cancelled; the same command continues it.
     Cancelled,
+}
+
+/// An input that is wrong.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct BadInput {
+    /// The file concerned.
+    pub path: PathBuf,
+    /// What is wrong with it.
+    pub fault: Fault,
+    /// Where in the file.
+    pub at: Place,
+    /// What a good file would have there.
+    pub expected: String,
+    /// What was found.
+    pub got: String,
+    /// What to do about it; may be empty.
+    pub help: String,
 }
 
 /// What is wrong with an input.
@@ -164,14 +168,14 @@ impl Error {
         expected: impl Into<String>,
         got: impl Into<String>,
     ) -> Self {
-        Self::BadInput {
+        Self::BadInput(Box::new(BadInput {
             path: path.as_ref().to_path_buf(),
             fault: Fault::Malformed,
             at: at.into(),
             expected: expected.into(),
             got: got.into(),
             help: String::new(),
-        }
+        }))
     }
 
     /// An [`Error::Usage`].
@@ -182,17 +186,17 @@ impl Error {
     /// The same error, which names the step of a series; only [`Error::BadInput`] does.
     #[must_use]
     pub(crate) fn at_step(mut self, number: u64) -> Self {
-        if let Self::BadInput { at, .. } = &mut self {
-            at.text = format!("step {number}, {at}");
+        if let Self::BadInput(bad) = &mut self {
+            bad.at.text = format!("step {number}, {}", bad.at);
         }
         self
     }
 
     /// The same error of an input, with what is wrong.
     #[must_use]
-    pub(crate) fn of_fault(mut self, found: Fault) -> Self {
-        if let Self::BadInput { fault, .. } = &mut self {
-            *fault = found;
+    pub(crate) fn of_fault(mut self, fault: Fault) -> Self {
+        if let Self::BadInput(bad) = &mut self {
+            bad.fault = fault;
         }
         self
     }
@@ -200,8 +204,8 @@ impl Error {
     /// The same error of an input, at another place.
     #[must_use]
     pub(crate) fn placed(mut self, place: Place) -> Self {
-        if let Self::BadInput { at, .. } = &mut self {
-            *at = place;
+        if let Self::BadInput(bad) = &mut self {
+            bad.at = place;
         }
         self
     }
@@ -221,7 +225,7 @@ impl Error {
             Self::Io { source, .. } if is_full(source) => ErrorKind::Disk,
             Self::Io { source, .. } if source.kind() == io::ErrorKind::NotFound => ErrorKind::NotFound,
             Self::Io { .. } => ErrorKind::Io,
-            Self::BadInput { fault, .. } => ErrorKind::BadInput(*fault),
+            Self::BadInput(bad) => ErrorKind::BadInput(bad.fault),
             Self::Usage(_) => ErrorKind::Usage,
             Self::Budget { what, .. } if what.starts_with(MEMORY) => ErrorKind::Memory,
             Self::Budget { .. } => ErrorKind::Disk,
@@ -234,10 +238,8 @@ impl Error {
     /// The file or the archive concerned, if one is.
     pub fn path(&self) -> Option<&Path> {
         match self {
-            Self::Io { path, .. }
-            | Self::BadInput { path, .. }
-            | Self::Incomplete { path, .. }
-            | Self::Busy { path, .. } => Some(path),
+            Self::BadInput(bad) => Some(&bad.path),
+            Self::Io { path, .. } | Self::Incomplete { path, .. } | Self::Busy { path, .. } => Some(path),
             Self::Usage(_) | Self::Budget { .. } | Self::Cancelled => None,
         }
     }
@@ -245,7 +247,7 @@ impl Error {
     /// The byte of the file at which it is wrong, where that is known.
     pub fn offset(&self) -> Option<u64> {
         match self {
-            Self::BadInput { at, .. } => at.offset(),
+            Self::BadInput(bad) => bad.at.offset(),
             _ => None,
         }
     }
@@ -253,8 +255,8 @@ impl Error {
     /// Adds what the user can do; only [`Error::BadInput`] carries it.
     #[must_use]
     pub fn with_help(mut self, advice: impl Into<String>) -> Self {
-        if let Self::BadInput { help, .. } = &mut self {
-            *help = advice.into();
+        if let Self::BadInput(bad) = &mut self {
+            bad.help = advice.into();
         }
         self
     }
@@ -292,7 +294,7 @@ impl Error {
             Self::Usage(_) => 2,
             Self::Incomplete { .. } => 3,
             Self::Budget { .. } => 4,
-            Self::BadInput { .. } => 5,
+            Self::BadInput(_) => 5,
             Self::Cancelled | Self::Busy { .. } => 75,
         }
     }
@@ -349,7 +351,8 @@ impl Error {
                     Ok(())
                 }
             }
-            Self::BadInput { path, at, expected, got, help, .. } => {
+            Self::BadInput(bad) => {
+                let BadInput { path, at, expected, got, help, .. } = &**bad;
                 write!(
                     f,
                     "{}: {}: expected {}, got {}",

@@ -73,11 +73,7 @@ fn sphere(times: u32) -> TriMesh {
 }
 
 fn settings(samples: u64) -> CompareSettings {
-    CompareSettings {
-        resources: Resources::default().with_threads(2).with_memory(1 << 30),
-        samples,
-        ..CompareSettings::default()
-    }
+    CompareSettings { resources: Resources::default().with_threads(2).with_memory(1 << 30), samples }
 }
 
 #[test]

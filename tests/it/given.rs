@@ -100,7 +100,7 @@ fn an_archive_is_measured_against_samples_in_memory() {
     assert!(!raised.same_source && raised.error.rms > 0.9);
     let small = StepSource::given("small", Arc::new(volume_of("small", [2, 2, 2], vec![0.0; 8]).unwrap()));
     let error = measured(small).expect_err("another size");
-    assert!(matches!(&error, Error::BadInput { got, .. } if got.contains("2 x 2 x 2")), "{error}");
+    assert!(matches!(&error, Error::BadInput(bad) if bad.got.contains("2 x 2 x 2")), "{error}");
 }
 
 #[test]

@@ -83,7 +83,7 @@ pub(in crate::pipeline) fn inspect(
 /// An error without the file's name, which stands beside it.
 fn reason(error: &Error) -> String {
     match error {
-        Error::BadInput { at, expected, got, .. } => format!("{at}: expected {expected}, got {got}"),
+        Error::BadInput(bad) => format!("{}: expected {}, got {}", bad.at, bad.expected, bad.got),
         Error::Io { doing, source, .. } => format!("cannot {doing} it: {source}"),
         other => other.to_string(),
     }

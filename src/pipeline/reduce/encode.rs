@@ -234,7 +234,7 @@ fn values_of(
 fn note<T>(work: &Work<'_>, n: usize, found: Result<T>) -> Result<T> {
     let step = &work.steps[n];
     let found = found.map_err(|e| if work.several { e.at_step(step.plan.number) } else { e });
-    if let Err(e @ (Error::BadInput { .. } | Error::Io { .. })) = &found {
+    if let Err(e @ (Error::BadInput(_) | Error::Io { .. })) = &found {
         let mut bad = work.bad_steps.lock().unwrap_or_else(PoisonError::into_inner);
         bad.entry(n).or_insert_with(|| e.to_string());
     }

@@ -214,7 +214,7 @@ pub(in crate::pipeline) fn grid_coordinates(
 
 /// Whether an error is one of a step's data, and other steps may be better.
 pub(super) fn is_of_data(error: &Error) -> bool {
-    matches!(error, Error::BadInput { .. } | Error::Io { .. } | Error::Usage(_)) && error.exit_code() != 4
+    matches!(error, Error::BadInput(_) | Error::Io { .. } | Error::Usage(_)) && error.exit_code() != 4
 }
 
 /// Opens the data of steps.

@@ -201,7 +201,7 @@ impl Measuring<'_> {
         let mut above = vec![];
         for id in (0..self.archive.chunks.len()).map(ChunkId) {
             self.archive.close_before(id);
-            let sums = stored_errors(&*self.archive.segment_of(id)?.values, id)?.sums;
+            let sums = stored_errors(&self.archive.segment_of(id)?.values, id)?.sums;
             // The largest is that of errors rounded to f32.
             let is_above = |error: f64| error * (1.0 + f64::from(f32::EPSILON)) > self.bound;
             if sums.largest.is_some_and(|l| is_above((f64::from(l.original) - f64::from(l.reduced)).abs())) {

@@ -1,4 +1,4 @@
-//! A reduction in three commands: plan, work, commit; [`reduce`](crate::pipeline::reduce::reduce) is these three in one process.
+//! A reduction in three commands: plan, work, commit; [`Reduction::write`](crate::Reduction::write) is these three in one process.
 //!
 //! ```text
 //!  plan INPUT ──▶ plan.json ──▶ work I/N  (any number of processes, on any machines, in any order, again at will)
@@ -64,7 +64,7 @@ pub struct PlanReport {
 /// [`RunSettings::replace`] an archive and a plan that are there are replaced.
 ///
 /// # Errors
-/// As [`reduce`](crate::pipeline::reduce::reduce); [`Error::Usage`] when there is another plan already.
+/// As [`Reduction::write`](crate::Reduction::write); [`Error::Usage`] when there is another plan already.
 pub fn plan_shards(
     sources: &[StepSource],
     settings: &ReduceSettings,
@@ -168,7 +168,7 @@ pub struct WorkReport {
 /// Makes the segments of a shard that are not done yet.
 ///
 /// # Errors
-/// [`Error::BadInput`] when there is no plan, or the input is not that of the plan; else as [`reduce`](crate::pipeline::reduce::reduce).
+/// [`Error::BadInput`] when there is no plan, or the input is not that of the plan; else as [`Reduction::write`](crate::Reduction::write).
 pub fn work_shard(
     out: &Path,
     shard: Shard,

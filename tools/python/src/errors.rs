@@ -24,13 +24,13 @@ fn build(py: Python<'_>, error: &Error) -> PyResult<PyErr> {
             about.set_item("reason", source.to_string())?;
             "FileError"
         }
-        Error::BadInput { path, at, expected, got, help, .. } => {
-            about.set_item("file", path)?;
-            about.set_item("at", at.to_string())?;
-            about.set_item("offset", at.offset())?;
-            about.set_item("expected", expected)?;
-            about.set_item("got", got)?;
-            about.set_item("help", help)?;
+        Error::BadInput(bad) => {
+            about.set_item("file", &bad.path)?;
+            about.set_item("at", bad.at.to_string())?;
+            about.set_item("offset", bad.at.offset())?;
+            about.set_item("expected", &bad.expected)?;
+            about.set_item("got", &bad.got)?;
+            about.set_item("help", &bad.help)?;
             "BadInputError"
         }
         Error::Budget { what, needed, available } => {
