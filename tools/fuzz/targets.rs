@@ -24,7 +24,7 @@ use isospan::points::SetKind;
 use isospan::surface::check::check;
 use isospan::volume::chunked::ChunkedVolume;
 use isospan::volume::{ScalarType, VolumeReader, VolumeSource};
-use isospan::{Error, Result};
+use isospan::{Error, Resources, Result};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -142,6 +142,7 @@ pub(in crate::pipeline) fn random_access(
 mod tests {
     use super::*;
     use crate::error::Error;
+    use crate::exec::Resources;
     use crate::volume::VolumeInfo;
     use crate::volume::chunked::ChunkSource;
     use crate::volume::memory::info_of;
@@ -205,7 +206,8 @@ mod tests {
 
     #[test]
     fn a_cache_takes_a_quarter_of_the_memory_and_leaves_what_else_is_needed() {
-        let run = |memory| RunSettings { memory, threads: 2, ..RunSettings::default() };
+        let resources = |memory| Resources::default().with_threads(2).with_memory(memory);
+        let run = |memory| RunSettings { resources: resources(memory), ..RunSettings::default() };
         let cache = |least, memory| ChunkCache::fitting(&made(), boxes(256), least, &run(memory));
         let size = |memory| cache(0, memory).map(|c| c.size);
         let [layers, layer, rows, row] = cache_sizes(&shape(), boxes(256)).map(|bytes| bytes.unwrap());

@@ -1,14 +1,14 @@
 //! Sources of chunks give the archives of the plain file, without a copy on disk.
 
 use crate::archive::chunked::ChunkSegment;
-use crate::exec::Silent;
+use crate::exec::{Resources, Silent};
 use crate::formats::{OpenOptions, StepSource};
 use crate::grid::ChunkId;
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::{
     Adapt, Amount, AppendSettings, Bound, MeasureSettings, ReduceReport, ReduceSettings, RunSettings, Shard,
-    SourceChunks, Target, append, commit_shards, estimate, measure, plan_shards, reduce_series, work_folder,
-    work_shard,
+    SourceChunks, Target, append, commit_shards, estimate_series, measure, plan_shards, reduce_series,
+    work_folder, work_shard,
 };
 use crate::points::SetKind;
 use crate::sample::Values;
@@ -156,7 +156,8 @@ impl Inputs {
     /// Two threads, and a scratch folder that cannot be made.
     fn run(&self) -> RunSettings {
         let scratch = Some(self.path("a.nrrd/nowhere"));
-        RunSettings { threads: 2, memory: 256 << 20, scratch, ..RunSettings::default() }
+        let resources = Resources::default().with_threads(2).with_memory(256 << 20).with_scratch(scratch);
+        RunSettings { resources, ..RunSettings::default() }
     }
 
     fn reduce(&self, inputs: &[&str], settings: &ReduceSettings, out: &str) -> ReduceReport {
@@ -166,7 +167,7 @@ impl Inputs {
 
     /// The bytes of all blocks of an archive. Headers of files are left out: they name the source.
     fn blocks(&self, out: &str) -> Vec<Vec<u8>> {
-        let archive = OpenArchive::open(&self.path(out)).unwrap();
+        let archive = OpenArchive::open(&self.path(out)).unwrap().step_at(0);
         let of_chunk = |segment: &ChunkSegment, chunk| {
             let block = |n| {
                 let mut bytes = vec![];
@@ -284,8 +285,7 @@ fn points_that_adapt_targets_and_measure_need_no_copy() {
         assert_eq!((found.error, found.target), (expected.error, expected.target), "{n}");
         inputs.assert_same(&plain, &out);
     }
-    let RunSettings { memory, scratch, threads, .. } = inputs.run();
-    let measuring = MeasureSettings { threads, memory, scratch, ..MeasureSettings::default() };
+    let measuring = MeasureSettings { resources: inputs.run().resources, ..MeasureSettings::default() };
     let archive = inputs.path("plain0.isospan");
     let against = |name: &str| {
         measure(&archive, &inputs.path(name), &OpenOptions::default(), &measuring, &Silent).unwrap().error
@@ -297,11 +297,10 @@ fn points_that_adapt_targets_and_measure_need_no_copy() {
 fn where_the_memory_holds_no_cache_the_estimate_has_a_copy() {
     let inputs = Inputs::new();
     let scratch = |memory: u64| {
-        let run = RunSettings { memory, ..inputs.run() };
-        let (input, out) = (inputs.path("a.zarr"), inputs.path("e.isospan"));
-        estimate(&input, &OpenOptions::default(), &settings(0.1, Values::Fit), &out, &run)
-            .unwrap()
-            .scratch_bytes
+        let resources = inputs.run().resources.with_memory(memory);
+        let run = RunSettings { resources, ..inputs.run() };
+        let (input, out) = ([inputs.step("a.zarr")], inputs.path("e.isospan"));
+        estimate_series(&input, &settings(0.1, Values::Fit), &out, &run).unwrap().scratch_bytes
     };
     assert_eq!(scratch(256 << 20), 0);
     assert!(scratch(1 << 10) > 0);
