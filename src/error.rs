@@ -1,6 +1,7 @@
-//! One error type: what was being done, on which file, where in it, what was expected, what was found,
-//! and what the user can do. `Display` is always a single line; the command line maps [`Error::exit_code`].
-//! Programs match on [`Error::kind`], and ask [`Error::path`] and [`Error::offset`].
+//! One error type: what was being done, on which file, where in it, what was expected, what was
+//! found, and what the user can do. `Display` is always a single line; the command line maps
+//! [`Error::exit_code`]. Programs match on [`Error::kind`], and ask [`Error::path`] and
+//! [`Error::offset`].
 
 use std::borrow::Cow;
 use std::fmt;
@@ -142,7 +143,7 @@ pub enum ErrorKind {
     Usage,
     /// There is not enough memory.
     Memory,
-    /// There is not enough room on a disk.
+    /// There is not enough space on a disk.
     Disk,
     /// Segments of an archive are missing; the same reduction makes them again.
     Incomplete,
@@ -285,8 +286,9 @@ impl Error {
         self
     }
 
-    /// The process exit code for this error: 1 failed, 2 usage, 3 incomplete, 4 budget (memory, disk), 5 bad input, 75 the same
-    /// command can succeed later: it was stopped, or another process writes the archive.
+    /// The process exit code for this error: 1 failed, 2 usage, 3 incomplete, 4 budget (memory,
+    /// disk), 5 bad input, 75 the same command can succeed later: it was stopped, or another
+    /// process writes the archive.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Io { source, .. } if is_full(source) => 4,
@@ -300,14 +302,16 @@ impl Error {
     }
 }
 
-/// Whether there is no room for what was to be written: on the device, within a quota, or within a limit of the process.
+/// Whether there is no room for what was to be written: on the device, within a quota, or within a
+/// limit of the process.
 fn is_full(error: &io::Error) -> bool {
     use io::ErrorKind::{FileTooLarge, QuotaExceeded, StorageFull};
     matches!(error.kind(), StorageFull | QuotaExceeded | FileTooLarge)
 }
 
-/// A text as it may be shown on a terminal: control characters but new lines and tabs, which names from files may have in them to
-/// steer the terminal, and those that turn the direction of writing, as `\u001b` (as in JSON).
+/// A text as it may be shown on a terminal: control characters but new lines and tabs, which names
+/// from files may have in them to steer the terminal, and those that turn the direction of writing,
+/// as `\u001b` (as in JSON).
 pub fn printable(text: &str) -> Cow<'_, str> {
     let steers = |c: char| {
         c.is_control() && !matches!(c, '\n' | '\t')

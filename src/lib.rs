@@ -1,23 +1,25 @@
-//! isospan turns a scalar field that does not fit in memory into a small archive, once, and extracts from it any
-//! isosurface, at any isovalue, in time proportional to the surface: watertight, and the same bytes every time.
+//! isospan turns a scalar field that does not fit in memory into a small archive, once, and
+//! extracts from it any isosurface, at any isovalue, in time proportional to the surface:
+//! watertight, and the same bytes every time.
 //!
 //! # How does it work?
 //!
-//! The field is sampled at quasi-Monte Carlo points ([`points`]: Hammersley, Halton, hyperbolic cross, and two lattices).
-//! The points are joined by their Delaunay tetrahedralization, tetrahedra are packed into blocks, and the blocks are
-//! indexed by the range of their values in span space. A query reads the blocks that an isovalue crosses and runs
-//! marching tetrahedra on them ([`surface`]). How large the surface would be is known before, at any isovalue
+//! The field is sampled at quasi-Monte Carlo points ([`points`]: Hammersley, Halton, hyperbolic
+//! cross, and two lattices). The points are joined by their Delaunay tetrahedralization, tetrahedra
+//! are packed into blocks, and the blocks are indexed by the range of their values in span space. A
+//! query reads the blocks that an isovalue crosses and runs marching tetrahedra on them
+//! ([`surface`]). How large the surface would be is known before, at any isovalue
 //! ([`Step::spectrum`]).
 //!
-//! All of it streams. A volume is read box by box ([`volume`], [`formats`]); a brick of the domain lists its own points
-//! from the formula of the point set; a chunk of bricks is meshed by itself, with a halo, and keeps the tetrahedra that
-//! are certain to be those of the whole.
+//! All of it streams. A volume is read box by box ([`volume`], [`formats`]); a brick of the domain
+//! lists its own points from the formula of the point set; a chunk of bricks is meshed by itself,
+//! with a halo, and keeps the tetrahedra that are certain to be those of the whole.
 //!
 //! # Where is what?
 //!
-//! What most programs need is named here, at the root. [`pipeline`] has all settings and reports, [`formats`] what other
-//! programs' files say. The stages themselves are public for benchmarks, and hidden from these pages: they may change
-//! with any version. ARCHITECTURE.md describes them.
+//! What most programs need is named here, at the root. [`pipeline`] has all settings and reports,
+//! [`formats`] what other programs' files say. The stages themselves are public for benchmarks, and
+//! hidden from these pages: they may change with any version. ARCHITECTURE.md describes them.
 //!
 //! # Example
 //!
@@ -68,30 +70,36 @@
 //! # }
 //! ```
 //!
-//! An [`Archive`] has [`Step`]s, which answer everything that the command line can: `archive.step(3)?.surface(600.0)?`.
-//! A volume of the program need not be in memory: anything that answers for boxes of samples is one ([`VolumeReader`]).
+//! An [`Archive`] has [`Step`]s, which answer everything that the command line can:
+//! `archive.step(3)?.surface(600.0)?`. A volume of the program need not be in memory: anything that
+//! answers for boxes of samples is one ([`VolumeReader`]).
 //!
 //! # Guarantees
 //!
-//! * The same input and parameters give the same bytes: for any number of threads, and after any interruption. Chunk size changes
-//!   the layout of an archive, never its tetrahedra, and never the triangles of a surface.
-//! * A surface is an oriented manifold, open only at the boundary of the domain and around missing samples.
-//! * The tetrahedra of an archive fill the domain exactly; it is checked, in integers, before the archive is published.
-//! * Bytes from a file never cause a panic or an unchecked allocation; errors name the file, the place, what was expected
-//!   and what was found ([`Error`]).
+//! * The same input and parameters give the same bytes: for any number of threads, and after any
+//!   interruption. Chunk size changes the layout of an archive, never its tetrahedra, and never the
+//!   triangles of a surface.
+//! * A surface is an oriented manifold, open only at the boundary of the domain and around missing
+//!   samples.
+//! * The tetrahedra of an archive fill the domain exactly; it is checked, in integers, before the
+//!   archive is published.
+//! * Bytes from a file never cause a panic or an unchecked allocation; errors name the file, the
+//!   place, what was expected and what was found ([`Error`]).
 //!
 //! # Not promised
 //!
 //! * An input that is changed while it is read, without becoming shorter, is not noticed.
 //! * The check of a surface needs 4 bytes of memory for each of its vertices.
-//! * Values are `f32` inside. Where that would lose what matters of `f64` or wide integer samples, they are counted from an offset
-//!   ([`Step::offset`]), which is added wherever values come out. What is lost all the same is told, and errors include it.
+//! * Values are `f32` inside. Where that would lose what matters of `f64` or wide integer samples,
+//!   they are counted from an offset ([`Step::offset`]), which is added wherever values come out.
+//!   Reports say what is lost all the same, and errors include it.
 //!
 //! # Features
 //!
 //! * `cli` (default): the `isospan` program.
 //! * `hdf5` (default): HDF5 and NetCDF-4 files, by a pure-Rust reader.
-//! * `remote`: archives in object stores (`s3://…`) and on web servers (`https://…`), read by range requests.
+//! * `remote`: archives in object stores (`s3://…`) and on web servers (`https://…`), read by range
+//!   requests.
 //!
 //! The library builds with none of them.
 // What only vector code of x86-64 uses is looked for there.

@@ -113,7 +113,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         cap: args.cap,
         refine: refine(args),
     };
-    // One question is asked: nothing is kept for a next one.
+    // One question is asked: no block is cached for a next one.
     let archive = Archive::open(&args.archive)?.keeping(0);
     let bar = talk.progress();
     if let Some(steps) = args.steps.or(args.all_steps.then(StepRange::default)) {

@@ -3,7 +3,8 @@
 use super::{CancelToken, available_threads, usable_memory};
 use std::path::PathBuf;
 
-/// What a run may use of the machine. It decides how long the run takes, and no byte of what it makes.
+/// What a run may use of the machine. It decides how long the run takes, and no byte of what it
+/// makes.
 ///
 /// ```
 /// use isospan::Resources;
@@ -17,8 +18,8 @@ pub struct Resources {
     pub threads: usize,
     /// Bytes for everything that grows; half of what the process may use by default.
     pub memory: u64,
-    /// Folder for what does not fit in memory. Not given, it is the output's folder where a surface or
-    /// tetrahedra are written, else the system's temporary folder.
+    /// Folder for what does not fit in memory. Not given, it is the output's folder where a surface
+    /// or tetrahedra are written, else the system's temporary folder.
     pub scratch: Option<PathBuf>,
     /// Stops the run; the same call makes a reduction go on, and of a question nothing is written.
     pub cancel: CancelToken,

@@ -17,9 +17,10 @@ use std::time::Instant;
 
 /// An archive opened for reading.
 ///
-/// Opening reads the manifest. Every question reads what can hold its answer and nothing else. Questions are asked of a
-/// [`Step`]: `archive.step(3)?.surface(600.0)?`. Most archives have one, so an archive itself answers as its first step
-/// does: `archive.surface(600.0)?`. Questions may be asked from several threads at one time.
+/// Opening reads the manifest. Every question reads what can hold its answer and nothing else.
+/// Questions are asked of a [`Step`]: `archive.step(3)?.surface(600.0)?`. Most archives have one,
+/// so an archive itself answers as its first step does: `archive.surface(600.0)?`. Questions may be
+/// asked from several threads at one time.
 ///
 /// ```
 /// use isospan::Archive;
@@ -72,7 +73,7 @@ impl Deref for Archive {
 }
 
 impl Archive {
-    /// Bytes of decoded blocks that each step keeps, unless said otherwise.
+    /// Bytes of decoded blocks that each step caches, unless said otherwise.
     pub const KEPT_BYTES: usize = 256 << 20;
 
     /// Opens an archive.
@@ -93,7 +94,8 @@ impl Archive {
         Ok(Self { open, path: path.to_path_buf(), first, kept, opening })
     }
 
-    /// The same archive, of which each step keeps up to about so many bytes of decoded blocks; 0 for none.
+    /// The same archive, whose steps cache up to about so many bytes of decoded blocks each; 0 for
+    /// none.
     #[must_use]
     pub fn keeping(self, bytes: usize) -> Self {
         Self { first: Step { view: self.open.step_at(0).keeping(bytes) }, kept: bytes, ..self }
@@ -120,7 +122,8 @@ impl Archive {
         self.opening
     }
 
-    /// The contour spectra of many steps. The bytes read are those of each spectrum, and of the manifest with each.
+    /// The contour spectra of many steps. The bytes read are those of each spectrum, and of the
+    /// manifest with each.
     ///
     /// # Errors
     /// As [`Step::spectrum`]; [`crate::Error::Usage`] when no step is in the range.
@@ -129,8 +132,9 @@ impl Archive {
         positions.map(|n| StepSpectrum::of(&self.open.step_at(n))).collect()
     }
 
-    /// Isosurfaces of many steps, in memory, step after step: `each` is told number and time of the step, and the surfaces. Steps are extracted
-    /// several at a time, as memory allows: what they share is decoded once. What `each` leaves of the surfaces is memory for later ones.
+    /// Isosurfaces of many steps, in memory, step after step: `each` is told number and time of the
+    /// step, and the surfaces. Steps are extracted several at a time, as memory allows: what they
+    /// share is decoded once. What `each` leaves of the surfaces is memory for later ones.
     ///
     /// ```
     /// # use isospan::{Archive, StepSource};
@@ -163,12 +167,13 @@ impl Archive {
         surfaces_of_steps(&self.open, steps, settings, &mut each)
     }
 
-    /// Writes isosurfaces of many steps, as [`Step::write_surface`] does of one; the file's name holds `%d` or `%04d` in
-    /// place of the step's number. Beside them it writes a list of the files with their times.
+    /// Writes isosurfaces of many steps, as [`Step::write_surface`] does of one; the file's name
+    /// holds `%d` or `%04d` in place of the step's number. It also writes a list of the files with
+    /// their times.
     ///
     /// # Errors
-    /// Those of [`Step::write_surface`]; [`crate::Error::Usage`] for a name without that place, and when no step is in
-    /// the range.
+    /// Those of [`Step::write_surface`]; [`crate::Error::Usage`] for a name without that place, and
+    /// when no step is in the range.
     pub fn write_series(
         &self,
         steps: StepRange,
@@ -180,7 +185,8 @@ impl Archive {
         write_series(&self.open, steps, settings, out, format, progress)
     }
 
-    /// Verifies the whole archive: every checksum, and every invariant that ties its parts together.
+    /// Verifies the whole archive: every checksum, and every invariant that ties its parts
+    /// together.
     ///
     /// # Errors
     /// [`crate::Error::BadInput`] that names the first thing that is wrong.

@@ -1,9 +1,12 @@
 //! `check` of an archive: every checksum, and every invariant that ties its parts together.
 //!
 //! * every block of every segment has its checksum, every table its size;
-//! * each brick has the number of points that the point set gives it, each halo id is a point outside the chunk;
-//! * each tetrahedron is positively oriented, belongs to the chunk that holds it, and all together fill the box exactly;
-//! * the ranges of the blocks, of tetrahedra and of values, the entries of the index, and the sums of the spectrum are those of the values;
+//! * each brick has the number of points that the point set gives it, each halo id is a point
+//!   outside the chunk;
+//! * each tetrahedron is positively oriented, belongs to the chunk that holds it, and all together
+//!   fill the box exactly;
+//! * the ranges of the blocks, of tetrahedra and of values, the entries of the index, and the sums
+//!   of the spectrum are those of the values;
 //! * unpacked blocks, where there are any, are those that would be made now;
 //! * the error of a volume's step is that of all chunks together.
 
@@ -158,7 +161,8 @@ fn check_step(archive: &StepView, cancel: &CancelToken, check: &mut ArchiveCheck
     Ok(())
 }
 
-/// The tetrahedra fill the box, or have the volume of the mesh that they are from, and are as many as the manifest says.
+/// The tetrahedra fill the box, or have the volume of the mesh that they are from, and are as many
+/// as the manifest says.
 fn check_totals(archive: &StepView, volume6: i128, check: &ArchiveCheck) -> Result<()> {
     let (path, whole) = (archive.path(), archive.manifest.plan.volume6());
     if volume6 != whole {

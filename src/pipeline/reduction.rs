@@ -13,8 +13,8 @@ use std::path::Path;
 ///
 /// A source is a file of any format that is read, or a volume of the program: samples in memory
 /// ([`volume_of`](crate::volume_of)), or anything that gives boxes of samples
-/// ([`VolumeReader`](crate::VolumeReader)). Without further words a volume becomes a lattice with 1/8 as many
-/// points as it has samples.
+/// ([`VolumeReader`](crate::VolumeReader)). Without further words a volume becomes a lattice with
+/// 1/8 as many points as it has samples.
 ///
 /// ```
 /// use isospan::{Archive, Reduction, volume_of};
@@ -113,7 +113,7 @@ impl Reduction<'_> {
         self
     }
 
-    /// Who is told how far it is.
+    /// Shows how far it is.
     pub fn progress(self, progress: &dyn Progress) -> Reduction<'_> {
         let Self { sources, settings, run, .. } = self;
         Reduction { sources, settings, run, progress }
@@ -122,15 +122,16 @@ impl Reduction<'_> {
     /// What writing to this path would need; nothing is made.
     ///
     /// # Errors
-    /// As [`Reduction::write`], but a budget that does not suffice is only reported: see [`Estimate::check`].
+    /// As [`Reduction::write`], but a budget that does not suffice is only reported: see
+    /// [`Estimate::check`].
     pub fn estimate(&self, path: impl AsRef<Path>) -> Result<Estimate> {
         estimate_series(&self.sources, &self.settings, path.as_ref(), &self.run)
     }
 
     /// Makes the archive.
     ///
-    /// Where this very archive is there already, nothing is made but what it has lost: so the same call continues a
-    /// run that was killed at any moment.
+    /// Where this very archive is there already, nothing is made but what it has lost: so the same
+    /// call continues a run that was killed at any moment.
     ///
     /// # Errors
     /// [`Error::Usage`](crate::Error::Usage) when there is another archive already;

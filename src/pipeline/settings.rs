@@ -1,4 +1,5 @@
-//! What a user chooses: what is made ([`ReduceSettings`]), and with which resources ([`RunSettings`]).
+//! What a user chooses: what is made ([`ReduceSettings`]), and with which resources
+//! ([`RunSettings`]).
 //!
 //! The first decides every byte of an archive; the second decides none.
 
@@ -25,10 +26,12 @@ pub enum Amount {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ValueBits {
-    /// Interpolated values on the lattice of a volume have [`ValueBits::USUAL`] bits, all others are exact.
+    /// Interpolated values on the lattice of a volume have [`ValueBits::USUAL`] bits, all others
+    /// are exact.
     ///
-    /// The bits are those of the range of 99.8 % of the samples of the first step. A few outliers that
-    /// stretch the whole range add bits, and above [`Quantiser::BITS`](crate::archive::values::Quantiser::BITS) values are exact.
+    /// The bits are those of the range of 99.8 % of the samples of the first step. A few outliers
+    /// that stretch the whole range add bits, and above
+    /// [`Quantiser::BITS`](crate::archive::values::Quantiser::BITS) values are exact.
     #[default]
     Usual,
     /// Values are not rounded.
@@ -45,12 +48,14 @@ impl ValueBits {
 /// What the user chooses of a reduction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ReduceSettings {
-    /// The point set. By default the lattice for a volume, Hammersley's for a mesh, and Halton's where points adapt.
+    /// The point set. By default the lattice for a volume, Hammersley's for a mesh, and Halton's
+    /// where points adapt.
     pub points: Option<SetKind>,
     /// Its parameters that do not follow from the amount.
     pub set: SetSettings,
-    /// Number of interior points of a volume; of points with a value of a mesh, boundary included. A mesh is kept as it is by a fraction of 1, or a count
-    /// of its vertices or more: with default points, linear interpolation, and neither `adapt` nor `target`.
+    /// Number of interior points of a volume; of points with a value of a mesh, boundary included.
+    /// A mesh is kept as it is by a fraction of 1, or a count of its vertices or more: with default
+    /// points, linear interpolation, and neither `adapt` nor `target`.
     pub amount: Amount,
     /// Whether points are dense where the field needs them; a Halton set can be.
     #[serde(default)]
@@ -60,7 +65,8 @@ pub struct ReduceSettings {
     pub target: Option<Target>,
     /// How values are interpolated between samples.
     pub interpolation: Interpolation,
-    /// Whether values are fitted to the samples, as they are by default; not those of [`Interpolation::Nearest`].
+    /// Whether values are fitted to the samples, as they are by default; not those of
+    /// [`Interpolation::Nearest`].
     pub values: Values,
     /// What happens to samples that are no numbers.
     pub nan: NanPolicy,
@@ -71,7 +77,8 @@ pub struct ReduceSettings {
     pub value_bits: ValueBits,
     /// Points meshed together.
     pub chunk_points: u64,
-    /// Of a series: steps from one keyframe, which is stored without looking back, to the next; 1 makes each step one.
+    /// Of a series: steps from one keyframe, which is stored without looking back, to the next; 1
+    /// makes each step one.
     pub keyframes: u64,
     /// Whether the field is measured at every sample of the source in the end.
     pub measure: bool,
@@ -154,7 +161,8 @@ pub struct Adapt {
 
 impl Adapt {
     /// # Errors
-    /// [`Error::Usage`] for a range that is none, and for a point set that cannot be denser in some places.
+    /// [`Error::Usage`] for a range that is none, and for a point set that cannot be denser in some
+    /// places.
     pub(super) fn check(&self, settings: &ReduceSettings) -> Result<()> {
         if let Some([lo, hi]) = self.focus
             && !(lo < hi && lo.is_finite() && hi.is_finite())
@@ -180,7 +188,8 @@ pub enum NanPolicy {
     /// Refuse the volume, naming the first such sample.
     #[default]
     Error,
-    /// A point that such a sample contributes to is void, and a tetrahedron with a void corner is never extracted.
+    /// A point that such a sample contributes to is void, and a tetrahedron with a void corner is
+    /// never extracted.
     Mask,
     /// Use this value in place of such a sample.
     Value(f64),
@@ -251,7 +260,8 @@ impl Target {
     }
 
     /// # Errors
-    /// [`Error::Usage`] for a bound that is no positive number, and for settings that cannot meet it.
+    /// [`Error::Usage`] for a bound that is no positive number, and for settings that cannot meet
+    /// it.
     pub(super) fn check(self, settings: &ReduceSettings) -> Result<()> {
         let (what, bound) = match self {
             Self::Rms(Bound::Value(v) | Bound::OfRange(v))
@@ -274,7 +284,8 @@ impl Target {
 pub struct RunSettings {
     /// Whether an archive that is already there is replaced.
     pub replace: bool,
-    /// Of a series: leave out steps that cannot be used, and report them. Changes what is made, but nothing of the other steps.
+    /// Of a series: leave out steps that cannot be used, and report them. Changes what is made, but
+    /// nothing of the other steps.
     pub keep_going: bool,
     /// Threads, memory, scratch folder, and what stops it.
     pub resources: Resources,

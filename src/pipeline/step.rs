@@ -17,22 +17,25 @@ use crate::pipeline::surface::{
 use crate::surface::{SurfaceSource, TriMesh};
 use std::path::Path;
 
-/// An archive at one of its steps, or at a moment between two: see [`Archive::step`](super::Archive::step) and
-/// [`Archive::at`](super::Archive::at).
+/// An archive at one of its steps, or at a moment between two: see
+/// [`Archive::step`](super::Archive::step) and [`Archive::at`](super::Archive::at).
 ///
-/// A step never changes. It is cheap to get, and answers from several threads at one time. Whether a question is asked
-/// from this type or from the command line, the answer is the same.
+/// A step never changes. It is cheap to get, and answers from several threads at one time. Whether
+/// a question is asked from this type or from the command line, the answer is the same.
 ///
-/// What fits in memory is returned ([`Step::surface`], [`Step::sample`], [`Step::probe`], [`Step::active`]); what may not
-/// is written to a file, in bounded memory, by a method with settings and progress ([`Step::write_surface`],
-/// [`Step::write_samples`], [`Step::write_probed`], [`Step::write_tetrahedra`]). Positions are world coordinates.
+/// What fits in memory is returned ([`Step::surface`], [`Step::sample`], [`Step::probe`],
+/// [`Step::active`]); what may not is written to a file, in bounded memory, by a method with
+/// settings and progress ([`Step::write_surface`], [`Step::write_samples`], [`Step::write_probed`],
+/// [`Step::write_tetrahedra`]). Positions are world coordinates.
 ///
-/// Blocks of tetrahedra that a surface needed are kept, decoded, for the next one, up to
-/// [`Archive::KEPT_BYTES`](super::Archive::KEPT_BYTES) or what [`Archive::keeping`](super::Archive::keeping) says, and a
-/// quarter more for buffers. A kept tetrahedron takes about 20 bytes; one that is used again takes some 60 where there is
-/// room, for then all that does not depend on the isovalue is kept too. Blocks that were not used lately go first. So
-/// while an isovalue is dragged to and fro, a surface costs little more than its triangles. All of that is on disk for
-/// a step that was unpacked ([`unpack`](super::unpack)): its file is mapped and costs no memory of the process.
+/// A step caches the decoded blocks that a surface needed, for the next one. The cache takes up to
+/// [`Archive::KEPT_BYTES`](super::Archive::KEPT_BYTES) or what
+/// [`Archive::keeping`](super::Archive::keeping) says, and a quarter more for buffers. A cached
+/// tetrahedron takes about 20 bytes. One that is used again takes some 60 where the cache has
+/// space, since edges and normals that do not depend on the isovalue are cached too. Blocks that
+/// were not used lately go first. So while an isovalue is dragged to and fro, a surface costs
+/// little more than its triangles. For a step that was unpacked ([`unpack`](super::unpack)) all of
+/// that is on disk: its file is mapped and costs no memory of the process.
 pub struct Step {
     pub(super) view: StepView,
 }
@@ -62,7 +65,7 @@ impl Step {
         self.view.step().plan.number
     }
 
-    /// Bytes of the blocks that are kept now.
+    /// Bytes of the blocks that are cached now.
     pub fn kept_bytes(&self) -> usize {
         self.view.cache.bytes()
     }
@@ -75,7 +78,8 @@ impl Step {
         summarize(&self.view)
     }
 
-    /// The file that the step was made from, or what stood for it; of a time between two steps, that of the first.
+    /// The file that the step was made from, or what stood for it; of a time between two steps,
+    /// that of the first.
     pub fn source(&self) -> &str {
         &self.view.step().plan.source.path
     }
@@ -85,8 +89,9 @@ impl Step {
         self.view.told_range()
     }
 
-    /// What all values of the archive are counted from: they are `f32`, and those of the file less this. 0 wherever `f32` holds them well.
-    /// Only [`Step::active_blocks`] tells values less the offset.
+    /// What all values of the archive are counted from: they are `f32`, and those of the file less
+    /// this. 0 wherever `f32` holds them well. Only [`Step::active_blocks`] tells values less the
+    /// offset.
     pub fn offset(&self) -> f64 {
         self.view.step().plan.source.offset
     }
@@ -104,7 +109,8 @@ impl Step {
     /// How many tetrahedra an isosurface crosses, exactly.
     ///
     /// # Errors
-    /// [`crate::Error::Usage`] for an isovalue that is not finite; [`crate::Error::BadInput`] for a damaged archive.
+    /// [`crate::Error::Usage`] for an isovalue that is not finite; [`crate::Error::BadInput`] for a
+    /// damaged archive.
     pub fn count(&self, isovalue: impl Into<f64>) -> Result<CountReport> {
         self.count_until(isovalue, &CancelToken::new())
     }
@@ -117,7 +123,8 @@ impl Step {
         count(&self.view, isovalue.into(), cancel)
     }
 
-    /// How large isosurfaces are, over the isovalue, and isovalues that are worth a look. Reads some ten thousand bytes.
+    /// How large isosurfaces are, over the isovalue, and isovalues that are worth a look. Reads
+    /// some ten thousand bytes.
     ///
     /// # Errors
     /// [`crate::Error::BadInput`] for a damaged archive.
@@ -125,7 +132,8 @@ impl Step {
         spectrum::report(&self.view)
     }
 
-    /// The blocks that an isosurface may cross, as the index tells, in order; their ranges are less [`Step::offset`].
+    /// The blocks that an isosurface may cross, as the index tells, in order; their ranges are less
+    /// [`Step::offset`].
     ///
     /// # Errors
     /// As [`Step::count`].
@@ -133,9 +141,11 @@ impl Step {
         self.view.ranges()?.query_any(&[self.view.step().plan.source.kept(isovalue.into())])
     }
 
-    /// The tetrahedra of the blocks that an isosurface may cross, chunk after chunk, each read when it is asked for.
+    /// The tetrahedra of the blocks that an isosurface may cross, chunk after chunk, each read when
+    /// it is asked for.
     ///
-    /// Not all of them are active: a block has some hundred. Memory: the list of blocks, and a chunk.
+    /// Not all of them are active: a block has some hundred. Memory: the list of blocks, and a
+    /// chunk.
     ///
     /// ```
     /// # use isospan::Archive;
@@ -202,7 +212,8 @@ impl Step {
         Ok(surfaces.pop().expect("there is a surface for each isovalue"))
     }
 
-    /// Isosurfaces, in memory, one for each isovalue: cut, capped, with chosen components, decimated, as the settings say.
+    /// Isosurfaces, in memory, one for each isovalue: cut, capped, with chosen components,
+    /// decimated, as the settings say.
     ///
     /// ```
     /// # use isospan::Archive;
@@ -235,8 +246,9 @@ impl Step {
         surfaces_in_memory(&self.view, settings, vec![])
     }
 
-    /// As [`Step::surfaces`], in the memory of surfaces that were asked for before, which are replaced: a system that has to hand out
-    /// cleared pages for every answer takes about a tenth of the time of one of which the blocks are kept. For an isovalue that is dragged.
+    /// As [`Step::surfaces`], in the memory of surfaces that were asked for before, which are
+    /// replaced: a system that has to hand out cleared pages for every answer takes about a tenth
+    /// of the time of one of which the blocks are kept. For an isovalue that is dragged.
     ///
     /// ```
     /// # use isospan::Archive;
@@ -263,16 +275,20 @@ impl Step {
         Ok(())
     }
 
-    /// Writes isosurfaces to a file, or, where the file's name holds `{}`, each to a file with its isovalue in that place.
+    /// Writes isosurfaces to a file, or, where the file's name holds `{}`, each to a file with its
+    /// isovalue in that place.
     ///
-    /// All isovalues are extracted in one pass, in which each block is decoded once; each surface is the one that would come out alone.
-    /// In one file they follow each other, named as the format can. Chunks are extracted in parallel and welded in chunk
-    /// order: the bytes do not depend on the number of threads, nor on memory. Vertices and triangles that memory does
-    /// not hold wait in the scratch folder. An isovalue outside the values' range gives an empty, valid surface.
+    /// All isovalues are extracted in one pass, in which each block is decoded once; each surface
+    /// is the one that would come out alone. In one file they follow each other, named as the
+    /// format can. Chunks are extracted in parallel and welded in chunk order: the bytes do not
+    /// depend on the number of threads, nor on memory. Vertices and triangles that memory does not
+    /// hold wait in the scratch folder. An isovalue outside the values' range gives an empty, valid
+    /// surface.
     ///
     /// # Errors
-    /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Budget`] when the memory does not suffice;
-    /// [`crate::Error::Usage`] for settings that make no sense; those of writing a file, of which nothing is left then.
+    /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Budget`] when the memory
+    /// does not suffice; [`crate::Error::Usage`] for settings that make no sense; those of writing
+    /// a file, of which nothing is left then.
     pub fn write_surface(
         &self,
         settings: &SurfaceSettings,
@@ -297,14 +313,18 @@ impl Step {
         with_surfaces(&self.view, settings, begin, each)
     }
 
-    /// The field, linear in each tetrahedron, at points in world coordinates: NaN outside the domain, and where the source has no data.
+    /// The field, linear in each tetrahedron, at points in world coordinates: NaN outside the
+    /// domain, and where the source has no data.
     ///
-    /// Every point lies in exactly one tetrahedron, by a rule where they touch, so the answer is always the same. Points
-    /// are rounded to the lattice, 2^-24 of the domain's longest side. A point outside by no more than `f32` and the lattice round
-    /// coordinates has the value of the nearest place: so vertices of a surface file have values. Few points cost as much as the chunks that they lie in.
+    /// Every point lies in exactly one tetrahedron, by a rule where they touch, so the answer is
+    /// always the same. Points are rounded to the lattice, 2^-24 of the domain's longest side. A
+    /// point outside by no more than `f32` and the lattice round coordinates has the value of the
+    /// nearest place: so vertices of a surface file have values. Few points cost as much as the
+    /// chunks that they lie in.
     ///
     /// # Errors
-    /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Usage`] for 2^32 points or more.
+    /// [`crate::Error::BadInput`] for a damaged archive; [`crate::Error::Usage`] for 2^32 points or
+    /// more.
     pub fn probe(&self, points: &[[f64; 3]]) -> Result<Vec<f64>> {
         self.probe_with(points, &ProbeSettings::default())
     }
@@ -318,8 +338,9 @@ impl Step {
         Ok(found.into_iter().map(|v| self.offset() + f64::from(v)).collect())
     }
 
-    /// How many of some edges, given by their ends in world coordinates, lie where the archive has no data: within a fifth of a voxel from their middle,
-    /// around them, and inside the domain. An isosurface ends there, at faces of tetrahedra that have a corner without a value.
+    /// How many of some edges, given by their ends in world coordinates, lie where the archive has
+    /// no data: within a fifth of a voxel from their middle, around them, and inside the domain. An
+    /// isosurface ends there, at faces of tetrahedra that have a corner without a value.
     ///
     /// # Errors
     /// As [`Step::probe`].
@@ -328,11 +349,13 @@ impl Step {
         edges_at_missing(edges, &source.geometry, source.dims, |points| self.probe(points))
     }
 
-    /// Writes a table of points (CSV) with the field's value beside each, or the values alone (NPY), in bounded memory.
+    /// Writes a table of points (CSV) with the field's value next to each, or the values alone
+    /// (NPY), in bounded memory.
     ///
     /// # Errors
-    /// [`crate::Error::BadInput`] for a table without coordinates, or a damaged archive; [`crate::Error::Usage`] for a file name that ends
-    /// in neither `.csv` nor `.npy`; those of writing the file.
+    /// [`crate::Error::BadInput`] for a table without coordinates, or a damaged archive;
+    /// [`crate::Error::Usage`] for a file name that ends in neither `.csv` nor `.npy`; those of
+    /// writing the file.
     pub fn write_probed(
         &self,
         points: &Path,
@@ -343,7 +366,8 @@ impl Step {
         probe_table(&self.view, points, settings, out, progress)
     }
 
-    /// The field on a grid of samples that spans the domain, x fastest, in memory: NaN where the source has no data.
+    /// The field on a grid of samples that spans the domain, x fastest, in memory: NaN where the
+    /// source has no data.
     ///
     /// ```
     /// # use isospan::Archive;
@@ -360,7 +384,8 @@ impl Step {
     /// ```
     ///
     /// # Errors
-    /// [`crate::Error::Usage`] for a grid that cannot be; [`crate::Error::BadInput`] for a damaged archive.
+    /// [`crate::Error::Usage`] for a grid that cannot be; [`crate::Error::BadInput`] for a damaged
+    /// archive.
     pub fn sample(&self, dims: [u64; 3]) -> Result<Vec<f64>> {
         self.sample_with(dims, &ProbeSettings::default())
     }
@@ -375,12 +400,13 @@ impl Step {
 
     /// Writes the field on a grid of samples that spans the domain to a file, in bounded memory.
     ///
-    /// The first and last sample of an axis lie on the domain's faces, a single one in the middle; with [`Step::dims`], samples are
-    /// at the source's voxels. The bytes do not depend on threads, memory, or on how the archive is cut into chunks.
+    /// The first and last sample of an axis lie on the domain's faces, a single one in the middle;
+    /// with [`Step::dims`], samples are at the source's voxels. The bytes do not depend on threads,
+    /// memory, or on how the archive is cut into chunks.
     ///
     /// # Errors
-    /// As [`Step::sample`]; [`crate::Error::Budget`] when the memory does not suffice; those of writing the file, of which nothing is
-    /// left then.
+    /// As [`Step::sample`]; [`crate::Error::Budget`] when the memory does not suffice; those of
+    /// writing the file, of which nothing is left then.
     pub fn write_samples(
         &self,
         dims: [u64; 3],
@@ -394,13 +420,15 @@ impl Step {
 
     /// Writes tetrahedra to a VTU file, each point once, with its value, in bounded memory.
     ///
-    /// They come chunk by chunk, so the bytes do not depend on the number of threads, nor on memory: what memory does not hold waits in
-    /// the scratch folder. Tetrahedra with a corner without value are left out. With a range or a region, what cannot have an
-    /// answer is not read. An answer without tetrahedra is an empty, valid file.
+    /// They come chunk by chunk, so the bytes do not depend on the number of threads, nor on
+    /// memory: what memory does not hold waits in the scratch folder. Tetrahedra with a corner
+    /// without value are left out. With a range or a region, what cannot have an answer is not
+    /// read. An answer without tetrahedra is an empty, valid file.
     ///
     /// # Errors
-    /// [`crate::Error::Usage`] for settings that make no sense; [`crate::Error::BadInput`] for a damaged archive;
-    /// [`crate::Error::Budget`] when the memory does not suffice; those of writing the file, of which nothing is left then.
+    /// [`crate::Error::Usage`] for settings that make no sense; [`crate::Error::BadInput`] for a
+    /// damaged archive; [`crate::Error::Budget`] when the memory does not suffice; those of writing
+    /// the file, of which nothing is left then.
     pub fn write_tetrahedra(
         &self,
         settings: &ExportSettings,

@@ -89,7 +89,7 @@ fn steps_of_an_open_archive_are_asked_in_turns() {
     assert!(alone[0] != alone[1] && alone[0] != alone[2] && alone[1] != alone[3]);
     let open = choices.map(|c| archive.at(c).unwrap());
     for _ in 0..2 {
-        // The second time from kept blocks.
+        // The second time from cached blocks.
         std::thread::scope(|threads| {
             for (step, alone) in open.iter().zip(&alone) {
                 threads.spawn(move || assert!(step.surface(0.1).unwrap() == *alone));

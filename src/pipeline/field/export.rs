@@ -79,7 +79,7 @@ pub struct ExportReport {
 /// Bytes while a shared point is open: its entry in the table, which is at most half full, twice while it grows.
 const OPEN_POINT: u64 = 100;
 
-/// Writes the tetrahedra of an archive to a VTU file: see [`super::Archive::write_tetrahedra`].
+/// Writes the tetrahedra of an archive to a VTU file: see [`Step::write_tetrahedra`](crate::pipeline::Step::write_tetrahedra).
 pub(in crate::pipeline) fn export(
     archive: &StepView,
     settings: &ExportSettings,

@@ -58,7 +58,7 @@ const WINDOW: u64 = 1 << 22;
 /// Samples written at a time where the tetrahedra leave gaps.
 const BLANK: u64 = 1 << 18;
 
-/// Samples the field of an archive on a grid and writes them to a file: see [`super::Archive::write_samples`].
+/// Samples the field of an archive on a grid and writes them to a file: see [`Step::write_samples`](crate::pipeline::Step::write_samples).
 pub(in crate::pipeline) fn probe_grid(
     archive: &StepView,
     dims: [u64; 3],

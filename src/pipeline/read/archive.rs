@@ -1,4 +1,5 @@
-//! An archive opened for reading: manifest, point set, grids; segments are opened when first needed.
+//! An archive opened for reading: manifest, point set, grids; segments are opened when first
+//! needed.
 //!
 //! All of it is common to the steps. What depends on the step is in `step_view`.
 
@@ -18,12 +19,14 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-/// Whether `path` is an archive: a folder with a manifest. Nothing else is read from an object store or a web server.
+/// Whether `path` is an archive: a folder with a manifest. Nothing else is read from an object
+/// store or a web server.
 pub fn is_archive(path: &Path) -> bool {
     is_remote(path) || path.is_dir() && path.join(MANIFEST_NAME).exists()
 }
 
-/// An archive opened for reading: what all its steps share. Nothing of it changes but what is cached.
+/// An archive opened for reading: what all its steps share. Nothing of it changes but what is
+/// cached.
 pub(in crate::pipeline) struct OpenArchive {
     pub(in crate::pipeline) manifest: Manifest,
     pub(in crate::pipeline) points: PointSet,
@@ -143,8 +146,8 @@ impl OpenArchive {
         }
     }
 
-    /// Bytes of all files of the archive but for unpacked blocks. Where files cannot be listed, those
-    /// that the manifest names.
+    /// Bytes of all files of the archive but for unpacked blocks. Where files cannot be listed,
+    /// those that the manifest names.
     pub(in crate::pipeline) fn file_bytes(&self) -> Result<u64> {
         if let Some(&bytes) = self.bytes.get() {
             return Ok(bytes);

@@ -1,4 +1,5 @@
-//! The contour spectrum of a step: chunk by chunk while chunks are made, put together when the archive is, and read back.
+//! The contour spectrum of a step: chunk by chunk while chunks are made, put together when the
+//! archive is, and read back.
 
 use super::archive::expect_recorded;
 use super::step_view::StepView;
@@ -16,7 +17,8 @@ use crate::spectrum::{ChunkPart, Limits, Room, SpectrumBuilder, SpectrumFile, Ve
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// The memory in which chunks are measured, kept from chunk to chunk so that its pages are not asked for again.
+/// The memory in which chunks are measured, kept from chunk to chunk so that its pages are not
+/// asked for again.
 #[derive(Default)]
 pub(in crate::pipeline) struct Bench {
     /// Vertices in the world, up to a shift common to all.
@@ -30,12 +32,14 @@ pub(in crate::pipeline) struct Meter {
     lattice: Lattice,
     /// Without an origin, of which only rounding would be left in a difference.
     linear: Geometry,
-    /// Of a grid that has coordinates of its own: their file, its hash, the samples along each axis.
+    /// Of a grid that has coordinates of its own: their file, its hash, the samples along each
+    /// axis.
     coordinates: Option<(PathBuf, PlanHash, [u64; 3])>,
 }
 
 impl Meter {
-    /// For a mesh of so many points, and the source of a step; `coordinates` is the file and hash of those that the grid has of its own.
+    /// For a mesh of so many points, and the source of a step; `coordinates` is the file and hash
+    /// of those that the grid has of its own.
     pub(in crate::pipeline) fn new(
         mesh: &MeshPlan,
         points: u64,
@@ -60,8 +64,9 @@ impl Meter {
         self.limits
     }
 
-    /// The parts of a chunk at some steps: all its tetrahedra, in the order in which its blocks decode; positions of its vertices, their values at each
-    /// step, with the ranges of the blocks. `bench` is memory.
+    /// The parts of a chunk at some steps: all its tetrahedra, in the order in which its blocks
+    /// decode; positions of its vertices, their values at each step, with the ranges of the blocks.
+    /// `bench` is memory.
     pub(in crate::pipeline) fn parts(
         &self,
         positions: &[LatticePos],
@@ -147,8 +152,9 @@ pub struct SpectrumReport {
     pub tetrahedra: u64,
     /// Their volume, in world units.
     pub volume: f64,
-    /// Whether lengths are those of tetrahedra with straight edges between their corners, of a grid that has coordinates of its own: the
-    /// vertices of a surface are placed one by one, and follow the grid where it is bent. So its area differs a little.
+    /// Whether lengths are those of tetrahedra with straight edges between their corners, of a grid
+    /// that has coordinates of its own: the vertices of a surface are placed one by one, and follow
+    /// the grid where it is bent. So its area differs a little.
     pub straight_edges: bool,
     /// Isovalues, ascending, with what was measured there.
     pub knots: Vec<Knot>,
@@ -178,7 +184,8 @@ impl StepSpectrum {
 }
 
 impl StepView {
-    /// The contour spectrum; none where every tetrahedron is void. Of a small archive it is the part of its only chunk.
+    /// The contour spectrum; none where every tetrahedron is void. Of a small archive it is the
+    /// part of its only chunk.
     pub(in crate::pipeline) fn spectrum(&self) -> Result<Option<SpectrumFile>> {
         if self.step().index.is_none() {
             let limits = limits(&self.manifest.plan, self.points.len());

@@ -4,8 +4,8 @@
 //!  OpenArchive: manifest, mesh, all value segments ◀── StepView: a step, its index, its cached blocks
 //! ```
 //!
-//! A view never changes its step. Views of one archive share the files of its mesh, and can be used at the
-//! same time. Files of values are closed with the view.
+//! A view never changes its step. Views of one archive share the files of its mesh, and can be used
+//! at the same time. Files of values are closed with the view.
 
 use super::archive::{OpenArchive, bytes_read, expect_recorded};
 use super::block_cache::BlockCache;
@@ -30,19 +30,21 @@ pub(in crate::pipeline) struct OpenSegment {
     pub(in crate::pipeline) values: Arc<ChunkSegment>,
 }
 
-/// An archive at one of its steps, or at a moment between two. What all steps share, it has from the archive.
+/// An archive at one of its steps, or at a moment between two. What all steps share, it has from
+/// the archive.
 pub(in crate::pipeline) struct StepView {
     archive: Arc<OpenArchive>,
     pub(super) moment: Moment,
     /// The files of the step.
     pub(in crate::pipeline) layout: Layout,
-    /// Value segments by number and position of the step: its own, and those that its values refer to.
+    /// Value segments by number and position of the step: its own, and those that its values refer
+    /// to.
     values: Mutex<BTreeMap<(u64, usize), Arc<ChunkSegment>>>,
     /// Bytes read from value segments that are closed again.
     read_before: AtomicU64,
-    /// Blocks that are kept for the next question.
+    /// Decoded blocks for the next question.
     pub(in crate::pipeline) cache: BlockCache,
-    /// Buffers for it, while blocks are kept.
+    /// Buffers for it, while blocks are cached.
     pub(in crate::pipeline) spare: BufferPool,
     /// The unpacked blocks of the step, once they were looked for.
     pub(in crate::pipeline) unpacked: OnceLock<Option<Unpacked>>,
@@ -83,7 +85,7 @@ impl StepView {
         }
     }
 
-    /// The same, which keeps up to about so many bytes of decoded blocks.
+    /// The same, with a cache of about so many bytes of decoded blocks.
     pub(in crate::pipeline) fn keeping(self, bytes: usize) -> Self {
         Self { cache: BlockCache::new(bytes), ..self }
     }
@@ -112,7 +114,7 @@ impl StepView {
         self.step().plan.hash(self.manifest.plan_hash)
     }
 
-    /// The index; of a small archive made of the ranges that its only chunk tells.
+    /// The index; that of a small archive is made of the ranges of its only chunk.
     pub(in crate::pipeline) fn index(&self) -> Result<SpanIndex> {
         let Some(recorded) = &self.step().index else {
             let summary = self.only_values()?.value_summary(ChunkId(0))?;
@@ -172,7 +174,8 @@ impl StepView {
         self.values_segment(step, self.segment_number(chunk))
     }
 
-    /// Closes the segments before that of a chunk: their files, and the pages of their directories that are kept.
+    /// Closes the segments before that of a chunk: their files, and the cached pages of their
+    /// directories.
     pub(in crate::pipeline) fn close_before(&self, chunk: ChunkId) {
         let number = Manifest::segment_of(&self.manifest.mesh, chunk.0).unwrap_or(self.manifest.mesh.len());
         self.close_meshes_before(number as u64);

@@ -1,16 +1,17 @@
 //! The steps of a series in an archive: how the values of one are had, or those between two.
 //!
-//! All steps have one mesh. A step has its own values, index and spectrum; a block of values may hold differences to the same block of
-//! the step before, back to a keyframe:
+//! All steps have one mesh. A step has its own values, index and spectrum; a block of values may
+//! hold differences to the same block of the step before, back to a keyframe:
 //!
 //! ```text
 //!  step        0        1        2    …   16       17
 //!  block n  values ◀─ diff. ◀─ diff.    values ◀─ diff.     a block of step 2: three blocks are read
 //! ```
 //!
-//! Between two steps the field is linear in time. Then no index tells which blocks have an answer (a block where one step lies below an isovalue
-//! and the other above is active between them, and in neither), so the ranges of all blocks of both are looked at: the range of a mean is the
-//! mean of the ranges, or within it, also in rounded arithmetic, as rounding keeps the order.
+//! Between two steps the field is linear in time. Then no index tells which blocks have an answer
+//! (a block where one step lies below an isovalue and the other above is active between them, and
+//! in neither), so the ranges of all blocks of both are looked at: the range of a mean is the mean
+//! of the ranges, or within it, also in rounded arithmetic, as rounding keeps the order.
 
 use super::archive::OpenArchive;
 use super::choice::Moment;
@@ -43,7 +44,8 @@ struct BlockAt<'a> {
     blocks: &'a ValueBlocks,
 }
 
-/// A value between two, `share` of the way from the first; void where one of them is. Monotonic in both; a zero has no sign.
+/// A value between two, `share` of the way from the first; void where one of them is. Monotonic in
+/// both; a zero has no sign.
 fn mean(a: f32, b: f32, share: f64) -> f32 {
     (f64::from(a) * (1.0 - share) + f64::from(b) * share) as f32 + 0.0
 }
@@ -106,7 +108,8 @@ impl StepView {
         Ok(bytes)
     }
 
-    /// As [`StepView::values_block`], of the step at a position in the manifest. `known`: the same values at a step before.
+    /// As [`StepView::values_block`], of the step at a position in the manifest. `known`: the same
+    /// values at a step before.
     fn block_of_step(
         &self,
         step: usize,
@@ -197,7 +200,8 @@ impl StepView {
         ranges.map(Some).map_err(|m| segment.blame(id, blocks as u64, m))
     }
 
-    /// The mesh of a chunk as it is stored: all its vertices, the tetrahedra block after block, and the end of each block.
+    /// The mesh of a chunk as it is stored: all its vertices, the tetrahedra block after block, and
+    /// the end of each block.
     pub(in crate::pipeline) fn stored_mesh(&self, id: ChunkId) -> Result<(MeshedChunk, Vec<usize>)> {
         if let Some(chunk) = self.bcc_chunk(id) {
             return Ok((MeshedChunk::of_bcc(&chunk, Halo::Owned), chunk.brick_ends()));
@@ -276,7 +280,8 @@ impl EntryBlocks {
         }
     }
 
-    /// Tetrahedra of a block, void ones included; more than there can be of a block that is not there.
+    /// Tetrahedra of a block, void ones included; more than there can be of a block that is not
+    /// there.
     fn tets_of(&self, block: u32) -> u32 {
         match &self.0 {
             Some(chunk) if (block as usize) < chunk.block_count() => chunk.tets_of(block as usize),
@@ -290,9 +295,11 @@ impl EntryBlocks {
     }
 }
 
-/// The values of a chunk's vertices at one step after another, a block at a time, when it is asked for.
+/// The values of a chunk's vertices at one step after another, a block at a time, when it is asked
+/// for.
 ///
-/// A block that holds differences is told by its values at the last step at which it was asked for, where there is no keyframe since.
+/// A block that holds differences is told by its values at the last step at which it was asked for,
+/// where there is no keyframe since.
 pub(in crate::pipeline) struct ValuesOverTime<'a> {
     archive: &'a StepView,
     chunk: ChunkId,

@@ -28,7 +28,8 @@ pub struct LevelSummary {
     /// The errors at the samples in them, where they were measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error: Option<LevelError>,
-    /// Their part of the bytes of the mesh and of the step's values: in each file, that of the points.
+    /// Their part of the bytes of the mesh and of the step's values: in each file, that of the
+    /// points.
     pub bytes: u64,
 }
 
@@ -120,7 +121,8 @@ pub struct ArchiveSummary {
     pub steps: Vec<StepSummary>,
     /// Least and largest value.
     pub range: Option<[f64; 2]>,
-    /// What the samples lost when they became `f32`, at most, where that matters; errors include it.
+    /// What the samples lost when they became `f32`, at most, where that matters; errors include
+    /// it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rounding: Option<f64>,
     /// Area of the isosurface at each isovalue of the contour spectrum.
@@ -149,12 +151,14 @@ pub struct StepSummary {
     pub base: Option<u64>,
     /// Least and largest value.
     pub range: Option<[f64; 2]>,
-    /// What the samples lost when they became `f32`, at most, where that matters; errors include it.
+    /// What the samples lost when they became `f32`, at most, where that matters; errors include
+    /// it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rounding: Option<f64>,
     /// Points without a value.
     pub void_points: u64,
-    /// Root of the mean square of the reduced field's errors at the samples of its source, and the largest, where they were measured.
+    /// Root of the mean square of the reduced field's errors at the samples of its source, and the
+    /// largest, where they were measured.
     pub error: Option<[f64; 2]>,
     /// Bytes of its values.
     pub value_bytes: u64,

@@ -1,16 +1,19 @@
-//! Isosurfaces of several steps out of an archive in one pass: what the steps share, tetrahedra and positions, is decoded once.
+//! Isosurfaces of several steps out of an archive in one pass: what the steps share, tetrahedra and
+//! positions, is decoded once.
 //!
 //! ```text
 //!  a chunk:  blocks that can hold an answer at any step ──▶ numbered, without values
 //!            step after step: values of the blocks that can at that step ──▶ its surfaces
 //! ```
 //!
-//! Values are put into the numbered blocks ([`crate::surface::numbered`]) in place; differences are added to those of the step before, which
-//! were just there. Each step has a weld of its own, so a surface is the one that would come out alone, byte by byte.
+//! Values are put into the numbered blocks ([`crate::surface::numbered`]) in place; differences are
+//! added to those of the step before, which were just there. Each step has a weld of its own, so a
+//! surface is the one that would come out alone, byte by byte.
 //!
-//! A chunk at work takes its blocks and its surfaces at all steps. So as many steps are taken together as memory has room for
-//! ([`Pass::next`]), and finished surfaces that exceed their share of it wait in the scratch folder; where there is a choice, a pass ends before a
-//! keyframe, so that no values are decoded for the differences to them.
+//! A chunk at work takes its blocks and its surfaces at all steps. So as many steps are taken
+//! together as memory has room for ([`Pass::next`]), and finished surfaces that exceed their share
+//! of it wait in the scratch folder; where there is a choice, a pass ends before a keyframe, so
+//! that no values are decoded for the differences to them.
 
 use super::extract::{ChunkSurfaces, ChunkWorker, Extracted, Question, Room, Weld};
 use super::ordered::{Last, Line};
@@ -29,11 +32,13 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-/// Steps that are extracted together, at most: what is done once for all of them is then a tenth of the work.
+/// Steps that are extracted together, at most: what is done once for all of them is then a tenth of
+/// the work.
 pub(super) const MOST_STEPS: usize = 32;
 /// Bytes of a numbered tetrahedron, with its part of its block.
 const NUMBERED_TET: u64 = 40;
-/// Bytes of the surface in a tetrahedron of a block that can hold an answer, about: 24 a triangle, in one tetrahedron of three.
+/// Bytes of the surface in a tetrahedron of a block that can hold an answer, about: 24 a triangle,
+/// in one tetrahedron of three.
 const SURFACE_IN_TET: u64 = 8;
 
 /// Steps that are extracted together, and where surfaces are kept meanwhile.
@@ -70,10 +75,11 @@ impl<'a> Pass<'a> {
         Ok(Self { steps, scratch: scratch.to_path_buf() })
     }
 
-    /// The surfaces of each step. What was read for all of them is reported with the first. The memory of surfaces that
-    /// are no longer needed is taken from `reused`.
+    /// The surfaces of each step. What was read for all of them is reported with the first. The
+    /// memory of surfaces that are no longer needed is taken from `reused`.
     ///
-    /// Where edges that chunks share are too many for several steps, fewer are taken: as many as there are surfaces.
+    /// Where edges that chunks share are too many for several steps, fewer are taken: as many as
+    /// there are surfaces.
     pub(super) fn extract(
         mut self,
         settings: &SurfaceSettings,
@@ -142,7 +148,8 @@ impl<'a> Work<'a> {
         Self { archive, questions, chunks: chunks.into_iter().collect(), active_bytes: AtomicU64::new(0) }
     }
 
-    /// Whether memory suffices for all steps at one time; and disk, where their surfaces may exceed it.
+    /// Whether memory suffices for all steps at one time; and disk, where their surfaces may exceed
+    /// it.
     fn fits(&self, settings: &SurfaceSettings, scratch: &Path) -> bool {
         let Ok((shares, _)) = self.shares(settings.resources.memory) else { return false };
         let blocks = self

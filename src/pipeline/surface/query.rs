@@ -1,4 +1,5 @@
-//! Questions to an archive: the index names the blocks that can hold an answer; those are read, and no others.
+//! Questions to an archive: the index names the blocks that can hold an answer; those are read, and
+//! no others.
 
 use super::extract::{ChunkWork, Extracted, Question, Room, by_chunk, extract_surfaces};
 use super::refine::{Means, Refine, RefineReport};
@@ -125,10 +126,11 @@ pub struct SurfaceReport {
     pub chunks: u64,
     /// Chunks that blocks were read of.
     pub active_chunks: u64,
-    /// Bytes read: index pages, chunk headers, blocks, values; none of blocks that were kept. The manifest was read when
-    /// the archive was opened ([`crate::Archive::opening`]).
+    /// Bytes read: index pages, chunk headers, blocks, values; none of cached blocks. The manifest
+    /// was read when the archive was opened ([`crate::Archive::opening`]).
     pub bytes_read: u64,
-    /// Bytes of the blocks read, of tetrahedra and of values, that hold an active tetrahedron: what no reader could do without.
+    /// Bytes of the blocks read, of tetrahedra and of values, that hold an active tetrahedron: what
+    /// no reader could do without.
     pub active_bytes: u64,
     /// Bytes of the archive.
     pub archive_bytes: u64,
@@ -172,7 +174,8 @@ pub struct CountReport {
     pub tetrahedra: u64,
     /// Whether the number was stored; otherwise the blocks of the isovalue were decoded.
     pub stored: bool,
-    /// Bytes read for it: the spectrum's knots and a page of its levels; also index pages and blocks where it was not stored.
+    /// Bytes read for it: the spectrum's knots and a page of its levels; also index pages and
+    /// blocks where it was not stored.
     pub bytes_read: u64,
 }
 
@@ -241,7 +244,8 @@ fn count_in_chunk(archive: &StepView, work: &ChunkWork, isovalue: f32) -> Result
 /// What in a file's name stands for the isovalue.
 const PLACEHOLDER: &str = "{}";
 
-/// Extracts isosurfaces to a file: see [`Step::write_surface`](crate::pipeline::Step::write_surface).
+/// Extracts isosurfaces to a file: see
+/// [`Step::write_surface`](crate::pipeline::Step::write_surface).
 pub(in crate::pipeline) fn write_surfaces(
     archive: &StepView,
     settings: &SurfaceSettings,
@@ -493,7 +497,8 @@ fn chunks_at_ends(archive: &StepView) -> Result<Vec<bool>> {
             (0..3).any(|a| region.lo[a] == domain.lo[a] || region.hi[a] == domain.hi[a])
         };
         archive.close_before(id);
-        // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was widened.
+        // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was
+        // widened.
         Ok(reaches(0) || reaches(archive.mesh_of(id)?.mesh_summary(id)?.retries))
     };
     (0..archive.chunks.len()).map(|id| reaches_ends(ChunkId(id))).collect()
@@ -527,7 +532,8 @@ fn touching(archive: &StepView, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<C
         let core = archive.chunks.chunk(id).core;
         let reaches =
             |retries| cut.may_touch_box(&estimate::region(&archive.points, &core, &domain, halo, retries));
-        // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was widened.
+        // All corners of a chunk's tetrahedra are in its region, which is wider where the halo was
+        // widened.
         Ok(reaches(0) || reaches(archive.mesh_of(id)?.mesh_summary(id)?.retries))
     };
     let keep = |w: ChunkWork| match touches(w.chunk) {
@@ -539,7 +545,8 @@ fn touching(archive: &StepView, cut: &Cut, work: Vec<ChunkWork>) -> Result<Vec<C
 
 /// Cuts the surfaces, one after another.
 fn cut_all(surfaces: &mut [Extracted], cut: &Cut, memory: u64, scratch: &Path) -> Result<()> {
-    // An eighth holds finished surfaces, as while they were extracted; another those that are made from them.
+    // An eighth holds finished surfaces, as while they were extracted; another those that are made
+    // from them.
     let memory_bytes = usize::try_from(memory / 8 / surfaces.len() as u64).unwrap_or(usize::MAX);
     let settings = BuilderSettings { memory_bytes, scratch: scratch.to_path_buf() };
     for extracted in surfaces {

@@ -1,7 +1,9 @@
 //! Isosurfaces of many steps: a file each, and a list of the files with their times.
 //!
-//! `out_%04d.vtp` gives `out_0000.vtp`, `out_0001.vtp`, … and `out.pvd`; of other formats the list is ParaView's JSON, `out.ply.series`. Both are read
-//! by ParaView, and by [`crate::formats::steps_of`]. Several steps are extracted in one pass (`extract_steps.rs`). A step whose values all lie on one side of the isovalues is not read: its file is an empty
+//! `out_%04d.vtp` gives `out_0000.vtp`, `out_0001.vtp`, … and `out.pvd`; of other formats the list
+//! is ParaView's JSON, `out.ply.series`. Both are read by ParaView, and by
+//! [`crate::formats::steps_of`]. Several steps are extracted in one pass (`extract_steps.rs`). A
+//! step whose values all lie on one side of the isovalues is not read: its file is an empty
 //! surface, so that the list has all steps.
 
 use super::extract_steps::{MOST_STEPS, Pass};
@@ -27,8 +29,8 @@ pub struct StepSurfaces {
     pub time: f64,
     /// Whether nothing was read, as the range of its values tells that the surfaces are empty.
     pub skipped: bool,
-    /// What was extracted. Several steps are extracted together: what was read for all of them, and the time that it took, is told with the
-    /// first.
+    /// What was extracted. Several steps are extracted together: what was read for all of them, and
+    /// the time that it took, is told with the first.
     #[serde(flatten)]
     pub report: SurfaceReport,
 }
@@ -45,7 +47,8 @@ pub struct SeriesReport {
     pub lists: Vec<PathBuf>,
 }
 
-/// Writes isosurfaces of many steps: see [`Archive::write_series`](crate::pipeline::Archive::write_series).
+/// Writes isosurfaces of many steps: see
+/// [`Archive::write_series`](crate::pipeline::Archive::write_series).
 pub(in crate::pipeline) fn write_series(
     archive: &Arc<OpenArchive>,
     steps: StepRange,
@@ -80,8 +83,8 @@ pub(in crate::pipeline) fn write_series(
 /// What is done with the surfaces of a step, told its number and time.
 pub(super) type EachStep<'a> = dyn FnMut(u64, f64, &mut Vec<TriMesh>) -> Result<()> + 'a;
 
-/// Hands out the isosurfaces of many steps, in memory: number and time of each, and the surfaces, of which the memory serves those of
-/// later steps if it is left.
+/// Hands out the isosurfaces of many steps, in memory: number and time of each, and the surfaces,
+/// of which the memory serves those of later steps if it is left.
 pub(in crate::pipeline) fn surfaces_of_steps(
     archive: &Arc<OpenArchive>,
     steps: StepRange,
