@@ -13,22 +13,27 @@ use std::path::PathBuf;
 
 /// Add time steps to an archive, on its mesh.
 ///
-/// Points, interpolation, rounding, field, keyframes, and what is no data, are as for the last step that is there. The archive stays what it was until the new steps are
-/// complete; when the run is killed, the same command continues it.
+/// The settings are those of the archive's last step: points, interpolation, rounding, field,
+/// keyframes, missing values. The archive stays unchanged until the new steps are complete. If the
+/// run is killed, the same command continues it.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan append run.isospan step_0101.vti\n  isospan append run.isospan 'new_*.vti' --times 10:0.5"
+)]
 pub(crate) struct Args {
     /// The archive.
     pub(crate) archive: PathBuf,
     #[command(flatten)]
     pub(crate) steps: StepInputs,
     /// A value that means "no data here" [default: that of the archive's last step].
-    #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
+    #[arg(help_heading = "Values", long, value_name = "VALUE", allow_negative_numbers = true)]
     missing: Option<f64>,
-    /// Store every N-th step without reference to the one before [default: as for the archive's last step].
-    #[arg(long, value_name = "N")]
+    /// Store every N-th step without reference to the step before [default: as for the archive's
+    /// last step].
+    #[arg(help_heading = "Series", long, value_name = "N")]
     keyframes: Option<u64>,
-    /// Do not measure the field against the samples of the source in the end.
-    #[arg(long)]
+    /// Skip the measurement of the error at the samples of the source.
+    #[arg(help_heading = "Error and size", long)]
     no_measure: bool,
     #[command(flatten)]
     machine: Machine,

@@ -8,20 +8,24 @@ use isospan::volume::bricked::BrickedVolume;
 use isospan::{Error, Result, formats};
 use std::path::PathBuf;
 
-/// Copy a volume into bricks that are mapped instead of read: do it once for a compressed or slow input that is used often.
+/// Copy a volume into bricks that are mapped instead of read, for a compressed or slow input that
+/// is used often.
 ///
-/// Where the output is the copy of this very input already, it says so.
+/// If the output is already the copy of this input, the command says so and ends.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan brick scan.nii.gz -o scan.bricks\n  isospan brick slices.tif -o slices.bricks --memory 1GiB"
+)]
 pub(crate) struct Args {
     /// The volume.
     input: PathBuf,
     /// The file to write, NAME.bricks.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Memory for the slices in flight.
-    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes, default_value = "256MiB")]
+    /// Memory for the slices that are being copied.
+    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = text::parse_bytes, default_value = "256MiB")]
     memory: u64,
-    /// Replace a file that is already there.
+    /// Replace an existing file.
     #[arg(long)]
     force: bool,
     /// Print the result as JSON.

@@ -9,19 +9,26 @@ use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Check an archive (every checksum and structural invariant) or a surface (manifold, boundary, orientation, Euler number).
+/// Check an archive (every checksum and structural invariant) or a surface (manifold, boundary,
+/// orientation, Euler number).
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan check scan.isospan\n  isospan check bone.ply --within scan.isospan"
+)]
 pub(crate) struct Args {
     /// An archive, or a surface file: .ply .stl .obj .vtp .glb.
     input: PathBuf,
-    /// Surface: also check that boundary edges lie on the boundary of this archive's domain, or where it has no data.
+    /// For a surface: also check that boundary edges lie on the boundary of this archive's domain,
+    /// or where it has no data.
     #[arg(long, value_name = "ARCHIVE")]
     within: Option<PathBuf>,
-    /// Surface: memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use].
-    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    /// For a surface: limit of memory, 4GiB, 500MB or 50% [default: half of what the process may
+    /// use].
+    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = text::parse_bytes)]
     memory: Option<u64>,
-    /// Surface: folder for what does not fit in memory [default: the system's temporary folder].
-    #[arg(long, value_name = "FOLDER")]
+    /// For a surface: folder for what does not fit in memory [default: the system's temporary
+    /// folder].
+    #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
     /// Print the report as JSON.
     #[arg(long)]

@@ -10,76 +10,88 @@ use isospan::{Error, Result};
 /// Point set, interpolation, missing values, sizes.
 #[derive(clap::Args, Debug)]
 pub(crate) struct Choices {
-    /// The point set [default: lattice; of a mesh hammersley; with --adapt halton].
-    #[arg(long, value_enum)]
+    /// The point set [default: lattice; hammersley for meshes; halton with --adapt].
+    #[arg(help_heading = "Points", long, value_enum)]
     points: Option<Set>,
-    /// Number of points as a fraction of the samples: 1/8, 0.125 or 12.5% [default: 1/8]; of a mesh, of its vertices, boundary included.
-    /// At 1 a mesh is kept as it is: its own vertices and tetrahedra, with no error; not with other --points, --interp, or --adapt.
-    #[arg(long, value_name = "FRACTION", value_parser = text::parse_fraction, conflicts_with = "count")]
+    /// Number of points as a fraction of the number of samples: 1/8, 0.125 or 12.5% [default: 1/8].
+    /// For a mesh, a fraction of its vertices, boundary included. With 1, a mesh is stored
+    /// unchanged, with its own vertices and tetrahedra and no error; --points, --interp and --adapt
+    /// must not be given then.
+    #[arg(help_heading = "Points", long, value_name = "FRACTION", value_parser = text::parse_fraction, conflicts_with = "count")]
     fraction: Option<f64>,
-    /// Number of points (of a volume, boundary samples come on top). That of a mesh's vertices, or more, keeps the mesh as --fraction 1 does.
-    #[arg(long, value_name = "N")]
+    /// Number of points. For a volume, samples of its boundary come on top. With as many as a mesh
+    /// has vertices, or more, the mesh is stored unchanged, as with --fraction 1.
+    #[arg(help_heading = "Points", long, value_name = "N")]
     count: Option<u64>,
-    /// More points where the field needs them and fewer elsewhere, as many in all: the volume is read once more to find where (of a series up
-    /// to eight steps; of a mesh the first one, and where its vertices lie and its boundary is tell too). For --points halton.
-    #[arg(long)]
+    /// Place more points where the field needs them and fewer elsewhere; the total stays the same.
+    /// The input is read once more for that: up to eight steps of a series of volumes, the first
+    /// step of a series of meshes. Uses --points halton.
+    #[arg(help_heading = "Points", long)]
     adapt: bool,
-    /// With --adapt or a target: the values that somebody will look at; what happens below LO and above HI does not count.
-    #[arg(long, value_name = "LO:HI", value_parser = parse_focus, allow_hyphen_values = true)]
+    /// With --adapt or a target: the range of values that matters. Errors outside LO to HI are
+    /// ignored.
+    #[arg(help_heading = "Points", long, value_name = "LO:HI", value_parser = parse_focus, allow_hyphen_values = true)]
     focus: Option<[f64; 2]>,
-    /// Instead of a number of points: the fewest with which the root mean square error at all samples is at most E (in units of the field, or
-    /// N% of its range). Reduces several times; the error that was met is stored. Points are those of a lattice, whose bits of values are chosen too,
-    /// unless --points, --adapt or --value-bits says otherwise. A mesh, and --focus, imply --adapt.
-    #[arg(long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure"])]
+    /// Use the fewest points with which the RMS error at all samples is at most E, in units of the
+    /// field or as N% of its range. This takes several tries. The points are a lattice, and the
+    /// number of bits per value is chosen too, unless --points, --adapt or --value-bits is given.
+    /// Meshes and --focus imply --adapt.
+    #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure"])]
     target_rms: Option<Bound>,
     /// As --target-rms, for the largest error at a sample, or at a vertex of a mesh.
-    #[arg(long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms"])]
+    #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms"])]
     target_max: Option<Bound>,
-    /// Instead of a number of points: the least error in an archive of at most so many bytes, as in 50MiB. Reduces several times. Points are
-    /// those of a lattice, and the bits of values are chosen, unless --points, --adapt or --value-bits says otherwise.
-    #[arg(long, value_name = "BYTES", value_parser = text::parse_bytes, conflicts_with_all = ["fraction", "count", "target_rms", "target_max"])]
+    /// Find the least error in an archive of at most this size, as in 50MiB. This takes several
+    /// tries. Points and bits are chosen as for --target-rms.
+    #[arg(help_heading = "Error and size", long, value_name = "BYTES", value_parser = text::parse_bytes, conflicts_with_all = ["fraction", "count", "target_rms", "target_max"])]
     size: Option<u64>,
-    /// As --size, for 1/N of the bytes of the source: of its files or of its samples, whichever are fewer.
-    #[arg(long, value_name = "N", conflicts_with_all = ["fraction", "count", "target_rms", "target_max", "size"])]
+    /// As --size, for 1/N of the bytes of the source: of its files or of its samples, whichever are
+    /// fewer.
+    #[arg(help_heading = "Error and size", long, value_name = "N", conflicts_with_all = ["fraction", "count", "target_rms", "target_max", "size"])]
     ratio: Option<f64>,
     /// Hammersley: the shift t in (k + t)/n; 0 gives the classical set [default: 0.5].
-    #[arg(long, value_name = "T")]
+    #[arg(help_heading = "Points", long, value_name = "T")]
     shift: Option<f64>,
-    /// Hyperbolic cross: the level m, instead of the one whose size is nearest to the wanted count. Needs --cross-k.
-    #[arg(long, value_name = "M", conflicts_with_all = ["fraction", "count", "size", "ratio"], requires = "cross_k")]
+    /// Hyperbolic cross: the level m [default: the one whose size is nearest to the count]. Needs
+    /// --cross-k.
+    #[arg(help_heading = "Points", long, value_name = "M", conflicts_with_all = ["fraction", "count", "size", "ratio"], requires = "cross_k")]
     cross_m: Option<u32>,
-    /// Hyperbolic cross: log2 of the cells of the coarsest grid, 2 to 5 [default: what brings the size nearest to the count].
-    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(2..=5))]
+    /// Hyperbolic cross: log2 of the number of cells of the coarsest grid, 2 to 5 [default: the one
+    /// that brings the size nearest to the count].
+    #[arg(help_heading = "Points", long, value_name = "K", value_parser = clap::value_parser!(u32).range(2..=5))]
     cross_k: Option<u32>,
     /// Hyperbolic cross: regularity of the field along x, y and z [default: 1,1,1].
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_regularity)]
+    #[arg(help_heading = "Points", long, value_name = "X,Y,Z", value_parser = parse_regularity)]
     cross_r: Option<[u32; 3]>,
     /// How values are interpolated between samples.
-    #[arg(long, value_enum, default_value_t = Interp::Linear)]
+    #[arg(help_heading = "Values", long, value_enum, default_value_t = Interp::Linear)]
     interp: Interp,
-    /// "fit": values that bring the reduced field closer to all samples (of a mesh: to the values at its vertices), none beyond the samples around it,
-    /// for 0.56 to 0.92 of the RMS error; "sample": the field at each point, as the thesis has it [default: fit; sample with --interp nearest, cubic-thesis, quadratic-thesis].
-    #[arg(long, value_enum)]
+    /// "sample" takes the field at each point, as the thesis does. "fit" takes values that bring
+    /// the reduced field closer to all samples; the RMS error is 0.56 to 0.92 times as large, and
+    /// no value leaves the range of the samples around it [default: fit; sample with --interp
+    /// nearest, cubic-thesis or quadratic-thesis].
+    #[arg(help_heading = "Values", long, value_enum)]
     values: Option<Vertex>,
-    /// Samples that are NaN, infinite or missing: "error", "mask" (leave a hole) or a value to use instead.
-    #[arg(long, value_name = "error|mask|VALUE", default_value = "error", value_parser = parse_nan, allow_negative_numbers = true)]
+    /// What to do with samples that are NaN, infinite or missing: "error", "mask" (leave a hole),
+    /// or a value to use instead.
+    #[arg(help_heading = "Values", long, value_name = "error|mask|VALUE", default_value = "error", value_parser = parse_nan, allow_negative_numbers = true)]
     nan: NanPolicy,
     /// A value that means "no data here".
-    #[arg(long, value_name = "VALUE", allow_negative_numbers = true)]
+    #[arg(help_heading = "Values", long, value_name = "VALUE", allow_negative_numbers = true)]
     missing: Option<f64>,
-    /// Of a series: store every N-th step without reference to the one before.
-    #[arg(long, value_name = "N", default_value_t = ReduceSettings::KEYFRAMES)]
+    /// Store every N-th step without reference to the step before.
+    #[arg(help_heading = "Series", long, value_name = "N", default_value_t = ReduceSettings::KEYFRAMES)]
     keyframes: u64,
-    /// Points meshed together; changes the archive's layout, not its mesh.
-    #[arg(long, value_name = "N", default_value_t = ReduceSettings::CHUNK_POINTS)]
+    /// Number of points that are meshed together. Changes the layout of the archive, not its mesh.
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = ReduceSettings::CHUNK_POINTS)]
     chunk_points: u64,
-    /// Round values to N bits (4 to 24) of the range of the source, which is read once more for that, or "exact".
-    /// The largest error of rounding is told and stored. [default: 8 bits of the range of 99.8 % of the samples for
-    /// the lattice of a volume, unless --interp is nearest; else exact]
-    #[arg(long, value_name = "N|exact", value_parser = parse_bits)]
+    /// Round values to N bits (4 to 24) of the range of the source, or "exact". Rounding reads the
+    /// source once more; its largest error is reported and stored. [default: 8 bits of the range of
+    /// 99.8 % of the samples for the lattice of a volume, unless --interp is nearest; else exact]
+    #[arg(help_heading = "Values", long, value_name = "N|exact", value_parser = parse_bits)]
     value_bits: Option<ValueBits>,
-    /// Do not measure the field against the samples of the source in the end.
-    #[arg(long)]
+    /// Skip the measurement of the error at the samples of the source.
+    #[arg(help_heading = "Error and size", long)]
     no_measure: bool,
 }
 
@@ -98,9 +110,9 @@ enum Interp {
     Cubic,
     CubicThesis,
     Nearest,
-    /// Of tetrahedral meshes.
+    /// Tetrahedral meshes only.
     Quadratic,
-    /// Of tetrahedral meshes; the thesis's, which is linear.
+    /// Tetrahedral meshes only; the thesis's variant, which is linear.
     QuadraticThesis,
 }
 

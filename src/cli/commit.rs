@@ -8,11 +8,14 @@ use std::path::PathBuf;
 
 /// Put a planned reduction together: verify every segment, make the index, publish the manifest.
 ///
-/// Exit code 3, and a list, when segments are missing, damaged or of another plan. Deletes nothing but what
-/// dead processes of this machine have left unfinished.
+/// Exit code 3, with a list, if segments are missing, damaged or of another plan. Only unfinished
+/// files of dead processes on this machine are deleted.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan commit scan.isospan\n  isospan commit scan.isospan --memory 2GiB --json"
+)]
 pub(crate) struct Args {
-    /// The archive that was planned.
+    /// The planned archive.
     archive: PathBuf,
     #[command(flatten)]
     machine: Machine,

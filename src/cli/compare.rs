@@ -10,23 +10,26 @@ use isospan::surface::check::{CheckSettings, SurfaceReport};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Compare two surfaces: distances of each from the other, deviation of normals, area, volume, Euler number, components.
+/// Compare two surfaces: distances, deviation of normals, area, volume, Euler number, components.
 ///
-/// Surfaces are sampled evenly by area, always at the same points; nearest points are exact. The largest distance is looked for at
-/// all vertices too.
+/// Both surfaces are sampled evenly by area, always at the same points, and nearest points are
+/// exact. The largest distance also takes all vertices into account.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan compare full.ply reduced.ply\n  isospan compare a.stl b.stl --samples 1000000 --json"
+)]
 pub(crate) struct Args {
     /// A surface: .ply .stl .obj .vtp .glb.
     a: PathBuf,
-    /// The other one.
+    /// The other surface.
     b: PathBuf,
-    /// Samples of each surface.
+    /// Number of samples on each surface.
     #[arg(long, value_name = "N", default_value_t = 200_000)]
     samples: u64,
     #[command(flatten)]
     machine: Machine,
     /// Folder for what does not fit in memory [default: the system's temporary folder].
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
     /// Print the result as JSON.
     #[arg(long)]

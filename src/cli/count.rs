@@ -6,14 +6,18 @@ use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Count the active tetrahedra of isovalues, exactly, without extracting the surface.
+/// Count the tetrahedra that isosurfaces cross, exactly, without extracting the surfaces.
 ///
-/// Isovalues of a few digits are looked up in the archive's spectrum, which reads some thousand bytes; the JSON tells how many.
+/// Isovalues with few digits are looked up in the archive's spectrum, which takes a few kilobytes
+/// of reading; the JSON output has the number of bytes.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan count scan.isospan --isovalue 600\n  isospan count scan.isospan -i 300,600,900 --json"
+)]
 pub(crate) struct Args {
     /// The archive.
     archive: PathBuf,
-    /// The isovalue, or several: 300,600.
+    /// One isovalue, or several: 300,600.
     #[arg(
         long,
         short = 'i',
@@ -25,7 +29,7 @@ pub(crate) struct Args {
     isovalue: Vec<f64>,
     #[command(flatten)]
     step: StepArgs,
-    /// Print the result as JSON, one object a line.
+    /// Print the result as JSON, one object per line.
     #[arg(long)]
     json: bool,
 }

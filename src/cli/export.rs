@@ -10,29 +10,34 @@ use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Write the tetrahedra of an archive as an unstructured grid (VTU), each point once, with its value.
+/// Write the tetrahedra of an archive as an unstructured grid (VTU), with values at the points.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan export scan.isospan -o scan.vtu --compress\n  isospan export scan.isospan -o skin.vtu --range 300:500"
+)]
 pub(crate) struct Args {
     /// The archive.
     archive: PathBuf,
     /// The file to write: .vtu.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Only tetrahedra whose corners all have values in this range, ends included; an end may be left out. Only blocks that
-    /// can have some are read.
+    /// Only tetrahedra whose corners all have values from LO to HI; either end may be omitted. Only
+    /// blocks that can hold such tetrahedra are read.
     #[arg(long, value_name = "LO:HI", value_parser = parse_range, allow_hyphen_values = true)]
     range: Option<[f64; 2]>,
     /// With --range: tetrahedra with at least one corner in the range.
     #[arg(long, requires = "range")]
     any_corner: bool,
-    /// Only tetrahedra whose bounding box touches a box: I0:I1,J0:J1,K0:K1 in numbers of samples, or world:X0:X1,Y0:Y1,Z0:Z1. An
-    /// end that is left out is that of the volume. Only chunks that touch the box are read.
+    /// Only tetrahedra whose bounding box touches a box: I0:I1,J0:J1,K0:K1 in sample indices, or
+    /// world:X0:X1,Y0:Y1,Z0:Z1. An omitted end is that of the volume. Only chunks that touch the
+    /// box are read.
     #[arg(long, value_name = "BOX", allow_hyphen_values = true)]
     roi: Option<Roi>,
-    /// Of the tetrahedra that are left, in order, only each K-th.
+    /// Of the remaining tetrahedra, keep only every K-th.
     #[arg(long, value_name = "K", default_value_t = 1)]
     every: u64,
-    /// Compress the file's arrays (zlib, which VTK and ParaView read): less than a third of the bytes.
+    /// Compress the arrays of the file with zlib, which VTK and ParaView read: less than a third of
+    /// the bytes.
     #[arg(long)]
     compress: bool,
     #[command(flatten)]

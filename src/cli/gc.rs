@@ -8,16 +8,20 @@ use std::time::Duration;
 
 /// Remove temporary files that killed workers have left in an archive.
 ///
-/// Files that nobody has written to for the given time, and that no process holds. A worker writes after each chunk, so an hour is
-/// much; what is removed costs time and no bytes. Segments are never removed, and nothing in a folder that is no archive.
+/// Removes files that were not written to for the given time and that no process holds. A worker
+/// writes after each chunk, so an hour is long. Segments are never removed, and nothing is removed
+/// in a folder that is no archive.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan gc scan.isospan --older-than 1d\n  isospan gc scan.isospan --older-than 12h --dry-run"
+)]
 pub(crate) struct Args {
     /// The archive, finished or not.
     archive: PathBuf,
-    /// The age from which on files are removed: 2d, 12h, 30m, 90s.
+    /// Remove files at least this old: 2d, 12h, 30m, 90s.
     #[arg(long, value_name = "AGE", value_parser = text::parse_duration)]
     older_than: Duration,
-    /// Only tell what would be removed.
+    /// Only print what would be removed.
     #[arg(long)]
     dry_run: bool,
     /// Print the result as JSON.

@@ -12,8 +12,10 @@ use isospan::{Archive, Error, Result, formats};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Tell what volumes, meshes and archives hold: dimensions, type, fields, geometry, range, histogram; points and cells.
+/// Show what volumes, meshes and archives hold: dimensions, type, fields, geometry, range,
+/// histogram, error, suggested isovalues.
 #[derive(clap::Args, Debug)]
+#[command(after_help = "Examples:\n  isospan info scan.nrrd\n  isospan info scan.isospan --json")]
 pub(crate) struct Args {
     /// Volumes, meshes or archives.
     #[arg(required = true)]
@@ -23,7 +25,7 @@ pub(crate) struct Args {
     no_scan: bool,
     #[command(flatten)]
     step: StepArgs,
-    /// Print one JSON object a line.
+    /// Print JSON, one object per line.
     #[arg(long)]
     json: bool,
     #[command(flatten)]

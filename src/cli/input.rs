@@ -17,29 +17,30 @@ pub(crate) enum Endian {
 /// How to read the input.
 #[derive(clap::Args, Debug)]
 pub(crate) struct InputArgs {
-    /// The field to read, where a file has several.
-    #[arg(long, value_name = "NAME")]
+    /// The field to read, if the file has several.
+    #[arg(help_heading = "Input", long, value_name = "NAME")]
     pub(crate) field: Option<String>,
-    /// A text file of one number a point, for a mesh in .node and .ele or .pts and .tet files.
-    #[arg(long, value_name = "FILE")]
+    /// A text file with one value per point, for meshes in .node and .ele, or .pts and .tet, files.
+    #[arg(help_heading = "Input", long, value_name = "FILE")]
     value_file: Option<PathBuf>,
-    /// Raw file: samples along x (fastest), y and z.
+    /// Number of samples along x (fastest), y and z.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_dims, requires = "scalar_type", help_heading = "Raw files")]
     dims: Option<[u64; 3]>,
-    /// Raw file: type of a sample: u8 i8 u16 i16 u32 i32 u64 i64 f32 f64.
+    /// Type of a sample: u8 i8 u16 i16 u32 i32 u64 i64 f32 f64.
     #[arg(long = "type", value_name = "TYPE", id = "scalar_type", value_parser = parse_type, requires = "dims", help_heading = "Raw files")]
     scalar_type: Option<ScalarType>,
-    /// Raw file: byte order.
+    /// Byte order.
     #[arg(long, value_enum, requires = "dims", help_heading = "Raw files")]
     endian: Option<Endian>,
-    /// Raw file: bytes before the first sample.
+    /// Bytes before the first sample.
     #[arg(long, value_name = "BYTES", requires = "dims", help_heading = "Raw files")]
     offset: Option<u64>,
-    /// Raw file: world length of a voxel edge along x, y and z.
+    /// Edge lengths of a voxel along x, y and z, in world units.
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_spacing, requires = "dims", help_heading = "Raw files")]
     spacing: Option<[f64; 3]>,
-    /// How files are read; the result is the same. "auto" reads on network file systems and maps elsewhere.
-    #[arg(long, value_enum, default_value_t = Io::Auto)]
+    /// How files are read. "auto" maps local files and reads files on network file systems. The
+    /// result is the same.
+    #[arg(help_heading = "Input", long, value_enum, default_value_t = Io::Auto)]
     io: Io,
 }
 

@@ -10,10 +10,11 @@ use std::path::PathBuf;
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Machine {
     /// Threads; 0 means as many as the process may use.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = 0)]
     pub(crate) threads: usize,
-    /// Memory, kept: 4GiB, 500MB, 50% [default: half of what the process may use]. Pages of mapped files do not count.
-    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    /// Limit of memory: 4GiB, 500MB or 50% [default: half of what the process may use]. Pages of
+    /// mapped files do not count.
+    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = text::parse_bytes)]
     memory: Option<u64>,
 }
 
@@ -51,15 +52,15 @@ impl Machine {
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct OutputScratch {
     /// Folder for what does not fit in memory [default: the output's folder].
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
     pub(crate) scratch: Option<PathBuf>,
 }
 
 /// Where temporary files of a reduction go.
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct InputScratch {
-    /// Folder for the uncompressed copy of a compressed input, and for what does not fit in memory [default: the system's
-    /// temporary folder].
-    #[arg(long, value_name = "FOLDER")]
+    /// Folder for the uncompressed copy of a compressed input and for what does not fit in memory
+    /// [default: the system's temporary folder].
+    #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
     pub(crate) scratch: Option<PathBuf>,
 }

@@ -11,22 +11,28 @@ use isospan::pipeline::{MeasureReport, MeasureSettings, measure};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Measure the field of an archive at every sample of the volume, or vertex of the mesh, that it was made from.
+/// Measure the error of an archive at every sample of its source volume, or vertex of its source
+/// mesh.
 ///
-/// Errors are the reduced value less the original one. Percentiles are at most 1/32 too large, everything else is exact; but where
-/// samples lost something to f32 (info tells), figures include that, and are no less than the true ones.
+/// An error is the reduced value less the original one. Percentiles are at most 1/32 too large; all
+/// other figures are exact. If f32 cannot hold the samples exactly (see `isospan info`), the
+/// figures include that loss and are upper bounds.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan measure scan.isospan --against scan.nrrd\n  isospan measure scan.isospan --against scan.nrrd --map error.vti"
+)]
 pub(crate) struct Args {
     /// The archive.
     archive: PathBuf,
-    /// The volume or mesh.
+    /// The source volume or mesh.
     #[arg(long, value_name = "INPUT")]
     against: PathBuf,
-    /// Also write the RMS error, the largest error and the number of samples of each brick: .vti.
+    /// Also write the RMS error, the largest error and the number of samples of each brick, as
+    /// .vti.
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
-    /// Of a series: the step, by its number [default: the first].
-    #[arg(long, value_name = "N")]
+    /// Number of the time step [default: the first].
+    #[arg(help_heading = "Series", long, value_name = "N")]
     step: Option<u64>,
     #[command(flatten)]
     machine: Machine,

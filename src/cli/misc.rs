@@ -12,7 +12,7 @@ pub(crate) struct CompletionsArgs {
     shell: clap_complete::Shell,
 }
 
-/// Print the manual page, or write one page a subcommand into a folder.
+/// Print the manual page, or write one page per command into a folder.
 #[derive(clap::Args, Debug)]
 pub(crate) struct ManArgs {
     /// Write isospan.1, isospan-info.1, … into this folder instead.

@@ -14,20 +14,25 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// Plan a reduction that several processes or machines do: `work` makes shards of it, `commit` puts the archive together.
+/// Plan a reduction for several processes or machines: `work` makes shards of it, `commit` puts the
+/// archive together.
 ///
-/// The plan is written to ARCHIVE.work/plan.json and never changed. Any number of workers, in any order, give the bytes of
-/// `reduce`. Of a volume that is compressed chunk by chunk a worker decodes its part. Another compressed volume is unpacked, and
-/// a mesh sorted, by every worker for itself: `brick` such a volume first.
+/// The plan is written to ARCHIVE.work/plan.json and never changed. Any number of workers, in any
+/// order, make the same bytes as `reduce`. A worker decodes its part of a volume that is compressed
+/// in chunks. Every worker unpacks any other compressed volume, and sorts a mesh, for itself;
+/// `brick` such a volume first.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan plan scan.nrrd -o scan.isospan --shards 16\n  isospan plan 'step_*.vti' -o run.isospan --shards 64 --target-rms 1%"
+)]
 pub(crate) struct Args {
     #[command(flatten)]
     steps: StepInputs,
-    /// The archive to make, a folder NAME.isospan in a place that all workers see.
+    /// The archive to make: a folder NAME.isospan in a place that all workers can reach.
     #[arg(short, long, value_name = "ARCHIVE")]
     output: PathBuf,
-    /// Shards: parts that may be made at the same time.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    /// Number of shards: parts that can be made at the same time.
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = 1)]
     shards: u64,
     #[command(flatten)]
     choices: Choices,
@@ -35,7 +40,7 @@ pub(crate) struct Args {
     machine: Machine,
     #[command(flatten)]
     scratch: InputScratch,
-    /// Replace an archive or a plan that is already there.
+    /// Replace an existing archive or plan.
     #[arg(long)]
     force: bool,
     /// Print the plan's figures as JSON.

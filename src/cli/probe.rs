@@ -13,16 +13,19 @@ use std::path::{Path, PathBuf};
 
 /// Sample the field of an archive, linear in each tetrahedron, on a grid or at points.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan probe scan.isospan --grid 256,256,128 -o scan.vti\n  isospan probe scan.isospan --at points.csv -o values.csv"
+)]
 pub(crate) struct Args {
     /// The archive.
     archive: PathBuf,
-    /// Samples along x, y, z, from face to face of the domain.
+    /// Number of samples along x, y and z, from face to face of the domain.
     #[arg(long, value_name = "NX,NY,NZ", value_parser = parse_grid, conflicts_with = "at", required_unless_present = "at")]
     grid: Option<[u64; 3]>,
-    /// A table of points in world coordinates: columns x, y, z by their titles, or the first three.
+    /// A table of points in world coordinates: the columns titled x, y and z, or the first three.
     #[arg(long, value_name = "CSV")]
     at: Option<PathBuf>,
-    /// The file to write: .vti or .npy of a grid, .csv or .npy of points.
+    /// The file to write: .vti or .npy for a grid, .csv or .npy for points.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]

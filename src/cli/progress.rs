@@ -21,9 +21,9 @@ pub(crate) enum Form {
     Auto,
     /// A bar; nothing where there is no terminal.
     Bar,
-    /// A line at most every ten seconds.
+    /// At most one line every ten seconds.
     Plain,
-    /// A JSON object a line, at most one a second and at the ends of stages.
+    /// JSON objects, one per line: at most one per second, and one at the end of each stage.
     Json,
     /// Nothing.
     None,
@@ -32,14 +32,14 @@ pub(crate) enum Form {
 /// How much is told on standard error.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(crate) struct Talk {
-    /// Say nothing but results and errors.
-    #[arg(short, long, global = true)]
+    /// Print nothing but results and errors.
+    #[arg(help_heading = "Messages", short, long, global = true)]
     quiet: bool,
-    /// Tell more: memory, threads, I/O mode, the time of each stage.
-    #[arg(short, long, global = true, conflicts_with = "quiet")]
+    /// Print more: memory, threads, I/O mode, the time of each stage.
+    #[arg(help_heading = "Messages", short, long, global = true, conflicts_with = "quiet")]
     verbose: bool,
-    /// The form of progress on standard error.
-    #[arg(long, global = true, value_enum, value_name = "FORM", default_value_t = Form::Auto)]
+    /// How progress is shown on standard error.
+    #[arg(help_heading = "Messages", long, global = true, value_enum, value_name = "FORM", default_value_t = Form::Auto)]
     progress: Form,
 }
 

@@ -14,8 +14,12 @@ use isospan::{Reduction, Resources, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Reduce a volume to an archive: sample it at quasi-Monte Carlo points, mesh them, index the mesh.
+/// Reduce a volume or mesh to an archive: sample it at points, join them to tetrahedra, and index
+/// these.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan reduce scan.nrrd -o scan.isospan --target-rms 1%\n  isospan reduce 'step_*.vti' -o run.isospan --fraction 1/64 --memory 4GiB"
+)]
 pub(crate) struct Args {
     #[command(flatten)]
     pub(crate) steps: StepInputs,
@@ -28,10 +32,11 @@ pub(crate) struct Args {
     machine: Machine,
     #[command(flatten)]
     scratch: InputScratch,
-    /// Tell what the run needs (memory, disk, time) and make nothing; exit code 4 if there is not enough.
+    /// Print what the run needs (memory, disk, time) and make nothing; exit code 4 if there is not
+    /// enough.
     #[arg(long)]
     dry_run: bool,
-    /// Replace an archive that is already there.
+    /// Replace an existing archive.
     #[arg(long)]
     force: bool,
     /// Print the report as JSON.

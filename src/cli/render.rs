@@ -21,11 +21,15 @@ use isospan::{Archive, Error, Resources, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Draw surfaces, or isosurfaces of archives, as a PNG: a panel each, all seen from the same place.
+/// Draw surfaces, or isosurfaces of archives, as a PNG with one panel each, all seen from the same
+/// place.
 ///
-/// Needs no graphics card; the same command gives the same bytes on every machine. With --distance-to, colours tell how far each surface is
-/// from another one.
+/// No graphics card is needed, and the same command gives the same bytes on every machine. With
+/// --distance-to, colours show how far each surface is from another one.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan render scan.isospan --isovalue 600,1000 -o scan.png\n  isospan render full.ply small.ply -o two.png --distance-to full.ply"
+)]
 pub(crate) struct Args {
     /// Surfaces (.ply .stl .obj .vtp .glb) or archives.
     #[arg(required = true)]
@@ -33,7 +37,7 @@ pub(crate) struct Args {
     /// The picture to write: .png.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Isovalues of the archives: a panel each.
+    /// Isovalues of the archives, one panel each.
     #[arg(
         long,
         short = 'i',
@@ -42,16 +46,17 @@ pub(crate) struct Args {
         allow_hyphen_values = true
     )]
     isovalue: Vec<f64>,
-    /// The words below a panel, once for each panel. Without, several panels have the names of their files.
+    /// Text below a panel; give it once per panel. Without it, several panels show the names of
+    /// their files.
     #[arg(long, value_name = "TEXT")]
     caption: Vec<String>,
-    /// Panels beside each other [default: all, up to 4].
+    /// Number of panels in a row [default: all, up to 4].
     #[arg(long, value_name = "N")]
     columns: Option<usize>,
-    /// Pixels of a panel.
+    /// Size of a panel in pixels.
     #[arg(long, value_name = "W,H", default_value = "800,800", value_parser = parse_size)]
     size: [u32; 2],
-    /// Degrees around the upward axis.
+    /// Angle around the upward axis, in degrees.
     #[arg(
         long,
         value_name = "DEGREES",
@@ -60,7 +65,7 @@ pub(crate) struct Args {
         help_heading = "Camera"
     )]
     azimuth: f64,
-    /// Degrees above the horizon.
+    /// Angle above the horizon, in degrees.
     #[arg(
         long,
         value_name = "DEGREES",
@@ -72,31 +77,31 @@ pub(crate) struct Args {
     /// Which way is up: x, y, z, -x, -y, -z.
     #[arg(long, value_name = "AXIS", default_value = "z", allow_hyphen_values = true, value_parser = parse_up, help_heading = "Camera")]
     up: Up,
-    /// 1 fills the panel.
+    /// Magnification; 1 fills the panel.
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, help_heading = "Camera")]
     zoom: f64,
-    /// Parallel rays instead of a perspective.
+    /// Use parallel projection instead of perspective.
     #[arg(long, help_heading = "Camera")]
     orthographic: bool,
-    /// The colour of the surface, #rrggbb, or "normals"; one for all, or one for each panel.
+    /// Colour of the surface, #rrggbb or "normals": one for all, or one per panel.
     #[arg(long, value_name = "COLOUR[,COLOUR..]", value_delimiter = ',', default_value = "#d8cbb4", value_parser = parse_paint)]
     colour: Vec<Paint>,
-    /// Colour each point by its distance from this surface, and draw the scale.
+    /// Colour each point by its distance from this surface, and draw a scale.
     #[arg(long, value_name = "SURFACE")]
     distance_to: Option<PathBuf>,
-    /// The distance at the end of the scale [default: what 99.5 % of the vertices do not exceed].
+    /// The distance at the end of the scale [default: the 99.5th percentile over the vertices].
     #[arg(long, value_name = "LENGTH", requires = "distance_to")]
     distance_max: Option<f32>,
-    /// The colour behind: #rrggbb or "transparent".
+    /// Background colour: #rrggbb or "transparent".
     #[arg(long, value_name = "COLOUR", default_value = "#ffffff", value_parser = parse_background)]
     background: [u8; 4],
-    /// Flat triangles instead of smooth shading.
+    /// Shade triangles flat instead of smoothly.
     #[arg(long)]
     flat: bool,
-    /// Samples along each side of a pixel, 1 to 8.
+    /// Samples along each side of a pixel, 1 to 8 (antialiasing).
     #[arg(long, value_name = "N", default_value_t = 3)]
     samples: u32,
-    /// Lights of the sky, whose shadows make the soft light; 0 for light without shadows.
+    /// Number of lights in the sky, whose shadows make soft light; 0 for light without shadows.
     #[arg(long, value_name = "N", default_value_t = 128)]
     lights: u32,
     #[command(flatten)]
@@ -104,7 +109,7 @@ pub(crate) struct Args {
     #[command(flatten)]
     step: StepArgs,
     /// Folder for what does not fit in memory, and for the surfaces of archives [default: the system's temporary folder].
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
     /// Print what was drawn as JSON.
     #[arg(long)]

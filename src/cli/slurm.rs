@@ -13,39 +13,43 @@ use std::process::Command;
 
 /// Write job scripts for a planned reduction, and submit them to Slurm with --submit.
 ///
-/// The scripts are in ARCHIVE.work/slurm: a job array of shards that may be requeued, and a commit that waits for them and submits what is
-/// missing again. Logs are written beside them.
+/// The scripts are in ARCHIVE.work/slurm: a job array of shards that may be requeued, and a commit
+/// that waits for them and submits missing shards again. Logs are written to the same folder.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan slurm scan.isospan --submit\n  isospan slurm scan.isospan --threads 16 --time 120 --option=--partition=long"
+)]
 pub(crate) struct Args {
-    /// The archive that was planned, in a folder that all nodes see.
+    /// The planned archive, in a folder that all nodes can reach.
     archive: PathBuf,
     /// Submit the jobs, and print their numbers.
     #[arg(long)]
     submit: bool,
-    /// Threads of a task (--cpus-per-task).
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=4096))]
+    /// Threads per task (--cpus-per-task).
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=4096))]
     threads: u64,
-    /// Memory of a task, kept [default: what all its threads need]; the job asks for a quarter more.
-    #[arg(long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    /// Limit of memory per task [default: what all its threads need]; the job requests a quarter
+    /// more.
+    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = text::parse_bytes)]
     memory: Option<u64>,
-    /// Minutes of a task [default: 6 times the estimate, at least 60].
-    #[arg(long, value_name = "MINUTES", value_parser = clap::value_parser!(u64).range(1..))]
+    /// Time limit of a task in minutes [default: 6 times the estimate, at least 60].
+    #[arg(help_heading = "Resources", long, value_name = "MINUTES", value_parser = clap::value_parser!(u64).range(1..))]
     time: Option<u64>,
-    /// Seconds before that limit at which a task is told to stop.
-    #[arg(long, value_name = "SECONDS", default_value_t = 120, value_parser = clap::value_parser!(u64).range(1..=65535))]
+    /// Seconds before that limit at which a task is asked to stop.
+    #[arg(help_heading = "Resources", long, value_name = "SECONDS", default_value_t = 120, value_parser = clap::value_parser!(u64).range(1..=65535))]
     grace: u64,
-    /// Tasks at one time, at most [default: no limit].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    /// Largest number of tasks at one time [default: no limit].
+    #[arg(help_heading = "Resources", long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     throttle: Option<u64>,
-    /// How often shards are submitted, the first time included.
+    /// How often shards are submitted, including the first time.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..))]
     tries: u64,
-    /// Tasks of an array, at most [default: MaxArraySize of the cluster, where scontrol tells it, else 1001]. More shards than that are
-    /// cut anew.
+    /// Largest number of tasks in an array [default: the cluster's MaxArraySize if scontrol knows
+    /// it, else 1001]. If there are more shards, the work is divided anew.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     max_array: Option<u64>,
-    /// Folder of a node for temporary files [default: the system's temporary folder].
-    #[arg(long, value_name = "FOLDER")]
+    /// Folder on the node for temporary files [default: the system's temporary folder].
+    #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
     /// Another option of sbatch for both jobs, as --option=--partition=long; may be repeated.
     #[arg(long, value_name = "OPTION", allow_hyphen_values = true, value_parser = parse_option)]

@@ -8,21 +8,25 @@ use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Tell active tetrahedra, area and enclosed volume as functions of the isovalue.
+/// Print the contour spectrum: active tetrahedra, area and enclosed volume over the isovalue.
 ///
-/// They are those of the archive's tetrahedra, exact at each isovalue of the table; lengths are the volume's world units. Of a rectilinear or
-/// curvilinear grid, edges of tetrahedra are straight here; a surface follows the grid where it is bent, and its area and volume differ a
-/// little. Reads some ten thousand bytes.
+/// The figures are those of the archive's tetrahedra, exact at each isovalue of the table, in the
+/// volume's world units. For rectilinear and curvilinear grids the edges of tetrahedra count as
+/// straight; surfaces follow the bent grid, so their area and volume differ slightly. Some ten
+/// kilobytes are read.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan spectrum scan.isospan --plot scan.svg\n  isospan spectrum run.isospan --over-time --plot run.png"
+)]
 pub(crate) struct Args {
     /// The archive.
     archive: PathBuf,
-    /// Of a series: the spectra of all steps, or of those of --steps. The table has a line for each; the figure is a map of the area over
-    /// time and isovalue.
-    #[arg(long, conflicts_with_all = ["step", "time"])]
+    /// The spectra of all steps, or of those of --steps: one line of the table per step. The figure
+    /// is a map of the area over time and isovalue.
+    #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time"])]
     over_time: bool,
-    /// With --over-time: the steps, FIRST:LAST by number; an end may be left out.
-    #[arg(long, value_name = "RANGE", requires = "over_time")]
+    /// With --over-time: the steps FIRST:LAST by number; either end may be omitted.
+    #[arg(help_heading = "Series", long, value_name = "RANGE", requires = "over_time")]
     steps: Option<StepRange>,
     /// Also draw the curves: .svg or .png.
     #[arg(long, value_name = "FILE")]

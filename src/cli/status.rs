@@ -7,21 +7,25 @@ use isospan::pipeline::{StatusReport, shard_status};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Tell how far a planned reduction is: reads and verifies every segment, changes nothing.
+/// Show how far a planned reduction is. Reads and verifies every segment, and changes nothing.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan status scan.isospan --quick\n  isospan status scan.isospan --missing --as slurm-array"
+)]
 pub(crate) struct Args {
-    /// The archive that was planned.
+    /// The planned archive.
     archive: PathBuf,
-    /// Print what is missing and nothing else: the numbers of shards, a line each. Nothing when all is there.
+    /// Print only the numbers of missing shards, one per line; nothing if all are there.
     #[arg(long)]
     missing: bool,
     /// The form of that list.
     #[arg(long = "as", value_enum, value_name = "FORM", requires = "missing", default_value_t = Form::Lines)]
     form: Form,
-    /// Shards that the work is cut into [default: as planned].
+    /// Number of shards that the work is divided into [default: as planned].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     shards: Option<u64>,
-    /// Believe headers, lengths and footers: finds files that are missing, cut short or of another plan, not flipped bits.
+    /// Check headers, lengths and footers only: finds files that are missing, cut short or of
+    /// another plan, but not flipped bits.
     #[arg(long)]
     quick: bool,
     /// Print the result as JSON.
@@ -31,7 +35,7 @@ pub(crate) struct Args {
 
 #[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
 enum Form {
-    /// A number a line.
+    /// One number per line.
     Lines,
     /// For sbatch --array: 0,3,7-9.
     SlurmArray,

@@ -10,15 +10,17 @@ use std::path::PathBuf;
 /// The steps that are made.
 #[derive(clap::Args, Debug)]
 pub(crate) struct StepInputs {
-    /// The volume or mesh, of any format that is read; several are the steps of a series, as are a quoted pattern ("step_*.vti"), a .pvd or
-    /// .series file, a file with frames, and with --field PATTERN the fields that match.
+    /// The volume or mesh, in any format that isospan reads. Several inputs are the steps of a
+    /// series. So are a quoted pattern ("step_*.vti"), a .pvd or .series file, a file with frames,
+    /// and the fields that match --field PATTERN.
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
-    /// Of a series: the times of the steps, 0,0.5,2 or START:STEP [default: what the files tell, else the steps' numbers].
-    #[arg(long, value_name = "TIMES", value_parser = parse_times, allow_hyphen_values = true)]
+    /// Times of the steps: 0,0.5,2 or START:STEP [default: those in the files, else the step
+    /// numbers].
+    #[arg(help_heading = "Series", long, value_name = "TIMES", value_parser = parse_times, allow_hyphen_values = true)]
     times: Option<Times>,
-    /// Of a series: leave out steps that cannot be used, and report them.
-    #[arg(long)]
+    /// Leave out steps that cannot be used, and report them.
+    #[arg(help_heading = "Series", long)]
     pub(crate) keep_going: bool,
 }
 
@@ -43,11 +45,17 @@ impl StepInputs {
 /// Which step of a series is asked.
 #[derive(clap::Args, Debug)]
 pub(crate) struct StepArgs {
-    /// Of a series: the step, by its number (isospan info lists them) [default: the first].
-    #[arg(long, value_name = "N")]
+    /// Number of the time step; `isospan info` lists them [default: the first].
+    #[arg(help_heading = "Series", long, value_name = "N")]
     step: Option<u64>,
-    /// Of a series: a time; between two steps values are linear.
-    #[arg(long, value_name = "T", allow_negative_numbers = true, conflicts_with = "step")]
+    /// A time; values between two steps are interpolated linearly.
+    #[arg(
+        help_heading = "Series",
+        long,
+        value_name = "T",
+        allow_negative_numbers = true,
+        conflicts_with = "step"
+    )]
     time: Option<f64>,
 }
 

@@ -18,10 +18,13 @@ use std::time::Duration;
 
 /// Extract isosurfaces from an archive.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan surface scan.isospan --isovalue 600 -o bone.ply\n  isospan surface run.isospan -i 0.5 --all-steps -o front_%04d.vtp"
+)]
 pub(crate) struct Args {
     /// The archive.
     archive: PathBuf,
-    /// The isovalue, or several: 600,1000. All are extracted in one pass.
+    /// One isovalue, or several: 600,1000. All are extracted in one pass.
     #[arg(
         long,
         short = 'i',
@@ -31,36 +34,37 @@ pub(crate) struct Args {
         allow_hyphen_values = true
     )]
     isovalue: Vec<f64>,
-    /// The file to write: .ply .stl .obj .vtp or .glb. Several isovalues go to one file, told apart by an array 'isovalue' of the points
-    /// (.vtp, .ply) or by groups (.obj); with {} in the name, each to a file of its own: surface_{}.ply.
+    /// The file to write: .ply .stl .obj .vtp or .glb. Several isovalues go to one file; an array
+    /// 'isovalue' of the points (.vtp, .ply) or groups (.obj) distinguish them. With {} in the
+    /// name, each isovalue gets its own file: surface_{}.ply.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Cut the surface at a box: I0:I1,J0:J1,K0:K1 in numbers of samples, or world:X0:X1,Y0:Y1,Z0:Z1. An end that is left
-    /// out is that of the volume. Only chunks that touch the box are read.
+    /// Cut the surface at a box: I0:I1,J0:J1,K0:K1 in sample indices, or world:X0:X1,Y0:Y1,Z0:Z1.
+    /// An omitted end is that of the volume. Only chunks that touch the box are read.
     #[arg(long, value_name = "BOX", allow_hyphen_values = true)]
     roi: Option<Roi>,
-    /// Close the surfaces where the domain ends.
+    /// Close the surfaces at the faces of the domain.
     #[arg(long, conflicts_with = "roi")]
     cap: bool,
-    /// Keep the N largest connected components (by triangles), or the largest.
-    #[arg(long, value_name = "N", num_args = 0..=1, default_missing_value = "1")]
+    /// Keep the N largest connected components (by triangles); without N, the largest.
+    #[arg(help_heading = "Components and decimation", long, value_name = "N", num_args = 0..=1, default_missing_value = "1")]
     largest: Option<u64>,
-    /// Keep connected components of at least N triangles.
-    #[arg(long, value_name = "N")]
+    /// Keep connected components with at least N triangles.
+    #[arg(help_heading = "Components and decimation", long, value_name = "N")]
     min_triangles: Option<u64>,
-    /// Keep connected components of at least this volume, in world units; of an open one, the volume between it and the
-    /// centre of its bounding box counts.
-    #[arg(long, value_name = "VOLUME")]
+    /// Keep connected components of at least this volume, in world units. For an open component,
+    /// the volume between it and the centre of its bounding box counts.
+    #[arg(help_heading = "Components and decimation", long, value_name = "VOLUME")]
     min_volume: Option<f64>,
-    /// Measure the connected components: list them with --json.
-    #[arg(long)]
+    /// Measure the connected components; --json lists them.
+    #[arg(help_heading = "Components and decimation", long)]
     components: bool,
-    /// Keep this part of the triangles: 0.1 for a tenth. Topology and boundaries stay what they are.
-    #[arg(long, value_name = "RATIO")]
+    /// Keep this fraction of the triangles: 0.1 for a tenth. Topology and boundaries are preserved.
+    #[arg(help_heading = "Components and decimation", long, value_name = "RATIO")]
     decimate: Option<f64>,
-    /// Decimate as far as the estimated distance from the surface allows, in world units; with --decimate until one of the
-    /// two is reached.
-    #[arg(long, value_name = "LENGTH")]
+    /// Decimate until the estimated distance from the original surface reaches LENGTH, in world
+    /// units. With --decimate, stop at whichever comes first.
+    #[arg(help_heading = "Components and decimation", long, value_name = "LENGTH")]
     decimate_error: Option<f64>,
     #[command(flatten)]
     machine: Machine,
@@ -68,12 +72,13 @@ pub(crate) struct Args {
     scratch: OutputScratch,
     #[command(flatten)]
     step: StepArgs,
-    /// Of a series: the surfaces of all steps, a file each, out_%04d.ply with the step's number in that place; beside them a list with
-    /// their times, out.ply.series or (.vtp) out.pvd. Steps whose values do not reach the isovalue are not read.
-    #[arg(long, conflicts_with_all = ["step", "time", "steps"])]
+    /// Extract all steps, one file each: out_%04d.ply, with the step number in the name. A list of
+    /// files and times is written next to them: out.ply.series, or out.pvd for .vtp. Steps whose
+    /// values do not reach the isovalue are not read.
+    #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time", "steps"])]
     all_steps: bool,
-    /// As --all-steps, of the steps FIRST:LAST by number; an end may be left out.
-    #[arg(long, value_name = "RANGE", conflicts_with_all = ["step", "time"])]
+    /// As --all-steps, for the steps FIRST:LAST by number; either end may be omitted.
+    #[arg(help_heading = "Series", long, value_name = "RANGE", conflicts_with_all = ["step", "time"])]
     steps: Option<StepRange>,
     /// Print points, tetrahedra, active blocks, bytes read and the time of each stage.
     #[arg(long)]

@@ -8,30 +8,35 @@ use isospan::{Error, Resources, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Unpack the blocks of an archive, on disk: surfaces of it take a fraction of the time.
+/// Trade disk for speed: store the blocks of an archive in the form that surfaces use.
 ///
-/// Beside the packed blocks of a step, of a few bits a tetrahedron, it writes all that surfaces need of them, about 60 bytes a tetrahedron, in the form in which
-/// they use it. Surfaces are the same, byte for byte; all commands that make surfaces use the file from then on. It is mapped, so it costs memory only as a cache
-/// that the system takes back. Steps that are appended later leave it valid.
+/// The archive grows by about 60 bytes per tetrahedron, and surfaces take a fraction of the time.
+/// They are the same, byte for byte. All commands that make surfaces use the file from then on. It
+/// is mapped, so the system can take its memory back at any time. It stays valid when steps are
+/// appended.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan unpack scan.isospan\n  isospan unpack run.isospan --all-steps --range 0.4:0.6"
+)]
 pub(crate) struct Args {
     /// The archive.
     archive: PathBuf,
     #[command(flatten)]
     step: StepArgs,
-    /// Of a series: all steps.
-    #[arg(long, conflicts_with_all = ["step", "time", "steps"])]
+    /// All steps.
+    #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time", "steps"])]
     all_steps: bool,
-    /// Of a series: the steps FIRST:LAST by number; an end may be left out.
-    #[arg(long, value_name = "RANGE", conflicts_with_all = ["step", "time"])]
+    /// The steps FIRST:LAST by number; either end may be omitted.
+    #[arg(help_heading = "Series", long, value_name = "RANGE", conflicts_with_all = ["step", "time"])]
     steps: Option<StepRange>,
-    /// Only blocks that can answer isovalues in this range; surfaces at others decode blocks, as without.
+    /// Only blocks that isovalues in this range need. Surfaces at other isovalues decode blocks as
+    /// before.
     #[arg(long, value_name = "LO:HI", value_parser = parse_range, allow_hyphen_values = true)]
     range: Option<Range>,
-    /// Remove what was unpacked: of all steps, or of those that are named.
+    /// Remove the unpacked blocks of all steps, or of the given ones.
     #[arg(long, conflicts_with = "range")]
     remove: bool,
-    /// Tell what would be written, and write nothing.
+    /// Print what would be written, and write nothing.
     #[arg(long, conflicts_with = "remove")]
     dry_run: bool,
     #[command(flatten)]

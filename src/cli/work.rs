@@ -7,15 +7,19 @@ use isospan::Result;
 use isospan::pipeline::{Shard, work_shard};
 use std::path::PathBuf;
 
-/// Make a shard of a planned reduction: the segments of it that are not done yet.
+/// Make a shard of a planned reduction: those of its segments that are not done yet.
 ///
-/// It may be started again at any time, twice at once, and on another machine. A signal (SIGTERM, SIGINT, SIGUSR1, SIGXCPU) ends it
-/// with code 75 in a state from which the same command continues.
+/// A shard may be started again at any time, twice at once, or on another machine. A signal
+/// (SIGTERM, SIGINT, SIGUSR1, SIGXCPU) ends it with code 75; the same command then continues.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan work scan.isospan --shard 3/16\n  isospan work scan.isospan --threads 8 --memory 16GiB"
+)]
 pub(crate) struct Args {
-    /// The archive that was planned.
+    /// The planned archive.
     archive: PathBuf,
-    /// Which part, counted from 0: 3/16. Any number of parts gives the same archive [default: all].
+    /// Which shard, counted from 0: 3/16. Any number of shards gives the same archive [default:
+    /// all].
     #[arg(long, value_name = "I/N", value_parser = parse_shard)]
     shard: Option<Shard>,
     #[command(flatten)]

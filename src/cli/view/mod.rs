@@ -19,11 +19,14 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// Show archives in a browser: isosurfaces at any isovalue, slices, time steps, and exports of what is seen.
+/// Show archives in a browser: isosurfaces, slices, time steps, and exports of what is seen.
 ///
-/// Serves a page on this machine only, at an address with a secret token, until it is stopped with Ctrl-C. On a remote machine, forward
-/// the port: ssh -L 8417:127.0.0.1:8417 HOST, and give --port 8417.
+/// Serves a page on this machine only, at an address with a secret token, until Ctrl-C. On a remote
+/// machine, forward the port with ssh -L 8417:127.0.0.1:8417 HOST, and give --port 8417.
 #[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan view scan.isospan --open\n  isospan view a.isospan b.isospan --port 8417"
+)]
 pub(crate) struct Args {
     /// The archives.
     #[arg(required = true, value_name = "ARCHIVE")]
@@ -37,7 +40,7 @@ pub(crate) struct Args {
     #[command(flatten)]
     machine: Machine,
     /// Folder for what does not fit in memory [default: the system's temporary folder].
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
     /// Print the address as JSON.
     #[arg(long)]
