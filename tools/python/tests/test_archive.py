@@ -232,6 +232,7 @@ def test_many_threads_ask_at_one_time(series):
         np.testing.assert_array_equal(faces, series.surface(0.25, step=n % 3).faces)
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_a_check_is_stopped_by_ctrl_c(tmp_path):
     n = 96
     z, y, x = np.meshgrid(*[np.linspace(-9, 9, n, dtype="f4")] * 3, indexing="ij")

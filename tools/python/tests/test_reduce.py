@@ -126,6 +126,7 @@ def test_progress(volume, tmp_path):
     assert not (tmp_path / "c.isospan/manifest.json").exists()
 
 
+@pytest.mark.usefixtures("ctrl_c")
 def test_ctrl_c(tmp_path):
     timer = threading.Timer(0.3, _thread.interrupt_main)
     timer.start()
