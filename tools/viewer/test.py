@@ -168,11 +168,11 @@ class Page:
     def shown(self, name="shown"):
         return int(self.page.evaluate(f"document.body.dataset.{name} ?? 0"))
 
-    def after(self, act, name="shown"):
-        """Does something, and waits until what it asks for is on the screen."""
+    def after(self, act, name="shown", count=1):
+        """Does something, and waits until the answers that it asks for are on the screen."""
         before = self.shown(name)
         act()
-        self.until(before + 1, name)
+        self.until(before + count, name)
         self.page.wait_for_timeout(100)
 
     def until(self, count, name="shown"):
@@ -234,7 +234,7 @@ def wide(browser, server):
     page.after(lambda: page.set("#place", 0.35), "slices")
     # The region is cut by the server.
     whole = page.triangles()
-    page.after(lambda: page.set("#ranges input >> nth=2", 0.5))
+    page.after(lambda: page.set("#ranges input >> nth=2", 0.5), count=2)
     assert 0 < page.triangles() < whole
     page.picture("region")
     # A link gives the same view.
