@@ -288,7 +288,8 @@ def main():
     with Server() as server, sync_playwright() as playwright:
         requests(server)
         arguments = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-                     "--disable-background-networking", "--disable-component-update", "--disable-sync"]
+                     "--disable-dev-shm-usage", "--disable-background-networking", "--disable-component-update",
+                     "--disable-sync"]
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
         wide(browser, server)
         narrow(browser, server)
