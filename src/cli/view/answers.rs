@@ -2,7 +2,7 @@
 
 use super::archives::Archives;
 use axum::body::Bytes;
-use isospan::exec::{CancelToken, Silent};
+use isospan::exec::Silent;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::pipeline::{ProbeSettings, Roi, StepChoice, SurfaceSettings};
 use isospan::{Error, Resources, Result};
@@ -49,7 +49,7 @@ impl SurfaceQuery {
         StepQuery { step: self.step }.choice()
     }
 
-    fn settings(&self, means: &Resources, cancel: &CancelToken) -> Result<SurfaceSettings> {
+    fn settings(&self, resources: &Resources) -> Result<SurfaceSettings> {
         let wrong = |text: &str| Error::usage(format!("'{text}' is no isovalue"));
         let number = |text: &str| text.trim().parse::<f64>().map_err(|_| wrong(text));
         let isovalues = self.isovalues.split(',').map(number).collect::<Result<Vec<_>>>()?;
@@ -61,7 +61,7 @@ impl SurfaceQuery {
             isovalues,
             roi,
             cap: self.cap,
-            resources: means.clone().with_cancel(cancel.clone()),
+            resources: resources.clone(),
             ..SurfaceSettings::default()
         })
     }
@@ -117,12 +117,14 @@ impl Sink {
     }
 
     fn write(&mut self, bytes: &[u8]) -> Result<()> {
-        self.piece.extend_from_slice(bytes);
-        if self.piece.len() >= PIECE { self.flush() } else { Ok(()) }
+        bytes.chunks(PIECE).try_for_each(|part| {
+            self.piece.extend_from_slice(part);
+            if self.piece.len() >= PIECE { self.flush() } else { Ok(()) }
+        })
     }
 
     /// # Errors
-    /// [`Error::Cancelled`] when nobody reads any more.
+    /// [`Error::Cancelled`] when the reader is gone.
     fn flush(&mut self) -> Result<()> {
         let piece = std::mem::replace(&mut self.piece, Vec::with_capacity(PIECE));
         self.to.blocking_send(Ok(piece.into())).map_err(|_| Error::Cancelled)
@@ -143,7 +145,7 @@ impl Sink {
     pub(super) fn end(mut self, result: Result<()>) {
         let result = result.and_then(|()| if self.piece.is_empty() { Ok(()) } else { self.flush() });
         if let Err(e) = result {
-            // Where nobody reads any more, nobody wants to know.
+            // A reader that is gone needs no error.
             let _ = self.to.blocking_send(Err(e));
         }
     }
@@ -155,12 +157,11 @@ pub(super) fn surface(
     archives: &Archives,
     archive: usize,
     query: &SurfaceQuery,
-    means: &Resources,
-    cancel: &CancelToken,
+    resources: &Resources,
     sink: &mut Sink,
 ) -> Result<()> {
     let start = Instant::now();
-    let settings = query.settings(means, cancel)?;
+    let settings = query.settings(resources)?;
     let archive = archives.at(archive, query.choice())?;
     let sink = std::cell::RefCell::new(sink);
     archive.stream_surfaces(
@@ -175,16 +176,9 @@ pub(super) fn surface(
             sink.borrow_mut().flush()
         },
         |surface| {
-            surface.vertices(&mut |batch| {
-                let mut sink = sink.borrow_mut();
-                batch.iter().try_for_each(|v| {
-                    v.position.iter().chain(&v.normal).try_for_each(|x| sink.write(&x.to_le_bytes()))
-                })
-            })?;
-            surface.triangles(&mut |batch| {
-                let mut sink = sink.borrow_mut();
-                batch.iter().flatten().try_for_each(|n| sink.write(&n.to_le_bytes()))
-            })
+            let mut sink = sink.borrow_mut();
+            surface.vertices(&mut |batch| sink.write(bytemuck::cast_slice(batch)))?;
+            surface.triangles(&mut |batch| sink.write(bytemuck::cast_slice(batch)))
         },
     )
 }
@@ -194,13 +188,12 @@ pub(super) fn slice(
     archives: &Archives,
     archive: usize,
     query: &SliceQuery,
-    means: &Resources,
-    cancel: &CancelToken,
+    resources: &Resources,
     sink: &mut Sink,
 ) -> Result<()> {
     let ([width, height], points) = query.points()?;
     let archive = archives.at(archive, query.choice())?;
-    let settings = ProbeSettings { resources: means.clone().with_cancel(cancel.clone()) };
+    let settings = ProbeSettings { resources: resources.clone() };
     let values = archive.probe_with(&points, &settings)?;
     sink.json(&serde_json::json!({ "size": [width, height] }))?;
     values.iter().try_for_each(|&v| sink.write(&(v as f32).to_le_bytes()))
@@ -211,15 +204,14 @@ pub(super) fn export(
     archives: &Archives,
     archive: usize,
     query: &SurfaceQuery,
-    means: &Resources,
-    cancel: &CancelToken,
+    resources: &Resources,
     sink: &mut Sink,
 ) -> Result<()> {
-    let settings = query.settings(means, cancel)?;
+    let settings = query.settings(resources)?;
     let ending = query.format.as_deref().unwrap_or("glb");
     let format = SurfaceFormat::from_path(format!("surface.{ending}").as_ref())?;
     let archive = archives.at(archive, query.choice())?;
-    let scratch = means.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let scratch = resources.scratch.clone().unwrap_or_else(std::env::temp_dir);
     let failed = |doing: &str, e| Error::io(doing, &scratch, e);
     let folder = tempfile::tempdir_in(&scratch).map_err(|e| failed("write to", e))?;
     let path = folder.path().join("surface");
@@ -233,6 +225,17 @@ pub(super) fn export(
         }
         sink.write(&piece[..bytes])?;
     }
+}
+
+/// The contour spectrum, as JSON.
+pub(super) fn spectrum(
+    archives: &Archives,
+    archive: usize,
+    query: &StepQuery,
+    _resources: &Resources,
+    sink: &mut Sink,
+) -> Result<()> {
+    json(&archives.at(archive, query.choice())?.spectrum()?, sink)
 }
 
 /// A value as JSON.

@@ -49,7 +49,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let means = args.machine.resources(args.scratch.clone(), talk);
-    let archives = Archives::open(&args.archives, means.memory / 4)?;
+    let archives = Archives::open(&args.archives, means.memory / server::SHARE)?;
     let stop = means.cancel.clone();
     let token = token()?;
     let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));

@@ -4,7 +4,7 @@
 //! other sites cannot ask. The `Host` header must name this server, so no name of another site leads here. The numbers of
 //! open connections and of working requests are limited; others wait. A connection that stands still is closed.
 
-use super::answers::{self, Sink, SliceQuery, StepQuery, SurfaceQuery};
+use super::answers::{self, Sink};
 use super::archives::Archives;
 use super::page;
 use axum::Router;
@@ -13,11 +13,12 @@ use axum::extract::{Path, Query, Request, State};
 use axum::http::{HeaderValue, Method, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{MethodRouter, get};
 use axum::serve::Listener;
 use isospan::exec::CancelToken;
 use isospan::render::ColourMap;
 use isospan::{Error, Resources, Result};
+use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::pin::Pin;
@@ -37,7 +38,7 @@ const CONNECTIONS: usize = 64;
 /// Requests that work at one time.
 const SLOTS: usize = 2;
 /// Each of them has a quarter of the memory. Another quarter is for decoded blocks.
-const SHARE: u64 = 4;
+pub(super) const SHARE: u64 = 4;
 /// Pieces of an answer that wait for a slow reader.
 const PIECES: usize = 4;
 /// A connection on which nothing comes or goes for so long is closed.
@@ -145,10 +146,10 @@ fn router(server: Arc<Server>, token: &str) -> Router {
     router
         .route(&format!("/{token}/archives"), get(archives))
         .route(&format!("/{token}/colours"), get(colours))
-        .route(&format!("/{token}/{{archive}}/spectrum"), get(spectrum))
-        .route(&format!("/{token}/{{archive}}/surface"), get(surface))
-        .route(&format!("/{token}/{{archive}}/slice"), get(slice))
-        .route(&format!("/{token}/{{archive}}/export"), get(export))
+        .route(&format!("/{token}/{{archive}}/spectrum"), ask(JSON, answers::spectrum))
+        .route(&format!("/{token}/{{archive}}/surface"), ask(NUMBERS, answers::surface))
+        .route(&format!("/{token}/{{archive}}/slice"), ask(NUMBERS, answers::slice))
+        .route(&format!("/{token}/{{archive}}/export"), ask(NUMBERS, answers::export))
         .layer(middleware::from_fn_with_state(server.clone(), guard))
         .with_state(server)
 }
@@ -209,55 +210,25 @@ async fn colours(State(server): State<Arc<Server>>) -> Response {
     .await
 }
 
-async fn spectrum(
-    State(server): State<Arc<Server>>,
-    Path(archive): Path<usize>,
-    Query(query): Query<StepQuery>,
-) -> Response {
-    answer(server, JSON, move |server, _, sink| {
-        answers::json(&server.archives.at(archive, query.choice())?.spectrum()?, sink)
-    })
-    .await
-}
+/// A question about an archive: the archives, which of them, the parameters, what may be used.
+type Question<Q> = fn(&Archives, usize, &Q, &Resources, &mut Sink) -> Result<()>;
 
-async fn surface(
-    State(server): State<Arc<Server>>,
-    Path(archive): Path<usize>,
-    Query(query): Query<SurfaceQuery>,
-) -> Response {
-    answer(server, NUMBERS, move |server, job, sink| {
-        answers::surface(&server.archives, archive, &query, &server.means, job, sink)
+fn ask<Q: DeserializeOwned + Send + 'static>(
+    kind: &'static str,
+    question: Question<Q>,
+) -> MethodRouter<Arc<Server>> {
+    get(move |State(server): State<Arc<Server>>, Path(archive): Path<usize>, Query(query): Query<Q>| {
+        answer(server, kind, move |server, resources, sink| {
+            question(&server.archives, archive, &query, resources, sink)
+        })
     })
-    .await
-}
-
-async fn slice(
-    State(server): State<Arc<Server>>,
-    Path(archive): Path<usize>,
-    Query(query): Query<SliceQuery>,
-) -> Response {
-    answer(server, NUMBERS, move |server, job, sink| {
-        answers::slice(&server.archives, archive, &query, &server.means, job, sink)
-    })
-    .await
-}
-
-async fn export(
-    State(server): State<Arc<Server>>,
-    Path(archive): Path<usize>,
-    Query(query): Query<SurfaceQuery>,
-) -> Response {
-    answer(server, NUMBERS, move |server, job, sink| {
-        answers::export(&server.archives, archive, &query, &server.means, job, sink)
-    })
-    .await
 }
 
 /// Does blocking work in a slot, and streams what comes of it. The work stops when its reader is gone.
 async fn answer(
     server: Arc<Server>,
     kind: &'static str,
-    work: impl FnOnce(&Server, &CancelToken, &mut Sink) -> Result<()> + Send + 'static,
+    work: impl FnOnce(&Server, &Resources, &mut Sink) -> Result<()> + Send + 'static,
 ) -> Response {
     // As many wait as there are connections.
     let Ok(slot) = server.slots.clone().acquire_owned().await else {
@@ -265,13 +236,12 @@ async fn answer(
     };
     let (to, mut pieces) = mpsc::channel(PIECES);
     let job = server.jobs.begin();
-    let token = job.token.clone();
-    let share = server.means.memory;
+    let resources = server.means.clone().with_cancel(job.token.clone());
     tokio::task::spawn_blocking(move || {
         let _slot = slot;
         let mut sink = Sink::new(to);
-        let result = work(&server, &token, &mut sink);
-        sink.end(result.map_err(|e| e.of_share(share, share * SHARE)));
+        let result = work(&server, &resources, &mut sink);
+        sink.end(result.map_err(|e| e.of_share(resources.memory, resources.memory * SHARE)));
     });
     let first: Option<Result<Bytes>> = pieces.recv().await;
     match first {

@@ -98,7 +98,7 @@ export class View {
     this.drawOverlay();
   }
 
-  /** The domain: eight corners, or none. `forget` moves the camera. */
+  /** The domain: eight corners, or none. */
   setDomain(corners) {
     if (this.box) this.scene.remove(this.box);
     this.box = null;
@@ -158,6 +158,7 @@ export class View {
       item = { found, mesh };
       this.surfaces.set(name, item);
       this.scene.add(mesh);
+      this.paint(name, { colour, opacity });
     }
     // Triangles that came since the last time.
     const before = item.shown ?? 0;
@@ -167,7 +168,7 @@ export class View {
     }
     item.shown = triangles;
     item.mesh.geometry.setDrawRange(0, 3 * triangles);
-    this.paint(name, { colour, opacity });
+    this.draw();
   }
 
   paint(name, { colour, opacity }) {
