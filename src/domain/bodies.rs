@@ -26,8 +26,8 @@ pub(super) struct Unions {
 }
 
 impl Unions {
-    pub(super) fn new(tets: u64, settings: &StoreSettings<'_>) -> Self {
-        Self { below: Paged::new(tets, settings.memory, settings.scratch) }
+    pub(super) fn new(tets: u64, settings: &StoreSettings) -> Self {
+        Self { below: Paged::new(tets, settings.memory, &settings.scratch) }
     }
 
     /// Two tetrahedra have a common face.
@@ -82,9 +82,9 @@ impl BodyOf {
     pub(super) fn arrange(
         mut self,
         tets: Column<[u64; 4]>,
-        settings: &StoreSettings<'_>,
+        settings: &StoreSettings,
     ) -> Result<(Column<[u64; 4]>, Bodies)> {
-        let mut starts = ColumnWriter::new(settings.scratch)?;
+        let mut starts = ColumnWriter::new(&settings.scratch)?;
         if self.in_order {
             for t in 0..self.body.len() {
                 if self.body.get(t)? == starts.len() {
@@ -94,11 +94,11 @@ impl BodyOf {
             return Ok((tets, Bodies { starts: starts.finish()? }));
         }
         let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
-        let mut order: Sorter<[u64; 2]> = Sorter::new(memory, settings.scratch);
+        let mut order: Sorter<[u64; 2]> = Sorter::new(memory, &settings.scratch);
         for t in 0..self.body.len() {
             order.push([self.body.get(t)?, t])?;
         }
-        let (mut sorted, mut arranged) = (order.finish()?, ColumnWriter::new(settings.scratch)?);
+        let (mut sorted, mut arranged) = (order.finish()?, ColumnWriter::new(&settings.scratch)?);
         let tets = tets.get()?;
         while let Some([body, t]) = sorted.next()? {
             if body == starts.len() {
@@ -135,11 +135,11 @@ mod tests {
         for memory in [0, 1 << 20] {
             let settings = StoreSettings {
                 memory,
-                scratch: scratch.path(),
+                scratch: scratch.path().to_path_buf(),
                 bad_value: BadValue::Refuse,
                 missing: None,
                 offset: 0.0,
-                cancel: &cancel,
+                cancel: cancel.clone(),
             };
             // Three bodies by the remainder of 3, chained back to front; and one alone.
             let count = 20_000;

@@ -20,9 +20,9 @@ pub(crate) struct Buckets {
 
 impl Buckets {
     /// Sorts the cells into bricks.
-    pub(crate) fn new(store: &CellStore, bricks: &BrickGrid, settings: &StoreSettings<'_>) -> Result<Self> {
+    pub(crate) fn new(store: &CellStore, bricks: &BrickGrid, settings: &StoreSettings) -> Result<Self> {
         let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
-        let mut sorter: Sorter<[u64; 2]> = Sorter::new(memory, settings.scratch);
+        let mut sorter: Sorter<[u64; 2]> = Sorter::new(memory, &settings.scratch);
         let positions = store.positions.get()?;
         for (number, tet) in store.tets.get()?.iter().enumerate() {
             if number % BATCH == 0 {
@@ -38,7 +38,7 @@ impl Buckets {
             }
         }
         let (mut cells, mut starts) =
-            (ColumnWriter::new(settings.scratch)?, ColumnWriter::new(settings.scratch)?);
+            (ColumnWriter::new(&settings.scratch)?, ColumnWriter::new(&settings.scratch)?);
         let mut sorted = sorter.finish()?;
         while let Some([brick, cell]) = sorted.next()? {
             while starts.len() <= brick {

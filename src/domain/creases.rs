@@ -35,12 +35,12 @@ impl Creases {
     pub(super) fn new(
         boundary: &Column<[u64; 4]>,
         positions: &[FinePos],
-        settings: &StoreSettings<'_>,
+        settings: &StoreSettings,
     ) -> Result<Self> {
         let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
         let triangles = boundary.get()?;
         let at = |v: u64| positions[v as usize];
-        let mut sides: Sorter<[u64; 4]> = Sorter::new(memory, settings.scratch);
+        let mut sides: Sorter<[u64; 4]> = Sorter::new(memory, &settings.scratch);
         for (t, &[a, b, c, body]) in (0..).zip(triangles) {
             for [a, b] in [[a, b], [b, c], [c, a]] {
                 sides.push([a.min(b), a.max(b), body, t])?;
@@ -50,7 +50,7 @@ impl Creases {
             let [a, b, c, _] = triangles[t as usize];
             cross(difference(at(b), at(a)), difference(at(c), at(a)))
         };
-        let mut along: Sorter<[u64; 5]> = Sorter::new(memory, settings.scratch);
+        let mut along: Sorter<[u64; 5]> = Sorter::new(memory, &settings.scratch);
         let mut sides = sides.finish()?;
         let mut next = sides.next()?;
         while let Some([a, b, body, first]) = next {
@@ -69,8 +69,8 @@ impl Creases {
             }
         }
         drop(sides);
-        let (mut edges, mut along) = (ColumnWriter::new(settings.scratch)?, along.finish()?);
-        let mut ends: Sorter<[u64; 2]> = Sorter::new(memory, settings.scratch);
+        let (mut edges, mut along) = (ColumnWriter::new(&settings.scratch)?, along.finish()?);
+        let mut ends: Sorter<[u64; 2]> = Sorter::new(memory, &settings.scratch);
         while let Some([_, a, b, first, second]) = along.next()? {
             ends.push([a, edges.len()])?;
             ends.push([b, edges.len()])?;
@@ -88,9 +88,9 @@ fn corners_of(
     ends: Sorter<[u64; 2]>,
     edges: &[[u64; 4]],
     positions: &[FinePos],
-    settings: &StoreSettings<'_>,
+    settings: &StoreSettings,
 ) -> Result<Column<[u64; 2]>> {
-    let mut corners = ColumnWriter::new(settings.scratch)?;
+    let mut corners = ColumnWriter::new(&settings.scratch)?;
     let from = |vertex: u64, edge: u64| {
         let [a, b, ..] = edges[edge as usize];
         difference(positions[(a ^ b ^ vertex) as usize], positions[vertex as usize])

@@ -17,10 +17,10 @@ type Record = [u64; 6];
 pub(crate) fn gradients(
     store: &CellStore,
     values: &Column<f32>,
-    settings: &StoreSettings<'_>,
+    settings: &StoreSettings,
 ) -> Result<Column<[f64; 3]>> {
     let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
-    let mut sorter: Sorter<Record> = Sorter::new(memory, settings.scratch);
+    let mut sorter: Sorter<Record> = Sorter::new(memory, &settings.scratch);
     let (positions, values) = (store.positions.get()?, values.get()?);
     for (number, tet) in store.tets.get()?.iter().enumerate() {
         let (volume, weighted) =
@@ -32,7 +32,7 @@ pub(crate) fn gradients(
             }
         }
     }
-    let mut out = ColumnWriter::new(settings.scratch)?;
+    let mut out = ColumnWriter::new(&settings.scratch)?;
     let mut sorted = sorter.finish()?;
     let mut next = sorted.next()?;
     for vertex in 0..positions.len() as u64 {
@@ -104,16 +104,16 @@ mod tests {
 
     /// Mean errors of the three interpolations at points all over a mesh, and the largest of the quadratic one.
     fn errors(n: usize) -> [f64; 4] {
-        let (dir, cancel) = (tempfile::tempdir().unwrap(), CancelToken::new());
+        let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("mesh.vtk");
         write_mesh(&path, n);
         let settings = StoreSettings {
             memory: 1 << 20,
-            scratch: dir.path(),
+            scratch: dir.path().to_path_buf(),
             bad_value: BadValue::Refuse,
             missing: None,
             offset: 0.0,
-            cancel: &cancel,
+            cancel: CancelToken::new(),
         };
         let store = CellStore::build(&open_mesh(&path, &OpenOptions::default()).unwrap(), &settings).unwrap();
         let gradients = gradients(&store, &store.values, &settings).unwrap();

@@ -23,15 +23,15 @@ pub(crate) struct Firsts {
 }
 
 impl Firsts {
-    pub(super) fn new(positions: &[FinePos], values: &[f32], settings: &StoreSettings<'_>) -> Result<Self> {
+    pub(super) fn new(positions: &[FinePos], values: &[f32], settings: &StoreSettings) -> Result<Self> {
         let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
-        let mut equals: Sorter<[u64; 5]> = Sorter::new(memory, settings.scratch);
+        let mut equals: Sorter<[u64; 5]> = Sorter::new(memory, &settings.scratch);
         for (v, ([x, y, z], value)) in positions.iter().zip(values).enumerate() {
             // One NaN, one zero.
             let bits = if value.is_nan() { f32::NAN } else { value + 0.0 }.to_bits();
             equals.push([*x as u64, *y as u64, *z as u64, u64::from(bits), v as u64])?;
         }
-        let mut answers: Sorter<[u64; 2]> = Sorter::new(memory, settings.scratch);
+        let mut answers: Sorter<[u64; 2]> = Sorter::new(memory, &settings.scratch);
         let (mut sorted, mut first, mut repeated) = (equals.finish()?, [u64::MAX; 5], 0);
         while let Some(vertex) = sorted.next()? {
             if vertex[..4] == first[..4] {
@@ -52,9 +52,9 @@ impl Firsts {
     pub(crate) fn known(
         mut next: impl FnMut() -> Result<Option<[u64; 2]>>,
         vertices: u64,
-        settings: &StoreSettings<'_>,
+        settings: &StoreSettings,
     ) -> Result<Self> {
-        let (mut of, mut repeated, mut pair) = (ColumnWriter::new(settings.scratch)?, 0, next()?);
+        let (mut of, mut repeated, mut pair) = (ColumnWriter::new(&settings.scratch)?, 0, next()?);
         for v in 0..vertices {
             match pair {
                 Some([vertex, first]) if vertex == v => {

@@ -49,7 +49,7 @@ impl OwnVertices {
     ///
     /// # Errors
     /// [`Error::BadInput`] for a tetrahedron that rounding makes flat or turns over; [`Error::Budget`] where memory does not hold the list.
-    pub(crate) fn new(store: &CellStore, settings: &StoreSettings<'_>, path: &Path) -> Result<Self> {
+    pub(crate) fn new(store: &CellStore, settings: &StoreSettings, path: &Path) -> Result<Self> {
         let positions = store.positions.get()?;
         let needed = positions.len() as u64 * POINT_BYTES;
         if needed > settings.memory {
@@ -68,7 +68,7 @@ impl OwnVertices {
         let points = ExplicitPoints::with_repeats(&store.frame.lattice, listed);
         // Of one position, the vertices have places by ascending numbers.
         let mut met = vec![0u32; points.len() as usize];
-        let mut places = ColumnWriter::new(settings.scratch)?;
+        let mut places = ColumnWriter::new(&settings.scratch)?;
         for (&p, used) in positions.iter().zip(&used) {
             places.push(&if *used {
                 let first = points.find(rounded(p)).expect("the list has all vertices that are used");
@@ -83,12 +83,7 @@ impl OwnVertices {
 }
 
 /// Notes the vertices of all tetrahedra, and adds up the volumes of these on the lattice.
-fn check_tets(
-    store: &CellStore,
-    settings: &StoreSettings<'_>,
-    path: &Path,
-    used: &mut [bool],
-) -> Result<u128> {
+fn check_tets(store: &CellStore, settings: &StoreSettings, path: &Path, used: &mut [bool]) -> Result<u128> {
     let (positions, tets) = (store.positions.get()?, store.tets.get()?);
     let (mut sum, mut lost, mut first) = (0u128, 0u64, None);
     for (number, tet) in tets.iter().enumerate() {
@@ -140,10 +135,10 @@ impl OwnCells {
         vertices: OwnVertices,
         store: &CellStore,
         bricks: &BrickGrid,
-        settings: &StoreSettings<'_>,
+        settings: &StoreSettings,
     ) -> Result<Self> {
         let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
-        let mut sorter: Sorter<[u64; 2]> = Sorter::new(memory, settings.scratch);
+        let mut sorter: Sorter<[u64; 2]> = Sorter::new(memory, &settings.scratch);
         let positions = store.positions.get()?;
         for (number, tet) in store.tets.get()?.iter().enumerate() {
             if number % BATCH == 0 {
@@ -155,7 +150,7 @@ impl OwnCells {
             }
         }
         let (mut cells, mut starts) =
-            (ColumnWriter::new(settings.scratch)?, ColumnWriter::new(settings.scratch)?);
+            (ColumnWriter::new(&settings.scratch)?, ColumnWriter::new(&settings.scratch)?);
         let mut sorted = sorter.finish()?;
         while let Some([brick, cell]) = sorted.next()? {
             while starts.len() <= brick {
@@ -207,13 +202,13 @@ impl OwnCells {
 }
 
 /// The vertex at each place.
-fn numbers_of(vertices: &OwnVertices, settings: &StoreSettings<'_>) -> Result<Column<u64>> {
+fn numbers_of(vertices: &OwnVertices, settings: &StoreSettings) -> Result<Column<u64>> {
     let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
-    let mut sorter: Sorter<[u64; 2]> = Sorter::new(memory, settings.scratch);
+    let mut sorter: Sorter<[u64; 2]> = Sorter::new(memory, &settings.scratch);
     for (number, &place) in vertices.places.get()?.iter().enumerate().filter(|(_, p)| **p != UNUSED) {
         sorter.push([u64::from(place), number as u64])?;
     }
-    let (mut sorted, mut numbers) = (sorter.finish()?, ColumnWriter::new(settings.scratch)?);
+    let (mut sorted, mut numbers) = (sorter.finish()?, ColumnWriter::new(&settings.scratch)?);
     while let Some([_, number]) = sorted.next()? {
         numbers.push(&number)?;
     }

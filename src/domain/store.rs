@@ -14,7 +14,7 @@ use crate::geom::LatticePos;
 use crate::geom::curve::hilbert_key;
 use crate::locate::{CellBatch, FINE_BITS, FinePos, volume6};
 use serde::Serialize;
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// What becomes of a value that is no finite number.
@@ -26,16 +26,17 @@ pub(crate) enum BadValue {
 }
 
 /// How a mesh is read.
-pub(crate) struct StoreSettings<'a> {
+#[derive(Clone)]
+pub(crate) struct StoreSettings {
     /// Bytes for sorting.
     pub(crate) memory: u64,
     /// Folder for the files.
-    pub(crate) scratch: &'a Path,
+    pub(crate) scratch: PathBuf,
     pub(crate) bad_value: BadValue,
     pub(crate) missing: Option<f64>,
     /// What is subtracted from all values before they become `f32`; [`BadValue::Use`] is meant after that.
     pub(crate) offset: f64,
-    pub(crate) cancel: &'a CancelToken,
+    pub(crate) cancel: CancelToken,
 }
 
 /// What was found in a mesh.
@@ -86,7 +87,7 @@ impl CellStore {
     ///
     /// # Errors
     /// When it cannot be read, has no volume, or the scratch folder cannot be written.
-    pub(crate) fn build(mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<Self> {
+    pub(crate) fn build(mesh: &CellMesh, settings: &StoreSettings) -> Result<Self> {
         Self::build_with(mesh, None, settings)
     }
 
@@ -97,12 +98,12 @@ impl CellStore {
     pub(crate) fn build_with(
         mesh: &CellMesh,
         known: Option<Firsts>,
-        settings: &StoreSettings<'_>,
+        settings: &StoreSettings,
     ) -> Result<Self> {
         let (path, mut identity) = (&mesh.info().path, IdentityHash::default());
         let (world, bounds) = read_points(mesh, settings, &mut identity)?;
         let frame = Frame::around(path, &bounds, world.get()?.len() as u64)?;
-        let mut positions = ColumnWriter::new(settings.scratch)?;
+        let mut positions = ColumnWriter::new(&settings.scratch)?;
         for &p in world.get()? {
             positions.push(&frame.fine(p))?;
         }
@@ -151,7 +152,7 @@ impl CellStore {
     ///
     /// # Errors
     /// When they cannot be read, or differ at vertices that are one in this store.
-    pub(crate) fn values_of(&self, mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<Column<f32>> {
+    pub(crate) fn values_of(&self, mesh: &CellMesh, settings: &StoreSettings) -> Result<Column<f32>> {
         let column = read_values(mesh, settings)?;
         let values = column.get()?;
         for (v, value) in values.iter().enumerate() {
@@ -196,10 +197,10 @@ impl CellStore {
 
 fn read_points(
     mesh: &CellMesh,
-    settings: &StoreSettings<'_>,
+    settings: &StoreSettings,
     identity: &mut IdentityHash,
 ) -> Result<(Column<[f64; 3]>, Bounds)> {
-    let (mut out, mut bounds) = (ColumnWriter::new(settings.scratch)?, Bounds::NONE);
+    let (mut out, mut bounds) = (ColumnWriter::new(&settings.scratch)?, Bounds::NONE);
     let (mut points, mut block) = (mesh.points()?, vec![]);
     while points.next_block(&mut block)? {
         settings.cancel.check()?;
@@ -212,8 +213,8 @@ fn read_points(
     Ok((out.finish()?, bounds))
 }
 
-fn read_values(mesh: &CellMesh, settings: &StoreSettings<'_>) -> Result<Column<f32>> {
-    let mut out = ColumnWriter::new(settings.scratch)?;
+fn read_values(mesh: &CellMesh, settings: &StoreSettings) -> Result<Column<f32>> {
+    let mut out = ColumnWriter::new(&settings.scratch)?;
     let (wanted, has_offset) = (settings.missing, settings.offset != 0.0);
     // As a text says it, "-1e20" is no f32 that a file may have.
     let missing = move |v: f64| {
@@ -265,11 +266,11 @@ struct TetSink {
 }
 
 impl TetSink {
-    fn new(settings: &StoreSettings<'_>) -> Result<Self> {
+    fn new(settings: &StoreSettings) -> Result<Self> {
         let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
         Ok(Self {
-            tets: ColumnWriter::new(settings.scratch)?,
-            faces: Sorter::new(memory, settings.scratch),
+            tets: ColumnWriter::new(&settings.scratch)?,
+            faces: Sorter::new(memory, &settings.scratch),
             volume6: 0,
             census: MeshCensus::default(),
         })
@@ -300,7 +301,7 @@ fn read_cells(
     mesh: &CellMesh,
     positions: &[FinePos],
     firsts: &Firsts,
-    settings: &StoreSettings<'_>,
+    settings: &StoreSettings,
     identity: &mut IdentityHash,
     sink: &mut TetSink,
 ) -> Result<()> {
@@ -328,10 +329,10 @@ fn boundary_of(
     faces: Sorter<[u64; 4]>,
     tets: u64,
     positions: &[FinePos],
-    settings: &StoreSettings<'_>,
+    settings: &StoreSettings,
 ) -> Result<(Column<[u64; 4]>, BodyOf)> {
     let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
-    let mut along: Sorter<[u64; 5]> = Sorter::new(memory, settings.scratch);
+    let mut along: Sorter<[u64; 5]> = Sorter::new(memory, &settings.scratch);
     let mut unions = Unions::new(tets, settings);
     let mut sorted = faces.finish()?;
     let mut next = sorted.next()?;
@@ -351,7 +352,7 @@ fn boundary_of(
     }
     drop(sorted);
     let mut body_of = unions.finish()?;
-    let (mut sorted, mut out) = (along.finish()?, ColumnWriter::new(settings.scratch)?);
+    let (mut sorted, mut out) = (along.finish()?, ColumnWriter::new(&settings.scratch)?);
     while let Some([_, a, b, c, tet]) = sorted.next()? {
         out.push(&[a, b, c, body_of.get(tet)?])?;
     }

@@ -37,11 +37,11 @@ pub(crate) struct Vertices {
 
 impl Vertices {
     /// Sorts the vertices into bricks.
-    pub(crate) fn new(store: &CellStore, bricks: &BrickGrid, settings: &StoreSettings<'_>) -> Result<Self> {
+    pub(crate) fn new(store: &CellStore, bricks: &BrickGrid, settings: &StoreSettings) -> Result<Self> {
         let memory = usize::try_from(settings.memory).unwrap_or(usize::MAX);
         let positions = store.positions.get()?;
         let mut bodies = bodies_of(store, positions.len() as u64, settings)?;
-        let mut sorter: Sorter<[u64; 3]> = Sorter::new(memory, settings.scratch);
+        let mut sorter: Sorter<[u64; 3]> = Sorter::new(memory, &settings.scratch);
         for (number, &p) in (0..).zip(positions) {
             if let Some(body) = bodies.get(number)?.checked_sub(1) {
                 sorter.push([bricks.id(bricks.brick_at(rounded(p))).0, number, body])?;
@@ -49,7 +49,7 @@ impl Vertices {
         }
         drop(bodies);
         let (mut all, mut starts) =
-            (ColumnWriter::new(settings.scratch)?, ColumnWriter::new(settings.scratch)?);
+            (ColumnWriter::new(&settings.scratch)?, ColumnWriter::new(&settings.scratch)?);
         let mut sorted = sorter.finish()?;
         while let Some([brick, number, body]) = sorted.next()? {
             while starts.len() <= brick {
@@ -82,8 +82,8 @@ impl Vertices {
 }
 
 /// One more than the body of each vertex; 0 of those without a tetrahedron.
-fn bodies_of(store: &CellStore, vertices: u64, settings: &StoreSettings<'_>) -> Result<Paged<u64>> {
-    let mut bodies = Paged::new(vertices, settings.memory, settings.scratch);
+fn bodies_of(store: &CellStore, vertices: u64, settings: &StoreSettings) -> Result<Paged<u64>> {
+    let mut bodies = Paged::new(vertices, settings.memory, &settings.scratch);
     for (number, tet) in (0..).zip(store.tets.get()?) {
         if number % BATCH as u64 == 0 {
             settings.cancel.check()?;

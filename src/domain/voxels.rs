@@ -21,7 +21,7 @@ impl<'a> Voxels<'a> {
     pub(crate) const SAMPLE_BYTES: u64 = 2 * 40 + size_of::<Found>() as u64 + 4;
 
     /// Sorts the cells of a mesh into blocks.
-    pub(crate) fn new(store: &'a CellStore, blocks: BrickGrid, settings: &StoreSettings<'_>) -> Result<Self> {
+    pub(crate) fn new(store: &'a CellStore, blocks: BrickGrid, settings: &StoreSettings) -> Result<Self> {
         let buckets = Buckets::new(store, &blocks, settings)?;
         Ok(Self { store, blocks, buckets })
     }

@@ -5,6 +5,7 @@
 //! a slice is missing: a volume with a slice less would be silently wrong, so that is an error that names the numbers.
 
 use super::has_suffix;
+use crate::archive::publish::folder_of;
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -17,7 +18,7 @@ pub(super) fn is_pattern(path: &Path) -> bool {
 /// The files that a pattern stands for, in the order of their numbers.
 pub(super) fn matching(pattern: &Path) -> Result<Vec<PathBuf>> {
     let name = pattern.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    let folder = pattern.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = folder_of(pattern);
     let names: Vec<String> =
         names_in(folder)?.into_iter().filter(|n| matches(name.as_bytes(), n.as_bytes())).collect();
     if names.is_empty() {

@@ -18,7 +18,7 @@
 //! kept where the format has them beside the vertices (PLY, VTP, GLB) and are zero otherwise. Positions are stored as `f32`; one
 //! that is not finite is an error.
 
-use crate::archive::publish::Unpublished;
+use crate::archive::publish::{Unpublished, folder_of};
 use crate::bytes::ByteSource;
 use crate::bytes::sorter::Sorter;
 use crate::error::{Error, Result};
@@ -267,10 +267,7 @@ pub(super) struct Sink {
 impl Sink {
     pub(super) fn create(path: &Path) -> Result<Self> {
         let target = resolve(path)?;
-        let parent = match target.parent() {
-            Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
-            _ => PathBuf::from("."),
-        };
+        let parent = folder_of(&target).to_path_buf();
         if !parent.is_dir() {
             return Err(Error::usage(format!(
                 "cannot write {}: there is no folder {}; create it first",

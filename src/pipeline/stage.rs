@@ -2,6 +2,7 @@
 
 use serde::{Serialize, Serializer};
 use std::fmt;
+use std::time::Duration;
 
 /// A part of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -68,6 +69,30 @@ impl Stage {
             Self::Join => "read, join",
             Self::Total => "total",
         }
+    }
+}
+
+/// Time spent in each stage, summed over threads.
+#[derive(Clone, Copy, Debug, Default)]
+pub(in crate::pipeline) struct StageTimes {
+    pub(in crate::pipeline) mesh: Duration,
+    pub(in crate::pipeline) sample: Duration,
+    pub(in crate::pipeline) fit: Duration,
+    pub(in crate::pipeline) measure: Duration,
+    pub(in crate::pipeline) encode: Duration,
+    pub(in crate::pipeline) spectrum: Duration,
+    pub(in crate::pipeline) write: Duration,
+}
+
+impl StageTimes {
+    pub(in crate::pipeline) fn add(&mut self, other: &Self) {
+        self.mesh += other.mesh;
+        self.sample += other.sample;
+        self.fit += other.fit;
+        self.measure += other.measure;
+        self.encode += other.encode;
+        self.spectrum += other.spectrum;
+        self.write += other.write;
     }
 }
 

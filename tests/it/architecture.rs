@@ -131,6 +131,42 @@ fn the_table_of_rooms_is_the_code_s() {
     }
 }
 
+/// The files of a room, and the files of the same room that each uses. A `mod.rs` is the room's face:
+/// it may use all of them, and is left out.
+fn files_of_a_room(room: &Path) -> Imports {
+    let mut files = vec![];
+    sources(room, &mut files);
+    let stem = |file: &PathBuf| file.file_stem().unwrap().to_string_lossy().into_owned();
+    let names: BTreeSet<String> = files.iter().map(stem).filter(|name| name != "mod").collect();
+    let mut found = Imports::new();
+    for file in files.iter().filter(|file| file.parent() == Some(room) && stem(file) != "mod") {
+        let text = code(&fs::read_to_string(file).unwrap());
+        let used = text.split("use super::").skip(1).flat_map(names_of);
+        found.insert(stem(file), used.filter(|name| names.contains(name)).collect());
+    }
+    found
+}
+
+fn names_of(text: &str) -> Vec<String> {
+    names(text).into_iter().map(str::to_owned).collect()
+}
+
+#[test]
+fn the_files_of_a_room_have_no_circles() {
+    let pipeline = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/pipeline");
+    let rooms = fs::read_dir(pipeline).unwrap().map(|entry| entry.unwrap().path());
+    for room in rooms.filter(|path| path.is_dir()) {
+        let mut left = files_of_a_room(&room);
+        assert!(!left.is_empty(), "{room:?}");
+        // Files that use none of those that are left go, until none does.
+        while let Some(free) = left.iter().find(|(_, used)| used.iter().all(|u| !left.contains_key(u))) {
+            let free = free.0.clone();
+            left.remove(&free);
+        }
+        assert!(left.is_empty(), "files of {room:?} use one another in a circle: {left:#?}");
+    }
+}
+
 /// The rows of the table below a heading: their order, and what each lists.
 fn rows(text: &str, heading: &str) -> (Vec<String>, Imports) {
     let table = text.split(&format!("\n{heading}\n")).nth(1).expect("the heading");

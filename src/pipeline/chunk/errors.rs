@@ -8,7 +8,7 @@
 //! the source, and the scan conversion ([`crate::raster`]) visits each sample of the domain in exactly one tetrahedron. Which
 //! samples lie in a tetrahedron, and with which weights, is found out once for all steps that are measured together.
 
-use super::step_errors::Room;
+use super::step_errors::{Measured, Room};
 use super::step_lanes::StepLanes;
 use super::step_samples::WindowSamples;
 use crate::archive::chunked::ChunkSegment;
@@ -19,7 +19,7 @@ use crate::error::{Error, Result};
 use crate::exec::with_vectors;
 use crate::geom::{Lattice, LatticePos};
 use crate::grid::{ChunkId, IndexBox};
-use crate::measure::{BrickErrors, ComparedAt, ErrorSums, FieldError, LevelError, Tally, Worst};
+use crate::measure::{BrickErrors, ErrorSums, FieldError, LevelError, Tally, Worst};
 use crate::mesh::tet::Tet;
 use crate::pipeline::inputs::treat_missing;
 use crate::pipeline::plan::ERROR_WINDOW;
@@ -76,33 +76,6 @@ pub(in crate::pipeline) struct Cells<'a> {
     pub(in crate::pipeline) tets: &'a [Tet],
     /// End of each block in `tets`.
     pub(in crate::pipeline) block_ends: &'a [usize],
-}
-
-/// Some samples that are measured, at a step.
-pub(in crate::pipeline) struct Measured<'a> {
-    /// Which of the steps.
-    pub(super) step: usize,
-    /// Reduced values are NaN in a tetrahedron with a void corner.
-    pub(in crate::pipeline) compared: ComparedAt<'a>,
-    pub(super) window: &'a IndexBox,
-    /// The place of each in the window.
-    pub(super) places: &'a [u32],
-}
-
-impl Measured<'_> {
-    /// The place of one among the samples of the volume.
-    #[inline]
-    pub(in crate::pipeline) fn place(&self, n: usize) -> [u64; 3] {
-        let (at, [x, y, _]) = (u64::from(self.places[n]), self.window.dims());
-        [self.window.lo[0] + at % x, self.window.lo[1] + at / x % y, self.window.lo[2] + at / x / y]
-    }
-
-    /// The number of one in a volume of so many samples along each axis.
-    #[inline]
-    pub(super) fn number(&self, n: usize, dims: [u64; 3]) -> u64 {
-        let [x, y, z] = self.place(n);
-        (z * dims[1] + y) * dims[0] + x
-    }
 }
 
 /// Blocks are taken together as long as the box around them has no more samples.

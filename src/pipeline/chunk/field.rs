@@ -1,74 +1,71 @@
 //! Where the values at the vertices of a chunk come from, and which tetrahedra lie outside of the data.
 //!
-//! The mesh of a chunk knows positions only. A [`Field`] of each step is asked for each chunk; vertices are grouped by bricks, so that
-//! what is read for a group lies together.
+//! The mesh of a chunk knows positions only. A [`Field`] of each step is asked for each chunk. Vertices
+//! are grouped by bricks, so that what is read for a group lies together.
 
 use super::errors::Originals;
-use super::fit::FittedTo;
-use super::groups::Groups;
 use super::mesh_field::CellField;
 use super::own_field::OwnField;
+use super::placement::Placement;
 use super::volume_field;
 use super::volume_field::GridField;
-use crate::domain::boundary::OnBoundary;
 use crate::error::Result;
 use crate::exec::CancelToken;
-use crate::geom::LatticePos;
-use crate::grid::{BrickGrid, BrickId, Chunk};
-use crate::locate::Found;
+use crate::grid::Chunk;
 use crate::pipeline::read::MeshedChunk;
 
-/// Where the vertices of a chunk lie in the data: the same for all steps of a series.
-#[derive(Clone, Debug, Default)]
-pub(in crate::pipeline) struct Placement {
-    /// Of a tetrahedral mesh: where each vertex lies, those around the chunk last.
-    pub(in crate::pipeline) spots: Vec<Spot>,
-    /// For each tetrahedron, those around the chunk last, whether it lies outside of the data; empty where none does.
-    pub(in crate::pipeline) outside: Vec<bool>,
-    /// Of a volume: which vertices are sampled together.
-    pub(super) groups: Groups,
-    /// Of a mesh that is kept as it is: which of its vertices each is.
-    pub(super) vertices: Vec<u64>,
+/// The data of a step: a source of values at any place.
+pub(in crate::pipeline) enum Field<'a> {
+    /// The samples of a volume.
+    Grid(GridField),
+    /// The cells of a mesh.
+    Cells(CellField<'a>),
+    /// The vertices of a mesh that is kept as it is.
+    Own(OwnField<'a>),
 }
 
-/// Where a vertex of a chunk lies in a tetrahedral mesh; by default nowhere.
-#[derive(Clone, Copy, Debug)]
-pub(in crate::pipeline) struct Spot {
-    pub(super) at: Place,
-    /// The body that it belongs to.
-    pub(super) body: u64,
-    /// On the boundary: tetrahedra there may be outside.
-    pub(super) rim: bool,
-}
+impl Field<'_> {
+    /// Where the vertices of a chunk lie, and its tetrahedra outside of the data. The answer serves all
+    /// steps of a series.
+    ///
+    /// # Errors
+    /// When the data cannot be read.
+    pub(in crate::pipeline) fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
+        match self {
+            Self::Grid(grid) => Ok(grid.place(mesh)),
+            Self::Cells(cells) => cells.place(mesh),
+            Self::Own(own) => own.place(mesh),
+        }
+    }
 
-/// What a value in a mesh is made from.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Place {
-    Nowhere,
-    Cell(Found),
-    Boundary(OnBoundary),
-}
+    /// The samples that the values are made from.
+    pub(in crate::pipeline) fn originals(&self) -> Originals<'_> {
+        match self {
+            Self::Grid(grid) => grid.originals(),
+            Self::Cells(cells) => Originals::Mesh(cells.store, &cells.values),
+            Self::Own(own) => Originals::Mesh(own.mesh.store, &own.values),
+        }
+    }
 
-/// The body of a point outside of the mesh.
-pub(super) const NO_BODY: u64 = u64::MAX;
+    /// Hints that a chunk will be asked for soon.
+    pub(in crate::pipeline) fn will_need(&self, chunk: &Chunk) {
+        if let Self::Grid(grid) = self {
+            grid.will_need(chunk);
+        }
+    }
 
-impl Default for Spot {
-    fn default() -> Self {
-        Self { at: Place::Nowhere, body: NO_BODY, rim: false }
+    /// Says that no chunk before this one will be asked for again; chunks pass in order.
+    pub(in crate::pipeline) fn pass(&self, chunk: &Chunk) {
+        if let Self::Grid(grid) = self {
+            grid.pass(chunk);
+        }
     }
 }
 
-/// What values are interpolated from.
-pub(in crate::pipeline) enum Source<'a> {
-    Grid(&'a GridField),
-    Cells(&'a CellField<'a>),
-    Own(&'a OwnField<'a>),
-}
-
-/// Interpolated values at the vertices of a chunk at some steps, in their order; where values are fitted, then those at the vertices around.
-/// `note` is told of the step that was read.
+/// Interpolated values at the vertices of a chunk at some steps, in their order; where values are
+/// fitted, then those at the vertices around. `note` gets the step that was read.
 pub(in crate::pipeline) fn interpolated(
-    fields: &[&dyn Field],
+    fields: &[&Field<'_>],
     mesh: &MeshedChunk,
     placement: &Placement,
     cancel: &CancelToken,
@@ -77,13 +74,13 @@ pub(in crate::pipeline) fn interpolated(
     let mut values = vec![vec![]; fields.len()];
     let mut grids = vec![];
     for (n, field) in fields.iter().enumerate() {
-        match field.source() {
-            Source::Grid(grid) => grids.push(grid),
-            Source::Cells(cells) => {
+        match field {
+            Field::Grid(grid) => grids.push(grid),
+            Field::Cells(cells) => {
                 cancel.check()?;
                 note(n, cells.interpolated(placement).map(|found| values[n] = found))?;
             }
-            Source::Own(own) => {
+            Field::Own(own) => {
                 cancel.check()?;
                 note(n, own.at_vertices(placement).map(|found| values[n] = found))?;
             }
@@ -93,77 +90,4 @@ pub(in crate::pipeline) fn interpolated(
         volume_field::interpolate(&grids, mesh, &placement.groups, &mut values, cancel, note)?;
     }
     Ok(values)
-}
-
-/// A source of values.
-pub(in crate::pipeline) trait Field: Sync {
-    /// Where the vertices of a chunk lie, and its tetrahedra outside of the data. The answer serves all steps of a series.
-    ///
-    /// # Errors
-    /// When the data cannot be read.
-    fn place(&self, mesh: &MeshedChunk) -> Result<Placement>;
-
-    /// What values are interpolated from: the same for all steps.
-    fn source(&self) -> Source<'_>;
-
-    /// What values are to be fitted to: the same for all steps.
-    fn fitted_to(&self) -> FittedTo<'_>;
-
-    /// The samples that the values are made from.
-    fn originals(&self) -> Originals<'_>;
-
-    /// Tells that a chunk will be asked for soon; a hint.
-    fn will_need(&self, chunk: &Chunk);
-
-    /// Tells that no chunk before this one will be asked for again; chunks pass in order.
-    fn pass(&self, chunk: &Chunk);
-}
-
-/// Calls `sample` with the positions of each brick that has some of the chunk's vertices, and puts its answers in the
-/// order of the vertices. Core vertices come brick by brick; halo vertices are few and lie in many bricks.
-pub(super) fn by_brick<T: Clone + Default>(
-    bricks: &BrickGrid,
-    mesh: &MeshedChunk,
-    mut sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
-) -> Result<Vec<T>> {
-    let mut out = Vec::with_capacity(mesh.vertices());
-    let mut start = 0;
-    for &count in &mesh.core_counts {
-        let group = &mesh.positions()[start..start + count as usize];
-        if let Some(&first) = group.first() {
-            sample(bricks.id(bricks.brick_at(first)), group, &mut out)?;
-        }
-        start += count as usize;
-    }
-    let halo = in_bricks(bricks, &mesh.positions()[start..], sample)?;
-    out.extend(halo);
-    Ok(out)
-}
-
-/// The numbers of positions with their bricks, in order of bricks.
-pub(super) fn brick_order(bricks: &BrickGrid, positions: &[LatticePos]) -> Vec<(BrickId, u32)> {
-    let mut order: Vec<(BrickId, u32)> =
-        positions.iter().enumerate().map(|(i, &p)| (bricks.id(bricks.brick_at(p)), i as u32)).collect();
-    order.sort_unstable();
-    order
-}
-
-/// As [`by_brick`], of positions in any order.
-pub(super) fn in_bricks<T: Clone + Default>(
-    bricks: &BrickGrid,
-    positions: &[LatticePos],
-    mut sample: impl FnMut(BrickId, &[LatticePos], &mut Vec<T>) -> Result<()>,
-) -> Result<Vec<T>> {
-    let mut out = vec![T::default(); positions.len()];
-    let (mut group, mut found) = (vec![], vec![]);
-    for run in brick_order(bricks, positions).chunk_by(|a, b| a.0 == b.0) {
-        group.clear();
-        group.extend(run.iter().map(|&(_, i)| positions[i as usize]));
-        found.clear();
-        sample(run[0].0, &group, &mut found)?;
-        for (&(_, i), value) in run.iter().zip(found.drain(..)) {
-            out[i as usize] = value;
-        }
-    }
-    Ok(out)
 }

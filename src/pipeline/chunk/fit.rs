@@ -6,8 +6,9 @@
 //!
 //! The samples of a mesh are its vertices: each lies in one tetrahedron of the reduction, and tells its corners where that is of the same body.
 
-use super::field::{Field, Placement};
+use super::field::Field;
 use super::mesh_field::CellField;
+use super::placement::Placement;
 use super::volume_field::GridField;
 use crate::archive::values::Quantiser;
 use crate::domain::vertices::Vertices;
@@ -17,23 +18,15 @@ use crate::fit::{BrickTets, Fit, FitMesh, Windows, window_edge};
 use crate::mesh::tet::Tet;
 use crate::pipeline::read::MeshedChunk;
 use crate::raster::{PointLocator, SampleGrid};
-
-/// What values are fitted to.
-pub(in crate::pipeline) enum FittedTo<'a> {
-    Nothing,
-    /// The samples of a volume.
-    Samples(&'a GridField),
-    /// The values of a mesh at its vertices, which lie there.
-    Vertices(&'a CellField<'a>, &'a Vertices),
-}
+use crate::sample::Values;
 
 /// The values of a chunk's vertices at some steps, fitted where that is wanted; from the
 /// interpolated ones of these and of the vertices around. Those of a step with a quantiser are
-/// rounded, to a multiple within the samples around where there is one. `note` is told of the step
+/// rounded, to a multiple within the samples around where there is one. `note` gets the step
 /// whose samples were read; `memory` is kept from chunk to chunk, so that its pages are not asked
 /// for again.
 pub(in crate::pipeline) fn fitted(
-    wanted: &[(&dyn Field, Option<Quantiser>)],
+    wanted: &[(&Field<'_>, Option<Quantiser>)],
     mesh: &mut MeshedChunk,
     placement: &Placement,
     interpolated: Vec<Vec<f32>>,
@@ -44,10 +37,10 @@ pub(in crate::pipeline) fn fitted(
     let steps: Vec<&[f32]> = interpolated.iter().map(Vec::as_slice).collect();
     let (mut grids, mut cells) = (vec![], vec![]);
     for (field, _) in wanted {
-        match field.fitted_to() {
-            FittedTo::Nothing => {}
-            FittedTo::Samples(field) => grids.push(field),
-            FittedTo::Vertices(field, vertices) => cells.push((field, vertices)),
+        match field {
+            Field::Grid(field) if field.values == Values::Fit => grids.push(field),
+            Field::Cells(field) => cells.extend(field.fitted_to.map(|vertices| (field, vertices))),
+            Field::Grid(_) | Field::Own(_) => {}
         }
     }
     if grids.is_empty() && cells.is_empty() {

@@ -2,9 +2,7 @@
 //!
 //! Values can be fitted to those at the mesh's vertices ([`super::fit`]).
 
-use super::errors::Originals;
-use super::field::{Field, NO_BODY, Place, Placement, Source, Spot, brick_order, by_brick, in_bricks};
-use super::fit::FittedTo;
+use super::placement::{NO_BODY, Place, Placement, Spot, brick_order, by_brick, in_bricks};
 use crate::domain::boundary::{BoundarySamples, OnBoundary, Sample};
 use crate::domain::buckets::Buckets;
 use crate::domain::column::Column;
@@ -13,7 +11,7 @@ use crate::domain::vertices::Vertices;
 use crate::error::Result;
 use crate::geom::LatticePos;
 use crate::geom::predicates::signed_volume6;
-use crate::grid::{BrickGrid, BrickId, Chunk};
+use crate::grid::{BrickGrid, BrickId};
 use crate::locate::{
     CellBatch, Corner, FINE_BITS, FinePos, Found, PointGrid, fine, linear, quadratic, quadratic_thesis,
 };
@@ -35,8 +33,9 @@ pub(in crate::pipeline) struct CellField<'a> {
     pub(in crate::pipeline) fitted_to: Option<&'a Vertices>,
 }
 
-impl Field for CellField<'_> {
-    fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
+impl CellField<'_> {
+    /// Where the vertices of a chunk lie.
+    pub(super) fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
         let mut batch = CellBatch::default();
         let mut find = |brick, positions: &[LatticePos], out: &mut Vec<Spot>| {
             self.spots(brick, positions, &mut batch, out)
@@ -47,24 +46,6 @@ impl Field for CellField<'_> {
         Ok(Placement { spots, outside, ..Placement::default() })
     }
 
-    fn source(&self) -> Source<'_> {
-        Source::Cells(self)
-    }
-
-    fn fitted_to(&self) -> FittedTo<'_> {
-        self.fitted_to.map_or(FittedTo::Nothing, |vertices| FittedTo::Vertices(self, vertices))
-    }
-
-    fn originals(&self) -> Originals<'_> {
-        Originals::Mesh(self.store, &self.values)
-    }
-
-    fn will_need(&self, _chunk: &Chunk) {}
-
-    fn pass(&self, _chunk: &Chunk) {}
-}
-
-impl CellField<'_> {
     /// The values at the vertices of a chunk, and at those around.
     pub(super) fn interpolated(&self, placement: &Placement) -> Result<Vec<f32>> {
         let at_hand = AtHand::of(self)?;

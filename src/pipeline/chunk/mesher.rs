@@ -3,14 +3,12 @@
 //! Everything here is a function of the plan and the chunk alone: no chunk sees another, so chunks can be made in any
 //! order, on any machine, twice, and give the same result.
 
-use super::own_field::OwnMesh;
+use super::recipe::{OwnMesh, Recipe};
 use crate::archive::vertices::order_halo;
 use crate::error::Result;
 use crate::exec::CancelToken;
-use crate::geom::curve::Order;
 use crate::geom::{LatticeBox, LatticePos, PointId, Site};
-use crate::grid::{BrickGrid, Chunk};
-use crate::mesh::bcc::{BccChunk, BccMesh};
+use crate::grid::Chunk;
 use crate::mesh::chunk::{Border, ChunkMesh, ChunkOutcome, ChunkRegion, Manner, mesh_around, mesh_widening};
 use crate::mesh::delaunay::Mesher;
 use crate::mesh::list::TetList;
@@ -19,34 +17,6 @@ use crate::pipeline::plan::{Halo, check_brick, estimate};
 use crate::pipeline::read::MeshedChunk;
 use crate::points::PointSet;
 use std::collections::HashMap;
-
-/// What the chunks of one archive have in common.
-pub(in crate::pipeline) struct Recipe<'a> {
-    pub(in crate::pipeline) points: &'a PointSet,
-    pub(in crate::pipeline) bricks: BrickGrid,
-    pub(in crate::pipeline) order: Order,
-    /// What is asked for of a chunk's surroundings.
-    pub(in crate::pipeline) halo: Halo,
-    /// The mesh, where it follows by formula.
-    pub(in crate::pipeline) bcc: Option<BccMesh>,
-    /// The mesh whose own tetrahedra are kept, where they are.
-    pub(in crate::pipeline) own: Option<OwnMesh<'a>>,
-}
-
-impl Recipe<'_> {
-    /// A chunk whose mesh follows by formula.
-    pub(in crate::pipeline) fn bcc_chunk(&self, chunk: &Chunk) -> Option<BccChunk> {
-        let [lo, hi] = self.bricks.cells_of(chunk);
-        self.bcc.map(|mesh| mesh.chunk(lo, hi))
-    }
-
-    /// The boxes of a chunk, at first.
-    fn boxes(&self, chunk: &Chunk) -> ChunkRegion {
-        let (points, core, domain) = (self.points, chunk.core, self.bricks.lattice.domain());
-        let near = estimate::near(points, &core, &domain, self.halo);
-        ChunkRegion { core, near, region: estimate::region(points, &core, &domain, self.halo, 0), domain }
-    }
-}
 
 /// What came of meshing a chunk.
 pub(in crate::pipeline) enum Meshing {

@@ -14,6 +14,8 @@ mod groups;
 mod mesh_field;
 mod mesher;
 mod own_field;
+mod placement;
+mod recipe;
 mod step_errors;
 pub(super) mod step_lanes;
 mod step_samples;
@@ -22,10 +24,12 @@ mod volume_field;
 pub(super) use errors::{
     Cells, Originals, SampleErrors, Samples, field_error_of, stored_error, stored_errors,
 };
-pub(super) use field::{Field, Placement, interpolated};
+pub(super) use field::{Field, interpolated};
 pub(super) use fit::fitted;
 pub(super) use mesh_field::CellField;
-pub(super) use mesher::{ChunkMesher, Meshing, Recipe};
-pub(super) use own_field::{OwnField, OwnMesh};
+pub(super) use mesher::{ChunkMesher, Meshing};
+pub(super) use own_field::OwnField;
+pub(super) use placement::Placement;
+pub(super) use recipe::{OwnMesh, Recipe};
 pub(super) use step_lanes::StepLanes;
 pub(super) use volume_field::GridField;

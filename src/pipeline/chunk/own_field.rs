@@ -6,27 +6,16 @@
 //! distance is recorded as the number of times that a halo would have to be widened, as for a
 //! meshed chunk ([`estimate::region`]).
 
-use super::errors::Originals;
-use super::field::{Field, Placement, Source};
-use super::fit::FittedTo;
-use super::mesher::Recipe;
+use super::placement::Placement;
+use super::recipe::{OwnMesh, Recipe};
 use crate::archive::vertices::order_halo;
 use crate::domain::column::Column;
-use crate::domain::own::OwnCells;
-use crate::domain::store::CellStore;
 use crate::error::{Error, Result};
 use crate::geom::{LatticePos, PointClass, PointId, Site};
 use crate::grid::Chunk;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::MeshedChunk;
 use std::collections::HashMap;
-
-/// A mesh whose own tetrahedra are kept.
-#[derive(Clone, Copy)]
-pub(in crate::pipeline) struct OwnMesh<'a> {
-    pub(in crate::pipeline) store: &'a CellStore,
-    pub(in crate::pipeline) cells: &'a OwnCells,
-}
 
 /// Tetrahedra for a point of a meshed chunk: so many more need memory as more points do.
 const TETS_A_POINT: u64 = 6;
@@ -105,30 +94,13 @@ impl OwnField<'_> {
         let values = self.values.get()?;
         Ok(placement.vertices.iter().map(|&v| values[v as usize]).collect())
     }
-}
 
-impl Field for OwnField<'_> {
-    fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
+    /// Which of the vertices of the mesh those of a chunk are.
+    pub(super) fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
         let core = places_of(self.mesh, &mesh.positions()[..mesh.core_len()])?;
         let places = core.into_iter().chain(mesh.halo.iter().map(|id| id.index()));
         Ok(Placement { vertices: self.mesh.cells.numbers_at(places)?, ..Placement::default() })
     }
-
-    fn source(&self) -> Source<'_> {
-        Source::Own(self)
-    }
-
-    fn fitted_to(&self) -> FittedTo<'_> {
-        FittedTo::Nothing
-    }
-
-    fn originals(&self) -> Originals<'_> {
-        Originals::Mesh(self.mesh.store, &self.values)
-    }
-
-    fn will_need(&self, _chunk: &Chunk) {}
-
-    fn pass(&self, _chunk: &Chunk) {}
 }
 
 /// The places in the list of a chunk's core points. Those that share a position follow each other, by ascending places, and are all there.

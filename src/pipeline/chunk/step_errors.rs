@@ -3,18 +3,43 @@
 //! Which tetrahedron holds a sample, and with which weights, is the same at all steps. So the
 //! values of a vertex at several steps are interleaved.
 
-#[cfg(target_arch = "x86_64")]
-use super::errors::Measured;
 use super::step_lanes::{Lanes, StepLanes};
 use super::step_samples::{Rows, WindowSamples};
 use crate::exec::lanes::{Eight, Floats, Pair, Plain, Vector, four, sorted};
 use crate::exec::{Avx2, Avx512, with_avx512, with_vectors};
 use crate::grid::IndexBox;
-use crate::measure::{Compared, TOGETHER};
+use crate::measure::{Compared, ComparedAt, TOGETHER};
 use crate::mesh::tet::Tet;
 use crate::raster::{MEMBERS, Members, interpolate};
 
 const _: () = assert!(MEMBERS <= TOGETHER);
+
+/// Some samples that are measured, at a step.
+pub(in crate::pipeline) struct Measured<'a> {
+    /// Which of the steps.
+    pub(super) step: usize,
+    /// Reduced values are NaN in a tetrahedron with a void corner.
+    pub(in crate::pipeline) compared: ComparedAt<'a>,
+    pub(super) window: &'a IndexBox,
+    /// The place of each in the window.
+    pub(super) places: &'a [u32],
+}
+
+impl Measured<'_> {
+    /// The place of one among the samples of the volume.
+    #[inline]
+    pub(in crate::pipeline) fn place(&self, n: usize) -> [u64; 3] {
+        let (at, [x, y, _]) = (u64::from(self.places[n]), self.window.dims());
+        [self.window.lo[0] + at % x, self.window.lo[1] + at / x % y, self.window.lo[2] + at / x / y]
+    }
+
+    /// The number of one in a volume of so many samples along each axis.
+    #[inline]
+    pub(super) fn number(&self, n: usize, dims: [u64; 3]) -> u64 {
+        let [x, y, z] = self.place(n);
+        (z * dims[1] + y) * dims[0] + x
+    }
+}
 
 /// Some samples at the steps that lie side by side.
 pub(super) struct Room {

@@ -1,9 +1,8 @@
 //! The field of a structured volume: the points of some bricks are interpolated from the samples around them, read for that.
 
 use super::errors::Originals;
-use super::field::{Field, Placement, Source};
-use super::fit::FittedTo;
 use super::groups::Groups;
+use super::placement::Placement;
 use crate::error::{Error, Result};
 use crate::exec::{CancelToken, with_vectors};
 use crate::geom::LatticePos;
@@ -68,33 +67,22 @@ pub(super) fn interpolate(
     Ok(())
 }
 
-impl Field for GridField {
-    fn place(&self, mesh: &MeshedChunk) -> Result<Placement> {
-        Ok(Placement { groups: Groups::of(&self.bricks, mesh), ..Placement::default() })
+impl GridField {
+    pub(super) fn place(&self, mesh: &MeshedChunk) -> Placement {
+        Placement { groups: Groups::of(&self.bricks, mesh), ..Placement::default() }
     }
 
-    fn source(&self) -> Source<'_> {
-        Source::Grid(self)
-    }
-
-    fn fitted_to(&self) -> FittedTo<'_> {
-        match self.values {
-            Values::Fit => FittedTo::Samples(self),
-            Values::Sample => FittedTo::Nothing,
-        }
-    }
-
-    fn originals(&self) -> Originals<'_> {
+    pub(super) fn originals(&self) -> Originals<'_> {
         Originals::Volume { reader: &*self.reader, missing: self.missing, stand_in: self.stand_in }
     }
 
-    fn will_need(&self, chunk: &Chunk) {
+    pub(super) fn will_need(&self, chunk: &Chunk) {
         self.reader.will_need(self.voxels_of(chunk));
     }
 
-    /// Gives up the samples that no later chunk will need: those below the layer of chunks that lies before the current one,
-    /// as a halo reaches into its neighbours.
-    fn pass(&self, chunk: &Chunk) {
+    /// Gives up the samples that no later chunk will need: those below the layer of chunks that lies
+    /// before the current one, as a halo reaches into its neighbours.
+    pub(super) fn pass(&self, chunk: &Chunk) {
         let samples = self.voxels_of(chunk);
         let keep = samples.lo[2].saturating_sub(samples.dims()[2]);
         let released = self.released.fetch_max(keep, Ordering::Relaxed);
@@ -102,9 +90,7 @@ impl Field for GridField {
             self.reader.release(released..keep);
         }
     }
-}
 
-impl GridField {
     /// Reads the samples of a window that values are fitted to; NaN is none.
     pub(super) fn read_window(&self, window: IndexBox, out: &mut [f32]) -> Result<()> {
         self.reader.read_box(window, out)?;

@@ -1,5 +1,6 @@
 //! `export`: the reduced tetrahedra as a mesh for other programs, each point once.
 
+use crate::archive::publish::folder_of;
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Resources, pool};
 use crate::formats::vtu::{PACKING_BYTES, TetMeta, write_vtu};
@@ -9,7 +10,7 @@ use crate::pipeline::read::{Blocks, Cut, DecodedChunk, Frontier, Place, Roi, Roi
 use crate::pipeline::stage::{Stage, StageSeconds};
 use crate::tets::{ChunkTets, TetBuilder};
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 /// Which corners of a tetrahedron must have a value in the range (as VTK's threshold filter asks).
@@ -114,18 +115,12 @@ pub(in crate::pipeline) fn export(
     let fixed = estimate::BASE + blocks.bytes() + if settings.compress { PACKING_BYTES } else { 0 };
     let rest = settings.resources.memory.saturating_sub(fixed);
     let share = |memory: u64| memory.saturating_sub(fixed) / 4 * 3;
-    let mut visit = Visit::new(
-        archive,
-        blocks,
-        settings.resources.threads,
-        share(settings.resources.memory),
-        &settings.resources.cancel,
-    )?;
+    let mut visit = Visit::new(archive, blocks, &settings.resources, share)?;
     if let Some(cut) = &cut {
         visit.confine(|region| cut.may_touch_box(region))?;
     }
-    visit.check_memory(settings.resources.memory, share, 0)?;
-    let scratch = settings.resources.scratch.clone().unwrap_or_else(|| parent_of(out));
+    visit.check_memory(0)?;
+    let scratch = settings.resources.scratch.clone().unwrap_or_else(|| folder_of(out).to_path_buf());
     let mut join = Join::new(&visit, settings, rest / 8, &scratch);
     progress.begin("export", visit.chunks.len() as u64, "chunks");
     let select = |_, chunk: DecodedChunk| Ok(selected(chunk, range, settings.corners, cut.as_ref()));
@@ -280,12 +275,5 @@ impl<'a> Join<'a> {
         }
         self.look_at = (2 * open).clamp(self.most_open / 64 + 1, self.most_open + 1);
         Ok(())
-    }
-}
-
-fn parent_of(file: &Path) -> PathBuf {
-    match file.parent() {
-        Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
-        _ => PathBuf::from("."),
     }
 }

@@ -7,22 +7,19 @@
 //! Cost: decoding the archive and reading the source once, and the scan conversion. Memory: some chunks; with a map of bricks, a
 //! record for each brick of a chunk, sorted on disk where memory does not hold them.
 
+use super::error_map::{Map, map_bytes};
 use super::own_errors::own_errors;
 use super::probe_points::{Find, Outside, each_value_of};
+use super::vertex_errors::{StepErrors, on_lattice, told_errors};
 use crate::archive::manifest::Source;
-use crate::bytes::sorter::Sorter;
 use crate::cells::CellMesh;
 use crate::domain::column::Column;
 use crate::domain::merge::Firsts;
 use crate::domain::store::{BadValue, CellStore, StoreSettings};
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Resources};
-use crate::formats::brick_map::{BrickMapFile, BrickNumbers};
 use crate::formats::{self, Input, OpenOptions, StepSource};
-use crate::geom::LatticePos;
-use crate::grid::Geometry;
-use crate::locate::{FINE_BITS, FinePos};
-use crate::measure::{BrickErrors, BrickRecord, ErrorSums, FieldError, LevelError, Tally, Worst, merged};
+use crate::measure::{BrickErrors, ErrorSums, FieldError, Tally};
 use crate::pipeline::chunk::{Cells, Originals, SampleErrors, Samples, StepLanes, errors, field_error_of};
 use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_access};
 use crate::pipeline::plan::{Attachments, Halo, MOST_STEPS_AT_ONCE, estimate, fingerprint};
@@ -73,9 +70,6 @@ pub struct MeasureReport {
     /// Seconds of wall time.
     pub seconds: f64,
 }
-
-/// The errors of a step: of the field; and of a mesh those at the vertices in the cells of each level, where its points have levels.
-pub(in crate::pipeline) type StepErrors = (FieldError, Vec<LevelError>);
 
 /// Measures an archive against the input that it was made from, or any of the same size.
 ///
@@ -158,8 +152,8 @@ pub(in crate::pipeline) fn reopened_values(
     store: &mut Option<CellStore>,
     settings: &MeasureSettings,
 ) -> Result<Column<f32>> {
-    let (plan, scratch) = (&archive.manifest.plan, settings.scratch());
-    let (how, vertices) = (store_settings(archive, settings, &scratch), mesh.info().points);
+    let plan = &archive.manifest.plan;
+    let (how, vertices) = (store_settings(archive, settings), mesh.info().points);
     if store.as_ref().is_some_and(|store| store.census.vertices != vertices) {
         return Err(other_input(input, &archive.step().plan.source, format!("{vertices} vertices")));
     }
@@ -216,7 +210,7 @@ fn against_volume(
     let resources = &settings.resources;
     let run = RunSettings { resources: resources.clone(), ..RunSettings::default() };
     let of_map = if settings.map.is_some() { map_bytes(resources.memory) } else { 0 };
-    let visit = Visit::new(archive, Blocks::All, resources.threads, 0, &resources.cancel)?;
+    let visit = Visit::new(archive, Blocks::All, resources, |_| 0)?;
     let least = visit.least(EXTRA) + estimate::BASE + of_map;
     let boxes = boxes_of_chunks(&archive.points, &archive.chunks, Halo::of(&archive.manifest.plan));
     let cache = ChunkCache::fitting(&volume, boxes, least, &run);
@@ -239,26 +233,21 @@ fn against_mesh(
 ) -> Result<(FieldError, bool)> {
     let recorded = &archive.step().plan.source;
     progress.begin("read the mesh", 0, "points");
-    let scratch = settings.scratch();
-    let store = mesh_store(archive, mesh, None, input, &store_settings(archive, settings, &scratch))?;
+    let store = mesh_store(archive, mesh, None, input, &store_settings(archive, settings))?;
     let same = fingerprint(&mesh.info().files())? == recorded.fingerprint;
     Ok((field_error(archive, &Originals::Mesh(&store, &store.values), settings, progress)?, same))
 }
 
 /// How a mesh is read whose field at its vertices is measured.
-fn store_settings<'a>(
-    archive: &StepView,
-    settings: &'a MeasureSettings,
-    scratch: &'a Path,
-) -> StoreSettings<'a> {
+fn store_settings(archive: &StepView, settings: &MeasureSettings) -> StoreSettings {
     let step = &archive.step().plan;
     StoreSettings {
         memory: settings.resources.memory / 4,
-        scratch,
+        scratch: settings.scratch(),
         bad_value: Reading::of(step).stand_in().map_or(BadValue::Void, BadValue::Use),
         offset: step.source.offset,
         missing: step.missing,
-        cancel: &settings.resources.cancel,
+        cancel: settings.resources.cancel.clone(),
     }
 }
 
@@ -268,7 +257,7 @@ fn mesh_store(
     mesh: &CellMesh,
     firsts: Option<Firsts>,
     input: &Path,
-    how: &StoreSettings<'_>,
+    how: &StoreSettings,
 ) -> Result<CellStore> {
     let recorded = &archive.step().plan.source;
     let store = CellStore::build_with(mesh, firsts, how)?;
@@ -283,13 +272,6 @@ fn mesh_store(
 
 fn triple([x, y, z]: [u64; 3]) -> String {
     format!("{x} x {y} x {z}")
-}
-
-/// The error of a mesh of the archive's size whose vertices are others.
-pub(super) fn other_mesh(archive: &StepView) -> Error {
-    let expected = "the mesh that it keeps";
-    Error::bad_input(archive.path(), "vertices", expected, "a mesh with others")
-        .with_help(format!("the archive was made from {}", archive.step().plan.source.path))
 }
 
 /// The error of an input that cannot be what the archive was made from.
@@ -312,7 +294,7 @@ pub(super) fn field_error(
     if settings.map.is_some() {
         archive.refuse_coordinates("a map of bricks")?;
     }
-    let map = settings.map.as_deref().map(|path| Map::new(archive, path, settings)).transpose()?;
+    let map = settings.map.as_deref().map(|path| Map::new(archive, path, &settings.resources)).transpose()?;
     match originals {
         Originals::Volume { reader, .. } => {
             let samples = Samples::of(originals).expect("those of a volume");
@@ -408,14 +390,8 @@ impl AgainstSamples<'_> {
         let mapped = map.is_some();
         let of_map = |memory: u64| if mapped { map_bytes(memory) } else { 0 };
         let share = |memory: u64| memory.saturating_sub(estimate::BASE + of_map(memory));
-        let visit = Visit::new(
-            archive,
-            Blocks::All,
-            settings.resources.threads,
-            share(settings.resources.memory),
-            &settings.resources.cancel,
-        )?;
-        visit.check_memory(settings.resources.memory, share, EXTRA)?;
+        let visit = Visit::new(archive, Blocks::All, &settings.resources, share)?;
+        visit.check_memory(EXTRA)?;
         progress.begin("measure", visit.chunks.len() as u64, "chunks");
         let (mut sums, mut released) = (ErrorSums::default(), 0);
         let job = |_, chunk: DecodedChunk| self.part(&chunk);
@@ -470,12 +446,6 @@ const FURTHER: u64 = 16;
 /// The most vertices of a batch.
 pub(in crate::pipeline) const MOST_VERTICES: u64 = 1 << 31;
 
-/// A position of a mesh on the lattice.
-pub(in crate::pipeline) fn on_lattice(p: FinePos) -> LatticePos {
-    // The frame's box ends at whole lattice steps, so no position is rounded out of it.
-    p.map(|c| ((c + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32)
-}
-
 /// Positions of steps, and their values at the vertices; a map is of one step.
 fn measure_vertices(
     archive: &StepView,
@@ -486,8 +456,7 @@ fn measure_vertices(
     progress: &dyn Progress,
 ) -> Result<Vec<StepErrors>> {
     if archive.manifest.plan.own.is_some() {
-        let scratch = settings.scratch();
-        let (how, memory) = (store_settings(archive, settings, &scratch), settings.resources.memory);
+        let (how, memory) = (store_settings(archive, settings), settings.resources.memory);
         let of_map = if map.is_some() { map_bytes(memory) } else { 0 };
         let rest = memory.saturating_sub(of_map);
         return own_errors(archive, store, steps, map, &how, rest, progress).map_err(|e| e.beside(of_map));
@@ -504,13 +473,7 @@ fn measure_vertices(
     let share = |memory: u64| rest(memory) / 8 * 7;
     let vertex = VERTEX + FURTHER * (steps.len() as u64 - 1);
     let most = (rest(settings.resources.memory) / 8 / vertex).clamp(1, MOST_VERTICES) as usize;
-    let find = Find {
-        threads: settings.resources.threads,
-        memory: settings.resources.memory,
-        share: &share,
-        cancel: &settings.resources.cancel,
-        outside: Outside::All,
-    };
+    let find = Find { resources: &settings.resources, share: &share, outside: Outside::All };
     let bricks = archive.chunks.bricks();
     let mut beyond = vec![0u64; steps.len()];
     let mut sums: Vec<_> = steps.iter().map(|_| (ErrorSums::default(), none.clone())).collect();
@@ -543,118 +506,4 @@ fn measure_vertices(
         map.finish()?;
     }
     told_errors(archive, store, &steps, &columns, &sums, &beyond)
-}
-
-/// Errors at the vertices, as they are told: of steps by positions in the manifest, with their values, and vertices outside.
-pub(super) fn told_errors(
-    archive: &StepView,
-    store: &CellStore,
-    steps: &[usize],
-    columns: &[&[f32]],
-    sums: &[(ErrorSums, Vec<ErrorSums>)],
-    beyond: &[u64],
-) -> Result<Vec<StepErrors>> {
-    let positions = store.positions.get()?;
-    let mut told = vec![];
-    for (n, (&position, (sums, of_levels))) in steps.iter().zip(sums).enumerate() {
-        let source = &archive.manifest.steps[position].plan.source;
-        let of_level = |sums: &ErrorSums| sums.level_error().with_rounding(source.rounding);
-        let mut error = vertex_error(store, positions, sums, source);
-        error.source_range = range_of(columns[n]).map(|r| r.map(|v| f64::from(v) + source.offset));
-        error.beyond = beyond[n];
-        told.push((error, of_levels.iter().map(of_level).collect()));
-    }
-    Ok(told)
-}
-
-/// The least and the largest value at the vertices of a mesh, those outside of all tetrahedra included.
-fn range_of(values: &[f32]) -> Option<[f32; 2]> {
-    let all = values.iter().filter(|v| v.is_finite()).map(|v| v + 0.0);
-    all.fold(None, |range: Option<[f32; 2]>, v| Some(range.map_or([v; 2], |[lo, hi]| [lo.min(v), hi.max(v)])))
-}
-
-/// The error of a step at all vertices, and where it is largest.
-fn vertex_error(store: &CellStore, positions: &[FinePos], sums: &ErrorSums, source: &Source) -> FieldError {
-    let mut error = sums.field_error(positions.len() as u64);
-    error.worst = sums.largest().map(|l| {
-        let log2_steps = store.frame.lattice.log2_steps;
-        let steps = log2_steps.map(|s| f64::from(1u32 << FINE_BITS) * f64::from(1u32 << s));
-        let p = positions[l.sample as usize];
-        let ijk = std::array::from_fn(|a| p[a] as f64 / steps[a]);
-        Worst {
-            sample: l.sample,
-            index: None,
-            world: store.frame.geometry.to_world(ijk),
-            original: source.told(l.original),
-            reduced: source.told(l.reduced),
-        }
-    });
-    error.of_source(source.offset, source.rounding)
-}
-
-/// The map of bricks, being collected.
-pub(super) struct Map {
-    file: BrickMapFile,
-    bricks: u64,
-    sorter: Sorter<BrickRecord>,
-}
-
-/// What sorting for a map takes of a budget.
-fn map_bytes(memory: u64) -> u64 {
-    (memory / 8).min(64 << 20)
-}
-
-/// Bricks that are written at a time.
-const BATCH: usize = 1 << 12;
-
-impl Map {
-    fn new(archive: &StepView, path: &Path, settings: &MeasureSettings) -> Result<Self> {
-        let (bricks, g) = (archive.chunks.bricks(), &archive.step().plan.source.geometry);
-        let spacing = std::array::from_fn(|a| g.spacing[a] * bricks.voxels()[a]);
-        let memory = map_bytes(settings.resources.memory);
-        Ok(Self {
-            file: BrickMapFile::create(path, bricks.dims(), &Geometry { spacing, ..*g })?,
-            bricks: bricks.len(),
-            sorter: Sorter::new(memory as usize, &settings.scratch()),
-        })
-    }
-
-    pub(super) fn add(&mut self, chunk: u64, bricks: &BTreeMap<u64, BrickErrors>) -> Result<()> {
-        BrickRecord::of(chunk, bricks).into_iter().try_for_each(|record| self.sorter.push(record))
-    }
-
-    /// Writes all bricks, those without a sample too.
-    pub(super) fn finish(self) -> Result<u64> {
-        const NONE: BrickNumbers = BrickNumbers { rms: f32::NAN, max: f32::NAN, samples: 0 };
-        let mut records = self.sorter.finish()?;
-        let (mut batch, mut first) = (vec![], 0u64);
-        let mut put = |brick: BrickNumbers, last: bool| {
-            batch.push(brick);
-            if batch.len() == BATCH || last {
-                self.file.write(first, &batch)?;
-                first += batch.len() as u64;
-                batch.clear();
-            }
-            Ok(())
-        };
-        let mut next = 0;
-        merged(
-            || records.next(),
-            |brick, errors| {
-                while next < brick {
-                    put(NONE, false)?;
-                    next += 1;
-                }
-                next += 1;
-                let max = if errors.samples == 0 { f32::NAN } else { errors.max as f32 };
-                let numbers = BrickNumbers { rms: errors.rms() as f32, max, samples: errors.samples };
-                put(numbers, next == self.bricks)
-            },
-        )?;
-        while next < self.bricks {
-            next += 1;
-            put(NONE, next == self.bricks)?;
-        }
-        self.file.publish()
-    }
 }

@@ -1,18 +1,19 @@
 //! Questions about the field itself: at the samples of a grid, at points, as a mesh, against its source.
 
+mod error_map;
 mod export;
 mod measure;
 mod nearest;
 mod own_errors;
 mod probe_grid;
 mod probe_points;
+mod vertex_errors;
 
 pub(super) use export::export;
 pub use export::{Corners, ExportReport, ExportSettings};
-pub(super) use measure::{
-    MOST_VERTICES, StepErrors, VERTEX, field_errors, on_lattice, reopened_errors, reopened_values,
-};
+pub(super) use measure::{MOST_VERTICES, VERTEX, field_errors, reopened_errors, reopened_values};
 pub use measure::{MeasureReport, MeasureSettings, measure, measure_source};
 pub use probe_grid::{ProbeReport, ProbeSettings};
 pub(super) use probe_grid::{probe_grid, sample_grid};
 pub(super) use probe_points::{Find, Outside, each_value, edges_at_missing, probe_table, values_at};
+pub(super) use vertex_errors::{StepErrors, on_lattice};

@@ -5,7 +5,8 @@
 //!
 //! Cost: reading the values of all steps once. Memory: the list of points, twice, and a value for each point and step.
 
-use super::measure::{Map, StepErrors, on_lattice, other_mesh, told_errors};
+use super::error_map::Map;
+use super::vertex_errors::{StepErrors, on_lattice, other_mesh, told_errors};
 use crate::domain::column::Column;
 use crate::domain::own::{OwnVertices, POINT_BYTES, UNUSED};
 use crate::domain::store::{CellStore, StoreSettings};
@@ -26,7 +27,7 @@ pub(super) fn own_errors(
     store: &CellStore,
     steps: &[(usize, &Column<f32>)],
     mut map: Option<Map>,
-    how: &StoreSettings<'_>,
+    how: &StoreSettings,
     memory: u64,
     progress: &dyn Progress,
 ) -> Result<Vec<StepErrors>> {
@@ -38,7 +39,7 @@ pub(super) fn own_errors(
     if needed > memory {
         return Err(Error::Budget { what: "memory".into(), needed, available: memory });
     }
-    let how = StoreSettings { memory: memory - estimate::BASE, ..*how };
+    let how = StoreSettings { memory: memory - estimate::BASE, ..how.clone() };
     let vertices = OwnVertices::new(store, &how, archive.path())?;
     if archive.points.explicit() != Some(&*vertices.points) {
         return Err(other_mesh(archive));

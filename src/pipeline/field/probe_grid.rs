@@ -73,7 +73,7 @@ pub(in crate::pipeline) fn probe_grid(
     let geometry = grid_geometry(&source.geometry, source.dims, dims)?;
     let meta = GridMeta { dims, geometry, field: source.field.clone(), offset: source.offset };
     let samples = meta.samples()?;
-    let scan = GridScan::new(archive, dims, settings)?;
+    let mut scan = GridScan::new(archive, dims, settings)?;
     let file = SampleFile::create(out, format, &meta)?;
     if scan.has_gaps {
         let blank = vec![f32::NAN; BLANK.min(samples) as usize];
@@ -109,7 +109,7 @@ pub(in crate::pipeline) fn sample_grid(
             available: settings.resources.memory,
         });
     }
-    let scan = GridScan::new(archive, dims, settings)?;
+    let mut scan = GridScan::new(archive, dims, settings)?;
     let all = Mutex::new(vec![f64::NAN; samples as usize]);
     scan.run(samples, &Silent, |first, run| {
         let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
@@ -179,15 +179,10 @@ impl<'a> GridScan<'a> {
         let axes = 4 * dims.iter().sum::<u64>();
         let may_overlap = archive.manifest.plan.own.is_some();
         let bits = if may_overlap { taken_bytes(dims.iter().product()) } else { 0 };
-        let share = |memory: u64| memory.saturating_sub(estimate::BASE + axes + bits);
-        let visit = Visit::new(
-            archive,
-            Blocks::All,
-            settings.resources.threads,
-            share(settings.resources.memory),
-            &settings.resources.cancel,
-        )?;
-        visit.check_memory(settings.resources.memory, share, 4 * WINDOW)?;
+        let fixed = estimate::BASE + axes + bits;
+        let share = move |memory: u64| memory.saturating_sub(fixed);
+        let visit = Visit::new(archive, Blocks::All, &settings.resources, share)?;
+        visit.check_memory(4 * WINDOW)?;
         let plan = &archive.manifest.plan;
         // The tetrahedra of a mesh may overlap: their volume tells nothing.
         let has_gaps = may_overlap || visit.volume6()? != plan.lattice.volume6();
@@ -197,21 +192,20 @@ impl<'a> GridScan<'a> {
     /// Hands all samples to `write`, in runs, from any thread in any order; returns the number of those without a value. Where tetrahedra
     /// overlap, some samples are handed on again.
     fn run(
-        &self,
+        &mut self,
         samples: u64,
         progress: &dyn Progress,
         write: impl Fn(u64, &[f32]) -> Result<()> + Sync,
     ) -> Result<u64> {
         if self.may_overlap {
-            let (mut total, twice) = self.scan_taking(&self.visit, samples, progress, &write)?;
+            let (mut total, twice) = self.scan_taking(samples, progress, &write)?;
             if twice {
-                let Visit { archive, memory, cancel, .. } = self.visit;
-                let in_order = Visit::new(archive, Blocks::All, 1, memory, cancel)?;
-                total = self.scan_taking(&in_order, samples, progress, &write)?.0;
+                self.visit.threads = 1;
+                total = self.scan_taking(samples, progress, &write)?.0;
             }
             return Ok(total.void + (samples - total.set));
         }
-        let total = self.scan(&self.visit, progress, &write)?;
+        let total = self.scan(progress, &write)?;
         if total.set == samples || (self.has_gaps && total.set < samples) {
             return Ok(total.void + (samples - total.set));
         }
@@ -224,14 +218,13 @@ impl<'a> GridScan<'a> {
     /// Hands the samples of all chunks to `write`.
     fn scan(
         &self,
-        visit: &Visit<'_>,
         progress: &dyn Progress,
         write: impl Fn(u64, &[f32]) -> Result<()> + Sync,
     ) -> Result<Counted> {
-        progress.begin("probe", visit.chunks.len() as u64, "chunks");
+        progress.begin("probe", self.visit.chunks.len() as u64, "chunks");
         let mut total = Counted::default();
         let job = |_, chunk: DecodedChunk| scan_chunk(&chunk, &self.grid, self.may_overlap, &write);
-        visit.each(4 * WINDOW, progress, job, |_, counted| {
+        self.visit.each(4 * WINDOW, progress, job, |_, counted| {
             total.add(counted);
             Ok(())
         })?;
@@ -241,13 +234,12 @@ impl<'a> GridScan<'a> {
     /// As [`GridScan::scan`], but each sample once. Tells also whether two chunks had one.
     fn scan_taking(
         &self,
-        visit: &Visit<'_>,
         samples: u64,
         progress: &dyn Progress,
         write: impl Fn(u64, &[f32]) -> Result<()> + Sync,
     ) -> Result<(Counted, bool)> {
         let taken = TakenSamples::new(samples);
-        self.scan(visit, progress, |first, run: &[f32]| taken.take(first, run, &write))?;
+        self.scan(progress, |first, run: &[f32]| taken.take(first, run, &write))?;
         let counted = taken.counted.into_inner().unwrap_or_else(PoisonError::into_inner);
         Ok((counted, taken.twice.into_inner()))
     }

@@ -12,7 +12,7 @@ use super::nearest::{keep, near_places};
 use super::probe_grid::{ProbeReport, ProbeSettings};
 use crate::archive::manifest::Source;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress};
+use crate::exec::{Progress, Resources};
 use crate::formats::point_list::{PointReader, PointWriter};
 use crate::formats::samples::SampleFile;
 use crate::geom::{Lattice, LatticeBox, LatticePos};
@@ -234,7 +234,7 @@ pub(in crate::pipeline) fn values_at(
     archive: &StepView,
     points: &[[f64; 3]],
     settings: &ProbeSettings,
-    share: &dyn Fn(u64) -> u64,
+    share: &(dyn Fn(u64) -> u64 + Sync),
     progress: &dyn Progress,
 ) -> Result<Probed> {
     archive.refuse_coordinates("a probe at points")?;
@@ -253,13 +253,7 @@ pub(in crate::pipeline) fn values_at(
         .filter_map(|(&p, n)| Some((lattice_position(p, geometry, &lattice, tolerance)?, n)))
         .collect();
     let (mut values, mut found) = (vec![f32::NAN; points.len()], 0);
-    let find = Find {
-        threads: settings.resources.threads,
-        memory: settings.resources.memory,
-        share,
-        cancel: &settings.resources.cancel,
-        outside: Outside::Within(tolerance),
-    };
+    let find = Find { resources: &settings.resources, share, outside: Outside::Within(tolerance) };
     let chunks_read = each_value(archive, placed.into_iter(), &find, progress, "probe", |n, value| {
         values[n as usize] = value;
         found += 1;
@@ -269,12 +263,9 @@ pub(in crate::pipeline) fn values_at(
 
 /// How points are looked for.
 pub(in crate::pipeline) struct Find<'a> {
-    pub(in crate::pipeline) threads: usize,
-    /// Bytes of the whole question.
-    pub(in crate::pipeline) memory: u64,
-    /// What chunks have of so many.
-    pub(in crate::pipeline) share: &'a dyn Fn(u64) -> u64,
-    pub(in crate::pipeline) cancel: &'a CancelToken,
+    pub(in crate::pipeline) resources: &'a Resources,
+    /// The part of the memory that is for chunks.
+    pub(in crate::pipeline) share: &'a (dyn Fn(u64) -> u64 + Sync),
     /// Which points in no tetrahedron have the value of the nearest place.
     pub(in crate::pipeline) outside: Outside,
 }
@@ -296,7 +287,7 @@ pub(in crate::pipeline) fn each_value(
     find: &Find<'_>,
     progress: &dyn Progress,
     stage: &str,
-    mut each: impl FnMut(u32, f32),
+    mut each: impl FnMut(u32, f32) + Send,
 ) -> Result<u64> {
     let values = |_, chunk: &mut DecodedChunk| Ok(vec![std::mem::take(&mut chunk.values)]);
     find_each(archive, points, find, progress, stage, 0, values, |n, values, _| each(n, values[0]))
@@ -310,7 +301,7 @@ pub(super) fn each_value_of(
     find: &Find<'_>,
     progress: &dyn Progress,
     stage: &str,
-    each: impl FnMut(u32, &[f32], bool),
+    each: impl FnMut(u32, &[f32], bool) + Send,
 ) -> Result<u64> {
     let values = |id, chunk: &mut DecodedChunk| archive.chunk_values_of(steps, id, chunk.positions.len());
     let further = steps.len() as u64 - 1;
@@ -328,14 +319,14 @@ fn find_each(
     stage: &str,
     further: u64,
     values: impl Fn(ChunkId, &mut DecodedChunk) -> Result<Vec<Vec<f32>>> + Sync,
-    mut each: impl FnMut(u32, &[f32], bool),
+    mut each: impl FnMut(u32, &[f32], bool) + Send,
 ) -> Result<u64> {
     let far = archive.manifest.plan.lattice.max();
     let mut batch = Batch::new(archive.chunks.bricks(), points);
-    let mut visit = Visit::new(archive, Blocks::All, find.threads, (find.share)(find.memory), find.cancel)?;
+    let mut visit = Visit::new(archive, Blocks::All, find.resources, find.share)?;
     visit.confine(|region| batch.within(*region).next().is_some())?;
     let extra = further * visit.most_vertices() * size_of::<f32>() as u64;
-    visit.check_memory(find.memory, find.share, extra)?;
+    visit.check_memory(extra)?;
     progress.begin(stage, visit.chunks.len() as u64, "chunks");
     let job = |id, mut chunk: DecodedChunk| {
         let region = full_region(archive, id)?;
@@ -366,10 +357,9 @@ fn find_each(
     };
     while !batch.sorted.is_empty() {
         let around = |region: &LatticeBox| region.grow_within([reach; 3], &lattice.domain());
-        let mut visit =
-            Visit::new(archive, Blocks::All, find.threads, (find.share)(find.memory), find.cancel)?;
+        let mut visit = Visit::new(archive, Blocks::All, find.resources, find.share)?;
         visit.confine(|region| batch.within(around(region)).next().is_some())?;
-        visit.check_memory(find.memory, find.share, extra)?;
+        visit.check_memory(extra)?;
         let job = |id, mut chunk: DecodedChunk| {
             let region = around(&full_region(archive, id)?);
             let values = values(id, &mut chunk)?;

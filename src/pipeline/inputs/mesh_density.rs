@@ -51,7 +51,7 @@ impl MeshCurves {
     /// [`Error::Budget`] when the memory does not hold the curves; when the scratch folder cannot be written.
     pub(in crate::pipeline) fn new(
         store: &CellStore,
-        how: &StoreSettings<'_>,
+        how: &StoreSettings,
         adapt: &Adapt,
         run: &RunSettings,
     ) -> Result<Self> {
@@ -92,7 +92,7 @@ impl MeshCurves {
 /// Adds the errors of all blocks; returns the range of the values at vertices.
 fn measure(
     store: &CellStore,
-    how: &StoreSettings<'_>,
+    how: &StoreSettings,
     adapt: &Adapt,
     at_once: u64,
     run: &RunSettings,

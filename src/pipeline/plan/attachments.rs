@@ -49,7 +49,7 @@ impl Attachments {
         archive: &Path,
         plan: &MeshPlan,
         vertices: u64,
-        how: &StoreSettings<'_>,
+        how: &StoreSettings,
     ) -> Result<Firsts> {
         let reader = plan.repeated.as_ref().map(|r| RepeatedReader::open(archive, plan.hash(), r));
         let mut reader = reader.transpose()?;

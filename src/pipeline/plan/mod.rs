@@ -14,7 +14,7 @@ mod shard;
 use crate::archive::explicit::ExplicitRecord;
 use crate::archive::levels::LevelsRecord;
 use crate::archive::manifest::{
-    BaseStep, FrameRecord, LONGEST_CHAIN, OwnRecord, Plan as MeshPlan, Source, StepPlan,
+    BaseStep, FrameRecord, LONGEST_CHAIN, Manifest, OwnRecord, Plan as MeshPlan, Source, StepPlan,
 };
 use crate::archive::segment::PlanHash;
 use crate::archive::values::Quantiser;
@@ -269,6 +269,11 @@ impl Plan {
         let mesh = self.mesh_hash();
         let all: Vec<String> = self.steps.iter().map(|s| s.hash(mesh).to_string()).collect();
         PlanHash::of(all.concat().as_bytes())
+    }
+
+    /// Whether a manifest is that of this plan: the same mesh, the same steps.
+    pub(super) fn is_of(&self, manifest: &Manifest) -> bool {
+        manifest.plan_hash == self.mesh_hash() && manifest.steps.iter().map(|s| &s.plan).eq(&self.steps)
     }
 
     /// Gives each step its base: the one before it, unless a keyframe is due. `before` is the last step that an archive has already.

@@ -1,7 +1,7 @@
 //! Chunk after chunk of an archive, decoded and worked on in parallel, the results handed on in chunk order.
 //!
 //! ```text
-//!  chunks of a question ──▶ a batch that fits the memory: decode ▶ job, on all threads ──▶ take, in order
+//!  chunks of a question ──▶ as many as fit the memory: decode ▶ job, on all threads ──▶ take, in order
 //! ```
 //!
 //! What [`crate::pipeline::surface`] does for surfaces, for the questions that want whole tetrahedra.
@@ -9,12 +9,11 @@
 use super::decoded::DecodedChunk;
 use super::step_view::StepView;
 use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, pool};
+use crate::exec::{Progress, Resources, in_order, pool};
 use crate::geom::LatticeBox;
 use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::estimate;
-use rayon::prelude::*;
 
 /// Bytes for a vertex of a decoded chunk and for one of its tetrahedra, results of a job included, and whatever their number.
 const VERTEX: u64 = 72;
@@ -47,19 +46,19 @@ pub(in crate::pipeline) struct Visit<'a> {
     /// The chunks, in order.
     pub(in crate::pipeline) chunks: Vec<ChunkId>,
     blocks: Blocks,
-    pub(super) threads: usize,
-    /// Bytes for chunks at work at one time.
-    pub(in crate::pipeline) memory: u64,
-    pub(in crate::pipeline) cancel: &'a CancelToken,
+    resources: &'a Resources,
+    pub(in crate::pipeline) threads: usize,
+    /// The part of the memory that is for chunks at work at one time.
+    share: Box<dyn Fn(u64) -> u64 + Sync + 'a>,
 }
 
 impl<'a> Visit<'a> {
+    /// All chunks of some blocks. Of the memory of `resources` chunks at work have a `share`.
     pub(in crate::pipeline) fn new(
         archive: &'a StepView,
         blocks: Blocks,
-        threads: usize,
-        memory: u64,
-        cancel: &'a CancelToken,
+        resources: &'a Resources,
+        share: impl Fn(u64) -> u64 + Sync + 'a,
     ) -> Result<Self> {
         let chunks = match &blocks {
             Blocks::All => (0..archive.chunks.len()).map(ChunkId).collect(),
@@ -70,7 +69,8 @@ impl<'a> Visit<'a> {
             }
         };
         chunks.iter().try_for_each(|&c| archive.expect_chunk(c))?;
-        Ok(Self { archive, chunks, blocks, threads, memory, cancel })
+        let threads = resources.threads;
+        Ok(Self { archive, chunks, blocks, resources, threads, share: Box::new(share) })
     }
 
     /// Leaves out chunks none of whose tetrahedra can touch what `touches` accepts (a box, or larger).
@@ -136,58 +136,41 @@ impl<'a> Visit<'a> {
         self.chunks.iter().map(|&c| self.need(c)).max().unwrap_or(0).saturating_add(extra)
     }
 
-    /// Refuses a budget in which the largest chunk, with `extra` bytes for its job, does not fit; `memory` is the whole budget, and `share` tells
-    /// what chunks have of one.
+    /// Refuses memory in which the largest chunk, with `extra` bytes for its job, does not fit.
     ///
     /// # Errors
     /// [`Error::Budget`] naming the least that would do.
-    pub(in crate::pipeline) fn check_memory(
-        &self,
-        memory: u64,
-        share: impl Fn(u64) -> u64,
-        extra: u64,
-    ) -> Result<()> {
-        let largest = self.least(extra);
-        if largest > self.memory {
-            let needed = least_with(largest, share);
-            return Err(Error::Budget { what: "memory".into(), needed, available: memory });
+    pub(in crate::pipeline) fn check_memory(&self, extra: u64) -> Result<()> {
+        let (largest, available) = (self.least(extra), self.resources.memory);
+        if largest > (self.share)(available) {
+            let needed = least_with(largest, &self.share);
+            return Err(Error::Budget { what: "memory".into(), needed, available });
         }
         Ok(())
     }
 
-    /// Reads all chunks: `job` runs on any thread, with `extra` bytes of its own; `take` gets the results in chunk order.
+    /// Reads all chunks. `job` runs on any thread, with `extra` bytes of its own; `take` gets the
+    /// results in chunk order. On one thread jobs run in chunk order, too.
     pub(in crate::pipeline) fn each<T: Send>(
         &self,
         extra: u64,
         progress: &dyn Progress,
         job: impl Fn(ChunkId, DecodedChunk) -> Result<T> + Sync,
-        mut take: impl FnMut(usize, T) -> Result<()>,
+        mut take: impl FnMut(usize, T) -> Result<()> + Send,
     ) -> Result<()> {
-        let pool = pool(self.threads)?;
-        // One thread takes chunk after chunk, so its jobs run in order.
-        let most = if self.threads == 1 { 1 } else { 2 * pool.current_num_threads() };
-        let mut done = 0;
-        while done < self.chunks.len() {
-            self.cancel.check()?;
-            let mut sum = 0u64;
-            let fits = |&&id: &&ChunkId| {
-                sum = sum.saturating_add(self.need(id)).saturating_add(extra);
-                sum <= self.memory
-            };
-            let fit = self.chunks[done..].iter().take(most).take_while(fits).count().max(1);
-            let batch = &self.chunks[done..done + fit];
-            let run = |&id: &ChunkId| job(id, self.archive.decode(id, &self.blocks_of(id)?)?);
-            let results: Vec<Result<T>> = pool.install(|| batch.par_iter().map(run).collect());
-            for result in results {
-                take(done, result?)?;
-                done += 1;
-                progress.advance(1);
-            }
-            if let Some(&next) = self.chunks.get(done) {
-                self.archive.close_before(next);
-            }
-        }
-        Ok(())
+        let (pool, memory) = (pool(self.threads)?, (self.share)(self.resources.memory));
+        let bytes: Vec<u64> = self.chunks.iter().map(|&id| self.need(id).saturating_add(extra)).collect();
+        let make = |n: usize| {
+            self.resources.cancel.check()?;
+            let id = self.chunks[n];
+            job(id, self.archive.decode(id, &self.blocks_of(id)?)?)
+        };
+        in_order(&bytes, memory, &pool, make, |n, result| {
+            self.archive.close_before(self.chunks[n]);
+            take(n, result)?;
+            progress.advance(1);
+            Ok(())
+        })
     }
 }
 

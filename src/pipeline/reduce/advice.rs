@@ -5,8 +5,9 @@
 //! [`crate::pipeline::inputs::survey`]), for at most [`MOST_STEPS`] steps of a series. A source that cannot be read
 //! is skipped: the work that follows refuses it.
 
-use super::job::{Job, ReduceReport};
+use super::job::Job;
 use super::meshes::keeps_own;
+use super::report::ReduceReport;
 use crate::cells::CellMesh;
 use crate::error::{Result, bytes_text};
 use crate::formats::{Input, StepSource};
@@ -178,18 +179,20 @@ fn could_keep_own(settings: &ReduceSettings) -> bool {
     keeps_own(&ReduceSettings { amount: Amount::Fraction(1.0), ..settings.clone() }, 0)
 }
 
-/// Looks at the sources of a reduction, and tells what is found before work begins. Of steps that are added to an archive (`further`), points and interpolation are chosen already.
+/// Looks at the sources of a reduction, and reports what is found before work begins. Where steps are
+/// added to an archive, points and interpolation are chosen already.
 ///
 /// # Errors
 /// [`Cancelled`](crate::Error::Cancelled) alone: a source that cannot be read is passed over here.
-pub(in crate::pipeline) fn look(job: &Job<'_>, further: bool) -> Result<Looked> {
-    let looked = look_at(job, further)?;
+pub(in crate::pipeline) fn look(job: &Job<'_>) -> Result<Looked> {
+    let looked = look_at(job)?;
     looked.notices.iter().for_each(|notice| job.progress.notice(&notice.text));
     Ok(looked)
 }
 
-fn look_at(job: &Job<'_>, further: bool) -> Result<Looked> {
+fn look_at(job: &Job<'_>) -> Result<Looked> {
     let Job { sources, settings, run, .. } = *job;
+    let further = job.basis.archive().is_some();
     let mut out = Looked::default();
     let every = sources.len().div_ceil(MOST_STEPS).max(1);
     let looked_at = sources.len().div_ceil(every) as u64;

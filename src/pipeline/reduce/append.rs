@@ -7,9 +7,12 @@
 //! of its points and cells, by which others are refused, and the vertices that were one at the first step: so samples of its boundary are the same ones.
 
 use super::advice::look;
-use super::job::{Job, Part, ReduceReport, SourceChunks};
-use super::mesh::reduce_mesh;
-use super::{lock_for_writing, reduce_volumes};
+use super::existing::{lock_for_writing, sweep};
+use super::job::{Basis, Job};
+use super::planned::{plan, publish, run as run_plan};
+use super::report::{ReduceReport, SourceChunks};
+use super::series::are_there;
+
 use crate::archive::manifest::{MANIFEST_NAME, Step};
 use crate::error::{Error, Result};
 use crate::exec::Progress;
@@ -61,14 +64,25 @@ pub fn append(
     let sources = sources.iter().map(|source| with_field(source, field));
     let sources: Vec<_> = (last.plan.number + 1..).zip(sources).collect();
     let settings = settings_like(last, settings)?;
-    let part = Part::Further(&archive);
-    let job = Job { sources: &sources, settings: &settings, out, run, progress, started, part, round: None };
-    let notices = look(&job, true)?.notices;
-    let report = match last.plan.source.mesh {
-        None => reduce_volumes(&job),
-        Some(_) => reduce_mesh(&job),
-    }?;
-    Ok(ReduceReport { notices, source_chunks: SourceChunks::of(&sources), ..report })
+    let basis = Basis::Archive(&archive);
+    let job = Job { sources: &sources, settings: &settings, out, run, progress, basis };
+    let notices = look(&job)?.notices;
+    let report = add(&job, &archive)?;
+    Ok(ReduceReport { notices, source_chunks: SourceChunks::of(&sources), ..report }.finished(started))
+}
+
+/// Adds the steps of a job to an archive, or what is missing of them.
+fn add(job: &Job<'_>, archive: &OpenArchive) -> Result<ReduceReport> {
+    let planned = plan(job, false)?;
+    if are_there(archive, &planned.series.plan.steps) {
+        return ReduceReport::of_added(archive, &planned.series);
+    }
+    planned.check()?;
+    let layout = planned.layout(job.out);
+    let built = run_plan(planned, job, &layout, 0..layout.segment_count())?;
+    let report = publish(built, job, &layout)?;
+    sweep(&layout);
+    Ok(report)
 }
 
 /// A further step; where nobody names a field, that of the archive, if the file has it.

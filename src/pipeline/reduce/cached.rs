@@ -5,7 +5,7 @@
 //! the work needs the least time, by the threads and steps for which there is memory then. Of equal
 //! ones it is the largest.
 
-use super::passes::PlannedSource;
+use super::series::PlannedSource;
 use crate::pipeline::inputs::{boxes_of_chunks, cache_sizes, most_cached};
 use crate::pipeline::plan::{Held, MeshParts, Need, estimate, need_of};
 use crate::pipeline::settings::RunSettings;

@@ -7,33 +7,91 @@
 //! encoded against the step before, ranges measured. If an earlier pass made the mesh, it is
 //! decoded instead, and so are the values before the first step.
 
-use super::workers::{StageTimes, Stored, Work};
+use super::encoded::EncodedChunk;
+use super::reuse::ReusedChunks;
 use crate::archive::chunk::ChunkEncoder;
 use crate::archive::errors::{ChunkErrors, encode_errors};
+use crate::archive::manifest::StepPlan;
 use crate::archive::summary::{BlockRange, MeshSummary, ValueSummary, encode_value_ranges};
 use crate::archive::values::encode_values;
 use crate::archive::vertices::ChunkVertices;
 use crate::error::{Error, Result};
+use crate::exec::CancelToken;
 use crate::geom::LatticePos;
 use crate::geom::predicates::signed_volume6;
 use crate::grid::Chunk;
 use crate::mesh::tet::Tet;
 use crate::pipeline::chunk::{
-    Cells, ChunkMesher, Field, Meshing, Placement, StepLanes, fitted, interpolated, step_lanes,
+    Cells, ChunkMesher, Field, Meshing, Placement, Recipe, SampleErrors, Samples, StepLanes, fitted,
+    interpolated, step_lanes,
 };
-use crate::pipeline::plan::Halo;
-use crate::pipeline::read::{MeshedChunk, spectrum};
+use crate::pipeline::plan::{Halo, Shares};
+use crate::pipeline::read::{MeshedChunk, Meter, StepView, spectrum};
+use crate::pipeline::stage::StageTimes;
+use std::collections::BTreeMap;
+use std::ops::Range;
 use std::sync::{Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
-/// A chunk ready to be written.
-pub(super) struct Product {
-    pub(super) points: u64,
-    /// Empty where the mesh is there already.
-    pub(super) mesh_blocks: Vec<Vec<u8>>,
-    /// Of each step.
-    pub(super) value_blocks: Vec<Vec<Vec<u8>>>,
-    pub(super) times: StageTimes,
+/// A step whose values are to be made.
+pub(super) struct StepInput<'a> {
+    pub(super) plan: &'a StepPlan,
+    pub(super) field: &'a Field<'a>,
+}
+
+/// A mesh that an earlier pass has made.
+pub(super) struct StoredMesh<'a> {
+    pub(super) archive: &'a StepView,
+    /// The base of the first step: its position in the manifest.
+    pub(super) base: Option<usize>,
+}
+
+/// Steps whose data could not be used, found by any thread.
+pub(super) struct BadSteps {
+    /// Whether errors name the step.
+    several: bool,
+    /// Why, by the position of the step among those of the pass.
+    found: Mutex<BTreeMap<usize, String>>,
+}
+
+impl BadSteps {
+    pub(super) fn new(several: bool) -> Self {
+        Self { several, found: Mutex::default() }
+    }
+
+    pub(super) fn into_inner(self) -> BTreeMap<usize, String> {
+        self.found.into_inner().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Notes whether the `n`-th step, of this number, could be used.
+    fn note<T>(&self, n: usize, number: u64, found: Result<T>) -> Result<T> {
+        let found = found.map_err(|e| if self.several { e.at_step(number) } else { e });
+        if let Err(e @ (Error::BadInput(_) | Error::Io { .. })) = &found {
+            let mut bad = self.found.lock().unwrap_or_else(PoisonError::into_inner);
+            bad.entry(n).or_insert_with(|| e.to_string());
+        }
+        found
+    }
+}
+
+/// Makes the contents of chunks; shared by all threads.
+pub(super) struct ChunkMaker<'a> {
+    pub(super) recipe: &'a Recipe<'a>,
+    /// Tetrahedra of a block.
+    pub(super) block_tets: u32,
+    /// Steps that follow each other; at least one.
+    pub(super) steps: &'a [StepInput<'a>],
+    /// Where the mesh comes from, if it is there.
+    pub(super) stored: Option<StoredMesh<'a>>,
+    /// Chunks that an earlier try has made, and where `steps` are in that.
+    pub(super) reused: Option<(&'a ReusedChunks<'a>, Range<usize>)>,
+    pub(super) meter: &'a Meter,
+    /// What errors are measured with, against the samples of each step; none where they are not.
+    pub(super) sample_errors: Option<(SampleErrors, Vec<Samples<'a>>)>,
+    pub(super) bad_steps: BadSteps,
+    pub(super) shares: Shares,
+    pub(super) workspaces: Workspaces,
+    pub(super) cancel: &'a CancelToken,
 }
 
 /// The working memory that chunks take turns in.
@@ -41,7 +99,7 @@ pub(super) struct Product {
 pub(super) struct Workspaces {
     /// The memory of workers between two chunks.
     workspaces: Mutex<Vec<Workspace>>,
-    /// Held shared by chunks at work, alone by a chunk that needs the rooms of all.
+    /// Held shared by chunks at work, alone by a chunk that needs all scratch memory.
     turn: RwLock<()>,
 }
 
@@ -76,120 +134,265 @@ impl Workspaces {
     }
 }
 
-/// Makes a chunk in a room of its own; if that is too small, in the rooms of all. One that an earlier try has made is taken over.
-pub(super) fn make_chunk(work: &Work<'_>, chunk: &Chunk) -> Result<Product> {
-    if let Some((taken, steps)) = &work.taken
-        && let Some(product) = taken.product(chunk.id, work.stored.is_none(), steps)?
-    {
-        return Ok(product);
-    }
-    {
-        let _together = work.rooms.turn.read().unwrap_or_else(PoisonError::into_inner);
-        let mut workspace = work.rooms.take_workspace();
-        match make_in_room(work, chunk, &mut workspace, work.shares.room)? {
-            Making::Done(product) => {
-                work.rooms.put_workspace(workspace);
-                return Ok(product);
-            }
-            Making::NeedsRoom { .. } => {}
-        }
-    }
-    let _alone = work.rooms.turn.write().unwrap_or_else(PoisonError::into_inner);
-    work.rooms.drop_workspaces();
-    match make_in_room(work, chunk, &mut Workspace::default(), work.shares.room_alone())? {
-        Making::Done(product) => Ok(product),
-        Making::NeedsRoom { bytes } => Err(Error::Budget {
-            what: format!(
-                "memory (chunk {} needs a wide halo; smaller --chunk-points need less)",
-                chunk.id.0
-            ),
-            needed: work.shares.memory_for(bytes),
-            available: work.shares.memory_for(work.shares.room_alone()),
-        }),
-    }
-}
-
 /// As [`Meshing`].
-enum Making {
-    Done(Product),
+enum Encoding {
+    Done(EncodedChunk),
     NeedsRoom { bytes: u64 },
 }
 
-fn make_in_room(work: &Work<'_>, chunk: &Chunk, workspace: &mut Workspace, room: u64) -> Result<Making> {
-    let mut times = StageTimes::default();
-    let mut lap = Lap(Instant::now());
-    if let Some(stored) = &work.stored {
-        let (mut mesh, ends) = stored.archive.stored_mesh(chunk.id)?;
-        // What values are fitted to is not stored: it is found around the mesh, or made again with it.
-        let mut again = None;
-        if work.recipe.halo == Halo::Stars
-            && !workspace.mesher.surround(work.recipe, chunk, &mut mesh, room, work.cancel)?
+impl ChunkMaker<'_> {
+    /// Makes a chunk in a share of the scratch memory; if that is too small, in all of it. One that an
+    /// earlier try has made is copied from that.
+    pub(super) fn make(&self, chunk: &Chunk) -> Result<EncodedChunk> {
+        if let Some((reused, steps)) = &self.reused
+            && let Some(encoded) = reused.encoded(chunk.id, self.stored.is_none(), steps)?
         {
-            match workspace.mesher.mesh(work.recipe, chunk, room, work.cancel)? {
-                Meshing::Done(mesh) => again = Some(mesh),
-                Meshing::NeedsRoom { bytes } => return Ok(Making::NeedsRoom { bytes }),
+            return Ok(encoded);
+        }
+        {
+            let _together = self.workspaces.turn.read().unwrap_or_else(PoisonError::into_inner);
+            let mut workspace = self.workspaces.take_workspace();
+            match self.encode(chunk, &mut workspace, self.shares.room)? {
+                Encoding::Done(encoded) => {
+                    self.workspaces.put_workspace(workspace);
+                    return Ok(encoded);
+                }
+                Encoding::NeedsRoom { .. } => {}
             }
         }
-        lap.add_to(&mut times.mesh);
-        return make_from_stored(work, stored, chunk, (mesh, ends), again, workspace, times)
-            .map(Making::Done);
+        let _alone = self.workspaces.turn.write().unwrap_or_else(PoisonError::into_inner);
+        self.workspaces.drop_workspaces();
+        match self.encode(chunk, &mut Workspace::default(), self.shares.room_alone())? {
+            Encoding::Done(encoded) => Ok(encoded),
+            Encoding::NeedsRoom { bytes } => Err(Error::Budget {
+                what: format!(
+                    "memory (chunk {} needs a wide halo; smaller --chunk-points need less)",
+                    chunk.id.0
+                ),
+                needed: self.shares.memory_for(bytes),
+                available: self.shares.memory_for(self.shares.room_alone()),
+            }),
+        }
     }
-    let mut mesh = match workspace.mesher.mesh(work.recipe, chunk, room, work.cancel)? {
-        Meshing::Done(mesh) => mesh,
-        Meshing::NeedsRoom { bytes } => return Ok(Making::NeedsRoom { bytes }),
-    };
-    lap.add_to(&mut times.mesh);
-    let mut placement = note(work, 0, work.steps[0].field.place(&mesh))?;
-    let outside6 = drop_outside(&mut mesh, &mut placement);
-    lap.add_to(&mut times.sample);
-    let (mut mesh_blocks, ends, summary) =
-        encode_mesh(work, chunk, &mut workspace.encoder, &mut mesh, outside6);
-    lap.add_to(&mut times.encode);
-    let value_blocks =
-        encode_steps(work, &mut mesh, &placement, None, &ends, &mut workspace.bench, &mut times)?;
-    workspace.mesher.reuse(mesh.all_positions, mesh.tets);
-    mesh_blocks.push(summary.encode());
-    Ok(Making::Done(Product { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
-}
 
-/// The values of steps on a mesh that is there, with the ends of its blocks; `again` is that of the chunk with what is around it, where values ask for that and it is not there.
-fn make_from_stored(
-    work: &Work<'_>,
-    stored: &Stored<'_>,
-    chunk: &Chunk,
-    (mut mesh, ends): (MeshedChunk, Vec<usize>),
-    again: Option<MeshedChunk>,
-    workspace: &mut Workspace,
-    mut times: StageTimes,
-) -> Result<Product> {
-    let mut lap = Lap(Instant::now());
-    let place = |mesh: &MeshedChunk| note(work, 0, work.steps[0].field.place(mesh));
-    let placement = match again {
-        // Of a mesh in which nothing lies outside any more.
-        None => place(&mesh)?,
-        Some(mut whole) => {
-            let mut placement = place(&whole)?;
-            drop_outside(&mut whole, &mut placement);
-            let counts = [&whole, &mesh].map(|mesh| mesh.tets.len());
-            if counts[0] != counts[1] {
-                let [expected, got] = counts.map(|n| n.to_string());
-                let at = format!("chunk {}, tetrahedra", chunk.id.0);
-                return Err(Error::bad_input(stored.archive.path(), at, expected, got)
-                    .with_help("isospan check tells more"));
+    fn encode(&self, chunk: &Chunk, workspace: &mut Workspace, room: u64) -> Result<Encoding> {
+        let mut times = StageTimes::default();
+        let mut lap = Lap(Instant::now());
+        if let Some(stored) = &self.stored {
+            let (mut mesh, ends) = stored.archive.stored_mesh(chunk.id)?;
+            // What values are fitted to is not stored: it is found around the mesh, or made again with it.
+            let mut again = None;
+            if self.recipe.halo == Halo::Stars
+                && !workspace.mesher.surround(self.recipe, chunk, &mut mesh, room, self.cancel)?
+            {
+                match workspace.mesher.mesh(self.recipe, chunk, room, self.cancel)? {
+                    Meshing::Done(mesh) => again = Some(mesh),
+                    Meshing::NeedsRoom { bytes } => return Ok(Encoding::NeedsRoom { bytes }),
+                }
             }
-            mesh.surround(whole);
-            placement
+            lap.add_to(&mut times.mesh);
+            return self
+                .encode_stored(stored, chunk, (mesh, ends), again, workspace, times)
+                .map(Encoding::Done);
         }
-    };
-    lap.add_to(&mut times.sample);
-    let vertices = mesh.vertices();
-    let before = stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
-    lap.add_to(&mut times.mesh);
-    let (before, bench) = (before.as_deref(), &mut workspace.bench);
-    let value_blocks = encode_steps(work, &mut mesh, &placement, before, &ends, bench, &mut times)?;
-    let points = mesh.core_len() as u64;
-    workspace.mesher.reuse(mesh.all_positions, mesh.tets);
-    Ok(Product { points, mesh_blocks: vec![], value_blocks, times })
+        let mut mesh = match workspace.mesher.mesh(self.recipe, chunk, room, self.cancel)? {
+            Meshing::Done(mesh) => mesh,
+            Meshing::NeedsRoom { bytes } => return Ok(Encoding::NeedsRoom { bytes }),
+        };
+        lap.add_to(&mut times.mesh);
+        let mut placement = self.note(0, self.steps[0].field.place(&mesh))?;
+        let outside6 = drop_outside(&mut mesh, &mut placement);
+        lap.add_to(&mut times.sample);
+        let (mut mesh_blocks, ends, summary) =
+            self.encode_mesh(chunk, &mut workspace.encoder, &mut mesh, outside6);
+        lap.add_to(&mut times.encode);
+        let value_blocks =
+            self.encode_steps(&mut mesh, &placement, None, &ends, &mut workspace.bench, &mut times)?;
+        workspace.mesher.reuse(mesh.all_positions, mesh.tets);
+        mesh_blocks.push(summary.encode());
+        Ok(Encoding::Done(EncodedChunk { points: u64::from(summary.core), mesh_blocks, value_blocks, times }))
+    }
+
+    /// Encodes the values of steps on a mesh that is there, with the ends of its blocks.
+    ///
+    /// `again` is the mesh with its one-ring neighbours, where values need these and they are not there.
+    fn encode_stored(
+        &self,
+        stored: &StoredMesh<'_>,
+        chunk: &Chunk,
+        (mut mesh, ends): (MeshedChunk, Vec<usize>),
+        again: Option<MeshedChunk>,
+        workspace: &mut Workspace,
+        mut times: StageTimes,
+    ) -> Result<EncodedChunk> {
+        let mut lap = Lap(Instant::now());
+        let place = |mesh: &MeshedChunk| self.note(0, self.steps[0].field.place(mesh));
+        let placement = match again {
+            // Of a mesh in which nothing lies outside any more.
+            None => place(&mesh)?,
+            Some(mut whole) => {
+                let mut placement = place(&whole)?;
+                drop_outside(&mut whole, &mut placement);
+                let counts = [&whole, &mesh].map(|mesh| mesh.tets.len());
+                if counts[0] != counts[1] {
+                    let [expected, got] = counts.map(|n| n.to_string());
+                    let at = format!("chunk {}, tetrahedra", chunk.id.0);
+                    return Err(Error::bad_input(stored.archive.path(), at, expected, got)
+                        .with_help("isospan check tells more"));
+                }
+                mesh.surround(whole);
+                placement
+            }
+        };
+        lap.add_to(&mut times.sample);
+        let vertices = mesh.vertices();
+        let before =
+            stored.base.map(|base| stored.archive.chunk_values(base, chunk.id, vertices)).transpose()?;
+        lap.add_to(&mut times.mesh);
+        let (before, bench) = (before.as_deref(), &mut workspace.bench);
+        let value_blocks = self.encode_steps(&mut mesh, &placement, before, &ends, bench, &mut times)?;
+        let points = mesh.core_len() as u64;
+        workspace.mesher.reuse(mesh.all_positions, mesh.tets);
+        Ok(EncodedChunk { points, mesh_blocks: vec![], value_blocks, times })
+    }
+
+    /// The values of all steps, as they are stored.
+    fn values_of(
+        &self,
+        mesh: &mut MeshedChunk,
+        placement: &Placement,
+        memory: &mut Vec<u64>,
+        times: &mut StageTimes,
+    ) -> Result<Vec<Vec<f32>>> {
+        let mut lap = Lap(Instant::now());
+        let fields: Vec<&Field<'_>> = self.steps.iter().map(|step| step.field).collect();
+        let note = |n, read| self.note(n, read);
+        let interpolated = interpolated(&fields, mesh, placement, self.cancel, note)?;
+        lap.add_to(&mut times.sample);
+        let wanted: Vec<_> = self.steps.iter().map(|step| (step.field, step.plan.quantiser)).collect();
+        let mut values = fitted(&wanted, mesh, placement, interpolated, memory, self.cancel, note)?;
+        if self.recipe.halo == Halo::Stars {
+            lap.add_to(&mut times.fit);
+        }
+        for (step, values) in self.steps.iter().zip(&mut values) {
+            match &step.plan.quantiser {
+                Some(quantiser) => values.iter_mut().for_each(|v| *v = quantiser.round(*v)),
+                // A zero has no sign: which of two zeros is the lesser one differs from machine to machine.
+                None => values.iter_mut().for_each(|v| *v += 0.0),
+            }
+        }
+        Ok(values)
+    }
+
+    /// Notes whether a step could be used.
+    fn note<T>(&self, n: usize, found: Result<T>) -> Result<T> {
+        self.bad_steps.note(n, self.steps[n].plan.number, found)
+    }
+
+    /// Samples, measures and encodes all steps. The blocks of each are values, their ranges, errors,
+    /// part of the spectrum, summary.
+    ///
+    /// `before` are the values of the first one's base. The mesh has the tetrahedra of all blocks, as
+    /// they decode, with the end of each block.
+    fn encode_steps(
+        &self,
+        mesh: &mut MeshedChunk,
+        placement: &Placement,
+        before: Option<&[f32]>,
+        block_ends: &[usize],
+        bench: &mut Bench,
+        times: &mut StageTimes,
+    ) -> Result<Vec<Vec<Vec<u8>>>> {
+        let values = self.values_of(mesh, placement, &mut bench.fit, times)?;
+        let mut lap = Lap(Instant::now());
+        let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
+        let sides = StepLanes::new(&of_steps, &mut bench.sides);
+        let (positions, tets) = (mesh.positions(), &*mesh.tets);
+        let errors = self.errors(&Cells { positions, tets, block_ends }, &sides)?;
+        lap.add_to(&mut times.measure);
+        let ranges = sides.ranges(tets, block_ends);
+        sides.give_back(&mut bench.sides);
+        lap.add_to(&mut times.encode);
+        let of_steps: Vec<(&[f32], &[BlockRange])> =
+            of_steps.into_iter().zip(&ranges).map(|(values, ranges)| (values, &**ranges)).collect();
+        let parts = self.meter.parts(positions, tets, &of_steps, &mut bench.spectrum)?;
+        lap.add_to(&mut times.spectrum);
+        let (mut out, mut before, blocks) = (vec![], before, &mesh.value_blocks());
+        for (n, ((step, part), ranges)) in self.steps.iter().zip(&parts).zip(ranges).enumerate() {
+            self.cancel.check()?;
+            let values = &*values[n];
+            let base = step.plan.base.map(|_| before.expect("a base is the step before"));
+            let mut encoded = encode_values(values, blocks, base, step.plan.quantiser.as_ref());
+            encoded.push(encode_value_ranges(values, blocks));
+            encoded.extend(errors.get(n).map(encode_errors));
+            encoded.push(part.encode());
+            encoded.push(ValueSummary::of(&values[..mesh.core_len()], ranges).encode());
+            out.push(encoded);
+            before = Some(values);
+        }
+        lap.add_to(&mut times.encode);
+        Ok(out)
+    }
+
+    /// The errors of each step in a chunk; none where they are not measured.
+    fn errors(&self, cells: &Cells<'_>, steps: &StepLanes<'_>) -> Result<Vec<ChunkErrors>> {
+        let Some((sample_errors, samples)) = &self.sample_errors else { return Ok(vec![]) };
+        let levels = self.recipe.points.levels().map(|levels| &**levels);
+        sample_errors
+            .chunk_errors(cells, steps, levels, |n, window, out| self.note(n, samples[n].read(window, out)))
+    }
+
+    /// Encodes a chunk's mesh: its blocks, the end of each in the tetrahedra, and its summary. Leaves
+    /// the mesh with the tetrahedra as they decode.
+    fn encode_mesh(
+        &self,
+        chunk: &Chunk,
+        encoder: &mut ChunkEncoder,
+        mesh: &mut MeshedChunk,
+        outside6: i128,
+    ) -> (Vec<Vec<u8>>, Vec<usize>, MeshSummary) {
+        let mut summary = MeshSummary {
+            core: mesh.core_len() as u32,
+            halo: mesh.halo.len() as u32,
+            tet_blocks: 0,
+            retries: mesh.retries,
+            tets: mesh.tets.len() as u64,
+            volume6: volume6(mesh.positions(), mesh.tets.iter()),
+            outside6,
+        };
+        // What follows by formula is not stored.
+        if let Some(chunk) = self.recipe.bcc_chunk(chunk) {
+            summary.tet_blocks = chunk.brick_count() as u32;
+            return (vec![], chunk.brick_ends(), summary);
+        }
+        let vertices = ChunkVertices {
+            core_counts: std::mem::take(&mut mesh.core_counts),
+            halo: std::mem::take(&mut mesh.halo),
+            shared: std::mem::take(&mut mesh.shared),
+        };
+        let positions = &mesh.all_positions[..mesh.all_positions.len() - mesh.around];
+        let encoded = encoder.encode(&vertices, positions, &mut mesh.tets, self.block_tets);
+        ChunkVertices { core_counts: mesh.core_counts, halo: mesh.halo, shared: mesh.shared } = vertices;
+        summary.tet_blocks = encoded.tet_blocks() as u32;
+        let ends = encoded.block_ends();
+        (encoded.blocks, ends, summary)
+    }
+
+    /// Reads ahead what a chunk needs.
+    pub(super) fn will_need(&self, chunk: &Chunk) {
+        self.steps.iter().for_each(|s| s.field.will_need(chunk));
+    }
+
+    /// Gives back what chunks before this one needed: it was written.
+    pub(super) fn pass(&self, chunk: &Chunk) {
+        self.steps.iter().for_each(|s| s.field.pass(chunk));
+        if let Some(stored) = &self.stored {
+            stored.archive.close_before(chunk.id);
+        }
+        if let Some((reused, _)) = &self.reused {
+            reused.pass(chunk.id);
+        }
+    }
 }
 
 /// Adds up what a stage takes.
@@ -202,96 +405,8 @@ impl Lap {
     }
 }
 
-/// The values of all steps, as they are stored.
-fn values_of(
-    work: &Work<'_>,
-    mesh: &mut MeshedChunk,
-    placement: &Placement,
-    memory: &mut Vec<u64>,
-    times: &mut StageTimes,
-) -> Result<Vec<Vec<f32>>> {
-    let mut lap = Lap(Instant::now());
-    let fields: Vec<&dyn Field> = work.steps.iter().map(|step| step.field).collect();
-    let note = |n, read| note(work, n, read);
-    let interpolated = interpolated(&fields, mesh, placement, work.cancel, note)?;
-    lap.add_to(&mut times.sample);
-    let wanted: Vec<_> = work.steps.iter().map(|step| (step.field, step.plan.quantiser)).collect();
-    let mut values = fitted(&wanted, mesh, placement, interpolated, memory, work.cancel, note)?;
-    if work.recipe.halo == Halo::Stars {
-        lap.add_to(&mut times.fit);
-    }
-    for (step, values) in work.steps.iter().zip(&mut values) {
-        match &step.plan.quantiser {
-            Some(quantiser) => values.iter_mut().for_each(|v| *v = quantiser.round(*v)),
-            // A zero has no sign: which of two zeros is the lesser one differs from machine to machine.
-            None => values.iter_mut().for_each(|v| *v += 0.0),
-        }
-    }
-    Ok(values)
-}
-
-/// Notes a step whose data cannot be used.
-fn note<T>(work: &Work<'_>, n: usize, found: Result<T>) -> Result<T> {
-    let step = &work.steps[n];
-    let found = found.map_err(|e| if work.several { e.at_step(step.plan.number) } else { e });
-    if let Err(e @ (Error::BadInput(_) | Error::Io { .. })) = &found {
-        let mut bad = work.bad_steps.lock().unwrap_or_else(PoisonError::into_inner);
-        bad.entry(n).or_insert_with(|| e.to_string());
-    }
-    found
-}
-
-/// Samples, measures and encodes all steps: the blocks of each, values, their ranges, errors, part of the spectrum, summary. `before` are the
-/// values of the first one's base; the mesh has the tetrahedra of all blocks, as they decode, with the end of each block.
-fn encode_steps(
-    work: &Work<'_>,
-    mesh: &mut MeshedChunk,
-    placement: &Placement,
-    before: Option<&[f32]>,
-    block_ends: &[usize],
-    bench: &mut Bench,
-    times: &mut StageTimes,
-) -> Result<Vec<Vec<Vec<u8>>>> {
-    let values = values_of(work, mesh, placement, &mut bench.fit, times)?;
-    let mut lap = Lap(Instant::now());
-    let of_steps: Vec<&[f32]> = values.iter().map(Vec::as_slice).collect();
-    let sides = StepLanes::new(&of_steps, &mut bench.sides);
-    let (positions, tets) = (mesh.positions(), &*mesh.tets);
-    let errors = errors(work, &Cells { positions, tets, block_ends }, &sides)?;
-    lap.add_to(&mut times.measure);
-    let ranges = sides.ranges(tets, block_ends);
-    sides.give_back(&mut bench.sides);
-    lap.add_to(&mut times.encode);
-    let of_steps: Vec<(&[f32], &[BlockRange])> =
-        of_steps.into_iter().zip(&ranges).map(|(values, ranges)| (values, &**ranges)).collect();
-    let parts = work.meter.parts(positions, tets, &of_steps, &mut bench.spectrum)?;
-    lap.add_to(&mut times.spectrum);
-    let (mut out, mut before, blocks) = (vec![], before, &mesh.value_blocks());
-    for (n, ((step, part), ranges)) in work.steps.iter().zip(&parts).zip(ranges).enumerate() {
-        work.cancel.check()?;
-        let values = &*values[n];
-        let base = step.plan.base.map(|_| before.expect("a base is the step before"));
-        let mut encoded = encode_values(values, blocks, base, step.plan.quantiser.as_ref());
-        encoded.push(encode_value_ranges(values, blocks));
-        encoded.extend(errors.get(n).map(encode_errors));
-        encoded.push(part.encode());
-        encoded.push(ValueSummary::of(&values[..mesh.core_len()], ranges).encode());
-        out.push(encoded);
-        before = Some(values);
-    }
-    lap.add_to(&mut times.encode);
-    Ok(out)
-}
-
-/// The errors of each step in a chunk; none where they are not measured.
-fn errors(work: &Work<'_>, cells: &Cells<'_>, steps: &StepLanes<'_>) -> Result<Vec<ChunkErrors>> {
-    let Some((sample_errors, samples)) = &work.sample_errors else { return Ok(vec![]) };
-    let levels = work.recipe.points.levels().map(|levels| &**levels);
-    sample_errors
-        .chunk_errors(cells, steps, levels, |n, window, out| note(work, n, samples[n].read(window, out)))
-}
-
-/// Removes the tetrahedra that lie outside of the data, and the halo points that only they use; tells the six-fold volume of the chunk's own.
+/// Removes the tetrahedra that lie outside of the data, and the halo points that only they use.
+/// Returns six times the volume of those of the chunk itself.
 fn drop_outside(mesh: &mut MeshedChunk, placement: &mut Placement) -> i128 {
     let outside = std::mem::take(&mut placement.outside);
     if outside.is_empty() {
@@ -313,39 +428,4 @@ fn volume6<'a>(positions: &[LatticePos], tets: impl Iterator<Item = &'a Tet>) ->
         signed_volume6(a, b, c, d)
     })
     .sum()
-}
-
-/// Encodes a chunk's mesh: its blocks, the end of each in the tetrahedra, and its summary. Leaves the mesh with the tetrahedra as they decode.
-fn encode_mesh(
-    work: &Work<'_>,
-    chunk: &Chunk,
-    encoder: &mut ChunkEncoder,
-    mesh: &mut MeshedChunk,
-    outside6: i128,
-) -> (Vec<Vec<u8>>, Vec<usize>, MeshSummary) {
-    let mut summary = MeshSummary {
-        core: mesh.core_len() as u32,
-        halo: mesh.halo.len() as u32,
-        tet_blocks: 0,
-        retries: mesh.retries,
-        tets: mesh.tets.len() as u64,
-        volume6: volume6(mesh.positions(), mesh.tets.iter()),
-        outside6,
-    };
-    // What follows by formula is not stored.
-    if let Some(chunk) = work.recipe.bcc_chunk(chunk) {
-        summary.tet_blocks = chunk.brick_count() as u32;
-        return (vec![], chunk.brick_ends(), summary);
-    }
-    let vertices = ChunkVertices {
-        core_counts: std::mem::take(&mut mesh.core_counts),
-        halo: std::mem::take(&mut mesh.halo),
-        shared: std::mem::take(&mut mesh.shared),
-    };
-    let positions = &mesh.all_positions[..mesh.all_positions.len() - mesh.around];
-    let encoded = encoder.encode(&vertices, positions, &mut mesh.tets, work.plan.block_tets);
-    ChunkVertices { core_counts: mesh.core_counts, halo: mesh.halo, shared: mesh.shared } = vertices;
-    summary.tet_blocks = encoded.tet_blocks() as u32;
-    let ends = encoded.block_ends();
-    (encoded.blocks, ends, summary)
 }

@@ -1,20 +1,31 @@
-//! A finished archive whose reduction is asked for again: the run was killed after all was done, or
-//! files got lost.
+//! What is in the place of an archive before it is made: [`Existing`], found once, at the door.
 //!
-//! If nothing is missing, nothing is done. Lost files are made again, the others stay. Meanwhile
-//! the manifest stays in place, since it shows that this is the same reduction. An equal one
-//! replaces it in the end.
+//! ```text
+//!                at the door                     with the plan
+//!  Nothing       make it                         Begun
+//!  Unfinished    go on                           Begun, or another's work: refuse, or empty (--force)
+//!  Finished      may it be this one? else        Complete: nothing to do; Begun: files are lost;
+//!                refuse, or replace (--force)    else refuse, or replace (--force)
+//!  Foreign       refuse
+//! ```
+//!
+//! Lost files of a finished archive are made again, the others stay. Meanwhile the manifest stays in
+//! place, since it shows that this is the same reduction. An equal one replaces it in the end.
 
+use super::job::Job;
+use super::plan_file::{old_archive, work_folder};
+use crate::archive::lock::WriterLock;
 use crate::archive::manifest::{
     MANIFEST_NAME, Manifest, Step, coordinates_path, index_path, is_coordinates, mesh_folder,
     mesh_segment_path, spectrum_path, steps_folder, unpacked_path, unpacked_step, values_segment_path,
 };
-use crate::archive::publish;
 use crate::archive::segment::{PlanHash, segment_plan};
+use crate::archive::{TEMPORARY_MARK, publish};
+use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
 use crate::formats::StepSource;
-use crate::pipeline::plan::{Attachments, Plan};
-use crate::pipeline::settings::{ReduceSettings, ValueBits};
+use crate::pipeline::plan::{Attachments, Layout, Plan};
+use crate::pipeline::settings::{RunSettings, ValueBits};
 use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -80,7 +91,7 @@ pub(super) fn remove_strays(archive: &Path, manifest: &Manifest) {
 
 /// A segment in the folder of an unfinished archive, or the beginning of one, that is not of this plan: somebody
 /// else's work. `None` where there is none, and where the archive is finished.
-pub(super) fn other_work(archive: &Path, plan: &Plan, keep_going: bool) -> Option<PathBuf> {
+fn other_work(archive: &Path, plan: &Plan, keep_going: bool) -> Option<PathBuf> {
     let mesh = plan.mesh_hash();
     let steps: HashSet<PlanHash> = (0..plan.steps.len()).map(|n| plan.step_hash(n)).collect();
     let is_other = |path: &PathBuf, own: &dyn Fn(PlanHash) -> bool| {
@@ -104,16 +115,169 @@ pub(super) fn other_work(archive: &Path, plan: &Plan, keep_going: bool) -> Optio
     in_mesh.or_else(in_steps)
 }
 
-/// Whether a manifest is that of a plan: the same mesh, the same steps.
-pub(in crate::pipeline) fn is_of(manifest: &Manifest, mesh: PlanHash, plan: &Plan) -> bool {
-    manifest.plan_hash == mesh && manifest.steps.iter().map(|s| &s.plan).eq(&plan.steps)
+/// What there is in the place of an archive, before it is made.
+pub(in crate::pipeline) enum Existing {
+    /// No file, or an empty folder.
+    Nothing,
+    /// Files of an archive without a manifest: the work of a run that did not end.
+    Unfinished,
+    /// An archive.
+    Finished(Box<Manifest>),
+    /// An archive whose manifest cannot be read.
+    Damaged,
+    /// A folder that holds other files, too.
+    Foreign,
 }
 
-/// Whether a finished archive may be that of a reduction of these steps, or one that has lost files: its plan will tell. To plan may take reading all samples, or a mesh; so what has other
-/// settings, or was made from a file of another name, is told from it without. What a target is met with is found anew each time.
-pub(super) fn may_be_of(archive: &Path, steps: &[StepSource], settings: &ReduceSettings) -> bool {
-    // An archive whose manifest cannot be read may be anything.
-    let Ok(manifest) = Manifest::read(archive) else { return false };
+impl Existing {
+    /// Looks at the folder of an archive.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a name that no archive has, for a file, and for a place on a server.
+    pub(in crate::pipeline) fn at(out: &Path) -> Result<Self> {
+        refuse_name(out)?;
+        match fs::metadata(out) {
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Self::Nothing),
+            Err(e) => return Err(Error::io("look at", out, e)),
+            Ok(_) => {}
+        }
+        let ours = ["mesh", "steps", MANIFEST_NAME];
+        let mut is_empty = true;
+        for entry in fs::read_dir(out).map_err(|e| Error::io("list", out, e))? {
+            let name = entry.map_err(|e| Error::io("list", out, e))?.file_name();
+            let name = name.to_string_lossy();
+            if !ours.contains(&&*name) && !name.contains(TEMPORARY_MARK) {
+                return Ok(Self::Foreign);
+            }
+            is_empty = false;
+        }
+        if !out.join(MANIFEST_NAME).exists() {
+            return Ok(if is_empty { Self::Nothing } else { Self::Unfinished });
+        }
+        Ok(Manifest::read(out).map_or(Self::Damaged, |manifest| Self::Finished(Box::new(manifest))))
+    }
+
+    /// Whether there is an archive with a manifest.
+    pub(in crate::pipeline) fn is_finished(&self) -> bool {
+        matches!(self, Self::Finished(_) | Self::Damaged)
+    }
+
+    /// Refuses a place where nothing may be written, `replace` or not.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] that says why.
+    pub(in crate::pipeline) fn refuse_overwriting(&self, out: &Path, replace: bool) -> Result<()> {
+        match self {
+            Self::Foreign => Err(foreign(out)),
+            Self::Finished(_) | Self::Damaged if !replace => Err(exists(out)),
+            _ => Ok(()),
+        }
+    }
+
+    /// As [`Existing::refuse_overwriting`], but lets an archive pass that may be the one of the job.
+    pub(super) fn refuse_other(&self, job: &Job<'_>) -> Result<()> {
+        match self {
+            Self::Finished(manifest) if may_be_of(job, manifest) => Ok(()),
+            other => other.refuse_overwriting(job.out, job.run.replace),
+        }
+    }
+
+    /// Compares what there is with the plan of an archive.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] when it is something else that is not to be replaced.
+    pub(in crate::pipeline) fn compare(&self, out: &Path, plan: &Plan, run: &RunSettings) -> Result<State> {
+        let refused = match self {
+            Self::Nothing => return Ok(State::Begun),
+            Self::Finished(manifest) if plan.is_of(manifest) => {
+                let is_complete = !lacks_files(out, manifest);
+                return Ok(if is_complete { State::Complete(manifest.clone()) } else { State::Begun });
+            }
+            Self::Finished(manifest) if lacks_files(out, manifest) => {
+                let text = "lacks files, and was not made by this reduction alone; \
+                            choose another name, or --force to replace it";
+                Error::usage(format!("{} {text}", out.display()))
+            }
+            Self::Finished(_) | Self::Damaged => exists(out),
+            Self::Unfinished => match other_work(out, plan, run.keep_going) {
+                Some(file) => is_unfinished(out, &file),
+                None => return Ok(State::Begun),
+            },
+            Self::Foreign => return Err(foreign(out)),
+        };
+        if run.replace { Ok(State::Other) } else { Err(refused) }
+    }
+}
+
+/// How far the archive of a plan is.
+pub(in crate::pipeline) enum State {
+    /// It is there, and lacks no file.
+    Complete(Box<Manifest>),
+    /// Nothing, or some of its files.
+    Begun,
+    /// Files of something else, which is to be replaced.
+    Other,
+}
+
+impl State {
+    /// Empties the folder where it has files of something else.
+    pub(in crate::pipeline) fn make_place(&self, layout: &Layout) -> Result<()> {
+        let Self::Other = self else { return Ok(()) };
+        // First the manifest: from then on it is no archive.
+        let manifest = layout.root().join(MANIFEST_NAME);
+        match fs::remove_file(&manifest) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                return Err(Error::io("remove", &manifest, e));
+            }
+            _ => {}
+        }
+        [layout.mesh_folder(), layout.steps_folder()].iter().try_for_each(|f| publish::remove_folder(f))
+    }
+}
+
+/// Locks an archive that is to be written. One that a killed run was replacing is there again.
+pub(in crate::pipeline) fn lock_for_writing(out: &Path) -> Result<WriterLock> {
+    refuse_name(out)?;
+    let lock = WriterLock::acquire(out)?;
+    publish::restore_folder(out, &old_archive(out))?;
+    Ok(lock)
+}
+
+/// Puts a new archive in the place of the one of its name, which was whole until then.
+pub(in crate::pipeline) fn replace_archive(new: &Path, out: &Path) -> Result<()> {
+    publish::replace_folder(new, out, &old_archive(out))?;
+    // There may be a plan, or logs.
+    let _ = fs::remove_dir(work_folder(out));
+    Ok(())
+}
+
+/// Removes what earlier runs that were killed have left.
+pub(in crate::pipeline) fn sweep(layout: &Layout) {
+    let folders = [layout.root().to_path_buf(), layout.mesh_folder(), layout.steps_folder()];
+    folders.iter().for_each(|folder| publish::sweep(folder));
+}
+
+/// Refuses a name that no archive has, files, and servers, which are read only.
+fn refuse_name(out: &Path) -> Result<()> {
+    let refused = |text: &str| Err(Error::usage(format!("{}: {text}", out.display())));
+    if is_remote(out) {
+        return refused("archives are written on disk; copy the folder to the server afterwards");
+    }
+    if out.extension().is_none_or(|e| e != "isospan") {
+        return refused("an archive's name ends in .isospan");
+    }
+    if fs::metadata(out).is_ok_and(|about| !about.is_dir()) {
+        return refused("exists and is not an archive; choose another name");
+    }
+    Ok(())
+}
+
+/// Whether a finished archive may be that of a job, or one that has lost files: its plan will tell.
+///
+/// Planning may read all samples, or a mesh. So an archive with other settings, or from a file of
+/// another name, is recognized without it. What meets a target is found anew each time.
+fn may_be_of(job: &Job<'_>, manifest: &Manifest) -> bool {
+    let (settings, steps) = (job.settings, job.sources);
     let first = manifest.steps.first().map(|step| &step.plan);
     let name = |step: &StepSource| step.path.file_name().map(|name| name.to_string_lossy().into_owned());
     let is_alike = manifest.steps.len() <= steps.len()
@@ -123,41 +287,27 @@ pub(super) fn may_be_of(archive: &Path, steps: &[StepSource], settings: &ReduceS
             (ValueBits::Exact, quantiser) => quantiser.is_none(),
             (ValueBits::Bits(bits), quantiser) => quantiser.is_some_and(|q| q.bits == bits),
         }
-        && steps.iter().any(|step| name(step).as_ref() == first.map(|plan| &plan.source.path));
-    // What a target is met with tells so; how many points it has is no matter of the settings.
+        && steps.iter().any(|(_, step)| name(step).as_ref() == first.map(|plan| &plan.source.path));
+    // An archive that meets a target names it; the settings do not give its number of points.
     match settings.target {
         Some(_) => manifest.target == Some(settings.hash()),
-        None => is_alike || lacks_files(archive, &manifest),
+        None => is_alike || lacks_files(job.out, manifest),
     }
-}
-
-/// The manifest, if there is one: of a finished archive of this very plan.
-///
-/// # Errors
-/// [`Error::Usage`] when there is a finished archive of another plan, or with steps that were appended.
-pub(super) fn finished(out: &Path, plan: &Plan) -> Result<Option<Manifest>> {
-    if !out.join(MANIFEST_NAME).exists() {
-        return Ok(None);
-    }
-    let manifest = Manifest::read(out)?;
-    if is_of(&manifest, plan.mesh_hash(), plan) {
-        return Ok(Some(manifest));
-    }
-    Err(if lacks_files(out, &manifest) {
-        let text = "lacks files, and was not made by this reduction alone; choose another name, or --force to replace it";
-        Error::usage(format!("{} {text}", out.display()))
-    } else {
-        exists(out)
-    })
 }
 
 /// There is unfinished work of something else, of which this is a file.
-pub(super) fn is_unfinished(out: &Path, file: &Path) -> Error {
+fn is_unfinished(out: &Path, file: &Path) -> Error {
     let file = file.strip_prefix(out).unwrap_or(file).display();
     Error::usage(format!(
-        "{} holds the unfinished work of another input, or of other settings ({file}): continue that, choose another name, or --force to start anew",
+        "{} holds the unfinished work of another input, or of other settings ({file}): \
+         continue that, choose another name, or --force to start anew",
         out.display()
     ))
+}
+
+/// There is a folder of this name that is no archive.
+fn foreign(out: &Path) -> Error {
+    Error::usage(format!("{} exists and holds other files; choose another name", out.display()))
 }
 
 /// There is something of this name.

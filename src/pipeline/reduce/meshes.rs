@@ -10,8 +10,9 @@
 //! Which vertices are one is decided by the values of the first step, and known of an archive that steps are added to.
 
 use super::job::Job;
-use super::mesh::check_job;
-use super::passes::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data};
+use super::mesh_fields::{LastMesh, Listed, MeshInput};
+use super::mesh_store::check_job;
+use super::series::{FieldOfSeries, PlannedSource, SeriesPlan, are_there, is_of_data};
 use crate::archive::explicit::ExplicitRecord;
 use crate::archive::manifest::{MeshSource, OwnRecord, Plan as MeshPlan, Source, StepPlan};
 use crate::archive::repeated::RepeatedRecord;
@@ -20,65 +21,20 @@ use crate::archive::values::Quantiser;
 use crate::cells::CellMesh;
 use crate::domain::amount::{COUNTABLE, amount_between, next_amount, valued};
 use crate::domain::boundary::{BoundarySamples, Spacing};
-use crate::domain::buckets::Buckets;
 use crate::domain::column::Column;
-use crate::domain::gradients::gradients;
 use crate::domain::identity::Identity;
-use crate::domain::own::{OwnCells, OwnVertices};
+use crate::domain::own::OwnVertices;
 use crate::domain::store::{CellStore, StoreSettings};
-use crate::domain::vertices::Vertices;
 use crate::error::{Error, Result};
-use crate::formats::{self, Input, OpenOptions, StepSource};
-use crate::grid::BrickGrid;
-use crate::pipeline::chunk::{CellField, Field, OwnField, OwnMesh};
+use crate::formats::{Input, StepSource};
 use crate::pipeline::inputs::{MeshChoice, MeshCurves, Shift};
 use crate::pipeline::plan::{Attachments, Inputs, Plan, Watch};
 use crate::pipeline::read::OpenArchive;
 use crate::pipeline::settings::{Amount, ReduceSettings};
 use crate::points::{ExplicitPoints, Levels, PointSet, PointSpec, SetKind, SetSettings};
-use crate::sample::{Interpolation, Values};
+use crate::sample::Interpolation;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
-
-/// The points of a mesh that are listed, and what is known of them.
-pub(super) enum Listed {
-    /// Samples of its boundary.
-    Boundary(BoundarySamples),
-    /// Its own vertices: it is kept as it is.
-    Own(OwnVertices),
-}
-
-/// Bytes that a listed point takes all the time: its position, its part of the grid that finds it.
-const OWN_BYTES: u64 = 16;
-/// Of a sample of the boundary, and of those by which the nearest place is found.
-const SAMPLE_BYTES: u64 = 100;
-
-impl Listed {
-    /// Their positions.
-    pub(super) fn points(&self) -> &Arc<ExplicitPoints> {
-        match self {
-            Self::Boundary(boundary) => &boundary.points,
-            Self::Own(vertices) => &vertices.points,
-        }
-    }
-
-    /// The memory that they take.
-    pub(super) fn bytes(&self) -> u64 {
-        match self {
-            Self::Boundary(boundary) => boundary.points.len().saturating_mul(SAMPLE_BYTES),
-            Self::Own(vertices) => vertices.points.len().saturating_mul(OWN_BYTES),
-        }
-    }
-}
-
-/// A mesh made ready.
-pub(super) struct Prepared {
-    pub(super) store: CellStore,
-    pub(super) series: SeriesPlan,
-    pub(super) listed: Listed,
-    /// Points with a value that are wanted, boundary included.
-    pub(super) wanted: u64,
-}
+use std::sync::Arc;
 
 /// The mesh that all steps must have.
 struct Common {
@@ -140,30 +96,10 @@ fn open_mesh_of(source: &StepSource) -> Result<CellMesh> {
     }
 }
 
-/// The file of a mesh that was opened last: its other fields are had without reading its head again.
-pub(super) struct LastMesh {
-    source: StepSource,
-    mesh: CellMesh,
-}
-
-impl LastMesh {
-    fn new(source: &StepSource, mesh: &CellMesh) -> Self {
-        Self { source: source.clone(), mesh: mesh.clone() }
-    }
-
-    /// The mesh of a source that is another field of this file; `None` of another file.
-    fn of(&self, source: &StepSource) -> Option<Result<CellMesh>> {
-        let fieldless = |s: &StepSource| OpenOptions { field: None, ..s.options.clone() };
-        let is_same = self.source.path == source.path && fieldless(&self.source) == fieldless(source);
-        let name = source.options.field.as_ref().filter(|_| is_same)?;
-        Some(self.mesh.with_field(name))
-    }
-}
-
 /// What is subtracted from the values of all steps: as the archive or the plan has it, else as the first source that can be opened asks for.
 pub(super) fn offset_of(job: &Job<'_>) -> Result<f64> {
-    let known = job.part.archive().map(|archive| &archive.manifest.steps[0].plan);
-    if let Some(step) = known.or_else(|| job.part.planned().map(Plan::first)) {
+    let known = job.basis.archive().map(|archive| &archive.manifest.steps[0].plan);
+    if let Some(step) = known.or_else(|| job.basis.plan().map(Plan::first)) {
         return Ok(step.source.offset);
     }
     let mut first_error = None;
@@ -184,7 +120,7 @@ pub(super) fn offset_of(job: &Job<'_>) -> Result<f64> {
 }
 
 /// The mesh of a job on disk, of the first source that can be used.
-fn base_of(job: &Job<'_>, how: &StoreSettings<'_>, inputs: &mut Inputs<'_>) -> Result<(CellMesh, CellStore)> {
+fn base_of(job: &Job<'_>, how: &StoreSettings, inputs: &mut Inputs<'_>) -> Result<(CellMesh, CellStore)> {
     let mut first_error = None;
     for (number, source) in job.sources {
         let told = |e: Error| if job.is_several() { e.at_step(*number) } else { e };
@@ -201,14 +137,14 @@ fn base_of(job: &Job<'_>, how: &StoreSettings<'_>, inputs: &mut Inputs<'_>) -> R
 fn base_from(
     source: &StepSource,
     job: &Job<'_>,
-    how: &StoreSettings<'_>,
+    how: &StoreSettings,
     inputs: &mut Inputs<'_>,
 ) -> Result<(CellMesh, CellStore)> {
     inputs.watch.add(std::slice::from_ref(&source.path));
     let mesh = open_mesh_of(source)?;
     inputs.watch.add(&mesh.info().files());
     check_job(job, &mesh)?;
-    let Some(archive) = job.part.archive() else {
+    let Some(archive) = job.basis.archive() else {
         let store = CellStore::build(&mesh, how)?;
         return Ok((mesh, store));
     };
@@ -220,17 +156,16 @@ fn base_from(
     Ok((mesh, store))
 }
 
-/// Reads the mesh of a job and plans its steps.
-pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared> {
-    let mut inputs = job
-        .part
-        .planned()
-        .map_or_else(Inputs::default, |plan| Inputs::planned(job.part.planned_files(), plan.fingerprints()));
+/// Reads the mesh of a job and plans its steps. Returns the mesh, the plan, and how many points with a
+/// value are wanted, boundary included.
+pub(super) fn prepare(job: &Job<'_>, settings: StoreSettings) -> Result<(MeshInput, SeriesPlan, u64)> {
+    let how = &settings;
+    let mut inputs = job.basis.inputs();
     let (mesh, store) = base_of(job, how, &mut inputs)?;
     let path = &mesh.info().path;
     let wanted = wanted_of(job.settings, store.census.vertices).round().max(1.0) as u64;
     let own = is_own(job, store.census.vertices);
-    let mut plan = match job.part.archive() {
+    let mut plan = match job.basis.archive() {
         None => {
             let points = if own { store.census.vertices } else { wanted };
             new_plan(&mesh, &store, points, job.settings, how.offset)?
@@ -240,7 +175,7 @@ pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared
     let of_share = |e: Error| e.of_share(how.memory, job.run.resources.memory);
     let (dense, listed) = if own {
         let vertices = OwnVertices::new(&store, how, path).map_err(of_share)?;
-        if job.part.archive().is_none() {
+        if job.basis.archive().is_none() {
             let record = OwnRecord::new(store.census.tetrahedra, vertices.volume6);
             plan.keep_own(&vertices.points, record)?;
         }
@@ -250,7 +185,7 @@ pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared
         (dense, Listed::Boundary(boundary))
     };
     let record = ExplicitRecord::of(listed.points());
-    match job.part.archive() {
+    match job.basis.archive() {
         None => plan.mesh.explicit = Some(record),
         Some(archive) => expect_listed(archive, record)?,
     }
@@ -260,15 +195,15 @@ pub(super) fn prepare(job: &Job<'_>, how: &StoreSettings<'_>) -> Result<Prepared
         attachments: Attachments { levels: dense.levels, ..series.attachments },
         ..series
     };
-    Ok(Prepared { store, series, listed, wanted: dense.wanted })
+    Ok((MeshInput { store, listed, settings }, series, dense.wanted))
 }
 
 /// Whether a mesh of so many vertices is kept as it is: as the archive or the plan has it, else as the settings ask.
 fn is_own(job: &Job<'_>, vertices: u64) -> bool {
-    let known = job.part.archive().map(|archive| &archive.manifest.plan);
-    match known.or_else(|| job.part.planned().map(|plan| &plan.mesh)) {
+    let known = job.basis.archive().map(|archive| &archive.manifest.plan);
+    match known.or_else(|| job.basis.plan().map(|plan| &plan.mesh)) {
         Some(plan) => plan.own.is_some(),
-        None => job.round.is_none() && keeps_own(job.settings, vertices),
+        None => job.basis.round().is_none() && keeps_own(job.settings, vertices),
     }
 }
 
@@ -301,23 +236,23 @@ fn dense_enough(
     store: &CellStore,
     wanted: u64,
     job: &Job<'_>,
-    how: &StoreSettings<'_>,
+    how: &StoreSettings,
     path: &Path,
 ) -> Result<(Dense, BoundarySamples)> {
     let known = |levels, plan: &Plan| {
         let boundary = boundary_of(plan.mesh.points, &levels, store, how, path)?;
         Ok((Dense { levels, wanted, bound: None }, boundary))
     };
-    if let Some(archive) = job.part.archive() {
+    if let Some(archive) = job.basis.archive() {
         return known(archive.points.levels().cloned(), plan);
     }
-    if let Some(planned) = job.part.planned()
+    if let Some(planned) = job.basis.plan()
         && planned.mesh.lattice == plan.mesh.lattice
     {
         plan.mesh.clone_from(&planned.mesh);
         return known(Attachments::read(job.out, &planned.mesh)?.levels, plan);
     }
-    if let Some(round) = job.round {
+    if let Some(round) = job.basis.round() {
         let levels = Arc::new(round.choice.levels.clone());
         plan.adapt(round.choice.n, &levels, round.frame.as_ref())?;
         return known(Some(levels), plan);
@@ -362,7 +297,7 @@ fn boundary_of(
     points: PointSpec,
     levels: &Option<Arc<Levels>>,
     store: &CellStore,
-    how: &StoreSettings<'_>,
+    how: &StoreSettings,
     path: &Path,
 ) -> Result<BoundarySamples> {
     let lattice = levels.as_ref().map_or(store.frame.lattice, |levels| levels.cells().lattice);
@@ -372,7 +307,7 @@ fn boundary_of(
 /// Looks for the set with as many points as are wanted.
 struct Search<'a> {
     store: &'a CellStore,
-    how: &'a StoreSettings<'a>,
+    how: &'a StoreSettings,
     path: &'a Path,
     wanted: u64,
 }
@@ -507,9 +442,9 @@ fn plan_steps(
     store: &CellStore,
     listed: &Arc<ExplicitPoints>,
     plan: Plan,
-    (job, how, inputs): (&Job<'_>, &StoreSettings<'_>, Inputs<'_>),
+    (job, how, inputs): (&Job<'_>, &StoreSettings, Inputs<'_>),
 ) -> Result<SeriesPlan> {
-    let archive = job.part.archive();
+    let archive = job.basis.archive();
     let repeated = (store.firsts.repeated > 0).then(|| Arc::clone(&store.firsts));
     let mut planner = StepPlanner {
         common: archive.map_or_else(|| Common::of_store(first, store), Common::of_archive),
@@ -583,18 +518,18 @@ struct StepPlanner<'a> {
     read: ReadMesh,
     store: &'a CellStore,
     job: &'a Job<'a>,
-    how: &'a StoreSettings<'a>,
+    how: &'a StoreSettings,
     inputs: Inputs<'a>,
 }
 
 impl StepPlanner<'_> {
     /// What the values of a step lose.
     fn rounding(&self, number: u64, mesh: &CellMesh) -> Result<f64> {
-        if let Some(plan) = self.job.part.planned() {
+        if let Some(plan) = self.job.basis.plan() {
             return Ok(plan.steps.iter().find(|s| s.number == number).map_or(0.0, |s| s.source.rounding));
         }
         let (offset, missing) = (Some(self.how.offset), self.job.settings.missing);
-        Ok(Shift::of_mesh(mesh, offset, missing, self.how.memory, self.how.cancel)?.rounding)
+        Ok(Shift::of_mesh(mesh, offset, missing, self.how.memory, &self.how.cancel)?.rounding)
     }
 
     fn step(&mut self, number: u64, source: &StepSource) -> Result<StepPlan> {
@@ -609,12 +544,12 @@ impl StepPlanner<'_> {
             self.common.check_number(&mesh)?;
             let stored = mesh.stored_hash()?;
             if stored.is_none() || stored != self.read.stored {
-                self.read.identity = Identity::of(&mesh, self.how.cancel)?;
+                self.read.identity = Identity::of(&mesh, &self.how.cancel)?;
             }
             (self.read.path, self.read.stored) = (mesh.info().path.clone(), stored);
         }
         self.common.check(&mesh, self.read.identity)?;
-        let fingerprint = self.inputs.fingerprint(number, &mesh.info().files(), self.how.cancel)?;
+        let fingerprint = self.inputs.fingerprint(number, &mesh.info().files(), &self.how.cancel)?;
         let told = source_of(&mesh, fingerprint)?;
         let field = self.field.get_or_insert_with(|| FieldOfSeries::new(number, &told.field));
         field.check(source, &told.field)?;
@@ -628,7 +563,7 @@ impl StepPlanner<'_> {
             ..self.template.source.clone()
         };
         let settings = self.job.settings;
-        let quantiser = match self.job.part.planned() {
+        let quantiser = match self.job.basis.plan() {
             Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
             None => match settings.bits(true) {
                 Some(bits) => {
@@ -668,89 +603,4 @@ fn source_of(mesh: &CellMesh, fingerprint: String) -> Result<Source> {
         rounding: 0.0,
         mesh: None,
     })
-}
-
-/// What the values of a mesh are found with, brick by brick.
-pub(super) enum Laid {
-    Sampled { buckets: Buckets, boundary: BoundarySamples, fitted_to: Option<Vertices> },
-    Own(OwnCells),
-}
-
-impl Laid {
-    /// Lays out the cells of a mesh, and the vertices that values are fitted to.
-    pub(super) fn new(
-        listed: Listed,
-        store: &CellStore,
-        plan: &Plan,
-        settings: &StoreSettings<'_>,
-    ) -> Result<Self> {
-        let bricks = plan.mesh.bricks();
-        Ok(match listed {
-            Listed::Own(vertices) => Self::Own(OwnCells::new(vertices, store, &bricks, settings)?),
-            Listed::Boundary(boundary) => {
-                let is_fitted = plan.first().values == Values::Fit;
-                let buckets = Buckets::new(store, &bricks, settings)?;
-                let fitted_to = is_fitted.then(|| Vertices::new(store, &bricks, settings)).transpose()?;
-                Self::Sampled { buckets, boundary, fitted_to }
-            }
-        })
-    }
-}
-
-/// Opens the values of steps on a mesh.
-pub(super) struct MeshFields<'a> {
-    pub(super) store: &'a CellStore,
-    pub(super) laid: Laid,
-    pub(super) bricks: BrickGrid,
-    pub(super) settings: StoreSettings<'a>,
-    pub(super) last: Mutex<Option<LastMesh>>,
-}
-
-impl MeshFields<'_> {
-    fn open_mesh(&self, source: &StepSource) -> Result<CellMesh> {
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        let mesh = match last.as_ref().and_then(|last| last.of(source)) {
-            Some(mesh) => mesh?,
-            None => formats::open_mesh(&source.path, &source.options)?,
-        };
-        *last = Some(LastMesh::new(source, &mesh));
-        Ok(mesh)
-    }
-}
-
-impl Fields for MeshFields<'_> {
-    fn open<'a>(&'a self, series: &SeriesPlan, n: usize) -> Result<Box<dyn Field + 'a>> {
-        let source = &series.sources[n].source;
-        let mesh = self.open_mesh(source)?;
-        let values = self.store.values_of(&mesh, &self.settings)?;
-        let (buckets, boundary, fitted_to) = match &self.laid {
-            Laid::Sampled { buckets, boundary, fitted_to } => (buckets, boundary, fitted_to.as_ref()),
-            Laid::Own(cells) => {
-                let mesh = OwnMesh { store: self.store, cells };
-                return Ok(Box::new(OwnField { mesh, values }));
-            }
-        };
-        let interpolation = series.plan.steps[n].interpolation;
-        let gradients = match interpolation {
-            Interpolation::Quadratic => Some(gradients(self.store, &values, &self.settings)?),
-            _ => None,
-        };
-        Ok(Box::new(CellField {
-            store: self.store,
-            buckets,
-            boundary,
-            bricks: self.bricks,
-            interpolation,
-            values,
-            gradients,
-            fitted_to,
-        }))
-    }
-
-    fn own(&self) -> Option<OwnMesh<'_>> {
-        match &self.laid {
-            Laid::Own(cells) => Some(OwnMesh { store: self.store, cells }),
-            Laid::Sampled { .. } => None,
-        }
-    }
 }

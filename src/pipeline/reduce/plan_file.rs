@@ -17,8 +17,7 @@
 //!
 //! The file is written once and never changed: JSON, its last member a checksum of all bytes before it, as in a manifest.
 
-use super::existing;
-use super::passes::{PlannedSource, SeriesPlan, SkippedStep};
+use super::series::{PlannedSource, SeriesPlan, SkippedStep};
 use crate::archive::manifest::{Manifest, check_sum, sealed_text};
 use crate::archive::publish::Unpublished;
 use crate::archive::segment::PlanHash;
@@ -94,24 +93,24 @@ pub(in crate::pipeline) struct Cut {
 
 impl PlanFile {
     /// The plan of a series, whose sources are at any paths.
-    pub(in crate::pipeline) fn new(settings: &ReduceSettings, series: SeriesPlan, cut: Cut) -> Result<Self> {
+    pub(in crate::pipeline) fn new(settings: &ReduceSettings, series: &SeriesPlan, cut: Cut) -> Result<Self> {
         if settings.missing.is_some_and(|m| !m.is_finite()) {
             return Err(Error::usage("--missing of a plan is a finite number; NaN is always missing"));
         }
         let SeriesPlan { plan, sources, skipped, watch, .. } = series;
         watch.check()?;
-        let sources = sources.into_iter().map(|s| with_absolute_paths(s.source)).collect::<Result<_>>()?;
+        let sources = sources.iter().map(|s| with_absolute_paths(&s.source)).collect::<Result<_>>()?;
         Ok(Self {
             format: FORMAT.into(),
             format_version: FORMAT_VERSION,
             isospan_version: env!("CARGO_PKG_VERSION").into(),
             sources,
             files: watch.records(),
-            skipped,
+            skipped: skipped.clone(),
             settings: settings.clone(),
             mesh_hash: plan.mesh_hash(),
             steps_hash: plan.steps_hash(),
-            plan,
+            plan: plan.clone(),
             chunks: cut.chunks,
             shards: cut.shards,
             memory_least: cut.memory_least,
@@ -123,7 +122,7 @@ impl PlanFile {
     pub(in crate::pipeline) fn root(&self, out: &Path) -> PathBuf {
         let is_committed = || {
             let manifest = Manifest::read(out);
-            manifest.is_ok_and(|manifest| existing::is_of(&manifest, self.mesh_hash, &self.plan))
+            manifest.is_ok_and(|manifest| self.plan.is_of(&manifest))
         };
         if self.replaces && !is_committed() { new_archive(out) } else { out.to_path_buf() }
     }
@@ -133,17 +132,17 @@ impl PlanFile {
         self.plan.steps.iter().map(|s| s.number).zip(self.sources.iter().cloned()).collect()
     }
 
-    /// The series that was planned.
-    pub(in crate::pipeline) fn into_series(self) -> SeriesPlan {
+    /// The series that was planned, with a watch over its files.
+    pub(in crate::pipeline) fn series(&self, watch: Watch) -> SeriesPlan {
         SeriesPlan {
-            plan: self.plan,
-            sources: self.sources.into_iter().map(PlannedSource::in_place).collect(),
-            skipped: self.skipped,
+            plan: self.plan.clone(),
+            sources: self.sources.iter().cloned().map(PlannedSource::in_place).collect(),
+            skipped: self.skipped.clone(),
             before: None,
             keyframes: self.settings.keyframes,
             attachments: Attachments::default(),
             bound: None,
-            watch: Watch::default(),
+            watch,
         }
     }
 
@@ -243,7 +242,7 @@ struct Version {
     isospan_version: String,
 }
 
-fn with_absolute_paths(source: StepSource) -> Result<StepSource> {
+fn with_absolute_paths(source: &StepSource) -> Result<StepSource> {
     let absolute = |p: &Path| {
         let path = std::path::absolute(p).map_err(|e| Error::io("find", p, e))?;
         match path.to_str() {
@@ -258,6 +257,6 @@ fn with_absolute_paths(source: StepSource) -> Result<StepSource> {
         )));
     }
     let values = source.options.values.as_deref().map(absolute).transpose()?;
-    let options = OpenOptions { values, ..source.options };
+    let options = OpenOptions { values, ..source.options.clone() };
     Ok(StepSource::new(&absolute(&source.path)?, &options).at(source.time))
 }

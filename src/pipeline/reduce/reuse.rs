@@ -15,8 +15,7 @@
 //! all chunks made again, when the points have become so many that bricks or chunks would be too
 //! large. Whether they have does not depend on memory or threads.
 
-use super::encode::Product;
-use super::workers::StageTimes;
+use super::encoded::EncodedChunk;
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{FrameRecord, Plan as MeshPlan, StepPlan};
 use crate::density::Choice;
@@ -24,6 +23,7 @@ use crate::error::Result;
 use crate::grid::{Chunk, ChunkId};
 use crate::pipeline::plan::{Frame, Halo, MeshParts, Plan, estimate};
 use crate::pipeline::read::{StepView, limits};
+use crate::pipeline::stage::StageTimes;
 use crate::points::{PointSet, PointSpec};
 use std::ops::Range;
 use std::sync::Arc;
@@ -110,25 +110,26 @@ impl<'a> ReusedChunks<'a> {
         Ok(Some(Self { before, from }))
     }
 
-    /// The number of chunks that are taken over.
+    /// The number of chunks that are reused.
     pub(super) fn count(&self) -> u64 {
         self.from.iter().flatten().count() as u64
     }
 
-    /// What is written of a chunk, if it is taken over: with its mesh, where that is wanted, and the values of some steps.
-    pub(super) fn product(
+    /// What is written of a chunk, if it is reused: with its mesh, where that is wanted, and the
+    /// values of some steps.
+    pub(super) fn encoded(
         &self,
         chunk: ChunkId,
         mesh: bool,
         steps: &Range<usize>,
-    ) -> Result<Option<Product>> {
+    ) -> Result<Option<EncodedChunk>> {
         let Some(id) = self.from[chunk.0 as usize] else { return Ok(None) };
         let segment = self.before.mesh_of(id)?;
         let points = u64::from(segment.mesh_summary(id)?.core);
         let mesh_blocks = if mesh { blocks(&segment, id)? } else { vec![] };
         let values = |step| blocks(&*self.before.values_of(step, id)?, id);
         let value_blocks = steps.clone().map(values).collect::<Result<_>>()?;
-        Ok(Some(Product { points, mesh_blocks, value_blocks, times: StageTimes::default() }))
+        Ok(Some(EncodedChunk { points, mesh_blocks, value_blocks, times: StageTimes::default() }))
     }
 
     /// Tells that no chunk before this one will be asked for again.

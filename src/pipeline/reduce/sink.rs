@@ -1,28 +1,60 @@
 //! The files of a segment while they are made: the mesh, and the values of each step.
 
-use super::encode::Product;
-use super::workers::{StageTimes, Work};
+use super::encoded::EncodedChunk;
 use crate::archive::chunked::ChunkSegmentWriter;
 use crate::archive::manifest::StepPlan;
 use crate::archive::publish::Left;
 use crate::archive::segment::{PlanHash, SegmentKind};
 use crate::error::Result;
 use crate::grid::ChunkId;
-use crate::pipeline::plan::{Layout, Watch};
+use crate::pipeline::plan::{Layout, Plan, Watch};
 use crate::pipeline::read::{Depth, SegmentState, inspect};
+use crate::pipeline::stage::StageTimes;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// Done means that all files are there, belong to this plan, and verify; not that they exist.
-pub(super) fn is_done(work: &Work<'_>, segment: u64) -> bool {
-    let chunks = work.layout.chunks_of(segment);
-    Part::all(work).all(|part| part.is_whole(work, segment, &chunks))
+/// The files of segments that are made: the mesh, where it is not there yet, and the values of steps.
+pub(super) struct SegmentFiles<'a> {
+    layout: &'a Layout,
+    /// The hash of the mesh, where that is made.
+    mesh: Option<PlanHash>,
+    /// Number and hash of each step.
+    steps: Vec<(u64, PlanHash)>,
 }
 
-/// What writers that run, or were killed, have left of an archive.
-pub(super) fn left(layout: &Layout) -> Left {
-    Left::in_folders(&[layout.mesh_folder(), layout.steps_folder()])
+impl<'a> SegmentFiles<'a> {
+    /// Those of some steps of a plan.
+    pub(super) fn new(plan: &Plan, steps: &Range<usize>, with_mesh: bool, layout: &'a Layout) -> Self {
+        let steps = steps.clone().map(|n| (plan.steps[n].number, plan.step_hash(n))).collect();
+        Self { layout, mesh: with_mesh.then(|| plan.mesh_hash()), steps }
+    }
+
+    pub(super) fn chunks_of(&self, segment: u64) -> Range<u64> {
+        self.layout.chunks_of(segment)
+    }
+
+    /// How many steps there are.
+    pub(super) fn steps(&self) -> u64 {
+        self.steps.len() as u64
+    }
+
+    /// Done means that all files are there, belong to this plan, and verify; not that they exist.
+    pub(super) fn is_done(&self, segment: u64) -> bool {
+        let chunks = self.chunks_of(segment);
+        self.parts().all(|part| part.is_whole(self, segment, &chunks))
+    }
+
+    /// What writers that run, or were killed, have left of the archive.
+    pub(super) fn left(&self) -> Left {
+        Left::in_folders(&[self.layout.mesh_folder(), self.layout.steps_folder()])
+    }
+
+    fn parts(&self) -> impl Iterator<Item = Part> + use<> {
+        let mesh = self.mesh.map(Part::Mesh);
+        let steps = self.steps.clone();
+        mesh.into_iter().chain(steps.into_iter().enumerate().map(|(n, step)| Part::Values(n, step)))
+    }
 }
 
 /// Whether the mesh of some segments is there.
@@ -42,53 +74,50 @@ fn is_whole(path: &Path, kind: SegmentKind, hash: PlanHash, chunks: &Range<u64>)
     inspect(path, kind, hash, chunks, Depth::All) == SegmentState::Whole
 }
 
-/// One of the files of a segment that are made: the mesh, where it is not there yet, and the values of each step.
+/// One of the files of a segment.
 #[derive(Clone, Copy)]
 enum Part {
-    Mesh,
-    Values(usize),
+    /// The mesh, with its hash.
+    Mesh(PlanHash),
+    /// The values of a step: which of the pass, its number and hash.
+    Values(usize, (u64, PlanHash)),
 }
 
 impl Part {
-    fn all<'a>(work: &'a Work<'_>) -> impl Iterator<Item = Self> + use<'a> {
-        let mesh = work.stored.is_none().then_some(Self::Mesh);
-        mesh.into_iter().chain((0..work.steps.len()).map(Self::Values))
-    }
-
-    fn path(self, work: &Work<'_>, segment: u64) -> PathBuf {
+    fn path(self, files: &SegmentFiles<'_>, segment: u64) -> PathBuf {
         match self {
-            Self::Mesh => work.layout.mesh(segment),
-            Self::Values(n) => work.layout.at(work.steps[n].plan.number).values(segment),
+            Self::Mesh(_) => files.layout.mesh(segment),
+            Self::Values(_, (number, _)) => files.layout.at(number).values(segment),
         }
     }
 
-    fn kind(self, work: &Work<'_>) -> (SegmentKind, PlanHash) {
+    fn kind(self) -> (SegmentKind, PlanHash) {
         match self {
-            Self::Mesh => (SegmentKind::Mesh, work.mesh_hash),
-            Self::Values(n) => (SegmentKind::Values, work.steps[n].hash),
+            Self::Mesh(hash) => (SegmentKind::Mesh, hash),
+            Self::Values(_, (_, hash)) => (SegmentKind::Values, hash),
         }
     }
 
-    fn is_whole(self, work: &Work<'_>, segment: u64, chunks: &Range<u64>) -> bool {
-        let (kind, hash) = self.kind(work);
-        is_whole(&self.path(work, segment), kind, hash, chunks)
+    fn is_whole(self, files: &SegmentFiles<'_>, segment: u64, chunks: &Range<u64>) -> bool {
+        let (kind, hash) = self.kind();
+        is_whole(&self.path(files, segment), kind, hash, chunks)
     }
 
     /// A writer that goes on behind at most `most` chunks, where writers may have `left` some; `None` when the file is whole already: a run was
     /// killed between two of them.
     fn resume(
         self,
-        work: &Work<'_>,
+        files: &SegmentFiles<'_>,
         segment: u64,
         chunks: &Range<u64>,
         most: u64,
         left: bool,
     ) -> Result<Option<ChunkSegmentWriter>> {
-        if self.is_whole(work, segment, chunks) {
+        if self.is_whole(files, segment, chunks) {
             return Ok(None);
         }
-        let (kind, hash) = self.kind(work);
-        let (path, first) = (self.path(work, segment), ChunkId(chunks.start));
+        let (kind, hash) = self.kind();
+        let (path, first) = (self.path(files, segment), ChunkId(chunks.start));
         // One of a chunk is published as soon as it is written: there is nothing to go on with, and no need of a journal.
         let several = chunks.end - chunks.start > 1;
         match (left, several) {
@@ -99,11 +128,11 @@ impl Part {
         .map(Some)
     }
 
-    /// The blocks that a product has for the file.
-    fn blocks(self, product: &Product) -> &[Vec<u8>] {
+    /// The blocks that a encoded has for the file.
+    fn blocks(self, encoded: &EncodedChunk) -> &[Vec<u8>] {
         match self {
-            Self::Mesh => &product.mesh_blocks,
-            Self::Values(n) => &product.value_blocks[n],
+            Self::Mesh(_) => &encoded.mesh_blocks,
+            Self::Values(n, _) => &encoded.value_blocks[n],
         }
     }
 }
@@ -117,7 +146,7 @@ pub(super) struct Sink {
 impl Sink {
     /// Goes on behind the chunks that an earlier run has left in all files; also tells how many these are. `left`: what they have left.
     pub(super) fn resume(
-        work: &Work<'_>,
+        files: &SegmentFiles<'_>,
         segment: u64,
         chunks: &Range<u64>,
         left: &Left,
@@ -125,29 +154,29 @@ impl Sink {
         let all = chunks.end - chunks.start;
         let count = |w: &Option<ChunkSegmentWriter>| w.as_ref().map_or(all, ChunkSegmentWriter::chunk_count);
         let open = |part: Part| {
-            Ok((part, part.resume(work, segment, chunks, all, left.has(&part.path(work, segment)))?))
+            Ok((part, part.resume(files, segment, chunks, all, left.has(&part.path(files, segment)))?))
         };
-        let mut files: Vec<(Part, Option<ChunkSegmentWriter>)> =
-            Part::all(work).map(open).collect::<Result<_>>()?;
+        let mut opened: Vec<(Part, Option<ChunkSegmentWriter>)> =
+            files.parts().map(open).collect::<Result<_>>()?;
         // Of a file that is whole nothing is written again; the others need all chunks behind their last common one.
-        let done = files.iter().map(|(_, w)| count(w)).min().unwrap_or(all);
-        for (part, writer) in &mut files {
+        let done = opened.iter().map(|(_, w)| count(w)).min().unwrap_or(all);
+        for (part, writer) in &mut opened {
             if writer.is_some() && count(writer) > done {
                 *writer = None;
-                *writer = part.resume(work, segment, chunks, done, true)?;
+                *writer = part.resume(files, segment, chunks, done, true)?;
             }
         }
-        Ok((Self { files, times: StageTimes::default() }, done))
+        Ok((Self { files: opened, times: StageTimes::default() }, done))
     }
 
-    pub(super) fn write(&mut self, product: &Product) -> Result<()> {
+    pub(super) fn write(&mut self, encoded: &EncodedChunk) -> Result<()> {
         let start = Instant::now();
         for (part, writer) in &mut self.files {
             if let Some(writer) = writer {
-                writer.push_chunk(part.blocks(product))?;
+                writer.push_chunk(part.blocks(encoded))?;
             }
         }
-        self.times.add(&product.times);
+        self.times.add(&encoded.times);
         self.times.write += start.elapsed();
         Ok(())
     }

@@ -36,23 +36,21 @@
 //! The numbers of points follow from measured errors, which depend on nothing but the input: the
 //! same archive for any threads.
 
-use super::existing::{exists, lacks_files};
-use super::job::{Job, Part, ReduceReport, finished};
-use super::plan_file::{old_archive, work_folder};
+use super::existing::{Existing, exists, lacks_files};
+use super::job::Job;
+use super::plan_file::work_folder;
+use super::planned::make;
+use super::report::{ReduceReport, TargetReport};
 use super::target_max::reduce_to_max;
-use super::{is_finished, make};
-use crate::archive::manifest::{Manifest, Step};
-use crate::archive::publish::{remove_folder, replace_folder};
+use super::tries::{error_of, full_cells, publish, rename};
+use crate::archive::manifest::Manifest;
+use crate::archive::publish::remove_folder;
 use crate::error::{Error, Result};
 use crate::formats::Input;
-use crate::pipeline::plan::{Attachments, Inputs, Plan, folder_bytes};
-use crate::pipeline::read::StepSummary;
+use crate::pipeline::plan::{Inputs, folder_bytes};
 use crate::pipeline::settings::{Amount, Bound, ReduceSettings, RunSettings, Target, ValueBits};
-use crate::pipeline::stage::Stage;
 use crate::points::SetKind;
-use serde::Serialize;
 use std::fs;
-use std::path::Path;
 
 impl Target {
     /// The bound, in units of the field or in bytes, known from the first try.
@@ -87,26 +85,6 @@ fn source_range(report: &ReduceReport) -> Option<[f64; 2]> {
     let of_steps = report.steps.iter().filter_map(|s| s.range);
     let of_first = report.error.as_ref().and_then(|e| e.source_range);
     of_first.into_iter().chain(of_steps).reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
-}
-
-/// What came of looking for a target.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-#[non_exhaustive]
-pub struct TargetReport {
-    /// What was wanted.
-    pub target: Target,
-    /// What was not to be exceeded, in units of the field or in bytes.
-    pub bound: f64,
-    /// What the archive has of it.
-    pub reached: f64,
-    /// Whether that is within the bound.
-    pub met: bool,
-    /// Reductions that were made.
-    pub tries: u32,
-    /// Chunks that were meshed in all these together, and chunks that these had together: those in which nothing changed are taken over.
-    pub meshed_chunks: [u64; 2],
-    /// Of points that adapt: cells that have a point a sample or more, and all cells.
-    pub full_cells: Option<[u64; 2]>,
 }
 
 /// Tries, at most.
@@ -250,10 +228,17 @@ impl Rounding {
 ///
 /// # Errors
 /// As those of a reduction; [`Error::Usage`] for a target that cannot be one.
-pub(super) fn reduce_to_target(job: &Job<'_>, target: Target, source: Option<u64>) -> Result<ReduceReport> {
+pub(super) fn reduce_to_target(
+    job: &Job<'_>,
+    existing: &Existing,
+    target: Target,
+    source: Option<u64>,
+) -> Result<ReduceReport> {
     target.check(job.settings)?;
-    if let Some(report) = made_before(job)? {
-        return Ok(finished(report, job.started));
+    if let Existing::Finished(manifest) = existing
+        && !job.run.replace
+    {
+        return made_before(job, manifest);
     }
     let adapts = job.settings.adapt.is_some();
     if let (Target::Max(_), true) = (target, adapts) {
@@ -272,7 +257,8 @@ pub(super) fn reduce_to_target(job: &Job<'_>, target: Target, source: Option<u64
     loop {
         fs::create_dir_all(&work).map_err(|e| Error::io("create the folder", &work, e))?;
         let run = RunSettings { replace: false, ..job.run.clone() };
-        let report = make(&Job { settings: &settings, out: &trying, run: &run, part: Part::Whole, ..*job })?;
+        let job = Job { settings: &settings, out: &trying, run: &run, ..*job };
+        let report = make(&job, &Existing::Nothing)?;
         chunks += report.chunks;
         let bound = match &search {
             Some(search) => search.bound,
@@ -319,21 +305,16 @@ pub(super) fn reduce_to_target(job: &Job<'_>, target: Target, source: Option<u64
     report.archive_bytes = folder_bytes(job.out)?;
     let reached = if target.bound().is_some() { made.reached } else { report.archive_bytes as f64 };
     report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });
-    report.seconds.retain(|&(stage, _)| stage != Stage::Total);
-    Ok(finished(report, job.started))
+    Ok(report)
 }
 
 /// The report of an archive that this very call has made before: with the same settings, of the same files.
 ///
 /// # Errors
-/// [`Error::Usage`] when there is another one.
-fn made_before(job: &Job<'_>) -> Result<Option<ReduceReport>> {
-    if job.run.replace || !is_finished(job.out) {
-        return Ok(None);
-    }
-    let manifest = Manifest::read(job.out)?;
+/// [`Error::Usage`] when it is another one.
+fn made_before(job: &Job<'_>, manifest: &Manifest) -> Result<ReduceReport> {
     let (mut inputs, mut is_same) = (Inputs::default(), manifest.target == Some(job.settings.hash()));
-    is_same &= manifest.steps.len() == job.sources.len() && !lacks_files(job.out, &manifest);
+    is_same &= manifest.steps.len() == job.sources.len() && !lacks_files(job.out, manifest);
     for (step, (number, source)) in manifest.steps.iter().zip(job.sources) {
         if !is_same {
             break;
@@ -350,58 +331,8 @@ fn made_before(job: &Job<'_>) -> Result<Option<ReduceReport>> {
     if !is_same {
         return Err(exists(job.out));
     }
-    let (counts, first) = (manifest.counts, &manifest.steps[0]);
-    let ranges = manifest.steps.iter().filter_map(Step::told_range);
-    Ok(Some(ReduceReport {
-        samples: first.plan.source.samples(),
-        points: counts.points,
-        void_points: manifest.steps.iter().map(|s| s.void_points).sum(),
-        tetrahedra: counts.tetrahedra,
-        chunks: counts.chunks,
-        blocks: counts.blocks,
-        grid_cells: first.coordinates.map(|c| c.cells),
-        range: ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]),
-        quantiser: first.plan.told_quantiser(),
-        error: first.error.clone(),
-        steps: manifest.steps.iter().map(StepSummary::of).collect(),
-        archive_bytes: folder_bytes(job.out)?,
-        made_before: true,
-        ..ReduceReport::default()
-    }))
-}
-
-/// The error of the worst step.
-pub(super) fn error_of(target: Target, report: &ReduceReport) -> f64 {
-    let which = usize::from(matches!(target, Target::Max(_)));
-    report.steps.iter().filter_map(|s| s.error).map(|e| e[which]).fold(0.0, f64::max)
-}
-
-/// Cells of an archive that have a point a sample or more, and all cells.
-pub(super) fn full_cells(archive: &Path) -> Result<[u64; 2]> {
-    let manifest = Manifest::read(archive)?;
-    let (plan, attachments) = (&manifest.plan, Attachments::read(archive, &manifest.plan)?);
-    let levels = attachments.levels.expect("its points adapt");
-    let densities = Plan::densities(plan, &levels);
-    let full = levels.as_slice().iter().filter(|&&l| densities[usize::from(l)] >= FULL).count();
-    Ok([full as u64, levels.as_slice().len() as u64])
-}
-
-/// Points a voxel of which one says that there is one for each: numbers of points are rounded.
-const FULL: f64 = 0.9;
-
-/// Puts a try in the place of the archive. One that is there is whole until then.
-pub(super) fn publish(job: &Job<'_>, best: &Path, work: &Path) -> Result<()> {
-    let mut manifest = Manifest::read(best)?;
-    manifest.target = Some(job.settings.hash());
-    manifest.write(best)?;
-    replace_folder(best, job.out, &old_archive(job.out))?;
-    // There may be a plan, or logs, of somebody else.
-    let _ = fs::remove_dir(work);
-    Ok(())
-}
-
-pub(super) fn rename(from: &Path, to: &Path) -> Result<()> {
-    fs::rename(from, to).map_err(|e| Error::io("rename", from, e))
+    let samples = manifest.steps[0].plan.source.samples();
+    ReduceReport { samples, made_before: true, ..ReduceReport::default() }.of_archive(job.out, manifest, 0)
 }
 
 #[cfg(test)]

@@ -19,11 +19,13 @@
 //!
 //! Memory: 4 bytes a cell beside what measuring takes. The largest of errors does not depend on their order: the same archive for any threads.
 
-use super::job::{Job, Part, ReduceReport, finished};
-use super::make;
+use super::existing::Existing;
+use super::job::{Basis, Job};
 use super::plan_file::work_folder;
+use super::planned::make;
+use super::report::{ReduceReport, TargetReport};
 use super::reuse::Round;
-use super::target::{TargetReport, error_of, full_cells, publish, rename};
+use super::tries::{error_of, full_cells, publish, rename};
 use crate::archive::publish::remove_folder;
 use crate::cells::CellMesh;
 use crate::density::Choice;
@@ -39,7 +41,6 @@ use crate::pipeline::inputs::{ChunkCache, Reading, boxes_of_chunks, random_acces
 use crate::pipeline::plan::{Halo, estimate};
 use crate::pipeline::read::{Blocks, DecodedChunk, OpenArchive, StepView, Visit};
 use crate::pipeline::settings::{ReduceSettings, RunSettings, Target};
-use crate::pipeline::stage::Stage;
 use crate::points::PointSpec;
 use crate::volume::VolumeSource;
 use std::fs;
@@ -61,16 +62,10 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
     for tries in 1.. {
         remove_folder(&trying)?;
         fs::create_dir_all(&work).map_err(|e| Error::io("create the folder", &work, e))?;
-        let (settings_now, round_now) = (&settings, round.as_ref());
-        let mut report = make(&Job {
-            settings: settings_now,
-            round: round_now,
-            out: &trying,
-            run: &run,
-            part: Part::Whole,
-            ..*job
-        })?;
-        meshed_chunks[0] += report.chunks - report.taken_chunks;
+        let basis = round.as_ref().map_or(Basis::New, Basis::Round);
+        let next = Job { settings: &settings, basis, out: &trying, run: &run, ..*job };
+        let mut report = make(&next, &Existing::Nothing)?;
+        meshed_chunks[0] += report.chunks - report.reused_chunks;
         meshed_chunks[1] += report.chunks;
         let bound = *wanted.get_or_insert(report.bound.unwrap_or_default());
         let error = error_of(target, &report);
@@ -90,8 +85,7 @@ pub(super) fn reduce_to_max(job: &Job<'_>, target: Target) -> Result<ReduceRepor
         publish(job, &trying, &work)?;
         let reached = error;
         report.target = Some(TargetReport { target, bound, reached, met, tries, meshed_chunks, full_cells });
-        report.seconds.retain(|&(stage, _)| stage != Stage::Total);
-        return Ok(finished(report, job.started));
+        return Ok(report);
     }
     unreachable!("the last try returns")
 }
@@ -146,13 +140,7 @@ impl Measuring<'_> {
         let rest = |memory: u64| memory.saturating_sub(estimate::BASE + 4 * self.worst.len() as u64);
         let batch = (rest(run.resources.memory) / 8 / VERTEX).clamp(1, MOST_VERTICES) as usize;
         let share = |memory: u64| rest(memory) / 8 * 7;
-        let find = Find {
-            threads: run.resources.threads,
-            memory: run.resources.memory,
-            share: &share,
-            cancel: &run.resources.cancel,
-            outside: Outside::All,
-        };
+        let find = Find { resources: &run.resources, share: &share, outside: Outside::All };
         for (positions, values) in positions.chunks(batch).zip(values.chunks(batch)) {
             let placed = positions.iter().zip(0u32..).map(|(&p, n)| (on_lattice(p), n));
             each_value(archive, placed, &find, job.progress, "measure", |n, reduced| {
@@ -169,9 +157,7 @@ impl Measuring<'_> {
         let (run, archive) = (job.run, self.archive);
         let base = estimate::BASE + 4 * self.worst.len() as u64;
         let extra = estimate::error_bytes(1);
-        let least = Visit::new(archive, Blocks::All, run.resources.threads, 0, &run.resources.cancel)?
-            .least(extra)
-            + base;
+        let least = Visit::new(archive, Blocks::All, &run.resources, |_| 0)?.least(extra) + base;
         let boxes = boxes_of_chunks(&archive.points, &archive.chunks, Halo::of(&archive.manifest.plan));
         let cache = ChunkCache::fitting(&volume, boxes, least, run);
         let (reader, _scratch) = random_access(volume, cache.map(|c| c.size), run, job.progress)?;
@@ -182,15 +168,9 @@ impl Measuring<'_> {
         let sample_errors = SampleErrors::new(&self.archive.manifest.plan.lattice);
         let base = base + cache.map_or(0, |c| c.held);
         let share = |memory: u64| memory.saturating_sub(base);
-        let mut visit = Visit::new(
-            self.archive,
-            Blocks::All,
-            run.resources.threads,
-            share(run.resources.memory),
-            &run.resources.cancel,
-        )?;
+        let mut visit = Visit::new(self.archive, Blocks::All, &run.resources, share)?;
         visit.chunks = self.chunks_above()?;
-        visit.check_memory(run.resources.memory, share, extra)?;
+        visit.check_memory(extra)?;
         job.progress.begin("measure", visit.chunks.len() as u64, "chunks");
         let part = |_, chunk: DecodedChunk| self.add_chunk(&sample_errors, &samples, &chunk);
         visit.each(extra, job.progress, part, |_, ()| Ok(()))

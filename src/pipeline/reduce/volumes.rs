@@ -1,30 +1,24 @@
 //! The steps of a series of volumes: planned from their headers, opened when their turn comes.
 
 use super::cached::need_with_caches;
-use super::estimate_of;
-use super::passes::{FieldOfSeries, Fields, PlannedSource, SeriesPlan, are_there, is_of_data};
-use super::reuse::Round;
+use super::job::{Basis, Job};
+use super::series::{FieldOfSeries, PlannedSource, SeriesPlan, are_there, is_of_data};
+use super::volume_fields::{shape, volume_of};
 use crate::archive::manifest::{Source, StepPlan};
 use crate::archive::values::Quantiser;
 use crate::density::Choice;
 use crate::error::{Error, Result};
-use crate::exec::Progress;
-use crate::formats::{self, Input, StepSource, UnpackedFrames};
+use crate::formats::{self, StepSource};
 use crate::grid::Geometry;
-use crate::pipeline::chunk::{Field, GridField};
-use crate::pipeline::inputs::{
-    Errors, Reading, Scratch, Shift, Spread, copy_bytes, random_access, spread, stream_spread,
-};
-use crate::pipeline::plan::{Attachments, Frame, Inputs, Plan, RecordedFile, count_of, parts, source_of};
+use crate::pipeline::inputs::{Errors, Reading, Shift, Spread, copy_bytes, spread, stream_spread};
+use crate::pipeline::plan::{Attachments, Frame, Inputs, Plan, count_of, parts, source_of};
 use crate::pipeline::read::{OpenArchive, coordinate_hash};
-use crate::pipeline::settings::{ReduceSettings, RunSettings, Target, ValueBits};
+use crate::pipeline::settings::{ReduceSettings, Target, ValueBits};
 use crate::points::SetSettings;
 use crate::volume::chunked::ChunkShape;
-use crate::volume::unpacked::unpack;
-use crate::volume::{VolumeInfo, VolumeReader, VolumeSource};
-use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicU64;
-use std::sync::{Arc, Mutex, PoisonError};
+use crate::volume::{VolumeInfo, VolumeSource};
+use std::path::PathBuf;
+use std::sync::Arc;
 
 /// What all steps must agree on.
 struct Common {
@@ -57,22 +51,15 @@ impl Common {
     }
 }
 
-fn shape([x, y, z]: [u64; 3]) -> String {
-    format!("{x} x {y} x {z}")
-}
-
 fn place(g: &Geometry) -> String {
     let list = |v: [f64; 3]| v.map(|x| x.to_string()).join(",");
     let turned = if g.direction == Geometry::default().direction { "" } else { ", turned" };
     format!("spacing {}, origin {}{turned}", list(g.spacing), list(g.origin))
 }
 
-/// Plans volumes as steps of an archive, or as further ones of the archive `old`.
+/// Plans volumes as steps of an archive, new or old.
 struct Planner<'a> {
-    settings: &'a ReduceSettings,
-    run: &'a RunSettings,
-    planned: Option<&'a Plan>,
-    round: Option<&'a Round>,
+    job: &'a Job<'a>,
     common: Option<Common>,
     plan: Option<Plan>,
     /// Where points are needed, as far as steps were looked at for that.
@@ -86,58 +73,36 @@ struct Planner<'a> {
     looked_into: Option<PathBuf>,
     /// The bits of values by default, once the samples of the first step were looked at.
     usual_bits: Option<Option<u8>>,
-    /// The archive, of which memory and disk are checked before samples are read; `None` where samples are not to be read.
-    unchecked: Option<&'a Path>,
+    /// Whether memory and disk were checked.
+    is_checked: bool,
     /// Whether the cells of a lattice have the edges that the field asks for.
     is_shaped: bool,
     only_estimates: bool,
 }
 
-/// What is known before sources are looked at.
-#[derive(Clone, Copy, Default)]
-pub(super) struct Known<'a> {
-    /// A plan that was made before: how values are rounded is in it.
-    pub(super) planned: Option<&'a Plan>,
-    /// The archive that steps are added to.
-    pub(super) archive: Option<&'a OpenArchive>,
-    /// The folder that has what is stored beside a plan that was made before.
-    pub(super) out: Option<&'a Path>,
-    /// Of a search: how dense points are to be.
-    pub(super) round: Option<&'a Round>,
-    /// Of a plan that was made before: the files that it was made from.
-    pub(super) files: &'a [RecordedFile],
-    /// Whether nothing is to be made of the plan: samples are not read for the range of values.
-    pub(super) only_estimates: bool,
-}
-
 /// The most steps of a series that are read to find where points are needed: these, evenly spread.
 const MOST_LOOKED_AT: usize = 8;
 
-/// Plans all steps of a series. Reads headers, and fingerprints; where values are rounded, and for the cells of a lattice,
-/// also all samples, unless that was done before; with [`ReduceSettings::adapt`] those of some steps.
-pub(super) fn plan_volumes(
-    sources: &[(u64, StepSource)],
-    settings: &ReduceSettings,
-    run: &RunSettings,
-    known: Known<'_>,
-) -> Result<SeriesPlan> {
-    let before = known.archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone());
-    let Known { planned: plan_before, archive, out, round, files, only_estimates } = known;
+/// Plans all steps of a series. Reads headers, and fingerprints.
+///
+/// Where values are rounded, and for the cells of a lattice, all samples are read, unless that was
+/// done before. With [`ReduceSettings::adapt`] those of some steps are.
+pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<SeriesPlan> {
+    let Job { sources, settings, run, .. } = *job;
+    let archive = job.basis.archive();
+    let before = archive.and_then(|a| a.manifest.steps.last()).map(|s| s.plan.clone());
     let mut planner = Planner {
-        settings,
-        run,
-        planned: plan_before,
-        round,
+        job,
         common: None,
         plan: None,
         errors: None,
         attachments: Attachments::default(),
         bound: None,
-        inputs: plan_before.map_or_else(Inputs::default, |plan| Inputs::planned(files, plan.fingerprints())),
+        inputs: job.basis.inputs(),
         offset: None,
         looked_into: None,
         usual_bits: None,
-        unchecked: out,
+        is_checked: false,
         is_shaped: false,
         only_estimates,
     };
@@ -145,7 +110,7 @@ pub(super) fn plan_volumes(
         planner.join(archive)?;
     }
     let (mut steps, mut planned, mut skipped, mut first_error) = (vec![], vec![], vec![], None);
-    let several = sources.len() > 1 || archive.is_some();
+    let several = job.is_several();
     let every = sources.len().div_ceil(MOST_LOOKED_AT);
     for (i, (number, source)) in sources.iter().map(|(n, s)| (*n, s)).enumerate() {
         run.resources.cancel.check()?;
@@ -164,7 +129,7 @@ pub(super) fn plan_volumes(
             Err(e) => return Err(e),
         }
     }
-    planner.set_levels(out)?;
+    planner.set_levels()?;
     let (attachments, bound, watch) = (planner.attachments, planner.bound, planner.inputs.watch);
     let Some(plan) = planner.plan.filter(|_| !steps.is_empty()) else {
         return Err(first_error.unwrap_or_else(|| Error::usage("there is no step to reduce")));
@@ -211,14 +176,6 @@ fn choose(
     Ok(())
 }
 
-/// The volume of a step, where it is one.
-fn volume_of(source: &StepSource, expected: &str) -> Result<VolumeSource> {
-    match source.open()? {
-        Input::Volume(volume) => Ok(volume),
-        Input::Mesh(_) => Err(Error::bad_input(&source.path, "kind of file", expected, "a mesh")),
-    }
-}
-
 /// How the samples of a step can be had.
 fn planned(source: &StepSource, volume: &VolumeSource) -> PlannedSource {
     let chunks = match volume {
@@ -249,30 +206,30 @@ impl Planner<'_> {
 
     /// Whether levels have to be found, and are not those of a plan or archive that is there.
     fn finds_levels(&self) -> bool {
-        self.settings.adapt.is_some() && self.planned.is_none() && self.round.is_none()
+        self.job.settings.adapt.is_some() && matches!(self.job.basis, Basis::New | Basis::Archive(_))
     }
 
     /// Makes points dense where that was found to be needed; or where it was when the plan was made.
-    fn set_levels(&mut self, out: Option<&Path>) -> Result<()> {
+    fn set_levels(&mut self) -> Result<()> {
         let Some(plan) = &mut self.plan else { return Ok(()) };
-        if let (Some(planned), Some(out)) = (self.planned, out)
+        if let Some(planned) = self.job.basis.plan()
             && (planned.mesh.levels.is_some() || planned.mesh.lattice_cells().is_some())
             && planned.mesh.lattice.dims == plan.mesh.lattice.dims
         {
-            self.attachments = Attachments::read(out, &planned.mesh)?;
+            self.attachments = Attachments::read(self.job.out, &planned.mesh)?;
             plan.mesh.clone_from(&planned.mesh);
         }
         if let Some(errors) = self.errors.take() {
-            let (target, dims) = (self.settings.target, plan.mesh.lattice.dims);
+            let (target, dims) = (self.job.settings.target, plan.mesh.lattice.dims);
             self.bound = target.and_then(Target::bound).map(|b| b.in_units(errors.range()));
             let choice = match target.zip(self.bound) {
                 Some((Target::Rms(_), bound)) => errors.choice(errors.count_of_rms(bound)?)?,
                 Some((Target::Max(_), bound)) => errors.choice_of_bound(bound, dims.iter().product())?,
-                _ => errors.choice(count_of(self.settings, dims))?,
+                _ => errors.choice(count_of(self.job.settings, dims))?,
             };
             choose(plan, &mut self.attachments, &choice, None)?;
         }
-        if let Some(round) = self.round {
+        if let Some(round) = self.job.basis.round() {
             choose(plan, &mut self.attachments, &round.choice, round.frame.as_ref())?;
         }
         Ok(())
@@ -280,9 +237,9 @@ impl Planner<'_> {
 
     /// Adds the errors of a step to those that decide where points are needed.
     fn look_at(&mut self, source: &StepSource) -> Result<()> {
-        let (Some(plan), Some(adapt)) = (&self.plan, &self.settings.adapt) else { return Ok(()) };
+        let (Some(plan), Some(adapt)) = (&self.plan, &self.job.settings.adapt) else { return Ok(()) };
         if self.errors.is_none() {
-            self.errors = Some(Errors::new(plan.mesh.lattice, adapt, self.run)?);
+            self.errors = Some(Errors::new(plan.mesh.lattice, adapt, self.job.run)?);
         }
         let (volume, reading) = (volume_of(source, "the volume it was")?, self.reading());
         self.errors.as_mut().map_or(Ok(()), |errors| errors.add(volume, reading))
@@ -295,7 +252,8 @@ impl Planner<'_> {
         }
         let volume = volume_of(source, "a volume, as other steps are")?;
         let info = volume.info().clone();
-        let fingerprint = self.inputs.of_source(number, source, &info.files(), &self.run.resources.cancel)?;
+        let fingerprint =
+            self.inputs.of_source(number, source, &info.files(), &self.job.run.resources.cancel)?;
         let coordinates = coordinate_hash(source, info.dims)?;
         match &self.common {
             Some(common) => {
@@ -303,7 +261,7 @@ impl Planner<'_> {
                 common.check(&info, coordinates)?;
             }
             None => {
-                self.plan = Some(Plan::with_fingerprint(&info, self.settings, fingerprint.clone())?);
+                self.plan = Some(Plan::with_fingerprint(&info, self.job.settings, fingerprint.clone())?);
                 let (dims, geometry) = (info.dims, info.geometry);
                 let field = FieldOfSeries::new(number, &info.field.name);
                 self.common = Some(Common { step: number, field, dims, geometry, coordinates });
@@ -323,21 +281,21 @@ impl Planner<'_> {
                 rounding: shift.rounding,
                 ..source_of(&info, fingerprint)
             },
-            interpolation: self.settings.interpolation,
-            values: self.settings.values,
-            nan: self.settings.nan.to_string(),
-            missing: self.settings.finite_missing(),
+            interpolation: self.job.settings.interpolation,
+            values: self.job.settings.values,
+            nan: self.job.settings.nan.to_string(),
+            missing: self.job.settings.finite_missing(),
             quantiser: None,
-            keyframes: self.settings.keyframes,
-            measured: self.settings.measure,
+            keyframes: self.job.settings.keyframes,
+            measured: self.job.settings.measure,
             base: None,
         };
-        step.quantiser = match self.planned {
+        step.quantiser = match self.job.basis.plan() {
             Some(plan) => plan.steps.iter().find(|s| s.number == number).and_then(|s| s.quantiser),
             None if self.only_estimates => None,
             None => {
                 let shapes = self.shapes_cells();
-                let rounds = self.settings.bits(false).is_some() && self.usual_bits != Some(None);
+                let rounds = self.job.settings.bits(false).is_some() && self.usual_bits != Some(None);
                 if shapes || rounds {
                     self.check_budget(&step, &planned)?;
                     let found = self.spread(volume)?;
@@ -355,21 +313,22 @@ impl Planner<'_> {
 
     /// Checks memory and disk for the first step, before all its samples are read: a header may claim any number of them.
     fn check_budget(&mut self, step: &StepPlan, source: &PlannedSource) -> Result<()> {
-        let (Some(plan), Some(out)) = (&self.plan, self.unchecked.take()) else { return Ok(()) };
+        let Some(plan) = self.plan.as_ref().filter(|_| !self.is_checked) else { return Ok(()) };
+        self.is_checked = true;
         let plan = Plan { mesh: plan.mesh.clone(), steps: vec![step.clone()] };
         let (mesh, mut sources) = (parts(&plan.mesh, self.attachments.clone())?, [source.clone()]);
-        let need = need_with_caches(&mut sources, &mesh, self.run);
-        estimate_of(&plan, &sources, &need, out, self.run)?.check()
+        let need = need_with_caches(&mut sources, &mesh, self.job.run);
+        self.job.estimate(&plan, &need, &PlannedSource::copies(&sources))?.check()
     }
 
     /// How samples are read, once the offset is known.
     fn reading(&self) -> Reading {
-        Reading::new(self.offset.unwrap_or(0.0), self.settings.missing, self.settings.nan)
+        Reading::new(self.offset.unwrap_or(0.0), self.job.settings.missing, self.job.settings.nan)
     }
 
     /// How the values of a step are kept.
     fn shift(&mut self, number: u64, source: &StepSource, volume: &VolumeSource) -> Result<Shift> {
-        if let Some(plan) = self.planned {
+        if let Some(plan) = self.job.basis.plan() {
             return Ok(plan.steps.iter().find(|s| s.number == number).map_or_else(Shift::default, Shift::of));
         }
         // Of steps in one packed file the first one stands for all: each of them costs a decoding, of a stream with all before it.
@@ -381,17 +340,17 @@ impl Planner<'_> {
         }
         self.looked_into = is_packed.then(|| source.path.clone());
         let open = || volume_of(source, "the volume it was");
-        Shift::of_volume(open, self.offset, self.settings.missing, &self.run.resources.cancel)
+        Shift::of_volume(open, self.offset, self.job.settings.missing, &self.job.run.resources.cancel)
     }
 
     /// Looks at all samples of a step.
     fn spread(&self, source: VolumeSource) -> Result<Spread> {
-        let (reading, cancel) = (self.reading(), &self.run.resources.cancel);
+        let (reading, cancel) = (self.reading(), &self.job.run.resources.cancel);
         match source {
             VolumeSource::Random(reader) => spread(&*reading.reader(reader), reading.missing(), cancel),
             other => {
                 let mut stream = other.into_stream();
-                stream_spread(&mut *stream, self.settings.missing, reading.offset(), cancel)
+                stream_spread(&mut *stream, self.job.settings.missing, reading.offset(), cancel)
             }
         }
     }
@@ -399,7 +358,7 @@ impl Planner<'_> {
     /// Whether the field of the first step decides how long the cells of a lattice are along each axis.
     fn shapes_cells(&self) -> bool {
         let is_lattice = self.plan.as_ref().is_some_and(|plan| plan.mesh.lattice_cells().is_some());
-        is_lattice && !self.is_shaped && self.settings.set.spacing.is_none()
+        is_lattice && !self.is_shaped && self.job.settings.set.spacing.is_none()
     }
 
     /// Makes the cells of a lattice longer along axes on which the field bends less.
@@ -411,8 +370,8 @@ impl Planner<'_> {
         let mean = libm::cbrt(voxels);
         let spacing = found.bend().spacing(mean).map(|s| s / mean);
         if spacing != [1.0; 3] {
-            let set = SetSettings { spacing: Some(spacing), ..self.settings.set };
-            let settings = ReduceSettings { set, ..self.settings.clone() };
+            let set = SetSettings { spacing: Some(spacing), ..self.job.settings.set };
+            let settings = ReduceSettings { set, ..self.job.settings.clone() };
             plan.mesh = Plan::with_fingerprint(info, &settings, String::new())?.mesh;
         }
         Ok(())
@@ -424,8 +383,8 @@ impl Planner<'_> {
         let stand_in = reading.stand_in().map(|v| [v, v]);
         let ranges = [found.range(), stand_in].into_iter().flatten();
         let range = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]).unwrap_or_default();
-        let bits = match self.settings.value_bits {
-            _ if self.settings.bits(false).is_none() => None,
+        let bits = match self.job.settings.value_bits {
+            _ if self.job.settings.bits(false).is_none() => None,
             ValueBits::Bits(bits) => Some(bits),
             _ => *self.usual_bits.get_or_insert_with(|| usual_bits(found, range)),
         };
@@ -447,77 +406,4 @@ fn usual_bits(found: &Spread, [low, high]: [f32; 2]) -> Option<u8> {
         }
     }
     Some(bits)
-}
-
-/// Opens volumes.
-pub(super) struct VolumeFields<'a> {
-    pub(super) settings: &'a ReduceSettings,
-    pub(super) run: &'a RunSettings,
-    pub(super) progress: &'a dyn Progress,
-    /// Whether small copies are made in memory.
-    in_memory: bool,
-    unpacked: Mutex<Option<(PathBuf, Arc<UnpackedFrames>)>>,
-}
-
-impl<'a> VolumeFields<'a> {
-    pub(super) fn new(
-        settings: &'a ReduceSettings,
-        run: &'a RunSettings,
-        progress: &'a dyn Progress,
-        in_memory: bool,
-    ) -> Self {
-        Self { settings, run, progress, in_memory, unpacked: Mutex::default() }
-    }
-
-    /// Opens a source that is read by itself, with the copy that is made of it where that is needed.
-    fn random_access(&self, planned: &PlannedSource) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
-        match volume_of(&planned.source, "the volume it was")? {
-            VolumeSource::Stream(stream) if self.in_memory && planned.is_small() => {
-                Ok((Box::new(unpack(stream)?), None))
-            }
-            volume => random_access(volume, planned.cached, self.run, self.progress),
-        }
-    }
-
-    /// The copy of a packed file: the one that was made last, or a new one.
-    fn unpacked(&self, source: &StepSource) -> Result<Arc<UnpackedFrames>> {
-        let mut last = self.unpacked.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, frames)) = last.as_ref().filter(|(path, _)| *path == source.path) {
-            return Ok(Arc::clone(frames));
-        }
-        // Before another one is made, its place on the disk is given back.
-        *last = None;
-        let (path, options, folder) = (&source.path, &source.options, self.run.resources.scratch_folder());
-        let frames = Arc::new(formats::unpack_frames(path, options, &folder, &self.run.resources.cancel)?);
-        *last = Some((source.path.clone(), Arc::clone(&frames)));
-        Ok(frames)
-    }
-}
-
-impl Fields for VolumeFields<'_> {
-    fn open<'a>(&'a self, series: &SeriesPlan, n: usize) -> Result<Box<dyn Field + 'a>> {
-        let (planned, step) = (&series.sources[n], &series.plan.steps[n]);
-        let source = &planned.source;
-        let (reader, scratch) = match planned.shared_copy {
-            0 => self.random_access(planned)?,
-            // Not opened by itself: a frame is found by decoding all before it.
-            _ => (self.unpacked(source)?.open(&step.source.field)?, None),
-        };
-        if reader.info().dims != step.source.dims {
-            let (expected, got) = (shape(step.source.dims), shape(reader.info().dims));
-            return Err(Error::bad_input(&source.path, "dimensions", expected, got));
-        }
-        let reading = Reading::new(step.source.offset, self.settings.missing, self.settings.nan);
-        Ok(Box::new(GridField {
-            reader: reading.reader(reader),
-            scratch,
-            bricks: series.plan.mesh.bricks(),
-            interpolation: step.interpolation,
-            values: step.values,
-            nan: self.settings.nan,
-            stand_in: reading.stand_in(),
-            missing: reading.missing(),
-            released: AtomicU64::new(0),
-        }))
-    }
 }

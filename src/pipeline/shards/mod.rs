@@ -28,8 +28,7 @@ use crate::pipeline::plan::{
 use crate::pipeline::read::{Depth, SegmentState};
 use crate::pipeline::reduce;
 use crate::pipeline::reduce::{
-    Cut, Job, Outcome, Part, PlanFile, Publishing, ReduceReport, SeriesPlan, SourceChunks, existing,
-    finished, grid_coordinates, look, numbered, plan_path, prepare_folder,
+    Basis, Built, Cut, Existing, Job, PlanFile, ReduceReport, SourceChunks, look, numbered, plan_path,
 };
 use crate::pipeline::settings::{ReduceSettings, RunSettings};
 use crate::pipeline::stage::{Stage, StageSeconds};
@@ -82,23 +81,23 @@ pub fn plan_shards(
         ));
     }
     let _lock = reduce::lock_for_writing(out)?;
-    reduce::refuse_overwriting(out, run)?;
-    let (sources, part) = (&numbered(sources), Part::Whole);
-    let job = Job { sources, settings, out, run, progress, started: Instant::now(), part, round: None };
-    let notices = look(&job, false)?.notices;
-    let (series, mesh, mut needs) = reduce::make_plan(&job, false)?;
+    let existing = Existing::at(out)?;
+    existing.refuse_overwriting(out, run.replace)?;
+    let sources = &numbered(sources);
+    let job = Job { sources, settings, out, run, progress, basis: Basis::New };
+    let notices = look(&job)?.notices;
+    let planned = reduce::plan(&job, false)?;
+    let mut needs = planned.estimate.clone();
     needs.notices = notices;
-    let attachments = series.attachments.clone();
-    let (memory_least, replaces) = (needs.memory_least, reduce::is_finished(out));
-    let file =
-        PlanFile::new(settings, series, Cut { chunks: mesh.chunks.len(), shards, memory_least, replaces })?;
+    let (memory_least, replaces) = (needs.memory_least, existing.is_finished());
+    let cut = Cut { chunks: planned.parts.chunks.len(), shards, memory_least, replaces };
+    let file = PlanFile::new(settings, &planned.series, cut)?;
     let root = file.root(out);
-    let layout = Layout::new(&root, mesh.chunks.len(), 0);
+    let layout = planned.layout(&root);
     // Before the plan is there: a worker finds no work of another one.
-    prepare_folder(&layout, &file.plan, run)?;
+    Existing::at(&root)?.compare(&root, &file.plan, run)?.make_place(&layout)?;
     file.write(out, run.replace)?;
-    layout.make_folders()?;
-    attachments.write(&root, file.mesh_hash)?;
+    planned.begin(&layout)?;
     let segments = layout.segment_count();
     let shard_segments = segments.div_ceil(shards);
     Ok(PlanReport {
@@ -193,13 +192,16 @@ pub fn work_shard(
     if done.all(|f| inventory.look(&f, Depth::All) == SegmentState::Whole) {
         return Ok(report(0, None, vec![]));
     }
-    let part = Part::Shard(&file, shard);
     // The plan says which steps there are: a worker leaves none out.
     let run = RunSettings { replace: false, keep_going: false, ..run.clone() };
-    let (sources, settings) = (&file.numbered(), &file.settings);
-    let made =
-        reduce::make(&Job { sources, settings, out, run: &run, progress, started, part, round: None })?;
-    let made = finished(made, started);
+    let (sources, settings, basis) = (&file.numbered(), &file.settings, Basis::Plan(&file));
+    let job = Job { sources, settings, out, run: &run, progress, basis };
+    let planned = reduce::plan(&job, false)?;
+    planned.check()?;
+    let layout = planned.layout(out);
+    planned.begin(&layout)?;
+    let made = reduce::run(planned, &job, &layout, segments.clone())?.report.finished(started);
+    layout.sync()?;
     Ok(report(made.points, SourceChunks::of(sources), made.seconds))
 }
 
@@ -208,7 +210,7 @@ fn expect_no_other_archive(out: &Path, file: &PlanFile) -> Result<()> {
     if !out.join(MANIFEST_NAME).exists() || file.root(out) != out {
         return Ok(());
     }
-    if existing::is_of(&Manifest::read(out)?, file.mesh_hash, &file.plan) {
+    if file.plan.is_of(&Manifest::read(out)?) {
         return Ok(());
     }
     let text = "holds an archive that was not made by this plan; plan again with --force to replace it";
@@ -228,29 +230,29 @@ pub fn commit_shards(out: &Path, run: &RunSettings, progress: &dyn Progress) -> 
     let root = file.root(out);
     Inventory::new(&root, &file).expect_whole(run, progress)?;
     let verified = started.elapsed().as_secs_f64();
-    let mesh = mesh_parts(&root, &file.plan)?;
-    let workers = Need::of(&mesh).shares(run.resources.memory, run.resources.worker_threads())?.workers;
-    let layout = Layout::new(&root, mesh.chunks.len(), 0);
+    let parts = mesh_parts(&root, &file.plan)?;
+    let shares = Need::of(&parts).shares(run.resources.memory, run.resources.worker_threads())?;
+    let layout = Layout::new(&root, parts.chunks.len(), 0);
     let samples = match &file.plan.first().source.mesh {
         Some(mesh) => mesh.vertices,
         None => file.plan.first().source.dims.iter().product(),
     };
     let seconds = vec![(Stage::Verify, verified)];
     let report = ReduceReport { samples, seconds, ..ReduceReport::default() };
-    let measure = file.settings.measure;
     // Of a mesh its vertices are read once more, to measure; of a volume workers have done that.
-    let is_read = measure && file.plan.first().source.mesh.is_some();
+    let is_read = file.settings.measure && file.plan.first().source.mesh.is_some();
     let watch = if is_read { file.expect_same_inputs(run)? } else { Watch::default() };
-    let series = SeriesPlan { watch, ..file.into_series() };
-    let made = Outcome { coordinates: grid_coordinates(&series, &layout)?, ..Outcome::default() };
-    let publishing = Publishing { parts: &mesh, layout: &layout, old: None, measure, workers, run, progress };
-    let report = publishing.publish(&series, made, report)?;
+    let series = file.series(watch);
+    let (sources, settings, basis) = (&file.numbered(), &file.settings, Basis::Plan(&file));
+    let job = Job { sources, settings, out: &root, run, progress, basis };
+    let built = Built::of_shards(series, parts, shares, &layout, report)?;
+    let report = reduce::publish(built, &job, &layout)?;
     // What commits and workers of this machine have left that were killed.
     reduce::sweep(&layout);
     if root != out {
         reduce::replace_archive(&root, out)?;
     }
-    Ok(finished(report, started))
+    Ok(report.finished(started))
 }
 
 /// The parts of a plan, with what is stored in the archive.

@@ -15,11 +15,12 @@
 //! of it wait in the scratch folder; where there is a choice, a pass ends before a keyframe, so
 //! that no values are decoded for the differences to them.
 
-use super::extract::{ChunkSurfaces, ChunkWorker, Extracted, Question, Room, Weld};
-use super::ordered::{Last, Line};
-use super::query::{Effort, Made, Prepared, SurfaceSettings, make};
+use super::extract::{Extracted, Room, Weld};
+use super::query::{Effort, Made, Prepared, make};
+use super::settings::SurfaceSettings;
+use super::worker::{ChunkSurfaces, ChunkWorker, Question};
 use crate::error::{Error, Result};
-use crate::exec::Progress;
+use crate::exec::{Progress, in_order};
 use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::{SurfaceShares, estimate};
@@ -206,7 +207,7 @@ impl<'a> Work<'a> {
             let room = Room { scratch: scratch.to_path_buf(), reused: reused.pop().unwrap_or_default() };
             Weld::new(question, settings, each, room, progress)
         };
-        let welds = self.questions.iter().map(weld).collect();
+        let mut welds: Vec<Weld<'_>> = self.questions.iter().map(weld).collect();
         let pool = self.archive.pools.lend(settings.resources.threads)?;
         let blocks = self.questions.iter().flat_map(|q| q.work).map(|w| w.blocks.len() as u64).sum();
         progress.begin("surface", blocks, "blocks");
@@ -215,9 +216,13 @@ impl<'a> Work<'a> {
             settings.resources.cancel.check()?;
             self.chunk_surfaces(n, &spare)
         };
-        let welder = Welder { work: self, welds, spare: &spare };
-        let welder = Line::new(bytes, shares.batch, &pool, extract, welder).run(&pool)?;
-        welder.welds.into_iter().map(Weld::finish).collect()
+        in_order(&bytes, shares.batch, &pool, extract, |n, surfaces: Vec<ChunkSurfaces>| {
+            let (id, part) = &self.chunks[n];
+            self.archive.close_before(*id);
+            let mut asked = part.asked.iter().zip(surfaces);
+            asked.try_for_each(|(&(question, _), surfaces)| welds[question].push(surfaces, &spare))
+        })?;
+        welds.into_iter().map(Weld::finish).collect()
     }
 
     /// The surfaces of a chunk, of each question that is asked of it.
@@ -342,26 +347,5 @@ impl ShapedChunk<'_> {
             }
         }
         Ok(worker.finish())
-    }
-}
-
-/// Takes chunks in order.
-struct Welder<'a> {
-    work: &'a Work<'a>,
-    /// Of each question.
-    welds: Vec<Weld<'a>>,
-    spare: &'a BufferPool,
-}
-
-impl Last for Welder<'_> {
-    type Piece = Vec<ChunkSurfaces>;
-
-    fn take(&mut self, n: usize, piece: Vec<ChunkSurfaces>) -> Result<()> {
-        let (id, part) = &self.work.chunks[n];
-        self.work.archive.close_before(*id);
-        for (&(question, _), surfaces) in part.asked.iter().zip(piece) {
-            self.welds[question].push(surfaces, self.spare)?;
-        }
-        Ok(())
     }
 }

@@ -8,18 +8,19 @@
 
 mod extract;
 mod extract_steps;
-mod ordered;
 mod query;
 mod refine;
 mod series;
+mod settings;
 mod unpack;
 mod unpacked;
+mod worker;
 
-pub use query::{CountReport, OneSurface, SurfaceReport, SurfaceSettings};
 pub(super) use query::{count, surfaces_in_memory, with_surfaces, write_surfaces};
 pub use refine::{Refine, RefineReport};
 pub use series::{SeriesReport, StepSurfaces};
 pub(super) use series::{surfaces_of_steps, write_series};
+pub use settings::{CountReport, OneSurface, SurfaceReport, SurfaceSettings};
 pub(super) use unpack::check_unpacked;
 pub use unpack::{
     UnpackNeed, UnpackReport, UnpackSettings, UnpackedFile, remove_unpacked, unpack, unpack_need,

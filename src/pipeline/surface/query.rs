@@ -1,191 +1,30 @@
 //! Questions to an archive: the index names the blocks that can hold an answer; those are read, and
 //! no others.
 
-use super::extract::{ChunkWork, Extracted, Question, Room, by_chunk, extract_surfaces};
-use super::refine::{Means, Refine, RefineReport};
-use crate::bytes::remote::{Traffic, traffic, traffic_since};
-use crate::error::{Error, Result};
-use crate::exec::{CancelToken, Progress, Resources, Silent, pool};
+use super::extract::{Extracted, Room, extract_surfaces};
+use super::refine::{Means, RefineReport};
+use super::settings::{CountReport, OneSurface, SurfaceReport, SurfaceSettings, finite};
+use super::worker::{ChunkWork, Question, by_chunk};
+use crate::bytes::remote::{traffic, traffic_since};
+use crate::error::Result;
+use crate::exec::{CancelToken, Progress, Silent, pool};
 use crate::formats::surface::{SurfaceFormat, SurfaceMeta, SurfacePart, write_surface};
 use crate::grid::ChunkId;
 use crate::index::Entry;
-use crate::mesh::tet::is_active;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
-    Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, Roi, RoiSpace, StepView, Wanted, in_memory,
-    in_world, world_map,
+    Block, ChunkReader, Cut, Needed, Ranges, ReaderMemory, RoiSpace, StepView, Wanted, in_memory, in_world,
+    world_map,
 };
-use crate::pipeline::stage::{Stage, StageSeconds};
+use crate::pipeline::stage::Stage;
 use crate::surface::clip::clip;
 use crate::surface::marching_tets::Sides;
 use crate::surface::weld::BuilderSettings;
 use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
 use rayon::prelude::*;
-use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicU64;
 use std::time::{Duration, Instant};
-
-/// How surfaces are extracted.
-#[derive(Clone, Debug)]
-pub struct SurfaceSettings {
-    /// The isovalues, each once: a value `>=` it is inside. All are extracted in one pass.
-    pub isovalues: Vec<f64>,
-    /// The box at which the surfaces are cut; the whole domain if not given.
-    pub roi: Option<Roi>,
-    /// Close the surfaces where the domain ends.
-    pub cap: bool,
-    /// What is done to each surface before it is written.
-    pub refine: Refine,
-    /// Threads, memory, scratch folder, and what stops it.
-    pub resources: Resources,
-}
-
-impl Default for SurfaceSettings {
-    fn default() -> Self {
-        Self {
-            isovalues: vec![0.0],
-            roi: None,
-            cap: false,
-            refine: Refine::default(),
-            resources: Resources::default(),
-        }
-    }
-}
-
-impl SurfaceSettings {
-    /// The default settings for an isovalue.
-    pub fn of(isovalue: impl Into<f64>) -> Self {
-        Self { isovalues: vec![isovalue.into()], ..Self::default() }
-    }
-
-    /// The isovalues as the archive has values.
-    pub(super) fn kept(&self, archive: &StepView) -> Vec<f32> {
-        let source = &archive.step().plan.source;
-        self.isovalues.iter().map(|&v| source.kept(v)).collect()
-    }
-
-    /// Whether a surface can have a triangle where values are in this range.
-    pub(super) fn can_answer(&self, archive: &StepView) -> bool {
-        let Some([lo, hi]) = archive.value_range() else { return false };
-        self.kept(archive).into_iter().any(|v| is_active(lo, hi, v) || self.cap && v <= hi)
-    }
-
-    /// The folder for what does not fit in memory, of a file.
-    pub(super) fn scratch_of(&self, out: &Path) -> PathBuf {
-        self.resources.scratch.clone().unwrap_or_else(|| parent_of(out))
-    }
-
-    pub(super) fn check(&self) -> Result<()> {
-        self.refine.check()?;
-        if self.cap && self.roi.is_some() {
-            return Err(Error::usage(
-                "caps close a surface at the ends of the domain, not at those of a region of interest",
-            ));
-        }
-        if self.isovalues.is_empty() {
-            return Err(Error::usage("give at least one isovalue"));
-        }
-        for (i, &isovalue) in self.isovalues.iter().enumerate() {
-            finite(isovalue)?;
-            if self.isovalues[..i].contains(&isovalue) {
-                return Err(Error::usage(format!("the isovalue {isovalue} is given twice")));
-            }
-        }
-        Ok(())
-    }
-}
-
-/// What a surface extraction found and read; counts are of all surfaces together.
-#[derive(Clone, Debug, Default, Serialize)]
-#[non_exhaustive]
-pub struct SurfaceReport {
-    /// Each surface, in the order of the isovalues.
-    pub surfaces: Vec<OneSurface>,
-    /// Least and largest value of the archive.
-    pub range: Option<[f64; 2]>,
-    /// The box at which the surfaces were cut.
-    pub roi: Option<Roi>,
-    /// Vertices written.
-    pub vertices: u64,
-    /// Triangles written.
-    pub triangles: u64,
-    /// Bytes of the files written.
-    pub file_bytes: u64,
-    /// Points of the archive.
-    pub points: u64,
-    /// Tetrahedra of the archive.
-    pub tetrahedra: u64,
-    /// Tetrahedra that a surface crosses, once for each.
-    pub active_tetrahedra: u64,
-    /// Tetrahedron blocks of the archive.
-    pub blocks: u64,
-    /// Blocks read.
-    pub active_blocks: u64,
-    /// Chunks of the archive.
-    pub chunks: u64,
-    /// Chunks that blocks were read of.
-    pub active_chunks: u64,
-    /// Bytes read: index pages, chunk headers, blocks, values; none of cached blocks. The manifest
-    /// was read when the archive was opened ([`crate::Archive::opening`]).
-    pub bytes_read: u64,
-    /// Bytes of the blocks read, of tetrahedra and of values, that hold an active tetrahedron: what
-    /// no reader could do without.
-    pub active_bytes: u64,
-    /// Bytes of the archive.
-    pub archive_bytes: u64,
-    /// Of an archive on a server: what was fetched from there meanwhile.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub remote: Option<Traffic>,
-    /// Seconds of wall time of each stage.
-    pub seconds: StageSeconds,
-}
-
-/// One of the surfaces of an extraction.
-#[derive(Clone, Debug, Default, Serialize)]
-#[non_exhaustive]
-pub struct OneSurface {
-    /// Its isovalue.
-    pub isovalue: f64,
-    /// The file that it is in.
-    pub file: PathBuf,
-    /// Whether no value lies below the isovalue, or none at or above it; then the surface is empty.
-    pub outside_range: bool,
-    /// Vertices.
-    pub vertices: u64,
-    /// Triangles.
-    pub triangles: u64,
-    /// Tetrahedra that the surface crosses: those that touch the region of interest.
-    pub active_tetrahedra: u64,
-    /// What was done to the surface after its extraction.
-    #[serde(flatten)]
-    pub refined: RefineReport,
-}
-
-/// How many tetrahedra an isosurface crosses.
-#[derive(Clone, Debug, Default, Serialize)]
-#[non_exhaustive]
-pub struct CountReport {
-    /// The isovalue.
-    pub isovalue: f64,
-    /// Tetrahedra that the surface crosses.
-    pub active_tetrahedra: u64,
-    /// Tetrahedra of the archive.
-    pub tetrahedra: u64,
-    /// Whether the number was stored; otherwise the blocks of the isovalue were decoded.
-    pub stored: bool,
-    /// Bytes read for it: the spectrum's knots and a page of its levels; also index pages and
-    /// blocks where it was not stored.
-    pub bytes_read: u64,
-}
-
-fn finite(isovalue: f64) -> Result<()> {
-    if (isovalue as f32).is_finite() {
-        Ok(())
-    } else {
-        Err(Error::usage("the isovalue must be a finite number"))
-    }
-}
 
 /// Counts the active tetrahedra of an isovalue, exactly: from the spectrum where it is stored
 /// ([`crate::spectrum`]: at any isovalue of a few digits), else by decoding the active blocks.
@@ -615,11 +454,4 @@ fn describe(
         refined: refined.clone(),
     };
     surfaces.iter().zip(isovalues).zip(refined).map(one).collect()
-}
-
-fn parent_of(file: &Path) -> PathBuf {
-    match file.parent() {
-        Some(p) if !p.as_os_str().is_empty() => p.to_path_buf(),
-        _ => PathBuf::from("."),
-    }
 }

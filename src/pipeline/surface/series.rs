@@ -7,7 +7,8 @@
 //! surface, so that the list has all steps.
 
 use super::extract_steps::{MOST_STEPS, Pass};
-use super::query::{Made, SurfaceReport, SurfaceSettings, file_of, is_each_alone, write_made};
+use super::query::{Made, file_of, is_each_alone, write_made};
+use super::settings::{SurfaceReport, SurfaceSettings};
 use crate::archive::publish::Unpublished;
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Silent};

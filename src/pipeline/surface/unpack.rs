@@ -9,14 +9,13 @@
 //! The file appears when it is complete, and names the segments that it was made of. `unpacked`
 //! uses it.
 
-use super::ordered::{Last, Line};
 use crate::archive::manifest::{Manifest, steps_folder, unpacked_path, unpacked_step};
 use crate::archive::publish::sync_folders;
 use crate::archive::summary::{BlockRange, MeshSummary};
 use crate::archive::unpacked::{Unpacked, UnpackedChunk, UnpackedWriter};
 use crate::bytes::remote::is_remote;
 use crate::error::{Error, Result};
-use crate::exec::{Progress, Resources, pool};
+use crate::exec::{Progress, Resources, in_order, pool};
 use crate::grid::ChunkId;
 use crate::pipeline::plan::estimate;
 use crate::pipeline::read::{
@@ -252,7 +251,7 @@ fn unpack_step(
         return Err(Error::Budget { what, needed: largest, available });
     }
     let path = archive.layout.unpacked();
-    let writer = UnpackedWriter::create(&path, archive.unpacked_hash(archive.position()), range)?;
+    let mut writer = UnpackedWriter::create(&path, archive.unpacked_hash(archive.position()), range)?;
     let step = archive.step().plan.number;
     progress.begin(&format!("unpack step {step}"), parts.len() as u64, "chunks");
     let pool = pool(settings.resources.threads)?;
@@ -264,10 +263,24 @@ fn unpack_step(
         spare.give_buffers(buffers);
         Ok(made)
     };
-    let file = UnpackedFile { step, file: path, ..UnpackedFile::default() };
-    let filler = Filler { archive, writer, file, progress };
-    let Filler { writer, mut file, .. } =
-        Line::new(bytes, settings.resources.memory - estimate::BASE, &pool, make, filler).run(&pool)?;
+    let mut file = UnpackedFile { step, file: path, ..UnpackedFile::default() };
+    let memory = settings.resources.memory - estimate::BASE;
+    in_order(&bytes, memory, &pool, make, |n, made: MadeChunk| {
+        archive.close_before(ChunkId(n as u64));
+        writer.push(made.corners, made.edges, &made.blocks)?;
+        for words in &made.blocks {
+            // The third word is the number of tetrahedra of a block.
+            match words.get(2) {
+                Some(&tets) => {
+                    file.blocks += 1;
+                    file.tetrahedra += u64::from(tets);
+                }
+                None => file.packed_blocks += 1,
+            }
+        }
+        progress.advance(1);
+        Ok(())
+    })?;
     file.bytes = writer.finish()?.bytes;
     Ok(file)
 }
@@ -354,35 +367,6 @@ impl MadeChunk {
         let corners = reader.vertices() as u32;
         buffers.reader = reader.into_memory();
         Ok(Self { corners, edges: joiner.count(), blocks })
-    }
-}
-
-/// Writes chunks in order.
-struct Filler<'a> {
-    archive: &'a StepView,
-    writer: UnpackedWriter,
-    file: UnpackedFile,
-    progress: &'a dyn Progress,
-}
-
-impl Last for Filler<'_> {
-    type Piece = MadeChunk;
-
-    fn take(&mut self, n: usize, made: MadeChunk) -> Result<()> {
-        self.archive.close_before(ChunkId(n as u64));
-        self.writer.push(made.corners, made.edges, &made.blocks)?;
-        for words in &made.blocks {
-            // The third word tells the tetrahedra of a block.
-            match words.get(2) {
-                Some(&tets) => {
-                    self.file.blocks += 1;
-                    self.file.tetrahedra += u64::from(tets);
-                }
-                None => self.file.packed_blocks += 1,
-            }
-        }
-        self.progress.advance(1);
-        Ok(())
     }
 }
 

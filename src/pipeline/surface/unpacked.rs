@@ -9,7 +9,7 @@
 //! machine. Between two steps blocks are decoded. So they are on a server, where sixty bytes per
 //! tetrahedron would cross the network. A damaged file, or one of other segments, is an error.
 
-use super::extract::{ChunkWork, ChunkWorker};
+use super::worker::{ChunkWork, ChunkWorker};
 use crate::archive::Malformed;
 use crate::archive::segment::PlanHash;
 use crate::archive::unpacked::{Unpacked, UnpackedPlace, unpacked_hash};

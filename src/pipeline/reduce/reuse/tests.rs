@@ -1,8 +1,9 @@
 //! Searches that take chunks over make the archive that their last plan makes by itself.
 
-use super::super::job::{Job, Part};
-use super::super::passes::{PlannedSource, SeriesPlan};
+use super::super::existing::Existing;
+use super::super::job::{Basis, Job};
 use super::super::plan_file::{Cut, PlanFile};
+use super::super::series::{PlannedSource, SeriesPlan};
 use super::super::{make, numbered};
 use super::Round;
 use crate::archive::manifest::Manifest;
@@ -21,7 +22,6 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
-use std::time::Instant;
 
 const DIMS: [usize; 3] = [130, 30, 28];
 
@@ -75,8 +75,8 @@ fn make_round(
     threads: usize,
 ) -> ReduceReport {
     let (settings, run) = (&settings(values), &run(threads));
-    let (sources, part, started) = (&numbered(sources), Part::Whole, Instant::now());
-    make(&Job { sources, settings, out, run, progress: &Silent, started, part, round }).unwrap()
+    let (sources, basis) = (&numbered(sources), round.map_or(Basis::New, Basis::Round));
+    make(&Job { sources, settings, out, run, progress: &Silent, basis }, &Existing::Nothing).unwrap()
 }
 
 /// The levels of an archive with a cell at the low end of x raised by 2.
@@ -126,7 +126,7 @@ fn made_again(archive: &Path, sources: &[StepSource], values: Values, out: &Path
     };
     let chunks = manifest.counts.chunks;
     let file =
-        PlanFile::new(&settings, series, Cut { chunks, shards, memory_least: 0, replaces: false }).unwrap();
+        PlanFile::new(&settings, &series, Cut { chunks, shards, memory_least: 0, replaces: false }).unwrap();
     file.write(out, false).unwrap();
     Layout::new(out, chunks, 0).make_folders().unwrap();
     attachments.write(out, file.mesh_hash).unwrap();
@@ -147,7 +147,7 @@ fn a_round_makes_what_its_plan_makes_and_meshes_where_levels_are_others() {
         let open = || OpenArchive::open(&first).unwrap().step_at(0);
         let round = Round::new(raised(&open()), open()).unwrap();
         let made = make_round(&sources, values, Some(&round), &two, 2);
-        assert!(made.taken_chunks > 0 && made.taken_chunks < made.chunks, "{made:?}");
+        assert!(made.reused_chunks > 0 && made.reused_chunks < made.chunks, "{made:?}");
         let [before, after] = [&first, &two].map(|a| Manifest::read(a).unwrap());
         assert!(before.plan.frame.is_none() && after.plan.frame.is_some());
         assert!(after.plan.levels.unwrap().top > before.plan.levels.unwrap().top);
@@ -162,7 +162,7 @@ fn a_round_makes_what_its_plan_makes_and_meshes_where_levels_are_others() {
         let round = Round::new(same, open()).unwrap();
         fs::remove_dir_all(&one).unwrap();
         let made = make_round(&sources, values, Some(&round), &one, 2);
-        assert_eq!(made.taken_chunks, made.chunks);
+        assert_eq!(made.reused_chunks, made.chunks);
     }
 }
 

@@ -16,7 +16,7 @@ use std::path::Path;
 
 /// The mesh of an archive, and the steps that are finished.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Made {
+pub(super) struct ArchiveContents {
     pub(super) counts: Counts,
     pub(super) mesh: Vec<SegmentRecord>,
     pub(super) steps: Vec<Step>,
@@ -24,7 +24,7 @@ pub(super) struct Made {
     pub(super) halo_retries: u64,
 }
 
-impl Made {
+impl ArchiveContents {
     /// What an archive has.
     pub(super) fn of(manifest: &Manifest) -> Self {
         let Manifest { counts, mesh, steps, .. } = manifest.clone();
@@ -34,29 +34,27 @@ impl Made {
     pub(super) fn manifest(&self, plan: &Plan) -> Manifest {
         Manifest::new(plan.mesh.clone(), self.counts, self.mesh.clone(), self.steps.clone())
     }
-}
 
-impl Made {
     /// Reads the summaries of the mesh of all chunks.
     pub(super) fn of_segments(plan: &Plan, parts: &MeshParts, layout: &Layout) -> Result<Self> {
-        let mut made =
-            Made { counts: Counts { chunks: parts.chunks.len(), ..Counts::default() }, ..Made::default() };
+        let counts = Counts { chunks: parts.chunks.len(), ..Counts::default() };
+        let mut contents = Self { counts, ..Self::default() };
         let mut volume6 = 0i128;
         let hash = plan.mesh_hash();
         for number in 0..layout.segment_count() {
             let file = ChunkSegment::open(layout.mesh(number), SegmentKind::Mesh, Some(hash))?;
             for chunk in layout.chunks_of(number) {
                 let mesh = file.mesh_summary(ChunkId(chunk))?;
-                made.counts.points += u64::from(mesh.core);
-                made.counts.tetrahedra += mesh.tets;
-                made.counts.blocks += u64::from(mesh.tet_blocks);
-                made.halo_retries += u64::from(mesh.retries);
+                contents.counts.points += u64::from(mesh.core);
+                contents.counts.tetrahedra += mesh.tets;
+                contents.counts.blocks += u64::from(mesh.tet_blocks);
+                contents.halo_retries += u64::from(mesh.retries);
                 volume6 += mesh.volume6 + mesh.outside6;
             }
-            made.mesh.push(file.record());
+            contents.mesh.push(file.record());
         }
-        check_volume(plan, [made.counts.tetrahedra.into(), volume6], layout.root())?;
-        Ok(made)
+        check_volume(plan, [contents.counts.tetrahedra.into(), volume6], layout.root())?;
+        Ok(contents)
     }
 
     /// Adds the `n`-th step of the plan: builds its index, and its spectrum of what chunks have measured, but for small archives. `coordinates`: of a grid that has

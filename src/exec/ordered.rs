@@ -12,80 +12,75 @@
 //!
 //! A piece that fails ends the pipeline at its turn, so the first error in order is reported.
 
+use super::Reorder;
 use crate::error::{Error, Result};
-use crate::exec::Reorder;
 use rayon::{Scope, ThreadPool};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// Takes pieces, in order.
-pub(super) trait Last: Send {
-    type Piece: Send;
-    /// Takes a piece, told its number.
-    fn take(&mut self, number: usize, piece: Self::Piece) -> Result<()>;
+/// Makes pieces on the threads of a pool, as many as there are `bytes`, and consumes them in order.
+///
+/// Piece `n` takes `bytes[n]` from its beginning until it was consumed. All at work take `most_bytes`
+/// together at most, but one alone is always begun.
+///
+/// # Errors
+/// The first one, in the order of the pieces.
+pub(crate) fn in_order<T: Send>(
+    bytes: &[u64],
+    most_bytes: u64,
+    pool: &ThreadPool,
+    make: impl Fn(usize) -> Result<T> + Sync,
+    consume: impl FnMut(usize, T) -> Result<()> + Send,
+) -> Result<()> {
+    let (begun, making, consumed) = (0, 0, 0);
+    let (made, consume) = (Reorder::new(0), Some(consume));
+    let state = State { begun, making, consumed, bytes: 0, made, consume, failed: None };
+    let making = pool.current_num_threads();
+    let pipeline = Pipeline { make, bytes, most_bytes, making, held: 4 * making, state: Mutex::new(state) };
+    pool.scope(|scope| pipeline.begin(scope));
+    let state = pipeline.state.into_inner().unwrap_or_else(PoisonError::into_inner);
+    state.failed.map_or(Ok(()), Err)
 }
 
 /// The pieces, on their way.
-pub(super) struct Line<M, L: Last> {
+struct Pipeline<'a, M, T, C> {
     make: M,
-    /// Bytes that each piece takes from its beginning until it has been taken.
-    bytes: Vec<u64>,
+    bytes: &'a [u64],
     most_bytes: u64,
-    /// Pieces that are made at one time, and those that are not yet taken.
+    /// Pieces that are made at one time, and those that are not yet consumed, at most.
     making: usize,
     held: usize,
-    state: Mutex<State<L>>,
+    state: Mutex<State<T, C>>,
 }
 
-struct State<L: Last> {
-    /// Pieces that were begun, that are being made, that were taken.
+struct State<T, C> {
+    /// Pieces that were begun, that are being made, that were consumed.
     begun: usize,
     making: usize,
-    taken: usize,
-    /// Bytes of those that were begun and not yet taken.
+    consumed: usize,
+    /// Bytes of those that were begun and not yet consumed.
     bytes: u64,
-    made: Reorder<Result<L::Piece>>,
-    /// Gone while it takes a piece.
-    last: Option<L>,
+    made: Reorder<Result<T>>,
+    /// Gone while it consumes a piece.
+    consume: Option<C>,
     failed: Option<Error>,
 }
 
-impl<M, L> Line<M, L>
+impl<M, T, C> Pipeline<'_, M, T, C>
 where
-    M: Fn(usize) -> Result<L::Piece> + Sync,
-    L: Last,
+    T: Send,
+    M: Fn(usize) -> Result<T> + Sync,
+    C: FnMut(usize, T) -> Result<()> + Send,
 {
-    /// A line of as many pieces as there are `bytes`, on the threads of a pool.
-    pub(super) fn new(bytes: Vec<u64>, most_bytes: u64, pool: &ThreadPool, make: M, last: L) -> Self {
-        let (begun, making, taken) = (0, 0, 0);
-        let made = Reorder::new(0);
-        let state = State { begun, making, taken, bytes: 0, made, last: Some(last), failed: None };
-        let making = pool.current_num_threads();
-        Self { make, bytes, most_bytes, making, held: 4 * making, state: Mutex::new(state) }
-    }
-
-    /// Makes and takes all pieces.
-    ///
-    /// # Errors
-    /// The first one, in the order of the pieces.
-    pub(super) fn run(self, pool: &ThreadPool) -> Result<L> {
-        pool.scope(|scope| self.begin(scope));
-        let State { last, failed, .. } = self.state.into_inner().unwrap_or_else(PoisonError::into_inner);
-        match failed {
-            Some(error) => Err(error),
-            None => Ok(last.expect("it is there when nobody takes a piece")),
-        }
-    }
-
-    fn state(&self) -> MutexGuard<'_, State<L>> {
+    fn state(&self) -> MutexGuard<'_, State<T, C>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Begins the next pieces, as far as threads and memory allow. One alone is always begun.
+    /// Begins the next pieces, as far as threads and memory allow.
     fn begin<'s>(&'s self, scope: &Scope<'s>) {
         let mut state = self.state();
         while let Some(&bytes) = self.bytes.get(state.begun) {
             let fits = state.bytes == 0 || state.bytes.saturating_add(bytes) <= self.most_bytes;
-            let has_thread = state.making < self.making && state.begun - state.taken < self.held;
+            let has_thread = state.making < self.making && state.begun - state.consumed < self.held;
             if state.failed.is_some() || !fits || !has_thread {
                 return;
             }
@@ -96,7 +91,7 @@ where
         }
     }
 
-    /// Makes a piece, and takes those whose turn it is.
+    /// Makes a piece, and consumes those whose turn it is.
     fn work<'s>(&'s self, number: usize, scope: &Scope<'s>) {
         let piece = (self.make)(number);
         let mut state = self.state();
@@ -104,28 +99,28 @@ where
         state.made.push(number as u64, piece);
         drop(state);
         self.begin(scope);
-        while self.take_next() {
+        while self.consume_next() {
             self.begin(scope);
         }
     }
 
-    /// Takes the next piece, if it is there and nobody else is about that.
-    fn take_next(&self) -> bool {
+    /// Consumes the next piece, if it is there and no other thread is about that.
+    fn consume_next(&self) -> bool {
         let mut state = self.state();
-        let Some(mut last) = state.last.take() else { return false };
-        let (number, next) = (state.taken, state.made.pop());
+        let Some(mut consume) = state.consume.take() else { return false };
+        let (number, next) = (state.consumed, state.made.pop());
         let Some(piece) = next else {
-            state.last = Some(last);
+            state.consume = Some(consume);
             return false;
         };
         let has_failed = state.failed.is_some();
         drop(state);
-        let taken = if has_failed { Ok(()) } else { piece.and_then(|piece| last.take(number, piece)) };
+        let done = if has_failed { Ok(()) } else { piece.and_then(|piece| consume(number, piece)) };
         let mut state = self.state();
-        state.last = Some(last);
-        state.taken += 1;
+        state.consume = Some(consume);
+        state.consumed += 1;
         state.bytes = state.bytes.saturating_sub(self.bytes[number]);
-        state.failed = state.failed.take().or(taken.err());
+        state.failed = state.failed.take().or(done.err());
         true
     }
 }
@@ -136,16 +131,20 @@ mod tests {
     use crate::exec::pool;
     use std::sync::atomic::{AtomicU64, Ordering};
 
-    #[derive(Default)]
-    struct Numbers(Vec<usize>);
-
-    impl Last for Numbers {
-        type Piece = usize;
-        fn take(&mut self, number: usize, piece: usize) -> Result<()> {
+    /// The squares that were consumed, in order.
+    fn squares(
+        bytes: &[u64],
+        most_bytes: u64,
+        pool: &ThreadPool,
+        make: impl Fn(usize) -> Result<usize> + Sync,
+    ) -> Result<Vec<usize>> {
+        let mut consumed = vec![];
+        in_order(bytes, most_bytes, pool, make, |number, piece| {
             assert_eq!(piece, number * number);
-            self.0.push(number);
+            consumed.push(number);
             Ok(())
-        }
+        })?;
+        Ok(consumed)
     }
 
     /// Work of a length that has nothing to do with the number.
@@ -158,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn pieces_are_taken_in_order_in_bounded_memory() {
+    fn pieces_are_consumed_in_order_in_bounded_memory() {
         for threads in [1, 2, 5] {
             let (pool, now, most) = (pool(threads).unwrap(), AtomicU64::new(0), AtomicU64::new(0));
             let make = |n: usize| {
@@ -167,26 +166,24 @@ mod tests {
                 now.fetch_sub(1, Ordering::SeqCst);
                 Ok(n * n)
             };
-            let taken = Line::new(vec![10; 200], 30, &pool, make, Numbers::default()).run(&pool).unwrap();
-            assert!(taken.0.into_iter().eq(0..200), "{threads} threads");
-            assert!(Line::new(vec![], 0, &pool, make, Numbers::default()).run(&pool).unwrap().0.is_empty());
+            let consumed = squares(&[10; 200], 30, &pool, make).unwrap();
+            assert!(consumed.into_iter().eq(0..200), "{threads} threads");
+            assert!(squares(&[], 0, &pool, make).unwrap().is_empty());
             assert!(most.into_inner() <= 3.min(threads as u64), "at most three pieces fit");
             // What does not fit is made alone.
-            let alone = Line::new(vec![10; 20], 9, &pool, |n| Ok(n * n), Numbers::default()).run(&pool);
-            assert_eq!(alone.unwrap().0.len(), 20);
+            assert_eq!(squares(&[10; 20], 9, &pool, |n| Ok(n * n)).unwrap().len(), 20);
         }
     }
 
     #[test]
-    fn the_first_error_in_order_is_told() {
+    fn the_first_error_in_order_is_reported() {
         let pool = pool(3).unwrap();
         let make = |n: usize| {
             spin(n);
             if n == 13 || n == 14 { Err(Error::usage(format!("piece {n}"))) } else { Ok(n * n) }
         };
         for _ in 0..20 {
-            let error =
-                Line::new(vec![1; 100], 1000, &pool, make, Numbers::default()).run(&pool).err().unwrap();
+            let error = squares(&[1; 100], 1000, &pool, make).unwrap_err();
             assert!(error.to_string().contains("piece 13"), "{error}");
         }
     }

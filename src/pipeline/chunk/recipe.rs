@@ -1,0 +1,45 @@
+//! What the chunks of one archive have in common.
+
+use crate::domain::own::OwnCells;
+use crate::domain::store::CellStore;
+use crate::geom::curve::Order;
+use crate::grid::{BrickGrid, Chunk};
+use crate::mesh::bcc::{BccChunk, BccMesh};
+use crate::mesh::chunk::ChunkRegion;
+use crate::pipeline::plan::{Halo, estimate};
+use crate::points::PointSet;
+
+/// What the chunks of one archive have in common.
+pub(in crate::pipeline) struct Recipe<'a> {
+    pub(in crate::pipeline) points: &'a PointSet,
+    pub(in crate::pipeline) bricks: BrickGrid,
+    pub(in crate::pipeline) order: Order,
+    /// What is asked for of a chunk's surroundings.
+    pub(in crate::pipeline) halo: Halo,
+    /// The mesh, where it follows by formula.
+    pub(in crate::pipeline) bcc: Option<BccMesh>,
+    /// The mesh whose own tetrahedra are kept, where they are.
+    pub(in crate::pipeline) own: Option<OwnMesh<'a>>,
+}
+
+impl Recipe<'_> {
+    /// A chunk whose mesh follows by formula.
+    pub(in crate::pipeline) fn bcc_chunk(&self, chunk: &Chunk) -> Option<BccChunk> {
+        let [lo, hi] = self.bricks.cells_of(chunk);
+        self.bcc.map(|mesh| mesh.chunk(lo, hi))
+    }
+
+    /// The boxes of a chunk, at first.
+    pub(super) fn boxes(&self, chunk: &Chunk) -> ChunkRegion {
+        let (points, core, domain) = (self.points, chunk.core, self.bricks.lattice.domain());
+        let near = estimate::near(points, &core, &domain, self.halo);
+        ChunkRegion { core, near, region: estimate::region(points, &core, &domain, self.halo, 0), domain }
+    }
+}
+
+/// A mesh whose own tetrahedra are kept.
+#[derive(Clone, Copy)]
+pub(in crate::pipeline) struct OwnMesh<'a> {
+    pub(in crate::pipeline) store: &'a CellStore,
+    pub(in crate::pipeline) cells: &'a OwnCells,
+}

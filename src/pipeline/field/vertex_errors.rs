@@ -1,0 +1,72 @@
+//! Errors at the vertices of a mesh, as they are reported.
+
+use crate::archive::manifest::Source;
+use crate::domain::store::CellStore;
+use crate::error::{Error, Result};
+use crate::geom::LatticePos;
+use crate::locate::{FINE_BITS, FinePos};
+use crate::measure::{ErrorSums, FieldError, LevelError, Worst};
+use crate::pipeline::read::StepView;
+
+/// The errors of a step: of the field; and of a mesh those at the vertices in the cells of each level, where its points have levels.
+pub(in crate::pipeline) type StepErrors = (FieldError, Vec<LevelError>);
+
+/// The error of a mesh of the archive's size whose vertices are others.
+pub(super) fn other_mesh(archive: &StepView) -> Error {
+    let expected = "the mesh that it keeps";
+    Error::bad_input(archive.path(), "vertices", expected, "a mesh with others")
+        .with_help(format!("the archive was made from {}", archive.step().plan.source.path))
+}
+
+/// A position of a mesh on the lattice.
+pub(in crate::pipeline) fn on_lattice(p: FinePos) -> LatticePos {
+    // The frame's box ends at whole lattice steps, so no position is rounded out of it.
+    p.map(|c| ((c + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32)
+}
+
+/// Errors at the vertices, as they are told: of steps by positions in the manifest, with their values, and vertices outside.
+pub(super) fn told_errors(
+    archive: &StepView,
+    store: &CellStore,
+    steps: &[usize],
+    columns: &[&[f32]],
+    sums: &[(ErrorSums, Vec<ErrorSums>)],
+    beyond: &[u64],
+) -> Result<Vec<StepErrors>> {
+    let positions = store.positions.get()?;
+    let mut told = vec![];
+    for (n, (&position, (sums, of_levels))) in steps.iter().zip(sums).enumerate() {
+        let source = &archive.manifest.steps[position].plan.source;
+        let of_level = |sums: &ErrorSums| sums.level_error().with_rounding(source.rounding);
+        let mut error = vertex_error(store, positions, sums, source);
+        error.source_range = range_of(columns[n]).map(|r| r.map(|v| f64::from(v) + source.offset));
+        error.beyond = beyond[n];
+        told.push((error, of_levels.iter().map(of_level).collect()));
+    }
+    Ok(told)
+}
+
+/// The least and the largest value at the vertices of a mesh, those outside of all tetrahedra included.
+fn range_of(values: &[f32]) -> Option<[f32; 2]> {
+    let all = values.iter().filter(|v| v.is_finite()).map(|v| v + 0.0);
+    all.fold(None, |range: Option<[f32; 2]>, v| Some(range.map_or([v; 2], |[lo, hi]| [lo.min(v), hi.max(v)])))
+}
+
+/// The error of a step at all vertices, and where it is largest.
+fn vertex_error(store: &CellStore, positions: &[FinePos], sums: &ErrorSums, source: &Source) -> FieldError {
+    let mut error = sums.field_error(positions.len() as u64);
+    error.worst = sums.largest().map(|l| {
+        let log2_steps = store.frame.lattice.log2_steps;
+        let steps = log2_steps.map(|s| f64::from(1u32 << FINE_BITS) * f64::from(1u32 << s));
+        let p = positions[l.sample as usize];
+        let ijk = std::array::from_fn(|a| p[a] as f64 / steps[a]);
+        Worst {
+            sample: l.sample,
+            index: None,
+            world: store.frame.geometry.to_world(ijk),
+            original: source.told(l.original),
+            reduced: source.told(l.reduced),
+        }
+    });
+    error.of_source(source.offset, source.rounding)
+}

@@ -1,0 +1,13 @@
+//! What one chunk becomes on disk.
+
+use crate::pipeline::stage::StageTimes;
+
+/// A chunk ready to be written.
+pub(super) struct EncodedChunk {
+    pub(super) points: u64,
+    /// Empty where the mesh is there already.
+    pub(super) mesh_blocks: Vec<Vec<u8>>,
+    /// Of each step.
+    pub(super) value_blocks: Vec<Vec<Vec<u8>>>,
+    pub(super) times: StageTimes,
+}

@@ -1,0 +1,73 @@
+//! How the mesh of a job is read, and the disk that this takes.
+
+use super::job::Job;
+use crate::cells::CellMesh;
+use crate::domain::store::{BadValue, StoreSettings};
+use crate::error::{Error, Result};
+use crate::pipeline::plan::{MOST_SMALL_STEPS_AT_ONCE, free_bytes};
+use crate::pipeline::settings::{NanPolicy, ReduceSettings};
+use crate::sample::{Interpolation, Values};
+use std::path::Path;
+
+/// Scratch bytes of a vertex (position in the world and on the lattice, value; to find equals, sorted in runs and merged) and of a tetrahedron
+/// (vertices, twice; body; four faces, sorted in runs and merged; about two bricks, twice).
+const VERTEX_BYTES: u64 = 24 + 24 + 4 + 2 * 40 + 8;
+const TET_BYTES: u64 = 2 * 32 + 8 + 2 * 4 * 32 + 2 * 2 * 16;
+/// Gradients of a vertex, and their records of a tetrahedron.
+const GRADIENT_BYTES: u64 = 24;
+const GRADIENT_RECORDS: u64 = 2 * 4 * 48;
+/// Of a vertex that values are fitted to: its body, its record by brick, sorted in runs and merged.
+const FITTED_VERTEX: u64 = 8 + 3 * 24;
+
+pub(super) fn store_settings(job: &Job<'_>, offset: f64) -> StoreSettings {
+    let (settings, resources) = (job.settings, &job.run.resources);
+    StoreSettings {
+        // Two sorters are there at a time, of which one merges into the other, and the bodies.
+        memory: resources.memory / 4,
+        scratch: resources.scratch_folder(),
+        bad_value: match settings.nan {
+            NanPolicy::Error => BadValue::Refuse,
+            NanPolicy::Mask => BadValue::Void,
+            NanPolicy::Value(v) => BadValue::Use((v - offset) as f32),
+        },
+        missing: settings.missing,
+        offset,
+        cancel: resources.cancel.clone(),
+    }
+}
+
+/// Of a mesh of so many points and cells.
+pub(super) fn scratch_bytes([points, cells]: [u64; 2], job: &Job<'_>) -> u64 {
+    let quadratic = u64::from(job.settings.interpolation == Interpolation::Quadratic);
+    let fitted = u64::from(job.settings.values == Values::Fit);
+    // Values and gradients of the steps that are made at a time.
+    let steps = (job.sources.len() as u64).min(MOST_SMALL_STEPS_AT_ONCE);
+    points
+        .saturating_mul(VERTEX_BYTES + fitted * FITTED_VERTEX + steps * (4 + quadratic * GRADIENT_BYTES))
+        .saturating_add(cells.saturating_mul(TET_BYTES + quadratic * GRADIENT_RECORDS))
+}
+
+/// Whether a job can be done with a mesh: its settings, and room on disk.
+pub(super) fn check_job(job: &Job<'_>, mesh: &CellMesh) -> Result<()> {
+    check_settings(job.settings, &mesh.info().path)?;
+    let scratch = job.run.resources.scratch_folder();
+    let needed = scratch_bytes([mesh.info().points, mesh.info().cells], job);
+    match free_bytes(&scratch) {
+        Some(available) if needed > available => {
+            Err(Error::Budget { what: format!("disk space for {}", scratch.display()), needed, available })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Settings that are for volumes are refused.
+fn check_settings(settings: &ReduceSettings, path: &Path) -> Result<()> {
+    let path = path.display();
+    if !settings.interpolation.is_of_meshes() {
+        return Err(Error::usage(format!(
+            "{} interpolation is for volumes; {path} is a mesh: choose linear or quadratic",
+            settings.interpolation
+        )));
+    }
+    Ok(())
+}

@@ -1,0 +1,166 @@
+//! What is reported of a reduction.
+
+use super::series::{SeriesPlan, SkippedStep};
+use crate::archive::coordinates::CellCount;
+use crate::archive::manifest::{Manifest, Step};
+use crate::archive::values::Quantiser;
+use crate::domain::store::MeshCensus;
+use crate::error::Result;
+use crate::formats::StepSource;
+use crate::measure::FieldError;
+use crate::pipeline::plan::{Notice, folder_bytes};
+use crate::pipeline::read::{OpenArchive, StepSummary};
+use crate::pipeline::settings::Target;
+use crate::pipeline::stage::{Stage, StageSeconds, StageTimes};
+use crate::volume::chunked::DecodeCount;
+use serde::Serialize;
+use std::path::Path;
+use std::time::Instant;
+
+/// What a reduction made.
+#[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
+pub struct ReduceReport {
+    /// Samples of the volume; vertices of a mesh.
+    pub samples: u64,
+    /// Of a mesh: what was found in it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mesh: Option<MeshCensus>,
+    /// Of a mesh: whether the archive has its own vertices and tetrahedra.
+    pub own: bool,
+    /// Points of the archive.
+    pub points: u64,
+    /// Of a volume: points that are no samples of the boundary, about. Of a mesh: points with a value that were asked for, boundary included.
+    pub inner_points: u64,
+    /// What came of looking for a wanted error.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub target: Option<TargetReport>,
+    /// The error that is wanted, in units of the field.
+    #[serde(skip)]
+    pub(in crate::pipeline) bound: Option<f64>,
+    /// Chunks that were copied from an earlier try.
+    #[serde(skip)]
+    pub(in crate::pipeline) reused_chunks: u64,
+    /// Of all points, those without a value.
+    pub void_points: u64,
+    /// Tetrahedra.
+    pub tetrahedra: u64,
+    /// Chunks.
+    pub chunks: u64,
+    /// Tetrahedron blocks.
+    pub blocks: u64,
+    /// How often a chunk's halo had to be widened.
+    pub halo_retries: u64,
+    /// Of a rectilinear or curvilinear grid: its bad cells.
+    pub grid_cells: Option<CellCount>,
+    /// Least and largest value.
+    pub range: Option<[f64; 2]>,
+    /// How values were rounded, if they were.
+    pub quantiser: Option<Quantiser>,
+    /// How far the reduced field is from the samples, if that was measured: of the first of the steps.
+    pub error: Option<FieldError>,
+    /// The steps that were made.
+    pub steps: Vec<StepSummary>,
+    /// Steps that could not be used, and were left out.
+    pub skipped: Vec<SkippedStep>,
+    /// Whether all was there already, and nothing was made.
+    pub made_before: bool,
+    /// Bytes of all files of the archive.
+    pub archive_bytes: u64,
+    /// Bytes of the source: of its files, or of its samples as they are stored, whichever is less. Where an archive was made as a whole.
+    pub source_bytes: Option<u64>,
+    /// Of sources that are read by chunks: how often these were decoded.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub source_chunks: Option<SourceChunks>,
+    /// What the user should know: see [`Notice`].
+    pub notices: Vec<Notice>,
+    /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those that run side by side.
+    pub seconds: StageSeconds,
+}
+
+/// What came of looking for a target.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct TargetReport {
+    /// What was wanted.
+    pub target: Target,
+    /// What was not to be exceeded, in units of the field or in bytes.
+    pub bound: f64,
+    /// What the archive has of it.
+    pub reached: f64,
+    /// Whether that is within the bound.
+    pub met: bool,
+    /// Reductions that were made.
+    pub tries: u32,
+    /// Chunks that were meshed in all these together, and chunks that these had together: those in which nothing changed are taken over.
+    pub meshed_chunks: [u64; 2],
+    /// Of points that adapt: cells that have a point a sample or more, and all cells.
+    pub full_cells: Option<[u64; 2]>,
+}
+
+/// The chunks of the sources of a reduction.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SourceChunks {
+    /// How many there are, of all steps.
+    pub chunks: u64,
+    /// How often one was decoded, all in all: to plan, and to make chunks of the archive.
+    pub decodes: u64,
+}
+
+impl SourceChunks {
+    /// Those of some steps, as far as they were opened; `None` where none is read by chunks.
+    pub(in crate::pipeline) fn of(sources: &[(u64, StepSource)]) -> Option<Self> {
+        let sum = |of: fn(&DecodeCount) -> u64| sources.iter().map(|(_, s)| of(s.decodes())).sum();
+        let (chunks, decodes) = (sum(DecodeCount::chunks), sum(DecodeCount::decodes));
+        (chunks > 0).then_some(Self { chunks, decodes })
+    }
+}
+
+impl ReduceReport {
+    /// Of the archive at `root`: all that its manifest says, of the steps from position `first` on.
+    pub(super) fn of_archive(self, root: &Path, manifest: &Manifest, first: usize) -> Result<Self> {
+        let steps = &manifest.steps[first..];
+        let counts = manifest.counts;
+        let ranges = steps.iter().filter_map(Step::told_range);
+        Ok(Self {
+            own: manifest.plan.own.is_some(),
+            points: counts.points,
+            void_points: steps.iter().map(|s| s.void_points).sum(),
+            tetrahedra: counts.tetrahedra,
+            chunks: counts.chunks,
+            blocks: counts.blocks,
+            grid_cells: manifest.steps[0].coordinates.map(|c| c.cells),
+            range: ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]),
+            quantiser: steps.first().and_then(|step| step.plan.told_quantiser()),
+            error: steps.first().and_then(|step| step.error.clone()),
+            steps: steps.iter().map(StepSummary::of).collect(),
+            archive_bytes: folder_bytes(root)?,
+            ..self
+        })
+    }
+
+    /// Of an archive to which these very steps were added before.
+    pub(super) fn of_added(archive: &OpenArchive, series: &SeriesPlan) -> Result<Self> {
+        let samples = archive.manifest.steps[0].plan.source.samples();
+        let report = Self { samples, skipped: series.skipped.clone(), made_before: true, ..Self::default() };
+        report.of_archive(archive.path(), &archive.manifest, archive.manifest.steps.len())
+    }
+
+    /// With the time of all.
+    pub(in crate::pipeline) fn finished(mut self, started: Instant) -> Self {
+        self.seconds.push((Stage::Total, started.elapsed().as_secs_f64()));
+        self
+    }
+
+    /// With the time of the stages that run side by side.
+    pub(super) fn with_times(mut self, times: &StageTimes) -> Self {
+        // Measuring is reported with that of the whole.
+        let &StageTimes { mesh, sample, fit, measure: _, encode, spectrum, write } = times;
+        // Values that are not fitted take no time for it.
+        let fit = Some((Stage::Fit, fit)).filter(|_| !fit.is_zero());
+        let rows = [(Stage::Mesh, mesh), (Stage::Sample, sample)].into_iter().chain(fit);
+        let rows = rows.chain([(Stage::Encode, encode), (Stage::Spectrum, spectrum), (Stage::Write, write)]);
+        self.seconds.extend(rows.map(|(stage, time)| (stage, time.as_secs_f64())));
+        self
+    }
+}
