@@ -1,5 +1,6 @@
 //! `isospan check`: is an archive whole, is a surface sound?
 
+use super::grammar;
 use super::progress::Talk;
 use super::text;
 use isospan::formats::surface::load_surface;
@@ -24,7 +25,7 @@ pub(crate) struct Args {
     within: Option<PathBuf>,
     /// For a surface: limit of memory, 4GiB, 500MB or 50% [default: half of what the process may
     /// use].
-    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory)]
     memory: Option<u64>,
     /// For a surface: folder for what does not fit in memory [default: the system's temporary
     /// folder].

@@ -1,5 +1,6 @@
 //! `isospan compare`: how far are two surfaces apart?
 
+use super::grammar;
 use super::machine::Machine;
 use super::progress::Talk;
 use super::text;
@@ -24,7 +25,7 @@ pub(crate) struct Args {
     /// The other surface.
     b: PathBuf,
     /// Number of samples on each surface.
-    #[arg(long, value_name = "N", default_value_t = 200_000)]
+    #[arg(long, value_name = "N", default_value = "200000", value_parser = grammar::natural)]
     samples: u64,
     #[command(flatten)]
     machine: Machine,

@@ -1,5 +1,6 @@
 //! `isospan count`: how large would the surface be?
 
+use super::grammar::{self, Value};
 use super::step::StepArgs;
 use super::text;
 use isospan::{Archive, Result};
@@ -17,16 +18,18 @@ use std::path::PathBuf;
 pub(crate) struct Args {
     /// The archive.
     archive: PathBuf,
-    /// One isovalue, or several: 300,600.
+    /// One isovalue, or several: 300,600. 50% is half-way from the least value of the step to its
+    /// largest.
     #[arg(
         long,
         short = 'i',
         value_name = "VALUE",
         required = true,
         value_delimiter = ',',
-        allow_hyphen_values = true
+        allow_hyphen_values = true,
+        value_parser = grammar::value
     )]
-    isovalue: Vec<f64>,
+    isovalue: Vec<Value>,
     #[command(flatten)]
     step: StepArgs,
     /// Print the result as JSON, one object per line.
@@ -36,7 +39,8 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let step = Archive::open(&args.archive)?.at(args.step.choice())?;
-    args.isovalue.iter().try_for_each(|&isovalue| {
+    args.isovalue.iter().try_for_each(|isovalue| {
+        let isovalue = isovalue.of(step.value_range())?;
         let report = step.count(isovalue)?;
         if args.json {
             return super::print_json(&report);

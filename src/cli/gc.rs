@@ -1,6 +1,6 @@
 //! `isospan gc`: what killed workers have left.
 
-use super::text;
+use super::{grammar, text};
 use isospan::Result;
 use isospan::pipeline::collect_garbage;
 use std::path::PathBuf;
@@ -19,7 +19,7 @@ pub(crate) struct Args {
     /// The archive, finished or not.
     archive: PathBuf,
     /// Remove files at least this old: 2d, 12h, 30m, 90s.
-    #[arg(long, value_name = "AGE", value_parser = text::parse_duration)]
+    #[arg(long, value_name = "AGE", value_parser = grammar::span)]
     older_than: Duration,
     /// Only print what would be removed.
     #[arg(long)]

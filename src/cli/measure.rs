@@ -1,8 +1,9 @@
 //! `isospan measure`: how far is the reduced field from its source?
 
+use super::grammar;
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
-use super::output::{expect_no_input, files_of};
+use super::output::{Force, files_of};
 use super::progress::Talk;
 use super::text;
 use isospan::Result;
@@ -32,12 +33,14 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
     /// Number of the time step [default: the first].
-    #[arg(help_heading = "Series", long, value_name = "N")]
+    #[arg(help_heading = "Series", long, value_name = "N", value_parser = grammar::whole::<u64>)]
     step: Option<u64>,
     #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
     scratch: InputScratch,
+    #[command(flatten)]
+    force: Force,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
@@ -52,7 +55,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         map: args.map.clone(),
     };
     if let Some(map) = &args.map {
-        expect_no_input(map, files_of(&args.against, &args.read.options()?).iter().chain([&args.archive]))?;
+        let inputs = files_of(&args.against, &args.read.options()?);
+        args.force.check(map, inputs.iter().chain([&args.archive]))?;
     }
     let bar = talk.progress();
     let report = measure(&args.archive, &args.against, &args.read.options()?, &settings, &*bar);

@@ -12,6 +12,7 @@ mod dry_run;
 mod export;
 mod figure;
 mod gc;
+mod grammar;
 mod heap;
 mod info;
 mod info_mesh;
@@ -37,7 +38,8 @@ mod unpack;
 mod view;
 mod work;
 
-use clap::{Parser, Subcommand};
+use clap::error::ErrorKind;
+use clap::{CommandFactory, Parser, Subcommand};
 use isospan::Result;
 use std::ffi::OsString;
 use std::io::Write;
@@ -90,12 +92,17 @@ impl Command {
 /// Runs the program on arguments, the first of which is its name; returns the exit code.
 pub(crate) fn main(args: impl IntoIterator<Item = OsString>) -> u8 {
     heap::give_back_early();
-    let cli = match Cli::try_parse_from(args) {
+    let args: Vec<OsString> = args.into_iter().collect();
+    let cli = match Cli::try_parse_from(&args) {
         Ok(cli) => cli,
         Err(error) => {
             // Help and version are results; everything else is a usage error on standard error.
             let code = u8::from(error.use_stderr()) * 2;
-            let _ = error.print();
+            if code == 0 || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+                let _ = error.print();
+            } else {
+                let _ = writeln!(std::io::stderr(), "isospan: error: {}", one_line(&error, &args));
+            }
             return code;
         }
     };
@@ -112,6 +119,18 @@ pub(crate) fn main(args: impl IntoIterator<Item = OsString>) -> u8 {
             error.exit_code()
         }
     }
+}
+
+/// What the parser refuses, and where to read more, on one line.
+pub(crate) fn one_line(error: &clap::Error, args: &[OsString]) -> String {
+    let text = error.render().to_string();
+    let what = text.split("Usage: ").next().unwrap_or_default();
+    let what = what.split("For more information").next().unwrap_or_default();
+    let what: Vec<&str> = what.trim_start_matches("error: ").split_whitespace().collect();
+    let cli = Cli::command();
+    let command = args.iter().skip(1).find_map(|arg| cli.find_subcommand(arg));
+    let name = command.map_or(String::new(), |command| format!(" {}", command.get_name()));
+    isospan::error::printable(&format!("{}; isospan{name} --help tells more", what.join(" "))).into_owned()
 }
 
 fn run(cli: &Cli) -> Result<()> {

@@ -1,6 +1,7 @@
 //! `isospan plan`: a reduction in parts, for several processes or machines.
 
 use super::choices::Choices;
+use super::grammar;
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
 use super::output::expect_apart;
@@ -8,7 +9,6 @@ use super::progress::Talk;
 use super::step::StepInputs;
 use super::text;
 use isospan::Result;
-use isospan::formats::is_mesh;
 use isospan::pipeline::{PlanReport, RunSettings, plan_shards};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -32,7 +32,7 @@ pub(crate) struct Args {
     #[arg(short, long, value_name = "ARCHIVE")]
     output: PathBuf,
     /// Number of shards: parts that can be made at the same time.
-    #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = 1)]
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value = "1", value_parser = grammar::natural)]
     shards: u64,
     #[command(flatten)]
     choices: Choices,
@@ -54,7 +54,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
     let run = RunSettings { keep_going: args.steps.keep_going, ..run };
     let steps = args.steps.all(&args.read, talk)?;
-    let settings = args.choices.settings(is_mesh(&steps[0].path, &steps[0].options)?)?;
+    let settings = args.choices.settings(&steps[0])?;
     expect_apart(&args.output, steps.iter().map(|step| &step.path))?;
     let bar = talk.progress();
     let report = plan_shards(&steps, &settings, &args.output, args.shards, &run, &*bar);

@@ -8,7 +8,7 @@ use super::progress::Talk;
 use super::step::StepInputs;
 use super::{dry_run, signals, text};
 use isospan::exec::CancelToken;
-use isospan::formats::{StepSource, is_mesh};
+use isospan::formats::StepSource;
 use isospan::pipeline::{ReduceReport, ReduceSettings, RunSettings, Target, TargetReport};
 use isospan::{Reduction, Resources, Result};
 use std::fmt::Write as _;
@@ -56,7 +56,7 @@ impl Args {
     /// The files that are reduced, and what is made of them.
     pub(crate) fn request(&self, talk: &Talk) -> Result<(Vec<StepSource>, ReduceSettings)> {
         let steps = self.steps.all(&self.read, talk)?;
-        let settings = self.choices.settings(is_mesh(&steps[0].path, &steps[0].options)?)?;
+        let settings = self.choices.settings(&steps[0])?;
         expect_apart(&self.output, steps.iter().map(|step| &step.path))?;
         Ok((steps, settings))
     }

@@ -1,6 +1,7 @@
 //! `isospan spectrum`: how the isosurface changes with the isovalue.
 
-use super::output::expect_no_input;
+use super::grammar;
+use super::output::Force;
 use super::step::StepArgs;
 use super::{figure, text};
 use isospan::pipeline::{SpectrumReport, StepRange, StepSpectrum};
@@ -25,14 +26,16 @@ pub(crate) struct Args {
     /// is a map of the area over time and isovalue.
     #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time"])]
     over_time: bool,
-    /// With --over-time: the steps FIRST:LAST by number; either end may be omitted.
-    #[arg(help_heading = "Series", long, value_name = "RANGE", requires = "over_time")]
+    /// With --over-time: the steps from one number to another; either end may be omitted.
+    #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, requires = "over_time")]
     steps: Option<StepRange>,
     /// Also draw the curves: .svg or .png.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
     #[command(flatten)]
     step: StepArgs,
+    #[command(flatten)]
+    force: Force,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
@@ -40,7 +43,7 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let format = args.plot.as_deref().map(figure::Format::of).transpose()?;
-    args.plot.iter().try_for_each(|plot| expect_no_input(plot, [&args.archive]))?;
+    args.plot.iter().try_for_each(|plot| args.force.check(plot, [&args.archive]))?;
     let name = args.archive.file_stem().unwrap_or_default().to_string_lossy();
     let archive = Archive::open(&args.archive)?;
     if args.over_time {

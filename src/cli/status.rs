@@ -1,6 +1,6 @@
 //! `isospan status`: how far a planned reduction is.
 
-use super::text;
+use super::{grammar, text};
 use clap::ValueEnum;
 use isospan::Result;
 use isospan::pipeline::{StatusReport, shard_status};
@@ -22,7 +22,7 @@ pub(crate) struct Args {
     #[arg(long = "as", value_enum, value_name = "FORM", requires = "missing", default_value_t = Form::Lines)]
     form: Form,
     /// Number of shards that the work is divided into [default: as planned].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", value_parser = grammar::natural)]
     shards: Option<u64>,
     /// Check headers, lengths and footers only: finds files that are missing, cut short or of
     /// another plan, but not flipped bits.

@@ -1,73 +1,7 @@
-//! Numbers, sizes and fractions, in and out.
+//! Numbers and sizes, for a person.
 
 use isospan::pipeline::SourceChunks;
 use std::time::Duration;
-
-/// Parses a number of bytes: `4GiB`, `500MB`, `1048576`, `50%` (of what the process may use).
-pub(crate) fn parse_bytes(text: &str) -> Result<u64, String> {
-    let digits = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
-    let (number, unit) = text.split_at(digits);
-    let number: f64 =
-        number.parse().map_err(|_| format!("'{text}' is not a size; write 4GiB, 500MB or 50%"))?;
-    let factor = match unit.trim().to_ascii_lowercase().as_str() {
-        "" | "b" => 1.0,
-        "k" | "kib" => 1024.0,
-        "kb" => 1e3,
-        "m" | "mib" => 1_048_576.0,
-        "mb" => 1e6,
-        "g" | "gib" => 1_073_741_824.0,
-        "gb" => 1e9,
-        "t" | "tib" => 1_099_511_627_776.0,
-        "tb" => 1e12,
-        "%" if number > 100.0 => return Err(format!("'{text}' is out of range")),
-        "%" => isospan::exec::usable_memory() as f64 / 100.0,
-        other => {
-            return Err(format!(
-                "'{other}' is not a unit of size; write KiB, MiB, GiB, TiB, kB, MB, GB, TB or %"
-            ));
-        }
-    };
-    let bytes = number * factor;
-    if (1.0..1e18).contains(&bytes) { Ok(bytes as u64) } else { Err(format!("'{text}' is out of range")) }
-}
-
-/// Parses a fraction of the samples: `1/8`, `0.125`, `12.5%`, `1`.
-pub(crate) fn parse_fraction(text: &str) -> Result<f64, String> {
-    let number = |s: &str| s.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
-    let value = match (text.split_once('/'), text.strip_suffix('%')) {
-        (Some((a, b)), _) => number(a).zip(number(b)).map(|(a, b)| a / b),
-        (None, Some(percent)) => number(percent).map(|p| p / 100.0),
-        (None, None) => number(text),
-    };
-    value
-        .filter(|v| *v <= 64.0)
-        .ok_or_else(|| format!("'{text}' is not a fraction; write 1/8, 0.125 or 12.5%"))
-}
-
-/// Parses three comma-separated values.
-pub(crate) fn parse_triple<T: std::str::FromStr>(text: &str, what: &str) -> Result<[T; 3], String> {
-    let parts: Vec<T> = text.split([',', 'x']).map_while(|p| p.trim().parse().ok()).collect();
-    let count = text.split([',', 'x']).count();
-    <[T; 3]>::try_from(parts)
-        .ok()
-        .filter(|_| count == 3)
-        .ok_or_else(|| format!("'{text}' is not {what}; write three numbers as X,Y,Z"))
-}
-
-/// Parses a time: `2d`, `12h`, `30m`, `90s`.
-pub(crate) fn parse_duration(text: &str) -> Result<Duration, String> {
-    let wrong = || format!("'{text}' is not a time; write 2d, 12h, 30m or 90s");
-    let (number, unit) = text.split_at_checked(text.len().saturating_sub(1)).ok_or_else(wrong)?;
-    let seconds = match unit {
-        "s" => 1,
-        "m" => 60,
-        "h" => 3600,
-        "d" => 86_400,
-        _ => return Err(wrong()),
-    };
-    let number: u32 = number.parse().map_err(|_| wrong())?;
-    Ok(Duration::from_secs(u64::from(number) * seconds))
-}
 
 /// A name from a file, on one line.
 pub(crate) fn name(name: &str) -> String {
@@ -175,42 +109,6 @@ pub(crate) fn source_chunks(found: &SourceChunks) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn sizes() {
-        assert_eq!(parse_bytes("4GiB"), Ok(4 << 30));
-        assert_eq!(parse_bytes("500MB"), Ok(500_000_000));
-        assert_eq!(parse_bytes("1.5k"), Ok(1536));
-        assert_eq!(parse_bytes("77"), Ok(77));
-        assert!(parse_bytes("50%").unwrap() > 1 << 20);
-        for bad in ["", "GiB", "-1", "3 parsecs", "101%", "0", "1e30TB"] {
-            assert!(parse_bytes(bad).is_err(), "{bad}");
-        }
-    }
-
-    #[test]
-    fn times() {
-        assert_eq!(parse_duration("2d"), Ok(Duration::from_secs(172_800)));
-        assert_eq!(parse_duration("0s"), Ok(Duration::ZERO));
-        for bad in ["", "d", "2", "-1h", "2 d", "1.5h", "2µ", "9999999999d"] {
-            assert!(parse_duration(bad).is_err(), "{bad}");
-        }
-    }
-
-    #[test]
-    fn fractions_and_triples() {
-        assert_eq!(parse_fraction("1/8"), Ok(0.125));
-        assert_eq!(parse_fraction("0.5"), Ok(0.5));
-        assert_eq!(parse_fraction("12.5%"), Ok(0.125));
-        for bad in ["%", "1/8%", "0%", "6401%", "0", "-1/8", "1/0", "x", "1/", "nan", "1000"] {
-            assert!(parse_fraction(bad).is_err(), "{bad}");
-        }
-        assert_eq!(parse_triple::<u64>("1,2,3", "dims"), Ok([1, 2, 3]));
-        assert_eq!(parse_triple::<u64>("1x2x3", "dims"), Ok([1, 2, 3]));
-        for bad in ["1,2", "1,2,3,4", "a,2,3", "1,2,", ""] {
-            assert!(parse_triple::<u64>(bad, "dims").is_err(), "{bad}");
-        }
-    }
 
     #[test]
     fn for_a_person() {

@@ -1,10 +1,13 @@
 //! `isospan unpack`: disk for time.
 
+use super::grammar::{self, Range};
+use super::output::{Force, exists};
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::{machine::Machine, text};
+use isospan::archive::manifest::unpacked_path;
 use isospan::pipeline::{StepRange, UnpackReport, UnpackSettings, remove_unpacked, unpack, unpack_need};
-use isospan::{Error, Resources, Result};
+use isospan::{Archive, Error, Resources, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -26,12 +29,12 @@ pub(crate) struct Args {
     /// All steps.
     #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time", "steps"])]
     all_steps: bool,
-    /// The steps FIRST:LAST by number; either end may be omitted.
-    #[arg(help_heading = "Series", long, value_name = "RANGE", conflicts_with_all = ["step", "time"])]
+    /// The steps from one number to another; either end may be omitted.
+    #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, conflicts_with_all = ["step", "time"])]
     steps: Option<StepRange>,
-    /// Only blocks that isovalues in this range need. Surfaces at other isovalues decode blocks as
-    /// before.
-    #[arg(long, value_name = "LO:HI", value_parser = parse_range, allow_hyphen_values = true)]
+    /// Only blocks that isovalues in this range need; 100% is the range of the values of the step
+    /// that is asked, or of the first. Surfaces at other isovalues decode blocks as before.
+    #[arg(long, value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true)]
     range: Option<Range>,
     /// Remove the unpacked blocks of all steps, or of the given ones.
     #[arg(long, conflicts_with = "range")]
@@ -41,23 +44,11 @@ pub(crate) struct Args {
     dry_run: bool,
     #[command(flatten)]
     machine: Machine,
+    #[command(flatten)]
+    force: Force,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Range([f64; 2]);
-
-fn parse_range(given: &str) -> std::result::Result<Range, String> {
-    let bad = || format!("'{given}' is no range of isovalues; write LO:HI, as in 550:700");
-    let (low, high) = given.split_once(':').ok_or_else(bad)?;
-    let end = |s: &str, open: f64| match s.trim() {
-        "" => Ok(open),
-        s => s.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(bad),
-    };
-    let range = [end(low, f64::NEG_INFINITY)?, end(high, f64::INFINITY)?];
-    if range[0] <= range[1] { Ok(Range(range)) } else { Err(bad()) }
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
@@ -69,7 +60,10 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             .with_cancel(super::signals::cancel_token()),
         step: args.step.choice(),
         steps: args.steps.or(args.all_steps.then(StepRange::default)),
-        range: args.range.map_or(all.range, |range| range.0),
+        range: match args.range {
+            Some(range) => range.of(Archive::open(&args.archive)?.at(args.step.choice())?.value_range())?,
+            None => all.range,
+        },
     };
     if !isospan::pipeline::is_archive(&args.archive) {
         return Err(Error::bad_input(&args.archive, "archive", "a folder made by isospan reduce", "none"));
@@ -78,6 +72,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         remove_unpacked(&args.archive, &settings, args.step.is_given() || settings.steps.is_some())?
     } else {
         let need = unpack_need(&args.archive, &settings)?;
+        if !args.force.is_given() && !args.dry_run {
+            expect_packed(args, &settings)?;
+        }
         let free =
             need.free.map_or_else(String::new, |free| format!(" of {} that are free", text::bytes(free)));
         let about = format!(
@@ -98,6 +95,14 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         return super::print_json(&report);
     }
     super::print(&if args.remove { removed_text(&report) } else { unpacked_text(&report) })
+}
+
+/// Refuses steps that are unpacked already.
+fn expect_packed(args: &Args, settings: &UnpackSettings) -> Result<()> {
+    let asked = Archive::open(&args.archive)?.at(args.step.choice())?.info()?;
+    let is_meant = |n: u64| settings.steps.map_or(n == asked.step, |range| range.contains(n));
+    let unpacked = asked.steps.iter().find(|s| is_meant(s.number) && s.unpacked_bytes.is_some());
+    unpacked.map_or(Ok(()), |step| Err(exists(&unpacked_path(&args.archive, step.number))))
 }
 
 fn unpacked_text(report: &UnpackReport) -> String {
@@ -125,20 +130,4 @@ fn unpacked_text(report: &UnpackReport) -> String {
 fn removed_text(report: &UnpackReport) -> String {
     let names: String = report.files.iter().map(|f| format!("{}\n", f.file.display())).collect();
     format!("{names}{} files, {} removed\n", report.files.len(), text::bytes(report.bytes))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ranges_have_two_ends() {
-        let all = [f64::NEG_INFINITY, f64::INFINITY];
-        assert_eq!(parse_range("-1.5:2"), Ok(Range([-1.5, 2.0])));
-        assert_eq!(parse_range("3:"), Ok(Range([3.0, all[1]])));
-        assert_eq!(parse_range(":"), Ok(Range(all)));
-        for bad in ["", "3", "2:1", "a:b", "nan:", "inf:", "1:2:3"] {
-            assert!(parse_range(bad).is_err(), "{bad}");
-        }
-    }
 }

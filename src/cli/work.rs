@@ -1,5 +1,6 @@
 //! `isospan work`: a shard of a planned reduction.
 
+use super::grammar;
 use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
 use super::text;
@@ -20,7 +21,7 @@ pub(crate) struct Args {
     archive: PathBuf,
     /// Which shard, counted from 0: 3/16. Any number of shards gives the same archive [default:
     /// all].
-    #[arg(long, value_name = "I/N", value_parser = parse_shard)]
+    #[arg(long, value_name = "I/N", value_parser = grammar::shard)]
     shard: Option<Shard>,
     #[command(flatten)]
     machine: Machine,
@@ -29,10 +30,6 @@ pub(crate) struct Args {
     /// Print the report as JSON.
     #[arg(long)]
     json: bool,
-}
-
-fn parse_shard(text: &str) -> std::result::Result<Shard, String> {
-    text.parse().map_err(|e: isospan::Error| e.to_string())
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {

@@ -514,12 +514,11 @@ fn scalar_of(path: &Path, name: &str, dataset: &Dataset) -> Result<(ScalarType, 
             .with_help("write the numbers that are wanted to a dataset of such a type")
     };
     let (scalar, order) = match dataset.dtype() {
-        Datatype::FixedPoint { size, signed, byte_order } => (
-            ScalarType::from_name(&format!("{}{}", if *signed { "i" } else { "u" }, 8 * u32::from(*size))),
-            byte_order,
-        ),
+        Datatype::FixedPoint { size, signed, byte_order } => {
+            (ScalarType::from_code(&format!("{}{size}", if *signed { "i" } else { "u" })), byte_order)
+        }
         Datatype::FloatingPoint { size, byte_order } => {
-            (ScalarType::from_name(&format!("f{}", 8 * u32::from(*size))), byte_order)
+            (ScalarType::from_code(&format!("f{size}")), byte_order)
         }
         other => return Err(refuse(kind(other).into())),
     };

@@ -146,7 +146,10 @@ fn a_surface_is_the_same_whatever_its_memory() {
         let settings = ["--points", set, "--fraction", "1/2", "--chunk-points", "3000", "--force"];
         assert!(reduce_with(d, "w.isospan", "1GiB", &settings).status.success());
         let surface = |name: &str, memory: &str| {
-            isospan(d, &["-q", "surface", "w.isospan", "-i", "0.1", "-o", name, "--memory", memory])
+            isospan(
+                d,
+                &["-q", "surface", "w.isospan", "-i", "0.1", "-o", name, "--force", "--memory", memory],
+            )
         };
         let refused = surface("no.ply", "5MiB");
         let stderr = String::from_utf8(refused.stderr).unwrap();

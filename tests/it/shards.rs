@@ -118,7 +118,7 @@ fn every_kind_of_input_is_done_in_shards() {
     assert!(packed.success());
     write_vts(&d.join("g.vts"));
     write_hexahedra(&d.join("m.vtk"), waves);
-    let raw = ["--dims", "30,24,20", "--type", "f32", "--offset", "128"];
+    let raw = ["--dims", "30,24,20", "--type", "float32", "--offset", "128"];
     fs::rename(d.join("v.npy.gz"), d.join("v.raw.gz")).unwrap();
     let cases: [(&str, &str, &[&str]); 6] = [
         ("v.npy", "bits", &["--value-bits", "9"]),
@@ -152,7 +152,7 @@ fn a_series_is_done_in_shards() {
         write_hexahedra(&d.join(format!("m{t}.vtk")), |x, y, z| waves(x + drift, y, z));
     }
     let cases: [(&str, &[&str]); 4] = [
-        ("v*.npy", &["--keyframes", "3", "--times", "0:0.5"]),
+        ("v*.npy", &["--keyframes", "3", "--times", "0,0.5,..."]),
         ("v*.npy", &["--keyframes", "3", "--points", "hammersley"]),
         ("v?.npy", &["--keyframes", "2", "--value-bits", "10"]),
         ("m*.vtk", &["--keyframes", "3"]),

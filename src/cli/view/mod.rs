@@ -10,6 +10,7 @@ mod archives;
 mod page;
 mod server;
 
+use super::grammar;
 use super::machine::Machine;
 use super::progress::Talk;
 use archives::Archives;
@@ -32,7 +33,7 @@ pub(crate) struct Args {
     #[arg(required = true, value_name = "ARCHIVE")]
     archives: Vec<PathBuf>,
     /// The port on 127.0.0.1; 0 takes a free one.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value = "0", value_parser = grammar::whole::<u16>)]
     port: u16,
     /// Open the page in the default browser.
     #[arg(long)]

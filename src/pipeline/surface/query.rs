@@ -59,6 +59,16 @@ impl SurfaceSettings {
         Self { isovalues: vec![isovalue.into()], ..Self::default() }
     }
 
+    /// The files that surfaces are written to, under a name that may hold `{}`.
+    pub fn files(&self, out: &Path) -> Vec<PathBuf> {
+        let all = if is_each_alone(out) {
+            &self.isovalues[..]
+        } else {
+            &self.isovalues[..self.isovalues.len().min(1)]
+        };
+        all.iter().map(|&isovalue| file_of(out, isovalue)).collect()
+    }
+
     /// The isovalues as the archive has values.
     pub(super) fn kept(&self, archive: &StepView) -> Vec<f32> {
         let source = &archive.step().plan.source;

@@ -73,13 +73,13 @@ def test_the_defaults_are_those_of_the_program(program, tmp_path):
 
 def test_files_with_keywords_of_reading(program, tmp_path):
     field().astype(">i2").tofile(tmp_path / "v.raw")
-    flags = ["--dims=20,24,18", "--type=i16", "--endian=big", "--spacing=1,2,0.5"]
+    flags = ["--dims=20,24,18", "--type=int16", "--endian=big", "--spacing=1,2,0.5"]
     program("reduce", tmp_path / "v.raw", "-o", tmp_path / "p.isospan", *flags)
     archive = isospan.reduce(
         tmp_path / "v.raw",
         tmp_path / "s.isospan",
         dims=(20, 24, 18),
-        type="i16",
+        type="int16",
         endian="big",
         spacing=(1, 2, 0.5),
     )
