@@ -29,7 +29,18 @@ pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     if !slices.is_empty() {
         return tiff::open_stack(path, slices, options);
     }
-    let got = if path.join("manifest.json").is_file() { "an isospan archive" } else { "none of these" };
+    if path.join("manifest.json").is_file() {
+        return Err(Error::usage(format!(
+            "{} is an isospan archive already: this command takes volumes and meshes",
+            path.display()
+        )));
+    }
+    if path.join("mesh").is_dir() && path.join("steps").is_dir() {
+        return Err(Error::bad_input(path, "archive", "a finished one", "one without a manifest").with_help(
+            "the reduce command that began it goes on with it; isospan status tells how far a planned one is",
+        ));
+    }
+    let got = "none of these";
     Err(Error::bad_input(path, "folder", "slices (*.tif), or a Zarr array or group", got)
         .with_help("name a file in it, or a pattern for its slices, in quotes"))
 }

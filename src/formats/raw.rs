@@ -102,7 +102,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
 /// The error for a file whose layout must be told.
 pub(super) fn no_layout(path: &Path) -> Error {
     Error::usage(format!(
-        "{}: a headerless file: give its layout with --dims X,Y,Z --type u8|i8|u16|i16|u32|i32|u64|i64|f32|f64 \
+        "{}: a headerless file: give its layout with --dims X,Y,Z --type TYPE, as in uint16 or float32 \
          (and, where they differ from the defaults, --endian big, --offset BYTES, --spacing X,Y,Z)",
         path.display()
     ))

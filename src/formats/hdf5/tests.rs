@@ -101,7 +101,7 @@ fn fields_are_listed_once_and_found_by_any_link() {
     let error = open_volume(&path, &OpenOptions::default()).err().expect("many fields");
     assert_eq!(error.exit_code(), 2);
     let line = error.to_string();
-    assert!(line.contains("group/f4 (f32)") && line.contains("group/big_i2_chunks (i16)"), "{line}");
+    assert!(line.contains("group/f4 (float32)") && line.contains("group/big_i2_chunks (int16)"), "{line}");
     assert_eq!(open("types_earliest.h5", "again").unwrap().info().fields.len(), 28);
     for name in ["again", "/root/group/i2"] {
         assert_eq!(values(open("types_latest.h5", name).unwrap()), ramp(), "{name}");
