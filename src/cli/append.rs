@@ -71,5 +71,5 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let bar = talk.progress();
     let report = append(&steps, &settings, &args.archive, &run, &*bar);
     bar.end();
-    super::reduce::tell(&args.archive, &report?, args.json, talk)
+    super::reduce::tell("append", &args.archive, &report?, args.json, talk)
 }

@@ -9,9 +9,9 @@ use isospan::volume::bricked::BrickedVolume;
 use isospan::{Error, Result, formats};
 use std::path::PathBuf;
 
-/// Copy a volume into bricks that are mapped instead of read, for a compressed or slow input that
-/// is used often.
+/// Copy a volume into bricks that are mapped instead of read.
 ///
+/// That is for a compressed or slow input that is used often.
 /// If the output is already the copy of this input, the command says so and ends.
 #[derive(clap::Args, Debug)]
 #[command(
@@ -59,6 +59,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         std::fs::metadata(&args.output).map_err(|e| Error::io("read the size of", &args.output, e))?.len();
     if args.json {
         return super::print_json(
+            "brick",
             &serde_json::json!({ "file": args.output, "bytes": bytes, "dims": info.dims, "made_before": made_before }),
         );
     }

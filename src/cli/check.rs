@@ -10,8 +10,10 @@ use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Check an archive (every checksum and structural invariant) or a surface (manifold, boundary,
-/// orientation, Euler number).
+/// Check an archive or a surface.
+///
+/// Of an archive every checksum and structural invariant is verified. A surface should be an
+/// oriented manifold; boundary, Euler number, area and volume are told.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan check scan.isospan\n  isospan check bone.ply --within scan.isospan"
@@ -48,7 +50,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         }
         let report = Archive::open(&args.input)?.check_until(&super::signals::cancel_token())?;
         return if args.json {
-            super::print_json(&report)
+            super::print_json("check.archive", &report)
         } else {
             super::print(&archive_text(&args.input, &report))
         };
@@ -86,7 +88,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             value["boundary_edges_outside"] = open.outside.into();
             value["boundary_edges_at_missing"] = open.at_missing.into();
         }
-        super::print_json(&value)?;
+        super::print_json("check.surface", &value)?;
     } else {
         super::print(&surface_text(&args.input, &report, open))?;
     }
@@ -137,7 +139,7 @@ fn surface_text(path: &Path, r: &SurfaceReport, open: Option<OpenEdges>) -> Stri
     row("Euler number", r.euler.to_string());
     row(
         "boundary edges",
-        format!("{} in {} loops", text::count(r.boundary_edges), text::count(r.boundary_loops)),
+        format!("{} in {}", text::count(r.boundary_edges), text::plural(r.boundary_loops, "loop")),
     );
     if let Some(open) = open {
         row("  inside the domain", text::count(open.outside));
@@ -149,10 +151,13 @@ fn surface_text(path: &Path, r: &SurfaceReport, open: Option<OpenEdges>) -> Stri
     row("non-manifold vertices", text::count(r.non_manifold_vertices));
     row("misoriented edges", text::count(r.misoriented_edges));
     row("degenerate triangles", text::count(r.degenerate_triangles + r.zero_area_triangles));
-    row("area", r.area.to_string());
+    row("area", format!("{} square world units", text::number(r.area)));
     row(
         "enclosed volume",
-        r.volume.map_or_else(|| "none: the surface is not closed".into(), |v| v.to_string()),
+        r.volume.map_or_else(
+            || "none: the surface is not closed".into(),
+            |v| format!("{} cubic world units", text::number(v)),
+        ),
     );
     out
 }

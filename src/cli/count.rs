@@ -7,8 +7,9 @@ use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Count the tetrahedra that isosurfaces cross, exactly, without extracting the surfaces.
+/// Count the tetrahedra that isosurfaces cross.
 ///
+/// The numbers are exact, and the surfaces are not extracted.
 /// Isovalues with few digits are looked up in the archive's spectrum, which takes a few kilobytes
 /// of reading; the JSON output has the number of bytes.
 #[derive(clap::Args, Debug)]
@@ -43,7 +44,7 @@ pub(crate) fn run(args: &Args) -> Result<()> {
         let isovalue = isovalue.of(step.value_range())?;
         let report = step.count(isovalue)?;
         if args.json {
-            return super::print_json(&report);
+            return super::print_json("count", &report);
         }
         let mut out = String::new();
         let _ = writeln!(

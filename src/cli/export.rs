@@ -11,7 +11,9 @@ use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Write the tetrahedra of an archive as an unstructured grid (VTU), with values at the points.
+/// Write the tetrahedra of an archive as a VTU file.
+///
+/// That is an unstructured grid, with values at the points.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan export scan.isospan -o scan.vtu --compress\n  isospan export scan.isospan -o skin.vtu --range 300:500"
@@ -71,7 +73,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let report = report?;
     talk.stages(&report.seconds);
     if args.json {
-        return super::print_json(&report);
+        return super::print_json("export", &report);
     }
     let mut out = format!(
         "{}: {} points, {} of {} tetrahedra, {}\n",

@@ -8,6 +8,7 @@
 //!  box             10:20,:,5:               triple          1,1,2.5
 //!  times           0,0.5,2   0,0.5,...      time span       2d  12h  30m  90s
 //!  type            uint16  <f4              shard           3/16
+//!  length          0.5  0.1%
 //! ```
 //!
 //! A parser says what it expected, with an example; clap says before that what it got, and for which flag.
@@ -92,6 +93,22 @@ pub(crate) fn error(text: &str) -> Parsed<Bound> {
     let found = share.or_else(|| finite(text).map(Bound::Value));
     let above_0 = |bound: &Bound| matches!(bound, Bound::OfRange(v) | Bound::Value(v) if *v > 0.0);
     expected(found.filter(above_0), "an error above 0, as in 2.5 or 1%")
+}
+
+/// A length in world units, or a share of the diagonal of the domain.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Length {
+    World(f64),
+    OfDiagonal(f64),
+}
+
+/// A length: `0.5` in world units, or `0.1%` of the diagonal of the domain.
+pub(crate) fn length(text: &str) -> Parsed<Length> {
+    let found = match percent(text) {
+        Some(share) => Some(share).filter(|share| *share > 0.0).map(Length::OfDiagonal),
+        None => positive(text).map(Length::World),
+    };
+    expected(found, "a length above 0, as in 0.5, or a share of the domain's diagonal, as in 0.1%")
 }
 
 /// A value of the field, or a place in its range.
@@ -357,6 +374,8 @@ mod tests {
         refused(share, &["%", "1/8%", "0%", "6401%", "0", "-1/8", "1/0", "x", "1/", "nan", "1000"]);
         assert_eq!((error("2.5"), error("1%")), (Ok(Bound::Value(2.5)), Ok(Bound::OfRange(0.01))));
         refused(error, &["", "0", "-1%", "0%", "x"]);
+        assert_eq!((length("2.5"), length("1%")), (Ok(Length::World(2.5)), Ok(Length::OfDiagonal(0.01))));
+        refused(length, &["", "0", "-1", "0%", "x"]);
     }
 
     #[test]

@@ -20,9 +20,9 @@ use isospan::{Archive, Error, Resources, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Draw surfaces, or isosurfaces of archives, as a PNG with one panel each, all seen from the same
-/// place.
+/// Draw surfaces, or isosurfaces of archives, as a PNG.
 ///
+/// Each has a panel, and all are seen from the same place.
 /// No graphics card is needed, and the same command gives the same bytes on every machine. With
 /// --distance-to, colours show how far each surface is from another one.
 #[derive(clap::Args, Debug)]
@@ -101,11 +101,11 @@ pub(crate) struct Args {
     /// Shade triangles flat instead of smoothly.
     #[arg(long)]
     flat: bool,
-    /// Samples along each side of a pixel, 1 to 8 (antialiasing).
+    /// Samples along each side of a pixel, 1 to 8.
     #[arg(long, value_name = "N", default_value = "3", value_parser = grammar::whole_in(1..=8u32))]
-    samples: u32,
+    antialias: u32,
     /// Number of lights in the sky, whose shadows make soft light; 0 for light without shadows.
-    #[arg(long, value_name = "N", default_value = "128", value_parser = grammar::whole::<u32>)]
+    #[arg(long, value_name = "N", default_value = "32", value_parser = grammar::whole::<u32>)]
     lights: u32,
     #[command(flatten)]
     machine: Machine,
@@ -154,7 +154,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     publish(&args.output, &canvas.png()).map_err(|e| Error::io("write", &args.output, e))?;
     if args.json {
         let report = serde_json::json!({ "file": args.output, "size": canvas.size, "panels": panels });
-        return super::print_json(&report);
+        return super::print_json("render", &report);
     }
     let [w, h] = canvas.size;
     let mut out = format!("{}: {w} x {h} pixels\n", args.output.display());
@@ -228,7 +228,7 @@ impl Job<'_> {
                 .with_memory((self.memory / 8 * 7).saturating_sub(taken))
                 .with_scratch(self.scratch.clone())
                 .with_cancel(self.cancel.clone()),
-            samples: self.args.samples,
+            samples: self.args.antialias,
             lights: self.args.lights,
             flat: self.args.flat,
             background: self.args.background,

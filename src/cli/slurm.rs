@@ -14,9 +14,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-/// Write job scripts for a planned reduction, and submit them to Slurm with --submit.
+/// Write Slurm job scripts for a planned reduction.
 ///
-/// The scripts are in ARCHIVE.work/slurm: a job array of shards that may be requeued, and a commit
+/// With --submit they are submitted. They are in ARCHIVE.work/slurm: a job array of shards that may be requeued, and a commit
 /// that waits for them and submits missing shards again. Logs are written to the same folder.
 #[derive(clap::Args, Debug)]
 #[command(
@@ -68,7 +68,7 @@ pub(crate) struct Args {
 fn parse_option(text: &str) -> std::result::Result<String, String> {
     match text.starts_with('-') && !text.contains(['\n', '\r']) {
         true => Ok(text.to_owned()),
-        false => Err("an option of sbatch starts with -".into()),
+        false => Err("expected an option of sbatch, as in --partition=long".into()),
     }
 }
 
@@ -91,6 +91,7 @@ const TEMPLATES: [&str; 3] =
     [include_str!("slurm/submit.sh"), include_str!("slurm/work.sh"), include_str!("slurm/commit.sh")];
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    super::expect_planned(&args.archive)?;
     let plan = planned(&args.archive, args.threads as usize)?;
     let archive = std::path::absolute(&args.archive).map_err(|e| Error::io("find", &args.archive, e))?;
     let folder = work_folder(&archive).join("slurm");
@@ -115,7 +116,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let jobs = if args.submit { Some(submit(&scripts[0])?) } else { None };
     let (work_job, commit_job) = jobs.unzip();
     let report = Report { scripts, shards: plan.shards, tasks, memory, minutes, work_job, commit_job };
-    if args.json { super::print_json(&report) } else { super::print(&in_words(&report)) }
+    if args.json { super::print_json("slurm", &report) } else { super::print(&in_words(&report)) }
 }
 
 fn in_words(r: &Report) -> String {
@@ -126,7 +127,7 @@ fn in_words(r: &Report) -> String {
         (Some(work), Some(commit)) => {
             out + &format!("  submitted  shards as job {work}, their commit as job {commit}\n")
         }
-        _ => out + &format!("next: {}, or isospan slurm --submit\n", r.scripts[0].display()),
+        _ => out + &format!("next: {}, or isospan slurm --submit\n", text::shell(&r.scripts[0])),
     }
 }
 
@@ -207,7 +208,7 @@ fn quoted(path: &Path) -> Result<String> {
     let text = path.to_str().ok_or_else(|| {
         Error::usage(format!("{}: the path is not UTF-8; rename it, for scripts name it", path.display()))
     })?;
-    Ok(format!("'{}'", text.replace('\'', r"'\''")))
+    Ok(text::quoted(text))
 }
 
 /// A path between the quotes of a directive, where Slurm replaces what follows a `%`.

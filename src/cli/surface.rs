@@ -1,6 +1,6 @@
 //! `isospan surface`: isosurfaces out of an archive.
 
-use super::grammar::{self, Value};
+use super::grammar::{self, Length, Value};
 use super::machine::{Machine, OutputScratch};
 use super::output::Force;
 use super::progress::Talk;
@@ -72,9 +72,9 @@ pub(crate) struct Args {
     #[arg(help_heading = "Components and decimation", long, value_name = "SHARE", value_parser = grammar::share)]
     decimate: Option<f64>,
     /// Decimate until the estimated distance from the original surface reaches LENGTH, in world
-    /// units. With --decimate, stop at whichever comes first.
-    #[arg(help_heading = "Components and decimation", long, value_name = "LENGTH", value_parser = grammar::positive_number)]
-    decimate_error: Option<f64>,
+    /// units or as N% of the diagonal of the domain. With --decimate, stop at whichever comes first.
+    #[arg(help_heading = "Components and decimation", long, value_name = "LENGTH", value_parser = grammar::length)]
+    decimate_error: Option<Length>,
     #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
@@ -138,7 +138,7 @@ impl Args {
     }
 }
 
-fn refine(args: &Args) -> Refine {
+fn refine(args: &Args, archive: &Archive) -> Result<Refine> {
     let wanted = args.components
         || args.largest.is_some()
         || args.min_triangles.is_some()
@@ -151,11 +151,12 @@ fn refine(args: &Args) -> Refine {
     });
     let wanted = args.decimate.is_some() || args.decimate_error.is_some();
     let far = Decimation::default();
+    let max_error = args.decimate_error.map(|length| in_world(length, archive)).transpose()?;
     let decimate = wanted.then(|| Decimation {
         ratio: args.decimate.unwrap_or(far.ratio),
-        max_error: args.decimate_error.unwrap_or(far.max_error),
+        max_error: max_error.unwrap_or(far.max_error),
     });
-    Refine { components, decimate }
+    Ok(Refine { components, decimate })
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
@@ -168,7 +169,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         isovalues: isovalues(args, &archive, steps)?,
         roi: args.roi,
         cap: args.cap,
-        refine: refine(args),
+        refine: refine(args, &archive)?,
     };
     if args.is_to_standard_output() {
         return to_standard_output(args, &settings, &archive, format, talk);
@@ -184,7 +185,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         bar.end();
         let report = report?;
         return if args.json {
-            super::print_json(&report)
+            super::print_json("surface.series", &report)
         } else {
             super::print(&series_text(&report, args.stats))
         };
@@ -195,9 +196,25 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let report = with_opening(report?, archive.opening());
     talk.stages(&report.seconds);
     if args.json {
-        return super::print_json(&report);
+        return super::print_json("surface", &report);
     }
     super::print(&in_words(&report, args.stats))
+}
+
+/// A length in world units.
+fn in_world(length: Length, archive: &Archive) -> Result<f64> {
+    let share = match length {
+        Length::World(length) => return Ok(length),
+        Length::OfDiagonal(share) => share,
+    };
+    if archive.info()?.grid_cells.is_some() {
+        return Err(Error::usage(
+            "--decimate-error in % is not possible on a grid with coordinates: give a length in world units",
+        ));
+    }
+    let (geometry, dims) = (archive.geometry(), archive.dims());
+    let squares = (0..3).map(|a| (geometry.spacing[a] * dims[a].saturating_sub(1) as f64).powi(2));
+    Ok(share * squares.sum::<f64>().sqrt())
 }
 
 /// The isovalues: of percentages, those of the step or of all steps together.
@@ -282,7 +299,7 @@ fn series_text(report: &SeriesReport, stats: bool) -> String {
             out,
             "step {} (time {}): {}: {triangles} triangles, {size}{skipped}",
             s.step,
-            s.time,
+            text::number(s.time),
             names.join(" ")
         );
     }
@@ -318,9 +335,9 @@ fn surfaces_text(report: &SurfaceReport) -> String {
         };
         let _ = write!(
             out,
-            "{name}: {} vertices, {} triangles",
+            "{name}: {} vertices, {}",
             text::count(surface.vertices),
-            text::count(surface.triangles)
+            text::plural(surface.triangles, "triangle")
         );
         let _ = match report.surfaces.len() {
             1 => writeln!(out, ", {}", text::bytes(report.file_bytes)),
@@ -330,7 +347,7 @@ fn surfaces_text(report: &SurfaceReport) -> String {
         if surface.outside_range && surface.triangles == 0 {
             let range = report
                 .range
-                .map_or("no values at all".to_owned(), |[lo, hi]| format!("the range {lo} .. {hi}"));
+                .map_or("no values at all".to_owned(), |range| format!("the range {}", text::range(range)));
             let _ = writeln!(
                 out,
                 "  the isovalue {} does not cut {range}: the surface is empty",
@@ -359,12 +376,13 @@ fn refined_text(surface: &OneSurface) -> String {
     if let Some(d) = &surface.refined.decimation {
         let _ = writeln!(
             out,
-            "  decimated     {} of {} triangles ({:.1} %) in {} passes, at most {:.3} away (estimated)",
+            "  decimated     {} of {} triangles ({:.1} %) in {} {}, about {} world units away at most (estimated)",
             text::count(d.triangles_after),
             text::count(d.triangles_before),
             100.0 * d.triangles_after as f64 / d.triangles_before.max(1) as f64,
             d.passes,
-            d.error_estimate
+            if d.passes == 1 { "pass" } else { "passes" },
+            text::value(text::figures(d.error_estimate, 3))
         );
     }
     out

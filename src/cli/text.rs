@@ -1,6 +1,7 @@
 //! Numbers and sizes, for a person.
 
 use isospan::pipeline::SourceChunks;
+use std::path::Path;
 use std::time::Duration;
 
 /// A name from a file, on one line.
@@ -26,6 +27,46 @@ pub(crate) fn value(v: f64) -> String {
     if v != 0.0 && !(1e-4..1e9).contains(&v.abs()) { format!("{v:e}") } else { v.to_string() }
 }
 
+/// A number for a person, who is not helped by more than seven digits.
+pub(crate) fn number(v: f64) -> String {
+    value(figures(v, 7))
+}
+
+/// A value of a field whose values have this range: with the digits that tell places in it.
+pub(crate) fn in_range(v: f64, [lo, hi]: [f64; 2]) -> String {
+    let beyond = (v.abs() / (hi - lo)).log10();
+    let more = if beyond.is_finite() { beyond.clamp(0.0, 9.0) as usize } else { 0 };
+    value(figures(v, 7 + more))
+}
+
+/// `0 .. 1300`.
+pub(crate) fn range(range: [f64; 2]) -> String {
+    format!("{} .. {}", in_range(range[0], range), in_range(range[1], range))
+}
+
+/// So much of a range: ` (1.2 % of the range)`; nothing where there is none.
+pub(crate) fn share_of(v: f64, range: Option<[f64; 2]>) -> String {
+    let length = range.map(|[lo, hi]| hi - lo).filter(|length| *length > 0.0);
+    length.map_or(String::new(), |length| format!(" ({} %)", value(figures(100.0 * v / length, 3))))
+}
+
+/// `1 chunk`, `2 chunks`.
+pub(crate) fn plural(n: u64, what: &str) -> String {
+    format!("{} {what}{}", count(n), if n == 1 { "" } else { "s" })
+}
+
+/// A path as a word of a shell: quoted where that takes it for more than a name.
+pub(crate) fn shell(path: &Path) -> String {
+    let text = path.to_string_lossy();
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,@%".contains(c);
+    if !text.is_empty() && text.chars().all(is_plain) { text.into_owned() } else { quoted(&text) }
+}
+
+/// A text as a word of a shell.
+pub(crate) fn quoted(text: &str) -> String {
+    format!("'{}'", text.replace('\'', r"'\''"))
+}
+
 /// A number with so many significant digits.
 pub(crate) fn figures(v: f64, digits: usize) -> f64 {
     format!("{v:.*e}", digits - 1).parse().unwrap_or(v)
@@ -44,9 +85,11 @@ pub(crate) fn bytes(n: u64) -> String {
 /// The bad cells of a rectilinear or curvilinear grid.
 pub(crate) fn grid_cells(cells: &isospan::archive::coordinates::CellCount) -> String {
     let mirrored = if cells.mirrored { ", mirrored" } else { "" };
+    let folds = if cells.folded == 1 { "folds" } else { "fold" };
+    let have = if cells.degenerate == 1 { "has" } else { "have" };
     format!(
-        "  grid        {} cells fold, {} have no volume{mirrored}",
-        count(cells.folded),
+        "  grid        {} {folds}, {} {have} no volume{mirrored}",
+        plural(cells.folded, "cell"),
         count(cells.degenerate)
     )
 }
@@ -54,7 +97,7 @@ pub(crate) fn grid_cells(cells: &isospan::archive::coordinates::CellCount) -> St
 /// What was found in a tetrahedral mesh.
 pub(crate) fn mesh_census(mesh: &isospan::pipeline::MeshCensus) -> String {
     let oddities: String = [
-        (mesh.inverted, "inverted"),
+        (mesh.inverted, "turned over, as they were inverted"),
         (mesh.degenerate, "without a volume"),
         (mesh.repeated, "points repeated"),
         (mesh.ghosts, "ghosts left out"),
@@ -65,18 +108,19 @@ pub(crate) fn mesh_census(mesh: &isospan::pipeline::MeshCensus) -> String {
     .collect();
     let bodies = if mesh.bodies == 1 { "body" } else { "bodies" };
     format!(
-        "  mesh        {} cells, {} tetrahedra, {} {bodies}{oddities}",
-        count(mesh.cells),
+        "  mesh        {}, {} tetrahedra, {} {bodies}{oddities}",
+        plural(mesh.cells, "cell"),
         count(mesh.tetrahedra),
         count(mesh.bodies)
     )
 }
 
-/// A duration for a person: `0.123 s`, `2 min 05 s`, `3 h 10 min`.
+/// A duration for a person: `0.12 s`, `12.3 s`, `2 min 05 s`, `3 h 10 min`.
 pub(crate) fn duration(d: Duration) -> String {
     let s = d.as_secs();
     match s {
-        0..100 => format!("{:.3} s", d.as_secs_f64()),
+        0..10 => format!("{:.2} s", d.as_secs_f64()),
+        10..100 => format!("{:.1} s", d.as_secs_f64()),
         100..6000 => format!("{} min {:02} s", s / 60, s % 60),
         _ => format!("{} h {:02} min", s / 3600, s / 60 % 60),
     }
@@ -117,5 +161,21 @@ mod tests {
         assert_eq!(bytes(3_565_158), "3.4 MiB");
         assert_eq!([0.0, -1300.5, 2e30, 1e-9].map(value), ["0", "-1300.5", "2e30", "1e-9"]);
         assert_eq!(duration(Duration::from_secs(125)), "2 min 05 s");
+        assert_eq!(duration(Duration::from_millis(11_240)), "11.2 s");
+        assert_eq!([plural(1, "chunk"), plural(1200, "chunk")], ["1 chunk", "1 200 chunks"]);
+        assert_eq!(range([0.0, 0.1f32.into()]), "0 .. 0.1");
+        assert_eq!(range([-1e34, 2.0]), "-1e34 .. 2");
+        assert_eq!(range([101_325_000.0, 101_325_002.75]), "101325000 .. 101325002.75");
+        assert_eq!(range([5.0, 5.0]), "5 .. 5");
+        assert_eq!(share_of(0.5, Some([100.0, 200.0])), " (0.5 %)");
+        assert_eq!(share_of(0.5, Some([1.0, 1.0])), "");
+    }
+
+    #[test]
+    fn paths_are_words_of_a_shell() {
+        let word = |path: &str| shell(Path::new(path));
+        assert_eq!(word("runs/a_1.isospan"), "runs/a_1.isospan");
+        assert_eq!(word("my scan.isospan"), "'my scan.isospan'");
+        assert_eq!(word("it's"), r"'it'\''s'");
     }
 }

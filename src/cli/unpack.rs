@@ -11,9 +11,9 @@ use isospan::{Archive, Error, Resources, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Trade disk for speed: store the blocks of an archive in the form that surfaces use.
+/// Store the blocks of an archive as surfaces use them.
 ///
-/// The archive grows by about 60 bytes per tetrahedron, and surfaces take a fraction of the time.
+/// This trades disk for speed. The archive grows by about 60 bytes per tetrahedron, and surfaces take a fraction of the time.
 /// They are the same, byte for byte. All commands that make surfaces use the file from then on. It
 /// is mapped, so the system can take its memory back at any time. It stays valid when steps are
 /// appended.
@@ -83,7 +83,11 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             text::count(need.tetrahedra)
         );
         if args.dry_run {
-            return if args.json { super::print_json(&need) } else { super::print(&format!("{about}\n")) };
+            return if args.json {
+                super::print_json("unpack.estimate", &need)
+            } else {
+                super::print(&format!("{about}\n"))
+            };
         }
         talk.note(&format!("writes {about}; unpack --remove removes them"));
         let bar = talk.progress();
@@ -92,7 +96,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         report?
     };
     if args.json {
-        return super::print_json(&report);
+        return super::print_json("unpack", &report);
     }
     super::print(&if args.remove { removed_text(&report) } else { unpacked_text(&report) })
 }
@@ -110,15 +114,20 @@ fn unpacked_text(report: &UnpackReport) -> String {
     for f in &report.files {
         let _ = writeln!(
             out,
-            "{}: {} blocks, {} tetrahedra, {} ({:.1} bytes a tetrahedron)",
+            "{}: {}, {} tetrahedra, {} ({:.1} bytes a tetrahedron)",
             f.file.display(),
-            text::count(f.blocks),
+            text::plural(f.blocks, "block"),
             text::count(f.tetrahedra),
             text::bytes(f.bytes),
             f.bytes as f64 / f.tetrahedra.max(1) as f64
         );
         if f.packed_blocks > 0 {
-            let _ = writeln!(out, "  {} other blocks stay packed", text::count(f.packed_blocks));
+            let _ = writeln!(
+                out,
+                "  {} packed",
+                text::plural(f.packed_blocks, "other block")
+                    + if f.packed_blocks == 1 { " stays" } else { " stay" }
+            );
         }
     }
     if report.files.len() > 1 {
@@ -129,5 +138,9 @@ fn unpacked_text(report: &UnpackReport) -> String {
 
 fn removed_text(report: &UnpackReport) -> String {
     let names: String = report.files.iter().map(|f| format!("{}\n", f.file.display())).collect();
-    format!("{names}{} files, {} removed\n", report.files.len(), text::bytes(report.bytes))
+    format!(
+        "{names}{}, {} removed\n",
+        text::plural(report.files.len() as u64, "file"),
+        text::bytes(report.bytes)
+    )
 }

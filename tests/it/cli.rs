@@ -308,7 +308,7 @@ fn the_report_of_a_series_tells_its_largest_errors() {
     }
     let text = ok(d, &["reduce", "s*.npy", "-o", "s.isospan", "--fraction", "1/4"]);
     let line = text.lines().find(|l| l.starts_with("  error ")).unwrap();
-    assert_eq!(line.matches("(step 2)").count(), 2, "{line}");
+    assert_eq!(line.matches("in step 2").count(), 2, "{line}");
     let steps = json(&ok(d, &["info", "s.isospan", "--json"]))["steps"].clone();
     assert_eq!(steps[0]["error"][0], 0.0);
     let rms = steps[2]["error"][0].as_f64().unwrap();
@@ -316,7 +316,10 @@ fn the_report_of_a_series_tells_its_largest_errors() {
     assert!((told / rms - 1.0).abs() < 1e-3, "{line}: {rms}");
     // Of one step it is that one's.
     let text = ok(d, &["reduce", "s1.npy", "-o", "one.isospan", "--fraction", "1/4"]);
-    assert!(text.lines().any(|l| l.starts_with("  error       RMS ") && l.ends_with(" samples")), "{text}");
+    assert!(
+        text.lines().any(|l| l.starts_with("  error       RMS ") && l.contains(" samples; % of")),
+        "{text}"
+    );
 }
 
 #[test]
@@ -327,8 +330,27 @@ fn completions_and_manual() {
     }
     assert!(ok(dir.path(), &["man"]).contains("isospan"));
     ok(dir.path(), &["man", "--dir", "pages"]);
+    for entry in fs::read_dir(dir.path().join("pages")).unwrap() {
+        let page = entry.unwrap().path();
+        let text = fs::read_to_string(&page).unwrap();
+        assert!(["EXIT STATUS", "ENVIRONMENT", "FILES"].iter().all(|s| text.contains(s)), "{page:?}");
+        // Where there is groff, it has nothing to say.
+        let checked = Command::new("groff").args(["-ww", "-man", "-Kutf8", "-z"]).arg(&page).output();
+        if let Ok(checked) = checked {
+            assert_eq!(String::from_utf8_lossy(&checked.stderr), "", "{page:?}");
+        }
+    }
     assert!(dir.path().join("pages/isospan-reduce.1").exists());
-    assert!(ok(dir.path(), &["--help"]).contains("surface"));
+    // Commands come in groups; the short version is a line, the long one names the features.
+    let help = ok(dir.path(), &["--help"]);
+    for words in
+        ["Usage: isospan [OPTIONS] <COMMAND>", "Make archives:", "  surface      Extract", "Clusters:"]
+    {
+        assert!(help.contains(words), "{words}: {help}");
+    }
+    assert_eq!((ok(dir.path(), &["help"]), ok(dir.path(), &["-h"])), (help.clone(), help));
+    assert_eq!(ok(dir.path(), &["-V"]).lines().count(), 1);
+    assert!(ok(dir.path(), &["--version"]).contains("\nfeatures: cli"));
 }
 
 /// A legacy VTK image of 6 x 6 x 6 samples with arrays of a value that rises along x, and lines before and after them.

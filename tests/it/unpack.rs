@@ -386,7 +386,7 @@ fn the_command_line_unpacks_and_removes() {
         assert!(surface(tunables) == right, "{tunables}");
     }
     let (_, text) = isospan(&["info", name], "");
-    assert!(text.contains("unpacked    1 of 1 steps"), "{text}");
+    assert!(text.contains("unpacked    1 of 1 step,"), "{text}");
     let (code, text) = isospan(&["unpack", name, "--remove", "--json"], "");
     assert!(code == 0 && text.contains("\"step\":0"), "{text}");
     assert!(!unpacked_path(&archive, 0).exists());

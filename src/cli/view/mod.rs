@@ -20,8 +20,9 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// Show archives in a browser: isosurfaces, slices, time steps, and exports of what is seen.
+/// Show archives in a browser.
 ///
+/// The page has isosurfaces, slices, time steps, and exports of what is seen.
 /// Serves a page on this machine only, at an address with a secret token, until Ctrl-C. On a remote
 /// machine, forward the port with ssh -L 8417:127.0.0.1:8417 HOST, and give --port 8417.
 #[derive(clap::Args, Debug)]
@@ -57,7 +58,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let started = |address: SocketAddr| -> Result<()> {
         let url = format!("http://{address}/{token}/");
         if args.json {
-            super::print_json(&serde_json::json!({ "url": url, "port": address.port() }))?;
+            super::print_json("view", &serde_json::json!({ "url": url, "port": address.port() }))?;
         } else {
             super::print(&format!("{url}\n"))?;
             talk.note("the page is served until Ctrl-C; who has the address can see the archives");

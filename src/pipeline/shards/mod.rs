@@ -54,6 +54,7 @@ pub struct PlanReport {
     /// Segments of the largest shard.
     pub shard_segments: u64,
     /// Seconds of the largest shard, roughly: from the speed of a machine of 2020.
+    #[serde(rename = "estimated_shard_seconds")]
     pub shard_seconds: f64,
     /// What the whole needs; memory and scratch are those of each worker.
     #[serde(flatten)]
@@ -88,6 +89,8 @@ pub fn plan_shards(
     let notices = look(&job, false)?.notices;
     let (series, mesh, mut needs) = reduce::make_plan(&job, false)?;
     needs.notices = notices;
+    // A shard has whole segments: more shards than segments would have nothing to do.
+    let shards = shards.min(Layout::new(out, mesh.chunks.len(), 0).segment_count());
     let attachments = series.attachments.clone();
     let (memory_least, replaces) = (needs.memory_least, reduce::is_finished(out));
     let file =
@@ -162,6 +165,7 @@ pub struct WorkReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source_chunks: Option<SourceChunks>,
     /// Seconds of each stage.
+    #[serde(serialize_with = "crate::pipeline::stage::by_name")]
     pub seconds: StageSeconds,
 }
 

@@ -148,6 +148,7 @@ pub struct SurfaceReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub remote: Option<Traffic>,
     /// Seconds of wall time of each stage.
+    #[serde(serialize_with = "crate::pipeline::stage::by_name")]
     pub seconds: StageSeconds,
 }
 

@@ -202,9 +202,10 @@ def test_notices_are_warnings(tmp_path):
 def test_the_program_of_the_package(program, tooth, tmp_path):
     module = [sys.executable, "-m", "isospan"]
     done = subprocess.run([*module, "info", tooth.path, "--json"], capture_output=True, text=True)
-    assert done.returncode == 0 and json.loads(done.stdout) == tooth.info
-    done = subprocess.run([*module, "--version"], capture_output=True, text=True)
-    assert done.stdout == program("--version").strip() + "\n"
+    about = {"schema": "isospan.info.archive", "version": 1}
+    assert done.returncode == 0 and json.loads(done.stdout) == {**about, **tooth.info}
+    done = subprocess.run([*module, "-V"], capture_output=True, text=True)
+    assert done.stdout == program("-V").strip() + "\n"
     assert done.stdout.split()[1] == isospan.__version__
     done = subprocess.run([*module, "info", tmp_path / "nothing"], capture_output=True, text=True)
     assert done.returncode == 1 and done.stderr.startswith("isospan: error: ")
