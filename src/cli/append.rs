@@ -22,7 +22,7 @@ use std::path::PathBuf;
     after_help = "Examples:\n  isospan append run.isospan step_0101.vti\n  isospan append run.isospan 'new_*.vti' --times 10,10.5,..."
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive, a folder on this machine.
     pub(crate) archive: PathBuf,
     #[command(flatten)]
     pub(crate) steps: StepInputs,

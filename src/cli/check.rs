@@ -19,7 +19,8 @@ use std::path::{Path, PathBuf};
     after_help = "Examples:\n  isospan check scan.isospan\n  isospan check bone.ply --within scan.isospan"
 )]
 pub(crate) struct Args {
-    /// An archive, or a surface file: .ply .stl .obj .vtp .glb.
+    /// An archive, also by address (s3://... or https://...), or a surface file: .ply .stl .obj
+    /// .vtp .glb.
     input: PathBuf,
     /// For a surface: also check that boundary edges lie on the boundary of this archive's domain,
     /// or where it has no data.

@@ -138,7 +138,8 @@ impl Choices {
     /// The settings that the flags say.
     ///
     /// # Errors
-    /// When flags do not go together; those of reading the first step, whose range a `--focus` in % is of.
+    /// When flags do not go together; those of reading the first step, whose range a `--focus` in %
+    /// is of.
     pub(crate) fn settings(&self, first: &StepSource) -> Result<ReduceSettings> {
         let of_mesh = !first.is_given() && is_mesh(&first.path, &first.options)?;
         let error = self.target_rms.map(Target::Rms).or(self.target_max.map(Target::Max));

@@ -17,7 +17,7 @@ use std::path::PathBuf;
     after_help = "Examples:\n  isospan count scan.isospan --isovalue 600\n  isospan count scan.isospan -i 300,600,900 --json"
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
     /// One isovalue, or several: 300,600. 50% is half-way from the least value of the step to its
     /// largest.

@@ -19,7 +19,7 @@ use std::path::PathBuf;
     after_help = "Examples:\n  isospan export scan.isospan -o scan.vtu --compress\n  isospan export scan.isospan -o skin.vtu --range 300:500"
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
     /// The file to write: .vtu.
     #[arg(short, long, value_name = "FILE")]

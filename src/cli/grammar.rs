@@ -1,4 +1,5 @@
-//! The grammar of values on the command line: one parser and one kind of message for each kind of value.
+//! The grammar of values on the command line: one parser and one kind of message for each kind of
+//! value.
 //!
 //! ```text
 //!  number          600  -1.5e3              whole number    1000
@@ -11,7 +12,8 @@
 //!  length          0.5  0.1%
 //! ```
 //!
-//! A parser says what it expected, with an example; clap says before that what it got, and for which flag.
+//! A parser says what it expected, with an example; clap says before that what it got, and for
+//! which flag.
 
 use super::step::Times;
 use isospan::formats::raw::SampleType;

@@ -1,4 +1,5 @@
-//! What the program says of itself: the overview of commands, `isospan completions`, `isospan man`, and the version.
+//! What the program says of itself: the overview of commands, `isospan completions`, `isospan man`,
+//! and the version.
 
 use super::Cli;
 use clap::{Arg, ArgAction, Command, CommandFactory};
@@ -240,7 +241,8 @@ mod tests {
         }
     }
 
-    /// Every value that no list explains is parsed by the grammar: its message tells what is expected.
+    /// Every value that no list explains is parsed by the grammar: its message tells what is
+    /// expected.
     #[test]
     fn values_have_one_kind_of_message() {
         use std::any::TypeId;

@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
     after_help = "Examples:\n  isospan measure scan.isospan --against scan.nrrd\n  isospan measure scan.isospan --against scan.nrrd --map error.vti"
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
     /// The source volume or mesh.
     #[arg(long, value_name = "INPUT")]

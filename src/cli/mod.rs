@@ -218,7 +218,8 @@ struct Report<'a, T> {
     report: &'a T,
 }
 
-/// Writes a result as JSON, one line. `schema` is its name in the schema of reports, after "isospan.".
+/// Writes a result as JSON, one line. `schema` is its name in the schema of reports, after
+/// "isospan.".
 fn print_json(schema: &str, report: &impl Serialize) -> Result<()> {
     let report = Report { schema: format!("isospan.{schema}"), version: REPORT_VERSION, report };
     let text = serde_json::to_string(&report)

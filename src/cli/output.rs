@@ -13,8 +13,8 @@ pub(crate) struct Force {
 }
 
 impl Force {
-    /// Refuses an output that is one of the inputs, one that cannot be written, and without `--force`
-    /// one that exists: before any work begins.
+    /// Refuses an output that is one of the inputs, one that cannot be written, and without
+    /// `--force` one that exists: before any work begins.
     ///
     /// # Errors
     /// [`Error::Usage`] that names the output.

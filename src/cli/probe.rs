@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
     after_help = "Examples:\n  isospan probe scan.isospan --grid 256,256,128 -o scan.vti\n  isospan probe scan.isospan --at points.csv -o values.csv"
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
     /// Number of samples along x, y and z, from face to face of the domain.
     #[arg(long, value_name = "NX,NY,NZ", value_parser = grammar::whole_triple::<u64>)]

@@ -237,7 +237,8 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
     out + &next_line(archive)
 }
 
-/// The time of the run, and what its threads worked on: several at a time, so that their times add up to more.
+/// The time of the run, and what its threads worked on: several at a time, so that their times add
+/// up to more.
 fn time_line(seconds: &[(Stage, f64)]) -> String {
     let told = |s: f64| text::duration(Duration::from_secs_f64(s));
     let total: f64 = seconds.iter().filter(|(stage, _)| *stage == Stage::Total).map(|(_, s)| s).sum();

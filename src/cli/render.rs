@@ -30,7 +30,8 @@ use std::path::{Path, PathBuf};
     after_help = "Examples:\n  isospan render scan.isospan --isovalue 600,1000 -o scan.png\n  isospan render full.ply small.ply -o two.png --distance-to full.ply"
 )]
 pub(crate) struct Args {
-    /// Surfaces (.ply .stl .obj .vtp .glb) or archives.
+    /// Surfaces (.ply .stl .obj .vtp .glb) or archives, these also by address: s3://... or
+    /// https://...
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// The picture to write: .png.

@@ -16,8 +16,9 @@ use std::time::Duration;
 
 /// Write Slurm job scripts for a planned reduction.
 ///
-/// With --submit they are submitted. They are in ARCHIVE.work/slurm: a job array of shards that may be requeued, and a commit
-/// that waits for them and submits missing shards again. Logs are written to the same folder.
+/// With --submit they are submitted. They are in ARCHIVE.work/slurm: a job array of shards that may
+/// be requeued, and a commit that waits for them and submits missing shards again. Logs are written
+/// to the same folder.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan slurm scan.isospan --submit\n  isospan slurm scan.isospan --threads 16 --time-limit 2h --option=--partition=long"

@@ -21,10 +21,10 @@ use std::path::PathBuf;
     after_help = "Examples:\n  isospan spectrum scan.isospan --plot scan.svg\n  isospan spectrum run.isospan --all-steps --plot run.png"
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
-    /// The spectra of all steps: one line of the table per step. The figure is a map of the area over
-    /// time and isovalue.
+    /// The spectra of all steps: one line of the table per step. The figure is a map of the area
+    /// over time and isovalue.
     #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time", "steps"])]
     all_steps: bool,
     /// As --all-steps, for the steps from one number to another; either end may be omitted.

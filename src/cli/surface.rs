@@ -26,7 +26,7 @@ use std::time::Duration;
     after_help = "Examples:\n  isospan surface scan.isospan --isovalue 600 -o bone.ply\n  isospan surface run.isospan -i 0.5 --all-steps -o front_%04d.vtp"
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
     /// One isovalue, or several: 600,1000. All are extracted in one pass. 50% is half-way from the
     /// least value of the step to its largest; of several steps, of their values together.
@@ -40,9 +40,9 @@ pub(crate) struct Args {
         value_parser = grammar::value
     )]
     isovalue: Vec<Value>,
-    /// The file to write: .ply .stl .obj .vtp or .glb; "-" for standard output. Several isovalues go to one file; an array
-    /// 'isovalue' of the points (.vtp, .ply) or groups (.obj) distinguish them. With {} in the
-    /// name, each isovalue gets its own file: surface_{}.ply.
+    /// The file to write: .ply .stl .obj .vtp or .glb; "-" for standard output. Several isovalues
+    /// go to one file; an array 'isovalue' of the points (.vtp, .ply) or groups (.obj) distinguish
+    /// them. With {} in the name, each isovalue gets its own file: surface_{}.ply.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// The format [default: as the file's name ends; ply for standard output].
@@ -72,7 +72,8 @@ pub(crate) struct Args {
     #[arg(help_heading = "Components and decimation", long, value_name = "SHARE", value_parser = grammar::share)]
     decimate: Option<f64>,
     /// Decimate until the estimated distance from the original surface reaches LENGTH, in world
-    /// units or as N% of the diagonal of the domain. With --decimate, stop at whichever comes first.
+    /// units or as N% of the diagonal of the domain. With --decimate, stop at whichever comes
+    /// first.
     #[arg(help_heading = "Components and decimation", long, value_name = "LENGTH", value_parser = grammar::length)]
     decimate_error: Option<Length>,
     #[command(flatten)]
@@ -237,8 +238,8 @@ fn in_words(report: &SurfaceReport, stats: bool) -> String {
     surfaces_text(report) + &stats
 }
 
-/// Writes a surface to standard output, by way of a file in the scratch folder, so that it comes whole or not at all. What was
-/// made is told on standard error.
+/// Writes a surface to standard output, by way of a file in the scratch folder, so that it comes
+/// whole or not at all. What was made is told on standard error.
 fn to_standard_output(
     args: &Args,
     settings: &SurfaceSettings,

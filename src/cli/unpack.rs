@@ -13,16 +13,16 @@ use std::path::PathBuf;
 
 /// Store the blocks of an archive as surfaces use them.
 ///
-/// This trades disk for speed. The archive grows by about 60 bytes per tetrahedron, and surfaces take a fraction of the time.
-/// They are the same, byte for byte. All commands that make surfaces use the file from then on. It
-/// is mapped, so the system can take its memory back at any time. It stays valid when steps are
-/// appended.
+/// This trades disk for speed. The archive grows by about 60 bytes per tetrahedron, and surfaces
+/// take a fraction of the time. They are the same, byte for byte. All commands that make surfaces
+/// use the file from then on. It is mapped, so the system can take its memory back at any time. It
+/// stays valid when steps are appended.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan unpack scan.isospan\n  isospan unpack run.isospan --all-steps --range 0.4:0.6"
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive, a folder on this machine.
     archive: PathBuf,
     #[command(flatten)]
     step: StepArgs,

@@ -190,8 +190,8 @@ impl Archive {
     /// The files that [`Archive::write_series`] writes: those of the steps, then the lists.
     ///
     /// # Errors
-    /// [`crate::Error::Usage`] for a name without a place for the step's number, and when no step is
-    /// in the range.
+    /// [`crate::Error::Usage`] for a name without a place for the step's number, and when no step
+    /// is in the range.
     pub fn series_files(
         &self,
         steps: StepRange,

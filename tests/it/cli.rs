@@ -644,6 +644,60 @@ fn what_exists_is_replaced_with_force_alone() {
 }
 
 #[test]
+fn what_is_something_else_is_told_as_that() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v1.npy"), [20, 18, 16], waves);
+    write_npy(&d.join("v2.npy"), [20, 18, 16], waves);
+    ok(d, &["reduce", "v1.npy", "-o", "a.isospan", "-q"]);
+    ok(d, &["surface", "a.isospan", "-i", "0.1", "-o", "s.ply", "-q"]);
+    fs::create_dir_all(d.join("u.isospan/mesh")).unwrap();
+    fs::create_dir_all(d.join("u.isospan/steps")).unwrap();
+    let cases: [(&[&str], i32, &str); 9] = [
+        (&["info", "s.ply"], 5, "a surface; of surfaces, isospan check"),
+        (&["info", "u.isospan"], 5, "a finished one"),
+        (&["status", "u.isospan"], 5, "an unfinished archive of isospan reduce"),
+        (&["status", "a.isospan"], 5, "a finished archive that isospan reduce made"),
+        (&["slurm", "a.isospan"], 5, "a finished archive that isospan reduce made"),
+        (&["work", "none.isospan"], 5, "one that isospan plan made, got none"),
+        (&["reduce", "a.isospan", "-o", "b.isospan", "-q"], 5, "got an isospan archive"),
+        (&["measure", "a.isospan", "--against", "v*.npy", "-q"], 5, "slices (*.tif)"),
+        (&["probe", "a.isospan", "-o", "p.vti"], 2, "<--grid <NX,NY,NZ>|--at <CSV>>"),
+    ];
+    for (args, code, words) in cases {
+        let (got, text) = fails(d, args);
+        assert!(got == code && text.contains(words), "{args:?}: {got}: {text}");
+    }
+    // A quoted pattern is a series; the first step is shown.
+    assert!(ok(d, &["info", "v*.npy"]).contains("steps      2, of which this is the first"));
+    // No shard is empty.
+    let plan = ok(d, &["plan", "v1.npy", "-o", "p.isospan", "--shards", "4", "-q"]);
+    assert!(plan.contains("1 of at most 1 segment, of 1 in all; more would have nothing to do"), "{plan}");
+    assert!(plan.contains("next: isospan work p.isospan, then"), "{plan}");
+}
+
+#[test]
+fn what_comes_next_can_be_pasted() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [20, 18, 16], |x, y, z| 50.0 * ball(x, y, z));
+    let text = ok(d, &["reduce", "v.npy", "-o", "it's a.isospan"]);
+    let next = text.lines().last().unwrap().strip_prefix("next: isospan ").unwrap();
+    assert!(next.starts_with(r"surface 'it'\''s a.isospan' --isovalue ") && next.contains(" -o "), "{next}");
+    let script = format!("\"$0\" {next}");
+    let out = Command::new("bash")
+        .args(["-c", &script, env!("CARGO_BIN_EXE_isospan")])
+        .current_dir(d)
+        .output()
+        .unwrap();
+    assert!(out.status.success() && d.join("it's a.ply").exists(), "{next}");
+    // What a run took is one line, and errors are told in % of the range.
+    for words in ["% of the source's range", " %), at most ", "\n  time        "] {
+        assert!(text.contains(words), "{words}: {text}");
+    }
+}
+
+#[test]
 fn a_surface_goes_to_standard_output() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();

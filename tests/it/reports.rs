@@ -1,5 +1,6 @@
-//! What commands print with `--json` is what the schema of reports says, tools/book/src/reports.schema.json: every
-//! field is described there, and every field that it requires is printed.
+//! What commands print with `--json` is what the schema of reports says,
+//! tools/book/src/reports.schema.json: every field is described there, and every field that it
+//! requires is printed.
 
 use crate::common::*;
 use serde_json::Value;
@@ -13,8 +14,8 @@ fn schema() -> Value {
     serde_json::from_str(&fs::read_to_string(file).unwrap()).unwrap()
 }
 
-/// What is wrong with a value at a place; the first thing. Of JSON Schema what the file uses, and more strictly: a field that
-/// the schema does not name is wrong.
+/// What is wrong with a value at a place; the first thing. Of JSON Schema what the file uses, and
+/// more strictly: a field that the schema does not name is wrong.
 fn fault(root: &Value, schema: &Value, value: &Value, at: &str) -> Option<String> {
     let shown: String = value.to_string().chars().take(200).collect();
     let wrong = |why: String| Some(format!("{at}: {why}: {shown}"));

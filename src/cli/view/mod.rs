@@ -30,7 +30,7 @@ use std::process::{Command, Stdio};
     after_help = "Examples:\n  isospan view scan.isospan --open\n  isospan view a.isospan b.isospan --port 8417"
 )]
 pub(crate) struct Args {
-    /// The archives.
+    /// The archives: folders, or addresses, s3://... or https://...
     #[arg(required = true, value_name = "ARCHIVE")]
     archives: Vec<PathBuf>,
     /// The port on 127.0.0.1; 0 takes a free one.

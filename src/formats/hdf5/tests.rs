@@ -189,7 +189,7 @@ fn images_of_vtkhdf_are_placed_and_other_types_refused() {
     assert_eq!((cells.info().dims, place(&cells)), ([4, 3, 2], [9.375, 21.75, 33.0]));
     assert_eq!(open_volume(&data("vtkhdf.hdf"), &OpenOptions::default()).unwrap().info().field.name, "heat");
     let line = open("vtkhdf.hdf", "flow").err().expect("vectors").to_string();
-    assert!(line.contains("flow (3 x f32, not scalar)"), "{line}");
+    assert!(line.contains("flow (3 x float32, not scalar)"), "{line}");
     for (name, what) in [
         ("vtkhdf_mesh.hdf", "VTKHDF file of type 'UnstructuredGrid'; write it as .vtu"),
         ("imaris.ims", "an Imaris file"),
@@ -238,7 +238,7 @@ fn axes_are_what_they_are_called() {
         ([0.25, 0.5, 2.0], [0.0, 0.0, 1.0])
     );
     let line = open("axes.h5", "vectors").err().expect("vectors").to_string();
-    assert!(line.contains("vectors (3 x f32, not scalar)"), "{line}");
+    assert!(line.contains("vectors (3 x float32, not scalar)"), "{line}");
     let line = open("axes.h5", "channels").err().expect("channels").to_string();
     assert!(line.contains("2 (c) x 3 (z) x 4 (y) x 5 (x)"), "{line}");
 }

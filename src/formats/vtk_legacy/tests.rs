@@ -233,7 +233,7 @@ fn malformed_files_are_refused() {
         ("LOOKUP_TABLE", "TABLE", "LOOKUP_TABLE and a name"),
         ("7 7", "7", "1 x 24 values"),
         ("7 7", "7 7 7", "an attribute"),
-        ("7 7", "7 7.5", "a number of type i32"),
+        ("7 7", "7 7.5", "a number of type int32"),
     ] {
         let bad = good.replacen(from, to, 1);
         assert_ne!(good, bad, "{from}");
