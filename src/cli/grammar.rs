@@ -302,7 +302,7 @@ pub(crate) fn span(text: &str) -> Parsed<Duration> {
 /// The type of a sample, as NumPy names it: `uint16`, `<u2`, `>f4`.
 pub(crate) fn sample_type(text: &str) -> Parsed<SampleType> {
     let names = ScalarType::ALL.map(ScalarType::name).join(" ");
-    expected(SampleType::from_name(text), &format!("a type, as in uint16 or <f4; the types are {names}"))
+    expected(SampleType::from_name(text), &format!("a type, as in uint16 or '<f4'; the types are {names}"))
 }
 
 /// `3/16`.

@@ -27,7 +27,7 @@ pub(crate) struct InputArgs {
     #[arg(long, value_name = "X,Y,Z", value_parser = grammar::whole_triple::<u64>, requires = "scalar_type", help_heading = "Raw files")]
     dims: Option<[u64; 3]>,
     /// Type of a sample, as NumPy names it: uint8 int8 uint16 int16 uint32 int32 uint64 int64
-    /// float32 float64, or with the byte order, <u2 or >f4.
+    /// float32 float64, or with the byte order in quotes, '<u2' or '>f4'.
     #[arg(long = "type", value_name = "TYPE", id = "scalar_type", value_parser = grammar::sample_type, requires = "dims", help_heading = "Raw files")]
     scalar_type: Option<SampleType>,
     /// Byte order, where the type does not tell it [default: little].

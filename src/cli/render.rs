@@ -161,7 +161,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let mut out = format!("{}: {w} x {h} pixels\n", args.output.display());
     for p in &panels {
         let isovalue = p.isovalue.map_or(String::new(), |v| format!(", isovalue {v}"));
-        let far = p.largest_distance.map_or(String::new(), |d| format!(", at most {d} away"));
+        let far = p
+            .largest_distance
+            .map_or(String::new(), |d| format!(", at most {} world units away", text::number(f64::from(d))));
         out += &format!("  {}{isovalue}: {} triangles{far}\n", p.input, text::count(p.triangles));
     }
     super::print(&out)
