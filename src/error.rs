@@ -369,9 +369,14 @@ impl Error {
             }
             Self::Usage(message) => f.write_str(message),
             Self::Budget { what, needed, available } => {
-                // The last word can be given to --memory, to the byte.
                 let [needs, has] = [bytes_text(*needed, f64::ceil), bytes_text(*available, f64::floor)];
-                write!(f, "not enough {what}: the run needs {needs} and has {has}; give at least {needed}")
+                write!(f, "not enough {what}: the run needs {needs} and has {has}; ")?;
+                if what.starts_with(MEMORY) {
+                    // The last word can be given to --memory.
+                    write!(f, "give it at least {}MiB", needed.div_ceil(1 << 20))
+                } else {
+                    f.write_str("make room, or choose another folder")
+                }
             }
             Self::Incomplete { path, missing } => {
                 write!(

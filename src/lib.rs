@@ -149,6 +149,17 @@ pub mod surface;
 pub mod tets;
 pub mod volume;
 
+/// The features that the library was compiled with, in alphabetical order.
+pub fn features() -> Vec<&'static str> {
+    let all = [
+        ("cli", cfg!(feature = "cli")),
+        ("hdf5", cfg!(feature = "hdf5")),
+        ("remote", cfg!(feature = "remote")),
+        ("view", cfg!(feature = "view")),
+    ];
+    all.into_iter().filter(|(_, is_there)| *is_there).map(|(name, _)| name).collect()
+}
+
 pub use error::{Error, ErrorKind, Result};
 pub use exec::{CancelToken, Progress, Resources};
 pub use formats::StepSource;

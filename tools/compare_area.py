@@ -84,7 +84,7 @@ def reduced(program, source, field, fraction, values, folder):
 
 def surface_report(program, archive, isovalue, folder):
     ply = folder / "x.ply"
-    run([program, "surface", archive, "--isovalue", repr(isovalue), "-o", ply])
+    run([program, "surface", archive, "--isovalue", repr(isovalue), "-o", ply, "--force"])
     # Exit 5 tells of defects, which the report counts.
     return json.loads(run([program, "check", ply, "--within", archive, "--json"], may_fail=(5,))[0])
 

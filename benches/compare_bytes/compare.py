@@ -246,7 +246,7 @@ class Isospan:
         command = [self.program, "-q", "reduce", source, "-o", archive, "--force", *self.options]
         _, write = cpu_of([*command, asked])
         dims = ",".join(str(n) for n in samples.shape[::-1])
-        _, read = cpu_of([self.program, "-q", "probe", archive, "--grid", dims, "-o", values])
+        _, read = cpu_of([self.program, "-q", "probe", archive, "--grid", dims, "-o", values, "--force"])
         return Answer(folder_bytes(archive), np.load(values).reshape(samples.shape), write, read)
 
 
@@ -441,7 +441,7 @@ def surfaces_of(name, samples, settings, scratch):
         rows.append(dict(**about, coder="all samples", **describe(reference, reference), size=4 * values.size, read=4 * values.size, seconds=0.0))
         archive, file = scratch / "a.isospan", scratch / "a.ply"
         size = lattice(settings.program)(values, f"{percent}%", scratch).size
-        command = [settings.program, "-q", "surface", archive, f"--isovalue={isovalue}", "-o", file, "--json"]
+        command = [settings.program, "-q", "surface", archive, f"--isovalue={isovalue}", "-o", file, "--json", "--force"]
         output, seconds = cpu_of(command)
         reader = vtk.vtkPLYReader()
         reader.SetFileName(str(file))

@@ -46,7 +46,7 @@ def make(program, path, out, *options):
 def components(program, archive, isovalue, geometry, folder):
     """Vertices and middles of triangles in index space, and the component of each."""
     path = folder / "surface.ply"
-    answer(program, "surface", archive, f"--isovalue={isovalue}", "-o", path)
+    answer(program, "surface", archive, f"--isovalue={isovalue}", "-o", path, "--force")
     head, body = path.read_bytes().split(b"end_header\n", 1)
     lines = [line.split() for line in head.decode().splitlines()]
     vertices, faces = (int(line[2]) for line in lines if line[0] == "element")

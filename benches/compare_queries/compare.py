@@ -140,14 +140,14 @@ def count_ply(path):
 
 
 def ask_process(programs, archive, isovalue, threads, out):
-    seconds = run(programs / "isospan", "surface", archive, f"--isovalue={isovalue!r}", "-o", out, "--threads", threads, "-q")
+    seconds = run(programs / "isospan", "surface", archive, f"--isovalue={isovalue!r}", "-o", out, "--force", "--threads", threads, "-q")
     return seconds, count_ply(out)
 
 
 def ask_in_one_pass(programs, archive, isovalues, threads, out):
     """An isovalue's share: seconds and triangles."""
     n, listed = len(isovalues), ",".join(repr(v) for v in isovalues)
-    seconds = run(programs / "isospan", "surface", archive, f"--isovalue={listed}", "-o", out.with_name("pass_{}.ply"), "--threads", threads, "-q")
+    seconds = run(programs / "isospan", "surface", archive, f"--isovalue={listed}", "-o", out.with_name("pass_{}.ply"), "--force", "--threads", threads, "-q")
     made = set(out.parent.glob("pass_*.ply"))
     triangles = sum(count_ply(path) for path in made)
     for path in made:

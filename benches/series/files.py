@@ -75,7 +75,7 @@ def main():
     first = [a.input[0], *(["--field", a.first] if a.first else [])]
     reduction = ["-o", archive, "--points", "hammersley", "--fraction", a.fraction, "--values", a.values, *common]
     # Times follow that of the first step, whatever the files tell.
-    appended = [archive, *a.input, *fields, "--times", "1000000:1", *common]
+    appended = [archive, *a.input, *fields, "--times", "1000000,1000001,...", *common]
     least = {}
 
     def lap(name, *command):
@@ -102,7 +102,7 @@ def main():
         print(f"bytes a step: {sum(sizes) / steps:.0f}, archive {report['archive_bytes']}")
         out = os.path.join(folder, "s_%04d.ply")
         for _ in range(a.rounds):
-            text = lap("surface", "surface", archive, "-i", a.isovalue, "--all-steps", "-o", out, *common)
+            text = lap("surface", "surface", archive, "-i", a.isovalue, "--all-steps", "-o", out, "--force", *common)
         made = sum(s["triangles"] for s in json.loads(text)["steps"])
         print(f"isovalue {a.isovalue} of all steps, to files: {least['surface'][0]:.3f} s, CPU {least['surface'][1]:.3f} s, {made} triangles")
         for _ in range(a.rounds):

@@ -221,7 +221,8 @@ fn find(info: &CellsInfo, wanted: &str) -> Result<ChosenField> {
     Err(Error::usage(format!("{}: no scalar field {wanted}; {}", info.path.display(), list(info))))
 }
 
-/// "its fields: pressure (f32), velocity.x .y .z .magnitude (3 x f32), material (u8, on cells)"; of very many, the first.
+/// "its fields: pressure (float32), velocity.x .y .z .magnitude (3 x float32), material (uint8, on
+/// cells)"; of very many, the first.
 fn list(info: &CellsInfo) -> String {
     const MOST: usize = 40;
     let one = |f: &CellField| {

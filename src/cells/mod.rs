@@ -60,6 +60,10 @@ pub struct CellField {
     /// Its name in the file.
     pub name: String,
     /// Type of a stored number.
+    #[serde(
+        serialize_with = "ScalarType::serialize_name",
+        deserialize_with = "ScalarType::deserialize_name"
+    )]
     pub scalar: ScalarType,
     /// Numbers a point or cell: 1 for a scalar, 3 for a vector, 9 for a tensor.
     pub components: u32,

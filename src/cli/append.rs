@@ -1,5 +1,6 @@
 //! `isospan append`: further steps for an archive.
 
+use super::grammar;
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
@@ -18,19 +19,19 @@ use std::path::PathBuf;
 /// run is killed, the same command continues it.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan append run.isospan step_0101.vti\n  isospan append run.isospan 'new_*.vti' --times 10:0.5"
+    after_help = "Examples:\n  isospan append run.isospan step_0101.vti\n  isospan append run.isospan 'new_*.vti' --times 10,10.5,..."
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive, a folder on this machine.
     pub(crate) archive: PathBuf,
     #[command(flatten)]
     pub(crate) steps: StepInputs,
     /// A value that means "no data here" [default: that of the archive's last step].
-    #[arg(help_heading = "Values", long, value_name = "VALUE", allow_negative_numbers = true)]
+    #[arg(help_heading = "Values", long, value_name = "VALUE", allow_negative_numbers = true, value_parser = grammar::number)]
     missing: Option<f64>,
     /// Store every N-th step without reference to the step before [default: as for the archive's
     /// last step].
-    #[arg(help_heading = "Series", long, value_name = "N")]
+    #[arg(help_heading = "Series", long, value_name = "N", value_parser = grammar::natural)]
     keyframes: Option<u64>,
     /// Skip the measurement of the error at the samples of the source.
     #[arg(help_heading = "Error and size", long)]
@@ -70,5 +71,5 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let bar = talk.progress();
     let report = append(&steps, &settings, &args.archive, &run, &*bar);
     bar.end();
-    super::reduce::tell(&args.archive, &report?, args.json, talk)
+    super::reduce::tell("append", &args.archive, &report?, args.json, talk)
 }

@@ -1,16 +1,17 @@
 //! `isospan brick`: a bricked, mapped copy of a volume.
 
+use super::grammar;
 use super::input::InputArgs;
-use super::output::expect_no_input;
+use super::output::{Force, exists, expect_no_input};
 use super::progress::Talk;
 use super::text;
 use isospan::volume::bricked::BrickedVolume;
 use isospan::{Error, Result, formats};
 use std::path::PathBuf;
 
-/// Copy a volume into bricks that are mapped instead of read, for a compressed or slow input that
-/// is used often.
+/// Copy a volume into bricks that are mapped instead of read.
 ///
+/// That is for a compressed or slow input that is used often.
 /// If the output is already the copy of this input, the command says so and ends.
 #[derive(clap::Args, Debug)]
 #[command(
@@ -23,11 +24,10 @@ pub(crate) struct Args {
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     /// Memory for the slices that are being copied.
-    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = text::parse_bytes, default_value = "256MiB")]
+    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory, default_value = "256MiB")]
     memory: u64,
-    /// Replace an existing file.
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    force: Force,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
@@ -46,12 +46,11 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     expect_no_input(&args.output, source.info().files().iter().chain([&args.input]))?;
     talk.detail(&args.read.io_text(&args.input));
     let (bar, cancel) = (talk.progress(), super::signals::cancel_token());
-    let made_before = args.output.exists() && !args.force;
+    let made_before = args.output.exists() && !args.force.is_given();
     if !made_before {
         isospan::pipeline::brick(source, &args.output, args.memory, &cancel, &*bar)?;
     } else if !isospan::pipeline::is_bricked(source, &args.output, &cancel, &*bar)? {
-        let text = format!("{} exists; choose another name, or --force to replace it", args.output.display());
-        return Err(Error::usage(text));
+        return Err(exists(&args.output));
     }
     bar.end();
     let bricks = BrickedVolume::open(&args.output)?;
@@ -60,6 +59,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         std::fs::metadata(&args.output).map_err(|e| Error::io("read the size of", &args.output, e))?.len();
     if args.json {
         return super::print_json(
+            "brick",
             &serde_json::json!({ "file": args.output, "bytes": bytes, "dims": info.dims, "made_before": made_before }),
         );
     }

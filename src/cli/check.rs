@@ -1,5 +1,6 @@
 //! `isospan check`: is an archive whole, is a surface sound?
 
+use super::grammar;
 use super::progress::Talk;
 use super::text;
 use isospan::formats::surface::load_surface;
@@ -9,14 +10,17 @@ use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Check an archive (every checksum and structural invariant) or a surface (manifold, boundary,
-/// orientation, Euler number).
+/// Check an archive or a surface.
+///
+/// Of an archive every checksum and structural invariant is verified. A surface should be an
+/// oriented manifold; boundary, Euler number, area and volume are told.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan check scan.isospan\n  isospan check bone.ply --within scan.isospan"
 )]
 pub(crate) struct Args {
-    /// An archive, or a surface file: .ply .stl .obj .vtp .glb.
+    /// An archive, also by address (s3://... or https://...), or a surface file: .ply .stl .obj
+    /// .vtp .glb.
     input: PathBuf,
     /// For a surface: also check that boundary edges lie on the boundary of this archive's domain,
     /// or where it has no data.
@@ -24,7 +28,7 @@ pub(crate) struct Args {
     within: Option<PathBuf>,
     /// For a surface: limit of memory, 4GiB, 500MB or 50% [default: half of what the process may
     /// use].
-    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory)]
     memory: Option<u64>,
     /// For a surface: folder for what does not fit in memory [default: the system's temporary
     /// folder].
@@ -47,7 +51,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         }
         let report = Archive::open(&args.input)?.check_until(&super::signals::cancel_token())?;
         return if args.json {
-            super::print_json(&report)
+            super::print_json("check.archive", &report)
         } else {
             super::print(&archive_text(&args.input, &report))
         };
@@ -85,7 +89,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             value["boundary_edges_outside"] = open.outside.into();
             value["boundary_edges_at_missing"] = open.at_missing.into();
         }
-        super::print_json(&value)?;
+        super::print_json("check.surface", &value)?;
     } else {
         super::print(&surface_text(&args.input, &report, open))?;
     }
@@ -136,7 +140,7 @@ fn surface_text(path: &Path, r: &SurfaceReport, open: Option<OpenEdges>) -> Stri
     row("Euler number", r.euler.to_string());
     row(
         "boundary edges",
-        format!("{} in {} loops", text::count(r.boundary_edges), text::count(r.boundary_loops)),
+        format!("{} in {}", text::count(r.boundary_edges), text::plural(r.boundary_loops, "loop")),
     );
     if let Some(open) = open {
         row("  inside the domain", text::count(open.outside));
@@ -148,10 +152,13 @@ fn surface_text(path: &Path, r: &SurfaceReport, open: Option<OpenEdges>) -> Stri
     row("non-manifold vertices", text::count(r.non_manifold_vertices));
     row("misoriented edges", text::count(r.misoriented_edges));
     row("degenerate triangles", text::count(r.degenerate_triangles + r.zero_area_triangles));
-    row("area", r.area.to_string());
+    row("area", format!("{} square world units", text::number(r.area)));
     row(
         "enclosed volume",
-        r.volume.map_or_else(|| "none: the surface is not closed".into(), |v| v.to_string()),
+        r.volume.map_or_else(
+            || "none: the surface is not closed".into(),
+            |v| format!("{} cubic world units", text::number(v)),
+        ),
     );
     out
 }

@@ -1,8 +1,10 @@
 //! What a user chooses of a reduction: everything that decides the archive's bytes, besides the input.
 
-use super::text;
+use super::grammar::{self, Range, Size};
 use clap::ValueEnum;
-use isospan::pipeline::{Adapt, Amount, Bound, NanPolicy, ReduceSettings, Target, ValueBits};
+use isospan::cells::scan::scan_field;
+use isospan::formats::{Input, StepSource, is_mesh};
+use isospan::pipeline::{self, Adapt, Amount, Bound, NanPolicy, ReduceSettings, Target, ValueBits};
 use isospan::points::{SetKind, SetSettings};
 use isospan::sample::{Interpolation, Values};
 use isospan::{Error, Result};
@@ -17,11 +19,11 @@ pub(crate) struct Choices {
     /// For a mesh, a fraction of its vertices, boundary included. With 1, a mesh is stored
     /// unchanged, with its own vertices and tetrahedra and no error; --points, --interp and --adapt
     /// must not be given then.
-    #[arg(help_heading = "Points", long, value_name = "FRACTION", value_parser = text::parse_fraction, conflicts_with = "count")]
+    #[arg(help_heading = "Points", long, value_name = "FRACTION", value_parser = grammar::share, conflicts_with = "count")]
     fraction: Option<f64>,
     /// Number of points. For a volume, samples of its boundary come on top. With as many as a mesh
     /// has vertices, or more, the mesh is stored unchanged, as with --fraction 1.
-    #[arg(help_heading = "Points", long, value_name = "N")]
+    #[arg(help_heading = "Points", long, value_name = "N", value_parser = grammar::natural)]
     count: Option<u64>,
     /// Place more points where the field needs them and fewer elsewhere; the total stays the same.
     /// The input is read once more for that: up to eight steps of a series of volumes, the first
@@ -29,39 +31,36 @@ pub(crate) struct Choices {
     #[arg(help_heading = "Points", long)]
     adapt: bool,
     /// With --adapt or a target: the range of values that matters. Errors outside LO to HI are
-    /// ignored.
-    #[arg(help_heading = "Points", long, value_name = "LO:HI", value_parser = parse_focus, allow_hyphen_values = true)]
-    focus: Option<[f64; 2]>,
+    /// ignored. 100% is the range of the values of the first step, which is read once more for it.
+    #[arg(help_heading = "Points", long, value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true)]
+    focus: Option<Range>,
     /// Use the fewest points with which the RMS error at all samples is at most E, in units of the
     /// field or as N% of its range. This takes several tries. The points are a lattice, and the
     /// number of bits per value is chosen too, unless --points, --adapt or --value-bits is given.
     /// Meshes and --focus imply --adapt.
-    #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure"])]
+    #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = grammar::error, conflicts_with_all = ["fraction", "count", "no_measure"])]
     target_rms: Option<Bound>,
     /// As --target-rms, for the largest error at a sample, or at a vertex of a mesh.
-    #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = parse_bound, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms"])]
+    #[arg(help_heading = "Error and size", long, value_name = "E", value_parser = grammar::error, conflicts_with_all = ["fraction", "count", "no_measure", "target_rms"])]
     target_max: Option<Bound>,
-    /// Find the least error in an archive of at most this size, as in 50MiB. This takes several
-    /// tries. Points and bits are chosen as for --target-rms.
-    #[arg(help_heading = "Error and size", long, value_name = "BYTES", value_parser = text::parse_bytes, conflicts_with_all = ["fraction", "count", "target_rms", "target_max"])]
-    size: Option<u64>,
-    /// As --size, for 1/N of the bytes of the source: of its files or of its samples, whichever are
-    /// fewer.
-    #[arg(help_heading = "Error and size", long, value_name = "N", conflicts_with_all = ["fraction", "count", "target_rms", "target_max", "size"])]
-    ratio: Option<f64>,
+    /// Find the least error in an archive of at most this size: 50MiB, or 5% or 1/20 of the bytes
+    /// of the source, which are those of its files or of its samples, whichever are fewer. This
+    /// takes several tries. Points and bits are chosen as for --target-rms.
+    #[arg(help_heading = "Error and size", long, value_name = "SIZE", value_parser = grammar::size, conflicts_with_all = ["fraction", "count", "target_rms", "target_max"])]
+    size: Option<Size>,
     /// Hammersley: the shift t in (k + t)/n; 0 gives the classical set [default: 0.5].
-    #[arg(help_heading = "Points", long, value_name = "T")]
+    #[arg(help_heading = "Points", long, value_name = "T", value_parser = grammar::number)]
     shift: Option<f64>,
     /// Hyperbolic cross: the level m [default: the one whose size is nearest to the count]. Needs
     /// --cross-k.
-    #[arg(help_heading = "Points", long, value_name = "M", conflicts_with_all = ["fraction", "count", "size", "ratio"], requires = "cross_k")]
+    #[arg(help_heading = "Points", long, value_name = "M", value_parser = grammar::whole::<u32>, conflicts_with_all = ["fraction", "count", "size"], requires = "cross_k")]
     cross_m: Option<u32>,
     /// Hyperbolic cross: log2 of the number of cells of the coarsest grid, 2 to 5 [default: the one
     /// that brings the size nearest to the count].
-    #[arg(help_heading = "Points", long, value_name = "K", value_parser = clap::value_parser!(u32).range(2..=5))]
+    #[arg(help_heading = "Points", long, value_name = "K", value_parser = grammar::whole_in(2..=5u32))]
     cross_k: Option<u32>,
     /// Hyperbolic cross: regularity of the field along x, y and z [default: 1,1,1].
-    #[arg(help_heading = "Points", long, value_name = "X,Y,Z", value_parser = parse_regularity)]
+    #[arg(help_heading = "Points", long, value_name = "X,Y,Z", value_parser = grammar::whole_triple::<u32>)]
     cross_r: Option<[u32; 3]>,
     /// How values are interpolated between samples.
     #[arg(help_heading = "Values", long, value_enum, default_value_t = Interp::Linear)]
@@ -74,21 +73,21 @@ pub(crate) struct Choices {
     values: Option<Vertex>,
     /// What to do with samples that are NaN, infinite or missing: "error", "mask" (leave a hole),
     /// or a value to use instead.
-    #[arg(help_heading = "Values", long, value_name = "error|mask|VALUE", default_value = "error", value_parser = parse_nan, allow_negative_numbers = true)]
+    #[arg(help_heading = "Values", long, value_name = "error|mask|VALUE", default_value = "error", value_parser = grammar::nan, allow_negative_numbers = true)]
     nan: NanPolicy,
     /// A value that means "no data here".
-    #[arg(help_heading = "Values", long, value_name = "VALUE", allow_negative_numbers = true)]
+    #[arg(help_heading = "Values", long, value_name = "VALUE", allow_negative_numbers = true, value_parser = grammar::number)]
     missing: Option<f64>,
     /// Store every N-th step without reference to the step before.
-    #[arg(help_heading = "Series", long, value_name = "N", default_value_t = ReduceSettings::KEYFRAMES)]
+    #[arg(help_heading = "Series", long, value_name = "N", default_value_t = ReduceSettings::KEYFRAMES, value_parser = grammar::natural)]
     keyframes: u64,
     /// Number of points that are meshed together. Changes the layout of the archive, not its mesh.
-    #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = ReduceSettings::CHUNK_POINTS)]
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = ReduceSettings::CHUNK_POINTS, value_parser = grammar::natural)]
     chunk_points: u64,
     /// Round values to N bits (4 to 24) of the range of the source, or "exact". Rounding reads the
     /// source once more; its largest error is reported and stored. [default: 8 bits of the range of
     /// 99.8 % of the samples for the lattice of a volume, unless --interp is nearest; else exact]
-    #[arg(help_heading = "Values", long, value_name = "N|exact", value_parser = parse_bits)]
+    #[arg(help_heading = "Values", long, value_name = "N|exact", value_parser = grammar::bits)]
     value_bits: Option<ValueBits>,
     /// Skip the measurement of the error at the samples of the source.
     #[arg(help_heading = "Error and size", long)]
@@ -122,39 +121,6 @@ enum Vertex {
     Fit,
 }
 
-fn parse_nan(text: &str) -> std::result::Result<NanPolicy, String> {
-    NanPolicy::parse(text).ok_or_else(|| format!("'{text}' is none of error, mask, or a finite number"))
-}
-
-fn parse_bits(text: &str) -> std::result::Result<ValueBits, String> {
-    match text {
-        "exact" => Ok(ValueBits::Exact),
-        _ => text
-            .parse()
-            .map(ValueBits::Bits)
-            .map_err(|_| format!("'{text}' is neither exact nor a number of bits")),
-    }
-}
-
-fn parse_regularity(text: &str) -> std::result::Result<[u32; 3], String> {
-    text::parse_triple(text, "a regularity")
-}
-
-fn parse_bound(text: &str) -> std::result::Result<Bound, String> {
-    let number = |s: &str| s.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
-    let bound = match text.strip_suffix('%') {
-        Some(percent) => number(percent).map(|p| Bound::OfRange(p / 100.0)),
-        None => number(text).map(Bound::Value),
-    };
-    bound.ok_or_else(|| format!("'{text}' is no error; write a number above 0, as in 2.5 or 1%"))
-}
-
-fn parse_focus(text: &str) -> std::result::Result<[f64; 2], String> {
-    let numbers =
-        text.split_once(':').and_then(|(lo, hi)| Some([lo.trim().parse().ok()?, hi.trim().parse().ok()?]));
-    numbers.ok_or_else(|| format!("'{text}' is no range; write LO:HI, as in 300:900"))
-}
-
 impl Interp {
     fn interpolation(self) -> Interpolation {
         match self {
@@ -172,10 +138,15 @@ impl Choices {
     /// The settings that the flags say.
     ///
     /// # Errors
-    /// When flags do not go together.
-    pub(crate) fn settings(&self, of_mesh: bool) -> Result<ReduceSettings> {
+    /// When flags do not go together; those of reading the first step, whose range a `--focus` in %
+    /// is of.
+    pub(crate) fn settings(&self, first: &StepSource) -> Result<ReduceSettings> {
+        let of_mesh = !first.is_given() && is_mesh(&first.path, &first.options)?;
         let error = self.target_rms.map(Target::Rms).or(self.target_max.map(Target::Max));
-        let size = self.size.map(Target::Size).or(self.ratio.map(Target::Ratio));
+        let size = self.size.map(|size| match size {
+            Size::Bytes(bytes) => Target::Size(bytes),
+            Size::OfSource(share) => Target::Ratio(1.0 / share),
+        });
         // Where no set is named, a target is met by a lattice, which takes the fewest bytes, and of a mesh by points that adapt.
         let adapts = of_mesh || self.focus.is_some() || self.points == Some(Set::Halton);
         let is_open = matches!(self.points, None | Some(Set::Halton));
@@ -217,7 +188,7 @@ impl Choices {
                 r: self.cross_r.unwrap_or([1; 3]),
             },
             amount,
-            adapt: adapt.then_some(Adapt { focus: self.focus }),
+            adapt: if adapt { Some(Adapt { focus: self.focus(first)? }) } else { None },
             target: error.or(size),
             interpolation,
             values: match self.values {
@@ -232,5 +203,29 @@ impl Choices {
             measure: !self.no_measure,
             keyframes: self.keyframes,
         })
+    }
+
+    /// The range that matters; of a percentage, of the values of a step.
+    fn focus(&self, first: &StepSource) -> Result<Option<[f64; 2]>> {
+        let Some(focus) = self.focus else { return Ok(None) };
+        if !focus.is_of_a_range() {
+            return focus.of(None).map(Some);
+        }
+        if self.missing.is_some() {
+            return Err(Error::usage("a --focus in % does not go with --missing: give the values"));
+        }
+        let range = match first.open()? {
+            Input::Volume(volume) => {
+                let (_, found) = pipeline::scan(volume)?;
+                found.min.zip(found.max)
+            }
+            Input::Mesh(mesh) => {
+                let chosen = mesh.field()?;
+                let field = mesh.info().fields.iter().position(|f| f.name == chosen.name).unwrap_or(0);
+                let found = scan_field(&mesh, field)?;
+                found.min.zip(found.max)
+            }
+        };
+        focus.of(range.map(|(lo, hi)| [lo, hi])).map(Some)
     }
 }

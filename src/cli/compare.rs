@@ -1,5 +1,6 @@
 //! `isospan compare`: how far are two surfaces apart?
 
+use super::grammar;
 use super::machine::Machine;
 use super::progress::Talk;
 use super::text;
@@ -10,8 +11,9 @@ use isospan::surface::check::{CheckSettings, SurfaceReport};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Compare two surfaces: distances, deviation of normals, area, volume, Euler number, components.
+/// Compare two surfaces.
 ///
+/// That is distances, deviation of normals, area, volume, Euler number, components.
 /// Both surfaces are sampled evenly by area, always at the same points, and nearest points are
 /// exact. The largest distance also takes all vertices into account.
 #[derive(clap::Args, Debug)]
@@ -24,7 +26,7 @@ pub(crate) struct Args {
     /// The other surface.
     b: PathBuf,
     /// Number of samples on each surface.
-    #[arg(long, value_name = "N", default_value_t = 200_000)]
+    #[arg(long, value_name = "N", default_value = "200000", value_parser = grammar::natural)]
     samples: u64,
     #[command(flatten)]
     machine: Machine,
@@ -45,7 +47,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let check = CheckSettings { memory: settings.resources.memory, scratch };
     let (a, b) = (load_surface(&args.a, &check)?, load_surface(&args.b, &check)?);
     let report = compare(&a, &b, &settings)?;
-    if args.json { super::print_json(&report) } else { super::print(&in_words(args, &report)) }
+    if args.json { super::print_json("compare", &report) } else { super::print(&in_words(args, &report)) }
 }
 
 fn value(v: f64) -> String {
@@ -74,7 +76,7 @@ fn in_words(args: &Args, r: &CompareReport) -> String {
     let percent = 100.0 * r.hausdorff / r.diagonal;
     let _ = writeln!(
         out,
-        "  the largest distance is {} % of the diagonal {}; {} samples each",
+        "  in world units; the largest distance is {} % of the diagonal {}; {} samples each",
         value(percent),
         value(r.diagonal),
         text::count(r.samples)

@@ -1,13 +1,15 @@
 //! `isospan count`: how large would the surface be?
 
+use super::grammar::{self, Value};
 use super::step::StepArgs;
 use super::text;
 use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Count the tetrahedra that isosurfaces cross, exactly, without extracting the surfaces.
+/// Count the tetrahedra that isosurfaces cross.
 ///
+/// The numbers are exact, and the surfaces are not extracted.
 /// Isovalues with few digits are looked up in the archive's spectrum, which takes a few kilobytes
 /// of reading; the JSON output has the number of bytes.
 #[derive(clap::Args, Debug)]
@@ -15,18 +17,20 @@ use std::path::PathBuf;
     after_help = "Examples:\n  isospan count scan.isospan --isovalue 600\n  isospan count scan.isospan -i 300,600,900 --json"
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
-    /// One isovalue, or several: 300,600.
+    /// One isovalue, or several: 300,600. 50% is half-way from the least value of the step to its
+    /// largest.
     #[arg(
         long,
         short = 'i',
         value_name = "VALUE",
         required = true,
         value_delimiter = ',',
-        allow_hyphen_values = true
+        allow_hyphen_values = true,
+        value_parser = grammar::value
     )]
-    isovalue: Vec<f64>,
+    isovalue: Vec<Value>,
     #[command(flatten)]
     step: StepArgs,
     /// Print the result as JSON, one object per line.
@@ -36,10 +40,11 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let step = Archive::open(&args.archive)?.at(args.step.choice())?;
-    args.isovalue.iter().try_for_each(|&isovalue| {
+    args.isovalue.iter().try_for_each(|isovalue| {
+        let isovalue = isovalue.of(step.value_range())?;
         let report = step.count(isovalue)?;
         if args.json {
-            return super::print_json(&report);
+            return super::print_json("count", &report);
         }
         let mut out = String::new();
         let _ = writeln!(

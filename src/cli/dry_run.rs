@@ -10,7 +10,7 @@ use std::time::Duration;
 /// Prints an estimate; an error when the run would be refused.
 pub(super) fn tell(estimate: &Estimate, output: &Path, json: bool) -> Result<()> {
     if json {
-        super::print_json(estimate)?;
+        super::print_json("estimate", estimate)?;
     } else {
         super::print(&in_words(estimate, output))?;
     }
@@ -24,7 +24,7 @@ fn in_words(e: &Estimate, output: &Path) -> String {
     };
     let free = |bytes: Option<u64>| bytes.map_or("unknown".to_owned(), text::bytes);
     row("samples", text::count(e.samples));
-    row("points", format!("{} in {} chunks", text::count(e.points), text::count(e.chunks)));
+    row("points", format!("{} in {}", text::count(e.points), text::plural(e.chunks, "chunk")));
     row(
         "memory",
         format!(
@@ -32,7 +32,7 @@ fn in_words(e: &Estimate, output: &Path) -> String {
             text::bytes(e.memory),
             text::bytes(e.memory_least),
             text::bytes(e.memory_comfortable),
-            if e.workers == 1 { "1 chunk".to_owned() } else { format!("{} chunks", e.workers) }
+            text::plural(e.workers as u64, "chunk")
         ),
     );
     row("archive", format!("up to {} ({} free)", text::bytes(e.archive_bytes), free(e.archive_free)));
@@ -43,6 +43,6 @@ fn in_words(e: &Estimate, output: &Path) -> String {
     if let Some(lost) = e.rounding {
         row("rounded", text::rounding_words(lost));
     }
-    row("time", format!("roughly {}", text::duration(Duration::from_secs(e.seconds.ceil() as u64))));
+    row("time", format!("roughly {}", text::rough_duration(Duration::from_secs(e.seconds.ceil() as u64))));
     out
 }

@@ -1,16 +1,16 @@
 //! `isospan gc`: what killed workers have left.
 
-use super::text;
+use super::{grammar, text};
 use isospan::Result;
 use isospan::pipeline::collect_garbage;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Remove temporary files that killed workers have left in an archive.
+/// Remove what killed workers have left in an archive.
 ///
-/// Removes files that were not written to for the given time and that no process holds. A worker
-/// writes after each chunk, so an hour is long. Segments are never removed, and nothing is removed
-/// in a folder that is no archive.
+/// Removes temporary files that were not written to for the given time and that no process holds. A
+/// worker writes after each chunk, so an hour is long. Segments are never removed, and nothing is
+/// removed in a folder that is no archive.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan gc scan.isospan --older-than 1d\n  isospan gc scan.isospan --older-than 12h --dry-run"
@@ -19,7 +19,7 @@ pub(crate) struct Args {
     /// The archive, finished or not.
     archive: PathBuf,
     /// Remove files at least this old: 2d, 12h, 30m, 90s.
-    #[arg(long, value_name = "AGE", value_parser = text::parse_duration)]
+    #[arg(long, value_name = "AGE", value_parser = grammar::span)]
     older_than: Duration,
     /// Only print what would be removed.
     #[arg(long)]
@@ -32,11 +32,14 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args) -> Result<()> {
     let report = collect_garbage(&args.archive, args.older_than, args.dry_run)?;
     if args.json {
-        return super::print_json(&report);
+        return super::print_json("gc", &report);
     }
     let mut out: String = report.files.iter().map(|f| format!("{}\n", f.display())).collect();
     let verb = if args.dry_run { "would be removed" } else { "removed" };
-    out +=
-        &format!("{} files, {} {verb}\n", text::count(report.files.len() as u64), text::bytes(report.bytes));
+    out += &format!(
+        "{}, {} {verb}\n",
+        text::plural(report.files.len() as u64, "file"),
+        text::bytes(report.bytes)
+    );
     super::print(&out)
 }

@@ -6,18 +6,20 @@ use super::step::StepArgs;
 use super::text;
 use isospan::formats::{OpenOptions, StepSource};
 use isospan::pipeline::{self, ArchiveSummary, Scan};
+use isospan::points::PointSpec;
 use isospan::sample::Values;
-use isospan::volume::VolumeInfo;
+use isospan::volume::{ScalarType, VolumeInfo};
 use isospan::{Archive, Error, Result, formats};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Show what volumes, meshes and archives hold: dimensions, type, fields, geometry, range,
-/// histogram, error, suggested isovalues.
+/// Show what volumes, meshes and archives hold.
+///
+/// That is dimensions, type, fields, geometry, range, histogram, error, suggested isovalues.
 #[derive(clap::Args, Debug)]
 #[command(after_help = "Examples:\n  isospan info scan.nrrd\n  isospan info scan.isospan --json")]
 pub(crate) struct Args {
-    /// Volumes, meshes or archives.
+    /// Volumes, meshes or archives, these also by address: s3://... or https://...
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// Read the header only: no range, no histogram.
@@ -40,7 +42,7 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
     if pipeline::is_archive(path) {
         let summary = Archive::open(path)?.at(args.step.choice())?.info()?;
         return if args.json {
-            super::print_json(&summary)
+            super::print_json("info.archive", &summary)
         } else {
             super::print(&archive_text(path, &summary))
         };
@@ -67,20 +69,20 @@ fn one(path: &Path, args: &Args, talk: &Talk) -> Result<()> {
         if let Some([lo, hi]) = scan.as_ref().and_then(|s| stored_range(&info, s)) {
             value["stored_range"] = serde_json::json!([lo, hi]);
         }
-        return super::print_json(&value);
+        return super::print_json("info.volume", &value);
     }
     let own = formats::open_coordinates(&info.path, &options)?.is_some();
-    let mut text = volume_text(&info, scan.as_ref(), own);
+    let mut out = volume_text(&info, scan.as_ref(), own);
     if let [first, .., last] = &steps[..] {
-        let _ = write!(text, "  steps      {}, of which this is the first", text::count(steps.len() as u64));
+        let _ = write!(out, "  steps      {}, of which this is the first", text::count(steps.len() as u64));
         let _ = match (first.time, last.time) {
-            (Some(lo), Some(hi)) => writeln!(text, "; times {lo} .. {hi}"),
-            _ => writeln!(text),
+            (Some(lo), Some(hi)) => writeln!(out, "; times {}", text::range([lo, hi])),
+            _ => writeln!(out),
         };
     } else if several {
-        let _ = writeln!(text, "  next       --field NAME chooses another field than this, the first");
+        let _ = writeln!(out, "  next       --field NAME chooses another field than this, the first");
     }
-    super::print(&text)
+    super::print(&out)
 }
 
 /// What is shown of an input.
@@ -132,7 +134,8 @@ fn volume_text(info: &VolumeInfo, scan: Option<&Scan>, own: bool) -> String {
         let _ = writeln!(out, "  direction  {}", g.direction.map(triple).join("  |  "));
     }
     if (info.slope, info.intercept) != (1.0, 0.0) {
-        let _ = writeln!(out, "  scaled     value = {} * stored + {}", info.slope, info.intercept);
+        let [slope, intercept] = [info.slope, info.intercept].map(text::number);
+        let _ = writeln!(out, "  scaled     value = {slope} * stored + {intercept}");
     }
     if let Some(scan) = scan {
         scan_text(&mut out, info, scan);
@@ -143,16 +146,15 @@ fn volume_text(info: &VolumeInfo, scan: Option<&Scan>, own: bool) -> String {
 fn scan_text(out: &mut String, info: &VolumeInfo, scan: &Scan) {
     match (scan.min, scan.max, scan.mean) {
         (Some(lo), Some(hi), Some(mean)) => {
-            let (lo, hi) = (text::value(lo), text::value(hi));
-            let mean = text::value((mean * 1e6).round() / 1e6);
-            let _ = writeln!(out, "  range      {lo} .. {hi}  (mean {mean})");
+            let (range, mean) = (text::range([lo, hi]), text::in_range(mean, [lo, hi]));
+            let _ = writeln!(out, "  range      {range}  (mean {mean})");
         }
         _ => {
             let _ = writeln!(out, "  range      none: there is no finite sample");
         }
     }
-    if let Some([lo, hi]) = stored_range(info, scan) {
-        let _ = writeln!(out, "  stored     {lo} .. {hi}");
+    if let Some(stored) = stored_range(info, scan) {
+        let _ = writeln!(out, "  stored     {}", text::range(stored));
     }
     if scan.nan > 0 || scan.infinite > 0 {
         let _ = writeln!(
@@ -174,7 +176,7 @@ fn stored_range(info: &VolumeInfo, scan: &Scan) -> Option<[f64; 2]> {
     let back = |v: f64| {
         let stored = (v - info.intercept) / info.slope;
         // Values were rounded to f32: integers come back to the nearest one.
-        let float = matches!(info.field.scalar.name(), "f32" | "f64");
+        let float = matches!(info.field.scalar, ScalarType::F32 | ScalarType::F64);
         if float { stored } else { stored.round() }
     };
     if (info.slope, info.intercept) == (1.0, 0.0) {
@@ -193,7 +195,7 @@ fn field_text(f: &isospan::volume::FieldInfo) -> String {
 }
 
 fn triple(v: [f64; 3]) -> String {
-    format!("{} {} {}", v[0], v[1], v[2])
+    v.map(text::number).join(" ")
 }
 
 /// Heights by a root of the share of the largest, so that small bins show beside a large background.
@@ -241,12 +243,7 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     );
     // Steps of a mesh may have holes of their own.
     let outside = if s.mesh.is_some() && s.steps.len() == 1 { s.void_points } else { 0 };
-    let _ = writeln!(
-        out,
-        "  points      {} ({})",
-        text::count(s.points - outside),
-        serde_json::json!(s.point_set)
-    );
+    let _ = writeln!(out, "  points      {} ({})", text::count(s.points - outside), point_set(&s.point_set));
     let all: u64 = s.levels.iter().map(|l| l.voxels).sum();
     for (n, level) in s.levels.iter().enumerate() {
         let _ = writeln!(
@@ -265,10 +262,10 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     }
     let _ = writeln!(
         out,
-        "  tetrahedra  {} in {} blocks, {} chunks",
+        "  tetrahedra  {} in {}, {}",
         text::count(s.tetrahedra),
-        text::count(s.blocks),
-        text::count(s.chunks)
+        text::plural(s.blocks, "block"),
+        text::plural(s.chunks, "chunk")
     );
     if let Some(cells) = s.grid_cells {
         let _ = writeln!(out, "{}", text::grid_cells(&cells));
@@ -285,38 +282,57 @@ fn archive_text(path: &Path, s: &ArchiveSummary) -> String {
     let fitted = if s.values == Values::Fit { ", fitted to the samples" } else { "" };
     let _ = writeln!(out, "  interp      {}{fitted}", s.interpolation);
     if let Some(q) = &s.quantiser {
-        let _ = writeln!(out, "  values      {} bits, within {:.3e}", q.bits, q.bound);
+        let bound = text::value(text::figures(q.bound, 4));
+        let _ = writeln!(out, "  values      {} bits, within {bound}", q.bits);
     }
-    if let Some([lo, hi]) = s.range {
-        let _ = writeln!(out, "  range       {lo} .. {hi}");
+    if let Some(range) = s.range {
+        let _ = writeln!(out, "  range       {}", text::range(range));
     }
     out += &text::rounding(s.rounding);
     if !s.areas.is_empty() {
         let _ = writeln!(out, "  area        {}", area_line(&s.areas));
     }
     if !s.suggestions.is_empty() {
-        let values: Vec<String> = s.suggestions.iter().map(|s| s.isovalue.to_string()).collect();
-        let _ = writeln!(
-            out,
-            "  isovalues   {} are worth a look (isospan spectrum says more)",
-            values.join(", ")
-        );
+        let told = |v: f64| s.range.map_or_else(|| text::number(v), |range| text::in_range(v, range));
+        let values: Vec<String> = s.suggestions.iter().map(|s| told(s.isovalue)).collect();
+        let _ =
+            writeln!(out, "  isovalues   worth a look: {} (isospan spectrum says more)", values.join(", "));
     }
     if let Some(error) = &s.error {
         let _ = writeln!(out, "{}", super::measure::line(error));
     }
     if s.void_points > 0 {
-        let _ = writeln!(out, "  void        {} points", text::count(s.void_points));
+        let all =
+            if s.steps.len() > 1 { " without a value, of all steps together" } else { " without a value" };
+        let _ = writeln!(out, "  void        {}{all}", text::plural(s.void_points, "point"));
     }
     out += &steps_text(s);
     let each = s.bytes as f64 / s.points.max(1) as f64;
     let unpacked: Vec<u64> = s.steps.iter().filter_map(|s| s.unpacked_bytes).collect();
     if !unpacked.is_empty() {
         let (steps, bytes) = (text::count(unpacked.len() as u64), text::bytes(unpacked.iter().sum()));
-        let _ = writeln!(out, "  unpacked    {steps} of {} steps, {bytes} besides", s.steps.len());
+        let all = text::plural(s.steps.len() as u64, "step");
+        let _ = writeln!(out, "  unpacked    {steps} of {all}, {bytes} besides");
     }
     let _ = writeln!(out, "  size        {} ({each:.2} bytes a point)", text::bytes(s.bytes));
     out
+}
+
+/// A point set, in words.
+fn point_set(set: &PointSpec) -> String {
+    let by = |n: [u64; 3]| n.map(|n| n.to_string()).join(" x ");
+    match *set {
+        PointSpec::Hammersley { n, shift } => {
+            format!("hammersley, {} inside, shift {}", text::count(n), text::number(shift))
+        }
+        PointSpec::Halton { n } => format!("halton, {} inside", text::count(n)),
+        PointSpec::HyperbolicCross { m, k, r: [x, y, z] } => {
+            format!("hyperbolic-cross, m {m}, k {k}, r {x},{y},{z}")
+        }
+        PointSpec::Regular { counts } => format!("regular, {}", by(counts)),
+        PointSpec::Bcc { cells } => format!("lattice, {} cells", by(cells.map(u64::from))),
+        PointSpec::Own { .. } => "the mesh's own vertices".into(),
+    }
 }
 
 /// The steps: of a series, a line each.
@@ -331,8 +347,8 @@ fn steps_text(s: &ArchiveSummary) -> String {
         "step", "time", "range", "RMS error", "values", "index"
     );
     for step in &s.steps {
-        let time = step.time.map_or("-".into(), |t| t.to_string());
-        let range = step.range.map_or("none".into(), |[lo, hi]| format!("{lo} .. {hi}"));
+        let time = step.time.map_or("-".into(), text::number);
+        let range = step.range.map_or("none".into(), text::range);
         let error = step.error.map_or("-".into(), |[rms, _]| text::value(text::figures(rms, 4)));
         let [values, index] = [step.value_bytes, step.index_bytes].map(text::bytes);
         let asked = if step.number == s.step { '>' } else { ' ' };

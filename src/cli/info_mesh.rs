@@ -27,10 +27,13 @@ pub(super) fn run(mesh: &CellMesh, read: bool, json: bool, talk: &Talk) -> Resul
     };
     talk.notices(&notices);
     if json {
-        return super::print_json(&serde_json::json!({
-            "kind": "mesh", "info": info, "field": chosen, "scan": found, "notices": notices,
-            "field_scans": ranges.iter().map(|r| r.as_ref().map(range_json)).collect::<Vec<_>>(),
-        }));
+        return super::print_json(
+            "info.mesh",
+            &serde_json::json!({
+                "kind": "mesh", "info": info, "field": chosen, "scan": found, "notices": notices,
+                "field_scans": ranges.iter().map(|r| r.as_ref().map(range_json)).collect::<Vec<_>>(),
+            }),
+        );
     }
     let mut out = String::new();
     let _ = writeln!(out, "{}: {}", info.path.display(), info.format);
@@ -75,11 +78,11 @@ fn scan_text(out: &mut String, found: &MeshScan) {
         let _ = write!(out, ", {} left out that name a vertex twice", text::count(found.collapsed));
     }
     if found.ghosts > 0 {
-        let _ = write!(out, ", {} cells left out as ghosts", text::count(found.ghosts));
+        let _ = write!(out, ", {} left out as ghosts", text::plural(found.ghosts, "cell"));
     }
     let _ = writeln!(out);
     if let Some([lo, hi]) = found.bounds {
-        let axis = |a: usize| format!("{} .. {}", lo[a], hi[a]);
+        let axis = |a: usize| text::range([lo[a], hi[a]]);
         let _ = writeln!(out, "  bounds     x {}, y {}, z {}", axis(0), axis(1), axis(2));
     }
 }
@@ -104,7 +107,7 @@ fn range_text(range: &Result<FieldScan>) -> String {
         Err(e) => return format!("  cannot be read: {e}"),
     };
     let mut out = match (range.min, range.max) {
-        (Some(lo), Some(hi)) => format!("  {} .. {}", text::value(lo), text::value(hi)),
+        (Some(lo), Some(hi)) => format!("  {}", text::range([lo, hi])),
         _ => "  no finite value".into(),
     };
     if range.nan > 0 || range.infinite > 0 {

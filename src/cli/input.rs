@@ -1,10 +1,10 @@
 //! The flags that say how a volume is read; shared by all commands that read one.
 
-use super::text::parse_triple;
+use super::grammar;
 use clap::ValueEnum;
 use isospan::bytes::{ByteSource, IoMode};
-use isospan::formats::{OpenOptions, raw::RawLayout};
-use isospan::volume::ScalarType;
+use isospan::formats::OpenOptions;
+use isospan::formats::raw::{RawLayout, SampleType};
 use isospan::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -24,19 +24,20 @@ pub(crate) struct InputArgs {
     #[arg(help_heading = "Input", long, value_name = "FILE")]
     value_file: Option<PathBuf>,
     /// Number of samples along x (fastest), y and z.
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_dims, requires = "scalar_type", help_heading = "Raw files")]
+    #[arg(long, value_name = "X,Y,Z", value_parser = grammar::whole_triple::<u64>, requires = "scalar_type", help_heading = "Raw files")]
     dims: Option<[u64; 3]>,
-    /// Type of a sample: u8 i8 u16 i16 u32 i32 u64 i64 f32 f64.
-    #[arg(long = "type", value_name = "TYPE", id = "scalar_type", value_parser = parse_type, requires = "dims", help_heading = "Raw files")]
-    scalar_type: Option<ScalarType>,
-    /// Byte order.
+    /// Type of a sample, as NumPy names it: uint8 int8 uint16 int16 uint32 int32 uint64 int64
+    /// float32 float64, or with the byte order in quotes, '<u2' or '>f4'.
+    #[arg(long = "type", value_name = "TYPE", id = "scalar_type", value_parser = grammar::sample_type, requires = "dims", help_heading = "Raw files")]
+    scalar_type: Option<SampleType>,
+    /// Byte order, where the type does not tell it [default: little].
     #[arg(long, value_enum, requires = "dims", help_heading = "Raw files")]
     endian: Option<Endian>,
     /// Bytes before the first sample.
-    #[arg(long, value_name = "BYTES", requires = "dims", help_heading = "Raw files")]
+    #[arg(long, value_name = "BYTES", value_parser = grammar::whole::<u64>, requires = "dims", help_heading = "Raw files")]
     offset: Option<u64>,
     /// Edge lengths of a voxel along x, y and z, in world units.
-    #[arg(long, value_name = "X,Y,Z", value_parser = parse_spacing, requires = "dims", help_heading = "Raw files")]
+    #[arg(long, value_name = "X,Y,Z", value_parser = grammar::triple, requires = "dims", help_heading = "Raw files")]
     spacing: Option<[f64; 3]>,
     /// How files are read. "auto" maps local files and reads files on network file systems. The
     /// result is the same.
@@ -61,21 +62,6 @@ impl Io {
     }
 }
 
-fn parse_dims(text: &str) -> std::result::Result<[u64; 3], String> {
-    parse_triple(text, "a size")
-}
-
-fn parse_spacing(text: &str) -> std::result::Result<[f64; 3], String> {
-    parse_triple(text, "a spacing")
-}
-
-fn parse_type(text: &str) -> std::result::Result<ScalarType, String> {
-    ScalarType::from_name(text).ok_or_else(|| {
-        let names: Vec<_> = ScalarType::ALL.iter().map(|t| t.name()).collect();
-        format!("the types are {}", names.join(" "))
-    })
-}
-
 impl InputArgs {
     /// "I/O: mapped" or "I/O: read", as far as the input is one file.
     pub(crate) fn io_text(&self, input: &Path) -> String {
@@ -86,12 +72,22 @@ impl InputArgs {
         }
     }
 
+    fn is_big_endian(&self, sample: SampleType) -> Result<bool> {
+        let told = self.endian.map(|endian| matches!(endian, Endian::Big));
+        match (told, sample.big_endian) {
+            (Some(a), Some(b)) if a != b => {
+                Err(Error::usage("--endian and --type tell different byte orders"))
+            }
+            _ => Ok(told.or(sample.big_endian).unwrap_or(false)),
+        }
+    }
+
     pub(crate) fn options(&self) -> Result<OpenOptions> {
         let raw = match (self.dims, self.scalar_type) {
-            (Some(dims), Some(scalar)) => Some(RawLayout {
+            (Some(dims), Some(sample)) => Some(RawLayout {
                 dims,
-                scalar,
-                big_endian: matches!(self.endian, Some(Endian::Big)),
+                scalar: sample.scalar,
+                big_endian: self.is_big_endian(sample)?,
                 offset: self.offset.unwrap_or(0),
                 spacing: self.spacing.unwrap_or([1.0; 3]),
             }),

@@ -1,6 +1,6 @@
 //! The flags that say how a run uses the machine; they change no byte of what it makes.
 
-use super::{progress::Talk, signals, text};
+use super::{grammar, progress::Talk, signals};
 use isospan::Resources;
 use isospan::exec::CancelToken;
 use isospan::pipeline::RunSettings;
@@ -10,11 +10,11 @@ use std::path::PathBuf;
 #[derive(clap::Args, Clone, Debug)]
 pub(crate) struct Machine {
     /// Threads; 0 means as many as the process may use.
-    #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = 0)]
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value = "0", value_parser = grammar::whole::<usize>)]
     pub(crate) threads: usize,
     /// Limit of memory: 4GiB, 500MB or 50% [default: half of what the process may use]. Pages of
     /// mapped files do not count.
-    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory)]
     memory: Option<u64>,
 }
 

@@ -1,8 +1,9 @@
 //! `isospan measure`: how far is the reduced field from its source?
 
+use super::grammar;
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
-use super::output::{expect_no_input, files_of};
+use super::output::{Force, files_of};
 use super::progress::Talk;
 use super::text;
 use isospan::Result;
@@ -11,9 +12,9 @@ use isospan::pipeline::{MeasureReport, MeasureSettings, measure};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Measure the error of an archive at every sample of its source volume, or vertex of its source
-/// mesh.
+/// Measure the error of an archive against its source.
 ///
+/// That is at every sample of a volume, or vertex of a mesh.
 /// An error is the reduced value less the original one. Percentiles are at most 1/32 too large; all
 /// other figures are exact. If f32 cannot hold the samples exactly (see `isospan info`), the
 /// figures include that loss and are upper bounds.
@@ -22,7 +23,7 @@ use std::path::{Path, PathBuf};
     after_help = "Examples:\n  isospan measure scan.isospan --against scan.nrrd\n  isospan measure scan.isospan --against scan.nrrd --map error.vti"
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
     /// The source volume or mesh.
     #[arg(long, value_name = "INPUT")]
@@ -32,12 +33,14 @@ pub(crate) struct Args {
     #[arg(long, value_name = "FILE")]
     map: Option<PathBuf>,
     /// Number of the time step [default: the first].
-    #[arg(help_heading = "Series", long, value_name = "N")]
+    #[arg(help_heading = "Series", long, value_name = "N", value_parser = grammar::whole::<u64>)]
     step: Option<u64>,
     #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
     scratch: InputScratch,
+    #[command(flatten)]
+    force: Force,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
@@ -52,7 +55,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         map: args.map.clone(),
     };
     if let Some(map) = &args.map {
-        expect_no_input(map, files_of(&args.against, &args.read.options()?).iter().chain([&args.archive]))?;
+        let inputs = files_of(&args.against, &args.read.options()?);
+        args.force.check(map, inputs.iter().chain([&args.archive]))?;
     }
     let bar = talk.progress();
     let report = measure(&args.archive, &args.against, &args.read.options()?, &settings, &*bar);
@@ -61,14 +65,23 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if !report.same_source {
         talk.note(&format!("{} is not the file that the archive was made from", args.against.display()));
     }
-    if args.json { super::print_json(&report) } else { super::print(&report_text(&args.archive, &report)) }
+    if args.json {
+        super::print_json("measure", &report)
+    } else {
+        super::print(&report_text(&args.archive, &report))
+    }
 }
 
 /// The figures as a line of a report on an archive.
 pub(crate) fn line(e: &FieldError) -> String {
-    let [rms, max] = [e.rms, e.max].map(|v| text::value(text::figures(v, 4)));
+    let told = |v: f64| text::value(text::figures(v, 4)) + &text::share_of(v, e.source_range);
+    let [rms, max] = [e.rms, e.max].map(told);
+    let of_range = if e.source_range.is_some() { "; % of the source's range" } else { "" };
     let beyond = beyond(e).map_or(String::new(), |line| format!("\n  outside     {line}"));
-    format!("  error       RMS {rms}, at most {max}, at {} samples{beyond}", text::count(e.measured))
+    format!(
+        "  error       RMS {rms}, at most {max}, at {} samples{of_range}{beyond}",
+        text::count(e.measured)
+    )
 }
 
 /// Of a mesh: how many of its vertices the reduced domain leaves out.
@@ -121,7 +134,8 @@ fn report_text(archive: &Path, report: &MeasureReport) -> String {
         let _ = writeln!(
             out,
             "    at        {at}, in the world {x}, {y}, {z}: {} where {} was",
-            w.reduced, w.original
+            text::number(w.reduced),
+            text::number(w.original)
         );
     }
     if let Some([x, y, z]) = report.map_bricks {

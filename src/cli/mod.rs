@@ -12,13 +12,14 @@ mod dry_run;
 mod export;
 mod figure;
 mod gc;
+pub(crate) mod grammar;
 mod heap;
 mod info;
 mod info_mesh;
 mod input;
 mod machine;
+mod manual;
 mod measure;
-mod misc;
 mod output;
 mod plan;
 mod probe;
@@ -37,14 +38,17 @@ mod unpack;
 mod view;
 mod work;
 
+use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 use isospan::Result;
+use serde::Serialize;
 use std::ffi::OsString;
 use std::io::Write;
+use std::path::Path;
 
 /// Reduce scalar volumes larger than memory to small archives; extract watertight isosurfaces from them.
 #[derive(Parser, Debug)]
-#[command(name = "isospan", version, arg_required_else_help = true, max_term_width = 110)]
+#[command(name = "isospan", version, long_version = manual::long_version(), arg_required_else_help = true, max_term_width = 110)]
 pub(crate) struct Cli {
     #[command(subcommand)]
     pub(crate) command: Command,
@@ -76,8 +80,8 @@ pub(crate) enum Command {
     Status(status::Args),
     Gc(gc::Args),
     Slurm(slurm::Args),
-    Completions(misc::CompletionsArgs),
-    Man(misc::ManArgs),
+    Completions(manual::CompletionsArgs),
+    Man(manual::ManArgs),
 }
 
 impl Command {
@@ -90,12 +94,23 @@ impl Command {
 /// Runs the program on arguments, the first of which is its name; returns the exit code.
 pub(crate) fn main(args: impl IntoIterator<Item = OsString>) -> u8 {
     heap::give_back_early();
-    let cli = match Cli::try_parse_from(args) {
+    let args: Vec<OsString> = args.into_iter().collect();
+    let cli = match Cli::try_parse_from(&args) {
         Ok(cli) => cli,
         Err(error) => {
             // Help and version are results; everything else is a usage error on standard error.
             let code = u8::from(error.use_stderr()) * 2;
-            let _ = error.print();
+            let is_help = matches!(
+                error.kind(),
+                ErrorKind::DisplayHelp | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand
+            );
+            if is_help && manual::command_of(&args).is_none() {
+                manual::print_overview(error.use_stderr());
+            } else if code == 0 {
+                let _ = error.print();
+            } else {
+                let _ = writeln!(std::io::stderr(), "isospan: error: {}", one_line(&error, &args));
+            }
             return code;
         }
     };
@@ -112,6 +127,16 @@ pub(crate) fn main(args: impl IntoIterator<Item = OsString>) -> u8 {
             error.exit_code()
         }
     }
+}
+
+/// What the parser refuses, and where to read more, on one line.
+pub(crate) fn one_line(error: &clap::Error, args: &[OsString]) -> String {
+    let text = error.render().to_string();
+    let what = text.split("Usage: ").next().unwrap_or_default();
+    let what = what.split("For more information").next().unwrap_or_default();
+    let what: Vec<&str> = what.trim_start_matches("error: ").split_whitespace().collect();
+    let name = manual::command_of(args).map_or(String::new(), |name| format!(" {name}"));
+    isospan::error::printable(&format!("{}; isospan{name} --help tells more", what.join(" "))).into_owned()
 }
 
 fn run(cli: &Cli) -> Result<()> {
@@ -138,16 +163,31 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Status(args) => status::run(args),
         Command::Gc(args) => gc::run(args),
         Command::Slurm(args) => slurm::run(args, &cli.talk),
-        Command::Completions(args) => misc::completions(args),
-        Command::Man(args) => misc::man(args),
+        Command::Completions(args) => manual::completions(args),
+        Command::Man(args) => manual::man(args),
     }
+}
+
+/// Refuses an archive that was not planned, and tells what it is.
+fn expect_planned(archive: &Path) -> Result<()> {
+    if isospan::pipeline::plan_path(archive).exists() {
+        return Ok(());
+    }
+    let got = if isospan::pipeline::is_archive(archive) {
+        "a finished archive that isospan reduce made; isospan info tells what is in it"
+    } else if archive.join("mesh").is_dir() {
+        "an unfinished archive of isospan reduce; the same reduce command goes on with it"
+    } else {
+        "none"
+    };
+    Err(isospan::Error::bad_input(archive, "plan", "one that isospan plan made", got))
 }
 
 /// The memory of a run: what was asked for, or half of what the process may use, which is told.
 fn memory(asked: Option<u64>, talk: &progress::Talk) -> u64 {
     asked.unwrap_or_else(|| {
         let half = isospan::exec::usable_memory() / 2;
-        talk.note(&format!("--memory {} (half of what this process may use)", text::bytes(half)));
+        talk.detail(&format!("--memory {} (half of what this process may use)", text::bytes(half)));
         half
     })
 }
@@ -166,9 +206,23 @@ fn print(text: &str) -> Result<()> {
         .map_err(|e| isospan::Error::io("write to", "standard output", e))
 }
 
-/// Writes a result as JSON, one line.
-fn print_json(value: &impl serde::Serialize) -> Result<()> {
-    let text = serde_json::to_string(value)
+/// The version of the JSON reports: raised when a field is removed, or means something else.
+const REPORT_VERSION: u32 = 1;
+
+/// A report with the name of its schema.
+#[derive(Serialize)]
+struct Report<'a, T> {
+    schema: String,
+    version: u32,
+    #[serde(flatten)]
+    report: &'a T,
+}
+
+/// Writes a result as JSON, one line. `schema` is its name in the schema of reports, after
+/// "isospan.".
+fn print_json(schema: &str, report: &impl Serialize) -> Result<()> {
+    let report = Report { schema: format!("isospan.{schema}"), version: REPORT_VERSION, report };
+    let text = serde_json::to_string(&report)
         .map_err(|e| isospan::Error::io("write JSON to", "standard output", std::io::Error::other(e)))?;
     print(&format!("{text}\n"))
 }

@@ -1,8 +1,69 @@
-//! An output never replaces an input.
+//! What a command may write: no input ever, and what exists with `--force` alone.
 
 use isospan::formats::{self, Input, OpenOptions};
 use isospan::{Error, Result};
 use std::path::{Path, PathBuf};
+
+/// Whether a command may replace what is there.
+#[derive(clap::Args, Clone, Copy, Debug)]
+pub(crate) struct Force {
+    /// Replace existing files.
+    #[arg(long)]
+    force: bool,
+}
+
+impl Force {
+    /// Refuses an output that is one of the inputs, one that cannot be written, and without
+    /// `--force` one that exists: before any work begins.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] that names the output.
+    pub(crate) fn check<P: AsRef<Path>>(
+        self,
+        output: &Path,
+        inputs: impl IntoIterator<Item = P>,
+    ) -> Result<()> {
+        expect_no_input(output, inputs)?;
+        expect_a_file(output)?;
+        if output.exists() && !self.force { Err(exists(output)) } else { Ok(()) }
+    }
+
+    /// As [`Force::check`], of several outputs.
+    ///
+    /// # Errors
+    /// Those of [`Force::check`].
+    pub(crate) fn check_all<P: AsRef<Path>>(self, outputs: &[PathBuf], inputs: &[P]) -> Result<()> {
+        outputs.iter().try_for_each(|output| self.check(output, inputs))
+    }
+
+    /// Whether it was given.
+    pub(crate) fn is_given(self) -> bool {
+        self.force
+    }
+}
+
+/// The error of an output that exists.
+pub(crate) fn exists(output: &Path) -> Error {
+    Error::usage(format!("{} exists; choose another name, or --force to replace it", output.display()))
+}
+
+/// Refuses what is there and no regular file, and a file in a folder that is not there.
+fn expect_a_file(output: &Path) -> Result<()> {
+    let refuse = |why: String| Err(Error::usage(format!("cannot write {}: {why}", output.display())));
+    match std::fs::metadata(output) {
+        Ok(about) if about.is_dir() => return refuse("it is a folder; give the name of a file".into()),
+        Ok(about) if !about.is_file() => {
+            return refuse("it is a pipe, socket or device; give the name of a file".into());
+        }
+        _ => {}
+    }
+    match output.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() && !folder.is_dir() => {
+            refuse(format!("there is no folder {}; create it first", folder.display()))
+        }
+        _ => Ok(()),
+    }
+}
 
 /// The files that an input is made of: itself, slices, the raw data of a header, pieces. Of one that cannot be opened, itself.
 pub(crate) fn files_of(input: &Path, options: &OpenOptions) -> Vec<PathBuf> {

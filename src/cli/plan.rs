@@ -1,6 +1,7 @@
 //! `isospan plan`: a reduction in parts, for several processes or machines.
 
 use super::choices::Choices;
+use super::grammar;
 use super::input::InputArgs;
 use super::machine::{InputScratch, Machine};
 use super::output::expect_apart;
@@ -8,15 +9,14 @@ use super::progress::Talk;
 use super::step::StepInputs;
 use super::text;
 use isospan::Result;
-use isospan::formats::is_mesh;
 use isospan::pipeline::{PlanReport, RunSettings, plan_shards};
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
-/// Plan a reduction for several processes or machines: `work` makes shards of it, `commit` puts the
-/// archive together.
+/// Plan a reduction for several processes or machines.
 ///
+/// `work` makes shards of it, `commit` puts the archive together.
 /// The plan is written to ARCHIVE.work/plan.json and never changed. Any number of workers, in any
 /// order, make the same bytes as `reduce`. A worker decodes its part of a volume that is compressed
 /// in chunks. Every worker unpacks any other compressed volume, and sorts a mesh, for itself;
@@ -32,7 +32,7 @@ pub(crate) struct Args {
     #[arg(short, long, value_name = "ARCHIVE")]
     output: PathBuf,
     /// Number of shards: parts that can be made at the same time.
-    #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = 1)]
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value = "1", value_parser = grammar::natural)]
     shards: u64,
     #[command(flatten)]
     choices: Choices,
@@ -54,32 +54,38 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let run = RunSettings { replace: args.force, ..args.machine.run(&args.scratch, talk) };
     let run = RunSettings { keep_going: args.steps.keep_going, ..run };
     let steps = args.steps.all(&args.read, talk)?;
-    let settings = args.choices.settings(is_mesh(&steps[0].path, &steps[0].options)?)?;
+    let settings = args.choices.settings(&steps[0])?;
     expect_apart(&args.output, steps.iter().map(|step| &step.path))?;
     let bar = talk.progress();
     let report = plan_shards(&steps, &settings, &args.output, args.shards, &run, &*bar);
     bar.end();
     let report = report?;
-    if args.json { super::print_json(&report) } else { super::print(&in_words(&args.output, &report)) }
+    if args.json { super::print_json("plan", &report) } else { super::print(&in_words(args, &report)) }
 }
 
-fn in_words(archive: &Path, r: &PlanReport) -> String {
+fn in_words(args: &Args, r: &PlanReport) -> String {
     let (mut out, e) = (format!("{}\n", r.plan.display()), &r.needs);
     let mut row = |name: &str, value: String| {
         let _ = writeln!(out, "  {name:<10} {value}");
     };
-    let plural = |n: u64, what: &str| format!("{} {what}{}", text::count(n), if n == 1 { "" } else { "s" });
+    let plural = text::plural;
     row("hash", r.hash.join(" "));
     row("points", format!("{} in {}", text::count(e.points), plural(e.chunks, "chunk")));
     if let Some(lost) = e.rounding {
         row("rounded", text::rounding_words(lost));
     }
+    let fewer = if r.shards < args.shards { "; more would have nothing to do" } else { "" };
     row(
         "shards",
-        format!("{} of at most {}, of {} in all", r.shards, plural(r.shard_segments, "segment"), r.segments),
+        format!(
+            "{} of at most {}, of {} in all{fewer}",
+            r.shards,
+            plural(r.shard_segments, "segment"),
+            r.segments
+        ),
     );
     row("archive", format!("up to {}", text::bytes(e.archive_bytes)));
-    let at_work = if e.workers == 1 { "one chunk".into() } else { format!("{} chunks", e.workers) };
+    let at_work = plural(e.workers as u64, "chunk");
     let (least, all) = (text::bytes(e.memory_least), text::bytes(e.memory_comfortable));
     row("each shard", format!("memory at least {least}, {all} for all threads"));
     let time = Duration::from_secs(r.shard_seconds.ceil() as u64);
@@ -87,9 +93,12 @@ fn in_words(archive: &Path, r: &PlanReport) -> String {
     if e.scratch_bytes > 0 {
         row("", format!("about {} of scratch", text::bytes(e.scratch_bytes)));
     }
-    let name = archive.display();
-    let _ =
-        writeln!(out, "next: isospan work {name} --shard I/{0} (I = 0 .. {1}), then", r.shards, r.shards - 1);
+    let name = text::shell(&args.output);
+    let shard = match r.shards {
+        1 => String::new(),
+        n => format!(" --shard I/{n} (I = 0 .. {})", n - 1),
+    };
+    let _ = writeln!(out, "next: isospan work {name}{shard}, then");
     let _ = writeln!(out, "      isospan commit {name}");
     out
 }

@@ -1,7 +1,8 @@
 //! `isospan probe`: the reduced field on a grid, or at points.
 
+use super::grammar;
 use super::machine::Machine;
-use super::output::expect_no_input;
+use super::output::Force;
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
@@ -11,16 +12,19 @@ use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-/// Sample the field of an archive, linear in each tetrahedron, on a grid or at points.
+/// Sample the field of an archive on a grid or at points.
+///
+/// The field is linear in each tetrahedron.
 #[derive(clap::Args, Debug)]
 #[command(
+    group = clap::ArgGroup::new("places").required(true).args(["grid", "at"]),
     after_help = "Examples:\n  isospan probe scan.isospan --grid 256,256,128 -o scan.vti\n  isospan probe scan.isospan --at points.csv -o values.csv"
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
     /// Number of samples along x, y and z, from face to face of the domain.
-    #[arg(long, value_name = "NX,NY,NZ", value_parser = parse_grid, conflicts_with = "at", required_unless_present = "at")]
+    #[arg(long, value_name = "NX,NY,NZ", value_parser = grammar::whole_triple::<u64>)]
     grid: Option<[u64; 3]>,
     /// A table of points in world coordinates: the columns titled x, y and z, or the first three.
     #[arg(long, value_name = "CSV")]
@@ -32,18 +36,16 @@ pub(crate) struct Args {
     machine: Machine,
     #[command(flatten)]
     step: StepArgs,
+    #[command(flatten)]
+    force: Force,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
 }
 
-fn parse_grid(text: &str) -> std::result::Result<[u64; 3], String> {
-    text::parse_triple(text, "a grid")
-}
-
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let settings = ProbeSettings { resources: args.machine.resources(None, talk) };
-    expect_no_input(&args.output, args.at.iter().chain([&args.archive]))?;
+    args.force.check(&args.output, args.at.iter().chain([&args.archive]))?;
     let archive = Archive::open(&args.archive)?.at(args.step.choice())?;
     let bar = talk.progress();
     let report = match (args.grid, &args.at) {
@@ -55,7 +57,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     bar.end();
     let report = report?;
     if args.json {
-        return super::print_json(&report);
+        return super::print_json("probe", &report);
     }
     super::print(&report_text(&args.output, &report))
 }

@@ -1,8 +1,9 @@
 //! What goes to standard error besides errors: progress, notes, and with `-v` details.
 //!
 //! Progress is a bar with rate and ETA on a terminal, a plain line at most every ten seconds elsewhere, or JSON, one object a
-//! line: `{"event":"begin"|"progress"|"end","stage":…,"unit":…,"done":…,"total":…,"seconds":…,"eta_seconds":…}`, and notes
-//! as `{"event":"note","text":…}`.
+//! line:
+//! `{"event":"begin"|"progress"|"end","stage":…,"unit":…,"done":…,"total":…,"elapsed_seconds":…,"eta_seconds":…}`,
+//! and notes as `{"event":"note","text":…}`.
 
 use super::text;
 use clap::ValueEnum;
@@ -203,7 +204,7 @@ impl Stage {
             "unit": self.unit,
             "done": self.done,
             "total": self.total,
-            "seconds": self.started.elapsed().as_secs_f64(),
+            "elapsed_seconds": self.started.elapsed().as_secs_f64(),
             "eta_seconds": eta,
         })
         .to_string()

@@ -8,14 +8,16 @@ use super::progress::Talk;
 use super::step::StepInputs;
 use super::{dry_run, signals, text};
 use isospan::exec::CancelToken;
-use isospan::formats::{StepSource, is_mesh};
-use isospan::pipeline::{ReduceReport, ReduceSettings, RunSettings, Target, TargetReport};
-use isospan::{Reduction, Resources, Result};
+use isospan::formats::StepSource;
+use isospan::pipeline::{ReduceReport, ReduceSettings, RunSettings, Stage, Target, TargetReport};
+use isospan::{Archive, Reduction, Resources, Result};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-/// Reduce a volume or mesh to an archive: sample it at points, join them to tetrahedra, and index
-/// these.
+/// Reduce a volume or mesh to an archive.
+///
+/// The field is sampled at points, these are joined to tetrahedra, and the tetrahedra are indexed.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan reduce scan.nrrd -o scan.isospan --target-rms 1%\n  isospan reduce 'step_*.vti' -o run.isospan --fraction 1/64 --memory 4GiB"
@@ -56,7 +58,7 @@ impl Args {
     /// The files that are reduced, and what is made of them.
     pub(crate) fn request(&self, talk: &Talk) -> Result<(Vec<StepSource>, ReduceSettings)> {
         let steps = self.steps.all(&self.read, talk)?;
-        let settings = self.choices.settings(is_mesh(&steps[0].path, &steps[0].options)?)?;
+        let settings = self.choices.settings(&steps[0])?;
         expect_apart(&self.output, steps.iter().map(|step| &step.path))?;
         Ok((steps, settings))
     }
@@ -80,29 +82,36 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let bar = talk.progress();
     let report = reduction.progress(&*bar).write(&args.output);
     bar.end();
-    tell(&args.output, &report?, args.json, talk)
+    tell("reduce", &args.output, &report?, args.json, talk)
 }
 
 /// Prints what was made.
-pub(super) fn tell(archive: &Path, report: &ReduceReport, json: bool, talk: &Talk) -> Result<()> {
+pub(super) fn tell(
+    schema: &str,
+    archive: &Path,
+    report: &ReduceReport,
+    json: bool,
+    talk: &Talk,
+) -> Result<()> {
     talk.stages(&report.seconds);
     talk.detail(&format!(
-        "{} chunks, {} halos had to be widened",
-        text::count(report.chunks),
-        text::count(report.halo_retries)
+        "{}, {} had to be widened",
+        text::plural(report.chunks, "chunk"),
+        text::plural(report.halo_retries, "halo")
     ));
     report.source_chunks.iter().for_each(|found| talk.detail(&text::source_chunks(found)));
     if json {
-        return super::print_json(report);
+        return super::print_json(schema, report);
     }
     super::print(&in_words(archive, report))
 }
 
 fn target_line(t: &TargetReport) -> String {
+    let four = |v: f64| text::value(text::figures(v, 4));
     let met = if t.met { "met" } else { "NOT MET" };
     let what = match t.target {
-        Target::Rms(_) => format!("RMS {:.4} of {:.4} wanted", t.reached, t.bound),
-        Target::Max(_) => format!("at most {:.4} of {:.4} wanted", t.reached, t.bound),
+        Target::Rms(_) => format!("RMS {} of {} wanted", four(t.reached), four(t.bound)),
+        Target::Max(_) => format!("at most {} of {} wanted", four(t.reached), four(t.bound)),
         Target::Size(_) | Target::Ratio(_) => {
             let [reached, bound] = [t.reached, t.bound].map(|b| text::bytes(b as u64));
             format!("{reached} of {bound} wanted")
@@ -114,8 +123,9 @@ fn target_line(t: &TargetReport) -> String {
         format!("; {full} of {all} cells have a point a sample")
     });
     format!(
-        "  target      {met}: {what}, after {} tries ({meshed} of their {chunks} chunks meshed){full}",
-        t.tries
+        "  target      {met}: {what}, after {} {} ({meshed} of their {chunks} chunks meshed){full}",
+        t.tries,
+        if t.tries == 1 { "try" } else { "tries" }
     )
 }
 
@@ -130,8 +140,12 @@ fn error_line(report: &ReduceReport) -> Option<String> {
         errors.reduce(|a, b| if b.0 > a.0 { b } else { a })
     };
     let (rms, max) = (largest(|[rms, _]| rms)?, largest(|[_, max]| max)?);
-    let [of_rms, of_max] = [rms.0, max.0].map(|v| text::value(text::figures(v, 4)));
-    Some(format!("  error       RMS at most {of_rms} (step {}), at most {of_max} (step {})", rms.1, max.1))
+    let ranges = report.steps.iter().filter_map(|s| s.range);
+    let range = ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+    let [of_rms, of_max] =
+        [rms.0, max.0].map(|v| text::value(text::figures(v, 4)) + &text::share_of(v, range));
+    let told = format!("RMS at most {of_rms} in step {}, at most {of_max} in step {}", rms.1, max.1);
+    Some(format!("  error       {told}; % of the range of all steps"))
 }
 
 /// How much smaller the archive is than its source, and the bits of both.
@@ -164,9 +178,9 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
         writeln!(out, "  points      {} of {} {of_what}", text::count(points), text::count(report.samples));
     let _ = writeln!(
         out,
-        "  tetrahedra  {} in {} chunks",
+        "  tetrahedra  {} in {}",
         text::count(report.tetrahedra),
-        text::count(report.chunks)
+        text::plural(report.chunks, "chunk")
     );
     if let Some(cells) = report.grid_cells {
         let _ = writeln!(out, "{}", text::grid_cells(&cells));
@@ -176,13 +190,16 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
         let _ = writeln!(out, "{}{kept}", text::mesh_census(&mesh));
     }
     if report.void_points > 0 {
-        let _ = writeln!(out, "  void        {} points without a value", text::count(report.void_points));
+        let all = if report.steps.len() > 1 { ", of all steps together" } else { "" };
+        let _ =
+            writeln!(out, "  void        {} without a value{all}", text::plural(report.void_points, "point"));
     }
-    if let Some([lo, hi]) = report.range {
-        let _ = writeln!(out, "  range       {lo} .. {hi}");
+    if let Some(range) = report.range {
+        let _ = writeln!(out, "  range       {}", text::range(range));
     }
     if let Some(q) = &report.quantiser {
-        let _ = writeln!(out, "  values      {} bits, within {:.3e}", q.bits, q.bound);
+        let bound = text::value(text::figures(q.bound, 4));
+        let _ = writeln!(out, "  values      {} bits, within {bound}", q.bits);
     }
     out += &text::rounding(report.steps.iter().filter_map(|s| s.rounding).reduce(f64::max));
     if let Some(line) = error_line(report) {
@@ -216,8 +233,32 @@ fn in_words(archive: &Path, report: &ReduceReport) -> String {
     if let Some(source) = report.source_bytes {
         let _ = writeln!(out, "{}", size_line(report, source));
     }
-    for (stage, time) in &report.seconds {
-        let _ = writeln!(out, "  {stage:<11} {}", text::duration(std::time::Duration::from_secs_f64(*time)));
+    out += &time_line(&report.seconds);
+    out + &next_line(archive)
+}
+
+/// The time of the run, and what its threads worked on: several at a time, so that their times add
+/// up to more.
+fn time_line(seconds: &[(Stage, f64)]) -> String {
+    let told = |s: f64| text::duration(Duration::from_secs_f64(s));
+    let total: f64 = seconds.iter().filter(|(stage, _)| *stage == Stage::Total).map(|(_, s)| s).sum();
+    let parts = seconds.iter().filter(|(stage, s)| *stage != Stage::Total && *s >= 0.005);
+    let parts: Vec<String> = parts.map(|(stage, s)| format!("{stage} {}", told(*s))).collect();
+    let parts =
+        if parts.is_empty() { String::new() } else { format!("; threads together: {}", parts.join(", ")) };
+    format!("  time        {}{parts}\n", told(total))
+}
+
+/// What can be done with an archive: the surface that is most worth a look.
+fn next_line(archive: &Path) -> String {
+    let name = text::shell(archive);
+    let found = Archive::open(archive).and_then(|archive| archive.info()).ok();
+    let most = found.and_then(|s| Some((s.suggestions.first()?.isovalue, s.range?)));
+    match (most, archive.file_stem()) {
+        (Some((isovalue, range)), Some(stem)) => {
+            let file = text::shell(&Path::new(stem).with_extension("ply"));
+            format!("next: isospan surface {name} --isovalue {} -o {file}\n", text::in_range(isovalue, range))
+        }
+        _ => format!("next: isospan info {name}\n"),
     }
-    out
 }

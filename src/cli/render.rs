@@ -2,8 +2,9 @@
 
 use super::figure::canvas::{Canvas, ticks};
 use super::figure::publish;
+use super::grammar::{self, Value};
 use super::machine::Machine;
-use super::output::expect_no_input;
+use super::output::Force;
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
@@ -11,9 +12,7 @@ use isospan::compare::{CompareSettings, distances};
 use isospan::exec::{CancelToken, Progress};
 use isospan::formats::surface::{SurfaceFormat, load_surface};
 use isospan::pipeline::{Step, SurfaceSettings, is_archive};
-use isospan::render::{
-    Camera, Image, Paint, RenderSettings, Subject, Up, View, parse_colour, render, scale_colour,
-};
+use isospan::render::{Camera, Image, Paint, RenderSettings, Subject, Up, View, render, scale_colour};
 use isospan::surface::SurfaceSource;
 use isospan::surface::check::CheckSettings;
 use isospan::surface::weld::StoredSurface;
@@ -21,9 +20,9 @@ use isospan::{Archive, Error, Resources, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Draw surfaces, or isosurfaces of archives, as a PNG with one panel each, all seen from the same
-/// place.
+/// Draw surfaces, or isosurfaces of archives, as a PNG.
 ///
+/// Each has a panel, and all are seen from the same place.
 /// No graphics card is needed, and the same command gives the same bytes on every machine. With
 /// --distance-to, colours show how far each surface is from another one.
 #[derive(clap::Args, Debug)]
@@ -31,36 +30,40 @@ use std::path::{Path, PathBuf};
     after_help = "Examples:\n  isospan render scan.isospan --isovalue 600,1000 -o scan.png\n  isospan render full.ply small.ply -o two.png --distance-to full.ply"
 )]
 pub(crate) struct Args {
-    /// Surfaces (.ply .stl .obj .vtp .glb) or archives.
+    /// Surfaces (.ply .stl .obj .vtp .glb) or archives, these also by address: s3://... or
+    /// https://...
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// The picture to write: .png.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Isovalues of the archives, one panel each.
+    /// Isovalues of the archives, one panel each. 50% is half-way from the least value of the step
+    /// to its largest.
     #[arg(
         long,
         short = 'i',
         value_name = "VALUE[,VALUE..]",
         value_delimiter = ',',
-        allow_hyphen_values = true
+        allow_hyphen_values = true,
+        value_parser = grammar::value
     )]
-    isovalue: Vec<f64>,
+    isovalue: Vec<Value>,
     /// Text below a panel; give it once per panel. Without it, several panels show the names of
     /// their files.
     #[arg(long, value_name = "TEXT")]
     caption: Vec<String>,
     /// Number of panels in a row [default: all, up to 4].
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = grammar::whole_in(1..=1000usize))]
     columns: Option<usize>,
     /// Size of a panel in pixels.
-    #[arg(long, value_name = "W,H", default_value = "800,800", value_parser = parse_size)]
+    #[arg(long, value_name = "W,H", default_value = "800,800", value_parser = grammar::extent)]
     size: [u32; 2],
     /// Angle around the upward axis, in degrees.
     #[arg(
         long,
         value_name = "DEGREES",
-        default_value_t = 30.0,
+        default_value = "30",
+        value_parser = grammar::number,
         allow_negative_numbers = true,
         help_heading = "Camera"
     )]
@@ -69,40 +72,41 @@ pub(crate) struct Args {
     #[arg(
         long,
         value_name = "DEGREES",
-        default_value_t = 20.0,
+        default_value = "20",
+        value_parser = grammar::number,
         allow_negative_numbers = true,
         help_heading = "Camera"
     )]
     elevation: f64,
     /// Which way is up: x, y, z, -x, -y, -z.
-    #[arg(long, value_name = "AXIS", default_value = "z", allow_hyphen_values = true, value_parser = parse_up, help_heading = "Camera")]
+    #[arg(long, value_name = "AXIS", default_value = "z", allow_hyphen_values = true, value_parser = grammar::up, help_heading = "Camera")]
     up: Up,
     /// Magnification; 1 fills the panel.
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, help_heading = "Camera")]
+    #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = grammar::positive_number, help_heading = "Camera")]
     zoom: f64,
     /// Use parallel projection instead of perspective.
     #[arg(long, help_heading = "Camera")]
     orthographic: bool,
     /// Colour of the surface, #rrggbb or "normals": one for all, or one per panel.
-    #[arg(long, value_name = "COLOUR[,COLOUR..]", value_delimiter = ',', default_value = "#d8cbb4", value_parser = parse_paint)]
+    #[arg(long, value_name = "COLOUR[,COLOUR..]", value_delimiter = ',', default_value = "#d8cbb4", value_parser = grammar::paint)]
     colour: Vec<Paint>,
     /// Colour each point by its distance from this surface, and draw a scale.
     #[arg(long, value_name = "SURFACE")]
     distance_to: Option<PathBuf>,
     /// The distance at the end of the scale [default: the 99.5th percentile over the vertices].
-    #[arg(long, value_name = "LENGTH", requires = "distance_to")]
-    distance_max: Option<f32>,
+    #[arg(long, value_name = "LENGTH", value_parser = grammar::number, requires = "distance_to")]
+    distance_max: Option<f64>,
     /// Background colour: #rrggbb or "transparent".
-    #[arg(long, value_name = "COLOUR", default_value = "#ffffff", value_parser = parse_background)]
+    #[arg(long, value_name = "COLOUR", default_value = "#ffffff", value_parser = grammar::background)]
     background: [u8; 4],
     /// Shade triangles flat instead of smoothly.
     #[arg(long)]
     flat: bool,
-    /// Samples along each side of a pixel, 1 to 8 (antialiasing).
-    #[arg(long, value_name = "N", default_value_t = 3)]
-    samples: u32,
+    /// Samples along each side of a pixel, 1 to 8.
+    #[arg(long, value_name = "N", default_value = "3", value_parser = grammar::whole_in(1..=8u32))]
+    antialias: u32,
     /// Number of lights in the sky, whose shadows make soft light; 0 for light without shadows.
-    #[arg(long, value_name = "N", default_value_t = 128)]
+    #[arg(long, value_name = "N", default_value = "32", value_parser = grammar::whole::<u32>)]
     lights: u32,
     #[command(flatten)]
     machine: Machine,
@@ -111,32 +115,11 @@ pub(crate) struct Args {
     /// Folder for what does not fit in memory, and for the surfaces of archives [default: the system's temporary folder].
     #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
+    #[command(flatten)]
+    force: Force,
     /// Print what was drawn as JSON.
     #[arg(long)]
     json: bool,
-}
-
-fn parse_size(text: &str) -> std::result::Result<[u32; 2], String> {
-    let parts: Vec<u32> = text.split([',', 'x']).filter_map(|p| p.trim().parse().ok()).collect();
-    parts.try_into().map_err(|_| format!("'{text}' is no size; write two numbers as W,H"))
-}
-
-fn parse_up(text: &str) -> std::result::Result<Up, String> {
-    text.parse().map_err(|e: Error| e.to_string())
-}
-
-fn parse_paint(text: &str) -> std::result::Result<Paint, String> {
-    match text {
-        "normals" => Ok(Paint::Normals),
-        colour => parse_colour(colour).map(Paint::Plain).map_err(|e| e.to_string()),
-    }
-}
-
-fn parse_background(text: &str) -> std::result::Result<[u8; 4], String> {
-    match text {
-        "transparent" => Ok([255, 255, 255, 0]),
-        colour => parse_colour(colour).map(|[r, g, b]| [r, g, b, 255]).map_err(|e| e.to_string()),
-    }
 }
 
 /// What is in a panel.
@@ -162,7 +145,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if args.output.extension().is_none_or(|e| !e.eq_ignore_ascii_case("png")) {
         return Err(Error::usage(format!("{}: a picture's name ends in .png", args.output.display())));
     }
-    expect_no_input(&args.output, args.inputs.iter().chain(&args.distance_to))?;
+    args.force.check(&args.output, args.inputs.iter().chain(&args.distance_to))?;
     let memory = args.machine.memory(talk);
     let (cancel, bar) = (super::signals::cancel_token(), talk.progress());
     let job = Job { args, memory, scratch: args.scratch.clone().unwrap_or_else(std::env::temp_dir), cancel };
@@ -172,13 +155,15 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     publish(&args.output, &canvas.png()).map_err(|e| Error::io("write", &args.output, e))?;
     if args.json {
         let report = serde_json::json!({ "file": args.output, "size": canvas.size, "panels": panels });
-        return super::print_json(&report);
+        return super::print_json("render", &report);
     }
     let [w, h] = canvas.size;
     let mut out = format!("{}: {w} x {h} pixels\n", args.output.display());
     for p in &panels {
         let isovalue = p.isovalue.map_or(String::new(), |v| format!(", isovalue {v}"));
-        let far = p.largest_distance.map_or(String::new(), |d| format!(", at most {d} away"));
+        let far = p
+            .largest_distance
+            .map_or(String::new(), |d| format!(", at most {} world units away", text::number(f64::from(d))));
         out += &format!("  {}{isovalue}: {} triangles{far}\n", p.input, text::count(p.triangles));
     }
     super::print(&out)
@@ -246,7 +231,7 @@ impl Job<'_> {
                 .with_memory((self.memory / 8 * 7).saturating_sub(taken))
                 .with_scratch(self.scratch.clone())
                 .with_cancel(self.cancel.clone()),
-            samples: self.args.samples,
+            samples: self.args.antialias,
             lights: self.args.lights,
             flat: self.args.flat,
             background: self.args.background,
@@ -281,7 +266,8 @@ impl Job<'_> {
                 continue;
             }
             let step = Archive::open(input)?.keeping(0).at(args.step.choice())?;
-            for &isovalue in &args.isovalue {
+            for isovalue in &args.isovalue {
+                let isovalue = isovalue.of(step.value_range())?;
                 let surface = self.extract(&step, isovalue, &check, progress)?;
                 panels.push(Panel {
                     name: name.clone(),
@@ -364,7 +350,7 @@ impl Job<'_> {
             end = end.max(*at);
             progress.advance(1);
         }
-        let end = self.args.distance_max.unwrap_or(end);
+        let end = self.args.distance_max.map_or(end, |most| most as f32);
         if end.is_finite() && end >= 0.0 {
             Ok(Some(end))
         } else {

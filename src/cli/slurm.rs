@@ -3,6 +3,8 @@
 //! Three scripts beside the plan: `work.sh`, a job array of shards; `commit.sh`, which waits for them, and submits what is missing again;
 //! `submit.sh`, which submits both. They are plain scripts: to be read, changed and submitted by hand.
 
+use super::grammar;
+use super::output::{Force, exists};
 use super::progress::Talk;
 use super::text;
 use isospan::pipeline::{Planned, planned, work_folder};
@@ -10,14 +12,16 @@ use isospan::{Error, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
-/// Write job scripts for a planned reduction, and submit them to Slurm with --submit.
+/// Write Slurm job scripts for a planned reduction.
 ///
-/// The scripts are in ARCHIVE.work/slurm: a job array of shards that may be requeued, and a commit
-/// that waits for them and submits missing shards again. Logs are written to the same folder.
+/// With --submit they are submitted. They are in ARCHIVE.work/slurm: a job array of shards that may
+/// be requeued, and a commit that waits for them and submits missing shards again. Logs are written
+/// to the same folder.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan slurm scan.isospan --submit\n  isospan slurm scan.isospan --threads 16 --time 120 --option=--partition=long"
+    after_help = "Examples:\n  isospan slurm scan.isospan --submit\n  isospan slurm scan.isospan --threads 16 --time-limit 2h --option=--partition=long"
 )]
 pub(crate) struct Args {
     /// The planned archive, in a folder that all nodes can reach.
@@ -26,27 +30,28 @@ pub(crate) struct Args {
     #[arg(long)]
     submit: bool,
     /// Threads per task (--cpus-per-task).
-    #[arg(help_heading = "Resources", long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=4096))]
+    #[arg(help_heading = "Resources", long, value_name = "N", default_value = "4", value_parser = grammar::whole_in(1..=4096u64))]
     threads: u64,
     /// Limit of memory per task [default: what all its threads need]; the job requests a quarter
     /// more.
-    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = text::parse_bytes)]
+    #[arg(help_heading = "Resources", long, value_name = "SIZE", value_parser = grammar::memory)]
     memory: Option<u64>,
-    /// Time limit of a task in minutes [default: 6 times the estimate, at least 60].
-    #[arg(help_heading = "Resources", long, value_name = "MINUTES", value_parser = clap::value_parser!(u64).range(1..))]
-    time: Option<u64>,
-    /// Seconds before that limit at which a task is asked to stop.
-    #[arg(help_heading = "Resources", long, value_name = "SECONDS", default_value_t = 120, value_parser = clap::value_parser!(u64).range(1..=65535))]
-    grace: u64,
+    /// Time limit of a task: 90m, 12h [default: 6 times the estimate, at least 60m]. Slurm counts
+    /// whole minutes.
+    #[arg(help_heading = "Resources", long, value_name = "SPAN", value_parser = grammar::span)]
+    time_limit: Option<Duration>,
+    /// How long before that limit a task is asked to stop.
+    #[arg(help_heading = "Resources", long, value_name = "SPAN", default_value = "120s", value_parser = grammar::span)]
+    grace: Duration,
     /// Largest number of tasks at one time [default: no limit].
-    #[arg(help_heading = "Resources", long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(help_heading = "Resources", long, value_name = "N", value_parser = grammar::natural)]
     throttle: Option<u64>,
     /// How often shards are submitted, including the first time.
-    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", default_value = "3", value_parser = grammar::natural)]
     tries: u64,
     /// Largest number of tasks in an array [default: the cluster's MaxArraySize if scontrol knows
     /// it, else 1001]. If there are more shards, the work is divided anew.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", value_parser = grammar::natural)]
     max_array: Option<u64>,
     /// Folder on the node for temporary files [default: the system's temporary folder].
     #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
@@ -54,6 +59,8 @@ pub(crate) struct Args {
     /// Another option of sbatch for both jobs, as --option=--partition=long; may be repeated.
     #[arg(long, value_name = "OPTION", allow_hyphen_values = true, value_parser = parse_option)]
     option: Vec<String>,
+    #[command(flatten)]
+    force: Force,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
@@ -62,7 +69,7 @@ pub(crate) struct Args {
 fn parse_option(text: &str) -> std::result::Result<String, String> {
     match text.starts_with('-') && !text.contains(['\n', '\r']) {
         true => Ok(text.to_owned()),
-        false => Err("an option of sbatch starts with -".into()),
+        false => Err("expected an option of sbatch, as in --partition=long".into()),
     }
 }
 
@@ -85,6 +92,7 @@ const TEMPLATES: [&str; 3] =
     [include_str!("slurm/submit.sh"), include_str!("slurm/work.sh"), include_str!("slurm/commit.sh")];
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    super::expect_planned(&args.archive)?;
     let plan = planned(&args.archive, args.threads as usize)?;
     let archive = std::path::absolute(&args.archive).map_err(|e| Error::io("find", &args.archive, e))?;
     let folder = work_folder(&archive).join("slurm");
@@ -96,14 +104,20 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     }
     let job = Job::new(args, &plan, tasks, &archive, &folder)?;
     let scripts = NAMES.map(|n| folder.join(n));
-    for (path, template) in scripts.iter().zip(TEMPLATES) {
-        write_script(path, &job.fill(template))?;
+    let texts = TEMPLATES.map(|template| job.fill(template));
+    // A script may have been changed by hand.
+    let changed = |(path, text): &(&PathBuf, &String)| {
+        path.exists() && std::fs::read(path).ok().as_deref() != Some(text.as_bytes())
+    };
+    if let Some((path, _)) = scripts.iter().zip(&texts).find(changed).filter(|_| !args.force.is_given()) {
+        return Err(exists(path));
     }
+    scripts.iter().zip(&texts).try_for_each(|(path, text)| write_script(path, text))?;
     let (minutes, memory) = (job.minutes, job.ask);
     let jobs = if args.submit { Some(submit(&scripts[0])?) } else { None };
     let (work_job, commit_job) = jobs.unzip();
     let report = Report { scripts, shards: plan.shards, tasks, memory, minutes, work_job, commit_job };
-    if args.json { super::print_json(&report) } else { super::print(&in_words(&report)) }
+    if args.json { super::print_json("slurm", &report) } else { super::print(&in_words(&report)) }
 }
 
 fn in_words(r: &Report) -> String {
@@ -114,7 +128,7 @@ fn in_words(r: &Report) -> String {
         (Some(work), Some(commit)) => {
             out + &format!("  submitted  shards as job {work}, their commit as job {commit}\n")
         }
-        _ => out + &format!("next: {}, or isospan slurm --submit\n", r.scripts[0].display()),
+        _ => out + &format!("next: {}, or isospan slurm --submit\n", text::shell(&r.scripts[0])),
     }
 }
 
@@ -135,7 +149,15 @@ impl Job {
         // The rest is for code, and pages of files that a control group counts.
         let ask = memory + memory / 4 + (128 << 20);
         let seconds = plan.seconds / tasks as f64;
-        let minutes = args.time.unwrap_or(((seconds / 10.0).ceil() as u64).max(60));
+        let minutes = match args.time_limit.map(|limit| limit.as_secs().div_ceil(60)) {
+            Some(0) => return Err(Error::usage("--time-limit is at least a minute")),
+            Some(minutes) => minutes,
+            None => ((seconds / 10.0).ceil() as u64).max(60),
+        };
+        let grace = args.grace.as_secs();
+        if !(1..=65_535).contains(&grace) {
+            return Err(Error::usage("--grace is 1s to 65535s, as Slurm has it"));
+        }
         let shown = archive.display().to_string();
         let name = archive.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let letter = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
@@ -156,7 +178,7 @@ impl Job {
             ("MEMORY", memory.to_string()),
             ("MEM", ask.div_ceil(1 << 20).to_string()),
             ("MINUTES", minutes.to_string()),
-            ("GRACE", args.grace.to_string()),
+            ("GRACE", grace.to_string()),
             ("TRIES", args.tries.to_string()),
             ("SCRATCH", scratch.unwrap_or_default()),
             ("OPTIONS", args.option.iter().map(|o| format!("#SBATCH {o}\n")).collect()),
@@ -187,7 +209,7 @@ fn quoted(path: &Path) -> Result<String> {
     let text = path.to_str().ok_or_else(|| {
         Error::usage(format!("{}: the path is not UTF-8; rename it, for scripts name it", path.display()))
     })?;
-    Ok(format!("'{}'", text.replace('\'', r"'\''")))
+    Ok(text::quoted(text))
 }
 
 /// A path between the quotes of a directive, where Slurm replaces what follows a `%`.

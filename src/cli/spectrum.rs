@@ -1,6 +1,7 @@
 //! `isospan spectrum`: how the isosurface changes with the isovalue.
 
-use super::output::expect_no_input;
+use super::grammar;
+use super::output::Force;
 use super::step::StepArgs;
 use super::{figure, text};
 use isospan::pipeline::{SpectrumReport, StepRange, StepSpectrum};
@@ -8,31 +9,34 @@ use isospan::{Archive, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Print the contour spectrum: active tetrahedra, area and enclosed volume over the isovalue.
+/// Print how isosurfaces change with the isovalue.
 ///
+/// That is the contour spectrum: active tetrahedra, area and enclosed volume over the isovalue.
 /// The figures are those of the archive's tetrahedra, exact at each isovalue of the table, in the
 /// volume's world units. For rectilinear and curvilinear grids the edges of tetrahedra count as
 /// straight; surfaces follow the bent grid, so their area and volume differ slightly. Some ten
 /// kilobytes are read.
 #[derive(clap::Args, Debug)]
 #[command(
-    after_help = "Examples:\n  isospan spectrum scan.isospan --plot scan.svg\n  isospan spectrum run.isospan --over-time --plot run.png"
+    after_help = "Examples:\n  isospan spectrum scan.isospan --plot scan.svg\n  isospan spectrum run.isospan --all-steps --plot run.png"
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
-    /// The spectra of all steps, or of those of --steps: one line of the table per step. The figure
-    /// is a map of the area over time and isovalue.
-    #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time"])]
-    over_time: bool,
-    /// With --over-time: the steps FIRST:LAST by number; either end may be omitted.
-    #[arg(help_heading = "Series", long, value_name = "RANGE", requires = "over_time")]
+    /// The spectra of all steps: one line of the table per step. The figure is a map of the area
+    /// over time and isovalue.
+    #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time", "steps"])]
+    all_steps: bool,
+    /// As --all-steps, for the steps from one number to another; either end may be omitted.
+    #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, conflicts_with_all = ["step", "time"])]
     steps: Option<StepRange>,
     /// Also draw the curves: .svg or .png.
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
     #[command(flatten)]
     step: StepArgs,
+    #[command(flatten)]
+    force: Force,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
@@ -40,21 +44,25 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: &Args) -> Result<()> {
     let format = args.plot.as_deref().map(figure::Format::of).transpose()?;
-    args.plot.iter().try_for_each(|plot| expect_no_input(plot, [&args.archive]))?;
+    args.plot.iter().try_for_each(|plot| args.force.check(plot, [&args.archive]))?;
     let name = args.archive.file_stem().unwrap_or_default().to_string_lossy();
     let archive = Archive::open(&args.archive)?;
-    if args.over_time {
-        let steps = archive.spectra(args.steps.unwrap_or_default())?;
+    if let Some(steps) = args.steps.or(args.all_steps.then(StepRange::default)) {
+        let steps = archive.spectra(steps)?;
         if let Some((file, format)) = args.plot.as_deref().zip(format) {
             figure::write_figure(&figure::OverTime { steps: &steps, name: &name }, file, format)?;
         }
-        return if args.json { super::print_json(&steps) } else { super::print(&lines(&steps)) };
+        return if args.json {
+            super::print_json("spectrum.series", &serde_json::json!({ "steps": steps }))
+        } else {
+            super::print(&lines(&steps))
+        };
     }
     let report = archive.at(args.step.choice())?.spectrum()?;
     if let Some((file, format)) = args.plot.as_deref().zip(format) {
         figure::write(&report, &name, file, format)?;
     }
-    if args.json { super::print_json(&report) } else { super::print(&table(&report)) }
+    if args.json { super::print_json("spectrum", &report) } else { super::print(&table(&report)) }
 }
 
 /// A line for each step: its range, the isovalue of the largest area, and what is worth a look.
@@ -64,25 +72,35 @@ fn lines(steps: &[StepSpectrum]) -> String {
         "step", "time", "range", "largest area", "at"
     );
     for StepSpectrum { step, time, spectrum } in steps {
-        let range = spectrum.range.map_or("none".into(), |[lo, hi]| format!("{lo} .. {hi}"));
+        let range = spectrum.range.map_or("none".into(), text::range);
         let largest = spectrum.knots.iter().max_by(|a, b| a.area.total_cmp(&b.area));
-        let [area, at] = largest.map_or(["-".into(), "-".into()], |k| {
-            [text::value(text::figures(k.area, 7)), k.isovalue.to_string()]
-        });
-        let look: Vec<String> = spectrum.suggestions.iter().map(|s| s.isovalue.to_string()).collect();
-        let _ = writeln!(out, "{step:>6} {time:>12} {range:>26} {area:>14} {at:>14}  {}", look.join(", "));
+        let [area, at] =
+            largest.map_or(["-".into(), "-".into()], |k| [text::number(k.area), told(spectrum, k.isovalue)]);
+        let look: Vec<String> = spectrum.suggestions.iter().map(|s| told(spectrum, s.isovalue)).collect();
+        let _ = writeln!(
+            out,
+            "{step:>6} {:>12} {range:>26} {area:>14} {at:>14}  {}",
+            text::number(*time),
+            look.join(", ")
+        );
     }
     out
 }
 
+/// An isovalue of a spectrum.
+fn told(report: &SpectrumReport, isovalue: f64) -> String {
+    report.range.map_or_else(|| text::number(isovalue), |range| text::in_range(isovalue, range))
+}
+
 fn table(report: &SpectrumReport) -> String {
-    let Some([lo, hi]) = report.range else { return "there is no value: every point is void\n".into() };
+    let Some(range) = report.range else { return "there is no value: every point is void\n".into() };
     let mut out = String::new();
     let _ = writeln!(
         out,
-        "{} tetrahedra, volume {}, values {lo} .. {hi}",
+        "{} tetrahedra, volume {} cubic world units, values {}",
         text::count(report.tetrahedra),
-        text::value(text::figures(report.volume, 7))
+        text::number(report.volume),
+        text::range(range)
     );
     if report.straight_edges {
         let _ = writeln!(
@@ -91,7 +109,7 @@ fn table(report: &SpectrumReport) -> String {
         );
     }
     if !report.suggestions.is_empty() {
-        let values: Vec<String> = report.suggestions.iter().map(|s| s.isovalue.to_string()).collect();
+        let values: Vec<String> = report.suggestions.iter().map(|s| told(report, s.isovalue)).collect();
         let _ = writeln!(out, "worth a look: {}", values.join(", "));
     }
     let _ = writeln!(
@@ -101,9 +119,10 @@ fn table(report: &SpectrumReport) -> String {
     );
     for k in &report.knots {
         let mean = if k.area > 0.0 { k.gradient / k.area } else { 0.0 };
-        let [area, volume, mean] = [k.area, k.volume, mean].map(|v| text::value(text::figures(v, 7)));
+        let [area, volume, mean] = [k.area, k.volume, mean].map(text::number);
         let active = text::count(k.active_tetrahedra);
-        let _ = writeln!(out, "{:>12} {active:>14} {area:>14} {volume:>14} {mean:>14}", k.isovalue);
+        let _ =
+            writeln!(out, "{:>12} {active:>14} {area:>14} {volume:>14} {mean:>14}", told(report, k.isovalue));
     }
     out
 }

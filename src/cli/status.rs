@@ -1,13 +1,15 @@
 //! `isospan status`: how far a planned reduction is.
 
-use super::text;
+use super::{grammar, text};
 use clap::ValueEnum;
 use isospan::Result;
 use isospan::pipeline::{StatusReport, shard_status};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Show how far a planned reduction is. Reads and verifies every segment, and changes nothing.
+/// Show how far a planned reduction is.
+///
+/// Reads and verifies every segment, and changes nothing.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan status scan.isospan --quick\n  isospan status scan.isospan --missing --as slurm-array"
@@ -22,7 +24,7 @@ pub(crate) struct Args {
     #[arg(long = "as", value_enum, value_name = "FORM", requires = "missing", default_value_t = Form::Lines)]
     form: Form,
     /// Number of shards that the work is divided into [default: as planned].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", value_parser = grammar::natural)]
     shards: Option<u64>,
     /// Check headers, lengths and footers only: finds files that are missing, cut short or of
     /// another plan, but not flipped bits.
@@ -44,9 +46,10 @@ enum Form {
 }
 
 pub(crate) fn run(args: &Args) -> Result<()> {
+    super::expect_planned(&args.archive)?;
     let report = shard_status(&args.archive, args.shards, args.quick, super::signals::cancel_token())?;
     if args.json {
-        return super::print_json(&report);
+        return super::print_json("status", &report);
     }
     super::print(&match (args.missing, args.form) {
         (false, _) => in_words(&report),
@@ -81,8 +84,8 @@ fn in_words(r: &StatusReport) -> String {
         let _ = writeln!(out, "  shards     {n} of {} not done: {list}", text::count(r.shards));
     }
     if r.temporaries > 0 {
-        let (n, size) = (text::count(r.temporaries), text::bytes(r.temporary_bytes));
-        let _ = writeln!(out, "  temporary  {n} files, {size}, of workers that run or were killed");
+        let (n, size) = (text::plural(r.temporaries, "file"), text::bytes(r.temporary_bytes));
+        let _ = writeln!(out, "  temporary  {n}, {size}, of workers that run or were killed");
     }
     out
 }

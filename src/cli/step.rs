@@ -1,5 +1,6 @@
 //! The flags that choose a step of an archive, and those that tell the times of steps.
 
+use super::grammar;
 use super::input::InputArgs;
 use super::progress::Talk;
 use isospan::formats::{StepSource, order_in_doubt, steps_of};
@@ -15,9 +16,9 @@ pub(crate) struct StepInputs {
     /// and the fields that match --field PATTERN.
     #[arg(required = true, value_name = "INPUT")]
     inputs: Vec<PathBuf>,
-    /// Times of the steps: 0,0.5,2 or START:STEP [default: those in the files, else the step
-    /// numbers].
-    #[arg(help_heading = "Series", long, value_name = "TIMES", value_parser = parse_times, allow_hyphen_values = true)]
+    /// Times of the steps: 0,0.5,2, or 0,0.5,... which goes on like that [default: those in the
+    /// files, else the step numbers].
+    #[arg(help_heading = "Series", long, value_name = "TIMES", value_parser = grammar::times, allow_hyphen_values = true)]
     times: Option<Times>,
     /// Leave out steps that cannot be used, and report them.
     #[arg(help_heading = "Series", long)]
@@ -46,13 +47,14 @@ impl StepInputs {
 #[derive(clap::Args, Debug)]
 pub(crate) struct StepArgs {
     /// Number of the time step; `isospan info` lists them [default: the first].
-    #[arg(help_heading = "Series", long, value_name = "N")]
+    #[arg(help_heading = "Series", long, value_name = "N", value_parser = grammar::whole::<u64>)]
     step: Option<u64>,
     /// A time; values between two steps are interpolated linearly.
     #[arg(
         help_heading = "Series",
         long,
         value_name = "T",
+        value_parser = grammar::number,
         allow_negative_numbers = true,
         conflicts_with = "step"
     )]
@@ -85,18 +87,6 @@ pub(crate) enum Times {
     },
 }
 
-/// `0,0.5,2` or `0:0.5`.
-pub(crate) fn parse_times(text: &str) -> std::result::Result<Times, String> {
-    let number = |s: &str| s.trim().parse::<f64>().ok().filter(|t| t.is_finite());
-    let found = match text.split_once(':') {
-        Some((start, step)) => {
-            number(start).zip(number(step)).map(|(start, step)| Times::Regular { start, step })
-        }
-        None => text.split(',').map(number).collect::<Option<Vec<f64>>>().map(Times::List),
-    };
-    found.ok_or_else(|| format!("'{text}' is no list of times; write 0,0.5,2 or START:STEP"))
-}
-
 impl Times {
     /// Gives steps their times, whatever their files tell.
     pub(crate) fn apply(&self, steps: &mut [StepSource]) -> Result<()> {
@@ -116,20 +106,16 @@ impl Times {
 
 #[cfg(test)]
 mod tests {
+    use super::super::grammar::times;
     use super::*;
     use std::path::Path;
 
     #[test]
-    fn times_are_lists_or_regular() {
-        assert_eq!(parse_times("0, 0.5,-2e1"), Ok(Times::List(vec![0.0, 0.5, -20.0])));
-        assert_eq!(parse_times("10:0.5"), Ok(Times::Regular { start: 10.0, step: 0.5 }));
-        for bad in ["", "a", "1,,2", "1:", "nan", "1:2:3"] {
-            assert!(parse_times(bad).is_err(), "{bad}");
-        }
+    fn steps_get_the_times_that_were_told() {
         let mut steps = vec![StepSource::new(Path::new("a"), &Default::default()); 3];
-        parse_times("10:0.5").unwrap().apply(&mut steps).unwrap();
+        times("10,10.5,...").unwrap().apply(&mut steps).unwrap();
         assert_eq!(steps[2].time, Some(11.0));
-        let error = parse_times("1,2").unwrap().apply(&mut steps).unwrap_err();
+        let error = times("1,2").unwrap().apply(&mut steps).unwrap_err();
         assert_eq!(error.to_string(), "--times has 2 times for 3 steps");
     }
 }

@@ -1,19 +1,23 @@
 //! `isospan surface`: isosurfaces out of an archive.
 
+use super::grammar::{self, Length, Value};
 use super::machine::{Machine, OutputScratch};
-use super::output::expect_no_input;
+use super::output::Force;
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::text;
+use clap::ValueEnum;
 use isospan::formats::surface::SurfaceFormat;
 use isospan::pipeline::{
     OneSurface, Opening, Refine, Roi, SeriesReport, StepRange, SurfaceReport, SurfaceSettings,
 };
 use isospan::surface::components::ComponentFilter;
 use isospan::surface::decimate::Decimation;
-use isospan::{Archive, Result};
+use isospan::{Archive, Error, Result};
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::fs::File;
+use std::io::{IsTerminal, Write as _};
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Extract isosurfaces from an archive.
@@ -22,50 +26,56 @@ use std::time::Duration;
     after_help = "Examples:\n  isospan surface scan.isospan --isovalue 600 -o bone.ply\n  isospan surface run.isospan -i 0.5 --all-steps -o front_%04d.vtp"
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive: a folder, or its address, s3://... or https://...
     archive: PathBuf,
-    /// One isovalue, or several: 600,1000. All are extracted in one pass.
+    /// One isovalue, or several: 600,1000. All are extracted in one pass. 50% is half-way from the
+    /// least value of the step to its largest; of several steps, of their values together.
     #[arg(
         long,
         short = 'i',
         value_name = "VALUE[,VALUE..]",
         value_delimiter = ',',
         required = true,
-        allow_hyphen_values = true
+        allow_hyphen_values = true,
+        value_parser = grammar::value
     )]
-    isovalue: Vec<f64>,
-    /// The file to write: .ply .stl .obj .vtp or .glb. Several isovalues go to one file; an array
-    /// 'isovalue' of the points (.vtp, .ply) or groups (.obj) distinguish them. With {} in the
-    /// name, each isovalue gets its own file: surface_{}.ply.
+    isovalue: Vec<Value>,
+    /// The file to write: .ply .stl .obj .vtp or .glb; "-" for standard output. Several isovalues
+    /// go to one file; an array 'isovalue' of the points (.vtp, .ply) or groups (.obj) distinguish
+    /// them. With {} in the name, each isovalue gets its own file: surface_{}.ply.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
+    /// The format [default: as the file's name ends; ply for standard output].
+    #[arg(long, value_enum)]
+    format: Option<Format>,
     /// Cut the surface at a box: I0:I1,J0:J1,K0:K1 in sample indices, or world:X0:X1,Y0:Y1,Z0:Z1.
     /// An omitted end is that of the volume. Only chunks that touch the box are read.
-    #[arg(long, value_name = "BOX", allow_hyphen_values = true)]
+    #[arg(long, value_name = "BOX", allow_hyphen_values = true, value_parser = grammar::region)]
     roi: Option<Roi>,
     /// Close the surfaces at the faces of the domain.
     #[arg(long, conflicts_with = "roi")]
     cap: bool,
     /// Keep the N largest connected components (by triangles); without N, the largest.
-    #[arg(help_heading = "Components and decimation", long, value_name = "N", num_args = 0..=1, default_missing_value = "1")]
+    #[arg(help_heading = "Components and decimation", long, value_name = "N", num_args = 0..=1, default_missing_value = "1", value_parser = grammar::natural)]
     largest: Option<u64>,
     /// Keep connected components with at least N triangles.
-    #[arg(help_heading = "Components and decimation", long, value_name = "N")]
+    #[arg(help_heading = "Components and decimation", long, value_name = "N", value_parser = grammar::whole::<u64>)]
     min_triangles: Option<u64>,
     /// Keep connected components of at least this volume, in world units. For an open component,
     /// the volume between it and the centre of its bounding box counts.
-    #[arg(help_heading = "Components and decimation", long, value_name = "VOLUME")]
+    #[arg(help_heading = "Components and decimation", long, value_name = "VOLUME", value_parser = grammar::number)]
     min_volume: Option<f64>,
     /// Measure the connected components; --json lists them.
     #[arg(help_heading = "Components and decimation", long)]
     components: bool,
-    /// Keep this fraction of the triangles: 0.1 for a tenth. Topology and boundaries are preserved.
-    #[arg(help_heading = "Components and decimation", long, value_name = "RATIO")]
+    /// Keep this share of the triangles: 10%, 1/10 or 0.1. Topology and boundaries are preserved.
+    #[arg(help_heading = "Components and decimation", long, value_name = "SHARE", value_parser = grammar::share)]
     decimate: Option<f64>,
     /// Decimate until the estimated distance from the original surface reaches LENGTH, in world
-    /// units. With --decimate, stop at whichever comes first.
-    #[arg(help_heading = "Components and decimation", long, value_name = "LENGTH")]
-    decimate_error: Option<f64>,
+    /// units or as N% of the diagonal of the domain. With --decimate, stop at whichever comes
+    /// first.
+    #[arg(help_heading = "Components and decimation", long, value_name = "LENGTH", value_parser = grammar::length)]
+    decimate_error: Option<Length>,
     #[command(flatten)]
     machine: Machine,
     #[command(flatten)]
@@ -77,18 +87,59 @@ pub(crate) struct Args {
     /// values do not reach the isovalue are not read.
     #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time", "steps"])]
     all_steps: bool,
-    /// As --all-steps, for the steps FIRST:LAST by number; either end may be omitted.
-    #[arg(help_heading = "Series", long, value_name = "RANGE", conflicts_with_all = ["step", "time"])]
+    /// As --all-steps, for the steps from one number to another; either end may be omitted.
+    #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, conflicts_with_all = ["step", "time"])]
     steps: Option<StepRange>,
     /// Print points, tetrahedra, active blocks, bytes read and the time of each stage.
     #[arg(long)]
     stats: bool,
+    #[command(flatten)]
+    force: Force,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
 }
 
-fn refine(args: &Args) -> Refine {
+/// The name of standard output.
+const STANDARD_OUTPUT: &str = "-";
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Format {
+    Ply,
+    Stl,
+    Obj,
+    Vtp,
+    Glb,
+}
+
+impl From<Format> for SurfaceFormat {
+    fn from(format: Format) -> Self {
+        match format {
+            Format::Ply => Self::Ply,
+            Format::Stl => Self::Stl,
+            Format::Obj => Self::Obj,
+            Format::Vtp => Self::Vtp,
+            Format::Glb => Self::Glb,
+        }
+    }
+}
+
+impl Args {
+    fn is_to_standard_output(&self) -> bool {
+        self.output == Path::new(STANDARD_OUTPUT)
+    }
+
+    /// What is written.
+    fn format(&self) -> Result<SurfaceFormat> {
+        match self.format {
+            Some(format) => Ok(format.into()),
+            None if self.is_to_standard_output() => Ok(SurfaceFormat::default()),
+            None => SurfaceFormat::from_path(&self.output),
+        }
+    }
+}
+
+fn refine(args: &Args, archive: &Archive) -> Result<Refine> {
     let wanted = args.components
         || args.largest.is_some()
         || args.min_triangles.is_some()
@@ -101,32 +152,41 @@ fn refine(args: &Args) -> Refine {
     });
     let wanted = args.decimate.is_some() || args.decimate_error.is_some();
     let far = Decimation::default();
+    let max_error = args.decimate_error.map(|length| in_world(length, archive)).transpose()?;
     let decimate = wanted.then(|| Decimation {
         ratio: args.decimate.unwrap_or(far.ratio),
-        max_error: args.decimate_error.unwrap_or(far.max_error),
+        max_error: max_error.unwrap_or(far.max_error),
     });
-    Refine { components, decimate }
+    Ok(Refine { components, decimate })
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
-    let format = SurfaceFormat::from_path(&args.output)?;
-    expect_no_input(&args.output, [&args.archive])?;
-    let settings = SurfaceSettings {
-        resources: args.machine.resources(args.scratch.scratch.clone(), talk),
-        isovalues: args.isovalue.clone(),
-        roi: args.roi,
-        cap: args.cap,
-        refine: refine(args),
-    };
+    let format = args.format()?;
     // One question is asked: no block is cached for a next one.
     let archive = Archive::open(&args.archive)?.keeping(0);
+    let steps = args.steps.or(args.all_steps.then(StepRange::default));
+    let settings = SurfaceSettings {
+        resources: args.machine.resources(args.scratch.scratch.clone(), talk),
+        isovalues: isovalues(args, &archive, steps)?,
+        roi: args.roi,
+        cap: args.cap,
+        refine: refine(args, &archive)?,
+    };
+    if args.is_to_standard_output() {
+        return to_standard_output(args, &settings, &archive, format, talk);
+    }
+    let files = match steps {
+        Some(steps) => archive.series_files(steps, &settings, &args.output, format)?,
+        None => settings.files(&args.output),
+    };
+    args.force.check_all(&files, &[&args.archive])?;
     let bar = talk.progress();
-    if let Some(steps) = args.steps.or(args.all_steps.then(StepRange::default)) {
+    if let Some(steps) = steps {
         let report = archive.write_series(steps, &settings, &args.output, format, &*bar);
         bar.end();
         let report = report?;
         return if args.json {
-            super::print_json(&report)
+            super::print_json("surface.series", &report)
         } else {
             super::print(&series_text(&report, args.stats))
         };
@@ -137,13 +197,83 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let report = with_opening(report?, archive.opening());
     talk.stages(&report.seconds);
     if args.json {
-        return super::print_json(&report);
+        return super::print_json("surface", &report);
     }
-    let mut out = surfaces_text(&report);
-    if args.stats {
-        out += &stats_text(&report);
+    super::print(&in_words(&report, args.stats))
+}
+
+/// A length in world units.
+fn in_world(length: Length, archive: &Archive) -> Result<f64> {
+    let share = match length {
+        Length::World(length) => return Ok(length),
+        Length::OfDiagonal(share) => share,
+    };
+    if archive.info()?.grid_cells.is_some() {
+        return Err(Error::usage(
+            "--decimate-error in % is not possible on a grid with coordinates: give a length in world units",
+        ));
     }
-    super::print(&out)
+    let (geometry, dims) = (archive.geometry(), archive.dims());
+    let squares = (0..3).map(|a| (geometry.spacing[a] * dims[a].saturating_sub(1) as f64).powi(2));
+    Ok(share * squares.sum::<f64>().sqrt())
+}
+
+/// The isovalues: of percentages, those of the step or of all steps together.
+fn isovalues(args: &Args, archive: &Archive, steps: Option<StepRange>) -> Result<Vec<f64>> {
+    let is_share = |value: &Value| matches!(value, Value::Share(_));
+    let range = match steps {
+        _ if !args.isovalue.iter().any(is_share) => None,
+        None => archive.at(args.step.choice())?.value_range(),
+        Some(steps) => {
+            let ranges = archive.info()?.steps.into_iter().filter(|s| steps.contains(s.number));
+            let ranges = ranges.filter_map(|s| s.range);
+            ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])])
+        }
+    };
+    args.isovalue.iter().map(|value| value.of(range)).collect()
+}
+
+fn in_words(report: &SurfaceReport, stats: bool) -> String {
+    let stats = if stats { stats_text(report) } else { String::new() };
+    surfaces_text(report) + &stats
+}
+
+/// Writes a surface to standard output, by way of a file in the scratch folder, so that it comes
+/// whole or not at all. What was made is told on standard error.
+fn to_standard_output(
+    args: &Args,
+    settings: &SurfaceSettings,
+    archive: &Archive,
+    format: SurfaceFormat,
+    talk: &Talk,
+) -> Result<()> {
+    let refuse = |why: &str| Err(Error::usage(why));
+    if args.steps.is_some() || args.all_steps {
+        return refuse("several steps are several files: give -o a name such as out_%04d.ply in place of -");
+    }
+    if args.json {
+        return refuse("--json and -o - both write to standard output: give -o the name of a file");
+    }
+    if std::io::stdout().is_terminal() {
+        return refuse("standard output is a terminal: redirect it, or give -o the name of a file");
+    }
+    let scratch = args.scratch.scratch.clone().unwrap_or_else(std::env::temp_dir);
+    let folder =
+        tempfile::tempdir_in(&scratch).map_err(|e| Error::io("make a temporary folder in", &scratch, e))?;
+    let file = folder.path().join("surface");
+    let bar = talk.progress();
+    let report = archive.at(args.step.choice())?.write_surface(settings, &file, format, &*bar);
+    bar.end();
+    let mut report = with_opening(report?, archive.opening());
+    talk.stages(&report.seconds);
+    let mut bytes = File::open(&file).map_err(|e| Error::io("open", &file, e))?;
+    let mut out = std::io::stdout().lock();
+    std::io::copy(&mut bytes, &mut out)
+        .and_then(|_| out.flush())
+        .map_err(|e| Error::io("write to", "standard output", e))?;
+    report.surfaces.iter_mut().for_each(|s| s.file = "standard output".into());
+    in_words(&report, args.stats).lines().for_each(|line| talk.note(line));
+    Ok(())
 }
 
 /// The report of the whole command, in which opening the archive is part of the first stage.
@@ -170,7 +300,7 @@ fn series_text(report: &SeriesReport, stats: bool) -> String {
             out,
             "step {} (time {}): {}: {triangles} triangles, {size}{skipped}",
             s.step,
-            s.time,
+            text::number(s.time),
             names.join(" ")
         );
     }
@@ -206,9 +336,9 @@ fn surfaces_text(report: &SurfaceReport) -> String {
         };
         let _ = write!(
             out,
-            "{name}: {} vertices, {} triangles",
+            "{name}: {} vertices, {}",
             text::count(surface.vertices),
-            text::count(surface.triangles)
+            text::plural(surface.triangles, "triangle")
         );
         let _ = match report.surfaces.len() {
             1 => writeln!(out, ", {}", text::bytes(report.file_bytes)),
@@ -218,7 +348,7 @@ fn surfaces_text(report: &SurfaceReport) -> String {
         if surface.outside_range && surface.triangles == 0 {
             let range = report
                 .range
-                .map_or("no values at all".to_owned(), |[lo, hi]| format!("the range {lo} .. {hi}"));
+                .map_or("no values at all".to_owned(), |range| format!("the range {}", text::range(range)));
             let _ = writeln!(
                 out,
                 "  the isovalue {} does not cut {range}: the surface is empty",
@@ -247,12 +377,13 @@ fn refined_text(surface: &OneSurface) -> String {
     if let Some(d) = &surface.refined.decimation {
         let _ = writeln!(
             out,
-            "  decimated     {} of {} triangles ({:.1} %) in {} passes, at most {:.3} away (estimated)",
+            "  decimated     {} of {} triangles ({:.1} %) in {} {}, about {} world units away at most (estimated)",
             text::count(d.triangles_after),
             text::count(d.triangles_before),
             100.0 * d.triangles_after as f64 / d.triangles_before.max(1) as f64,
             d.passes,
-            d.error_estimate
+            if d.passes == 1 { "pass" } else { "passes" },
+            text::value(text::figures(d.error_estimate, 3))
         );
     }
     out

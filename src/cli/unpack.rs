@@ -1,37 +1,40 @@
 //! `isospan unpack`: disk for time.
 
+use super::grammar::{self, Range};
+use super::output::{Force, exists};
 use super::progress::Talk;
 use super::step::StepArgs;
 use super::{machine::Machine, text};
+use isospan::archive::manifest::unpacked_path;
 use isospan::pipeline::{StepRange, UnpackReport, UnpackSettings, remove_unpacked, unpack, unpack_need};
-use isospan::{Error, Resources, Result};
+use isospan::{Archive, Error, Resources, Result};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// Trade disk for speed: store the blocks of an archive in the form that surfaces use.
+/// Store the blocks of an archive as surfaces use them.
 ///
-/// The archive grows by about 60 bytes per tetrahedron, and surfaces take a fraction of the time.
-/// They are the same, byte for byte. All commands that make surfaces use the file from then on. It
-/// is mapped, so the system can take its memory back at any time. It stays valid when steps are
-/// appended.
+/// This trades disk for speed. The archive grows by about 60 bytes per tetrahedron, and surfaces
+/// take a fraction of the time. They are the same, byte for byte. All commands that make surfaces
+/// use the file from then on. It is mapped, so the system can take its memory back at any time. It
+/// stays valid when steps are appended.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  isospan unpack scan.isospan\n  isospan unpack run.isospan --all-steps --range 0.4:0.6"
 )]
 pub(crate) struct Args {
-    /// The archive.
+    /// The archive, a folder on this machine.
     archive: PathBuf,
     #[command(flatten)]
     step: StepArgs,
     /// All steps.
     #[arg(help_heading = "Series", long, conflicts_with_all = ["step", "time", "steps"])]
     all_steps: bool,
-    /// The steps FIRST:LAST by number; either end may be omitted.
-    #[arg(help_heading = "Series", long, value_name = "RANGE", conflicts_with_all = ["step", "time"])]
+    /// The steps from one number to another; either end may be omitted.
+    #[arg(help_heading = "Series", long, value_name = "FIRST:LAST", value_parser = grammar::steps, conflicts_with_all = ["step", "time"])]
     steps: Option<StepRange>,
-    /// Only blocks that isovalues in this range need. Surfaces at other isovalues decode blocks as
-    /// before.
-    #[arg(long, value_name = "LO:HI", value_parser = parse_range, allow_hyphen_values = true)]
+    /// Only blocks that isovalues in this range need; 100% is the range of the values of the step
+    /// that is asked, or of the first. Surfaces at other isovalues decode blocks as before.
+    #[arg(long, value_name = "LO:HI", value_parser = grammar::range, allow_hyphen_values = true)]
     range: Option<Range>,
     /// Remove the unpacked blocks of all steps, or of the given ones.
     #[arg(long, conflicts_with = "range")]
@@ -41,23 +44,11 @@ pub(crate) struct Args {
     dry_run: bool,
     #[command(flatten)]
     machine: Machine,
+    #[command(flatten)]
+    force: Force,
     /// Print the result as JSON.
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Range([f64; 2]);
-
-fn parse_range(given: &str) -> std::result::Result<Range, String> {
-    let bad = || format!("'{given}' is no range of isovalues; write LO:HI, as in 550:700");
-    let (low, high) = given.split_once(':').ok_or_else(bad)?;
-    let end = |s: &str, open: f64| match s.trim() {
-        "" => Ok(open),
-        s => s.parse::<f64>().ok().filter(|v| v.is_finite()).ok_or_else(bad),
-    };
-    let range = [end(low, f64::NEG_INFINITY)?, end(high, f64::INFINITY)?];
-    if range[0] <= range[1] { Ok(Range(range)) } else { Err(bad()) }
 }
 
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
@@ -69,7 +60,10 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             .with_cancel(super::signals::cancel_token()),
         step: args.step.choice(),
         steps: args.steps.or(args.all_steps.then(StepRange::default)),
-        range: args.range.map_or(all.range, |range| range.0),
+        range: match args.range {
+            Some(range) => range.of(Archive::open(&args.archive)?.at(args.step.choice())?.value_range())?,
+            None => all.range,
+        },
     };
     if !isospan::pipeline::is_archive(&args.archive) {
         return Err(Error::bad_input(&args.archive, "archive", "a folder made by isospan reduce", "none"));
@@ -78,6 +72,9 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         remove_unpacked(&args.archive, &settings, args.step.is_given() || settings.steps.is_some())?
     } else {
         let need = unpack_need(&args.archive, &settings)?;
+        if !args.force.is_given() && !args.dry_run {
+            expect_packed(args, &settings)?;
+        }
         let free =
             need.free.map_or_else(String::new, |free| format!(" of {} that are free", text::bytes(free)));
         let about = format!(
@@ -86,7 +83,11 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
             text::count(need.tetrahedra)
         );
         if args.dry_run {
-            return if args.json { super::print_json(&need) } else { super::print(&format!("{about}\n")) };
+            return if args.json {
+                super::print_json("unpack.estimate", &need)
+            } else {
+                super::print(&format!("{about}\n"))
+            };
         }
         talk.note(&format!("writes {about}; unpack --remove removes them"));
         let bar = talk.progress();
@@ -95,9 +96,17 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
         report?
     };
     if args.json {
-        return super::print_json(&report);
+        return super::print_json("unpack", &report);
     }
     super::print(&if args.remove { removed_text(&report) } else { unpacked_text(&report) })
+}
+
+/// Refuses steps that are unpacked already.
+fn expect_packed(args: &Args, settings: &UnpackSettings) -> Result<()> {
+    let asked = Archive::open(&args.archive)?.at(args.step.choice())?.info()?;
+    let is_meant = |n: u64| settings.steps.map_or(n == asked.step, |range| range.contains(n));
+    let unpacked = asked.steps.iter().find(|s| is_meant(s.number) && s.unpacked_bytes.is_some());
+    unpacked.map_or(Ok(()), |step| Err(exists(&unpacked_path(&args.archive, step.number))))
 }
 
 fn unpacked_text(report: &UnpackReport) -> String {
@@ -105,15 +114,20 @@ fn unpacked_text(report: &UnpackReport) -> String {
     for f in &report.files {
         let _ = writeln!(
             out,
-            "{}: {} blocks, {} tetrahedra, {} ({:.1} bytes a tetrahedron)",
+            "{}: {}, {} tetrahedra, {} ({:.1} bytes a tetrahedron)",
             f.file.display(),
-            text::count(f.blocks),
+            text::plural(f.blocks, "block"),
             text::count(f.tetrahedra),
             text::bytes(f.bytes),
             f.bytes as f64 / f.tetrahedra.max(1) as f64
         );
         if f.packed_blocks > 0 {
-            let _ = writeln!(out, "  {} other blocks stay packed", text::count(f.packed_blocks));
+            let _ = writeln!(
+                out,
+                "  {} packed",
+                text::plural(f.packed_blocks, "other block")
+                    + if f.packed_blocks == 1 { " stays" } else { " stay" }
+            );
         }
     }
     if report.files.len() > 1 {
@@ -124,21 +138,9 @@ fn unpacked_text(report: &UnpackReport) -> String {
 
 fn removed_text(report: &UnpackReport) -> String {
     let names: String = report.files.iter().map(|f| format!("{}\n", f.file.display())).collect();
-    format!("{names}{} files, {} removed\n", report.files.len(), text::bytes(report.bytes))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ranges_have_two_ends() {
-        let all = [f64::NEG_INFINITY, f64::INFINITY];
-        assert_eq!(parse_range("-1.5:2"), Ok(Range([-1.5, 2.0])));
-        assert_eq!(parse_range("3:"), Ok(Range([3.0, all[1]])));
-        assert_eq!(parse_range(":"), Ok(Range(all)));
-        for bad in ["", "3", "2:1", "a:b", "nan:", "inf:", "1:2:3"] {
-            assert!(parse_range(bad).is_err(), "{bad}");
-        }
-    }
+    format!(
+        "{names}{}, {} removed\n",
+        text::plural(report.files.len() as u64, "file"),
+        text::bytes(report.bytes)
+    )
 }

@@ -1,5 +1,6 @@
 //! `isospan work`: a shard of a planned reduction.
 
+use super::grammar;
 use super::machine::{InputScratch, Machine};
 use super::progress::Talk;
 use super::text;
@@ -7,8 +8,9 @@ use isospan::Result;
 use isospan::pipeline::{Shard, work_shard};
 use std::path::PathBuf;
 
-/// Make a shard of a planned reduction: those of its segments that are not done yet.
+/// Make a shard of a planned reduction.
 ///
+/// Its segments that are not done yet are made.
 /// A shard may be started again at any time, twice at once, or on another machine. A signal
 /// (SIGTERM, SIGINT, SIGUSR1, SIGXCPU) ends it with code 75; the same command then continues.
 #[derive(clap::Args, Debug)]
@@ -20,7 +22,7 @@ pub(crate) struct Args {
     archive: PathBuf,
     /// Which shard, counted from 0: 3/16. Any number of shards gives the same archive [default:
     /// all].
-    #[arg(long, value_name = "I/N", value_parser = parse_shard)]
+    #[arg(long, value_name = "I/N", value_parser = grammar::shard)]
     shard: Option<Shard>,
     #[command(flatten)]
     machine: Machine,
@@ -31,11 +33,8 @@ pub(crate) struct Args {
     json: bool,
 }
 
-fn parse_shard(text: &str) -> std::result::Result<Shard, String> {
-    text.parse().map_err(|e: isospan::Error| e.to_string())
-}
-
 pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    super::expect_planned(&args.archive)?;
     let run = args.machine.run(&args.scratch, talk);
     let bar = talk.progress();
     let report = work_shard(&args.archive, args.shard.unwrap_or(Shard::ALL), &run, &*bar);
@@ -44,16 +43,16 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     talk.stages(&report.seconds);
     report.source_chunks.iter().for_each(|found| talk.detail(&text::source_chunks(found)));
     if args.json {
-        return super::print_json(&report);
+        return super::print_json("work", &report);
     }
     let done = match report.points {
         0 => "nothing left to do".to_owned(),
         points => format!("{} points", text::count(points)),
     };
     super::print(&format!(
-        "{}: shard {} ({} of the segments): {done}\n",
+        "{}: shard {} ({}): {done}\n",
         args.archive.display(),
         report.shard,
-        text::count(report.segments)
+        text::plural(report.segments, "segment")
     ))
 }

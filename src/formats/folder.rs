@@ -1,6 +1,6 @@
 //! A folder, or a pattern for file names, as a volume: a Zarr array or a stack of slices.
 
-use super::{OpenOptions, stack, tiff, zarr};
+use super::{OpenOptions, has_suffix, stack, tiff, zarr};
 use crate::error::{Error, Result};
 use crate::volume::VolumeSource;
 use std::path::Path;
@@ -20,7 +20,12 @@ pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
         return Err(Error::usage(format!("{} stands for several files: {message}", path.display())));
     }
     if stack::is_pattern(path) {
-        return tiff::open_stack(path, stack::matching(path)?, options);
+        let slices = stack::matching(path)?;
+        if let Some(other) = slices.iter().find(|slice| !has_suffix(slice, &tiff::SUFFIXES)) {
+            return Err(Error::bad_input(path, "pattern", "slices (*.tif)", format!("{}", other.display()))
+                .with_help("other files are volumes, one each: name the one that is meant"));
+        }
+        return tiff::open_stack(path, slices, options);
     }
     if zarr::is_zarr(path) {
         return zarr::open(path, options);
@@ -29,7 +34,15 @@ pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     if !slices.is_empty() {
         return tiff::open_stack(path, slices, options);
     }
-    let got = if path.join("manifest.json").is_file() { "an isospan archive" } else { "none of these" };
+    if path.join("manifest.json").is_file() {
+        return Err(Error::bad_input(path, "folder", "a volume or a mesh", "an isospan archive"));
+    }
+    if path.join("mesh").is_dir() && path.join("steps").is_dir() {
+        return Err(Error::bad_input(path, "archive", "a finished one", "one without a manifest").with_help(
+            "the reduce command that began it goes on with it; isospan status tells how far a planned one is",
+        ));
+    }
+    let got = "none of these";
     Err(Error::bad_input(path, "folder", "slices (*.tif), or a Zarr array or group", got)
         .with_help("name a file in it, or a pattern for its slices, in quotes"))
 }

@@ -207,9 +207,38 @@ impl Storage for Bytes {
 fn damaged(path: &Path, at: &str, error: &hdf5_reader::error::Error) -> Error {
     let got: String =
         error.to_string().chars().map(|c| if c.is_control() { ' ' } else { c }).take(300).collect();
+    if let hdf5_reader::error::Error::UnsupportedFilter(filter) = error {
+        let number = filter.rsplit(' ').next().unwrap_or_default();
+        let name = FILTERS.iter().find(|(id, _)| *id == number).map_or("of another name", |(_, name)| name);
+        let help =
+            "write it anew with deflate: h5repack -f GZIP=1 OLD NEW, where the filter's plugin is installed";
+        return Error::bad_input(
+            path,
+            at,
+            "filters that are read: deflate, shuffle, szip, LZF",
+            format!("the filter {name} ({filter})"),
+        )
+        .with_help(help);
+    }
     let help = "the file is damaged, cut short, or uses what is not read; try h5dump or h5repack on it";
     Error::bad_input(path, at, "good HDF5", got).with_help(help)
 }
+
+/// Registered filters that are not read, by their numbers.
+const FILTERS: [(&str, &str); 12] = [
+    ("305", "LZO"),
+    ("307", "bzip2"),
+    ("32001", "Blosc"),
+    ("32004", "LZ4"),
+    ("32008", "bitshuffle"),
+    ("32013", "ZFP"),
+    ("32015", "Zstandard"),
+    ("32017", "SZ"),
+    ("32018", "FCIDECOMP"),
+    ("32024", "SZ3"),
+    ("32026", "Blosc2"),
+    ("32028", "SPERR"),
+];
 
 /// The datasets of a file.
 struct Tree {
@@ -514,12 +543,11 @@ fn scalar_of(path: &Path, name: &str, dataset: &Dataset) -> Result<(ScalarType, 
             .with_help("write the numbers that are wanted to a dataset of such a type")
     };
     let (scalar, order) = match dataset.dtype() {
-        Datatype::FixedPoint { size, signed, byte_order } => (
-            ScalarType::from_name(&format!("{}{}", if *signed { "i" } else { "u" }, 8 * u32::from(*size))),
-            byte_order,
-        ),
+        Datatype::FixedPoint { size, signed, byte_order } => {
+            (ScalarType::from_code(&format!("{}{size}", if *signed { "i" } else { "u" })), byte_order)
+        }
         Datatype::FloatingPoint { size, byte_order } => {
-            (ScalarType::from_name(&format!("f{}", 8 * u32::from(*size))), byte_order)
+            (ScalarType::from_code(&format!("f{size}")), byte_order)
         }
         other => return Err(refuse(kind(other).into())),
     };

@@ -211,13 +211,20 @@ fn unzipped_head(source: &Arc<ByteSource>) -> Vec<u8> {
 fn unknown_kind(source: &ByteSource) -> Error {
     let head = source.slice(0..source.len().min(8)).expect("within the file");
     let shown: Vec<String> = head.iter().map(|b| format!("{b:02x}")).collect();
+    let is_surface = has_suffix(source.path(), &[".ply", ".stl", ".obj", ".vtp", ".glb"]);
+    let help = if is_surface {
+        "of surfaces, isospan check tells what is in them"
+    } else {
+        "a headerless file needs --dims and --type; of other compressed files, unpack them first"
+    };
     Error::bad_input(
         source.path(),
         "kind of file",
-        "NRRD, MetaImage, NPY or NPZ, NIfTI, TIFF, HDF5, VTI, legacy VTK or .bricks (or a folder: slices, Zarr)",
-        format!("none of these by name or first bytes ({})", shown.join(" ")),
+        "a volume (NRRD, MetaImage, NPY, NPZ, NIfTI, TIFF, HDF5, NetCDF-4, VTI, VTR, VTS, legacy VTK, .bricks, a \
+         folder of slices or Zarr) or a mesh (VTU, PVTU, legacy VTK, Gmsh, TetGen, .pts and .tet)",
+        if is_surface { "a surface".into() } else { format!("none of these: it begins with {}", shown.join(" ")) },
     )
-    .with_help("a headerless file needs --dims and --type; of other compressed files, unpack them first")
+    .with_help(help)
 }
 
 /// Whether the file's name ends in one of `suffixes`, in any case.
@@ -256,7 +263,7 @@ pub fn pick_field(path: &Path, fields: &[FieldInfo], wanted: Option<&str>) -> Re
     }
 }
 
-/// "speed (f32), velocity (3 x f32, not scalar)"; of very many, the first.
+/// "speed (float32), velocity (3 x float32, not scalar)"; of very many, the first.
 fn list_fields(fields: &[FieldInfo]) -> String {
     const MOST: usize = 40;
     let one = |f: &FieldInfo| match f.components {
@@ -386,7 +393,9 @@ pub(crate) mod tests {
             let error = pick_field(path, &fields, wanted).unwrap_err();
             assert_eq!(error.exit_code(), 2);
             assert!(
-                error.to_string().contains("velocity (3 x f32, not scalar), speed (f32), heat (f32)"),
+                error
+                    .to_string()
+                    .contains("velocity (3 x float32, not scalar), speed (float32), heat (float32)"),
                 "{error}"
             );
         }

@@ -142,17 +142,8 @@ fn element(descr: &str) -> Option<(ScalarType, bool)> {
     let inner = descr.strip_prefix(['\'', '"'])?.strip_suffix(['\'', '"'])?;
     let (order, kind) = inner.split_at_checked(1)?;
     let scalar = match kind {
-        "b1" | "u1" => ScalarType::U8,
-        "i1" => ScalarType::I8,
-        "u2" => ScalarType::U16,
-        "i2" => ScalarType::I16,
-        "u4" => ScalarType::U32,
-        "i4" => ScalarType::I32,
-        "u8" => ScalarType::U64,
-        "i8" => ScalarType::I64,
-        "f4" => ScalarType::F32,
-        "f8" => ScalarType::F64,
-        _ => return None,
+        "b1" => ScalarType::U8,
+        _ => ScalarType::from_code(kind)?,
     };
     match order {
         "<" => Some((scalar, false)),

@@ -296,7 +296,7 @@ mod tests {
         let both = [("spacing.npy", spacing.clone()), ("a.npy", volume()), ("b.npy", other)];
         let path = write(&dir, "a.npz", &zip(&both, true, false));
         let error = open(&path, &options(None)).err().expect("two fields").to_string();
-        assert!(error.contains("a (u16), b (f32)"), "{error}");
+        assert!(error.contains("a (uint16), b (float32)"), "{error}");
         check(&path, &options(Some("a")));
         for (members, message) in [
             (vec![("spacing.npy", spacing)], "shape"),

@@ -34,6 +34,32 @@ pub struct RawLayout {
     pub spacing: [f64; 3],
 }
 
+/// A type of samples, with the byte order where its name tells one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SampleType {
+    /// The type.
+    pub scalar: ScalarType,
+    /// Whether samples are big-endian, where the name says so.
+    pub big_endian: Option<bool>,
+}
+
+impl SampleType {
+    /// The type of a name of NumPy: "uint16", or with the byte order "<u2", ">f4", "|u1".
+    ///
+    /// "u8" and "i8" without byte order are no names: NumPy means eight bytes, others eight bits.
+    pub fn from_name(name: &str) -> Option<Self> {
+        let (order, code) = name.split_at_checked(1)?;
+        let big_endian = match order {
+            "<" => Some(false),
+            ">" => Some(true),
+            "|" => None,
+            _ => return ScalarType::from_name(name).map(|scalar| Self { scalar, big_endian: None }),
+        };
+        let found = ScalarType::from_code(code).map(|scalar| Self { scalar, big_endian });
+        found.filter(|t| t.big_endian.is_some() || t.scalar.bytes() == 1)
+    }
+}
+
 /// Opens a headerless file.
 ///
 /// # Errors
@@ -76,7 +102,7 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
 /// The error for a file whose layout must be told.
 pub(super) fn no_layout(path: &Path) -> Error {
     Error::usage(format!(
-        "{}: a headerless file: give its layout with --dims X,Y,Z --type u8|i8|u16|i16|u32|i32|u64|i64|f32|f64 \
+        "{}: a headerless file: give its layout with --dims X,Y,Z --type TYPE, as in uint16 or float32 \
          (and, where they differ from the defaults, --endian big, --offset BYTES, --spacing X,Y,Z)",
         path.display()
     ))

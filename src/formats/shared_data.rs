@@ -37,19 +37,14 @@ fn ours(path: &Path) -> bool {
 
 fn scalar_of(name: &str) -> Option<ScalarType> {
     let numpy = match name {
-        "uint8" => "u8",
-        "int8" => "i8",
-        "uint16" => "u16",
-        "int16" | "short" => "i16",
-        "uint32" => "u32",
-        "int32" => "i32",
-        "uint64" => "u64",
-        "int64" => "i64",
-        "float32" | "float" | ">f4" => "f32",
-        "float64" | "double" => "f64",
+        "short" => "int16",
+        "float" | ">f4" => "float32",
+        "double" => "float64",
         other => other,
     };
-    ScalarType::from_name(numpy)
+    // The list has bits behind the letter.
+    let bits = |t: &ScalarType| format!("{}{}", &t.name()[..1], 8 * t.bytes());
+    ScalarType::ALL.into_iter().find(|t| t.name() == numpy || bits(t) == numpy)
 }
 
 fn dims_of(size: &str) -> Option<[u64; 3]> {

@@ -33,9 +33,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// A format that surfaces are written in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SurfaceFormat {
     /// Polygon File Format (Stanford), binary little-endian.
+    #[default]
     Ply,
     /// Stereolithography, binary.
     Stl,

@@ -421,8 +421,13 @@ impl CellStream for Tets {
             let mut vertices = [0; 10];
             let n = self.kind.vertices();
             self.rows.ids(&mut vertices[..n])?;
-            // Vertex 0 where they count from 1 becomes a number that no point has.
-            let ordered = IN_VTK_ORDER.map(|i| vertices[i].wrapping_sub(self.first));
+            if let Some(v) = vertices[..n].iter().find(|&&v| v < self.first) {
+                let cell = self.rows.row - 1 + self.first;
+                let expected = format!("vertices counted from {}, as points are", self.first);
+                let path = self.rows.table.source.path();
+                return Err(Error::bad_input(path, format!("cell {cell}"), expected, format!("vertex {v}")));
+            }
+            let ordered = IN_VTK_ORDER.map(|i| vertices[i].saturating_sub(self.first));
             out.push(self.kind, &ordered[..n]);
         }
         if n == 0 {

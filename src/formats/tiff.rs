@@ -215,8 +215,13 @@ fn images(path: &Path, description: &str) -> Result<u64> {
         [(count("channels").max(ome("SizeC")), "channels"), (count("frames").max(ome("SizeT")), "moments")]
     {
         if let Some(n) = many.filter(|&n| n > 1) {
-            return Err(Error::bad_input(path, "description", format!("one of {name}"), n.to_string())
-                .with_help("write one of them to a file of its own"));
+            return Err(Error::bad_input(
+                path,
+                "description",
+                format!("one {}", name.trim_end_matches('s')),
+                format!("{n} {name}"),
+            )
+            .with_help("write one of them to a file of its own"));
         }
     }
     Ok(count("images").unwrap_or(1))

@@ -7,7 +7,9 @@ use crate::formats::surface::SurfaceFormat;
 use crate::pipeline::check::{ArchiveCheck, check_archive};
 use crate::pipeline::read::{OpenArchive, StepChoice, StepRange, StepSpectrum};
 use crate::pipeline::step::Step;
-use crate::pipeline::surface::{SeriesReport, SurfaceSettings, surfaces_of_steps, write_series};
+use crate::pipeline::surface::{
+    SeriesReport, SurfaceSettings, series_files, surfaces_of_steps, write_series,
+};
 use crate::surface::TriMesh;
 use serde::Serialize;
 use std::ops::Deref;
@@ -183,6 +185,21 @@ impl Archive {
         progress: &dyn Progress,
     ) -> Result<SeriesReport> {
         write_series(&self.open, steps, settings, out, format, progress)
+    }
+
+    /// The files that [`Archive::write_series`] writes: those of the steps, then the lists.
+    ///
+    /// # Errors
+    /// [`crate::Error::Usage`] for a name without a place for the step's number, and when no step
+    /// is in the range.
+    pub fn series_files(
+        &self,
+        steps: StepRange,
+        settings: &SurfaceSettings,
+        out: &Path,
+        format: SurfaceFormat,
+    ) -> Result<Vec<PathBuf>> {
+        series_files(&self.open, steps, settings, out, format)
     }
 
     /// Verifies the whole archive: every checksum, and every invariant that ties its parts

@@ -1,6 +1,7 @@
 //! [`Stage`]: the parts of a run whose time reports tell.
 
-use serde::{Serialize, Serializer};
+use serde::Serializer;
+use serde::ser::SerializeMap as _;
 use std::fmt;
 use std::time::Duration;
 
@@ -47,8 +48,30 @@ pub enum Stage {
 /// Seconds of some stages, in the order of the work.
 pub type StageSeconds = Vec<(Stage, f64)>;
 
+/// Writes them as a map from the stage's name to its seconds.
+pub(in crate::pipeline) fn by_name<S: Serializer>(seconds: &StageSeconds, to: S) -> Result<S::Ok, S::Error> {
+    let mut map = to.serialize_map(None)?;
+    for (n, (stage, _)) in seconds.iter().enumerate() {
+        let is_first = seconds[..n].iter().all(|(other, _)| other != stage);
+        if is_first {
+            let sum: f64 = seconds.iter().filter(|(other, _)| other == stage).map(|(_, s)| s).sum();
+            map.serialize_entry(stage.key(), &sum)?;
+        }
+    }
+    map.end()
+}
+
 impl Stage {
-    /// Its name in reports.
+    /// Its name in JSON.
+    pub fn key(self) -> &'static str {
+        match self {
+            Self::Open => "open",
+            Self::Join => "join",
+            other => other.name(),
+        }
+    }
+
+    /// Its name for a person.
     pub fn name(self) -> &'static str {
         match self {
             Self::Read => "read",
@@ -99,11 +122,5 @@ impl StageTimes {
 impl fmt::Display for Stage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(self.name())
-    }
-}
-
-impl Serialize for Stage {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(self.name())
     }
 }

@@ -14,7 +14,8 @@ pub(crate) mod unpacked;
 
 use crate::error::Result;
 use crate::grid::{Geometry, IndexBox};
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -61,25 +62,43 @@ impl ScalarType {
         }
     }
 
-    /// Its name: "u8" … "f64".
+    /// Its name, as NumPy has it: "uint8" … "float64".
     pub fn name(self) -> &'static str {
         match self {
-            Self::U8 => "u8",
-            Self::I8 => "i8",
-            Self::U16 => "u16",
-            Self::I16 => "i16",
-            Self::U32 => "u32",
-            Self::I32 => "i32",
-            Self::U64 => "u64",
-            Self::I64 => "i64",
-            Self::F32 => "f32",
-            Self::F64 => "f64",
+            Self::U8 => "uint8",
+            Self::I8 => "int8",
+            Self::U16 => "uint16",
+            Self::I16 => "int16",
+            Self::U32 => "uint32",
+            Self::I32 => "int32",
+            Self::U64 => "uint64",
+            Self::I64 => "int64",
+            Self::F32 => "float32",
+            Self::F64 => "float64",
         }
     }
 
     /// The type of a name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|t| t.name() == name)
+    }
+
+    /// The type of NumPy's short name, with bytes in place of bits: "u2", "f8".
+    pub fn from_code(code: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|t| code.strip_prefix(&t.name()[..1]) == Some(&t.bytes().to_string()))
+    }
+
+    /// Writes the name, in a report.
+    pub(crate) fn serialize_name<S: Serializer>(&self, to: S) -> std::result::Result<S::Ok, S::Error> {
+        to.serialize_str(self.name())
+    }
+
+    /// Reads what [`ScalarType::serialize_name`] writes.
+    pub(crate) fn deserialize_name<'de, D: Deserializer<'de>>(
+        from: D,
+    ) -> std::result::Result<Self, D::Error> {
+        let name = String::deserialize(from)?;
+        Self::from_name(&name).ok_or_else(|| D::Error::custom(format!("no type is called {name:?}")))
     }
 }
 
@@ -89,6 +108,10 @@ pub struct FieldInfo {
     /// The name in the file; "data" where the format has no names.
     pub name: String,
     /// Type of a stored sample.
+    #[serde(
+        serialize_with = "ScalarType::serialize_name",
+        deserialize_with = "ScalarType::deserialize_name"
+    )]
     pub scalar: ScalarType,
     /// Values a sample: 1 for a scalar field, 3 for a vector. Only scalar fields are read.
     pub components: u32,

@@ -95,12 +95,12 @@ fn raw_files_need_their_layout() {
     let samples: Vec<u8> = (0..5 * 4 * 3u16).flat_map(u16::to_be_bytes).collect();
     fs::write(d.join("v.raw"), [b"HEAD".as_slice(), &samples].concat()).unwrap();
     let layout =
-        ["--dims", "5,4,3", "--type", "u16", "--endian", "big", "--offset", "4", "--spacing", "1,2,3"];
+        ["--dims", "5,4,3", "--type", "uint16", "--endian", "big", "--offset", "4", "--spacing", "1,2,3"];
     let info = json(&ok(d, &[&["info", "v.raw", "--json"], &layout[..]].concat()));
     assert_eq!((&info["scan"]["min"], &info["scan"]["max"]), (&0.0.into(), &59.0.into()));
     let (code, text) = fails(d, &["info", "v.raw"]);
     assert!(code == 2 && text.contains("--dims"), "{text}");
-    let (code, text) = fails(d, &["info", "v.raw", "--dims", "5,4,4", "--type", "u16"]);
+    let (code, text) = fails(d, &["info", "v.raw", "--dims", "5,4,4", "--type", "uint16"]);
     assert!(code == 5 && text.contains("v.raw"), "{text}");
 }
 
@@ -172,20 +172,25 @@ fn usage_errors() {
     for args in usage {
         assert_eq!(fails(d, args).0, 2, "{args:?}");
     }
-    // What the argument parser refuses comes with a hint of the usage, on several lines.
+    // What the argument parser refuses is one line, too.
     let parser: [&[&str]; 6] = [
         &["reduce", "b.npy", "-o", "c.isospan", "--fraction", "1/0"],
         &["reduce", "b.npy", "-o", "c.isospan", "--nan", "perhaps"],
         &["reduce", "b.npy", "-o", "c.isospan", "--memory", "much"],
         &["info", "b.npy", "--dims", "1,2"],
         &["frobnicate"],
-        &[],
+        &["surface", "b.isospan", "-o", "b.ply"],
     ];
     for args in parser {
-        let out = isospan(d, args);
-        assert_eq!(out.status.code(), Some(2), "{args:?}");
-        assert!(out.stdout.is_empty() && !out.stderr.is_empty(), "{args:?}");
+        assert_eq!(fails(d, args).0, 2, "{args:?}");
     }
+    let (_, text) = fails(d, parser[0]);
+    let end = "for '--fraction <FRACTION>': expected a share, as in 1/8, 0.125 or 12.5%; isospan reduce --help tells more\n";
+    assert!(text.ends_with(end), "{text}");
+    // Without a command the help is shown.
+    let out = isospan(d, &[]);
+    assert_eq!((out.status.code(), out.stdout.len()), (Some(2), 0));
+    assert!(String::from_utf8(out.stderr).unwrap().contains("Usage: isospan"));
     assert_eq!(fails(d, &["reduce", "b.npy", "-o", "c.isospan", "--memory", "1MiB"]).0, 4);
     assert!(!d.join("c.isospan").exists());
     // An archive is replaced only when asked to; a folder of somebody else's never.
@@ -303,7 +308,7 @@ fn the_report_of_a_series_tells_its_largest_errors() {
     }
     let text = ok(d, &["reduce", "s*.npy", "-o", "s.isospan", "--fraction", "1/4"]);
     let line = text.lines().find(|l| l.starts_with("  error ")).unwrap();
-    assert_eq!(line.matches("(step 2)").count(), 2, "{line}");
+    assert_eq!(line.matches("in step 2").count(), 2, "{line}");
     let steps = json(&ok(d, &["info", "s.isospan", "--json"]))["steps"].clone();
     assert_eq!(steps[0]["error"][0], 0.0);
     let rms = steps[2]["error"][0].as_f64().unwrap();
@@ -311,7 +316,10 @@ fn the_report_of_a_series_tells_its_largest_errors() {
     assert!((told / rms - 1.0).abs() < 1e-3, "{line}: {rms}");
     // Of one step it is that one's.
     let text = ok(d, &["reduce", "s1.npy", "-o", "one.isospan", "--fraction", "1/4"]);
-    assert!(text.lines().any(|l| l.starts_with("  error       RMS ") && l.ends_with(" samples")), "{text}");
+    assert!(
+        text.lines().any(|l| l.starts_with("  error       RMS ") && l.contains(" samples; % of")),
+        "{text}"
+    );
 }
 
 #[test]
@@ -322,8 +330,27 @@ fn completions_and_manual() {
     }
     assert!(ok(dir.path(), &["man"]).contains("isospan"));
     ok(dir.path(), &["man", "--dir", "pages"]);
+    for entry in fs::read_dir(dir.path().join("pages")).unwrap() {
+        let page = entry.unwrap().path();
+        let text = fs::read_to_string(&page).unwrap();
+        assert!(["EXIT STATUS", "ENVIRONMENT", "FILES"].iter().all(|s| text.contains(s)), "{page:?}");
+        // Where there is groff, it has nothing to say.
+        let checked = Command::new("groff").args(["-ww", "-man", "-Kutf8", "-z"]).arg(&page).output();
+        if let Ok(checked) = checked {
+            assert_eq!(String::from_utf8_lossy(&checked.stderr), "", "{page:?}");
+        }
+    }
     assert!(dir.path().join("pages/isospan-reduce.1").exists());
-    assert!(ok(dir.path(), &["--help"]).contains("surface"));
+    // Commands come in groups; the short version is a line, the long one names the features.
+    let help = ok(dir.path(), &["--help"]);
+    for words in
+        ["Usage: isospan [OPTIONS] <COMMAND>", "Make archives:", "  surface      Extract", "Clusters:"]
+    {
+        assert!(help.contains(words), "{words}: {help}");
+    }
+    assert_eq!((ok(dir.path(), &["help"]), ok(dir.path(), &["-h"])), (help.clone(), help));
+    assert_eq!(ok(dir.path(), &["-V"]).lines().count(), 1);
+    assert!(ok(dir.path(), &["--version"]).contains("\nfeatures: cli"));
 }
 
 /// A legacy VTK image of 6 x 6 x 6 samples with arrays of a value that rises along x, and lines before and after them.
@@ -404,7 +431,7 @@ fn info_lists_fields_and_steps() {
     let d = dir.path();
     fs::write(d.join("two.vtk"), legacy(&["heat", "speed"], "", "")).unwrap();
     let text = ok(d, &["info", "two.vtk"]);
-    assert!(text.contains("heat (f32), speed (f32)") && text.contains("--field NAME"), "{text}");
+    assert!(text.contains("heat (float32), speed (float32)") && text.contains("--field NAME"), "{text}");
     let levels = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/levels.nc");
     let levels = levels.to_str().unwrap();
     let text = ok(d, &["info", levels, "--field", "temp"]);
@@ -557,7 +584,7 @@ fn what_is_no_regular_file_is_refused_at_once() {
         match end {
             "ply" | "stl" | "obj" | "vtp" | "glb" => refused(&["check", &file], &file),
             "csv" => refused(&["probe", "a.isospan", "--at", &file, "-o", "o.csv", "-q"], &file),
-            _ => refused(&["info", &file, "--dims", "4,4,4", "--type", "u8"], &file),
+            _ => refused(&["info", &file, "--dims", "4,4,4", "--type", "uint8"], &file),
         }
         if !matches!(end, "ply" | "stl" | "obj" | "vtp" | "glb" | "csv" | "raw") {
             refused(&["reduce", &file, "-o", "x.isospan", "-q"], &file);
@@ -570,6 +597,167 @@ fn what_is_no_regular_file_is_refused_at_once() {
         refused(&["info", "z.zarr"], "z.zarr");
         fs::remove_file(d.join(name)).unwrap();
     }
+}
+
+#[test]
+fn what_exists_is_replaced_with_force_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [20, 18, 16], waves);
+    ok(d, &["reduce", "v.npy", "-o", "a.isospan", "-q"]);
+    ok(d, &["surface", "a.isospan", "-i", "0.1", "-o", "s.ply", "-q"]);
+    fs::write(d.join("points.csv"), "x,y,z\n1,2,3\n").unwrap();
+    let questions: [(&[&str], &str); 9] = [
+        (&["surface", "a.isospan", "-i", "0.1", "-q", "-o", "out.ply"], "out.ply"),
+        (&["surface", "a.isospan", "-i", "0.1,0.2", "-q", "-o", "out_{}.ply"], "out_0.2.ply"),
+        (&["surface", "a.isospan", "-i", "0.1", "--all-steps", "-q", "-o", "t%d.ply"], "t.ply.series"),
+        (&["export", "a.isospan", "-q", "-o", "out.vtu"], "out.vtu"),
+        (&["probe", "a.isospan", "--grid", "4,4,4", "-q", "-o", "out.vti"], "out.vti"),
+        (&["probe", "a.isospan", "--at", "points.csv", "-q", "-o", "out.csv"], "out.csv"),
+        (&["spectrum", "a.isospan", "--plot", "out.svg"], "out.svg"),
+        (&["measure", "a.isospan", "--against", "v.npy", "-q", "--map", "map.vti"], "map.vti"),
+        (&["render", "s.ply", "--size", "40,40", "--lights", "0", "-q", "-o", "out.png"], "out.png"),
+    ];
+    for (args, file) in questions {
+        fs::write(d.join(file), "mine").unwrap();
+        let before = folder(d);
+        let (code, text) = fails(d, args);
+        assert!(code == 2 && text.contains(&format!("{file} exists")) && text.contains("--force"), "{text}");
+        assert!(folder(d) == before, "{args:?}");
+        ok(d, &[args, &["--force"]].concat());
+        assert_ne!(fs::read(d.join(file)).unwrap(), b"mine");
+    }
+    // What was unpacked is not made again.
+    let again = ["unpack", "a.isospan", "-q"];
+    ok(d, &again);
+    let (code, text) = fails(d, &again);
+    assert!(code == 2 && text.contains("unpacked.seg exists"), "{text}");
+    ok(d, &[&again[..], &["--force"]].concat());
+    // What no file can replace is told before any work, too.
+    let (code, text) = fails(d, &["export", "a.isospan", "-o", "a.isospan/mesh", "--force", "-q"]);
+    assert_eq!(code, 2, "{text}");
+    fs::create_dir(d.join("here")).unwrap();
+    for out in ["here", "none/out.vtu"] {
+        let (code, text) = fails(d, &["export", "a.isospan", "-o", out, "--force", "-q"]);
+        assert!(code == 2 && text.contains("cannot write"), "{text}");
+    }
+}
+
+#[test]
+fn what_is_something_else_is_told_as_that() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v1.npy"), [20, 18, 16], waves);
+    write_npy(&d.join("v2.npy"), [20, 18, 16], waves);
+    ok(d, &["reduce", "v1.npy", "-o", "a.isospan", "-q"]);
+    ok(d, &["surface", "a.isospan", "-i", "0.1", "-o", "s.ply", "-q"]);
+    fs::create_dir_all(d.join("u.isospan/mesh")).unwrap();
+    fs::create_dir_all(d.join("u.isospan/steps")).unwrap();
+    let cases: [(&[&str], i32, &str); 9] = [
+        (&["info", "s.ply"], 5, "a surface; of surfaces, isospan check"),
+        (&["info", "u.isospan"], 5, "a finished one"),
+        (&["status", "u.isospan"], 5, "an unfinished archive of isospan reduce"),
+        (&["status", "a.isospan"], 5, "a finished archive that isospan reduce made"),
+        (&["slurm", "a.isospan"], 5, "a finished archive that isospan reduce made"),
+        (&["work", "none.isospan"], 5, "one that isospan plan made, got none"),
+        (&["reduce", "a.isospan", "-o", "b.isospan", "-q"], 5, "got an isospan archive"),
+        (&["measure", "a.isospan", "--against", "v*.npy", "-q"], 5, "slices (*.tif)"),
+        (&["probe", "a.isospan", "-o", "p.vti"], 2, "<--grid <NX,NY,NZ>|--at <CSV>>"),
+    ];
+    for (args, code, words) in cases {
+        let (got, text) = fails(d, args);
+        assert!(got == code && text.contains(words), "{args:?}: {got}: {text}");
+    }
+    // A quoted pattern is a series; the first step is shown.
+    assert!(ok(d, &["info", "v*.npy"]).contains("steps      2, of which this is the first"));
+    // No shard is empty.
+    let plan = ok(d, &["plan", "v1.npy", "-o", "p.isospan", "--shards", "4", "-q"]);
+    assert!(plan.contains("1 of at most 1 segment, of 1 in all; more would have nothing to do"), "{plan}");
+    assert!(plan.contains("next: isospan work p.isospan, then"), "{plan}");
+}
+
+#[test]
+fn what_comes_next_can_be_pasted() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [20, 18, 16], |x, y, z| 50.0 * ball(x, y, z));
+    let text = ok(d, &["reduce", "v.npy", "-o", "it's a.isospan"]);
+    let next = text.lines().last().unwrap().strip_prefix("next: isospan ").unwrap();
+    assert!(next.starts_with(r"surface 'it'\''s a.isospan' --isovalue ") && next.contains(" -o "), "{next}");
+    let script = format!("\"$0\" {next}");
+    let out = Command::new("bash")
+        .args(["-c", &script, env!("CARGO_BIN_EXE_isospan")])
+        .current_dir(d)
+        .output()
+        .unwrap();
+    assert!(out.status.success() && d.join("it's a.ply").exists(), "{next}");
+    // What a run took is one line, and errors are told in % of the range.
+    for words in ["% of the source's range", " %), at most ", "\n  time        "] {
+        assert!(text.contains(words), "{words}: {text}");
+    }
+}
+
+#[test]
+fn a_surface_goes_to_standard_output() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    write_npy(&d.join("v.npy"), [20, 18, 16], waves);
+    ok(d, &["reduce", "v.npy", "-o", "a.isospan", "-q"]);
+    for format in ["ply", "stl", "vtp"] {
+        let file = format!("s.{format}");
+        ok(d, &["surface", "a.isospan", "-i", "0.1", "-o", &file, "-q"]);
+        let out = isospan(d, &["surface", "a.isospan", "-i", "0.1", "-o", "-", "--format", format]);
+        assert!(out.status.success() && out.stdout == fs::read(d.join(&file)).unwrap(), "{format}");
+        let told = String::from_utf8(out.stderr).unwrap();
+        assert!(told.contains("standard output: ") && told.contains(" triangles"), "{told}");
+    }
+    ok(d, &["surface", "a.isospan", "-i", "0.1", "-o", "named", "--format", "stl", "-q"]);
+    assert!(fs::read(d.join("named")).unwrap() == fs::read(d.join("s.stl")).unwrap());
+    for more in ["--json", "--all-steps"] {
+        let (code, text) = fails(d, &["surface", "a.isospan", "-i", "0.1", "-o", "-", "-q", more]);
+        assert!(code == 2 && text.contains("-o"), "{text}");
+    }
+    assert!(!d.join("-").exists());
+}
+
+#[test]
+fn percentages_stand_for_values() {
+    let dir = tempfile::tempdir().unwrap();
+    let d = dir.path();
+    for (n, most) in [(0, 10.0), (1, 30.0)] {
+        write_npy(&d.join(format!("v{n}.npy")), [20, 18, 16], |x, _, _| (x + 1.0) * most / 2.0);
+    }
+    ok(d, &["reduce", "v?.npy", "-o", "a.isospan", "--value-bits", "exact", "--values", "sample", "-q"]);
+    let count = |isovalue: &str, step: &str| {
+        json(&ok(d, &["count", "a.isospan", "-i", isovalue, "--step", step, "--json"]))["isovalue"].clone()
+    };
+    assert_eq!(
+        (count("50%", "0"), count("50%", "1"), count("7", "1")),
+        (5.0.into(), 15.0.into(), 7.0.into())
+    );
+    let told = json(&ok(d, &["surface", "a.isospan", "-i", "10%", "-o", "s.ply", "--json", "-q"]));
+    assert_eq!(told["surfaces"][0]["isovalue"], 1.0);
+    // Of several steps, of their values together.
+    let told =
+        json(&ok(d, &["surface", "a.isospan", "-i", "50%", "--all-steps", "-o", "s%d.ply", "--json", "-q"]));
+    assert!((0..2).all(|n| told["steps"][n]["surfaces"][0]["isovalue"] == 15.0), "{told}");
+    let part = |range: &str| {
+        let args = ["export", "a.isospan", "-o", "e.vtu", "--force", "--json", "-q", "--range", range];
+        json(&ok(d, &args))["tetrahedra"].as_u64().unwrap()
+    };
+    assert_eq!(part("20%:80%"), part("2:8"));
+    assert!(part("20%:80%") < part("10%:"));
+    let adapt = |focus: &str, out: &str| {
+        let args = ["reduce", "v0.npy", "-o", out, "--adapt", "--focus", focus, "--fraction", "1/4", "-q"];
+        ok(d, &args);
+        fs::read(d.join(out).join("mesh/000000.seg")).unwrap()
+    };
+    assert!(adapt("20%:50%", "p.isospan") == adapt("2:5", "q.isospan"));
+    let small = json(&ok(d, &["reduce", "v0.npy", "-o", "r.isospan", "--size", "50%", "--json", "-q"]));
+    assert!(
+        small["archive_bytes"].as_u64().unwrap() <= small["source_bytes"].as_u64().unwrap() / 2,
+        "{small}"
+    );
 }
 
 /// Under any name: a link, a hard link, the raw data of a header, a file in the archive's folder.

@@ -226,7 +226,7 @@ fn a_stopped_or_killed_surface_is_never_half_written() {
     ok(d, &["reduce", "-q", "v.npy", "-o", "a.isospan", "--fraction", "1", "--chunk-points", "4000"]);
     for format in ["ply", "stl"] {
         let out = format!("s.{format}");
-        let args = ["surface", "-q", "a.isospan", "-i", "0.1", "-o", &out, "--memory", "32MiB"];
+        let args = ["surface", "-q", "a.isospan", "-i", "0.1", "-o", &out, "--memory", "32MiB", "--force"];
         let started = Instant::now();
         ok(d, &args);
         let (took, whole) = (started.elapsed(), fs::read(d.join(&out)).unwrap());
@@ -534,13 +534,13 @@ fn a_changed_byte_in_a_large_input_is_noticed() {
         (0..side.pow(3)).map(|i| ((i / side / side) as u8) ^ ((i % side) as u8 >> 4)).collect();
     assert!(bytes.len() > 19 << 20);
     let path = d.join("v.raw");
-    let layout = ["--dims", "272,272,272", "--type", "u8"];
+    let layout = ["--dims", "272,272,272", "--type", "uint8"];
     let reduce =
         [&["reduce", "-q", "v.raw", "-o", "a.isospan", "--count", "3000", "--no-measure"], &layout[..]]
             .concat();
     let reduce = [&reduce[..], &["--values", "sample"]].concat();
     let plan = [&["plan", "-q"], &reduce[2..3], &["-o", "p.isospan"], &reduce[5..]].concat();
-    let append = ["append", "-q", "a.isospan", "v.raw", "--dims", "272,272,272", "--type", "u8"];
+    let append = ["append", "-q", "a.isospan", "v.raw", "--dims", "272,272,272", "--type", "uint8"];
     fs::write(&path, &bytes).unwrap();
     ok(d, &reduce);
     let first = folder(&d.join("a.isospan"));

@@ -121,7 +121,7 @@ fn volume(dir: &Path, format: &str, dims: [u64; 3], there: [u64; 3]) -> Vec<Stri
     let mut args = vec![path.to_str().unwrap().to_owned()];
     if format == "raw" {
         args.extend(["--dims".into(), format!("{},{},{}", dims[0], dims[1], dims[2])]);
-        args.extend(["--type".into(), "u8".into()]);
+        args.extend(["--type".into(), "uint8".into()]);
     }
     args
 }

@@ -45,7 +45,7 @@ fn copies_in_the_scratch_folder_are_private() {
                 "--dims",
                 "128,128,100",
                 "--type",
-                "f32",
+                "float32",
                 "--fraction",
                 "1/64",
                 "--no-measure",

@@ -74,7 +74,7 @@ const COMMANDS: &[&str] = &[
     "export cross.isospan -o cross.vtu",
     "export hole.isospan -o hole.vtu --compress",
     "spectrum hammersley.isospan --plot spectrum.svg",
-    "spectrum series.isospan --over-time --plot spectrum.png",
+    "spectrum series.isospan --all-steps --plot spectrum.png",
     "render waves.ply -o waves.png --size 160,120 --lights 16 --caption isospan",
     "measure hammersley.isospan --against waves.npy --map error.vti",
 ];

@@ -34,6 +34,7 @@ mod pipeline;
 mod programs;
 mod queries;
 mod refine;
+mod reports;
 mod resample;
 mod series;
 mod shards;

@@ -138,7 +138,7 @@ fn a_small_wave_on_a_large_number_is_all_there() {
         panic!("a volume")
     };
     let (info, scan) = pipeline::scan(volume).unwrap();
-    assert_eq!((info.field.scalar.name(), scan.nan), ("f64", 0));
+    assert_eq!((info.field.scalar.name(), scan.nan), ("float64", 0));
     assert!(scan.max.unwrap() - scan.min.unwrap() > 4.0 && scan.min.unwrap() > PASCAL - 3.5);
     archive
         .write_samples([5; 3], &ProbeSettings::default(), &out("q.vti"), SampleFormat::Vti, &Silent)

@@ -355,7 +355,8 @@ fn the_command_line_unpacks_and_removes() {
     let name = archive.to_str().unwrap();
     let out = dir.path().join("out.ply");
     let surface = |tunables: &str| {
-        let args = ["surface", name, "--isovalue", "0.3", "-o", out.to_str().unwrap(), "--threads", "2"];
+        let args =
+            ["surface", name, "--isovalue", "0.3", "-o", out.to_str().unwrap(), "--threads", "2", "--force"];
         let (code, text) = isospan(&args, tunables);
         assert_eq!(code, 0, "{text}");
         fs::read(&out).unwrap()
@@ -379,13 +380,13 @@ fn the_command_line_unpacks_and_removes() {
     let written = fs::read(unpacked_path(&archive, 0)).unwrap();
     // Without vectors the same bytes are written, and the same surface comes from them.
     let plain = "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F";
-    isospan(&["unpack", name, "--range", "-1:0.5"], plain);
+    isospan(&["unpack", name, "--range", "-1:0.5", "--force"], plain);
     assert!(fs::read(unpacked_path(&archive, 0)).unwrap() == written);
     for tunables in ["", plain, "glibc.cpu.hwcaps=-AVX512BW"] {
         assert!(surface(tunables) == right, "{tunables}");
     }
     let (_, text) = isospan(&["info", name], "");
-    assert!(text.contains("unpacked    1 of 1 steps"), "{text}");
+    assert!(text.contains("unpacked    1 of 1 step,"), "{text}");
     let (code, text) = isospan(&["unpack", name, "--remove", "--json"], "");
     assert!(code == 0 && text.contains("\"step\":0"), "{text}");
     assert!(!unpacked_path(&archive, 0).exists());

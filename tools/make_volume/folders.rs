@@ -176,7 +176,8 @@ mod tests {
             }
             all
         };
-        for (n, more) in ["", "--endian big", "--type u16 --endian big", "--type u8"].into_iter().enumerate()
+        for (n, more) in
+            ["", "--endian big", "--type uint16 --endian big", "--type uint8"].into_iter().enumerate()
         {
             let plain = samples(&format!("{n}.nrrd"), more);
             assert!(plain == samples(&format!("{n}.tifs"), more), "tifs {more}");

@@ -30,7 +30,7 @@ usage: make_volume FIELD --dims X,Y,Z -o FILE.(nrrd|npy|raw|tifs|zarr) [options]
   FIELD                    sphere, gyroid or marschner-lobb
   --dims X,Y,Z             samples along each axis, at least 2
   -o FILE                  its ending chooses the format
-  --type f32|u8|u16        type of a sample [f32]
+  --type TYPE              type of a sample: float32, uint8 or uint16 [float32]
   --endian little|big      byte order of a sample [little]
   --periods N              periods of the gyroid along each axis [2]";
 
@@ -104,7 +104,10 @@ impl Settings {
             match arg.as_str() {
                 "--dims" => dims = Some(parse_dims(value()?)?),
                 "--type" => {
-                    kind = one_of(value()?, &[("f32", Kind::F32), ("u8", Kind::U8), ("u16", Kind::U16)])?;
+                    kind = one_of(
+                        value()?,
+                        &[("float32", Kind::F32), ("uint8", Kind::U8), ("uint16", Kind::U16)],
+                    )?;
                 }
                 "--endian" => big_endian = one_of(value()?, &[("little", false), ("big", true)])?,
                 "--periods" => periods = parse_periods(value()?)?,
@@ -404,10 +407,10 @@ mod tests {
 
     #[test]
     fn integers_cover_the_range_and_either_byte_order() {
-        let u8s = bytes("sphere --dims 3,3,3 --type u8 -o a.raw");
+        let u8s = bytes("sphere --dims 3,3,3 --type uint8 -o a.raw");
         assert_eq!((u8s[0], u8s[13]), (255, 0));
-        let little = bytes("gyroid --dims 8,7,6 --type u16 -o a.raw");
-        let big = bytes("gyroid --dims 8,7,6 --type u16 --endian big -o a.raw");
+        let little = bytes("gyroid --dims 8,7,6 --type uint16 -o a.raw");
+        let big = bytes("gyroid --dims 8,7,6 --type uint16 --endian big -o a.raw");
         assert_eq!(little.len(), 8 * 7 * 6 * 2);
         assert!(little.chunks(2).zip(big.chunks(2)).all(|(l, b)| [l[1], l[0]] == b));
     }
@@ -427,7 +430,7 @@ mod tests {
 
     #[test]
     fn headers_tell_shape_type_and_place() {
-        let nrrd = settings("gyroid --dims 4,5,6 --type u16 --endian big -o a.nrrd").unwrap().header();
+        let nrrd = settings("gyroid --dims 4,5,6 --type uint16 --endian big -o a.nrrd").unwrap().header();
         let text = String::from_utf8(nrrd).unwrap();
         assert!(text.contains("sizes: 4 5 6\n") && text.contains("endian: big\n"), "{text}");
         assert!(text.ends_with("\n\n") && text.contains("type: uint16\n"), "{text}");
@@ -441,11 +444,11 @@ mod tests {
     fn a_file_is_written_whole_under_its_name() {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("s.nrrd");
-        let s = settings(&format!("sphere --dims 8,7,6 --type u8 -o {}", out.display())).unwrap();
+        let s = settings(&format!("sphere --dims 8,7,6 --type uint8 -o {}", out.display())).unwrap();
         s.write().unwrap();
         let file = std::fs::read(&out).unwrap();
         assert_eq!(file.len(), s.header().len() + 8 * 7 * 6);
-        assert!(file.ends_with(&bytes("sphere --dims 8,7,6 --type u8 -o a.raw")));
+        assert!(file.ends_with(&bytes("sphere --dims 8,7,6 --type uint8 -o a.raw")));
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
         let nowhere = settings("sphere --dims 8,7,6 -o /nonexistent/folder/a.raw").unwrap();
         assert_eq!(nowhere.write().unwrap_err().exit_code(), 1);
@@ -457,7 +460,7 @@ mod tests {
         for (name, more) in
             [("a.nrrd", ""), ("b.nrrd", " --endian big"), ("c.npy", ""), ("d.npy", " --endian big")]
         {
-            for kind in ["f32", "u8", "u16"] {
+            for kind in ["float32", "uint8", "uint16"] {
                 let out = folder.path().join(name);
                 let line =
                     format!("gyroid --dims 9,7,5 --periods 1 --type {kind}{more} -o {}", out.display());
@@ -474,11 +477,11 @@ mod tests {
                 }
                 let mut values = vec![0.0; 315];
                 volume.read_box(IndexBox::whole([9, 7, 5]), &mut values).unwrap();
-                let most = if kind == "u8" { 255.0 } else { 65535.0 };
+                let most = if kind == "uint8" { 255.0 } else { 65535.0 };
                 let expected = floats("gyroid --dims 9,7,5 --periods 1 -o a.raw");
                 for (v, e) in values.iter().zip(expected) {
-                    let read = if kind == "f32" { *v } else { *v / most * 3.0 - 1.5 };
-                    assert!((read - e).abs() <= if kind == "f32" { 0.0 } else { 1.51 / most }, "{line}");
+                    let read = if kind == "float32" { *v } else { *v / most * 3.0 - 1.5 };
+                    assert!((read - e).abs() <= if kind == "float32" { 0.0 } else { 1.51 / most }, "{line}");
                 }
             }
         }
@@ -492,7 +495,7 @@ mod tests {
             ("sphere --dims 4,1,4 -o a.raw", "at least 2"),
             ("sphere --dims 4,4,4000000000000000000 -o a.raw", "three whole numbers"),
             ("sphere --dims 4,4,4 -o a.tif", "nrrd, npy, raw, tifs, zarr"),
-            ("sphere --dims 4,4,4 --type i8 -o a.raw", "f32, u8, u16"),
+            ("sphere --dims 4,4,4 --type i8 -o a.raw", "float32, uint8, uint16"),
             ("sphere --dims 4,4,4 --periods 0 -o a.raw", "1 to 1000"),
             ("sphere --dims 4,4,4 -o", "needs a value"),
             ("sphere --dims 4,4,4", "-o FILE is missing"),

@@ -80,7 +80,7 @@ def requests(server):
 
     # The surface is that of the command line.
     report, vertices, triangles = surface_of(server.ask("1/surface?isovalues=0&step=1")[2])
-    subprocess.run([PROGRAM, "surface", "-q", BALL, "-i", "0", "--step", "1", "-o", "ball.ply"], check=True,
+    subprocess.run([PROGRAM, "surface", "-q", BALL, "-i", "0", "--step", "1", "-o", "ball.ply", "--force"], check=True,
                    stdout=subprocess.DEVNULL)
     ply = pathlib.Path("ball.ply").read_bytes()
     body = ply[ply.index(b"end_header\n") + 11 :]

@@ -108,7 +108,7 @@ fn fields_are_components_magnitudes_averages_and_coordinates() {
     for wanted in ["v", "v.3", "w", "v.w", "p.magnitudes"] {
         let error = default.with_field(wanted).err().expect(wanted);
         assert_eq!(error.exit_code(), 2);
-        let list = "p (f32), v.x .y .z .magnitude (3 x f32), c (f32, on cells)";
+        let list = "p (float32), v.x .y .z .magnitude (3 x float32), c (float32, on cells)";
         assert!(error.to_string().contains(list), "{error}");
     }
     let mut none = two();

@@ -41,7 +41,7 @@ impl Figure for OverTime<'_> {
             let cells = (0..ROWS).map(|row| {
                 let y = lo + height * row as f64;
                 let area = area_at(step, y + height / 2.0);
-                // By the root: small areas beside a large one are seen too.
+                // By the square root: small areas beside a large one are seen too.
                 let colour = colour(if most > 0.0 { (area / most).sqrt() } else { 0.0 });
                 Rectangle::new([(x[0], y), (x[1], y + height)], colour.filled())
             });
@@ -55,7 +55,9 @@ impl Figure for OverTime<'_> {
             .axis_style(INK.stroke_width(scale))
             .label_style(font(14))
             .axis_desc_style(font(15))
-            .x_desc(format!("time  (dark: no surface; yellow: area {figures}; by the root)"))
+            .x_desc(format!(
+                "time  (dark: no surface; yellow: area {figures}; colours by the square root of the area)"
+            ))
             .y_desc("isovalue")
             .x_label_formatter(&|v| label(*v, edges[edges.len() - 1] - edges[0]))
             .y_label_formatter(&|v| label(*v, hi - lo))

@@ -10,6 +10,7 @@ mod archives;
 mod page;
 mod server;
 
+use super::grammar;
 use super::machine::Machine;
 use super::progress::Talk;
 use archives::Archives;
@@ -19,8 +20,9 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// Show archives in a browser: isosurfaces, slices, time steps, and exports of what is seen.
+/// Show archives in a browser.
 ///
+/// The page has isosurfaces, slices, time steps, and exports of what is seen.
 /// Serves a page on this machine only, at an address with a secret token, until Ctrl-C. On a remote
 /// machine, forward the port with ssh -L 8417:127.0.0.1:8417 HOST, and give --port 8417.
 #[derive(clap::Args, Debug)]
@@ -28,11 +30,11 @@ use std::process::{Command, Stdio};
     after_help = "Examples:\n  isospan view scan.isospan --open\n  isospan view a.isospan b.isospan --port 8417"
 )]
 pub(crate) struct Args {
-    /// The archives.
+    /// The archives: folders, or addresses, s3://... or https://...
     #[arg(required = true, value_name = "ARCHIVE")]
     archives: Vec<PathBuf>,
     /// The port on 127.0.0.1; 0 takes a free one.
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value = "0", value_parser = grammar::whole::<u16>)]
     port: u16,
     /// Open the page in the default browser.
     #[arg(long)]
@@ -56,7 +58,7 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     let started = |address: SocketAddr| -> Result<()> {
         let url = format!("http://{address}/{token}/");
         if args.json {
-            super::print_json(&serde_json::json!({ "url": url, "port": address.port() }))?;
+            super::print_json("view", &serde_json::json!({ "url": url, "port": address.port() }))?;
         } else {
             super::print(&format!("{url}\n"))?;
             talk.note("the page is served until Ctrl-C; who has the address can see the archives");

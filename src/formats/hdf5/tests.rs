@@ -101,7 +101,7 @@ fn fields_are_listed_once_and_found_by_any_link() {
     let error = open_volume(&path, &OpenOptions::default()).err().expect("many fields");
     assert_eq!(error.exit_code(), 2);
     let line = error.to_string();
-    assert!(line.contains("group/f4 (f32)") && line.contains("group/big_i2_chunks (i16)"), "{line}");
+    assert!(line.contains("group/f4 (float32)") && line.contains("group/big_i2_chunks (int16)"), "{line}");
     assert_eq!(open("types_earliest.h5", "again").unwrap().info().fields.len(), 28);
     for name in ["again", "/root/group/i2"] {
         assert_eq!(values(open("types_latest.h5", name).unwrap()), ramp(), "{name}");
@@ -189,7 +189,7 @@ fn images_of_vtkhdf_are_placed_and_other_types_refused() {
     assert_eq!((cells.info().dims, place(&cells)), ([4, 3, 2], [9.375, 21.75, 33.0]));
     assert_eq!(open_volume(&data("vtkhdf.hdf"), &OpenOptions::default()).unwrap().info().field.name, "heat");
     let line = open("vtkhdf.hdf", "flow").err().expect("vectors").to_string();
-    assert!(line.contains("flow (3 x f32, not scalar)"), "{line}");
+    assert!(line.contains("flow (3 x float32, not scalar)"), "{line}");
     for (name, what) in [
         ("vtkhdf_mesh.hdf", "VTKHDF file of type 'UnstructuredGrid'; write it as .vtu"),
         ("imaris.ims", "an Imaris file"),
@@ -238,7 +238,7 @@ fn axes_are_what_they_are_called() {
         ([0.25, 0.5, 2.0], [0.0, 0.0, 1.0])
     );
     let line = open("axes.h5", "vectors").err().expect("vectors").to_string();
-    assert!(line.contains("vectors (3 x f32, not scalar)"), "{line}");
+    assert!(line.contains("vectors (3 x float32, not scalar)"), "{line}");
     let line = open("axes.h5", "channels").err().expect("channels").to_string();
     assert!(line.contains("2 (c) x 3 (z) x 4 (y) x 5 (x)"), "{line}");
 }

@@ -128,7 +128,7 @@ fn frames_are_fields() {
         let path = write(&dir, name, &file);
         let error = open_volume(&path, &OpenOptions::default()).err().expect("several frames");
         assert!(
-            error.exit_code() == 2 && error.to_string().contains("t0 (u16), t1 (u16), t2 (u16)"),
+            error.exit_code() == 2 && error.to_string().contains("t0 (uint16), t1 (uint16), t2 (uint16)"),
             "{error}"
         );
         let options = OpenOptions { field: Some("t1".into()), ..OpenOptions::default() };

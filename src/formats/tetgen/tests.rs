@@ -111,7 +111,7 @@ fn what_is_wrong_is_told_by_its_line() {
     for (cells, told) in [
         ("2 10 1\n1 1 2 3 4 10\n", "row 1 with its 11 numbers"),
         ("1 4 0\n1 1 2 3 6\n", "cell 0 (counted from 0): expected vertices among 5 points, got point 5"),
-        ("1 4 0\n1 0 2 3 4\n", "cell 0"),
+        ("1 4 0\n1 0 2 3 4\n", "cell 1: expected vertices counted from 1, as points are, got vertex 0"),
         ("1 4 0\n1 -1 2 3 4\n", "row 1 with its 4 numbers"),
         ("1 4 0\n1 1.5 2 3 4\n", "row 1 with its 4 numbers"),
     ] {

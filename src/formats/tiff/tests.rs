@@ -336,7 +336,7 @@ fn slices_of_a_folder_or_a_pattern() {
     let line = refusal(dir.path());
     assert!(
         line.contains("slice_5.TIF")
-            && line.contains("7 x 5 samples of u16, as in the first one, got 7 x 5 samples of u8"),
+            && line.contains("7 x 5 samples of uint16, as in the first one, got 7 x 5 samples of uint8"),
         "{line}"
     );
     write(&dir, "slice_5.TIF", &pages(PLAIN, ScalarType::U16, 2, &[]));

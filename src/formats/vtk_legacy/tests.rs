@@ -188,7 +188,7 @@ fn the_field_is_chosen_or_asked_for() {
     }
     let several =
         text.replace("SCALARS two", "GLOBAL_IDS two").replace("short 1\nLOOKUP_TABLE mine", "short");
-    assert!(refused(several.as_bytes(), None).contains("two w%rds (u16), colors (2 x f32"));
+    assert!(refused(several.as_bytes(), None).contains("two w%rds (uint16), colors (2 x float32"));
     let grid = text.replace("STRUCTURED_POINTS", "STRUCTURED_GRID").replace("ORIGIN 1 2 3", "");
     let grid = grid.replace("spacing 0.5 2 4", "");
     assert!(refused(grid.as_bytes(), Some("cells")).contains("cell data of that name"));
@@ -233,7 +233,7 @@ fn malformed_files_are_refused() {
         ("LOOKUP_TABLE", "TABLE", "LOOKUP_TABLE and a name"),
         ("7 7", "7", "1 x 24 values"),
         ("7 7", "7 7 7", "an attribute"),
-        ("7 7", "7 7.5", "a number of type i32"),
+        ("7 7", "7 7.5", "a number of type int32"),
     ] {
         let bad = good.replacen(from, to, 1);
         assert_ne!(good, bad, "{from}");

@@ -352,7 +352,9 @@ fn refused(bytes: &[u8], field: Option<&str>) -> String {
 fn the_field_is_chosen_or_asked_for() {
     let good = String::from_utf8(image(every_encoding()[0], &ONE)).unwrap();
     let no_active = good.replace(" Scalars=\"b\"", "");
-    assert!(refused(no_active.as_bytes(), None).contains("a & c (i16), b (i16), v (2 x f32, not scalar)"));
+    assert!(
+        refused(no_active.as_bytes(), None).contains("a & c (int16), b (int16), v (2 x float32, not scalar)")
+    );
     assert!(open_bytes(no_active.as_bytes(), Some("b")).is_ok());
     assert!(refused(good.as_bytes(), Some("v")).contains("no scalar field v"));
     assert!(refused(good.as_bytes(), Some("w")).contains("no scalar field w"));
@@ -389,8 +391,8 @@ fn malformed_files_are_refused() {
         ("Name=\"b\" NumberOfComponents=\"1\"", "Name=\"b\" NumberOfComponents=\"0\"", "NumberOfComponents"),
         (" 234", "", "more numbers"),
         (" 234", " 234 5", "the end of the array"),
-        (" 234", " 2x4", "a number of type i16"),
-        (" 234", " 99999", "a number of type i16"),
+        (" 234", " 2x4", "a number of type int16"),
+        (" 234", " 99999", "a number of type int16"),
         ("</VTKFile>", "", "the end of the file"),
         ("</Piece>", "</Peace>", "the head of a VTK XML file"),
     ] {

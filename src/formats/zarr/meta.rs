@@ -121,7 +121,7 @@ impl Parser<'_> {
         let (order, kind) = dtype.split_at_checked(1).unwrap_or_default();
         let scalar = match kind {
             "b1" => Some(ScalarType::U8),
-            _ => ScalarType::ALL.into_iter().find(|s| kind == format!("{}{}", &s.name()[..1], s.bytes())),
+            _ => ScalarType::from_code(kind),
         };
         let scalar = scalar
             .filter(|_| ["<", ">", "|"].contains(&order))
@@ -172,14 +172,7 @@ impl Parser<'_> {
         let chunk = self.sizes("chunk_shape", &grid["configuration"]["chunk_shape"], Some(shape.len()))?;
         let scalar = match json["data_type"].as_str().unwrap_or_default() {
             "bool" => Some(ScalarType::U8),
-            name => ScalarType::ALL.into_iter().find(|s| {
-                let long = match &s.name()[..1] {
-                    "u" => "uint",
-                    "i" => "int",
-                    _ => "float",
-                };
-                name == format!("{long}{}", 8 * s.bytes())
-            }),
+            name => ScalarType::from_name(name),
         };
         let scalar = scalar.ok_or_else(|| {
             self.wrong("data_type", "integers of 8 to 64 bits, float32 or float64", &json["data_type"])

@@ -584,7 +584,7 @@ fn an_empty_group_has_no_field() {
     put(&dir.path().join("a"), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
     put(&dir.path().join("b"), ".zarray", &v2(ZYX, "<u2", "C", Value::Null));
     let error = read(dir.path(), None).unwrap_err().to_string();
-    assert!(error.contains("a (u16), b (u16)"), "{error}");
+    assert!(error.contains("a (uint16), b (uint16)"), "{error}");
 }
 
 /// Frames of an array whose chunks hold two of them: the first of four axes without names, and OME-Zarr's "t".

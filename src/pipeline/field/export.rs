@@ -74,6 +74,7 @@ pub struct ExportReport {
     /// Bytes of the file written.
     pub file_bytes: u64,
     /// Seconds of wall time of each stage.
+    #[serde(serialize_with = "crate::pipeline::stage::by_name")]
     pub seconds: StageSeconds,
 }
 

@@ -414,6 +414,7 @@ pub struct Estimate {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rounding: Option<f64>,
     /// Seconds of work, roughly: from the speed of a machine of 2020.
+    #[serde(rename = "estimated_seconds")]
     pub seconds: f64,
     /// What the user should know: see [`Notice`].
     pub notices: Vec<Notice>,

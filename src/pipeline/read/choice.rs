@@ -28,6 +28,11 @@ pub struct StepRange {
 }
 
 impl StepRange {
+    /// Whether the step of a number is in the range.
+    pub fn contains(self, number: u64) -> bool {
+        self.first.is_none_or(|first| first <= number) && self.last.is_none_or(|last| number <= last)
+    }
+
     /// The positions in a manifest of the steps in the range.
     pub(in crate::pipeline) fn positions(self, manifest: &Manifest, shown: &Path) -> Result<Range<usize>> {
         let number = |s: &Step| s.plan.number;

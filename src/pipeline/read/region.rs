@@ -115,12 +115,15 @@ impl Roi {
         dims: [u64; 3],
         log2_steps: [u32; 3],
     ) -> Result<Cut> {
-        let text = || format!("{:?} to {:?}", self.lo, self.hi);
+        let end = |v: f64| if v.is_infinite() { String::new() } else { v.to_string() };
+        let text = |lo: [f64; 3], hi: [f64; 3]| {
+            [0, 1, 2].map(|a| format!("{}:{}", end(lo[a]), end(hi[a]))).join(",")
+        };
         // False for a NaN too.
         if !(0..3).all(|a| self.lo[a] < self.hi[a]) {
             return Err(Error::usage(format!(
                 "the region of interest {} has no volume: give the lower end of each axis first",
-                text()
+                text(self.lo, self.hi)
             )));
         }
         let [lo, hi] = self.index_hull(geometry, dims);
@@ -130,10 +133,9 @@ impl Roi {
                 RoiSpace::Index => p,
             }));
             return Err(Error::usage(format!(
-                "the region of interest {} is outside the volume, which is {:?} to {:?}",
-                text(),
-                domain[0],
-                domain[1]
+                "the region of interest {} is outside the volume, which is {}",
+                text(self.lo, self.hi),
+                text(domain[0], domain[1])
             )));
         }
         let steps = log2_steps.map(|s| f64::from(1u32 << s));

@@ -83,6 +83,7 @@ pub struct ArchiveSummary {
     /// Samples along x, y, z.
     pub dims: [u64; 3],
     /// Type of its samples.
+    #[serde(serialize_with = "ScalarType::serialize_name")]
     pub scalar: ScalarType,
     /// Name of the field.
     pub field: String,

@@ -75,6 +75,7 @@ pub struct ReduceReport {
     /// What the user should know: see [`Notice`].
     pub notices: Vec<Notice>,
     /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those that run side by side.
+    #[serde(serialize_with = "crate::pipeline::stage::by_name")]
     pub seconds: StageSeconds,
 }
 

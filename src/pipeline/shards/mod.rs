@@ -53,6 +53,7 @@ pub struct PlanReport {
     /// Segments of the largest shard.
     pub shard_segments: u64,
     /// Seconds of the largest shard, roughly: from the speed of a machine of 2020.
+    #[serde(rename = "estimated_shard_seconds")]
     pub shard_seconds: f64,
     /// What the whole needs; memory and scratch are those of each worker.
     #[serde(flatten)]
@@ -90,6 +91,8 @@ pub fn plan_shards(
     let mut needs = planned.estimate.clone();
     needs.notices = notices;
     let (memory_least, replaces) = (needs.memory_least, existing.is_finished());
+    // A shard has whole segments: more shards than segments would have nothing to do.
+    let shards = shards.min(planned.layout(out).segment_count());
     let cut = Cut { chunks: planned.parts.chunks.len(), shards, memory_least, replaces };
     let file = PlanFile::new(settings, &planned.series, cut)?;
     let root = file.root(out);
@@ -161,6 +164,7 @@ pub struct WorkReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source_chunks: Option<SourceChunks>,
     /// Seconds of each stage.
+    #[serde(serialize_with = "crate::pipeline::stage::by_name")]
     pub seconds: StageSeconds,
 }
 

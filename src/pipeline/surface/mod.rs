@@ -19,7 +19,7 @@ mod worker;
 pub(super) use query::{count, surfaces_in_memory, with_surfaces, write_surfaces};
 pub use refine::{Refine, RefineReport};
 pub use series::{SeriesReport, StepSurfaces};
-pub(super) use series::{surfaces_of_steps, write_series};
+pub(super) use series::{series_files, surfaces_of_steps, write_series};
 pub use settings::{CountReport, OneSurface, SurfaceReport, SurfaceSettings};
 pub(super) use unpack::check_unpacked;
 pub use unpack::{

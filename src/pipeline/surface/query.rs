@@ -3,7 +3,9 @@
 
 use super::extract::{Extracted, Room, extract_surfaces};
 use super::refine::{Means, RefineReport};
-use super::settings::{CountReport, OneSurface, SurfaceReport, SurfaceSettings, finite};
+use super::settings::{
+    CountReport, OneSurface, SurfaceReport, SurfaceSettings, file_of, finite, is_each_alone,
+};
 use super::worker::{ChunkWork, Question, by_chunk};
 use crate::bytes::remote::{traffic, traffic_since};
 use crate::error::Result;
@@ -22,7 +24,7 @@ use crate::surface::marching_tets::Sides;
 use crate::surface::weld::BuilderSettings;
 use crate::surface::{Joined, SurfaceSource, TriMesh, WorldMap};
 use rayon::prelude::*;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::AtomicU64;
 use std::time::{Duration, Instant};
 
@@ -79,9 +81,6 @@ fn count_in_chunk(archive: &StepView, work: &ChunkWork, isovalue: f32) -> Result
     }
     Ok(count)
 }
-
-/// What in a file's name stands for the isovalue.
-const PLACEHOLDER: &str = "{}";
 
 /// Extracts isosurfaces to a file: see
 /// [`Step::write_surface`](crate::pipeline::Step::write_surface).
@@ -393,19 +392,6 @@ fn cut_all(surfaces: &mut [Extracted], cut: &Cut, memory: u64, scratch: &Path) -
             .map_err(|e| e.of_share(memory / 2, memory))?;
     }
     Ok(())
-}
-
-/// Whether each isovalue has a file of its own.
-pub(super) fn is_each_alone(out: &Path) -> bool {
-    out.file_name().is_some_and(|name| name.to_string_lossy().contains(PLACEHOLDER))
-}
-
-/// The file of an isovalue.
-pub(super) fn file_of(out: &Path, isovalue: f64) -> PathBuf {
-    match out.file_name().and_then(|name| name.to_str()) {
-        Some(name) => out.with_file_name(name.replace(PLACEHOLDER, &isovalue.to_string())),
-        None => out.to_path_buf(),
-    }
 }
 
 /// Writes one file, or a file each; returns the bytes of all.

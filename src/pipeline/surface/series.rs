@@ -7,8 +7,9 @@
 //! surface, so that the list has all steps.
 
 use super::extract_steps::{MOST_STEPS, Pass};
-use super::query::{Made, file_of, is_each_alone, write_made};
-use super::settings::{SurfaceReport, SurfaceSettings};
+use super::query::{Made, write_made};
+use super::settings::{SurfaceReport, SurfaceSettings, file_of, is_each_alone};
+use crate::archive::manifest::Step;
 use crate::archive::publish::Unpublished;
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Silent};
@@ -46,6 +47,22 @@ pub struct SeriesReport {
     pub skipped: u64,
     /// The lists of the files: one, or one for each isovalue where these have files of their own.
     pub lists: Vec<PathBuf>,
+}
+
+/// The files that [`write_series`] writes, the lists included.
+pub(in crate::pipeline) fn series_files(
+    archive: &OpenArchive,
+    steps: StepRange,
+    settings: &SurfaceSettings,
+    out: &Path,
+    format: SurfaceFormat,
+) -> Result<Vec<PathBuf>> {
+    let place = Place::in_name(out)?;
+    let positions = steps.positions(&archive.manifest, archive.path())?;
+    let of_step = |step: &Step| settings.files(&place.name(step.plan.number));
+    let mut files: Vec<PathBuf> = archive.manifest.steps[positions].iter().flat_map(of_step).collect();
+    files.extend(settings.files(&place.list(format)));
+    Ok(files)
 }
 
 /// Writes isosurfaces of many steps: see

@@ -44,6 +44,12 @@ impl SurfaceSettings {
         Self { isovalues: vec![isovalue.into()], ..Self::default() }
     }
 
+    /// The files that surfaces are written to, under a name that may hold `{}`.
+    pub fn files(&self, out: &Path) -> Vec<PathBuf> {
+        let count = if is_each_alone(out) { self.isovalues.len() } else { 1 };
+        self.isovalues.iter().take(count).map(|&isovalue| file_of(out, isovalue)).collect()
+    }
+
     /// The isovalues as the archive has values.
     pub(super) fn kept(&self, archive: &StepView) -> Vec<f32> {
         let source = &archive.step().plan.source;
@@ -123,6 +129,7 @@ pub struct SurfaceReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub remote: Option<Traffic>,
     /// Seconds of wall time of each stage.
+    #[serde(serialize_with = "crate::pipeline::stage::by_name")]
     pub seconds: StageSeconds,
 }
 
@@ -170,4 +177,20 @@ pub(super) fn finite(isovalue: f64) -> Result<()> {
     } else {
         Err(Error::usage("the isovalue must be a finite number"))
     }
+}
+
+/// What in a file's name stands for the isovalue.
+const PLACEHOLDER: &str = "{}";
+
+/// The file of an isovalue.
+pub(super) fn file_of(out: &Path, isovalue: f64) -> PathBuf {
+    match out.file_name().and_then(|name| name.to_str()) {
+        Some(name) => out.with_file_name(name.replace(PLACEHOLDER, &isovalue.to_string())),
+        None => out.to_path_buf(),
+    }
+}
+
+/// Whether each isovalue has a file of its own.
+pub(super) fn is_each_alone(out: &Path) -> bool {
+    out.file_name().is_some_and(|name| name.to_string_lossy().contains(PLACEHOLDER))
 }

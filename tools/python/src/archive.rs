@@ -1,7 +1,7 @@
 //! An archive, asked from Python.
 
 use crate::arrays::Numbers;
-use crate::cli::text::parse_bytes;
+use crate::cli::grammar;
 use crate::errors::{exception, usage};
 use crate::json::to_python;
 use crate::surface::Surface;
@@ -63,7 +63,7 @@ impl Machine {
     fn memory(&self, py: Python<'_>) -> PyResult<u64> {
         match &self.memory {
             None => Ok(usable_memory() / 2),
-            Some(text) => parse_bytes(text).map_err(|e| usage(py, format!("memory: {e}"))),
+            Some(text) => grammar::memory(text).map_err(|e| usage(py, format!("memory: {e}"))),
         }
     }
 

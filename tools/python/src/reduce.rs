@@ -21,12 +21,9 @@ fn parsed<Args>(
     expected: impl Fn(Command) -> Option<Args>,
 ) -> PyResult<(Args, Talk)> {
     let quiet = [OsString::from("isospan"), OsString::from("--quiet")];
-    let cli = Cli::try_parse_from(quiet.into_iter().chain(arguments)).map_err(|error| {
-        let text = error.to_string();
-        let first = text.split("\n\n").next().unwrap_or_default();
-        let words: Vec<&str> = first.trim_start_matches("error: ").split_whitespace().collect();
-        usage(py, words.join(" "))
-    })?;
+    let arguments: Vec<OsString> = quiet.into_iter().chain(arguments).collect();
+    let cli =
+        Cli::try_parse_from(&arguments).map_err(|error| usage(py, cli::one_line(&error, &arguments)))?;
     let args = expected(cli.command).ok_or_else(|| usage(py, "this is another command"))?;
     Ok((args, cli.talk))
 }
@@ -55,7 +52,8 @@ pub(crate) fn reduce<'py>(
             Some(volumes) => {
                 let mut steps = steps(volumes, &run, progress)?;
                 args.steps.set_times(&mut steps)?;
-                (steps, args.choices.settings(false)?)
+                let settings = args.choices.settings(&steps[0])?;
+                (steps, settings)
             }
         };
         pipeline::reduce_series(&steps, &settings, &args.output, &run, progress)

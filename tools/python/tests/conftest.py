@@ -23,6 +23,13 @@ def ctrl_c():
     signal.signal(signal.SIGINT, before)
 
 
+def _report(text):
+    """What the program printed as JSON, as the package gives it."""
+    report = json.loads(text)
+    assert report.pop("schema").startswith("isospan.") and report.pop("version") == 1
+    return report
+
+
 @pytest.fixture(scope="session")
 def program():
     """Runs the program that cargo has built; gives what it prints."""
@@ -31,7 +38,7 @@ def program():
     def run(*arguments, code=0):
         done = subprocess.run([path, "-q", *map(str, arguments)], capture_output=True, text=True)
         assert done.returncode == code, done.stderr
-        return json.loads(done.stdout) if "--json" in arguments else done.stdout + done.stderr
+        return _report(done.stdout) if "--json" in arguments else done.stdout + done.stderr
 
     return run
 

@@ -73,13 +73,13 @@ def test_the_defaults_are_those_of_the_program(program, tmp_path):
 
 def test_files_with_keywords_of_reading(program, tmp_path):
     field().astype(">i2").tofile(tmp_path / "v.raw")
-    flags = ["--dims=20,24,18", "--type=i16", "--endian=big", "--spacing=1,2,0.5"]
+    flags = ["--dims=20,24,18", "--type=int16", "--endian=big", "--spacing=1,2,0.5"]
     program("reduce", tmp_path / "v.raw", "-o", tmp_path / "p.isospan", *flags)
     archive = isospan.reduce(
         tmp_path / "v.raw",
         tmp_path / "s.isospan",
         dims=(20, 24, 18),
-        type="i16",
+        type="int16",
         endian="big",
         spacing=(1, 2, 0.5),
     )
@@ -202,9 +202,10 @@ def test_notices_are_warnings(tmp_path):
 def test_the_program_of_the_package(program, tooth, tmp_path):
     module = [sys.executable, "-m", "isospan"]
     done = subprocess.run([*module, "info", tooth.path, "--json"], capture_output=True, text=True)
-    assert done.returncode == 0 and json.loads(done.stdout) == tooth.info
-    done = subprocess.run([*module, "--version"], capture_output=True, text=True)
-    assert done.stdout == program("--version").strip() + "\n"
+    about = {"schema": "isospan.info.archive", "version": 1}
+    assert done.returncode == 0 and json.loads(done.stdout) == {**about, **tooth.info}
+    done = subprocess.run([*module, "-V"], capture_output=True, text=True)
+    assert done.stdout == program("-V").strip() + "\n"
     assert done.stdout.split()[1] == isospan.__version__
     done = subprocess.run([*module, "info", tmp_path / "nothing"], capture_output=True, text=True)
     assert done.returncode == 1 and done.stderr.startswith("isospan: error: ")

@@ -18,10 +18,10 @@ from . import _isospan
 from ._errors import UsageError
 from ._meshes import Image, Plain
 
-#: Types of samples as the library has them, by kind and bytes of a NumPy type.
-_SCALARS = {f"{k}{b}": f"{k}{8 * b}" for k in "iu" for b in (1, 2, 4, 8)} | {
-    "f4": "f32",
-    "f8": "f64",
+#: Names of the types of samples that the library has, by kind and bytes of a NumPy type.
+_SCALARS = {
+    code: np.dtype(code).name
+    for code in ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
 }
 #: Bytes of a box that is read at a time, unless one chunk has more.
 _BOX_BYTES = 32 << 20

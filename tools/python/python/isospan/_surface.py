@@ -60,7 +60,8 @@ class Surface:
     def save(self, path: PathLike) -> int:
         """Writes a file, .ply, .stl, .obj, .vtp or .glb, and returns its bytes.
 
-        It is the file that ``isospan surface`` writes.
+        It is the file that ``isospan surface`` writes, and replaces one that is there, as ``numpy.save``
+        does.
         """
         return self._core.save(path)
 
