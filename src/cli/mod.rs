@@ -19,6 +19,7 @@ mod input;
 mod machine;
 mod measure;
 mod misc;
+mod nightly;
 mod output;
 mod plan;
 mod probe;
@@ -76,6 +77,7 @@ pub(crate) enum Command {
     Status(status::Args),
     Gc(gc::Args),
     Slurm(slurm::Args),
+    Nightly(Box<nightly::Args>),
     Completions(misc::CompletionsArgs),
     Man(misc::ManArgs),
 }
@@ -83,7 +85,7 @@ pub(crate) enum Command {
 impl Command {
     /// Whether the same command goes on where it was stopped: only what makes an archive has something to continue.
     fn continues(&self) -> bool {
-        matches!(self, Self::Reduce(_) | Self::Append(_) | Self::Work(_) | Self::Commit(_))
+        matches!(self, Self::Reduce(_) | Self::Append(_) | Self::Work(_) | Self::Commit(_) | Self::Nightly(_))
     }
 }
 
@@ -138,6 +140,7 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Status(args) => status::run(args),
         Command::Gc(args) => gc::run(args),
         Command::Slurm(args) => slurm::run(args, &cli.talk),
+        Command::Nightly(args) => nightly::run(args, &cli.talk),
         Command::Completions(args) => misc::completions(args),
         Command::Man(args) => misc::man(args),
     }
