@@ -97,6 +97,7 @@
 //! # Features
 //!
 //! * `cli` (default): the `isospan` program.
+//! * `compare` (default, part of `cli`): distances between surfaces.
 //! * `hdf5` (default): HDF5 and NetCDF-4 files, by a pure-Rust reader.
 //! * `remote`: archives in object stores (`s3://…`) and on web servers (`https://…`), read by range
 //!   requests.
@@ -116,6 +117,7 @@ pub mod archive;
 pub mod bytes;
 #[doc(hidden)]
 pub mod cells;
+#[cfg(feature = "compare")]
 pub mod compare;
 pub(crate) mod cpu;
 #[doc(hidden)]

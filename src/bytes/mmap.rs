@@ -230,7 +230,12 @@ mod guard {
         unsafe {
             *libc::__errno_location() = error;
         }
-        #[cfg(not(target_os = "linux"))]
+        #[cfg(target_vendor = "apple")]
+        // SAFETY: as above.
+        unsafe {
+            *libc::__error() = error;
+        }
+        #[cfg(not(any(target_os = "linux", target_vendor = "apple")))]
         let _ = error;
     }
 

@@ -30,7 +30,7 @@ const GROUPS: [(&str, &[&str]); 5] = [
     ("Make archives", &["reduce", "append", "unpack", "brick"]),
     ("Ask files and archives", &["info", "spectrum", "count", "probe", "export", "measure", "view"]),
     ("Surfaces", &["surface", "check", "compare", "render"]),
-    ("Clusters", &["plan", "work", "commit", "status", "gc", "slurm"]),
+    ("Clusters", &["plan", "work", "commit", "status", "gc", "slurm", "nightly"]),
     ("Other", &["completions", "man", "help"]),
 ];
 

@@ -20,6 +20,7 @@ mod input;
 mod machine;
 mod manual;
 mod measure;
+mod nightly;
 mod output;
 mod plan;
 mod probe;
@@ -80,6 +81,7 @@ pub(crate) enum Command {
     Status(status::Args),
     Gc(gc::Args),
     Slurm(slurm::Args),
+    Nightly(Box<nightly::Args>),
     Completions(manual::CompletionsArgs),
     Man(manual::ManArgs),
 }
@@ -87,7 +89,7 @@ pub(crate) enum Command {
 impl Command {
     /// Whether the same command goes on where it was stopped: only what makes an archive has something to continue.
     fn continues(&self) -> bool {
-        matches!(self, Self::Reduce(_) | Self::Append(_) | Self::Work(_) | Self::Commit(_))
+        matches!(self, Self::Reduce(_) | Self::Append(_) | Self::Work(_) | Self::Commit(_) | Self::Nightly(_))
     }
 }
 
@@ -163,6 +165,7 @@ fn run(cli: &Cli) -> Result<()> {
         Command::Status(args) => status::run(args),
         Command::Gc(args) => gc::run(args),
         Command::Slurm(args) => slurm::run(args, &cli.talk),
+        Command::Nightly(args) => nightly::run(args, &cli.talk),
         Command::Completions(args) => manual::completions(args),
         Command::Man(args) => manual::man(args),
     }
@@ -218,11 +221,15 @@ struct Report<'a, T> {
     report: &'a T,
 }
 
-/// Writes a result as JSON, one line. `schema` is its name in the schema of reports, after
-/// "isospan.".
+/// Writes a result as JSON, one line.
 fn print_json(schema: &str, report: &impl Serialize) -> Result<()> {
+    print(&json_line(schema, report)?)
+}
+
+/// A result as JSON, one line. `schema` is its name in the schema of reports, after "isospan.".
+fn json_line(schema: &str, report: &impl Serialize) -> Result<String> {
     let report = Report { schema: format!("isospan.{schema}"), version: REPORT_VERSION, report };
     let text = serde_json::to_string(&report)
         .map_err(|e| isospan::Error::io("write JSON to", "standard output", std::io::Error::other(e)))?;
-    print(&format!("{text}\n"))
+    Ok(text + "\n")
 }

