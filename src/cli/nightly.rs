@@ -25,8 +25,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// Add the new files of a folder to an archive as time steps, and write a summary: a job for every
-/// night.
+/// Add the new files of a folder to an archive, night by night.
 ///
 /// The first run makes the archive of all files, as `reduce` with the same choices does. Later runs
 /// append files whose names the archive does not have yet, in the order of their names; the choices

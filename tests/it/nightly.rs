@@ -126,7 +126,7 @@ fn wrong_use_is_told_at_once() {
     fs::create_dir(dir.join("scope")).unwrap();
     for (more, expected) in [
         (["--again", "--no-measure"], "add --submit"),
-        (["--option", "x"], "starts with -"),
+        (["--option", "x"], "expected an option of sbatch"),
         (["--points", "nothing"], "nothing"),
     ] {
         let (code, _, errors) = night(dir, &more);
