@@ -1,6 +1,8 @@
-//! Coding and decoding of a chunk's tetrahedra, in tetrahedra a second, and of values, in values a second.
+//! Coding and decoding of a chunk's tetrahedra, in tetrahedra a second, and of values, in values a
+//! second.
 //!
-//! `cargo bench --bench archive`; names are `encode/SET`, `decode/SET`, `values/encode` and `values/decode`.
+//! `cargo bench --bench archive`; names are `encode/SET`, `decode/SET`, `values/encode` and
+//! `values/decode`.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use isospan::archive::chunk::{ChunkEncoder, TetBlock, TetScratch};
@@ -18,7 +20,8 @@ use std::time::Duration;
 const POINTS: u64 = 62_500;
 const BLOCK_TETS: u32 = 256;
 
-/// The points of a set in the order of a chunk's vertices (brick after brick), and their tetrahedra.
+/// The points of a set in the order of a chunk's vertices (brick after brick), and their
+/// tetrahedra.
 fn mesh(kind: SetKind) -> (Vec<LatticePos>, Vec<Tet>) {
     const SAMPLES: u64 = 101;
     let lattice = Lattice::new([SAMPLES; 3]).expect("it is small");

@@ -49,7 +49,8 @@ fn bcc(n: u32, step: u32) -> Vec<LatticePos> {
     all
 }
 
-/// A sparse grid of dyadic positions, dense along the planes through the middle like a hyperbolic cross.
+/// A sparse grid of dyadic positions, dense along the planes through the middle like a hyperbolic
+/// cross.
 fn cross(levels: u32, base: u32) -> Vec<LatticePos> {
     let mut all = BTreeSet::new();
     for sx in 0..=levels {
@@ -96,7 +97,8 @@ fn kernel(c: &mut Criterion) {
     group.finish();
 }
 
-/// A core in the middle of a larger set, with a halo of three spacings, half of it inserted at once; by insertion, and star by star.
+/// A core in the middle of a larger set, with a halo of three spacings, half of it inserted at
+/// once; by insertion, and star by star.
 fn stage(c: &mut Criterion) {
     let all = hammersley(2_000_000);
     let order = Order::for_count(all.len() as u64);

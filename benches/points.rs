@@ -1,5 +1,6 @@
-//! Points found a second: `points/STAGE/SET/N/BOX`, over a diagonal of boxes of about `BOX` points of a set of N.
-//! `candidates` is the enumeration with rounding, `sites` the whole with sort and duplicates removed.
+//! Points found a second: `points/STAGE/SET/N/BOX`, over a diagonal of boxes of about `BOX` points
+//! of a set of N. `candidates` is the enumeration with rounding, `sites` the whole with sort and
+//! duplicates removed.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use isospan::geom::{Lattice, LatticeBox, Site};

@@ -1,7 +1,9 @@
-//! Scan conversion, in samples a second: `cargo bench --bench raster`; names are `raster/SAMPLES A POINT`, `scan/…` and `fit/…`.
+//! Scan conversion, in samples a second: `cargo bench --bench raster`; names are
+//! `raster/SAMPLES A POINT`, `scan/…` and `fit/…`.
 //!
-//! Every sample of a volume of 128³ is visited once, with its weights: the tetrahedra of a chunk one by one (`raster`), or many together (`scan`); and so to fit values to the
-//! samples, tetrahedra sorted into windows and what the samples tell added up (`fit`).
+//! Every sample of a volume of 128³ is visited once, with its weights: the tetrahedra of a chunk
+//! one by one (`raster`), or many together (`scan`); and so to fit values to the samples,
+//! tetrahedra sorted into windows and what the samples tell added up (`fit`).
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use isospan::exec::Room;

@@ -1,6 +1,7 @@
 //! Points sampled a second by one thread: `cargo bench --bench sample`.
 //!
-//! Positions are those of a brick's points in Z order of small boxes, as the pipeline asks for them.
+//! Positions are those of a brick's points in Z order of small boxes, as the pipeline asks for
+//! them.
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use isospan::geom::{Lattice, LatticePos};

@@ -1,5 +1,6 @@
-//! Extraction, welding and checking of a gyroid in a chunk of 262 144 points and 1.5 million tetrahedra; and whole surfaces of archives whose blocks
-//! are kept and known (`kept/FIELD/POINTS`, one thread: of 60 000 points what is kept fits in the caches, of a million it does not).
+//! Extraction, welding and checking of a gyroid in a chunk of 262 144 points and 1.5 million
+//! tetrahedra; and whole surfaces of archives whose blocks are kept and known (`kept/FIELD/POINTS`,
+//! one thread: of 60 000 points what is kept fits in the caches, of a million it does not).
 //! Throughput is in triangles.
 //!
 //! `cargo bench --bench surface`, about a minute.

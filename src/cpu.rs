@@ -1,7 +1,9 @@
-//! Which vector instructions may be used: those that the machine has, less those that the user forbids.
+//! Which vector instructions may be used: those that the machine has, less those that the user
+//! forbids.
 //!
-//! Vector code gives the bytes of the plain code that stands beside it. To see that, or to make a machine behave as an older one of the same
-//! cluster, instructions are forbidden as for the C library: `GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F`.
+//! Vector code gives the bytes of the plain code that stands beside it. To see that, or to make a
+//! machine behave as an older one of the same cluster, instructions are forbidden as for the C
+//! library: `GLIBC_TUNABLES=glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F`.
 
 use std::sync::LazyLock;
 

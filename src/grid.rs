@@ -1,13 +1,15 @@
 //! Index space: boxes of samples, the affine map to the world, and the grids of bricks and chunks.
 //!
-//! Brick and chunk arithmetic is here; how wide a halo is follows from the plan (`pipeline/plan/estimate.rs`).
+//! Brick and chunk arithmetic is here; how wide a halo is follows from the plan
+//! (`pipeline/plan/estimate.rs`).
 //!
-//! * A **brick** is a box of a fixed number of cells that enumerates its own points (about a thousand). Cells are voxel
-//!   cells, or those of a body-centred cubic lattice.
-//! * A **chunk** is a box of bricks whose points are meshed together (about 250 000). Chunks tile the domain in
-//!   layers along z, each layer in rows along y, each row in chunks along x; the cuts balance the number of points, so
-//!   a set that crowds the middle (a hyperbolic cross) still gets chunks of equal work. Chunk ids run x fastest: a
-//!   volume stored slice by slice is read front to back. Cuts can also be told ([`ChunkCuts`]).
+//! * A **brick** is a box of a fixed number of cells that enumerates its own points (about a
+//!   thousand). Cells are voxel cells, or those of a body-centred cubic lattice.
+//! * A **chunk** is a box of bricks whose points are meshed together (about 250 000). Chunks tile
+//!   the domain in layers along z, each layer in rows along y, each row in chunks along x; the cuts
+//!   balance the number of points, so a set that crowds the middle (a hyperbolic cross) still gets
+//!   chunks of equal work. Chunk ids run x fastest: a volume stored slice by slice is read front to
+//!   back. Cuts can also be told ([`ChunkCuts`]).
 
 mod cuts;
 
@@ -59,7 +61,8 @@ impl IndexBox {
         (0..3).any(|a| self.lo[a] >= self.hi[a])
     }
 
-    /// Parts of whole slices along z, front to back, of at most so many samples; of one slice where that has more.
+    /// Parts of whole slices along z, front to back, of at most so many samples; of one slice where
+    /// that has more.
     pub(crate) fn slices(self, samples: usize) -> impl Iterator<Item = Self> {
         let [x, y, _] = self.dims();
         let step = (samples as u64 / (x * y).max(1)).max(1);
@@ -198,7 +201,8 @@ impl BrickGrid {
         Self { lattice, edge, cells: lattice.dims.map(|d| d - 1) }
     }
 
-    /// Bricks of cells of equal size that are no voxels; at least one along each axis, and at most one a lattice step.
+    /// Bricks of cells of equal size that are no voxels; at least one along each axis, and at most
+    /// one a lattice step.
     pub fn of_cells(lattice: Lattice, edge: [u64; 3], cells: [u32; 3]) -> Self {
         Self { lattice, edge, cells: cells.map(u64::from) }
     }
@@ -248,7 +252,8 @@ impl BrickGrid {
         BrickId((c[2] * d[1] + c[1]) * d[0] + c[0])
     }
 
-    /// Where the bricks of an axis begin that have this coordinate; behind the last one, past the domain.
+    /// Where the bricks of an axis begin that have this coordinate; behind the last one, past the
+    /// domain.
     fn start(&self, axis: usize, brick: u64) -> u32 {
         let max = self.lattice.max()[axis];
         match self.cells[axis] {
@@ -258,7 +263,8 @@ impl BrickGrid {
         }
     }
 
-    /// The lattice box of the bricks `lo <= c < hi`. The last brick of an axis includes the domain's far face.
+    /// The lattice box of the bricks `lo <= c < hi`. The last brick of an axis includes the
+    /// domain's far face.
     pub fn lattice_box(&self, lo: [u64; 3], hi: [u64; 3]) -> LatticeBox {
         LatticeBox {
             lo: std::array::from_fn(|a| self.start(a, lo[a])),
@@ -325,14 +331,16 @@ enum XCuts {
     /// Points are counted.
     Counted {
         count: Counter,
-        /// Cuts of the row asked for last: chunks are asked for in order, and a row may have a million bricks.
+        /// Cuts of the row asked for last: chunks are asked for in order, and a row may have a
+        /// million bricks.
         last: Mutex<Option<(usize, Arc<Vec<u64>>)>>,
     },
     /// Those of each row are told.
     Told(Vec<Arc<Vec<u64>>>),
 }
 
-/// The domain cut into chunks. Memory: a few bytes for each row of chunks; where cuts are told, for each chunk.
+/// The domain cut into chunks. Memory: a few bytes for each row of chunks; where cuts are told, for
+/// each chunk.
 pub struct ChunkGrid {
     bricks: BrickGrid,
     /// Cuts along z, in bricks.
@@ -346,11 +354,12 @@ pub struct ChunkGrid {
 }
 
 impl ChunkGrid {
-    /// Cuts the bricks into chunks of about `target` points. Cost: one call of `count` for each brick layer, and for each
-    /// row of bricks in a layer of chunks.
+    /// Cuts the bricks into chunks of about `target` points. Cost: one call of `count` for each
+    /// brick layer, and for each row of bricks in a layer of chunks.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a target of 0, and for more bricks or rows of bricks than can be counted in a reasonable time.
+    /// [`Error::Usage`] for a target of 0, and for more bricks or rows of bricks than can be
+    /// counted in a reasonable time.
     pub fn new(
         bricks: BrickGrid,
         target: u64,
@@ -365,9 +374,11 @@ impl ChunkGrid {
         let cells = bricks.lattice.extent();
         let by_z = counts(&bricks, &count, 2, [0; 3], d);
         let wanted = by_z.iter().sum::<u64>().div_ceil(target).max(1) as f64;
-        // Cubic chunks: the edge, in voxels of the axis with the fewest lattice steps, that cuts the box into `wanted` cubes.
+        // Cubic chunks: the edge, in voxels of the axis with the fewest lattice steps, that cuts
+        // the box into `wanted` cubes.
         let edge = libm::cbrt(cells[0] * cells[1] * cells[2] / wanted);
-        // A long thin box is cut into fewer, longer pieces: never more layers than chunks, nor more rows.
+        // A long thin box is cut into fewer, longer pieces: never more layers than chunks, nor more
+        // rows.
         let most = |bricks: u64, wanted: f64| bricks.min(wanted as u64).max(1);
         let z_cuts = balanced_cuts(&by_z, ((cells[2] / edge).round() as u64).clamp(1, most(d[2], wanted)));
         check_rows(z_cuts.len() as u64 - 1, d[1])?;
@@ -429,7 +440,8 @@ impl ChunkGrid {
         &self.bricks
     }
 
-    /// A chunk by its number. Cost: one call of the counter for each brick along x, in the first chunk of a row asked for.
+    /// A chunk by its number. Cost: one call of the counter for each brick along x, in the first
+    /// chunk of a row asked for.
     ///
     /// # Panics
     /// When `id` is not below [`ChunkGrid::len`].
@@ -461,8 +473,8 @@ fn counts(bricks: &BrickGrid, count: &Counter, axis: usize, lo: [u64; 3], hi: [u
 
 /// The most bricks of a grid: their numbers fit 64 bits with room to spare.
 const MOST_BRICKS: u128 = 1 << 60;
-/// The most rows of bricks that are counted for all layers of chunks together. A petabyte at the usual brick size has a
-/// few million; more come from parameters that no reduction has.
+/// The most rows of bricks that are counted for all layers of chunks together. A petabyte at the
+/// usual brick size has a few million; more come from parameters that no reduction has.
 const MOST_ROWS: u64 = 1 << 23;
 
 fn check_size(d: [u64; 3]) -> Result<()> {
@@ -486,7 +498,8 @@ fn check_rows(layers: u64, rows: u64) -> Result<()> {
     Ok(())
 }
 
-/// Cuts `counts` into `parts` runs of about equal sum, none empty of bricks; `parts <= counts.len()`.
+/// Cuts `counts` into `parts` runs of about equal sum, none empty of bricks;
+/// `parts <= counts.len()`.
 fn balanced_cuts(counts: &[u64], parts: u64) -> Vec<u64> {
     let (n, parts) = (counts.len() as u64, parts.clamp(1, counts.len() as u64));
     let total: u128 = counts.iter().map(|&c| u128::from(c)).sum();

@@ -12,7 +12,8 @@ fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("datasets")
 }
 
-/// The rows of the manifest by its titles: file, sha256, bytes, format, dims, type, range, origin, licence.
+/// The rows of the manifest by its titles: file, sha256, bytes, format, dims, type, range, origin,
+/// licence.
 fn rows() -> Vec<[String; 9]> {
     let text = fs::read_to_string(folder().join("MANIFEST.tsv")).expect("the manifest is there");
     let mut rows = text.lines().map(|line| {

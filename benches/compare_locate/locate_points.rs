@@ -1,7 +1,9 @@
-//! Our part of `compare.py`: locates points in a tetrahedral mesh and interpolates its field, on one thread.
+//! Our part of `compare.py`: locates points in a tetrahedral mesh and interpolates its field, on
+//! one thread.
 //!
-//! `locate_points MESH FIELD POINTS VALUES REPEAT`: POINTS are little-endian f64 triples in world coordinates; the values (f32, NaN outside) go to
-//! VALUES. Prints a line a repetition: CPU seconds of the grid over the points (built, cells streamed past, values), of building the kd-tree over
+//! `locate_points MESH FIELD POINTS VALUES REPEAT`: POINTS are little-endian f64 triples in world
+//! coordinates; the values (f32, NaN outside) go to VALUES. Prints a line a repetition: CPU seconds
+//! of the grid over the points (built, cells streamed past, values), of building the kd-tree over
 //! the cells, and of its answers with values. Both must give the same answers.
 
 #![allow(clippy::print_stdout)]

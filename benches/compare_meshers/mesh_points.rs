@@ -1,9 +1,13 @@
 //! Our part of `compare.py`: makes points, and meshes the points of a file.
 //!
-//! * `mesh_points points SET COUNT FILE`: writes points of the unit cube as little-endian f64 triples.
-//! * `mesh_points kernel FILE REPEAT`: rounds them to the lattice and meshes them as one, in memory that is reused.
-//! * `mesh_points stage SET COUNT REPEAT THREADS CHUNK`: makes points with the samples of the cube's boundary that a reduction adds to them, cuts the
-//!   cube into chunks of about CHUNK points as a reduction to 1/8 of the samples does, and meshes those, halos and certification included, evenly spread ones star by star.
+//! * `mesh_points points SET COUNT FILE`: writes points of the unit cube as little-endian f64
+//!   triples.
+//! * `mesh_points kernel FILE REPEAT`: rounds them to the lattice and meshes them as one, in memory
+//!   that is reused.
+//! * `mesh_points stage SET COUNT REPEAT THREADS CHUNK`: makes points with the samples of the
+//!   cube's boundary that a reduction adds to them, cuts the cube into chunks of about CHUNK points
+//!   as a reduction to 1/8 of the samples does, and meshes those, halos and certification included,
+//!   evenly spread ones star by star.
 //!
 //! Prints a line a repetition: points, tetrahedra, wall seconds, CPU seconds (of all threads).
 
@@ -151,7 +155,8 @@ type Desk = (Mesher, Vec<LatticePos>);
 /// Halos of a chunk at most, each twice as wide as the one before; the last holds all points.
 const WIDTHS: usize = 26;
 
-/// A chunk's core; its boxes and points, and those of each wider halo, made when they are first asked for: in the run before those that are measured.
+/// A chunk's core; its boxes and points, and those of each wider halo, made when they are first
+/// asked for: in the run before those that are measured.
 struct Chunk {
     core: LatticeBox,
     first: OnceLock<(ChunkRegion, Vec<LatticePos>)>,

@@ -1,10 +1,12 @@
-//! Builds indexes of synthetic blocks in 256 MiB, asks them, and tells how many pages were touched against √(n/L) + k/L, where n is the
-//! number of entries, k of answers, and L = 128 the least entries of a full page.
+//! Builds indexes of synthetic blocks in 256 MiB, asks them, and tells how many pages were touched
+//! against √(n/L) + k/L, where n is the number of entries, k of answers, and L = 128 the least
+//! entries of a full page.
 //!
-//! `cargo run --release --example index_pages -- 1000000 10000000 100000000` (the last takes 5 GB of disk in the system's
-//! temporary folder, and as much memory as it is told)
+//! `cargo run --release --example index_pages -- 1000000 10000000 100000000` (the last takes 5 GB
+//! of disk in the system's temporary folder, and as much memory as it is told)
 //!
-//! On 2 cores of an AMD EPYC (virtual machine, shared, 2026-11-21), one run; 10^8 entries took about 30 seconds of CPU time:
+//! On 2 cores of an AMD EPYC (virtual machine, shared, 2026-11-21), one run; 10^8 entries took
+//! about 30 seconds of CPU time:
 //!
 //! | entries | anonymous memory | file | bytes to open | isovalue | answers | pages | √(n/L) + k/L | bytes read |
 //! |---|---|---|---|---|---|---|---|---|

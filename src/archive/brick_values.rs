@@ -86,8 +86,8 @@ pub(crate) struct Template {
 type Halves = [i32; 3];
 
 impl Template {
-    /// That of a brick of so many cells, 1 to 8 along each axis. Values are numbered in blocks of 4³ cells: of each its nodes, x
-    /// fastest, then its centres.
+    /// That of a brick of so many cells, 1 to 8 along each axis. Values are numbered in blocks of
+    /// 4³ cells: of each its nodes, x fastest, then its centres.
     pub(crate) fn of(cells: [u32; 3]) -> &'static Self {
         static ALL: [OnceLock<Template>; EDGE * EDGE * EDGE] =
             [const { OnceLock::new() }; EDGE * EDGE * EDGE];
@@ -188,7 +188,8 @@ fn variance(d: Halves) -> f64 {
 
 /// The weights of neighbours at such offsets, the nearest one first: those of the least expected
 /// square of the error. All differences are told from the nearest one. Their covariances are a
-/// linear system, solved by Gauss-Jordan elimination. It is positive definite: it needs no pivoting.
+/// linear system, solved by Gauss-Jordan elimination. It is positive definite: it needs no
+/// pivoting.
 fn weights(near: &[Halves]) -> Vec<i16> {
     let Some((&first, rest)) = near.split_first() else { return vec![] };
     let covariance =
@@ -465,7 +466,8 @@ mod tests {
                 let mut back = vec![0; values.len()];
                 assert!(decode(template, &bytes, &mut back), "{cells:?} {bits}");
                 assert_eq!(back, values);
-                // Noise takes a third more than its bits: the odds of lengths are those of smooth values.
+                // Noise takes a third more than its bits: the odds of lengths are those of smooth
+                // values.
                 let most = template.len() * (bits as usize * 4 / 3 + 3) / 8 + 16;
                 assert!(bytes.len() <= most, "{} bytes for {bits} bits", bytes.len());
             }

@@ -1,11 +1,14 @@
-//! The mesh of one chunk as blocks: the vertices ([`super::vertices`]), then the tetrahedra, some hundred a block.
+//! The mesh of one chunk as blocks: the vertices ([`super::vertices`]), then the tetrahedra, some
+//! hundred a block.
 //!
-//! **Blocks.** A tetrahedron belongs to its smallest local vertex. A block is a run of vertices with all their
-//! tetrahedra: as ids follow the bricks and, inside a brick, the Hilbert curve, and runs are cut where that makes them so (`runs.rs`), a block is compact
-//! in space, its (min, max) are near each other, and few of its vertices are shared with other blocks.
+//! **Blocks.** A tetrahedron belongs to its smallest local vertex. A block is a run of vertices
+//! with all their tetrahedra: as ids follow the bricks and, inside a brick, the Hilbert curve, and
+//! runs are cut where that makes them so (`runs.rs`), a block is compact in space, its (min, max)
+//! are near each other, and few of its vertices are shared with other blocks.
 //!
-//! A block decodes on its own, in two steps: [`TetBlock::open`] tells its vertices ([`ChunkVertices`] gives their number, against which every id is
-//! checked); [`TetBlock::decode`] takes their positions, which foretell most of the tetrahedra.
+//! A block decodes on its own, in two steps: [`TetBlock::open`] tells its vertices
+//! ([`ChunkVertices`] gives their number, against which every id is checked); [`TetBlock::decode`]
+//! takes their positions, which foretell most of the tetrahedra.
 
 use super::runs::block_starts;
 use super::star;
@@ -51,7 +54,8 @@ impl EncodedChunk {
     }
 }
 
-/// Turns each tetrahedron so that its smallest vertex comes first, and sorts by that; nothing is done where all are so already.
+/// Turns each tetrahedron so that its smallest vertex comes first, and sorts by that; nothing is
+/// done where all are so already.
 fn by_vertex(tets: &mut [Tet]) {
     let mut before = 0;
     let in_order = |t: &Tet| {
@@ -69,12 +73,14 @@ fn by_vertex(tets: &mut [Tet]) {
 pub struct ChunkEncoder(star::Writer);
 
 impl ChunkEncoder {
-    /// Turns a chunk's mesh into blocks of about `block_tets` tetrahedra; `positions` are those of the local vertices. The bytes depend on
-    /// the *set* of tetrahedra, not on their order nor on how each is turned; least is to be done where the smallest vertex comes first in
-    /// each, and they ascend by that. Leaves the tetrahedra block after block, as their decoders give them.
+    /// Turns a chunk's mesh into blocks of about `block_tets` tetrahedra; `positions` are those of
+    /// the local vertices. The bytes depend on the *set* of tetrahedra, not on their order nor on
+    /// how each is turned; least is to be done where the smallest vertex comes first in each, and
+    /// they ascend by that. Leaves the tetrahedra block after block, as their decoders give them.
     ///
     /// # Panics
-    /// When a vertex id is not local, `positions` or `shared` is not as long as the vertices, or `block_tets` is 0.
+    /// When a vertex id is not local, `positions` or `shared` is not as long as the vertices, or
+    /// `block_tets` is 0.
     pub fn encode(
         &mut self,
         vertices: &ChunkVertices,
@@ -98,7 +104,8 @@ impl ChunkEncoder {
     }
 }
 
-/// Encodes one block of tetrahedra, the smallest vertex first in each, ascending by it; leaves them as they will be decoded.
+/// Encodes one block of tetrahedra, the smallest vertex first in each, ascending by it; leaves them
+/// as they will be decoded.
 fn encode_tets(writer: &mut star::Writer, tets: &mut [Tet], positions: &[LatticePos]) -> Vec<u8> {
     let mut out = vec![TETS_STARS];
     if writer.encode(tets, positions, &mut out) {
@@ -158,12 +165,12 @@ impl<'a> TetBlock<'a> {
         &self.vertices
     }
 
-    /// Appends the tetrahedra to `out`, positively oriented, in the same order every time; `positions` are those of
-    /// [`TetBlock::vertices`].
+    /// Appends the tetrahedra to `out`, positively oriented, in the same order every time;
+    /// `positions` are those of [`TetBlock::vertices`].
     ///
     /// # Errors
-    /// When the bytes are not a block, or the positions not those that it was made with; `out` may then hold some tetrahedra, whose vertices are
-    /// the block's.
+    /// When the bytes are not a block, or the positions not those that it was made with; `out` may
+    /// then hold some tetrahedra, whose vertices are the block's.
     ///
     /// # Panics
     /// When there is not one position a vertex.
@@ -216,7 +223,8 @@ pub(crate) mod tests {
     use super::*;
     use crate::geom::PointId;
 
-    /// A box of cubes, each cut in six tetrahedra around its diagonal, positively oriented; vertices x fastest.
+    /// A box of cubes, each cut in six tetrahedra around its diagonal, positively oriented;
+    /// vertices x fastest.
     pub(crate) fn cubes(n: [u32; 3]) -> Vec<Tet> {
         const AROUND: [[u32; 3]; 6] = [[1, 3, 7], [3, 2, 7], [2, 6, 7], [6, 4, 7], [4, 5, 7], [5, 1, 7]];
         let (sx, sy) = (n[0] + 1, n[1] + 1);

@@ -1,9 +1,11 @@
 //! Segments of a range of chunks, each chunk a run of blocks.
 //!
-//! A mesh segment has for each chunk its header and its tetrahedron blocks ([`super::chunk`]), a value segment its value
-//! blocks ([`super::values`]). The last block of the segment is the chunk table: how many blocks each chunk has.
+//! A mesh segment has for each chunk its header and its tetrahedron blocks ([`super::chunk`]), a
+//! value segment its value blocks ([`super::values`]). The last block of the segment is the chunk
+//! table: how many blocks each chunk has.
 //!
-//! A writer that is killed loses no chunk that it was given: [`ChunkSegmentWriter::resume`] goes on behind the last whole one.
+//! A writer that is killed loses no chunk that it was given: [`ChunkSegmentWriter::resume`] goes on
+//! behind the last whole one.
 
 use super::journal::{Journal, Record};
 use super::manifest::SegmentRecord;
@@ -34,7 +36,8 @@ impl ChunkSegmentWriter {
         Ok(Self { segment, first, block_counts: vec![], journal: None })
     }
 
-    /// As [`ChunkSegmentWriter::resume`], or without a `journal` as [`ChunkSegmentWriter::create`], where no writer has left anything.
+    /// As [`ChunkSegmentWriter::resume`], or without a `journal` as [`ChunkSegmentWriter::create`],
+    /// where no writer has left anything.
     ///
     /// # Errors
     /// As there.
@@ -50,9 +53,10 @@ impl ChunkSegmentWriter {
         Ok(Self { segment, first, block_counts: vec![], journal })
     }
 
-    /// Begins a segment, or goes on with what a writer left that was killed or stopped: with its chunks up to `most` that are
-    /// whole ([`ChunkSegmentWriter::chunk_count`] tells how many). What this writer has written is there for the next
-    /// one, chunk by chunk; other leftovers of the same segment are removed. The finished file is the same in any case.
+    /// Begins a segment, or goes on with what a writer left that was killed or stopped: with its
+    /// chunks up to `most` that are whole ([`ChunkSegmentWriter::chunk_count`] tells how many).
+    /// What this writer has written is there for the next one, chunk by chunk; other leftovers of
+    /// the same segment are removed. The finished file is the same in any case.
     ///
     /// # Errors
     /// When a temporary file cannot be made or read.

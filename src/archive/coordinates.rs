@@ -1,14 +1,17 @@
 //! The coordinates of a rectilinear or curvilinear grid, so that an archive of one stands alone.
 //!
-//! Such a grid is sampled and meshed in index space. A position in the world is that of the grid's samples around it,
-//! trilinear: of a rectilinear grid three tables, of a curvilinear one the eight corners of a cell. A segment holds them:
-//! a head, then either the three tables or runs of [`RUN`] samples in file order (x fastest).
+//! Such a grid is sampled and meshed in index space. A position in the world is that of the grid's
+//! samples around it, trilinear: of a rectilinear grid three tables, of a curvilinear one the eight
+//! corners of a cell. A segment holds them: a head, then either the three tables or runs of [`RUN`]
+//! samples in file order (x fastest).
 //!
-//! [`CoordinateMap`] reads what is asked for and keeps some runs: neighbours on a surface use the same ones.
+//! [`CoordinateMap`] reads what is asked for and keeps some runs: neighbours on a surface use the
+//! same ones.
 //!
-//! **Folded cells.** Where the eight determinants of a cell's map (at its corners) have different signs, or another one than
-//! most cells', the grid folds over itself; where they are all 0 the cell has no volume (the axis of a cylinder, say, has
-//! some that vanish at four corners only: those are good). [`CoordinateMap::count_cells`] counts them.
+//! **Folded cells.** Where the eight determinants of a cell's map (at its corners) have different
+//! signs, or another one than most cells', the grid folds over itself; where they are all 0 the
+//! cell has no volume (the axis of a cylinder, say, has some that vanish at four corners only:
+//! those are good). [`CoordinateMap::count_cells`] counts them.
 
 use super::segment::{PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use super::wire::Malformed;
@@ -49,7 +52,8 @@ pub enum Coordinates<'a> {
 /// How many cells a grid has of each sort.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CellCount {
-    /// Cells that fold: their map turns inside out within them, or the other way than that of most cells.
+    /// Cells that fold: their map turns inside out within them, or the other way than that of most
+    /// cells.
     pub folded: u64,
     /// Cells without a volume.
     pub degenerate: u64,
@@ -175,7 +179,8 @@ impl CoordinateMap {
         &self.segment
     }
 
-    /// XXH3 (128 bits) of all numbers as little-endian f64: the tables of x, y and z, or x, y, z of each sample.
+    /// XXH3 (128 bits) of all numbers as little-endian f64: the tables of x, y and z, or x, y, z of
+    /// each sample.
     ///
     /// # Errors
     /// When the segment cannot be read, or is damaged.
@@ -276,7 +281,8 @@ impl CoordinateMap {
     }
 }
 
-/// Whether some determinant at a corner is positive, and whether one is negative; what rounding explains is neither.
+/// Whether some determinant at a corner is positive, and whether one is negative; what rounding
+/// explains is neither.
 fn signs(corners: &[DVec3; 8]) -> (bool, bool) {
     let (mut positive, mut negative) = (false, false);
     for n in 0..8 {

@@ -1,7 +1,9 @@
-//! What is whole in a segment that is not finished: a list of its chunks, kept beside its temporary file.
+//! What is whole in a segment that is not finished: a list of its chunks, kept beside its temporary
+//! file.
 //!
-//! A segment has its directory at its end, so the temporary of a killed writer does not tell where its blocks are. The journal
-//! does: after each chunk the writer hands its blocks to the system, then appends a record here.
+//! A segment has its directory at its end, so the temporary of a killed writer does not tell where
+//! its blocks are. The journal does: after each chunk the writer hands its blocks to the system,
+//! then appends a record here.
 //!
 //! ```text
 //!  .000007.seg.tmp-node12-4711-…            the blocks
@@ -12,9 +14,10 @@
 //!      4  CRC32C of the record so far
 //! ```
 //!
-//! The next writer believes nothing of it: a record counts when its checksum is right, its chunk is the next one, and the
-//! blocks have their checksums ([`super::segment::SegmentWriter::adopt`]). So neither a torn record nor a machine that
-//! lost power can do more than lose chunks. The journal is no part of the archive and is gone when the segment is done.
+//! The next writer believes nothing of it: a record counts when its checksum is right, its chunk is
+//! the next one, and the blocks have their checksums ([`super::segment::SegmentWriter::adopt`]). So
+//! neither a torn record nor a machine that lost power can do more than lose chunks. The journal is
+//! no part of the archive and is gone when the segment is done.
 
 use super::publish::{Dead, TEMPORARY_MARK, open_own};
 use super::wire::Cursor;
@@ -114,7 +117,8 @@ impl Journal {
         Ok(())
     }
 
-    /// Notes a chunk whose blocks have been handed to the system. From then on the journal stays when dropped.
+    /// Notes a chunk whose blocks have been handed to the system. From then on the journal stays
+    /// when dropped.
     pub(super) fn push(&mut self, record: &Record) -> Result<()> {
         self.file.write_all(&record.encode()).map_err(|e| Error::io("write", &self.path, e))?;
         self.keep = true;

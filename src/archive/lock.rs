@@ -5,13 +5,13 @@
 //!  .scan.isospan.lock     locked while a process writes it; says which one
 //! ```
 //!
-//! The lock is the system's (`flock`), so it ends with its process, however that ends. Linux passes it on to
-//! NFS servers. The file lies beside the archive, since the archive's folder is replaced as a whole
-//! by `--force`. A file system without locks is not protected: there, two writers must be kept apart by
-//! the user.
+//! The lock is the system's (`flock`), so it ends with its process, however that ends. Linux passes
+//! it on to NFS servers. The file lies beside the archive, since the archive's folder is replaced
+//! as a whole by `--force`. A file system without locks is not protected: there, two writers must
+//! be kept apart by the user.
 //!
-//! The file is removed with the lock. So whoever has locked it looks whether it is still the file of that
-//! name: the one before may have removed it in between.
+//! The file is removed with the lock. So whoever has locked it looks whether it is still the file
+//! of that name: the one before may have removed it in between.
 //!
 //! Workers of a planned reduction take no lock: those of one segment write the same bytes.
 
@@ -32,7 +32,8 @@ impl WriterLock {
     /// Locks an archive, which need not be there.
     ///
     /// # Errors
-    /// [`Error::Busy`] when another process, or thread, writes it; [`Error::Io`] when its folder cannot be written.
+    /// [`Error::Busy`] when another process, or thread, writes it; [`Error::Io`] when its folder
+    /// cannot be written.
     pub(crate) fn acquire(archive: &Path) -> Result<Self> {
         let path = lock_path(archive)?;
         loop {

@@ -1,12 +1,13 @@
 //! The manifest: what an archive is of, how it was made, and which segments it has. Written last.
 //!
-//! It is JSON, for people and scripts to read, and guarded like everything else: its last member is a checksum of
-//! all bytes before it, so that a flipped digit is an error and not another archive. A folder without a manifest is an
-//! unfinished archive.
+//! It is JSON, for people and scripts to read, and guarded like everything else: its last member is
+//! a checksum of all bytes before it, so that a flipped digit is an error and not another archive.
+//! A folder without a manifest is an unfinished archive.
 //!
-//! Two hashes tie the files together. The *plan hash* covers what decides the mesh (lattice, points, cuts, block size):
-//! every mesh segment carries it. A *step hash* covers that and what decides the values of a step (source, field,
-//! interpolation): the step's value and index segments carry it. Neither covers the path of a source, nor threads or memory.
+//! Two hashes tie the files together. The *plan hash* covers what decides the mesh (lattice,
+//! points, cuts, block size): every mesh segment carries it. A *step hash* covers that and what
+//! decides the values of a step (source, field, interpolation): the step's value and index segments
+//! carry it. Neither covers the path of a source, nor threads or memory.
 
 use super::coordinates::CellCount;
 use super::explicit::ExplicitRecord;
@@ -31,7 +32,8 @@ use std::path::{Path, PathBuf};
 pub const MANIFEST_NAME: &str = "manifest.json";
 /// Value of the manifest's first member.
 pub const MANIFEST_FORMAT: &str = "isospan archive";
-/// An archive of one chunk with at most so many blocks has neither index nor spectrum of its steps: they follow from what the chunk tells of itself.
+/// An archive of one chunk with at most so many blocks has neither index nor spectrum of its steps:
+/// they follow from what the chunk tells of itself.
 pub const MOST_UNINDEXED: u64 = 512;
 /// The most bytes of a manifest.
 pub const LARGEST_MANIFEST: u64 = 1 << 30;
@@ -105,9 +107,11 @@ pub struct Plan {
     pub lattice: Lattice,
     /// The point set.
     pub points: PointSpec,
-    /// Bits an axis of the curve in the insertion order, on which the tetrahedra of cospherical points depend.
+    /// Bits an axis of the curve in the insertion order, on which the tetrahedra of cospherical
+    /// points depend.
     pub order_bits: u32,
-    /// Cells along each edge of a brick: of the body-centred cubic lattice, where that is all of the points; else of voxels.
+    /// Cells along each edge of a brick: of the body-centred cubic lattice, where that is all of
+    /// the points; else of voxels.
     pub brick_edge: [u64; 3],
     /// Points of a chunk, about.
     pub chunk_target: u64,
@@ -125,8 +129,8 @@ pub struct Plan {
     /// Of a tetrahedral mesh that tells some vertices more than once: which.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub repeated: Option<RepeatedRecord>,
-    /// Whether chunks prove all tetrahedra at the vertices of their own, which fitted values need, and not their own alone: their
-    /// halos reach further.
+    /// Whether chunks prove all tetrahedra at the vertices of their own, which fitted values need,
+    /// and not their own alone: their halos reach further.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub stars: bool,
     /// Where chunks and the order of points are not those that the points ask for: what they are.
@@ -155,10 +159,12 @@ impl OwnRecord {
     }
 }
 
-/// What a plan has from an earlier one, so that chunks whose points did not change have the same bytes.
+/// What a plan has from an earlier one, so that chunks whose points did not change have the same
+/// bytes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameRecord {
-    /// Bits an axis of the key that orders points: see [`PointSet::order_bits`](crate::points::PointSet::order_bits).
+    /// Bits an axis of the key that orders points: see
+    /// [`PointSet::order_bits`](crate::points::PointSet::order_bits).
     pub site_bits: u32,
     /// Where bricks are cut into chunks.
     pub cuts: ChunkCuts,
@@ -168,13 +174,14 @@ pub struct FrameRecord {
 const LARGEST_CELL: u64 = 64;
 
 impl Plan {
-    /// The hash that mesh segments carry: of the plan as JSON without spaces, members in the order of this struct.
+    /// The hash that mesh segments carry: of the plan as JSON without spaces, members in the order
+    /// of this struct.
     pub fn hash(&self) -> PlanHash {
         PlanHash::of(&serde_json::to_vec(self).expect("a plan is plain data"))
     }
 
-    /// Six times the volume of all tetrahedra, in cubic lattice steps: that of the domain, or of the
-    /// mesh whose own tetrahedra they are.
+    /// Six times the volume of all tetrahedra, in cubic lattice steps: that of the domain, or of
+    /// the mesh whose own tetrahedra they are.
     pub(crate) fn volume6(&self) -> i128 {
         self.own.map_or_else(|| self.lattice.volume6(), |own| own.volume6())
     }
@@ -187,8 +194,9 @@ impl Plan {
         }
     }
 
-    /// The cells along each axis of a body-centred cubic lattice that is all of the points: its tetrahedra follow by
-    /// formula. Not of one whose cells are longer than 64 voxels, which bricks of a cell would have to be too.
+    /// The cells along each axis of a body-centred cubic lattice that is all of the points: its
+    /// tetrahedra follow by formula. Not of one whose cells are longer than 64 voxels, which bricks
+    /// of a cell would have to be too.
     pub fn lattice_cells(&self) -> Option<[u32; 3]> {
         match self.points {
             PointSpec::Bcc { cells } if self.explicit.is_none() => {
@@ -223,11 +231,12 @@ pub struct Source {
     pub intercept: f64,
     /// The stored value that the file declares to mean "no data"; a finite number.
     pub missing: Option<f64>,
-    /// All values of the archive are `f32`, and are those of the file less this; the same for all steps.
+    /// All values of the archive are `f32`, and are those of the file less this; the same for all
+    /// steps.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub offset: f64,
-    /// The largest difference of a sample from the `f32` that stands for it, where that matters: more than 2^-20 of the range, or of
-    /// whole numbers any. Errors include it.
+    /// The largest difference of a sample from the `f32` that stands for it, where that matters:
+    /// more than 2^-20 of the range, or of whole numbers any. Errors include it.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub rounding: f64,
     /// Of a tetrahedral mesh: its vertices and tetrahedra.
@@ -271,7 +280,8 @@ pub struct MeshSource {
     pub tetrahedra: u64,
     /// XXH3 (128 bits) of its points, x y z as f64: further steps must have them.
     pub point_hash: PlanHash,
-    /// XXH3 (128 bits) of its cells: of each that has a volume its kind in a byte, and its vertices as u64.
+    /// XXH3 (128 bits) of its cells: of each that has a volume its kind in a byte, and its vertices
+    /// as u64.
     pub cell_hash: PlanHash,
 }
 
@@ -293,9 +303,11 @@ pub struct StepPlan {
         skip_serializing_if = "Values::is_sample"
     )]
     pub values: Values,
-    /// What was done with NaN and infinite samples, as on the command line: "error", "mask" or a number.
+    /// What was done with NaN and infinite samples, as on the command line: "error", "mask" or a
+    /// number.
     pub nan: String,
-    /// The value that the user says means "no data", besides what the file declares; a finite number.
+    /// The value that the user says means "no data", besides what the file declares; a finite
+    /// number.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub missing: Option<f64>,
     /// How values were rounded, if they were.
@@ -338,7 +350,8 @@ impl StepPlan {
         self.quantiser.map(|q| Quantiser { origin: q.origin + self.source.offset, ..q })
     }
 
-    /// Blocks of a chunk behind those of its values: their ranges, its errors where they are stored, its part of the spectrum, its summary.
+    /// Blocks of a chunk behind those of its values: their ranges, its errors where they are
+    /// stored, its part of the spectrum, its summary.
     pub fn blocks_behind_values(&self) -> u64 {
         3 + u64::from(self.measured)
     }
@@ -348,7 +361,8 @@ impl StepPlan {
         self.time.unwrap_or(self.number as f64)
     }
 
-    /// The hash that the step's value and index segments carry. A copy of the source elsewhere gives the same.
+    /// The hash that the step's value and index segments carry. A copy of the source elsewhere
+    /// gives the same.
     pub fn hash(&self, plan: PlanHash) -> PlanHash {
         let mut part = self.clone();
         part.source.path.clear();
@@ -384,7 +398,8 @@ pub struct Step {
     pub values: Vec<SegmentRecord>,
     /// The index; none of a small archive, of which the summary of its only chunk tells as much.
     pub index: Option<SegmentInfo>,
-    /// The contour spectrum; none where every tetrahedron is void, nor without an index: it is that of the only chunk.
+    /// The contour spectrum; none where every tetrahedron is void, nor without an index: it is that
+    /// of the only chunk.
     pub spectrum: Option<SegmentInfo>,
     /// The coordinates, where the source is a rectilinear or curvilinear grid.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -456,8 +471,8 @@ pub struct Manifest {
     pub mesh: Vec<SegmentRecord>,
     /// Steps, in order of their numbers.
     pub steps: Vec<Step>,
-    /// Of an archive that was made for a wanted error, by several tries: XXH3 (128 bits) of the settings. By it the same call knows
-    /// that it is done.
+    /// Of an archive that was made for a wanted error, by several tries: XXH3 (128 bits) of the
+    /// settings. By it the same call knows that it is done.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<PlanHash>,
 }
@@ -487,7 +502,8 @@ impl Manifest {
         }
     }
 
-    /// Publishes the manifest in the archive's folder, replacing an older one. All segments are there already.
+    /// Publishes the manifest in the archive's folder, replacing an older one. All segments are
+    /// there already.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -652,8 +668,8 @@ fn tail(body: &str) -> String {
     format!("{TAIL_START}{}\"}}\n", PlanHash::of(body.as_bytes()))
 }
 
-/// A record as JSON, with a checksum of all bytes before it as its last member. It has no spaces: of
-/// a small archive they would be a tenth.
+/// A record as JSON, with a checksum of all bytes before it as its last member. It has no spaces:
+/// of a small archive they would be a tenth.
 pub(crate) fn sealed_text(record: &impl Serialize) -> String {
     let json = serde_json::to_string(record).expect("a record is plain data");
     let body = json.strip_suffix('}').expect("an object ends with its brace");

@@ -1,22 +1,25 @@
 //! A file that appears whole or not at all.
 //!
-//! It is written under a temporary name in its final folder, synced, renamed, and the folder synced (of the parts of an archive once for all,
-//! before the manifest names them: [`sync_folders`]). The temporary
-//! name is unique per host, process and file, so two writers of the same file do not disturb each other: they write the
-//! same bytes and the later rename wins. A writer that is dropped unfinished removes its temporary.
+//! It is written under a temporary name in its final folder, synced, renamed, and the folder synced
+//! (of the parts of an archive once for all, before the manifest names them: [`sync_folders`]). The
+//! temporary name is unique per host, process and file, so two writers of the same file do not
+//! disturb each other: they write the same bytes and the later rename wins. A writer that is
+//! dropped unfinished removes its temporary.
 //!
 //! ```text
 //!  .000007.seg.tmp-node12-4711-9f3c21d50ab7e644x3
 //!   final name     host   process, random number of it, number of the file in it
 //! ```
 //!
-//! The host's name is followed by the number of the process's name space where that is not the machine's first: containers share
-//! host names, and then process numbers too. The random number is for everything that this does not tell apart.
+//! The host's name is followed by the number of the process's name space where that is not the
+//! machine's first: containers share host names, and then process numbers too. The random number is
+//! for everything that this does not tell apart.
 //!
-//! **What a killed writer leaves** starts with a dot, and no reader looks at it. The next writer of the same file removes it, or
-//! goes on with it ([`Unpublished::adopt`]), if it is dead for sure: made on this host, by a process that is no more, and
-//! not locked. A living writer holds a lock on its temporary, where the file system has locks; that protects against
-//! what a process number does not tell (containers that share a host's name, numbers used again).
+//! **What a killed writer leaves** starts with a dot, and no reader looks at it. The next writer of
+//! the same file removes it, or goes on with it ([`Unpublished::adopt`]), if it is dead for sure:
+//! made on this host, by a process that is no more, and not locked. A living writer holds a lock on
+//! its temporary, where the file system has locks; that protects against what a process number does
+//! not tell (containers that share a host's name, numbers used again).
 
 use crate::error::{Error, Result};
 use std::fs::{File, TryLockError};
@@ -42,7 +45,8 @@ pub const TEMPORARY_MARK: &str = ".tmp-";
 
 /// Bytes that are written at once.
 const PIECE: usize = 1 << 18;
-/// The same of a file that will be mapped: the system caches what is written at once in pages of up to this size, and maps such a page at once.
+/// The same of a file that will be mapped: the system caches what is written at once in pages of up
+/// to this size, and maps such a page at once.
 const LARGE_PIECE: usize = 1 << 22;
 
 /// Whether a file has the name of a temporary, of a writer that runs or is dead.
@@ -51,7 +55,8 @@ pub(crate) fn is_temporary(path: &Path) -> bool {
     name.is_some_and(|name| name.starts_with('.') && name.contains(TEMPORARY_MARK))
 }
 
-/// This host, in letters that may be part of a file name. Two processes of one host know each other by their numbers.
+/// This host, in letters that may be part of a file name. Two processes of one host know each other
+/// by their numbers.
 pub(crate) fn host() -> &'static str {
     static HOST: LazyLock<String> = LazyLock::new(find_host);
     &HOST
@@ -67,8 +72,8 @@ fn find_host() -> String {
     name + &name_space()
 }
 
-/// The number of this process's space of process numbers, where that is not the first one of the machine, which Linux
-/// gives a fixed number.
+/// The number of this process's space of process numbers, where that is not the first one of the
+/// machine, which Linux gives a fixed number.
 fn name_space() -> String {
     const FIRST: &str = "4026531836";
     let link = std::fs::read_link("/proc/self/ns/pid").unwrap_or_default();
@@ -101,7 +106,8 @@ impl Unpublished {
         Self::begin(path)
     }
 
-    /// As [`Unpublished::create`], of a file that this user alone may read, whatever the umask: a copy in a folder of all users.
+    /// As [`Unpublished::create`], of a file that this user alone may read, whatever the umask: a
+    /// copy in a folder of all users.
     pub(crate) fn create_private(path: &Path) -> Result<Self> {
         remove_dead(path);
         let mut options = File::options();
@@ -143,7 +149,8 @@ impl Unpublished {
         &self.temporary
     }
 
-    /// From now on the temporary stays when the writer is dropped unfinished, for the next one to go on with.
+    /// From now on the temporary stays when the writer is dropped unfinished, for the next one to
+    /// go on with.
     pub(crate) fn keep(&mut self) {
         self.keep = true;
     }
@@ -190,14 +197,16 @@ impl Unpublished {
         sync_folder(&path)
     }
 
-    /// Makes the file durable, and visible under its name; its name is durable when [`sync_folders`] has been called. Of one that nobody takes for
-    /// there until another file names it, whose writer calls that first: so a folder is synced once for all that is new in it.
+    /// Makes the file durable, and visible under its name; its name is durable when
+    /// [`sync_folders`] has been called. Of one that nobody takes for there until another file
+    /// names it, whose writer calls that first: so a folder is synced once for all that is new in
+    /// it.
     pub(crate) fn publish_part(self) -> Result<()> {
         self.rename(true)
     }
 
-    /// Makes the file visible under its name. Of one that this process alone will read, and then remove: what a crash of the machine would leave
-    /// of it is of no use to anybody.
+    /// Makes the file visible under its name. Of one that this process alone will read, and then
+    /// remove: what a crash of the machine would leave of it is of no use to anybody.
     pub(crate) fn publish_for_now(self) -> Result<()> {
         self.rename(false)
     }
@@ -209,7 +218,8 @@ impl Unpublished {
             file.sync_all().map_err(|e| Error::io("sync", &self.temporary, e))?;
         }
         std::fs::rename(&self.temporary, &self.path).map_err(|e| Error::io("rename a new", &self.path, e))?;
-        // Closed, and so unlocked, under its final name only: no other process can take it for a leftover.
+        // Closed, and so unlocked, under its final name only: no other process can take it for a
+        // leftover.
         drop(file);
         self.temporary = PathBuf::new();
         Ok(())
@@ -225,9 +235,10 @@ fn sync_folder(path: &Path) -> Result<()> {
     sync(folder_of(path))
 }
 
-/// Puts the folder `new` in the place of `out`, and removes what was there. At any moment there is a whole folder
-/// under `out`; where the file system cannot exchange two names, but for the moment between two renames: then what
-/// was there is found under `aside`, and [`restore_folder`] puts it back.
+/// Puts the folder `new` in the place of `out`, and removes what was there. At any moment there is
+/// a whole folder under `out`; where the file system cannot exchange two names, but for the moment
+/// between two renames: then what was there is found under `aside`, and [`restore_folder`] puts it
+/// back.
 pub(crate) fn replace_folder(new: &Path, out: &Path, aside: &Path) -> Result<()> {
     let failed = |e| Error::io("replace", out, e);
     match () {
@@ -311,8 +322,8 @@ pub(crate) struct Dead {
 }
 
 impl Dead {
-    /// Gives it a name of this process's; `None` when another process has been faster. So only one goes on with it, also
-    /// where the file system has no locks.
+    /// Gives it a name of this process's; `None` when another process has been faster. So only one
+    /// goes on with it, also where the file system has no locks.
     pub(crate) fn claim(self, path: &Path) -> Result<Option<Self>> {
         let own = temporary_name(path)?;
         match std::fs::rename(&self.path, &own) {
@@ -328,14 +339,16 @@ impl Dead {
     }
 }
 
-/// What dead writers of `path` left. A folder that cannot be listed has nothing to offer: writing to it will tell why.
+/// What dead writers of `path` left. A folder that cannot be listed has nothing to offer: writing
+/// to it will tell why.
 pub(crate) fn dead_of(path: &Path) -> Vec<Dead> {
     let Some(name) = path.file_name() else { return vec![] };
     let prefix = format!(".{}{TEMPORARY_MARK}", name.to_string_lossy());
     dead_in(folder_of(path), |name| name.starts_with(&prefix))
 }
 
-/// Temporaries in some folders, of writers that run or are dead, looked up once: a folder may have many files, of which each has its own writer.
+/// Temporaries in some folders, of writers that run or are dead, looked up once: a folder may have
+/// many files, of which each has its own writer.
 pub(crate) struct Left(Vec<String>);
 
 impl Left {
@@ -395,7 +408,8 @@ fn process_of(name: &str, host: &str) -> Option<u32> {
     parts.next()?.parse().ok()
 }
 
-/// Opens a temporary for reading and writing; `None` of a link, a pipe or a device, which no writer makes.
+/// Opens a temporary for reading and writing; `None` of a link, a pipe or a device, which no writer
+/// makes.
 pub(crate) fn open_own(path: &Path) -> Option<File> {
     let is_file = std::fs::symlink_metadata(path).is_ok_and(|about| about.is_file());
     is_file.then(|| File::options().read(true).write(true).open(path).ok())?
@@ -409,7 +423,8 @@ fn dead_file(path: PathBuf, process: u32) -> Option<Dead> {
     let file = open_own(&path)?;
     match file.try_lock() {
         Ok(()) => {}
-        // No locks here: of our own process number, only the lock tells whether a thread of ours writes it.
+        // No locks here: of our own process number, only the lock tells whether a thread of ours
+        // writes it.
         Err(TryLockError::Error(_)) if !ours => {}
         Err(_) => return None,
     }

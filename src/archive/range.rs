@@ -1,8 +1,9 @@
 //! A binary range coder with probabilities that learn.
 //!
-//! The coder is the carry-propagating one of LZMA (Martin 1979, "Range encoding"; Pavlov's LZMA specification): the interval
-//! [low, low + range) shrinks with each bit in proportion to the bit's probability, and whole bytes leave at its top.
-//! A probability moves towards each bit that was seen by 1/32 of the distance: so it is never certain, and needs no clamp.
+//! The coder is the carry-propagating one of LZMA (Martin 1979, "Range encoding"; Pavlov's LZMA
+//! specification): the interval [low, low + range) shrinks with each bit in proportion to the bit's
+//! probability, and whole bytes leave at its top. A probability moves towards each bit that was
+//! seen by 1/32 of the distance: so it is never certain, and needs no clamp.
 
 /// Part of the distance that a probability moves, as a shift.
 const RATE: u32 = 5;
@@ -109,8 +110,8 @@ impl Encoder {
         self.bytes.clear();
     }
 
-    /// Appends the bytes, and forgets everything. The interval is at least 2^24 wide, so one byte more tells a number in it; the three
-    /// bytes behind it are zeros that need not be written.
+    /// Appends the bytes, and forgets everything. The interval is at least 2^24 wide, so one byte
+    /// more tells a number in it; the three bytes behind it are zeros that need not be written.
     pub(crate) fn finish(&mut self, out: &mut Vec<u8>) {
         self.low += u64::from(TOP - 1);
         self.push();
@@ -119,7 +120,8 @@ impl Encoder {
     }
 }
 
-/// Reads what [`Encoder`] wrote. Behind the last byte it finds zeros; [`Decoder::at_end`] tells whether it found too many.
+/// Reads what [`Encoder`] wrote. Behind the last byte it finds zeros; [`Decoder::at_end`] tells
+/// whether it found too many.
 #[derive(Debug)]
 pub(crate) struct Decoder<'a> {
     /// The number in the interval, less its lower end.
@@ -218,7 +220,8 @@ mod tests {
             assert_eq!(decoder.raw(11), at as u32 * 700);
         }
         assert!(decoder.at_end());
-        // 0.012, 0.544 and 1 bit, and something for learning, more where the odds stay the same for ever.
+        // 0.012, 0.544 and 1 bit, and something for learning, more where the odds stay the same for
+        // ever.
         let entropy = 10_000.0 * (0.012 + 0.544 + 1.0 + 33.0);
         let spent = (bytes.len() * 8) as f64;
         assert!(spent < entropy * 1.02, "{spent} bits for {entropy}");

@@ -101,7 +101,8 @@ pub(crate) struct RepeatedReader {
 
 impl RepeatedReader {
     /// # Errors
-    /// [`Error::BadInput`] when the segment is damaged, or another; [`Error::Io`] when it is not there.
+    /// [`Error::BadInput`] when the segment is damaged, or another; [`Error::Io`] when it is not
+    /// there.
     pub(crate) fn open(archive: &Path, plan: PlanHash, record: &RepeatedRecord) -> Result<Self> {
         let path = repeated_path(archive);
         let segment = Segment::open(&path, SegmentKind::Repeated, Some(plan))?;

@@ -1,14 +1,16 @@
 //! Where the tetrahedra of a chunk, in the order of their first vertices, are cut into blocks.
 //!
-//! A question about an isovalue decodes the blocks that the surface may cross. A flat surface at any place crosses a box in proportion to its mean width
-//! (Crofton's formula), which is half the sum of its three edges. So the cuts are those with the least
+//! A question about an isovalue decodes the blocks that the surface may cross. A flat surface at
+//! any place crosses a box in proportion to its mean width (Crofton's formula), which is half the
+//! sum of its three edges. So the cuts are those with the least
 //!
 //! ```text
 //!  sum over blocks of   (sum of the edges of the box around it)  ·  (its tetrahedra + what a block costs by itself, in tetrahedra)
 //! ```
 //!
-//! found by dynamic programming, in steps of a few vertices. Such blocks are eighths and quarters of cubes rather than pieces of equal length
-//! of the curve along which vertices are sorted: fewer are read, less of them in vain, and they have fewer vertices of others.
+//! found by dynamic programming, in steps of a few vertices. Such blocks are eighths and quarters
+//! of cubes rather than pieces of equal length of the curve along which vertices are sorted: fewer
+//! are read, less of them in vain, and they have fewer vertices of others.
 
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
@@ -16,7 +18,8 @@ use glam::{UVec3, Vec4};
 
 /// Steps in a block of the size asked for.
 const STEPS: u32 = 16;
-/// What a block costs by itself, as a part of the tetrahedra asked for: its head, its entry in the index, a vertex of others for each second tetrahedron.
+/// What a block costs by itself, as a part of the tetrahedra asked for: its head, its entry in the
+/// index, a vertex of others for each second tetrahedron.
 const BLOCK_COST: u64 = 2;
 
 /// Some tetrahedra that follow each other.
@@ -51,8 +54,9 @@ impl Step {
     }
 }
 
-/// The first tetrahedron of each block, and the number of all: blocks are cut between tetrahedra of different first vertices, by which all ascend, and have
-/// about `block_tets`, a quarter more at most if a vertex has not more.
+/// The first tetrahedron of each block, and the number of all: blocks are cut between tetrahedra of
+/// different first vertices, by which all ascend, and have about `block_tets`, a quarter more at
+/// most if a vertex has not more.
 pub(super) fn block_starts(tets: &[Tet], positions: &[LatticePos], block_tets: u32) -> Vec<u32> {
     let steps = steps(tets, positions, block_tets.div_ceil(STEPS));
     let most = block_tets.saturating_add(block_tets / 4);

@@ -4,10 +4,11 @@
 //! header | block 0 | block 1 | … | directory pages | footer
 //! ```
 //!
-//! Header and footer are of fixed size and are all that opening reads, whatever the number of blocks. The directory
-//! (length and CRC32C of each block) lies in pages that are read, checked and kept the first time a block of
-//! theirs is asked for. So a block costs one read, and a damaged byte is found when it is used, or by [`Segment::verify`].
-//! A segment is *done* when header, length and footer verify: a file cut short at any byte is not a segment.
+//! Header and footer are of fixed size and are all that opening reads, whatever the number of
+//! blocks. The directory (length and CRC32C of each block) lies in pages that are read, checked and
+//! kept the first time a block of theirs is asked for. So a block costs one read, and a damaged
+//! byte is found when it is used, or by [`Segment::verify`]. A segment is *done* when header,
+//! length and footer verify: a file cut short at any byte is not a segment.
 //!
 //! Every byte is specified in [the format](super#the-bytes).
 
@@ -22,7 +23,8 @@ pub use self::write::SegmentWriter;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::fmt;
 
-/// First bytes of a segment. As in PNG, the high bit and the line ends show damage by a text-mode transfer.
+/// First bytes of a segment. As in PNG, the high bit and the line ends show damage by a text-mode
+/// transfer.
 pub const MAGIC: [u8; 8] = *b"\x89ISO\r\n\x1a\n";
 /// Last bytes but eight of a segment.
 pub const END_MAGIC: [u8; 8] = *b"ISOEND\r\n";
@@ -38,7 +40,8 @@ pub const HEADER_BYTES: u64 = 40;
 pub const FOOTER_BYTES: u64 = 48;
 /// Blocks described by a full directory page.
 pub const PAGE_BLOCKS: u64 = 16;
-/// Bytes of a directory page besides its entries: the offset of its first block before them, and its checksum behind.
+/// Bytes of a directory page besides its entries: the offset of its first block before them, and
+/// its checksum behind.
 pub const PAGE_FRAME_BYTES: u64 = 12;
 /// Bytes of a directory entry: length and checksum of a block.
 pub const PAGE_ENTRY_BYTES: u64 = 8;

@@ -1,11 +1,12 @@
-//! What the last block of a chunk tells about the chunk, so that the archive can be put together without decoding it.
+//! What the last block of a chunk tells about the chunk, so that the archive can be put together
+//! without decoding it.
 //!
-//! In a mesh segment: how many tetrahedra the chunk owns, their volume, how often its halo was widened. In a value segment:
-//! the range of its values, and of every tetrahedron block, from which the index of the step is built. Fixed fields,
-//! little-endian; see `FORMAT.md`.
+//! In a mesh segment: how many tetrahedra the chunk owns, their volume, how often its halo was
+//! widened. In a value segment: the range of its values, and of every tetrahedron block, from which
+//! the index of the step is built. Fixed fields, little-endian; see `FORMAT.md`.
 //!
-//! Also the ranges of the chunk's value blocks, by themselves: where a surface does not pass, a reader that knows on which side of it all
-//! values of a block are need not read them.
+//! Also the ranges of the chunk's value blocks, by themselves: where a surface does not pass, a
+//! reader that knows on which side of it all values of a block are need not read them.
 
 use super::values::ValueBlocks;
 use super::wire::{Cursor, Malformed, to_zstd, unzstd};
@@ -32,7 +33,8 @@ pub struct MeshSummary {
     pub tets: u64,
     /// Their six-fold volume in lattice steps, exact.
     pub volume6: i128,
-    /// That of tetrahedra that would be the chunk's, but lie outside of the data and are not stored.
+    /// That of tetrahedra that would be the chunk's, but lie outside of the data and are not
+    /// stored.
     pub outside6: i128,
 }
 
@@ -185,7 +187,8 @@ impl ValueSummary {
     }
 }
 
-/// Least and largest of some values, voids left out; infinite if all are void: then the least is above the largest.
+/// Least and largest of some values, voids left out; infinite if all are void: then the least is
+/// above the largest.
 pub type ValueRange = [f32; 2];
 
 /// The ranges of the value blocks of a chunk with these values.

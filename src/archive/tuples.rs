@@ -1,15 +1,19 @@
-//! The plain coder of a tetrahedron block: sorted tuples, differences, zstd. It takes any tetrahedra at all.
+//! The plain coder of a tetrahedron block: sorted tuples, differences, zstd. It takes any
+//! tetrahedra at all.
 //!
-//! The vertices of the block are listed in ascending order, as differences. Each tetrahedron is turned (by even
-//! permutations, which keep its orientation) so that its smallest vertex comes first and the smallest of the other three second;
-//! the tetrahedra are sorted; each is then four small numbers, in positions of the list: the difference of the first
-//! vertex to the previous tetrahedron's, and the distances from the first to the second, and from the second to the
-//! third and fourth. The four streams are compressed together: about 21 bits a tetrahedron in blocks of 1 000.
+//! The vertices of the block are listed in ascending order, as differences. Each tetrahedron is
+//! turned (by even permutations, which keep its orientation) so that its smallest vertex comes
+//! first and the smallest of the other three second; the tetrahedra are sorted; each is then four
+//! small numbers, in positions of the list: the difference of the first vertex to the previous
+//! tetrahedron's, and the distances from the first to the second, and from the second to the third
+//! and fourth. The four streams are compressed together: about 21 bits a tetrahedron in blocks of
+//! 1 000.
 
 use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
 use crate::mesh::tet::Tet;
 
-/// The most bytes that a body may expand to, for each tetrahedron: four vertex differences and four numbers of five bytes.
+/// The most bytes that a body may expand to, for each tetrahedron: four vertex differences and four
+/// numbers of five bytes.
 const MOST_BYTES_EACH: usize = 40;
 
 /// The sorted distinct vertices of `tets`.
@@ -48,7 +52,8 @@ pub(crate) fn decode(bytes: &[u8], vertices: u32, out: &mut Vec<Tet>) -> Result<
     let body = unzstd(c.rest(), count.saturating_mul(MOST_BYTES_EACH).saturating_add(5), "tetrahedra")?;
     let mut c = Cursor::new(&body);
     let list = decode_list(&mut c, vertices)?;
-    // A tetrahedron has at least four bytes: a count beyond that is a lie, found before anything is allocated for it.
+    // A tetrahedron has at least four bytes: a count beyond that is a lie, found before anything is
+    // allocated for it.
     if c.rest().len() / 4 < count {
         return Err(Malformed::new("tetrahedra", format!("{count}"), format!("{} bytes", c.rest().len())));
     }

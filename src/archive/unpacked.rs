@@ -1,18 +1,22 @@
-//! Unpacked blocks: all that a surface needs of each block of a step, in the form in which it is used, in a segment that is mapped.
+//! Unpacked blocks: all that a surface needs of each block of a step, in the form in which it is
+//! used, in a segment that is mapped.
 //!
-//! The packed blocks of an archive take a few bits a tetrahedron and must be decoded; these take some sixty bytes and are used where they lie. They
-//! are made on request, beside the segments, and may be removed at any time: they hold nothing that the segments do not tell.
+//! The packed blocks of an archive take a few bits a tetrahedron and must be decoded; these take
+//! some sixty bytes and are used where they lie. They are made on request, beside the segments, and
+//! may be removed at any time: they hold nothing that the segments do not tell.
 //!
 //! ```text
 //!  zeros │ chunk 0: block 0, block 1, … │ chunk 1: … │ table: version, range, corners, blocks and numbered edges of each chunk
 //! ```
 //!
-//! A block begins at a multiple of [`UNPACKED_ALIGNED`] bytes of the file and is as many little-endian words as it tells; one without bytes is to be had packed
-//! only, for it is out of the range, or one of the few that are too large. The hash in the segment's header is that of the segments that it was made of
-//! ([`unpacked_hash`]): it is never used with others.
+//! A block begins at a multiple of [`UNPACKED_ALIGNED`] bytes of the file and is as many
+//! little-endian words as it tells; one without bytes is to be had packed only, for it is out of
+//! the range, or one of the few that are too large. The hash in the segment's header is that of the
+//! segments that it was made of ([`unpacked_hash`]): it is never used with others.
 //!
-//! Of a block often but a part is read. So its words have checksums of their own, which are looked at, with what they hold, by whoever knows what is read, once: [`Unpacked::noted`] is
-//! where that is noted. [`Unpacked::verify`] looks at all.
+//! Of a block often but a part is read. So its words have checksums of their own, which are looked
+//! at, with what they hold, by whoever knows what is read, once: [`Unpacked::noted`] is where that
+//! is noted. [`Unpacked::verify`] looks at all.
 
 use super::segment::{BlockPlace, HEADER_BYTES, PlanHash, Segment, SegmentInfo, SegmentKind, SegmentWriter};
 use super::wire::{Cursor, Malformed};
@@ -27,7 +31,8 @@ use xxhash_rust::xxh3::Xxh3Default;
 pub const UNPACKED_VERSION: u32 = 1;
 /// Blocks begin at multiples of so many bytes.
 pub const UNPACKED_ALIGNED: usize = 64;
-/// The most corners of a chunk for each of its blocks: what is allocated for them follows from a file.
+/// The most corners of a chunk for each of its blocks: what is allocated for them follows from a
+/// file.
 pub const UNPACKED_CORNERS: u64 = 8192;
 /// Bytes of a chunk in the table.
 const CHUNK_BYTES: usize = 12;
@@ -104,7 +109,8 @@ impl UnpackedTable {
     }
 }
 
-/// The hash of unpacked blocks that are made of segments with these contents, those of the mesh and of the values, and of a step with this hash.
+/// The hash of unpacked blocks that are made of segments with these contents, those of the mesh and
+/// of the values, and of a step with this hash.
 pub fn unpacked_hash<'a>(step: PlanHash, made_of: impl Iterator<Item = &'a SegmentInfo>) -> PlanHash {
     let mut hash = Xxh3Default::new();
     hash.update(step.to_string().as_bytes());
@@ -122,10 +128,12 @@ pub struct UnpackedWriter {
 }
 
 impl UnpackedWriter {
-    /// Begins the file that will be `path`, whose folder exists, with blocks that can answer isovalues in a range.
+    /// Begins the file that will be `path`, whose folder exists, with blocks that can answer
+    /// isovalues in a range.
     ///
     /// # Errors
-    /// When the temporary file cannot be made; [`Error::Usage`] on a machine whose integers begin with the highest byte.
+    /// When the temporary file cannot be made; [`Error::Usage`] on a machine whose integers begin
+    /// with the highest byte.
     pub fn create(path: &Path, hash: PlanHash, range: [f32; 2]) -> Result<Self> {
         expect_little_endian(path)?;
         let mut segment = SegmentWriter::create(path, SegmentKind::Unpacked, hash)?;
@@ -135,7 +143,8 @@ impl UnpackedWriter {
         Ok(Self { segment, table: UnpackedTable { range, chunks: vec![] } })
     }
 
-    /// Appends the words of the blocks of the next chunk; none of those that are to be had packed only.
+    /// Appends the words of the blocks of the next chunk; none of those that are to be had packed
+    /// only.
     ///
     /// # Errors
     /// When the file cannot be written.
@@ -203,7 +212,8 @@ impl Unpacked {
     /// Opens a file; reads header, footer and table. `None` if there is none.
     ///
     /// # Errors
-    /// When it is damaged, or was made of other segments than those of `hash`, or of another number of chunks.
+    /// When it is damaged, or was made of other segments than those of `hash`, or of another number
+    /// of chunks.
     pub fn open(path: &Path, hash: PlanHash, chunks: u64) -> Result<Option<Self>> {
         let segment = match Segment::map(path, SegmentKind::Unpacked, Some(hash)) {
             Err(Error::Io { source, .. }) if source.kind() == std::io::ErrorKind::NotFound => {

@@ -1,24 +1,30 @@
 //! The values of a chunk's vertices, lossless or quantised, in blocks of [`BLOCK_VALUES`].
 //!
-//! A query needs the values of the vertices of a few tetrahedron blocks: it decodes only the value blocks that hold them (vertex
-//! `v` is in block `v / BLOCK_VALUES`). Local ids follow the bricks and the Hilbert curve, so those are few.
+//! A query needs the values of the vertices of a few tetrahedron blocks: it decodes only the value
+//! blocks that hold them (vertex `v` is in block `v / BLOCK_VALUES`). Local ids follow the bricks
+//! and the Hilbert curve, so those are few.
 //!
-//! A block is one chunk of [pcodec](https://docs.rs/pco), which finds out whether numbers are multiples of something or lie on few
-//! values, and codes each in a bin of its own with bits of its own; or the values as they are, where that is shorter. On values that were
-//! interpolated from ten real volumes (CT, MR, simulations; at 1/8 of the samples) it takes 0.70 to 3.14 bytes a value; zstd of shuffled
-//! bytes, of themselves or of differences, whichever is shorter, takes 1 to 26 % more on each of them, and was dropped. Whether differences of neighbours are
-//! worth trying (they are in smooth simulations, for 5 %), and whether the numbers are multiples of something, is found out with some blocks of a chunk.
+//! A block is one chunk of [pcodec](https://docs.rs/pco), which finds out whether numbers are
+//! multiples of something or lie on few values, and codes each in a bin of its own with bits of its
+//! own; or the values as they are, where that is shorter. On values that were interpolated from ten
+//! real volumes (CT, MR, simulations; at 1/8 of the samples) it takes 0.70 to 3.14 bytes a value;
+//! zstd of shuffled bytes, of themselves or of differences, whichever is shorter, takes 1 to 26 %
+//! more on each of them, and was dropped. Whether differences of neighbours are worth trying (they
+//! are in smooth simulations, for 5 %), and whether the numbers are multiples of something, is
+//! found out with some blocks of a chunk.
 //!
-//! Bits come back as they were, except that every NaN (void) becomes the one NaN `0x7fc00000`: two programs that make
-//! a void value differently write the same bytes.
+//! Bits come back as they were, except that every NaN (void) becomes the one NaN `0x7fc00000`: two
+//! programs that make a void value differently write the same bytes.
 //!
-//! **Quantised** values are multiples of a step from an origin, the same for a whole archive: vertices that two chunks share keep equal values.
-//! The integers are what is stored.
+//! **Quantised** values are multiples of a step from an origin, the same for a whole archive:
+//! vertices that two chunks share keep equal values. The integers are what is stored.
 //!
-//! **Steps of a series** lie on the same vertices, and the value of a vertex is often near that of the step before. A block may hold the
-//! differences to it: of the integers of a quantised value, else of the floats' bits as integers in the order of the floats (as in Lindstrom and
-//! Isenburg 2006, "Fast and efficient compression of floating-point data", where the prediction is one of space). Some blocks of a chunk
-//! are coded both ways, and the shorter way is taken for all of the chunk.
+//! **Steps of a series** lie on the same vertices, and the value of a vertex is often near that of
+//! the step before. A block may hold the differences to it: of the integers of a quantised value,
+//! else of the floats' bits as integers in the order of the floats (as in Lindstrom and Isenburg
+//! 2006, "Fast and efficient compression of floating-point data", where the prediction is one of
+//! space). Some blocks of a chunk are coded both ways, and the shorter way is taken for all of the
+//! chunk.
 
 use super::brick_values::{self, Template};
 use super::wire::{Cursor, Malformed};
@@ -45,7 +51,8 @@ pub const VALUES_AFTER_QUANTISED: u8 = 33;
 
 /// Codec: a brick of a lattice, multiples of the plan's step.
 pub const VALUES_BRICK: u8 = 48;
-/// Codec: a brick of a lattice, differences of multiples of the plan's step to those of the step before.
+/// Codec: a brick of a lattice, differences of multiples of the plan's step to those of the step
+/// before.
 pub const VALUES_BRICK_AFTER: u8 = 49;
 
 /// The bits of every void value.
@@ -71,7 +78,8 @@ impl Quantiser {
     /// The fewest and the most bits.
     pub const BITS: std::ops::RangeInclusive<u8> = 4..=24;
 
-    /// Values of `bits` bits from `low` to `high`; what lies beyond (cubic interpolation overshoots) goes on in the same steps.
+    /// Values of `bits` bits from `low` to `high`; what lies beyond (cubic interpolation
+    /// overshoots) goes on in the same steps.
     pub fn new(bits: u8, [low, high]: [f32; 2]) -> Self {
         let (low, high) = (f64::from(low), f64::from(high));
         let steps = f64::from((1u32 << bits) - 1);
@@ -81,8 +89,8 @@ impl Quantiser {
         Self { bits, origin: low, step, bound: step / 2.0 + coarse }
     }
 
-    /// The same for values as `values` says: fitted ones are rounded by [`Quantiser::round_within`],
-    /// up to a whole step.
+    /// The same for values as `values` says: fitted ones are rounded by
+    /// [`Quantiser::round_within`], up to a whole step.
     pub fn of(self, values: Values) -> Self {
         let more = if values == Values::Fit { self.step / 2.0 } else { 0.0 };
         Self { bound: self.bound + more, ..self }
@@ -124,7 +132,8 @@ impl Quantiser {
     }
 }
 
-/// How the values of a chunk are cut into blocks: bricks of a lattice, where there are some, then [`BLOCK_VALUES`] each.
+/// How the values of a chunk are cut into blocks: bricks of a lattice, where there are some, then
+/// [`BLOCK_VALUES`] each.
 #[derive(Clone, Debug)]
 pub struct ValueBlocks {
     /// The cells of each brick, and the number of its first value.
@@ -140,7 +149,8 @@ impl ValueBlocks {
         Self { bricks: vec![], in_bricks: 0, len }
     }
 
-    /// Bricks of so many cells, 1 to 8 along each axis, with two values a cell, then blocks of [`BLOCK_VALUES`].
+    /// Bricks of so many cells, 1 to 8 along each axis, with two values a cell, then blocks of
+    /// [`BLOCK_VALUES`].
     pub fn bricks(cells: impl IntoIterator<Item = [u32; 3]>, len: usize) -> Self {
         let mut in_bricks = 0;
         let brick = |cells: [u32; 3]| {
@@ -194,8 +204,8 @@ impl ValueBlocks {
 }
 
 /// Encodes the values of all local vertices of a chunk, core then halo, block by block. Values that
-/// [`Quantiser::round`] has made of others are stored as steps. `before` are the values of the same vertices at the step that blocks may
-/// refer to.
+/// [`Quantiser::round`] has made of others are stored as steps. `before` are the values of the same
+/// vertices at the step that blocks may refer to.
 ///
 /// # Panics
 /// When there is not one value a vertex before.
@@ -329,7 +339,8 @@ fn one_void(v: f32) -> f32 {
     if v.is_nan() { f32::from_bits(VOID) } else { v }
 }
 
-/// The bits as an integer in the order of the floats (IEEE 754 totalOrder); its own inverse but for the type.
+/// The bits as an integer in the order of the floats (IEEE 754 totalOrder); its own inverse but for
+/// the type.
 fn ordered(v: f32) -> i32 {
     turned(v.to_bits() as i32)
 }
@@ -346,8 +357,9 @@ fn as_steps(values: &[f32], q: &Quantiser, out: &mut Vec<i32>) -> bool {
     values.iter().zip(out).all(|(v, steps)| q.value_or_void(*steps).to_bits() == v.to_bits())
 }
 
-/// pcodec's level: how many bins it tries. Level 5 takes a quarter more time for 0.3 % of an archive's bytes, the default, 8, more than twice the
-/// time for 0.4 % (medians of eight volumes at 1/8 of the samples).
+/// pcodec's level: how many bins it tries. Level 5 takes a quarter more time for 0.3 % of an
+/// archive's bytes, the default, 8, more than twice the time for 0.4 % (medians of eight volumes at
+/// 1/8 of the samples).
 const LEVEL: usize = 4;
 /// That of blocks with a void value: it lies far from all others and takes bins from them.
 const LEVEL_WITH_VOID: usize = 5;
@@ -376,14 +388,16 @@ pub struct KnownOfBlock<'a> {
     pub cells: Option<[u32; 3]>,
     /// The plan's.
     pub quantiser: Option<&'a Quantiser>,
-    /// The values of the step before, of a block that [`needs_before`]; of others they are not looked at.
+    /// The values of the step before, of a block that [`needs_before`]; of others they are not
+    /// looked at.
     pub before: &'a [f32],
 }
 
 /// Decodes a block of values and appends them to `out`.
 ///
 /// # Errors
-/// When the bytes are not a block of `n` values, or need others that are not there; `out` is then unchanged.
+/// When the bytes are not a block of `n` values, or need others that are not there; `out` is then
+/// unchanged.
 pub fn decode_values(bytes: &[u8], known: &KnownOfBlock<'_>, out: &mut Vec<f32>) -> Result<(), Malformed> {
     let KnownOfBlock { n, before, .. } = *known;
     if n > BLOCK_VALUES {
@@ -610,7 +624,8 @@ mod tests {
                     assert_eq!(q.round(*r).to_bits(), r.to_bits(), "a second time changes nothing");
                 }
                 let blocks = round_trip(&rounded, Some(&q));
-                // The bits asked for and some fifty bytes a block; the first has a NaN, which is told apart.
+                // The bits asked for and some fifty bytes a block; the first has a NaN, which is
+                // told apart.
                 for (b, own) in blocks.iter().zip([250].into_iter().chain(std::iter::repeat(50))) {
                     assert!(b.len() <= BLOCK_VALUES * usize::from(bits) / 8 + own, "{bits}: {}", b.len());
                 }

@@ -1,4 +1,5 @@
-//! The vertices of a chunk: a small header that every question reads, and pages that are read where a block has a vertex in them.
+//! The vertices of a chunk: a small header that every question reads, and pages that are read where
+//! a block has a vertex in them.
 //!
 //! ```text
 //!  header                points of each brick, number of halo points
@@ -6,12 +7,14 @@
 //!  pages of halo ids     those of the local vertices n · 1024 … n · 1024 + 1023: as the blocks of values
 //! ```
 //!
-//! Vertices have ids local to the chunk: first the core points, brick after brick, each brick's in the order in which the point set
-//! enumerates them (along the Hilbert curve), then the halo points. Ids and positions of core points cost nothing: the point set tells
-//! them from the counts. Of a halo point the id is stored, as the difference to the one before.
+//! Vertices have ids local to the chunk: first the core points, brick after brick, each brick's in
+//! the order in which the point set enumerates them (along the Hilbert curve), then the halo
+//! points. Ids and positions of core points cost nothing: the point set tells them from the counts.
+//! Of a halo point the id is stored, as the difference to the one before.
 //!
-//! A surface that is small touches a few blocks of a chunk, and these lie together. So do the halo points of a page, and the values that
-//! come with them: [`order_halo`] sorts them along the curve first, and only within a page by id, which keeps differences small.
+//! A surface that is small touches a few blocks of a chunk, and these lie together. So do the halo
+//! points of a page, and the values that come with them: [`order_halo`] sorts them along the curve
+//! first, and only within a page by id, which keeps differences small.
 
 use super::values::BLOCK_VALUES;
 use super::wire::{Cursor, Malformed, put_varint, to_zstd, unzstd};
@@ -25,7 +28,8 @@ pub const HEADER_ZSTD: u8 = 0;
 pub const PAGE_FLAGS: usize = 8192;
 /// Local vertices that a page of halo ids is about, from a multiple of it on.
 pub const PAGE_IDS: usize = BLOCK_VALUES;
-/// Compression level of headers and pages: most of one are differences of ids, which no level shrinks much.
+/// Compression level of headers and pages: most of one are differences of ids, which no level
+/// shrinks much.
 const LEVEL: i32 = 3;
 /// The most bytes of an expanded header.
 pub const LARGEST_HEADER: usize = 1 << 28;
@@ -39,8 +43,8 @@ const ORDER_BITS: u32 = 16;
 pub struct ChunkVertices {
     /// Points of each brick of the chunk, in brick order. Local ids run through them in this order.
     pub core_counts: Vec<u32>,
-    /// Halo points in use; the local id of one is the number of core points plus its position here. Any order will do, that of
-    /// [`order_halo`] does best.
+    /// Halo points in use; the local id of one is the number of core points plus its position here.
+    /// Any order will do, that of [`order_halo`] does best.
     pub halo: Vec<PointId>,
     /// For each local vertex, whether another chunk has it too; always true for halo points.
     pub shared: Vec<bool>,
@@ -84,7 +88,8 @@ impl ChunkVertices {
     }
 }
 
-/// Sorts halo points as they are stored: by place in runs of a page, within each by id. `core` is the number of core points.
+/// Sorts halo points as they are stored: by place in runs of a page, within each by id. `core` is
+/// the number of core points.
 pub fn order_halo<T>(
     core: usize,
     halo: &mut [T],
@@ -301,7 +306,8 @@ mod tests {
             for i in 0..good[block].len() {
                 let mut bad = good.clone();
                 bad[block].truncate(i);
-                // Two of three pages are none then; the last bytes of a frame may be missing from a header alone.
+                // Two of three pages are none then; the last bytes of a frame may be missing from a
+                // header alone.
                 assert!(ChunkHeader::decode(&bad[0]).is_err() || decode(&bad).is_err());
                 for bit in 0..8 {
                     let mut bad = good[block].clone();

@@ -6,8 +6,8 @@ use std::cell::RefCell;
 use std::path::Path;
 use zstd::bulk::Decompressor;
 
-/// Bytes of a block that do not mean what they should. The decoder of a block knows no file: whoever read the block
-/// turns this into an [`Error`] with [`Malformed::in_block`].
+/// Bytes of a block that do not mean what they should. The decoder of a block knows no file:
+/// whoever read the block turns this into an [`Error`] with [`Malformed::in_block`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Malformed {
     /// What is wrong with it.
@@ -79,7 +79,8 @@ impl<'a> Cursor<'a> {
     field!(f32, f32, LE::read_f32);
     field!(f64, f64, LE::read_f64);
 
-    /// An unsigned LEB128 integer: seven bits a byte, lowest first, the high bit set on all but the last.
+    /// An unsigned LEB128 integer: seven bits a byte, lowest first, the high bit set on all but the
+    /// last.
     pub(crate) fn varint(&mut self, at: &'static str) -> Result<u64, Malformed> {
         let mut value = 0u64;
         for shift in (0..64).step_by(7) {

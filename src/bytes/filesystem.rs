@@ -1,10 +1,10 @@
-//! Which file systems are shared over a network, and how much memory the machine has: what the choice of the I/O mode
-//! and of dropping pages rests on.
+//! Which file systems are shared over a network, and how much memory the machine has: what the
+//! choice of the I/O mode and of dropping pages rests on.
 
 use std::fs::File;
 
-/// Whether the file lies on a network file system, by the magic number that the system gives for it. Others than Linux are
-/// not asked: there the answer is no.
+/// Whether the file lies on a network file system, by the magic number that the system gives for
+/// it. Others than Linux are not asked: there the answer is no.
 pub(super) fn is_remote(file: &File) -> bool {
     #[cfg(target_os = "linux")]
     return rustix::fs::fstatfs(file).is_ok_and(|about| is_remote_magic(about.f_type as u64 & 0xffff_ffff));

@@ -1,8 +1,9 @@
 //! Read-only mappings, and what happens when a mapped file gets shorter.
 //!
-//! Touching a page of a mapping whose file no longer reaches it raises SIGBUS, which ends a process that does not
-//! expect it. Checking the length before each access does not help: the file can shrink between check and access. So
-//! the signal is handled, as the Wayland library does for buffers that it shares with programs it cannot trust:
+//! Touching a page of a mapping whose file no longer reaches it raises SIGBUS, which ends a process
+//! that does not expect it. Checking the length before each access does not help: the file can
+//! shrink between check and access. So the signal is handled, as the Wayland library does for
+//! buffers that it shares with programs it cannot trust:
 //!
 //! ```text
 //!  access ──▶ SIGBUS ──▶ handler: is the address in one of our mappings?
@@ -11,14 +12,16 @@
 //!  after the access: a mapping marked broken, or a file shorter than its mapping, is an error naming the file
 //! ```
 //!
-//! The zeros are never taken for data, because [`Mapping::check`] comes after the last access and before a result is
-//! used. The length is looked at too: behind the end of a file that was cut inside a page, that page reads as zeros
-//! without a signal. Cost: one `fstat` a check, nothing an access.
+//! The zeros are never taken for data, because [`Mapping::check`] comes after the last access and
+//! before a result is used. The length is looked at too: behind the end of a file that was cut
+//! inside a page, that page reads as zeros without a signal. Cost: one `fstat` a check, nothing an
+//! access.
 //!
-//! The handler is installed when the first file is mapped and stays. Its list of mappings only grows (entries are used
-//! again), so that it can be walked in a signal handler, without a lock.
+//! The handler is installed when the first file is mapped and stays. Its list of mappings only
+//! grows (entries are used again), so that it can be walked in a signal handler, without a lock.
 //!
-//! Not promised: a file whose bytes are *changed* while it is read gives some of the old and some of the new ones.
+//! Not promised: a file whose bytes are *changed* while it is read gives some of the old and some
+//! of the new ones.
 
 #![allow(unsafe_code)]
 
@@ -37,8 +40,8 @@ pub(super) struct Mapping {
 
 impl Mapping {
     pub(super) fn new(file: &File) -> io::Result<Self> {
-        // SAFETY: the mapping is private and read-only, and lives as long as `Mmap`. A file that shrinks meanwhile
-        // raises SIGBUS, which the entry made below turns into zeros and a mark.
+        // SAFETY: the mapping is private and read-only, and lives as long as `Mmap`. A file that
+        // shrinks meanwhile raises SIGBUS, which the entry made below turns into zeros and a mark.
         let map = unsafe { MmapOptions::new().map(file)? };
         #[cfg(unix)]
         let guard = guard::Entry::new(&map)?;
@@ -73,13 +76,14 @@ impl Mapping {
         let _ = range;
     }
 
-    /// Takes a range of whole pages out of this process's page tables: only then can the system drop them.
+    /// Takes a range of whole pages out of this process's page tables: only then can the system
+    /// drop them.
     pub(super) fn let_go(&self, range: Range<u64>) {
         #[cfg(target_os = "linux")]
         if range.start < range.end {
             let (start, len) = (range.start as usize, (range.end - range.start) as usize);
-            // SAFETY: a private read-only mapping of a file has no bytes of its own to lose: the next access reads the
-            // same bytes from the file again.
+            // SAFETY: a private read-only mapping of a file has no bytes of its own to lose: the
+            // next access reads the same bytes from the file again.
             let _ =
                 unsafe { self.map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, start, len) };
         }
@@ -97,7 +101,8 @@ mod guard {
     use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicUsize, Ordering};
     use std::sync::{Mutex, OnceLock, PoisonError};
 
-    /// A mapping that the handler knows. Entries are leaked: the handler may be walking the list at any time.
+    /// A mapping that the handler knows. Entries are leaked: the handler may be walking the list at
+    /// any time.
     #[derive(Debug)]
     struct Node {
         /// First byte, and past the last page; both 0 when the node is free.
@@ -144,10 +149,12 @@ mod guard {
         }
     }
 
-    /// Puts a node at the front of the list. Called with `FREE` locked: nobody else pushes meanwhile.
+    /// Puts a node at the front of the list. Called with `FREE` locked: nobody else pushes
+    /// meanwhile.
     fn push_node() -> &'static Node {
         let first = NEWEST.load(Ordering::Acquire);
-        // SAFETY: only leaked nodes get into the list, and they are never written but through their atomics.
+        // SAFETY: only leaked nodes get into the list, and they are never written but through their
+        // atomics.
         let next = unsafe { first.as_ref() };
         let node: &'static Node = Box::leak(Box::new(Node {
             start: AtomicUsize::new(0),
@@ -172,8 +179,8 @@ mod guard {
         ours.sa_sigaction = handler as usize;
         ours.sa_flags = libc::SA_SIGINFO | libc::SA_ONSTACK;
         let mut before = MaybeUninit::<libc::sigaction>::zeroed();
-        // SAFETY: both point to `sigaction`s; the handler calls only what may be called in a signal handler. The one
-        // before is kept before ours can be needed: nothing is in the list yet.
+        // SAFETY: both point to `sigaction`s; the handler calls only what may be called in a signal
+        // handler. The one before is kept before ours can be needed: nothing is in the list yet.
         let result = unsafe { libc::sigaction(libc::SIGBUS, &raw const ours, before.as_mut_ptr()) };
         if result != 0 {
             return Err(io::Error::last_os_error());
@@ -205,8 +212,8 @@ mod guard {
         let at = address & !(PAGE.load(Ordering::Relaxed) - 1);
         // The interrupted code may be about to look at it.
         let error = io::Error::last_os_error().raw_os_error();
-        // SAFETY: the pages belong to a mapping of ours that is alive, for the access that faulted borrows from it. What is
-        // mapped over it is as readable, and is unmapped with it.
+        // SAFETY: the pages belong to a mapping of ours that is alive, for the access that faulted
+        // borrows from it. What is mapped over it is as readable, and is unmapped with it.
         let mapped = unsafe {
             libc::mmap(
                 at as *mut libc::c_void,
@@ -243,8 +250,8 @@ mod guard {
     fn pass_on(signal: libc::c_int, info: *mut libc::siginfo_t, context: *mut libc::c_void) {
         let before = BEFORE.get().filter(|b| ![libc::SIG_DFL, libc::SIG_IGN].contains(&b.sa_sigaction));
         let Some(before) = before else {
-            // SAFETY: the default action, taken when the faulting instruction runs again: the process ends, as it
-            // would have.
+            // SAFETY: the default action, taken when the faulting instruction runs again: the
+            // process ends, as it would have.
             unsafe { libc::signal(signal, libc::SIG_DFL) };
             return;
         };

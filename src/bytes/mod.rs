@@ -1,15 +1,17 @@
 //! The bytes of a file, without reading it whole.
 //!
-//! A [`ByteSource`] is a file of known length with random access, in one of two ways that give the same bytes:
+//! A [`ByteSource`] is a file of known length with random access, in one of two ways that give the
+//! same bytes:
 //!
-//! * **mapped** into memory ([`IoMode::Map`]): a volume larger than memory costs only the pages that are touched,
-//!   which the system may drop again at any time, and bytes are used where they lie;
-//! * **read** at given offsets ([`IoMode::Read`]): no page faults, which on a network file system each cost a request
-//!   of 4 KiB, and no address space.
+//! * **mapped** into memory ([`IoMode::Map`]): a volume larger than memory costs only the pages
+//!   that are touched, which the system may drop again at any time, and bytes are used where they
+//!   lie;
+//! * **read** at given offsets ([`IoMode::Read`]): no page faults, which on a network file system
+//!   each cost a request of 4 KiB, and no address space.
 //!
-//! [`IoMode::Auto`], the default, reads on network file systems and maps elsewhere. Every access is checked against the
-//! length, and a refusal names file, offset and lengths: a header that lies about sizes ends here as a clear error,
-//! never as a panic.
+//! [`IoMode::Auto`], the default, reads on network file systems and maps elsewhere. Every access is
+//! checked against the length, and a refusal names file, offset and lengths: a header that lies
+//! about sizes ends here as a clear error, never as a panic.
 //!
 //! ```text
 //!  ByteSource ──▶ read_at(offset, buf)   copies; works for every kind of source
@@ -19,12 +21,14 @@
 //!            └──▶ check()                after views and slices: were those bytes the file's?
 //! ```
 //!
-//! A file that another program shortens meanwhile is an error naming it, also when it is mapped: see `mmap`. Who uses
-//! borrowed bytes calls [`ByteSource::check`] afterwards; `read_at` and readers do it themselves.
+//! A file that another program shortens meanwhile is an error naming it, also when it is mapped:
+//! see `mmap`. Who uses borrowed bytes calls [`ByteSource::check`] afterwards; `read_at` and
+//! readers do it themselves.
 //!
-//! **The page cache is everybody's.** A file larger than a quarter of the machine's memory would push out of it what other
-//! programs use. Of such a file, pages are dropped once they are behind ([`ByteSource::release`]); smaller files stay
-//! cached for the next run. Pages to come are asked for ahead ([`ByteSource::advise_will_need`]).
+//! **The page cache is everybody's.** A file larger than a quarter of the machine's memory would
+//! push out of it what other programs use. Of such a file, pages are dropped once they are behind
+//! ([`ByteSource::release`]); smaller files stay cached for the next run. Pages to come are asked
+//! for ahead ([`ByteSource::advise_will_need`]).
 
 mod filesystem;
 mod mmap;
@@ -45,8 +49,8 @@ use std::sync::{Arc, OnceLock};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum IoMode {
-    /// [`IoMode::Read`] on network file systems (NFS, SMB, Lustre, GPFS, FUSE, AFS, Ceph, BeeGFS and others; on Linux),
-    /// [`IoMode::Map`] elsewhere.
+    /// [`IoMode::Read`] on network file systems (NFS, SMB, Lustre, GPFS, FUSE, AFS, Ceph, BeeGFS
+    /// and others; on Linux), [`IoMode::Map`] elsewhere.
     #[default]
     Auto,
     /// Mapped into memory.
@@ -107,7 +111,8 @@ impl ByteSource {
     /// Opens a file. Cost: none until bytes are used.
     ///
     /// # Errors
-    /// [`Error::Io`] when the system refuses; [`Error::BadInput`] for a folder, a pipe or device, or an empty file.
+    /// [`Error::Io`] when the system refuses; [`Error::BadInput`] for a folder, a pipe or device,
+    /// or an empty file.
     pub fn open(path: impl AsRef<Path>, mode: IoMode) -> Result<Self> {
         let path = path.as_ref();
         Self::of_file(path, open_with_data(path)?, mode)
@@ -201,8 +206,8 @@ impl ByteSource {
         })
     }
 
-    /// A range of bytes: borrowed where they are in memory or mapped, else read into `buffer`. When they have been used,
-    /// [`ByteSource::check`] tells whether they were the file's.
+    /// A range of bytes: borrowed where they are in memory or mapped, else read into `buffer`. When
+    /// they have been used, [`ByteSource::check`] tells whether they were the file's.
     ///
     /// # Errors
     /// [`Error::BadInput`] when the range does not lie within the file, or that has become shorter.
@@ -219,7 +224,8 @@ impl ByteSource {
         }
     }
 
-    /// The bytes of a range that need not be read first, for they are in memory or mapped; `None` of others, and beyond the end.
+    /// The bytes of a range that need not be read first, for they are in memory or mapped; `None`
+    /// of others, and beyond the end.
     pub(crate) fn at_hand(&self, range: Range<u64>) -> Option<&[u8]> {
         let bytes = match &self.bytes {
             Bytes::Mapped(_, mapping) => mapping.bytes(),
@@ -229,12 +235,14 @@ impl ByteSource {
         bytes.get(usize::try_from(range.start).ok()?..usize::try_from(range.end).ok()?)
     }
 
-    /// Borrows a range of bytes. Of a file that is read and not mapped too, through a mapping made for that: for headers,
-    /// directories and text that must be searched, of which only what is touched is loaded. Samples are had by
-    /// [`ByteSource::view`]. When they have been used, [`ByteSource::check`] tells whether they were the file's.
+    /// Borrows a range of bytes. Of a file that is read and not mapped too, through a mapping made
+    /// for that: for headers, directories and text that must be searched, of which only what is
+    /// touched is loaded. Samples are had by [`ByteSource::view`]. When they have been used,
+    /// [`ByteSource::check`] tells whether they were the file's.
     ///
     /// # Errors
-    /// [`Error::BadInput`] when it does not lie within the file, [`Error::Io`] when it cannot be mapped.
+    /// [`Error::BadInput`] when it does not lie within the file, [`Error::Io`] when it cannot be
+    /// mapped.
     pub fn slice(&self, range: Range<u64>) -> Result<&[u8]> {
         let within = self.range(&range)?;
         Ok(match &self.bytes {
@@ -252,8 +260,8 @@ impl ByteSource {
         })
     }
 
-    /// Whether the bytes of views and slices used so far were those of the file: an error when it has become shorter, or
-    /// its device failed. Costs one `fstat` of a mapped file, else nothing.
+    /// Whether the bytes of views and slices used so far were those of the file: an error when it
+    /// has become shorter, or its device failed. Costs one `fstat` of a mapped file, else nothing.
     ///
     /// # Errors
     /// [`Error::BadInput`] naming the file.
@@ -290,7 +298,8 @@ impl ByteSource {
         Ok(ByteReader { source: Arc::clone(self), at: range.start, end: range.end, released: range.start })
     }
 
-    /// Tells the system that a range will be read soon. A hint: nothing happens where it cannot be given.
+    /// Tells the system that a range will be read soon. A hint: nothing happens where it cannot be
+    /// given.
     pub fn advise_will_need(&self, range: Range<u64>) {
         let range = range.start.min(self.len)..range.end.min(self.len);
         match &self.bytes {
@@ -300,8 +309,8 @@ impl ByteSource {
         }
     }
 
-    /// Tells that a range will not be read again by this run: of a file larger than a quarter of the machine's memory
-    /// its pages are dropped. A hint: reading it again gives the same bytes.
+    /// Tells that a range will not be read again by this run: of a file larger than a quarter of
+    /// the machine's memory its pages are dropped. A hint: reading it again gives the same bytes.
     pub fn release(&self, range: Range<u64>) {
         let range = range.start.min(self.len)..range.end.min(self.len);
         if !self.drop_behind || range.is_empty() {
@@ -392,11 +401,12 @@ fn open_with_data(path: &Path) -> Result<File> {
     Ok(file)
 }
 
-/// Opens a regular file for reading. Never waits, and never touches a device: a pipe without a writer would
-/// block for ever, a device may have no end.
+/// Opens a regular file for reading. Never waits, and never touches a device: a pipe without a
+/// writer would block for ever, a device may have no end.
 ///
 /// # Errors
-/// [`Error::Io`] when the system refuses; [`Error::BadInput`] for a folder, a pipe, a socket or a device.
+/// [`Error::Io`] when the system refuses; [`Error::BadInput`] for a folder, a pipe, a socket or a
+/// device.
 pub(crate) fn open_regular(path: &Path) -> Result<File> {
     expect_regular(path, &std::fs::metadata(path).map_err(|e| Error::io("open", path, e))?)?;
     let mut options = File::options();
@@ -525,7 +535,8 @@ mod tests {
         }
     }
 
-    /// Cuts a mapped file at every kind of place while it is being read; no access may end the process.
+    /// Cuts a mapped file at every kind of place while it is being read; no access may end the
+    /// process.
     #[test]
     fn a_file_that_shrinks_is_an_error_that_names_it() {
         let page = 4096usize;

@@ -1,8 +1,10 @@
-//! Records read and written at random, within a given memory: pages of them, the least recently needed ones on disk.
+//! Records read and written at random, within a given memory: pages of them, the least recently
+//! needed ones on disk.
 //!
-//! Work on a surface, say, jumps between the vertices of a triangle, most of which are near each other in the order of the
-//! numbers. So pages are kept as long as there is room, and a page that was not needed for a whole round of the clock hand
-//! is written to a nameless file of the scratch folder. Where all pages fit, no file is made.
+//! Work on a surface, say, jumps between the vertices of a triangle, most of which are near each
+//! other in the order of the numbers. So pages are kept as long as there is room, and a page that
+//! was not needed for a whole round of the clock hand is written to a nameless file of the scratch
+//! folder. Where all pages fit, no file is made.
 //!
 //! Memory: the pages, and 5 bytes for each 4096 records.
 

@@ -1,16 +1,20 @@
-//! Files of an object store or a web server, read by ranges: `s3://bucket/name`, `https://host/name`.
+//! Files of an object store or a web server, read by ranges: `s3://bucket/name`,
+//! `https://host/name`.
 //!
-//! An object is cut into pages. A page that is asked for is fetched with all missing ones of the same read, in one request; where the page
-//! before it is there already, somebody reads forward, and the next ones come along. Fetched pages are kept, a fixed number for each
-//! server. Opening an object fetches its end, which tells the length, and where a segment has its directory.
+//! An object is cut into pages. A page that is asked for is fetched with all missing ones of the
+//! same read, in one request; where the page before it is there already, somebody reads forward,
+//! and the next ones come along. Fetched pages are kept, a fixed number for each server. Opening an
+//! object fetches its end, which tells the length, and where a segment has its directory.
 //!
 //! ```text
 //!  read_at(offset, n) ─▶ pages ─▶ kept? ── no ─▶ GET, Range: bytes=from-to ─▶ keep
 //! ```
 //!
-//! Keys and region come from the environment, as for Amazon's own tools (`AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`,
-//! `AWS_ENDPOINT_URL`; `AWS_SKIP_SIGNATURE=true` for public buckets). Failed requests are tried again by the client; a server that is not there, or does not
-//! answer, is given up within about half a minute. A server must answer range requests; one that sends the whole file instead is an error.
+//! Keys and region come from the environment, as for Amazon's own tools (`AWS_ACCESS_KEY_ID`,
+//! `AWS_SECRET_ACCESS_KEY`, `AWS_REGION`, `AWS_ENDPOINT_URL`; `AWS_SKIP_SIGNATURE=true` for public
+//! buckets). Failed requests are tried again by the client; a server that is not there, or does not
+//! answer, is given up within about half a minute. A server must answer range requests; one that
+//! sends the whole file instead is an error.
 //!
 //! Without the feature `remote` there is no such file: opening one says so.
 
@@ -190,7 +194,8 @@ mod with_client {
                 let here = match (from_fetched, &kept) {
                     (Some(bytes), _) => bytes,
                     (None, Some(page)) => &page[(at - n * PAGE) as usize..],
-                    // Another thread's pages have pushed it out since: fetch what is left of the read.
+                    // Another thread's pages have pushed it out since: fetch what is left of the
+                    // read.
                     (None, None) => return self.read_at(at, &mut out[(at - offset) as usize..]),
                 };
                 let n = here.len().min((end - at) as usize);
@@ -206,7 +211,8 @@ mod with_client {
             pages.kept.get(&(self.number, n)).cloned()
         }
 
-        /// Fetches pages, and some more behind one that is there; gives the offset of the first byte, and all bytes.
+        /// Fetches pages, and some more behind one that is there; gives the offset of the first
+        /// byte, and all bytes.
         fn fetch(&self, mut pages: Range<u64>) -> io::Result<(u64, Vec<u8>)> {
             if pages.start > 0 && self.page(pages.start - 1).is_some() {
                 pages.end = pages.end.max(pages.start + AHEAD);
@@ -265,7 +271,8 @@ mod with_client {
         io::Error::new(kind, one_line(&error))
     }
 
-    /// A message (those of servers have line ends), with its first cause, where it does not tell it.
+    /// A message (those of servers have line ends), with its first cause, where it does not tell
+    /// it.
     fn one_line(error: &dyn std::error::Error) -> String {
         let line = |e: &dyn std::error::Error| e.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
         let first = std::iter::successors(error.source(), |e| e.source()).last().map(line);
@@ -307,7 +314,8 @@ mod with_client {
             return Err(bad("an address with ? or #".into()));
         }
         let (scheme, key) = ObjectStoreScheme::parse(&url).map_err(|e| bad(one_line(&e)))?;
-        // What is left of the address without the key: a bucket may be told by the first part of the path.
+        // What is left of the address without the key: a bucket may be told by the first part of
+        // the path.
         let mut origin = url.as_str().trim_end_matches('/');
         for _ in key.parts() {
             origin = origin.rsplit_once('/').map_or(origin, |(parent, _)| parent);
@@ -331,8 +339,9 @@ mod with_client {
         Ok((server, key))
     }
 
-    /// Failed requests are tried again, but none is begun later than this. A request that nobody answers takes half a minute itself,
-    /// one whose server cannot be reached five seconds: by default of the client.
+    /// Failed requests are tried again, but none is begun later than this. A request that nobody
+    /// answers takes half a minute itself, one whose server cannot be reached five seconds: by
+    /// default of the client.
     const TRIES_END: Duration = Duration::from_secs(15);
     const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 

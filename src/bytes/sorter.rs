@@ -4,14 +4,15 @@
 //!  push ─▶ buffer ── full: sort, append to a file ─▶ run 0 │ run 1 │ … ─▶ merge ─▶ next, next, …
 //! ```
 //!
-//! External merge sort (Knuth, The Art of Computer Programming 3, section 5.4): runs of the size of the memory given are
-//! sorted and written one behind the other into a nameless file; then all are read side by side, the least record first.
-//! If they are so many that each would be read in too small pieces, groups of them are merged to longer runs before.
-//! What fits in memory is never written.
+//! External merge sort (Knuth, The Art of Computer Programming 3, section 5.4): runs of the size of
+//! the memory given are sorted and written one behind the other into a nameless file; then all are
+//! read side by side, the least record first. If they are so many that each would be read in too
+//! small pieces, groups of them are merged to longer runs before. What fits in memory is never
+//! written.
 //!
-//! Cost: O(n log n) comparisons; each record is written and read once for up to memory / 16 KiB runs, and once more
-//! each time the number of runs exceeds that. Records that compare equal are equal bits, so the result does not depend
-//! on memory.
+//! Cost: O(n log n) comparisons; each record is written and read once for up to memory / 16 KiB
+//! runs, and once more each time the number of runs exceeds that. Records that compare equal are
+//! equal bits, so the result does not depend on memory.
 
 use super::store::{read_at, write_at};
 use crate::error::{Error, Result};
@@ -240,7 +241,8 @@ mod tests {
             let records: Vec<[u32; 2]> = (0..count).map(|i| [mixed(i) % 1000, mixed(i) >> 28]).collect();
             let mut wanted = records.clone();
             wanted.sort_unstable();
-            // All in memory; three runs; 500 and 2500 runs, merged two at a time because memory is so small.
+            // All in memory; three runs; 500 and 2500 runs, merged two at a time because memory is
+            // so small.
             for memory in [1 << 30, 8 * 20_000, 800, 160] {
                 assert!(
                     sorted(&records, memory, scratch.path()) == wanted,

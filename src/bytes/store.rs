@@ -1,4 +1,5 @@
-//! Fixed-size records, appended, patched, read front to back or anywhere; on disk beyond a given size.
+//! Fixed-size records, appended, patched, read front to back or anywhere; on disk beyond a given
+//! size.
 
 use crate::error::{Error, Result};
 use bytemuck::Pod;
@@ -10,7 +11,8 @@ const BATCH: usize = 1 << 14;
 /// Patches at this distance are made together.
 const CLOSE: u32 = 128;
 
-/// A list of records: the first `written` in a nameless file of the scratch folder, the others in `tail`.
+/// A list of records: the first `written` in a nameless file of the scratch folder, the others in
+/// `tail`.
 #[derive(Debug)]
 pub(crate) struct Store<T> {
     tail: Vec<T>,
@@ -118,7 +120,8 @@ impl<T: Pod> Store<T> {
         let (mut on_disk, in_memory) = patches.split_at(on_disk);
         let mut batch = Vec::new();
         while let Some(&(number, _)) = on_disk.first() {
-            // As far as patches follow each other closely: what lies between is read and written too.
+            // As far as patches follow each other closely: what lies between is read and written
+            // too.
             let first = u64::from(number);
             let near = |pair: &[(u32, P)]| {
                 pair[1].0 - pair[0].0 <= CLOSE && u64::from(pair[1].0) < first + BATCH as u64
@@ -141,8 +144,8 @@ impl<T: Pod> Store<T> {
     }
 }
 
-/// Single records of a [`Store`], had through a cache of blocks of counted size. Neighbours lie together in what programs write,
-/// so that nearly all records are found in it.
+/// Single records of a [`Store`], had through a cache of blocks of counted size. Neighbours lie
+/// together in what programs write, so that nearly all records are found in it.
 #[derive(Debug)]
 pub(crate) struct Cached<'a, T> {
     store: &'a Store<T>,

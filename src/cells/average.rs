@@ -1,10 +1,12 @@
 //! Cell data to points: the mean over the cells that use a point.
 //!
-//! Sums and counts of all points need 12 bytes a point, which may be more than there is. So points are gone through in
-//! *windows* of as many as fit, and the cells once for each window: 100 million points in 256 MiB take 5 passes. A sum
-//! adds up in the order of the cells, so that the result does not depend on the window.
+//! Sums and counts of all points need 12 bytes a point, which may be more than there is. So points
+//! are gone through in *windows* of as many as fit, and the cells once for each window: 100 million
+//! points in 256 MiB take 5 passes. A sum adds up in the order of the cells, so that the result
+//! does not depend on the window.
 //!
-//! A cell whose value is NaN makes its points NaN: nothing is invented. Cells without a volume do not count.
+//! A cell whose value is NaN makes its points NaN: nothing is invented. Cells without a volume do
+//! not count.
 
 use super::mesh::{CellBlocks, Part, Tuples};
 use super::{BLOCK, CellBlock, CellFile, CellKind};

@@ -11,12 +11,13 @@
 //!  tetrahedron        hexahedron           wedge           pyramid
 //! ```
 //!
-//! Quadratic kinds have a vertex on each edge after the corners, then (some) one on each four-sided face, then (one)
-//! one in the middle.
+//! Quadratic kinds have a vertex on each edge after the corners, then (some) one on each four-sided
+//! face, then (one) one in the middle.
 
 use serde::{Deserialize, Serialize};
 
-/// A kind of cell. Their order decides hashes of meshes that archives hold: new ones come before the last.
+/// A kind of cell. Their order decides hashes of meshes that archives hold: new ones come before
+/// the last.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum CellKind {
@@ -135,7 +136,8 @@ impl CellKind {
         }
     }
 
-    /// The linear kind with the same corners; of a voxel, that of the hexahedron that it is renumbered to.
+    /// The linear kind with the same corners; of a voxel, that of the hexahedron that it is
+    /// renumbered to.
     pub(super) fn shape(self) -> &'static Shape {
         match self {
             Self::Tetrahedron | Self::QuadraticTetrahedron => &TETRAHEDRON,

@@ -53,15 +53,16 @@ pub struct ChosenField {
 pub struct CellMesh {
     file: Arc<dyn CellFile>,
     field: Option<ChosenField>,
-    /// In which order cells have the vertices on their edges; known when cells were first asked for.
+    /// In which order cells have the vertices on their edges; known when cells were first asked
+    /// for.
     orders: Arc<OnceLock<Orders>>,
 }
 
 impl CellMesh {
-    /// A mesh, with the field `wanted`: the name of a field with one component, `NAME.x`, `NAME.y`, `NAME.z` or `NAME.2`
-    /// for a component of another, `NAME.magnitude`, or the coordinates `x`, `y`, `z` where no field has that name. Without
-    /// `wanted`: the file's active field, else its only field on points with one component, else its only one on
-    /// cells, else none yet.
+    /// A mesh, with the field `wanted`: the name of a field with one component, `NAME.x`, `NAME.y`,
+    /// `NAME.z` or `NAME.2` for a component of another, `NAME.magnitude`, or the coordinates `x`,
+    /// `y`, `z` where no field has that name. Without `wanted`: the file's active field, else its
+    /// only field on points with one component, else its only one on cells, else none yet.
     ///
     /// # Errors
     /// [`Error::Usage`], listing the fields, when there is none of that name.
@@ -115,7 +116,8 @@ impl CellMesh {
     /// The cells, their vertices in VTK's order.
     ///
     /// # Errors
-    /// When the file cannot be read; [`Error::BadInput`] for vertices in an order that is not understood.
+    /// When the file cannot be read; [`Error::BadInput`] for vertices in an order that is not
+    /// understood.
     pub fn cells(&self) -> Result<CellBlocks> {
         let stored = || CellBlocks::new(&*self.file);
         let orders = match self.orders.get() {
@@ -136,8 +138,8 @@ impl CellMesh {
         self.file.stored_hash()
     }
 
-    /// The numbers of the field `info().fields[field]` as they are stored, one a point or cell: its value, or its magnitude
-    /// where it has several components.
+    /// The numbers of the field `info().fields[field]` as they are stored, one a point or cell: its
+    /// value, or its magnitude where it has several components.
     ///
     /// # Errors
     /// When the file cannot be read.
@@ -149,8 +151,9 @@ impl CellMesh {
         Ok(StoredBlocks(Tuples::new(stream, info.components as usize, part, count)))
     }
 
-    /// The values of the chosen field at all points. Cell data are averaged, in passes that take at most `memory` bytes
-    /// each; other fields take a block. Points of cells whose value `is_missing` are NaN.
+    /// The values of the chosen field at all points. Cell data are averaged, in passes that take at
+    /// most `memory` bytes each; other fields take a block. Points of cells whose value
+    /// `is_missing` are NaN.
     ///
     /// # Errors
     /// Those of [`CellMesh::field`]; when the file cannot be read.
@@ -255,7 +258,8 @@ pub struct PointBlocks {
 }
 
 impl PointBlocks {
-    /// Puts the next positions, at most [`BLOCK`], into `out` (cleared first); `false` after the last.
+    /// Puts the next positions, at most [`BLOCK`], into `out` (cleared first); `false` after the
+    /// last.
     ///
     /// # Errors
     /// When the file cannot be read; [`Error::BadInput`] for a coordinate that is not finite.
@@ -280,8 +284,8 @@ impl PointBlocks {
     }
 }
 
-/// The cells in file order, block by block; those without a volume included. Cells that the file marks as ghosts (copies of another
-/// piece's cells, or hidden) are told as cells without a volume.
+/// The cells in file order, block by block; those without a volume included. Cells that the file
+/// marks as ghosts (copies of another piece's cells, or hidden) are told as cells without a volume.
 pub struct CellBlocks {
     path: Box<Path>,
     stream: Box<dyn CellStream>,
@@ -348,8 +352,8 @@ impl CellBlocks {
     }
 }
 
-/// The values of a field at points 0, 1, 2, …, block by block. Values may be NaN or infinite, as the file has them; a
-/// point without a cell has NaN where cell data are averaged.
+/// The values of a field at points 0, 1, 2, …, block by block. Values may be NaN or infinite, as
+/// the file has them; a point without a cell has NaN where cell data are averaged.
 pub struct ValueBlocks(From);
 
 enum From {
@@ -381,7 +385,8 @@ impl ValueBlocks {
 pub struct StoredBlocks(Tuples);
 
 impl StoredBlocks {
-    /// Puts the next numbers, at most [`BLOCK`], into `out` (cleared first); `false` after the last.
+    /// Puts the next numbers, at most [`BLOCK`], into `out` (cleared first); `false` after the
+    /// last.
     ///
     /// # Errors
     /// When the file cannot be read.

@@ -1,8 +1,8 @@
 //! Unstructured meshes: points, cells that name their vertices, and a field on points or cells.
 //!
-//! A reader of `formats/` opens a file as a [`CellFile`]: what is in it, and streams of its numbers. [`CellMesh`] makes
-//! of it what the pipeline needs, in three passes that can be made any number of times, each in blocks and in constant
-//! memory:
+//! A reader of `formats/` opens a file as a [`CellFile`]: what is in it, and streams of its
+//! numbers. [`CellMesh`] makes of it what the pipeline needs, in three passes that can be made any
+//! number of times, each in blocks and in constant memory:
 //!
 //! ```text
 //!  points()  positions of points 0, 1, 2, …                   checked to be finite
@@ -12,14 +12,16 @@
 //!                    └─▶ orient()  once positions are at hand: inverted ones turned, degenerate ones told
 //! ```
 //!
-//! **Numbers.** Points are numbered in the order of the stream, whatever labels a file gives them. Nothing here holds
-//! a point, a value or a cell longer than its block; who needs them together sorts them (externally).
+//! **Numbers.** Points are numbered in the order of the stream, whatever labels a file gives them.
+//! Nothing here holds a point, a value or a cell longer than its block; who needs them together
+//! sorts them (externally).
 //!
-//! **Cells.** [`CellKind`] lists the kinds that are read, linear and quadratic. Cells without a volume (vertices, lines,
-//! triangles: Gmsh writes the boundary too) are counted and passed over; kinds that are neither are refused by name.
+//! **Cells.** [`CellKind`] lists the kinds that are read, linear and quadratic. Cells without a
+//! volume (vertices, lines, triangles: Gmsh writes the boundary too) are counted and passed over;
+//! kinds that are neither are refused by name.
 //!
-//! **Cell data** are averaged to the vertices: the mean over the cells that use the vertex, each counted once. See
-//! [`average`](mod@average) for how that is done in bounded memory.
+//! **Cell data** are averaged to the vertices: the mean over the cells that use the vertex, each
+//! counted once. See [`average`](mod@average) for how that is done in bounded memory.
 
 pub mod average;
 pub mod kind;
@@ -76,7 +78,8 @@ pub struct CellField {
 pub struct CellsInfo {
     /// The file that was named.
     pub path: PathBuf,
-    /// The format, as a person would call it: "VTK XML UnstructuredGrid (appended raw, zlib, UInt32 header)".
+    /// The format, as a person would call it: "VTK XML UnstructuredGrid (appended raw, zlib, UInt32
+    /// header)".
     pub format: String,
     /// Number of points.
     pub points: u64,
@@ -115,11 +118,12 @@ pub trait NumberStream: Send {
 
 /// Cells front to back.
 pub trait CellStream: Send {
-    /// Puts the next cells, at most [`BLOCK`], into `out` (cleared first); `false` after the last. Vertex numbers need not
-    /// be checked against the number of points: [`CellMesh`] does that.
+    /// Puts the next cells, at most [`BLOCK`], into `out` (cleared first); `false` after the last.
+    /// Vertex numbers need not be checked against the number of points: [`CellMesh`] does that.
     ///
     /// # Errors
-    /// When the file cannot be read, decoded, ends too early, goes on too long, or has a cell of a kind that is not read.
+    /// When the file cannot be read, decoded, ends too early, goes on too long, or has a cell of a
+    /// kind that is not read.
     fn next_block(&mut self, out: &mut CellBlock) -> Result<bool>;
 }
 
@@ -140,14 +144,15 @@ pub trait CellFile: Send + Sync {
     /// When the file cannot be read.
     fn cells(&self) -> Result<Box<dyn CellStream>>;
 
-    /// The numbers of the field `info().fields[field]`: all components of a point or cell, then those of the next.
+    /// The numbers of the field `info().fields[field]`: all components of a point or cell, then
+    /// those of the next.
     ///
     /// # Errors
     /// When the file cannot be read.
     fn field(&self, field: usize) -> Result<Box<dyn NumberStream>>;
 
-    /// A hash of all that points and cells are read from, as it is stored: files of the same one have the same of both. `None` where that is not
-    /// told sooner than they are read.
+    /// A hash of all that points and cells are read from, as it is stored: files of the same one
+    /// have the same of both. `None` where that is not told sooner than they are read.
     ///
     /// # Errors
     /// When the file cannot be read.
@@ -156,7 +161,8 @@ pub trait CellFile: Send + Sync {
     }
 }
 
-/// The field of cells in which VTK marks those that another piece has too (1), and hidden ones (32).
+/// The field of cells in which VTK marks those that another piece has too (1), and hidden ones
+/// (32).
 pub(crate) const GHOSTS: &str = "vtkGhostType";
 
 /// Whether marks say that a cell does not count.
@@ -164,7 +170,8 @@ fn is_ghost(marks: f64) -> bool {
     marks as u8 & (1 | 32) != 0
 }
 
-/// The marks of points that are hidden, and of cells that are hidden or refined by other cells; of a structured grid.
+/// The marks of points that are hidden, and of cells that are hidden or refined by other cells; of
+/// a structured grid.
 pub(crate) const HIDDEN: [(&str, u8); 2] = [("PointData", 2), ("CellData", 8 | 32)];
 
 /// Some cells, one after another.
@@ -221,8 +228,8 @@ impl CellBlock {
         self.vertices.truncate(kept);
     }
 
-    /// The cells in order: kind and vertex numbers, in VTK's order of vertices. Those of a cell without a volume are
-    /// not kept.
+    /// The cells in order: kind and vertex numbers, in VTK's order of vertices. Those of a cell
+    /// without a volume are not kept.
     pub fn iter(&self) -> impl Iterator<Item = (CellKind, &[u64])> {
         let starts = std::iter::once(0).chain(self.ends.iter().copied());
         let spans = starts.zip(&self.ends).map(|(start, &end)| &self.vertices[start..end]);

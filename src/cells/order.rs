@@ -1,12 +1,15 @@
-//! In which order cells have the vertices on their edges, found from where these lie; and whether cells are whole.
+//! In which order cells have the vertices on their edges, found from where these lie; and whether
+//! cells are whole.
 //!
-//! Formats have orders of their own (VTK's, Gmsh's, TetGen's), and programs write one format in the order of another.
-//! A vertex on an edge lies nearer to the middle of this edge than to those of others, also where edges are curved. So a
-//! sample of cells tells the order. One that is no order of the edges is refused, as are cells whose tetrahedra are turned
-//! both ways: their vertices are in an order that is not understood.
+//! Formats have orders of their own (VTK's, Gmsh's, TetGen's), and programs write one format in the
+//! order of another. A vertex on an edge lies nearer to the middle of this edge than to those of
+//! others, also where edges are curved. So a sample of cells tells the order. One that is no order
+//! of the edges is refused, as are cells whose tetrahedra are turned both ways: their vertices are
+//! in an order that is not understood.
 //!
-//! Memory: the cells of the sample and the positions of their vertices. Cost: a pass over cells and points, where one of the first blocks
-//! has another cell than a linear tetrahedron, whose order of vertices decides nothing.
+//! Memory: the cells of the sample and the positions of their vertices. Cost: a pass over cells and
+//! points, where one of the first blocks has another cell than a linear tetrahedron, whose order of
+//! vertices decides nothing.
 
 use super::mesh::{CellBlocks, CellMesh};
 use super::{CellBlock, CellKind, Orientation, orient, split};
@@ -18,7 +21,8 @@ const FIRST: u64 = 16;
 /// Cells of the sample, about.
 const SAMPLE: u64 = 4096;
 
-/// For kinds whose vertices on edges are in another order than VTK's: which of them lies on each edge.
+/// For kinds whose vertices on edges are in another order than VTK's: which of them lies on each
+/// edge.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Orders(Vec<(CellKind, Vec<usize>)>);
 
@@ -42,8 +46,8 @@ impl Orders {
     /// Looks at cells of all parts of a mesh.
     ///
     /// # Errors
-    /// [`Error::BadInput`] where vertices on edges are in no order, or more than one of a hundred cells is folded; when the file
-    /// cannot be read.
+    /// [`Error::BadInput`] where vertices on edges are in no order, or more than one of a hundred
+    /// cells is folded; when the file cannot be read.
     pub(super) fn of(mesh: &CellMesh, cells: impl Fn() -> Result<CellBlocks>) -> Result<Self> {
         let info = mesh.info();
         let stride = info.cells.div_ceil(SAMPLE).max(1);

@@ -1,12 +1,14 @@
 //! Quadratic cells into linear tetrahedra, on all of their own vertices.
 //!
-//! The vertices in the middle of the edges carry positions and values of their own: a quadratic cell becomes a finer
-//! mesh of linear ones, curved edges follow their middle, and nothing is interpolated.
+//! The vertices in the middle of the edges carry positions and values of their own: a quadratic
+//! cell becomes a finer mesh of linear ones, curved edges follow their middle, and nothing is
+//! interpolated.
 //!
-//! Cells with vertices on edges only are cut in two steps. Each corner is cut off, up to the middles of its edges; what
-//! is left is a convex body of middles alone (of a tetrahedron an octahedron, of a hexahedron a cuboctahedron), filled by
-//! the star of its smallest vertex. On a face this leaves a triangle at each corner and one inner polygon, cut from its
-//! smallest vertex: again a rule of the face's vertices alone.
+//! Cells with vertices on edges only are cut in two steps. Each corner is cut off, up to the
+//! middles of its edges; what is left is a convex body of middles alone (of a tetrahedron an
+//! octahedron, of a hexahedron a cuboctahedron), filled by the star of its smallest vertex. On a
+//! face this leaves a triangle at each corner and one inner polygon, cut from its smallest vertex:
+//! again a rule of the face's vertices alone.
 //!
 //! ```text
 //!   3----6----2        3-----10----2
@@ -16,8 +18,9 @@
 //!   0----4----1        0-----8-----1
 //! ```
 //!
-//! Cells with vertices in the middle of their four-sided faces too are cut into smaller linear cells: a hexahedron into
-//! 8, a wedge into 8, a pyramid into 6 pyramids and 4 tetrahedra; those are split by the rule for linear cells.
+//! Cells with vertices in the middle of their four-sided faces too are cut into smaller linear
+//! cells: a hexahedron into 8, a wedge into 8, a pyramid into 6 pyramids and 4 tetrahedra; those
+//! are split by the rule for linear cells.
 
 use super::kind::{CellKind, HEXAHEDRON, PYRAMID, Shape, WEDGE};
 use super::split::{CellTet, fan, star};
@@ -49,9 +52,11 @@ fn middle(shape: &Shape, a: u8, b: u8) -> u8 {
 
 /// Corners, then the body of middles.
 fn cut_corners(shape: &Shape, vertices: &[u64], out: &mut Vec<CellTet>) {
-    // Inner polygons of the faces, then one polygon a corner; all anticlockwise from outside the body of middles.
+    // Inner polygons of the faces, then one polygon a corner; all anticlockwise from outside the
+    // body of middles.
     let mut body: Vec<Vec<u8>> = vec![];
-    // For each corner, the sides of inner polygons that cut it off, as seen from the corner's polygon.
+    // For each corner, the sides of inner polygons that cut it off, as seen from the corner's
+    // polygon.
     let mut sides: Vec<Vec<[u8; 2]>> = vec![vec![]; shape.corners];
     for face in shape.faces {
         let n = face.len();
@@ -99,7 +104,8 @@ const WEDGES_OF_18: [&[u8]; 8] = [
     &[15, 16, 17, 9, 10, 11],
 ];
 
-/// 13 is the middle of the base. The fifth stands on the middles of the slanted edges, the sixth hangs from them.
+/// 13 is the middle of the base. The fifth stands on the middles of the slanted edges, the sixth
+/// hangs from them.
 const PYRAMIDS_OF_14: [&[u8]; 6] = [
     &[0, 5, 13, 8, 9],
     &[5, 1, 6, 13, 10],

@@ -1,4 +1,5 @@
-//! One pass over a mesh: bounds, cells by kind, ranges of fields. Memory: a block, and the window of averaged cell data.
+//! One pass over a mesh: bounds, cells by kind, ranges of fields. Memory: a block, and the window
+//! of averaged cell data.
 
 use super::{CellBlock, CellKind, CellMesh, split};
 use crate::error::Result;
@@ -49,7 +50,8 @@ pub fn scan(mesh: &CellMesh) -> Result<MeshScan> {
     Ok(out)
 }
 
-/// What the stored numbers of a field tell: of its value, or its magnitude where it has several components.
+/// What the stored numbers of a field tell: of its value, or its magnitude where it has several
+/// components.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FieldScan {
     /// Least finite value; `None` if there is none.

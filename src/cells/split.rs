@@ -1,16 +1,19 @@
 //! Cells into tetrahedra, so that neighbours agree on the faces that they share.
 //!
-//! A four-sided face can be cut along either diagonal, and both cells must choose the same one. They do when the choice
-//! depends on the face's vertices alone: here the cut starts at the **smallest vertex number** of the face. A convex
-//! cell is then filled by the *star* of its smallest vertex v: every face that does not have v is cut into triangles, each
-//! of which makes a tetrahedron with v. The faces that have v are covered as a by-product, by triangles that start at v,
-//! which is their smallest vertex too (Dompierre, Labbé, Vallet, Camarero, "How to subdivide pyramids, prisms and
-//! hexahedra into tetrahedra", 1999, have the rule). A hexahedron gives 6 tetrahedra, a wedge 3, a pyramid 2.
+//! A four-sided face can be cut along either diagonal, and both cells must choose the same one.
+//! They do when the choice depends on the face's vertices alone: here the cut starts at
+//! the **smallest vertex number** of the face. A convex cell is then filled by the *star* of its
+//! smallest vertex v: every face that does not have v is cut into triangles, each of which makes a
+//! tetrahedron with v. The faces that have v are covered as a by-product, by triangles that start
+//! at v, which is their smallest vertex too (Dompierre, Labbé, Vallet, Camarero, "How to subdivide
+//! pyramids, prisms and hexahedra into tetrahedra", 1999, have the rule). A hexahedron gives 6
+//! tetrahedra, a wedge 3, a pyramid 2.
 //!
 //! Quadratic cells: see [`super::quadratic`].
 //!
-//! The rule knows numbers, not positions. So pieces of a mesh that store a shared point twice, under two numbers, can
-//! cut a shared four-sided face differently; the field then has a kink there, no gap.
+//! The rule knows numbers, not positions. So pieces of a mesh that store a shared point twice,
+//! under two numbers, can cut a shared four-sided face differently; the field then has a kink
+//! there, no gap.
 
 use super::kind::CellKind;
 use super::quadratic;
@@ -21,9 +24,9 @@ pub type CellTet = [u64; 4];
 /// The most tetrahedra that a cell is split into.
 pub const MOST_TETS: usize = 48;
 
-/// Appends the tetrahedra of a cell, positively oriented where the cell is, to `out`. Gives the number of those that were
-/// left out because the cell names a vertex more than once (a hexahedron that was collapsed to a wedge, say). A cell
-/// without a volume gives none.
+/// Appends the tetrahedra of a cell, positively oriented where the cell is, to `out`. Gives the
+/// number of those that were left out because the cell names a vertex more than once (a hexahedron
+/// that was collapsed to a wedge, say). A cell without a volume gives none.
 ///
 /// # Panics
 /// When the number of vertices is not that of the kind.
@@ -61,7 +64,8 @@ fn drop_collapsed(start: usize, out: &mut Vec<CellTet>) -> usize {
     dropped
 }
 
-/// The star of the smallest vertex of a convex cell. `faces` are seen anticlockwise from outside and index `vertices`.
+/// The star of the smallest vertex of a convex cell. `faces` are seen anticlockwise from outside
+/// and index `vertices`.
 pub(super) fn star<'a>(
     faces: impl Iterator<Item = &'a [u8]> + Clone,
     vertices: &[u64],

@@ -105,7 +105,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     ))
 }
 
-/// How far from the domain's faces, in voxel edges, a boundary edge may lie: positions in a file are `f32`.
+/// How far from the domain's faces, in voxel edges, a boundary edge may lie: positions in a file
+/// are `f32`.
 const BOUNDARY_TOLERANCE: f64 = 1e-2;
 
 fn defects(r: &SurfaceReport, open: Option<OpenEdges>) -> Vec<String> {

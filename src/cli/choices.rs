@@ -1,4 +1,5 @@
-//! What a user chooses of a reduction: everything that decides the archive's bytes, besides the input.
+//! What a user chooses of a reduction: everything that decides the archive's bytes, besides the
+//! input.
 
 use super::grammar::{self, Range, Size};
 use clap::ValueEnum;
@@ -147,7 +148,8 @@ impl Choices {
             Size::Bytes(bytes) => Target::Size(bytes),
             Size::OfSource(share) => Target::Ratio(1.0 / share),
         });
-        // Where no set is named, a target is met by a lattice, which takes the fewest bytes, and of a mesh by points that adapt.
+        // Where no set is named, a target is met by a lattice, which takes the fewest bytes, and of
+        // a mesh by points that adapt.
         let adapts = of_mesh || self.focus.is_some() || self.points == Some(Set::Halton);
         let is_open = matches!(self.points, None | Some(Set::Halton));
         let adapt = self.adapt || error.is_some() && is_open && adapts;

@@ -1,8 +1,10 @@
-//! Memory that is given back goes back to the system, so that what the process holds is what it uses.
+//! Memory that is given back goes back to the system, so that what the process holds is what it
+//! uses.
 //!
-//! The C library keeps freed memory in its arenas, one for each few threads: by default a run that is allowed 1 GiB, and uses it,
-//! may hold half as much again. Large blocks from the system directly, and arenas trimmed early, keep it at what is in
-//! use; the price, pages cleared anew for each chunk, is below 1 % of a chunk's work.
+//! The C library keeps freed memory in its arenas, one for each few threads: by default a run that
+//! is allowed 1 GiB, and uses it, may hold half as much again. Large blocks from the system
+//! directly, and arenas trimmed early, keep it at what is in use; the price, pages cleared anew for
+//! each chunk, is below 1 % of a chunk's work.
 
 #![allow(unsafe_code)]
 
@@ -11,7 +13,8 @@ pub(super) fn give_back_early() {
     use std::ffi::c_int;
     const TRIM_THRESHOLD: c_int = -1;
     const MMAP_THRESHOLD: c_int = -3;
-    // SAFETY: the C library's own declaration; it takes two numbers, and refuses those that it does not know.
+    // SAFETY: the C library's own declaration; it takes two numbers, and refuses those that it does
+    // not know.
     unsafe extern "C" {
         safe fn mallopt(parameter: c_int, value: c_int) -> c_int;
     }

@@ -198,7 +198,8 @@ fn triple(v: [f64; 3]) -> String {
     v.map(text::number).join(" ")
 }
 
-/// Heights by a root of the share of the largest, so that small bins show beside a large background.
+/// Heights by a root of the share of the largest, so that small bins show beside a large
+/// background.
 fn sparkline(bins: &[f64], root: fn(f64) -> f64) -> String {
     const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
     let most = bins.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
@@ -207,7 +208,8 @@ fn sparkline(bins: &[f64], root: fn(f64) -> f64) -> String {
         .collect()
 }
 
-/// The area of the isosurface over the range of isovalues, in 64 steps: the mean of what was measured in each, or of its neighbours.
+/// The area of the isosurface over the range of isovalues, in 64 steps: the mean of what was
+/// measured in each, or of its neighbours.
 fn area_line(areas: &[[f64; 2]]) -> String {
     const STEPS: usize = 64;
     let (lo, hi) = (areas[0][0], areas[areas.len() - 1][0]);

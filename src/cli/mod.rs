@@ -1,5 +1,6 @@
-//! The command line: one file a subcommand, each `Args` and `run`. Results go to standard output, progress and errors
-//! to standard error; an error is one line; exit codes are those of [`isospan::Error::exit_code`].
+//! The command line: one file a subcommand, each `Args` and `run`. Results go to standard output,
+//! progress and errors to standard error; an error is one line; exit codes are those of
+//! [`isospan::Error::exit_code`].
 
 pub(crate) mod append;
 mod brick;
@@ -47,7 +48,8 @@ use std::ffi::OsString;
 use std::io::Write;
 use std::path::Path;
 
-/// Reduce scalar volumes larger than memory to small archives; extract watertight isosurfaces from them.
+/// Reduce scalar volumes larger than memory to small archives; extract watertight isosurfaces from
+/// them.
 #[derive(Parser, Debug)]
 #[command(name = "isospan", version, long_version = manual::long_version(), arg_required_else_help = true, max_term_width = 110)]
 pub(crate) struct Cli {
@@ -87,7 +89,8 @@ pub(crate) enum Command {
 }
 
 impl Command {
-    /// Whether the same command goes on where it was stopped: only what makes an archive has something to continue.
+    /// Whether the same command goes on where it was stopped: only what makes an archive has
+    /// something to continue.
     fn continues(&self) -> bool {
         matches!(self, Self::Reduce(_) | Self::Append(_) | Self::Work(_) | Self::Commit(_) | Self::Nightly(_))
     }

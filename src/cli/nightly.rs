@@ -5,9 +5,9 @@
 //!  FOLDER ──▶ names that match, settled, not in the archive yet ──▶ reduce, or append ──▶ summary
 //! ```
 //!
-//! It is meant for `cron` and Slurm, where nobody looks at the screen: whatever goes wrong is in the
-//! summary too, and the exit code tells whether somebody should look. The job script for Slurm is
-//! made from the command itself, so a job can submit its successor.
+//! It is meant for `cron` and Slurm, where nobody looks at the screen: whatever goes wrong is in
+//! the summary too, and the exit code tells whether somebody should look. The job script for Slurm
+//! is made from the command itself, so a job can submit its successor.
 
 use super::choices::Choices;
 use super::input::InputArgs;
@@ -109,7 +109,8 @@ pub(crate) fn run(args: &Args, talk: &Talk) -> Result<()> {
     if args.again && job.is_none() {
         return Err(Error::usage("--again: this is no job of Slurm; add --submit TIME to make it one"));
     }
-    // First: later, the job's time may be over. What comes of it is told last, for the work matters more.
+    // First: later, the job's time may be over. What comes of it is told last, for the work matters
+    // more.
     let next = if args.again { submit(&args.option, "now+1day").map(drop) } else { Ok(()) };
     let (started, mut summary) = (Instant::now(), Summary::default());
     let done = add(args, talk, &mut summary).and(next);
@@ -238,8 +239,9 @@ fn keep(archive: &Path, job: Option<String>, summary: &Summary) -> Result<()> {
 /// A time of UTC, of seconds since 1970: 2026-11-25T023000Z.
 fn date(seconds: u64) -> String {
     let (days, second) = (seconds / 86_400, seconds % 86_400);
-    // A year that begins in March has its leap day at the end: 400 of them are 146 097 days, and the
-    // 719 468 days up to 1970 begin with one. See Hinnant, "chrono-compatible low-level date algorithms".
+    // A year that begins in March has its leap day at the end: 400 of them are 146 097 days, and
+    // the 719 468 days up to 1970 begin with one. See Hinnant, "chrono-compatible low-level date
+    // algorithms".
     let (era, day) = ((days + 719_468) / 146_097, (days + 719_468) % 146_097);
     let year = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
     let day = day - (365 * year + year / 4 - year / 100);
@@ -285,8 +287,8 @@ fn submit(options: &[String], begin: &str) -> Result<String> {
     Ok(String::from_utf8_lossy(&out.stdout).trim().split(';').next().unwrap_or_default().to_owned())
 }
 
-/// The job: one at a time, started anew after its node died, told to end two minutes before its time
-/// is over.
+/// The job: one at a time, started anew after its node died, told to end two minutes before its
+/// time is over.
 fn job_script(program: &Path, words: Vec<OsString>, options: &[String]) -> Result<String> {
     let mut script = String::from(
         "#!/bin/bash\n#SBATCH --job-name=isospan-nightly\n#SBATCH --dependency=singleton\n#SBATCH --requeue\n\

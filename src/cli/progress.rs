@@ -1,7 +1,7 @@
 //! What goes to standard error besides errors: progress, notes, and with `-v` details.
 //!
-//! Progress is a bar with rate and ETA on a terminal, a plain line at most every ten seconds elsewhere, or JSON, one object a
-//! line:
+//! Progress is a bar with rate and ETA on a terminal, a plain line at most every ten seconds
+//! elsewhere, or JSON, one object a line:
 //! `{"event":"begin"|"progress"|"end","stage":…,"unit":…,"done":…,"total":…,"elapsed_seconds":…,"eta_seconds":…}`,
 //! and notes as `{"event":"note","text":…}`.
 

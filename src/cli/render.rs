@@ -112,7 +112,8 @@ pub(crate) struct Args {
     machine: Machine,
     #[command(flatten)]
     step: StepArgs,
-    /// Folder for what does not fit in memory, and for the surfaces of archives [default: the system's temporary folder].
+    /// Folder for what does not fit in memory, and for the surfaces of archives
+    /// [default: the system's temporary folder].
     #[arg(help_heading = "Resources", long, value_name = "FOLDER")]
     scratch: Option<PathBuf>,
     #[command(flatten)]

@@ -2,8 +2,9 @@
 
 use isospan::exec::CancelToken;
 
-/// A token that SIGTERM, SIGINT, SIGUSR1 and SIGXCPU (what batch systems send before they kill) cancel: the run drops the
-/// chunks in flight and ends with code 75. A second SIGINT ends the process at once.
+/// A token that SIGTERM, SIGINT, SIGUSR1 and SIGXCPU (what batch systems send before they kill)
+/// cancel: the run drops the chunks in flight and ends with code 75. A second SIGINT ends the
+/// process at once.
 #[cfg(unix)]
 pub(crate) fn cancel_token() -> CancelToken {
     use signal_hook::consts::{SIGINT, SIGTERM, SIGUSR1, SIGXCPU};
@@ -30,7 +31,8 @@ pub(crate) fn cancel_token() -> CancelToken {
     CancelToken::new()
 }
 
-/// A write beyond the limit on the size of files (`ulimit -f`) becomes an error of that write, not the end of the process.
+/// A write beyond the limit on the size of files (`ulimit -f`) becomes an error of that write, not
+/// the end of the process.
 pub(crate) fn survive_file_size_limit() {
     #[cfg(unix)]
     {

@@ -1,7 +1,8 @@
 //! `isospan slurm`: a planned reduction as jobs of a Slurm cluster.
 //!
-//! Three scripts beside the plan: `work.sh`, a job array of shards; `commit.sh`, which waits for them, and submits what is missing again;
-//! `submit.sh`, which submits both. They are plain scripts: to be read, changed and submitted by hand.
+//! Three scripts beside the plan: `work.sh`, a job array of shards; `commit.sh`, which waits for
+//! them, and submits what is missing again; `submit.sh`, which submits both. They are plain
+//! scripts: to be read, changed and submitted by hand.
 
 use super::grammar;
 use super::output::{Force, exists};
@@ -187,7 +188,8 @@ impl Job {
         Ok(Self { minutes, ask, words })
     }
 
-    /// A template with its words, `@NAME@` each, filled in: in one pass, so that a value is never searched for words.
+    /// A template with its words, `@NAME@` each, filled in: in one pass, so that a value is never
+    /// searched for words.
     fn fill(&self, template: &str) -> String {
         let (mut out, mut rest) = (String::new(), template);
         while let Some(at) = rest.find('@') {

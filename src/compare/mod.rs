@@ -2,20 +2,26 @@
 //!
 //! [`compare`] measures from each of two surfaces to the other. From A to B:
 //!
-//! * A is sampled evenly by area: sample k of n lies where the area of the triangles before it is (k + ½)/n of the whole, at the place
-//!   in its triangle that the radical inverses of k in bases 2 and 3 tell (a Hammersley set, folded into a triangle by
-//!   the square root map). The same surface gives the same samples, and n samples are worth far more than n random ones.
-//! * For each the nearest point of B is found, exactly: closest points of triangles (Ericson, *Real-Time Collision Detection*,
-//!   2005, section 5.1.5) in `f64`, those of far triangles ruled out by a bounding volume hierarchy (crate `obvhs`).
-//! * Mean and root mean square of the distances are integrals over A. The largest is looked for among the vertices of A too; it is a
-//!   lower bound of the one-sided Hausdorff distance, exact where that is taken at a vertex.
-//! * The normal deviation is the angle between the planes of the sample's triangle and of the nearest one, 0 to 90 degrees, whichever
-//!   side is outside. Where several triangles are nearest (at their common edge), the one that deviates least counts.
+//! * A is sampled evenly by area: sample k of n lies where the area of the triangles before it is
+//!   (k + ½)/n of the whole, at the place in its triangle that the radical inverses of k in bases 2
+//!   and 3 tell (a Hammersley set, folded into a triangle by the square root map). The same surface
+//!   gives the same samples, and n samples are worth far more than n random ones.
+//! * For each the nearest point of B is found, exactly: closest points of triangles
+//!   (Ericson, *Real-Time Collision Detection*, 2005, section 5.1.5) in `f64`, those of far
+//!   triangles ruled out by a bounding volume hierarchy (crate `obvhs`).
+//! * Mean and root mean square of the distances are integrals over A. The largest is looked for
+//!   among the vertices of A too; it is a lower bound of the one-sided Hausdorff distance, exact
+//!   where that is taken at a vertex.
+//! * The normal deviation is the angle between the planes of the sample's triangle and of the
+//!   nearest one, 0 to 90 degrees, whichever side is outside. Where several triangles are nearest
+//!   (at their common edge), the one that deviates least counts.
 //!
-//! Distances below 10^-12 of the diagonal of both are told as 0: vertices are `f32`, that is rounded 10^5 times as coarsely.
+//! Distances below 10^-12 of the diagonal of both are told as 0: vertices are `f32`, that is
+//! rounded 10^5 times as coarsely.
 //!
-//! Cost: for each sample and vertex a walk down the hierarchy, about a microsecond. Memory: both surfaces, and the hierarchy of
-//! one at a time ([`needed`]). The report is the same for any number of threads.
+//! Cost: for each sample and vertex a walk down the hierarchy, about a microsecond. Memory: both
+//! surfaces, and the hierarchy of one at a time ([`needed`]). The report is the same for any number
+//! of threads.
 //!
 //! ```
 //! use isospan::compare::{CompareSettings, compare};
@@ -75,7 +81,8 @@ pub struct OneWay {
     pub mean: f64,
     /// Root mean square over the area.
     pub rms: f64,
-    /// Root mean square angle between the planes of a sample's triangle and of the nearest one, in degrees.
+    /// Root mean square angle between the planes of a sample's triangle and of the nearest one, in
+    /// degrees.
     pub rms_normal_degrees: f64,
 }
 
@@ -106,7 +113,8 @@ pub struct CompareReport {
 
 /// What the process needs beside the surfaces.
 const FIXED: u64 = 16 << 20;
-/// Bytes of a triangle in the hierarchy while it is built: boxes and nodes, some of them several times.
+/// Bytes of a triangle in the hierarchy while it is built: boxes and nodes, some of them several
+/// times.
 const HIERARCHY: u64 = 320;
 
 /// The least memory for two surfaces of so many vertices and triangles.
@@ -121,8 +129,8 @@ pub fn needed(vertices: [u64; 2], triangles: [u64; 2]) -> u64 {
 /// Compares two surfaces.
 ///
 /// # Errors
-/// [`Error::Usage`] for a surface without area, or with coordinates beyond 10^15; [`Error::Budget`] when the memory does not
-/// suffice; those of reading the surfaces.
+/// [`Error::Usage`] for a surface without area, or with coordinates beyond 10^15; [`Error::Budget`]
+/// when the memory does not suffice; those of reading the surfaces.
 pub fn compare(
     a: &dyn SurfaceSource,
     b: &dyn SurfaceSource,
@@ -170,7 +178,8 @@ pub fn compare(
     })
 }
 
-/// Distances of all vertices of a surface from another one, in their order; 4 bytes a vertex come on top of [`needed`].
+/// Distances of all vertices of a surface from another one, in their order; 4 bytes a vertex come
+/// on top of [`needed`].
 ///
 /// # Errors
 /// As [`compare`].

@@ -25,7 +25,8 @@ impl Triangles {
     /// Reads a surface.
     ///
     /// # Errors
-    /// [`Error::Usage`] for one without triangles, or with coordinates beyond 10^15; those of the source.
+    /// [`Error::Usage`] for one without triangles, or with coordinates beyond 10^15; those of the
+    /// source.
     pub fn read(source: &dyn SurfaceSource) -> Result<Self> {
         let mut all = Self::default();
         source.vertices(&mut |batch| {
@@ -122,7 +123,8 @@ impl<'a> Nearest<'a> {
         Self { surface, hierarchy, zero: zero * zero }
     }
 
-    /// The point of the surface nearest to `p`; of several triangles it may lie on, any, but always the same.
+    /// The point of the surface nearest to `p`; of several triangles it may lie on, any, but always
+    /// the same.
     pub fn nearest(&self, p: [f64; 3], walk: &mut Walk) -> Found {
         self.nearest_aligned(p, DVec3::ZERO, walk)
     }
@@ -168,7 +170,8 @@ impl<'a> Nearest<'a> {
         squared * (1.0 + 1e-12) + self.zero
     }
 
-    /// The angle between the plane of a triangle and that of a normal, 0 to π/2; 0 where one of them has no direction.
+    /// The angle between the plane of a triangle and that of a normal, 0 to π/2; 0 where one of
+    /// them has no direction.
     pub(super) fn angle(&self, triangle: u32, normal: DVec3) -> f64 {
         let own = self.surface.area_vector(triangle);
         libm::atan2(own.cross(normal).length(), own.dot(normal).abs())

@@ -80,7 +80,8 @@ fn settings(samples: u64) -> CompareSettings {
 fn an_icosahedron_and_its_sphere_are_as_far_apart_as_geometry_says() {
     let (solid, ball) = (sphere(0), sphere(5));
     let report = compare(&solid, &ball, &settings(40_000)).unwrap();
-    // Vertices lie on the sphere; the centre of a face is nearest to the middle of the solid, and farthest from the sphere.
+    // Vertices lie on the sphere; the centre of a face is nearest to the middle of the solid, and
+    // farthest from the sphere.
     let edge = 4.0 / (10.0 + 2.0 * 5f64.sqrt()).sqrt();
     let inradius = 3f64.sqrt() / 12.0 * (3.0 + 5f64.sqrt()) * edge;
     let expected = 1.0 - inradius;
@@ -99,7 +100,8 @@ fn an_icosahedron_and_its_sphere_are_as_far_apart_as_geometry_says() {
     assert!(report.b.volume.unwrap() > report.a.volume.unwrap());
 }
 
-/// The mean over an equilateral triangle of a function of the distance from its centre, by brute force.
+/// The mean over an equilateral triangle of a function of the distance from its centre, by brute
+/// force.
 fn over_face(edge: f64, of: impl Fn(f64) -> f64) -> f64 {
     let height = edge * 3f64.sqrt() / 2.0;
     let (mut sum, mut n) = (0.0, 0.0);

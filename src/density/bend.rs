@@ -1,8 +1,10 @@
 //! Along which axes does a field bend most?
 //!
-//! Points are as far apart along one axis as along another, unless that makes a larger error than it must. How large an error is at a distance h along axis a is
-//! **measured**: of lines of samples along it every h-th is kept, h = 2, 4 … 32, and the others are interpolated between them. With a number of points the product of the
-//! three distances is given, and what is looked for are the distances of least E_x²(h_x) + E_y²(h_y) + E_z²(h_z):
+//! Points are as far apart along one axis as along another, unless that makes a larger error than
+//! it must. How large an error is at a distance h along axis a is **measured**: of lines of samples
+//! along it every h-th is kept, h = 2, 4 … 32, and the others are interpolated between them. With a
+//! number of points the product of the three distances is given, and what is looked for are the
+//! distances of least E_x²(h_x) + E_y²(h_y) + E_z²(h_z):
 //!
 //! ```text
 //!          h =  2    4    8   16   32          hurricane wind, 125 x 125 x 25 samples: 2 voxels apart along z are as bad as
@@ -10,23 +12,30 @@
 //!   E along z   5   11   19   28   36          same number of points has half the error.
 //! ```
 //!
-//! Distances are changed by factors of 2, for the whole volume at once: the lattice gets 2 or 4 times the steps a voxel along such an axis
-//! ([`Lattice::stretched`](crate::geom::Lattice::stretched)), and all that is even on it follows. For a field that is smooth at all distances that is the rule of D'Azevedo and Simpson
-//! ("On optimal interpolation triangle incidences", 1989): a distance goes with the inverse root of the second difference.
+//! Distances are changed by factors of 2, for the whole volume at once: the lattice gets 2 or 4
+//! times the steps a voxel along such an axis
+//! ([`Lattice::stretched`](crate::geom::Lattice::stretched)), and all that is even on it follows.
+//! For a field that is smooth at all distances that is the rule of D'Azevedo and Simpson ("On
+//! optimal interpolation triangle incidences", 1989): a distance goes with the inverse root of the
+//! second difference.
 //!
-//! The cells of a lattice may have any edges: their distances are those of least error on a grid of quarters of a factor 2.
+//! The cells of a lattice may have any edges: their distances are those of least error on a grid of
+//! quarters of a factor 2.
 //!
-//! Time: a quarter of the lines are looked at, four operations a sample, axis and distance. The sums are those of blocks, added in their order: the same for any threads.
+//! Time: a quarter of the lines are looked at, four operations a sample, axis and distance. The
+//! sums are those of blocks, added in their order: the same for any threads.
 
 use super::SCALES;
 use crate::geom::Lattice;
 use crate::grid::IndexBox;
 
-/// What is expected to be left of the error, at most, where an axis is made finer: less is not worth longer tetrahedra.
+/// What is expected to be left of the error, at most, where an axis is made finer: less is not
+/// worth longer tetrahedra.
 const WORTH: f64 = 0.9;
 /// The same for the edges of a lattice's cells, which cost nothing but rounder triangles.
 const WORTH_OF_CELLS: f64 = 0.95;
-/// Edges are looked for in steps of 2^(1/4); the longest one has so many more than the shortest: it is four times as long.
+/// Edges are looked for in steps of 2^(1/4); the longest one has so many more than the shortest: it
+/// is four times as long.
 const MOST_QUARTERS: i32 = 8;
 /// Every so-many-th line of samples along each of the two other axes.
 const EVERY: usize = 2;
@@ -63,7 +72,8 @@ impl Bend {
         }
     }
 
-    /// How many times as many steps a voxel each axis should have as the one with the fewest, as powers of two, for points at this mean distance, in voxels.
+    /// How many times as many steps a voxel each axis should have as the one with the fewest, as
+    /// powers of two, for points at this mean distance, in voxels.
     pub fn finer(&self, spacing: f64) -> [u32; 3] {
         let logs = self.axes.map(|along| along.logs());
         let error = |finer: [u32; 3]| {
@@ -91,9 +101,9 @@ impl Bend {
 }
 
 impl Bend {
-    /// How far apart points should be along each axis, in voxels, where `mean` is the geometric mean of the three;
-    /// equally far where that is nearly as good. Not nearer than samples are, which would bring nothing, and not
-    /// farther than was measured.
+    /// How far apart points should be along each axis, in voxels, where `mean` is the geometric
+    /// mean of the three; equally far where that is nearly as good. Not nearer than samples are,
+    /// which would bring nothing, and not farther than was measured.
     pub fn spacing(&self, mean: f64) -> [f64; 3] {
         let logs = self.axes.map(|along| along.logs());
         let middle = libm::log2(mean);
@@ -152,14 +162,16 @@ impl Along {
         }
     }
 
-    /// The logarithms (base 2) of the mean squared errors; without error, and without samples, a very small one.
+    /// The logarithms (base 2) of the mean squared errors; without error, and without samples, a
+    /// very small one.
     fn logs(&self) -> [f64; SCALES] {
         self.squares.map(|sum| libm::log2((sum / self.samples.max(1) as f64).max(f64::MIN_POSITIVE)))
     }
 }
 
-/// The mean squared error at a distance whose logarithm (base 2) is this, from those at 2, 4 …: between two of them a power of the distance, below the
-/// first one as before, but at best that of a smooth field, above the last one no more.
+/// The mean squared error at a distance whose logarithm (base 2) is this, from those at 2, 4 …:
+/// between two of them a power of the distance, below the first one as before, but at best that of
+/// a smooth field, above the last one no more.
 fn error_at(logs: &[f64; SCALES], distance: f64) -> f64 {
     let scales = distance - 1.0;
     if scales < 0.0 {

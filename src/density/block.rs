@@ -18,7 +18,8 @@ pub struct BlockErrors {
     samples: Vec<[u32; 2]>,
 }
 
-/// Where a coordinate lies between the samples that are kept: those before and after it, and the weight of the second.
+/// Where a coordinate lies between the samples that are kept: those before and after it, and the
+/// weight of the second.
 #[derive(Clone, Copy)]
 struct Between {
     before: usize,
@@ -27,7 +28,8 @@ struct Between {
 }
 
 impl BlockErrors {
-    /// The blocks of a volume. The samples of one are those of its voxel cells, on both sides: [`BlockErrors::samples_of`].
+    /// The blocks of a volume. The samples of one are those of its voxel cells, on both sides:
+    /// [`BlockErrors::samples_of`].
     pub fn blocks(cells: &BrickGrid) -> BrickGrid {
         BrickGrid::new(cells.lattice, [BLOCK_EDGE; 3])
     }
@@ -42,7 +44,8 @@ impl BlockErrors {
         }
     }
 
-    /// Measures a block, given its samples, NaN where there is none. Samples of its far faces count for the next block, where there is one.
+    /// Measures a block, given its samples, NaN where there is none. Samples of its far faces count
+    /// for the next block, where there is one.
     ///
     /// # Panics
     /// When the samples are not as many as the box has.
@@ -107,7 +110,8 @@ impl BlockErrors {
         }
     }
 
-    /// The cells, the sums of squared errors of each at all densities, and how many samples it has with a value, and without.
+    /// The cells, the sums of squared errors of each at all densities, and how many samples it has
+    /// with a value, and without.
     pub(super) fn cells(&self) -> impl Iterator<Item = (BrickId, &[f64; SCALES], [u32; 2])> {
         let [nx, ny, _] = self.dims;
         self.sums.iter().zip(&self.samples).enumerate().map(move |(i, (sums, &samples))| {

@@ -1,4 +1,5 @@
-//! From errors to levels: equal gain for every point; or, where the largest error counts, equal errors.
+//! From errors to levels: equal gain for every point; or, where the largest error counts, equal
+//! errors.
 
 use super::{Bend, ErrorCurves, NOTHING, SCALES, STEPS};
 use crate::error::Result;
@@ -25,10 +26,12 @@ const LEAST_POINTS: u64 = 16;
 /// Steps of a factor 2 in which λ is looked for; and its logarithm is between these.
 const LAMBDA_STEPS: i32 = 64;
 const LAMBDA_RANGE: i32 = 1000;
-/// Stored logarithms are multiples of 1/4, and levels are a third of the way from one density to the next.
+/// Stored logarithms are multiples of 1/4, and levels are a third of the way from one density to
+/// the next.
 const PARTS: i32 = 3 * STEPS as i32;
 
-/// Where errors are to be equal, cells that have samples with and without a value have at least so many points a voxel.
+/// Where errors are to be equal, cells that have samples with and without a value have at least so
+/// many points a voxel.
 const MIXED_DENSITY: f64 = 0.125;
 /// Points a voxel, at most, around a sample that is off.
 const MOST_IN_VOXEL: f64 = 4096.0;
@@ -49,8 +52,9 @@ struct Search<'a> {
     mean: u8,
 }
 
-/// Two prices of a point, and the level of each cell by itself at them: at those between it is between, for the more a point costs, the lower a level is.
-/// So most cells need not be looked at again when the range is halved.
+/// Two prices of a point, and the level of each cell by itself at them: at those between it is
+/// between, for the more a point costs, the lower a level is. So most cells need not be looked at
+/// again when the range is halved.
 struct Prices {
     dense: i32,
     sparse: i32,
@@ -61,7 +65,8 @@ struct Prices {
 }
 
 impl Choice {
-    /// The levels of least error for `count` points inside the domain (of a mesh: inside the mesh); found by the threads of the pool that this is called in.
+    /// The levels of least error for `count` points inside the domain (of a mesh: inside the mesh);
+    /// found by the threads of the pool that this is called in.
     ///
     /// # Errors
     /// [`crate::Error::Usage`] when there are more points than a set may have.
@@ -80,7 +85,8 @@ impl Choice {
 }
 
 impl Choice {
-    /// Levels at which the root mean square error of each cell is about a bound, as far as `most` points suffice for that.
+    /// Levels at which the root mean square error of each cell is about a bound, as far as `most`
+    /// points suffice for that.
     ///
     /// # Errors
     /// [`crate::Error::Usage`] when there are more points than a set may have.
@@ -108,7 +114,8 @@ impl Choice {
         self.n as f64 / voxels * scale(1.0, level.into())
     }
 
-    /// The same levels on a lattice with more steps a voxel along the axes on which the field bends most, as far as coordinates have bits for that.
+    /// The same levels on a lattice with more steps a voxel along the axes on which the field bends
+    /// most, as far as coordinates have bits for that.
     #[must_use]
     pub fn stretched(self, bend: &Bend) -> Self {
         let dims = self.levels.cells().lattice.dims;
@@ -126,8 +133,9 @@ impl Choice {
         }
     }
 
-    /// Denser where errors are above a bound: `worst` has the largest one at a sample in or at each cell. With more than `most` points the largest
-    /// errors alone count. `None` when nothing can be denser.
+    /// Denser where errors are above a bound: `worst` has the largest one at a sample in or at each
+    /// cell. With more than `most` points the largest errors alone count. `None` when nothing can
+    /// be denser.
     ///
     /// # Errors
     /// [`crate::Error::Usage`] when there are more points than a set may have.
@@ -194,7 +202,8 @@ impl Choice {
         levels
     }
 
-    /// About the least number of points inside the domain with which the root mean square error at all samples is at most `rms`.
+    /// About the least number of points inside the domain with which the root mean square error at
+    /// all samples is at most `rms`.
     pub fn count_of_rms(curves: &ErrorCurves, rms: f64) -> u64 {
         let samples = curves.samples;
         let search = Search::new(curves, 1.0);
@@ -283,7 +292,8 @@ impl<'a> Search<'a> {
         (level as u8).max(least)
     }
 
-    /// Halves the range of prices until it is known from which one on `is_sparse` holds of the graded levels.
+    /// Halves the range of prices until it is known from which one on `is_sparse` holds of the
+    /// graded levels.
     fn bisect(&self, is_sparse: impl Fn(&[u8]) -> bool) -> Prices {
         let (cells, most) = (self.curves.logs.len(), LAMBDA_RANGE * LAMBDA_STEPS);
         let mut prices =
@@ -300,7 +310,8 @@ impl<'a> Search<'a> {
         prices
     }
 
-    /// The level of each cell by itself for a price of a point, of those between which prices are known.
+    /// The level of each cell by itself for a price of a point, of those between which prices are
+    /// known.
     fn own_levels(&self, lambda: i32, prices: &Prices) -> Vec<u8> {
         let lambda = libm::exp2(f64::from(lambda) / f64::from(LAMBDA_STEPS));
         let ranges = prices.low.par_iter().zip(&prices.high).enumerate();

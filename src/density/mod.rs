@@ -1,9 +1,11 @@
 //! Where does a field need more points?
 //!
-//! A field that is linear in each tetrahedron is off where the field bends within one. How far depends on the field there, and on how many points
-//! there are. So for each cell of a few voxels the error is **measured** at five densities, as that of the simplest reduction of all: keep every
-//! s-th sample along each axis, s = 2, 4 … 32, and interpolate the others from the eight around them. That needs no mesh and no more than the
-//! samples of 32³ voxels at a time, and tells by itself what kind of place it is:
+//! A field that is linear in each tetrahedron is off where the field bends within one. How far
+//! depends on the field there, and on how many points there are. So for each cell of a few voxels
+//! the error is **measured** at five densities, as that of the simplest reduction of all: keep
+//! every s-th sample along each axis, s = 2, 4 … 32, and interpolate the others from the eight
+//! around them. That needs no mesh and no more than the samples of 32³ voxels at a time, and tells
+//! by itself what kind of place it is:
 //!
 //! ```text
 //!  error²                              what more points bring
@@ -15,20 +17,25 @@
 //!        2   4   8  16  32
 //! ```
 //!
-//! A cell's **level** l is then a number of points to a voxel, 2^(l - L), L being the level of a point a voxel. The error between two densities
-//! is interpolated, both logarithmic; beyond the densest one it goes on as before, but at best as of a smooth field.
+//! A cell's **level** l is then a number of points to a voxel, 2^(l - L), L being the level of a
+//! point a voxel. The error between two densities is interpolated, both logarithmic; beyond the
+//! densest one it goes on as before, but at best as of a smooth field.
 //!
-//! **Equal gain.** With E(l) the sum of squares of a cell and P(l) its points, the least total error for a number of points has each
-//! cell at the l of least E(l) + λ·P(l), with one λ for all (Lagrange): no cell could give a point to another one that would use it better. So
-//! noise gets few points: there they would be wasted. λ is found by bisection for the number of points that is wanted;
-//! levels are graded ([`Levels`]) before they are counted.
+//! **Equal gain.** With E(l) the sum of squares of a cell and P(l) its points, the least total
+//! error for a number of points has each cell at the l of least E(l) + λ·P(l), with one λ for all
+//! (Lagrange): no cell could give a point to another one that would use it better. So noise gets
+//! few points: there they would be wasted. λ is found by bisection for the number of points that is
+//! wanted; levels are graded ([`Levels`]) before they are counted.
 //!
-//! **Focus.** Who looks at isovalues from LO to HI alone does not care what happens above and below. Samples are cut off at LO and HI
-//! before errors are measured; where all are on one side, nothing is wrong.
+//! **Focus.** Who looks at isovalues from LO to HI alone does not care what happens above and
+//! below. Samples are cut off at LO and HI before errors are measured; where all are on one side,
+//! nothing is wrong.
 //!
-//! Everything that decides is an integer or an IEEE operation, and the logarithms are those of `libm`: the same levels on every
-//! machine. Time: 15 operations a sample and density. Memory: 11 bytes a cell. References: D'Azevedo and Simpson, "On optimal interpolation
-//! triangle incidences", 1989 (error by second derivatives); Nadler, "Piecewise linear best L2 approximation on triangulations", 1986 (equal errors).
+//! Everything that decides is an integer or an IEEE operation, and the logarithms are those of
+//! `libm`: the same levels on every machine. Time: 15 operations a sample and density. Memory: 11
+//! bytes a cell. References: D'Azevedo and Simpson, "On optimal interpolation triangle incidences",
+//! 1989 (error by second derivatives); Nadler, "Piecewise linear best L2 approximation on
+//! triangulations", 1986 (equal errors).
 
 mod bend;
 mod block;
@@ -57,7 +64,8 @@ pub struct ErrorCurves {
     logs: Vec<[i16; SCALES]>,
     /// Whether the cell has samples with a value, and others without.
     mixed: Vec<bool>,
-    /// Of a mesh that does not fill the box: how many voxels of each cell it has, about. Points elsewhere do not count.
+    /// Of a mesh that does not fill the box: how many voxels of each cell it has, about. Points
+    /// elsewhere do not count.
     inside: Option<Vec<f32>>,
     /// How many samples the errors are sums over.
     samples: f64,
@@ -85,8 +93,9 @@ impl ErrorCurves {
         Self { inside, ..curves }
     }
 
-    /// Makes errors of a mesh, which were sums over samples of the grid, sums over its vertices, of which each cell has so many: half of what a cell counts is
-    /// its part of them, half its part of the volume.
+    /// Makes errors of a mesh, which were sums over samples of the grid, sums over its vertices, of
+    /// which each cell has so many: half of what a cell counts is its part of them, half its part
+    /// of the volume.
     ///
     /// # Panics
     /// For curves that are not [of a mesh](Self::of_mesh).

@@ -98,7 +98,8 @@ fn a_cell_at_the_edge_of_the_data_is_not_coarser_than_the_mean() {
 
 #[test]
 fn blocks_may_come_in_any_number_of_pieces() {
-    // The last block of an axis may be a single layer of cells; a far face belongs to the last cell.
+    // The last block of an axis may be a single layer of cells; a far face belongs to the last
+    // cell.
     for dims in [[33, 33, 33], [34, 2, 65], [5, 3, 2]] {
         let curves = curves(dims, noise);
         let choice = Choice::of_count(&curves, 20).unwrap();
@@ -133,7 +134,8 @@ fn levels_rise_around_errors_alone() {
     let of = |c: &Choice, cell: usize| c.levels.as_slice()[cell];
     assert_eq!([of(&raised, off), of(&raised, far)], [of(&even, off) + 3, of(&even, far) + 1]);
     assert_eq!(of(&raised, cells.id([0, 0, 31]).0 as usize), of(&even, 0));
-    // Where points do not suffice for both, the larger error has them; where not for that either, nothing rises.
+    // Where points do not suffice for both, the larger error has them; where not for that either,
+    // nothing rises.
     let points = |c: &Choice| c.points(c.levels.as_slice());
     let most = (points(&raised) - 1e-3) as u64;
     if let Some(one) = even.raised(&worst, 1.0, most).unwrap() {

@@ -1,15 +1,17 @@
 //! The bodies of a mesh: tetrahedra that hang together by common faces.
 //!
-//! Parts of a mesh may touch, slide along each other or overlap without sharing vertices; between them the field is free to jump, and no
-//! surface belongs there. So the body of a tetrahedron counts: a tetrahedron of the reduction with corners in two bodies is outside of the mesh.
+//! Parts of a mesh may touch, slide along each other or overlap without sharing vertices; between
+//! them the field is free to jump, and no surface belongs there. So the body of a tetrahedron
+//! counts: a tetrahedron of the reduction with corners in two bodies is outside of the mesh.
 //!
 //! # How does it work?
 //!
-//! Union-find over the tetrahedra, in a paged array: the faces come sorted, so the two tetrahedra of a face follow each other. Of two
-//! roots the lower one stays, so one ascending pass turns parents into body numbers; bodies are numbered by their first
-//! tetrahedron in the file. Then the tetrahedra are put in the order of bodies (an external sort of their numbers, unless they are in it already): a
-//! body is a range of tetrahedra, and of several tetrahedra that hold a point the lowest is one of the **first body**. That is the rule for
-//! points in overlapping bodies.
+//! Union-find over the tetrahedra, in a paged array: the faces come sorted, so the two tetrahedra
+//! of a face follow each other. Of two roots the lower one stays, so one ascending pass turns
+//! parents into body numbers; bodies are numbered by their first tetrahedron in the file. Then the
+//! tetrahedra are put in the order of bodies (an external sort of their numbers, unless they are in
+//! it already): a body is a range of tetrahedra, and of several tetrahedra that hold a point the
+//! lowest is one of the **first body**. That is the rule for points in overlapping bodies.
 //!
 //! Reference: Tarjan 1975, "Efficiency of a good but not linear set union algorithm".
 

@@ -21,8 +21,8 @@
 //!      q                a face of the Delaunay tetrahedralization: a flat wall is made of faces.
 //! ```
 //!
-//! Then each tetrahedron lies on one side, and its centroid tells which. Four samples of a flat wall
-//! are a tetrahedron without thickness but what rounding gives it; it is left out.
+//! Then each tetrahedron lies on one side, and its centroid tells which. Four samples of a flat
+//! wall are a tetrahedron without thickness but what rounding gives it; it is left out.
 //!
 //! # Bodies that touch
 //!
@@ -121,7 +121,8 @@ impl Spacing {
 
 /// Samples per square of the mean distance by which places of the boundary are found.
 const NEAR_DENSITY: f64 = 2.0;
-/// The triangle nearest to a point has a sample within so many mean distances of its nearest place, mostly.
+/// The triangle nearest to a point has a sample within so many mean distances of its nearest place,
+/// mostly.
 const AROUND: f64 = 0.75;
 /// No point that follows a formula lies within so many mean distances of a sample.
 const CLEAR: f64 = 1.2;
@@ -137,7 +138,8 @@ impl BoundarySamples {
         let (positions, triangles) = (store.positions.get()?, store.boundary.get()?);
         let surface = Surface { positions, triangles, spacing };
         let count = surface.area() / near_each;
-        // The list, its neighbourhoods, sorted; of several bodies pairs, places by which neighbours are found, and while they are located.
+        // The list, its neighbourhoods, sorted; of several bodies pairs, places by which neighbours
+        // are found, and while they are located.
         let lists = if store.census.bodies > 1 { 8.0 } else { 4.0 };
         let bytes = (count * lists * size_of::<(LatticePos, Sample)>() as f64) as u64;
         if bytes > memory || count > ExplicitPoints::MOST as f64 {
@@ -187,7 +189,8 @@ impl Surface<'_> {
         [a, b, c].map(|v| self.positions[v as usize])
     }
 
-    /// A triangle's share of the samples: where points are denser than at level 0, as if it were larger.
+    /// A triangle's share of the samples: where points are denser than at level 0, as if it were
+    /// larger.
     fn share(&self, corners: [FinePos; 3]) -> f64 {
         area(corners) * self.spacing.denser(rounded(mean(corners, [1.0 / 3.0; 3])))
     }
@@ -227,8 +230,9 @@ impl Near {
         Self { points, samples, lattice, spacing }
     }
 
-    /// The place of some triangles (three positions) of bodies that is nearest to a position, within so many mean distances. Only
-    /// triangles with a sample in the neighbourhood are looked at.
+    /// The place of some triangles (three positions) of bodies that is nearest to a position,
+    /// within so many mean distances. Only triangles with a sample in the neighbourhood are looked
+    /// at.
     pub(super) fn nearest_of(
         &self,
         store: &CellStore,

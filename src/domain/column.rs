@@ -1,4 +1,5 @@
-//! A long array in a nameless scratch file: written front to back, then mapped. A short one stays in memory.
+//! A long array in a nameless scratch file: written front to back, then mapped. A short one stays
+//! in memory.
 
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};

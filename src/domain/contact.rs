@@ -1,9 +1,10 @@
 //! Where two bodies touch: samples of their boundaries, on both sides.
 //!
-//! A point of the reduction has one value, and a tetrahedron with corners in two bodies is left out. Were the face at which bodies touch sampled
-//! like a free one, its samples would belong to one body, and the other one would end at its last points inside. Were it
-//! sampled for each body by itself, the samples of one would lie in the spheres of the other's tetrahedra, and many of those would be lost. So
-//! samples there come **in pairs**, one over the other:
+//! A point of the reduction has one value, and a tetrahedron with corners in two bodies is left
+//! out. Were the face at which bodies touch sampled like a free one, its samples would belong to
+//! one body, and the other one would end at its last points inside. Were it sampled for each body
+//! by itself, the samples of one would lie in the spheres of the other's tetrahedra, and many of
+//! those would be lost. So samples there come **in pairs**, one over the other:
 //!
 //! ```text
 //!            A        ╲ │ ╱           A sphere through three samples of A that is centred in A, or not too far beyond, holds
@@ -14,15 +15,18 @@
 //!
 //! # How does it work?
 //!
-//! Bodies need not share faces, and surfaces that are meant to be one differ by roundings, or as a fine and a coarse approximation do. So for
-//! each sample the nearest place is looked for on triangles of other bodies that **face** it (with normals on opposite sides), within half a
-//! mean distance. If its body is a later one, the sample becomes a pair: it stays, a little inside of its body, and the place found, a little
-//! inside of the other one, is its partner; where the bodies overlap the first of them keeps its boundary, and
-//! the partner lies just beyond. If the body is an earlier one, the sample is dropped: those of that body bring partners.
+//! Bodies need not share faces, and surfaces that are meant to be one differ by roundings, or as a
+//! fine and a coarse approximation do. So for each sample the nearest place is looked for on
+//! triangles of other bodies that **face** it (with normals on opposite sides), within half a mean
+//! distance. If its body is a later one, the sample becomes a pair: it stays, a little inside of
+//! its body, and the place found, a little inside of the other one, is its partner; where the
+//! bodies overlap the first of them keeps its boundary, and the partner lies just beyond. If the
+//! body is an earlier one, the sample is dropped: those of that body bring partners.
 //!
-//! Where bodies overlap deeper, the first one ends at its boundary within the later one. So of samples without such a place it is
-//! asked which body has the point just beyond (all cells stream past once, [`PointGrid`]): a later one gets a partner there, and in an earlier one the
-//! sample is dropped.
+//! Where bodies overlap deeper, the first one ends at its boundary within the later one. So of
+//! samples without such a place it is asked which body has the point just beyond (all cells stream
+//! past once, [`PointGrid`]): a later one gets a partner there, and in an earlier one the sample is
+//! dropped.
 
 use super::boundary::{Near, OnBoundary, Sample, Spacing, cross, difference, dot, mean, rounded};
 use super::buckets::BATCH;
@@ -33,7 +37,8 @@ use crate::locate::{CellBatch, FINE_BITS, FinePos, Found, PointGrid, fine};
 
 /// Boundaries touch within so many mean distances.
 const TOUCH: f64 = 0.5;
-/// How far a sample is moved into its body: this part of the mean distance, and at least so many lattice steps, more than rounding moves it.
+/// How far a sample is moved into its body: this part of the mean distance, and at least so many
+/// lattice steps, more than rounding moves it.
 const INTO: (f64, f64) = (1.0 / 128.0, 4.0);
 
 /// The boundary of several bodies.
@@ -97,7 +102,8 @@ impl Contacts<'_> {
         })
     }
 
-    /// Two places that touch, each moved into its body; the second one beyond the first one at least.
+    /// Two places that touch, each moved into its body; the second one beyond the first one at
+    /// least.
     fn pair(&self, first: &Placed, second: &Placed) -> [(LatticePos, Sample); 2] {
         let overlap = dot(difference(second.at, first.at), first.normal) < 0.0;
         let partner = if overlap { self.moved(first, 1.0) } else { self.moved(second, -1.0) };
@@ -125,7 +131,8 @@ impl Contacts<'_> {
     }
 }
 
-/// A normal of a triangle that is counter-clockwise seen from outside: outwards, twice the area long.
+/// A normal of a triangle that is counter-clockwise seen from outside: outwards, twice the area
+/// long.
 fn normal([a, b, c]: [FinePos; 3]) -> [f64; 3] {
     cross(difference(b, a), difference(c, a))
 }

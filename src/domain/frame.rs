@@ -37,7 +37,8 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    /// The lattice around a mesh of so many vertices: its voxels are about as large as the vertices lie apart.
+    /// The lattice around a mesh of so many vertices: its voxels are about as large as the vertices
+    /// lie apart.
     ///
     /// # Errors
     /// [`Error::BadInput`] for a mesh without extent, or with one that `f64` cannot tell.
@@ -48,7 +49,8 @@ impl Frame {
             let got = format!("{} x {} x {}", side[0], side[1], side[2]);
             return Err(Error::bad_input(path, "bounding box", "a finite length along each axis", got));
         }
-        // The least power of two of voxels that are smaller than the vertices lie apart; by multiplication, which is exact enough on all machines.
+        // The least power of two of voxels that are smaller than the vertices lie apart; by
+        // multiplication, which is exact enough on all machines.
         let share = side.iter().map(|s| s / longest).product::<f64>();
         let wanted = vertices.max(1) as f64;
         let voxels =

@@ -1,8 +1,9 @@
 //! Gradients at the vertices of a mesh, for quadratic interpolation.
 //!
-//! A linear field has one gradient in a tetrahedron; that of a vertex is the mean over its tetrahedra, weighted by volume. Each tetrahedron tells
-//! its vertices volume and gradient; the records are sorted by vertex and tetrahedron, and added in that order, so the sum does not depend
-//! on memory.
+//! A linear field has one gradient in a tetrahedron; that of a vertex is the mean over its
+//! tetrahedra, weighted by volume. Each tetrahedron tells its vertices volume and gradient; the
+//! records are sorted by vertex and tetrahedron, and added in that order, so the sum does not
+//! depend on memory.
 
 use super::column::{Column, ColumnWriter};
 use super::store::{CellStore, StoreSettings};
@@ -13,7 +14,8 @@ use crate::locate::FinePos;
 /// Vertex, tetrahedron, then the bits of volume and of the gradient times the volume.
 type Record = [u64; 6];
 
-/// The gradient at each vertex, in the value's unit by fine step; zero where no tetrahedron with finite values is.
+/// The gradient at each vertex, in the value's unit by fine step; zero where no tetrahedron with
+/// finite values is.
 pub(crate) fn gradients(
     store: &CellStore,
     values: &Column<f32>,
@@ -47,8 +49,9 @@ pub(crate) fn gradients(
     out.finish()
 }
 
-/// Six times the volume of a tetrahedron, and the gradient of the linear field in it times that: with edges u, v, w from the first corner and
-/// differences f of the values along them, the gradient is (f_u v×w + f_v w×u + f_w u×v) / (u · v×w).
+/// Six times the volume of a tetrahedron, and the gradient of the linear field in it times that:
+/// with edges u, v, w from the first corner and differences f of the values along them, the
+/// gradient is (f_u v×w + f_v w×u + f_w u×v) / (u · v×w).
 fn of_tet(corners: [FinePos; 4], values: [f64; 4]) -> (f64, [f64; 3]) {
     let edge = |i: usize| -> [f64; 3] { std::array::from_fn(|k| (corners[i][k] - corners[0][k]) as f64) };
     let cross = |p: [f64; 3], q: [f64; 3]| {
@@ -102,7 +105,8 @@ mod tests {
         std::fs::write(path, text).unwrap();
     }
 
-    /// Mean errors of the three interpolations at points all over a mesh, and the largest of the quadratic one.
+    /// Mean errors of the three interpolations at points all over a mesh, and the largest of the
+    /// quadratic one.
     fn errors(n: usize) -> [f64; 4] {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("mesh.vtk");
@@ -155,8 +159,9 @@ mod tests {
         sums
     }
 
-    /// On a mesh that looks alike around each inner vertex the estimated gradients are exact there, for a quadratic field: the error
-    /// is that of the layer of cells at the boundary, of order 2, a part h of the volume.
+    /// On a mesh that looks alike around each inner vertex the estimated gradients are exact there,
+    /// for a quadratic field: the error is that of the layer of cells at the boundary, of order 2,
+    /// a part h of the volume.
     #[test]
     fn orders_of_convergence_with_estimated_gradients() {
         let (coarse, fine) = (errors(6), errors(12));

@@ -1,7 +1,8 @@
 //! Whether two files tell the same mesh: hashes of all points, and of all cells that have a volume.
 //!
-//! Coordinates are hashed as `f64`, whatever type the file has; cells as kind and vertex numbers, in the order of the file. Cells without a
-//! volume, and those that a file marks as ghosts, are no part of the mesh. Cost: one pass over both, of which hashing is little.
+//! Coordinates are hashed as `f64`, whatever type the file has; cells as kind and vertex numbers,
+//! in the order of the file. Cells without a volume, and those that a file marks as ghosts, are no
+//! part of the mesh. Cost: one pass over both, of which hashing is little.
 
 use crate::cells::{CellBlock, CellMesh};
 use crate::error::Result;

@@ -1,12 +1,14 @@
 //! The point of a triangle that is nearest to a point.
 //!
-//! By the regions of the triangle's plane beyond its corners, its edges, and inside (Ericson 2005, "Real-Time Collision Detection",
-//! section 5.1.5), in `f64` and in one order of operations: the same bits on every machine.
+//! By the regions of the triangle's plane beyond its corners, its edges, and inside (Ericson 2005,
+//! "Real-Time Collision Detection", section 5.1.5), in `f64` and in one order of operations: the
+//! same bits on every machine.
 
 use super::boundary::{cross, difference, dot};
 use crate::locate::FinePos;
 
-/// Weights of the corners of a triangle at its point nearest to `p`, and the square of the distance in fine steps.
+/// Weights of the corners of a triangle at its point nearest to `p`, and the square of the distance
+/// in fine steps.
 pub(crate) fn nearest(corners: [FinePos; 3], p: FinePos) -> ([f64; 3], f64) {
     let [a, b, c] = corners;
     let weights = weights(a, b, c, p);
@@ -34,7 +36,8 @@ fn weights(a: FinePos, b: FinePos, c: FinePos, p: FinePos) -> [f64; 3] {
     if ac_r >= 0.0 && ab_r <= ac_r {
         return [0.0, 0.0, 1.0];
     }
-    // The normal, and the areas that p spans with the edges: without cancellation, from differences that are exact.
+    // The normal, and the areas that p spans with the edges: without cancellation, from differences
+    // that are exact.
     let n = cross(ab, ac);
     let of_a = dot(n, cross(difference(c, b), bp));
     let of_b = dot(n, cross(difference(a, c), cp));

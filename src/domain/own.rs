@@ -1,18 +1,21 @@
 //! The mesh's own vertices and tetrahedra, ready to be kept as they are.
 //!
-//! Nothing is sampled and nothing is meshed: the points of the archive are the vertices of tetrahedra, and its tetrahedra are those that
-//! the cells were split into.
+//! Nothing is sampled and nothing is meshed: the points of the archive are the vertices of
+//! tetrahedra, and its tetrahedra are those that the cells were split into.
 //!
 //! ```text
 //!  positions ─▶ rounded to the lattice ─▶ list, sorted ─▶ place of each vertex, vertex of each place
 //!  tetrahedra ─▶ still of their orientation? ─▶ (brick, tetrahedron), sorted ─▶ those with a corner in each brick
 //! ```
 //!
-//! **Rounding.** A position is rounded to the nearest of 2^24 steps along the longest side, so it moves by at most 2^-25 of that along each
-//! axis. Vertices may come to share a position, and vertices of bodies that touch do so from the start: they stay different points. A
-//! tetrahedron that would become flat or turn over is refused, for neither a volume nor a surface would be right there.
+//! **Rounding.** A position is rounded to the nearest of 2^24 steps along the longest side, so it
+//! moves by at most 2^-25 of that along each axis. Vertices may come to share a position, and
+//! vertices of bodies that touch do so from the start: they stay different points. A tetrahedron
+//! that would become flat or turn over is refused, for neither a volume nor a surface would be
+//! right there.
 //!
-//! **Which chunk.** A tetrahedron belongs to the chunk that has its least corner by position, then by place in the list.
+//! **Which chunk.** A tetrahedron belongs to the chunk that has its least corner by position, then
+//! by place in the list.
 //!
 //! Memory: the list, at most [`POINT_BYTES`] a vertex while it is made. The rest is on disk.
 
@@ -28,7 +31,8 @@ use crate::points::ExplicitPoints;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Bytes of a vertex while the list is made: its position, once more while that is sorted, its part of the grid, whether it is used.
+/// Bytes of a vertex while the list is made: its position, once more while that is sorted, its part
+/// of the grid, whether it is used.
 pub(crate) const POINT_BYTES: u64 = 32;
 /// Tetrahedra or vertices between two looks at whether to stop.
 const BATCH: usize = 1 << 15;
@@ -38,7 +42,8 @@ pub(crate) const UNUSED: u32 = u32::MAX;
 /// The vertices of all tetrahedra, as listed points.
 pub(crate) struct OwnVertices {
     pub(crate) points: Arc<ExplicitPoints>,
-    /// The place in the list of each vertex; [`UNUSED`] of the others. A vertex that stands for equals has the place, they have none.
+    /// The place in the list of each vertex; [`UNUSED`] of the others. A vertex that stands for
+    /// equals has the place, they have none.
     pub(crate) places: Column<u32>,
     /// The volume of all tetrahedra on the lattice, six times.
     pub(crate) volume6: u128,
@@ -48,7 +53,8 @@ impl OwnVertices {
     /// Lists the vertices of a mesh, whose file is at `path`.
     ///
     /// # Errors
-    /// [`Error::BadInput`] for a tetrahedron that rounding makes flat or turns over; [`Error::Budget`] where memory does not hold the list.
+    /// [`Error::BadInput`] for a tetrahedron that rounding makes flat or turns over;
+    /// [`Error::Budget`] where memory does not hold the list.
     pub(crate) fn new(store: &CellStore, settings: &StoreSettings, path: &Path) -> Result<Self> {
         let positions = store.positions.get()?;
         let needed = positions.len() as u64 * POINT_BYTES;
@@ -166,7 +172,8 @@ impl OwnCells {
         Ok(Self { vertices, numbers, cells: cells.finish()?, starts: starts.finish()? })
     }
 
-    /// How many tetrahedra have a corner in some bricks; one with corners in several counts as often.
+    /// How many tetrahedra have a corner in some bricks; one with corners in several counts as
+    /// often.
     pub(crate) fn count(&self, bricks: impl Iterator<Item = BrickId>) -> Result<u64> {
         let starts = self.starts.get()?;
         Ok(bricks.map(|b| starts[b.0 as usize + 1] - starts[b.0 as usize]).sum())

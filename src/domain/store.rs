@@ -34,7 +34,8 @@ pub(crate) struct StoreSettings {
     pub(crate) scratch: PathBuf,
     pub(crate) bad_value: BadValue,
     pub(crate) missing: Option<f64>,
-    /// What is subtracted from all values before they become `f32`; [`BadValue::Use`] is meant after that.
+    /// What is subtracted from all values before they become `f32`; [`BadValue::Use`] is meant
+    /// after that.
     pub(crate) offset: f64,
     pub(crate) cancel: CancelToken,
 }
@@ -71,7 +72,8 @@ pub(crate) struct CellStore {
     /// Vertices of each tetrahedron, positively oriented, body after body.
     pub(crate) tets: Column<[u64; 4]>,
     pub(crate) bodies: Bodies,
-    /// Triangles of the boundary, along a space-filling curve: three vertices, counter-clockwise seen from outside, and the body.
+    /// Triangles of the boundary, along a space-filling curve: three vertices, counter-clockwise
+    /// seen from outside, and the body.
     pub(crate) boundary: Column<[u64; 4]>,
     /// Where the boundary bends.
     pub(super) creases: Creases,
@@ -91,7 +93,8 @@ impl CellStore {
         Self::build_with(mesh, None, settings)
     }
 
-    /// As [`CellStore::build`], of a mesh of which is known which vertices are one, if that is given.
+    /// As [`CellStore::build`], of a mesh of which is known which vertices are one, if that is
+    /// given.
     ///
     /// # Errors
     /// Those of [`CellStore::build`].
@@ -258,8 +261,8 @@ fn ascending([a, b, c]: [u64; 3]) -> ([u64; 3], bool) {
 /// What cells become.
 struct TetSink {
     tets: ColumnWriter<[u64; 4]>,
-    /// Vertices of all faces, ascending; twice the number of the tetrahedron, and one more where the vertices run clockwise seen from
-    /// outside of it.
+    /// Vertices of all faces, ascending; twice the number of the tetrahedron, and one more where
+    /// the vertices run clockwise seen from outside of it.
     faces: Sorter<[u64; 4]>,
     volume6: i128,
     census: MeshCensus,
@@ -324,7 +327,8 @@ fn read_cells(
     Ok(())
 }
 
-/// The faces of one tetrahedron only, along a space-filling curve, each with its body; and the body of each tetrahedron.
+/// The faces of one tetrahedron only, along a space-filling curve, each with its body; and the body
+/// of each tetrahedron.
 fn boundary_of(
     faces: Sorter<[u64; 4]>,
     tets: u64,

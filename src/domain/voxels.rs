@@ -1,7 +1,7 @@
 //! A mesh's field at the samples of a grid: those of the lattice's voxels, block by block.
 //!
-//! Each sample is located among the cells that a block has, as points of a reduction are ([`crate::locate`]); where there is no cell, there is no
-//! number.
+//! Each sample is located among the cells that a block has, as points of a reduction are
+//! ([`crate::locate`]); where there is no cell, there is no number.
 
 use super::buckets::Buckets;
 use super::store::{CellStore, StoreSettings};
@@ -17,7 +17,8 @@ pub(crate) struct Voxels<'a> {
 }
 
 impl<'a> Voxels<'a> {
-    /// Bytes that reading a box takes for each of its samples: position, the same sorted, what was found, the value.
+    /// Bytes that reading a box takes for each of its samples: position, the same sorted, what was
+    /// found, the value.
     pub(crate) const SAMPLE_BYTES: u64 = 2 * 40 + size_of::<Found>() as u64 + 4;
 
     /// Sorts the cells of a mesh into blocks.
@@ -26,7 +27,8 @@ impl<'a> Voxels<'a> {
         Ok(Self { store, blocks, buckets })
     }
 
-    /// The field at the samples of a box that lies in a block, those of its far faces included: x fastest, NaN outside of the mesh.
+    /// The field at the samples of a box that lies in a block, those of its far faces included: x
+    /// fastest, NaN outside of the mesh.
     pub(crate) fn read(&self, block: BrickId, samples: &IndexBox) -> Result<Vec<f32>> {
         let mut points: Vec<FinePos> = Vec::with_capacity(samples.len());
         for z in samples.lo[2]..samples.hi[2] {

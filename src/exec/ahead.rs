@@ -1,8 +1,8 @@
 //! Tells the processor what will be read soon.
 #![allow(unsafe_code)]
 
-/// Asks for items to be brought into the nearest cache, and does not wait for them. Of use for what lies nowhere near what was read last,
-/// while something else is done for as long as that takes.
+/// Asks for items to be brought into the nearest cache, and does not wait for them. Of use for what
+/// lies nowhere near what was read last, while something else is done for as long as that takes.
 #[inline]
 pub(crate) fn will_read<T>(items: &[T]) {
     #[cfg(target_arch = "x86_64")]

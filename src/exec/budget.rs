@@ -41,7 +41,8 @@ impl MemoryBudget {
     /// Takes `bytes`, waiting until others give back enough.
     ///
     /// # Errors
-    /// [`Error::Budget`] when `bytes` alone exceed the budget; [`Error::Cancelled`] when cancelled while waiting.
+    /// [`Error::Budget`] when `bytes` alone exceed the budget; [`Error::Cancelled`] when cancelled
+    /// while waiting.
     pub fn acquire(&self, bytes: u64, cancel: &CancelToken) -> Result<Permit> {
         if bytes > self.0.total {
             return Err(Error::Budget { what: "memory".into(), needed: bytes, available: self.0.total });

@@ -1,4 +1,5 @@
-//! Some `f64` at a time: vectors of AVX2 and AVX-512, and the same in plain code, with the same bits.
+//! Some `f64` at a time: vectors of AVX2 and AVX-512, and the same in plain code, with the same
+//! bits.
 #![allow(unsafe_code)]
 
 /// Lanes. Each operation is that of each lane by itself, rounded once.
@@ -71,7 +72,8 @@ pub(crate) static PLACES: [[u8; 8]; 256] = {
     places
 };
 
-/// As `[0, 1, 2].map`, which is inlined where the compiler likes it; but a vector that crosses a call is no gain.
+/// As `[0, 1, 2].map`, which is inlined where the compiler likes it; but a vector that crosses a
+/// call is no gain.
 #[inline(always)]
 pub(crate) fn three<T>(mut of: impl FnMut(usize) -> T) -> [T; 3] {
     [of(0), of(1), of(2)]
@@ -317,7 +319,8 @@ fn halves(all: &[f32; 8]) -> &[[f32; 4]; 2] {
 #[cfg(target_arch = "x86_64")]
 pub(crate) use vectors::{Eight, Vector, turned};
 
-/// To be had with a proof only: so each has been made on a machine that has the instructions. Of use in code that is compiled for them.
+/// To be had with a proof only: so each has been made on a machine that has the instructions. Of
+/// use in code that is compiled for them.
 #[cfg(target_arch = "x86_64")]
 mod vectors {
     use super::{Floats, Four, Wide};
@@ -343,7 +346,8 @@ mod vectors {
                 type Mask = $mask;
                 #[inline(always)]
                 fn of(_: $proof, lanes: &$lanes) -> Self {
-                    // SAFETY: the instructions were found, and there are as many numbers to be read.
+                    // SAFETY: the instructions were found, and there are as many numbers to be
+                    // read.
                     Self(unsafe { $load(lanes.as_ptr()) })
                 }
                 #[inline(always)]
@@ -552,7 +556,8 @@ mod vectors {
         }
     }
 
-    /// Eight rows as eight columns: bits are moved, and nothing else. The compiler would make gathers of a loop over such.
+    /// Eight rows as eight columns: bits are moved, and nothing else. The compiler would make
+    /// gathers of a loop over such.
     #[inline(always)]
     pub(crate) fn turned(_: Avx2, rows: [&[f32; 8]; 8]) -> [[f32; 8]; 8] {
         // SAFETY: AVX2 was found, and each row has eight numbers to be read.

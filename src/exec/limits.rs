@@ -1,10 +1,12 @@
-//! How much memory the process may use: the least of what the cgroup, the address-space limit and the system leave.
+//! How much memory the process may use: the least of what the cgroup, the address-space limit and
+//! the system leave.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Bytes that this process may use: the least of the memory limits of its cgroups (versions 1 and 2), its address-space
-/// limit, and the system's available memory. Where none of them can be read, 1 GiB.
+/// Bytes that this process may use: the least of the memory limits of its cgroups (versions 1
+/// and 2), its address-space limit, and the system's available memory. Where none of them can be
+/// read, 1 GiB.
 pub fn usable_memory() -> u64 {
     let limits = [cgroup_limit(), address_space_limit(), available_memory()];
     limits.into_iter().flatten().min().unwrap_or(1 << 30)

@@ -1,9 +1,10 @@
 //! Running work: a byte budget, bounded queues, an ordered release, cancelling, progress, threads.
 //!
-//! Stages are joined by queues whose bound is in bytes: whoever starts a piece of work first takes a [`Permit`] for the
-//! memory that the piece will need, the permit travels with the piece through all queues, and it is given back when the
-//! last stage is done with it. So a slow stage stops the ones before it, whatever the number of pieces. A thread of the
-//! compute pool never waits for a permit or a queue: permits are taken by the thread that feeds the pool.
+//! Stages are joined by queues whose bound is in bytes: whoever starts a piece of work first takes
+//! a [`Permit`] for the memory that the piece will need, the permit travels with the piece through
+//! all queues, and it is given back when the last stage is done with it. So a slow stage stops the
+//! ones before it, whatever the number of pieces. A thread of the compute pool never waits for a
+//! permit or a queue: permits are taken by the thread that feeds the pool.
 
 mod ahead;
 mod budget;
@@ -30,8 +31,8 @@ pub(crate) use vectors::{Avx2, Avx512, with_avx512, with_vectors};
 
 use crate::error::{Error, Result};
 
-/// A pool of `threads` worker threads of our own; 0 means as many as the process may use. Where the system refuses so many, half of them, and so
-/// on down to one: the results are the same.
+/// A pool of `threads` worker threads of our own; 0 means as many as the process may use. Where the
+/// system refuses so many, half of them, and so on down to one: the results are the same.
 ///
 /// # Errors
 /// [`Error::Io`] when the system refuses even one thread.

@@ -19,8 +19,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Makes pieces on the threads of a pool, as many as there are `bytes`, and consumes them in order.
 ///
-/// Piece `n` takes `bytes[n]` from its beginning until it was consumed. All at work take `most_bytes`
-/// together at most, but one alone is always begun.
+/// Piece `n` takes `bytes[n]` from its beginning until it was consumed. All at work take
+/// `most_bytes` together at most, but one alone is always begun.
 ///
 /// # Errors
 /// The first one, in the order of the pieces.

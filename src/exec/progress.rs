@@ -8,7 +8,8 @@ pub trait Progress: Send + Sync {
     fn advance(&self, units: u64);
     /// The last stage is over.
     fn end(&self);
-    /// Something that the user should know, as a line; see [`Notice`](crate::pipeline::Notice). Nothing by default: reports have it too.
+    /// Something that the user should know, as a line; see [`Notice`](crate::pipeline::Notice).
+    /// Nothing by default: reports have it too.
     fn notice(&self, _line: &str) {}
 }
 

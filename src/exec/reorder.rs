@@ -1,4 +1,5 @@
-//! Releases pieces in the order of their sequence numbers, however they arrive, so that output depends on input alone.
+//! Releases pieces in the order of their sequence numbers, however they arrive, so that output
+//! depends on input alone.
 
 use std::collections::BTreeMap;
 

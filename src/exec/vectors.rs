@@ -1,4 +1,5 @@
-//! Code that the compiler makes for this machine's vectors, where it has them; the same operations, so the same bits.
+//! Code that the compiler makes for this machine's vectors, where it has them; the same operations,
+//! so the same bits.
 #![allow(unsafe_code)]
 
 /// Proof that the machine has AVX2 and FMA, and that they may be used.
@@ -47,7 +48,8 @@ impl Avx512 {
     }
 }
 
-/// Runs a function that is compiled for AVX2 as far as it is inlined, on a machine that has it; else as it is.
+/// Runs a function that is compiled for AVX2 as far as it is inlined, on a machine that has it;
+/// else as it is.
 #[inline]
 pub(crate) fn with_vectors<T>(f: impl FnOnce() -> T) -> T {
     #[cfg(target_arch = "x86_64")]

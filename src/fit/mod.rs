@@ -17,21 +17,22 @@
 //!                                                                   largest of these f and s_v
 //! ```
 //!
-//! **Why bounds.** Where a field is steep or is cut off, as air is in CT, values of least error overshoot
-//! the samples. Surfaces then have islands where there is nothing: up to 28 point spacings from the
-//! surface of all samples. With bounds an edge of the mesh crosses an isovalue only where the samples
-//! around its ends, or the interpolated values there, do so too: nothing is further than two spacings
-//! on the data tried (`benches/compare_fit`), and no value leaves the range of the samples.
+//! **Why bounds.** Where a field is steep or is cut off, as air is in CT, values of least error
+//! overshoot the samples. Surfaces then have islands where there is nothing: up to 28 point
+//! spacings from the surface of all samples. With bounds an edge of the mesh crosses an isovalue
+//! only where the samples around its ends, or the interpolated values there, do so too: nothing is
+//! further than two spacings on the data tried (`benches/compare_fit`), and no value leaves the
+//! range of the samples.
 //!
-//! **Why γ.** The other corners of a sample's tetrahedron move as well, so a vertex that moves as if it were
-//! alone goes too far; ω < 1 damps all of them alike. With γ a vertex follows what is near it, and
-//! is turned against what is far, which its neighbours follow. For a tetrahedron alone, densely sampled,
-//! γ = 1/5 gives the least squares: its corners' dual functions are 20 (w - 1/5). Around a vertex 1/8 with
-//! ω = 1.16 was best, with bounds, over all data tried.
+//! **Why γ.** The other corners of a sample's tetrahedron move as well, so a vertex that moves as
+//! if it were alone goes too far; ω < 1 damps all of them alike. With γ a vertex follows what is
+//! near it, and is turned against what is far, which its neighbours follow. For a tetrahedron
+//! alone, densely sampled, γ = 1/5 gives the least squares: its corners' dual functions are 20 (w -
+//! 1/5). Around a vertex 1/8 with ω = 1.16 was best, with bounds, over all data tried.
 //!
-//! **Why one step.** Each step makes values depend on one more ring of tetrahedra, which a chunk would have
-//! to mesh beyond its own. RMS errors, to those of the interpolated values; the steps without bounds
-//! have γ = 0 and the best ω:
+//! **Why one step.** Each step makes values depend on one more ring of tetrahedra, which a chunk
+//! would have to mesh beyond its own. RMS errors, to those of the interpolated values; the steps
+//! without bounds have γ = 0 and the best ω:
 //!
 //! | data, points a sample | the bounded step | one step without bounds | two | three | least |
 //! |---|---|---|---|---|---|
@@ -40,29 +41,37 @@
 //! | hydrogen, 1/8 | 0.56 | 0.51 | 0.48 | 0.48 | 0.48 |
 //! | hurricane, 1/8 | 0.71 | 0.70 | 0.66 | 0.65 | 0.65 |
 //!
-//! Bounds cost most where samples are cut off at an end of their range (engine CT, 1/8: 0.70 where 0.65 was): most
-//! of that is lost as soon as values stay within the range of all samples.
+//! Bounds cost most where samples are cut off at an end of their range (engine CT, 1/8: 0.70
+//! where 0.65 was): most of that is lost as soon as values stay within the range of all samples.
 //!
-//! **The same bits for any chunk.** Sums of floating-point numbers depend on their order. So the samples are taken window by window,
-//! each in its order in the volume, whatever the order of the tetrahedra: scan conversion notes for each sample the
-//! tetrahedron it is in, its weights and its difference; the sums follow. Windows are those of the whole volume, and weights come from
-//! exact integers. A vertex is right when all its tetrahedra are given.
+//! **The same bits for any chunk.** Sums of floating-point numbers depend on their order. So the
+//! samples are taken window by window, each in its order in the volume, whatever the order of the
+//! tetrahedra: scan conversion notes for each sample the tetrahedron it is in, its weights and its
+//! difference; the sums follow. Windows are those of the whole volume, and weights come from exact
+//! integers. A vertex is right when all its tetrahedra are given.
 //!
-//! **Several steps of a series.** Which tetrahedron has a sample, and with which weights, does not depend on the step; nor does Σ w² where no corner is void, and
-//! no sample NaN, at one step and not at another. So steps are fitted together: one scan conversion, then each step's differences, side by side (`sums.rs`).
-//! The additions are those of each step alone, in their order, and so are the bits.
+//! **Several steps of a series.** Which tetrahedron has a sample, and with which weights, does not
+//! depend on the step; nor does Σ w² where no corner is void, and no sample NaN, at one step and
+//! not at another. So steps are fitted together: one scan conversion, then each step's differences,
+//! side by side (`sums.rs`). The additions are those of each step alone, in their order, and so are
+//! the bits.
 //!
-//! **Meshes.** The samples of a tetrahedral mesh are its vertices. They lie anywhere, so windows are bricks, and the tetrahedra look the samples
-//! of a brick up ([`crate::raster::PointLocator`]); else all is the same.
+//! **Meshes.** The samples of a tetrahedral mesh are its vertices. They lie anywhere, so windows
+//! are bricks, and the tetrahedra look the samples of a brick up ([`crate::raster::PointLocator`]);
+//! else all is the same.
 //!
-//! **What holds.** A constant stays that constant, exactly, since a difference is Σ w (f - s), added in an order that the order of the corners
-//! does not show in; a linear field stays linear but for rounding. A tetrahedron with a
-//! void corner (NaN), and a sample that is NaN, tell nothing. A value is between the least and the
-//! largest of its interpolated value and the samples in the tetrahedra around.
+//! **What holds.** A constant stays that constant, exactly, since a difference is Σ w (f - s),
+//! added in an order that the order of the corners does not show in; a linear field stays linear
+//! but for rounding. A tetrahedron with a void corner (NaN), and a sample that is NaN, tell
+//! nothing. A value is between the least and the largest of its interpolated value and the samples
+//! in the tetrahedra around.
 //!
-//! Cost: one scan conversion of the tetrahedra, some 40 operations a sample and step (or eight steps, with AVX-512). Memory: 60 bytes a vertex, 9 a
-//! tetrahedron (what stands empty of a chunk's, as far as that goes), 24 a sample of a window; of each eight steps 168 bytes a vertex (232 where voids differ), and 32 bytes a sample of some slices. Reference: Garland and Heckbert, "Fast polygonal approximation of terrains and height fields", 1995, for the field's
-//! error as the measure.
+//! Cost: one scan conversion of the tetrahedra, some 40 operations a sample and step (or eight
+//! steps, with AVX-512). Memory: 60 bytes a vertex, 9 a tetrahedron (what stands empty of a
+//! chunk's, as far as that goes), 24 a sample of a window; of each eight steps 168 bytes a vertex
+//! (232 where voids differ), and 32 bytes a sample of some slices. Reference: Garland and Heckbert,
+//! "Fast polygonal approximation of terrains and height fields", 1995, for the field's error as the
+//! measure.
 
 mod sums;
 #[cfg(test)]
@@ -120,7 +129,8 @@ pub struct Fit<'a> {
 }
 
 impl<'a> Fit<'a> {
-    /// Of the interpolated values at each step, one for each vertex; NaN of a void one. Works in `room`, as far as that goes.
+    /// Of the interpolated values at each step, one for each vertex; NaN of a void one. Works in
+    /// `room`, as far as that goes.
     pub fn new(mesh: FitMesh<'a>, steps: &[&[f32]], room: &mut Room<'a>) -> Self {
         let is_void = |v: usize| steps.iter().all(|values| values[v].is_nan());
         let vertices = 0..mesh.positions.len();
@@ -147,10 +157,13 @@ impl<'a> Fit<'a> {
         self.mesh
     }
 
-    /// Adds the samples of a window, given with those of the mesh's tetrahedra that touch it. `read` reads samples of a step: those of some slices of the
-    /// window, x fastest; NaN is no sample. The windows of a volume come in ascending order, and may leave out samples at their borders that no tetrahedron has.
+    /// Adds the samples of a window, given with those of the mesh's tetrahedra that touch it.
+    /// `read` reads samples of a step: those of some slices of the window, x fastest; NaN is no
+    /// sample. The windows of a volume come in ascending order, and may leave out samples at their
+    /// borders that no tetrahedron has.
     ///
-    /// Of up to eight steps after another all slices are read and added, a few at a time: so what is read lies in a near cache when it is asked for, and so do the sums.
+    /// Of up to eight steps after another all slices are read and added, a few at a time: so what
+    /// is read lies in a near cache when it is asked for, and so do the sums.
     ///
     /// # Errors
     /// Those of `read`.
@@ -209,9 +222,10 @@ impl<'a> Fit<'a> {
         );
     }
 
-    /// Adds samples that lie anywhere, those of each step after those of the one before, given with those of the mesh's tetrahedra that may have some;
-    /// NaN is no sample. `points` has their places, by their numbers in the samples of a step; of those in a tetrahedron the ones count that are `told_by`
-    /// it (tetrahedron, sample).
+    /// Adds samples that lie anywhere, those of each step after those of the one before, given with
+    /// those of the mesh's tetrahedra that may have some; NaN is no sample. `points` has their
+    /// places, by their numbers in the samples of a step; of those in a tetrahedron the ones count
+    /// that are `told_by` it (tetrahedron, sample).
     ///
     /// # Panics
     /// When the samples are not as many at each step.

@@ -1,8 +1,9 @@
 //! The sums at the vertices, of steps that lie side by side.
 //!
-//! What a sample tells goes to the four corners of its tetrahedron, at each step. So the values and sums of up to eight steps lie together, vertex by vertex; Σ w² once for
-//! all of them, until a sample counts at one step and not at another: from then on each has its own, with what all had in common so far. Steps that are left over have
-//! lanes that nobody looks at.
+//! What a sample tells goes to the four corners of its tetrahedron, at each step. So the values and
+//! sums of up to eight steps lie together, vertex by vertex; Σ w² once for all of them, until a
+//! sample counts at one step and not at another: from then on each has its own, with what all had
+//! in common so far. Steps that are left over have lanes that nobody looks at.
 
 use super::{NONE, RoundWithin, Told};
 #[cfg(target_arch = "x86_64")]
@@ -22,12 +23,14 @@ const TURN: f64 = 0.125;
 const PULL: f64 = 0.25;
 /// The largest difference of a sample that counts as such.
 const MOST: f64 = f32::MAX as f64;
-/// Samples, or vertices, that are put side by side at a time, or apart: they fit in the nearest cache.
+/// Samples, or vertices, that are put side by side at a time, or apart: they fit in the nearest
+/// cache.
 const SOME: usize = 256;
 /// Steps that lie side by side, at most.
 const TOGETHER: usize = 8;
 
-/// A vertex at some steps. Packed, so that it has no bytes without a meaning, and any memory will do.
+/// A vertex at some steps. Packed, so that it has no bytes without a meaning, and any memory will
+/// do.
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
 #[repr(C, packed)]
 struct Vertex<const N: usize> {
@@ -161,7 +164,8 @@ impl<'a, const N: usize> Sums<'a, N> {
         Self { steps: steps.len(), vertices, apart: vec![], rows: vec![[0.0; N]; SOME] }
     }
 
-    /// Adds what samples tell: nothing at a step where one, or a corner of its tetrahedron, is no number.
+    /// Adds what samples tell: nothing at a step where one, or a corner of its tetrahedron, is no
+    /// number.
     #[inline(always)]
     pub(super) fn add<W: Floats<N>>(
         &mut self,

@@ -1,4 +1,5 @@
-//! Constants stay, linear fields stay, errors fall, values stay between samples, nothing leaks from holes; neither order nor windows show.
+//! Constants stay, linear fields stay, errors fall, values stay between samples, nothing leaks from
+//! holes; neither order nor windows show.
 
 use super::*;
 use crate::geom::Lattice;

@@ -1,7 +1,8 @@
 //! The windows of a volume, and which tetrahedra touch each.
 //!
-//! Windows are cubes of samples on a grid that belongs to the volume, not to a chunk. A window is read where tetrahedra have samples: its
-//! box is cut to theirs. Where samples lie anywhere, as the vertices of a mesh do, windows are bricks ([`BrickTets`]).
+//! Windows are cubes of samples on a grid that belongs to the volume, not to a chunk. A window is
+//! read where tetrahedra have samples: its box is cut to theirs. Where samples lie anywhere, as the
+//! vertices of a mesh do, windows are bricks ([`BrickTets`]).
 
 use crate::exec::{Lent, Room, with_vectors};
 use crate::geom::LatticePos;
@@ -12,7 +13,8 @@ use crate::raster::{SampleGrid, greater, lesser};
 /// Samples along an edge of a window, at least: few tetrahedra then touch two of them.
 const LEAST_EDGE: u64 = 32;
 
-/// Samples along the edges of a window where bricks have so many cells: bricks, or some of them together.
+/// Samples along the edges of a window where bricks have so many cells: bricks, or some of them
+/// together.
 pub fn window_edge(brick: [f64; 3]) -> [u64; 3] {
     brick.map(|edge| {
         let edge = (edge.ceil() as u64).max(1);
@@ -133,8 +135,8 @@ pub struct BrickTets<'a> {
 }
 
 impl<'a> BrickTets<'a> {
-    /// Sorts tetrahedra into the bricks that their bounding boxes touch. Time and memory also grow with the number of bricks that the box
-    /// around all vertices touches.
+    /// Sorts tetrahedra into the bricks that their bounding boxes touch. Time and memory also grow
+    /// with the number of bricks that the box around all vertices touches.
     pub fn new(bricks: &BrickGrid, positions: &[LatticePos], tets: &[Tet], room: &mut Room<'a>) -> Self {
         // A volume has at most 2^24 + 1 samples along an axis.
         let brick = |&p: &LatticePos| bricks.brick_at(p).map(|c| c as u32);
@@ -167,8 +169,8 @@ struct Samples {
 const NONE: Samples = Samples { lo: [u32::MAX; 4], hi: [0; 4] };
 
 impl<'a> Windows<'a> {
-    /// Sorts tetrahedra into windows of `edge` samples. Time and memory also grow with the number of windows that the box around all vertices
-    /// touches.
+    /// Sorts tetrahedra into windows of `edge` samples. Time and memory also grow with the number
+    /// of windows that the box around all vertices touches.
     pub fn new(
         grid: &SampleGrid,
         edge: [u64; 3],
@@ -190,7 +192,8 @@ impl<'a> Windows<'a> {
         tets: &[Tet],
         room: &mut Room<'a>,
     ) -> Self {
-        // The last sample at or before a vertex: a tetrahedron has no sample before the least of those of its vertices, and none behind the greatest.
+        // The last sample at or before a vertex: a tetrahedron has no sample before the least of
+        // those of its vertices, and none behind the greatest.
         let samples = places(room, positions, |&p| with_zero(sample_before(grid, p)));
         let window = |s: &[u32; 4]| with_zero(std::array::from_fn(|k| s[k] / edge[k]));
         let at = places(room, &samples, window);
@@ -215,7 +218,8 @@ impl<'a> Windows<'a> {
         Self { sorted, boxes }
     }
 
-    /// The windows that have samples, ascending, x first: the box of their samples, and their tetrahedra.
+    /// The windows that have samples, ascending, x first: the box of their samples, and their
+    /// tetrahedra.
     pub fn iter(&self) -> impl Iterator<Item = (IndexBox, &[u32])> {
         let all = self.boxes.iter().zip(self.sorted.iter()).filter(|(_, tets)| !tets.is_empty());
         all.map(|(samples, tets)| {

@@ -1,4 +1,5 @@
-//! Fields of an image that has two kinds of them: values at its points, and values of the cells between them.
+//! Fields of an image that has two kinds of them: values at its points, and values of the cells
+//! between them.
 //!
 //! ```text
 //!  points  0───1───2───3     n of them along an axis, the first at the origin
@@ -36,8 +37,9 @@ pub(super) struct Picked {
     pub(super) fields: Vec<FieldInfo>,
 }
 
-/// Picks a field by its name, of points before one of cells. Without a name those at points are looked at, and those of cells where none at points is a
-/// scalar: the one that is `active` among them, else the only scalar one.
+/// Picks a field by its name, of points before one of cells. Without a name those at points are
+/// looked at, and those of cells where none at points is a scalar: the one that is `active` among
+/// them, else the only scalar one.
 ///
 /// # Errors
 /// As [`pick_field`].

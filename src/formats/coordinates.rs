@@ -1,4 +1,5 @@
-//! The coordinates of rectilinear and curvilinear grids, whose samples are read as those of a volume.
+//! The coordinates of rectilinear and curvilinear grids, whose samples are read as those of a
+//! volume.
 
 use super::{OpenOptions, folder, kind_of, vtk_legacy, vtk_xml, zarr};
 use crate::bytes::ByteSource;
@@ -15,7 +16,8 @@ pub enum GridCoordinates {
     Points(Box<dyn NumberStream>),
 }
 
-/// The coordinates of a file that [`open_volume`](super::open_volume) reads; `None` where its volume has a spacing.
+/// The coordinates of a file that [`open_volume`](super::open_volume) reads; `None` where its
+/// volume has a spacing.
 ///
 /// # Errors
 /// As [`open_volume`](super::open_volume).
@@ -34,7 +36,8 @@ pub fn open_coordinates(path: &Path, options: &OpenOptions) -> Result<Option<Gri
     }
 }
 
-/// The grid of tables of coordinates along x, y, z, where the samples of an array of that name have them.
+/// The grid of tables of coordinates along x, y, z, where the samples of an array of that name have
+/// them.
 ///
 /// # Errors
 /// [`Error::BadInput`] where those of an axis neither rise nor fall throughout.
@@ -60,7 +63,8 @@ pub(super) fn rectilinear(
     Ok(GridCoordinates::Axes(axes))
 }
 
-/// Start and step of numbers that are regular to a thousandth of a step, or of `single` precision, as far as their rounding goes.
+/// Start and step of numbers that are regular to a thousandth of a step, or of `single` precision,
+/// as far as their rounding goes.
 pub(super) fn regular(values: &[f64], single: bool) -> Option<(f64, f64)> {
     let (first, last) = (*values.first()?, *values.last()?);
     let step = if values.len() == 1 { 1.0 } else { (last - first) / (values.len() - 1) as f64 };

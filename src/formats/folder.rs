@@ -13,7 +13,8 @@ pub(super) fn is_several(path: &Path) -> bool {
 /// Opens a folder or a pattern.
 ///
 /// # Errors
-/// [`Error::BadInput`] when there is no volume in it, or a malformed one; [`Error::Usage`] for the layout of a raw file.
+/// [`Error::BadInput`] when there is no volume in it, or a malformed one; [`Error::Usage`] for the
+/// layout of a raw file.
 pub(super) fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     if options.raw.is_some() {
         let message = "--dims, --type, --endian, --offset and --spacing tell of one headerless file";

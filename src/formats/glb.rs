@@ -9,19 +9,21 @@
 //!        indices    3 × u32 a triangle
 //! ```
 //!
-//! One mesh of one primitive (triangles); everything is little-endian and a multiple of 4 bytes. The JSON text names the
-//! three runs of bytes, and the least and largest position, as the format demands: one more pass over the vertices before
-//! the first byte is written. The isovalue and the comments are `asset.extras`. Coordinates are the world's, as in all our
-//! formats, though glTF says metres and y up. A surface without triangles is a scene without a mesh, as glTF has no empty
-//! arrays.
+//! One mesh of one primitive (triangles); everything is little-endian and a multiple of 4 bytes.
+//! The JSON text names the three runs of bytes, and the least and largest position, as the format
+//! demands: one more pass over the vertices before the first byte is written. The isovalue and the
+//! comments are `asset.extras`. Coordinates are the world's, as in all our formats, though glTF
+//! says metres and y up. A surface without triangles is a scene without a mesh, as glTF has no
+//! empty arrays.
 //!
-//! All lengths are 32 bits wide, so a file ends at 4 GiB: about 89 million vertices with twice as many triangles. More is
-//! refused before a byte is written. One primitive always suffices: 2^32 indices alone are 16 GiB.
+//! All lengths are 32 bits wide, so a file ends at 4 GiB: about 89 million vertices with twice as
+//! many triangles. More is refused before a byte is written. One primitive always suffices: 2^32
+//! indices alone are 16 GiB.
 //!
-//! Read are the triangles of all meshes, as stored, from where they lie in the file: only the tree of the JSON text, usually a
-//! few KiB, is in memory. What would need more than this to be the true shape is refused: node
-//! transforms, sparse accessors, data in other files, required extensions (compression), strips and fans. Primitives that
-//! are points or lines are passed over.
+//! Read are the triangles of all meshes, as stored, from where they lie in the file: only the tree
+//! of the JSON text, usually a few KiB, is in memory. What would need more than this to be the true
+//! shape is refused: node transforms, sparse accessors, data in other files, required extensions
+//! (compression), strips and fans. Primitives that are points or lines are passed over.
 
 use crate::error::{Error, Result};
 use crate::formats::ply::check_indices;
@@ -38,10 +40,11 @@ const BIN: u32 = u32::from_le_bytes(*b"BIN\0");
 /// Bytes of the file's head, and of a chunk's.
 const HEAD: u64 = 12;
 const CHUNK_HEAD: u64 = 8;
-/// Room for the JSON text when the limits are checked; the text is far shorter but for long comments.
+/// Room for the JSON text when the limits are checked; the text is far shorter but for long
+/// comments.
 const JSON_ROOM: u64 = 1 << 20;
-/// Bytes of memory that the tree of a JSON text takes for each of its bytes, at most: a map of one item takes 632 and is
-/// written with five.
+/// Bytes of memory that the tree of a JSON text takes for each of its bytes, at most: a map of one
+/// item takes 632 and is written with five.
 const TREE_PER_BYTE: u64 = 130;
 /// Numbers of the format.
 const FLOAT: u64 = 5126;

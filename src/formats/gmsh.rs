@@ -1,4 +1,5 @@
-//! Gmsh's `.msh` files of versions 2.2 and 4.1, ascii and binary, with `$NodeData` and `$ElementData`.
+//! Gmsh's `.msh` files of versions 2.2 and 4.1, ascii and binary, with `$NodeData` and
+//! `$ElementData`.
 //!
 //! ```text
 //! $MeshFormat
@@ -21,14 +22,17 @@
 //! $EndNodeData
 //! ```
 //!
-//! **Tags.** Nodes have tags of their own, in any order and with gaps, and elements name them. Points are numbered here in
-//! file order; tags are found in a table of *runs* of consecutive tags, of which real files have one an entity. A file
-//! with more than [`MOST_RUNS`] is refused: Gmsh can renumber it.
+//! **Tags.** Nodes have tags of their own, in any order and with gaps, and elements name them.
+//! Points are numbered here in file order; tags are found in a table of *runs* of consecutive tags,
+//! of which real files have one an entity. A file with more than [`MOST_RUNS`] is refused: Gmsh can
+//! renumber it.
 //!
-//! **Data** lists may lack entries: those are NaN. They may be in any order: one in the order of the points is gone through
-//! once, another once for each window of a million numbers. A name that occurs again (other time steps) has the step's number added: `pressure@1`.
+//! **Data** lists may lack entries: those are NaN. They may be in any order: one in the order of
+//! the points is gone through once, another once for each window of a million numbers. A name that
+//! occurs again (other time steps) has the step's number added: `pressure@1`.
 //!
-//! Other sections are passed over. The first look goes through the whole file once; it holds the runs.
+//! Other sections are passed over. The first look goes through the whole file once; it holds the
+//! runs.
 
 mod elements;
 mod scan;
@@ -53,8 +57,8 @@ const WINDOW: u64 = 1 << 20;
 /// Opens the mesh of a `.msh` file.
 ///
 /// # Errors
-/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file, another version, tags in too many runs;
-/// [`Error::Usage`](crate::Error::Usage) when there is no field of the name wanted.
+/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file, another version, tags in too
+/// many runs; [`Error::Usage`](crate::Error::Usage) when there is no field of the name wanted.
 pub fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
     let file = scan::scan(&Arc::new(ByteSource::open(path, options.io)?))?;
     CellMesh::new(Arc::new(Mesh(Arc::new(file))), options.field.as_deref())
@@ -158,7 +162,8 @@ struct Gathered {
     field: usize,
     /// Whether the list is in the order of the points or cells.
     ordered: bool,
-    /// The next entry, and how many there were before it; of a list that is not ordered, the first one.
+    /// The next entry, and how many there were before it; of a list that is not ordered, the first
+    /// one.
     next: Tokens,
     entry: u64,
     /// Numbers of all tuples.

@@ -5,36 +5,43 @@
 //!  /group/name                a dataset: shape, type, layout (contiguous, compact, chunked), filters, attributes
 //! ```
 //!
-//! Datasets of three axes (slowest first: z, y, x, as in NPY) and of one number a sample are the fields, named by their path.
-//! Axes before the last three must have one entry; of a dataset of four axes each entry of the first is a field of its own,
-//! `name:t0`, `name:t1`, …; `name` is all of them, as a series. Links to one dataset are one field.
+//! Datasets of three axes (slowest first: z, y, x, as in NPY) and of one number a sample are the
+//! fields, named by their path. Axes before the last three must have one entry; of a dataset of
+//! four axes each entry of the first is a field of its own, `name:t0`, `name:t1`, …; `name` is all
+//! of them, as a series. Links to one dataset are one field.
 //!
-//! **Axes with names** (dimension scales, `DIMENSION_LABELS`, `axistags`; CF's `axis` and `units`) are what they are called: time, x, y, z in
-//! any order, channels. Of four axes without names, the last of at most four entries, the components of vectors are the last: they
-//! are listed, and not read.
+//! **Axes with names** (dimension scales, `DIMENSION_LABELS`, `axistags`; CF's `axis` and `units`)
+//! are what they are called: time, x, y, z in any order, channels. Of four axes without names, the
+//! last of at most four entries, the components of vectors are the last: they are listed, and not
+//! read.
 //!
-//! Attributes that are followed: `scale_factor`, `add_offset`; `_FillValue`, `missing_value`, `valid_range`, `valid_min`, `valid_max`;
-//! `element_size_um` (z, y, x); coordinate variables (`DIMENSION_LIST`, or `axes` of NeXus): where all are regular to a thousandth of a
-//! step they are spacing and origin, else the dataset is a rectilinear grid. Without any, spacing is 1 and origin 0.
+//! Attributes that are followed: `scale_factor`, `add_offset`; `_FillValue`, `missing_value`,
+//! `valid_range`, `valid_min`, `valid_max`; `element_size_um` (z, y, x); coordinate variables
+//! (`DIMENSION_LIST`, or `axes` of NeXus): where all are regular to a thousandth of a step they are
+//! spacing and origin, else the dataset is a rectilinear grid. Without any, spacing is 1 and
+//! origin 0.
 //!
 //! Conventions of other programs: see the module `dialect`.
 //!
-//! A contiguous dataset is mapped where it lies. Others are read chunk by chunk (deflate, shuffle, Fletcher-32, scale-offset, N-bit,
-//! szip, LZF) as they are asked for ([`crate::volume::chunked`]); small chunks are taken together. Memory: one chunk, stored,
-//! decoded and once more as it is given out; chunks of more than 256 MiB are refused. Chunks that were never written read as
-//! the fill value.
+//! A contiguous dataset is mapped where it lies. Others are read chunk by chunk (deflate, shuffle,
+//! Fletcher-32, scale-offset, N-bit, szip, LZF) as they are asked for ([`crate::volume::chunked`]);
+//! small chunks are taken together. Memory: one chunk, stored, decoded and once more as it is given
+//! out; chunks of more than 256 MiB are refused. Chunks that were never written read as the fill
+//! value.
 //!
 //! # The crate behind it
-//! Tried on files written by h5py and netCDF4 (HDF5 2.0; oldest and newest file versions; ten types in both byte orders; each
-//! layout, chunk index and filter above):
+//! Tried on files written by h5py and netCDF4 (HDF5 2.0; oldest and newest file versions; ten types
+//! in both byte orders; each layout, chunk index and filter above):
 //!
-//! * `hdf5-reader` 0.12: pure Rust, for reading alone. Read all of them right, by boxes, in memory of a few megabytes, through
-//!   our own access to the file, with bounds on what a header can make it allocate. Taken, without its own threads.
-//! * `hdf5-pure` 0.47: pure Rust, also writes. Refuses layout version 5 (what HDF5 2.0 writes for filtered chunks of its
-//!   newest file version) and chunks indexed by a version 2 B-tree; reads by whole slices only.
+//! * `hdf5-reader` 0.12: pure Rust, for reading alone. Read all of them right, by boxes, in memory
+//!   of a few megabytes, through our own access to the file, with bounds on what a header can make
+//!   it allocate. Taken, without its own threads.
+//! * `hdf5-pure` 0.47: pure Rust, also writes. Refuses layout version 5 (what HDF5 2.0 writes for
+//!   filtered chunks of its newest file version) and chunks indexed by a version 2 B-tree; reads by
+//!   whole slices only.
 //!
-//! Not tried, as the first sufficed: `hdf5-metno`, bindings to the C library, which would have to be installed or built by
-//! CMake and allows one thread at a time.
+//! Not tried, as the first sufficed: `hdf5-metno`, bindings to the C library, which would have to
+//! be installed or built by CMake and allows one thread at a time.
 //!
 //! The format: "HDF5 File Format Specification Version 4.0", The HDF Group.
 
@@ -73,8 +80,8 @@ const MOST_COORDINATES: u64 = 1 << 24;
 /// Opens a dataset of an HDF5 file.
 ///
 /// # Errors
-/// [`Error::BadInput`] when the file is malformed or has no dataset that can be read; [`Error::Usage`] when it has several
-/// and none is chosen.
+/// [`Error::BadInput`] when the file is malformed or has no dataset that can be read;
+/// [`Error::Usage`] when it has several and none is chosen.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let file = open_file(path, &source)?;
@@ -99,7 +106,8 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     Ok(VolumeSource::Chunked(Arc::new(Pieces::new(info, field, None)?)))
 }
 
-/// The coordinates of a dataset along its axes, where those of one of them are not regular; else `None`.
+/// The coordinates of a dataset along its axes, where those of one of them are not regular; else
+/// `None`.
 ///
 /// # Errors
 /// As [`open`], and where the coordinates of an axis neither rise nor fall throughout.
@@ -127,8 +135,9 @@ pub(super) fn coordinates(path: &Path, options: &OpenOptions) -> Result<Option<G
     rectilinear(path, &field.info.name, lines, field.dims()).map(Some)
 }
 
-/// The frames of the dataset with four axes that is `wanted`, or of the file's only one, by the names of their fields, and their times, where the
-/// first axis has a coordinate variable. None of others.
+/// The frames of the dataset with four axes that is `wanted`, or of the file's only one, by the
+/// names of their fields, and their times, where the first axis has a coordinate variable. None of
+/// others.
 ///
 /// # Errors
 /// As [`open`].
@@ -371,7 +380,8 @@ impl Tree {
         self.fields.iter().position(|f| f.is_frame() && f.info.name == first)
     }
 
-    /// The field that a user's word means: the path with or without its first "/", or that of another link to the dataset.
+    /// The field that a user's word means: the path with or without its first "/", or that of
+    /// another link to the dataset.
     fn full_name(&self, file: &Hdf5File, wanted: &str) -> String {
         let wanted = wanted.trim_start_matches('/');
         let (path, frame) = match wanted.rsplit_once(":t") {
@@ -581,7 +591,8 @@ fn kind(datatype: &Datatype) -> &'static str {
     }
 }
 
-/// Whether a datatype message describes the machine's form of a type: all bits used; of floats, the fields of IEEE 754.
+/// Whether a datatype message describes the machine's form of a type: all bits used; of floats, the
+/// fields of IEEE 754.
 fn is_usual(scalar: ScalarType, message: &[u8]) -> bool {
     let bits = 8 * scalar.bytes() as u8;
     let float: &[u8] = match scalar {
@@ -589,8 +600,8 @@ fn is_usual(scalar: ScalarType, message: &[u8]) -> bool {
         ScalarType::F64 => &[52, 11, 0, 52, 255, 3, 0, 0],
         _ => &[],
     };
-    // Class and version, flags, size; then the first bit and their number, and a float's fields. Bit 6 of the flags, with
-    // bit 0, is the VAX order of bytes.
+    // Class and version, flags, size; then the first bit and their number, and a float's fields.
+    // Bit 6 of the flags, with bit 0, is the VAX order of bytes.
     let vax = !float.is_empty() && message.get(1).is_none_or(|flags| flags & 0x40 != 0);
     let expected = [&[0, 0, bits, 0][..], float].concat();
     !vax && message.get(8..8 + expected.len()) == Some(&expected[..])
@@ -661,7 +672,8 @@ impl Field {
         attribute.read_as_f64().map(Some).map_err(|_| wrong(kind(&attribute.datatype).into()))
     }
 
-    /// What turns samples outside of the range that CF's attributes declare into missing ones; `None` where there is no such range.
+    /// What turns samples outside of the range that CF's attributes declare into missing ones;
+    /// `None` where there is no such range.
     fn valid_range(&self, path: &Path, info: &VolumeInfo) -> Result<Option<Convert>> {
         let mut valid = [f64::NEG_INFINITY, f64::INFINITY];
         let mut float = false;
@@ -698,7 +710,8 @@ impl Field {
         })
     }
 
-    /// Spacing, origin and directions, from the coordinate variables, or from what other attributes tell of the voxels.
+    /// Spacing, origin and directions, from the coordinate variables, or from what other attributes
+    /// tell of the voxels.
     fn placed(&self, path: &Path, tree: &Tree) -> Result<Geometry> {
         let lines = self.lines(tree);
         if lines.iter().flatten().any(|l| l.regular.is_none()) {
@@ -716,7 +729,8 @@ impl Field {
         geometry(path, "coordinate variables", origin, columns)
     }
 
-    /// The sizes of voxels along x, y, z: `element_size_um` of ilastik and Fiji, `axistags` of vigra.
+    /// The sizes of voxels along x, y, z: `element_size_um` of ilastik and Fiji, `axistags` of
+    /// vigra.
     fn voxel_sizes(&self, path: &Path) -> Result<[f64; 3]> {
         if let Ok(attribute) = self.dataset.attribute("element_size_um") {
             let sizes = attribute_numbers(&attribute).unwrap_or_default();
@@ -860,7 +874,8 @@ struct Pieces {
     piece: [u64; 3],
     /// Bytes of a chunk.
     chunk_bytes: u64,
-    /// The type in the file, and how its numbers become values, where that is not told by `info`; values are `f64` then.
+    /// The type in the file, and how its numbers become values, where that is not told by `info`;
+    /// values are `f64` then.
     convert: Option<(ScalarType, Convert)>,
 }
 

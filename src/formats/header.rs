@@ -1,4 +1,5 @@
-//! What the headers of several formats have in common: text lines, lists of numbers, numbered slice files, axes.
+//! What the headers of several formats have in common: text lines, lists of numbers, numbered slice
+//! files, axes.
 
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
@@ -18,16 +19,16 @@ pub(super) struct Lines<'a> {
 }
 
 impl<'a> Lines<'a> {
-    /// The longest line taken for text. Real headers have lines of a few hundred bytes; key/value pairs that carry
-    /// other programs' records, of a megabyte.
+    /// The longest line taken for text. Real headers have lines of a few hundred bytes; key/value
+    /// pairs that carry other programs' records, of a megabyte.
     const LONGEST: usize = 16 << 20;
 
     pub(super) fn new(bytes: &'a [u8]) -> Self {
         Self { bytes, at: 0, number: 0 }
     }
 
-    /// The next line without its end (`\n` or `\r\n`); bytes that are no UTF-8 are replaced. `None` at the end of the
-    /// file, or where no line ends soon enough to be text.
+    /// The next line without its end (`\n` or `\r\n`); bytes that are no UTF-8 are replaced. `None`
+    /// at the end of the file, or where no line ends soon enough to be text.
     pub(super) fn next(&mut self) -> Option<String> {
         let rest = &self.bytes[self.at..];
         if rest.is_empty() {
@@ -61,7 +62,8 @@ pub(super) fn numbers<T: FromStr + Copy + Default, const N: usize>(
     if words.next().is_some() { Err(wrong()) } else { Ok(out) }
 }
 
-/// The map to the world of a volume whose sample (i, j, k) is at `origin + i·columns[0] + j·columns[1] + k·columns[2]`.
+/// The map to the world of a volume whose sample (i, j, k) is at
+/// `origin + i·columns[0] + j·columns[1] + k·columns[2]`.
 pub(super) fn geometry(path: &Path, at: &str, origin: [f64; 3], columns: [[f64; 3]; 3]) -> Result<Geometry> {
     let spacing = columns.map(|c| (c[0] * c[0] + c[1] * c[1] + c[2] * c[2]).sqrt());
     let direction = std::array::from_fn(|a| columns[a].map(|x| x / spacing[a]));
@@ -126,7 +128,8 @@ pub(super) fn numbered_files(path: &Path, at: &str, text: &str, words: &[&str]) 
     (0..=steps).map(|i| c_number(pattern, first + i * step).ok_or_else(wrong)).collect()
 }
 
-/// `printf(pattern, number)` for a pattern with exactly one of `%d`, `%i`, `%u`, with an optional width, and `%%`.
+/// `printf(pattern, number)` for a pattern with exactly one of `%d`, `%i`, `%u`, with an optional
+/// width, and `%%`.
 fn c_number(pattern: &str, number: i64) -> Option<String> {
     let (mut out, mut rest, mut used) = (String::new(), pattern, false);
     while let Some(at) = rest.find('%') {

@@ -42,11 +42,12 @@ pub fn is_mesh(path: &Path, options: &OpenOptions) -> Result<bool> {
     Ok(kind_of(path, options)?.is_some())
 }
 
-/// Opens a mesh of any format that is read: VTU, PVTU, legacy VTK, Gmsh, TetGen, points and tetrahedra as
-/// text.
+/// Opens a mesh of any format that is read: VTU, PVTU, legacy VTK, Gmsh, TetGen, points and
+/// tetrahedra as text.
 ///
 /// # Errors
-/// [`Error::BadInput`] for a malformed file or another kind; [`Error::Usage`] when there is no field of the name wanted.
+/// [`Error::BadInput`] for a malformed file or another kind; [`Error::Usage`] when there is no
+/// field of the name wanted.
 pub fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
     match kind_of(path, options)? {
         Some(kind) => open_kind(kind, path, options),

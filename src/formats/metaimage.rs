@@ -1,4 +1,5 @@
-//! MetaImage (MetaIO; ITK, VTK, elastix): a text header, then the samples, in the same file (`.mha`) or others (`.mhd`).
+//! MetaImage (MetaIO; ITK, VTK, elastix): a text header, then the samples, in the same file
+//! (`.mha`) or others (`.mhd`).
 //!
 //! ```text
 //! NDims = 3                          "Key = Value" lines in any order, but ElementDataFile is the last
@@ -16,9 +17,9 @@
 //! ElementDataFile = LIST             or a name on each of the lines that follow
 //! ```
 //!
-//! `BinaryData = False` is text. Bytes after the last sample are ignored, as MetaIO does. Refused by name: other than
-//! three axes, several channels, arrays, compressed or text data in several files.
-//! `ElementToIntensityFunctionSlope` and `…Offset` are ignored, as ITK and VTK do.
+//! `BinaryData = False` is text. Bytes after the last sample are ignored, as MetaIO does. Refused
+//! by name: other than three axes, several channels, arrays, compressed or text data in several
+//! files. `ElementToIntensityFunctionSlope` and `…Offset` are ignored, as ITK and VTK do.
 //!
 //! The format: <https://itk.org/Wiki/ITK/MetaIO/Documentation>.
 
@@ -36,7 +37,8 @@ use std::sync::Arc;
 /// Opens a MetaImage file.
 ///
 /// # Errors
-/// [`Error::BadInput`] when it is malformed, cut short, of a kind that is not read, or its slices are missing.
+/// [`Error::BadInput`] when it is malformed, cut short, of a kind that is not read, or its slices
+/// are missing.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let header = Header::parse(&source)?;

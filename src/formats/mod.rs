@@ -1,12 +1,13 @@
 //! Other programs' files, both ways.
 //!
-//! [`open_volume`] finds out what a file is, from its first bytes where they say it and from its name otherwise, and
-//! hands it to the module of that format. Each of them parses a header, checks every number of it against the file's
-//! length, and ends in one of two ways: samples that lie in the file as they are become a mapped
-//! [`StridedVolume`](crate::volume::strided::StridedVolume); compressed samples and text become a stream of slabs.
+//! [`open_volume`] finds out what a file is, from its first bytes where they say it and from its
+//! name otherwise, and hands it to the module of that format. Each of them parses a header, checks
+//! every number of it against the file's length, and ends in one of two ways: samples that lie in
+//! the file as they are become a mapped [`StridedVolume`](crate::volume::strided::StridedVolume);
+//! compressed samples and text become a stream of slabs.
 //!
-//! World coordinates are the file's own: NRRD and MetaImage files usually say left-posterior-superior, NIfTI
-//! right-anterior-superior. They are not converted into one another.
+//! World coordinates are the file's own: NRRD and MetaImage files usually say
+//! left-posterior-superior, NIfTI right-anterior-superior. They are not converted into one another.
 
 pub(crate) mod brick_map;
 mod centers;
@@ -66,8 +67,8 @@ pub struct OpenOptions {
     pub raw: Option<raw::RawLayout>,
     /// Whether files are mapped or read. Does not change what is read.
     pub io: IoMode,
-    /// A text file of one number a point, for meshes whose format keeps values apart: TetGen, points and tetrahedra as
-    /// text.
+    /// A text file of one number a point, for meshes whose format keeps values apart: TetGen,
+    /// points and tetrahedra as text.
     pub values: Option<PathBuf>,
 }
 
@@ -103,11 +104,13 @@ impl Kind {
     }
 }
 
-/// Opens a volume of any format that is read: a file, a folder of slices, or a pattern for the names of slices.
+/// Opens a volume of any format that is read: a file, a folder of slices, or a pattern for the
+/// names of slices.
 ///
 /// # Errors
-/// [`Error::BadInput`] for a malformed file or an unknown kind; [`Error::Usage`] when several fields ask for a choice,
-/// when a headerless file comes without its layout, or another with one, or a volume with a table of values.
+/// [`Error::BadInput`] for a malformed file or an unknown kind; [`Error::Usage`] when several
+/// fields ask for a choice, when a headerless file comes without its layout, or another with one,
+/// or a volume with a table of values.
 pub fn open_volume(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     if options.values.is_some() {
         return Err(Error::usage(format!("{} is no mesh: leave out --value-file", path.display())));
@@ -198,7 +201,8 @@ fn kind_of(source: &Arc<ByteSource>) -> Option<Kind> {
     by_name.into_iter().find(|(suffixes, _)| has_suffix(path, suffixes)).map(|(_, kind)| kind)
 }
 
-/// The first bytes of a gzip file, decoded; fewer where it is damaged, which its own reader will report.
+/// The first bytes of a gzip file, decoded; fewer where it is damaged, which its own reader will
+/// report.
 fn unzipped_head(source: &Arc<ByteSource>) -> Vec<u8> {
     let mut head = vec![];
     if let Ok(decoded) = Codec::Gzip.reader(source, 0..source.len()) {
@@ -233,11 +237,12 @@ pub(crate) fn has_suffix(path: &Path, suffixes: &[&str]) -> bool {
     suffixes.iter().any(|s| name.ends_with(s))
 }
 
-/// The index of the field to read: the one that is `wanted`, the first that a pattern matches, or the only scalar one.
+/// The index of the field to read: the one that is `wanted`, the first that a pattern matches, or
+/// the only scalar one.
 ///
 /// # Errors
-/// [`Error::Usage`] listing the fields when `wanted` is not a scalar field of the file, or is needed and not given;
-/// [`Error::BadInput`] when there is no scalar field at all.
+/// [`Error::Usage`] listing the fields when `wanted` is not a scalar field of the file, or is
+/// needed and not given; [`Error::BadInput`] when there is no scalar field at all.
 pub fn pick_field(path: &Path, fields: &[FieldInfo], wanted: Option<&str>) -> Result<usize> {
     let scalar: Vec<usize> = (0..fields.len()).filter(|&i| fields[i].components == 1).collect();
     if scalar.is_empty() {
@@ -349,7 +354,8 @@ pub(crate) mod tests {
         Ok(values)
     }
 
-    /// Whether a damaged file is refused, or read whole, in an orderly way; panics are the test's failures.
+    /// Whether a damaged file is refused, or read whole, in an orderly way; panics are the test's
+    /// failures.
     pub(crate) fn survives(path: &Path) -> bool {
         let opened = open_volume(path, &OpenOptions::default());
         match opened.and_then(try_read_all) {
@@ -362,7 +368,8 @@ pub(crate) mod tests {
         }
     }
 
-    /// Cuts a small file at every length and flips bytes all over; every cut inside `needed` must be refused.
+    /// Cuts a small file at every length and flips bytes all over; every cut inside `needed` must
+    /// be refused.
     pub(crate) fn torture(name: &str, bytes: &[u8], needed: usize) {
         let dir = tempfile::tempdir().unwrap();
         assert!(survives(&write(&dir, name, bytes)), "the undamaged file is read");

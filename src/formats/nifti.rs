@@ -1,4 +1,5 @@
-//! NIfTI-1 and NIfTI-2 (neuroimaging): a binary header of 348 or 540 bytes, then the samples, x fastest.
+//! NIfTI-1 and NIfTI-2 (neuroimaging): a binary header of 348 or 540 bytes, then the samples, x
+//! fastest.
 //!
 //! ```text
 //!  .nii, .nii.gz    | header | extensions | … samples from vox_offset on |
@@ -20,11 +21,12 @@
 //! | `quatern_b` … `qoffset_z` | 256, 6 x f32 | 352, 6 x f64 | a rotation and an origin |
 //! | `srow_x` … `srow_z` | 280, 12 x f32 | 400, 12 x f64 | the rows of an affine map |
 //!
-//! The affine map is taken where there is one, else the quaternion, else `pixdim` alone (0 means 1). The frames of a
-//! time series are fields "t0", "t1", …. Refused by name: fewer than three axes, several numbers a sample (vectors,
-//! complex, colours), long double.
+//! The affine map is taken where there is one, else the quaternion, else `pixdim` alone (0
+//! means 1). The frames of a time series are fields "t0", "t1", …. Refused by name: fewer than
+//! three axes, several numbers a sample (vectors, complex, colours), long double.
 //!
-//! The format: Cox et al., "A (sort of) new image data format standard: NIfTI-1" (2004), and `nifti1.h`, `nifti2.h`.
+//! The format: Cox et al., "A (sort of) new image data format standard: NIfTI-1" (2004), and
+//! `nifti1.h`, `nifti2.h`.
 
 use super::header::{geometry, scaled_axes};
 use super::stream::{ByteSlabs, Codec, Tail, sample_bytes};
@@ -49,8 +51,8 @@ pub(super) fn has_magic(head: &[u8]) -> bool {
 /// Opens a NIfTI file, or a pair by the name of either file.
 ///
 /// # Errors
-/// [`Error::BadInput`] when it is malformed, cut short or of a kind that is not read; [`Error::Usage`] when it is a time
-/// series and no frame is chosen.
+/// [`Error::BadInput`] when it is malformed, cut short or of a kind that is not read;
+/// [`Error::Usage`] when it is a time series and no frame is chosen.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let (header, data, offset) = parts(path, options)?;
     let (scalar, dims, frames) = (header.scalar()?, header.dims()?, header.frames()?);
@@ -84,7 +86,8 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     Ok(VolumeSource::Random(Box::new(volume)))
 }
 
-/// The frames of a file by the names of their fields, and their times: `toffset` and a `pixdim[4]` for each. None where there is one volume.
+/// The frames of a file by the names of their fields, and their times: `toffset` and a `pixdim[4]`
+/// for each. None where there is one volume.
 pub(super) fn frames(path: &Path, options: &OpenOptions) -> Result<super::series::Frames> {
     let (header, _) = header_of(path, options)?;
     let frames = header.frames()?;
@@ -100,7 +103,8 @@ pub(super) fn frames(path: &Path, options: &OpenOptions) -> Result<super::series
     Ok((0..frames).map(|t| (format!("t{t}"), time(t))).collect())
 }
 
-/// Bytes of the samples of all frames, unpacked, of a gzipped file with several; `None` of other files.
+/// Bytes of the samples of all frames, unpacked, of a gzipped file with several; `None` of other
+/// files.
 pub(super) fn packed_bytes(path: &Path, options: &OpenOptions) -> Result<Option<u64>> {
     let names = frames(path, options)?;
     let VolumeSource::Stream(stream) = open(path, &first_frame(options))? else { return Ok(None) };
@@ -113,7 +117,8 @@ fn first_frame(options: &OpenOptions) -> OpenOptions {
     OpenOptions { field: Some("t0".into()), ..options.clone() }
 }
 
-/// The frames of a gzipped file, unpacked into a nameless file: each frame by itself would be decoded from the beginning.
+/// The frames of a gzipped file, unpacked into a nameless file: each frame by itself would be
+/// decoded from the beginning.
 pub struct UnpackedFrames {
     source: Arc<ByteSource>,
     /// Of the first frame.
@@ -125,7 +130,8 @@ impl UnpackedFrames {
     /// Unpacks a file into a folder.
     ///
     /// # Errors
-    /// Those of [`open`], and when the file ends too early or too late, or the folder cannot be written.
+    /// Those of [`open`], and when the file ends too early or too late, or the folder cannot be
+    /// written.
     pub(super) fn new(
         path: &Path,
         options: &OpenOptions,
@@ -290,7 +296,8 @@ impl Header {
         if self.big_endian { BE::read_int(field, size) } else { LE::read_int(field, size) }
     }
 
-    /// The `i`-th float of a field that has `f32`s at `one` in version 1, `f64`s at `two` in version 2.
+    /// The `i`-th float of a field that has `f32`s at `one` in version 1, `f64`s at `two` in
+    /// version 2.
     fn float(&self, one: usize, two: usize, i: usize) -> f64 {
         let field = &self.bytes[if self.version == 1 { one + 4 * i } else { two + 8 * i }..];
         match (self.version, self.big_endian) {

@@ -1,4 +1,5 @@
-//! NPZ (NumPy): a zip archive whose members are NPY files. Each three-dimensional array in it is a field.
+//! NPZ (NumPy): a zip archive whose members are NPY files. Each three-dimensional array in it is a
+//! field.
 //!
 //! ```text
 //!  PK 3 4 | name | extra | member …            local header of each member, then its bytes
@@ -7,9 +8,10 @@
 //!  PK 5 6 | … number, size and place of the directory
 //! ```
 //!
-//! A stored member (`numpy.savez`) is mapped where it lies in the archive; a deflated one (`numpy.savez_compressed`) is
-//! a stream, whose CRC-32 is checked at its end. Deflated arrays in Fortran order are refused: they would have to be
-//! transposed out of core; unpacked, they are read.
+//! A stored member (`numpy.savez`) is mapped where it lies in the archive; a deflated one
+//! (`numpy.savez_compressed`) is a stream, whose CRC-32 is checked at its end. Deflated arrays in
+//! Fortran order are refused: they would have to be transposed out of core; unpacked, they are
+//! read.
 //!
 //! The format: PKWARE's APPNOTE.TXT, sections 4.3 to 4.5.
 
@@ -29,8 +31,8 @@ use std::sync::Arc;
 /// Opens an array of an NPZ archive.
 ///
 /// # Errors
-/// [`Error::BadInput`] when the archive is malformed or has no array that can be read; [`Error::Usage`] when it has
-/// several and none is chosen.
+/// [`Error::BadInput`] when the archive is malformed or has no array that can be read;
+/// [`Error::Usage`] when it has several and none is chosen.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     let (mut arrays, mut refused) = (vec![], None);
@@ -96,7 +98,8 @@ impl Member {
         }
     }
 
-    /// Refuses a stored member that is shorter than its array: what follows it in the archive are no samples.
+    /// Refuses a stored member that is shorter than its array: what follows it in the archive are
+    /// no samples.
     fn check_length(&self, array: &Array, source: Arc<ByteSource>) -> Result<Arc<ByteSource>> {
         let samples = array.dims.iter().product::<u64>() * array.scalar.bytes() as u64;
         let (needed, got) = (array.data_at as u64 + samples, self.bytes.end - self.bytes.start);
@@ -147,7 +150,8 @@ fn member(source: &ByteSource, name: &str, entry: &[u8], extra: &[u8]) -> Result
     Ok(Member { name: name.into(), deflated, crc32: le(entry, 16, 4) as u32, bytes: start..end })
 }
 
-/// Uncompressed size, compressed size and place of a member; what does not fit 32 bits is in the extra field of kind 1.
+/// Uncompressed size, compressed size and place of a member; what does not fit 32 bits is in the
+/// extra field of kind 1.
 fn sizes(entry: &[u8], mut extra: &[u8]) -> Option<[u64; 3]> {
     let mut sizes = [le(entry, 24, 4), le(entry, 20, 4), le(entry, 42, 4)];
     let mut long: &[u8] = &[];

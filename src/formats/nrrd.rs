@@ -1,4 +1,5 @@
-//! NRRD ("nearly raw raster data", Teem): a text header, then the samples, in the same file or in others.
+//! NRRD ("nearly raw raster data", Teem): a text header, then the samples, in the same file or in
+//! others.
 //!
 //! ```text
 //! NRRD0004                      magic and version, 1 to 6
@@ -15,10 +16,10 @@
 //! data file: brain.raw          a file | pattern first last step [dim] | LIST [dim], then a name on each line
 //! ```
 //!
-//! `line skip` lines of the data file come before the samples, and then `byte skip` bytes, which count decoded bytes in
-//! a compressed file; `byte skip: -1` means that the samples are the last bytes. Read here: three spatial axes of one
-//! number a sample. Refused by name: other numbers of axes, colour and vector axes, bzip2 and hex, compressed or text
-//! data in several files.
+//! `line skip` lines of the data file come before the samples, and then `byte skip` bytes, which
+//! count decoded bytes in a compressed file; `byte skip: -1` means that the samples are the last
+//! bytes. Read here: three spatial axes of one number a sample. Refused by name: other numbers of
+//! axes, colour and vector axes, bzip2 and hex, compressed or text data in several files.
 //!
 //! The format: <https://teem.sourceforge.net/nrrd/format.html>.
 
@@ -227,7 +228,8 @@ impl<'a> Header<'a> {
         geometry(self.path, "spacings", origin, scaled_axes(spacing))
     }
 
-    /// Spacing and first position of each axis from `spacings`, `axis mins`, `axis maxs`; NaN means unknown there.
+    /// Spacing and first position of each axis from `spacings`, `axis mins`, `axis maxs`; NaN means
+    /// unknown there.
     fn per_axis(&self, dims: [u64; 3]) -> Result<([f64; 3], [f64; 3])> {
         let read = |name: &str, label: &str| match self.get(name) {
             Some(text) => numbers::<f64, 3>(self.path, label, text),
@@ -350,8 +352,8 @@ impl<'a> Header<'a> {
         Ok(VolumeSource::Stream(Box::new(slabs)))
     }
 
-    /// Slices in several files all start at the same byte, so skips that depend on a file's content need one file or
-    /// files of one length.
+    /// Slices in several files all start at the same byte, so skips that depend on a file's content
+    /// need one file or files of one length.
     fn same_layout(&self, parts: &[Arc<ByteSource>]) -> Result<()> {
         let depends = self.get("byteskip") == Some("-1") || !matches!(self.get("lineskip"), None | Some("0"));
         match parts.iter().find(|p| depends && p.len() != parts[0].len()) {

@@ -1,8 +1,8 @@
 //! PLY, the Polygon File Format of Stanford University (Greg Turk, 1994).
 //!
-//! A text header names *elements* (vertex, face, …), how many there are, and the *properties* of each; then come the
-//! elements in that order, as text or as packed binary of either byte order. A property is one number, or a list: a
-//! count and that many numbers.
+//! A text header names *elements* (vertex, face, …), how many there are, and the *properties* of
+//! each; then come the elements in that order, as text or as packed binary of either byte order. A
+//! property is one number, or a list: a count and that many numbers.
 //!
 //! ```text
 //! ply                                           vertex   x y z nx ny nz        6 × f32
@@ -14,9 +14,11 @@
 //! end_header
 //! ```
 //!
-//! We write vertex numbers as `int`, which every reader knows, and as `uint` only where there are more than 2³¹-1
-//! vertices. Several surfaces in one file have a seventh property, `float isovalue` (`double` where one has more digits). Read: `vertex` needs `x`, `y`, `z` (`nx`, `ny`, `nz` are kept); `face` needs the list `vertex_indices` or
-//! `vertex_index`; all other elements and properties are skipped. Triangle strips are refused.
+//! We write vertex numbers as `int`, which every reader knows, and as `uint` only where there are
+//! more than 2³¹-1 vertices. Several surfaces in one file have a seventh property, `float isovalue`
+//! (`double` where one has more digits). Read: `vertex` needs `x`, `y`, `z` (`nx`, `ny`, `nz` are
+//! kept); `face` needs the list `vertex_indices` or `vertex_index`; all other elements and
+//! properties are skipped. Triangle strips are refused.
 
 use crate::error::{Error, Place, Result};
 use crate::formats::surface::{Fan, Sink, SurfaceMeta, each_triangle, each_vertex, is_finite, put_floats};
@@ -235,7 +237,8 @@ fn property(parts: &[&str]) -> Option<Property> {
 }
 
 impl Body<'_> {
-    /// As many rows as announced can lie in what is left of the file, so that memory may be reserved for them.
+    /// As many rows as announced can lie in what is left of the file, so that memory may be
+    /// reserved for them.
     fn check_rows(&self, element: &Element) -> Result<()> {
         let bytes = |p: &Property| match self.encoding {
             Encoding::Ascii => 2, // a digit and a space
@@ -300,7 +303,8 @@ impl Body<'_> {
         (0..n).try_for_each(|_| self.number(property.kind).map(drop))
     }
 
-    /// Nothing but white space follows the last row of a text, nothing but a line end that of a binary file.
+    /// Nothing but white space follows the last row of a text, nothing but a line end that of a
+    /// binary file.
     fn finish(&self) -> Result<()> {
         let rest = self.words.rest().trim_ascii();
         if rest.is_empty() {

@@ -1,8 +1,9 @@
 //! Lists of points as text: CSV in, CSV or NPY out.
 //!
-//! A table of numbers with a comma, a semicolon or a tab between them, told by the first line. With titles, the columns named x, y
-//! and z (in any case; or `Points:0`, `Points:1`, `Points:2`, as ParaView writes them) are the coordinates; without, the first
-//! three. Lines that begin with `#` are passed over. What comes out has the columns that came in, as they were, and one more; NaN is
+//! A table of numbers with a comma, a semicolon or a tab between them, told by the first line. With
+//! titles, the columns named x, y and z (in any case; or `Points:0`, `Points:1`, `Points:2`, as
+//! ParaView writes them) are the coordinates; without, the first three. Lines that begin with `#`
+//! are passed over. What comes out has the columns that came in, as they were, and one more; NaN is
 //! written `nan`. Memory: that of a line; a table is read twice, so it must be a file.
 
 use super::surface::resolve;

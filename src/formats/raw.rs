@@ -5,9 +5,9 @@
 //!      | skipped | x fastest, then y, then z; no gaps  |
 //! ```
 //!
-//! The file must end with the last sample: a file of another length means that the dimensions or the type are wrong,
-//! and a wrong volume would look almost right. A gzip file (`.raw.gz`) is read as a stream, `offset` counting decoded
-//! bytes.
+//! The file must end with the last sample: a file of another length means that the dimensions or
+//! the type are wrong, and a wrong volume would look almost right. A gzip file (`.raw.gz`) is read
+//! as a stream, `offset` counting decoded bytes.
 
 use super::header::{geometry, plain_info, scaled_axes};
 use super::stream::{ByteSlabs, Codec, Tail, sample_bytes};
@@ -63,8 +63,8 @@ impl SampleType {
 /// Opens a headerless file.
 ///
 /// # Errors
-/// [`Error::Usage`] without a layout, or with one that makes no sense; [`Error::BadInput`] when the file's length is
-/// not that of the layout.
+/// [`Error::Usage`] without a layout, or with one that makes no sense; [`Error::BadInput`] when the
+/// file's length is not that of the layout.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let layout = options.raw.as_ref().ok_or_else(|| no_layout(path))?;
     if !layout.spacing.iter().all(|&s| s > 0.0 && s.is_finite()) {

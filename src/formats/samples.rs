@@ -1,10 +1,12 @@
 //! Samples of a field on a grid, written in any order: VTI and NPY.
 //!
-//! Both formats are a head whose length is known beforehand and samples, `f32` or, where they are counted from an offset, `f64`, x fastest, one after another; so a run of samples has its
-//! place in the file whenever it is ready, and the memory used is that of a head. The bytes go to a temporary file beside
-//! the target, which is synced and then renamed.
+//! Both formats are a head whose length is known beforehand and samples, `f32` or, where they are
+//! counted from an offset, `f64`, x fastest, one after another; so a run of samples has its place
+//! in the file whenever it is ready, and the memory used is that of a head. The bytes go to a
+//! temporary file beside the target, which is synced and then renamed.
 //!
-//! * **VTI** (VTK ImageData): one piece, appended raw, `UInt64` header, with origin, spacing and direction.
+//! * **VTI** (VTK ImageData): one piece, appended raw, `UInt64` header, with origin, spacing and
+//!   direction.
 //! * **NPY** version 1: `<f4` of shape (z, y, x), or (n) for a list.
 
 use super::surface::resolve;
@@ -81,7 +83,8 @@ impl SampleFile {
     /// Begins a file of samples on a grid.
     ///
     /// # Errors
-    /// [`Error::Usage`] when the target is a folder or there are too many samples; [`Error::Io`] when the system refuses to write.
+    /// [`Error::Usage`] when the target is a folder or there are too many samples; [`Error::Io`]
+    /// when the system refuses to write.
     pub fn create(path: &Path, format: SampleFormat, meta: &GridMeta) -> Result<Self> {
         let samples = meta.samples()?;
         match format {

@@ -9,7 +9,8 @@
 //! | a 4-D NIfTI file; a four-dimensional dataset of an HDF5 or NetCDF file; a Zarr array with a time axis (where there are several: named by `--field`) | its frames, with their times |
 //! | any file, and a pattern for its fields, `V_*` | the fields that match, by the numbers in their names |
 //!
-//! A pattern that matches TIFF files is one volume: its slices. The time of a VTK file is that which it has in its field data: `TimeValue`, or `TIME`.
+//! A pattern that matches TIFF files is one volume: its slices. The time of a VTK file is that
+//! which it has in its field data: `TimeValue`, or `TIME`.
 
 use super::nifti::UnpackedFrames;
 use super::stack::{by_numbers, rise};
@@ -64,8 +65,9 @@ impl StepSource {
         Self { path, options, time: None, given: None, decodes: DecodeCount::default() }
     }
 
-    /// A volume that a program gives: samples in memory ([`volume_of`](crate::volume::memory::volume_of)),
-    /// or anything that answers for boxes of them. `name` stands for it in messages and in the archive.
+    /// A volume that a program gives: samples in memory
+    /// ([`volume_of`](crate::volume::memory::volume_of)), or anything that answers for boxes of
+    /// them. `name` stands for it in messages and in the archive.
     pub fn given(name: &str, volume: Arc<dyn VolumeReader>) -> Self {
         let given = Given { volume, hash: Arc::default() };
         Self { given: Some(given), ..Self::new(name.as_ref(), &OpenOptions::default()) }
@@ -192,10 +194,12 @@ pub(super) type Frames = Vec<(String, Option<f64>)>;
 /// The most bytes of a list of files.
 const LARGEST_LIST: u64 = 64 << 20;
 
-/// The steps that some inputs stand for, in order. What is in the files is looked at only as far as it takes to tell steps apart.
+/// The steps that some inputs stand for, in order. What is in the files is looked at only as far as
+/// it takes to tell steps apart.
 ///
 /// # Errors
-/// [`Error::BadInput`] for a list of files that is malformed, or a pattern without files; [`Error::Usage`] for a malformed pattern.
+/// [`Error::BadInput`] for a list of files that is malformed, or a pattern without files;
+/// [`Error::Usage`] for a malformed pattern.
 pub fn steps_of(inputs: &[PathBuf], options: &OpenOptions) -> Result<Vec<StepSource>> {
     let mut steps = vec![];
     for input in inputs {
@@ -237,7 +241,8 @@ fn files_of(input: &Path) -> Result<Vec<(PathBuf, Option<f64>)>> {
     Ok(files.into_iter().map(|f| (f, None)).collect())
 }
 
-/// A list in the order of its times, as ParaView plays it, whatever the order in which files were added to it.
+/// A list in the order of its times, as ParaView plays it, whatever the order in which files were
+/// added to it.
 fn by_times(mut files: Vec<(PathBuf, Option<f64>)>) -> Vec<(PathBuf, Option<f64>)> {
     let times: Option<Vec<f64>> = files.iter().map(|(_, time)| time.filter(|t| t.is_finite())).collect();
     if times.is_some() {
@@ -250,8 +255,9 @@ fn is_pattern(text: &str) -> bool {
     text.contains(['*', '?', '['])
 }
 
-/// What speaks against the order in which files were named, as a shell without numbers gives it: their names differ in numbers
-/// alone, which do not rise, or their times fall. `None` where nothing does.
+/// What speaks against the order in which files were named, as a shell without numbers gives it:
+/// their names differ in numbers alone, which do not rise, or their times fall. `None` where
+/// nothing does.
 pub fn order_in_doubt(inputs: &[PathBuf], steps: &[StepSource]) -> Option<String> {
     let times: Option<Vec<f64>> = steps.iter().map(|s| s.time).collect();
     if let Some(times) = times.filter(|t| t.len() > 1) {
@@ -310,7 +316,8 @@ fn frame_kind(path: &Path, options: &OpenOptions) -> Result<Option<Kind>> {
     Ok(kind_of(&Arc::new(ByteSource::open(path, options.io)?)))
 }
 
-/// The frames of a file that is a series by itself, or of the array in it that is named; and their times.
+/// The frames of a file that is a series by itself, or of the array in it that is named; and their
+/// times.
 fn frames(path: &Path, options: &OpenOptions) -> Result<Option<Frames>> {
     let wanted = options.field.as_deref();
     if options.raw.is_none() && zarr::is_zarr(path) {
@@ -339,7 +346,8 @@ fn times(path: &Path, options: &OpenOptions) -> Result<HashMap<String, f64>> {
     }
 }
 
-/// Bytes of all frames of a file, unpacked, where each frame would be decoded from the beginning of the file; `None` of other files.
+/// Bytes of all frames of a file, unpacked, where each frame would be decoded from the beginning of
+/// the file; `None` of other files.
 ///
 /// # Errors
 /// [`Error::BadInput`] for a malformed file.

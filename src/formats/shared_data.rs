@@ -1,5 +1,5 @@
-//! Tests on real files: the folder named by `ISOSPAN_SHARED_DATA`, whose MANIFEST.tsv tells what a file holds. They are
-//! ignored unless asked for, as tools/check does where the variable is set.
+//! Tests on real files: the folder named by `ISOSPAN_SHARED_DATA`, whose MANIFEST.tsv tells what a
+//! file holds. They are ignored unless asked for, as tools/check does where the variable is set.
 
 use super::tests::try_read_all;
 use super::*;

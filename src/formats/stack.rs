@@ -1,8 +1,9 @@
 //! Volumes that are many files: the slices in a folder, or those that a pattern matches.
 //!
-//! Slices are ordered by the numbers in their names as numbers: `slice_9` comes before `slice_10`. The names must differ
-//! in numbers alone, and the first number in which they differ must tell them all apart. Where these numbers leave a gap,
-//! a slice is missing: a volume with a slice less would be silently wrong, so that is an error that names the numbers.
+//! Slices are ordered by the numbers in their names as numbers: `slice_9` comes before `slice_10`.
+//! The names must differ in numbers alone, and the first number in which they differ must tell them
+//! all apart. Where these numbers leave a gap, a slice is missing: a volume with a slice less would
+//! be silently wrong, so that is an error that names the numbers.
 
 use super::has_suffix;
 use crate::archive::publish::folder_of;
@@ -28,7 +29,8 @@ pub(super) fn matching(pattern: &Path) -> Result<Vec<PathBuf>> {
     Ok(in_order(pattern, names)?.into_iter().map(|n| pattern.with_file_name(n)).collect())
 }
 
-/// The files of a folder whose names end in one of `suffixes`, in the order of their numbers; empty if there is none.
+/// The files of a folder whose names end in one of `suffixes`, in the order of their numbers; empty
+/// if there is none.
 pub(super) fn in_folder(folder: &Path, suffixes: &[&str]) -> Result<Vec<PathBuf>> {
     let names = names_in(folder)?.into_iter().filter(|n| has_suffix(Path::new(n), suffixes)).collect();
     Ok(in_order(folder, names)?.into_iter().map(|n| folder.join(n)).collect())
@@ -95,7 +97,8 @@ pub(super) fn by_numbers<T>(all: &mut [T], name: impl Fn(&T) -> String) {
     });
 }
 
-/// Whether a name comes before another by its numbers, or is another's for other reasons than these.
+/// Whether a name comes before another by its numbers, or is another's for other reasons than
+/// these.
 pub(super) fn rise(before: &str, after: &str) -> bool {
     let (before, after) = (parts(before), parts(after));
     before.0 != after.0 || before.1 <= after.1

@@ -1,8 +1,9 @@
 //! STL, the stereolithography format of 3D Systems (1989).
 //!
-//! Triangles only, each with its three positions: shared vertices are repeated, and the reader joins those of equal
-//! bits (-0 being 0), which restores exactly the sharing of a surface whose vertices are distinct in `f32`. It does so
-//! by sorting, three times, so that the surface need not fit in memory:
+//! Triangles only, each with its three positions: shared vertices are repeated, and the reader
+//! joins those of equal bits (-0 being 0), which restores exactly the sharing of a surface whose
+//! vertices are distinct in `f32`. It does so by sorting, three times, so that the surface need not
+//! fit in memory:
 //!
 //! ```text
 //! corners by position           equal ones lie together: each learns the first corner at its place
@@ -16,9 +17,10 @@
 //! 84  a record of 50 bytes for each: normal 3 × f32, three positions 3 × f32 each, u16 attribute (0)
 //! ```
 //!
-//! The text form has `facet normal`, `outer loop`, three `vertex x y z`, `endloop`, `endfacet` for each triangle,
-//! between `solid NAME` and `endsolid`. Many binary files begin with "solid", so a file whose length agrees with the
-//! count at byte 80 is binary. The normals of a file are not read: they follow from the positions.
+//! The text form has `facet normal`, `outer loop`, three `vertex x y z`, `endloop`, `endfacet` for
+//! each triangle, between `solid NAME` and `endsolid`. Many binary files begin with "solid", so a
+//! file whose length agrees with the count at byte 80 is binary. The normals of a file are not
+//! read: they follow from the positions.
 
 use crate::bytes::sorter::Sorter;
 use crate::bytes::{ByteSource, IoMode};
@@ -45,8 +47,8 @@ pub(super) fn check_limits(triangles: u64) -> Result<()> {
     Ok(())
 }
 
-/// Writes a surface as binary STL. Triangles name vertices in any order, so the positions go to a mapped scratch file
-/// first (12 bytes each): memory stays that of a buffer.
+/// Writes a surface as binary STL. Triangles name vertices in any order, so the positions go to a
+/// mapped scratch file first (12 bytes each): memory stays that of a buffer.
 pub(super) fn write(source: &dyn SurfaceSource, sink: &mut Sink, meta: &SurfaceMeta) -> Result<()> {
     let positions = Positions::store(source, sink)?;
     sink.put(&header(meta))?;

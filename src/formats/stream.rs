@@ -1,8 +1,10 @@
-//! Samples that must be read front to back: compressed ones ([`ByteSlabs`]) and text ([`TextSlabs`]).
+//! Samples that must be read front to back: compressed ones ([`ByteSlabs`]) and text
+//! ([`TextSlabs`]).
 //!
-//! Memory: one slab and the decoder's window. A header may claim any size, so nothing is allocated on its word alone:
-//! a compressed stream must be long enough to hold the claimed samples at deflate's best possible ratio, a text must
-//! have at least two bytes a sample, and a slab grows as its bytes arrive.
+//! Memory: one slab and the decoder's window. A header may claim any size, so nothing is allocated
+//! on its word alone: a compressed stream must be long enough to hold the claimed samples at
+//! deflate's best possible ratio, a text must have at least two bytes a sample, and a slab grows as
+//! its bytes arrive.
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Place, Result};
@@ -24,7 +26,8 @@ pub enum Codec {
     Gzip,
     /// RFC 1950.
     Zlib,
-    /// RFC 1951, without header and checksum: a member of a zip file, whose directory has the CRC-32.
+    /// RFC 1951, without header and checksum: a member of a zip file, whose directory has the
+    /// CRC-32.
     Deflate {
         /// Of the decoded bytes.
         crc32: u32,
@@ -99,15 +102,16 @@ pub struct ByteSlabs {
     before: u64,
 }
 
-/// Bytes that are skipped, and so looked at, when a stream is opened, at most: what many headers tell is asked of files that nobody reads then.
+/// Bytes that are skipped, and so looked at, when a stream is opened, at most: what many headers
+/// tell is asked of files that nobody reads then.
 const SKIPPED_AT_ONCE: u64 = 1 << 16;
 
 impl ByteSlabs {
     /// The samples that follow the first `skip` decoded bytes of a compressed range.
     ///
     /// # Errors
-    /// [`Error::BadInput`] when the range is not in the file, cannot hold so many samples, or ends before `skip`, if that is no more than a header;
-    /// else reading tells.
+    /// [`Error::BadInput`] when the range is not in the file, cannot hold so many samples, or ends
+    /// before `skip`, if that is no more than a header; else reading tells.
     pub fn new(
         info: VolumeInfo,
         source: &Arc<ByteSource>,

@@ -1,9 +1,10 @@
 //! Surface files, both ways: one face for PLY, STL, OBJ, VTP and GLB.
 //!
-//! **Writing** streams. A [`SurfaceSource`] knows its counts before its first vertex, so every header is final when it
-//! is written, and the memory used is that of a buffer, whatever the size of the surface. The bytes go to a
-//! temporary file beside the target, which is synced and then renamed: under the target's name there is either what
-//! was there before or a complete file, also after a crash.
+//! **Writing** streams. A [`SurfaceSource`] knows its counts before its first vertex, so every
+//! header is final when it is written, and the memory used is that of a buffer, whatever the size
+//! of the surface. The bytes go to a temporary file beside the target, which is synced and then
+//! renamed: under the target's name there is either what was there before or a complete file, also
+//! after a crash.
 //!
 //! | format | stores | limit, refused before a byte is written |
 //! |---|---|---|
@@ -13,10 +14,11 @@
 //! | VTP, appended raw, 64-bit headers | vertices with normals, triangles, the isovalue | none |
 //! | GLB (glTF 2.0) | vertices with normals, triangles, the isovalue | 4 GiB |
 //!
-//! **Reading** ([`load_surface`], for the checker) streams too: what a given memory does not hold goes to a scratch folder.
-//! Read are the formats as we write them and as other programs do. Polygons are cut into fans. Vertex normals are
-//! kept where the format has them beside the vertices (PLY, VTP, GLB) and are zero otherwise. Positions are stored as `f32`; one
-//! that is not finite is an error.
+//! **Reading** ([`load_surface`], for the checker) streams too: what a given memory does not hold
+//! goes to a scratch folder. Read are the formats as we write them and as other programs do.
+//! Polygons are cut into fans. Vertex normals are kept where the format has them beside the
+//! vertices (PLY, VTP, GLB) and are zero otherwise. Positions are stored as `f32`; one that is not
+//! finite is an error.
 
 use crate::archive::publish::{Unpublished, folder_of};
 use crate::bytes::ByteSource;
@@ -86,8 +88,8 @@ pub struct SurfaceMeta {
     pub isovalue: Option<f64>,
     /// Free text, a line each; characters that a format cannot hold in a comment are replaced.
     pub comments: Vec<String>,
-    /// The surfaces of which the surface consists, one after another, where it is several: PLY and VTP then have an array
-    /// `isovalue` of the vertices, OBJ has groups. None if it is one.
+    /// The surfaces of which the surface consists, one after another, where it is several: PLY and
+    /// VTP then have an array `isovalue` of the vertices, OBJ has groups. None if it is one.
     pub parts: Vec<SurfacePart>,
 }
 
@@ -118,7 +120,8 @@ impl SurfaceMeta {
         self.parts.iter().map(end).collect()
     }
 
-    /// Bytes of the isovalue of a vertex of several parts: an `f32`, or an `f64` where an isovalue has more digits.
+    /// Bytes of the isovalue of a vertex of several parts: an `f32`, or an `f64` where an isovalue
+    /// has more digits.
     pub(super) fn isovalue_bytes(&self) -> usize {
         if self.parts.iter().all(|p| shortest(p.isovalue as f32) == p.isovalue) { 4 } else { 8 }
     }
@@ -146,19 +149,21 @@ impl SurfaceMeta {
     }
 }
 
-/// Writes a surface to `path` and returns the bytes of the file. An empty surface gives an empty, valid file.
+/// Writes a surface to `path` and returns the bytes of the file. An empty surface gives an empty,
+/// valid file.
 ///
 /// # Errors
-/// [`Error::Usage`] when the target is a folder or lies in none, or the surface is beyond the format's limits;
-/// [`Error::Io`] when the system refuses to write, or the source does not hold what it announced; the source's own.
-/// After an error nothing new lies under `path`.
+/// [`Error::Usage`] when the target is a folder or lies in none, or the surface is beyond the
+/// format's limits; [`Error::Io`] when the system refuses to write, or the source does not hold
+/// what it announced; the source's own. After an error nothing new lies under `path`.
 pub fn write_surface(
     source: &dyn SurfaceSource,
     path: &Path,
     format: SurfaceFormat,
     meta: &SurfaceMeta,
 ) -> Result<u64> {
-    // The source numbers vertices with 32 bits, so no format needs more; a store that announces more is damaged.
+    // The source numbers vertices with 32 bits, so no format needs more; a store that announces
+    // more is damaged.
     if source.vertex_count() > 1 << 32 {
         return Err(Error::usage(format!(
             "a surface has at most {} vertices, this one {}: extract it from an archive of fewer points",
@@ -191,11 +196,13 @@ pub fn read_surface(path: &Path) -> Result<TriMesh> {
     TriMesh::from_source(&load_surface(path, &CheckSettings::default())?)
 }
 
-/// Reads a surface; the format is told by the first bytes, then by the extension. While it is read up to half of the memory is
-/// used, and as it is returned [`CheckSettings::of_source`]; what that does not hold is in a nameless file in the scratch folder.
+/// Reads a surface; the format is told by the first bytes, then by the extension. While it is read
+/// up to half of the memory is used, and as it is returned [`CheckSettings::of_source`]; what that
+/// does not hold is in a nameless file in the scratch folder.
 ///
 /// # Errors
-/// [`Error::BadInput`] for a malformed file, or one that is no surface; [`Error::Io`] when it cannot be read.
+/// [`Error::BadInput`] for a malformed file, or one that is no surface; [`Error::Io`] when it
+/// cannot be read.
 pub fn load_surface(path: &Path, settings: &CheckSettings) -> Result<StoredSurface> {
     let room = Room::of(settings);
     let mut surface = StoredSurface::new(&BuilderSettings {
@@ -291,8 +298,8 @@ impl Sink {
         &self.target
     }
 
-    /// A second file beside the target, for data that a format needs in another order. It has no name, so nothing is left
-    /// of it in any case.
+    /// A second file beside the target, for data that a format needs in another order. It has no
+    /// name, so nothing is left of it in any case.
     pub(super) fn scratch(&self) -> Result<File> {
         tempfile::tempfile_in(&self.parent)
             .map_err(|e| Error::io("create a scratch file beside", &self.target, e))
@@ -310,7 +317,8 @@ impl Sink {
     }
 }
 
-/// The file to write: a link is followed, what is no regular file is refused (a rename would replace a device).
+/// The file to write: a link is followed, what is no regular file is refused (a rename would
+/// replace a device).
 pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
     let refuse = |what: &str| {
         Err(Error::usage(format!("cannot write {}: it is {what}; give the name of a file", path.display())))
@@ -324,8 +332,8 @@ pub(super) fn resolve(path: &Path) -> Result<PathBuf> {
     }
 }
 
-/// Writes a record for every vertex: `each` appends it to the buffer that it is given, and knows the number of the vertex. There are
-/// exactly as many as announced, or it is an error.
+/// Writes a record for every vertex: `each` appends it to the buffer that it is given, and knows
+/// the number of the vertex. There are exactly as many as announced, or it is an error.
 pub(super) fn each_vertex(
     source: &dyn SurfaceSource,
     sink: &mut Sink,
@@ -609,7 +617,8 @@ pub(super) mod tests {
         assert_eq!(read_surface(&path).unwrap_err().exit_code(), 5);
     }
 
-    /// Cuts at every length and flips bytes: a reader gives an error or a surface, and does not panic.
+    /// Cuts at every length and flips bytes: a reader gives an error or a surface, and does not
+    /// panic.
     pub(in crate::formats) fn survive(bytes: &[u8], read: impl Fn(&[u8])) {
         for cut in 0..bytes.len() {
             read(&bytes[..cut]);

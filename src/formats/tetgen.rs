@@ -1,4 +1,5 @@
-//! Meshes as pairs of text tables: TetGen's `.node` and `.ele`, and points and tetrahedra as `.pts` and `.tet`.
+//! Meshes as pairs of text tables: TetGen's `.node` and `.ele`, and points and tetrahedra as `.pts`
+//! and `.tet`.
 //!
 //! ```text
 //! body.node                                     body.ele
@@ -8,18 +9,20 @@
 //! …            number, x, y, z, attributes      …            number, vertices, attributes
 //! ```
 //!
-//! Cells of second order have ten vertices: the corners 1 to 4, then the middles of the edges 34, 14, 12, 23, 24, 13 (`tetgen -o2`, as of its
-//! version 1.5).
+//! Cells of second order have ten vertices: the corners 1 to 4, then the middles of the edges 34,
+//! 14, 12, 23, 24, 13 (`tetgen -o2`, as of its version 1.5).
 //!
-//! Numbers count from 0 or from 1, as the first point's does, and must be in order. `#` begins a comment. Attributes of
-//! points are the fields `attribute` (or `attribute1`, `attribute2`, …), those of cells `region` (…); boundary
-//! markers are passed over.
+//! Numbers count from 0 or from 1, as the first point's does, and must be in order. `#` begins a
+//! comment. Attributes of points are the fields `attribute` (or `attribute1`, `attribute2`, …),
+//! those of cells `region` (…); boundary markers are passed over.
 //!
-//! A `.pts` file has x, y, z on each line, a `.tet` file four vertices, and neither a head (a first line of one number, the
-//! count, is allowed). Vertices count from 1, unless a 0 occurs: a first pass over the tetrahedra finds out.
+//! A `.pts` file has x, y, z on each line, a `.tet` file four vertices, and neither a head (a first
+//! line of one number, the count, is allowed). Vertices count from 1, unless a 0 occurs: a first
+//! pass over the tetrahedra finds out.
 //!
-//! Values of a field can come from a third file (`--value-file`) of one number a point; the field has the file's name.
-//! Either file of a pair may be named; the other lies beside it. Everything is read row by row.
+//! Values of a field can come from a third file (`--value-file`) of one number a point; the field
+//! has the file's name. Either file of a pair may be named; the other lies beside it. Everything is
+//! read row by row.
 
 use super::text::{place, word};
 use super::{OpenOptions, has_suffix};
@@ -43,7 +46,8 @@ pub(super) fn is_mesh(path: &Path) -> bool {
 /// Opens a pair of files, one of which is named.
 ///
 /// # Errors
-/// [`Error::BadInput`] for malformed files or when one is missing; [`Error::Usage`] when there is no field of the name wanted.
+/// [`Error::BadInput`] for malformed files or when one is missing; [`Error::Usage`] when there is
+/// no field of the name wanted.
 pub fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
     let tetgen = has_suffix(path, &[".node", ".ele"]);
     let suffixes = if tetgen { ["node", "ele"] } else { ["pts", "tet"] };
@@ -146,7 +150,8 @@ fn bare_table(source: &Arc<ByteSource>, columns: usize) -> Result<Table> {
     }
 }
 
-/// The integers of the first line that is no comment, at least `least` of them, and the byte after it.
+/// The integers of the first line that is no comment, at least `least` of them, and the byte after
+/// it.
 fn head(source: &Arc<ByteSource>, least: usize, expected: &str) -> Result<(Vec<u64>, u64)> {
     let table = Table { source: Arc::clone(source), start: 0, rows: 1, columns: 0, numbered: None };
     let rows = Rows::new(&table);
@@ -410,7 +415,8 @@ struct Tets {
     kind: CellKind,
 }
 
-/// Where VTK's vertices of a tetrahedron of second order, with the middles of the edges 12, 23, 31, 14, 24, 34, are in TetGen's.
+/// Where VTK's vertices of a tetrahedron of second order, with the middles of the edges 12, 23, 31,
+/// 14, 24, 34, are in TetGen's.
 const IN_VTK_ORDER: [usize; 10] = [0, 1, 2, 3, 6, 7, 9, 5, 8, 4];
 
 impl CellStream for Tets {

@@ -1,4 +1,5 @@
-//! Text in data files: words divided by white space, numbers, and the line where something is wrong.
+//! Text in data files: words divided by white space, numbers, and the line where something is
+//! wrong.
 
 use super::stream::push_number;
 use crate::bytes::ByteSource;
@@ -51,8 +52,8 @@ impl<'a> Words<'a> {
         found.parse().map_err(|_| self.wrong(what, format!("'{found}'")))
     }
 
-    /// The rest of the line, without its end; `None` at the end of the text. Text that is not UTF-8 is shown with
-    /// replacement characters.
+    /// The rest of the line, without its end; `None` at the end of the text. Text that is not UTF-8
+    /// is shown with replacement characters.
     pub(super) fn line(&mut self) -> Option<std::borrow::Cow<'a, str>> {
         let rest = self.rest();
         if rest.is_empty() {

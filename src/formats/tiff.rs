@@ -1,4 +1,5 @@
-//! TIFF: a stack of slices in a folder (`scan/` or `"scan/slice_*.tif"`), or the pages of one file; also BigTIFF.
+//! TIFF: a stack of slices in a folder (`scan/` or `"scan/slice_*.tif"`), or the pages of one file;
+//! also BigTIFF.
 //!
 //! A page is cut into strips or tiles, each compressed by itself:
 //!
@@ -10,21 +11,25 @@
 //!                          └────┴────┴──┘
 //! ```
 //!
-//! Uncompressed strips that follow each other are read where they lie, mapped, without a copy: every page may start
-//! elsewhere. Anything else (LZW, deflate, PackBits, zstd; tiles; predictors) is decoded by rows of strips or tiles, as they
-//! are asked for ([`crate::volume::chunked`]). Memory: some rows, and a page's table of strips, which is read for each.
+//! Uncompressed strips that follow each other are read where they lie, mapped, without a copy:
+//! every page may start elsewhere. Anything else (LZW, deflate, PackBits, zstd; tiles; predictors)
+//! is decoded by rows of strips or tiles, as they are asked for ([`crate::volume::chunked`]).
+//! Memory: some rows, and a page's table of strips, which is read for each.
 //!
-//! Read: grey values of 8 to 64 bits, integers and floats, of either order of bytes. Refused by name: colours, palettes,
-//! other numbers of bits, JPEG and other compressions, pages that differ in size or type, missing slices, several
-//! channels or moments. Pages that are thumbnails or masks of others are skipped. ImageJ's stacks of more than 4 GiB
-//! have one page, whose description tells the number of images that follow each other: they are read too.
+//! Read: grey values of 8 to 64 bits, integers and floats, of either order of bytes. Refused by
+//! name: colours, palettes, other numbers of bits, JPEG and other compressions, pages that differ
+//! in size or type, missing slices, several channels or moments. Pages that are thumbnails or masks
+//! of others are skipped. ImageJ's stacks of more than 4 GiB have one page, whose description tells
+//! the number of images that follow each other: they are read too.
 //!
-//! TIFF has no tag for the distance of slices, and its resolution is usually that of a screen. So spacing comes from
-//! ImageJ's description (`spacing=` and the resolution tags that go with it) or OME-XML's `PhysicalSizeX`, `Y`, `Z` (when
-//! their units agree); without either it is 1. Rows are in the file's order: the tag for orientation is not applied.
+//! TIFF has no tag for the distance of slices, and its resolution is usually that of a screen. So
+//! spacing comes from ImageJ's description (`spacing=` and the resolution tags that go with it) or
+//! OME-XML's `PhysicalSizeX`, `Y`, `Z` (when their units agree); without either it is 1. Rows are
+//! in the file's order: the tag for orientation is not applied.
 //!
-//! The parser is our own because mapping in place needs the places of the strips, which are most of TIFF.
-//! The format: TIFF 6.0 (Adobe, 1992); BigTIFF: <https://www.awaresystems.be/imaging/tiff/bigtiff.html>.
+//! The parser is our own because mapping in place needs the places of the strips, which are most of
+//! TIFF. The format: TIFF 6.0 (Adobe, 1992); BigTIFF:
+//! <https://www.awaresystems.be/imaging/tiff/bigtiff.html>.
 
 mod ifd;
 mod page;
@@ -99,7 +104,8 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
 /// Opens a stack of files, a slice each; `path` is the folder or the pattern that was named.
 ///
 /// # Errors
-/// [`Error::BadInput`] when a slice is malformed, of a kind that is not read, or differs from the first one.
+/// [`Error::BadInput`] when a slice is malformed, of a kind that is not read, or differs from the
+/// first one.
 pub(super) fn open_stack(path: &Path, files: Vec<PathBuf>, options: &OpenOptions) -> Result<VolumeSource> {
     let (mut first, mut in_place) = (None::<(Tiff, Page)>, Some(vec![]));
     for file in &files {
@@ -291,7 +297,8 @@ fn chunked(info: VolumeInfo, first: &Page, pages: Pages) -> VolumeSource {
     let (row, step) = (info.dims[0].saturating_mul(info.field.scalar.bytes() as u64), first.part_rows());
     let together = (CHUNK_BYTES / row.saturating_mul(step).max(1)).max(1);
     let rows = step.saturating_mul(together).min(info.dims[1]);
-    // The samples, and a strip or tile before and after it is decoded: that may be larger than the page.
+    // The samples, and a strip or tile before and after it is decoded: that may be larger than the
+    // page.
     let decoding_bytes = row.saturating_mul(rows).saturating_add(first.part_bytes().saturating_mul(2));
     VolumeSource::Chunked(Arc::new(PageChunks { info, pages, rows, decoding_bytes }))
 }

@@ -1,7 +1,8 @@
 //! VTU: VTK XML UnstructuredGrid, of tetrahedra, written.
 //!
-//! One piece, its arrays appended raw, so that each is one run of bytes that a reader may map; all lengths follow from the two
-//! counts, so the XML head is final before the first point, and the memory used is that of a buffer.
+//! One piece, its arrays appended raw, so that each is one run of bytes that a reader may map; all
+//! lengths follow from the two counts, so the XML head is final before the first point, and the
+//! memory used is that of a buffer.
 //!
 //! ```text
 //! <VTKFile type="UnstructuredGrid" … byte_order="LittleEndian" header_type="UInt64">
@@ -16,17 +17,20 @@
 //! </VTKFile>
 //! ```
 //!
-//! Or compressed (`compressor="vtkZLibDataCompressor"`): each array is then cut in blocks of 1 MiB, and in place of its length there is
+//! Or compressed (`compressor="vtkZLibDataCompressor"`): each array is then cut in blocks of 1 MiB,
+//! and in place of its length there is
 //!
 //! ```text
 //!     [u64 blocks n][u64 bytes of a block][u64 bytes of the last one, 0 if it is full][n × u64 compressed bytes][zlib streams]
 //! ```
 //!
-//! What lengths come out is known at the end only, so the streams wait in a nameless file beside the target until the head is written.
+//! What lengths come out is known at the end only, so the streams wait in a nameless file beside
+//! the target until the head is written.
 //!
-//! Coordinates are `f64`: the lattice is finer than `f32` tells apart, and a flat tetrahedron could turn over by rounding. Every
-//! tetrahedron has a positive volume as VTK counts it, also where the volume's geometry mirrors; of a curvilinear grid all but those
-//! that its coordinates turn over: in folded cells, and slivers where cells are bent.
+//! Coordinates are `f64`: the lattice is finer than `f32` tells apart, and a flat tetrahedron could
+//! turn over by rounding. Every tetrahedron has a positive volume as VTK counts it, also where the
+//! volume's geometry mirrors; of a curvilinear grid all but those that its coordinates turn over:
+//! in folded cells, and slivers where cells are bent.
 
 use crate::bytes::store::{read_at, write_at};
 use crate::error::{Error, Result};
@@ -77,11 +81,13 @@ enum Array {
     Types,
 }
 
-/// Writes a mesh to `path` and returns the bytes of the file. A mesh without tetrahedra gives an empty, valid file.
+/// Writes a mesh to `path` and returns the bytes of the file. A mesh without tetrahedra gives an
+/// empty, valid file.
 ///
 /// # Errors
-/// [`crate::Error::Usage`] when the target is a folder or lies in none; [`crate::Error::Io`] when the system refuses to write; those of
-/// reading the mesh. After an error nothing new lies under `path`.
+/// [`crate::Error::Usage`] when the target is a folder or lies in none; [`crate::Error::Io`] when
+/// the system refuses to write; those of reading the mesh. After an error nothing new lies under
+/// `path`.
 pub fn write_vtu(mesh: &StoredTets, path: &Path, meta: &TetMeta<'_>) -> Result<u64> {
     let mut sink = Sink::create(path)?;
     match meta.compress {
@@ -186,7 +192,8 @@ const PART: usize = 4096;
 const BLOCK: usize = 1 << 20;
 /// Blocks that are compressed at a time, side by side.
 const BLOCKS: usize = 8;
-/// Bytes of memory that compression takes: those that wait, a part of an array more, and the same compressed.
+/// Bytes of memory that compression takes: those that wait, a part of an array more, and the same
+/// compressed.
 pub const PACKING_BYTES: u64 = 3 * (BLOCKS * BLOCK) as u64;
 
 /// Compresses arrays into a file, one after another.
@@ -276,7 +283,8 @@ fn head(mesh: &StoredTets, lengths: [u64; 5], meta: &TetMeta<'_>) -> String {
     .concat()
 }
 
-/// Text as the value of an XML attribute; control characters, which XML has no way to write, become spaces.
+/// Text as the value of an XML attribute; control characters, which XML has no way to write, become
+/// spaces.
 pub(super) fn attribute(text: &str) -> String {
     let text: String = text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")

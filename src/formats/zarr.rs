@@ -1,4 +1,5 @@
-//! Zarr arrays, versions 2 and 3, and OME-Zarr images: folders of chunks, each a file, compressed by itself.
+//! Zarr arrays, versions 2 and 3, and OME-Zarr images: folders of chunks, each a file, compressed
+//! by itself.
 //!
 //! ```text
 //!  image.ome.zarr/            a group; .zattrs (2) or zarr.json (3) tell the levels, axes, spacing
@@ -7,27 +8,32 @@
 //!    1/                       the next level, coarser
 //! ```
 //!
-//! The path is the group or an array in it (`image.ome.zarr/1`); of a group's arrays `--field` chooses one: by its path,
-//! the first part of that, or "scaleN" for level N. Without a choice an OME-Zarr image gives its first level, which is the
-//! image in full.
+//! The path is the group or an array in it (`image.ome.zarr/1`); of a group's arrays `--field`
+//! chooses one: by its path, the first part of that, or "scaleN" for level N. Without a choice an
+//! OME-Zarr image gives its first level, which is the image in full.
 //!
-//! Axes x, y, z are found by their names (OME-Zarr's `axes`, `dimension_names`, `_ARRAY_DIMENSIONS`); without names the last
-//! axis is x, the one before y, then z. One more axis of several entries, named t or time or without a name the first of four, has
-//! the frames of a series: the fields `NAME:t0`, `NAME:t1`, …; their times are those of OME-Zarr's `coordinateTransformations`. Other axes
-//! (channels) must have one entry. Spacing and origin are those of `coordinateTransformations`; else of the arrays beside the array
-//! that are named like its axes (xarray), which make a rectilinear grid where they are not regular; else 1 and 0. `scale_factor`, `add_offset`,
-//! `_FillValue` and `missing_value` are followed. Four axes without names, the last of at most four entries, are refused: vectors, or colours.
-//! (A chunk of several frames is decoded for each of them.)
+//! Axes x, y, z are found by their names (OME-Zarr's `axes`, `dimension_names`,
+//! `_ARRAY_DIMENSIONS`); without names the last axis is x, the one before y, then z. One more axis
+//! of several entries, named t or time or without a name the first of four, has the frames of a
+//! series: the fields `NAME:t0`, `NAME:t1`, …; their times are those of OME-Zarr's
+//! `coordinateTransformations`. Other axes (channels) must have one entry. Spacing and origin are
+//! those of `coordinateTransformations`; else of the arrays beside the array that are named like
+//! its axes (xarray), which make a rectilinear grid where they are not regular; else 1 and 0.
+//! `scale_factor`, `add_offset`, `_FillValue` and `missing_value` are followed. Four axes without
+//! names, the last of at most four entries, are refused: vectors, or colours. (A chunk of several
+//! frames is decoded for each of them.)
 //!
-//! Compressors: Blosc (with BloscLZ, LZ4, zlib, zstd; shuffled by bytes or bits), gzip, zlib, zstd, LZ4; also shards with
-//! their index, CRC32C, `transpose`, order C or F. Others are refused by name. A chunk that is not there reads as the fill value,
-//! as Zarr has it.
+//! Compressors: Blosc (with BloscLZ, LZ4, zlib, zstd; shuffled by bytes or bits), gzip, zlib, zstd,
+//! LZ4; also shards with their index, CRC32C, `transpose`, order C or F. Others are refused by
+//! name. A chunk that is not there reads as the fill value, as Zarr has it.
 //!
-//! Chunks are decoded in their order, each once, or as they are asked for ([`crate::volume::chunked`]). Memory: one chunk stored and decoded (of a shard, one of its chunks), and a slab
-//! of at most 4 MiB. Chunks of more than a gibibyte are refused.
+//! Chunks are decoded in their order, each once, or as they are asked for
+//! ([`crate::volume::chunked`]). Memory: one chunk stored and decoded (of a shard, one of its
+//! chunks), and a slab of at most 4 MiB. Chunks of more than a gibibyte are refused.
 //!
-//! Our own reader, as chunks are files with compressors that we have anyway, and one chunk at a time is all that is needed.
-//! The formats: <https://zarr-specs.readthedocs.io>, <https://ngff.openmicroscopy.org>.
+//! Our own reader, as chunks are files with compressors that we have anyway, and one chunk at a
+//! time is all that is needed. The formats: <https://zarr-specs.readthedocs.io>,
+//! <https://ngff.openmicroscopy.org>.
 
 mod blosc;
 mod codec;
@@ -61,7 +67,8 @@ const OPEN_INDICES: u64 = 4 << 20;
 const MOST_COORDINATES: u64 = 1 << 24;
 /// Most frames of an array.
 const MOST_FRAMES: u64 = 1 << 16;
-/// Of an array of more chunk files, so many stand for all in [`VolumeInfo::data_files`], evenly spread.
+/// Of an array of more chunk files, so many stand for all in [`VolumeInfo::data_files`], evenly
+/// spread.
 const LISTED: u64 = 1 << 20;
 
 /// Whether a folder is a Zarr array or group.
@@ -72,7 +79,8 @@ pub(super) fn is_zarr(folder: &Path) -> bool {
 /// Opens an array, or one of a group.
 ///
 /// # Errors
-/// [`Error::BadInput`] for malformed metadata, or what is not read; [`Error::Usage`] when several arrays ask for a choice.
+/// [`Error::BadInput`] for malformed metadata, or what is not read; [`Error::Usage`] when several
+/// arrays ask for a choice.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     let (image, arrays) = arrays(path)?;
     let fields = fields(image.as_ref(), &arrays)?;
@@ -109,8 +117,8 @@ pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     Ok(VolumeSource::Chunked(Arc::new(chunks)))
 }
 
-/// The frames of the array that is `wanted`, or that is read without a choice, by the names of their fields, and their times, where OME-Zarr tells
-/// them. None where there is one volume.
+/// The frames of the array that is `wanted`, or that is read without a choice, by the names of
+/// their fields, and their times, where OME-Zarr tells them. None where there is one volume.
 ///
 /// # Errors
 /// As [`open`].
@@ -159,7 +167,8 @@ fn frames_of(
     Ok(out)
 }
 
-/// The coordinates along the axes of the array that is read, where those of one of them are not regular; else `None`.
+/// The coordinates along the axes of the array that is read, where those of one of them are not
+/// regular; else `None`.
 ///
 /// # Errors
 /// As [`open`], and where the coordinates of an axis neither rise nor fall throughout.
@@ -223,8 +232,9 @@ fn spaced(array: &Array, lines: &[Option<Coordinates>; 3]) -> Result<Geometry> {
     geometry(&array.file, "coordinates", std::array::from_fn(|a| along[a].0), columns)
 }
 
-/// What CF's attributes say of stored numbers. Zarr's own `fill_value` is what an absent chunk reads as; it
-/// means "no data" where numbers are packed and no attribute says what does, as xarray writes them.
+/// What CF's attributes say of stored numbers. Zarr's own `fill_value` is what an absent chunk
+/// reads as; it means "no data" where numbers are packed and no attribute says what does, as xarray
+/// writes them.
 fn packing(array: &Array, info: &mut VolumeInfo) -> Result<()> {
     let file = attributes_file(array);
     let bad = |at: &str, expected: &str, got: String| Error::bad_input(&file, at, expected, got);
@@ -335,7 +345,8 @@ fn fields(image: Option<&Image>, arrays: &Named) -> Result<Vec<Field>> {
     }
 }
 
-/// The field that a user's word means: itself, the one whose path starts with it, or "scaleN" the one at that level; with ":tN" its frame.
+/// The field that a user's word means: itself, the one whose path starts with it, or "scaleN" the
+/// one at that level; with ":tN" its frame.
 fn full_name(wanted: &str, names: &[&str]) -> String {
     let (array, frame) = match wanted.rfind(":t") {
         Some(at) if wanted[at + 2..].parse::<u64>().is_ok() => wanted.split_at(at),

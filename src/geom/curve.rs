@@ -1,25 +1,30 @@
-//! The order in which points are inserted: rounds by a hash of the position, Hilbert order within a round.
+//! The order in which points are inserted: rounds by a hash of the position, Hilbert order within a
+//! round.
 //!
-//! A Delaunay insertion is cheap when each point lies near the one before it (a space-filling curve) and when the
-//! early points are a random sample of all (a biased randomized insertion order: Amenta, Choi, Rote, "Incremental
-//! constructions con BRIO", 2003). Here the round of a point is decided by a hash of its position: each round holds
-//! an eighth of what is left, the smallest round goes first. Within a round the points follow a Hilbert curve, and where
-//! the curve's cells are too coarse to tell two points apart, their coordinates decide.
+//! A Delaunay insertion is cheap when each point lies near the one before it (a space-filling
+//! curve) and when the early points are a random sample of all (a biased randomized insertion
+//! order: Amenta, Choi, Rote, "Incremental constructions con BRIO", 2003). Here the round of a
+//! point is decided by a hash of its position: each round holds an eighth of what is left, the
+//! smallest round goes first. Within a round the points follow a Hilbert curve, and where the
+//! curve's cells are too coarse to tell two points apart, their coordinates decide.
 //!
-//! So the order is a **total order of positions** and a function of nothing else: not of the input's order, not of the
-//! chunk. The mesh breaks its ties by this order (see [`super::predicates`]), which is why chunks that overlap agree.
+//! So the order is a **total order of positions** and a function of nothing else: not of the
+//! input's order, not of the chunk. The mesh breaks its ties by this order (see
+//! [`super::predicates`]), which is why chunks that overlap agree.
 //!
 //! # The Hilbert curve
 //!
-//! A cell is cut into 8 octants that the curve visits along a Gray code, rotated and reflected so that it enters the
-//! cell at a corner `e` and leaves it along an axis `d` (Hamilton and Rau-Chaplin, "Compact Hilbert indices", 2008):
+//! A cell is cut into 8 octants that the curve visits along a Gray code, rotated and reflected so
+//! that it enters the cell at a corner `e` and leaves it along an axis `d` (Hamilton and
+//! Rau-Chaplin, "Compact Hilbert indices", 2008):
 //!
 //! ```text
 //! octant of step w:  rotate_left(gray(w), d + 1) ^ e        within that octant:  e' = e ^ rotate_left(entry(w), d + 1)
 //! entry(w) = gray(2·floor((w - 1) / 2)), entry(0) = 0                            d' = d + direction(w) + 1 (mod 3)
 //! ```
 //!
-//! The 8 × 3 states are tabulated at compile time, one table for one level and one for two levels at a step.
+//! The 8 × 3 states are tabulated at compile time, one table for one level and one for two levels
+//! at a step.
 
 use super::{Lattice, LatticePos};
 use std::cmp::Ordering;
@@ -88,8 +93,8 @@ static ONE_LEVEL: [[u16; 8]; STATES] = ONE;
 const ONE: [[u16; 8]; STATES] = one_level();
 static TWO_LEVELS: [[u16; 64]; ROWS] = two_levels();
 
-/// The number of a position's cell along a Hilbert curve through the cube of 2^24 lattice steps, cut into
-/// `2^bits_per_axis` cells along each axis.
+/// The number of a position's cell along a Hilbert curve through the cube of 2^24 lattice steps,
+/// cut into `2^bits_per_axis` cells along each axis.
 ///
 /// Consecutive numbers belong to cells that share a face.
 ///
@@ -104,7 +109,8 @@ pub fn hilbert_key(pos: LatticePos, bits_per_axis: u32) -> u64 {
     )
 }
 
-/// The number of a cell along the curve through a cube of `2^bits` cells along each axis, at most 21.
+/// The number of a cell along the curve through a cube of `2^bits` cells along each axis, at
+/// most 21.
 #[inline(always)]
 pub(crate) fn hilbert_number([x, y, z]: [u32; 3], bits: u32) -> u64 {
     let (mut key, mut state, mut level) = (0u64, 0usize, bits);
@@ -126,8 +132,8 @@ pub(crate) fn hilbert_number([x, y, z]: [u32; 3], bits: u32) -> u64 {
 /// The insertion order: a total order of lattice positions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Order {
-    /// Hilbert cells along each axis, as a power of two; at most [`Order::MOST_BITS`]. All chunks of one archive use
-    /// the same value.
+    /// Hilbert cells along each axis, as a power of two; at most [`Order::MOST_BITS`]. All chunks
+    /// of one archive use the same value.
     pub bits: u32,
 }
 
@@ -145,7 +151,8 @@ impl Order {
         Self { bits: (levels + 3).min(Self::MOST_BITS) }
     }
 
-    /// The sort key of a position: round, then Hilbert cell. Equal keys are ordered by the coordinates.
+    /// The sort key of a position: round, then Hilbert cell. Equal keys are ordered by the
+    /// coordinates.
     #[inline]
     pub fn key(&self, pos: LatticePos) -> u64 {
         u64::from(round(pos)) << (3 * self.bits) | hilbert_key(pos, self.bits)
@@ -156,8 +163,8 @@ impl Order {
         (self.key(a), a).cmp(&(self.key(b), b))
     }
 
-    /// Fills `sorted` with (key, index into `positions`) in order; of equal positions the lower index comes first.
-    /// `spare` is scratch. Time: linear, three or four passes.
+    /// Fills `sorted` with (key, index into `positions`) in order; of equal positions the lower
+    /// index comes first. `spare` is scratch. Time: linear, three or four passes.
     pub(crate) fn sort(
         &self,
         positions: &[LatticePos],

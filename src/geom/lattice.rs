@@ -1,11 +1,13 @@
 //! The integer lattice on which every point lives.
 //!
-//! A structured volume of `dims` samples is meshed in index space. Each voxel edge is divided into 2^s steps, s the
-//! largest with `(max(dims) - 1)·2^s <= 2^24`. So a voxel is an exact lattice position, a coordinate has at most 24
-//! bits (plus the value 2^24 itself), is exact as an `f32`, and the geometric predicates are exact in `i128`.
+//! A structured volume of `dims` samples is meshed in index space. Each voxel edge is divided into
+//! 2^s steps, s the largest with `(max(dims) - 1)·2^s <= 2^24`. So a voxel is an exact lattice
+//! position, a coordinate has at most 24 bits (plus the value 2^24 itself), is exact as an `f32`,
+//! and the geometric predicates are exact in `i128`.
 //!
-//! Points are spread as evenly along all axes **of the lattice**. Where a field bends more along one axis than along others, that axis has
-//! two or four times as many steps a voxel ([`Lattice::stretched`]): what is even on the lattice is then denser along it.
+//! Points are spread as evenly along all axes **of the lattice**. Where a field bends more along
+//! one axis than along others, that axis has two or four times as many steps a voxel
+//! ([`Lattice::stretched`]): what is even on the lattice is then denser along it.
 //!
 //! ```text
 //!   voxels ●───────●───────●        s = 2, 2        ●───────●───────●     s = 2, 3: as isotropic to all stages,
@@ -24,7 +26,8 @@ pub type LatticePos = [u32; 3];
 pub struct Lattice {
     /// Samples along x, y, z; at least 2 each.
     pub dims: [u64; 3],
-    /// Lattice steps a voxel edge along x, y, z, as powers of two. Written as one number where they are the same.
+    /// Lattice steps a voxel edge along x, y, z, as powers of two. Written as one number where they
+    /// are the same.
     #[serde(serialize_with = "write_steps", deserialize_with = "read_steps")]
     pub log2_steps: [u32; 3],
 }
@@ -49,8 +52,8 @@ fn read_steps<'de, D: Deserializer<'de>>(input: D) -> std::result::Result<[u32; 
     })
 }
 
-/// The position of plane `j` of an axis of `max` steps that is cut into cells, rounded, halves up: even planes are faces
-/// of cells, odd ones halfway between.
+/// The position of plane `j` of an axis of `max` steps that is cut into cells, rounded, halves up:
+/// even planes are faces of cells, odd ones halfway between.
 pub(crate) fn half_plane(j: u64, cells: u32, max: u32) -> u32 {
     ((j * u64::from(max) + u64::from(cells)) / (2 * u64::from(cells))) as u32
 }
@@ -69,11 +72,12 @@ impl Lattice {
         Self::stretched(dims, [0; 3])
     }
 
-    /// The lattice of a volume of `dims` samples with 2^`finer` times as many steps a voxel along some axes.
+    /// The lattice of a volume of `dims` samples with 2^`finer` times as many steps a voxel along
+    /// some axes.
     ///
     /// # Errors
-    /// [`Error::Usage`] as for [`Lattice::new`], for an axis of which so many steps are more than 2^24, and for one that is finer by more than
-    /// [`Lattice::MOST_FINER`] than another.
+    /// [`Error::Usage`] as for [`Lattice::new`], for an axis of which so many steps are more than
+    /// 2^24, and for one that is finer by more than [`Lattice::MOST_FINER`] than another.
     pub fn stretched(dims: [u64; 3], finer: [u32; 3]) -> Result<Self> {
         if dims.iter().any(|&d| d < 2) {
             return Err(Error::usage(format!(
@@ -97,18 +101,21 @@ impl Lattice {
         Ok(Self { dims, log2_steps: finer.map(|f| log2_steps + f) })
     }
 
-    /// How many times as many steps a voxel each axis has as the one with the fewest, as powers of two.
+    /// How many times as many steps a voxel each axis has as the one with the fewest, as powers of
+    /// two.
     pub fn finer(&self) -> [u32; 3] {
         let least = self.log2_steps.into_iter().min().unwrap_or_default();
         self.log2_steps.map(|s| s - least)
     }
 
-    /// Whether it is the lattice that [`Lattice::stretched`] makes of its dimensions; one from a file may be none.
+    /// Whether it is the lattice that [`Lattice::stretched`] makes of its dimensions; one from a
+    /// file may be none.
     pub fn is_valid(&self) -> bool {
         Self::stretched(self.dims, self.finer()).ok() == Some(*self)
     }
 
-    /// The length of each axis in steps, divided by the number of steps that a voxel has along the axis with the fewest.
+    /// The length of each axis in steps, divided by the number of steps that a voxel has along the
+    /// axis with the fewest.
     pub(crate) fn extent(&self) -> [f64; 3] {
         let finer = self.finer();
         std::array::from_fn(|a| (self.dims[a] - 1) as f64 * f64::from(1u32 << finer[a]))
@@ -184,7 +191,8 @@ impl LatticeBox {
         self.grow_sides([by; 2], domain)
     }
 
-    /// The box grown by so many steps along each axis, on its low sides and on its high ones, but not beyond `domain`.
+    /// The box grown by so many steps along each axis, on its low sides and on its high ones, but
+    /// not beyond `domain`.
     #[must_use]
     pub fn grow_sides(&self, by: [LatticePos; 2], domain: &Self) -> Self {
         Self {

@@ -23,7 +23,8 @@ pub enum PointClass {
     Explicit = 4,
 }
 
-/// Names a sample site for ever: its class above its index in that class. A site's position is a function of its id.
+/// Names a sample site for ever: its class above its index in that class. A site's position is a
+/// function of its id.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(transparent)]
 pub struct PointId(pub u64);

@@ -1,32 +1,39 @@
 //! Exact geometric predicates on lattice positions, and the rule that breaks their ties.
 //!
-//! Coordinates are integers of at most 2^24, so every answer is a sign of an integer that fits `i128`; a floating-point
-//! evaluation with a proven bound comes first and settles all but the near-ties.
+//! Coordinates are integers of at most 2^24, so every answer is a sign of an integer that fits
+//! `i128`; a floating-point evaluation with a proven bound comes first and settles all but the
+//! near-ties.
 //!
 //! # Sizes
-//! Differences of coordinates are at most R = 2^24 in absolute value. For points of a cube of edge R the 3×3 determinant of
-//! differences is at most 2R³ = 2^73 (a parallelepiped with its corner and three neighbours in the cube), and squared
-//! lengths are at most 3R² < 2^50. `insphere` is a sum of four products of the two: at most 4·2^50·2^73 = 2^125 < 2^126.
+//! Differences of coordinates are at most R = 2^24 in absolute value. For points of a cube of edge
+//! R the 3×3 determinant of differences is at most 2R³ = 2^73 (a parallelepiped with its corner and
+//! three neighbours in the cube), and squared lengths are at most 3R² < 2^50. `insphere` is a sum
+//! of four products of the two: at most 4·2^50·2^73 = 2^125 < 2^126.
 //!
 //! # The floating-point filters
-//! Let u = 2^-53. Coordinates, their differences (≤ 2^24), 2×2 minors of differences (two products ≤ 2^48 and a difference
-//! ≤ 2^49) and squared lengths (< 2^50) are integers below 2^53: **exact** in `f64`. With mx, my, mz the largest absolute
-//! differences by axis, a 2×2 minor in x and y is at most 2·mx·my, so
+//! Let u = 2^-53. Coordinates, their differences (≤ 2^24), 2×2 minors of differences (two products
+//! ≤ 2^48 and a difference ≤ 2^49) and squared lengths (< 2^50) are integers below 2^53: **exact**
+//! in `f64`. With mx, my, mz the largest absolute differences by axis, a 2×2 minor in x and y is at
+//! most 2·mx·my, so
 //!
-//! * a 3×3 minor is a sum of three products, each at most P = 2·mx·my·mz; three roundings give an error of at most 3u'·3P = 18u'·mx·my·mz,
-//!   where u' = u/(1 - 3u). [`orient3d`] uses 20u·mx·my·mz, which also covers the roundings of the bound itself;
-//! * `insphere` is a sum of four terms |d|²·minor; the minor has three roundings, the product one, the sum three, so the error is at most
-//!   7u'·4·m²·3P = 168u'·m²·mx·my·mz, m² the largest squared length. [`insphere`] uses 192u·m²·mx·my·mz.
+//! * a 3×3 minor is a sum of three products, each at most P = 2·mx·my·mz; three roundings give an
+//!   error of at most 3u'·3P = 18u'·mx·my·mz, where u' = u/(1 - 3u). [`orient3d`] uses
+//!   20u·mx·my·mz, which also covers the roundings of the bound itself;
+//! * `insphere` is a sum of four terms |d|²·minor; the minor has three roundings, the product one,
+//!   the sum three, so the error is at most 7u'·4·m²·3P = 168u'·m²·mx·my·mz, m² the largest squared
+//!   length. [`insphere`] uses 192u·m²·mx·my·mz.
 //!
 //! A fused multiply-add has fewer roundings, so the bounds hold with and without.
 //!
 //! # Ties
-//! Five cospherical points are normal on a lattice. The tie is broken by lifting: a point p lies on the paraboloid at height |p|²;
-//! each height is raised by its own infinitesimal, that of a later point infinitely larger than that of an earlier one
-//! (Devillers and Teillaud, "Perturbations for Delaunay and weighted Delaunay 3D triangulations", 2011). The points do not move, so
-//! orientations keep their meaning and no flat tetrahedron appears. [`insphere_perturbed`] is the sign of the perturbed determinant: of the five
-//! points, from the latest to the earliest, the first whose height has a nonzero coefficient decides, and the coefficient
-//! is the orientation of the other four. When the new point is the latest its coefficient is that of the (positively
+//! Five cospherical points are normal on a lattice. The tie is broken by lifting: a point p lies on
+//! the paraboloid at height |p|²; each height is raised by its own infinitesimal, that of a later
+//! point infinitely larger than that of an earlier one (Devillers and Teillaud, "Perturbations for
+//! Delaunay and weighted Delaunay 3D triangulations", 2011). The points do not move, so
+//! orientations keep their meaning and no flat tetrahedron appears. [`insphere_perturbed`] is the
+//! sign of the perturbed determinant: of the five points, from the latest to the earliest, the
+//! first whose height has a nonzero coefficient decides, and the coefficient is the orientation of
+//! the other four. When the new point is the latest its coefficient is that of the (positively
 //! oriented) tetrahedron: a tie then simply means "not in conflict".
 
 use super::LatticePos;
@@ -51,7 +58,8 @@ fn sign(x: i128) -> i32 {
     x.signum() as i32
 }
 
-/// Six times the volume of the tetrahedron, exactly: `det(b - a, c - a, d - a)`, positive for a positively oriented one.
+/// Six times the volume of the tetrahedron, exactly: `det(b - a, c - a, d - a)`, positive for a
+/// positively oriented one.
 #[inline]
 pub fn signed_volume6(a: LatticePos, b: LatticePos, c: LatticePos, d: LatticePos) -> i128 {
     det3(minus(b, a), minus(c, a), minus(d, a))
@@ -63,8 +71,9 @@ fn det3(u: [i64; 3], v: [i64; 3], w: [i64; 3]) -> i128 {
     i128::from(u[2]) * minor(v, w) - i128::from(v[2]) * minor(u, w) + i128::from(w[2]) * minor(u, v)
 }
 
-/// The orientation of four points: 1 when `d` sees a, b, c counterclockwise (`det(b - a, c - a, d - a) > 0`), -1 when it
-/// sees them the other way round, 0 when the four are coplanar.
+/// The orientation of four points: 1 when `d` sees a, b, c counterclockwise
+/// (`det(b - a, c - a, d - a) > 0`), -1 when it sees them the other way round, 0 when the four are
+/// coplanar.
 #[inline]
 pub fn orient3d(a: LatticePos, b: LatticePos, c: LatticePos, d: LatticePos) -> i32 {
     let rows = [minus(b, a), minus(c, a), minus(d, a)];
@@ -82,8 +91,8 @@ pub fn orient3d(a: LatticePos, b: LatticePos, c: LatticePos, d: LatticePos) -> i
     }
 }
 
-/// Whether `e` lies inside (1), on (0) or outside (-1) the sphere through the positively oriented a, b, c, d; the signs are
-/// exchanged for a negatively oriented tetrahedron.
+/// Whether `e` lies inside (1), on (0) or outside (-1) the sphere through the positively oriented
+/// a, b, c, d; the signs are exchanged for a negatively oriented tetrahedron.
 #[inline]
 pub fn insphere(a: LatticePos, b: LatticePos, c: LatticePos, d: LatticePos, e: LatticePos) -> i32 {
     let rows = [a, b, c, d].map(|p| minus(p, e));
@@ -144,7 +153,8 @@ pub fn insphere_perturbed(points: &[LatticePos; 5], rank: &[u32; 5]) -> i32 {
     let mut latest_first = [0, 1, 2, 3, 4];
     latest_first.sort_unstable_by_key(|&i| std::cmp::Reverse(rank[i]));
     for i in latest_first {
-        // The determinant is linear in the heights: this is the coefficient of the height of point i.
+        // The determinant is linear in the heights: this is the coefficient of the height of point
+        // i.
         let coefficient = match i {
             4 => -orient3d(a, b, c, d),
             _ => {

@@ -1,7 +1,8 @@
 //! Cuts between chunks that are told, and do not follow from the points.
 //!
-//! Chunks that are cut where the points ask for it are others as soon as a few points come on top. Where most of them are to stay what they are, the
-//! cuts of an earlier grid are kept. Only a chunk that has become too large is cut again, along x, and the others do not notice:
+//! Chunks that are cut where the points ask for it are others as soon as a few points come on top.
+//! Where most of them are to stay what they are, the cuts of an earlier grid are kept. Only a chunk
+//! that has become too large is cut again, along x, and the others do not notice:
 //!
 //! ```text
 //!  ┌───────┬──────┬────────┐      ┌───────┬───┬──┬────────┐
@@ -43,7 +44,8 @@ impl ChunkCuts {
         Err(Error::usage(format!("cuts between chunks that do not cut {dims:?} bricks")))
     }
 
-    /// The same, chunks of more than `most` points cut further, into some of about `target`; `None` where cuts along x do not do.
+    /// The same, chunks of more than `most` points cut further, into some of about `target`; `None`
+    /// where cuts along x do not do.
     pub fn refined(
         mut self,
         bricks: BrickGrid,

@@ -1,4 +1,5 @@
-//! Builds an index: kd-splits in memory, or on disk beyond a given memory (`external.rs`); pages depth first.
+//! Builds an index: kd-splits in memory, or on disk beyond a given memory (`external.rs`); pages
+//! depth first.
 
 use super::Entry;
 use super::external::Spill;
@@ -13,7 +14,8 @@ use std::path::{Path, PathBuf};
 pub struct BuildSettings {
     /// Bytes for everything that grows. Below [`BuildSettings::LEAST_MEMORY`] it counts as that.
     pub memory: u64,
-    /// Folder for what does not fit in memory, 48 bytes an entry; the system's temporary folder if not given.
+    /// Folder for what does not fit in memory, 48 bytes an entry; the system's temporary folder if
+    /// not given.
     pub scratch: Option<PathBuf>,
 }
 
@@ -21,7 +23,8 @@ impl BuildSettings {
     /// Buffers, and the tables of a split: what a build takes whatever its memory.
     pub const LEAST_MEMORY: u64 = 8 << 20;
 
-    /// Entries that memory holds. A million entries have some 5 000 pages, of 8 bytes in the writer's directory.
+    /// Entries that memory holds. A million entries have some 5 000 pages, of 8 bytes in the
+    /// writer's directory.
     fn capacity(&self) -> usize {
         let room = self.memory.saturating_sub(Self::LEAST_MEMORY) / (size_of::<Entry>() as u64 + 1);
         usize::try_from(room).unwrap_or(usize::MAX).max(2 * LEAF_ENTRIES as usize)
@@ -34,7 +37,8 @@ impl Default for BuildSettings {
     }
 }
 
-/// Collects the blocks of a step. The file depends on the set of entries, not on the order in which they come, nor on memory.
+/// Collects the blocks of a step. The file depends on the set of entries, not on the order in which
+/// they come, nor on memory.
 #[derive(Debug)]
 pub struct IndexBuilder {
     /// Entries that are not in the spill.
@@ -111,7 +115,8 @@ impl IndexBuilder {
     /// When the file or the scratch folder cannot be written.
     ///
     /// # Panics
-    /// When a block was added twice; that is not always noticed when the entries did not fit in memory.
+    /// When a block was added twice; that is not always noticed when the entries did not fit in
+    /// memory.
     pub fn finish(mut self, path: impl AsRef<Path>, plan: PlanHash) -> Result<SegmentInfo> {
         if self.spill.is_some() {
             self.spill_all()?;
@@ -188,7 +193,8 @@ pub(super) fn split(entries: &mut [Entry], axis: Axis, levels: u32) {
     split(right, axis.other(), levels - 1);
 }
 
-/// Writes the page of `entries` and all pages below it. The depth of the recursion is the tree's: 8 bits of n a level.
+/// Writes the page of `entries` and all pages below it. The depth of the recursion is the tree's: 8
+/// bits of n a level.
 pub(super) fn write_subtree(entries: &mut [Entry], axis: Axis, out: &mut SegmentWriter) -> Result<()> {
     if entries.len() as u64 <= LEAF_ENTRIES {
         entries.sort_unstable_by_key(Entry::place);

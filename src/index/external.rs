@@ -1,7 +1,8 @@
 //! Building an index of more entries than memory holds.
 //!
-//! The tree is that of [`super::build`], and so are its bytes: which half an entry falls in is a matter of a total order, not of the
-//! algorithm. A subtree that fits in memory is built there. A larger one is cut in two on disk:
+//! The tree is that of [`super::build`], and so are its bytes: which half an entry falls in is a
+//! matter of a total order, not of the algorithm. A subtree that fits in memory is built there. A
+//! larger one is cut in two on disk:
 //!
 //! ```text
 //!  file A  ····region of n entries····        1. count the entries by the 16 highest bits of their key
@@ -10,11 +11,13 @@
 //!                                                the larger behind; the next cut goes back to file A
 //! ```
 //!
-//! (Where one bucket does not fit in memory, as with many equal values, its next 16 bits are counted, and so on.) Partitioning
-//! also counts both halves for their own cut, so a level of halving costs two readings and one writing of the entries. Only the levels
-//! above subtrees that fit in memory are cut so: five for 10^8 entries and 256 MiB.
+//! (Where one bucket does not fit in memory, as with many equal values, its next 16 bits are
+//! counted, and so on.) Partitioning also counts both halves for their own cut, so a level of
+//! halving costs two readings and one writing of the entries. Only the levels above subtrees that
+//! fit in memory are cut so: five for 10^8 entries and 256 MiB.
 //!
-//! Disk: two files of 24 bytes an entry, without a name (where the system allows), so that nothing is left behind.
+//! Disk: two files of 24 bytes an entry, without a name (where the system allows), so that nothing
+//! is left behind.
 
 use super::build::{Axis, split, write_subtree};
 use super::page::{Bounds, LEAF_ENTRIES, PAGE_LEVELS, encode_inner, split_sizes};
@@ -47,7 +50,8 @@ struct Region {
     first: u64,
     len: u64,
     bounds: Bounds,
-    /// How many entries have each value of the highest 16 bits of their key on the axis of the next cut; empty where none follows.
+    /// How many entries have each value of the highest 16 bits of their key on the axis of the next
+    /// cut; empty where none follows.
     counts: Vec<u64>,
 }
 
@@ -226,13 +230,15 @@ impl Build {
         Ok(())
     }
 
-    /// Copies the smaller half of a region to the front of the same place in the other file, the larger one behind it.
+    /// Copies the smaller half of a region to the front of the same place in the other file, the
+    /// larger one behind it.
     fn halve(&mut self, region: Region, axis: Axis, again: bool) -> Result<[Region; 2]> {
         let file = 1 - region.file;
         let smaller = region.len / 2;
         let median = self.key_of_rank(&region, axis, smaller)?;
         let half = |first: u64, len: u64| {
-            // The next page of a region that is cut no more in this one begins with the same axis as this page did: min.
+            // The next page of a region that is cut no more in this one begins with the same axis
+            // as this page did: min.
             Region { file, first, len, bounds: Bounds::NONE, counts: vec![0; BUCKETS] }
         };
         let mut halves = [half(region.first, smaller), half(region.first + smaller, region.len - smaller)];

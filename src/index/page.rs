@@ -25,7 +25,8 @@ impl Bounds {
     /// Those of nothing: any entry widens them.
     pub(super) const NONE: Self = Self { lowest: f32::INFINITY, highest: f32::NEG_INFINITY };
 
-    /// Takes an entry in. By the total order of bits: which of two zeros is the lowest must not depend on who comes first.
+    /// Takes an entry in. By the total order of bits: which of two zeros is the lowest must not
+    /// depend on who comes first.
     pub(super) fn add(&mut self, e: &Entry) {
         if e.min.total_cmp(&self.lowest).is_lt() {
             self.lowest = e.min;
@@ -48,7 +49,8 @@ pub(super) fn child_sizes(n: u64) -> Vec<u64> {
     split_sizes(n, PAGE_LEVELS)
 }
 
-/// Sizes of the parts of `n` entries: halved, the smaller half first, until small enough or as often as asked.
+/// Sizes of the parts of `n` entries: halved, the smaller half first, until small enough or as
+/// often as asked.
 pub(super) fn split_sizes(n: u64, levels: u32) -> Vec<u64> {
     fn split(n: u64, levels: u32, out: &mut Vec<u64>) {
         if levels == 0 || n <= LEAF_ENTRIES {

@@ -102,7 +102,8 @@ impl SpanIndex {
         self.visit(|lo, hi| isovalues.iter().any(|&v| is_active(lo, hi, v)))
     }
 
-    /// The blocks that have an active tetrahedron for some isovalue in `lo ..= hi`, in order of chunk and block.
+    /// The blocks that have an active tetrahedron for some isovalue in `lo ..= hi`, in order of
+    /// chunk and block.
     ///
     /// # Errors
     /// As [`SpanIndex::query`]; [`Error::Usage`] for `lo > hi`.
@@ -115,7 +116,8 @@ impl SpanIndex {
         self.visit(|min, max| min < max && min < hi && lo <= max)
     }
 
-    /// The blocks whose values meet `lo ..= hi`, in order of chunk and block: all that can have a corner in that range.
+    /// The blocks whose values meet `lo ..= hi`, in order of chunk and block: all that can have a
+    /// corner in that range.
     ///
     /// # Errors
     /// As [`SpanIndex::query_range`].
@@ -127,7 +129,8 @@ impl SpanIndex {
         self.visit(|min, max| min <= hi && lo <= max)
     }
 
-    /// The blocks of certain chunks that have a value at or above the isovalue, each once, in order of chunk and block.
+    /// The blocks of certain chunks that have a value at or above the isovalue, each once, in order
+    /// of chunk and block.
     ///
     /// # Errors
     /// As [`SpanIndex::query`].
@@ -144,8 +147,8 @@ impl SpanIndex {
         self.visit(|_, _| true)
     }
 
-    /// Entries whose (min, max) `wanted` accepts. A subtree is entered if `wanted` accepts its (lowest, highest), so `wanted`
-    /// must accept what is wider than a range that it accepts.
+    /// Entries whose (min, max) `wanted` accepts. A subtree is entered if `wanted` accepts its
+    /// (lowest, highest), so `wanted` must accept what is wider than a range that it accepts.
     fn visit(&self, wanted: impl Fn(f32, f32) -> bool) -> Result<Vec<Entry>> {
         self.visit_some(wanted, |_| true)
     }
@@ -198,8 +201,8 @@ impl SpanIndex {
         Ok(found)
     }
 
-    /// Reads the whole file: checksums, shape, bounds of every inner page, order and ranges of entries. Tells which entries
-    /// there are; if it is the digest of a set, none is there twice.
+    /// Reads the whole file: checksums, shape, bounds of every inner page, order and ranges of
+    /// entries. Tells which entries there are; if it is the digest of a set, none is there twice.
     ///
     /// # Errors
     /// The first thing that is wrong.
@@ -290,7 +293,8 @@ fn read_root(bytes: &[u8], blocks: u64) -> std::result::Result<(u64, Bounds), Ma
         let expected = format!("{:?}", (LEAF_ENTRIES, PAGE_LEVELS));
         return Err(Malformed::new("leaf entries, page levels", expected, format!("{shape:?}")));
     }
-    // Each page has at least one entry or two children, so the product cannot be reached by a true count.
+    // Each page has at least one entry or two children, so the product cannot be reached by a true
+    // count.
     let pages = match len {
         0 => 0,
         n if n > blocks.saturating_mul(LEAF_ENTRIES) => u64::MAX,
@@ -342,7 +346,8 @@ mod tests {
                 assert_eq!(index.query_any(&[v, w]).unwrap(), brute);
             }
         }
-        // Ranges, against all isovalues that matter: those of the entries and the ends of the range.
+        // Ranges, against all isovalues that matter: those of the entries and the ends of the
+        // range.
         for w in isovalues.windows(2) {
             let (lo, hi) = (w[0].min(w[1]), w[0].max(w[1]));
             let within = |e: &&Entry| {
@@ -390,7 +395,8 @@ mod tests {
         assert_eq!(one.pages_read(), 1, "refused and outside queries read nothing");
     }
 
-    /// n ranges whose middles are spread over 0..1 and whose widths are mostly small, without a generator's help.
+    /// n ranges whose middles are spread over 0..1 and whose widths are mostly small, without a
+    /// generator's help.
     fn synthetic(n: usize) -> Vec<(f32, f32)> {
         let spread = |i: usize, by: u64| ((i as u64).wrapping_mul(by) >> 40) as f32 / (1u64 << 24) as f32;
         (0..n)
@@ -416,7 +422,8 @@ mod tests {
         assert_eq!(one, bytes(&entries));
     }
 
-    /// Little memory cuts on disk, through one page or two; many equal values make buckets that do not fit either.
+    /// Little memory cuts on disk, through one page or two; many equal values make buckets that do
+    /// not fit either.
     #[test]
     fn the_file_does_not_depend_on_memory() {
         let dir = tempfile::tempdir().unwrap();
@@ -441,7 +448,8 @@ mod tests {
         }
     }
 
-    /// Opening costs the same whatever the size; a query reads √(n/L) + k/L pages, to a small factor.
+    /// Opening costs the same whatever the size; a query reads √(n/L) + k/L pages, to a small
+    /// factor.
     #[test]
     fn pages_read_grow_as_the_root_of_n_plus_k() {
         let dir = tempfile::tempdir().unwrap();
@@ -469,7 +477,8 @@ mod tests {
         let right = index_of(&entries_of(&ranges), dir.path()).query(0.5).unwrap();
         let path = dir.path().join("index.seg");
         let good = std::fs::read(&path).unwrap();
-        // Every byte of the frame and of the first pages' heads; of the columns of numbers one in eleven.
+        // Every byte of the frame and of the first pages' heads; of the columns of numbers one in
+        // eleven.
         let ends = |&i: &usize| i < 100 || i + 100 > good.len() || i % 11 == 0;
         for i in (0..good.len()).filter(ends) {
             let mut bad = good.clone();

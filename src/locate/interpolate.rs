@@ -1,13 +1,16 @@
 //! Values in a tetrahedron from its corners (thesis, section 4.4).
 //!
 //! * **Linear**: Σ λ_i f_i.
-//! * **Quadratic**: Σ φ_i f_i + Σ φ_ij f_ij with φ_i = 2λ_i(λ_i - ½), φ_ij = 4λ_iλ_j and the value at the middle of an edge taken from the
-//!   gradients at its ends, f_ij = (f_i + f_j)/2 + (g_i - g_j)·(x_j - x_i)/8: a cubic's value there. Exact for quadratic fields where the gradients
-//!   are. The same on both sides of a face, so continuous.
-//! * **Quadratic of the thesis**: f_ij = (f_i + f_j)/2. Then Σ φ_i f_i + Σ φ_ij f_ij = Σ λ_i f_i·(2λ_i - 1 + 2(1 - λ_i)) = Σ λ_i f_i: it **is** linear, so the thesis
-//!   could find no gain. It is here for its tables.
+//! * **Quadratic**: Σ φ_i f_i + Σ φ_ij f_ij with φ_i = 2λ_i(λ_i - ½), φ_ij = 4λ_iλ_j and the value
+//!   at the middle of an edge taken from the gradients at its ends, f_ij = (f_i + f_j)/2 + (g_i -
+//!   g_j)·(x_j - x_i)/8: a cubic's value there. Exact for quadratic fields where the gradients are.
+//!   The same on both sides of a face, so continuous.
+//! * **Quadratic of the thesis**: f_ij = (f_i + f_j)/2. Then Σ φ_i f_i + Σ φ_ij f_ij = Σ λ_i
+//!   f_i·(2λ_i - 1 + 2(1 - λ_i)) = Σ λ_i f_i: it **is** linear, so the thesis could find no gain.
+//!   It is here for its tables.
 //!
-//! A corner of weight zero does not count, whatever its value: a NaN beyond a face does not leak across it.
+//! A corner of weight zero does not count, whatever its value: a NaN beyond a face does not leak
+//! across it.
 
 /// A corner of a tetrahedron: what interpolation needs of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -1,8 +1,10 @@
 //! The thesis's search (section 4.3): a pointerless kd-tree over the bounding boxes of the cells.
 //!
-//! A cell is a point of six dimensions, xmin, xmax, ymin, ymax, zmin, zmax, and the tree's levels take them by turns. It is an array: the
-//! node in the middle of a range is the root of the range, what is before is its left subtree, what is behind its right one (the layout of
-//! Livnat, Shen and Johnson 1996). A node's key is not less than those to the left and not more than those to the right.
+//! A cell is a point of six dimensions, xmin, xmax, ymin, ymax, zmin, zmax, and the tree's levels
+//! take them by turns. It is an array: the node in the middle of a range is the root of the range,
+//! what is before is its left subtree, what is behind its right one (the layout of Livnat, Shen and
+//! Johnson 1996). A node's key is not less than those to the left and not more than those to the
+//! right.
 //!
 //! A point p lies in no cell whose minimum is above p, nor in one whose maximum is below it:
 //!
@@ -10,8 +12,8 @@
 //! level of a minimum: right only if key <= p          level of a maximum: left only if key >= p
 //! ```
 //!
-//! The thesis's pseudo-code tests the maximum like the minimum (`extrema[2*index+1] < P`, then right), which loses cells; here it is put
-//! right.
+//! The thesis's pseudo-code tests the maximum like the minimum (`extrema[2*index+1] < P`, then
+//! right), which loses cells; here it is put right.
 
 use super::{CellBatch, FinePos, Found, keep, weights};
 

@@ -1,24 +1,28 @@
 //! Which tetrahedron of an unstructured mesh holds a point, and with which weights?
 //!
-//! A reduction asks for few points among many cells (a cell is asked for about 0.02 points at the usual densities), so the cells
-//! are not indexed: the **points** are, in a grid of about one point a cell of it, and each tetrahedron looks up the points near it
-//! ([`PointGrid`]). Cells stream past once, in any order, and nothing is built for them. The thesis's search (section 4.3), a
-//! six-dimensional kd-tree over the cells' bounding boxes, is [`KdTree`]; both give the same answers, which is tested, and
-//! `benches/compare_locate` says what each costs.
+//! A reduction asks for few points among many cells (a cell is asked for about 0.02 points at the
+//! usual densities), so the cells are not indexed: the **points** are, in a grid of about one point
+//! a cell of it, and each tetrahedron looks up the points near it ([`PointGrid`]). Cells stream
+//! past once, in any order, and nothing is built for them. The thesis's search (section 4.3), a
+//! six-dimensional kd-tree over the cells' bounding boxes, is [`KdTree`]; both give the same
+//! answers, which is tested, and `benches/compare_locate` says what each costs.
 //!
 //! # Exact
 //!
-//! Vertices of the mesh are rounded to **fine steps**, 2^-14 of a lattice step ([`FINE_BITS`]): 38 bits a coordinate, 2^-38 of the
-//! longest side of the domain. The four orientations that tell inside from outside are then integers below 2^120, evaluated in
-//! `f64` with a proven margin first and in `i128` where that does not decide.
+//! Vertices of the mesh are rounded to **fine steps**, 2^-14 of a lattice step ([`FINE_BITS`]): 38
+//! bits a coordinate, 2^-38 of the longest side of the domain. The four orientations that tell
+//! inside from outside are then integers below 2^120, evaluated in `f64` with a proven margin first
+//! and in `i128` where that does not decide.
 //!
-//! A point on a face, an edge or a vertex lies in several closed tetrahedra; the answer is the one of the **lowest id**. So it does not
-//! depend on the order of cells or points, nor on how cells were bucketed, and tetrahedra that overlap by rounding do no harm.
+//! A point on a face, an edge or a vertex lies in several closed tetrahedra; the answer is the one
+//! of the **lowest id**. So it does not depend on the order of cells or points, nor on how cells
+//! were bucketed, and tetrahedra that overlap by rounding do no harm.
 //!
 //! # Weights
 //!
-//! The orientations of the point with three corners each are six times the volumes V_i of the thesis's natural coordinates λ_i = V_i/V (its
-//! equation 4.1 and Figure 4.2), V their sum. A weight that is exactly zero is 0.0.
+//! The orientations of the point with three corners each are six times the volumes V_i of the
+//! thesis's natural coordinates λ_i = V_i/V (its equation 4.1 and Figure 4.2), V their sum. A
+//! weight that is exactly zero is 0.0.
 
 mod interpolate;
 mod kd_tree;
@@ -47,7 +51,8 @@ pub fn fine(pos: LatticePos) -> FinePos {
 pub struct CellBatch {
     /// Positions of the vertices.
     pub positions: Vec<FinePos>,
-    /// Corners of each tetrahedron, as numbers into `positions`; positively oriented ([`is_positive`]).
+    /// Corners of each tetrahedron, as numbers into `positions`; positively oriented
+    /// ([`is_positive`]).
     pub corners: Vec<[u32; 4]>,
     /// The id of each tetrahedron in the whole mesh.
     pub ids: Vec<u64>,
@@ -112,12 +117,15 @@ fn det_exact(u: [i64; 3], v: [i64; 3], w: [i64; 3]) -> i128 {
     i128::from(u[2]) * minor(v, w) - i128::from(v[2]) * minor(u, w) + i128::from(w[2]) * minor(u, v)
 }
 
-/// The weights of a point in a positively oriented tetrahedron; `None` of one outside. Faces belong to it.
+/// The weights of a point in a positively oriented tetrahedron; `None` of one outside. Faces belong
+/// to it.
 ///
 /// # The margin
-/// Differences to the point are integers up to 2^38, exact in `f64`. With M the product of the largest absolute differences by axis and u = 2^-53, a 2×2 minor
-/// has an error of at most 4u·mx·my, its product with the third coordinate 6u·M, and the sum of three of those 18u·M + 10u·M; the margin is
-/// 40u·M, which covers terms of second order and the roundings of the margin itself. Fused multiply-adds only make the error less.
+/// Differences to the point are integers up to 2^38, exact in `f64`. With M the product of the
+/// largest absolute differences by axis and u = 2^-53, a 2×2 minor has an error of at most
+/// 4u·mx·my, its product with the third coordinate 6u·M, and the sum of three of those 18u·M +
+/// 10u·M; the margin is 40u·M, which covers terms of second order and the roundings of the margin
+/// itself. Fused multiply-adds only make the error less.
 #[inline]
 pub fn weights(corners: [FinePos; 4], point: FinePos) -> Option<[f64; 4]> {
     const U: f64 = 1.0 / (1u64 << 53) as f64;

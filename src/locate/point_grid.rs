@@ -27,7 +27,8 @@ pub struct PointGrid {
     starts: Vec<u32>,
     /// Positions, by grid cell.
     sorted: Vec<FinePos>,
-    /// The same from `lo`, rounded, as columns; some points more than there are, so that the last can be read as one of eight.
+    /// The same from `lo`, rounded, as columns; some points more than there are, so that the last
+    /// can be read as one of eight.
     columns: [Vec<f32>; 3],
     /// Their numbers.
     numbers: Vec<u32>,
@@ -86,7 +87,8 @@ impl PointGrid {
         }
     }
 
-    /// Looks for each point in the cells of a batch; `found[i]` keeps the answer of the lowest id for point i.
+    /// Looks for each point in the cells of a batch; `found[i]` keeps the answer of the lowest id
+    /// for point i.
     pub fn locate(&self, cells: &CellBatch, found: &mut [Found]) {
         assert_eq!(found.len(), self.numbers.len(), "an answer for each point");
         if !found.is_empty() {
@@ -104,7 +106,8 @@ impl PointGrid {
         }
     }
 
-    /// The range of grid cells on each axis that a tetrahedron's bounding box meets; `None` if it meets none.
+    /// The range of grid cells on each axis that a tetrahedron's bounding box meets; `None` if it
+    /// meets none.
     #[inline(always)]
     fn reach(&self, lo: FinePos, hi: FinePos) -> Option<[(usize, usize); 3]> {
         let mut reach = [(0, 0); 3];
@@ -164,14 +167,16 @@ struct Planes {
 }
 
 impl Planes {
-    /// The planes of a positively oriented tetrahedron whose bounding box is `sides` long and meets that of the points, which begins at `lo`
-    /// and is `size` long.
+    /// The planes of a positively oriented tetrahedron whose bounding box is `sides` long and meets
+    /// that of the points, which begins at `lo` and is `size` long.
     ///
     /// # The margin
-    /// Let L be the lengths of the tetrahedron's box and D those of both boxes together. A component of a normal is at most B_x = 2·L_y·L_z, and so on; a
-    /// coordinate of a point or a corner less `lo`, at most D. With W = Σ B·D and u = 2^-24 the errors in f32 are: of the points' coordinates, of the normals, of
-    /// the three products and of `least` at most u·W each, of the two sums u·W each; those in f64 are below 2^-48·W. 8u·W is more than all of them and what
-    /// they do to each other. The largest number is W < 2^119.
+    /// Let L be the lengths of the tetrahedron's box and D those of both boxes together. A
+    /// component of a normal is at most B_x = 2·L_y·L_z, and so on; a coordinate of a point or a
+    /// corner less `lo`, at most D. With W = Σ B·D and u = 2^-24 the errors in f32 are: of the
+    /// points' coordinates, of the normals, of the three products and of `least` at most u·W each,
+    /// of the two sums u·W each; those in f64 are below 2^-48·W. 8u·W is more than all of them and
+    /// what they do to each other. The largest number is W < 2^119.
     #[inline(always)]
     fn new([a, b, c, d]: [FinePos; 4], lo: FinePos, sides: [i64; 3], size: [f64; 3]) -> Self {
         const U: f64 = 1.0 / (1u32 << 24) as f64;

@@ -1,7 +1,8 @@
 //! Errors brick by brick.
 //!
-//! A brick's samples lie in tetrahedra of several chunks. Each chunk tells what it knows of a brick as a record; the records
-//! are sorted by brick, outside of memory if need be, and those of a brick added up in chunk order.
+//! A brick's samples lie in tetrahedra of several chunks. Each chunk tells what it knows of a brick
+//! as a record; the records are sorted by brick, outside of memory if need be, and those of a brick
+//! added up in chunk order.
 
 use super::sums::error_of;
 use crate::error::Result;
@@ -77,7 +78,8 @@ impl BrickRecord {
     }
 }
 
-/// Hands `each` the number and the errors of every brick that has some, given all records in ascending order.
+/// Hands `each` the number and the errors of every brick that has some, given all records in
+/// ascending order.
 pub(crate) fn merged(
     mut next: impl FnMut() -> Result<Option<BrickRecord>>,
     mut each: impl FnMut(u64, &BrickErrors) -> Result<()>,

@@ -1,17 +1,19 @@
 //! How far is the reduced field from the samples that it was made from?
 //!
-//! An *error* is the reduced value less the original one, both `f32`, rounded to `f32` once. [`ErrorSums`] takes the errors of
-//! samples in any order, and [`FieldError`] is what is said of them: the largest and where it is, their root mean square (RMS),
-//! mean and percentiles.
+//! An *error* is the reduced value less the original one, both `f32`, rounded to `f32` once.
+//! [`ErrorSums`] takes the errors of samples in any order, and [`FieldError`] is what is said of
+//! them: the largest and where it is, their root mean square (RMS), mean and percentiles.
 //!
-//! **Every sum is an integer.** A float is `mantissa · 2^exponent` with a mantissa of 24 bits. Mantissas, and their squares, are added
-//! up for each of the 256 exponents in 128 bits, which cannot overflow; only at the end is each sum multiplied by its power of two, and
-//! all are added from the largest exponent down. So the figures are exact but for that last rounding, and depend neither on the
-//! order of the samples nor on threads or chunks.
+//! **Every sum is an integer.** A float is `mantissa · 2^exponent` with a mantissa of 24 bits.
+//! Mantissas, and their squares, are added up for each of the 256 exponents in 128 bits, which
+//! cannot overflow; only at the end is each sum multiplied by its power of two, and all are added
+//! from the largest exponent down. So the figures are exact but for that last rounding, and depend
+//! neither on the order of the samples nor on threads or chunks.
 //!
-//! **Percentiles** come from counts: the upper 12 bits of an absolute error (8 of the exponent, 4 of the mantissa) are its bin, so
-//! a bin's ends are at most 1/16 apart, relatively. What is told is the upper end of the bin in which the wanted sample
-//! lies, or the largest error if that is less: at least as many samples as said have an error of at most so much. Errors of exactly 0 are
+//! **Percentiles** come from counts: the upper 12 bits of an absolute error (8 of the exponent, 4
+//! of the mantissa) are its bin, so a bin's ends are at most 1/16 apart, relatively. What is told
+//! is the upper end of the bin in which the wanted sample lies, or the largest error if that is
+//! less: at least as many samples as said have an error of at most so much. Errors of exactly 0 are
 //! counted apart.
 //!
 //! Cost: some twenty operations a sample. Memory: 45 KB, whatever the number of samples.
@@ -57,7 +59,8 @@ pub struct FieldError {
     /// Least and largest value of the source at its samples or vertices; none if it has no value.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source_range: Option<[f64; 2]>,
-    /// Of those measured, vertices of a mesh outside of the reduced domain: there the value is that of its nearest place.
+    /// Of those measured, vertices of a mesh outside of the reduced domain: there the value is that
+    /// of its nearest place.
     #[serde(default)]
     pub beyond: u64,
     /// Largest absolute error, exact.
@@ -68,15 +71,17 @@ pub struct FieldError {
     pub mean: f64,
     /// Mean error with its sign: reduced less original.
     pub bias: f64,
-    /// Errors that so many percent of the samples do not exceed; at most 1/16 too large, relatively.
+    /// Errors that so many percent of the samples do not exceed; at most 1/16 too large,
+    /// relatively.
     pub percentiles: Vec<Percentile>,
-    /// Where the largest error is; of several equal ones the sample of the lowest number. None if nothing was measured.
+    /// Where the largest error is; of several equal ones the sample of the lowest number. None if
+    /// nothing was measured.
     pub worst: Option<Worst>,
 }
 
 impl FieldError {
-    /// The errors with what samples had lost before they were compared, so much at most: figures are then no less than the true ones,
-    /// but for the bias.
+    /// The errors with what samples had lost before they were compared, so much at most: figures
+    /// are then no less than the true ones, but for the bias.
     ///
     /// Values were compared less the `offset` of their source: its range is that of the file.
     pub(crate) fn of_source(mut self, offset: f64, lost: f64) -> Self {

@@ -39,7 +39,8 @@ impl Largest {
     }
 }
 
-/// What is known of the errors of some samples. Sums of parts are the sums of the whole, in any order.
+/// What is known of the errors of some samples. Sums of parts are the sums of the whole, in any
+/// order.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ErrorSums {
     pub(crate) measured: u64,
@@ -85,8 +86,8 @@ impl ErrorSums {
         LevelError { samples: self.measured, rms, max: self.max() }
     }
 
-    /// Adds a sample. An original that is no finite number counts as missing, a reduced value that is NaN as void; the number of
-    /// the sample is asked for when its error is the largest so far.
+    /// Adds a sample. An original that is no finite number counts as missing, a reduced value that
+    /// is NaN as void; the number of the sample is asked for when its error is the largest so far.
     #[inline]
     pub fn add(&mut self, original: f32, reduced: f32, sample: impl FnOnce() -> u64) {
         if !original.is_finite() {
@@ -202,7 +203,8 @@ impl ErrorSums {
         self.per_sample(self.total(|m| m.squares as f64, |e| 2 * e)).sqrt()
     }
 
-    /// An error that so many percent of the measured samples do not exceed: see the module for how near it is.
+    /// An error that so many percent of the measured samples do not exceed: see the module for how
+    /// near it is.
     pub fn percentile(&self, percent: f64) -> f64 {
         let wanted = (percent / 100.0 * self.measured as f64).ceil() as u64;
         let mut seen = self.zeros;
@@ -225,8 +227,8 @@ impl ErrorSums {
         (self.range[0] <= self.range[1]).then(|| self.range.map(|v| v + 0.0))
     }
 
-    /// What is said of them. `samples` are all of the source; those that were not added lie outside. The worst place is to be
-    /// filled in.
+    /// What is said of them. `samples` are all of the source; those that were not added lie
+    /// outside. The worst place is to be filled in.
     pub(crate) fn field_error(&self, samples: u64) -> FieldError {
         FieldError {
             samples,

@@ -6,9 +6,11 @@
 //!
 //! What a sample has at several steps lies side by side, so that one load has it.
 //!
-//! An error is put into one bin, of those with its sign, its exponent, and the upper five bits of its mantissa. A bin has how many there are, and the sums of
-//! their lower bits and of the squares of these: so the sums of mantissas and of their squares follow at the end, exactly. Errors of one sign and
-//! exponent are many, those of one bin few: it is seldom that a sum must wait for what was added to it just before.
+//! An error is put into one bin, of those with its sign, its exponent, and the upper five bits of
+//! its mantissa. A bin has how many there are, and the sums of their lower bits and of the squares
+//! of these: so the sums of mantissas and of their squares follow at the end, exactly. Errors of
+//! one sign and exponent are many, those of one bin few: it is seldom that a sum must wait for what
+//! was added to it just before.
 
 use super::sums::{ABSOLUTE, BIN_SHIFT, BINS, ErrorSums, error_of};
 
@@ -31,7 +33,8 @@ pub(crate) struct Compared<const N: usize> {
     pub(crate) reduced: [[f32; N]; TOGETHER],
     /// Bits of errors.
     errors: [[u32; N]; TOGETHER],
-    /// Of each step: the bits of the largest absolute error, [`NONE`] where a sample has none; those of the least that is not 0, less 1; how many are 0.
+    /// Of each step: the bits of the largest absolute error, [`NONE`] where a sample has none;
+    /// those of the least that is not 0, less 1; how many are 0.
     most: [u32; N],
     least: [u32; N],
     zeros: [u32; N],
@@ -91,7 +94,8 @@ impl<const N: usize> Compared<N> {
     }
 }
 
-/// The least and the largest of each `N`-th number. Side by side, as in [`Seen`]: so many that vectors have them.
+/// The least and the largest of each `N`-th number. Side by side, as in [`Seen`]: so many that
+/// vectors have them.
 #[inline(always)]
 fn range_of<const N: usize>(values: &[f32]) -> [[f32; N]; 2] {
     let (mut least, mut largest) = ([f32::INFINITY; WIDTH], [f32::NEG_INFINITY; WIDTH]);
@@ -110,7 +114,8 @@ fn range_of<const N: usize>(values: &[f32]) -> [[f32; N]; 2] {
     range
 }
 
-/// Errors that are looked at side by side: some samples, each at all steps. So many, for that the compiler makes vectors of the loop over them, and not of that over samples.
+/// Errors that are looked at side by side: some samples, each at all steps. So many, for that the
+/// compiler makes vectors of the loop over them, and not of that over samples.
 const WIDTH: usize = 64;
 
 /// As in [`Compared`], of each [`WIDTH`]-th error.
@@ -159,7 +164,8 @@ impl<'a> ComparedAt<'a> {
     }
 }
 
-/// Errors that share their upper bits: how many there are and the sum of their lower bits; the sum of the squares of these.
+/// Errors that share their upper bits: how many there are and the sum of their lower bits; the sum
+/// of the squares of these.
 type Bin = [u64; 2];
 
 /// An [`ErrorSums`] in the making.

@@ -1,8 +1,9 @@
 //! The tetrahedra of a body-centred cubic lattice, by formula.
 //!
-//! The box is cut into cells. Points are the corners of cells (*nodes*), their *centres*, and on the faces of the box
-//! the centres of the cells' faces. Around the line that joins the centres of two cells with a common face lie four
-//! tetrahedra, each with an edge of that face. At a face of the box its centre stands for the second cell:
+//! The box is cut into cells. Points are the corners of cells (*nodes*), their *centres*, and on
+//! the faces of the box the centres of the cells' faces. Around the line that joins the centres of
+//! two cells with a common face lie four tetrahedra, each with an edge of that face. At a face of
+//! the box its centre stands for the second cell:
 //!
 //! ```text
 //!        n───────n            the face between the cells of c and d, seen from the side; the tetrahedra are
@@ -13,12 +14,14 @@
 //!      n───────n              chapter 21; A. Entezari, R. Dyer, T. Möller, IEEE Visualization 2004
 //! ```
 //!
-//! So the mesh is a function of the numbers of cells. Positions are told in *halves*: a node has even numbers, a centre
-//! odd ones. A tetrahedron belongs to the lower of its cells. Faces of tetrahedra agree whatever is made apart.
+//! So the mesh is a function of the numbers of cells. Positions are told in *halves*: a node has
+//! even numbers, a centre odd ones. A tetrahedron belongs to the lower of its cells. Faces of
+//! tetrahedra agree whatever is made apart.
 //!
-//! A chunk is a box of cells. Its points are those of its cells, in blocks of 4³ cells, in bricks of 8³ (fewer if asked for; of a block
-//! the nodes, x fastest, then the centres); then those at the far end of the domain and on its faces, which it has too;
-//! then those of other chunks that its tetrahedra use. A number is arithmetic, so nothing of a chunk is stored.
+//! A chunk is a box of cells. Its points are those of its cells, in blocks of 4³ cells, in bricks
+//! of 8³ (fewer if asked for; of a block the nodes, x fastest, then the centres); then those at the
+//! far end of the domain and on its faces, which it has too; then those of other chunks that its
+//! tetrahedra use. A number is arithmetic, so nothing of a chunk is stored.
 
 use super::tet::Tet;
 use crate::geom::{Lattice, LatticePos, PointClass, PointId, half_plane};
@@ -95,8 +98,8 @@ impl CellBox {
 }
 
 impl BccMesh {
-    /// The lattice with so many cells along each axis, as a point set has checked them; `None` for bricks that are not
-    /// cubes of 1, 2, 4 or 8 cells.
+    /// The lattice with so many cells along each axis, as a point set has checked them; `None` for
+    /// bricks that are not cubes of 1, 2, 4 or 8 cells.
     pub(crate) fn new(cells: [u32; 3], lattice: &Lattice, brick: [u64; 3]) -> Option<Self> {
         let is_cube = brick == [brick[0]; 3] && [1, 2, 4, BRICK_CELLS.into()].contains(&brick[0]);
         is_cube.then(|| Self { cells, brick: brick[0] as u32, max: lattice.max() })
@@ -116,7 +119,8 @@ impl BccMesh {
         std::array::from_fn(|a| half_plane(at[a].into(), self.cells[a], self.max[a]))
     }
 
-    /// The id of a point: nodes come first, then centres, then the centres on the six faces, x fastest.
+    /// The id of a point: nodes come first, then centres, then the centres on the six faces, x
+    /// fastest.
     fn id(&self, at: Halves) -> PointId {
         let n = self.cells.map(u64::from);
         let half = at.map(|j| u64::from(j / 2));
@@ -167,8 +171,8 @@ impl BccMesh {
     }
 }
 
-/// Points of a chunk that are not in its blocks, in pieces: nodes at the high ends of one, two or three axes (a set of
-/// axes as bits, less 1), then points above each axis, then below.
+/// Points of a chunk that are not in its blocks, in pieces: nodes at the high ends of one, two or
+/// three axes (a set of axes as bits, less 1), then points above each axis, then below.
 const PIECES: usize = 13;
 const ABOVE: usize = 7;
 const BELOW: usize = 10;
@@ -238,7 +242,8 @@ impl BccChunk {
         }
     }
 
-    /// The cells at which a piece has a point each, one thick along the axes at whose end it is; `None` if it has none.
+    /// The cells at which a piece has a point each, one thick along the axes at whose end it is;
+    /// `None` if it has none.
     fn piece_box(&self, piece: usize) -> Option<CellBox> {
         let CellBox { mut lo, mut hi } = self.cells;
         let mut flatten = |a: usize, at: u32| (lo[a], hi[a]) = (at, at + 1);
@@ -300,8 +305,8 @@ impl BccChunk {
         12 * cells.len() + (0..3).map(at_face).sum::<u32>()
     }
 
-    /// The cells along each axis of each brick, in order, which has two points a cell. Points at the ends of the domain come
-    /// after them.
+    /// The cells along each axis of each brick, in order, which has two points a cell. Points at
+    /// the ends of the domain come after them.
     pub(crate) fn bricks(&self) -> impl Iterator<Item = [u32; 3]> {
         self.cells.cut(self.mesh.brick).map(|brick| brick.dims())
     }
@@ -437,7 +442,8 @@ impl BccChunk {
         out.extend(block.places.iter().map(|&at| self.number(at).expect("a block's points are the chunk's")));
     }
 
-    /// What is known of the points of a block: number in the chunk, position, id, and whether other chunks may have it.
+    /// What is known of the points of a block: number in the chunk, position, id, and whether other
+    /// chunks may have it.
     pub(crate) fn corners<'a>(
         &'a self,
         block: &'a BccBlock,
@@ -448,7 +454,8 @@ impl BccChunk {
         })
     }
 
-    /// The positions of the lowest and the highest corner of a block, its neighbours' centres included.
+    /// The positions of the lowest and the highest corner of a block, its neighbours' centres
+    /// included.
     pub(crate) fn hull(&self, number: usize) -> [LatticePos; 2] {
         let (block, _) = self.blocks[number];
         let high = std::array::from_fn(|a| (2 * block.hi[a] + 1).min(2 * self.mesh.cells[a]));
@@ -481,7 +488,8 @@ impl BccChunk {
         (0..self.brick_count()).map(of_brick).collect()
     }
 
-    /// The other tetrahedra at the chunk's points, whose further points follow those, and their positions.
+    /// The other tetrahedra at the chunk's points, whose further points follow those, and their
+    /// positions.
     pub(crate) fn around(&self) -> (Vec<Tet>, Vec<LatticePos>) {
         let near = CellBox {
             lo: self.cells.lo.map(|c| c.saturating_sub(1)),

@@ -1,7 +1,9 @@
-//! Which local tetrahedra are global ones: no point that a chunk cannot see lies in or on the circumsphere.
+//! Which local tetrahedra are global ones: no point that a chunk cannot see lies in or on the
+//! circumsphere.
 //!
-//! A chunk sees the points of its region (core and halo). The unseen points are lattice points of the domain outside the region, that is,
-//! of at most six **slabs**: beyond each face of the region that is not a face of the domain.
+//! A chunk sees the points of its region (core and halo). The unseen points are lattice points of
+//! the domain outside the region, that is, of at most six **slabs**: beyond each face of the region
+//! that is not a face of the domain.
 //!
 //! ```text
 //!  domain ┌──────────────────────────┐
@@ -12,28 +14,33 @@
 //!         │l│          └────────┘  │l│
 //! ```
 //!
-//! Points of the outer halo are seen but not all inserted (`late.rs`): there, "unseen" reads "not inserted", for the same proof.
+//! Points of the outer halo are seen but not all inserted (`late.rs`): there, "unseen" reads "not
+//! inserted", for the same proof.
 //!
-//! First the kernel's stored sphere, grown by its proven error, is compared with the region: that settles nearly all. The rest is
-//! decided exactly. With p a vertex, u, v, w the others minus p, D = u·(v×w), N = |u|² v×w + |v|² w×u + |w|² u×v, the power of
-//! q = p + t times D is the sum over the axes of D·t² - N·t, so its least value over the lattice points of a slab is found axis by
-//! axis, at the integers next to N/2D, clamped to the slab. |D| ≤ 2^73 and |N| < 2^101, so D·t² < 2^122, N·t < 2^126/3, and
-//! the sum fits `i128`.
+//! First the kernel's stored sphere, grown by its proven error, is compared with the region: that
+//! settles nearly all. The rest is decided exactly. With p a vertex, u, v, w the others minus p,
+//! D = u·(v×w), N = |u|² v×w + |v|² w×u + |w|² u×v, the power of q = p + t times D is the sum over
+//! the axes of D·t² - N·t, so its least value over the lattice points of a slab is found axis by
+//! axis, at the integers next to N/2D, clamped to the slab. |D| ≤ 2^73 and |N| < 2^101, so D·t² <
+//! 2^122, N·t < 2^126/3, and the sum fits `i128`.
 //!
 //! # Why certified chunks make up the global tetrahedralization
-//! Let L be the local tetrahedralization of the points of the region, G the global one; both are unique, ties
-//! included. The chunk owns the tetrahedra whose least vertex (x, then y, then z) lies in the core. It is done when
+//! Let L be the local tetrahedralization of the points of the region, G the global one; both are
+//! unique, ties included. The chunk owns the tetrahedra whose least vertex (x, then y, then z) lies
+//! in the core. It is done when
 //!
 //! 1. every tetrahedron of L with a vertex in the core is certified, and
 //! 2. no slab point lies strictly beyond the hull facets of L with a vertex in the core.
 //!
-//! *Nothing wrong is emitted.* A certified tetrahedron is empty of all points, seen and unseen (the closed sphere excludes even ties),
-//! so it is in G.
+//! *Nothing wrong is emitted.* A certified tetrahedron is empty of all points, seen and unseen (the
+//! closed sphere excludes even ties), so it is in G.
 //!
-//! *Nothing is missing.* Let T be in G with a vertex v in the core. By 2 the hull of L near v is the hull of G near v (every point, unseen too, is on the inner
-//! side of each facet of L's hull at v), so around v the tetrahedra of L at v fill what those of G fill; by 1 they are in G, whose tetrahedra do not overlap: T is one of them.
-//! So all tetrahedra at the core's points are known, those that are owned and those that tell which points are shared. It would not
-//! suffice to check owned tetrahedra alone: a wrong one whose least vertex lies outside the core can hide T.
+//! *Nothing is missing.* Let T be in G with a vertex v in the core. By 2 the hull of L near v is
+//! the hull of G near v (every point, unseen too, is on the inner side of each facet of L's hull at
+//! v), so around v the tetrahedra of L at v fill what those of G fill; by 1 they are in G, whose
+//! tetrahedra do not overlap: T is one of them. So all tetrahedra at the core's points are known,
+//! those that are owned and those that tell which points are shared. It would not suffice to check
+//! owned tetrahedra alone: a wrong one whose least vertex lies outside the core can hide T.
 
 use crate::geom::predicates::signed_volume6;
 use crate::geom::{LatticeBox, LatticePos};
@@ -61,7 +68,8 @@ pub(super) struct Local {
 }
 
 impl Local {
-    /// A lattice position in the kernel's coordinates, exactly if it is a multiple of 2^shift beyond the origin.
+    /// A lattice position in the kernel's coordinates, exactly if it is a multiple of 2^shift
+    /// beyond the origin.
     #[inline]
     pub(super) fn coordinates(&self, at: LatticePos) -> [f64; 3] {
         let scale = 1.0 / f64::from(1u32 << self.shift);
@@ -89,8 +97,9 @@ impl Unseen {
                 hi[a] = at(region.hi[a] - 1);
             }
         }
-        // A stored centre is off by at most √e/64 + 1.75εR and the radius by √e/64 (from the bounds of the kernel's
-        // margin); an exact sphere's r² is lowered by e + ½. The rest covers the roundings of `quickly`.
+        // A stored centre is off by at most √e/64 + 1.75εR and the radius by √e/64 (from the bounds
+        // of the kernel's margin); an exact sphere's r² is lowered by e + ½. The rest covers the
+        // roundings of `quickly`.
         let grow_r = local.margin.sqrt() / 16.0 + 1.0 / 1024.0;
         Self { domain, slabs, lo, hi, grow_r2: local.margin + 0.5, grow_r }
     }
@@ -101,7 +110,8 @@ impl Unseen {
         self.quickly(sphere) || self.spares_exactly(tet())
     }
 
-    /// The radius that certainly reaches around the closed circumsphere from the stored centre; `None` for one that is not trusted.
+    /// The radius that certainly reaches around the closed circumsphere from the stored centre;
+    /// `None` for one that is not trusted.
     pub(super) fn radius(&self, sphere: &[f64; 4]) -> Option<f64> {
         let r = self.grown(sphere);
         (!r.is_nan()).then_some(r)
@@ -145,8 +155,8 @@ impl Unseen {
         self.slabs.iter().all(|slab| (0..3).map(|k| least(k, slab)).sum::<i128>() > 0)
     }
 
-    /// Whether no unseen point is strictly beyond a hull facet (a point q is beyond when a, b, c, q is positively
-    /// oriented).
+    /// Whether no unseen point is strictly beyond a hull facet (a point q is beyond when a, b, c, q
+    /// is positively oriented).
     pub(super) fn spares_beyond(&self, [a, b, c]: [LatticePos; 3]) -> bool {
         // The usual case: a facet in a face of the domain, nothing of the domain is beyond it.
         let in_face = (0..3).any(|k| {
@@ -183,7 +193,8 @@ mod tests {
         let u = unseen();
         let nan = [f64::NAN; 4];
         for z in 20..50 {
-            // The highest position of the sphere is (50, 50, z + 10); the first unseen ones have z = 51.
+            // The highest position of the sphere is (50, 50, z + 10); the first unseen ones have
+            // z = 51.
             assert_eq!(u.spares(|| tet(z), &nan), z + 10 < 51, "{z}");
             let quick = u.quickly(&[50.0, 50.0, f64::from(z), 100.0]);
             assert!(!quick || z + 10 < 51, "{z}");

@@ -22,9 +22,10 @@ pub struct Summary {
     pub vertices: usize,
 }
 
-/// Checks that `tets` is a Delaunay tetrahedralization of (some of) `positions`, with the ties of `order`:
-/// positive orientation, facets shared by at most two tetrahedra and oppositely seen, every shared facet locally Delaunay
-/// (which makes the whole Delaunay), a closed hull, and the sum of the volumes equal to the volume that the hull encloses.
+/// Checks that `tets` is a Delaunay tetrahedralization of (some of) `positions`, with the ties of
+/// `order`: positive orientation, facets shared by at most two tetrahedra and oppositely seen,
+/// every shared facet locally Delaunay (which makes the whole Delaunay), a closed hull, and the sum
+/// of the volumes equal to the volume that the hull encloses.
 ///
 /// # Errors
 /// A sentence about the first fault.

@@ -1,8 +1,10 @@
-//! Meshing a domain chunk by chunk, so that the union of the chunks is exactly the mesh of the whole.
+//! Meshing a domain chunk by chunk, so that the union of the chunks is exactly the mesh of the
+//! whole.
 //!
-//! A chunk meshes the points of its **region** (core and halo) and keeps the tetrahedra it **owns**: those whose least vertex (x,
-//! then y, then z) lies in its core. Cores tile the domain, so each tetrahedron has one owner. The halo must be wide enough
-//! that what is kept is what the whole mesh would have there; `certify.rs` says when that is proven.
+//! A chunk meshes the points of its **region** (core and halo) and keeps the tetrahedra
+//! it **owns**: those whose least vertex (x, then y, then z) lies in its core. Cores tile the
+//! domain, so each tetrahedron has one owner. The halo must be wide enough that what is kept is
+//! what the whole mesh would have there; `certify.rs` says when that is proven.
 //!
 //! ```text
 //! ┌───────────────┐  region: its outer points are inserted only where needed
@@ -12,20 +14,24 @@
 //! │ │  └─────┘  │ │  shared vertex: has a tetrahedron that another chunk owns
 //! ```
 //!
-//! A halo wide enough for the largest sphere would be three spacings wide, nearly a third of all points at 250 000 owned ones. But few
-//! spheres are large. So a narrow halo is inserted with the core; the tetrahedra whose spheres leave it are looked at
-//! again with the outer points at hand (`late.rs`), and those found in a sphere are inserted, until each tetrahedron is
-//! certified. When a sphere leaves even the region the caller gathers a larger one ([`Widen`]): its points are outer points like the others, and
-//! what is meshed stays. So a few large spheres, as there are between the planes of a hyperbolic cross, cost a few insertions; of 10.5 M such points
-//! in chunks of 250 000, two chunks of three need a wider region.
+//! A halo wide enough for the largest sphere would be three spacings wide, nearly a third of all
+//! points at 250 000 owned ones. But few spheres are large. So a narrow halo is inserted with the
+//! core; the tetrahedra whose spheres leave it are looked at again with the outer points at hand
+//! (`late.rs`), and those found in a sphere are inserted, until each tetrahedron is certified. When
+//! a sphere leaves even the region the caller gathers a larger one ([`Widen`]): its points are
+//! outer points like the others, and what is meshed stays. So a few large spheres, as there are
+//! between the planes of a hyperbolic cross, cost a few insertions; of 10.5 M such points in chunks
+//! of 250 000, two chunks of three need a wider region.
 //!
-//! Of 2.2 M points in 11 chunks a tenth more are inserted than owned (8 to 13 % by chunk; 16 to 25 % with the tetrahedra around), and hardly any late. An inner halo a
-//! quarter of a spacing narrower takes Hammersley points 2 % less time, but Halton points, the cross and the regular grid 2 to 3 % more; half a spacing narrower
-//! gains nothing, three quarters lose 8 %.
+//! Of 2.2 M points in 11 chunks a tenth more are inserted than owned (8 to 13 % by chunk; 16 to 25
+//! % with the tetrahedra around), and hardly any late. An inner halo a quarter of a spacing
+//! narrower takes Hammersley points 2 % less time, but Halton points, the cross and the regular
+//! grid 2 to 3 % more; half a spacing narrower gains nothing, three quarters lose 8 %.
 //!
 //! Evenly spread points need no halo meshed: `stars.rs` makes the same mesh of them in less time.
 //!
-//! Time of insertion: that of the kernel for the points inserted, plus about a tenth for ownership, certification and output order.
+//! Time of insertion: that of the kernel for the points inserted, plus about a tenth for ownership,
+//! certification and output order.
 
 use super::certify::Unseen;
 use super::delaunay::Mesher;
@@ -42,8 +48,8 @@ use crate::geom::{Lattice, LatticeBox, LatticePos};
 pub struct ChunkRegion {
     /// What the chunk owns.
     pub core: LatticeBox,
-    /// Core and inner halo, clipped to the domain: the points that are inserted at once. Those further out are inserted where
-    /// a tetrahedron needs them.
+    /// Core and inner halo, clipped to the domain: the points that are inserted at once. Those
+    /// further out are inserted where a tetrahedron needs them.
     pub near: LatticeBox,
     /// Core and halo, clipped to the domain: where the chunk knows all points.
     pub region: LatticeBox,
@@ -54,11 +60,13 @@ pub struct ChunkRegion {
 /// The tetrahedra of a chunk.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ChunkMesh {
-    /// Owned tetrahedra: vertex numbers are indices into the chunk's positions, positively oriented, least number first;
-    /// ascending by that. Behind them, where they were asked for, those around, positively oriented.
+    /// Owned tetrahedra: vertex numbers are indices into the chunk's positions, positively
+    /// oriented, least number first; ascending by that. Behind them, where they were asked for,
+    /// those around, positively oriented.
     pub tets: TetList,
-    /// For each position: whether another chunk may own a tetrahedron at it. Only an edge between two shared
-    /// vertices can also occur in another chunk. Positions outside the core are always shared.
+    /// For each position: whether another chunk may own a tetrahedron at it. Only an edge between
+    /// two shared vertices can also occur in another chunk. Positions outside the core are always
+    /// shared.
     pub shared: Vec<bool>,
 }
 
@@ -69,8 +77,8 @@ pub enum ChunkOutcome {
     Done(ChunkMesh),
     /// Points outside the region could matter, and no wider one was given.
     WidenHalo {
-        /// Tetrahedra and hull facets at core vertices that are not certified; if there is no tetrahedron, the core's
-        /// points.
+        /// Tetrahedra and hull facets at core vertices that are not certified; if there is no
+        /// tetrahedron, the core's points.
         uncertified: u64,
     },
 }
@@ -78,11 +86,13 @@ pub enum ChunkOutcome {
 /// How a chunk is meshed.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Manner {
-    /// Also the tetrahedra around those owned ([`TetList::around`]), so that all tetrahedra at each vertex of an owned one are known. That takes a wider
-    /// halo, by one tetrahedron and its sphere.
+    /// Also the tetrahedra around those owned ([`TetList::around`]), so that all tetrahedra at each
+    /// vertex of an owned one are known. That takes a wider halo, by one tetrahedron and its
+    /// sphere.
     pub around: bool,
-    /// Whether the points are as dense everywhere, no more of them than by chance on a sphere, and those of the core come first: then the chunk is meshed star by star,
-    /// where the machine has the instructions for it, to the same mesh in less time.
+    /// Whether the points are as dense everywhere, no more of them than by chance on a sphere, and
+    /// those of the core come first: then the chunk is meshed star by star, where the machine has
+    /// the instructions for it, to the same mesh in less time.
     pub even: bool,
 }
 
@@ -95,15 +105,18 @@ pub struct Border<'a> {
     pub points: &'a [bool],
 }
 
-/// Gives a wider region: appends the positions between the old one and the new one, and returns that; `None` where there is no room for it.
+/// Gives a wider region: appends the positions between the old one and the new one, and returns
+/// that; `None` where there is no room for it.
 pub type Widen<'a> = dyn FnMut(&mut Vec<LatticePos>) -> Result<Option<LatticeBox>> + 'a;
 
-/// Tetrahedralizes the `positions` of a region and keeps what the chunk owns. `positions` must hold every point of the
-/// domain that lies in the region, those in `near` first and otherwise in any order; of equal positions only the first becomes a vertex. A region equal to the domain is always
-/// [`ChunkOutcome::Done`].
+/// Tetrahedralizes the `positions` of a region and keeps what the chunk owns. `positions` must hold
+/// every point of the domain that lies in the region, those in `near` first and otherwise in any
+/// order; of equal positions only the first becomes a vertex. A region equal to the domain is
+/// always [`ChunkOutcome::Done`].
 ///
 /// # Errors
-/// [`Error::Usage`] when the boxes are not nested, a position lies outside the region, or [`Mesher::delaunay`] refuses.
+/// [`Error::Usage`] when the boxes are not nested, a position lies outside the region, or
+/// [`Mesher::delaunay`] refuses.
 pub fn mesh_chunk(
     mesher: &mut Mesher,
     boxes: &ChunkRegion,
@@ -113,8 +126,8 @@ pub fn mesh_chunk(
     mesh_widening(mesher, boxes, &mut positions.to_vec(), order, Manner::default(), &mut |_| Ok(None))
 }
 
-/// As [`mesh_chunk`]; where a sphere leaves the region, `widen` is asked for a wider one, and of its points those go in that a tetrahedron
-/// needs.
+/// As [`mesh_chunk`]; where a sphere leaves the region, `widen` is asked for a wider one, and of
+/// its points those go in that a tetrahedron needs.
 ///
 /// # Errors
 /// As [`mesh_chunk`], and those of `widen`.
@@ -167,8 +180,10 @@ pub fn mesh_widening(
     outcome
 }
 
-/// The tetrahedra around those that a chunk owns, of which the border is known: as [`mesh_widening`] finds them of evenly spread points, in canonical order, but in the time that they take and not the
-/// chunk. `positions` are as there. `None` where that can not be done: then the chunk has to be meshed.
+/// The tetrahedra around those that a chunk owns, of which the border is known: as
+/// [`mesh_widening`] finds them of evenly spread points, in canonical order, but in the time that
+/// they take and not the chunk. `positions` are as there. `None` where that can not be done: then
+/// the chunk has to be meshed.
 ///
 /// # Errors
 /// As [`mesh_chunk`].
@@ -247,7 +262,8 @@ struct Sorter<'a> {
     /// Records to be looked at again, and whether each record is among them.
     doubtful: Vec<u32>,
     waits: Vec<bool>,
-    /// By vertex of the mesher: whether an owned tetrahedron has it. Empty where nobody asks for those around.
+    /// By vertex of the mesher: whether an owned tetrahedron has it. Empty where nobody asks for
+    /// those around.
     used: Vec<bool>,
     /// Whether those around are looked for: the owned ones are known.
     looks_around: bool,
@@ -288,8 +304,8 @@ impl<'a> Sorter<'a> {
         }
     }
 
-    /// Sorts all records; then inserts what the doubtful ones ask for, until none is left. Returns how many cannot be
-    /// certified.
+    /// Sorts all records; then inserts what the doubtful ones ask for, until none is left. Returns
+    /// how many cannot be certified.
     fn run(&mut self, mesher: &mut Mesher) -> Result<u64> {
         for first in (0..mesher.records()).step_by(u64::BITS as usize) {
             let mut inner = 0u64;
@@ -309,8 +325,8 @@ impl<'a> Sorter<'a> {
         self.settle(mesher)
     }
 
-    /// Looks at the tetrahedra around those owned, all of which are certified: nothing that is inserted for their neighbours
-    /// touches them.
+    /// Looks at the tetrahedra around those owned, all of which are certified: nothing that is
+    /// inserted for their neighbours touches them.
     fn run_around(&mut self, mesher: &mut Mesher) -> Result<u64> {
         self.looks_around = true;
         for first in (0..mesher.records()).step_by(u64::BITS as usize) {
@@ -328,7 +344,8 @@ impl<'a> Sorter<'a> {
         }
     }
 
-    /// Looks at the doubtful records until none is left, with the points at hand that are not inserted.
+    /// Looks at the doubtful records until none is left, with the points at hand that are not
+    /// inserted.
     fn settle(&mut self, mesher: &mut Mesher) -> Result<u64> {
         if self.doubtful.is_empty() {
             return Ok(0);
@@ -371,7 +388,8 @@ impl<'a> Sorter<'a> {
         Ok(0)
     }
 
-    /// Inserts points, each with a record that asks for it. Those that are new are to be looked at, and those that asked, for a point may just touch a sphere.
+    /// Inserts points, each with a record that asks for it. Those that are new are to be looked at,
+    /// and those that asked, for a point may just touch a sphere.
     fn add(&mut self, mesher: &mut Mesher, late: &mut Late, wanted: &mut Vec<(Outer, u32)>) -> Result<()> {
         self.look_again(wanted.iter().map(|(_, asking)| *asking));
         // Neighbours one after the other, each once.
@@ -405,7 +423,8 @@ impl<'a> Sorter<'a> {
         }
     }
 
-    /// Gets ready to look at spheres in the coordinates that the mesher has now; `out` are the positions that are not inserted.
+    /// Gets ready to look at spheres in the coordinates that the mesher has now; `out` are the
+    /// positions that are not inserted.
     fn look_from(&mut self, mesher: &Mesher, out: Vec<Outer>) -> Late {
         let (ChunkRegion { near, region, domain, .. }, local) = (self.boxes, mesher.local());
         self.close = Unseen::new(near, domain, local);
@@ -468,7 +487,8 @@ impl<'a> Sorter<'a> {
         Finding::Certified
     }
 
-    /// What a tetrahedron's sphere holds that is not inserted; without `late`, what is not certain counts as uncovered.
+    /// What a tetrahedron's sphere holds that is not inserted; without `late`, what is not certain
+    /// counts as uncovered.
     #[inline]
     fn look_in(&self, mesher: &Mesher, v: [u32; 4], sphere: &[f64; 4], late: Option<&Late>) -> Finding {
         if self.close.quickly(sphere) {

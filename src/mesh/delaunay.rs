@@ -1,8 +1,9 @@
 //! The Delaunay tetrahedralization of lattice points: an incremental Bowyer–Watson kernel.
 //!
 //! # How it works
-//! Points go in one by one, in the [`Order`] of their positions. The tetrahedra whose circumsphere holds the new point form its
-//! **cavity**; they are removed, and the facets of the cavity's boundary are joined to the point (Bowyer 1981, Watson 1981):
+//! Points go in one by one, in the [`Order`] of their positions. The tetrahedra whose circumsphere
+//! holds the new point form its **cavity**; they are removed, and the facets of the cavity's
+//! boundary are joined to the point (Bowyer 1981, Watson 1981):
 //!
 //! ```text
 //!    ·───────·              ·───────·
@@ -14,31 +15,40 @@
 //!    ·───────·              ·───────·
 //! ```
 //!
-//! Infinity is a vertex: each hull facet has a **ghost** joined to it, so the hull is no special case.
+//! Infinity is a vertex: each hull facet has a **ghost** joined to it, so the hull is no special
+//! case.
 //!
-//! **Floating point only filters.** A sphere answers only when its proven error bound lets it (see `Margin` in
-//! `arena.rs`); otherwise the exact predicates decide. Ties follow the insertion order ([`crate::geom::predicates`]), so the result is unique:
-//! a function of the set of positions and the [`Order`], not of the machine, nor of which code path ran.
+//! **Floating point only filters.** A sphere answers only when its proven error bound lets it (see
+//! `Margin` in `arena.rs`); otherwise the exact predicates decide. Ties follow the insertion order
+//! ([`crate::geom::predicates`]), so the result is unique: a function of the set of positions and
+//! the [`Order`], not of the machine, nor of which code path ran.
 //!
-//! **Everything degenerate is normal.** Coplanar and cospherical points need no special case. The first tetrahedron takes the first
-//! four points that span space; points skipped on the way are then inserted out of order, and until they are in, every test is exact and uses the full
-//! tie rule. Coordinates are shifted to the set's corner and divided by the largest common power of two, which makes lattice-like sets small numbers.
+//! **Everything degenerate is normal.** Coplanar and cospherical points need no special case. The
+//! first tetrahedron takes the first four points that span space; points skipped on the way are
+//! then inserted out of order, and until they are in, every test is exact and uses the full tie
+//! rule. Coordinates are shifted to the set's corner and divided by the largest common power of
+//! two, which makes lattice-like sets small numbers.
 //!
 //! # Cost
-//! On uniform points an insertion removes 21 tetrahedra and makes 27. In AVX2 that took 9 500 instructions, four a cycle, and some 35
-//! jumps that cannot be foreseen (ends of short loops; "does this sphere hold the next point"): these bound it, not memory. `wide.rs` is
-//! what followed, a fifth faster. Now a third of the time is the search of the cavity, a chain of loads (record, neighbour,
-//! its sphere, the next record), and a fifth the numbering of its vertices.
+//! On uniform points an insertion removes 21 tetrahedra and makes 27. In AVX2 that took 9 500
+//! instructions, four a cycle, and some 35 jumps that cannot be foreseen (ends of short loops;
+//! "does this sphere hold the next point"): these bound it, not memory. `wide.rs` is what followed,
+//! a fifth faster. Now a third of the time is the search of the cavity, a chain of loads (record,
+//! neighbour, its sphere, the next record), and a fifth the numbering of its vertices.
 //!
-//! Tried and dropped, as slower: plain Hilbert order, walks by orientation, predicates by cached minors, spheres in `f32` (ten times the
-//! exact tests), a hash in place of the table of edges, one wide load for neighbour codes just stored one by one (it waits for them), loops of
-//! a fixed length over what a batch found. For no difference that could be seen, or less than 3 %: asking ahead for the records of the next
-//! batch, for those that the round before made near the next points, and for new ones; testing eight tetrahedra before the first four are
-//! sorted; inserting two points far apart together, their cavities growing by turns (marks of their own tell whether they touch). Records at
-//! hand would gain a seventh at most: by so much 2 000 points, which fit the second cache, go in faster than 250 000 (on a busy machine).
+//! Tried and dropped, as slower: plain Hilbert order, walks by orientation, predicates by cached
+//! minors, spheres in `f32` (ten times the exact tests), a hash in place of the table of edges, one
+//! wide load for neighbour codes just stored one by one (it waits for them), loops of a fixed
+//! length over what a batch found. For no difference that could be seen, or less than 3 %: asking
+//! ahead for the records of the next batch, for those that the round before made near the next
+//! points, and for new ones; testing eight tetrahedra before the first four are sorted; inserting
+//! two points far apart together, their cavities growing by turns (marks of their own tell whether
+//! they touch). Records at hand would gain a seventh at most: by so much 2 000 points, which fit
+//! the second cache, go in faster than 250 000 (on a busy machine).
 //!
-//! Expected time is O(n log n) with small constants (a cavity has about 20 tetrahedra), worst case O(n²) tetrahedra for points on
-//! curves. Memory: 64 bytes a tetrahedron, 16 bytes and a sort key (32 bytes) a point; it is kept in the [`Mesher`] and reused, which makes about 75 bytes a
+//! Expected time is O(n log n) with small constants (a cavity has about 20 tetrahedra), worst case
+//! O(n²) tetrahedra for points on curves. Memory: 64 bytes a tetrahedron, 16 bytes and a sort key
+//! (32 bytes) a point; it is kept in the [`Mesher`] and reused, which makes about 75 bytes a
 //! tetrahedron. A chunk has its sites besides: some 80 in all.
 
 mod arena;
@@ -100,7 +110,8 @@ pub struct Mesher {
     source: Vec<u32>,
     sorted: Vec<(u64, u32)>,
     spare: Vec<(u64, u32)>,
-    /// Scratch of the chunk stage, kept here so that its pages are not asked for again in each chunk.
+    /// Scratch of the chunk stage, kept here so that its pages are not asked for again in each
+    /// chunk.
     pub(super) owned: Owned,
     pub(super) stars: crate::mesh::stars::Stars,
 }
@@ -124,11 +135,12 @@ impl Mesher {
         }
     }
 
-    /// Tetrahedralizes `positions`; of equal positions only the first becomes a vertex. Sets that span no volume (fewer than
-    /// four points, all on one line or plane) have no tetrahedra.
+    /// Tetrahedralizes `positions`; of equal positions only the first becomes a vertex. Sets that
+    /// span no volume (fewer than four points, all on one line or plane) have no tetrahedra.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a coordinate above 2^24, an order finer than [`Order::MOST_BITS`], or more points or tetrahedra than 2^30 records hold.
+    /// [`Error::Usage`] for a coordinate above 2^24, an order finer than [`Order::MOST_BITS`], or
+    /// more points or tetrahedra than 2^30 records hold.
     pub fn delaunay(&mut self, positions: &[LatticePos], order: &Order) -> Result<()> {
         self.delaunay_of_first(positions, positions.len(), order)
     }
@@ -151,18 +163,20 @@ impl Mesher {
         self.insert_all(first)
     }
 
-    /// Adds a position to a mesh that has tetrahedra, `index` its number among the input positions; it is not in the mesh yet, and
-    /// [`Mesher::has_room`] for it. `near` is a record, best one that it ends. Returns the new records.
+    /// Adds a position to a mesh that has tetrahedra, `index` its number among the input positions;
+    /// it is not in the mesh yet, and [`Mesher::has_room`] for it. `near` is a record, best one
+    /// that it ends. Returns the new records.
     ///
-    /// The result is the tetrahedralization of all of them: the tie rule is that of the positions, whenever they come.
+    /// The result is the tetrahedralization of all of them: the tie rule is that of the positions,
+    /// whenever they come.
     ///
     /// # Errors
     /// [`Error::Usage`] as [`Mesher::delaunay`].
     pub(super) fn add(&mut self, position: LatticePos, index: u32, near: u32) -> Result<&[u32]> {
         let arena = &mut self.arena;
         arena.in_order = false;
-        // The spheres of a half-lattice call a tie "not in conflict", half a quantum beyond the margin; now a tie is a
-        // question for the full rule.
+        // The spheres of a half-lattice call a tie "not in conflict", half a quantum beyond the
+        // margin; now a tie is a question for the full rule.
         arena.margin.above = arena.margin.e + 1.0;
         let point = arena.frame.point(position);
         arena.points.push(point);
@@ -189,7 +203,8 @@ impl Mesher {
         self.arena.frame.has(position)
     }
 
-    /// Makes room for more positions, which now are among `positions`; the others are where they were.
+    /// Makes room for more positions, which now are among `positions`; the others are where they
+    /// were.
     ///
     /// # Errors
     /// [`Error::Usage`] as [`Mesher::delaunay`].
@@ -211,8 +226,8 @@ impl Mesher {
         Ok(())
     }
 
-    /// Calls `f` with each tetrahedron: vertex numbers are indices into the `positions` last meshed. The order of calls and
-    /// the starting vertex of each are not specified.
+    /// Calls `f` with each tetrahedron: vertex numbers are indices into the `positions` last
+    /// meshed. The order of calls and the starting vertex of each are not specified.
     pub fn for_each_tet(&self, mut f: impl FnMut(Tet)) {
         for t in &self.arena.tets {
             if !t.is_dead() && !t.v.contains(&INFINITE) {
@@ -221,8 +236,9 @@ impl Mesher {
         }
     }
 
-    /// Packs the vertices of some records, ascending, where the records were, four rows each: input indices, turned by `turn`,
-    /// which is told what is noted of each. The memory of the records, and how many rows are packed; the mesher has no mesh then.
+    /// Packs the vertices of some records, ascending, where the records were, four rows each: input
+    /// indices, turned by `turn`, which is told what is noted of each. The memory of the records,
+    /// and how many rows are packed; the mesher has no mesh then.
     pub(super) fn pack<T>(
         &mut self,
         kept: impl Iterator<Item = (u32, T)>,
@@ -233,7 +249,8 @@ impl Mesher {
         let rows: &mut [Tet] = bytemuck::cast_slice_mut(&mut records);
         let mut packed = 0;
         for (id, note) in kept {
-            // A record is four rows, of which the third has the vertices: nothing that was packed lies behind it.
+            // A record is four rows, of which the third has the vertices: nothing that was packed
+            // lies behind it.
             let v = rows[4 * id as usize + 2];
             rows[packed] = turn(note, v.map(|v| self.source[v as usize - 1]));
             packed += 1;
@@ -252,7 +269,8 @@ impl Mesher {
         self.arena.tets.len() as u32
     }
 
-    /// The vertices (infinity is 0) and the stored sphere of a tetrahedron or ghost; `None` for a dead record.
+    /// The vertices (infinity is 0) and the stored sphere of a tetrahedron or ghost; `None` for a
+    /// dead record.
     #[inline]
     pub(super) fn record(&self, id: u32) -> Option<([u32; 4], &[f64; 4])> {
         let t = &self.arena.tets[id as usize];
@@ -413,7 +431,8 @@ fn collinear(a: LatticePos, b: LatticePos, c: LatticePos) -> bool {
     (0..3).all(|k| u[k] * v[(k + 1) % 3] == u[(k + 1) % 3] * v[k])
 }
 
-/// The margin that suits the points: small against their spacing, and exact spheres where they look like a lattice.
+/// The margin that suits the points: small against their spacing, and exact spheres where they look
+/// like a lattice.
 fn margin(points: &[Point], frame: &Frame) -> Margin {
     let finite = &points[1..];
     let (least, most) = finite.iter().fold(([f32::MAX; 3], [0f32; 3]), |(least, most), p| {
@@ -428,8 +447,9 @@ fn margin(points: &[Point], frame: &Frame) -> Margin {
     Margin::new(wished, frame.largest(), extent <= 65_536.0 || mostly_coarse(finite))
 }
 
-/// Whether at least a quarter of the points (of a sample) lie on a lattice 16 times coarser, wherever its origin: in a chunk,
-/// the least coordinates may be those of points that are not on it.
+/// Whether at least a quarter of the points (of a sample) lie on a lattice 16 times coarser,
+/// wherever its origin: in a chunk, the least coordinates may be those of points that are not on
+/// it.
 fn mostly_coarse(points: &[Point]) -> bool {
     let step = (points.len() / 1024).max(1);
     let mut residues: Vec<_> = points.iter().step_by(step).map(|p| p.pos().map(|c| c % 16)).collect();

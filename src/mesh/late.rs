@@ -58,7 +58,8 @@ impl Late {
         self.grid.remove(cell, point);
     }
 
-    /// Whether a tetrahedron's closed circumsphere holds no point that is not inserted; `close` is what is not among those inserted at once.
+    /// Whether a tetrahedron's closed circumsphere holds no point that is not inserted; `close` is
+    /// what is not among those inserted at once.
     pub(super) fn look_in(
         &self,
         close: &Unseen,

@@ -1,10 +1,13 @@
 //! The tetrahedra of a chunk, in the memory in which they were meshed.
 //!
-//! A record of the mesher has 64 bytes, its vertices are 16 of them. When nothing else of the records is needed any more, there is room among them
-//! for the vertices twice: as they are found, and in their final order. So a chunk takes 64 bytes a tetrahedron and no more, from its first point to
-//! its last block; then the memory goes back to the mesher ([`Mesher::reuse`](super::delaunay::Mesher::reuse)), its pages warm.
+//! A record of the mesher has 64 bytes, its vertices are 16 of them. When nothing else of the
+//! records is needed any more, there is room among them for the vertices twice: as they are found,
+//! and in their final order. So a chunk takes 64 bytes a tetrahedron and no more, from its first
+//! point to its last block; then the memory goes back to the mesher
+//! ([`Mesher::reuse`](super::delaunay::Mesher::reuse)), its pages warm.
 //!
-//! Tetrahedra made star by star are in that order already: a plain list, 16 bytes each. Where the tetrahedra around the chunk's own are wanted too, they lie behind those:
+//! Tetrahedra made star by star are in that order already: a plain list, 16 bytes each. Where the
+//! tetrahedra around the chunk's own are wanted too, they lie behind those:
 //!
 //! ```text
 //!  records   │ as found │ own, in order        │ around   │ free   │
@@ -16,7 +19,8 @@ use super::tet::Tet;
 use std::fmt;
 use std::ops::{Deref, DerefMut, Range};
 
-/// A list of tetrahedra, used as a slice; behind it there may be those around them ([`TetList::around`]).
+/// A list of tetrahedra, used as a slice; behind it there may be those around them
+/// ([`TetList::around`]).
 #[derive(Clone)]
 pub struct TetList {
     memory: Memory,
@@ -74,7 +78,8 @@ impl TetList {
         }
     }
 
-    /// The tetrahedra not in the list that have a vertex of one in it, where they were asked for; in no particular order.
+    /// The tetrahedra not in the list that have a vertex of one in it, where they were asked for;
+    /// in no particular order.
     pub fn around(&self) -> &[Tet] {
         &self.whole()[self.own..]
     }

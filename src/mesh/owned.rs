@@ -1,7 +1,8 @@
 //! The tetrahedra that a chunk keeps, put in the order of their first vertices by counting.
 //!
-//! Which records they are is a bit each, and another for those around them. In the end their vertices are packed where the first quarter of the records was,
-//! which nobody needs any more, and from there go to their places behind it: so tetrahedra take 64 bytes each, and nothing besides.
+//! Which records they are is a bit each, and another for those around them. In the end their
+//! vertices are packed where the first quarter of the records was, which nobody needs any more, and
+//! from there go to their places behind it: so tetrahedra take 64 bytes each, and nothing besides.
 
 use super::delaunay::Mesher;
 use super::list::TetList;
@@ -73,8 +74,8 @@ impl Owned {
         (0..).zip(self.bits.iter().zip(&self.around)).flat_map(of_word)
     }
 
-    /// Those owned, as indices into so many positions, the least first in each, ascending by that; then those around; in the memory of the mesher,
-    /// which has no mesh then.
+    /// Those owned, as indices into so many positions, the least first in each, ascending by that;
+    /// then those around; in the memory of the mesher, which has no mesh then.
     pub(super) fn take(&mut self, mesher: &mut Mesher, positions: usize) -> TetList {
         let mut counts = std::mem::take(&mut self.counts);
         counts.clear();
@@ -120,8 +121,8 @@ pub(super) fn each_bit(mut word: u64) -> impl Iterator<Item = u32> {
     })
 }
 
-/// Puts tetrahedra into another place, ascending by their first vertices, of which `counts` tells how many have each; those marked as around apart, as they come,
-/// where there are `SOME` such.
+/// Puts tetrahedra into another place, ascending by their first vertices, of which `counts` tells
+/// how many have each; those marked as around apart, as they come, where there are `SOME` such.
 fn sort<const SOME: bool>(tets: &[Tet], counts: &mut [u32], own: &mut [Tet], around: &mut [Tet]) {
     let mut sum = 0;
     for n in &mut *counts {
@@ -146,7 +147,8 @@ pub(super) fn sort_around(tets: &mut [Tet]) {
     tets.sort_unstable();
 }
 
-/// An even permutation with the least number first. Without branches: they would be taken at random.
+/// An even permutation with the least number first. Without branches: they would be taken at
+/// random.
 #[inline]
 fn least_first(t: Tet) -> Tet {
     /// The others of each place, so that (place, others) is an even permutation.

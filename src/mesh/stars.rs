@@ -1,8 +1,9 @@
 //! A chunk meshed star by star: the tetrahedra at one point after another, each tetrahedron once.
 //!
-//! An insertion (`delaunay.rs`) makes 27 tetrahedra a point, of which 6.8 stay. Where points lie evenly, which tetrahedron lies behind
-//! a known face can be asked of the points around directly (gift wrapping: Chand and Kapur, 1970; Tanemura, Ogawa and Ogita, 1983), and four (NEON), eight (AVX2) or sixteen (AVX-512) are
-//! looked at by one instruction:
+//! An insertion (`delaunay.rs`) makes 27 tetrahedra a point, of which 6.8 stay. Where points lie
+//! evenly, which tetrahedron lies behind a known face can be asked of the points around directly
+//! (gift wrapping: Chand and Kapur, 1970; Tanemura, Ogawa and Ogita, 1983), and four (NEON), eight
+//! (AVX2) or sixteen (AVX-512) are looked at by one instruction:
 //!
 //! ```text
 //!      ┄┄┄ c              The tetrahedra at p, seen from p, are the triangles of a sphere, the *link* of p. Those with a point that had its turn
@@ -12,26 +13,34 @@
 //!                         opens gates cw and wd, or closes them.
 //! ```
 //!
-//! When no gate is open the star is whole. The face across from p of each new tetrahedron waits for the first of its
-//! points to have its turn. Points have their turns in the order of their numbers, so tetrahedra come out in the order of their least numbers, and a chunk needs no
-//! tetrahedron but those at its own points: no halo is meshed, only looked at.
+//! When no gate is open the star is whole. The face across from p of each new tetrahedron waits for
+//! the first of its points to have its turn. Points have their turns in the order of their numbers,
+//! so tetrahedra come out in the order of their least numbers, and a chunk needs no tetrahedron but
+//! those at its own points: no halo is meshed, only looked at.
 //!
 //! # Why the tetrahedra are those of the whole mesh
-//! Floating point only guesses. A star of p is taken when for each of its new tetrahedra it is proven, within error bounds (`wide.rs`), that
+//! Floating point only guesses. A star of p is taken when for each of its new tetrahedra it is
+//! proven, within error bounds (`wide.rs`), that
 //!
-//! 1. it is positively oriented, and its sphere leaves out all points within D of p but its own four;
-//! 2. the diameter of its sphere is less than D, so that these are all that could lie in it, for a sphere through p reaches no further.
+//! 1. it is positively oriented, and its sphere leaves out all points within D of p but its own
+//!    four;
+//! 2. the diameter of its sphere is less than D, so that these are all that could lie in it, for a
+//!    sphere through p reaches no further.
 //!
-//! So each is a tetrahedron of the whole mesh 𝒟, and no tie is involved. Across each of its faces at p is another one of the star, or nothing where the
-//! three corners of the face lie in one face of the domain. The tetrahedra of 𝒟 at p are connected across such faces; hence what is
-//! closed across them, and not empty, is all of them.
+//! So each is a tetrahedron of the whole mesh 𝒟, and no tie is involved. Across each of its faces
+//! at p is another one of the star, or nothing where the three corners of the face lie in one face
+//! of the domain. The tetrahedra of 𝒟 at p are connected across such faces; hence what is closed
+//! across them, and not empty, is all of them.
 //!
-//! Time: half a microsecond a point (0.6 with AVX2 alone) on a machine on which insertion takes one with its halo: a third is following gates, an eighth listing the points nearby. Memory: 16 bytes a tetrahedron
-//! and 30 a point. Tried, for no gain: two gates that share no point at once, the last gate first, reciprocals in place of divisions, faces that wait for one point side by side.
+//! Time: half a microsecond a point (0.6 with AVX2 alone) on a machine on which insertion takes one
+//! with its halo: a third is following gates, an eighth listing the points nearby. Memory: 16 bytes
+//! a tetrahedron and 30 a point. Tried, for no gain: two gates that share no point at once, the
+//! last gate first, reciprocals in place of divisions, faces that wait for one point side by side.
 //!
-//! Where that proof fails (a large sphere at the domain's boundary, a tie, a point twice) D grows, and at last the points of a box around p
-//! are tetrahedralized by insertion, exactly, and certified as a chunk is (`certify.rs`). Where even that fails, or happens often, as on a lattice, the chunk is
-//! left to insertion altogether. The outcome is the same.
+//! Where that proof fails (a large sphere at the domain's boundary, a tie, a point twice) D grows,
+//! and at last the points of a box around p are tetrahedralized by insertion, exactly, and
+//! certified as a chunk is (`certify.rs`). Where even that fails, or happens often, as on a
+//! lattice, the chunk is left to insertion altogether. The outcome is the same.
 
 mod around;
 mod grid;
@@ -50,12 +59,14 @@ use grid::Grid;
 use lanes::Vectors;
 use wide::{Neighbourhood, View};
 
-/// D in mean spacings, at first and where that does not do. With 2.15, one star in 140 of Hammersley points wants more, one in 20 of Halton points.
+/// D in mean spacings, at first and where that does not do. With 2.15, one star in 140 of
+/// Hammersley points wants more, one in 20 of Halton points.
 const REACHES: [f64; 3] = [2.15, 2.7, 3.3];
-/// Half the edge of the box whose points are tetrahedralized, in mean spacings; doubled where that does not do.
+/// Half the edge of the box whose points are tetrahedralized, in mean spacings; doubled where that
+/// does not do.
 const BOX: f64 = 3.0;
-/// How many stars of a chunk may ask for that: so many, and one of so many. Of Halton and Hammersley points, hardly any do, unless the domain is two or three
-/// spacings thick: then all do.
+/// How many stars of a chunk may ask for that: so many, and one of so many. Of Halton and
+/// Hammersley points, hardly any do, unless the domain is two or three spacings thick: then all do.
 const SLOW: (usize, usize) = (50, 2000);
 
 /// A point that had no tetrahedron yet, as the first face that waits for it.
@@ -63,8 +74,8 @@ const NEW: u32 = u32::MAX;
 /// None.
 const END: u32 = u32::MAX - 1;
 
-/// A face that waits for a point of it to have its turn: the other two, as they follow each other in its link seen from the known
-/// tetrahedron; and the next face of that point.
+/// A face that waits for a point of it to have its turn: the other two, as they follow each other
+/// in its link seen from the known tetrahedron; and the next face of that point.
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
     others: [u32; 2],
@@ -125,7 +136,8 @@ impl Stars {
         }
     }
 
-    /// The mesh of a chunk of evenly spread points, those of the core first; `None` where insertion is to make it. With `around`, also the tetrahedra around those owned.
+    /// The mesh of a chunk of evenly spread points, those of the core first; `None` where insertion
+    /// is to make it. With `around`, also the tetrahedra around those owned.
     ///
     /// # Errors
     /// As [`Mesher::delaunay`].
@@ -206,7 +218,8 @@ struct Chunk<'a> {
     rows: Vec<[u32; 2]>,
     /// The cell around which the rows are, with the first reach.
     cell: [usize; 3],
-    /// By position: whether an owned tetrahedron has it, and others may. Empty until all those are known.
+    /// By position: whether an owned tetrahedron has it, and others may. Empty until all those are
+    /// known.
     used: Vec<bool>,
     /// So many of the first positions have their turn, used or not.
     turned: usize,
@@ -268,7 +281,8 @@ impl Chunk<'_> {
         }
     }
 
-    /// Lets a face wait for the first of its points that has its turn, if any; seen from the known tetrahedron the three follow each other the other way round.
+    /// Lets a face wait for the first of its points that has its turn, if any; seen from the known
+    /// tetrahedron the three follow each other the other way round.
     #[inline]
     fn wait_for(&self, room: &mut Stars, [b, a, c]: [u32; 3]) {
         let turn = |v: u32| if self.used.is_empty() || self.used[v as usize] { v } else { u32::MAX };
@@ -369,7 +383,8 @@ impl Chunk<'_> {
         })
     }
 
-    /// Whether three points lie in one face of the domain, with nothing beyond: where (p, a, b, x) is negatively oriented.
+    /// Whether three points lie in one face of the domain, with nothing beyond: where (p, a, b, x)
+    /// is negatively oriented.
     fn is_outer(&self, face: [u32; 3]) -> bool {
         let domain = &self.boxes.domain;
         let [p, a, b] = face.map(|v| self.positions[v as usize]);
@@ -383,7 +398,8 @@ impl Chunk<'_> {
         })
     }
 
-    /// The new tetrahedra at a point, from the points of a box around it; false where they cannot be certified.
+    /// The new tetrahedra at a point, from the points of a box around it; false where they cannot
+    /// be certified.
     fn close_slowly(
         &self,
         grid: &Grid,
@@ -420,7 +436,8 @@ impl Chunk<'_> {
         }
     }
 
-    /// Takes the new tetrahedra at a point from the mesher's mesh; false where one of the star is not certified.
+    /// Takes the new tetrahedra at a point from the mesher's mesh; false where one of the star is
+    /// not certified.
     fn take_star(&self, unseen: &Unseen, slow: &Slow, star: &mut Vec<Tet>, mesher: &Mesher, p: u32) -> bool {
         star.clear();
         let mut any = false;
@@ -447,7 +464,8 @@ impl Chunk<'_> {
             let is_known = self.turned == 0 && self.owns(tet);
             if !is_known && tet.iter().all(|&v| v == p || !self.had_turn(v, p)) {
                 let face = delaunay::face(place).map(|i| tet[i]);
-                // Seen from beyond the face the three are ordered; the point comes first, an even permutation of the four.
+                // Seen from beyond the face the three are ordered; the point comes first, an even
+                // permutation of the four.
                 star.push([p, face[0], face[2], face[1]]);
             }
         }

@@ -1,13 +1,15 @@
-//! A tetrahedron as four vertex numbers, the form in which each has one order of them, and the one rule that says when it is active.
+//! A tetrahedron as four vertex numbers, the form in which each has one order of them, and the one
+//! rule that says when it is active.
 
 /// Four vertex numbers, positively oriented: `det(b - a, c - a, d - a) > 0`.
 pub type Tet = [u32; 4];
 
-/// The same tetrahedron, its smallest vertex first, the smallest of the others second, the orientation kept.
+/// The same tetrahedron, its smallest vertex first, the smallest of the others second, the
+/// orientation kept.
 #[inline]
 pub(crate) fn canonical(t: Tet) -> Tet {
-    // The place of the least by comparing (vertex, place): no branch, for none could be foretold. Two swaps at once are an even
-    // permutation.
+    // The place of the least by comparing (vertex, place): no branch, for none could be foretold.
+    // Two swaps at once are an even permutation.
     const EVEN: [[u8; 4]; 4] = [[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]];
     const TURNS: [[u8; 3]; 4] = [[0; 3], [1, 2, 3], [2, 3, 1], [3, 1, 2]];
     let placed = |t: Tet, i: usize| u64::from(t[i]) << 2 | i as u64;
@@ -30,8 +32,9 @@ pub fn range(values: [f32; 4]) -> Option<(f32, f32)> {
     Some((lo, hi))
 }
 
-/// Whether a cell of value range `(lo, hi)` is crossed by the isosurface: some corner is outside (`< isovalue`) and some
-/// corner is inside (`>= isovalue`). The index, the count and the extraction all use this rule.
+/// Whether a cell of value range `(lo, hi)` is crossed by the isosurface: some corner is outside
+/// (`< isovalue`) and some corner is inside (`>= isovalue`). The index, the count and the
+/// extraction all use this rule.
 #[inline]
 pub fn is_active(lo: f32, hi: f32, isovalue: f32) -> bool {
     lo < isovalue && isovalue <= hi

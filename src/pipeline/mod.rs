@@ -5,7 +5,8 @@
 //!  open ──▶ index ▶ active blocks ▶ decode ▶ marching tetrahedra ▶ weld ──▶ surface file
 //! ```
 //!
-//! A [`Reduction`] makes an archive; an [`Archive`] and its [`Step`]s answer questions. The rooms, each of which uses those above it only:
+//! A [`Reduction`] makes an archive; an [`Archive`] and its [`Step`]s answer questions. The rooms,
+//! each of which uses those above it only:
 //!
 //! ```text
 //!  settings   what a user chooses             stage     what took the time

@@ -299,8 +299,8 @@ impl Step {
         write_surfaces(&self.view, settings, out, format, progress)
     }
 
-    /// Streams isosurfaces, in bounded memory, in the order of the isovalues: `begin` has their sizes, then
-    /// `each` has one surface after another, with world positions.
+    /// Streams isosurfaces, in bounded memory, in the order of the isovalues: `begin` has their
+    /// sizes, then `each` has one surface after another, with world positions.
     ///
     /// # Errors
     /// As [`Step::write_surface`], and those of `begin` and `each`.

@@ -1,8 +1,9 @@
 //! Samples of the surface of the domain box.
 //!
-//! Interior points stop short of the faces, and so would every surface. So the box itself is sampled, as densely as
-//! its inside. With a mean spacing h = (V/n)^(1/3), V the volume of the box in lattice steps and n the number of
-//! interior points (for a hyperbolic cross, whose density varies, that is its average):
+//! Interior points stop short of the faces, and so would every surface. So the box itself is
+//! sampled, as densely as its inside. With a mean spacing h = (V/n)^(1/3), V the volume of the box
+//! in lattice steps and n the number of interior points (for a hyperbolic cross, whose density
+//! varies, that is its average):
 //!
 //! | part | class | samples on each | positions |
 //! |---|---|---|---|
@@ -10,13 +11,15 @@
 //! | 12 edges | edge | length/h | (i+½)/c, i = 0 … c-1; for a Halton set Φ₂(k), k = 1 … c |
 //! | 6 faces | face | area/h² | ((i+½)/c, Φ₂(i+1)); for a Halton set (Φ₂(k), Φ₃(k)), k = 1 … c |
 //!
-//! Starting at k = 1 keeps the radical inverses off 0: no sample of a face lies on an edge, unless rounding to the
-//! lattice puts it there. Then the convex hull of all sites is the box, exactly, and the tetrahedra at the boundary
-//! have the shape of all others. The boundary of a longer Halton sequence contains that of a shorter one, ids included:
-//! the index of a sample is k - 1 (or i) times the number of parts of its kind plus the number of its part.
+//! Starting at k = 1 keeps the radical inverses off 0: no sample of a face lies on an edge, unless
+//! rounding to the lattice puts it there. Then the convex hull of all sites is the box, exactly,
+//! and the tetrahedra at the boundary have the shape of all others. The boundary of a longer Halton
+//! sequence contains that of a shorter one, ids included: the index of a sample is k - 1 (or i)
+//! times the number of parts of its kind plus the number of its part.
 //!
-//! Numbers of the parts: corner c has x = max if bit 0 of c, y bit 1, z bit 2; face 2a + side is perpendicular to
-//! axis a, side 0 at 0; edge 4a + s + 2t runs along a, s being the side on the next axis (cyclically), t on the one after.
+//! Numbers of the parts: corner c has x = max if bit 0 of c, y bit 1, z bit 2; face 2a + side is
+//! perpendicular to axis a, side 0 at 0; edge 4a + s + 2t runs along a, s being the side on the
+//! next axis (cyclically), t on the one after.
 
 use super::net::{Axis, Net};
 use super::radical_inverse::Base;
@@ -36,8 +39,8 @@ pub(super) struct Boundary {
 const HALF: u32 = 1 << 31;
 
 impl Boundary {
-    /// The boundary of a box with corners 0 and `max`, for a mean spacing in 2^-16 lattice steps; `nested` as for
-    /// Halton sets.
+    /// The boundary of a box with corners 0 and `max`, for a mean spacing in 2^-16 lattice steps;
+    /// `nested` as for Halton sets.
     pub(super) fn new(max: LatticePos, spacing_q16: u64, nested: bool) -> Self {
         let h = u128::from(spacing_q16);
         let rounded = |measure: u128, unit: u128| ((2 * measure + unit) / (2 * unit)) as u64;

@@ -1,17 +1,19 @@
 //! Halton sets whose density differs from place to place.
 //!
-//! A Halton sequence can be cut off anywhere: its first n points are evenly spread, and so are its first 2n, which contain them. So where the
-//! [`Levels`] say l, the points are those k < n·2^l:
+//! A Halton sequence can be cut off anywhere: its first n points are evenly spread, and so are its
+//! first 2n, which contain them. So where the [`Levels`] say l, the points are those k < n·2^l:
 //!
 //! ```text
 //!  level 0   ·     ·        ·     k = 1 … n
 //!  level 1   · ∘   ·   ∘    · ∘   k = 1 … 2n, in the cells of this level alone
 //! ```
 //!
-//! A point is in the set or not by its own position, so nothing is shared between cells, and no position occurs twice. Samples of the
-//! boundary follow: each edge and face has a Halton set of its own, which a level cuts at the length that its density asks for.
+//! A point is in the set or not by its own position, so nothing is shared between cells, and no
+//! position occurs twice. Samples of the boundary follow: each edge and face has a Halton set of
+//! its own, which a level cuts at the length that its density asks for.
 //!
-//! A box whose cells are of several levels is enumerated at the highest and sieved, or, where that would find far too many, halved.
+//! A box whose cells are of several levels is enumerated at the highest and sieved, or, where that
+//! would find far too many, halved.
 
 use super::levels::Levels;
 use super::{PointSet, PointSpec};
@@ -76,7 +78,8 @@ impl Graded {
         (interior + boundary).round() as u64
     }
 
-    /// About the numbers of interior points and of boundary samples in a box. Sums of floating-point numbers, in one order.
+    /// About the numbers of interior points and of boundary samples in a box. Sums of
+    /// floating-point numbers, in one order.
     fn shares(&self, b: &LatticeBox) -> (f64, f64) {
         let (mut interior, mut boundary) = (0.0, 0.0);
         self.levels.runs(b, |level, run| interior += self.set(level).interior.share_in(run));
@@ -100,7 +103,8 @@ impl Graded {
         self.set(self.levels.at(site.pos)).has_id(site.id)
     }
 
-    /// Appends the points in a box of the domain, in no particular order and with duplicate positions.
+    /// Appends the points in a box of the domain, in no particular order and with duplicate
+    /// positions.
     pub(super) fn append_in(&self, b: &LatticeBox, found: &mut Vec<Site>, out: &mut Vec<Site>) {
         if b.is_empty() {
             return;

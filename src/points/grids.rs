@@ -1,19 +1,24 @@
-//! Unions of rectilinear grids: the regular set, the body-centred cubic lattice, the hyperbolic cross.
+//! Unions of rectilinear grids: the regular set, the body-centred cubic lattice, the hyperbolic
+//! cross.
 //!
-//! Each is a list of grids, a grid being three increasing lists of positions ([`Ticks`]) given by a formula. A box
-//! takes a range of each list, also by formula, and the product of the ranges is the answer.
+//! Each is a list of grids, a grid being three increasing lists of positions ([`Ticks`]) given by a
+//! formula. A box takes a range of each list, also by formula, and the product of the ranges is the
+//! answer.
 //!
-//! **Regular** is one grid of voxels: tick i of c is the voxel nearest to i·(dim-1)/(c-1), halves up.
+//! **Regular** is one grid of voxels: tick i of c is the voxel nearest to i·(dim-1)/(c-1), halves
+//! up.
 //!
-//! **Body-centred cubic**: the box is cut into cells, and planes at their faces and halfway between are numbered from 0
-//! on each axis. The set has the points whose three plane numbers are all even (corners of cells), those where all are
-//! odd (centres), and in each face of the box the centres of the cells' faces. So the box is filled exactly.
+//! **Body-centred cubic**: the box is cut into cells, and planes at their faces and halfway between
+//! are numbered from 0 on each axis. The set has the points whose three plane numbers are all even
+//! (corners of cells), those where all are odd (centres), and in each face of the box the centres
+//! of the cells' faces. So the box is filled exactly.
 //!
-//! **Hyperbolic cross** (Temlyakov 1987; here eq. 2.1 of the thesis with its flexible k): the union over s ∈ N³,
-//! Σ (r_j+1)·s_j <= m·(r_min+1), of the grids l_j/2^(s_j+k), l_j = 1 … 2^(s_j+k)-1. Those grids overlap. Reduce a
-//! coordinate to odd/2^t: it is on the grid of s_j iff t <= s_j + k, so the least s_j is its *level* max(0, t-k), and
-//! the point is in the union iff its levels satisfy the inequality. Level 0 has the 2^k - 1 multiples of 2^-k, level
-//! s > 0 the 2^(k+s-1) odd multiples of 2^-(k+s):
+//! **Hyperbolic cross** (Temlyakov 1987; here eq. 2.1 of the thesis with its flexible k): the union
+//! over s ∈ N³, Σ (r_j+1)·s_j <= m·(r_min+1), of the grids l_j/2^(s_j+k), l_j = 1 … 2^(s_j+k)-1.
+//! Those grids overlap. Reduce a coordinate to odd/2^t: it is on the grid of s_j iff t <= s_j + k,
+//! so the least s_j is its *level* max(0, t-k), and the point is in the union iff its levels
+//! satisfy the inequality. Level 0 has the 2^k - 1 multiples of 2^-k, level s > 0 the 2^(k+s-1) odd
+//! multiples of 2^-(k+s):
 //!
 //! ```text
 //! k = 2:   level 0    1/4   2/4   3/4
@@ -21,8 +26,9 @@
 //!          level 2    1/16  3/16  …     15/16
 //! ```
 //!
-//! Each point has one triple of levels, so a grid for each admissible triple lists the set without duplicates. Only
-//! rounding to the lattice can make two points one, and only where the levels are finer than the lattice.
+//! Each point has one triple of levels, so a grid for each admissible triple lists the set without
+//! duplicates. Only rounding to the lattice can make two points one, and only where the levels are
+//! finer than the lattice.
 
 use crate::geom::{Lattice, LatticeBox, LatticePos, PointClass, PointId, Site, half_plane};
 use std::ops::Range;
@@ -34,9 +40,11 @@ enum Ticks {
     Voxels { count: u64, cells: u64, log2_steps: u32 },
     /// One position.
     Plane(u32),
-    /// The faces of `cells` cells from 0 to `max`, or the planes halfway between (`centres`), rounded, halves up.
+    /// The faces of `cells` cells from 0 to `max`, or the planes halfway between (`centres`),
+    /// rounded, halves up.
     Halves { cells: u32, max: u32, centres: bool },
-    /// A level of the hyperbolic cross: multiples of 2^-k, or odd multiples of 2^-(k+level), of `max`.
+    /// A level of the hyperbolic cross: multiples of 2^-k, or odd multiples of 2^-(k+level), of
+    /// `max`.
     Level { k: u32, level: u32, max: u32 },
 }
 
@@ -176,7 +184,8 @@ impl Grids {
         if index >= self.len {
             return None;
         }
-        // Grids without points share their start with the next: the last that starts here or before has the point.
+        // Grids without points share their start with the next: the last that starts here or before
+        // has the point.
         let grid = self.grids[self.grids.partition_point(|g| g.first <= index) - 1];
         let ticks = self.ticks_of(&grid);
         let (in_grid, [nx, ny, _]) = (index - grid.first, ticks.map(Ticks::count));
@@ -202,7 +211,8 @@ impl Grids {
     /// Appends all points in the box, in no particular order, duplicates included.
     pub(super) fn sites_in(&self, b: &LatticeBox, out: &mut Vec<Site>) {
         let ranges = self.ranges(b);
-        // Positions of a list of ticks are worked out when the first grid with points in the box needs them.
+        // Positions of a list of ticks are worked out when the first grid with points in the box
+        // needs them.
         let mut tables: [Vec<Vec<u32>>; 3] = std::array::from_fn(|a| vec![vec![]; ranges[a].len()]);
         for grid in &self.grids {
             let range: [_; 3] = std::array::from_fn(|a| ranges[a][grid.ticks[a]].clone());

@@ -1,7 +1,8 @@
 //! How dense the points are, cell by cell.
 //!
-//! The domain is cut into cells of a few voxels, and each has a **level**: one more level, twice as many points to a voxel. Neighbours, also those
-//! over an edge or a corner, differ by at most one level, so that no tetrahedron has to bridge a jump:
+//! The domain is cut into cells of a few voxels, and each has a **level**: one more level, twice as
+//! many points to a voxel. Neighbours, also those over an edge or a corner, differ by at most one
+//! level, so that no tetrahedron has to bridge a jump:
 //!
 //! ```text
 //!   3 3 3 3 2 1 0 0        a feature that needs level 3, and how its
@@ -10,7 +11,8 @@
 //!   1 1 1 1 1 1 0 0
 //! ```
 //!
-//! Memory: a byte a cell, of which there are at most [`Levels::MOST_CELLS`] whatever the volume: cells grow with it.
+//! Memory: a byte a cell, of which there are at most [`Levels::MOST_CELLS`] whatever the volume:
+//! cells grow with it.
 
 use crate::error::{Error, Result};
 use crate::geom::{Lattice, LatticeBox, LatticePos};
@@ -41,7 +43,8 @@ impl Levels {
     /// The level of each cell, x fastest. They must be graded; see [`Levels::grade`].
     ///
     /// # Errors
-    /// [`Error::Usage`] that tells what is wrong: too many cells, levels for more or fewer, a level out of range or two neighbours too far apart.
+    /// [`Error::Usage`] that tells what is wrong: too many cells, levels for more or fewer, a level
+    /// out of range or two neighbours too far apart.
     pub fn new(cells: BrickGrid, levels: Vec<u8>) -> Result<Self> {
         let count = checked_len(&cells)?;
         if levels.len() as u64 != count {
@@ -70,8 +73,9 @@ impl Levels {
         self
     }
 
-    /// Raises levels, as few as possible, until those of neighbours differ by at most one. Two sweeps: distances in cells are those of a
-    /// chess king, for which two suffice (Rosenfeld and Pfaltz, "Distance functions on digital pictures", 1968).
+    /// Raises levels, as few as possible, until those of neighbours differ by at most one. Two
+    /// sweeps: distances in cells are those of a chess king, for which two suffice (Rosenfeld and
+    /// Pfaltz, "Distance functions on digital pictures", 1968).
     pub fn grade(cells: &BrickGrid, levels: &mut [u8]) {
         let [nx, ny, nz] = cells.dims().map(|n| n as usize);
         let rows: Vec<[usize; 2]> = (0..nz).flat_map(|z| (0..ny).map(move |y| [y, z])).collect();
@@ -136,7 +140,8 @@ impl Levels {
         spread
     }
 
-    /// Whether other levels of the same cells are the same in those that a box of the domain, not empty, touches.
+    /// Whether other levels of the same cells are the same in those that a box of the domain, not
+    /// empty, touches.
     pub(crate) fn same_in(&self, other: &Self, b: &LatticeBox) -> bool {
         let (lo, hi) = self.cells_of(b);
         let mut same = self.cells == other.cells;
@@ -177,8 +182,9 @@ impl Levels {
         }
     }
 
-    /// The least level in a layer of cells at each face of a box, low sides first: those that hold the face, and the ones beyond it. What a
-    /// face of the domain has on its other side does not count.
+    /// The least level in a layer of cells at each face of a box, low sides first: those that hold
+    /// the face, and the ones beyond it. What a face of the domain has on its other side does not
+    /// count.
     pub(super) fn least_at_faces(&self, b: &LatticeBox) -> [[u8; 3]; 2] {
         let (lo, hi) = self.cells_of(b);
         let dims = self.cells.dims();

@@ -8,14 +8,17 @@
 //! | regular | a sub-grid of the voxels, faces included | `grids` |
 //! | lattice | body-centred cubic, faces included | `grids` |
 //!
-//! scaled to the domain box and rounded to its [`Lattice`], halves up, in integers throughout. All but the regular
-//! set and the lattice get samples of the domain's boundary besides (`boundary`), and a set may have a list of points that follow no formula
-//! ([`ExplicitPoints`]). The own vertices of a mesh are such a list and nothing else ([`PointSpec::Own`]). A Halton set may be denser in some places than in others ([`Levels`], `graded`).
+//! scaled to the domain box and rounded to its [`Lattice`], halves up, in integers throughout. All
+//! but the regular set and the lattice get samples of the domain's boundary besides (`boundary`),
+//! and a set may have a list of points that follow no formula ([`ExplicitPoints`]). The own
+//! vertices of a mesh are such a list and nothing else ([`PointSpec::Own`]). A Halton set may be
+//! denser in some places than in others ([`Levels`], `graded`).
 //!
-//! A point is its [`PointId`]: [`PointSet::position`] is a formula, so positions need not be stored. And a box finds
-//! its own points ([`PointSet::sites_in`]) from the formula, whatever the size of the whole set: no pass over all
-//! points, nothing shared between boxes, the same answer in any order and on any machine. The union over boxes that
-//! tile the domain is the whole set, each position once; where two points round to one position, the lower id stays.
+//! A point is its [`PointId`]: [`PointSet::position`] is a formula, so positions need not be
+//! stored. And a box finds its own points ([`PointSet::sites_in`]) from the formula, whatever the
+//! size of the whole set: no pass over all points, nothing shared between boxes, the same answer in
+//! any order and on any machine. The union over boxes that tile the domain is the whole set, each
+//! position once; where two points round to one position, the lower id stays.
 //!
 //! ```
 //! use isospan::geom::Lattice;
@@ -29,8 +32,9 @@
 //! # Ok::<(), isospan::Error>(())
 //! ```
 //!
-//! Cost of [`PointSet::sites_in`] for a box of a thousand points: about 10 ns a point to find it, as much to
-//! sort; memory for the answer and its sort. References: Hammersley (1960); Halton (1960); Temlyakov (1987); Niederreiter (1992).
+//! Cost of [`PointSet::sites_in`] for a box of a thousand points: about 10 ns a point to find it,
+//! as much to sort; memory for the answer and its sort. References: Hammersley (1960); Halton
+//! (1960); Temlyakov (1987); Niederreiter (1992).
 
 mod boundary;
 mod explicit;
@@ -105,10 +109,12 @@ impl PointSet {
         Ok(Self { spec, lattice, interior, boundary, explicit: None, graded: None, spacing_q16, order_bits })
     }
 
-    /// The Halton set that has, where the levels say l, the points of the first n·2^l that lie there; n is that of `spec`.
+    /// The Halton set that has, where the levels say l, the points of the first n·2^l that lie
+    /// there; n is that of `spec`.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a set of another kind, for levels of another lattice, and for more than [`MOST_POINTS`].
+    /// [`Error::Usage`] for a set of another kind, for levels of another lattice, and for more than
+    /// [`MOST_POINTS`].
     pub fn graded(spec: PointSpec, lattice: Lattice, levels: Arc<Levels>) -> Result<Self> {
         let graded = Graded::new(spec, lattice, levels)?;
         Ok(Self { spec, graded: Some(Arc::new(graded.clone())), ..graded.finest().clone() })
@@ -119,7 +125,8 @@ impl PointSet {
         self.graded.as_ref().map(|g| g.levels())
     }
 
-    /// The same set and a list of points besides, without the points that are too near to those: [`ExplicitPoints::clearing`].
+    /// The same set and a list of points besides, without the points that are too near to those:
+    /// [`ExplicitPoints::clearing`].
     #[must_use]
     pub fn with_explicit(self, points: Arc<ExplicitPoints>) -> Self {
         Self { explicit: Some(points), ..self }
@@ -130,7 +137,8 @@ impl PointSet {
         self.explicit.as_deref()
     }
 
-    /// Whether its points lie as dense everywhere, and no more of them than by chance on a plane or a sphere, but for the domain's faces.
+    /// Whether its points lie as dense everywhere, and no more of them than by chance on a plane or
+    /// a sphere, but for the domain's faces.
     pub fn is_even(&self) -> bool {
         matches!(self.spec, PointSpec::Hammersley { .. } | PointSpec::Halton { .. })
             && self.graded.is_none()
@@ -152,8 +160,8 @@ impl PointSet {
         &self.lattice
     }
 
-    /// Number of points, interior and boundary, before those that round to one position become one; about that number where the density
-    /// differs from place to place.
+    /// Number of points, interior and boundary, before those that round to one position become one;
+    /// about that number where the density differs from place to place.
     pub fn len(&self) -> u64 {
         let listed = self.explicit.as_ref().map_or(0, |e| e.len());
         if let Some(graded) = &self.graded {
@@ -172,9 +180,10 @@ impl PointSet {
         self.len() == 0
     }
 
-    /// The number of points in a box, without enumerating them. Interior points of the three kinds of grids are
-    /// counted exactly (before duplicates), all others by their share of the domain's volume, area or length, which
-    /// for a low-discrepancy set is right to a few points. The same answer always.
+    /// The number of points in a box, without enumerating them. Interior points of the three kinds
+    /// of grids are counted exactly (before duplicates), all others by their share of the domain's
+    /// volume, area or length, which for a low-discrepancy set is right to a few points. The same
+    /// answer always.
     pub fn count_in(&self, b: &LatticeBox) -> u64 {
         let b = b.intersect(&self.lattice.domain());
         if b.is_empty() {
@@ -192,16 +201,17 @@ impl PointSet {
         interior + self.boundary.as_ref().map_or(0, |s| s.count_in(&b)) + listed
     }
 
-    /// Replaces `out` by all sites whose position lies in the box: each position once, with the lowest of its ids (of own vertices all),
-    /// sorted along a Hilbert curve through the box, with cells at most as wide as [`PointSet::order_bits`] says, then by x, y, z.
+    /// Replaces `out` by all sites whose position lies in the box: each position once, with the
+    /// lowest of its ids (of own vertices all), sorted along a Hilbert curve through the box, with
+    /// cells at most as wide as [`PointSet::order_bits`] says, then by x, y, z.
     pub fn sites_in(&self, b: &LatticeBox, out: &mut Vec<Site>) {
         self.candidates_in(b, out);
         let repeats = self.is_own();
         order::sort_and_dedup(out, &b.intersect(&self.lattice.domain()), self.order_bits(), repeats);
     }
 
-    /// As [`PointSet::sites_in`], but in no particular order and with duplicate positions: for a caller that merges
-    /// several boxes, and to measure the enumeration alone.
+    /// As [`PointSet::sites_in`], but in no particular order and with duplicate positions: for a
+    /// caller that merges several boxes, and to measure the enumeration alone.
     pub fn candidates_in(&self, b: &LatticeBox, out: &mut Vec<Site>) {
         out.clear();
         let b = b.intersect(&self.lattice.domain());
@@ -220,7 +230,8 @@ impl PointSet {
         }
     }
 
-    /// Appends the points in a box of the domain that follow a formula, of a set whose density is the same everywhere.
+    /// Appends the points in a box of the domain that follow a formula, of a set whose density is
+    /// the same everywhere.
     fn append_even(&self, b: &LatticeBox, out: &mut Vec<Site>) {
         match &self.interior {
             Interior::Net(net) => net.sites_in(b, out),
@@ -232,7 +243,8 @@ impl PointSet {
         }
     }
 
-    /// Whether a set whose density is the same everywhere has a point with this id, which follows a formula.
+    /// Whether a set whose density is the same everywhere has a point with this id, which follows a
+    /// formula.
     fn has_id(&self, id: PointId) -> bool {
         match (id.class(), &self.boundary) {
             (Some(PointClass::Interior), _) => id.index() < self.interior.len(),
@@ -262,8 +274,9 @@ impl PointSet {
         }
     }
 
-    /// The mean distance of interior points along each axis, in lattice steps, rounded up: (V/n)^(1/3), or the pitch
-    /// of a regular set, or the edge of a lattice's cells; where the density differs, that of its highest level.
+    /// The mean distance of interior points along each axis, in lattice steps, rounded up:
+    /// (V/n)^(1/3), or the pitch of a regular set, or the edge of a lattice's cells; where the
+    /// density differs, that of its highest level.
     pub fn mean_spacing(&self) -> [u32; 3] {
         match self.spec {
             PointSpec::Regular { counts } => {
@@ -275,8 +288,8 @@ impl PointSet {
         }
     }
 
-    /// [`PointSet::mean_spacing`] on each side of a box, low sides first: where the density differs, that of the coarsest cells at the face. For
-    /// choosing halos.
+    /// [`PointSet::mean_spacing`] on each side of a box, low sides first: where the density
+    /// differs, that of the coarsest cells at the face. For choosing halos.
     pub fn spacing_around(&self, b: &LatticeBox) -> [[u32; 3]; 2] {
         match &self.graded {
             Some(graded) => graded.spacing_around(b),
@@ -284,13 +297,15 @@ impl PointSet {
         }
     }
 
-    /// Bits an axis of a Hilbert curve through the whole lattice with cells as wide as those of the curves that order sites, at most: a quarter to a
-    /// half of the mean spacing, so that few points share one and keys are short.
+    /// Bits an axis of a Hilbert curve through the whole lattice with cells as wide as those of the
+    /// curves that order sites, at most: a quarter to a half of the mean spacing, so that few
+    /// points share one and keys are short.
     pub fn order_bits(&self) -> u32 {
         self.order_bits
     }
 
-    /// The same set, whose sites are ordered by curves of so many bits: to order them as those of another set.
+    /// The same set, whose sites are ordered by curves of so many bits: to order them as those of
+    /// another set.
     ///
     /// # Errors
     /// [`Error::Usage`] for none, or more than a position has.
@@ -345,8 +360,8 @@ impl Interior {
     }
 }
 
-/// (V/n)^(1/3) in 2^-16 lattice steps, in integers because the number of boundary samples depends on it; at least a
-/// step.
+/// (V/n)^(1/3) in 2^-16 lattice steps, in integers because the number of boundary samples depends
+/// on it; at least a step.
 fn mean_spacing_q16(lattice: &Lattice, n: u64) -> u64 {
     let volume: u128 = lattice.max().iter().map(|&m| u128::from(m)).product();
     // V has 72 bits, (V·2^48)/n at most 120.

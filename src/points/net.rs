@@ -1,24 +1,29 @@
-//! Points numbered by an integer k, whose coordinates are radical inverses of k or k itself: found box by box.
+//! Points numbered by an integer k, whose coordinates are radical inverses of k or k itself: found
+//! box by box.
 //!
-//! A [`Net`] is Halton's or Hammersley's set, in a box, on a face of it or on an edge. Nothing is generated and then
-//! sorted into boxes: a box finds its own k. In base b, with e digits,
+//! A [`Net`] is Halton's or Hammersley's set, in a box, on a face of it or on an edge. Nothing is
+//! generated and then sorted into boxes: a box finds its own k. In base b, with e digits,
 //!
 //! ```text
 //! Φ_b(k) ∈ [a/b^e, (a+1)/b^e)   ⇔   k ≡ mirror(a)  (mod b^e)
 //! ```
 //!
 //! so an *elementary box*, one such interval on each axis, holds exactly one residue class modulo
-//! M = 2^e2·3^e3·5^e5 (Chinese remainder theorem; Niederreiter 1992, chapter 3), a point in every M. On an axis
-//! where the coordinate is (k+t)/n, the box gives a range of k. To find the points of a box:
+//! M = 2^e2·3^e3·5^e5 (Chinese remainder theorem; Niederreiter 1992, chapter 3), a point in every
+//! M. On an axis where the coordinate is (k+t)/n, the box gives a range of k. To find the points of
+//! a box:
 //!
-//! 1. take the real intervals that *round* into the box (a point belongs to the box of its rounded position),
-//! 2. choose e2, e3, e5 so that the elementary boxes that cover them waste little and are not too many,
+//! 1. take the real intervals that *round* into the box (a point belongs to the box of its rounded
+//!    position),
+//! 2. choose e2, e3, e5 so that the elementary boxes that cover them waste little and are not too
+//!    many,
 //! 3. step through each residue class, round, keep what lies in the box.
 //!
-//! Cost: about 1.2 candidates a kept point for boxes of a thousand points; no memory beyond the answer.
+//! Cost: about 1.2 candidates a kept point for boxes of a thousand points; no memory beyond the
+//! answer.
 //!
-//! Example: Φ₂ ∈ [1/2, 3/4) is the one interval a = 2 of e = 2 digits, mirror(10₂) = 01₂: the k ≡ 1 (mod 4). With
-//! Φ₃ ∈ [1/3, 2/3), k ≡ 1 (mod 3), that is k ≡ 1 (mod 12).
+//! Example: Φ₂ ∈ [1/2, 3/4) is the one interval a = 2 of e = 2 digits, mirror(10₂) = 01₂: the k ≡ 1
+//! (mod 4). With Φ₃ ∈ [1/3, 2/3), k ≡ 1 (mod 3), that is k ≡ 1 (mod 12).
 
 use super::radical_inverse::{Base, mirror, round_fraction};
 use crate::exec::{Avx512, with_avx512, with_vectors};
@@ -86,7 +91,8 @@ impl Net {
         })
     }
 
-    /// About the number of points in a box: exact along a (k+t)/n axis, by the share of length along the others.
+    /// About the number of points in a box: exact along a (k+t)/n axis, by the share of length
+    /// along the others.
     pub(super) fn count_in(&self, b: &LatticeBox) -> u64 {
         let Some((lo, hi)) = self.numbers_in(b) else { return 0 };
         // n < 2^60; two factors of 25 bits and 16 bits of fraction stay below 2^127.
@@ -112,7 +118,8 @@ impl Net {
         share
     }
 
-    /// Appends all points whose rounded position lies in the box, in no particular order, duplicates included.
+    /// Appends all points whose rounded position lies in the box, in no particular order,
+    /// duplicates included.
     pub(super) fn sites_in(&self, b: &LatticeBox, out: &mut Vec<Site>) {
         let Some(numbers) = self.numbers_in(b) else { return };
         let Some(cover) = Cover::new(self, b, numbers) else { return };
@@ -159,8 +166,9 @@ impl Net {
         index.min(u128::from(self.n)) as u64
     }
 
-    /// ⌊(i + T/2^32)/n · max + 1/2⌋. The reciprocal is off by less than 1, so the product by less than n < 2^60 in
-    /// 2^-123, which is 2 in 2^-64; the shift's part and the cut to 64 bits by less than 1 each.
+    /// ⌊(i + T/2^32)/n · max + 1/2⌋. The reciprocal is off by less than 1, so the product by less
+    /// than n < 2^60 in 2^-123, which is 2 in 2^-64; the shift's part and the cut to 64 bits by
+    /// less than 1 each.
     #[inline]
     fn even_position(&self, index: u64, max: u32) -> u32 {
         let sum = u128::from(index) * self.reciprocal + (self.reciprocal >> 32) * u128::from(self.shift);
@@ -301,7 +309,8 @@ impl<'a> Batch<'a> {
 struct Cover {
     /// M.
     modulus: u64,
-    /// What each elementary interval of an axis adds to the residue; the residue is relative to the first number.
+    /// What each elementary interval of an axis adds to the residue; the residue is relative to the
+    /// first number.
     residues: [Vec<u64>; 3],
 }
 
@@ -353,8 +362,8 @@ impl Cover {
     }
 }
 
-/// The choices worth considering for an axis: of those with equally many intervals, the one with most digits.
-/// `None` when no radical inverse rounds into `lo..hi`.
+/// The choices worth considering for an axis: of those with equally many intervals, the one with
+/// most digits. `None` when no radical inverse rounds into `lo..hi`.
 fn choices_of(base: Base, [lo, hi]: [u32; 2], max: u32, n: u64) -> Option<Vec<Digits>> {
     // Φ·max + 1/2 ∈ [lo, hi), in half steps.
     let (lo2, hi2) = (u128::from((2 * lo).saturating_sub(1)), u128::from(2 * hi - 1));
@@ -382,15 +391,16 @@ fn choices_of(base: Base, [lo, hi]: [u32; 2], max: u32, n: u64) -> Option<Vec<Di
     }
 }
 
-/// The combination of least cost, in units of a candidate: a residue class costs about a third of one more, an
-/// interval (a remainder in 128 bits) about two. Only speed depends on it.
+/// The combination of least cost, in units of a candidate: a residue class costs about a third of
+/// one more, an interval (a remainder in 128 bits) about two. Only speed depends on it.
 fn cheapest(choices: &[Vec<Digits>; 3], numbers: u64) -> [Digits; 3] {
     let mut best = [choices[0][0], choices[1][0], choices[2][0]];
     let mut least = f64::INFINITY;
     for d0 in &choices[0] {
         for d1 in &choices[1] {
             for d2 in &choices[2] {
-                // In floating-point numbers: that a modulus is a little above the limit does no harm.
+                // In floating-point numbers: that a modulus is a little above the limit does no
+                // harm.
                 let modulus = [d0, d1, d2].iter().map(|d| d.power as f64).product::<f64>();
                 if modulus > LARGEST_MODULUS {
                     continue;
@@ -411,7 +421,8 @@ fn cheapest(choices: &[Vec<Digits>; 3], numbers: u64) -> [Digits; 3] {
 const CLASS_COST: f64 = 0.4;
 const INTERVAL_COST: f64 = 2.0;
 
-/// For each interval, mirror(a) times the idempotent of its axis (1 modulo `power`, 0 modulo the other powers).
+/// For each interval, mirror(a) times the idempotent of its axis (1 modulo `power`, 0 modulo the
+/// other powers).
 fn residues_of(base: Base, choice: &Digits, modulus: u64) -> Vec<u64> {
     let others = modulus / choice.power;
     let idempotent = others * inverse(others % choice.power, choice.power);

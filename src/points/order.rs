@@ -1,7 +1,9 @@
-//! The order of sites: along a Hilbert curve through their box, then by coordinates; each position once.
+//! The order of sites: along a Hilbert curve through their box, then by coordinates; each position
+//! once.
 //!
-//! The curve fills the cube that the box's longest side spans, whatever the box: so a run of sites is as compact as it can be, and an
-//! eighth of them, or a sixty-fourth, is a cube. (Along one curve for all boxes it would be in several pieces, for boxes are not cells of that.)
+//! The curve fills the cube that the box's longest side spans, whatever the box: so a run of sites
+//! is as compact as it can be, and an eighth of them, or a sixty-fourth, is a cube. (Along one
+//! curve for all boxes it would be in several pieces, for boxes are not cells of that.)
 
 use crate::geom::curve::{hilbert_number, radix_sort};
 use crate::geom::{LatticeBox, LatticePos, Site};
@@ -35,9 +37,11 @@ impl Cells {
     }
 }
 
-/// Sorts the sites of a box by (Hilbert key, x, y, z, id) and keeps the lowest id of each position; all, where `repeats` are points.
+/// Sorts the sites of a box by (Hilbert key, x, y, z, id) and keeps the lowest id of each position;
+/// all, where `repeats` are points.
 ///
-/// What is sorted is the key and the number of the site, by radix. Keys are nearly distinct; sites of equal keys are put in order afterwards.
+/// What is sorted is the key and the number of the site, by radix. Keys are nearly distinct; sites
+/// of equal keys are put in order afterwards.
 pub(super) fn sort_and_dedup(sites: &mut Vec<Site>, b: &LatticeBox, bits: u32, repeats: bool) {
     let (cells, number) =
         (Cells::new(b, bits), |i| u32::try_from(i).expect("fewer sites than 2^32 fit in memory"));
@@ -73,7 +77,8 @@ fn sort_short(keys: &mut Vec<u64>, bits: u32) {
     }
 }
 
-/// Appends sites in the order of their keys, those of equal keys by position, each position once unless there are `repeats`.
+/// Appends sites in the order of their keys, those of equal keys by position, each position once
+/// unless there are `repeats`.
 #[inline(always)]
 fn append(keys: impl Iterator<Item = (u64, u32)>, sites: &[Site], sorted: &mut Vec<Site>, repeats: bool) {
     let (mut last, mut start) = (u64::MAX, 0);

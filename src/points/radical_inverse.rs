@@ -1,17 +1,19 @@
 //! The radical inverse Φ_b, exactly, and rounded to the lattice fast.
 //!
-//! Φ_b(k) mirrors the digits of k in base b at the radix point: 6 = 110₂, so Φ₂(6) = 0.011₂ = 3/8 (van der Corput
-//! 1935; Halton 1960; Hammersley 1960). It is a rational number of denominator b^e, e the number of digits of k, and
-//! [`radical_inverse`] gives it as two integers. A position on the lattice is *defined* by that rational number:
+//! Φ_b(k) mirrors the digits of k in base b at the radix point: 6 = 110₂, so Φ₂(6) = 0.011₂ = 3/8
+//! (van der Corput 1935; Halton 1960; Hammersley 1960). It is a rational number of denominator b^e,
+//! e the number of digits of k, and [`radical_inverse`] gives it as two integers. A position on the
+//! lattice is *defined* by that rational number:
 //!
 //! ```text
 //! position = ⌊Φ·max + 1/2⌋ = ⌊(2·numerator·max + b^e) / (2·b^e)⌋
 //! ```
 //!
-//! Dividing for each point would cost more than all the rest. [`Base::position`] evaluates Φ in 64-bit fixed point
-//! instead, seven digits (base 3) or five (base 5) at a time by a table, base 2 by reversing bits. Such a fraction is
-//! never above the true one and less than [`ERROR`]·2^-64 below it; where that much could change the rounding, which
-//! is one time in 2^36, the exact formula decides. So the answer is always that of the definition.
+//! Dividing for each point would cost more than all the rest. [`Base::position`] evaluates Φ in
+//! 64-bit fixed point instead, seven digits (base 3) or five (base 5) at a time by a table, base 2
+//! by reversing bits. Such a fraction is never above the true one and less than [`ERROR`]·2^-64
+//! below it; where that much could change the rounding, which is one time in 2^36, the exact
+//! formula decides. So the answer is always that of the definition.
 
 /// A radical inverse as an exact fraction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,7 +77,8 @@ impl Base {
         }
     }
 
-    /// The lattice position of Φ(k) on an axis that ends at `max`, exactly as [`RadicalInverse::round`] has it.
+    /// The lattice position of Φ(k) on an axis that ends at `max`, exactly as
+    /// [`RadicalInverse::round`] has it.
     #[inline]
     pub(super) fn position(self, k: u64, max: u32) -> u32 {
         match self {
@@ -88,7 +91,8 @@ impl Base {
         }
     }
 
-    /// [`Base::position`] of many numbers. Without a branch for each, so that the compiler can take several at a time.
+    /// [`Base::position`] of many numbers. Without a branch for each, so that the compiler can take
+    /// several at a time.
     #[inline(always)]
     pub(super) fn positions(self, numbers: &[u32], max: u32, out: &mut [u32]) {
         let is_sure = match self {
@@ -120,7 +124,8 @@ impl Base {
     }
 }
 
-/// ⌊x·max + 1/2⌋ for an `x` with `fraction <= x·2^64 < fraction + error`; `None` where that does not tell.
+/// ⌊x·max + 1/2⌋ for an `x` with `fraction <= x·2^64 < fraction + error`; `None` where that does
+/// not tell.
 #[inline]
 pub(super) fn round_fraction(fraction: u64, error: u64, max: u32) -> Option<u32> {
     let scaled = u128::from(fraction) * u128::from(max) + (1 << 63);
@@ -129,8 +134,9 @@ pub(super) fn round_fraction(fraction: u64, error: u64, max: u32) -> Option<u32>
     Some((scaled >> 64) as u32)
 }
 
-/// Bound of the error of [`DigitTable::fraction`], in 2^-64: six groups of digits, of which the first is off by less
-/// than 1 and each other by less than 3 (table entry, scale and product are each rounded down).
+/// Bound of the error of [`DigitTable::fraction`], in 2^-64: six groups of digits, of which the
+/// first is off by less than 1 and each other by less than 3 (table entry, scale and product are
+/// each rounded down).
 const ERROR: u64 = 16;
 
 /// Fractions of all numbers below N = base^digits, and what a group of digits further up is worth.
@@ -183,12 +189,14 @@ impl<const N: usize> DigitTable<N> {
     }
 }
 
-/// Numbers that have as many digits as those of a [`DigitTable`], and room for them whose size is a power of two.
+/// Numbers that have as many digits as those of a [`DigitTable`], and room for them whose size is a
+/// power of two.
 const N_THREE: u64 = 3u64.pow(7);
 const N_FIVE: u64 = 5u64.pow(5);
 const ROOM: usize = 1 << 12;
 
-/// Fractions in floating-point numbers, rounded to the nearest, for numbers of two groups of digits: of the lower group, and of the upper one.
+/// Fractions in floating-point numbers, rounded to the nearest, for numbers of two groups of
+/// digits: of the lower group, and of the upper one.
 struct FloatTable<const N: u64> {
     low: [f64; ROOM],
     high: [f64; ROOM],
@@ -217,8 +225,8 @@ impl<const N: u64> FloatTable<N> {
 
     /// The positions of numbers below N². False if rounding errors might change one of them.
     ///
-    /// The two fractions are off by 2^-53 of themselves, their sum by as much again, and its product with up to 2^24 by 2^-53 of it: in all less
-    /// than 2^-27.
+    /// The two fractions are off by 2^-53 of themselves, their sum by as much again, and its
+    /// product with up to 2^24 by 2^-53 of it: in all less than 2^-27.
     #[inline(always)]
     fn positions(&self, numbers: &[u32], max: u32, out: &mut [u32]) -> bool {
         /// What is added rounds to the nearest integer, which is in the lowest bits then.

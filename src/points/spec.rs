@@ -1,4 +1,5 @@
-//! Which point set: its parameters as they are stored, and their choice from a wanted number of points.
+//! Which point set: its parameters as they are stored, and their choice from a wanted number of
+//! points.
 
 use super::MOST_POINTS;
 use super::explicit::ExplicitPoints;
@@ -117,8 +118,8 @@ pub struct SetSettings {
     pub k: Option<u32>,
     /// Regularities of a hyperbolic cross; default 1.
     pub r: [u32; 3],
-    /// Of a lattice: how far apart its points are along x, y and z, in voxels and relative to each other. By default
-    /// as the field asks for, and equal where that is not known.
+    /// Of a lattice: how far apart its points are along x, y and z, in voxels and relative to each
+    /// other. By default as the field asks for, and equal where that is not known.
     pub spacing: Option<[f64; 3]>,
 }
 
@@ -134,11 +135,12 @@ const KS: std::ops::RangeInclusive<u32> = 2..=5;
 const LARGEST_R: u32 = 1000;
 
 impl PointSpec {
-    /// The set of a kind with a number of interior points as near to `count` as the kind allows. Samples of the
-    /// boundary come on top.
+    /// The set of a kind with a number of interior points as near to `count` as the kind allows.
+    /// Samples of the boundary come on top.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a count of 0 or above [`MOST_POINTS`], and for settings that are out of range.
+    /// [`Error::Usage`] for a count of 0 or above [`MOST_POINTS`], and for settings that are out of
+    /// range.
     pub fn with_count(kind: SetKind, lattice: &Lattice, count: u64, settings: &SetSettings) -> Result<Self> {
         if count == 0 || count > MOST_POINTS {
             return Err(Error::usage(format!("{count} points: choose a number from 1 to {MOST_POINTS}")));
@@ -161,7 +163,8 @@ impl PointSpec {
         Ok(spec.canonical())
     }
 
-    /// The same set with its shift rounded as it is used, a number that survives being written as decimal text.
+    /// The same set with its shift rounded as it is used, a number that survives being written as
+    /// decimal text.
     pub(super) fn canonical(self) -> Self {
         match self {
             Self::Hammersley { n, shift } => {
@@ -272,7 +275,8 @@ fn nearest<T: Copy>(
     candidates.into_iter().min_by_key(|&c| len(c).abs_diff(u128::from(count)))
 }
 
-/// m and k by the count, unless given. Out-of-range settings pass through, for `check` to name them.
+/// m and k by the count, unless given. Out-of-range settings pass through, for `check` to name
+/// them.
 fn nearest_cross(count: u64, settings: &SetSettings) -> PointSpec {
     let r = settings.r;
     let ks = settings.k.map_or(KS, |k| k..=k);
@@ -289,8 +293,9 @@ fn nearest_cross(count: u64, settings: &SetSettings) -> PointSpec {
     PointSpec::HyperbolicCross { m, k, r }
 }
 
-/// A sub-grid as nearly isotropic as the volume: by bisection the spacing whose grid is the finest with at most
-/// `count` points, then the best of the eight grids with one voxel more or not on each axis.
+/// A sub-grid as nearly isotropic as the volume: by bisection the spacing whose grid is the finest
+/// with at most `count` points, then the best of the eight grids with one voxel more or not on each
+/// axis.
 fn nearest_counts(count: u64, dims: [u64; 3]) -> [u64; 3] {
     let at = |h: f64| dims.map(|d| (((d - 1) as f64 / h) as u64 + 1).clamp(2, d));
     let len = |c: [u64; 3]| c.iter().map(|&c| u128::from(c)).product::<u128>();
@@ -307,7 +312,8 @@ fn nearest_counts(count: u64, dims: [u64; 3]) -> [u64; 3] {
     nearest(count, grids, len).unwrap_or(base)
 }
 
-/// The cells of a lattice with nearly `count` points, whose edges are in proportion to `spacing`, in voxels.
+/// The cells of a lattice with nearly `count` points, whose edges are in proportion to `spacing`,
+/// in voxels.
 fn nearest_cells(count: u64, lattice: &Lattice, spacing: [f64; 3]) -> [u32; 3] {
     let voxels: [f64; 3] = std::array::from_fn(|a| (lattice.dims[a] - 1) as f64 / spacing[a]);
     let most = lattice.max().map(|max| (max / 2).max(1));

@@ -44,7 +44,8 @@ fn sets() -> impl Iterator<Item = PointSet> {
     lattices().into_iter().flat_map(|l| SPECS.map(|s| PointSet::new(fitted(s, &l), l).unwrap()))
 }
 
-/// Every id of a set, asked one by one, the lowest of each position: what enumeration must reproduce.
+/// Every id of a set, asked one by one, the lowest of each position: what enumeration must
+/// reproduce.
 fn plain_sequence(set: &PointSet) -> BTreeMap<LatticePos, PointId> {
     let mut by_position = BTreeMap::new();
     let mut points = 0;

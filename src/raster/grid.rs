@@ -19,8 +19,9 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// `n` samples from `lo` to `hi`, both included; a single one lies in the middle. Positions between are rounded to
-    /// lattice steps, halves up: by at most 2^-25 of the domain's longest axis.
+    /// `n` samples from `lo` to `hi`, both included; a single one lies in the middle. Positions
+    /// between are rounded to lattice steps, halves up: by at most 2^-25 of the domain's longest
+    /// axis.
     ///
     /// # Errors
     /// [`Error::Usage`] for no samples, more than 2^24 + 1, or `lo > hi`.
@@ -67,7 +68,8 @@ impl Axis {
         &self.positions
     }
 
-    /// The distance of neighbours in lattice steps, where it is the same power of two for all; exact.
+    /// The distance of neighbours in lattice steps, where it is the same power of two for all;
+    /// exact.
     pub(super) fn pitch(&self) -> Option<f32> {
         self.shift.map(|s| (1u32 << s) as f32)
     }

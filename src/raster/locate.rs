@@ -3,7 +3,8 @@
 use super::planes::{Int, LONGEST_64, Planes, bounds};
 use crate::geom::{LatticeBox, LatticePos};
 
-/// Points in a box, sorted into cells of equal size, a few a cell: a tetrahedron looks at the cells of its bounding box.
+/// Points in a box, sorted into cells of equal size, a few a cell: a tetrahedron looks at the cells
+/// of its bounding box.
 ///
 /// Memory: 16 bytes a point, 4 a cell; at most two cells a point.
 #[derive(Debug)]
@@ -75,7 +76,8 @@ impl PointLocator {
         (c[2] * self.cells[1] + c[1]) * self.cells[0] + c[0]
     }
 
-    /// Calls `each` with the number and the weights of every point that belongs to a positively oriented tetrahedron.
+    /// Calls `each` with the number and the weights of every point that belongs to a positively
+    /// oriented tetrahedron.
     pub fn each_in(&self, corners: [LatticePos; 4], each: impl FnMut(u32, [f64; 4])) {
         let (lo, hi) = bounds(&corners);
         if (0..3).all(|k| hi[k] - lo[k] <= LONGEST_64) {

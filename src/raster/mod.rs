@@ -1,8 +1,9 @@
 //! Which samples of a grid, which of some points, lie in this tetrahedron, and with which weights?
 //!
-//! *Scan conversion* turns the question of resampling around: not "in which tetrahedron is this sample?", a search each, but
-//! "which samples has this tetrahedron?", a few additions each. Tetrahedra may come in any order, chunk by chunk; where they
-//! tile the domain, every sample of it is visited exactly once.
+//! *Scan conversion* turns the question of resampling around: not "in which tetrahedron is this
+//! sample?", a search each, but "which samples has this tetrahedron?", a few additions each.
+//! Tetrahedra may come in any order, chunk by chunk; where they tile the domain, every sample of it
+//! is visited exactly once.
 //!
 //! ```text
 //!   · · · · · ·         the samples of the box around the tetrahedron are walked row by row;
@@ -11,22 +12,26 @@
 //!   ·/x_x_x_\ ·         at which none of the four is negative
 //! ```
 //!
-//! **Exact.** Corners and samples are lattice positions, so a weight times the volume is an integer: `λ_k(p)`, six times the
-//! volume of the tetrahedron whose corner k is moved to p. The four add up to the volume, and p is inside when none is negative.
-//! 64 bits suffice for tetrahedra of up to 2^20 lattice steps (all but the coarsest), 128 for the others.
+//! **Exact.** Corners and samples are lattice positions, so a weight times the volume is an
+//! integer: `λ_k(p)`, six times the volume of the tetrahedron whose corner k is moved to p. The
+//! four add up to the volume, and p is inside when none is negative. 64 bits suffice for tetrahedra
+//! of up to 2^20 lattice steps (all but the coarsest), 128 for the others.
 //!
-//! **Ties.** A sample on a common face, edge or corner belongs to one tetrahedron: the one that it is in after being moved by
-//! an infinitesimal (ε, ε², ε³), and from a far face of the domain, where that would lead outside, by minus ε along
-//! that axis (Edelsbrunner and Mücke, "Simulation of Simplicity", 1990; the rule of raster graphics that fills
-//! left and top edges). Then no sample is on a face: where λ is 0, the first component of its gradient that is
-//! not 0 decides. The rule looks at positions alone, so it does not matter which chunk has the tetrahedron.
+//! **Ties.** A sample on a common face, edge or corner belongs to one tetrahedron: the one that it
+//! is in after being moved by an infinitesimal (ε, ε², ε³), and from a far face of the domain,
+//! where that would lead outside, by minus ε along that axis (Edelsbrunner and Mücke, "Simulation
+//! of Simplicity", 1990; the rule of raster graphics that fills left and top edges). Then no sample
+//! is on a face: where λ is 0, the first component of its gradient that is not 0 decides. The rule
+//! looks at positions alone, so it does not matter which chunk has the tetrahedron.
 //!
-//! **Weights** are `λ_k / volume`, each rounded once. [`interpolate`] adds the four products in ascending order: the order of the
-//! corners does not show, so a value does not depend on how the mesh is cut into chunks.
+//! **Weights** are `λ_k / volume`, each rounded once. [`interpolate`] adds the four products in
+//! ascending order: the order of the corners does not show, so a value does not depend on how the
+//! mesh is cut into chunks.
 //!
-//! **Fast.** Most samples of a bounding box are outside, and a filter in `f32` with a proven error says so, sixteen at a time in a small
-//! box; exact integers see what is left. Cost: some 300 operations a tetrahedron with a sample in its box, 15 to 40 for
-//! each row of the box, 40 for each sample inside. Memory: none. [`Scanner`] hands samples on by runs. [`BatchScan`] scans many
+//! **Fast.** Most samples of a bounding box are outside, and a filter in `f32` with a proven error
+//! says so, sixteen at a time in a small box; exact integers see what is left. Cost: some 300
+//! operations a tetrahedron with a sample in its box, 15 to 40 for each row of the box, 40 for each
+//! sample inside. Memory: none. [`Scanner`] hands samples on by runs. [`BatchScan`] scans many
 //! small tetrahedra together, sixteen side by side, in a third of that time.
 //!
 //! ```

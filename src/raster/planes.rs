@@ -3,7 +3,8 @@
 use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
 
-/// The integers that weights are computed in. A trait, because one width is fast and the other always suffices.
+/// The integers that weights are computed in. A trait, because one width is fast and the other
+/// always suffices.
 pub(super) trait Int: Copy + Ord {
     const ZERO: Self;
     const ONE: Self;
@@ -46,8 +47,8 @@ macro_rules! int {
 int!(i64);
 int!(i128);
 
-/// The longest edge of a bounding box for which 64 bits suffice: λ is a sum of three products of a length and a component of a
-/// cross product (at most 2·m²), so at most 6·m³ < 2^63.
+/// The longest edge of a bounding box for which 64 bits suffice: λ is a sum of three products of a
+/// length and a component of a cross product (at most 2·m²), so at most 6·m³ < 2^63.
 pub(super) const LONGEST_64: u32 = 1 << 20;
 
 /// The least and the greatest coordinates of a tetrahedron's corners, and a 0.
@@ -137,7 +138,8 @@ impl<I: Int> Planes<I> {
         })
     }
 
-    /// Whether a position with these λ is inside by the tie rule. `far` is the largest position of the domain.
+    /// Whether a position with these λ is inside by the tie rule. `far` is the largest position of
+    /// the domain.
     #[inline(always)]
     pub(super) fn has(&self, lambda: [I; 4], p: LatticePos, far: LatticePos) -> bool {
         let least = lambda[0].min(lambda[1]).min(lambda[2].min(lambda[3]));

@@ -1,7 +1,8 @@
 //! Scan conversion of a tetrahedron on a grid of samples.
 //!
-//! Two steps. A **filter** in `f32`, four samples at a time, says which samples of a row can be inside: each λ is raised by
-//! more than its error, so no sample inside is lost, and few others stay. Then exact integers decide, and give the weights.
+//! Two steps. A **filter** in `f32`, four samples at a time, says which samples of a row can be
+//! inside: each λ is raised by more than its error, so no sample inside is lost, and few others
+//! stay. Then exact integers decide, and give the weights.
 
 use super::lanes::Four;
 use super::planes::{Int, LONGEST_64, Planes};
@@ -9,8 +10,9 @@ use super::{Axis, SampleGrid};
 use crate::geom::LatticePos;
 use crate::grid::IndexBox;
 
-/// Calls `each` for every sample of the window that belongs to a positively oriented tetrahedron, with its place in an
-/// x-fastest array of the window, and the weights of the corners. See the module for the rule for ties.
+/// Calls `each` for every sample of the window that belongs to a positively oriented tetrahedron,
+/// with its place in an x-fastest array of the window, and the weights of the corners. See the
+/// module for the rule for ties.
 ///
 /// # Panics
 /// When the window is not one of the grid.
@@ -71,7 +73,8 @@ impl<'a> Scanner<'a> {
         Self { axes, far: grid.far(), lo, hi, strides, pitch }
     }
 
-    /// log2 of the distance of samples along each axis, where it is the same for all of them, and the first sample is at 0.
+    /// log2 of the distance of samples along each axis, where it is the same for all of them, and
+    /// the first sample is at 0.
     pub(super) fn even_shifts(&self) -> Option<[u32; 3]> {
         let [x, y, z] = [0, 1, 2].map(|k| self.axes[k].shift_from_zero());
         Some([x?, y?, z?])
@@ -97,9 +100,10 @@ impl<'a> Scanner<'a> {
         self.far
     }
 
-    /// Calls `each` with the samples of the window that belong to a positively oriented tetrahedron, in runs along x: the place of a
-    /// run's first sample in an x-fastest array of the window, and the weights of the corners at each of its samples. Runs come
-    /// in the order of their places.
+    /// Calls `each` with the samples of the window that belong to a positively oriented
+    /// tetrahedron, in runs along x: the place of a run's first sample in an x-fastest array of the
+    /// window, and the weights of the corners at each of its samples. Runs come in the order of
+    /// their places.
     #[inline(always)]
     pub fn each_run(&self, corners: [LatticePos; 4], each: impl FnMut(usize, &[[f64; 4]])) {
         let [a, b, c, d] = corners;
@@ -159,7 +163,8 @@ impl<'a> Scanner<'a> {
         }
     }
 
-    /// How far four samples of an axis are from its first in the box. Those behind the last one are anywhere.
+    /// How far four samples of an axis are from its first in the box. Those behind the last one are
+    /// anywhere.
     #[inline(always)]
     fn offsets(&self, found: &Found, axis: usize, from: usize) -> Four {
         if let Some(pitch) = self.pitch {
@@ -270,15 +275,17 @@ impl<'a> Scanner<'a> {
     }
 }
 
-/// What a computed end of a span may be wrong by, in lattice steps: far more than it is (2^24 · 2^-51).
+/// What a computed end of a span may be wrong by, in lattice steps: far more than it is (2^24 ·
+/// 2^-51).
 const SLACK: f64 = 1e-6;
 
-/// λ of the four corners in `f32`, lanes in the order b, c, d, a, at the first sample of the box, and what they grow by a lattice
-/// step; raised by the error.
+/// λ of the four corners in `f32`, lanes in the order b, c, d, a, at the first sample of the box,
+/// and what they grow by a lattice step; raised by the error.
 ///
-/// With M the longest edge of the bounding box and u = 2^-24: differences of positions are exact; a component of a cross product is
-/// off by at most 4·M²u, their sum (the gradient of a) by 22·M²u; the products with differences of up to M and the sums add up to
-/// less than 200·M³u for any sample of the box.
+/// With M the longest edge of the bounding box and u = 2^-24: differences of positions are exact; a
+/// component of a cross product is off by at most 4·M²u, their sum (the gradient of a) by 22·M²u;
+/// the products with differences of up to M and the sums add up to less than 200·M³u for any sample
+/// of the box.
 struct Filter {
     first: Four,
     x: Four,
@@ -289,7 +296,8 @@ struct Filter {
 const ERROR: f32 = 256.0 / (1u32 << 24) as f32;
 
 impl Filter {
-    /// Of the edges from a to the other corners, coordinate by coordinate, and where the first sample is from a.
+    /// Of the edges from a to the other corners, coordinate by coordinate, and where the first
+    /// sample is from a.
     #[inline(always)]
     fn new([x, y, z]: [Four; 3], first_from_a: Four, longest: f32) -> Self {
         let (ux, uy, uz) = (x.turned(), y.turned(), z.turned());
@@ -344,8 +352,8 @@ impl<I: Int, F: FnMut(usize, &[[f64; 4]])> Exact<'_, I, F> {
         self.run(iz, iy, first + start, first + end);
     }
 
-    /// Hands on the samples among `start..end` of a row that are inside. They follow each other: what the filter let through in
-    /// vain lies at the ends.
+    /// Hands on the samples among `start..end` of a row that are inside. They follow each other:
+    /// what the filter let through in vain lies at the ends.
     #[inline(always)]
     fn run(&mut self, iz: usize, iy: usize, start: usize, end: usize) {
         let (axes, found) = (self.scanner.axes, self.found);

@@ -1,4 +1,5 @@
-//! Each sample in exactly one tetrahedron; weights that reproduce linear fields; rows and single samples agree.
+//! Each sample in exactly one tetrahedron; weights that reproduce linear fields; rows and single
+//! samples agree.
 
 use super::planes::{Planes, bounds};
 use super::*;
@@ -9,7 +10,8 @@ use crate::grid::IndexBox;
 use crate::mesh::tet::Tet;
 use proptest::prelude::*;
 
-/// The six tetrahedra of each cell of a grid of planes: many samples lie on faces, edges and corners.
+/// The six tetrahedra of each cell of a grid of planes: many samples lie on faces, edges and
+/// corners.
 fn kuhn(planes: &[Vec<u32>; 3]) -> Vec<[LatticePos; 4]> {
     let mut tets = vec![];
     let cells = |a: usize| 0..planes[a].len() - 1;
@@ -153,7 +155,8 @@ proptest! {
         cut in any::<bool>(),
         finer in prop::sample::select(vec![[0u32, 0, 0], [0, 2, 1]]),
     ) {
-        // 2^16 steps a voxel, or also 2^15 and 2^14; at the near end of the domain, or at the far one.
+        // 2^16 steps a voxel, or also 2^15 and 2^14; at the near end of the domain, or at the far
+        // one.
         let dims = finer.map(|f| (1 << (8 + finer[1] - f)) + 1);
         let lattice = Lattice::stretched(dims, finer).unwrap();
         assert_eq!((lattice.log2_steps[1], lattice.max()), (16, [1 << 24; 3]));

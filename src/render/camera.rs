@@ -32,8 +32,8 @@ impl FromStr for Up {
 /// Where a surface is seen from. The camera looks at the middle of what is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
-    /// Degrees around the upward axis, counter-clockwise seen from above; at 0 the camera looks along the axis that follows the
-    /// upward one (x for z).
+    /// Degrees around the upward axis, counter-clockwise seen from above; at 0 the camera looks
+    /// along the axis that follows the upward one (x for z).
     pub azimuth: f64,
     /// Degrees above the horizon, -90 to 90.
     pub elevation: f64,
@@ -56,8 +56,8 @@ const DISTANCE: f64 = 3.6;
 /// The part of the image that is filled.
 const FILLED: f64 = 0.94;
 
-/// A camera in front of surfaces. In *camera space* x is to the right, y up, z to the viewer, and the sphere around everything
-/// that it was made for has radius 1.
+/// A camera in front of surfaces. In *camera space* x is to the right, y up, z to the viewer, and
+/// the sphere around everything that it was made for has radius 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     axes: [DVec3; 3],
@@ -74,7 +74,8 @@ impl View {
     /// The view in which some surfaces, together, fill an image of `size` pixels.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a camera or a size that cannot be, or surfaces without a vertex; those of reading them.
+    /// [`Error::Usage`] for a camera or a size that cannot be, or surfaces without a vertex; those
+    /// of reading them.
     pub fn fit(camera: &Camera, surfaces: &[&dyn SurfaceSource], size: [u32; 2]) -> Result<Self> {
         let angles = camera.azimuth.is_finite() && (-90.0..=90.0).contains(&camera.elevation);
         if !(angles && camera.zoom > 0.0 && camera.zoom <= 1e6) {
@@ -137,7 +138,8 @@ impl View {
         if self.perspective { DISTANCE / (DISTANCE - z) } else { 1.0 }
     }
 
-    /// Pixels from the left and from the top, and a depth that is affine on the image and grows towards the viewer.
+    /// Pixels from the left and from the top, and a depth that is affine on the image and grows
+    /// towards the viewer.
     pub(super) fn project(&self, c: DVec3) -> ([f64; 2], f64) {
         let f = self.nearness(c.z);
         let x = f64::from(self.size[0]) / 2.0 + c.x * f * self.scale - self.shift[0];

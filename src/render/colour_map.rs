@@ -1,8 +1,8 @@
 //! Colour maps: from a share of a range to a colour.
 //!
-//! Viridis, cividis and grey rise evenly in lightness, so equal steps of the value look equal, also to those who
-//! do not tell all colours apart. Coolwarm goes through white in the middle of the range: K. Moreland, Diverging Color
-//! Maps for Scientific Visualization, ISVC 2009.
+//! Viridis, cividis and grey rise evenly in lightness, so equal steps of the value look equal, also
+//! to those who do not tell all colours apart. Coolwarm goes through white in the middle of the
+//! range: K. Moreland, Diverging Color Maps for Scientific Visualization, ISVC 2009.
 
 use crate::error::Error;
 use std::f64::consts::FRAC_PI_3;

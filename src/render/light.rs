@@ -5,7 +5,8 @@ use rayon::prelude::*;
 
 /// Texels along each side of a light's depth map.
 const SIDE: usize = 512;
-/// Lights come from above this height, the viewer being at 1: what faces us gets nothing from behind.
+/// Lights come from above this height, the viewer being at 1: what faces us gets nothing from
+/// behind.
 const LOWEST: f32 = -0.35;
 
 /// Bytes of the maps.
@@ -78,7 +79,8 @@ impl Sky {
         self.lights.par_iter_mut().for_each(|light| triangles.iter().for_each(|t| light.draw(t)));
     }
 
-    /// Adds up the light at a place, with a unit normal that all light is about: of each light its direction and what arrives.
+    /// Adds up the light at a place, with a unit normal that all light is about: of each light its
+    /// direction and what arrives.
     pub(super) fn arriving(&self, place: [f32; 3], normal: [f32; 3], out: &mut Vec<([f32; 3], f32)>) {
         out.clear();
         out.extend_from_slice(&self.open);
@@ -134,14 +136,15 @@ impl Light {
         }
     }
 
-    /// The part of the light that reaches a place, 0 to 1: the share of the four texels around it that are not in front, by their
-    /// nearness.
+    /// The part of the light that reaches a place, 0 to 1: the share of the four texels around it
+    /// that are not in front, by their nearness.
     fn visibility(&self, place: [f32; 3], normal: [f32; 3]) -> f32 {
         let facing = dot(normal, self.to);
         if facing <= 0.0 {
             return 0.0;
         }
-        // Off the surface, the more so the more slanting the light: a texel is flat, the surface is not.
+        // Off the surface, the more so the more slanting the light: a texel is flat, the surface is
+        // not.
         let step = 2.0 / SIDE as f32;
         let lift = step * (0.75 + 1.5 * (1.0 - facing));
         let p: [f32; 3] = std::array::from_fn(|k| place[k] + lift * normal[k]);

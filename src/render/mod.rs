@@ -1,4 +1,5 @@
-//! Pictures of surfaces, without a graphics card or a window: the same bytes on every machine, for any number of threads.
+//! Pictures of surfaces, without a graphics card or a window: the same bytes on every machine, for
+//! any number of threads.
 //!
 //! ```text
 //!  vertices ─▶ camera space ─▶ store        triangles, batch by batch ─┬─▶ samples of the image: depth, normal, value
@@ -6,20 +7,24 @@
 //!                                                         then: light of each pixel ─▶ mean of its samples ─▶ image
 //! ```
 //!
-//! **Visibility** is a z-buffer of s × s samples a pixel. Corners are rounded to 1/256 of a sample and edges tested in
-//! integers, with the top-left rule, so that triangles with a common edge leave neither a gap nor an overlap; of equal depths the
-//! triangle that came first is seen. Rows are shared out to threads, each of which takes the triangles in order.
+//! **Visibility** is a z-buffer of s × s samples a pixel. Corners are rounded to 1/256 of a sample
+//! and edges tested in integers, with the top-left rule, so that triangles with a common edge leave
+//! neither a gap nor an overlap; of equal depths the triangle that came first is seen. Rows are
+//! shared out to threads, each of which takes the triangles in order.
 //!
-//! **Light** comes from a sky of about a hundred directions: brightest above the viewer's left shoulder (the *key*), weaker from the right (the *fill*),
-//! even elsewhere. Each direction has a depth map of the whole surface, and what lies behind another part gets no light from it: soft
-//! shadows and ambient occlusion in one, of the scene and not of the screen (compare Tarini, Cignoni and Montani, "Ambient occlusion
-//! and edge cueing for enhancing real time molecular visualization", 2006). Colours are added up linearly and encoded as sRGB in the end.
+//! **Light** comes from a sky of about a hundred directions: brightest above the viewer's left
+//! shoulder (the *key*), weaker from the right (the *fill*), even elsewhere. Each direction has a
+//! depth map of the whole surface, and what lies behind another part gets no light from it: soft
+//! shadows and ambient occlusion in one, of the scene and not of the screen (compare Tarini,
+//! Cignoni and Montani, "Ambient occlusion and edge cueing for enhancing real time molecular
+//! visualization", 2006). Colours are added up linearly and encoded as sRGB in the end.
 //!
-//! Normals are interpolated between vertices, turned to the viewer with their triangle; the far side of an open surface is
-//! drawn darker.
+//! Normals are interpolated between vertices, turned to the viewer with their triangle; the far
+//! side of an open surface is drawn darker.
 //!
-//! Cost: some microseconds a triangle (most of it for the maps), about a microsecond a pixel. Memory ([`needed`]): samples and maps, whatever
-//! the surface; vertices beyond what is left wait on disk.
+//! Cost: some microseconds a triangle (most of it for the maps), about a microsecond a pixel.
+//! Memory ([`needed`]): samples and maps, whatever the surface; vertices beyond what is left wait
+//! on disk.
 
 mod camera;
 mod colour;
@@ -98,7 +103,8 @@ const FIXED: u64 = 24 << 20;
 /// Triangles that are drawn at a time.
 const BATCH: usize = 1 << 14;
 
-/// The least memory for a picture of such a size, without vertices and whatever the surface; with the picture itself.
+/// The least memory for a picture of such a size, without vertices and whatever the surface; with
+/// the picture itself.
 pub fn needed(size: [u32; 2], settings: &RenderSettings) -> u64 {
     let pixels = u64::from(size[0]) * u64::from(size[1]);
     let each = samples::BYTES * u64::from(settings.samples).pow(2) + 4;
@@ -108,8 +114,9 @@ pub fn needed(size: [u32; 2], settings: &RenderSettings) -> u64 {
 /// Draws a surface.
 ///
 /// # Errors
-/// [`Error::Usage`] for settings that cannot be; [`Error::Budget`] when the memory does not suffice: a surface without normals takes 12
-/// bytes a vertex for them, unless triangles are flat; those of reading the surface.
+/// [`Error::Usage`] for settings that cannot be; [`Error::Budget`] when the memory does not
+/// suffice: a surface without normals takes 12 bytes a vertex for them, unless triangles are flat;
+/// those of reading the surface.
 pub fn render(subject: &Subject<'_>, view: &View, settings: &RenderSettings) -> Result<Image> {
     let surface = subject.surface;
     if !(1..=8).contains(&settings.samples) || settings.lights > 1024 {
@@ -187,7 +194,8 @@ fn place(
     Ok(vertices)
 }
 
-/// Gives each vertex the sum of its triangles' normals, weighted by area, added in the order of the triangles.
+/// Gives each vertex the sum of its triangles' normals, weighted by area, added in the order of the
+/// triangles.
 fn add_normals(surface: &dyn SurfaceSource, vertices: &mut Store<Placed>, memory: usize) -> Result<()> {
     let count = vertices.len();
     let mut normals = vec![Vec3::ZERO; count as usize];
@@ -223,8 +231,8 @@ enum Normals {
 /// Triangles that are asked whether normals agree with them.
 const ASKED: usize = 1 << 16;
 
-/// Whether the vertices' normals point to the side from which triangles are counter-clockwise: some programs have it otherwise. By area,
-/// for in slivers they may differ.
+/// Whether the vertices' normals point to the side from which triangles are counter-clockwise: some
+/// programs have it otherwise. By area, for in slivers they may differ.
 fn normals_agree(surface: &dyn SurfaceSource, vertices: &Store<Placed>, memory: usize) -> Result<bool> {
     let (mut cached, count) = (Cached::new(vertices, memory), vertices.len());
     let (mut asked, mut sum) = (0, 0.0f64);
@@ -242,7 +250,8 @@ fn normals_agree(surface: &dyn SurfaceSource, vertices: &Store<Placed>, memory: 
     Ok(sum >= 0.0)
 }
 
-/// Hands out all triangles, some at a time, with their vertices; those that name a vertex that there is not are left out.
+/// Hands out all triangles, some at a time, with their vertices; those that name a vertex that
+/// there is not are left out.
 fn each_batch(
     surface: &dyn SurfaceSource,
     vertices: &Store<Placed>,

@@ -8,7 +8,8 @@ pub(super) const BYTES: u64 = 4 + 8 + 4;
 
 /// Steps of a sample that corners are rounded to.
 const STEPS: i64 = 256;
-/// The farthest from the image that a corner is taken to be, in steps: products of differences must fit 64 bits.
+/// The farthest from the image that a corner is taken to be, in steps: products of differences must
+/// fit 64 bits.
 const FAR: f64 = (1u64 << 29) as f64;
 
 /// A corner of a triangle on the image.
@@ -133,7 +134,8 @@ struct Edge {
 impl Edge {
     fn new(a: [i64; 2], b: [i64; 2]) -> Self {
         let (x, y) = (a[1] - b[1], b[0] - a[0]);
-        // Rows go down, so with a positive area the inside is to the right of an edge that goes up: a left one.
+        // Rows go down, so with a positive area the inside is to the right of an edge that goes up:
+        // a left one.
         let is_top_left = b[1] < a[1] || (a[1] == b[1] && b[0] > a[0]);
         Self { x, y, at: a, bias: if is_top_left { 0 } else { -1 } }
     }

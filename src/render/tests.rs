@@ -94,7 +94,8 @@ fn normals_that_a_file_does_not_have_are_made() {
 
 #[test]
 fn triangles_with_a_common_edge_leave_no_gap_and_no_overlap() {
-    // A square in many slivers: every sample is covered exactly once, so the first and the last triangle drawn give the same.
+    // A square in many slivers: every sample is covered exactly once, so the first and the last
+    // triangle drawn give the same.
     let n = 37u32;
     let rim = |k: u32| {
         let a = std::f64::consts::TAU * f64::from(k) / f64::from(n);

@@ -4,19 +4,21 @@
 //!   s₃ = a·y_i + b·y_{i+1} + c·y″_i + d·y″_{i+1},      c = (a³ - a)·h²/6,   d = (b³ - b)·h²/6
 //! ```
 //!
-//! **Corrected** (`cubic`): y″_i = (y_{i+1} - 2y_i + y_{i-1})/h². That difference is exact for cubic polynomials, so the rule
-//! is too; and since a cubic through four values is unique, the rule **is** Lagrange's cubic through y_{i-1} … y_{i+2}:
-//! fourth order, continuous, with first derivatives that jump at the voxels. Next to a border y″ is extrapolated linearly
-//! from the two nearest voxels that have one, y″_0 = 2y″_1 - y″_2, which is Lagrange's cubic through the four voxels nearest
-//! the border: cubics stay exact up to it. With 3 voxels on the axis y″ is constant (exact for quadratics), with 2
-//! there is none (linear).
+//! **Corrected** (`cubic`): y″_i = (y_{i+1} - 2y_i + y_{i-1})/h². That difference is exact for
+//! cubic polynomials, so the rule is too; and since a cubic through four values is unique, the
+//! rule **is** Lagrange's cubic through y_{i-1} … y_{i+2}: fourth order, continuous, with first
+//! derivatives that jump at the voxels. Next to a border y″ is extrapolated linearly from the two
+//! nearest voxels that have one, y″_0 = 2y″_1 - y″_2, which is Lagrange's cubic through the four
+//! voxels nearest the border: cubics stay exact up to it. With 3 voxels on the axis y″ is constant
+//! (exact for quadratics), with 2 there is none (linear).
 //!
-//! **As printed** (`cubic-thesis`): y″_i = (y_{i+2} - 4y_{i+1} + 6y_i - 4y_{i-1} + y_{i-2})/4h², a fourth difference. On a smooth
-//! field it is h²y⁗/4, nearly nothing, so the rule is linear interpolation, on noise linear and more noise.
-//! Next to a border, the difference of the nearest voxel that has one; with fewer than 5 voxels none.
+//! **As printed** (`cubic-thesis`): y″_i = (y_{i+2} - 4y_{i+1} + 6y_i - 4y_{i-1} + y_{i-2})/4h², a
+//! fourth difference. On a smooth field it is h²y⁗/4, nearly nothing, so the rule is linear
+//! interpolation, on noise linear and more noise. Next to a border, the difference of the nearest
+//! voxel that has one; with fewer than 5 voxels none.
 //!
-//! h cancels: differences are taken in voxel units. All weights of an axis are gathered first, one a voxel of the
-//! stencil. On a voxel all weights are zero but its own, which is 1.
+//! h cancels: differences are taken in voxel units. All weights of an axis are gathered first, one
+//! a voxel of the stencil. On a voxel all weights are zero but its own, which is 1.
 
 use super::{Axis, VoxelBlock, to_f32};
 use crate::geom::{Lattice, LatticePos};
@@ -58,7 +60,8 @@ pub(super) fn sample_thesis(
     out.extend(positions.iter().map(|p| value(block, std::array::from_fn(|a| printed(&axes[a], p[a])))));
 }
 
-/// The stencil around a coordinate with the linear weights in it; the cell's place in the stencil; c and d.
+/// The stencil around a coordinate with the linear weights in it; the cell's place in the stencil;
+/// c and d.
 #[inline]
 fn linear_part<const N: usize>(axis: &Axis, p: u32) -> (Stencil<N>, usize, [f64; 2]) {
     let cell = axis.cell(p);

@@ -12,9 +12,9 @@
 //!                      ├─ b ─┤─ a ───┤
 //! ```
 //!
-//! and no search is needed: the cell is a shift, the fraction a mask. Each rule is one-dimensional, a few weights on
-//! consecutive voxels, and is applied along x, then y, then z (thesis, section 3.2; its two linear weights are printed
-//! swapped):
+//! and no search is needed: the cell is a shift, the fraction a mask. Each rule is one-dimensional,
+//! a few weights on consecutive voxels, and is applied along x, then y, then z (thesis,
+//! section 3.2; its two linear weights are printed swapped):
 //!
 //! | [`Interpolation`] | voxels an axis | exact for | error on a smooth field |
 //! |---|---|---|---|
@@ -28,13 +28,16 @@
 //! # What holds
 //!
 //! * A position on a voxel gives that voxel's value, exactly, whatever its neighbours hold.
-//! * A NaN voxel with a weight other than zero makes the value NaN: a void point. One with weight zero does not count.
-//!   An infinite voxel does what arithmetic says; `--nan` treats infinities before they come here.
-//! * A value is computed in `f64` by `+ - *` and one `/` by a constant, in an order fixed by the position, and rounded to
-//!   `f32` once: the same bits on every machine, in whichever block the position is sampled. Finite voxels give a finite
-//!   value: what overshoots `f32` becomes the largest finite one.
+//! * A NaN voxel with a weight other than zero makes the value NaN: a void point. One with weight
+//!   zero does not count. An infinite voxel does what arithmetic says; `--nan` treats infinities
+//!   before they come here.
+//! * A value is computed in `f64` by `+ - *` and one `/` by a constant, in an order fixed by the
+//!   position, and rounded to `f32` once: the same bits on every machine, in whichever block the
+//!   position is sampled. Finite voxels give a finite value: what overshoots `f32` becomes the
+//!   largest finite one.
 //!
-//! Cost: one pass over the positions, no allocation but the caller's output. `benches/sample.rs` measures it.
+//! Cost: one pass over the positions, no allocation but the caller's output. `benches/sample.rs`
+//! measures it.
 
 pub mod cubic;
 pub mod nearest;
@@ -58,7 +61,8 @@ pub enum Interpolation {
     Linear,
     /// Tricubic: second derivatives by second differences.
     Cubic,
-    /// Tricubic as the thesis prints it, a fourth difference in the place of the second derivative: for its tables.
+    /// Tricubic as the thesis prints it, a fourth difference in the place of the second derivative:
+    /// for its tables.
     CubicThesis,
     /// The nearest voxel; half-way, the higher one.
     Nearest,
@@ -95,7 +99,8 @@ impl Interpolation {
         }
     }
 
-    /// The smallest box of voxels, within the volume, from which all of `positions` can be sampled; empty for none.
+    /// The smallest box of voxels, within the volume, from which all of `positions` can be sampled;
+    /// empty for none.
     ///
     /// The positions are within the lattice's domain.
     ///
@@ -127,13 +132,15 @@ impl Interpolation {
 pub enum Values {
     /// The field is interpolated at the vertex.
     Sample,
-    /// From there it is moved towards the least squared error over the samples around it, not past them ([`crate::fit`]).
+    /// From there it is moved towards the least squared error over the samples around it, not past
+    /// them ([`crate::fit`]).
     Fit,
 }
 
 impl Values {
-    /// What is meant where nobody says how vertices come by their values: fitted, but for interpolations whose very values are wanted. The nearest
-    /// voxel's may be a label, between two of which there is nothing; the thesis's two are for its tables.
+    /// What is meant where nobody says how vertices come by their values: fitted, but for
+    /// interpolations whose very values are wanted. The nearest voxel's may be a label, between two
+    /// of which there is nothing; the thesis's two are for its tables.
     pub fn usual(interpolation: Interpolation) -> Self {
         match interpolation {
             Interpolation::Nearest | Interpolation::CubicThesis | Interpolation::QuadraticThesis => {
@@ -179,7 +186,8 @@ impl FromStr for Interpolation {
     }
 }
 
-/// Broken when a plan of a volume has an interpolation of meshes, which [`Interpolation::is_of_volumes`] tells.
+/// Broken when a plan of a volume has an interpolation of meshes, which
+/// [`Interpolation::is_of_volumes`] tells.
 const OF_MESHES: &str = "a volume is never planned with an interpolation of meshes";
 
 /// The samples of a box of voxels.
@@ -194,8 +202,9 @@ pub struct VoxelBlock<'a> {
 /// Appends the value at each of `positions` to `out`.
 ///
 /// # Panics
-/// When `block` does not hold [`Interpolation::voxels_for`] these positions, or its length is not its box's: the
-/// caller made the block for them. For an interpolation that is not [of volumes](Interpolation::is_of_volumes).
+/// When `block` does not hold [`Interpolation::voxels_for`] these positions, or its length is not
+/// its box's: the caller made the block for them. For an interpolation that is not
+/// [of volumes](Interpolation::is_of_volumes).
 pub fn sample(
     how: Interpolation,
     lattice: &Lattice,
@@ -222,7 +231,8 @@ pub fn sample(
     }
 }
 
-/// Some positions that are sampled in several volumes alike: what does not depend on the samples is found out once.
+/// Some positions that are sampled in several volumes alike: what does not depend on the samples is
+/// found out once.
 pub(crate) struct Places<'a> {
     how: Interpolation,
     lattice: &'a Lattice,
@@ -336,7 +346,8 @@ impl Axis {
         f64::from(p - (cell << self.log2_steps)) * self.step
     }
 
-    /// The `size` voxels around a cell, moved inwards at a border; fewer only where the axis has fewer.
+    /// The `size` voxels around a cell, moved inwards at a border; fewer only where the axis has
+    /// fewer.
     fn stencil(&self, cell: u32, size: usize) -> (u64, u64) {
         let size = (size as u64).min(self.dim());
         let first = (u64::from(cell) + 1).saturating_sub(size / 2).min(self.dim() - size);
@@ -344,8 +355,8 @@ impl Axis {
     }
 }
 
-/// Rounds to `f32`: to the largest finite value where a finite one overshoots, and to one NaN, since the bits of a
-/// computed NaN depend on the machine.
+/// Rounds to `f32`: to the largest finite value where a finite one overshoots, and to one NaN,
+/// since the bits of a computed NaN depend on the machine.
 #[inline]
 fn to_f32(v: f64) -> f32 {
     let rounded = v as f32;

@@ -100,7 +100,8 @@ fn names_are_the_same_in_text_and_json() {
 
 #[test]
 fn a_linear_field_is_exact_up_to_the_faces() {
-    // Coefficients and positions on a grid of 2^-10 have exact values of 24 bits: the f32 must be equal, not near.
+    // Coefficients and positions on a grid of 2^-10 have exact values of 24 bits: the f32 must be
+    // equal, not near.
     let f = |p: [f64; 3]| 2.0 * p[0] - 3.0 * p[1] + 0.5 * p[2] + 7.0;
     for dims in [[9, 6, 13], [2, 3, 4], [5, 2, 2]] {
         let v = Volume::new(dims, f);
@@ -147,7 +148,8 @@ fn with_three_voxels_cubic_is_exact_for_quadratics() {
     }
 }
 
-/// Largest error on the waves sin(x)·cos(y)·sin(z + 1) over a box of n cells an axis, as fine as the waves are long.
+/// Largest error on the waves sin(x)·cos(y)·sin(z + 1) over a box of n cells an axis, as fine as
+/// the waves are long.
 fn error_at(n: u64, how: Interpolation) -> f64 {
     let scale = 3.0 / n as f64;
     let f = |p: [f64; 3]| (scale * p[0]).sin() * (scale * p[1]).cos() * (scale * p[2] + 1.0).sin();
@@ -258,7 +260,8 @@ fn a_missing_voxel_voids_the_points_it_has_a_weight_in_and_no_others() {
         };
         let void = |how| holed.sample(how, &[p])[0].is_nan();
         assert_eq!(void(Interpolation::Linear), near(1.0), "{p:?}");
-        // Cells 1 to n-3 of an axis use two voxels each way; at the border the stencil is moved, so test inside only.
+        // Cells 1 to n-3 of an axis use two voxels each way; at the border the stencil is moved, so
+        // test inside only.
         let inside = (0..3).all(|a| (1..clean.lattice.dims[a] as u32 - 2).contains(&(p[a] >> s)));
         if inside {
             assert_eq!(void(Interpolation::Cubic), near(2.0), "{p:?}");

@@ -1,9 +1,11 @@
-//! Trilinear interpolation: s₁ = a·f_i + b·f_{i+1} along x, then y, then z (thesis, section 3.2.2, weights put right).
+//! Trilinear interpolation: s₁ = a·f_i + b·f_{i+1} along x, then y, then z (thesis, section 3.2.2,
+//! weights put right).
 //!
-//! The form a·f + b·g is used, not f + b·(g - f): it gives f and g exactly at the ends, and, the weights adding up to 1
-//! exactly, no value leaves the range of the corners: the first products (24 by 24 bits) are exact and their rounded
-//! sum lies between its terms; the rounding errors of the next two levels, some 2^-52, vanish in the rounding to `f32`,
-//! since the corners are `f32` themselves.
+//! The form a·f + b·g is used, not f + b·(g - f): it gives f and g exactly at the ends, and, the
+//! weights adding up to 1 exactly, no value leaves the range of the corners: the first products (24
+//! by 24 bits) are exact and their rounded sum lies between its terms; the rounding errors of the
+//! next two levels, some 2^-52, vanish in the rounding to `f32`, since the corners are `f32`
+//! themselves.
 
 use super::{Axis, VoxelBlock, to_f32};
 use crate::geom::{Lattice, LatticePos};
@@ -80,7 +82,8 @@ fn blend(f: &[[[f32; 2]; 2]; 2], b: [f64; 3]) -> f64 {
     a[2] * y(f[0]) + b[2] * y(f[1])
 }
 
-/// The same where some corner is not finite: corners of weight zero do not count (0 · NaN would be NaN).
+/// The same where some corner is not finite: corners of weight zero do not count (0 · NaN would be
+/// NaN).
 #[cold]
 fn blend_present(f: &[[[f32; 2]; 2]; 2], b: [f64; 3]) -> f64 {
     let mix = |b: f64, lower: &dyn Fn() -> f64, upper: &dyn Fn() -> f64| match b {

@@ -42,8 +42,8 @@ impl SpectrumBuilder {
         &self.design
     }
 
-    /// Adds the part of the next chunk, whose range is in that of the design, which has the same limits. `f64` sums depend on the order
-    /// of the chunks, in their last bits.
+    /// Adds the part of the next chunk, whose range is in that of the design, which has the same
+    /// limits. `f64` sums depend on the order of the chunks, in their last bits.
     pub fn add(&mut self, part: &ChunkPart) {
         let Some(measured) = &part.measured else { return };
         self.tetrahedra += part.tetrahedra;

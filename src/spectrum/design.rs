@@ -2,7 +2,8 @@
 
 use super::grid::{Family, Grid};
 
-/// How many isovalues a grid may have, at most. The same for all chunks of an archive, lest one be coarser than the whole.
+/// How many isovalues a grid may have, at most. The same for all chunks of an archive, lest one be
+/// coarser than the whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     knots: u32,
@@ -17,7 +18,8 @@ pub(crate) const MOST_LEVELS: u64 = 8192;
 const FEWEST_LEVELS: u64 = 512;
 
 impl Limits {
-    /// For chunks of about so many points: what is stored for one is about a hundredth of its bytes.
+    /// For chunks of about so many points: what is stored for one is about a hundredth of its
+    /// bytes.
     pub fn of_chunks(points: u64) -> Self {
         Self {
             knots: (points / 1024).clamp(FEWEST_KNOTS, MOST_KNOTS) as u32,

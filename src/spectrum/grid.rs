@@ -6,11 +6,13 @@
 //!  rung 0  0.01 · 1 2 3 4 5 6 7 8 9 10
 //! ```
 //!
-//! What a chunk was measured at, on a grid chosen for its own values, can so be added up later on the coarser grid of all values,
-//! without error and without looking at the chunk again: the range of all holds the range of each, and the finest grid with at most so many
-//! isovalues in a range is never finer than that of a part of the range.
+//! What a chunk was measured at, on a grid chosen for its own values, can so be added up later on
+//! the coarser grid of all values, without error and without looking at the chunk again: the range
+//! of all holds the range of each, and the finest grid with at most so many isovalues in a range is
+//! never finer than that of a part of the range.
 //!
-//! A multiple is rounded to `f32` from the number itself, its factors of ten taken out, so it is the same `f32` on each rung.
+//! A multiple is rounded to `f32` from the number itself, its factors of ten taken out, so it is
+//! the same `f32` on each rung.
 
 use crate::archive::Malformed;
 use crate::archive::wire::Cursor;
@@ -96,7 +98,8 @@ impl Step {
         n
     }
 
-    /// How many of these steps make one of `coarser`, which is of the same family and not finer; at most 2^63 - 1.
+    /// How many of these steps make one of `coarser`, which is of the same family and not finer; at
+    /// most 2^63 - 1.
     fn steps_in(self, coarser: Self) -> i64 {
         let up = (coarser.rung - self.rung).unsigned_abs();
         match self.family {
@@ -137,7 +140,8 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// Those of the finest step that gives at most `most` of them in `lo < v <= hi`, and is not below the spacing of `f32` there.
+    /// Those of the finest step that gives at most `most` of them in `lo < v <= hi`, and is not
+    /// below the spacing of `f32` there.
     pub(super) fn new(family: Family, [lo, hi]: [f32; 2], most: u32) -> Self {
         let spacing = f64::from(lo.abs().max(hi.abs())) / f64::from(1u32 << 23);
         let least = ((f64::from(hi) - f64::from(lo)) / f64::from(most.max(1))).max(spacing);
@@ -176,7 +180,8 @@ impl Grid {
         (self.value(n) == isovalue).then_some(n)
     }
 
-    /// The number in this grid of the `n`-th isovalue of a coarser grid; `None` if it is not in the range of this one.
+    /// The number in this grid of the `n`-th isovalue of a coarser grid; `None` if it is not in the
+    /// range of this one.
     pub(super) fn number_of(&self, coarser: &Self, n: u32) -> Option<u32> {
         let steps = i128::from(self.step.steps_in(coarser.step));
         let here = (i128::from(coarser.first) + i128::from(n)) * steps - i128::from(self.first);
@@ -240,7 +245,8 @@ impl Places {
     }
 }
 
-/// The same of a binary grid, without looking at its isovalues: they are exact multiples of the step, and so are, in `f64`, values divided by it.
+/// The same of a binary grid, without looking at its isovalues: they are exact multiples of the
+/// step, and so are, in `f64`, values divided by it.
 pub(super) struct BinaryPlaces {
     scale: f64,
     /// The multiple before the first.

@@ -1,12 +1,16 @@
 //! Sums over the tetrahedra of a chunk, at some steps.
 //!
-//! **How it is fast.** A step of a series is measured anew though its mesh is not made anew, so this is most of what a step costs. What of a tetrahedron
-//! does not depend on values is found out once for all steps. Its values, their gradient, and all quotients are computed eight at a time, in vectors: of one
-//! tetrahedron at up to eight steps that are measured together, what is known of a vertex lying side by side in a cache line; or of eight tetrahedra at a
-//! step that is alone. Then, tetrahedron by tetrahedron, the knots in its range, eight by eight ([`super::tetra`], [`super::sums`]): what bounds that is
-//! how much is read, so where the knots are is told with the quotients, and the volume is read once for all steps.
+//! **How it is fast.** A step of a series is measured anew though its mesh is not made anew, so
+//! this is most of what a step costs. What of a tetrahedron does not depend on values is found out
+//! once for all steps. Its values, their gradient, and all quotients are computed eight at a time,
+//! in vectors: of one tetrahedron at up to eight steps that are measured together, what is known of
+//! a vertex lying side by side in a cache line; or of eight tetrahedra at a step that is alone.
+//! Then, tetrahedron by tetrahedron, the knots in its range, eight by eight ([`super::tetra`],
+//! [`super::sums`]): what bounds that is how much is read, so where the knots are is told with the
+//! quotients, and the volume is read once for all steps.
 //!
-//! Each number of a step is made by the same operations, whatever else is in the vector: so it does not show with which steps it was measured.
+//! Each number of a step is made by the same operations, whatever else is in the vector: so it does
+//! not show with which steps it was measured.
 
 use super::design::{Design, Limits};
 use super::side::{Alone, Room as Memory, SIDE_BY_SIDE, Side, Together, ends_of};
@@ -42,7 +46,8 @@ pub(super) struct Measured {
 pub struct Vertices<'a> {
     /// NaN is void.
     pub values: &'a [f32],
-    /// Least and largest value of the tetrahedra that are not void; the first above the second where all are.
+    /// Least and largest value of the tetrahedra that are not void; the first above the second
+    /// where all are.
     pub range: [f32; 2],
 }
 
@@ -65,8 +70,10 @@ impl Vectors {
 }
 
 impl ChunkPart {
-    /// Measures tetrahedra at some steps: a part for each. `places` are those of the vertices in the world, up to a shift common to all, and a 0. A function of
-    /// the order and of the turns of the tetrahedra too, in the last bits. Time: some nanoseconds for each tetrahedron and step, and for each eight knots in its range.
+    /// Measures tetrahedra at some steps: a part for each. `places` are those of the vertices in
+    /// the world, up to a shift common to all, and a 0. A function of the order and of the turns of
+    /// the tetrahedra too, in the last bits. Time: some nanoseconds for each tetrahedron and step,
+    /// and for each eight knots in its range.
     pub fn of_steps(
         limits: Limits,
         places: &[[f64; 4]],
@@ -137,7 +144,8 @@ impl Cells<'_> {
     }
 }
 
-/// So many tetrahedra later the sums are made: what was just written can not be read piece by piece at once, and the processor has two things to do.
+/// So many tetrahedra later the sums are made: what was just written can not be read piece by piece
+/// at once, and the processor has two things to do.
 const LATER: usize = 2;
 
 /// So many tetrahedra before they are looked at their vertices are asked for.
@@ -188,7 +196,8 @@ impl Room {
                 }
                 shapes.one::<S>(proof, i).pieces(proof, &ladder, values, void, pieces);
             }
-            // All steps of one, then of the next: so a sum need not wait for what was added to it just before.
+            // All steps of one, then of the next: so a sum need not wait for what was added to it
+            // just before.
             if i >= LATER {
                 let pieces = &self.0[(i - LATER) % AT_HAND];
                 let (volume, [a, b, c, d, e, f, g, h]) = (pieces.volume[0], &mut *side.sums);

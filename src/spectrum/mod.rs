@@ -1,12 +1,15 @@
 //! The contour spectrum: how large is the isosurface, before it is extracted?
 //!
-//! For every isovalue v (a value `>=` v is inside) there are the number of active tetrahedra N(v), the area A(v) of the isosurface, the
-//! volume V(v) that it encloses, and the gradient integrated over it, T(v) = ∫|∇f| dA: the *contour spectrum* of Bajaj, Pascucci
-//! and Schikore 1997 ("The contour spectrum"). Seen as curves they tell where something happens, and [`suggest`] reads isovalues off them.
+//! For every isovalue v (a value `>=` v is inside) there are the number of active tetrahedra N(v),
+//! the area A(v) of the isosurface, the volume V(v) that it encloses, and the gradient integrated
+//! over it, T(v) = ∫|∇f| dA: the *contour spectrum* of Bajaj, Pascucci and Schikore 1997 ("The
+//! contour spectrum"). Seen as curves they tell where something happens, and [`suggest`] reads
+//! isovalues off them.
 //!
-//! **What one tetrahedron contributes.** Take its corner values f0 <= f1 <= f2 <= f3, its volume Vol and its gradient g. As the field is linear
-//! there, the share of its volume below v is the integral of the quadratic B-spline M over the knots f0, f1, f2, f3 (Curry and Schoenberg),
-//! and its area at v is |g| Vol M(v):
+//! **What one tetrahedron contributes.** Take its corner values f0 <= f1 <= f2 <= f3, its volume
+//! Vol and its gradient g. As the field is linear there, the share of its volume below v is the
+//! integral of the quadratic B-spline M over the knots f0, f1, f2, f3 (Curry and Schoenberg), and
+//! its area at v is |g| Vol M(v):
 //!
 //! ```text
 //!   M(v) │      ╭──╮          three parabolas that meet smoothly; no root, no slicing:
@@ -15,22 +18,26 @@
 //!        └─f0──f1────f2────f3── v
 //! ```
 //!
-//! **What is exact.** N, A, V and T are stored at up to 128 isovalues, the *knots*: multiples of a power of two. There they are sums over all
-//! tetrahedra that are not void, in world units: N exact, the others but for rounding in `f64`. Between knots A, V and T are not
-//! stored: extract the surface.
+//! **What is exact.** N, A, V and T are stored at up to 128 isovalues, the *knots*: multiples of a
+//! power of two. There they are sums over all tetrahedra that are not void, in world units: N
+//! exact, the others but for rounding in `f64`. Between knots A, V and T are not stored: extract
+//! the surface.
 //!
-//! N alone is stored at many more isovalues, the *levels*: multiples of a round step, 1 or 2 times a power of ten, up to 8192 of them in the
-//! range. A tetrahedron is active for min < v <= max, so N(v) counts the minima below v less the maxima below v. So N is known at
-//! most isovalues that a person writes, for one page of 4096 levels read ([`SpectrumFile::active`]). For the others
+//! N alone is stored at many more isovalues, the *levels*: multiples of a round step, 1 or 2 times
+//! a power of ten, up to 8192 of them in the range. A tetrahedron is active for min < v <= max, so
+//! N(v) counts the minima below v less the maxima below v. So N is known at most isovalues that a
+//! person writes, for one page of 4096 levels read ([`SpectrumFile::active`]). For the others
 //! [`crate::pipeline::Step::count`] decodes the blocks of the isovalue, and is as exact.
 //!
-//! **Chunk by chunk.** Which isovalues these are depends on the range of all values, which is known when the last chunk has been made. So each chunk
-//! is measured while its tetrahedra and values are at hand, on grids of its own range, which are finer, or as fine, and hold all isovalues of
-//! the coarser grids of the whole ([`grid`](self::Grid)); a spectrum is put together from those parts ([`ChunkPart`]), which are some
-//! thousand bytes each, and not from tetrahedra.
+//! **Chunk by chunk.** Which isovalues these are depends on the range of all values, which is known
+//! when the last chunk has been made. So each chunk is measured while its tetrahedra and values are
+//! at hand, on grids of its own range, which are finer, or as fine, and hold all isovalues of the
+//! coarser grids of the whole ([`grid`](self::Grid)); a spectrum is put together from those parts
+//! ([`ChunkPart`]), which are some thousand bytes each, and not from tetrahedra.
 //!
-//! **Determinism.** Integers are added in any order; `f64` sums are made over the tetrahedra of a chunk in the order in which its blocks decode, and
-//! over chunks in their order. A part is a function of the chunk, its values and the [`Limits`].
+//! **Determinism.** Integers are added in any order; `f64` sums are made over the tetrahedra of a
+//! chunk in the order in which its blocks decode, and over chunks in their order. A part is a
+//! function of the chunk, its values and the [`Limits`].
 
 mod builder;
 mod design;

@@ -61,7 +61,8 @@ impl Side {
     }
 }
 
-/// A step by itself: of each vertex its value, and of how many more tetrahedra it is the least corner than the largest.
+/// A step by itself: of each vertex its value, and of how many more tetrahedra it is the least
+/// corner than the largest.
 pub(super) struct Alone {
     pub(super) values: Vec<f32>,
     pub(super) ends: Vec<i32>,
@@ -109,7 +110,8 @@ pub(super) struct Together {
 /// Vertices that are put side by side at a time: they fit in the nearest cache.
 const SOME: usize = 256;
 
-/// The memory of eight steps side by side, kept from chunk to chunk so that its pages are not asked for again.
+/// The memory of eight steps side by side, kept from chunk to chunk so that its pages are not asked
+/// for again.
 #[derive(Default)]
 pub struct Room(Vec<Vec<Vertex>>);
 
@@ -158,7 +160,8 @@ impl Together {
     }
 }
 
-/// One for the corner that is the least, minus one for the one that is the largest; of equal ones any. No value is NaN.
+/// One for the corner that is the least, minus one for the one that is the largest; of equal ones
+/// any. No value is NaN.
 #[inline(always)]
 pub(super) fn ends_of<const N: usize>([a, b, c, d]: &[[f32; N]; 4]) -> [[i32; N]; 4] {
     let mut out = [[0; N]; 4];

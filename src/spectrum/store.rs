@@ -1,4 +1,5 @@
-//! A spectrum as a segment: block 0 has the knots, the others the levels, 4096 a page. `FORMAT.md` specifies the bytes.
+//! A spectrum as a segment: block 0 has the knots, the others the levels, 4096 a page. `FORMAT.md`
+//! specifies the bytes.
 
 use super::builder::SpectrumBuilder;
 use super::design::MOST_LEVELS;
@@ -181,7 +182,8 @@ impl SpectrumFile {
         self.segment().map_or(0, Segment::bytes_read)
     }
 
-    /// The number of active tetrahedra, exactly; `None` at an isovalue at which it is not stored. Reads a page.
+    /// The number of active tetrahedra, exactly; `None` at an isovalue at which it is not stored.
+    /// Reads a page.
     ///
     /// # Errors
     /// [`Error::BadInput`] for a damaged page.
@@ -209,7 +211,8 @@ impl SpectrumFile {
         Ok(Some(active))
     }
 
-    /// Reads the whole file: every checksum, and whether it has the blocks that `expected` would write.
+    /// Reads the whole file: every checksum, and whether it has the blocks that `expected` would
+    /// write.
     ///
     /// # Errors
     /// The first thing that is wrong.

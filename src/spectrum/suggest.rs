@@ -1,13 +1,16 @@
 //! Isovalues that are worth a look: those whose isosurface is sharp and large.
 //!
-//! Where the field passes from one material to another it is steep, so a boundary shows as a maximum of the mean gradient of the
-//! isosurface, T(v) / A(v) (Pekar, Wiemker, Hempel 2001, "Fast detection of meaningful isosurfaces for volume data visualization", look
-//! for the same with histograms). By itself that finds the smallest, sharpest surfaces, and the total gradient T(v) the largest, noise
-//! included; we take the geometric mean of the two, T(v) / √A(v). It is smoothed over 4 % of the range, for noise has no width, and each
-//! local maximum is told that stands out of its surroundings by 3 % of the largest one, the most marked first.
+//! Where the field passes from one material to another it is steep, so a boundary shows as a
+//! maximum of the mean gradient of the isosurface, T(v) / A(v) (Pekar, Wiemker, Hempel 2001, "Fast
+//! detection of meaningful isosurfaces for volume data visualization", look for the same with
+//! histograms). By itself that finds the smallest, sharpest surfaces, and the total gradient T(v)
+//! the largest, noise included; we take the geometric mean of the two, T(v) / √A(v). It is smoothed
+//! over 4 % of the range, for noise has no width, and each local maximum is told that stands out of
+//! its surroundings by 3 % of the largest one, the most marked first.
 //!
-//! On scans with known surfaces: an engine (60, 150) gives 50 and 163; a tooth (600, 1000) 650, 940 and 300; a lung (-500, 200) -7, -525 and -1040. A
-//! suggestion is a place to begin at, not an answer.
+//! On scans with known surfaces: an engine (60, 150) gives 50 and 163; a tooth (600, 1000) 650, 940
+//! and 300; a lung (-500, 200) -7, -525 and -1040. A suggestion is a place to begin at, not an
+//! answer.
 
 use super::grid::{Family, Step};
 use super::{Knot, Spectrum};
@@ -42,7 +45,8 @@ pub fn suggest(spectrum: &Spectrum) -> Vec<Suggestion> {
     found
 }
 
-/// The roundest number not further from a knot than half the way to the next: a person would rather read 0.05 than 0.0498046875.
+/// The roundest number not further from a knot than half the way to the next: a person would rather
+/// read 0.05 than 0.0498046875.
 fn round_near(spectrum: &Spectrum, i: usize) -> f32 {
     let at = |i: usize| f64::from(spectrum.knots[i].isovalue);
     let way = if i + 1 < spectrum.knots.len() { at(i + 1) - at(i) } else { at(i) - at(i.saturating_sub(1)) };

@@ -1,11 +1,14 @@
 //! The sums of a step, while they are made.
 //!
-//! Knots are looked at eight by eight, from the first one in a tetrahedron's range: most ranges have no more, so that the machine can foretell what comes next.
-//! Eights that begin at different knots overlap; each has sums of its own, so that what is read is what was written, and the processor need
-//! not wait for parts of two writes. In the end the eight sums of a knot are added up.
+//! Knots are looked at eight by eight, from the first one in a tetrahedron's range: most ranges
+//! have no more, so that the machine can foretell what comes next. Eights that begin at different
+//! knots overlap; each has sums of its own, so that what is read is what was written, and the
+//! processor need not wait for parts of two writes. In the end the eight sums of a knot are added
+//! up.
 //!
-//! Active tetrahedra are counted at their corners: one more at the least, one less at the largest. Only when all have been counted it is asked where the
-//! corners lie among the isovalues; a vertex has some two dozen tetrahedra.
+//! Active tetrahedra are counted at their corners: one more at the least, one less at the largest.
+//! Only when all have been counted it is asked where the corners lie among the isovalues; a vertex
+//! has some two dozen tetrahedra.
 
 use super::design::{Design, MOST_KNOTS};
 use super::grid::{BinaryPlaces, Places};
@@ -22,11 +25,13 @@ const _: () = assert!(CUTS.is_power_of_two() && CUTS < VOID as usize);
 /// The sums of a step, in one piece: so those of the next one are found without a look elsewhere.
 #[repr(C, align(64))]
 pub(super) struct Sums {
-    /// At the knots from each one on, of tetrahedra whose least value has so many knots at or below it.
+    /// At the knots from each one on, of tetrahedra whose least value has so many knots at or below
+    /// it.
     cuts: [Cut; CUTS],
     /// Isovalues, and behind the last one such as would follow.
     knots: [f64; CUTS + KNOTS],
-    /// Volume of tetrahedra whose least value has so many knots at or below it; the last is that of void ones.
+    /// Volume of tetrahedra whose least value has so many knots at or below it; the last is that of
+    /// void ones.
     whole: [f64; VOID as usize + 1],
 }
 

@@ -1,6 +1,7 @@
 //! What a tetrahedron contributes at the knots in its range.
 //!
-//! With the corner values in order, f0 <= f1 <= f2 <= f3, and `d01 = 1 / (f1 - f0)` and so on, let at an isovalue v be
+//! With the corner values in order, f0 <= f1 <= f2 <= f3, and `d01 = 1 / (f1 - f0)` and so on, let
+//! at an isovalue v be
 //!
 //! ```text
 //!   a   = (v - f0)·d01, at most 1              t02 = (v - f0)·d02     t03 = (v - f0)·d03
@@ -8,20 +9,24 @@
 //!   c   = (f3 - v)·d23, from 0 to b            w   = t02·(a - b) + s13·c
 //! ```
 //!
-//! Then the density of the volume over the values is `3·d03·w`, whichever of the three parabolas holds: below f1 it is t02·a, for b and c are 0; above f2 it is
-//! s13·c, for a and b are 1; between, t02·(1 - b) + s13·b. The share of the volume above v is `1 - b + s13·c - t03·w`: up to f2 the wedge below is three tetrahedra.
-//! Where two values are equal, the one over their difference is a number so large that the clamps do what the limit does, and no
-//! product overflows: differences of `f32` are at least 2^-149. So there is no branch, no NaN, and above f3 all is 0.
+//! Then the density of the volume over the values is `3·d03·w`, whichever of the three parabolas
+//! holds: below f1 it is t02·a, for b and c are 0; above f2 it is s13·c, for a and b are 1;
+//! between, t02·(1 - b) + s13·b. The share of the volume above v is `1 - b + s13·c - t03·w`: up to
+//! f2 the wedge below is three tetrahedra. Where two values are equal, the one over their
+//! difference is a number so large that the clamps do what the limit does, and no product
+//! overflows: differences of `f32` are at least 2^-149. So there is no branch, no NaN, and above f3
+//! all is 0.
 //!
-//! The six quotients of a tetrahedron cost one division: each is the product of what is not its own over the product of all six, which
-//! is between 2^-894 and 2^774.
+//! The six quotients of a tetrahedron cost one division: each is the product of what is not its own
+//! over the product of all six, which is between 2^-894 and 2^774.
 
 use super::design::Design;
 use super::sums::VOID;
 use crate::exec::lanes::{Floats, Four, Wide, four, sorted, three};
 use crate::mesh::tet::Tet;
 
-/// Tetrahedra that are looked at together: so many that of the sums of some steps those near their values are fetched once for many of them.
+/// Tetrahedra that are looked at together: so many that of the sums of some steps those near their
+/// values are fetched once for many of them.
 pub(super) const BATCH: usize = 64;
 /// Knots that are looked at together.
 pub(super) const KNOTS: usize = 8;
@@ -32,7 +37,8 @@ type Column = [[f64; 4]; BATCH / 4];
 /// What of a tetrahedron does not depend on values.
 #[derive(Default)]
 pub(super) struct Shapes {
-    /// The cross products of the edges from the first corner: those without the edge to the second, third, fourth corner.
+    /// The cross products of the edges from the first corner: those without the edge to the second,
+    /// third, fourth corner.
     normals: [[Column; 3]; 3],
     /// Six times the volume, and one over that, or 0.
     six: Column,
@@ -130,7 +136,8 @@ fn edge<W: Four>(
     [x, y, z]
 }
 
-/// What the sums at the knots are made from, of some tetrahedra, or of one at some steps: numbers that [`Pieces`] names.
+/// What the sums at the knots are made from, of some tetrahedra, or of one at some steps: numbers
+/// that [`Pieces`] names.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 pub(super) struct PiecesOf {
@@ -147,7 +154,8 @@ pub(super) struct PiecesOf {
 /// So large that the last bits of a number a little larger are those of an integer.
 const WHOLE: f64 = (1u64 << 52) as f64;
 
-/// Where knots lie, of a step in each lane: what takes a value to steps between knots, and a multiple to a number whose last byte is that of the knots below it.
+/// Where knots lie, of a step in each lane: what takes a value to steps between knots, and a
+/// multiple to a number whose last byte is that of the knots below it.
 #[derive(Clone, Copy)]
 pub(super) struct Ladder<W> {
     step: W,
@@ -308,8 +316,8 @@ impl<W: Wide> Pieces<W> {
         }
     }
 
-    /// Adds what the tetrahedron, of this volume and largest value, has at some knots, of which the first is above its least value. What it has at others than those
-    /// in its range is 0.
+    /// Adds what the tetrahedron, of this volume and largest value, has at some knots, of which the
+    /// first is above its least value. What it has at others than those in its range is 0.
     #[inline(always)]
     pub(super) fn add(&self, proof: W::Proof, volume: f64, most: f64, knots: &[f64; KNOTS], sums: &mut Cut) {
         let wide: &[W::Lanes] = bytemuck::cast_slice(knots);

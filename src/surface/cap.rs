@@ -2,10 +2,10 @@
 //!
 //! # How does it work?
 //!
-//! What the surface encloses ends at the domain's faces too. There the tetrahedra have boundary triangles: three corners on one
-//! face of the box, exactly, as positions are integers. The inside part of each of them is added, clipped at the
-//! crossings that the surface has on the same edges; so caps and surface share vertices, and every rim edge of the surface
-//! gets its second triangle:
+//! What the surface encloses ends at the domain's faces too. There the tetrahedra have boundary
+//! triangles: three corners on one face of the box, exactly, as positions are integers. The inside
+//! part of each of them is added, clipped at the crossings that the surface has on the same edges;
+//! so caps and surface share vertices, and every rim edge of the surface gets its second triangle:
 //!
 //! ```text
 //!      inside c                 1 corner inside:  (c, ca, bc)
@@ -15,11 +15,13 @@
 //!  outside a----b  outside      a corner's key is the pair of its id with itself, a crossing's that of its edge
 //! ```
 //!
-//! Surface and caps together are the boundary of the inside of the tetrahedra: closed, oriented outwards. A void
-//! tetrahedron has no inside: around missing samples the surface stays open, and its boundary triangles get no cap.
+//! Surface and caps together are the boundary of the inside of the tetrahedra: closed, oriented
+//! outwards. A void tetrahedron has no inside: around missing samples the surface stays open, and
+//! its boundary triangles get no cap.
 //!
-//! The normal of a cap's corner is that of the face, on an edge of the box the mean of two; so is that of a vertex of the rim, though the
-//! surface has it too: a cap is flat, and decimation leaves few of its corners besides those of the rim.
+//! The normal of a cap's corner is that of the face, on an edge of the box the mean of two; so is
+//! that of a vertex of the rim, though the surface has it too: a cap is flat, and decimation leaves
+//! few of its corners besides those of the rim.
 
 use super::WorldMap;
 use super::marching_tets::{CellSource, ChunkSurface, in_order};
@@ -28,10 +30,12 @@ use crate::mesh::tet::Tet;
 
 /// The faces of a positively oriented tetrahedron, counter-clockwise seen from outside.
 const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
-/// What a cap's triangle adds to the gradient at its corners: far more than tetrahedra do at a crossing (about 2^30), far from overflow.
+/// What a cap's triangle adds to the gradient at its corners: far more than tetrahedra do at a
+/// crossing (about 2^30), far from overflow.
 const PULL: i64 = 1 << 45;
 
-/// The side of the box `0 ..= top` that three points lie on: its axis, and whether it is the upper one.
+/// The side of the box `0 ..= top` that three points lie on: its axis, and whether it is the upper
+/// one.
 fn side_of(corners: [LatticePos; 3], top: LatticePos) -> Option<(usize, bool)> {
     (0..3).find_map(|axis| {
         let at = |x: u32| corners.iter().all(|c| c[axis] == x);
@@ -45,8 +49,9 @@ fn has_boundary_face(corners: [LatticePos; 4], top: LatticePos) -> bool {
 }
 
 impl ChunkSurface {
-    /// Adds the caps of tetrahedra of a block: the inside parts of their faces on the boundary of the box from 0 to
-    /// `top`. Active or not, each tetrahedron of the mesh at the boundary is to be given once; void ones are passed over.
+    /// Adds the caps of tetrahedra of a block: the inside parts of their faces on the boundary of
+    /// the box from 0 to `top`. Active or not, each tetrahedron of the mesh at the boundary is to
+    /// be given once; void ones are passed over.
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.

@@ -1,5 +1,6 @@
-//! The cases of marching tetrahedra, derived at compile time: which edges are crossed, which triangles they make; and the order of four
-//! corners from the comparisons of their ids. The picture is in [`super::marching_tets`].
+//! The cases of marching tetrahedra, derived at compile time: which edges are crossed, which
+//! triangles they make; and the order of four corners from the comparisons of their ids. The
+//! picture is in [`super::marching_tets`].
 
 /// The six edges of a tetrahedron with sorted corners, in the order of their keys.
 pub(super) const EDGES: [[u8; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
@@ -7,18 +8,21 @@ pub(super) const EDGES: [[u8; 2]; 6] = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], 
 /// What to do with a tetrahedron of sorted corners.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Case {
-    /// The corners of its crossed edges, ascending; the last is the first again where there are but three.
+    /// The corners of its crossed edges, ascending; the last is the first again where there are but
+    /// three.
     pub(super) edges: [[u8; 2]; 4],
     /// Their places in [`EDGES`].
     pub(super) numbers: [u8; 4],
-    /// Triangles of places in `edges`, each beginning with its smallest; the first `triangles` count.
+    /// Triangles of places in `edges`, each beginning with its smallest; the first `triangles`
+    /// count.
     pub(super) corners: [[u8; 3]; 2],
     /// The same triangles, of places in [`EDGES`].
     pub(super) sides: [[u8; 3]; 2],
     pub(super) triangles: u8,
 }
 
-/// The bit of a case whose corners' order is an odd permutation of a positively oriented tetrahedron.
+/// The bit of a case whose corners' order is an odd permutation of a positively oriented
+/// tetrahedron.
 pub(super) const ODD: u8 = 16;
 
 /// By the mask of corners inside, and [`ODD`].
@@ -39,9 +43,10 @@ pub(super) static CASES: [Case; 32] = {
 
 /// The case of a mask that is neither empty nor full, the corners positively oriented.
 ///
-/// In a positively oriented tetrahedron (i, j, k, l), the triangle (ij, ik, il) looks away from i, and the quadrilateral
-/// (ik, il, jl, jk) from i and j to k and l. So list the corners inside, then those outside, each ascending; one corner
-/// alone is put first; an odd list, or a corner alone outside, turns the polygon over.
+/// In a positively oriented tetrahedron (i, j, k, l), the triangle (ij, ik, il) looks away from i,
+/// and the quadrilateral (ik, il, jl, jk) from i and j to k and l. So list the corners inside, then
+/// those outside, each ascending; one corner alone is put first; an odd list, or a corner alone
+/// outside, turns the polygon over.
 const fn derive_case(mask: usize) -> Case {
     let inside = mask.count_ones();
     let alone_outside = inside == 3;
@@ -157,7 +162,8 @@ pub(super) struct OrderOf {
     pub(super) odd: u8,
 }
 
-/// By the six comparisons of the ids of corners i < j, in the order of [`EDGES`]: whether that of j is less.
+/// By the six comparisons of the ids of corners i < j, in the order of [`EDGES`]: whether that of j
+/// is less.
 pub(super) static ORDERS: [OrderOf; 64] = {
     let mut orders = [OrderOf { corners: [0; 4], odd: 0 }; 64];
     let mut swapped = 0;

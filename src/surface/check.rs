@@ -2,8 +2,8 @@
 //!
 //! # How does it work?
 //!
-//! The triangles are listed by vertex (a counting sort). Then each vertex `v` is looked at alone, through its *link*: every
-//! triangle (v, n, p) contributes the directed edge n → p.
+//! The triangles are listed by vertex (a counting sort). Then each vertex `v` is looked at alone,
+//! through its *link*: every triangle (v, n, p) contributes the directed edge n → p.
 //!
 //! ```text
 //!        n---p             an end u of link edges is an edge (v, u) of the mesh:
@@ -13,20 +13,24 @@
 //!       \/___\/              three times or more      non-manifold edge
 //! ```
 //!
-//! `v` is manifold when its link is one cycle (inside) or one path (on the boundary): connected, every end seen at
-//! most twice. Edges are counted at their smaller vertex, duplicate triangles at their smallest.
+//! `v` is manifold when its link is one cycle (inside) or one path (on the boundary): connected,
+//! every end seen at most twice. Edges are counted at their smaller vertex, duplicate triangles at
+//! their smallest.
 //!
 //! # Surfaces larger than memory
-//! Arcs (v, n, p) of all triangles are sorted by v, beyond memory on disk, and the links come out one after the other. Positions
-//! lie in a store that is read through a cache. What must be in memory, and is asked for in [`CheckSettings::memory`]:
+//! Arcs (v, n, p) of all triangles are sorted by v, beyond memory on disk, and the links come out
+//! one after the other. Positions lie in a store that is read through a cache. What must be in
+//! memory, and is asked for in [`CheckSettings::memory`]:
 //!
-//! * 4 bytes a vertex for the connected pieces (union-find; one array, used for the surface and then for its rims);
+//! * 4 bytes a vertex for the connected pieces (union-find; one array, used for the surface and
+//!   then for its rims);
 //! * the link of one vertex, about 80 bytes a triangle at the vertex of the most triangles.
 //!
-//! The report is the same whatever the memory: the same steps are taken, and sums run over the triangles in their order.
+//! The report is the same whatever the memory: the same steps are taken, and sums run over the
+//! triangles in their order.
 //!
-//! Cost: O(t log t) time for t triangles. Disk, if memory does not hold them: 36 bytes a triangle, 12 a vertex, 8 a
-//! boundary edge.
+//! Cost: O(t log t) time for t triangles. Disk, if memory does not hold them: 36 bytes a triangle,
+//! 12 a vertex, 8 a boundary edge.
 //!
 //! It does *not* look for triangles that intersect each other.
 
@@ -38,7 +42,8 @@ use crate::grid::Geometry;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// What [`check`] finds. Triangles with a repeated or an absent vertex are counted, and otherwise ignored.
+/// What [`check`] finds. Triangles with a repeated or an absent vertex are counted, and otherwise
+/// ignored.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct SurfaceReport {
     /// Vertices of the mesh.
@@ -75,15 +80,16 @@ pub struct SurfaceReport {
     pub euler: i64,
     /// Area.
     pub area: f64,
-    /// Enclosed volume, positive when triangles are counter-clockwise seen from outside; only for a closed, manifold,
-    /// oriented surface.
+    /// Enclosed volume, positive when triangles are counter-clockwise seen from outside; only for a
+    /// closed, manifold, oriented surface.
     pub volume: Option<f64>,
     /// Smallest and largest coordinates of the vertices in use.
     pub bounding_box: Option<[[f32; 3]; 2]>,
 }
 
 impl SurfaceReport {
-    /// Every edge has at most two triangles, every vertex one fan, and no triangle is degenerate, double or out of range.
+    /// Every edge has at most two triangles, every vertex one fan, and no triangle is degenerate,
+    /// double or out of range.
     pub fn is_manifold(&self) -> bool {
         self.non_manifold_edges == 0
             && self.non_manifold_vertices == 0
@@ -106,7 +112,8 @@ impl SurfaceReport {
 /// How a surface is checked.
 #[derive(Clone, Debug)]
 pub struct CheckSettings {
-    /// Bytes for everything that grows with the surface. An eighth of them is the source's own: see [`CheckSettings::of_source`].
+    /// Bytes for everything that grows with the surface. An eighth of them is the source's own: see
+    /// [`CheckSettings::of_source`].
     pub memory: u64,
     /// Folder for what does not fit in memory.
     pub scratch: PathBuf,
@@ -125,14 +132,16 @@ impl CheckSettings {
     }
 }
 
-/// Where the boundary of a surface may lie: on the faces of a volume's box, that of the samples 0 … dims - 1.
+/// Where the boundary of a surface may lie: on the faces of a volume's box, that of the samples 0 …
+/// dims - 1.
 #[derive(Clone, Copy, Debug)]
 pub struct Domain<'a> {
     /// Index space to the world, where the surface is.
     pub geometry: &'a Geometry,
     /// Samples along x, y, z.
     pub dims: [u64; 3],
-    /// How far, in voxels, a vertex may lie from a face. Vertices are rounded to `f32` in the world: it must allow for that.
+    /// How far, in voxels, a vertex may lie from a face. Vertices are rounded to `f32` in the
+    /// world: it must allow for that.
     pub tolerance: f64,
 }
 
@@ -154,11 +163,12 @@ pub fn check(mesh: &TriMesh) -> SurfaceReport {
         .0
 }
 
-/// Checks a surface within a given memory; also tells the boundary edges that are not on a face of the domain, if one is given.
+/// Checks a surface within a given memory; also tells the boundary edges that are not on a face of
+/// the domain, if one is given.
 ///
 /// # Errors
-/// [`Error::Budget`] when the memory does not suffice, naming what does; [`Error::Usage`] for 2^32 - 1 vertices or more; those of
-/// reading the source, and of the scratch folder.
+/// [`Error::Budget`] when the memory does not suffice, naming what does; [`Error::Usage`] for
+/// 2^32 - 1 vertices or more; those of reading the source, and of the scratch folder.
 pub fn check_source(
     source: &dyn SurfaceSource,
     domain: Option<&Domain<'_>>,
@@ -178,11 +188,12 @@ pub struct OpenEdges {
     pub at_missing: u64,
 }
 
-/// Edges as the positions of their ends, in the world; answers how many of them lie where there is no data.
+/// Edges as the positions of their ends, in the world; answers how many of them lie where there is
+/// no data.
 pub type Explain<'a> = dyn FnMut(&[[[f32; 3]; 2]]) -> Result<u64> + 'a;
 
-/// As [`check_source`], where boundary edges may also lie at what has no data: `at_missing` is asked about those on no face, so many at a time as
-/// [`EDGES_ASKED`] at most.
+/// As [`check_source`], where boundary edges may also lie at what has no data: `at_missing` is
+/// asked about those on no face, so many at a time as [`EDGES_ASKED`] at most.
 ///
 /// # Errors
 /// As [`check_source`], and those of `at_missing`.
@@ -245,8 +256,9 @@ pub fn boundary_edges(mesh: &TriMesh) -> Vec<[u32; 2]> {
     edges
 }
 
-/// Boundary edges that do not lie on a face of the domain box, that of the samples 0 … dims - 1: both ends must be within
-/// `tolerance` voxels of the same face. Vertices are rounded to `f32` in the world, so the tolerance must allow for that.
+/// Boundary edges that do not lie on a face of the domain box, that of the samples 0 … dims - 1:
+/// both ends must be within `tolerance` voxels of the same face. Vertices are rounded to `f32` in
+/// the world, so the tolerance must allow for that.
 pub fn boundary_outside(mesh: &TriMesh, geometry: &Geometry, dims: [u64; 3], tolerance: f64) -> u64 {
     let domain = Domain { geometry, dims, tolerance };
     let checked = check_source(mesh, Some(&domain), &CheckSettings::default());
@@ -257,7 +269,8 @@ pub fn boundary_outside(mesh: &TriMesh, geometry: &Geometry, dims: [u64; 3], tol
 const FIXED: u64 = 16 << 20;
 /// Below this the rest of the memory is not worth sorting in.
 const LEAST_REST: u64 = 4 << 20;
-/// Bytes of a link for each of its triangles: the arc, two ends, their distinct numbers and union-find; twice, as lists grow.
+/// Bytes of a link for each of its triangles: the arc, two ends, their distinct numbers and
+/// union-find; twice, as lists grow.
 const LINK_BYTES: u64 = 80;
 
 /// The memory of a check, as it is shared out.
@@ -334,7 +347,8 @@ fn is_good([a, b, c]: [u32; 3], vertices: u64) -> bool {
     [a, b, c].iter().all(|&v| u64::from(v) < vertices) && a != b && b != c && c != a
 }
 
-/// The arcs of the triangles of three different, existing vertices, by vertex; counts the other triangles.
+/// The arcs of the triangles of three different, existing vertices, by vertex; counts the other
+/// triangles.
 fn sorted_arcs(
     source: &dyn SurfaceSource,
     shares: &Shares<'_>,
@@ -439,7 +453,8 @@ fn measure(
     let Some([lo, hi]) = report.bounding_box else {
         return Ok(());
     };
-    // Seen from the middle of the surface, so that a far origin does not cancel the digits of the volume.
+    // Seen from the middle of the surface, so that a far origin does not cancel the digits of the
+    // volume.
     let middle: [f64; 3] = std::array::from_fn(|k| 0.5 * (f64::from(lo[k]) + f64::from(hi[k])));
     let (mut volume6, mut good) = (0.0, 0);
     source.triangles(&mut |batch| {
@@ -576,7 +591,8 @@ impl Link {
         groups == 1
     }
 
-    /// Triangles that repeat another of this vertex, which is the smallest of their three. Spoils the arcs' order.
+    /// Triangles that repeat another of this vertex, which is the smallest of their three. Spoils
+    /// the arcs' order.
     fn duplicates(&mut self, v: u32) -> u64 {
         self.arcs.retain(|arc| v < arc[0] && v < arc[1]);
         self.arcs.iter_mut().for_each(|arc| arc.sort_unstable());
@@ -621,7 +637,8 @@ impl Pieces {
 
     fn join(&mut self, a: u32, b: u32) {
         let (a, b) = (self.root_of(a), self.root_of(b));
-        // The smaller number becomes the root: with path halving that is fast enough, and needs no ranks.
+        // The smaller number becomes the root: with path halving that is fast enough, and needs no
+        // ranks.
         self.parents[a.max(b) as usize] = a.min(b);
     }
 

@@ -118,7 +118,8 @@ fn nothing_is_nothing() {
 #[test]
 fn rims_are_told_apart_from_the_domain_boundary() {
     let geometry = Geometry { origin: [5.0, 0.0, 0.0], spacing: [2.0, 1.0, 1.0], ..Geometry::default() };
-    // In index space: a strip from face x = 0 to face x = 3, at height z = 1, of a domain of 4 x 5 x 6 samples.
+    // In index space: a strip from face x = 0 to face x = 3, at height z = 1, of a domain of 4 x 5
+    // x 6 samples.
     let strip = |y0: f32, y1: f32| {
         let corners = [[0.0, y0, 1.0], [3.0, y0, 1.0], [3.0, y1, 1.0], [0.0, y1, 1.0]];
         let world = corners.map(|p: [f32; 3]| geometry.to_world(p.map(f64::from)).map(|x| x as f32));
@@ -174,7 +175,8 @@ proptest! {
         corners in prop::collection::vec([0usize..40, 0usize..40, 0usize..40], 0..300),
         shift in 0usize..600,
     ) {
-        // Few vertices in use: non-manifold edges, bow ties, repeated triangles and vertices, numbers that are none.
+        // Few vertices in use: non-manifold edges, bow ties, repeated triangles and vertices,
+        // numbers that are none.
         let triangles: Vec<[u32; 3]> = corners.iter().map(|t| t.map(|v| (v + shift) as u32)).collect();
         let positions: Vec<[f32; 3]> = places.iter().map(|&(x, y, z)| [x, y, [0.0, -0.0, 1.0][z]]).collect();
         let mesh = mesh(&positions, &triangles);

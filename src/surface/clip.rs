@@ -1,6 +1,7 @@
 //! Cutting a surface at planes.
 //!
-//! What lies in all half-spaces stays; a triangle across a plane is cut, and its pieces become a fan of triangles:
+//! What lies in all half-spaces stays; a triangle across a plane is cut, and its pieces become a
+//! fan of triangles:
 //!
 //! ```text
 //!        a                            A vertex is kept, or cut off. A cut edge has one new vertex, found by the
@@ -11,14 +12,14 @@
 //! ```
 //!
 //! # Guarantees
-//! A cut manifold is a manifold: each edge keeps its two triangles, or lies on a plane and has one. (A vertex that lies
-//! exactly on a plane, where the surface touches itself, is an exception that rounding can make.) The order of what
-//! stays is kept: vertices, then new ones by first use; whole triangles, then pieces. So the bytes are a function of the surface and
-//! the planes.
+//! A cut manifold is a manifold: each edge keeps its two triangles, or lies on a plane and has one.
+//! (A vertex that lies exactly on a plane, where the surface touches itself, is an exception that
+//! rounding can make.) The order of what stays is kept: vertices, then new ones by first use; whole
+//! triangles, then pieces. So the bytes are a function of the surface and the planes.
 //!
 //! # Cost
-//! Five passes over the surface; 5 bytes of memory a vertex, 100 a triangle across a plane. The new vertices' normals are those of the
-//! ends, interpolated.
+//! Five passes over the surface; 5 bytes of memory a vertex, 100 a triangle across a plane. The new
+//! vertices' normals are those of the ends, interpolated.
 //!
 //! Reference: Sutherland, Hodgman 1974, "Reentrant polygon clipping".
 
@@ -50,10 +51,12 @@ impl HalfSpace {
     }
 }
 
-/// Cuts a surface; at most 7 half-spaces. `memory` bounds what is held besides the result, whose place `settings` tells.
+/// Cuts a surface; at most 7 half-spaces. `memory` bounds what is held besides the result, whose
+/// place `settings` tells.
 ///
 /// # Errors
-/// [`Error::Budget`] when the memory does not suffice; those of reading the source and of the scratch file.
+/// [`Error::Budget`] when the memory does not suffice; those of reading the source and of the
+/// scratch file.
 pub fn clip(
     source: &dyn SurfaceSource,
     half_spaces: &[HalfSpace],
@@ -201,13 +204,15 @@ impl<'a> Cutter<'a> {
                 out.push(p);
             }
             if (dp > 0.0 && dq < 0.0) || (dp < 0.0 && dq > 0.0) {
-                // From the lower number to the higher, so that both triangles beside the edge agree.
+                // From the lower number to the higher, so that both triangles beside the edge
+                // agree.
                 out.push(if p < q { self.between(p, q, dp, dq) } else { self.between(q, p, dq, dp) });
             }
         }
     }
 
-    /// The vertex where the edge (p, q) crosses the plane, at which the distance goes from `dp` to `dq`.
+    /// The vertex where the edge (p, q) crosses the plane, at which the distance goes from `dp` to
+    /// `dq`.
     fn between(&mut self, p: u64, q: u64, dp: f64, dq: f64) -> u64 {
         if let Some(&known) = self.by_ends.get(&(p, q)) {
             return known;

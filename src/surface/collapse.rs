@@ -2,9 +2,10 @@
 //!
 //! # How does it work?
 //!
-//! Every vertex has a *quadric*: the sum over its triangles of area × squared distance to their planes, as a function of the
-//! place (Garland, Heckbert). An edge costs the sum of its ends' quadrics where that is least, and there its ends are
-//! joined; the cheapest edge of the patch is next, until the goal is reached or no edge may be collapsed:
+//! Every vertex has a *quadric*: the sum over its triangles of area × squared distance to their
+//! planes, as a function of the place (Garland, Heckbert). An edge costs the sum of its ends'
+//! quadrics where that is least, and there its ends are joined; the cheapest edge of the patch is
+//! next, until the goal is reached or no edge may be collapsed:
 //!
 //! ```text
 //!       a                 a           An edge (u, v) may be collapsed when
@@ -15,32 +16,34 @@
 //!     / | \             / | \         * the error stays within the goal's.
 //! ```
 //!
-//! A little of the squared distance to the vertices is added to their quadrics, so that the best place is unique on a plane
-//! and along a crease, and short edges go first there.
+//! A little of the squared distance to the vertices is added to their quadrics, so that the best
+//! place is unique on a plane and along a crease, and short edges go first there.
 //!
-//! **Fixed vertices** stay where they are and are never removed: those that triangles outside the patch use, those on a
-//! boundary, those that are no manifold. An edge with one fixed end collapses into it, an edge with two does not. The patch
-//! does not know the edges and triangles between fixed vertices that lie outside. So u is not collapsed into a fixed v when
-//! another fixed vertex besides a and b is beside u: no new edge between fixed vertices ever arises, and patches
-//! that share vertices can be worked on side by side.
+//! **Fixed vertices** stay where they are and are never removed: those that triangles outside the
+//! patch use, those on a boundary, those that are no manifold. An edge with one fixed end collapses
+//! into it, an edge with two does not. The patch does not know the edges and triangles between
+//! fixed vertices that lie outside. So u is not collapsed into a fixed v when another fixed vertex
+//! besides a and b is beside u: no new edge between fixed vertices ever arises, and patches that
+//! share vertices can be worked on side by side.
 //!
-//! **The error** of a vertex is an estimate of how far the surface around it is from the original: each collapse adds to
-//! the larger one of its ends the largest distance of the new place to the planes of the triangles that it replaces.
+//! **The error** of a vertex is an estimate of how far the surface around it is from the original:
+//! each collapse adds to the larger one of its ends the largest distance of the new place to the
+//! planes of the triangles that it replaces.
 //!
 //! # Determinism and cost
-//! Costs that are equal are told apart by vertex numbers; only `+ - * /` and `sqrt` decide. O(n log n); up to
-//! [`BYTES_PER_TRIANGLE`] for each triangle of the patch.
+//! Costs that are equal are told apart by vertex numbers; only `+ - * /` and `sqrt` decide. O(n log
+//! n); up to [`BYTES_PER_TRIANGLE`] for each triangle of the patch.
 //!
 //! # References
-//! Garland, Heckbert 1997, "Surface simplification using quadric error metrics". Dey, Edelsbrunner, Guha, Nekhayev 1999,
-//! "Topology preserving edge contraction".
+//! Garland, Heckbert 1997, "Surface simplification using quadric error metrics". Dey, Edelsbrunner,
+//! Guha, Nekhayev 1999, "Topology preserving edge contraction".
 
 use super::Vertex;
 use std::cmp::{Ordering, Reverse};
 use std::collections::BinaryHeap;
 
-/// Memory for a triangle of a patch: half a vertex (its fan, quadric, record), three halves of an edge in the queue, and what
-/// the queue grows by.
+/// Memory for a triangle of a patch: half a vertex (its fan, quadric, record), three halves of an
+/// edge in the queue, and what the queue grows by.
 pub(super) const BYTES_PER_TRIANGLE: u64 = 512;
 /// No vertex gets more triangles: what a collapse costs grows with them.
 const MOST_TRIANGLES: usize = 32;
@@ -48,7 +51,8 @@ const MOST_TRIANGLES: usize = 32;
 const NEAR: f64 = 1e-3;
 /// Least cosine between the normals of a triangle before and after.
 const LEAST_COSINE: f64 = 0.2;
-/// Least quality (1 for an equilateral triangle) of a new triangle, unless one that it replaces was worse.
+/// Least quality (1 for an equilateral triangle) of a new triangle, unless one that it replaces was
+/// worse.
 const LEAST_QUALITY: f64 = 0.05;
 const GONE: u32 = u32::MAX;
 
@@ -73,8 +77,8 @@ pub(super) struct Goal {
     pub(super) error: f64,
 }
 
-/// Collapses edges of a patch. The triangles that are left keep their order; vertices keep their numbers, though some
-/// have no triangle any more.
+/// Collapses edges of a patch. The triangles that are left keep their order; vertices keep their
+/// numbers, though some have no triangle any more.
 pub(super) fn collapse_edges(patch: &mut Patch, goal: Goal) {
     if patch.triangles.len() <= goal.triangles {
         return;
@@ -289,7 +293,8 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Where an edge would collapse to; `None` when both ends are fixed, or the cost is not a number.
+    /// Where an edge would collapse to; `None` when both ends are fixed, or the cost is not a
+    /// number.
     fn joined(&self, u: u32, v: u32) -> Option<Joined> {
         let (u, v) = (u.min(v), u.max(v));
         let sum = self.quadrics[u as usize].plus(&self.quadrics[v as usize]);
@@ -367,8 +372,8 @@ impl<'a> Work<'a> {
             .then_some([a, b])
     }
 
-    /// The largest distance of the new place to the planes of the triangles around the edge; `None` when a triangle that is
-    /// left would turn over or become a needle.
+    /// The largest distance of the new place to the planes of the triangles around the edge; `None`
+    /// when a triangle that is left would turn over or become a needle.
     fn shape_allows(&self, u: u32, v: u32, place: Vec3) -> Option<f64> {
         let (mut farthest, mut worst_before, mut worst) = (0.0f64, 1.0f64, 1.0f64);
         for (fan, other) in [(u, v), (v, u)] {

@@ -2,30 +2,34 @@
 //!
 //! # How does it work?
 //!
-//! Union-find over the vertices: the vertices of a triangle belong together. Of two roots the one of lower number stays, so a
-//! parent is never above its child, and one ascending pass turns parents into component numbers: a root opens a component,
-//! any other vertex has that of its parent, which came before. Components are so numbered by their first vertex. Two more passes
+//! Union-find over the vertices: the vertices of a triangle belong together. Of two roots the one
+//! of lower number stays, so a parent is never above its child, and one ascending pass turns
+//! parents into component numbers: a root opens a component, any other vertex has that of its
+//! parent, which came before. Components are so numbered by their first vertex. Two more passes
 //! measure them; then the kept ones are copied, in the old order.
 //!
-//! Vertices and triangles are read front to back; what is needed at random (parents, positions, components) lies in
-//! paged arrays within the memory given. Neighbouring triangles have near numbers, so few pages move.
+//! Vertices and triangles are read front to back; what is needed at random (parents, positions,
+//! components) lies in paged arrays within the memory given. Neighbouring triangles have near
+//! numbers, so few pages move.
 //!
 //! # What is measured?
 //!
-//! * *Volume*, of a closed component: what it encloses, positive, or negative when it bounds a cavity (its normals point to
-//!   what it encloses). Of an open one: the signed volume between it and the centre of its bounding box, the sum of the
-//!   tetrahedra that its triangles form with that point. It is a property of the component alone, wherever it lies, and that of
-//!   a closed surface where the opening is small and flat.
-//! * *Closed*: every edge is run along as often in one direction as in the other. Each triangle adds a 64-bit hash for an edge
-//!   that it runs up, and subtracts it for one that it runs down; a component is closed when all cancel. An open one passes
-//!   for closed with probability 2^-64.
+//! * *Volume*, of a closed component: what it encloses, positive, or negative when it bounds a
+//!   cavity (its normals point to what it encloses). Of an open one: the signed volume between it
+//!   and the centre of its bounding box, the sum of the tetrahedra that its triangles form with
+//!   that point. It is a property of the component alone, wherever it lies, and that of a closed
+//!   surface where the opening is small and flat.
+//! * *Closed*: every edge is run along as often in one direction as in the other. Each triangle
+//!   adds a 64-bit hash for an edge that it runs up, and subtracts it for one that it runs down; a
+//!   component is closed when all cancel. An open one passes for closed with probability 2^-64.
 //!
 //! # Cost
 //!
 //! O(n α(n)) time, five passes. Nothing depends on threads or memory but the time.
 //!
 //! # References
-//! Tarjan 1975, "Efficiency of a good but not linear set union algorithm"; path halving: Tarjan, van Leeuwen 1984.
+//! Tarjan 1975, "Efficiency of a good but not linear set union algorithm"; path halving: Tarjan,
+//! van Leeuwen 1984.
 
 use super::weld::{BuilderSettings, StoredSurface};
 use super::{SurfaceSource, Vertex};
@@ -61,7 +65,8 @@ pub struct Component {
     pub vertices: u64,
     /// Area.
     pub area: f64,
-    /// Enclosed volume; negative for a cavity. Of an open component: the volume between it and the centre of its bounding box.
+    /// Enclosed volume; negative for a cavity. Of an open component: the volume between it and the
+    /// centre of its bounding box.
     pub volume: f64,
     /// Whether it has no boundary.
     pub closed: bool,
@@ -89,7 +94,8 @@ const CHOICE: u64 = 32;
 /// Measures the components of a surface, and keeps those that the filter accepts.
 ///
 /// # Errors
-/// [`Error::Budget`] when more of the largest are wanted than memory holds; [`Error::Io`] for the scratch folder.
+/// [`Error::Budget`] when more of the largest are wanted than memory holds; [`Error::Io`] for the
+/// scratch folder.
 pub fn components(
     surface: StoredSurface,
     filter: &ComponentFilter,
@@ -310,7 +316,8 @@ impl Largest {
     }
 }
 
-/// Marks what is kept; also tells whether that is all there is, vertices without a triangle included.
+/// Marks what is kept; also tells whether that is all there is, vertices without a triangle
+/// included.
 fn choose(
     records: &mut Paged<Record>,
     filter: &ComponentFilter,

@@ -2,27 +2,31 @@
 //!
 //! # How does it work?
 //!
-//! A surface is taken in *patches* of 65 536 triangles, as they follow one another: those of a few neighbouring blocks of the mesh.
-//! Patches are decimated side by side (`collapse.rs`), each with the vertices fixed that others use, and written in order.
-//! So seams stay as dense as they were. The next pass shifts the patches by half, and what was a seam lies inside:
+//! A surface is taken in *patches* of 65 536 triangles, as they follow one another: those of a few
+//! neighbouring blocks of the mesh. Patches are decimated side by side (`collapse.rs`), each with
+//! the vertices fixed that others use, and written in order. So seams stay as dense as they were.
+//! The next pass shifts the patches by half, and what was a seam lies inside:
 //!
 //! ```text
 //!  pass 1   ├───────────┼───────────┼───────────┼────       ┼ seam, kept as it is
 //!  pass 2   ├─────┼───────────┼───────────┼──────────
 //! ```
 //!
-//! The first of several passes goes half of the way only, so that seams get their turn. Passes go on until the goal is
-//! reached, or one of them takes away less than 3 %, at most 12.
+//! The first of several passes goes half of the way only, so that seams get their turn. Passes go
+//! on until the goal is reached, or one of them takes away less than 3 %, at most 12.
 //!
 //! # Guarantees
-//! * Components, genus and boundaries stay what they are, an oriented manifold stays one; vertices on a boundary do not move.
-//! * The bytes are a function of the surface and the goal: patches are a number of triangles, not of bytes, so neither
-//!   threads nor memory show.
-//! * With `max_error`, no vertex's estimate exceeds it: the estimates of a vertex are handed on from pass to pass. It is
-//!   an estimate (see `collapse.rs`): what it is in truth was measured, not proven. Triangles are not kept from intersecting.
+//! * Components, genus and boundaries stay what they are, an oriented manifold stays one; vertices
+//!   on a boundary do not move.
+//! * The bytes are a function of the surface and the goal: patches are a number of triangles, not
+//!   of bytes, so neither threads nor memory show.
+//! * With `max_error`, no vertex's estimate exceeds it: the estimates of a vertex are handed on
+//!   from pass to pass. It is an estimate (see `collapse.rs`): what it is in truth was measured,
+//!   not proven. Triangles are not kept from intersecting.
 //!
 //! # Cost
-//! O(n log n) time; [`Decimation::least_memory`], and beyond that as many patches at a time as memory allows.
+//! O(n log n) time; [`Decimation::least_memory`], and beyond that as many patches at a time as
+//! memory allows.
 
 use super::collapse::{BYTES_PER_TRIANGLE, Goal, Patch, collapse_edges};
 use super::weld::{BuilderSettings, StoredSurface};
@@ -44,7 +48,8 @@ const TOO_LITTLE: f64 = 0.97;
 /// How far a surface is decimated: until one of the two is reached.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Decimation {
-    /// The part of the triangles to keep: 0.1 for a tenth. 0: as few as `max_error` and the topology allow.
+    /// The part of the triangles to keep: 0.1 for a tenth. 0: as few as `max_error` and the
+    /// topology allow.
     pub ratio: f64,
     /// The largest estimated distance from the original surface, in world units.
     pub max_error: f64,
@@ -80,7 +85,8 @@ impl Decimation {
     }
 }
 
-/// Memory for a patch of a surface of so many triangles: its working data, its triangles and vertices before.
+/// Memory for a patch of a surface of so many triangles: its working data, its triangles and
+/// vertices before.
 fn patch_bytes(triangles: u64) -> u64 {
     triangles.min(PATCH) * BYTES_PER_TRIANGLE
 }
@@ -101,8 +107,8 @@ pub struct DecimationReport {
 /// Decimates a surface. Uses the threads of the pool that it is called in.
 ///
 /// # Errors
-/// [`Error::Usage`] for a goal that makes no sense; [`Error::Budget`] below [`Decimation::least_memory`];
-/// [`Error::Cancelled`]; [`Error::Io`] for the scratch folder.
+/// [`Error::Usage`] for a goal that makes no sense; [`Error::Budget`] below
+/// [`Decimation::least_memory`]; [`Error::Cancelled`]; [`Error::Io`] for the scratch folder.
 pub fn decimate(
     surface: StoredSurface,
     goal: &Decimation,

@@ -1,7 +1,8 @@
 //! A vertex for each fan of triangles.
 //!
-//! Where tetrahedra are missing (void ones around missing samples, those outside of a mesh), the ones around a mesh edge can form several
-//! separate groups. The surface crosses the edge in one vertex, and has a fan of triangles there for each group:
+//! Where tetrahedra are missing (void ones around missing samples, those outside of a mesh), the
+//! ones around a mesh edge can form several separate groups. The surface crosses the edge in one
+//! vertex, and has a fan of triangles there for each group:
 //!
 //! ```text
 //!      \  A  /              A and B have the vertex v in common and no edge at it: the surface is no manifold
@@ -13,16 +14,18 @@
 //!
 //! # How does it work?
 //!
-//! A fan that is not closed has two edges of the rim at v, a closed one none; around a mesh edge there is one closed fan or some open
-//! ones. So first the vertices of the rim are found: each triangle adds at each corner a hash of the next corner and takes away
-//! one of the one before; where an edge has both its triangles, the two cancel. (A rim vertex passes for an inner one with probability 2^-64.) Then
-//! the corners at rim vertices are sorted by vertex and triangle, the fans of each vertex are told apart by union-find, and the triangles of
-//! further fans are rewritten.
+//! A fan that is not closed has two edges of the rim at v, a closed one none; around a mesh edge
+//! there is one closed fan or some open ones. So first the vertices of the rim are found: each
+//! triangle adds at each corner a hash of the next corner and takes away one of the one before;
+//! where an edge has both its triangles, the two cancel. (A rim vertex passes for an inner one with
+//! probability 2^-64.) Then the corners at rim vertices are sorted by vertex and triangle, the fans
+//! of each vertex are told apart by union-find, and the triangles of further fans are rewritten.
 //!
 //! # Cost
 //!
-//! Two passes over the triangles, and one more with a copy of them if a vertex was split; 8 bytes a vertex, in pages within the memory given.
-//! New vertices follow the old ones, in the order of the vertices that they are made from: a function of the surface alone.
+//! Two passes over the triangles, and one more with a copy of them if a vertex was split; 8 bytes a
+//! vertex, in pages within the memory given. New vertices follow the old ones, in the order of the
+//! vertices that they are made from: a function of the surface alone.
 
 use super::weld::{BuilderSettings, StoredSurface};
 use super::{SurfaceSource, Vertex};
@@ -36,11 +39,13 @@ type Corner = [u64; 4];
 /// A vertex that a triangle gets: the triangle, the vertex before, the new one.
 type Change = [u64; 3];
 
-/// Splits the vertices at which several fans meet. An oriented surface of which no edge has more than two triangles is a manifold then.
-/// `memory` bounds what is held besides the surface, whose place `settings` tells.
+/// Splits the vertices at which several fans meet. An oriented surface of which no edge has more
+/// than two triangles is a manifold then. `memory` bounds what is held besides the surface, whose
+/// place `settings` tells.
 ///
 /// # Errors
-/// [`Error::Usage`] when there would be 2^32 vertices or more; [`Error::Io`] for the scratch folder.
+/// [`Error::Usage`] when there would be 2^32 vertices or more; [`Error::Io`] for the scratch
+/// folder.
 pub fn split_fans(
     mut surface: StoredSurface,
     settings: &BuilderSettings,
@@ -143,7 +148,8 @@ fn fans(
     Ok(copies)
 }
 
-/// Numbers the fans of the corners at a vertex, by their first corner, and tells how many there are.
+/// Numbers the fans of the corners at a vertex, by their first corner, and tells how many there
+/// are.
 fn number_fans(around: &[Corner], fan_of: &mut Vec<u64>) -> u64 {
     // Corners with a neighbour in common are beside each other.
     let mut sides: Vec<(u64, usize)> =
@@ -194,7 +200,8 @@ mod tests {
         let scratch = tempfile::tempdir().unwrap();
         for memory_bytes in [0, 1 << 20] {
             let settings = BuilderSettings { memory_bytes, scratch: scratch.path().to_path_buf() };
-            // Three fans at vertex 0: triangles 0 and 3, 1, 2 and 4; and a tetrahedron, which is closed.
+            // Three fans at vertex 0: triangles 0 and 3, 1, 2 and 4; and a tetrahedron, which is
+            // closed.
             let triangles = [[0, 1, 2], [5, 0, 4], [0, 6, 7], [2, 3, 0], [7, 8, 0]];
             let closed = [[9, 10, 11], [10, 9, 12], [11, 10, 12], [9, 11, 12]];
             let all: Vec<[u32; 3]> = triangles.into_iter().chain(closed).collect();

@@ -1,4 +1,5 @@
-//! The arithmetic of a surface, four tetrahedra or edges at a time: vectors where the machine has them, and the same bits elsewhere.
+//! The arithmetic of a surface, four tetrahedra or edges at a time: vectors where the machine has
+//! them, and the same bits elsewhere.
 //!
 //! The formulas are those of [`super::marching_tets`]; each is evaluated in one order.
 
@@ -8,13 +9,16 @@ use crate::exec::lanes::Four;
 /// A corner: its position in lattice steps, at most 2^24, and so exact, and its value.
 pub(super) type Corner = [f32; 4];
 
-/// 6 V ∇f of a tetrahedron, and the largest component of that, in size; infinite or NaN if one of them is.
+/// 6 V ∇f of a tetrahedron, and the largest component of that, in size; infinite or NaN if one of
+/// them is.
 pub(super) type Gradient = [f64; 4];
 
-// Nothing here is a closure, nor calls one: what the compiler does not inline is not compiled for vectors.
+// Nothing here is a closure, nor calls one: what the compiler does not inline is not compiled for
+// vectors.
 
-/// The gradients of four tetrahedra, V > 0, whose corners are sorted; `signs` is -1 where that is an odd order. Differences and
-/// cross products of lattice positions are exact; the rest is rounded.
+/// The gradients of four tetrahedra, V > 0, whose corners are sorted; `signs` is -1 where that is
+/// an odd order. Differences and cross products of lattice positions are exact; the rest is
+/// rounded.
 #[inline(always)]
 pub(super) fn gradients<W: Four>(
     proof: W::Proof,
@@ -72,15 +76,17 @@ fn largest<W: Four>([x, y, z]: [W; 3]) -> W {
     x.max(y).max(z)
 }
 
-/// The powers of two that take |df| |b - a|² of edges to 2^28 … 2^29 (exactly so: only the exponents' bits are looked at).
+/// The powers of two that take |df| |b - a|² of edges to 2^28 … 2^29 (exactly so: only the
+/// exponents' bits are looked at).
 #[inline(always)]
 pub(super) fn units<W: Four>(proof: W::Proof, ends: [[&Corner; 2]; 4]) -> [f64; 4] {
     let d = edges::<W>(proof, ends);
     let length2 = d[0].times(d[0]).plus(d[1].times(d[1])).plus(d[2].times(d[2]));
     let mut units = d[3].times(length2).lanes();
     for unit in &mut units {
-        // The product of an f32 difference (2^-149 … 2^129, or infinite) and a squared length (up to 2^50) is a normal
-        // number or infinite, so the exponent below is that of a normal number.
+        // The product of an f32 difference (2^-149 … 2^129, or infinite) and a squared length (up
+        // to 2^50) is a normal number or infinite, so the exponent below is that of a normal
+        // number.
         let exponent = unit.to_bits() << 1 >> 53;
         *unit = f64::from_bits((2 * 1023 + 28 - exponent) << 52);
     }

@@ -2,9 +2,10 @@
 //!
 //! # How does it work?
 //!
-//! A corner whose value is `>= isovalue` is *inside*. A tetrahedron with corners on both sides is active, and the
-//! surface cuts it in one triangle (one corner against three) or one quadrilateral (two against two). The corners are
-//! first sorted by [`PointId`], so a tetrahedron gives the same triangles however its corners were listed:
+//! A corner whose value is `>= isovalue` is *inside*. A tetrahedron with corners on both sides is
+//! active, and the surface cuts it in one triangle (one corner against three) or one quadrilateral
+//! (two against two). The corners are first sorted by [`PointId`], so a tetrahedron gives the same
+//! triangles however its corners were listed:
 //!
 //! ```text
 //!          3                         3             corners sorted by id; edges numbered in the
@@ -19,52 +20,62 @@
 //!          1                         1
 //! ```
 //!
-//! The table of the 16 cases is derived at compile time (`cases.rs`). A tetrahedron with a NaN corner is *void* and
-//! gives nothing: no surface is invented across a hole in the data.
+//! The table of the 16 cases is derived at compile time (`cases.rs`). A tetrahedron with a NaN
+//! corner is *void* and gives nothing: no surface is invented across a hole in the data.
 //!
 //! # Where is a vertex?
 //!
-//! On the edge (a, b), a the lower id, at `a + t (b - a)`, `t = (isovalue - f_a) / (f_b - f_a)`, computed in `f64` from
-//! exact lattice positions in this one order: every tetrahedron and every chunk around the edge computes the same bits.
+//! On the edge (a, b), a the lower id, at `a + t (b - a)`, `t = (isovalue - f_a) / (f_b - f_a)`,
+//! computed in `f64` from exact lattice positions in this one order: every tetrahedron and every
+//! chunk around the edge computes the same bits.
 //!
-//! `t` is clamped to [1/1024, 1 - 1/1024]. Without that, a corner value equal to the isovalue would put the vertices
-//! of all its edges on one point, and zero-area triangles between them. The clamp moves a vertex by at most 1/1024 of
-//! its edge and cannot open or fold the surface: which edges carry a vertex, and which vertices a triangle joins, depend
-//! on inside and outside alone, never on `t`; the clamped surface is that of another field with the same corners inside.
-//! Nor can a triangle be degenerate: its three vertices lie strictly inside three edges of a tetrahedron that do not form
-//! one of its faces, so their barycentric coordinates are linearly independent. (Rounding to `f32` at the very end may
-//! still flatten a triangle that is smaller than the spacing of `f32` numbers at its place.)
+//! `t` is clamped to [1/1024, 1 - 1/1024]. Without that, a corner value equal to the isovalue would
+//! put the vertices of all its edges on one point, and zero-area triangles between them. The clamp
+//! moves a vertex by at most 1/1024 of its edge and cannot open or fold the surface: which edges
+//! carry a vertex, and which vertices a triangle joins, depend on inside and outside alone, never
+//! on `t`; the clamped surface is that of another field with the same corners inside. Nor can a
+//! triangle be degenerate: its three vertices lie strictly inside three edges of a tetrahedron that
+//! do not form one of its faces, so their barycentric coordinates are linearly independent.
+//! (Rounding to `f32` at the very end may still flatten a triangle that is smaller than the spacing
+//! of `f32` numbers at its place.)
 //!
-//! So the surface of a mesh of a box is a manifold, open only where the box ends. With voids, it also ends at them, and a
-//! vertex on an edge where two otherwise separate groups of non-void tetrahedra touch belongs to two sheets.
+//! So the surface of a mesh of a box is a manifold, open only where the box ends. With voids, it
+//! also ends at them, and a vertex on an edge where two otherwise separate groups of non-void
+//! tetrahedra touch belongs to two sheets.
 //!
 //! # Which way is its normal?
 //!
-//! Minus the mean gradient around the edge: the sum over the tetrahedra around it of volume × ∇f of the linear
-//! interpolant. With e_i = p_i - p_0 and d_i = f_i - f_0,
+//! Minus the mean gradient around the edge: the sum over the tetrahedra around it of volume × ∇f of
+//! the linear interpolant. With e_i = p_i - p_0 and d_i = f_i - f_0,
 //!
 //! ```text
 //! 6 V ∇f = d_1 (e_2 × e_3) + d_2 (e_3 × e_1) + d_3 (e_1 × e_2)
 //! ```
 //!
-//! All tetrahedra around a crossed edge are active, so all are seen, though maybe by several chunks. To make the sum
-//! independent of who adds what first, each term is rounded to integers, and integers are summed. The unit is a power of
-//! two made from the edge itself (|f_b - f_a| |p_b - p_a|² is about 2^28 units), so neither the range of the field nor the
-//! density of the points matters. A term longer than 2^50 units is shortened, its direction kept. Because the component of
-//! every term along the edge is 6 V (f_b - f_a), the terms cannot cancel; only infinite values leave no direction, and
-//! then the edge's own is used: the shortest gradient that explains its two values.
+//! All tetrahedra around a crossed edge are active, so all are seen, though maybe by several
+//! chunks. To make the sum independent of who adds what first, each term is rounded to integers,
+//! and integers are summed. The unit is a power of two made from the edge itself (|f_b - f_a|
+//! |p_b - p_a|² is about 2^28 units), so neither the range of the field nor the density of the
+//! points matters. A term longer than 2^50 units is shortened, its direction kept. Because the
+//! component of every term along the edge is 6 V (f_b - f_a), the terms cannot cancel; only
+//! infinite values leave no direction, and then the edge's own is used: the shortest gradient that
+//! explains its two values.
 //!
 //! # Cost
 //!
-//! The tetrahedra of a block are worked on together (`patch.rs`): their edges are found in a table of their ends, small enough for the nearest
-//! cache (`numbering.rs`), or, in a block whose values change, have been numbered before (`numbered.rs`); of a block that is kept for many isovalues all is known that does not
-//! depend on them (`known/`). Only those around which the block has not all tetrahedra, a third of the edges but most of the look-ups, are then found in
-//! their chunk, in a cache line of the edges of their lower corner (`edges.rs`). 4 bytes a corner, 24 a vertex, about 70 more for
-//! each of those edges, and 12 a triangle while a chunk is extracted. Buffers are kept for the next chunk.
+//! The tetrahedra of a block are worked on together (`patch.rs`): their edges are found in a table
+//! of their ends, small enough for the nearest cache (`numbering.rs`), or, in a block whose values
+//! change, have been numbered before (`numbered.rs`); of a block that is kept for many isovalues
+//! all is known that does not depend on them (`known/`). Only those around which the block has not
+//! all tetrahedra, a third of the edges but most of the look-ups, are then found in their chunk, in
+//! a cache line of the edges of their lower corner (`edges.rs`). 4 bytes a corner, 24 a vertex,
+//! about 70 more for each of those edges, and 12 a triangle while a chunk is extracted. Buffers are
+//! kept for the next chunk.
 //!
 //! # References
-//! Doi, Koide 1991, "An efficient method of triangulating equi-valued surfaces by using tetrahedral cells". The clamp
-//! is the symbolic perturbation of a value off the isovalue, made visible enough to leave every triangle an area.
+//! Doi, Koide 1991, "An efficient method of triangulating equi-valued surfaces by using tetrahedral
+//! cells". The clamp is the symbolic perturbation of a value off the isovalue, made visible enough
+//! to leave every triangle an area.
 
 use super::cases::{ODD, ORDERS};
 use super::edges::{EdgeTable, Found};
@@ -81,8 +92,8 @@ use crate::exec::{Avx2, with_vectors};
 use crate::geom::{LatticePos, PointId};
 use crate::mesh::tet::Tet;
 
-/// The corners and tetrahedra of (a part of) one chunk. Corner arrays are indexed by the numbers that the tetrahedra use; entries
-/// that no tetrahedron uses may hold anything.
+/// The corners and tetrahedra of (a part of) one chunk. Corner arrays are indexed by the numbers
+/// that the tetrahedra use; entries that no tetrahedron uses may hold anything.
 #[derive(Clone, Copy, Debug)]
 pub struct CellSource<'a> {
     /// Positions of the corners.
@@ -91,10 +102,11 @@ pub struct CellSource<'a> {
     pub values: &'a [f32],
     /// Ids of the corners.
     pub ids: &'a [PointId],
-    /// Whether tetrahedra of other chunks use the corner. `true` is always right, and costs memory in the builder.
+    /// Whether tetrahedra of other chunks use the corner. `true` is always right, and costs memory
+    /// in the builder.
     pub shared: &'a [bool],
-    /// The number that each corner has in the chunk, where `tets` number the corners of a block for themselves: then what is
-    /// looked at lies together.
+    /// The number that each corner has in the chunk, where `tets` number the corners of a block for
+    /// themselves: then what is looked at lies together.
     pub numbers: Option<&'a [u32]>,
     /// Positively oriented tetrahedra.
     pub tets: &'a [Tet],
@@ -111,7 +123,8 @@ pub struct SharedEdge {
     pub gradient: [i64; 3],
 }
 
-/// The surface of one chunk: vertices welded inside the chunk, in order of first use, and triangles.
+/// The surface of one chunk: vertices welded inside the chunk, in order of first use, and
+/// triangles.
 #[derive(Debug, Default)]
 pub struct ChunkSurface {
     pub(super) isovalue: f32,
@@ -119,7 +132,8 @@ pub struct ChunkSurface {
     /// The crossed edges that further tetrahedra may have, and what is known of each.
     pub(super) edges: EdgeTable,
     pub(super) open: Vec<OpenVertex>,
-    /// The vertices of edges that have numbers in the chunk: of those that were crossed since `start`.
+    /// The vertices of edges that have numbers in the chunk: of those that were crossed since
+    /// `start`.
     pub(super) of_numbers: Vec<u32>,
     pub(super) vertices: Vec<Vertex>,
     pub(super) shared: Vec<SharedEdge>,
@@ -132,7 +146,8 @@ pub struct ChunkSurface {
     joined: Joined,
 }
 
-/// What surfaces are worked on: buffers, some hundred kilobytes. One is enough for all surfaces that a thread works on.
+/// What surfaces are worked on: buffers, some hundred kilobytes. One is enough for all surfaces
+/// that a thread works on.
 #[derive(Debug, Default)]
 pub(crate) struct Workbench {
     numbering: Numbering,
@@ -143,7 +158,8 @@ pub(crate) struct Workbench {
 }
 
 impl Workbench {
-    /// Numbers a block, for many isovalues. `None` of one that is too large, or whose corners have no numbers in a chunk.
+    /// Numbers a block, for many isovalues. `None` of one that is too large, or whose corners have
+    /// no numbers in a chunk.
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
@@ -151,7 +167,8 @@ impl Workbench {
         NumberedBlock::of(block, &mut self.block)
     }
 
-    /// Finds out all about a block that does not depend on the isovalue. `None` of one that is too large.
+    /// Finds out all about a block that does not depend on the isovalue. `None` of one that is too
+    /// large.
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
@@ -188,7 +205,8 @@ struct Joined {
     first: Vec<u16>,
 }
 
-/// Extracts a chunk whose tetrahedra are all at hand. For several blocks use the three methods that this calls.
+/// Extracts a chunk whose tetrahedra are all at hand. For several blocks use the three methods that
+/// this calls.
 ///
 /// # Panics
 /// When a tetrahedron names a corner that is not there.
@@ -198,7 +216,8 @@ pub fn extract(cells: &CellSource<'_>, isovalue: f32, world: &WorldMap, out: &mu
     out.finish(world);
 }
 
-/// Calls a method for any kind of four lanes with those of AVX2, where they were found, or with plain ones: the same bits.
+/// Calls a method for any kind of four lanes with those of AVX2, where they were found, or with
+/// plain ones: the same bits.
 macro_rules! on_lanes {
     ($avx2:expr, $this:ident.$method:ident($($argument:expr),*)) => {
         match $avx2 {
@@ -274,7 +293,8 @@ impl ChunkSurface {
         }
     }
 
-    /// Adds the active tetrahedra of a numbered block, whose numbers in the chunk are below that of its corners.
+    /// Adds the active tetrahedra of a numbered block, whose numbers in the chunk are below that of
+    /// its corners.
     pub(crate) fn add_numbered(&mut self, block: &NumberedBlock, world: &WorldMap, bench: &mut Workbench) {
         self.add_numbered_on(block, world, bench, Avx2::found());
     }
@@ -325,7 +345,8 @@ impl ChunkSurface {
         self.triangles.extend(patch.triangles().iter().map(|t| t.map(vertex)));
     }
 
-    /// Finds the vertex of each edge of the patch, or numbers it. What the patch has alone is not looked for.
+    /// Finds the vertex of each edge of the patch, or numbers it. What the patch has alone is not
+    /// looked for.
     #[inline(always)]
     fn join_edges(&mut self, patch: &Patch, corners: &impl Corners) {
         let Joined { vertices, new, alone, first } = &mut self.joined;
@@ -357,7 +378,8 @@ impl ChunkSurface {
         }
     }
 
-    /// Adds the new vertices, with normals where their gradients are known; until then a normal is what [`along_edge`] takes.
+    /// Adds the new vertices, with normals where their gradients are known; until then a normal is
+    /// what [`along_edge`] takes.
     #[inline(always)]
     fn append_vertices<W: Four>(&mut self, proof: W::Proof, patch: &Patch, at: &[Corner], world: &WorldMap) {
         let Joined { vertices, new, alone, first } = &self.joined;
@@ -379,7 +401,8 @@ impl ChunkSurface {
         }
     }
 
-    /// Ends the chunk: finds normals, and turns the triangles over when `world`, the same as before, mirrors.
+    /// Ends the chunk: finds normals, and turns the triangles over when `world`, the same as
+    /// before, mirrors.
     pub fn finish(&mut self, world: &WorldMap) {
         on_lanes!(Avx2::found(), self.finish_normals(world));
         if world.mirrors() {
@@ -399,8 +422,9 @@ impl ChunkSurface {
             let normals = fours::normals::<W>(proof, &sums, world);
             for (open, normal) in four.iter().zip(normals) {
                 let edge = shared.next_if(|edge| edge.vertex == open.vertex);
-                // The sum of a shared edge is known only at the end: until then its normal is the one for want of a sum.
-                // A corner of a cap has no other for the time being: any part of its sum has a direction.
+                // The sum of a shared edge is known only at the end: until then its normal is the
+                // one for want of a sum. A corner of a cap has no other for the time being: any
+                // part of its sum has a direction.
                 let is_part = edge.as_ref().is_some_and(|edge| edge.key.0 != edge.key.1);
                 let vertex = &mut self.vertices[open.vertex as usize];
                 let normal = if is_part { None } else { normal };
@@ -434,7 +458,8 @@ impl ChunkSurface {
 
     /// Makes room for so many edges with numbers.
     pub(crate) fn number_edges(&mut self, count: usize) {
-        // Each is set before it is read, and a system hands out cleared pages when they are touched.
+        // Each is set before it is read, and a system hands out cleared pages when they are
+        // touched.
         if self.of_numbers.len() < count {
             self.of_numbers = vec![0; count];
         }
@@ -458,8 +483,8 @@ impl ChunkSurface {
         self.isovalue
     }
 
-    /// The number among the open vertices of that of a crossed edge, the corner of lower id first; or of that of a corner itself, as an
-    /// edge without length.
+    /// The number among the open vertices of that of a crossed edge, the corner of lower id first;
+    /// or of that of a corner itself, as an edge without length.
     pub(super) fn open_vertex(&mut self, cells: &CellSource<'_>, world: &WorldMap, ends: [u32; 2]) -> usize {
         let next = self.vertices.len() as u32;
         let numbers = match cells.numbers {
@@ -493,8 +518,8 @@ impl ChunkSurface {
     }
 }
 
-/// The number of an edge among the open vertices, and whether it is new: `next` is its vertex then. Its ends are told by their numbers
-/// in the chunk.
+/// The number of an edge among the open vertices, and whether it is new: `next` is its vertex then.
+/// Its ends are told by their numbers in the chunk.
 #[inline(always)]
 fn find_or_open(
     edges: &mut EdgeTable,
@@ -547,7 +572,8 @@ impl Sorted {
     }
 }
 
-/// The same tetrahedron, its corners in the order of their ids, except that the last two are swapped where its orientation asks for it.
+/// The same tetrahedron, its corners in the order of their ids, except that the last two are
+/// swapped where its orientation asks for it.
 ///
 /// # Panics
 /// When it names a corner that is not there.
@@ -557,7 +583,8 @@ pub(crate) fn in_order(ids: &[PointId], tet: &Tet) -> Tet {
     if case == ODD { [a, b, d, c] } else { [a, b, c, d] }
 }
 
-/// Finds active tetrahedra: on which side of the isovalue each corner is, a byte, is looked up instead of compared.
+/// Finds active tetrahedra: on which side of the isovalue each corner is, a byte, is looked up
+/// instead of compared.
 #[derive(Clone, Debug, Default)]
 pub struct Sides(Vec<u8>);
 
@@ -567,7 +594,8 @@ impl Sides {
     /// The sums of four corners of which some are inside and all others outside, as bits.
     const ACTIVE: u64 = 1 << (1 + 3 * 16) | 1 << (2 + 2 * 16) | 1 << (3 + 16);
 
-    /// Appends the active tetrahedra to `active`: those of which [`crate::mesh::tet::is_active`] holds.
+    /// Appends the active tetrahedra to `active`: those of which [`crate::mesh::tet::is_active`]
+    /// holds.
     ///
     /// # Panics
     /// When a tetrahedron names a corner without a value.
@@ -602,8 +630,8 @@ impl Sides {
     }
 }
 
-/// The normal for an edge without a gradient sum: that of the shortest gradient with the edge's two values, which goes from the
-/// lower one to the higher one.
+/// The normal for an edge without a gradient sum: that of the shortest gradient with the edge's two
+/// values, which goes from the lower one to the higher one.
 #[cold]
 pub(super) fn along_edge(up: [f32; 3], world: &WorldMap) -> [f32; 3] {
     let up = up.map(f64::from);

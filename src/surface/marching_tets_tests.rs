@@ -59,7 +59,8 @@ fn sixteen_cases_face_lower_values() {
             let count = [0, 1, 2, 1, 0][mask.count_ones() as usize];
             assert_eq!(mesh.triangles.len(), count, "{mask:04b}");
             for t in &mesh.triangles {
-                // In one tetrahedron the triangles lie in a plane of constant f, so their normal is the gradient's.
+                // In one tetrahedron the triangles lie in a plane of constant f, so their normal is
+                // the gradient's.
                 let normal = along_gradient(values, &geometry);
                 let facing = facing(&mesh, *t);
                 let length = facing.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -133,7 +134,8 @@ fn ball(centre: [f64; 3], radius: f64) -> impl Fn([f64; 3]) -> f64 {
     move |p| radius * radius - (0..3).map(|k| (p[k] - centre[k]) * (p[k] - centre[k])).sum::<f64>()
 }
 
-/// The largest angle's cosine between vertex normals and the direction from (or to, sign -1) the centre.
+/// The largest angle's cosine between vertex normals and the direction from (or to, sign -1) the
+/// centre.
 fn worst_cosine(mesh: &TriMesh, centre: [f64; 3], sign: f64) -> f64 {
     let cosine = |v: &Vertex| {
         let r: [f64; 3] = std::array::from_fn(|k| f64::from(v.position[k]) - centre[k]);
@@ -376,8 +378,8 @@ fn a_far_outlier_does_not_spoil_normals() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 
-    /// Values equal to the isovalue everywhere, corners off the grid, any chunks: a manifold up to the box, and the
-    /// chunks do not show.
+    /// Values equal to the isovalue everywhere, corners off the grid, any chunks: a manifold up to
+    /// the box, and the chunks do not show.
     #[test]
     fn random_levels_give_a_manifold(
         levels in prop::collection::vec(0u8..3, 125),
@@ -401,8 +403,8 @@ proptest! {
         prop_assert_eq!(triangle_set(&cut), triangle_set(&whole));
     }
 
-    /// The report of a surface and of the same with all values negated about the isovalue differ in orientation only,
-    /// unless a value is the isovalue.
+    /// The report of a surface and of the same with all values negated about the isovalue differ in
+    /// orientation only, unless a value is the isovalue.
     #[test]
     fn negation_turns_the_surface_over(values in prop::collection::vec(prop_oneof![-9i8..0, 1i8..9], 64)) {
         let grid = Grid::new([4; 3]);

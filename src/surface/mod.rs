@@ -5,9 +5,10 @@
 //!                    extract (any thread)   push (chunk order)   finish
 //! ```
 //!
-//! * [`marching_tets`] turns the active tetrahedra of one chunk into triangles, welded inside the chunk. Any number of
-//!   chunks may be extracted at once.
-//! * [`weld`] joins the chunks, in chunk order, by edge key, and stores the result on disk beyond a given size.
+//! * [`marching_tets`] turns the active tetrahedra of one chunk into triangles, welded inside the
+//!   chunk. Any number of chunks may be extracted at once.
+//! * [`weld`] joins the chunks, in chunk order, by edge key, and stores the result on disk beyond a
+//!   given size.
 //! * [`fans`] splits vertices at which a surface touches itself, where tetrahedra are missing.
 //! * [`clip`] cuts a finished surface at planes.
 //! * [`components`] measures the connected components and keeps some.
@@ -15,8 +16,9 @@
 //! * [`cap`] closes a surface where the domain ends.
 //! * [`check`] says of any triangle mesh whether it is closed, manifold and oriented.
 //!
-//! An edge of the mesh is the pair of its [`crate::geom::PointId`]s, the lower first. Everything about a surface vertex is a
-//! function of its edge, so neither the threads nor the cut into chunks show in the surface.
+//! An edge of the mesh is the pair of its [`crate::geom::PointId`]s, the lower first. Everything
+//! about a surface vertex is a function of its edge, so neither the threads nor the cut into chunks
+//! show in the surface.
 
 pub mod cap;
 mod cases;
@@ -53,7 +55,8 @@ pub struct Vertex {
     pub normal: [f32; 3],
 }
 
-/// A finished surface, to be read front to back as often as needed, in batches, without being in memory as a whole.
+/// A finished surface, to be read front to back as often as needed, in batches, without being in
+/// memory as a whole.
 pub trait SurfaceSource {
     /// Number of vertices.
     fn vertex_count(&self) -> u64;
@@ -64,7 +67,8 @@ pub trait SurfaceSource {
     /// # Errors
     /// Those of reading the store, and those of `each`.
     fn vertices(&self, each: &mut dyn FnMut(&[Vertex]) -> Result<()>) -> Result<()>;
-    /// Hands all triangles (three vertex numbers, counter-clockwise seen from outside) in order, in batches, to `each`.
+    /// Hands all triangles (three vertex numbers, counter-clockwise seen from outside) in order, in
+    /// batches, to `each`.
     ///
     /// # Errors
     /// Those of reading the store, and those of `each`.
@@ -124,7 +128,8 @@ pub struct Joined<'a> {
 }
 
 impl<'a> Joined<'a> {
-    /// The vertices of all parts, then their triangles, in order; no vertex is shared between parts.
+    /// The vertices of all parts, then their triangles, in order; no vertex is shared between
+    /// parts.
     pub fn new(parts: Vec<&'a dyn SurfaceSource>) -> Self {
         Self { parts }
     }
@@ -161,9 +166,9 @@ impl SurfaceSource for Joined<'_> {
 
 /// From the lattice to the world: positions as points, gradients as covectors.
 ///
-/// All in `f64`; a surface vertex is rounded to `f32` once, at the end. Far from the world's origin (more than about a
-/// million voxels) that rounding is coarser than 1/16 of a voxel, and small triangles may lose their area; the
-/// connectivity is never touched.
+/// All in `f64`; a surface vertex is rounded to `f32` once, at the end. Far from the world's origin
+/// (more than about a million voxels) that rounding is coarser than 1/16 of a voxel, and small
+/// triangles may lose their area; the connectivity is never touched.
 #[derive(Clone, Copy, Debug)]
 pub struct WorldMap {
     geometry: Geometry,
@@ -171,7 +176,8 @@ pub struct WorldMap {
     steps: [f64; 3],
     /// World vectors of the three unit vectors of index space.
     axes: [[f64; 3]; 3],
-    /// World covectors of the three unit covectors of the lattice, as long as those of index space where it has the fewest steps a voxel.
+    /// World covectors of the three unit covectors of the lattice, as long as those of index space
+    /// where it has the fewest steps a voxel.
     covectors: [[f64; 3]; 3],
     mirrors: bool,
 }
@@ -202,7 +208,8 @@ impl WorldMap {
     fn unit_normal(&self, g: [f64; 3]) -> Option<[f32; 3]> {
         let c = &self.covectors;
         let w: [f64; 3] = std::array::from_fn(|k| -(g[0] * c[0][k] + g[1] * c[1][k] + g[2] * c[2][k]));
-        // Scaled by the largest component first: spacings of 1e-200 are legal, and their squares vanish.
+        // Scaled by the largest component first: spacings of 1e-200 are legal, and their squares
+        // vanish.
         let [x, y, z] = w.map(f64::abs);
         let largest = if y < x { x } else { y };
         let largest = if z < largest { largest } else { z };
@@ -221,7 +228,8 @@ impl WorldMap {
         largest > 0.0 && largest.is_finite()
     }
 
-    /// A power of two that makes the largest component about 1; for the smallest numbers there is none large enough, nor need be.
+    /// A power of two that makes the largest component about 1; for the smallest numbers there is
+    /// none large enough, nor need be.
     #[inline(always)]
     fn scale_of(largest: f64) -> f64 {
         f64::from_bits((2046 - (largest.to_bits() >> 52).min(2045)) << 52)

@@ -1,10 +1,13 @@
-//! A block of tetrahedra whose corners and edges have been numbered once, for the values of one step after another. (Where isovalues change and values
-//! do not, more is known of a block: [`super::known`].)
+//! A block of tetrahedra whose corners and edges have been numbered once, for the values of one
+//! step after another. (Where isovalues change and values do not, more is known of a block:
+//! [`super::known`].)
 //!
-//! Corners are in the order of their ids. A tetrahedron of 16 bytes has the numbers of its corners and of its six edges, so that
-//! nothing is looked up when a surface is extracted, and edges with all their tetrahedra in the block ([`super::numbering`] tells which)
-//! come first, so that a number tells that too. Tetrahedra that follow each other have a range of values together, so that an
-//! isovalue passes over most of them. All of it is in one piece, in the order in which it is looked at:
+//! Corners are in the order of their ids. A tetrahedron of 16 bytes has the numbers of its corners
+//! and of its six edges, so that nothing is looked up when a surface is extracted, and edges with
+//! all their tetrahedra in the block ([`super::numbering`] tells which) come first, so that a
+//! number tells that too. Tetrahedra that follow each other have a range of values together, so
+//! that an isovalue passes over most of them. All of it is in one piece, in the order in which it
+//! is looked at:
 //!
 //! ```text
 //!  ranges of groups │ numbers of corners in the chunk │ corners: position, value │ tetrahedra │ ids of corners
@@ -23,7 +26,8 @@ use crate::mesh::tet::{Tet, is_active, range};
 
 /// Tetrahedra that have a range of values together.
 const GROUP: usize = 16;
-/// A tetrahedron, its last two corners swapped where the order of its ids is an odd permutation of a positively oriented one.
+/// A tetrahedron, its last two corners swapped where the order of its ids is an odd permutation of
+/// a positively oriented one.
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 struct NumberedTet {
@@ -69,7 +73,8 @@ impl BlockBuffers {
         slots.as_mut_slice().try_into().expect("it was made so long just now")
     }
 
-    /// Replaces `tets` by some, their edges numbered, those with all tetrahedra around them first; tells how many these are.
+    /// Replaces `tets` by some, their edges numbered, those with all tetrahedra around them first;
+    /// tells how many these are.
     fn number(&mut self, tets: impl ExactSizeIterator<Item = [u8; 4]>) -> u16 {
         let Self { ends, rings, .. } = self;
         ends.resize((6 * tets.len() + 1).max(ends.len()), [0; 2]);
@@ -93,7 +98,8 @@ impl BlockBuffers {
         alone
     }
 
-    /// Numbers edges in the order in which they are met, without a branch for each; tells how many there are.
+    /// Numbers edges in the order in which they are met, without a branch for each; tells how many
+    /// there are.
     fn list_edges(&mut self, tets: impl Iterator<Item = [u8; 4]>) -> usize {
         let (slots, mut count) = (Self::slots(&mut self.slots), 0);
         self.tets.clear();
@@ -120,7 +126,8 @@ impl BlockBuffers {
 }
 
 impl NumberedBlock {
-    /// Numbers a block. `None` of one with too many corners or tetrahedra, which is rare, or of corners without numbers in a chunk.
+    /// Numbers a block. `None` of one with too many corners or tetrahedra, which is rare, or of
+    /// corners without numbers in a chunk.
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
@@ -176,7 +183,8 @@ impl NumberedBlock {
     /// Gives the corners other values: those that `values` has at their numbers in the chunk.
     pub(crate) fn set_values(&mut self, values: &[f32]) {
         let [numbers, corners, tets, _] = self.starts();
-        // Nobody has asked for the ranges yet, and a look at all tetrahedra costs less than they would.
+        // Nobody has asked for the ranges yet, and a look at all tetrahedra costs less than they
+        // would.
         bytemuck::cast_slice_mut(&mut self.words[..numbers]).fill([f32::NEG_INFINITY, f32::INFINITY]);
         let (numbers, at) = self.words[numbers..tets].split_at_mut(corners - numbers);
         for (n, at) in numbers.iter().zip(at.chunks_exact_mut(4)) {

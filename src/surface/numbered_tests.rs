@@ -7,7 +7,8 @@ use crate::surface::testing::{Grid, mirrored};
 use crate::surface::{Vertex, WorldMap};
 use proptest::prelude::*;
 
-/// Blocks of neighbouring tetrahedra, with corners of their own, of which those on the faces of the grid are shared.
+/// Blocks of neighbouring tetrahedra, with corners of their own, of which those on the faces of the
+/// grid are shared.
 pub(in crate::surface) struct Blocks {
     pub(in crate::surface) grid: Grid,
     blocks: Vec<(Vec<u32>, Vec<Tet>)>,
@@ -54,7 +55,8 @@ impl Blocks {
         surface
     }
 
-    /// The surface of blocks that have not been numbered, and of those that have, with vectors where there are any and without.
+    /// The surface of blocks that have not been numbered, and of those that have, with vectors
+    /// where there are any and without.
     fn surfaces(&self, values: &[f32], isovalue: f32, geometry: &Geometry) -> [ChunkSurface; 3] {
         let world = WorldMap::new(&self.grid.lattice, geometry);
         let mut bench = Workbench::default();

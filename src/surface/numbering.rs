@@ -1,11 +1,12 @@
-//! Numbers the corners and edges of tetrahedra that nothing is known of, in the order in which they are met.
+//! Numbers the corners and edges of tetrahedra that nothing is known of, in the order in which they
+//! are met.
 //!
 //! An edge is found in a table of the numbers of its two ends.
 //!
 //! # Which edges has the patch alone?
 //!
-//! Those around which its tetrahedra close a ring. Around an edge (a, b) each tetrahedron has two further corners; in a
-//! ring every corner is met twice, by neighbours:
+//! Those around which its tetrahedra close a ring. Around an edge (a, b) each tetrahedron has two
+//! further corners; in a ring every corner is met twice, by neighbours:
 //!
 //! ```text
 //!      d───c          ring: (c,d) (d,e) (e,c)         fan: (c,d) (d,e)
@@ -14,11 +15,13 @@
 //!         e
 //! ```
 //!
-//! So the codes of the corners that are met are XORed: in a ring nothing is left. What a fan leaves is the codes of its two ends, and
-//! of up to 16 codes none is the XOR of others: they are columns of a parity check matrix of a code with distance 17 (Bose, Ray-Chaudhuri
-//! 1960, "On a class of error correcting binary group codes"). So up to [`SURE`] tetrahedra, which are as many fans at most, leave
-//! nothing if, and only if, they close rings; about edges with more, nothing is claimed. All tetrahedra at a crossed edge are active, so a
-//! ring has them all: its sum is final, and no table is asked for the edge.
+//! So the codes of the corners that are met are XORed: in a ring nothing is left. What a fan leaves
+//! is the codes of its two ends, and of up to 16 codes none is the XOR of others: they are columns
+//! of a parity check matrix of a code with distance 17 (Bose, Ray-Chaudhuri 1960, "On a class of
+//! error correcting binary group codes"). So up to [`SURE`] tetrahedra, which are as many fans at
+//! most, leave nothing if, and only if, they close rings; about edges with more, nothing is
+//! claimed. All tetrahedra at a crossed edge are active, so a ring has them all: its sum is final,
+//! and no table is asked for the edge.
 
 use super::fours::Corner;
 use super::marching_tets::{CellSource, Sorted};
@@ -32,7 +35,8 @@ const TETS: usize = 512;
 /// Slots for the edges between the corners of a patch.
 const SLOTS: usize = CORNERS * CORNERS;
 
-/// Buffers, some hundred kilobytes, from the first tetrahedron on. One is enough for all surfaces that a thread works on.
+/// Buffers, some hundred kilobytes, from the first tetrahedron on. One is enough for all surfaces
+/// that a thread works on.
 #[derive(Debug, Default)]
 pub(super) struct Numbering {
     /// The number here of each corner of the source.
@@ -54,8 +58,8 @@ pub(super) struct Ring {
     count: u32,
 }
 
-/// A code for each corner: x, x³, x⁵, … x¹⁵ of its number in the field of 256 elements, a byte each. As the two ends of a fan come together,
-/// their number is even, and 0 may have the code 0.
+/// A code for each corner: x, x³, x⁵, … x¹⁵ of its number in the field of 256 elements, a byte
+/// each. As the two ends of a fan come together, their number is even, and 0 may have the code 0.
 static CODES: [u64; CORNERS] = {
     let mut codes = [0; CORNERS];
     let mut x = 0;
@@ -74,7 +78,8 @@ static CODES: [u64; CORNERS] = {
 /// Tetrahedra at an edge of which the codes are sure to tell whether they close a ring.
 const SURE: u32 = 8;
 
-/// Of two elements of the field of 256 elements: polynomials over {0, 1}, modulo x⁸ + x⁴ + x³ + x² + 1.
+/// Of two elements of the field of 256 elements: polynomials over {0, 1}, modulo x⁸ + x⁴ + x³ +
+/// x² + 1.
 const fn product(mut a: u8, mut b: u8) -> u8 {
     let mut product = 0;
     while b != 0 {
@@ -123,7 +128,8 @@ fn empty_slots(slots: &mut Vec<u16>) -> &mut [u16; SLOTS] {
 }
 
 impl Numbering {
-    /// Lists the first ones of some active tetrahedra, while there is room for their corners; tells how many.
+    /// Lists the first ones of some active tetrahedra, while there is room for their corners; tells
+    /// how many.
     #[inline(always)]
     pub(super) fn list(
         &mut self,

@@ -1,4 +1,5 @@
-//! The corners of a block that is kept, in the order of their ids: what both kinds of such blocks have ([`super::numbered`], [`super::known`]).
+//! The corners of a block that is kept, in the order of their ids: what both kinds of such blocks
+//! have ([`super::numbered`], [`super::known`]).
 
 use super::fours::Corner;
 use super::marching_tets::CellSource;
@@ -18,7 +19,8 @@ pub(super) struct Order {
 }
 
 impl Order {
-    /// `None` of a block with too many corners or tetrahedra, which is rare, or of corners without numbers in a chunk.
+    /// `None` of a block with too many corners or tetrahedra, which is rare, or of corners without
+    /// numbers in a chunk.
     pub(super) fn of(cells: &CellSource<'_>) -> Option<Self> {
         let (numbers, len, tets) = (cells.numbers?, cells.ids.len(), cells.tets.len());
         if len > CORNERS || tets >= usize::from(u16::MAX) || numbers.iter().any(|&n| n >= SHARED) {

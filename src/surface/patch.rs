@@ -1,4 +1,5 @@
-//! The surface in some tetrahedra that lie together, by itself, before it becomes part of its chunk's.
+//! The surface in some tetrahedra that lie together, by itself, before it becomes part of its
+//! chunk's.
 //!
 //! Corners and edges have small numbers, so that all that is looked at stays in the nearest cache:
 //!
@@ -6,8 +7,9 @@
 //!  tetrahedra ─▶ corners, numbered ─▶ crossed edges, numbered; triangles ─▶ gradients ─▶ their sums around edges
 //! ```
 //!
-//! Each step is taken for all tetrahedra before the next one, without branches that depend on a single one. The numbers are found while
-//! tetrahedra are looked at ([`super::numbering`]), or are known from before ([`super::numbered`]); what follows is here.
+//! Each step is taken for all tetrahedra before the next one, without branches that depend on a
+//! single one. The numbers are found while tetrahedra are looked at ([`super::numbering`]), or are
+//! known from before ([`super::numbered`]); what follows is here.
 
 use super::cases::{CASES, Case, ODD};
 use super::fours::{self, Corner, Gradient};
@@ -62,7 +64,8 @@ pub(super) trait Corners {
 }
 
 impl Patch {
-    /// Empties the patch for up to so many tetrahedra. Each of their edges has a slot for its number, [`NO_EDGE`] before and after.
+    /// Empties the patch for up to so many tetrahedra. Each of their edges has a slot for its
+    /// number, [`NO_EDGE`] before and after.
     #[inline(always)]
     pub(super) fn list<'a, const SLOTS: usize>(
         &'a mut self,
@@ -232,7 +235,8 @@ pub(super) struct Listing<'a, const SLOTS: usize> {
 }
 
 impl<const SLOTS: usize> Listing<'_, SLOTS> {
-    /// Lists the next tetrahedron, and the triangles in it. `slot_of` tells the slot of the edge at a place of its case.
+    /// Lists the next tetrahedron, and the triangles in it. `slot_of` tells the slot of the edge at
+    /// a place of its case.
     ///
     /// A second triangle, a fourth edge are written where there is none too, and ignored.
     #[inline(always)]

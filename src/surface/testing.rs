@@ -15,7 +15,8 @@ pub(super) struct Grid {
     pub(super) tets: Vec<Tet>,
 }
 
-/// The six tetrahedra of a cube: one for each order of the axes, along the path from corner 000 to corner 111.
+/// The six tetrahedra of a cube: one for each order of the axes, along the path from corner 000 to
+/// corner 111.
 const PATHS: [([usize; 3], bool); 6] = [
     ([0, 1, 2], false),
     ([1, 2, 0], false),
@@ -32,7 +33,8 @@ impl Grid {
         let mut grid = Self { lattice, positions: Vec::new(), ids: Vec::new(), tets: Vec::new() };
         for k in 0..dims[2] {
             for (j, i) in (0..dims[1]).flat_map(|j| (0..dims[0]).map(move |i| (j, i))) {
-                // An odd factor permutes the numbers below 2^40: ids in no order that positions know.
+                // An odd factor permutes the numbers below 2^40: ids in no order that positions
+                // know.
                 let id = (u64::from(number([i, j, k])) * 0x9E_3779_B97F) & ((1 << 40) - 1);
                 grid.ids.push(PointId(id));
                 grid.positions.push(lattice.of_voxel([i, j, k]));
@@ -69,8 +71,8 @@ impl Grid {
         self.surface_of_chunks(values, isovalue, geometry, &vec![0; self.tets.len()])
     }
 
-    /// The surface by way of chunks: `chunk[i]` is the chunk of tetrahedron i. Each chunk lists its corners in its own
-    /// order, and the corners of its tetrahedra in its own rotation.
+    /// The surface by way of chunks: `chunk[i]` is the chunk of tetrahedron i. Each chunk lists its
+    /// corners in its own order, and the corners of its tetrahedra in its own rotation.
     pub(super) fn surface_of_chunks(
         &self,
         values: &[f32],
@@ -143,8 +145,9 @@ impl Part {
     }
 }
 
-/// The triangles as a sorted list of the bits of their corners, each beginning with its smallest corner: equal for two
-/// meshes exactly when they are the same set of triangles with the same positions and normals.
+/// The triangles as a sorted list of the bits of their corners, each beginning with its smallest
+/// corner: equal for two meshes exactly when they are the same set of triangles with the same
+/// positions and normals.
 pub(super) fn triangle_set(mesh: &TriMesh) -> Vec<[[u32; 6]; 3]> {
     let bits = |v: &Vertex| bytemuck::cast::<Vertex, [u32; 6]>(*v);
     let mut set: Vec<[[u32; 6]; 3]> = mesh

@@ -1,21 +1,24 @@
 //! Welding the surfaces of chunks into one.
 //!
-//! A vertex belongs to an edge of the mesh, so two chunks have a vertex in common exactly when they have its edge in
-//! common, and only edges between two corners that other chunks use too can be that. The builder keeps a table of those
-//! *shared* edges: (lower id, higher id) -> vertex number and gradient sum. All other vertices pass straight to the store.
-//! Coordinates are never compared.
+//! A vertex belongs to an edge of the mesh, so two chunks have a vertex in common exactly when they
+//! have its edge in common, and only edges between two corners that other chunks use too can be
+//! that. The builder keeps a table of those *shared* edges: (lower id, higher id) -> vertex number
+//! and gradient sum. All other vertices pass straight to the store. Coordinates are never compared.
 //!
 //! # Guarantees
-//! * Vertices are numbered by first appearance: chunk by chunk in the order of the calls of [`SurfaceBuilder::push`], within a
-//!   chunk in the order of [`ChunkSurface::vertices`]. The result is a function of that sequence alone.
-//! * Position and normal of a vertex do not depend on the cut into chunks (see [`super::marching_tets`]): gradient sums
-//!   are integers, added as chunks come, and turned into normals once, at the end.
+//! * Vertices are numbered by first appearance: chunk by chunk in the order of the calls of
+//!   [`SurfaceBuilder::push`], within a chunk in the order of [`ChunkSurface::vertices`]. The
+//!   result is a function of that sequence alone.
+//! * Position and normal of a vertex do not depend on the cut into chunks (see
+//!   [`super::marching_tets`]): gradient sums are integers, added as chunks come, and turned into
+//!   normals once, at the end.
 //!
 //! # Memory
-//! Up to `memory_bytes` of finished records (24 bytes a vertex, 12 a triangle); what exceeds it goes to nameless files in
-//! the scratch folder, which vanish with the process. In addition about 100 bytes for every shared edge that is still open. By
-//! default all stay open until the end: O(surface on chunk borders). A caller that knows which corners later chunks can
-//! still use closes the others with [`SurfaceBuilder::keep_open`].
+//! Up to `memory_bytes` of finished records (24 bytes a vertex, 12 a triangle); what exceeds it
+//! goes to nameless files in the scratch folder, which vanish with the process. In addition about
+//! 100 bytes for every shared edge that is still open. By default all stay open until the end:
+//! O(surface on chunk borders). A caller that knows which corners later chunks can still use closes
+//! the others with [`SurfaceBuilder::keep_open`].
 //!
 //! # Example
 //! ```
@@ -110,7 +113,8 @@ impl SurfaceBuilder {
     /// Adds the (finished) surface of the next chunk.
     ///
     /// # Errors
-    /// [`Error::Usage`] when the surface would have 2^32 vertices or more, [`Error::Io`] when the scratch file cannot be written.
+    /// [`Error::Usage`] when the surface would have 2^32 vertices or more, [`Error::Io`] when the
+    /// scratch file cannot be written.
     pub fn push(&mut self, chunk: &ChunkSurface) -> Result<()> {
         self.check_room(chunk.vertices().len() as u64)?;
         self.numbers.clear();
@@ -140,8 +144,9 @@ impl SurfaceBuilder {
         self.vertices.extend(vertices)
     }
 
-    /// Closes the shared edges for which `is_open` is false: no later chunk has them. Their normals are finished and their
-    /// memory is freed. Pushing such an edge again would give a second vertex.
+    /// Closes the shared edges for which `is_open` is false: no later chunk has them. Their normals
+    /// are finished and their memory is freed. Pushing such an edge again would give a second
+    /// vertex.
     ///
     /// # Errors
     /// [`Error::Io`] when the scratch file cannot be read or written.
@@ -169,7 +174,8 @@ impl SurfaceBuilder {
     }
 
     fn check_room(&self, more: u64) -> Result<()> {
-        // As if all were new: welding could only spare a chunk that is within one chunk of the limit.
+        // As if all were new: welding could only spare a chunk that is within one chunk of the
+        // limit.
         if self.vertices.len() + more < u64::from(u32::MAX) {
             return Ok(());
         }
@@ -200,7 +206,8 @@ impl SurfaceBuilder {
         Ok(number)
     }
 
-    /// Writes the normals of edges whose gradient sums are complete. `edges` ascend by number, as `open` always does.
+    /// Writes the normals of edges whose gradient sums are complete. `edges` ascend by number, as
+    /// `open` always does.
     fn finish_normals(&mut self, edges: &[OpenEdge]) -> Result<()> {
         let normals: Vec<(u32, [f32; 3])> = edges
             .iter()

@@ -5,15 +5,18 @@
 //!                      push (chunk order)  finish
 //! ```
 //!
-//! A point that only one chunk has goes straight to the store. One that several chunks have is known by its
-//! [`PointId`]: a table tells the number that it got when the first of them came. Coordinates are never compared.
+//! A point that only one chunk has goes straight to the store. One that several chunks have is
+//! known by its [`PointId`]: a table tells the number that it got when the first of them came.
+//! Coordinates are never compared.
 //!
-//! **Numbers** are given in the order of first use: chunk after chunk, tetrahedron after tetrahedron, corner after corner. The result is
-//! a function of the sequence of [`TetBuilder::push`] alone.
+//! **Numbers** are given in the order of first use: chunk after chunk, tetrahedron after
+//! tetrahedron, corner after corner. The result is a function of the sequence of
+//! [`TetBuilder::push`] alone.
 //!
-//! **Memory.** Up to `memory_bytes` of finished records (16 bytes a point, 32 a tetrahedron); what exceeds it goes to nameless
-//! files in the scratch folder. In addition about 40 bytes for each shared point that is still open: a caller that knows which points later
-//! chunks can still use closes the others ([`TetBuilder::keep_open`]).
+//! **Memory.** Up to `memory_bytes` of finished records (16 bytes a point, 32 a tetrahedron); what
+//! exceeds it goes to nameless files in the scratch folder. In addition about 40 bytes for each
+//! shared point that is still open: a caller that knows which points later chunks can still use
+//! closes the others ([`TetBuilder::keep_open`]).
 
 use crate::bytes::store::Store;
 use crate::error::Result;
@@ -127,7 +130,8 @@ impl TetBuilder {
     }
 }
 
-/// A finished mesh, in memory or in a file that vanishes with it. It is read front to back as often as needed, in batches.
+/// A finished mesh, in memory or in a file that vanishes with it. It is read front to back as often
+/// as needed, in batches.
 #[derive(Debug)]
 pub struct StoredTets {
     points: Store<TetPoint>,
@@ -153,7 +157,8 @@ impl StoredTets {
         self.points.each(each)
     }
 
-    /// Hands all tetrahedra (four point numbers, positively oriented) in order, in batches, to `each`.
+    /// Hands all tetrahedra (four point numbers, positively oriented) in order, in batches, to
+    /// `each`.
     ///
     /// # Errors
     /// Those of reading the scratch file, and those of `each`.

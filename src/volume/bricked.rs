@@ -1,9 +1,11 @@
-//! The bricked copy of a volume: random access to what came as a stream, or faster access to what is slow.
+//! The bricked copy of a volume: random access to what came as a stream, or faster access to what
+//! is slow.
 //!
-//! The volume is cut into bricks of 32³ samples, of the stored type, little-endian and uncompressed, so that the file
-//! is mapped and read in place: a box of samples touches the pages of the bricks that it meets and no others, whatever
-//! its shape. Bricks at the far faces keep only the samples that exist; so no byte is padding and a brick's place needs
-//! no table: the samples before brick (bx, by, bz), whose first sample is (x0, y0, z0) and which has hy rows and hz
+//! The volume is cut into bricks of 32³ samples, of the stored type, little-endian and
+//! uncompressed, so that the file is mapped and read in place: a box of samples touches the pages
+//! of the bricks that it meets and no others, whatever its shape. Bricks at the far faces keep only
+//! the samples that exist; so no byte is padding and a brick's place needs no table: the samples
+//! before brick (bx, by, bz), whose first sample is (x0, y0, z0) and which has hy rows and hz
 //! slices, are `dx·dy·z0 + hz·(dx·y0 + hy·x0)`.
 //!
 //! ```text
@@ -20,13 +22,14 @@
 //!                     | 4 of the 32 footer bytes before | 4 "IspE"
 //! ```
 //!
-//! All numbers are little-endian. A reader rejects another magic, version or length of file, wrong checksums of header
-//! and footer, and dimensions that do not give B and n. The bricks' own checksums are read by
-//! [`BrickedVolume::verify`] alone: opening costs O(1).
+//! All numbers are little-endian. A reader rejects another magic, version or length of file, wrong
+//! checksums of header and footer, and dimensions that do not give B and n. The bricks' own
+//! checksums are read by [`BrickedVolume::verify`] alone: opening costs O(1).
 //!
-//! Writing takes the slabs of a stream and O(buffer) memory, plus 8 bytes a brick for running checksums, never the
-//! volume. As many slices as the buffer holds are collected, then each brick's part is written at its place. The file
-//! gets its name when it is complete and on disk; what a killed run leaves behind has a temporary name.
+//! Writing takes the slabs of a stream and O(buffer) memory, plus 8 bytes a brick for running
+//! checksums, never the volume. As many slices as the buffer holds are collected, then each brick's
+//! part is written at its place. The file gets its name when it is complete and on disk; what a
+//! killed run leaves behind has a temporary name.
 
 mod build;
 
@@ -49,7 +52,8 @@ const VERSION: u32 = 1;
 const PREFIX: u64 = 24;
 const FOOTER: u64 = 40;
 const END: [u8; 4] = *b"IspE";
-/// Bricks start at a multiple of this: a page, so that the mapping of a brick starts where its bytes do.
+/// Bricks start at a multiple of this: a page, so that the mapping of a brick starts where its
+/// bytes do.
 const ALIGN: u64 = 4096;
 
 /// The JSON header.
@@ -137,12 +141,13 @@ pub struct BrickedVolume {
 }
 
 impl BrickedVolume {
-    /// Copies a stream into a bricked file at `out`, which is replaced if it exists. `max_buffer_bytes` is what the
-    /// samples being collected may take (one row at the least); the fewer, the more and smaller the writes.
-    /// `progress` is told the samples done so far.
+    /// Copies a stream into a bricked file at `out`, which is replaced if it exists.
+    /// `max_buffer_bytes` is what the samples being collected may take (one row at the least); the
+    /// fewer, the more and smaller the writes. `progress` is told the samples done so far.
     ///
     /// # Errors
-    /// Those of the stream; [`Error::Io`] when the file cannot be written. Nothing is left under the name `out` then.
+    /// Those of the stream; [`Error::Io`] when the file cannot be written. Nothing is left under
+    /// the name `out` then.
     pub fn build(
         stream: Box<dyn SlabStream>,
         out: &Path,
@@ -152,7 +157,8 @@ impl BrickedVolume {
         build::build(stream, out, max_buffer_bytes, build::Lasting::Kept, progress)
     }
 
-    /// As [`BrickedVolume::build`], for a copy that this process reads and removes: the disk is not waited for.
+    /// As [`BrickedVolume::build`], for a copy that this process reads and removes: the disk is not
+    /// waited for.
     ///
     /// # Errors
     /// Those of [`BrickedVolume::build`].
@@ -165,7 +171,8 @@ impl BrickedVolume {
         build::build(stream, out, max_buffer_bytes, build::Lasting::Scratch, progress)
     }
 
-    /// Whether this is the bricked copy of what a stream reads: the same header, the same samples. Cost: reading both.
+    /// Whether this is the bricked copy of what a stream reads: the same header, the same samples.
+    /// Cost: reading both.
     ///
     /// # Errors
     /// Those of the stream, and of reading this file.
@@ -186,10 +193,12 @@ impl BrickedVolume {
         Ok(true)
     }
 
-    /// Opens a bricked file in the I/O mode that suits its file system. Reads header and footer, no samples.
+    /// Opens a bricked file in the I/O mode that suits its file system. Reads header and footer, no
+    /// samples.
     ///
     /// # Errors
-    /// [`Error::BadInput`] when it is not a bricked file, of another version, cut short, or its header is damaged.
+    /// [`Error::BadInput`] when it is not a bricked file, of another version, cut short, or its
+    /// header is damaged.
     pub fn open(path: &Path) -> Result<Self> {
         Self::open_with(path, IoMode::Auto)
     }
@@ -243,7 +252,8 @@ impl BrickedVolume {
         self.source.check()
     }
 
-    /// Calls `take(position in the box's x-fastest array, stored bytes)` for each row of each brick in the box.
+    /// Calls `take(position in the box's x-fastest array, stored bytes)` for each row of each brick
+    /// in the box.
     fn for_each_row(&self, voxels: IndexBox, mut take: impl FnMut(usize, &[u8])) -> Result<()> {
         let d = self.info.dims;
         assert!((0..3).all(|a| voxels.hi[a] <= d[a]), "box {voxels:?} lies in a volume of {d:?} samples");
@@ -309,7 +319,8 @@ impl VolumeReader for BrickedVolume {
     }
 
     fn release(&self, slices: Range<u64>) {
-        // Whole layers of bricks, each contiguous; a layer that began before was not given up before.
+        // Whole layers of bricks, each contiguous; a layer that began before was not given up
+        // before.
         let (first, last) = (slices.start / EDGE * EDGE, slices.end / EDGE * EDGE);
         let last = if slices.end >= self.info.dims[2] { self.info.dims[2] } else { last };
         if first < last {

@@ -1,8 +1,9 @@
 //! Volumes: what a reader tells of a structured scalar field, and how its samples are had.
 //!
-//! A format of `formats/` gives random access (a mapped file, [`VolumeReader`]), chunks that are decoded each by itself
-//! ([`chunked`], random access through a cache of those), or a sequence of slabs ([`SlabStream`]: other compressed files, and text).
-//! A stream is turned into random access by [`bricked`], once; a small one in memory.
+//! A format of `formats/` gives random access (a mapped file, [`VolumeReader`]), chunks that are
+//! decoded each by itself ([`chunked`], random access through a cache of those), or a sequence of
+//! slabs ([`SlabStream`]: other compressed files, and text). A stream is turned into random access
+//! by [`bricked`], once; a small one in memory.
 
 pub mod bricked;
 pub mod chunked;
@@ -144,8 +145,8 @@ pub struct VolumeInfo {
 }
 
 impl VolumeInfo {
-    /// All files that make up the volume, the one that was named first. Where a folder or a pattern was named, that is
-    /// no file: only the files it stands for.
+    /// All files that make up the volume, the one that was named first. Where a folder or a pattern
+    /// was named, that is no file: only the files it stands for.
     pub fn files(&self) -> Vec<PathBuf> {
         let named = Some(self.path.clone()).filter(|p| self.data_files.is_empty() || p.is_file());
         let others = self.data_files.iter().filter(|f| **f != self.path).cloned();
@@ -158,8 +159,9 @@ pub trait VolumeReader: Send + Sync {
     /// What is read.
     fn info(&self) -> &VolumeInfo;
 
-    /// Reads the samples of `voxels`, x fastest, slope and intercept applied (in `f64`, then rounded to `f32`), into
-    /// `out`, whose length is the box's. A declared missing value comes out as NaN.
+    /// Reads the samples of `voxels`, x fastest, slope and intercept applied (in `f64`, then
+    /// rounded to `f32`), into `out`, whose length is the box's. A declared missing value comes out
+    /// as NaN.
     ///
     /// # Errors
     /// When the file cannot be read or ends too early.
@@ -174,12 +176,12 @@ pub trait VolumeReader: Send + Sync {
     /// Tells that `voxels` will be read soon; a hint.
     fn will_need(&self, _voxels: IndexBox) {}
 
-    /// Tells that no sample with a z in `slices` will be read again by this run, after the slices before were given up
-    /// in the same way; a hint.
+    /// Tells that no sample with a z in `slices` will be read again by this run, after the slices
+    /// before were given up in the same way; a hint.
     fn release(&self, _slices: Range<u64>) {}
 
-    /// What [`VolumeReader::read_stored`] gives, for a copy without loss. A reader that cannot give the stored samples
-    /// gives its values: `f32`, slope 1, nothing missing.
+    /// What [`VolumeReader::read_stored`] gives, for a copy without loss. A reader that cannot give
+    /// the stored samples gives its values: `f32`, slope 1, nothing missing.
     fn stored_info(&self) -> VolumeInfo {
         let mut info = self.info().clone();
         info.field.scalar = ScalarType::F32;
@@ -207,16 +209,19 @@ pub trait SlabStream: Send {
     /// What is read.
     fn info(&self) -> &VolumeInfo;
 
-    /// Bytes of memory that reading takes at a time, at most: what is decoded together, as often as it is held, and a slab.
+    /// Bytes of memory that reading takes at a time, at most: what is decoded together, as often as
+    /// it is held, and a slab.
     fn working_bytes(&self) -> u64 {
         4 << 20
     }
 
-    /// The next box, its stored samples (no slope applied) as **little-endian** bytes of [`FieldInfo::scalar`], x
-    /// fastest, in `out` (cleared first); `None` after the last. A box is at most a few MiB, or one row.
+    /// The next box, its stored samples (no slope applied) as **little-endian** bytes of
+    /// [`FieldInfo::scalar`], x fastest, in `out` (cleared first); `None` after the last. A box is
+    /// at most a few MiB, or one row.
     ///
     /// # Errors
-    /// When the file cannot be read, decoded, or ends too early. Data beyond the last sample are an error too.
+    /// When the file cannot be read, decoded, or ends too early. Data beyond the last sample are an
+    /// error too.
     fn next_slab(&mut self, out: &mut Vec<u8>) -> Result<Option<IndexBox>>;
 }
 
@@ -224,7 +229,8 @@ pub trait SlabStream: Send {
 pub enum VolumeSource {
     /// Random access, without a copy.
     Random(Box<dyn VolumeReader>),
-    /// Random access, without a copy, through a cache of decoded chunks: [`chunked::ChunkedVolume`].
+    /// Random access, without a copy, through a cache of decoded chunks:
+    /// [`chunked::ChunkedVolume`].
     Chunked(Arc<dyn chunked::ChunkSource>),
     /// One pass, front to back.
     Stream(Box<dyn SlabStream>),

@@ -1,8 +1,9 @@
 //! Values that `f32` does not hold well: they are counted from an offset.
 //!
-//! Inside, all values are `f32`. Pressures of 101325000 Pa that differ by 3 Pa, or numbers near 2^31, would lose what matters. So a
-//! field has an *offset*, an `f64`: what is kept of a sample is its value less the offset, subtracted in `f64` (whole numbers of 64 bits:
-//! in integers) and rounded once. It is 0 wherever `f32` holds the range well, which is nearly always.
+//! Inside, all values are `f32`. Pressures of 101325000 Pa that differ by 3 Pa, or numbers near
+//! 2^31, would lose what matters. So a field has an *offset*, an `f64`: what is kept of a sample is
+//! its value less the offset, subtracted in `f64` (whole numbers of 64 bits: in integers) and
+//! rounded once. It is 0 wherever `f32` holds the range well, which is nearly always.
 
 use super::{ScalarType, SlabStream, VolumeInfo, VolumeReader};
 use crate::error::Result;
@@ -18,7 +19,8 @@ const LITTLE: f64 = 1.0 / 1_048_576.0;
 /// An offset is chosen where values are so many ranges away from 0.
 const FAR: f64 = 8.0;
 
-/// The `f64` that prints as the `f32` does: 0.1, not 0.10000000149011612. Cast back it is the same `f32`.
+/// The `f64` that prints as the `f32` does: 0.1, not 0.10000000149011612. Cast back it is the same
+/// `f32`.
 pub(crate) fn shortest(v: f32) -> f64 {
     v.to_string().parse().unwrap_or(f64::from(v))
 }
@@ -77,8 +79,8 @@ impl Surveyed {
         self.range[0].abs().max(self.range[1].abs())
     }
 
-    /// The offset for values of this range: a round number near its middle, or 0 where `f32` holds them as they are. `whole`: each
-    /// whole number counts.
+    /// The offset for values of this range: a round number near its middle, or 0 where `f32` holds
+    /// them as they are. `whole`: each whole number counts.
     pub(crate) fn offset(&self, whole: bool) -> f64 {
         let (lo, width) = (self.range[0], self.width());
         if self.is_empty() || !width.is_finite() || self.lost == 0.0 {
@@ -105,7 +107,8 @@ impl Surveyed {
         if matters { self.lost } else { 0.0 }
     }
 
-    /// Whether `f32` cannot hold the values at all: they are too large, or so small that nothing is left of them.
+    /// Whether `f32` cannot hold the values at all: they are too large, or so small that nothing is
+    /// left of them.
     pub(crate) fn is_beyond(&self) -> bool {
         let tiny = self.largest() < f64::from(f32::MIN_POSITIVE) && self.lost > 1e-3 * self.width();
         !self.is_empty() && (self.largest() > f64::from(f32::MAX) || tiny)
@@ -132,8 +135,8 @@ pub(crate) fn survey(
     Ok(out)
 }
 
-/// Calls `take` with the value of each stored sample less an offset, NaN of what means "no data": what the file declares, and the value
-/// `missing`.
+/// Calls `take` with the value of each stored sample less an offset, NaN of what means "no data":
+/// what the file declares, and the value `missing`.
 pub(crate) fn each_value(
     bytes: &[u8],
     info: &VolumeInfo,
@@ -239,7 +242,8 @@ mod tests {
         assert_eq!(surveyed(&[101_325_000.31, 101_325_000.9]).offset(false), 101_325_000.6);
         // Of a constant all is the offset.
         assert_eq!(surveyed(&[101_325_000.3]).offset(false), 101_325_000.3);
-        // A hundred million whole numbers from 0 on are too many, whatever the offset; thirty million are not.
+        // A hundred million whole numbers from 0 on are too many, whatever the offset; thirty
+        // million are not.
         assert_eq!(surveyed(&[0.0, 99_999_999.0]).offset(true), 0.0);
         let s = surveyed(&[1.0, 29_999_999.0]);
         assert_eq!((s.offset(true), s.offset(false)), (15_000_000.0, 0.0));

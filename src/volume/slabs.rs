@@ -1,7 +1,9 @@
-//! A volume as a sequence of slabs: the order in which streams deliver, and random-access volumes read as streams.
+//! A volume as a sequence of slabs: the order in which streams deliver, and random-access volumes
+//! read as streams.
 //!
-//! The slabs of a volume are, front to back, as many whole slices as fit in a mebibyte; where a slice is larger, as
-//! many whole rows; where a row is larger, one row. They tile the volume in the order of its samples, x fastest.
+//! The slabs of a volume are, front to back, as many whole slices as fit in a mebibyte; where a
+//! slice is larger, as many whole rows; where a row is larger, one row. They tile the volume in the
+//! order of its samples, x fastest.
 
 use crate::error::Result;
 use crate::grid::IndexBox;
@@ -27,7 +29,8 @@ pub struct SlabWalk {
 }
 
 impl SlabWalk {
-    /// The slabs of a volume of `dims` samples of `sample_bytes` bytes; none where a dimension is 0.
+    /// The slabs of a volume of `dims` samples of `sample_bytes` bytes; none where a dimension
+    /// is 0.
     pub fn new(dims: [u64; 3], sample_bytes: usize) -> Self {
         let row = dims[0].saturating_mul(sample_bytes as u64).max(1);
         let slice = row.saturating_mul(dims[1]).max(1);

@@ -1,14 +1,15 @@
-//! Volumes whose samples lie in a file at regular steps: what raw, NRRD, MetaImage, NPY, NIfTI, VTI appended raw and
-//! binary legacy VTK have in common once their headers are read.
+//! Volumes whose samples lie in a file at regular steps: what raw, NRRD, MetaImage, NPY, NIfTI, VTI
+//! appended raw and binary legacy VTK have in common once their headers are read.
 //!
-//! The sample (x, y, z) is at byte `offset + x·strides[0] + y·strides[1] + z·strides[2]`. Steps may be negative (a
-//! flipped axis) or in any order (a Fortran-ordered array has z fastest). A volume may also be a stack of files, each
-//! with the same number of slices along z.
+//! The sample (x, y, z) is at byte `offset + x·strides[0] + y·strides[1] + z·strides[2]`. Steps may
+//! be negative (a flipped axis) or in any order (a Fortran-ordered array has z fastest). A volume
+//! may also be a stack of files, each with the same number of slices along z.
 //!
-//! Reading goes along the axis with the smallest step, so that a box of a z-fastest array is read in runs along z and
-//! scattered, not gathered sample by sample; in the usual case that axis is x and a run is a row of the output.
-//! Cost: O(samples of the box), no memory beyond a run. A file that is read and not mapped is read plane by plane, the
-//! samples between two runs included, as long as these are few.
+//! Reading goes along the axis with the smallest step, so that a box of a z-fastest array is read
+//! in runs along z and scattered, not gathered sample by sample; in the usual case that axis is x
+//! and a run is a row of the output. Cost: O(samples of the box), no memory beyond a run. A file
+//! that is read and not mapped is read plane by plane, the samples between two runs included, as
+//! long as these are few.
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Result};
@@ -33,7 +34,8 @@ pub struct StridedVolume {
 }
 
 impl StridedVolume {
-    /// A volume in one file. `offset`: the byte of sample (0, 0, 0); `strides`: bytes a step along x, y, z.
+    /// A volume in one file. `offset`: the byte of sample (0, 0, 0); `strides`: bytes a step along
+    /// x, y, z.
     ///
     /// # Errors
     /// [`Error::BadInput`] when a dimension is 0 or a sample would lie outside the file.
@@ -48,11 +50,12 @@ impl StridedVolume {
         Self::stacked(info, vec![source], slices_per_part, offset, big_endian, strides)
     }
 
-    /// A volume in a stack of files along z, `slices_per_part` slices each; `offset` is the same in all of them.
+    /// A volume in a stack of files along z, `slices_per_part` slices each; `offset` is the same in
+    /// all of them.
     ///
     /// # Errors
-    /// [`Error::BadInput`] when a dimension is 0, the files do not make up the volume, or a sample lies outside its
-    /// file.
+    /// [`Error::BadInput`] when a dimension is 0, the files do not make up the volume, or a sample
+    /// lies outside its file.
     pub fn stacked(
         info: VolumeInfo,
         parts: Vec<Arc<ByteSource>>,
@@ -65,7 +68,8 @@ impl StridedVolume {
         Self::stacked_at(info, parts, slices_per_part, big_endian, strides)
     }
 
-    /// Like [`StridedVolume::stacked`], where each part has its own byte of its first sample. Parts may lie in one file.
+    /// Like [`StridedVolume::stacked`], where each part has its own byte of its first sample. Parts
+    /// may lie in one file.
     ///
     /// # Errors
     /// Those of [`StridedVolume::stacked`].
@@ -105,15 +109,16 @@ impl StridedVolume {
         self
     }
 
-    /// The steps of samples stored without gaps, x fastest, then y, then z; `None` where they do not fit 63 bits.
+    /// The steps of samples stored without gaps, x fastest, then y, then z; `None` where they do
+    /// not fit 63 bits.
     pub fn packed_strides(dims: [u64; 3], scalar: ScalarType) -> Option<[i64; 3]> {
         let x = scalar.bytes() as i64;
         let y = x.checked_mul(i64::try_from(dims[0]).ok()?)?;
         Some([x, y, y.checked_mul(i64::try_from(dims[1]).ok()?)?])
     }
 
-    /// Calls `take(axis, position in the box's x-fastest array, stored bytes of a run along axis)` for every run of
-    /// the box. A run is contiguous: gathered first where the steps leave gaps.
+    /// Calls `take(axis, position in the box's x-fastest array, stored bytes of a run along axis)`
+    /// for every run of the box. A run is contiguous: gathered first where the steps leave gaps.
     fn for_each_run(&self, voxels: IndexBox, mut take: impl FnMut(usize, usize, &[u8])) -> Result<()> {
         let d = self.info.dims;
         assert!((0..3).all(|a| voxels.hi[a] <= d[a]), "box {voxels:?} lies in a volume of {d:?} samples");
@@ -134,8 +139,9 @@ impl StridedVolume {
         Ok(())
     }
 
-    /// The runs of a box, as far as it lies in one part (`inside`), whose first slice is `z0`. The box is viewed piece by piece, and a piece is
-    /// a plane of the two axes of least step where that reads little that is not used, else a run.
+    /// The runs of a box, as far as it lies in one part (`inside`), whose first slice is `z0`. The
+    /// box is viewed piece by piece, and a piece is a plane of the two axes of least step where
+    /// that reads little that is not used, else a run.
     fn runs_of_part(
         &self,
         part: usize,
@@ -186,15 +192,16 @@ impl StridedVolume {
         corner.wrapping_add_signed(self.strides[axis].wrapping_mul(row as i64))
     }
 
-    /// The axes, that of the least step first; of equal ones, as where a dimension is 1, x before y before z.
+    /// The axes, that of the least step first; of equal ones, as where a dimension is 1, x before y
+    /// before z.
     fn axes_by_step(&self) -> [usize; 3] {
         let mut axes = [0, 1, 2];
         axes.sort_by_key(|&a| self.strides[a].unsigned_abs());
         axes
     }
 
-    /// The bytes from the first to the last sample of a plane whose sample of least index is at byte `corner`, given its
-    /// axes and sizes. Steps may be negative.
+    /// The bytes from the first to the last sample of a plane whose sample of least index is at
+    /// byte `corner`, given its axes and sizes. Steps may be negative.
     fn piece(&self, corner: u64, a: (usize, u64), b: (usize, u64), size: usize) -> Range<u64> {
         let (mut lo, mut hi) = (corner, corner + size as u64);
         for (axis, count) in [a, b] {
@@ -204,7 +211,8 @@ impl StridedVolume {
         lo..hi
     }
 
-    /// Byte of a sample within its part. Cannot overflow: `check_extent` has seen the extreme samples.
+    /// Byte of a sample within its part. Cannot overflow: `check_extent` has seen the extreme
+    /// samples.
     fn byte_of(&self, part: usize, ijk: [u64; 3]) -> u64 {
         let step = |a: usize| self.strides[a].wrapping_mul(ijk[a] as i64);
         self.offsets[part].wrapping_add_signed(step(0).wrapping_add(step(1)).wrapping_add(step(2)))
@@ -218,14 +226,16 @@ struct Buffers {
     gathered: Vec<u8>,
 }
 
-/// Bytes between two runs that are read along with them: a read of its own costs about as much as copying these.
+/// Bytes between two runs that are read along with them: a read of its own costs about as much as
+/// copying these.
 const LARGEST_GAP: u64 = 8 << 10;
 /// Bytes between two slices that are asked for with them.
 const BETWEEN: u64 = 256 << 10;
 /// Bytes of a plane that is read at once.
 const LARGEST_PIECE: u64 = 4 << 20;
 
-/// Bytes of a plane that the processor is told of while the one before is read: half of its nearest cache. Of longer rows it finds out by itself.
+/// Bytes of a plane that the processor is told of while the one before is read: half of its nearest
+/// cache. Of longer rows it finds out by itself.
 const MOST_AHEAD: u64 = 16 << 10;
 
 /// `count` samples from byte `at` of a piece on, `stride` apart.
@@ -295,7 +305,8 @@ impl VolumeReader for StridedVolume {
     }
 
     fn will_need(&self, voxels: IndexBox) {
-        // The rows between the first and the last of each slice; slices of a large volume are far apart. Others are asked for together.
+        // The rows between the first and the last of each slice; slices of a large volume are far
+        // apart. Others are asked for together.
         let slowest_is_z = self.strides[2].unsigned_abs() >= self.strides[1].unsigned_abs();
         if voxels.is_empty() || !slowest_is_z || self.strides.iter().any(|&s| s < 0) {
             return;
@@ -343,8 +354,8 @@ fn steps_of(voxels: IndexBox) -> [usize; 3] {
     [1, d[0], d[0] * d[1]]
 }
 
-/// Refuses a layout whose first or last byte lies outside the file. All in `i128`, where nothing of a header overflows
-/// unseen.
+/// Refuses a layout whose first or last byte lies outside the file. All in `i128`, where nothing of
+/// a header overflows unseen.
 fn check_extent(
     info: &VolumeInfo,
     source: &ByteSource,
@@ -383,8 +394,9 @@ pub fn swap_bytes(samples: &mut [u8], size: usize) {
     }
 }
 
-/// Converts a row of stored samples to values: `slope · stored + intercept` in `f64`, then rounded to `f32`; a stored
-/// value equal to `missing` (as a number of the stored type) becomes NaN. `bytes` holds `out.len()` samples.
+/// Converts a row of stored samples to values: `slope · stored + intercept` in `f64`, then rounded
+/// to `f32`; a stored value equal to `missing` (as a number of the stored type) becomes NaN.
+/// `bytes` holds `out.len()` samples.
 ///
 /// # Panics
 /// When the lengths do not match.
@@ -401,7 +413,8 @@ pub fn convert_row(
     // A NaN stays NaN without being compared, which also keeps it off the fast path's condition.
     let missing = missing.filter(|m| !m.is_nan());
     let plain = slope == 1.0 && intercept == 0.0 && missing.is_none();
-    // One loop for each type, order of bytes and kind of scaling, each simple enough to be vectorised.
+    // One loop for each type, order of bytes and kind of scaling, each simple enough to be
+    // vectorised.
     macro_rules! row {
         ($t:ty, $read:expr) => {{
             let stored = bytes.chunks_exact(size_of::<$t>()).map($read);
@@ -462,7 +475,8 @@ mod tests {
         }
     }
 
-    /// A 4 x 3 x 2 volume whose sample is 100 z + 10 y + x, stored as u16 with the given order of axes, fastest first.
+    /// A 4 x 3 x 2 volume whose sample is 100 z + 10 y + x, stored as u16 with the given order of
+    /// axes, fastest first.
     fn ordered(order: [usize; 3], big_endian: bool) -> StridedVolume {
         let dims = [4u64, 3, 2];
         let mut strides = [0i64; 3];

@@ -1,4 +1,5 @@
-//! A stream as a volume in memory: of one that is small, for that takes less than a bricked copy on the disk.
+//! A stream as a volume in memory: of one that is small, for that takes less than a bricked copy on
+//! the disk.
 
 use super::strided::StridedVolume;
 use super::{SlabStream, VolumeInfo};

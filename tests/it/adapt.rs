@@ -1,5 +1,5 @@
-//! Points that are dense where the field needs them: the same mesh for any chunks, threads, restarts and shards, and less error for as
-//! many points.
+//! Points that are dense where the field needs them: the same mesh for any chunks, threads,
+//! restarts and shards, and less error for as many points.
 
 use crate::common::*;
 use isospan::exec::Silent;
@@ -229,8 +229,9 @@ fn what_cannot_be_is_a_usage_error() {
     refused(ReduceSettings { target, ..adapted(0.1, 1_000) }, "above 0");
 }
 
-/// How finely a spectrum is measured follows from the set's number of points, which is that of an archive only nearly: on this way the two were a
-/// step of the grid apart, and chunks could not be added up.
+/// How finely a spectrum is measured follows from the set's number of points, which is that of an
+/// archive only nearly: on this way the two were a step of the grid apart, and chunks could not be
+/// added up.
 #[test]
 #[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn spectra_are_added_up_as_chunks_were_measured() {

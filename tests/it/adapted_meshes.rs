@@ -1,4 +1,5 @@
-//! Meshes with more points where their fields need them: less error, the same bytes however the work is done, a target that is met.
+//! Meshes with more points where their fields need them: less error, the same bytes however the
+//! work is done, a target that is met.
 
 use crate::common::*;
 use isospan::exec::Silent;

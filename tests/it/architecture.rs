@@ -131,8 +131,8 @@ fn the_table_of_rooms_is_the_code_s() {
     }
 }
 
-/// The files of a room, and the files of the same room that each uses. A `mod.rs` is the room's face:
-/// it may use all of them, and is left out.
+/// The files of a room, and the files of the same room that each uses. A `mod.rs` is the room's
+/// face: it may use all of them, and is left out.
 fn files_of_a_room(room: &Path) -> Imports {
     let mut files = vec![];
     sources(room, &mut files);

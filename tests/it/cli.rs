@@ -22,7 +22,8 @@ fn without_notes(stderr: &str) -> String {
     stderr.lines().filter(|l| !l.starts_with("isospan: --memory ")).map(|l| format!("{l}\n")).collect()
 }
 
-/// The exit code and the error, which must be one line on standard error and nothing on standard output.
+/// The exit code and the error, which must be one line on standard error and nothing on standard
+/// output.
 fn fails(dir: &Path, args: &[&str]) -> (i32, String) {
     let out = isospan(dir, args);
     let stderr = without_notes(&String::from_utf8(out.stderr).unwrap());
@@ -353,7 +354,8 @@ fn completions_and_manual() {
     assert!(ok(dir.path(), &["--version"]).contains("\nfeatures: cli"));
 }
 
-/// A legacy VTK image of 6 x 6 x 6 samples with arrays of a value that rises along x, and lines before and after them.
+/// A legacy VTK image of 6 x 6 x 6 samples with arrays of a value that rises along x, and lines
+/// before and after them.
 fn legacy(names: &[&str], head: &str, tail: &str) -> String {
     let values: String = (0..216).map(|i| format!("{} ", i % 6)).collect();
     let arrays: String =
@@ -378,7 +380,8 @@ fn vti(head: &str, points: &str, cells: &str) -> String {
 fn names_from_files_do_not_steer_the_terminal() {
     let dir = tempfile::tempdir().unwrap();
     let d = dir.path();
-    // Names of legacy VTK are percent-encoded: red letters, a bell, a new line, the C1 form of the same, a right-to-left override.
+    // Names of legacy VTK are percent-encoded: red letters, a bell, a new line, the C1 form of the
+    // same, a right-to-left override.
     let evil = "a%1b%5b31mb%07c%0aisospan:%20error:%20d%c2%9b31me%e2%80%ae";
     fs::write(d.join("one.vtk"), legacy(&[evil], "", "")).unwrap();
     fs::write(d.join("two.vtk"), legacy(&[evil, "other"], "", "")).unwrap();
@@ -516,7 +519,8 @@ fn hidden_points_and_cells_of_images_are_refused() {
     assert!(!text.contains("vtkGhostType"), "{text}");
 }
 
-/// A pipe without a writer would be waited for, and `/dev/zero` has no end: both are refused at once.
+/// A pipe without a writer would be waited for, and `/dev/zero` has no end: both are refused at
+/// once.
 #[test]
 #[cfg(unix)]
 fn what_is_no_regular_file_is_refused_at_once() {

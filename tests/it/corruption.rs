@@ -1,8 +1,9 @@
-//! A damaged archive gives an error or the right answer: never a panic, never a wrong surface without an error.
+//! A damaged archive gives an error or the right answer: never a panic, never a wrong surface
+//! without an error.
 //!
-//! Damage by accident (a byte flipped, a file cut short or lost) is found by checksums. Damage on purpose has good
-//! checksums: segments of other archives, and manifests that are sealed again around absurd numbers. Those must end in an
-//! error too, soon, and without a huge allocation.
+//! Damage by accident (a byte flipped, a file cut short or lost) is found by checksums. Damage on
+//! purpose has good checksums: segments of other archives, and manifests that are sealed again
+//! around absurd numbers. Those must end in an error too, soon, and without a huge allocation.
 
 use crate::common::*;
 use isospan::archive::manifest::{MANIFEST_NAME, Manifest, Plan};
@@ -44,7 +45,8 @@ fn answers(archive: &Path) -> Answers {
     Answers { surface: extract(archive).unwrap(), active }
 }
 
-/// An error of a damaged archive: one line, of the class "bad input" or, for lost files, "incomplete".
+/// An error of a damaged archive: one line, of the class "bad input" or, for lost files,
+/// "incomplete".
 fn orderly(what: &str, error: &Error) {
     let line = error.to_string();
     assert!(
@@ -132,7 +134,8 @@ fn share(archive: &Path, n: usize, job: impl Fn(&Path, usize) + Sync) {
     });
 }
 
-/// The places of a file to damage: all near its ends and in a manifest, and of the middle every seventh.
+/// The places of a file to damage: all near its ends and in a manifest, and of the middle every
+/// seventh.
 fn places(file: &Path, len: usize) -> impl Iterator<Item = usize> {
     let (all, near) = (file.ends_with(MANIFEST_NAME) || file.ends_with("000000-index.seg"), 300);
     (0..len).filter(move |&i| all || i < near || i + near >= len || i % 7 == 0)
@@ -222,7 +225,8 @@ fn lost_files_are_named_and_other_files_are_ignored() {
     assert!(answers(&archive) == right);
 }
 
-/// Each file of one archive in the place of another's: of another volume, another point set, another isovalue.
+/// Each file of one archive in the place of another's: of another volume, another point set,
+/// another isovalue.
 #[test]
 fn files_of_other_archives_are_refused() {
     let dir = tempfile::tempdir().unwrap();
@@ -378,7 +382,8 @@ fn manifests_that_contradict_themselves_are_refused() {
     }
 }
 
-/// Blocks that are lies behind good checksums: never a panic, a hang or a huge allocation, whatever they say.
+/// Blocks that are lies behind good checksums: never a panic, a hang or a huge allocation, whatever
+/// they say.
 #[test]
 fn blocks_that_lie_behind_good_checksums_do_no_harm() {
     let dir = tempfile::tempdir().unwrap();

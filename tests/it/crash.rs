@@ -1,5 +1,6 @@
-//! A reduction that is killed, stopped or out of room loses no chunk that was done; the same command continues to the same bytes.
-//! Nothing is left that looks like a result, and in the end no temporary file.
+//! A reduction that is killed, stopped or out of room loses no chunk that was done; the same
+//! command continues to the same bytes. Nothing is left that looks like a result, and in the end no
+//! temporary file.
 #![cfg(unix)]
 
 use crate::common::*;
@@ -102,7 +103,8 @@ fn twenty_kills_at_random_moments_cost_nothing() {
         let at = run as usize;
         let (threads, memory) = (["1", "2"][at % 2], ["48MiB", "64MiB", "1GiB"][at / 2 % 3]);
         let mut child = spawn(case.path(), &reduce_with(&out, threads, memory));
-        // Within a third of a whole run, so that most archives are killed several times; later, if that turns out to be too early.
+        // Within a third of a whole run, so that most archives are killed several times; later, if
+        // that turns out to be too early.
         let within = case.took * (1 + run / 40) / 3;
         std::thread::sleep(Duration::from_micros(dice.roll(within.as_micros() as u64)));
         let enough = kills >= 20 && kept >= 5;
@@ -200,7 +202,8 @@ fn a_second_interrupt_ends_a_run_at_once() {
         assert!(tries < 120, "no second signal came before the end");
         let child = spawn(case.path(), &reduce_to("i.isospan"));
         std::thread::sleep(case.took * (2 + tries % 7) / 10);
-        // Time between the two to be seen as two, and too little for the run to end by itself, most often.
+        // Time between the two to be seen as two, and too little for the run to end by itself, most
+        // often.
         for pause in [u64::from(tries % 5 + 1), 0] {
             send_signal(child.id(), Signal::INT);
             std::thread::sleep(Duration::from_millis(pause));
@@ -259,7 +262,8 @@ fn a_stopped_or_killed_surface_is_never_half_written() {
     }
 }
 
-/// A limit on the size of files stands for a full disk: the program sees the same refusal of a write.
+/// A limit on the size of files stands for a full disk: the program sees the same refusal of a
+/// write.
 #[test]
 fn no_room_is_one_line_and_resumable() {
     let case = Case::new();
@@ -309,7 +313,8 @@ fn no_room_is_one_line_and_resumable() {
 #[ignore = "mounts a file system, which wants root; tools/check runs it"]
 fn a_full_file_system_is_one_line_and_resumable() {
     let case = Case::new();
-    // A small file system that only the shell and its children see; it fills up while the run, asleep, has a segment open.
+    // A small file system that only the shell and its children see; it fills up while the run,
+    // asleep, has a segment open.
     let script =
         "mkdir small && mount -t tmpfs -o size=64m tmpfs small && cp v.npy small/ && cd small || exit 99
         for try in {1..60}; do
@@ -347,7 +352,8 @@ fn targets_that_cannot_be_written_are_one_line() {
     let locked = dir.path().join("locked");
     fs::create_dir(&locked).unwrap();
     fs::set_permissions(&locked, fs::Permissions::from_mode(0o555)).unwrap();
-    // Root is bound by permissions once its capabilities are gone, which setpriv of util-linux takes.
+    // Root is bound by permissions once its capabilities are gone, which setpriv of util-linux
+    // takes.
     let bound = fs::write(locked.join("probe"), "x").is_err();
     let run = |args: &[&str]| match bound {
         true => spawn(dir.path(), args),
@@ -378,7 +384,8 @@ fn targets_that_cannot_be_written_are_one_line() {
     fs::set_permissions(&locked, fs::Permissions::from_mode(0o755)).unwrap();
 }
 
-/// A copy and a surface are stopped by a signal without a trace; what a kill leaves is removed by the next run.
+/// A copy and a surface are stopped by a signal without a trace; what a kill leaves is removed by
+/// the next run.
 #[test]
 fn brick_and_surface_leave_nothing() {
     let dir = tempfile::tempdir().unwrap();
@@ -422,7 +429,8 @@ fn brick_and_surface_leave_nothing() {
     assert!(stopped > 0 && left > 0, "{stopped} stopped, {left} left something");
 }
 
-/// Steps that are added while the run is killed again and again: the archive is the old one until it is the new one.
+/// Steps that are added while the run is killed again and again: the archive is the old one until
+/// it is the new one.
 #[test]
 fn kills_while_steps_are_added_leave_the_archive_as_it_was() {
     let dir = tempfile::tempdir().unwrap();
@@ -479,7 +487,8 @@ fn kills_while_steps_are_added_leave_the_archive_as_it_was() {
     assert!(temporaries(d).is_empty());
 }
 
-/// The same of a mesh. The kills come when a new step is under way: when its first segment is there, then that of the next.
+/// The same of a mesh. The kills come when a new step is under way: when its first segment is
+/// there, then that of the next.
 #[test]
 fn a_kill_while_a_step_is_added_to_a_mesh_leaves_the_archive_as_it_was() {
     let dir = tempfile::tempdir().unwrap();
@@ -575,7 +584,8 @@ fn steps_of(archive: &Path) -> usize {
     isospan::archive::manifest::Manifest::read(archive).unwrap().steps.len()
 }
 
-/// An input that is written while it is read: nothing is published, and what is stored was read before.
+/// An input that is written while it is read: nothing is published, and what is stored was read
+/// before.
 #[test]
 fn an_input_that_changes_during_a_run_is_refused() {
     let dir = tempfile::tempdir().unwrap();
@@ -655,7 +665,8 @@ fn a_commit_sweeps_what_killed_processes_have_left() {
     case.same("w.isospan");
 }
 
-/// A search that had finished is asked for again: it says so. Of another input, or with another target, it is refused.
+/// A search that had finished is asked for again: it says so. Of another input, or with another
+/// target, it is refused.
 #[test]
 fn a_target_that_was_met_is_not_looked_for_again() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,5 +1,5 @@
-//! The same input and parameters give the same bytes: for any number of threads and any restart; and for any chunk size the
-//! same triangles.
+//! The same input and parameters give the same bytes: for any number of threads and any restart;
+//! and for any chunk size the same triangles.
 
 use crate::common::*;
 use isospan::exec::Silent;
@@ -90,7 +90,8 @@ fn an_interrupted_reduction_continues_to_the_same_bytes() {
     let expected = folder(&whole);
     assert!(expected.len() > 6, "several segments");
     for lost in [0, 2, 4] {
-        // What a kill leaves: no manifest, a segment missing, another one cut short, a temporary file.
+        // What a kill leaves: no manifest, a segment missing, another one cut short, a temporary
+        // file.
         let out = dir.path().join(format!("lost{lost}.isospan"));
         reduce(&input, &settings, &out, 1);
         fs::remove_file(out.join("manifest.json")).unwrap();
@@ -160,7 +161,8 @@ fn rounded_values_are_the_same_in_all_chunks_and_smaller() {
 fn zeros_have_no_sign() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("zeros.npy");
-    // The largest values are zeros of both signs: which of them is the largest one differs from machine to machine.
+    // The largest values are zeros of both signs: which of them is the largest one differs from
+    // machine to machine.
     write_npy(&input, [24, 22, 20], |x, y, z| if x > y { -0.5 - x.abs() } else { 0f64.copysign(z) });
     let out = dir.path().join("zeros.isospan");
     let report = reduce(&input, &settings(SetKind::Regular, Amount::Fraction(1.0), 2_000), &out, 2);

@@ -1,5 +1,5 @@
-//! The documents hang together: links lead somewhere, the book's page of commands is what the program
-//! says of itself, its table of contents has every page, and README stays short.
+//! The documents hang together: links lead somewhere, the book's page of commands is what the
+//! program says of itself, its table of contents has every page, and README stays short.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -116,6 +116,41 @@ fn the_page_of_commands_is_what_the_program_says() {
     let written = fs::read_to_string(page).unwrap();
     let differs = made.lines().zip(written.lines()).find(|(made, written)| made != written);
     assert!(made == written, "run tools/book/commands: the program says otherwise, first at {differs:?}");
+}
+
+/// All files of Rust below a folder.
+fn rust_files(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        match path.is_dir() {
+            true if path.ends_with("target") => {}
+            true => rust_files(&path, found),
+            false => found.extend(Some(path).filter(|p| p.extension().is_some_and(|e| e == "rs"))),
+        }
+    }
+}
+
+/// Whether a line of a comment may be long: in a table, a drawing, or with a word that is long.
+fn may_be_long(text: &str) -> bool {
+    let is_drawn = text.contains("   ") || text.chars().any(|c| ('\u{2500}'..='\u{25ff}').contains(&c));
+    is_drawn || text.starts_with('|') || text.split(' ').any(|word| word.chars().count() > 80)
+}
+
+#[test]
+fn comments_have_lines_of_100_columns() {
+    let mut files = vec![];
+    ["src", "tests", "tools", "benches"].iter().for_each(|f| rust_files(&root().join(f), &mut files));
+    let mut found = vec![];
+    for file in files {
+        let text = fs::read_to_string(&file).unwrap();
+        for (n, line) in text.lines().enumerate().filter(|(_, line)| line.chars().count() > 100) {
+            let text = line.trim_start();
+            if text.starts_with("//") && !may_be_long(text.trim_start_matches(['/', '!']).trim()) {
+                found.push(format!("{}:{}", file.display(), n + 1));
+            }
+        }
+    }
+    assert!(found.is_empty(), "{found:#?}");
 }
 
 #[test]

@@ -1,5 +1,6 @@
-//! Volumes at the edge of what a header can say, in each format that a few lines can write: axes of a single sample, and claims
-//! of 10^18 samples. Each is refused by `reduce` in one line, the second at once.
+//! Volumes at the edge of what a header can say, in each format that a few lines can write: axes of
+//! a single sample, and claims of 10^18 samples. Each is refused by `reduce` in one line, the
+//! second at once.
 
 use crate::common::*;
 use std::fs;
@@ -13,7 +14,8 @@ fn isospan(dir: &Path, args: &[&str]) -> Output {
 
 const FORMATS: [&str; 9] = ["nrrd", "mha", "npy", "nii", "vti", "vtk", "tifs", "zarr", "raw"];
 
-/// Bytes of a volume of u8 that claims `dims`, and has `data`; for TIFF of one slice, for Zarr of the metadata.
+/// Bytes of a volume of u8 that claims `dims`, and has `data`; for TIFF of one slice, for Zarr of
+/// the metadata.
 fn bytes(format: &str, dims: [u64; 3], data: &[u8]) -> Vec<u8> {
     let [x, y, z] = dims;
     let text = match format {
@@ -97,7 +99,8 @@ fn tiff(x: u32, y: u32, data: &[u8]) -> Vec<u8> {
     [out, vec![0; 4], data.to_vec()].concat()
 }
 
-/// Writes a volume that claims `dims` and has the samples of `there`, and tells the arguments to name it.
+/// Writes a volume that claims `dims` and has the samples of `there`, and tells the arguments to
+/// name it.
 fn volume(dir: &Path, format: &str, dims: [u64; 3], there: [u64; 3]) -> Vec<String> {
     let path: PathBuf = dir.join(format!("v.{format}"));
     let slice = (there[0] * there[1]) as usize;

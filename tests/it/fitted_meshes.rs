@@ -1,5 +1,5 @@
-//! Values fitted to those at the vertices of a mesh: less error at the same points, the same bytes however the work is done, and nothing
-//! from beyond a boundary.
+//! Values fitted to those at the vertices of a mesh: less error at the same points, the same bytes
+//! however the work is done, and nothing from beyond a boundary.
 
 use crate::common::*;
 use isospan::exec::Silent;
@@ -67,7 +67,8 @@ fn constants_stay_and_linear_fields_stay_linear() {
     write_mesh(&input, 14, keep, |p| [2.0 * p[0], p[1], p[2]], |_| 0.1);
     assert_eq!(made(&input, &fitted(0.3)).range, Some([0.1; 2]));
     write_mesh(&input, 14, keep, |p| p, |p| 100.0 + 3.0 * p[0] - 2.0 * p[1] + p[2]);
-    // Values outside of the mesh are those of the boundary there, and a field that goes on flat is not linear.
+    // Values outside of the mesh are those of the boundary there, and a field that goes on flat is
+    // not linear.
     let inside = |report: ReduceReport| {
         report.error.unwrap().percentiles.iter().find(|p| p.percent == 50.0).unwrap().error
     };

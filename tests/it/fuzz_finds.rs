@@ -1,5 +1,5 @@
-//! Inputs that once led to a panic, a hang or a claim of memory, each by its name: found by `tools/fuzz`, or by looking for
-//! what it might find.
+//! Inputs that once led to a panic, a hang or a claim of memory, each by its name: found by
+//! `tools/fuzz`, or by looking for what it might find.
 
 use crate::common::*;
 use isospan::Error;
@@ -69,7 +69,8 @@ fn an_index_that_names_a_block_twice_gave_its_triangles_twice() {
         |_| {},
         |kind, n, page| {
             if (kind, n) == (SegmentKind::Index, 1) {
-                // Behind kind, minima and maxima: gap to the chunk before, block, tetrahedra, of each entry.
+                // Behind kind, minima and maxima: gap to the chunk before, block, tetrahedra, of
+                // each entry.
                 let first = 1 + 8 * entries.len();
                 let end = (first + 2..).find(|&i| page[i] < 0x80).unwrap();
                 assert_eq!([page[first + 1], page[end + 1], page[end + 2]], [0, 0, 1]);
@@ -89,7 +90,8 @@ fn a_summary_of_four_thousand_million_blocks_claimed_sixteen_gigabytes() {
         &archive,
         |_| {},
         |kind, _, block| {
-            // The summary of a chunk's mesh is the only block of 56 bytes; its third field counts the blocks.
+            // The summary of a chunk's mesh is the only block of 56 bytes; its third field counts
+            // the blocks.
             if kind == SegmentKind::Mesh && block.len() == 56 {
                 block[8..12].fill(0xff);
             }
@@ -128,7 +130,8 @@ fn more_points_than_bricks_can_hold_are_refused_at_once() {
     }
 }
 
-/// A long thin volume was cut into a chunk for each of its bricks, all halo: a minute for a second's work.
+/// A long thin volume was cut into a chunk for each of its bricks, all halo: a minute for a
+/// second's work.
 #[test]
 fn long_thin_volumes_are_reduced_soon() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! Rectilinear and curvilinear grids: meshed in index space, placed by their coordinates. Analytic maps say what must come out.
+//! Rectilinear and curvilinear grids: meshed in index space, placed by their coordinates. Analytic
+//! maps say what must come out.
 
 use crate::common::{check_archive, contour_spectrum, extract_surface};
 use isospan::exec::Silent;
@@ -97,7 +98,8 @@ fn distance(p: [f64; 3]) -> f64 {
     p[0].hypot(p[1]).hypot(p[2])
 }
 
-/// Area, and that the triangles' sides are those that the normals say: of slivers not each, of the area nearly all.
+/// Area, and that the triangles' sides are those that the normals say: of slivers not each, of the
+/// area nearly all.
 fn area(mesh: &TriMesh) -> f64 {
     let sub =
         |a: [f32; 3], b: [f32; 3]| -> [f64; 3] { std::array::from_fn(|i| f64::from(a[i]) - f64::from(b[i])) };
@@ -115,7 +117,8 @@ fn area(mesh: &TriMesh) -> f64 {
     sum
 }
 
-/// The volume of what `export` writes, and the largest difference of a point's value from `field` there.
+/// The volume of what `export` writes, and the largest difference of a point's value from `field`
+/// there.
 fn exported(archive: &Path, field: Field) -> (f64, f64) {
     let out = archive.with_extension("vtu");
     let archive = Archive::open(archive).unwrap();

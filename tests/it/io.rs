@@ -1,5 +1,5 @@
-//! The two I/O modes give the same; a file that shrinks while it is read is an error and not the end of the process; progress
-//! comes in the form that was asked for.
+//! The two I/O modes give the same; a file that shrinks while it is read is an error and not the
+//! end of the process; progress comes in the form that was asked for.
 
 use crate::common::*;
 use std::fs;
@@ -17,7 +17,8 @@ fn ok(dir: &Path, args: &[&str]) -> (String, String) {
     (stdout, stderr)
 }
 
-/// Others of a machine do not read what one user's data is copied to; what the user asks for has the usual permissions.
+/// Others of a machine do not read what one user's data is copied to; what the user asks for has
+/// the usual permissions.
 #[test]
 #[cfg(target_os = "linux")]
 fn copies_in_the_scratch_folder_are_private() {
@@ -98,8 +99,8 @@ fn mapped_and_read_files_give_the_same() {
     assert_eq!(refused.status.code(), Some(2));
 }
 
-/// Cuts the input at several moments of a run; each run ends by itself, with a result or with one line that names the
-/// file.
+/// Cuts the input at several moments of a run; each run ends by itself, with a result or with one
+/// line that names the file.
 #[test]
 #[cfg(unix)]
 fn an_input_that_shrinks_is_an_error_that_names_it() {

@@ -1,4 +1,5 @@
-//! Archives of lattices: their mesh follows by formula, so all that other archives answer must hold without it.
+//! Archives of lattices: their mesh follows by formula, so all that other archives answer must hold
+//! without it.
 
 use crate::common::*;
 use isospan::Archive;
@@ -154,7 +155,8 @@ fn errors_and_sizes_are_met_by_even_sets() {
         (SetKind::Hammersley, Target::Size(60_000)),
     ];
     for (n, (points, target)) in targets.into_iter().enumerate() {
-        // An index more in an archive of several chunks is a step, larger than a size can be near to.
+        // An index more in an archive of several chunks is a step, larger than a size can be near
+        // to.
         let is_size = matches!(target, Target::Size(_) | Target::Ratio(_));
         let (target, chunk) = (Some(target), if is_size { 50_000 } else { 5_000 });
         let settings = ReduceSettings {

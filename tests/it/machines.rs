@@ -1,7 +1,9 @@
-//! The same bytes on every machine: archives of small fields, and what the program makes of them, have the checksums of
-//! `tests/data/machines.tsv`, whatever processor, system and vector instructions there are.
+//! The same bytes on every machine: archives of small fields, and what the program makes of them,
+//! have the checksums of `tests/data/machines.tsv`, whatever processor, system and vector
+//! instructions there are.
 //!
-//! The fields are computed by sums, products and quotients, which are exact everywhere; sines are not.
+//! The fields are computed by sums, products and quotients, which are exact everywhere; sines are
+//! not.
 
 use crate::common::*;
 use sha2::{Digest, Sha256};

@@ -1,9 +1,10 @@
-//! Tests of the library and the program from outside: a file a topic, all in one program, since every program links the whole
-//! crate anew. `cargo test --test it cli::` runs those of one file.
+//! Tests of the library and the program from outside: a file a topic, all in one program, since
+//! every program links the whole crate anew. `cargo test --test it cli::` runs those of one file.
 //!
-//! They run side by side in one process. A test that changes what a process has (environment variables, limits, handlers of
-//! signals, the current folder) lets a child process do it, or is a program of its own, beside this folder. So is
-//! `tests/datasets.rs`, for another reason: the published crate has neither it nor the files that it reads.
+//! They run side by side in one process. A test that changes what a process has (environment
+//! variables, limits, handlers of signals, the current folder) lets a child process do it, or is a
+//! program of its own, beside this folder. So is `tests/datasets.rs`, for another reason: the
+//! published crate has neither it nor the files that it reads.
 
 mod adapt;
 mod adapted_meshes;

@@ -1,4 +1,5 @@
-//! An archive carries its error against the samples that it was made from, and it is the one that anybody can work out.
+//! An archive carries its error against the samples that it was made from, and it is the one that
+//! anybody can work out.
 
 use crate::common::{reduce, settings, summarize, waves, write_npy};
 use isospan::exec::Silent;

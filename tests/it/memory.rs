@@ -1,4 +1,5 @@
-//! A memory budget is kept, decides no byte, and is refused, naming the least that works, before anything is made.
+//! A memory budget is kept, decides no byte, and is refused, naming the least that works, before
+//! anything is made.
 
 use crate::common::*;
 use std::fs;
@@ -70,7 +71,8 @@ fn what_is_named_for_a_mesh_is_of_all_memory() {
         let settings = ["--count", "15000", "--memory", memory];
         isospan(d, &[&["-q", "reduce", "ball.vtk", "-o", "a.isospan"][..], &settings].concat())
     };
-    // The samples of the boundary get a part of the memory; what is named is the whole of it. Then chunks have a need of their own.
+    // The samples of the boundary get a part of the memory; what is named is the whole of it. Then
+    // chunks have a need of their own.
     let mut memory = "1MiB".to_owned();
     let mut said = vec![];
     loop {
@@ -88,7 +90,8 @@ fn what_is_named_for_a_mesh_is_of_all_memory() {
     assert!(said[0].contains("samples of the boundary"), "{said:?}");
 }
 
-/// Of the questions that read all of an archive: what is named once is enough for what asked for it.
+/// Of the questions that read all of an archive: what is named once is enough for what asked for
+/// it.
 #[test]
 fn the_least_for_a_question_is_named_and_works() {
     let dir = tempfile::tempdir().unwrap();
@@ -163,7 +166,8 @@ fn a_surface_is_the_same_whatever_its_memory() {
         // Chunks of 3000 points have some 20 000 tetrahedra, of 200 bytes at most.
         assert!(mebibytes(least) < 24, "{set}: {least}");
         assert!(surface("all.ply", "4GiB").status.success());
-        // With this little, edges are closed many times on the way, and most of the surface waits on disk.
+        // With this little, edges are closed many times on the way, and most of the surface waits
+        // on disk.
         assert!(surface("least.ply", least).status.success());
         assert!(fs::read(d.join("all.ply")).unwrap() == fs::read(d.join("least.ply")).unwrap());
         assert!(isospan(d, &["check", "least.ply", "--within", "w.isospan"]).status.success());

@@ -1,4 +1,5 @@
-//! Reductions of tetrahedral meshes: the reduced domain is the mesh's, and surfaces are those of its field.
+//! Reductions of tetrahedral meshes: the reduced domain is the mesh's, and surfaces are those of
+//! its field.
 
 use crate::common::{self, check_archive, read, run, surface, triangle_set, write_mesh, write_placed};
 use isospan::Resources;
@@ -161,13 +162,15 @@ fn sections_have_the_areas_of_the_solids() {
 #[test]
 fn bodies_that_touch_or_overlap_are_whole_where_the_field_jumps() {
     let dir = tempfile::tempdir().unwrap();
-    // The middle layer of 17 is left out, and the gap is closed: the two halves meet at x = 0.5 and share no vertex.
+    // The middle layer of 17 is left out, and the gap is closed: the two halves meet at x = 0.5 and
+    // share no vertex.
     let keep = |p: [f64; 3]| (p[0] - 0.5).abs() > 0.5 / 17.0;
     let closed = |p: [f64; 3], gap: f64| {
         let x = if p[0] < 0.5 { p[0] * 17.0 / 16.0 } else { 1.0 - (1.0 - p[0]) * 17.0 / 16.0 + gap };
         [x, p[1], p[2]]
     };
-    // Vertices in one place; a gap far below a lattice step; a real one; two overlaps, less and more than a spacing.
+    // Vertices in one place; a gap far below a lattice step; a real one; two overlaps, less and
+    // more than a spacing.
     for gap in [0.0, 4e-10, 0.01, -0.01, -0.15] {
         let input = dir.path().join(format!("gap {gap}.vtk"));
         write_placed(&input, 17, keep, |p| (closed(p, gap), if p[0] > 0.5 { p[2] + 10.0 } else { p[2] }));
@@ -189,11 +192,13 @@ fn bodies_that_touch_or_overlap_are_whole_where_the_field_jumps() {
     assert!((extracted(&archive, 0.45).1.area - 1.0).abs() < 0.01);
 }
 
-/// Which vertices are one is decided by the first step, whose file need not be there when others are added.
+/// Which vertices are one is decided by the first step, whose file need not be there when others
+/// are added.
 #[test]
 fn appended_steps_have_the_bodies_of_the_first() {
     let dir = tempfile::tempdir().unwrap();
-    // Two halves of a cube that meet at x = 0.5 and share no vertex; the field goes on, or jumps there.
+    // Two halves of a cube that meet at x = 0.5 and share no vertex; the field goes on, or jumps
+    // there.
     let keep = |p: [f64; 3]| (p[0] - 0.5).abs() > 0.5 / 9.0;
     let closed =
         |[x, y, z]: [f64; 3]| [if x < 0.5 { x * 9.0 / 8.0 } else { 1.0 - (1.0 - x) * 9.0 / 8.0 }, y, z];
@@ -244,7 +249,8 @@ fn appended_steps_have_the_bodies_of_the_first() {
     }
 }
 
-/// Points moved, points more, cells in another order: told by the file and by what differs. A volume is no mesh.
+/// Points moved, points more, cells in another order: told by the file and by what differs. A
+/// volume is no mesh.
 #[test]
 fn steps_of_other_meshes_are_refused() {
     let dir = tempfile::tempdir().unwrap();

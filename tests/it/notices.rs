@@ -1,4 +1,5 @@
-//! What `info`, `reduce`, `plan` and `append` say of their input before they work: one line each, and nothing of ordinary data.
+//! What `info`, `reduce`, `plan` and `append` say of their input before they work: one line each,
+//! and nothing of ordinary data.
 
 use crate::common::*;
 use std::fs;
@@ -178,7 +179,8 @@ fn an_archive_larger_than_its_source_is_told_after_a_search() {
     assert!(text.contains(" bits a sample, the source 8.00\n"), "{text}");
 }
 
-/// Where the mesh itself would be the better archive, that is said once: before work by its size, or after it by the error.
+/// Where the mesh itself would be the better archive, that is said once: before work by its size,
+/// or after it by the error.
 #[test]
 fn a_mesh_that_would_better_be_kept_is_named() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! Values that `f32` does not hold: they are counted from an offset, which nobody sees. What is lost all the same is told.
+//! Values that `f32` does not hold: they are counted from an offset, which nobody sees. What is
+//! lost all the same is told.
 
 use crate::common::*;
 use isospan::archive::manifest::Manifest;

@@ -1,4 +1,5 @@
-//! Meshes that are kept as they are: their own vertices and tetrahedra, with no error, whatever is asked of them.
+//! Meshes that are kept as they are: their own vertices and tetrahedra, with no error, whatever is
+//! asked of them.
 
 use crate::common::{
     self, check_archive, folder, reduce_in_shards, run, triangle_set, write_mesh, write_placed,
@@ -92,8 +93,8 @@ impl Mesh {
         first
     }
 
-    /// Marching tetrahedra in a few lines: triangles, area, vertices - edges + triangles. A vertex at which several fans of triangles meet
-    /// counts once for each, as surfaces have it.
+    /// Marching tetrahedra in a few lines: triangles, area, vertices - edges + triangles. A vertex
+    /// at which several fans of triangles meet counts once for each, as surfaces have it.
     fn contour(&self, isovalue: f64) -> (u64, f64, i64) {
         let mut triangles: Vec<[[usize; 2]; 3]> = vec![];
         for tet in &self.tets {
@@ -303,7 +304,8 @@ fn bodies_that_touch_keep_their_own_vertices() {
     assert!(found.is_manifold() && found.components == 1 && (found.area - 1.0).abs() < 1e-6, "{found:?}");
 }
 
-/// Bodies that overlap, and cells of each in the other: each has its surface; where both have a sample, the first has it for any threads.
+/// Bodies that overlap, and cells of each in the other: each has its surface; where both have a
+/// sample, the first has it for any threads.
 #[test]
 fn bodies_that_overlap_are_both_there() {
     let dir = tempfile::tempdir().unwrap();
@@ -334,7 +336,8 @@ fn bodies_that_overlap_are_both_there() {
     assert_eq!(format!("{:?}", open.probe(&points)), format!("{:?}", open.probe(&points)));
 }
 
-/// Complexes that no Delaunay mesh has: thousands of tetrahedra at an edge, tetrahedra that share an edge or a vertex alone.
+/// Complexes that no Delaunay mesh has: thousands of tetrahedra at an edge, tetrahedra that share
+/// an edge or a vertex alone.
 #[test]
 fn any_complex_of_tetrahedra_is_kept() {
     let dir = tempfile::tempdir().unwrap();
@@ -605,7 +608,8 @@ fn damaged_plans_of_kept_meshes_are_refused() {
 fn real_meshes_are_kept() {
     let data = common::shared_data();
     let dir = tempfile::tempdir().unwrap();
-    // File, field, isovalue; triangles, vertices - edges + triangles, and area of VTK's contour of the mesh.
+    // File, field, isovalue; triangles, vertices - edges + triangles, and area of VTK's contour of
+    // the mesh.
     for (name, field, isovalue, triangles, euler, area) in [
         ("meshes/kit_heart_inflation.vtu", None, 13.4, 7626, -4, 6994.856),
         ("meshes/fim_activation_196k.vtu", Some("seed1"), 85.15, 10582, 1, 77933.261),

@@ -1,4 +1,5 @@
-//! From a volume to a surface: what comes out is whole, watertight, in the right place, and read sparingly.
+//! From a volume to a surface: what comes out is whole, watertight, in the right place, and read
+//! sparingly.
 
 use crate::common::*;
 use isospan::Archive;
@@ -173,7 +174,8 @@ fn positions_go_through_the_geometry() {
         let scaled = [d[0], d[1] / 2.0, d[2] / 3.0];
         let distance = scaled.iter().map(|x| x * x).sum::<f64>().sqrt();
         assert!((distance - r).abs() < 0.3, "{distance}");
-        // Normals point to lower values: outwards. As covectors they shrink where the space is stretched.
+        // Normals point to lower values: outwards. As covectors they shrink where the space is
+        // stretched.
         let n: f64 = (0..3).map(|a| f64::from(v.normal[a]) * d[a]).sum();
         assert!(n > 0.0);
     }
@@ -186,7 +188,8 @@ fn interpolations_differ_and_all_work() {
     write_npy(&input, [24, 24, 24], waves);
     let all =
         [Interpolation::Linear, Interpolation::Cubic, Interpolation::CubicThesis, Interpolation::Nearest];
-    // Values at the same points: the field's own, and what each interpolation makes of the samples around.
+    // Values at the same points: the field's own, and what each interpolation makes of the samples
+    // around.
     let errors = all.map(|interpolation| {
         let out = dir.path().join(format!("{}.isospan", interpolation.name()));
         let settings =
@@ -243,7 +246,8 @@ fn sound(archive: &Path, dir: &Path) {
     assert!(report.triangles > 0 && report.is_manifold() && report.is_oriented(), "{report:?}");
 }
 
-/// A noisy block in air that was cut off at -1024, and a small bright one far from it; the coordinates are numbers of samples.
+/// A noisy block in air that was cut off at -1024, and a small bright one far from it; the
+/// coordinates are numbers of samples.
 fn blocks(x: f64, y: f64, z: f64) -> f64 {
     let all_in = |lo: f64, hi: f64| [y, z].iter().all(|c| (lo..hi).contains(c));
     if x < 24.0 && all_in(8.0, 24.0) {

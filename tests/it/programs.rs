@@ -1,4 +1,5 @@
-//! Tests need no program that README does not name: what they call is listed here, with where it comes from.
+//! Tests need no program that README does not name: what they call is listed here, with where it
+//! comes from.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -6,9 +7,11 @@ use std::path::{Path, PathBuf};
 
 /// Programs of packages that every Debian has ("Essential: yes").
 const EVERYWHERE: [&str; 6] = ["bash", "gzip", "mkfifo", "setpriv", "timeout", "unshare"];
-/// Programs of tests that are ignored unless asked for, which CI does, and of the program itself, which goes on without them.
+/// Programs of tests that are ignored unless asked for, which CI does, and of the program itself,
+/// which goes on without them.
 const ASKED_FOR: [&str; 3] = ["fincore", "sbatch", "scontrol"];
-/// What is no literal: the program under test, and a script or a program of Slurm that the caller names.
+/// What is no literal: the program under test, and a script or a program of Slurm that the caller
+/// names.
 const NO_LITERALS: [&str; 4] = ["env!(\"CARGO_BIN_EXE_isospan\")", "program", "script", "PROGRAM"];
 
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
@@ -49,7 +52,8 @@ fn tests_call_programs_that_every_debian_has() {
     }
 }
 
-/// A test that returns early because something is missing would be told as passed: it is to be `#[ignore = "why"]`.
+/// A test that returns early because something is missing would be told as passed: it is to be
+/// `#[ignore = "why"]`.
 #[test]
 fn no_test_passes_by_skipping() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));

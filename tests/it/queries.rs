@@ -1,4 +1,5 @@
-//! Several isovalues at once, and boxes: the answers are those of one question at a time, and of the whole, cut.
+//! Several isovalues at once, and boxes: the answers are those of one question at a time, and of
+//! the whole, cut.
 
 use crate::common::*;
 use isospan::exec::Silent;
@@ -279,7 +280,8 @@ fn what_an_open_archive_keeps_does_not_show() {
     }
 }
 
-/// Of values, those of blocks are read in which the surface is, or next to which; no other neighbours of its tetrahedra.
+/// Of values, those of blocks are read in which the surface is, or next to which; no other
+/// neighbours of its tetrahedra.
 #[test]
 fn a_surface_reads_little_that_it_does_not_need() {
     let dir = tempfile::tempdir().unwrap();
@@ -299,7 +301,8 @@ fn a_surface_reads_little_that_it_does_not_need() {
     assert!(ratios[ratios.len() / 2] < 1.6 && ratios[ratios.len() - 2] < 2.0, "{ratios:?}");
 }
 
-/// A surface ends at samples without data, and is right; with a triangle less it has a hole, wherever that is.
+/// A surface ends at samples without data, and is right; with a triangle less it has a hole,
+/// wherever that is.
 #[test]
 fn a_surface_that_ends_at_missing_samples_is_sound() {
     let dir = tempfile::tempdir().unwrap();

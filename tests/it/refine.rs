@@ -1,4 +1,5 @@
-//! Capped, decimated, chosen components: sound surfaces, and the same bytes for any threads and memory.
+//! Capped, decimated, chosen components: sound surfaces, and the same bytes for any threads and
+//! memory.
 
 use crate::common::*;
 use isospan::Resources;

@@ -65,7 +65,8 @@ impl Vtu {
         self.tets.iter().map(volume).collect()
     }
 
-    /// Corner positions and values, sorted: the same for the same mesh, whatever its numbers and its order.
+    /// Corner positions and values, sorted: the same for the same mesh, whatever its numbers and
+    /// its order.
     fn as_set(&self) -> Vec<Vec<([u64; 3], u32)>> {
         let corner = |&v: &usize| (self.points[v].map(f64::to_bits), self.values[v].to_bits());
         let sorted = |t: &[usize; 4]| {
@@ -247,7 +248,8 @@ fn a_range_and_a_mask_choose_tetrahedra() {
     assert!(matches!(wrong(ExportSettings::default(), "o.vtk"), Error::Usage(_)));
 }
 
-/// Of a volume that is turned, the tetrahedra whose bounding box in the world touches a box of the world, and no others.
+/// Of a volume that is turned, the tetrahedra whose bounding box in the world touches a box of the
+/// world, and no others.
 #[test]
 fn a_box_of_the_world_is_one_in_a_turned_volume_too() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! A series is its steps: one mesh, and of each step what it would be alone. Appending is reducing all at once. A bad step costs itself alone.
+//! A series is its steps: one mesh, and of each step what it would be alone. Appending is reducing
+//! all at once. A bad step costs itself alone.
 
 use crate::common::*;
 use isospan::archive::manifest::Manifest;
@@ -134,7 +135,8 @@ fn each_step_is_what_it_is_alone() {
     }
 }
 
-/// Steps are fitted together, and some have holes of their own: each is what it is alone, however many are made at a time.
+/// Steps are fitted together, and some have holes of their own: each is what it is alone, however
+/// many are made at a time.
 #[test]
 fn steps_with_holes_are_fitted_as_alone() {
     let dir = tempfile::tempdir().unwrap();
@@ -198,7 +200,8 @@ fn threads_memory_and_chunks_change_nothing() {
     let out = |name: &str| dir.path().join(name);
     reduce_all(&steps, &few_points(), &out("a.isospan"), &run(1));
     let expected = folder(&out("a.isospan"));
-    // With so little memory the steps are made a few at a time: the mesh is decoded for the later ones.
+    // With so little memory the steps are made a few at a time: the mesh is decoded for the later
+    // ones.
     for (name, threads, memory) in [("b.isospan", 2, 24 << 20), ("c.isospan", 3, 1 << 30)] {
         reduce_all(
             &steps,
@@ -414,7 +417,8 @@ fn a_damaged_step_does_not_hurt_others() {
     assert_eq!(answer(2).unwrap(), expected[2]);
 }
 
-/// The same reduction once more finds nothing to make, and makes again whatever file of the archive is lost; another one does not touch what is there.
+/// The same reduction once more finds nothing to make, and makes again whatever file of the archive
+/// is lost; another one does not touch what is there.
 #[test]
 fn the_same_reduction_makes_what_is_missing() {
     let dir = tempfile::tempdir().unwrap();
@@ -509,7 +513,8 @@ fn surfaces_of_many_steps_have_a_list() {
         let alone = surface_at(&archive, choice(number), 0.5, &dir.path().join("one.vtp"));
         assert!(fs::read(&step.path).unwrap() == alone, "{number}");
     }
-    // What all steps share is read once: with little memory, where each is extracted by itself, more is.
+    // What all steps share is read once: with little memory, where each is extracted by itself,
+    // more is.
     let read = |memory| {
         let settings =
             SurfaceSettings { resources: settings.resources.clone().with_memory(memory), ..settings.clone() };
@@ -554,7 +559,8 @@ fn meshes_are_located_once_for_all_steps() {
         let _ = fs::remove_dir_all(&one);
         let step = StepSource::new(&path, &field(&format!("V_{number:06}")));
         reduce_all(&[step], &settings, &one, &run(2));
-        // The first step is a constant that is no f32: the series is counted from it, and others alone are not.
+        // The first step is a constant that is no f32: the series is counted from it, and others
+        // alone are not.
         let [of_series, alone] = [(&out, number), (&one, 0)]
             .map(|(archive, n)| Archive::open(archive).unwrap().at(choice(n)).unwrap());
         if of_series.offset() == alone.offset() {
@@ -576,7 +582,8 @@ fn meshes_are_located_once_for_all_steps() {
     check_archive(&out).unwrap();
 }
 
-/// Several steps are extracted in one pass, as many as memory has room for: each surface is the one that comes out alone.
+/// Several steps are extracted in one pass, as many as memory has room for: each surface is the one
+/// that comes out alone.
 #[test]
 fn surfaces_of_steps_are_those_of_each_alone() {
     let dir = tempfile::tempdir().unwrap();
@@ -624,7 +631,8 @@ fn surfaces_of_steps_are_those_of_each_alone() {
     }
 }
 
-/// What was said of the first steps holds for further ones: the value that means "no data", keyframes, the field of a file with several.
+/// What was said of the first steps holds for further ones: the value that means "no data",
+/// keyframes, the field of a file with several.
 #[test]
 fn appended_steps_take_over_what_was_said_of_the_first() {
     let dir = tempfile::tempdir().unwrap();
@@ -644,7 +652,8 @@ fn appended_steps_take_over_what_was_said_of_the_first() {
     let report = append(&steps[3..], &AppendSettings::default());
     assert!(report.range.is_some_and(|[lo, hi]| lo > -10.0 && hi < 10.0), "{:?}", report.range);
     assert!(folder(&out("all.isospan")) == folder(&out("grown.isospan")));
-    // Another value that is told is that of the new step, and of those behind it; it is measured without being told again.
+    // Another value that is told is that of the new step, and of those behind it; it is measured
+    // without being told again.
     let other = StepSource::new(&out("o.npy"), &OpenOptions::default()).at(Some(9.0));
     write_npy(&other.path, DIMS, |x, y, z| if x > 0.4 { -9999.0 } else { waves(x, y, z) });
     let how = AppendSettings { missing: Some(-9999.0), ..AppendSettings::default() };

@@ -1,4 +1,5 @@
-//! Plan, work and commit give the bytes of `reduce`, however the work is cut, repeated, killed or damaged on the way.
+//! Plan, work and commit give the bytes of `reduce`, however the work is cut, repeated, killed or
+//! damaged on the way.
 #![cfg(unix)]
 
 use crate::common::*;
@@ -33,7 +34,8 @@ fn fails(dir: &Path, args: &[&str]) -> (i32, String) {
     (code, err)
 }
 
-/// As many segments as such a small volume can have: a chunk is a brick, of about a thousand points.
+/// As many segments as such a small volume can have: a chunk is a brick, of about a thousand
+/// points.
 const SEGMENTS: usize = 4;
 const CHOICES: [&str; 4] = ["--fraction", "1/2", "--chunk-points", "120"];
 
@@ -109,7 +111,8 @@ fn any_number_of_shards_gives_the_bytes_of_reduce() {
     }
 }
 
-/// Rounded values (the range is read by the plan alone), a compressed volume, a curvilinear grid and a mesh.
+/// Rounded values (the range is read by the plan alone), a compressed volume, a curvilinear grid
+/// and a mesh.
 #[test]
 fn every_kind_of_input_is_done_in_shards() {
     let dir = tempfile::tempdir().unwrap();
@@ -221,7 +224,8 @@ fn workers_of_the_same_shard_do_not_disturb_each_other() {
         }
     }
     ok(d, &["commit", "t.isospan"]);
-    // A killed worker's segment may have been finished by another: its leftover stays for gc, and is no part of the archive.
+    // A killed worker's segment may have been finished by another: its leftover stays for gc, and
+    // is no part of the archive.
     ok(d, &["gc", "t.isospan", "--older-than", "0s"]);
     case.same("t.isospan");
 }
@@ -390,7 +394,8 @@ fn gc_touches_no_other_folder() {
     assert!(ok(d, &["gc", "t.isospan", "--older-than", "0s"]).contains("1 file,"));
 }
 
-/// Scripts for Slurm run nothing that a name says. Here `sbatch` is a stub, which runs what it is given as Slurm would, without an array.
+/// Scripts for Slurm run nothing that a name says. Here `sbatch` is a stub, which runs what it is
+/// given as Slurm would, without an array.
 #[test]
 fn no_name_of_an_archive_is_a_command_in_the_scripts_for_slurm() {
     use std::os::unix::fs::PermissionsExt;
@@ -432,7 +437,8 @@ fn no_name_of_an_archive_is_a_command_in_the_scripts_for_slurm() {
         };
         fs::create_dir(home.join(format!("{name}.scratch"))).unwrap();
         assert_eq!(run("submit.sh"), (Some(0), String::new()), "{name}");
-        // Nothing is there to commit: what is missing is submitted again, under the script's own name.
+        // Nothing is there to commit: what is missing is submitted again, under the script's own
+        // name.
         assert_eq!(run("commit.sh").0, Some(3), "{name}");
         let seen = fs::read_to_string(home.join("seen")).unwrap();
         let submitted =

@@ -1,4 +1,5 @@
-//! Real volumes, where there are some: the folder that `ISOSPAN_SHARED_DATA` names, with its `MANIFEST.tsv`.
+//! Real volumes, where there are some: the folder that `ISOSPAN_SHARED_DATA` names, with its
+//! `MANIFEST.tsv`.
 
 use crate::common::*;
 use isospan::formats::{OpenOptions, StepSource, open_volume};
@@ -148,7 +149,8 @@ fn meshes_are_what_the_manifest_says_and_other_files_take_one_line() {
         let (code, out, error) = told(&file);
         if code == Some(0) {
             let found: serde_json::Value = serde_json::from_slice(&out).unwrap();
-            // "8 points; 1 cells", "32505 vertices; 128976 tet"; volumes have "3x4x6", pairs of files nothing.
+            // "8 points; 1 cells", "32505 vertices; 128976 tet"; volumes have "3x4x6", pairs of
+            // files nothing.
             let counts: Vec<u64> =
                 c[4].split(';').filter_map(|n| n.trim().split(' ').next()?.parse().ok()).collect();
             if let ([points, cells], Some("mesh")) = (&counts[..], found["kind"].as_str()) {

@@ -1,7 +1,8 @@
-//! Reductions on a real Slurm of two nodes, started by `tools/slurm/cluster`: the bytes of `reduce`, whatever happens to the nodes.
+//! Reductions on a real Slurm of two nodes, started by `tools/slurm/cluster`: the bytes of
+//! `reduce`, whatever happens to the nodes.
 //!
-//! Takes about two minutes and wants root and Debian's slurmctld, slurmd, slurm-client and munge, so it is ignored
-//! unless asked for: `cargo test --test it slurm:: -- --ignored`, which CI does.
+//! Takes about two minutes and wants root and Debian's slurmctld, slurmd, slurm-client and munge,
+//! so it is ignored unless asked for: `cargo test --test it slurm:: -- --ignored`, which CI does.
 #![cfg(target_os = "linux")]
 
 use crate::common::*;
@@ -105,7 +106,8 @@ impl Cluster {
         self.path().join(out).join("mesh").join(found.unwrap())
     }
 
-    /// Stops the workers of an archive when the one on a node is within a segment, which it then cannot finish.
+    /// Stops the workers of an archive when the one on a node is within a segment, which it then
+    /// cannot finish.
     fn held_at_work(&self, out: &str, node: &str) -> PathBuf {
         loop {
             let file = self.at_work(out, node);
@@ -242,7 +244,8 @@ fn a_node_loses_power(c: &Cluster) {
     c.same("power.isospan");
 }
 
-/// The controller gives the node up and starts its task elsewhere, while the first one wakes up and goes on writing.
+/// The controller gives the node up and starts its task elsewhere, while the first one wakes up and
+/// goes on writing.
 fn a_node_loses_the_network(c: &Cluster) {
     c.plan("cut.isospan", 2);
     c.submit("cut.isospan", &["--threads", "2"]);

@@ -1,4 +1,5 @@
-//! The contour spectrum of an archive is what its surfaces are: as many active tetrahedra, the same area, the same volume.
+//! The contour spectrum of an archive is what its surfaces are: as many active tetrahedra, the same
+//! area, the same volume.
 
 use crate::common::{
     self, ball, check_archive, contour_spectrum, count_active, folder, read, reduce, settings, summarize,
@@ -86,7 +87,8 @@ fn nothing_but_void_has_no_spectrum() {
     let dir = tempfile::tempdir().unwrap();
     let input = dir.path().join("void.npy");
     write_npy(&input, [20, 20, 20], |_, _, _| f64::NAN);
-    // Of one chunk, which has no file of a spectrum in any case, and of several, which have an index.
+    // Of one chunk, which has no file of a spectrum in any case, and of several, which have an
+    // index.
     for (name, amount, chunk_points) in [("one", 0.125, 100_000), ("several", 1.0, 1000)] {
         let out = dir.path().join(format!("{name}.isospan"));
         let amount = Amount::Fraction(amount);

@@ -1,4 +1,5 @@
-//! A field that bends along one axis above all: points are closer along it, the lattice has more steps there, and everything else holds as ever.
+//! A field that bends along one axis above all: points are closer along it, the lattice has more
+//! steps there, and everything else holds as ever.
 
 use crate::common::*;
 use isospan::Archive;
@@ -129,7 +130,8 @@ fn samples_points_and_the_stored_error_agree() {
     let rms = (squares.sum::<f64>() / samples.len() as f64).sqrt();
     let stored = report.error.unwrap().rms;
     assert!((rms / stored - 1.0).abs() < 1e-6, "{rms} {stored}");
-    // Exported points lie in the box, and their tetrahedra are all of it: `check_archive` has added up the volumes.
+    // Exported points lie in the box, and their tetrahedra are all of it: `check_archive` has added
+    // up the volumes.
     let file = dir.path().join("s.vtu");
     archive.write_tetrahedra(&ExportSettings::default(), &file, &Silent).unwrap();
     let Input::Mesh(mesh) = open_input(&file, &OpenOptions::default()).unwrap() else {

@@ -1,4 +1,5 @@
-//! Unpacked blocks: the same surfaces from other bytes on disk, and never from those of another archive.
+//! Unpacked blocks: the same surfaces from other bytes on disk, and never from those of another
+//! archive.
 
 #[path = "../../tools/fuzz/unpacked_words.rs"]
 mod unpacked_words;
@@ -229,7 +230,8 @@ fn files_of_other_archives_are_never_used() {
         orderly("of another archive", &error);
         assert!(error.to_string().contains("plan hash"), "{error}");
     }
-    // The same plan and step, but other bytes of values: what the manifest tells of them is looked at.
+    // The same plan and step, but other bytes of values: what the manifest tells of them is looked
+    // at.
     let good = dir.path().join("good.seg");
     unpacked(&a, &UnpackSettings::default());
     fs::copy(unpacked_path(&a, 0), &good).unwrap();
@@ -289,7 +291,8 @@ fn damage_is_an_error_or_does_not_show() {
     check_archive(&archive).unwrap();
 }
 
-/// Words changed behind good checksums: an error, or a surface, and nothing else; and `check` finds each.
+/// Words changed behind good checksums: an error, or a surface, and nothing else; and `check` finds
+/// each.
 #[test]
 fn words_that_lie_harm_nobody() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! One writer of an archive at a time, and no archive lost: what is there stays whole until another one is complete.
+//! One writer of an archive at a time, and no archive lost: what is there stays whole until another
+//! one is complete.
 #![cfg(unix)]
 
 use crate::common::*;

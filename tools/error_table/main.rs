@@ -1,4 +1,5 @@
-//! How far reductions of volumes are off, and how many points an error takes: a table of any volumes.
+//! How far reductions of volumes are off, and how many points an error takes: a table of any
+//! volumes.
 //!
 //! ```text
 //!  volume ─▶ 1/8, 1/16, 1/64 of its samples as points: sampled, fitted, dense where it is needed, both ─▶ RMS error, CPU time
@@ -6,9 +7,10 @@
 //!         ─▶ the error of the sampled ones as a target ─▶ points that it takes, and fewest even fitted points that meet it
 //! ```
 //!
-//! Errors are those at all samples, in units of the field; points are all of an archive, those of the boundary included. The fewest even
-//! fitted points are found by the secant rule: errors are nearly a power of the number of points. CPU time is that of one thread, read off
-//! `/proc` where the system has it.
+//! Errors are those at all samples, in units of the field; points are all of an archive, those of
+//! the boundary included. The fewest even fitted points are found by the secant rule: errors are
+//! nearly a power of the number of points. CPU time is that of one thread, read off `/proc` where
+//! the system has it.
 
 use isospan::exec::Silent;
 use isospan::formats::{OpenOptions, StepSource, open_volume};
@@ -181,7 +183,8 @@ impl Volume {
         Ok(a.1.points * (a.1.rms / rms).powf(1.0 / power))
     }
 
-    /// The error of trilinear interpolation between at most so many voxels, evenly picked, those of the faces included.
+    /// The error of trilinear interpolation between at most so many voxels, evenly picked, those of
+    /// the faces included.
     fn voxels(&self, most: f64) -> Result<f64> {
         let dims = self.dims().map(|d| d as usize);
         let kept = |k: f64| dims.map(|d| (((d - 1) as f64 / k).round() as usize + 1).max(2));
@@ -264,7 +267,8 @@ fn slice_error(axes: &[Axis], slice: &[f32], [below, above]: &[Vec<f32>; 2], wei
 
 /// CPU seconds of this process so far; NaN where the system does not tell.
 fn cpu_seconds() -> f64 {
-    // Fields 14 and 15, in hundredths of a second on all Linux systems; the second field may hold blanks, and ends in a parenthesis.
+    // Fields 14 and 15, in hundredths of a second on all Linux systems; the second field may hold
+    // blanks, and ends in a parenthesis.
     let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let rest = text.rsplit_once(')').map_or("", |(_, rest)| rest);
     let ticks: Vec<f64> = rest.split_whitespace().skip(11).take(2).filter_map(|t| t.parse().ok()).collect();

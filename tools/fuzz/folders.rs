@@ -1,4 +1,5 @@
-//! Inputs that are folders: Zarr arrays and images, a stack of TIFF slices. One of their files is damaged.
+//! Inputs that are folders: Zarr arrays and images, a stack of TIFF slices. One of their files is
+//! damaged.
 
 use crate::mutate::{Random, mutate};
 use crate::seeds::{gzip, put, samples, tiff, zlib};
@@ -34,7 +35,8 @@ pub(crate) fn all() -> Vec<Folder> {
 }
 
 impl Folder {
-    /// Damages a file or two (or leaves one out), reads the folder, and tells in `what` which bytes were at fault.
+    /// Damages a file or two (or leaves one out), reads the folder, and tells in `what` which bytes
+    /// were at fault.
     pub(crate) fn case(&self, folder: &Path, random: &mut Random, what: &mut String) -> Result<()> {
         let mut files = self.files.clone();
         for _ in 0..=random.below(2) {
@@ -113,7 +115,8 @@ fn version_3(plain: &[u8]) -> Folder {
     Folder { files: vec![("zarr.json", array_3([2, 3, 4], codecs)), ("c/0/0/0", chunk)], described_by: 1 }
 }
 
-/// A shard of two chunks, its index at the end and, so that damage gets past it, without a checksum.
+/// A shard of two chunks, its index at the end and, so that damage gets past it, without a
+/// checksum.
 fn shards(plain: &[u8]) -> Folder {
     let parts = [gzip(&plain[..24]), gzip(&plain[24..])];
     let lengths = parts.each_ref().map(|p| p.len() as u64);

@@ -1,19 +1,21 @@
-//! Fuzzing on the stable toolchain: every reader of files and every part of an archive is given damaged inputs, and must
-//! answer or refuse in an orderly way.
+//! Fuzzing on the stable toolchain: every reader of files and every part of an archive is given
+//! damaged inputs, and must answer or refuse in an orderly way.
 //!
 //! ```text
 //! cargo run --example fuzz -- --seconds 30
 //! ```
 //!
-//! A case is a number: with the seed it decides target, input and damage ([`mutate`]), so a find is repeated with
-//! `--seed S --case N`. Inputs are small good files of every format ([`seeds`]), made here and, where
-//! `ISOSPAN_SHARED_DATA` names a folder, read there. A find is
+//! A case is a number: with the seed it decides target, input and damage ([`mutate`]), so a find is
+//! repeated with `--seed S --case N`. Inputs are small good files of every format ([`seeds`]), made
+//! here and, where `ISOSPAN_SHARED_DATA` names a folder, read there. A find is
 //!
 //! * a panic,
-//! * more than 256 MiB of memory claimed at a time (and 16 times the input), which a counting allocator sees,
+//! * more than 256 MiB of memory claimed at a time (and 16 times the input), which a counting
+//!   allocator sees,
 //! * a case of more than ten seconds.
 //!
-//! Files that lead to a find are made as small as possible and kept in `--keep DIR`. Exit code 1 tells of finds.
+//! Files that lead to a find are made as small as possible and kept in `--keep DIR`. Exit code 1
+//! tells of finds.
 
 #![allow(clippy::print_stdout)]
 

@@ -1,4 +1,5 @@
-//! An allocator that counts, so that memory claimed by a lying header is noticed though nothing touches it.
+//! An allocator that counts, so that memory claimed by a lying header is noticed though nothing
+//! touches it.
 
 #![allow(unsafe_code)]
 
@@ -16,7 +17,8 @@ fn add(bytes: usize) {
     PEAK.fetch_max(live, Relaxed);
 }
 
-// SAFETY: every call goes to the system's allocator unchanged; the counts are atomic and allocate nothing.
+// SAFETY: every call goes to the system's allocator unchanged; the counts are atomic and allocate
+// nothing.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         add(layout.size());

@@ -92,7 +92,8 @@ pub(crate) fn mutate(input: &[u8], other: &[u8], random: &mut Random) -> Vec<u8>
     bytes
 }
 
-/// A place to damage: headers are at the start, so half of all places are there; directories at the end.
+/// A place to damage: headers are at the start, so half of all places are there; directories at the
+/// end.
 fn place(len: usize, random: &mut Random) -> usize {
     match random.below(8) {
         0..=3 => random.below(len.min(400)),

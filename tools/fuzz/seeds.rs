@@ -1,4 +1,5 @@
-//! Good inputs to damage: small files of every format and of every encoding, made here, and those of the shared data.
+//! Good inputs to damage: small files of every format and of every encoding, made here, and those
+//! of the shared data.
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -20,7 +21,8 @@ pub(crate) struct Format {
     pub(crate) inputs: Vec<Vec<u8>>,
 }
 
-/// The largest file of the shared data that is taken: damage should hit headers more often than samples.
+/// The largest file of the shared data that is taken: damage should hit headers more often than
+/// samples.
 const LARGEST: u64 = 40_000;
 
 /// Formats of volumes, of meshes, then of surfaces, each with at least one input.

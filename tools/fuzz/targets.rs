@@ -1,4 +1,5 @@
-//! What is done with a damaged input. An error is as good as an answer; panics, hangs and claims of memory are finds.
+//! What is done with a damaged input. An error is as good as an answer; panics, hangs and claims of
+//! memory are finds.
 
 use crate::mutate::{Random, mutate};
 use crate::seeds::{get, partner, put};
@@ -29,7 +30,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Slabs read of a volume: enough to go through every decoder, not all of what a few bytes may expand to.
+/// Slabs read of a volume: enough to go through every decoder, not all of what a few bytes may
+/// expand to.
 const MOST_SLABS: usize = 8;
 /// Bytes of decoded chunks that are cached: so few that some are decoded again.
 const CACHED: u64 = 1 << 10;
@@ -243,7 +245,8 @@ impl Archive {
         }
     }
 
-    /// Changes numbers of the manifest; where the result can be read, all hashes are made to fit it.
+    /// Changes numbers of the manifest; where the result can be read, all hashes are made to fit
+    /// it.
     fn damage_manifest(&self, random: &mut Random, what: &mut String) -> Result<()> {
         let text = mutate(&self.files[0].1, &self.files[0].1, random);
         let Ok(mut manifest) = serde_json::from_slice::<Manifest>(&text) else {
@@ -347,7 +350,8 @@ fn damaged_block(bytes: &[u8], random: &mut Random) -> Vec<u8> {
     }
 }
 
-/// Writes a segment again, with good checksums, under a plan hash and with blocks changed by `edit`.
+/// Writes a segment again, with good checksums, under a plan hash and with blocks changed by
+/// `edit`.
 fn reseal(
     path: &Path,
     kind: SegmentKind,

@@ -1,4 +1,5 @@
-//! Volumes that are folders: a stack of TIFF slices, a Zarr array. Both are made as the slices come.
+//! Volumes that are folders: a stack of TIFF slices, a Zarr array. Both are made as the slices
+//! come.
 
 use crate::{Kind, Settings};
 use isospan::{Error, Result};
@@ -55,7 +56,8 @@ fn put(file: &Path, bytes: &[u8]) -> Result<()> {
     std::fs::write(file, bytes).map_err(|e| Error::io("write", file, e))
 }
 
-/// A file's head for one uncompressed strip: byte order, and a directory of tags, each (tag, type, count, value) in 12 bytes.
+/// A file's head for one uncompressed strip: byte order, and a directory of tags, each (tag, type,
+/// count, value) in 12 bytes.
 fn tiff_head(s: &Settings) -> Vec<u8> {
     const SHORT: u16 = 3;
     const LONG: u16 = 4;

@@ -6,14 +6,16 @@
 //! | `gyroid` | sin x cos y + sin y cos z + sin z cos x | [0, 2π·periods]³ | -1.5 … 1.5 |
 //! | `marschner-lobb` | (1 - sin(πz/2) + α(1 + cos(2π f_M cos(πr/2)))) / 2(1 + α), r² = x² + y² | [-1, 1]³ | 0 … 1 |
 //!
-//! The sphere is the thesis's SPHERE (section 3.1, which does not print its box: the unit cube about the centre holds the
-//! surface f = 0). Marschner and Lobb 1994, "An evaluation of reconstruction filters for volume rendering": f_M = 6,
-//! α = ¼; their test samples it 40³. Samples lie on the faces of the box, so spacing is its side over (dims - 1).
+//! The sphere is the thesis's SPHERE (section 3.1, which does not print its box: the unit cube
+//! about the centre holds the surface f = 0). Marschner and Lobb 1994, "An evaluation of
+//! reconstruction filters for volume rendering": f_M = 6, α = ¼; their test samples it 40³. Samples
+//! lie on the faces of the box, so spacing is its side over (dims - 1).
 //!
-//! f32 samples are the field's values; u8 and u16 map the range above to 0 … 255 or 65535, half up. Sines come from the
-//! `libm` crate, because those of the standard library differ in the last bit from machine to machine.
-//! Memory: a few numbers for each sample of one slice, of 64 slices for Zarr. A file appears under its name when it is whole;
-//! the folders of TIFF (`.tifs`, a slice a file) and Zarr (`.zarr`, version 3, zstd) fill as slices come.
+//! f32 samples are the field's values; u8 and u16 map the range above to 0 … 255 or 65535, half up.
+//! Sines come from the `libm` crate, because those of the standard library differ in the last bit
+//! from machine to machine. Memory: a few numbers for each sample of one slice, of 64 slices for
+//! Zarr. A file appears under its name when it is whole; the folders of TIFF (`.tifs`, a slice a
+//! file) and Zarr (`.zarr`, version 3, zstd) fill as slices come.
 
 mod folders;
 
@@ -235,7 +237,8 @@ impl Settings {
         .into_bytes()
     }
 
-    /// NPY version 1.0: the dictionary is padded with blanks so that the data start at a multiple of 64.
+    /// NPY version 1.0: the dictionary is padded with blanks so that the data start at a multiple
+    /// of 64.
     fn npy_header(&self) -> Vec<u8> {
         let [x, y, z] = self.dims;
         let descr = match (self.kind, self.big_endian) {

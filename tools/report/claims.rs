@@ -1,6 +1,8 @@
-//! The thesis's claims (sections 3.5 and 4.7, chapter 5, and what the text says of its figures), each with what our figures say.
+//! The thesis's claims (sections 3.5 and 4.7, chapter 5, and what the text says of its figures),
+//! each with what our figures say.
 //!
-//! A claim holds, holds in part, or fails by a rule that is written beside it; the words are put together from the figures.
+//! A claim holds, holds in part, or fails by a rule that is written beside it; the words are put
+//! together from the figures.
 
 use crate::curves::{Curves, Size, Way};
 use crate::data::Dataset;
@@ -124,7 +126,8 @@ pub(crate) fn conclusions(lab: &mut Lab, curves: &Curves) -> Result<Document> {
     Ok(document)
 }
 
-/// Claims that the thesis does not make: of fitted values, of points where they are needed, and against every k-th voxel.
+/// Claims that the thesis does not make: of fitted values, of points where they are needed, and
+/// against every k-th voxel.
 fn beyond(curves: &Curves) -> [Claim; 4] {
     let set = |values| Way::Set(Points::Hammersley, values);
     let cases = |way, against, size| -> Vec<Case> {

@@ -1,12 +1,13 @@
-//! The error over the number of points and over bytes, of real and of made data: each point set with values sampled and fitted, against every
-//! k-th voxel.
+//! The error over the number of points and over bytes, of real and of made data: each point set
+//! with values sampled and fitted, against every k-th voxel.
 //!
 //! ```text
 //!  volume ─▶ reduce ─▶ archive: bytes, error of the field ─▶ surface ─▶ distance from marching cubes on all samples
 //!         ─▶ every k-th sample: bytes, trilinear error ─▶ marching cubes ─▶ the same
 //! ```
 //!
-//! Bytes of every k-th voxel are those of its values alone, by the coder of an archive's values (pco).
+//! Bytes of every k-th voxel are those of its values alone, by the coder of an archive's values
+//! (pco).
 
 use crate::data::{Content, Dataset};
 use crate::document::{Cell, Picture, Table};
@@ -25,7 +26,8 @@ use isospan::surface::TriMesh;
 use isospan::{Archive, Error, Resources, Result};
 use std::path::{Path, PathBuf};
 
-/// Parts 1/n of the samples that are tried: those that every 2nd, 3rd and 4th voxel along each axis have.
+/// Parts 1/n of the samples that are tried: those that every 2nd, 3rd and 4th voxel along each axis
+/// have.
 const PARTS: [u64; 3] = [8, 27, 64];
 const STEPS: [usize; 3] = [2, 3, 4];
 
@@ -347,8 +349,9 @@ impl Curves {
         }
     }
 
-    /// Of each field and error: the error of a way, over that of another at its sizes. Values between two dots are read off the line
-    /// through them in the logarithms; sizes beyond all dots are left out.
+    /// Of each field and error: the error of a way, over that of another at its sizes. Values
+    /// between two dots are read off the line through them in the logarithms; sizes beyond all dots
+    /// are left out.
     pub(crate) fn ratios(&self, way: Way, against: Way, size: Size) -> Vec<(String, f64)> {
         let size = SIZES[size as usize].1;
         let mut out = vec![];

@@ -1,4 +1,5 @@
-//! A report as a list of blocks, and its three forms: HTML, Markdown, and a CSV file for each table.
+//! A report as a list of blocks, and its three forms: HTML, Markdown, and a CSV file for each
+//! table.
 
 use isospan::{Error, Result};
 use std::fmt::Write as _;

@@ -1,8 +1,9 @@
 //! Tetrahedra with values that are no archive: the original data, and uniform random points.
 //!
-//! A structured set is cut into tetrahedra as the thesis does it, each cube into six around its diagonal (Kuhn 1960): (50 - 1)³ · 6 =
-//! 705 894. Uniform random points are no point set of isospan's, as no box could list its own; here they are few, and
-//! the stages are called one by one: points, mesh, values, surface.
+//! A structured set is cut into tetrahedra as the thesis does it, each cube into six around its
+//! diagonal (Kuhn 1960): (50 - 1)³ · 6 = 705 894. Uniform random points are no point set of
+//! isospan's, as no box could list its own; here they are few, and the stages are called one by
+//! one: points, mesh, values, surface.
 
 use crate::data::tets::{FACES, TetMesh, cross, dot, minus, volume6};
 use isospan::Result;
@@ -98,7 +99,8 @@ impl TetField {
         TriMesh::from_source(&builder.finish()?)
     }
 
-    /// The field at the vertices of another one on the same lattice; NaN where there is no tetrahedron.
+    /// The field at the vertices of another one on the same lattice; NaN where there is no
+    /// tetrahedron.
     pub(crate) fn at(&self, other: &Self) -> Vec<f32> {
         let points: Vec<FinePos> = other.positions.iter().map(|&p| fine(p)).collect();
         self.located(&points).iter().map(|f| self.value(f)).collect()
@@ -151,7 +153,8 @@ impl TetField {
     }
 }
 
-/// A cube of samples, interpolated linearly at uniform random points and meshed; the boundary has the samples of a Hammersley set.
+/// A cube of samples, interpolated linearly at uniform random points and meshed; the boundary has
+/// the samples of a Hammersley set.
 pub(crate) fn uniform(side: usize, geometry: Geometry, samples: &[f32], count: u64) -> Result<TetField> {
     let lattice = Lattice::new([side as u64; 3])?;
     let frame = PointSet::new(PointSpec::Hammersley { n: count, shift: 0.5 }, lattice)?;
@@ -168,11 +171,12 @@ pub(crate) fn uniform(side: usize, geometry: Geometry, samples: &[f32], count: u
     Ok(TetField { lattice, geometry, positions, values, tets })
 }
 
-/// Random samples of the boundary of a mesh by square of the mean distance of the points inside: as many as isospan's.
+/// Random samples of the boundary of a mesh by square of the mean distance of the points inside: as
+/// many as isospan's.
 const BOUNDARY_DENSITY: f64 = 2.0;
 
-/// A mesh, interpolated linearly at uniform random points in it and at uniform random points of its boundary; of their tetrahedra those are kept whose
-/// centroid is in the mesh.
+/// A mesh, interpolated linearly at uniform random points in it and at uniform random points of its
+/// boundary; of their tetrahedra those are kept whose centroid is in the mesh.
 pub(crate) fn uniform_in(mesh: &TetField, count: u64) -> Result<TetField> {
     let mut random = Random::default();
     let (mut positions, mut values) = mesh.on_boundary(count, &mut random);

@@ -1,4 +1,5 @@
-//! Makes the thesis's tables and figures again, with errors that it did not measure: `tools/reproduce` calls it.
+//! Makes the thesis's tables and figures again, with errors that it did not measure:
+//! `tools/reproduce` calls it.
 //!
 //! ```text
 //!  thesis_data ─▶ Lab: reduce, extract, measure, each experiment once ─▶ tables, charts, pictures, claims ─▶ report/

@@ -1,4 +1,5 @@
-//! The thesis's pictures of surfaces: panels side by side, all of a data set seen from the same place.
+//! The thesis's pictures of surfaces: panels side by side, all of a data set seen from the same
+//! place.
 
 use crate::data::Dataset;
 use crate::document::Picture;
@@ -166,8 +167,8 @@ const LIGHTS: u32 = 24;
 const SAMPLES: u32 = 2;
 const COLOUR: [u8; 3] = [222, 204, 172];
 
-/// Red, green, blue of each pixel of a panel. Triangles are flat: that shows how smooth a surface is, which normals from the field's
-/// gradient would hide.
+/// Red, green, blue of each pixel of a panel. Triangles are flat: that shows how smooth a surface
+/// is, which normals from the field's gradient would hide.
 fn picture_of(lab: &Lab, panel: &Panel) -> Result<Vec<u8>> {
     let original = lab.original(panel.dataset).expect("a panel is of a data set that was made");
     let (azimuth, elevation) = match panel.dataset {
@@ -178,7 +179,8 @@ fn picture_of(lab: &Lab, panel: &Panel) -> Result<Vec<u8>> {
     let camera = Camera { azimuth, elevation, perspective: false, ..Camera::default() };
     let view = View::fit(&camera, &[&original.surface], [SIDE; 2])?;
     let mut surface = TriMesh::from_source(&load_surface(&panel.file, &CheckSettings::default())?)?;
-    // Where values grow towards the viewer, the side that is seen counts as the inner one, and would be drawn darker.
+    // Where values grow towards the viewer, the side that is seen counts as the inner one, and
+    // would be drawn darker.
     if !matches!(panel.dataset, Dataset::Heart | Dataset::Torso) {
         surface.triangles.iter_mut().for_each(|t| t.swap(1, 2));
     }

@@ -267,7 +267,8 @@ fn axes(area: &Area<'_>, chart: &Chart, x: Axis, y: Axis) -> Drawn {
     Ok(())
 }
 
-/// Draws the interior points of a set in the unit cube, seen from the front, above and to the right; far points are paler.
+/// Draws the interior points of a set in the unit cube, seen from the front, above and to the
+/// right; far points are paler.
 pub(crate) fn write_points(spec: PointSpec, file: &Path) -> Result<usize> {
     let lattice = Lattice::new([257; 3])?;
     let set = PointSet::new(spec, lattice)?;

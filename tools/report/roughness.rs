@@ -18,7 +18,8 @@ fn normal([a, b, c]: [Vec3; 3]) -> Vec3 {
     [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
 }
 
-/// RMS angle between triangles that share an edge, weighted by its length, in degrees: how smooth a surface looks.
+/// RMS angle between triangles that share an edge, weighted by its length, in degrees: how smooth a
+/// surface looks.
 pub(crate) fn roughness(mesh: &TriMesh) -> f64 {
     let at = |v: u32| mesh.vertices[v as usize].position.map(f64::from);
     let normals: Vec<Vec3> = mesh.triangles.iter().map(|t| normal(t.map(at))).collect();

@@ -1,9 +1,10 @@
 //! The experiments: each a data set reduced in one way, and measured against the original.
 //!
-//! Everything is asked for by a [`Key`] and done once. Errors ([`Lab::part`]) are those of one reduction, distances the library's own
-//! ([`isospan::compare`]). Times ([`Lab::times`]) are asked for apart: the same reduction again and again, on one thread and with nothing else
-//! of the report beside it, of which the medians count. Extraction is what `isospan surface` does but
-//! for writing the file: opening the archive, its index, the active blocks, marching tetrahedra, welding.
+//! Everything is asked for by a [`Key`] and done once. Errors ([`Lab::part`]) are those of one
+//! reduction, distances the library's own ([`isospan::compare`]). Times ([`Lab::times`]) are asked
+//! for apart: the same reduction again and again, on one thread and with nothing else of the report
+//! beside it, of which the medians count. Extraction is what `isospan surface` does but for writing
+//! the file: opening the archive, its index, the active blocks, marching tetrahedra, welding.
 //!
 //! All sets have equal numbers of points, those of the boundary among them, as far as a set allows.
 
@@ -159,14 +160,15 @@ pub(crate) fn distances(a: &TriMesh, b: &TriMesh, diagonal: f64) -> Result<Dista
 }
 
 impl Outcome {
-    /// One number for the error of the field: the RMS in volumes; in meshes what 95 of 100 samples do not exceed, since
-    /// the cell of the dipole would outweigh all others.
+    /// One number for the error of the field: the RMS in volumes; in meshes what 95 of 100 samples
+    /// do not exceed, since the cell of the dipole would outweigh all others.
     pub(crate) fn field_error(&self) -> f64 {
         if self.is_grid { self.field.rms } else { self.field.most }
     }
 }
 
-/// The reduced field less the original, at the original's samples, in units of the spread of their values.
+/// The reduced field less the original, at the original's samples, in units of the spread of their
+/// values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct FieldError {
     pub(crate) rms: f64,
@@ -187,7 +189,8 @@ pub(crate) struct Original {
     pub(crate) file: PathBuf,
     /// Length of the diagonal of the bounding box: the unit of distances.
     pub(crate) diagonal: f64,
-    /// The 95th percentile of the values less the 5th: the unit of errors. The range is no unit near a dipole.
+    /// The 95th percentile of the values less the 5th: the unit of errors. The range is no unit
+    /// near a dipole.
     pub(crate) spread: f64,
     /// Of n points inside, so many times n^(2/3) samples of the boundary come on top.
     boundary: f64,
@@ -247,7 +250,8 @@ impl Lab {
         self.originals.get(&dataset)
     }
 
-    /// The experiment of a part 1/n of the points; `None` without the data set, or where there is no such experiment.
+    /// The experiment of a part 1/n of the points; `None` without the data set, or where there is
+    /// no such experiment.
     pub(crate) fn part(
         &mut self,
         dataset: Dataset,
@@ -341,7 +345,8 @@ impl Lab {
         Ok(Some(times))
     }
 
-    /// How much of one processor this process had while times were taken; `None` where the system does not tell.
+    /// How much of one processor this process had while times were taken; `None` where the system
+    /// does not tell.
     pub(crate) fn share_of_a_processor(&self) -> Option<f64> {
         let [clock, process] = self.timed;
         (clock > 0.0).then(|| process / clock)
@@ -356,7 +361,8 @@ impl Lab {
         }
     }
 
-    /// How many points inside make `key.count` with those of the boundary: n + b·n^(2/3) is that many.
+    /// How many points inside make `key.count` with those of the boundary: n + b·n^(2/3) is that
+    /// many.
     fn inside(&self, key: Key) -> u64 {
         // Regular points of a grid have its faces among them.
         if is_grid(key.dataset) && key.points == Points::Regular {
@@ -516,7 +522,8 @@ impl Original {
 /// Seconds that processors have spent on this process, as Linux counts them: in hundredths.
 fn processor_seconds() -> Option<f64> {
     let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-    // Behind the name, which may hold anything: the state, ten numbers, then the times of the program and of the system.
+    // Behind the name, which may hold anything: the state, ten numbers, then the times of the
+    // program and of the system.
     let numbers = stat.rsplit(')').next()?.split_whitespace().skip(11).take(2);
     let ticks: Vec<u64> = numbers.map_while(|n| n.parse().ok()).collect();
     (ticks.len() == 2).then(|| ticks.iter().sum::<u64>() as f64 / 100.0)

@@ -4,7 +4,8 @@
 
 use crate::data::Dataset;
 
-/// Rows of a table of times: linear interpolation, the other interpolation, mesh generation, extraction.
+/// Rows of a table of times: linear interpolation, the other interpolation, mesh generation,
+/// extraction.
 pub(crate) type Times = [(&'static str, &'static [f64])];
 
 /// Tables 3.1 and 4.1: samples or vertices, and cells.
@@ -25,7 +26,8 @@ pub(crate) const TABLE_3_2: &Times = &[
     ("Isosurface extraction", &[25.67, 24.80]),
 ];
 
-/// Table 3.3, at 1/8: interpolation, mesh generation and extraction, each of SPHERE and SEIS; NaN where nothing is printed.
+/// Table 3.3, at 1/8: interpolation, mesh generation and extraction, each of SPHERE and SEIS; NaN
+/// where nothing is printed.
 pub(crate) const TABLE_3_3: &Times = &[
     ("Hammersley", &[19.20, 20.14, 882.62, 910.81, 11.97, 11.18]),
     ("Halton", &[19.49, 20.95, 458.41, 505.45, 12.21, 11.74]),

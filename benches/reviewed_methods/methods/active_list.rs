@@ -1,9 +1,10 @@
 //! The active list (Giles and Haines, "Advanced interactive visualization for CFD", 1990).
 //!
-//! Cells are sorted by minimum and, a second time, by maximum; Δ is the widest range of a cell. The first answer is looked for among
-//! the cells whose minimum is less than Δ below the isovalue. The list of active cells is kept: when the isovalue moves by
-//! less than Δ, only cells between the old and the new one are added, from one of the lists, and those that are no longer active are
-//! taken out.
+//! Cells are sorted by minimum and, a second time, by maximum; Δ is the widest range of a cell. The
+//! first answer is looked for among the cells whose minimum is less than Δ below the isovalue. The
+//! list of active cells is kept: when the isovalue moves by less than Δ, only cells between the old
+//! and the new one are added, from one of the lists, and those that are no longer active are taken
+//! out.
 //!
 //! O(n) in the worst case: one wide cell makes Δ useless.
 

@@ -1,8 +1,9 @@
-//! isospan's index over the same cells: a kd-tree of blocks of 1024 cells, in a file ([`isospan::index`]), and a look at each cell of an
-//! active block.
+//! isospan's index over the same cells: a kd-tree of blocks of 1024 cells, in a file
+//! ([`isospan::index`]), and a look at each cell of an active block.
 //!
-//! A block of cubes is a brick of 8 × 8 × 16, one of tetrahedra 1024 that follow one another. In an archive a block must be decoded besides, from
-//! some two bits a tetrahedron; here the cells lie open in memory, as for the other methods.
+//! A block of cubes is a brick of 8 × 8 × 16, one of tetrahedra 1024 that follow one another. In an
+//! archive a block must be decoded besides, from some two bits a tetrahedron; here the cells lie
+//! open in memory, as for the other methods.
 
 use super::marching::{range_of, scan};
 use super::{Cells, Method, coordinates, sample_of};

@@ -1,19 +1,24 @@
 //! The extrema graph (Itoh and Koyamada, "Isosurface extraction by using extrema graphs", 1994).
 //!
-//! Every piece of an isosurface separates a local maximum from a local minimum. So a graph that joins all local extrema crosses every piece: its
-//! edges that hold the isovalue are walked until a cell is active, and from there the piece is followed from face to face, with a
-//! queue and a mark for each cell that was seen.
+//! Every piece of an isosurface separates a local maximum from a local minimum. So a graph that
+//! joins all local extrema crosses every piece: its edges that hold the isovalue are walked until a
+//! cell is active, and from there the piece is followed from face to face, with a queue and a mark
+//! for each cell that was seen.
 //!
-//! Why no piece is missed: let M be the grid's edges of a piece, from inside to outside corners. A square of the grid has an even number of them,
-//! all of the same piece, so M is the border between two classes of corners (a box has no holes); all of M's corners of one class
-//! are inside, of the other outside. The largest value of the first class is then a local maximum of the whole grid, the smallest of
-//! the other a local minimum: both are nodes of the graph, and a path between them uses an edge of M.
+//! Why no piece is missed: let M be the grid's edges of a piece, from inside to outside corners. A
+//! square of the grid has an even number of them, all of the same piece, so M is the border between
+//! two classes of corners (a box has no holes); all of M's corners of one class are inside, of the
+//! other outside. The largest value of the first class is then a local maximum of the whole grid,
+//! the smallest of the other a local minimum: both are nodes of the graph, and a path between them
+//! uses an edge of M.
 //!
-//! Where we depart: extrema on the boundary are nodes too, so that there is no list of boundary cells to be looked
-//! through; a connected set of equal samples is one extremum; and nodes are joined in the order of a Hilbert curve, by paths along
-//! the axes which, following from their ends, are not stored.
+//! Where we depart: extrema on the boundary are nodes too, so that there is no list of boundary
+//! cells to be looked through; a connected set of equal samples is one extremum; and nodes are
+//! joined in the order of a Hilbert curve, by paths along the axes which, following from their
+//! ends, are not stored.
 //!
-//! Fast where there are few extrema. Noise has one every few samples, and then the graph has as many edges.
+//! Fast where there are few extrema. Noise has one every few samples, and then the graph has as
+//! many edges.
 
 use super::{CORNERS, Cells, Method, NOTHING, coordinates, sample_of};
 use isospan::Result;

@@ -1,11 +1,13 @@
 //! Marching cubes (Lorensen and Cline 1987): look at every cell.
 //!
-//! The eight corners of a cube, inside or outside, are a number of eight bits; a table says which triangles such a cube has. Those on the
-//! left of a cube are those on the right of the one before. The table here is derived, not typed in: on each face of a cube,
-//! walked around counter-clockwise as seen from outside, a run of inside corners is cut off by a segment, from where it is entered to where it
-//! is left. A segment ends on an edge where the segment of the neighbouring face begins, so they close to loops, which are cut into
-//! triangles. As a face's segments follow from its own corners, neighbouring cubes agree and the surface is closed, which the
-//! published table is not.
+//! The eight corners of a cube, inside or outside, are a number of eight bits; a table says which
+//! triangles such a cube has. Those on the left of a cube are those on the right of the one before.
+//! The table here is derived, not typed in: on each face of a cube, walked around counter-clockwise
+//! as seen from outside, a run of inside corners is cut off by a segment, from where it is entered
+//! to where it is left. A segment ends on an edge where the segment of the neighbouring face
+//! begins, so they close to loops, which are cut into triangles. As a face's segments follow from
+//! its own corners, neighbouring cubes agree and the surface is closed, which the published table
+//! is not.
 //!
 //! O(n) time, no memory. Of tetrahedra the same is done with four corners.
 
@@ -37,7 +39,8 @@ impl Method for Marching {
     }
 }
 
-/// Calls `each` with the number and the case of each active cube of a box of cubes, from `lo` to before `hi`.
+/// Calls `each` with the number and the case of each active cube of a box of cubes, from `lo` to
+/// before `hi`.
 pub(crate) fn scan(
     [lo, hi]: [[usize; 3]; 2],
     dims: [usize; 3],
@@ -103,7 +106,8 @@ fn loops(case: u8) -> Vec<Vec<Edge>> {
     out
 }
 
-/// The surface of a grid, in the world; triangles are counter-clockwise as seen from where values are lower.
+/// The surface of a grid, in the world; triangles are counter-clockwise as seen from where values
+/// are lower.
 pub(crate) fn surface(dims: [usize; 3], samples: &[f32], geometry: &Geometry, isovalue: f32) -> TriMesh {
     let table: Vec<Vec<Vec<Edge>>> = (0..=u8::MAX).map(loops).collect();
     let cubes = dims.map(|d| d - 1);

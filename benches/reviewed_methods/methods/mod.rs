@@ -1,4 +1,5 @@
-//! The methods that the thesis reviews (its section 1.2), for comparison with ours: here is an isovalue, which cells are active?
+//! The methods that the thesis reviews (its section 1.2), for comparison with ours: here is an
+//! isovalue, which cells are active?
 //!
 //! | method | keeps | a query looks at |
 //! |---|---|---|
@@ -11,11 +12,11 @@
 //! | NOISE ([`noise`]) | a kd-tree of the cells' (min, max) | O(√n + k) nodes |
 //! | isospan ([`blocks`]) | a kd-tree of (min, max) of blocks of 1024 cells, on disk | pages, then the cells of active blocks |
 //!
-//! A cell is active when `min < isovalue <= max`. All find the same cells, in orders of their own; nothing is triangulated. Values
-//! are finite numbers.
+//! A cell is active when `min < isovalue <= max`. All find the same cells, in orders of their own;
+//! nothing is triangulated. Values are finite numbers.
 //!
-//! Memory is what a method holds beside the values (and corners) themselves. A method that must look at a cell whose range
-//! it does not hold reads its corners.
+//! Memory is what a method holds beside the values (and corners) themselves. A method that must
+//! look at a cell whose range it does not hold reads its corners.
 
 pub(crate) mod active_list;
 pub(crate) mod blocks;
@@ -168,8 +169,8 @@ pub(crate) fn few_and_many(cells: &Cells<'_>) -> [(f32, usize); 2] {
     [few, all.max_by_key(|a| a.1).unwrap_or(few)]
 }
 
-/// Builds and asks every method that is for such cells, and checks each answer's size. Isovalues take turns, so that a method that remembers
-/// the one before is asked for another.
+/// Builds and asks every method that is for such cells, and checks each answer's size. Isovalues
+/// take turns, so that a method that remembers the one before is asked for another.
 pub(crate) fn compare(cells: &Cells<'_>, isovalues: &[(f32, usize)], repeats: usize) -> Result<Vec<Row>> {
     let mut rows = vec![];
     for kind in &KINDS {

@@ -1,9 +1,11 @@
-//! NOISE's kd-tree (Livnat, Shen and Johnson, "A near optimal isosurface extraction algorithm using the span space", 1996).
+//! NOISE's kd-tree (Livnat, Shen and Johnson, "A near optimal isosurface extraction algorithm using
+//! the span space", 1996).
 //!
-//! Each cell is a point (min, max) of the span space; the active ones lie in the quarter left of the isovalue and not below it. A
-//! kd-tree halves the points by minimum and by maximum in turn. It has no pointers: the root of a range of the array is in its middle, the
-//! subtrees are the halves before and behind it. A subtree whose minima are known to be below the isovalue, or whose maxima not, is not
-//! asked for them again; where both are known, all of it is taken.
+//! Each cell is a point (min, max) of the span space; the active ones lie in the quarter left of
+//! the isovalue and not below it. A kd-tree halves the points by minimum and by maximum in turn. It
+//! has no pointers: the root of a range of the array is in its middle, the subtrees are the halves
+//! before and behind it. A subtree whose minima are known to be below the isovalue, or whose maxima
+//! not, is not asked for them again; where both are known, all of it is taken.
 //!
 //! O(√n + k), 12 bytes a cell.
 

@@ -1,8 +1,11 @@
-//! The branch-on-need octree (Wilhelms and Van Gelder, "Octrees for faster isosurface generation", 1992).
+//! The branch-on-need octree (Wilhelms and Van Gelder, "Octrees for faster isosurface
+//! generation", 1992).
 //!
-//! A node holds the range of the values of a cube of cells; one whose range does not hold the isovalue is not entered. The lowest nodes have
-//! 2³ cells, the next 4³, and so on: a dimension is halved only as far as there are cells, so that a grid whose sides are no powers of two has no
-//! empty nodes, and about a seventh as many nodes as cells. Nodes lie in arrays, a level each; there are no pointers.
+//! A node holds the range of the values of a cube of cells; one whose range does not hold the
+//! isovalue is not entered. The lowest nodes have 2³ cells, the next 4³, and so on: a dimension is
+//! halved only as far as there are cells, so that a grid whose sides are no powers of two has no
+//! empty nodes, and about a seventh as many nodes as cells. Nodes lie in arrays, a level each;
+//! there are no pointers.
 //!
 //! O(k + k log(n/k)) where the field is smooth; noise makes a query enter everything.
 

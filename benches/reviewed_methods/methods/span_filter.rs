@@ -1,7 +1,9 @@
-//! The span filter (Gallagher, "Span filtering: an optimization scheme for volume visualization of large finite element models", 1991).
+//! The span filter (Gallagher, "Span filtering: an optimization scheme for volume visualization of
+//! large finite element models", 1991).
 //!
-//! The range of values is cut into buckets. A cell is filed under its span (over how many buckets its range goes) and the bucket in which it
-//! begins; long ones have one list in common. The numbers of a list are stored as differences, of one byte mostly.
+//! The range of values is cut into buckets. A cell is filed under its span (over how many buckets
+//! its range goes) and the bucket in which it begins; long ones have one list in common. The
+//! numbers of a list are stored as differences, of one byte mostly.
 //!
 //! ```text
 //!  bucket   0   1   2   3   4         an isovalue in bucket 2 asks of span 1 the cells that begin in 2, of span 2
@@ -10,7 +12,8 @@
 //!  span 3   x   x   x   ·   ·         is active
 //! ```
 //!
-//! Small and quickly made. How good it is depends on the buckets, which are here of one width; O(n) in the worst case.
+//! Small and quickly made. How good it is depends on the buckets, which are here of one width; O(n)
+//! in the worst case.
 
 use super::{Cells, Method};
 use isospan::Result;

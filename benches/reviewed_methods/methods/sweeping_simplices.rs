@@ -1,11 +1,14 @@
-//! Sweeping simplices (Shen and Johnson, "Sweeping simplices: a fast iso-surface extraction algorithm for unstructured grids", 1995).
+//! Sweeping simplices (Shen and Johnson, "Sweeping simplices: a fast iso-surface extraction
+//! algorithm for unstructured grids", 1995).
 //!
-//! A group has two lists of cells: the *sweep list*, by maximum, with a flag each, and the *min list*, by minimum, of places in the sweep list. A flag
-//! says that the cell's minimum is below the isovalue; when the isovalue moves, only the flags of what lies between are changed. The active
+//! A group has two lists of cells: the *sweep list*, by maximum, with a flag each, and the *min
+//! list*, by minimum, of places in the sweep list. A flag says that the cell's minimum is below the
+//! isovalue; when the isovalue moves, only the flags of what lies between are changed. The active
 //! cells are those with a flag, from the first maximum that is not below the isovalue.
 //!
-//! So that the sweep does not run over all cells above, there is a hierarchy: the range of values is one group, its halves are two, and
-//! so on. A cell belongs to the smallest group that holds its range; a query asks one group of each level.
+//! So that the sweep does not run over all cells above, there is a hierarchy: the range of values
+//! is one group, its halves are two, and so on. A cell belongs to the smallest group that holds its
+//! range; a query asks one group of each level.
 //!
 //! ```text
 //!  level 0  ├───────────────────────────────┤   cells over the middle of the range

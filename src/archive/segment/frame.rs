@@ -56,7 +56,8 @@ pub(super) fn unseal<'a>(bytes: &'a [u8], at: &'static str) -> std::result::Resu
     Ok(body)
 }
 
-/// The plan hash. The magic and the version come first: a file of a future version may differ in all the rest.
+/// The plan hash. The magic and the version come first: a file of a future version may differ in
+/// all the rest.
 pub(super) fn read_header(bytes: &[u8], kind: SegmentKind) -> std::result::Result<PlanHash, Malformed> {
     let mut c = Cursor::new(bytes);
     if c.take(8, "magic")? != MAGIC {

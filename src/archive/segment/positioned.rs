@@ -9,7 +9,8 @@ use std::path::Path;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// A file read at given offsets, from any thread; mapped only where its blocks are used where they lie.
+/// A file read at given offsets, from any thread; mapped only where its blocks are used where they
+/// lie.
 pub(super) struct PositionedFile {
     bytes: Bytes,
     pub(super) len: u64,

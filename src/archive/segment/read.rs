@@ -1,4 +1,5 @@
-//! Reading a segment: header and footer first, pages of the directory and blocks when they are asked for.
+//! Reading a segment: header and footer first, pages of the directory and blocks when they are
+//! asked for.
 
 use super::frame::{header_plan, hex, read_footer, read_header, unseal};
 use super::positioned::PositionedFile;
@@ -17,8 +18,8 @@ use xxhash_rust::xxh3::Xxh3Default;
 /// A directory page that has been read: offset, length and checksum of each of its blocks.
 type Page = Arc<Vec<(u64, u32, u32)>>;
 
-/// Where a block is. The bytes of a mapped file lie there, not yet compared with their checksum: when they have been used, [`Segment::check_mapped`]
-/// tells whether they were the file's.
+/// Where a block is. The bytes of a mapped file lie there, not yet compared with their checksum:
+/// when they have been used, [`Segment::check_mapped`] tells whether they were the file's.
 #[derive(Clone, Copy)]
 pub(crate) struct BlockPlace<'a> {
     pub(crate) number: u64,
@@ -51,15 +52,16 @@ impl Segment {
     /// Opens a finished segment; reads its header and footer only.
     ///
     /// # Errors
-    /// [`Error::BadInput`] when it is not a whole segment of this kind, of a version that can be read, and of this plan
-    /// (`None`: of any plan).
+    /// [`Error::BadInput`] when it is not a whole segment of this kind, of a version that can be
+    /// read, and of this plan (`None`: of any plan).
     pub fn open(path: impl AsRef<Path>, kind: SegmentKind, plan: Option<PlanHash>) -> Result<Self> {
         let path = path.as_ref().to_path_buf();
         let file = PositionedFile::open(&path)?;
         Self::of_file(path, file, kind, plan)
     }
 
-    /// As [`Segment::open`], of a file on this machine that is mapped, where files are: for [`Segment::places`].
+    /// As [`Segment::open`], of a file on this machine that is mapped, where files are: for
+    /// [`Segment::places`].
     ///
     /// # Errors
     /// As there.
@@ -147,7 +149,8 @@ impl Segment {
         Ok(())
     }
 
-    /// Where blocks are, one after another; page after page of the directory is looked up once, if they ascend.
+    /// Where blocks are, one after another; page after page of the directory is looked up once, if
+    /// they ascend.
     ///
     /// # Errors
     /// When a directory page is damaged.
@@ -197,8 +200,8 @@ impl Segment {
     }
 
     fn page(&self, n: u64) -> Result<Page> {
-        // A thread that needs a page which another one reads waits for it, so each page is read once
-        // and `bytes_read` does not depend on threads. Pages do not wait for each other.
+        // A thread that needs a page which another one reads waits for it, so each page is read
+        // once and `bytes_read` does not depend on threads. Pages do not wait for each other.
         let lock = "no thread panics with a page locked";
         let slot = Arc::clone(self.pages.lock().expect(lock).entry(n).or_default());
         let mut slot = slot.lock().expect(lock);
@@ -234,7 +237,8 @@ impl Segment {
         parse().map_err(|m| at_frame(m, &self.path, &format!("directory page {n}")))
     }
 
-    /// Reads everything: each directory page, each block, that blocks follow each other without a gap, and the content hash.
+    /// Reads everything: each directory page, each block, that blocks follow each other without a
+    /// gap, and the content hash.
     ///
     /// # Errors
     /// The first damage found.

@@ -30,7 +30,8 @@ impl SegmentWriter {
         Self::begin(Unpublished::create(&path)?, path, kind, plan)
     }
 
-    /// As [`SegmentWriter::create`], without looking in its folder, which may have many files, for what dead writers of it left.
+    /// As [`SegmentWriter::create`], without looking in its folder, which may have many files, for
+    /// what dead writers of it left.
     ///
     /// # Errors
     /// As there.
@@ -50,9 +51,9 @@ impl SegmentWriter {
         self.out.will_be_mapped();
     }
 
-    /// Goes on with what a dead writer of this segment left: the first of `records` whose blocks are there, undamaged, give
-    /// the blocks to begin with, and their number is returned. `None` when it is not of this kind and plan. Reads and checks
-    /// all bytes that are kept.
+    /// Goes on with what a dead writer of this segment left: the first of `records` whose blocks
+    /// are there, undamaged, give the blocks to begin with, and their number is returned. `None`
+    /// when it is not of this kind and plan. Reads and checks all bytes that are kept.
     pub(in crate::archive) fn adopt(
         mut dead: Dead,
         path: &Path,
@@ -81,8 +82,8 @@ impl SegmentWriter {
         Ok(Some((Self { out, path: path.to_path_buf(), hash, offset, entries }, whole)))
     }
 
-    /// Hands all blocks so far to the system, so that they outlive this process, and keeps the temporary file for
-    /// [`SegmentWriter::adopt`] should the segment not be finished.
+    /// Hands all blocks so far to the system, so that they outlive this process, and keeps the
+    /// temporary file for [`SegmentWriter::adopt`] should the segment not be finished.
     pub(in crate::archive) fn keep(&mut self) -> Result<()> {
         self.out.flush()?;
         self.out.keep();
@@ -127,7 +128,8 @@ impl SegmentWriter {
         self.entries.len() as u64
     }
 
-    /// Writes directory and footer, and publishes the file as a part of an archive, whose folders are synced before its manifest is written.
+    /// Writes directory and footer, and publishes the file as a part of an archive, whose folders
+    /// are synced before its manifest is written.
     ///
     /// # Errors
     /// When the file cannot be written, synced or renamed; then no file of that name has been made.

@@ -1,5 +1,6 @@
 //! Bits that are written as they are, a few at a time, lowest first; and small numbers as
-//! [Elias gamma](https://en.wikipedia.org/wiki/Elias_gamma_coding) codes: of n + 1 the bits below the highest, and before them as many zeros and a one.
+//! [Elias gamma](https://en.wikipedia.org/wiki/Elias_gamma_coding) codes: of n + 1 the bits below
+//! the highest, and before them as many zeros and a one.
 
 use crate::archive::wire::put_varint;
 
@@ -40,7 +41,8 @@ impl BitWriter {
         self.bytes.clear();
     }
 
-    /// Appends the number of bytes and the bytes, the last filled with zeros, and forgets everything.
+    /// Appends the number of bytes and the bytes, the last filled with zeros, and forgets
+    /// everything.
     pub(super) fn finish(&mut self, out: &mut Vec<u8>) {
         self.bytes.extend_from_slice(&self.rest.to_le_bytes()[..self.bits.div_ceil(8) as usize]);
         put_varint(out, self.bytes.len() as u64);
@@ -49,7 +51,8 @@ impl BitWriter {
     }
 }
 
-/// Reads what [`BitWriter`] wrote. Behind the last byte it finds zeros; [`BitReader::at_end`] tells whether it found any.
+/// Reads what [`BitWriter`] wrote. Behind the last byte it finds zeros; [`BitReader::at_end`] tells
+/// whether it found any.
 #[derive(Debug)]
 pub(super) struct BitReader<'a> {
     bytes: &'a [u8],

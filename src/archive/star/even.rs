@@ -1,17 +1,20 @@
 //! Even stars, told by the encoder with half of the geometry and none of the tables.
 //!
-//! The coder looks at gates four at a time, foretells what is behind each, and compares that with the truth before it looks at the next. The encoder
-//! need not: it knows the truth. If the star is even, each gate behind which is an untold triangle was a hit, and each other one was none; so
-//! gates, hits and bits follow from the triangles alone. What remains to be found out is whether all hits are foretold, and that is asked
-//! afterwards, of many gates at once, all lanes in use, and not at all of gates behind which is nothing (about two of five).
+//! The coder looks at gates four at a time, foretells what is behind each, and compares that with
+//! the truth before it looks at the next. The encoder need not: it knows the truth. If the star is
+//! even, each gate behind which is an untold triangle was a hit, and each other one was none; so
+//! gates, hits and bits follow from the triangles alone. What remains to be found out is whether
+//! all hits are foretold, and that is asked afterwards, of many gates at once, all lanes in use,
+//! and not at all of gates behind which is nothing (about two of five).
 //!
-//! Those that are not told yet are bits of one word. A gate is the *side* on which the triangle behind it is entered: four times that triangle's
-//! number and which of its three; one number is of all that is not there, one of all that was known before. A table has the side of each directed
-//! edge. A triangle that is told opens the gates across its two other edges, but those to what is known; none need be closed. All without a branch,
-//! for none could be foretold.
+//! Those that are not told yet are bits of one word. A gate is the *side* on which the triangle
+//! behind it is entered: four times that triangle's number and which of its three; one number is of
+//! all that is not there, one of all that was known before. A table has the side of each directed
+//! edge. A triangle that is told opens the gates across its two other edges, but those to what is
+//! known; none need be closed. All without a branch, for none could be foretold.
 //!
-//! If the star is not even, it is told in the usual way: it is mostly odd. Where most stars are (many points on
-//! one sphere) only few are tried.
+//! If the star is not even, it is told in the usual way: it is mostly odd. Where most stars are
+//! (many points on one sphere) only few are tried.
 
 use super::link::{Gate, Gates, LANES, Link, Path};
 use super::write::Truth;
@@ -35,15 +38,18 @@ const KNOWN: u8 = 63 << 2;
 
 /// What is found out about a star.
 pub(super) struct Found {
-    /// For each directed edge, a row of [`PLACES`] for each place that it is from, the side of the triangle that has it.
+    /// For each directed edge, a row of [`PLACES`] for each place that it is from, the side of the
+    /// triangle that has it.
     sides: Box<[u8; PLACES * PLACES]>,
-    /// The places of a triangle (a, b, c), a byte each: a, b, c, a, b. Entered on side i, it is that from byte i.
+    /// The places of a triangle (a, b, c), a byte each: a, b, c, a, b. Entered on side i, it is
+    /// that from byte i.
     triangles: [u64; ROOM],
     /// Gates that are open in the beginning, as the table has their edges.
     known: [u16; ROOM],
     /// Gates in the order in which they are opened: a triangle opens two at most.
     ring: [u8; RING],
-    /// The gates that are hits if all are foretold, and the triangles behind them as they are entered.
+    /// The gates that are hits if all are foretold, and the triangles behind them as they are
+    /// entered.
     hits: [u8; ROOM],
     places: [u32; ROOM],
 }
@@ -68,8 +74,8 @@ fn edge(from: usize, to: usize) -> usize {
 }
 
 impl Found {
-    /// Gives what is known of the link a place, clears the table, and notes the gates that open: their number. `None` if they are too many, or those of
-    /// no mesh.
+    /// Gives what is known of the link a place, clears the table, and notes the gates that open:
+    /// their number. `None` if they are too many, or those of no mesh.
     #[inline(always)]
     fn set_known(&mut self, stars: &mut Stars) -> Option<usize> {
         let rows = stars.link.len + MORE_PLACES;
@@ -90,8 +96,9 @@ impl Found {
         (n <= MOST_KNOWN && link.len <= rows && double == 0).then_some(open)
     }
 
-    /// Finds out what is behind the gates as if all were foretold, given how many open and how many triangles there are. Gives the bits of the star and
-    /// their number; `None` if not all triangles are found.
+    /// Finds out what is behind the gates as if all were foretold, given how many open and how many
+    /// triangles there are. Gives the bits of the star and their number; `None` if not all
+    /// triangles are found.
     #[inline(always)]
     fn follow(&mut self, known: usize, n: usize) -> Option<(u64, u32)> {
         let Self { sides, triangles, known: edges, ring, hits, places: behind, .. } = self;
@@ -179,7 +186,8 @@ impl Luck {
 }
 
 impl Truth {
-    /// Tells the star that begins, if it is even: the number of its triangles. If not, nothing is told and no gate open.
+    /// Tells the star that begins, if it is even: the number of its triangles. If not, nothing is
+    /// told and no gate open.
     #[inline(always)]
     pub(super) fn tell_even(&mut self, path: impl Path, stars: &mut Stars) -> Option<usize> {
         if !self.luck.tries() {
@@ -208,7 +216,8 @@ impl Truth {
         self.found.are_foretold(path, &stars.link, n).then_some((n, bits, len))
     }
 
-    /// Numbers the triangles of the star. `None` if they are too many, or no mesh, or have a vertex without a place.
+    /// Numbers the triangles of the star. `None` if they are too many, or no mesh, or have a vertex
+    /// without a place.
     #[inline(always)]
     fn set_triangles(&mut self, stars: &Stars) -> Option<usize> {
         let (v, link) = (stars.v, &stars.link);

@@ -1,15 +1,18 @@
 //! The link of a vertex, and the geometry that foretells it.
 //!
-//! With the vertex at the origin, [inversion](https://en.wikipedia.org/wiki/Inversive_geometry) w' = w / |w|² turns spheres through it into planes:
-//! the sphere through the vertex, c, d and w has its centre m where m·c' = m·d' = m·w' = 1/2. The centres that satisfy the first two are a
-//! line m0 + s n with n = c' × d'; a point w in front of the gate (n·w' > 0) is met at s = (1/2 - m0·w') / (n·w'), and the Delaunay
-//! triangle behind the gate is the one met first. All is scaled by 2 |n|², so that only the last step divides.
+//! With the vertex at the origin, [inversion](https://en.wikipedia.org/wiki/Inversive_geometry)
+//! w' = w / |w|² turns spheres through it into planes: the sphere through the vertex, c, d and w
+//! has its centre m where m·c' = m·d' = m·w' = 1/2. The centres that satisfy the first two are a
+//! line m0 + s n with n = c' × d'; a point w in front of the gate (n·w' > 0) is met at s = (1/2 -
+//! m0·w') / (n·w'), and the Delaunay triangle behind the gate is the one met first. All is scaled
+//! by 2 |n|², so that only the last step divides.
 //!
-//! The least of several s, and whose it is, is one number, the *key*: s with the place of the point in its lowest bits. So the first of
-//! points that are met at about the same s is foretold.
+//! The least of several s, and whose it is, is one number, the *key*: s with the place of the point
+//! in its lowest bits. So the first of points that are met at about the same s is foretold.
 //!
-//! Everything is `f32` arithmetic in a fixed order, with fused multiplications and additions where the code says so, which IEEE 754 makes
-//! the same everywhere; what it gets wrong costs bits, not truth.
+//! Everything is `f32` arithmetic in a fixed order, with fused multiplications and additions where
+//! the code says so, which IEEE 754 makes the same everywhere; what it gets wrong costs bits, not
+//! truth.
 
 use crate::geom::LatticePos;
 
@@ -52,7 +55,8 @@ pub(super) fn ends(gate: Gate) -> [usize; 2] {
 
 /// How the inner loops are run; all ways give the same bits.
 pub(super) trait Path: Copy {
-    /// Begins the list of a link with the vertices behind `v` that are within the radius of it, the first [`MOST_NEAR`].
+    /// Begins the list of a link with the vertices behind `v` that are within the radius of it, the
+    /// first [`MOST_NEAR`].
     fn near(self, cloud: &Cloud, v: usize, link: &mut Link);
     /// Inverts the first `len` points of a link, and may put anything into those behind them.
     fn invert(self, cloud: &Cloud, link: &mut Link);
@@ -82,7 +86,8 @@ impl Default for Cloud {
 }
 
 impl Cloud {
-    /// Sets the points. `size` tells the radius: its square is `1 + size % 4 / 4` times 2 to the power of `size / 4`, in lattice steps.
+    /// Sets the points. `size` tells the radius: its square is `1 + size % 4 / 4` times 2 to the
+    /// power of `size / 4`, in lattice steps.
     pub(super) fn set(&mut self, positions: &[LatticePos], size: u8) {
         let power = i32::from(size >> 2);
         let (unit, rest) = (power / 2, power % 2);
@@ -109,7 +114,8 @@ impl Cloud {
     }
 }
 
-/// What is known of the link of one vertex. Its points begin a cache line, so that four of them are one.
+/// What is known of the link of one vertex. Its points begin a cache line, so that four of them are
+/// one.
 #[repr(C, align(64))]
 pub(super) struct Link {
     /// Its vertices, inverted, behind which is a point that is in front of no gate.
@@ -119,13 +125,15 @@ pub(super) struct Link {
     pub(super) len: usize,
     /// Block-local numbers of its vertices.
     pub(super) id: [u16; MOST],
-    /// For each vertex of the block where it was in `id` when it, or another of its number, was there last, and 256 times the link's stamp then.
+    /// For each vertex of the block where it was in `id` when it, or another of its number, was
+    /// there last, and 256 times the link's stamp then.
     slot: Box<[u32; VERTICES]>,
     /// Of this link, shifted: no other's since the slots were cleared.
     stamp: u32,
     /// For each gate whether it is open: 1 or 0.
     open: Box<[u8; GATES]>,
-    /// Gates in the order in which they were opened, some closed again since. Those from `head` to `tail` wait to be looked at.
+    /// Gates in the order in which they were opened, some closed again since. Those from `head` to
+    /// `tail` wait to be looked at.
     ring: Box<[Gate; RING]>,
     head: usize,
     tail: usize,
@@ -182,7 +190,8 @@ impl Hinge {
         Self { n, u, nn: dot(n, n), least: sc * sd * (sc + sd) * (1.0 / (1 << 21) as f32) }
     }
 
-    /// Where the sphere meets the point at a place, which is in the lowest bits; no number if it is not in front.
+    /// Where the sphere meets the point at a place, which is in the lowest bits; no number if it is
+    /// not in front.
     #[inline(always)]
     fn key(&self, [x, y, z, _]: Point, place: usize) -> f32 {
         let h = dot(self.n, [x, y, z]);
@@ -350,7 +359,8 @@ impl Link {
         self.open[usize::from(gate) % GATES] = 0;
     }
 
-    /// An edge of a new triangle: closes the gate of opposite direction, for both sides are known then; without one, opens a gate.
+    /// An edge of a new triangle: closes the gate of opposite direction, for both sides are known
+    /// then; without one, opens a gate.
     #[inline(always)]
     pub(super) fn meet(&mut self, edge: Gate) {
         let back = &mut self.open[usize::from(edge.rotate_left(8)) % GATES];
@@ -371,7 +381,8 @@ impl Link {
         self.tail - self.head > RING / 2
     }
 
-    /// The next gates that are still open, with what is foretold of them. False if no gate waits; none may be open even so.
+    /// The next gates that are still open, with what is foretold of them. False if no gate waits;
+    /// none may be open even so.
     #[inline(always)]
     pub(super) fn foretell(&mut self, path: impl Path, gates: &mut Gates) -> bool {
         let Some(four) = self.next_four() else { return false };
@@ -390,7 +401,8 @@ impl Link {
         true
     }
 
-    /// The gates that are to be looked at together, and of each whether it is still open: 1 or 0. `None` if no gate waits.
+    /// The gates that are to be looked at together, and of each whether it is still open: 1 or 0.
+    /// `None` if no gate waits.
     #[inline(always)]
     pub(super) fn next_four(&mut self) -> Option<[(Gate, u8); LANES]> {
         let (first, waiting) = (self.head, self.tail - self.head);
@@ -438,7 +450,8 @@ impl Link {
         scores
     }
 
-    /// The place of rank `rank` when the vertices are ordered by finite scores, least first, of equal ones the first.
+    /// The place of rank `rank` when the vertices are ordered by finite scores, least first, of
+    /// equal ones the first.
     #[inline(always)]
     pub(super) fn nth(&self, scores: &[f32; MOST], rank: usize) -> Option<usize> {
         // Behind the last one they are infinite, too; so many can be looked at in vectors.

@@ -85,8 +85,8 @@ const C_RANK: usize = MORE + 2;
 const D_RANK: usize = C_RANK + FAR_RANK;
 const DECISIONS: usize = D_RANK + FAR_RANK;
 
-/// The two ends of the coder. The encoder writes the truth that it is given; the decoder ignores it and gives what it
-/// reads. So one function is both.
+/// The two ends of the coder. The encoder writes the truth that it is given; the decoder ignores it
+/// and gives what it reads. So one function is both.
 trait End {
     /// Whether this is the encoder: what costs time to find out is asked only then.
     const KNOWS: bool;
@@ -94,10 +94,11 @@ trait End {
     fn bit(&mut self, odds: &mut [Odds; DECISIONS], at: usize, truth: bool) -> bool;
     /// A number of at most 16 bits.
     fn raw(&mut self, bits: u32, truth: u32) -> u32;
-    /// The star of a vertex begins, with what is known of its link. `None` if a directed edge has two triangles.
+    /// The star of a vertex begins, with what is known of its link. `None` if a directed edge has
+    /// two triangles.
     fn star(&mut self, v: Local, link: &Link) -> Option<()>;
-    /// Of some gates that were looked at those behind which is what was foretold, a bit each, which is told now; and whether there is a triangle
-    /// behind any other that is open then.
+    /// Of some gates that were looked at those behind which is what was foretold, a bit each, which
+    /// is told now; and whether there is a triangle behind any other that is open then.
     fn hits(&mut self, link: &Link, gates: &Gates) -> (u32, bool);
     /// The apex of the untold triangle behind a gate, which is told now; [`NONE`] if there is none.
     fn apex(&mut self, link: &Link, gate: Gate) -> Local;
@@ -111,7 +112,8 @@ trait End {
     fn untold(&self, link: &Link, to: &mut Vec<[Local; 3]>);
     /// A tetrahedron that is told now.
     fn tell(&mut self, tet: [Local; 4]);
-    /// Tells the star that begins, if this end knows that all of it is as foretold: the number of its triangles.
+    /// Tells the star that begins, if this end knows that all of it is as foretold: the number of
+    /// its triangles.
     #[inline(always)]
     fn even(&mut self, _: impl Path, _: &mut Stars) -> Option<usize> {
         None
@@ -207,7 +209,8 @@ impl Stars {
         Some(())
     }
 
-    /// Tells what is behind some gates, and gives the number of triangles. `None` if what is read cannot be.
+    /// Tells what is behind some gates, and gives the number of triangles. `None` if what is read
+    /// cannot be.
     #[inline(always)]
     fn pass<E: End>(&mut self, path: impl Path, end: &mut E) -> Option<usize> {
         let (mut hits, is_wrong) = end.hits(&self.link, &self.gates);
@@ -252,7 +255,8 @@ impl Stars {
         Some(told)
     }
 
-    /// Tells a vertex by its rank, at least `least`, or else by its number. `None` if what is read is none.
+    /// Tells a vertex by its rank, at least `least`, or else by its number. `None` if what is read
+    /// is none.
     #[inline(always)]
     fn ranked<E: End>(
         &mut self,
@@ -277,7 +281,8 @@ impl Stars {
         if w >= self.vertices { None } else { self.link.place(&self.cloud, w as Local) }
     }
 
-    /// A triangle on a gate, which it closes. `None` if that is not open, or the vertex is none or of the gate.
+    /// A triangle on a gate, which it closes. `None` if that is not open, or the vertex is none or
+    /// of the gate.
     #[inline(always)]
     fn attach<E: End>(&mut self, end: &mut E, on: Gate, w: usize) -> Option<()> {
         let [c, d] = ends(on);
@@ -292,7 +297,8 @@ impl Stars {
         self.wait(c, d, w)
     }
 
-    /// A face waits for the star of its smallest vertex. `None` if there are more faces than tetrahedra.
+    /// A face waits for the star of its smallest vertex. `None` if there are more faces than
+    /// tetrahedra.
     #[inline(always)]
     fn wait(&mut self, c: Local, d: Local, w: Local) -> Option<()> {
         let (least, others) = least_first([c, d, w]);
@@ -331,7 +337,8 @@ impl Stars {
         Some(())
     }
 
-    /// Of the untold triangles (those with a vertex) the vertex of least score; the decoder, which has none, gets any.
+    /// Of the untold triangles (those with a vertex) the vertex of least score; the decoder, which
+    /// has none, gets any.
     fn least_of(&self, scores: &[f32; MOST], with: Option<Local>) -> Local {
         let score = |&w: &Local| (self.link.find(w).map_or(f32::INFINITY, |i| scores[i]), w);
         let triangles = self.untold.iter().filter(|t| with.is_none_or(|w| t.contains(&w)));
@@ -339,7 +346,8 @@ impl Stars {
         vertices.min_by(|a, b| score(a).partial_cmp(&score(b)).expect("scores are no NaN")).unwrap_or(0)
     }
 
-    /// Tells all stars of a block of `tets` tetrahedra. `None` if what is read cannot be one, or a link is too large.
+    /// Tells all stars of a block of `tets` tetrahedra. `None` if what is read cannot be one, or a
+    /// link is too large.
     fn tell<E: End>(&mut self, end: &mut E, tets: usize) -> Option<()> {
         let told = self.tell_as_may_be(end, tets);
         if told.is_none() {

@@ -1,4 +1,5 @@
-//! What [`link`](super::link) does most, with AVX2 and FMA: the same operations in the same order, eight at a time, so the same bits.
+//! What [`link`](super::link) does most, with AVX2 and FMA: the same operations in the same order,
+//! eight at a time, so the same bits.
 #![allow(unsafe_code)]
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
@@ -188,7 +189,8 @@ fn columns(points: [&Point; 8]) -> [__m256; 3] {
     [x, y, _mm256_shuffle_ps::<0x44>(ab_z, cd_z)]
 }
 
-/// A coordinate of four points each: x, y, z, and the number that goes with them; the same in both halves.
+/// A coordinate of four points each: x, y, z, and the number that goes with them; the same in both
+/// halves.
 #[inline]
 #[target_feature(enable = "avx2,fma")]
 fn four(points: [&Point; 4]) -> [__m256; 4] {

@@ -93,7 +93,8 @@ fn all_paths_write_and_read_the_same_bytes() {
     assert_eq!(paths_agree(&positions, &tets), runs(&tets, 300).count());
 }
 
-/// As bodies of a mesh that touch: two copies of a mesh in one place, which have some vertices in common.
+/// As bodies of a mesh that touch: two copies of a mesh in one place, which have some vertices in
+/// common.
 #[test]
 fn all_paths_agree_where_vertices_share_positions() {
     let (positions, tets) = delaunay(1500);
@@ -151,7 +152,8 @@ fn an_even_star_is_told_as_an_odd_one_would_be() {
     }
 }
 
-/// A mesh in which tetrahedra are missing, there twice, turned over, or have another vertex is refused, or comes back.
+/// A mesh in which tetrahedra are missing, there twice, turned over, or have another vertex is
+/// refused, or comes back.
 #[test]
 fn what_is_almost_a_mesh_comes_back_or_is_refused() {
     let (positions, tets) = delaunay(1000);
@@ -302,7 +304,8 @@ fn mesh_of(kind: SetKind, count: u64) -> (Vec<LatticePos>, Vec<Tet>) {
     (positions, sorted(&tets))
 }
 
-/// Of the odds that a block begins with: Hammersley and Halton points count most, for they are what is mostly used.
+/// Of the odds that a block begins with: Hammersley and Halton points count most, for they are what
+/// is mostly used.
 #[test]
 #[ignore = "makes the table of odds.rs: run it with --ignored after a change of the coder"]
 fn the_first_odds_are_those_of_the_point_sets() {

@@ -1,5 +1,6 @@
-//! The search of [`simd`](super::simd) with AVX-512: four points at a time for four gates. The same operations, so the same bits; the least of
-//! all keys is one number, whatever the order in which they are looked at.
+//! The search of [`simd`](super::simd) with AVX-512: four points at a time for four gates. The same
+//! operations, so the same bits; the least of all keys is one number, whatever the order in which
+//! they are looked at.
 #![allow(unsafe_code)]
 
 use super::link::{Cloud, Gates, LANES, Link, MOST, MOST_NEAR, PLACE, Path, Point, ends};
@@ -106,7 +107,8 @@ fn turned([a, b, c, d]: [__m512; 4]) -> [__m512; 4] {
     ]
 }
 
-/// What is stored is what the search loads, four points at a time: else it would wait for the stores.
+/// What is stored is what the search loads, four points at a time: else it would wait for the
+/// stores.
 #[inline]
 #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma")]
 fn invert_avx512(cloud: &Cloud, link: &mut Link) {

@@ -16,7 +16,8 @@ use std::ops::Range;
 pub(crate) struct Writer {
     pub(super) stars: Stars,
     pub(super) truth: Truth,
-    /// For each vertex of the chunk its local number in the last block that has it, and 2^16 times that block's number.
+    /// For each vertex of the chunk its local number in the last block that has it, and 2^16 times
+    /// that block's number.
     numbers: Vec<u32>,
     block: u16,
     others: Vec<u32>,
@@ -27,7 +28,8 @@ pub(crate) struct Writer {
 pub(super) struct Truth {
     coder: Encoder,
     pub(super) bits: BitWriter,
-    /// Of the star: numbers of gates that were looked at together, with their hits; and whether there is more to it.
+    /// Of the star: numbers of gates that were looked at together, with their hits; and whether
+    /// there is more to it.
     hits: Vec<(u8, u8)>,
     is_odd: bool,
     pub(super) tets: Vec<[Local; 4]>,
@@ -36,7 +38,8 @@ pub(super) struct Truth {
     star: Range<usize>,
     /// Triangles of the star that are not told.
     untold: usize,
-    /// For each directed edge between places of the link the third place of the triangle that has it and is not told.
+    /// For each directed edge between places of the link the third place of the triangle that has
+    /// it and is not told.
     thirds: Box<[u8; GATES]>,
     /// Triangles that are not told and had a vertex without a place when the star began.
     loose: Vec<[Local; 3]>,
@@ -84,8 +87,9 @@ impl Default for Truth {
 const WITHIN: usize = 99;
 
 impl Writer {
-    /// Encodes canonical tetrahedra, ascending by their first vertices, given where all vertices are; false, with nothing written, if the
-    /// block is none for this coder: empty, too large, no mesh, or with too large a star.
+    /// Encodes canonical tetrahedra, ascending by their first vertices, given where all vertices
+    /// are; false, with nothing written, if the block is none for this coder: empty, too large, no
+    /// mesh, or with too large a star.
     pub(crate) fn encode(&mut self, tets: &[Tet], positions: &[LatticePos], out: &mut Vec<u8>) -> bool {
         let (Some(first), Some(last)) = (tets.first(), tets.last()) else { return false };
         let (first, own) = (first[0], last[0] - first[0] + 1);
@@ -130,7 +134,8 @@ impl Writer {
         &self.truth.told
     }
 
-    /// Lists the others and numbers the vertices; false if there are too many, or a tetrahedron has a vertex twice.
+    /// Lists the others and numbers the vertices; false if there are too many, or a tetrahedron has
+    /// a vertex twice.
     fn localise(&mut self, tets: &[Tet], first: u32, own: u32, vertices: usize) -> bool {
         self.block = self.block.wrapping_add(1);
         if self.block == 0 || self.numbers.len() != vertices {
@@ -169,8 +174,9 @@ impl Writer {
         good
     }
 
-    /// The radius of a neighbourhood, as [`Cloud::set`] takes it: from the edges of all tetrahedra to their largest vertices. (Of some, it would
-    /// depend on the order in which the mesher gives them.)
+    /// The radius of a neighbourhood, as [`Cloud::set`] takes it: from the edges of all tetrahedra
+    /// to their largest vertices. (Of some, it would depend on the order in which the mesher gives
+    /// them.)
     fn size(&self) -> u8 {
         let mut counts = [0usize; 256];
         for &[a, b, c, d] in &self.truth.tets {
@@ -210,7 +216,8 @@ impl Truth {
         usize::from(self.thirds[usize::from(on) % GATES])
     }
 
-    /// Tells the triangle behind a gate if it has a certain apex: whether it does. Without a branch, for none could be foretold.
+    /// Tells the triangle behind a gate if it has a certain apex: whether it does. Without a
+    /// branch, for none could be foretold.
     #[inline(always)]
     fn take_if(&mut self, on: Gate, apex: usize) -> bool {
         let hit = (self.third(on) == apex) & (apex != NOBODY);

@@ -1,7 +1,8 @@
-//! Figures. [`canvas`] puts words on pictures; here a contour spectrum is drawn: three panels above each other on one axis of isovalues, as SVG or PNG.
+//! Figures. [`canvas`] puts words on pictures; here a contour spectrum is drawn: three panels above
+//! each other on one axis of isovalues, as SVG or PNG.
 //!
-//! The font (a subset of DejaVu Sans, `FONT-LICENSE.txt`) is part of the program: a figure is the same on every machine.
-//! A PNG is drawn three times as large and averaged, for smooth lines.
+//! The font (a subset of DejaVu Sans, `FONT-LICENSE.txt`) is part of the program: a figure is the
+//! same on every machine. A PNG is drawn three times as large and averaged, for smooth lines.
 
 pub(crate) mod canvas;
 mod over_time;

@@ -105,7 +105,8 @@ impl SliceQuery {
     }
 }
 
-/// Takes the bytes of an answer, and hands them on in pieces. Waits for a slow reader, holding little.
+/// Takes the bytes of an answer, and hands them on in pieces. Waits for a slow reader, holding
+/// little.
 pub(super) struct Sink {
     to: Sender<Result<Bytes>>,
     piece: Vec<u8>,
@@ -151,8 +152,8 @@ impl Sink {
     }
 }
 
-/// A length and JSON with the counts; then of each surface its vertices (position and normal, 3 × f32 each)
-/// and its triangles (3 × u32).
+/// A length and JSON with the counts; then of each surface its vertices (position and normal, 3 ×
+/// f32 each) and its triangles (3 × u32).
 pub(super) fn surface(
     archives: &Archives,
     archive: usize,

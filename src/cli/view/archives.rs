@@ -28,7 +28,8 @@ pub(super) struct Archives {
 pub(super) struct Description {
     /// The name of its folder.
     name: String,
-    /// The corners of the domain in the world, x fastest; none where the grid has coordinates of its own.
+    /// The corners of the domain in the world, x fastest; none where the grid has coordinates of
+    /// its own.
     corners: Option<[[f64; 3]; 8]>,
     #[serde(flatten)]
     summary: ArchiveSummary,

@@ -76,7 +76,8 @@ fn token() -> Result<String> {
     Ok(bits.iter().map(|b| format!("{b:02x}")).collect())
 }
 
-/// Starts the default browser. Where there is none, a line on standard error says so, and the page is still served.
+/// Starts the default browser. Where there is none, a line on standard error says so, and the page
+/// is still served.
 fn open_in_browser(url: &str) -> Result<()> {
     let program = match std::env::consts::OS {
         "macos" => "open",

@@ -1,8 +1,9 @@
 //! The server: who may ask, how much at one time, and how answers travel.
 //!
-//! It listens on 127.0.0.1. Every address begins with a random token, so other users of the machine and pages of
-//! other sites cannot ask. The `Host` header must name this server, so no name of another site leads here. The numbers of
-//! open connections and of working requests are limited; others wait. A connection that stands still is closed.
+//! It listens on 127.0.0.1. Every address begins with a random token, so other users of the machine
+//! and pages of other sites cannot ask. The `Host` header must name this server, so no name of
+//! another site leads here. The numbers of open connections and of working requests are limited;
+//! others wait. A connection that stands still is closed.
 
 use super::answers::{self, Sink};
 use super::archives::Archives;
@@ -224,7 +225,8 @@ fn ask<Q: DeserializeOwned + Send + 'static>(
     })
 }
 
-/// Does blocking work in a slot, and streams what comes of it. The work stops when its reader is gone.
+/// Does blocking work in a slot, and streams what comes of it. The work stops when its reader is
+/// gone.
 async fn answer(
     server: Arc<Server>,
     kind: &'static str,

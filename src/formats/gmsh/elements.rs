@@ -10,7 +10,8 @@ use std::sync::Arc;
 struct Type {
     kind: CellKind,
     nodes: u64,
-    /// Where VTK's vertices after the corners are among Gmsh's; empty where the orders are the same.
+    /// Where VTK's vertices after the corners are among Gmsh's; empty where the orders are the
+    /// same.
     order: &'static [u8],
 }
 
@@ -64,8 +65,8 @@ struct Group {
     elements: u64,
 }
 
-/// The head of the next group: a block of version 4, a group of a binary file of version 2.2, or one element of a text.
-/// In a text of version 2.2 the element's own tag comes first.
+/// The head of the next group: a block of version 4, a group of a binary file of version 2.2, or
+/// one element of a text. In a text of version 2.2 the element's own tag comes first.
 fn group(t: &mut Tokens, version_4: bool) -> Result<(Group, Option<u64>)> {
     let (number, tags, elements, tag) = if version_4 {
         t.skip_int()?;
@@ -90,7 +91,8 @@ fn element_tag(t: &mut Tokens, version_4: bool) -> Result<u64> {
     if version_4 { t.size() } else { t.int() }
 }
 
-/// Goes over elements, at most `blocks` blocks of version 4 and about `most` elements; gives how many there were.
+/// Goes over elements, at most `blocks` blocks of version 4 and about `most` elements; gives how
+/// many there were.
 pub(super) fn skip_elements(
     t: &mut Tokens,
     version_4: bool,

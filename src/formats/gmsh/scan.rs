@@ -42,7 +42,8 @@ pub(super) struct DataList {
     pub(super) start: Tokens,
 }
 
-/// Tags in file order as runs of consecutive ones: first tag, number of the first, length; sorted by tag at the end.
+/// Tags in file order as runs of consecutive ones: first tag, number of the first, length; sorted
+/// by tag at the end.
 #[derive(Default)]
 pub(super) struct Runs {
     runs: Vec<(u64, u64, u64)>,
@@ -287,7 +288,8 @@ impl Look {
         let (elements_start, cells) = self.elements.ok_or_else(|| lacks("$Elements"))?;
         let mut elements = Runs::default();
         if self.data.iter().any(|d| d.center == Center::Cell) {
-            // The head of the section is before the place where elements start: blocks are counted by elements.
+            // The head of the section is before the place where elements start: blocks are counted
+            // by elements.
             let mut t = elements_start.clone();
             skip_elements(&mut t, self.version_4, u64::MAX, cells, |t, tag| match elements.push(tag) {
                 true => Ok(()),

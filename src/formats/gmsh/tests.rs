@@ -5,8 +5,9 @@ use crate::formats::tests::write;
 use crate::formats::{OpenOptions, open_mesh};
 use std::path::Path;
 
-/// Written by Gmsh 4: a box of 1 x 2 x 3 in tetrahedra; unit cubes in second-order hexahedra and prisms. Each has f = x +
-/// 10 y + 100 z and the vectors (x, y, z) on nodes, and numbers 0, 1, 2, … on elements with a volume.
+/// Written by Gmsh 4: a box of 1 x 2 x 3 in tetrahedra; unit cubes in second-order hexahedra and
+/// prisms. Each has f = x + 10 y + 100 z and the vectors (x, y, z) on nodes, and numbers 0, 1, 2, …
+/// on elements with a volume.
 fn fixture(name: &str) -> Vec<u8> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/gmsh");
     std::fs::read(folder.join(format!("{name}.msh"))).unwrap()

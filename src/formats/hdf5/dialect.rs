@@ -1,4 +1,5 @@
-//! Conventions that programs put on HDF5: which of them a file follows, and where its samples are by it.
+//! Conventions that programs put on HDF5: which of them a file follows, and where its samples are
+//! by it.
 //!
 //! | convention | known by | |
 //! |---|---|---|
@@ -7,7 +8,8 @@
 //! | ITK | `/ITKImage` | read |
 //! | Imaris, BigDataViewer, Dream.3D, Chimera, EMAN2, openPMD, CGNS, MED | groups and attributes | refused |
 //!
-//! What is refused keeps its voxel size, or its axes, where a plain reader does not look: the answer would be wrong.
+//! What is refused keeps its voxel size, or its axes, where a plain reader does not look: the
+//! answer would be wrong.
 
 use super::{Field, Tree, attribute_numbers, attribute_text, damaged};
 use crate::cells::Center;
@@ -214,7 +216,8 @@ pub(super) fn vtk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str
     Ok(Placed { number, fields, field, geometry, convert: None })
 }
 
-/// The image of a file of ITK: `Origin`, `Spacing`, and in each row of `Directions` the direction of an axis.
+/// The image of a file of ITK: `Origin`, `Spacing`, and in each row of `Directions` the direction
+/// of an axis.
 pub(super) fn itk(path: &Path, file: &Hdf5File, tree: &Tree, wanted: Option<&str>) -> Result<Placed> {
     let read = |name: &str| -> Result<Vec<f64>> {
         let full = format!("ITKImage/0/{name}");
@@ -308,7 +311,8 @@ fn dimension(path: &Path, file: &Hdf5File, name: &str) -> Result<Dimension> {
     Ok(Dimension { start: one("start", 0.0), step: one("step", 1.0), direction })
 }
 
-/// The lines from stored integers to values: `valid_range` is stretched to `image-min` … `image-max` of each slice.
+/// The lines from stored integers to values: `valid_range` is stretched to `image-min` …
+/// `image-max` of each slice.
 fn slices(
     path: &Path,
     file: &Hdf5File,

@@ -35,7 +35,8 @@ pub(in crate::formats) fn read_whole(mesh: &CellMesh) -> Result<Whole> {
     Ok(out)
 }
 
-/// Damages a small file in every way: nothing panics, and every error is one line with the file's name.
+/// Damages a small file in every way: nothing panics, and every error is one line with the file's
+/// name.
 pub(in crate::formats) fn torture(name: &str, bytes: &[u8]) {
     torture_with(name, bytes, &[]);
 }
@@ -122,7 +123,8 @@ fn meshes_have_the_manifests_counts_fields_and_ranges() {
             name.is_none_or(|n| mesh.info().fields[i].name == n)
                 && range.is_some_and(|(a, b)| close(a, lo) && close(b, hi))
         };
-        // The range of a series is that of all steps, and that of a vector depends on what is taken of it.
+        // The range of a series is that of all steps, and that of a vector depends on what is taken
+        // of it.
         let vague = row.file.starts_with("series/") || row.cells[5].ends_with("x3");
         assert!(vague || (0..fields.len()).any(is_it), "{}: {fields:?}", row.file);
     }

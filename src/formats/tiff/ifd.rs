@@ -204,8 +204,8 @@ impl Ifd<'_> {
         (value.is_finite() && value > 0.0).then_some(value)
     }
 
-    /// The text of a tag, empty where it is missing. A description that does not lie in the file is no reason to refuse
-    /// the samples.
+    /// The text of a tag, empty where it is missing. A description that does not lie in the file is
+    /// no reason to refuse the samples.
     pub(super) fn text(&self, tag: u16) -> String {
         /// Longest text looked at: OME-XML of large data sets has some megabytes.
         const MOST: usize = 64 << 20;

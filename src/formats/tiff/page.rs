@@ -43,7 +43,8 @@ impl Compression {
         }
     }
 
-    /// No more than so many bytes come out of one: a claim beyond that is refused before memory is taken.
+    /// No more than so many bytes come out of one: a claim beyond that is refused before memory is
+    /// taken.
     fn best_ratio(self) -> u64 {
         match self {
             Self::None => 1,
@@ -208,8 +209,9 @@ impl Page {
         Some(first)
     }
 
-    /// Decodes the strips or tiles of the rows from `y0` to `y1`: little-endian samples, as wide as the page, appended to
-    /// `out`. Each is decoded once where these are multiples of [`Page::part_rows`].
+    /// Decodes the strips or tiles of the rows from `y0` to `y1`: little-endian samples, as wide as
+    /// the page, appended to `out`. Each is decoded once where these are multiples of
+    /// [`Page::part_rows`].
     pub(super) fn rows(&self, tiff: &Tiff, y0: u64, y1: u64, out: &mut Vec<u8>) -> Result<()> {
         let size = self.shape.scalar.bytes();
         let width = self.shape.dims[0] as usize * size;
@@ -221,7 +223,8 @@ impl Page {
             let rows = (y1.min(part_y + self.part[1]) - part_y) as usize - before;
             let start = out.len();
             if across > 1 {
-                // Memory as its tiles arrive is not possible: they are interleaved. Each has been claimed by a length.
+                // Memory as its tiles arrive is not possible: they are interleaved. Each has been
+                // claimed by a length.
                 self.check_length(tiff, y * across, across)?;
                 out.resize(start + rows * width, 0);
             }
@@ -378,7 +381,8 @@ fn decompress(
     Ok(())
 }
 
-/// Apple's run lengths: n < 128 and n + 1 bytes as they are; n > 128 and a byte that stands for 257 − n; 128 is nothing.
+/// Apple's run lengths: n < 128 and n + 1 bytes as they are; n > 128 and a byte that stands for 257
+/// − n; 128 is nothing.
 fn unpack_bits(stored: &[u8], needed: usize, out: &mut Vec<u8>) {
     let mut rest = stored;
     while let [n, tail @ ..] = rest
@@ -420,8 +424,8 @@ fn undo_predictor(row: &mut [u8], size: usize) {
     }
 }
 
-/// Predictor 3 (Adobe's technical note 3): the row's most significant bytes first, then the next ones …, all of them as
-/// differences of bytes.
+/// Predictor 3 (Adobe's technical note 3): the row's most significant bytes first, then the next
+/// ones …, all of them as differences of bytes.
 fn undo_float_predictor(row: &mut [u8], size: usize) {
     let mut sum = 0u8;
     for byte in row.iter_mut() {

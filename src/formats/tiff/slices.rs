@@ -1,7 +1,8 @@
 //! A stack of uncompressed slices in files of their own, read where they lie.
 //!
-//! A stack may have more files than a process may have open (often 1024). So files are opened when a slice is first needed,
-//! and the ones used last stay open. Chunks come in layers along z: neighbours need the same slices.
+//! A stack may have more files than a process may have open (often 1024). So files are opened when
+//! a slice is first needed, and the ones used last stay open. Chunks come in layers along z:
+//! neighbours need the same slices.
 
 use crate::bytes::{ByteSource, IoMode};
 use crate::error::{Error, Result};
@@ -81,7 +82,8 @@ impl SliceFiles {
         StridedVolume::new(info, source, self.offsets[z], self.big_endian, strides)
     }
 
-    /// Calls `take` with each slice of a box, the part of the box in it, and its range in the box's array of samples.
+    /// Calls `take` with each slice of a box, the part of the box in it, and its range in the box's
+    /// array of samples.
     fn each(
         &self,
         voxels: IndexBox,

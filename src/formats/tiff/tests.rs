@@ -421,7 +421,8 @@ fn imagej_stacks_of_one_page() {
     let rational = |n: u32, d: u32| [n.to_le_bytes(), d.to_le_bytes()].concat();
     let more = [(270, 2, text), (282, 5, rational(2, 1)), (283, 5, rational(4, 1))];
     let one = pages(Style { rows_per_strip: 5, ..PLAIN }, ScalarType::U16, 1, &more);
-    // The other images follow the first one, so the directory must not: the page is written anew after them.
+    // The other images follow the first one, so the directory must not: the page is written anew
+    // after them.
     let mut w = Writer::new(Style { rows_per_strip: 5, ..PLAIN });
     let all: Vec<u8> = (0..4).flat_map(|z| slice(DIMS, ScalarType::U16, z)).collect();
     w.bytes.extend(&all);

@@ -1,4 +1,5 @@
-//! Legacy VTK files (`.vtk`): structured points as volumes, unstructured grids as meshes (see `cells`).
+//! Legacy VTK files (`.vtk`): structured points as volumes, unstructured grids as meshes (see
+//! `cells`).
 //!
 //! ```text
 //! # vtk DataFile Version 3.0
@@ -19,20 +20,24 @@
 //! …
 //! ```
 //!
-//! A file has no table of contents: to find an array, all before it are gone over, by their lengths in a binary file,
-//! word by word in a text. Binary samples are then mapped where they lie; text is a stream of slabs. Keywords may be
-//! in any case, names are percent-encoded.
+//! A file has no table of contents: to find an array, all before it are gone over, by their lengths
+//! in a binary file, word by word in a text. Binary samples are then mapped where they lie; text is
+//! a stream of slabs. Keywords may be in any case, names are percent-encoded.
 //!
-//! **Rectilinear and structured grids** are read alike, in index space; [`coordinates`] tells where their samples are:
-//! `X_COORDINATES 76 float` (Y, Z), or `POINTS 167580 float` with three numbers a sample.
+//! **Rectilinear and structured grids** are read alike, in index space; [`coordinates`] tells where
+//! their samples are: `X_COORDINATES 76 float` (Y, Z), or `POINTS 167580 float` with three numbers
+//! a sample.
 //!
-//! **Fields** are the arrays of the point data. Without `--field` the one array under `SCALARS` is read where there is
-//! exactly one with one component (VTK's writer puts the active scalars there and all others under `FIELD`), else the
-//! only array with one component. Cell data of structured points are samples in the middles of the cells: one fewer along each axis, the first half a
-//! step from the origin. They are read where no array of the point data is a scalar, or by their name; those of grids are refused.
+//! **Fields** are the arrays of the point data. Without `--field` the one array under `SCALARS` is
+//! read where there is exactly one with one component (VTK's writer puts the active scalars there
+//! and all others under `FIELD`), else the only array with one component. Cell data of structured
+//! points are samples in the middles of the cells: one fewer along each axis, the first half a step
+//! from the origin. They are read where no array of the point data is a scalar, or by their name;
+//! those of grids are refused.
 //!
-//! A `long` is taken to have 8 bytes, as on every 64-bit Unix; `char` is signed; a binary `vtkIdType` is stored in 4
-//! bytes, whatever it has in memory. Arrays of bits and strings are passed over.
+//! A `long` is taken to have 8 bytes, as on every 64-bit Unix; `char` is signed; a binary
+//! `vtkIdType` is stored in 4 bytes, whatever it has in memory. Arrays of bits and strings are
+//! passed over.
 
 mod cells;
 mod scan;
@@ -199,8 +204,8 @@ pub(super) fn time(source: &Arc<ByteSource>) -> Result<Option<f64>> {
 /// Opens the unstructured grid of a legacy VTK file.
 ///
 /// # Errors
-/// [`Error::BadInput`] for a malformed file or another kind of dataset; [`Error::Usage`] when there is no field of the
-/// name wanted.
+/// [`Error::BadInput`] for a malformed file or another kind of dataset; [`Error::Usage`] when there
+/// is no field of the name wanted.
 pub fn open_mesh(path: &Path, options: &OpenOptions) -> Result<CellMesh> {
     let source = Arc::new(ByteSource::open(path, options.io)?);
     CellMesh::new(Arc::new(cells::open(&source)?), options.field.as_deref())

@@ -128,7 +128,8 @@ impl Dataset {
 pub(super) enum Connectivity {
     /// For each cell the number of its vertices, then these: `int` in a binary file.
     Counted { cells: u64, numbers: u64, data: Range<u64> },
-    /// Since version 5.1: where each cell's vertices begin, and the end of the last; then the vertices.
+    /// Since version 5.1: where each cell's vertices begin, and the end of the last; then the
+    /// vertices.
     Offsets { offsets: u64, offset_array: Array, vertices: u64, vertex_array: Array },
 }
 
@@ -430,7 +431,8 @@ impl<'a> Scanner<'a> {
         Ok(())
     }
 
-    /// Goes over the data of an array and notes it where it has a tuple for each of the `n` points or cells.
+    /// Goes over the data of an array and notes it where it has a tuple for each of the `n` points
+    /// or cells.
     fn array(
         &mut self,
         name: String,

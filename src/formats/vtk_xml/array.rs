@@ -7,13 +7,15 @@
 //!                          [compressed length of block 0 … n-1] [block 0] … [block n-1]
 //! ```
 //!
-//! The numbers of the headers are 32 or 64 bits wide (`header_type`) in the byte order of the file. `format="binary"`
-//! is base64 text in the element; `format="appended"` lies behind the head, raw or base64.
+//! The numbers of the headers are 32 or 64 bits wide (`header_type`) in the byte order of the file.
+//! `format="binary"` is base64 text in the element; `format="appended"` lies behind the head, raw
+//! or base64.
 //!
-//! The lengths of the blocks are not kept: a second cursor walks over their table while the first walks over the
-//! blocks; a [`BlockArray`] keeps their places instead. A zlib block is inflated piece by piece; an LZ4 block must be decoded whole, so that its length is the one
-//! length of a header that memory is reserved for: at most 255 times its compressed length (what LZ4 can reach) and
-//! [`MOST_LZ4_BLOCK`].
+//! The lengths of the blocks are not kept: a second cursor walks over their table while the first
+//! walks over the blocks; a [`BlockArray`] keeps their places instead. A zlib block is inflated
+//! piece by piece; an LZ4 block must be decoded whole, so that its length is the one length of a
+//! header that memory is reserved for: at most 255 times its compressed length (what LZ4 can reach)
+//! and [`MOST_LZ4_BLOCK`].
 
 use super::head::{Compressor, Document, Element};
 use super::stored::Stored;
@@ -26,7 +28,8 @@ use flate2::{Decompress, FlushDecompress, Status};
 /// The largest LZ4 block that is decoded, in bytes; VTK writes blocks of 32 KiB.
 const MOST_LZ4_BLOCK: u64 = 1 << 28;
 
-/// No compressor does better: DEFLATE codes at most 258 bytes with two bits, LZ4 255 bytes with eight.
+/// No compressor does better: DEFLATE codes at most 258 bytes with two bits, LZ4 255 bytes with
+/// eight.
 const BEST_RATIO: u64 = 1032;
 
 /// What a decoder takes besides a block: buffers of text and input, the window and tables of zlib.
@@ -113,7 +116,8 @@ impl ArrayStream {
         Ok(Self { scalar, big_endian: doc.big_endian, data })
     }
 
-    /// The array of an element, of as many values as it tells itself: of a text that is known only at its end.
+    /// The array of an element, of as many values as it tells itself: of a text that is known only
+    /// at its end.
     ///
     /// # Errors
     /// [`Error::BadInput`] when the array is malformed, or longer than the file has room for.
@@ -169,7 +173,8 @@ impl ArrayStream {
         Ok(())
     }
 
-    /// To be called after the last value: text may go on, and a block's checksum follows its last byte.
+    /// To be called after the last value: text may go on, and a block's checksum follows its last
+    /// byte.
     ///
     /// # Errors
     /// [`Error::BadInput`] when there are more data.
@@ -192,7 +197,8 @@ impl ArrayStream {
 const MOST_RANDOM_BLOCK: u64 = 4 << 20;
 const MOST_RANDOM_BLOCKS: u64 = 8 << 20;
 
-/// A block-compressed array that lies in the file as it is (appended, raw): any of its values, by way of the blocks around them.
+/// A block-compressed array that lies in the file as it is (appended, raw): any of its values, by
+/// way of the blocks around them.
 pub(super) struct BlockArray {
     scalar: ScalarType,
     /// As the array is opened, before the first block.
@@ -208,7 +214,8 @@ pub(super) struct BlockArray {
 }
 
 impl BlockArray {
-    /// The array of an element, which must hold `bytes` bytes; `None` of one that has to be decoded front to back.
+    /// The array of an element, which must hold `bytes` bytes; `None` of one that has to be decoded
+    /// front to back.
     ///
     /// # Errors
     /// As [`ArrayStream::open`].
@@ -255,7 +262,8 @@ impl BlockArray {
         DECODER + 3 * self.full + longest_lz4(self.full) + 8 * self.places.len() as u64
     }
 
-    /// Fills `out` with the values from byte `at` of the array on. Blocks are decoded, and checked, to their ends.
+    /// Fills `out` with the values from byte `at` of the array on. Blocks are decoded, and checked,
+    /// to their ends.
     ///
     /// # Errors
     /// [`Error::BadInput`](crate::Error::BadInput) when they cannot be decoded.
@@ -288,7 +296,8 @@ impl BlockArray {
     }
 }
 
-/// The byte of the file where the array's values lie one after another, where they do: appended, raw, uncompressed.
+/// The byte of the file where the array's values lie one after another, where they do: appended,
+/// raw, uncompressed.
 pub(super) fn in_place(doc: &Document, element: &Element, bytes: u64) -> Result<Option<u64>> {
     let raw = doc.appended.is_some_and(|a| !a.base64) && doc.compressor == Compressor::None;
     if !raw || element.attribute("format") != Some("appended") {
@@ -342,7 +351,8 @@ fn check_length(doc: &Document, element: &Element, found: u64, expected: u64) ->
     })
 }
 
-/// Refuses a header that tells of more than the file can hold, before memory is reserved for a part of it.
+/// Refuses a header that tells of more than the file can hold, before memory is reserved for a part
+/// of it.
 fn check_room(doc: &Document, element: &Element, most: u64, expected: u64) -> Result<()> {
     if expected <= most {
         return Ok(());
@@ -539,7 +549,8 @@ impl Blocks {
         Ok((put as usize, status))
     }
 
-    /// Checks the end of the current block, which has been handed out: its checksum, and that nothing follows.
+    /// Checks the end of the current block, which has been handed out: its checksum, and that
+    /// nothing follows.
     fn end_block(&mut self) -> Result<()> {
         match &self.codec {
             // Before the first block.

@@ -15,9 +15,10 @@
 //! </UnstructuredGrid>
 //! ```
 //!
-//! The three arrays of the cells are decoded side by side, in constant memory. Points of later pieces are numbered
-//! after those of the pieces before; a point on the border of two pieces is stored, and counted, twice. The files of a
-//! `.pvtu` are open only while they are read. Empty pieces, which parallel programs write, may lack their arrays.
+//! The three arrays of the cells are decoded side by side, in constant memory. Points of later
+//! pieces are numbered after those of the pieces before; a point on the border of two pieces is
+//! stored, and counted, twice. The files of a `.pvtu` are open only while they are read. Empty
+//! pieces, which parallel programs write, may lack their arrays.
 
 use super::array::{ArrayStream, scalar_type};
 use super::head::{Document, Element};
@@ -197,7 +198,8 @@ impl CellFile for Grid {
         Ok(self.numbers(What::Field(field)))
     }
 
-    /// Of arrays that lie in their elements, in one file. Where cells are marked as ghosts, that is a part of the mesh which is told elsewhere.
+    /// Of arrays that lie in their elements, in one file. Where cells are marked as ghosts, that is
+    /// a part of the mesh which is told elsewhere.
     fn stored_hash(&self) -> Result<Option<u128>> {
         if self.0.info.fields.iter().any(|f| f.name == GHOSTS) {
             return Ok(None);

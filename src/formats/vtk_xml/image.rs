@@ -150,7 +150,8 @@ pub(super) fn pieces<'a>(doc: &'a Document, whole: &Extent) -> Result<Vec<Piece<
     covering(doc, whole.dims, pieces)
 }
 
-/// The pieces with the samples that they have of a field: all of its points, or its cells, which lie between points of one piece.
+/// The pieces with the samples that they have of a field: all of its points, or its cells, which
+/// lie between points of one piece.
 fn centred<'a>(
     doc: &Document,
     whole: &Extent,
@@ -180,8 +181,8 @@ fn covering<'a>(doc: &Document, dims: [u64; 3], pieces: Vec<Piece<'a>>) -> Resul
     }
 }
 
-/// A sample that no piece stores, if there is one. Pieces change only where one begins or ends, so a few samples stand
-/// for all: those are tried plane by plane, row by row.
+/// A sample that no piece stores, if there is one. Pieces change only where one begins or ends, so
+/// a few samples stand for all: those are tried plane by plane, row by row.
 fn uncovered(dims: [u64; 3], pieces: &[Piece<'_>]) -> Option<[u64; 3]> {
     let starts = |axis: usize, of: &[&Piece<'_>]| {
         let mut at: Vec<u64> = of.iter().flat_map(|p| [p.voxels.lo[axis], p.voxels.hi[axis]]).collect();
@@ -304,11 +305,13 @@ pub(super) fn how_stored(doc: &Document, element: Option<&Element>) -> String {
     format!("{place}, {}", doc.layout)
 }
 
-/// The least bytes that are decoded together, and the least blocks: those at both ends are decoded for their neighbours too.
+/// The least bytes that are decoded together, and the least blocks: those at both ends are decoded
+/// for their neighbours too.
 const CHUNK_BYTES: u64 = 256 << 10;
 const BLOCKS_TOGETHER: u64 = 8;
 
-/// The samples of one piece whose blocks lie in the file as they are: some rows or slices each time.
+/// The samples of one piece whose blocks lie in the file as they are: some rows or slices each
+/// time.
 struct BlockChunks {
     info: VolumeInfo,
     array: BlockArray,
@@ -350,8 +353,9 @@ impl ChunkSource for BlockChunks {
     }
 }
 
-/// The samples of one or several pieces as slabs of the whole image, in its order. A piece is decoded front to back,
-/// and is open only while slabs pass through it: memory is that of a slab and of the decoders side by side.
+/// The samples of one or several pieces as slabs of the whole image, in its order. A piece is
+/// decoded front to back, and is open only while slabs pass through it: memory is that of a slab
+/// and of the decoders side by side.
 struct PieceSlabs {
     doc: Document,
     info: VolumeInfo,

@@ -13,27 +13,30 @@
 //! </VTKFile>
 //! ```
 //!
-//! Read are ascii, base64 and raw data, inline and appended, uncompressed, zlib and LZ4, in both byte orders and with
-//! both widths of header numbers. Uncompressed raw data of one piece are mapped where they lie; everything else is a
-//! stream of slabs in constant memory. (LZMA is refused by its name.)
+//! Read are ascii, base64 and raw data, inline and appended, uncompressed, zlib and LZ4, in both
+//! byte orders and with both widths of header numbers. Uncompressed raw data of one piece are
+//! mapped where they lie; everything else is a stream of slabs in constant memory. (LZMA is refused
+//! by its name.)
 //!
-//! **Extents.** They are inclusive, and need not begin at 0: sample (x0, y0, z0) of the whole extent is our (0, 0, 0),
-//! and its world position includes x0 steps of the spacing. Pieces are joined; neighbours usually share a layer of
-//! samples, which is stored twice.
+//! **Extents.** They are inclusive, and need not begin at 0: sample (x0, y0, z0) of the whole
+//! extent is our (0, 0, 0), and its world position includes x0 steps of the spacing. Pieces are
+//! joined; neighbours usually share a layer of samples, which is stored twice.
 //!
-//! **Fields** are the arrays of the point data. Without `--field` the one that the file names as its active `Scalars`
-//! is read, else the only one with one component.
+//! **Fields** are the arrays of the point data. Without `--field` the one that the file names as
+//! its active `Scalars` is read, else the only one with one component.
 //!
-//! **Cell data** of an image are samples in the middles of its cells: one fewer along each axis, the first half a step from the origin. They are read
-//! where there is no scalar point data, or by their name. Those of rectilinear and curvilinear grids are refused.
+//! **Cell data** of an image are samples in the middles of its cells: one fewer along each axis,
+//! the first half a step from the origin. They are read where there is no scalar point data, or by
+//! their name. Those of rectilinear and curvilinear grids are refused.
 //!
-//! **Rectilinear and curvilinear grids** (`.vtr`, `.vts`) are read like images, in index space; [`coordinates`] tells where their
-//! samples are.
+//! **Rectilinear and curvilinear grids** (`.vtr`, `.vts`) are read like images, in index space;
+//! [`coordinates`] tells where their samples are.
 //!
 //! **Unstructured grids** (`.vtu`, `.pvtu`) are opened as meshes, by [`open_mesh`].
 //!
-//! Modules: `head` (the XML), `array` (the data of an array), `stored` (raw bytes and base64), `image` (extents, pieces, fields),
-//! `grid` (coordinates of rectilinear and curvilinear grids), `cells` (unstructured grids).
+//! Modules: `head` (the XML), `array` (the data of an array), `stored` (raw bytes and base64),
+//! `image` (extents, pieces, fields), `grid` (coordinates of rectilinear and curvilinear grids),
+//! `cells` (unstructured grids).
 
 pub(in crate::formats) mod array;
 mod cells;
@@ -58,8 +61,8 @@ use std::sync::Arc;
 /// Opens the image of a `.vti` file, or the samples of the grid of a `.vtr` or `.vts` file.
 ///
 /// # Errors
-/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file, another VTK type, cell data of a grid, vectors;
-/// [`Error::Usage`](crate::Error::Usage) when several fields ask for a choice.
+/// [`Error::BadInput`](crate::Error::BadInput) for a malformed file, another VTK type, cell data of
+/// a grid, vectors; [`Error::Usage`](crate::Error::Usage) when several fields ask for a choice.
 pub fn open(path: &Path, options: &OpenOptions) -> Result<VolumeSource> {
     image::open(&Arc::new(ByteSource::open(path, options.io)?), options.field.as_deref())
 }

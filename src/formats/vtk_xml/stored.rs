@@ -1,7 +1,8 @@
 //! Stored bytes, plain or as base64 text, front to back.
 //!
-//! VTK encodes a compressed array as two base64 texts in a row, the table of block lengths and the blocks, each with
-//! its own padding; other programs write three. So padding ends a group of four here, not the text.
+//! VTK encodes a compressed array as two base64 texts in a row, the table of block lengths and the
+//! blocks, each with its own padding; other programs write three. So padding ends a group of four
+//! here, not the text.
 
 use crate::bytes::ByteSource;
 use crate::error::{Error, Place, Result};
@@ -43,7 +44,8 @@ impl Stored {
         Self { source: Arc::clone(source), at, end, base64: None }
     }
 
-    /// The bytes that the base64 text `at..end` stands for; the text ends earlier where a tag begins.
+    /// The bytes that the base64 text `at..end` stands for; the text ends earlier where a tag
+    /// begins.
     pub(super) fn base64(source: &Arc<ByteSource>, at: u64, end: u64) -> Self {
         Self { source: Arc::clone(source), at, end, base64: Some(Decoded::default()) }
     }

@@ -428,7 +428,8 @@ fn a_cut_within_the_data_is_an_error() {
         let field = "a & c";
         let whole = |b: &[u8]| open_bytes(b, Some(field)).and_then(try_read_all);
         assert!(whole(&bytes).is_ok());
-        // The head, and for appended data what is stored of the first array, is a part of every good file.
+        // The head, and for appended data what is stored of the first array, is a part of every
+        // good file.
         let start = bytes.windows(4).position(|w| w == b"</Im").unwrap();
         let least = if matches!(encoding.format, "raw" | "base64") { start + 50 } else { start };
         assert!((0..least).all(|cut| whole(&bytes[..cut]).is_err()), "{encoding:?}");

@@ -7,11 +7,13 @@
 //!  3  bytes of an element
 //! ```
 //!
-//! Flags: 1 bytes shuffled, 2 stored as they are, 4 bits shuffled, 16 blocks not split; the upper three bits are the
-//! compressor: BloscLZ, LZ4, Snappy, zlib, zstd. A block of elements of n bytes that is split has n streams, so that after
-//! shuffling each holds one byte of all elements. A stream is its length (u32) and bytes; of full length, they are stored.
+//! Flags: 1 bytes shuffled, 2 stored as they are, 4 bits shuffled, 16 blocks not split; the upper
+//! three bits are the compressor: BloscLZ, LZ4, Snappy, zlib, zstd. A block of elements of n bytes
+//! that is split has n streams, so that after shuffling each holds one byte of all elements. A
+//! stream is its length (u32) and bytes; of full length, they are stored.
 //!
-//! The format: <https://github.com/Blosc/c-blosc/blob/main/README_CHUNK_FORMAT.rst>. Snappy is refused by name.
+//! The format: <https://github.com/Blosc/c-blosc/blob/main/README_CHUNK_FORMAT.rst>. Snappy is
+//! refused by name.
 
 use byteorder::{ByteOrder, LE};
 use flate2::bufread::ZlibDecoder;
@@ -19,7 +21,8 @@ use std::io::Read;
 
 type Words = std::result::Result<(), String>;
 
-/// Decodes `stored` into `out` (cleared first); at most `limit` bytes. An error is the reason, in words.
+/// Decodes `stored` into `out` (cleared first); at most `limit` bytes. An error is the reason, in
+/// words.
 pub(super) fn decode(stored: &[u8], limit: usize, out: &mut Vec<u8>) -> Words {
     let header = stored.get(..16).ok_or("fewer than the 16 bytes of a Blosc header")?;
     let u32_at = |at: usize| le32(stored, at).map(|n| n as usize).ok_or("a Blosc buffer that is cut short");
@@ -101,8 +104,8 @@ pub(super) fn unshuffle(stored: &[u8], typesize: usize, out: &mut [u8]) {
     out[count * typesize..].copy_from_slice(&stored[count * typesize..]);
 }
 
-/// Bit k of byte b of element i was stored as bit i mod 8 of byte (8 b + k) · count / 8 + i / 8. Where the count of elements
-/// is no multiple of 8, nothing was shuffled.
+/// Bit k of byte b of element i was stored as bit i mod 8 of byte (8 b + k) · count / 8 + i / 8.
+/// Where the count of elements is no multiple of 8, nothing was shuffled.
 fn unshuffle_bits(stored: &[u8], typesize: usize, out: &mut [u8]) {
     let count = stored.len() / typesize;
     out.copy_from_slice(stored);

@@ -31,7 +31,8 @@ impl Codec {
         }
     }
 
-    /// Decodes `stored` to at most `limit` bytes; one byte more is an error. An error is the reason, in words.
+    /// Decodes `stored` to at most `limit` bytes; one byte more is an error. An error is the
+    /// reason, in words.
     fn decode(self, stored: &[u8], limit: usize) -> std::result::Result<Vec<u8>, String> {
         let mut out = vec![];
         match self {

@@ -217,7 +217,8 @@ impl Parser<'_> {
         }
     }
 
-    /// Reads a list of version 3 codecs into `array`: transpositions, then bytes or a shard, then compressors.
+    /// Reads a list of version 3 codecs into `array`: transpositions, then bytes or a shard, then
+    /// compressors.
     fn codecs(&self, list: &Value, array: &mut Array) -> Result<()> {
         let rank = array.shape.len();
         let list = list.as_array().ok_or_else(|| self.wrong("codecs", "a list", list))?;

@@ -9,7 +9,8 @@ use base64::prelude::{BASE64_STANDARD, Engine};
 use serde_json::json;
 use std::fs;
 
-/// Sizes along x, y, z of the arrays below, and of their chunks: all different, the last chunks cut.
+/// Sizes along x, y, z of the arrays below, and of their chunks: all different, the last chunks
+/// cut.
 const DIMS: [u64; 3] = [7, 5, 6];
 const CHUNK: [u64; 3] = [4, 3, 2];
 
@@ -17,7 +18,8 @@ fn value(x: u64, y: u64, z: u64) -> u16 {
     (100 * z + 10 * y + x + 3) as u16
 }
 
-/// The samples of a box that starts at `lo`, stored with the axes in `order` (0 is x), the slowest first; 9 beyond the end.
+/// The samples of a box that starts at `lo`, stored with the axes in `order` (0 is x), the slowest
+/// first; 9 beyond the end.
 fn stored(lo: [u64; 3], size: [u64; 3], order: [usize; 3], big_endian: bool) -> Vec<u8> {
     let mut out = vec![];
     let [a, b, c] = order.map(|a| size[a]);
@@ -444,7 +446,8 @@ fn fill_values() {
     }
 }
 
-/// 1000 samples of u16, 7 i / 3 mod 200, as numcodecs 0.16 (c-blosc 1.21) encodes them at level 9: `Blosc(name, 9, shuffle)`.
+/// 1000 samples of u16, 7 i / 3 mod 200, as numcodecs 0.16 (c-blosc 1.21) encodes them at level 9:
+/// `Blosc(name, 9, shuffle)`.
 const BLOSC: [(&str, &str); 8] = [
     (
         "blosclz, shuffle 1",
@@ -587,7 +590,8 @@ fn an_empty_group_has_no_field() {
     assert!(error.contains("a (uint16), b (uint16)"), "{error}");
 }
 
-/// Frames of an array whose chunks hold two of them: the first of four axes without names, and OME-Zarr's "t".
+/// Frames of an array whose chunks hold two of them: the first of four axes without names, and
+/// OME-Zarr's "t".
 #[test]
 fn a_time_axis_gives_frames() {
     let dir = tempfile::tempdir().unwrap();

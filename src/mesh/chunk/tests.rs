@@ -1,4 +1,5 @@
-//! k chunks are one chunk, as sets of four positions, whatever the cut and however degenerate the points.
+//! k chunks are one chunk, as sets of four positions, whatever the cut and however degenerate the
+//! points.
 
 use super::*;
 use crate::mesh::check;

@@ -1,4 +1,5 @@
-//! The memory of one worker: points, tetrahedra with their spheres, and the error margin of the spheres.
+//! The memory of one worker: points, tetrahedra with their spheres, and the error margin of the
+//! spheres.
 
 use crate::geom::curve::Order;
 use crate::geom::{Lattice, LatticePos};
@@ -12,12 +13,13 @@ pub(super) const DEAD: u32 = 1 << 31;
 /// Records at most: a neighbour code holds a record number and two bits for the face.
 pub(super) const MOST_TETS: usize = 1 << 30;
 
-/// Tags of a new mesh start here and stay below [`LAST_TAG`]: read as `f32`, as the vector code does, they are normal
-/// numbers, which convert fast.
+/// Tags of a new mesh start here and stay below [`LAST_TAG`]: read as `f32`, as the vector code
+/// does, they are normal numbers, which convert fast.
 pub(super) const FIRST_TAG: u32 = 0x3f80_0000;
 pub(super) const LAST_TAG: u32 = 0x7e00_0000;
 
-/// A point in scaled local coordinates (integers of at most 2^24, exact in `f32`); infinity has NaN.
+/// A point in scaled local coordinates (integers of at most 2^24, exact in `f32`); infinity has
+/// NaN.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(16))]
 pub(super) struct Point {
@@ -45,8 +47,8 @@ impl Point {
 pub(in crate::mesh) struct Tetra {
     /// Centre of the circumsphere and squared radius; all NaN when only the integers know.
     pub(super) sphere: [f64; 4],
-    /// Vertices, positively oriented; [`INFINITE`] in a ghost, which is oriented as if infinity were just beyond the
-    /// hull facet.
+    /// Vertices, positively oriented; [`INFINITE`] in a ghost, which is oriented as if infinity
+    /// were just beyond the hull facet.
     pub(super) v: [u32; 4],
     /// Across the face opposite vertex i: `4·record + face there`.
     pub(super) n: [u32; 4],
@@ -74,7 +76,8 @@ impl Tetra {
     }
 }
 
-/// For each place i of a vertex, the other three in the order that makes (face, vertex i) positively oriented.
+/// For each place i of a vertex, the other three in the order that makes (face, vertex i)
+/// positively oriented.
 pub(super) const FACE: [[usize; 3]; 4] = [[1, 3, 2], [0, 2, 3], [0, 3, 1], [0, 1, 2]];
 
 /// The same from the other side: (face, a point beyond it) is positively oriented.
@@ -82,36 +85,42 @@ pub(super) const FACE_FROM_BEYOND: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 
 
 /// When a computed sphere may be trusted, and what it decides.
 ///
-/// A power (squared distance to the centre minus squared radius) beyond ±`e` has the right sign; nearer to zero the integers
-/// are asked. Spheres whose own error may exceed what `e` allows are stored as NaN, so one absolute margin serves the whole mesh.
+/// A power (squared distance to the centre minus squared radius) beyond ±`e` has the right sign;
+/// nearer to zero the integers are asked. Spheres whose own error may exceed what `e` allows are
+/// stored as NaN, so one absolute margin serves the whole mesh.
 ///
 /// # Proof
-/// Let ε = 2^-53, p the tetrahedron's last vertex, u, v, w the others minus p, m the longest of their lengths,
-/// D = u·(v×w), h = N / 2D with N = |u|² v×w + |v|² w×u + |w|² u×v: the centre is c = p + h, the radius |h|. Stars mark exact
-/// values. u, v, w, the components of the cross products (≤ 2^49) and |u|², |v|², |w|² (< 2^50) are integers below 2^53, hence exact.
+/// Let ε = 2^-53, p the tetrahedron's last vertex, u, v, w the others minus p, m the longest of
+/// their lengths, D = u·(v×w), h = N / 2D with N = |u|² v×w + |v|² w×u + |w|² u×v: the centre is
+/// c = p + h, the radius |h|. Stars mark exact values. u, v, w, the components of the cross
+/// products (≤ 2^49) and |u|², |v|², |w|² (< 2^50) are integers below 2^53, hence exact.
 ///
-/// 1. A component of N and D are sums of three products: errors of at most 3ε (to first order) times the sum of the absolute
-///    products. Summed up, |δN| ≤ 9ε m⁴ and |δD| ≤ 3ε m³.
-/// 2. Ñ/2D̃ - h* = (δN - 2h* δD)/2D̃, and m ≤ 2|h*| (p and the others are on the sphere). With κ = m³/|D̃| ≥ 1:
-///    |Ñ/2D̃ - h*| ≤ 12 εκ |h*|. The division by two roundings adds 2.01 ε|h̃|. The acceptance below makes
-///    εκ ≤ 2^-10, so |h*| ≤ 1.02 ρ, ρ = |h̃|.
-/// 3. Rounding c̃ = p + h̃ moves it by at most ε(√3R + ρ), R the largest coordinate. So the centre is off by at most
-///    δ = 16 εκρ + 1.75 εR.
-/// 4. For a point q with |q - c̃| ≤ 4ρ the power is off by at most 2·4.1ρδ + δ² (centre), 2.05ρδ + 3ερ² (radius) and
-///    6ε·17ρ² (evaluation, in any order of summation, with or without fused operations): together at most
-///    11ρδ + 105ερ² ≤ 281 εκρ² + 20 εRρ.
-/// 5. A sphere is accepted if 512 εκ·max(ρ², e) ≤ e/2 (so εκ ≤ 2^-10, as used above) and 80 εRρ ≤ e. Then the error is at most
-///    0.28e + 0.25e < e.
-/// 6. For |q - c̃| > 4ρ, q is outside the true sphere (δ < ρ/4: the centre's error is small by 5, and ρ ≥ √3/2 against
-///    1.75·2^-29) and the computed power is positive: never a false "in conflict".
+/// 1. A component of N and D are sums of three products: errors of at most 3ε (to first order)
+///    times the sum of the absolute products. Summed up, |δN| ≤ 9ε m⁴ and |δD| ≤ 3ε m³.
+/// 2. Ñ/2D̃ - h* = (δN - 2h* δD)/2D̃, and m ≤ 2|h*| (p and the others are on the sphere). With κ =
+///    m³/|D̃| ≥ 1: |Ñ/2D̃ - h*| ≤ 12 εκ |h*|. The division by two roundings adds 2.01 ε|h̃|. The
+///    acceptance below makes εκ ≤ 2^-10, so |h*| ≤ 1.02 ρ, ρ = |h̃|.
+/// 3. Rounding c̃ = p + h̃ moves it by at most ε(√3R + ρ), R the largest coordinate. So the centre
+///    is off by at most δ = 16 εκρ + 1.75 εR.
+/// 4. For a point q with |q - c̃| ≤ 4ρ the power is off by at most 2·4.1ρδ + δ² (centre), 2.05ρδ +
+///    3ερ² (radius) and 6ε·17ρ² (evaluation, in any order of summation, with or without fused
+///    operations): together at most 11ρδ + 105ερ² ≤ 281 εκρ² + 20 εRρ.
+/// 5. A sphere is accepted if 512 εκ·max(ρ², e) ≤ e/2 (so εκ ≤ 2^-10, as used above) and 80 εRρ ≤
+///    e. Then the error is at most 0.28e + 0.25e < e.
+/// 6. For |q - c̃| > 4ρ, q is outside the true sphere (δ < ρ/4: the centre's error is small by 5,
+///    and ρ ≥ √3/2 against 1.75·2^-29) and the computed power is positive: never a false "in
+///    conflict".
 ///
 /// # Exact spheres
-/// On lattice-like data most centres lie on the half-lattice, and then the arithmetic can be exact. With h' = round(2h̃)/2 and
-/// |2h'| ≤ 2^22 by component, the sums 2h'·u are integers below 2^53: comparing them with |u|², |v|², |w|² proves h' exact. Then c and
-/// r² are exact; powers of lattice points are **integers** (|q|² - |p|² - 2c·(q - p) with 2c integer), evaluated without error where
-/// |q - c| ≤ 4ρ (squares of half-integers, sum below 2^50 quarter units; e is a power of two, at least 2^-4). Such a sphere is
-/// stored with r² lowered by e + ½: an exact tie evaluates to e + ½ and is decided as "not in conflict", which is the tie rule for a new point that
-/// is the latest of the five (see [`crate::geom::predicates`]), and a computed power below -e is a true one below -2e - ½.
+/// On lattice-like data most centres lie on the half-lattice, and then the arithmetic can be exact.
+/// With h' = round(2h̃)/2 and |2h'| ≤ 2^22 by component, the sums 2h'·u are integers below 2^53:
+/// comparing them with |u|², |v|², |w|² proves h' exact. Then c and r² are exact; powers of lattice
+/// points are **integers** (|q|² - |p|² - 2c·(q - p) with 2c integer), evaluated without error
+/// where |q - c| ≤ 4ρ (squares of half-integers, sum below 2^50 quarter units; e is a power of two,
+/// at least 2^-4). Such a sphere is stored with r² lowered by e + ½: an exact tie evaluates to e +
+/// ½ and is decided as "not in conflict", which is the tie rule for a new point that is the latest
+/// of the five (see [`crate::geom::predicates`]), and a computed power below -e is a true one
+/// below -2e - ½.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Margin {
     /// The absolute margin: a power of two, at least 2^-4.
@@ -146,7 +155,8 @@ impl Margin {
         Self { e, above: e, most_r2: radius * radius, most_kappa: kappa * kappa, half_lattice }
     }
 
-    /// The sphere through p and p + u, p + v, p + w, to be stored; each of `legs` is a difference and its squared length.
+    /// The sphere through p and p + u, p + v, p + w, to be stored; each of `legs` is a difference
+    /// and its squared length.
     #[inline]
     pub(super) fn sphere(&self, p: [f64; 3], legs: [[f64; 4]; 3]) -> [f64; 4] {
         let [u, v, w] = legs;
@@ -241,7 +251,8 @@ pub(super) struct Arena {
     pub(super) masks: Vec<u8>,
     /// The next free tag.
     pub(super) tag: u32,
-    /// Vertices of the boundary relative to the new point, and their squared lengths, by local number.
+    /// Vertices of the boundary relative to the new point, and their squared lengths, by local
+    /// number.
     pub(super) local: Vec<[f64; 4]>,
     pub(super) star: Star,
     /// What the wide path uses in place of `local` and `star`.
@@ -304,7 +315,8 @@ impl Arena {
         keys.map(|k| keys.iter().filter(|other| **other < k).count() as u32)
     }
 
-    /// Gives each new tetrahedron a record: first those of the cavity, then free ones, then new ones. Leaves the cavity empty.
+    /// Gives each new tetrahedron a record: first those of the cavity, then free ones, then new
+    /// ones. Leaves the cavity empty.
     pub(super) fn allocate(&mut self) {
         let wanted = self.boundary.len();
         let id = &mut self.star.id;

@@ -7,16 +7,17 @@ use crate::geom::predicates::{insphere, insphere_perturbed, orient3d};
 const MOST_POWER_STEPS: u32 = 10_000;
 
 impl Arena {
-    /// Whether `vertex` is in conflict with a tetrahedron: inside its circumsphere, ties broken; for a ghost, beyond its hull
-    /// facet, or in the facet's plane and inside its circle.
+    /// Whether `vertex` is in conflict with a tetrahedron: inside its circumsphere, ties broken;
+    /// for a ghost, beyond its hull facet, or in the facet's plane and inside its circle.
     pub(super) fn conflicts_exactly(&self, tet: u32, vertex: u32) -> bool {
         let record = &self.tets[tet as usize];
         let v = record.vertices();
         if let Some(k) = v.iter().position(|&v| v == INFINITE) {
             let at = self.position(vertex);
             let [a, b, c, d] = std::array::from_fn(|i| if i == k { at } else { self.position(v[i]) });
-            // In the plane, the circle is that of the sphere of the tetrahedron below, which is never a ghost.
-            // Points in a face of the domain are the usual case, and there the determinant would be exact and slow.
+            // In the plane, the circle is that of the sphere of the tetrahedron below, which is
+            // never a ghost. Points in a face of the domain are the usual case, and there the
+            // determinant would be exact and slow.
             let in_a_face = (0..3).any(|k| a[k] == b[k] && a[k] == c[k] && a[k] == d[k]);
             return match if in_a_face { 0 } else { orient3d(a, b, c, d) } {
                 0 => self.conflicts(record.n[k] >> 2, vertex, self.points[vertex as usize].f64s()),
@@ -37,7 +38,8 @@ impl Arena {
         }
     }
 
-    /// Whether `vertex` at `p` is in conflict with a tetrahedron: the sphere if it knows, else the integers.
+    /// Whether `vertex` at `p` is in conflict with a tetrahedron: the sphere if it knows, else the
+    /// integers.
     #[inline]
     pub(super) fn conflicts(&self, tet: u32, vertex: u32, p: [f64; 3]) -> bool {
         let power = self.tets[tet as usize].power(p);
@@ -52,8 +54,9 @@ impl Arena {
 
     /// A tetrahedron or ghost in conflict with `vertex`.
     ///
-    /// First down the powers: crossing a face towards the point always lowers the power of a Delaunay sphere at the point, so stepping to the
-    /// neighbour of least power is a walk towards it, without an orientation test. Where rounding or the hull stops that, an exact visibility
+    /// First down the powers: crossing a face towards the point always lowers the power of a
+    /// Delaunay sphere at the point, so stepping to the neighbour of least power is a walk towards
+    /// it, without an orientation test. Where rounding or the hull stops that, an exact visibility
     /// walk goes on; it ends, since crossings lower the (perturbed) power.
     pub(super) fn locate(&self, vertex: u32) -> u32 {
         let p = self.points[vertex as usize].f64s();

@@ -1,12 +1,15 @@
-//! An insertion in plain code: the reference for the vector path, and what runs where there is none.
+//! An insertion in plain code: the reference for the vector path, and what runs where there is
+//! none.
 
 use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, LAST_TAG};
 
-/// Above so many vertices on a cavity, edges are joined by sorting: the table would not fit in cache, nor its codes in 16 bits.
+/// Above so many vertices on a cavity, edges are joined by sorting: the table would not fit in
+/// cache, nor its codes in 16 bits.
 pub(super) const MOST_TABLE_VERTICES: usize = 1024;
 
 impl Arena {
-    /// Inserts a vertex; `next` is the one after it, for which conflicts with the new tetrahedra are noted.
+    /// Inserts a vertex; `next` is the one after it, for which conflicts with the new tetrahedra
+    /// are noted.
     pub(super) fn insert_plain(&mut self, vertex: u32, next: Option<u32>) {
         if self.cavity.is_empty() {
             let tet = self.locate(vertex);
@@ -46,7 +49,8 @@ impl Arena {
         }
     }
 
-    /// Numbers the vertices of the boundary, and copies what the new tetrahedra need before records are overwritten.
+    /// Numbers the vertices of the boundary, and copies what the new tetrahedra need before records
+    /// are overwritten.
     fn number_plain(&mut self, vertex: u32) {
         if self.tag > LAST_TAG {
             self.points.iter_mut().for_each(|p| p.tag = 0);
@@ -84,8 +88,8 @@ impl Arena {
         [(b, c), (c, a), (a, b)]
     }
 
-    /// Writes the neighbours of the new tetrahedra among themselves. The boundary of a cavity is a closed surface, oriented all
-    /// one way: each edge occurs once in each direction.
+    /// Writes the neighbours of the new tetrahedra among themselves. The boundary of a cavity is a
+    /// closed surface, oriented all one way: each edge occurs once in each direction.
     pub(super) fn join_edges(&mut self) {
         let log2 = self.local.len().next_power_of_two().trailing_zeros().max(6);
         if self.local.len() > MOST_TABLE_VERTICES {
@@ -126,7 +130,8 @@ impl Arena {
         }
     }
 
-    /// Writes the new tetrahedra, (facet, vertex) each; those in conflict with the next point become the next cavity's seeds.
+    /// Writes the new tetrahedra, (facet, vertex) each; those in conflict with the next point
+    /// become the next cavity's seeds.
     fn write_plain(&mut self, vertex: u32, next: Option<u32>) {
         let p = self.points[vertex as usize].f64s();
         let q = next.map_or([f64::NAN; 3], |next| self.points[next as usize].f64s());

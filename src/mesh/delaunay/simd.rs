@@ -1,11 +1,13 @@
 //! An insertion with AVX2 and FMA: what `plain.rs` does, four neighbours and four facets at a time.
 //!
-//! The records of four neighbours are tested at once, a whole level of the breadth-first search before any is sorted into
-//! "cavity" or "boundary", so that neither loop has a branch that depends on geometry. The spheres of four new
-//! tetrahedra are made at once and, still in registers, tested against the next point.
+//! The records of four neighbours are tested at once, a whole level of the breadth-first search
+//! before any is sorted into "cavity" or "boundary", so that neither loop has a branch that depends
+//! on geometry. The spheres of four new tetrahedra are made at once and, still in registers, tested
+//! against the next point.
 //!
-//! The powers differ from the plain path's in their last bits. That cannot be seen in the result: a power only decides
-//! where its error bound lets it, and the bound covers any order of summation, fused or not (see `Margin`).
+//! The powers differ from the plain path's in their last bits. That cannot be seen in the result: a
+//! power only decides where its error bound lets it, and the bound covers any order of summation,
+//! fused or not (see `Margin`).
 #![allow(unsafe_code)]
 
 use super::arena::{Arena, DEAD, FACE_FROM_BEYOND, FIRST_TAG, INFINITE, LAST_TAG, Margin, Tetra};
@@ -36,8 +38,9 @@ pub(super) fn insert(arena: &mut Arena, vertex: u32, next: Option<u32>) {
     unsafe { arena.insert_avx2(vertex, next) }
 }
 
-/// The neighbour codes, one load each. The codes of a fresh record were stored one by one a moment ago, and a single
-/// wide load would wait for all of those stores to leave the store buffer (a sixth of the whole time).
+/// The neighbour codes, one load each. The codes of a fresh record were stored one by one a moment
+/// ago, and a single wide load would wait for all of those stores to leave the store buffer (a
+/// sixth of the whole time).
 ///
 /// # Safety
 /// `record` can be read.
@@ -81,8 +84,8 @@ fn cross(a: [__m256d; 4], b: [__m256d; 4]) -> [__m256d; 3] {
 }
 
 impl Margin {
-    /// [`Margin::sphere`] of four tetrahedra with the last vertex p: centres relative to p, and r² (all NaN where not
-    /// trusted).
+    /// [`Margin::sphere`] of four tetrahedra with the last vertex p: centres relative to p, and r²
+    /// (all NaN where not trusted).
     #[inline]
     #[target_feature(enable = "avx2,fma")]
     fn four_spheres(&self, u: [__m256d; 4], v: [__m256d; 4], w: [__m256d; 4]) -> ([__m256d; 3], __m256d) {
@@ -110,7 +113,8 @@ impl Margin {
         (h.map(only_trusted), only_trusted(r2))
     }
 
-    /// Replaces spheres whose centre is proven to lie on the half-lattice by the exact ones, lowered.
+    /// Replaces spheres whose centre is proven to lie on the half-lattice by the exact ones,
+    /// lowered.
     #[inline]
     #[target_feature(enable = "avx2,fma")]
     fn exact_where_possible(
@@ -196,8 +200,8 @@ impl Arena {
         let minus_one = _mm256_set1_pd(-1.0);
         self.masks.clear();
         for at in start..end {
-            // SAFETY: `at` is below the length of `cavity`, whose entries are record numbers below the length of
-            // `tets`; so are the neighbour codes divided by four.
+            // SAFETY: `at` is below the length of `cavity`, whose entries are record numbers below
+            // the length of `tets`; so are the neighbour codes divided by four.
             let rows = unsafe {
                 let tets = self.tets.as_ptr();
                 let n = codes(tets.add(*self.cavity.get_unchecked(at) as usize));
@@ -228,7 +232,8 @@ impl Arena {
             .fold(0, |inside, i| inside | u8::from(self.conflicts_exactly(n[i as usize] >> 2, vertex)) << i)
     }
 
-    /// Sorts the neighbours of a level into the cavity, where they are not yet in it, or the boundary.
+    /// Sorts the neighbours of a level into the cavity, where they are not yet in it, or the
+    /// boundary.
     #[inline]
     fn sort_level(&mut self, start: usize, end: usize) {
         let width = end - start;
@@ -237,9 +242,10 @@ impl Arena {
         let (mut cavity_len, mut boundary_len) = (self.cavity.len(), self.boundary.len());
         let (tets, cavity, boundary) =
             (self.tets.as_mut_ptr(), self.cavity.as_mut_ptr(), self.boundary.as_mut_ptr());
-        // SAFETY: entries of `cavity` and neighbour codes divided by four are below the length of `tets`; the two lists
-        // have room for the four entries that each of `width` tetrahedra adds at most and for the one written and not
-        // counted; all entries below the new lengths have been written.
+        // SAFETY: entries of `cavity` and neighbour codes divided by four are below the length of
+        // `tets`; the two lists have room for the four entries that each of `width` tetrahedra adds
+        // at most and for the one written and not counted; all entries below the new lengths have
+        // been written.
         unsafe {
             for (at, &mask) in (start..end).zip(&self.masks) {
                 let tet = *cavity.add(at);
@@ -261,8 +267,8 @@ impl Arena {
         }
     }
 
-    /// Numbers the vertices of the boundary, enters its edges in the table, copies what records are about to lose, and makes the
-    /// vertices relative to the new point.
+    /// Numbers the vertices of the boundary, enters its edges in the table, copies what records are
+    /// about to lose, and makes the vertices relative to the new point.
     #[target_feature(enable = "avx2,fma")]
     fn number_avx2(&mut self, vertex: u32) {
         if self.tag > LAST_TAG {
@@ -280,8 +286,9 @@ impl Arena {
         let (tets, points, base) = (self.tets.as_ptr(), self.points.as_mut_ptr(), self.tag);
         let mut known = 0u32;
         for (k, &code) in self.boundary.iter().enumerate() {
-            // SAFETY: codes divided by four are below the length of `tets`, vertices below that of `points`; `k` is below the lengths
-            // of `facet` and `local`, `known` at most 3·k, below that of `vertices`; table indices are below 64².
+            // SAFETY: codes divided by four are below the length of `tets`, vertices below that of
+            // `points`; `k` is below the lengths of `facet` and `local`, `known` at most 3·k, below
+            // that of `vertices`; table indices are below 64².
             unsafe {
                 let beyond = &*tets.add((code >> 2) as usize);
                 let corners = FACE_FROM_BEYOND[(code & 3) as usize].map(|i| *beyond.v.get_unchecked(i));
@@ -315,7 +322,8 @@ impl Arena {
         let p = self.lanes(vertex);
         self.local.resize(count, [0.0; 4]);
         for (&v, local) in self.star.vertices[..count].iter().zip(&mut self.local) {
-            // SAFETY: vertices are below the length of `points`; a point is 16 aligned bytes, a local row 32 bytes.
+            // SAFETY: vertices are below the length of `points`; a point is 16 aligned bytes, a
+            // local row 32 bytes.
             unsafe {
                 let row = _mm_load_ps((&raw const *self.points.get_unchecked(v as usize)).cast());
                 let d = _mm256_sub_pd(_mm256_cvtps_pd(row), p);
@@ -327,8 +335,8 @@ impl Arena {
         }
     }
 
-    /// Writes the new tetrahedra, linked to the outside and (up to 64 vertices) among themselves; those in conflict with the next point
-    /// become the next cavity's seeds.
+    /// Writes the new tetrahedra, linked to the outside and (up to 64 vertices) among themselves;
+    /// those in conflict with the next point become the next cavity's seeds.
     #[target_feature(enable = "avx2,fma")]
     fn write_avx2(&mut self, vertex: u32, next: Option<u32>) {
         let p = self.points[vertex as usize].f64s().map(|c| _mm256_set1_pd(c));
@@ -341,8 +349,8 @@ impl Arena {
         self.cavity.reserve(count + 1);
         let (seeds_at, mut seeds_len) = (self.cavity.as_mut_ptr(), 0);
         for start in (0..count).step_by(4) {
-            // SAFETY: `local` of the star has whole groups of four (see `number_avx2`) of numbers below the length of
-            // `local` of the arena.
+            // SAFETY: `local` of the star has whole groups of four (see `number_avx2`) of numbers
+            // below the length of `local` of the arena.
             let [u, v, w] = [0, 1, 2].map(|corner| {
                 let row = |k: usize| unsafe {
                     let number = self.star.local.get_unchecked(start + k)[corner];
@@ -362,7 +370,8 @@ impl Arena {
             let rows = transpose([c[0], c[1], c[2], r2]);
             for (k, sphere) in (start..count.min(start + 4)).zip(rows) {
                 self.write_one(k, vertex, sphere);
-                // SAFETY: there is room for all `count` and one more. Without a branch: it would be taken at random.
+                // SAFETY: there is room for all `count` and one more. Without a branch: it would be
+                // taken at random.
                 unsafe { *seeds_at.add(seeds_len) = self.star.id[k] };
                 seeds_len += (seeds >> (k - start) & 1) as usize;
             }
@@ -376,9 +385,10 @@ impl Arena {
     #[target_feature(enable = "avx2,fma")]
     fn write_one(&mut self, k: usize, vertex: u32, sphere: __m256d) {
         let star = &self.star;
-        // SAFETY: `k` is below the length of `id`, at most that of `facet` and `local`; ids and codes divided by four are
-        // below the length of `tets`; table indices are below 64², and what a table entry names was written in this insertion
-        // (or, for cavities above 64 vertices, is replaced afterwards: `min` keeps it in range).
+        // SAFETY: `k` is below the length of `id`, at most that of `facet` and `local`; ids and
+        // codes divided by four are below the length of `tets`; table indices are below 64², and
+        // what a table entry names was written in this insertion (or, for cavities above 64
+        // vertices, is replaced afterwards: `min` keeps it in range).
         unsafe {
             let id = *star.id.get_unchecked(k);
             let [a, b, c, out] = *star.facet.get_unchecked(k);

@@ -65,7 +65,8 @@ fn cross(levels: u32, base: u32) -> Vec<LatticePos> {
     all.into_iter().collect()
 }
 
-/// Integer points on a sphere of squared radius 2_030_625 = 1425² around the middle of a small cube.
+/// Integer points on a sphere of squared radius 2_030_625 = 1425² around the middle of a small
+/// cube.
 fn sphere() -> Vec<LatticePos> {
     let mut all = vec![];
     for x in -1425i64..=1425 {
@@ -208,7 +209,8 @@ fn cospherical_points_are_no_exception() {
 
 #[test]
 fn a_cavity_of_thousands_of_vertices_is_joined() {
-    // Far from a curved front all of it is seen: the last points' cavities hold thousands of facets.
+    // Far from a curved front all of it is seen: the last points' cavities hold thousands of
+    // facets.
     let mut p: Vec<LatticePos> = vec![];
     for i in 0..60u32 {
         for k in 0..60u32 {

@@ -1,14 +1,19 @@
-//! An insertion with AVX-512, for cavities of up to 32 vertices (all but one in a hundred); `simd.rs` does the others.
+//! An insertion with AVX-512, for cavities of up to 32 vertices (all but one in a hundred);
+//! `simd.rs` does the others.
 //!
-//! What bounds an insertion in `simd.rs` is the number of instructions (9 500, at more than four a cycle) and some 35 jumps that
-//! cannot be foreseen; misses of the nearest cache come after that. So:
+//! What bounds an insertion in `simd.rs` is the number of instructions (9 500, at more than four a
+//! cycle) and some 35 jumps that cannot be foreseen; misses of the nearest cache come after that.
+//! So:
 //!
-//! * The cavity grows by **batches** of four tetrahedra, sixteen neighbours, whatever their level: one loop, few iterations. Their
-//!   codes are sorted into "in conflict" and "boundary" by one compression each.
-//! * A boundary with V vertices has 2V - 4 facets: the number of facets tells how many vertices there will be. For up to 32 the
-//!   vertices' coordinates relative to the new point lie in four registers an axis, and a facet's corners are looked up by permutation.
+//! * The cavity grows by **batches** of four tetrahedra, sixteen neighbours, whatever their level:
+//!   one loop, few iterations. Their codes are sorted into "in conflict" and "boundary" by one
+//!   compression each.
+//! * A boundary with V vertices has 2V - 4 facets: the number of facets tells how many vertices
+//!   there will be. For up to 32 the vertices' coordinates relative to the new point lie in four
+//!   registers an axis, and a facet's corners are looked up by permutation.
 //! * Eight new spheres are made, and tested against the next point, at once.
-//! * New tetrahedra have their numbers before edges are joined, so that the table of edges holds final neighbour codes.
+//! * New tetrahedra have their numbers before edges are joined, so that the table of edges holds
+//!   final neighbour codes.
 //!
 //! Powers and spheres only filter here too, within the same bounds: the tetrahedra are the same.
 #![allow(unsafe_code)]
@@ -32,7 +37,8 @@ const PADDED: usize = FACETS + 8;
 #[derive(Debug)]
 #[repr(C, align(64))]
 pub(super) struct Scratch {
-    /// Vertices relative to the new point and their squared lengths, an array an axis, by local number.
+    /// Vertices relative to the new point and their squared lengths, an array an axis, by local
+    /// number.
     relative: [[f64; VERTICES]; 4],
     /// Local numbers of the first, second and third corners of the facets.
     corner: [[u32; PADDED]; 3],
@@ -42,8 +48,8 @@ pub(super) struct Scratch {
     id: [u32; PADDED],
     /// Vertices by local number.
     vertices: [u32; 3 * FACETS + 8],
-    /// `[from << LOG2_ROW | to]` of a directed edge: the code of the face that holds it. With room for three numbers a
-    /// facet, so that no boundary, closed or not, leads outside.
+    /// `[from << LOG2_ROW | to]` of a directed edge: the code of the face that holds it. With room
+    /// for three numbers a facet, so that no boundary, closed or not, leads outside.
     edges: [u32; (3 * FACETS + 1) << LOG2_ROW],
 }
 
@@ -131,8 +137,8 @@ fn cross(a: [__m512d; 4], b: [__m512d; 4]) -> [__m512d; 3] {
 }
 
 impl Margin {
-    /// [`Margin::sphere`] of eight tetrahedra with the last vertex p: centres relative to p, and r² (all NaN where not
-    /// trusted).
+    /// [`Margin::sphere`] of eight tetrahedra with the last vertex p: centres relative to p, and r²
+    /// (all NaN where not trusted).
     #[inline]
     #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,popcnt")]
     fn eight_spheres(&self, u: [__m512d; 4], v: [__m512d; 4], w: [__m512d; 4]) -> ([__m512d; 3], __m512d) {
@@ -155,7 +161,8 @@ impl Margin {
         (h.map(only_trusted), only_trusted(r2))
     }
 
-    /// Replaces spheres whose centre is proven to lie on the half-lattice by the exact ones, lowered.
+    /// Replaces spheres whose centre is proven to lie on the half-lattice by the exact ones,
+    /// lowered.
     #[inline]
     #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,popcnt")]
     fn exact_of_eight(
@@ -225,21 +232,22 @@ impl Arena {
         }
     }
 
-    /// Tests the neighbours of four tetrahedra of the cavity from place `done` on; returns the place after them. There is
-    /// room for 16 more in `cavity` and `boundary`.
+    /// Tests the neighbours of four tetrahedra of the cavity from place `done` on; returns the
+    /// place after them. There is room for 16 more in `cavity` and `boundary`.
     #[inline]
     #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,popcnt")]
     fn grow_batch(&mut self, vertex: u32, p: __m512d, done: usize) -> usize {
         let len = self.cavity.len();
         let tets = self.tets.as_mut_ptr();
-        // The last one stands in where there are not four.
-        // SAFETY: places are below the length of `cavity`, whose entries are record numbers below the length of `tets`.
+        // The last one stands in where there are not four. SAFETY: places are below the length of
+        // `cavity`, whose entries are record numbers below the length of `tets`.
         let four = [0, 1, 2, 3]
             .map(|k| unsafe { tets.add(*self.cavity.get_unchecked((done + k).min(len - 1)) as usize) });
         // SAFETY: these are records.
         let n = four.map(|record| unsafe { codes(record) });
         let valid = ((1u32 << (4 * (len - done).min(4))) - 1) as u16;
-        // SAFETY: neighbour codes divided by four are below the length of `tets`; spheres are 32 aligned bytes.
+        // SAFETY: neighbour codes divided by four are below the length of `tets`; spheres are 32
+        // aligned bytes.
         let row = |code: u32| unsafe { _mm256_load_pd((*tets.add((code >> 2) as usize)).sphere.as_ptr()) };
         let (mut inside, mut outside) = (0, 0);
         let (above, below) = (_mm512_set1_pd(self.margin.above), _mm512_set1_pd(-self.margin.e));
@@ -272,7 +280,8 @@ impl Arena {
         })
     }
 
-    /// Adds the neighbours inside to the cavity, where they are not yet in it, and lists the others.
+    /// Adds the neighbours inside to the cavity, where they are not yet in it, and lists the
+    /// others.
     #[inline]
     #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,popcnt")]
     fn sort_batch(&mut self, n: &[[u32; 4]; 4], inside: u16, outside: u16) {
@@ -282,8 +291,8 @@ impl Arena {
         let all = _mm512_inserti64x4::<1>(_mm512_castsi256_si512(low), high);
         let mut found = [0u32; 16];
         let (boundary_len, mut cavity_len) = (self.boundary.len(), self.cavity.len());
-        // SAFETY: both lists have room for 16 more, which is what is written; `found` is 64 bytes; its entries are neighbour codes
-        // divided by four, below the length of `tets`.
+        // SAFETY: both lists have room for 16 more, which is what is written; `found` is 64 bytes;
+        // its entries are neighbour codes divided by four, below the length of `tets`.
         unsafe {
             let at = self.boundary.as_mut_ptr().add(boundary_len);
             _mm512_storeu_si512(at.cast(), _mm512_maskz_compress_epi32(outside, all));
@@ -301,8 +310,8 @@ impl Arena {
         }
     }
 
-    /// Numbers the vertices of the boundary, enters its edges in the table, and copies what records are about to lose. Returns
-    /// the number of vertices.
+    /// Numbers the vertices of the boundary, enters its edges in the table, and copies what records
+    /// are about to lose. Returns the number of vertices.
     #[inline]
     #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,popcnt")]
     fn number_wide(&mut self) -> usize {
@@ -316,8 +325,9 @@ impl Arena {
         let facets = self.boundary.iter().zip(&self.star.id).take(FACETS).enumerate();
         for (k, (&code, &id)) in facets {
             scratch.id[k] = id;
-            // SAFETY: codes divided by four are below the length of `tets`, vertices below that of `points`; `k` is below FACETS and
-            // `known` at most 3·k, for which `vertices` and `edges` have room.
+            // SAFETY: codes divided by four are below the length of `tets`, vertices below that of
+            // `points`; `k` is below FACETS and `known` at most 3·k, for which `vertices` and
+            // `edges` have room.
             unsafe {
                 let v = _mm_load_si128((&raw const (*tets.add((code >> 2) as usize)).v).cast());
                 let turn = _mm_load_si128(TURNS.0[(code & 3) as usize].as_ptr().cast());
@@ -361,8 +371,8 @@ impl Arena {
         for start in (0..count).step_by(8) {
             let row = |k: usize| {
                 let v = self.wide.vertices[(start + k).min(last)];
-                // SAFETY: vertices are below the length of `points`. Loaded without the tag: it was stored a moment ago, and a
-                // load that spans it would wait for the store.
+                // SAFETY: vertices are below the length of `points`. Loaded without the tag: it was
+                // stored a moment ago, and a load that spans it would wait for the store.
                 unsafe {
                     let at: *const f32 = (*points.add(v as usize)).at.as_ptr();
                     let xy = _mm_castpd_ps(_mm_load_sd(at.cast()));
@@ -388,8 +398,8 @@ impl Arena {
         }
     }
 
-    /// Makes the new spheres and writes them; those that hold the next point become the next cavity's seeds. `FIT`: the vertices fit
-    /// in half the registers.
+    /// Makes the new spheres and writes them; those that hold the next point become the next
+    /// cavity's seeds. `FIT`: the vertices fit in half the registers.
     #[inline]
     #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,popcnt")]
     fn spheres_wide<const FIT: bool>(&mut self, vertex: u32, next: Option<u32>, count: usize) {
@@ -437,8 +447,8 @@ impl Arena {
             places = _mm512_add_pd(places, _mm512_set1_pd(8.0));
             let real = ((1u32 << (count - start).min(8)) - 1) as u8;
             let seeds = _mm512_cmp_pd_mask::<_CMP_LT_OQ>(power, below) & real;
-            // SAFETY: the cavity is empty and has room for PADDED; eight ids lie at `start`, record numbers below the length of
-            // `tets`; a sphere is 32 aligned bytes.
+            // SAFETY: the cavity is empty and has room for PADDED; eight ids lie at `start`, record
+            // numbers below the length of `tets`; a sphere is 32 aligned bytes.
             unsafe {
                 let ids = _mm256_loadu_si256(scratch.id.as_ptr().add(start).cast());
                 let at = self.cavity.as_mut_ptr().add(seeds_len);
@@ -460,7 +470,8 @@ impl Arena {
         }
     }
 
-    /// Writes the vertices and neighbours of the new tetrahedra, and their codes into what lies across.
+    /// Writes the vertices and neighbours of the new tetrahedra, and their codes into what lies
+    /// across.
     #[inline]
     #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx2,fma,popcnt")]
     fn link_wide(&mut self, vertex: u32, count: usize) {
@@ -468,8 +479,8 @@ impl Arena {
         let tets = self.tets.as_mut_ptr();
         let apex = _mm_set1_epi32(vertex as i32);
         for k in 0..count {
-            // SAFETY: `k` is below PADDED; ids and codes divided by four are below the length of `tets`; local numbers are below 32,
-            // so table indices are in range.
+            // SAFETY: `k` is below PADDED; ids and codes divided by four are below the length of
+            // `tets`; local numbers are below 32, so table indices are in range.
             unsafe {
                 let id = *scratch.id.get_unchecked(k);
                 let [i, j, l] = scratch.corner.each_ref().map(|c| *c.get_unchecked(k) as usize);

@@ -1,7 +1,8 @@
 //! The tetrahedra around those that a chunk owns.
 //!
-//! Where the owned ones are known, be it that they were just made, or that they come from an archive, the others at their points are those beyond the faces that bound them: the
-//! stars of the points of such faces are closed, one after another.
+//! Where the owned ones are known, be it that they were just made, or that they come from an
+//! archive, the others at their points are those beyond the faces that bound them: the stars of the
+//! points of such faces are closed, one after another.
 
 use super::lanes::Vectors;
 use super::{Chunk, END, Stars, Waiting};
@@ -14,7 +15,8 @@ use crate::mesh::owned::sort_around;
 use crate::mesh::tet::Tet;
 
 impl Stars {
-    /// The tetrahedra around those that a chunk owns, in canonical order; `None` where insertion is to tell them.
+    /// The tetrahedra around those that a chunk owns, in canonical order; `None` where insertion is
+    /// to tell them.
     ///
     /// # Errors
     /// As [`Mesher::delaunay`].
@@ -47,7 +49,8 @@ impl Stars {
         for tet in border.tets {
             for place in 0..4 {
                 let [a, b, c] = delaunay::face(place).map(|i| tet[i]);
-                // A face of two owned ones waits twice for the same point, and goes when that has its turn.
+                // A face of two owned ones waits twice for the same point, and goes when that has
+                // its turn.
                 if [a, b, c].iter().all(|&v| border.points[v as usize]) {
                     chunk.wait_for(self, [a, c, b]);
                 }
@@ -63,7 +66,8 @@ impl Stars {
 }
 
 impl Chunk<'_> {
-    /// Appends the tetrahedra around those owned; `foreign` are those at points of the core that are not owned.
+    /// Appends the tetrahedra around those owned; `foreign` are those at points of the core that
+    /// are not owned.
     pub(super) fn add_around(
         &mut self,
         room: &mut Stars,
@@ -98,7 +102,8 @@ impl Chunk<'_> {
         Ok(done)
     }
 
-    /// Closes the stars of used points from the `first` on, and appends what is new; false where one cannot be.
+    /// Closes the stars of used points from the `first` on, and appends what is new; false where
+    /// one cannot be.
     fn close_used(
         &mut self,
         room: &mut Stars,

@@ -12,14 +12,16 @@ pub(super) struct Grid {
     cells: [usize; 3],
     /// Where the points of each cell begin; the end at the end.
     starts: Vec<u32>,
-    /// Coordinates from `lo`, by a power of two so that the mean spacing is about 1: exact. Cell after cell, with some room behind.
+    /// Coordinates from `lo`, by a power of two so that the mean spacing is about 1: exact. Cell
+    /// after cell, with some room behind.
     pub(super) at: [Vec<f32>; 3],
     pub(super) ids: Vec<u32>,
     pub(super) scale: f32,
 }
 
 impl Grid {
-    /// `side`: of a cell, in lattice steps. False where there would be more cells than points, as in a domain that is much thinner than a cell.
+    /// `side`: of a cell, in lattice steps. False where there would be more cells than points, as
+    /// in a domain that is much thinner than a cell.
     pub(super) fn fill(
         &mut self,
         region: &LatticeBox,

@@ -32,7 +32,8 @@ fn local(boxes: &ChunkRegion, all: &[LatticePos]) -> Vec<LatticePos> {
     local
 }
 
-/// What is around the tetrahedra of a mesh, found from those, as far as it can be, with what vectors the machine has.
+/// What is around the tetrahedra of a mesh, found from those, as far as it can be, with what
+/// vectors the machine has.
 fn around_again(
     boxes: &ChunkRegion,
     all: &[LatticePos],
@@ -75,7 +76,8 @@ fn both(
     }
 }
 
-/// The tetrahedra as they come, but those of one first vertex in an order that does not depend on how they were found.
+/// The tetrahedra as they come, but those of one first vertex in an order that does not depend on
+/// how they were found.
 fn canonical(mesh: &ChunkMesh) -> Vec<Tet> {
     assert!(mesh.tets.iter().all(|t| t[0] < t[1].min(t[2]).min(t[3])));
     assert!(mesh.tets.is_sorted_by_key(|t| t[0]));
@@ -173,7 +175,8 @@ fn memory_is_used_again() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
 
-    /// Points at random, those of faces of the domain among them, in coarse steps too, which puts many on one sphere; some twice; also where the region is too narrow.
+    /// Points at random, those of faces of the domain among them, in coarse steps too, which puts
+    /// many on one sphere; some twice; also where the region is too narrow.
     #[test]
     fn whatever_comes_is_meshed_as_by_insertion(
         seed in any::<u64>(),

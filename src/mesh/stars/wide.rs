@@ -1,28 +1,39 @@
 //! The points near one, and its star closed among them, with vectors (`lanes.rs`).
 //!
-//! Coordinates are relative to the point: differences of integers, below 2^24, times a power of two, hence exact in `f32`. A gate's apex is guessed in `f32`;
-//! the spheres of all new tetrahedra are made in `f64` and held against all points nearby in `f32`, and against what comes close in `f64`.
+//! Coordinates are relative to the point: differences of integers, below 2^24, times a power of
+//! two, hence exact in `f32`. A gate's apex is guessed in `f32`; the spheres of all new tetrahedra
+//! are made in `f64` and held against all points nearby in `f32`, and against what comes close in
+//! `f64`.
 //!
 //! # Error bounds
-//! They hold for all: an operation has the same bits with each (`lanes.rs`: each lane is rounded once, products that are added or taken away are fused), and so has the outcome. (In spheres, cross
-//! products alone are not fused: they are exact.)
+//! They hold for all: an operation has the same bits with each (`lanes.rs`: each lane is rounded
+//! once, products that are added or taken away are fused), and so has the outcome. (In spheres,
+//! cross products alone are not fused: they are exact.)
 //!
-//! Let u = 2^-24, v = 2^-53, and 0, a, b, c a tetrahedron relative to its point, |a|, |b|, |c| ≤ D; det = a·(b×c), and
-//! k = (|a|² b×c + |b|² c×a + |c|² a×b) / det twice the centre of its sphere; K the larger of |k| and D. A point q lies outside when S(q) = |q|² - k·q > 0.
+//! Let u = 2^-24, v = 2^-53, and 0, a, b, c a tetrahedron relative to its point, |a|, |b|, |c| ≤ D;
+//! det = a·(b×c), and k = (|a|² b×c + |b|² c×a + |c|² a×b) / det twice the centre of its sphere; K
+//! the larger of |k| and D. A point q lies outside when S(q) = |q|² - k·q > 0.
 //!
-//! *The sphere.* Coordinates of the cross products are integers below 2^50, squared lengths too: exact in `f64`. det is a sum of three products, by fused steps: its
-//! error is below 4v·D³. We take only det > 2^-26·D³; so orientations are certain. A coordinate of k is a sum of three terms, each at most D⁴/det and with
-//! seven roundings at most, and has the relative error of det besides: it is off by less than e = 32v·D³K/det ≤ 2^-22·K.
+//! *The sphere.* Coordinates of the cross products are integers below 2^50, squared lengths too:
+//! exact in `f64`. det is a sum of three products, by fused steps: its error is below 4v·D³. We
+//! take only det > 2^-26·D³; so orientations are certain. A coordinate of k is a sum of three
+//! terms, each at most D⁴/det and with seven roundings at most, and has the relative error of det
+//! besides: it is off by less than e = 32v·D³K/det ≤ 2^-22·K.
 //!
-//! *In `f32`.* For |q| ≤ D, |q|² is off by 3u·D², rounding k costs u·KD, the three fused steps 9u·KD, and e at most √3·2^-22·KD: in all less than 2^-19.6·KD.
-//! What is 2^-19·KD or more lies outside.
+//! *In `f32`.* For |q| ≤ D, |q|² is off by 3u·D², rounding k costs u·KD, the three fused steps
+//! 9u·KD, and e at most √3·2^-22·KD: in all less than 2^-19.6·KD. What is 2^-19·KD or more lies
+//! outside.
 //!
-//! *In `f64`.* |q|² is exact, the steps cost 9v·KD, e at most 56v·D⁴K/det; KD ≤ D⁴K/det. What is more than 128v·D⁴K/det lies outside.
+//! *In `f64`.* |q|² is exact, the steps cost 9v·KD, e at most 56v·D⁴K/det; KD ≤ D⁴K/det. What is
+//! more than 128v·D⁴K/det lies outside.
 //!
-//! *How far a sphere reaches.* No point lies outside of the domain, a box. Let k' be k, each coordinate moved into twice the box (seen from the point). A point x of the
-//! box has |x - k/2|² ≥ |x - k'/2|² + |k/2 - k'/2|²; so what the sphere holds of the box lies in a ball around k'/2 of radius r, 4r² = |k|² - |k - k'|², which is the sum of k'(2k - k') over the axes.
-//! The point is in it, so nothing in it is further than 2r from it; and |k'| ≤ 2r. We take only 4r² < (1 - 2^-12)·D², as it is computed: with an error of at most
-//! 2√3·D·e ≤ 2^-13·D², where KD² < 2^33·det. The list has all points with |q| ≤ (1 - 2^-21)·D.
+//! *How far a sphere reaches.* No point lies outside of the domain, a box. Let k' be k, each
+//! coordinate moved into twice the box (seen from the point). A point x of the box has |x - k/2|²
+//! ≥ |x - k'/2|² + |k/2 - k'/2|²; so what the sphere holds of the box lies in a ball around k'/2 of
+//! radius r, 4r² = |k|² - |k - k'|², which is the sum of k'(2k - k') over the axes. The point is in
+//! it, so nothing in it is further than 2r from it; and |k'| ≤ 2r. We take only 4r² < (1 -
+//! 2^-12)·D², as it is computed: with an error of at most 2√3·D·e ≤ 2^-13·D², where KD² < 2^33·det.
+//! The list has all points with |q| ≤ (1 - 2^-21)·D.
 
 use super::lanes::{Batch, Machine};
 use super::{Grid, LANES, Star};
@@ -71,7 +82,8 @@ pub(super) struct Neighbourhood {
     /// Coordinates relative to the point, and squared lengths.
     at: [[f32; ROOM]; 4],
     ids: [u32; ROOM],
-    /// `[a << LOG2_MOST | b]`: whether the edge ab of a triangle that is known has none on its other side.
+    /// `[a << LOG2_MOST | b]`: whether the edge ab of a triangle that is known has none on its
+    /// other side.
     open: [u8; MOST * MOST],
     /// Edges that were opened, as such indices, in that order.
     queue: [u16; GATES],
@@ -82,7 +94,8 @@ pub(super) struct Neighbourhood {
     centres: [[f32; TRIANGLES]; 4],
     count: usize,
     triangles: usize,
-    /// The faces that wait for the point: ids of the other two, as they follow each other in a known triangle.
+    /// The faces that wait for the point: ids of the other two, as they follow each other in a
+    /// known triangle.
     pub(super) gates: Vec<[u32; 2]>,
 }
 
@@ -133,8 +146,8 @@ impl Neighbourhood {
         star
     }
 
-    /// Lists the points within `reach` of `p`, itself included; false if they are too many. `rows` are ranges of places in `at` and `ids`, behind which those go
-    /// on for [`LANES`] more.
+    /// Lists the points within `reach` of `p`, itself included; false if they are too many. `rows`
+    /// are ranges of places in `at` and `ids`, behind which those go on for [`LANES`] more.
     #[inline(always)]
     pub(super) fn gather<B: Batch>(
         &mut self,
@@ -174,8 +187,9 @@ impl Neighbourhood {
         true
     }
 
-    /// Closes the star among the points that are listed, in so many batches. `is_outer` tells of three points a, b, c whether nothing of the domain can lie beyond them,
-    /// where (a, b, c, x) is negatively oriented.
+    /// Closes the star among the points that are listed, in so many batches. `is_outer` tells of
+    /// three points a, b, c whether nothing of the domain can lie beyond them, where (a, b, c, x)
+    /// is negatively oriented.
     #[inline(always)]
     pub(super) fn close<const N: usize, B: Batch>(
         &mut self,
@@ -211,7 +225,8 @@ impl Neighbourhood {
         }
     }
 
-    /// Opens the first gate of a star of which nothing is known: of the nearest point and the one that makes the smallest circle with it.
+    /// Opens the first gate of a star of which nothing is known: of the nearest point and the one
+    /// that makes the smallest circle with it.
     fn begin(&mut self) -> Option<usize> {
         let squares = &self.at[3][..self.count];
         let others = || (0..squares.len()).filter(|&i| squares[i] > 0.0);
@@ -233,7 +248,8 @@ impl Neighbourhood {
         Some(2)
     }
 
-    /// Opens the gates that wait, as many as are left when those with two sides are gone; `None` if a corner is not in the list.
+    /// Opens the gates that wait, as many as are left when those with two sides are gone; `None` if
+    /// a corner is not in the list.
     #[inline(always)]
     fn open_waiting<const N: usize, B: Batch>(&mut self, proof: B::Proof) -> Option<usize> {
         if self.gates.len() > WAITING {
@@ -271,7 +287,8 @@ impl Neighbourhood {
         *tail += usize::from(closes ^ 1);
     }
 
-    /// Follows gates until none is open; false where nothing is found behind one that is not in the domain's boundary.
+    /// Follows gates until none is open; false where nothing is found behind one that is not in the
+    /// domain's boundary.
     #[inline(always)]
     fn follow<const N: usize, B: Batch>(
         &mut self,

@@ -1,12 +1,14 @@
-//! The errors of a chunk: its field against every sample of the source, while tetrahedra and values are at hand.
+//! The errors of a chunk: its field against every sample of the source, while tetrahedra and values
+//! are at hand.
 //!
 //! ```text
 //!  some blocks ─▶ the box of their tetrahedra ─▶ read its samples, of each step ─▶ scan conversion ─▶ sample and field
 //! ```
 //!
-//! The tetrahedra of a block lie together, so the box around a few that follow each other is small: it is read from
-//! the source, and the scan conversion ([`crate::raster`]) visits each sample of the domain in exactly one tetrahedron. Which
-//! samples lie in a tetrahedron, and with which weights, is found out once for all steps that are measured together.
+//! The tetrahedra of a block lie together, so the box around a few that follow each other is small:
+//! it is read from the source, and the scan conversion ([`crate::raster`]) visits each sample of
+//! the domain in exactly one tetrahedron. Which samples lie in a tetrahedron, and with which
+//! weights, is found out once for all steps that are measured together.
 
 use super::step_errors::{Measured, Room};
 use super::step_lanes::StepLanes;
@@ -96,7 +98,8 @@ impl SampleErrors {
         self.grid.dims()
     }
 
-    /// The errors of a chunk at some steps, given the values of its vertices at each; `read` reads samples of one.
+    /// The errors of a chunk at some steps, given the values of its vertices at each; `read` reads
+    /// samples of one.
     pub(in crate::pipeline) fn errors(
         &self,
         cells: &Cells<'_>,
@@ -115,7 +118,8 @@ impl SampleErrors {
         Ok(sums.into_iter().map(Tally::finish).collect())
     }
 
-    /// The errors of a chunk as they are stored: as [`SampleErrors::errors`], and apart for the cells of each level.
+    /// The errors of a chunk as they are stored: as [`SampleErrors::errors`], and apart for the
+    /// cells of each level.
     pub(in crate::pipeline) fn chunk_errors(
         &self,
         cells: &Cells<'_>,
@@ -141,7 +145,8 @@ impl SampleErrors {
         Ok(all.into_iter().map(|(sums, levels)| ChunkErrors { sums: sums.finish(), levels }).collect())
     }
 
-    /// Calls `each` for all samples in the tetrahedra of a chunk, some at a time, at each of some steps.
+    /// Calls `each` for all samples in the tetrahedra of a chunk, some at a time, at each of some
+    /// steps.
     pub(in crate::pipeline) fn each_sample(
         &self,
         cells: &Cells<'_>,
@@ -247,12 +252,14 @@ pub(in crate::pipeline) fn field_error_of(archive: &StepView, sums: &ErrorSums) 
     Ok(error.of_source(source.offset, source.rounding))
 }
 
-/// The errors of a chunk that are stored with its values, where the plan of the step says so: behind them.
+/// The errors of a chunk that are stored with its values, where the plan of the step says so:
+/// behind them.
 pub(in crate::pipeline) fn stored_errors(segment: &ChunkSegment, chunk: ChunkId) -> Result<ChunkErrors> {
     segment.block_from_end(chunk, 2, decode_errors)
 }
 
-/// The error of the archive's step, and those in the cells of each level, added up from what its chunks have stored.
+/// The error of the archive's step, and those in the cells of each level, added up from what its
+/// chunks have stored.
 pub(in crate::pipeline) fn stored_error(archive: &StepView) -> Result<(FieldError, Vec<LevelError>)> {
     let levels = archive.points.levels().map_or(0, |levels| usize::from(levels.top()) + 1);
     let (mut sums, mut by_level) = (ErrorSums::default(), vec![BrickErrors::default(); levels]);

@@ -1,7 +1,8 @@
-//! Where the values at the vertices of a chunk come from, and which tetrahedra lie outside of the data.
+//! Where the values at the vertices of a chunk come from, and which tetrahedra lie outside of the
+//! data.
 //!
-//! The mesh of a chunk knows positions only. A [`Field`] of each step is asked for each chunk. Vertices
-//! are grouped by bricks, so that what is read for a group lies together.
+//! The mesh of a chunk knows positions only. A [`Field`] of each step is asked for each chunk.
+//! Vertices are grouped by bricks, so that what is read for a group lies together.
 
 use super::errors::Originals;
 use super::mesh_field::CellField;
@@ -25,8 +26,8 @@ pub(in crate::pipeline) enum Field<'a> {
 }
 
 impl Field<'_> {
-    /// Where the vertices of a chunk lie, and its tetrahedra outside of the data. The answer serves all
-    /// steps of a series.
+    /// Where the vertices of a chunk lie, and its tetrahedra outside of the data. The answer serves
+    /// all steps of a series.
     ///
     /// # Errors
     /// When the data cannot be read.

@@ -1,10 +1,12 @@
-//! Values of a chunk's vertices that are fitted to samples ([`crate::fit`]), at several steps together: those in all tetrahedra at them.
+//! Values of a chunk's vertices that are fitted to samples ([`crate::fit`]), at several steps
+//! together: those in all tetrahedra at them.
 //!
 //! ```text
 //!  tetrahedra ─▶ windows (of a mesh: bricks) ─▶ read the samples of each step ─▶ one scan ─▶ sums, steps side by side ─▶ values
 //! ```
 //!
-//! The samples of a mesh are its vertices: each lies in one tetrahedron of the reduction, and tells its corners where that is of the same body.
+//! The samples of a mesh are its vertices: each lies in one tetrahedron of the reduction, and tells
+//! its corners where that is of the same body.
 
 use super::field::Field;
 use super::mesh_field::CellField;

@@ -1,4 +1,5 @@
-//! Which vertices of a chunk are sampled together, from the samples of one box: the same at all steps.
+//! Which vertices of a chunk are sampled together, from the samples of one box: the same at all
+//! steps.
 //!
 //! ```text
 //!        ┌──────┬──────┬──────┐        bricks of a chunk that lie side by side along x: a row of them,
@@ -7,14 +8,16 @@
 //!        └──────┴──────┴──────┘
 //! ```
 //!
-//! Long rows of samples are read faster than short ones, and a halo vertex by itself would need a box of its own.
+//! Long rows of samples are read faster than short ones, and a halo vertex by itself would need a
+//! box of its own.
 
 use crate::geom::LatticePos;
 use crate::grid::BrickGrid;
 use crate::pipeline::read::MeshedChunk;
 use std::ops::Range;
 
-/// Samples of a row of bricks, at most, where it has more than one: they stay in the processor's second cache.
+/// Samples of a row of bricks, at most, where it has more than one: they stay in the processor's
+/// second cache.
 const MOST_SAMPLES: u64 = 1 << 16;
 
 /// The vertices of a chunk, those around last, in groups.
@@ -131,7 +134,8 @@ impl<'a> Near<'a> {
         (z * dy + y) * dx + x
     }
 
-    /// The row that a position is sampled with; of one farther away than half a brick, a number of its brick, which is larger.
+    /// The row that a position is sampled with; of one farther away than half a brick, a number of
+    /// its brick, which is larger.
     fn group(&self, pos: LatticePos) -> u64 {
         let brick = self.bricks.brick_at(pos);
         let alone = self.rows.len() as u64 + self.bricks.id(brick).0;

@@ -65,7 +65,8 @@ impl CellField<'_> {
         for (found, &pos) in found.iter().zip(positions) {
             let sample = self.boundary.at(pos);
             let place = match sample {
-                // Rounding puts a sample beside the boundary; where bodies overlap it belongs to the first of them.
+                // Rounding puts a sample beside the boundary; where bodies overlap it belongs to
+                // the first of them.
                 Some(Sample::On(sample)) if sample.body < self.body(found)? => Some(*sample),
                 _ => None,
             };
@@ -114,8 +115,8 @@ impl CellField<'_> {
         Ok(all)
     }
 
-    /// Which tetrahedra lie outside of the mesh: those whose corners are not all of one body, and of
-    /// those with a corner at the rim the ones that are not in that body ([`Self::places_in`]).
+    /// Which tetrahedra lie outside of the mesh: those whose corners are not all of one body, and
+    /// of those with a corner at the rim the ones that are not in that body ([`Self::places_in`]).
     fn outside(&self, mesh: &MeshedChunk, spots: &[Spot], batch: &mut CellBatch) -> Result<Vec<bool>> {
         let (positions, tets) = (&mesh.all_positions, mesh.tets.whole());
         let corners = |t: usize| tets[t].map(|v| v as usize);
@@ -143,7 +144,8 @@ impl CellField<'_> {
     }
 
     /// The places that a body has if a tetrahedron is in it: the centroid; of a flat one on the rim
-    /// a place on either side, as it may be a part of a wall. `None` if one lies outside of the box.
+    /// a place on either side, as it may be a part of a wall. `None` if one lies outside of the
+    /// box.
     fn places_in(&self, corners: [LatticePos; 4], on_rim: bool) -> Option<Vec<FinePos>> {
         // Four times the centroid, in lattice steps, is exact; so is the centroid in fine steps.
         let centroid: FinePos =

@@ -1,7 +1,7 @@
 //! One chunk, from its number to its points and its owned tetrahedra.
 //!
-//! Everything here is a function of the plan and the chunk alone: no chunk sees another, so chunks can be made in any
-//! order, on any machine, twice, and give the same result.
+//! Everything here is a function of the plan and the chunk alone: no chunk sees another, so chunks
+//! can be made in any order, on any machine, twice, and give the same result.
 
 use super::recipe::{OwnMesh, Recipe};
 use crate::archive::vertices::order_halo;
@@ -39,8 +39,9 @@ pub(in crate::pipeline) struct ChunkMesher {
 }
 
 impl ChunkMesher {
-    /// Enumerates the chunk's points and meshes them; the halo is widened until every
-    /// owned tetrahedron is certified, as long as the region fits in `room` bytes. What comes out does not depend on `room`.
+    /// Enumerates the chunk's points and meshes them; the halo is widened until every owned
+    /// tetrahedron is certified, as long as the region fits in `room` bytes. What comes out does
+    /// not depend on `room`.
     pub(in crate::pipeline) fn mesh(
         &mut self,
         recipe: &Recipe<'_>,
@@ -76,7 +77,8 @@ impl ChunkMesher {
         self.positions.extend(self.sites.iter().map(|s| s.pos));
         let (mut retries, mut bytes) = (0, bytes);
         let Self { mesher, sites, one_box, positions, .. } = self;
-        // Twice as wide each time: a region that is the whole domain certifies everything, so this ends.
+        // Twice as wide each time: a region that is the whole domain certifies everything, so this
+        // ends.
         let mut widen = |positions: &mut Vec<LatticePos>| {
             cancel.check()?;
             let (narrow, wide) = (region(retries), region(retries + 1));
@@ -120,7 +122,8 @@ impl ChunkMesher {
         own.chunk(recipe, chunk, core_counts, &self.sites).map(Meshing::Done)
     }
 
-    /// Finds what is around a chunk whose own tetrahedra are known; false where it has to be meshed again for that.
+    /// Finds what is around a chunk whose own tetrahedra are known; false where it has to be meshed
+    /// again for that.
     pub(in crate::pipeline) fn surround(
         &mut self,
         recipe: &Recipe<'_>,
@@ -213,7 +216,8 @@ impl ChunkMesher {
     }
 }
 
-/// Lists the sites of a box by their ids: of equal positions the mesh keeps the first, which must be the one of the lowest id.
+/// Lists the sites of a box by their ids: of equal positions the mesh keeps the first, which must
+/// be the one of the lowest id.
 fn list_box(points: &PointSet, b: &LatticeBox, sites: &mut Vec<Site>) {
     points.candidates_in(b, sites);
     sites.sort_unstable_by_key(|s| s.id);
@@ -232,7 +236,8 @@ fn shell(inner: &LatticeBox, outer: &LatticeBox) -> Vec<LatticeBox> {
     boxes
 }
 
-/// Keeps only the halo points that tetrahedra use, ordered as they are stored; `positions` are those of all sites.
+/// Keeps only the halo points that tetrahedra use, ordered as they are stored; `positions` are
+/// those of all sites.
 fn renumber(
     core_counts: Vec<u32>,
     sites: &[Site],
@@ -275,7 +280,8 @@ fn renumber(
     MeshedChunk { core_counts, halo, all_positions: positions, around, shared, tets, retries, bricks: None }
 }
 
-/// Numbers the sites outside the core that tetrahedra around have: those that are vertices have numbers, the others follow `vertices`, as they come.
+/// Numbers the sites outside the core that tetrahedra around have: those that are vertices have
+/// numbers, the others follow `vertices`, as they come.
 fn number_others(
     around: &mut [Tet],
     numbers: &mut [u32],

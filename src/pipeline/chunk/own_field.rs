@@ -103,7 +103,8 @@ impl OwnField<'_> {
     }
 }
 
-/// The places in the list of a chunk's core points. Those that share a position follow each other, by ascending places, and are all there.
+/// The places in the list of a chunk's core points. Those that share a position follow each other,
+/// by ascending places, and are all there.
 fn places_of(mesh: OwnMesh<'_>, core: &[LatticePos]) -> Result<Vec<u64>> {
     let listed = &mesh.cells.vertices.points;
     let mut places = Vec::with_capacity(core.len());

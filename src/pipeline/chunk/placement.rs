@@ -13,7 +13,8 @@ use crate::pipeline::read::MeshedChunk;
 pub(in crate::pipeline) struct Placement {
     /// Of a tetrahedral mesh: where each vertex lies, those around the chunk last.
     pub(in crate::pipeline) spots: Vec<Spot>,
-    /// For each tetrahedron, those around the chunk last, whether it lies outside of the data; empty where none does.
+    /// For each tetrahedron, those around the chunk last, whether it lies outside of the data;
+    /// empty where none does.
     pub(in crate::pipeline) outside: Vec<bool>,
     /// Of a volume: which vertices are sampled together.
     pub(super) groups: Groups,
@@ -48,8 +49,9 @@ impl Default for Spot {
     }
 }
 
-/// Calls `sample` with the positions of each brick that has some of the chunk's vertices, and puts its answers in the
-/// order of the vertices. Core vertices come brick by brick; halo vertices are few and lie in many bricks.
+/// Calls `sample` with the positions of each brick that has some of the chunk's vertices, and puts
+/// its answers in the order of the vertices. Core vertices come brick by brick; halo vertices are
+/// few and lie in many bricks.
 pub(super) fn by_brick<T: Clone + Default>(
     bricks: &BrickGrid,
     mesh: &MeshedChunk,

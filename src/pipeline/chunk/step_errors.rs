@@ -165,7 +165,8 @@ fn compare_eight(
     compare_wide::<Pair<Plain>, 8>((), members, tets, values, originals, out);
 }
 
-/// As [`interpolate`], and NaN where a corner is, sample by sample, at all steps at a time: the same bits.
+/// As [`interpolate`], and NaN where a corner is, sample by sample, at all steps at a time: the
+/// same bits.
 #[inline(always)]
 fn compare_wide<W: Floats<N>, const N: usize>(
     proof: W::Proof,

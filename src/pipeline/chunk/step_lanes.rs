@@ -11,7 +11,8 @@ use crate::exec::{Avx2, with_vectors};
 use crate::mesh::tet::Tet;
 use std::ops::Range;
 
-/// The memory of values side by side, kept from chunk to chunk so that its pages are not asked for again.
+/// The memory of values side by side, kept from chunk to chunk so that its pages are not asked for
+/// again.
 #[derive(Default)]
 pub(in crate::pipeline) struct Room(Vec<Vec<[f32; 8]>>);
 
@@ -100,7 +101,8 @@ fn push<const N: usize>(out: &mut [Vec<BlockRange>], ranges: [BlockRange; N]) {
 /// Values that are put side by side at a time: they fit in the nearest cache.
 const SOME: usize = 256;
 
-/// Puts columns side by side, of which there are no more than lanes. Lanes without a column have any number.
+/// Puts columns side by side, of which there are no more than lanes. Lanes without a column have
+/// any number.
 pub(super) fn put_side_by_side<const N: usize>(columns: &[&[f32]], rows: &mut [[f32; N]]) {
     let mut done = 0;
     #[cfg(target_arch = "x86_64")]

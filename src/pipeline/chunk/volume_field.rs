@@ -1,4 +1,5 @@
-//! The field of a structured volume: the points of some bricks are interpolated from the samples around them, read for that.
+//! The field of a structured volume: the points of some bricks are interpolated from the samples
+//! around them, read for that.
 
 use super::errors::Originals;
 use super::groups::Groups;
@@ -39,7 +40,8 @@ fn all_finite(samples: &[f32]) -> bool {
     )
 }
 
-/// Interpolates the values of some steps, group by group: where a vertex lies is found out once for all of them.
+/// Interpolates the values of some steps, group by group: where a vertex lies is found out once for
+/// all of them.
 pub(super) fn interpolate(
     fields: &[&GridField],
     mesh: &MeshedChunk,
@@ -80,8 +82,8 @@ impl GridField {
         self.reader.will_need(self.voxels_of(chunk));
     }
 
-    /// Gives up the samples that no later chunk will need: those below the layer of chunks that lies
-    /// before the current one, as a halo reaches into its neighbours.
+    /// Gives up the samples that no later chunk will need: those below the layer of chunks that
+    /// lies before the current one, as a halo reaches into its neighbours.
     pub(super) fn pass(&self, chunk: &Chunk) {
         let samples = self.voxels_of(chunk);
         let keep = samples.lo[2].saturating_sub(samples.dims()[2]);

@@ -63,7 +63,8 @@ pub struct ExportReport {
     pub tetrahedra: u64,
     /// Tetrahedra of the archive.
     pub archive_tetrahedra: u64,
-    /// Tetrahedra with a corner without value, which are never written, in the blocks that were read.
+    /// Tetrahedra with a corner without value, which are never written, in the blocks that were
+    /// read.
     pub void_tetrahedra: u64,
     /// Chunks read.
     pub chunks_read: u64,
@@ -78,10 +79,12 @@ pub struct ExportReport {
     pub seconds: StageSeconds,
 }
 
-/// Bytes while a shared point is open: its entry in the table, which is at most half full, twice while it grows.
+/// Bytes while a shared point is open: its entry in the table, which is at most half full, twice
+/// while it grows.
 const OPEN_POINT: u64 = 100;
 
-/// Writes the tetrahedra of an archive to a VTU file: see [`Step::write_tetrahedra`](crate::pipeline::Step::write_tetrahedra).
+/// Writes the tetrahedra of an archive to a VTU file: see
+/// [`Step::write_tetrahedra`](crate::pipeline::Step::write_tetrahedra).
 pub(in crate::pipeline) fn export(
     archive: &StepView,
     settings: &ExportSettings,

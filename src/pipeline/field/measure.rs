@@ -1,11 +1,13 @@
 //! `measure`: the reduced field against every sample of its source.
 //!
-//! Chunk after chunk is decoded and measured as `reduce` does it while it makes one ([`errors`](crate::pipeline::chunk::errors)). All sums are integers
-//! ([`crate::measure`]), so neither threads nor chunks show, and the figures are those that `reduce` has stored. The vertices of a
-//! mesh are located as `probe` locates points, in batches.
+//! Chunk after chunk is decoded and measured as `reduce` does it while it makes one
+//! ([`errors`](crate::pipeline::chunk::errors)). All sums are integers ([`crate::measure`]), so
+//! neither threads nor chunks show, and the figures are those that `reduce` has stored. The
+//! vertices of a mesh are located as `probe` locates points, in batches.
 //!
-//! Cost: decoding the archive and reading the source once, and the scan conversion. Memory: some chunks; with a map of bricks, a
-//! record for each brick of a chunk, sorted on disk where memory does not hold them.
+//! Cost: decoding the archive and reading the source once, and the scan conversion. Memory: some
+//! chunks; with a map of bricks, a record for each brick of a chunk, sorted on disk where memory
+//! does not hold them.
 
 use super::error_map::{Map, map_bytes};
 use super::own_errors::own_errors;
@@ -44,7 +46,8 @@ pub struct MeasureSettings {
 }
 
 impl MeasureSettings {
-    /// Those of a reduction's run, with as many threads as chunks were at work: for so many the memory suffices.
+    /// Those of a reduction's run, with as many threads as chunks were at work: for so many the
+    /// memory suffices.
     pub(in crate::pipeline) fn of_run(run: &RunSettings, workers: usize) -> Self {
         Self { resources: run.resources.clone().with_threads(workers), step: None, map: None }
     }
@@ -74,11 +77,12 @@ pub struct MeasureReport {
 
 /// Measures an archive against the input that it was made from, or any of the same size.
 ///
-/// The field to read is that of the archive, unless the options name one. Void tetrahedra and missing samples are counted apart.
+/// The field to read is that of the archive, unless the options name one. Void tetrahedra and
+/// missing samples are counted apart.
 ///
 /// # Errors
-/// [`Error::BadInput`] for an input of another size, or a damaged archive; [`Error::Budget`] when the memory does not suffice; those of
-/// reading the input and of writing the map.
+/// [`Error::BadInput`] for an input of another size, or a damaged archive; [`Error::Budget`] when
+/// the memory does not suffice; those of reading the input and of writing the map.
 pub fn measure(
     archive: &Path,
     input: &Path,
@@ -112,8 +116,8 @@ pub fn measure_source(
     })
 }
 
-/// Measures steps of an archive, by ascending positions in the manifest, whose inputs are not open any more. A mesh is laid out once for all of
-/// them.
+/// Measures steps of an archive, by ascending positions in the manifest, whose inputs are not open
+/// any more. A mesh is laid out once for all of them.
 pub(in crate::pipeline) fn reopened_errors(
     archive: &Arc<OpenArchive>,
     steps: &[(usize, &StepSource)],
@@ -340,7 +344,8 @@ pub(in crate::pipeline) fn field_errors(
     }
 }
 
-/// Measures steps at the vertices of a mesh, which are located once for as many steps as the memory allows.
+/// Measures steps at the vertices of a mesh, which are located once for as many steps as the memory
+/// allows.
 fn vertex_errors(
     archive: &StepView,
     store: &CellStore,
@@ -402,7 +407,8 @@ impl AgainstSamples<'_> {
             if let Some(map) = &mut map {
                 map.add(chunk.id.0, &part.bricks)?;
             }
-            // Samples below the layer of chunks before this one are done with: no halo reaches that far.
+            // Samples below the layer of chunks before this one are done with: no halo reaches that
+            // far.
             let slice = |z: u32| u64::from(z >> archive.manifest.plan.lattice.log2_steps[2]);
             let keep = slice(chunk.core.lo[2]).saturating_sub(slice(chunk.core.hi[2] - chunk.core.lo[2]));
             if keep > released {
@@ -440,7 +446,8 @@ impl AgainstSamples<'_> {
     }
 }
 
-/// Bytes for a vertex of a batch: its place, three times while it is sorted and looked for, its value, and the nearest place.
+/// Bytes for a vertex of a batch: its place, three times while it is sorted and looked for, its
+/// value, and the nearest place.
 pub(in crate::pipeline) const VERTEX: u64 = 300;
 /// Bytes for the value of each further step.
 const FURTHER: u64 = 16;

@@ -1,4 +1,5 @@
-//! Questions about the field itself: at the samples of a grid, at points, as a mesh, against its source.
+//! Questions about the field itself: at the samples of a grid, at points, as a mesh, against its
+//! source.
 
 mod error_map;
 mod export;

@@ -1,8 +1,10 @@
 //! Points that lie in no tetrahedron: the place of the reduced domain that is nearest to each.
 //!
-//! Such a place lies on a face that only one tetrahedron has. The faces that only one tetrahedron of a chunk has are those, and faces between chunks, which are
-//! never nearer. So each chunk looks at its own ones, and the nearest of all chunks counts; of equally near ones the first by the positions of
-//! its corners. Corners are taken in the order of their positions: the answer depends on neither chunks nor threads.
+//! Such a place lies on a face that only one tetrahedron has. The faces that only one tetrahedron
+//! of a chunk has are those, and faces between chunks, which are never nearer. So each chunk looks
+//! at its own ones, and the nearest of all chunks counts; of equally near ones the first by the
+//! positions of its corners. Corners are taken in the order of their positions: the answer depends
+//! on neither chunks nor threads.
 
 use crate::domain::nearest::nearest;
 use crate::geom::{Lattice, LatticePos};
@@ -44,7 +46,8 @@ pub(super) fn keep(places: &mut BTreeMap<u32, NearPlace>, point: u32, place: Nea
     }
 }
 
-/// The places of a chunk's tetrahedra that are nearest to points, of those within `reach` lattice steps along each axis.
+/// The places of a chunk's tetrahedra that are nearest to points, of those within `reach` lattice
+/// steps along each axis.
 pub(super) fn near_places(
     chunk: &DecodedChunk,
     lists: &[Vec<f32>],

@@ -1,9 +1,12 @@
-//! The errors of an archive that has a mesh's own vertices: each vertex against the point that it is.
+//! The errors of an archive that has a mesh's own vertices: each vertex against the point that it
+//! is.
 //!
-//! No vertex is looked for in space: which point it is follows from the mesh as it did when the archive was made. So the error is what values
-//! lost when they were rounded, and nothing else. Vertices without a tetrahedron are no points, and are counted as missing.
+//! No vertex is looked for in space: which point it is follows from the mesh as it did when the
+//! archive was made. So the error is what values lost when they were rounded, and nothing else.
+//! Vertices without a tetrahedron are no points, and are counted as missing.
 //!
-//! Cost: reading the values of all steps once. Memory: the list of points, twice, and a value for each point and step.
+//! Cost: reading the values of all steps once. Memory: the list of points, twice, and a value for
+//! each point and step.
 
 use super::error_map::Map;
 use super::vertex_errors::{StepErrors, on_lattice, other_mesh, told_errors};
@@ -21,7 +24,8 @@ use std::collections::BTreeMap;
 /// Vertices of which the errors of bricks are handed on together.
 const BATCH: usize = 1 << 16;
 
-/// The errors of steps, by their positions in the manifest, whose values at the vertices are given; a map is of one step. `memory` is for all.
+/// The errors of steps, by their positions in the manifest, whose values at the vertices are given;
+/// a map is of one step. `memory` is for all.
 pub(super) fn own_errors(
     archive: &StepView,
     store: &CellStore,

@@ -1,14 +1,17 @@
-//! `probe` on a grid: the reduced field, linear in each tetrahedron, at the samples of a grid of any size.
+//! `probe` on a grid: the reduced field, linear in each tetrahedron, at the samples of a grid of
+//! any size.
 //!
 //! ```text
 //!  chunk ─▶ decode ─▶ box of its tetrahedra, cut into windows ─▶ scan conversion ─▶ runs, each to its place in the file
 //! ```
 //!
-//! Each sample is in exactly one tetrahedron ([`crate::raster`]), so each is written exactly once, by whichever chunk has that
-//! tetrahedron, and chunks need not wait for each other. Memory: some chunks, and a window for each.
+//! Each sample is in exactly one tetrahedron ([`crate::raster`]), so each is written exactly once,
+//! by whichever chunk has that tetrahedron, and chunks need not wait for each other. Memory: some
+//! chunks, and a window for each.
 //!
-//! The own tetrahedra of a mesh may overlap. Then the value of the first one counts. A bit a sample tells which are taken; where two chunks
-//! have one, all is done again on one thread, chunk by chunk.
+//! The own tetrahedra of a mesh may overlap. Then the value of the first one counts. A bit a sample
+//! tells which are taken; where two chunks have one, all is done again on one thread, chunk by
+//! chunk.
 
 use crate::error::{Error, Result};
 use crate::exec::{Progress, Resources, Silent};
@@ -58,7 +61,8 @@ const WINDOW: u64 = 1 << 22;
 /// Samples written at a time where the tetrahedra leave gaps.
 const BLANK: u64 = 1 << 18;
 
-/// Samples the field of an archive on a grid and writes them to a file: see [`Step::write_samples`](crate::pipeline::Step::write_samples).
+/// Samples the field of an archive on a grid and writes them to a file: see
+/// [`Step::write_samples`](crate::pipeline::Step::write_samples).
 pub(in crate::pipeline) fn probe_grid(
     archive: &StepView,
     dims: [u64; 3],
@@ -189,8 +193,8 @@ impl<'a> GridScan<'a> {
         Ok(Self { visit, grid, has_gaps, may_overlap })
     }
 
-    /// Hands all samples to `write`, in runs, from any thread in any order; returns the number of those without a value. Where tetrahedra
-    /// overlap, some samples are handed on again.
+    /// Hands all samples to `write`, in runs, from any thread in any order; returns the number of
+    /// those without a value. Where tetrahedra overlap, some samples are handed on again.
     fn run(
         &mut self,
         samples: u64,
@@ -282,7 +286,8 @@ impl Counted {
     }
 }
 
-/// Samples the tetrahedra of a chunk, and hands runs of samples (the number of the first in the grid, their values) to `write`.
+/// Samples the tetrahedra of a chunk, and hands runs of samples (the number of the first in the
+/// grid, their values) to `write`.
 fn scan_chunk(
     chunk: &DecodedChunk,
     grid: &SampleGrid,

@@ -1,12 +1,15 @@
 //! `probe` at points: each is located exactly, in the chunk that has its tetrahedron.
 //!
-//! The points of a batch are sorted by brick. A chunk's tetrahedra lie in its region, core and halo, so the points that it may hold are a
-//! few runs of that list; the chunk's tetrahedra then look up the points in their boxes ([`PointLocator`]), which is scan conversion
-//! with points for samples. Chunks without a point near them are not read. A list that does not fit in memory is taken in
-//! batches, each of which reads the archive again where it has points.
+//! The points of a batch are sorted by brick. A chunk's tetrahedra lie in its region, core and
+//! halo, so the points that it may hold are a few runs of that list; the chunk's tetrahedra then
+//! look up the points in their boxes ([`PointLocator`]), which is scan conversion with points for
+//! samples. Chunks without a point near them are not read. A list that does not fit in memory is
+//! taken in batches, each of which reads the archive again where it has points.
 //!
-//! Surfaces are written in `f32`, so a vertex on the boundary lies a rounding outside as often as inside. So a point in no tetrahedron takes the value
-//! of the nearest place of one ([`super::nearest`]) when that is as near as such a rounding: chunks around it are read once more.
+//! Surfaces are written in `f32`, so a vertex on the boundary lies a rounding outside as often as
+//! inside. So a point in no tetrahedron takes the value of the nearest place of one
+//! ([`super::nearest`]) when that is as near as such a rounding: chunks around it are read once
+//! more.
 
 use super::nearest::{keep, near_places};
 use super::probe_grid::{ProbeReport, ProbeSettings};
@@ -25,7 +28,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Instant;
 
-/// Bytes for a point of a batch: position, place in the list, value, its copy while a chunk looks for it, and the nearest place.
+/// Bytes for a point of a batch: position, place in the list, value, its copy while a chunk looks
+/// for it, and the nearest place.
 const POINT: u64 = 300;
 /// The most points of a batch.
 const MOST: u64 = 1 << 31;
@@ -38,7 +42,8 @@ pub(in crate::pipeline) struct Probed {
     pub(super) chunks_read: u64,
 }
 
-/// Lattice steps that rounding world coordinates of the domain to `f32`, and positions to the lattice, may move a point by, along each axis.
+/// Lattice steps that rounding world coordinates of the domain to `f32`, and positions to the
+/// lattice, may move a point by, along each axis.
 fn tolerance(geometry: &Geometry, lattice: &Lattice) -> u32 {
     let far = lattice.max();
     let steps = lattice.log2_steps.map(|s| f64::from(1u32 << s));
@@ -55,7 +60,8 @@ fn tolerance(geometry: &Geometry, lattice: &Lattice) -> u32 {
     (most.ceil() + 2.0).min(f64::from(Lattice::LARGEST)) as u32
 }
 
-/// The lattice position nearest to a world position; `None` where the domain is farther than `tolerance` steps.
+/// The lattice position nearest to a world position; `None` where the domain is farther than
+/// `tolerance` steps.
 fn lattice_position(
     world: [f64; 3],
     geometry: &Geometry,
@@ -76,10 +82,12 @@ fn lattice_position(
     Some(pos)
 }
 
-/// Distances from an edge's middle, in voxels, at which data are looked for: an edge may be as short as the least of them, or lie in a thin tetrahedron.
+/// Distances from an edge's middle, in voxels, at which data are looked for: an edge may be as
+/// short as the least of them, or lie in a thin tetrahedron.
 const AROUND: [f64; 4] = [0.2, 0.05, 0.01, 0.002];
 
-/// See [`super::Archive::edges_at_missing`]; `values` are those of the field at points of the world.
+/// See [`super::Archive::edges_at_missing`]; `values` are those of the field at points of the
+/// world.
 pub(in crate::pipeline) fn edges_at_missing(
     edges: &[[[f32; 3]; 2]],
     geometry: &Geometry,
@@ -90,7 +98,8 @@ pub(in crate::pipeline) fn edges_at_missing(
     let (mut points, mut ends) = (vec![], vec![]);
     for edge in edges {
         let [a, b] = edge.map(|end| DVec3::from_array(geometry.to_index(end.map(f64::from))));
-        // In the plane across the edge half of the directions point to the other side of the face that the edge lies on.
+        // In the plane across the edge half of the directions point to the other side of the face
+        // that the edge lies on.
         let along = (b - a).try_normalize().unwrap_or(DVec3::X);
         let (u, w) = along.any_orthonormal_pair();
         let diagonal = std::f64::consts::FRAC_1_SQRT_2;
@@ -229,7 +238,8 @@ impl<'a> Batch<'a> {
     }
 }
 
-/// Values of the field at points given in world coordinates; fewer than 2^32. NaN where there are none.
+/// Values of the field at points given in world coordinates; fewer than 2^32. NaN where there are
+/// none.
 pub(in crate::pipeline) fn values_at(
     archive: &StepView,
     points: &[[f64; 3]],
@@ -279,8 +289,8 @@ pub(in crate::pipeline) enum Outside {
     All,
 }
 
-/// Calls `each` with the number and the value of every point that lies in a tetrahedron, or outside of all as [`Find`] tells, NaN in one with a void corner. Returns the
-/// number of chunks read.
+/// Calls `each` with the number and the value of every point that lies in a tetrahedron, or outside
+/// of all as [`Find`] tells, NaN in one with a void corner. Returns the number of chunks read.
 pub(in crate::pipeline) fn each_value(
     archive: &StepView,
     points: impl Iterator<Item = (LatticePos, u32)>,
@@ -293,7 +303,8 @@ pub(in crate::pipeline) fn each_value(
     find_each(archive, points, find, progress, stage, 0, values, |n, values, _| each(n, values[0]))
 }
 
-/// As [`each_value`], at steps by ascending positions in the manifest: each point is looked for once. `each` is also told whether the point is in a tetrahedron.
+/// As [`each_value`], at steps by ascending positions in the manifest: each point is looked for
+/// once. `each` is also told whether the point is in a tetrahedron.
 pub(super) fn each_value_of(
     archive: &StepView,
     steps: &[usize],
@@ -308,8 +319,8 @@ pub(super) fn each_value_of(
     find_each(archive, points, find, progress, stage, further, values, each)
 }
 
-/// Calls `each` with the values at every point that lies in a tetrahedron: one for each list of values at a chunk's vertices. There are
-/// `further` lists beside the first.
+/// Calls `each` with the values at every point that lies in a tetrahedron: one for each list of
+/// values at a chunk's vertices. There are `further` lists beside the first.
 #[expect(clippy::too_many_arguments, reason = "two questions, and nothing else, are asked in this way")]
 fn find_each(
     archive: &StepView,
@@ -391,7 +402,8 @@ struct Found {
     values: Vec<f32>,
 }
 
-/// The points that lie in tetrahedra of a chunk, and the fields there: NaN in one with a void corner.
+/// The points that lie in tetrahedra of a chunk, and the fields there: NaN in one with a void
+/// corner.
 fn locate(chunk: &DecodedChunk, lists: &[Vec<f32>], points: &PointLocator) -> Found {
     let mut found = Found::default();
     for tet in &chunk.tets {

@@ -8,7 +8,8 @@ use crate::locate::{FINE_BITS, FinePos};
 use crate::measure::{ErrorSums, FieldError, LevelError, Worst};
 use crate::pipeline::read::StepView;
 
-/// The errors of a step: of the field; and of a mesh those at the vertices in the cells of each level, where its points have levels.
+/// The errors of a step: of the field; and of a mesh those at the vertices in the cells of each
+/// level, where its points have levels.
 pub(in crate::pipeline) type StepErrors = (FieldError, Vec<LevelError>);
 
 /// The error of a mesh of the archive's size whose vertices are others.
@@ -24,7 +25,8 @@ pub(in crate::pipeline) fn on_lattice(p: FinePos) -> LatticePos {
     p.map(|c| ((c + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32)
 }
 
-/// Errors at the vertices, as they are told: of steps by positions in the manifest, with their values, and vertices outside.
+/// Errors at the vertices, as they are told: of steps by positions in the manifest, with their
+/// values, and vertices outside.
 pub(super) fn told_errors(
     archive: &StepView,
     store: &CellStore,
@@ -46,7 +48,8 @@ pub(super) fn told_errors(
     Ok(told)
 }
 
-/// The least and the largest value at the vertices of a mesh, those outside of all tetrahedra included.
+/// The least and the largest value at the vertices of a mesh, those outside of all tetrahedra
+/// included.
 fn range_of(values: &[f32]) -> Option<[f32; 2]> {
     let all = values.iter().filter(|v| v.is_finite()).map(|v| v + 0.0);
     all.fold(None, |range: Option<[f32; 2]>, v| Some(range.map_or([v; 2], |[lo, hi]| [lo.min(v), hi.max(v)])))

@@ -1,14 +1,14 @@
 //! Access in any order to the samples of a source: where they lie, through a cache of decoded
 //! chunks, or from a copy in bricks.
 //!
-//! Whether a cache will do follows from sizes alone. Boxes of samples are read in rows along x, rows
-//! in layers along z: the chunks of an archive, or blocks. So a chunk of the source is decoded once
-//! where all that meet a layer are cached, and about twice where those that meet a row are:
+//! Whether a cache will do follows from sizes alone. Boxes of samples are read in rows along x,
+//! rows in layers along z: the chunks of an archive, or blocks. So a chunk of the source is decoded
+//! once where all that meet a layer are cached, and about twice where those that meet a row are:
 //!
 //! * those of two layers, where they take at most a quarter of the memory: some threads are at work
 //!   on the next layer already;
-//! * else those of a layer, or of two rows, or of a row; of rows where these decode a chunk 2.5 times
-//!   at most;
+//! * else those of a layer, or of two rows, or of a row; of rows where these decode a chunk 2.5
+//!   times at most;
 //! * without any, the source is copied into bricks, as a stream is.
 
 use super::bricked_copy::{Scratch, copied};
@@ -71,8 +71,9 @@ pub(in crate::pipeline) fn cache_sizes(
     boxes: impl Iterator<Item = ReadBox>,
 ) -> [Option<u64>; 4] {
     let (dims, edge) = (shape.dims, shape.chunk);
-    // Chunks along each axis that meet one of the boxes, at most, and the largest step from one box to
-    // the next; and how many times more samples those chunks hold than the box has itself, on average.
+    // Chunks along each axis that meet one of the boxes, at most, and the largest step from one box
+    // to the next; and how many times more samples those chunks hold than the box has itself, on
+    // average.
     let (mut one, mut step, mut more, mut count) = ([1u64; 3], [1u64; 3], [0.0; 3], 0.0);
     for ReadBox { samples, own } in boxes {
         for a in 0..3 {
@@ -123,8 +124,8 @@ impl ChunkCache {
 }
 
 /// Random access to a source. One of chunks is read through a cache of `cached` bytes of them.
-/// Without that, it is copied into bricks, as a stream is. The copy is removed when the second value
-/// is dropped.
+/// Without that, it is copied into bricks, as a stream is. The copy is removed when the second
+/// value is dropped.
 pub(in crate::pipeline) fn random_access(
     source: VolumeSource,
     cached: Option<u64>,

@@ -86,7 +86,8 @@ impl SlabStream for Stoppable {
     }
 }
 
-/// Bytes of the copy that is made of a volume without random access, and memory to make it in; 0 of others.
+/// Bytes of the copy that is made of a volume without random access, and memory to make it in; 0 of
+/// others.
 pub(in crate::pipeline) fn copy_bytes(source: &VolumeSource) -> (u64, u64) {
     if let VolumeSource::Random(_) = source {
         return (0, 0);
@@ -101,7 +102,8 @@ pub(in crate::pipeline) fn copy_bytes(source: &VolumeSource) -> (u64, u64) {
 /// The least that slices are collected in while a stream is copied into bricks.
 const COPY_BUFFER: u64 = 8 << 20;
 
-/// Memory that copying into bricks takes, besides the slices that are collected: the decoder, a checksum a brick.
+/// Memory that copying into bricks takes, besides the slices that are collected: the decoder, a
+/// checksum a brick.
 fn copying_bytes(source: &VolumeSource) -> u64 {
     let bricks = source.info().dims.iter().map(|d| d.div_ceil(32)).fold(1, u64::saturating_mul);
     let decoder = match source {
@@ -112,7 +114,8 @@ fn copying_bytes(source: &VolumeSource) -> u64 {
     estimate::BASE.saturating_add(decoder).saturating_add(bricks.saturating_mul(8))
 }
 
-/// Copies a volume into bricks in the scratch folder; the copy is removed when the second value is dropped.
+/// Copies a volume into bricks in the scratch folder; the copy is removed when the second value is
+/// dropped.
 pub(super) fn copied(
     source: VolumeSource,
     run: &RunSettings,

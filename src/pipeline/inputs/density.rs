@@ -1,4 +1,5 @@
-//! Levels for a volume, or for a series of them: one pass over the samples of each step ([`crate::density`]).
+//! Levels for a volume, or for a series of them: one pass over the samples of each step
+//! ([`crate::density`]).
 
 use super::access::{ChunkCache, ReadBox, random_access};
 use super::shift::{Reading, treat_missing};

@@ -1,12 +1,15 @@
 //! Levels for a mesh: where its field bends, where its vertices are, and where it ends.
 //!
-//! The errors of simple reductions ([`crate::density`]) are those of the mesh's field at the samples of its lattice, which lie about as far apart
-//! as vertices do. Two things differ from a volume:
+//! The errors of simple reductions ([`crate::density`]) are those of the mesh's field at the
+//! samples of its lattice, which lie about as far apart as vertices do. Two things differ from a
+//! volume:
 //!
-//! * **What counts.** The error of a mesh is measured at its vertices, and who made it has put those where something happens. So half of what a
-//!   cell counts is its part of the vertices; the other half is its part of the volume, for surfaces pass between vertices too.
-//! * **Where it ends.** Cells with samples inside and outside have the mean density at least. Those outside cost nothing and want nothing: they
-//!   have no more points than grading gives them. The number of points is that of points inside.
+//! * **What counts.** The error of a mesh is measured at its vertices, and who made it has put
+//!   those where something happens. So half of what a cell counts is its part of the vertices; the
+//!   other half is its part of the volume, for surfaces pass between vertices too.
+//! * **Where it ends.** Cells with samples inside and outside have the mean density at least. Those
+//!   outside cost nothing and want nothing: they have no more points than grading gives them. The
+//!   number of points is that of points inside.
 //!
 //! Of a series, the values of the first step decide.
 
@@ -48,7 +51,8 @@ impl MeshCurves {
     /// Measures them.
     ///
     /// # Errors
-    /// [`Error::Budget`] when the memory does not hold the curves; when the scratch folder cannot be written.
+    /// [`Error::Budget`] when the memory does not hold the curves; when the scratch folder cannot
+    /// be written.
     pub(in crate::pipeline) fn new(
         store: &CellStore,
         how: &StoreSettings,

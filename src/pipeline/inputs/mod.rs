@@ -1,7 +1,8 @@
-//! What is found out about inputs before a plan is made: their range, their offset, where they bend.
+//! What is found out about inputs before a plan is made: their range, their offset, where they
+//! bend.
 //!
-//! Each pass reads a source from front to back, or a bounded part of it. Where samples are needed in
-//! any order, [`access`] says how they are had.
+//! Each pass reads a source from front to back, or a bounded part of it. Where samples are needed
+//! in any order, [`access`] says how they are had.
 
 mod access;
 mod bend;

@@ -33,8 +33,9 @@ impl Scan {
     pub const BINS: usize = 64;
 }
 
-/// Counts values by the 16 leading bits of an order-preserving key of the `f32`: one pass without knowing the range
-/// first. A bin of the final histogram is therefore exact to 1/128 of a value. Values that `f32` may not hold are counted from the first one.
+/// Counts values by the 16 leading bits of an order-preserving key of the `f32`: one pass without
+/// knowing the range first. A bin of the final histogram is therefore exact to 1/128 of a value.
+/// Values that `f32` may not hold are counted from the first one.
 struct Counter {
     by_key: Vec<u64>,
     base: Option<f64>,
@@ -180,11 +181,13 @@ pub(in crate::pipeline) fn stream_spread(
     Ok(spread)
 }
 
-/// How samples are spread over the numbers, their range and the range of nearly all; and how they bend along the axes.
+/// How samples are spread over the numbers, their range and the range of nearly all; and how they
+/// bend along the axes.
 pub(in crate::pipeline) struct Spread {
     missing: Option<f32>,
     range: [f32; 2],
-    /// Samples by the upper half of their bits, in ascending order of values: at most 0.8 % of a value wide.
+    /// Samples by the upper half of their bits, in ascending order of values: at most 0.8 % of a
+    /// value wide.
     counts: Vec<u64>,
     bends: BendBlocks,
 }
@@ -209,7 +212,8 @@ impl Spread {
         if !value.is_finite() {
             return;
         }
-        // A zero has no sign here: which of two zeros is the lesser one differs from machine to machine.
+        // A zero has no sign here: which of two zeros is the lesser one differs from machine to
+        // machine.
         let value = value + 0.0;
         let [low, high] = self.range;
         self.range = [low.min(value), high.max(value)];

@@ -1,7 +1,8 @@
-//! What is subtracted from the values of a source before they become `f32`, and what they lose then: see [`crate::volume::shifted`].
+//! What is subtracted from the values of a source before they become `f32`, and what they lose
+//! then: see [`crate::volume::shifted`].
 //!
-//! The first step of an archive decides the offset; all steps have it. Sources whose type is exact in `f32` are not looked at; others are
-//! read once for it, or twice where values are lost.
+//! The first step of an archive decides the offset; all steps have it. Sources whose type is exact
+//! in `f32` are not looked at; others are read once for it, or twice where values are lost.
 
 use crate::archive::manifest::StepPlan;
 use crate::cells::CellMesh;
@@ -143,7 +144,8 @@ impl Reading {
         }
     }
 
-    /// The value that means "no data" among those that the reader gives; one that subtracts has made it NaN.
+    /// The value that means "no data" among those that the reader gives; one that subtracts has
+    /// made it NaN.
     pub(in crate::pipeline) fn missing(&self) -> Option<f64> {
         self.missing.filter(|_| self.offset == 0.0)
     }
@@ -159,7 +161,8 @@ impl Reading {
 
 /// Puts a value in the place of samples that are missing or infinite.
 pub(in crate::pipeline) fn treat_missing(missing: Option<f64>, stand_in: f32, samples: &mut [f32]) {
-    // Where nothing is declared missing, a number that is equal to none. Written without a branch, for the compiler's vectors.
+    // Where nothing is declared missing, a number that is equal to none. Written without a branch,
+    // for the compiler's vectors.
     let missing = missing.map_or(f32::NAN, |m| m as f32);
     with_vectors(
         #[inline(always)]

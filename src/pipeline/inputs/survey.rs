@@ -1,8 +1,10 @@
-//! A bounded look at the samples before work begins: fill values, a constant field, outliers that stretch the range, labels.
+//! A bounded look at the samples before work begins: fill values, a constant field, outliers that
+//! stretch the range, labels.
 //!
-//! At most [`BUDGET`] samples are read. Of a volume with random access they are pieces of rows spread evenly over it (all of a
-//! small volume); of a stream, which has no random access, they come from its beginning, unless it is read to the end anyway.
-//! Which samples these are depends on the volume's size alone, so the same input always gives the same findings.
+//! At most [`BUDGET`] samples are read. Of a volume with random access they are pieces of rows
+//! spread evenly over it (all of a small volume); of a stream, which has no random access, they
+//! come from its beginning, unless it is read to the end anyway. Which samples these are depends on
+//! the volume's size alone, so the same input always gives the same findings.
 
 use crate::cells::{CellField, CellMesh, Center};
 use crate::error::Result;
@@ -18,7 +20,8 @@ const PIECES: u64 = 64;
 const STREAM_SAMPLES: u64 = 1 << 23;
 /// The least part of the samples that a fill value has.
 const FILL_SHARE: f64 = 0.001;
-/// The most values of labels, and the number up to which a field of whole numbers is one of labels whatever its neighbours are.
+/// The most values of labels, and the number up to which a field of whole numbers is one of labels
+/// whatever its neighbours are.
 const MOST_LABELS: usize = 256;
 const FEW: usize = 5;
 
@@ -117,7 +120,8 @@ pub(in crate::pipeline) struct Survey {
     is_single: bool,
     /// Slope and intercept of the stored numbers.
     scaling: [f64; 2],
-    /// Neighbours along a row that are both finite: equal ones, and those that differ by more than 1, by at most that.
+    /// Neighbours along a row that are both finite: equal ones, and those that differ by more than
+    /// 1, by at most that.
     pairs: [u64; 3],
 }
 
@@ -216,20 +220,23 @@ impl Survey {
                 .any(|&k| v as f32 == k as f32 || (slope, intercept) != (1.0, 0.0) && is_near(stored, k))
         };
         let is_usual = is_one_of(&USUAL_FILLS) && gap >= 500.0 * slope.abs().min(1.0);
-        // A peak at a usual value behind a gap is one; any other value must lie farther off than data do.
+        // A peak at a usual value behind a gap is one; any other value must lie farther off than
+        // data do.
         is_usual && (gap >= width / 2.0 || share >= 0.01 && gap >= width / 20.0)
             || is_one_of(&CT_PADDING) && share >= 0.01 && gap >= 200.0 && others.len() >= 200
             || others.len() >= 32 && gap >= 10.0 * width
     }
 
-    /// Whether values are the names of parts: few whole numbers, in runs of equal ones, next to any others.
+    /// Whether values are the names of parts: few whole numbers, in runs of equal ones, next to any
+    /// others.
     fn is_of_labels(&self, runs: &[Run]) -> bool {
         let [equal, jumps, steps] = self.pairs;
         let is_whole = runs.len() <= MOST_LABELS && runs.iter().all(|(v, _)| v.fract() == 0.0);
         let different = jumps + steps;
         let [all, most] =
             [runs.iter().map(|r| r.1).sum::<u64>(), runs.iter().map(|r| r.1).max().unwrap_or(0)];
-        // The noise of an image jumps too, but its runs are short, and so are those of few grey levels.
+        // The noise of an image jumps too, but its runs are short, and so are those of few grey
+        // levels.
         self.is_grid
             && is_whole
             && equal >= 4 * different
@@ -276,7 +283,8 @@ fn stretch(runs: &[Run]) -> Option<Stretch> {
     })
 }
 
-/// The boxes that are looked at, of a volume of these dimensions: each is a piece of a row, of a slice, or whole slices.
+/// The boxes that are looked at, of a volume of these dimensions: each is a piece of a row, of a
+/// slice, or whole slices.
 fn pieces(dims: [u64; 3], budget: u64) -> Vec<IndexBox> {
     let [x, y, z] = dims;
     let slice = x.saturating_mul(y);
@@ -291,7 +299,8 @@ fn pieces(dims: [u64; 3], budget: u64) -> Vec<IndexBox> {
     }
     let each = (budget / PIECES).max(1);
     let size = [each.min(x), (each / x).clamp(1, y), (each / slice).clamp(1, z)];
-    // Along z evenly; along y and x by the golden ratio and its square, which leave no large part out.
+    // Along z evenly; along y and x by the golden ratio and its square, which leave no large part
+    // out.
     let golden = |i: u64, ratio: f64, room: u64| ((i as f64 * ratio).fract() * (room + 1) as f64) as u64;
     let mut out: Vec<IndexBox> = (0..PIECES)
         .map(|i| {
@@ -307,7 +316,8 @@ fn pieces(dims: [u64; 3], budget: u64) -> Vec<IndexBox> {
     out
 }
 
-/// How values are made of stored samples. They are `f64` here: `f32` does not tell all samples of wide types apart.
+/// How values are made of stored samples. They are `f64` here: `f32` does not tell all samples of
+/// wide types apart.
 #[derive(Clone, Copy, Debug)]
 struct Stored {
     scalar: ScalarType,
@@ -322,7 +332,8 @@ impl Stored {
         Self { scalar: info.field.scalar, slope, intercept, missing }
     }
 
-    /// Puts the values of a row of little-endian samples into `out`; NaN where they are declared missing.
+    /// Puts the values of a row of little-endian samples into `out`; NaN where they are declared
+    /// missing.
     fn values(&self, bytes: &[u8], out: &mut Vec<f64>) {
         let Self { scalar, slope, intercept, missing } = *self;
         let single = scalar == ScalarType::F32;
@@ -356,7 +367,8 @@ fn seen(dims: [u64; 3], budget: u64) -> Seen {
     if total <= budget { Seen::All } else { Seen::Spread }
 }
 
-/// Looks at at most so many samples of a volume, at most [`BUDGET`]; a stream is decoded as far as that takes.
+/// Looks at at most so many samples of a volume, at most [`BUDGET`]; a stream is decoded as far as
+/// that takes.
 ///
 /// # Errors
 /// Those of reading them.
@@ -495,7 +507,8 @@ impl SlabStream for Seeing {
     }
 }
 
-/// Looks at the first values of a mesh's field, as they are stored: averages of cell data would blur what is looked for.
+/// Looks at the first values of a mesh's field, as they are stored: averages of cell data would
+/// blur what is looked for.
 ///
 /// # Errors
 /// Those of [`CellMesh::field`]; when the file cannot be read.
@@ -510,7 +523,8 @@ pub(in crate::pipeline) fn survey_mesh(mesh: &CellMesh) -> Result<Survey> {
                 survey.add(&block);
             }
         }
-        // A component or a magnitude of cell data is not stored by itself, and averaging needs all cells.
+        // A component or a magnitude of cell data is not stored by itself, and averaging needs all
+        // cells.
         None if field.center == Center::Cell => {}
         None => {
             let (mut values, mut block) = (mesh.values(BUDGET, |_| false)?, vec![]);
@@ -644,7 +658,8 @@ mod tests {
         assert_eq!(found(&[source]), Found::default());
     }
 
-    /// A stream that is read to its end shows the samples that random access has; of one that is not, the first ones are known.
+    /// A stream that is read to its end shows the samples that random access has; of one that is
+    /// not, the first ones are known.
     #[test]
     fn streams_show_the_same_samples() {
         let dir = tempfile::tempdir().unwrap();

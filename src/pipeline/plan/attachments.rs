@@ -27,7 +27,8 @@ impl Attachments {
     /// Those of an archive, if it has some.
     ///
     /// # Errors
-    /// [`crate::Error::BadInput`] when they are damaged or others; [`crate::Error::Io`] when they are not there.
+    /// [`crate::Error::BadInput`] when they are damaged or others; [`crate::Error::Io`] when they
+    /// are not there.
     pub(in crate::pipeline) fn read(archive: &Path, plan: &MeshPlan) -> Result<Self> {
         Self::read_of(archive, plan.hash(), plan)
     }

@@ -1,4 +1,5 @@
-//! What a run needs, known before it starts: memory, disk, time. And how the memory that it gets is shared out.
+//! What a run needs, known before it starts: memory, disk, time. And how the memory that it gets is
+//! shared out.
 //!
 //! Only these grow with the input, and each has its part of the budget:
 //!
@@ -13,10 +14,11 @@
 //!  memory >= BASE + index           afterwards, when the first two are gone: see below
 //! ```
 //!
-//! The room of a chunk follows from the number of points of its region (core and halo), which the point set tells without
-//! listing them. If the budget does not hold as many chunks as there are threads, fewer run. A chunk whose halo must be
-//! widened beyond its room waits until it is alone and has all of them (`reduce::encode`). The index is built in what memory there
-//! is; what does not fit is sorted in the scratch folder.
+//! The room of a chunk follows from the number of points of its region (core and halo), which the
+//! point set tells without listing them. If the budget does not hold as many chunks as there are
+//! threads, fewer run. A chunk whose halo must be widened beyond its room waits until it is alone
+//! and has all of them (`reduce::encode`). The index is built in what memory there is; what does
+//! not fit is sorted in the scratch folder.
 
 use super::finding::Notice;
 use super::{BLOCK_TETS, MeshParts, Plan};
@@ -32,24 +34,31 @@ use crate::raster::BatchScan;
 use serde::Serialize;
 use std::path::Path;
 
-/// What the process needs whatever it works on: code and tables, stacks, buffers of readers and writers.
+/// What the process needs whatever it works on: code and tables, stacks, buffers of readers and
+/// writers.
 pub(in crate::pipeline) const BASE: u64 = 16 << 20;
-/// Working memory of a chunk for a point of its region, measured (all point sets, chunks of 30 000 to 500 000 points, one and two workers took at most 550
-/// in all, what waits to be written included) and rounded up: 6.8 tetrahedra of 64 bytes, where they are meshed and stay, sort keys and sites of 100 bytes, then what finds
-/// samples and sums up the spectrum, and what the C library holds back between workers. What fits values works in what stands empty of the first.
+/// Working memory of a chunk for a point of its region, measured (all point sets, chunks of 30 000
+/// to 500 000 points, one and two workers took at most 550 in all, what waits to be written
+/// included) and rounded up: 6.8 tetrahedra of 64 bytes, where they are meshed and stay, sort keys
+/// and sites of 100 bytes, then what finds samples and sums up the spectrum, and what the C library
+/// holds back between workers. What fits values works in what stands empty of the first.
 const PER_POINT: u64 = 600;
-/// And for each further step its value; for each eight steps, which are measured side by side: values; values, where they lie in the spectrum, counts.
+/// And for each further step its value; for each eight steps, which are measured side by side:
+/// values; values, where they lie in the spectrum, counts.
 const FURTHER_PER_POINT: u64 = 4;
 const SIDE_PER_POINT: u64 = 104;
-/// Besides, where values are fitted: fitted ones, for each eight steps but the first sums, and for each eight weights, where voids differ.
+/// Besides, where values are fitted: fitted ones, for each eight steps but the first sums, and for
+/// each eight weights, where voids differ.
 const FITTED_PER_POINT: u64 = 4;
 const SUMS_PER_POINT: u64 = 168;
 const WEIGHTS_PER_POINT: u64 = 64;
 /// And whatever the number of points: the samples around a brick, the encoder's tables.
 const PER_CHUNK: u64 = 4 << 20;
-/// Bytes of a point's share of an encoded chunk, at most: its value, and a little more than 6 tetrahedra.
+/// Bytes of a point's share of an encoded chunk, at most: its value, and a little more than 6
+/// tetrahedra.
 const PRODUCT_PER_POINT: u64 = 26;
-/// Bytes of a point's share of the encoded values of a further step: a value, which halo points have too, and ranges of blocks.
+/// Bytes of a point's share of the encoded values of a further step: a value, which halo points
+/// have too, and ranges of blocks.
 const STEP_PER_POINT: u64 = 6;
 /// Encoded chunks, for each worker, that may wait for their turn.
 const WAITING: u64 = 3;
@@ -63,8 +72,9 @@ const ARCHIVE_PER_POINT: u64 = 10;
 const LATTICE_PER_POINT: u64 = 5;
 /// And for a point of a further step: a value, its share of ranges, index and spectrum.
 const VALUES_PER_POINT: u64 = 4;
-/// The time of a further step, as a part of the first, and that of a further pass: the mesh is decoded and scanned again, and where values are
-/// fitted, what is around it found (0.7), or all of it made again (0.9).
+/// The time of a further step, as a part of the first, and that of a further pass: the mesh is
+/// decoded and scanned again, and where values are fitted, what is around it found (0.7), or all of
+/// it made again (0.9).
 const FURTHER_STEP: f64 = 0.06;
 const FURTHER_PASS: f64 = 0.35;
 const FURTHER_FITTED_PASS: f64 = 0.8;
@@ -73,9 +83,9 @@ const POINTS_PER_SECOND: f64 = 150_000.0;
 /// Chunks looked at to find the largest.
 const MOST_LOOKED_AT: u64 = 1 << 16;
 
-/// Halo width in quarters of the mean point spacing. All points within the
-/// first are inserted at once; those within the second are known, and inserted where a tetrahedron needs them. The second is doubled as often as a
-/// sphere leaves it.
+/// Halo width in quarters of the mean point spacing. All points within the first are inserted at
+/// once; those within the second are known, and inserted where a tetrahedron needs them. The second
+/// is doubled as often as a sphere leaves it.
 const NEAR_QUARTERS: u64 = 7;
 const HALO_QUARTERS: u64 = 12;
 /// More of both where the tetrahedra around the chunk's are needed: they reach one edge further.
@@ -85,11 +95,13 @@ const PER_FIT: u64 = 8 << 20;
 
 /// Steps whose files are open, and whose values are made, at a time.
 pub(in crate::pipeline) const MOST_STEPS_AT_ONCE: u64 = 32;
-/// The same where there are no more points than this: to make their mesh again, or to decode it, is then a large part of the cost.
+/// The same where there are no more points than this: to make their mesh again, or to decode it, is
+/// then a large part of the cost.
 pub(in crate::pipeline) const MOST_SMALL_STEPS_AT_ONCE: u64 = 64;
 const FEW_POINTS: u64 = 1 << 16;
 
-/// Samples of a step that are read at a time: those around a block are fewer, but for coarse meshes.
+/// Samples of a step that are read at a time: those around a block are fewer, but for coarse
+/// meshes.
 pub(in crate::pipeline) const ERROR_WINDOW: u64 = 1 << 16;
 
 /// What a chunk needs of its surroundings.
@@ -97,7 +109,8 @@ pub(in crate::pipeline) const ERROR_WINDOW: u64 = 1 << 16;
 pub(in crate::pipeline) enum Halo {
     /// What proves its own tetrahedra.
     Owned,
-    /// What proves all tetrahedra at the vertices of its own: values are fitted to the samples in them.
+    /// What proves all tetrahedra at the vertices of its own: values are fitted to the samples in
+    /// them.
     Stars,
 }
 
@@ -251,8 +264,9 @@ impl Need {
         }
     }
 
-    /// The same with as many of `steps` made at a time, at most `most`, as takes the least time: more of them make fewer passes over the
-    /// mesh, but the memory that they take may cost threads.
+    /// The same with as many of `steps` made at a time, at most `most`, as takes the least time:
+    /// more of them make fewer passes over the mesh, but the memory that they take may cost
+    /// threads.
     pub(super) fn with_steps(self, steps: u64, most: u64, memory: u64, threads: usize) -> Self {
         let of = |steps| Self { steps, ..self };
         let most = self.held.most.checked_div(self.held.by_step).map_or(most, |n| n.clamp(1, most));
@@ -287,8 +301,8 @@ impl Need {
         product_bytes(self.core_points, self.steps)
     }
 
-    /// Bytes beside a chunk's room: the values of the steps after the first, what measures the errors of all, and what decodes
-    /// samples.
+    /// Bytes beside a chunk's room: the values of the steps after the first, what measures the
+    /// errors of all, and what decodes samples.
     fn beside(&self) -> u64 {
         let (further, sides) = (self.steps - 1, if self.steps > 1 { self.steps.div_ceil(8) } else { 0 });
         let (per_point, window) = match self.window {
@@ -348,7 +362,8 @@ impl Need {
     }
 }
 
-/// What the chunks need, and what is held besides, with as many steps at a time as the memory allows.
+/// What the chunks need, and what is held besides, with as many steps at a time as the memory
+/// allows.
 pub(in crate::pipeline) fn need_of(
     parts: &MeshParts,
     held: Held,
@@ -362,7 +377,8 @@ pub(in crate::pipeline) fn need_of(
     need.with_steps(steps as u64, most, memory, run.resources.worker_threads())
 }
 
-/// Bytes that measuring a chunk at so many steps takes: samples, those of up to eight steps once more while they are put side by side, sums.
+/// Bytes that measuring a chunk at so many steps takes: samples, those of up to eight steps once
+/// more while they are put side by side, sums.
 pub(in crate::pipeline) const fn error_bytes(steps: u64) -> u64 {
     // As they lie side by side.
     let lanes = match steps % 8 {
@@ -404,13 +420,16 @@ pub struct Estimate {
     pub workers: usize,
     /// Bytes of the archive, at most: rather less are usual.
     pub archive_bytes: u64,
-    /// Bytes that are free for it, what is there of it already included; `None` where the system does not tell.
+    /// Bytes that are free for it, what is there of it already included; `None` where the system
+    /// does not tell.
     pub archive_free: Option<u64>,
-    /// Bytes of the temporary copy of an input that has no random access, or of the index while it is built.
+    /// Bytes of the temporary copy of an input that has no random access, or of the index while it
+    /// is built.
     pub scratch_bytes: u64,
     /// Bytes that are free for it.
     pub scratch_free: Option<u64>,
-    /// What samples lose when they become `f32`, at most, where that matters; errors will include it.
+    /// What samples lose when they become `f32`, at most, where that matters; errors will include
+    /// it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rounding: Option<f64>,
     /// Seconds of work, roughly: from the speed of a machine of 2020.
@@ -483,18 +502,20 @@ impl Estimate {
     }
 }
 
-/// Bytes while a shared edge is open: its record, its place in the table, and what closing it takes.
+/// Bytes while a shared edge is open: its record, its place in the table, and what closing it
+/// takes.
 const OPEN_EDGE: u64 = 170;
-/// Bytes for a tetrahedron of an active block of a chunk that is being extracted (its part of the surface, if it is active), for a
-/// vertex of the chunk and each isovalue, and whatever their number.
+/// Bytes for a tetrahedron of an active block of a chunk that is being extracted (its part of the
+/// surface, if it is active), for a vertex of the chunk and each isovalue, and whatever their
+/// number.
 const ACTIVE_TET: u64 = 120;
 pub(in crate::pipeline) const SURFACE_PER_VERTEX: u64 = 8;
 const DECODED_CHUNK: u64 = 1 << 20;
 /// Bytes of an active block while it is known.
 const ACTIVE_BLOCK: u64 = 64;
 
-/// The memory of an extraction, as it is shared out: finished vertices and triangles (the rest goes to the scratch
-/// folder), edges that chunks to come may share, chunks being extracted.
+/// The memory of an extraction, as it is shared out: finished vertices and triangles (the rest goes
+/// to the scratch folder), edges that chunks to come may share, chunks being extracted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::pipeline) struct SurfaceShares {
     pub(in crate::pipeline) finished: u64,
@@ -516,7 +537,8 @@ impl SurfaceShares {
         Ok(Self { finished: rest / 8, open_edges: rest / 4 / OPEN_EDGE, batch: rest / 8 * 5, rest })
     }
 
-    /// The shares of each of several questions that are answered together; chunks are worked on for all of them.
+    /// The shares of each of several questions that are answered together; chunks are worked on for
+    /// all of them.
     pub(in crate::pipeline) fn of_each(&self, questions: u64) -> Self {
         Self { finished: self.finished / questions, open_edges: self.open_edges / questions, ..*self }
     }
@@ -528,8 +550,8 @@ impl SurfaceShares {
     }
 }
 
-/// Bytes in which a chunk of so many vertices, of so many bytes each, is extracted; a tetrahedron counts for each isovalue for which
-/// its block is active.
+/// Bytes in which a chunk of so many vertices, of so many bytes each, is extracted; a tetrahedron
+/// counts for each isovalue for which its block is active.
 pub(in crate::pipeline) fn extraction_bytes(vertices: u64, per_vertex: u64, tets: u64) -> u64 {
     DECODED_CHUNK
         .saturating_add(vertices.saturating_mul(per_vertex))
@@ -609,7 +631,8 @@ mod tests {
         assert!(two >= steps_of(NEED));
         assert_eq!(found(NEED, two), (16, 2));
         let fitted = Need { window: 30 * 30 * 30, ..NEED };
-        // The sums of fitted values take more for each eight steps: in the memory of all of them two workers have eight each, which is faster.
+        // The sums of fitted values take more for each eight steps: in the memory of all of them
+        // two workers have eight each, which is faster.
         let memory = fitted.of_workers(2).max(steps_of(fitted));
         assert_eq!(found(fitted, memory), (8, 2));
     }

@@ -1,8 +1,10 @@
-//! Fingerprints of input files: a hash of all their bytes, and a watch for changes while they are read.
+//! Fingerprints of input files: a hash of all their bytes, and a watch for changes while they are
+//! read.
 //!
-//! An archive is made from one state of its input. Before a file is hashed its [`Stamp`] is taken (length, times of change,
-//! inode); the watch compares it again before each chunk and each segment is stored, and before a manifest is published.
-//! What was read before a comparison that finds no change is then of the bytes that were hashed.
+//! An archive is made from one state of its input. Before a file is hashed its [`Stamp`] is taken
+//! (length, times of change, inode); the watch compares it again before each chunk and each segment
+//! is stored, and before a manifest is published. What was read before a comparison that finds no
+//! change is then of the bytes that were hashed.
 
 use crate::bytes::open_regular;
 use crate::error::{Error, Result};
@@ -18,12 +20,13 @@ use xxhash_rust::xxh3::{Xxh3, xxh3_128};
 
 /// Bytes that are read at a time.
 const PIECE: usize = 1 << 20;
-/// Stands for the length of a file that does not exist: the chunk of a Zarr array that has only fill values.
+/// Stands for the length of a file that does not exist: the chunk of a Zarr array that has only
+/// fill values.
 const NO_FILE: u64 = u64::MAX;
 
-/// XXH3 (128 bits), in hexadecimal, of the files that make up an input: of each, in order, its length as a
-/// little-endian u64, then all its bytes. A file that does not exist counts as the length 2^64 - 1. Cost: reading
-/// everything once, 0.7 CPU seconds a GiB.
+/// XXH3 (128 bits), in hexadecimal, of the files that make up an input: of each, in order, its
+/// length as a little-endian u64, then all its bytes. A file that does not exist counts as the
+/// length 2^64 - 1. Cost: reading everything once, 0.7 CPU seconds a GiB.
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be read; [`Error::BadInput`] for what is no regular file.
@@ -60,8 +63,8 @@ struct Stamp {
     len: u64,
     /// Nanoseconds since 1970.
     modified: i128,
-    /// Time of change of the inode, which no program can set, in nanoseconds; the inode; the device. 0 where
-    /// the system has none.
+    /// Time of change of the inode, which no program can set, in nanoseconds; the inode; the
+    /// device. 0 where the system has none.
     changed: i128,
     inode: [u64; 2],
 }
@@ -86,7 +89,8 @@ impl Stamp {
     }
 }
 
-/// A file of a planned input: a worker that finds the same length and time of change believes the plan's fingerprint.
+/// A file of a planned input: a worker that finds the same length and time of change believes the
+/// plan's fingerprint.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(in crate::pipeline) struct RecordedFile {
     /// Its absolute path.
@@ -178,8 +182,9 @@ impl<'a> Inputs<'a> {
         Self { watch: Watch::default(), planned: Some((files, fingerprints)) }
     }
 
-    /// The fingerprint of the files of a step. They are watched from now on, if they were not before. Files that this process has hashed
-    /// in the same state, and files that are as a plan recorded them, are not read again.
+    /// The fingerprint of the files of a step. They are watched from now on, if they were not
+    /// before. Files that this process has hashed in the same state, and files that are as a plan
+    /// recorded them, are not read again.
     ///
     /// # Errors
     /// Those of [`fingerprint`]; [`Error::BadInput`] for a file that changes meanwhile.

@@ -11,7 +11,8 @@ use std::path::{Path, PathBuf};
 /// Chunks a segment: about 4 M points.
 const SEGMENT_CHUNKS: u64 = 16;
 
-/// The files of one step of an archive in the folder `root`, and the mesh that it shares with the others.
+/// The files of one step of an archive in the folder `root`, and the mesh that it shares with the
+/// others.
 #[derive(Clone, Debug)]
 pub(in crate::pipeline) struct Layout {
     root: PathBuf,
@@ -62,7 +63,8 @@ impl Layout {
         [self.mesh_folder(), self.steps_folder()].into_iter().try_for_each(make)
     }
 
-    /// Makes the names of all files durable that the mesh and steps have, before something names them.
+    /// Makes the names of all files durable that the mesh and steps have, before something names
+    /// them.
     pub(in crate::pipeline) fn sync(&self) -> Result<()> {
         sync_folders([self.mesh_folder(), self.steps_folder(), self.root.clone()])
     }

@@ -1,8 +1,9 @@
 //! The plan of a reduction: everything that decides the bytes of the archive, and nothing else.
 //!
-//! Threads, memory, folders and restarts are not in it. It has two parts ([`crate::archive::manifest`]): what decides the
-//! mesh, the same for all fields and steps, and what decides the values of a step. Segments carry the hash of what
-//! they depend on, so a segment of another plan is never taken for one of this.
+//! Threads, memory, folders and restarts are not in it. It has two parts
+//! ([`crate::archive::manifest`]): what decides the mesh, the same for all fields and steps, and
+//! what decides the values of a step. Segments carry the hash of what they depend on, so a segment
+//! of another plan is never taken for one of this.
 
 mod attachments;
 pub(super) mod estimate;
@@ -58,8 +59,8 @@ pub struct Plan {
     pub steps: Vec<StepPlan>,
 }
 
-/// Points of a brick, about: few enough that a query enumerates little more than it needs, many enough that the
-/// cost of starting an enumeration does not show.
+/// Points of a brick, about: few enough that a query enumerates little more than it needs, many
+/// enough that the cost of starting an enumeration does not show.
 const BRICK_POINTS: f64 = 1024.0;
 /// Tetrahedra for a point of a Delaunay mesh, about.
 const TETS_A_POINT: u64 = 6;
@@ -67,15 +68,17 @@ const TETS_A_POINT: u64 = 6;
 const MOST_CROWD: f64 = 4.0;
 /// A brick's samples (with a border) are held in memory while its points are interpolated.
 const LARGEST_BRICK_EDGE: u64 = 64;
-/// Tetrahedra a block, about. An isosurface of a smooth field crosses a tenth of the tetrahedra of blocks of 1024 that it meets, nearly a fifth of
-/// those of 256, for 1.2 bits more each; still smaller blocks take more bits, and no less time, for each has its list of vertices.
+/// Tetrahedra a block, about. An isosurface of a smooth field crosses a tenth of the tetrahedra of
+/// blocks of 1024 that it meets, nearly a fifth of those of 256, for 1.2 bits more each; still
+/// smaller blocks take more bits, and no less time, for each has its list of vertices.
 pub(super) const BLOCK_TETS: u32 = 256;
 
 impl Plan {
     /// Makes the plan of reducing a volume.
     ///
     /// # Errors
-    /// [`Error::Usage`] for settings that cannot be met; [`Error::Io`] when the source cannot be read.
+    /// [`Error::Usage`] for settings that cannot be met; [`Error::Io`] when the source cannot be
+    /// read.
     pub fn new(info: &VolumeInfo, settings: &ReduceSettings) -> Result<Self> {
         Self::with_fingerprint(info, settings, fingerprint(&info.files())?)
     }
@@ -181,8 +184,8 @@ impl Plan {
         })
     }
 
-    /// Makes the points denser in some places than in others: n of them at level 0 in the whole domain, on the lattice of the levels; in the frame
-    /// of an earlier plan.
+    /// Makes the points denser in some places than in others: n of them at level 0 in the whole
+    /// domain, on the lattice of the levels; in the frame of an earlier plan.
     ///
     /// # Errors
     /// [`Error::Usage`] for more points than a set may have.
@@ -200,7 +203,8 @@ impl Plan {
         Ok(())
     }
 
-    /// Makes points and tetrahedra those of a mesh. Nothing is fitted: the values are those of the vertices.
+    /// Makes points and tetrahedra those of a mesh. Nothing is fitted: the values are those of the
+    /// vertices.
     ///
     /// # Errors
     /// As [`PointSet::new`].
@@ -276,9 +280,11 @@ impl Plan {
         manifest.plan_hash == self.mesh_hash() && manifest.steps.iter().map(|s| &s.plan).eq(&self.steps)
     }
 
-    /// Gives each step its base: the one before it, unless a keyframe is due. `before` is the last step that an archive has already.
+    /// Gives each step its base: the one before it, unless a keyframe is due. `before` is the last
+    /// step that an archive has already.
     ///
-    /// Steps of the same `number / keyframes` belong together. So a step that is left out changes the hashes of its own group alone.
+    /// Steps of the same `number / keyframes` belong together. So a step that is left out changes
+    /// the hashes of its own group alone.
     pub fn set_bases(&mut self, before: Option<&StepPlan>, keyframes: u64) {
         let mesh = self.mesh_hash();
         let mut last = before.map(|s| BaseStep { number: s.number, hash: s.hash(mesh) });
@@ -315,7 +321,8 @@ pub(super) fn count_of(settings: &ReduceSettings, dims: [u64; 3]) -> u64 {
     }
 }
 
-/// The source, as far as it decides the bytes: its name without folders, and a fingerprint of its content.
+/// The source, as far as it decides the bytes: its name without folders, and a fingerprint of its
+/// content.
 pub(super) fn source_of(info: &VolumeInfo, fingerprint: String) -> Source {
     Source {
         path: info.path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned()),
@@ -334,7 +341,8 @@ pub(super) fn source_of(info: &VolumeInfo, fingerprint: String) -> Source {
     }
 }
 
-/// The most points of a brick, which are enumerated and meshed at once: four thousand times the usual number.
+/// The most points of a brick, which are enumerated and meshed at once: four thousand times the
+/// usual number.
 const MOST_BRICK_POINTS: u128 = 1 << 22;
 
 /// Whether the points of a brick can be enumerated: a set may crowd some bricks far above the mean.
@@ -360,7 +368,8 @@ pub(crate) struct MeshParts {
     pub(crate) halo: Halo,
     /// The mesh, where it follows by formula.
     pub(crate) bcc: Option<BccMesh>,
-    /// So many times as much as of a Delaunay mesh is needed of each point: there are as many times more tetrahedra.
+    /// So many times as much as of a Delaunay mesh is needed of each point: there are as many times
+    /// more tetrahedra.
     pub(crate) times: u64,
 }
 

@@ -80,7 +80,8 @@ impl NumberedShape {
 /// A block in as little memory as is quickly had: a copy.
 #[derive(Debug)]
 pub(in crate::pipeline) struct PackedBlock {
-    /// Number, position, value and id of each corner, then the corners of each tetrahedron, of two bytes each.
+    /// Number, position, value and id of each corner, then the corners of each tetrahedron, of two
+    /// bytes each.
     words: Box<[u32]>,
     corners: usize,
     of_chunk: usize,

@@ -173,7 +173,8 @@ impl BlockCache {
         blocks.add(Slot { place, block: Arc::new(block), used: false, uses: 0 });
     }
 
-    /// Keeps a block in another form, if it is kept still and there is room: others are worth more than this.
+    /// Keeps a block in another form, if it is kept still and there is room: others are worth more
+    /// than this.
     pub(in crate::pipeline) fn replace(&self, chunk: ChunkId, number: u32, block: CachedBlock) {
         let mut blocks = self.blocks();
         let KeptBlocks { by_place, slots, bytes, .. } = &mut *blocks;

@@ -7,12 +7,13 @@ use crate::mesh::list::TetList;
 use crate::mesh::tet::Tet;
 use crate::pipeline::plan::Halo;
 
-/// The mesh of a chunk: its own points (core), the points of its neighbours that its tetrahedra need (halo), and the
-/// tetrahedra it owns.
+/// The mesh of a chunk: its own points (core), the points of its neighbours that its tetrahedra
+/// need (halo), and the tetrahedra it owns.
 pub(in crate::pipeline) struct MeshedChunk {
     /// Points in each brick of the chunk, in brick order.
     pub(in crate::pipeline) core_counts: Vec<u32>,
-    /// Ids of the halo points, ordered as they are stored; vertex numbers continue those of the core.
+    /// Ids of the halo points, ordered as they are stored; vertex numbers continue those of the
+    /// core.
     pub(in crate::pipeline) halo: Vec<PointId>,
     /// Positions of core points, of halo points, then of those that only tetrahedra around have.
     pub(in crate::pipeline) all_positions: Vec<LatticePos>,
@@ -20,7 +21,8 @@ pub(in crate::pipeline) struct MeshedChunk {
     pub(in crate::pipeline) around: usize,
     /// Whether another chunk may have tetrahedra at the vertex.
     pub(in crate::pipeline) shared: Vec<bool>,
-    /// Tetrahedra, as numbers into `all_positions`. With [`Halo::Stars`] the rest of the tetrahedra at all vertices are around them.
+    /// Tetrahedra, as numbers into `all_positions`. With [`Halo::Stars`] the rest of the tetrahedra
+    /// at all vertices are around them.
     pub(in crate::pipeline) tets: TetList,
     /// How often the halo had to be widened.
     pub(in crate::pipeline) retries: u32,
@@ -86,7 +88,8 @@ impl MeshedChunk {
         self.tets.put_around(around);
     }
 
-    /// Takes over what is around the same chunk, meshed again to as many tetrahedra, and the memory of those.
+    /// Takes over what is around the same chunk, meshed again to as many tetrahedra, and the memory
+    /// of those.
     pub(in crate::pipeline) fn surround(&mut self, mut again: Self) {
         again.tets.copy_from_slice(&self.tets);
         self.all_positions.truncate(self.vertices());
@@ -94,8 +97,8 @@ impl MeshedChunk {
         (self.tets, self.around) = (again.tets, again.around);
     }
 
-    /// Removes the halo points that no tetrahedron of the chunk's uses; those that tetrahedra around use become vertices around. Tells the
-    /// number that each vertex had, those around last.
+    /// Removes the halo points that no tetrahedron of the chunk's uses; those that tetrahedra
+    /// around use become vertices around. Tells the number that each vertex had, those around last.
     pub(in crate::pipeline) fn drop_unused_halo(&mut self) -> Vec<u32> {
         let (core, vertices) = (self.core_len(), self.vertices());
         let mut kept = vec![false; vertices];
@@ -127,7 +130,8 @@ impl MeshedChunk {
     }
 }
 
-/// How the values of a lattice's chunk are cut into blocks: bricks, where those have as many values as a block.
+/// How the values of a lattice's chunk are cut into blocks: bricks, where those have as many values
+/// as a block.
 pub(super) fn value_blocks(chunk: &BccChunk) -> ValueBlocks {
     match chunk.has_whole_bricks() {
         true => ValueBlocks::bricks(chunk.bricks(), chunk.points()),

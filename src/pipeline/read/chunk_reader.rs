@@ -63,7 +63,8 @@ struct Pages {
     read: Vec<bool>,
 }
 
-/// Bytes that a reader holds for each vertex of its chunk, a little more than counted: they are allocated once.
+/// Bytes that a reader holds for each vertex of its chunk, a little more than counted: they are
+/// allocated once.
 pub(in crate::pipeline) const BYTES_PER_VERTEX: u64 = 40;
 
 impl<'a> ChunkReader<'a> {
@@ -154,7 +155,8 @@ impl<'a> ChunkReader<'a> {
         })
     }
 
-    /// Whether some isovalue lies between the values of some corners, or their least and largest ones may be on both sides.
+    /// Whether some isovalue lies between the values of some corners, or their least and largest
+    /// ones may be on both sides.
     fn is_active(&mut self, isovalues: &[f32], numbers: &[u32]) -> Result<bool> {
         self.load_ranges()?;
         let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
@@ -254,8 +256,8 @@ impl<'a> ChunkReader<'a> {
         self.shared.len()
     }
 
-    /// Reads a block: its tetrahedra, and all of its corners, their values as far as they are `needed`. False, with nothing in `out`, if
-    /// it is not wanted.
+    /// Reads a block: its tetrahedra, and all of its corners, their values as far as they are
+    /// `needed`. False, with nothing in `out`, if it is not wanted.
     pub(in crate::pipeline) fn block(
         &mut self,
         number: u32,
@@ -314,7 +316,8 @@ impl<'a> ChunkReader<'a> {
         Ok(true)
     }
 
-    /// Appends the tetrahedra of a block, corners numbered as in the chunk. Finds positions and ids of the block's corners.
+    /// Appends the tetrahedra of a block, corners numbered as in the chunk. Finds positions and ids
+    /// of the block's corners.
     pub(super) fn tets(&mut self, number: u32, out: &mut Vec<Tet>) -> Result<()> {
         if self.bcc.is_some() {
             return self.tets_bcc(number, out);
@@ -404,9 +407,10 @@ impl<'a> ChunkReader<'a> {
         if self.value_bytes[block] == 0 { self.read_values(block) } else { Ok(()) }
     }
 
-    /// Finds values of corners, exact for all that active tetrahedra have. Blocks of values in which all are on the same side of each
-    /// isovalue are read only if a tetrahedron reaches from there to the other side; else one of the range is taken for
-    /// each of them, and the tetrahedron stays inactive.
+    /// Finds values of corners, exact for all that active tetrahedra have. Blocks of values in
+    /// which all are on the same side of each isovalue are read only if a tetrahedron reaches from
+    /// there to the other side; else one of the range is taken for each of them, and the
+    /// tetrahedron stays inactive.
     fn load_for_active(
         &mut self,
         isovalues: &[f32],
@@ -456,7 +460,8 @@ impl<'a> ChunkReader<'a> {
         self.value_ranges.as_ref().expect("ranges were read before")[block]
     }
 
-    /// The values of corners, of those that have not been read the least that they may have; NaN where all are void.
+    /// The values of corners, of those that have not been read the least that they may have; NaN
+    /// where all are void.
     fn gather_known(&self, numbers: &[u32], values: &mut Vec<f32>) {
         values.clear();
         values.extend(numbers.iter().map(|&v| {
@@ -493,7 +498,8 @@ impl<'a> ChunkReader<'a> {
         self.active_bytes + values.filter(|v| *v.1).map(|v| u64::from(*v.0)).sum::<u64>()
     }
 
-    /// A box that holds some corners, without placing them: those of core corners are in their bricks.
+    /// A box that holds some corners, without placing them: those of core corners are in their
+    /// bricks.
     fn hull_of(&mut self, corners: &[u32]) -> Result<LatticeBox> {
         let (core, bricks) = (self.core(), self.archive.chunks.bricks());
         let mut hull = LatticeBox { lo: UNPLACED, hi: [0; 3] };
@@ -638,7 +644,8 @@ impl<'a> ChunkReader<'a> {
         }
     }
 
-    /// What has been read of the corners: positions, ids (any of those not placed), values (NaN where not loaded), whether shared.
+    /// What has been read of the corners: positions, ids (any of those not placed), values (NaN
+    /// where not loaded), whether shared.
     pub(super) fn into_corners(self) -> (Vec<LatticePos>, Vec<PointId>, Vec<f32>, Vec<bool>) {
         let ReaderMemory { positions, ids, values, .. } = self.memory;
         (positions, ids, values, self.shared)

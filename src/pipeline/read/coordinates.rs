@@ -17,7 +17,8 @@ use crate::surface::{SurfaceSource, TriMesh, Vertex, WorldMap};
 use std::path::Path;
 use xxhash_rust::xxh3::Xxh3;
 
-/// Copies the coordinates of the first step of the plan into the archive, where it has some, and counts bad cells.
+/// Copies the coordinates of the first step of the plan into the archive, where it has some, and
+/// counts bad cells.
 pub(in crate::pipeline) fn write_coordinates(
     source: &StepSource,
     plan: &Plan,
@@ -86,7 +87,8 @@ fn finite(input: &Path, numbers: &[f64], first: u64) -> Result<()> {
     }
 }
 
-/// The map of what is extracted: to the world, or where coordinates are to be applied, to index space.
+/// The map of what is extracted: to the world, or where coordinates are to be applied, to index
+/// space.
 pub(in crate::pipeline) fn world_map(archive: &StepView) -> WorldMap {
     let own = archive.coordinate_record().is_some();
     let geometry = if own { Geometry::default() } else { archive.step().plan.source.geometry };

@@ -8,8 +8,8 @@ use crate::geom::{LatticePos, PointId};
 use crate::grid::ChunkId;
 use crate::mesh::tet::Tet;
 
-/// Some blocks of a chunk, decoded: tetrahedra, and position, id and value of the corners they use. Corner arrays are
-/// indexed by chunk-local vertex number; corners that are not used hold anything.
+/// Some blocks of a chunk, decoded: tetrahedra, and position, id and value of the corners they use.
+/// Corner arrays are indexed by chunk-local vertex number; corners that are not used hold anything.
 #[derive(Default)]
 pub(in crate::pipeline) struct DecodedChunk {
     pub(in crate::pipeline) positions: Vec<LatticePos>,
@@ -25,8 +25,9 @@ pub(in crate::pipeline) struct DecodedChunk {
 }
 
 impl StepView {
-    /// Decodes `blocks` (numbers within the chunk) of a chunk, and of its values and positions what they use. For a question
-    /// that needs but some of that, or a block at a time, there is [`ChunkReader`].
+    /// Decodes `blocks` (numbers within the chunk) of a chunk, and of its values and positions what
+    /// they use. For a question that needs but some of that, or a block at a time, there is
+    /// [`ChunkReader`].
     pub(in crate::pipeline) fn decode(&self, id: ChunkId, blocks: &[u32]) -> Result<DecodedChunk> {
         let mut reader = ChunkReader::open(self, id, ReaderMemory::default())?;
         let (mut tets, mut block_ends) = (vec![], vec![]);

@@ -33,7 +33,8 @@ struct Row {
 }
 
 impl Frontier {
-    /// Of chunks in ascending order. Reads the summary of each: a halo that was widened is wider here too.
+    /// Of chunks in ascending order. Reads the summary of each: a halo that was widened is wider
+    /// here too.
     pub(in crate::pipeline) fn new(
         archive: &StepView,
         chunks: impl Iterator<Item = ChunkId>,

@@ -32,7 +32,8 @@ impl ReaderMemory {
             + self.values.capacity() * size_of::<f32>()
     }
 
-    /// Prepares for a chunk. Ids of corners that are not placed, and values that are not loaded, are not asked for.
+    /// Prepares for a chunk. Ids of corners that are not placed, and values that are not loaded,
+    /// are not asked for.
     pub(super) fn start(&mut self, vertices: usize) {
         self.positions.clear();
         self.positions.resize(vertices, UNPLACED);

@@ -1,8 +1,8 @@
 //! A region of interest: a box to which a question is confined, in index or world coordinates.
 //!
-//! A surface is cut exactly at the box: its rim lies on the box's faces, so the surfaces of two boxes that touch fit
-//! together, and nothing outside is in the file. (Extracting a subset and contouring it, as one would in VTK, gives the same for a
-//! box of whole voxels.)
+//! A surface is cut exactly at the box: its rim lies on the box's faces, so the surfaces of two
+//! boxes that touch fit together, and nothing outside is in the file. (Extracting a subset and
+//! contouring it, as one would in VTK, gives the same for a box of whole voxels.)
 
 use crate::error::{Error, Result};
 use crate::geom::{LatticeBox, LatticePos};
@@ -11,7 +11,8 @@ use crate::surface::clip::HalfSpace;
 use serde::Serialize;
 use std::str::FromStr;
 
-/// A box, in coordinates of its choice. An infinite end is open: the box goes on to the end of the domain.
+/// A box, in coordinates of its choice. An infinite end is open: the box goes on to the end of the
+/// domain.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Roi {
     /// What `lo` and `hi` are in.
@@ -32,7 +33,8 @@ pub enum RoiSpace {
     World,
 }
 
-/// `I0:I1,J0:J1,K0:K1` in index coordinates, `world:X0:X1,Y0:Y1,Z0:Z1` in world coordinates; an end may be left out.
+/// `I0:I1,J0:J1,K0:K1` in index coordinates, `world:X0:X1,Y0:Y1,Z0:Z1` in world coordinates; an end
+/// may be left out.
 impl FromStr for Roi {
     type Err = String;
 
@@ -183,8 +185,8 @@ pub(in crate::pipeline) struct Cut {
 }
 
 impl Cut {
-    /// Whether the bounding box of some corners touches the box's hull. Certainly true for those of a tetrahedron that the box
-    /// touches.
+    /// Whether the bounding box of some corners touches the box's hull. Certainly true for those of
+    /// a tetrahedron that the box touches.
     pub(in crate::pipeline) fn may_touch(&self, corners: &[LatticePos]) -> bool {
         (0..3).all(|a| {
             let mut along = corners.iter().map(|p| p[a]);
@@ -192,8 +194,8 @@ impl Cut {
         })
     }
 
-    /// Whether the bounding box of some corners touches the region, both in the coordinates of the region: in a volume that is
-    /// turned, a box of the world is none of the lattice.
+    /// Whether the bounding box of some corners touches the region, both in the coordinates of the
+    /// region: in a volume that is turned, a box of the world is none of the lattice.
     pub(in crate::pipeline) fn touches(&self, corners: &[LatticePos]) -> bool {
         let place = |p: &LatticePos| {
             let ijk = std::array::from_fn(|a| f64::from(p[a]) / self.steps[a]);

@@ -1,4 +1,5 @@
-//! Is a segment done? Not because a file of its name exists: its header, plan, length and checksums say so.
+//! Is a segment done? Not because a file of its name exists: its header, plan, length and checksums
+//! say so.
 
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::segment::{PlanHash, SegmentKind};
@@ -10,7 +11,8 @@ use std::path::Path;
 /// How much of a file is read to judge it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::pipeline) enum Depth {
-    /// Header, footer and chunk table: a file that was cut short is found, a flipped bit in a block is not.
+    /// Header, footer and chunk table: a file that was cut short is found, a flipped bit in a block
+    /// is not.
     Frame,
     /// Every byte.
     All,

@@ -1,10 +1,12 @@
-//! Chunk after chunk of an archive, decoded and worked on in parallel, the results handed on in chunk order.
+//! Chunk after chunk of an archive, decoded and worked on in parallel, the results handed on in
+//! chunk order.
 //!
 //! ```text
 //!  chunks of a question ──▶ as many as fit the memory: decode ▶ job, on all threads ──▶ take, in order
 //! ```
 //!
-//! What [`crate::pipeline::surface`] does for surfaces, for the questions that want whole tetrahedra.
+//! What [`crate::pipeline::surface`] does for surfaces, for the questions that want whole
+//! tetrahedra.
 
 use super::decoded::DecodedChunk;
 use super::step_view::StepView;
@@ -15,7 +17,8 @@ use crate::grid::ChunkId;
 use crate::index::Entry;
 use crate::pipeline::plan::estimate;
 
-/// Bytes for a vertex of a decoded chunk and for one of its tetrahedra, results of a job included, and whatever their number.
+/// Bytes for a vertex of a decoded chunk and for one of its tetrahedra, results of a job included,
+/// and whatever their number.
 const VERTEX: u64 = 72;
 const TET: u64 = 64;
 const CHUNK: u64 = 1 << 20;
@@ -73,7 +76,8 @@ impl<'a> Visit<'a> {
         Ok(Self { archive, chunks, blocks, resources, threads, share: Box::new(share) })
     }
 
-    /// Leaves out chunks none of whose tetrahedra can touch what `touches` accepts (a box, or larger).
+    /// Leaves out chunks none of whose tetrahedra can touch what `touches` accepts (a box, or
+    /// larger).
     pub(in crate::pipeline) fn confine(&mut self, touches: impl Fn(&LatticeBox) -> bool) -> Result<()> {
         let mut kept = vec![];
         for &id in &self.chunks {

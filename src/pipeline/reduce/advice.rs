@@ -2,8 +2,8 @@
 //! that helps.
 //!
 //! Nothing here changes what is made. [`look`] reads a bounded part of the samples (see
-//! [`crate::pipeline::inputs::survey`]), for at most [`MOST_STEPS`] steps of a series. A source that cannot be read
-//! is skipped: the work that follows refuses it.
+//! [`crate::pipeline::inputs::survey`]), for at most [`MOST_STEPS`] steps of a series. A source
+//! that cannot be read is skipped: the work that follows refuses it.
 
 use super::job::Job;
 use super::meshes::keeps_own;
@@ -20,25 +20,30 @@ use crate::sample::Interpolation;
 use crate::volume::{VolumeInfo, VolumeSource};
 use std::path::{Path, PathBuf};
 
-/// Steps of a series that are looked at, evenly spread; all of them share the samples that are read.
+/// Steps of a series that are looked at, evenly spread; all of them share the samples that are
+/// read.
 const MOST_STEPS: usize = 8;
 /// The samples that are read of all these together.
 const SAMPLES: u64 = 1 << 20;
-/// Bytes of a point in an archive, as measured: 5 to 7, with values as they are; less what rounding them saves; and of a further step.
+/// Bytes of a point in an archive, as measured: 5 to 7, with values as they are; less what rounding
+/// them saves; and of a further step.
 const POINT_BYTES: f64 = 6.0;
 const ROUNDED_POINT_BYTES: f64 = 3.0;
 /// The same of a lattice, whose mesh is not stored: as it is, and the least of a rounded value.
 const LATTICE_POINT_BYTES: f64 = 3.5;
 const LEAST_POINT_BYTES: f64 = 0.15;
 const STEP_BYTES: f64 = 2.0;
-/// Bytes of a point with a value of a mesh: 6 to 10 as measured. Of an own vertex with its tetrahedra, 7 to 15; and of a further step of those. Of any archive.
+/// Bytes of a point with a value of a mesh: 6 to 10 as measured. Of an own vertex with its
+/// tetrahedra, 7 to 15; and of a further step of those. Of any archive.
 const MESH_POINT_BYTES: f64 = 9.0;
 const OWN_BYTES: f64 = 15.0;
 const OWN_STEP_BYTES: f64 = 4.0;
 const LEAST_BYTES: f64 = 5000.0;
-/// From this part of a mesh's vertices on, its own vertices take less than twice the bytes, and have no error.
+/// From this part of a mesh's vertices on, its own vertices take less than twice the bytes, and
+/// have no error.
 const NEARLY_ALL: f64 = 2.0 / 3.0;
-/// An RMS error of a mesh from this part of the range on is worth a word, where the mesh itself would have none.
+/// An RMS error of a mesh from this part of the range on is worth a word, where the mesh itself
+/// would have none.
 const LARGE_ERROR: f64 = 0.05;
 /// Smaller archives are not worth a word.
 const SMALL: u64 = 256 << 10;
@@ -80,7 +85,8 @@ impl Notice {
         Self::new(path, Finding::Stretched { count, value, others }, &text)
     }
 
-    /// That the own vertices of a mesh would be the better archive; `why` says so of the one that was asked for.
+    /// That the own vertices of a mesh would be the better archive; `why` says so of the one that
+    /// was asked for.
     fn of_own(path: &Path, points: u64, vertices: u64, own: u64, why: &str, rounded: bool) -> Self {
         let error = if rounded { "no error but that of --value-bits" } else { "no error" };
         let text = format!(
@@ -153,7 +159,8 @@ impl Looked {
     }
 }
 
-/// That a mesh was reduced with a large error, where it would have had none; unless something of the kind was said before.
+/// That a mesh was reduced with a large error, where it would have had none; unless something of
+/// the kind was said before.
 fn own_is_better(path: &Path, report: &ReduceReport, said: &[Notice], job: &Job<'_>) -> Option<Notice> {
     let is_said = said.iter().any(|n| matches!(n.finding, Finding::OwnIsBetter { .. }));
     let (error, vertices) = (report.error.as_ref()?, report.samples);
@@ -179,8 +186,8 @@ fn could_keep_own(settings: &ReduceSettings) -> bool {
     keeps_own(&ReduceSettings { amount: Amount::Fraction(1.0), ..settings.clone() }, 0)
 }
 
-/// Looks at the sources of a reduction, and reports what is found before work begins. Where steps are
-/// added to an archive, points and interpolation are chosen already.
+/// Looks at the sources of a reduction, and reports what is found before work begins. Where steps
+/// are added to an archive, points and interpolation are chosen already.
 ///
 /// # Errors
 /// [`Cancelled`](crate::Error::Cancelled) alone: a source that cannot be read is passed over here.
@@ -268,7 +275,8 @@ fn of_survey(path: &Path, survey: Survey, missing: Option<f64>, nan: NanPolicy) 
     out
 }
 
-/// What the numbers of points and samples tell: more points than samples, an archive larger than its source.
+/// What the numbers of points and samples tell: more points than samples, an archive larger than
+/// its source.
 fn of_numbers(
     input: &Input,
     source: &StepSource,

@@ -1,10 +1,13 @@
 //! Further steps for an archive that is there.
 //!
-//! New files come beside the old ones, and the manifest that names them is renamed over the old one in the end: until then the archive is the
-//! old one. A run that was killed is continued by the same call; what it left is in the folders of the new steps, which no manifest names.
+//! New files come beside the old ones, and the manifest that names them is renamed over the old one
+//! in the end: until then the archive is the old one. A run that was killed is continued by the
+//! same call; what it left is in the folders of the new steps, which no manifest names.
 //!
-//! A tetrahedral mesh is laid out on disk again, from the first of the new files that tells it, for the points are located in that. The archive has hashes
-//! of its points and cells, by which others are refused, and the vertices that were one at the first step: so samples of its boundary are the same ones.
+//! A tetrahedral mesh is laid out on disk again, from the first of the new files that tells it, for
+//! the points are located in that. The archive has hashes of its points and cells, by which others
+//! are refused, and the vertices that were one at the first step: so samples of its boundary are
+//! the same ones.
 
 use super::advice::look;
 use super::existing::{lock_for_writing, sweep};
@@ -25,7 +28,8 @@ use std::time::Instant;
 /// What the user chooses of further steps; all else is as it was for the last one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AppendSettings {
-    /// A value that means "no data", besides what the file declares; that of the last step if not given.
+    /// A value that means "no data", besides what the file declares; that of the last step if not
+    /// given.
     pub missing: Option<f64>,
     /// Steps from one keyframe to the next, by number; as for the last step if not given.
     pub keyframes: Option<u64>,
@@ -41,14 +45,17 @@ impl Default for AppendSettings {
 
 /// Adds steps to the archive `out`; the report is of them. They are numbered from the last one on.
 ///
-/// When the archive ends with these very steps already (the same names, contents, fields and times), nothing is added, and the report has no steps: so the
-/// same call continues a run that was killed at any moment.
+/// When the archive ends with these very steps already (the same names, contents, fields and
+/// times), nothing is added, and the report has no steps: so the same call continues a run that was
+/// killed at any moment.
 ///
-/// The bytes are those that [`super::reduce_series`] would have made of all steps at once, with the same settings.
+/// The bytes are those that [`super::reduce_series`] would have made of all steps at once, with the
+/// same settings.
 ///
 /// # Errors
-/// Those of [`super::reduce_series`]; [`Error::BadInput`] for a damaged archive, and where dimensions or geometry, or points or cells, are not the archive's;
-/// [`Error::Io`] when another run has changed the archive meanwhile: the same call adds the steps behind.
+/// Those of [`super::reduce_series`]; [`Error::BadInput`] for a damaged archive, and where
+/// dimensions or geometry, or points or cells, are not the archive's; [`Error::Io`] when another
+/// run has changed the archive meanwhile: the same call adds the steps behind.
 pub fn append(
     sources: &[StepSource],
     settings: &AppendSettings,
@@ -88,7 +95,8 @@ fn add(job: &Job<'_>, archive: &OpenArchive) -> Result<ReduceReport> {
 /// A further step; where nobody names a field, that of the archive, if the file has it.
 fn with_field(source: &StepSource, field: &str) -> StepSource {
     let options = OpenOptions { field: Some(field.to_owned()), ..source.options.clone() };
-    // In a format without names the reader chooses. Another name is refused when the step is planned.
+    // In a format without names the reader chooses. Another name is refused when the step is
+    // planned.
     let is_named = source.options.field.is_some() || source.is_given();
     match !is_named && formats::open_input(&source.path, &options).is_ok() {
         true => StepSource::new(&source.path, &options).at(source.time),

@@ -38,7 +38,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Copies the coordinates that a grid has of its own into the archive; a mesh has its positions in the world by itself.
+/// Copies the coordinates that a grid has of its own into the archive; a mesh has its positions in
+/// the world by itself.
 pub(in crate::pipeline) fn grid_coordinates(
     series: &SeriesPlan,
     layout: &Layout,
@@ -257,7 +258,8 @@ impl<'a> Build<'a> {
         Meter::new(&plan.mesh, self.parts.points.len(), &first.source, coordinates)
     }
 
-    /// Measures steps of a mesh that were just made, whose data are still open. Those of a volume were, chunk by chunk.
+    /// Measures steps of a mesh that were just made, whose data are still open. Those of a volume
+    /// were, chunk by chunk.
     fn measure_steps(
         &self,
         plan: &Plan,
@@ -278,8 +280,8 @@ impl<'a> Build<'a> {
         Ok(())
     }
 
-    /// The segments that are made as an archive: the mesh, some steps, and those before them back to a keyframe. None when there is
-    /// no such step.
+    /// The segments that are made as an archive: the mesh, some steps, and those before them back
+    /// to a keyframe. None when there is no such step.
     fn archive(
         &self,
         plan: &Plan,

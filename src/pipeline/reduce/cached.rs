@@ -1,9 +1,9 @@
 //! Whether the chunks of sources are read through caches, one for each step made at a time: the
 //! rule of `inputs::access`, for the chunks of an archive.
 //!
-//! All steps of a series are read in the same way. Of several cache sizes that one is taken with which
-//! the work needs the least time, by the threads and steps for which there is memory then. Of equal
-//! ones it is the largest.
+//! All steps of a series are read in the same way. Of several cache sizes that one is taken with
+//! which the work needs the least time, by the threads and steps for which there is memory then. Of
+//! equal ones it is the largest.
 
 use super::series::PlannedSource;
 use crate::pipeline::inputs::{boxes_of_chunks, cache_sizes, most_cached};

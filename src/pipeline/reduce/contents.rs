@@ -1,6 +1,7 @@
 //! The end of a reduction: what all chunks have said of themselves is put together.
 //!
-//! Of the mesh, once: counts, and the proof that the tetrahedra fill the box. Of each step: its index and its spectrum.
+//! Of the mesh, once: counts, and the proof that the tetrahedra fill the box. Of each step: its
+//! index and its spectrum.
 
 use crate::archive::chunked::ChunkSegment;
 use crate::archive::manifest::{CoordinateRecord, Counts, Manifest, SegmentRecord, Step};
@@ -57,8 +58,9 @@ impl ArchiveContents {
         Ok(contents)
     }
 
-    /// Adds the `n`-th step of the plan: builds its index, and its spectrum of what chunks have measured, but for small archives. `coordinates`: of a grid that has
-    /// some, with the first step of the archive.
+    /// Adds the `n`-th step of the plan: builds its index, and its spectrum of what chunks have
+    /// measured, but for small archives. `coordinates`: of a grid that has some, with the first
+    /// step of the archive.
     pub(super) fn add_step(
         &mut self,
         plan: &Plan,
@@ -92,7 +94,8 @@ impl ArchiveContents {
             }
             values.push(file.record());
         }
-        // Those that chunks were measured with: by the set's own number of points, which may be a little off.
+        // Those that chunks were measured with: by the set's own number of points, which may be a
+        // little off.
         let limits = limits(&plan.mesh, parts.points.len());
         let spectrum = (is_indexed && range[0] <= range[1])
             .then(|| sum_spectrum(&layout, hash, Design::new(range, limits), limits));
@@ -123,7 +126,8 @@ fn sum_spectrum(layout: &Layout, hash: PlanHash, design: Design, limits: Limits)
     builder.finish(layout.spectrum(), hash)
 }
 
-/// The owned tetrahedra of all chunks tile the box, or are all of the mesh: their volumes add up to its volume, exactly.
+/// The owned tetrahedra of all chunks tile the box, or are all of the mesh: their volumes add up to
+/// its volume, exactly.
 fn check_volume(plan: &Plan, [tets, volume6]: [i128; 2], out: &Path) -> Result<()> {
     let whole = plan.mesh.volume6();
     let all = plan.mesh.own.map_or(tets, |own| own.tetrahedra.into());

@@ -141,8 +141,8 @@ enum Encoding {
 }
 
 impl ChunkMaker<'_> {
-    /// Makes a chunk in a share of the scratch memory; if that is too small, in all of it. One that an
-    /// earlier try has made is copied from that.
+    /// Makes a chunk in a share of the scratch memory; if that is too small, in all of it. One that
+    /// an earlier try has made is copied from that.
     pub(super) fn make(&self, chunk: &Chunk) -> Result<EncodedChunk> {
         if let Some((reused, steps)) = &self.reused
             && let Some(encoded) = reused.encoded(chunk.id, self.stored.is_none(), steps)?
@@ -180,7 +180,8 @@ impl ChunkMaker<'_> {
         let mut lap = Lap(Instant::now());
         if let Some(stored) = &self.stored {
             let (mut mesh, ends) = stored.archive.stored_mesh(chunk.id)?;
-            // What values are fitted to is not stored: it is found around the mesh, or made again with it.
+            // What values are fitted to is not stored: it is found around the mesh, or made again
+            // with it.
             let mut again = None;
             if self.recipe.halo == Halo::Stars
                 && !workspace.mesher.surround(self.recipe, chunk, &mut mesh, room, self.cancel)?
@@ -215,7 +216,8 @@ impl ChunkMaker<'_> {
 
     /// Encodes the values of steps on a mesh that is there, with the ends of its blocks.
     ///
-    /// `again` is the mesh with its one-ring neighbours, where values need these and they are not there.
+    /// `again` is the mesh with its one-ring neighbours, where values need these and they are not
+    /// there.
     fn encode_stored(
         &self,
         stored: &StoredMesh<'_>,
@@ -277,7 +279,8 @@ impl ChunkMaker<'_> {
         for (step, values) in self.steps.iter().zip(&mut values) {
             match &step.plan.quantiser {
                 Some(quantiser) => values.iter_mut().for_each(|v| *v = quantiser.round(*v)),
-                // A zero has no sign: which of two zeros is the lesser one differs from machine to machine.
+                // A zero has no sign: which of two zeros is the lesser one differs from machine to
+                // machine.
                 None => values.iter_mut().for_each(|v| *v += 0.0),
             }
         }
@@ -289,11 +292,11 @@ impl ChunkMaker<'_> {
         self.bad_steps.note(n, self.steps[n].plan.number, found)
     }
 
-    /// Samples, measures and encodes all steps. The blocks of each are values, their ranges, errors,
-    /// part of the spectrum, summary.
+    /// Samples, measures and encodes all steps. The blocks of each are values, their ranges,
+    /// errors, part of the spectrum, summary.
     ///
-    /// `before` are the values of the first one's base. The mesh has the tetrahedra of all blocks, as
-    /// they decode, with the end of each block.
+    /// `before` are the values of the first one's base. The mesh has the tetrahedra of all blocks,
+    /// as they decode, with the end of each block.
     fn encode_steps(
         &self,
         mesh: &mut MeshedChunk,
@@ -342,8 +345,8 @@ impl ChunkMaker<'_> {
             .chunk_errors(cells, steps, levels, |n, window, out| self.note(n, samples[n].read(window, out)))
     }
 
-    /// Encodes a chunk's mesh: its blocks, the end of each in the tetrahedra, and its summary. Leaves
-    /// the mesh with the tetrahedra as they decode.
+    /// Encodes a chunk's mesh: its blocks, the end of each in the tetrahedra, and its summary.
+    /// Leaves the mesh with the tetrahedra as they decode.
     fn encode_mesh(
         &self,
         chunk: &Chunk,

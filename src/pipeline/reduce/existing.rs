@@ -9,8 +9,8 @@
 //!  Foreign       refuse
 //! ```
 //!
-//! Lost files of a finished archive are made again, the others stay. Meanwhile the manifest stays in
-//! place, since it shows that this is the same reduction. An equal one replaces it in the end.
+//! Lost files of a finished archive are made again, the others stay. Meanwhile the manifest stays
+//! in place, since it shows that this is the same reduction. An equal one replaces it in the end.
 
 use super::job::Job;
 use super::plan_file::{old_archive, work_folder};
@@ -48,14 +48,15 @@ fn segments(archive: &Path, manifest: &Manifest) -> Vec<(PathBuf, u64)> {
     mesh.chain(manifest.steps.iter().flat_map(of_step)).collect()
 }
 
-/// Whether a file that the manifest of an archive names is not there, or not as long as it was. What a file holds is not looked at.
+/// Whether a file that the manifest of an archive names is not there, or not as long as it was.
+/// What a file holds is not looked at.
 pub(super) fn lacks_files(archive: &Path, manifest: &Manifest) -> bool {
     let gone = |(path, bytes): &(PathBuf, u64)| fs::metadata(path).map_or(true, |f| f.len() != *bytes);
     segments(archive, manifest).iter().any(gone) || !Attachments::missing(archive, &manifest.plan).is_empty()
 }
 
-/// Files of an archive that its manifest does not name, in order of their names. Temporary files, which may
-/// belong to a running process, and unpacked blocks of its steps are left out.
+/// Files of an archive that its manifest does not name, in order of their names. Temporary files,
+/// which may belong to a running process, and unpacked blocks of its steps are left out.
 ///
 /// # Errors
 /// When a folder cannot be listed.
@@ -80,8 +81,9 @@ pub(in crate::pipeline) fn strays(archive: &Path, manifest: &Manifest) -> Result
     Ok(strays)
 }
 
-/// Removes those of them that have the names of segments: the archive's writer calls it, which holds its lock.
-/// What another, unfinished `append` made is among them. A failure to do so costs disk space alone.
+/// Removes those of them that have the names of segments: the archive's writer calls it, which
+/// holds its lock. What another, unfinished `append` made is among them. A failure to do so costs
+/// disk space alone.
 pub(super) fn remove_strays(archive: &Path, manifest: &Manifest) {
     let segments = |path: &PathBuf| path.extension().is_some_and(|e| e == "seg") && path.is_file();
     for path in strays(archive, manifest).unwrap_or_default().iter().filter(|path| segments(path)) {
@@ -89,8 +91,8 @@ pub(super) fn remove_strays(archive: &Path, manifest: &Manifest) {
     }
 }
 
-/// A segment in the folder of an unfinished archive, or the beginning of one, that is not of this plan: somebody
-/// else's work. `None` where there is none, and where the archive is finished.
+/// A segment in the folder of an unfinished archive, or the beginning of one, that is not of this
+/// plan: somebody else's work. `None` where there is none, and where the archive is finished.
 fn other_work(archive: &Path, plan: &Plan, keep_going: bool) -> Option<PathBuf> {
     let mesh = plan.mesh_hash();
     let steps: HashSet<PlanHash> = (0..plan.steps.len()).map(|n| plan.step_hash(n)).collect();
@@ -174,7 +176,8 @@ impl Existing {
         }
     }
 
-    /// As [`Existing::refuse_overwriting`], but lets an archive pass that may be the one of the job.
+    /// As [`Existing::refuse_overwriting`], but lets an archive pass that may be the one of the
+    /// job.
     pub(super) fn refuse_other(&self, job: &Job<'_>) -> Result<()> {
         match self {
             Self::Finished(manifest) if may_be_of(job, manifest) => Ok(()),

@@ -56,7 +56,8 @@ impl Listed {
     }
 }
 
-/// The file of a mesh that was opened last: its other fields are had without reading its head again.
+/// The file of a mesh that was opened last: its other fields are had without reading its head
+/// again.
 pub(super) struct LastMesh {
     source: StepSource,
     mesh: CellMesh,

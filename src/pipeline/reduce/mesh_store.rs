@@ -9,8 +9,9 @@ use crate::pipeline::settings::{NanPolicy, ReduceSettings};
 use crate::sample::{Interpolation, Values};
 use std::path::Path;
 
-/// Scratch bytes of a vertex (position in the world and on the lattice, value; to find equals, sorted in runs and merged) and of a tetrahedron
-/// (vertices, twice; body; four faces, sorted in runs and merged; about two bricks, twice).
+/// Scratch bytes of a vertex (position in the world and on the lattice, value; to find equals,
+/// sorted in runs and merged) and of a tetrahedron (vertices, twice; body; four faces, sorted in
+/// runs and merged; about two bricks, twice).
 const VERTEX_BYTES: u64 = 24 + 24 + 4 + 2 * 40 + 8;
 const TET_BYTES: u64 = 2 * 32 + 8 + 2 * 4 * 32 + 2 * 2 * 16;
 /// Gradients of a vertex, and their records of a tetrahedron.

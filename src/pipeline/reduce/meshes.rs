@@ -1,13 +1,16 @@
-//! The steps of a series of tetrahedral meshes: the mesh is read once, and each step has values on it.
+//! The steps of a series of tetrahedral meshes: the mesh is read once, and each step has values on
+//! it.
 //!
 //! ```text
 //!  new     first file ─▶ store ─▶ plan, samples of the boundary ─▶ steps: hashes of points and cells, values
 //!  further first file ─▶ store ─▶ both as in the archive?       ─▶ …
 //! ```
 //!
-//! A file that stores points and cells by the very bytes of the one before ([`CellMesh::stored_hash`]) has the same of both, and they are not decoded.
+//! A file that stores points and cells by the very bytes of the one before
+//! ([`CellMesh::stored_hash`]) has the same of both, and they are not decoded.
 //!
-//! Which vertices are one is decided by the values of the first step, and known of an archive that steps are added to.
+//! Which vertices are one is decided by the values of the first step, and known of an archive that
+//! steps are added to.
 
 use super::job::Job;
 use super::mesh_fields::{LastMesh, Listed, MeshInput};
@@ -96,7 +99,8 @@ fn open_mesh_of(source: &StepSource) -> Result<CellMesh> {
     }
 }
 
-/// What is subtracted from the values of all steps: as the archive or the plan has it, else as the first source that can be opened asks for.
+/// What is subtracted from the values of all steps: as the archive or the plan has it, else as the
+/// first source that can be opened asks for.
 pub(super) fn offset_of(job: &Job<'_>) -> Result<f64> {
     let known = job.basis.archive().map(|archive| &archive.manifest.steps[0].plan);
     if let Some(step) = known.or_else(|| job.basis.plan().map(Plan::first)) {
@@ -156,8 +160,8 @@ fn base_from(
     Ok((mesh, store))
 }
 
-/// Reads the mesh of a job and plans its steps. Returns the mesh, the plan, and how many points with a
-/// value are wanted, boundary included.
+/// Reads the mesh of a job and plans its steps. Returns the mesh, the plan, and how many points
+/// with a value are wanted, boundary included.
 pub(super) fn prepare(job: &Job<'_>, settings: StoreSettings) -> Result<(MeshInput, SeriesPlan, u64)> {
     let how = &settings;
     let mut inputs = job.basis.inputs();
@@ -198,7 +202,8 @@ pub(super) fn prepare(job: &Job<'_>, settings: StoreSettings) -> Result<(MeshInp
     Ok((MeshInput { store, listed, settings }, series, dense.wanted))
 }
 
-/// Whether a mesh of so many vertices is kept as it is: as the archive or the plan has it, else as the settings ask.
+/// Whether a mesh of so many vertices is kept as it is: as the archive or the plan has it, else as
+/// the settings ask.
 fn is_own(job: &Job<'_>, vertices: u64) -> bool {
     let known = job.basis.archive().map(|archive| &archive.manifest.plan);
     match known.or_else(|| job.basis.plan().map(|plan| &plan.mesh)) {
@@ -207,7 +212,8 @@ fn is_own(job: &Job<'_>, vertices: u64) -> bool {
     }
 }
 
-/// Whether settings ask for a mesh as it is: for all of its vertices, and for no other points or values.
+/// Whether settings ask for a mesh as it is: for all of its vertices, and for no other points or
+/// values.
 pub(super) fn keeps_own(settings: &ReduceSettings, vertices: u64) -> bool {
     let all = match settings.amount {
         Amount::Fraction(f) => f == 1.0,
@@ -229,8 +235,9 @@ struct Dense {
     bound: Option<f64>,
 }
 
-/// Gives a plan as many points as are wanted, boundary included, denser in some places where that is asked for; or those of an
-/// archive, or of the plan of a shard. Tells the samples of the boundary that belong to them.
+/// Gives a plan as many points as are wanted, boundary included, denser in some places where that
+/// is asked for; or those of an archive, or of the plan of a shard. Tells the samples of the
+/// boundary that belong to them.
 fn dense_enough(
     plan: &mut Plan,
     store: &CellStore,
@@ -318,8 +325,8 @@ const TRIES: usize = 12;
 const MET: f64 = 0.005;
 
 impl Search<'_> {
-    /// Looks among the sets that `make` gives for a count; of `count` points so many as `filled` of them lie inside, about. Sets too large to be counted are
-    /// judged by smaller ones.
+    /// Looks among the sets that `make` gives for a count; of `count` points so many as `filled` of
+    /// them lie inside, about. Sets too large to be counted are judged by smaller ones.
     fn find<T>(
         &self,
         filled: f64,
@@ -504,7 +511,8 @@ fn plan_steps(
 struct ReadMesh {
     path: PathBuf,
     identity: Identity,
-    /// The hash of them as they are stored: of another file that stores the same ones they need not be read.
+    /// The hash of them as they are stored: of another file that stores the same ones they need not
+    /// be read.
     stored: Option<u128>,
 }
 

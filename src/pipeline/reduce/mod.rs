@@ -91,7 +91,8 @@ pub fn reduce_series(
     Ok(looked.complete(&sources[0].1.path, report, &job).finished(started))
 }
 
-/// Makes an archive next to the finished one of its name, which is whole until then, and puts it there.
+/// Makes an archive next to the finished one of its name, which is whole until then, and puts it
+/// there.
 fn replace(job: &Job<'_>) -> Result<ReduceReport> {
     let new = new_archive(job.out);
     let report = make(&Job { out: &new, ..*job }, &Existing::at(&new)?)?;
@@ -107,7 +108,8 @@ pub(super) fn numbered(sources: &[StepSource]) -> Vec<(u64, StepSource)> {
 /// What a reduction would need, without beginning it.
 ///
 /// # Errors
-/// Those of [`reduce_series`], but a budget that does not suffice is only reported: see [`Estimate::check`].
+/// Those of [`reduce_series`], but a budget that does not suffice is only reported: see
+/// [`Estimate::check`].
 pub fn estimate_series(
     sources: &[StepSource],
     settings: &ReduceSettings,

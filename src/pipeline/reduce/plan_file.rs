@@ -8,14 +8,16 @@
 //!      slurm/                   job scripts and logs, where Slurm runs it
 //! ```
 //!
-//! It holds the paths of the steps, the settings, and the [`Plan`] that follows from both, whose hashes every segment carries. A
-//! worker makes the plan again from the input that it finds and refuses to work when the two differ: then the input has
-//! changed, or is another. It also refuses a plan of another version of the program, for versions may differ in bytes.
+//! It holds the paths of the steps, the settings, and the [`Plan`] that follows from both, whose
+//! hashes every segment carries. A worker makes the plan again from the input that it finds and
+//! refuses to work when the two differ: then the input has changed, or is another. It also refuses
+//! a plan of another version of the program, for versions may differ in bytes.
 //!
-//! Of the files of the input it has lengths and times of change: a worker that finds the same ones does not read them all
-//! to hash them.
+//! Of the files of the input it has lengths and times of change: a worker that finds the same ones
+//! does not read them all to hash them.
 //!
-//! The file is written once and never changed: JSON, its last member a checksum of all bytes before it, as in a manifest.
+//! The file is written once and never changed: JSON, its last member a checksum of all bytes before
+//! it, as in a manifest.
 
 use super::series::{PlannedSource, SeriesPlan, SkippedStep};
 use crate::archive::manifest::{Manifest, check_sum, sealed_text};
@@ -118,7 +120,8 @@ impl PlanFile {
         })
     }
 
-    /// The folder in which the archive `out` is made: its own, or one beside it while that has a finished archive.
+    /// The folder in which the archive `out` is made: its own, or one beside it while that has a
+    /// finished archive.
     pub(in crate::pipeline) fn root(&self, out: &Path) -> PathBuf {
         let is_committed = || {
             let manifest = Manifest::read(out);
@@ -168,7 +171,8 @@ impl PlanFile {
         Ok(inputs.watch)
     }
 
-    /// Writes the plan of an archive. One that is there stays what it is, unless it is to be replaced.
+    /// Writes the plan of an archive. One that is there stays what it is, unless it is to be
+    /// replaced.
     ///
     /// # Errors
     /// [`Error::Usage`] when another one is there.
@@ -190,7 +194,8 @@ impl PlanFile {
         out.publish()
     }
 
-    /// Whether two plans differ at most in the times of change of their files, which a copy has anew.
+    /// Whether two plans differ at most in the times of change of their files, which a copy has
+    /// anew.
     fn is_alike(&self, other: &Self) -> bool {
         Self { files: self.files.clone(), ..other.clone() } == *self
     }
@@ -198,7 +203,8 @@ impl PlanFile {
     /// Reads the plan of an archive.
     ///
     /// # Errors
-    /// [`Error::BadInput`] when there is none, or it is damaged, edited, or of another version of the program.
+    /// [`Error::BadInput`] when there is none, or it is damaged, edited, or of another version of
+    /// the program.
     pub(in crate::pipeline) fn read(archive: &Path) -> Result<Self> {
         let path = plan_path(archive);
         let bad = |at: &str, expected: String, got: String, help: &str| {

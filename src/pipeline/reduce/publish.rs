@@ -1,4 +1,5 @@
-//! The end of a reduction: what all chunks say is put together, and the manifest makes it an archive.
+//! The end of a reduction: what all chunks say is put together, and the manifest makes it an
+//! archive.
 
 use super::build::{Build, Segments};
 use super::contents::ArchiveContents;

@@ -30,7 +30,8 @@ pub struct ReduceReport {
     pub own: bool,
     /// Points of the archive.
     pub points: u64,
-    /// Of a volume: points that are no samples of the boundary, about. Of a mesh: points with a value that were asked for, boundary included.
+    /// Of a volume: points that are no samples of the boundary, about. Of a mesh: points with a
+    /// value that were asked for, boundary included.
     pub inner_points: u64,
     /// What came of looking for a wanted error.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -57,7 +58,8 @@ pub struct ReduceReport {
     pub range: Option<[f64; 2]>,
     /// How values were rounded, if they were.
     pub quantiser: Option<Quantiser>,
-    /// How far the reduced field is from the samples, if that was measured: of the first of the steps.
+    /// How far the reduced field is from the samples, if that was measured: of the first of the
+    /// steps.
     pub error: Option<FieldError>,
     /// The steps that were made.
     pub steps: Vec<StepSummary>,
@@ -67,14 +69,16 @@ pub struct ReduceReport {
     pub made_before: bool,
     /// Bytes of all files of the archive.
     pub archive_bytes: u64,
-    /// Bytes of the source: of its files, or of its samples as they are stored, whichever is less. Where an archive was made as a whole.
+    /// Bytes of the source: of its files, or of its samples as they are stored, whichever is less.
+    /// Where an archive was made as a whole.
     pub source_bytes: Option<u64>,
     /// Of sources that are read by chunks: how often these were decoded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source_chunks: Option<SourceChunks>,
     /// What the user should know: see [`Notice`].
     pub notices: Vec<Notice>,
-    /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those that run side by side.
+    /// Seconds of each stage: the wall time of those that run alone; the sum over threads of those
+    /// that run side by side.
     #[serde(serialize_with = "crate::pipeline::stage::by_name")]
     pub seconds: StageSeconds,
 }
@@ -93,7 +97,8 @@ pub struct TargetReport {
     pub met: bool,
     /// Reductions that were made.
     pub tries: u32,
-    /// Chunks that were meshed in all these together, and chunks that these had together: those in which nothing changed are taken over.
+    /// Chunks that were meshed in all these together, and chunks that these had together: those in
+    /// which nothing changed are taken over.
     pub meshed_chunks: [u64; 2],
     /// Of points that adapt: cells that have a point a sample or more, and all cells.
     pub full_cells: Option<[u64; 2]>,

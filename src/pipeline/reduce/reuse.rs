@@ -28,7 +28,8 @@ use crate::points::{PointSet, PointSpec};
 use std::ops::Range;
 use std::sync::Arc;
 
-/// A brick's edge that is more than so many times the one that the points ask for is too long: a brick would have four times as many as it should.
+/// A brick's edge that is more than so many times the one that the points ask for is too long: a
+/// brick would have four times as many as it should.
 const LONGEST_BRICK: f64 = 1.6;
 
 /// A round of a search, after the first.
@@ -49,7 +50,8 @@ impl Round {
 }
 
 impl Frame {
-    /// That of an archive, for other levels of its points; `None` where their bricks or chunks would be too large.
+    /// That of an archive, for other levels of its points; `None` where their bricks or chunks
+    /// would be too large.
     fn of(before: &StepView, choice: &Choice) -> Result<Option<Self>> {
         let (plan, levels) = (&before.manifest.plan, Arc::new(choice.levels.clone()));
         let spec = PointSpec::Halton { n: choice.n };
@@ -83,7 +85,8 @@ pub(super) struct ReusedChunks<'a> {
 }
 
 impl<'a> ReusedChunks<'a> {
-    /// Compares all chunks, for the steps of the plan up to `steps`; `None` where the plans differ in more than levels. Memory: 16 bytes a chunk.
+    /// Compares all chunks, for the steps of the plan up to `steps`; `None` where the plans differ
+    /// in more than levels. Memory: 16 bytes a chunk.
     pub(super) fn new(
         before: &'a StepView,
         plan: &Plan,
@@ -154,7 +157,8 @@ fn is_alike(a: &MeshPlan, b: &MeshPlan) -> bool {
     a.levels.is_some() && b.levels.is_some() && bare(a) == bare(b)
 }
 
-/// Whether the values of steps are the same on the same mesh; the hash of a base tells the mesh too, and the base is compared by itself.
+/// Whether the values of steps are the same on the same mesh; the hash of a base tells the mesh
+/// too, and the base is compared by itself.
 fn is_alike_step(a: &StepPlan, b: &StepPlan) -> bool {
     let bare = |plan: &StepPlan| StepPlan { base: None, ..plan.clone() };
     a.base.map(|base| base.number) == b.base.map(|base| base.number) && bare(a) == bare(b)

@@ -39,7 +39,8 @@ pub(in crate::pipeline) struct PlannedSource {
     pub(super) cached: Option<u64>,
     /// Bytes of the copy that is made of it alone; 0 where none is needed.
     pub(super) copied: u64,
-    /// Bytes of a copy that is made of its file, once for all steps in that; 0 where none is needed.
+    /// Bytes of a copy that is made of its file, once for all steps in that; 0 where none is
+    /// needed.
     pub(super) shared_copy: u64,
     /// Memory to make that copy in, or to read its chunks one after another.
     pub(super) copying: u64,
@@ -143,7 +144,8 @@ impl SeriesPlan {
     }
 }
 
-/// Whether an archive ends with these very steps: a run that was killed after it had added them is asked to continue.
+/// Whether an archive ends with these very steps: a run that was killed after it had added them is
+/// asked to continue.
 pub(super) fn are_there(archive: &OpenArchive, steps: &[StepPlan]) -> bool {
     let mut there = archive.manifest.steps.iter().rev().zip(steps.iter().rev());
     steps.len() <= archive.manifest.steps.len()

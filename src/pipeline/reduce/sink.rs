@@ -14,7 +14,8 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// The files of segments that are made: the mesh, where it is not there yet, and the values of steps.
+/// The files of segments that are made: the mesh, where it is not there yet, and the values of
+/// steps.
 pub(super) struct SegmentFiles<'a> {
     layout: &'a Layout,
     /// The hash of the mesh, where that is made.
@@ -103,8 +104,8 @@ impl Part {
         is_whole(&self.path(files, segment), kind, hash, chunks)
     }
 
-    /// A writer that goes on behind at most `most` chunks, where writers may have `left` some; `None` when the file is whole already: a run was
-    /// killed between two of them.
+    /// A writer that goes on behind at most `most` chunks, where writers may have `left` some;
+    /// `None` when the file is whole already: a run was killed between two of them.
     fn resume(
         self,
         files: &SegmentFiles<'_>,
@@ -118,7 +119,8 @@ impl Part {
         }
         let (kind, hash) = self.kind();
         let (path, first) = (self.path(files, segment), ChunkId(chunks.start));
-        // One of a chunk is published as soon as it is written: there is nothing to go on with, and no need of a journal.
+        // One of a chunk is published as soon as it is written: there is nothing to go on with, and
+        // no need of a journal.
         let several = chunks.end - chunks.start > 1;
         match (left, several) {
             (false, journal) => ChunkSegmentWriter::begin(path, kind, hash, first, journal),
@@ -144,7 +146,8 @@ pub(super) struct Sink {
 }
 
 impl Sink {
-    /// Goes on behind the chunks that an earlier run has left in all files; also tells how many these are. `left`: what they have left.
+    /// Goes on behind the chunks that an earlier run has left in all files; also tells how many
+    /// these are. `left`: what they have left.
     pub(super) fn resume(
         files: &SegmentFiles<'_>,
         segment: u64,
@@ -158,7 +161,8 @@ impl Sink {
         };
         let mut opened: Vec<(Part, Option<ChunkSegmentWriter>)> =
             files.parts().map(open).collect::<Result<_>>()?;
-        // Of a file that is whole nothing is written again; the others need all chunks behind their last common one.
+        // Of a file that is whole nothing is written again; the others need all chunks behind their
+        // last common one.
         let done = opened.iter().map(|(_, w)| count(w)).min().unwrap_or(all);
         for (part, writer) in &mut opened {
             if writer.is_some() && count(writer) > done {

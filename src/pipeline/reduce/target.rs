@@ -95,7 +95,8 @@ const NEAR: f64 = 0.96;
 /// A number of points that is this near to one that does not do is the least.
 const LEAST_STEP: f64 = 1.03;
 
-/// A try: the number of points, or of samples a point where a size is wanted, and the error or the size with it.
+/// A try: the number of points, or of samples a point where a size is wanted, and the error or the
+/// size with it.
 #[derive(Clone, Copy, Debug)]
 struct Try {
     amount: f64,
@@ -163,7 +164,8 @@ impl Search {
     }
 }
 
-/// Of errors and numbers of points; of sizes and samples a point, whose archives have a manifest besides.
+/// Of errors and numbers of points; of sizes and samples a point, whose archives have a manifest
+/// besides.
 const USUAL_POWERS: [f64; 2] = [0.5, 0.9];
 
 /// A lattice's values are rounded to a step of so many times the RMS error.
@@ -206,8 +208,8 @@ impl Rounding {
         }
     }
 
-    /// Chooses the bits by what a try tells, the first and the second. Whether they are others now: tries before cannot be
-    /// compared with those to come.
+    /// Chooses the bits by what a try tells, the first and the second. Whether they are others now:
+    /// tries before cannot be compared with those to come.
     fn learn(&mut self, target: Target, bound: f64, report: &ReduceReport) -> bool {
         let before = self.bits;
         let range = source_range(report).filter(|_| self.is_chosen && self.told < 2);
@@ -223,8 +225,8 @@ impl Rounding {
     }
 }
 
-/// Reduces to the archive `job.out` with the fewest points that meet the target of the settings, or the most that do.
-/// `source` is the number of bytes of the source, if known.
+/// Reduces to the archive `job.out` with the fewest points that meet the target of the settings, or
+/// the most that do. `source` is the number of bytes of the source, if known.
 ///
 /// # Errors
 /// As those of a reduction; [`Error::Usage`] for a target that cannot be one.
@@ -308,7 +310,8 @@ pub(super) fn reduce_to_target(
     Ok(report)
 }
 
-/// The report of an archive that this very call has made before: with the same settings, of the same files.
+/// The report of an archive that this very call has made before: with the same settings, of the
+/// same files.
 ///
 /// # Errors
 /// [`Error::Usage`] when it is another one.
@@ -339,7 +342,8 @@ fn made_before(job: &Job<'_>, manifest: &Manifest) -> Result<ReduceReport> {
 mod tests {
     use super::*;
 
-    /// How many tries a field takes, and the number of points that is kept; the second is the least one.
+    /// How many tries a field takes, and the number of points that is kept; the second is the least
+    /// one.
     fn look(bound: f64, cap: f64, first: f64, error: impl Fn(f64) -> f64) -> (usize, Option<f64>) {
         let tries = vec![Try { amount: first, reached: error(first) }];
         let usual = USUAL_POWERS[0];

@@ -1,9 +1,11 @@
 //! A largest error that is wanted: denser points where it is exceeded, until it is nowhere.
 //!
-//! The largest error of a field is that of a few samples, at a peak, say: as many points as samples all over the volume need not meet it, where
-//! some more at the peak do. So this is no search for a number of points. The first try has levels at which the foretold error of each cell is the
-//! bound; then errors are measured at all samples (of a mesh: at all vertices), and the cells that have one above the bound are raised, with those around them as far as
-//! points lie apart; and so on:
+//! The largest error of a field is that of a few samples, at a peak, say: as many points as samples
+//! all over the volume need not meet it, where some more at the peak do. So this is no search for a
+//! number of points. The first try has levels at which the foretold error of each cell is the
+//! bound; then errors are measured at all samples (of a mesh: at all vertices), and the cells that
+//! have one above the bound are raised, with those around them as far as points lie apart; and so
+//! on:
 //!
 //! ```text
 //!  levels of equal errors ─▶ reduce ─▶ measure, cell by cell ─▶ all within the bound: publish
@@ -11,13 +13,17 @@
 //!            └────────── raise the cells that are not
 //! ```
 //!
-//! A round raises few cells, but the first ones: chunks in whose region none is raised are taken over from the try before ([`super::reuse`]), and
-//! only those that have an error above the bound are looked at for where it is.
+//! A round raises few cells, but the first ones: chunks in whose region none is raised are taken
+//! over from the try before ([`super::reuse`]), and only those that have an error above the bound
+//! are looked at for where it is.
 //!
-//! Levels only rise, and begin low, so few points are too many. The cap is as many points as samples in all (about; of a mesh that fills a part of its box, as many inside as vertices); where the next levels would have
-//! more, only the largest errors raise theirs. When nothing can be raised any more the last try is published, and the report says so.
+//! Levels only rise, and begin low, so few points are too many. The cap is as many points as
+//! samples in all (about; of a mesh that fills a part of its box, as many inside as vertices);
+//! where the next levels would have more, only the largest errors raise theirs. When nothing can be
+//! raised any more the last try is published, and the report says so.
 //!
-//! Memory: 4 bytes a cell beside what measuring takes. The largest of errors does not depend on their order: the same archive for any threads.
+//! Memory: 4 bytes a cell beside what measuring takes. The largest of errors does not depend on
+//! their order: the same archive for any threads.
 
 use super::existing::Existing;
 use super::job::{Basis, Job};
@@ -117,12 +123,14 @@ struct Measuring<'a> {
     archive: &'a StepView,
     cells: &'a BrickGrid,
     bound: f64,
-    /// The bits of the largest error of each cell: of numbers that are not negative they are in the same order.
+    /// The bits of the largest error of each cell: of numbers that are not negative they are in the
+    /// same order.
     worst: &'a [AtomicU32],
 }
 
 impl Measuring<'_> {
-    /// Adds the errors at the samples of a step, or at the vertices of its mesh; returns the part of the box that they fill.
+    /// Adds the errors at the samples of a step, or at the vertices of its mesh; returns the part
+    /// of the box that they fill.
     fn add(&self, job: &Job<'_>, source: &StepSource) -> Result<f64> {
         match source.open()? {
             Input::Volume(volume) => self.add_samples(job, volume).map(|()| 1.0),

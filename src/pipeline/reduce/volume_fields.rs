@@ -46,7 +46,8 @@ impl<'a> VolumeFields<'a> {
         Self { settings, run, progress, in_memory, unpacked: Mutex::default() }
     }
 
-    /// Opens a source that is read by itself, with the copy that is made of it where that is needed.
+    /// Opens a source that is read by itself, with the copy that is made of it where that is
+    /// needed.
     fn random_access(&self, planned: &PlannedSource) -> Result<(Box<dyn VolumeReader>, Option<Scratch>)> {
         match volume_of(&planned.source, "the volume it was")? {
             VolumeSource::Stream(stream) if self.in_memory && planned.is_small() => {

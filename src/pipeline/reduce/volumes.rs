@@ -152,7 +152,8 @@ pub(super) fn plan_volumes(job: &Job<'_>, only_estimates: bool) -> Result<Series
     Ok(series)
 }
 
-/// Steps that lie in one packed file are read from one copy of it: each by itself would be decoded from the beginning.
+/// Steps that lie in one packed file are read from one copy of it: each by itself would be decoded
+/// from the beginning.
 fn share_copies(series: &mut SeriesPlan) -> Result<()> {
     let runs = series.sources.chunk_by_mut(|a, b| a.source.path == b.source.path);
     for run in runs.filter(|run| run.len() > 1 && run[0].copied > 0) {
@@ -209,7 +210,8 @@ impl Planner<'_> {
         self.job.settings.adapt.is_some() && matches!(self.job.basis, Basis::New | Basis::Archive(_))
     }
 
-    /// Makes points dense where that was found to be needed; or where it was when the plan was made.
+    /// Makes points dense where that was found to be needed; or where it was when the plan was
+    /// made.
     fn set_levels(&mut self) -> Result<()> {
         let Some(plan) = &mut self.plan else { return Ok(()) };
         if let Some(planned) = self.job.basis.plan()
@@ -311,7 +313,8 @@ impl Planner<'_> {
         Ok((step, planned))
     }
 
-    /// Checks memory and disk for the first step, before all its samples are read: a header may claim any number of them.
+    /// Checks memory and disk for the first step, before all its samples are read: a header may
+    /// claim any number of them.
     fn check_budget(&mut self, step: &StepPlan, source: &PlannedSource) -> Result<()> {
         let Some(plan) = self.plan.as_ref().filter(|_| !self.is_checked) else { return Ok(()) };
         self.is_checked = true;
@@ -331,7 +334,8 @@ impl Planner<'_> {
         if let Some(plan) = self.job.basis.plan() {
             return Ok(plan.steps.iter().find(|s| s.number == number).map_or_else(Shift::default, Shift::of));
         }
-        // Of steps in one packed file the first one stands for all: each of them costs a decoding, of a stream with all before it.
+        // Of steps in one packed file the first one stands for all: each of them costs a decoding,
+        // of a stream with all before it.
         let is_packed = !matches!(volume, VolumeSource::Random(_));
         if let (Some(offset), true) =
             (self.offset, is_packed && self.looked_into.as_ref() == Some(&source.path))
@@ -355,7 +359,8 @@ impl Planner<'_> {
         }
     }
 
-    /// Whether the field of the first step decides how long the cells of a lattice are along each axis.
+    /// Whether the field of the first step decides how long the cells of a lattice are along each
+    /// axis.
     fn shapes_cells(&self) -> bool {
         let is_lattice = self.plan.as_ref().is_some_and(|plan| plan.mesh.lattice_cells().is_some());
         is_lattice && !self.is_shaped && self.job.settings.set.spacing.is_none()
@@ -392,8 +397,8 @@ impl Planner<'_> {
     }
 }
 
-/// Bits that split the range of nearly all samples into as many steps as [`ValueBits::USUAL`] bits do; `None` if a
-/// quantiser does not have as many.
+/// Bits that split the range of nearly all samples into as many steps as [`ValueBits::USUAL`] bits
+/// do; `None` if a quantiser does not have as many.
 fn usual_bits(found: &Spread, [low, high]: [f32; 2]) -> Option<u8> {
     let width = |[lo, hi]: [f32; 2]| f64::from(hi) - f64::from(lo);
     let (all, nearly_all) = (width([low, high]), found.of_nearly_all().map_or(0.0, width));

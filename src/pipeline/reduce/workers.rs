@@ -1,4 +1,5 @@
-//! Making the segments of an archive: reader, compute and writer, joined by queues bounded in bytes.
+//! Making the segments of an archive: reader, compute and writer, joined by queues bounded in
+//! bytes.
 //!
 //! ```text
 //!  feeder thread ──▶ compute pool ─────────────▶ writer (this thread)
@@ -7,10 +8,12 @@
 //!  reads ahead                                     gives the permit back
 //! ```
 //!
-//! Memory ([`crate::pipeline::plan::estimate`]): the pool has as many threads as the budget has rooms for chunks at work. The feeder takes a permit
-//! for the *encoded* chunk before it hands a chunk on, so what waits for its turn is bounded too. A chunk at work waits for nothing but the
-//! rooms of others ([`super::encode`]), so this ends. The writer ([`super::sink`]) releases chunks in order: the bytes written do not depend on
-//! threads, on memory, or on which chunk is ready first.
+//! Memory ([`crate::pipeline::plan::estimate`]): the pool has as many threads as the budget has
+//! rooms for chunks at work. The feeder takes a permit for the *encoded* chunk before it hands a
+//! chunk on, so what waits for its turn is bounded too. A chunk at work waits for nothing but the
+//! rooms of others ([`super::encode`]), so this ends. The writer ([`super::sink`]) releases chunks
+//! in order: the bytes written do not depend on threads, on memory, or on which chunk is ready
+//! first.
 
 use super::encode::ChunkMaker;
 use super::encoded::EncodedChunk;
@@ -41,8 +44,8 @@ pub(super) struct SegmentMaker<'a> {
 impl SegmentMaker<'_> {
     /// Makes all segments that are not there yet. Returns the time spent in each stage.
     ///
-    /// Chunks flow through the queues without regard to segments; only the writer changes files between two of them. So no
-    /// thread waits at the end of a segment.
+    /// Chunks flow through the queues without regard to segments; only the writer changes files
+    /// between two of them. So no thread waits at the end of a segment.
     pub(super) fn make(&self) -> Result<StageTimes> {
         let (to_pool, tasks) = channel::unbounded::<(u64, Chunk, Permit)>();
         let (to_writer, encoded) = channel::unbounded::<(u64, u64, Result<EncodedChunk>, Permit)>();
@@ -51,14 +54,15 @@ impl SegmentMaker<'_> {
         let stop = &CancelToken::new();
         std::thread::scope(|threads| {
             let thread = || std::thread::Builder::new();
-            // Feeder: the queues need no bound of their own, every chunk in them holds a permit of the budget.
+            // Feeder: the queues need no bound of their own, every chunk in them holds a permit of
+            // the budget.
             let feed = || {
                 let (to_pool, to_sinks) = (to_pool, to_sinks);
                 self.feed(&budget, stop, &to_pool, &to_sinks)
             };
             let feeder = thread().spawn_scoped(threads, feed).map_err(no_thread)?;
-            // Dispatcher: hands tasks to the pool; never more at a time than the pool has threads, so that a mesher's memory
-            // belongs to a thread at self.
+            // Dispatcher: hands tasks to the pool; never more at a time than the pool has threads,
+            // so that a mesher's memory belongs to a thread at self.
             let dispatch = move || {
                 self.pool.in_place_scope(|scope| {
                     for (number, chunk, permit) in tasks {
@@ -82,12 +86,14 @@ impl SegmentMaker<'_> {
             }
             let fed = feeder.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
             dispatcher.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-            // An error of the feeder cuts the encoded short, and is the reason that the writer has too few of them.
+            // An error of the feeder cuts the encoded short, and is the reason that the writer has
+            // too few of them.
             fed.and(written)
         })
     }
 
-    /// Opens the files of each segment that is not there yet, and sends its missing chunks to the pool, numbered without gaps.
+    /// Opens the files of each segment that is not there yet, and sends its missing chunks to the
+    /// pool, numbered without gaps.
     fn feed(
         &self,
         budget: &MemoryBudget,
@@ -131,7 +137,8 @@ impl SegmentMaker<'_> {
         chunks.clone().map(|c| self.maker.recipe.points.count_in(&self.chunks.chunk(ChunkId(c)).core)).sum()
     }
 
-    /// Receives encoded, puts them in order and writes them, segment by segment. The first error in chunk order wins.
+    /// Receives encoded, puts them in order and writes them, segment by segment. The first error in
+    /// chunk order wins.
     fn write_in_order(
         &self,
         sinks: &channel::Receiver<(Sink, u64)>,
@@ -163,8 +170,8 @@ impl SegmentMaker<'_> {
         }
         self.maker.cancel.check()?;
         if open.is_none() {
-            // Segments whose chunks were all there, but not under their names yet. Where one comes that misses chunks, the
-            // feeder has stopped, and says why.
+            // Segments whose chunks were all there, but not under their names yet. Where one comes
+            // that misses chunks, the feeder has stopped, and says why.
             self.next_sink(sinks, &mut times)?;
         }
         Ok(times)
@@ -185,8 +192,8 @@ impl SegmentMaker<'_> {
         Ok(None)
     }
 
-    /// The contents of a chunk. A panic there is a bug; it must end the run with a message, not leave it
-    /// waiting.
+    /// The contents of a chunk. A panic there is a bug; it must end the run with a message, not
+    /// leave it waiting.
     fn encoded(&self, chunk: &Chunk) -> Result<EncodedChunk> {
         catch_unwind(AssertUnwindSafe(|| self.maker.make(chunk)))
             .unwrap_or_else(|panic| Err(internal(chunk, &*panic)))

@@ -1,4 +1,5 @@
-//! A reduction in three commands: plan, work, commit; [`Reduction::write`](crate::Reduction::write) is these three in one process.
+//! A reduction in three commands: plan, work, commit; [`Reduction::write`](crate::Reduction::write)
+//! is these three in one process.
 //!
 //! ```text
 //!  plan INPUT ──▶ plan.json ──▶ work I/N  (any number of processes, on any machines, in any order, again at will)
@@ -7,14 +8,17 @@
 //!                               commit: every segment verified ──▶ index ──▶ manifest
 //! ```
 //!
-//! A **shard** I of N is the I-th of N runs of whole segments. N is free: the segments, and so the archive's bytes, are the same
-//! for any N, and workers of different N may run together. A shard does all steps of its chunks. Workers lock nothing and ask nobody. A worker skips segments that
-//! are done; two that make the same one write the same bytes to temporaries of different names, and the later rename
-//! replaces a file by its copy. So a task may be started twice, or go on after its machine was given up for dead.
+//! A **shard** I of N is the I-th of N runs of whole segments. N is free: the segments, and so the
+//! archive's bytes, are the same for any N, and workers of different N may run together. A shard
+//! does all steps of its chunks. Workers lock nothing and ask nobody. A worker skips segments that
+//! are done; two that make the same one write the same bytes to temporaries of different names, and
+//! the later rename replaces a file by its copy. So a task may be started twice, or go on after its
+//! machine was given up for dead.
 //!
-//! The input is read by every worker. One without random access (compressed) is copied into bricks by each of them, and the structures
-//! of a tetrahedral mesh are made by each of them, in its own `scratch`: nothing is shared between machines but the archive.
-//! Of a source of chunks each decodes those that it needs, where its memory holds them: see `inputs::access`.
+//! The input is read by every worker. One without random access (compressed) is copied into bricks
+//! by each of them, and the structures of a tetrahedral mesh are made by each of them, in its own
+//! `scratch`: nothing is shared between machines but the archive. Of a source of chunks each
+//! decodes those that it needs, where its memory holds them: see `inputs::access`.
 
 mod status;
 
@@ -60,11 +64,13 @@ pub struct PlanReport {
     pub needs: Estimate,
 }
 
-/// Plans the reduction of a series of steps, or of one, to the archive `out` in `shards` parts, and writes the plan beside it. With
-/// [`RunSettings::replace`] an archive and a plan that are there are replaced.
+/// Plans the reduction of a series of steps, or of one, to the archive `out` in `shards` parts, and
+/// writes the plan beside it. With [`RunSettings::replace`] an archive and a plan that are there
+/// are replaced.
 ///
 /// # Errors
-/// As [`Reduction::write`](crate::Reduction::write); [`Error::Usage`] when there is another plan already.
+/// As [`Reduction::write`](crate::Reduction::write); [`Error::Usage`] when there is another plan
+/// already.
 pub fn plan_shards(
     sources: &[StepSource],
     settings: &ReduceSettings,
@@ -171,7 +177,8 @@ pub struct WorkReport {
 /// Makes the segments of a shard that are not done yet.
 ///
 /// # Errors
-/// [`Error::BadInput`] when there is no plan, or the input is not that of the plan; else as [`Reduction::write`](crate::Reduction::write).
+/// [`Error::BadInput`] when there is no plan, or the input is not that of the plan; else as
+/// [`Reduction::write`](crate::Reduction::write).
 pub fn work_shard(
     out: &Path,
     shard: Shard,
@@ -209,7 +216,8 @@ pub fn work_shard(
     Ok(report(made.points, SourceChunks::of(sources), made.seconds))
 }
 
-/// A finished archive of another plan is not written into; the one that is to be replaced stays as it is.
+/// A finished archive of another plan is not written into; the one that is to be replaced stays as
+/// it is.
 fn expect_no_other_archive(out: &Path, file: &PlanFile) -> Result<()> {
     if !out.join(MANIFEST_NAME).exists() || file.root(out) != out {
         return Ok(());
@@ -221,8 +229,8 @@ fn expect_no_other_archive(out: &Path, file: &PlanFile) -> Result<()> {
     Err(Error::usage(format!("{} {text}", out.display())))
 }
 
-/// Verifies every segment of a plan and publishes the archive: index, then manifest. Deletes nothing but what
-/// dead processes of this machine have left unfinished.
+/// Verifies every segment of a plan and publishes the archive: index, then manifest. Deletes
+/// nothing but what dead processes of this machine have left unfinished.
 ///
 /// # Errors
 /// [`Error::Incomplete`] with each segment that is missing, damaged or of another plan.

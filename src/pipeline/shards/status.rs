@@ -1,4 +1,5 @@
-//! How far is a planned reduction? Every segment is looked at, on several threads; nothing is written.
+//! How far is a planned reduction? Every segment is looked at, on several threads; nothing is
+//! written.
 
 use crate::archive::manifest::{MANIFEST_NAME, mesh_folder, steps_folder};
 use crate::archive::publish::{final_name, open_own};
@@ -129,8 +130,8 @@ pub struct StatusReport {
     pub temporary_bytes: u64,
 }
 
-/// Looks at all segments of a plan. `shards` is how many the work is cut into, as many as the plan says if not given; `quick`
-/// believes headers, lengths and footers and does not read the blocks.
+/// Looks at all segments of a plan. `shards` is how many the work is cut into, as many as the plan
+/// says if not given; `quick` believes headers, lengths and footers and does not read the blocks.
 ///
 /// # Errors
 /// [`Error::BadInput`] when there is no plan.
@@ -177,13 +178,13 @@ pub struct GcReport {
     pub bytes: u64,
 }
 
-/// Removes temporary files of an archive and of its plan that nobody has written to for some time, and that no process of this
-/// machine holds. Only files are removed whose names a writer gives, in folders that an archive has. With `dry_run` it only tells
-/// which.
+/// Removes temporary files of an archive and of its plan that nobody has written to for some time,
+/// and that no process of this machine holds. Only files are removed whose names a writer gives, in
+/// folders that an archive has. With `dry_run` it only tells which.
 ///
 /// # Errors
-/// [`Error::BadInput`] for a folder that is neither an archive, finished or not, nor has a plan; when a folder cannot be listed or a
-/// file not removed.
+/// [`Error::BadInput`] for a folder that is neither an archive, finished or not, nor has a plan;
+/// when a folder cannot be listed or a file not removed.
 pub fn collect_garbage(out: &Path, older_than: Duration, dry_run: bool) -> Result<GcReport> {
     let is_unfinished = || mesh_folder(out).is_dir() && matches!(Existing::at(out), Ok(Existing::Unfinished));
     if !out.join(MANIFEST_NAME).is_file() && !plan_path(out).is_file() && !is_unfinished() {
@@ -207,7 +208,8 @@ pub fn collect_garbage(out: &Path, older_than: Duration, dry_run: bool) -> Resul
     Ok(report)
 }
 
-/// Whether a writer on this machine (or, where the file system tells, on another) has the file locked.
+/// Whether a writer on this machine (or, where the file system tells, on another) has the file
+/// locked.
 fn is_held(path: &Path) -> bool {
     open_own(path).is_some_and(|f| matches!(f.try_lock(), Err(fs::TryLockError::WouldBlock)))
 }
@@ -218,7 +220,8 @@ struct Leftover {
     age: Duration,
 }
 
-/// The folders that writers of an archive, of its plan, and of tries for a target use. Links to folders are not followed.
+/// The folders that writers of an archive, of its plan, and of tries for a target use. Links to
+/// folders are not followed.
 fn folders_of(out: &Path) -> Result<Vec<PathBuf>> {
     let work = work_folder(out);
     let mut archives = vec![out.to_path_buf()];

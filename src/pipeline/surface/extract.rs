@@ -1,9 +1,11 @@
-//! Several isosurfaces out of an archive in one pass: each block is decoded once, whatever the number of isovalues.
+//! Several isosurfaces out of an archive in one pass: each block is decoded once, whatever the
+//! number of isovalues.
 //!
-//! Chunks are extracted in parallel, and welded in chunk order while others are extracted ([`in_order`]). Every
-//! isovalue has its own weld, which sees what it would see alone: a surface does not depend on what else was asked for.
-//! Blocks of a chunk are decoded one after another into the same small buffer, so the memory of a chunk is that of its corners and
-//! of its surfaces, not of its tetrahedra.
+//! Chunks are extracted in parallel, and welded in chunk order while others are extracted
+//! ([`in_order`]). Every isovalue has its own weld, which sees what it would see alone: a surface
+//! does not depend on what else was asked for. Blocks of a chunk are decoded one after another into
+//! the same small buffer, so the memory of a chunk is that of its corners and of its surfaces, not
+//! of its tetrahedra.
 
 use super::settings::SurfaceSettings;
 use super::unpacked::UnpackedChunk;
@@ -31,7 +33,8 @@ pub(super) struct Extracted {
 pub(super) struct Room {
     /// For what memory does not hold.
     pub(super) scratch: PathBuf,
-    /// Surfaces that are no longer needed, of which the memory is used again: the first one for the first isovalue, and so on.
+    /// Surfaces that are no longer needed, of which the memory is used again: the first one for the
+    /// first isovalue, and so on.
     pub(super) reused: Vec<TriMesh>,
 }
 
@@ -68,7 +71,8 @@ pub(super) fn extract_surfaces(
 const AT_ONCE: usize = 32;
 
 impl Question<'_> {
-    /// Bytes in which the blocks of a chunk are extracted: from the plan's target and the point set, without reading.
+    /// Bytes in which the blocks of a chunk are extracted: from the plan's target and the point
+    /// set, without reading.
     fn need(&self, work: &ChunkWork) -> u64 {
         let tets: u64 = work.blocks.iter().map(|b| u64::from(b.tets) * self.times_active(b)).sum();
         let per_vertex =
@@ -147,7 +151,8 @@ impl Question<'_> {
         self.cut.is_none() && self.caps.is_none()
     }
 
-    /// Asks the processor for the next kept blocks: of the one after the next what tells which tetrahedra of it may be active.
+    /// Asks the processor for the next kept blocks: of the one after the next what tells which
+    /// tetrahedra of it may be active.
     fn foretell(&self, next: Option<&Found>, after: Option<&Found>) {
         if let Some(next) = next {
             next.block.rest_will_be_read(self.isovalues);
@@ -168,7 +173,8 @@ impl Question<'_> {
         }
     }
 
-    /// Caps have triangles in tetrahedra that are not active, and what is kept is for other isovalues too.
+    /// Caps have triangles in tetrahedra that are not active, and what is kept is for other
+    /// isovalues too.
     fn needed(&self) -> Needed<'_> {
         match self.caps.is_some() || self.archive.cache.most() > 0 {
             true => Needed::All,
@@ -273,7 +279,8 @@ impl<'a> Weld<'a> {
     }
 }
 
-/// When to look at the open edges of a surface: whenever they have doubled, which costs a constant number of looks an edge.
+/// When to look at the open edges of a surface: whenever they have doubled, which costs a constant
+/// number of looks an edge.
 struct Closing {
     most: u64,
     look_at: u64,

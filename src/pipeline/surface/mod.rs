@@ -4,7 +4,8 @@
 //!  query: settings ─▶ index ─▶ active blocks ─▶ extract: chunk by chunk ─▶ weld ─▶ refine ─▶ file
 //! ```
 //!
-//! [`extract_steps`] answers for many steps at once, [`unpack`] stores blocks as extraction uses them.
+//! [`extract_steps`] answers for many steps at once, [`unpack`] stores blocks as extraction uses
+//! them.
 
 mod extract;
 mod extract_steps;

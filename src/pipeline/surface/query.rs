@@ -144,9 +144,11 @@ fn report_of(
     })
 }
 
-/// Hands the report to `begin`, then each surface to `each`, in the order of the isovalues, in the world.
+/// Hands the report to `begin`, then each surface to `each`, in the order of the isovalues, in the
+/// world.
 ///
-/// Memory does not grow with the surfaces: what the settings do not allow for is in their scratch folder.
+/// Memory does not grow with the surfaces: what the settings do not allow for is in their scratch
+/// folder.
 pub(in crate::pipeline) fn with_surfaces(
     archive: &StepView,
     settings: &SurfaceSettings,

@@ -37,7 +37,8 @@ pub struct UnpackSettings {
     pub step: StepChoice,
     /// Several steps, in place of one.
     pub steps: Option<StepRange>,
-    /// Only blocks that can answer isovalues from the first to the second; surfaces at others decode blocks.
+    /// Only blocks that can answer isovalues from the first to the second; surfaces at others
+    /// decode blocks.
     pub range: [f64; 2],
     /// Threads, memory, scratch folder, and what stops it.
     pub resources: Resources,
@@ -80,7 +81,8 @@ pub struct UnpackedFile {
     pub packed_blocks: u64,
 }
 
-/// Bytes of a tetrahedron while its chunk is unpacked: known, joined, an edge in a table; and in the file.
+/// Bytes of a tetrahedron while its chunk is unpacked: known, joined, an edge in a table; and in
+/// the file.
 const BYTES_PER_TET: u64 = 192;
 const BYTES_ON_DISK: u64 = 64;
 /// What a chunk takes whatever its size.
@@ -94,7 +96,8 @@ pub struct UnpackNeed {
     pub bytes: u64,
     /// Tetrahedra in them.
     pub tetrahedra: u64,
-    /// Bytes that are free where they go (a file is replaced when the new one is complete); `None` where the system does not tell.
+    /// Bytes that are free where they go (a file is replaced when the new one is complete); `None`
+    /// where the system does not tell.
     pub free: Option<u64>,
 }
 
@@ -131,8 +134,9 @@ fn open_chosen(path: &Path, settings: &UnpackSettings) -> Result<(Arc<OpenArchiv
     Ok((archive, positions))
 }
 
-/// Unpacks steps of an archive: surfaces of them read their blocks, about sixty bytes a tetrahedron, where they lie, several times as fast as they
-/// decode the few bits that the archive has of each. The surfaces are the same, byte for byte.
+/// Unpacks steps of an archive: surfaces of them read their blocks, about sixty bytes a
+/// tetrahedron, where they lie, several times as fast as they decode the few bits that the archive
+/// has of each. The surfaces are the same, byte for byte.
 ///
 /// ```
 /// # use isospan::{Archive, exec::Silent};
@@ -151,10 +155,12 @@ fn open_chosen(path: &Path, settings: &UnpackSettings) -> Result<(Arc<OpenArchiv
 /// ```
 ///
 /// # Errors
-/// [`Error::BadInput`] for a damaged archive; [`Error::Usage`] for one on a server, for a moment between two steps, or an empty range;
-/// [`Error::Budget`] when memory or disk do not suffice; those of writing the files.
+/// [`Error::BadInput`] for a damaged archive; [`Error::Usage`] for one on a server, for a moment
+/// between two steps, or an empty range; [`Error::Budget`] when memory or disk do not suffice;
+/// those of writing the files.
 pub fn unpack(path: &Path, settings: &UnpackSettings, progress: &dyn Progress) -> Result<UnpackReport> {
-    // All steps at once: disk that does for the first ones alone is found too small before anything is written.
+    // All steps at once: disk that does for the first ones alone is found too small before anything
+    // is written.
     unpack_need(path, settings)?;
     let (archive, positions) = open_chosen(path, settings)?;
     let mut report = UnpackReport::default();
@@ -167,7 +173,8 @@ pub fn unpack(path: &Path, settings: &UnpackSettings, progress: &dyn Progress) -
     Ok(report)
 }
 
-/// Removes what [`unpack`] has made: of the steps that the settings name if `chosen_only`, else all.
+/// Removes what [`unpack`] has made: of the steps that the settings name if `chosen_only`, else
+/// all.
 ///
 /// # Errors
 /// When a file cannot be removed.

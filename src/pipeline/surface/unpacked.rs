@@ -53,7 +53,8 @@ impl OpenArchive {
         .collect()
     }
 
-    /// The hash of what the unpacked blocks of a step are made of: the mesh, and its values, back to a keyframe.
+    /// The hash of what the unpacked blocks of a step are made of: the mesh, and its values, back
+    /// to a keyframe.
     pub(super) fn unpacked_hash(&self, step: usize) -> PlanHash {
         let steps = &self.manifest.steps;
         let key = (0..step).rev().find(|&n| steps[n + 1].plan.base.is_none()).map_or(0, |n| n + 1);
@@ -84,7 +85,8 @@ impl<'a> UnpackedChunk<'a> {
         Ok(Some(Self { file, places, corners, edges, words: vec![] }))
     }
 
-    /// Adds the `n`-th of the blocks to the surfaces of the chunk. False if it is to be had packed only.
+    /// Adds the `n`-th of the blocks to the surfaces of the chunk. False if it is to be had packed
+    /// only.
     pub(super) fn add(
         &mut self,
         n: usize,
@@ -131,7 +133,8 @@ impl<'a> UnpackedChunk<'a> {
         if let Some(Ok(next)) = ahead(1).map(Known::open) {
             next.block.tets_will_be_read(isovalues);
         }
-        // About what is looked at of any block: its lists but for the edges of tetrahedra and slots.
+        // About what is looked at of any block: its lists but for the edges of tetrahedra and
+        // slots.
         if let Some(words) = ahead(2) {
             will_read(&words[..words.len() * 2 / 5]);
         }
@@ -150,7 +153,8 @@ impl<'a> UnpackedChunk<'a> {
     }
 }
 
-/// The block at a place, in a chunk of so many corners. What a question about these isovalues (none: about all) reads of it is looked at when it is first read.
+/// The block at a place, in a chunk of so many corners. What a question about these isovalues
+/// (none: about all) reads of it is looked at when it is first read.
 fn block_of<'a>(
     file: &Unpacked,
     place: &UnpackedPlace<'a>,

@@ -1,27 +1,35 @@
 //! Scan conversion of many tetrahedra together, column by column.
 //!
-//! A tetrahedron of a mesh of about a point for eight samples has one sample or two, in a box of some ten. What a scan by itself
-//! ([`super::scan`]) costs there are branches that nobody can foretell: how many rows, how many samples, which of them. So tetrahedra are sorted by the
-//! rows of their box first; sixteen of like boxes are looked at side by side, a lane each:
+//! A tetrahedron of a mesh of about a point for eight samples has one sample or two, in a box of
+//! some ten. What a scan by itself ([`super::scan`]) costs there are branches that nobody can
+//! foretell: how many rows, how many samples, which of them. So tetrahedra are sorted by the rows
+//! of their box first; sixteen of like boxes are looked at side by side, a lane each:
 //!
 //! ```text
 //!  tetrahedra ─▶ boxes ─▶ sorted by rows ─▶ planes in f32 ─▶ where each row enters and leaves ─▶ candidates ─▶ exact λ ─▶ members
 //!     2048      16 each                       16 each                  16 each                              128 at a time
 //! ```
 //!
-//! The **filter** is that of `scan.rs`, in `f32`; only its last steps differ. From row to row λ grows by additions, at most 30 from the first row of
-//! a box to its last. Each rounds by at most 18·M³u, which makes 540·M³u more than the 200·M³u there. Along a row, λ + g·x >= 0 for a sample x that is inside,
-//! `g` as computed: where g > 0, x is not less than -λ/g, where g < 0 not greater. The quotient is wrong by 3u of itself; if it is one that matters, it is less
-//! than 16, and [`SLACK`] is more than its error.
+//! The **filter** is that of `scan.rs`, in `f32`; only its last steps differ. From row to row λ
+//! grows by additions, at most 30 from the first row of a box to its last. Each rounds by at most
+//! 18·M³u, which makes 540·M³u more than the 200·M³u there. Along a row, λ + g·x >= 0 for a sample
+//! x that is inside, `g` as computed: where g > 0, x is not less than -λ/g, where g < 0 not
+//! greater. The quotient is wrong by 3u of itself; if it is one that matters, it is less than 16,
+//! and [`SLACK`] is more than its error.
 //!
-//! **Exact λ in `f64`.** With corners at most M = 2^20 lattice steps apart along each axis, a component of a plane's gradient (twice the area of a triangle in a
-//! square of edge M) is an integer of at most M² = 2^40, and exact. A difference of positions is cut in two, `r = 1024·h + l` with `|l| <= 512` and `|h| <= 2^10`: products
-//! and sums of three are exact, those with l below 2^51, those with h below 2^52. A λ is at most 2·M³ = 2^61 (the largest tetrahedron in a cube takes a third of it), so its part H in `λ = 1024·H + L`
-//! is less than 2^51 + 2^42. So sums of up to three such parts, and their difference from a fourth, stay below 2^53, exact too.
-//! Only `1024·H + L` is rounded, once: it is the `f64` that is nearest to the integer λ, which is what `scan.rs` makes
-//! of its 64 bits. Weights are the same bits. Where a λ is 0, the tie rule is asked, in integers.
+//! **Exact λ in `f64`.** With corners at most M = 2^20 lattice steps apart along each axis, a
+//! component of a plane's gradient (twice the area of a triangle in a square of edge M) is an
+//! integer of at most M² = 2^40, and exact. A difference of positions is cut in two,
+//! `r = 1024·h + l` with `|l| <= 512` and `|h| <= 2^10`: products and sums of three are exact,
+//! those with l below 2^51, those with h below 2^52. A λ is at most 2·M³ = 2^61 (the largest
+//! tetrahedron in a cube takes a third of it), so its part H in `λ = 1024·H + L` is less than
+//! 2^51 + 2^42. So sums of up to three such parts, and their difference from a fourth, stay below
+//! 2^53, exact too. Only `1024·H + L` is rounded, once: it is the `f64` that is nearest to the
+//! integer λ, which is what `scan.rs` makes of its 64 bits. Weights are the same bits. Where a λ is
+//! 0, the tie rule is asked, in integers.
 //!
-//! Larger boxes and tetrahedra go through `scan.rs`, and all do on grids that are no voxels. Memory: [`BatchScan::BYTES`].
+//! Larger boxes and tetrahedra go through `scan.rs`, and all do on grids that are no voxels.
+//! Memory: [`BatchScan::BYTES`].
 
 mod boxes;
 mod exact;
@@ -113,7 +121,8 @@ pub struct BatchScan {
     small: Box<[u32; SORTED + LANES]>,
     sizes: Box<[u32; SORTED + LANES]>,
     sorted: Box<[u32; SORTED]>,
-    /// Candidates of some rows of sixteen tetrahedra: lane, and x, y and z in the box, four bits each but the last.
+    /// Candidates of some rows of sixteen tetrahedra: lane, and x, y and z in the box, four bits
+    /// each but the last.
     found: Box<[u32; FOUND]>,
     candidates: Box<Candidates>,
     members: Box<Members>,
@@ -146,8 +155,9 @@ impl BatchScan {
     /// Bytes that it takes, at most.
     pub const BYTES: u64 = 64 << 10;
 
-    /// Calls `each` with the samples of the scanner's window that belong to positively oriented tetrahedra, some at a time: each sample
-    /// as often as [`Scanner::each_run`] hands it on, with the same weights, in an order that follows from the tetrahedra and their order.
+    /// Calls `each` with the samples of the scanner's window that belong to positively oriented
+    /// tetrahedra, some at a time: each sample as often as [`Scanner::each_run`] hands it on, with
+    /// the same weights, in an order that follows from the tetrahedra and their order.
     ///
     /// # Panics
     /// For a window of 2^32 samples or more.
@@ -217,7 +227,8 @@ impl BatchScan {
         self.alone.hand_on(each);
     }
 
-    /// Notes the sizes of boxes that have samples in them; returns how many are small. The others are scanned at once.
+    /// Notes the sizes of boxes that have samples in them; returns how many are small. The others
+    /// are scanned at once.
     #[inline(always)]
     fn boxes<I: Ints>(
         &mut self,

@@ -1,4 +1,5 @@
-//! Twice eight lanes of AVX2. To be had with a proof only: so each has been made on a machine that has the instructions. Of use in code that is compiled for them.
+//! Twice eight lanes of AVX2. To be had with a proof only: so each has been made on a machine that
+//! has the instructions. Of use in code that is compiled for them.
 #![allow(unsafe_code)]
 
 use super::{Bits, Floats, Ints};
@@ -186,7 +187,8 @@ impl Ints for IntPair {
         let mut out = [0u32; 16];
         let (low, high) = (packed(self.0, bits as u8), packed(self.1, (bits >> 8) as u8));
         let first = (bits as u8).count_ones() as usize;
-        // SAFETY: AVX2 was found, and there is room for eight numbers behind each of the first nine places.
+        // SAFETY: AVX2 was found, and there is room for eight numbers behind each of the first nine
+        // places.
         unsafe {
             _mm256_storeu_si256(out.as_mut_ptr().cast(), low);
             _mm256_storeu_si256(out[first..first + 8].as_mut_ptr().cast(), high);

@@ -1,4 +1,5 @@
-//! Sixteen lanes of AVX-512. To be had with a proof only: so each has been made on a machine that has the instructions. Of use in code that is compiled for them.
+//! Sixteen lanes of AVX-512. To be had with a proof only: so each has been made on a machine that
+//! has the instructions. Of use in code that is compiled for them.
 #![allow(unsafe_code)]
 
 use super::avx2::quarter;

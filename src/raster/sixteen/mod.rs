@@ -1,4 +1,5 @@
-//! Sixteen numbers of 32 bits at a time: a vector of AVX-512, two of AVX2, and the same in plain code, with the same bits.
+//! Sixteen numbers of 32 bits at a time: a vector of AVX-512, two of AVX2, and the same in plain
+//! code, with the same bits.
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]

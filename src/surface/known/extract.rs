@@ -4,8 +4,9 @@
 //!  crossed edges, active tetrahedra ─▶ vertices of edges, numbered ─▶ new vertices ─▶ triangles
 //! ```
 //!
-//! Each step is taken for the whole block before the next one, without branches that depend on a single edge or tetrahedron, but for the
-//! edges that other blocks may have too: those are looked for in the chunk.
+//! Each step is taken for the whole block before the next one, without branches that depend on a
+//! single edge or tetrahedron, but for the edges that other blocks may have too: those are looked
+//! for in the chunk.
 
 use super::super::cases::CASES;
 use super::super::edges::Found;
@@ -114,7 +115,8 @@ impl Crossed {
         self.counts = [crossed, open, active];
     }
 
-    /// Numbers the vertices that no other block has made, from the next one on, in the order of their edges; tells how many.
+    /// Numbers the vertices that no other block has made, from the next one on, in the order of
+    /// their edges; tells how many.
     #[inline(always)]
     fn number_new(&mut self, next: u32) -> usize {
         let mut count = 0;
@@ -157,8 +159,9 @@ fn is_crossed(sum: u8) -> bool {
 }
 
 impl ChunkSurface {
-    /// Adds the active tetrahedra of a known block, whose numbers in the chunk are below that of its corners. `world` is that of the block. False
-    /// if a triangle has no vertex: then the edges of a tetrahedron are not those between its corners, and the surface is of no use.
+    /// Adds the active tetrahedra of a known block, whose numbers in the chunk are below that of
+    /// its corners. `world` is that of the block. False if a triangle has no vertex: then the edges
+    /// of a tetrahedron are not those between its corners, and the surface is of no use.
     #[must_use]
     pub(crate) fn add_known(&mut self, block: Known<'_>, world: &WorldMap, bench: &mut Workbench) -> bool {
         self.add_known_on(block, world, &mut bench.crossed, (Avx2::found(), ByteTables::found()))
@@ -200,7 +203,8 @@ impl ChunkSurface {
         is_sound && (most as usize) < self.vertices.len()
     }
 
-    /// Looks for the edges that other blocks may have too, and adds this block's part of their sums. False if a slot is not there.
+    /// Looks for the edges that other blocks may have too, and adds this block's part of their
+    /// sums. False if a slot is not there.
     #[inline(always)]
     fn join_open(&mut self, block: Known<'_>, crossed: &mut Crossed) -> bool {
         let (edges, of_edges, slots) = (block.edges(), block.slots_of_edges(), block.slots());
@@ -258,8 +262,8 @@ impl ChunkSurface {
         is_sound
     }
 
-    /// Notes what others may ask of new vertices: `before` is the number of open ones before. False if an edge has no length, or its number is not
-    /// one of the chunk's.
+    /// Notes what others may ask of new vertices: `before` is the number of open ones before. False
+    /// if an edge has no length, or its number is not one of the chunk's.
     #[inline(always)]
     fn note_first(&mut self, block: Known<'_>, crossed: &Crossed, before: usize) -> bool {
         let (at, mut is_sound) = (block.at(), true);

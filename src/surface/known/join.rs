@@ -1,8 +1,11 @@
-//! Joins the edges that several blocks of a chunk have: where all of them are at hand, the sums around their edges are added up once for all isovalues.
+//! Joins the edges that several blocks of a chunk have: where all of them are at hand, the sums
+//! around their edges are added up once for all isovalues.
 //!
-//! Such an edge gets a number in the chunk. The first block that has it, in the order in which they are extracted, has its normal; others but its number: whatever
-//! crosses it is in all of these blocks, so the first has made the vertex when they are at it. An edge whose ends are both shared with other chunks keeps
-//! the sum of each block, as does one that a block has which is not at hand.
+//! Such an edge gets a number in the chunk. The first block that has it, in the order in which they
+//! are extracted, has its normal; others but its number: whatever crosses it is in all of these
+//! blocks, so the first has made the vertex when they are at it. An edge whose ends are both shared
+//! with other chunks keeps the sum of each block, as does one that a block has which is not at
+//! hand.
 
 use super::super::WorldMap;
 use super::super::fours;
@@ -111,7 +114,8 @@ impl Joiner {
     }
 }
 
-/// The numbers of an edge's ends in the chunk, the lower one first; `None` if other chunks may have it.
+/// The numbers of an edge's ends in the chunk, the lower one first; `None` if other chunks may have
+/// it.
 fn key(block: Known<'_>, n: usize) -> Option<[u32; 2]> {
     let mut ends = block.edges()[n].map(|corner| block.numbers()[usize::from(corner)]);
     if ends[0] & ends[1] & SHARED != 0 {

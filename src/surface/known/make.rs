@@ -97,7 +97,8 @@ impl Maker {
             + 4 * self.slots.capacity()
     }
 
-    /// Finds out about a block. `None` of one with too many corners or edges, which is rare, or of corners without numbers in a chunk.
+    /// Finds out about a block. `None` of one with too many corners or edges, which is rare, or of
+    /// corners without numbers in a chunk.
     ///
     /// # Panics
     /// When a tetrahedron names a corner that is not there.
@@ -174,7 +175,8 @@ impl Maker {
         count <= EDGES_MOST
     }
 
-    /// Finds what is known of edges: the normals of those with all their tetrahedra here, of others the part of the sum.
+    /// Finds what is known of edges: the normals of those with all their tetrahedra here, of others
+    /// the part of the sum.
     #[inline(always)]
     fn know_edges<W: Four>(&mut self, proof: W::Proof, world: &WorldMap) {
         self.find_gradients::<W>(proof);

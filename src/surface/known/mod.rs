@@ -51,11 +51,13 @@ pub(crate) use stored::Flaw;
 const GROUP: usize = 16;
 /// The most edges of a block; so many have less than 2^15 slots of what is known of them.
 const EDGES_MOST: usize = 1 << 14;
-/// In the first edge of a tetrahedron: the order of its ids is an odd permutation of a positively oriented one.
+/// In the first edge of a tetrahedron: the order of its ids is an odd permutation of a positively
+/// oriented one.
 const TURNED: u16 = 1 << 15;
 /// In the slot of an edge: other blocks may have tetrahedra around it.
 const OPEN: u16 = 1 << 15;
-/// Before the slot of such an edge: what is in it. Else it is an edge of the chunk with a number, and nothing is.
+/// Before the slot of such an edge: what is in it. Else it is an edge of the chunk with a number,
+/// and nothing is.
 const SUM: u32 = 1 << 31;
 const FIRST: u32 = 1 << 30;
 /// The most words of slots, so that the place of each has 15 bits.
@@ -63,7 +65,8 @@ const SLOTS_MOST: usize = (1 << 15) - 8;
 /// Words behind the last slot: so each can be read as a normal, whatever it is.
 const SLOTS_BEHIND: usize = 3;
 
-/// Some tetrahedra: least and greatest value, and where what belongs to the edges ends that they are the first to have.
+/// Some tetrahedra: least and greatest value, and where what belongs to the edges ends that they
+/// are the first to have.
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 #[repr(C)]
 struct Group {
@@ -73,7 +76,8 @@ struct Group {
     slots_end: u16,
 }
 
-/// The edges of a tetrahedron, its corners in the order of their ids, in the order of [`super::cases::EDGES`]; the first with [`TURNED`].
+/// The edges of a tetrahedron, its corners in the order of their ids, in the order of
+/// [`super::cases::EDGES`]; the first with [`TURNED`].
 type TetEdges = [u16; 6];
 
 /// Whether a tetrahedron has no edges: those of others differ.
@@ -169,7 +173,8 @@ impl<'a> Known<'a> {
         &bytemuck::cast_slice(&self.words[corners..edges])[..self.shape.edges]
     }
 
-    /// Where in the slots that of each edge begins; with [`OPEN`], behind the word that tells what it is.
+    /// Where in the slots that of each edge begins; with [`OPEN`], behind the word that tells what
+    /// it is.
     #[inline(always)]
     fn slots_of_edges(&self) -> &'a [u16] {
         let [_, _, corners, edges, ..] = self.ends();
@@ -206,12 +211,14 @@ impl<'a> Known<'a> {
         shared_ids(self.numbers(), self.ids(), ends)
     }
 
-    /// Asks the processor for what is looked at of any block: all but the edges of tetrahedra, slots and ids.
+    /// Asks the processor for what is looked at of any block: all but the edges of tetrahedra,
+    /// slots and ids.
     pub(crate) fn corners_will_be_read(&self) {
         will_read(&self.words[..self.ends()[4]]);
     }
 
-    /// Asks the processor for the rest, of tetrahedra that may be active, of a block whose groups are at hand.
+    /// Asks the processor for the rest, of tetrahedra that may be active, of a block whose groups
+    /// are at hand.
     pub(crate) fn tets_will_be_read(&self, isovalues: &[f32]) {
         let (tets, slots) = (self.edges_of_tets(), self.slots());
         let mut slot = 0;

@@ -1,5 +1,6 @@
-//! Which edges does an isovalue cross, which tetrahedra? 64 corners at a time, with AVX-512's instructions for tables of bytes: a byte for each corner
-//! tells its side, a bit for each end or corner comes out, and the numbers of those that are crossed are packed without a branch.
+//! Which edges does an isovalue cross, which tetrahedra? 64 corners at a time, with AVX-512's
+//! instructions for tables of bytes: a byte for each corner tells its side, a bit for each end or
+//! corner comes out, and the numbers of those that are crossed are packed without a branch.
 #![allow(unsafe_code)]
 
 use super::super::patch::CORNERS;
@@ -28,7 +29,8 @@ impl ByteTables {
         None
     }
 
-    /// The numbers of the edges between corners on different sides, and of those of them whose slot is an [`OPEN`] one; tells how many of each.
+    /// The numbers of the edges between corners on different sides, and of those of them whose slot
+    /// is an [`OPEN`] one; tells how many of each.
     ///
     /// # Panics
     /// When there is not a slot for each edge, or no room for [`SPARE`] more than are found.
@@ -49,7 +51,8 @@ impl ByteTables {
         unreachable!("there is no proof for {table:?}, {edges:?}, {slots:?}, {out:?}")
     }
 
-    /// Of the tetrahedra with corners on both sides the numbers, and the corners inside; tells how many.
+    /// Of the tetrahedra with corners on both sides the numbers, and the corners inside; tells how
+    /// many.
     ///
     /// # Panics
     /// When there is no room for [`SPARE`] more than are found.

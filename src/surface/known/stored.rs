@@ -5,11 +5,14 @@
 //!   │ a checksum for each group │ the lists of the block │ zeros up to a cache line
 //! ```
 //!
-//! The lists are used where they lie, in a mapped file too. So [`Known::open`] looks whether they are as long as the words, and [`Stored::check`]
-//! whether they have their checksums, and whatever they name is there: then no words, whoever wrote them, lead outside of a list. A question reads of the later lists (edges of
-//! tetrahedra, slots) the part of groups that it may cross. So these have checksums of their own, and only what is read of a block is looked at, once.
-//! What the slots of open edges name, and whether the triangles of a block have the vertices of their edges, is looked at when they are used ([`super::extract`]).
-//! That words mean what the archive means is another question, answered by making them again.
+//! The lists are used where they lie, in a mapped file too. So [`Known::open`] looks whether they
+//! are as long as the words, and [`Stored::check`] whether they have their checksums, and whatever
+//! they name is there: then no words, whoever wrote them, lead outside of a list. A question reads
+//! of the later lists (edges of tetrahedra, slots) the part of groups that it may cross. So these
+//! have checksums of their own, and only what is read of a block is looked at, once. What the slots
+//! of open edges name, and whether the triangles of a block have the vertices of their edges, is
+//! looked at when they are used ([`super::extract`]). That words mean what the archive means is
+//! another question, answered by making them again.
 
 use super::super::ordered::SHARED;
 use super::super::patch::CORNERS;
@@ -18,13 +21,15 @@ use crate::exec::with_vectors;
 use crate::mesh::tet::is_active;
 use std::ops::Range;
 
-/// Words before the checksums of groups; those of them that have their checksum with the first lists.
+/// Words before the checksums of groups; those of them that have their checksum with the first
+/// lists.
 const HEAD: usize = 8;
 const COUNTS: usize = 5;
 /// Where in the head the checksums are.
 const OF_LISTS: usize = 5;
 const OF_IDS: usize = 6;
-/// In what is noted of a block: all but what is looked at group by group was found to be right. A bit for each group, lowest first, are those of the groups.
+/// In what is noted of a block: all but what is looked at group by group was found to be right. A
+/// bit for each group, lowest first, are those of the groups.
 const LISTS_ARE_RIGHT: u64 = 1 << 63;
 /// Words of a cache line.
 const LINE: usize = 16;
@@ -80,7 +85,8 @@ impl KnownBlock {
 }
 
 impl<'a> Known<'a> {
-    /// The block of some words, as [`KnownBlock::store`] gives them. What its lists hold is not looked at: see [`Stored::check`].
+    /// The block of some words, as [`KnownBlock::store`] gives them. What its lists hold is not
+    /// looked at: see [`Stored::check`].
     ///
     /// # Errors
     /// When they are not as long as they tell.
@@ -118,8 +124,9 @@ pub(crate) struct Stored<'a> {
 }
 
 impl Stored<'_> {
-    /// Looks whether what a question about these isovalues (none: about all) reads of the block is right, in a chunk of so many corners. `known` tells what was found to
-    /// be right before; with what was found now it comes back.
+    /// Looks whether what a question about these isovalues (none: about all) reads of the block is
+    /// right, in a chunk of so many corners. `known` tells what was found to be right before; with
+    /// what was found now it comes back.
     ///
     /// # Errors
     /// The first list with something that is not.
@@ -145,7 +152,8 @@ impl Stored<'_> {
         Ok(right)
     }
 
-    /// Where in the slots each group's are. Ends that do not ascend are taken for where they may be at most: the checksum tells.
+    /// Where in the slots each group's are. Ends that do not ascend are taken for where they may be
+    /// at most: the checksum tells.
     fn ranges(&self) -> impl Iterator<Item = Range<usize>> {
         let (groups, most) = (self.block.groups(), self.block.shape.slots);
         groups.iter().scan(0, move |begin, group| {
@@ -222,7 +230,8 @@ fn same_crc(at: &'static str, expected: u32, got: u32) -> Result<(), Flaw> {
 }
 
 impl Known<'_> {
-    /// The greatest number in each of the first lists; of groups 1 if one does not end where it may.
+    /// The greatest number in each of the first lists; of groups 1 if one does not end where it
+    /// may.
     #[inline(always)]
     fn most_named(&self) -> [usize; 5] {
         let Shape { edges, slots, .. } = self.shape;
@@ -254,7 +263,8 @@ mod tests {
     use crate::surface::WorldMap;
     use crate::surface::numbered::tests::Blocks;
 
-    /// The words of the blocks of a small grid, of which some have void tetrahedra, and the corners of its chunk.
+    /// The words of the blocks of a small grid, of which some have void tetrahedra, and the corners
+    /// of its chunk.
     fn stored() -> (Vec<Vec<u32>>, usize) {
         let blocks = Blocks::new(5, 60);
         let values: Vec<f32> = (0..125).map(|i| if i == 62 { f32::NAN } else { i as f32 }).collect();
@@ -304,7 +314,8 @@ mod tests {
         (words[OF_LISTS], words[OF_IDS]) = (of_lists, of_ids);
     }
 
-    /// Whatever a word is changed to, it is told, or its checksum is not looked at; and with a checksum that fits, what the lists name is there, or it is told that it is not.
+    /// Whatever a word is changed to, it is told, or its checksum is not looked at; and with a
+    /// checksum that fits, what the lists name is there, or it is told that it is not.
     #[test]
     fn nothing_that_is_named_is_missing() {
         let (all, of_chunk) = stored();
@@ -316,7 +327,8 @@ mod tests {
                 let check = |words: &[u32]| Known::open(words)?.check(of_chunk, None, 0).map(drop);
                 let [_, .., slots_at, slots_end] = Known::open(&all[0]).unwrap().block.ends();
                 let first = HEAD + Known::open(&all[0]).unwrap().of_groups.len();
-                // Neither the word and the zeros at the ends, nor those behind the slots, nor ids that nobody asks for.
+                // Neither the word and the zeros at the ends, nor those behind the slots, nor ids
+                // that nobody asks for.
                 if n != HEAD - 1 && n != OF_IDS && n < first + slots_end - SLOTS_BEHIND {
                     assert!(check(&words).is_err(), "word {n}, slots from {slots_at}");
                 }

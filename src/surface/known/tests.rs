@@ -6,7 +6,8 @@ use crate::surface::marching_tets::Workbench;
 use crate::surface::numbered::tests::{Blocks, Three, any_agree, any_values, fields_agree};
 use proptest::prelude::*;
 
-/// The surface of blocks that have not been numbered, and of those that have, with vectors where there are any and without.
+/// The surface of blocks that have not been numbered, and of those that have, with vectors where
+/// there are any and without.
 fn surfaces(of: &Blocks, values: &[f32], isovalue: f32, geometry: &Geometry) -> Three {
     let world = WorldMap::new(&of.grid.lattice, geometry);
     let mut bench = Workbench::default();
@@ -70,7 +71,8 @@ proptest! {
     }
 }
 
-/// Blocks whose edges are joined have the surface of those whose are not; also where one of them is not at hand.
+/// Blocks whose edges are joined have the surface of those whose are not; also where one of them is
+/// not at hand.
 #[test]
 fn joined_blocks_have_the_same_surface() {
     let blocks = Blocks::new(6, 90);

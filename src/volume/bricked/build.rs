@@ -87,8 +87,8 @@ struct Bricks<'a> {
     layout: Layout,
     /// Samples written.
     written: u64,
-    /// For each brick the checksum of its first bytes, and how many they are; [`UNORDERED`] when its parts came in
-    /// another order and it must be read again.
+    /// For each brick the checksum of its first bytes, and how many they are; [`UNORDERED`] when
+    /// its parts came in another order and it must be read again.
     sums: Vec<(u32, u32)>,
     /// A brick's part, gathered.
     part: Vec<u8>,
@@ -183,8 +183,8 @@ impl<'a> Bricks<'a> {
     }
 }
 
-/// A part of a brick as boxes that are contiguous in it: all of it where it has the brick's full width and depth, else
-/// its slices where it has the full width, else its rows.
+/// A part of a brick as boxes that are contiguous in it: all of it where it has the brick's full
+/// width and depth, else its slices where it has the full width, else its rows.
 fn contiguous(brick: &IndexBox, part: IndexBox) -> Vec<IndexBox> {
     let full = |a: usize| part.lo[a] == brick.lo[a] && part.hi[a] == brick.hi[a];
     let slices = (part.lo[2]..part.hi[2])
@@ -199,8 +199,9 @@ fn contiguous(brick: &IndexBox, part: IndexBox) -> Vec<IndexBox> {
     }
 }
 
-/// Collects samples that arrive in the order of the volume, to write them in large parts: up to a boundary that is a
-/// whole layer of bricks where the buffer allows, else some slices of a layer, else some rows of a slice.
+/// Collects samples that arrive in the order of the volume, to write them in large parts: up to a
+/// boundary that is a whole layer of bricks where the buffer allows, else some slices of a layer,
+/// else some rows of a slice.
 struct Raster {
     dims: [u64; 3],
     row_bytes: usize,
@@ -208,7 +209,8 @@ struct Raster {
     slices: u64,
     /// Rows between boundaries when no slice fits.
     rows: u64,
-    /// Rows of the volume, counted over all slices: the first one collected, and the next one expected.
+    /// Rows of the volume, counted over all slices: the first one collected, and the next one
+    /// expected.
     first: u64,
     next: u64,
     bytes: Vec<u8>,
@@ -228,8 +230,8 @@ impl Raster {
         (self.next - self.first) * self.dims[0]
     }
 
-    /// Whether a box goes on where the last one ended, in the order of the volume. If the buffer is empty, it starts
-    /// there.
+    /// Whether a box goes on where the last one ended, in the order of the volume. If the buffer is
+    /// empty, it starts there.
     fn continues(&mut self, voxels: IndexBox) -> bool {
         let ([dx, dy, _], d) = (self.dims, voxels.dims());
         let first = voxels.lo[2] * dy + voxels.lo[1];

@@ -154,7 +154,8 @@ pub(crate) fn ball(x: f64, y: f64, z: f64) -> f64 {
     0.49 - x * x - y * y - z * z
 }
 
-/// Sampled values, not rounded: those of the field, and of a linear field to the last bit, which most tests compare with.
+/// Sampled values, not rounded: those of the field, and of a linear field to the last bit, which
+/// most tests compare with.
 pub(crate) fn settings(points: SetKind, amount: Amount, chunk_points: u64) -> ReduceSettings {
     ReduceSettings { amount, chunk_points, values: Values::Sample, ..ReduceSettings::exact(points) }
 }
@@ -251,7 +252,8 @@ pub(crate) fn read(path: &Path) -> TriMesh {
     read_surface(path).unwrap()
 }
 
-/// The triangles of a surface by the bits of their corners, each rotated to start with its least corner.
+/// The triangles of a surface by the bits of their corners, each rotated to start with its least
+/// corner.
 pub(crate) fn triangle_set(mesh: &TriMesh) -> BTreeSet<[[u32; 3]; 3]> {
     mesh.triangles
         .iter()
@@ -281,7 +283,8 @@ pub(crate) fn folder(path: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     files
 }
 
-/// The folder of real data sets. Tests that want it are ignored unless they are asked for, as `tools/check` does where there is one.
+/// The folder of real data sets. Tests that want it are ignored unless they are asked for, as
+/// `tools/check` does where there is one.
 pub(crate) fn shared_data() -> PathBuf {
     let folder = std::env::var_os("ISOSPAN_SHARED_DATA").map(PathBuf::from).filter(|p| p.is_dir());
     folder.expect("ISOSPAN_SHARED_DATA names a folder of real data")
@@ -294,7 +297,8 @@ pub(crate) fn send_signal(process: u32, signal: rustix::process::Signal) -> bool
     rustix::process::kill_process(process.expect("a number of a process"), signal).is_ok()
 }
 
-/// Rewrites a segment, with good checksums, under another plan hash and with blocks changed by `edit`.
+/// Rewrites a segment, with good checksums, under another plan hash and with blocks changed by
+/// `edit`.
 pub(crate) fn reseal(
     path: &Path,
     kind: SegmentKind,
@@ -317,7 +321,8 @@ pub(crate) fn reseal(
     writer.finish().unwrap()
 }
 
-/// Gives the archive another plan, and everything in it the hashes of that plan: all checksums are good.
+/// Gives the archive another plan, and everything in it the hashes of that plan: all checksums are
+/// good.
 pub(crate) fn reseal_all(
     archive: &Path,
     change: impl Fn(&mut Manifest),

@@ -29,7 +29,8 @@ pub(crate) fn is_archive(path: PathBuf) -> bool {
     pipeline::is_archive(&path)
 }
 
-/// An archive, opened at a step; another step that was asked last is open too, with its cached blocks.
+/// An archive, opened at a step; another step that was asked last is open too, with its cached
+/// blocks.
 #[pyclass(frozen)]
 pub(crate) struct Archive {
     path: PathBuf,

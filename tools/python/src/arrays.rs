@@ -1,4 +1,5 @@
-//! Arrays without a copy, both ways: NumPy sees our memory, and we see that of arrays, by the array interface.
+//! Arrays without a copy, both ways: NumPy sees our memory, and we see that of arrays, by the array
+//! interface.
 
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};

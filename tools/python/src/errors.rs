@@ -1,4 +1,5 @@
-//! Errors of the library as exceptions: a class for each kind, with what the error knows as attributes.
+//! Errors of the library as exceptions: a class for each kind, with what the error knows as
+//! attributes.
 
 use isospan::Error;
 use pyo3::prelude::*;

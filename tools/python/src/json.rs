@@ -1,4 +1,5 @@
-//! Reports of the library as Python objects, by the way of their JSON: the same names as `--json` gives.
+//! Reports of the library as Python objects, by the way of their JSON: the same names as `--json`
+//! gives.
 
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::PyValueError;

@@ -1,7 +1,8 @@
 //! The extension module of the Python package `isospan`: what its Python code is built on.
 //!
-//! Nothing here is for users: names, defaults and documentation are in `python/isospan`. Work is done
-//! without the GIL on a thread of its own, while the calling thread looks for signals and tells progress.
+//! Nothing here is for users: names, defaults and documentation are in `python/isospan`. Work is
+//! done without the GIL on a thread of its own, while the calling thread looks for signals and
+//! tells progress.
 
 mod archive;
 mod arrays;

@@ -1,4 +1,5 @@
-//! Archives are made as the program makes them: keywords are its flags, and are parsed where it parses them.
+//! Archives are made as the program makes them: keywords are its flags, and are parsed where it
+//! parses them.
 
 use crate::archive::Machine;
 use crate::cli::progress::Talk;
@@ -13,8 +14,8 @@ use pyo3::prelude::*;
 use std::ffi::OsString;
 use std::path::PathBuf;
 
-/// What arguments of the program mean, to the command that is expected; the program's own message where they
-/// mean nothing.
+/// What arguments of the program mean, to the command that is expected; the program's own message
+/// where they mean nothing.
 fn parsed<Args>(
     py: Python<'_>,
     arguments: Vec<OsString>,

@@ -1,4 +1,5 @@
-//! Volumes that are arrays: read in place where they are in memory, else copied once, box by box, to a file.
+//! Volumes that are arrays: read in place where they are in memory, else copied once, box by box,
+//! to a file.
 
 use crate::errors::{exception, usage};
 use isospan::bytes::ByteSource;
@@ -39,8 +40,8 @@ struct Held {
     len: usize,
 }
 
-// SAFETY: the memory is that of an array that is held here, and nobody writes to it: as with a mapped file,
-// the caller promises that, and the documentation of `isospan.reduce` says so.
+// SAFETY: the memory is that of an array that is held here, and nobody writes to it: as with a
+// mapped file, the caller promises that, and the documentation of `isospan.reduce` says so.
 #[allow(unsafe_code)]
 unsafe impl Send for Held {}
 // SAFETY: as above; it is only read.
@@ -50,8 +51,8 @@ unsafe impl Sync for Held {}
 impl AsRef<[u8]> for Held {
     #[allow(unsafe_code)]
     fn as_ref(&self) -> &[u8] {
-        // SAFETY: `of_array` has computed the range from the array's own address, shape and steps, all of
-        // it lies in the array's memory, and the array is held.
+        // SAFETY: `of_array` has computed the range from the array's own address, shape and steps,
+        // all of it lies in the array's memory, and the array is held.
         unsafe { std::slice::from_raw_parts(self.first, self.len) }
     }
 }
@@ -140,8 +141,8 @@ impl Volume {
         Ok(Self { samples, raised: Raised::default() })
     }
 
-    /// What gives, called without arguments, an iterator over boxes that tile the volume: lowest corner, highest
-    /// corner (not included), and samples, x fastest, as little-endian bytes.
+    /// What gives, called without arguments, an iterator over boxes that tile the volume: lowest
+    /// corner, highest corner (not included), and samples, x fastest, as little-endian bytes.
     #[staticmethod]
     fn of_boxes(
         py: Python<'_>,
@@ -167,7 +168,8 @@ impl Volume {
         self.raised.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 
-    /// The volume as a step; what is no array in memory is copied to a file without a name in the scratch folder.
+    /// The volume as a step; what is no array in memory is copied to a file without a name in the
+    /// scratch folder.
     pub(crate) fn step(&self, run: &RunSettings, progress: &dyn Progress) -> Result<StepSource> {
         let (info, reader): (_, Arc<dyn VolumeReader>) = match &self.samples {
             Samples::InPlace(volume) => (volume.info(), Arc::clone(volume) as _),

@@ -1,5 +1,6 @@
-//! Work on a thread of its own, without the GIL. The calling thread waits for it, runs signal handlers and
-//! reports progress meanwhile; an exception of either (Ctrl-C is one) stops the work and is raised.
+//! Work on a thread of its own, without the GIL. The calling thread waits for it, runs signal
+//! handlers and reports progress meanwhile; an exception of either (Ctrl-C is one) stops the work
+//! and is raised.
 
 use crate::errors::exception;
 use isospan::exec::{CancelToken, Progress};

@@ -6,9 +6,10 @@
 //! | TORSO | a torso (`meshes/utah_torso`) whose longest edges are cut until it has the thesis's number | 34 937 | body 0.22, lungs 0.05, heart 0.4 (ellipsoids of ours, the mesh has no regions) |
 //! | HEAD | four concentric ellipsoids, meshed by isospan | 137 923 | brain 0.33, fluid 1.79, skull 0.0042, scalp 0.33 |
 //!
-//! The real geometries lie in the folder that `ISOSPAN_SHARED_DATA` names. Without it HEART is a shell between two ellipsoids and TORSO an
-//! ellipsoid with lungs and heart, with the thesis's numbers of vertices, and [`Body::geometry`] says so. Conductivities are of the
-//! usual sizes (Rush and Driscoll 1968 for head and skull; Geselowitz 1967).
+//! The real geometries lie in the folder that `ISOSPAN_SHARED_DATA` names. Without it HEART is a
+//! shell between two ellipsoids and TORSO an ellipsoid with lungs and heart, with the thesis's
+//! numbers of vertices, and [`Body::geometry`] says so. Conductivities are of the usual sizes (Rush
+//! and Driscoll 1968 for head and skull; Geselowitz 1967).
 
 use super::bisect::refine;
 use super::ellipsoids::{Layer, mesh_body};
@@ -118,8 +119,8 @@ fn mid(mesh: &TetMesh) -> [f64; 3] {
     std::array::from_fn(|k| 0.5 * (lo[k] + hi[k]))
 }
 
-/// Of the cells whose centroid is wanted, the one whose corners are farthest from the boundary: the most that no corner is on it, the
-/// largest of those.
+/// Of the cells whose centroid is wanted, the one whose corners are farthest from the boundary: the
+/// most that no corner is on it, the largest of those.
 fn thickest(mesh: &TetMesh, wanted: impl Fn([f64; 3]) -> bool) -> usize {
     let boundary = on_boundary(mesh);
     let inner = |t: usize| mesh.tets[t].iter().filter(|&&v| !boundary[v as usize]).count();

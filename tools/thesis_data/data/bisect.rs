@@ -1,10 +1,13 @@
-//! Refines a mesh to a number of vertices: the longest edge is cut in its middle, until there are enough.
+//! Refines a mesh to a number of vertices: the longest edge is cut in its middle, until there are
+//! enough.
 //!
-//! All tetrahedra around the edge are cut with it, so the mesh stays conforming after each cut; no vertex moves, so the shape
-//! of the body stays too. Of edges of one length the one of the lowest vertices comes first. As in Rivara 1984, "Algorithms for
-//! refining triangular grids", where each cell's longest edge is cut; here it is the longest of all.
+//! All tetrahedra around the edge are cut with it, so the mesh stays conforming after each cut; no
+//! vertex moves, so the shape of the body stays too. Of edges of one length the one of the lowest
+//! vertices comes first. As in Rivara 1984, "Algorithms for refining triangular grids", where each
+//! cell's longest edge is cut; here it is the longest of all.
 //!
-//! Time: a heap operation for each new edge, and the tetrahedra around an edge for each cut. Memory: a list a edge.
+//! Time: a heap operation for each new edge, and the tetrahedra around an edge for each cut.
+//! Memory: a list a edge.
 
 use super::tets::{TetMesh, dot, minus};
 use rustc_hash::FxHashMap;
@@ -15,7 +18,8 @@ type Edge = (u32, u32);
 /// Tetrahedra around edges, and edges by length.
 struct Edges {
     around: FxHashMap<Edge, Vec<u32>>,
-    /// Squared length, which is positive so that its bits sort as it does, and the edge, lowest first.
+    /// Squared length, which is positive so that its bits sort as it does, and the edge, lowest
+    /// first.
     longest: BinaryHeap<(u64, std::cmp::Reverse<Edge>)>,
 }
 
@@ -59,7 +63,8 @@ pub(crate) fn refine(mesh: &mut TetMesh, vertices: usize) {
     }
 }
 
-/// Cuts the edge (a, b) at m: of each tetrahedron around it, the half at a keeps the number and the half at b gets a new one.
+/// Cuts the edge (a, b) at m: of each tetrahedron around it, the half at a keeps the number and the
+/// half at b gets a new one.
 fn cut(mesh: &mut TetMesh, edges: &mut Edges, (a, b): Edge) {
     let Some(around) = edges.around.remove(&(a, b)) else { return };
     let m = mesh.points.len() as u32;

@@ -1,14 +1,18 @@
 //! Bodies made of ellipsoids, meshed by isospan's own Delaunay kernel.
 //!
-//! A body is a list of ellipsoids, innermost first; a place belongs to the first that holds it. Its points are
+//! A body is a list of ellipsoids, innermost first; a place belongs to the first that holds it. Its
+//! points are
 //!
-//! * a Fibonacci lattice on each ellipsoid (Swinbank and Purser 2006: equal steps along the axis, turned by the golden angle; stretched
-//!   with the ellipsoid), so that regions end where they should, and
-//! * inside, a body-centred cubic lattice, half a spacing away from all ellipsoids, each point moved by up to 0.15 spacings in a direction
-//!   hashed from its number: no point set that the mesh is later reduced to coincides with it.
+//! * a Fibonacci lattice on each ellipsoid (Swinbank and Purser 2006: equal steps along the axis,
+//!   turned by the golden angle; stretched with the ellipsoid), so that regions end where they
+//!   should, and
+//! * inside, a body-centred cubic lattice, half a spacing away from all ellipsoids, each point
+//!   moved by up to 0.15 spacings in a direction hashed from its number: no point set that the mesh
+//!   is later reduced to coincides with it.
 //!
-//! Their Delaunay tetrahedra are kept where their centroid is in a region; flat ones with all corners on one
-//! surface of the body are not. Then edges are cut until there are as many vertices as asked for ([`refine`]).
+//! Their Delaunay tetrahedra are kept where their centroid is in a region; flat ones with all
+//! corners on one surface of the body are not. Then edges are cut until there are as many vertices
+//! as asked for ([`refine`]).
 
 use super::bisect::refine;
 use super::tets::{TetMesh, dot};
@@ -68,7 +72,8 @@ impl Layer {
     }
 }
 
-/// The region of a place: that of the first ellipsoid that holds it; `None` in a cavity and outside.
+/// The region of a place: that of the first ellipsoid that holds it; `None` in a cavity and
+/// outside.
 pub(crate) fn region_of(layers: &[Layer], p: [f64; 3]) -> Option<u8> {
     layers.iter().find(|l| l.radius(p) < 1.0)?.region
 }
@@ -76,7 +81,8 @@ pub(crate) fn region_of(layers: &[Layer], p: [f64; 3]) -> Option<u8> {
 /// A mesh of a body with so many vertices. Every ellipsoid lies in the last one.
 pub(crate) fn mesh_body(layers: &[Layer], vertices: usize) -> Result<TetMesh> {
     let outer = layers.last().expect("a body has an ellipsoid");
-    // The first guess lacks what surfaces add; a few steps find a spacing with a little fewer vertices than wanted.
+    // The first guess lacks what surfaces add; a few steps find a spacing with a little fewer
+    // vertices than wanted.
     let mut spacing = libm::cbrt(outer.volume() / vertices as f64);
     for _ in 0..20 {
         let points = place(layers, spacing);

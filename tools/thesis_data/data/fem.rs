@@ -1,25 +1,29 @@
 //! The electric potential of a current dipole in a conducting body, by finite elements.
 //!
-//! In a body of conductivity σ(x) that lies in air, a source of impressed current with dipole moment p at x₀ makes a
-//! potential u (Geselowitz 1967, "On bioelectric potentials in an inhomogeneous volume conductor"):
+//! In a body of conductivity σ(x) that lies in air, a source of impressed current with dipole
+//! moment p at x₀ makes a potential u (Geselowitz 1967, "On bioelectric potentials in an
+//! inhomogeneous volume conductor"):
 //!
 //! ```text
 //! ∇·(σ ∇u) = ∇·(p δ(x - x₀)) inside,     σ ∂u/∂n = 0 on the skin
 //! ```
 //!
-//! Multiplied by a test function φ_i and integrated by parts, with u = Σ u_j φ_j, linear in each tetrahedron:
+//! Multiplied by a test function φ_i and integrated by parts, with u = Σ u_j φ_j, linear in each
+//! tetrahedron:
 //!
 //! ```text
 //! Σ_j K_ij u_j = p · ∇φ_i(x₀),    K_ij = Σ_T σ_T V_T ∇φ_i · ∇φ_j
 //! ```
 //!
-//! The right-hand side has four entries, at the corners of the tetrahedron that holds x₀ ("partial integration", the direct
-//! method of Weinstein, Zhukov and Johnson 2000). K is symmetric and positive but for constants; the right-hand side sums to zero, so
-//! conjugate gradients converge, and the mean of u is set to zero at the end (a common average reference).
+//! The right-hand side has four entries, at the corners of the tetrahedron that holds x₀ ("partial
+//! integration", the direct method of Weinstein, Zhukov and Johnson 2000). K is symmetric and
+//! positive but for constants; the right-hand side sums to zero, so conjugate gradients converge,
+//! and the mean of u is set to zero at the end (a common average reference).
 //!
-//! The matrix is assembled and multiplied by the `sprs` crate. Its own iterative solver multiplies sparse vectors, far too slow for
-//! dense ones, so the conjugate gradients (Hestenes and Stiefel 1952), with the diagonal as preconditioner, are ours:
-//! one thread, plain sums, the same bits everywhere.
+//! The matrix is assembled and multiplied by the `sprs` crate. Its own iterative solver multiplies
+//! sparse vectors, far too slow for dense ones, so the conjugate gradients (Hestenes and
+//! Stiefel 1952), with the diagonal as preconditioner, are ours: one thread, plain sums, the same
+//! bits everywhere.
 
 use super::tets::{TetMesh, cross, dot, minus, volume6};
 use isospan::{Error, Result};
@@ -47,7 +51,8 @@ const TOLERANCE: f64 = 1e-9;
 
 /// Fills the mesh's values with the potential in microvolts; `conductivities` (S/m) are by region.
 ///
-/// Lengths are millimetres: K is in S/m · mm and the right-hand side in nA·m / mm, so u is in millivolts.
+/// Lengths are millimetres: K is in S/m · mm and the right-hand side in nA·m / mm, so u is in
+/// millivolts.
 pub(crate) fn solve(mesh: &mut TetMesh, conductivities: &[f64], dipole: &Dipole) -> Result<Solved> {
     let matrix = stiffness(mesh, conductivities);
     let rhs = source(mesh, dipole)?;
@@ -166,7 +171,8 @@ mod tests {
         assert!(flux.iter().sum::<f64>().abs() < 1e-12);
     }
 
-    /// In a ball of radius R about the origin a dipole p in the middle has u = p·x / 4πσ (1/r³ + 2/R³) (Frank 1952).
+    /// In a ball of radius R about the origin a dipole p in the middle has u = p·x / 4πσ (1/r³ +
+    /// 2/R³) (Frank 1952).
     #[test]
     fn a_dipole_in_the_middle_of_a_ball() {
         use super::super::ellipsoids::{Layer, mesh_body};

@@ -1,4 +1,5 @@
-//! The thesis's five data sets, made again (its Tables 3.1 and 4.1): each the same bytes on every machine.
+//! The thesis's five data sets, made again (its Tables 3.1 and 4.1): each the same bytes on every
+//! machine.
 //!
 //! | name | what | file | isovalue |
 //! |---|---|---|---|

@@ -1,7 +1,8 @@
 //! SEIS: the particle velocity of an earthquake in a layered basin, 50³ samples.
 //!
-//! The thesis's SEIS comes from a simulation of the Salt Lake Basin whose model it does not print. Ours is a basin of the same kind: soft
-//! and stiff sediments in a bowl of rock, under a free surface, shaken by a dip-slip source in the rock at its rim:
+//! The thesis's SEIS comes from a simulation of the Salt Lake Basin whose model it does not print.
+//! Ours is a basin of the same kind: soft and stiff sediments in a bowl of rock, under a free
+//! surface, shaken by a dip-slip source in the rock at its rim:
 //!
 //! ```text
 //!          0                    10 km
@@ -14,11 +15,13 @@
 //!  10 km   └──────────────────────┘
 //! ```
 //!
-//! r is the distance from the bowl's middle in units of its half-axes (4.4 and 3.6 km). The numbers are round ones of ours. The grid
-//! is 200 m: a dozen cells a wavelength of the slowest wave at the peak frequency.
+//! r is the distance from the bowl's middle in units of its half-axes (4.4 and 3.6 km). The numbers
+//! are round ones of ours. The grid is 200 m: a dozen cells a wavelength of the slowest wave at the
+//! peak frequency.
 //!
-//! A sample is the size of the particle velocity, |v|, in the middle of a cell. The unit of the thesis is not known; here it is the
-//! 95th percentile of the recorded step, so that the thesis's isovalue, 0.49, goes through the waves.
+//! A sample is the size of the particle velocity, |v|, in the middle of a cell. The unit of the
+//! thesis is not known; here it is the 95th percentile of the recorded step, so that the thesis's
+//! isovalue, 0.49, goes through the waves.
 
 use super::wave::{Material, Settings, Simulation};
 

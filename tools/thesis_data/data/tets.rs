@@ -71,7 +71,8 @@ impl TetMesh {
         self.points.retain(|_| v.next().is_some_and(|v| used[v]));
     }
 
-    /// Keeps the largest part that hangs together by faces; of equal ones the first. A field cannot pass through a vertex.
+    /// Keeps the largest part that hangs together by faces; of equal ones the first. A field cannot
+    /// pass through a vertex.
     pub(crate) fn keep_largest_part(&mut self) {
         let part = self.parts();
         let mut sizes = vec![0usize; self.tets.len()];
@@ -97,7 +98,8 @@ impl TetMesh {
         (0..part.len()).map(|t| root(&mut part, t)).collect()
     }
 
-    /// Writes a VTU file, its arrays appended raw: points as `f64`, the field `potential`, the cells' `region`.
+    /// Writes a VTU file, its arrays appended raw: points as `f64`, the field `potential`, the
+    /// cells' `region`.
     pub(crate) fn write(&self, path: &Path) -> Result<()> {
         let connectivity = self.tets.iter().flatten().flat_map(|&v| i64::from(v).to_le_bytes());
         let offsets = (1..=self.tets.len() as i64).flat_map(|n| (4 * n).to_le_bytes());

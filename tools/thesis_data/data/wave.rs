@@ -1,14 +1,15 @@
 //! A 3-D elastic wave by finite differences: the velocity-stress scheme on a staggered grid.
 //!
-//! Velocities v and stresses σ of an isotropic elastic body of density ρ and Lamé's parameters λ, μ obey
+//! Velocities v and stresses σ of an isotropic elastic body of density ρ and Lamé's parameters λ, μ
+//! obey
 //!
 //! ```text
 //! ρ ∂v_i/∂t  = Σ_j ∂σ_ij/∂x_j
 //! ∂σ_ij/∂t   = λ δ_ij Σ_k ∂v_k/∂x_k + μ (∂v_i/∂x_j + ∂v_j/∂x_i)  -  ∂M_ij/∂t / V at the source
 //! ```
 //!
-//! Each component lives half a cell away from the others (Virieux 1986; Madariaga 1976), so all differences are central, of second
-//! order in space and time, and v and σ alternate:
+//! Each component lives half a cell away from the others (Virieux 1986; Madariaga 1976), so all
+//! differences are central, of second order in space and time, and v and σ alternate:
 //!
 //! ```text
 //!        z                     σxx σyy σzz   (i, j, k)
@@ -17,12 +18,15 @@
 //!        │  σxx ─── vx ──▶ x   vz            (i, j, k+½)      σyz  (i, j+½, k+½)
 //! ```
 //!
-//! Densities at velocities are means of two cells, μ at shear stresses the harmonic mean of four: zero where one of them is
-//! air. So air (λ = μ = 0, no motion) above the ground makes the free surface by itself, with its Rayleigh waves (Zahradník, Moczo and
-//! Hron 1993). The other five sides are lined with a sponge (Cerjan, Kosloff, Kosloff and Reshef 1985) that takes the waves away.
+//! Densities at velocities are means of two cells, μ at shear stresses the harmonic mean of four:
+//! zero where one of them is air. So air (λ = μ = 0, no motion) above the ground makes the free
+//! surface by itself, with its Rayleigh waves (Zahradník, Moczo and Hron 1993). The other five
+//! sides are lined with a sponge (Cerjan, Kosloff, Kosloff and Reshef 1985) that takes the waves
+//! away.
 //!
-//! The source is a point dislocation, M_xz = M_zx, with a Ricker wavelet as moment rate. Everything is `f32` and only `+ - *`, each
-//! cell by itself: the same bits for any number of threads. Memory: 17 numbers a cell.
+//! The source is a point dislocation, M_xz = M_zx, with a Ricker wavelet as moment rate. Everything
+//! is `f32` and only `+ - *`, each cell by itself: the same bits for any number of threads. Memory:
+//! 17 numbers a cell.
 
 use rayon::prelude::*;
 
@@ -179,7 +183,8 @@ impl Simulation {
         }
     }
 
-    /// Adds the moment rate, of size 1, to σxz at the source: the field is scaled afterwards anyway.
+    /// Adds the moment rate, of size 1, to σxz at the source: the field is scaled afterwards
+    /// anyway.
     fn add_source(&mut self) {
         let s = &self.settings;
         let n = (s.source[2] * s.dims[1] + s.source[1]) * s.dims[0] + s.source[0];
@@ -209,7 +214,8 @@ impl Simulation {
     }
 }
 
-/// Hands each row of cells that is not at a side, and the number of its first cell, to `each`; its last cell is left out.
+/// Hands each row of cells that is not at a side, and the number of its first cell, to `each`; its
+/// last cell is left out.
 fn each_row(field: &mut [f32], [nx, ny, nz]: [usize; 3], each: impl Fn(&mut [f32], usize) + Sync) {
     field.par_chunks_mut(nx).enumerate().for_each(|(number, row)| {
         let (y, z) = (number % ny, number / ny);
@@ -249,7 +255,8 @@ mod tests {
         }
     }
 
-    /// Seconds at which the magnitude of the velocity at a cell first exceeds a tenth of its largest.
+    /// Seconds at which the magnitude of the velocity at a cell first exceeds a tenth of its
+    /// largest.
     fn arrival(cell: [usize; 3]) -> f64 {
         let mut simulation = Simulation::new(settings(), rock);
         let mut seen = vec![];
@@ -263,7 +270,8 @@ mod tests {
         seen.iter().find(|s| s.1 > 0.1 * most).expect("the largest is larger than a tenth of it").0
     }
 
-    /// A double couple in the xz plane radiates only S waves along x, and P waves in the diagonal of x and z.
+    /// A double couple in the xz plane radiates only S waves along x, and P waves in the diagonal
+    /// of x and z.
     #[test]
     fn waves_travel_at_their_velocities() {
         let [near, far] = [[28, 25, 25], [44, 25, 25]].map(arrival);

@@ -6,7 +6,8 @@ use crate::mesh::stars::wide::{Neighbourhood, View};
 use crate::mesh::stars::{Grid, Star};
 use glam::{BVec4A, Vec4};
 
-/// Whether that takes less time than insertion: where one instruction multiplies and adds. Elsewhere that is a call.
+/// Whether that takes less time than insertion: where one instruction multiplies and adds.
+/// Elsewhere that is a call.
 pub(super) const PAYS: bool = cfg!(any(
     target_arch = "aarch64",
     target_arch = "powerpc64",
