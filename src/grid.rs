@@ -336,7 +336,7 @@ enum XCuts {
         last: Mutex<Option<(usize, Arc<Vec<u64>>)>>,
     },
     /// Those of each row are told.
-    Told(Vec<Arc<Vec<u64>>>),
+    Given(Vec<Arc<Vec<u64>>>),
 }
 
 /// The domain cut into chunks. Memory: a few bytes for each row of chunks; where cuts are told, for
@@ -402,7 +402,7 @@ impl ChunkGrid {
     /// The cuts along x of a row, by its place in the order of rows.
     fn row_cuts(&self, at: usize) -> Arc<Vec<u64>> {
         let (count, last) = match &self.x_cuts {
-            XCuts::Told(rows) => return Arc::clone(&rows[at]),
+            XCuts::Given(rows) => return Arc::clone(&rows[at]),
             XCuts::Counted { count, last } => (count, last),
         };
         let mut last = last.lock().unwrap_or_else(PoisonError::into_inner);

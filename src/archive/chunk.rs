@@ -8,7 +8,7 @@
 //!
 //! A block decodes on its own, in two steps: [`TetBlock::open`] tells its vertices
 //! ([`ChunkVertices`] gives their number, against which every id is checked); [`TetBlock::decode`]
-//! takes their positions, which foretell most of the tetrahedra.
+//! takes their positions, which predict most of the tetrahedra.
 
 use super::runs::block_starts;
 use super::star;
@@ -109,7 +109,7 @@ impl ChunkEncoder {
 fn encode_tets(writer: &mut star::Writer, tets: &mut [Tet], positions: &[LatticePos]) -> Vec<u8> {
     let mut out = vec![TETS_STARS];
     if writer.encode(tets, positions, &mut out) {
-        tets.copy_from_slice(writer.told());
+        tets.copy_from_slice(writer.decoded());
     } else {
         out[0] = TETS_TUPLES;
         tets.iter_mut().for_each(|t| *t = canonical(*t));

@@ -251,12 +251,12 @@ fn is_zero(v: &f64) -> bool {
 
 impl Source {
     /// The file's value of one of the archive, as a person writes it: 0.1, not 0.10000000149011612.
-    pub fn told(&self, v: f32) -> f64 {
+    pub fn in_file(&self, v: f32) -> f64 {
         self.offset + shortest(v)
     }
 
     /// What the samples lost when they became `f32`, at most, where that matters.
-    pub fn told_rounding(&self) -> Option<f64> {
+    pub fn notable_rounding(&self) -> Option<f64> {
         Some(self.rounding).filter(|lost| *lost > 0.0)
     }
 
@@ -346,7 +346,7 @@ pub struct BaseStep {
 
 impl StepPlan {
     /// How values were rounded, as the file has values.
-    pub fn told_quantiser(&self) -> Option<Quantiser> {
+    pub fn file_quantiser(&self) -> Option<Quantiser> {
         self.quantiser.map(|q| Quantiser { origin: q.origin + self.source.offset, ..q })
     }
 
@@ -414,13 +414,13 @@ pub struct Step {
 
 impl Step {
     /// Smallest and largest value, as the file has values.
-    pub fn told_range(&self) -> Option<[f64; 2]> {
-        self.value_range.map(|range| range.map(|v| self.plan.source.told(v)))
+    pub fn file_range(&self) -> Option<[f64; 2]> {
+        self.value_range.map(|range| range.map(|v| self.plan.source.in_file(v)))
     }
 
     /// What the samples lost when they became `f32`, at most, where that matters.
-    pub fn told_rounding(&self) -> Option<f64> {
-        self.plan.source.told_rounding()
+    pub fn notable_rounding(&self) -> Option<f64> {
+        self.plan.source.notable_rounding()
     }
 }
 

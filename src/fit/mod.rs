@@ -104,13 +104,13 @@ pub struct FitMesh<'a> {
 
 /// A sample of a window, as far as it lies in a tetrahedron.
 #[derive(Clone, Copy, Debug)]
-struct Told {
+struct Located {
     /// Its tetrahedron, as a number of those that the window was given with; or [`NONE`].
     tet: u32,
     weights: [f32; 4],
 }
 
-const NOTHING: Told = Told { tet: NONE, weights: [0.0; 4] };
+const NOTHING: Located = Located { tet: NONE, weights: [0.0; 4] };
 
 /// Sums over the samples of windows, at some steps.
 pub struct Fit<'a> {
@@ -120,7 +120,7 @@ pub struct Fit<'a> {
     /// Whether each vertex is void at all steps; empty where none is.
     void: Vec<bool>,
     /// What each sample of a window tells.
-    told: Vec<Told>,
+    located: Vec<Located>,
     /// The tetrahedra of a window that tell something.
     tets: Vec<Tet>,
     /// Samples of some slices, step after step.
@@ -140,7 +140,7 @@ impl<'a> Fit<'a> {
             steps: steps.len(),
             sides: Side::all(steps, room),
             void: if some_void { vertices.map(is_void).collect() } else { vec![] },
-            told: vec![],
+            located: vec![],
             tets: vec![],
             samples: vec![],
             batch: BatchScan::default(),
@@ -184,15 +184,15 @@ impl<'a> Fit<'a> {
         );
         let mut first = 0;
         for side in &mut self.sides {
-            let (steps, mut rest) = (first..first + side.steps(), &*self.told);
+            let (steps, mut rest) = (first..first + side.steps(), &*self.located);
             for part in window.slices(SLICES) {
-                let told;
-                (told, rest) = rest.split_at(part.len());
-                self.samples.resize(steps.len() * told.len(), 0.0);
-                for (step, out) in steps.clone().zip(self.samples.chunks_exact_mut(told.len())) {
+                let located;
+                (located, rest) = rest.split_at(part.len());
+                self.samples.resize(steps.len() * located.len(), 0.0);
+                for (step, out) in steps.clone().zip(self.samples.chunks_exact_mut(located.len())) {
                     read(step, part, out)?;
                 }
-                side.add(told, &self.samples, &self.tets);
+                side.add(located, &self.samples, &self.tets);
             }
             first = steps.end;
         }
@@ -203,7 +203,7 @@ impl<'a> Fit<'a> {
     #[inline(always)]
     fn scan(&mut self, scanner: &Scanner<'_>, samples: usize, tets: &[u32]) {
         self.start(samples);
-        let Self { mesh, void, told, tets: telling, batch, .. } = self;
+        let Self { mesh, void, located, tets: telling, batch, .. } = self;
         telling.clear();
         let given = tets.iter().map(|&tet| mesh.tets[tet as usize]);
         telling.extend(given.filter(|tet| has_values(void, tet)));
@@ -215,8 +215,8 @@ impl<'a> Fit<'a> {
             |members| {
                 let [a, b, c, d] = members.weights();
                 for (i, (&tet, &place)) in members.tets().iter().zip(members.places()).enumerate() {
-                    told[place as usize] =
-                        Told { tet, weights: [a[i] as f32, b[i] as f32, c[i] as f32, d[i] as f32] };
+                    located[place as usize] =
+                        Located { tet, weights: [a[i] as f32, b[i] as f32, c[i] as f32, d[i] as f32] };
                 }
             },
         );
@@ -225,7 +225,7 @@ impl<'a> Fit<'a> {
     /// Adds samples that lie anywhere, those of each step after those of the one before, given with
     /// those of the mesh's tetrahedra that may have some; NaN is no sample. `points` has their
     /// places, by their numbers in the samples of a step; of those in a tetrahedron the ones count
-    /// that are `told_by` it (tetrahedron, sample).
+    /// that count for it, as `counts_for` says (tetrahedron, sample).
     ///
     /// # Panics
     /// When the samples are not as many at each step.
@@ -234,7 +234,7 @@ impl<'a> Fit<'a> {
         points: &PointLocator,
         samples: &[f32],
         tets: &[u32],
-        told_by: impl Fn(u32, u32) -> bool,
+        counts_for: impl Fn(u32, u32) -> bool,
     ) {
         assert_eq!(samples.len() % self.steps, 0, "as many samples at each step");
         self.start(samples.len() / self.steps);
@@ -246,29 +246,29 @@ impl<'a> Fit<'a> {
             }
             let corners = tet.map(|v| self.mesh.positions[v as usize]);
             points.each_in(corners, |sample, weights| {
-                if told_by(number, sample) {
+                if counts_for(number, sample) {
                     let weights = weights.map(|w| w as f32);
-                    self.told[sample as usize] = Told { tet: self.tets.len() as u32, weights };
+                    self.located[sample as usize] = Located { tet: self.tets.len() as u32, weights };
                 }
             });
             self.tets.push(tet);
         }
-        self.add_told(samples);
+        self.add_located(samples);
     }
 
     /// Prepares for so many samples, none of which has a tetrahedron yet.
     #[inline(always)]
     fn start(&mut self, samples: usize) {
-        self.told.clear();
-        self.told.resize(samples, NOTHING);
+        self.located.clear();
+        self.located.resize(samples, NOTHING);
     }
 
     /// Adds what the samples tell to the sums at the corners of their tetrahedra, in their order.
-    fn add_told(&mut self, samples: &[f32]) {
+    fn add_located(&mut self, samples: &[f32]) {
         let mut rest = samples;
         for side in &mut self.sides {
-            let (some, others) = rest.split_at(side.steps() * self.told.len());
-            side.add(&self.told, some, &self.tets);
+            let (some, others) = rest.split_at(side.steps() * self.located.len());
+            side.add(&self.located, some, &self.tets);
             rest = others;
         }
     }

@@ -5,7 +5,7 @@
 //! sample counts at one step and not at another: from then on each has its own, with what all had
 //! in common so far. Steps that are left over have lanes that nobody looks at.
 
-use super::{NONE, RoundWithin, Told};
+use super::{Located, NONE, RoundWithin};
 #[cfg(target_arch = "x86_64")]
 use crate::exec::lanes::{Eight, Vector};
 use crate::exec::lanes::{Floats, Pair, Plain, four, sorted};
@@ -92,14 +92,14 @@ impl<'a> Side<'a> {
     }
 
     /// Adds what samples tell, in their order; those of each step follow each other.
-    pub(super) fn add(&mut self, told: &[Told], samples: &[f32], tets: &[Tet]) {
+    pub(super) fn add(&mut self, located: &[Located], samples: &[f32], tets: &[Tet]) {
         match self {
             Self::One(sums) => with_vectors(
                 #[inline(always)]
-                || sums.add::<Plain<1>>((), told, samples, tets),
+                || sums.add::<Plain<1>>((), located, samples, tets),
             ),
-            Self::Four(sums) => add_four(sums, told, samples, tets),
-            Self::Eight(sums) => add_eight(sums, told, samples, tets),
+            Self::Four(sums) => add_four(sums, located, samples, tets),
+            Self::Eight(sums) => add_eight(sums, located, samples, tets),
         }
     }
 
@@ -114,35 +114,35 @@ impl<'a> Side<'a> {
 }
 
 #[inline(never)]
-fn add_four(sums: &mut Sums<'_, 4>, told: &[Told], samples: &[f32], tets: &[Tet]) {
+fn add_four(sums: &mut Sums<'_, 4>, located: &[Located], samples: &[f32], tets: &[Tet]) {
     #[cfg(target_arch = "x86_64")]
     if let Some(proof) = Avx2::found() {
         return with_vectors(
             #[inline(always)]
-            || sums.add::<Vector>(proof, told, samples, tets),
+            || sums.add::<Vector>(proof, located, samples, tets),
         );
     }
-    sums.add::<Plain>((), told, samples, tets);
+    sums.add::<Plain>((), located, samples, tets);
 }
 
 #[inline(never)]
-fn add_eight(sums: &mut Sums<'_, 8>, told: &[Told], samples: &[f32], tets: &[Tet]) {
+fn add_eight(sums: &mut Sums<'_, 8>, located: &[Located], samples: &[f32], tets: &[Tet]) {
     #[cfg(target_arch = "x86_64")]
     if let Some(proof) = Avx512::found() {
         return with_avx512(
             proof,
             #[inline(always)]
-            || sums.add::<Eight>(proof, told, samples, tets),
+            || sums.add::<Eight>(proof, located, samples, tets),
         );
     }
     #[cfg(target_arch = "x86_64")]
     if let Some(proof) = Avx2::found() {
         return with_vectors(
             #[inline(always)]
-            || sums.add::<Pair<Vector>>(proof, told, samples, tets),
+            || sums.add::<Pair<Vector>>(proof, located, samples, tets),
         );
     }
-    sums.add::<Pair<Plain>>((), told, samples, tets);
+    sums.add::<Pair<Plain>>((), located, samples, tets);
 }
 
 impl<'a, const N: usize> Sums<'a, N> {
@@ -170,20 +170,20 @@ impl<'a, const N: usize> Sums<'a, N> {
     pub(super) fn add<W: Floats<N>>(
         &mut self,
         proof: W::Proof,
-        told: &[Told],
+        located: &[Located],
         samples: &[f32],
         tets: &[Tet],
     ) {
         let all = (1 << self.steps) - 1;
         let (least, most, zero) = (W::splat(proof, -MOST), W::splat(proof, MOST), W::splat(proof, 0.0));
-        for (n, some) in told.chunks(SOME).enumerate() {
-            for (lane, of_step) in samples.chunks_exact(told.len()).enumerate().take(N) {
+        for (n, some) in located.chunks(SOME).enumerate() {
+            for (lane, of_step) in samples.chunks_exact(located.len()).enumerate().take(N) {
                 let of_step = &of_step[n * SOME..];
                 self.rows.iter_mut().zip(of_step).for_each(|(row, &sample)| row[lane] = sample);
             }
-            for (told, i) in some.iter().zip(0..SOME).filter(|(told, _)| told.tet != NONE) {
-                let (tet, sample) = (tets[told.tet as usize], W::of_floats(proof, &self.rows[i]));
-                let weights = told.weights.map(f64::from);
+            for (located, i) in some.iter().zip(0..SOME).filter(|(located, _)| located.tet != NONE) {
+                let (tet, sample) = (tets[located.tet as usize], W::of_floats(proof, &self.rows[i]));
+                let weights = located.weights.map(f64::from);
                 let [a, b, c, d] = sorted(four(
                     #[inline(always)]
                     |k| {
@@ -275,11 +275,11 @@ impl<'a, const N: usize> Sums<'a, N> {
 #[cfg(test)]
 impl Side<'_> {
     /// As [`Side::add`] where there are no vectors.
-    pub(super) fn add_plain(&mut self, told: &[Told], samples: &[f32], tets: &[Tet]) {
+    pub(super) fn add_plain(&mut self, located: &[Located], samples: &[f32], tets: &[Tet]) {
         match self {
-            Self::One(sums) => sums.add::<Plain<1>>((), told, samples, tets),
-            Self::Four(sums) => sums.add::<Plain>((), told, samples, tets),
-            Self::Eight(sums) => sums.add::<Pair<Plain>>((), told, samples, tets),
+            Self::One(sums) => sums.add::<Plain<1>>((), located, samples, tets),
+            Self::Four(sums) => sums.add::<Plain>((), located, samples, tets),
+            Self::Eight(sums) => sums.add::<Pair<Plain>>((), located, samples, tets),
         }
     }
 

@@ -244,7 +244,7 @@ fn vectors_do_not_show() {
             let steps: Vec<&dyn Fn([f64; 3]) -> f32> = fields.iter().map(|f| f as _).collect();
             add(&mut vectors, &grid, &window, tets, &steps);
             plain.scan(&Scanner::new(&grid, &window), window.len(), tets);
-            plain.sides[0].add_plain(&plain.told, &samples, &plain.tets);
+            plain.sides[0].add_plain(&plain.located, &samples, &plain.tets);
         }
         let bits = |fit: &Fit<'_>| fit.sides[0].bits();
         assert!(bits(&plain) == bits(&vectors));

@@ -89,7 +89,7 @@ impl ChunkGrid {
     ///
     /// # Errors
     /// [`Error::Usage`] for cuts that are not those of such bricks, and for too many bricks.
-    pub fn told(bricks: BrickGrid, cuts: &ChunkCuts) -> Result<Self> {
+    pub fn from_cuts(bricks: BrickGrid, cuts: &ChunkCuts) -> Result<Self> {
         check_size(bricks.dims())?;
         cuts.check(bricks.dims())?;
         let in_layer = |(layer, y): (usize, &Vec<u64>)| (0..y.len() - 1).map(move |row| (layer, row));
@@ -99,7 +99,7 @@ impl ChunkGrid {
             rows.push((len, layer, row));
             len += x.len() as u64 - 1;
         }
-        let x_cuts = XCuts::Told(cuts.x.iter().cloned().map(Arc::new).collect());
+        let x_cuts = XCuts::Given(cuts.x.iter().cloned().map(Arc::new).collect());
         Ok(Self { bricks, z_cuts: cuts.z.clone(), y_cuts: cuts.y.clone(), x_cuts, rows, len })
     }
 
@@ -143,7 +143,7 @@ mod tests {
     #[test]
     fn a_grid_that_is_told_is_the_same_and_finds_its_chunks() {
         let counted = grid(20_000);
-        let told = ChunkGrid::told(*counted.bricks(), &counted.cuts()).unwrap();
+        let told = ChunkGrid::from_cuts(*counted.bricks(), &counted.cuts()).unwrap();
         assert!(counted.iter().eq(told.iter()) && told.len() > 50);
         assert_eq!(told.cuts(), counted.cuts());
         for chunk in counted.iter() {
@@ -162,7 +162,7 @@ mod tests {
         let bricks = *before.bricks();
         assert_eq!(before.cuts().refined(bricks, 20_000, 40_000, points(1)), Some(before.cuts()));
         let refined = before.cuts().refined(bricks, 20_000, 40_000, points(4)).unwrap();
-        let after = ChunkGrid::told(bricks, &refined).unwrap();
+        let after = ChunkGrid::from_cuts(bricks, &refined).unwrap();
         let stayed = |c: &crate::grid::Chunk| after.find(c.brick_lo, c.brick_hi).is_some();
         let (stay, all) = (before.iter().filter(stayed).count(), before.len() as usize);
         assert!(stay * 3 > all && stay * 3 < all * 2, "{stay} of {all}");
@@ -176,7 +176,7 @@ mod tests {
         let refused = |edit: fn(&mut ChunkCuts)| {
             let mut bad = good.clone();
             edit(&mut bad);
-            assert!(ChunkGrid::told(bricks, &bad).is_err(), "{bad:?}");
+            assert!(ChunkGrid::from_cuts(bricks, &bad).is_err(), "{bad:?}");
         };
         refused(|c| c.z.clear());
         refused(|c| c.z[1] = c.z[2]);

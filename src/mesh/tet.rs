@@ -8,7 +8,7 @@ pub type Tet = [u32; 4];
 /// orientation kept.
 #[inline]
 pub(crate) fn canonical(t: Tet) -> Tet {
-    // The place of the least by comparing (vertex, place): no branch, for none could be foretold.
+    // The place of the least by comparing (vertex, place): no branch, for none could be predicted.
     // Two swaps at once are an even permutation.
     const EVEN: [[u8; 4]; 4] = [[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]];
     const TURNS: [[u8; 3]; 4] = [[0; 3], [1, 2, 3], [2, 3, 1], [3, 1, 2]];

@@ -86,7 +86,7 @@ impl Step {
 
     /// Least and largest value; `None` when no point has one.
     pub fn value_range(&self) -> Option<[f64; 2]> {
-        self.view.told_range()
+        self.view.file_range()
     }
 
     /// What all values of the archive are counted from: they are `f32`, and those of the file less

@@ -1,7 +1,7 @@
 //! The sums of a step, while they are made.
 //!
 //! Knots are looked at eight by eight, from the first one in a tetrahedron's range: most ranges
-//! have no more, so that the machine can foretell what comes next. Eights that begin at different
+//! have no more, so that the machine can predict what comes next. Eights that begin at different
 //! knots overlap; each has sums of its own, so that what is read is what was written, and the
 //! processor need not wait for parts of two writes. In the end the eight sums of a knot are added
 //! up.

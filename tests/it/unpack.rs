@@ -373,8 +373,8 @@ fn the_command_line_unpacks_and_removes() {
     assert!(code == 0 && folder(&archive) == before, "{text}");
     let (code, text) = isospan(&["unpack", name, "--range", "-1:0.5", "--threads", "1"], "");
     let bytes = fs::metadata(unpacked_path(&archive, 0)).unwrap().len() as f64;
-    let foretold = need["bytes"].as_u64().unwrap() as f64;
-    assert!(bytes < 1.1 * foretold && bytes > 0.5 * foretold, "{bytes} of {foretold}");
+    let predicted = need["bytes"].as_u64().unwrap() as f64;
+    assert!(bytes < 1.1 * predicted && bytes > 0.5 * predicted, "{bytes} of {predicted}");
     assert!(text.contains("that are free, for"), "{text}");
     assert!(
         code == 0 && text.contains("000000-unpacked.seg") && text.contains("bytes a tetrahedron"),

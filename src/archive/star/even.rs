@@ -1,17 +1,17 @@
 //! Even stars, told by the encoder with half of the geometry and none of the tables.
 //!
-//! The coder looks at gates four at a time, foretells what is behind each, and compares that with
+//! The coder looks at gates four at a time, predicts what is behind each, and compares that with
 //! the truth before it looks at the next. The encoder need not: it knows the truth. If the star is
-//! even, each gate behind which is an untold triangle was a hit, and each other one was none; so
+//! even, each gate behind which is an uncoded triangle was a hit, and each other one was none; so
 //! gates, hits and bits follow from the triangles alone. What remains to be found out is whether
-//! all hits are foretold, and that is asked afterwards, of many gates at once, all lanes in use,
+//! all hits are predicted, and that is asked afterwards, of many gates at once, all lanes in use,
 //! and not at all of gates behind which is nothing (about two of five).
 //!
 //! Those that are not told yet are bits of one word. A gate is the *side* on which the triangle
 //! behind it is entered: four times that triangle's number and which of its three; one number is of
 //! all that is not there, one of all that was known before. A table has the side of each directed
 //! edge. A triangle that is told opens the gates across its two other edges, but those to what is
-//! known; none need be closed. All without a branch, for none could be foretold.
+//! known; none need be closed. All without a branch, for none could be predicted.
 //!
 //! If the star is not even, it is told in the usual way: it is mostly odd. Where most stars are
 //! (many points on one sphere) only few are tried.
@@ -48,7 +48,7 @@ pub(super) struct Found {
     known: [u16; ROOM],
     /// Gates in the order in which they are opened: a triangle opens two at most.
     ring: [u8; RING],
-    /// The gates that are hits if all are foretold, and the triangles behind them as they are
+    /// The gates that are hits if all are predicted, and the triangles behind them as they are
     /// entered.
     hits: [u8; ROOM],
     places: [u32; ROOM],
@@ -96,7 +96,7 @@ impl Found {
         (n <= MOST_KNOWN && link.len <= rows && double == 0).then_some(open)
     }
 
-    /// Finds out what is behind the gates as if all were foretold, given how many open and how many
+    /// Finds out what is behind the gates as if all were predicted, given how many open and how many
     /// triangles there are. Gives the bits of the star and their number; `None` if not all
     /// triangles are found.
     #[inline(always)]
@@ -111,19 +111,19 @@ impl Found {
         let (mut head, mut tail, mut found) = (0, known, 0);
         // Bits of triangles; behind a gate to nothing is what is never told.
         const NEVER: u64 = 1 << (NOTHING >> 2);
-        let mut untold = (1u64 << n) - 1;
+        let mut uncoded = (1u64 << n) - 1;
         while head < tail {
             for k in 0..LANES {
                 ring[(tail + k) % RING] = KNOWN;
             }
-            let were_open = untold | NEVER;
+            let were_open = uncoded | NEVER;
             let four: [u8; LANES] = std::array::from_fn(|k| ring[(head + k) % RING]);
             head += LANES.min(tail - head);
             for side in four {
                 let triangle = side >> 2;
-                let hit = untold >> triangle & 1;
-                untold ^= hit << triangle;
-                let are_open = untold | NEVER;
+                let hit = uncoded >> triangle & 1;
+                uncoded ^= hit << triangle;
+                let are_open = uncoded | NEVER;
                 let places = (triangles[usize::from(triangle)] >> (8 * (side & 3))) as u32;
                 let [c, d, w] = [0, 8, 16].map(|bit| (places >> bit) as usize % PLACES);
                 for across in [sides[edge(c, w)], sides[edge(w, d)]] {
@@ -136,12 +136,12 @@ impl Found {
                 found += hit as usize;
             }
         }
-        (untold == 0 && len <= MOST_BITS).then_some((bits, len))
+        (uncoded == 0 && len <= MOST_BITS).then_some((bits, len))
     }
 
-    /// Whether all that was found is foretold.
+    /// Whether all that was found is predicted.
     #[inline(always)]
-    fn are_foretold(&self, path: impl Path, link: &Link, n: usize) -> bool {
+    fn are_predicted(&self, path: impl Path, link: &Link, n: usize) -> bool {
         let (mut gates, mut good) = (Gates::default(), true);
         for first in (0..n).step_by(LANES) {
             let four: [u32; LANES] = std::array::from_fn(|k| self.places[first + k]);
@@ -150,8 +150,8 @@ impl Found {
             }
             path.search(link, &mut gates);
             for (lane, places) in four.into_iter().enumerate() {
-                let is_told = gates.apex(lane) == (places >> 16) as usize % 256;
-                good &= is_told | (first + lane >= n);
+                let is_right = gates.apex(lane) == (places >> 16) as usize % 256;
+                good &= is_right | (first + lane >= n);
             }
         }
         good
@@ -213,7 +213,7 @@ impl Truth {
         let known = self.found.set_known(stars)?;
         let n = self.set_triangles(stars)?;
         let (bits, len) = self.found.follow(known, n)?;
-        self.found.are_foretold(path, &stars.link, n).then_some((n, bits, len))
+        self.found.are_predicted(path, &stars.link, n).then_some((n, bits, len))
     }
 
     /// Numbers the triangles of the star. `None` if they are too many, or no mesh, or have a vertex

@@ -1,4 +1,4 @@
-//! The link of a vertex, and the geometry that foretells it.
+//! The link of a vertex, and the geometry that predicts it.
 //!
 //! With the vertex at the origin, [inversion](https://en.wikipedia.org/wiki/Inversive_geometry)
 //! w' = w / |w|² turns spheres through it into planes: the sphere through the vertex, c, d and w
@@ -8,7 +8,7 @@
 //! by 2 |n|², so that only the last step divides.
 //!
 //! The least of several s, and whose it is, is one number, the *key*: s with the place of the point
-//! in its lowest bits. So the first of points that are met at about the same s is foretold.
+//! in its lowest bits. So the first of points that are met at about the same s is predicted.
 //!
 //! Everything is `f32` arithmetic in a fixed order, with fused multiplications and additions where
 //! the code says so, which IEEE 754 makes the same everywhere; what it gets wrong costs bits, not
@@ -139,7 +139,7 @@ pub(super) struct Link {
     tail: usize,
 }
 
-/// Some gates, and what is foretold behind each.
+/// Some gates, and what is predicted behind each.
 pub(super) struct Gates {
     pub(super) len: usize,
     /// And one that is not in use.
@@ -155,7 +155,7 @@ impl Default for Gates {
 }
 
 impl Gates {
-    /// The place of the apex that is foretold of a gate; [`NOBODY`] if nothing is in front.
+    /// The place of the apex that is predicted of a gate; [`NOBODY`] if nothing is in front.
     #[inline(always)]
     pub(super) fn apex(&self, lane: usize) -> usize {
         let key = self.told[lane % LANES];
@@ -381,10 +381,10 @@ impl Link {
         self.tail - self.head > RING / 2
     }
 
-    /// The next gates that are still open, with what is foretold of them. False if no gate waits;
+    /// The next gates that are still open, with what is predicted of them. False if no gate waits;
     /// none may be open even so.
     #[inline(always)]
-    pub(super) fn foretell(&mut self, path: impl Path, gates: &mut Gates) -> bool {
+    pub(super) fn predict(&mut self, path: impl Path, gates: &mut Gates) -> bool {
         let Some(four) = self.next_four() else { return false };
         let mut n = 0;
         gates.gates = [NO_GATE; LANES + 1];

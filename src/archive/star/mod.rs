@@ -76,7 +76,7 @@ const NONE: u16 = u16::MAX;
 const FAR_RANK: usize = 8;
 
 // Where the odds of each decision are.
-/// Whether there is a triangle behind a gate that is not as foretold, where one and where none was.
+/// Whether there is a triangle behind a gate that is not as predicted, where one and where none was.
 const WRONG: usize = 0;
 const GATE_RANK: usize = WRONG + 2;
 /// Whether there is another piece, without and with a gate before.
@@ -97,22 +97,22 @@ trait End {
     /// The star of a vertex begins, with what is known of its link. `None` if a directed edge has
     /// two triangles.
     fn star(&mut self, v: Local, link: &Link) -> Option<()>;
-    /// Of some gates that were looked at those behind which is what was foretold, a bit each, which
+    /// Of some gates that were looked at those behind which is what was predicted, a bit each, which
     /// is told now; and whether there is a triangle behind any other that is open then.
     fn hits(&mut self, link: &Link, gates: &Gates) -> (u32, bool);
-    /// The apex of the untold triangle behind a gate, which is told now; [`NONE`] if there is none.
+    /// The apex of the uncoded triangle behind a gate, which is told now; [`NONE`] if there is none.
     fn apex(&mut self, link: &Link, gate: Gate) -> Local;
-    /// Whether the star has anything but foretold triangles behind gates that are known.
+    /// Whether the star has anything but predicted triangles behind gates that are known.
     fn is_odd(&mut self) -> bool;
     /// Whether triangles of the star are not told yet.
-    fn is_untold(&self) -> bool;
+    fn has_uncoded(&self) -> bool;
     /// The star is told.
     fn end_star(&mut self);
     /// Their vertices, three each.
-    fn untold(&self, link: &Link, to: &mut Vec<[Local; 3]>);
+    fn uncoded(&self, link: &Link, to: &mut Vec<[Local; 3]>);
     /// A tetrahedron that is told now.
     fn tell(&mut self, tet: [Local; 4]);
-    /// Tells the star that begins, if this end knows that all of it is as foretold: the number of
+    /// Tells the star that begins, if this end knows that all of it is as predicted: the number of
     /// its triangles.
     #[inline(always)]
     fn even(&mut self, _: impl Path, _: &mut Stars) -> Option<usize> {
@@ -131,7 +131,7 @@ struct Waiting {
 /// Of the vertices of a face the least, and the two that follow it, the second one 2^16 times.
 #[inline(always)]
 fn least_first([c, d, w]: [Local; 3]) -> (Local, u32) {
-    // By shifting (c, d, w, c): no branch, for none could be foretold.
+    // By shifting (c, d, w, c): no branch, for none could be predicted.
     let least = c.min(d).min(w);
     let turn = 16 * u32::from(least == c) + 32 * u32::from(least == d);
     let [c, d, w] = [c, d, w].map(u64::from);
@@ -160,7 +160,7 @@ struct Stars {
     heads: Vec<u16>,
     waiting: Vec<Waiting>,
     waiters: usize,
-    untold: Vec<[Local; 3]>,
+    uncoded: Vec<[Local; 3]>,
     /// Narrowed by tests.
     path: Paths,
 }
@@ -178,7 +178,7 @@ impl Default for Stars {
             heads: vec![],
             waiting: vec![],
             waiters: 0,
-            untold: vec![],
+            uncoded: vec![],
             path: Paths::All,
         }
     }
@@ -233,7 +233,7 @@ impl Stars {
         Some(told)
     }
 
-    /// Tells the triangles that were not foretold, and gives their number.
+    /// Tells the triangles that were not predicted, and gives their number.
     #[inline(always)]
     fn correct<E: End>(&mut self, end: &mut E) -> Option<usize> {
         let mut told = 0;
@@ -246,7 +246,7 @@ impl Stars {
             let nobody = self.gates.apex(lane) == NOBODY;
             if end.bit(&mut self.odds, WRONG + usize::from(nobody), truth != NONE) {
                 let scores = self.link.scores(gate);
-                // The first is the one that was foretold.
+                // The first is the one that was predicted.
                 let w = self.ranked(end, &scores, 1, GATE_RANK, truth)?;
                 self.attach(end, gate, w)?;
                 told += 1;
@@ -312,7 +312,7 @@ impl Stars {
     /// Tells whether there is another piece, and an edge of it.
     #[inline(always)]
     fn piece<E: End>(&mut self, path: impl Path, end: &mut E, before: bool) -> Option<bool> {
-        if !end.is_odd() || !end.bit(&mut self.odds, MORE + usize::from(before), end.is_untold()) {
+        if !end.is_odd() || !end.bit(&mut self.odds, MORE + usize::from(before), end.has_uncoded()) {
             return Some(false);
         }
         path.apart(
@@ -324,8 +324,8 @@ impl Stars {
 
     #[inline(always)]
     fn edge_of_piece<E: End>(&mut self, end: &mut E) -> Option<()> {
-        self.untold.clear();
-        end.untold(&self.link, &mut self.untold);
+        self.uncoded.clear();
+        end.uncoded(&self.link, &mut self.uncoded);
         let scores = self.link.by_distance();
         let truth = self.least_of(&scores, None);
         let c = self.ranked(end, &scores, 0, C_RANK, truth)?;
@@ -337,11 +337,11 @@ impl Stars {
         Some(())
     }
 
-    /// Of the untold triangles (those with a vertex) the vertex of least score; the decoder, which
+    /// Of the uncoded triangles (those with a vertex) the vertex of least score; the decoder, which
     /// has none, gets any.
     fn least_of(&self, scores: &[f32; MOST], with: Option<Local>) -> Local {
         let score = |&w: &Local| (self.link.find(w).map_or(f32::INFINITY, |i| scores[i]), w);
-        let triangles = self.untold.iter().filter(|t| with.is_none_or(|w| t.contains(&w)));
+        let triangles = self.uncoded.iter().filter(|t| with.is_none_or(|w| t.contains(&w)));
         let vertices = triangles.flatten().copied().filter(|&w| Some(w) != with);
         vertices.min_by(|a, b| score(a).partial_cmp(&score(b)).expect("scores are no NaN")).unwrap_or(0)
     }
@@ -391,7 +391,7 @@ impl Stars {
                 if self.link.is_crowded() {
                     return None;
                 }
-                if self.link.foretell(path, &mut self.gates) {
+                if self.link.predict(path, &mut self.gates) {
                     if self.gates.len > 0 {
                         any = true;
                         left = left.checked_sub(self.pass(path, end)?)?;

@@ -10,7 +10,7 @@ use crate::geom::LatticePos;
 use crate::mesh::tet::Tet;
 
 /// The decoder's end.
-struct Told<'a, 'o> {
+struct ReadEnd<'a, 'o> {
     coder: Decoder<'a>,
     bits: BitReader<'a>,
     is_odd: bool,
@@ -21,7 +21,7 @@ struct Told<'a, 'o> {
     told: usize,
 }
 
-impl End for Told<'_, '_> {
+impl End for ReadEnd<'_, '_> {
     const KNOWS: bool = false;
 
     #[inline(always)]
@@ -57,14 +57,14 @@ impl End for Told<'_, '_> {
     }
 
     #[inline(always)]
-    fn is_untold(&self) -> bool {
+    fn has_uncoded(&self) -> bool {
         false
     }
 
     #[inline(always)]
     fn end_star(&mut self) {}
 
-    fn untold(&self, _: &Link, _: &mut Vec<[Local; 3]>) {}
+    fn uncoded(&self, _: &Link, _: &mut Vec<[Local; 3]>) {}
 
     #[inline(always)]
     fn tell(&mut self, tet: [Local; 4]) {
@@ -143,7 +143,7 @@ impl<'a> Reader<'a> {
         let before = out.len();
         out.resize(before + self.tets, [0; 4]);
         let (ids, room) = (&*scratch.ids, &mut out[before..]);
-        let mut end = Told { coder: self.coder, bits: self.bits, is_odd: false, ids, out: room, told: 0 };
+        let mut end = ReadEnd { coder: self.coder, bits: self.bits, is_odd: false, ids, out: room, told: 0 };
         stars.tell(&mut end, self.tets).ok_or_else(bad)?;
         if end.coder.at_end() && end.bits.at_end() { Ok(()) } else { Err(bad()) }
     }

@@ -129,7 +129,7 @@ fn paths_agree(positions: &[LatticePos], tets: &[Tet]) -> usize {
             let reader = Reader::open(&bytes, positions.len() as u32, &mut ids).unwrap();
             let here: Vec<LatticePos> = ids.iter().map(|&v| positions[v as usize]).collect();
             reader.decode(&mut scratch, &ids, &here, &mut back).unwrap();
-            assert!(back == writer.told());
+            assert!(back == writer.decoded());
         }
     }
     taken
@@ -148,7 +148,7 @@ fn an_even_star_is_told_as_an_odd_one_would_be() {
         let (mut tries, mut never) = (Writer::default(), Writer::default());
         never.truth.luck = Luck::none();
         assert!(tries.encode(run, &both, &mut bytes) == never.encode(run, &both, &mut others));
-        assert!(bytes == others && tries.told() == never.told());
+        assert!(bytes == others && tries.decoded() == never.decoded());
     }
 }
 
@@ -178,7 +178,7 @@ fn what_is_almost_a_mesh_comes_back_or_is_refused() {
         if writer.encode(&some, &positions, &mut bytes) {
             taken += 1;
             decode(&bytes, &positions, &mut back).unwrap();
-            assert!(back == writer.told() && sorted(&back) == some, "{n}");
+            assert!(back == writer.decoded() && sorted(&back) == some, "{n}");
         }
     }
     assert!((50..550).contains(&taken), "{taken} of 600");

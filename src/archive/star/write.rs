@@ -37,7 +37,7 @@ pub(super) struct Truth {
     pub(super) rest: usize,
     star: Range<usize>,
     /// Triangles of the star that are not told.
-    untold: usize,
+    uncoded: usize,
     /// For each directed edge between places of the link the third place of the triangle that has
     /// it and is not told.
     thirds: Box<[u8; GATES]>,
@@ -69,7 +69,7 @@ impl Default for Truth {
             tets: vec![],
             rest: 0,
             star: 0..0,
-            untold: 0,
+            uncoded: 0,
             thirds: Box::new([TOLD; GATES]),
             loose: vec![],
             ids: vec![],
@@ -130,7 +130,7 @@ impl Writer {
     }
 
     /// The tetrahedra of the block that was just encoded, as they will be decoded.
-    pub(crate) fn told(&self) -> &[Tet] {
+    pub(crate) fn decoded(&self) -> &[Tet] {
         &self.truth.told
     }
 
@@ -146,7 +146,7 @@ impl Writer {
         let stamp = u32::from(self.block) << 16;
         let numbers = &mut self.numbers[..];
         numbers[first as usize..(first + own) as usize].fill(stamp);
-        // What is not new is overwritten: no branch, for none could be foretold.
+        // What is not new is overwritten: no branch, for none could be predicted.
         self.others.resize(3 * tets.len() + 1, 0);
         let (mut n, others) = (0, &mut self.others[..]);
         for t in tets {
@@ -199,7 +199,7 @@ impl Writer {
 impl Truth {
     /// Prepares for a block.
     fn begin(&mut self) {
-        (self.rest, self.star, self.untold, self.at) = (0, 0..0, 0, 0);
+        (self.rest, self.star, self.uncoded, self.at) = (0, 0..0, 0, 0);
     }
 
     /// Forgets what a block has left that cannot be told.
@@ -217,7 +217,7 @@ impl Truth {
     }
 
     /// Tells the triangle behind a gate if it has a certain apex: whether it does. Without a
-    /// branch, for none could be foretold.
+    /// branch, for none could be predicted.
     #[inline(always)]
     fn take_if(&mut self, on: Gate, apex: usize) -> bool {
         let hit = (self.third(on) == apex) & (apex != NOBODY);
@@ -227,7 +227,7 @@ impl Truth {
         for edge in [on, gate(d, apex), gate(apex, c)] {
             self.thirds[usize::from(edge) % GATES] |= told;
         }
-        self.untold -= usize::from(hit);
+        self.uncoded -= usize::from(hit);
         hit
     }
 
@@ -238,7 +238,7 @@ impl Truth {
         for edge in [on, gate(d, third), gate(third, c)] {
             self.thirds[usize::from(edge) % GATES] = TOLD;
         }
-        self.untold -= 1;
+        self.uncoded -= 1;
     }
 
     /// Which of the loose triangles is behind a gate, and its apex.
@@ -250,7 +250,7 @@ impl Truth {
         self.loose.iter().enumerate().find_map(|(i, t)| Some((i, apex(t)?)))
     }
 
-    /// Tells those that are foretold.
+    /// Tells those that are predicted.
     #[cold]
     fn loose_hits(&mut self, link: &Link, gates: &Gates) -> u32 {
         let mut hits = 0;
@@ -261,7 +261,7 @@ impl Truth {
                 && w == link.id[told]
             {
                 self.loose.swap_remove(i);
-                self.untold -= 1;
+                self.uncoded -= 1;
                 hits |= 1 << lane;
             }
         }
@@ -285,7 +285,7 @@ impl Truth {
     fn take_loose(&mut self, link: &Link, on: Gate) -> Local {
         let Some((i, w)) = self.find_loose(link, on) else { return NONE };
         self.loose.swap_remove(i);
-        self.untold -= 1;
+        self.uncoded -= 1;
         w
     }
 }
@@ -312,7 +312,7 @@ impl End for Truth {
         let n = self.tets[self.rest..].iter().take_while(|t| t[0] == v).count();
         self.star = self.rest..self.rest + n;
         self.rest += n;
-        self.untold = n;
+        self.uncoded = n;
         self.loose.clear();
         for &[_, t @ ..] in &self.tets[self.star.clone()] {
             let [Some(a), Some(b), Some(c)] = t.map(|w| link.find(w)) else {
@@ -358,13 +358,13 @@ impl End for Truth {
 
     #[inline(always)]
     fn is_odd(&mut self) -> bool {
-        self.is_odd |= self.untold > 0;
+        self.is_odd |= self.uncoded > 0;
         self.is_odd
     }
 
     #[inline(always)]
-    fn is_untold(&self) -> bool {
-        self.untold > 0
+    fn has_uncoded(&self) -> bool {
+        self.uncoded > 0
     }
 
     #[inline(always)]
@@ -372,13 +372,13 @@ impl End for Truth {
         self.write_star();
     }
 
-    fn untold(&self, link: &Link, to: &mut Vec<[Local; 3]>) {
-        let is_told = |t: &[Local; 3]| match [t[0], t[1], t[2]].map(|w| link.find(w)) {
+    fn uncoded(&self, link: &Link, to: &mut Vec<[Local; 3]>) {
+        let is_coded = |t: &[Local; 3]| match [t[0], t[1], t[2]].map(|w| link.find(w)) {
             [Some(a), Some(b), Some(c)] => self.third(gate(a, b)) != c,
             _ => true,
         };
         let star = self.tets[self.star.clone()].iter().map(|&[_, t @ ..]| t);
-        to.extend(star.filter(|t| !is_told(t)));
+        to.extend(star.filter(|t| !is_coded(t)));
         to.extend(&self.loose);
     }
 

@@ -121,7 +121,7 @@ impl ArrayStream {
     ///
     /// # Errors
     /// [`Error::BadInput`] when the array is malformed, or longer than the file has room for.
-    pub(in crate::formats) fn open_as_told(
+    pub(in crate::formats) fn open_declared(
         doc: &Document,
         element: &Element,
         scalar: ScalarType,

@@ -382,7 +382,7 @@ impl OpenCells {
             let stream = match count {
                 // Points and cells have been checked to be few enough.
                 Some(n) => ArrayStream::open(&doc, array, scalar, n * scalar.bytes() as u64)?,
-                None => ArrayStream::open_as_told(&doc, array, scalar)?,
+                None => ArrayStream::open_declared(&doc, array, scalar)?,
             };
             Ok(Ids { stream, scalar })
         };

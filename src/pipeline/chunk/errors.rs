@@ -245,8 +245,8 @@ pub(in crate::pipeline) fn field_error_of(archive: &StepView, sums: &ErrorSums) 
             sample: l.sample,
             index: Some(index),
             world: world_of(archive, index.map(|i| i as f64))?,
-            original: source.told(l.original),
-            reduced: source.told(l.reduced),
+            original: source.in_file(l.original),
+            reduced: source.in_file(l.reduced),
         });
     }
     Ok(error.of_source(source.offset, source.rounding))

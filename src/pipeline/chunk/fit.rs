@@ -117,8 +117,8 @@ fn add_vertices<'a>(
             let places = batch.iter().map(|v| v.pos).zip(0..);
             let points = PointLocator::new(bricks.brick(brick), bricks.lattice.max(), places);
             // A body tells nothing of another one that it touches or overlaps.
-            let told_by = |tet: u32, v: u32| body_of(mesh.tets[tet as usize]) == batch[v as usize].body;
-            fit.add_points(&points, &samples, touching, told_by);
+            let counts_for = |tet: u32, v: u32| body_of(mesh.tets[tet as usize]) == batch[v as usize].body;
+            fit.add_points(&points, &samples, touching, counts_for);
         })?;
     }
     Ok(())

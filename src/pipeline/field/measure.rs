@@ -12,7 +12,7 @@
 use super::error_map::{Map, map_bytes};
 use super::own_errors::own_errors;
 use super::probe_points::{Find, Outside, each_value_of};
-use super::vertex_errors::{StepErrors, on_lattice, told_errors};
+use super::vertex_errors::{StepErrors, on_lattice, reported_errors};
 use crate::archive::manifest::Source;
 use crate::cells::CellMesh;
 use crate::domain::column::Column;
@@ -109,7 +109,7 @@ pub fn measure_source(
     let (error, same_source) = against(&archive, source, settings, progress)?;
     Ok(MeasureReport {
         error,
-        range: archive.step().told_range(),
+        range: archive.step().file_range(),
         same_source,
         map_bricks: settings.map.as_ref().map(|_| archive.chunks.bricks().dims()),
         seconds: start.elapsed().as_secs_f64(),
@@ -513,5 +513,5 @@ fn measure_vertices(
     if let Some(map) = map {
         map.finish()?;
     }
-    told_errors(archive, store, &steps, &columns, &sums, &beyond)
+    reported_errors(archive, store, &steps, &columns, &sums, &beyond)
 }

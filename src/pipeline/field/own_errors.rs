@@ -9,7 +9,7 @@
 //! each point and step.
 
 use super::error_map::Map;
-use super::vertex_errors::{StepErrors, on_lattice, other_mesh, told_errors};
+use super::vertex_errors::{StepErrors, on_lattice, other_mesh, reported_errors};
 use crate::domain::column::Column;
 use crate::domain::own::{OwnVertices, POINT_BYTES, UNUSED};
 use crate::domain::store::{CellStore, StoreSettings};
@@ -74,7 +74,7 @@ pub(super) fn own_errors(
     }
     map.map_or(Ok(0), Map::finish)?;
     let found: Vec<_> = sums.into_iter().map(|sums| (sums, vec![])).collect();
-    told_errors(archive, store, &steps, &columns, &found, &vec![0; steps.len()])
+    reported_errors(archive, store, &steps, &columns, &found, &vec![0; steps.len()])
 }
 
 /// The values of steps at all points, in the order of the list.

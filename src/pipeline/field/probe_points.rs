@@ -146,7 +146,7 @@ impl<'a> Out<'a> {
     fn write(&mut self, first: u64, values: &[f32]) -> Result<()> {
         match self {
             Self::Table(table, source) => {
-                let values: Vec<f64> = values.iter().map(|&v| source.told(v)).collect();
+                let values: Vec<f64> = values.iter().map(|&v| source.in_file(v)).collect();
                 table.write(&values)
             }
             Self::List(list) => list.write(first, values),

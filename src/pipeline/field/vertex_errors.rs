@@ -27,7 +27,7 @@ pub(in crate::pipeline) fn on_lattice(p: FinePos) -> LatticePos {
 
 /// Errors at the vertices, as they are told: of steps by positions in the manifest, with their
 /// values, and vertices outside.
-pub(super) fn told_errors(
+pub(super) fn reported_errors(
     archive: &StepView,
     store: &CellStore,
     steps: &[usize],
@@ -67,8 +67,8 @@ fn vertex_error(store: &CellStore, positions: &[FinePos], sums: &ErrorSums, sour
             sample: l.sample,
             index: None,
             world: store.frame.geometry.to_world(ijk),
-            original: source.told(l.original),
-            reduced: source.told(l.reduced),
+            original: source.in_file(l.original),
+            reduced: source.in_file(l.reduced),
         }
     });
     error.of_source(source.offset, source.rounding)

@@ -478,7 +478,7 @@ impl Estimate {
             // The copy of the input is gone when the index is built.
             scratch_bytes: q.scratch.1.max(q.need.index_scratch(q.memory)),
             scratch_free: free_bytes(q.scratch.0),
-            rounding: q.plan.steps.iter().filter_map(|s| s.source.told_rounding()).reduce(f64::max),
+            rounding: q.plan.steps.iter().filter_map(|s| s.source.notable_rounding()).reduce(f64::max),
             seconds: q.need.seconds(workers, q.plan.steps.len()),
             notices: vec![],
             archive: q.out.to_path_buf(),

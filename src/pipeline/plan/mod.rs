@@ -424,7 +424,7 @@ pub(crate) fn parts(plan: &MeshPlan, attachments: Attachments) -> Result<MeshPar
     }
     let counter = points.clone();
     let chunks = match &plan.frame {
-        Some(frame) => ChunkGrid::told(plan.bricks(), &frame.cuts)?,
+        Some(frame) => ChunkGrid::from_cuts(plan.bricks(), &frame.cuts)?,
         None => ChunkGrid::new(plan.bricks(), plan.chunk_target, move |b| counter.count_in(b))?,
     };
     let times =

@@ -152,12 +152,12 @@ impl OpenArchive {
         if let Some(&bytes) = self.bytes.get() {
             return Ok(bytes);
         }
-        let bytes = if is_remote(self.path()) { self.bytes_told() } else { folder_bytes(self.path())? };
+        let bytes = if is_remote(self.path()) { self.listed_bytes() } else { folder_bytes(self.path())? };
         Ok(*self.bytes.get_or_init(|| bytes))
     }
 
     /// Bytes of the files that the manifest tells of, and its own.
-    fn bytes_told(&self) -> u64 {
+    fn listed_bytes(&self) -> u64 {
         let m = &self.manifest;
         let of_steps = m.steps.iter().flat_map(|s| {
             let others = [s.index, s.spectrum, s.coordinates.map(|c| c.info)];

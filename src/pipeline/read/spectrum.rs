@@ -226,7 +226,7 @@ pub(in crate::pipeline) fn report(archive: &StepView) -> Result<SpectrumReport> 
     };
     let (spectrum, source) = (file.spectrum(), &archive.step().plan.source);
     let knot = |k: &crate::spectrum::Knot| Knot {
-        isovalue: source.told(k.isovalue),
+        isovalue: source.in_file(k.isovalue),
         active_tetrahedra: k.active_tetrahedra,
         area: k.area,
         volume: k.volume,
@@ -234,13 +234,13 @@ pub(in crate::pipeline) fn report(archive: &StepView) -> Result<SpectrumReport> 
     };
     let suggestions = suggest(spectrum).into_iter();
     Ok(SpectrumReport {
-        range: Some(spectrum.range.map(|v| source.told(v))),
+        range: Some(spectrum.range.map(|v| source.in_file(v))),
         tetrahedra: spectrum.tetrahedra,
         volume: spectrum.volume,
         straight_edges: archive.coordinate_record().is_some(),
         knots: spectrum.knots.iter().map(knot).collect(),
         suggestions: suggestions
-            .map(|s| Suggestion { isovalue: source.told(s.isovalue), strength: s.strength })
+            .map(|s| Suggestion { isovalue: source.in_file(s.isovalue), strength: s.strength })
             .collect(),
         bytes_read: bytes_read + file.bytes_read() + archive.bytes_read() - read_before,
     })

@@ -218,8 +218,8 @@ impl StepView {
     }
 
     /// Least and largest value; between two steps, what bounds them.
-    pub(in crate::pipeline) fn told_range(&self) -> Option<[f64; 2]> {
-        self.value_range().map(|range| range.map(|v| self.step().plan.source.told(v)))
+    pub(in crate::pipeline) fn file_range(&self) -> Option<[f64; 2]> {
+        self.value_range().map(|range| range.map(|v| self.step().plan.source.in_file(v)))
     }
 
     /// The same, less the archive's offset.

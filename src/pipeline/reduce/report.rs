@@ -127,7 +127,7 @@ impl ReduceReport {
     pub(super) fn of_archive(self, root: &Path, manifest: &Manifest, first: usize) -> Result<Self> {
         let steps = &manifest.steps[first..];
         let counts = manifest.counts;
-        let ranges = steps.iter().filter_map(Step::told_range);
+        let ranges = steps.iter().filter_map(Step::file_range);
         Ok(Self {
             own: manifest.plan.own.is_some(),
             points: counts.points,
@@ -137,7 +137,7 @@ impl ReduceReport {
             blocks: counts.blocks,
             grid_cells: manifest.steps[0].coordinates.map(|c| c.cells),
             range: ranges.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]),
-            quantiser: steps.first().and_then(|step| step.plan.told_quantiser()),
+            quantiser: steps.first().and_then(|step| step.plan.file_quantiser()),
             error: steps.first().and_then(|step| step.error.clone()),
             steps: steps.iter().map(StepSummary::of).collect(),
             archive_bytes: folder_bytes(root)?,

@@ -253,9 +253,10 @@ pub(super) fn reduce_to_target(
     let mut found: Option<(ReduceReport, Try)> = None;
     let (mut chunks, mut tries, mut wanted) = (0, 0, None);
     let mut rounding = Rounding::new(job.settings, target);
-    // How many points an error asks for is foretold of those that adapt.
-    let foretold = job.settings.target.filter(|t| adapts && t.bound().is_some());
-    let mut settings = ReduceSettings { target: foretold, value_bits: rounding.bits, ..job.settings.clone() };
+    // How many points an error asks for is predicted of those that adapt.
+    let predicted = job.settings.target.filter(|t| adapts && t.bound().is_some());
+    let mut settings =
+        ReduceSettings { target: predicted, value_bits: rounding.bits, ..job.settings.clone() };
     loop {
         fs::create_dir_all(&work).map_err(|e| Error::io("create the folder", &work, e))?;
         let run = RunSettings { replace: false, ..job.run.clone() };

@@ -2,7 +2,7 @@
 //!
 //! The largest error of a field is that of a few samples, at a peak, say: as many points as samples
 //! all over the volume need not meet it, where some more at the peak do. So this is no search for a
-//! number of points. The first try has levels at which the foretold error of each cell is the
+//! number of points. The first try has levels at which the predicted error of each cell is the
 //! bound; then errors are measured at all samples (of a mesh: at all vertices), and the cells that
 //! have one above the bound are raised, with those around them as far as points lie apart; and so
 //! on:

@@ -119,7 +119,7 @@ impl Question<'_> {
                 self.archive.cache.get(work.chunk, next, &mut kept);
             }
             let ahead = |blocks: usize| kept.get(n % at_once + blocks).and_then(Option::as_ref);
-            self.foretell(ahead(1), ahead(2));
+            self.prefetch(ahead(1), ahead(2));
             if let Some(found) = ahead(0) {
                 chunk.add_kept(work.chunk, block, found, &mut buffers);
                 continue;
@@ -153,7 +153,7 @@ impl Question<'_> {
 
     /// Asks the processor for the next kept blocks: of the one after the next what tells which
     /// tetrahedra of it may be active.
-    fn foretell(&self, next: Option<&Found>, after: Option<&Found>) {
+    fn prefetch(&self, next: Option<&Found>, after: Option<&Found>) {
         if let Some(next) = next {
             next.block.rest_will_be_read(self.isovalues);
         }

@@ -123,7 +123,7 @@ fn report_of(
     let totals = &archive.manifest.counts;
     let surfaces = describe(archive, &made.surfaces, &made.refined, &settings.isovalues, out);
     Ok(SurfaceReport {
-        range: archive.told_range(),
+        range: archive.file_range(),
         roi: settings.roi,
         vertices: surfaces.iter().map(|s| s.vertices).sum(),
         triangles: surfaces.iter().map(|s| s.triangles).sum(),

@@ -98,7 +98,7 @@ impl<'a> UnpackedChunk<'a> {
         if place.bytes() == 0 {
             return Ok(false);
         }
-        self.foretell(n, chunk.question.isovalues);
+        self.prefetch(n, chunk.question.isovalues);
         let file = self.file;
         let isovalues = chunk.question.is_whole().then_some(chunk.question.isovalues);
         let block = block_of(file, &place, self.corners, isovalues, &mut self.words)?;
@@ -127,7 +127,7 @@ impl<'a> UnpackedChunk<'a> {
     }
 
     /// Asks the system and the processor for the blocks that follow.
-    fn foretell(&self, n: usize, isovalues: &[f32]) {
+    fn prefetch(&self, n: usize, isovalues: &[f32]) {
         let ahead = |blocks: usize| self.places.get(n + blocks)?.at_hand();
         // What its groups tell was asked for before.
         if let Some(Ok(next)) = ahead(1).map(Known::open) {

@@ -2,7 +2,7 @@
 //!
 //! A tetrahedron of a mesh of about a point for eight samples has one sample or two, in a box of
 //! some ten. What a scan by itself ([`super::scan`]) costs there are branches that nobody can
-//! foretell: how many rows, how many samples, which of them. So tetrahedra are sorted by the rows
+//! predict: how many rows, how many samples, which of them. So tetrahedra are sorted by the rows
 //! of their box first; sixteen of like boxes are looked at side by side, a lane each:
 //!
 //! ```text
