@@ -49,12 +49,15 @@ pub(crate) struct Choices {
     /// takes several tries. Points and bits are chosen as for --target-rms.
     #[arg(help_heading = "Error and size", long, value_name = "SIZE", value_parser = grammar::size, conflicts_with_all = ["fraction", "count", "target_rms", "target_max"])]
     size: Option<Size>,
+    /// Find the least error in 1/N of the bytes of the source, as --size 1/N does: 20 for 5%.
+    #[arg(help_heading = "Error and size", long, value_name = "N", value_parser = grammar::positive_number, conflicts_with_all = ["fraction", "count", "target_rms", "target_max", "size"])]
+    ratio: Option<f64>,
     /// Hammersley: the shift t in (k + t)/n; 0 gives the classical set [default: 0.5].
     #[arg(help_heading = "Points", long, value_name = "T", value_parser = grammar::number)]
     shift: Option<f64>,
     /// Hyperbolic cross: the level m [default: the one whose size is nearest to the count]. Needs
     /// --cross-k.
-    #[arg(help_heading = "Points", long, value_name = "M", value_parser = grammar::whole::<u32>, conflicts_with_all = ["fraction", "count", "size"], requires = "cross_k")]
+    #[arg(help_heading = "Points", long, value_name = "M", value_parser = grammar::whole::<u32>, conflicts_with_all = ["fraction", "count", "size", "ratio"], requires = "cross_k")]
     cross_m: Option<u32>,
     /// Hyperbolic cross: log2 of the number of cells of the coarsest grid, 2 to 5 [default: the one
     /// that brings the size nearest to the count].
@@ -148,6 +151,7 @@ impl Choices {
             Size::Bytes(bytes) => Target::Size(bytes),
             Size::OfSource(share) => Target::Ratio(1.0 / share),
         });
+        let size = size.or(self.ratio.map(Target::Ratio));
         // Where no set is named, a target is met by a lattice, which takes the fewest bytes, and of
         // a mesh by points that adapt.
         let adapts = of_mesh || self.focus.is_some() || self.points == Some(Set::Halton);

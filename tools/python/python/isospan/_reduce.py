@@ -73,6 +73,7 @@ def reduce(
     target_rms: Bound | None = None,
     target_max: Bound | None = None,
     size: Size | None = None,
+    ratio: float | None = None,
     fraction: float | str | None = None,
     count: int | None = None,
     points: str | None = None,
@@ -121,10 +122,11 @@ def reduce(
         part of it, nothing is made but what it lacks.
     target_rms, target_max: the error that is not to be exceeded, in units of the field or "1%" of
         its range.
-    size: the bytes of the archive, "50MiB", or a share of those of the source, "5%" or "1/20".
+    size, ratio: the bytes of the archive, "50MiB", or a share of those of the source, "5%" or
+        "1/20"; ratio=20 is size="1/20".
     fraction, count: the number of points as a part of the samples (0.125, "1/8", "12.5%"), or
         itself.
-        Without any of these five, fraction is 1/8.
+        Without any of these six, fraction is 1/8.
     points: "lattice", "halton", "hammersley", "regular" or "hyperbolic-cross". adapt, focus=(lo,
         hi), shift, cross_m, cross_k, cross_r, interp, values, value_bits, nan, missing, keyframes,
         chunk_points, and for files field, value_file, dims, type, endian, offset, io: as the flags
