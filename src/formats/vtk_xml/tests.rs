@@ -549,7 +549,7 @@ fn real_files_have_the_published_dimensions_and_ranges() {
 #[ignore = "reads real data; tools/check runs it with ISOSPAN_SHARED_DATA"]
 fn real_files_that_are_no_scalar_image_are_refused_by_name() {
     for (name, says) in [
-        ("variants/vase_4component_u8.vti", "Scalars_ (4 x u8, not scalar)"),
+        ("variants/vase_4component_u8.vti", "Scalars_ (4 x uint8, not scalar)"),
         ("variants/QuadraticTetra.vtu", "an unstructured grid (.vtu)"),
         ("variants/vtkio/RectilinearGrid_ascii.vtr", "cell data only"),
         ("variants/vtkio/hexahedron_lzma_inline_binary.vtu", "UnstructuredGrid"),
