@@ -182,7 +182,7 @@ fn check_totals(archive: &StepView, volume6: i128, check: &ArchiveCheck) -> Resu
     Ok(())
 }
 
-/// The error that the manifest tells is that of the chunks.
+/// Checks that the error in the manifest is that of the chunks.
 fn check_error(archive: &StepView) -> Result<()> {
     let step = archive.step();
     if !step.plan.measured {

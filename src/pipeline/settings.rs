@@ -155,7 +155,7 @@ impl Default for ReduceSettings {
 /// What decides where points are dense.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Adapt {
-    /// The values that somebody will look at: what happens above and below does not count.
+    /// The values of interest: what happens above and below does not count.
     pub focus: Option<[f64; 2]>,
 }
 

@@ -228,7 +228,7 @@ pub(in crate::pipeline) fn add(sums: &mut Tally, m: &Measured<'_>, dims: [u64; 3
     );
 }
 
-/// What is told of the errors of all samples of a volume, each once.
+/// The reported error of all samples of a volume, each counted once.
 pub(in crate::pipeline) fn field_error_of(archive: &StepView, sums: &ErrorSums) -> Result<FieldError> {
     let source = &archive.step().plan.source;
     let dims = source.dims;

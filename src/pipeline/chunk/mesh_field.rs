@@ -65,7 +65,7 @@ impl CellField<'_> {
         for (found, &pos) in found.iter().zip(positions) {
             let sample = self.boundary.at(pos);
             let place = match sample {
-                // Rounding puts a sample beside the boundary; where bodies overlap it belongs to
+                // Rounding puts a sample next to the boundary. Where bodies overlap, it belongs to
                 // the first of them.
                 Some(Sample::On(sample)) if sample.body < self.body(found)? => Some(*sample),
                 _ => None,
@@ -162,12 +162,12 @@ impl CellField<'_> {
     }
 }
 
-/// Rounding gives a flat wall no more thickness, in lattice steps.
+/// The most thickness that rounding gives a flat wall, in lattice steps.
 const ROUNDED: f64 = 4.0;
-/// A place beside a flat wall is so far from it, in lattice steps: more than rounding moves it.
+/// The distance of a place next to a flat wall, in lattice steps: more than rounding moves it.
 const BESIDE: f64 = 16.0;
 
-/// The unit normal of a tetrahedron that has no thickness but what rounding gave it.
+/// The unit normal of a tetrahedron whose only thickness comes from rounding.
 fn flat_normal(corners: [LatticePos; 4]) -> Option<[f64; 3]> {
     let [a, b, c, d] = corners;
     let edge = |p: LatticePos, q: LatticePos| -> [f64; 3] {

@@ -188,7 +188,7 @@ impl ChunkMesher {
         self.mesher.reuse(tets);
     }
 
-    /// Lists the sites of the core, and tells how many each brick has.
+    /// Lists the sites of the core, and returns how many each brick has.
     fn list_core(&mut self, recipe: &Recipe<'_>, chunk: &Chunk) -> Result<Vec<u32>> {
         self.sites.clear();
         let mut counts = vec![];

@@ -66,7 +66,7 @@ pub struct MeasureReport {
     pub error: FieldError,
     /// Least and largest value of the archive.
     pub range: Option<[f64; 2]>,
-    /// Whether the input is the one that the archive was made from, as its fingerprint tells.
+    /// Whether the input has the fingerprint of the one that the archive was made from.
     pub same_source: bool,
     /// Bricks of the map along each axis, if one was written.
     pub map_bricks: Option<[u64; 3]>,
@@ -185,7 +185,7 @@ fn against(
     }
 }
 
-/// Opens the input; where nobody names a field of a file, the archive does.
+/// Opens the input. Where no field of a file is named, the one that the archive names is read.
 fn open_field(archive: &StepView, source: &StepSource) -> Result<Input> {
     let (input, options) = (&source.path, &source.options);
     if source.is_given() || options.field.is_some() {
@@ -375,14 +375,14 @@ struct AgainstSamples<'a> {
     mapped: bool,
 }
 
-/// What a chunk tells.
+/// What a chunk contributes.
 #[derive(Default)]
 struct Part {
     sums: ErrorSums,
     bricks: BTreeMap<u64, BrickErrors>,
 }
 
-/// Bytes of a job, beside its chunk: samples, sums, bricks.
+/// Bytes of a job in addition to its chunk: samples, sums, bricks.
 const EXTRA: u64 = estimate::error_bytes(1) + (1 << 19);
 
 impl AgainstSamples<'_> {

@@ -290,7 +290,8 @@ pub(in crate::pipeline) enum Outside {
 }
 
 /// Calls `each` with the number and the value of every point that lies in a tetrahedron, or outside
-/// of all as [`Find`] tells, NaN in one with a void corner. Returns the number of chunks read.
+/// of all as [`Find`] says. The value is NaN in a tetrahedron with a void corner. Returns the
+/// number of chunks read.
 pub(in crate::pipeline) fn each_value(
     archive: &StepView,
     points: impl Iterator<Item = (LatticePos, u32)>,
@@ -303,8 +304,8 @@ pub(in crate::pipeline) fn each_value(
     find_each(archive, points, find, progress, stage, 0, values, |n, values, _| each(n, values[0]))
 }
 
-/// As [`each_value`], at steps by ascending positions in the manifest: each point is looked for
-/// once. `each` is also told whether the point is in a tetrahedron.
+/// As [`each_value`], at steps given by ascending positions in the manifest: each point is located
+/// once. `each` also gets whether the point is in a tetrahedron.
 pub(super) fn each_value_of(
     archive: &StepView,
     steps: &[usize],
@@ -320,7 +321,7 @@ pub(super) fn each_value_of(
 }
 
 /// Calls `each` with the values at every point that lies in a tetrahedron: one for each list of
-/// values at a chunk's vertices. There are `further` lists beside the first.
+/// values at a chunk's vertices. There are `further` lists after the first.
 #[expect(clippy::too_many_arguments, reason = "two questions, and nothing else, are asked in this way")]
 fn find_each(
     archive: &StepView,

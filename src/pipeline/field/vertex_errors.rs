@@ -25,8 +25,8 @@ pub(in crate::pipeline) fn on_lattice(p: FinePos) -> LatticePos {
     p.map(|c| ((c + (1 << (FINE_BITS - 1))) >> FINE_BITS) as u32)
 }
 
-/// Errors at the vertices, as they are told: of steps by positions in the manifest, with their
-/// values, and vertices outside.
+/// The errors at the vertices, as they are reported. Steps are given by positions in the manifest;
+/// `columns` has their values, `beyond` their numbers of vertices outside.
 pub(super) fn reported_errors(
     archive: &StepView,
     store: &CellStore,

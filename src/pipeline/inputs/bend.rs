@@ -1,9 +1,9 @@
-//! How a volume bends along its axes, found in blocks of samples while it is read once, in whatever
-//! pieces.
+//! How a volume bends along its axes, found in blocks of samples while it is read once, in pieces
+//! of any kind.
 //!
-//! Blocks lie evenly in the volume, at most 216 of 33³ samples, so that time and memory have a
-//! bound. Their sums are added in their order: the same for any pieces. Memory: blocks that are
-//! begun and not complete, 5 MiB where slices come one after the other.
+//! Blocks are spread evenly over the volume, at most 216 of 33³ samples, so that time and memory
+//! have a bound. Their sums are added in their order, so the result is the same for any pieces.
+//! Memory: the blocks that are not complete yet, 5 MiB where slices come one after the other.
 
 use crate::density::Bend;
 use crate::grid::IndexBox;

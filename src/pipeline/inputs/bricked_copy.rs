@@ -69,7 +69,7 @@ fn brick_with(
     })
 }
 
-/// A stream that ends with [`Error::Cancelled`] when somebody asks to stop.
+/// A stream that ends with [`Error::Cancelled`] when the run is cancelled.
 struct Stoppable {
     stream: Box<dyn SlabStream>,
     cancel: CancelToken,

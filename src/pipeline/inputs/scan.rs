@@ -10,7 +10,7 @@ use crate::volume::strided::convert_row;
 use crate::volume::{SlabStream, VolumeInfo, VolumeReader, VolumeSource};
 use serde::Serialize;
 
-/// What one pass over the samples tells. Values have slope and intercept applied.
+/// What one pass over the samples finds. Values have slope and intercept applied.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Scan {

@@ -20,8 +20,8 @@ const PIECES: u64 = 64;
 const STREAM_SAMPLES: u64 = 1 << 23;
 /// The least part of the samples that a fill value has.
 const FILL_SHARE: f64 = 0.001;
-/// The most values of labels, and the number up to which a field of whole numbers is one of labels
-/// whatever its neighbours are.
+/// The most values of a field of labels; and the number of values up to which a field of whole
+/// numbers is one of labels for any neighbours.
 const MOST_LABELS: usize = 256;
 const FEW: usize = 5;
 
@@ -97,7 +97,7 @@ pub(in crate::pipeline) struct Stretch {
     pub(in crate::pipeline) others: [f64; 2],
 }
 
-/// What the samples tell.
+/// What the samples show.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(in crate::pipeline) struct Found {
     pub(in crate::pipeline) fills: Vec<Fill>,
@@ -149,7 +149,7 @@ impl Survey {
         self.values.extend(row.iter().filter(|v| v.is_finite()).map(|v| v + 0.0));
     }
 
-    /// What the samples tell, where `missing` has no data.
+    /// What the samples show, where the value `missing` means no data.
     pub(in crate::pipeline) fn found(self, missing: Option<f64>) -> Found {
         let is_single = self.is_single;
         // The shortest numbers that mean the same samples, as they are typed.
@@ -182,7 +182,7 @@ impl Survey {
             rest = others;
         }
         found.fills.iter_mut().for_each(|fill| fill.others = ends(rest));
-        // The first samples of a stream tell nothing about those that follow.
+        // The first samples of a stream say nothing about those that follow.
         if rest.is_empty() || matches!(self.seen, Seen::First(_)) {
             return found;
         }
@@ -316,8 +316,8 @@ fn pieces(dims: [u64; 3], budget: u64) -> Vec<IndexBox> {
     out
 }
 
-/// How values are made of stored samples. They are `f64` here: `f32` does not tell all samples of
-/// wide types apart.
+/// How values are made from stored samples. They are `f64` here, because `f32` cannot distinguish
+/// all samples of wide types.
 #[derive(Clone, Copy, Debug)]
 struct Stored {
     scalar: ScalarType,
@@ -611,7 +611,7 @@ mod tests {
         let both = with(with(waves(0.0, 1.0), 2, 1e20), 3, -9999.0);
         assert_eq!(found(&both).fills.iter().map(|f| f.value).collect::<Vec<_>>(), [1e20, -9999.0]);
         assert!(found(&both).fills.iter().all(|f| f.others[1] <= 1.0));
-        // Samples that f32 does not tell apart are no constant.
+        // Samples that are equal only as f32 are no constant.
         assert_eq!(found(&waves(101_325_000.0, 101_325_003.0)), Found::default());
         // A value that is declared to be missing already.
         let mut survey = Survey::new(Seen::All, true, false);

@@ -1,5 +1,5 @@
-//! What a run needs, known before it starts: memory, disk, time. And how the memory that it gets is
-//! shared out.
+//! Estimates what a run needs before it starts: memory, disk, time. Also says how the memory that
+//! it gets is shared out.
 //!
 //! Only these grow with the input, and each has its part of the budget:
 //!
@@ -15,10 +15,10 @@
 //! ```
 //!
 //! The room of a chunk follows from the number of points of its region (core and halo), which the
-//! point set tells without listing them. If the budget does not hold as many chunks as there are
+//! point set counts without listing them. If the budget does not hold as many chunks as there are
 //! threads, fewer run. A chunk whose halo must be widened beyond its room waits until it is alone
-//! and has all of them (`reduce::encode`). The index is built in what memory there is; what does
-//! not fit is sorted in the scratch folder.
+//! and has all of them (`reduce::encode`). The index is built in the memory that there is; what
+//! does not fit is sorted in the scratch folder.
 
 use super::finding::Notice;
 use super::{BLOCK_TETS, MeshParts, Plan};
@@ -34,8 +34,7 @@ use crate::raster::BatchScan;
 use serde::Serialize;
 use std::path::Path;
 
-/// What the process needs whatever it works on: code and tables, stacks, buffers of readers and
-/// writers.
+/// What the process needs for any work: code and tables, stacks, buffers of readers and writers.
 pub(in crate::pipeline) const BASE: u64 = 16 << 20;
 /// Working memory of a chunk for a point of its region, measured (all point sets, chunks of 30 000
 /// to 500 000 points, one and two workers took at most 550 in all, what waits to be written
@@ -52,7 +51,7 @@ const SIDE_PER_POINT: u64 = 104;
 const FITTED_PER_POINT: u64 = 4;
 const SUMS_PER_POINT: u64 = 168;
 const WEIGHTS_PER_POINT: u64 = 64;
-/// And whatever the number of points: the samples around a brick, the encoder's tables.
+/// And for any number of points: the samples around a brick, the encoder's tables.
 const PER_CHUNK: u64 = 4 << 20;
 /// Bytes of a point's share of an encoded chunk, at most: its value, and a little more than 6
 /// tetrahedra.
@@ -182,7 +181,7 @@ pub(in crate::pipeline) struct Shares {
     pub(in crate::pipeline) room: u64,
     /// For all encoded chunks that wait.
     pub(in crate::pipeline) queue: u64,
-    /// Beside each room: the values of further steps, and what measures errors.
+    /// In addition to each room: the values of further steps, and what measures errors.
     pub(super) beside: u64,
 }
 
@@ -301,8 +300,8 @@ impl Need {
         product_bytes(self.core_points, self.steps)
     }
 
-    /// Bytes beside a chunk's room: the values of the steps after the first, what measures the
-    /// errors of all, and what decodes samples.
+    /// Bytes in addition to a chunk's room: the values of the steps after the first, what measures
+    /// the errors of all, and what decodes samples.
     fn beside(&self) -> u64 {
         let (further, sides) = (self.steps - 1, if self.steps > 1 { self.steps.div_ceil(8) } else { 0 });
         let (per_point, window) = match self.window {
@@ -418,10 +417,10 @@ pub struct Estimate {
     pub memory_comfortable: u64,
     /// Chunks at work at one time with the memory given; 0 when it does not suffice.
     pub workers: usize,
-    /// Bytes of the archive, at most: rather less are usual.
+    /// Bytes of the archive, at most; usually it has fewer.
     pub archive_bytes: u64,
-    /// Bytes that are free for it, what is there of it already included; `None` where the system
-    /// does not tell.
+    /// Bytes that are free for it, including what is there of it already; `None` where the system
+    /// does not say.
     pub archive_free: Option<u64>,
     /// Bytes of the temporary copy of an input that has no random access, or of the index while it
     /// is built.
@@ -506,8 +505,8 @@ impl Estimate {
 /// takes.
 const OPEN_EDGE: u64 = 170;
 /// Bytes for a tetrahedron of an active block of a chunk that is being extracted (its part of the
-/// surface, if it is active), for a vertex of the chunk and each isovalue, and whatever their
-/// number.
+/// surface, if it is active), for a vertex of the chunk and each isovalue, and for a chunk of any
+/// size.
 const ACTIVE_TET: u64 = 120;
 pub(in crate::pipeline) const SURFACE_PER_VERTEX: u64 = 8;
 const DECODED_CHUNK: u64 = 1 << 20;

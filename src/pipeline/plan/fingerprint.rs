@@ -57,7 +57,7 @@ fn hash_of(files: &[PathBuf], cancel: &CancelToken) -> Result<String> {
     Ok(format!("{:032x}", hash.digest128()))
 }
 
-/// What the file system tells of a file, by which a change of its bytes is noticed.
+/// What the file system says about a file: it shows whether its bytes have changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Stamp {
     len: u64,
@@ -132,7 +132,7 @@ impl Watch {
         if self.0.len() <= FEW { self.check() } else { Ok(()) }
     }
 
-    /// What a plan tells its workers, by ascending paths.
+    /// What a plan records for its workers, by ascending paths.
     pub(in crate::pipeline) fn records(&self) -> Vec<RecordedFile> {
         let record = |(path, stamp): (&PathBuf, &Option<Stamp>)| recorded(path, *stamp);
         let mut records: Vec<RecordedFile> = self.0.iter().map(record).collect();

@@ -348,7 +348,7 @@ const MOST_BRICK_POINTS: u128 = 1 << 22;
 /// Whether the points of a brick can be enumerated: a set may crowd some bricks far above the mean.
 ///
 /// # Errors
-/// [`Error::Usage`] that tells the number of points.
+/// [`Error::Usage`] that states the number of points.
 pub(crate) fn check_brick(points: &PointSet, brick: &LatticeBox) -> Result<()> {
     let n = points.count_in(brick);
     if u128::from(n) > MOST_BRICK_POINTS {
@@ -373,7 +373,7 @@ pub(crate) struct MeshParts {
     pub(crate) times: u64,
 }
 
-/// Makes the parts of a plan, which may come from a file, and of what is stored beside it.
+/// Makes the parts of a plan, which may come from a file, and of what is stored with it.
 ///
 /// # Errors
 /// [`Error::Usage`] when a parameter is out of range.

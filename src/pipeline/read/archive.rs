@@ -156,7 +156,7 @@ impl OpenArchive {
         Ok(*self.bytes.get_or_init(|| bytes))
     }
 
-    /// Bytes of the files that the manifest tells of, and its own.
+    /// Bytes of the files that the manifest lists, and of the manifest.
     fn listed_bytes(&self) -> u64 {
         let m = &self.manifest;
         let of_steps = m.steps.iter().flat_map(|s| {

@@ -326,7 +326,7 @@ impl<'a> ChunkReader<'a> {
         self.decoded(number, |reader, bytes| reader.decode(bytes, out))
     }
 
-    /// Reads the bytes of a block; tells how many.
+    /// Reads the bytes of a block, and returns their number.
     fn read(&mut self, number: u32) -> Result<u64> {
         let (mesh, id) = (&self.segment.mesh, self.chunk.id);
         let blocks = mesh.block_count(id);
@@ -674,7 +674,7 @@ pub(in crate::pipeline) enum Wanted<'a> {
 }
 
 impl Wanted<'_> {
-    /// Whether a block is wanted, as far as a box that holds its corners tells.
+    /// Whether a block may be wanted, judged by a box that holds its corners.
     fn may_be(&self, hull: impl FnOnce() -> Result<LatticeBox>) -> Result<bool> {
         Ok(match self {
             Self::All => true,

@@ -82,7 +82,7 @@ pub(in crate::pipeline) fn inspect(
     }
 }
 
-/// An error without the file's name, which stands beside it.
+/// An error without the file's name, which is shown next to it.
 fn reason(error: &Error) -> String {
     match error {
         Error::BadInput(bad) => format!("{}: expected {}, got {}", bad.at, bad.expected, bad.got),

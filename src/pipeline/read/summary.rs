@@ -142,7 +142,7 @@ pub struct ArchiveSummary {
 pub struct StepSummary {
     /// Its number.
     pub number: u64,
-    /// Its time, where the input told one.
+    /// Its time, where the input states one.
     pub time: Option<f64>,
     /// Name of the source's file.
     pub source: String,

@@ -18,7 +18,7 @@ use crate::index::Entry;
 use crate::pipeline::plan::estimate;
 
 /// Bytes for a vertex of a decoded chunk and for one of its tetrahedra, results of a job included,
-/// and whatever their number.
+/// and for a chunk of any size.
 const VERTEX: u64 = 72;
 const TET: u64 = 64;
 const CHUNK: u64 = 1 << 20;
@@ -104,7 +104,7 @@ impl<'a> Visit<'a> {
         }
     }
 
-    /// Six times the volume of all tetrahedra of the chunks, as their summaries tell.
+    /// Six times the volume of all tetrahedra of the chunks, from their summaries.
     pub(in crate::pipeline) fn volume6(&self) -> Result<i128> {
         let mut sum = 0i128;
         for &id in &self.chunks {

@@ -137,7 +137,7 @@ pub(in crate::pipeline) struct Looked {
 }
 
 impl Looked {
-    /// The report of a whole archive with what was found before, and what its size tells.
+    /// The report of a whole archive with what was found before, and what its size shows.
     pub(super) fn complete(self, path: &Path, report: ReduceReport, job: &Job<'_>) -> ReduceReport {
         let Self { mut notices, size } = self;
         let target = job.settings.target.is_some();
@@ -248,7 +248,7 @@ fn is_same(a: &Finding, b: &Finding) -> bool {
     }
 }
 
-/// What the samples of a field tell.
+/// What the samples of a field show.
 fn of_survey(path: &Path, survey: Survey, missing: Option<f64>, nan: NanPolicy) -> Vec<Notice> {
     let seen = survey.seen;
     let found = survey.found(missing);
@@ -275,7 +275,7 @@ fn of_survey(path: &Path, survey: Survey, missing: Option<f64>, nan: NanPolicy) 
     out
 }
 
-/// What the numbers of points and samples tell: more points than samples, an archive larger than
+/// What the numbers of points and samples show: more points than samples, an archive larger than
 /// its source.
 fn of_numbers(
     input: &Input,
@@ -284,7 +284,7 @@ fn of_numbers(
     settings: &ReduceSettings,
     size: &SourceSize,
 ) -> Vec<Notice> {
-    // A target tells neither before it is met.
+    // With a target, neither is known before it is met.
     if settings.target.is_some() {
         return vec![];
     }
@@ -386,7 +386,7 @@ fn points_of(dims: [u64; 3], asked: u64, settings: &ReduceSettings) -> u64 {
     points.map_or(asked, |points| points.len())
 }
 
-/// How large all steps are, of which one was opened. `None` where the system does not tell.
+/// The size of all steps; `input` is the one that was opened. `None` where the system does not say.
 fn size_of(input: &Input, sources: &[(u64, StepSource)]) -> Option<SourceSize> {
     let steps = sources.len() as u64;
     let mut paths: Vec<&PathBuf> = sources.iter().map(|(_, s)| &s.path).collect();
@@ -415,7 +415,7 @@ fn size_of(input: &Input, sources: &[(u64, StepSource)]) -> Option<SourceSize> {
     Some(SourceSize { bytes: on_disk.min(stored), samples, is_mesh: matches!(input, Input::Mesh(_)) })
 }
 
-/// Reads a volume once, as [`scan`] does, and tells what a reduction of it should heed.
+/// Reads a volume once, as [`scan`] does, and returns what a reduction of it should heed.
 ///
 /// # Errors
 /// Those of reading it.

@@ -1,13 +1,13 @@
 //! Further steps for an archive that is there.
 //!
-//! New files come beside the old ones, and the manifest that names them is renamed over the old one
-//! in the end: until then the archive is the old one. A run that was killed is continued by the
-//! same call; what it left is in the folders of the new steps, which no manifest names.
+//! New files are written next to the old ones. In the end the manifest that names them is renamed
+//! over the old one: until then the archive is the old one. The same call continues a run that was
+//! killed; what that run left is in the folders of the new steps, which no manifest names.
 //!
-//! A tetrahedral mesh is laid out on disk again, from the first of the new files that tells it, for
-//! the points are located in that. The archive has hashes of its points and cells, by which others
-//! are refused, and the vertices that were one at the first step: so samples of its boundary are
-//! the same ones.
+//! A tetrahedral mesh is laid out on disk again, from the first of the new files that has it,
+//! because the points are located in it. The archive has hashes of its points and cells, by which
+//! others are refused, and the vertices that were one at the first step: so samples of its boundary
+//! are the same ones.
 
 use super::advice::look;
 use super::existing::{lock_for_writing, sweep};
@@ -92,7 +92,7 @@ fn add(job: &Job<'_>, archive: &OpenArchive) -> Result<ReduceReport> {
     Ok(report)
 }
 
-/// A further step; where nobody names a field, that of the archive, if the file has it.
+/// A further step. Where no field is named, it has the field of the archive, if the file has that.
 fn with_field(source: &StepSource, field: &str) -> StepSource {
     let options = OpenOptions { field: Some(field.to_owned()), ..source.options.clone() };
     // In a format without names the reader chooses. Another name is refused when the step is

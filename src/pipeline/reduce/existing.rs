@@ -92,7 +92,7 @@ pub(super) fn remove_strays(archive: &Path, manifest: &Manifest) {
 }
 
 /// A segment in the folder of an unfinished archive, or the beginning of one, that is not of this
-/// plan: somebody else's work. `None` where there is none, and where the archive is finished.
+/// plan: the work of another run. `None` where there is none, and where the archive is finished.
 fn other_work(archive: &Path, plan: &Plan, keep_going: bool) -> Option<PathBuf> {
     let mesh = plan.mesh_hash();
     let steps: HashSet<PlanHash> = (0..plan.steps.len()).map(|n| plan.step_hash(n)).collect();
@@ -275,7 +275,8 @@ fn refuse_name(out: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Whether a finished archive may be that of a job, or one that has lost files: its plan will tell.
+/// Whether a finished archive, or one that has lost files, may be that of a job. Its plan decides
+/// later.
 ///
 /// Planning may read all samples, or a mesh. So an archive with other settings, or from a file of
 /// another name, is recognized without it. What meets a target is found anew each time.

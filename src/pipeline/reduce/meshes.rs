@@ -43,7 +43,7 @@ use std::sync::Arc;
 struct Common {
     identity: Identity,
     vertices: u64,
-    /// The file that has told it.
+    /// The file from which it is known.
     name: String,
 }
 
@@ -63,7 +63,7 @@ impl Common {
         Self { identity, vertices: mesh.vertices, name }
     }
 
-    /// The number of points tells many other meshes without reading them.
+    /// Refuses many other meshes by their number of points, without reading them.
     fn check_number(&self, mesh: &CellMesh) -> Result<()> {
         match mesh.info().points {
             n if n == self.vertices => Ok(()),
@@ -236,7 +236,7 @@ struct Dense {
 }
 
 /// Gives a plan as many points as are wanted, boundary included, denser in some places where that
-/// is asked for; or those of an archive, or of the plan of a shard. Tells the samples of the
+/// is asked for; or the points of an archive, or of the plan of a shard. Returns the samples of the
 /// boundary that belong to them.
 fn dense_enough(
     plan: &mut Plan,
@@ -593,7 +593,7 @@ fn quantiser(values: &Column<f32>, bits: u8) -> Result<Quantiser> {
     Ok(Quantiser::new(bits, range))
 }
 
-/// What the file tells; lattice and geometry follow when it has been read.
+/// What the file says; lattice and geometry follow when it has been read.
 fn source_of(mesh: &CellMesh, fingerprint: String) -> Result<Source> {
     let (info, field) = (mesh.info(), mesh.field()?);
     Ok(Source {

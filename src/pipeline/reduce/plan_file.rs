@@ -37,7 +37,7 @@ const FORMAT_VERSION: u16 = 2;
 const LARGEST_PLAN: u64 = 1 << 28;
 const HELP: &str = "the plan was damaged or edited: make it again with isospan plan --force";
 
-/// Folder of a plan, its job scripts and logs: beside the archive.
+/// The folder of a plan, its job scripts and logs, next to the archive.
 pub fn work_folder(archive: &Path) -> PathBuf {
     let mut name = archive.as_os_str().to_owned();
     name.push(".work");
@@ -59,7 +59,7 @@ pub fn plan_path(archive: &Path) -> PathBuf {
     work_folder(archive).join("plan.json")
 }
 
-/// What workers are told.
+/// The plan as workers read it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(in crate::pipeline) struct PlanFile {
     format: String,
@@ -120,8 +120,8 @@ impl PlanFile {
         })
     }
 
-    /// The folder in which the archive `out` is made: its own, or one beside it while that has a
-    /// finished archive.
+    /// The folder in which the archive `out` is made: its own folder, or one next to it while its
+    /// own has a finished archive.
     pub(in crate::pipeline) fn root(&self, out: &Path) -> PathBuf {
         let is_committed = || {
             let manifest = Manifest::read(out);

@@ -96,7 +96,7 @@ pub(in crate::pipeline) struct SeriesPlan {
     /// The last step that the archive has already.
     pub(in crate::pipeline) before: Option<StepPlan>,
     pub(in crate::pipeline) keyframes: u64,
-    /// What is stored beside the plan.
+    /// What is stored with the plan.
     pub(in crate::pipeline) attachments: Attachments,
     /// The error that is wanted, in units of the field.
     pub(in crate::pipeline) bound: Option<f64>,
@@ -121,7 +121,7 @@ impl SeriesPlan {
         Ok(())
     }
 
-    /// Whether errors tell the step.
+    /// Whether errors name the step.
     pub(super) fn is_several(&self) -> bool {
         self.plan.steps.len() + self.skipped.len() > 1 || self.before.is_some()
     }

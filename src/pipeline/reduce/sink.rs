@@ -146,8 +146,8 @@ pub(super) struct Sink {
 }
 
 impl Sink {
-    /// Goes on behind the chunks that an earlier run has left in all files; also tells how many
-    /// these are. `left`: what they have left.
+    /// Continues after the chunks that an earlier run has left in all files, and returns their
+    /// number too. `left`: what they have left.
     pub(super) fn resume(
         files: &SegmentFiles<'_>,
         segment: u64,

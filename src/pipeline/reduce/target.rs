@@ -77,7 +77,7 @@ impl Target {
     }
 }
 
-/// Bytes of the manifest that tell the target, at most.
+/// Bytes of the manifest that state the target, at most.
 const RECORD: u64 = 64;
 
 /// The range of the samples, of all steps as far as it is known.
@@ -208,8 +208,8 @@ impl Rounding {
         }
     }
 
-    /// Chooses the bits by what a try tells, the first and the second. Whether they are others now:
-    /// tries before cannot be compared with those to come.
+    /// Chooses the bits by the results of the first and the second try. Returns whether they have
+    /// changed: then earlier tries cannot be compared with later ones.
     fn learn(&mut self, target: Target, bound: f64, report: &ReduceReport) -> bool {
         let before = self.bits;
         let range = source_range(report).filter(|_| self.is_chosen && self.told < 2);

@@ -22,8 +22,8 @@
 //! where the next levels would have more, only the largest errors raise theirs. When nothing can be
 //! raised any more the last try is published, and the report says so.
 //!
-//! Memory: 4 bytes a cell beside what measuring takes. The largest of errors does not depend on
-//! their order: the same archive for any threads.
+//! Memory: 4 bytes a cell in addition to what measuring takes. The largest of errors does not
+//! depend on their order, so the archive is the same for any number of threads.
 
 use super::existing::Existing;
 use super::job::{Basis, Job};

@@ -10,15 +10,15 @@
 //!
 //! A **shard** I of N is the I-th of N runs of whole segments. N is free: the segments, and so the
 //! archive's bytes, are the same for any N, and workers of different N may run together. A shard
-//! does all steps of its chunks. Workers lock nothing and ask nobody. A worker skips segments that
-//! are done; two that make the same one write the same bytes to temporaries of different names, and
-//! the later rename replaces a file by its copy. So a task may be started twice, or go on after its
-//! machine was given up for dead.
+//! does all steps of its chunks. Workers lock nothing and do not communicate. A worker skips
+//! segments that are done. Two workers that make the same one write the same bytes to temporary
+//! files of different names, and the later rename replaces a file by its copy. So a task may be
+//! started twice, or go on after its machine was thought to be dead.
 //!
 //! The input is read by every worker. One without random access (compressed) is copied into bricks
 //! by each of them, and the structures of a tetrahedral mesh are made by each of them, in its own
-//! `scratch`: nothing is shared between machines but the archive. Of a source of chunks each
-//! decodes those that it needs, where its memory holds them: see `inputs::access`.
+//! `scratch`: nothing is shared between machines but the archive. Where a source has chunks, each
+//! worker decodes those that it needs, if its memory holds them: see `inputs::access`.
 
 mod status;
 
@@ -65,8 +65,8 @@ pub struct PlanReport {
 }
 
 /// Plans the reduction of a series of steps, or of one, to the archive `out` in `shards` parts, and
-/// writes the plan beside it. With [`RunSettings::replace`] an archive and a plan that are there
-/// are replaced.
+/// writes the plan next to it. With [`RunSettings::replace`] an existing archive and plan are
+/// replaced.
 ///
 /// # Errors
 /// As [`Reduction::write`](crate::Reduction::write); [`Error::Usage`] when there is another plan

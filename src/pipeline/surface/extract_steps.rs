@@ -244,7 +244,7 @@ impl<'a> Work<'a> {
         surfaces
     }
 
-    /// The blocks of a chunk; none in place of one that nobody wants.
+    /// The blocks of a chunk, with `None` in place of one that is not wanted.
     fn shapes(
         &self,
         part: &ChunkPart,

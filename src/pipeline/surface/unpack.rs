@@ -85,7 +85,7 @@ pub struct UnpackedFile {
 /// the file.
 const BYTES_PER_TET: u64 = 192;
 const BYTES_ON_DISK: u64 = 64;
-/// What a chunk takes whatever its size.
+/// What a chunk of any size takes.
 const PER_CHUNK: u64 = 4 << 20;
 
 /// What [`unpack`] will write.
@@ -97,7 +97,7 @@ pub struct UnpackNeed {
     /// Tetrahedra in them.
     pub tetrahedra: u64,
     /// Bytes that are free where they go (a file is replaced when the new one is complete); `None`
-    /// where the system does not tell.
+    /// where the system does not say.
     pub free: Option<u64>,
 }
 

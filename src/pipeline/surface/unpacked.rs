@@ -129,7 +129,7 @@ impl<'a> UnpackedChunk<'a> {
     /// Asks the system and the processor for the blocks that follow.
     fn prefetch(&self, n: usize, isovalues: &[f32]) {
         let ahead = |blocks: usize| self.places.get(n + blocks)?.at_hand();
-        // What its groups tell was asked for before.
+        // Its groups were prefetched before.
         if let Some(Ok(next)) = ahead(1).map(Known::open) {
             next.block.tets_will_be_read(isovalues);
         }
